@@ -636,6 +636,11 @@ codes! {
         "Robot_Execute slvMove",
         "The client sends faster than the control cycle, or repeats a pose that was stored.",
         "wait one control cycle (8 ms) and send the same pose again";
+    0x83500076 E_MOTION_STOPPED, "the log of a real RC8A; the name is this project's",
+        "A motion of a client was stopped.",
+        "Robot_Move and the other functions that move, without NEXT",
+        "A halt, an emergency stop, a switch of the mode or another error stopped the robot.",
+        "read with GetCurErrorInfo whether there is another error, look where the robot is, send ClearError";
     0x83500121 E_SLVMODE_OFF, "named by an older client of the vendor",
         "slvMove was sent while slave mode was not selected.",
         "Robot_Execute slvMove",
@@ -722,6 +727,7 @@ mod tests {
             (HResult::E_INVALIDARG, 0x8007_0057),
             (HResult::E_BUSY_PROC, 0x8091_00AA),
             (HResult::E_BUF_FULL, 0x8320_1483),
+            (HResult::E_MOTION_STOPPED, 0x8350_0076),
             (HResult::E_SLVMODE_OFF, 0x8350_0121),
             (HResult::E_COMMAND_BUFFER_EMPTY, 0x8420_1482),
         ] {

@@ -2,9 +2,10 @@
 
 use std::fmt::{self, Write as _};
 
+use bcap_core::bcap::call::VariableHandle;
 use bcap_core::error::EncodeError;
 use bcap_core::position::{Joints, Position, Transform};
-use bcap_core::procedure::MotionStart;
+use bcap_core::procedure::{MotionStart, Target};
 use bcap_core::variant::{Encode, Writer};
 
 /// Where a motion ends.
@@ -48,6 +49,52 @@ impl fmt::Display for Destination {
             Self::Joints(joints) => list(f, 'J', &joints.degrees),
             Self::Transform(transform) => list(f, 'T', &transform.to_array()),
         }
+    }
+}
+
+impl Destination {
+    /// Returns the name of the variable, if it is a P, J or T variable, such as `P1` for `p[1]`.
+    fn variable(&self) -> Option<String> {
+        let Self::Text(text) = self else { return None };
+        let (kind, index) = text.trim().split_at_checked(1)?;
+        let index = index.trim();
+        let index = index.strip_prefix('[').map_or(Some(index), |inside| inside.strip_suffix(']'))?.trim();
+        let is_variable = matches!(kind, "P" | "p" | "J" | "j" | "T" | "t");
+        let index = index.parse::<u32>().ok().filter(|_| is_variable)?;
+        Some(format!("{}{index}", kind.to_ascii_uppercase()))
+    }
+
+    /// Returns the place to compare the robot with; `variable` is the handle of the variable.
+    fn target(&self, variable: Option<VariableHandle>) -> Target {
+        match self {
+            Self::Position(position) => Target::position(*position),
+            Self::Joints(joints) => Target::joints(*joints, 8),
+            Self::Transform(transform) => Target::transform(*transform),
+            Self::Text(text) => variable.map_or_else(|| literal(text.trim()), Target::variable),
+        }
+    }
+}
+
+/// Reads a value of the controller's language, such as `J(0, 45, 90, 0, 45, 0)`.
+fn literal(text: &str) -> Target {
+    let numbers = |inside: &str| -> Option<Vec<f64>> {
+        inside.strip_suffix(')')?.split(',').map(|number| number.trim().parse().ok()).collect()
+    };
+    let Some((kind, Some(numbers))) = text.split_once('(').map(|(kind, inside)| (kind.trim(), numbers(inside))) else {
+        return Target::UNKNOWN;
+    };
+    match (kind, numbers.as_slice()) {
+        ("P" | "p", &[x, y, z, rx, ry, rz] | &[x, y, z, rx, ry, rz, _]) => {
+            Target::position(Position::new([x, y, z], [rx, ry, rz]))
+        }
+        ("T" | "t", &[x, y, z, ox, oy, oz, ax, ay, az] | &[x, y, z, ox, oy, oz, ax, ay, az, _]) => {
+            Target::transform(Transform::new([x, y, z], [ox, oy, oz], [ax, ay, az]))
+        }
+        ("J" | "j", joints @ [_, ..]) if joints.len() <= 8 => {
+            let degrees = std::array::from_fn(|axis| joints.get(axis).copied().unwrap_or(0.0));
+            Target::joints(Joints { degrees }, u8::try_from(joints.len()).unwrap_or(8))
+        }
+        _ => Target::UNKNOWN,
     }
 }
 
@@ -181,12 +228,12 @@ impl Move {
 
     /// Turns axes, 1 to 8, by degrees or mm from where they are. `DriveEx`.
     pub fn drive_by(axes: impl IntoIterator<Item = (u8, f64)>) -> Self {
-        Self::new(Way::Drive { command: "DriveEx", axes: axes.into_iter().collect() })
+        Self::new(Way::Drive { command: DRIVE_BY, axes: axes.into_iter().collect() })
     }
 
     /// Turns axes, 1 to 8, to a value in degrees or mm. `DriveAEx`.
     pub fn drive_to(axes: impl IntoIterator<Item = (u8, f64)>) -> Self {
-        Self::new(Way::Drive { command: "DriveAEx", axes: axes.into_iter().collect() })
+        Self::new(Way::Drive { command: DRIVE_TO, axes: axes.into_iter().collect() })
     }
 
     /// Moves to the position that is `mm` before a destination, against the direction of the tool. `Approach`.
@@ -234,6 +281,29 @@ impl Move {
         self
     }
 
+    /// Returns the variable to read before the motion, to know where it ends.
+    pub(crate) fn variable(&self) -> Option<String> {
+        match &self.way {
+            Way::To(_, destination) | Way::Circle { end: destination, .. } | Way::Approach(_, destination, _) => {
+                destination.variable()
+            }
+            Way::Drive { .. } | Way::Depart(..) | Way::Rotate { .. } => None,
+        }
+    }
+
+    /// Returns where the motion ends; `variable` is the handle of [`variable`](Self::variable).
+    pub(crate) fn target(&self, variable: Option<VariableHandle>) -> Target {
+        match &self.way {
+            Way::To(_, destination) => destination.target(variable),
+            Way::Circle { end, .. } => end.target(variable).with_loop(),
+            Way::Approach(_, destination, mm) => destination.target(variable).back(*mm),
+            Way::Depart(_, mm) => Target::here().back(*mm),
+            Way::Drive { command, axes } => drive(axes, *command == DRIVE_BY),
+            // the library does not know the work coordinates in which it turns
+            Way::Rotate { .. } => Target::UNKNOWN.with_loop(),
+        }
+    }
+
     /// Returns the call that starts the motion.
     pub(crate) fn start(self) -> MotionStart<Self, String> {
         let option = self.options.clone();
@@ -256,6 +326,26 @@ impl Move {
                 MotionStart::Rotate { plane, degrees: *degrees, centre: format!("V({x}, {y}, {z})"), option }
             }
         }
+    }
+}
+
+/// The commands that turn axes by a distance, and to a value.
+const DRIVE_BY: &str = "DriveEx";
+const DRIVE_TO: &str = "DriveAEx";
+
+/// Returns where axes end that are turned by a distance, or to a value.
+fn drive(axes: &[(u8, f64)], by: bool) -> Target {
+    let mut joints = [None; 8];
+    for (axis, value) in axes {
+        // the controller refuses other axes
+        if let Some(joint) = usize::from(*axis).checked_sub(1).and_then(|index| joints.get_mut(index)) {
+            *joint = Some(*value);
+        }
+    }
+    if by {
+        Target::drive_by(Joints { degrees: joints.map(Option::unwrap_or_default) })
+    } else {
+        Target::drive_to(joints)
     }
 }
 
@@ -310,6 +400,37 @@ mod tests {
         }
         let near = Move::joint(Joints::new([1.0])).pass(Pass::Near);
         assert!(written(&near).ends_with("I4(2), I4(-1)]"), "{}", written(&near));
+    }
+
+    #[test]
+    fn the_end_of_a_motion_is_known_from_its_destination() {
+        let target = |to: &str| Move::joint(to).target(None);
+        assert_eq!(target(" J(1, 2.5) "), Target::joints(Joints::new([1.0, 2.5]), 2));
+        let position = Position::new([400.0, 0.0, 300.0], [180.0, 0.0, -90.0]);
+        for text in ["P(400,0,300,180,0,-90)", "p(400, 0, 300, 180, 0, -90, 5)"] {
+            assert_eq!(target(text), Target::position(position), "{text}");
+        }
+        let down = Transform::new([1.0, 2.0, 3.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]);
+        assert_eq!(target("T(1,2,3,0,1,0,0,0,-1,5)"), Target::transform(down));
+        for text in
+            ["P(1,2)", "J()", "J(1,2,3,4,5,6,7,8,9)", "J(1,x)", "J(1", "V1", "P1 EX((7,30))", "P-1", "P[1", "", "é"]
+        {
+            assert_eq!((target(text), Move::joint(text).variable()), (Target::UNKNOWN, None), "{text}");
+        }
+        for (text, name) in [("P1", "P1"), ("j[3]", "J3"), (" T 2 ", "T2")] {
+            assert_eq!(Move::line(text).variable().as_deref(), Some(name), "{text}");
+        }
+        let arc = Move::circle("P1", "P2");
+        assert_eq!(arc.variable().as_deref(), Some("P2"));
+        assert_eq!(arc.target(Some(VariableHandle(9))), Target::variable(VariableHandle(9)).with_loop());
+        let by = Move::drive_by([(1, 5.0), (3, -2.5), (9, 1.0)]);
+        assert_eq!(by.target(None), Target::drive_by(Joints::new([5.0, 0.0, -2.5])));
+        let mut to = [None; 8];
+        to[1] = Some(45.0);
+        assert_eq!(Move::drive_to([(2, 45.0)]).target(None), Target::drive_to(to));
+        assert_eq!(Move::depart(Interpolation::Line, 50.0).target(None), Target::here().back(50.0));
+        let above = Move::approach(Interpolation::Line, position, 20.0).target(None);
+        assert_eq!(above, Target::position(position).back(20.0));
     }
 
     #[test]

@@ -21,7 +21,7 @@ use bcap_core::error::EncodeError;
 use bcap_core::hresult::HResult;
 use bcap_core::io::asynch::{Connection, Transport};
 use bcap_core::procedure::{
-    self, Handles, MotionQueue, Owner, PathError, PathStep, Procedure, Provider, StepError, Until,
+    self, Handles, MotionQueue, MotionStart, Owner, PathError, PathStep, Procedure, Provider, StepError, Target, Until,
 };
 use bcap_core::slave::{AxisLimits, Config, Engine, Format, MOVE_FRAME, Stats, StreamError, Trajectory};
 use bcap_core::variant::{Encode, FromVariant, OwnedVariant};
@@ -320,10 +320,27 @@ impl<X: Transport<Error = io::Error>> Session<X> {
             self.clear_way().await?;
         }
         let handles = self.handles().await?;
+        let motion = self.aimed(motion).await?;
         self.set_moving(true);
-        let queue = self.run(ROBOT, procedure::run_queue(handles, queue, motion.map(Move::start), until)).await?;
+        let queue = self.run(ROBOT, procedure::run_queue(handles, queue, motion, until)).await?;
         self.set_moving(queue.ended().is_none());
         Ok(queue)
+    }
+
+    /// Returns the call that starts a motion, and where the motion ends; opens the variable of the destination.
+    async fn aimed(&mut self, motion: Option<Move>) -> Result<Option<(MotionStart<Move, String>, Target)>, Error> {
+        let Some(motion) = motion else { return Ok(None) };
+        let variable = match motion.variable() {
+            Some(name) => match self.variable(Object::Controller, &name).await {
+                Ok(variable) => Some(variable),
+                // the controller judges the destination itself
+                Err(Error::Refused { .. }) => None,
+                Err(error) => return Err(error),
+            },
+            None => None,
+        };
+        let target = motion.target(variable);
+        Ok(Some((motion.start(), target)))
     }
 
     /// Halts a motion that was left behind, before another one starts from rest.

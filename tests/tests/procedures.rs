@@ -5,8 +5,9 @@ use std::time::Duration;
 
 use bcap_core::bcap::call;
 use bcap_core::hresult::HResult;
+use bcap_core::position::Joints;
 use bcap_core::procedure::{
-    Handles, Motion, MotionConfig, MotionStart, Provider, StepCause, give_arm, move_and_wait, open_robot,
+    Handles, Motion, MotionConfig, MotionStart, Provider, StepCause, Target, give_arm, move_and_wait, open_robot,
     prepare_robot, read_variable, release_robot, write_variable,
 };
 use bcap_core::variant::Encode;
@@ -31,6 +32,10 @@ fn to(degrees: f64) -> MotionStart<&'static dyn Encode, &'static str> {
     MotionStart::Move { interpolation: 1, pose, option: "NEXT" }
 }
 
+fn end(degrees: f64) -> Target {
+    Target::joints(Joints::new([degrees, 45.0, 90.0, 0.0, 45.0, 0.0]), 6)
+}
+
 fn config() -> MotionConfig {
     MotionConfig::within(Duration::from_secs(30))
 }
@@ -52,17 +57,17 @@ macro_rules! visit {
         assert_eq!(connection.run(servo)$(.$wait)?.unwrap(), Some(false));
 
         // without the arm the motion is refused, and nothing is halted or given back
-        let refused = connection.run(move_and_wait(handles, to(5.0), config()))$(.$wait)?.unwrap_err().error;
+        let refused = connection.run(move_and_wait(handles, to(5.0), end(5.0), config()))$(.$wait)?.unwrap_err().error;
         assert_eq!(refused.cause, StepCause::Refused(HResult::E_ARM_NOT_TAKEN));
 
         connection.run(prepare_robot(handles.robot, [0, 1], true))$(.$wait)?.unwrap();
         assert!(sim.application().arm_owner().is_some() && sim.application().motor_is_on());
-        let motion = connection.run(move_and_wait(handles, to(5.0), config()))$(.$wait)?.unwrap();
+        let motion = connection.run(move_and_wait(handles, to(5.0), end(5.0), config()))$(.$wait)?.unwrap();
         assert_eq!(motion, Motion::Arrived);
         assert_near(sim, 5.0);
         assert!(!sim.application().is_moving());
         // a motion of no length has arrived, too
-        let motion = connection.run(move_and_wait(handles, to(5.0), config()))$(.$wait)?.unwrap();
+        let motion = connection.run(move_and_wait(handles, to(5.0), end(5.0), config()))$(.$wait)?.unwrap();
         assert_eq!(motion, Motion::Arrived);
         assert!(sim.application().arm_owner().is_some() && sim.application().motor_is_on(), "still prepared");
         connection.run(give_arm(handles.robot))$(.$wait)?.unwrap();
@@ -101,7 +106,8 @@ fn prepared(sim: &Served<Controller>) -> (blocking::TcpClient, Handles) {
 fn disturbed(sim: &Served<Controller>, disturb: impl FnOnce() + Send) -> Motion {
     let (mut connection, handles) = prepared(sim);
     std::thread::scope(|scope| {
-        let mover = scope.spawn(move || connection.run(move_and_wait(handles, to(150.0), config())).unwrap());
+        let mover =
+            scope.spawn(move || connection.run(move_and_wait(handles, to(150.0), end(150.0), config())).unwrap());
         while sim.application().joints()[0] < 5.0 {
             sim.application().advance(bcap_std::now());
             std::thread::yield_now();
@@ -149,7 +155,7 @@ fn a_motion_that_takes_too_long_is_halted() {
     let sim = controller(|config| config.ext_speed = 10.0);
     let (mut connection, handles) = prepared(&sim);
     let limit = MotionConfig::within(Duration::from_millis(200));
-    assert_eq!(connection.run(move_and_wait(handles, to(150.0), limit)).unwrap(), Motion::TimedOut);
+    assert_eq!(connection.run(move_and_wait(handles, to(150.0), end(150.0), limit)).unwrap(), Motion::TimedOut);
     while sim.application().is_moving() {
         sim.application().advance(bcap_std::now());
         std::thread::yield_now();
@@ -163,7 +169,7 @@ fn a_motion_that_begins_very_slowly_arrives() {
     // a thousandth of a degree in the first 100 ms
     let sim = controller(|config| config.ext_speed = 1.0);
     let (mut connection, handles) = prepared(&sim);
-    assert_eq!(connection.run(move_and_wait(handles, to(0.2), config())).unwrap(), Motion::Arrived);
+    assert_eq!(connection.run(move_and_wait(handles, to(0.2), end(0.2), config())).unwrap(), Motion::Arrived);
     assert_near(&sim, 0.2);
 }
 
@@ -182,7 +188,7 @@ fn a_refused_motor_gives_the_arm_back() {
 fn a_controller_that_goes_away_is_a_lost_connection() {
     let sim = controller(|config| config.ext_speed = 50.0);
     let (mut connection, handles) = prepared(&sim);
-    let mover = std::thread::spawn(move || connection.run(move_and_wait(handles, to(150.0), config())));
+    let mover = std::thread::spawn(move || connection.run(move_and_wait(handles, to(150.0), end(150.0), config())));
     while sim.application().joints()[0] < 5.0 {
         sim.application().advance(bcap_std::now());
         std::thread::yield_now();

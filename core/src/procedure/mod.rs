@@ -37,6 +37,7 @@ mod queue;
 mod release;
 mod robot;
 mod sequence;
+mod target;
 mod variable;
 
 pub use self::action::{Action, Channel, Procedure};
@@ -48,6 +49,7 @@ pub use self::provider::{Handles, Provider};
 pub use self::queue::{Motion, MotionConfig, MotionQueue};
 pub use self::release::{release, release_controller, release_robot};
 pub use self::robot::{give_arm, prepare_robot};
+pub use self::target::Target;
 pub use self::variable::{read_variable, write_variable};
 
 #[cfg(test)]

@@ -1,28 +1,20 @@
 //! Starting a motion, letting others follow it, and waiting for the end.
 //!
 //! ```text
-//!  Robot_Move NEXT ─► DestJnt ─► (pause ─► SysState ─► CurJnt)* ─► Arrived
-//!                                             │            └────► Halted: at rest, and not at the destination
-//!                                             └─► GetCurErrorCount ─► GetCurErrorInfo ─► Failed
+//!  from rest:  CurJnt ─► (the variable, or CurTrn) ─► Robot_Move NEXT
+//!  each poll:  SysState ─► (DestJnt) ─► CurJnt ─► at rest: (CurPos, CurTrn) ─► Arrived, Halted, Unknown
+//!                  └─► GetCurErrorCount ─► GetCurErrorInfo ─► Failed
 //! ```
 //!
-//! Arrival is decided by position: the robot has arrived when its joints rest where DestJnt said that the motion ends. That
-//! SysState reports no motion is not enough, because it reports none after a halt either.
+//! The position decides: the robot has arrived when it rests at the [`Target`] of its motion. That SysState reports no
+//! motion is not enough, because it reports none after a halt either.
 //!
-//! A robot that rests elsewhere has been halted, unless SysState reports a motion (a slow start, a motion on hold) or the
-//! robot has not begun to move yet.
+//! A robot that rests elsewhere was halted, unless SysState reports a motion (a slow start, a motion on hold) or the robot
+//! has not begun to move yet. DestJnt alone never decides, because after a halt it may be the place where the robot rests.
+//! It counts if two polls saw it during the motion, and then only where the target cannot be compared.
 //!
-//! A motion that follows another one:
-//!
-//! ```text
-//!  SysState ─► CurJnt: under way to A ─► Robot_Move NEXT to B ─► (pause ─► SysState ─► DestJnt ─► CurJnt)*
-//!     DestJnt is A, and the robot moves: it was not halted before B was accepted
-//!     DestJnt is B twice, and the robot moves: it has reached A, and B is the destination from now on
-//! ```
-//!
-//! DestJnt is the destination of the motion under way, so it tells B only when the motion to B has begun. After a halt it may
-//! be the place where the robot rests, so it counts only while the robot moves and is not there. At most one motion waits
-//! behind the one under way: with more, a destination could be missed.
+//! A motion that follows another one is sent while that one is under way, or from rest at its end. At most one motion waits
+//! for the one under way.
 
 use core::convert::identity;
 use core::time::Duration;
@@ -32,11 +24,13 @@ use super::failure::{StepCause, StepError};
 use super::provider::Handles;
 use super::queue::{AT_REST, JOINTS, Motion, MotionConfig, MotionQueue, within};
 use super::sequence::{Argument, Next, Sequence, StepCall, Steps, Undo};
+use super::target::{Before, Comparison, End, Target};
 use crate::bcap::call::{Any, Int, Reply, ReplyError};
 use crate::bcap::{Frame, FunctionId};
 use crate::hresult::HResult;
+use crate::position::{Position, Transform};
 use crate::time::Instant;
-use crate::variant::{Encode, Variant};
+use crate::variant::{Encode, FromVariant, Variant};
 
 /// The call that starts a motion. Its options contain `NEXT`: otherwise the reply comes when the motion has ended.
 #[derive(Clone, Copy, Debug)]
@@ -70,14 +64,10 @@ pub enum MotionStart<D, O> {
     },
 }
 
-/// Starts a motion and waits for its end.
+/// Starts a motion and waits for its end, which `target` describes.
 ///
 /// The arm must be taken and the motor on. When a call fails after the motion may have started, the robot is halted,
 /// because its state is unknown. A motion on hold counts as a motion until the time limit passes.
-///
-/// One halt cannot be detected: one that comes before the robot has moved by the tolerance, and before DestJnt is read, one
-/// round trip after the start. It looks like a motion to the place where the robot is, and ends as [`Motion::Arrived`].
-/// [`run_queue`] with [`Until::Begun`] does not have this gap, because it does not accept motions of no length.
 ///
 /// # Cancel safety
 ///
@@ -86,17 +76,18 @@ pub enum MotionStart<D, O> {
 pub fn move_and_wait<D: Encode, O: AsRef<str>>(
     handles: Handles,
     motion: MotionStart<D, O>,
+    target: Target,
     config: MotionConfig,
 ) -> impl Procedure<Output = Motion, Error = StepError> {
-    let steps = MoveSteps::new(handles, MotionQueue::new(config), Some(motion), Until::Ended);
-    Sequence::new(steps, |queue: MotionQueue| queue.ended.unwrap_or(Motion::Halted))
+    let steps = MoveSteps::new(handles, MotionQueue::new(config), Some((motion, target)), Until::Ended);
+    Sequence::new(steps, |queue: MotionQueue| queue.ended.unwrap_or(Motion::Unknown))
 }
 
 /// Until when [`run_queue`] runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Until {
-    /// Until the last motion has begun, or the robot was stopped before.
+    /// Until the last motion has begun, or the robot rests.
     Begun,
     /// Until the robot rests.
     Ended,
@@ -105,12 +96,12 @@ pub enum Until {
 /// Adds a motion to a queue, if there is one, and runs until the last motion has begun or the robot rests.
 ///
 /// The controller gets the motion before the one under way ends, so it moves from one to the next without a stop if the
-/// pass of the first allows it. From rest at the destination the motion starts at once. If the robot was stopped before
-/// that destination, the motion is not sent, and the queue has [ended](MotionQueue::ended).
+/// pass of the first allows it. From rest at the end of the motion before, it starts at once. If the robot was stopped
+/// before that end, the motion is not sent, and the queue has [ended](MotionQueue::ended).
 ///
-/// A motion of a queue counts only if two polls see it under way, because DestJnt then tells where it ends. One that ends where
-/// it begins is never seen, nor is one that is shorter than the polls: both end as [`Motion::Halted`], and so does one that was
-/// accepted so late that a halt before it cannot be excluded. The robot is halted then.
+/// [`Motion::Arrived`] tells where the robot rests: at the end of the last motion. One halt can go unseen: it stops a motion
+/// completely between the last poll and the acceptance of the next motion, which the robot then carries out from there. A
+/// controller that is braking, or has an error after the halt, refuses that motion, and it is not sent again.
 ///
 /// # Cancel safety
 ///
@@ -118,7 +109,7 @@ pub enum Until {
 pub fn run_queue<D: Encode, O: AsRef<str>>(
     handles: Handles,
     queue: MotionQueue,
-    motion: Option<MotionStart<D, O>>,
+    motion: Option<(MotionStart<D, O>, Target)>,
     until: Until,
 ) -> impl Procedure<Output = MotionQueue, Error = StepError> {
     Sequence::new(MoveSteps::new(handles, queue, motion, until), identity)
@@ -133,43 +124,42 @@ const MOVING: i32 = 0b11 << 20;
 
 struct MoveSteps<D, O> {
     handles: Handles,
-    motion: Option<MotionStart<D, O>>,
+    motion: Option<(MotionStart<D, O>, Target)>,
     queue: MotionQueue,
     goal: Until,
     /// Whether the motion is still to be sent.
     unsent: bool,
-    /// Whether the motion must be seen to begin.
-    strict: bool,
-    follow: Follow,
+    /// Whether an earlier motion may be under way.
+    follows: bool,
+    /// Whether the controller was busy: it may be braking for a halt, so the motion is sent from rest only.
+    busy: bool,
     step: Step,
-    /// What DestJnt said in this poll.
-    seen: [f64; JOINTS],
+    /// The value that the target needs, read before the motion.
+    reading: End,
+    /// The joints of this poll, and the position of the tool.
+    joints: [f64; JOINTS],
+    position: Option<Position>,
+    /// The destination that DestJnt told in this poll.
+    seen: Option<[f64; JOINTS]>,
     /// When the last reply arrived.
     now: Instant,
     /// The index of the error to ask for.
     error: i32,
 }
 
-/// What is known of a motion of a queue that was accepted and has not begun.
-#[derive(Clone, Copy, PartialEq)]
-enum Follow {
-    /// There is no such motion.
-    None,
-    /// It was accepted behind another motion. The robot may have been halted before.
-    Accepted,
-    /// It was accepted at rest, or the motion before was still under way after that.
-    InOrder,
-    /// The robot was once seen to move to this destination.
-    Seen([f64; JOINTS]),
-}
-
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Step {
+    /// The readings before a motion: the variable, and from rest the joints and the tool.
+    Variable,
+    Start,
+    StartFrame,
     Move,
-    Destination,
     Pause(Instant),
     State,
+    Destination,
     Position,
+    Tool,
+    Frame,
     ErrorCount,
     ErrorInfo,
     Halt,
@@ -177,21 +167,46 @@ enum Step {
 }
 
 impl<D, O> MoveSteps<D, O> {
-    fn new(handles: Handles, queue: MotionQueue, motion: Option<MotionStart<D, O>>, goal: Until) -> Self {
+    fn new(handles: Handles, mut queue: MotionQueue, motion: Option<(MotionStart<D, O>, Target)>, goal: Until) -> Self {
         let unsent = motion.is_some();
-        let step = match queue.ended {
-            None if !queue.is_new() => Step::State,
-            None if unsent => Step::Move,
-            _ => Step::End,
+        if unsent && queue.ended == Some(Motion::Arrived) {
+            queue.ended = None;
+        }
+        let follows = !queue.is_new();
+        let step = match &motion {
+            _ if queue.ended.is_some() => Step::End,
+            Some((_, target)) if matches!(target.before(false), Some(Before::Variable(_))) => Step::Variable,
+            _ if follows => Step::State,
+            Some(_) => Step::Start,
+            None => Step::End,
         };
-        let strict = goal == Until::Begun || !queue.is_new();
-        let (follow, seen, now) = (Follow::None, [0.0; JOINTS], Instant::ZERO);
-        Self { handles, motion, queue, goal, unsent, strict, follow, step, seen, now, error: 0 }
+        let (joints, position, seen, now) = ([0.0; JOINTS], None, None, Instant::ZERO);
+        let reading = End::Unknown;
+        Self {
+            handles,
+            motion,
+            queue,
+            goal,
+            unsent,
+            follows,
+            busy: false,
+            step,
+            reading,
+            joints,
+            position,
+            seen,
+            now,
+            error: 0,
+        }
+    }
+
+    fn target(&self) -> Target {
+        self.motion.as_ref().map_or(Target::UNKNOWN, |(_, target)| *target)
     }
 
     /// Tells whether the motion has not begun yet.
     fn begins(&self) -> bool {
-        self.unsent || self.follow != Follow::None
+        self.unsent || self.queue.begins
     }
 
     fn of_robot(&self, command: &'static str) -> Next<'_> {
@@ -221,89 +236,116 @@ impl<D, O> MoveSteps<D, O> {
         self.step = Step::Pause(now.saturating_add(interval).min(until));
     }
 
-    /// Compares the robot's position with its destination and with earlier positions.
-    fn update_position(&mut self, joints: &[f64; JOINTS], now: Instant) {
-        self.queue.update_rest(joints, now);
-        if self.follow != Follow::None {
-            self.update_follow(joints, now);
-            return;
-        }
-        let MotionQueue { reports_motion, moved, still, .. } = self.queue;
-        let there = self.queue.is_at_destination(joints);
-        let stopped = self.queue.is_stopped(self.begins());
-        // a motion may end where it began, so rest there does not count as arrival while SysState reports a motion
-        if still >= 1 && there && (moved || !reports_motion) && self.unsent {
-            // the next motion starts from rest
-            (self.queue.destination, self.step) = (None, Step::Move);
-        } else if still >= 1 && there && (moved || !reports_motion) {
-            self.end(Motion::Arrived);
-        } else if stopped && moved {
-            self.end(Motion::Halted);
-        } else if stopped && now >= self.queue.start_until {
-            self.halt(Motion::Halted);
-        } else if now >= self.queue.until {
-            self.halt(Motion::TimedOut);
-        } else if self.unsent && reports_motion && !there {
-            self.step = Step::Move;
-        } else {
-            self.pause(now);
-        }
-    }
-
-    /// Looks for the beginning of a motion of a queue.
-    fn update_follow(&mut self, joints: &[f64; JOINTS], now: Instant) {
-        let MotionQueue { reports_motion, config, destination, .. } = self.queue;
-        let changed = destination.is_none_or(|before| !within(&self.seen, &before, AT_REST));
-        let begins = reports_motion && changed && !within(joints, &self.seen, config.tolerance);
-        match self.follow {
-            Follow::Accepted if changed => return self.halt(Motion::Halted),
-            Follow::Accepted if reports_motion => self.follow = Follow::InOrder,
-            Follow::Seen(seen) if begins && within(&self.seen, &seen, AT_REST) => {
-                self.queue.aim(seen);
-                (self.follow, self.step) = (Follow::None, Step::State);
-                if self.goal == Until::Begun {
-                    self.step = Step::End;
-                }
-                return;
-            }
-            Follow::InOrder | Follow::Seen(_) if begins => self.follow = Follow::Seen(self.seen),
-            _ => {}
-        }
-        let elsewhere = destination.is_some() && !self.queue.is_at_destination(joints);
-        if self.queue.is_stopped(self.begins()) && (elsewhere || now >= self.queue.start_until) {
-            self.halt(Motion::Halted);
-        } else if now >= self.queue.until {
-            self.halt(Motion::TimedOut);
-        } else {
-            self.pause(now);
-        }
+    /// Records the joints before a motion from rest.
+    fn starts_at(&mut self, joints: [f64; JOINTS]) {
+        self.joints = joints;
+        let needs_frame = self.target().before(true) == Some(Before::Frame);
+        self.step = if needs_frame { Step::StartFrame } else { Step::Move };
     }
 
     /// Records that the controller has accepted the motion.
     fn accepted(&mut self, now: Instant) {
         self.unsent = false;
+        let target = self.target();
         let queue = &mut self.queue;
         if queue.is_new() {
             queue.until = now.saturating_add(queue.config.limit);
         }
-        if queue.destination.is_some() {
-            (self.follow, self.step) = (Follow::Accepted, Step::State);
-            return;
+        if self.follows {
+            queue.previous = queue.destination.or_else(|| queue.end.joints_from(&self.joints));
+            queue.is_ambiguous = queue.previous.is_none();
+            queue.end = target.resolve(&self.joints, self.reading, Some(queue.end));
+            queue.is_loop = true;
+        } else {
+            (queue.previous, queue.is_ambiguous) = (None, false);
+            queue.end = target.resolve(&self.joints, self.reading, None);
+            (queue.is_loop, queue.moved) = (target.is_loop, false);
+            (queue.rest, queue.still) = (Some(self.joints), 0);
         }
-        (queue.start_until, queue.rest, queue.moved) = (now.saturating_add(queue.config.start), None, false);
-        (self.follow, self.step) =
-            if self.strict { (Follow::InOrder, Step::State) } else { (Follow::None, Step::Destination) };
+        queue.begins = self.follows || self.goal == Until::Begun;
+        (queue.glimpsed, queue.destination) = (None, None);
+        queue.start_until = now.saturating_add(queue.config.start);
+        (self.follows, self.step) = (true, Step::State);
     }
 
-    /// Records what DestJnt said.
-    fn aimed(&mut self, destination: [f64; JOINTS]) {
-        self.seen = destination;
-        if self.follow == Follow::None {
-            self.queue.aim(destination);
-            self.step = Step::State;
-        } else {
-            self.step = Step::Position;
+    /// Records the position of this poll, and compares it with the end of the motion if the robot rests.
+    fn update_position(&mut self, joints: [f64; JOINTS], now: Instant) {
+        (self.joints, self.position) = (joints, None);
+        let queue = &mut self.queue;
+        queue.update_rest(&joints, now);
+        if let Some(seen) = self.seen.take() {
+            queue.update_destination(seen, &joints);
         }
+        // from rest the robot can only move to the end of this motion
+        let follows = queue.previous.is_some() || queue.is_ambiguous;
+        if !follows && queue.reports_motion && queue.moved && matches!(queue.end, End::Joints(..)) {
+            queue.begins = false;
+        }
+        if let Some(comparison) = queue.end.compare_joints(&joints, &queue.config) {
+            return self.judge(comparison, now);
+        }
+        if queue.end == End::Unknown {
+            let there = queue.is_at_destination(&joints) == Some(true);
+            return self.judge(if there { Comparison::There } else { Comparison::Elsewhere }, now);
+        }
+        match queue.still {
+            0 => self.judge(Comparison::Elsewhere, now),
+            _ if queue.end.needs_position() => self.step = Step::Tool,
+            _ => self.step = Step::Frame,
+        }
+    }
+
+    /// Compares the position of the tool with the end of the motion.
+    fn update_tool(&mut self, frame: Option<&Transform>, now: Instant) {
+        let MotionQueue { end, config, .. } = &self.queue;
+        let comparison = end.compare_tool(self.position.as_ref(), frame, config);
+        self.judge(comparison, now);
+    }
+
+    /// Decides what follows from the position of this poll.
+    fn judge(&mut self, comparison: Comparison, now: Instant) {
+        let MotionQueue { reports_motion, moved, still, is_loop, .. } = self.queue;
+        let there = comparison == Comparison::There;
+        let stopped = self.queue.is_stopped(self.begins());
+        // the robot rests at the end of the motion before
+        let waits = self.queue.begins && self.queue.previous.is_some_and(|end| within(&self.joints, &end, AT_REST));
+        // a motion may end where it begins, so rest there is its end only after a movement
+        if still >= 1 && there && (moved || !(reports_motion || is_loop)) {
+            if self.unsent {
+                (self.follows, self.step) = (false, Step::Start);
+            } else {
+                self.end(Motion::Arrived);
+            }
+        } else if stopped && moved && !waits && !there {
+            self.end(self.queue.outcome_elsewhere(&self.joints, comparison));
+        } else if stopped && now >= self.queue.start_until {
+            // a motion of no length cannot be told from one that was not carried out
+            self.halt(if is_loop && !moved { Motion::Unknown } else { Motion::Halted });
+        } else if now >= self.queue.until {
+            self.halt(Motion::TimedOut);
+        } else if self.unsent && !self.busy && reports_motion && !there {
+            self.step = Step::Move;
+        } else if self.goal == Until::Begun && !self.begins() {
+            self.step = Step::End;
+        } else {
+            self.pause(now);
+        }
+    }
+
+    /// Takes the state of the controller.
+    fn update_state(&mut self, bits: i32) {
+        self.queue.reports_motion = bits & MOVING != 0;
+        self.step = match bits & (ERROR | EMERGENCY_STOP) {
+            0 if self.queue.needs_destination() => Step::Destination,
+            0 => Step::Position,
+            _ => Step::ErrorCount,
+        };
+    }
+
+    /// Takes the first error of the controller.
+    fn update_error(&mut self, code: HResult) {
+        // the error that a halted motion leaves
+        self.end(if code == HResult::E_MOTION_STOPPED { Motion::Halted } else { Motion::Failed(code) });
     }
 }
 
@@ -311,7 +353,7 @@ impl<D: Encode, O: AsRef<str>> MoveSteps<D, O> {
     /// Returns the call that starts the motion.
     fn start(&self) -> Option<StepCall<'_>> {
         let robot = self.handles.robot.0;
-        Some(match self.motion.as_ref()? {
+        Some(match &self.motion.as_ref()?.0 {
             MotionStart::Move { interpolation, pose, option } => {
                 let pose: &dyn Encode = pose;
                 let call = StepCall::new(FunctionId::ROBOT_MOVE).with(robot).with(*interpolation);
@@ -336,11 +378,19 @@ impl<D: Encode, O: AsRef<str>> Steps for MoveSteps<D, O> {
 
     fn next(&self) -> Next<'_> {
         match self.step {
+            Step::Variable => match self.target().before(false) {
+                Some(Before::Variable(variable)) => {
+                    Next::Call(StepCall::new(FunctionId::VARIABLE_GET_VALUE).with(variable.0))
+                }
+                _ => Next::End,
+            },
+            Step::Start | Step::Position => self.of_robot("CurJnt"),
+            Step::StartFrame | Step::Frame => self.of_robot("CurTrn"),
             Step::Move => self.start().map_or(Next::End, Next::Call),
-            Step::Destination => self.of_robot("DestJnt"),
             Step::Pause(until) => Next::Wait(until),
             Step::State => self.of_controller("SysState", Argument::Empty),
-            Step::Position => self.of_robot("CurJnt"),
+            Step::Destination => self.of_robot("DestJnt"),
+            Step::Tool => self.of_robot("CurPos"),
             Step::ErrorCount => self.of_controller("GetCurErrorCount", Argument::Empty),
             Step::ErrorInfo => self.of_controller("GetCurErrorInfo", Argument::Int(self.error)),
             Step::Halt => Next::Call(StepCall::new(FunctionId::ROBOT_HALT).with(self.handles.robot.0).with("")),
@@ -355,31 +405,33 @@ impl<D: Encode, O: AsRef<str>> Steps for MoveSteps<D, O> {
     fn succeeded(&mut self, reply: &Frame<'_>, now: Instant) -> Result<(), StepCause> {
         self.now = now;
         match self.step {
-            Step::Move => self.accepted(now),
-            Step::Destination => self.aimed(joints(reply)?),
-            Step::State => {
-                let bits = Int::read(reply.args).map_err(StepCause::Reply)?;
-                self.queue.reports_motion = bits & MOVING != 0;
-                self.step = match self.follow {
-                    _ if bits & (ERROR | EMERGENCY_STOP) != 0 => Step::ErrorCount,
-                    Follow::None => Step::Position,
-                    _ => Step::Destination,
-                };
+            Step::Variable => {
+                self.reading = End::of_value(&reply.value().unwrap_or(Variant::Empty));
+                self.step = if self.follows { Step::State } else { Step::Start };
             }
-            Step::Position => self.update_position(&joints(reply)?, now),
+            Step::Start => self.starts_at(joints(reply)?),
+            Step::StartFrame => {
+                self.reading = End::of_value(&reply.value().unwrap_or(Variant::Empty));
+                self.step = Step::Move;
+            }
+            Step::Move => self.accepted(now),
+            Step::State => self.update_state(Int::read(reply.args).map_err(StepCause::Reply)?),
+            Step::Destination => (self.seen, self.step) = (Some(joints(reply)?), Step::Position),
+            Step::Position => self.update_position(joints(reply)?, now),
+            Step::Tool => {
+                self.position = Some(pose(reply)?);
+                if self.queue.end.needs_frame() { self.step = Step::Frame } else { self.update_tool(None, now) }
+            }
+            Step::Frame => self.update_tool(Some(&pose(reply)?), now),
             Step::ErrorCount => {
                 // the last error of the list is the oldest, so the first cause
                 self.error = Int::read(reply.args).map_err(StepCause::Reply)?.saturating_sub(1);
-                if self.error >= 0 {
-                    self.step = Step::ErrorInfo;
-                } else {
-                    self.end(Motion::Failed(HResult::E_FAIL));
-                }
+                if self.error >= 0 { self.step = Step::ErrorInfo } else { self.update_error(HResult::E_FAIL) }
             }
             Step::ErrorInfo => {
                 let value = Any::read(reply.args).map_err(StepCause::Reply)?;
                 let code = value.as_array().and_then(|array| array.iter().next()).as_ref().and_then(code);
-                self.end(Motion::Failed(code.unwrap_or(HResult::E_FAIL)));
+                self.update_error(code.unwrap_or(HResult::E_FAIL));
             }
             Step::Halt | Step::Pause(_) | Step::End => self.step = Step::End,
         }
@@ -388,23 +440,36 @@ impl<D: Encode, O: AsRef<str>> Steps for MoveSteps<D, O> {
 
     fn undo(&self, cause: Option<&StepCause>) -> Option<Undo> {
         let cause = cause?;
-        let moves = self.step != Step::Move || self.queue.destination.is_some() || cause.may_have_run();
+        let moves = self.follows || (self.step == Step::Move && cause.may_have_run());
         moves.then_some(Undo::Halt(self.handles.robot.0))
     }
 
-    /// A controller that is braking, or whose queue is full, is busy: the robot's state tells what follows.
+    /// A controller that is braking, or whose queue is full, is busy: the position at rest tells what follows. A controller
+    /// without a reading leaves the end of the motion unknown.
     fn recovered(&mut self, cause: &StepCause) -> bool {
-        let busy = *cause == StepCause::Refused(HResult::E_ROBOTISBUSY);
-        let waits = busy && self.step == Step::Move && self.queue.destination.is_some();
-        if waits {
-            self.pause(self.now);
+        let StepCause::Refused(code) = *cause else { return false };
+        match self.step {
+            Step::Move if code == HResult::E_ROBOTISBUSY && !self.queue.is_new() => {
+                self.busy = true;
+                self.pause(self.now);
+            }
+            Step::Variable => self.step = if self.follows { Step::State } else { Step::Start },
+            Step::StartFrame => self.step = Step::Move,
+            _ => return false,
         }
-        waits
+        true
     }
 
     fn output(&mut self) -> MotionQueue {
         self.queue
     }
+}
+
+/// Reads a position or a transform.
+fn pose<T: for<'a> FromVariant<'a>>(reply: &Frame<'_>) -> Result<T, StepCause> {
+    let value = Any::read(reply.args).map_err(StepCause::Reply)?;
+    let wrong = StepCause::Reply(ReplyError { expected: "a position", found: Some(value.vartype()) });
+    value.convert().map_err(|_| wrong)
 }
 
 /// Reads a position of at least one joint. Rejects NaN: every comparison with it is false, so the robot would never arrive

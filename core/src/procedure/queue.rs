@@ -2,6 +2,7 @@
 
 use core::time::Duration;
 
+use super::target::{Comparison, End};
 use crate::hresult::HResult;
 use crate::time::Instant;
 
@@ -16,18 +17,23 @@ pub struct MotionConfig {
     pub start: Duration,
     /// The pause between two polls of the robot.
     pub interval: Duration,
-    /// How far each joint may be from the destination, in degrees or mm.
+    /// How far each joint may be from the end of the motion, in degrees or mm.
     pub tolerance: f64,
+    /// How far the tool may be from a position, in mm along each axis.
+    pub distance_mm: f64,
+    /// How far the tool may be turned from an orientation, in degrees.
+    pub angle_degrees: f64,
     /// The number of polls in a row with the robot at rest after which it counts as halted.
     pub still: u8,
 }
 
 impl MotionConfig {
     /// Returns a configuration with this time limit. It polls every 20 ms; the motion must begin within one second and end
-    /// within 0.05 degrees of its destination, and five polls at rest count as a halt.
+    /// within 0.05 degrees, or 0.5 mm and 0.2 degrees of the tool, and five polls at rest elsewhere count as a halt.
     #[must_use]
     pub const fn within(limit: Duration) -> Self {
-        Self { limit, start: Duration::from_secs(1), interval: Duration::from_millis(20), tolerance: 0.05, still: 5 }
+        let (start, interval) = (Duration::from_secs(1), Duration::from_millis(20));
+        Self { limit, start, interval, tolerance: 0.05, distance_mm: 0.5, angle_degrees: 0.2, still: 5 }
     }
 }
 
@@ -37,11 +43,15 @@ impl MotionConfig {
 #[non_exhaustive]
 #[must_use]
 pub enum Motion {
-    /// The robot rests at its destination.
+    /// The robot rests where the motion ends.
     Arrived,
-    /// The robot rests, and the controller has no error, but it was not seen to reach its destination: another client
-    /// halted it, or it did not begin to move.
+    /// The robot rests elsewhere, and the controller has no other error: it was halted, or did not begin to move within the
+    /// time for that and was halted then.
     Halted,
+    /// The robot rests, and whether that is the end of the motion is unknown: the end cannot be compared with a reading, and
+    /// the motion was too short to be seen; or the tool or the work coordinates changed meanwhile. Read the position before
+    /// the next motion.
+    Unknown,
     /// The controller has an error; this is the first one.
     Failed(HResult),
     /// The time limit has passed, and the robot was halted.
@@ -64,13 +74,24 @@ pub struct MotionQueue {
     pub(super) until: Instant,
     /// When a robot at rest must have begun to move.
     pub(super) start_until: Instant,
-    /// Where the motion under way ends; `None` before the first one.
+    /// Where the last motion ends.
+    pub(super) end: End,
+    /// Whether the motions may end where they begin, so that rest there is an end only after a movement.
+    pub(super) is_loop: bool,
+    /// Whether the last motion was not seen to begin yet.
+    pub(super) begins: bool,
+    /// Where the motion before the last one ends, until the last one is seen to begin.
+    pub(super) previous: Option<[f64; JOINTS]>,
+    /// Whether DestJnt may still be the end of an earlier motion, which is not known.
+    pub(super) is_ambiguous: bool,
+    /// The destination that one poll saw during the motion, and the one that two polls saw.
+    pub(super) glimpsed: Option<[f64; JOINTS]>,
     pub(super) destination: Option<[f64; JOINTS]>,
     /// Whether SysState reports a motion.
     pub(super) reports_motion: bool,
     /// Where the robot was when it was first seen at rest.
     pub(super) rest: Option<[f64; JOINTS]>,
-    /// Whether the robot has moved since the first poll.
+    /// Whether the robot has moved since the first motion.
     pub(super) moved: bool,
     /// Polls in a row with the robot at rest.
     pub(super) still: u8,
@@ -78,12 +99,18 @@ pub struct MotionQueue {
 }
 
 impl MotionQueue {
-    /// Returns a queue without motions. The time limit begins with the first motion, and is that of all motions.
+    /// Returns a queue without motions. One time limit covers all motions; it starts with the first.
     pub const fn new(config: MotionConfig) -> Self {
         Self {
             config,
             until: Instant::FAR_FUTURE,
             start_until: Instant::FAR_FUTURE,
+            end: End::Unknown,
+            is_loop: false,
+            begins: false,
+            previous: None,
+            is_ambiguous: false,
+            glimpsed: None,
             destination: None,
             reports_motion: false,
             rest: None,
@@ -120,6 +147,24 @@ impl MotionQueue {
         }
     }
 
+    /// Records where the motion under way leads; two polls that agree make it known. DestJnt counts only while the robot moves
+    /// and is elsewhere: after a halt it may be the place where the robot rests.
+    pub(super) fn update_destination(&mut self, seen: [f64; JOINTS], joints: &[f64; JOINTS]) {
+        let is_new = self.previous.is_none_or(|previous| !within(&seen, &previous, AT_REST));
+        if !is_new || !self.reports_motion || within(joints, &seen, self.config.tolerance) {
+            return;
+        }
+        if self.glimpsed.is_some_and(|before| within(&seen, &before, AT_REST)) {
+            (self.destination, self.begins) = (Some(seen), false);
+        }
+        self.glimpsed = Some(seen);
+    }
+
+    /// Tells whether DestJnt is needed.
+    pub(super) fn needs_destination(&self) -> bool {
+        self.destination.is_none() && (self.begins || !matches!(self.end, End::Joints(..)))
+    }
+
     /// Tells whether the robot counts as stopped, wherever it is.
     pub(super) fn is_stopped(&self, begins: bool) -> bool {
         // with shorter pauses, as many more polls
@@ -127,14 +172,22 @@ impl MotionQueue {
         self.still >= polls && !self.reports_motion
     }
 
-    /// Tells whether the robot is at the destination of the motion under way.
-    pub(super) fn is_at_destination(&self, joints: &[f64; JOINTS]) -> bool {
-        self.destination.is_some_and(|destination| within(joints, &destination, self.config.tolerance))
+    /// Tells whether these joints are the destination that was seen during the motion; `None` if none was seen.
+    pub(super) fn is_at_destination(&self, joints: &[f64; JOINTS]) -> Option<bool> {
+        let destination = self.destination.filter(|_| !self.is_ambiguous)?;
+        Some(within(joints, &destination, self.config.tolerance))
     }
 
-    /// Begins to follow a motion to this destination.
-    pub(super) const fn aim(&mut self, destination: [f64; JOINTS]) {
-        (self.destination, self.rest, self.still) = (Some(destination), None, 0);
+    /// Returns the outcome for a robot that has moved and rests somewhere else than its end.
+    pub(super) fn outcome_elsewhere(&self, joints: &[f64; JOINTS], comparison: Comparison) -> Motion {
+        match (self.end, self.is_at_destination(joints)) {
+            (End::Joints(..), _) => Motion::Halted,
+            // the controller carried the motion out, but the reading means something else now
+            (End::Position(..) | End::Transform(_), Some(true)) => Motion::Unknown,
+            (End::Position(..) | End::Transform(_), _) if comparison == Comparison::Turned => Motion::Unknown,
+            (End::Unknown, None) => Motion::Unknown,
+            _ => Motion::Halted,
+        }
     }
 }
 

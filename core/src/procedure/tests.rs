@@ -12,10 +12,11 @@ use std::vec::Vec;
 
 use super::*;
 use crate::bcap::call::Call;
-use crate::bcap::call::{ControllerHandle, FileHandle, ReplyError, RobotHandle};
+use crate::bcap::call::{ControllerHandle, FileHandle, ReplyError, RobotHandle, VariableHandle};
 use crate::bcap::client::Timing;
 use crate::bcap::{Decoder, FrameWriter, FunctionId, Link, Object};
 use crate::hresult::HResult;
+use crate::position::{Joints, Position, Transform};
 use crate::time::Instant;
 use crate::variant::{Encode, VarType, Variant, VariantBuf};
 

@@ -60,7 +60,7 @@ impl Moving<'_> {
     ///
     /// **Dropping the future halts the robot.**
     pub async fn wait(self) -> Result<Motion, Error> {
-        Ok(self.run(None, Until::Ended).await?.queue.ended().unwrap_or(Motion::Halted))
+        Ok(self.run(None, Until::Ended).await?.queue.ended().unwrap_or(Motion::Unknown))
     }
 
     /// Halts the robot, as a drop does, and waits until it rests.

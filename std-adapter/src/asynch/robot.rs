@@ -223,7 +223,7 @@ impl Arm {
     pub async fn move_to(&mut self, motion: Move, limit: Duration) -> Result<Motion, Error> {
         let queue = MotionQueue::new(MotionConfig::within(limit));
         let queue = run_queue(&self.robot.handle, self.session, queue, Some(motion), Until::Ended).await?;
-        Ok(queue.ended().unwrap_or(Motion::Halted))
+        Ok(queue.ended().unwrap_or(Motion::Unknown))
     }
 
     /// Starts a motion and returns when it has begun, so that [`Moving::then`] can let others follow it without a stop.

@@ -47,7 +47,7 @@ impl Moving<'_> {
     ///
     /// An [`Error`]; the robot was halted, unless the connection is lost.
     pub fn wait(self) -> Result<Motion, Error> {
-        Ok(self.run(None, Until::Ended)?.queue.ended().unwrap_or(Motion::Halted))
+        Ok(self.run(None, Until::Ended)?.queue.ended().unwrap_or(Motion::Unknown))
     }
 
     /// Halts the robot, as a drop does, and waits until it rests.

@@ -167,7 +167,7 @@ impl<'a> Arm<'a> {
     pub fn move_to(&mut self, motion: &Move, limit: Duration) -> Result<Motion, Error> {
         let queue = MotionQueue::new(MotionConfig::within(limit));
         let queue = ready(self.robot.session.run_queue(queue, Some(motion.clone()), Until::Ended))?;
-        Ok(queue.ended().unwrap_or(Motion::Halted))
+        Ok(queue.ended().unwrap_or(Motion::Unknown))
     }
 
     /// Starts a motion and returns when it has begun, so that [`Moving::then`] can let others follow it without a stop.

@@ -39,8 +39,9 @@ impl<X: Transport<Error = io::Error>> Session<X> {
             self.clear_way().await?;
         }
         let handles = self.handles().await?;
+        let motion = self.aimed(motion).await?;
         self.set_moving(true);
-        Ok(Running::new(procedure::run_queue(handles, queue, motion.map(Move::start), until)))
+        Ok(Running::new(procedure::run_queue(handles, queue, motion, until)))
     }
 
     /// Makes the calls of a motion until it waits or ends.

@@ -9,9 +9,10 @@ use bcap_core::bcap::Object;
 use bcap_core::bcap::call;
 use bcap_core::bcap::client::Timing;
 use bcap_core::io::asynch::{Running, Transport as _};
+use bcap_core::position::Joints;
 use bcap_core::procedure::{
-    Motion, MotionConfig, MotionStart, PathStep, Provider, give_arm, move_and_wait, open, open_path, open_robot,
-    prepare_robot, read_variable, release, release_controller, release_robot, write_variable,
+    Motion, MotionConfig, MotionStart, PathStep, Provider, Target, give_arm, move_and_wait, open, open_path,
+    open_robot, prepare_robot, read_variable, release, release_controller, release_robot, write_variable,
 };
 use bcap_core::slave::{
     Config, Cycle, Engine, Format, MOVE_FRAME, Mode, Next, PoseType, ReceiveFormat, ReceivePose, SlaveMode,
@@ -28,6 +29,10 @@ fn short() -> Timing {
 
 const MOVE: MotionStart<&str, &str> =
     MotionStart::Move { interpolation: 1, pose: "J(0.5,45,90,0,45,0)", option: "NEXT" };
+
+fn end() -> Target {
+    Target::joints(Joints::new([0.5, 45.0, 90.0, 0.0, 45.0, 0.0]), 6)
+}
 
 fn config() -> MotionConfig {
     MotionConfig::within(Duration::from_secs(10))
@@ -77,19 +82,19 @@ pub(crate) fn all() -> BTreeMap<&'static str, usize> {
         add(
             "run",
             long("move_and_wait", ready).run(|rig| {
-                let motion = move_and_wait(rig.handles, MOVE, config());
+                let motion = move_and_wait(rig.handles, MOVE, end(), config());
                 Box::pin(async { rig.motion.run(motion).await.is_ok_and(|motion| motion == Motion::Arrived) })
             }),
         );
         add("advance", long("advance", ready).run(|rig| Box::pin(advance(rig))));
-        again(long("move_and_wait", ready).run_again(|rig| move_and_wait(rig.handles, MOVE, config())));
+        again(long("move_and_wait", ready).run_again(|rig| move_and_wait(rig.handles, MOVE, end(), config())));
     }
     points
 }
 
 /// Runs a motion by steps, as one that makes other calls meanwhile does.
 async fn advance(rig: &mut Rig) -> bool {
-    let mut running = Running::new(move_and_wait(rig.handles, MOVE, config()));
+    let mut running = Running::new(move_and_wait(rig.handles, MOVE, end(), config()));
     loop {
         match rig.motion.advance(&mut running).await {
             ControlFlow::Continue(at) => rig.motion.transport().sleep_until(at).await,

@@ -15,8 +15,19 @@ const COUNT: &str = "Controller_Execute(7, \"GetCurErrorCount\", EMPTY)";
 const HALT: &str = "Robot_Halt(9, \"\")";
 const MOVING: i32 = 0b11 << 20;
 
+const POSE: &str = "Robot_Execute(9, \"CurPos\", EMPTY)";
+const FRAME: &str = "Robot_Execute(9, \"CurTrn\", EMPTY)";
+
 fn motion(config: MotionConfig) -> impl Procedure<Output = Motion, Error = StepError> {
-    move_and_wait(HANDLES, MotionStart::Move { interpolation: 1, pose: "@E P1", option: "NEXT" }, config)
+    motion_to(joints(10.0), config)
+}
+
+fn motion_to(target: Target, config: MotionConfig) -> impl Procedure<Output = Motion, Error = StepError> {
+    move_and_wait(HANDLES, MotionStart::Move { interpolation: 1, pose: "@E P1", option: "NEXT" }, target, config)
+}
+
+fn joints(angle: f64) -> Target {
+    Target::joints(Joints::new([angle, 0.0, 90.0, 0.0, 45.0, 0.0]), 6)
 }
 
 fn within(millis: u64) -> MotionConfig {
@@ -30,7 +41,16 @@ fn at(angle: f64) -> Answer {
 /// Lets a robot move to 10 degrees; `position` says where its first joint is, and `state` what SysState reports, by the
 /// milliseconds since the start.
 fn moved(config: MotionConfig, position: impl Fn(u64) -> f64, state: impl Fn(u64) -> i32) -> Run<Motion> {
-    run(motion(config), |_, call, now| {
+    moved_to(joints(10.0), config, position, state)
+}
+
+fn moved_to(
+    target: Target,
+    config: MotionConfig,
+    position: impl Fn(u64) -> f64,
+    state: impl Fn(u64) -> i32,
+) -> Run<Motion> {
+    run(motion_to(target, config), |_, call, now| {
         let millis = now.as_micros() / 1000;
         match call {
             DESTINATION => at(10.0),
@@ -50,7 +70,7 @@ fn ramp(millis: u64) -> f64 {
 fn a_motion_that_ends_at_its_destination_has_arrived() {
     let done = moved(within(1000), ramp, |_| 0);
     assert_eq!(done.result, Ok(Motion::Arrived));
-    assert_eq!(done.calls[..5], [MOVE.call, DESTINATION, STATE, POSITION, STATE]);
+    assert_eq!(done.calls[..5], [POSITION, MOVE.call, STATE, POSITION, STATE]);
     assert!(!done.calls.iter().any(|call| call == HALT));
     // at rest for one look, and not merely near
     assert!((100..=150).contains(&(done.now.as_micros() / 1000)), "{:?}", done.now);
@@ -68,9 +88,13 @@ fn an_arrival_is_detected_while_the_motion_bit_stays_set() {
 fn a_motion_that_ends_where_it_began_has_arrived_when_the_controller_reports_no_motion() {
     // out and back within 300 ms, and the start is slow
     let circle = |millis: u64| if (100..300).contains(&millis) { 12.0 + millis as f64 / 100.0 } else { 10.0 };
-    let done = moved(within(1000), circle, |millis| if millis < 300 { MOVING } else { 0 });
+    let moving = |millis: u64| if millis < 300 { MOVING } else { 0 };
+    let done = moved_to(joints(10.0).with_loop(), within(1000), circle, moving);
     assert_eq!(done.result, Ok(Motion::Arrived));
     assert!(done.now.as_micros() / 1000 >= 300, "{:?}", done.now);
+    // a loop that nothing saw may have been halted at its start
+    let done = moved_to(joints(10.0).with_loop(), within(3000), |_| 10.0, |_| 0);
+    assert_eq!((done.result, done.calls.last().unwrap().as_str()), (Ok(Motion::Unknown), HALT));
     // at its destination from the start, it has arrived at once
     let done = moved(within(1000), |_| 10.0, |_| 0);
     assert_eq!(done.result, Ok(Motion::Arrived));
@@ -137,7 +161,7 @@ fn the_time_limit_halts_the_robot() {
 /// Lets the robot fail at the first look; `info` is the answer to GetCurErrorInfo.
 fn failed(state: i32, count: i32, info: &Answer) -> Run<Motion> {
     run(motion(within(1000)), |_, call, _| match call {
-        DESTINATION => at(10.0),
+        POSITION => at(0.0),
         STATE => Answer::value(&state),
         COUNT => Answer::value(&count),
         _ if call.contains("GetCurErrorInfo") => info.clone(),
@@ -180,8 +204,7 @@ fn each_failure_halts_the_robot_once_it_may_move() {
         STATE => Answer::value(&0),
         _ => Answer::Empty,
     };
-    let look = Expected { undo: "", undo_unknown: HALT, call: DESTINATION };
-    for (number, call) in [MOVE.call, DESTINATION, STATE, POSITION].into_iter().enumerate() {
+    for (number, call) in [POSITION, MOVE.call, STATE, POSITION].into_iter().enumerate() {
         for (failure, cause) in [
             (Answer::Refused(HResult::E_HANDLE), StepCause::Refused(HResult::E_HANDLE)),
             (Answer::Failed(Failure::Timeout), StepCause::Failed(Failure::Timeout)),
@@ -192,21 +215,21 @@ fn each_failure_halts_the_robot_once_it_may_move() {
             let error = done.result.err().unwrap();
             assert_eq!((error.function, error.cause), (function_of(call), cause));
             let lost = cause == StepCause::Failed(Failure::Lost);
-            // refused or never sent, the motion has not started
-            let halts = !lost && (number > 0 || cause == StepCause::Failed(Failure::Timeout));
+            // before the motion, refused or never sent, it has not started
+            let halts = !lost && (number > 1 || (number == 1 && cause == StepCause::Failed(Failure::Timeout)));
             assert_eq!(done.calls.len(), number + 1 + usize::from(halts), "{call} {cause:?}");
-            assert_eq!(done.calls.last().unwrap() == look.undo_unknown, halts, "{call} {cause:?}");
+            assert_eq!(done.calls.last().unwrap() == HALT, halts, "{call} {cause:?}");
         }
     }
 }
 
 #[test]
 fn an_invalid_position_is_an_error_and_halts_the_robot() {
-    let wrong: [&dyn Encode; 5] = [&"here", &5_i32, &[0.0_f64; 0], &["a"; 8], &[f64::NAN; 8]];
+    let wrong: [&dyn Encode; 6] = [&"here", &5_i32, &[0.0_f64; 0], &["a"; 8], &[f64::NAN; 8], &[f64::INFINITY; 8]];
     for value in wrong {
-        for call in [DESTINATION, POSITION] {
-            let done = run(motion(within(1000)), |_, text, _| match text {
-                _ if text == call => Answer::value(value),
+        for (before, call) in [(2, DESTINATION), (2, POSITION)] {
+            let done = run(motion_to(Target::UNKNOWN, within(1000)), |n, text, _| match text {
+                _ if text == call && n >= before => Answer::value(value),
                 DESTINATION | POSITION => at(0.0),
                 STATE => Answer::value(&0),
                 _ => Answer::Empty,
@@ -219,13 +242,11 @@ fn an_invalid_position_is_an_error_and_halts_the_robot() {
             assert_eq!(done.calls[done.calls.len() - 2..], [call, HALT]);
         }
     }
-    let infinite = run(motion(within(1000)), |_, text, _| match text {
-        DESTINATION => Answer::value(&[f64::INFINITY; 8]),
-        _ => Answer::Empty,
-    });
-    assert!(infinite.result.is_err());
+    // before the motion there is nothing to halt
+    let done = run(motion(within(1000)), |_, _, _| Answer::value(&"here"));
+    assert_eq!((done.calls.as_slice(), done.result.is_err()), ([POSITION.to_string()].as_slice(), true));
     let state = run(motion(within(1000)), |_, text, _| match text {
-        DESTINATION => at(0.0),
+        POSITION => at(0.0),
         STATE => Answer::value(&"?"),
         _ => Answer::Empty,
     });
@@ -233,12 +254,161 @@ fn an_invalid_position_is_an_error_and_halts_the_robot() {
     assert_eq!(state.calls.last().unwrap(), HALT);
 }
 
+/// A robot of one joint and a tool at [angle, 0, 300], pointing down, that moves to 10 degrees unless it is halted before.
+struct Mover {
+    /// The angle at which it stops, and the shift of what CurPos and CurTrn tell from then on.
+    stops_at: f64,
+    shift: f64,
+    rotation: [f64; 3],
+    /// Whether DestJnt is where the robot stops, even while it moves.
+    forgets: bool,
+    /// The values of the variable 5.
+    variable: Answer,
+}
+
+const MOVER: Mover =
+    Mover { stops_at: 10.0, shift: 0.0, rotation: [180.0, 0.0, 180.0], forgets: false, variable: Answer::Empty };
+
+impl Mover {
+    fn run(&self, target: Target) -> Run<Motion> {
+        let mut begun = None;
+        run(motion_to(target, within(5000)), |_, call, now| {
+            let elapsed = begun.map_or(0, |begun| now.as_micros() / 1000 - begun);
+            let angle = (elapsed as f64 / 10.0).min(self.stops_at);
+            let moves = begun.is_some() && angle < self.stops_at;
+            let x = angle + if moves { 0.0 } else { self.shift };
+            match call {
+                DESTINATION => at(if moves && !self.forgets { 10.0 } else { self.stops_at }),
+                STATE => Answer::value(&if moves { MOVING } else { 0 }),
+                POSITION => at(angle),
+                POSE => {
+                    let [rx, ry, rz] = self.rotation;
+                    Answer::value(&[x, 0.0, 300.0, rx, ry, rz, 5.0])
+                }
+                FRAME => Answer::value(&[x, 0.0, 300.0, 0.0, 1.0, 0.0, 0.0, 0.0, -1.0, 5.0]),
+                _ if call == MOVE.call => {
+                    begun = Some(now.as_micros() / 1000);
+                    Answer::Empty
+                }
+                "Variable_GetValue(5)" => self.variable.clone(),
+                _ => Answer::Empty,
+            }
+        })
+    }
+}
+
+/// All targets of a motion to 10 degrees.
+fn targets() -> [(Target, Answer); 12] {
+    let none = Answer::Empty;
+    let position = Position::new([10.0, 0.0, 300.0], [180.0, 0.0, -180.0]);
+    let frame = Transform::new([10.0, 0.0, 300.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]);
+    let variable = Target::variable(VariableHandle(5));
+    let deeper = Position { xyz_mm: [10.0, 0.0, 250.0], ..position };
+    let mut to = [None; 8];
+    to[0] = Some(10.0);
+    [
+        (joints(10.0), none.clone()),
+        (Target::joints(Joints::new([10.0]), 1), none.clone()),
+        (Target::position(position), none.clone()),
+        (Target::transform(frame), none.clone()),
+        (Target::position(deeper).back(50.0), none.clone()),
+        (Target::transform(Transform { xyz_mm: [10.0, 0.0, 250.0], ..frame }).back(50.0), none.clone()),
+        (Target::drive_by(Joints::new([10.0])), none.clone()),
+        (Target::drive_to(to), none),
+        (variable, Answer::value(&position)),
+        (variable, Answer::value(&Joints::new([10.0, 0.0, 90.0, 0.0, 45.0]))),
+        (variable, Answer::value(&frame)),
+        (variable.back(50.0), Answer::value(&deeper)),
+    ]
+}
+
+#[test]
+fn every_target_is_compared_with_the_reading_that_fits_it() {
+    for (target, variable) in targets() {
+        let done = Mover { variable: variable.clone(), ..MOVER }.run(target);
+        assert_eq!(done.result, Ok(Motion::Arrived), "{target:?} {:?}", done.calls);
+        assert!(!done.calls.iter().any(|call| call == HALT));
+        // halted on the way, also when DestJnt follows the halt at once
+        for forgets in [false, true] {
+            for stops_at in [0.2, 3.0, 9.0] {
+                let done = Mover { variable: variable.clone(), stops_at, forgets, ..MOVER }.run(target);
+                // or DestJnt says that the motion ends there, and the position is that of another tool
+                let is_unknown = forgets && done.calls.iter().any(|call| call == DESTINATION) && stops_at > 1.0;
+                let expected = if is_unknown { Motion::Unknown } else { Motion::Halted };
+                assert_eq!(done.result, Ok(expected), "{target:?} {stops_at}");
+            }
+        }
+    }
+}
+
+/// The loss that this rule is for: the motion is accepted, the robot is halted, and only then asked where it goes.
+#[test]
+fn a_halt_before_the_first_poll_is_no_arrival() {
+    for (target, variable) in targets() {
+        let done = Mover { variable, stops_at: 0.0, forgets: true, ..MOVER }.run(target);
+        assert_eq!((done.result, done.calls.last().unwrap().as_str()), (Ok(Motion::Halted), HALT), "{target:?}");
+    }
+    let done = Mover { stops_at: 0.0, forgets: true, ..MOVER }.run(Target::UNKNOWN.with_loop());
+    assert_eq!(done.result, Ok(Motion::Unknown));
+}
+
+#[test]
+fn a_motion_to_where_the_robot_stands_has_arrived_at_once() {
+    let there = Position::new([0.0, 0.0, 300.0], [180.0, 0.0, 180.0]);
+    for target in [joints(0.0), Target::position(there), Target::drive_by(Joints::new([0.0]))] {
+        let done = Mover { stops_at: 0.0, ..MOVER }.run(target);
+        assert_eq!(done.result, Ok(Motion::Arrived), "{target:?}");
+        assert!(done.now.as_micros() / 1000 < 50, "{:?}", done.now);
+    }
+}
+
+#[test]
+fn an_end_that_cannot_be_compared_counts_only_if_it_was_seen_during_the_motion() {
+    assert_eq!(MOVER.run(Target::UNKNOWN).result, Ok(Motion::Arrived));
+    assert_eq!(Mover { stops_at: 5.0, ..MOVER }.run(Target::UNKNOWN).result, Ok(Motion::Halted));
+    // the motion ends before two polls
+    assert_eq!(Mover { stops_at: 1.5, ..MOVER }.run(Target::UNKNOWN).result, Ok(Motion::Unknown));
+    // a value that is no position
+    let done = Mover { variable: Answer::value(&1), stops_at: 5.0, ..MOVER }.run(Target::variable(VariableHandle(5)));
+    assert_eq!(done.result, Ok(Motion::Halted));
+    let refused = Answer::Refused(HResult::E_CAO_OBJECT_NOTFOUND);
+    let done = Mover { variable: refused, ..MOVER }.run(Target::variable(VariableHandle(5)));
+    assert_eq!(done.result, Ok(Motion::Arrived));
+}
+
+#[test]
+fn a_position_that_does_not_fit_the_destination_of_the_motion_is_unknown() {
+    let position = Target::position(Position::new([10.0, 0.0, 300.0], [180.0, 0.0, 180.0]));
+    let frame = Target::transform(Transform::new([10.0, 0.0, 300.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]));
+    for target in [position, frame] {
+        // the tool was changed during the motion
+        assert_eq!(Mover { shift: 20.0, ..MOVER }.run(target).result, Ok(Motion::Unknown));
+        assert_eq!(Mover { shift: 20.0, stops_at: 5.0, ..MOVER }.run(target).result, Ok(Motion::Halted));
+    }
+    for rotation in [[0.0, 180.0, 0.0], [-180.0, 0.0, 180.0], [180.0, 360.0, 180.1]] {
+        assert_eq!(Mover { rotation, ..MOVER }.run(position).result, Ok(Motion::Arrived), "{rotation:?}");
+    }
+    for rotation in [[0.0, 0.0, 0.0], [180.0, 0.0, 179.0], [180.0, 90.0, 180.0]] {
+        assert_eq!(Mover { rotation, ..MOVER }.run(position).result, Ok(Motion::Unknown), "{rotation:?}");
+    }
+    let pole = Target::position(Position::new([10.0, 0.0, 300.0], [30.0, 90.0, 10.0]));
+    for (rotation, outcome) in [([120.0, 90.0, 100.0], Motion::Arrived), ([30.0, 90.0, 12.0], Motion::Unknown)] {
+        assert_eq!(Mover { rotation, ..MOVER }.run(pole).result, Ok(outcome), "{rotation:?}");
+    }
+}
+
+#[test]
+fn the_error_that_a_halt_leaves_is_a_halt() {
+    let done = failed(1 << 1, 1, &Answer::value(&(HResult::E_MOTION_STOPPED.0, "message")));
+    assert_eq!(done.result, Ok(Motion::Halted));
+}
+
 #[test]
 fn a_dropped_run_halts_the_robot_when_it_is_run_again() {
     let mut procedure = motion(within(1000));
-    for call in [MOVE.call, DESTINATION] {
+    for call in [POSITION, MOVE.call] {
         assert!(matches!(procedure.poll(Instant::ZERO), Action::Call(Channel::Motion)));
-        let answer = if call == DESTINATION { at(10.0) } else { Answer::Empty };
+        let answer = if call == POSITION { at(0.0) } else { Answer::Empty };
         hand_in(&mut procedure, &answer, Instant::ZERO);
     }
     assert!(matches!(procedure.poll(Instant::ZERO), Action::Call(Channel::Motion)));
