@@ -129,7 +129,7 @@ impl Error {
     }
 
     pub(crate) fn run(object: &str, error: RunError) -> Self {
-        let RunError { error: StepError { function, cause }, call } = error;
+        let RunError { error: StepError { function, cause, .. }, call } = error;
         match (cause, call) {
             (StepCause::Refused(code), _) => Self::call(function, object, CallError::Refused(code)),
             (_, Some(call)) => Self::call(function, object, call),

@@ -275,6 +275,8 @@ struct State {
     call: Option<InFlight>,
     /// The unsent part of the request in `tx`.
     outbox: Outbox,
+    /// Whether the whole request of the last call was sent at least once.
+    was_sent: bool,
     unanswered: Unanswered,
     flood: Flood,
     closed: bool,
@@ -478,6 +480,14 @@ impl<T: Storage, R: Storage> Client<T, R> {
     /// Abandons the call in flight, if any. Its reply is then stale.
     pub fn abandon(&mut self) {
         self.state.end_call(None);
+        self.state.was_sent = false;
+    }
+
+    /// Tells whether the whole request of the last call was sent, so that the peer may have executed it. Without that, a call
+    /// over a lost connection was certainly not executed.
+    #[must_use]
+    pub const fn was_sent(&self) -> bool {
+        self.state.was_sent
     }
 
     /// Tells whether a call is in flight.
@@ -518,6 +528,7 @@ impl<T: Storage, R: Storage> Endpoint for Client<T, R> {
                 self.inbox.mark();
             }
             call.sent = call.last;
+            self.state.was_sent |= !self.state.outbox.is_sending();
         }
     }
 
@@ -575,6 +586,7 @@ impl State {
             next_serial: 1,
             call: None,
             outbox: Outbox::EMPTY,
+            was_sent: false,
             unanswered: Unanswered::default(),
             flood: Flood::default(),
             closed: false,
@@ -620,6 +632,7 @@ impl State {
     fn begin(&mut self, serial: u16, len: usize, timing: &Timing, now: Instant) {
         let attempt_timeout = limit(timing.attempt_timeout);
         self.outbox = Outbox::new(len);
+        self.was_sent = false;
         self.call = Some(InFlight {
             first: serial,
             last: serial,

@@ -162,7 +162,10 @@ fn hand_in<P: Procedure, T: Storage, R: Storage, E>(
         (Ok(()) | Err(CallError::Refused(_)), Some(reply)) => procedure.handle_reply(&reply, now),
         (Ok(()), None) => procedure.handle_failure(Failure::Timeout, now),
         (Err(error), _) => {
-            let failure = failure(&error);
+            let failure = match failure(&error) {
+                Failure::Lost if !client.was_sent() => Failure::Closed,
+                failure => failure,
+            };
             log_event!("b-CAP, a call of a procedure has no reply", failure);
             procedure.handle_failure(failure, now);
             return Some(error);

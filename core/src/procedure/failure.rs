@@ -15,8 +15,10 @@ pub enum Failure {
     Timeout,
     /// The call could not be sent; the connection can still be used.
     NotSent,
-    /// The connection is lost.
+    /// The connection is lost. The controller may have executed the call.
     Lost,
+    /// The connection was lost before the whole call was sent, so the controller has not executed it.
+    Closed,
 }
 
 impl From<ClientError> for Failure {
@@ -35,6 +37,7 @@ impl fmt::Display for Failure {
             Self::Timeout => "no reply in time",
             Self::NotSent => "could not be sent",
             Self::Lost => "the connection is lost",
+            Self::Closed => "the connection was lost before the call was sent",
         })
     }
 }
@@ -47,6 +50,9 @@ pub struct StepError {
     pub function: FunctionId,
     /// Why it failed.
     pub cause: StepCause,
+    /// Whether the procedure has undone its effects, as far as the controller allowed it. Over a lost connection it cannot: a
+    /// motion may go on, the arm may stay taken.
+    pub undone: bool,
 }
 
 /// Why a call of a procedure has failed.
@@ -68,7 +74,7 @@ impl StepCause {
     /// Tells whether the controller may have executed the call. Only a refused call, and one that was not sent, certainly
     /// had no effect.
     pub(super) const fn may_have_run(&self) -> bool {
-        !matches!(self, Self::Refused(_) | Self::Failed(Failure::NotSent))
+        !matches!(self, Self::Refused(_) | Self::Failed(Failure::NotSent | Failure::Closed))
     }
 }
 

@@ -205,7 +205,7 @@ impl<S: Steps, M> Sequence<S, M> {
             // without room for it, the end of the session undoes it
             let _ = self.undo.push(undo);
         }
-        self.error = Some(StepError { function, cause });
+        self.error = Some(StepError { function, cause, undone: true });
         self.backward = true;
     }
 
@@ -248,7 +248,7 @@ impl<S: Steps, M: FnMut(S::Output) -> T, T> Procedure for Sequence<S, M> {
                 Next::End if !self.backward && !S::KEEPS_OBJECTS && !self.undo.is_empty() => self.backward = true,
                 Next::End => {
                     return Action::Done(match self.error {
-                        Some(error) => Err(error),
+                        Some(error) => Err(StepError { undone: self.undo.is_empty(), ..error }),
                         None => Ok((self.map)(self.steps.output())),
                     });
                 }
@@ -268,7 +268,7 @@ impl<S: Steps, M: FnMut(S::Output) -> T, T> Procedure for Sequence<S, M> {
     }
 
     fn handle_failure(&mut self, failure: Failure, now: Instant) {
-        self.lost |= failure == Failure::Lost;
+        self.lost |= matches!(failure, Failure::Lost | Failure::Closed);
         self.ended(Some(failure), None, now);
     }
 }

@@ -163,6 +163,7 @@ fn fail_each<T, P: Procedure<Output = T, Error = StepError>>(
         Answer::Failed(Failure::Timeout),
         Answer::Failed(Failure::NotSent),
         Answer::Failed(Failure::Lost),
+        Answer::Failed(Failure::Closed),
     ];
     for (at, failing) in expected.iter().enumerate() {
         for failure in &failures {
@@ -174,13 +175,14 @@ fn fail_each<T, P: Procedure<Output = T, Error = StepError>>(
                 Answer::Failed(failure) => StepCause::Failed(*failure),
                 _ => StepCause::Refused(REFUSAL),
             };
-            let error = StepError { function: function_of(failing.call), cause };
-            assert_eq!(done.result.err(), Some(error), "{} {failure:?}", failing.call);
-            let unknown = matches!(failure, Answer::Failed(Failure::Timeout));
+            let error = done.result.err().unwrap();
+            assert_eq!((error.function, error.cause), (function_of(failing.call), cause), "{failure:?}");
+            let unknown = matches!(failure, Answer::Failed(Failure::Timeout | Failure::Lost));
             let own = if unknown { failing.undo_unknown } else { "" };
             let before = expected[..at].iter().rev().map(|step| step.undo);
             let undo = core::iter::once(own).chain(before).filter(|call| !call.is_empty());
-            let lost = matches!(failure, Answer::Failed(Failure::Lost));
+            let lost = matches!(failure, Answer::Failed(Failure::Lost | Failure::Closed));
+            assert_eq!(error.undone, !lost || undo.clone().count() == 0, "{} {failure:?}", failing.call);
             let forward = expected[..=at].iter().map(|step| step.call);
             let calls: Vec<&str> = forward.chain(undo.filter(|_| !lost)).collect();
             assert_eq!(done.calls, calls, "{} {failure:?}", failing.call);
@@ -428,7 +430,7 @@ fn a_run_that_was_dropped_undoes_what_it_did() {
     });
     assert_eq!(calls, ["Controller_Disconnect(7)", "Service_Stop()"]);
     let cause = StepCause::Failed(Failure::Timeout);
-    assert_eq!(done.result.err(), Some(StepError { function: FunctionId::CONTROLLER_GET_ROBOT, cause }));
+    assert_eq!(done.result.err(), Some(StepError { function: FunctionId::CONTROLLER_GET_ROBOT, cause, undone: true }));
     // an unexpected reply changes nothing
     hand_in(&mut procedure, &Answer::value(&1), Instant::ZERO);
     assert!(procedure.request().is_none());
@@ -436,12 +438,15 @@ fn a_run_that_was_dropped_undoes_what_it_did() {
 
 #[test]
 fn errors_say_which_call_failed_and_why() {
-    let error = |cause| StepError { function: FunctionId::ROBOT_MOVE, cause }.to_string();
+    let error = |cause| StepError { function: FunctionId::ROBOT_MOVE, cause, undone: true }.to_string();
     assert_eq!(error(StepCause::Failed(Failure::Timeout)), "Robot_Move: no reply in time");
     assert_eq!(error(StepCause::Failed(Failure::NotSent)), "Robot_Move: could not be sent");
     assert_eq!(error(StepCause::Failed(Failure::Lost)), "Robot_Move: the connection is lost");
+    let closed = "Robot_Move: the connection was lost before the call was sent";
+    assert_eq!(error(StepCause::Failed(Failure::Closed)), closed);
     assert_eq!(error(StepCause::TooLarge), "Robot_Move: the reply is longer than expected");
     assert!(error(StepCause::Refused(HResult::E_MOTOR_OFF)).contains("E_MOTOR_OFF"));
-    let refused = StepError { function: FunctionId::ROBOT_MOVE, cause: StepCause::Refused(HResult::E_MOTOR_OFF) };
+    let cause = StepCause::Refused(HResult::E_MOTOR_OFF);
+    let refused = StepError { function: FunctionId::ROBOT_MOVE, cause, undone: true };
     assert_eq!(refused.hresult(), Some(HResult::E_MOTOR_OFF));
 }

@@ -295,7 +295,7 @@ impl<const N: usize> Engine<N> {
         *health = match (failure, *health) {
             (Failure::NotSent, before) => before,
             (Failure::Timeout, Health::Good) => Health::Silent,
-            (Failure::Timeout | Failure::Lost, _) => Health::Lost,
+            (Failure::Timeout | Failure::Lost | Failure::Closed, _) => Health::Lost,
         };
         match self.phase {
             Phase::Diagnosing => self.skip_diagnosis(failure),

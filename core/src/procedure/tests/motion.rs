@@ -153,8 +153,8 @@ fn the_time_limit_halts_the_robot() {
         HALT => Answer::Refused(HResult::E_FAIL),
         _ => Answer::Empty,
     });
-    let error = StepError { function: FunctionId::ROBOT_HALT, cause: StepCause::Refused(HResult::E_FAIL) };
-    assert_eq!(done.result.err(), Some(error));
+    let error = done.result.err().unwrap();
+    assert_eq!((error.function, error.cause), (FunctionId::ROBOT_HALT, StepCause::Refused(HResult::E_FAIL)));
     assert_eq!(done.calls[done.calls.len() - 2..], [HALT, HALT]);
 }
 
@@ -210,11 +210,15 @@ fn each_failure_halts_the_robot_once_it_may_move() {
             (Answer::Failed(Failure::Timeout), StepCause::Failed(Failure::Timeout)),
             (Answer::Failed(Failure::NotSent), StepCause::Failed(Failure::NotSent)),
             (Answer::Failed(Failure::Lost), StepCause::Failed(Failure::Lost)),
+            (Answer::Failed(Failure::Closed), StepCause::Failed(Failure::Closed)),
         ] {
             let done = run(motion(within(1000)), |n, text, _| if n == number { failure.clone() } else { normal(text) });
             let error = done.result.err().unwrap();
             assert_eq!((error.function, error.cause), (function_of(call), cause));
-            let lost = cause == StepCause::Failed(Failure::Lost);
+            let lost = matches!(cause, StepCause::Failed(Failure::Lost | Failure::Closed));
+            // a motion may be under way that nothing has halted
+            let may_move = number > 1 || (number == 1 && cause == StepCause::Failed(Failure::Lost));
+            assert_eq!(error.undone, !(lost && may_move), "{call} {cause:?}");
             // before the motion, refused or never sent, it has not started
             let halts = !lost && (number > 1 || (number == 1 && cause == StepCause::Failed(Failure::Timeout)));
             assert_eq!(done.calls.len(), number + 1 + usize::from(halts), "{call} {cause:?}");
