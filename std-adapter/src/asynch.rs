@@ -14,6 +14,7 @@
 //! may be dropped at any point, and the connection stays usable.
 
 mod controller;
+mod ending;
 mod handle;
 mod moving;
 mod objects;
@@ -43,7 +44,7 @@ pub use self::objects::{File, Task};
 pub use self::robot::{Arm, Robot, Stopper};
 #[cfg(feature = "serial")]
 pub use self::serial::{SerialClient, SerialTransport, connect_serial};
-pub use self::state::{State, States, Statistics};
+pub use self::state::{Recoveries, State, States, Statistics};
 pub use self::subscription::{Reading, Subscription};
 use crate::clock::{now, until};
 use crate::connect::{self, ConnectError, DATAGRAM_ROOM, Options, STREAM_ROOM};

@@ -14,13 +14,14 @@
 //! returns a [`RacConnection`], whose `get` and `put` read and write variables.
 
 mod controller;
+pub(crate) mod ending;
 mod moving;
 mod objects;
 mod resolve;
 mod robot;
 #[cfg(feature = "serial")]
 mod serial;
-mod socket;
+pub(crate) mod socket;
 mod stopper;
 
 use std::fmt::Debug;

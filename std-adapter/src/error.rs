@@ -33,7 +33,8 @@ pub enum Error {
     /// A scan was used with another controller than its own. The call was not sent.
     #[error("this scan belongs to another session; open it with Controller::scan of this one")]
     OtherSession,
-    /// There is no session with the controller. The call was not sent.
+    /// There is no session with the controller, or it was lost before the whole call was sent. The controller has not executed
+    /// the call.
     #[error("not connected: {reason}")]
     NotConnected {
         /// Why.
@@ -64,7 +65,7 @@ pub enum Error {
         /// The controller's code.
         code: HResult,
     },
-    /// A call has no reply. Unless it was not sent, the controller may have executed it.
+    /// A call has no reply. Unless it was not sent, the controller may have executed it: a motion may be under way.
     #[error("{function} of {object}: {source}")]
     NoReply {
         /// The called function.
@@ -116,6 +117,7 @@ impl Error {
     pub const fn is_lost(&self) -> bool {
         match self {
             Self::NoReply { source, .. } => !source.is_recoverable(),
+            Self::NotConnected { .. } => true,
             _ => false,
         }
     }

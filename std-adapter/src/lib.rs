@@ -93,6 +93,7 @@ pub use error::Error;
 pub use line::{Parity, SerialLine, StopBits};
 pub use moves::{Destination, Interpolation, Move, Pass, Plane};
 pub use path::{ObjectPath, ObjectPathError};
+pub use session::Recovery;
 pub use settings::{Backoff, Model, ServiceOptions, Settings};
 pub use task::{TaskStart, TaskStatus, TaskStop};
 

@@ -4,6 +4,7 @@
 //! whose futures are always ready; those of `asynch` run them in a task.
 
 mod any;
+mod ending;
 #[cfg(feature = "tokio")]
 mod steps;
 
@@ -32,6 +33,9 @@ use crate::settings::Settings;
 use crate::task::{TaskStart, TaskStatus, TaskStop};
 use crate::{CallError, RunError};
 
+pub(crate) use self::ending::ArmState;
+pub use self::ending::Recovery;
+
 /// A started session.
 #[derive(Debug)]
 pub(crate) struct Session<X> {
@@ -48,17 +52,10 @@ pub(crate) struct Session<X> {
     /// All open objects, in the order in which they were opened, from the service on.
     opened: Vec<(Object, i32)>,
     arm: Option<ArmState>,
+    /// Whether the end of the session leaves the arm as it is.
+    keep: bool,
     /// Why the connection can no longer be used.
     lost: Option<String>,
-}
-
-/// What this session has done to the arm that it has taken.
-#[derive(Clone, Copy, Debug, Default)]
-struct ArmState {
-    /// Whether the motor may have been switched on here.
-    motor: bool,
-    /// Whether a motion may be under way.
-    moving: bool,
 }
 
 /// The effect of a halt.
@@ -87,7 +84,8 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         let opened = connection.run(procedure::open(provider)).await;
         let handle = opened.map_err(|error| Error::run(SESSION, error))?;
         let opened = vec![(Object::Service, 0), (Object::Controller, handle.0)];
-        Ok(Self { handle, robot_name: settings.robot.clone(), opened, ..Self::unopened(connection) })
+        let robot_name = settings.robot.clone();
+        Ok(Self { handle, robot_name, opened, keep: settings.keep, ..Self::unopened(connection) })
     }
 
     /// Wraps a connection over which nothing is open.
@@ -103,6 +101,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
             objects: HashMap::new(),
             opened: Vec::new(),
             arm: None,
+            keep: false,
             lost: None,
         }
     }
@@ -132,20 +131,31 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         call: C,
     ) -> Result<<C::Reply as Reply>::Value<'_>, Error> {
         let function = call.function();
-        let Self { connection, lost, .. } = self;
+        let connection = &mut self.connection;
         let began = tracing::enabled!(tracing::Level::DEBUG).then(|| (connection.client().next_serial(), crate::now()));
-        let result = connection.call(call).await;
+        let result = connection.exchange(call).await;
         if let Some((serial, began)) = began {
             let duration = crate::now().saturating_since(began);
             let error = result.as_ref().err().map(tracing::field::display);
             tracing::debug!(%function, object, serial, ?duration, error, "call");
         }
-        result.map_err(|error| {
-            if !error.is_recoverable() {
-                *lost = Some(error.to_string());
+        if let Err(error) = result {
+            let (is_lost, was_sent) = (!error.is_recoverable(), connection.client().was_sent());
+            if is_lost {
+                self.lost = Some(error.to_string());
             }
-            Error::call(function, object, error)
-        })
+            return Err(match self.lost() {
+                Some(not_sent) if is_lost && !was_sent => not_sent,
+                _ => Error::call(function, object, error),
+            });
+        }
+        let value = self.connection.client().value::<C::Reply>();
+        value.map_err(|error| Error::call(function, object, error.into()))
+    }
+
+    /// Returns why the connection can no longer be used, if so, as the error of a call that is not sent.
+    pub(crate) fn lost(&self) -> Option<Error> {
+        self.lost.clone().map(|reason| Error::NotConnected { reason })
     }
 
     /// Makes a call and converts its value.
@@ -185,10 +195,12 @@ impl<X: Transport<Error = io::Error>> Session<X> {
 
     fn ended<T>(&mut self, object: &str, ended: Result<T, RunError>) -> Result<T, Error> {
         ended.map_err(|error| {
-            if let Some(call) = error.call.as_ref().filter(|call| !call.is_recoverable()) {
-                self.lost = Some(call.to_string());
+            let lost = error.call.as_ref().filter(|call| !call.is_recoverable()).map(ToString::to_string);
+            self.lost = self.lost.take().or_else(|| lost.clone());
+            match lost {
+                Some(reason) if error.error.undone => Error::NotConnected { reason },
+                _ => Error::run(object, error),
             }
-            Error::run(object, error)
         })
     }
 
@@ -285,9 +297,13 @@ impl<X: Transport<Error = io::Error>> Session<X> {
             return Err(Error::ArmTaken);
         }
         let robot = self.robot().await?;
-        self.run(ROBOT, procedure::prepare_robot(robot, [0, 1], false)).await?;
+        // before the call, so that the arm is given back if nobody waits for the reply
         self.arm = Some(ArmState::default());
-        Ok(())
+        let taken = self.run(ROBOT, procedure::prepare_robot(robot, [0, 1], false)).await;
+        if taken.is_err() && self.lost.is_none() {
+            self.arm = None;
+        }
+        taken
     }
 
     /// Switches the motor on or off, and waits until it is.
@@ -359,6 +375,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         let config = Config { arm: None, motor: false, limits, ..Config::new(format, handles) };
         let mut engine = Engine::<MOVE_FRAME>::new(config).map_err(Error::StreamConfig)?;
         self.set_moving(true);
+        self.set_streaming(true);
         let ended = self.connection.run(engine.stream(trajectory)).await;
         if let Err(RunError::<StreamError> { call: Some(call), .. }) = &ended
             && !call.is_recoverable()
@@ -367,6 +384,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         }
         ended.map_err(|error| Error::Stream(error.error))?;
         self.set_moving(false);
+        self.set_streaming(false);
         Ok(engine.stats().clone())
     }
 
@@ -392,22 +410,11 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         })
     }
 
-    /// Halts the robot if it may move, switches the motor off if it was switched on here, and gives the arm back.
-    pub(crate) async fn give_arm(&mut self) -> Result<(), Error> {
-        let Some(ArmState { motor, moving }) = self.arm else { return Ok(()) };
-        let robot = self.robot().await?;
-        let halted = if moving { self.halt().await.map(drop) } else { Ok(()) };
-        let off = if motor { self.motor(false).await } else { Ok(()) };
-        self.arm = None;
-        let given = self.run(ROBOT, procedure::give_arm(robot)).await;
-        halted.and(off).and(given)
-    }
-
     /// Gives the arm back, releases all objects in reverse order and stops the service, once. It ends at the first call
     /// without a reply.
     pub(crate) async fn release(&mut self) -> Result<(), Error> {
         if self.lost.is_none()
-            && let Err(error) = self.give_arm().await
+            && let Err(error) = self.end_arm().await
         {
             tracing::warn!(%error, "the arm was not given back");
         }

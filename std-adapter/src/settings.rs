@@ -137,6 +137,10 @@ pub struct Settings {
     pub options: Options,
     /// How a controller for tokio connects again. Blocking ones do not.
     pub reconnect: Backoff,
+    /// Whether the end of the program, or of the connection, leaves the robot as it is: a motion under way is not halted, the
+    /// motor stays on, and the controller alone decides when the arm is free. The default is `false`: the robot is halted,
+    /// the motor that was switched on is switched off, and the arm is given back.
+    pub keep: bool,
 }
 
 impl Settings {
@@ -144,7 +148,7 @@ impl Settings {
     #[must_use]
     pub fn new(model: Model) -> Self {
         let (service, options, reconnect) = Default::default();
-        Self { model, robot: None, connect_option: String::new(), service, options, reconnect }
+        Self { model, robot: None, connect_option: String::new(), service, options, reconnect, keep: false }
     }
 
     /// Returns the defaults for an RC8.
@@ -169,6 +173,12 @@ impl Settings {
     #[must_use]
     pub fn reconnect(self, reconnect: Backoff) -> Self {
         Self { reconnect, ..self }
+    }
+
+    /// Sets whether the end of the program leaves the robot as it is: moving, with its motor on.
+    #[must_use]
+    pub fn keep(self, keep: bool) -> Self {
+        Self { keep, ..self }
     }
 
     /// Returns how the socket connects, with the time limits that go with the options of Service_Start.

@@ -196,6 +196,23 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
         Ok(self.client.value::<C::Reply>()?)
     }
 
+    /// Makes a call as [`call`](Self::call) does, and keeps its reply in the [client](Self::client), which also tells after a
+    /// failure whether the call [was sent](Client::was_sent).
+    ///
+    /// # Errors
+    ///
+    /// As [`call`](Self::call).
+    ///
+    /// # Cancel safety
+    ///
+    /// As [`call`](Self::call).
+    pub async fn exchange<C: Call>(&mut self, call: C) -> Result<(), CallError<X::Error>> {
+        clear(&mut self.transport, &mut self.client).await?;
+        let timing = self.client.timing();
+        self.client.start(&call, timing, self.transport.now())?;
+        wait(&mut self.transport, &mut self.client).await
+    }
+
     /// Makes a call as [`call`](Self::call) does, with its own timing.
     ///
     /// # Errors

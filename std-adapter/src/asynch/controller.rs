@@ -13,7 +13,7 @@ use super::SendTransport;
 use super::handle::{Handle, owned};
 use super::objects::{File, Task};
 use super::robot::{Robot, Stopper};
-use super::state::{State, States, Statistics};
+use super::state::{Recoveries, State, States, Statistics};
 use super::subscription::Subscription;
 use super::task::Request;
 use crate::CallError;
@@ -336,6 +336,12 @@ impl Controller {
     /// Returns the states of the connection, beginning with the present one.
     pub fn states(&self) -> States {
         States::new(self.handle.state.clone())
+    }
+
+    /// Returns what is done for the robot after each further lost connection, if the lost session had taken the arm: the robot
+    /// is halted, the motor that was switched on is switched off, and the arm is given back, before any other call.
+    pub fn recoveries(&self) -> Recoveries {
+        Recoveries::new(self.handle.recovered.clone())
     }
 
     /// Returns the present state of the connection.

@@ -1,6 +1,7 @@
 //! What all handles of a controller's task share.
 
 use std::io;
+use std::panic::resume_unwind;
 use std::sync::Arc;
 
 use bcap_core::variant::{Encode, OwnedVariant};
@@ -14,7 +15,7 @@ use super::subscription::Scan;
 use super::task::{self, Request, Task, Work};
 use crate::address::Address;
 use crate::error::Error;
-use crate::session::Session;
+use crate::session::{Recovery, Session};
 use crate::settings::Settings;
 
 /// A handle of a controller's task, which ends with the last one.
@@ -23,6 +24,7 @@ pub(super) struct Handle {
     requests: mpsc::UnboundedSender<Request>,
     pub(super) state: watch::Receiver<State>,
     pub(super) counters: Arc<Counters>,
+    pub(super) recovered: watch::Receiver<Option<Recovery>>,
     /// `None` over a stream of the caller.
     pub(super) address: Option<Address>,
     pub(super) settings: Settings,
@@ -55,6 +57,7 @@ impl Handle {
         let (requests, receiver) = mpsc::unbounded_channel();
         let begun = if session.is_some() { State::Connected } else { State::Connecting };
         let (sender, state) = watch::channel(begun);
+        let (reporter, recovered) = watch::channel(None);
         let counters = Arc::<Counters>::default();
         let task = Task {
             requests: receiver,
@@ -64,10 +67,11 @@ impl Handle {
             settings: settings.clone(),
             opens_robot,
             scan: Scan::default(),
+            recovered: reporter,
         };
         let span = tracing::info_span!("controller", address = address.as_ref().map(tracing::field::display));
         tokio::spawn(task.run(session).instrument(span));
-        Self { requests, state, counters, address, settings: settings.clone() }
+        Self { requests, state, counters, recovered, address, settings: settings.clone() }
     }
 
     pub(super) fn send(&self, request: Request) -> Result<(), Error> {
@@ -99,7 +103,11 @@ impl Handle {
     {
         let (reply, result) = oneshot::channel();
         self.send(Request::Run(Box::new(Work { work, reply, always })))?;
-        result.await.map_err(|_| Error::Closed)?
+        match result.await {
+            Ok(Ok(result)) => result,
+            Ok(Err(panic)) => resume_unwind(panic),
+            Err(_) => Err(Error::Closed),
+        }
     }
 }
 

@@ -1,6 +1,8 @@
 //! A robot, its arm and its stopper as objects for tokio.
 
+use std::any::Any;
 use std::io;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::{Arc, Weak};
 use std::time::Duration;
 
@@ -31,9 +33,10 @@ pub struct Robot {
 
 /// A robot whose arm this client has taken, so that it can move it.
 ///
-/// When it is dropped, the task halts the robot if a motion may be under way, switches the motor off if it was switched on
-/// here, and gives the arm back. After a lost connection none of this is possible; only the controller itself stops the
-/// robot then. The arm is lost with the connection: its functions fail with [`Error::ArmLost`].
+/// When it is dropped, the task leaves Slave Mode, halts the robot if a motion may be under way, switches the motor off if it
+/// was switched on here, and gives the arm back. So it does when the runtime ends. After a lost connection the task does so
+/// over the next one, before any other call ([`Controller::recoveries`](super::Controller::recoveries) tells it). The arm
+/// is lost with the connection: its functions fail with [`Error::ArmLost`].
 #[derive(Debug)]
 pub struct Arm {
     robot: Robot,
@@ -263,7 +266,7 @@ impl Arm {
     /// Streams poses in Slave Mode, one each 8 ms, until the trajectory ends, and waits until the robot rests.
     ///
     /// As [`blocking::Arm::stream`](crate::blocking::Arm::stream), with a trajectory that the task owns: it is called there,
-    /// so it must return at once. Other calls and subscriptions of the controller wait until the stream ends, because the
+    /// so it must return at once; its panic stops the robot and continues here. Other calls and subscriptions of the controller wait until the stream ends, because the
     /// controller refuses them in Slave Mode; a [`Stopper`] works at any time. Timers of tokio are late by one to two
     /// milliseconds, see [`slave`](crate::slave).
     ///
@@ -282,8 +285,18 @@ impl Arm {
         trajectory: impl Trajectory + Send + 'static,
     ) -> Result<Stats, Error> {
         let here = Arc::new(());
-        let mut trajectory = WhileWanted { trajectory, caller: Arc::downgrade(&here) };
-        self.run(move |session| Box::pin(async move { session.stream(format, limits, &mut trajectory).await })).await
+        let mut trajectory = WhileWanted { trajectory, caller: Arc::downgrade(&here), panic: None };
+        self.run(move |session| {
+            Box::pin(async move {
+                let ended = session.stream(format, limits, &mut trajectory).await;
+                match trajectory.panic {
+                    // in the caller
+                    Some(panic) => resume_unwind(panic),
+                    None => ended,
+                }
+            })
+        })
+        .await
     }
 
     /// Returns the robot, to read its position.
@@ -331,19 +344,38 @@ impl Moving<'_> {
     }
 }
 
-/// A trajectory that stops when its caller has gone.
+/// A trajectory that stops when its caller has gone, and when it panics.
 struct WhileWanted<T> {
     trajectory: T,
     caller: Weak<()>,
+    panic: Option<Box<dyn Any + Send>>,
+}
+
+impl<T: Trajectory> WhileWanted<T> {
+    /// Calls the trajectory, unless it has panicked.
+    fn call<R>(&mut self, call: impl FnOnce(&mut T) -> R) -> Option<R> {
+        if self.panic.is_some() {
+            return None;
+        }
+        match catch_unwind(AssertUnwindSafe(|| call(&mut self.trajectory))) {
+            Ok(result) => Some(result),
+            Err(panic) => {
+                self.panic = Some(panic);
+                None
+            }
+        }
+    }
 }
 
 impl<T: Trajectory> Trajectory for WhileWanted<T> {
     fn next(&mut self, cycle: &Cycle<'_>) -> Next {
-        if self.caller.strong_count() == 0 { Next::Stop } else { self.trajectory.next(cycle) }
+        let wanted = self.caller.strong_count() > 0;
+        let next = if wanted { self.call(|trajectory| trajectory.next(cycle)) } else { None };
+        next.unwrap_or(Next::Stop)
     }
 
     fn moved(&mut self, reply: &MoveReply<'_>, now: Instant) {
-        self.trajectory.moved(reply, now);
+        self.call(|trajectory| trajectory.moved(reply, now));
     }
 }
 

@@ -5,12 +5,14 @@ use std::{fmt, io};
 
 use bcap_core::bcap::Client;
 use bcap_core::time::Instant;
+use socket2::SockRef;
 use tokio::net::TcpStream;
 
 #[cfg(feature = "serial")]
 use super::SerialTransport;
 use super::{Connection, SendTransport, TcpTransport, Transport, UdpTransport, connect_tcp, connect_udp};
 use crate::address::{Address, NetworkAddress, Protocol};
+use crate::blocking::socket::{self as blocking, Blocking};
 use crate::connect::{ConnectError, STREAM_ROOM};
 use crate::settings::Settings;
 
@@ -100,6 +102,34 @@ fn wrap<X: Transport>(connection: Connection<X, Vec<u8>>, socket: fn(X) -> Socke
 }
 
 impl Socket {
+    /// Returns the same connection with calls that block, for the end of a session whose runtime has ended. `None` for a stream of
+    /// the caller, and if the operating system refuses.
+    pub(super) fn into_blocking(self, address: Option<&Address>) -> Option<Blocking> {
+        let socket = match self {
+            Self::Tcp(tcp) => {
+                let stream = std::net::TcpStream::from(SockRef::from(tcp.stream()).try_clone().ok()?);
+                stream.set_nonblocking(false).ok()?;
+                blocking::Socket::Tcp(crate::blocking::TcpTransport::new(stream))
+            }
+            Self::Udp(udp) => {
+                let socket = std::net::UdpSocket::from(SockRef::from(udp.socket()).try_clone().ok()?);
+                socket.set_nonblocking(false).ok()?;
+                blocking::Socket::Udp(crate::blocking::UdpTransport::new(socket))
+            }
+            #[cfg(feature = "serial")]
+            Self::Serial(port) => {
+                // this process has the device for itself
+                drop(port);
+                let Some(Address::Serial(line)) = address else { return None };
+                let connection = crate::blocking::connect_serial(line, &crate::Options::default()).ok()?;
+                blocking::Socket::Serial(connection.into_parts().0)
+            }
+            Self::Other(_) => return None,
+        };
+        let _ = address;
+        Some(Blocking::new(socket))
+    }
+
     /// Waits until `at`, or for ever; returns whether the peer has closed the connection meanwhile.
     pub(super) async fn idle_until(&mut self, at: Option<Instant>) -> bool {
         let waited = async |socket: Option<&mut Self>| match (at, socket) {

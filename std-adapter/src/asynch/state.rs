@@ -9,6 +9,7 @@ use futures_core::Stream;
 use tokio::sync::watch;
 
 use super::socket::BoxFuture;
+use crate::session::Recovery;
 
 /// The state of a controller's connection.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -125,6 +126,35 @@ impl States {
     /// Dropping the future loses no state.
     pub async fn next(&mut self) -> Option<State> {
         std::future::poll_fn(|context| self.0.poll(context)).await
+    }
+}
+
+/// What was done for the robot after lost connections, from [`Controller::recoveries`](super::Controller::recoveries). Of those
+/// between two polls only the last is returned. It ends with the task.
+#[must_use = "a stream does nothing unless it is polled"]
+pub struct Recoveries(Latest<Option<Recovery>>);
+
+impl Recoveries {
+    pub(super) fn new(mut recoveries: watch::Receiver<Option<Recovery>>) -> Self {
+        recoveries.mark_unchanged();
+        Self(Latest::new(recoveries))
+    }
+
+    /// Returns the next recovery; `None` when the task has ended.
+    ///
+    /// # Cancel safety
+    ///
+    /// Dropping the future loses no recovery.
+    pub async fn next(&mut self) -> Option<Recovery> {
+        std::future::poll_fn(|context| self.0.poll(context)).await.flatten()
+    }
+}
+
+impl Stream for Recoveries {
+    type Item = Recovery;
+
+    fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Recovery>> {
+        self.0.poll(context).map(Option::flatten)
     }
 }
 

@@ -10,25 +10,32 @@
 //! caller has gone is dropped if it has not begun; one that has begun is completed, because the controller cannot be asked
 //! to forget it. No request is carried out twice.
 
+use std::any::Any;
 use std::collections::hash_map::RandomState;
+use std::future::poll_fn;
 use std::hash::{BuildHasher, Hasher};
 use std::io;
 use std::ops::ControlFlow;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
+use std::task::Poll;
 use std::time::Duration;
 
+use bcap_core::bcap::FunctionId;
 use bcap_core::io::asynch::Running;
 use bcap_core::procedure::{MotionQueue, Procedure, StepError, Until};
 use bcap_core::time::Instant;
 use tokio::sync::{mpsc, oneshot, watch};
 
+use super::ending::Open;
 use super::socket::{self, BoxFuture, Socket, SocketConnection};
 use super::state::{Counters, State};
 use super::subscription::{Reading, Scan};
+use crate::CallError;
 use crate::address::Address;
 use crate::error::Error;
 use crate::moves::Move;
-use crate::session::Session;
+use crate::session::{ArmState, ROBOT, Recovery, Session};
 use crate::settings::{Backoff, Settings};
 
 /// What a handle asks of the task.
@@ -65,10 +72,13 @@ pub(super) trait Job: Send {
 /// Whether a request succeeded, for the counters.
 type Outcome = bool;
 
+/// The result of a function, or its panic, which continues in its caller.
+pub(super) type Worked<T> = Result<Result<T, Error>, Box<dyn Any + Send>>;
+
 /// A [`Job`] made of a closure.
 pub(super) struct Work<F, T> {
     pub(super) work: F,
-    pub(super) reply: oneshot::Sender<Result<T, Error>>,
+    pub(super) reply: oneshot::Sender<Worked<T>>,
     /// Whether it runs although the caller has gone.
     pub(super) always: bool,
 }
@@ -81,8 +91,8 @@ where
     fn run<'a>(self: Box<Self>, session: &'a mut Session<Socket>) -> BoxFuture<'a, Outcome> {
         let Self { work, reply, .. } = *self;
         Box::pin(async move {
-            let result = work(session).await;
-            let succeeded = result.is_ok();
+            let result = caught(work(session)).await;
+            let succeeded = matches!(result, Ok(Ok(_)));
             // a caller that has gone does not need the result
             let _ = reply.send(result);
             succeeded
@@ -90,12 +100,21 @@ where
     }
 
     fn fail(self: Box<Self>, error: Error) {
-        let _ = self.reply.send(Err(error));
+        let _ = self.reply.send(Ok(Err(error)));
     }
 
     fn is_abandoned(&self) -> bool {
         !self.always && self.reply.is_closed()
     }
+}
+
+/// Runs a future, and returns its panic, so that a panic of the caller's code does not end the session.
+async fn caught<T>(mut future: BoxFuture<'_, T>) -> Result<T, Box<dyn Any + Send>> {
+    poll_fn(|context| match catch_unwind(AssertUnwindSafe(|| future.as_mut().poll(context))) {
+        Ok(polled) => polled.map(Ok),
+        Err(panic) => Poll::Ready(Err(panic)),
+    })
+    .await
 }
 
 /// The task of a controller.
@@ -109,6 +128,8 @@ pub(super) struct Task {
     /// Whether each session opens the robot at once, so that a halt takes one call.
     pub(super) opens_robot: bool,
     pub(super) scan: Scan,
+    /// What was done for the robot after the last lost connection.
+    pub(super) recovered: watch::Sender<Option<Recovery>>,
 }
 
 /// How the service of one session ended.
@@ -146,43 +167,46 @@ pub(super) async fn connect(
 
 impl Task {
     /// Runs until all handles are dropped or one of them closes the controller.
-    pub(super) async fn run(mut self, mut session: Option<Session<Socket>>) {
+    pub(super) async fn run(mut self, session: Option<Session<Socket>>) {
+        // its drop ends the session when the runtime ends
+        let mut open = Open::new(session, self.address.as_ref(), &self.settings);
         let mut delays = Delays::new(self.settings.reconnect);
         loop {
-            let error = match session.take() {
-                Some(mut open) => {
+            let error = match &mut open.session {
+                Some(session) => {
                     delays = Delays::new(self.settings.reconnect);
                     self.counters.connections.add();
                     self.scan.restart();
                     self.state.send_replace(State::Connected);
-                    match self.serve(&mut open).await {
+                    match self.serve(session).await {
                         Ended::Lost(error) => {
                             self.counters.losses.add();
+                            open.lose();
                             error
                         }
-                        ended => return self.end(ended, Some(open)).await,
+                        ended => return self.end(ended, open).await,
                     }
                 }
-                None => match self.connect().await {
-                    ControlFlow::Continue(Ok(open)) => {
-                        session = Some(open);
+                None => match self.connect(&mut open.left).await {
+                    ControlFlow::Continue(Ok(session)) => {
+                        open.session = Some(session);
                         continue;
                     }
                     ControlFlow::Continue(Err(error)) => error,
-                    ControlFlow::Break(ended) => return self.end(ended, None).await,
+                    ControlFlow::Break(ended) => return self.end(ended, open).await,
                 },
             };
             tracing::info!(address = ?self.address, %error, "there is no session with the controller");
             if let Some(ended) = self.wait(error, delays.next()).await {
-                return self.end(ended, None).await;
+                return self.end(ended, open).await;
             }
         }
     }
 
     /// Ends the session and the task.
-    async fn end(self, ended: Ended, session: Option<Session<Socket>>) {
-        let released = match session {
-            Some(mut session) => session.release().await,
+    async fn end(self, ended: Ended, mut open: Open) {
+        let released = match &mut open.session {
+            Some(session) => session.release().await,
             None => Ok(()),
         };
         self.state.send_replace(State::Closed);
@@ -193,12 +217,21 @@ impl Task {
         }
     }
 
-    /// Opens a session. Requests fail meanwhile.
-    async fn connect(&mut self) -> ControlFlow<Ended, Result<Session<Socket>, Error>> {
+    /// Opens a session, and ends first what a lost one may have left on the robot. Requests fail meanwhile.
+    async fn connect(&mut self, left: &mut Option<ArmState>) -> ControlFlow<Ended, Result<Session<Socket>, Error>> {
         let Some(address) = self.address.clone() else { return ControlFlow::Break(Ended::Dropped) };
         self.state.send_replace(State::Connecting);
-        let settings = self.settings.clone();
-        let opening = connect(&address, &settings, self.opens_robot);
+        let (settings, opens_robot, recovered) = (self.settings.clone(), self.opens_robot, self.recovered.clone());
+        let opening = async {
+            let mut session = connect(&address, &settings, opens_robot).await?;
+            if let Some(state) = *left {
+                let recovery = session.recover(state).await?;
+                tracing::warn!(%address, ?recovery, "the robot was stopped after a lost connection");
+                *left = None;
+                recovered.send_replace(Some(recovery));
+            }
+            Ok(session)
+        };
         self.meanwhile("the controller is being connected", opening).await
     }
 
@@ -237,7 +270,9 @@ impl Task {
             None => return Some(Ended::Dropped),
             Some(Request::Close(reply)) => return Some(Ended::Closed(reply)),
             Some(Request::Run(job)) => job.fail(error()),
-            Some(Request::Move(request)) => drop(request.reply.send(Err(error()))),
+            Some(Request::Move(request)) if request.queue.is_new() => drop(request.reply.send(Err(error()))),
+            // the robot may still move
+            Some(Request::Move(request)) => drop(request.reply.send(Err(unanswered_motion()))),
             Some(Request::Subscribe(name, interval, sender)) => {
                 self.scan.add(name, interval, sender);
                 self.scan.fail(&Arc::new(error()));
@@ -307,7 +342,7 @@ impl Task {
     }
 
     async fn give_arm(&self, session: &mut Session<Socket>) {
-        let given = session.give_arm().await;
+        let given = session.end_arm().await;
         self.count(given.is_ok());
         if let Err(error) = given {
             tracing::warn!(address = ?self.address, %error, "the arm was not given back");
@@ -412,9 +447,14 @@ async fn gone(motion: &mut Option<Moving>) {
 /// Ends the service of a lost session.
 fn lost(motion: Option<Moving>, error: Error) -> Ended {
     if let Some(motion) = motion {
-        let _ = motion.reply.send(Err(not_connected(&error.to_string())));
+        let _ = motion.reply.send(Err(unanswered_motion()));
     }
     Ended::Lost(error)
+}
+
+/// Returns the error of a motion that was accepted, and of which nothing is known since the connection was lost.
+fn unanswered_motion() -> Error {
+    Error::call(FunctionId::ROBOT_MOVE, ROBOT, CallError::Disconnected)
 }
 
 fn not_connected(reason: &str) -> Error {

@@ -9,6 +9,7 @@ use bcap_core::bcap::call::{Call, ControllerHandle, Reply};
 use bcap_core::variant::{Encode, FromVariant, OwnedVariant};
 
 use super::Transport;
+use super::ending;
 use super::objects::{File, Scan, Task};
 use super::robot::Robot;
 use super::socket::{self, Blocking, ready};
@@ -22,7 +23,8 @@ use crate::settings::Settings;
 ///
 /// It opens objects when they are first used and keeps their handles. When it is dropped it releases all objects in
 /// reverse order and stops the service. It ends that after one second without a reply, and sends nothing over a lost
-/// connection.
+/// connection. If the connection was lost while this session had the arm, the drop connects once more, and halts the robot,
+/// switches the motor off and gives the arm back ([`Settings::keep`] prevents it).
 ///
 /// # Examples
 ///
@@ -225,8 +227,11 @@ impl<const N: usize> Scan<N> {
 
 impl Drop for Controller {
     fn drop(&mut self) {
-        if let Err(error) = ready(self.session.release()) {
+        if let Err(error) = ending::within_limit(&mut self.session, |session| ready(session.release())) {
             tracing::warn!(address = ?self.address, %error, "the session was not closed");
+        }
+        if let (Some(left), Some(address)) = (self.session.take_left(), &self.address) {
+            ending::recover_now(address, &self.settings, left);
         }
     }
 }

@@ -8,6 +8,7 @@ use bcap_core::procedure::{Motion, MotionConfig, MotionQueue, Until};
 use bcap_core::slave::{AxisLimits, Format, Stats, Trajectory};
 use bcap_core::variant::{Encode, FromVariant};
 
+use super::ending;
 use super::moving::Moving;
 use super::socket::{Blocking, ready};
 use crate::error::Error;
@@ -24,9 +25,9 @@ pub struct Robot<'a> {
 
 /// A robot whose arm this client has taken, so that it can move it.
 ///
-/// When it is dropped, also by a panic, it halts the robot if a motion may be under way, switches the motor off if it was
-/// switched on here, and gives the arm back. After a lost connection none of this is possible; only the controller
-/// itself stops the robot then.
+/// When it is dropped, also by a panic, it leaves Slave Mode, halts the robot if a motion may be under way, switches the motor
+/// off if it was switched on here, and gives the arm back, within five seconds. After a lost connection the drop of the
+/// [`Controller`](super::Controller) does so over a new one.
 #[derive(Debug)]
 pub struct Arm<'a> {
     robot: Robot<'a>,
@@ -244,7 +245,7 @@ impl Moving<'_> {
 
 impl Drop for Arm<'_> {
     fn drop(&mut self) {
-        if let Err(error) = ready(self.robot.session.give_arm()) {
+        if let Err(error) = ending::within_limit(self.robot.session, |session| ready(session.end_arm())) {
             tracing::warn!(%error, "the arm was not given back");
         }
     }

@@ -16,7 +16,7 @@ use crate::connect::{ConnectError, STREAM_ROOM};
 use crate::settings::Settings;
 
 /// A TCP or UDP socket, a serial line, or a transport of the user.
-pub(super) enum Socket {
+pub(crate) enum Socket {
     Tcp(TcpTransport),
     Udp(UdpTransport),
     #[cfg(feature = "serial")]
@@ -38,15 +38,19 @@ impl fmt::Debug for Socket {
 
 /// A [`Socket`] as a transport of the session's asynchronous functions: its futures do not wait, their polls do.
 #[derive(Debug)]
-pub(super) struct Blocking {
+pub(crate) struct Blocking {
     socket: Socket,
     /// When the socket fails.
     deadline: Option<Instant>,
 }
 
 impl Blocking {
-    const fn new(socket: Socket) -> Self {
+    pub(crate) const fn new(socket: Socket) -> Self {
         Self { socket, deadline: None }
+    }
+
+    pub(super) const fn deadline(&self) -> Option<Instant> {
+        self.deadline
     }
 
     pub(super) const fn set_deadline(&mut self, deadline: Option<Instant>) {

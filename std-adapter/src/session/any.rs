@@ -52,7 +52,8 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     ) -> Result<(HResult, Option<OwnedVariant>), Error> {
         let called =
             self.call(object, AnyCall { function, arguments }).await.map(|value| value.map(OwnedVariant::from));
-        self.record_arm(function, arguments, called.is_ok());
+        let may_have_run = !matches!(called, Err(Error::Refused { .. } | Error::NotConnected { .. }));
+        self.record_arm(function, arguments, called.is_ok(), may_have_run);
         let value = called?;
         match (function.opens(), function.releases()) {
             (Some(Object::Service), _) => self.opened.push((Object::Service, 0)),
@@ -81,12 +82,12 @@ impl<X: Transport<Error = io::Error>> Session<X> {
 
     /// Records what a call of the robot does to the arm, so that the end of the session gives it back.
     ///
-    /// A call that failed may have been executed, unless it was to take the arm.
-    fn record_arm(&mut self, function: FunctionId, arguments: &[OwnedVariant], succeeded: bool) {
+    /// A call without a reply may have been executed.
+    fn record_arm(&mut self, function: FunctionId, arguments: &[OwnedVariant], succeeded: bool, may_have_run: bool) {
         let text = |index: usize| arguments.get(index).and_then(|value| value.as_variant().as_bstr());
         let command = text(1).map(|command| command.to_string().to_ascii_lowercase()).unwrap_or_default();
         match (function, command.as_str()) {
-            (FunctionId::ROBOT_EXECUTE, "takearm") if succeeded => {
+            (FunctionId::ROBOT_EXECUTE, "takearm") if may_have_run => {
                 // the arm is given back over the robot that has it
                 self.robot = arguments.first().and_then(handle).map(RobotHandle).or(self.robot);
                 self.arm.get_or_insert_default();
@@ -97,6 +98,11 @@ impl<X: Transport<Error = io::Error>> Session<X> {
                 if let Some(arm) = self.arm.as_mut().filter(|_| on || succeeded) {
                     arm.motor = on;
                 }
+            }
+            (FunctionId::ROBOT_EXECUTE, "takearm") => {}
+            (FunctionId::ROBOT_EXECUTE, "slvchangemode") => {
+                let mode = arguments.get(2).and_then(handle);
+                self.set_streaming(mode != Some(0) || !succeeded);
             }
             (
                 FunctionId::ROBOT_EXECUTE

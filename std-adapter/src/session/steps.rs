@@ -12,11 +12,6 @@ use crate::error::Error;
 use crate::moves::Move;
 
 impl<X: Transport<Error = io::Error>> Session<X> {
-    /// Returns why the connection can no longer be used, if so.
-    pub(crate) fn lost(&self) -> Option<Error> {
-        self.lost.clone().map(|reason| Error::NotConnected { reason })
-    }
-
     /// Returns the transport.
     pub(crate) const fn transport(&mut self) -> &mut X {
         self.connection.transport()

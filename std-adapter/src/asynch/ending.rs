@@ -1,0 +1,50 @@
+//! What must be ended when the task of a controller ends, however it ends.
+//!
+//! A runtime that ends drops its tasks where they wait. So does the panic of a function that a task runs. The drop of
+//! [`Open`] then halts the robot, switches the motor off and gives the arm back, with calls that block.
+
+use std::sync::Arc;
+
+use super::socket::Socket;
+use crate::address::Address;
+use crate::blocking::ending;
+use crate::session::{ArmState, Session};
+use crate::settings::Settings;
+
+/// The session of a task, and what a lost session has left behind.
+pub(super) struct Open {
+    pub(super) session: Option<Session<Socket>>,
+    /// What a lost session may have left on the robot, until a new session has ended it.
+    pub(super) left: Option<ArmState>,
+    address: Option<Address>,
+    settings: Arc<Settings>,
+}
+
+impl Open {
+    pub(super) fn new(session: Option<Session<Socket>>, address: Option<&Address>, settings: &Settings) -> Self {
+        Self { session, left: None, address: address.cloned(), settings: Arc::new(settings.clone()) }
+    }
+
+    /// Forgets a lost session, but not what it may have left on the robot.
+    pub(super) fn lose(&mut self) {
+        if let Some(mut session) = self.session.take() {
+            self.left = session.take_left().or(self.left);
+        }
+    }
+}
+
+impl Drop for Open {
+    fn drop(&mut self) {
+        let Self { session, left, address, settings } = self;
+        // a session that has only read ends with its connection
+        let session = session.take().filter(Session::has_arm);
+        match session.and_then(|session| session.over(|socket| socket.into_blocking(address.as_ref()))) {
+            Some(session) => ending::end_now(session, address.as_ref(), settings),
+            None => {
+                if let (Some(left), Some(address)) = (left.take(), address) {
+                    ending::recover_now(address, settings, left);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,61 @@
+//! The end of a session that has taken the arm, within a time limit, on sockets that block.
+//!
+//! The sessions of tokio end here too when their runtime ends before them.
+
+use std::time::Duration;
+
+use bcap_core::io::asynch::SendTransport;
+
+use super::socket::{self, Blocking, ready};
+use crate::address::Address;
+use crate::error::Error;
+use crate::session::{ArmState, Recovery, Session};
+use crate::settings::Settings;
+
+/// How long the end of a session may take.
+const LIMIT: Duration = Duration::from_secs(5);
+
+/// How long connecting again may take at the end of a program.
+const CONNECT: Duration = Duration::from_secs(2);
+
+/// Runs the end of a session within [`LIMIT`], or the deadline that it has.
+pub(crate) fn within_limit<T>(session: &mut Session<Blocking>, end: impl FnOnce(&mut Session<Blocking>) -> T) -> T {
+    let deadline = session.connection().transport().deadline();
+    let limit = SendTransport::now(session.connection().transport()) + LIMIT;
+    session.connection().transport().set_deadline(Some(deadline.unwrap_or(limit)));
+    let ended = end(session);
+    session.connection().transport().set_deadline(deadline);
+    ended
+}
+
+/// Ends a session whose program has ended: gives the arm back, and releases all objects. Over a lost connection it connects
+/// once more.
+#[cfg(feature = "tokio")]
+pub(crate) fn end_now(mut session: Session<Blocking>, address: Option<&Address>, settings: &Settings) {
+    if let Err(error) = within_limit(&mut session, |session| ready(session.release())) {
+        tracing::warn!(?address, %error, "the session was not closed");
+    }
+    if let (Some(left), Some(address)) = (session.take_left(), address) {
+        recover_now(address, settings, left);
+    }
+}
+
+/// Ends over a new connection what a lost session may have left behind.
+pub(crate) fn recover_now(address: &Address, settings: &Settings, left: ArmState) {
+    match recover(address, settings, left) {
+        Ok(recovery) => tracing::warn!(%address, ?recovery, "the robot was stopped over a new connection"),
+        Err(error) => tracing::error!(%address, %error, "the connection was lost, and the robot may be moving"),
+    }
+}
+
+fn recover(address: &Address, settings: &Settings, left: ArmState) -> Result<Recovery, Error> {
+    let mut settings = settings.clone();
+    settings.options = settings.options.connect_timeout(settings.options.connect_timeout.min(CONNECT));
+    let mut connection = socket::connect(address, &settings)?;
+    connection.transport().set_deadline(Some(crate::now() + LIMIT));
+    let mut session = ready(Session::start(connection, &settings))?;
+    let recovered = ready(session.recover(left));
+    // the objects are released with the connection if this fails
+    let _ = ready(session.release());
+    recovered
+}

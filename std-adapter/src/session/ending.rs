@@ -1,0 +1,147 @@
+//! The end of a session that has taken the arm: the robot is halted, Slave Mode left, the motor off, and the arm free.
+//!
+//! ```text
+//!  over its connection:         slvChangeMode 0 ─► Robot_Halt ─► Motor 0 ─► GiveArm
+//!  over the next connection:    Robot_Halt ─► slvChangeMode 0 ─► TakeArm ─► Motor 0 ─► GiveArm
+//! ```
+//!
+//! Only what this session may have begun is ended: a session that never took the arm halts and switches nothing.
+
+use std::io;
+
+#[cfg(feature = "tokio")]
+use bcap_core::io::asynch::Connection;
+use bcap_core::io::asynch::Transport;
+use bcap_core::procedure;
+
+use super::{ROBOT, Session};
+use crate::error::Error;
+
+/// What a session has done with the arm that it has taken.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct ArmState {
+    /// Whether the motor may have been switched on here.
+    pub(super) motor: bool,
+    /// Whether a motion may be under way.
+    pub(super) moving: bool,
+    /// Whether Slave Mode may be on.
+    pub(super) streaming: bool,
+}
+
+/// What was done after a lost connection, over the next one, for the arm that the lost session had taken.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Recovery {
+    /// Whether the robot was halted; `None` if the lost session had not begun a motion, and another client may own the arm.
+    pub halted: Option<bool>,
+    /// Whether the motor was switched off; `None` if the lost session had not switched it on.
+    pub motor_off: Option<bool>,
+    /// Whether no client owns the arm now. Otherwise another client owns it, or the controller has not noticed yet that the
+    /// connection was lost.
+    pub arm_free: bool,
+}
+
+impl<X: Transport<Error = io::Error>> Session<X> {
+    /// Returns the session over another transport to the same peer, which `change` makes of this one.
+    #[cfg(feature = "tokio")]
+    pub(crate) fn over<Y: Transport<Error = io::Error>>(
+        self,
+        change: impl FnOnce(X) -> Option<Y>,
+    ) -> Option<Session<Y>> {
+        let Self { connection, id, handle, robot, robot_name, variables, objects, opened, arm, keep, lost } = self;
+        let (transport, client) = connection.into_parts();
+        let connection = Connection::new(change(transport)?, client);
+        Some(Session { connection, id, handle, robot, robot_name, variables, objects, opened, arm, keep, lost })
+    }
+
+    /// Returns what a lost session has left behind on the robot, once.
+    pub(crate) fn take_left(&mut self) -> Option<ArmState> {
+        self.arm.take().filter(|_| !self.keep)
+    }
+
+    /// Gives the arm back at the end of its use, unless the settings leave it as it is.
+    pub(crate) async fn end_arm(&mut self) -> Result<(), Error> {
+        if self.keep { Ok(()) } else { self.give_arm().await }
+    }
+
+    pub(super) fn set_streaming(&mut self, streaming: bool) {
+        if let Some(arm) = &mut self.arm {
+            arm.streaming = streaming;
+        }
+    }
+
+    /// Leaves Slave Mode, halts the robot if it may move, switches the motor off if it was switched on here, and gives the arm
+    /// back. A refused call does not prevent those after it. Over a lost connection nothing is sent, and the arm stays
+    /// recorded for [`recover`](Self::recover).
+    pub(crate) async fn give_arm(&mut self) -> Result<(), Error> {
+        let Some(ArmState { motor, moving, streaming }) = self.arm else { return Ok(()) };
+        let robot = self.robot().await?;
+        let left = if streaming { self.leave_slave_mode().await } else { Ok(()) };
+        let halted = if moving { self.halt().await.map(drop) } else { Ok(()) };
+        let off = if motor { self.motor(false).await } else { Ok(()) };
+        let given = self.run(ROBOT, procedure::give_arm(robot)).await;
+        if self.lost.is_none() {
+            self.arm = None;
+        }
+        left.and(halted).and(off).and(given)
+    }
+
+    /// Ends Slave Mode if it is on.
+    async fn leave_slave_mode(&mut self) -> Result<(), Error> {
+        if self.execute_robot::<i32>("slvGetMode", ()).await? != 0 {
+            self.execute_robot::<()>("slvChangeMode", 0).await?;
+        }
+        self.set_streaming(false);
+        Ok(())
+    }
+
+    /// Ends what a lost session may have left behind.
+    ///
+    /// A motion of the lost session is halted first. The motor is switched off if the arm can be taken, or if the robot was
+    /// moving: otherwise another client may have begun to use it.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`] if this connection is lost too, or the controller has no robot.
+    pub(crate) async fn recover(&mut self, left: ArmState) -> Result<Recovery, Error> {
+        let robot = self.robot().await?;
+        let mut halted = None;
+        if left.moving {
+            halted = Some(self.halts().await?);
+        }
+        if left.streaming {
+            let ended = self.leave_slave_mode().await;
+            self.unless_lost(ended)?;
+        }
+        let taken = self.run(ROBOT, procedure::prepare_robot(robot, [0, 1], false)).await;
+        let is_taken = self.unless_lost(taken)?;
+        if is_taken && !left.moving {
+            halted = Some(self.halts().await?);
+        }
+        let mut motor_off = left.motor.then_some(is_taken || left.moving);
+        if motor_off == Some(true) {
+            let off = self.motor(false).await;
+            motor_off = Some(self.unless_lost(off)?);
+        }
+        let mut arm_free = is_taken;
+        if is_taken {
+            let given = self.run(ROBOT, procedure::give_arm(robot)).await;
+            arm_free = self.unless_lost(given)?;
+        }
+        Ok(Recovery { halted, motor_off, arm_free })
+    }
+
+    /// Halts the robot, and returns whether the controller did so.
+    async fn halts(&mut self) -> Result<bool, Error> {
+        let halted = self.halt().await.map(drop);
+        self.unless_lost(halted)
+    }
+
+    /// Returns whether a call succeeded; an error only if the connection is lost.
+    fn unless_lost(&self, ended: Result<(), Error>) -> Result<bool, Error> {
+        match (ended, &self.lost) {
+            (Err(error), Some(_)) => Err(error),
+            (ended, _) => Ok(ended.is_ok()),
+        }
+    }
+}
