@@ -378,7 +378,7 @@ fn a_lost_connection_is_told_and_the_drop_does_not_wait() {
     drop(sim);
     let lost = cell.read::<i32>("I1").unwrap_err();
     assert!(lost.is_lost(), "{lost}");
-    assert!(lost.to_string().starts_with("Variable_GetValue of I1: "), "{lost}");
+    assert!(lost.to_string().starts_with("not connected: "), "{lost}");
     cell.close().unwrap();
 }
 

@@ -8,7 +8,9 @@
 //! Only what this session may have begun is ended: a session that never took the arm halts and switches nothing.
 
 use std::io;
+use std::time::Duration;
 
+use bcap_core::hresult::HResult;
 #[cfg(feature = "tokio")]
 use bcap_core::io::asynch::Connection;
 use bcap_core::io::asynch::Transport;
@@ -41,6 +43,15 @@ pub struct Recovery {
     pub arm_free: bool,
 }
 
+/// How long, and how often, a controller is asked that still executes an earlier call.
+const BUSY_LIMIT: Duration = Duration::from_secs(5);
+const BUSY_PAUSE: Duration = Duration::from_millis(10);
+
+/// Tells whether the controller refused a call because it executes another one of this client.
+const fn is_busy(ended: &Result<(), Error>) -> bool {
+    matches!(ended, Err(Error::Refused { code: HResult::E_BUSY_PROC, .. }))
+}
+
 impl<X: Transport<Error = io::Error>> Session<X> {
     /// Returns the session over another transport to the same peer, which `change` makes of this one.
     #[cfg(feature = "tokio")]
@@ -59,9 +70,19 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         self.arm.take().filter(|_| !self.keep)
     }
 
-    /// Gives the arm back at the end of its use, unless the settings leave it as it is.
+    /// Gives the arm back at the end of its use, unless the settings leave it as it is. Over UDP the controller refuses every
+    /// call while it still executes one that was given up, so it is asked again until that one has ended.
     pub(crate) async fn end_arm(&mut self) -> Result<(), Error> {
-        if self.keep { Ok(()) } else { self.give_arm().await }
+        let until = self.connection.transport().now() + BUSY_LIMIT;
+        while !self.keep {
+            let given = self.give_arm().await;
+            let again = self.connection.transport().now() + BUSY_PAUSE;
+            if !is_busy(&given) || again > until {
+                return given;
+            }
+            self.connection.transport().sleep_until(again).await;
+        }
+        Ok(())
     }
 
     pub(super) fn set_streaming(&mut self, streaming: bool) {
@@ -80,10 +101,11 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         let halted = if moving { self.halt().await.map(drop) } else { Ok(()) };
         let off = if motor { self.motor(false).await } else { Ok(()) };
         let given = self.run(ROBOT, procedure::give_arm(robot)).await;
-        if self.lost.is_none() {
+        let ended = left.and(halted).and(off).and(given);
+        if self.lost.is_none() && !is_busy(&ended) {
             self.arm = None;
         }
-        left.and(halted).and(off).and(given)
+        ended
     }
 
     /// Ends Slave Mode if it is on.

@@ -1,0 +1,447 @@
+//! How programs end: with an error, by a panic, without a connection. The robot rests then, with its motor off and its arm free.
+
+use std::io;
+use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::panic::AssertUnwindSafe;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use bcap_core::rac::VariableKind;
+use bcap_core::slave::{AxisLimits, Cycle, Format, Mode, Next, PoseType, ReceiveFormat, ReceivePose, SlaveMode};
+use bcap_core::time::Instant;
+use bcap_sim::memory::{Network, Wire};
+use bcap_sim::{Config, Controller as Simulated, Profile};
+use bcap_std::blocking::Transport;
+use bcap_std::server::Limits;
+use bcap_std::{Backoff, Error, Joints, Move, Settings, asynch, blocking};
+use bcap_tests::served::Served;
+
+const LIMIT: Duration = Duration::from_secs(30);
+
+fn simulated() -> Served<Simulated> {
+    let config = Config { motor_on_delay: Duration::from_millis(1), ..Config::new(Profile::Rc8) };
+    Served::of(Simulated::new(config), Limits::default())
+}
+
+fn settings() -> Settings {
+    Settings::rc8().reconnect(Backoff::default().min(Duration::from_millis(1)).max(Duration::from_millis(20)))
+}
+
+/// A motion of several seconds.
+fn far() -> Move {
+    Move::joint(Joints::new([150.0, 45.0, 90.0, 0.0, 45.0, 0.0])).speed_percent(10.0)
+}
+
+/// A motion of some polls.
+fn near() -> Move {
+    Move::joint(Joints::new([1.0, 45.0, 90.0, 0.0, 45.0, 0.0]))
+}
+
+fn until(sim: &Served<Simulated>, reached: impl Fn(&Simulated) -> bool) {
+    for _ in 0..20_000 {
+        {
+            let mut controller = sim.application();
+            controller.advance(bcap_std::now());
+            if reached(&controller) {
+                return;
+            }
+        }
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    panic!("the controller did not get there");
+}
+
+/// Asserts that the robot rests, with its motor off, and that no client has the arm. It may brake for some more cycles.
+fn assert_safe(sim: &Served<Simulated>) {
+    let (owner, motor) = {
+        let controller = sim.application();
+        (controller.arm_owner(), controller.motor_is_on())
+    };
+    assert_eq!((owner, motor), (None, false));
+    until(sim, |controller| !controller.is_moving() && controller.slave_mode() == 0);
+    assert!(sim.application().joints()[0] < 149.0, "it went on to the end");
+}
+
+fn runtimes() -> [tokio::runtime::Runtime; 2] {
+    let one = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    let many = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
+    [one, many]
+}
+
+/// What `main` of a program with tokio does: it returns an error during a motion, and its runtime ends.
+#[test]
+fn a_program_that_fails_during_a_motion_leaves_nothing() {
+    for runtime in 0..2 {
+        for protocol in ["tcp", "udp"] {
+            let sim = simulated();
+            let peer = if protocol == "tcp" { sim.tcp } else { sim.udp };
+            let runtime = runtimes().into_iter().nth(runtime).unwrap();
+            let ended: Result<(), Error> = runtime.block_on(async {
+                let cell = asynch::Controller::connect(&format!("{protocol}:{peer}"), &settings()).await?;
+                let mut arm = cell.robot().await?.take_arm().await?;
+                arm.motor_on().await?;
+                let _moving = arm.start(far(), LIMIT).await?;
+                cell.read::<i32>("NOPE1").await.map(drop)
+            });
+            assert!(matches!(ended, Err(Error::Refused { .. })), "{ended:?}");
+            drop(runtime);
+            assert_safe(&sim);
+        }
+    }
+}
+
+#[test]
+fn a_program_that_only_reads_stops_no_other_client() {
+    let sim = simulated();
+    let mut other = blocking::Controller::connect(&format!("tcp:{}", sim.tcp), &settings()).unwrap();
+    let mut arm = other.robot().unwrap().take_arm().unwrap();
+    arm.motor_on().unwrap();
+    let moving = arm.start(&far(), LIMIT).unwrap();
+    for runtime in runtimes() {
+        let cell = runtime.block_on(async {
+            let cell = asynch::Controller::connect(&format!("tcp:{}", sim.tcp), &settings()).await.unwrap();
+            cell.robot().await.unwrap().joints().await.unwrap();
+            cell
+        });
+        drop((cell, runtime));
+        let mut controller = sim.application();
+        controller.advance(bcap_std::now());
+        assert!(controller.is_moving() && controller.motor_is_on());
+    }
+    drop(moving);
+    drop(arm);
+    assert_safe(&sim);
+}
+
+#[test]
+fn a_program_may_leave_the_robot_as_it_is() {
+    let sim = simulated();
+    let [runtime, _] = runtimes();
+    runtime.block_on(async {
+        let settings = settings().keep(true);
+        let cell = asynch::Controller::connect(&format!("tcp:{}", sim.tcp), &settings).await.unwrap();
+        let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+        arm.motor_on().await.unwrap();
+    });
+    drop(runtime);
+    assert!(sim.application().motor_is_on());
+    let settings = settings().keep(true);
+    let mut cell = blocking::Controller::connect(&format!("tcp:{}", sim.tcp), &settings).unwrap();
+    until(&sim, |controller| controller.arm_owner().is_none());
+    drop(cell.robot().unwrap().take_arm().unwrap());
+    drop(cell);
+    assert!(sim.application().motor_is_on());
+}
+
+/// A trajectory that panics at a cycle, in both kinds of programs.
+#[test]
+fn a_panic_in_a_trajectory_leaves_nothing() {
+    let mode = SlaveMode { mode: Mode::Mode2, pose: PoseType::J };
+    let format = Format::new(mode, ReceiveFormat::pose(ReceivePose::J));
+    let limits = AxisLimits::uniform(100.0, 800.0);
+    let panics_at = |cycle: u32| {
+        move |now: &Cycle<'_>| {
+            assert!(now.number < cycle, "in the trajectory");
+            Next::Pose(*now.start)
+        }
+    };
+    for cycle in [0, 1, 20] {
+        for runtime in runtimes() {
+            let sim = simulated();
+            let ended = std::panic::catch_unwind(AssertUnwindSafe(|| {
+                runtime.block_on(async {
+                    let cell = asynch::Controller::connect(&format!("tcp:{}", sim.tcp), &settings()).await.unwrap();
+                    let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+                    arm.motor_on().await.unwrap();
+                    arm.stream(format, limits, panics_at(cycle)).await.unwrap();
+                });
+            }));
+            let panic = ended.unwrap_err();
+            assert_eq!(panic.downcast_ref::<&str>(), Some(&"in the trajectory"));
+            drop(runtime);
+            assert_safe(&sim);
+        }
+        let sim = simulated();
+        let ended = std::panic::catch_unwind(AssertUnwindSafe(|| {
+            let mut cell = blocking::Controller::connect(&format!("tcp:{}", sim.tcp), &settings()).unwrap();
+            let mut arm = cell.robot().unwrap().take_arm().unwrap();
+            arm.motor_on().unwrap();
+            arm.stream(format, limits, &mut panics_at(cycle)).unwrap();
+        }));
+        assert_eq!(ended.unwrap_err().downcast_ref::<&str>(), Some(&"in the trajectory"));
+        assert_safe(&sim);
+    }
+}
+
+/// A relay whose connections can be cut; new ones are made at the same address.
+struct Relay {
+    address: SocketAddr,
+    connections: Arc<Mutex<Vec<TcpStream>>>,
+}
+
+impl Relay {
+    fn new(to: SocketAddr) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = listener.local_addr().unwrap();
+        let connections = Arc::<Mutex<Vec<TcpStream>>>::default();
+        let opened = Arc::clone(&connections);
+        std::thread::spawn(move || {
+            for client in listener.incoming() {
+                let (client, server) = (client.unwrap(), TcpStream::connect(to).unwrap());
+                for (mut from, mut to) in [(&client, &server), (&server, &client)]
+                    .map(|(from, to)| (from.try_clone().unwrap(), to.try_clone().unwrap()))
+                {
+                    std::thread::spawn(move || {
+                        let _ = io::copy(&mut from, &mut to);
+                        let _ = to.shutdown(Shutdown::Both);
+                    });
+                }
+                opened.lock().unwrap().extend([client, server]);
+            }
+        });
+        Self { address, connections }
+    }
+
+    fn cut(&self) {
+        for connection in self.connections.lock().unwrap().drain(..) {
+            let _ = connection.shutdown(Shutdown::Both);
+        }
+    }
+}
+
+#[test]
+fn after_a_lost_connection_the_next_session_stops_the_robot_first() {
+    let sim = simulated();
+    let relay = Relay::new(sim.tcp);
+    let [runtime, _] = runtimes();
+    runtime.block_on(async {
+        let cell = asynch::Controller::connect(&format!("tcp:{}", relay.address), &settings()).await.unwrap();
+        let mut recoveries = cell.recoveries();
+        let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+        arm.motor_on().await.unwrap();
+        let cut = async {
+            tokio::task::yield_now().await;
+            while !sim.application().is_moving() {
+                tokio::time::sleep(Duration::from_millis(1)).await;
+            }
+            relay.cut();
+        };
+        let (ended, ()) = tokio::join!(arm.move_to(far(), LIMIT), cut);
+        // it was sent, so a program must not take it for one that was not
+        assert!(matches!(ended, Err(Error::NoReply { .. })), "{ended:?}");
+        let recovery = recoveries.next().await.unwrap();
+        assert_eq!((recovery.halted, recovery.motor_off), (Some(true), Some(true)), "{recovery:?}");
+        assert!(matches!(arm.motor_on().await, Err(Error::ArmLost)));
+        assert_safe(&sim);
+        cell.connected().await.unwrap();
+    });
+}
+
+#[test]
+fn after_a_lost_connection_the_drop_stops_the_robot() {
+    let sim = simulated();
+    let relay = Relay::new(sim.tcp);
+    let mut cell = blocking::Controller::connect(&format!("tcp:{}", relay.address), &settings()).unwrap();
+    let mut arm = cell.robot().unwrap().take_arm().unwrap();
+    arm.motor_on().unwrap();
+    let moving = arm.start(&far(), LIMIT).unwrap();
+    relay.cut();
+    let ended = moving.wait();
+    assert!(matches!(ended, Err(Error::NoReply { .. })), "{ended:?}");
+    drop(arm);
+    drop(cell);
+    assert_safe(&sim);
+}
+
+/// A program that ends while it is disconnected.
+#[test]
+fn a_program_that_ends_without_a_connection_stops_the_robot() {
+    for runtime in runtimes() {
+        let sim = simulated();
+        let relay = Relay::new(sim.tcp);
+        let slow = settings().reconnect(Backoff::default().min(LIMIT).max(LIMIT));
+        runtime.block_on(async {
+            let cell = asynch::Controller::connect(&format!("tcp:{}", relay.address), &slow).await.unwrap();
+            let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+            arm.motor_on().await.unwrap();
+            let moving = arm.start(far(), LIMIT).await.unwrap();
+            relay.cut();
+            assert!(matches!(moving.wait().await, Err(Error::NoReply { .. })));
+        });
+        drop(runtime);
+        assert_safe(&sim);
+    }
+}
+
+/// A link that passes a number of bytes in one direction, and fails then.
+struct Failing {
+    wire: Wire,
+    sends: bool,
+    left: Arc<AtomicUsize>,
+}
+
+impl Failing {
+    /// Returns how many of these bytes pass; `None` if the link has failed.
+    fn pass(&self, sends: bool, count: usize) -> Option<usize> {
+        let left = self.left.load(Ordering::Relaxed);
+        if sends != self.sends || left == usize::MAX {
+            return Some(count);
+        }
+        let passed = left.min(count);
+        self.left.store(left - passed, Ordering::Relaxed);
+        (passed > 0).then_some(passed)
+    }
+
+    fn send_some(&mut self, bytes: &[u8]) -> io::Result<Option<usize>> {
+        match self.pass(true, bytes.len()) {
+            Some(count) => Transport::send(&mut self.wire, &bytes[..count], Instant::FAR_FUTURE),
+            None => Err(io::ErrorKind::BrokenPipe.into()),
+        }
+    }
+
+    fn receive_some(&mut self, buffer: &mut [u8], until: Instant) -> io::Result<Option<usize>> {
+        let received = Transport::receive(&mut self.wire, buffer, until)?;
+        Ok(received.map(|count| self.pass(false, count).unwrap_or(0)))
+    }
+}
+
+impl Transport for Failing {
+    type Error = io::Error;
+
+    fn now(&self) -> Instant {
+        Transport::now(&self.wire)
+    }
+
+    fn send(&mut self, bytes: &[u8], _: Instant) -> io::Result<Option<usize>> {
+        self.send_some(bytes)
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], until: Instant) -> io::Result<Option<usize>> {
+        self.receive_some(buffer, until)
+    }
+
+    fn sleep_until(&mut self, at: Instant) {
+        Transport::sleep_until(&mut self.wire, at);
+    }
+}
+
+impl asynch::SendTransport for Failing {
+    type Error = io::Error;
+
+    fn now(&self) -> Instant {
+        Transport::now(&self.wire)
+    }
+
+    async fn send(&mut self, bytes: &[u8], _: Instant) -> io::Result<Option<usize>> {
+        self.send_some(bytes)
+    }
+
+    async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> io::Result<Option<usize>> {
+        self.receive_some(buffer, until)
+    }
+
+    async fn sleep_until(&mut self, at: Instant) {
+        Transport::sleep_until(&mut self.wire, at);
+    }
+}
+
+/// What a program is told, and whether the controller has executed the call.
+#[derive(Debug, PartialEq)]
+enum Told {
+    Done,
+    NotSent,
+    NoReply,
+}
+
+fn told<T>(ended: Result<T, Error>) -> Told {
+    match ended {
+        Ok(_) => Told::Done,
+        Err(Error::NotConnected { .. }) => Told::NotSent,
+        Err(Error::NoReply { .. }) => Told::NoReply,
+        Err(error) => panic!("{error}"),
+    }
+}
+
+/// Makes one call over a link that fails after each number of bytes, and compares what the program is told with what the
+/// controller has done. `call` calls its second argument before the call, and returns what the program is told.
+fn at_every_byte(call: impl Fn(Failing, &dyn Fn()) -> Told, was_executed: impl Fn(&Simulated) -> bool) {
+    for sends in [true, false] {
+        let mut outcomes = [0; 3];
+        for bytes in 0.. {
+            let network = Network::new(Config { motor_on_delay: Duration::ZERO, ..Config::new(Profile::Rc8) });
+            let left = Arc::new(AtomicUsize::new(usize::MAX));
+            let link = Failing { wire: network.connect(), sends, left: Arc::clone(&left) };
+            let told = call(link, &|| left.store(bytes, Ordering::Relaxed));
+            let executed = was_executed(&network.controller());
+            match told {
+                Told::Done => assert!(executed, "{bytes} bytes, sends {sends}"),
+                Told::NotSent => assert!(!executed, "{bytes} bytes, sends {sends}: it was not sent, and executed"),
+                Told::NoReply => {}
+            }
+            outcomes[told as usize] += 1;
+            if outcomes[0] > 0 {
+                break;
+            }
+        }
+        let [_, not_sent, no_reply] = outcomes;
+        // a request that lacks a byte is not executed; one whose reply lacks a byte may be
+        assert!(if sends { not_sent > 30 } else { no_reply > 15 }, "{outcomes:?}");
+    }
+}
+
+#[test]
+fn a_write_that_was_not_sent_is_told_from_one_without_a_reply() {
+    let is_written = |controller: &Simulated| {
+        controller.variable::<32>(VariableKind::I, 1).is_ok_and(|value| value.as_variant().as_i32() == Some(7))
+    };
+    at_every_byte(
+        |link, begin| {
+            let mut cell = blocking::Controller::over(link, &settings()).unwrap();
+            cell.read::<i32>("I1").unwrap();
+            begin();
+            told(cell.write("I1", 7))
+        },
+        is_written,
+    );
+    let [runtime, _] = runtimes();
+    at_every_byte(
+        |link, begin| {
+            runtime.block_on(async {
+                let cell = asynch::Controller::over(link, &settings()).await.unwrap();
+                cell.read::<i32>("I1").await.unwrap();
+                begin();
+                told(cell.write("I1", 7).await)
+            })
+        },
+        is_written,
+    );
+}
+
+#[test]
+fn a_motion_that_was_not_sent_is_told_from_one_that_may_be_under_way() {
+    let has_moved = |controller: &Simulated| controller.is_moving() || controller.joints()[0] != 0.0;
+    at_every_byte(
+        |link, begin| {
+            let mut cell = blocking::Controller::over(link, &settings()).unwrap();
+            let mut arm = cell.robot().unwrap().take_arm().unwrap();
+            arm.motor_on().unwrap();
+            begin();
+            told(arm.move_to(&near(), LIMIT))
+        },
+        has_moved,
+    );
+    let [runtime, _] = runtimes();
+    at_every_byte(
+        |link, begin| {
+            runtime.block_on(async {
+                let cell = asynch::Controller::over(link, &settings()).await.unwrap();
+                let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+                arm.motor_on().await.unwrap();
+                begin();
+                told(arm.move_to(near(), LIMIT).await)
+            })
+        },
+        has_moved,
+    );
+}
