@@ -1,4 +1,4 @@
-//! Who may do what through a gateway: the same cases for the driver of PCs and for that of boards, with RAC and Modbus TCP.
+//! Access through a gateway: both drivers, for PCs and for boards, pass the same cases, with RAC and Modbus TCP.
 //!
 //! No robot is connected. A request that the rules allow is answered with E_NOT_CONNECTED, in Modbus with exception 0A.
 // all addresses of 127.0.0.0/8 are addresses of the machine
@@ -88,7 +88,8 @@ const REQUESTS: [(&str, &[u8]); 6] = [
     ("PUT:RC8:5:I:3,5\r", &[16, 0, 0, 0, 2, 4, 0, 0, 0, 5]),
     ("PUT:RC8:5:I:3,11\r", &[16, 0, 0, 0, 2, 4, 0, 0, 0, 11]),
     ("PUT:RC8:15:I:3,5\r", &[16, 0, 2, 0, 2, 4, 0, 0, 0, 5]),
-    ("PUT:RC8:1:F:4,1\r", &[16, 0, 4, 0, 2, 4, 0x3f, 0x80, 0, 0]),
+    // in Modbus together with I15: rules for both are checked before the first is written
+    ("PUT:RC8:1:F:4,1\r", &[16, 0, 2, 0, 4, 8, 0, 0, 0, 5, 0x3f, 0x80, 0, 0]),
     ("GET:RC8:5:I:\r", &[3, 0, 0, 0, 2]),
     ("GET:RC8:1:P:\r", &[3, 0, 6, 0, 14]),
 ];
