@@ -7,10 +7,13 @@
 //!  Joints    J1 .. J8                             J  R4[8]   CurJnt  R8[8]     2
 //! ```
 //!
-//! Each type converts from an array of any numbers ([`FromVariant`]) and is sent as an array of R4, which is what a variable
-//! takes ([`Encode`]). R4 has 24 bits: a number near 1000 is rounded by at most 0.00003. [`target`](Position::target) makes
-//! the destination of Robot_Move, in R8. Neither sends a NaN or an infinite number. `From` makes a pose of Slave Mode
-//! ([`slave::Pose`](crate::slave::Pose)) from each type.
+//! Each type converts from an array of exactly this many numbers ([`FromVariant`]), so the value of a P, V or T variable
+//! does not convert to [`Joints`]. Only the number of elements can be checked: CurPosEx (the time and a position) and GetSrvData
+//! have eight numbers too, and are not joints.
+//!
+//! Each type is sent as an array of R4, which is what a variable takes ([`Encode`]). R4 has 24 bits: a number near 1000 is
+//! rounded by at most 0.00003. [`target`](Position::target) makes the destination of Robot_Move, in R8. Neither sends a NaN or
+//! an infinite number. `From` makes a pose of Slave Mode ([`slave::Pose`](crate::slave::Pose)) from each type.
 //!
 //! # Orientation
 //!
@@ -233,14 +236,11 @@ impl<'a> FromVariant<'a> for Transform {
     }
 }
 
-/// An array of one to eight numbers; missing axes are 0.
+/// An array of eight numbers, J1 to J8: a controller sends 0 for each axis that the robot does not have. A shorter array is
+/// refused, because it can be a P (7 numbers, the first three in mm) or a V.
 impl<'a> FromVariant<'a> for Joints {
     fn from_variant(value: Variant<'a>) -> Result<Self, ConvertError> {
-        let mut degrees = [0.0; 8];
-        for (slot, item) in degrees.iter_mut().zip(elements(value, 1, 8)?) {
-            *slot = element(item)?;
-        }
-        Ok(Self { degrees })
+        Ok(Self { degrees: value.convert()? })
     }
 }
 
@@ -328,7 +328,6 @@ mod tests {
         assert_eq!(sent(P.to_array()).as_variant().convert(), Ok(P));
         assert_eq!(sent(T.to_array()).as_variant().convert(), Ok(T));
         assert_eq!(sent([0.1_f64; 8]).as_variant().convert(), Ok(Joints { degrees: [0.1; 8] }));
-        assert_eq!(sent([0.5_f64; 6]).as_variant().convert(), Ok(Joints::new([0.5; 6])));
     }
 
     #[test]
@@ -349,16 +348,27 @@ mod tests {
             refused::<Transform>([0.0_f64; 7]),
             "expected an array of 10 elements, found VT_ARRAY|VT_R8 of 7 elements"
         );
+        // a V, the joints of a robot with six axes, CurPos, CurJntEx, CurTrn, and a number
+        for wrong in [sent([0.0_f32; 3]), sent([0.0_f64; 6]), sent(P), sent([0.0_f64; 9]), sent(T)] {
+            let found = wrong.as_variant().as_array().unwrap();
+            let (vartype, count) = (wrong.as_variant().vartype(), found.len());
+            let expected = format!("expected an array of 8 elements, found {vartype} of {count} elements");
+            assert_eq!(refused::<Joints>(wrong), expected);
+        }
+        assert_eq!(refused::<Joints>(0.0), "expected an array, found VT_R8");
         assert_eq!(
-            refused::<Joints>([0.0_f64; 9]),
-            "expected an array of 1 to 8 elements, found VT_ARRAY|VT_R8 of 9 elements"
+            refused::<Position>(Joints::default()),
+            "expected an array of 7 elements, found VT_ARRAY|VT_R4 of 8 elements"
         );
         assert_eq!(
             refused::<Position>([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 2.5]),
             "element 6: expected i32 (-2147483648 to 2147483647), found VT_R8 with the value 2.5, \
              which is not exact in this type"
         );
-        assert_eq!(refused::<Joints>((1.0, "x")), "element 1: expected f64, found VT_BSTR");
+        assert_eq!(
+            refused::<Joints>((1.0, 2.0, 3.0, 4.0, "x", 6.0, 7.0, 8.0)),
+            "element 4: expected f64, found VT_BSTR"
+        );
     }
 
     #[test]

@@ -5,6 +5,7 @@
 //! ```text
 //!  Controller::connect ─┬─► read, write, execute
 //!                       ├─► robot ─► Robot ─► take_arm ─► Arm: motor_on, move_to, start ─► Moving: then, wait
+//!                       │                                  └─► controller: read, write, execute while the arm is taken
 //!                       └─► stopper ─► Stopper: halt, from any thread
 //! ```
 //!
@@ -13,6 +14,7 @@
 //! `connect_rac` return a [`Connection`] of the core, whose `call` makes a typed call and waits for the reply. `connect_rac`
 //! returns a [`RacConnection`], whose `get` and `put` read and write variables.
 
+mod borrowed;
 mod controller;
 pub(crate) mod ending;
 mod moving;
@@ -36,6 +38,7 @@ use bcap_core::rac;
 use bcap_core::time::Instant;
 use socket2::{SockRef, Socket};
 
+pub use self::borrowed::ControllerRef;
 pub use self::controller::Controller;
 pub use self::moving::Moving;
 pub use self::objects::{File, Scan, Task};

@@ -9,6 +9,7 @@ use bcap_core::variant::ConvertError;
 
 use crate::address::AddressError;
 use crate::connect::ConnectError;
+use crate::path::ObjectPathError;
 use crate::{CallError, RunError};
 
 /// Why an operation on a controller failed.
@@ -33,6 +34,9 @@ pub enum Error {
     /// A scan was used with another controller than its own. The call was not sent.
     #[error("this scan belongs to another session; open it with Controller::scan of this one")]
     OtherSession,
+    /// The path of a variable is invalid. No call was made.
+    #[error(transparent)]
+    Path(#[from] ObjectPathError),
     /// There is no session with the controller, or it was lost before the whole call was sent. The controller has not executed
     /// the call.
     #[error("not connected: {reason}")]

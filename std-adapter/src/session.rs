@@ -5,6 +5,7 @@
 
 mod any;
 mod ending;
+mod names;
 #[cfg(feature = "tokio")]
 mod steps;
 
@@ -14,7 +15,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use bcap_core::bcap::call::{
-    self, Any, Call, ControllerHandle, FileHandle, Reply, RobotHandle, TaskHandle, VariableHandle,
+    self, Any, Call, ControllerHandle, ExtensionHandle, FileHandle, Reply, RobotHandle, TaskHandle, VariableHandle,
 };
 use bcap_core::bcap::client::Timing;
 use bcap_core::bcap::{FrameWriter, FunctionId, Object};
@@ -47,8 +48,8 @@ pub(crate) struct Session<X> {
     robot_name: Option<String>,
     /// The handles of variables, by their owner and by name.
     variables: HashMap<(Object, i32), HashMap<String, VariableHandle>>,
-    /// The handles of tasks and files, by name.
-    objects: HashMap<(Object, String), i32>,
+    /// The handles of other objects, by the handle of their owner and by name.
+    objects: HashMap<(Object, i32, String), i32>,
     /// All open objects, in the order in which they were opened, from the service on.
     opened: Vec<(Object, i32)>,
     arm: Option<ArmState>,
@@ -204,39 +205,44 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         })
     }
 
-    /// Reads a variable of the controller or of the robot.
+    /// Reads a variable of the controller, or of one of its objects by a path, or of the robot.
     pub(crate) async fn read<T: for<'a> FromVariant<'a>>(&mut self, owner: Object, name: &str) -> Result<T, Error> {
         let variable = self.variable(owner, name).await?;
         self.value(name, call::variable_get_value(variable)).await
     }
 
-    /// Writes a variable of the controller or of the robot.
+    /// Writes a variable of the controller, or of one of its objects by a path, or of the robot.
     pub(crate) async fn write(&mut self, owner: Object, name: &str, value: impl Encode) -> Result<(), Error> {
         let variable = self.variable(owner, name).await?;
+        if let Some(arm) = self.arm.as_mut().filter(|_| is_motor_switch(name)) {
+            arm.motor = true;
+        }
         self.call(name, call::variable_put_value(variable, value)).await
     }
 
     /// Returns the handle of a variable, and opens it when it is first used.
     pub(crate) async fn variable(&mut self, owner: Object, name: &str) -> Result<VariableHandle, Error> {
-        let handle = match owner {
-            Object::Robot => self.robot().await?.0,
-            _ => self.handle.0,
-        };
-        if let Some(known) = self.variables.get(&(owner, handle)).and_then(|names| names.get(name)) {
+        let (owner, handle, name) = self.owner_of(owner, name).await?;
+        if let Some(known) = self.variables.get(&(owner, handle)).and_then(|names| names.get(&*name)) {
             return Ok(*known);
         }
-        let variable = VariableHandle(self.open(owner, handle, PathStep::variable(name)).await?);
-        self.variables.entry((owner, handle)).or_default().insert(name.to_owned(), variable);
+        let variable = VariableHandle(self.open(owner, handle, PathStep::variable(&name)).await?);
+        self.variables.entry((owner, handle)).or_default().insert(name.into_owned(), variable);
         Ok(variable)
     }
 
     /// Returns the handle of a task or a file, and opens it when it is first used.
     async fn object(&mut self, object: Object, name: &str) -> Result<i32, Error> {
-        let key = (object, name.to_owned());
+        self.object_of((Object::Controller, self.handle.0), PathStep { object, name: Some(name) }).await
+    }
+
+    /// Returns the handle of an object of another one, and opens it when it is first used.
+    async fn object_of(&mut self, owner: (Object, i32), step: PathStep<'_>) -> Result<i32, Error> {
+        let key = (step.object, owner.1, step.name.unwrap_or_default().to_owned());
         if let Some(known) = self.objects.get(&key) {
             return Ok(*known);
         }
-        let handle = self.open(Object::Controller, self.handle.0, PathStep { object, name: Some(name) }).await?;
+        let handle = self.open(owner.0, owner.1, step).await?;
         self.objects.insert(key, handle);
         Ok(handle)
     }
@@ -281,6 +287,9 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         let name = step.name.unwrap_or("the first robot");
         let owner: Owner = match object {
             Object::Robot => RobotHandle(owner).into(),
+            Object::Task => TaskHandle(owner).into(),
+            Object::File => FileHandle(owner).into(),
+            Object::Extension => ExtensionHandle(owner).into(),
             _ => ControllerHandle(owner).into(),
         };
         let function = step.object.opened_from(object).unwrap_or(FunctionId::CONTROLLER_GET_VARIABLE);
@@ -433,6 +442,11 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         }
         Ok(())
     }
+}
+
+/// Tells whether writing a variable may switch the motor on, so that giving the arm back switches it off.
+fn is_motor_switch(name: &str) -> bool {
+    name.rsplit('/').next().is_some_and(|name| name.eq_ignore_ascii_case("@SERVO_ON"))
 }
 
 /// The call that releases an object.

@@ -16,7 +16,7 @@ use bcap_core::modbus::Entry;
 use bcap_core::rac::VariableKind;
 use bcap_core::time::Instant;
 use bcap_core::variant::VariantBuf;
-use bcap_std::gateway::{Driver, Ended, Limits, Report};
+use bcap_std::gateway::{Denial, Driver, Ended, Limits, Report};
 use bcap_std::server::Server;
 use tokio::io::{AsyncBufReadExt as _, AsyncReadExt as _, AsyncWriteExt as _, BufReader};
 use tokio::net::{TcpListener, TcpStream, UdpSocket};
@@ -93,7 +93,7 @@ impl Running {
 #[derive(Debug, PartialEq)]
 enum Seen {
     Connected(SocketAddr),
-    TurnedAway(SocketAddr),
+    Denied(SocketAddr, Denial),
     Disconnected(SocketAddr, Option<Ended>),
     Answered(SocketAddr, String, HResult),
     Up,
@@ -104,7 +104,7 @@ impl Seen {
     fn of(report: &Report<'_>) -> Self {
         match *report {
             Report::Connected { client } => Self::Connected(client),
-            Report::TurnedAway { client } => Self::TurnedAway(client),
+            Report::Denied { client, reason } => Self::Denied(client, reason),
             Report::Disconnected { client, ended } => Self::Disconnected(client, ended),
             Report::Answered { client, line, event } => {
                 let result = match event {
@@ -351,9 +351,9 @@ async fn clients_get_slots_within_their_limits() {
     let mut late = Plc::connect(&gateway).await;
     assert_eq!(late.ask("GET:RC8:1:I:\r").await, MAX_CONNECT);
     assert_eq!(late.line().await, "", "the connection is closed");
-    let turned_away =
-        gateway.report(|seen| if let Seen::TurnedAway(client) = seen { Some(*client) } else { None }).await;
-    assert_eq!(turned_away, late.address);
+    let denied =
+        gateway.report(|seen| if let Seen::Denied(client, Denial::Full) = seen { Some(*client) } else { None }).await;
+    assert_eq!(denied, late.address);
     // a slot is free again when its connection has ended
     let [gone, _kept] = &mut plcs;
     gone.stream.get_mut().shutdown().await.unwrap();

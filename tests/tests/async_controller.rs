@@ -450,6 +450,30 @@ async fn subscriptions_share_one_scan_and_report_changes() {
 }
 
 #[tokio::test]
+async fn a_path_names_a_variable_of_an_object_everywhere() {
+    let sim = simulated();
+    let cell = connect(&sim).await;
+    let interval = Duration::from_millis(2);
+    let mut motor = cell.subscribe("robot/@SERVO_ON", interval);
+    let mut wrong = cell.subscribe("robot/task:Pro1/@STATUS", interval);
+    assert_eq!(motor.next().await.unwrap().unwrap().convert(), Ok(false));
+    let error = wrong.next().await.unwrap().unwrap_err();
+    assert!(matches!(*error, Error::Path(_)), "{error}");
+    cell.write("robot/@SERVO_ON", true).await.unwrap();
+    assert_eq!(motor.next().await.unwrap().unwrap().convert(), Ok(true));
+    assert!(cell.read::<bool>("robot/@SERVO_ON").await.unwrap());
+    let [all] = cell.read_all(["robot/@SERVO_ON"]).await.unwrap();
+    let each = cell.read_each(&["robot/@SERVO_ON", "task/x", "I1"]).await.unwrap();
+    let [(_, motor_on), (_, refused), (_, count)] = each.as_slice() else { panic!("{each:?}") };
+    assert_eq!((all.convert(), motor_on.as_ref().unwrap().convert()), (Ok(true), Ok(true)));
+    assert!(matches!(refused, Err(Error::Path(_))), "{refused:?}");
+    assert_eq!(count.as_ref().unwrap().convert(), Ok(0));
+    cell.write("robot/@SERVO_ON", false).await.unwrap();
+    cell.close().await.unwrap();
+    assert_left(&sim);
+}
+
+#[tokio::test]
 async fn in_memory_a_long_motion_takes_no_time() {
     let network = Network::new(Config::new(Profile::Rc8));
     let cell = Controller::over(network.connect(), &settings()).await.unwrap();

@@ -69,6 +69,79 @@ fn variables_are_read_and_written_over_both_transports() {
 }
 
 #[test]
+fn a_path_names_a_variable_of_an_object_everywhere() {
+    let sim = simulated();
+    let mut cell = Controller::connect(&tcp(&sim), &Settings::rc8().robot("Arm0")).unwrap();
+    let mut arm = cell.robot().unwrap().take_arm().unwrap();
+    let mut all = arm.controller();
+    // the path opens no second handle of the robot that has the arm
+    let names = ["robot/@SERVO_ON", "robot:Arm0/@SERVO_ON", "task:Pro1/@STATUS", "controller/I1"];
+    assert!(!all.read::<bool>(names[0]).unwrap());
+    let [motor, again, status, count] = all.read_all(names).unwrap();
+    assert_eq!((motor.convert(), again.convert(), count.convert()), (Ok(false), Ok(false), Ok(0)));
+    // the controller, the robot and its variable, the task and its variable, I1
+    assert_eq!(sim.application().open_objects(), 6);
+    assert_eq!(all.scan(names).unwrap().read(arm.controller()).unwrap()[2], status);
+    assert_eq!(sim.application().open_objects(), 6);
+    for (name, reason) in [
+        ("task/@STATUS", "task: the name is missing; write task:NAME"),
+        ("robot/task:Pro1/@STATUS", "robot/task:Pro1: a robot has no task"),
+    ] {
+        let error = arm.controller().read::<i32>(name).unwrap_err();
+        assert!(matches!(error, Error::Path(_)), "{error}");
+        assert_eq!(error.to_string(), reason);
+    }
+    // not a path: the controller is asked for this name
+    let unknown = arm.controller().read::<i32>("a/b").unwrap_err();
+    assert!(unknown.to_string().starts_with("Controller_GetVariable of a/b: "), "{unknown}");
+    arm.controller().write("robot/@SERVO_ON", true).unwrap();
+    assert!(sim.application().motor_is_on());
+    drop(arm);
+    assert!(!sim.application().motor_is_on(), "it was switched on here");
+    cell.close().unwrap();
+    assert_left(&sim);
+}
+
+#[test]
+fn variables_are_read_and_written_while_the_arm_is_taken_and_moves() {
+    let sim = simulated();
+    let mut cell = connect(&sim);
+    let scan = cell.scan(["I1"]).unwrap();
+    let mut arm = cell.robot().unwrap().take_arm().unwrap();
+    arm.controller().write("I1", 5).unwrap();
+    assert_eq!(scan.read(arm.controller()).unwrap()[0].convert(), Ok(5));
+    arm.motor_on().unwrap();
+    let mut moving = arm.start(&to(40.0), LIMIT).unwrap();
+    moving.controller().write("I1", 6).unwrap();
+    assert_eq!(moving.wait().unwrap(), Motion::Arrived);
+    assert_eq!(arm.controller().read::<i32>("I1").unwrap(), 6);
+    assert_eq!(arm.controller().task("Pro1").unwrap().status().unwrap(), TaskStatus::Ready);
+    drop(arm);
+    assert_eq!(scan.read(&mut cell).unwrap()[0].convert(), Ok(6));
+    drop(cell);
+    assert_left(&sim);
+}
+
+#[test]
+fn positions_and_vectors_are_no_joints() {
+    let sim = simulated();
+    let mut cell = connect(&sim);
+    cell.write("P1", Position::new([400.0, 0.0, 300.0], [180.0, 0.0, 180.0]).figure(5)).unwrap();
+    cell.write("J1", Joints::new([1.0, 2.0, 3.0])).unwrap();
+    assert_eq!(cell.read::<Joints>("J1").unwrap(), Joints::new([1.0, 2.0, 3.0]));
+    let here = cell.robot().unwrap().joints().unwrap();
+    assert_eq!(cell.read::<Joints>("robot/@CURRENT_ANGLE").unwrap(), here);
+    for name in ["P1", "V1", "T1", "I1", "robot/@CURRENT_POSITION"] {
+        assert!(matches!(cell.read::<Joints>(name), Err(Error::Value { .. })), "{name}");
+    }
+    let position = cell.robot().unwrap().execute::<Joints>("CurPos", ()).unwrap_err();
+    assert_eq!(
+        position.to_string(),
+        "the value of CurPos: expected an array of 8 elements, found VT_ARRAY|VT_R8 of 7 elements"
+    );
+}
+
+#[test]
 fn an_error_names_function_object_and_reason() {
     let sim = simulated();
     let mut cell = connect(&sim);

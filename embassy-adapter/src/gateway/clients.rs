@@ -110,7 +110,7 @@ async fn run_session<X: Transport, M: RawMutex, const N: usize>(
                 let until = unread.get_or_insert(now).saturating_add(limits.send);
                 let answer = chunk.get(..count).unwrap_or_default();
                 match transport.send(answer, until).await? {
-                    Some(sent) => shared.with(|inner| inner.gateway.transmitted(peer, sent)),
+                    Some(sent) => shared.with(|inner| inner.transmitted(peer, sent)),
                     None => return Ok(Ended::ReplyNotRead),
                 };
                 // one line a turn, so a client that sends many lines at once does not slow the others

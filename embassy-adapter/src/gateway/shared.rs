@@ -39,8 +39,8 @@ pub(super) struct Inner<'m, const SESSIONS: usize> {
 struct Client {
     peer: Option<PeerId>,
     endpoint: Option<SocketAddrV4>,
-    /// The time of its connection, or of the last bytes from it.
-    last_received: Instant,
+    /// The time of its connection, or of the last bytes from it or to it.
+    last_active: Instant,
     /// Whether its session must end to make room for another client.
     evicted: bool,
     notify: Notify,
@@ -48,7 +48,7 @@ struct Client {
 
 impl Client {
     const FREE: Self =
-        Self { peer: None, endpoint: None, last_received: Instant::ZERO, evicted: false, notify: Notify::new() };
+        Self { peer: None, endpoint: None, last_active: Instant::ZERO, evicted: false, notify: Notify::new() };
 }
 
 /// Returns the IPv4 address of a client.
@@ -137,7 +137,7 @@ impl<'m, M: RawMutex, const SESSIONS: usize> SharedGateway<'m, M, SESSIONS> {
         self.with(|inner| {
             let client = inner.clients.iter_mut().find(|client| client.peer.is_none())?;
             let peer = inner.gateway.open_from(address(endpoint))?;
-            *client = Client { peer: Some(peer), endpoint, last_received: now(), ..Client::FREE };
+            *client = Client { peer: Some(peer), endpoint, last_active: now(), ..Client::FREE };
             (inner.log)(&Report::Connected { client: endpoint });
             Some(peer)
         })?
@@ -164,12 +164,14 @@ impl<'m, M: RawMutex, const SESSIONS: usize> SharedGateway<'m, M, SESSIONS> {
         let now = now();
         let evicted = self.with(|inner| {
             let Inner { clients, gateway, .. } = inner;
+            // a client that waits for an answer or receives it keeps its slot
+            let is_busy = |peer| gateway.is_running(peer) || !gateway.transmit(peer).is_empty();
             let is_idle = |client: &&mut Client| {
-                let is_running = client.peer.is_some_and(|peer| gateway.is_running(peer));
-                !client.evicted && !is_running && now.saturating_since(client.last_received) >= after
+                let is_busy = client.peer.is_some_and(is_busy);
+                !client.evicted && !is_busy && now.saturating_since(client.last_active) >= after
             };
             let rank = |client: &&mut Client| {
-                (address(client.endpoint) == address(endpoint), now.saturating_since(client.last_received))
+                (address(client.endpoint) == address(endpoint), now.saturating_since(client.last_active))
             };
             let idle = clients.iter_mut().filter(|client| client.peer.is_some()).filter(is_idle).max_by_key(rank)?;
             idle.evicted = true;
@@ -244,8 +246,18 @@ impl<const SESSIONS: usize> Inner<'_, SESSIONS> {
             room.copy_from_slice(bytes);
             self.gateway.received(peer, bytes.len());
         }
+        self.moved(peer);
+    }
+
+    /// Records that a client's transport has taken bytes of its answer.
+    pub(super) fn transmitted(&mut self, peer: PeerId, count: usize) {
+        self.gateway.transmitted(peer, count);
+        self.moved(peer);
+    }
+
+    fn moved(&mut self, peer: PeerId) {
         if let Some(client) = self.client(peer) {
-            client.last_received = now();
+            client.last_active = now();
         }
     }
 
@@ -259,5 +271,31 @@ impl<const SESSIONS: usize> Inner<'_, SESSIONS> {
 impl<M: RawMutex, const SESSIONS: usize> fmt::Debug for SharedGateway<'_, M, SESSIONS> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("SharedGateway").field("sessions", &SESSIONS).finish_non_exhaustive()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use bcap_core::gateway::{Config, Memory};
+    use embassy_sync::blocking_mutex::raw::NoopRawMutex;
+
+    #[test]
+    fn a_client_keeps_its_slot_until_its_answer_is_sent() -> Result<(), &'static str> {
+        let mut memory = Memory::<1, 4>::new();
+        let shared: SharedGateway<'_, NoopRawMutex, 1> =
+            SharedGateway::new(Gateway::new(Config::RC8, &mut memory), |_| {});
+        let peer = shared.open(None).ok_or("no slot")?;
+        shared.with(|inner| inner.received(peer, b"GET:RC8:1:I:\r"));
+        shared.poll();
+        let answer = shared.view(|gateway| gateway.transmit(peer).len()).ok_or("borrowed")?;
+        assert_eq!(answer, "-2147481342\r".len());
+        assert!(!shared.evict(None, Duration::ZERO), "the answer is not sent");
+        shared.with(|inner| inner.transmitted(peer, 4));
+        assert!(!shared.evict(None, Duration::ZERO), "a part of it is not sent");
+        shared.with(|inner| inner.transmitted(peer, answer - 4));
+        assert!(!shared.evict(None, Duration::from_secs(3600)), "it was active");
+        assert!(shared.evict(None, Duration::ZERO) && shared.is_evicted(peer), "it is idle");
+        Ok(())
     }
 }

@@ -121,11 +121,19 @@ pub(crate) const fn address(side: u8) -> Ipv4Address {
 
 /// Runs a test between the client's and the server's stack.
 pub(crate) fn between<F: Future<Output = ()>>(test: impl FnOnce(Cable, Stack<'static>, Stack<'static>) -> F) {
+    between_addresses([address(0), address(1)].map(|address| Ipv4Cidr::new(address, 24)), test);
+}
+
+/// Runs a test between the client's and the server's stack, which have these addresses.
+pub(crate) fn between_addresses<F: Future<Output = ()>>(
+    addresses: [Ipv4Cidr; 2],
+    test: impl FnOnce(Cable, Stack<'static>, Stack<'static>) -> F,
+) {
     let cable = Cable::default();
     let make = |side: u8| {
         let resources = Box::leak(Box::new(StackResources::<8>::new()));
         let config = Config::ipv4_static(StaticConfigV4 {
-            address: Ipv4Cidr::new(address(side), 24),
+            address: addresses[usize::from(side)],
             gateway: None,
             dns_servers: Default::default(),
         });

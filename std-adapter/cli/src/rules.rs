@@ -1,6 +1,7 @@
 //! The rules of a gateway and its map of Modbus: a file in TOML, and what the command line adds.
 //!
 //! ```toml
+//! clients = ["10.0.0.0/24", "10.0.1.7"]      # the networks whose clients may connect; left out, all clients may
 //! convert = true                            # a PUT of 3,5 to an F variable becomes 5.0; only where nothing is lost
 //! rate = { per_second = 50, burst = 10 }    # for each client
 //!
@@ -19,12 +20,13 @@
 //! kind = "P"
 //! index = 7
 //! values = [[-400, 400], [-400, 400], [0, 600], [-180, 180]]    # by element; the last also for the elements after it
+//! clients = "10.0.0.7"                      # for the clients of this network only
 //! ```
 
 use std::fs;
 use std::path::Path;
 
-use bcap_core::gateway::{Allow, AllowBuf, Bounds, Rate, RuleErrorKind, Rules};
+use bcap_core::gateway::{Allow, AllowBuf, Bounds, Network, Rate, RuleErrorKind, Rules};
 use bcap_core::modbus::{Entry as ModbusEntry, EntryError, Table};
 use bcap_core::rac::VariableKind;
 use serde::Deserialize;
@@ -41,7 +43,12 @@ pub(crate) struct Setup {
 
 impl Setup {
     /// Reads a file, and adds what the command line has.
-    pub(crate) fn read(file: Option<&Path>, allow_put: &[AllowPut], more: &[ModbusEntry]) -> Result<Self, Failure> {
+    pub(crate) fn read(
+        file: Option<&Path>,
+        clients: &[Network],
+        allow_put: &[AllowPut],
+        more: &[ModbusEntry],
+    ) -> Result<Self, Failure> {
         let mut setup = match file {
             Some(path) => {
                 let text = fs::read_to_string(path)
@@ -51,6 +58,7 @@ impl Setup {
             }
             None => Self { rules: Rules::READ_ONLY, map: Vec::new() },
         };
+        setup.rules.clients = Vec::leak([setup.rules.clients, clients].concat());
         let put = allow_put.iter().flat_map(|rules| &rules.0).map(|rule| Box::leak(Box::new(rule.clone())).as_allow());
         setup.rules.put = Vec::leak(setup.rules.put.iter().copied().chain(put).collect());
         setup.map.extend(more);
@@ -71,11 +79,23 @@ impl Setup {
         };
         let get = file.get.as_deref().map_or(Ok(&Allow::EVERYTHING[..]), |get| rules("get", get))?;
         let rate = file.rate.map_or(Rate::UNLIMITED, Rate::from);
-        let rules = Rules { get, put: rules("put", &file.put)?, convert: file.convert, rate, ..Rules::READ_ONLY };
+        if file.clients.as_ref().is_some_and(Vec::is_empty) {
+            return Err("an empty list of clients; leave it out to allow every client".to_owned());
+        }
+        let clients = file.clients.iter().flatten().map(|text| network(text));
+        let clients: Vec<_> = clients.collect::<Result<_, _>>().map_err(|error| format!("clients, {error}"))?;
+        let clients = Vec::leak(clients);
+        let rules = Rules { clients, get, put: rules("put", &file.put)?, convert: file.convert, rate };
         let registers = file.register.iter().map(|text| entry("register", text, ModbusEntry::registers));
         let coils = file.coil.iter().map(|text| entry("coil", text, ModbusEntry::coils));
         Ok(Self { rules, map: registers.chain(coils).collect::<Result<_, _>>()? })
     }
+}
+
+/// Parses a network of clients, such as `10.0.0.0/24`, or the address of one client.
+pub(crate) fn network(text: &str) -> Result<Network, String> {
+    let network = Network::parse(text);
+    network.ok_or_else(|| format!("{text:?}: invalid network: expected an IPv4 ADDRESS[/PREFIX], such as 10.0.0.0/24"))
 }
 
 /// Parses an entry of the map of Modbus.
@@ -121,6 +141,7 @@ impl AllowPut {
 #[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct File {
+    clients: Option<Vec<String>>,
     #[serde(default)]
     convert: bool,
     rate: Option<PerClient>,
@@ -152,6 +173,7 @@ struct Entry {
     kind: Kind,
     index: Option<Index>,
     values: Option<Values>,
+    clients: Option<String>,
 }
 
 #[derive(Clone, Debug, Deserialize)]
@@ -199,7 +221,9 @@ impl Entry {
             None => &[],
         };
         let values = Vec::leak(ranges.iter().map(|[min, max]| Bounds { min: *min, max: *max }).collect());
-        let allow = Allow { values, ..Allow::range(kind, first, last) };
+        let clients = self.clients.as_deref().map_or(Ok(Network::ANY), network);
+        let clients = clients.map_err(|error| format!("{kind}: clients, {error}"))?;
+        let allow = Allow { values, clients, ..Allow::range(kind, first, last) };
         allow.check().map_err(|error| format!("{kind}: {error}")).map(|()| allow)
     }
 }
@@ -222,7 +246,7 @@ mod tests {
     #[test]
     fn an_empty_file_is_read_only() {
         assert_eq!(Setup::parse("").unwrap(), Setup { rules: Rules::READ_ONLY, map: Vec::new() });
-        assert_eq!(Setup::read(None, &[], &[]).unwrap().rules, Rules::READ_ONLY);
+        assert_eq!(Setup::read(None, &[], &[], &[]).unwrap().rules, Rules::READ_ONLY);
     }
 
     #[test]
@@ -246,15 +270,22 @@ mod tests {
             rules.put,
             [
                 Allow { values: &[bounds(-10.0, 10.0)], ..Allow::range(VariableKind::I, 0, 99) },
-                Allow { values: &position, ..Allow::range(VariableKind::P, 7, 7) },
+                Allow {
+                    values: &position,
+                    clients: network("10.0.0.7").unwrap(),
+                    ..Allow::range(VariableKind::P, 7, 7)
+                },
             ]
         );
+        assert_eq!(rules.clients, ["10.0.0.0/24", "10.0.1.7"].map(|text| network(text).unwrap()));
     }
 
     #[test]
     fn the_command_line_adds_to_the_file() {
         let allow = ["F,io/128-143", "I/5=-1..2.5", "V/7=0..1,-5..5,I/9"].map(|text| AllowPut::parse(text).unwrap());
-        let rules = Setup::read(None, &allow, &[]).unwrap().rules;
+        let networks = ["10.0.0.0/24", "10.0.1.7"].map(|text| network(text).unwrap());
+        let rules = Setup::read(None, &networks, &allow, &[]).unwrap().rules;
+        assert_eq!(rules.clients, networks);
         let range = |min, max| Bounds { min, max };
         assert_eq!(
             rules.put,
@@ -289,6 +320,14 @@ mod tests {
             ("convert = 1\n", "bool"),
             ("nonsense", "line 1"),
             ("register = [\"1=S/1\"]", "register \"1=S/1\": a variable of kind S cannot be in registers"),
+            ("clients = [\"10.0.0\"]", "clients, \"10.0.0\": invalid network: expected an IPv4 ADDRESS[/PREFIX]"),
+            ("clients = []", "an empty list of clients"),
+            ("clients = [\"fd00::/8\"]", "clients, \"fd00::/8\": invalid network"),
+            ("clients = \"10.0.0.0/24\"", "clients"),
+            (
+                "[[put]]\nkind = \"I\"\nclients = \"10.0.0.0/33\"",
+                "[[put]] number 1, I: clients, \"10.0.0.0/33\": invalid",
+            ),
             ("coil = [\"1=I/1\"]", "coil \"1=I/1\": "),
         ] {
             let error = Setup::parse(text).unwrap_err();
@@ -302,14 +341,14 @@ mod tests {
         ] {
             assert_eq!(AllowPut::parse(text).unwrap_err(), error);
         }
-        let error = Setup::read(Some(Path::new("/no/such/file.toml")), &[], &[]).unwrap_err();
+        let error = Setup::read(Some(Path::new("/no/such/file.toml")), &[], &[], &[]).unwrap_err();
         assert!(error.to_string().contains("/no/such/file.toml"), "{error}");
     }
     #[test]
     fn entries_of_the_map_that_overlap_are_refused() {
         let [a, b, c] = ["0=I/0-9", "20=I/10", "19=I/10"].map(|text| ModbusEntry::registers(text).unwrap());
-        assert_eq!(Setup::read(None, &[], &[a, b]).unwrap().map, [a, b]);
-        let error = Setup::read(None, &[], &[a, b, c]).unwrap_err();
+        assert_eq!(Setup::read(None, &[], &[], &[a, b]).unwrap().map, [a, b]);
+        let error = Setup::read(None, &[], &[], &[a, b, c]).unwrap_err();
         assert_eq!(error.to_string(), "the map of Modbus has register 19 in two entries, 0=I/0-9 and 19=I/10");
     }
 }

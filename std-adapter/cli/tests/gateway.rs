@@ -125,6 +125,29 @@ const KINDS: [(&str, &str); 9] = [
 ];
 
 #[test]
+fn clients_of_other_networks_are_reset_and_rules_for_networks_apply() {
+    let folder = tempfile::tempdir().unwrap();
+    let rules = folder.path().join("rules.toml");
+    let put = |clients: &str, index| format!("[[put]]\nkind = \"I\"\nindex = {index}\nclients = \"{clients}\"\n");
+    let file = ["clients = [\"10.0.0.0/24\"]\n", &put("127.0.0.1", 1), &put("127.0.0.2", 2)].concat();
+    std::fs::write(&rules, file).unwrap();
+    let rules = rules.to_str().unwrap();
+    // no robot: a request that the rules allow is answered so
+    let mut gateway = Server::gateway("127.0.0.1:1", &["--rules", rules]);
+    // a reset may arrive before the connection is used
+    let refused = TcpStream::connect(gateway.address("rac")).and_then(|mut plc| plc.read(&mut [0]));
+    assert_eq!(refused.unwrap_err().kind(), std::io::ErrorKind::ConnectionReset);
+    let denied = gateway.log("denied");
+    assert_eq!(denied["reason"], "the rules do not allow this address to connect");
+    assert!(denied["client"].as_str().unwrap().starts_with("127.0.0.1:"), "{denied}");
+
+    let gateway = Server::gateway("127.0.0.1:1", &["--rules", rules, "--clients", "10.0.1.7,127.0.0.0/8"]);
+    let mut plc = Plc::connect(&gateway);
+    assert_eq!(plc.ask("PUT:RC8:1:I:3,5\r"), NOT_CONNECTED);
+    assert_eq!(plc.ask("PUT:RC8:2:I:3,5\r"), "-2147024891\r", "the rule is for another client");
+}
+
+#[test]
 fn all_kinds_can_be_read_and_only_allowed_kinds_written() {
     let sim = Server::sim("127.0.0.1:0");
     let robot = sim.address("bcap");

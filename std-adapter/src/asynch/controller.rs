@@ -100,13 +100,15 @@ impl Controller {
         Ok(Self { handle: Handle::over(stream, settings, false).await? })
     }
 
-    /// Reads a variable of the controller, such as `I1`, `P5`, `IO128` or `@CURRENT_TIME`.
+    /// Reads a variable of the controller, such as `I1`, `P5`, `IO128` or `@CURRENT_TIME`, or of one of its objects, such as
+    /// `robot/@SERVO_ON` or `task:Pro1/@STATUS` ([`ObjectPath::variable`](crate::ObjectPath::variable)). All functions that take
+    /// names of variables take such paths.
     ///
     /// The value is converted without loss: `i64` and `f64` take any number, `[f64; 7]` a position of R4 numbers.
     ///
     /// # Errors
     ///
-    /// An [`Error`]; [`Error::Value`] if the value has another type.
+    /// An [`Error`]; [`Error::Value`] if the value has another type, [`Error::Path`] for an invalid path.
     ///
     /// # Cancel safety
     ///
@@ -210,6 +212,9 @@ impl Controller {
     ///
     /// ```no_run
     /// # async fn example(cell: bcap_std::asynch::Controller) {
+    /// let mut motor = cell.subscribe("robot/@SERVO_ON", std::time::Duration::from_millis(100));
+    /// println!("the motor is on: {:?}", motor.next().await);
+    ///
     /// let mut counts = cell.subscribe("I1", std::time::Duration::from_millis(50));
     /// while let Some(reading) = counts.next().await {
     ///     match reading {

@@ -9,6 +9,7 @@ use bcap_core::bcap::call::{Call, ControllerHandle, Reply};
 use bcap_core::variant::{Encode, FromVariant, OwnedVariant};
 
 use super::Transport;
+use super::borrowed::ControllerRef;
 use super::ending;
 use super::objects::{File, Scan, Task};
 use super::robot::Robot;
@@ -81,13 +82,15 @@ impl Controller {
         Ok(Self { session, address: None, settings: settings.clone() })
     }
 
-    /// Reads a variable of the controller, such as `I1`, `P5`, `IO128` or `@CURRENT_TIME`.
+    /// Reads a variable of the controller, such as `I1`, `P5`, `IO128` or `@CURRENT_TIME`, or of one of its objects, such as
+    /// `robot/@SERVO_ON` or `task:Pro1/@STATUS` ([`ObjectPath::variable`](crate::ObjectPath::variable)). All functions that take
+    /// names of variables take such paths.
     ///
     /// The value is converted without loss: `i64` and `f64` take any number, `[f64; 7]` a position of R4 numbers.
     ///
     /// # Errors
     ///
-    /// An [`Error`]; [`Error::Value`] if the value has another type.
+    /// An [`Error`]; [`Error::Value`] if the value has another type, [`Error::Path`] for an invalid path.
     pub fn read<T: for<'a> FromVariant<'a>>(&mut self, name: &str) -> Result<T, Error> {
         ready(self.session.read(Object::Controller, name))
     }
@@ -213,15 +216,9 @@ impl Controller {
     }
 }
 
-impl<const N: usize> Scan<N> {
-    /// Reads the variables in their order.
-    ///
-    /// # Errors
-    ///
-    /// An [`Error`] for the first variable that cannot be read; [`Error::OtherSession`] for another controller than that
-    /// of the scan.
-    pub fn read(&self, cell: &mut Controller) -> Result<[OwnedVariant; N], Error> {
-        self.read_in(&mut cell.session)
+impl<'a> From<&'a mut Controller> for ControllerRef<'a> {
+    fn from(controller: &'a mut Controller) -> Self {
+        Self::new(&mut controller.session)
     }
 }
 

@@ -105,6 +105,11 @@ impl<'a> Arm<'a> {
         Self { robot }
     }
 
+    /// Returns the session, for objects of this session that exist while the arm is taken.
+    pub(super) const fn session(&mut self) -> &mut Session<Blocking> {
+        self.robot.session
+    }
+
     /// Ends the use of this object without giving the arm back. The session keeps the arm:
     /// [`Controller::arm`](super::Controller::arm) returns it again, and the end of the session gives it back.
     pub fn keep(self) {

@@ -15,7 +15,7 @@ use tokio::time::{Instant, sleep, sleep_until, timeout};
 use super::front::{Front, Map, must_wait, refuse};
 use super::limits::Limits;
 use super::report::Ended;
-use super::shared::GatewayState;
+use super::shared::{GatewayState, ipv4};
 use super::traffic::{Ends, Moved};
 use crate::connect::set_up_tcp;
 use crate::server::REFUSALS;
@@ -48,9 +48,14 @@ pub(super) async fn listen(
             sleep(ACCEPT_PAUSE).await;
             continue;
         };
+        // before slots are looked at, so that such a client takes the slot of no other
+        if !shared.lock().admits(address) {
+            reset(stream);
+            continue;
+        }
         let seated = shared.lock().open(&slots, address);
         if let Some((peer, wake)) = seated {
-            let seat = Seat { peer, shared: Arc::clone(&shared), front: Front::new(map), ended: None };
+            let seat = Seat { peer, shared: Arc::clone(&shared), front: Front::new(map, ipv4(address)), ended: None };
             tasks.spawn(serve(stream, seat, wake, limits, stopped.clone()));
         } else if refused.len() < REFUSALS {
             refused.spawn(refuse(stream, map));
@@ -62,6 +67,12 @@ pub(super) async fn listen(
     if drained.await.is_err() {
         tasks.shutdown().await;
     }
+}
+
+/// Closes a connection with a reset.
+fn reset(stream: TcpStream) {
+    // a socket that cannot be set up is closed already
+    let _ = SockRef::from(&stream).set_linger(Some(Duration::ZERO));
 }
 
 /// The slot of a client, which is freed however its task ends.

@@ -1,6 +1,7 @@
 //! What the clients of a listener speak: RAC, or Modbus TCP, whose requests become lines of RAC.
 
 use std::io;
+use std::net::Ipv4Addr;
 
 use bcap_core::gateway::Gateway;
 use bcap_core::handler::PeerId;
@@ -24,22 +25,23 @@ pub(super) type Map = Option<&'static [Entry]>;
 pub(super) enum Front {
     /// They are those of the gateway.
     Rac,
-    Modbus(Box<modbus::Front<'static>>),
+    /// Lines of RAC are made of them; with the address of the client, to which rules for networks apply.
+    Modbus(Box<modbus::Front<'static>>, Option<Ipv4Addr>),
 }
 
 impl Front {
-    pub(super) fn new(map: Map) -> Self {
-        map.map_or(Self::Rac, |map| Self::Modbus(Box::new(modbus::Front::new(map))))
+    pub(super) fn new(map: Map, client: Option<Ipv4Addr>) -> Self {
+        map.map_or(Self::Rac, |map| Self::Modbus(Box::new(modbus::Front::new(map)), client))
     }
 
     /// Moves lines and replies between a client of Modbus and the gateway. After `true` the gateway must be polled.
     pub(super) fn exchange(&mut self, gateway: &mut Gateway<'_>, peer: PeerId) -> bool {
-        let Self::Modbus(front) = self else { return false };
+        let Self::Modbus(front, client) = self else { return false };
         let rules = gateway.config().rules;
         let reply = gateway.transmit(peer);
         let replied = reply.len();
         if replied > 0 {
-            front.replied(reply, |request: &Request<'_>| rules.permits(request, None).is_ok());
+            front.replied(reply, |request: &Request<'_>| rules.permits(request, *client).is_ok());
             gateway.transmitted(peer, replied);
         }
         let count = gateway.receive_buffer(peer).iter_mut().zip(front.line()).map(|(to, from)| *to = *from).count();
@@ -54,7 +56,7 @@ impl Front {
     pub(super) fn transmit<'a>(&'a self, gateway: &'a Gateway<'_>, peer: PeerId) -> &'a [u8] {
         match self {
             Self::Rac => gateway.transmit(peer),
-            Self::Modbus(front) => front.transmit(),
+            Self::Modbus(front, _) => front.transmit(),
         }
     }
 
@@ -62,10 +64,10 @@ impl Front {
     pub(super) fn transmitted(&mut self, gateway: &mut Gateway<'_>, peer: PeerId, count: usize) {
         match self {
             Self::Rac => gateway.transmitted(peer, count),
-            Self::Modbus(front) => {
+            Self::Modbus(front, client) => {
                 front.transmitted(count);
                 // the next request may have arrived
-                receive(front, gateway, &[]);
+                receive(front, *client, gateway, &[]);
             }
         }
     }
@@ -74,7 +76,7 @@ impl Front {
     pub(super) fn has_room(&self, gateway: &mut Gateway<'_>, peer: PeerId) -> bool {
         match self {
             Self::Rac => !gateway.receive_buffer(peer).is_empty(),
-            Self::Modbus(front) => front.room() > 0,
+            Self::Modbus(front, _) => front.room() > 0,
         }
     }
 
@@ -91,7 +93,7 @@ impl Front {
         let mut chunk = [0; CHUNK];
         let room = match self {
             Self::Rac => gateway.receive_buffer(peer),
-            Self::Modbus(front) => chunk.get_mut(..front.room().min(CHUNK)).unwrap_or_default(),
+            Self::Modbus(front, _) => chunk.get_mut(..front.room().min(CHUNK)).unwrap_or_default(),
         };
         if room.is_empty() {
             return Ok(None);
@@ -107,7 +109,7 @@ impl Front {
         }
         match self {
             Self::Rac => gateway.received(peer, count),
-            Self::Modbus(front) => receive(front, gateway, chunk.get(..count).unwrap_or_default()),
+            Self::Modbus(front, client) => receive(front, *client, gateway, chunk.get(..count).unwrap_or_default()),
         }
         Ok(Some(count))
     }
@@ -116,27 +118,27 @@ impl Front {
     pub(super) fn is_running(&self, gateway: &Gateway<'_>, peer: PeerId) -> bool {
         match self {
             Self::Rac => gateway.is_running(peer),
-            Self::Modbus(front) => front.is_running(),
+            Self::Modbus(front, _) => front.is_running(),
         }
     }
 
     /// Tells whether a request of a client of Modbus runs or bytes of its response are left to send. Its client keeps its slot
     /// meanwhile, also between two lines, while the gateway itself has nothing to do for it.
     pub(super) fn is_busy(&self) -> bool {
-        matches!(self, Self::Modbus(front) if front.is_running() || !front.transmit().is_empty())
+        matches!(self, Self::Modbus(front, _) if front.is_running() || !front.transmit().is_empty())
     }
 
     /// Tells whether a part of a request has arrived.
     pub(super) fn is_receiving(&self, gateway: &Gateway<'_>, peer: PeerId) -> bool {
         match self {
             Self::Rac => gateway.is_receiving(peer),
-            Self::Modbus(front) => front.is_receiving(),
+            Self::Modbus(front, _) => front.is_receiving(),
         }
     }
 
     /// Tells whether the client of Modbus sent other bytes.
     pub(super) fn is_broken(&self) -> bool {
-        matches!(self, Self::Modbus(front) if front.is_broken())
+        matches!(self, Self::Modbus(front, _) if front.is_broken())
     }
 }
 
@@ -145,9 +147,9 @@ pub(super) fn must_wait<T>(result: &io::Result<T>) -> bool {
     matches!(result, Err(error) if error.kind() == io::ErrorKind::WouldBlock)
 }
 
-fn receive(front: &mut modbus::Front<'_>, gateway: &Gateway<'_>, bytes: &[u8]) {
+fn receive(front: &mut modbus::Front<'_>, client: Option<Ipv4Addr>, gateway: &Gateway<'_>, bytes: &[u8]) {
     let rules = gateway.config().rules;
-    front.received(bytes, |request: &Request<'_>| rules.permits(request, None).is_ok());
+    front.received(bytes, |request: &Request<'_>| rules.permits(request, client).is_ok());
 }
 
 /// Answers the first request of a client without a slot: E_MAX_CONNECT, or the exception "server device busy".

@@ -60,7 +60,7 @@ use self::shared::GatewayState;
 use crate::connect::{Options, random_serial};
 
 pub use self::limits::Limits;
-pub use self::report::{Ended, Report};
+pub use self::report::{Denial, Ended, Report};
 pub use self::traffic::{Moved, Traffic};
 
 /// Drives a gateway over the sockets of this machine.

@@ -14,11 +14,12 @@ pub enum Report<'a> {
         /// The client's address.
         client: SocketAddr,
     },
-    /// A client got no slot. Its first line is answered with E_MAX_CONNECT, its first request of Modbus with the exception
-    /// "server device busy", and the connection is closed.
-    TurnedAway {
+    /// A client was not served.
+    Denied {
         /// The client's address.
         client: SocketAddr,
+        /// The reason.
+        reason: Denial,
     },
     /// The connection of a client has ended.
     Disconnected {
@@ -44,6 +45,17 @@ pub enum Report<'a> {
         /// The error of the network, when it is the reason.
         cause: Option<&'a io::Error>,
     },
+}
+
+/// Why a client was not served.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Denial {
+    /// The rules do not allow its address to connect. Its connection is reset.
+    Address,
+    /// No slot is free for it. Its first line is answered with E_MAX_CONNECT, its first request of Modbus with the exception
+    /// "server device busy", and the connection is closed.
+    Full,
 }
 
 /// Why the connection of a client ended.

@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::fmt;
 use std::io;
-use std::net::SocketAddr;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use bcap_core::gateway::{Counters, Event, Gateway};
@@ -12,7 +12,7 @@ use bcap_core::time::Instant;
 use tokio::sync::Notify;
 
 use super::front::Front;
-use super::report::{Ended, Report};
+use super::report::{Denial, Ended, Report};
 use super::traffic::Tap;
 use crate::clock::now;
 use crate::server::{Admission, SlotState, Slots};
@@ -83,7 +83,25 @@ impl GatewayState {
     }
 }
 
+/// Returns the IPv4 address that the rules know of a client; `None` for a client over IPv6. A listener for both versions
+/// reports a client over IPv4 as `::ffff:10.0.0.5`.
+pub(super) fn ipv4(client: SocketAddr) -> Option<Ipv4Addr> {
+    match client.ip().to_canonical() {
+        IpAddr::V4(address) => Some(address),
+        IpAddr::V6(_) => None,
+    }
+}
+
 impl Inner {
+    /// Tells whether the rules allow a client to connect; logs it if they do not.
+    pub(super) fn admits(&mut self, client: SocketAddr) -> bool {
+        let admitted = self.gateway.config().rules.admits(ipv4(client));
+        if !admitted {
+            (self.log)(&Report::Denied { client, reason: Denial::Address });
+        }
+        admitted
+    }
+
     /// Gives a client a slot, if need be that of another client; `None` when it gets no slot.
     pub(super) fn open(&mut self, slots: &Slots, address: SocketAddr) -> Option<(PeerId, Arc<Notify>)> {
         let taken = self.clients.iter().map(|(peer, client)| (*peer, client.address.ip(), self.state(*peer, client)));
@@ -91,9 +109,9 @@ impl Inner {
         if let Admission::Instead(peer) = admission {
             self.close(peer, Some(Ended::Evicted));
         }
-        let peer = if matches!(admission, Admission::Refused) { None } else { self.gateway.open() };
+        let peer = if matches!(admission, Admission::Refused) { None } else { self.gateway.open_from(ipv4(address)) };
         let Some(peer) = peer else {
-            (self.log)(&Report::TurnedAway { client: address });
+            (self.log)(&Report::Denied { client: address, reason: Denial::Full });
             return None;
         };
         let wake = Arc::new(Notify::new());
@@ -156,7 +174,7 @@ mod tests {
     use std::time::Duration;
 
     use bcap_core::gateway::{Config, Memory};
-    use bcap_core::modbus::{self, Entry};
+    use bcap_core::modbus::Entry;
 
     use super::*;
 
@@ -170,13 +188,13 @@ mod tests {
         let (peer, _) = inner.open(&slots, plc).unwrap();
 
         let map = Box::leak(Box::new([Entry::registers("0=I/0-1").unwrap()]));
-        let mut front = Front::Modbus(Box::new(modbus::Front::new(map)));
-        let Front::Modbus(modbus) = &mut front else { unreachable!() };
+        let mut front = Front::new(Some(map), None);
+        let Front::Modbus(modbus, _) = &mut front else { unreachable!() };
         modbus.received(&[0, 1, 0, 0, 0, 6, 1, 3, 0, 0, 0, 4], |_| true);
         inner.moved(peer, &front);
         assert!(inner.open(&slots, other).is_none(), "the line for I0 is not in the gateway yet");
 
-        let Front::Modbus(modbus) = &mut front else { unreachable!() };
+        let Front::Modbus(modbus, _) = &mut front else { unreachable!() };
         for _ in 0..2 {
             modbus.line_taken(modbus.line().len());
             modbus.replied(b"0,3,7\r", |_| true);
@@ -186,7 +204,7 @@ mod tests {
         inner.exchanged(peer, &front);
         assert!(inner.open(&slots, other).is_none(), "the response is not sent");
 
-        let Front::Modbus(modbus) = &mut front else { unreachable!() };
+        let Front::Modbus(modbus, _) = &mut front else { unreachable!() };
         modbus.transmitted(response);
         inner.moved(peer, &front);
         assert!(inner.open(&slots, other).is_some() && !inner.is_open(peer), "it is idle");

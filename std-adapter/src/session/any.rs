@@ -159,7 +159,10 @@ impl<X: Transport<Error = io::Error>> Session<X> {
                 }
                 self.forget_handles();
             }
-            _ => self.objects.retain(|(kind, _), open| (*kind, *open) != (object, handle)),
+            _ => {
+                self.variables.remove(&(object, handle));
+                self.objects.retain(|(kind, ..), open| (*kind, *open) != (object, handle));
+            }
         }
     }
 

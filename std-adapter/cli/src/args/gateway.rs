@@ -3,10 +3,11 @@
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
+use bcap_core::gateway::Network;
 use bcap_core::modbus::Entry;
 use clap::Args;
 
-use crate::rules::AllowPut;
+use crate::rules::{AllowPut, network};
 
 /// Lets PLCs that speak RAC or Modbus TCP read, and if rules allow it write, the variables of a robot that speaks b-CAP
 ///
@@ -16,6 +17,7 @@ use crate::rules::AllowPut;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 A file of rules. By default everything may be read and nothing written.
+  clients = [\"10.0.0.0/24\"]               # who may connect; left out, all clients
   convert = true                            # a value of another type is converted where nothing is lost
   rate = { per_second = 50, burst = 10 }    # for each client
   [[get]]
@@ -24,13 +26,14 @@ A file of rules. By default everything may be read and nothing written.
   kind = \"I\"
   index = [0, 99]                           # or one number
   values = [-10, 10]                        # or a list of ranges, one for each element
+  clients = \"10.0.0.7\"                    # for this client or network only
 The same file may have the map of Modbus, before the first [[get]] or [[put]].
   register = [\"100=I/10-19:i16\", \"200=F/0-9\"]
   coil = [\"0=IO/128-143\"]
 Examples:
   bcap gateway --robot tcp:192.168.0.1
   bcap gateway --robot udp:192.168.0.1 --allow-put I/0-99,IO/128-143 --allow-put F/5=0..1
-  bcap gateway --rac [::]:5006 --robot tcp:192.168.0.1 --rules rules.toml --audit /var/log/gateway.jsonl
+  bcap gateway --rac [::]:5006 --clients 10.0.0.0/24 --robot tcp:192.168.0.1 --rules rules.toml --audit /var/log/gateway.jsonl
   bcap gateway --robot tcp:192.168.0.1 --modbus 127.0.0.1:5020 --register 100=I/10-19:i16 --coil 0=IO/128-143")]
 pub(crate) struct Gateway {
     /// Where RAC listens
@@ -55,6 +58,13 @@ pub(crate) struct Gateway {
     /// What clients may do, in TOML
     #[arg(long, value_name = "FILE")]
     pub(crate) rules: Option<PathBuf>,
+
+    /// The networks whose clients may connect, in addition to the rules: IPv4 ADDRESS[/PREFIX], several separated by commas.
+    /// Without any, all clients may
+    ///
+    /// The connection of any other client is reset. A client that connects over IPv6 belongs to no network except 0.0.0.0/0.
+    #[arg(long, value_name = "NETWORKS", value_delimiter = ',', value_parser = network)]
+    pub(crate) clients: Vec<Network>,
 
     /// Allows variables to be written, in addition to the rules: KIND[/FIRST[-LAST]][=MIN..MAX[,MIN..MAX]...], several
     /// separated by commas

@@ -2,7 +2,8 @@
 //!
 //! | `event`                            | further fields                                             |
 //! |------------------------------------|------------------------------------------------------------|
-//! | `connected` `disconnected` `turned_away` | `client`                                             |
+//! | `connected` `disconnected`         | `client`                                                   |
+//! | `denied`                           | `client`, `reason`: its address, or no slot is free        |
 //! | `served` `failed`                  | `client` `line` `result` `name` `us`: the time it took     |
 //! | `refused`                          | `client` `line` `result` `name` `reason`                   |
 //! | `robot_up`                         | `robot`                                                    |
@@ -27,7 +28,7 @@ use bcap_core::gateway::{Counters, Event, RobotError, Tally};
 use bcap_core::hresult::HResult;
 use bcap_core::rac::Verb;
 use bcap_core::variant::OleDate;
-use bcap_std::gateway::Report;
+use bcap_std::gateway::{Denial, Report};
 use bcap_std::now;
 use serde::Serialize;
 
@@ -49,7 +50,7 @@ const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 enum Record {
     Connected { client: String },
     Disconnected { client: String },
-    TurnedAway { client: String },
+    Denied { client: String, reason: &'static str },
     Served(Answer),
     Failed(Answer),
     Refused(Answer),
@@ -120,6 +121,15 @@ impl Total {
     }
 }
 
+/// Returns why a client was not served.
+const fn denial(reason: Denial) -> &'static str {
+    match reason {
+        Denial::Address => "the rules do not allow this address to connect",
+        Denial::Full => "no slot is free",
+        _ => "it was not served",
+    }
+}
+
 fn micros(time: Duration) -> u64 {
     u64::try_from(time.as_micros()).unwrap_or(u64::MAX)
 }
@@ -179,7 +189,10 @@ impl Audit {
     pub(super) fn log(&mut self, report: &Report<'_>) {
         match *report {
             Report::Connected { client } => self.log_client(client, |client| Record::Connected { client }),
-            Report::TurnedAway { client } => self.log_client(client, |client| Record::TurnedAway { client }),
+            Report::Denied { client, reason } => {
+                let reason = denial(reason);
+                self.log_client(client, |client| Record::Denied { client, reason });
+            }
             Report::Disconnected { client, .. } => self.log_client(client, |client| Record::Disconnected { client }),
             Report::Answered { client, line, event } => self.log_answer(client, line, event),
             Report::Robot { event, cause } => self.log_robot(event, cause),

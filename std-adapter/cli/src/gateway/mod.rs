@@ -45,7 +45,7 @@ const REPORT: Duration = Duration::from_secs(1);
 pub(crate) fn gateway(args: &args::Gateway, link: &LinkArgs) -> Result<(), Failure> {
     let target = link.network_target()?;
     let more: Vec<Entry> = args.register.iter().chain(&args.coil).copied().collect();
-    let Setup { rules, map } = Setup::read(args.rules.as_deref(), &args.allow_put, &more)?;
+    let Setup { rules, map } = Setup::read(args.rules.as_deref(), &args.clients, &args.allow_put, &more)?;
     if args.modbus.is_some() && map.is_empty() {
         let hint = "--register 100=I/10-19, --coil 0=IO/128-143, or the same in --rules";
         return Err(Failure::Input(format!("--modbus needs a map of registers or coils: {hint}")));
