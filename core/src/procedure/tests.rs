@@ -19,6 +19,7 @@ use crate::hresult::HResult;
 use crate::time::Instant;
 use crate::variant::{Encode, VarType, Variant, VariantBuf};
 
+mod halt;
 mod motion;
 mod queue;
 
