@@ -4,6 +4,7 @@
 //! whose futures are always ready; those of `asynch` run them in a task.
 
 mod any;
+mod halt;
 #[cfg(feature = "tokio")]
 mod steps;
 
@@ -21,7 +22,7 @@ use bcap_core::error::EncodeError;
 use bcap_core::hresult::HResult;
 use bcap_core::io::asynch::{Connection, Transport};
 use bcap_core::procedure::{
-    self, Handles, MotionQueue, Owner, PathError, PathStep, Procedure, Provider, StepError, Until,
+    self, Handles, MotionQueue, Owner, PathError, PathStep, Procedure, Provider, StepError, StoppedTasks, Until,
 };
 use bcap_core::slave::{AxisLimits, Config, Engine, Format, MOVE_FRAME, Stats, StreamError, Trajectory};
 use bcap_core::variant::{Encode, FromVariant, OwnedVariant};
@@ -63,12 +64,15 @@ struct ArmState {
 
 /// The effect of a halt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 #[must_use]
 pub enum Halted {
     /// The robot was moving, and has been halted.
     Halted,
     /// The robot was not moving.
     NothingMoved,
+    /// The controller refused the halt or the robot moved on, so tasks were stopped. Then the robot was halted.
+    TasksStopped(StoppedTasks),
 }
 
 /// The object that errors name when a session starts or ends.

@@ -101,7 +101,7 @@ impl Halt {
 }
 
 impl fmt::Display for Halt {
-    /// Writes what happened, the robot first, with `; ` between the parts.
+    /// Writes what happened, the robot first, with `; ` between the parts; `{:#}` writes a line for each.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match (self.rests, self.answer) {
             (false, _) => "the robot STILL MOVES",
@@ -109,10 +109,11 @@ impl fmt::Display for Halt {
             (true, HaltAnswer::Refused(_)) => "the robot rests, but is not halted: a task may move it at any time",
             (true, _) => "halted",
         })?;
+        let separator = if f.alternate() { "\n" } else { "; " };
         if let HaltAnswer::Refused(code) = self.answer {
-            write!(f, "; Robot_Halt was refused: {code}")?;
+            write!(f, "{separator}Robot_Halt was refused: {code}")?;
         }
-        self.tasks.map_or(Ok(()), |tasks| write!(f, "; {tasks}"))
+        self.tasks.map_or(Ok(()), |tasks| write!(f, "{separator}{tasks}"))
     }
 }
 
