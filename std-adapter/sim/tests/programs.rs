@@ -318,8 +318,9 @@ fn moving(as_observed: bool) -> (World, Client) {
 fn a_halt_of_a_task_is_refused_as_observed_until_the_task_is_stopped() {
     let (mut world, client) = moving(false);
     assert_eq!(world.run(client.peer, call::robot_halt(client.robot, "")), code(HResult::S_OK));
-    // at its next line
-    world.pass(20);
+    // when the motion would have ended
+    world.pass(5000);
+    assert!(!world.sim.is_moving());
     assert_eq!(world.sim.task("Mover").unwrap().0, TaskStatus::Suspended);
 
     let (mut world, client) = moving(true);
