@@ -3,7 +3,7 @@
 use bcap_core::bcap::FunctionId;
 use bcap_core::error::EncodeError;
 use bcap_core::hresult::HResult;
-use bcap_core::procedure::{StepCause, StepError};
+use bcap_core::procedure::{Halt, HaltAnswer, StepCause, StepError};
 use bcap_core::slave::{ConfigError, StreamError};
 use bcap_core::variant::ConvertError;
 
@@ -50,6 +50,9 @@ pub enum Error {
     /// A stream of Slave Mode failed.
     #[error("Slave Mode: {0}")]
     Stream(StreamError),
+    /// The robot still moves after the halt, or the controller refuses Robot_Halt, so that the robot may move at any time.
+    #[error("{0}; use the emergency stop")]
+    NotHalted(Halt),
     /// A value has no VARIANT. The call was not sent.
     #[error("the value cannot be sent: {0}")]
     Argument(EncodeError),
@@ -111,7 +114,7 @@ impl Error {
     #[must_use]
     pub const fn code(&self) -> Option<HResult> {
         match self {
-            Self::Refused { code, .. } => Some(*code),
+            Self::Refused { code, .. } | Self::NotHalted(Halt { answer: HaltAnswer::Refused(code), .. }) => Some(*code),
             _ => None,
         }
     }

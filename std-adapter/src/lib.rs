@@ -49,7 +49,7 @@
 
 pub use bcap_core as core;
 pub use bcap_core::position::{Joints, Position, Transform};
-pub use bcap_core::procedure::Motion;
+pub use bcap_core::procedure::{Halt, HaltAnswer, Motion, StoppedTasks};
 
 /// Defines a setter for each field of a struct that may grow.
 macro_rules! setters {

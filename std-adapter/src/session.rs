@@ -5,6 +5,7 @@
 
 mod any;
 mod ending;
+mod halt;
 mod names;
 #[cfg(feature = "tokio")]
 mod steps;
@@ -23,7 +24,8 @@ use bcap_core::error::EncodeError;
 use bcap_core::hresult::HResult;
 use bcap_core::io::asynch::{Connection, Transport};
 use bcap_core::procedure::{
-    self, Handles, MotionQueue, MotionStart, Owner, PathError, PathStep, Procedure, Provider, StepError, Target, Until,
+    self, Handles, MotionQueue, MotionStart, Owner, PathError, PathStep, Procedure, Provider, StepError, StoppedTasks,
+    Target, Until,
 };
 use bcap_core::slave::{AxisLimits, Config, Engine, Format, MOVE_FRAME, Stats, StreamError, Trajectory};
 use bcap_core::variant::{Encode, FromVariant, OwnedVariant};
@@ -61,12 +63,15 @@ pub(crate) struct Session<X> {
 
 /// The effect of a halt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 #[must_use]
 pub enum Halted {
     /// The robot was moving, and has been halted.
     Halted,
     /// The robot was not moving.
     NothingMoved,
+    /// The controller refused the halt or the robot moved on, so tasks were stopped. Then the robot was halted.
+    TasksStopped(StoppedTasks),
 }
 
 /// The object that errors name when a session starts or ends.

@@ -8,10 +8,10 @@ use bcap_core::hresult::HResult;
 use bcap_core::slave::{AxisLimits, Cycle, Format, Mode, Next, Pose, PoseType, ReceiveFormat, ReceivePose, SlaveMode};
 use bcap_core::variant::OwnedVariant;
 use bcap_sim::memory::Network;
-use bcap_sim::{Config, Controller as Simulated, Profile};
+use bcap_sim::{Config, Controller as Simulated, Profile, Scenario, TaskStatus};
 use bcap_std::asynch::{Controller, Halted, State, Stopper};
 use bcap_std::server::Limits;
-use bcap_std::{Backoff, Error, Joints, Motion, Move, Pass, Position, Settings};
+use bcap_std::{Backoff, Error, Joints, Motion, Move, Pass, Position, Settings, StoppedTasks};
 use bcap_testkit::network::Random;
 use bcap_tests::served::Served;
 use bcap_tests::slowed::{Slowed, inner};
@@ -173,6 +173,24 @@ async fn a_stopper_halts_a_motion_and_its_caller_is_told() {
     };
     let (motion, halted) = tokio::join!(arm.move_to(to(150.0), LIMIT), halt);
     assert_eq!((motion.unwrap(), halted), (Motion::Halted, Halted::Halted));
+}
+
+#[tokio::test]
+async fn a_stopper_stops_the_task_that_moves_the_robot() {
+    let task = "[controller]\nmotor = true
+        [[task]]\nname = 'Mover'\nstart = 2\nsteps = [
+            { move = 'J(60, 45, 90, 0, 45, 0)' },
+            { move = 'J(-60, 45, 90, 0, 45, 0)' },
+        ]";
+    let mut sim = Simulated::new(Config { as_observed: true, ..config() });
+    sim.play(Scenario::parse(task).unwrap());
+    let sim = Served::of(sim, Limits::default());
+    let stopper = connect(&sim).await.stopper().await.unwrap();
+    until(&sim, Simulated::is_moving).await;
+    assert_eq!(stopper.halt().await.unwrap(), Halted::TasksStopped(StoppedTasks::All));
+    assert!(!sim.application().is_moving());
+    assert_eq!(sim.application().task("Mover").unwrap().0, TaskStatus::Ready);
+    assert_eq!(stopper.halt().await.unwrap(), Halted::NothingMoved);
 }
 
 /// What the caller of a motion is told agrees with where the robot is, however and whenever it is stopped.

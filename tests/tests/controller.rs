@@ -12,10 +12,12 @@ use bcap_core::procedure::Motion;
 use bcap_core::rac::{Variable, VariableKind};
 use bcap_core::variant::{OwnedVariant, Variant};
 use bcap_sim::memory::Network;
-use bcap_sim::{Config, Controller as Simulated, EMERGENCY_STOP, Profile};
+use bcap_sim::{Config, Controller as Simulated, EMERGENCY_STOP, Profile, Scenario};
 use bcap_std::blocking::{Controller, Halted, Stopper};
 use bcap_std::server::Limits;
-use bcap_std::{Error, Interpolation, Joints, Move, Pass, Plane, Position, Settings, TaskStart, TaskStatus, TaskStop};
+use bcap_std::{
+    Error, Interpolation, Joints, Move, Pass, Plane, Position, Settings, StoppedTasks, TaskStart, TaskStatus, TaskStop,
+};
 use bcap_testkit::network::Random;
 use bcap_tests::served::Served;
 
@@ -357,6 +359,59 @@ fn an_error_of_the_controller_is_the_end_of_a_motion() {
 fn when_moving(sim: &Served<Simulated>) {
     let never = AtomicBool::new(false);
     when_moving_or(sim, &never);
+}
+
+/// A task that moves the arm to and fro without a pause.
+const MOVER: &str = "[controller]\nmotor = true
+    [[task]]\nname = 'Mover'\nstart = 2\nsteps = [
+        { move = 'J(60, 45, 90, 0, 45, 0)' },
+        { move = 'J(-60, 45, 90, 0, 45, 0)' },
+    ]\n";
+
+/// Makes a controller that refuses Robot_Halt while its task moves the arm.
+fn moved_by_a_task(faults: &str) -> Served<Simulated> {
+    let mut sim = Simulated::new(Config { as_observed: true, ..Config::new(Profile::Rc8) });
+    sim.play(Scenario::parse(&format!("{MOVER}{faults}")).unwrap());
+    Served::of(sim, Limits::default())
+}
+
+/// The controller does not know KillAll.
+const NO_KILL_ALL: &str = "[[fault]]\nwhen = { every = 1, of = 'KillAll' }\nthen = { refuse = 'E_INVALID_CMD_NAME' }\n";
+/// It does not list its tasks either.
+const NO_LIST: &str =
+    "[[fault]]\nwhen = { every = 1, of = 'Controller_GetTaskNames' }\nthen = { refuse = 'E_NOTIMPL' }\n";
+
+#[test]
+fn a_stopper_stops_the_task_that_moves_the_robot() {
+    for (faults, tasks) in [(String::new(), StoppedTasks::All), (NO_KILL_ALL.to_owned(), StoppedTasks::Single(1))] {
+        let sim = moved_by_a_task(&faults);
+        let mut cell = connect(&sim);
+        when_moving(&sim);
+        assert_eq!(cell.stopper().unwrap().halt().unwrap(), Halted::TasksStopped(tasks));
+        assert!(!sim.application().is_moving());
+        assert_eq!(sim.application().task("Mover").unwrap().0, bcap_sim::TaskStatus::Ready);
+        assert_eq!(cell.robot().unwrap().halt().unwrap(), Halted::NothingMoved);
+    }
+    // the drop of an arm halts its own motions only
+    let sim = moved_by_a_task("");
+    let mut cell = connect(&sim);
+    when_moving(&sim);
+    let taken = cell.robot().unwrap().take_arm().map(drop);
+    assert_eq!(taken.unwrap_err().code(), Some(HResult::E_ARM_NOT_TAKEN));
+    assert!(sim.application().task("Mover").unwrap().0 == bcap_sim::TaskStatus::Running);
+}
+
+#[test]
+fn a_robot_that_moves_on_is_no_success_of_a_halt() {
+    let sim = moved_by_a_task(&format!("{NO_KILL_ALL}{NO_LIST}"));
+    let stopper = connect(&sim).stopper().unwrap();
+    when_moving(&sim);
+    let error = stopper.halt().unwrap_err();
+    let Error::NotHalted(halt) = &error else { panic!("{error}") };
+    assert_eq!((halt.rests, halt.tasks), (false, None));
+    assert_eq!(error.code(), Some(HResult::from_u32(0x8350_0079)));
+    assert!(error.to_string().starts_with("the robot STILL MOVES; Robot_Halt was refused: 0x83500079"), "{error}");
+    assert!(error.to_string().ends_with("; use the emergency stop"), "{error}");
 }
 
 #[test]

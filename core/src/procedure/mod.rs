@@ -21,6 +21,7 @@
 //! | [`read_variable`], [`write_variable`]              | opens a variable, reads or writes it, releases it            |
 //! | [`prepare_robot`], [`give_arm`]                    | takes the arm and switches the motor on; gives the arm back  |
 //! | [`move_and_wait`]                                  | starts a motion and waits for its end                        |
+//! | [`halt`]                                           | halts the robot and stops tasks that own the arm, verifies rest |
 //! | [`run_queue`]                                      | lets motions follow each other, and waits for the last one   |
 //! | [`slave::Stream`](crate::slave::Stream)      | streams poses in Slave Mode                                  |
 //!
@@ -29,6 +30,7 @@
 
 mod action;
 mod failure;
+mod halt;
 mod motion;
 mod open;
 mod path;
@@ -42,6 +44,7 @@ mod variable;
 
 pub use self::action::{Action, Channel, Procedure};
 pub use self::failure::{Failure, StepCause, StepError};
+pub use self::halt::{Halt, HaltAnswer, HaltConfig, StoppedTasks, halt};
 pub use self::motion::{MotionStart, Until, move_and_wait, run_queue};
 pub use self::open::{open, open_robot};
 pub use self::path::{Opened, Owner, PATH_MAX, PathError, PathStep, open_path};

@@ -120,7 +120,7 @@ const BEGIN_INTERVAL: Duration = Duration::from_millis(5);
 /// The bits of SysState for an error, for the emergency stop, and for a motion.
 const ERROR: i32 = 1 << 1;
 const EMERGENCY_STOP: i32 = 1 << 10;
-const MOVING: i32 = 0b11 << 20;
+pub(super) const MOVING: i32 = 0b11 << 20;
 
 struct MoveSteps<D, O> {
     handles: Handles,
@@ -474,7 +474,7 @@ fn pose<T: for<'a> FromVariant<'a>>(reply: &Frame<'_>) -> Result<T, StepCause> {
 
 /// Reads a position of at least one joint. Rejects NaN: every comparison with it is false, so the robot would never arrive
 /// or rest.
-fn joints(reply: &Frame<'_>) -> Result<[f64; JOINTS], StepCause> {
+pub(super) fn joints(reply: &Frame<'_>) -> Result<[f64; JOINTS], StepCause> {
     let value = Any::read(reply.args).map_err(StepCause::Reply)?;
     let wrong = StepCause::Reply(ReplyError { expected: "an array of joints", found: Some(value.vartype()) });
     let mut joints = [0.0; JOINTS];

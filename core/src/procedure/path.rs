@@ -15,10 +15,12 @@ use crate::time::Instant;
 
 /// The maximum number of objects in a path: a sequence also contains the service and the controller.
 pub const PATH_MAX: usize = UNDO_MAX - 2;
-/// The maximum length of the first robot's name, in bytes of UTF-8.
-const NAME_MAX: usize = 64;
+/// A name in a reply, of at most 64 bytes of UTF-8.
+pub(super) type Name = heapless::String<64>;
 /// The robot of a controller that refuses to list its robots: the name in the specification's samples.
 const DEFAULT_ROBOT: &str = "Arm0";
+/// The expected reply to a request for names.
+const NAMES: &str = "an array of names";
 
 /// An open object that others are opened from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -122,7 +124,7 @@ pub(super) struct PathSteps<'a> {
     /// How many objects of the path are open.
     done: usize,
     /// The name of the first robot, after the controller's reply.
-    first: Option<heapless::String<NAME_MAX>>,
+    first: Option<Name>,
 }
 
 impl<'a> PathSteps<'a> {
@@ -221,7 +223,7 @@ impl Steps for PathSteps<'_> {
         if !(in_session && self.wants_first() && matches!(cause, StepCause::Refused(_))) {
             return false;
         }
-        self.first = heapless::String::try_from(DEFAULT_ROBOT).ok();
+        self.first = Name::try_from(DEFAULT_ROBOT).ok();
         true
     }
 
@@ -231,14 +233,19 @@ impl Steps for PathSteps<'_> {
 }
 
 /// Copies the first of a reply's names.
-fn first_name(reply: &Frame<'_>) -> Result<heapless::String<NAME_MAX>, StepCause> {
+fn first_name(reply: &Frame<'_>) -> Result<Name, StepCause> {
+    let found = Any::read(reply.args).map_err(StepCause::Reply)?.vartype();
+    name_at(reply, 0)?.ok_or(StepCause::Reply(ReplyError { expected: NAMES, found: Some(found) }))
+}
+
+/// Copies one of a reply's names; `None` after the last one.
+pub(super) fn name_at(reply: &Frame<'_>, place: usize) -> Result<Option<Name>, StepCause> {
     let value = Any::read(reply.args).map_err(StepCause::Reply)?;
-    let expected = ReplyError { expected: "an array of names", found: Some(value.vartype()) };
-    let mut names = value.as_array().into_iter().flatten();
-    let name = names.next().and_then(|name| name.as_bstr()).ok_or(StepCause::Reply(expected))?;
-    let mut copy = heapless::String::new();
-    for unit in name.chars() {
+    let wrong = StepCause::Reply(ReplyError { expected: NAMES, found: Some(value.vartype()) });
+    let Some(name) = value.as_array().ok_or(wrong)?.iter().nth(place) else { return Ok(None) };
+    let mut copy = Name::new();
+    for unit in name.as_bstr().ok_or(wrong)?.chars() {
         copy.push(unit.unwrap_or(char::REPLACEMENT_CHARACTER)).map_err(|_| StepCause::TooLarge)?;
     }
-    Ok(copy)
+    Ok(Some(copy))
 }

@@ -219,6 +219,10 @@ impl<S: Steps, M> Sequence<S, M> {
             return;
         }
         let Next::Call(StepCall { function, .. }) = self.steps.next() else { return };
+        if function.releases().is_some() {
+            // the object that was opened last; it is released once, as on the way back
+            self.undo.pop();
+        }
         let result = match (reply, failure) {
             (Some(reply), _) if reply.hresult().is_err() => Err(StepCause::Refused(reply.hresult())),
             (Some(reply), _) => self.advance(function, reply, now),

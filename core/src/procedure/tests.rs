@@ -20,6 +20,7 @@ use crate::position::{Joints, Position, Transform};
 use crate::time::Instant;
 use crate::variant::{Encode, VarType, Variant, VariantBuf};
 
+mod halt;
 mod motion;
 mod queue;
 

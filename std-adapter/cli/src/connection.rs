@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use bcap_core::bcap::client::{ClientError, Timeout};
 use bcap_std::blocking::{self, Controller, Transport};
-use bcap_std::{Address, CallError, ConnectError, Error, NetworkAddress, Options, Protocol};
+use bcap_std::{Address, CallError, ConnectError, Error, Halt, HaltAnswer, NetworkAddress, Options, Protocol};
 
 use crate::budget::Budget;
 use crate::error::Failure;
@@ -78,10 +78,17 @@ pub(crate) fn failure(error: Error, target: &Address, budget: &Budget) -> Failur
             hint: "check that the other end is a b-CAP server".into(),
         },
         Error::Argument(error) => error.into(),
+        Error::NotHalted(halt) => not_halted(&halt),
         error => {
             Failure::Connection { message: error.to_string(), hint: format!("check that {target} is a controller") }
         }
     }
+}
+
+/// Returns the failure of a halt after which the robot may move.
+pub(crate) fn not_halted(halt: &Halt) -> Failure {
+    let code = if let HaltAnswer::Refused(code) = halt.answer { Some(code) } else { None };
+    Failure::Unfit { message: halt.to_string(), code, hint: Some("use the emergency stop".into()) }
 }
 
 /// Returns the failure of a call that exceeded the time limit of the whole command.

@@ -1,20 +1,33 @@
 //! `bcap halt`: halts the robot over a connection of its own, in `bcap shell` and `bcap run` over theirs.
 
 use bcap_std::blocking::Halted;
+use bcap_std::{Error, Halt, StoppedTasks};
 
 use crate::args::LinkArgs;
+use crate::connection::not_halted;
 use crate::error::Failure;
-use crate::output::{print_json, print_line};
+use crate::output::{note, print_block, print_json};
 use crate::session::{Session, with_session};
 
 /// Runs `bcap halt`.
 pub(crate) fn halt(session: &mut Session, json: bool) -> Result<(), Failure> {
-    let halted = if session.is_open() { halt_in(session) } else { halt_now(session.link()) };
-    let moved = halted? == Halted::Halted;
-    match (json, moved) {
-        (true, _) => print_json(&format!("{{\"halted\":{moved}}}"))?,
-        (false, true) => print_line("halted")?,
-        (false, false) => print_line("nothing was moving")?,
+    let halted = if session.is_open() { attempt(session) } else { with_session(&session.link().limited(), attempt) };
+    match halted {
+        Ok(Ok(halted)) if json => print_json(&to_json(halted))?,
+        Ok(Ok(halted)) => print_block(&lines(halted))?,
+        Ok(Err(halt)) => {
+            // with --json the failure is the first line of the output
+            if !json {
+                print_block(&format!("{halt:#}"))?;
+            }
+            return Err(not_halted(&halt));
+        }
+        Err(failure) => {
+            if !failure.leaves_the_session_alive() {
+                note("the robot may still move; use the emergency stop");
+            }
+            return Err(failure);
+        }
     }
     Ok(())
 }
@@ -23,9 +36,31 @@ pub(crate) fn halt(session: &mut Session, json: bool) -> Result<(), Failure> {
 ///
 /// The whole operation has one short time limit, so that a failure is reported while the user still has time to act.
 pub(crate) fn halt_now(link: &LinkArgs) -> Result<Halted, Failure> {
-    with_session(&link.limited(), halt_in)
+    with_session(&link.limited(), |session| session.with(|controller| controller.robot()?.halt()))
 }
 
-fn halt_in(session: &mut Session) -> Result<Halted, Failure> {
-    session.with(|controller| controller.robot()?.halt())
+/// Halts the robot; the inner error is a robot that may still move.
+fn attempt(session: &mut Session) -> Result<Result<Halted, Halt>, Failure> {
+    session.with(|controller| match controller.robot()?.halt() {
+        Err(Error::NotHalted(halt)) => Ok(Err(halt)),
+        halted => halted.map(Ok),
+    })
+}
+
+fn lines(halted: Halted) -> String {
+    match halted {
+        Halted::NothingMoved => "nothing was moving".into(),
+        Halted::TasksStopped(tasks) => format!("halted\n{tasks}"),
+        _ => "halted".into(),
+    }
+}
+
+/// Returns the members `halted`, and `tasks` if some were stopped: `"all"` or their number.
+fn to_json(halted: Halted) -> String {
+    let tasks = match halted {
+        Halted::TasksStopped(StoppedTasks::Single(count)) => format!(",\"tasks\":{count}"),
+        Halted::TasksStopped(_) => ",\"tasks\":\"all\"".into(),
+        _ => String::new(),
+    };
+    format!("{{\"halted\":{}{tasks}}}", halted != Halted::NothingMoved)
 }

@@ -251,14 +251,15 @@ fn a_connection_that_is_lost_during_a_motion_is_replaced_to_halt() {
     // `move` reads the state of the controller while it waits
     let fault =
         |call: u8, of: &str| format!("[[fault]]\nwhen = {{ call = {call}, of = {of:?} }}\nthen = \"disconnect\"\n");
-    std::fs::write(scenario.path(), fault(5, "Variable_GetValue") + &fault(3, "SysState")).unwrap();
     let arm = "exec robot TakeArm 0 1\nexec robot Motor 1 0\n";
     let slow = "'8,@E J(90, 45, 90, 0, 45, 0)' 8,NEXT,SPEED=1";
     let reads = "get I1\n".repeat(5);
-    for lines in [
-        format!("{arm}call Robot_Move robot 1 {slow}\n{reads}"),
-        "move 'J(90, 45, 90, 0, 45, 0)' --speed 1\n".to_owned(),
+    // the halt reads the state too, so each case has one fault
+    for (lines, fault) in [
+        (format!("{arm}call Robot_Move robot 1 {slow}\n{reads}"), fault(5, "Variable_GetValue")),
+        ("move 'J(90, 45, 90, 0, 45, 0)' --speed 1\n".to_owned(), fault(3, "SysState")),
     ] {
+        std::fs::write(scenario.path(), fault).unwrap();
         let robot = Virtual::start(&["--scenario", scenario.path().to_str().unwrap()]);
         let run = robot.script(&lines);
         assert_eq!(run.code, 3, "{lines}: {run:?}");

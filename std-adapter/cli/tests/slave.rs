@@ -9,7 +9,7 @@ use std::process::{Child, Command, Stdio};
 use std::thread;
 use std::time::Duration;
 
-use bcap_sim::{Controller, Profile, Scenario, SlaveCycle};
+use bcap_sim::{Controller, Profile, Scenario, SlaveCycle, TaskStatus};
 use bcap_std::server::Limits;
 use bcap_tests::served::Served;
 use bcap_tests::slowed::Slowed;
@@ -265,6 +265,70 @@ fn a_second_ctrl_c_halts_over_its_own_connection() {
     assert_eq!(child.wait().unwrap().code(), Some(130), "{rest}");
     assert!(rest.contains("halted"), "{rest}");
     assert_at_rest(&sim, 0);
+}
+
+/// A task that moves the arm to and fro without a pause.
+const MOVER: &str = "[controller]\nmotor = true
+    [[task]]\nname = 'Mover'\nstart = 2\nsteps = [
+        { move = 'J(60, 45, 90, 0, 45, 0)' },
+        { move = 'J(-60, 45, 90, 0, 45, 0)' },
+    ]\n";
+
+/// Makes a controller that refuses Robot_Halt while its task moves the arm.
+fn moved_by_a_task(faults: &str) -> Served<Controller> {
+    let mut sim = Controller::new(bcap_sim::Config { as_observed: true, ..bcap_sim::Config::new(Profile::Rc8) });
+    sim.play(Scenario::parse(&format!("{MOVER}{faults}")).unwrap());
+    Served::of(sim, Limits::default())
+}
+
+/// The controller does not know KillAll.
+const NO_KILL_ALL: &str = "[[fault]]\nwhen = { every = 1, of = 'KillAll' }\nthen = { refuse = 'E_INVALID_CMD_NAME' }\n";
+/// It does not list its tasks either.
+const NO_LIST: &str =
+    "[[fault]]\nwhen = { every = 1, of = 'Controller_GetTaskNames' }\nthen = { refuse = 'E_NOTIMPL' }\n";
+
+/// Runs `bcap halt` with these arguments while the task moves the arm.
+fn halt_task(sim: &Served<Controller>, args: &[&str]) -> Run {
+    while !sim.application().is_moving() {
+        sim.application().advance(bcap_std::now());
+        thread::yield_now();
+    }
+    bcap(&[&["halt", "--robot", &format!("tcp:{}", sim.tcp)], args].concat())
+}
+
+#[test]
+fn halt_stops_the_task_that_owns_the_arm() {
+    for (faults, tasks, json) in
+        [("", "all tasks were stopped (KillAll)", "\"all\""), (NO_KILL_ALL, "1 task was stopped (Task_Stop)", "1")]
+    {
+        for (args, out) in [
+            (&[][..], format!("halted\n{tasks}\n")),
+            (&["--json"][..], format!("{{\"halted\":true,\"tasks\":{json}}}\n")),
+        ] {
+            let sim = moved_by_a_task(faults);
+            let run = halt_task(&sim, args);
+            assert_eq!((run.out.as_str(), run.code), (out.as_str(), 0), "{}", run.err);
+            assert!(!sim.application().is_moving());
+            assert_eq!(sim.application().task("Mover").unwrap().0, TaskStatus::Ready);
+        }
+    }
+}
+
+#[test]
+fn a_robot_that_still_moves_is_the_first_line() {
+    let sim = moved_by_a_task(&format!("{NO_KILL_ALL}{NO_LIST}"));
+    let run = halt_task(&sim, &[]);
+    assert_eq!(run.code, 1, "{run:?}");
+    let lines: Vec<_> = run.out.lines().collect();
+    assert!(matches!(lines[..], ["the robot STILL MOVES", refused] if refused.contains("0x83500079")), "{run:?}");
+    assert!(run.err.contains("the robot STILL MOVES") && run.err.contains("use the emergency stop"), "{run:?}");
+    let run = halt_task(&sim, &["--json"]);
+    let line: Value = serde_json::from_str(run.out.lines().next().unwrap()).unwrap();
+    assert!(line["error"].as_str().unwrap().starts_with("the robot STILL MOVES"), "{line}");
+    assert_eq!((line["hint"].as_str(), run.code), (Some("use the emergency stop"), 1));
+    // the shell and scripts halt over their own session
+    let run = common::bcap_with(&["run", "-", "--robot", &format!("tcp:{}", sim.tcp)], b"get I1\nhalt\n");
+    assert!(run.code == 1 && run.out.contains("\nthe robot STILL MOVES\n"), "{run:?}");
 }
 
 #[test]

@@ -13,7 +13,7 @@
 //!                   SUSPENDED (1)  +-- STEP STOP (4)
 //! ```
 //!
-//! An error of level 1 or 2 suspends all tasks, as does the end of Auto mode; an error from level 3 on resets them. A task
+//! KillAll of the controller stops all tasks as Stop 4 does. An error of level 1 or 2 suspends all tasks, as does the end of Auto mode; an error from level 3 on resets them. A task
 //! whose step fails raises the code of the failure as an error of the controller, which names the task and the line.
 //!
 //! Task_Delete removes a task that does not run; of a running one it is refused with `E_CAO_CMD_EXECUTE`. A deleted task
@@ -70,10 +70,15 @@ impl Tasks {
         self.list.iter_mut().for_each(|task| task.suspend(now));
     }
 
+    /// Stops all tasks and returns them to their beginning.
+    pub(crate) fn kill(&mut self, now: Instant) {
+        self.list.iter_mut().for_each(|task| task.reset(now));
+    }
+
     /// Stops the tasks because of an error: from level 3 on it also resets them.
     pub(crate) fn fail(&mut self, code: HResult, now: Instant) {
         match code.level() {
-            Some(3..) => self.list.iter_mut().for_each(|task| task.reset(now)),
+            Some(3..) => self.kill(now),
             _ => self.suspend(now),
         }
     }

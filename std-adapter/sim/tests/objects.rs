@@ -208,7 +208,7 @@ fn a_command_object_keeps_parameters_and_result() {
 
 #[test]
 fn the_names_of_commands_are_those_that_can_be_opened_and_executed() {
-    for (profile, count) in [(Profile::Rc8, 11), (Profile::Rc9, 14), (Profile::Cobotta, 24)] {
+    for (profile, count) in [(Profile::Rc8, 12), (Profile::Rc9, 15), (Profile::Cobotta, 25)] {
         let mut world = World::with(Config::new(profile));
         let client = world.client(1);
         let (_, names) = world.call(client.peer, call::controller_get_command_names(client.controller, ""));

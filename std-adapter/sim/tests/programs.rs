@@ -6,7 +6,7 @@ use bcap_core::bcap::call;
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
-use bcap_sim::{Scenario, TaskStatus, VariableKind};
+use bcap_sim::{Config, Scenario, TaskStatus, VariableKind};
 
 use common::{Client, World, code, ok};
 
@@ -293,4 +293,73 @@ fn an_invalid_task_is_refused_with_its_step() {
         let error = Scenario::parse(&format!("[[task]]\n{text}")).unwrap_err().to_string();
         assert!(error.contains(problem), "{text}: {error}");
     }
+}
+
+/// A task that moves the arm to and fro without a pause.
+const MOVER: &str = "[controller]\nmotor = true
+    [[task]]\nname = 'Mover'\nstart = 2\nsteps = [
+        { move = 'J(60, 45, 90, 0, 45, 0)' },
+        { move = 'J(-60, 45, 90, 0, 45, 0)' },
+    ]";
+/// A PacScript task holds the arm.
+const ARM_OF_TASK: HResult = HResult::from_u32(0x8350_0079);
+
+/// Returns a controller whose task moves the arm, and a client.
+fn moving(as_observed: bool) -> (World, Client) {
+    let mut world = World::with(Config { as_observed, ..Config::default() });
+    world.sim.play(Scenario::parse(MOVER).unwrap_or_else(|error| panic!("{error}")));
+    let client = world.client(1);
+    world.pass(500);
+    assert!(world.sim.is_moving() && world.sim.arm_owner().is_some());
+    (world, client)
+}
+
+#[test]
+fn a_halt_of_a_task_is_refused_as_observed_until_the_task_is_stopped() {
+    let (mut world, client) = moving(false);
+    assert_eq!(world.run(client.peer, call::robot_halt(client.robot, "")), code(HResult::S_OK));
+    // when the motion would have ended
+    world.pass(5000);
+    assert!(!world.sim.is_moving());
+    assert_eq!(world.sim.task("Mover").unwrap().0, TaskStatus::Suspended);
+
+    let (mut world, client) = moving(true);
+    assert_eq!(world.call(client.peer, call::robot_halt(client.robot, "")), code(ARM_OF_TASK));
+    world.pass(10);
+    assert!(world.sim.is_moving());
+    assert_eq!(world.sim.task("Mover").unwrap().0, TaskStatus::Running);
+    assert_eq!(world.sim.error_log().next().map(|entry| entry.code), Some(ARM_OF_TASK));
+    assert_eq!(stop(&mut world, client, "Mover", 4), HResult::S_OK);
+    assert_eq!(world.run(client.peer, call::robot_halt(client.robot, "")), code(HResult::S_OK));
+    assert!(!world.sim.is_moving());
+    // of a client's motion it is accepted
+    assert_eq!(world.robot(client, "TakeArm", [0, 1]), ok(&()));
+    let away = call::robot_move(client.robot, 1, "J(10, 45, 90, 0, 45, 0)", "NEXT");
+    assert_eq!(world.call(client.peer, away), code(HResult::S_OK));
+    assert_eq!(world.run(client.peer, call::robot_halt(client.robot, "")), code(HResult::S_OK));
+}
+
+#[test]
+fn kill_all_stops_every_task_and_frees_the_arm() {
+    for (sync, waits) in [(None, false), (Some(0), false), (Some(1), true)] {
+        let (mut world, client) = moving(true);
+        assert_eq!(start(&mut world, client, "Pro1", 2), HResult::S_OK);
+        let reply = match sync {
+            None => world.execute(client, "KillAll", ()),
+            Some(sync) => world.run(client.peer, call::controller_execute(client.controller, "KillAll", sync)),
+        };
+        assert_eq!(reply, ok(&()), "{sync:?}");
+        assert_eq!(world.sim.is_moving(), !waits, "{sync:?}");
+        assert_eq!(world.sim.arm_owner(), None);
+        for task in ["Mover", "Pro1", "Pro2"] {
+            assert_eq!(world.sim.task(task).unwrap().0, TaskStatus::Ready, "{task}");
+        }
+        world.pass(5000);
+        assert!(!world.sim.is_moving());
+    }
+    let (mut world, client) = moving(true);
+    for wrong in [-1, 2] {
+        assert_eq!(world.execute(client, "KillAll", wrong), code(HResult::E_INVALIDARG));
+    }
+    assert_eq!(world.sim.task("Mover").unwrap().0, TaskStatus::Running);
 }

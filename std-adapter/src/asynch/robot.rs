@@ -409,14 +409,18 @@ impl Stopper {
 
     /// Halts the robot, and waits until it rests.
     ///
+    /// A controller refuses a halt while one of its tasks owns the arm. Then all tasks are stopped (KillAll, or Task_Stop of each
+    /// task if the controller refuses that), and the robot is halted again: [`Halted::TasksStopped`]. Each starts at its first
+    /// line when it is started again. Rest is not assumed: the robot is polled until it rests, at most for one second.
+    ///
     /// # Errors
     ///
-    /// An [`Error`]; the robot may still move.
+    /// An [`Error`]; the robot may still move. [`Error::NotHalted`] if it was seen to move, or the halt stays refused.
     ///
     /// # Cancel safety
     ///
     /// The robot is halted even if the future is dropped after its first poll.
     pub async fn halt(&self) -> Result<Halted, Error> {
-        self.handle.run_always(|session| Box::pin(session.halt())).await
+        self.handle.run_always(|session| Box::pin(session.halt_and_verify())).await
     }
 }

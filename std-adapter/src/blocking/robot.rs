@@ -90,13 +90,17 @@ impl<'a> Robot<'a> {
 
     /// Halts the robot, also without the arm, and waits until it rests.
     ///
+    /// A controller refuses a halt while one of its tasks owns the arm. Then all tasks are stopped (KillAll, or Task_Stop of each
+    /// task if the controller refuses that), and the robot is halted again: [`Halted::TasksStopped`]. Each starts at its first
+    /// line when it is started again. Rest is not assumed: the robot is polled until it rests, at most for one second.
+    ///
     /// A [`Stopper`](super::Stopper) does so while another call of this controller waits.
     ///
     /// # Errors
     ///
-    /// An [`Error`]; the robot may still move.
+    /// An [`Error`]; the robot may still move. [`Error::NotHalted`] if it was seen to move, or the halt stays refused.
     pub fn halt(&mut self) -> Result<Halted, Error> {
-        ready(self.session.halt())
+        ready(self.session.halt_and_verify())
     }
 }
 

@@ -50,16 +50,20 @@ impl Stopper {
 
     /// Halts the robot, and waits until it rests. If the connection is lost, it connects again once.
     ///
+    /// A controller refuses a halt while one of its tasks owns the arm. Then all tasks are stopped (KillAll, or Task_Stop of each
+    /// task if the controller refuses that), and the robot is halted again: [`Halted::TasksStopped`]. Each starts at its first
+    /// line when it is started again. Rest is not assumed: the robot is polled until it rests, at most for one second.
+    ///
     /// # Errors
     ///
-    /// An [`Error`]; the robot may still move.
+    /// An [`Error`]; the robot may still move. [`Error::NotHalted`] if it was seen to move, or the halt stays refused.
     pub fn halt(&self) -> Result<Halted, Error> {
         // a panic cannot leave the session in a state that prevents a halt
         let mut session = self.session.lock().unwrap_or_else(PoisonError::into_inner);
-        match (ready(session.session.halt()), session.address.clone()) {
+        match (ready(session.session.halt_and_verify()), session.address.clone()) {
             (Err(error), Some(address)) if error.is_lost() => {
                 *session = StopperSession::connect(&address, &session.settings)?;
-                ready(session.session.halt())
+                ready(session.session.halt_and_verify())
             }
             (ended, _) => ended,
         }

@@ -232,6 +232,11 @@ fn percent(text: &str) -> Result<f64, String> {
 /// Uses a connection of its own and needs neither the arm nor the executable token. The whole command takes at most
 /// --timeout, or 3 s; if the controller has not answered by then, the exit code is 4. The halted motion fails with E_ABORT;
 /// a Slave Mode stream fails because Slave Mode is off.
+///
+/// A controller refuses a halt while one of its tasks owns the arm. Then all tasks are stopped (KillAll, or Task_Stop of each task if
+/// the controller refuses KillAll), and the robot is halted again; a task that is started again starts at its first line. `halted`
+/// and `nothing was moving` are printed only after the robot was seen at rest. If it was not within 1 s, the first line of the output
+/// is `the robot STILL MOVES`, and the exit code is 1.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

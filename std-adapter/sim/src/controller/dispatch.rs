@@ -82,6 +82,9 @@ impl rac::server::Handler for Controller {
     }
 }
 
+/// A task owns the arm: the answer to Robot_Halt [as observed](crate::Config::as_observed).
+const ARM_OF_TASK: HResult = HResult::from_u32(0x8350_0079);
+
 /// Whether the server calls the handler for the first time for a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Turn {
@@ -316,6 +319,9 @@ impl Controller {
         match request.function {
             FunctionId::ROBOT_GET_VARIABLE => self.open_variable(peer, Owner::Robot, &request.text(1).to_string()),
             FunctionId::ROBOT_GET_VARIABLE_NAMES => Ok(Answer::names(names_of(Owner::Robot))),
+            FunctionId::ROBOT_HALT if self.common.config.as_observed && self.is_arm_of_task() => {
+                Err(self.common.errors.refuse(ARM_OF_TASK, self.common.now))
+            }
             _ => self.arm.call(&mut self.common.context(peer), request),
         }
     }

@@ -13,6 +13,7 @@
 //! | SysInfo                            | I4: 0               | BSTR, the serial number                          |
 //! |                                    | I4: 15              | I4: -1 when the battery's date has passed, or 0  |
 //! | Motor                              | as Robot_Execute's  | as Robot_Execute's                               |
+//! | KillAll                            | -, or I4: 0 or 1    | EMPTY, with 1 when the robot rests               |
 //! | StoState                           | -                   | BOOL; RC9, COBOTTA                               |
 //! | ManualReset, ResetStoState         | -                   | EMPTY; likewise; `E_ACCESSDENIED` in emergency stop |
 //! | ManualResetPreparation             | -                   | see [`preparation`](crate::preparation); COBOTTA |
@@ -47,7 +48,8 @@ use crate::model::Functions;
 use crate::operations::Operation;
 use crate::table::Command;
 use crate::tasks::Task;
-use crate::value::{Value, one_int};
+use crate::value::{Value, numbers, one_int};
+use crate::waits::Wait;
 
 type Run = fn(&mut Controller, PeerId, &Variant<'_>) -> Answered;
 
@@ -95,6 +97,8 @@ pub(super) const COMMANDS: &[Command<Run>] = &[
     .accepts("one number: 0, the serial number, or 15, the battery"),
     command("Motor", |controller, peer, param| motor(&mut controller.arm, &mut controller.common.context(peer), param))
         .accepts(MOTOR),
+    command("KillAll", |controller, _, param| controller.kill_all(param))
+        .accepts("nothing, or one number: 0, answer at once, or 1, answer when the robot rests"),
     command("StoState", |controller, _, _| Ok(Value::Bool(controller.arm.preparation().is_torque_off()).into()))
         .of(has_safe_torque_off)
         .in_slave_mode(),
@@ -199,6 +203,17 @@ impl Controller {
         self.common.errors.clear();
         self.record_operation("errors cleared");
         Ok(Answer::Done)
+    }
+
+    /// Stops all tasks, and waits until the robot rests if `param` says so.
+    fn kill_all(&mut self, param: &Variant<'_>) -> Answered {
+        let waits = match numbers(param)?.as_slice() {
+            [] | [0.0] => false,
+            [1.0] => true,
+            _ => return Err(HResult::E_INVALIDARG),
+        };
+        self.kill_tasks();
+        Ok(if waits && self.is_moving() { Answer::Until(Wait::Rest) } else { Answer::Done })
     }
 
     /// Describes a code, with the last call that it refused.

@@ -1,0 +1,375 @@
+//! Halting a robot, even while a task of the controller owns the arm, and verifying that it rests.
+//!
+//! ```text
+//!  Robot_Halt ─► accepted ─────────────────────────────────────────────────────────► verify
+//!       └─────► refused ─► KillAll ─► done ────────────────────────► Robot_Halt ─► verify
+//!                             └────► refused: GetTaskNames             ▲
+//!                                       └─► each task that does not rest: Task_Stop 4
+//!
+//!  verify: (slvGetMode ─► SysState ─► CurJnt ─► pause)*: rest, or the time limit
+//! ```
+//!
+//! A controller refuses Robot_Halt while a task owns the arm (RC8 provider guide, 5.2.22); stopping the task halts its
+//! motion. The guide gives no code for that, so any refusal counts, unless it says that the handle is invalid.
+//!
+//! Robot_Halt comes first, always. Real controllers end Slave Mode when they get a call that it does not allow, such as
+//! SysState. So SysState is sent only after slvGetMode has answered 0; otherwise the joints alone show rest.
+
+use core::convert::identity;
+use core::fmt;
+use core::time::Duration;
+
+use super::action::Procedure;
+use super::failure::{Failure, StepCause, StepError};
+use super::motion::{MOVING, joints};
+use super::path::{Name, name_at};
+use super::provider::Handles;
+use super::queue::{AT_REST, JOINTS, within};
+use super::sequence::{Argument, Next, Sequence, StepCall, Steps};
+use crate::bcap::call::{Int, Reply, TaskHandle, handle_of};
+use crate::bcap::{Frame, FunctionId};
+use crate::hresult::HResult;
+use crate::time::Instant;
+
+/// How [`halt`] verifies that the robot rests.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct HaltConfig {
+    /// The time limit for the robot to come to rest after the last stop was answered. If tasks are stopped because of it, it
+    /// begins again, once.
+    pub limit: Duration,
+    /// The pause between two polls of the robot.
+    pub interval: Duration,
+    /// The number of polls in a row that must find the robot where the poll before the first of them found it.
+    pub still: u8,
+}
+
+impl HaltConfig {
+    /// Returns a configuration with this time limit. It polls every 20 ms; two polls must find the robot at rest.
+    #[must_use]
+    pub const fn within(limit: Duration) -> Self {
+        Self { limit, interval: Duration::from_millis(20), still: 2 }
+    }
+}
+
+/// The effect of [`halt`].
+///
+/// The robot is halted only if it rests and Robot_Halt was not refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+#[must_use = "the robot may still move"]
+pub struct Halt {
+    /// The answer to the last Robot_Halt.
+    pub answer: HaltAnswer,
+    /// The tasks that were stopped; `None` if none was.
+    pub tasks: Option<StoppedTasks>,
+    /// Whether the robot was seen at rest.
+    pub rests: bool,
+}
+
+/// The answer to Robot_Halt.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum HaltAnswer {
+    /// Accepted; the robot was moving.
+    Halted,
+    /// Accepted; the robot was not moving, neither by the reply nor by any poll.
+    NothingMoved,
+    /// Refused, by default because a task owns the arm.
+    Refused(HResult),
+}
+
+/// The tasks that [`halt`] has stopped. Their next start begins at their first line.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum StoppedTasks {
+    /// All tasks but supervisory ones, by KillAll.
+    All,
+    /// This number of tasks, each by Task_Stop, because the controller refused KillAll.
+    Single(u8),
+}
+
+impl Halt {
+    /// Tells whether the robot rests, and nothing that was seen can move it.
+    #[must_use]
+    pub const fn is_halted(&self) -> bool {
+        self.rests && !matches!(self.answer, HaltAnswer::Refused(_))
+    }
+}
+
+impl fmt::Display for Halt {
+    /// Writes what happened, the robot first, with `; ` between the parts; `{:#}` writes a line for each.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match (self.rests, self.answer) {
+            (false, _) => "the robot STILL MOVES",
+            (true, HaltAnswer::NothingMoved) if self.tasks.is_none() => "nothing was moving",
+            (true, HaltAnswer::Refused(_)) => "the robot rests, but is not halted: a task may move it at any time",
+            (true, _) => "halted",
+        })?;
+        let separator = if f.alternate() { "\n" } else { "; " };
+        if let HaltAnswer::Refused(code) = self.answer {
+            write!(f, "{separator}Robot_Halt was refused: {code}")?;
+        }
+        self.tasks.map_or(Ok(()), |tasks| write!(f, "{separator}{tasks}"))
+    }
+}
+
+impl fmt::Display for StoppedTasks {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::All => f.write_str("all tasks were stopped (KillAll)"),
+            Self::Single(1) => f.write_str("1 task was stopped (Task_Stop)"),
+            Self::Single(count) => write!(f, "{count} tasks were stopped (Task_Stop)"),
+        }
+    }
+}
+
+/// Halts the robot, and verifies that it rests.
+///
+/// If Robot_Halt is refused, it stops the tasks of the controller and halts again. It also stops them if the robot still
+/// moves after the time limit and SysState says that a task runs. The tasks are stopped by KillAll or, if the controller
+/// refuses that, by Task_Stop of each task that is neither ready nor missing.
+///
+/// The robot rests if its joints do not change and, outside of Slave Mode, SysState reports no motion. A SysState or a
+/// slvGetMode that is refused counts as unknown; then the joints alone decide.
+///
+/// # Errors
+///
+/// The output says whether the robot rests. An error means that this is unknown: Robot_Halt or a poll has no reply, or the
+/// handle is invalid. The robot may still move.
+///
+/// # Cancel safety
+///
+/// When a run is dropped, run the procedure again: it fails if it waited for the reply to a poll or to the first Robot_Halt,
+/// and otherwise continues.
+pub fn halt(handles: Handles, config: HaltConfig) -> impl Procedure<Output = Halt, Error = StepError> + use<> {
+    let steps = HaltSteps {
+        handles,
+        config,
+        step: Step::Halt,
+        answer: HaltAnswer::NothingMoved,
+        tried: false,
+        tasks: None,
+        place: 0,
+        name: Name::new(),
+        task: TaskHandle(0),
+        until: None,
+        state: 0,
+        last: None,
+        still: 0,
+        moved: false,
+    };
+    Sequence::new(steps, identity)
+}
+
+/// The bit of SysState for a task that runs.
+const RUNNING: i32 = 1;
+/// The mode of Task_Stop that also frees the arm: at once, back to the first line.
+const INITIALIZE: i32 = 4;
+/// The states of a task that does nothing: it does not exist, it can be started.
+const IDLE: [i32; 2] = [0, 2];
+
+#[derive(Debug)]
+struct HaltSteps {
+    handles: Handles,
+    config: HaltConfig,
+    step: Step,
+    answer: HaltAnswer,
+    /// Whether stopping the tasks has begun.
+    tried: bool,
+    tasks: Option<StoppedTasks>,
+    /// The place of the present task in the list of names.
+    place: u8,
+    /// Its name and, once it is open, its handle.
+    name: Name,
+    task: TaskHandle,
+    /// When the robot must rest, from the first poll on.
+    until: Option<Instant>,
+    /// The bits of SysState in this poll; 0 if they are unknown.
+    state: i32,
+    /// Where the robot was when it was last seen to move, or first seen.
+    last: Option<[f64; JOINTS]>,
+    /// Polls in a row with the robot at rest.
+    still: u8,
+    /// Whether a poll has seen it move.
+    moved: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Step {
+    Halt,
+    KillAll,
+    TaskNames,
+    OpenTask,
+    TaskStatus,
+    StopTask,
+    ReleaseTask,
+    SlaveMode,
+    State,
+    Position,
+    Pause(Instant),
+    End,
+}
+
+impl HaltSteps {
+    /// Moves to the next task of the list.
+    fn next_task(&mut self) -> Step {
+        match self.place.checked_add(1) {
+            Some(place) => {
+                self.place = place;
+                Step::TaskNames
+            }
+            None => Step::Halt,
+        }
+    }
+
+    /// Compares the robot's position with the one before, and decides whether to poll again.
+    fn update_position(&mut self, joints: [f64; JOINTS], now: Instant) -> Step {
+        let reported = self.state & MOVING != 0;
+        let same = self.last.map(|last| within(&joints, &last, AT_REST));
+        self.moved |= reported || same == Some(false);
+        if same == Some(true) && !reported {
+            self.still = self.still.saturating_add(1);
+        } else {
+            (self.still, self.last) = (0, Some(joints));
+        }
+        let until = *self.until.get_or_insert(now.saturating_add(self.config.limit));
+        if self.still >= self.config.still.max(1) {
+            return Step::End;
+        }
+        if now < until {
+            return Step::Pause(now.saturating_add(self.config.interval).min(until));
+        }
+        if self.tried || self.state & RUNNING == 0 {
+            return Step::End;
+        }
+        (self.tried, self.until) = (true, None);
+        Step::KillAll
+    }
+
+    const fn is_refused(&self) -> bool {
+        matches!(self.answer, HaltAnswer::Refused(_))
+    }
+}
+
+impl Steps for HaltSteps {
+    type Output = Halt;
+    const KEEPS_OBJECTS: bool = false;
+
+    fn next(&self) -> Next<'_> {
+        let Handles { controller, robot } = self.handles;
+        let of_robot = |command| StepCall::new(FunctionId::ROBOT_EXECUTE).with(robot.0).with(command);
+        let of_controller = |command| StepCall::new(FunctionId::CONTROLLER_EXECUTE).with(controller.0).with(command);
+        Next::Call(match self.step {
+            Step::Halt => StepCall::new(FunctionId::ROBOT_HALT).with(robot.0).with(""),
+            // without its argument it is answered at once, by every version of the provider
+            Step::KillAll => of_controller("KillAll").with(Argument::Empty),
+            Step::TaskNames => StepCall::new(FunctionId::CONTROLLER_GET_TASK_NAMES).with(controller.0).with(""),
+            Step::OpenTask => {
+                StepCall::new(FunctionId::CONTROLLER_GET_TASK).with(controller.0).with(self.name.as_str()).with("")
+            }
+            Step::TaskStatus => {
+                StepCall::new(FunctionId::TASK_EXECUTE).with(self.task.0).with("GetStatus").with(Argument::Empty)
+            }
+            Step::StopTask => StepCall::new(FunctionId::TASK_STOP).with(self.task.0).with(INITIALIZE).with(""),
+            Step::ReleaseTask => StepCall::new(FunctionId::TASK_RELEASE).with(self.task.0),
+            Step::SlaveMode => of_robot("slvGetMode").with(Argument::Empty),
+            Step::State => of_controller("SysState").with(Argument::Empty),
+            Step::Position => of_robot("CurJnt").with(Argument::Empty),
+            Step::Pause(until) => return Next::Wait(until),
+            Step::End => return Next::End,
+        })
+    }
+
+    fn waited(&mut self) {
+        // a task may have owned the arm until now
+        self.step = if self.is_refused() { Step::Halt } else { Step::SlaveMode };
+    }
+
+    fn succeeded(&mut self, reply: &Frame<'_>, now: Instant) -> Result<(), StepCause> {
+        let number = |reply: &Frame<'_>| Int::read(reply.args).map_err(StepCause::Reply);
+        self.step = match self.step {
+            Step::Halt => {
+                let nothing = reply.hresult() == HResult::S_FALSE;
+                self.answer = if nothing { HaltAnswer::NothingMoved } else { HaltAnswer::Halted };
+                Step::SlaveMode
+            }
+            Step::KillAll => {
+                self.tasks = Some(StoppedTasks::All);
+                Step::Halt
+            }
+            Step::TaskNames => match name_at(reply, self.place.into())? {
+                Some(name) => {
+                    self.name = name;
+                    Step::OpenTask
+                }
+                None => Step::Halt,
+            },
+            Step::OpenTask => {
+                self.task = TaskHandle(handle_of(reply.args).map_err(StepCause::Reply)?);
+                Step::TaskStatus
+            }
+            Step::TaskStatus if IDLE.contains(&number(reply)?) => Step::ReleaseTask,
+            Step::TaskStatus => Step::StopTask,
+            Step::StopTask => {
+                let before = if let Some(StoppedTasks::Single(count)) = self.tasks { count } else { 0 };
+                self.tasks = Some(StoppedTasks::Single(before.saturating_add(1)));
+                Step::ReleaseTask
+            }
+            Step::ReleaseTask => self.next_task(),
+            Step::SlaveMode => {
+                self.state = 0;
+                if number(reply)? == 0 { Step::State } else { Step::Position }
+            }
+            Step::State => {
+                self.state = number(reply)?;
+                Step::Position
+            }
+            Step::Position => self.update_position(joints(reply)?, now),
+            Step::Pause(_) | Step::End => Step::End,
+        };
+        Ok(())
+    }
+
+    /// A failed call does not keep the robot moving if another one may still stop it.
+    fn recovered(&mut self, cause: &StepCause) -> bool {
+        if *cause == StepCause::Failed(Failure::Lost) {
+            return false;
+        }
+        self.step = match (self.step, cause) {
+            (Step::Halt, StepCause::Refused(HResult::E_HANDLE | HResult::E_NOT_CONNECTED)) => return false,
+            (Step::Halt, StepCause::Refused(code)) => {
+                self.answer = HaltAnswer::Refused(*code);
+                if core::mem::replace(&mut self.tried, true) { Step::SlaveMode } else { Step::KillAll }
+            }
+            // the next poll halts again
+            (Step::Halt, _) if self.is_refused() => Step::SlaveMode,
+            (Step::KillAll, StepCause::Refused(_)) => Step::TaskNames,
+            // it may have been executed
+            (Step::KillAll, _) => Step::Halt,
+            // a name that is too long for a task
+            (Step::TaskNames, StepCause::TooLarge) | (Step::OpenTask | Step::ReleaseTask, _) => self.next_task(),
+            (Step::TaskNames, _) => Step::Halt,
+            // a task of unknown state may move the arm
+            (Step::TaskStatus, _) => Step::StopTask,
+            (Step::StopTask, _) => Step::ReleaseTask,
+            (Step::SlaveMode | Step::State, StepCause::Refused(_) | StepCause::Reply(_)) => {
+                self.state = 0;
+                Step::Position
+            }
+            _ => return false,
+        };
+        true
+    }
+
+    fn output(&mut self) -> Halt {
+        let answer = match self.answer {
+            HaltAnswer::NothingMoved if self.moved => HaltAnswer::Halted,
+            answer => answer,
+        };
+        Halt { answer, tasks: self.tasks, rests: self.still >= self.config.still.max(1) }
+    }
+}
