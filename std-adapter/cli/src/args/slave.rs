@@ -140,9 +140,13 @@ pub(crate) struct StreamArgs {
     #[command(flatten)]
     pub(crate) format: FormatArgs,
 
-    /// Moves the robot without asking for confirmation
+    /// Moves a real robot without asking for confirmation; a virtual one is never asked about
     #[arg(long)]
     pub(crate) yes: bool,
+
+    /// Leaves the motor on at the end; without it a motor that the stream has switched on is switched off
+    #[arg(long)]
+    pub(crate) keep_motor: bool,
 
     /// Refuses poses that need a higher speed of an axis, in degrees or mm per second
     #[arg(long, value_name = "SPEED", value_parser = positive)]
