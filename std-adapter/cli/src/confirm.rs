@@ -37,7 +37,21 @@ impl Question<'_> {
     /// [`Failure::Input`] if the user does not agree or cannot be asked, [`Failure::Interrupted`] after a signal, and the
     /// failure of a lost connection.
     pub(crate) fn confirm(&self, session: &mut Session, yes: bool) -> Result<(), Failure> {
-        if yes || is_virtual(session)? { Ok(()) } else { self.ask() }
+        if yes {
+            return Ok(());
+        }
+        // the user may think for hours: only a session that was open before stays open meanwhile, and a lost one stays lost
+        let is_own = !session.is_open() && !session.is_lost();
+        let is_virtual = is_virtual(session);
+        if is_own {
+            session.close();
+        }
+        if is_virtual? {
+            return Ok(());
+        }
+        let answered = self.ask();
+        session.restart_budget();
+        answered
     }
 
     fn ask(&self) -> Result<(), Failure> {

@@ -4,6 +4,8 @@
 //! all objects are released in reverse order. After a call without a reply nothing is sent.
 
 use std::collections::HashMap;
+use std::thread;
+use std::time::{Duration, Instant};
 
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::hresult::HResult;
@@ -18,6 +20,9 @@ use crate::interrupt::{Interrupt, State};
 use crate::output::note;
 use crate::trace::Packets;
 use crate::value::{Value, described, integer, text};
+
+/// The time until a controller that is busy with a call without a reply is asked again.
+const BUSY: Duration = Duration::from_millis(50);
 
 /// A session, from Service_Start to Service_Stop. It connects when it is first used.
 pub(crate) struct Session {
@@ -145,15 +150,27 @@ impl Session {
     /// Closes the connection. Over UDP nothing else tells the controller that the session has ended: after a lost reply it is
     /// told so too, if it may hold the arm for this session.
     fn disconnect(&mut self) {
-        let is_udp = |open: &Open| {
-            matches!(open.target, Address::Network(NetworkAddress { protocol: Protocol::Udp, .. }))
-                && (self.asked_for_arm || open.controller.has_arm())
-        };
-        if self.lost && self.open.as_ref().is_some_and(is_udp) {
+        let has_arm = self.open.as_ref().is_some_and(|open| open.controller.has_arm());
+        let is_udp =
+            |open: &Open| matches!(open.target, Address::Network(NetworkAddress { protocol: Protocol::Udp, .. }));
+        if self.lost && (self.asked_for_arm || has_arm) && self.open.as_ref().is_some_and(is_udp) {
             self.allow_time();
+            if !has_arm {
+                self.stop_service();
+            }
         }
         self.open = None;
         self.asked_for_arm = false;
+    }
+
+    /// Stops the service as soon as the call without a reply has ended.
+    fn stop_service(&mut self) {
+        let until = Instant::now() + self.link.for_halt().timeout();
+        let Some(Open { controller, .. }) = &mut self.open else { return };
+        let mut stop = || controller.call_any("", FunctionId::SERVICE_STOP, &[]);
+        while matches!(stop(), Err(Error::Refused { code: HResult::E_BUSY_PROC, .. })) && Instant::now() < until {
+            thread::sleep(BUSY);
+        }
     }
 
     /// Opens the connection, over which nothing is started yet. From then on a signal ends the command after the running call.

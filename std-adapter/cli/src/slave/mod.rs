@@ -184,13 +184,7 @@ fn checked_format(args: &StreamArgs, kind: PoseType, link: &LinkArgs) -> Result<
 fn confirm(what: &str, session: &mut Session, yes: bool) -> Result<Interrupt, Failure> {
     let interrupt = session.handle_signals()?;
     let question = Question { what, warning: "The robot will move.", refused: "the robot was not moved" };
-    // the session of the shell stays open, and a lost one stays lost
-    let is_own = !session.is_open() && !session.is_lost();
-    let confirmed = question.confirm(session, yes);
-    if is_own {
-        session.close();
-    }
-    confirmed?;
+    question.confirm(session, yes)?;
     if interrupt.is_interrupted() {
         return Err(Failure::Interrupted("interrupted: the robot was not moved".into()));
     }
