@@ -29,6 +29,9 @@ fn ctrl_c_in_the_shell_halts_the_robot_and_gives_the_arm_back() {
         terminal.keys(&["C-c"]);
         terminal.wait_for("error: interrupted: the robot was halted, and the arm was given back\nRC8 auto ok>");
         robot.assert_at_rest_with_free_arm();
+        // an empty screen, so that the prompts below are not found in the lines above
+        terminal.keys(&["C-l"]);
+        terminal.wait_until("an empty screen", |screen| !screen.contains("arm>"));
         // at the prompt, while the robot moves
         terminal.enter("exec robot TakeArm 0 1");
         terminal.wait_for("RC8 auto ok arm>");
@@ -126,6 +129,7 @@ fn ctrl_z_suspends_the_shell_after_the_arm_is_given_back_and_fg_continues_it() {
         terminal.enter("get I1");
         terminal.wait_for("I1 = 0");
         terminal.keys(&["C-l"]);
+        terminal.wait_until("an empty screen", |screen| !screen.contains("I1 = 0"));
     }
     terminal.enter("exit");
 }

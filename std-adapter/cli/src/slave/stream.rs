@@ -5,7 +5,7 @@ use std::io;
 use std::sync::Arc;
 use std::time::Duration;
 
-use bcap_core::bcap::call::{self, ControllerHandle, RobotHandle};
+use bcap_core::bcap::call::{self, RobotHandle};
 use bcap_core::hresult::HResult;
 use bcap_core::procedure::{Procedure, Provider, StepCause, give_arm, open_robot, prepare_robot, release_robot};
 use bcap_core::slave::{
@@ -31,9 +31,6 @@ const LOSSY_ATTEMPTS: u8 = 5;
 
 /// The size of the buffer for slvMove, in bytes: a datagram.
 const MOVE_ROOM: usize = 512;
-
-/// The bit of SysState that tells that the motor is on.
-const SERVO_ON: i32 = 1 << 2;
 
 /// Streams a course and reports the result.
 pub(crate) fn stream(
@@ -100,7 +97,7 @@ impl Job<'_> {
         let watching = watching.transpose().map_err(opened)?;
         let config = self.config(handles, watching);
         // what was on before stays on
-        let stays_on = self.args.keep_motor || motor_is_on(&mut motion, handles.controller);
+        let stays_on = self.args.keep_motor || motor_is_on(&mut motion, handles.robot);
         let mut engine = Engine::<MOVE_ROOM>::new(config).map_err(|error| Failure::Input(error.to_string()))?;
         let Self { course, format, args, json, target, .. } = self;
         let monitor = Monitor::start(self.link, self.interrupt.clone(), course.cycles())?;
@@ -176,12 +173,12 @@ fn motor_off<X: Wire<Error = io::Error>>(motion: &mut blocking::Connection<X, Ve
 }
 
 /// Returns whether the motor is on, if the controller tells.
-fn motor_is_on<X: Wire<Error = io::Error>>(
-    motion: &mut blocking::Connection<X, Vec<u8>>,
-    controller: ControllerHandle,
-) -> bool {
-    let state = motion.call(call::controller_execute(controller, "SysState", ()));
-    state.ok().and_then(|state| state.as_i32()).is_some_and(|bits| bits & SERVO_ON != 0)
+fn motor_is_on<X: Wire<Error = io::Error>>(motion: &mut blocking::Connection<X, Vec<u8>>, robot: RobotHandle) -> bool {
+    let Ok(variable) = motion.call(call::robot_get_variable(robot, "@SERVO_ON", "")) else { return false };
+    let is_on = motion.call(call::variable_get_value(variable)).is_ok_and(|value| value.as_bool() == Some(true));
+    // a variable that cannot be released is released with the session
+    let _ = motion.call(call::variable_release(variable));
+    is_on
 }
 
 /// Runs a procedure with a second connection, if there is one.
