@@ -114,8 +114,7 @@ fn has_line() -> io::Result<bool> {
 fn is_virtual(session: &mut Session) -> Result<bool, Failure> {
     for (name, expected) in VIRTUAL {
         let value = session.with(|controller| controller.read::<OwnedVariant>(name));
-        let is_expected =
-            |value: &OwnedVariant| value.as_variant().as_bstr().is_some_and(|text| text.to_string() == expected);
+        let is_expected = |value: &OwnedVariant| value.as_variant().as_bstr().is_some_and(|text| text == *expected);
         match value {
             Ok(value) if is_expected(&value) => {}
             Err(failure) if !failure.leaves_the_session_alive() => return Err(failure),
