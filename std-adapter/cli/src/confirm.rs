@@ -21,11 +21,11 @@ const LOOK: Duration = Duration::from_millis(50);
 
 /// A question to the user.
 pub(crate) struct Question<'a> {
-    /// What the command is about to do.
+    /// The change that the command is about to make.
     pub(crate) what: &'a str,
-    /// What the user must know.
+    /// A warning to the user.
     pub(crate) warning: &'a str,
-    /// What has not been done after a refusal.
+    /// The outcome after a refusal.
     pub(crate) refused: &'a str,
 }
 

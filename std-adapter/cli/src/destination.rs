@@ -10,7 +10,7 @@
 
 use std::ops::RangeInclusive;
 
-/// What a destination is, for errors.
+/// The forms of a destination, for errors.
 const EXPECTED: &str = "write a variable such as P1, J2 or T3, or a value such as J(0, 45, 90, 0, 45, 0)";
 
 /// Checks the text of a destination.

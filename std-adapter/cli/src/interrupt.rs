@@ -41,7 +41,7 @@ const EXIT_CODE: i32 = 130;
 /// Halts the robot over a separate session.
 pub(crate) type Halt = Box<dyn FnMut() -> Result<(), Failure> + Send>;
 
-/// What the command does now, and so what a signal does. A later state outranks an earlier one.
+/// The activity of the command, which decides the reaction to a signal. A later state outranks an earlier one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum State {
     /// No session has been opened.

@@ -79,7 +79,7 @@ pub(crate) fn from_input(text: &str, current: Variant<'_>) -> Result<Value, Stri
 
 /// Parses user input that is going to be written to a variable that now holds `current`.
 ///
-/// What is rarely meant is refused unless the user writes its type: a number that is not finite, and a BOOL that is neither 0
+/// Rarely meant values are refused unless the user writes their type: a number that is not finite, and a BOOL that is neither 0
 /// nor 1. The error is a sentence with the whole input.
 pub(crate) fn to_write(text: &str, current: Variant<'_>) -> Result<Value, String> {
     let value = from_input(text, current)?;
