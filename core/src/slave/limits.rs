@@ -36,6 +36,25 @@ impl AxisLimits {
     pub const fn uniform(speed: f64, acceleration: f64) -> Self {
         Self { speed: [speed; 8], acceleration: [acceleration; 8] }
     }
+
+    /// Checks a path of poses, one every `cycle` seconds, from rest at the first one.
+    ///
+    /// # Errors
+    ///
+    /// The index of the first pose that exceeds a limit or has a number that is not finite, with the reason.
+    pub fn check_path<'a>(
+        &self,
+        cycle: f64,
+        poses: impl IntoIterator<Item = &'a Pose>,
+    ) -> Result<(), (usize, PoseError)> {
+        let mut reached: Option<(&Pose, Velocity)> = None;
+        for (index, pose) in poses.into_iter().enumerate() {
+            let (last, before) = reached.unwrap_or((pose, [0.0; 8]));
+            let velocity = check(self, cycle, last, &before, pose).map_err(|error| (index, error))?;
+            reached = Some((pose, velocity));
+        }
+        Ok(())
+    }
 }
 
 impl Default for AxisLimits {

@@ -24,19 +24,26 @@ pub(crate) fn call(args: &Call, session: &mut Session, json: bool) -> Result<(),
     if args.help {
         return Ok(reference::function(function)?);
     }
-    let kinds = function.signature().map(|signature| signature.arguments).unwrap_or_default();
-    let mut arguments: Vec<Argument> = args
-        .arguments
-        .iter()
-        .enumerate()
-        .map(|(i, argument)| Argument::parse(argument, kinds.get(i).copied(), function))
-        .collect::<Result<_, _>>()?;
+    let mut arguments = parsed(function, args)?;
     arguments.extend(defaults(function, arguments.len()).unwrap_or_default().into_iter().map(Argument::Value));
     if function == FunctionId::SERVICE_START && !session.is_open() {
         // this call starts the session itself
         session.open_connection()?;
     }
     call_in(session, function, &arguments, json)
+}
+
+/// Checks the arguments before the first call.
+pub(crate) fn check(args: &Call) -> Result<(), Failure> {
+    let Some(name) = &args.function else { return Ok(()) };
+    let function = FunctionId::parse(name).ok_or_else(|| unknown(name))?;
+    parsed(function, args).map(drop)
+}
+
+fn parsed(function: FunctionId, args: &Call) -> Result<Vec<Argument>, Failure> {
+    let kinds = function.signature().map(|signature| signature.arguments).unwrap_or_default();
+    let parse = |(i, argument): (usize, &String)| Argument::parse(argument, kinds.get(i).copied(), function);
+    args.arguments.iter().enumerate().map(parse).collect()
 }
 
 fn call_in(session: &mut Session, function: FunctionId, arguments: &[Argument], json: bool) -> Result<(), Failure> {
@@ -154,6 +161,25 @@ fn refused(session: &Session, function: FunctionId, code: HResult) -> Failure {
 
 /// Runs `bcap exec`.
 pub(crate) fn exec(args: &Exec, session: &mut Session, json: bool) -> Result<(), Failure> {
+    let (path, function) = executed(args)?;
+    let parameter = parameter(&args.arguments)?;
+    let handle = session.object(&path)?;
+    let arguments = [integer(handle)?, text(&args.command)?, parameter];
+    let (code, value) = session.call_for_code(function, &arguments)?;
+    if code.is_err() {
+        return Err(Failure::Refused { doing: format!("{path}: {}", args.command), code });
+    }
+    print_reply(code, value.as_ref(), json)
+}
+
+/// Checks the arguments of `bcap exec` before the first call.
+pub(crate) fn check_exec(args: &Exec) -> Result<(), Failure> {
+    parameter(&args.arguments)?;
+    executed(args).map(drop)
+}
+
+/// Returns the object, and the function that executes its commands.
+fn executed(args: &Exec) -> Result<(ObjectPath, FunctionId), Failure> {
     let path: ObjectPath = args.object.parse()?;
     let function = match path.object() {
         Object::Controller => FunctionId::CONTROLLER_EXECUTE,
@@ -166,14 +192,7 @@ pub(crate) fn exec(args: &Exec, session: &mut Session, json: bool) -> Result<(),
             return Err(Failure::Input(format!("{}: a {kind} has no commands", args.object)));
         }
     };
-    let parameter = parameter(&args.arguments)?;
-    let handle = session.object(&path)?;
-    let arguments = [integer(handle)?, text(&args.command)?, parameter];
-    let (code, value) = session.call_for_code(function, &arguments)?;
-    if code.is_err() {
-        return Err(Failure::Refused { doing: format!("{path}: {}", args.command), code });
-    }
-    print_reply(code, value.as_ref(), json)
+    Ok((path, function))
 }
 
 /// Encodes the parameter of a command: EMPTY, one value, or an array of several.

@@ -10,7 +10,7 @@ use bcap_std::{NetworkAddress, Protocol, blocking};
 use crate::args::{Conform, LevelArg, LinkArgs};
 use crate::connection::not_connected;
 use crate::error::Failure;
-use crate::interrupt::Interrupt;
+use crate::interrupt::{Interrupt, State};
 use crate::listen::taken;
 use crate::output::{print_block, print_json, print_line};
 use crate::robot::host;
@@ -32,14 +32,11 @@ pub(crate) fn conform(args: &Conform, link: &LinkArgs, json: bool) -> Result<(),
     let options = options(args, link)?;
     let interrupt = Interrupt::install(|_| {})?;
     let moves = args.level == LevelArg::Motion && chosen.iter().any(|case| case.level() == Level::Motion);
-    let _ends = if moves {
+    if moves {
         // the motor must not stay on, so the cases always end with their clean-up
         Session::new(link).prepare_halt(&interrupt)?;
-        interrupt.halt_until_restored();
-        None
-    } else {
-        Some(interrupt.end_between_calls())
-    };
+        interrupt.enter(State::Restoring);
+    }
     let mut printed = Ok(());
     let report = bcap_conform::run(
         &options,
@@ -50,7 +47,7 @@ pub(crate) fn conform(args: &Conform, link: &LinkArgs, json: bool) -> Result<(),
         },
         || interrupt.is_interrupted(),
     );
-    interrupt.set_moving(false);
+    interrupt.enter(State::Stepping);
     interrupt.dismiss();
     printed?;
     finish(args, json, &report, chosen.len())

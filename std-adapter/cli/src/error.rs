@@ -248,10 +248,10 @@ impl Failure {
         }
     }
 
-    /// Returns whether the session can continue: the controller answered, or no call was made.
+    /// Returns whether the command can make another call: the controller answered, or no call was made, and no signal arrived.
     pub(crate) fn leaves_the_session_alive(&self) -> bool {
         match self {
-            Self::Connection { .. } | Self::Timeout { .. } => false,
+            Self::Connection { .. } | Self::Timeout { .. } | Self::Interrupted(_) => false,
             Self::Script { failure, .. } | Self::NotCompared(failure) => failure.leaves_the_session_alive(),
             _ => true,
         }

@@ -1,118 +1,187 @@
-//! Signals while a command may move the robot: SIGINT (Ctrl-C) halts it, SIGTERM and SIGHUP also end the command.
+//! Signals while a session is open: each halts the robot if this command may move it, and ends the command or its line.
 //!
-//! The session of the command waits for a reply then, so the halt has a session of its own, which is opened before the motion
-//! begins. The command gives the arm back when its call has ended.
+//! ```text
+//!   state      a signal                                                a second one
+//!   Idle       ends the process at once                                -
+//!   Calling    lets the running call end; the session makes no other   ends the process at once
+//!   Stepping   is looked for by the command, between its steps         ends the process at once
+//!   Moving     halts the robot until the command has ended its call    the fifth ends the process at once
+//!   Restoring  halts the robot until the command has restored          halts again
+//!   Streaming  is looked for by the command, which stops the stream    is counted; it halts the robot
+//! ```
+//!
+//! The end of a session halts the robot if it may move, switches the motor off if the session switched it on, gives the arm
+//! back, releases all objects and stops the service. SIGTSTP does the same, and suspends the process afterwards.
+//!
+//! The session of the command waits for a reply during a motion, so the halt has another session, which is opened before the
+//! motion begins.
 
 use std::io::{self, Write as _};
 use std::process;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, channel};
-use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::error::Failure;
+use crate::signal::{self, Signal};
 
-/// How long a motion that begins beside a halt may run until the next halt.
+/// How long a motion that begins just after a halt may run until the next halt.
 const AGAIN: Duration = Duration::from_millis(50);
 
-/// The further SIGINT that end a command whose call does not end.
-const MAX_INTERRUPTS: u32 = 5;
+/// The time after a signal until the user is told what the command waits for.
+const REMINDER: Duration = Duration::from_millis(300);
 
-/// Halts the robot over a session of its own.
+/// How many signals end a command whose motion does not end.
+const MAX_SIGNALS: u32 = 5;
+
+/// The exit code of an interrupted command.
+const EXIT_CODE: i32 = 130;
+
+/// Halts the robot over a separate session.
 pub(crate) type Halt = Box<dyn FnMut() -> Result<(), Failure> + Send>;
 
-/// What signals do.
+/// The activity of the command, which decides the reaction to a signal. A later state outranks an earlier one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum State {
+    /// No session has been opened.
+    Idle,
+    /// A session is open, and the command does not look for signals.
+    Calling,
+    /// The command looks for signals between its steps.
+    Stepping,
+    /// The command may move the robot.
+    Moving,
+    /// The command may move the robot, and always restores what it changed.
+    Restoring,
+    /// The command streams poses.
+    Streaming,
+}
+
+/// The reaction of this process to signals.
 #[derive(Clone)]
 pub(crate) struct Interrupt(Arc<Shared>);
 
 struct Shared {
-    /// Whether a signal arrived since the beginning of the line.
-    interrupted: Mutex<bool>,
+    status: Mutex<Status>,
     changed: Condvar,
-    /// Whether the command must end.
-    ended: AtomicBool,
-    /// Whether this command may move the robot now.
-    moving: AtomicBool,
-    /// Whether this command ends between two calls, and a second signal ends it at once.
-    ends: AtomicBool,
-    /// Whether the process goes on after the command: it is the shell, or runs a script.
-    goes_on: AtomicBool,
-    /// Whether the command always restores what it changed, so that no number of signals ends it before.
-    restores: AtomicBool,
-    /// How the robot is halted.
+    /// How the robot is halted. Separate from the status, because a halt may take long.
     stopper: Mutex<Option<Halt>>,
 }
 
-/// A signal.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Signal {
-    /// SIGINT.
-    Interrupt,
-    /// SIGTERM or SIGHUP.
-    End,
+struct Status {
+    state: State,
+    /// The signal that outranks the others since the beginning of the line.
+    received: Option<Signal>,
+    /// The number of signals since the beginning of the line.
+    count: u32,
+    /// Whether the process goes on after the command: it is the shell, or runs a script.
+    goes_on: bool,
 }
 
 /// The handler of this process.
 static INSTALLED: Mutex<Option<Interrupt>> = Mutex::new(None);
 
 impl Interrupt {
-    /// Handles signals from now on. `idle` is called after each that did not halt a motion; its argument is whether the command
-    /// must end.
+    /// Handles signals from now on, for a command that looks for them between its steps. `idle` is called after each that did
+    /// not halt a motion.
     ///
     /// A process has one handler: a later call, as by a line of the shell, returns it, and ignores its own `idle`.
-    pub(crate) fn install(idle: impl Fn(bool) + Send + 'static) -> io::Result<Self> {
+    pub(crate) fn install(idle: impl Fn(Signal) + Send + 'static) -> io::Result<Self> {
+        let interrupt = Self::installed(idle)?;
+        interrupt.raise(State::Stepping);
+        Ok(interrupt)
+    }
+
+    /// Handles signals from now on, for a session of a command that does not look for them.
+    pub(crate) fn of_session() -> io::Result<Self> {
+        Self::installed(|_| {})
+    }
+
+    fn installed(idle: impl Fn(Signal) + Send + 'static) -> io::Result<Self> {
         let mut installed = INSTALLED.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(interrupt) = &*installed {
             return Ok(interrupt.clone());
         }
         let interrupt = Self::new();
-        let (signals, handler) = (signals()?, interrupt.clone());
+        let (signals, handler) = (signal::receiver()?, interrupt.clone());
         thread::Builder::new().name("interrupt".into()).spawn(move || {
             while let Ok(signal) = signals.recv() {
                 let was_answered = handler.signalled(signal, &signals);
-                let must_end = handler.is_ended();
-                if must_end || !was_answered {
-                    idle(must_end);
+                match handler.received() {
+                    Some(Signal::End) => idle(Signal::End),
+                    Some(received) if !was_answered => idle(received),
+                    _ => {}
                 }
             }
         })?;
         Ok(installed.insert(interrupt).clone())
     }
 
+    /// Returns the handler of this process, if signals are handled.
+    pub(crate) fn of_process() -> Option<Self> {
+        INSTALLED.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
     fn new() -> Self {
-        Self(Arc::new(Shared {
-            interrupted: Mutex::new(false),
-            changed: Condvar::new(),
-            ended: AtomicBool::new(false),
-            moving: AtomicBool::new(false),
-            ends: AtomicBool::new(false),
-            goes_on: AtomicBool::new(false),
-            restores: AtomicBool::new(false),
-            stopper: Mutex::new(None),
-        }))
+        let status = Status { state: State::Idle, received: None, count: 0, goes_on: false };
+        Self(Arc::new(Shared { status: Mutex::new(status), changed: Condvar::new(), stopper: Mutex::new(None) }))
+    }
+
+    fn status(&self) -> MutexGuard<'_, Status> {
+        self.0.status.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Handles a signal, and those that arrive meanwhile. Returns whether the last one halted a motion: then it is not for the
     /// prompt, which may have begun since.
     fn signalled(&self, signal: Signal, more: &Receiver<Signal>) -> bool {
-        let Self(shared) = self;
-        if signal == Signal::End {
-            shared.ended.store(true, Ordering::SeqCst);
-        }
-        if shared.ends.load(Ordering::SeqCst) {
-            let goes_on = shared.goes_on.load(Ordering::SeqCst);
-            if self.is_interrupted() && !goes_on {
-                process::exit(130);
+        match (self.state(), signal) {
+            (State::Idle, Signal::Suspend) => {
+                signal::suspend();
+                true
             }
-            let again = if goes_on { "" } else { "; press Ctrl-C again to end at once" };
-            // an error of printing cannot be reported
-            let _ = writeln!(io::stderr(), "ends after this call{again}");
+            (State::Idle, _) => process::exit(EXIT_CODE),
+            (State::Calling | State::Stepping, _) => {
+                self.mark(signal);
+                self.remind(more)
+            }
+            (State::Moving | State::Restoring, _) => {
+                self.mark(signal);
+                self.halt_until_ended(more)
+            }
+            (State::Streaming, _) => {
+                self.mark(signal);
+                true
+            }
         }
-        self.mark();
-        let (mut reported, mut again, mut was_answered) = (false, 0, false);
-        // a motion may begin just after a halt, so halt until the command has ended its call; then the next line may begin
-        while shared.moving.load(Ordering::SeqCst) && self.is_interrupted() {
+    }
+
+    /// Waits for the end of a command that is between two calls. A second signal ends the process at once, unless it goes on.
+    fn remind(&self, more: &Receiver<Signal>) -> bool {
+        if self.status().goes_on {
+            return false;
+        }
+        let second = more.recv_timeout(REMINDER);
+        if second == Err(RecvTimeoutError::Timeout) {
+            // an error of printing cannot be reported
+            let _ = writeln!(io::stderr(), "ends after this call; press Ctrl-C again to end at once");
+        }
+        if self.status().goes_on {
+            return false;
+        }
+        let Ok(second) = second.or_else(|_| more.recv()) else { return false };
+        match self.state() {
+            State::Idle | State::Calling | State::Stepping => process::exit(EXIT_CODE),
+            // it has begun to move the robot since
+            State::Moving | State::Restoring | State::Streaming => self.signalled(second, more),
+        }
+    }
+
+    /// Halts the robot until the command has ended its call: a motion may begin just after a halt.
+    fn halt_until_ended(&self, more: &Receiver<Signal>) -> bool {
+        let (mut reported, mut again, mut was_answered) = (false, 1, false);
+        // the next line may begin after the call
+        while self.may_move() && self.is_interrupted() {
             if let Err(failure) = self.halt()
                 && !reported
             {
@@ -120,48 +189,52 @@ impl Interrupt {
                 reported = true;
             }
             was_answered = true;
-            match more.recv_timeout(AGAIN) {
-                Ok(Signal::End) => shared.ended.store(true, Ordering::SeqCst),
-                Ok(Signal::Interrupt) => {
-                    // for the next line, if the one that was interrupted has just ended
-                    self.mark();
-                    again += 1;
-                    was_answered = false;
-                }
-                Err(_) => {}
+            if let Ok(signal) = more.recv_timeout(AGAIN) {
+                // for the next line, if the one that was interrupted has just ended
+                self.mark(signal);
+                again += 1;
+                was_answered = signal == Signal::End;
             }
-            if again == MAX_INTERRUPTS && !shared.restores.load(Ordering::SeqCst) {
-                let what = "interrupted again and again, so the command ends; the controller gives the arm back when it \
-                            notices the end of the connection";
+            if again > MAX_SIGNALS && self.state() != State::Restoring {
+                let what = "interrupted again and again, so the command ends; the robot may be moving, and the controller gives \
+                            the arm back when it notices the end of the connection";
                 Failure::Interrupted(what.into()).print(false, None);
-                process::exit(130);
+                process::exit(EXIT_CODE);
             }
         }
         was_answered
     }
 
+    /// Returns what the command does now.
+    fn state(&self) -> State {
+        self.status().state
+    }
+
+    /// Sets what the command does from now on.
+    pub(crate) fn enter(&self, state: State) {
+        self.status().state = state;
+    }
+
+    /// Sets what the command does from now on, unless the present state outranks that.
+    pub(crate) fn raise(&self, state: State) {
+        let mut status = self.status();
+        status.state = status.state.max(state);
+    }
+
+    fn may_move(&self) -> bool {
+        matches!(self.state(), State::Moving | State::Restoring)
+    }
+
     /// Sets that the process goes on after the command, so that no signal ends it at once: its session must be closed.
     pub(crate) fn set_going_on(&self) {
-        self.0.goes_on.store(true, Ordering::SeqCst);
-    }
-
-    /// Lets the command end between two calls on a signal, until the guard is dropped. A second signal ends the process at once,
-    /// unless it [goes on](Self::set_going_on).
-    pub(crate) fn end_between_calls(&self) -> EndsBetweenCalls {
-        self.0.ends.store(true, Ordering::SeqCst);
-        EndsBetweenCalls(self.clone())
-    }
-
-    /// Halts the robot on every signal until [`set_moving`](Self::set_moving) says that the command has restored what it changed;
-    /// no number of signals ends the command before.
-    pub(crate) fn halt_until_restored(&self) {
-        self.0.restores.store(true, Ordering::SeqCst);
-        self.set_moving(true);
+        self.status().goes_on = true;
     }
 
     /// Records a signal.
-    fn mark(&self) {
-        *self.0.interrupted.lock().unwrap_or_else(PoisonError::into_inner) = true;
+    fn mark(&self, signal: Signal) {
+        let mut status = self.status();
+        status.received = status.received.max(Some(signal));
+        status.count = status.count.saturating_add(1);
         self.0.changed.notify_all();
     }
 
@@ -198,115 +271,72 @@ impl Interrupt {
         Ok(())
     }
 
-    /// Begins a line: forgets earlier interruptions.
+    /// Begins a line: forgets earlier signals, except one that ends the command.
     pub(crate) fn begin(&self) {
-        *self.0.interrupted.lock().unwrap_or_else(PoisonError::into_inner) = false;
+        let mut status = self.status();
+        status.received = status.received.filter(|signal| *signal == Signal::End);
+        status.count = 0;
     }
 
-    /// Sets whether the command may move the robot from now on.
-    pub(crate) fn set_moving(&self, moving: bool) {
-        self.0.moving.store(moving, Ordering::SeqCst);
-        if !moving {
-            self.0.restores.store(false, Ordering::SeqCst);
-        }
+    /// Returns the signal that arrived since the beginning of the line.
+    pub(crate) fn received(&self) -> Option<Signal> {
+        self.status().received
     }
 
     /// Returns whether a signal arrived since the beginning of the line.
     pub(crate) fn is_interrupted(&self) -> bool {
-        *self.0.interrupted.lock().unwrap_or_else(PoisonError::into_inner)
+        self.received().is_some()
+    }
+
+    /// Returns whether a signal forbids further calls of a session: its command does not look for signals.
+    pub(crate) fn forbids_calls(&self) -> bool {
+        let status = self.status();
+        status.state == State::Calling && status.received.is_some()
     }
 
     /// Returns whether the command must end.
     pub(crate) fn is_ended(&self) -> bool {
-        self.0.ended.load(Ordering::SeqCst)
+        self.received() == Some(Signal::End)
+    }
+
+    /// Suspends the process if SIGTSTP has ended the line or the command, whose session has given the arm back. Returns whether
+    /// that was so, after the process continues.
+    pub(crate) fn suspend_if_requested(&self) -> bool {
+        let is_requested = self.received() == Some(Signal::Suspend);
+        if is_requested {
+            self.begin();
+            signal::suspend();
+        }
+        is_requested
     }
 
     /// Waits; an interruption ends that with an error.
     pub(crate) fn sleep(&self, time: Duration) -> Result<(), Failure> {
+        match self.wait_for(1, time) {
+            0 => Ok(()),
+            _ => Err(Failure::Interrupted("interrupted".into())),
+        }
+    }
+
+    /// Waits until `count` signals have arrived since the beginning of the line, at most for a time. Returns their number.
+    pub(crate) fn wait_for(&self, count: u32, time: Duration) -> u32 {
         let until = Instant::now() + time;
-        let mut interrupted = self.0.interrupted.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut status = self.status();
         loop {
             let left = until.saturating_duration_since(Instant::now());
-            if *interrupted {
-                return Err(Failure::Interrupted("interrupted".into()));
+            if left.is_zero() || status.count >= count {
+                return status.count;
             }
-            if left.is_zero() {
-                return Ok(());
-            }
-            let waited = self.0.changed.wait_timeout(interrupted, left);
-            interrupted = waited.unwrap_or_else(PoisonError::into_inner).0;
+            let waited = self.0.changed.wait_timeout(status, left);
+            status = waited.unwrap_or_else(PoisonError::into_inner).0;
         }
-    }
-}
-
-/// Resets [`Interrupt::end_between_calls`] when it is dropped.
-pub(crate) struct EndsBetweenCalls(Interrupt);
-
-impl Drop for EndsBetweenCalls {
-    fn drop(&mut self) {
-        self.0.0.ends.store(false, Ordering::SeqCst);
-    }
-}
-
-/// Returns a receiver of all further signals.
-fn signals() -> io::Result<Receiver<Signal>> {
-    let (sender, receiver) = channel();
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build()?;
-    let mut sources = {
-        let _inside = runtime.enter();
-        Sources::new()?
-    };
-    thread::Builder::new().name("signals".into()).spawn(move || {
-        runtime.block_on(async { while sender.send(sources.next().await).is_ok() {} });
-    })?;
-    Ok(receiver)
-}
-
-#[cfg(unix)]
-struct Sources {
-    interrupt: tokio::signal::unix::Signal,
-    terminate: tokio::signal::unix::Signal,
-    hangup: tokio::signal::unix::Signal,
-}
-
-#[cfg(unix)]
-impl Sources {
-    fn new() -> io::Result<Self> {
-        use tokio::signal::unix::{SignalKind, signal};
-        let [interrupt, terminate, hangup] =
-            [SignalKind::interrupt(), SignalKind::terminate(), SignalKind::hangup()].map(signal);
-        Ok(Self { interrupt: interrupt?, terminate: terminate?, hangup: hangup? })
-    }
-
-    async fn next(&mut self) -> Signal {
-        tokio::select! {
-            _ = self.interrupt.recv() => Signal::Interrupt,
-            _ = self.terminate.recv() => Signal::End,
-            _ = self.hangup.recv() => Signal::End,
-        }
-    }
-}
-
-#[cfg(not(unix))]
-struct Sources;
-
-#[cfg(not(unix))]
-impl Sources {
-    fn new() -> io::Result<Self> {
-        Ok(Self)
-    }
-
-    async fn next(&mut self) -> Signal {
-        // without a handler there is no signal
-        if tokio::signal::ctrl_c().await.is_err() {
-            std::future::pending::<()>().await;
-        }
-        Signal::Interrupt
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::sync::mpsc::channel;
+
     use super::*;
 
     /// A motion whose halt ends the command, as in the shell; `then` is called after it.
@@ -314,23 +344,26 @@ mod tests {
         let interrupt = Interrupt::new();
         let motion = interrupt.clone();
         let halt = move || {
-            motion.set_moving(false);
+            motion.enter(State::Stepping);
             then();
             Ok(())
         };
         interrupt.prepare(|| Ok(Some(Box::new(halt)))).unwrap();
-        interrupt.set_moving(true);
+        interrupt.set_going_on();
+        interrupt.enter(State::Moving);
         interrupt
     }
 
     #[test]
     fn a_signal_that_halted_a_motion_is_not_for_the_next_prompt() {
-        let (_sender, more) = channel();
-        let interrupt = halting(|| ());
-        assert!(interrupt.signalled(Signal::Interrupt, &more));
-        assert!(!interrupt.is_ended());
-        // nothing moves now
-        assert!(!interrupt.signalled(Signal::Interrupt, &more));
+        for signal in [Signal::Interrupt, Signal::Suspend] {
+            let (_sender, more) = channel();
+            let interrupt = halting(|| ());
+            assert!(interrupt.signalled(signal, &more));
+            assert_eq!((interrupt.received(), interrupt.is_ended()), (Some(signal), false));
+            // nothing moves now
+            assert!(!interrupt.signalled(signal, &more));
+        }
     }
 
     #[test]
@@ -339,5 +372,34 @@ mod tests {
         let interrupt = halting(move || sender.send(Signal::Interrupt).unwrap());
         assert!(!interrupt.signalled(Signal::Interrupt, &more));
         assert!(interrupt.is_interrupted());
+    }
+
+    #[test]
+    fn only_a_command_that_does_not_look_for_signals_makes_no_further_call() {
+        let (_sender, more) = channel();
+        let interrupt = Interrupt::new();
+        interrupt.set_going_on();
+        interrupt.raise(State::Calling);
+        assert!(!interrupt.forbids_calls());
+        interrupt.signalled(Signal::Suspend, &more);
+        assert!(interrupt.forbids_calls());
+        interrupt.raise(State::Stepping);
+        assert!(!interrupt.forbids_calls());
+        // it cannot be lowered by a session that is opened later
+        interrupt.raise(State::Calling);
+        assert_eq!(interrupt.state(), State::Stepping);
+    }
+
+    #[test]
+    fn the_end_outlasts_a_line_and_a_suspension_does_not() {
+        let interrupt = Interrupt::new();
+        interrupt.mark(Signal::Suspend);
+        interrupt.mark(Signal::Interrupt);
+        assert_eq!((interrupt.received(), interrupt.wait_for(9, Duration::ZERO)), (Some(Signal::Suspend), 2));
+        interrupt.begin();
+        assert_eq!((interrupt.received(), interrupt.wait_for(9, Duration::ZERO)), (None, 0));
+        interrupt.mark(Signal::End);
+        interrupt.begin();
+        assert!(interrupt.is_ended());
     }
 }

@@ -9,11 +9,11 @@ use bcap_std::ObjectPath;
 use clap::error::ErrorKind;
 use clap::{CommandFactory as _, Parser, Subcommand};
 
-use crate::args::{Call, Command, Exec};
+use crate::args::{Call, Command, Exec, Run};
 use crate::duration;
 use crate::error::Failure;
 use crate::escape;
-use crate::interrupt::Interrupt;
+use crate::interrupt::{Interrupt, State};
 use crate::output::{print_line, print_raw};
 use crate::plain;
 use crate::reference;
@@ -104,6 +104,58 @@ pub(crate) enum Flow {
 /// Runs a command of `bcap`.
 pub(crate) type Verb = fn(&Command, &mut Session, bool) -> Result<(), Failure>;
 
+/// Checks the arguments of a command of `bcap` without a call.
+pub(crate) type Check = fn(&Command) -> Result<(), Failure>;
+
+/// A line that was checked.
+pub(crate) enum Checked {
+    /// The next line follows.
+    Continue,
+    /// The lines of this script run before the next line.
+    Script(Run),
+    /// The script ends.
+    Exit,
+}
+
+/// Checks lines, one after the other, without a call.
+pub(crate) struct Checker {
+    variables: HashMap<String, String>,
+    check: Check,
+}
+
+impl Checker {
+    pub(crate) fn new(check: Check) -> Self {
+        Self { variables: HashMap::new(), check }
+    }
+
+    /// Checks a line: its command, its arguments, and the variables of the script that it uses.
+    pub(crate) fn line(&mut self, line: &str) -> Result<Checked, Failure> {
+        let Some(words) = words_of(line, &self.variables)? else { return Ok(Checked::Continue) };
+        match Line::try_parse_from(&words) {
+            Ok(line) => self.command(line.command),
+            Err(error) if is_help(&error) => Ok(Checked::Continue),
+            Err(error) => Err(invalid(&error)),
+        }
+    }
+
+    fn command(&mut self, command: LineCommand) -> Result<Checked, Failure> {
+        match command {
+            LineCommand::Verb(command) => match *command {
+                Command::Shell(_) => return Err(no_shell()),
+                Command::Run(args) => return Ok(Checked::Script(args)),
+                command => (self.check)(&command)?,
+            },
+            LineCommand::Set { name, value } => set(&mut self.variables, &name, &value)?,
+            LineCommand::Wait { condition, .. } | LineCommand::Expect { condition } => {
+                ObjectPath::variable(&condition.name)?;
+            }
+            LineCommand::Exit => return Ok(Checked::Exit),
+            LineCommand::Sleep { .. } | LineCommand::Connect | LineCommand::Disconnect | LineCommand::Help { .. } => {}
+        }
+        Ok(Checked::Continue)
+    }
+}
+
 /// Runs lines, one after the other, over one session.
 pub(crate) struct Runner {
     variables: HashMap<String, String>,
@@ -128,6 +180,11 @@ impl Runner {
         self.interrupt.is_interrupted()
     }
 
+    /// Suspends the process if SIGTSTP has ended the line.
+    pub(crate) fn suspend_if_requested(&self) {
+        let _ = self.interrupt.suspend_if_requested();
+    }
+
     /// Returns whether a signal has ended the command.
     pub(crate) fn is_ended(&self) -> bool {
         self.interrupt.is_ended()
@@ -135,11 +192,7 @@ impl Runner {
 
     /// Runs a line. After an interruption the robot is halted and the arm given back.
     pub(crate) fn run(&mut self, line: &str, session: &mut Session) -> Result<Flow, Failure> {
-        let words = words::split(line, &self.variables).map_err(Failure::Input)?;
-        let Some(first) = words.first() else { return Ok(Flow::Continue) };
-        if first == "bcap" {
-            return Err(Failure::Input("write the command without the word bcap".into()));
-        }
+        let Some(words) = words_of(line, &self.variables)? else { return Ok(Flow::Continue) };
         let line = match Line::try_parse_from(&words) {
             Ok(line) => line,
             Err(error) => return explained(&error).map(|()| Flow::Continue),
@@ -151,10 +204,10 @@ impl Runner {
             session.prepare_halt(&self.interrupt)?;
         }
         let had_arm = session.has_arm();
-        self.interrupt.set_moving(had_arm);
-        // a signal after `set_moving` halts the robot, one before it prevents the call
+        self.interrupt.enter(if had_arm { State::Moving } else { State::Calling });
+        // a signal from now on halts the robot, an earlier one prevents the call
         let done = if self.interrupt.is_interrupted() { Ok(Flow::Continue) } else { self.command(&line, session) };
-        self.interrupt.set_moving(false);
+        self.interrupt.enter(State::Stepping);
         self.conclude(done, had_arm, session)
     }
 
@@ -181,10 +234,10 @@ impl Runner {
         let json = self.json || line.json;
         match &line.command {
             LineCommand::Verb(command) if matches!(**command, Command::Shell(_)) => {
-                return Err(Failure::Input("a shell does not run inside a shell or a script".into()));
+                return Err(no_shell());
             }
             LineCommand::Verb(command) => (self.verb)(command, session, json)?,
-            LineCommand::Set { name, value } => self.set(name, value)?,
+            LineCommand::Set { name, value } => set(&mut self.variables, name, value)?,
             LineCommand::Sleep { time } => self.interrupt.sleep(*time)?,
             LineCommand::Wait { condition, timeout } => self.wait(condition, *timeout, session)?,
             LineCommand::Expect { condition } => expect(condition, session)?,
@@ -194,18 +247,6 @@ impl Runner {
             LineCommand::Exit => return Ok(Flow::Exit),
         }
         Ok(Flow::Continue)
-    }
-
-    fn set(&mut self, name: &str, value: &[String]) -> Result<(), Failure> {
-        let value = match value {
-            [equals, value @ ..] if equals == "=" && !value.is_empty() => value.join(" "),
-            _ => return Err(Failure::Input("write `set NAME = VALUE`".into())),
-        };
-        if name.is_empty() || !name.chars().all(is_name) {
-            return Err(Failure::Input(format!("{name}: a name has letters, digits and _")));
-        }
-        self.variables.insert(name.to_owned(), value);
-        Ok(())
     }
 
     fn wait(&self, condition: &Condition, timeout: Duration, session: &mut Session) -> Result<(), Failure> {
@@ -225,6 +266,32 @@ impl Runner {
             self.interrupt.sleep(INTERVAL.min(left))?;
         }
     }
+}
+
+/// Splits a line into words; `None` for a line without a command.
+fn words_of(line: &str, variables: &HashMap<String, String>) -> Result<Option<Vec<String>>, Failure> {
+    let words = words::split(line, variables).map_err(Failure::Input)?;
+    match words.first() {
+        None => Ok(None),
+        Some(first) if first == "bcap" => Err(Failure::Input("write the command without the word bcap".into())),
+        Some(_) => Ok(Some(words)),
+    }
+}
+
+fn set(variables: &mut HashMap<String, String>, name: &str, value: &[String]) -> Result<(), Failure> {
+    let value = match value {
+        [equals, value @ ..] if equals == "=" && !value.is_empty() => value.join(" "),
+        _ => return Err(Failure::Input("write `set NAME = VALUE`".into())),
+    };
+    if name.is_empty() || !name.chars().all(is_name) {
+        return Err(Failure::Input(format!("{name}: a name has letters, digits and _")));
+    }
+    variables.insert(name.to_owned(), value);
+    Ok(())
+}
+
+fn no_shell() -> Failure {
+    Failure::Input("a shell does not run inside a shell or a script".into())
 }
 
 impl std::fmt::Display for Condition {
@@ -288,17 +355,22 @@ fn may_take_arm(command: &Command) -> bool {
 
 /// Prints help that was asked for, or converts the error of an invalid command.
 fn explained(error: &clap::Error) -> Result<(), Failure> {
-    match error.kind() {
-        ErrorKind::DisplayHelp | ErrorKind::DisplayVersion => Ok(print_raw(error.render().to_string().trim_end())?),
-        _ => {
-            let text = error.render().to_string();
-            let text = text.strip_prefix("error: ").unwrap_or(&text).trim_end();
-            // the advice to use --help and the usage of `bcap` itself are about the command line
-            let about_bcap = |line: &str| line.starts_with("For more information") || line.starts_with("Usage: bcap [");
-            let lines: Vec<_> = text.lines().filter(|line| !about_bcap(line)).collect();
-            Err(Failure::Input(escape::block(lines.join("\n").trim_end())))
-        }
-    }
+    if is_help(error) { Ok(print_raw(error.render().to_string().trim_end())?) } else { Err(invalid(error)) }
+}
+
+/// Returns whether the user asked for help.
+fn is_help(error: &clap::Error) -> bool {
+    matches!(error.kind(), ErrorKind::DisplayHelp | ErrorKind::DisplayVersion)
+}
+
+/// Converts the error of an invalid command.
+fn invalid(error: &clap::Error) -> Failure {
+    let text = error.render().to_string();
+    let text = text.strip_prefix("error: ").unwrap_or(&text).trim_end();
+    // the advice to use --help and the usage of `bcap` itself are about the command line
+    let about_bcap = |line: &str| line.starts_with("For more information") || line.starts_with("Usage: bcap [");
+    let lines: Vec<_> = text.lines().filter(|line| !about_bcap(line)).collect();
+    Failure::Input(escape::block(lines.join("\n").trim_end()))
 }
 
 /// Returns the names and the summaries of all commands of a line.

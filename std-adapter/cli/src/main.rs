@@ -11,6 +11,7 @@ mod conform;
 mod connection;
 mod decode;
 mod demo;
+mod destination;
 mod disk;
 mod dissect;
 mod doctor;
@@ -60,6 +61,7 @@ mod series;
 mod session;
 mod shell;
 mod signal;
+mod silence;
 mod sim;
 mod slave;
 mod table;
@@ -84,14 +86,20 @@ use clap::CommandFactory as _;
 
 use crate::args::{Cli, Command};
 use crate::error::Failure;
+use crate::interrupt::Interrupt;
 use crate::session::Session;
 
 fn main() -> ExitCode {
     let cli = Cli::parse_or_exit();
-    match recorded(&cli) {
+    let code = match recorded(&cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => failure.report(cli.json),
+    };
+    // nothing is left on the controller, and the message is on the screen
+    if Interrupt::of_process().is_some_and(|interrupt| interrupt.suspend_if_requested()) {
+        output::note("Ctrl-Z had ended the command; start it again");
     }
+    code
 }
 
 /// Runs the command, and records it if the user wants that.
@@ -121,7 +129,7 @@ fn run(cli: &Cli) -> Result<(), Failure> {
              it, `bcap move` does a whole motion",
         );
     }
-    done
+    session.finish(done)
 }
 
 /// Runs a command: one of the command line, of the shell or of a script.
@@ -147,7 +155,7 @@ pub(crate) fn verb(command: &Command, session: &mut Session, json: bool) -> Resu
         Command::Clear(_) => trouble::clear(session),
         Command::Messages(args) => trouble::messages(args, session, json),
         Command::Shell(_) => shell::shell(session, verb, json),
-        Command::Run(args) => script::run(args, session, verb, json),
+        Command::Run(args) => script::run(args, session, verb, check, json),
         Command::Raw(args) => raw::raw(args, session, json),
         Command::Rac(args) => rac::rac(args, link, json),
         Command::Sim(args) => sim::sim(args, link.write.as_deref()),
@@ -169,6 +177,21 @@ pub(crate) fn verb(command: &Command, session: &mut Session, json: bool) -> Resu
         Command::Wireshark(_) => wireshark::wireshark(),
         Command::Completions(args) => completions(args),
         Command::Man(args) => man(args),
+    }
+}
+
+/// Checks the arguments of a command of a script before the script makes a call.
+fn check(command: &Command) -> Result<(), Failure> {
+    match command {
+        Command::Get(args::Get { names }) | Command::Watch(args::Watch { names, .. }) => {
+            selection::Selection::parse_each(names).map(drop)
+        }
+        Command::Put(args) => put::check(args),
+        Command::Call(args) => call::check(args),
+        Command::Exec(args) => call::check_exec(args),
+        Command::Move(args) => motion::check(args),
+        Command::Rac(args) => rac::check(args),
+        _ => Ok(()),
     }
 }
 

@@ -5,13 +5,25 @@ use bcap_core::procedure::Motion;
 use bcap_std::{Move, ObjectPath};
 
 use crate::args::MoveArgs;
+use crate::confirm::Question;
+use crate::destination;
 use crate::error::Failure;
+use crate::interrupt::State;
 use crate::output::{print_json, print_line};
 use crate::session::Session;
+use crate::silence::Silence;
 use crate::value::{integer, text};
 
 /// Runs `bcap move`.
 pub(crate) fn motion(args: &MoveArgs, session: &mut Session, json: bool) -> Result<(), Failure> {
+    check(args)?;
+    // a signal at the question prevents the motion
+    session.handle_signals()?;
+    session.begin()?;
+    let way = if args.line { "along a line " } else { "" };
+    let what = format!("{} moves {way}to {} at {} % of its speed", session.link().target()?, args.to, args.speed);
+    let question = Question { what: &what, warning: "The robot will move.", refused: "the robot was not moved" };
+    question.confirm(session, args.yes)?;
     if !go(args, session)? {
         return Ok(());
     }
@@ -19,6 +31,14 @@ pub(crate) fn motion(args: &MoveArgs, session: &mut Session, json: bool) -> Resu
     let to = &args.to;
     let name = serde_json::Value::from(to.as_str());
     Ok(if json { print_json(&format!("{{\"{key}\":{name}}}")) } else { print_line(&format!("{text} {to}")) }?)
+}
+
+/// Checks the arguments before the first call.
+pub(crate) fn check(args: &MoveArgs) -> Result<(), Failure> {
+    if !(args.speed > 0.0 && args.speed <= 100.0) {
+        return Err(Failure::Input(format!("--speed {}: write a speed above 0 and up to 100", args.speed)));
+    }
+    destination::check(&args.to).map_err(Failure::Input)
 }
 
 /// Moves the robot. Returns whether it is where it should be; `false` after an interruption that the line of the shell or the
@@ -32,16 +52,10 @@ pub(crate) fn go(args: &MoveArgs, session: &mut Session) -> Result<bool, Failure
                 .into(),
         ));
     }
-    if args.speed.is_some_and(|speed| !(speed > 0.0 && speed <= 100.0)) {
-        return Err(Failure::Input(format!(
-            "--speed {}: write a speed above 0 and up to 100",
-            args.speed.unwrap_or(0.0)
-        )));
-    }
     let interrupt = session.handle_signals()?;
     session.prepare_halt(&interrupt)?;
-    interrupt.set_moving(true);
-    // a signal after `set_moving` halts the robot, one before it prevents the motion
+    interrupt.enter(State::Moving);
+    // a signal from now on halts the robot, an earlier one prevents the motion
     let ready = if interrupt.is_interrupted() { Ok(()) } else { prepared(args, session, had_arm) };
     let ended = ready.and_then(|()| if interrupt.is_interrupted() { Ok(None) } else { moved(args, session).map(Some) });
     if had_arm {
@@ -50,7 +64,7 @@ pub(crate) fn go(args: &MoveArgs, session: &mut Session) -> Result<bool, Failure
     // halts the robot if the connection was lost: the controller gives the arm back only when it notices that
     session.abandon();
     let given = session.give_arm();
-    interrupt.set_moving(false);
+    interrupt.enter(State::Stepping);
     if interrupt.is_interrupted() && ended.as_ref().is_ok_and(|_| given.is_ok()) {
         return Err(interrupt.failure());
     }
@@ -86,31 +100,30 @@ fn moved(args: &MoveArgs, session: &mut Session) -> Result<Motion, Failure> {
     if args.no_wait {
         return started(args, session).map(|()| Motion::Arrived);
     }
-    let motion = destination(args);
+    let motion = commanded(args);
+    let silence = Silence::watch(session)?;
     let ended = session.with(|controller| {
         let mut arm = controller.arm()?;
         let ended = arm.move_to(&motion, args.within);
         arm.keep();
         ended
     });
+    drop(silence);
     session.restart_budget();
     ended
 }
 
-fn destination(args: &MoveArgs) -> Move {
+fn commanded(args: &MoveArgs) -> Move {
     let to = args.to.as_str();
     let motion = if args.line { Move::line(to) } else { Move::joint(to) };
-    match args.speed {
-        Some(speed) => motion.speed_percent(speed),
-        None => motion,
-    }
+    motion.speed_percent(args.speed)
 }
 
 /// Starts a motion without waiting for its end.
 fn started(args: &MoveArgs, session: &mut Session) -> Result<(), Failure> {
     let robot = session.object(&"robot".parse::<ObjectPath>()?)?;
     let interpolation = if args.line { 2 } else { 1 };
-    let option = args.speed.map_or_else(|| "NEXT".into(), |speed| format!("NEXT,SPEED={speed}"));
+    let option = format!("NEXT,SPEED={}", args.speed);
     let arguments = [integer(robot)?, integer(interpolation)?, text(&format!("@E {}", args.to))?, text(&option)?];
     session.call("robot", FunctionId::ROBOT_MOVE, &arguments).map(drop)
 }

@@ -77,6 +77,35 @@ pub(crate) fn from_input(text: &str, current: Variant<'_>) -> Result<Value, Stri
     }
 }
 
+/// Parses user input that is going to be written to a variable that now holds `current`.
+///
+/// Rarely meant values are refused unless the user writes their type: a number that is not finite, and a BOOL that is neither 0
+/// nor 1. The error is a sentence with the whole input.
+pub(crate) fn to_write(text: &str, current: Variant<'_>) -> Result<Value, String> {
+    let value = from_input(text, current)?;
+    if from_typed(text).is_ok_and(|typed| typed == value) {
+        return Ok(value);
+    }
+    let (vartype, found) = (current.vartype(), value.as_variant());
+    let wrong = match vartype.element() {
+        VarType::R4 | VarType::R8 if !is_finite(found) => "a number is not finite",
+        VarType::BOOL if !text.split(',').all(is_bool) => "a BOOL is true, false, on, off, 0, 1 or -1",
+        _ => return Ok(value),
+    };
+    Err(format!("{text}: {wrong}; if that is intended, write --typed {},{text}", vartype.0))
+}
+
+/// Returns whether all numbers of a value are finite.
+fn is_finite(value: Variant<'_>) -> bool {
+    let is_finite = |number: Variant<'_>| number.as_f64().is_none_or(f64::is_finite);
+    value.as_array().map_or_else(|| is_finite(value), |array| array.iter().all(is_finite))
+}
+
+/// Returns whether a word is the usual text of a BOOL.
+fn is_bool(word: &str) -> bool {
+    ["true", "false", "on", "off", "0", "1", "-1"].iter().any(|usual| word.trim().eq_ignore_ascii_case(usual))
+}
+
 /// Describes the data that a variable takes, for an error.
 fn expected(current: Variant<'_>) -> String {
     match current {
@@ -213,6 +242,27 @@ mod tests {
         assert_eq!(input("1,2", &[0_f32; 0]), "8196,1,2");
         assert_eq!(input("1,2", &[0_f32; 3]), "1,2: these are 2 values; the variable holds 3 of VT_R4");
         assert_eq!(input("1", &[0_f32; 3]), "1: this is 1 value; the variable holds 3 of VT_R4");
+    }
+
+    #[test]
+    fn what_is_rarely_meant_is_written_only_with_its_type() {
+        let write = |text: &str, current: &dyn Encode| {
+            to_write(text, Value::new(current).unwrap().as_variant())
+                .map(|value| value::to_text(value.as_variant()).unwrap())
+        };
+        let finite = "a number is not finite; if that is intended, write --typed";
+        assert_eq!(write("nan", &1_f32).unwrap_err(), format!("nan: {finite} 4,nan"));
+        assert_eq!(write("-inf", &1_f64).unwrap_err(), format!("-inf: {finite} 5,-inf"));
+        assert_eq!(write("1,nan,3", &[0_f32; 3]).unwrap_err(), format!("1,nan,3: {finite} 8196,1,nan,3"));
+        let usual = "a BOOL is true, false, on, off, 0, 1 or -1; if that is intended, write --typed";
+        assert_eq!(write("5", &false).unwrap_err(), format!("5: {usual} 11,5"));
+        assert_eq!(write("1,2", &[false; 2]).unwrap_err(), format!("1,2: {usual} 8203,1,2"));
+        // with its type, and what is usual
+        assert_eq!(write("8196,1,nan,3", &[0_f32; 3]).unwrap(), "8196,1,NaN,3");
+        assert_eq!(write("-1", &false).unwrap(), "11,-1");
+        assert_eq!(write(" On", &false).unwrap(), "11,-1");
+        assert_eq!(write("nan", &"").unwrap(), "8,nan");
+        assert_eq!(write("5", &1_i32).unwrap(), "3,5");
     }
 
     #[test]

@@ -46,6 +46,11 @@ pub(crate) fn put(args: &Put, session: &mut Session, json: bool) -> Result<(), F
     done.and(released.collect())
 }
 
+/// Checks the arguments before the first call. A file of `--from` is read when its line runs.
+pub(crate) fn check(args: &Put) -> Result<(), Failure> {
+    if args.from.is_some() { Ok(()) } else { from_words(args).map(drop) }
+}
+
 /// Prepares all writes, then makes them. `prepared` gets the open variables with their values, also when an error ends this.
 fn write_all(
     writes: &[Write],
@@ -72,7 +77,7 @@ fn prepare(session: &mut Session, write: &Write) -> Result<(i32, Value), Failure
         Data::Value(value) => value.clone(),
         Data::Plain(text) => {
             let current = read(session, &write.path, variable)?;
-            plain::from_input(text, current.as_variant())
+            plain::to_write(text, current.as_variant())
                 .map_err(|error| Failure::Input(format!("{}: {error}", write.name)))?
         }
     };

@@ -27,6 +27,14 @@ pub(crate) fn rac(args: &Rac, link: &LinkArgs, json: bool) -> Result<(), Failure
     }
 }
 
+/// Checks the arguments before the first call.
+pub(crate) fn check(args: &Rac) -> Result<(), Failure> {
+    match &args.command {
+        RacCommand::Get(args) => Selection::parse_each(&args.names).map(drop),
+        RacCommand::Put(args) => value_of(args).map(drop),
+    }
+}
+
 fn get(args: &Get, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let names = expand_offline(&Selection::parse_each(&args.names)?)?;
     let variables = names.iter().map(|name| variable(name)).collect::<Result<Vec<_>, _>>()?;
@@ -35,15 +43,20 @@ fn get(args: &Get, link: &LinkArgs, json: bool) -> Result<(), Failure> {
 }
 
 fn put(args: &RacPut, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+    let (variable, value) = value_of(args)?;
+    RacLink::open(link)?.put(variable, &value)?;
+    print(&shown(&args.name, &value, json), json)
+}
+
+/// Returns the variable and the value to write.
+fn value_of(args: &RacPut) -> Result<(Variable, Value), Failure> {
     let variable = variable(&args.name)?;
     let value = if args.typed {
         plain::from_typed_input(&args.value)
     } else {
-        plain::from_input(&args.value, model(variable.kind)?.as_variant())
+        plain::to_write(&args.value, model(variable.kind)?.as_variant())
     };
-    let value = value.map_err(Failure::Input)?;
-    RacLink::open(link)?.put(variable, &value)?;
-    print(&shown(&args.name, &value, json), json)
+    Ok((variable, value.map_err(Failure::Input)?))
 }
 
 /// Parses `I10` or `I[10]`.

@@ -4,20 +4,25 @@
 //! all objects are released in reverse order. After a call without a reply nothing is sent.
 
 use std::collections::HashMap;
+use std::thread;
+use std::time::{Duration, Instant};
 
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::hresult::HResult;
 use bcap_std::blocking::Controller;
-use bcap_std::{Address, Error, ObjectPath};
+use bcap_std::{Address, Error, NetworkAddress, ObjectPath, Protocol};
 
 use crate::args::LinkArgs;
 use crate::budget::Budget;
 use crate::connection::{failure, open};
 use crate::error::Failure;
-use crate::interrupt::Interrupt;
+use crate::interrupt::{Interrupt, State};
 use crate::output::note;
 use crate::trace::Packets;
 use crate::value::{Value, described, integer, text};
+
+/// The time until a controller that is busy with a call without a reply is asked again.
+const BUSY: Duration = Duration::from_millis(50);
 
 /// A session, from Service_Start to Service_Stop. It connects when it is first used.
 pub(crate) struct Session {
@@ -32,6 +37,10 @@ pub(crate) struct Session {
     objects: HashMap<String, i32>,
     /// What a signal does while this session may move the robot.
     pub(crate) interrupt: Option<Interrupt>,
+    /// Whether this session halts the robot for another one, so that no signal keeps it from its calls.
+    is_stopper: bool,
+    /// Whether the controller may have given the arm to this session, although no reply says so.
+    asked_for_arm: bool,
     /// The bytes of the last packets.
     pub(crate) packets: Packets,
     /// The scripts that run each other now.
@@ -49,10 +58,10 @@ impl Drop for Session {
     /// Ends this session, and then the one that halts the robot.
     fn drop(&mut self) {
         if self.has_arm() {
-            // halting the robot and giving the arm back have time of their own, however long the command took
+            // halting the robot and giving the arm back have a separate time limit, however long the command took
             self.allow_time();
         }
-        self.open = None;
+        self.disconnect();
         if let Some(interrupt) = &self.interrupt {
             interrupt.dismiss();
         }
@@ -89,6 +98,8 @@ impl Session {
             provider: link.provider().to_owned(),
             objects: HashMap::new(),
             interrupt: None,
+            is_stopper: false,
+            asked_for_arm: false,
             packets: Packets::new(link.trace),
             scripts: 0,
         }
@@ -128,7 +139,7 @@ impl Session {
         if !self.lost {
             self.restart_budget();
         }
-        self.open = None;
+        self.disconnect();
         self.lost = false;
         self.objects.clear();
         if let Some(interrupt) = &self.interrupt {
@@ -136,10 +147,41 @@ impl Session {
         }
     }
 
-    /// Opens the connection, over which nothing is started yet.
+    /// Closes the connection. Over UDP nothing else tells the controller that the session has ended: after a lost reply it is
+    /// told so too, if it may hold the arm for this session.
+    fn disconnect(&mut self) {
+        let has_arm = self.open.as_ref().is_some_and(|open| open.controller.has_arm());
+        let is_udp =
+            |open: &Open| matches!(open.target, Address::Network(NetworkAddress { protocol: Protocol::Udp, .. }));
+        if self.lost && (self.asked_for_arm || has_arm) && self.open.as_ref().is_some_and(is_udp) {
+            self.allow_time();
+            if !has_arm {
+                self.stop_service();
+            }
+        }
+        self.open = None;
+        self.asked_for_arm = false;
+    }
+
+    /// Stops the service as soon as the call without a reply has ended.
+    fn stop_service(&mut self) {
+        let until = Instant::now() + self.link.for_halt().timeout();
+        let Some(Open { controller, .. }) = &mut self.open else { return };
+        let mut stop = || controller.call_any("", FunctionId::SERVICE_STOP, &[]);
+        while matches!(stop(), Err(Error::Refused { code: HResult::E_BUSY_PROC, .. })) && Instant::now() < until {
+            thread::sleep(BUSY);
+        }
+    }
+
+    /// Opens the connection, over which nothing is started yet. From then on a signal ends the command after the running call.
     pub(crate) fn open_connection(&mut self) -> Result<(), Failure> {
+        self.check_signal()?;
         let (target, budget) = (self.link.target()?, Budget::start(&self.link));
+        let interrupt = if self.is_stopper { None } else { Some(Interrupt::of_session()?) };
         let controller = open(&target, &budget, &self.packets)?;
+        if let Some(interrupt) = interrupt {
+            interrupt.raise(State::Calling);
+        }
         self.open = Some(Open { controller, target, budget });
         self.set_budget(budget);
         Ok(())
@@ -147,6 +189,7 @@ impl Session {
 
     /// Returns the open connection; connects first if necessary.
     fn opened(&mut self) -> Result<&mut Open, Failure> {
+        self.check_signal()?;
         if self.lost {
             return Err(Failure::Connection {
                 message: "the connection is lost".into(),
@@ -236,7 +279,11 @@ impl Session {
         function: FunctionId,
         arguments: &[Value],
     ) -> Result<(HResult, Option<Value>), Failure> {
-        let called = self.opened()?.controller.call_any(subject, function, arguments);
+        let open = self.opened()?;
+        let called = open.controller.call_any(subject, function, arguments);
+        if takes_arm(function, arguments) && !matches!(called, Err(Error::Refused { .. })) {
+            self.asked_for_arm = true;
+        }
         if function.releases().is_some() {
             self.objects.clear();
         }
@@ -309,6 +356,29 @@ impl Session {
         Ok(interrupt)
     }
 
+    /// Refuses a call after a signal, if the command does not look for signals itself.
+    fn check_signal(&self) -> Result<(), Failure> {
+        if !self.is_stopper && Interrupt::of_process().is_some_and(|interrupt| interrupt.forbids_calls()) {
+            return Err(Failure::Interrupted("interrupted".into()));
+        }
+        Ok(())
+    }
+
+    /// Gives the arm back after a signal that ended a command between two calls, and reports that.
+    pub(crate) fn finish(&mut self, done: Result<(), Failure>) -> Result<(), Failure> {
+        let Some(interrupt) = Interrupt::of_process().filter(Interrupt::forbids_calls) else { return done };
+        // the calls that end the session are allowed
+        interrupt.enter(State::Stepping);
+        if matches!(done, Err(Failure::Connection { .. } | Failure::Timeout { .. })) {
+            return done;
+        }
+        if !self.has_arm() {
+            return Err(Failure::Interrupted("interrupted".into()));
+        }
+        self.give_arm()?;
+        Err(Failure::Interrupted("interrupted: the arm was given back".into()))
+    }
+
     /// Opens the session that halts the robot while this one waits for a reply. Call it before the arm is taken.
     pub(crate) fn prepare_halt(&self, interrupt: &Interrupt) -> Result<(), Failure> {
         let mut link = self.link.for_halt();
@@ -319,6 +389,7 @@ impl Session {
                 return Ok(None);
             }
             let mut stopper = Self::new(&link);
+            stopper.is_stopper = true;
             // the handle must exist before it is needed
             stopper.with(|controller| controller.robot().map(drop))?;
             let mut stopper = Stopper(stopper);
@@ -364,7 +435,7 @@ impl Session {
                 }
             }
         }
-        self.open = None;
+        self.disconnect();
         self.objects.clear();
     }
 
@@ -387,4 +458,11 @@ impl Session {
         }
         failure
     }
+}
+
+/// Returns whether a call takes the arm.
+fn takes_arm(function: FunctionId, arguments: &[Value]) -> bool {
+    let command = arguments.get(1).and_then(|value| value.as_variant().as_bstr());
+    function == FunctionId::ROBOT_EXECUTE
+        && command.is_some_and(|command| command.to_string().eq_ignore_ascii_case("TakeArm"))
 }

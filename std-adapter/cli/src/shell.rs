@@ -18,6 +18,7 @@ use crate::interrupt::Interrupt;
 use crate::line::{self, Flow, Runner, Verb};
 use crate::output::{note, print_line};
 use crate::session::Session;
+use crate::signal::{self, Signal};
 use crate::terminal::Terminal;
 use crate::variables::{all_names, get_one};
 
@@ -33,18 +34,27 @@ pub(crate) fn shell(session: &mut Session, verb: Verb, json: bool) -> Result<(),
     let shared: Shared = Arc::new(Mutex::new(Session::new(&link)));
     let signalled = Arc::clone(&shared);
     let terminal = Terminal::saved();
-    let interrupt = Interrupt::install(move |must_end| {
-        if must_end {
+    let interrupt = Interrupt::install(move |received| {
+        if received == Signal::End {
             locked(&signalled).close();
             // the prompt has changed it
             terminal.restore();
             process::exit(130);
         }
         // while a line runs, the line itself ends; it has the session
-        if let Ok(mut session) = signalled.try_lock() {
-            report(stop(&mut session), json);
+        let Ok(mut session) = signalled.try_lock() else { return };
+        report(stop(&mut session), json);
+        if received == Signal::Suspend {
+            let prompt = Terminal::saved();
+            terminal.restore();
+            signal::suspend();
+            prompt.restore();
+        }
+        if let Some(interrupt) = &session.interrupt {
+            interrupt.begin();
         }
     })?;
+    interrupt.set_going_on();
     locked(&shared).interrupt = Some(interrupt.clone());
     let mut editor = editor(&shared)?;
     let history = history_file();
@@ -85,8 +95,9 @@ fn read_lines(
         let prompt = format!("{}> ", prompt(&mut locked(shared)));
         // Ctrl-C after the end of the last line, while the state for the prompt was read
         if runner.is_interrupted() {
-            runner.begin();
             report(stop(&mut locked(shared)), json);
+            runner.suspend_if_requested();
+            runner.begin();
         }
         let line = match editor.readline(&prompt) {
             Ok(line) => line,
@@ -118,6 +129,7 @@ fn read_lines(
                 }
             }
         }
+        runner.suspend_if_requested();
         if runner.is_ended() {
             return Err(Failure::Interrupted("ended by a signal; the arm was given back".into()));
         }

@@ -1,48 +1,107 @@
-//! SIGINT, SIGTERM and SIGHUP, which end commands that run until they are interrupted.
+//! The signals that end or suspend a command.
 
 use std::io;
 use std::sync::mpsc::{Receiver, channel};
 use std::thread;
 
-/// Returns a receiver that gets a message on the first signal.
-pub(crate) fn ended() -> io::Result<Receiver<()>> {
+/// A signal. A later one outranks an earlier one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Signal {
+    /// SIGINT: Ctrl-C.
+    Interrupt,
+    /// SIGTSTP: Ctrl-Z.
+    Suspend,
+    /// SIGTERM or SIGHUP.
+    End,
+}
+
+/// Handles signals from now on, and returns a receiver of them.
+pub(crate) fn receiver() -> io::Result<Receiver<Signal>> {
     let (sender, receiver) = channel();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build()?;
     // the handlers are in place before this returns
-    let waiting = {
+    let mut sources = {
         let _inside = runtime.enter();
-        wait()?
+        Sources::new()?
     };
     thread::Builder::new().name("signals".into()).spawn(move || {
-        runtime.block_on(waiting);
-        // without a receiver the command is ending already
-        let _ = sender.send(());
+        runtime.block_on(async { while sender.send(sources.next().await).is_ok() {} });
     })?;
     Ok(receiver)
 }
 
-/// Returns a receiver that gets a message on each signal.
-pub(crate) fn each() -> io::Result<Receiver<()>> {
-    let (sender, receiver) = channel();
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build()?;
-    let waiting = {
-        let _inside = runtime.enter();
-        wait()?
-    };
-    thread::Builder::new().name("signals".into()).spawn(move || {
-        runtime.block_on(async {
-            let mut waiting = Some(waiting);
-            // listen for the next signal before reporting this one, so that no signal is lost in between
-            while let Some(current) = waiting.take() {
-                current.await;
-                waiting = wait().map(Some).unwrap_or_default();
-                if sender.send(()).is_err() {
-                    return;
-                }
-            }
-        });
-    })?;
-    Ok(receiver)
+/// Suspends this process, as Ctrl-Z does to a process without a handler; returns when it continues.
+pub(crate) fn suspend() {
+    #[cfg(unix)]
+    {
+        use rustix::process::{Signal, getpid, kill_process};
+        // a process may always signal itself
+        let _ = kill_process(getpid(), Signal::STOP);
+    }
+}
+
+#[cfg(unix)]
+struct Sources {
+    interrupt: tokio::signal::unix::Signal,
+    terminate: tokio::signal::unix::Signal,
+    /// `None` if the process ignores it, as `nohup` arranges: a handler would end what `nohup` lets run.
+    hangup: Option<tokio::signal::unix::Signal>,
+    /// `None` if the process ignores it, as a shell without job control arranges.
+    suspend: Option<tokio::signal::unix::Signal>,
+}
+
+#[cfg(unix)]
+impl Sources {
+    fn new() -> io::Result<Self> {
+        use rustix::process::Signal;
+        use tokio::signal::unix::{SignalKind, signal};
+        let unless_ignored = |raw: i32| {
+            let handled = (!is_ignored(raw)).then(|| signal(SignalKind::from_raw(raw)));
+            handled.transpose()
+        };
+        Ok(Self {
+            interrupt: signal(SignalKind::interrupt())?,
+            terminate: signal(SignalKind::terminate())?,
+            hangup: unless_ignored(Signal::HUP.as_raw())?,
+            suspend: unless_ignored(Signal::TSTP.as_raw())?,
+        })
+    }
+
+    async fn next(&mut self) -> Signal {
+        tokio::select! {
+            _ = self.interrupt.recv() => Signal::Interrupt,
+            _ = self.terminate.recv() => Signal::End,
+            () = received(&mut self.hangup) => Signal::End,
+            () = received(&mut self.suspend) => Signal::Suspend,
+        }
+    }
+}
+
+/// Waits for a signal; for ever if it is ignored.
+#[cfg(unix)]
+async fn received(source: &mut Option<tokio::signal::unix::Signal>) {
+    match source {
+        Some(source) => drop(source.recv().await),
+        None => std::future::pending().await,
+    }
+}
+
+#[cfg(not(unix))]
+struct Sources;
+
+#[cfg(not(unix))]
+impl Sources {
+    fn new() -> io::Result<Self> {
+        Ok(Self)
+    }
+
+    async fn next(&mut self) -> Signal {
+        // without a handler there is no signal
+        if tokio::signal::ctrl_c().await.is_err() {
+            std::future::pending::<()>().await;
+        }
+        Signal::Interrupt
+    }
 }
 
 /// Installs the signal handlers, and returns a future that completes on the first signal.
@@ -51,34 +110,30 @@ pub(crate) fn wait() -> io::Result<impl Future<Output = ()>> {
     use tokio::signal::unix::{SignalKind, signal};
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut terminate = signal(SignalKind::terminate())?;
-    // a handler would end what `nohup` lets run
-    let mut hangup = (!ignores_hangup()).then(|| signal(SignalKind::hangup())).transpose()?;
+    let hangup = SignalKind::hangup();
+    let mut hangup = (!is_ignored(hangup.as_raw_value())).then(|| signal(hangup)).transpose()?;
     Ok(async move {
-        let hung_up = async {
-            match &mut hangup {
-                Some(hangup) => drop(hangup.recv().await),
-                None => std::future::pending().await,
-            }
-        };
         tokio::select! {
             _ = interrupt.recv() => {}
             _ = terminate.recv() => {}
-            () = hung_up => {}
+            () = received(&mut hangup) => {}
         }
     })
 }
 
-/// Returns whether this process ignores SIGHUP, as `nohup` arranges. Only Linux tells.
+/// Returns whether this process ignores a signal. Only Linux tells.
 #[cfg(unix)]
-fn ignores_hangup() -> bool {
-    std::fs::read_to_string("/proc/self/status").is_ok_and(|status| has_ignored_hangup(&status))
+fn is_ignored(signal: i32) -> bool {
+    std::fs::read_to_string("/proc/self/status").is_ok_and(|status| has_ignored(&status, signal))
 }
 
-/// Reads from the text of `/proc/PID/status` whether SIGHUP is ignored: it is bit 0 of the hexadecimal set `SigIgn`.
+/// Reads from the text of `/proc/PID/status` whether a signal is ignored: signal 1 is bit 0 of the hexadecimal set `SigIgn`.
 #[cfg(unix)]
-fn has_ignored_hangup(status: &str) -> bool {
+fn has_ignored(status: &str, signal: i32) -> bool {
     let set = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
-    set.and_then(|set| u64::from_str_radix(set.trim(), 16).ok()).is_some_and(|set| set & 1 == 1)
+    let bit = u32::try_from(signal - 1).ok().and_then(|shift| 1_u64.checked_shl(shift));
+    let set = set.and_then(|set| u64::from_str_radix(set.trim(), 16).ok());
+    set.zip(bit).is_some_and(|(set, bit)| set & bit != 0)
 }
 
 /// Returns a future that completes on Ctrl-C.
@@ -94,9 +149,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_ignored_hangup_is_bit_0_of_its_set() {
-        assert!(has_ignored_hangup("Name:\tbcap\nSigIgn:\t0000000000001001\nSigCgt:\t0000000000000000\n"));
-        assert!(!has_ignored_hangup("SigIgn:\t0000000000001000\nSigCgt:\t0000000000000001\n"));
-        assert!(!has_ignored_hangup(""));
+    fn an_ignored_signal_is_a_bit_of_its_set() {
+        let status = "Name:\tbcap\nSigIgn:\t0000000000081001\nSigCgt:\t0000000000000000\n";
+        assert!(has_ignored(status, 1) && has_ignored(status, 20) && !has_ignored(status, 2));
+        assert!(!has_ignored("SigIgn:\t0000000000001000\nSigCgt:\t0000000000000001\n", 1));
+        assert!(!has_ignored("", 1));
     }
 }

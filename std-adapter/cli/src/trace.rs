@@ -58,6 +58,8 @@ pub(crate) struct Packets {
 struct Last {
     sent: Vec<u8>,
     received: Vec<u8>,
+    /// The first packet that was sent after the last one that was received.
+    unanswered: Option<std::time::Instant>,
 }
 
 impl Packets {
@@ -94,8 +96,17 @@ impl Packets {
         self.paused.store(paused, Ordering::SeqCst);
     }
 
+    /// Returns when the first packet was sent that has no reply and no keep-alive yet.
+    pub(crate) fn unanswered(&self) -> Option<std::time::Instant> {
+        self.last().unanswered
+    }
+
     /// Records a packet.
     fn packet(&self, role: Role, wire: Wire, bytes: &[u8]) {
+        match role {
+            Role::Request => drop(self.last().unanswered.get_or_insert_with(std::time::Instant::now)),
+            Role::Response => self.last().unanswered = None,
+        }
         if self.paused.load(Ordering::SeqCst) {
             return;
         }

@@ -178,7 +178,8 @@ fn dump_change_100_values_diff_restore_dump_is_identical() {
 
 #[test]
 fn the_plan_is_shown_and_io_needs_an_option() {
-    let cell = Cell::start();
+    // any other serial number than that of a virtual controller is that of a real one
+    let cell = Cell::with(Config { serial_number: "1234567".into(), ..Config::new(Profile::Rc8) });
     let dir = cell.dump("a");
     cell.robot.run(&["put", "I5=7", "IO200=true"]);
     let shown = "I5: 7 -> 0\nnote: 1 IO differ; they switch outputs and are written only with --io\n";
@@ -191,6 +192,12 @@ fn the_plan_is_shown_and_io_needs_an_option() {
     assert_eq!((cell.robot.i(5), Path::new(&dir).join("restore.jsonl").exists()), (7, false));
     let run = cell.robot.run(&["restore", "--yes", &dir]);
     assert_eq!((run.code, cell.robot.i(5)), (0, 0), "{run:?}");
+    // a virtual one is not asked about
+    let virtual_cell = Cell::start();
+    let dir_of_virtual = virtual_cell.dump("a");
+    virtual_cell.robot.run(&["put", "I5=7"]);
+    let run = virtual_cell.robot.run(&["restore", &dir_of_virtual]);
+    assert_eq!((run.code, virtual_cell.robot.i(5)), (0, 0), "{run:?}");
     let run = cell.robot.run(&["diff", &dir]);
     assert_eq!((run.out.as_str(), run.code), ("IO200: false -> true\n", 1));
 }

@@ -18,7 +18,16 @@ use serde_json::Value;
 
 /// A controller with a slow clock. Mode 2 paces the command, so a busy machine does not affect the test.
 fn controller() -> Served<Slowed> {
-    let config = bcap_sim::Config { motor_on_delay: Duration::from_millis(1), ..bcap_sim::Config::new(Profile::Rc8) };
+    with_serial_number("VIRTUAL")
+}
+
+/// A controller that does not say that it is virtual, unless its serial number says so.
+fn with_serial_number(serial_number: &str) -> Served<Slowed> {
+    let config = bcap_sim::Config {
+        motor_on_delay: Duration::from_millis(1),
+        serial_number: serial_number.into(),
+        ..bcap_sim::Config::new(Profile::Rc8)
+    };
     Served::of(Slowed(Controller::new(config)), Limits::default())
 }
 
@@ -60,10 +69,11 @@ fn speeds(sim: &Served<Slowed>) -> Vec<f64> {
     cycles(sim).windows(2).map(|pair| (pair[1].axes[0] - pair[0].axes[0]) / 0.008).collect()
 }
 
-/// Checks that Slave Mode is off, the arm is free, nothing moves, and that there are `errors` errors.
+/// Checks that Slave Mode and the motor are off, the arm is free, nothing moves, and that there are `errors` errors.
 fn assert_at_rest(sim: &Served<Slowed>, errors: usize) {
     let controller = &sim.application().0;
     assert_eq!((controller.slave_mode(), controller.arm_owner(), controller.is_moving()), (0, None, false));
+    assert!(!controller.motor_is_on());
     assert_eq!(controller.errors().count(), errors);
 }
 
@@ -152,7 +162,7 @@ fn a_recording_can_be_played() {
 
 #[test]
 fn nothing_moves_without_confirmation_or_with_an_invalid_file() {
-    let sim = controller();
+    let sim = with_serial_number("1234567");
     let run = slave(&sim, &["cosine"]);
     assert!(run.code == 2 && run.err.contains("give --yes"), "{run:?}");
     let bad = file("bad.csv", "0,45,90,0,45,0\n0,45,ninety,0,45,0\n");
@@ -166,12 +176,37 @@ fn nothing_moves_without_confirmation_or_with_an_invalid_file() {
     assert_eq!(sim.application().0.error_log().count(), 0);
     assert!(!sim.application().0.motor_is_on());
 
-    // a pose that is too fast is not sent, and the robot stops
+    // a pose that is too fast is found before the arm is taken, also between the last pose and the first
     let jump = file("jump.csv", &("0,45,90,0,45,0\n".repeat(20) + "9,45,90,0,45,0\n"));
-    let run = slave(&sim, &["play", &jump, "--yes", "--max-speed", "100"]);
-    assert!(run.code == 2 && run.err.contains("pose 20: axis 1 would move at 1125"), "{run:?}");
-    assert!(cycles(&sim).iter().all(|cycle| cycle.axes[0] == 0.0));
+    let back = file("back.csv", "0,45,90,0,45,0\n0.5,45,90,0,45,0\n1,45,90,0,45,0\n");
+    for (args, problem) in [
+        (&["play", &jump, "--yes", "--max-speed", "100"][..], "jump.csv: pose 20: axis 1 would move at 1125"),
+        (
+            &["play", &jump, "--yes", "--max-acceleration", "100"],
+            "jump.csv: pose 20: axis 1 would accelerate by 140625",
+        ),
+        (&["play", &back, "--yes", "--max-speed", "100", "--loop", "2"], "back.csv: pose 0: axis 1 would move at 125"),
+    ] {
+        let run = slave(&sim, args);
+        assert!(run.code == 2 && run.err.contains(problem), "{run:?}");
+    }
+    assert!(cycles(&sim).is_empty() && !sim.application().0.motor_is_on());
     assert_at_rest(&sim, 0);
+}
+
+#[test]
+fn the_motor_is_as_it_was_before_the_stream() {
+    let sim = controller();
+    let stream = ["cosine", "--seconds", "0.2", "--amplitude", "1"];
+    // a virtual controller moves without a question
+    assert_eq!(slave(&sim, &stream).code, 0);
+    assert_at_rest(&sim, 0);
+    assert_eq!(slave(&sim, &[&stream[..], &["--keep-motor"]].concat()).code, 0);
+    assert!(sim.application().0.motor_is_on());
+    assert_eq!(sim.application().0.arm_owner(), None);
+    // what was on stays on
+    assert_eq!(slave(&sim, &stream).code, 0);
+    assert!(sim.application().0.motor_is_on());
 }
 
 #[test]

@@ -154,7 +154,6 @@ fn nothing_moves_with_formats_that_do_not_fit() {
         (&["play", &hand], "column HAND: slvMove does not carry it; add hand to --send-format"),
         (&["play", &hand, "--send-format", "hand"], "column HAND: 0x100000000 does not fit the 32 bits of hand"),
         (&["cosine", "--speed", "20"], "--from"),
-        (&["cosine", "--from", "J1"], "give --yes"),
     ] {
         let run = run(&sim, &[&["slave"], args].concat());
         assert!(run.code == 2 && run.err.contains(part), "{args:?}: {run:?}");

@@ -29,6 +29,9 @@ fn ctrl_c_in_the_shell_halts_the_robot_and_gives_the_arm_back() {
         terminal.keys(&["C-c"]);
         terminal.wait_for("error: interrupted: the robot was halted, and the arm was given back\nRC8 auto ok>");
         robot.assert_at_rest_with_free_arm();
+        // an empty screen, so that the prompts below are not found in the lines above
+        terminal.keys(&["C-l"]);
+        terminal.wait_until("an empty screen", |screen| !screen.contains("arm>"));
         // at the prompt, while the robot moves
         terminal.enter("exec robot TakeArm 0 1");
         terminal.wait_for("RC8 auto ok arm>");
@@ -95,6 +98,40 @@ fn tab_completes_and_the_history_is_kept() {
     terminal.wait_for("RC8 auto ok>");
     terminal.keys(&["Up", "Up"]);
     terminal.wait_for("> put I7 1234");
+}
+
+#[test]
+fn ctrl_z_suspends_the_shell_after_the_arm_is_given_back_and_fg_continues_it() {
+    let robot = Virtual::start(&[]);
+    let folder = tempfile::tempdir().unwrap();
+    // a shell with job control
+    let Some(terminal) = Terminal::run((120, 24), &["bash", "--norc", "-i"], folder.path()) else { return };
+    terminal.enter("PS1='%% '");
+    terminal.enter(&format!("{} shell --robot {}", env!("CARGO_BIN_EXE_bcap"), robot.tcp));
+    terminal.wait_for("RC8 auto ok>");
+    // at the prompt, and during a motion
+    for line in ["", "move 'J(90, 45, 90, 0, 45, 0)' --speed 1"] {
+        terminal.enter("exec robot TakeArm 0 1");
+        terminal.wait_for("RC8 auto ok arm>");
+        if !line.is_empty() {
+            terminal.enter("exec robot Motor 1 0");
+            terminal.wait_for("RC8 auto ok arm motor>");
+            terminal.enter(line);
+            robot.wait_for_motion();
+        }
+        terminal.keys(&["C-z"]);
+        terminal.wait_for("Stopped");
+        robot.assert_at_rest_with_free_arm();
+        terminal.keys(&["C-l"]);
+        terminal.wait_until("an empty screen", |screen| !screen.contains("Stopped"));
+        terminal.enter("fg");
+        terminal.wait_for("shell --robot");
+        terminal.enter("get I1");
+        terminal.wait_for("I1 = 0");
+        terminal.keys(&["C-l"]);
+        terminal.wait_until("an empty screen", |screen| !screen.contains("I1 = 0"));
+    }
+    terminal.enter("exit");
 }
 
 /// The prompt reads single keys without an echo; the shell that a person returns to must not.

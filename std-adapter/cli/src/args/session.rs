@@ -11,7 +11,10 @@ use crate::duration;
 ///
 /// Takes the arm, switches the motor on, moves, switches the motor off again and gives the arm back. Where this session has
 /// the arm already (`exec robot TakeArm 0 1` in the shell or a script), it keeps the arm, and the motor stays on. Ctrl-C
-/// halts the robot and gives the arm back; over a serial line it cannot, because such a line carries one session.
+/// and Ctrl-Z halt the robot and give the arm back; over a serial line they cannot, because such a line carries one session.
+///
+/// A real robot moves only after a question, or with --yes; without a terminal the question cannot be asked, so --yes is
+/// needed. A virtual controller is recognised by its @MAKER_NAME and @SERIAL_NO, and is not asked about.
 ///
 /// POSITION is a variable (P1, J2, T3), or a value as the controller's language writes it: 'J(0, 45, 90, 0, 45, 0)',
 /// 'P(400, 0, 300, 180, 0, 180, 5)'. The exit code is 0 only if the robot rests at the destination, or,
@@ -31,8 +34,8 @@ pub(crate) struct MoveArgs {
     pub(crate) line: bool,
 
     /// The speed, in percent of the speed that the arm is set to
-    #[arg(long, value_name = "PERCENT")]
-    pub(crate) speed: Option<f64>,
+    #[arg(long, value_name = "PERCENT", default_value_t = 10.0)]
+    pub(crate) speed: f64,
 
     /// Selects the tool first; 0 is the flange
     #[arg(long, value_name = "N")]
@@ -53,6 +56,10 @@ pub(crate) struct MoveArgs {
     /// Returns when the motion has begun. It needs the arm of the session, so only the shell and scripts have it
     #[arg(long)]
     pub(crate) no_wait: bool,
+
+    /// Moves a real robot without asking for confirmation
+    #[arg(long)]
+    pub(crate) yes: bool,
 }
 
 /// Starts or stops a task, or prints its status
@@ -178,8 +185,11 @@ pub(crate) struct Shell {}
 
 /// Runs a script: the lines of `bcap shell`, from a file or the standard input (-)
 ///
-/// It stops at the first error, prints FILE:LINE, and returns the exit code of that line. Ctrl-C halts the robot if the
-/// script has the arm, and gives the arm back; the end of the script gives it back as well.
+/// All lines of a file are checked before the first one runs: their commands, arguments and script variables. The lines of the
+/// standard input run as they arrive.
+///
+/// It stops at the first error, prints FILE:LINE, and returns the exit code of that line. Ctrl-C and Ctrl-Z halt the robot if
+/// the script has the arm, and give the arm back; the end of the script gives it back as well.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 A script has one command a line. # begins a comment, words with blanks stand between ' or \", $x and ${x} are variables.
@@ -197,4 +207,8 @@ pub(crate) struct Run {
     /// The script; - is the standard input
     #[arg(value_name = "FILE")]
     pub(crate) file: PathBuf,
+
+    /// Only checks the lines, without a connection
+    #[arg(long)]
+    pub(crate) check: bool,
 }

@@ -9,8 +9,8 @@ use super::slave_format::FormatArgs;
 
 /// Streams poses in Slave Mode, one every 8 ms, and reports the timing
 ///
-/// `play` and `cosine` move the robot and ask for confirmation first. Ctrl-C slows the robot down, leaves Slave Mode,
-/// releases the arm and exits with 130. A second Ctrl-C halts the robot over a separate connection. After an error the robot
+/// `play` and `cosine` move the robot; a real one only after a confirmation. Ctrl-C and Ctrl-Z slow the robot down, leave Slave
+/// Mode, switch the motor off, release the arm and exit with 130. A second Ctrl-C halts the robot over a separate connection. After an error the robot
 /// stops, and the first error of the controller is printed. The controller needs a b-CAP Slave licence, Auto mode, the
 /// executable token and no pending error; `bcap doctor` checks these.
 ///
@@ -140,9 +140,13 @@ pub(crate) struct StreamArgs {
     #[command(flatten)]
     pub(crate) format: FormatArgs,
 
-    /// Moves the robot without asking for confirmation
+    /// Moves a real robot without asking for confirmation; a virtual one is never asked about
     #[arg(long)]
     pub(crate) yes: bool,
+
+    /// Leaves the motor on at the end; without it a motor that the stream has switched on is switched off
+    #[arg(long)]
+    pub(crate) keep_motor: bool,
 
     /// Refuses poses that need a higher speed of an axis, in degrees or mm per second
     #[arg(long, value_name = "SPEED", value_parser = positive)]

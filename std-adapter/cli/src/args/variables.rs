@@ -36,7 +36,7 @@ pub(crate) struct Get {
 /// VALUE is plain data, which take the variable's present type. A number has a decimal point; a BOOL is true, false, on, off,
 /// or a number; an array has commas between its elements, as many as the variable has. With --typed VALUE is TYPE,DATA,
 /// where TYPE is a VARTYPE number, and the variable is not read first: 3,5 is the I4 5. A VALUE that could be both is
-/// refused, such as 3,5 without --typed. Without --typed, TYPE,DATA is accepted only for an array, with the variable's own
+/// refused, such as 3,5 without --typed. So are a number that is not finite, and a BOOL such as 5. Without --typed, TYPE,DATA is accepted only for an array, with the variable's own
 /// type and length.
 #[derive(Debug, Args)]
 #[command(after_help = "\

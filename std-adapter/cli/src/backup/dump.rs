@@ -18,7 +18,6 @@ use crate::session::Session;
 /// Runs `bcap dump`.
 pub(crate) fn dump(args: &Dump, session: &mut Session, json: bool) -> Result<(), Failure> {
     let interrupt = session.handle_signals()?;
-    let _ends = interrupt.end_between_calls();
     let shown = args.dir.display().to_string();
     session.begin()?;
     let folder = Folder::begin(&args.dir, live::about(session)?)?;

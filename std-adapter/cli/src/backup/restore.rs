@@ -23,7 +23,7 @@ use super::plan::{Change, FileChange, Plan, unfit};
 use super::replaced::Replaced;
 use super::{folder, live};
 use crate::args::Restore;
-use crate::confirm::confirm;
+use crate::confirm::Question;
 use crate::error::Failure;
 use crate::interrupt::Interrupt;
 use crate::named::Entry;
@@ -65,11 +65,15 @@ pub(crate) fn restore(args: &Restore, session: &mut Session, json: bool) -> Resu
         plan.variables.len(),
         plan.files.len()
     );
-    confirm(&what, "Tasks and robot must stay at rest meanwhile.", "nothing was written", args.yes)?;
+    let question = Question {
+        what: &what,
+        warning: "Tasks and robot must stay at rest meanwhile.",
+        refused: "nothing was written",
+    };
+    question.confirm(session, args.yes)?;
     let mut journal = Journal::begin(&args.dir, &target, &plan.names())?;
     let replaced = Replaced::new(&args.dir);
     let interrupt = session.handle_signals()?;
-    let _ends = interrupt.end_between_calls();
     // the question may have taken long
     session.restart_budget();
     let written = session.begin().and_then(|()| {

@@ -43,6 +43,8 @@ pub(crate) fn monitor(args: &args::Monitor, session: &mut Session, json: bool) -
     own.packets.watch(Level::Values, packets);
     // of the command's session, not of the one that reads: the end of its connection must not close the one that halts
     let interrupt = session.handle_signals()?;
+    // the screen must be closed
+    interrupt.set_going_on();
     let (updates, update) = channel();
     let (requests, request) = channel();
     let mut reader = Reader {

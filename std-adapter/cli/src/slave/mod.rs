@@ -16,12 +16,11 @@ use std::time::Duration;
 use bcap_core::slave::{ExtendedAxes, Format, Mode, Pose, PoseType, ReceivePose, SlaveMode};
 
 use crate::args::{Cosine, LinkArgs, MoveArgs, Play, Slave, SlaveCommand, StreamArgs};
-use crate::confirm;
+use crate::confirm::Question;
 use crate::error::Failure;
-use crate::interrupt::Interrupt;
+use crate::interrupt::{Interrupt, State};
 use crate::motion;
 use crate::session::Session;
-use monitor::signals;
 use player::Course;
 use poses::Poses;
 pub(crate) use poses::columns;
@@ -32,16 +31,16 @@ use stream::stream;
 const APPROACH: Duration = Duration::from_secs(180);
 
 /// Runs `bcap slave`.
-pub(crate) fn slave(args: &Slave, session: &Session, json: bool) -> Result<(), Failure> {
-    let (link, interrupt) = (session.link(), session.interrupt.as_ref());
+pub(crate) fn slave(args: &Slave, session: &mut Session, json: bool) -> Result<(), Failure> {
     match &args.command {
-        SlaveCommand::Play(args) => play(args, link.untraced()?, interrupt, json),
-        SlaveCommand::Cosine(args) => cosine(args, link.untraced()?, interrupt, json),
-        SlaveCommand::Record(args) => record::record(args, link, json),
+        SlaveCommand::Play(args) => play(args, session, json),
+        SlaveCommand::Cosine(args) => cosine(args, session, json),
+        SlaveCommand::Record(args) => record::record(args, session.link(), json),
     }
 }
 
-fn play(args: &Play, link: &LinkArgs, interrupt: Option<&Interrupt>, json: bool) -> Result<(), Failure> {
+fn play(args: &Play, session: &mut Session, json: bool) -> Result<(), Failure> {
+    let link = &session.link().untraced()?.clone();
     if args.approach.is_some() {
         check_can_halt("--approach", link)?;
     }
@@ -52,6 +51,9 @@ fn play(args: &Play, link: &LinkArgs, interrupt: Option<&Interrupt>, json: bool)
         .map_err(|problem| Failure::Input(format!("{}: {problem}", args.file.display())))?;
     let outputs = poses.each_outputs(CYCLE);
     let course = Course::Poses { poses: poses.each_cycle(CYCLE), outputs, loops: args.loops };
+    course
+        .check(&stream::limits(&args.stream))
+        .map_err(|problem| Failure::Input(format!("{}: {problem}", args.file.display())))?;
     let approach = match args.approach.zip(poses.first()) {
         Some((percent, first)) => Some((start_text(&first)?, percent)),
         None => None,
@@ -66,11 +68,12 @@ fn play(args: &Play, link: &LinkArgs, interrupt: Option<&Interrupt>, json: bool)
         f64::from(course.cycles()) * CYCLE,
         args.approach.map(|percent| format!(", and first moves there at {percent} %")).unwrap_or_default(),
     );
-    confirm(&what, interrupt, args.stream.yes)?;
-    run(course, format, approach, &args.stream, link, json)
+    let interrupt = confirm(&what, session, args.stream.yes)?;
+    run(course, format, approach, &args.stream, link, json, &interrupt)
 }
 
-fn cosine(args: &Cosine, link: &LinkArgs, interrupt: Option<&Interrupt>, json: bool) -> Result<(), Failure> {
+fn cosine(args: &Cosine, session: &mut Session, json: bool) -> Result<(), Failure> {
+    let link = &session.link().untraced()?.clone();
     if args.from.is_some() {
         check_can_halt("--from", link)?;
     }
@@ -92,8 +95,8 @@ fn cosine(args: &Cosine, link: &LinkArgs, interrupt: Option<&Interrupt>, json: b
         args.amplitude,
         args.seconds
     );
-    confirm(&what, interrupt, args.stream.yes)?;
-    run(course, format, args.from.clone().map(|from| (from, args.speed)), &args.stream, link, json)
+    let interrupt = confirm(&what, session, args.stream.yes)?;
+    run(course, format, args.from.clone().map(|from| (from, args.speed)), &args.stream, link, json, &interrupt)
 }
 
 /// Refuses a motion to the start that nothing could halt: the line's only session waits for the end of the motion.
@@ -115,13 +118,20 @@ fn run(
     args: &StreamArgs,
     link: &LinkArgs,
     json: bool,
+    interrupt: &Interrupt,
 ) -> Result<(), Failure> {
-    // a Ctrl-C after the motion to the start ends the stream
-    let signals = signals()?;
     if let Some((to, percent)) = start {
         approach(to, percent, link)?;
     }
-    stream(course, format, args, link, json, signals)
+    // from now on a signal stops the stream; an earlier one prevents it
+    interrupt.enter(State::Streaming);
+    let streamed = if interrupt.is_interrupted() {
+        Err(Failure::Interrupted("interrupted: nothing was streamed".into()))
+    } else {
+        stream(course, format, args, link, json, interrupt)
+    };
+    interrupt.enter(State::Stepping);
+    streamed
 }
 
 /// Moves the robot by an ordinary motion, as `bcap move` does.
@@ -129,12 +139,13 @@ fn approach(to: String, percent: f64, link: &LinkArgs) -> Result<(), Failure> {
     let motion = MoveArgs {
         to,
         line: false,
-        speed: Some(percent),
+        speed: percent,
         tool: None,
         work: None,
         within: APPROACH,
         wait: true,
         no_wait: false,
+        yes: true,
     };
     let mut session = Session::new(link);
     if motion::go(&motion, &mut session)? { Ok(()) } else { Err(Failure::Interrupted("interrupted".into())) }
@@ -169,12 +180,13 @@ fn checked_format(args: &StreamArgs, kind: PoseType, link: &LinkArgs) -> Result<
     Ok(format)
 }
 
-/// Asks for confirmation before the robot moves. In the shell, whose prompt stays, a Ctrl-C at the question only sets
-/// `interrupt`.
-fn confirm(what: &str, interrupt: Option<&Interrupt>, yes: bool) -> Result<(), Failure> {
-    confirm::confirm(what, "The robot will move.", "the robot was not moved", yes)?;
-    if interrupt.is_some_and(Interrupt::is_interrupted) {
+/// Asks for confirmation before the robot moves. A signal at the question prevents the stream.
+fn confirm(what: &str, session: &mut Session, yes: bool) -> Result<Interrupt, Failure> {
+    let interrupt = session.handle_signals()?;
+    let question = Question { what, warning: "The robot will move.", refused: "the robot was not moved" };
+    question.confirm(session, yes)?;
+    if interrupt.is_interrupted() {
         return Err(Failure::Interrupted("interrupted: the robot was not moved".into()));
     }
-    Ok(())
+    Ok(interrupt)
 }

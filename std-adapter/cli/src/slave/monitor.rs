@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering::Relaxed};
-use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
+use std::sync::mpsc::{self, Receiver, Sender};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
@@ -13,7 +13,7 @@ use crate::args::LinkArgs;
 use crate::error::Failure;
 use crate::escape;
 use crate::halt;
-use crate::signal;
+use crate::interrupt::Interrupt;
 
 /// The state that the stream's thread and the monitor share.
 #[derive(Debug)]
@@ -68,7 +68,7 @@ pub(crate) struct Monitor {
 
 impl Monitor {
     /// Starts to handle signals and to show the progress up to `cycles`.
-    pub(crate) fn start(link: &LinkArgs, signals: Receiver<()>, cycles: u32) -> Result<Self, Failure> {
+    pub(crate) fn start(link: &LinkArgs, interrupt: Interrupt, cycles: u32) -> Result<Self, Failure> {
         let status = Arc::new(StreamStatus {
             stop: AtomicBool::new(false),
             halted: AtomicBool::new(false),
@@ -81,7 +81,7 @@ impl Monitor {
         let (link, shared) = (link.clone(), Arc::clone(&status));
         let thread = thread::Builder::new()
             .name("monitor".into())
-            .spawn(move || monitor(&link, &shared, &signals, &ended, cycles))?;
+            .spawn(move || monitor(&link, &shared, &interrupt, &ended, cycles))?;
         Ok(Self { status, done: Some(done), thread: Some(thread) })
     }
 
@@ -105,44 +105,44 @@ impl Drop for Monitor {
     }
 }
 
-fn monitor(link: &LinkArgs, status: &StreamStatus, signals: &Receiver<()>, ended: &Receiver<()>, cycles: u32) {
+fn monitor(link: &LinkArgs, status: &StreamStatus, interrupt: &Interrupt, ended: &Receiver<()>, cycles: u32) {
     const INTERVAL: Duration = Duration::from_millis(50);
     let bar = ProgressBar::new(cycles.into());
     let template = "{bar:30} {pos}/{len} {elapsed} {msg}";
     if let Ok(style) = ProgressStyle::with_template(template) {
         bar.set_style(style);
     }
+    let mut handled = 0;
     loop {
-        match signals.recv_timeout(INTERVAL) {
-            Ok(()) if !status.stop.swap(true, Relaxed) => {
-                let again = if link.is_serial() { "" } else { "; Ctrl-C again halts it at once" };
-                print(&bar, &format!("stopping: the robot slows down and the arm is released{again}"));
-            }
-            Ok(()) if link.is_serial() => {
-                print(
-                    &bar,
-                    "a serial line carries one session, so nothing can halt the robot now; use the emergency stop",
-                );
-            }
-            Ok(()) => {
-                status.halted.store(true, Relaxed);
-                let line = match halt::halt_now(link) {
-                    Ok(_) => "halted".into(),
-                    Err(failure) => {
-                        format!("the halt failed: {}; use the emergency stop", escape::failure(&failure))
-                    }
-                };
-                print(&bar, &line);
-            }
-            Err(RecvTimeoutError::Timeout) => {}
-            // no further signal can arrive
-            Err(RecvTimeoutError::Disconnected) => thread::sleep(INTERVAL),
+        if interrupt.wait_for(handled + 1, INTERVAL) > handled {
+            handled += 1;
+            let line = signalled(link, status);
+            print(&bar, &line);
         }
         bar.set_position(status.sent.load(Relaxed).into());
         bar.set_message(status.message());
         if let Err(mpsc::TryRecvError::Disconnected) = ended.try_recv() {
             bar.finish_and_clear();
             return;
+        }
+    }
+}
+
+/// Stops the stream at the first signal, and halts the robot at the others. Returns the line that says so.
+fn signalled(link: &LinkArgs, status: &StreamStatus) -> String {
+    let is_first = !status.stop.swap(true, Relaxed);
+    match (is_first, link.is_serial()) {
+        (true, true) => "stopping: the robot slows down and the arm is released".into(),
+        (true, false) => "stopping: the robot slows down and the arm is released; Ctrl-C again halts it at once".into(),
+        (false, true) => {
+            "a serial line carries one session, so nothing can halt the robot now; use the emergency stop".into()
+        }
+        (false, false) => {
+            status.halted.store(true, Relaxed);
+            match halt::halt_now(link) {
+                Ok(_) => "halted".into(),
+                Err(failure) => format!("the halt failed: {}; use the emergency stop", escape::failure(&failure)),
+            }
         }
     }
 }
@@ -154,9 +154,4 @@ fn print(bar: &ProgressBar, line: &str) {
     } else {
         bar.println(line);
     }
-}
-
-/// Installs the signal handlers.
-pub(crate) fn signals() -> Result<Receiver<()>, Failure> {
-    Ok(signal::each()?)
 }

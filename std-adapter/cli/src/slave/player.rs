@@ -2,14 +2,14 @@
 
 use std::sync::Arc;
 
-use bcap_core::slave::{Cycle, MoveReply, Next, Outputs, Pose, PoseType, Trajectory};
+use bcap_core::slave::{AxisLimits, Cycle, MoveReply, Next, Outputs, Pose, PoseType, Trajectory};
 use bcap_core::time::Instant;
 
 use super::monitor::StreamStatus;
 use super::poses::FileOutputs;
 use super::received::Received;
 use super::report::StreamTimes;
-use super::sample::Sample;
+use super::sample::{CYCLE, Sample};
 use crate::args::FormatArgs;
 
 /// The path of the robot.
@@ -39,6 +39,18 @@ impl Course {
             Self::Poses { poses, loops, .. } => u32::try_from(poses.len()).unwrap_or(u32::MAX).saturating_mul(*loops),
             Self::Cosine { cycles, .. } => *cycles,
         }
+    }
+
+    /// Checks all poses against limits, from rest at the first pose, as they are checked again before each is sent. The error is
+    /// a sentence with the number of the pose, counted from 0.
+    pub(crate) fn check(&self, limits: &AxisLimits) -> Result<(), String> {
+        let Self::Poses { poses, loops, .. } = self else { return Ok(()) };
+        // the step from the last pose to the first one is the same in every loop
+        let rounds = usize::try_from(*loops).unwrap_or(usize::MAX).min(2);
+        let played = poses.iter().cycle().take(poses.len().saturating_mul(rounds));
+        limits
+            .check_path(CYCLE, played)
+            .map_err(|(number, error)| format!("pose {}: {error}; nothing was moved", number % poses.len().max(1)))
     }
 
     fn pose(&self, cycle: &Cycle<'_>) -> Option<Pose> {

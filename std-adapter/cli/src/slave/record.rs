@@ -3,7 +3,6 @@
 use std::fs::File;
 use std::io;
 use std::path::Path;
-use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
 use bcap_core::bcap::FunctionId;
@@ -14,23 +13,23 @@ use indicatif::ProgressBar;
 use super::poses::columns;
 use crate::args::{LinkArgs, Record};
 use crate::error::Failure;
+use crate::interrupt::Interrupt;
 use crate::output::{print_json, print_line};
 use crate::session::{Session, with_session};
-use crate::signal;
 use crate::value::{Value, described, integer, text};
 
 /// Runs `bcap slave record`.
 pub(crate) fn record(args: &Record, link: &LinkArgs, json: bool) -> Result<(), Failure> {
-    let ended = signal::ended()?;
     let kind = PoseType::from(args.pose);
     let lines = with_session(link, |session| {
+        let interrupt = session.handle_signals()?;
         let robot = session.object(&"robot".parse::<ObjectPath>()?)?;
         // reads one pose first, so that an error does not overwrite an existing file
         position(session, robot, kind)?;
         let mut file = csv::Writer::from_path(&args.file).map_err(|error| cannot_write(&args.file, &error))?;
         let header: Vec<&str> = ["t"].iter().chain(columns(kind)).copied().collect();
         let recorded = match file.write_record(&header) {
-            Ok(()) => poses(session, robot, args, &mut file, &ended),
+            Ok(()) => poses(session, robot, args, &mut file, &interrupt),
             Err(error) => Err(cannot_write(&args.file, &error)),
         };
         // after an error too, the file keeps the recorded poses
@@ -51,7 +50,7 @@ fn poses(
     robot: i32,
     args: &Record,
     file: &mut csv::Writer<File>,
-    ended: &Receiver<()>,
+    interrupt: &Interrupt,
 ) -> Result<u32, Failure> {
     let start = Instant::now();
     let bar = ProgressBar::new_spinner();
@@ -73,9 +72,8 @@ fn poses(
         if args.seconds.is_some_and(|seconds| next.as_secs_f64() > seconds) {
             break;
         }
-        match ended.recv_timeout(next.saturating_sub(start.elapsed())) {
-            Err(RecvTimeoutError::Timeout) => {}
-            Ok(()) | Err(RecvTimeoutError::Disconnected) => break,
+        if interrupt.sleep(next.saturating_sub(start.elapsed())).is_err() {
+            break;
         }
     }
     bar.finish_and_clear();

@@ -3,11 +3,11 @@
 use std::fs;
 use std::io;
 use std::sync::Arc;
-use std::sync::mpsc::Receiver;
 use std::time::Duration;
 
+use bcap_core::bcap::call::{self, RobotHandle};
 use bcap_core::hresult::HResult;
-use bcap_core::procedure::{Procedure, Provider, StepCause, open_robot, release_robot};
+use bcap_core::procedure::{Procedure, Provider, StepCause, give_arm, open_robot, prepare_robot, release_robot};
 use bcap_core::slave::{
     AxisLimits, Cause, Config, Engine, Failure as NoReply, Fault, Format, Handles, PoseType, SendIo, Stats, StreamError,
 };
@@ -22,7 +22,8 @@ use super::report::{Report, text};
 use crate::args::{LinkArgs, StreamArgs};
 use crate::connection::{failed, not_connected, unrecorded};
 use crate::error::Failure;
-use crate::output::{print_block, print_json};
+use crate::interrupt::Interrupt;
+use crate::output::{note, print_block, print_json};
 use crate::record::taped;
 
 /// The attempts of a call over UDP and serial lines, which share the time limit.
@@ -38,7 +39,7 @@ pub(crate) fn stream(
     args: &StreamArgs,
     link: &LinkArgs,
     json: bool,
-    signals: Receiver<()>,
+    interrupt: &Interrupt,
 ) -> Result<(), Failure> {
     let realtime = Realtime::default().fifo(args.fifo).lock_memory(args.lock_memory).core(args.core);
     let target = link.target()?;
@@ -47,7 +48,7 @@ pub(crate) fn stream(
         lossy.attempts = LOSSY_ATTEMPTS;
         lossy.attempt_timeout = (link.timeout() / u32::from(LOSSY_ATTEMPTS)).max(Duration::from_millis(1));
     }
-    let job = Job { course, format, args, link, json, realtime, target: &target, signals };
+    let job = Job { course, format, args, link, json, realtime, target: &target, interrupt };
     match &target {
         Address::Serial(line) => {
             unrecorded(&target)?;
@@ -72,7 +73,7 @@ struct Job<'a> {
     json: bool,
     realtime: Realtime,
     target: &'a Address,
-    signals: Receiver<()>,
+    interrupt: &'a Interrupt,
 }
 
 impl Job<'_> {
@@ -95,9 +96,11 @@ impl Job<'_> {
         let watching = watch.as_mut().map(|watch| watch.run(open_robot(provider, None)));
         let watching = watching.transpose().map_err(opened)?;
         let config = self.config(handles, watching);
+        // what was on before stays on
+        let stays_on = self.args.keep_motor || motor_is_on(&mut motion, handles.robot);
         let mut engine = Engine::<MOVE_ROOM>::new(config).map_err(|error| Failure::Input(error.to_string()))?;
         let Self { course, format, args, json, target, .. } = self;
-        let monitor = Monitor::start(self.link, self.signals, course.cycles())?;
+        let monitor = Monitor::start(self.link, self.interrupt.clone(), course.cycles())?;
         // after all other threads have started, so that they do not inherit the real-time settings
         self.realtime.apply().map_err(|error| Failure::Input(error.to_string()))?;
         let room = |wanted: bool| if wanted { course.cycles() as usize + 500 } else { 0 };
@@ -118,6 +121,9 @@ impl Job<'_> {
         monitor.end();
         let stats = engine.stats().clone();
         player.times.follow(&stats);
+        if !stays_on {
+            motor_off(&mut motion, handles.robot);
+        }
         let _ = motion.run(release_robot(handles));
         if let Some((watch, handles)) = watch.as_mut().zip(watching) {
             let _ = watch.run(release_robot(handles));
@@ -129,13 +135,7 @@ impl Job<'_> {
     }
 
     fn config(&self, motion: Handles, watch: Option<Handles>) -> Config {
-        let limit = |limit: Option<f64>| limit.unwrap_or(f64::INFINITY);
-        Config {
-            watch,
-            start: self.course.start(),
-            limits: AxisLimits::uniform(limit(self.args.max_speed), limit(self.args.max_acceleration)),
-            ..Config::new(self.format, motion)
-        }
+        Config { watch, start: self.course.start(), limits: limits(self.args), ..Config::new(self.format, motion) }
     }
 
     /// Converts the error of opening a session.
@@ -150,6 +150,35 @@ impl Job<'_> {
             },
         }
     }
+}
+
+/// Returns the limits of the command line.
+pub(super) fn limits(args: &StreamArgs) -> AxisLimits {
+    let limit = |limit: Option<f64>| limit.unwrap_or(f64::INFINITY);
+    AxisLimits::uniform(limit(args.max_speed), limit(args.max_acceleration))
+}
+
+/// Switches the motor off that the stream has switched on. The stream has given the arm back, so it is taken again.
+fn motor_off<X: Wire<Error = io::Error>>(motion: &mut blocking::Connection<X, Vec<u8>>, robot: RobotHandle) {
+    // Keep 1: the speed, the tool and the work stay
+    let taken = motion.run(prepare_robot(robot, [0, 1], false)).map_err(|error| error.error.to_string());
+    let off = taken.and_then(|()| {
+        let off = motion.call(call::robot_execute(robot, "Motor", [0, 0])).map(drop).map_err(|error| error.to_string());
+        let given = motion.run(give_arm(robot)).map_err(|error| error.error.to_string());
+        off.and(given)
+    });
+    if let Err(error) = off {
+        note(&format!("the motor may still be on: {error}; `bcap get robot/@SERVO_ON` tells"));
+    }
+}
+
+/// Returns whether the motor is on, if the controller tells.
+fn motor_is_on<X: Wire<Error = io::Error>>(motion: &mut blocking::Connection<X, Vec<u8>>, robot: RobotHandle) -> bool {
+    let Ok(variable) = motion.call(call::robot_get_variable(robot, "@SERVO_ON", "")) else { return false };
+    let is_on = motion.call(call::variable_get_value(variable)).is_ok_and(|value| value.as_bool() == Some(true));
+    // a variable that cannot be released is released with the session
+    let _ = motion.call(call::variable_release(variable));
+    is_on
 }
 
 /// Runs a procedure with a second connection, if there is one.

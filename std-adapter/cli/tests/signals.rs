@@ -1,0 +1,319 @@
+//! Signals, questions and checks: no command leaves an arm, a motor or a motion behind, and none moves by mistake.
+#![cfg(unix)]
+
+mod common;
+#[path = "common/fake.rs"]
+#[allow(dead_code, reason = "this test needs no datagrams from it")]
+mod fake;
+#[path = "common/robot.rs"]
+mod robot;
+#[path = "common/tmux.rs"]
+mod tmux;
+#[path = "common/virtual_robot.rs"]
+mod virtual_robot;
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::process::{Child, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::Duration;
+
+use bcap_sim::{Config, Profile, Scenario};
+use common::{Run, bare, bcap, bcap_with, command};
+use fake::{Fake, usual};
+use robot::Robot;
+use tmux::Terminal;
+use virtual_robot::{Virtual, signal};
+
+/// A motion that takes more than ten seconds.
+const SLOW: [&str; 4] = ["move", "J(90, 45, 90, 0, 45, 0)", "--speed", "1"];
+const INTERRUPTED: &str = "interrupted: the robot was halted, and the arm was given back";
+
+/// Returns the state of a process: `T` is suspended.
+fn state(child: &Child) -> char {
+    let stat = std::fs::read_to_string(format!("/proc/{}/stat", child.id())).unwrap();
+    stat.rsplit(") ").next().unwrap().chars().next().unwrap()
+}
+
+/// A robot whose answer to the first TakeArm comes late.
+fn slow_to_take() -> Robot {
+    let robot = Robot::start();
+    let late = "[[fault]]\nwhen = { call = 1, of = \"TakeArm\" }\nthen = { delay_ms = 1500 }\n";
+    robot.served.application().play(Scenario::parse(late).unwrap());
+    robot
+}
+
+/// Starts a command, and sends it a signal when the arm is taken.
+fn signal_at_take_arm(robot: &Robot, args: &[&str], name: &str) -> Run {
+    let child = command(args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    while robot.served.application().arm_owner().is_none() {
+        thread::yield_now();
+    }
+    signal(name, &child);
+    child.wait_with_output().unwrap().into()
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn ctrl_z_halts_the_robot_and_gives_the_arm_back_before_the_process_is_suspended() {
+    let robot = Virtual::start(&[]);
+    let script = "move 'J(90, 45, 90, 0, 45, 0)' --speed 1\n";
+    for (args, lines) in [(&SLOW[..], ""), (&["run", "-"], script)] {
+        let mut child = robot.spawn(args);
+        child.stdin.as_mut().unwrap().write_all(lines.as_bytes()).unwrap();
+        robot.wait_for_motion();
+        signal("-TSTP", &child);
+        while state(&child) != 'T' {
+            thread::yield_now();
+        }
+        // while it is suspended
+        robot.assert_at_rest_with_free_arm();
+        signal("-CONT", &child);
+        let run: Run = child.wait_with_output().unwrap().into();
+        assert_eq!(run.code, 130, "{run:?}");
+        assert!(run.err.contains(INTERRUPTED) && run.err.contains("Ctrl-Z had ended the command"), "{run:?}");
+    }
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_shell_that_was_suspended_goes_on() {
+    let robot = Virtual::start(&[]);
+    let mut child = robot.spawn(&["shell"]);
+    let mut stdin = child.stdin.take().unwrap();
+    stdin.write_all(b"move 'J(90, 45, 90, 0, 45, 0)' --speed 1\n").unwrap();
+    robot.wait_for_motion();
+    signal("-TSTP", &child);
+    while state(&child) != 'T' {
+        thread::yield_now();
+    }
+    robot.assert_at_rest_with_free_arm();
+    signal("-CONT", &child);
+    stdin.write_all(b"get I1\n").unwrap();
+    drop(stdin);
+    let run: Run = child.wait_with_output().unwrap().into();
+    assert!(run.err.contains(INTERRUPTED) && run.out.contains("I1 = 0") && run.code == 0, "{run:?}");
+}
+
+#[test]
+fn a_command_that_is_ended_while_it_takes_the_arm_gives_it_back() {
+    for name in ["-TERM", "-HUP", "-INT"] {
+        for protocol in ["udp", "tcp"] {
+            let robot = slow_to_take();
+            let address = if protocol == "udp" { &robot.udp } else { &robot.tcp };
+            let run = signal_at_take_arm(&robot, &["exec", "robot", "TakeArm", "0", "1", "--robot", address], name);
+            assert!(run.code == 130 && run.err.contains("interrupted: the arm was given back"), "{name}: {run:?}");
+            assert_eq!(robot.served.application().arm_owner(), None, "{name} {protocol}");
+        }
+    }
+}
+
+#[test]
+fn doctor_that_is_ended_while_it_takes_the_arm_gives_it_back() {
+    for name in ["-TERM", "-INT"] {
+        let robot = slow_to_take();
+        let ports = [robot.tcp.rsplit(':').next().unwrap(), robot.udp.rsplit(':').next().unwrap()];
+        let args = ["doctor", "--tcp-port", ports[0], "--udp-port", ports[1], "--robot", &robot.tcp];
+        let run = signal_at_take_arm(&robot, &args, name);
+        assert!(run.code == 130 && run.err.contains("interrupted"), "{name}: {run:?}");
+        assert_eq!(robot.served.application().arm_owner(), None, "{name}");
+    }
+}
+
+#[test]
+fn an_arm_whose_take_arm_had_no_reply_is_given_back_over_udp() {
+    let robot = slow_to_take();
+    let run = bcap(&["exec", "robot", "TakeArm", "0", "1", "--timeout", "400", "--robot", &robot.udp]);
+    assert_eq!(run.code, 4, "{run:?}");
+    assert_eq!(robot.served.application().arm_owner(), None);
+}
+
+#[test]
+fn a_motion_without_a_speed_is_slow() {
+    let robot = Virtual::start(&[]);
+    let run = robot.run(&["move", "J(1, 45, 90, 0, 45, 0)", "--trace=values"]);
+    assert!(run.code == 0 && run.err.contains("\"NEXT,SPEED=10\""), "{run:?}");
+}
+
+#[test]
+fn what_cannot_be_a_destination_is_refused_before_the_first_call() {
+    let fake = Fake::tcp(usual);
+    for to in ["I1", "F2", "D3", "S1", "IO5", "J(0, 45", "J(0, 45, 90, 0, 45, 0", "J(0, nan, 90, 0, 45, 0)", "P(1, 2)"]
+    {
+        let run = bcap(&["move", to, "--yes", "--robot", &fake.address]);
+        assert!(run.code == 2 && run.err.contains(to), "{run:?}");
+    }
+    let run = bcap(&["move", "P1", "--yes", "--speed", "nan", "--robot", &fake.address]);
+    assert_eq!(run.code, 2, "{run:?}");
+    assert!(fake.seen().is_empty(), "{:?}", fake.seen());
+}
+
+#[test]
+fn a_script_with_an_error_in_its_last_line_makes_no_call() {
+    let fake = Fake::tcp(usual);
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    std::fs::write(path("bad"), "get I1\nmove I1\n").unwrap();
+    for (last, problem) in [
+        ("gte I1", "unrecognized subcommand 'gte'"),
+        ("get $y", "the variable y is not set"),
+        ("put I1", "the value is missing"),
+        ("move P1 --speed 0", "write a speed above 0"),
+        ("move 'J(1, nan, 3, 4, 5, 6)'", "is not a finite number"),
+        ("call NoSuchFunction", "there is no function NoSuchFunction"),
+        ("exec variable:I1 X", "has no commands"),
+        ("wait I1 = 5 soon", "soon"),
+        ("shell", "a shell does not run inside"),
+        (&format!("run {}", path("bad")), "bad:2: I1 is not the destination"),
+        ("run no-such-file", "no-such-file"),
+    ] {
+        std::fs::write(path("script"), format!("set x = 3\nput I1 $x\nexec robot TakeArm 0 1\n{last}\n")).unwrap();
+        for more in [&[][..], &["--check"]] {
+            let run = bcap(&[&["run", &path("script"), "--robot", &fake.address], more].concat());
+            assert!(run.code == 2 && run.err.contains("script:4: ") && run.err.contains(problem), "{last}: {run:?}");
+        }
+    }
+    // what is valid is only checked, and what follows `exit` is not
+    std::fs::write(path("script"), "set x = 3\nput I1 $x\nmove P$x --help\nexit\nnonsense\n").unwrap();
+    let run = bcap(&["run", &path("script"), "--check", "--robot", &fake.address]);
+    assert_eq!(
+        (run.out.as_str(), run.code),
+        (format!("{}: 5 lines are valid\n", path("script")).as_str(), 0),
+        "{run:?}"
+    );
+    let run = bcap_with(&["run", "-", "--check", "--json", "--robot", &fake.address], b"get I1\nget I2\n");
+    assert_eq!((run.out.as_str(), run.code), ("{\"lines\":2}\n", 0), "{run:?}");
+    assert!(fake.seen().is_empty(), "{:?}", fake.seen());
+}
+
+#[test]
+fn a_real_robot_moves_only_after_a_question() {
+    let robot = Robot::with(Config { serial_number: "1234567".into(), ..Config::new(Profile::Rc8) });
+    let to = "J(1, 45, 90, 0, 45, 0)";
+    let script = format!("move '{to}'\n");
+    let runs = [robot.run(&["move", to]), robot.run_with(&["run", "-"], &script)];
+    for run in runs {
+        assert!(run.code == 2 && run.err.contains("cannot ask for confirmation"), "{run:?}");
+        assert!(run.err.contains("give --yes"), "{run:?}");
+    }
+    assert_eq!(robot.served.application().joints()[0], 0.0);
+    assert!(!robot.served.application().motor_is_on());
+    assert_eq!(robot.run(&["move", to, "--yes"]).code, 0);
+    assert!((robot.served.application().joints()[0] - 1.0).abs() < 1e-6);
+    // a virtual one is not asked about
+    assert_eq!(Robot::start().run(&["move", to]).code, 0);
+}
+
+#[test]
+fn the_question_before_a_motion_takes_an_answer_or_a_signal() {
+    let robot = Robot::with(Config { serial_number: "1234567".into(), ..Config::new(Profile::Rc8) });
+    let folder = tempfile::tempdir().unwrap();
+    let script = folder.path().join("script");
+    let line = format!("{} move 'J(1, 45, 90, 0, 45, 0)' --robot {}\n", env!("CARGO_BIN_EXE_bcap"), robot.tcp);
+    // the shell goes on after a SIGINT of its command
+    std::fs::write(&script, format!("trap : INT\n{line}echo code $?\nsleep 60\n")).unwrap();
+    for (key, code) in [("n", 2), ("C-c", 130), ("y", 0)] {
+        let Some(terminal) = Terminal::run((120, 24), &["sh", script.to_str().unwrap()], folder.path()) else { return };
+        terminal.wait_for("Continue? [y/N]");
+        assert_eq!(robot.served.application().arm_owner(), None);
+        terminal.keys(&[key]);
+        if key != "C-c" {
+            terminal.keys(&["Enter"]);
+        }
+        terminal.wait_for(&format!("code {code}"));
+        let moved = robot.served.application().joints()[0] != 0.0;
+        assert_eq!(moved, key == "y");
+    }
+}
+
+#[test]
+fn what_is_rarely_meant_is_written_only_with_its_type() {
+    let robot = Virtual::start(&[]);
+    for (name, value, typed) in [
+        ("F1", "nan", "4,nan"),
+        ("D1", "inf", "5,inf"),
+        ("P2", "nan,0,0,0,0,0,5", "8196,nan,0,0,0,0,0,5"),
+        ("IO128", "5", "11,5"),
+    ] {
+        let refused = [
+            robot.run(&["put", name, value]),
+            bcap(&["rac", "put", name, value, "--robot", &robot.rac]),
+            robot.script(&format!("put {name} {value}\n")),
+        ];
+        for run in refused {
+            assert!(run.code == 2 && run.err.contains(&format!("--typed {typed}")), "{name}: {run:?}");
+        }
+    }
+    assert_eq!(robot.run(&["get", "F1", "IO128"]).out, "F1 = 0\nIO128 = false\n");
+    assert_eq!(robot.run(&["put", "--typed", "F1", "4,nan"]).code, 0);
+    assert_eq!(robot.run(&["put", "--typed", "IO128", "11,5"]).code, 0);
+    assert_eq!(robot.run(&["get", "F1", "IO128"]).out, "F1 = NaN\nIO128 = true\n");
+}
+
+/// A TCP relay that can be silent: it neither forwards nor closes.
+fn relay(to: String, is_silent: &Arc<AtomicBool>) -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = format!("tcp:{}", listener.local_addr().unwrap());
+    let is_silent = Arc::clone(is_silent);
+    thread::spawn(move || {
+        for client in listener.incoming() {
+            let (client, server) = (client.unwrap(), TcpStream::connect(&to).unwrap());
+            for (mut from, mut to) in [(client.try_clone().unwrap(), server.try_clone().unwrap()), (server, client)] {
+                let is_silent = Arc::clone(&is_silent);
+                thread::spawn(move || {
+                    let mut part = [0; 4096];
+                    while let Ok(count @ 1..) = from.read(&mut part) {
+                        while is_silent.load(Ordering::SeqCst) {
+                            thread::sleep(Duration::from_millis(5));
+                        }
+                        if to.write_all(&part[..count]).is_err() {
+                            return;
+                        }
+                    }
+                });
+            }
+        }
+    });
+    address
+}
+
+#[test]
+fn a_link_that_is_silent_during_a_motion_is_reported_before_the_call_fails() {
+    let robot = Virtual::start(&[]);
+    let is_silent = Arc::new(AtomicBool::new(false));
+    let address = relay(robot.tcp.trim_start_matches("tcp:").to_owned(), &is_silent);
+    let args = [&SLOW[..], &["--timeout", "60s", "--robot", &address]].concat();
+    let mut child = bare(&args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    robot.wait_for_motion();
+    is_silent.store(true, Ordering::SeqCst);
+    let mut err = BufReader::new(child.stderr.take().unwrap());
+    let mut line = String::new();
+    err.read_line(&mut line).unwrap();
+    assert!(line.contains("has not answered for 1 s: the robot may be moving"), "{line}");
+    is_silent.store(false, Ordering::SeqCst);
+    line.clear();
+    err.read_line(&mut line).unwrap();
+    assert!(line.contains("answers again"), "{line}");
+    signal("-INT", &child);
+    let mut rest = String::new();
+    err.read_to_string(&mut rest).unwrap();
+    assert!(rest.contains(INTERRUPTED), "{rest}");
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    robot.assert_at_rest_with_free_arm();
+}
+
+#[test]
+fn a_motion_whose_link_is_lost_may_go_on_and_the_command_says_so() {
+    let robot = Virtual::start(&[]);
+    let is_silent = Arc::new(AtomicBool::new(false));
+    let address = relay(robot.tcp.trim_start_matches("tcp:").to_owned(), &is_silent);
+    let args = [&SLOW[..], &["--timeout", "1500ms", "--robot", &address]].concat();
+    let child = bare(&args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    robot.wait_for_motion();
+    is_silent.store(true, Ordering::SeqCst);
+    let run: Run = child.wait_with_output().unwrap().into();
+    assert_eq!(run.code, 4, "{run:?}");
+    assert!(run.err.contains("the robot may still move; use the emergency stop"), "{run:?}");
+}
