@@ -1,7 +1,7 @@
 //! The table of the 137 functions of b-CAP.
 //!
-//! A row contains the help, the number on the wire, the names, the object that the function belongs to, the arguments, and
-//! the value of the reply (S2:1613-1806). The typed calls of [`call`](super::call), the argument check of the server and
+//! A row contains the help, the number on the wire, the names, the object that the function belongs to, the arguments,
+//! the value of the reply (S2:1613-1806), the effect, and whether Slave Mode allows the call. The typed calls of [`call`](super::call), the argument check of the server and
 //! its list of open handles are generated from this table.
 //!
 //! | group      | numbers | group    | numbers | group    | numbers |
@@ -10,12 +10,16 @@
 //! | Controller | 3-25    | Robot    | 62-84   | Command  | 112-127 |
 //! | Extension  | 26-36   | Task     | 85-99   | Message  | 128-137 |
 
+mod commands;
+mod effect;
 mod table;
 
 use core::fmt;
 
 use crate::variant::Variant;
 
+pub use commands::Command;
+pub use effect::{Effect, InSlaveMode, Properties, Skipped, StreamState};
 pub(crate) use table::for_each_function;
 
 /// The number of a function on the wire.
@@ -162,7 +166,7 @@ macro_rules! kind {
 macro_rules! tables {
     ($(#[doc = $summary:literal] $(#[doc = $help:literal])*
        $number:literal $constant:ident $method:ident $name:literal $object:ident
-       ($($argument:ident: $kind:ident),*) $result:ident;)*) => {
+       ($($argument:ident: $kind:ident),*) $result:ident, $effect:ident $in_slave_mode:ident;)*) => {
         impl FunctionId {
             $(
                 #[doc = concat!("`", $name, "`, function ", stringify!($number), ":", $summary)]
@@ -175,9 +179,12 @@ macro_rules! tables {
             $(Signature { arguments: &[$(kind!($kind)),*], result: kind!($result), object: Object::$object },)*
         ];
 
-        // names and help are separate tables: a server on a board checks arguments but prints neither
+        // separate tables: a server on a board checks arguments but uses none of these
         static NAMES: [&str; 137] = [$($name,)*];
         static ARGUMENT_NAMES: [&[&str]; 137] = [$(&[$(stringify!($argument)),*],)*];
+        static PROPERTIES: [Properties; 137] = [
+            $(Properties { effect: Effect::$effect, in_slave_mode: InSlaveMode::$in_slave_mode },)*
+        ];
         static HELP: [&[&str]; 137] = [$(&[$summary, $($help),*],)*];
     };
 }
