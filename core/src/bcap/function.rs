@@ -10,16 +10,13 @@
 //! | Controller | 3-25    | Robot    | 62-84   | Command  | 112-127 |
 //! | Extension  | 26-36   | Task     | 85-99   | Message  | 128-137 |
 
-mod commands;
-mod effect;
 mod table;
 
 use core::fmt;
 
+use super::effect::{Effect, InSlaveMode, Properties};
 use crate::variant::Variant;
 
-pub use commands::Command;
-pub use effect::{Effect, InSlaveMode, Properties, Skipped, StreamState};
 pub(crate) use table::for_each_function;
 
 /// The number of a function on the wire.
@@ -182,7 +179,7 @@ macro_rules! tables {
         // separate tables: a server on a board checks arguments but uses none of these
         static NAMES: [&str; 137] = [$($name,)*];
         static ARGUMENT_NAMES: [&[&str]; 137] = [$(&[$(stringify!($argument)),*],)*];
-        static PROPERTIES: [Properties; 137] = [
+        pub(super) static PROPERTIES: [Properties; 137] = [
             $(Properties { effect: Effect::$effect, in_slave_mode: InSlaveMode::$in_slave_mode },)*
         ];
         static HELP: [&[&str]; 137] = [$(&[$summary, $($help),*],)*];
@@ -197,7 +194,7 @@ impl FunctionId {
         (1_u8..138).map(|n| Self(i32::from(n)))
     }
 
-    fn index(self) -> Option<usize> {
+    pub(super) fn index(self) -> Option<usize> {
         usize::try_from(self.0).ok()?.checked_sub(1)
     }
 

@@ -13,7 +13,7 @@
 ///
 /// Kinds of arguments: an object (its handle), `Int` (I4), `Float` (R4), `Text` (BSTR), `Any` (VARIANT). Results:
 /// the same, `Nothing`, and `Maybe` where only some controllers return one. The last two columns are an
-/// [`Effect`](super::Effect) and an [`InSlaveMode`](super::InSlaveMode); [`effect`](super::effect) has their sources.
+/// `Effect` and an `InSlaveMode`; the module `effect` has their sources.
 macro_rules! for_each_function {
     ($receiver:ident) => {
         $receiver! {

@@ -11,11 +11,9 @@
 //! | Variable_GetValue                                                | allowed       | RC8: each cycle of a stream (start-jsk/denso); unmarked in the RC8 provider guide |
 //! | Robot_Halt                                                       | allowed       | it ends Slave Mode on purpose; a halt is never withheld |
 //! | Robot_Accelerate, Change, Move, Rotate, Speed                    | refused       | RC8 provider guide: "not available in Slave Mode" |
-//! | commands of an Execute function                                  | each its own  | [`COMMANDS`]                     |
+//! | commands of an Execute function                                  | each its own  | [`Command`](super::Command)      |
 //! | all other functions, and all other commands                      | unknown       | no source; treated as refused    |
 
-use super::commands::{COMMANDS, Command};
-use super::{FunctionId, PROPERTIES};
 use crate::hresult::HResult;
 use core::fmt;
 
@@ -99,63 +97,6 @@ impl Properties {
     pub const UNKNOWN: Self = Self { effect: Effect::Moves, in_slave_mode: InSlaveMode::Unknown };
 }
 
-impl FunctionId {
-    /// Returns the properties of a call of this function.
-    ///
-    /// `command` is the second argument of an Execute function, the name of the command in any case; `option` is the option of
-    /// a function that opens a file, which may create it. `None` stands for any text: the result covers all of them.
-    ///
-    /// # Examples
-    ///
-    /// ```
-    /// use bcap_core::bcap::{Effect, FunctionId, InSlaveMode};
-    ///
-    /// let read = FunctionId::CONTROLLER_EXECUTE.properties(Some("GetCurErrorCount"), None);
-    /// assert_eq!((read.effect, read.in_slave_mode), (Effect::Reads, InSlaveMode::Refused));
-    /// assert_eq!(FunctionId::CONTROLLER_EXECUTE.properties(None, None).effect, Effect::Moves);
-    /// ```
-    #[must_use]
-    pub fn properties(self, command: Option<&str>, option: Option<&str>) -> Properties {
-        let opens_file = matches!(self, Self::CONTROLLER_GET_FILE | Self::FILE_GET_FILE);
-        let properties = self.index().and_then(|i| PROPERTIES.get(i)).copied().unwrap_or(Properties::UNKNOWN);
-        match command.filter(|_| self.executes()) {
-            Some(name) => Command::find(self, name).map_or(Properties::UNKNOWN, |command| command.properties),
-            None if opens_file && option == Some("") => Properties { effect: Effect::Session, ..properties },
-            None => properties,
-        }
-    }
-
-    /// Returns the effect of a call of this function, the strongest for any arguments.
-    #[must_use]
-    pub fn effect(self) -> Effect {
-        self.properties(None, None).effect
-    }
-
-    /// Tells whether a controller in Slave Mode executes a call of this function, whatever its arguments are.
-    #[must_use]
-    pub fn in_slave_mode(self) -> InSlaveMode {
-        self.properties(None, None).in_slave_mode
-    }
-
-    /// Tells whether the second argument of the function is the name of a command.
-    #[must_use]
-    pub const fn executes(self) -> bool {
-        matches!(
-            self,
-            Self::CONTROLLER_EXECUTE
-                | Self::EXTENSION_EXECUTE
-                | Self::FILE_EXECUTE
-                | Self::ROBOT_EXECUTE
-                | Self::TASK_EXECUTE
-        )
-    }
-
-    /// Iterates over the known commands of an Execute function.
-    pub fn commands(self) -> impl Iterator<Item = &'static Command> {
-        COMMANDS.iter().filter(move |command| command.function == self)
-    }
-}
-
 /// Whether a stream of Slave Mode runs, from the reply to `slvGetMode`.
 ///
 /// The answer is about the past: a stream may begin between this reply and the next call. A program that must not interrupt
@@ -235,52 +176,6 @@ mod tests {
     use std::string::ToString;
 
     #[test]
-    fn a_function_has_its_properties_whatever_its_arguments_are() {
-        let of = |function: FunctionId| (function.effect(), function.in_slave_mode());
-        assert_eq!(of(FunctionId::SERVICE_START), (Effect::Session, InSlaveMode::Allowed));
-        assert_eq!(of(FunctionId::VARIABLE_GET_VALUE), (Effect::Reads, InSlaveMode::Allowed));
-        assert_eq!(of(FunctionId::VARIABLE_PUT_VALUE), (Effect::Writes, InSlaveMode::Unknown));
-        assert_eq!(of(FunctionId::CONTROLLER_GET_NAME), (Effect::Reads, InSlaveMode::Unknown));
-        assert_eq!(of(FunctionId::ROBOT_HALT), (Effect::Moves, InSlaveMode::Allowed));
-        assert_eq!(of(FunctionId::ROBOT_MOVE), (Effect::Moves, InSlaveMode::Refused));
-        assert_eq!(of(FunctionId::TASK_START), (Effect::Moves, InSlaveMode::Unknown));
-        assert_eq!(of(FunctionId(138)), (Effect::Moves, InSlaveMode::Unknown));
-        for function in FunctionId::all() {
-            let name = function.name().unwrap();
-            if function.releases().is_some() {
-                assert_eq!(of(function), (Effect::Session, InSlaveMode::Allowed), "{name}");
-            }
-            if function.executes() {
-                assert_eq!(function.properties(None, None), Properties::UNKNOWN, "{name}");
-            }
-            let object = function.signature().unwrap().object.name();
-            let is_put = name.strip_prefix(object).unwrap().starts_with("Put");
-            assert!(!is_put || function.effect() == Effect::Writes, "{name}");
-        }
-    }
-
-    #[test]
-    fn only_an_option_can_create_a_file() {
-        for function in [FunctionId::CONTROLLER_GET_FILE, FunctionId::FILE_GET_FILE] {
-            let effect = |option| function.properties(None, option).effect;
-            assert_eq!([effect(None), effect(Some("@Create")), effect(Some(""))], {
-                [Effect::Writes, Effect::Writes, Effect::Session]
-            });
-        }
-    }
-
-    #[test]
-    fn a_command_is_found_in_any_case_and_an_unknown_one_may_move() {
-        let robot = |name| FunctionId::ROBOT_EXECUTE.properties(Some(name), None);
-        assert_eq!(robot(" curjnt "), Properties { effect: Effect::Reads, in_slave_mode: InSlaveMode::Allowed });
-        assert_eq!(robot("takearm"), Properties { effect: Effect::Moves, in_slave_mode: InSlaveMode::Refused });
-        assert_eq!(robot("SysState"), Properties::UNKNOWN, "a command of another object");
-        assert_eq!(robot("NoSuchCommand"), Properties::UNKNOWN);
-        // a text that is no command name changes nothing
-        assert_eq!(FunctionId::ROBOT_HALT.properties(Some("Motor"), None).in_slave_mode, InSlaveMode::Allowed);
-    }
-
-    #[test]
     fn a_stream_is_off_only_if_the_controller_says_so_or_cannot_have_one() {
         let state = StreamState::from_reply;
         assert_eq!(state(HResult::S_OK, Some(0)), StreamState::Off);
@@ -294,17 +189,17 @@ mod tests {
 
     #[test]
     fn a_skipped_call_says_why() {
-        let count = FunctionId::CONTROLLER_EXECUTE.properties(Some("GetCurErrorCount"), None);
-        let names = FunctionId::CONTROLLER_GET_TASK_NAMES.properties(None, None);
-        let skip = |state: StreamState, name, call| state.skip(name, call).map(|skipped| skipped.to_string());
-        let runs = skip(StreamState::Runs, "GetCurErrorCount", count).unwrap();
-        assert_eq!(runs, "a stream of Slave Mode runs, and GetCurErrorCount would end it");
-        let unknown = skip(StreamState::Unknown(HResult::E_FAIL), "Controller_GetTaskNames", names).unwrap();
+        let call = |in_slave_mode| Properties { effect: Effect::Reads, in_slave_mode };
+        let skip = |state: StreamState, in_slave_mode| {
+            state.skip("SysState", call(in_slave_mode)).map(|skipped| skipped.to_string())
+        };
+        let runs = skip(StreamState::Runs, InSlaveMode::Refused).unwrap();
+        assert_eq!(runs, "a stream of Slave Mode runs, and SysState would end it");
+        let unknown = skip(StreamState::Unknown(HResult::E_FAIL), InSlaveMode::Unknown).unwrap();
         assert!(unknown.starts_with("slvGetMode was refused with 0x80004005"), "{unknown}");
-        assert!(unknown.ends_with("may run, and Controller_GetTaskNames may end it"), "{unknown}");
-        assert_eq!(skip(StreamState::Off, "", count), None);
-        assert_eq!(skip(StreamState::Absent, "", count), None);
-        let halt = FunctionId::ROBOT_HALT.properties(None, None);
-        assert_eq!(skip(StreamState::Runs, "Robot_Halt", halt), None, "a halt is never withheld");
+        assert!(unknown.ends_with("may run, and SysState may end it"), "{unknown}");
+        assert_eq!(skip(StreamState::Off, InSlaveMode::Refused), None);
+        assert_eq!(skip(StreamState::Absent, InSlaveMode::Unknown), None);
+        assert_eq!(skip(StreamState::Runs, InSlaveMode::Allowed), None);
     }
 }

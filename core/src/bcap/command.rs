@@ -3,8 +3,8 @@
 //! The table has the commands of the RC8 provider guide, of public programs and of the virtual controller. A controller may
 //! have others. A command that is not in it is [`Properties::UNKNOWN`]: it may move, and is not sent while a stream runs.
 
-use super::FunctionId;
 use super::effect::{Effect, InSlaveMode, Properties};
+use super::function::{FunctionId, PROPERTIES};
 
 /// A command of an Execute function.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,6 +24,63 @@ impl Command {
     #[must_use]
     pub fn find(function: FunctionId, name: &str) -> Option<&'static Self> {
         function.commands().find(|command| command.name.eq_ignore_ascii_case(name.trim()))
+    }
+}
+
+impl FunctionId {
+    /// Returns the properties of a call of this function.
+    ///
+    /// `command` is the second argument of an Execute function, the name of the command in any case; `option` is the option of
+    /// a function that opens a file, which may create it. `None` stands for any text: the result covers all of them.
+    ///
+    /// # Examples
+    ///
+    /// ```
+    /// use bcap_core::bcap::{Effect, FunctionId, InSlaveMode};
+    ///
+    /// let read = FunctionId::CONTROLLER_EXECUTE.properties(Some("GetCurErrorCount"), None);
+    /// assert_eq!((read.effect, read.in_slave_mode), (Effect::Reads, InSlaveMode::Refused));
+    /// assert_eq!(FunctionId::CONTROLLER_EXECUTE.properties(None, None).effect, Effect::Moves);
+    /// ```
+    #[must_use]
+    pub fn properties(self, command: Option<&str>, option: Option<&str>) -> Properties {
+        let opens_file = matches!(self, Self::CONTROLLER_GET_FILE | Self::FILE_GET_FILE);
+        let properties = self.index().and_then(|i| PROPERTIES.get(i)).copied().unwrap_or(Properties::UNKNOWN);
+        match command.filter(|_| self.executes()) {
+            Some(name) => Command::find(self, name).map_or(Properties::UNKNOWN, |command| command.properties),
+            None if opens_file && option == Some("") => Properties { effect: Effect::Session, ..properties },
+            None => properties,
+        }
+    }
+
+    /// Returns the effect of a call of this function, the strongest for any arguments.
+    #[must_use]
+    pub fn effect(self) -> Effect {
+        self.properties(None, None).effect
+    }
+
+    /// Tells whether a controller in Slave Mode executes a call of this function, whatever its arguments are.
+    #[must_use]
+    pub fn in_slave_mode(self) -> InSlaveMode {
+        self.properties(None, None).in_slave_mode
+    }
+
+    /// Tells whether the second argument of the function is the name of a command.
+    #[must_use]
+    pub const fn executes(self) -> bool {
+        matches!(
+            self,
+            Self::CONTROLLER_EXECUTE
+                | Self::EXTENSION_EXECUTE
+                | Self::FILE_EXECUTE
+                | Self::ROBOT_EXECUTE
+                | Self::TASK_EXECUTE
+        )
+    }
+
+    /// Iterates over the known commands of an Execute function.
+    pub fn commands(self) -> impl Iterator<Item = &'static Command> {
+        COMMANDS.iter().filter(move |command| command.function == self)
     }
 }
 
@@ -47,7 +104,7 @@ const NONE: &str = "no source";
 
 /// The known commands, by function.
 #[rustfmt::skip]
-pub(super) static COMMANDS: &[Command] = &[
+static COMMANDS: &[Command] = &[
     command(FunctionId::CONTROLLER_EXECUTE, "GetCurErrorCount", Effect::Reads, InSlaveMode::Refused, PRO2),
     command(FunctionId::CONTROLLER_EXECUTE, "GetCurErrorInfo", Effect::Reads, InSlaveMode::Refused, PRO2),
     command(FunctionId::CONTROLLER_EXECUTE, "SysState", Effect::Reads, InSlaveMode::Refused, PRO2),
@@ -256,6 +313,52 @@ pub(super) static COMMANDS: &[Command] = &[
 mod tests {
     extern crate std;
     use super::*;
+
+    #[test]
+    fn a_function_has_its_properties_whatever_its_arguments_are() {
+        let of = |function: FunctionId| (function.effect(), function.in_slave_mode());
+        assert_eq!(of(FunctionId::SERVICE_START), (Effect::Session, InSlaveMode::Allowed));
+        assert_eq!(of(FunctionId::VARIABLE_GET_VALUE), (Effect::Reads, InSlaveMode::Allowed));
+        assert_eq!(of(FunctionId::VARIABLE_PUT_VALUE), (Effect::Writes, InSlaveMode::Unknown));
+        assert_eq!(of(FunctionId::CONTROLLER_GET_NAME), (Effect::Reads, InSlaveMode::Unknown));
+        assert_eq!(of(FunctionId::ROBOT_HALT), (Effect::Moves, InSlaveMode::Allowed));
+        assert_eq!(of(FunctionId::ROBOT_MOVE), (Effect::Moves, InSlaveMode::Refused));
+        assert_eq!(of(FunctionId::TASK_START), (Effect::Moves, InSlaveMode::Unknown));
+        assert_eq!(of(FunctionId(138)), (Effect::Moves, InSlaveMode::Unknown));
+        for function in FunctionId::all() {
+            let name = function.name().unwrap();
+            if function.releases().is_some() {
+                assert_eq!(of(function), (Effect::Session, InSlaveMode::Allowed), "{name}");
+            }
+            if function.executes() {
+                assert_eq!(function.properties(None, None), Properties::UNKNOWN, "{name}");
+            }
+            let object = function.signature().unwrap().object.name();
+            let is_put = name.strip_prefix(object).unwrap().starts_with("Put");
+            assert!(!is_put || function.effect() == Effect::Writes, "{name}");
+        }
+    }
+
+    #[test]
+    fn only_an_option_can_create_a_file() {
+        for function in [FunctionId::CONTROLLER_GET_FILE, FunctionId::FILE_GET_FILE] {
+            let effect = |option| function.properties(None, option).effect;
+            assert_eq!([effect(None), effect(Some("@Create")), effect(Some(""))], {
+                [Effect::Writes, Effect::Writes, Effect::Session]
+            });
+        }
+    }
+
+    #[test]
+    fn a_command_is_found_in_any_case_and_an_unknown_one_may_move() {
+        let robot = |name| FunctionId::ROBOT_EXECUTE.properties(Some(name), None);
+        assert_eq!(robot(" curjnt "), Properties { effect: Effect::Reads, in_slave_mode: InSlaveMode::Allowed });
+        assert_eq!(robot("takearm"), Properties { effect: Effect::Moves, in_slave_mode: InSlaveMode::Refused });
+        assert_eq!(robot("SysState"), Properties::UNKNOWN, "a command of another object");
+        assert_eq!(robot("NoSuchCommand"), Properties::UNKNOWN);
+        // a text that is no command name changes nothing
+        assert_eq!(FunctionId::ROBOT_HALT.properties(Some("Motor"), None).in_slave_mode, InSlaveMode::Allowed);
+    }
 
     #[test]
     fn each_command_is_listed_once() {
