@@ -63,7 +63,7 @@ impl Gate {
         if function == FunctionId::VARIABLE_PUT_VALUE {
             return variable.and_then(variable_of).is_some_and(|variable| self.writes(variable));
         }
-        is_no_function(frame.code) || call_reads(frame)
+        is_no_function(frame.code) || call_reads(frame) || executes_reading(frame)
     }
 
     /// Returns whether bytes may be sent that are no valid frame: none of the frames that a receiver may see in them calls a
@@ -135,16 +135,17 @@ const fn is_reading(command: &Command) -> bool {
     command.properties.effect.is_harmless()
 }
 
+/// Returns whether a call executes a command that only reads.
+fn executes_reading(frame: &TestFrame) -> bool {
+    // a device may trim or fold a name in its own way, so the name must be exact
+    let is_named = |command: &Command| frame.args.get(1) == Some(&Value::text(command.name));
+    FunctionId(frame.code).commands().any(|command| is_named(command) && is_reading(command))
+}
+
 /// Returns whether a call only opens, reads or releases, so that it may be sent again while no reply arrives.
 pub(super) fn call_reads(frame: &TestFrame) -> bool {
-    let function = FunctionId(frame.code);
-    if function.executes() {
-        // a device may trim or fold a name in its own way, so the name must be exact
-        let is_named = |command: &Command| frame.args.get(1) == Some(&Value::text(command.name));
-        return function.commands().any(|command| is_named(command) && is_reading(command));
-    }
     let has_no_option = frame.args.get(2).is_none_or(|option| *option == Value::text(""));
-    function.properties(None, has_no_option.then_some("")).effect.is_harmless()
+    FunctionId(frame.code).properties(None, has_no_option.then_some("")).effect.is_harmless()
 }
 
 /// Returns whether a call of the function only reads, whatever its arguments are.
