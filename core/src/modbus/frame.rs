@@ -70,7 +70,7 @@ impl From<HResult> for Exception {
         match error {
             HResult::E_ACCESSDENIED => Self::IllegalDataAddress,
             HResult::E_INVALIDARG | HResult::E_INVALIDARGTYPE => Self::IllegalDataValue,
-            HResult::E_BUSY_PROC | HResult::E_MAX_CONNECT => Self::ServerDeviceBusy,
+            HResult::E_BUSY_PROC | HResult::E_MAX_CONNECT | HResult::E_SLVMODE_ON => Self::ServerDeviceBusy,
             HResult::E_NOT_CONNECTED => Self::GatewayPathUnavailable,
             HResult::E_TIMEOUT => Self::GatewayTargetDeviceFailedToRespond,
             _ => Self::ServerDeviceFailure,

@@ -122,7 +122,7 @@ fn stream_and_monitors(robot: &str, seconds: &str) -> u32 {
     let folder = tempfile::tempdir().unwrap();
     let fleet = fleet(robot, folder.path());
     let stream = Stream::start(robot, seconds);
-    let mut gateway = Running::start(&["gateway", "--rac", "127.0.0.1:0", "--allow-put", "I/0-9", "--robot", robot]);
+    let gateway = Running::start(&["gateway", "--rac", "127.0.0.1:0", "--allow-put", "I/0-9", "--robot", robot]);
     let mut scan = bare(&["fleet", &fleet]).current_dir(folder.path()).stdout(Stdio::piped()).spawn().unwrap();
     let events = BufReader::new(scan.stdout.take().unwrap()).lines().map(Result::unwrap);
     let mut skipped = events.filter(|line| line.contains("\"event\":\"skipped\""));
@@ -158,12 +158,8 @@ fn stream_and_monitors(robot: &str, seconds: &str) -> u32 {
 
 #[test]
 fn no_tool_ends_a_stream() {
-    let config = Config {
-        as_observed: true,
-        motor_on_delay: Duration::from_millis(1),
-        ..Config::new(Profile::Rc8)
-    };
-    let sim = Served::of(Slowed(Controller::new(config)), Limits::default());
+    let config = Config { as_observed: true, motor_on_delay: Duration::from_millis(1), ..Config::new(Profile::Rc8) };
+    let sim = Served::<Slowed>::of(Slowed(Controller::new(config)), Limits::default());
     let rounds = stream_and_monitors(&format!("tcp:{}", sim.tcp), "4");
     assert!(rounds > 0, "the stream was too short for the tools");
     assert_eq!(sim.application().0.errors().count(), 0);
@@ -175,6 +171,8 @@ fn no_tool_ends_a_stream_in_real_time() {
     for profile in ["rc8", "rc9", "cobotta"] {
         let sim = Virtual::start(&["--as-observed", "--model", profile]);
         let rounds = stream_and_monitors(&sim.tcp, "20");
-        println!("{profile}: 20 s, {rounds} rounds of errors, messages, clear, doctor, fleet and gateway; 0 interruptions");
+        println!(
+            "{profile}: 20 s, {rounds} rounds of errors, messages, clear, doctor, fleet and gateway; 0 interruptions"
+        );
     }
 }
