@@ -40,7 +40,7 @@ pub enum Exception {
     IllegalDataValue,
     /// The robot refused the access, or its value does not fit the registers.
     ServerDeviceFailure,
-    /// The client exceeds its rate, or the gateway has no slot for it.
+    /// The client exceeds its rate, the gateway has no slot for it, or writing may end a stream of Slave Mode.
     ServerDeviceBusy,
     /// The robot is disconnected.
     GatewayPathUnavailable,

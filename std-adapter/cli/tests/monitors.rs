@@ -44,7 +44,9 @@ impl Stream {
         let child = command(&args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         let mut stream = Self { child, robot: robot.to_owned() };
         while !stream.runs() {
-            assert_eq!(stream.child.try_wait().unwrap(), None, "the stream has ended before it ran");
+            if stream.child.try_wait().unwrap().is_some() {
+                panic!("the stream has ended before it ran: {:?}", stream.end());
+            }
         }
         stream
     }
@@ -53,9 +55,9 @@ impl Stream {
         bcap(&["exec", "robot", "slvGetMode", "--robot", &self.robot]).out.trim() == "514"
     }
 
-    fn end(mut self) -> Run {
-        let out = std::mem::take(&mut self.child.stdout).unwrap();
-        let err = std::mem::take(&mut self.child.stderr).unwrap();
+    fn end(&mut self) -> Run {
+        let out = self.child.stdout.take().unwrap();
+        let err = self.child.stderr.take().unwrap();
         let code = self.child.wait().unwrap().code().unwrap();
         let [out, err] = [std::io::read_to_string(out), std::io::read_to_string(err)].map(Result::unwrap);
         Run { code, out, err }
@@ -121,7 +123,7 @@ fn round(stream: &Stream, fleet: &str, gateway: &str) -> bool {
 fn stream_and_monitors(robot: &str, seconds: &str) -> u32 {
     let folder = tempfile::tempdir().unwrap();
     let fleet = fleet(robot, folder.path());
-    let stream = Stream::start(robot, seconds);
+    let mut stream = Stream::start(robot, seconds);
     let gateway = Running::start(&["gateway", "--rac", "127.0.0.1:0", "--allow-put", "I/0-9", "--robot", robot]);
     let mut scan = bare(&["fleet", &fleet]).current_dir(folder.path()).stdout(Stdio::piped()).spawn().unwrap();
     let events = BufReader::new(scan.stdout.take().unwrap()).lines().map(Result::unwrap);
