@@ -81,6 +81,10 @@ proxy:
 proxy-slave minutes="60":
     MINUTES={{minutes}} cargo test --release -p bcap-cli --test proxy_load -- --ignored --nocapture
 
+# A stream in real time with errors, doctor, monitor, fleet and a gateway, on a controller that ends Slave Mode at each refused call.
+stream-and-monitors:
+    cargo test --release -p bcap-cli --test monitors -- --ignored --nocapture
+
 # Round trips over loopback compared with a bare ping-pong, and a server with 100 connections.
 loopback:
     cargo bench -p bcap-tests --bench loopback

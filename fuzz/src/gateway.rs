@@ -20,6 +20,9 @@ const SLOTS: usize = 3;
 /// The capacity of the gateway's handle cache.
 const HANDLES: usize = 4;
 
+/// The handle of the robot object.
+const ROBOT: i32 = 1_000_000;
+
 /// The allowed PUTs: some integers in a range, one float, short strings, positions with a figure, any output.
 const PUT: [Allow<'static>; 5] = [
     Allow { values: &[Bounds { min: -100.0, max: 100.0 }], ..Allow::range(VariableKind::I, 2, 9) },
@@ -340,6 +343,8 @@ impl Run<'_> {
             FunctionId::SERVICE_START,
             FunctionId::CONTROLLER_CONNECT,
             FunctionId::CONTROLLER_GET_NAME,
+            FunctionId::CONTROLLER_GET_ROBOT,
+            FunctionId::ROBOT_EXECUTE,
             FunctionId::CONTROLLER_GET_VARIABLE,
             FunctionId::VARIABLE_RELEASE,
             FunctionId::VARIABLE_GET_VALUE,
@@ -364,6 +369,9 @@ impl Run<'_> {
                 self.answer(0, Some(Value::I4(self.robot.next_handle)));
             }
             FunctionId::VARIABLE_GET_VALUE => self.answer(0, Some(Value::I4(7))),
+            FunctionId::CONTROLLER_GET_ROBOT => self.answer(0, Some(Value::I4(ROBOT))),
+            // no stream runs
+            FunctionId::ROBOT_EXECUTE => self.answer(0, Some(Value::I4(0))),
             _ => self.answer(0, None),
         }
     }

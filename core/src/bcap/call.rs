@@ -272,7 +272,7 @@ macro_rules! reply {
 macro_rules! calls {
     ($($(#[doc = $help:literal])*
        $number:literal $constant:ident $method:ident $name:literal $object:ident
-       ($($argument:ident: $kind:ident),*) $result:ident;)*) => {$(
+       ($($argument:ident: $kind:ident),*) $result:ident, $effect:ident $in_slave_mode:ident;)*) => {$(
         $(#[doc = $help])*
         #[doc = ""]
         #[doc = concat!(" Function ", stringify!($number), ", `", $name, "`.")]

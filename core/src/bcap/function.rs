@@ -1,7 +1,7 @@
 //! The table of the 137 functions of b-CAP.
 //!
-//! A row contains the help, the number on the wire, the names, the object that the function belongs to, the arguments, and
-//! the value of the reply (S2:1613-1806). The typed calls of [`call`](super::call), the argument check of the server and
+//! A row contains the help, the number on the wire, the names, the object that the function belongs to, the arguments,
+//! the value of the reply (S2:1613-1806), the effect, and whether Slave Mode allows the call. The typed calls of [`call`](super::call), the argument check of the server and
 //! its list of open handles are generated from this table.
 //!
 //! | group      | numbers | group    | numbers | group    | numbers |
@@ -14,6 +14,7 @@ mod table;
 
 use core::fmt;
 
+use super::effect::{Effect, InSlaveMode, Properties};
 use crate::variant::Variant;
 
 pub(crate) use table::for_each_function;
@@ -162,7 +163,7 @@ macro_rules! kind {
 macro_rules! tables {
     ($(#[doc = $summary:literal] $(#[doc = $help:literal])*
        $number:literal $constant:ident $method:ident $name:literal $object:ident
-       ($($argument:ident: $kind:ident),*) $result:ident;)*) => {
+       ($($argument:ident: $kind:ident),*) $result:ident, $effect:ident $in_slave_mode:ident;)*) => {
         impl FunctionId {
             $(
                 #[doc = concat!("`", $name, "`, function ", stringify!($number), ":", $summary)]
@@ -175,9 +176,12 @@ macro_rules! tables {
             $(Signature { arguments: &[$(kind!($kind)),*], result: kind!($result), object: Object::$object },)*
         ];
 
-        // names and help are separate tables: a server on a board checks arguments but prints neither
+        // separate tables: a server on a board checks arguments but uses none of these
         static NAMES: [&str; 137] = [$($name,)*];
         static ARGUMENT_NAMES: [&[&str]; 137] = [$(&[$(stringify!($argument)),*],)*];
+        pub(super) static PROPERTIES: [Properties; 137] = [
+            $(Properties { effect: Effect::$effect, in_slave_mode: InSlaveMode::$in_slave_mode },)*
+        ];
         static HELP: [&[&str]; 137] = [$(&[$summary, $($help),*],)*];
     };
 }
@@ -190,7 +194,7 @@ impl FunctionId {
         (1_u8..138).map(|n| Self(i32::from(n)))
     }
 
-    fn index(self) -> Option<usize> {
+    pub(super) fn index(self) -> Option<usize> {
         usize::try_from(self.0).ok()?.checked_sub(1)
     }
 

@@ -2,6 +2,8 @@
 
 pub mod call;
 pub mod client;
+mod command;
+mod effect;
 mod frame;
 pub mod function;
 mod header;
@@ -10,6 +12,8 @@ pub mod server;
 
 pub use self::call::Call;
 pub use self::client::Client;
+pub use self::command::Command;
+pub use self::effect::{Effect, InSlaveMode, Properties, Skipped, StreamState};
 pub use self::frame::{Args, ArgsIter, Decoder, EOT, Frame, FrameWriter, MIN_FRAME, Progress, crc16};
 pub use self::function::{FunctionId, Kind, Object, Signature};
 pub use self::header::{HEADER_LEN, SOH};

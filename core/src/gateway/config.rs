@@ -34,7 +34,7 @@ pub struct Config<'a> {
     pub option: &'a str,
     /// How long a request of a PLC may take, its waiting time included. Then it is answered with E_TIMEOUT.
     pub request_timeout: Duration,
-    /// The silence after which the robot is asked for its name, to notice that it is disconnected.
+    /// The silence after which the robot is asked for the mode of Slave Mode, to notice that it is disconnected.
     pub heartbeat: Duration,
     /// The pause before the second attempt to connect (exponential backoff: it doubles with each attempt).
     pub first_pause: Duration,

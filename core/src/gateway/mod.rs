@@ -24,6 +24,8 @@
 //! * **Results** of the robot are passed on unchanged. **Values** are converted to the type of the variable if that is
 //!   lossless, and passed on unchanged otherwise: a line contains the type. A value that has no text, or does not fit the
 //!   256 bytes of a line, becomes the reply E_INVALIDSNDPACKET.
+//! * **Slave Mode**: a PUT may end a stream of another client. So the gateway asks `slvGetMode` before each PUT, and refuses it
+//!   with E_SLVMODE_ON if a stream runs or may run. A stream that begins just after the question can still be ended.
 //! * **Rules** ([`Rules`]) are checked first; by default nothing can be written.
 //!
 //! # Examples
@@ -59,6 +61,7 @@ mod network;
 mod rule_text;
 mod rules;
 mod seat;
+mod stream;
 
 use crate::endpoint::{Endpoint, ServerEndpoint};
 use core::fmt;
@@ -68,6 +71,7 @@ use self::convert::Converted;
 use self::handles::{Entry, Handles, Lookup};
 use self::link::{RobotLink, State};
 use self::seat::{Seat, Waiting};
+use self::stream::StreamCheck;
 
 pub use self::config::Config;
 pub use self::counters::{Counters, Tally};
@@ -77,9 +81,9 @@ pub use self::network::Network;
 pub use self::rule_text::{AllowBuf, RuleError, RuleErrorKind};
 pub use self::rules::{Allow, Bounds, Rate, Refusal, Rules};
 
-use crate::bcap::FunctionId;
-use crate::bcap::call::{Any, ControllerHandle, RawCall, VariableHandle};
+use crate::bcap::call::{Any, ControllerHandle, RawCall, RobotHandle, VariableHandle};
 use crate::bcap::client::{self, Client, ClientError};
+use crate::bcap::{FunctionId, StreamState};
 use crate::handler::PeerId;
 use crate::hresult::HResult;
 use crate::rac::{Request, Variable, server};
@@ -127,6 +131,7 @@ pub struct Gateway<'m> {
     config: Config<'m>,
     client: Client<&'m mut [u8]>,
     link: RobotLink,
+    stream: StreamCheck,
     handles: Handles<'m>,
     seats: &'m mut [Seat],
     /// The purpose of the call that runs at the robot.
@@ -145,7 +150,13 @@ pub struct Gateway<'m> {
 enum InFlight {
     ServiceStart,
     ControllerConnect,
+    GetRobot,
+    /// Any reply is sufficient.
     Heartbeat,
+    /// The heartbeat that asks whether a stream of Slave Mode runs.
+    GetMode,
+    /// Asks the same before the value is written by this handle.
+    GetModeFor(Job, VariableHandle),
     /// Releases the handle of a variable to make room.
     Release(VariableHandle),
     GetVariable(Job),
@@ -174,6 +185,7 @@ impl<'m> Gateway<'m> {
             config,
             client,
             link: RobotLink::new(config.first_pause, config.longest_pause),
+            stream: StreamCheck::Unopened,
             handles: Handles::new(&mut memory.handles),
             seats,
             call: None,
@@ -420,6 +432,7 @@ impl Gateway<'_> {
             }
             InFlight::ControllerConnect => match self.client.value::<ControllerHandle>() {
                 Ok(controller) => {
+                    self.stream = StreamCheck::Unopened;
                     self.link.up(controller);
                     Some(Event::RobotUp)
                 }
@@ -427,6 +440,22 @@ impl Gateway<'_> {
             },
             // any reply shows that the robot is connected
             InFlight::Heartbeat => None,
+            InFlight::GetRobot => {
+                let opened = self.client.value::<RobotHandle>().ok().filter(|_| result.is_ok());
+                self.stream = opened.map_or(StreamCheck::Closed, StreamCheck::Open);
+                None
+            }
+            InFlight::GetMode => {
+                self.mode_received(result);
+                None
+            }
+            InFlight::GetModeFor(job, handle) => {
+                let state = self.mode_received(result);
+                if state.allows(FunctionId::VARIABLE_PUT_VALUE.properties(None, None)) {
+                    return self.call_value(job, handle, now);
+                }
+                waiting_seat(self.seats, job)?.refuse(Refusal::SlaveMode)
+            }
             // a handle that could not be released is forgotten, too
             InFlight::Release(handle) => {
                 self.handles.remove(handle);
@@ -451,6 +480,18 @@ impl Gateway<'_> {
         }
     }
 
+    /// Handles the reply to slvGetMode.
+    fn mode_received(&mut self, result: HResult) -> StreamState {
+        let mode = self.client.value::<Any>().ok().and_then(|mode| mode.as_i32());
+        let state = StreamState::from_reply(result, mode);
+        match (state, result) {
+            (StreamState::Absent, _) => self.stream = StreamCheck::Absent,
+            (_, HResult::E_HANDLE) => self.stream = StreamCheck::Unopened,
+            _ => {}
+        }
+        state
+    }
+
     /// Handles the end of a call without a reply.
     fn failed(&mut self, error: ClientError, now: Instant) -> Option<Event> {
         if let (ClientError::ReplyTooLarge { .. }, Some(InFlight::Value(job, _))) = (error, self.call) {
@@ -468,7 +509,8 @@ impl Gateway<'_> {
 
     /// Ends the session with the robot. `poll_sessions` replies to the waiting requests.
     fn fail_link(&mut self, error: RobotError) -> Event {
-        if let Some(InFlight::GetVariable(job) | InFlight::Value(job, _)) = self.call.take()
+        if let Some(InFlight::GetVariable(job) | InFlight::Value(job, _) | InFlight::GetModeFor(job, _)) =
+            self.call.take()
             && let Some(waiting) = waiting_seat(self.seats, job).and_then(|seat| seat.waiting.as_mut())
         {
             waiting.if_down = error.hresult();
@@ -519,6 +561,9 @@ impl Gateway<'_> {
         if self.call.is_some() {
             return None;
         }
+        if self.stream == StreamCheck::Unopened {
+            return self.open_robot(controller, now);
+        }
         let next_ticket = self.next_ticket;
         let waiting = self.seats.iter().enumerate().filter_map(|(at, seat)| Some((at, seat.waiting?)));
         // compares differences, because tickets wrap
@@ -527,11 +572,33 @@ impl Gateway<'_> {
             return self.begin_job(job, now);
         }
         if now >= self.last_seen.saturating_add(self.config.heartbeat) {
-            self.call = Some(InFlight::Heartbeat);
-            let started = self.start(FunctionId::CONTROLLER_GET_NAME, &[&controller], now);
-            return started.err().map(|error| self.fail_link(RobotError::Call(error)));
+            return self.begin_heartbeat(controller, now);
         }
         None
+    }
+
+    /// Starts the heartbeat: a call that does not end a stream of Slave Mode.
+    fn begin_heartbeat(&mut self, controller: ControllerHandle, now: Instant) -> Option<Event> {
+        let started = match self.stream {
+            StreamCheck::Unopened | StreamCheck::Closed => return self.open_robot(controller, now),
+            StreamCheck::Open(robot) => {
+                self.call = Some(InFlight::GetMode);
+                self.get_mode(robot, now)
+            }
+            // without Slave Mode there is no stream
+            StreamCheck::Absent => {
+                self.call = Some(InFlight::Heartbeat);
+                self.start(FunctionId::CONTROLLER_GET_NAME, &[&controller], now)
+            }
+        };
+        started.err().map(|error| self.fail_link(RobotError::Call(error)))
+    }
+
+    /// Starts the call that opens the robot object.
+    fn open_robot(&mut self, controller: ControllerHandle, now: Instant) -> Option<Event> {
+        self.call = Some(InFlight::GetRobot);
+        let started = self.start(FunctionId::CONTROLLER_GET_ROBOT, &[&controller, &ROBOT, &""], now);
+        started.err().map(|error| self.fail_link(RobotError::Call(error)))
     }
 
     /// Starts the first call that a request needs.
@@ -558,8 +625,29 @@ impl Gateway<'_> {
         started.err().map(|error| self.fail_link(RobotError::Call(error)))
     }
 
-    /// Starts the call that reads or writes the value, if the request still waits.
+    /// Starts the call that reads the value, or the question before it is written, if the request still waits.
     fn begin_value(&mut self, job: Job, handle: VariableHandle, now: Instant) -> Option<Event> {
+        let seat = waiting_seat(self.seats, job)?;
+        if matches!(seat.session.request()?, Request::Get(_)) {
+            return self.call_value(job, handle, now);
+        }
+        match self.stream {
+            StreamCheck::Open(robot) => {
+                self.call = Some(InFlight::GetModeFor(job, handle));
+                self.get_mode(robot, now).err().map(|error| self.fail_link(RobotError::Call(error)))
+            }
+            StreamCheck::Unopened | StreamCheck::Closed => seat.refuse(Refusal::SlaveMode),
+            StreamCheck::Absent => self.call_value(job, handle, now),
+        }
+    }
+
+    /// Starts the call that asks whether a stream of Slave Mode runs.
+    fn get_mode(&mut self, robot: RobotHandle, now: Instant) -> Result<(), ClientError> {
+        self.start(FunctionId::ROBOT_EXECUTE, &[&robot, &StreamState::COMMAND, &()], now)
+    }
+
+    /// Starts the call that reads or writes the value, if the request still waits.
+    fn call_value(&mut self, job: Job, handle: VariableHandle, now: Instant) -> Option<Event> {
         let seat = waiting_seat(self.seats, job)?;
         let started = match seat.session.request()? {
             Request::Get(_) => {
@@ -607,6 +695,9 @@ impl Gateway<'_> {
 fn waiting_seat(seats: &mut [Seat], job: Job) -> Option<&mut Seat> {
     seats.get_mut(job.seat).filter(|seat| seat.waiting.is_some_and(|waiting| waiting.ticket == job.ticket))
 }
+
+/// The name of the robot object; controllers accept any.
+const ROBOT: &str = "Arm";
 
 /// Bytes of the longest name: `IO4294967295`.
 const NAME: usize = 12;

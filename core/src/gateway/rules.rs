@@ -201,6 +201,8 @@ pub enum Refusal {
     Type,
     /// The value is out of range.
     Value,
+    /// A stream of Slave Mode runs, or may run, and writing may end it.
+    SlaveMode,
 }
 
 impl Refusal {
@@ -213,6 +215,7 @@ impl Refusal {
             Self::ReadOnly | Self::Kind | Self::Index => HResult::E_ACCESSDENIED,
             Self::Type => HResult::E_INVALIDARGTYPE,
             Self::Value => HResult::E_INVALIDARG,
+            Self::SlaveMode => HResult::E_SLVMODE_ON,
         }
     }
 }
@@ -227,6 +230,7 @@ impl fmt::Display for Refusal {
             Self::Index => "no rule allows this variable",
             Self::Type => "the value is not of the variable's type",
             Self::Value => "the value is out of the range that the rules allow",
+            Self::SlaveMode => "skipped: a stream of Slave Mode runs or may run, and writing may end it",
         })
     }
 }

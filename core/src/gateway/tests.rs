@@ -16,6 +16,11 @@ use crate::variant::VariantBuf;
 
 type Owned = VariantBuf<1024>;
 
+const ROBOT_HANDLE: i32 = 78;
+
+/// The question before each PUT.
+const MODE: &str = "RobotExecute(I4(78), \"slvGetMode\", EMPTY)";
+
 fn at(millis: u64) -> Instant {
     Instant::from_millis(millis)
 }
@@ -43,6 +48,8 @@ struct Robot {
     handles: BTreeMap<i32, String>,
     next_handle: i32,
     values: BTreeMap<String, Owned>,
+    /// The answer to slvGetMode.
+    mode: i32,
     /// Scripted reactions to the next calls, instead of the normal ones.
     script: VecDeque<(FunctionId, Do)>,
     /// The serials of calls without a reply, and the replies they would get.
@@ -115,6 +122,12 @@ impl Robot {
         match (frame.function(), named) {
             (FunctionId::CONTROLLER_CONNECT, _) => ok(&77_i32),
             (FunctionId::CONTROLLER_GET_NAME, _) => ok(&"RC8"),
+            (FunctionId::CONTROLLER_GET_ROBOT, _) => ok(&ROBOT_HANDLE),
+            (FunctionId::ROBOT_EXECUTE, _) => {
+                assert_eq!(handle, Some(ROBOT_HANDLE));
+                assert_eq!(argument(1).as_bstr().unwrap().to_string(), "slvGetMode");
+                ok(&self.mode)
+            }
             (FunctionId::CONTROLLER_GET_VARIABLE, _) => {
                 assert_eq!(handle, Some(77));
                 self.next_handle += 1;
@@ -284,6 +297,7 @@ fn a_session_begins_as_configured_and_reads_with_one_handle() {
         [
             "ServiceStart(\"WDT=400\")",
             "ControllerConnect(\"plc\", \"CaoProv.DENSO.VRC9\", \"10.0.0.1\", \"@IfNotMember\")",
+            "ControllerGetRobot(I4(77), \"Arm\", \"\")",
         ]
     );
     let plc = bench.gateway.open().unwrap();
@@ -519,7 +533,7 @@ fn when_the_robot_disconnects_every_request_is_answered_and_handles_are_removed(
     assert_eq!(bench.connect(), [Event::RobotUp]);
     assert_eq!(bench.ask(plcs[2], "GET:RC8:1:I:\r"), "0,3,11\r");
     let calls = bench.robot.calls();
-    assert_eq!(calls[2], "ControllerGetVariable(I4(77), \"I1\", \"\")", "the old handle was not used: {calls:?}");
+    assert_eq!(calls[3], "ControllerGetVariable(I4(77), \"I1\", \"\")", "the old handle was not used: {calls:?}");
 }
 
 #[test]
@@ -689,14 +703,74 @@ fn the_heartbeat_detects_a_robot_that_does_not_respond() {
     let mut bench = Bench::up(Config::RC8, &mut memory);
     assert_eq!(bench.gateway.poll_timeout(), Some(at(2000)));
     assert_eq!(bench.sleep(2000), []);
-    assert_eq!(bench.robot.calls(), ["ControllerGetName(I4(77))"]);
+    assert_eq!(bench.robot.calls(), [MODE]);
     assert_eq!(bench.gateway.poll_timeout(), Some(at(4000)));
-    bench.robot.script(FunctionId::CONTROLLER_GET_NAME, Do::Reply(HResult::E_NOTIMPL, None));
+    bench.robot.script(FunctionId::ROBOT_EXECUTE, Do::Reply(HResult::E_FAIL, None));
     assert_eq!(bench.sleep(2000), [], "any answer is a sign of life");
-    bench.robot.script(FunctionId::CONTROLLER_GET_NAME, Do::Nothing);
+    bench.robot.script(FunctionId::ROBOT_EXECUTE, Do::Nothing);
     assert_eq!(bench.sleep(2000), []);
     let events = bench.sleep(3000);
     assert!(matches!(events[..], [Event::RobotDown { .. }]), "{events:?}");
+}
+
+#[test]
+fn a_put_is_refused_while_a_stream_runs_or_may_run() {
+    let mut memory = Memory::<1, 8>::new();
+    let mut bench = Bench::up(WRITABLE, &mut memory);
+    bench.robot.set("I1", &11_i32);
+    let plc = bench.gateway.open().unwrap();
+    bench.robot.mode = 0x202;
+    bench.send(plc, "PUT:RC8:1:I:3,5\r");
+    assert_eq!(bench.settle(), [Event::Refused { peer: plc, refusal: Refusal::SlaveMode }]);
+    assert_eq!(bench.take(plc), line(HResult::E_SLVMODE_ON));
+    assert_eq!(bench.robot.calls(), ["ControllerGetVariable(I4(77), \"I1\", \"\")", MODE]);
+    assert_eq!(bench.ask(plc, "GET:RC8:1:I:\r"), "0,3,11\r", "a GET needs no question");
+    assert!(!bench.robot.calls().iter().any(|call| call == MODE));
+    // without an answer it is unknown
+    bench.robot.mode = 0;
+    bench.robot.script(FunctionId::ROBOT_EXECUTE, Do::Reply(HResult::E_FAIL, None));
+    assert_eq!(bench.ask(plc, "PUT:RC8:1:I:3,5\r"), line(HResult::E_SLVMODE_ON));
+    bench.robot.calls();
+    // each PUT asks again
+    for number in [5, 6] {
+        assert_eq!(bench.ask(plc, &format!("PUT:RC8:1:I:3,{number}\r")), "0\r");
+        assert_eq!(bench.robot.calls()[0], MODE);
+        assert_eq!(bench.robot.value("I1").as_i32(), Some(number));
+    }
+}
+
+#[test]
+fn a_robot_without_slave_mode_is_asked_once() {
+    let mut memory = Memory::<1, 8>::new();
+    let mut bench = Bench::up(WRITABLE, &mut memory);
+    let plc = bench.gateway.open().unwrap();
+    bench.robot.script(FunctionId::ROBOT_EXECUTE, Do::Reply(HResult::E_NO_LICENSE, None));
+    assert_eq!(bench.ask(plc, "PUT:RC8:1:I:3,5\r"), "0\r");
+    assert_eq!(bench.ask(plc, "PUT:RC8:1:I:3,6\r"), "0\r");
+    bench.sleep(2000);
+    let calls = bench.robot.calls();
+    assert_eq!(calls.iter().filter(|call| *call == MODE).count(), 1, "{calls:?}");
+    assert_eq!(calls.last().unwrap(), "ControllerGetName(I4(77))");
+}
+
+#[test]
+fn without_the_robot_object_nothing_is_written() {
+    let mut memory = Memory::<1, 8>::new();
+    let mut bench = Bench::new(WRITABLE, &mut memory);
+    bench.robot.mode = 0x202;
+    bench.robot.script.push_back((FunctionId::CONTROLLER_GET_ROBOT, Do::Reply(HResult::E_FAIL, None)));
+    assert_eq!(bench.connect(), [Event::RobotUp]);
+    let plc = bench.gateway.open().unwrap();
+    assert_eq!(bench.ask(plc, "PUT:RC8:1:I:3,5\r"), line(HResult::E_SLVMODE_ON));
+    bench.robot.calls();
+    // the heartbeat opens it
+    bench.sleep(2000);
+    assert_eq!(bench.robot.calls(), ["ControllerGetRobot(I4(77), \"Arm\", \"\")"]);
+    // a handle that the robot no longer knows is replaced
+    bench.robot.script(FunctionId::ROBOT_EXECUTE, Do::Reply(HResult::E_HANDLE, None));
+    assert_eq!(bench.ask(plc, "PUT:RC8:1:I:3,5\r"), line(HResult::E_SLVMODE_ON));
+    bench.robot.mode = 0;
+    assert_eq!(bench.ask(plc, "PUT:RC8:1:I:3,5\r"), "0\r");
 }
 
 #[test]

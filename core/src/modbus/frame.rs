@@ -40,7 +40,7 @@ pub enum Exception {
     IllegalDataValue,
     /// The robot refused the access, or its value does not fit the registers.
     ServerDeviceFailure,
-    /// The client exceeds its rate, or the gateway has no slot for it.
+    /// The client exceeds its rate, the gateway has no slot for it, or writing may end a stream of Slave Mode.
     ServerDeviceBusy,
     /// The robot is disconnected.
     GatewayPathUnavailable,
@@ -70,7 +70,7 @@ impl From<HResult> for Exception {
         match error {
             HResult::E_ACCESSDENIED => Self::IllegalDataAddress,
             HResult::E_INVALIDARG | HResult::E_INVALIDARGTYPE => Self::IllegalDataValue,
-            HResult::E_BUSY_PROC | HResult::E_MAX_CONNECT => Self::ServerDeviceBusy,
+            HResult::E_BUSY_PROC | HResult::E_MAX_CONNECT | HResult::E_SLVMODE_ON => Self::ServerDeviceBusy,
             HResult::E_NOT_CONNECTED => Self::GatewayPathUnavailable,
             HResult::E_TIMEOUT => Self::GatewayTargetDeviceFailedToRespond,
             _ => Self::ServerDeviceFailure,

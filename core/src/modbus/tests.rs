@@ -200,6 +200,7 @@ fn errors_of_the_gateway_are_exceptions() {
         (HResult::E_NOT_CONNECTED, 0x0a),
         (HResult::E_TIMEOUT, 0x0b),
         (HResult::E_BUSY_PROC, 6),
+        (HResult::E_SLVMODE_ON, 6),
         (HResult::E_MAX_CONNECT, 6),
         (HResult::E_ACCESSDENIED, 2),
         (HResult::E_INVALIDARG, 3),

@@ -11,13 +11,14 @@ use crate::bcap::call::{
     Any, ControllerHandle, ExtensionHandle, FileHandle, Reply, ReplyError, RobotHandle, TaskHandle, handle_of,
 };
 use crate::bcap::{Frame, FunctionId, Object};
+use crate::hresult::HResult;
 use crate::time::Instant;
 
 /// The maximum number of objects in a path: a sequence also contains the service and the controller.
 pub const PATH_MAX: usize = UNDO_MAX - 2;
 /// A name in a reply, of at most 64 bytes of UTF-8.
 pub(super) type Name = heapless::String<64>;
-/// The robot of a controller that refuses to list its robots: the name in the specification's samples.
+/// The first robot: the name in the specification's samples. In the RC8 provider guide (5.2.3) any name means the first arm.
 const DEFAULT_ROBOT: &str = "Arm0";
 /// The expected reply to a request for names.
 const NAMES: &str = "an array of names";
@@ -123,6 +124,8 @@ pub(super) struct PathSteps<'a> {
     owner: Owner,
     /// How many objects of the path are open.
     done: usize,
+    /// Whether the controller refused [`DEFAULT_ROBOT`], so that it is asked for the names.
+    asks: bool,
     /// The name of the first robot, after the controller's reply.
     first: Option<Name>,
 }
@@ -141,14 +144,14 @@ impl<'a> PathSteps<'a> {
             from = step.object;
         }
         let path = heapless::Vec::from_slice(path).map_err(|_| PathError::TooLong)?;
-        Ok(Self { provider: None, path, opened: Opened::new(), owner, done: 0, first: None })
+        Ok(Self { provider: None, path, opened: Opened::new(), owner, done: 0, asks: false, first: None })
     }
 
     /// The steps of a new session, up to the controller, or to one of its robots.
     pub(super) fn session(provider: Provider<'a>, robot: Option<PathStep<'a>>) -> Self {
         let owner = Owner { object: Object::Service, handle: 0 };
         let path = robot.into_iter().collect();
-        Self { provider: Some(provider), path, opened: Opened::new(), owner, done: 0, first: None }
+        Self { provider: Some(provider), path, opened: Opened::new(), owner, done: 0, asks: false, first: None }
     }
 
     /// Returns the handle of the object that was opened last.
@@ -169,7 +172,12 @@ impl<'a> PathSteps<'a> {
 
     /// Tells whether the next call asks for the names of the robots.
     fn wants_first(&self) -> bool {
-        self.path.get(self.done).is_some_and(|step| step.name.is_none()) && self.first.is_none()
+        self.asks && self.first.is_none() && self.is_unnamed()
+    }
+
+    /// Tells whether the next object is a robot without a name.
+    fn is_unnamed(&self) -> bool {
+        self.path.get(self.done).is_some_and(|step| step.name.is_none())
     }
 }
 
@@ -186,6 +194,8 @@ impl Steps for PathSteps<'_> {
         let name = match (step.name, &self.first) {
             (Some(name), _) => name,
             (None, Some(first)) => first.as_str(),
+            // the list of names may end a stream of Slave Mode
+            (None, None) if !self.asks => DEFAULT_ROBOT,
             (None, None) => {
                 return Next::Call(StepCall::new(FunctionId::CONTROLLER_GET_ROBOT_NAMES).with(owner).with(""));
             }
@@ -220,11 +230,11 @@ impl Steps for PathSteps<'_> {
 
     fn recovered(&mut self, cause: &StepCause) -> bool {
         let in_session = self.provider.is_none() || self.opened.len() >= 2;
-        if !(in_session && self.wants_first() && matches!(cause, StepCause::Refused(_))) {
-            return false;
-        }
-        self.first = Name::try_from(DEFAULT_ROBOT).ok();
-        true
+        let is_answer = |code: HResult| code != HResult::E_SLVMODE_ON && code != HResult::E_HANDLE;
+        let is_refused = matches!(cause, StepCause::Refused(code) if is_answer(*code));
+        let helps = in_session && is_refused && self.is_unnamed() && !self.asks;
+        self.asks = self.asks || helps;
+        helps
     }
 
     fn output(&mut self) -> Opened {

@@ -206,7 +206,8 @@ const START: Expected = opens("Service_Start(\"WDT=400\")", "Service_Stop()");
 const CONNECT: Expected =
     opens("Controller_Connect(\"\", \"CaoProv.DENSO.VRC9\", \"localhost\", \"\")", "Controller_Disconnect(7)");
 const NAMES: Expected = step("Controller_GetRobotNames(7, \"\")");
-const ROBOT: Expected = opens("Controller_GetRobot(7, \"Arm1\", \"\")", "Robot_Release(9)");
+const ROBOT: Expected = opens("Controller_GetRobot(7, \"Arm0\", \"\")", "Robot_Release(9)");
+const LISTED: Expected = opens("Controller_GetRobot(7, \"Arm1\", \"\")", "Robot_Release(9)");
 
 /// A controller with the handle 7 and robots of the names Arm1 and Arm2, which get the handle 9; variables get 11.
 fn controller(call: &str) -> Answer {
@@ -239,26 +240,36 @@ fn a_session_is_opened_and_closed_again_after_any_failure() {
 }
 
 #[test]
-fn a_robot_is_the_first_of_the_list_unless_it_is_named() {
+fn a_robot_without_a_name_is_opened_by_the_name_of_the_samples() {
     let handles = Handles { controller: ControllerHandle(7), robot: RobotHandle(9) };
-    let all = [START, CONNECT, NAMES, ROBOT];
+    let all = [START, CONNECT, ROBOT];
     let (opened, made) = succeed(open_robot(Provider::RC9, None));
     assert_eq!((opened, made), (handles, calls(&all).into_iter().map(String::from).collect()));
-    let refusal_helps = |call: &str| call.starts_with("Controller_GetRobotNames");
-    fail_each(|| open_robot(Provider::RC9, None), controller, &all, refusal_helps);
-    let named = [START, CONNECT, ROBOT];
+    fail_each(|| open_robot(Provider::RC9, None), controller, &all, |call| call.starts_with("Controller_GetRobot("));
+    let named = [START, CONNECT, LISTED];
     assert_eq!(succeed(open_robot(Provider::RC9, Some("Arm1"))).1, calls(&named));
     fail_each(|| open_robot(Provider::RC9, Some("Arm1")), controller, &named, |_| false);
 }
 
+/// A controller that does not know the robot Arm0.
+fn refuses_arm0(call: &str) -> Answer {
+    if call.contains("Arm0") { Answer::Refused(HResult::E_CAO_OBJECT_NOTFOUND) } else { controller(call) }
+}
+
 #[test]
-fn a_controller_that_lists_no_robots_gives_its_default_one() {
-    let done = run(open_robot(Provider::RC9, None), |_, call, _| match call.contains("Names") {
-        true => Answer::Refused(HResult::E_NOTIMPL),
-        false => controller(call),
-    });
+fn a_controller_that_refuses_the_name_is_asked_for_its_list() {
+    let done = run(open_robot(Provider::RC9, None), |_, call, _| refuses_arm0(call));
     assert_eq!(done.result.map(|handles| handles.robot), Ok(RobotHandle(9)));
-    assert_eq!(done.calls.last().unwrap(), "Controller_GetRobot(7, \"Arm0\", \"\")");
+    assert_eq!(done.calls, calls(&[START, CONNECT, step(ROBOT.call), NAMES, LISTED]));
+    // in Slave Mode, and with an invalid handle, the list does not help
+    for code in [HResult::E_SLVMODE_ON, HResult::E_HANDLE] {
+        let done = run(open_robot(Provider::RC9, None), |_, call, _| match call.contains("Arm0") {
+            true => Answer::Refused(code),
+            false => controller(call),
+        });
+        assert_eq!(done.result.map_err(|error| error.cause), Err(StepCause::Refused(code)));
+        assert!(!done.calls.iter().any(|call| call.contains("Names")), "{:?}", done.calls);
+    }
 }
 
 /// Runs a procedure in which the call of this function is answered with another value; returns the error and the calls
@@ -268,7 +279,8 @@ fn with_wrong<T>(
     function: &str,
     answer: &Answer,
 ) -> (StepCause, Vec<String>) {
-    let done = run(procedure, |_, call, _| if call.starts_with(function) { answer.clone() } else { controller(call) });
+    let usual = if function.contains("Names") { refuses_arm0 } else { controller };
+    let done = run(procedure, |_, call, _| if call.starts_with(function) { answer.clone() } else { usual(call) });
     let at = done.calls.iter().position(|call| call.starts_with(function)).unwrap();
     let error = done.result.err().unwrap();
     assert_eq!(error.function, function_of(&done.calls[at]));
@@ -305,11 +317,11 @@ fn a_reply_of_another_type_is_an_error_and_what_was_opened_is_released() {
 fn a_path_is_opened_step_by_step() {
     let path = [PathStep { object: Object::Robot, name: None }, PathStep::variable("@SERVO_ON")];
     let make = || open_path(ControllerHandle(7), &path).unwrap();
-    let expected = [NAMES, ROBOT, opens("Robot_GetVariable(9, \"@SERVO_ON\", \"\")", "Variable_Release(11)")];
+    let expected = [ROBOT, opens("Robot_GetVariable(9, \"@SERVO_ON\", \"\")", "Variable_Release(11)")];
     let (opened, made) = succeed(make());
     assert_eq!(made, calls(&expected));
     assert_eq!(opened, [(Object::Robot, 9), (Object::Variable, 11)]);
-    fail_each(make, controller, &expected, |call| call.contains("Names"));
+    fail_each(make, controller, &expected, |call| call == ROBOT.call);
 
     let (_, released) = succeed(release(&opened));
     assert_eq!(released, ["Variable_Release(11)", "Robot_Release(9)"]);

@@ -188,7 +188,8 @@ Examples:
   bcap call TaskStart task:Pro1 1
   bcap call ServiceStart 8,WDT=400
   bcap call Robot_Move --help
-  bcap call --list")]
+  bcap call --list
+  bcap call --list --effects")]
 pub(crate) struct Call {
     /// The function
     #[arg(required_unless_present_any = ["help", "list"])]
@@ -201,6 +202,13 @@ pub(crate) struct Call {
     /// Lists all functions
     #[arg(long, conflicts_with = "function")]
     pub(crate) list: bool,
+
+    /// Lists functions and commands with their effect (session, reads, writes, moves), and whether Slave Mode allows them
+    ///
+    /// A call that Slave Mode refuses ends a stream, also when another client sends it. "unknown" counts as refused, and a command
+    /// that is not listed may move.
+    #[arg(long, requires = "list")]
+    pub(crate) effects: bool,
 
     /// Prints help; after FUNCTION, the help of that function
     #[arg(short, long)]

@@ -17,7 +17,13 @@ use crate::value::{Value, integer, text, to_json};
 /// Runs `bcap call`.
 pub(crate) fn call(args: &Call, session: &mut Session, json: bool) -> Result<(), Failure> {
     let Some(name) = &args.function else {
-        let printed = if args.help { reference::command() } else { reference::list(json) };
+        let printed = if args.help {
+            reference::command()
+        } else if args.effects {
+            reference::effects(json)
+        } else {
+            reference::list(json)
+        };
         return Ok(printed?);
     };
     let function = FunctionId::parse(name).ok_or_else(|| unknown(name))?;

@@ -8,6 +8,9 @@
 //! A check that depends on a failed one is skipped, so only causes are reported as failures. A check with an inconclusive
 //! answer is untested, which is not a success.
 //!
+//! While a client streams in Slave Mode, the checks after the version are skipped: SysState, GetCurErrorCount and TakeArm would
+//! end the stream. slvGetMode is asked before each of them; a stream that begins in between can still be ended.
+//!
 //! Nothing moves and no variable is written. TakeArm is the only way to check that the arm is free, so the arm is taken and
 //! released at once (Keep 1, so that speeds, tool and work coordinates stay). slvChangeMode checks the licence; without the
 //! arm it cannot enter Slave Mode. The formats are set for this session only, and only while no client is in Slave Mode.
@@ -16,7 +19,7 @@ mod report;
 
 use std::time::{Duration, Instant};
 
-use bcap_core::bcap::FunctionId;
+use bcap_core::bcap::{FunctionId, StreamState};
 use bcap_core::hresult::HResult;
 use bcap_core::variant::{Encode, Variant};
 
@@ -25,6 +28,7 @@ use crate::args::{Doctor, LinkArgs};
 use crate::budget::Budget;
 use crate::error::Failure;
 use crate::session::Session;
+use crate::stream::StreamCheck;
 use crate::value::{Value, integer, text};
 use crate::variables::get_one;
 use bcap_std::{ObjectPath, Protocol};
@@ -51,7 +55,7 @@ pub(crate) fn doctor(args: &Doctor, link: &LinkArgs, json: bool) -> Result<(), F
     let (session, other) = if tcp.is_some() { (tcp, udp) } else { (udp, None) };
     drop(other);
     let Some(mut session) = session else {
-        CHECKS.into_iter().try_for_each(|check| report.note(check, Finding::Skipped("there is no connection")))?;
+        CHECKS.into_iter().try_for_each(|check| report.note(check, Finding::skipped("there is no connection")))?;
         return report.end();
     };
     session.set_budget(Budget::start(link));
@@ -101,11 +105,11 @@ fn reach(report: &mut Report, protocol: Protocol, args: &Doctor, link: &LinkArgs
 fn examine(session: &mut Session, link: &LinkArgs, report: &mut Report) -> Result<(), Failure> {
     let Some(controller) = provider(session, link, report)? else {
         let rest = CHECKS.into_iter().skip(1);
-        return rest.into_iter().try_for_each(|check| report.note(check, Finding::Skipped("it needs the provider")));
+        return rest.into_iter().try_for_each(|check| report.note(check, Finding::skipped("it needs the provider")));
     };
     let version = version(session)?;
     report.note("version", version)?;
-    let mut examined = Examined { session, controller, robot: 0 };
+    let mut examined = Examined { session, stream: StreamCheck::default(), controller, robot: 0 };
     examined.robot = match examined.session.object(&"robot".parse()?) {
         Ok(robot) => robot,
         Err(failure) if failure.leaves_the_session_alive() => {
@@ -180,6 +184,7 @@ fn plain(value: &Value) -> String {
 /// The controller and the robot that are examined.
 struct Examined<'a> {
     session: &'a mut Session,
+    stream: StreamCheck,
     controller: i32,
     robot: i32,
 }
@@ -217,21 +222,48 @@ impl Examined<'_> {
         Ok(Answer { code, value })
     }
 
+    /// Returns why a command must not be executed now; `None` if it may.
+    fn skip(&mut self, function: FunctionId, command: &str) -> Result<Option<String>, Failure> {
+        self.stream.skip(self.session, function, Some(command))
+    }
+
+    /// Skips the checks that would end a stream of Slave Mode.
+    fn streaming(&mut self, report: &mut Report, why: &str) -> Result<(), Failure> {
+        let state = self.stream.ask(self.session)?;
+        for check in CHECKS.into_iter().skip(2) {
+            let finding = match (check, state) {
+                ("arm", StreamState::Runs) => Finding::failed(
+                    "a client is in Slave Mode, so it owns the arm",
+                    "end its stream; closing its connection releases the arm",
+                ),
+                ("licence", StreamState::Unknown(code)) => {
+                    Finding::Untested(format!("slvGetMode returns no mode ({code}), so a client may be in Slave Mode"))
+                }
+                _ => Finding::skipped(why),
+            };
+            report.note(check, finding)?;
+        }
+        Ok(())
+    }
+
     /// Checks the state of the controller and the robot.
     fn state(&mut self, report: &mut Report) -> Result<(), Failure> {
+        if let Some(why) = self.skip(FunctionId::CONTROLLER_EXECUTE, "SysState")? {
+            return self.streaming(report, &why);
+        }
         let state = self.controller("SysState", &())?;
         let Some(bits) = state.int() else {
             let refused = format!("SysState is refused with {}", state.code);
             report.note("mode", Finding::failed(refused, "check that the controller has finished starting"))?;
             let rest = CHECKS.into_iter().skip(3);
-            return rest.into_iter().try_for_each(|check| report.note(check, Finding::Skipped("it needs SysState")));
+            return rest.into_iter().try_for_each(|check| report.note(check, Finding::skipped("it needs SysState")));
         };
         let is = |bit: u32| bits & (1 << bit) != 0;
         let (auto, outside, stopped) = (is(AUTO), is(TOKEN_OUTSIDE), is(EMERGENCY_STOP));
         let errors = self.errors(stopped)?;
         let emergency = self.emergency_stop(stopped)?;
         let ready = auto && outside && !errors.has_failed() && !emergency.has_failed() && !stopped;
-        let (token, arm) = if ready { self.take_arm()? } else { (None, Finding::Skipped("it needs all of the above")) };
+        let (token, arm) = if ready { self.take_arm()? } else { (None, Finding::skipped("it needs all of the above")) };
         let ready = ready && token.is_none();
 
         report.note("mode", mode(auto))?;
@@ -253,7 +285,7 @@ impl Examined<'_> {
         let Some(number) = mode.int() else {
             let why = format!("slvGetMode returns no mode ({}), so a client may be in Slave Mode", mode.code);
             return Ok(match mode.code {
-                HResult::E_NO_LICENSE => (licence(&answers), Finding::Skipped("it needs the licence")),
+                HResult::E_NO_LICENSE => (licence(&answers), Finding::skipped("it needs the licence")),
                 _ => (Finding::Untested(why.clone()), Finding::Untested(why)),
             });
         };
@@ -274,7 +306,10 @@ impl Examined<'_> {
     /// Checks for errors; the errors of an emergency stop belong to that check.
     fn errors(&mut self, stopped: bool) -> Result<Finding, Failure> {
         if stopped {
-            return Ok(Finding::Skipped("the emergency stop causes errors"));
+            return Ok(Finding::skipped("the emergency stop causes errors"));
+        }
+        if let Some(why) = self.skip(FunctionId::CONTROLLER_EXECUTE, "GetCurErrorCount")? {
+            return Ok(Finding::Skipped(why));
         }
         let counted = self.controller("GetCurErrorCount", &())?;
         let count = match counted.int() {
@@ -286,6 +321,9 @@ impl Examined<'_> {
             }
         };
         // the last entry is the oldest error, which is the first cause
+        if let Some(why) = self.skip(FunctionId::CONTROLLER_EXECUTE, "GetCurErrorInfo")? {
+            return Ok(Finding::Skipped(why));
+        }
         let first = self.controller("GetCurErrorInfo", &(count - 1))?;
         let first = first.value.as_ref().and_then(|value| {
             let mut elements = value.as_variant().as_array()?.iter();
@@ -325,6 +363,9 @@ impl Examined<'_> {
 
     /// Takes and releases the arm; also returns a finding about the token, if TakeArm is refused for it.
     fn take_arm(&mut self) -> Result<(Option<Finding>, Finding), Failure> {
+        if let Some(why) = self.skip(FunctionId::ROBOT_EXECUTE, "TakeArm")? {
+            return Ok((None, Finding::Skipped(why)));
+        }
         let taken = self.robot("TakeArm", &[0_i32, 1])?.code;
         if taken.is_ok() {
             self.robot("GiveArm", &())?;
@@ -332,7 +373,7 @@ impl Examined<'_> {
         }
         if [HResult::E_TOKEN_ADDRESS, HResult::E_TOKEN_NOT_ETHERNET].contains(&taken) {
             let token = Finding::failed(format!("TakeArm is refused with {taken}"), TOKEN_HINT);
-            return Ok((Some(token), Finding::Skipped("it needs the token")));
+            return Ok((Some(token), Finding::skipped("it needs the token")));
         }
         let hint = "end the program that owns the arm; closing its connection releases the arm";
         Ok((None, Finding::failed(format!("TakeArm is refused with {taken}"), hint)))
@@ -403,8 +444,8 @@ fn licence(answers: &[(&str, HResult)]) -> Finding {
 }
 
 /// Skips both the licence and the formats.
-const fn both(why: &'static str) -> (Finding, Finding) {
-    (Finding::Skipped(why), Finding::Skipped(why))
+fn both(why: &str) -> (Finding, Finding) {
+    (Finding::skipped(why), Finding::skipped(why))
 }
 
 const TOKEN_HINT: &str =
@@ -430,7 +471,7 @@ fn token_finding(outside: bool) -> Finding {
 fn motor(on: bool, ready: bool) -> Finding {
     match (on, ready) {
         (true, _) => Finding::Passed("on".into()),
-        (false, false) => Finding::Skipped("off, and it needs all of the above"),
+        (false, false) => Finding::skipped("off, and it needs all of the above"),
         (false, true) => {
             let hint = "switch it on with `bcap exec robot Motor 1`; `bcap slave` does so itself. A COBOTTA needs \
                         ManualResetPreparation and MotionPreparation first";

@@ -138,6 +138,7 @@ fn concluded(args: &MoveArgs, ended: Option<Motion>) -> Result<bool, Failure> {
         Some(Motion::TimedOut) => {
             unfit(format!("not at {to}: it took more than {:?} (--within), so the robot was halted", args.within), None)
         }
-        Some(_) => unfit(format!("not at {to}: the robot was halted"), None),
+        Some(Motion::Halted) => unfit(format!("not at {to}: the robot was halted"), None),
+        Some(_) => unfit(format!("the robot rests, and whether it is at {to} is unknown: read its position"), None),
     }
 }

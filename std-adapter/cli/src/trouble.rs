@@ -1,9 +1,9 @@
-//! `bcap errors`, `bcap clear` and `bcap messages`.
+//! `bcap errors`, `bcap clear` and `bcap messages`. While a stream of Slave Mode runs they send nothing that would end it.
 
 use std::fmt;
 use std::time::{Duration, Instant};
 
-use bcap_core::bcap::{FunctionId, Object};
+use bcap_core::bcap::{FunctionId, Object, StreamState};
 use bcap_core::hresult::HResult;
 use bcap_core::variant::Variant;
 
@@ -12,34 +12,37 @@ use crate::error::Failure;
 use crate::output::{print_json, print_line};
 use crate::plain;
 use crate::session::Session;
+use crate::stream::StreamCheck;
 use crate::value::{Value, integer, text};
 
 /// Runs `bcap errors`.
 pub(crate) fn errors(session: &mut Session, json: bool) -> Result<(), Failure> {
-    let count = count(session)?;
+    let mut check = StreamCheck::default();
+    let count = count(session, &mut check)?;
     if count == 0 && !json {
         print_line("no errors")?;
     }
     // each at once: a refusal of a later one does not hide it
     (0..count).try_for_each(|index| {
-        let (code, message) = error(session, index)?;
+        let (code, message) = error(session, &mut check, index)?;
         print_error(code, &message, json)
     })
 }
 
-/// Reads the present errors of the controller with their texts, the latest first.
-pub(crate) fn present(session: &mut Session) -> Result<Vec<(HResult, String)>, Failure> {
-    (0..count(session)?).map(|index| error(session, index)).collect()
+/// Reads the present errors of the controller with their texts, the latest first. Fails with [`Failure::Unfit`] while a stream
+/// runs.
+pub(crate) fn present(session: &mut Session, check: &mut StreamCheck) -> Result<Vec<(HResult, String)>, Failure> {
+    (0..count(session, check)?).map(|index| error(session, check, index)).collect()
 }
 
 /// Reads the number of present errors.
-fn count(session: &mut Session) -> Result<i32, Failure> {
-    let count = controller(session, "GetCurErrorCount", &())?;
+fn count(session: &mut Session, check: &mut StreamCheck) -> Result<i32, Failure> {
+    let count = checked(session, check, "GetCurErrorCount", &())?;
     Ok(count.as_variant().as_i32().unwrap_or(0).max(0))
 }
 
-fn error(session: &mut Session, index: i32) -> Result<(HResult, String), Failure> {
-    let info = controller(session, "GetCurErrorInfo", &index)?;
+fn error(session: &mut Session, check: &mut StreamCheck, index: i32) -> Result<(HResult, String), Failure> {
+    let info = checked(session, check, "GetCurErrorInfo", &index)?;
     let elements: Vec<Variant<'_>> = info.as_variant().as_array().map(|info| info.iter().collect()).unwrap_or_default();
     let code = elements.first().and_then(|code| code.as_i32()).map(HResult);
     let message = elements.get(1).map(|message| plain::to_plain(*message)).unwrap_or_default();
@@ -61,7 +64,23 @@ fn print_error(code: HResult, message: &str, json: bool) -> Result<(), Failure> 
 
 /// Runs `bcap clear`.
 pub(crate) fn clear(session: &mut Session) -> Result<(), Failure> {
+    let mut check = StreamCheck::default();
+    // any other answer lets the user clear: a controller with errors may refuse slvGetMode
+    if check.ask(session)? == StreamState::Runs {
+        check.require(session, FunctionId::CONTROLLER_EXECUTE, Some("ClearError"))?;
+    }
     controller(session, "ClearError", &()).map(drop)
+}
+
+/// Executes a command of the controller, unless it would end a stream.
+fn checked(
+    session: &mut Session,
+    check: &mut StreamCheck,
+    command: &str,
+    parameter: &impl bcap_core::variant::Encode,
+) -> Result<Value, Failure> {
+    check.require(session, FunctionId::CONTROLLER_EXECUTE, Some(command))?;
+    controller(session, command, parameter)
 }
 
 /// Executes a command of the controller.
@@ -78,12 +97,13 @@ fn controller(
 /// Runs `bcap messages`.
 pub(crate) fn messages(args: &args::Messages, session: &mut Session, json: bool) -> Result<(), Failure> {
     const INTERVAL: Duration = Duration::from_millis(50);
-    let Some(time) = args.time else { return fetch(session, json) };
+    let mut check = StreamCheck::default();
+    let Some(time) = args.time else { return fetch(session, &mut check, json) };
     let interrupt = session.handle_signals()?;
     let until = Instant::now() + time;
     loop {
         session.restart_budget();
-        fetch(session, json)?;
+        fetch(session, &mut check, json)?;
         let left = until.saturating_duration_since(Instant::now());
         if left.is_zero() || interrupt.sleep(INTERVAL.min(left)).is_err() {
             return Ok(());
@@ -92,8 +112,8 @@ pub(crate) fn messages(args: &args::Messages, session: &mut Session, json: bool)
 }
 
 /// Prints the messages that the controller has.
-fn fetch(session: &mut Session, json: bool) -> Result<(), Failure> {
-    while let Some(message) = next_message(session)? {
+fn fetch(session: &mut Session, check: &mut StreamCheck, json: bool) -> Result<(), Failure> {
+    while let Some(message) = next_message(session, check)? {
         let Message { number, source, time, text } = &message;
         if json {
             let line = serde_json::json!({ "number": number, "source": source, "time": time, "text": text });
@@ -127,19 +147,22 @@ impl Message {
     }
 }
 
-/// Fetches the oldest message that the controller has for this client; `None` without one.
-pub(crate) fn next_message(session: &mut Session) -> Result<Option<Message>, Failure> {
+/// Fetches the oldest message that the controller has for this client; `None` without one. Fails with [`Failure::Unfit`]
+/// while a stream runs.
+pub(crate) fn next_message(session: &mut Session, check: &mut StreamCheck) -> Result<Option<Message>, Failure> {
+    check.require(session, FunctionId::CONTROLLER_GET_MESSAGE, None)?;
     let arguments = [integer(session.controller()?)?];
     let (code, value) = session.call("messages", FunctionId::CONTROLLER_GET_MESSAGE, &arguments)?;
     let handle = value.as_ref().and_then(|value| value.as_variant().as_i32());
     let Some(handle) = handle.filter(|_| code == HResult::S_OK) else { return Ok(None) };
-    let message = read_message(session, handle);
+    let message = read_message(session, check, handle);
     session.release(Object::Message, handle)?;
     message.map(Some)
 }
 
-fn read_message(session: &mut Session, handle: i32) -> Result<Message, Failure> {
+fn read_message(session: &mut Session, check: &mut StreamCheck, handle: i32) -> Result<Message, Failure> {
     let mut field = |function| {
+        check.require(session, function, None)?;
         let (_, value) = session.call("message", function, &[integer(handle)?])?;
         Ok::<_, Failure>(plain::to_plain(value.unwrap_or_default().as_variant()))
     };

@@ -284,7 +284,13 @@ fn a_missing_licence_is_reported_for_every_command() {
 fn formats_are_not_set_while_a_client_may_be_in_slave_mode() {
     let fault = [("every = 1, of = 'slvGetMode'", "{ refuse = 'E_FAIL' }")];
     let sim = Sim::ready(&["--scenario", &scenario("doctor-slave-mode.toml", &fault)]);
-    let (result, detail) = result(&sim.doctor(&["--json"]), "formats");
-    assert_eq!(result, "untested");
+    let run = sim.doctor(&["--json"]);
+    let (licence, detail) = result(&run, "licence");
+    assert_eq!((licence.as_str(), run.code), ("untested", 1));
     assert!(detail.contains("a client may be in Slave Mode"), "{detail}");
+    for check in ["mode", "token", "errors", "emergency stop", "arm", "motor", "formats"] {
+        let (skipped, detail) = result(&run, check);
+        assert_eq!(skipped, "skipped", "{check}: {detail}");
+        assert!(detail.contains("may run, and SysState would end it"), "{detail}");
+    }
 }

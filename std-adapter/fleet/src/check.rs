@@ -12,6 +12,7 @@ use crate::config::{Cell, Config};
 use crate::error::Error;
 use crate::fleet::settings;
 use crate::scan::read;
+use crate::stream::StreamCheck;
 
 /// The longest time of one connection, and of one reading.
 const LIMIT: Duration = Duration::from_secs(5);
@@ -75,9 +76,10 @@ async fn check_cell(cell: &Cell) -> Vec<Row> {
         Err(_) => return vec![row(&cell.address, Err(silent()))],
     };
     let mut rows = vec![row(&cell.address, Ok(("connected".into(), began.elapsed())))];
+    let stream = StreamCheck::default();
     for point in &cell.points {
         let began = Instant::now();
-        let result = match timeout(LIMIT, read(&controller, &point.source)).await {
+        let result = match timeout(LIMIT, read(&controller, &stream, &point.source)).await {
             Ok(Ok(Some(value))) => Ok((serde_json::to_string(&value).unwrap_or_default(), began.elapsed())),
             Ok(Ok(None)) => Err("its value is EMPTY or of a type that cannot be published".into()),
             Ok(Err(error)) => Err(error.to_string()),

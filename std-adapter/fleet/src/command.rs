@@ -14,6 +14,7 @@
 use std::collections::HashMap;
 use std::time::Duration;
 
+use bcap_core::bcap::FunctionId;
 use bcap_core::gateway::{Allow, Rules};
 use bcap_core::rac::{Request, Variable, VariableKind};
 use bcap_core::variant::OwnedVariant;
@@ -26,6 +27,7 @@ use tokio::time::{Instant, timeout_at};
 use crate::config;
 use crate::event::CommandResult;
 use crate::reading::now_ms;
+use crate::stream::{ReadError, StreamCheck};
 
 /// The most bytes of a correlation id.
 const LONGEST_ID: usize = 128;
@@ -185,6 +187,13 @@ pub(crate) async fn execute(controller: Controller, job: Job) -> (CommandResult,
     // a read opens the variable. The write is then one call, and a task that is busy until the deadline does not begin it.
     match timeout_at(job.deadline, controller.read::<OwnedVariant>(&job.name)).await {
         Ok(Ok(_)) => {}
+        Ok(Err(error)) => return (CommandResult::Failed, Some(error.to_string())),
+        Err(_) => return (CommandResult::Refused, Some("it expired before it could be sent".into())),
+    }
+    let stream = StreamCheck::default();
+    match timeout_at(job.deadline, stream.require(&controller, FunctionId::VARIABLE_PUT_VALUE, None)).await {
+        Ok(Ok(())) => {}
+        Ok(Err(ReadError::Skipped(why))) => return (CommandResult::Refused, Some(why)),
         Ok(Err(error)) => return (CommandResult::Failed, Some(error.to_string())),
         Err(_) => return (CommandResult::Refused, Some("it expired before it could be sent".into())),
     }

@@ -42,6 +42,15 @@ pub enum Event {
         /// Why.
         reason: String,
     },
+    /// A variable is not read while a stream of Slave Mode runs, because reading it may end the stream.
+    Skipped {
+        /// The controller.
+        controller: String,
+        /// The variable.
+        variable: String,
+        /// Which call was skipped, and why.
+        reason: String,
+    },
     /// The buffer on disk failed; readings that do not fit the memory are dropped and counted.
     BufferFailed {
         /// Why.

@@ -22,6 +22,7 @@ use crate::reading::now_ms;
 use crate::scan::{Scan, Shared};
 use crate::status::Monitor;
 use crate::store::Store;
+use crate::stream::StreamCheck;
 
 /// Many controllers and one broker.
 pub struct Fleet {
@@ -99,7 +100,8 @@ impl Fleet {
             tasks.spawn(http::serve(listener, Arc::clone(&shared)));
         }
         for (cell, controller) in controllers.iter().enumerate() {
-            tasks.spawn(Scan { shared: Arc::clone(&shared), cell, controller: controller.clone() }.run());
+            let (shared, controller) = (Arc::clone(&shared), controller.clone());
+            tasks.spawn(Scan { shared, cell, controller, stream: StreamCheck::default() }.run());
         }
         let closing = async {
             end.await;

@@ -45,6 +45,7 @@ mod sparkplug;
 mod standby;
 mod status;
 mod store;
+mod stream;
 mod units;
 
 pub use self::check::{Row, check};

@@ -28,6 +28,8 @@ pub(crate) struct CellMetrics {
     pub(crate) up: AtomicBool,
     pub(crate) readings: AtomicU64,
     pub(crate) errors: AtomicU64,
+    /// Readings that were skipped while a stream of Slave Mode ran.
+    pub(crate) skipped: AtomicU64,
     pub(crate) overruns: AtomicU64,
     /// The time of all reads, in microseconds; their number is `readings` and `errors`.
     pub(crate) read_us: AtomicU64,
@@ -68,6 +70,9 @@ impl Metrics {
         per_cell("bcap_readings", "counter", "Values that were read.", &|cell| get(&cell.readings).to_string());
         per_cell("bcap_read_errors", "counter", "Values that could not be read.", &|cell| {
             get(&cell.errors).to_string()
+        });
+        per_cell("bcap_read_skipped", "counter", "Values that were not read while a stream ran.", &|cell| {
+            get(&cell.skipped).to_string()
         });
         per_cell(
             "bcap_scan_overruns",

@@ -66,6 +66,8 @@ fn shortest(n: f32) -> f64 {
 pub(crate) enum Quality {
     Good,
     Bad,
+    /// It was not read, because that may end a stream of Slave Mode.
+    Skipped,
 }
 
 /// What was read, and when.

@@ -22,6 +22,7 @@ use crate::metrics::{CellMetrics, Metrics};
 use crate::point::{Point, Source};
 use crate::queue::{Item, Queue, State};
 use crate::reading::{Quality, Reading, Value, now_ms};
+use crate::stream::{ReadError, StreamCheck};
 
 /// The most variables that are read together. Commands for the controller wait meanwhile.
 const BATCH: usize = 32;
@@ -48,6 +49,7 @@ pub(crate) struct Scan {
     pub(crate) shared: Arc<Shared>,
     pub(crate) cell: usize,
     pub(crate) controller: Controller,
+    pub(crate) stream: StreamCheck,
 }
 
 /// A point, and what was reported last.
@@ -148,7 +150,7 @@ impl Scan {
             began.get_or_insert(now);
             let batch = batch(scanned, now);
             let sources: Vec<_> = batch.iter().map(|index| &scanned[*index].point.source).collect();
-            let readings = read_batch(&self.controller, &sources).await;
+            let readings = read_batch(&self.controller, &self.stream, &sources).await;
             let ended = Instant::now();
             self.metrics().read_us.fetch_add(micros(ended - now), Ordering::Relaxed);
             // after a timeout the rest of the batch is not read; after a loss of the session the state follows
@@ -156,7 +158,8 @@ impl Scan {
             let mut batch = batch.into_iter();
             for ((time, value), index) in readings.into_iter().zip(batch.by_ref()) {
                 let scanned = &mut scanned[index];
-                let has_no_reply = matches!(&value, Err(error @ Error::NoReply { .. }) if !error.is_lost());
+                let has_no_reply =
+                    matches!(&value, Err(ReadError::Failed(error @ Error::NoReply { .. })) if !error.is_lost());
                 // two timeouts in a row are the fault of the controller, not of the second point
                 scanned.timeouts = if has_no_reply { scanned.timeouts + u32::from(replied) } else { 0 };
                 scanned.attempted = Some(ended);
@@ -186,10 +189,11 @@ impl Scan {
     }
 
     /// Counts what was read, and reports it.
-    fn count(&self, scanned: &mut Scanned<'_>, time: u64, value: Result<Option<Value>, Error>) {
+    fn count(&self, scanned: &mut Scanned<'_>, time: u64, value: Result<Option<Value>, ReadError>) {
         match value {
             // the state follows, and marks all points
-            Err(Error::NotConnected { .. } | Error::Closed) => {}
+            Err(ReadError::Failed(Error::NotConnected { .. } | Error::Closed)) => {}
+            Err(ReadError::Skipped(reason)) => self.skip(scanned, time, reason),
             Err(_) => self.fail(scanned, time),
             Ok(value) => {
                 self.metrics().readings.fetch_add(1, Ordering::Relaxed);
@@ -197,6 +201,16 @@ impl Scan {
                 self.push(scanned, time, value, quality);
             }
         }
+    }
+
+    /// Counts a point that was not read because a stream of Slave Mode runs, and reports the first time.
+    fn skip(&self, scanned: &mut Scanned<'_>, time: u64, reason: String) {
+        self.metrics().skipped.fetch_add(1, Ordering::Relaxed);
+        if scanned.last.as_ref().is_none_or(|(_, quality)| *quality != Quality::Skipped) {
+            let controller = self.shared.config.controllers[self.cell].name.clone();
+            (self.shared.report)(&Event::Skipped { controller, variable: scanned.point.name.clone(), reason });
+        }
+        self.push(scanned, time, None, Quality::Skipped);
     }
 
     /// Counts a point that could not be read, and reports it.
@@ -275,20 +289,25 @@ fn pause(timeouts: u32) -> Duration {
 }
 
 /// Reads a point once; `None` if its value has no counterpart.
-pub(crate) async fn read(controller: &Controller, source: &Source) -> Result<Option<Value>, Error> {
+pub(crate) async fn read(
+    controller: &Controller,
+    stream: &StreamCheck,
+    source: &Source,
+) -> Result<Option<Value>, ReadError> {
     let value: OwnedVariant = match source {
         Source::Controller(name) => controller.read(name).await?,
         Source::Robot(name) => controller.robot().await?.read(name).await?,
         Source::Pose => controller.robot().await?.execute("CurPos", ()).await?,
         Source::Joints => controller.robot().await?.execute("CurJnt", ()).await?,
-        Source::Task(name) => return Ok(Some(Value::Text(status(controller, name).await?))),
-        Source::Tasks => return Ok(Some(Value::Texts(statuses(controller).await?))),
+        Source::Task(name) => return Ok(Some(Value::Text(status(controller, stream, name).await?))),
+        Source::Tasks => return Ok(Some(Value::Texts(statuses(controller, stream).await?))),
     };
     Ok(Value::of(&value.as_variant()))
 }
 
 /// Reads the status of a task.
-async fn status(controller: &Controller, name: &str) -> Result<String, Error> {
+async fn status(controller: &Controller, stream: &StreamCheck, name: &str) -> Result<String, ReadError> {
+    stream.require(controller, FunctionId::TASK_EXECUTE, Some("GetStatus")).await?;
     Ok(match controller.task(name).await?.status().await? {
         TaskStatus::None => "none".into(),
         TaskStatus::Suspended => "suspended".into(),
@@ -301,16 +320,17 @@ async fn status(controller: &Controller, name: &str) -> Result<String, Error> {
 }
 
 /// Reads the statuses of all tasks.
-async fn statuses(controller: &Controller) -> Result<BTreeMap<String, String>, Error> {
+async fn statuses(controller: &Controller, stream: &StreamCheck) -> Result<BTreeMap<String, String>, ReadError> {
     let function = FunctionId::CONTROLLER_GET_TASK_NAMES;
     let handle = OwnedVariant::new(&controller.handle().await?.0).map_err(Error::Argument)?;
     let option = OwnedVariant::new("").map_err(Error::Argument)?;
+    stream.require(controller, function, None).await?;
     let names = controller.call(function, vec![handle, option]).await?;
     let names: Vec<String> =
         names.convert().map_err(|source| Error::Value { object: "the names of the tasks".into(), source })?;
     let mut statuses = BTreeMap::new();
     for name in names {
-        let status = status(controller, &name).await?;
+        let status = status(controller, stream, &name).await?;
         statuses.insert(name, status);
     }
     Ok(statuses)
@@ -332,11 +352,15 @@ fn batch(scanned: &[Scanned<'_>], now: Instant) -> Vec<usize> {
 
 /// Reads points, and returns for each when its reply arrived and its value. After a timeout or a loss
 /// of the session the rest is missing.
-async fn read_batch(controller: &Controller, sources: &[&Source]) -> Vec<(u64, Result<Option<Value>, Error>)> {
+async fn read_batch(
+    controller: &Controller,
+    stream: &StreamCheck,
+    sources: &[&Source],
+) -> Vec<(u64, Result<Option<Value>, ReadError>)> {
     let names: Option<Vec<_>> = sources.iter().map(|source| source.variable()).collect();
     let Some(names) = names else {
         let value = match sources.first() {
-            Some(source) => read(controller, source).await,
+            Some(source) => read(controller, stream, source).await,
             None => Ok(None),
         };
         return vec![(now_ms(), value)];
@@ -348,7 +372,10 @@ async fn read_batch(controller: &Controller, sources: &[&Source]) -> Vec<(u64, R
             let (now, ended) = (now_ms(), std::time::Instant::now());
             let time = |arrived| now.saturating_sub(millis(ended.saturating_duration_since(arrived)));
             let convert = |value: OwnedVariant| Value::of(&value.as_variant());
-            values.into_iter().map(|(arrived, value)| (time(arrived), value.map(convert))).collect()
+            values
+                .into_iter()
+                .map(|(arrived, value)| (time(arrived), value.map(convert).map_err(ReadError::Failed)))
+                .collect()
         }
     }
 }

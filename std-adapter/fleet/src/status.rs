@@ -54,6 +54,8 @@ pub struct ControllerStatus {
     pub readings: u64,
     /// The values that could not be read.
     pub errors: u64,
+    /// The values that were not read, because that may have ended a stream of Slave Mode.
+    pub skipped: u64,
     /// The readings that were left out because the controller is too slow.
     pub overruns: u64,
 }
@@ -70,6 +72,7 @@ impl Monitor {
             scan: Duration::from_micros(get(&metrics.scan_us)),
             readings: get(&metrics.readings),
             errors: get(&metrics.errors),
+            skipped: get(&metrics.skipped),
             overruns: get(&metrics.overruns),
         });
         Status {

@@ -40,6 +40,11 @@
 //! and the functions that open, name and release objects. All other functions answer it `E_SLVMODE_ON`, including those
 //! that read the values of variables. Other clients are not affected, except that they do not own the arm.
 //!
+//! With [`Config::as_observed`] the calls of all clients count, by the properties of the call
+//! ([`FunctionId::properties`](bcap_core::bcap::FunctionId::properties)): one that Slave Mode does not allow answers
+//! `E_SLVMODE_ON`, which becomes an error of the controller and ends Slave Mode. The next slvMove answers `E_SLVMODE_OFF`,
+//! which becomes an error too. Real controllers were seen to do so.
+//!
 //! # Decisions of this model, where the manuals are silent
 //!
 //! * Formats belong to a client until it disconnects. The default is no IO, and the answer in joints, as in the guide's
@@ -125,7 +130,7 @@ impl Slave {
     pub(crate) fn do_move(&mut self, robot: &mut Robot, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
         let (owner, refuses) = match robot.stream() {
             Some(stream) if !stream.leaving => (stream.peer, stream.refuses()),
-            _ => return Err(ctx.refuse(HResult::E_SLVMODE_OFF)),
+            _ => return Err(refuse_without_slave_mode(ctx)),
         };
         if owner != ctx.peer {
             return Err(ctx.refuse(HResult::E_ARM_NOT_TAKEN));
@@ -214,6 +219,15 @@ impl Slave {
         }
         Ok(())
     }
+}
+
+/// Refuses a slvMove. With [`Config::as_observed`] it is an error too, once, if a refused call has ended Slave Mode.
+fn refuse_without_slave_mode(ctx: &mut Context<'_>) -> HResult {
+    let has = |code| ctx.errors.present().iter().any(|occurrence| occurrence.error.code == code);
+    if ctx.config.as_observed && has(HResult::E_SLVMODE_ON) && !has(HResult::E_SLVMODE_OFF) {
+        return ctx.raise(HResult::E_SLVMODE_OFF);
+    }
+    ctx.refuse(HResult::E_SLVMODE_OFF)
 }
 
 /// Returns the number of slvGetMode; 0 while Slave Mode is off.

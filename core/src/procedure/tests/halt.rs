@@ -246,8 +246,8 @@ fn a_halt_or_a_poll_without_a_reply_is_an_error() {
     for failure in [Failure::Timeout, Failure::NotSent, Failure::Lost] {
         for (number, call) in [HALT, SLAVE, STATE, POSITION].into_iter().enumerate() {
             let done = halted(|n, _, _| (n == number).then_some(Answer::Failed(failure)));
-            let error = StepError { function: function_of(call), cause: StepCause::Failed(failure) };
-            assert_eq!(done.result, Err(error));
+            let error = done.result.unwrap_err();
+            assert_eq!((error.function, error.cause), (function_of(call), StepCause::Failed(failure)));
             assert_eq!(done.calls.len(), number + 1);
         }
     }

@@ -15,12 +15,13 @@ use crate::title::Title;
 /// with the recorded one, and the exit code is then 1. A call that had no reply is made, but not compared.
 /// At most 1024 connections are replayed. When the output is closed, such as by `head`, no more calls are made.
 ///
-/// Functions that may move the robot, write, or execute a command must be allowed by name. Without that nothing is sent.
+/// Functions and commands that may move the robot or write must be allowed by name (`bcap call --list --effects`). Without
+/// that nothing is sent.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   bcap replay session.pcapng --robot 192.168.0.1
-  bcap replay session.pcapng --fast --allow Variable_PutValue --allow Robot_Execute/CurJnt
+  bcap replay session.pcapng --fast --allow Variable_PutValue --allow Robot_Execute/TakeArm
   bcap replay session.pcapng --volatile @CURRENT_TIME --volatile Robot_Execute/slvMove --allow Robot_Execute")]
 pub(crate) struct Replay {
     /// The capture: a file of `--write`, of Wireshark or of tcpdump

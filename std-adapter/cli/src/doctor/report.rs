@@ -26,12 +26,16 @@ pub(super) enum Finding {
         hint: String,
     },
     /// The check was skipped; the check or condition that it depends on.
-    Skipped(&'static str),
+    Skipped(String),
     /// The controller's answer is inconclusive; the answer.
     Untested(String),
 }
 
 impl Finding {
+    pub(super) fn skipped(why: impl Into<String>) -> Self {
+        Self::Skipped(why.into())
+    }
+
     pub(super) fn failed(detail: impl Into<String>, hint: impl Into<String>) -> Self {
         Self::Failed { detail: detail.into(), hint: hint.into() }
     }
@@ -69,7 +73,7 @@ impl Report {
         let (result, detail, hint) = match &finding {
             Finding::Passed(detail) => ("passed", detail.as_str(), None),
             Finding::Failed { detail, hint } => ("failed", detail.as_str(), Some(hint.as_str())),
-            Finding::Skipped(why) => ("skipped", *why, None),
+            Finding::Skipped(why) => ("skipped", why.as_str(), None),
             Finding::Untested(answer) => ("untested", answer.as_str(), Some(UNTESTED_HINT)),
         };
         self.print(&Line { check, result, detail, hint })?;

@@ -57,6 +57,7 @@ impl Events {
                 lists.down.insert(controller.clone(), reason.clone());
                 format!("{controller} is disconnected: {reason}")
             }
+            Event::Skipped { controller, variable, reason } => format!("{controller} {variable} {reason}"),
             Event::Command { controller, name, value, result, reason, .. } => {
                 let reason = reason.as_ref().map(|reason| format!(": {reason}")).unwrap_or_default();
                 let result = format!("{result:?}").to_lowercase();

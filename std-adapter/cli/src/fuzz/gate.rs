@@ -1,53 +1,12 @@
 //! What a fuzzer may send to a device.
 
-use bcap_core::bcap::FunctionId;
+use bcap_core::bcap::{Command, FunctionId};
 use bcap_core::gateway::AllowBuf;
 use bcap_core::rac::{Request, Variable, VariableKind};
 use bcap_testkit::frame::TestFrame;
 use bcap_testkit::grammar::Grammar;
 use bcap_testkit::value::Value;
 
-use crate::reading;
-
-/// Commands that only read.
-const READING: [(FunctionId, &[&str]); 2] = [
-    (
-        FunctionId::CONTROLLER_EXECUTE,
-        &[
-            "SysState",
-            "SysInfo",
-            "GetCurErrorCount",
-            "GetCurErrorInfo",
-            "GetErrorDescription",
-            "GetErrorLogCount",
-            "StoState",
-        ],
-    ),
-    (
-        FunctionId::ROBOT_EXECUTE,
-        &[
-            "CurPos",
-            "CurJnt",
-            "CurTrn",
-            "CurTool",
-            "CurWork",
-            "HighCurJntEx",
-            "GetTool",
-            "J2P",
-            "P2J",
-            "OutRange",
-            "slvGetMode",
-        ],
-    ),
-];
-/// Commands that move, switch or set, for `--with-motion`.
-const ACTING: [(FunctionId, &[&str]); 2] = [
-    (FunctionId::CONTROLLER_EXECUTE, &["ClearError", "KillAll", "SuspendAll", "ManualReset"]),
-    (
-        FunctionId::ROBOT_EXECUTE,
-        &["TakeArm", "GiveArm", "Motor", "ExtSpeed", "Draw", "DriveEx", "slvChangeMode", "slvMove", "SetTool"],
-    ),
-];
 /// Numbers from here on are not functions of any firmware; those below may be functions that no public source describes.
 const NO_FUNCTION: i32 = 65_536;
 
@@ -65,13 +24,12 @@ impl Gate {
 
     /// Returns the grammar of what may be sent. The gate checks every packet nevertheless.
     pub(super) fn grammar(&self, provider: &str) -> Grammar {
-        let all = |lists: &[(FunctionId, &[&str])]| -> Vec<(FunctionId, String)> {
-            let each = |(function, names): &(FunctionId, &[&str])| {
-                names.iter().map(|name| (*function, String::from(*name))).collect::<Vec<_>>()
-            };
-            lists.iter().flat_map(each).collect()
+        let named = |command: &Command| (command.function, String::from(command.name));
+        let mut grammar = Grammar {
+            provider: provider.into(),
+            commands: commands().filter(|command| self.with_motion || is_reading(command)).map(named).collect(),
+            ..Grammar::reading()
         };
-        let mut grammar = Grammar { provider: provider.into(), commands: all(&READING), ..Grammar::reading() };
         for rule in &self.writable {
             let allow = rule.as_allow();
             let last = allow.last.min(allow.first.saturating_add(9));
@@ -80,7 +38,6 @@ impl Gate {
         }
         if self.with_motion {
             grammar.functions = FunctionId::all().collect();
-            grammar.commands.extend(all(&ACTING));
             grammar.unknown.extend([138, 200, 1000]);
             grammar.options.extend(["NEXT", "SPEED=20", "@Create"].map(String::from));
             return grammar;
@@ -88,7 +45,8 @@ impl Gate {
         grammar.functions.retain(|function| reads(function.0));
         // with an option it may create a file, which the gate refuses
         grammar.functions.push(FunctionId::CONTROLLER_GET_FILE);
-        grammar.functions.extend(READING.map(|(function, _)| function));
+        let executes = |function: &FunctionId| commands().any(|c| c.function == *function && is_reading(c));
+        grammar.functions.extend(FunctionId::all().filter(executes));
         if !self.writable.is_empty() {
             grammar.functions.push(FunctionId::VARIABLE_PUT_VALUE);
         }
@@ -102,13 +60,10 @@ impl Gate {
 
     fn has_function(&self, frame: &TestFrame, variable: Option<&str>) -> bool {
         let function = FunctionId(frame.code);
-        if let Some((_, commands)) = READING.iter().find(|(owner, _)| *owner == function) {
-            return frame.args.get(1).is_some_and(|value| commands.iter().any(|name| *value == Value::text(name)));
-        }
         if function == FunctionId::VARIABLE_PUT_VALUE {
             return variable.and_then(variable_of).is_some_and(|variable| self.writes(variable));
         }
-        is_no_function(frame.code) || call_reads(frame)
+        is_no_function(frame.code) || call_reads(frame) || executes_reading(frame)
     }
 
     /// Returns whether bytes may be sent that are no valid frame: none of the frames that a receiver may see in them calls a
@@ -171,15 +126,31 @@ const fn is_no_function(code: i32) -> bool {
     code < 1 || code >= NO_FUNCTION
 }
 
+/// Returns the commands of all Execute functions.
+fn commands() -> impl Iterator<Item = &'static Command> {
+    FunctionId::all().flat_map(FunctionId::commands)
+}
+
+const fn is_reading(command: &Command) -> bool {
+    command.properties.effect.is_harmless()
+}
+
+/// Returns whether a call executes a command that only reads.
+fn executes_reading(frame: &TestFrame) -> bool {
+    // a device may trim or fold a name in its own way, so the name must be exact
+    let is_named = |command: &Command| frame.args.get(1) == Some(&Value::text(command.name));
+    FunctionId(frame.code).commands().any(|command| is_named(command) && is_reading(command))
+}
+
 /// Returns whether a call only opens, reads or releases, so that it may be sent again while no reply arrives.
 pub(super) fn call_reads(frame: &TestFrame) -> bool {
-    let has_option = frame.args.get(2).is_some_and(|option| *option != Value::text(""));
-    reading::reads(&FunctionId(frame.code).to_string(), has_option)
+    let has_no_option = frame.args.get(2).is_none_or(|option| *option == Value::text(""));
+    FunctionId(frame.code).properties(None, has_no_option.then_some("")).effect.is_harmless()
 }
 
 /// Returns whether a call of the function only reads, whatever its arguments are.
 fn reads(code: i32) -> bool {
-    reading::reads(&FunctionId(code).to_string(), true)
+    FunctionId(code).effect().is_harmless()
 }
 
 fn is_safe(code: i32) -> bool {

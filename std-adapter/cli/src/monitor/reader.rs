@@ -1,5 +1,6 @@
 //! The thread of `bcap monitor` that talks to the controller.
 
+use std::mem;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
@@ -12,6 +13,7 @@ use crate::error::Failure;
 use crate::interrupt::Interrupt;
 use crate::plain;
 use crate::session::Session;
+use crate::stream::StreamCheck;
 use crate::task::status_text;
 use crate::trouble;
 use crate::value::{Value, integer};
@@ -46,11 +48,16 @@ pub(crate) struct Reader {
 /// What a connection reads.
 struct Plan {
     variables: Vec<ObjectPath>,
-    tasks: Vec<String>,
+    /// `None` until their names are read.
+    tasks: Option<Vec<String>>,
     kind: Option<String>,
     /// Whether the controller has messages.
     messages: bool,
+    /// Whether the messages were skipped the last time.
+    skipped_messages: bool,
+    /// Whether the list of errors is read again: there was an error, or reading it was skipped.
     had_error: bool,
+    stream: StreamCheck,
     slow: Instant,
     selection: Selection,
 }
@@ -148,16 +155,14 @@ impl Reader {
         }
         let variables = paths(&self.names)?;
         self.tell(Update::Connected(self.names.clone()));
-        let controller = ObjectPath::controller();
-        let tasks = alive(list(&mut self.session, &controller, FunctionId::CONTROLLER_GET_TASK_NAMES))?;
         let kind = self.text("@TYPE")?;
-        let mut tasks = tasks.unwrap_or_default();
-        tasks.truncate(TASKS);
         Ok(Plan {
             variables,
-            tasks,
+            tasks: None,
             kind,
             messages: true,
+            skipped_messages: false,
+            stream: StreamCheck::default(),
             had_error: true,
             slow: Instant::now(),
             selection: Selection::default(),
@@ -217,18 +222,40 @@ impl Reader {
         self.tell(Update::State(words, has_error));
         if has_error || plan.had_error {
             self.poll()?;
-            let errors = alive(trouble::present(&mut self.session))?.unwrap_or_default();
-            self.tell(Update::Errors(errors.iter().map(|(code, text)| explained(*code, text)).collect()));
+            let (errors, skipped) = match trouble::present(&mut self.session, &mut plan.stream) {
+                Err(Failure::Unfit { message, .. }) => (vec![message], true),
+                present => {
+                    let present = alive(present)?.unwrap_or_default();
+                    (present.iter().map(|(code, text)| explained(*code, text)).collect(), false)
+                }
+            };
+            self.tell(Update::Errors(errors));
+            plan.had_error = has_error || skipped;
         }
-        plan.had_error = has_error;
         Ok(())
     }
 
-    fn tasks(&mut self, plan: &Plan) -> Result<(), Failure> {
+    /// Reads the names of the tasks once, and their states.
+    fn tasks(&mut self, plan: &mut Plan) -> Result<(), Failure> {
         let mut tasks = Vec::new();
-        for name in &plan.tasks {
+        if plan.tasks.is_none() {
+            let function = FunctionId::CONTROLLER_GET_TASK_NAMES;
+            if let Some(why) = plan.stream.skip(&mut self.session, function, None)? {
+                self.tell(Update::Tasks(vec![(why, String::new())]));
+                return Ok(());
+            }
+            let names = alive(list(&mut self.session, &ObjectPath::controller(), function))?;
+            let mut names = names.unwrap_or_default();
+            names.truncate(TASKS);
+            plan.tasks = Some(names);
+        }
+        for name in plan.tasks.iter().flatten() {
             self.poll()?;
             self.session.restart_budget();
+            if plan.stream.skip(&mut self.session, FunctionId::TASK_EXECUTE, Some("GetStatus"))?.is_some() {
+                tasks.push((name.clone(), "skipped: a stream of Slave Mode runs".into()));
+                continue;
+            }
             let status = alive(self.session.with(|controller| controller.task(name)?.status()))?;
             tasks.push((name.clone(), status.map_or_else(|| "unknown".into(), status_text)));
         }
@@ -240,9 +267,17 @@ impl Reader {
         while plan.messages {
             self.poll()?;
             self.session.restart_budget();
-            match trouble::next_message(&mut self.session) {
+            let message = trouble::next_message(&mut self.session, &mut plan.stream);
+            let was_skipped = mem::replace(&mut plan.skipped_messages, matches!(message, Err(Failure::Unfit { .. })));
+            match message {
                 Ok(Some(message)) => self.tell(Update::Message(message.short())),
                 Ok(None) => return Ok(()),
+                Err(Failure::Unfit { message, .. }) => {
+                    if !was_skipped {
+                        self.tell(Update::Message(message));
+                    }
+                    return Ok(());
+                }
                 Err(failure) if is_lost(&failure) => return Err(failure),
                 Err(_) => plan.messages = false,
             }
@@ -317,6 +352,7 @@ impl Reader {
 
     fn write(&mut self, write: &Write) -> Result<String, Failure> {
         self.session.restart_budget();
+        StreamCheck::default().require(&mut self.session, FunctionId::VARIABLE_PUT_VALUE, None)?;
         let variable = self.session.object(&write.path)?;
         let arguments = [integer(variable)?, write.value.clone()];
         self.session.call(&write.path.to_string(), FunctionId::VARIABLE_PUT_VALUE, &arguments)?;

@@ -3,11 +3,11 @@
 use std::collections::{BTreeMap, HashMap};
 use std::time::Duration;
 
+use bcap_core::bcap::FunctionId;
+
 use crate::capture::{Call, Event, Link};
 use crate::error::Failure;
-use crate::reading;
 use crate::title::Title;
-use crate::value::Value;
 
 /// The most connections of a replay: each has a thread and a socket.
 const LINKS: usize = 1024;
@@ -137,12 +137,11 @@ fn end(call: &Call) -> Option<u64> {
     Some(call.at.saturating_add(call.reply.as_ref()?.after))
 }
 
-/// Returns whether a call neither moves nor writes.
+/// Returns whether a call neither moves nor writes: GET of RAC, or by the table of functions and commands.
 fn reads(call: &Call) -> bool {
-    let has_option = call.arguments.get(2).is_some_and(|option| !is_empty_text(option.value.as_ref()));
-    reading::reads(&call.function, has_option)
-}
-
-fn is_empty_text(value: Option<&Value>) -> bool {
-    value.and_then(|value| value.as_variant().as_bstr()).is_some_and(|text| text.to_string().is_empty())
+    let Some(function) = FunctionId::parse(&call.function) else { return call.function == "GET" };
+    let option = call.arguments.get(2).map_or(Some(String::new()), |option| {
+        option.value.as_ref()?.as_variant().as_bstr().map(|text| text.to_string())
+    });
+    function.properties(call.command.as_deref(), option.as_deref()).effect.is_harmless()
 }

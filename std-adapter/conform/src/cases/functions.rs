@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use bcap_core::bcap::{FunctionId, Kind, Object};
+use bcap_core::bcap::{Effect, FunctionId, Kind};
 use bcap_core::hresult::HResult;
 
 use crate::case::{Arg, Body, Case, Group, Level, Setup, Step, Want};
@@ -28,16 +28,12 @@ pub(super) fn cases() -> impl Iterator<Item = Case> {
     })
 }
 
-/// A call that succeeds although it must not could do this.
+/// Returns the level of the arguments below: a call that succeeds although it must not would have this effect.
 fn level(function: FunctionId) -> Level {
-    let name = function.name().unwrap_or_default();
-    let object = function.signature().map(|signature| signature.object);
-    let reads = name.contains("Get") || function.opens().is_some() || function.releases().is_some();
-    match object {
-        _ if reads => Level::Read,
-        Some(Object::Robot | Object::Task) => Level::Motion,
-        _ if function == FunctionId::FILE_RUN => Level::Motion,
-        _ => Level::Write,
+    match function.properties(Some(""), Some("")).effect {
+        Effect::Session | Effect::Reads => Level::Read,
+        Effect::Writes => Level::Write,
+        _ => Level::Motion,
     }
 }
 

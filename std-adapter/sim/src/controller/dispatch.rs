@@ -161,6 +161,10 @@ impl Controller {
     /// Executes a function of an object, or continues one that waits.
     fn call_object(&mut self, peer: PeerId, request: &Request<'_>, turn: Turn, object: Object) -> Answered {
         let handle = request.handle();
+        self.objects.get(peer, handle, object)?;
+        if turn == Turn::First && self.common.config.as_observed {
+            self.check_slave_mode_as_observed(request)?;
+        }
         let entry = self.objects.get_mut(peer, handle, object)?;
         if let Some(answered) = entry.common(request, &self.common.variables) {
             return answered;
@@ -170,7 +174,9 @@ impl Controller {
             return Ok(Answer::Done);
         }
         if turn == Turn::First {
-            self.check_slave_mode(peer, request)?;
+            if !self.common.config.as_observed {
+                self.check_slave_mode(peer, request)?;
+            }
             check_options(&self.common.config, request)?;
         }
         let answer = match turn {
@@ -392,6 +398,18 @@ impl Controller {
                 Answer::Done
             }
         })
+    }
+
+    /// Ends Slave Mode by a call that it refuses, from any client, as real controllers do: the refusal is an error, and the
+    /// robot stops.
+    fn check_slave_mode_as_observed(&mut self, request: &Request<'_>) -> Result<(), HResult> {
+        let command = command_of(request);
+        let properties = request.function.properties(command.as_deref(), None);
+        if self.arm.robot().stream().is_none() || properties.in_slave_mode.is_allowed() {
+            return Ok(());
+        }
+        self.raise(HResult::E_SLVMODE_ON);
+        Err(HResult::E_SLVMODE_ON)
     }
 
     /// Checks that the client in Slave Mode may call a function.

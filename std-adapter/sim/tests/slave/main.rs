@@ -8,6 +8,7 @@ mod formats;
 mod leaving;
 mod limits;
 mod modes;
+mod observed;
 mod time;
 mod underflow;
 

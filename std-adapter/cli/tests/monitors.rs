@@ -1,0 +1,190 @@
+//! A stream of Slave Mode with everything that reads the same controller: no call ends it, and each tool says what it skips.
+//!
+//! The controller does as real ones were seen to do: a call that Slave Mode refuses ends Slave Mode, from any client.
+//! `just stream-and-monitors` runs the long test, against `bcap sim --as-observed` in real time.
+#![cfg(unix)]
+
+mod common;
+#[path = "common/running.rs"]
+mod running;
+#[path = "common/tmux.rs"]
+mod tmux;
+#[path = "common/virtual_robot.rs"]
+mod virtual_robot;
+
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Child, Stdio};
+use std::time::Duration;
+
+use bcap_sim::{Config, Controller, Profile};
+use bcap_std::server::Limits;
+use bcap_tests::served::Served;
+use bcap_tests::slowed::Slowed;
+use common::{Run, bare, bcap, command};
+use running::Running;
+use serde_json::Value;
+use tmux::Terminal;
+use virtual_robot::Virtual;
+
+/// What each tool says.
+const RUNS: &str = "skipped: a stream of Slave Mode runs, and ";
+
+/// A stream, killed at the end of the test.
+struct Stream {
+    child: Child,
+    robot: String,
+}
+
+impl Stream {
+    /// Starts a stream, and waits until Slave Mode is on.
+    fn start(robot: &str, seconds: &str) -> Self {
+        let args = ["slave", "cosine", "--seconds", seconds, "--amplitude", "4", "--yes", "--robot", robot];
+        let child = command(&args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut stream = Self { child, robot: robot.to_owned() };
+        while !stream.runs() {
+            if stream.child.try_wait().unwrap().is_some() {
+                panic!("the stream has ended before it ran: {:?}", stream.end());
+            }
+        }
+        stream
+    }
+
+    fn runs(&self) -> bool {
+        bcap(&["exec", "robot", "slvGetMode", "--robot", &self.robot]).out.trim() == "514"
+    }
+
+    fn end(&mut self) -> Run {
+        let out = self.child.stdout.take().unwrap();
+        let err = self.child.stderr.take().unwrap();
+        let code = self.child.wait().unwrap().code().unwrap();
+        let [out, err] = [std::io::read_to_string(out), std::io::read_to_string(err)].map(Result::unwrap);
+        Run { code, out, err }
+    }
+}
+
+impl Drop for Stream {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+    }
+}
+
+/// A process that is killed at the end of the test.
+struct Killed(Child);
+
+impl Drop for Killed {
+    fn drop(&mut self) {
+        let _ = (self.0.kill(), self.0.wait());
+    }
+}
+
+/// Writes a fleet of one controller with a broker that does not exist.
+fn fleet(robot: &str, folder: &Path) -> String {
+    let file = folder.join("fleet.toml");
+    let text = format!(
+        "group = 'plant'\nnode = 'edge1'\nformat = 'json'\n[broker]\nhost = '127.0.0.1'\nport = 1\n[[controller]]\n\
+         name = 'cell1'\naddress = '{robot}'\n[[controller.publish]]\nnames = ['I1', 'mode', 'error', 'pose', 'joints', \
+         'robot/@SERVO_ON', 'tasks', 'task/Pro1']\ninterval_ms = 100\n"
+    );
+    fs::write(&file, text).unwrap();
+    file.to_str().unwrap().to_owned()
+}
+
+/// Runs every tool once, and asserts what it says if the stream still runs afterwards. Returns whether it does.
+fn round(stream: &Stream, fleet: &str, gateway: &str) -> bool {
+    let robot = ["--robot", &stream.robot];
+    let errors = bcap(&[&["errors"], &robot[..]].concat());
+    let messages = bcap(&[&["messages"], &robot[..]].concat());
+    let clear = bcap(&[&["clear"], &robot[..]].concat());
+    let doctor = bcap(&[&["doctor", "--json"], &robot[..]].concat());
+    let check = bcap(&["fleet", fleet, "--check"]);
+    let rac = ["--robot", gateway];
+    let put = bcap(&[&["rac", "put", "I1", "5"], &rac[..]].concat());
+    let get = bcap(&[&["rac", "get", "I1"], &rac[..]].concat());
+    if !stream.runs() {
+        return false;
+    }
+    assert!(errors.code == 1 && errors.err.contains(&format!("{RUNS}GetCurErrorCount would end it")), "{errors:?}");
+    assert!(messages.err.contains(&format!("{RUNS}Controller_GetMessage may end it")), "{messages:?}");
+    assert!(clear.code == 1 && clear.err.contains(&format!("{RUNS}ClearError would end it")), "{clear:?}");
+    let line = |name: &str| -> Value {
+        let mut lines = doctor.out.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+        lines.find(|line| line["check"] == name).unwrap_or_else(|| panic!("no {name}: {doctor:?}"))
+    };
+    assert_eq!(line("provider")["result"], "passed", "{doctor:?}");
+    assert_ne!(doctor.code, 0, "{doctor:?}");
+    for check in ["mode", "token", "errors", "emergency stop", "motor", "licence", "formats"] {
+        let line = line(check);
+        assert_eq!(line["result"], "skipped", "{line}");
+        assert_eq!(line["detail"], format!("{RUNS}SysState would end it"));
+    }
+    assert_eq!(line("arm")["result"], "failed", "another client owns it");
+    let row = |name: &str| check.out.lines().find(|line| line.contains(name)).unwrap_or_else(|| panic!("{check:?}"));
+    assert!(row(" tasks ").contains(&format!("{RUNS}Controller_GetTaskNames may end it")), "{check:?}");
+    assert!(row(" task/Pro1 ").contains(&format!("{RUNS}GetStatus may end it")), "{check:?}");
+    assert!(row(" joints ").contains('['), "{check:?}");
+    assert!(put.code == 1 && put.err.contains("0x83501032"), "{put:?}");
+    assert_eq!((get.code, get.out.as_str()), (0, "I1 = 0\n"), "{get:?}");
+    true
+}
+
+/// Streams while every tool reads, and returns the number of rounds of the tools.
+fn stream_and_monitors(robot: &str, seconds: &str) -> u32 {
+    let folder = tempfile::tempdir().unwrap();
+    let fleet = fleet(robot, folder.path());
+    let mut stream = Stream::start(robot, seconds);
+    let gateway = Running::start(&["gateway", "--rac", "127.0.0.1:0", "--allow-put", "I/0-9", "--robot", robot]);
+    let scan = bare(&["fleet", &fleet]).current_dir(folder.path()).stdout(Stdio::piped()).spawn();
+    let mut scan = Killed(scan.unwrap());
+    let events = BufReader::new(scan.0.stdout.take().unwrap()).lines().map(Result::unwrap);
+    let mut skipped = events.filter(|line| line.contains("\"event\":\"skipped\""));
+    let monitor = ["monitor", "I1", "--interval", "50", "--robot", robot];
+    let bcap = env!("CARGO_BIN_EXE_bcap");
+    let monitor = Terminal::run((200, 50), &[&[bcap], &monitor[..]].concat(), folder.path());
+    let mut rounds = 0;
+    let rac = gateway.rac.clone();
+    while round(&stream, &fleet, &rac) {
+        rounds += 1;
+        if rounds == 1 {
+            let event = skipped.next().unwrap();
+            assert!(event.contains(RUNS) && event.contains("cell1"), "{event}");
+            if let Some(monitor) = &monitor {
+                monitor.wait_for("skipped: a stream of Slave Mode runs");
+                assert!(stream.runs(), "the monitor was read after the stream");
+            }
+        }
+    }
+    let run = stream.end();
+    assert_eq!((run.code, run.err.as_str()), (0, ""), "{run:?}");
+    assert!(run.out.contains("underflows         0"), "{run:?}");
+    let errors = common::bcap(&["errors", "--robot", robot]);
+    assert_eq!(errors.out, "no errors\n", "{errors:?}");
+    if let Some(monitor) = &monitor {
+        monitor.wait_for("no errors");
+        monitor.wait_for("Pro1             ready");
+    }
+    assert_eq!(gateway.interrupt().code, 0);
+    rounds
+}
+
+#[test]
+fn no_tool_ends_a_stream() {
+    let config = Config { as_observed: true, motor_on_delay: Duration::from_millis(1), ..Config::new(Profile::Rc8) };
+    let sim = Served::<Slowed>::of(Slowed(Controller::new(config)), Limits::default());
+    let rounds = stream_and_monitors(&format!("tcp:{}", sim.tcp), "2");
+    assert!(rounds > 0, "the stream was too short for the tools");
+    assert_eq!(sim.application().0.errors().count(), 0);
+}
+
+#[test]
+#[ignore = "in real time; `just stream-and-monitors`"]
+fn no_tool_ends_a_stream_in_real_time() {
+    for profile in ["rc8", "rc9", "cobotta"] {
+        let sim = Virtual::start(&["--as-observed", "--model", profile]);
+        let rounds = stream_and_monitors(&sim.tcp, "20");
+        println!(
+            "{profile}: 20 s, {rounds} rounds of errors, messages, clear, doctor, fleet and gateway; 0 interruptions"
+        );
+    }
+}
