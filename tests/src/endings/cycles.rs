@@ -34,7 +34,7 @@ pub fn pick_and_place(cycles: usize, legs: usize) -> bool {
     let jobs: Vec<_> = jobs.into_iter().flat_map(|(leg, speed)| [(leg, speed, false), (leg, speed, true)]).collect();
     let (next, busy) = (AtomicUsize::new(0), AtomicBool::new(true));
     let parallel = thread::available_parallelism().map_or(1, usize::from);
-    let counts: Vec<Counts> = thread::scope(|scope| {
+    let mut counts: Vec<Counts> = thread::scope(|scope| {
         for _ in 0..parallel {
             // the machine is busy
             scope.spawn(|| {
@@ -58,6 +58,7 @@ pub fn pick_and_place(cycles: usize, legs: usize) -> bool {
         busy.store(false, Ordering::Relaxed);
         counts
     });
+    counts.sort_by(|a, b| (a.leg, a.speed).partial_cmp(&(b.leg, b.speed)).unwrap_or(std::cmp::Ordering::Equal));
     let lost = counts.iter().map(|count| count.cycles).sum::<usize>() != cycles * jobs.len();
     let wrong: usize = counts.iter().map(|count| count.wrong.len()).sum();
     println!("leg mm  speed %  library   cycles  false outcomes");

@@ -171,7 +171,8 @@ impl Ending {
             Self::SecondClient => "halt by another client",
             Self::EmergencyStop => "emergency stop",
             Self::Error(_) => "error of the controller",
-            Self::Killed { .. } => "killed controller",
+            Self::Killed { reset: true } => "killed controller",
+            Self::Killed { reset: false } => "killed, state is kept",
             Self::Signal(Signal::Int) => "SIGINT",
             Self::Signal(Signal::Term) => "SIGTERM",
             Self::Signal(Signal::Hup) => "SIGHUP",
@@ -184,10 +185,13 @@ impl Ending {
         }
     }
 
-    /// Tells whether the program cannot act any more, so that the rest is left to the controller's watchdog.
+    /// Tells whether the program or its link cannot act any more, so that the rest is left to the controller's watchdog.
     #[must_use]
     pub(super) const fn is_apart(self) -> bool {
-        matches!(self, Self::Abort | Self::Exit | Self::Cut(_) | Self::Signal(Signal::Kill))
+        matches!(
+            self,
+            Self::Abort | Self::Exit | Self::Cut(_) | Self::Killed { reset: false } | Self::Signal(Signal::Kill)
+        )
     }
 
     /// Tells whether the program itself causes the ending.
@@ -360,7 +364,7 @@ fn leg(random: &mut Random, is_command: bool) -> Leg {
         _ => Way::Depart(between(random, 2.0, 30.0)),
     };
     // mostly slow, so that the motion lasts until its ending
-    let most = if random.happens(650) { 12.0 } else { 100.0 };
+    let most = if random.happens(750) { 8.0 } else { 100.0 };
     Leg { way, near: random.happens(500), speed: between(random, 5.0, most) }
 }
 

@@ -70,6 +70,8 @@ pub(super) struct Seen {
     pub(super) stopped: Option<Truth>,
     /// The truth one second after the end of the program.
     pub(super) last: Truth,
+    /// Whether the ending came from outside while the program ran.
+    pub(super) disturbed: bool,
     /// Whether the program did not end.
     pub(super) hangs: bool,
 }
@@ -94,7 +96,8 @@ pub(super) fn run(trial: &Trial, tools: &Tools) -> Result<Seen, Box<dyn std::err
     let mut process = Process::start(trial, tools, &link, &sim)?;
     let marks = sim.application().marks();
     let mut stopped = None;
-    if !trial.ending.is_inside() && process.wait_for_time(trial, &marks) {
+    let disturbed = !trial.ending.is_inside() && process.wait_for_time(trial, &marks);
+    if disturbed {
         match trial.ending {
             Ending::SecondClient => drop(second.as_ref().map(blocking::Stopper::halt)),
             Ending::Signal(signal) => stopped = process.signal(signal, &sim),
@@ -105,7 +108,7 @@ pub(super) fn run(trial: &Trial, tools: &Tools) -> Result<Seen, Box<dyn std::err
     let report = process.report();
     thread::sleep(GRACE);
     let last = sim.application().truth();
-    Ok(Seen { report, stopped, last, hangs })
+    Ok(Seen { report, stopped, last, disturbed, hangs })
 }
 
 fn config(trial: &Trial) -> Config {
@@ -129,7 +132,7 @@ fn set_up(trial: &Trial, sim: &Sim) -> Result<(), Error> {
     (position[0], position[1]) = (position[0] + length * angle.cos() * 0.8, position[1] + length * angle.sin() * 0.8);
     position[2] -= length * 0.6 * part(24);
     cell.write("P10", position)?;
-    cell.write("J10", [part(32) * 10.0, 45.0 - part(40) * 10.0, 90.0, 0.0, 45.0 + part(48) * 10.0, 0.0, 0.0, 0.0_f32])?;
+    cell.write("J10", [part(32) * 25.0, 45.0 - part(40) * 20.0, 90.0, 0.0, 45.0 + part(48) * 25.0, 0.0, 0.0, 0.0_f32])?;
     cell.close()?;
     let motor = if trial.motor_before { "[controller]\nmotor = true\n" } else { "" };
     let delays = ["Robot_Move", "DriveEx", "Approach", "Depart"].map(|name| {
@@ -241,7 +244,7 @@ impl Process {
             Since::Start => self.begun.load(Ordering::SeqCst),
             Since::Motion => marks.motion.load(Ordering::SeqCst),
         };
-        while !begun(trial.since) && Instant::now() < until {
+        while !begun(trial.since) && Instant::now() < until && !matches!(self.child.try_wait(), Ok(Some(_))) {
             thread::sleep(POLL);
         }
         let until = Instant::now() + trial.at();

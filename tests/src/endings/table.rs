@@ -43,12 +43,13 @@ pub(super) struct Table {
 
 /// Judges what was seen.
 fn faults(trial: &Trial, seen: &Seen) -> [bool; 6] {
-    let Seen { report, stopped, last, hangs } = seen;
+    let Seen { report, stopped, last, disturbed, hangs } = seen;
     let reported = |name: &str| report.as_ref().filter(|report| report.outcome == name).map(|report| report.truth);
     let false_arrived = reported("arrived").is_some_and(|truth| truth.moving || !truth.there);
-    // nothing has stopped it, and it rests where it was sent; a trial that nothing disturbs must arrive
-    let false_halted = reported("halted")
-        .is_some_and(|truth| (truth.there && !truth.moving && truth.stops == 0) || trial.ending == Ending::Completes);
+    // nothing has stopped it, and it rests where it was sent; a program that nothing disturbs must arrive
+    let undisturbed = trial.ending == Ending::Completes || !trial.ending.is_inside() && !disturbed;
+    let false_halted =
+        reported("halted").is_some_and(|truth| (truth.there && !truth.moving && truth.stops == 0) || undisturbed);
     let states = || stopped.iter().chain([last]);
     let motor = !trial.motor_before && states().any(|truth| truth.motor);
     [false_arrived, false_halted, states().any(|truth| truth.moving), motor, states().any(|truth| truth.arm), *hangs]
