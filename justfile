@@ -93,6 +93,16 @@ loopback:
 halt:
     cargo bench -p bcap-tests --bench halt -- 1000
 
+# Random trials of how programs and `bcap` end while they move a robot, 2,000 with each model: `just endings [TRIALS] [SEED]`,
+# or `just endings --only N` for one of them.
+endings *args:
+    cargo build --release -p bcap-cli
+    BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo bench -p bcap-tests --bench endings -- {{args}}
+
+# Pick and place with passes, legs of 5 to 50 mm, speeds of 5 to 100 %, on a busy machine: every cycle arrives.
+pick-and-place cycles="100":
+    cargo bench -p bcap-tests --bench endings -- pick-and-place {{cycles}}
+
 # Processor time of a client and a gateway under a flood of S_EXECUTING, in 5 s each.
 flood:
     cargo bench -p bcap-tests --bench flood

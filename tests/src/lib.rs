@@ -13,6 +13,7 @@
 //! | [`proxy`]      | a proxy between a client and a server on real sockets that injects faults            |
 //! | [`process`]    | memory, processor time and file descriptors of a process                            |
 //! | [`allocation`] | an allocator that counts the allocations of each thread                             |
+//! | `endings`      | random trials of how programs end while they move a robot                           |
 //! | [`async_functions`] | the async functions of a crate, read from its sources                          |
 
 pub mod allocation;
@@ -20,6 +21,8 @@ pub mod async_functions;
 #[cfg(unix)]
 pub mod cable;
 pub mod drivers;
+#[cfg(unix)]
+pub mod endings;
 #[cfg(unix)]
 pub mod line_server;
 pub mod process;
