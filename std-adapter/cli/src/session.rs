@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::hresult::HResult;
 use bcap_std::blocking::Controller;
-use bcap_std::{Address, Error, NetworkAddress, ObjectPath, Protocol};
+use bcap_std::{Address, Error, Model, NetworkAddress, ObjectPath, Protocol, Settings};
 
 use crate::args::LinkArgs;
 use crate::budget::Budget;
@@ -178,7 +178,9 @@ impl Session {
         self.check_signal()?;
         let (target, budget) = (self.link.target()?, Budget::start(&self.link));
         let interrupt = if self.is_stopper { None } else { Some(Interrupt::of_session()?) };
-        let controller = open(&target, &budget, &self.packets)?;
+        let is_rc9 = self.link.provider().eq_ignore_ascii_case(Model::Rc9.provider());
+        let settings = Settings::new(if is_rc9 { Model::Rc9 } else { Model::Rc8 }).connect_option(self.link.option());
+        let controller = open(&target, &budget, &self.packets)?.recover_at(target.clone(), settings);
         if let Some(interrupt) = interrupt {
             interrupt.raise(State::Calling);
         }

@@ -211,7 +211,7 @@ impl Arm {
 
     /// Moves, and waits until the motion ends, at most for `limit`; the robot is halted then.
     ///
-    /// [`Motion::Arrived`] means that the joints rest at the destination, not only that the robot does not move. Other
+    /// [`Motion::Arrived`] means that the robot rests at the destination, not only that it does not move. Other
     /// calls of the controller are made meanwhile.
     ///
     /// # Errors

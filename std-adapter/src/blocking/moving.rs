@@ -13,13 +13,15 @@ use crate::session::{Halted, Session};
 ///
 /// # Outcome
 ///
-/// Only the end of the last motion can be waited for, and [`Motion::Arrived`] means that every motion was carried out and
-/// that the joints rest at the end of the last one. If the robot was stopped before, [`then`](Self::then) sends nothing, and
-/// [`wait`](Self::wait) says how it ended.
+/// Only the end of the last motion can be waited for. [`Motion::Arrived`] means that the robot rests there. If the robot was
+/// stopped before, [`then`](Self::then) sends nothing, and [`wait`](Self::wait) says how it ended.
 ///
-/// A motion counts only if it is seen to begin, in two polls of 5 ms and three calls each. One that ends where it begins is
-/// never seen, and one that is shorter than that may not be: the robot is halted, and it ends as [`Motion::Halted`]. On a
-/// loaded machine motions below some tenths of a second are too short; join them, or use `Arm::move_to`.
+/// One halt can go unseen: it stops the robot completely in the moment before the controller accepts the next motion, which
+/// the robot then carries out. Real controllers have an error after a halt, and refuse that motion.
+///
+/// The end of a rotation cannot be compared, nor can a destination whose text the library does not know. If such a motion is
+/// shorter than two polls (some 10 ms), the outcome is [`Motion::Unknown`], and so is that of a sequence that ends where it
+/// began, if no poll saw the robot elsewhere.
 #[derive(Debug)]
 #[must_use = "dropping it halts the robot"]
 pub struct Moving<'a> {

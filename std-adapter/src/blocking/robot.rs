@@ -167,7 +167,7 @@ impl<'a> Arm<'a> {
 
     /// Moves, and waits until the motion ends, at most for `limit`; the robot is halted then.
     ///
-    /// [`Motion::Arrived`] means that the joints rest at the destination, not only that the robot does not move. On
+    /// [`Motion::Arrived`] means that the robot rests at the destination, not only that it does not move. On
     /// another thread a [`Stopper`](super::Stopper) can halt the motion at any time. When the call returns, also
     /// with an error, the robot rests or was told to halt, so there is nothing to drop.
     ///

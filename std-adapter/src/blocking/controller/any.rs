@@ -9,6 +9,7 @@ use bcap_core::time::Instant;
 use bcap_core::variant::OwnedVariant;
 
 use super::Controller;
+use crate::address::Address;
 use crate::blocking::robot::Arm;
 use crate::blocking::socket::{ready, wrap_any};
 use crate::blocking::{Connection, Transport};
@@ -45,6 +46,14 @@ impl Controller {
         X: Transport<Error = io::Error> + Send + 'static,
     {
         Self { session: Session::unopened(wrap_any(connection)), address: None, settings: Settings::new(Model::Rc8) }
+    }
+
+    /// Sets where the drop connects once more if the connection was lost while this session had the arm, to halt the robot, switch
+    /// the motor off and give the arm back. Without it, a controller over a connection of the caller cannot.
+    #[must_use]
+    pub fn recover_at(mut self, address: Address, settings: Settings) -> Self {
+        (self.address, self.settings) = (Some(address), settings);
+        self
     }
 
     /// Returns whether Controller_Connect has succeeded, so that [`handle`](Self::handle) is a handle.
