@@ -72,6 +72,7 @@ pub(crate) fn failure(error: Error, target: &Address, budget: &Budget) -> Failur
             Failure::Refused { doing: format!("{of}{function}"), code }
         }
         Error::NoReply { function, .. } if budget.is_exhausted() => exhausted(target, budget, &function.to_string()),
+        Error::NotConnected { .. } if budget.is_exhausted() => exhausted(target, budget, "all calls"),
         Error::NoReply { function, source, .. } => failed(&source, target, budget.answer(), &function.to_string()),
         Error::Reply { function, reason, .. } => Failure::Connection {
             message: format!("{function}: {reason}"),

@@ -4,13 +4,11 @@
 //! all objects are released in reverse order. After a call without a reply nothing is sent.
 
 use std::collections::HashMap;
-use std::thread;
-use std::time::{Duration, Instant};
 
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::hresult::HResult;
 use bcap_std::blocking::Controller;
-use bcap_std::{Address, Error, Model, NetworkAddress, ObjectPath, Protocol, Settings};
+use bcap_std::{Address, Error, Model, ObjectPath, Settings};
 
 use crate::args::LinkArgs;
 use crate::budget::Budget;
@@ -20,9 +18,6 @@ use crate::interrupt::{Interrupt, State};
 use crate::output::note;
 use crate::trace::Packets;
 use crate::value::{Value, described, integer, text};
-
-/// The time until a controller that is busy with a call without a reply is asked again.
-const BUSY: Duration = Duration::from_millis(50);
 
 /// A session, from Service_Start to Service_Stop. It connects when it is first used.
 pub(crate) struct Session {
@@ -39,8 +34,6 @@ pub(crate) struct Session {
     pub(crate) interrupt: Option<Interrupt>,
     /// Whether this session halts the robot for another one, so that no signal keeps it from its calls.
     is_stopper: bool,
-    /// Whether the controller may have given the arm to this session, although no reply says so.
-    asked_for_arm: bool,
     /// The bytes of the last packets.
     pub(crate) packets: Packets,
     /// The scripts that run each other now.
@@ -61,7 +54,7 @@ impl Drop for Session {
             // halting the robot and giving the arm back have a separate time limit, however long the command took
             self.allow_time();
         }
-        self.disconnect();
+        self.open = None;
         if let Some(interrupt) = &self.interrupt {
             interrupt.dismiss();
         }
@@ -99,7 +92,6 @@ impl Session {
             objects: HashMap::new(),
             interrupt: None,
             is_stopper: false,
-            asked_for_arm: false,
             packets: Packets::new(link.trace),
             scripts: 0,
         }
@@ -139,37 +131,11 @@ impl Session {
         if !self.lost {
             self.restart_budget();
         }
-        self.disconnect();
+        self.open = None;
         self.lost = false;
         self.objects.clear();
         if let Some(interrupt) = &self.interrupt {
             interrupt.dismiss();
-        }
-    }
-
-    /// Closes the connection. Over UDP nothing else tells the controller that the session has ended: after a lost reply it is
-    /// told so too, if it may hold the arm for this session.
-    fn disconnect(&mut self) {
-        let has_arm = self.open.as_ref().is_some_and(|open| open.controller.has_arm());
-        let is_udp =
-            |open: &Open| matches!(open.target, Address::Network(NetworkAddress { protocol: Protocol::Udp, .. }));
-        if self.lost && (self.asked_for_arm || has_arm) && self.open.as_ref().is_some_and(is_udp) {
-            self.allow_time();
-            if !has_arm {
-                self.stop_service();
-            }
-        }
-        self.open = None;
-        self.asked_for_arm = false;
-    }
-
-    /// Stops the service as soon as the call without a reply has ended.
-    fn stop_service(&mut self) {
-        let until = Instant::now() + self.link.for_halt().timeout();
-        let Some(Open { controller, .. }) = &mut self.open else { return };
-        let mut stop = || controller.call_any("", FunctionId::SERVICE_STOP, &[]);
-        while matches!(stop(), Err(Error::Refused { code: HResult::E_BUSY_PROC, .. })) && Instant::now() < until {
-            thread::sleep(BUSY);
         }
     }
 
@@ -283,9 +249,6 @@ impl Session {
     ) -> Result<(HResult, Option<Value>), Failure> {
         let open = self.opened()?;
         let called = open.controller.call_any(subject, function, arguments);
-        if takes_arm(function, arguments) && !matches!(called, Err(Error::Refused { .. })) {
-            self.asked_for_arm = true;
-        }
         if function.releases().is_some() {
             self.objects.clear();
         }
@@ -437,7 +400,7 @@ impl Session {
                 }
             }
         }
-        self.disconnect();
+        self.open = None;
         self.objects.clear();
     }
 
@@ -460,11 +423,4 @@ impl Session {
         }
         failure
     }
-}
-
-/// Returns whether a call takes the arm.
-fn takes_arm(function: FunctionId, arguments: &[Value]) -> bool {
-    let command = arguments.get(1).and_then(|value| value.as_variant().as_bstr());
-    function == FunctionId::ROBOT_EXECUTE
-        && command.is_some_and(|command| command.to_string().eq_ignore_ascii_case("TakeArm"))
 }

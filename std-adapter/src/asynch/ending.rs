@@ -39,7 +39,7 @@ impl Drop for Open {
         // a session that has only read ends with its connection
         let session = session.take().filter(Session::has_arm);
         match session.and_then(|session| session.over(|socket| socket.into_blocking(address.as_ref()))) {
-            Some(session) => ending::end_now(session, address.as_ref(), settings),
+            Some(mut session) => ending::end_now(&mut session, address.as_ref(), settings),
             None => {
                 if let (Some(left), Some(address)) = (left.take(), address) {
                     ending::recover_now(address, settings, left);

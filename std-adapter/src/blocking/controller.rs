@@ -224,11 +224,6 @@ impl<'a> From<&'a mut Controller> for ControllerRef<'a> {
 
 impl Drop for Controller {
     fn drop(&mut self) {
-        if let Err(error) = ending::within_limit(&mut self.session, |session| ready(session.release())) {
-            tracing::warn!(address = ?self.address, %error, "the session was not closed");
-        }
-        if let (Some(left), Some(address)) = (self.session.take_left(), &self.address) {
-            ending::recover_now(address, &self.settings, left);
-        }
+        ending::end_now(&mut self.session, self.address.as_ref(), &self.settings);
     }
 }

@@ -28,14 +28,21 @@ pub(crate) fn within_limit<T>(session: &mut Session<Blocking>, end: impl FnOnce(
     ended
 }
 
-/// Ends a session whose program has ended: gives the arm back, and releases all objects. Over a lost connection it connects
-/// once more.
-#[cfg(feature = "tokio")]
-pub(crate) fn end_now(mut session: Session<Blocking>, address: Option<&Address>, settings: &Settings) {
-    if let Err(error) = within_limit(&mut session, |session| ready(session.release())) {
+/// Ends a session: gives the arm back, releases all objects and stops the service. If the connection was lost while the session had
+/// the arm, it connects once more for that.
+pub(crate) fn end_now(session: &mut Session<Blocking>, address: Option<&Address>, settings: &Settings) {
+    if let Err(error) = within_limit(session, |session| ready(session.release())) {
         tracing::warn!(?address, %error, "the session was not closed");
     }
-    if let (Some(left), Some(address)) = (session.take_left(), address) {
+    let (Some(left), Some(address)) = (session.take_left(), address) else { return };
+    // a robot that may move is halted first, otherwise the arm is freed first
+    if left.moving {
+        recover_now(address, settings, left);
+    }
+    let transport = session.connection().transport();
+    transport.set_deadline(Some(SendTransport::now(transport) + LIMIT));
+    ready(session.stop_lost_service());
+    if !left.moving {
         recover_now(address, settings, left);
     }
 }

@@ -10,13 +10,16 @@
 use std::io;
 use std::time::Duration;
 
+use bcap_core::bcap::client::Timing;
+use bcap_core::bcap::{Link, Object};
 use bcap_core::hresult::HResult;
 #[cfg(feature = "tokio")]
 use bcap_core::io::asynch::Connection;
 use bcap_core::io::asynch::Transport;
 use bcap_core::procedure;
 
-use super::{ROBOT, Session};
+use super::{CLOSE, ROBOT, Release, Session};
+use crate::CallError;
 use crate::error::Error;
 
 /// What a session has done with the arm that it has taken.
@@ -25,7 +28,7 @@ pub(crate) struct ArmState {
     /// Whether the motor may have been switched on here.
     pub(super) motor: bool,
     /// Whether a motion may be under way.
-    pub(super) moving: bool,
+    pub(crate) moving: bool,
     /// Whether Slave Mode may be on.
     pub(super) streaming: bool,
 }
@@ -106,6 +109,21 @@ impl<X: Transport<Error = io::Error>> Session<X> {
             self.arm = None;
         }
         ended
+    }
+
+    /// Stops the service of a lost session over UDP, as soon as its call without a reply has ended. Nothing else tells the
+    /// controller that the session has ended, and it would keep the arm for it.
+    pub(crate) async fn stop_lost_service(&mut self) {
+        let timing = Timing { attempt_timeout: CLOSE, deadline: CLOSE, ..self.connection.client().timing() };
+        let until = self.connection.transport().now() + BUSY_LIMIT;
+        while self.connection.client().link() == Link::Datagram {
+            let stopped = self.connection.call_with(Release { object: Object::Service, handle: 0 }, timing).await;
+            let again = self.connection.transport().now() + BUSY_PAUSE;
+            if !matches!(stopped, Err(CallError::Refused(HResult::E_BUSY_PROC))) || again > until {
+                return;
+            }
+            self.connection.transport().sleep_until(again).await;
+        }
     }
 
     /// Ends Slave Mode if it is on.

@@ -346,7 +346,7 @@ impl Reader {
     fn check(&mut self, name: &str, text: &str) -> Result<Write, Failure> {
         let path = ObjectPath::variable(name)?;
         let before = self.value(&path)?;
-        let value = plain::from_input(text, before.as_variant()).map_err(Failure::Input)?;
+        let value = plain::to_write(text, before.as_variant()).map_err(Failure::Input)?;
         Ok(Write { path, value, before })
     }
 
