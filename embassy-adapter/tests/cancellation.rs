@@ -113,6 +113,9 @@ impl Handler for Tokens {
         let value = match request.function {
             FunctionId::CONTROLLER_CONNECT => 1,
             FunctionId::CONTROLLER_GET_VARIABLE => 7,
+            FunctionId::CONTROLLER_GET_ROBOT => 8,
+            // slvGetMode: no stream runs
+            FunctionId::ROBOT_EXECUTE => 0,
             FunctionId::CONTROLLER_EXECUTE if request.text(1) == "wait" => {
                 self.waits = true;
                 return Outcome::Wait(Instant::FAR_FUTURE);

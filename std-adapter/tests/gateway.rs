@@ -54,6 +54,8 @@ impl Handler for Robot {
             function if function.opens().is_some_and(|object| object != Object::Service) => {
                 reply.set(&1000_i32).unwrap();
             }
+            // slvGetMode: no stream runs
+            FunctionId::ROBOT_EXECUTE => reply.set(&0_i32).unwrap(),
             _ => {}
         }
         HResult::S_OK.into()

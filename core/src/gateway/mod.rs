@@ -442,7 +442,11 @@ impl Gateway<'_> {
             InFlight::Heartbeat => None,
             InFlight::GetRobot => {
                 let opened = self.client.value::<RobotHandle>().ok().filter(|_| result.is_ok());
-                self.stream = opened.map_or(StreamCheck::Closed, StreamCheck::Open);
+                self.stream = match (opened, StreamState::from_reply(result, None)) {
+                    (Some(robot), _) => StreamCheck::Open(robot),
+                    (None, StreamState::Absent) => StreamCheck::Absent,
+                    (None, _) => StreamCheck::Closed,
+                };
                 None
             }
             InFlight::GetMode => {

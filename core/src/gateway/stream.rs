@@ -17,6 +17,6 @@ pub(super) enum StreamCheck {
     Closed,
     /// The robot can be asked by this handle.
     Open(RobotHandle),
-    /// The robot has no Slave Mode. It is not asked again: a refusal may be an entry in its log.
+    /// The robot has no robot object, or no Slave Mode. It is not asked again: a refusal may be an entry in its log.
     Absent,
 }

@@ -164,6 +164,9 @@ impl bcap::server::Handler for Number {
         let set = match request.function {
             FunctionId::CONTROLLER_CONNECT => reply.set(&1),
             FunctionId::CONTROLLER_GET_VARIABLE => reply.set(&7),
+            FunctionId::CONTROLLER_GET_ROBOT => reply.set(&8),
+            // slvGetMode: no stream runs
+            FunctionId::ROBOT_EXECUTE => reply.set(&0),
             FunctionId::VARIABLE_GET_VALUE => reply.set(&self.value),
             FunctionId::VARIABLE_PUT_VALUE => {
                 self.value = request.int(1);

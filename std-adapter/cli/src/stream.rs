@@ -26,7 +26,7 @@ impl StreamCheck {
         }
         let robot = match session.object(&"robot".parse()?) {
             Ok(robot) => robot,
-            Err(Failure::Refused { code, .. }) => return Ok(StreamState::Unknown(code)),
+            Err(Failure::Refused { code, .. }) => return Ok(StreamState::from_reply(code, None)),
             Err(failure) => return Err(failure),
         };
         let arguments = [integer(robot)?, text(StreamState::COMMAND)?, Value::default()];

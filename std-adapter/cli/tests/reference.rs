@@ -76,3 +76,35 @@ fn the_list_has_all_functions() {
     assert_eq!(halt, expected);
     assert_eq!(bcap(&["call", "--list", "Robot_Halt"]).code, 2);
 }
+
+#[test]
+fn the_list_of_effects_has_all_functions_and_their_commands() {
+    let run = bcap(&["call", "--list", "--effects"]);
+    let columns = |name: &str| -> Vec<&str> {
+        let line = run.out.lines().find(|line| line.split(' ').next() == Some(name));
+        line.unwrap_or_else(|| panic!("no {name}")).split_whitespace().skip(1).take(2).collect()
+    };
+    for (name, effect, in_slave_mode) in [
+        ("Service_Start", "session", "allowed"),
+        ("Variable_GetValue", "reads", "allowed"),
+        ("Variable_PutValue", "writes", "unknown"),
+        ("Robot_Halt", "moves", "allowed"),
+        ("Robot_Move", "moves", "refused"),
+        ("Controller_Execute", "moves", "unknown"),
+        ("Controller_Execute/GetCurErrorCount", "reads", "refused"),
+        ("Controller_Execute/ClearError", "writes", "refused"),
+        ("Robot_Execute/CurPos", "reads", "allowed"),
+        ("Robot_Execute/TakeArm", "moves", "refused"),
+    ] {
+        assert_eq!(columns(name), [effect, in_slave_mode], "{name}");
+    }
+    let of_functions = run.out.lines().filter(|line| !line.split(' ').next().unwrap().contains('/'));
+    assert_eq!((of_functions.count(), run.code), (137, 0));
+    let json = bcap(&["call", "--list", "--effects", "--json"]);
+    let lines: Vec<Value> = json.out.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!(lines.len(), run.out.lines().count());
+    let state = lines.iter().find(|line| line["name"] == "Controller_Execute/SysState").unwrap();
+    assert_eq!([&state["effect"], &state["in_slave_mode"]], ["reads", "refused"]);
+    assert!(state["source"].as_str().unwrap().starts_with("seen on a COBOTTA PRO 900"), "{state}");
+    assert_eq!(bcap(&["call", "--effects"]).code, 2, "it belongs to --list");
+}

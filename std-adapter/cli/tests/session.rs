@@ -176,6 +176,9 @@ fn service_start_and_stop_are_called_once() {
 fn exec_sends_a_command_with_its_parameter() {
     let fake = Fake::tcp(|request| match request.function() {
         FunctionId::ROBOT_EXECUTE => HResult::E_ROBOTISBUSY.into(),
+        FunctionId::CONTROLLER_GET_ROBOT if format!("{:?}", request.args.get(1)).contains("Arm0") => {
+            HResult::E_CAO_OBJECT_NOTFOUND.into()
+        }
         FunctionId::CONTROLLER_GET_ROBOT_NAMES => value(["Left", "Right"]),
         _ => usual(request),
     });

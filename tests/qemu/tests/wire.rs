@@ -252,6 +252,9 @@ impl Handler for Robot {
         let number = request.handle() - FIRST;
         let set = match request.function {
             FunctionId::CONTROLLER_CONNECT => reply.set(&1),
+            FunctionId::CONTROLLER_GET_ROBOT => reply.set(&2),
+            // slvGetMode: no stream runs
+            FunctionId::ROBOT_EXECUTE => reply.set(&0),
             FunctionId::CONTROLLER_GET_VARIABLE => {
                 let mut memory = [0; 16];
                 let name = request.text(1).to_str(&mut memory);

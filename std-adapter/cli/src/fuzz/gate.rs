@@ -199,6 +199,12 @@ mod tests {
             assert!(passes(function, vec![Value::I4(0)]), "{function}");
         }
         let robot = Value::I4(3);
+        // commands, by the core's table
+        let executes = |function, name| passes(function, vec![robot.clone(), Value::text(name), Value::Empty]);
+        assert!(executes(FunctionId::CONTROLLER_EXECUTE, "GetCurErrorCount"));
+        assert!(executes(FunctionId::ROBOT_EXECUTE, "GetSrvData"));
+        assert!(!executes(FunctionId::ROBOT_EXECUTE, "NoSuchCommand"));
+        assert!(!executes(FunctionId::CONTROLLER_EXECUTE, "KillAll"));
         // GetFile reads without its option
         let opens_file = |function: FunctionId| function.to_string().ends_with("_GetFile");
         let is_refused = |function: &FunctionId| !reads(function.0) && !opens_file(*function);

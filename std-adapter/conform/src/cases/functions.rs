@@ -79,3 +79,17 @@ fn text_as_handle(function: FunctionId, kinds: &[Kind]) -> Case {
     let rule = "a BSTR is not a handle (S0:173)";
     made(function, Group::Arguments, "text-as-handle", rule, args, Want::Code(codes))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_level_is_the_effect_of_the_table() {
+        assert_eq!(level(FunctionId::VARIABLE_GET_VALUE), Level::Read);
+        assert_eq!(level(FunctionId::CONTROLLER_GET_FILE), Level::Read, "without an option");
+        assert_eq!(level(FunctionId::VARIABLE_PUT_VALUE), Level::Write);
+        assert_eq!(level(FunctionId::ROBOT_HALT), Level::Motion);
+        assert_eq!(level(FunctionId::CONTROLLER_EXECUTE), Level::Motion, "a command without a name may do anything");
+    }
+}
