@@ -74,6 +74,13 @@ pub(crate) fn all() -> BTreeMap<&'static str, usize> {
                 Box::pin(async { rig.motion.call_with(call, short()).await.is_ok() })
             }),
         );
+        add(
+            "exchange",
+            sweep("exchange", idle).run(|rig| {
+                let call = call::controller_get_robot_names(rig.handles.controller, "");
+                Box::pin(async { rig.motion.exchange(call).await.is_ok() })
+            }),
+        );
         procedures(kind, &mut add);
         let piece = if kind == Link::Stream { 3 } else { 64 };
         let long = |name, prepare| Sweep { name, kind, piece, prepare };
