@@ -144,6 +144,8 @@ impl server::Handler for Answer {
     fn resume(&mut self, _: PeerId, request: &server::Request<'_>, reply: &mut ReplyValue<'_>, _: Instant) -> Outcome {
         let set = match request.function.opens() {
             Some(_) => reply.set(&7_i32),
+            // no stream runs
+            None if request.text(1) == "slvGetMode" => reply.set(&0_i32),
             None => reply.set(&([1.5_f64; 8], "text")),
         };
         set.map_or(HResult::E_FAIL, |()| HResult::S_OK).into()
