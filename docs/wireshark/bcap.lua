@@ -267,6 +267,8 @@ local RESULTS = {
         hint = "send ManualResetPreparation and MotionPreparation, then turn the motor on" },
     [0x83201483] = { name = "E_BUF_FULL", meaning = "The slave-mode buffer is full, and the pose was not stored.",
         hint = "wait one control cycle (8 ms) and send the same pose again" },
+    [0x83500076] = { name = "E_MOTION_STOPPED", meaning = "A motion of a client was stopped.",
+        hint = "read with GetCurErrorInfo whether there is another error, look where the robot is, send ClearError" },
     [0x83500121] = { name = "E_SLVMODE_OFF", meaning = "slvMove was sent while slave mode was not selected.",
         hint = "read with GetCurErrorInfo what ended slave mode, send ClearError, turn the motor on, then slvChangeMode" },
     [0x83500372] = { name = "E_MANUAL_RESET_UNPREPARED", meaning = "A COBOTTA wants ManualResetPreparation before a command that concerns safety.",

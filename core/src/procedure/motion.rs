@@ -309,8 +309,14 @@ impl<D, O> MoveSteps<D, O> {
         let stopped = self.queue.is_stopped(self.begins());
         // the robot rests at the end of the motion before
         let waits = self.queue.begins && self.queue.previous.is_some_and(|end| within(&self.joints, &end, AT_REST));
-        // a motion may end where it begins, so rest there is its end only after a movement
-        if still >= 1 && there && (moved || !(reports_motion || is_loop)) {
+        // a motion may end where it begins, and a sequence may pass its end, so rest there is not always the end
+        let rests = match (reports_motion, is_loop) {
+            (false, false) => still >= 1,
+            (false, true) => still >= 1 && moved,
+            (true, false) => moved && self.queue.is_still(self.begins()),
+            (true, true) => false,
+        };
+        if rests && there {
             if self.unsent {
                 (self.follows, self.step) = (false, Step::Start);
             } else {

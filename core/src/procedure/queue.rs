@@ -165,11 +165,15 @@ impl MotionQueue {
         self.destination.is_none() && (self.begins || !matches!(self.end, End::Joints(..)))
     }
 
+    /// Tells whether the robot has been at rest for long, whatever SysState reports.
+    pub(super) fn is_still(&self, begins: bool) -> bool {
+        // with shorter pauses, as many more polls
+        self.still >= self.config.still.max(1).saturating_mul(if begins { 4 } else { 1 })
+    }
+
     /// Tells whether the robot counts as stopped, wherever it is.
     pub(super) fn is_stopped(&self, begins: bool) -> bool {
-        // with shorter pauses, as many more polls
-        let polls = self.config.still.max(1).saturating_mul(if begins { 4 } else { 1 });
-        self.still >= polls && !self.reports_motion
+        self.is_still(begins) && !self.reports_motion
     }
 
     /// Tells whether these joints are the destination that was seen during the motion; `None` if none was seen.

@@ -242,6 +242,35 @@ fn a_short_round_has_arrived_only_if_the_robot_was_seen_elsewhere() {
 }
 
 #[test]
+fn a_place_on_the_way_is_not_the_end_of_a_sequence() {
+    // two polls find the robot where the last motion ends, and it moves on from there
+    let places = [1.0, 2.0, 1.0, 0.0, 0.0, 0.0, 1.5];
+    let mut polls = 0;
+    let mut answer = |call: &str| {
+        let at = |angle: f64| Answer::value(&[angle, 0.0, 90.0, 0.0, 45.0, 0.0, 0.0, 0.0]);
+        match call {
+            _ if call.contains("SysState") => {
+                polls += 1;
+                Answer::value(&if polls <= places.len() { MOVING } else { 0 })
+            }
+            _ if call.contains("DestJnt") => at(if polls < 5 { 3.0 } else { 0.0 }),
+            _ if call.contains("CurJnt") => {
+                at(if polls == 0 { 0.0 } else { places.get(polls - 1).copied().unwrap_or(0.0) })
+            }
+            _ => Answer::Empty,
+        }
+    };
+    let (mut queue, mut now) = (MotionQueue::new(MotionConfig::within(Duration::from_secs(10))), Instant::ZERO);
+    for angle in [3.0, 0.0] {
+        let run = run_from(now, begin(queue, to(angle, true)), |_, call, _| answer(call));
+        (queue, now) = (run.result.unwrap(), run.now);
+    }
+    let run = run_from(now, wait(queue), |_, call, _| answer(call));
+    assert_eq!(run.result.unwrap().ended(), Some(Motion::Arrived));
+    assert!(polls > places.len() + 1, "it arrived at poll {polls}");
+}
+
+#[test]
 fn a_busy_robot_is_asked_again_and_another_refusal_halts_it() {
     let mut refused = 0;
     let mut robot = Robot::new(0, false);
