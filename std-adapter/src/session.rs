@@ -4,6 +4,7 @@
 //! whose futures are always ready; those of `asynch` run them in a task.
 
 mod any;
+mod arm;
 mod ending;
 mod halt;
 mod names;
@@ -36,8 +37,8 @@ use crate::settings::Settings;
 use crate::task::{TaskStart, TaskStatus, TaskStop};
 use crate::{CallError, RunError};
 
-pub(crate) use self::ending::ArmState;
-pub use self::ending::Recovery;
+pub(crate) use self::arm::ArmState;
+pub use self::arm::Recovery;
 
 /// A started session.
 #[derive(Debug)]

@@ -167,8 +167,8 @@ enum InFlight {
 /// A request that runs at the robot. Its client may have been answered or may have gone before the robot replies.
 #[derive(Clone, Copy, Debug)]
 struct Job {
-    /// The index of its client; 32 bits keep a gateway within its memory.
-    seat: u32,
+    /// The index of its client; 16 bits keep a gateway within its memory.
+    seat: u16,
     ticket: u32,
     variable: Variable,
     /// Whether this is the second attempt, after E_HANDLE.
@@ -573,7 +573,7 @@ impl Gateway<'_> {
         let waiting = self.seats.iter().enumerate().filter_map(|(at, seat)| Some((at, seat.waiting?)));
         // compares differences, because tickets wrap
         if let Some((seat, first)) = waiting.max_by_key(|(_, waiting)| next_ticket.wrapping_sub(waiting.ticket)) {
-            let seat = u32::try_from(seat).ok()?;
+            let seat = u16::try_from(seat).ok()?;
             let job = Job { seat, ticket: first.ticket, variable: first.asked.variable, again: false };
             return self.begin_job(job, now);
         }
@@ -699,8 +699,7 @@ impl Gateway<'_> {
 
 /// Returns the seat of a request, if it still waits there.
 fn waiting_seat(seats: &mut [Seat], job: Job) -> Option<&mut Seat> {
-    let index = usize::try_from(job.seat).ok()?;
-    seats.get_mut(index).filter(|seat| seat.waiting.is_some_and(|waiting| waiting.ticket == job.ticket))
+    seats.get_mut(usize::from(job.seat)).filter(|seat| seat.waiting.is_some_and(|waiting| waiting.ticket == job.ticket))
 }
 
 /// The name of the robot object; controllers accept any.

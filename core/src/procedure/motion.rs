@@ -22,9 +22,9 @@ use core::time::Duration;
 use super::action::Procedure;
 use super::failure::{StepCause, StepError};
 use super::provider::Handles;
-use super::queue::{AT_REST, JOINTS, Motion, MotionConfig, MotionQueue, within};
+use super::queue::{AT_REST, Motion, MotionConfig, MotionQueue, within};
 use super::sequence::{Argument, Next, Sequence, StepCall, Steps, Undo};
-use super::target::{Before, Comparison, End, Target};
+use super::target::{Before, Comparison, End, JOINTS, Target};
 use crate::bcap::call::{Any, Int, Reply, ReplyError};
 use crate::bcap::{Frame, FunctionId};
 use crate::hresult::HResult;
@@ -281,7 +281,7 @@ impl<D, O> MoveSteps<D, O> {
         if !follows && queue.reports_motion && queue.moved && matches!(queue.end, End::Joints(..)) {
             queue.begins = false;
         }
-        if let Some(comparison) = queue.end.compare_joints(&joints, &queue.config) {
+        if let Some(comparison) = queue.end.compare_joints(&joints, &queue.config.at_end()) {
             return self.judge(comparison, now);
         }
         if queue.end == End::Unknown {
@@ -298,7 +298,7 @@ impl<D, O> MoveSteps<D, O> {
     /// Compares the position of the tool with the end of the motion.
     fn update_tool(&mut self, frame: Option<&Transform>, now: Instant) {
         let MotionQueue { end, config, .. } = &self.queue;
-        let comparison = end.compare_tool(self.position.as_ref(), frame, config);
+        let comparison = end.compare_tool(self.position.as_ref(), frame, &config.at_end());
         self.judge(comparison, now);
     }
 

@@ -2,7 +2,7 @@
 
 use core::time::Duration;
 
-use super::target::{Comparison, End};
+use super::target::{Comparison, End, JOINTS, Tolerance};
 use crate::hresult::HResult;
 use crate::time::Instant;
 
@@ -37,6 +37,13 @@ impl MotionConfig {
     }
 }
 
+impl MotionConfig {
+    /// Returns how far the robot may be from the end of the motion.
+    pub(super) const fn at_end(&self) -> Tolerance {
+        Tolerance { joint: self.tolerance, distance_mm: self.distance_mm, angle_degrees: self.angle_degrees }
+    }
+}
+
 /// How a motion has ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -58,8 +65,6 @@ pub enum Motion {
     TimedOut,
 }
 
-/// The joints of CurJnt and DestJnt.
-pub(super) const JOINTS: usize = 8;
 /// How far a joint at rest may be from where the rest began, in degrees or mm.
 pub(super) const AT_REST: f64 = 0.002;
 

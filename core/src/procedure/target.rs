@@ -12,10 +12,23 @@
 //!
 //! A motion that follows another one begins where that ends, so its end is found from the end before it.
 
-use super::queue::{JOINTS, MotionConfig};
 use crate::bcap::call::VariableHandle;
 use crate::position::{Joints, Position, Transform};
 use crate::variant::Variant;
+
+/// The joints of CurJnt and DestJnt.
+pub(super) const JOINTS: usize = 8;
+
+/// How far a robot at the end of a motion may be from it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Tolerance {
+    /// Degrees or mm of each joint.
+    pub(super) joint: f64,
+    /// Of the tool, along each axis.
+    pub(super) distance_mm: f64,
+    /// Of the tool's orientation.
+    pub(super) angle_degrees: f64,
+}
 
 /// Where a motion ends, for the comparison with the robot.
 ///
@@ -211,10 +224,10 @@ impl End {
     }
 
     /// Compares the joints; `None` if the end is not given by joints.
-    pub(super) fn compare_joints(&self, joints: &[f64; JOINTS], config: &MotionConfig) -> Option<Comparison> {
+    pub(super) fn compare_joints(&self, joints: &[f64; JOINTS], tolerance: &Tolerance) -> Option<Comparison> {
         let Self::Joints(end, axes) = self else { return None };
         let mut near = joints.iter().zip(end).take(usize::from(*axes));
-        let there = near.all(|(joint, end)| (joint - end).abs() <= config.tolerance);
+        let there = near.all(|(joint, end)| (joint - end).abs() <= tolerance.joint);
         Some(if there { Comparison::There } else { Comparison::Elsewhere })
     }
 
@@ -237,7 +250,7 @@ impl End {
         &self,
         position: Option<&Position>,
         frame: Option<&Transform>,
-        config: &MotionConfig,
+        tolerance: &Tolerance,
     ) -> Comparison {
         let near = |one: [f64; 3], other: [f64; 3], distance: f64| {
             one.iter().zip(other).all(|(one, other)| (one - other).abs() <= distance)
@@ -249,15 +262,15 @@ impl End {
                     _ => here.xyz_mm,
                 };
                 (
-                    near(tip, end.xyz_mm, config.distance_mm),
-                    !is_same_rotation(here.rotation_degrees, end.rotation_degrees, config.angle_degrees),
+                    near(tip, end.xyz_mm, tolerance.distance_mm),
+                    !is_same_rotation(here.rotation_degrees, end.rotation_degrees, tolerance.angle_degrees),
                 )
             }
             (Self::Transform(end), _, Some(here)) => {
                 // the sine of a small angle
-                let turn = config.angle_degrees * (core::f64::consts::PI / 180.0);
+                let turn = tolerance.angle_degrees * (core::f64::consts::PI / 180.0);
                 let same = near(here.orient, end.orient, turn) && near(here.approach, end.approach, turn);
-                (near(here.xyz_mm, end.xyz_mm, config.distance_mm), !same)
+                (near(here.xyz_mm, end.xyz_mm, tolerance.distance_mm), !same)
             }
             _ => (false, false),
         };
