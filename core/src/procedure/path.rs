@@ -150,7 +150,9 @@ impl<'a> PathSteps<'a> {
     /// The steps of a new session, up to the controller, or to one of its robots.
     pub(super) fn session(provider: Provider<'a>, robot: Option<PathStep<'a>>) -> Self {
         let owner = Owner { object: Object::Service, handle: 0 };
-        let path = robot.into_iter().collect();
+        let mut path = heapless::Vec::new();
+        // one object always has room
+        let _ = robot.map(|robot| path.push(robot));
         Self { provider: Some(provider), path, opened: Opened::new(), owner, done: 0, asks: false, first: None }
     }
 

@@ -171,8 +171,12 @@ impl<S: Steps, M> Sequence<S, M> {
     }
 
     /// Begins with objects that were opened before.
-    pub(super) fn with_undo(self, undo: impl IntoIterator<Item = Undo>) -> Self {
-        Self { undo: undo.into_iter().take(UNDO_MAX).collect(), ..self }
+    pub(super) fn with_undo(mut self, undo: impl IntoIterator<Item = Undo>) -> Self {
+        for undo in undo {
+            // without room for it, the end of the session undoes it
+            let _ = self.undo.push(undo);
+        }
+        self
     }
 
     fn next(&self) -> Next<'_> {

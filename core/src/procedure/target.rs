@@ -303,7 +303,9 @@ fn is_same_rotation(one: [f64; 3], other: [f64; 3], tolerance: f64) -> bool {
 
 /// Returns the angle between two directions, 0 to 180 degrees.
 fn turn(one: f64, other: f64) -> f64 {
-    let turn = (one - other) % 360.0;
-    let turn = if turn < 0.0 { turn + 360.0 } else { turn };
-    turn.min(360.0 - turn)
+    // 1.5 * 2^52: added and subtracted, it rounds to a whole number. The remainder operator would need a library function
+    const ROUND: f64 = 6_755_399_441_055_744.0;
+    let difference = one - other;
+    let turns = (difference / 360.0 + ROUND) - ROUND;
+    (difference - turns * 360.0).abs()
 }

@@ -374,8 +374,11 @@ pub(crate) fn element<'a, T: FromVariant<'a>>((index, value): (usize, Variant<'a
 
 impl<'a, T: FromVariant<'a>, const N: usize> FromVariant<'a> for [T; N] {
     fn from_variant(value: Variant<'a>) -> Result<Self, ConvertError> {
-        let items = elements(value, N, N)?.map(element).collect::<Result<heapless::Vec<T, N>, _>>()?;
-        // the number of elements was checked
+        let mut items = heapless::Vec::<T, N>::new();
+        for item in elements(value, N, N)? {
+            // the number of elements was checked, so there is room
+            let _ = items.push(element(item)?);
+        }
         items.into_array().map_err(|_| ConvertError::new(ConvertErrorKind::Type, "an array", &value))
     }
 }
