@@ -158,16 +158,21 @@ pub(super) fn limits(args: &StreamArgs) -> AxisLimits {
     AxisLimits::uniform(limit(args.max_speed), limit(args.max_acceleration))
 }
 
-/// Switches the motor off that the stream has switched on. The stream has given the arm back, so it is taken again.
+/// Switches the motor off that the stream has switched on. The stream has given the arm back, so it is taken again; a controller
+/// with an error refuses that, and its motor is switched off without the arm. The motor of another client stays on.
 fn motor_off<X: Wire<Error = io::Error>>(motion: &mut blocking::Connection<X, Vec<u8>>, robot: RobotHandle) {
     // Keep 1: the speed, the tool and the work stay
-    let taken = motion.run(prepare_robot(robot, [0, 1], false)).map_err(|error| error.error.to_string());
-    let off = taken.and_then(|()| {
-        let off = motion.call(call::robot_execute(robot, "Motor", [0, 0])).map(drop).map_err(|error| error.to_string());
-        let given = motion.run(give_arm(robot)).map_err(|error| error.error.to_string());
-        off.and(given)
-    });
-    if let Err(error) = off {
+    let taken = motion.run(prepare_robot(robot, [0, 1], false)).map_err(|error| error.error);
+    let is_others = taken.is_err_and(|error| error.hresult() == Some(HResult::E_ARM_NOT_TAKEN));
+    let mut ended = Err("another client owns the arm".to_owned());
+    if !is_others {
+        let off = motion.call(call::robot_execute(robot, "Motor", [0, 0]));
+        ended = off.map(drop).map_err(|error| error.to_string());
+    }
+    if taken.is_ok() {
+        ended = ended.and(motion.run(give_arm(robot)).map_err(|error| error.error.to_string()));
+    }
+    if let Err(error) = ended {
         note(&format!("the motor may still be on: {error}; `bcap get robot/@SERVO_ON` tells"));
     }
 }
