@@ -312,7 +312,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
             return Err(Error::ArmTaken);
         }
         let robot = self.robot().await?;
-        // before the call, so that the arm is given back if nobody waits for the reply
+        // before the call, so that the arm is given back even if the call is abandoned
         self.arm = Some(ArmState::default());
         let taken = self.run(ROBOT, procedure::prepare_robot(robot, [0, 1], false)).await;
         if taken.is_err() && self.lost.is_none() {

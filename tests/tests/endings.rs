@@ -69,7 +69,7 @@ fn runtimes() -> [tokio::runtime::Runtime; 2] {
     [one, many]
 }
 
-/// What `main` of a program with tokio does: it returns an error during a motion, and its runtime ends.
+/// The `main` of a program with tokio returns an error during a motion, and its runtime ends.
 #[test]
 fn a_program_that_fails_during_a_motion_leaves_nothing() {
     for runtime in 0..2 {
@@ -346,7 +346,7 @@ impl asynch::SendTransport for Failing {
     }
 }
 
-/// What a program is told, and whether the controller has executed the call.
+/// The result of a call, as the program is told it.
 #[derive(Debug, PartialEq)]
 enum Told {
     Done,

@@ -1,7 +1,7 @@
 //! Asks the user before the command moves a robot, or changes what cannot be restored.
 //!
 //! A virtual controller is changed without a question. It is one only if it says so twice, with the maker name of the simulator
-//! and the serial number that no real controller has. Any other answer is that of a real controller.
+//! and the serial number that no real controller has. Any other answer means a real controller.
 
 use std::io::{self, BufRead, IsTerminal, Write};
 use std::time::Duration;

@@ -1,4 +1,4 @@
-//! What must be ended when the task of a controller ends, however it ends.
+//! The end of a controller's task, however it ends.
 //!
 //! A runtime that ends drops its tasks where they wait. So does the panic of a function that a task runs. The drop of
 //! [`Open`] then halts the robot, switches the motor off and gives the arm back, with calls that block.
@@ -11,10 +11,10 @@ use crate::blocking::ending;
 use crate::session::{ArmState, Session};
 use crate::settings::Settings;
 
-/// The session of a task, and what a lost session has left behind.
+/// The session of a task, and the effects that a lost session left behind.
 pub(super) struct Open {
     pub(super) session: Option<Session<Socket>>,
-    /// What a lost session may have left on the robot, until a new session has ended it.
+    /// The possible effects of a lost session on the robot, until a new session has ended them.
     pub(super) left: Option<ArmState>,
     address: Option<Address>,
     settings: Arc<Settings>,

@@ -344,7 +344,7 @@ impl Moving<'_> {
     }
 }
 
-/// A trajectory that stops when its caller has gone, and when it panics.
+/// A trajectory that stops when its caller drops the stream, and when it panics.
 struct WhileWanted<T> {
     trajectory: T,
     caller: Weak<()>,

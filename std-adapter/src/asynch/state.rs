@@ -129,8 +129,8 @@ impl States {
     }
 }
 
-/// What was done for the robot after lost connections, from [`Controller::recoveries`](super::Controller::recoveries). Of those
-/// between two polls only the last is returned. It ends with the task.
+/// The recoveries of the robot after lost connections, from [`Controller::recoveries`](super::Controller::recoveries). If
+/// several happen between two polls, only the last is returned. The stream ends with the task.
 #[must_use = "a stream does nothing unless it is polled"]
 pub struct Recoveries(Latest<Option<Recovery>>);
 

@@ -128,7 +128,7 @@ pub(super) struct Task {
     /// Whether each session opens the robot at once, so that a halt takes one call.
     pub(super) opens_robot: bool,
     pub(super) scan: Scan,
-    /// What was done for the robot after the last lost connection.
+    /// The recovery of the robot after the last lost connection.
     pub(super) recovered: watch::Sender<Option<Recovery>>,
 }
 

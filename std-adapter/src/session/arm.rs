@@ -1,6 +1,6 @@
-//! What a session has done with the arm, and what was done for the arm of a lost one.
+//! The state of the arm in a session, and the recovery after a lost one.
 
-/// What a session has done with the arm that it has taken.
+/// The effects of a session on the arm that it has taken.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct ArmState {
     /// Whether the motor may have been switched on here.
@@ -11,7 +11,7 @@ pub(crate) struct ArmState {
     pub(super) streaming: bool,
 }
 
-/// What was done after a lost connection, over the next one, for the arm that the lost session had taken.
+/// The recovery of the arm of a lost session, over the next connection.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Recovery {
