@@ -795,18 +795,16 @@ impl Flood {
 // a `heapless::Vec` would shift its items, for which a board needs `memmove`
 #[derive(Debug, Default)]
 struct Unanswered {
-    /// No call has serial 0, so `(0, 0)` contains none.
+    /// The newest first. No call has serial 0, so `(0, 0)` contains none.
     ranges: [(u16, u16); 8],
-    /// The index of the oldest range.
-    oldest: u8,
 }
 
 impl Unanswered {
     fn push(&mut self, first: u16, last: u16) {
-        if let Some(range) = self.ranges.get_mut(usize::from(self.oldest)) {
-            *range = (first, last);
+        let mut newer = (first, last);
+        for range in &mut self.ranges {
+            core::mem::swap(range, &mut newer);
         }
-        self.oldest = self.oldest.wrapping_add(1) & 7;
     }
 
     fn contains(&self, serial: u16) -> bool {

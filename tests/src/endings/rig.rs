@@ -12,7 +12,7 @@ use bcap_core::hresult::HResult;
 use bcap_sim::{Config, Controller as Simulated, Profile, Scenario};
 use bcap_std::server::Limits;
 use bcap_std::{Error, blocking, now};
-use rustix::process::{Pid, kill_process};
+use rustix::process::{Pid, WaitId, WaitIdOptions, kill_process, waitid};
 
 use super::draw::{Cut, Ending, Job, Leg, Program, Signal, Since, Trial, Way};
 use super::link::Link;
@@ -257,7 +257,8 @@ impl Process {
         !self.has_ended()
     }
 
-    /// Sends a signal. After one that stops the process, waits a second, lets it continue, and returns the truth before.
+    /// Sends a signal. After one that suspends the process, waits a second and until it is suspended, which may be after a late
+    /// reply; returns the truth then, and lets it continue.
     fn signal(&mut self, signal: Signal, sim: &Sim) -> Option<Truth> {
         let send = |signal| {
             // a process that has ended gets none
@@ -271,12 +272,21 @@ impl Process {
             Signal::Tstp => {
                 send(rustix::process::Signal::TSTP);
                 thread::sleep(GRACE);
+                let moving = sim.application().truth().moving;
+                while !self.is_suspended_or_ended() && self.started.elapsed() < LIMIT {
+                    thread::sleep(POLL);
+                }
                 let truth = sim.application().truth();
                 send(rustix::process::Signal::CONT);
-                return Some(truth);
+                return Some(Truth { moving: moving || truth.moving, ..truth });
             }
         }
         None
+    }
+
+    fn is_suspended_or_ended(&self) -> bool {
+        let states = WaitIdOptions::STOPPED | WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
+        !matches!(waitid(WaitId::Pid(Pid::from_child(&self.child)), states), Ok(None))
     }
 
     /// Waits for the end; kills a process that hangs.
