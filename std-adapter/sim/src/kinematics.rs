@@ -25,7 +25,7 @@
 //! [Other arms](crate::model::ArmProfile) have the lengths, ranges and speeds of public descriptions.
 //!
 //! Without b6 the wrist is spherical, and the joints are solved in closed form. With b6, as in COBOTTA and COBOTTA PRO, the
-//! wrist centre depends on J6: J6 is found by the secant method from the present joints, or by a search of a full turn.
+//! wrist centre depends on J6: J6 is found by the secant method from the present joints, or all its values by a search.
 //!
 //! Fig is a sum of: 1 the shoulder reaches forward (LEFTY), 2 the elbow is below (BELOW), 4 the wrist is not flipped
 //! (NONFLIP: J5 >= 0), 8 J4 is beyond ±180 (DOUBLE4), 16 J6 is beyond ±180 (DOUBLE6). That NONFLIP, ABOVE and LEFTY
@@ -49,6 +49,7 @@
 
 mod frame;
 mod horizontal;
+mod offset;
 mod vertical;
 
 pub use self::frame::Joints;
