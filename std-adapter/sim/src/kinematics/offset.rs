@@ -158,22 +158,22 @@ fn zeros(function: &impl Fn(f64) -> f64, places: &[f64]) -> Vec<f64> {
     found
 }
 
-/// Returns the place between two others where the function has changed its sign, or is least.
+/// Returns the place between two others of the same sign where the function has changed it, or is least.
 fn dip(function: &impl Fn(f64) -> f64, (mut low, a): (f64, f64), (mut high, b): (f64, f64)) -> Option<f64> {
+    let above = |place: f64| if a < 0.0 { -function(place) } else { function(place) };
     let step = (high - low) * 1e-4;
-    let falls = |here: f64, value: f64, next: f64| function(next).abs() < value.abs() && here.is_finite();
-    if !falls(low, a, low + step) || !falls(high, b, high - step) {
+    if above(low + step) >= a.abs() || above(high - step) >= b.abs() {
         return None;
     }
     for _ in 0..60 {
         let (left, right) = (low + (high - low) / 3.0, high - (high - low) / 3.0);
-        let (at_left, at_right) = (function(left), function(right));
-        if (at_left < 0.0) != (a < 0.0) {
-            return Some(left);
+        let (at_left, at_right) = (above(left), above(right));
+        if at_left.min(at_right) < 0.0 {
+            return Some(if at_left < 0.0 { left } else { right });
         }
-        if at_left.abs() < at_right.abs() { high = right } else { low = left }
+        if at_left < at_right { high = right } else { low = left }
     }
-    (function(low).abs() < EXACT).then_some(low)
+    (above(low) < EXACT).then_some(low)
 }
 
 /// Returns a zero between two places with different signs.

@@ -256,8 +256,17 @@ fn is_reached(name: &str, arm: &Geometry, parts: [f64; 6], from: [f64; 6]) {
 
 #[test]
 fn a_pose_is_reached_whose_two_solutions_are_close() {
-    let parts = [0.001, 0.6630333059488001, 0.5201314746775373, 0.8056997302375345, 0.2391503298914916, 0.001];
-    is_reached("cobotta pro", &arm("cobotta pro"), parts, [0.001, 0.001, 0.001, 0.001, 0.001, 0.350291366590014]);
+    let cases = [
+        (
+            [0.001, 0.6630333059488001, 0.5201314746775373, 0.8056997302375345, 0.2391503298914916, 0.001],
+            [0.001, 0.001, 0.001, 0.001, 0.001, 0.350291366590014],
+        ),
+        // one of them next to the end of a part
+        ([0.001, 0.001, 0.5910861402126132, 0.67863296248778, 0.2465787983251534, 0.4124612175130326], [0.001; 6]),
+    ];
+    for (parts, from) in cases {
+        is_reached("cobotta pro", &arm("cobotta pro"), parts, from);
+    }
 }
 
 /// Less than usual, because each case searches on all arms; `PROPTEST_CASES` sets another number.
