@@ -29,11 +29,11 @@ pub struct MotionConfig {
 
 impl MotionConfig {
     /// Returns a configuration with this time limit. It polls every 20 ms; the motion must begin within one second and end
-    /// within 0.05 degrees, or 0.5 mm and 0.2 degrees of the tool, and five polls at rest elsewhere count as a halt.
+    /// within 0.05 degrees, or 0.1 mm and 0.05 degrees of the tool, and five polls at rest elsewhere count as a halt.
     #[must_use]
     pub const fn within(limit: Duration) -> Self {
         let (start, interval) = (Duration::from_secs(1), Duration::from_millis(20));
-        Self { limit, start, interval, tolerance: 0.05, distance_mm: 0.5, angle_degrees: 0.2, still: 5 }
+        Self { limit, start, interval, tolerance: 0.05, distance_mm: 0.1, angle_degrees: 0.05, still: 5 }
     }
 }
 

@@ -389,7 +389,7 @@ fn a_position_that_does_not_fit_the_destination_of_the_motion_is_unknown() {
         assert_eq!(Mover { shift: 20.0, ..MOVER }.run(target).result, Ok(Motion::Unknown));
         assert_eq!(Mover { shift: 20.0, stops_at: 5.0, ..MOVER }.run(target).result, Ok(Motion::Halted));
     }
-    for rotation in [[0.0, 180.0, 0.0], [-180.0, 0.0, 180.0], [180.0, 360.0, 180.1]] {
+    for rotation in [[0.0, 180.0, 0.0], [-180.0, 0.0, 180.0], [180.0, 360.0, 180.02]] {
         assert_eq!(Mover { rotation, ..MOVER }.run(position).result, Ok(Motion::Arrived), "{rotation:?}");
     }
     for rotation in [[0.0, 0.0, 0.0], [180.0, 0.0, 179.0], [180.0, 90.0, 180.0]] {
