@@ -258,11 +258,13 @@ impl Process {
     }
 
     /// Sends a signal. After one that suspends the process, waits a second and until it is suspended, which may be after a late
-    /// reply; returns the truth then, and lets it continue.
+    /// reply; returns the truth then, and lets it continue. `None` for a process that goes on to its end: the signal came before
+    /// its handler, and the system ignores it then if no shell could continue the process.
     fn signal(&mut self, signal: Signal, sim: &Sim) -> Option<Truth> {
+        let pid = Pid::from_child(&self.child);
         let send = |signal| {
             // a process that has ended gets none
-            let _ = kill_process(Pid::from_child(&self.child), signal);
+            let _ = kill_process(pid, signal);
         };
         match signal {
             Signal::Int => send(rustix::process::Signal::INT),
@@ -273,8 +275,11 @@ impl Process {
                 send(rustix::process::Signal::TSTP);
                 thread::sleep(GRACE);
                 let moving = sim.application().truth().moving;
-                while !self.is_suspended_or_ended() && self.started.elapsed() < LIMIT {
+                while self.is_running() && self.started.elapsed() < LIMIT {
                     thread::sleep(POLL);
+                }
+                if self.has_ended() {
+                    return None;
                 }
                 let truth = sim.application().truth();
                 send(rustix::process::Signal::CONT);
@@ -284,9 +289,10 @@ impl Process {
         None
     }
 
-    fn is_suspended_or_ended(&self) -> bool {
+    /// Returns whether it is neither suspended nor has ended.
+    fn is_running(&self) -> bool {
         let states = WaitIdOptions::STOPPED | WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
-        !matches!(waitid(WaitId::Pid(Pid::from_child(&self.child)), states), Ok(None))
+        matches!(waitid(WaitId::Pid(Pid::from_child(&self.child)), states), Ok(None))
     }
 
     /// Waits for the end; kills a process that hangs.
