@@ -187,8 +187,11 @@ impl Geometry {
     /// At a singularity, an undefined joint keeps its value of `near`.
     pub(crate) fn inverse(&self, frame: &Frame, fig: u8, near: &Joints) -> Result<Joints, OutOfReach> {
         let joints = match &self.links {
+            Links::Vertical(links) if links.b6 == 0.0 => links.inverse(frame, fig, near),
             // of several solutions in one posture, one within the ranges
-            Links::Vertical(links) => links.inverse(frame, fig, near, &|joints| self.turned(joints, fig, near).is_ok()),
+            Links::Vertical(links) => {
+                offset::inverse(links, frame, fig, near, &|joints| self.turned(joints, fig, near).is_ok())
+            }
             Links::Horizontal(links) => links.inverse(frame, fig, near),
         }?;
         self.turned(&joints, fig, near)

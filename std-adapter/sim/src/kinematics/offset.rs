@@ -25,13 +25,36 @@ const HALVINGS: u32 = 30;
 /// A value of g below this is rounding.
 const EXACT: f64 = 1e-10;
 
+/// Returns the joints for a frame of the flange in a posture, each within ±180 degrees.
+///
+/// At a singularity, an undefined joint keeps its value of `near`. There may be several solutions in one posture: the first that
+/// `accept` accepts counts.
+pub(super) fn inverse(
+    arm: &Vertical,
+    frame: &Frame,
+    posture: u8,
+    near: &Joints,
+    accept: &dyn Fn(&Joints) -> bool,
+) -> Result<Joints, OutOfReach> {
+    let search = Search { arm, frame, posture, near };
+    if let Some(joints) = search.follow().filter(accept) {
+        return Ok(joints);
+    }
+    let found = search.all();
+    match found.iter().find(|joints| accept(joints)).or(found.first()) {
+        Some(joints) => Ok(*joints),
+        // the axis that cannot reach with J6 as it is, or else the elbow
+        None => Err(search.place(near[5].to_radians()).err().unwrap_or(OutOfReach(3))),
+    }
+}
+
 /// A frame of the flange to be reached in one posture.
-pub(super) struct Search<'a> {
-    pub(super) arm: &'a Vertical,
-    pub(super) frame: &'a Frame,
-    pub(super) posture: u8,
+struct Search<'a> {
+    arm: &'a Vertical,
+    frame: &'a Frame,
+    posture: u8,
     /// The joints that those keep which the frame does not define, in degrees.
-    pub(super) near: &'a Joints,
+    near: &'a Joints,
 }
 
 /// The arm for one value of J6.
@@ -52,7 +75,7 @@ impl Place {
 
 impl Search<'_> {
     /// Finds the joints, in degrees, by the secant method from J6 of `near`.
-    pub(super) fn follow(&self) -> Option<Joints> {
+    fn follow(&self) -> Option<Joints> {
         let start = self.near[5].to_radians();
         let (mut before, mut here) = (self.place(start + 1e-3).ok()?, self.place(start).ok()?);
         for _ in 0..12 {
@@ -69,7 +92,7 @@ impl Search<'_> {
     }
 
     /// Returns all joints, in degrees; those with J6 nearest to that of `near` first.
-    pub(super) fn all(&self) -> Vec<Joints> {
+    fn all(&self) -> Vec<Joints> {
         let start = self.near[5].to_radians();
         let mut found: Vec<Place> = self.arcs(start).into_iter().flat_map(|arc| self.on_arc(arc)).collect();
         found.sort_by(|a, b| (a.j6 - start).abs().total_cmp(&(b.j6 - start).abs()));

@@ -1,7 +1,6 @@
 //! Arms of six axes: four lengths in a vertical plane, a wrist, and offsets beside the plane.
 
 use super::frame::{Frame, Joints, Matrix, OutOfReach, SINGULAR, multiply, normal, ry_matrix, rz_matrix, transpose};
-use super::offset::Search;
 
 pub(super) const LEFTY: u8 = 1;
 const BELOW: u8 = 2;
@@ -61,38 +60,15 @@ impl Vertical {
         bit(lefty, LEFTY) | bit(below, BELOW) | bit(j5 >= 0.0, NONFLIP)
     }
 
-    /// Returns the joints for a frame of the flange in a posture, each within ±180 degrees.
+    /// Returns the joints of an arm with a spherical wrist for a frame of the flange in a posture, each within ±180 degrees.
     ///
-    /// At a singularity, an undefined joint keeps its value of `near`. An arm with an offset wrist may have several solutions
-    /// in one posture: the first that `accept` accepts counts.
-    pub(super) fn inverse(
-        &self,
-        frame: &Frame,
-        posture: u8,
-        near: &Joints,
-        accept: &dyn Fn(&Joints) -> bool,
-    ) -> Result<Joints, OutOfReach> {
-        if self.b6 == 0.0 {
-            // the wrist is spherical: its centre does not depend on J6
-            let arm = self.arm(self.wrist_centre(frame, 0.0), posture, near)?;
-            let flange = multiply(&transpose(&Self::forearm_rotation(arm)), &frame.rotation);
-            let ([j1, j2, j3], [j4, j5, j6]) =
-                (arm, wrist_angles(&flange, posture & NONFLIP != 0, near[3].to_radians()));
-            return Ok([j1, j2, j3, j4, j5, j6].map(f64::to_degrees));
-        }
-        let search = Search { arm: self, frame, posture, near };
-        if let Some(joints) = search.follow().filter(accept) {
-            return Ok(joints);
-        }
-        let found = search.all();
-        match found.iter().find(|joints| accept(joints)).or(found.first()) {
-            Some(joints) => Ok(*joints),
-            None => {
-                // the axis that cannot reach with J6 as it is, or else the elbow
-                let arm = self.arm(self.wrist_centre(frame, near[5].to_radians()), posture, near);
-                Err(arm.err().unwrap_or(OutOfReach(3)))
-            }
-        }
+    /// At a singularity, an undefined joint keeps its value of `near`.
+    pub(super) fn inverse(&self, frame: &Frame, posture: u8, near: &Joints) -> Result<Joints, OutOfReach> {
+        // the wrist centre does not depend on J6
+        let arm = self.arm(self.wrist_centre(frame, 0.0), posture, near)?;
+        let flange = multiply(&transpose(&Self::forearm_rotation(arm)), &frame.rotation);
+        let ([j1, j2, j3], [j4, j5, j6]) = (arm, wrist_angles(&flange, posture & NONFLIP != 0, near[3].to_radians()));
+        Ok([j1, j2, j3, j4, j5, j6].map(f64::to_degrees))
     }
 
     /// Returns the direction of the axis of J5 that the flange has with this J6, in radians.
