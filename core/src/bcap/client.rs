@@ -792,10 +792,10 @@ impl Flood {
 }
 
 /// Ranges of serials whose replies may still arrive; each new range replaces the oldest.
-// a `heapless::Vec` would shift its items, for which a board needs `memmove`
+// an array and not a `heapless::Vec`, whose shifting would link `memmove` on a board
 #[derive(Debug, Default)]
 struct Unanswered {
-    /// The newest first. No call has serial 0, so `(0, 0)` contains none.
+    /// In reverse order of the calls. No call has serial 0, so `(0, 0)` contains none.
     ranges: [(u16, u16); 8],
 }
 

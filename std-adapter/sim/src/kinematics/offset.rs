@@ -8,12 +8,12 @@
 //! ```
 //!
 //! For one shoulder and one elbow, g is smooth on each arc of the circle that the arm reaches. At the end of an arc two elbows or
-//! two shoulders meet, and g has the slope of a root; as a function of t, with J6 = middle - half cos t, it has none. The arc
-//! is divided until neither direction turns further than [`TURN`] in a part, so that g has one extremum in it at most.
+//! two shoulders meet, and the slope of g is infinite there. As a function of t, with J6 = middle - half cos t, g has a finite slope.
+//! The arc is divided until neither direction turns by more than [`TURN`] within a part; such a part has at most one extremum of g.
 
 use std::f64::consts::PI;
 
-use super::frame::{Frame, Joints, OutOfReach, SINGULAR, dot, multiply, rz_matrix, transpose};
+use super::frame::{Frame, Joints, OutOfReach, SINGULAR, dot, multiply, normal, rz_matrix, transpose};
 use super::vertical::{NONFLIP, Vertical};
 
 /// The cosine of the angle that a direction turns at most in one part of an arc: 17 degrees.
@@ -63,11 +63,14 @@ struct Place {
     j6: f64,
     /// J1, J2 and J3, in radians.
     arm: [f64; 3],
+    /// The direction of the axis of J5.
     axis: [f64; 3],
+    /// The direction of the forearm.
     forearm: [f64; 3],
 }
 
 impl Place {
+    /// Returns g.
     fn error(&self) -> f64 {
         dot(self.axis, self.forearm)
     }
@@ -84,7 +87,7 @@ impl Search<'_> {
                 return self.joints(&here);
             }
             let step = -error * (here.j6 - before.j6) / (error - error_before);
-            // a far step is a guess: the search is better
+            // the search replaces steps that are too large for the secant method
             let next = Some(here.j6 + step).filter(|_| step.abs() < 0.5)?;
             (before, here) = (here, self.place(next).ok()?);
         }
@@ -104,7 +107,7 @@ impl Search<'_> {
         let centre = |j6: f64| self.arm.wrist_centre(self.frame, j6);
         let base = |j6: f64| self.arm.base_margin(centre(j6));
         let elbow = |j6: f64| self.arm.elbow_margin(centre(j6), self.posture);
-        // waves of few periods a turn
+        // both margins have few extrema in a turn
         let turn: Vec<f64> = (0..=36).map(|n| start + (f64::from(n) / 18.0 - 1.0) * PI).collect();
         let mut ends = [zeros(&base, &turn), zeros(&elbow, &turn)].concat();
         ends.extend([start - PI, start + PI]);
@@ -142,7 +145,7 @@ impl Search<'_> {
         let (j4, j5) = ((-wrist[0][1]).atan2(wrist[1][1]), (-wrist[2][0]).atan2(wrist[2][2]));
         let fits = j5.abs() < SINGULAR || (j5 > 0.0) == (self.posture & NONFLIP != 0);
         let [j1, j2, j3] = place.arm;
-        fits.then(|| [j1, j2, j3, j4, j5, super::frame::normal(place.j6)].map(f64::to_degrees))
+        fits.then(|| [j1, j2, j3, j4, j5, normal(place.j6)].map(f64::to_degrees))
     }
 }
 
