@@ -243,8 +243,11 @@ impl<'a> Bench<'a> {
         let Some(mut wire) = self.wire.take() else { return };
         if self.link == Link::Udp {
             let serial = self.next_serial();
-            // without an answer the device forgets the peer later
-            let _ = wire.send(&encode(serial, serial, FunctionId::SERVICE_STOP.0, &[]));
+            let sent = wire.send(&encode(serial, serial, FunctionId::SERVICE_STOP.0, &[]));
+            // the next socket may get this port, and would take the answer for its own; without one the device forgets the peer later
+            let until = Instant::now() + self.options.quiet;
+            let is_other = |came| matches!(came, Came::Reply(reply) if reply.serial != serial);
+            while sent.is_ok() && Instant::now() < until && is_other(wire.receive(self.options.quiet)) {}
         }
         wire.close(self.options.quiet);
     }
