@@ -134,7 +134,7 @@ fn stream_and_monitors(robot: &str, seconds: &str) -> u32 {
     let folder = tempfile::tempdir().unwrap();
     let fleet = fleet(robot, folder.path());
     let mut stream = Stream::start(robot, seconds);
-    let gateway = Running::start(&["gateway", "--rac", "127.0.0.1:0", "--allow-put", "I/0-9", "--robot", robot]);
+    let gateway = Running::gateway(robot, &["--allow-put", "I/0-9"]);
     let scan = bare(&["fleet", &fleet]).current_dir(folder.path()).stdout(Stdio::piped()).spawn();
     let mut scan = Killed(scan.unwrap());
     let events = BufReader::new(scan.0.stdout.take().unwrap()).lines().map(Result::unwrap);

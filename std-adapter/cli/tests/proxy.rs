@@ -110,11 +110,8 @@ fn client_commands_and_the_virtual_controller_record_the_same_calls() {
 #[test]
 fn a_gateway_records_its_plcs_and_the_robot() {
     let (sim, file) = (Running::sim(&[]), path("gateway.pcapng"));
-    let rac = ["--rac", "127.0.0.1:0", "--allow-put", "I", "--audit", path("gateway.jsonl").to_str().unwrap()]
-        .map(str::to_owned);
     for robot in [format!("tcp:{}", sim.bcap), format!("udp:{}", sim.udp)] {
-        let more = ["gateway", "--robot", &robot, "--write", file.to_str().unwrap()];
-        let gateway = Running::start(&[&more[..], &rac.each_ref().map(String::as_str)].concat());
+        let gateway = Running::gateway(&robot, &["--allow-put", "I", "--write", file.to_str().unwrap()]);
         for args in [&["rac", "put", "I3", "7"][..], &["rac", "get", "I3"]] {
             let run = bcap(&[args, &["--robot", &gateway.rac]].concat());
             assert_eq!((run.code, run.out.as_str()), (0, "I3 = 7\n"), "{run:?}");

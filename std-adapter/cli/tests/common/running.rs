@@ -39,6 +39,17 @@ impl Running {
         Self::start(&[&["sim"], &free[..], more].concat())
     }
 
+    /// Starts a gateway on a free port, and waits until it has a session with its robot.
+    pub(crate) fn gateway(robot: &str, more: &[&str]) -> Self {
+        let mut gateway = Self::start(&[&["gateway", "--rac", "127.0.0.1:0", "--robot", robot], more].concat());
+        let mut line = String::new();
+        while !line.contains("robot_up") {
+            line.clear();
+            assert_ne!(gateway.out.read_line(&mut line).unwrap(), 0, "the gateway has ended");
+        }
+        gateway
+    }
+
     /// Waits for the next line of the standard error.
     pub(crate) fn error_line(&mut self) -> String {
         let mut line = String::new();
