@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::io;
+use std::iter;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -11,6 +12,7 @@ use bcap_core::procedure::{Procedure, Provider, StepCause, give_arm, open_robot,
 use bcap_core::slave::{
     AxisLimits, Cause, Config, Engine, Failure as NoReply, Fault, Format, Handles, PoseType, SendIo, Stats, StreamError,
 };
+use bcap_core::time::Instant;
 use bcap_std::blocking::{self, Transport as Wire};
 use bcap_std::slave::Realtime;
 use bcap_std::{Address, ConnectError, NetworkAddress, Options, Protocol, RunError};
@@ -31,6 +33,9 @@ const LOSSY_ATTEMPTS: u8 = 5;
 
 /// The size of the buffer for slvMove, in bytes: a datagram.
 const MOVE_ROOM: usize = 512;
+
+/// How long giving the arm back, the motor and the objects may take after the stream, also if the controller is silent.
+const END: Duration = Duration::from_secs(5);
 
 /// Streams a course and reports the result.
 pub(crate) fn stream(
@@ -81,11 +86,14 @@ impl Job<'_> {
         self,
         connect: impl Fn() -> Result<blocking::Connection<X, Vec<u8>>, ConnectError>,
     ) -> Result<(), Failure> {
-        let unreached = |error: ConnectError| not_connected(&error, self.target);
-        let mut motion = connect().map_err(unreached)?;
+        let connect = || {
+            let (transport, client) = connect().map_err(|error| not_connected(&error, self.target))?.into_parts();
+            Ok::<_, Failure>(blocking::Connection::new(Limited { transport, end: None }, client))
+        };
+        let mut motion = connect()?;
         // a serial line carries one session
         let has_second = !matches!(self.target, Address::Serial(_));
-        let mut watch = has_second.then(&connect).transpose().map_err(unreached)?;
+        let mut watch = has_second.then(&connect).transpose()?;
         let provider = Provider {
             machine: self.link.machine(),
             option: self.link.option(),
@@ -113,6 +121,9 @@ impl Job<'_> {
         let status = Arc::clone(&monitor.status);
         let mut player = Player::new(course, Arc::clone(&status), kind, &args.format, user_bytes, samples, received);
         let ended = beside(&mut motion, watch.as_mut(), engine.stream(&mut player)).map_err(|error| error.error);
+        for connection in iter::once(&mut motion).chain(watch.as_mut()) {
+            connection.transport().end_within(END);
+        }
         let fault = engine.fault().cloned();
         if fault.is_some() {
             // the fault is reported below; a failure to release the arm adds no information
@@ -149,6 +160,48 @@ impl Job<'_> {
                 hint: format!("check that {} is a b-CAP server", self.target),
             },
         }
+    }
+}
+
+/// A transport that fails from a point of time on.
+struct Limited<X> {
+    transport: X,
+    end: Option<Instant>,
+}
+
+impl<X: Wire<Error = io::Error>> Limited<X> {
+    fn end_within(&mut self, time: Duration) {
+        self.end = Some(self.transport.now() + time);
+    }
+
+    /// Returns the earlier of `until` and the end.
+    fn limited(&self, until: Instant) -> io::Result<Instant> {
+        match self.end {
+            Some(end) if end <= self.transport.now() => Err(io::ErrorKind::TimedOut.into()),
+            end => Ok(end.map_or(until, |end| end.min(until))),
+        }
+    }
+}
+
+impl<X: Wire<Error = io::Error>> Wire for Limited<X> {
+    type Error = io::Error;
+
+    fn now(&self) -> Instant {
+        self.transport.now()
+    }
+
+    fn send(&mut self, bytes: &[u8], until: Instant) -> io::Result<Option<usize>> {
+        let until = self.limited(until)?;
+        self.transport.send(bytes, until)
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], until: Instant) -> io::Result<Option<usize>> {
+        let until = self.limited(until)?;
+        self.transport.receive(buffer, until)
+    }
+
+    fn sleep_until(&mut self, at: Instant) {
+        self.transport.sleep_until(self.end.map_or(at, |end| end.min(at)));
     }
 }
 
@@ -271,5 +324,47 @@ impl Outcome<'_> {
             },
             _ => Failure::Unfit { message, code: fault.code(), hint: None },
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A silent controller: every wait lasts as long as it may.
+    struct Silent(Instant);
+
+    impl Wire for Silent {
+        type Error = io::Error;
+
+        fn now(&self) -> Instant {
+            self.0
+        }
+
+        fn send(&mut self, bytes: &[u8], _until: Instant) -> io::Result<Option<usize>> {
+            Ok(Some(bytes.len()))
+        }
+
+        fn receive(&mut self, _buffer: &mut [u8], until: Instant) -> io::Result<Option<usize>> {
+            self.0 = self.0.max(until);
+            Ok(None)
+        }
+
+        fn sleep_until(&mut self, at: Instant) {
+            self.0 = self.0.max(at);
+        }
+    }
+
+    #[test]
+    fn all_calls_after_the_stream_share_one_time_limit() {
+        let client = bcap_core::bcap::Client::new(Options::default().tcp, vec![0; 512], vec![0; 512]);
+        let transport = Limited { transport: Silent(Instant::ZERO), end: None };
+        let mut connection = blocking::Connection::new(transport, client);
+        connection.transport().end_within(END);
+        for _ in 0..10 {
+            connection.call(call::robot_execute(RobotHandle(1), "Motor", [0, 0])).unwrap_err();
+            connection.transport().sleep_until(Instant::ZERO + END * 2);
+        }
+        assert_eq!(connection.transport().now(), Instant::ZERO + END);
     }
 }
