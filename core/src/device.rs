@@ -10,7 +10,7 @@ use crate::error::EncodeError;
 use crate::handler::{Outcome, PeerId, ReplyValue};
 use crate::hresult::HResult;
 use crate::num::to_u32;
-use crate::rac::{self, VariableKind};
+use crate::rac;
 use crate::time::Instant;
 use crate::variant::{FromVariant, Variant};
 
@@ -52,11 +52,7 @@ impl<S> DeviceVariable<S> {
 
     /// Tells whether RAC names the variable so.
     fn is(&self, variable: rac::Variable) -> bool {
-        let digits = self.name.find(|letter: char| letter.is_ascii_digit());
-        let parts = digits.and_then(|at| self.name.split_at_checked(at));
-        parts.is_some_and(|(kind, index)| {
-            VariableKind::from_name(kind) == Some(variable.kind) && index.parse() == Ok(variable.index)
-        })
+        self.name.parse() == Ok(variable)
     }
 }
 
@@ -248,11 +244,11 @@ mod tests {
             let outcome = rac::server::Handler::call(device, PEER, &request, &mut reply, Instant::ZERO);
             (outcome, reply.get().and_then(|value| value.as_i32()))
         };
-        let (i1, f12) = (rac::Variable::new(VariableKind::I, 1), rac::Variable::new(VariableKind::F, 12));
+        let (i1, f12) = (rac::Variable::new(rac::VariableKind::I, 1), rac::Variable::new(rac::VariableKind::F, 12));
         assert_eq!(serve(&mut device, rac::Request::Get(i1)), (DONE, Some(9)));
         assert_eq!(serve(&mut device, rac::Request::Put(f12, Variant::R4(1.5))), (DONE, None));
         assert_eq!(device.state.speed, 1.5);
-        let missing = rac::Request::Get(rac::Variable::new(VariableKind::F, 1));
+        let missing = rac::Request::Get(rac::Variable::new(rac::VariableKind::F, 1));
         assert_eq!(serve(&mut device, missing), (HResult::E_CAO_OBJECT_NOTFOUND.into(), None));
     }
 }

@@ -12,7 +12,7 @@ use bcap_core::bcap::{Args, Call as CoreCall, FrameWriter, FunctionId};
 use bcap_core::error::EncodeError;
 use bcap_core::hresult::HResult;
 use bcap_core::limits::Strictness;
-use bcap_core::rac::VariableKind;
+use bcap_core::rac::Variable;
 use bcap_core::variant::Variant;
 use bcap_sim::{Config, Controller, Scenario};
 use bcap_std::blocking::{TcpClient, UdpClient};
@@ -280,11 +280,10 @@ fn links(sequence: &Sequence) -> BTreeSet<BTreeMap<String, Link>> {
 
 /// Sets a user variable by its name, as `P1`.
 fn set_variable(controller: &mut Controller, name: &str, value: &Value) {
-    let (kind, index) = name.split_at(name.find(|c: char| c.is_ascii_digit()).expect("a number"));
-    let kind = VariableKind::from_name(kind).expect("a kind of variable");
+    let Variable { kind, index } = name.parse().expect("a user variable");
     let wire = value.to_wire();
     let value = Variant::decode(&wire, &bcap_core::limits::Limits::STREAM, Strictness::Strict).expect("a value");
-    controller.set_variable(kind, index.parse().expect("a number"), &value).expect("such a variable");
+    controller.set_variable(kind, index, &value).expect("such a variable");
 }
 
 /// Plays a sequence; returns the number of calls and how it ended.

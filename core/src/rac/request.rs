@@ -15,6 +15,7 @@
 //! that names the part of the line and the column.
 
 use core::fmt;
+use core::str::FromStr;
 
 use nom::Parser;
 use nom::bytes::complete::take_till;
@@ -124,6 +125,18 @@ impl fmt::Display for VariableKind {
 }
 
 /// A user variable of the controller.
+///
+/// # Examples
+///
+/// ```
+/// use bcap_core::rac::{Variable, VariableKind};
+///
+/// let door: Variable = "IO128".parse()?;
+/// assert_eq!(door, Variable::new(VariableKind::Io, 128));
+/// assert_eq!("p[5]".parse(), Ok(Variable::new(VariableKind::P, 5)));
+/// assert_eq!("I1.5".parse::<Variable>().unwrap_err().column, 2);
+/// # Ok::<(), bcap_core::error::TextError>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Variable {
@@ -145,6 +158,21 @@ impl Variable {
 impl fmt::Display for Variable {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}[{}]", self.kind, self.index)
+    }
+}
+
+/// Reads `I10` or `I[10]`, in any case and without blanks.
+impl FromStr for Variable {
+    type Err = TextError;
+
+    fn from_str(name: &str) -> Result<Self, TextError> {
+        let letters = name.bytes().take_while(u8::is_ascii_alphabetic).count();
+        let (kind, number) = name.split_at_checked(letters).unwrap_or((name, ""));
+        let kind = VariableKind::from_name(kind).ok_or(TextError { kind: TextErrorKind::VariableType, column: 1 })?;
+        let number = number.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')).unwrap_or(number);
+        let column = u32::try_from(letters).unwrap_or(u32::MAX).saturating_add(1);
+        let index = index(number.as_bytes()).ok_or(TextError { kind: TextErrorKind::Index, column })?;
+        Ok(Self { kind, index })
     }
 }
 

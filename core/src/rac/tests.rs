@@ -115,6 +115,37 @@ fn the_part_name_may_be_omitted() {
 }
 
 #[test]
+fn a_variable_is_parsed_from_its_name() {
+    for (name, kind, index) in [
+        ("I1", VariableKind::I, 1),
+        ("io128", VariableKind::Io, 128),
+        ("P[010]", VariableKind::P, 10),
+        ("T4294967295", VariableKind::T, u32::MAX),
+    ] {
+        assert_eq!(name.parse(), Ok(variable(kind, index)), "{name}");
+        let printed = variable(kind, index).to_string();
+        assert_eq!(printed.parse(), Ok(variable(kind, index)), "{printed}");
+    }
+    for (name, column) in [
+        ("", 1),
+        ("1", 1),
+        ("X1", 1),
+        (" I1", 1),
+        ("I", 2),
+        ("I+1", 2),
+        ("I 1", 2),
+        ("I[1", 2),
+        ("I1]", 2),
+        ("I[]", 2),
+        ("I[[1]]", 2),
+        ("IO4294967296", 3),
+        ("Ié", 2),
+    ] {
+        assert_eq!(name.parse::<Variable>().map_err(|error| error.column), Err(column), "{name}");
+    }
+}
+
+#[test]
 fn words_are_read_in_any_case_behind_any_blanks() {
     let request = Request::parse(b" \t get:rc8:010:iO:", &mut []).unwrap();
     assert_eq!(request, Request::Get(variable(VariableKind::Io, 10)));

@@ -141,7 +141,7 @@ impl BcapHandler for Node {
             FunctionId::CONTROLLER_CONNECT => from_encoding(reply.set(&self.open(0))),
             FunctionId::CONTROLLER_GET_VARIABLE => {
                 let mut name = [0; 16];
-                match request.text(1).to_str(&mut name).and_then(from_name) {
+                match request.text(1).to_str(&mut name).and_then(|name| name.parse().ok()) {
                     Some(variable) if exists(variable) => from_encoding(reply.set(&self.open(to_bits(variable)))),
                     _ => HResult::E_CAO_OBJECT_NOTFOUND,
                 }
@@ -166,13 +166,6 @@ fn from_encoding(result: Result<(), EncodeError>) -> HResult {
 
 fn place(index: u32) -> Option<usize> {
     usize::try_from(index.checked_sub(MEMORY)?).ok()
-}
-
-/// Parses a name such as `I10`.
-fn from_name(name: &str) -> Option<Variable> {
-    let digits = name.find(|c: char| c.is_ascii_digit())?;
-    let (kind, index) = name.split_at_checked(digits)?;
-    Some(Variable::new(VariableKind::from_name(kind)?, index.parse().ok()?))
 }
 
 fn exists(variable: Variable) -> bool {

@@ -61,17 +61,12 @@ fn value_of(args: &RacPut) -> Result<(Variable, Value), Failure> {
 
 /// Parses `I10` or `I[10]`.
 fn variable(name: &str) -> Result<Variable, Failure> {
-    let digits = name.find(|c: char| !c.is_ascii_alphabetic()).unwrap_or(name.len());
-    let (kind, index) = name.split_at(digits);
-    let index = index.strip_prefix('[').and_then(|index| index.strip_suffix(']')).unwrap_or(index);
-    match (VariableKind::from_name(kind), index.parse()) {
-        // Rust's integer parser accepts a plus sign, which a name must not have
-        (Some(kind), Ok(index)) if !name.contains('+') => Ok(Variable { kind, index }),
-        _ => Err(Failure::Input(format!(
+    name.parse().map_err(|_| {
+        Failure::Input(format!(
             "{name}: RAC reads and writes I F D V P J T S IO with a number, such as I10 or IO128; use `bcap get` and \
              `bcap put` for other variables"
-        ))),
-    }
+        ))
+    })
 }
 
 /// Returns an example value of a variable kind, which has a fixed type and number of elements.

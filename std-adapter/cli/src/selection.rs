@@ -1,6 +1,6 @@
 //! Names of variables as the user writes them: one variable, a range (`I1-I50`), or all variables of a kind (`I*`).
 
-use bcap_core::rac::VariableKind;
+use bcap_core::rac::{Variable, VariableKind};
 use bcap_std::ObjectPath;
 
 use crate::error::Failure;
@@ -32,9 +32,10 @@ impl Selection {
         if let Some(kind) = word.strip_suffix('*').and_then(VariableKind::from_name) {
             return Ok(Self::All(kind));
         }
-        let ends = word.split_once('-').and_then(|(first, last)| Some((indexed(first)?, last)));
-        if let Some(((kind, first), last)) = ends {
-            return range(word, kind, first, last);
+        if let Some((first, last)) = word.split_once('-')
+            && let Ok(first) = first.parse()
+        {
+            return range(word, first, last);
         }
         // a wrong path is reported before the command connects
         ObjectPath::variable(word)?;
@@ -87,30 +88,23 @@ pub(crate) fn count(session: &mut Session, kind: VariableKind) -> Result<u32, Fa
 
 /// Returns whether a name is a user variable or a wildcard, such as `I1`, `I*` and `IOB*`.
 pub(crate) fn is_user_variable(name: &str) -> bool {
-    name.ends_with('*') || indexed(name).is_some()
+    name.ends_with('*') || name.parse::<Variable>().is_ok()
 }
 
-/// Parses a kind and an index: `IO128`.
-fn indexed(text: &str) -> Option<(VariableKind, u32)> {
-    let digits = text.find(|c: char| c.is_ascii_digit())?;
-    let (kind, index) = text.split_at(digits);
-    let is_number = index.bytes().all(|byte| byte.is_ascii_digit());
-    Some((VariableKind::from_name(kind)?, index.parse().ok().filter(|_| is_number)?))
-}
-
-fn range(word: &str, kind: VariableKind, first: u32, last: &str) -> Result<Selection, Failure> {
+fn range(word: &str, first: Variable, last: &str) -> Result<Selection, Failure> {
+    let Variable { kind, index: first } = first;
     let name = kind.name();
     let with_kind =
         if last.starts_with(|c: char| c.is_ascii_digit()) { format!("{name}{last}") } else { last.to_owned() };
     let wrong = |reason: &str| {
         Err(Failure::Input(format!("{word}: {reason}; write {name}{first}-{name}{}", first.saturating_add(7))))
     };
-    match indexed(&with_kind) {
-        Some((other, _)) if other != kind => wrong("the variables of a range are of one kind"),
-        Some((_, last)) if last < first => wrong(&format!("the first index is above the last, {last}")),
-        Some((_, last)) if last - first >= LONGEST => wrong(&format!("a range has at most {LONGEST} variables")),
-        Some((_, last)) => Ok(Selection::Range(kind, first, last)),
-        None => wrong("the end of the range is not a variable"),
+    match with_kind.parse::<Variable>().map(|last| (last.kind, last.index)) {
+        Ok((other, _)) if other != kind => wrong("the variables of a range are of one kind"),
+        Ok((_, last)) if last < first => wrong(&format!("the first index is above the last, {last}")),
+        Ok((_, last)) if last - first >= LONGEST => wrong(&format!("a range has at most {LONGEST} variables")),
+        Ok((_, last)) => Ok(Selection::Range(kind, first, last)),
+        Err(_) => wrong("the end of the range is not a variable"),
     }
 }
 

@@ -142,7 +142,8 @@ impl Commands {
 
     /// Converts the value to the type of the variable, and checks both against the rules.
     fn permitted(&self, name: &str, value: &Value) -> Result<OwnedVariant, String> {
-        let variable = variable(name).ok_or_else(|| format!("{name:?} is no user variable, such as I1 or IO128"))?;
+        let variable: Variable =
+            name.parse().map_err(|_| format!("{name:?} is no user variable, such as I1 or IO128"))?;
         let value = typed(variable.kind, value)
             .ok_or_else(|| format!("the value is not of the type of a variable of kind {}", variable.kind))?;
         let put: Vec<Allow<'_>> = self.config.allow.iter().map(|rule| rule.0.as_allow()).collect();
@@ -154,15 +155,7 @@ impl Commands {
 
 /// Returns the name of a user variable as the controller has it, so that `I01` and `I1` are one variable.
 pub(crate) fn canonical(name: &str) -> String {
-    variable(name).map_or_else(|| name.to_owned(), |Variable { kind, index }| format!("{kind}{index}"))
-}
-
-/// Parses the name of a user variable.
-fn variable(name: &str) -> Option<Variable> {
-    let digits = name.find(|c: char| c.is_ascii_digit())?;
-    let (kind, index) = name.split_at(digits);
-    let is_plain = index.bytes().all(|byte| byte.is_ascii_digit());
-    Some(Variable::new(VariableKind::from_name(kind)?, index.parse().ok().filter(|_| is_plain)?))
+    name.parse().map_or_else(|_| name.to_owned(), |Variable { kind, index }| format!("{kind}{index}"))
 }
 
 /// Converts JSON to the value of a variable of this kind, without loss of more than the digits of a float.

@@ -2,7 +2,7 @@
 
 use bcap_core::bcap::{Command, FunctionId};
 use bcap_core::gateway::AllowBuf;
-use bcap_core::rac::{Request, Variable, VariableKind};
+use bcap_core::rac::{Request, Variable};
 use bcap_testkit::frame::TestFrame;
 use bcap_testkit::grammar::Grammar;
 use bcap_testkit::value::Value;
@@ -61,7 +61,7 @@ impl Gate {
     fn has_function(&self, frame: &TestFrame, variable: Option<&str>) -> bool {
         let function = FunctionId(frame.code);
         if function == FunctionId::VARIABLE_PUT_VALUE {
-            return variable.and_then(variable_of).is_some_and(|variable| self.writes(variable));
+            return variable.and_then(|name| name.parse().ok()).is_some_and(|variable| self.writes(variable));
         }
         is_no_function(frame.code) || call_reads(frame) || executes_reading(frame)
     }
@@ -115,12 +115,6 @@ impl Gate {
 
 /// The bytes before a packet in which a receiver that lost its place may see the beginning of a frame that ends in the packet.
 pub(super) const TAIL: usize = 12;
-
-/// Parses the name of a variable, such as `I90`.
-fn variable_of(name: &str) -> Option<Variable> {
-    let (kind, index) = name.split_at_checked(name.find(|c: char| c.is_ascii_digit())?)?;
-    Some(Variable::new(VariableKind::from_name(kind)?, index.parse().ok()?))
-}
 
 const fn is_no_function(code: i32) -> bool {
     code < 1 || code >= NO_FUNCTION

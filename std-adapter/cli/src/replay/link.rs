@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use bcap_core::bcap::{FunctionId, Kind, Object};
 use bcap_core::hresult::HResult;
-use bcap_core::rac::{Variable, VariableKind};
+use bcap_core::rac::Variable;
 use bcap_std::blocking::{self, Controller};
 use bcap_std::{Error, Options, RacError};
 
@@ -244,8 +244,7 @@ fn rac(client: &mut TapedRac, call: &Call) -> (Came, bool) {
 /// Sends a request of RAC; `None` if the recorded line is not one.
 fn request(client: &mut TapedRac, call: &Call) -> Option<Result<Option<Value>, RacError>> {
     let name = call.arguments.first()?.object.as_deref()?;
-    let (kind, index) = name.split_at(name.find(|c: char| c.is_ascii_digit())?);
-    let variable = Variable { kind: VariableKind::from_name(kind)?, index: index.parse().ok()? };
+    let variable: Variable = name.parse().ok()?;
     match call.function.as_str() {
         "GET" => Some(client.get(variable).map(|value| Value::new(&value).ok())),
         "PUT" => {
