@@ -5,6 +5,7 @@ use std::env;
 use std::ffi::{OsStr, OsString};
 use std::path::PathBuf;
 
+use bcap_terminal::escape;
 use clap::{Args, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 
 mod backup;
@@ -47,7 +48,6 @@ pub(crate) use self::slave::{Cosine, Doctor, Halt, Play, Record, Slave, SlaveCom
 pub(crate) use self::slave_format::{FormatArgs, wide_bits};
 pub(crate) use self::variables::{Get, Names, Put, Watch};
 use crate::error::Failure;
-use crate::escape;
 
 /// Talks to DENSO robot controllers over b-CAP and RAC, and decodes their traffic.
 #[derive(Debug, Parser)]

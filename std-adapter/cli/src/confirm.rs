@@ -7,9 +7,9 @@ use std::io::{self, BufRead, IsTerminal, Write};
 use std::time::Duration;
 
 use bcap_core::variant::OwnedVariant;
+use bcap_terminal::escape;
 
 use crate::error::Failure;
-use crate::escape;
 use crate::interrupt::Interrupt;
 use crate::session::Session;
 

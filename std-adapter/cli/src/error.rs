@@ -12,21 +12,17 @@
 //! With `--json` a failure is also a line of the output: `{"error":...}`, with `offset` for malformed input, `code` and
 //! `hresult` for a refusal, `name` for the refused variable, and `hint`.
 
-use std::io::{self, Write};
+use std::io;
 use std::process::{self, ExitCode};
 
-use anstyle::{AnsiColor, Style};
 use bcap_core::error::{DecodeError, EncodeError, TextError};
 use bcap_core::hresult::HResult;
 use bcap_std::ObjectPathError;
+use bcap_terminal::{escape, report};
 use serde::Serialize;
 use thiserror::Error;
 
-use crate::escape;
 use crate::output::print_json;
-
-const RED: Style = AnsiColor::Red.on_default().bold();
-const CYAN: Style = AnsiColor::Cyan.on_default();
 
 /// Why a command failed.
 #[derive(Debug, Error)]
@@ -285,14 +281,10 @@ impl Failure {
         if json && let Some(line) = self.to_json(name) {
             let _ = print_json(&line);
         }
-        let mut err = anstream::stderr().lock();
-        let _ = writeln!(err, "{RED}error:{RED:#} {}", escape::failure(self));
-        if let Some(hint) = self.hint() {
-            let _ = writeln!(err, " {CYAN}hint:{CYAN:#} {}", escape::failure(&hint));
-        }
-        if let Some(name) = self.result_code().and_then(HResult::name) {
-            let _ = writeln!(err, " {CYAN}more:{CYAN:#} bcap explain {name}");
-        }
+        let name = self.result_code().and_then(HResult::name).map(|name| format!("bcap explain {name}"));
+        let hint = self.hint().map(|hint| ("hint", hint));
+        let more = name.as_deref().map(|name| ("more", name));
+        report::error(self, &Vec::from_iter(hint.into_iter().chain(more)));
     }
 
     /// Returns the failure as a line of JSON; `None` if its parts have been printed already.

@@ -10,6 +10,8 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use bcap_core::variant::OleDate;
 use bcap_fleet::{Config, Error, Event, Fleet, Row};
+use bcap_terminal::screen::{Live, require};
+use bcap_terminal::signal;
 use serde::Serialize;
 use tokio::sync::oneshot;
 
@@ -17,8 +19,6 @@ use crate::args;
 use crate::error::Failure;
 use crate::listen::runtime;
 use crate::output::{note, print_json, print_line};
-use crate::screen::{Live, require};
-use crate::signal;
 use live::{Events, Shown};
 
 /// The most lines that wait for the output.
@@ -77,7 +77,7 @@ fn run(config: Config) -> Result<(), Failure> {
 
 /// Publishes until a signal arrives or the user quits, and shows the fleet.
 fn on_screen(config: Config) -> Result<(), Failure> {
-    require("leave --screen out")?;
+    require("leave --screen out").map_err(Failure::Input)?;
     runtime()?.block_on(async {
         let ended = signal::wait()?;
         let events = Events::default();

@@ -23,8 +23,9 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use bcap_terminal::signal::{self, Signal};
+
 use crate::error::Failure;
-use crate::signal::{self, Signal};
 
 /// How long a motion that begins just after a halt may run until the next halt.
 const AGAIN: Duration = Duration::from_millis(50);

@@ -5,8 +5,9 @@
 
 use std::io::{self, BufRead, Write};
 
+use bcap_terminal::escape;
+
 use crate::error::{Failure, ItemError};
-use crate::escape;
 use crate::output::{print_block, print_json};
 
 /// The maximum length of a line: enough for 16 MiB of bytes as digits with separators.

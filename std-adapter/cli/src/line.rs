@@ -6,13 +6,13 @@ use std::time::{Duration, Instant};
 use bcap_core::bcap::FunctionId;
 use bcap_core::variant::Variant;
 use bcap_std::ObjectPath;
+use bcap_terminal::escape;
 use clap::error::ErrorKind;
 use clap::{CommandFactory as _, Parser, Subcommand};
 
 use crate::args::{Call, Command, Exec, Run};
 use crate::duration;
 use crate::error::Failure;
-use crate::escape;
 use crate::interrupt::{Interrupt, State};
 use crate::output::{print_line, print_raw};
 use crate::plain;

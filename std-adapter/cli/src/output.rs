@@ -2,7 +2,7 @@
 
 use std::io::{self, Write};
 
-use crate::escape;
+use bcap_terminal::escape;
 
 /// Prints one line for people.
 pub(crate) fn print_line(line: &str) -> io::Result<()> {

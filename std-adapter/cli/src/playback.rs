@@ -13,10 +13,10 @@ use bcap_core::hresult::HResult;
 use bcap_core::limits::Strictness;
 use bcap_core::rac;
 use bcap_core::time::Instant;
+use bcap_terminal::escape;
 
 use crate::capture::{self, Call, Event, Reply};
 use crate::error::Failure;
-use crate::escape;
 use crate::value::Value;
 
 /// The answered calls of the connections of one protocol, and which peer uses which connection.

@@ -21,6 +21,7 @@ use std::sync::mpsc::{SyncSender, sync_channel};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
+use bcap_terminal::signal;
 use tokio::net::{TcpListener, UdpSocket};
 use tokio::time::sleep;
 
@@ -33,7 +34,6 @@ use crate::listen::{runtime, taken};
 use crate::output::{print_json, print_line};
 use crate::record::Recording;
 use crate::robot::Robot;
-use crate::signal;
 
 /// The most lines that wait for the terminal.
 const LINES: usize = 4096;

@@ -8,6 +8,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
 use bcap_std::ObjectPath;
+use bcap_terminal::signal::{self, Signal};
 use rustyline::completion::{Completer, FilenameCompleter};
 use rustyline::error::ReadlineError;
 use rustyline::history::FileHistory;
@@ -18,7 +19,6 @@ use crate::interrupt::Interrupt;
 use crate::line::{self, Flow, Runner, Verb};
 use crate::output::{note, print_line};
 use crate::session::Session;
-use crate::signal::{self, Signal};
 use crate::terminal::Terminal;
 use crate::variables::{all_names, get_one};
 
@@ -201,7 +201,7 @@ fn state(session: &mut Session) -> String {
 /// Reads a variable of the controller as text; `None` if the controller does not have it.
 fn read(session: &mut Session, name: &str) -> Option<String> {
     let value = get_one(session, &ObjectPath::variable(name).ok()?).ok()?;
-    Some(crate::escape::line(&crate::plain::to_plain(value.as_variant())))
+    Some(bcap_terminal::escape::line(&crate::plain::to_plain(value.as_variant())))
 }
 
 fn editor(shared: &Shared) -> Result<Editor<Names, FileHistory>, Failure> {

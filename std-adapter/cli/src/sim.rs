@@ -20,6 +20,8 @@ use bcap_sim::scenario::Effect;
 use bcap_sim::{ArmModel, Config, Controller, Model, Profile, Scenario, Token};
 use bcap_std::SerialLine;
 use bcap_std::server::{LineEvent, Server};
+use bcap_terminal::screen::{Live, require};
+use bcap_terminal::signal;
 use tokio::sync::oneshot;
 
 use crate::args::{ArmSource, ModelSource, Sim};
@@ -29,8 +31,6 @@ use crate::output::{note, print_block, print_line};
 use crate::playback::Playback;
 use crate::proxy::Front;
 use crate::robot::Robot;
-use crate::screen::{Live, require};
-use crate::signal;
 use crate::trajectory::Trajectory;
 use delivery::deliver;
 use live::{Refused, Watched, shown};
@@ -60,7 +60,7 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
         return Ok(print_block(text.trim_end())?);
     }
     if args.screen {
-        require("leave --screen out")?;
+        require("leave --screen out").map_err(Failure::Input)?;
     }
     let runtime = runtime()?;
     runtime.block_on(async {

@@ -4,11 +4,11 @@ use std::str;
 
 use bcap_core::limits::Strictness;
 use bcap_core::variant::Variant;
+use bcap_terminal::escape;
 
 use crate::args::{Text, TextCommand};
 use crate::error::Failure;
 use crate::error::ItemError;
-use crate::escape;
 use crate::hex;
 use crate::item::Items;
 use crate::json::LIMITS;

@@ -12,9 +12,9 @@ use bcap_core::bcap::{Decoder, Frame, Progress};
 use bcap_core::limits::Strictness;
 use bcap_core::time::Instant;
 use bcap_std::blocking::Transport;
+use bcap_terminal::escape;
 
 use crate::dissect::{dissect, outline};
-use crate::escape;
 use crate::frame::{self, Role};
 use crate::hex;
 use crate::json::LIMITS;

@@ -14,13 +14,14 @@ use graph::Arrows;
 use source::Source;
 
 /// The crates whose files are read, and their folders.
-const CRATES: [(&str, &str); 9] = [
+const CRATES: [(&str, &str); 10] = [
     ("bcap-core", "core"),
     ("bcap-std", "std-adapter"),
     ("bcap-sim", "std-adapter/sim"),
     ("bcap-conform", "std-adapter/conform"),
     ("bcap-fleet", "std-adapter/fleet"),
     ("bcap-cli", "std-adapter/cli"),
+    ("bcap-terminal", "std-adapter/terminal"),
     ("bcap-embassy", "embassy-adapter"),
     ("bcap-board", "embassy-adapter/board"),
     ("bcap-firmware", "embassy-adapter/firmware"),

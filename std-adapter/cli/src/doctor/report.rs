@@ -3,10 +3,10 @@
 use std::io::Write as _;
 
 use anstyle::{AnsiColor, Style};
+use bcap_terminal::escape;
 use serde::Serialize;
 
 use crate::error::Failure;
-use crate::escape;
 use crate::output::print_json;
 
 const GREEN: Style = AnsiColor::Green.on_default();

@@ -5,9 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use bcap_fleet::{ControllerStatus, Event, Monitor, Status};
-use ratatui::crossterm::event::KeyCode;
-
-use crate::screen::{Line, Panel, Part, Screen};
+use bcap_terminal::screen::{KeyCode, Line, Panel, Part, Screen};
 
 /// The lines of a list that are kept.
 const KEPT: usize = 200;

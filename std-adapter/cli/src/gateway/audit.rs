@@ -30,12 +30,12 @@ use bcap_core::rac::Verb;
 use bcap_core::variant::OleDate;
 use bcap_std::gateway::{Denial, Report};
 use bcap_std::now;
+use bcap_terminal::escape;
 use serde::Serialize;
 
 use super::rotate::Rotating;
 use super::throttle::{Suppressed, Throttle};
 use crate::error::Failure;
-use crate::escape;
 use crate::times::Times;
 
 /// The most lines that wait for the writer.

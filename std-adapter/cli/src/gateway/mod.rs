@@ -15,6 +15,7 @@ use bcap_core::bcap::client;
 use bcap_core::gateway::{Config, Gateway, Memory, Rules};
 use bcap_core::modbus::Entry;
 use bcap_std::gateway::{Driver, Limits, Moved, Report, Traffic};
+use bcap_terminal::signal;
 use tokio::net::TcpListener;
 use tokio::time::sleep;
 
@@ -26,7 +27,6 @@ use crate::listen::{runtime, taken};
 use crate::output::{note, print_line};
 use crate::record::{Ends, Recorder, Recording};
 use crate::rules::Setup;
-use crate::signal;
 use bcap_std::Protocol;
 
 /// The most clients at the same time.

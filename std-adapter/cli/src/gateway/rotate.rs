@@ -5,7 +5,7 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-use crate::escape;
+use bcap_terminal::escape;
 
 /// A file of bounded size, and its predecessors.
 #[derive(Debug)]

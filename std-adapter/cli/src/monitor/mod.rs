@@ -10,13 +10,14 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
+use bcap_terminal::screen::{Terminal, require};
+
 use crate::args;
 use crate::error::Failure;
 use crate::frame::Role;
 use crate::halt::halt_now;
 use crate::interrupt::Interrupt;
 use crate::output::note;
-use crate::screen::{Terminal, require};
 use crate::selection::{Selection, expand};
 use crate::session::Session;
 use crate::trace::Level;
@@ -37,7 +38,7 @@ pub(crate) fn monitor(args: &args::Monitor, session: &mut Session, json: bool) -
     if link.trace.is_some() {
         return Err(Failure::Input("the screen shows the packets; leave --trace out".into()));
     }
-    require("`bcap watch` prints the values as lines")?;
+    require("`bcap watch` prints the values as lines").map_err(Failure::Input)?;
     let (packets, packet) = channel();
     let mut own = Session::new(&link);
     own.packets.watch(Level::Values, packets);

@@ -5,12 +5,12 @@ use std::time::Duration;
 
 use bcap_core::variant::Variant;
 use bcap_std::ObjectPath;
-use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
+use bcap_terminal::screen::{KeyCode, KeyEvent, KeyModifiers, Line, Mark, Panel, Part, Screen};
 
 use crate::error::Failure;
 use crate::frame::Role;
 use crate::plain;
-use crate::screen::{CallLog, Line, Mark, Panel, Part, Screen, numbered, robot_lines};
+use crate::screen::{CallLog, numbered, robot_lines};
 use crate::value::Value;
 
 /// How long a change is marked.

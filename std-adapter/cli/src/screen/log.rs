@@ -7,10 +7,9 @@ use std::hash::{BuildHasher as _, RandomState};
 use std::time::Duration;
 
 use bcap_core::hresult::HResult;
-use ratatui::crossterm::event::KeyCode;
+use bcap_terminal::escape;
+use bcap_terminal::screen::{KeyCode, Line, Panel, Part};
 
-use super::parts::{Line, Panel, Part};
-use crate::escape;
 use crate::frame::Role;
 
 /// The lines that are kept.

@@ -1,6 +1,6 @@
 //! The lines of the robot: joints and position.
 
-use super::parts::Line;
+use bcap_terminal::screen::Line;
 
 const NAMES: [&str; 6] = ["X", "Y", "Z", "RX", "RY", "RZ"];
 

@@ -14,12 +14,12 @@ use bcap_core::time::Instant;
 use bcap_sim::explain::Observer;
 use bcap_sim::{Controller, Mode};
 use bcap_std::server::Server;
-use ratatui::crossterm::event::KeyCode;
+use bcap_terminal::escape;
+use bcap_terminal::screen::{KeyCode, Line, Panel, Part, Screen};
 
 use super::delivery::deliver;
-use crate::escape;
 use crate::frame::to_call;
-use crate::screen::{CallLog, Line, Panel, Part, Screen, numbered, robot_lines};
+use crate::screen::{CallLog, numbered, robot_lines};
 
 /// The refused and tolerated arguments that are kept.
 const KEPT: usize = 200;
@@ -227,7 +227,7 @@ impl rac::Handler for Watched {
     }
 }
 
-/// Returns the function that makes the screen, for [`Live`](crate::screen::Live).
+/// Returns the function that makes the screen, for [`Live`](bcap_terminal::screen::Live).
 pub(super) fn shown(addresses: &str, watched: &Arc<Mutex<Watched>>) -> impl FnMut(&[KeyCode]) -> Screen + Send + use<> {
     let (addresses, watched) = (addresses.to_owned(), Arc::clone(watched));
     move |keys| {

@@ -7,11 +7,11 @@ use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use bcap_core::time::micros;
+use bcap_terminal::escape;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::args::LinkArgs;
 use crate::error::Failure;
-use crate::escape;
 use crate::halt;
 use crate::interrupt::Interrupt;
 

@@ -9,36 +9,48 @@ use ratatui::crossterm::event::{self, Event, KeyEvent, KeyEventKind};
 
 use super::draw::{Look, draw};
 use super::parts::Screen;
-use crate::error::Failure;
 
 /// A terminal that shows a live screen; dropping this restores it. A panic and a signal restore it too.
-pub(crate) struct Terminal {
+pub struct Terminal {
     inner: DefaultTerminal,
     look: Look,
 }
 
-/// Fails unless the output is a terminal that can move its cursor; `instead` is what to use otherwise.
-pub(crate) fn require(instead: &str) -> Result<(), Failure> {
+/// Checks that the output is a terminal that can move its cursor; `instead` is what to use otherwise.
+///
+/// # Errors
+///
+/// A message with the reason and with `instead`.
+pub fn require(instead: &str) -> Result<(), String> {
     let terminal = env::var("TERM").unwrap_or_default();
     if terminal == "dumb" {
-        return Err(Failure::Input(format!(
+        return Err(format!(
             "TERM=dumb: this terminal cannot move its cursor, which a live screen needs; set TERM to what the terminal is, or \
              {instead}"
-        )));
+        ));
     }
     if !io::stdout().is_terminal() || !io::stdin().is_terminal() {
-        return Err(Failure::Input(format!("a live screen needs a terminal as input and output; {instead}")));
+        return Err(format!("a live screen needs a terminal as input and output; {instead}"));
     }
     Ok(())
 }
 
 impl Terminal {
     /// Switches to the alternate screen. A panic restores the terminal before its message is printed.
-    pub(crate) fn open() -> io::Result<Self> {
+    ///
+    /// # Errors
+    ///
+    /// When the terminal cannot be switched.
+    pub fn open() -> io::Result<Self> {
         Ok(Self { inner: ratatui::try_init()?, look: look() })
     }
 
-    pub(crate) fn draw(&mut self, screen: &Screen) -> io::Result<()> {
+    /// Draws a screen.
+    ///
+    /// # Errors
+    ///
+    /// When the terminal does not accept output.
+    pub fn draw(&mut self, screen: &Screen) -> io::Result<()> {
         self.inner.draw(|frame| draw(screen, self.look, frame)).map(drop)
     }
 
@@ -47,7 +59,7 @@ impl Terminal {
     /// # Errors
     ///
     /// When the terminal is gone, such as after a lost ssh connection.
-    pub(crate) fn keys(&self, time: Duration) -> io::Result<Vec<KeyEvent>> {
+    pub fn keys(&self, time: Duration) -> io::Result<Vec<KeyEvent>> {
         wait(time)?;
         let mut keys = Vec::new();
         while event::poll(Duration::ZERO)? {

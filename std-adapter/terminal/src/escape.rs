@@ -2,7 +2,7 @@
 //!
 //! Names, values and error texts can come from a controller, a file or a caller. Control characters in them could move the
 //! cursor, reorder the text around them, or begin a new line. [`acts`] is the only list of these characters. Every line that
-//! the command prints passes through [`line()`], [`block`], [`json`] or [`failure`].
+//! the programs print passes through [`line()`], [`block`], [`json`] or [`failure`].
 
 use std::fmt::{self, Write as _};
 
@@ -13,20 +13,20 @@ const LONGEST: usize = 1000;
 ///
 /// These are the control characters of ASCII and Latin-1, the bidirectional controls of Unicode (UAX #9), and the
 /// separators of lines and paragraphs.
-pub(crate) fn acts(c: char) -> bool {
+pub fn acts(c: char) -> bool {
     c.is_control()
         || matches!(c, '\u{061c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
 }
 
 /// Escapes one line as Rust does: `\n`, `\u{9b}`.
-pub(crate) fn line(text: &str) -> String {
+pub fn line(text: &str) -> String {
     escaped(text, acts)
 }
 
-/// Escapes text that the command has laid out in lines, and keeps its line breaks.
+/// Escapes text that the program has laid out in lines, and keeps its line breaks.
 ///
 /// Text from outside that is part of the layout must have been escaped with [`line()`] or as a `Debug` literal.
-pub(crate) fn block(text: &str) -> String {
+pub fn block(text: &str) -> String {
     escaped(text, |c| acts(c) && c != '\n')
 }
 
@@ -41,7 +41,7 @@ fn escaped(text: &str, is_escaped: impl Fn(char) -> bool) -> String {
 /// Escapes lines of JSON as JSON does: `\u009b`. The value of the JSON stays the same.
 ///
 /// The serializer has escaped line breaks inside strings, so every line break is between two lines of JSON.
-pub(crate) fn json(lines: &str) -> String {
+pub fn json(lines: &str) -> String {
     let mut out = String::with_capacity(lines.len());
     for c in lines.chars() {
         if acts(c) && c != '\n' {
@@ -55,12 +55,12 @@ pub(crate) fn json(lines: &str) -> String {
 }
 
 /// Escapes an error or a hint. Further lines are indented, so they cannot be mistaken for another error.
-pub(crate) fn failure(text: &impl fmt::Display) -> String {
+pub fn failure(text: &impl fmt::Display) -> String {
     block(&cut(text)).replace('\n', "\n       ")
 }
 
 /// Truncates a text to [`LONGEST`] characters, and adds the number of omitted characters.
-pub(crate) fn cut(text: &impl fmt::Display) -> String {
+pub fn cut(text: &impl fmt::Display) -> String {
     let mut cut = Cut { text: String::new(), room: LONGEST, more: 0 };
     // `Cut` accepts all text
     let _ = write!(cut, "{text}");

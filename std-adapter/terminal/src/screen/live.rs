@@ -1,4 +1,4 @@
-//! A live screen of a command that serves: a thread draws it beside the runtime.
+//! A live screen of a program that serves: a thread draws it, while the runtime serves.
 
 use std::io;
 use std::sync::Arc;
@@ -18,7 +18,7 @@ const FRAME: Duration = Duration::from_millis(100);
 const CLOSE: Duration = Duration::from_millis(500);
 
 /// The thread that draws; dropping this ends it and restores the terminal.
-pub(crate) struct Live {
+pub struct Live {
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<io::Result<()>>>,
 }
@@ -26,7 +26,11 @@ pub(crate) struct Live {
 impl Live {
     /// Opens the screen. `screen` gets the keys that were pressed since it was last called, and returns what is drawn. When the
     /// user quits, `quit` is dropped.
-    pub(crate) fn open(
+    ///
+    /// # Errors
+    ///
+    /// When the terminal cannot be switched to a screen, or no thread can be started.
+    pub fn open(
         quit: oneshot::Sender<()>,
         mut screen: impl FnMut(&[KeyCode]) -> Screen + Send + 'static,
     ) -> io::Result<Self> {
@@ -47,8 +51,12 @@ impl Live {
         Ok(Self { stop, thread: Some(thread) })
     }
 
-    /// Ends the thread and restores the terminal; returns why the thread ended before, if it failed.
-    pub(crate) fn close(mut self) -> io::Result<()> {
+    /// Ends the thread and restores the terminal.
+    ///
+    /// # Errors
+    ///
+    /// The failure that ended the thread before.
+    pub fn close(mut self) -> io::Result<()> {
         self.end()
     }
 

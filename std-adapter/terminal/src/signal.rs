@@ -1,4 +1,4 @@
-//! The signals that end or suspend a command.
+//! The signals that end or suspend a program.
 
 use std::io;
 use std::sync::mpsc::{Receiver, channel};
@@ -6,7 +6,7 @@ use std::thread;
 
 /// A signal. A later one outranks an earlier one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum Signal {
+pub enum Signal {
     /// SIGINT: Ctrl-C.
     Interrupt,
     /// SIGTSTP: Ctrl-Z.
@@ -16,7 +16,11 @@ pub(crate) enum Signal {
 }
 
 /// Handles signals from now on, and returns a receiver of them.
-pub(crate) fn receiver() -> io::Result<Receiver<Signal>> {
+///
+/// # Errors
+///
+/// When a handler cannot be installed, or no thread can be started.
+pub fn receiver() -> io::Result<Receiver<Signal>> {
     let (sender, receiver) = channel();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build()?;
     // the handlers are in place before this returns
@@ -31,7 +35,7 @@ pub(crate) fn receiver() -> io::Result<Receiver<Signal>> {
 }
 
 /// Suspends this process, as Ctrl-Z does to a process without a handler; returns when it continues.
-pub(crate) fn suspend() {
+pub fn suspend() {
     #[cfg(unix)]
     {
         use rustix::process::{Signal, getpid, kill_process};
@@ -104,9 +108,13 @@ impl Sources {
     }
 }
 
-/// Installs the signal handlers, and returns a future that completes on the first signal.
+/// Installs the signal handlers, and returns a future that completes on the first signal. Needs a runtime of tokio.
+///
+/// # Errors
+///
+/// When a handler cannot be installed.
 #[cfg(unix)]
-pub(crate) fn wait() -> io::Result<impl Future<Output = ()>> {
+pub fn wait() -> io::Result<impl Future<Output = ()>> {
     use tokio::signal::unix::{SignalKind, signal};
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut terminate = signal(SignalKind::terminate())?;
@@ -137,8 +145,12 @@ fn has_ignored(status: &str, signal: i32) -> bool {
 }
 
 /// Returns a future that completes on Ctrl-C.
+///
+/// # Errors
+///
+/// None on this platform.
 #[cfg(not(unix))]
-pub(crate) fn wait() -> io::Result<impl Future<Output = ()>> {
+pub fn wait() -> io::Result<impl Future<Output = ()>> {
     Ok(async {
         let _ = tokio::signal::ctrl_c().await;
     })

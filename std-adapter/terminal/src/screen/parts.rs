@@ -1,39 +1,46 @@
 //! The parts of a live screen.
 
-/// What a live screen shows.
+/// The contents of a live screen: a title, six panels and two lines.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Screen {
-    /// The first line: what this is, and the state of the controller.
-    pub(crate) title: String,
-    pub(crate) state: String,
+pub struct Screen {
+    /// The left of the first line: the program and its peer.
+    pub title: String,
+    /// The right of the first line: the state of the peer.
+    pub state: String,
     /// Whether the state needs attention: an error, or a lost connection.
-    pub(crate) alarm: bool,
+    pub alarm: bool,
     /// The top left: variables or connections.
-    pub(crate) values: Panel,
-    pub(crate) robot: Panel,
-    pub(crate) tasks: Panel,
-    pub(crate) errors: Panel,
-    pub(crate) messages: Panel,
+    pub values: Panel,
+    /// The top right: numbers, three a line.
+    pub robot: Panel,
+    /// Below it.
+    pub tasks: Panel,
+    /// The middle left.
+    pub errors: Panel,
+    /// The middle right.
+    pub messages: Panel,
     /// Packets or calls, the latest at the end.
-    pub(crate) log: Panel,
+    pub log: Panel,
     /// The answer to the last key, or a question.
-    pub(crate) notice: Line,
+    pub notice: Line,
     /// The keys.
-    pub(crate) keys: String,
+    pub keys: String,
 }
 
 /// A part of the screen.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Panel {
-    pub(crate) title: String,
-    pub(crate) lines: Vec<Line>,
+pub struct Panel {
+    /// The title in its border.
+    pub title: String,
+    /// All lines.
+    pub lines: Vec<Line>,
     /// Which lines are shown if not all fit.
-    pub(crate) view: Part,
+    pub view: Part,
 }
 
 /// The part of the lines that is shown if not all fit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) enum Part {
+pub enum Part {
     /// The first lines.
     #[default]
     First,
@@ -47,16 +54,19 @@ pub(crate) enum Part {
 
 /// A line of a panel.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Line {
-    pub(crate) text: String,
+pub struct Line {
+    /// The text, which is escaped when it is drawn.
+    pub text: String,
     /// The last values, which are drawn as a sparkline.
-    pub(crate) history: Vec<f64>,
-    pub(crate) mark: Mark,
+    pub history: Vec<f64>,
+    /// How it is marked.
+    pub mark: Mark,
 }
 
 /// How a line is marked. Each mark is visible without colours.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) enum Mark {
+pub enum Mark {
+    /// Not marked.
     #[default]
     Plain,
     /// Has changed: bold, with `*`.
@@ -66,21 +76,29 @@ pub(crate) enum Mark {
 }
 
 impl Panel {
-    pub(crate) fn new(title: impl Into<String>, lines: Vec<Line>) -> Self {
+    /// A panel that shows its first lines.
+    #[must_use]
+    pub fn new(title: impl Into<String>, lines: Vec<Line>) -> Self {
         Self { title: title.into(), lines, view: Part::First }
     }
 
-    pub(crate) fn showing(self, view: Part) -> Self {
+    /// Shows another part of the lines.
+    #[must_use]
+    pub fn showing(self, view: Part) -> Self {
         Self { view, ..self }
     }
 }
 
 impl Line {
-    pub(crate) fn new(text: impl Into<String>) -> Self {
+    /// A line without a mark.
+    #[must_use]
+    pub fn new(text: impl Into<String>) -> Self {
         Self { text: text.into(), ..Self::default() }
     }
 
-    pub(crate) fn alarm(text: impl Into<String>) -> Self {
+    /// A line that needs attention.
+    #[must_use]
+    pub fn alarm(text: impl Into<String>) -> Self {
         Self { text: text.into(), mark: Mark::Alarm, ..Self::default() }
     }
 }

@@ -4,7 +4,7 @@ const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█']
 const PLAIN: [char; 8] = ['_', '.', '-', '~', '=', '+', '*', '#'];
 
 /// Draws the last `width` values, from the smallest of them to the largest. Equal values are the lowest bar.
-pub(crate) fn sparkline(values: &[f64], width: usize, unicode: bool) -> String {
+pub(super) fn sparkline(values: &[f64], width: usize, unicode: bool) -> String {
     let shown = values.get(values.len().saturating_sub(width)..).unwrap_or_default();
     let finite = || shown.iter().copied().filter(|value| value.is_finite());
     let (low, high) = finite().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));

@@ -52,7 +52,7 @@ impl Look {
 }
 
 /// Draws the whole screen, or that the terminal is too small for it.
-pub(crate) fn draw(screen: &Screen, look: Look, frame: &mut Frame<'_>) {
+pub(super) fn draw(screen: &Screen, look: Look, frame: &mut Frame<'_>) {
     let area = frame.area();
     let (width, height) = SMALLEST;
     if area.width < width || area.height < height {

@@ -1,0 +1,14 @@
+//! Output, signals and live screens of the programs `bcap` and `bcap-fleet`.
+//!
+//! | module   | contents                                                                     |
+//! |----------|------------------------------------------------------------------------------|
+//! | `escape` | escapes untrusted text before it is printed                                  |
+//! | `report` | an error and its hint on the standard error                                  |
+//! | `signal` | the signals that end or suspend a program                                    |
+//! | `screen` | a live screen of panels; feature `screens`                                   |
+
+pub mod escape;
+pub mod report;
+#[cfg(feature = "screens")]
+pub mod screen;
+pub mod signal;
