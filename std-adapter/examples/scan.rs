@@ -7,7 +7,7 @@
 
 use std::time::Duration;
 
-use bcap_std::asynch::Controller;
+use bcap_std::asynch::{Controller, Reading};
 use bcap_std::{Error, Settings};
 
 #[tokio::main(flavor = "current_thread")]
@@ -18,15 +18,10 @@ async fn main() -> Result<(), Error> {
 /// Prints so many changes of the controller at `address`.
 pub(crate) async fn run(address: &str, changes: usize) -> Result<(), Error> {
     let cell = Controller::connect(address, &Settings::rc8()).await?;
-    let interval = Duration::from_millis(100);
-    let (mut count, mut door) = (cell.subscribe("I1", interval), cell.subscribe("IO128", interval));
+    let mut readings = cell.subscribe(&["I1", "IO128"], Duration::from_millis(100));
     for _ in 0..changes {
-        let (name, reading) = tokio::select! {
-            Some(reading) = count.next() => ("I1", reading),
-            Some(reading) = door.next() => ("IO128", reading),
-            else => break,
-        };
-        match reading {
+        let Some(Reading { name, value, .. }) = readings.next().await else { break };
+        match value {
             Ok(value) => println!("{name} = {value:?}"),
             Err(error) => println!("{name} is unknown: {error}"),
         }

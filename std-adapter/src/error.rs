@@ -1,11 +1,13 @@
 //! The errors of [`Controller`](crate::blocking::Controller) and its objects.
 
+use std::time::Duration;
+
 use bcap_core::bcap::FunctionId;
 use bcap_core::error::EncodeError;
 use bcap_core::hresult::HResult;
 use bcap_core::procedure::{Halt, HaltAnswer, StepCause, StepError};
 use bcap_core::slave::{ConfigError, StreamError};
-use bcap_core::variant::ConvertError;
+use bcap_core::variant::{ConvertError, OwnedVariant};
 
 use crate::address::AddressError;
 use crate::connect::ConnectError;
@@ -55,7 +57,7 @@ pub enum Error {
     NotHalted(Halt),
     /// A value has no VARIANT. The call was not sent.
     #[error("the value cannot be sent: {0}")]
-    Argument(EncodeError),
+    Argument(#[from] EncodeError),
     /// The controller was closed. The call was not sent.
     #[error("the controller was closed")]
     Closed,
@@ -91,6 +93,16 @@ pub enum Error {
         object: String,
         /// What is wrong with the reply.
         reason: String,
+    },
+    /// The value of a variable did not meet a condition in time.
+    #[error("{object} did not meet the condition within {limit:?}; its last value was {last:?}")]
+    NotMet {
+        /// The variable.
+        object: String,
+        /// The time limit.
+        limit: Duration,
+        /// The last value that was read.
+        last: OwnedVariant,
     },
     /// A value does not have the type that the caller asked for.
     #[error("the value of {object}: {source}")]

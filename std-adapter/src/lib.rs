@@ -33,7 +33,8 @@
 //! | test without a robot        | `Controller::over` with a `Wire` of the crate `bcap-sim`                                |
 //! | call any of 137 functions   | [`blocking::Controller::call`] with a call of [`core::bcap::call`]                      |
 //! | be a controller             | `server::Server`, with [`core::device::Device`] or a handler of your own                |
-//! | understand an error         | [`Error`], [`core::hresult::HResult`]                                                   |
+//! | wait for an input           | [`blocking::Controller::read_until`]                                                    |
+//! | understand an error         | [`Error`], [`core::hresult::HResult`]; [`MainError`] for the result of `main`           |
 //!
 //! | module       | feature   | what it is                                                              |
 //! |--------------|-----------|-------------------------------------------------------------------------|
@@ -77,8 +78,10 @@ mod error;
 #[cfg(feature = "gateway")]
 pub mod gateway;
 mod line;
+mod main_error;
 mod moves;
 mod path;
+mod reply;
 #[cfg(feature = "server")]
 pub mod server;
 mod session;
@@ -91,9 +94,11 @@ pub use clock::now;
 pub use connect::{ConnectError, Options};
 pub use error::Error;
 pub use line::{Parity, SerialLine, StopBits};
+pub use main_error::MainError;
 pub use moves::{Destination, Interpolation, Move, Pass, Plane};
 pub use path::{ObjectPath, ObjectPathError};
-pub use session::Recovery;
+pub use reply::OwnedReply;
+pub use session::{Recovery, TimedReading};
 pub use settings::{Backoff, Model, ServiceOptions, Settings};
 pub use task::{TaskStart, TaskStatus, TaskStop};
 

@@ -7,9 +7,11 @@ mod any;
 mod arm;
 mod ending;
 mod halt;
+mod limit;
 mod names;
 #[cfg(feature = "tokio")]
 mod steps;
+mod variables;
 
 use std::collections::HashMap;
 use std::io;
@@ -37,8 +39,12 @@ use crate::settings::Settings;
 use crate::task::{TaskStart, TaskStatus, TaskStop};
 use crate::{CallError, RunError};
 
+pub(crate) use self::any::RuntimeCall;
 pub(crate) use self::arm::ArmState;
 pub use self::arm::Recovery;
+pub use self::variables::TimedReading;
+#[cfg(feature = "tokio")]
+pub(crate) use self::variables::{POLL, meets};
 
 /// A started session.
 #[derive(Debug)]
@@ -58,6 +64,8 @@ pub(crate) struct Session<X> {
     arm: Option<ArmState>,
     /// Whether the end of the session leaves the arm as it is.
     keep: bool,
+    /// The timing of the client without the limit that applies now.
+    usual_timing: Option<Timing>,
     /// Why the connection can no longer be used.
     lost: Option<String>,
 }
@@ -77,6 +85,8 @@ pub enum Halted {
 
 /// The object that errors name when a session starts or ends.
 const SESSION: &str = "the session";
+/// The object that errors name for a typed call.
+pub(crate) const CONTROLLER: &str = "the controller";
 /// The object that errors name for a robot.
 pub(crate) const ROBOT: &str = "the robot";
 /// How long a call at the end of a session may take.
@@ -109,6 +119,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
             opened: Vec::new(),
             arm: None,
             keep: false,
+            usual_timing: None,
             lost: None,
         }
     }

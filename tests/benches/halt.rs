@@ -183,7 +183,7 @@ async fn dropped_move(trials: u32) {
         rig.begin();
         let delay = Duration::from_micros(random.below(250_000));
         let ended = tokio::select! {
-            ended = arm.move_to(to(target(trial)), LIMIT) => Some(ended),
+            ended = arm.move_to(&to(target(trial)), LIMIT) => Some(ended),
             () = tokio::time::sleep(delay) => None,
         };
         let asked = now();

@@ -1,15 +1,13 @@
 //! `Controller` for tokio and its objects against the virtual controller, over real sockets and in memory.
 
-use std::sync::Arc;
 use std::time::Duration;
 
-use bcap_core::bcap::FunctionId;
+use bcap_core::bcap::call;
 use bcap_core::hresult::HResult;
 use bcap_core::slave::{AxisLimits, Cycle, Format, Mode, Next, Pose, PoseType, ReceiveFormat, ReceivePose, SlaveMode};
-use bcap_core::variant::OwnedVariant;
 use bcap_sim::memory::Network;
 use bcap_sim::{Config, Controller as Simulated, Profile, Scenario, TaskStatus};
-use bcap_std::asynch::{Controller, Halted, State, Stopper};
+use bcap_std::asynch::{Controller, Halted, Reading, State, Stopper};
 use bcap_std::server::Limits;
 use bcap_std::{Backoff, Error, Joints, Motion, Move, Pass, Position, Settings, StoppedTasks};
 use bcap_testkit::network::Random;
@@ -91,9 +89,8 @@ async fn variables_are_read_and_written_by_many_tasks() {
         let [(first, count), (second, missing), (third, there)] = each.as_slice() else { panic!("{each:?}") };
         assert_eq!((count.as_ref().unwrap().convert(), there.as_ref().unwrap().convert()), (Ok(30), Ok(position)));
         assert!(missing.is_err() && first <= second && second <= third);
-        let controller = cell.handle().await.unwrap().0;
-        let arguments = vec![OwnedVariant::new(&controller).unwrap(), OwnedVariant::new("").unwrap()];
-        let names = cell.call(FunctionId::CONTROLLER_GET_ROBOT_NAMES, arguments).await.unwrap();
+        let controller = cell.handle().await.unwrap();
+        let names = cell.call(call::controller_get_robot_names(controller, "")).await.unwrap();
         assert_eq!(names.convert::<Vec<String>>().unwrap(), ["Arm0"]);
         assert!(!cell.robot().await.unwrap().read::<bool>("@SERVO_ON").await.unwrap());
         let statistics = cell.statistics();
@@ -111,7 +108,7 @@ async fn a_handle_of_a_closed_controller_says_so() {
     cell.close().await.unwrap();
     assert!(matches!(other.read::<i32>("I1").await, Err(Error::Closed)));
     assert_eq!(other.state(), State::Closed);
-    assert!(other.subscribe("I1", LIMIT).next().await.is_none());
+    assert!(other.subscribe(&["I1"], LIMIT).next().await.is_none());
     assert!(matches!(other.connected().await, Err(Error::Closed)));
 }
 
@@ -131,7 +128,7 @@ async fn other_calls_are_made_while_the_robot_moves() {
         }
         reads
     };
-    let (motion, reads) = tokio::join!(arm.move_to(to(20.0), LIMIT), reads);
+    let (motion, reads) = tokio::join!(arm.move_to(&to(20.0), LIMIT), reads);
     assert_eq!(motion.unwrap(), Motion::Arrived);
     assert!((arm.robot().joints().await.unwrap().degrees[0] - 20.0).abs() < 0.05);
     assert!(reads > 1, "{reads} reads during the motion");
@@ -147,14 +144,14 @@ async fn a_motion_that_is_dropped_halts_the_robot() {
     let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
     arm.motor_on().await.unwrap();
     tokio::select! {
-        ended = arm.move_to(to(150.0), LIMIT) => panic!("{ended:?}"),
+        ended = arm.move_to(&to(150.0), LIMIT) => panic!("{ended:?}"),
         () = until(&sim, Simulated::is_moving) => {}
     }
     until(&sim, |sim| !sim.is_moving()).await;
     let there = arm.robot().joints().await.unwrap().degrees[0];
     assert!(there < 149.0, "it went on to {there}");
     // the arm still has its robot
-    assert_eq!(arm.move_to(to(there + 1.0), LIMIT).await.unwrap(), Motion::Arrived);
+    assert_eq!(arm.move_to(&to(there + 1.0), LIMIT).await.unwrap(), Motion::Arrived);
     drop(arm);
     until(&sim, |sim| sim.arm_owner().is_none() && !sim.motor_is_on()).await;
 }
@@ -171,7 +168,7 @@ async fn a_stopper_halts_a_motion_and_its_caller_is_told() {
         until(&sim, Simulated::is_moving).await;
         stopper.halt().await.unwrap()
     };
-    let (motion, halted) = tokio::join!(arm.move_to(to(150.0), LIMIT), halt);
+    let (motion, halted) = tokio::join!(arm.move_to(&to(150.0), LIMIT), halt);
     assert_eq!((motion.unwrap(), halted), (Motion::Halted, Halted::Halted));
 }
 
@@ -209,7 +206,7 @@ async fn no_stopped_motion_is_reported_as_arrived() {
         let ended = if trial % 3 == 0 {
             // the stop button of a `select!`
             tokio::select! {
-                ended = arm.move_to(to(degrees), LIMIT) => Some(ended),
+                ended = arm.move_to(&to(degrees), LIMIT) => Some(ended),
                 () = tokio::time::sleep(delay) => None,
             }
         } else {
@@ -217,7 +214,7 @@ async fn no_stopped_motion_is_reported_as_arrived() {
                 tokio::time::sleep(delay).await;
                 stopper.halt().await.unwrap()
             };
-            Some(tokio::join!(arm.move_to(to(degrees), LIMIT), halt).0)
+            Some(tokio::join!(arm.move_to(&to(degrees), LIMIT), halt).0)
         };
         until(&sim, |sim| !sim.is_moving()).await;
         let off = (sim.application().joints()[0] - degrees).abs();
@@ -252,9 +249,9 @@ async fn motions_follow_each_other_and_other_calls_are_made() {
     arm.motor_on().await.unwrap();
     let motions = async {
         // motions that a loaded machine sees to begin, too
-        let mut moving = arm.start(to(90.0).pass(Pass::Near), LIMIT).await.unwrap();
+        let mut moving = arm.start(&to(90.0).pass(Pass::Near), LIMIT).await.unwrap();
         for degrees in [150.0, 70.0, 140.0] {
-            moving = moving.then(to(degrees).pass(Pass::Near)).await.unwrap();
+            moving = moving.then(&to(degrees).pass(Pass::Near)).await.unwrap();
         }
         assert!(moving.robot().joints().await.unwrap().degrees[0] > 5.0);
         moving.wait().await.unwrap()
@@ -281,26 +278,26 @@ async fn motions_that_are_dropped_halt_the_robot() {
     let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
     arm.motor_on().await.unwrap();
     // between two motions
-    drop(arm.start(to(150.0), LIMIT).await.unwrap());
+    drop(arm.start(&to(150.0), LIMIT).await.unwrap());
     until(&sim, |sim| !sim.is_moving()).await;
     assert!(sim.application().joints()[0] < 149.0);
     // while one motion waits for another, and while the end is waited for
-    let moving = arm.start(to(150.0), LIMIT).await.unwrap();
-    assert!(tokio::time::timeout(Duration::from_millis(20), moving.then(to(0.0))).await.is_err());
+    let moving = arm.start(&to(150.0), LIMIT).await.unwrap();
+    assert!(tokio::time::timeout(Duration::from_millis(20), moving.then(&to(0.0))).await.is_err());
     until(&sim, |sim| !sim.is_moving()).await;
-    let moving = arm.start(to(150.0), LIMIT).await.unwrap();
+    let moving = arm.start(&to(150.0), LIMIT).await.unwrap();
     assert!(tokio::time::timeout(Duration::from_millis(20), moving.wait()).await.is_err());
     until(&sim, |sim| !sim.is_moving()).await;
-    assert_eq!(arm.start(to(150.0), LIMIT).await.unwrap().halt().await.unwrap(), Halted::Halted);
+    assert_eq!(arm.start(&to(150.0), LIMIT).await.unwrap().halt().await.unwrap(), Halted::Halted);
     let rest = sim.application().joints()[0];
     assert!(rest < 149.0, "{rest}");
     // an error of a later motion halts those before it
-    let moving = arm.start(to(150.0), LIMIT).await.unwrap();
-    assert!(moving.then(Move::joint("P(")).await.unwrap_err().code().is_some());
+    let moving = arm.start(&to(150.0), LIMIT).await.unwrap();
+    assert!(moving.then(&Move::joint("P(")).await.unwrap_err().code().is_some());
     assert!(!sim.application().is_moving());
     // one that is forgotten is halted before the next
-    std::mem::forget(arm.start(to(150.0), LIMIT).await.unwrap());
-    assert_eq!(arm.move_to(to(rest), LIMIT).await.unwrap(), Motion::Arrived);
+    std::mem::forget(arm.start(&to(150.0), LIMIT).await.unwrap());
+    assert_eq!(arm.move_to(&to(rest), LIMIT).await.unwrap(), Motion::Arrived);
     drop(arm);
     until(&sim, |sim| sim.arm_owner().is_none() && !sim.motor_is_on()).await;
 }
@@ -320,8 +317,8 @@ async fn no_stopped_queue_is_reported_as_arrived() {
         let pass = if trial % 5 < 3 { Pass::Near } else { Pass::Commanded };
         let delay = Duration::from_micros(random.below(400_000));
         let motions = async {
-            let moving = arm.start(to(20.0 + end).pass(pass), LIMIT).await.unwrap();
-            moving.then(to(5.0).pass(pass)).await.unwrap().then(to(end)).await.unwrap().wait().await.unwrap()
+            let moving = arm.start(&to(20.0 + end).pass(pass), LIMIT).await.unwrap();
+            moving.then(&to(5.0).pass(pass)).await.unwrap().then(&to(end)).await.unwrap().wait().await.unwrap()
         };
         let ended = if trial % 3 == 0 {
             tokio::select! {
@@ -397,7 +394,7 @@ async fn poses_are_streamed_and_a_dropped_stream_stops() {
         let sim = &sim.application().0;
         assert_eq!((sim.slave_mode(), sim.errors().count()), (0, 0));
     }
-    assert_eq!(arm.move_to(to(there + 5.0), LIMIT).await.unwrap(), Motion::Arrived);
+    assert_eq!(arm.move_to(&to(there + 5.0), LIMIT).await.unwrap(), Motion::Arrived);
     let wrong = arm.stream(format, limits, |cycle: &Cycle<'_>| {
         let mut joints: [f64; 8] = cycle.start.numbers().try_into().unwrap_or_default();
         joints[0] += 20.0;
@@ -451,12 +448,12 @@ async fn subscriptions_share_one_scan_and_report_changes() {
     let cell = connect(&sim).await;
     cell.write("I1", 5).await.unwrap();
     let interval = Duration::from_millis(2);
-    let mut first = cell.subscribe("I1", interval);
-    let mut second = cell.subscribe("I1", Duration::from_secs(3600));
-    let mut wrong = cell.subscribe("NoSuchVariable", interval);
-    let value = |reading: Option<Result<OwnedVariant, Arc<Error>>>| reading.unwrap().unwrap().convert::<i32>().unwrap();
+    let mut first = cell.subscribe(&["I1"], interval);
+    let mut second = cell.subscribe(&["I1"], Duration::from_secs(3600));
+    let mut wrong = cell.subscribe(&["NoSuchVariable"], interval);
+    let value = |reading: Option<Reading>| reading.unwrap().value.unwrap().convert::<i32>().unwrap();
     assert_eq!((value(first.next().await), value(second.next().await)), (5, 5));
-    let error = wrong.next().await.unwrap().unwrap_err();
+    let error = wrong.next().await.unwrap().value.unwrap_err();
     assert!(error.to_string().contains("NoSuchVariable"), "{error}");
     let other = connect(&sim).await;
     other.write("I1", 6).await.unwrap();
@@ -468,17 +465,83 @@ async fn subscriptions_share_one_scan_and_report_changes() {
 }
 
 #[tokio::test]
+async fn a_subscription_of_many_variables_reports_each_change_with_its_name_and_time() {
+    let sim = simulated();
+    let cell = connect(&sim).await;
+    let begun = std::time::Instant::now();
+    let names: Vec<String> = (1..=50).map(|index| format!("I{index}")).collect();
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
+    let mut changes = cell.subscribe(&names, Duration::from_millis(1));
+    let mut first = Vec::new();
+    for _ in &names {
+        let reading = changes.next().await.unwrap();
+        assert_eq!(reading.value.unwrap().convert(), Ok(0));
+        assert!(begun <= reading.at && reading.at <= std::time::Instant::now());
+        first.push(reading.name.to_string());
+    }
+    first.sort_by_key(|name| name[1..].parse::<u32>().unwrap());
+    assert_eq!(first, names);
+    // nothing is taken meanwhile, so only the last values remain
+    for value in 1..=3 {
+        cell.write("I7", value).await.unwrap();
+        cell.write("I9", value * 10).await.unwrap();
+        cell.read_until("I50", |_: &i32| true, LIMIT).await.unwrap();
+    }
+    let mut last = std::collections::BTreeMap::new();
+    while last.get("I7") != Some(&3) || last.get("I9") != Some(&30) {
+        let reading = changes.next().await.unwrap();
+        last.insert(reading.name.to_string(), reading.value.unwrap().convert::<i32>().unwrap());
+    }
+    assert_eq!(last.len(), 2, "{last:?}");
+    cell.close().await.unwrap();
+    assert!(changes.next().await.is_none());
+}
+
+#[tokio::test]
+async fn a_value_is_waited_for_with_a_time_limit() {
+    let sim = simulated();
+    let cell = connect(&sim).await;
+    let other = cell.clone();
+    let writer = tokio::spawn(async move {
+        for value in 1..=5 {
+            other.write("I1", value).await.unwrap();
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+    });
+    let at_least = |bound| move |value: &i32| *value >= bound;
+    assert!(cell.read_until("I1", at_least(5), LIMIT).await.unwrap() >= 5);
+    writer.await.unwrap();
+    let missed = cell.read_until("I1", at_least(6), Duration::from_millis(30)).await.unwrap_err();
+    assert_eq!(missed.to_string(), "I1 did not meet the condition within 30ms; its last value was I4(5)");
+    let wrong = cell.read_until("P1", at_least(0), LIMIT).await.unwrap_err();
+    assert!(matches!(wrong, Error::Value { .. }), "{wrong}");
+}
+
+#[tokio::test]
+async fn a_call_has_its_own_time_limit_and_the_connection_stays_usable() {
+    let sim = simulated();
+    let cell = connect(&sim).await;
+    assert_eq!(cell.read::<i32>("I1").await.unwrap(), 0);
+    let slow = "[[fault]]\nwhen = { every = 1, of = \"Variable_GetValue\" }\nthen = { delay_ms = 300 }\n";
+    sim.application().play(Scenario::parse(slow).unwrap());
+    let short = cell.within(Duration::from_millis(20));
+    let late = short.read::<i32>("I1").await.unwrap_err();
+    assert!(matches!(late, Error::NoReply { .. }) && !late.is_lost(), "{late:?}");
+    assert_eq!(cell.read::<i32>("I1").await.unwrap(), 0);
+}
+
+#[tokio::test]
 async fn a_path_names_a_variable_of_an_object_everywhere() {
     let sim = simulated();
     let cell = connect(&sim).await;
     let interval = Duration::from_millis(2);
-    let mut motor = cell.subscribe("robot/@SERVO_ON", interval);
-    let mut wrong = cell.subscribe("robot/task:Pro1/@STATUS", interval);
-    assert_eq!(motor.next().await.unwrap().unwrap().convert(), Ok(false));
-    let error = wrong.next().await.unwrap().unwrap_err();
+    let mut motor = cell.subscribe(&["robot/@SERVO_ON"], interval);
+    let mut wrong = cell.subscribe(&["robot/task:Pro1/@STATUS"], interval);
+    assert_eq!(motor.next().await.unwrap().value.unwrap().convert(), Ok(false));
+    let error = wrong.next().await.unwrap().value.unwrap_err();
     assert!(matches!(*error, Error::Path(_)), "{error}");
     cell.write("robot/@SERVO_ON", true).await.unwrap();
-    assert_eq!(motor.next().await.unwrap().unwrap().convert(), Ok(true));
+    assert_eq!(motor.next().await.unwrap().value.unwrap().convert(), Ok(true));
     assert!(cell.read::<bool>("robot/@SERVO_ON").await.unwrap());
     let [all] = cell.read_all(["robot/@SERVO_ON"]).await.unwrap();
     let each = cell.read_each(&["robot/@SERVO_ON", "task/x", "I1"]).await.unwrap();
@@ -501,11 +564,11 @@ async fn in_memory_a_long_motion_takes_no_time() {
     let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
     arm.motor_on().await.unwrap();
     let begun = network.now();
-    assert_eq!(arm.move_to(to(80.0).speed_percent(1.0), LIMIT * 10).await.unwrap(), Motion::Arrived);
+    assert_eq!(arm.move_to(&to(80.0).speed_percent(1.0), LIMIT * 10).await.unwrap(), Motion::Arrived);
     let seconds = network.now().saturating_since(begun).as_secs();
     assert!(seconds > 20, "{seconds} s");
-    let mut counts = cell.subscribe("I1", Duration::from_secs(1));
-    assert_eq!(counts.next().await.unwrap().unwrap().convert::<i32>().unwrap(), 0);
+    let mut counts = cell.subscribe(&["I1"], Duration::from_secs(1));
+    assert_eq!(counts.next().await.unwrap().value.unwrap().convert::<i32>().unwrap(), 0);
     arm.give().await.unwrap();
     cell.close().await.unwrap();
     assert_eq!(network.controller().arm_owner(), None);
@@ -521,17 +584,17 @@ async fn a_lost_session_ends_the_arm_and_a_new_one_begins() {
     cell.connected().await.unwrap();
     let mut states = cell.states();
     assert_eq!(states.next().await, Some(State::Connected));
-    let mut counts = cell.subscribe("I1", Duration::from_millis(1));
-    assert_eq!(counts.next().await.unwrap().unwrap().convert::<i32>(), Ok(0));
+    let mut counts = cell.subscribe(&["I1"], Duration::from_millis(1));
+    assert_eq!(counts.next().await.unwrap().value.unwrap().convert::<i32>(), Ok(0));
     let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
     arm.motor_on().await.unwrap();
     let lost = async {
         until(&sim, Simulated::is_moving).await;
         relay.abort();
     };
-    let (motion, ()) = tokio::join!(arm.move_to(to(150.0), LIMIT), lost);
+    let (motion, ()) = tokio::join!(arm.move_to(&to(150.0), LIMIT), lost);
     assert!(matches!(motion, Err(Error::NoReply { .. } | Error::NotConnected { .. })), "{motion:?}");
-    let error = counts.next().await.unwrap().unwrap_err();
+    let error = counts.next().await.unwrap().value.unwrap_err();
     assert!(matches!(*error, Error::NotConnected { .. } | Error::NoReply { .. }), "{error}");
     let Some(State::Disconnected { reason, retry_in }) = states.next().await else { panic!("{:?}", cell.state()) };
     assert!(!reason.is_empty() && retry_in <= Duration::from_millis(20), "{reason} {retry_in:?}");
@@ -539,11 +602,11 @@ async fn a_lost_session_ends_the_arm_and_a_new_one_begins() {
     let relay = tokio::spawn(self::relay(free, sim.tcp));
     cell.connected().await.unwrap();
     assert!(matches!(arm.motor_on().await, Err(Error::ArmLost)));
-    assert!(matches!(arm.move_to(to(1.0), LIMIT).await, Err(Error::ArmLost)));
+    assert!(matches!(arm.move_to(&to(1.0), LIMIT).await, Err(Error::ArmLost)));
     assert_eq!(cell.read::<i32>("I1").await.unwrap(), 0);
     loop {
         // the value is reported again, because it was unknown in between
-        if let Ok(value) = counts.next().await.unwrap() {
+        if let Ok(value) = counts.next().await.unwrap().value {
             assert_eq!(value.convert::<i32>(), Ok(0));
             break;
         }

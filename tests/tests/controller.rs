@@ -6,7 +6,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use bcap_core::bcap::FunctionId;
+use bcap_core::bcap::{FunctionId, call};
 use bcap_core::hresult::HResult;
 use bcap_core::procedure::Motion;
 use bcap_core::rac::{Variable, VariableKind};
@@ -83,7 +83,7 @@ fn a_path_names_a_variable_of_an_object_everywhere() {
     assert_eq!((motor.convert(), again.convert(), count.convert()), (Ok(false), Ok(false), Ok(0)));
     // the controller, the robot and its variable, the task and its variable, I1
     assert_eq!(sim.application().open_objects(), 6);
-    assert_eq!(all.scan(names).unwrap().read(arm.controller()).unwrap()[2], status);
+    assert_eq!(all.scan(&names).unwrap().read(arm.controller()).unwrap()[2], status);
     assert_eq!(sim.application().open_objects(), 6);
     for (name, reason) in [
         ("task/@STATUS", "task: the name is missing; write task:NAME"),
@@ -108,7 +108,7 @@ fn a_path_names_a_variable_of_an_object_everywhere() {
 fn variables_are_read_and_written_while_the_arm_is_taken_and_moves() {
     let sim = simulated();
     let mut cell = connect(&sim);
-    let scan = cell.scan(["I1"]).unwrap();
+    let scan = cell.scan(&["I1"]).unwrap();
     let mut arm = cell.robot().unwrap().take_arm().unwrap();
     arm.controller().write("I1", 5).unwrap();
     assert_eq!(scan.read(arm.controller()).unwrap()[0].convert(), Ok(5));
@@ -122,6 +122,43 @@ fn variables_are_read_and_written_while_the_arm_is_taken_and_moves() {
     assert_eq!(scan.read(&mut cell).unwrap()[0].convert(), Ok(6));
     drop(cell);
     assert_left(&sim);
+}
+
+#[test]
+fn values_are_waited_for_and_calls_have_time_limits() {
+    let sim = simulated();
+    let mut cell = connect(&sim);
+    cell.write("I1", 3).unwrap();
+    assert_eq!(cell.read_until("I1", |value: &i32| *value == 3, LIMIT).unwrap(), 3);
+    let missed = cell.read_until("I1", |value: &i32| *value == 4, Duration::from_millis(25)).unwrap_err();
+    assert_eq!(missed.to_string(), "I1 did not meet the condition within 25ms; its last value was I4(3)");
+    let names = cell.call(call::controller_get_robot_names(cell.handle(), "")).unwrap();
+    assert_eq!(names.convert::<Vec<String>>().unwrap(), ["Arm0"]);
+    // an object that a call opens is released with the session
+    let variable = cell.call(call::controller_get_variable(cell.handle(), "I1", "")).unwrap();
+    assert_eq!(cell.call(call::variable_get_value(variable)).unwrap().convert(), Ok(3));
+    let long = "x".repeat(3000);
+    cell.call(call::variable_put_value(variable, long.as_str())).unwrap_err();
+    let each = cell.read_each(&["I1", "I99999"]).unwrap();
+    let [(first, count), (second, missing)] = each.as_slice() else { panic!("{each:?}") };
+    assert_eq!(count.as_ref().unwrap().convert(), Ok(3));
+    assert!(missing.is_err() && first <= second);
+
+    let slow = "[[fault]]\nwhen = { every = 1, of = \"Variable_GetValue\" }\nthen = { delay_ms = 300 }\n";
+    sim.application().play(Scenario::parse(slow).unwrap());
+    let late = cell.within(Duration::from_millis(20)).read::<i32>("I1").unwrap_err();
+    assert!(matches!(late, Error::NoReply { .. }) && !late.is_lost(), "{late:?}");
+    assert_eq!(cell.read::<i32>("I1").unwrap(), 3);
+    drop(cell);
+    assert_left(&sim);
+}
+
+#[test]
+fn a_stopper_connects_without_a_controller() {
+    let sim = simulated();
+    let stopper = Stopper::connect(&format!("tcp:{}", sim.tcp), &Settings::rc8()).unwrap();
+    assert_eq!(stopper.halt().unwrap(), Halted::NothingMoved);
+    assert!(matches!(Stopper::connect("robot", &Settings::rc8()), Err(Error::Address(_))));
 }
 
 #[test]
@@ -222,17 +259,18 @@ fn a_scan_works_with_its_own_controller_only() {
     let sim = simulated();
     let (mut cell, mut other) = (connect(&sim), connect(&sim));
     cell.write("I1", 4).unwrap();
-    let scan = cell.scan(["I1", "P1", "IO128"]).unwrap();
+    let scan = cell.scan(&["I1", "P1", "IO128"]).unwrap();
     let open = sim.application().open_objects();
     for count in 5..8 {
         cell.write("I1", count).unwrap();
-        let [number, position, door] = scan.read(&mut cell).unwrap();
+        let values = scan.read(&mut cell).unwrap();
+        let [number, position, door] = values.as_slice() else { panic!("{values:?}") };
         assert_eq!((number.convert(), door.convert()), (Ok(count), Ok(false)));
         assert_eq!(position.convert::<Vec<f32>>().unwrap().len(), 7);
     }
     assert_eq!(sim.application().open_objects(), open, "a scan opens nothing");
     assert!(matches!(scan.read(&mut other), Err(Error::OtherSession)));
-    assert!(cell.scan(["I1", "NoSuchVariable"]).unwrap_err().to_string().contains("NoSuchVariable"));
+    assert!(cell.scan(&["I1", "NoSuchVariable"]).unwrap_err().to_string().contains("NoSuchVariable"));
 }
 
 #[test]

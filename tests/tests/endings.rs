@@ -81,7 +81,7 @@ fn a_program_that_fails_during_a_motion_leaves_nothing() {
                 let cell = asynch::Controller::connect(&format!("{protocol}:{peer}"), &settings()).await?;
                 let mut arm = cell.robot().await?.take_arm().await?;
                 arm.motor_on().await?;
-                let _moving = arm.start(far(), LIMIT).await?;
+                let _moving = arm.start(&far(), LIMIT).await?;
                 cell.read::<i32>("NOPE1").await.map(drop)
             });
             assert!(matches!(ended, Err(Error::Refused { .. })), "{ended:?}");
@@ -227,7 +227,7 @@ fn after_a_lost_connection_the_next_session_stops_the_robot_first() {
             }
             relay.cut();
         };
-        let (ended, ()) = tokio::join!(arm.move_to(far(), LIMIT), cut);
+        let (ended, ()) = tokio::join!(arm.move_to(&far(), LIMIT), cut);
         // it was sent, so a program must not take it for one that was not
         assert!(matches!(ended, Err(Error::NoReply { .. })), "{ended:?}");
         let recovery = recoveries.next().await.unwrap();
@@ -265,7 +265,7 @@ fn a_program_that_ends_without_a_connection_stops_the_robot() {
             let cell = asynch::Controller::connect(&format!("tcp:{}", relay.address), &slow).await.unwrap();
             let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
             arm.motor_on().await.unwrap();
-            let moving = arm.start(far(), LIMIT).await.unwrap();
+            let moving = arm.start(&far(), LIMIT).await.unwrap();
             relay.cut();
             assert!(matches!(moving.wait().await, Err(Error::NoReply { .. })));
         });
@@ -439,7 +439,7 @@ fn a_motion_that_was_not_sent_is_told_from_one_that_may_be_under_way() {
                 let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
                 arm.motor_on().await.unwrap();
                 begin();
-                told(arm.move_to(near(), LIMIT).await)
+                told(arm.move_to(&near(), LIMIT).await)
             })
         },
         has_moved,

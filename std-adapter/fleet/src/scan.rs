@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use bcap_core::bcap::FunctionId;
+use bcap_core::bcap::{FunctionId, call};
 use bcap_core::variant::OwnedVariant;
 use bcap_std::asynch::{Controller, State as Session};
 use bcap_std::{Error, TaskStatus};
@@ -321,11 +321,8 @@ async fn status(controller: &Controller, stream: &StreamCheck, name: &str) -> Re
 
 /// Reads the statuses of all tasks.
 async fn statuses(controller: &Controller, stream: &StreamCheck) -> Result<BTreeMap<String, String>, ReadError> {
-    let function = FunctionId::CONTROLLER_GET_TASK_NAMES;
-    let handle = OwnedVariant::new(&controller.handle().await?.0).map_err(Error::Argument)?;
-    let option = OwnedVariant::new("").map_err(Error::Argument)?;
-    stream.require(controller, function, None).await?;
-    let names = controller.call(function, vec![handle, option]).await?;
+    stream.require(controller, FunctionId::CONTROLLER_GET_TASK_NAMES, None).await?;
+    let names = controller.call(call::controller_get_task_names(controller.handle().await?, "")).await?;
     let names: Vec<String> =
         names.convert().map_err(|source| Error::Value { object: "the names of the tasks".into(), source })?;
     let mut statuses = BTreeMap::new();

@@ -1,11 +1,10 @@
 //! A controller as an object for tokio.
 
 use std::io;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use bcap_core::bcap::call::ControllerHandle;
-use bcap_core::bcap::client::ClientError;
-use bcap_core::bcap::{FunctionId, Object};
+use bcap_core::bcap::Object;
+use bcap_core::bcap::call::{Call, ControllerHandle};
 use bcap_core::variant::{Encode, FromVariant, OwnedVariant};
 use tokio::sync::oneshot;
 
@@ -16,12 +15,13 @@ use super::robot::{Robot, Stopper};
 use super::state::{Recoveries, State, States, Statistics};
 use super::subscription::Subscription;
 use super::task::Request;
-use crate::CallError;
-use crate::address::{Address, AddressError};
+use crate::address::AddressError;
 use crate::error::Error;
+use crate::reply::OwnedReply;
+use crate::session::{CONTROLLER, POLL, RuntimeCall, TimedReading, meets};
 use crate::settings::Settings;
 
-/// A session with a controller, which a task of its own keeps open.
+/// A session with a controller, which a background task keeps open.
 ///
 /// The handle can be cloned and sent to other tasks. Their calls are carried out one after another. When the connection is
 /// lost, calls fail with [`Error::NotConnected`], and the task connects again until it succeeds. No call is made twice.
@@ -47,7 +47,7 @@ use crate::settings::Settings;
 ///
 /// let mut arm = cell.robot().await?.take_arm().await?;
 /// arm.motor_on().await?;
-/// match arm.move_to(Move::line("P1").speed_percent(10.0), Duration::from_secs(30)).await? {
+/// match arm.move_to(&Move::line("P1").speed_percent(10.0), Duration::from_secs(30)).await? {
 ///     Motion::Arrived => println!("at P1"),
 ///     other => println!("not at P1: {other:?}"),
 /// }
@@ -129,17 +129,7 @@ impl Controller {
     /// As [`Controller`].
     pub async fn read_all<const N: usize>(&self, names: [&str; N]) -> Result<[OwnedVariant; N], Error> {
         let names = names.map(str::to_owned);
-        self.handle
-            .run(move |session| {
-                Box::pin(async move {
-                    let mut values = std::array::from_fn(|_| OwnedVariant::default());
-                    for (value, name) in values.iter_mut().zip(&names) {
-                        *value = session.read(Object::Controller, name).await?;
-                    }
-                    Ok(values)
-                })
-            })
-            .await
+        self.handle.run(move |session| Box::pin(async move { session.read_all(&names).await })).await
     }
 
     /// Reads several variables of any type in one turn, and returns for each when its reply arrived, and its value or error.
@@ -166,27 +156,68 @@ impl Controller {
     /// # Ok(())
     /// # }
     /// ```
-    pub async fn read_each(&self, names: &[&str]) -> Result<Vec<(Instant, Result<OwnedVariant, Error>)>, Error> {
+    pub async fn read_each(&self, names: &[&str]) -> Result<Vec<TimedReading>, Error> {
         let names: Vec<_> = names.iter().map(|name| (*name).to_owned()).collect();
-        self.handle
-            .run(move |session| {
-                Box::pin(async move {
-                    let mut values = Vec::with_capacity(names.len());
-                    for name in &names {
-                        let value = match session.lost() {
-                            None => session.read(Object::Controller, name).await,
-                            Some(error) => Err(error),
-                        };
-                        let is_last = value.as_ref().is_err_and(|error| is_timeout(error) || session.lost().is_some());
-                        values.push((Instant::now(), value));
-                        if is_last {
-                            break;
-                        }
-                    }
-                    Ok(values)
-                })
-            })
-            .await
+        self.handle.run(move |session| Box::pin(async move { Ok(session.read_each(&names).await) })).await
+    }
+
+    /// Reads a variable every 10 ms until its value meets a condition, at most for `limit`, and returns that value. Other calls
+    /// are made meanwhile.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::NotMet`] after `limit`; the [`Error`] of a reading that fails.
+    ///
+    /// # Cancel safety
+    ///
+    /// As [`Controller`].
+    ///
+    /// # Examples
+    ///
+    /// ```no_run
+    /// # async fn example(cell: bcap_std::asynch::Controller) -> Result<(), bcap_std::Error> {
+    /// # use std::time::Duration;
+    /// cell.read_until("IO129", |closed: &bool| *closed, Duration::from_secs(2)).await?;
+    /// # Ok(())
+    /// # }
+    /// ```
+    pub async fn read_until<T: for<'a> FromVariant<'a>>(
+        &self,
+        name: &str,
+        mut condition: impl FnMut(&T) -> bool,
+        limit: Duration,
+    ) -> Result<T, Error> {
+        let end = tokio::time::Instant::now() + limit;
+        loop {
+            let value: OwnedVariant = self.read(name).await?;
+            if let Some(met) = meets(name, &value, &mut condition)? {
+                return Ok(met);
+            }
+            let now = tokio::time::Instant::now();
+            if now >= end {
+                return Err(Error::NotMet { object: name.to_owned(), limit, last: value });
+            }
+            tokio::time::sleep_until(end.min(now + POLL)).await;
+        }
+    }
+
+    /// Returns this controller with a time limit for each of its calls. Motions have their own limit, and a halt has none.
+    ///
+    /// The limit begins when the call is sent, after the calls before it. A call without a reply in this time fails with
+    /// [`Error::NoReply`]; the controller may have executed it. The connection stays usable.
+    ///
+    /// # Examples
+    ///
+    /// ```no_run
+    /// # async fn example(cell: bcap_std::asynch::Controller) -> Result<(), bcap_std::Error> {
+    /// # use std::time::Duration;
+    /// let count: i32 = cell.within(Duration::from_millis(200)).read("I1").await?;
+    /// # Ok(())
+    /// # }
+    /// ```
+    #[must_use]
+    pub fn within(&self, limit: Duration) -> Self {
+        Self { handle: self.handle.within(limit) }
     }
 
     /// Writes a variable of the controller.
@@ -205,29 +236,26 @@ impl Controller {
             .await
     }
 
-    /// Reads a variable every `interval`, and reports its changes. All subscriptions share one scan of the controller; they
-    /// outlast a lost connection.
+    /// Reads variables every `interval`, and reports their changes, each with its name and the time of its reply. All
+    /// subscriptions share one scan of the controller; they outlast a lost connection.
     ///
     /// # Examples
     ///
     /// ```no_run
     /// # async fn example(cell: bcap_std::asynch::Controller) {
-    /// let mut motor = cell.subscribe("robot/@SERVO_ON", std::time::Duration::from_millis(100));
-    /// println!("the motor is on: {:?}", motor.next().await);
-    ///
-    /// let mut counts = cell.subscribe("I1", std::time::Duration::from_millis(50));
-    /// while let Some(reading) = counts.next().await {
-    ///     match reading {
-    ///         Ok(value) => println!("I1 = {value:?}"),
-    ///         Err(error) => println!("I1 is unknown: {error}"),
+    /// let mut changes = cell.subscribe(&["I1", "robot/@SERVO_ON"], std::time::Duration::from_millis(100));
+    /// while let Some(reading) = changes.next().await {
+    ///     match reading.value {
+    ///         Ok(value) => println!("{} = {value:?}, {} ms ago", reading.name, reading.at.elapsed().as_millis()),
+    ///         Err(error) => println!("{} is unknown: {error}", reading.name),
     ///     }
     /// }
     /// # }
     /// ```
-    pub fn subscribe(&self, name: &str, interval: Duration) -> Subscription {
-        let (subscription, sender) = Subscription::new();
+    pub fn subscribe(&self, names: &[&str], interval: Duration) -> Subscription {
+        let (subscription, subscribers) = Subscription::new(names);
         // when the task has ended, so does the subscription
-        let _ = self.handle.send(Request::Subscribe(name.to_owned(), interval, sender));
+        let _ = self.handle.send(Request::Subscribe(subscribers, interval));
         subscription
     }
 
@@ -279,10 +307,7 @@ impl Controller {
     /// Dropping the future closes the second connection.
     pub async fn stopper(&self) -> Result<Stopper, Error> {
         let Handle { address, settings, .. } = &self.handle;
-        match address.clone().ok_or(Error::NoAddress)? {
-            Address::Serial(_) => Err(Error::NoSecondSession),
-            address => Ok(Stopper::new(Handle::connect(address, settings, true).await?)),
-        }
+        Stopper::open(address.clone().ok_or(Error::NoAddress)?, settings).await
     }
 
     /// Executes a command of the controller with a parameter, such as `ClearError` with `()`.
@@ -316,9 +341,10 @@ impl Controller {
         self.handle.run(|session| Box::pin(async { Ok(session.handle) })).await
     }
 
-    /// Calls any function. The first argument of most is the handle of an object, which is valid in the session that opened
-    /// it. Objects that the call opens are released with the session, if the caller does not. Dropping the future does not
-    /// stop a call that moves the robot; only a [`Stopper`] does.
+    /// Calls any function, and returns a copy of the value of its reply ([`OwnedReply`]).
+    ///
+    /// The handle of an object is valid in the session that opened it. Objects that the call opens are released with the
+    /// session, if the caller does not. Dropping the future does not stop a call that moves the robot; only a [`Stopper`] does.
     ///
     /// # Errors
     ///
@@ -327,15 +353,20 @@ impl Controller {
     /// # Cancel safety
     ///
     /// As [`Controller`].
-    pub async fn call(&self, function: FunctionId, arguments: Vec<OwnedVariant>) -> Result<OwnedVariant, Error> {
-        self.handle
-            .run(move |session| {
-                Box::pin(async move {
-                    let (_, value) = session.call_any("the controller", function, &arguments).await?;
-                    Ok(value.unwrap_or_default())
-                })
-            })
-            .await
+    ///
+    /// # Examples
+    ///
+    /// ```no_run
+    /// # async fn example(cell: bcap_std::asynch::Controller) -> Result<(), bcap_std::Error> {
+    /// # use bcap_std::core::bcap::call;
+    /// let handle = cell.handle().await?;
+    /// println!("{:?}", cell.call(call::controller_get_robot_names(handle, "")).await?);
+    /// # Ok(())
+    /// # }
+    /// ```
+    pub async fn call<C: Call<Reply: OwnedReply>>(&self, call: C) -> Result<<C::Reply as OwnedReply>::Owned, Error> {
+        let call = RuntimeCall::of(&call)?;
+        self.handle.run(move |session| Box::pin(async move { session.call_recorded(CONTROLLER, call).await })).await
     }
 
     /// Returns the states of the connection, beginning with the present one.
@@ -392,9 +423,4 @@ impl Controller {
         self.handle.send(Request::Close(reply))?;
         closed.await.map_err(|_| Error::Closed)?
     }
-}
-
-/// Returns whether a call has no reply because its time has passed.
-const fn is_timeout(error: &Error) -> bool {
-    matches!(error, Error::NoReply { source: CallError::Client(ClientError::Timeout(_)), .. })
 }

@@ -1,11 +1,12 @@
-//! What all handles of a controller's task share.
+//! The handle of a controller's task.
 
 use std::io;
 use std::panic::resume_unwind;
 use std::sync::Arc;
+use std::time::Duration;
 
 use bcap_core::variant::{Encode, OwnedVariant};
-use tokio::sync::{mpsc, oneshot, watch};
+use tokio::sync::{Semaphore, mpsc, oneshot, watch};
 use tracing::Instrument as _;
 
 use super::SendTransport;
@@ -28,7 +29,15 @@ pub(super) struct Handle {
     /// `None` over a stream of the caller.
     pub(super) address: Option<Address>,
     pub(super) settings: Settings,
+    /// Limits the calls that wait for their turn, of all handles.
+    queue: Arc<Semaphore>,
+    /// The time limit of each call of this handle.
+    limit: Option<Duration>,
 }
+
+/// The maximum number of calls that wait for their turn. Further calls wait before they enter the queue, so a controller that is
+/// too slow for its callers costs no more memory than they do.
+const QUEUE: usize = 256;
 
 impl Handle {
     /// Connects and opens a session, with the robot if `opens_robot`, and starts the task.
@@ -71,23 +80,32 @@ impl Handle {
         };
         let span = tracing::info_span!("controller", address = address.as_ref().map(tracing::field::display));
         tokio::spawn(task.run(session).instrument(span));
-        Self { requests, state, counters, recovered, address, settings: settings.clone() }
+        let (queue, settings) = (Arc::new(Semaphore::new(QUEUE)), settings.clone());
+        Self { requests, state, counters, recovered, address, settings, queue, limit: None }
+    }
+
+    /// Returns this handle with a time limit for each call.
+    pub(super) fn within(&self, limit: Duration) -> Self {
+        Self { limit: Some(limit), ..self.clone() }
     }
 
     pub(super) fn send(&self, request: Request) -> Result<(), Error> {
         self.requests.send(request).map_err(|_| Error::Closed)
     }
 
-    /// Runs a function of the session in the task, unless the caller has gone before its turn.
+    /// Runs a function of the session in the task, unless the caller has gone before its turn. It waits while the queue is full.
     pub(super) async fn run<T, F>(&self, work: F) -> Result<T, Error>
     where
         F: for<'a> FnOnce(&'a mut Session<Socket>) -> BoxFuture<'a, Result<T, Error>> + Send + 'static,
         T: Send + 'static,
     {
+        // nothing closes the semaphore; a permit is returned when the future ends
+        let _permit = self.queue.acquire().await;
         self.carry_out(work, false).await
     }
 
-    /// Runs a function of the session in the task, also when the caller has gone.
+    /// Runs a function of the session in the task, even if the caller has gone. It does not wait for a full queue, and no time
+    /// limit applies, because such a function stops something.
     pub(super) async fn run_always<T, F>(&self, work: F) -> Result<T, Error>
     where
         F: for<'a> FnOnce(&'a mut Session<Socket>) -> BoxFuture<'a, Result<T, Error>> + Send + 'static,
@@ -102,7 +120,8 @@ impl Handle {
         T: Send + 'static,
     {
         let (reply, result) = oneshot::channel();
-        self.send(Request::Run(Box::new(Work { work, reply, always })))?;
+        let limit = self.limit.filter(|_| !always);
+        self.send(Request::Run(Box::new(Work { work, reply, always, limit })))?;
         match result.await {
             Ok(Ok(result)) => result,
             Ok(Err(panic)) => resume_unwind(panic),

@@ -34,7 +34,7 @@ pub struct Moving<'a> {
     pub(super) queue: MotionQueue,
 }
 
-impl Moving<'_> {
+impl<'a> Moving<'a> {
     /// Lets a motion follow, and returns when it has begun.
     ///
     /// The controller gets it at once, while the motion before is under way. With [`Pass::Near`](crate::Pass::Near) or
@@ -48,8 +48,8 @@ impl Moving<'_> {
     /// # Cancel safety
     ///
     /// **Dropping the future halts the robot.**
-    pub async fn then(self, motion: Move) -> Result<Self, Error> {
-        self.run(Some(motion), Until::Begun).await
+    pub fn then(self, motion: &Move) -> impl Future<Output = Result<Self, Error>> + Send + use<'a> {
+        self.run(Some(motion.clone()), Until::Begun)
     }
 
     /// Waits until the last motion ends, at most until the time limit of all motions; the robot is halted then.

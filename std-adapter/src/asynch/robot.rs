@@ -18,6 +18,7 @@ use super::handle::{Handle, owned};
 use super::moving::{Moving, run_queue};
 use super::socket::{BoxFuture, Socket};
 use super::task::Request;
+use crate::address::Address;
 use crate::error::Error;
 use crate::moves::Move;
 use crate::session::{Halted, Session};
@@ -46,8 +47,21 @@ pub struct Arm {
 
 /// Halts the robot from any task, also while another call of the [`Controller`](super::Controller) waits.
 ///
-/// It has a connection and a session of its own, which are open before they are needed, and are opened again when they are
-/// lost. It is not an emergency stop: it needs the network, this computer and the controller.
+/// It has a separate connection and session, which are open before they are needed, and are opened again when they are lost. It
+/// is not an emergency stop: it needs the network, this computer and the controller.
+///
+/// # Examples
+///
+/// ```no_run
+/// # async fn example() -> Result<(), bcap_std::Error> {
+/// use bcap_std::Settings;
+/// use bcap_std::asynch::Stopper;
+///
+/// let stopper = Stopper::connect("tcp:192.168.0.1", &Settings::rc9()).await?;
+/// println!("{:?}", stopper.halt().await?);
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Clone, Debug)]
 pub struct Stopper {
     handle: Handle,
@@ -223,10 +237,17 @@ impl Arm {
     /// **Dropping the future halts the robot**: the task gives up what it waits for and sends the halt. To let the
     /// robot move on, keep the future. The halt uses the same connection, so it is executed after a call that the
     /// controller still executes; a [`Stopper`] has its own.
-    pub async fn move_to(&mut self, motion: Move, limit: Duration) -> Result<Motion, Error> {
-        let queue = MotionQueue::new(MotionConfig::within(limit));
-        let queue = run_queue(&self.robot.handle, self.session, queue, Some(motion), Until::Ended).await?;
-        Ok(queue.ended().unwrap_or(Motion::Unknown))
+    pub fn move_to<'a>(
+        &'a mut self,
+        motion: &Move,
+        limit: Duration,
+    ) -> impl Future<Output = Result<Motion, Error>> + Send + use<'a> {
+        let motion = motion.clone();
+        async move {
+            let queue = MotionQueue::new(MotionConfig::within(limit));
+            let queue = run_queue(&self.robot.handle, self.session, queue, Some(motion), Until::Ended).await?;
+            Ok(queue.ended().unwrap_or(Motion::Unknown))
+        }
     }
 
     /// Starts a motion and returns when it has begun, so that [`Moving::then`] can let others follow it without a stop.
@@ -249,18 +270,20 @@ impl Arm {
     /// # use std::time::Duration;
     /// # use bcap_std::{Error, Motion, Move, Pass, asynch::Arm};
     /// # async fn example(mut arm: Arm) -> Result<(), Error> {
-    /// let mut moving = arm.start(Move::line("P1").pass(Pass::Near), Duration::from_secs(30)).await?;
-    /// moving = moving.then(Move::line("P2").pass(Pass::Near)).await?; // round the corner at P1
-    /// match moving.then(Move::line("P3")).await?.wait().await? {
+    /// let mut moving = arm.start(&Move::line("P1").pass(Pass::Near), Duration::from_secs(30)).await?;
+    /// moving = moving.then(&Move::line("P2").pass(Pass::Near)).await?; // round the corner at P1
+    /// match moving.then(&Move::line("P3")).await?.wait().await? {
     ///     Motion::Arrived => println!("at P3, by way of P1 and P2"),
     ///     other => println!("stopped: {other:?}"),
     /// }
     /// # Ok(())
     /// # }
     /// ```
-    pub async fn start(&mut self, motion: Move, limit: Duration) -> Result<Moving<'_>, Error> {
+    pub async fn start(&mut self, motion: &Move, limit: Duration) -> Result<Moving<'_>, Error> {
         let queue = MotionQueue::new(MotionConfig::within(limit));
-        Moving { handle: &self.robot.handle, session: self.session, queue }.run(Some(motion), Until::Begun).await
+        Moving { handle: &self.robot.handle, session: self.session, queue }
+            .run(Some(motion.clone()), Until::Begun)
+            .await
     }
 
     /// Streams poses in Slave Mode, one each 8 ms, until the trajectory ends, and waits until the robot rests.
@@ -389,6 +412,27 @@ impl Drop for Arm {
 impl Stopper {
     pub(super) const fn new(handle: Handle) -> Self {
         Self { handle }
+    }
+
+    /// Connects to the controller at an [`Address`], and opens the robot of the settings. A program that moves the robot
+    /// itself calls [`Controller::stopper`](super::Controller::stopper).
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`] for a wrong address, a failed connection, or a refused call.
+    ///
+    /// # Cancel safety
+    ///
+    /// Dropping the future closes the connection.
+    pub async fn connect(address: &str, settings: &Settings) -> Result<Self, Error> {
+        Self::open(address.parse()?, settings).await
+    }
+
+    pub(super) async fn open(address: Address, settings: &Settings) -> Result<Self, Error> {
+        match address {
+            Address::Serial(_) => Err(Error::NoSecondSession),
+            address => Ok(Self::new(Handle::connect(address, settings, true).await?)),
+        }
     }
 
     /// Starts the session of a stopper over a stream of the caller. It does not connect again.

@@ -1,37 +1,93 @@
 //! Subscriptions: variables that a task reads at an interval, and reports when they change.
+//!
+//! ```text
+//!  Scan: a variable ─► its Subscribers ─► the queue of each Subscription ─► next
+//! ```
 
+use std::collections::VecDeque;
 use std::pin::Pin;
-use std::sync::Arc;
-use std::task::{Context, Poll};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::task::{Context, Poll, Waker};
 use std::time::Duration;
 
 use bcap_core::bcap::Object;
 use bcap_core::time::Instant;
 use bcap_core::variant::OwnedVariant;
 use futures_core::Stream;
-use tokio::sync::watch;
 
 use super::socket::Socket;
-use super::state::Latest;
 use crate::error::Error;
 use crate::session::Session;
 
-/// A value that was read for a subscription, or why it was not.
-pub type Reading = Result<OwnedVariant, Arc<Error>>;
+/// A value that was read for a subscription, or the reason why it could not be read.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct Reading {
+    /// The variable, by the name that was subscribed.
+    pub name: Arc<str>,
+    /// When the reply arrived, or the reading failed.
+    pub at: std::time::Instant,
+    /// The value.
+    pub value: Result<OwnedVariant, Arc<Error>>,
+}
 
-/// The changes of a variable, from [`Controller::subscribe`](super::Controller::subscribe).
+impl Reading {
+    /// Tells whether this reading reports something else than the one before.
+    fn differs(&self, before: &Self) -> bool {
+        match (&self.value, &before.value) {
+            (Ok(value), Ok(before)) => value != before,
+            (Err(error), Err(before)) => error.to_string() != before.to_string(),
+            _ => true,
+        }
+    }
+}
+
+/// The changes of variables, from [`Controller::subscribe`](super::Controller::subscribe).
 ///
-/// The first item is the first value. Then there is an item when a reading differs from the one before: another value,
-/// an error, or a value after an error. A reading that is replaced before it is taken is skipped, so a slow receiver sees
-/// the latest value. The stream ends when the task does. Dropping it ends the subscription.
+/// The first item of each variable is its first value. Then there is an item when a reading differs from the one before:
+/// another value, an error, or a value after an error. A reading that is replaced before it is taken is skipped, so a slow
+/// receiver sees the latest values and costs no memory. The stream ends when the task does. Dropping it ends the subscription.
+///
+/// # Examples
+///
+/// ```no_run
+/// # async fn example(cell: bcap_std::asynch::Controller) {
+/// let mut changes = cell.subscribe(&["I1", "IO128"], std::time::Duration::from_millis(50));
+/// while let Some(reading) = changes.next().await {
+///     println!("{}: {:?}", reading.name, reading.value);
+/// }
+/// # }
+/// ```
 #[must_use = "a stream does nothing unless it is polled"]
-pub struct Subscription(Latest<Option<Reading>>);
+pub struct Subscription {
+    queue: Arc<Mutex<Queue>>,
+}
+
+/// The last reading of each variable of a subscription, and the order of those that were not taken.
+#[derive(Default)]
+struct Queue {
+    last: Vec<Option<Reading>>,
+    /// Indices of `last`, each at most once.
+    changed: VecDeque<usize>,
+    is_closed: bool,
+    waker: Option<Waker>,
+}
+
+/// Locks a queue; no code that holds the lock can panic.
+fn lock(queue: &Mutex<Queue>) -> MutexGuard<'_, Queue> {
+    queue.lock().unwrap_or_else(PoisonError::into_inner)
+}
 
 impl Subscription {
-    /// Returns a subscription and where its readings go.
-    pub(super) fn new() -> (Self, watch::Sender<Option<Reading>>) {
-        let (sender, receiver) = watch::channel(None);
-        (Self(Latest::new(receiver)), sender)
+    /// Returns a subscription, and a subscriber for each variable.
+    pub(super) fn new(names: &[&str]) -> (Self, Vec<Subscriber>) {
+        let queue = Queue { last: vec![None; names.len()], is_closed: names.is_empty(), ..Queue::default() };
+        let queue = Arc::new(Mutex::new(queue));
+        let closer = Arc::new(Closer(Arc::downgrade(&queue)));
+        let subscriber =
+            |(index, name): (usize, &&str)| Subscriber { name: (*name).into(), index, closer: closer.clone() };
+        let subscribers = names.iter().enumerate().map(subscriber).collect();
+        (Self { queue }, subscribers)
     }
 
     /// Returns the next change; `None` when the task has ended.
@@ -44,8 +100,15 @@ impl Subscription {
     }
 
     fn poll(&mut self, context: &mut Context<'_>) -> Poll<Option<Reading>> {
-        // the value is `None` only before the first reading
-        self.0.poll(context).map(Option::flatten)
+        let mut queue = lock(&self.queue);
+        if let Some(index) = queue.changed.pop_front() {
+            return Poll::Ready(queue.last.get(index).cloned().flatten());
+        }
+        if queue.is_closed {
+            return Poll::Ready(None);
+        }
+        queue.waker = Some(context.waker().clone());
+        Poll::Pending
     }
 }
 
@@ -57,6 +120,55 @@ impl Stream for Subscription {
     }
 }
 
+/// A variable of a subscription, at the side of the task.
+pub(super) struct Subscriber {
+    name: Arc<str>,
+    index: usize,
+    closer: Arc<Closer>,
+}
+
+/// Ends a subscription when its last subscriber is dropped.
+struct Closer(Weak<Mutex<Queue>>);
+
+impl Drop for Closer {
+    fn drop(&mut self) {
+        if let Some(queue) = self.0.upgrade() {
+            let waker = {
+                let mut queue = lock(&queue);
+                queue.is_closed = true;
+                queue.waker.take()
+            };
+            waker.into_iter().for_each(Waker::wake);
+        }
+    }
+}
+
+impl Subscriber {
+    /// Tells whether the subscription still exists.
+    fn is_wanted(&self) -> bool {
+        self.closer.0.strong_count() > 0
+    }
+
+    fn report(&self, value: &Result<OwnedVariant, Arc<Error>>, at: std::time::Instant) {
+        let Some(queue) = self.closer.0.upgrade() else { return };
+        let reading = Reading { name: self.name.clone(), at, value: value.clone() };
+        let waker = {
+            let mut queue = lock(&queue);
+            let Queue { last, changed, waker, .. } = &mut *queue;
+            let Some(last) = last.get_mut(self.index) else { return };
+            if last.as_ref().is_some_and(|last| !reading.differs(last)) {
+                return;
+            }
+            *last = Some(reading);
+            if !changed.contains(&self.index) {
+                changed.push_back(self.index);
+            }
+            waker.take()
+        };
+        waker.into_iter().for_each(Waker::wake);
+    }
+}
+
 /// All subscriptions of a controller: each variable is read once for all of its subscribers, at the shortest of their
 /// intervals.
 #[derive(Default)]
@@ -65,41 +177,45 @@ pub(super) struct Scan {
 }
 
 struct Scanned {
-    name: String,
-    due: Instant,
-    subscribers: Vec<(Duration, watch::Sender<Option<Reading>>)>,
+    name: Arc<str>,
+    /// When it is read next.
+    next: Instant,
+    subscribers: Vec<(Duration, Subscriber)>,
 }
 
 impl Scan {
-    /// Adds a subscription, which is due at once.
-    pub(super) fn add(&mut self, name: String, interval: Duration, sender: watch::Sender<Option<Reading>>) {
-        let subscriber = (interval.max(SHORTEST), sender);
-        match self.variables.iter_mut().find(|scanned| scanned.name == name) {
-            Some(scanned) => {
-                scanned.subscribers.push(subscriber);
-                scanned.due = Instant::ZERO;
+    /// Adds the variables of a subscription, which are read at once.
+    pub(super) fn add(&mut self, subscribers: Vec<Subscriber>, interval: Duration) {
+        for subscriber in subscribers {
+            let name = subscriber.name.clone();
+            let subscriber = (interval.max(SHORTEST), subscriber);
+            match self.variables.iter_mut().find(|scanned| scanned.name == name) {
+                Some(scanned) => {
+                    scanned.subscribers.push(subscriber);
+                    scanned.next = Instant::ZERO;
+                }
+                None => self.variables.push(Scanned { name, next: Instant::ZERO, subscribers: vec![subscriber] }),
             }
-            None => self.variables.push(Scanned { name, due: Instant::ZERO, subscribers: vec![subscriber] }),
         }
     }
 
-    /// Returns when the next variable is due.
-    pub(super) fn due(&self) -> Option<Instant> {
-        self.variables.iter().map(|scanned| scanned.due).min()
+    /// Returns when the next variable is read.
+    pub(super) fn next(&self) -> Option<Instant> {
+        self.variables.iter().map(|scanned| scanned.next).min()
     }
 
-    /// Makes all variables due, for a new session with its own clock.
+    /// Reads all variables at once, for a new session with another clock.
     pub(super) fn restart(&mut self) {
-        self.variables.iter_mut().for_each(|scanned| scanned.due = Instant::ZERO);
+        self.variables.iter_mut().for_each(|scanned| scanned.next = Instant::ZERO);
     }
 
-    /// Reads the variable that has been due for the longest time; returns whether it was read.
+    /// Reads the variable with the earliest time; returns whether it was read.
     pub(super) async fn read(&mut self, session: &mut Session<Socket>) -> bool {
         self.variables.retain_mut(Scanned::is_wanted);
-        let Some(scanned) = self.variables.iter_mut().min_by_key(|scanned| scanned.due) else { return false };
+        let Some(scanned) = self.variables.iter_mut().min_by_key(|scanned| scanned.next) else { return false };
         let reading = session.read::<OwnedVariant>(Object::Controller, &scanned.name).await;
-        // from now on, not from when it was due: a controller that is too slow is not asked in a burst
-        scanned.due = session.now().saturating_add(scanned.interval());
+        // from now on, not from the planned time: a controller that is too slow is not asked in a burst
+        scanned.next = session.now().saturating_add(scanned.interval());
         let read = reading.is_ok();
         scanned.report(&reading.map_err(Arc::new));
         read
@@ -118,7 +234,7 @@ const SHORTEST: Duration = Duration::from_millis(1);
 impl Scanned {
     /// Drops subscribers that have ended, and returns whether there are others.
     fn is_wanted(&mut self) -> bool {
-        self.subscribers.retain(|(_, sender)| !sender.is_closed());
+        self.subscribers.retain(|(_, subscriber)| subscriber.is_wanted());
         !self.subscribers.is_empty()
     }
 
@@ -126,19 +242,8 @@ impl Scanned {
         self.subscribers.iter().map(|(interval, _)| *interval).min().unwrap_or(SHORTEST)
     }
 
-    fn report(&self, reading: &Reading) {
-        for (_, sender) in &self.subscribers {
-            sender.send_if_modified(|last| {
-                let changed = match (&*last, reading) {
-                    (Some(Ok(last)), Ok(value)) => last != value,
-                    (Some(Err(last)), Err(error)) => last.to_string() != error.to_string(),
-                    _ => true,
-                };
-                if changed {
-                    *last = Some(reading.clone());
-                }
-                changed
-            });
-        }
+    fn report(&self, value: &Result<OwnedVariant, Arc<Error>>) {
+        let at = std::time::Instant::now();
+        self.subscribers.iter().for_each(|(_, subscriber)| subscriber.report(value, at));
     }
 }

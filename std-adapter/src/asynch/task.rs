@@ -30,7 +30,7 @@ use tokio::sync::{mpsc, oneshot, watch};
 use super::ending::Open;
 use super::socket::{self, BoxFuture, Socket, SocketConnection};
 use super::state::{Counters, State};
-use super::subscription::{Reading, Scan};
+use super::subscription::{Scan, Subscriber};
 use crate::CallError;
 use crate::address::Address;
 use crate::error::Error;
@@ -38,7 +38,7 @@ use crate::moves::Move;
 use crate::session::{ArmState, ROBOT, Recovery, Session};
 use crate::settings::{Backoff, Settings};
 
-/// What a handle asks of the task.
+/// A request of a handle.
 pub(super) enum Request {
     /// Runs a function of the session.
     Run(Box<dyn Job>),
@@ -47,7 +47,7 @@ pub(super) enum Request {
     GiveUp(u64),
     /// Gives back the arm that was taken in this session, if it still is.
     GiveArm(u64),
-    Subscribe(String, Duration, watch::Sender<Option<Reading>>),
+    Subscribe(Vec<Subscriber>, Duration),
     Close(oneshot::Sender<Result<(), Error>>),
 }
 
@@ -61,7 +61,7 @@ pub(super) struct MoveRequest {
     pub(super) reply: oneshot::Sender<Result<MotionQueue, Error>>,
 }
 
-/// A function of a session, and who waits for its result.
+/// A function of a session, with the receiver of its result.
 pub(super) trait Job: Send {
     fn run<'a>(self: Box<Self>, session: &'a mut Session<Socket>) -> BoxFuture<'a, Outcome>;
     fn fail(self: Box<Self>, error: Error);
@@ -81,6 +81,8 @@ pub(super) struct Work<F, T> {
     pub(super) reply: oneshot::Sender<Worked<T>>,
     /// Whether it runs although the caller has gone.
     pub(super) always: bool,
+    /// The time limit of its calls.
+    pub(super) limit: Option<Duration>,
 }
 
 impl<F, T> Job for Work<F, T>
@@ -89,9 +91,11 @@ where
     T: Send + 'static,
 {
     fn run<'a>(self: Box<Self>, session: &'a mut Session<Socket>) -> BoxFuture<'a, Outcome> {
-        let Self { work, reply, .. } = *self;
+        let Self { work, reply, limit, .. } = *self;
         Box::pin(async move {
+            session.set_limit(limit);
             let result = caught(work(session)).await;
+            session.set_limit(None);
             let succeeded = matches!(result, Ok(Ok(_)));
             // a caller that has gone does not need the result
             let _ = reply.send(result);
@@ -273,8 +277,8 @@ impl Task {
             Some(Request::Move(request)) if request.queue.is_new() => drop(request.reply.send(Err(error()))),
             // the robot may still move
             Some(Request::Move(request)) => drop(request.reply.send(Err(unanswered_motion()))),
-            Some(Request::Subscribe(name, interval, sender)) => {
-                self.scan.add(name, interval, sender);
+            Some(Request::Subscribe(subscribers, interval)) => {
+                self.scan.add(subscribers, interval);
                 self.scan.fail(&Arc::new(error()));
                 return None;
             }
@@ -294,13 +298,13 @@ impl Task {
                 Some(motion) => step(session, motion, now).await,
                 None => None,
             };
-            if self.scan.due().is_some_and(|due| due <= now) && self.scan.read(session).await {
+            if self.scan.next().is_some_and(|next| next <= now) && self.scan.read(session).await {
                 self.counters.scanned.add();
             }
             if let Some(error) = session.lost() {
                 return lost(motion, error);
             }
-            let due = motion.as_ref().map(|motion| motion.due).into_iter().chain(self.scan.due()).min();
+            let due = motion.as_ref().map(|motion| motion.due).into_iter().chain(self.scan.next()).min();
             tokio::select! {
                 biased;
                 // first, because the next round halts the robot
@@ -318,7 +322,7 @@ impl Task {
                         give_up(session).await;
                     }
                     Some(Request::GiveArm(_) | Request::GiveUp(_)) => {}
-                    Some(Request::Subscribe(name, interval, sender)) => self.scan.add(name, interval, sender),
+                    Some(Request::Subscribe(subscribers, interval)) => self.scan.add(subscribers, interval),
                     Some(Request::Run(job)) => {
                         if !job.is_abandoned() {
                             self.count(job.run(session).await);
@@ -380,7 +384,7 @@ impl Task {
     }
 }
 
-/// A motion under way, and who waits for its end.
+/// A motion under way, with the receiver of its outcome.
 struct Moving {
     steps: Box<dyn MotionSteps>,
     /// When the robot is polled.

@@ -1,6 +1,9 @@
-//! A controller while its arm is taken.
+//! A controller by reference: while its arm is taken, or with a time limit for each call.
+
+use std::time::Duration;
 
 use bcap_core::bcap::Object;
+use bcap_core::bcap::call::Call;
 use bcap_core::variant::{Encode, FromVariant, OwnedVariant};
 
 use super::moving::Moving;
@@ -8,20 +11,40 @@ use super::objects::{File, Scan, Task};
 use super::robot::Arm;
 use super::socket::{Blocking, ready};
 use crate::error::Error;
-use crate::session::Session;
+use crate::reply::OwnedReply;
+use crate::session::{CONTROLLER, RuntimeCall, Session, TimedReading};
 
-/// A controller whose arm is taken, from [`Arm::controller`] and [`Moving::controller`]: its variables, commands, tasks and
-/// files.
+/// A controller by reference: its variables, commands, tasks and files. [`Arm::controller`] and [`Moving::controller`] return it
+/// while the arm is taken, and [`Controller::within`](super::Controller::within) with a time limit for each call.
 ///
 /// It cannot take the arm again, and it cannot end the session.
 #[derive(Debug)]
 pub struct ControllerRef<'a> {
     session: &'a mut Session<Blocking>,
+    limit: Option<Duration>,
 }
 
 impl<'a> ControllerRef<'a> {
     pub(super) const fn new(session: &'a mut Session<Blocking>) -> Self {
-        Self { session }
+        Self { session, limit: None }
+    }
+
+    /// Limits the time of each call of this reference.
+    ///
+    /// A call without a reply in this time fails with [`Error::NoReply`]; the controller may have executed it. The connection
+    /// stays usable.
+    #[must_use]
+    pub const fn within(mut self, limit: Duration) -> Self {
+        self.limit = Some(limit);
+        self
+    }
+
+    /// Runs calls within the time limit.
+    fn limited<T>(&mut self, calls: impl AsyncFnOnce(&mut Session<Blocking>) -> T) -> T {
+        self.session.set_limit(self.limit);
+        let ended = ready(calls(self.session));
+        self.session.set_limit(None);
+        ended
     }
 
     /// Reads a variable, as [`Controller::read`](super::Controller::read).
@@ -30,7 +53,7 @@ impl<'a> ControllerRef<'a> {
     ///
     /// An [`Error`]; [`Error::Value`] if the value has another type.
     pub fn read<T: for<'v> FromVariant<'v>>(&mut self, name: &str) -> Result<T, Error> {
-        ready(self.session.read(Object::Controller, name))
+        self.limited(async |session| session.read(Object::Controller, name).await)
     }
 
     /// Reads several variables of any type, as
@@ -40,11 +63,34 @@ impl<'a> ControllerRef<'a> {
     ///
     /// An [`Error`] for the first variable that cannot be read.
     pub fn read_all<const N: usize>(&mut self, names: [&str; N]) -> Result<[OwnedVariant; N], Error> {
-        let mut values = std::array::from_fn(|_| OwnedVariant::default());
-        for (value, name) in values.iter_mut().zip(names) {
-            *value = self.read(name)?;
+        self.limited(async |session| session.read_all(&names).await)
+    }
+
+    /// Reads several variables of any type, as [`Controller::read_each`](super::Controller::read_each).
+    ///
+    /// # Errors
+    ///
+    /// [`Error::NotConnected`] if the connection was lost before.
+    pub fn read_each(&mut self, names: &[&str]) -> Result<Vec<TimedReading>, Error> {
+        if let Some(error) = self.session.lost() {
+            return Err(error);
         }
-        Ok(values)
+        Ok(self.limited(async |session| session.read_each(names).await))
+    }
+
+    /// Reads a variable until its value meets a condition, as
+    /// [`Controller::read_until`](super::Controller::read_until).
+    ///
+    /// # Errors
+    ///
+    /// [`Error::NotMet`] after `limit`; the [`Error`] of a reading that fails.
+    pub fn read_until<T: for<'v> FromVariant<'v>>(
+        &mut self,
+        name: &str,
+        mut condition: impl FnMut(&T) -> bool,
+        limit: Duration,
+    ) -> Result<T, Error> {
+        self.limited(async |session| session.read_until(name, &mut condition, limit).await)
     }
 
     /// Opens variables, to read them often with [`Scan::read`].
@@ -52,7 +98,7 @@ impl<'a> ControllerRef<'a> {
     /// # Errors
     ///
     /// An [`Error`] for the first variable that does not exist.
-    pub fn scan<const N: usize>(&mut self, names: [&str; N]) -> Result<Scan<N>, Error> {
+    pub fn scan(&mut self, names: &[&str]) -> Result<Scan, Error> {
         Scan::open(self.session, names)
     }
 
@@ -62,7 +108,7 @@ impl<'a> ControllerRef<'a> {
     ///
     /// An [`Error`]. After [`Error::NoReply`] the value may have been written.
     pub fn write(&mut self, name: &str, value: impl Encode) -> Result<(), Error> {
-        ready(self.session.write(Object::Controller, name, value))
+        self.limited(async |session| session.write(Object::Controller, name, value).await)
     }
 
     /// Executes a command of the controller, as [`Controller::execute`](super::Controller::execute).
@@ -71,7 +117,17 @@ impl<'a> ControllerRef<'a> {
     ///
     /// An [`Error`]; [`Error::Value`] if the value of the reply has another type.
     pub fn execute<T: for<'v> FromVariant<'v>>(&mut self, command: &str, parameter: impl Encode) -> Result<T, Error> {
-        ready(self.session.execute(command, parameter))
+        self.limited(async |session| session.execute(command, parameter).await)
+    }
+
+    /// Calls any function, as [`Controller::call`](super::Controller::call).
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`].
+    pub fn call<C: Call<Reply: OwnedReply>>(&mut self, call: C) -> Result<<C::Reply as OwnedReply>::Owned, Error> {
+        let call = RuntimeCall::of(&call)?;
+        self.limited(async |session| session.call_recorded(CONTROLLER, call).await)
     }
 
     /// Returns a task, such as `Pro1`.
@@ -91,15 +147,15 @@ impl<'a> ControllerRef<'a> {
     }
 }
 
-impl<const N: usize> Scan<N> {
+impl Scan {
     /// Reads the variables in their order, from `&mut Controller` or from [`Arm::controller`].
     ///
     /// # Errors
     ///
     /// An [`Error`] for the first variable that cannot be read; [`Error::OtherSession`] for another controller than that
     /// of the scan.
-    pub fn read<'a>(&self, cell: impl Into<ControllerRef<'a>>) -> Result<[OwnedVariant; N], Error> {
-        self.read_in(cell.into().session)
+    pub fn read<'a>(&self, cell: impl Into<ControllerRef<'a>>) -> Result<Vec<OwnedVariant>, Error> {
+        cell.into().limited(async |session| self.read_in(session).await)
     }
 }
 
@@ -115,7 +171,7 @@ impl Arm<'_> {
     /// # let mut arm = cell.robot()?.take_arm()?;
     /// if arm.move_to(&Move::line("P1"), Duration::from_secs(30))? == Motion::Arrived {
     ///     arm.controller().write("IO128", true)?; // closes the gripper
-    ///     while !arm.controller().read::<bool>("IO129")? { /* it is not closed yet */ }
+    ///     arm.controller().read_until("IO129", |closed: &bool| *closed, Duration::from_secs(2))?;
     /// }
     /// # Ok::<(), bcap_std::Error>(())
     /// ```

@@ -3,9 +3,10 @@
 mod any;
 
 use std::io;
+use std::time::Duration;
 
 use bcap_core::bcap::Object;
-use bcap_core::bcap::call::{Call, ControllerHandle, Reply};
+use bcap_core::bcap::call::{Call, ControllerHandle};
 use bcap_core::variant::{Encode, FromVariant, OwnedVariant};
 
 use super::Transport;
@@ -17,7 +18,8 @@ use super::socket::{self, Blocking, ready};
 use super::stopper::Stopper;
 use crate::address::Address;
 use crate::error::Error;
-use crate::session::Session;
+use crate::reply::OwnedReply;
+use crate::session::{Session, TimedReading};
 use crate::settings::Settings;
 
 /// A session with a controller.
@@ -109,11 +111,58 @@ impl Controller {
     ///
     /// An [`Error`] for the first variable that cannot be read.
     pub fn read_all<const N: usize>(&mut self, names: [&str; N]) -> Result<[OwnedVariant; N], Error> {
-        let mut values = std::array::from_fn(|_| OwnedVariant::default());
-        for (value, name) in values.iter_mut().zip(names) {
-            *value = self.read(name)?;
-        }
-        Ok(values)
+        ready(self.session.read_all(&names))
+    }
+
+    /// Reads several variables of any type, and returns for each when its reply arrived, and its value or error.
+    ///
+    /// After a timeout or a loss of the connection the rest is not read, and the result is shorter than `names`. So a
+    /// controller that stops responding costs one timeout, not one for each name.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::NotConnected`] if the connection was lost before.
+    pub fn read_each(&mut self, names: &[&str]) -> Result<Vec<TimedReading>, Error> {
+        self.reference().read_each(names)
+    }
+
+    /// Reads a variable every 10 ms until its value meets a condition, at most for `limit`, and returns that value.
+    ///
+    /// ```no_run
+    /// # use std::time::Duration;
+    /// # use bcap_std::{Settings, blocking::Controller};
+    /// # let mut cell = Controller::connect("tcp:192.168.0.1", &Settings::rc9())?;
+    /// cell.read_until("IO129", |closed: &bool| *closed, Duration::from_secs(2))?;
+    /// # Ok::<(), bcap_std::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    ///
+    /// [`Error::NotMet`] after `limit`; the [`Error`] of a reading that fails.
+    pub fn read_until<T: for<'a> FromVariant<'a>>(
+        &mut self,
+        name: &str,
+        condition: impl FnMut(&T) -> bool,
+        limit: Duration,
+    ) -> Result<T, Error> {
+        self.reference().read_until(name, condition, limit)
+    }
+
+    /// Returns this controller with a time limit for each of its calls.
+    ///
+    /// ```no_run
+    /// # use std::time::Duration;
+    /// # use bcap_std::{Settings, blocking::Controller};
+    /// # let mut cell = Controller::connect("tcp:192.168.0.1", &Settings::rc9())?;
+    /// let count: i32 = cell.within(Duration::from_millis(200)).read("I1")?;
+    /// # Ok::<(), bcap_std::Error>(())
+    /// ```
+    pub const fn within(&mut self, limit: Duration) -> ControllerRef<'_> {
+        self.reference().within(limit)
+    }
+
+    const fn reference(&mut self) -> ControllerRef<'_> {
+        ControllerRef::new(&mut self.session)
     }
 
     /// Opens variables, to read them often with [`Scan::read`].
@@ -121,16 +170,17 @@ impl Controller {
     /// ```no_run
     /// # use bcap_std::{Settings, blocking::Controller};
     /// # let mut cell = Controller::connect("tcp:192.168.0.1", &Settings::rc9())?;
-    /// let scan = cell.scan(["I1", "P1", "IO128"])?;
-    /// let [count, position, door] = scan.read(&mut cell)?;
-    /// println!("{count:?} {position:?} {door:?}");
+    /// let scan = cell.scan(&["I1", "P1", "IO128"])?;
+    /// for value in scan.read(&mut cell)? {
+    ///     println!("{value:?}");
+    /// }
     /// # Ok::<(), bcap_std::Error>(())
     /// ```
     ///
     /// # Errors
     ///
     /// An [`Error`] for the first variable that does not exist.
-    pub fn scan<const N: usize>(&mut self, names: [&str; N]) -> Result<Scan<N>, Error> {
+    pub fn scan(&mut self, names: &[&str]) -> Result<Scan, Error> {
         Scan::open(&mut self.session, names)
     }
 
@@ -175,10 +225,7 @@ impl Controller {
     /// As [`connect`](Self::connect), and [`Error::NoAddress`] for a controller over a stream of the caller, which needs
     /// [`Stopper::over`], and [`Error::NoSecondSession`] for one over a serial line, which carries one session.
     pub fn stopper(&self) -> Result<Stopper, Error> {
-        match self.address.as_ref().ok_or(Error::NoAddress)? {
-            Address::Serial(_) => Err(Error::NoSecondSession),
-            address => Stopper::connect(address, &self.settings),
-        }
+        Stopper::open(self.address.as_ref().ok_or(Error::NoAddress)?, &self.settings)
     }
 
     /// Executes a command of the controller with a parameter, such as `ClearError` with `()`.
@@ -196,14 +243,23 @@ impl Controller {
         self.session.handle
     }
 
-    /// Makes any call; `object` is named in errors. Objects that the call opens are released by the caller. A call that
-    /// moves the robot returns when the motion has ended, or with `NEXT` at once; no drop halts it.
+    /// Calls any function, and returns a copy of the value of its reply ([`OwnedReply`]). Objects that the call opens are
+    /// released with the session, if the caller does not. A call that moves the robot returns when the motion has ended, or
+    /// with `NEXT` at once; no drop halts it.
+    ///
+    /// ```no_run
+    /// # use bcap_std::{Settings, blocking::Controller, core::bcap::call};
+    /// # let mut cell = Controller::connect("tcp:192.168.0.1", &Settings::rc9())?;
+    /// let handle = cell.handle();
+    /// println!("{:?}", cell.call(call::controller_get_robot_names(handle, ""))?);
+    /// # Ok::<(), bcap_std::Error>(())
+    /// ```
     ///
     /// # Errors
     ///
     /// An [`Error`].
-    pub fn call<C: Call>(&mut self, object: &str, call: C) -> Result<<C::Reply as Reply>::Value<'_>, Error> {
-        ready(self.session.call(object, call))
+    pub fn call<C: Call<Reply: OwnedReply>>(&mut self, call: C) -> Result<<C::Reply as OwnedReply>::Owned, Error> {
+        self.reference().call(call)
     }
 
     /// Releases all objects and stops the service, as a drop does, and reports whether that succeeded.

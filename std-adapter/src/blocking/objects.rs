@@ -85,29 +85,40 @@ impl<'a> File<'a> {
 ///
 /// It knows its session. Handles are numbers which another session gives to other objects, so a scan that is used with
 /// another controller is an error and not a wrong value.
+///
+/// # Examples
+///
+/// ```no_run
+/// # use bcap_std::{Settings, blocking::Controller};
+/// # let mut cell = Controller::connect("tcp:192.168.0.1", &Settings::rc9())?;
+/// let scan = cell.scan(&["I1", "robot/@SERVO_ON"])?;
+/// for _ in 0..10 {
+///     let values = scan.read(&mut cell)?;
+///     println!("{values:?}");
+/// }
+/// # Ok::<(), bcap_std::Error>(())
+/// ```
 #[derive(Clone, Debug)]
-pub struct Scan<const N: usize> {
+pub struct Scan {
     session: u64,
-    variables: [(String, VariableHandle); N],
+    variables: Vec<(String, VariableHandle)>,
 }
 
-impl<const N: usize> Scan<N> {
-    pub(super) fn open(session: &mut Session<Blocking>, names: [&str; N]) -> Result<Self, Error> {
-        let mut variables = names.map(|name| (name.to_owned(), VariableHandle(0)));
-        for (name, handle) in &mut variables {
-            *handle = ready(session.variable(Object::Controller, name))?;
-        }
+impl Scan {
+    pub(super) fn open(session: &mut Session<Blocking>, names: &[&str]) -> Result<Self, Error> {
+        let open = |name: &&str| Ok((String::from(*name), ready(session.variable(Object::Controller, name))?));
+        let variables = names.iter().map(open).collect::<Result<_, Error>>()?;
         Ok(Self { session: session.id, variables })
     }
 
     /// Reads the variables in their order, if this is their session.
-    pub(super) fn read_in(&self, session: &mut Session<Blocking>) -> Result<[OwnedVariant; N], Error> {
+    pub(super) async fn read_in(&self, session: &mut Session<Blocking>) -> Result<Vec<OwnedVariant>, Error> {
         if session.id != self.session {
             return Err(Error::OtherSession);
         }
-        let mut values = std::array::from_fn(|_| OwnedVariant::default());
-        for (value, (name, handle)) in values.iter_mut().zip(&self.variables) {
-            *value = ready(session.value(name, call::variable_get_value(*handle)))?;
+        let mut values = Vec::with_capacity(self.variables.len());
+        for (name, handle) in &self.variables {
+            values.push(session.value(name, call::variable_get_value(*handle)).await?);
         }
         Ok(values)
     }

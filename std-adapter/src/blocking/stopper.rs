@@ -1,4 +1,4 @@
-//! Halting a robot over a connection of its own.
+//! Halting a robot over a separate connection.
 
 use std::io;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -12,8 +12,21 @@ use crate::settings::Settings;
 
 /// Halts the robot from any thread, also while another call of the [`Controller`](super::Controller) waits.
 ///
-/// It has a connection and a session of its own, which are open before they are needed. It is not an emergency stop: it
-/// needs the network, this computer and the controller.
+/// It has a separate connection and session, which are open before they are needed. It is not an emergency stop: it needs the
+/// network, this computer and the controller.
+///
+/// # Examples
+///
+/// ```no_run
+/// use bcap_std::Settings;
+/// use bcap_std::blocking::Stopper;
+///
+/// // a guard that halts the robot when a light curtain is broken, even if another client moves the robot
+/// let stopper = Stopper::connect("tcp:192.168.0.1", &Settings::rc9())?;
+/// let other = stopper.clone();
+/// std::thread::spawn(move || println!("{:?}", other.halt()));
+/// # Ok::<(), bcap_std::Error>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Stopper {
     session: Arc<Mutex<StopperSession>>,
@@ -28,8 +41,21 @@ struct StopperSession {
 }
 
 impl Stopper {
-    pub(super) fn connect(address: &Address, settings: &Settings) -> Result<Self, Error> {
-        Ok(Self::of(StopperSession::connect(address, settings)?))
+    /// Connects to the controller at an [`Address`], and opens the robot of the settings. A program that moves the robot
+    /// itself calls [`Controller::stopper`](super::Controller::stopper).
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`] for a wrong address, a failed connection, or a refused call.
+    pub fn connect(address: &str, settings: &Settings) -> Result<Self, Error> {
+        Self::open(&address.parse()?, settings)
+    }
+
+    pub(super) fn open(address: &Address, settings: &Settings) -> Result<Self, Error> {
+        match address {
+            Address::Serial(_) => Err(Error::NoSecondSession),
+            address => Ok(Self::of(StopperSession::connect(address, settings)?)),
+        }
     }
 
     /// Starts the session of a stopper over a stream of the caller. It does not connect again.

@@ -1,9 +1,10 @@
 //! What a tool needs of a session: calls and objects that are known only at run time.
 
 use std::io;
+use std::marker::PhantomData;
 
-use bcap_core::bcap::call::{Call, ControllerHandle, Maybe, RobotHandle};
-use bcap_core::bcap::{FrameWriter, FunctionId, Object};
+use bcap_core::bcap::call::{Call, ControllerHandle, Maybe, Reply, RobotHandle};
+use bcap_core::bcap::{Decoder, FrameWriter, FunctionId, Object};
 use bcap_core::error::EncodeError;
 use bcap_core::hresult::HResult;
 use bcap_core::io::asynch::{Connection, Transport};
@@ -13,22 +14,62 @@ use bcap_core::variant::{OwnedVariant, Variant};
 use super::{Release, Session};
 use crate::error::Error;
 use crate::path::ObjectPath;
+use crate::reply::OwnedReply;
 
-/// A call whose function and arguments are known only at run time.
-struct AnyCall<'a> {
-    function: FunctionId,
-    arguments: &'a [OwnedVariant],
+/// A call whose function and arguments are values, with the reply `R`.
+#[derive(Debug)]
+pub(crate) struct RuntimeCall<R = Maybe, A = Vec<OwnedVariant>> {
+    pub(crate) function: FunctionId,
+    pub(crate) arguments: A,
+    reply: PhantomData<fn() -> R>,
 }
 
-impl Call for AnyCall<'_> {
-    type Reply = Maybe;
+impl<R: Reply, A: AsRef<[OwnedVariant]>> RuntimeCall<R, A> {
+    pub(crate) const fn new(function: FunctionId, arguments: A) -> Self {
+        Self { function, arguments, reply: PhantomData }
+    }
+}
+
+impl<R: Reply> RuntimeCall<R> {
+    /// Copies a typed call, whose arguments may borrow.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Argument`] for an argument that cannot be sent.
+    pub(crate) fn of(call: &impl Call<Reply = R>) -> Result<Self, Error> {
+        let mut memory = vec![0; 512];
+        let arguments = loop {
+            match encoded(call, &mut memory) {
+                Err(EncodeError::Full) if memory.len() < MAX_CALL => memory.resize(memory.len() * 8, 0),
+                arguments => break arguments.map_err(Error::Argument)?,
+            }
+        };
+        Ok(Self::new(call.function(), arguments))
+    }
+}
+
+/// The maximum size of a request: 16 MiB and its header.
+const MAX_CALL: usize = 17 << 20;
+
+/// Encodes the arguments of a call, and copies them.
+fn encoded(call: &impl Call, memory: &mut [u8]) -> Result<Vec<OwnedVariant>, EncodeError> {
+    let mut frame = FrameWriter::new(memory)?;
+    call.arguments(&mut frame)?;
+    let bytes = frame.finish(0, 0, call.function().0)?;
+    // what the writer has written can be read
+    let frame = Decoder::TCP.decode_datagram(bytes).map_err(|_| EncodeError::Full)?;
+    Ok(frame.args.iter().map(OwnedVariant::from).collect())
+}
+
+impl<R: Reply, A: AsRef<[OwnedVariant]>> Call for RuntimeCall<R, A> {
+    type Reply = R;
 
     fn function(&self) -> FunctionId {
         self.function
     }
 
     fn arguments(&self, frame: &mut FrameWriter<'_>) -> Result<(), EncodeError> {
-        self.arguments.iter().try_for_each(|argument| frame.argument(argument))
+        self.arguments.as_ref().iter().try_for_each(|argument| frame.argument(argument))
     }
 }
 
@@ -50,8 +91,19 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         function: FunctionId,
         arguments: &[OwnedVariant],
     ) -> Result<(HResult, Option<OwnedVariant>), Error> {
-        let called =
-            self.call(object, AnyCall { function, arguments }).await.map(|value| value.map(OwnedVariant::from));
+        let value = self.call_recorded(object, RuntimeCall::<Maybe, _>::new(function, arguments)).await?;
+        Ok((self.connection.last_result().unwrap_or_default(), value))
+    }
+
+    /// Makes a call, and returns a copy of its value. Objects that it opens or releases are recorded, as are its effects on the
+    /// arm.
+    pub(crate) async fn call_recorded<R: OwnedReply, A: AsRef<[OwnedVariant]>>(
+        &mut self,
+        object: &str,
+        call: RuntimeCall<R, A>,
+    ) -> Result<R::Owned, Error> {
+        let (function, arguments) = (call.function, call.arguments.as_ref());
+        let called = self.call(object, &call).await.map(R::owned);
         let may_have_run = !matches!(called, Err(Error::Refused { .. } | Error::NotConnected { .. }));
         self.record_arm(function, arguments, called.is_ok(), may_have_run);
         let value = called?;
@@ -62,13 +114,17 @@ impl<X: Transport<Error = io::Error>> Session<X> {
                 self.arm = None;
                 self.forget_handles();
             }
-            (Some(opened), _) => value.as_ref().and_then(handle).into_iter().for_each(|new| self.record(opened, new)),
+            (Some(opened), _) => {
+                let first = self.connection.client().reply().and_then(|reply| reply.args.get(0));
+                let new = first.as_ref().and_then(handle_of);
+                new.into_iter().for_each(|new| self.record(opened, new));
+            }
             (_, Some(object)) => {
                 arguments.first().and_then(handle).into_iter().for_each(|old| self.forget(object, old))
             }
             (None, None) => {}
         }
-        Ok((self.connection.last_result().unwrap_or_default(), value))
+        Ok(value)
     }
 
     /// Records an object that a call has opened. Calls refer to the controller that was connected last.
@@ -182,7 +238,11 @@ fn is_on(parameter: Variant<'_>) -> bool {
 
 /// Returns a handle: an I4, or a UI4 of the same bits.
 fn handle(value: &OwnedVariant) -> Option<i32> {
-    match value.as_variant() {
+    handle_of(&value.as_variant())
+}
+
+fn handle_of(value: &Variant<'_>) -> Option<i32> {
+    match value {
         Variant::Ui4(handle) => Some(handle.cast_signed()),
         value => value.as_i32(),
     }

@@ -36,13 +36,40 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     /// Returns the session over another transport to the same peer, which `change` makes of this one.
     #[cfg(feature = "tokio")]
     pub(crate) fn over<Y: Transport<Error = io::Error>>(
-        self,
+        mut self,
         change: impl FnOnce(X) -> Option<Y>,
     ) -> Option<Session<Y>> {
-        let Self { connection, id, handle, robot, robot_name, variables, objects, opened, arm, keep, lost } = self;
+        self.set_limit(None);
+        let Self {
+            connection,
+            id,
+            handle,
+            robot,
+            robot_name,
+            variables,
+            objects,
+            opened,
+            arm,
+            keep,
+            usual_timing,
+            lost,
+        } = self;
         let (transport, client) = connection.into_parts();
         let connection = Connection::new(change(transport)?, client);
-        Some(Session { connection, id, handle, robot, robot_name, variables, objects, opened, arm, keep, lost })
+        Some(Session {
+            connection,
+            id,
+            handle,
+            robot,
+            robot_name,
+            variables,
+            objects,
+            opened,
+            arm,
+            keep,
+            usual_timing,
+            lost,
+        })
     }
 
     /// Returns what a lost session has left behind on the robot, once.

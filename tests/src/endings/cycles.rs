@@ -159,14 +159,14 @@ async fn run_async(
     for _ in 0..cycles {
         let [down, up, across, down2, up2, back] = motions(home, leg, speed);
         let cycle = async {
-            if arm.move_to(down, LIMIT).await? != Motion::Arrived {
+            if arm.move_to(&down, LIMIT).await? != Motion::Arrived {
                 return Ok(Motion::Halted);
             }
-            let placed = arm.start(up, LIMIT).await?.then(across).await?.then(down2).await?.wait().await?;
+            let placed = arm.start(&up, LIMIT).await?.then(&across).await?.then(&down2).await?.wait().await?;
             if placed != Motion::Arrived {
                 return Ok(placed);
             }
-            arm.start(up2, LIMIT).await?.then(back).await?.wait().await
+            arm.start(&up2, LIMIT).await?.then(&back).await?.wait().await
         };
         judge(cycle.await);
     }

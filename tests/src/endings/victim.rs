@@ -266,7 +266,7 @@ async fn work_async(address: &str, trial: &Trial, going: Option<std::sync::mpsc:
     if matches!(trial.ending, Ending::DropMoving | Ending::DropArm | Ending::DropController) {
         let leg = legs(&trial.job).first().map(motion).unwrap_or_else(|| Move::joint("J10"));
         let begun = tokio::time::Instant::now();
-        let moving = arm.start(leg, limit(trial)).await?;
+        let moving = arm.start(&leg, limit(trial)).await?;
         tokio::time::sleep_until(begun + at).await;
         drop(moving);
         if trial.ending == Ending::DropController {
@@ -302,13 +302,13 @@ impl Ending {
 async fn job_async(arm: &mut asynch::Arm, trial: &Trial) -> Result<Motion, Error> {
     let legs = match &trial.job {
         Job::Stream { .. } => return arm.stream(format(), limits(), swing(trial)).await.map(|_| Motion::Arrived),
-        Job::Move(leg) => return arm.move_to(motion(leg), limit(trial)).await,
+        Job::Move(leg) => return arm.move_to(&motion(leg), limit(trial)).await,
         Job::Chain(legs) => legs,
     };
     let [first, rest @ ..] = legs.as_slice() else { return Ok(Motion::Arrived) };
-    let mut moving = arm.start(motion(first), limit(trial)).await?;
+    let mut moving = arm.start(&motion(first), limit(trial)).await?;
     for leg in rest {
-        moving = moving.then(motion(leg)).await?;
+        moving = moving.then(&motion(leg)).await?;
     }
     moving.wait().await
 }

@@ -7,7 +7,7 @@ use std::pin::pin;
 use std::task::{Context, Poll, Waker};
 use std::time::Duration;
 
-use bcap_core::bcap::FunctionId;
+use bcap_core::bcap::call;
 use bcap_core::variant::OwnedVariant;
 use bcap_sim::{Config, Controller as Simulated, Profile};
 use bcap_std::asynch::{Arm, Controller, Stopper};
@@ -103,8 +103,7 @@ async fn calls(rig: &mut Rig) {
     rig.sweep("Controller::write", async |cell| cell.write("I3", 1).await.unwrap()).await;
     rig.sweep("Controller::execute", async |cell| cell.execute::<i32>("SysState", ()).await.unwrap()).await;
     rig.sweep("Controller::call", async |cell| {
-        let controller = OwnedVariant::new(&cell.handle().await.unwrap().0).unwrap();
-        cell.call(FunctionId::CONTROLLER_GET_NAME, vec![controller]).await.unwrap();
+        cell.call(call::controller_get_name(cell.handle().await.unwrap())).await.unwrap();
     })
     .await;
     rig.sweep("Controller::handle", async |cell| cell.handle().await.unwrap()).await;
@@ -133,7 +132,12 @@ async fn calls(rig: &mut Rig) {
     rig.sweep("File::read", async |cell| cell.file("none.txt").read::<String>().await.unwrap_err()).await;
     rig.sweep("File::write", async |cell| cell.file("none.txt").write("text").await.unwrap_err()).await;
     let interval = Duration::from_millis(1);
-    rig.sweep("Subscription::next", async |cell| cell.subscribe("I1", interval).next().await.unwrap().unwrap()).await;
+    rig.sweep("Subscription::next", async |cell| {
+        cell.subscribe(&["I1"], interval).next().await.unwrap().value.unwrap();
+    })
+    .await;
+    rig.sweep("Controller::read_until", async |cell| cell.read_until("I2", |_: &i32| true, interval).await.unwrap())
+        .await;
     rig.sweep("States::next", async |cell| {
         let mut states = cell.states();
         states.next().await.unwrap();
@@ -161,7 +165,7 @@ async fn arms(rig: &mut Rig) {
         arm.motor_on().await.unwrap();
         let there = arm.robot().joints().await.unwrap().degrees[0];
         let motion = Move::joint(Joints::new([there + 5.0, 45.0, 90.0, 0.0, 45.0, 0.0]));
-        assert_eq!(arm.move_to(motion, LIMIT).await.unwrap(), Motion::Arrived);
+        assert_eq!(arm.move_to(&motion, LIMIT).await.unwrap(), Motion::Arrived);
     })
     .await;
     moving(rig).await;
@@ -179,14 +183,14 @@ async fn moving(rig: &mut Rig) {
         let mut arm = arm(&cell).await;
         arm.motor_on().await.unwrap();
         let motion = by(&arm, 5.0).await;
-        arm.start(motion, LIMIT).await.unwrap().halt().await.map(drop).unwrap();
+        arm.start(&motion, LIMIT).await.unwrap().halt().await.map(drop).unwrap();
     })
     .await;
     rig.sweep("Moving::then", async |cell| {
         let mut arm = arm(&cell).await;
         arm.motor_on().await.unwrap();
         let (out, back) = (by(&arm, 5.0).await, by(&arm, 0.0).await);
-        let moving = arm.start(out, LIMIT).await.unwrap().then(back).await.unwrap();
+        let moving = arm.start(&out, LIMIT).await.unwrap().then(&back).await.unwrap();
         // on a loaded machine so short a motion may not be seen to begin, and is halted
         assert!(matches!(moving.wait().await.unwrap(), Motion::Arrived | Motion::Halted));
     })
