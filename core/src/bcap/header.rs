@@ -10,25 +10,53 @@
 //!      13     2  number of arguments
 //! ```
 //!
-//! All fields are little-endian (S2:200-384). Only this file contains their offsets.
+//! All fields are little-endian. Source: b-CAP guide for RC8, "Packet format" (S2:200-384). Only this file contains their
+//! offsets; the decoder, the frame writer, the client, the server and tools that show or damage single fields use [`Header`]
+//! and [`field`].
+//!
+//! # Examples
+//!
+//! ```
+//! use bcap_core::bcap::FunctionId;
+//! use bcap_core::bcap::header::{Header, field};
+//!
+//! let mut frame = *b"\x01\x10\0\0\0\x04\0\0\0\x02\0\0\0\0\0\x04";
+//! let header = Header::read(&frame).ok_or("less than a header")?;
+//! assert_eq!((header.length, header.serial), (16, 4));
+//! assert_eq!(header.function(), FunctionId::SERVICE_STOP);
+//!
+//! // an invalid length, for a test
+//! frame[field::LENGTH].copy_from_slice(&15_u32.to_le_bytes());
+//! assert_eq!(Header::read_length(&frame), Some(15));
+//! # Ok::<(), &str>(())
+//! ```
 
 use core::ops::Range;
+
+use crate::bcap::function::FunctionId;
+use crate::hresult::HResult;
 
 /// The first byte of every frame.
 pub const SOH: u8 = 0x01;
 /// Bytes before the arguments.
-pub const HEADER_LEN: usize = 15;
+pub const HEADER_LEN: usize = field::COUNT.end;
 
-/// The byte ranges of the fields.
-mod field {
-    use super::Range;
+/// The byte ranges of the fields, in ascending order and without gaps.
+pub mod field {
+    use core::ops::Range;
 
-    pub(super) const SOH: usize = 0;
-    pub(super) const LENGTH: Range<usize> = 1..5;
-    pub(super) const SERIAL: Range<usize> = 5..7;
-    pub(super) const RESERVED: Range<usize> = 7..9;
-    pub(super) const CODE: Range<usize> = 9..13;
-    pub(super) const COUNT: Range<usize> = 13..super::HEADER_LEN;
+    /// [`SOH`](super::SOH).
+    pub const SOH: Range<usize> = 0..1;
+    /// The length of the whole frame.
+    pub const LENGTH: Range<usize> = 1..5;
+    /// The serial number.
+    pub const SERIAL: Range<usize> = 5..7;
+    /// The reserved field: on links that repeat calls, the serial number of the first attempt.
+    pub const RESERVED: Range<usize> = 7..9;
+    /// The function of a request, or the HRESULT of a reply.
+    pub const CODE: Range<usize> = 9..13;
+    /// The number of arguments.
+    pub const COUNT: Range<usize> = 13..15;
 }
 
 /// The offset of the length, for errors.
@@ -36,28 +64,37 @@ pub(crate) const LENGTH_AT: usize = field::LENGTH.start;
 /// The offset of the number of arguments, for errors.
 pub(crate) const COUNT_AT: usize = field::COUNT.start;
 
-/// The fields of a header.
+/// The fields of a header, not checked: any 15 bytes are a header.
+///
+/// [`Decoder`](crate::bcap::Decoder) checks whole frames. A header is for code that needs a field before the rest of the frame
+/// has arrived, or of a frame that is damaged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Header {
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Header {
     /// The length of the whole frame, in bytes.
-    pub(crate) length: u32,
-    pub(crate) serial: u16,
-    pub(crate) reserved: u16,
+    pub length: u32,
+    /// The serial number; a reply repeats its request's.
+    pub serial: u16,
+    /// On UDP and serial lines the serial number of a call's first attempt; otherwise 0.
+    pub reserved: u16,
     /// The function number of a request, or the HRESULT of a reply.
-    pub(crate) code: i32,
+    pub code: i32,
     /// The number of arguments.
-    pub(crate) count: u16,
+    pub count: u16,
 }
 
 impl Header {
     /// Reads the header at the front of `bytes`; `None` while it is incomplete. SOH is not checked.
     #[inline]
-    pub(crate) fn read(bytes: &[u8]) -> Option<Self> {
+    #[must_use]
+    pub fn read(bytes: &[u8]) -> Option<Self> {
         bytes.first_chunk().map(Self::from_bytes)
     }
 
+    /// Reads a header. SOH is not checked.
     #[inline]
-    pub(crate) fn from_bytes(header: &[u8; HEADER_LEN]) -> Self {
+    #[must_use]
+    pub fn from_bytes(header: &[u8; HEADER_LEN]) -> Self {
         Self {
             length: u32::from_le_bytes(get(header, field::LENGTH)),
             serial: u16::from_le_bytes(get(header, field::SERIAL)),
@@ -67,18 +104,34 @@ impl Header {
         }
     }
 
-    /// Reads the length alone, which arrives before the rest of the header.
+    /// Reads the length alone, which arrives before the rest of the header; `None` while it is incomplete.
     #[inline]
-    pub(crate) fn read_length(bytes: &[u8]) -> Option<u32> {
+    #[must_use]
+    pub fn read_length(bytes: &[u8]) -> Option<u32> {
         let length = bytes.get(field::LENGTH)?.first_chunk()?;
         Some(u32::from_le_bytes(*length))
     }
 
-    /// Returns the header's bytes.
+    /// Returns the function of a request.
     #[inline]
-    pub(crate) fn to_bytes(self) -> [u8; HEADER_LEN] {
+    #[must_use]
+    pub const fn function(&self) -> FunctionId {
+        FunctionId(self.code)
+    }
+
+    /// Returns the HRESULT of a reply.
+    #[inline]
+    #[must_use]
+    pub const fn hresult(&self) -> HResult {
+        HResult(self.code)
+    }
+
+    /// Returns the header's bytes, with SOH.
+    #[inline]
+    #[must_use]
+    pub fn to_bytes(self) -> [u8; HEADER_LEN] {
         let mut bytes = [0; HEADER_LEN];
-        put(&mut bytes, field::SOH..LENGTH_AT, [SOH]);
+        put(&mut bytes, field::SOH, [SOH]);
         put(&mut bytes, field::LENGTH, self.length.to_le_bytes());
         put(&mut bytes, field::SERIAL, self.serial.to_le_bytes());
         put(&mut bytes, field::RESERVED, self.reserved.to_le_bytes());
@@ -124,6 +177,8 @@ mod tests {
         assert_eq!(header.to_bytes(), bytes);
         assert_eq!(Header::read_length(&bytes[..5]), Some(0x0504_0302));
         assert_eq!((Header::read_length(&bytes[..4]), Header::read(&bytes[..14])), (None, None));
+        let fields = [field::SOH, field::LENGTH, field::SERIAL, field::RESERVED, field::CODE, field::COUNT];
+        assert!(fields.into_iter().flatten().eq(0..HEADER_LEN));
     }
 
     #[test]

@@ -6,7 +6,7 @@ mod command;
 mod effect;
 mod frame;
 pub mod function;
-mod header;
+pub mod header;
 mod link;
 pub mod server;
 
@@ -16,7 +16,7 @@ pub use self::command::Command;
 pub use self::effect::{Effect, InSlaveMode, Properties, Skipped, StreamState};
 pub use self::frame::{Args, ArgsIter, Decoder, EOT, Frame, FrameWriter, MIN_FRAME, Progress, crc16};
 pub use self::function::{FunctionId, Kind, Object, Signature};
-pub use self::header::{HEADER_LEN, SOH};
+pub use self::header::{HEADER_LEN, Header, SOH};
 pub use self::link::{Link, OnMalformed};
 pub use self::server::Session;
 

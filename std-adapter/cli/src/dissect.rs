@@ -16,6 +16,7 @@
 use std::fmt::Write as _;
 use std::ops::Range;
 
+use bcap_core::bcap::header::field;
 use bcap_core::bcap::{Frame, HEADER_LEN};
 
 use crate::frame::Role;
@@ -94,12 +95,12 @@ fn fields(bytes: &[u8], frame: &Frame<'_>, role: Role, crc: bool) -> Vec<Field> 
     };
     let count = frame.args.len();
     let mut fields = vec![
-        (0..1, "SOH".into()),
-        (1..5, format!("length {}", bytes.len())),
-        (5..7, format!("serial {}", frame.serial)),
-        (7..9, reserved),
-        (9..13, code),
-        (13..15, if count == 1 { "1 argument".into() } else { format!("{count} arguments") }),
+        (field::SOH, "SOH".into()),
+        (field::LENGTH, format!("length {}", bytes.len())),
+        (field::SERIAL, format!("serial {}", frame.serial)),
+        (field::RESERVED, reserved),
+        (field::CODE, code),
+        (field::COUNT, if count == 1 { "1 argument".into() } else { format!("{count} arguments") }),
     ];
     let mut at = HEADER_LEN;
     for (i, argument) in arguments(bytes, frame, role).enumerate() {

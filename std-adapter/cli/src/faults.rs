@@ -4,7 +4,7 @@ use std::collections::{HashMap, VecDeque};
 use std::str::FromStr;
 use std::time::Duration;
 
-use bcap_core::bcap::{Decoder, FunctionId, Progress};
+use bcap_core::bcap::{Decoder, Header, Progress};
 use bcap_core::rac::MAX_LINE;
 
 use crate::duration;
@@ -136,12 +136,11 @@ impl Faults {
 
     /// Returns the call that a frame is a part of.
     fn frame(&mut self, sender: Role, frame: &[u8]) -> Option<Title> {
-        let serial = u16::from_le_bytes(*frame.get(5..7)?.first_chunk()?);
+        let header = Header::read(frame)?;
         if sender == Role::Response {
-            return self.calls.get(&serial).cloned();
+            return self.calls.get(&header.serial).cloned();
         }
-        let code = i32::from_le_bytes(*frame.get(9..13)?.first_chunk()?);
-        let function = FunctionId(code);
+        let function = header.function();
         let executes = function.argument_names().get(1) == Some(&"command");
         let decoded = executes.then(|| Decoder::TCP.decode(frame).ok()).flatten();
         let command = decoded.and_then(|decoded| match decoded {
@@ -149,7 +148,7 @@ impl Faults {
             Progress::NeedMore(_) => None,
         });
         let title = Title { function: function.to_string(), command };
-        self.calls.insert(serial, title.clone());
+        self.calls.insert(header.serial, title.clone());
         Some(title)
     }
 

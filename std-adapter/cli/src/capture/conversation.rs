@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, HashMap};
 use std::net::SocketAddr;
 
-use bcap_core::bcap::{self, Decoder, FunctionId};
+use bcap_core::bcap::{self, Decoder, FunctionId, Header};
 use bcap_core::limits::Strictness;
 use bcap_core::rac;
 
@@ -303,7 +303,7 @@ impl Conversation {
 /// Returns the code of a frame at the start of a stream, if the bytes can be one.
 fn bcap_frame(bytes: &[u8]) -> Option<FunctionId> {
     let length = Decoder::TCP.frame_length(bytes).ok()??;
-    let code = bytes.get(9..13)?.first_chunk().map(|code| FunctionId(i32::from_le_bytes(*code)))?;
+    let code = Header::read(bytes)?.function();
     let is_whole = bytes.len() >= length;
     (!is_whole || Decoder::TCP.decode(bytes).is_ok()).then_some(code)
 }
