@@ -100,7 +100,7 @@ fn as_json(code: HResult) -> String {
     line.to_string()
 }
 
-/// The page docs/errors.md.
+/// The page of the book with all codes.
 fn index() -> String {
     let mut page = String::from(INTRODUCTION);
     for code in HResult::known() {

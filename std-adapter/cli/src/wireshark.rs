@@ -1,7 +1,7 @@
 //! `bcap wireshark`: prints a dissector for Wireshark, one Lua file.
 //!
 //! The code of the dissector is `wireshark/dissector.lua`. Its tables (functions, result codes, types, formats of Slave Mode)
-//! are generated here from those of the core. `docs/wireshark/bcap.lua` is the output, and a test compares the two.
+//! are generated here from the tables of the core.
 
 use std::fmt::Write as _;
 

@@ -1,12 +1,17 @@
-//! tshark with the committed dissector. Tests that need it print one line and pass without it.
+//! tshark with the dissector that `bcap wireshark` prints. Tests that need it print one line and pass without it.
 #![allow(dead_code, reason = "every test file uses its own part of this")]
 
-use std::path::{Path, PathBuf};
+use std::fs;
+use std::path::Path;
 use std::process::{Command, Stdio};
+use std::sync::LazyLock;
 
-pub(crate) fn script() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/wireshark/bcap.lua")
-}
+/// The output of `bcap wireshark`.
+pub(crate) static DISSECTOR: LazyLock<String> = LazyLock::new(|| {
+    let run = crate::common::bcap(&["wireshark"]);
+    assert_eq!((run.code, run.err.as_str()), (0, ""));
+    run.out
+});
 
 pub(crate) fn has_tshark(test: &str) -> bool {
     let found = Command::new("tshark").arg("--version").stdout(Stdio::null()).stderr(Stdio::null()).status().is_ok();
@@ -19,10 +24,12 @@ pub(crate) fn has_tshark(test: &str) -> bool {
 /// Runs tshark with the dissector alone, without the user's settings, and returns its output.
 pub(crate) fn tshark(capture: &Path, args: &[&str]) -> String {
     let home = tempfile::tempdir().unwrap();
+    let script = home.path().join("bcap.lua");
+    fs::write(&script, DISSECTOR.as_str()).unwrap();
     let output = Command::new("tshark")
         .args(["-n", "-2", "-r"])
         .arg(capture)
-        .arg(format!("-Xlua_script:{}", script().display()))
+        .arg(format!("-Xlua_script:{}", script.display()))
         .args(args)
         .env("HOME", home.path())
         .env("XDG_CONFIG_HOME", home.path())
