@@ -60,8 +60,8 @@ const CLIENT_LIMIT: Duration = Duration::from_secs(60);
 fn judge_clients(args: &Conform, over: Link, address: SocketAddr, limit: Duration, json: bool) -> Result<(), Failure> {
     let judge = ClientJudge::bind(over, address).map_err(|error| taken("--listen", address, &error))?;
     let protocol = match over {
-        Link::Tcp => "tcp",
         Link::Udp => "udp",
+        Link::Tcp | Link::Serial => "tcp",
     };
     let ready = format!("{protocol}:{}", judge.address()?);
     if json {

@@ -4,11 +4,15 @@ use std::time::{Duration, Instant};
 
 use bcap_core::bcap::{FunctionId, Kind};
 use bcap_core::hresult::HResult;
-use bcap_core::variant::{OwnedVariant, VarType, Variant};
+use bcap_core::variant::VarType;
+use bcap_testkit::frame::TestFrame;
+use bcap_testkit::text;
+use bcap_testkit::value::Value;
+use bcap_testkit::wire::{Link, Wire};
 
 use crate::device::{Options, Refusals};
 use crate::language::{Arg, Setup, Slot, Want};
-use crate::wire::{Came, Link, Reply, Wire, encode, hex, request_text};
+use crate::reply::{Came, Reply, hex, oracle, request_text};
 
 /// Why a case ends early.
 #[derive(Clone, Debug)]
@@ -29,7 +33,7 @@ pub(crate) fn skip<T>(why: impl Into<String>) -> Result<T, Stop> {
 #[derive(Clone, Debug)]
 pub(crate) struct Sent {
     pub(crate) function: FunctionId,
-    pub(crate) args: Vec<OwnedVariant>,
+    pub(crate) args: Vec<Value>,
     pub(crate) marker: u16,
     pub(crate) serial: u16,
     pub(crate) reply: Option<Reply>,
@@ -52,13 +56,13 @@ pub(crate) struct Bench<'a> {
     handles: [Option<i32>; Slot::COUNT],
     pub(crate) last: Option<Sent>,
     /// The values of scratch variables before the case.
-    pub(crate) saved: Vec<(String, OwnedVariant)>,
+    pub(crate) saved: Vec<(String, Value)>,
     /// The external speed before the first case that changed it; `None` when it is restored.
     pub(crate) speed: Option<[f64; 3]>,
     /// Whether the arm was taken, so that the case must give it back.
     pub(crate) armed: bool,
     /// The argument of DriveAEx that turns the axis of the case back.
-    pub(crate) way_back: Option<OwnedVariant>,
+    pub(crate) way_back: Option<Value>,
     /// Whether a call may have started the task.
     pub(crate) task_started: bool,
     /// Tells whether the run is to end, so that nothing may move any more.
@@ -83,7 +87,7 @@ impl<'a> Bench<'a> {
     pub(crate) fn new(options: &'a Options, link: Link) -> Self {
         // over UDP a stale reply to an earlier client of the same port must not match, and a low serial would make 65534 look like a
         // late copy
-        let serial = if link == Link::Udp { fastrand::u16(1000..30000) } else { 1 };
+        let serial = if link.repeats() { fastrand::u16(1000..30000) } else { 1 };
         let (handles, log) = ([None; Slot::COUNT], Vec::new());
         Self {
             options,
@@ -137,16 +141,14 @@ impl<'a> Bench<'a> {
 
     pub(crate) fn open_controller(&mut self) -> Result<(), Stop> {
         let options = self.options;
-        let texts = ["b-CAP", &options.provider, &options.machine, &options.option];
-        let args = texts.map(|text| OwnedVariant::new(text).unwrap_or_default());
+        let args = ["b-CAP", &options.provider, &options.machine, &options.option].map(Value::text);
         let reply = self.exchange(FunctionId::CONTROLLER_CONNECT, args.to_vec())?;
         self.check(FunctionId::CONTROLLER_CONNECT, &reply, Want::Ok, Refusals::Fail)?;
         self.keep(Slot::Controller, &reply)
     }
 
     fn open_task(&mut self) -> Result<(), Stop> {
-        let task = OwnedVariant::new(self.options.task.as_str()).unwrap_or_default();
-        let args = vec![self.argument(&Arg::H(Slot::Controller))?, task, OwnedVariant::new("").unwrap_or_default()];
+        let args = vec![self.argument(&Arg::H(Slot::Controller))?, Value::text(&self.options.task), Value::text("")];
         let reply = self.exchange(FunctionId::CONTROLLER_GET_TASK, args)?;
         self.check(FunctionId::CONTROLLER_GET_TASK, &reply, Want::Ok, Refusals::Skip)?;
         self.keep(Slot::Task, &reply)
@@ -183,7 +185,7 @@ impl<'a> Bench<'a> {
         let mut speed = [0.0; 3];
         for (place, command) in speed.iter_mut().zip(["CurExtSpd", "CurExtAcc", "CurExtDec"]) {
             let reply = self.robot_command(command, "0,")?;
-            match reply.value().and_then(|value| value.as_f64()) {
+            match reply.value().and_then(Value::as_f64) {
                 Some(percent) if reply.code.is_ok() => *place = percent,
                 _ => return Ok(None),
             }
@@ -197,9 +199,8 @@ impl<'a> Bench<'a> {
     }
 
     /// Opens a variable of the controller, and returns its handle.
-    pub(crate) fn variable(&mut self, name: &str) -> Result<OwnedVariant, Stop> {
-        let text = |text: &str| OwnedVariant::new(text).unwrap_or_default();
-        let args = vec![self.argument(&Arg::H(Slot::Controller))?, text(name), text("")];
+    pub(crate) fn variable(&mut self, name: &str) -> Result<Value, Stop> {
+        let args = vec![self.argument(&Arg::H(Slot::Controller))?, Value::text(name), Value::text("")];
         let reply = self.exchange(FunctionId::CONTROLLER_GET_VARIABLE, args)?;
         self.check(FunctionId::CONTROLLER_GET_VARIABLE, &reply, Want::Ok, Refusals::Skip)?;
         let Some(value) = reply.args.into_iter().next() else { return fail("a handle", "no value") };
@@ -241,19 +242,25 @@ impl<'a> Bench<'a> {
     /// Ends the connection; over UDP the session, because the device would keep its slot for the port.
     pub(crate) fn close(&mut self) {
         let Some(mut wire) = self.wire.take() else { return };
-        if self.link == Link::Udp {
-            let serial = self.next_serial();
-            let sent = wire.send(&encode(serial, serial, FunctionId::SERVICE_STOP.0, &[]));
+        if self.link.repeats() {
+            let (serial, bytes) = self.request(FunctionId::SERVICE_STOP, &[]);
+            let sent = wire.send(&bytes);
             // the next socket may get this port, and would take the answer for its own; without one the device forgets the peer later
             let until = Instant::now() + self.options.quiet;
             let is_other = |came| matches!(came, Came::Reply(reply) if reply.serial != serial);
-            while sent.is_ok() && Instant::now() < until && is_other(wire.receive(self.options.quiet)) {}
+            while sent.is_ok()
+                && Instant::now() < until
+                && is_other(Came::of(self.link, wire.receive(self.options.quiet)))
+            {}
         }
         wire.close(self.options.quiet);
     }
 
     /// Starts a session of another client beside this one; a device that has no slot for it skips the case.
     pub(crate) fn another(&self) -> Result<Self, Stop> {
+        if self.link == Link::Serial {
+            return skip("a serial line has one client");
+        }
         let mut other = Self::new(self.options, self.link);
         other.serial = self.serial;
         other.connect()?;
@@ -297,7 +304,7 @@ impl<'a> Bench<'a> {
     }
 
     pub(crate) fn receive_within(&mut self, limit: Duration) -> Came {
-        let came = self.wire.as_mut().map_or(Came::Closed, |wire| wire.receive(limit));
+        let came = self.wire.as_mut().map_or(Came::Closed, |wire| Came::of(self.link, wire.receive(limit)));
         match came {
             Came::Reply(_) => (self.answered, self.has_reply) = (true, true),
             Came::Closed => self.refused |= !self.answered,
@@ -314,6 +321,18 @@ impl<'a> Bench<'a> {
         serial
     }
 
+    /// Encodes a call with the next serial; returns both.
+    pub(crate) fn request(&mut self, function: FunctionId, args: &[Value]) -> (u16, Vec<u8>) {
+        let serial = self.next_serial();
+        let marker = if self.link.repeats() { serial } else { 0 };
+        (serial, self.encode(serial, marker, function, args))
+    }
+
+    pub(crate) fn encode(&self, serial: u16, marker: u16, function: FunctionId, args: &[Value]) -> Vec<u8> {
+        let frame = TestFrame { serial, reserved: marker, code: function.0, args: args.to_vec() };
+        frame.to_wire(oracle(self.link).crc)
+    }
+
     /// Makes a call, and returns its reply whatever its code.
     pub(crate) fn call(&mut self, function: FunctionId, args: &[Arg]) -> Result<Reply, Stop> {
         let args = args.iter().map(|arg| self.argument(arg)).collect::<Result<Vec<_>, _>>()?;
@@ -324,7 +343,7 @@ impl<'a> Bench<'a> {
     ///
     /// The first call of a connection is repeated on a new one while the device has no slot: it ends the connection without a reply,
     /// or answers E_MAX_CONNECT.
-    pub(crate) fn exchange(&mut self, function: FunctionId, args: Vec<OwnedVariant>) -> Result<Reply, Stop> {
+    pub(crate) fn exchange(&mut self, function: FunctionId, args: Vec<Value>) -> Result<Reply, Stop> {
         loop {
             let is_first = self.is_fresh;
             self.refused = false;
@@ -347,13 +366,11 @@ impl<'a> Bench<'a> {
         }
     }
 
-    fn exchange_once(&mut self, function: FunctionId, args: Vec<OwnedVariant>) -> Result<Reply, Stop> {
-        let serial = self.next_serial();
-        let marker = if self.link == Link::Udp { serial } else { 0 };
-        let bytes = encode(serial, marker, function.0, &args);
+    fn exchange_once(&mut self, function: FunctionId, args: Vec<Value>) -> Result<Reply, Stop> {
+        let (serial, bytes) = self.request(function, &args);
         self.send(&bytes, &request_text(serial, function, &args))?;
         let task = self.handles[Slot::Task as usize];
-        let is_of_task = task.is_some() && args.first().and_then(|handle| handle.as_variant().as_i32()) == task;
+        let is_of_task = task.is_some_and(|task| args.first() == Some(&Value::I4(task)));
         self.last = Some(Sent { function, args, marker: serial, serial, reply: None });
         // until a reply says otherwise
         self.task_started |= function == FunctionId::TASK_START;
@@ -407,40 +424,40 @@ impl<'a> Bench<'a> {
             (_, Some(_)) if reply.code == HResult::S_EXECUTING => {
                 fail("S_EXECUTING has no value (S2:225)", reply.text())
             }
-            (Some(Kind::Nothing), Some(value)) if !value.is_empty() => fail(expected("has no value"), reply.text()),
+            (Some(Kind::Nothing), Some(value)) if *value != Value::Empty => {
+                fail(expected("has no value"), reply.text())
+            }
             (Some(Kind::Handle(_) | Kind::Int), Some(value)) if reply.code.is_ok() => match value {
-                Variant::I4(_) | Variant::Ui4(_) => Ok(()),
-                Variant::Empty if function == FunctionId::SERVICE_START => Ok(()),
+                Value::I4(_) | Value::Ui4(_) => Ok(()),
+                Value::Empty if function == FunctionId::SERVICE_START => Ok(()),
                 _ => fail(expected("is an I4"), reply.text()),
             },
-            (Some(Kind::Text), Some(value)) if reply.code.is_ok() && value.as_bstr().is_none() => {
+            (Some(Kind::Text), Some(value)) if reply.code.is_ok() && !matches!(value, Value::Bstr(_)) => {
                 fail(expected("is a BSTR"), reply.text())
             }
             _ => Ok(()),
         }
     }
 
-    pub(crate) fn argument(&self, arg: &Arg) -> Result<OwnedVariant, Stop> {
+    pub(crate) fn argument(&self, arg: &Arg) -> Result<Value, Stop> {
         let handle = |slot: Slot| match self.handles[slot as usize] {
             Some(handle) => Ok(handle),
             None => skip(format!("the handle {slot:?} is missing")),
         };
-        let encoded = match *arg {
-            Arg::H(slot) => OwnedVariant::new(&handle(slot)?),
-            Arg::Unsigned(slot) => OwnedVariant::new(&handle(slot)?.cast_unsigned()),
-            Arg::I(number) => OwnedVariant::new(&number),
-            Arg::S(text) => OwnedVariant::new(text),
-            Arg::Scratch(kind) => OwnedVariant::new(self.options.scratch(kind).as_str()),
+        Ok(match *arg {
+            Arg::H(slot) => Value::I4(handle(slot)?),
+            Arg::Unsigned(slot) => Value::Ui4(handle(slot)?.cast_unsigned()),
+            Arg::I(number) => Value::I4(number),
+            Arg::S(text) => Value::text(text),
+            Arg::Scratch(kind) => Value::text(&self.options.scratch(kind)),
             Arg::V(text) => return value_of(text),
-        };
-        // arguments of cases are small
-        Ok(encoded.unwrap_or_default())
+        })
     }
 
     pub(crate) fn keep(&mut self, slot: Slot, reply: &Reply) -> Result<(), Stop> {
         let handle = match reply.value() {
-            Some(Variant::I4(handle)) => handle,
-            Some(Variant::Ui4(handle)) => handle.cast_signed(),
+            Some(Value::I4(handle)) => *handle,
+            Some(Value::Ui4(handle)) => handle.cast_signed(),
             _ => return fail("a handle (I4)", reply.text()),
         };
         self.handles[slot as usize] = Some(handle);
@@ -506,10 +523,10 @@ impl Drop for Bench<'_> {
     }
 }
 
-pub(crate) fn value_of(text: &str) -> Result<OwnedVariant, Stop> {
-    match OwnedVariant::parse_text(text.as_bytes()) {
-        Ok(value) => Ok(value),
-        Err(error) => fail(format!("the text {text:?} is a value"), error.to_string()),
+pub(crate) fn value_of(text: &str) -> Result<Value, Stop> {
+    match text::parse(text.as_bytes()) {
+        Some(value) => Ok(value),
+        None => fail(format!("the text {text:?} is a value"), "it is none"),
     }
 }
 
@@ -519,17 +536,13 @@ fn matches(want: Want, reply: &Reply) -> bool {
     let is_ok = reply.code.is_ok();
     match want {
         Want::Ok => is_ok,
-        Want::NoValue => is_ok && value.is_none_or(|value| value.is_empty()),
-        Want::Type(vartype) => is_ok && value.is_some_and(|value| value.vartype() == VarType(vartype)),
+        Want::NoValue => is_ok && value.is_none_or(|value| *value == Value::Empty),
+        Want::Type(vartype) => is_ok && value.is_some_and(|value| value.vartype() == vartype),
         Want::Array(element, count) => {
             is_ok
-                && value
-                    .and_then(|value| value.as_array())
-                    .is_some_and(|array| array.element() == VarType(element) && (count == 0 || array.len() == count))
+                && matches!(value, Some(Value::Array(found, items)) if *found == element && (count == 0 || items.len() == count))
         }
-        Want::Value(text) => {
-            is_ok && value_of(text).is_ok_and(|wanted| value.is_some_and(|value| value == wanted.as_variant()))
-        }
+        Want::Value(text) => is_ok && value_of(text).is_ok_and(|wanted| value == Some(&wanted)),
         Want::Code(codes) => codes.contains(&reply.code),
         Want::Refused => reply.code.is_err(),
     }
@@ -543,7 +556,7 @@ pub(crate) fn want_text(want: Want) -> String {
         Want::Array(element, 0) => format!("success with an array of {}", VarType(element)),
         Want::Array(element, count) => format!("success with {count} elements of {}", VarType(element)),
         Want::Value(text) => match value_of(text) {
-            Ok(value) => format!("success with {}", crate::wire::short(&value.as_variant())),
+            Ok(value) => format!("success with {}", crate::reply::short(&value)),
             Err(_) => text.into(),
         },
         Want::Code(codes) => codes.iter().map(ToString::to_string).collect::<Vec<_>>().join(" or "),

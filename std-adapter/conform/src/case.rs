@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use crate::bench::{Bench, Stop};
 pub(crate) use crate::language::{Arg, Edit, LineWant, Reaction, Setup, Slot, Step, Want};
 pub use crate::language::{Group, Level};
-use crate::wire::Link;
+use bcap_testkit::wire::Link;
 
 /// A case for a device.
 #[derive(Clone, Debug)]

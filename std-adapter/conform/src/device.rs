@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 use std::time::Duration;
 
 use crate::language::{Group, Level};
-use crate::wire::Link;
+use bcap_testkit::wire::Link;
 
 /// The addresses of a device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -3,7 +3,7 @@
 //! ```text
 //!  cases    tables: what is sent, what must come, the line of the specification
 //!  bench    runs one case on a connection of its own, and undoes what it changed
-//!  wire     bytes and frames over TCP and UDP; frames may be wrong on purpose
+//!  reply    judges and words what came
 //!  client   cases for clients
 //!  report   results as text, JSON (serde) and JUnit
 //! ```
@@ -31,18 +31,18 @@ mod device;
 mod edit;
 mod language;
 mod line;
+mod reply;
 mod report;
 mod steps;
 mod undo;
-mod wire;
 
 use std::time::Instant;
 
+pub use bcap_testkit::wire::Link;
 pub use case::{Case, Group, Level};
 pub use client::{ClientJudge, client_cases};
 pub use device::{Options, Target};
 pub use report::{CaseResult, Report, Verdict};
-pub use wire::Link;
 
 use bench::{Bench, REFUSAL_PAUSE, REFUSALS, Stop};
 
@@ -86,9 +86,12 @@ fn inapplicable(case: &Case, options: &Options) -> Option<String> {
     }
     match (options.target.bcap, case.only) {
         (None, _) => Some("the address of b-CAP is not given".into()),
+        // the copies of calls over UDP are those of a serial line too
+        (Some((Link::Serial, _)), Some(Link::Udp)) if case.group == Group::Udp => None,
         (Some((link, _)), Some(only)) if link != only => Some(match only {
             Link::Tcp => "a case of TCP".into(),
             Link::Udp => "a case of UDP".into(),
+            Link::Serial => "a case of a serial line".into(),
         }),
         _ => None,
     }

@@ -3,14 +3,14 @@
 use std::time::Duration;
 
 use bcap_core::bcap::FunctionId;
-use bcap_core::variant::OwnedVariant;
+use bcap_testkit::value::Value;
 
 use crate::bench::{Bench, Stop, fail};
 use crate::case::{Body, Case};
 use crate::device::Refusals;
 use crate::language::{Arg, Setup, Step, Want};
 use crate::line;
-use crate::wire::{encode, request_text};
+use crate::reply::request_text;
 
 /// The pause between two pieces of a frame: longer than the segments of one write are apart.
 const PIECE_PAUSE: Duration = Duration::from_millis(20);
@@ -64,9 +64,7 @@ impl Bench<'_> {
 
     /// Sends Service_Start in pieces, each after a pause.
     fn pieces(&mut self, sizes: &[usize]) -> Result<(), Stop> {
-        let serial = self.next_serial();
-        let option = OwnedVariant::new("WDT=400").unwrap_or_default();
-        let bytes = encode(serial, 0, FunctionId::SERVICE_START.0, &[option]);
+        let (serial, bytes) = self.request(FunctionId::SERVICE_START, &[Value::text("WDT=400")]);
         let mut rest = bytes.as_slice();
         for size in sizes.iter().copied().chain([usize::MAX]) {
             let (piece, after) = rest.split_at(size.min(rest.len()));
@@ -83,13 +81,14 @@ impl Bench<'_> {
     fn copy(&mut self, renumbered: bool) -> Result<(), Stop> {
         let Some(last) = self.last.clone() else { return fail("a call", "no call was made") };
         let serial = if renumbered { self.next_serial() } else { last.serial };
-        let bytes = encode(serial, last.marker, last.function.0, &last.args);
+        let bytes = self.encode(serial, last.marker, last.function, &last.args);
         self.send(&bytes, &format!("copy of #{}: {}", last.marker, request_text(serial, last.function, &last.args)))?;
         let reply = self.reply(last.function, serial)?;
         let Some(first) = last.reply else { return fail("a first reply", "no reply") };
-        let is_same = first.code == reply.code
-            && first.args.len() == reply.args.len()
-            && first.args.iter().zip(&reply.args).all(|(a, b)| a.as_bytes() == b.as_bytes());
-        if is_same { Ok(()) } else { fail(format!("the first reply again: {}", first.text()), reply.text()) }
+        if first.code == reply.code && first.args == reply.args {
+            Ok(())
+        } else {
+            fail(format!("the first reply again: {}", first.text()), reply.text())
+        }
     }
 }

@@ -4,20 +4,18 @@ use std::time::{Duration, Instant};
 
 use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
-use bcap_core::variant::OwnedVariant;
+use bcap_testkit::value::Value;
 
 use crate::bench::{Bench, Stop, fail};
 use crate::language::{Arg, Setup, Slot, Want};
-use crate::wire::{Came, encode, request_text};
+use crate::reply::{Came, request_text};
 
 /// The longest turn of an axis at the slow speed of cases.
 const TURN: Duration = Duration::from_secs(60);
-/// The pause after an invalid reply, which may stay at the front of the stream.
-const PAUSE: Duration = Duration::from_millis(20);
 
-fn text(text: &str) -> OwnedVariant {
-    // the texts of cases are short
-    OwnedVariant::new(text).unwrap_or_default()
+/// The parameter of TakeArm without a group, and of Motor to switch it off.
+fn zeros() -> Value {
+    Value::Array(3, vec![Value::I4(0); 2])
 }
 
 impl<'a> Bench<'a> {
@@ -44,21 +42,18 @@ impl<'a> Bench<'a> {
         // the session of the case may wait for the reply of a motion
         let halted = self.beside().setup_and(Setup::Robot, |other| {
             let handle = other.argument(&Arg::H(Slot::Robot))?;
-            Ok(other.attempt(FunctionId::ROBOT_HALT, vec![handle, text("")], other.options.timeout))
+            Ok(other.attempt(FunctionId::ROBOT_HALT, vec![handle, Value::text("")], other.options.timeout))
         });
         if !matches!(halted, Ok(Some(_))) {
-            self.robot(FunctionId::ROBOT_HALT, vec![text("")]);
+            self.robot(FunctionId::ROBOT_HALT, vec![Value::text("")]);
         }
-        let slave = OwnedVariant::new(&0_i32).unwrap_or_default();
-        if self.robot(FunctionId::ROBOT_EXECUTE, vec![text("slvChangeMode"), slave]).is_none() {
+        if self.robot_command_at_end("slvChangeMode", Value::I4(0)).is_none() {
             self.take_arm_again();
         }
         let turned = self.turn_back();
         self.restore_speed();
-        for (command, value) in [("Motor", "8195,0,0"), ("GiveArm", "0,")] {
-            let value = OwnedVariant::parse_text(value.as_bytes()).unwrap_or_default();
-            self.robot(FunctionId::ROBOT_EXECUTE, vec![text(command), value]);
-        }
+        self.robot_command_at_end("Motor", zeros());
+        self.robot_command_at_end("GiveArm", Value::Empty);
         turned.and(match self.speed {
             Some(speed) => fail(format!("the external speed is restored to {speed:?}"), "ExtSpeed fails"),
             None => Ok(()),
@@ -68,8 +63,7 @@ impl<'a> Bench<'a> {
     /// Opens a session for the rest, if that of the case has ended. The controller has given the arm back then.
     fn take_arm_again(&mut self) {
         if self.setup(Setup::Robot).is_ok() {
-            let value = OwnedVariant::parse_text(b"8195,0,0").unwrap_or_default();
-            self.robot(FunctionId::ROBOT_EXECUTE, vec![text("TakeArm"), value]);
+            self.robot_command_at_end("TakeArm", zeros());
         }
     }
 
@@ -80,7 +74,7 @@ impl<'a> Bench<'a> {
             return Ok(());
         }
         let handle = self.argument(&Arg::H(Slot::Robot))?;
-        match self.attempt(FunctionId::ROBOT_EXECUTE, vec![handle, text("DriveAEx"), back], TURN) {
+        match self.attempt(FunctionId::ROBOT_EXECUTE, vec![handle, Value::text("DriveAEx"), back], TURN) {
             Some(code) if code.is_ok() => Ok(()),
             Some(code) => fail("axis 6 is turned back", format!("axis 6 is not turned back: {code}")),
             None => fail("axis 6 is turned back", "axis 6 is not turned back: no reply"),
@@ -90,8 +84,8 @@ impl<'a> Bench<'a> {
     /// Sets the external speed as it was before.
     fn restore_speed(&mut self) {
         let Some(speed) = self.speed else { return };
-        let speed = OwnedVariant::new(&speed).unwrap_or_default();
-        let code = self.robot(FunctionId::ROBOT_EXECUTE, vec![text("ExtSpeed"), speed]);
+        let speed = Value::Array(5, speed.map(|percent| Value::R8(percent.to_bits())).into());
+        let code = self.robot_command_at_end("ExtSpeed", speed);
         if code.is_some_and(HResult::is_ok) {
             self.speed = None;
         }
@@ -125,21 +119,19 @@ impl<'a> Bench<'a> {
     }
 
     /// Calls a function of the robot as part of the end; returns its code.
-    fn robot(&mut self, function: FunctionId, args: Vec<OwnedVariant>) -> Option<HResult> {
+    fn robot(&mut self, function: FunctionId, args: Vec<Value>) -> Option<HResult> {
         let handle = self.argument(&Arg::H(Slot::Robot)).ok()?;
         self.attempt(function, std::iter::once(handle).chain(args).collect(), self.options.timeout)
     }
 
+    fn robot_command_at_end(&mut self, command: &str, value: Value) -> Option<HResult> {
+        self.robot(FunctionId::ROBOT_EXECUTE, vec![Value::text(command), value])
+    }
+
     /// Makes a call, skips replies to other calls, and returns the code; `None` without a reply.
-    pub(crate) fn attempt(
-        &mut self,
-        function: FunctionId,
-        args: Vec<OwnedVariant>,
-        limit: Duration,
-    ) -> Option<HResult> {
-        let serial = self.next_serial();
-        let marker = if self.link == crate::wire::Link::Udp { serial } else { 0 };
-        self.send(&encode(serial, marker, function.0, &args), &request_text(serial, function, &args)).ok()?;
+    pub(crate) fn attempt(&mut self, function: FunctionId, args: Vec<Value>, limit: Duration) -> Option<HResult> {
+        let (serial, bytes) = self.request(function, &args);
+        self.send(&bytes, &request_text(serial, function, &args)).ok()?;
         let until = Instant::now() + limit;
         loop {
             let left = until.saturating_duration_since(Instant::now());
@@ -149,13 +141,12 @@ impl<'a> Bench<'a> {
                 }
                 Came::Closed | Came::Nothing => return None,
                 _ if left.is_zero() => return None,
-                Came::Reply(_) => {}
-                Came::Invalid(_) => std::thread::sleep(PAUSE),
+                Came::Reply(_) | Came::Invalid(_) => {}
             }
         }
     }
 
-    fn restore(&mut self, name: &str, value: OwnedVariant) -> Result<(), Stop> {
+    fn restore(&mut self, name: &str, value: Value) -> Result<(), Stop> {
         self.setup(Setup::Controller)?;
         let variable = self.variable(name)?;
         let reply = self.exchange(FunctionId::VARIABLE_PUT_VALUE, vec![variable, value])?;

@@ -1,6 +1,6 @@
 //! Damage to encoded frames.
 
-use crate::frame::TestFrame;
+use crate::frame::{TestFrame, field};
 
 /// One piece of damage; positions are fractions of 65536 of the length.
 #[derive(Clone, Copy, Debug)]
@@ -42,7 +42,7 @@ pub fn damaged(frame: &TestFrame, damages: &[Damage], fixes_length: bool) -> Vec
     if fixes_length && wire.len() >= 16 {
         let length = wire.len() as u32;
         wire[0] = 1;
-        wire[1..5].copy_from_slice(&length.to_le_bytes());
+        wire[field::LENGTH].copy_from_slice(&length.to_le_bytes());
         wire[length as usize - 1] = 4;
     }
     wire

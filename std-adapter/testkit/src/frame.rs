@@ -4,6 +4,48 @@ use bcap_core::bcap::Frame;
 
 use crate::value::Value;
 
+/// The offsets of a frame (S2:200-384): the only description of the layout that the judge uses, apart from the decoder.
+pub mod field {
+    use std::ops::Range;
+
+    /// The length of the whole frame.
+    pub const LENGTH: Range<usize> = 1..5;
+    /// The serial number.
+    pub const SERIAL: Range<usize> = 5..7;
+    /// The reserved field: on links that repeat calls, the serial of the first attempt.
+    pub const RESERVED: Range<usize> = 7..9;
+    /// The function or the HRESULT.
+    pub const CODE: Range<usize> = 9..13;
+    /// The number of arguments.
+    pub const COUNT: Range<usize> = 13..15;
+    /// The length of the first argument.
+    pub const ARGUMENT: Range<usize> = 15..19;
+    /// The VARTYPE of the first argument.
+    pub const VARTYPE: Range<usize> = 19..21;
+    /// The number of elements of the first argument.
+    pub const ELEMENTS: Range<usize> = 21..25;
+    /// The data of the first argument; of a BSTR, its length.
+    pub const DATA: Range<usize> = 25..29;
+
+    /// Reads the length field.
+    #[must_use]
+    pub fn length(bytes: &[u8]) -> Option<u32> {
+        bytes.get(LENGTH)?.try_into().ok().map(u32::from_le_bytes)
+    }
+
+    /// Reads the serial number.
+    #[must_use]
+    pub fn serial(bytes: &[u8]) -> Option<u16> {
+        bytes.get(SERIAL)?.try_into().ok().map(u16::from_le_bytes)
+    }
+
+    /// Reads the function or the HRESULT.
+    #[must_use]
+    pub fn code(bytes: &[u8]) -> Option<i32> {
+        bytes.get(CODE)?.try_into().ok().map(i32::from_le_bytes)
+    }
+}
+
 /// A frame.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TestFrame {

@@ -21,7 +21,7 @@ use arbitrary::{Result, Unstructured};
 use bcap_core::bcap::{FunctionId, Kind, Object};
 
 use crate::damage::{Damage, damaged};
-use crate::frame::TestFrame;
+use crate::frame::{TestFrame, field};
 use crate::step::{Argument, Call, Delivery, OBJECTS, Step};
 use crate::value::{ARRAY, VARIANT, Value};
 
@@ -308,22 +308,21 @@ impl Grammar {
             let letters = (*u.choose(&DATAGRAMS)? - WITHOUT_LETTERS) / 2;
             return Ok(frame(vec![handle, Value::text(&"a".repeat(letters))]).to_wire(false));
         }
-        // the header has 15 bytes, then come the length of an argument, its VARTYPE and its count
-        let patched = |args: Vec<Value>, at: usize, bytes: &[u8]| {
+        let patched = |args: Vec<Value>, place: std::ops::Range<usize>, bytes: &[u8]| {
             let mut wire = frame(args).to_wire(false);
-            wire[at..at + bytes.len()].copy_from_slice(bytes);
+            wire[place].copy_from_slice(bytes);
             wire
         };
         Ok(match u.int_in_range(0..=11)? {
-            0 => patched(vec![handle], 1, &extreme.to_le_bytes()),
-            1 => patched(vec![handle], 13, &(extreme as u16).to_le_bytes()),
-            2 => patched(vec![handle], 15, &extreme.to_le_bytes()),
-            3 => patched(vec![handle], 19, &(extreme as u16).to_le_bytes()),
-            4 => patched(vec![Value::Array(3, vec![handle])], 21, &extreme.to_le_bytes()),
+            0 => patched(vec![handle], field::LENGTH, &extreme.to_le_bytes()),
+            1 => patched(vec![handle], field::COUNT, &(extreme as u16).to_le_bytes()),
+            2 => patched(vec![handle], field::ARGUMENT, &extreme.to_le_bytes()),
+            3 => patched(vec![handle], field::VARTYPE, &(extreme as u16).to_le_bytes()),
+            4 => patched(vec![Value::Array(3, vec![handle])], field::ELEMENTS, &extreme.to_le_bytes()),
             // the length of a string
-            5 => patched(vec![Value::text("I1")], 25, &extreme.to_le_bytes()),
+            5 => patched(vec![Value::text("I1")], field::DATA, &extreme.to_le_bytes()),
             // an odd one
-            6 => patched(vec![Value::text("I1"), handle], 25, &3_u32.to_le_bytes()),
+            6 => patched(vec![Value::text("I1"), handle], field::DATA, &3_u32.to_le_bytes()),
             // a wrong last byte
             7 => {
                 let mut wire = frame(vec![handle]).to_wire(false);
@@ -332,7 +331,7 @@ impl Grammar {
             }
             8 => frame(vec![nested(*u.choose(&[8_usize, 9, 16, 17, 100, 5000])?, u.arbitrary()?)]).to_wire(false),
             // an array of values without data
-            9 => patched(vec![Value::Array(0, vec![])], 21, &extreme.to_le_bytes()),
+            9 => patched(vec![Value::Array(0, vec![])], field::ELEMENTS, &extreme.to_le_bytes()),
             10 => {
                 let mut wire = frame(vec![handle, Value::text("I1")]).to_wire(false);
                 wire.truncate(u.int_in_range(1..=wire.len() - 1)?);

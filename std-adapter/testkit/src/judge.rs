@@ -5,7 +5,7 @@ use std::fmt;
 use bcap_core::bcap::{FunctionId, Kind, Object};
 use bcap_core::hresult::HResult;
 use bcap_core::limits::{Limits, Strictness};
-use bcap_core::rac::{Request, Response, Variable};
+use bcap_core::rac::{Request, Variable, VariableKind};
 
 use crate::frame::TestFrame;
 use crate::oracle::{Oracle, Verdict};
@@ -93,8 +93,9 @@ pub fn reply(request: &TestFrame, bytes: &[u8]) -> Result<TestFrame, Fault> {
     Err(Fault::Type { expected: noun(signature.result), value: value.cloned() })
 }
 
-/// Tells whether a reply may carry the value, by the function table.
-fn has_kind(value: &Value, kind: Kind) -> bool {
+/// Tells whether a value is of a kind of the function table.
+#[must_use]
+pub fn has_kind(value: &Value, kind: Kind) -> bool {
     let is_integer =
         matches!(value, Value::I2(_) | Value::I4(_) | Value::Ui1(_) | Value::Ui2(_) | Value::Ui4(_) | Value::Bool(_));
     match kind {
@@ -116,26 +117,33 @@ const fn noun(kind: Kind) -> &'static str {
     }
 }
 
+/// Tells whether a variable of RAC has such values (S0:206-331).
+fn fits(value: &Value, kind: VariableKind) -> bool {
+    match (kind.name(), value) {
+        ("I", Value::I4(_)) | ("F", Value::R4(_)) | ("D", Value::R8(_)) | ("S", Value::Bstr(_)) => true,
+        ("IO", Value::Bool(_)) => true,
+        ("V", Value::Array(4, items)) => items.len() == 3,
+        ("P", Value::Array(4, items)) => items.len() == 7,
+        ("J", Value::Array(4, items)) => items.len() == 8,
+        ("T", Value::Array(4, items)) => items.len() == 10,
+        _ => false,
+    }
+}
+
 /// Judges the response of RAC to a line; both without CR. A successful GET must return a value of the variable's type.
 ///
 /// # Errors
 ///
 /// What is wrong.
 pub fn response(line: &[u8], response: &[u8]) -> Result<HResult, Fault> {
+    let (code, value) = text::response(response).ok_or(Fault::Malformed)?;
     let mut memory = [0; 1024];
-    let parsed = Response::parse(response, &mut memory).map_err(|_| Fault::Malformed)?;
-    let after_comma = response.iter().position(|byte| *byte == b',').map(|comma| &response[comma + 1..]);
-    // the second parser must agree that there is a value, and on its bits
-    if parsed.value.map(Value::read) != after_comma.and_then(text::parse) {
-        return Err(Fault::Malformed);
-    }
-    let mut memory = [0; 1024];
-    if let (true, Ok(Request::Get(Variable { kind, .. }))) = (parsed.result.is_ok(), Request::parse(line, &mut memory))
-        && !parsed.value.is_some_and(|value| kind.fits(&value))
+    if let (true, Ok(Request::Get(Variable { kind, .. }))) = (HResult(code).is_ok(), Request::parse(line, &mut memory))
+        && !value.as_ref().is_some_and(|value| fits(value, kind))
     {
-        return Err(Fault::Type { expected: "a value of the variable's type", value: parsed.value.map(Value::read) });
+        return Err(Fault::Type { expected: "a value of the variable's type", value });
     }
-    Ok(parsed.result)
+    Ok(HResult(code))
 }
 
 #[cfg(test)]

@@ -10,6 +10,7 @@
 //! | [`judge`]      | judges replies: form, serial number, type of the value                      |             |
 //! | [`step`]       | the steps of a client, as values and as a text that can be replayed         |             |
 //! | [`link`]       | a pair of byte streams in memory, and a server on one end                   |             |
+//! | [`wire`]       | the raw end of a TCP, UDP or serial connection, as client or server         |             |
 //! | [`network`]    | a simulated network between a client and a server, with a clock of its own  |             |
 //! | `generate`     | `Arbitrary` for values and frames                                           | `arbitrary` |
 //! | `grammar`      | steps that are valid, nearly valid and hostile                              | `arbitrary` |
@@ -39,3 +40,4 @@ pub mod text;
 pub mod value;
 #[cfg(feature = "vectors")]
 pub mod vectors;
+pub mod wire;

@@ -4,7 +4,7 @@
 
 use bcap_core::limits::{Limits, Strictness};
 
-use crate::frame::{TestFrame, bitwise_crc};
+use crate::frame::{TestFrame, bitwise_crc, field};
 use crate::value::{ARRAY, VARIANT, Value};
 
 /// The rules to decode by.
@@ -46,6 +46,15 @@ fn le(input: &mut Input<'_>, len: usize) -> Option<u64> {
 }
 
 impl Oracle {
+    /// Decodes bytes that are exactly one frame.
+    #[must_use]
+    pub fn decode_packet(&self, bytes: &[u8]) -> Option<TestFrame> {
+        match self.decode(bytes) {
+            Verdict::Frame(frame, length) if length == bytes.len() => Some(frame),
+            _ => None,
+        }
+    }
+
     /// Decodes the frame at the front of a stream.
     #[must_use]
     pub fn decode(&self, bytes: &[u8]) -> Verdict {
@@ -55,10 +64,7 @@ impl Oracle {
         if bytes[0] != 1 {
             return Verdict::Refused;
         }
-        if bytes.len() < 5 {
-            return Verdict::Incomplete;
-        }
-        let length = u32::from_le_bytes([bytes[1], bytes[2], bytes[3], bytes[4]]);
+        let Some(length) = field::length(bytes) else { return Verdict::Incomplete };
         if length < if self.crc { 18 } else { 16 } || length > self.limits.frame {
             return Verdict::Refused;
         }

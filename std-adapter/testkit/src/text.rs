@@ -19,6 +19,21 @@ pub fn parse(text: &[u8]) -> Option<Value> {
     rest.is_empty().then_some(value)
 }
 
+/// Parses a response of RAC without its CR: the HRESULT, and a value after a comma; `None` when it is invalid.
+#[must_use]
+pub fn response(line: &[u8]) -> Option<(i32, Option<Value>)> {
+    let mut rest = line;
+    blanks(&mut rest);
+    let result = integer(ascii(run(&mut rest, |b| b != b',' && b != b' ' && b != b'\t')))?;
+    let result = i32::try_from(result).ok().or_else(|| u32::try_from(result).ok().map(u32::cast_signed))?;
+    blanks(&mut rest);
+    if rest.is_empty() {
+        return Some((result, None));
+    }
+    next(&mut rest, b',')?;
+    parse(rest).map(|value| (result, Some(value)))
+}
+
 /// Where a string stands.
 #[derive(Clone, Copy)]
 struct Place {

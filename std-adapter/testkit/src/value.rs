@@ -51,6 +51,21 @@ impl Value {
         Self::Bstr(text.encode_utf16().collect())
     }
 
+    /// Returns a float or an integer as a number.
+    #[must_use]
+    pub fn as_f64(&self) -> Option<f64> {
+        Some(match self {
+            Self::I2(n) => f64::from(*n),
+            Self::I4(n) => f64::from(*n),
+            Self::R4(bits) => f64::from(f32::from_bits(*bits)),
+            Self::R8(bits) => f64::from_bits(*bits),
+            Self::Ui1(n) => f64::from(*n),
+            Self::Ui2(n) => f64::from(*n),
+            Self::Ui4(n) => f64::from(*n),
+            _ => return None,
+        })
+    }
+
     /// Returns the VARTYPE.
     #[must_use]
     pub fn vartype(&self) -> u16 {

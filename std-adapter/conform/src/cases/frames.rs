@@ -1,6 +1,7 @@
 //! The bytes of a frame.
 
 use bcap_core::bcap::FunctionId as F;
+use bcap_testkit::wire::Link;
 
 use crate::bench::{Bench, Stop, fail};
 use crate::case::Edit::{
@@ -9,7 +10,7 @@ use crate::case::Edit::{
 use crate::case::Reaction::{Ends, Refused, Resync, Served};
 use crate::case::Setup::{Connected, Controller, Started};
 use crate::case::{Arg, Body, Case, Group, Reaction, Setup, Slot, Step, Want, case, steps};
-use crate::wire::{Came, Link, encode};
+use crate::reply::Came;
 
 const fn frame(name: &'static str, source: &'static str, rule: &'static str, edits: &'static [Step]) -> Case {
     case(Group::Frames, name, source, rule, Connected, steps(edits))
@@ -294,7 +295,7 @@ fn serial_jumps(bench: &mut Bench<'_>) -> Result<(), Stop> {
 fn at_once(bench: &mut Bench<'_>, count: usize, keep: usize) -> Result<(), Stop> {
     let handle = bench.argument(&Arg::H(Slot::Controller))?;
     let serials: Vec<u16> = (0..count).map(|_| bench.next_serial()).collect();
-    let frame = |serial: &u16| encode(*serial, 0, F::CONTROLLER_GET_NAME.0, std::slice::from_ref(&handle));
+    let frame = |serial: &u16| bench.encode(*serial, 0, F::CONTROLLER_GET_NAME, std::slice::from_ref(&handle));
     let bytes: Vec<u8> = serials.iter().flat_map(frame).collect();
     let (now, later) = bytes.split_at(bytes.len() - keep);
     bench.send(now, &format!("{count} x Controller_GetName, without the last {keep} bytes"))?;

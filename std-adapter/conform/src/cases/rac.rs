@@ -5,7 +5,7 @@ use bcap_core::hresult::HResult;
 use crate::bench::{Bench, Stop, fail, skip};
 use crate::case::Setup::Rac;
 use crate::case::{Body, Case, Group, Level, LineWant, Step, case, steps};
-use crate::line::{ask, check_answer, connect};
+use crate::line::{answer, ask, check_answer, connect};
 
 const fn line(name: &'static str, source: &'static str, rule: &'static str, table: &'static [Step]) -> Case {
     case(Group::Rac, name, source, rule, Rac, steps(table))
@@ -222,10 +222,8 @@ fn two_lines(bench: &mut Bench<'_>) -> Result<(), Stop> {
     let mut wire = connect(bench)?;
     let first = ask(bench, &mut wire, "HELLO\rGET:RC8:1:I:\r")?;
     check_answer(&first, LineWant::Refused)?;
-    match wire.answer() {
-        Ok(second) => check_answer(&second, I4),
-        Err(why) => fail("the answer to the second line", why),
-    }
+    let second = answer(bench, &mut wire)?;
+    check_answer(&second, I4)
 }
 
 /// Sends a line in two parts.

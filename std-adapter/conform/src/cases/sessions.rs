@@ -7,7 +7,7 @@ use crate::bench::{Bench, Stop, skip};
 use crate::case::Arg::{H, S};
 use crate::case::Setup::{Connected, Controller, Started};
 use crate::case::{Body, Case, Group, Setup, Slot, Step, Want, case, steps};
-use crate::wire::Link;
+use bcap_testkit::wire::Link;
 
 const C: Slot = Slot::Controller;
 const A: Slot = Slot::A;

@@ -4,14 +4,15 @@ use std::borrow::Cow;
 
 use bcap_core::bcap::FunctionId as F;
 use bcap_core::hresult::HResult;
-use bcap_core::variant::{OwnedVariant, Variant};
+use bcap_testkit::value::Value;
+use bcap_testkit::wire::Link;
 
 use crate::bench::{Bench, Stop, fail, skip};
 use crate::case::Arg::{H, S, V};
 use crate::case::Setup::{Arm, Robot};
 use crate::case::{Body, Case, Group, Level, Run, Setup, Slot, Step, Want, case, steps};
 use crate::device::Refusals;
-use crate::wire::{Link, Reply, encode, request_text};
+use crate::reply::{Reply, request_text};
 
 const R: Slot = Slot::Robot;
 
@@ -187,7 +188,7 @@ fn received(bench: &mut Bench<'_>, index: usize) -> Result<(), Stop> {
 }
 
 /// Returns the present position of the robot as a pose.
-fn pose(bench: &mut Bench<'_>, kind: char) -> Result<OwnedVariant, Stop> {
+fn pose(bench: &mut Bench<'_>, kind: char) -> Result<Value, Stop> {
     // the robot of another connection, because Slave Mode refuses these commands
     let mut other = bench.another()?;
     other.open_controller()?;
@@ -207,18 +208,18 @@ fn pose(bench: &mut Bench<'_>, kind: char) -> Result<OwnedVariant, Stop> {
     }
 }
 
-fn execute(bench: &mut Bench<'_>, command: &str, value: OwnedVariant) -> Result<Reply, Stop> {
+fn execute(bench: &mut Bench<'_>, command: &str, value: Value) -> Result<Reply, Stop> {
     let handle = bench.argument(&H(R))?;
-    bench.exchange(F::ROBOT_EXECUTE, vec![handle, OwnedVariant::new(command).unwrap_or_default(), value])
+    bench.exchange(F::ROBOT_EXECUTE, vec![handle, Value::text(command), value])
 }
 
-fn slv_move(bench: &mut Bench<'_>, pose: &OwnedVariant) -> Result<Reply, Stop> {
+fn slv_move(bench: &mut Bench<'_>, pose: &Value) -> Result<Reply, Stop> {
     execute(bench, "slvMove", pose.clone())
 }
 
 /// Enters Slave Mode, or skips the case if the controller has no licence for it.
 fn change(bench: &mut Bench<'_>, mode: i32) -> Result<(), Stop> {
-    let reply = execute(bench, "slvChangeMode", OwnedVariant::new(&mode).unwrap_or_default())?;
+    let reply = execute(bench, "slvChangeMode", Value::I4(mode))?;
     match reply.code {
         HResult::E_NO_LICENSE | HResult::E_CAO_PROV_NO_LICENSE => skip(format!("Slave Mode: {}", reply.code)),
         _ => bench.check(F::ROBOT_EXECUTE, &reply, Want::NoValue, Refusals::Skip),
@@ -228,7 +229,7 @@ fn change(bench: &mut Bench<'_>, mode: i32) -> Result<(), Stop> {
 fn mode(bench: &mut Bench<'_>, wanted: i32) -> Result<(), Stop> {
     let reply = bench.robot_command("slvGetMode", "0,")?;
     match reply.value() {
-        Some(Variant::I4(mode)) if mode == wanted => Ok(()),
+        Some(Value::I4(mode)) if *mode == wanted => Ok(()),
         _ => fail(format!("slvGetMode: I4({wanted})"), reply.text()),
     }
 }
@@ -250,9 +251,9 @@ fn enter(bench: &mut Bench<'_>, number: i32, kind: char) -> Result<(), Stop> {
 fn burst(bench: &mut Bench<'_>, number: i32, count: usize) -> Result<Vec<HResult>, Stop> {
     let pose = pose(bench, 'J')?;
     change(bench, number)?;
-    let args = vec![bench.argument(&H(R))?, OwnedVariant::new("slvMove").unwrap_or_default(), pose];
+    let args = vec![bench.argument(&H(R))?, Value::text("slvMove"), pose];
     let serials: Vec<u16> = (0..count).map(|_| bench.next_serial()).collect();
-    let bytes: Vec<u8> = serials.iter().flat_map(|serial| encode(*serial, 0, F::ROBOT_EXECUTE.0, &args)).collect();
+    let bytes: Vec<u8> = serials.iter().flat_map(|serial| bench.encode(*serial, 0, F::ROBOT_EXECUTE, &args)).collect();
     bench.send(&bytes, &format!("{count} x {}", request_text(serials[0], F::ROBOT_EXECUTE, &args)))?;
     let codes = serials.iter().map(|serial| bench.reply(F::ROBOT_EXECUTE, *serial).map(|reply| reply.code));
     let codes = codes.collect::<Result<Vec<_>, _>>()?;
@@ -323,10 +324,9 @@ fn enter_without_arm(bench: &mut Bench<'_>) -> Result<(), Stop> {
 /// Sends the first three elements of the present position.
 fn short_pose(bench: &mut Bench<'_>) -> Result<(), Stop> {
     let pose = pose(bench, 'J')?;
-    let value = pose.as_variant();
-    let joints = value.as_array().and_then(|joints| joints.items::<f64>());
-    let short: Vec<f64> = joints.map(|joints| joints.iter().take(3).collect()).unwrap_or_default();
+    let Value::Array(element, joints) = pose else { return fail("a pose", "another value") };
+    let short = Value::Array(element, joints.into_iter().take(3).collect());
     change(bench, 0x202)?;
-    let reply = slv_move(bench, &OwnedVariant::new(&short).unwrap_or_default())?;
+    let reply = slv_move(bench, &short)?;
     bench.check(F::ROBOT_EXECUTE, &reply, Want::Refused, Refusals::Fail)
 }

@@ -2,6 +2,7 @@
 
 use bcap_core::bcap::FunctionId as F;
 use bcap_core::hresult::HResult;
+use bcap_testkit::value::Value;
 
 use crate::bench::{Bench, Stop, fail};
 use crate::case::Arg::{H, I, S, V};
@@ -107,12 +108,12 @@ pub(super) const CASES: &[Case] = &[
 ];
 
 /// GetStatus of a task that runs.
-const RUNNING: &str = "3,3";
+const RUNNING: Value = Value::I4(3);
 
 fn start_and_stop(bench: &mut Bench<'_>) -> Result<(), Stop> {
     bench.open(A, F::TASK_GET_VARIABLE, &[H(T), S("@STATUS"), S("")])?;
     let before = bench.must(F::VARIABLE_GET_VALUE, &[H(A)], Want::Type(3))?;
-    if before.value() == crate::bench::value_of(RUNNING)?.as_variant().into() {
+    if before.value() == Some(&RUNNING) {
         return crate::bench::skip("the task runs already");
     }
     let started = bench.call(F::TASK_START, &[H(T), I(2), S("")])?;
@@ -123,7 +124,7 @@ fn start_and_stop(bench: &mut Bench<'_>) -> Result<(), Stop> {
     // immediately, also if the reply above is wrong
     let stopped = bench.call(F::TASK_STOP, &[H(T), I(1), S("")])?;
     // a short program may have ended already, because mode 2 runs one cycle (S2:531)
-    let is_running = running.value() == Some(crate::bench::value_of(RUNNING)?.as_variant());
+    let is_running = running.value() == Some(&RUNNING);
     let is_over = running.value() == before.value();
     if !(is_running || is_over) || running.code.is_err() {
         return fail(

@@ -4,13 +4,14 @@ use std::time::{Duration, Instant};
 
 use bcap_core::bcap::FunctionId as F;
 use bcap_core::hresult::HResult;
-use bcap_core::variant::OwnedVariant;
+use bcap_testkit::value::Value;
+use bcap_testkit::wire::Link;
 
 use crate::bench::{Bench, Stop, fail, skip, value_of};
 use crate::case::Arg::{H, I, S, V};
 use crate::case::Setup::{Arm, Connected, Controller, Started};
 use crate::case::{Body, Case, Group, Level, Setup, Slot, Step, Want, case, steps};
-use crate::wire::{Came, Link, encode, request_text};
+use crate::reply::{Came, request_text};
 
 const fn run(
     name: &'static str,
@@ -104,9 +105,7 @@ pub(super) const CASES: &[Case] = &[
 const PAUSE: Duration = Duration::from_millis(500);
 
 fn paused(bench: &mut Bench<'_>, at: usize) -> Result<(), Stop> {
-    let serial = bench.next_serial();
-    let option = OwnedVariant::new("WDT=400").unwrap_or_default();
-    let bytes = encode(serial, 0, F::SERVICE_START.0, &[option]);
+    let (serial, bytes) = bench.request(F::SERVICE_START, &[Value::text("WDT=400")]);
     bench.send(&bytes[..at], "the start of Service_Start")?;
     if let came @ (Came::Reply(_) | Came::Invalid(_) | Came::Closed) = bench.receive_within(PAUSE) {
         return fail("silence until the frame is complete", came.text());
@@ -137,10 +136,7 @@ fn unfinished_frame_of_another(bench: &mut Bench<'_>) -> Result<(), Stop> {
 }
 
 fn no_keep_alive(bench: &mut Bench<'_>) -> Result<(), Stop> {
-    let serial = bench.next_serial();
-    let option = OwnedVariant::new("WDT=400").unwrap_or_default();
-    let marker = if bench.link == Link::Udp { serial } else { 0 };
-    let bytes = encode(serial, marker, F::SERVICE_START.0, &[option]);
+    let (serial, bytes) = bench.request(F::SERVICE_START, &[Value::text("WDT=400")]);
     bench.send(&bytes, "Service_Start(WDT=400)")?;
     match bench.receive() {
         Came::Reply(reply) if reply.serial == serial && reply.code.is_ok() && reply.code != HResult::S_EXECUTING => {
@@ -168,18 +164,18 @@ fn start_motion(bench: &mut Bench<'_>) -> Result<u16, Stop> {
     bench.set_handle(Slot::B, 1 - bench.handle(Slot::B));
     let args = [H(Slot::Robot), S("DriveEx"), V(pair)];
     let args = args.iter().map(|arg| bench.argument(arg)).collect::<Result<Vec<_>, _>>()?;
-    let serial = bench.next_serial();
-    let marker = if bench.link == Link::Udp { serial } else { 0 };
-    let bytes = encode(serial, marker, F::ROBOT_EXECUTE.0, &args);
+    let (serial, bytes) = bench.request(F::ROBOT_EXECUTE, &args);
     bench.send(&bytes, &request_text(serial, F::ROBOT_EXECUTE, &args))?;
     Ok(serial)
 }
 
 /// Returns the argument of DriveAEx for the present angle of axis 6.
-fn present_angle(bench: &mut Bench<'_>) -> Result<OwnedVariant, Stop> {
+fn present_angle(bench: &mut Bench<'_>) -> Result<Value, Stop> {
     let reply = bench.robot_command("CurJnt", "0,")?;
-    let joints = reply.value().and_then(|value| value.as_array());
-    let angle = joints.and_then(|joints| joints.items::<f64>()?.iter().nth(5));
+    let angle = match reply.value() {
+        Some(Value::Array(_, joints)) => joints.get(5).and_then(Value::as_f64),
+        _ => None,
+    };
     match angle {
         Some(angle) if reply.code.is_ok() => value_of(&format!("8204,(8197,6,{angle})")),
         _ => skip(format!("CurJnt: {}", reply.text())),

@@ -195,14 +195,14 @@ pub(super) const CASES: &[Case] = &[
         "nesting is limited, and a device does not crash",
         &[Step::Edited(&[Nested(10_000)], Refused)],
     )
-    .over(crate::wire::Link::Tcp),
+    .over(bcap_testkit::wire::Link::Tcp),
     raw(
         "nested-150000-deep",
         TYPES,
         "nesting is limited, and a device does not crash",
         &[Step::Edited(&[Nested(150_000)], Refused)],
     )
-    .over(crate::wire::Link::Tcp),
+    .over(bcap_testkit::wire::Link::Tcp),
     raw(
         "scalar-count-0",
         TYPES,

@@ -2,12 +2,14 @@
 
 use bcap_core::bcap::FunctionId as F;
 use bcap_core::hresult::HResult;
+use bcap_testkit::value::Value;
+use bcap_testkit::wire::Link;
 
 use crate::bench::{Bench, Stop, fail};
 use crate::case::Arg::{H, S, V};
 use crate::case::Setup::{Connected, Controller};
 use crate::case::{Body, Case, Group, Level, Setup, Slot, Step, Want, case, steps};
-use crate::wire::{Came, Link, encode};
+use crate::reply::Came;
 
 const C: Slot = Slot::Controller;
 const A: Slot = Slot::A;
@@ -130,8 +132,8 @@ pub(super) const CASES: &[Case] = &[
 /// Sends a request with this serial and marker.
 fn send(bench: &mut Bench<'_>, serial: u16, marker: u16, function: F, args: &[crate::case::Arg]) -> Result<(), Stop> {
     let args = args.iter().map(|arg| bench.argument(arg)).collect::<Result<Vec<_>, _>>()?;
-    let bytes = encode(serial, marker, function.0, &args);
-    let text = crate::wire::request_text(serial, function, &args);
+    let bytes = bench.encode(serial, marker, function, &args);
+    let text = crate::reply::request_text(serial, function, &args);
     bench.send(&bytes, &format!("{text} with the marker {marker}"))
 }
 
@@ -142,13 +144,9 @@ fn same_serial_other_function(bench: &mut Bench<'_>) -> Result<(), Stop> {
     send(bench, serial, last, F::VARIABLE_GET_VALUE, &[H(A)])?;
     let reply = bench.reply(F::VARIABLE_GET_VALUE, serial)?;
     match reply.value() {
-        Some(_) if reply.code.is_ok() && reply.args[0].as_bytes() != handle_bytes(bench.handle(A)) => Ok(()),
+        Some(value) if reply.code.is_ok() && *value != Value::I4(bench.handle(A)) => Ok(()),
         _ => fail("the value of I1, not the reply of the call before", reply.text()),
     }
-}
-
-fn handle_bytes(handle: i32) -> Vec<u8> {
-    bcap_core::variant::OwnedVariant::new(&handle).map(|value| value.as_bytes().to_vec()).unwrap_or_default()
 }
 
 fn late_copy(bench: &mut Bench<'_>) -> Result<(), Stop> {

@@ -134,7 +134,7 @@ pub(super) const CASES: &[Case] = &[
         Controller,
         &[Step::Call(F::CONTROLLER_GET_VARIABLE_NAMES, &[H(C), S("")], Want::Array(8, 0))],
     )
-    .over(crate::wire::Link::Tcp),
+    .over(bcap_testkit::wire::Link::Tcp),
     variable(
         "names-of-robots",
         "S2:1636",

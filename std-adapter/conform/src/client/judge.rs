@@ -1,21 +1,22 @@
 //! Serves clients with a virtual controller, and judges them.
 
 use std::io;
-use std::net::{SocketAddr, TcpListener, UdpSocket};
+use std::net::SocketAddr;
 use std::time::{Duration, Instant as Clock};
 
+use bcap_core::bcap::FunctionId;
 use bcap_core::bcap::server::{Config, Session};
-use bcap_core::bcap::{Decoder, FrameWriter, FunctionId};
 use bcap_core::endpoint::{Endpoint, Serve, ServerEndpoint};
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 use bcap_sim::{Controller, Profile};
+use bcap_testkit::frame::{TestFrame, field};
+use bcap_testkit::wire::{Link, Listener, Received, Wire};
 
 use super::rules::Rules;
-use super::socket::{Incoming, Listener, Socket};
+use crate::reply::{describe, oracle, reason};
 use crate::report::Report;
-use crate::wire::{Link, describe};
 
 /// An unusual way to answer; each is used once, in this order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -107,11 +108,7 @@ impl ClientJudge {
     ///
     /// When the address cannot be listened on.
     pub fn bind(link: Link, address: SocketAddr) -> io::Result<Self> {
-        let listener = match link {
-            Link::Tcp => Listener::Tcp(TcpListener::bind(address)?),
-            Link::Udp => Listener::Udp(UdpSocket::bind(address)?),
-        };
-        Ok(Self { link, listener })
+        Ok(Self { link, listener: Listener::bind(link, address)? })
     }
 
     /// Returns the address that it listens on.
@@ -120,10 +117,7 @@ impl ClientJudge {
     ///
     /// When the operating system does not tell it.
     pub fn address(&self) -> io::Result<SocketAddr> {
-        match &self.listener {
-            Listener::Tcp(listener) => listener.local_addr(),
-            Listener::Udp(socket) => socket.local_addr(),
-        }
+        self.listener.address()
     }
 
     /// Serves this number of sessions, one after the other, and returns the results of all cases. It waits at most `limit`
@@ -134,7 +128,7 @@ impl ClientJudge {
     /// When the listening socket fails.
     pub fn run(&self, sessions: usize, limit: Duration) -> io::Result<Report> {
         let (config, provocations) = match self.link {
-            Link::Tcp => (Config::TCP, OVER_TCP),
+            Link::Tcp | Link::Serial => (Config::TCP, OVER_TCP),
             Link::Udp => (Config::UDP, OVER_UDP),
         };
         let mut play = Play {
@@ -162,24 +156,17 @@ impl Play {
     }
 
     /// Serves one session, to its end.
-    fn serve(&mut self, socket: &mut Socket, peer: PeerId, limit: Duration) {
+    fn serve(&mut self, socket: &mut Wire, peer: PeerId, limit: Duration) {
         self.rules.begin();
-        loop {
-            match socket.receive(limit) {
-                Incoming::Frame(bytes) => {
-                    if self.request(socket, peer, &bytes).is_err() {
-                        break;
-                    }
-                    // over UDP only Service_Stop ends a session
-                    if self.link == Link::Udp && function_of(&bytes) == Some(FunctionId::SERVICE_STOP) {
-                        break;
-                    }
-                }
-                Incoming::Invalid(why) => {
-                    self.rules.judge("valid-frames", false, "a valid frame", why);
-                    break;
-                }
-                Incoming::Closed | Incoming::Nothing => break,
+        while let Received::Packet(bytes) = socket.receive(limit) {
+            let Some(frame) = oracle(self.link).decode_packet(&bytes) else {
+                self.rules.judge("valid-frames", false, "a valid frame", reason(&bytes));
+                break;
+            };
+            // over UDP only Service_Stop ends a session
+            let is_last = self.link == Link::Udp && FunctionId(frame.code) == FunctionId::SERVICE_STOP;
+            if self.request(socket, peer, &bytes, &frame).is_err() || is_last {
+                break;
             }
         }
         if let Some(case) = self.pending.take() {
@@ -191,29 +178,28 @@ impl Play {
     }
 
     /// Judges and answers a request.
-    fn request(&mut self, socket: &mut Socket, peer: PeerId, bytes: &[u8]) -> io::Result<()> {
-        let Ok(frame) = Decoder::TCP.decode_datagram(bytes) else { return Ok(()) };
+    fn request(&mut self, socket: &mut Wire, peer: PeerId, bytes: &[u8], frame: &TestFrame) -> io::Result<()> {
         let text = describe(bytes);
         self.rules.log.push(format!("<- {text}"));
-        self.rules.request(&frame, bytes.len(), &text);
+        self.rules.request(frame, bytes.len(), &text);
         if let Some(case) = self.pending.take() {
             self.rules.judge(case, true, "", "");
         }
         let Some(reply) = self.execute(socket, peer, bytes)? else { return Ok(()) };
-        let is_read = frame.function() == FunctionId::VARIABLE_GET_VALUE;
+        let is_read = FunctionId(frame.code) == FunctionId::VARIABLE_GET_VALUE;
         match if is_read { self.left.pop() } else { None } {
             Some(provocation) => self.provoke(provocation, socket, peer, bytes, &reply)?,
             None => socket.send(&reply)?,
         }
-        if let Ok(reply) = Decoder::TCP.decode_datagram(&reply) {
-            self.rules.log.push(format!("-> #{} {}", reply.serial, reply.hresult()));
-            self.rules.reply(&frame, reply.hresult(), reply.value().as_ref());
+        if let Some(reply) = oracle(self.link).decode_packet(&reply) {
+            self.rules.log.push(format!("-> #{} {}", reply.serial, HResult(reply.code)));
+            self.rules.reply(frame, &reply);
         }
         Ok(())
     }
 
     /// Executes a request, and returns the reply. Keep-alives of the session are sent at once.
-    fn execute(&mut self, socket: &mut Socket, peer: PeerId, bytes: &[u8]) -> io::Result<Option<Vec<u8>>> {
+    fn execute(&mut self, socket: &mut Wire, peer: PeerId, bytes: &[u8]) -> io::Result<Option<Vec<u8>>> {
         let mut rest = bytes;
         while !rest.is_empty() {
             let room = self.session.receive_buffer();
@@ -228,8 +214,7 @@ impl Play {
             let sent = self.session.transmit().to_vec();
             if !sent.is_empty() {
                 self.session.transmitted(sent.len());
-                let is_final = code_of(&sent) != Some(HResult::S_EXECUTING);
-                if is_final {
+                if field::code(&sent) != Some(HResult::S_EXECUTING.0) {
                     return Ok(Some(sent));
                 }
                 socket.send(&sent)?;
@@ -244,27 +229,27 @@ impl Play {
     }
 
     /// The client must send nothing for a while.
-    fn waits(&mut self, socket: &mut Socket, case: &'static str) {
-        match socket.receive(WAIT) {
-            Incoming::Nothing => {}
-            Incoming::Frame(bytes) => {
+    fn waits(&mut self, socket: &mut Wire, case: &'static str) {
+        let came = match socket.receive(WAIT) {
+            Received::Silence => return,
+            Received::Packet(bytes) => {
                 self.rules.judge("one-at-a-time", false, "silence until the reply", describe(&bytes));
-                self.rules.judge(case, false, "silence until the reply", describe(&bytes));
+                describe(&bytes)
             }
-            Incoming::Invalid(why) => self.rules.judge(case, false, "silence until the reply", why),
-            Incoming::Closed => self.rules.judge(case, false, "silence until the reply", "the end of the connection"),
-        }
+            Received::Closed => "the end of the connection".into(),
+        };
+        self.rules.judge(case, false, "silence until the reply", came);
     }
 
     fn provoke(
         &mut self,
         provocation: Provocation,
-        socket: &mut Socket,
+        socket: &mut Wire,
         peer: PeerId,
         request: &[u8],
         reply: &[u8],
     ) -> io::Result<()> {
-        let serial = serial_of(reply);
+        let serial = field::serial(reply).unwrap_or(0);
         let stale = coded(serial.wrapping_sub(1), HResult::E_FAIL);
         let case = provocation.case();
         // the next request decides, also when the client ends the connection at once
@@ -303,19 +288,19 @@ impl Play {
     }
 
     /// Sends no reply, and judges the retry.
-    fn lose(&mut self, socket: &mut Socket, peer: PeerId, request: &[u8]) -> io::Result<()> {
+    fn lose(&mut self, socket: &mut Wire, peer: PeerId, request: &[u8]) -> io::Result<()> {
         let retry = match socket.receive(Duration::from_secs(10)) {
-            Incoming::Frame(bytes) => bytes,
+            Received::Packet(bytes) => bytes,
             other => {
-                let came = format!("{other:?}");
+                let came = if other == Received::Closed { "the end of the connection" } else { "no retry" };
                 self.rules.judge("retry-after-loss", false, "the same call again", came);
                 return Ok(());
             }
         };
         let text = describe(&retry);
         self.rules.log.push(format!("<- {text}, after a lost reply"));
-        let (Ok(first), Ok(again)) = (Decoder::UDP.decode_datagram(request), Decoder::UDP.decode_datagram(&retry))
-        else {
+        let oracle = oracle(self.link);
+        let (Some(first), Some(again)) = (oracle.decode_packet(request), oracle.decode_packet(&retry)) else {
             return Ok(());
         };
         self.rules.judge("retry-after-loss", true, "", "");
@@ -334,21 +319,5 @@ impl Play {
 
 /// Encodes a reply without a value.
 fn coded(serial: u16, code: HResult) -> Vec<u8> {
-    let mut buffer = [0; 64];
-    // 16 bytes fit
-    FrameWriter::new(&mut buffer)
-        .and_then(|frame| frame.finish(serial, 0, code.0).map(<[u8]>::to_vec))
-        .unwrap_or_default()
-}
-
-fn code_of(reply: &[u8]) -> Option<HResult> {
-    Decoder::TCP.decode_datagram(reply).ok().map(|frame| frame.hresult())
-}
-
-fn serial_of(reply: &[u8]) -> u16 {
-    Decoder::TCP.decode_datagram(reply).map_or(0, |frame| frame.serial)
-}
-
-fn function_of(request: &[u8]) -> Option<FunctionId> {
-    Decoder::TCP.decode_datagram(request).ok().map(|frame| frame.function())
+    TestFrame { serial, reserved: 0, code: code.0, args: Vec::new() }.to_wire(false)
 }

@@ -1,14 +1,12 @@
 //! Cases for clients: a virtual controller that watches its client, and sometimes answers in an unusual way.
 //!
 //! ```text
-//!  socket    frames of the client, each with a time limit
 //!  rules     what every request must be
 //!  judge     serves sessions; unusual replies to calls of Variable_GetValue, one kind after the other
 //! ```
 
 mod judge;
 mod rules;
-mod socket;
 
 pub use judge::ClientJudge;
 pub use rules::client_cases;

@@ -2,13 +2,15 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use bcap_core::bcap::{Frame, FunctionId, Kind, Object};
+use bcap_core::bcap::{FunctionId, Kind, Object};
 use bcap_core::hresult::HResult;
 use bcap_core::limits::UDP_SEND_MAX;
-use bcap_core::variant::Variant;
+use bcap_testkit::frame::TestFrame;
+use bcap_testkit::judge::has_kind;
+use bcap_testkit::value::Value;
 
 use crate::report::{CaseResult, Verdict};
-use crate::wire::Link;
+use bcap_testkit::wire::Link;
 
 /// The cases: name, source, rule.
 const CASES: &[(&str, &str, &str)] = &[
@@ -81,8 +83,8 @@ impl Rules {
     }
 
     /// Judges a request that is not a retry.
-    pub(super) fn request(&mut self, frame: &Frame<'_>, length: usize, text: &str) {
-        let function = frame.function();
+    pub(super) fn request(&mut self, frame: &TestFrame, length: usize, text: &str) {
+        let function = FunctionId(frame.code);
         self.judge("valid-frames", true, "", "");
         self.judge("serial-not-0", frame.serial != 0, "a serial of 1 to 65535", text);
         if let Some(last) = self.serial {
@@ -92,7 +94,7 @@ impl Rules {
         self.serial = Some(frame.serial);
         match self.link {
             Link::Tcp => self.judge("reserved-0", frame.reserved == 0, "0", format!("{}: {text}", frame.reserved)),
-            Link::Udp => {
+            Link::Udp | Link::Serial => {
                 let marker = frame.reserved == frame.serial;
                 self.judge("marker", marker, &frame.serial.to_string(), format!("{}: {text}", frame.reserved));
                 self.judge("datagram-size", length <= UDP_SEND_MAX, "at most 488 bytes", format!("{length}: {text}"));
@@ -108,8 +110,8 @@ impl Rules {
         self.arguments(frame, text);
     }
 
-    fn arguments(&mut self, frame: &Frame<'_>, text: &str) {
-        let function = frame.function();
+    fn arguments(&mut self, frame: &TestFrame, text: &str) {
+        let function = FunctionId(frame.code);
         let Some(signature) = function.signature() else {
             return self.judge("known-functions", false, "a function of 1 to 137", text);
         };
@@ -118,15 +120,16 @@ impl Rules {
         let optional = function == FunctionId::SERVICE_START && frame.args.is_empty();
         let expected = format!("{count} arguments");
         self.judge("argument-count", frame.args.len() == count || optional, &expected, text);
-        for (kind, value) in signature.arguments.iter().zip(frame.args) {
+        for (kind, value) in signature.arguments.iter().zip(&frame.args) {
             match kind {
-                Kind::Handle(object) => self.handle(*object, &value, text),
-                _ => self.judge("argument-types", kind.accepts(&value), &format!("{kind:?}"), text),
+                Kind::Handle(object) => self.handle(*object, value, text),
+                _ => self.judge("argument-types", has_kind(value, *kind), &format!("{kind:?}"), text),
             }
         }
         if function == FunctionId::SERVICE_START
-            && let Some(option) = frame.args.get(0).and_then(|value| value.as_bstr()).map(|text| text.to_string())
-            && let Some(interval) = option.split(',').find_map(|part| part.trim().strip_prefix("WDT="))
+            && let Some(Value::Bstr(option)) = frame.args.first()
+            && let Some(interval) =
+                String::from_utf16_lossy(option).split(',').find_map(|part| part.trim().strip_prefix("WDT="))
         {
             let is_long = interval.parse().is_ok_and(|interval: u32| interval >= 80);
             self.judge("wdt-option", is_long, "WDT=80 or more", text);
@@ -140,10 +143,10 @@ impl Rules {
         }
     }
 
-    fn handle(&mut self, object: Object, value: &Variant<'_>, text: &str) {
+    fn handle(&mut self, object: Object, value: &Value, text: &str) {
         let handle = match *value {
-            Variant::I4(handle) => handle,
-            Variant::Ui4(handle) => handle.cast_signed(),
+            Value::I4(handle) => handle,
+            Value::Ui4(handle) => handle.cast_signed(),
             _ => return self.judge("handles-are-i4", false, "an I4", text),
         };
         self.judge("handles-are-i4", true, "", "");
@@ -155,18 +158,18 @@ impl Rules {
     }
 
     /// Records what a reply opens or releases.
-    pub(super) fn reply(&mut self, request: &Frame<'_>, code: HResult, value: Option<&Variant<'_>>) {
-        if code.is_err() {
+    pub(super) fn reply(&mut self, request: &TestFrame, reply: &TestFrame) {
+        if HResult(reply.code).is_err() {
             return;
         }
-        let function = request.function();
-        if let (Some(object), Some(handle)) = (function.opens(), value.and_then(Variant::as_i32)) {
-            self.open.insert(handle, object);
+        let function = FunctionId(request.code);
+        if let (Some(object), Some(Value::I4(handle))) = (function.opens(), reply.args.first()) {
+            self.open.insert(*handle, object);
         }
         if function.releases().is_some()
-            && let Some(handle) = request.args.get(0).and_then(|value| value.as_i32())
+            && let Some(Value::I4(handle)) = request.args.first()
         {
-            self.open.remove(&handle);
+            self.open.remove(handle);
         }
     }
 
