@@ -17,7 +17,7 @@ use crate::hresult::HResult;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct DecodeError {
-    /// What is wrong.
+    /// The kind of error.
     pub kind: DecodeErrorKind,
     /// The part of the frame that is invalid.
     pub layer: Layer,
@@ -37,7 +37,7 @@ pub enum Layer {
     Value,
 }
 
-/// What is wrong with the bytes.
+/// The violation of the specification.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
@@ -107,7 +107,7 @@ impl DecodeError {
         Self { kind, layer: Layer::Frame, offset }
     }
 
-    /// Returns the code of a server's reply to such bytes (S0:169-177).
+    /// Returns the code of a server's reply to such bytes (RAC specification, Table 2-3).
     #[must_use]
     pub const fn hresult(&self) -> HResult {
         match (self.kind, self.layer) {
@@ -197,7 +197,7 @@ impl core::error::Error for EncodeError {}
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct TextError {
-    /// What is wrong.
+    /// The kind of error.
     pub kind: TextErrorKind,
     /// The first invalid byte, counted from 1; 0 for a value without text.
     pub column: u32,

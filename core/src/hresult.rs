@@ -16,7 +16,7 @@
 //!  0x81nnnnnn .. 0x85nnnnnn   errors of the robot controller; bits 27..24 are their level, 1 to 5
 //! ```
 //!
-//! What is guaranteed:
+//! Guarantees:
 //!
 //! * An [`HResult`] holds any code unchanged; output shows the number of an unknown code.
 //! * Bit 31 alone decides success, for unknown codes too. Comparing with `S_OK` is wrong: `S_BUF_FULL` means stored.
@@ -126,9 +126,9 @@ impl HResult {
 
     /// Returns the axis, 1 to 8, of the codes that report a limit of one axis.
     ///
-    /// These are the limits of commanded acceleration 0x8420404n and commanded speed 0x8420405n (S2:1294, S2:1432),
-    /// the same two as the servo reports them, 0x8440454n and 0x8440453n (the vendor's open COBOTTA driver), and the
-    /// software limit of the position 0x8320407n (a public client).
+    /// These are the limits of commanded acceleration 0x8420404n and commanded speed 0x8420405n (b-CAP specification,
+    /// sections 5.5 and 5.8), the same two as the servo reports them, 0x8440454n and 0x8440453n (the vendor's open
+    /// COBOTTA driver), and the software limit of the position 0x8320407n (a public client).
     #[must_use]
     pub const fn axis(self) -> Option<u8> {
         match self.family() {
@@ -333,7 +333,7 @@ macro_rules! codes {
 
 // value, name, source, meaning (also the constant's doc), functions that return it, usual cause, what to do
 codes! {
-    0x00000000 S_OK, "S0:164, S2:1202",
+    0x00000000 S_OK, "b-CAP specification, section 5.3.1; RAC specification, Table 2-3",
         "The call succeeded.",
         "every function",
         "The controller did what was asked.",
@@ -343,12 +343,12 @@ codes! {
         "Robot_Halt, Controller_Execute and functions with a yes-or-no result",
         "There was no motion to halt, or nothing to change.",
         "go on, after checking that the result is the one you want";
-    0x00000900 S_EXECUTING, "the vendor's libraries; the packet is described at S2:229-231",
+    0x00000900 S_EXECUTING, "the vendor's libraries; b-CAP specification, Table 4-1, describes the packet",
         "The call is still running; its answer follows under the same serial.",
         "every function, when Service_Start has set WDT",
         "A call takes longer than the watchdog interval, as a motion without NEXT does.",
         "wait for the answer, up to an overall deadline of your own";
-    0x0F200501 S_BUF_FULL, "S2:1203",
+    0x0F200501 S_BUF_FULL, "b-CAP specification, section 5.3.1",
         "The pose was stored, and the slave-mode buffer is full now.",
         "Robot_Execute slvMove",
         "Poses arrive faster than one in each control cycle of 8 ms.",
@@ -490,7 +490,7 @@ codes! {
         "Clients end without Service_Stop, so the server remembers them for 10 s.",
         "end unused clients with Service_Stop, or wait 10 s until idle ones are forgotten";
 
-    0x80004001 E_NOTIMPL, "S0:165",
+    0x80004001 E_NOTIMPL, "RAC specification, Table 2-3",
         "The function is not implemented.",
         "every function that a model lacks",
         "The function belongs to another model or to a later software version.",
@@ -500,17 +500,17 @@ codes! {
         "every function with arguments",
         "An argument was left out.",
         "pass every argument that the function takes";
-    0x80004004 E_ABORT, "S0:166",
+    0x80004004 E_ABORT, "RAC specification, Table 2-3",
         "The function was aborted.",
         "functions that move, Task_Start",
         "A halt, an emergency stop or a change of mode ended the function.",
         "look on the teach pendant for what stopped it, then call again";
-    0x80004005 E_FAIL, "S0:167",
+    0x80004005 E_FAIL, "RAC specification, Table 2-3",
         "The function failed.",
         "every function",
         "The controller has no better code; its error list has the cause.",
         "read the cause with GetCurErrorInfo or on the teach pendant";
-    0x8000FFFF E_UNEXPECTED, "S0:168",
+    0x8000FFFF E_UNEXPECTED, "RAC specification, Table 2-3",
         "A fatal error occurred.",
         "every function",
         "An internal error of the controller.",
@@ -521,37 +521,37 @@ codes! {
         "every function",
         "Another protocol was spoken on the port: RAC on 5007, or b-CAP on 5006.",
         "check that both ends speak b-CAP on this port, then connect again";
-    0x80010001 E_INVALIDRCPACKET, "S0:169",
+    0x80010001 E_INVALIDRCPACKET, "RAC specification, Table 2-3",
         "The controller received an invalid packet and cuts the connection.",
         "every function",
         "A wrong length or byte in the request, or two threads that write to one connection.",
         "record the traffic, correct the packet that was sent last, then connect again";
-    0x80010002 E_INVALIDSNDPACKET, "S0:172",
+    0x80010002 E_INVALIDSNDPACKET, "RAC specification, Table 2-3",
         "The packet to be sent is invalid.",
         "every function",
         "A value that cannot be encoded, such as an array that is too long.",
         "record the call with its arguments, and check their types and sizes";
-    0x80010003 E_INVALIDARGTYPE, "S0:173",
+    0x80010003 E_INVALIDARGTYPE, "RAC specification, Table 2-3",
         "An argument has the wrong type.",
         "every function with arguments",
         "An I4 where an R4 is expected, or a number where the function takes text.",
         "check the VARTYPE of each argument against the function's signature; through a gateway, the type of the variable";
-    0x80010004 E_ROBOTISBUSY, "S0:174",
+    0x80010004 E_ROBOTISBUSY, "RAC specification, Table 2-3",
         "A motion command came while the robot was moving.",
         "Robot_Move, Robot_Drive and the other functions that move",
         "A motion was started with NEXT, and the following one was sent before the first ended.",
         "wait until @BUSY_STATUS is false, or halt the motion, then call again";
-    0x80010005 E_INVALIDCOMMAND, "S0:175",
+    0x80010005 E_INVALIDCOMMAND, "RAC specification, Table 2-3",
         "The command string is invalid.",
         "Controller_Execute, Robot_Execute",
         "A typing error in the command or in its parameters.",
         "check the spelling of the command and of its parameters";
-    0x80010011 E_PACKETSIZEOVER, "S0:176",
+    0x80010011 E_PACKETSIZEOVER, "RAC specification, Table 2-3",
         "The received packet is over 16 MiB.",
         "File_PutValue, Variable_PutValue",
         "A file that was sent in one call.",
         "split the data over several calls";
-    0x80010012 E_ARGSIZEOVER, "S0:177",
+    0x80010012 E_ARGSIZEOVER, "RAC specification, Table 2-3",
         "An argument of the received packet is over 16 MiB.",
         "File_PutValue, Variable_PutValue",
         "A file that was sent as one argument.",
@@ -578,23 +578,23 @@ codes! {
         "An array with too few elements, such as a pose of three numbers.",
         "check the length of the array";
 
-    0x80070005 E_ACCESSDENIED, "S0:178",
+    0x80070005 E_ACCESSDENIED, "RAC specification, Table 2-3",
         "Access is denied.",
         "Variable_PutValue, functions that move, Robot_Execute slvChangeMode",
         "Manual mode, no executable token, or read-only communication permission.",
         "through a gateway, a rule refuses this client or variable: see the gateway's log; at a robot, set Auto mode, and give \
          this client's address the executable token and the Read/Write permission";
-    0x80070006 E_HANDLE, "S0:179",
+    0x80070006 E_HANDLE, "RAC specification, Table 2-3",
         "The handle is invalid.",
         "every function with a handle",
         "The object was released, or the handle was got on an earlier or another connection.",
         "get the object again: a handle dies with its release and belongs to the connection that got it";
-    0x8007000E E_OUTOFMEMORY, "S0:180",
+    0x8007000E E_OUTOFMEMORY, "RAC specification, Table 2-3",
         "The memory does not suffice.",
         "every function",
         "Handles are not released, or a value is too large.",
         "release handles, send less at once, then restart the controller";
-    0x80070057 E_INVALIDARG, "S0:181",
+    0x80070057 E_INVALIDARG, "RAC specification, Table 2-3",
         "An argument is invalid.",
         "every function with arguments",
         "A value out of its range, an argument too many, or an option that the function does not know.",
@@ -631,7 +631,7 @@ codes! {
         "Robot_Execute Motor on a COBOTTA",
         "The controller was started, and nothing has prepared its motion yet.",
         "send ManualResetPreparation and MotionPreparation, then turn the motor on";
-    0x83201483 E_BUF_FULL, "S2:1204",
+    0x83201483 E_BUF_FULL, "b-CAP specification, section 5.3.1",
         "The slave-mode buffer is full, and the pose was not stored.",
         "Robot_Execute slvMove",
         "The client sends faster than the control cycle, or repeats a pose that was stored.",
@@ -676,7 +676,7 @@ codes! {
         "Robot_Execute Motor",
         "The motor was turned off and on again within a second.",
         "send ClearError, wait a moment, then turn the motor on again";
-    0x84201482 E_COMMAND_BUFFER_EMPTY, "S2:1275; named by an older client of the vendor",
+    0x84201482 E_COMMAND_BUFFER_EMPTY, "b-CAP specification, Table 5-6; named by an older client of the vendor",
         "The slave-mode buffer ran empty while the robot was moving, and slave mode was released.",
         "Robot_Execute slvMove",
         "A pose came late: the client was not scheduled in time, or the network was delayed.",

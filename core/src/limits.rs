@@ -17,7 +17,7 @@ pub struct Limits {
 /// The deepest nesting of VARIANTs that any [`Limits`] can allow; it limits the memory of every walk over a value.
 pub const MAX_DEPTH: u8 = 16;
 
-/// The largest datagram to send: the safe limit of the b-CAP Tester and the provider (S2:1487).
+/// The largest datagram to send: the safe limit of the b-CAP Tester and the provider (b-CAP specification, Table 6-1).
 pub const UDP_SEND_MAX: usize = 488;
 
 /// The largest datagram to accept: 488 bytes of data and the framing, the largest that a known peer sends.
@@ -27,7 +27,7 @@ pub const UDP_RECEIVE_MAX: usize = 504;
 pub const SERIAL_MAX: usize = 503;
 
 impl Limits {
-    /// The specification's bound: frames of up to 16 MiB (S0:176).
+    /// The specification's bound: frames of up to 16 MiB (RAC specification, Table 2-3).
     pub const STREAM: Self = Self { frame: 16 * 1024 * 1024, arguments: 64, depth: 8 };
     /// One datagram.
     pub const DATAGRAM: Self = Self { frame: 504, ..Self::STREAM };

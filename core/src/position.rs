@@ -85,7 +85,8 @@ impl Position {
         [x, y, z, rx, ry, rz, f64::from(self.figure)]
     }
 
-    /// Returns the destination of Robot_Move: the numbers as R8, the type and the pass (S2:1602-1606).
+    /// Returns the destination of Robot_Move: the numbers as R8, the type and the pass (b-CAP specification, section
+    /// 6.3).
     ///
     /// `pass` is -1 for `@P`, -2 for `@E`, 0 for `@0`, and n for `@n`. The specification shows only -2; public drivers use the
     /// others.

@@ -1,6 +1,6 @@
 //! Values as JSON, through the feature `serde`.
 //!
-//! This is a crate of its own because the impls of `serde_json` make some comparisons of the unit tests ambiguous.
+//! This is a separate crate because the impls of `serde_json` make some comparisons of the unit tests ambiguous.
 #![cfg(all(feature = "alloc", feature = "serde"))]
 
 use bcap_core::hresult::HResult;

@@ -6,7 +6,7 @@
 //!  Controller::connect ─┬─► read, write, execute ─┐
 //!                       ├─► subscribe             ├─► the task ─► the session, opened again when it is lost
 //!                       ├─► robot ─► Robot ─► Arm ┘
-//!                       └─► stopper ─► Stopper ─────► a task and a session of its own
+//!                       └─► stopper ─► Stopper ─────► a separate task and session
 //! ```
 //!
 //! Below it are the functions of the protocol, as in [`blocking`](crate::blocking): [`connect_tcp`], [`connect_udp`] and

@@ -13,8 +13,8 @@ use socket2::{SockRef, TcpKeepalive};
 
 /// The options of a connection.
 ///
-/// The defaults are those of the core ([`Config::TCP`], [`Config::UDP`], [`Config::SERIAL`]), 3 s to connect, and TCP keep-alive probes after
-/// 60 s of silence. The probes detect a peer that has vanished.
+/// The defaults are the configurations of the core ([`Config::TCP`], [`Config::UDP`], [`Config::SERIAL`]), 3 s to
+/// connect, and TCP keep-alive probes after 60 s of silence. The probes detect a peer that has vanished.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Options {

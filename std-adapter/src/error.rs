@@ -69,7 +69,7 @@ pub enum Error {
     Refused {
         /// The called function.
         function: FunctionId,
-        /// What it was called on.
+        /// The object that it was called on.
         object: String,
         /// The controller's code.
         code: HResult,
@@ -79,9 +79,9 @@ pub enum Error {
     NoReply {
         /// The called function.
         function: FunctionId,
-        /// What it was called on.
+        /// The object that it was called on.
         object: String,
-        /// What happened instead.
+        /// The failure of the call.
         source: CallError,
     },
     /// The reply to a call is not what the function returns.
@@ -89,9 +89,9 @@ pub enum Error {
     Reply {
         /// The called function.
         function: FunctionId,
-        /// What it was called on.
+        /// The object that it was called on.
         object: String,
-        /// What is wrong with the reply.
+        /// The fault in the reply.
         reason: String,
     },
     /// The value of a variable did not meet a condition in time.

@@ -36,7 +36,7 @@
 //! | wait for an input           | [`blocking::Controller::read_until`]                                                    |
 //! | understand an error         | [`Error`], [`core::hresult::HResult`]; [`MainError`] for the result of `main`           |
 //!
-//! | module       | feature   | what it is                                                              |
+//! | module       | feature   | content                                                                 |
 //! |--------------|-----------|-------------------------------------------------------------------------|
 //! | [`blocking`] |           | objects and clients that block: b-CAP over TCP, UDP and serial lines, RAC over TCP |
 //! | `asynch`     | `tokio`   | the same for tokio                                                      |

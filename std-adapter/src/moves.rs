@@ -106,7 +106,7 @@ fn list(f: &mut fmt::Formatter<'_>, letter: char, numbers: &[f64]) -> fmt::Resul
     f.write_char(')')
 }
 
-/// How exactly a motion ends (S2:1305).
+/// The accuracy at the end of a motion (b-CAP specification, section 5.6.1).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Pass {
@@ -176,9 +176,9 @@ pub enum Plane {
 
 /// A motion, for `Arm::move_to` and `Arm::start`.
 ///
-/// The controller's command is written beside each. `NEXT` is always among the options: the library itself waits for the
-/// end, so that it can halt the robot at any time. Not offered: free curves (interpolation 4) and `TIME=`, because no
-/// source says what the controller expects.
+/// Each line names the controller's command. `NEXT` is always among the options: the library itself waits for the end,
+/// so that it can halt the robot at any time. Not offered: free curves (interpolation 4) and `TIME=`, because no source
+/// says what the controller expects.
 ///
 /// # Examples
 ///

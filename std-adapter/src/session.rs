@@ -50,7 +50,7 @@ pub(crate) use self::variables::{POLL, meets};
 #[derive(Debug)]
 pub(crate) struct Session<X> {
     connection: Connection<X, Vec<u8>>,
-    /// The number of this session, of which there is no second one in this process.
+    /// The session ID, unique within the process.
     pub(crate) id: u64,
     pub(crate) handle: ControllerHandle,
     robot: Option<RobotHandle>,

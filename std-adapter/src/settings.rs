@@ -21,7 +21,7 @@ pub enum Model {
 }
 
 impl Model {
-    /// Returns the name of the provider (S2:1899).
+    /// Returns the name of the provider (b-CAP specification, section 4.1.2).
     #[must_use]
     pub const fn provider(self) -> &'static str {
         match self {
@@ -31,7 +31,7 @@ impl Model {
     }
 }
 
-/// The options of Service_Start (S2:225-233).
+/// The options of Service_Start (b-CAP specification, Table 4-1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct ServiceOptions {

@@ -1,19 +1,19 @@
 //! How tasks of a controller start and stop, and what they do.
 
-/// How a task is started (S2:526-544).
+/// How a task is started (b-CAP specification, section 4.2.2).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum TaskStart {
     /// Once (1).
     OneCycle,
-    /// Again and again (2). The specification calls this number "one cycle" in a packet (S2:536) and "continuous" in a
-    /// sample (S2:590): expect that the task does not end.
+    /// Continuously (2). The b-CAP specification calls this number "one cycle" in a packet (section 4.2.2) and
+    /// "continuous" in a sample (section 4.2.4): expect that the task does not end.
     Continuous,
     /// One step of the program (3).
     OneStep,
 }
 
-/// When a task stops (S2:546-563).
+/// When a task stops (b-CAP specification, section 4.2.2).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum TaskStop {

@@ -86,7 +86,7 @@ pub trait Reply {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ReplyError {
-    /// What was expected, in words.
+    /// The expected value, in words.
     pub expected: &'static str,
     /// The type of the value; `None` without a value.
     pub found: Option<VarType>,

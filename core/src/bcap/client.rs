@@ -64,7 +64,7 @@ impl Timing {
         deadline: Duration::from_secs(180),
         keep_alive: Duration::from_secs(180),
     };
-    /// Defaults for UDP and serial lines: five attempts of 500 ms (S2:1493).
+    /// Defaults for UDP and serial lines: five attempts of 500 ms (b-CAP specification, Table 6-1).
     pub const UDP: Self = Self { attempt_timeout: Duration::from_millis(500), attempts: 5, ..Self::TCP };
     /// Defaults for serial lines, as for UDP; [`serial`](Self::serial) derives them from the rate of the line.
     pub const SERIAL: Self = Self::UDP;
@@ -92,13 +92,13 @@ const fn line_time(characters: u32, baud: u32) -> Duration {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Config {
-    /// What carries the frames.
+    /// The transport of the frames.
     pub link: Link,
     /// The limits on received frames.
     pub limits: Limits,
     /// Whether replies are decoded strictly or leniently.
     pub strictness: Strictness,
-    /// What to do when the bytes of a stream are not a valid frame; invalid datagrams are always dropped.
+    /// The reaction to bytes of a stream that are not a valid frame. Invalid datagrams are always dropped.
     pub on_malformed: OnMalformed,
     /// The timing of calls without their own: those of [`Connection::call`](crate::io::blocking::Connection::call).
     pub timing: Timing,
@@ -767,8 +767,8 @@ const fn within(serial: u16, first: u16, last: u16) -> bool {
 
 /// A token bucket for frames that do not end a call.
 ///
-/// A server sends S_EXECUTING at most every 80 ms, the minimum of WDT (S2:225). Four times that rate is allowed, and
-/// bursts of 256 frames, because a stalled network delivers its frames in a burst.
+/// A server sends S_EXECUTING at most every 80 ms, the minimum of WDT (b-CAP specification, Table 4-1). Four times that
+/// rate is allowed, and bursts of 256 frames, because a stalled network delivers its frames in a burst.
 #[derive(Clone, Copy, Debug, Default)]
 struct Flood {
     /// When the bucket is full again.

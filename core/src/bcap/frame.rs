@@ -8,8 +8,9 @@
 //!   end-1     1  EOT 0x04
 //! ```
 //!
-//! All fields are little-endian (S2:200-384). [`Decoder::decode`] validates a frame and its values in one pass; after
-//! that no accessor of [`Frame`] or [`Args`] fails or panics. [`FrameWriter`] writes a frame into the caller's buffer.
+//! All fields are little-endian (b-CAP specification, sections 4.1.1 to 4.1.5). [`Decoder::decode`] validates a frame
+//! and its values in one pass; after that no accessor of [`Frame`] or [`Args`] fails or panics. [`FrameWriter`] writes
+//! a frame into the caller's buffer.
 
 use core::fmt;
 

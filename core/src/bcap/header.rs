@@ -10,9 +10,9 @@
 //!      13     2  number of arguments
 //! ```
 //!
-//! All fields are little-endian. Source: b-CAP guide for RC8, "Packet format" (S2:200-384). Only this file contains their
-//! offsets; the decoder, the frame writer, the client, the server and tools that show or damage single fields use [`Header`]
-//! and [`field`].
+//! All fields are little-endian. Source: b-CAP guide for RC8, "Packet format" (b-CAP specification, sections 4.1.1 to
+//! 4.1.5). Only this file contains their offsets; the decoder, the frame writer, the client, the server and tools that
+//! show or damage single fields use [`Header`] and [`field`].
 //!
 //! # Examples
 //!

@@ -54,7 +54,7 @@ impl Link {
     }
 }
 
-/// What to do when the bytes of a stream are not a valid frame.
+/// The reaction to bytes of a stream that are not a valid frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum OnMalformed {

@@ -10,8 +10,8 @@
 //! were received or sent, at [`poll_timeout`](Session::poll_timeout), and after any event that a waiting handler may wait
 //! for. The session does the following for the handler:
 //!
-//! * **Frames** are validated. An invalid frame on a stream gets the reply E_INVALIDRCPACKET, and the session ends
-//!   (S0:169). An invalid datagram gets a reply if it has a header. Noise on a serial line is skipped.
+//! * **Frames** are validated. An invalid frame on a stream gets the reply E_INVALIDRCPACKET, and the session ends (RAC
+//!   specification, Table 2-3). An invalid datagram gets a reply if it has a header. Noise on a serial line is skipped.
 //! * **Arguments** are checked against the [function table](super::function): their number (E_INVALIDARG), their types
 //!   (E_INVALIDARGTYPE), and that a handle was given to this peer (E_HANDLE).
 //! * **Time**: with `WDT=ms` in Service_Start, the session sends S_EXECUTING at that interval while a call runs. A call that
@@ -110,9 +110,9 @@ pub trait Handler {
         let _ = (peer, now);
     }
 
-    /// Is called when the server refuses a request: its function, the number or the types of its arguments, their handle or
-    /// the options of a Service_Start are wrong, or the list of objects is full. The server replies `code`; the arguments are
-    /// those of the request, unchecked.
+    /// Called when the server refuses a request: the function, the arguments, their handle or the options of a
+    /// Service_Start are wrong, or the list of objects is full. The server replies `code`. The arguments of `request`
+    /// are unchecked.
     ///
     /// It is not called for a request that is too large, nor for one that arrives while another request of the peer runs.
     fn refused(&mut self, peer: PeerId, request: &Request<'_>, code: HResult, now: Instant) {
@@ -135,7 +135,7 @@ pub struct Config {
     pub limits: Limits,
     /// Whether requests are decoded strictly or leniently.
     pub strictness: Strictness,
-    /// What to do when the bytes of a stream are not a valid frame.
+    /// The reaction to bytes of a stream that are not a valid frame.
     pub on_malformed: OnMalformed,
     /// How long a call may run, unless Service_Start sets another time.
     pub invoke_timeout: Duration,

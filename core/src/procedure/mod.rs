@@ -12,7 +12,7 @@
 //! [`io::blocking::Connection::run`](crate::io::blocking::Connection::run) and
 //! [`io::asynch::Connection::run`](crate::io::asynch::Connection::run) run any of them.
 //!
-//! | procedure                                          | what it does                                                 |
+//! | procedure                                          | effect                                                       |
 //! |----------------------------------------------------|--------------------------------------------------------------|
 //! | [`open`]                                           | starts the service and connects to the controller            |
 //! | [`open_robot`]                                     | the same, and gets a robot                                   |

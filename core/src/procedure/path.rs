@@ -102,7 +102,7 @@ impl core::error::Error for PathError {}
 /// The handles of a path, in the order in which they were opened: for [`release`](super::release).
 pub type Opened = heapless::Vec<(Object, i32), UNDO_MAX>;
 
-/// Opens an object and the objects on the way to it; returns their handles, the last being that of the object.
+/// Opens an object and the objects on the way to it. Returns their handles, the handle of the object last.
 ///
 /// # Errors
 ///
@@ -120,7 +120,7 @@ pub(super) struct PathSteps<'a> {
     provider: Option<Provider<'a>>,
     path: heapless::Vec<PathStep<'a>, PATH_MAX>,
     opened: Opened,
-    /// What the next object of the path is opened from.
+    /// The object that opens the next object of the path.
     owner: Owner,
     /// How many objects of the path are open.
     done: usize,

@@ -154,7 +154,7 @@ impl Call for StepCall<'_> {
     }
 }
 
-/// A running sequence; `M` converts the result of the steps to that of the procedure.
+/// A running sequence; `M` converts the result of the steps to the result of the procedure.
 pub(super) struct Sequence<S, M> {
     steps: S,
     map: M,

@@ -288,8 +288,8 @@ fn moved(from: [f64; 3], distance: f64, along: [f64; 3]) -> [f64; 3] {
     from.map(|from| from + distance * along.next().unwrap_or(&0.0))
 }
 
-/// Tells whether RX, RY, RZ describe the same orientation: the same angles, or those of the other half of RY, which describe
-/// every orientation a second time. At RY = 90 degrees only the difference of RX and RZ counts, at -90 their sum.
+/// Tells whether RX, RY, RZ describe the same orientation. Every orientation has two descriptions, one in each half of
+/// RY. At RY = 90 degrees only the difference of RX and RZ counts, at -90 only their sum.
 fn is_same_rotation(one: [f64; 3], other: [f64; 3], tolerance: f64) -> bool {
     let near = |one: f64, other: f64| turn(one, other) <= tolerance;
     let ([rx, ry, rz], [x, y, z]) = (one, other);

@@ -39,7 +39,7 @@ impl Answer {
     }
 }
 
-/// What a procedure did: its result, its calls as text, and the time at the end.
+/// The record of a procedure: its result, its calls as text, and the time at the end.
 struct Run<T> {
     result: Result<T, StepError>,
     calls: Vec<String>,
@@ -124,14 +124,14 @@ fn argument(value: &Variant<'_>) -> String {
     }
 }
 
-/// The calls after a failed one: its own undo call if it has one, then those of the calls before it.
+/// The calls after a failed one: its own undo call if it has one, then the undo calls of the calls before it.
 #[derive(Clone, Copy)]
 struct Expected {
     /// The call.
     call: &'static str,
-    /// What undoes it after a success: a call, or an empty text.
+    /// The call that undoes it after a success, or an empty text.
     undo: &'static str,
-    /// What undoes it when it has no reply.
+    /// The call that undoes it when it has no reply.
     undo_unknown: &'static str,
 }
 

@@ -11,9 +11,10 @@
 //!
 //! RAC has no sequence numbers: a reply belongs to the oldest request without one. So the client counts replies.
 //!
-//! * After a timeout or [`abandon`](Client::abandon) the old reply is still expected. When it arrives, it is dropped and
-//!   reported as [`Event::Stale`]. A request that is started before that is sent after it, because a session carries one
-//!   request at a time (S0:189-193). So a reply is never taken for that of another request.
+//! * After a timeout or [`abandon`](Client::abandon) the old reply is still expected. When it arrives, it is dropped
+//!   and reported as [`Event::Stale`]. A request that is started before that is sent after it, because a session
+//!   carries one request at a time (RAC specification, section 3.1). So a reply is never taken for the reply to another
+//!   request.
 //! * If the old reply does not arrive, the pending request ends with [`Timeout::Outstanding`]. It was not sent, and the caller
 //!   must reconnect.
 //! * A partly sent request is always sent to its end, so that the stream stays in sync. An abandoned request of which no byte
@@ -160,9 +161,9 @@ struct State {
     config: Config,
     framer: LineFramer,
     tx: [u8; MAX_LINE],
-    /// What of the request in `tx` is to be sent.
+    /// The unsent part of the request in `tx`.
     outbox: Outbox,
-    /// Until when the request in flight waits.
+    /// The deadline of the request in flight.
     until: Option<Instant>,
     /// The reply to an earlier request is still expected; at most one, because no request is sent meanwhile.
     owed: bool,
@@ -230,7 +231,7 @@ impl<V: Storage> Client<V> {
         Some(Response { result, value: (!bytes.is_empty()).then(|| Variant::from_checked(bytes)) })
     }
 
-    /// Acts on the time: ends a request that has waited too long. Nothing happens before the time is due.
+    /// Acts on the time: ends a request that has waited too long. Nothing happens before the deadline.
     pub fn handle_timeout(&mut self, now: Instant) -> Option<Event> {
         if now < self.state.until? {
             return None;

@@ -7,7 +7,7 @@
 //!
 //! ```text
 //!  stream = { line }
-//!  line   = { LF } { byte - CR } CR          at most 256 bytes from the first byte after LF to CR (S0:57)
+//!  line   = { LF } { byte - CR } CR          at most 256 bytes from the first byte after LF to CR
 //! ```
 //!
 //! * LF at the start of a line is dropped, so CRLF works as a line end.
@@ -16,7 +16,7 @@
 //! * The chunks in which the bytes arrive do not change the lines. This framer keeps its position between chunks, so it is a
 //!   scanner and not a nom parser; the grammar of a line is applied to whole lines.
 
-/// The longest line in bytes, its CR included (S0:57).
+/// The longest line in bytes, its CR included (RAC specification, section 2.1.1).
 pub const MAX_LINE: usize = 256;
 
 /// The end of a line.

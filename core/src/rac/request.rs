@@ -6,13 +6,14 @@
 //!
 //!  request = blanks verb ":" part ":" index ":" kind ":" [ blanks value ] CR
 //!  verb    = "GET" | "PUT"                         a GET has no value, a PUT has one
-//!  part    = [ "RC8" ]                             the fixed name of the controller, which may be omitted (S0:63-65)
+//!  part    = [ "RC8" ]                             the fixed name of the controller, which may be omitted
 //!  index   = digits                                at most 32 bits
 //!  kind    = "I" | "F" | "D" | "S" | "V" | "P" | "J" | "T" | "IO"
 //! ```
 //!
-//! Words are read in any case and written in capitals. A GET ends with a colon (S0:218). An invalid line is a [`TextError`]
-//! that names the part of the line and the column.
+//! The RAC specification has the grammar in section 2.1.2, and the samples, where a GET ends with a colon, in section
+//! 4.1. Words are read in any case and written in capitals. An invalid line is a [`TextError`] that names the part of
+//! the line and the column.
 
 use core::fmt;
 use core::str::FromStr;

@@ -9,8 +9,8 @@
 //!  result   = integer                   an HRESULT: signed or unsigned decimal, or 0x and hex digits
 //! ```
 //!
-//! The samples of the specification show no result but `0`. Every form of a 32-bit code is read; signed decimal is written,
-//! the "integral value of the HRESULT type" (S0:105).
+//! The samples of the specification show no result but `0`. Every form of a 32-bit code is read; signed decimal is
+//! written, the "integral value of the HRESULT type" (RAC specification, section 2.1.3).
 
 use nom::combinator::map_opt;
 

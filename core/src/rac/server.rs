@@ -141,7 +141,7 @@ struct State {
     config: Config,
     framer: LineFramer,
     tx: [u8; MAX_LINE],
-    /// What of the response in `tx` is to be sent.
+    /// The unsent part of the response in `tx`.
     outbox: Outbox,
     running: Option<Running>,
 }
@@ -178,7 +178,8 @@ impl<V: Storage> Session<V> {
         Self { value, state }
     }
 
-    /// Takes the next line if nothing is being answered, and says what it is; the gateway's side of [`run`](Self::run).
+    /// Takes the next line if no request is pending, and returns what it contains; the gateway's side of
+    /// [`run`](Self::run).
     ///
     /// Each request is reported once, as [`Event::Requested`]. After its time limit it gets the reply E_TIMEOUT and is
     /// reported as [`Event::Served`].

@@ -1,7 +1,8 @@
 //! Limits on the commanded speed and acceleration of each axis, checked before a pose is sent.
 //!
 //! The controller refuses a pose that exceeds an axis' speed with 0x8420405n, one that exceeds its acceleration with
-//! 0x8420404n, and leaves Slave Mode (S2:1432-1436). The engine computes both from the poses of successive cycles:
+//! 0x8420404n, and leaves Slave Mode (b-CAP specification, section 5.8). The engine computes both from the poses of
+//! successive cycles:
 //!
 //! ```text
 //!   speed n        = (pose n - pose n-1) / cycle

@@ -1,4 +1,4 @@
-//! Slave Mode: streams one pose per control cycle to the controller (S2:979-1456).
+//! Slave Mode: streams one pose per control cycle to the controller (b-CAP specification, section 5).
 //!
 //! ```text
 //!  formats ─► TakeArm ─► Motor ─► position ─► slvChangeMode m ─► slvMove, slvMove, ... ─► slvChangeMode 0 ─► GiveArm
@@ -20,8 +20,8 @@
 //! [`Engine::stream`] combines an engine and a [`Trajectory`] into a [`Procedure`](crate::procedure::Procedure), which the
 //! loops of [`io`](crate::io) run, blocking and asynchronous.
 //!
-//! For Slave Mode the controller requires its licence, Auto mode, the executable token, no error, and a robot at rest at
-//! the start; two robots and the virtual fence are not supported (S2:1454).
+//! For Slave Mode the controller requires its licence, Auto mode, the executable token, no error, and a robot at rest
+//! at the start; two robots and the virtual fence are not supported (b-CAP specification, section 5.10).
 
 mod command;
 mod config;

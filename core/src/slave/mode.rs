@@ -1,14 +1,14 @@
 //! The mode numbers of Slave Mode.
 //!
 //! ```text
-//!   0x 0 m t      m = 0, 1, 2   when the controller replies to slvMove, and what it does when its buffer is full or empty
+//!   0x 0 m t      m = 0, 1, 2   when the controller replies to slvMove, and how it treats a full or an empty buffer
 //!                 t = 1, 2, 3   the type of the poses: P, J, T
 //!   0x 0 0 0      Slave Mode is off
 //! ```
 
 use core::fmt;
 
-/// When the controller replies to slvMove, and how it buffers the pose (S2:1187-1296).
+/// When the controller replies to slvMove, and how it buffers the pose (b-CAP specification, sections 5.3 to 5.5).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Mode {

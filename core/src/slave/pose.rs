@@ -1,7 +1,7 @@
 //! Poses, in the order of the wire.
 //!
 //! ```text
-//!          numbers                                    with an extended joint (S2:1240-1265)
+//!          numbers                                    with an extended joint (b-CAP specification, section 5.4)
 //!   P   7  X Y Z RX RY RZ Fig                         9 or 10  ... option [J7] [J8]
 //!   J   8  J1 .. J8                                         9  ... option
 //!   T  10  X Y Z  Ox Oy Oz  Ax Ay Az  Fig            12 or 13  ... option [J7] [J8]
@@ -144,7 +144,7 @@ impl Pose {
 
     /// Makes a pose of numbers whose count is known at run time, such as the columns of a file.
     ///
-    /// `None` when the count differs from that of the type. A J pose may have fewer; missing joints are 0.
+    /// `None` when the type has another count. A J pose may have fewer numbers; missing joints are 0.
     #[must_use]
     pub fn from_numbers(pose: PoseType, numbers: &[f64]) -> Option<Self> {
         let fits = match pose {

@@ -175,7 +175,7 @@ impl fmt::Display for Number {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub struct ConvertError {
-    /// What is wrong.
+    /// The kind of error.
     pub kind: ConvertErrorKind,
     /// The requested type, in words.
     pub wanted: &'static str,
@@ -227,7 +227,7 @@ impl ConvertError {
         Self { kind, wanted, found: value.vartype(), count, element: None }
     }
 
-    /// Returns the error as that of an element of an array.
+    /// Returns the error with the index of the array element that it concerns.
     pub(crate) fn at(self, index: usize) -> Self {
         Self { element: Some(to_u32(index)), ..self }
     }
@@ -357,7 +357,7 @@ fn array_in(value: Variant<'_>) -> Result<Array<'_>, ConvertError> {
     value.as_array().ok_or_else(|| ConvertError::new(ConvertErrorKind::Type, "an array", &value))
 }
 
-/// Returns the elements of an array, of which there must be `least` to `most`.
+/// Returns the elements of an array. It must have `least` to `most` elements.
 pub(crate) fn elements(value: Variant<'_>, least: usize, most: usize) -> Result<Enumerate<Elements<'_>>, ConvertError> {
     let array = array_in(value)?;
     if (least..=most).contains(&array.len()) {

@@ -19,8 +19,8 @@ use crate::wire::Writer;
 /// | `&str`, [`Bstr`], `String`                      | BSTR                 |
 /// | `[T; N]`, `[T]`, `Vec<T>` of an [`Element`]     | ARRAY of its type    |
 /// | tuples of 1 to 8 values                         | ARRAY of VARIANT     |
-/// | `Option<T>`                                     | that of T; EMPTY     |
-/// | [`Variant`], `VariantBuf`, references           | that of their value  |
+/// | `Option<T>`                                     | type of T; EMPTY     |
+/// | [`Variant`], `VariantBuf`, references           | type of their value  |
 pub trait Encode {
     /// Appends the value.
     ///

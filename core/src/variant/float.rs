@@ -536,7 +536,7 @@ mod tests {
         }
     }
 
-    /// Compares digits and exponent with those of the standard library, which writes the fewest and nearest too.
+    /// Compares digits and exponent with the standard library, which also writes the fewest and nearest.
     ///
     /// Of two that are as near it takes the larger one, and this the even one.
     fn write(format: Format, bits: u64) {

@@ -25,7 +25,7 @@
 //!                                                 VARIANT parentheses are paired; in an array there is no comma, too
 //! ```
 //!
-//! There is no quoting and no escaping, so some values have no text. What is guaranteed:
+//! There is no quoting and no escaping, so some values have no text. Guarantees:
 //!
 //! * The output of [`Variant::write_text`] parses back to the same bits, -0 and NaN included. Floats have the fewest
 //!   digits that allow this.

@@ -18,7 +18,7 @@ Stops the task.
   specification shows 3 only.
 * `option`: an option string; the specification lists no options, its packets send an empty string.
 * Returns no value.
-* Controllers: all (S2:1752, S2:546-563).
+* Controllers: all (b-CAP specification, section 4.2.2).
 
 `bcap call --help` describes how the arguments are written.
 ";

@@ -22,7 +22,8 @@ impl Task {
     ///
     /// # Errors
     ///
-    /// An [`Error`]. The controller must be in Auto mode and give this client the executable token (S2:174-184).
+    /// An [`Error`]. The controller must be in Auto mode and give this client the executable token (b-CAP
+    /// specification, sections 3.1 and 3.2).
     ///
     /// # Cancel safety
     ///

@@ -1,4 +1,4 @@
-//! What a controller's task reports: its state, its counters.
+//! The reports of a controller's task: its state and its counters.
 
 use std::pin::Pin;
 use std::sync::atomic::{AtomicU64, Ordering};

@@ -288,8 +288,8 @@ impl Task {
         None
     }
 
-    /// Carries out requests until the session ends. Each round does at most one step that is due and one request, so neither
-    /// keeps the other from its turn.
+    /// Carries out requests until the session ends. Each round performs at most one step whose deadline has passed and
+    /// one request, so neither starves the other.
     async fn serve(&mut self, session: &mut Session<Socket>) -> Ended {
         let mut motion = None;
         loop {
@@ -409,7 +409,7 @@ impl<P: Procedure<Output = MotionQueue, Error = StepError> + Send> MotionSteps f
     }
 }
 
-/// Polls a motion if it is due; halts the robot if the caller has gone. Returns the motion while it is under way.
+/// Polls a motion at its deadline; halts the robot if the caller has gone. Returns the motion while it is under way.
 async fn step(session: &mut Session<Socket>, mut motion: Moving, now: Instant) -> Option<Moving> {
     let Moving { steps, due, reply } = &mut motion;
     if now < *due && !reply.is_closed() {

@@ -19,9 +19,9 @@ use crate::session::{Halted, Session};
 /// One halt can go unseen: it stops the robot completely in the moment before the controller accepts the next motion, which
 /// the robot then carries out. Real controllers have an error after a halt, and refuse that motion.
 ///
-/// The end of a rotation cannot be compared, nor can a destination whose text the library does not know. If such a motion is
-/// shorter than two polls (some 10 ms), the outcome is [`Motion::Unknown`], and so is that of a sequence that ends where it
-/// began, if no poll saw the robot elsewhere.
+/// The end of a rotation cannot be compared, nor can a destination whose text the library does not know. If such a
+/// motion is shorter than two polls (some 10 ms), the outcome is [`Motion::Unknown`], and so is the outcome of a
+/// sequence that ends where it began, if no poll saw the robot elsewhere.
 #[derive(Debug)]
 #[must_use = "dropping it halts the robot"]
 pub struct Moving<'a> {

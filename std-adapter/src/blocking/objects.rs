@@ -25,7 +25,8 @@ impl<'a> Task<'a> {
     ///
     /// # Errors
     ///
-    /// An [`Error`]. The controller must be in Auto mode and give this client the executable token (S2:174-184).
+    /// An [`Error`]. The controller must be in Auto mode and give this client the executable token (b-CAP
+    /// specification, sections 3.1 and 3.2).
     pub fn start(&mut self, mode: TaskStart) -> Result<(), Error> {
         ready(self.session.start_task(&self.name, mode))
     }

@@ -77,9 +77,10 @@ impl<'a> Robot<'a> {
 
     /// Executes a command of the robot with a parameter, and returns its value.
     ///
-    /// Some commands move the robot, such as `DriveEx`; they fail without the arm. Such a call returns when the motion has
-    /// ended; only a [`Stopper`](super::Stopper) halts it before. After one with `NEXT` the robot moves on, also when the
-    /// [`Arm`] is dropped, which knows the motions of its own functions only. Use [`Arm::move_to`] for motions.
+    /// Some commands move the robot, such as `DriveEx`; they fail without the arm. Such a call returns when the motion
+    /// has ended; only a [`Stopper`](super::Stopper) halts it before. After one with `NEXT` the robot continues to move
+    /// even when the [`Arm`] is dropped, because the [`Arm`] halts only motions that its own functions started. Use
+    /// [`Arm::move_to`] for motions.
     ///
     /// # Errors
     ///
@@ -213,10 +214,10 @@ impl<'a> Arm<'a> {
     /// Streams poses in Slave Mode, one each 8 ms, until the trajectory ends, and waits until the robot rests.
     ///
     /// The motor must be on. A pose beyond `limits` is not sent: the robot stops in an orderly way. To stop early, the
-    /// trajectory returns [`Next::Stop`](bcap_core::slave::Next::Stop). A panic in the trajectory drops the [`Arm`], which
-    /// halts the robot. Slave Mode needs its licence (S2:1454). Streams with
-    /// IO, or with a second connection for the controller's errors, are made by the
-    /// [`Engine`](bcap_core::slave::Engine), see [`slave`](crate::slave).
+    /// trajectory returns [`Next::Stop`](bcap_core::slave::Next::Stop). A panic in the trajectory drops the [`Arm`],
+    /// which halts the robot. Slave Mode needs its licence (b-CAP specification, section 1.3). Streams with IO, or with
+    /// a second connection for the controller's errors, are made by the [`Engine`](bcap_core::slave::Engine), see
+    /// [`slave`](crate::slave).
     ///
     /// # Errors
     ///

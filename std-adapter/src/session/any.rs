@@ -1,4 +1,4 @@
-//! What a tool needs of a session: calls and objects that are known only at run time.
+//! A session for tools: calls and objects that are known only at run time.
 
 use std::io;
 use std::marker::PhantomData;

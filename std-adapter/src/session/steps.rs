@@ -1,4 +1,4 @@
-//! What a task needs of a session: a motion by steps, so that it makes other calls meanwhile.
+//! A session for tasks: a motion in steps, so that the task can make other calls meanwhile.
 
 use std::io;
 use std::ops::ControlFlow;

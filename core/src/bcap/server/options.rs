@@ -6,7 +6,7 @@
 //!  value   = text | "(" text ")" | "[" text "]" | "{" text "}" | "<" text ">"
 //! ```
 //!
-//! Keys are case-insensitive; unknown keys and empty options are ignored (S2:225-233).
+//! Keys are case-insensitive; unknown keys and empty options are ignored (b-CAP specification, Table 4-1).
 
 use core::fmt;
 use core::time::Duration;
@@ -48,7 +48,7 @@ impl fmt::Display for OptionError {
 impl core::error::Error for OptionError {}
 
 impl StartOptions {
-    /// The minimum of both options (S2:225).
+    /// The minimum of both options (b-CAP specification, Table 4-1).
     pub const MIN: Duration = Duration::from_millis(80);
 
     /// Reads the argument of Service_Start; without one the options are empty.

@@ -1,7 +1,8 @@
 //! Classifies a request on a lossy link by its serials: as new, as a copy, or as the start of a session.
 //!
-//! Every attempt of a call carries the serial of the first one, its *marker* (S2:1487). A copy of a call has the marker
-//! and the function of the original. `docs/udp-sessions.md` lists every case; `cells.rs` tests each of them.
+//! Every attempt of a call carries the serial of the first one, its *marker* (b-CAP specification, Table 6-1). A copy
+//! of a call has the marker and the function of the original. `docs/udp-sessions.md` lists every case; `cells.rs` tests
+//! each of them.
 
 use core::time::Duration;
 
@@ -32,7 +33,7 @@ impl Attempt {
     }
 }
 
-/// What to do with a request.
+/// The treatment of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Verdict {
     /// Execute it, or refuse it while another call runs.
@@ -47,7 +48,7 @@ pub(super) enum Verdict {
     Drop,
 }
 
-/// What a session remembers of the requests of its peer.
+/// The serials of a session's latest requests.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Serials {
     /// Whether the link preserves the order of frames.

@@ -184,7 +184,7 @@ fn arguments_are_checked_before_the_handler() {
         (raw(70, &[&2_i32, &5_i32]), HResult::E_INVALIDARGTYPE),
         (raw(70, &[&"2", &""]), HResult::E_INVALIDARGTYPE),
         (raw(70, &[&9_i32, &""]), HResult::E_HANDLE),
-        // the handle of the controller is not that of a robot
+        // the handle of the controller is not a handle of a robot
         (raw(70, &[&1_i32, &""]), HResult::E_HANDLE),
     ];
     for (serial, (call, expected)) in (4..).zip(cases) {
@@ -393,7 +393,7 @@ fn noise_while_a_call_runs_does_not_hide_the_frame_after_it() {
 #[test]
 fn a_new_client_at_a_known_address_starts_a_new_session() {
     let mut bench = Bench::connected(Config::UDP, "");
-    // its first call has the same serial as that of the old client
+    // its first call has the same serial as the first call of the old client
     let start = call::service_start("");
     assert_eq!(bench.attempt(&start, 1, 1, at(1000)), [], "may be a late copy");
     assert_eq!(bench.attempt(&start, 2, 1, at(2500)), [(2, HResult::S_OK)]);

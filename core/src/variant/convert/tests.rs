@@ -167,7 +167,7 @@ fn the_element_that_does_not_convert_is_named() {
         "element 2: expected i32 (-2147483648 to 2147483647), found VT_R4 with the value 2.5, \
          which is not exact in this type"
     );
-    // the index is that of the outermost array
+    // the index counts the elements of the outermost array
     let error = sent((0, [1, 300])).as_variant().convert::<(u8, [u8; 2])>().unwrap_err();
     assert_eq!((error.element, error.found, error.count), (Some(1), VarType::I4, 1));
     let error = sent((0, [1, 2])).as_variant().convert::<(u8, [u8; 3])>().unwrap_err();

@@ -181,7 +181,7 @@ fn mantissa(text: &[u8]) -> Parsed<'_, Decimal<'_>> {
     Ok((rest, number))
 }
 
-/// `[ digits ]`, appended to those of a number
+/// `[ digits ]`, appended to the digits of a number
 #[cfg_attr(not(target_os = "none"), inline(always))]
 fn add_digits<'a>(text: &'a [u8], number: &mut Decimal<'_>) -> &'a [u8] {
     let mut rest = text;

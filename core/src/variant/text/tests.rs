@@ -449,7 +449,7 @@ fn what_does_not_fit_is_refused() {
     assert_eq!(value.as_variant().to_text(&mut vec![0; text.len()]), Ok(text));
 }
 
-/// A small generator of its own: the same numbers on every run.
+/// A small generator with a fixed seed: the same numbers on every run.
 struct Random(u64);
 
 impl Random {

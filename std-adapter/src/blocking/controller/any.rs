@@ -1,4 +1,4 @@
-//! What tools need of a controller: calls and objects that are known only at run time, and time limits.
+//! A controller for tools: calls and objects that are known only at run time, and time limits.
 
 use std::io;
 
@@ -21,8 +21,9 @@ use crate::settings::{Model, Settings};
 impl Controller {
     /// Wraps a connection over which nothing is started: [`call_any`](Self::call_any) makes the calls of the session.
     ///
-    /// It is for tools that choose these calls themselves, or that see all bytes on a transport of their own. After
-    /// Service_Start and Controller_Connect it is like any other controller, and releases what is open when it is dropped.
+    /// It is for tools that choose these calls themselves, or that see all bytes on their own transport. After
+    /// Service_Start and Controller_Connect it is like any other controller, and releases what is open when it is
+    /// dropped.
     ///
     /// # Examples
     ///

@@ -151,7 +151,7 @@ fn start_copy_reply_lost(peer: Peer) -> Done {
     start_copy(peer.lose_the_reply())
 }
 
-/// The serial is that of the next call, so this is not a copy.
+/// The serial belongs to the next call, so this is not a copy.
 fn start_attempt_of_another_client(peer: Peer) -> Done {
     peer.send(&call::service_start("WDT=3000"), START, START + 1)
 }
