@@ -16,8 +16,6 @@
 //! | [`bcap`]    | frames, functions, calls           | a [`Frame`](bcap::Frame) is validated, within [`limits`]          |
 //! | [`bcap::client`], [`bcap::server`] | sans-IO state machines | every wait has a deadline; a late reply never answers another call; the session survives a call dropped at any byte |
 //! | [`rac`]     | lines, requests, responses, client and server | a line has at most 256 bytes; a value without a text is an error |
-//! | [`gateway`] | RAC server, b-CAP client           | each reply belongs to its request; without a robot the error is immediate |
-//! | [`modbus`]  | Modbus TCP in front of a RAC server | no byte of a client panics; a write that the rules refuse in part writes nothing |
 //! | [`device`]  | a table of variables as a server     | a client sees only what the table lists                           |
 //! | [`procedure`], [`slave`] | jobs of several calls, Slave Mode | a failed procedure undoes its calls; no pose outside the limits is sent |
 //! | [`io`]      | blocking and asynchronous loops over the clients | all progress is in the client, so futures may be dropped |
@@ -113,13 +111,11 @@ pub mod bcap;
 pub mod device;
 pub mod endpoint;
 pub mod error;
-pub mod gateway;
 pub mod handler;
 pub mod histogram;
 pub mod hresult;
 pub mod io;
 pub mod limits;
-pub mod modbus;
 mod num;
 mod outbox;
 pub mod position;

@@ -75,7 +75,7 @@ impl Storage for alloc::vec::Vec<u8> {
 /// Moves the bytes from `by` on to the front of `buffer`.
 ///
 /// `copy_within` does the same, but its range check would leave a panic in the image.
-pub(crate) fn shift_down(buffer: &mut [u8], by: usize) {
+pub fn shift_down(buffer: &mut [u8], by: usize) {
     let cells = core::cell::Cell::from_mut(buffer).as_slice_of_cells();
     for (to, from) in cells.iter().zip(cells.get(by..).unwrap_or_default()) {
         to.set(from.get());

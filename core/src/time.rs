@@ -60,7 +60,7 @@ pub const fn micros(duration: Duration) -> u64 {
 
 /// Returns a duration in microseconds, at most 71 minutes.
 #[must_use]
-pub(crate) fn micros_u32(duration: Duration) -> u32 {
+pub fn micros_u32(duration: Duration) -> u32 {
     u32::try_from(micros(duration)).unwrap_or(u32::MAX)
 }
 

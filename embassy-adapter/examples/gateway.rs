@@ -3,11 +3,11 @@
 //! Like the other examples, this is a library of tasks that a firmware calls with its own network stack.
 #![no_std]
 
-use bcap_core::gateway::{Allow, Config, Event, Gateway, Memory, Rules};
 use bcap_core::rac::{self, VariableKind};
 use bcap_embassy::gateway::{Listener, Report, SharedGateway, TcpRobot, run_robot};
 use bcap_embassy::net::Options;
 use bcap_embassy::server::Limits;
+use bcap_gateway::{Allow, Config, Event, Gateway, Memory, Rules};
 use embassy_net::{IpEndpoint, Stack};
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 

@@ -5,11 +5,11 @@
 #![no_std]
 
 use bcap_core::bcap::client;
-use bcap_core::gateway::{Allow, Config, Event, Gateway, Memory, Rules};
 use bcap_core::rac::VariableKind;
 use bcap_embassy::gateway::{Report, SerialRobot, SharedGateway, run_robot, serve};
 use bcap_embassy::serial::transport;
 use bcap_embassy::server::Limits;
+use bcap_gateway::{Allow, Config, Event, Gateway, Memory, Rules};
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embedded_io_async::{Read, Write};
 

@@ -31,12 +31,10 @@ use bcap_core::bcap::call::{self, ControllerHandle};
 use bcap_core::bcap::client::{Config, Timing};
 use bcap_core::bcap::server::{Handler, Request, Session};
 use bcap_core::bcap::{Client, FunctionId, server};
-use bcap_core::gateway::{self as core_gateway, Allow, Gateway, Memory, Rules};
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::io::CallError;
 use bcap_core::io::asynch::Timer as _;
-use bcap_core::modbus::{self, Entry};
 use bcap_core::rac::{self, VariableKind};
 use bcap_core::time::Instant;
 use bcap_embassy::clock::{EmbassyClock, now};
@@ -44,6 +42,8 @@ use bcap_embassy::gateway::{self, RobotLink as _, TcpRobot, run_robot};
 use bcap_embassy::http::{Content, HttpListener};
 use bcap_embassy::net::{Connection, NetError, Options, TcpTransport, Transport, UdpTransport};
 use bcap_embassy::server::{Limits, Listener, SharedHandler, UdpPeer, UdpServer};
+use bcap_gateway::modbus::{self, Entry};
+use bcap_gateway::{Allow, Gateway, Memory, Rules};
 use common::{address, between};
 use embassy_futures::join::join;
 use embassy_futures::select::{Either, Either3, select, select3};
@@ -508,12 +508,12 @@ fn a_connection_of_a_dropped_server_is_reset_with_its_next_use() {
 }
 
 const PUT: [Allow<'static>; 1] = [Allow::all(VariableKind::I)];
-const GATEWAY: core_gateway::Config<'static> = core_gateway::Config {
+const GATEWAY: bcap_gateway::Config<'static> = bcap_gateway::Config {
     rules: Rules { put: &PUT, ..Rules::READ_ONLY },
     first_pause: core::time::Duration::from_millis(2),
     longest_pause: core::time::Duration::from_millis(10),
     heartbeat: core::time::Duration::from_secs(3600),
-    ..core_gateway::Config::RC8
+    ..bcap_gateway::Config::RC8
 };
 
 /// Sends a line and returns the one that comes back; `None` when the connection ends first.

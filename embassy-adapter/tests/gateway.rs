@@ -7,12 +7,12 @@ mod common;
 use std::cell::RefCell;
 
 use bcap_core::bcap::{client, server};
-use bcap_core::gateway::{Allow, Config, Event, Gateway, Memory, Network, Refusal, Rules};
 use bcap_core::hresult::HResult;
 use bcap_core::rac::{self, VariableKind};
 use bcap_embassy::gateway::{self, Report, TcpRobot, run_robot};
 use bcap_embassy::net::{NetError, Options, UdpTransport};
 use bcap_embassy::server::{Ended, Limits, Listener, SharedHandler, UdpPeer, UdpServer};
+use bcap_gateway::{Allow, Config, Event, Gateway, Memory, Network, Refusal, Rules};
 use common::{Number, address, between};
 use embassy_futures::join::{join, join3};
 use embassy_futures::select::{select, select3};

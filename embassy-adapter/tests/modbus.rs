@@ -8,12 +8,12 @@ mod common;
 use std::cell::RefCell;
 
 use bcap_core::bcap::server;
-use bcap_core::gateway::{Allow, Bounds, Config, Event, Gateway, Memory, Rules};
-use bcap_core::modbus::{Entry, PORT};
 use bcap_core::rac::VariableKind;
 use bcap_embassy::gateway::{ModbusListener, Report, SharedGateway, TcpRobot, run_robot};
 use bcap_embassy::net::{Options, Usage};
 use bcap_embassy::server::{Limits, Listener, SharedHandler};
+use bcap_gateway::modbus::{Entry, PORT};
+use bcap_gateway::{Allow, Bounds, Config, Event, Gateway, Memory, Rules};
 use common::{Number, address, between};
 use embassy_futures::join::{join, join3};
 use embassy_futures::select::{Either, select, select3};

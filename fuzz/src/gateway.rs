@@ -5,12 +5,12 @@ use std::time::Duration;
 
 use arbitrary::{Arbitrary, Unstructured};
 use bcap_core::bcap::FunctionId;
-use bcap_core::gateway::{Allow, Bounds, Config, Event, Gateway, Memory, Rate, Rules};
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
 use bcap_core::limits::{Limits, Strictness};
 use bcap_core::rac::{MAX_LINE, MAX_VALUE, Response, VariableKind};
 use bcap_core::time::Instant;
+use bcap_gateway::{Allow, Bounds, Config, Event, Gateway, Memory, Rate, Rules};
 use bcap_testkit::frame::TestFrame;
 use bcap_testkit::oracle::{Oracle, Verdict};
 use bcap_testkit::value::Value;

@@ -9,7 +9,7 @@
 use std::future::pending;
 use std::io;
 
-use bcap_std::core::gateway::{Allow, Config, Gateway, Memory, Rules};
+use bcap_gateway::{Allow, Config, Gateway, Memory, Rules};
 use bcap_std::core::rac::VariableKind;
 use bcap_std::gateway::Driver;
 use tokio::net::TcpListener;

@@ -17,9 +17,9 @@ use std::time::{Duration, Instant};
 
 use bcap_core::bcap::call::{self, VariableHandle};
 use bcap_core::bcap::{Decoder, FrameWriter, FunctionId, Progress};
-use bcap_core::gateway::{self, Gateway};
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
+use bcap_gateway::Gateway;
 use bcap_std::{Options, blocking};
 
 const TIME: Duration = Duration::from_secs(5);
@@ -168,8 +168,8 @@ fn client<X: blocking::Transport>(
 fn gateway(asks: bool) -> u64 {
     // the session is begun and the controller connected before the flood
     let address = flooding_tcp(2);
-    let mut memory = gateway::Memory::<1, 8>::new();
-    let mut gateway = Gateway::new(gateway::Config::RC8, &mut memory);
+    let mut memory = bcap_gateway::Memory::<1, 8>::new();
+    let mut gateway = Gateway::new(bcap_gateway::Config::RC8, &mut memory);
     let plc = gateway.open().filter(|_| asks);
     let (begun, mut sessions, mut robot) = (Instant::now(), 0, None);
     let now = || bcap_core::time::Instant::ZERO.saturating_add(begun.elapsed());
@@ -178,7 +178,7 @@ fn gateway(asks: bool) -> u64 {
             ask(&mut gateway, plc);
         }
         while let Some(event) = gateway.poll_event(now()) {
-            sessions += u64::from(event == gateway::Event::RobotUp);
+            sessions += u64::from(event == bcap_gateway::Event::RobotUp);
         }
         let due = gateway.poll_timeout().map_or(TIME, |due| due.saturating_since(now()));
         let wait = due.clamp(Duration::from_millis(1), Duration::from_millis(50));

@@ -4,11 +4,11 @@ use bcap_core::endpoint::{Endpoint, Serve};
 use std::time::Duration;
 
 use bcap_core::bcap::server::{self, Session};
-use bcap_core::gateway::{Allow, Config, Event, Gateway, Memory, RobotError, Rules};
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
+use bcap_gateway::{Allow, Config, Event, Gateway, Memory, RobotError, Rules};
 use bcap_sim::{Controller, Profile, VariableKind};
 
 const WRITABLE: Rules<'static> = Rules { put: &Allow::EVERYTHING, ..Rules::READ_ONLY };

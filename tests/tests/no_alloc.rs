@@ -9,7 +9,6 @@ use bcap_core::bcap::call::{self, Call, ControllerHandle, Reply, RobotHandle, Va
 use bcap_core::bcap::client::{self, Client};
 use bcap_core::bcap::{Decoder, FrameWriter, FunctionId, server};
 use bcap_core::error::EncodeError;
-use bcap_core::gateway;
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::io::{asynch, blocking};
@@ -358,9 +357,10 @@ fn blocking_and_async_loops() {
 fn a_gateway_between_lines_and_frames() {
     let now = Instant::from_millis(1);
     without(|| {
-        let mut memory = gateway::Memory::<2, 1>::new();
-        let rules = gateway::Rules { put: &gateway::Allow::EVERYTHING, ..Default::default() };
-        let mut gateway = gateway::Gateway::new(gateway::Config { rules, ..gateway::Config::RC8 }, &mut memory);
+        let mut memory = bcap_gateway::Memory::<2, 1>::new();
+        let rules = bcap_gateway::Rules { put: &bcap_gateway::Allow::EVERYTHING, ..Default::default() };
+        let mut gateway =
+            bcap_gateway::Gateway::new(bcap_gateway::Config { rules, ..bcap_gateway::Config::RC8 }, &mut memory);
         let mut robot = BoardSession::new(server::Config::TCP, [0; 512], [0; 512]);
         let plc = gateway.open().unwrap();
         gateway.robot_opened(now);

@@ -23,7 +23,7 @@ use nom::bytes::complete::take_till;
 
 use super::line::{CR, MAX_LINE};
 use crate::error::{RequestPart, TextError, TextErrorKind};
-use crate::variant::text::{Parsed, blanks, complete, fault, put_integer, value};
+use crate::variant::text::{Parsed, blanks, complete, fault, value, write_integer};
 use crate::variant::{VarType, Variant, Writer};
 
 /// A type of user variables.
@@ -256,7 +256,7 @@ impl<'a> Request<'a> {
         let start = out.len();
         let Variable { kind, index } = self.variable();
         out.put_slice(if self.value().is_some() { b"PUT:RC8:" } else { b"GET:RC8:" })?;
-        put_integer(false, u64::from(index), out).map_err(TextError::printing)?;
+        write_integer(u64::from(index), out)?;
         out.put_slice(b":")?;
         out.put_slice(kind.name().as_bytes())?;
         out.put_slice(b":")?;

@@ -66,6 +66,7 @@ pub use self::encode::{Element, Encode};
 #[cfg(feature = "alloc")]
 pub use self::owned::OwnedVariant;
 pub use self::scalar::{CivilTime, Currency, Null, OleDate};
+pub use self::text::{parse_f64, write_integer};
 pub use crate::wire::Writer;
 
 use core::fmt;

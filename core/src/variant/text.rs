@@ -46,13 +46,23 @@ mod print;
 mod string;
 
 pub(crate) use self::grammar::{Parsed, blanks, complete, expect, fault};
-pub(crate) use self::number::{Integer, double, integer};
+pub use self::number::parse_f64;
+pub(crate) use self::number::{Integer, integer};
 pub(crate) use self::parse::value;
 pub(crate) use self::print::put_integer;
 
 use super::{Variant, VariantBuf};
 use crate::error::{TextError, TextErrorKind};
 use crate::wire::Writer;
+
+/// Writes a number as its decimal digits.
+///
+/// # Errors
+///
+/// When the buffer is full.
+pub fn write_integer(number: u64, out: &mut Writer<'_>) -> Result<(), TextError> {
+    put_integer(false, number, out).map_err(TextError::printing)
+}
 
 impl<const N: usize> VariantBuf<N> {
     /// Parses the text of one value, such as `8196,1,2.5,-3` or `8204,(8,Sample),(2,100)`.

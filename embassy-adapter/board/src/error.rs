@@ -2,9 +2,9 @@
 
 use core::fmt;
 
-use bcap_core::gateway::RuleError;
+use bcap_gateway::RuleError;
 #[cfg(feature = "modbus")]
-use bcap_core::modbus::EntryError;
+use bcap_gateway::modbus::EntryError;
 
 /// Why a line of the settings is invalid.
 #[derive(Clone, Copy, Debug, PartialEq)]

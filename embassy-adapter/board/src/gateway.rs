@@ -16,7 +16,6 @@
 use core::sync::atomic::{AtomicBool, Ordering};
 
 use bcap_core::bcap::client::{self, Timing};
-use bcap_core::gateway::{Config, Gateway, Memory};
 use bcap_core::rac;
 use bcap_embassy::clock::now;
 #[cfg(feature = "modbus")]
@@ -24,6 +23,7 @@ use bcap_embassy::gateway::ModbusListener;
 use bcap_embassy::gateway::{Listener, SharedGateway, TcpRobot, run_robot};
 use bcap_embassy::net::{Options, UdpTransport};
 use bcap_embassy::server::Limits;
+use bcap_gateway::{Config, Gateway, Memory};
 use embassy_executor::{SpawnError, Spawner};
 use embassy_futures::select::select;
 use embassy_net::Stack;

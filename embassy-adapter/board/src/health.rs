@@ -10,8 +10,8 @@
 use core::fmt::{self, Write};
 use core::time::Duration;
 
-use bcap_core::gateway::{Counters, Tally};
 use bcap_core::time::micros;
+use bcap_gateway::{Counters, Tally};
 
 /// The version that runs, and what became of the last update ([`update::Status`](crate::update::Status)).
 #[derive(Clone, Copy)]

@@ -65,7 +65,7 @@
 //! | `convert`  | `yes`, `no`: convert a PUT of another type where the conversion is lossless | `no` |
 //! | `rate`     | `PER_SECOND[/BURST]`: token bucket per PLC, in requests | no limit |
 //! | `modbus`   | the port of Modbus TCP, usually 502; for images with the feature `modbus` | no Modbus |
-//! | `register` | `ADDRESS=KIND[/FIRST[-LAST]][:FORMAT][:low]`: variables in holding registers from this address on ([`bcap_core::modbus::Entry`]); can be repeated | none |
+//! | `register` | `ADDRESS=KIND[/FIRST[-LAST]][:FORMAT][:low]`: variables in holding registers from this address on ([`bcap_gateway::modbus::Entry`]); can be repeated | none |
 //! | `coil`     | `ADDRESS=IO[/FIRST[-LAST]]`: coils from this address on; can be repeated | none |
 //! | `health`   | the port of a read-only page of the board's state, usually 80; for images with the feature `health` | no page |
 //! | `syslog`   | `ADDRESS[:PORT]`: where refusals and changes of the state are sent, usually to port 514; for images with the feature `health` | not sent |

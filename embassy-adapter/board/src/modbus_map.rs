@@ -1,6 +1,6 @@
 //! The map from the registers and coils of Modbus to variables, as the `register` and `coil` lines have it.
 
-use bcap_core::modbus::Entry;
+use bcap_gateway::modbus::Entry;
 use heapless::Vec;
 
 use crate::SettingError;
@@ -31,7 +31,7 @@ impl ModbusMap {
 #[cfg(test)]
 mod tests {
     use crate::Settings;
-    use bcap_core::modbus::Entry;
+    use bcap_gateway::modbus::Entry;
     use std::string::{String, ToString};
     use std::vec::Vec;
 

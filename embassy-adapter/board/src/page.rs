@@ -6,11 +6,11 @@ use core::net::SocketAddrV4;
 use core::sync::atomic::{AtomicBool, Ordering};
 use core::time::Duration;
 
-use bcap_core::gateway::{Event, Gateway};
 use bcap_embassy::clock::now;
 use bcap_embassy::gateway::Report;
 use bcap_embassy::http::{Content, HttpListener};
 use bcap_embassy::net::Options;
+use bcap_gateway::{Event, Gateway};
 use embassy_executor::{SpawnError, Spawner};
 use embassy_net::udp::{PacketMetadata, UdpSocket};
 use embassy_net::{IpAddress, IpEndpoint, Stack};

@@ -6,10 +6,10 @@
 use core::cell::RefCell;
 use core::net::{Ipv4Addr, SocketAddrV4};
 
-use bcap_core::gateway::{Event, Gateway, Refusal, Tally};
 use bcap_core::time::micros;
 use bcap_embassy::clock::now;
 use bcap_embassy::gateway::{Denial, Report};
+use bcap_gateway::{Event, Gateway, Refusal, Tally};
 use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 

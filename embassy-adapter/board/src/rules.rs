@@ -1,7 +1,7 @@
 //! The rules of a gateway as the block has them: `get` and `put` lines, in the grammar of [`AllowBuf`].
 
-use bcap_core::gateway::{Allow, AllowBuf, Bounds, Network, Rate, Rules};
 use bcap_core::rac::VariableKind;
+use bcap_gateway::{Allow, AllowBuf, Bounds, Network, Rate, Rules};
 use heapless::Vec;
 
 use crate::SettingError;

@@ -4,10 +4,10 @@ use core::net::{Ipv4Addr, SocketAddrV4};
 use core::str;
 use core::time::Duration;
 
-use bcap_core::gateway::{Network, Rate, Rules};
-#[cfg(feature = "modbus")]
-use bcap_core::modbus::Entry;
 use bcap_core::rac;
+#[cfg(feature = "modbus")]
+use bcap_gateway::modbus::Entry;
+use bcap_gateway::{Network, Rate, Rules};
 
 #[cfg(feature = "modbus")]
 use crate::modbus_map::ModbusMap;

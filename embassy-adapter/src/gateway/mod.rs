@@ -9,7 +9,7 @@
 //!
 //! Each PLC that is served concurrently needs a task, socket buffers and a client slot of the gateway. The robot needs
 //! one task, which also polls the gateway at its deadlines. After moving bytes, a task polls the gateway and wakes the
-//! tasks that its events concern. [`bcap_core::gateway`] defines the answers and their timing.
+//! tasks that its events concern. [`bcap_gateway`] defines the answers and their timing.
 //!
 //! A board without Ethernet needs neither embassy-net nor its feature: PLCs and robot are on serial lines, and any other
 //! [`Transport`](bcap_core::io::asynch::Transport) does as well. [`Listener`], [`TcpRobot`] and `ModbusListener` need `embassy-net`.
@@ -18,7 +18,7 @@
 //!
 //! ```
 //! # #[cfg(feature = "embassy-net")] mod example {
-//! use bcap_core::gateway::{Config, Gateway, Memory};
+//! use bcap_gateway::{Config, Gateway, Memory};
 //! use bcap_core::rac;
 //! use bcap_embassy::gateway::{Listener, Report, SharedGateway, TcpRobot, run_robot};
 //! use bcap_embassy::net::Options;
@@ -63,7 +63,7 @@ mod tcp;
 
 use core::net::SocketAddrV4;
 
-use bcap_core::gateway::Event;
+use bcap_gateway::Event;
 
 pub use self::clients::serve;
 #[cfg(feature = "embassy-net")]

@@ -1,12 +1,12 @@
 //! Modbus TCP in front of the gateway, for PLCs that do not speak RAC.
 //!
 //! A Modbus client takes a slot of the gateway as a PLC with RAC does, and the same rules apply to it.
-//! [`bcap_core::modbus`] defines how registers and coils become variables.
+//! [`bcap_gateway::modbus`] defines how registers and coils become variables.
 
 use bcap_core::io::asynch::Transport;
-use bcap_core::modbus::Front;
 use bcap_core::rac::Request;
 use bcap_core::time::Instant;
+use bcap_gateway::modbus::Front;
 
 /// A connection of a Modbus client as a transport of RAC, for [`serve`](super::serve): any stream, such as TCP.
 #[derive(Debug)]
@@ -18,7 +18,7 @@ pub struct ModbusLink<'a, 'm, X, P> {
 
 impl<'a, 'm, X: Transport, P: Fn(&Request<'_>) -> bool> ModbusLink<'a, 'm, X, P> {
     /// Wraps a new connection, with a new front. `permits` tells whether the rules permit a request
-    /// ([`Rules::permits`](bcap_core::gateway::Rules::permits)).
+    /// ([`Rules::permits`](bcap_gateway::Rules::permits)).
     pub const fn new(link: &'a mut X, front: &'a mut Front<'m>, permits: P) -> Self {
         Self { link, front, permits }
     }

@@ -1,7 +1,7 @@
 //! TCP listeners for clients of Modbus over embassy-net.
 
-use bcap_core::modbus::{Entry, Front};
 use bcap_core::rac::Request;
+use bcap_gateway::modbus::{Entry, Front};
 use embassy_net::Stack;
 use embassy_sync::blocking_mutex::raw::RawMutex;
 

@@ -7,9 +7,9 @@ use core::net::{Ipv4Addr, SocketAddrV4};
 use core::task::{Context, Poll};
 use core::time::Duration;
 
-use bcap_core::gateway::{Event, Gateway};
 use bcap_core::handler::PeerId;
 use bcap_core::time::Instant;
+use bcap_gateway::{Event, Gateway};
 use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_sync::waitqueue::WakerRegistration;
@@ -277,7 +277,7 @@ impl<M: RawMutex, const SESSIONS: usize> fmt::Debug for SharedGateway<'_, M, SES
 #[cfg(test)]
 mod tests {
     use super::*;
-    use bcap_core::gateway::{Config, Memory};
+    use bcap_gateway::{Config, Memory};
     use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 
     #[test]

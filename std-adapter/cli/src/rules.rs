@@ -26,9 +26,9 @@
 use std::fs;
 use std::path::Path;
 
-use bcap_core::gateway::{Allow, AllowBuf, Bounds, Network, Rate, RuleErrorKind, Rules};
-use bcap_core::modbus::{Entry as ModbusEntry, EntryError, Table};
 use bcap_core::rac::VariableKind;
+use bcap_gateway::modbus::{Entry as ModbusEntry, EntryError, Table};
+use bcap_gateway::{Allow, AllowBuf, Bounds, Network, Rate, RuleErrorKind, Rules};
 use serde::Deserialize;
 
 use crate::error::Failure;

@@ -15,9 +15,9 @@ use std::collections::HashMap;
 use std::time::Duration;
 
 use bcap_core::bcap::FunctionId;
-use bcap_core::gateway::{Allow, Rules};
 use bcap_core::rac::{Request, Variable, VariableKind};
 use bcap_core::variant::OwnedVariant;
+use bcap_gateway::{Allow, Rules};
 use bcap_std::Error;
 use bcap_std::asynch::Controller;
 use serde::{Deserialize, Serialize};

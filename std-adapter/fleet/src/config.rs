@@ -5,7 +5,7 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use bcap_core::gateway::AllowBuf;
+use bcap_gateway::AllowBuf;
 use bcap_std::{Address, Model};
 use serde::Deserialize;
 

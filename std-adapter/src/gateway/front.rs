@@ -3,12 +3,12 @@
 use std::io;
 use std::net::Ipv4Addr;
 
-use bcap_core::gateway::Gateway;
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
-use bcap_core::modbus::{self, Entry};
 use bcap_core::rac::{Request, Response};
 use bcap_core::variant::Writer;
+use bcap_gateway::Gateway;
+use bcap_gateway::modbus::{self, Entry};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use tokio::time::timeout;

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use crate::server::Slots;
 
-/// What PLCs can cost a gateway; the number of its slots is its [`capacity`](bcap_core::gateway::Gateway::capacity).
+/// What PLCs can cost a gateway; the number of its slots is its [`capacity`](bcap_gateway::Gateway::capacity).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Limits {

@@ -7,7 +7,7 @@
 //!                                 └─► Report: every answer; robot and PLCs connect and disconnect
 //! ```
 //!
-//! A [`Driver`] moves the bytes of any [`Gateway`] and keeps its time. [`Config`](bcap_core::gateway::Config) says how the
+//! A [`Driver`] moves the bytes of any [`Gateway`] and keeps its time. [`Config`](bcap_gateway::Config) says how the
 //! robot is reached, what PLCs may do, and how long a request may take. [`Limits`] bounds what PLCs can cost: a new
 //! connection gets the slot of the connection that has been idle longest when slots are short. A PLC that sends without a
 //! pause does not delay the others: tasks yield after each read and write, and the gateway serves requests in turn.
@@ -19,7 +19,7 @@
 //! # Examples
 //!
 //! ```no_run
-//! use bcap_core::gateway::{Allow, Config, Gateway, Memory, Rules};
+//! use bcap_gateway::{Allow, Config, Gateway, Memory, Rules};
 //! use bcap_core::rac::{self, VariableKind};
 //! use bcap_std::gateway::{Driver, Report};
 //! use tokio::net::TcpListener;
@@ -50,8 +50,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bcap_core::bcap::Link;
-use bcap_core::gateway::{Counters, Gateway};
-use bcap_core::modbus::Entry;
+use bcap_gateway::modbus::Entry;
+use bcap_gateway::{Counters, Gateway};
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 

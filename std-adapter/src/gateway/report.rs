@@ -3,7 +3,7 @@
 use std::io;
 use std::net::SocketAddr;
 
-use bcap_core::gateway::Event;
+use bcap_gateway::Event;
 
 /// What has happened.
 #[derive(Clone, Copy, Debug)]

@@ -6,9 +6,9 @@ use std::io;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use bcap_core::gateway::{Counters, Event, Gateway};
 use bcap_core::handler::PeerId;
 use bcap_core::time::Instant;
+use bcap_gateway::{Counters, Event, Gateway};
 use tokio::sync::Notify;
 
 use super::front::Front;
@@ -173,8 +173,8 @@ impl fmt::Debug for GatewayState {
 mod tests {
     use std::time::Duration;
 
-    use bcap_core::gateway::{Config, Memory};
-    use bcap_core::modbus::Entry;
+    use bcap_gateway::modbus::Entry;
+    use bcap_gateway::{Config, Memory};
 
     use super::*;
 

@@ -7,8 +7,8 @@ use std::sync::{Arc, Mutex};
 
 use bcap_core::bcap::Link;
 use bcap_core::bcap::client;
-use bcap_core::gateway::{Allow, Config, Counters, Event, Gateway, Memory, Rules};
 use bcap_core::rac::VariableKind;
+use bcap_gateway::{Allow, Config, Counters, Event, Gateway, Memory, Rules};
 use bcap_std::gateway::{Driver, Report};
 use bcap_std::server::{Limits, Server};
 use bcap_tests::served::Application;

@@ -7,13 +7,13 @@ mod common;
 use std::cell::RefCell;
 use std::net::Ipv4Addr;
 
-use bcap_core::gateway::{Config, Gateway, Memory};
-use bcap_core::modbus::{self, Front};
 use bcap_core::rac::{self, Request};
 use bcap_embassy::gateway::{Listener, ModbusLink, ModbusListener, Report, SharedGateway, serve};
 use bcap_embassy::net::Options;
 use bcap_embassy::serial;
 use bcap_embassy::server::Limits;
+use bcap_gateway::modbus::{self, Front};
+use bcap_gateway::{Config, Gateway, Memory};
 use embassy_futures::select::{Either, Either3, select, select3};
 use embassy_net::tcp::TcpSocket;
 use embassy_net::{Ipv4Cidr, Stack};

@@ -9,10 +9,10 @@ mod pc;
 
 use std::net::Ipv4Addr;
 
-use bcap_core::gateway::{Allow, Bounds, Config, Network, Rules};
 use bcap_core::hresult::HResult;
-use bcap_core::modbus::Entry;
 use bcap_core::rac::VariableKind;
+use bcap_gateway::modbus::Entry;
+use bcap_gateway::{Allow, Bounds, Config, Network, Rules};
 
 /// The protocol of a client.
 #[derive(Clone, Copy, Debug, PartialEq)]

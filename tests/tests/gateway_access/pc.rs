@@ -5,7 +5,7 @@ use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::sync::mpsc;
 use std::time::Duration;
 
-use bcap_core::gateway::{Config, Gateway, Memory};
+use bcap_gateway::{Config, Gateway, Memory};
 use bcap_std::gateway::{Driver, Report};
 use socket2::{Domain, Socket, Type};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};

@@ -14,8 +14,9 @@ use graph::Arrows;
 use source::Source;
 
 /// The crates whose files are read, and their folders.
-const CRATES: [(&str, &str); 10] = [
+const CRATES: [(&str, &str); 11] = [
     ("bcap-core", "core"),
+    ("bcap-gateway", "core/gateway"),
     ("bcap-std", "std-adapter"),
     ("bcap-sim", "std-adapter/sim"),
     ("bcap-conform", "std-adapter/conform"),

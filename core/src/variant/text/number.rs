@@ -127,8 +127,12 @@ pub(crate) fn integer(text: &[u8]) -> Parsed<'_, Integer> {
     Ok((rest, Integer { negative, magnitude, hex }))
 }
 
-/// Parses a text that is one `float` and nothing else.
-pub(crate) fn double(text: &[u8]) -> Result<f64, TextError> {
+/// Parses a text that is one `float` of the grammar of RAC and nothing else.
+///
+/// # Errors
+///
+/// When the text is something else, or a number that is out of range.
+pub fn parse_f64(text: &[u8]) -> Result<f64, TextError> {
     complete(text, |text| float(text, Format::Double)).map(f64::from_bits)
 }
 

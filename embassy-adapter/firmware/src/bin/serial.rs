@@ -7,12 +7,12 @@
 use bcap_board::watchdog::{self, Task, watched};
 use bcap_board::{RuleMemory, Settings, report, stack};
 use bcap_core::bcap::client;
-use bcap_core::gateway::{Config, Gateway, Memory};
 use bcap_embassy::gateway::{SerialRobot, SharedGateway, run_robot, serve};
 use bcap_embassy::serial::transport;
 use bcap_embassy::server::Limits;
 use bcap_firmware::lines::Line;
 use bcap_firmware::{config, executor, fault};
+use bcap_gateway::{Config, Gateway, Memory};
 use embassy_executor::{SpawnError, Spawner};
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use static_cell::{ConstStaticCell, StaticCell};

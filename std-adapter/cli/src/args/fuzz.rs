@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use bcap_core::gateway::AllowBuf;
+use bcap_gateway::AllowBuf;
 use clap::Args;
 
 use crate::duration;

@@ -3,8 +3,8 @@
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
-use bcap_core::gateway::Network;
-use bcap_core::modbus::Entry;
+use bcap_gateway::Network;
+use bcap_gateway::modbus::Entry;
 use clap::Args;
 
 use crate::rules::{AllowPut, network};

@@ -1,8 +1,8 @@
 //! What a fuzzer may send to a device.
 
 use bcap_core::bcap::{Command, FunctionId};
-use bcap_core::gateway::AllowBuf;
 use bcap_core::rac::{Request, Variable};
+use bcap_gateway::AllowBuf;
 use bcap_testkit::frame::TestFrame;
 use bcap_testkit::grammar::Grammar;
 use bcap_testkit::value::Value;

@@ -24,10 +24,10 @@ use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use bcap_core::gateway::{Counters, Event, RobotError, Tally};
 use bcap_core::hresult::HResult;
 use bcap_core::rac::Verb;
 use bcap_core::variant::OleDate;
+use bcap_gateway::{Counters, Event, RobotError, Tally};
 use bcap_std::gateway::{Denial, Report};
 use bcap_std::now;
 use bcap_terminal::escape;

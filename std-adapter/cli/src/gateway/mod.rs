@@ -12,8 +12,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use bcap_core::bcap::client;
-use bcap_core::gateway::{Config, Gateway, Memory, Rules};
-use bcap_core::modbus::Entry;
+use bcap_gateway::modbus::Entry;
+use bcap_gateway::{Config, Gateway, Memory, Rules};
 use bcap_std::gateway::{Driver, Limits, Moved, Report, Traffic};
 use bcap_terminal::signal;
 use tokio::net::TcpListener;

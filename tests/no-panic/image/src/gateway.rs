@@ -5,11 +5,11 @@ use core::time::Duration;
 
 use bcap_core::bcap::FunctionId;
 use bcap_core::bcap::server::{self, Handler, Request, Session};
-use bcap_core::gateway::{Allow, Bounds, Config, Event, Gateway, Memory, Rate, Rules};
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::rac::VariableKind;
 use bcap_core::time::Instant;
+use bcap_gateway::{Allow, Bounds, Config, Event, Gateway, Memory, Rate, Rules};
 
 /// Serves two PLCs that send the input, and returns how many requests the robot has carried out.
 pub fn serve(input: &[u8]) -> u32 {

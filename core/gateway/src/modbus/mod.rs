@@ -1,7 +1,7 @@
 //! A front for clients that speak Modbus TCP: it turns their requests into lines of RAC, and the replies into responses.
 //!
 //! ```text
-//!  client ─ room, received ────────►┌───────┐─ line, line_taken ─► a server of RAC, such as a seat of a gateway
+//!  client ─ room, received ────────►┌───────┐─ line, line_taken ─► a server of RAC, such as a slot of a gateway
 //!         ◄─ transmit, transmitted ─│ Front │◄─ replied ──────────
 //!                                   └───────┘
 //! ```
@@ -27,7 +27,7 @@
 //! # Examples
 //!
 //! ```
-//! use bcap_core::modbus::{Entry, Front};
+//! use bcap_gateway::modbus::{Entry, Front};
 //!
 //! let map = [Entry::registers("100=I/10-19")?];
 //! let mut front = Front::new(&map);
@@ -37,7 +37,7 @@
 //! front.line_taken(front.line().len());
 //! front.replied(b"0,3,70000\r", |_| true);
 //! assert_eq!(front.transmit(), [0, 1, 0, 0, 0, 7, 1, 3, 4, 0x00, 0x01, 0x11, 0x70]);
-//! # Ok::<(), bcap_core::modbus::EntryError>(())
+//! # Ok::<(), bcap_gateway::modbus::EntryError>(())
 //! ```
 
 mod frame;
@@ -48,12 +48,10 @@ use heapless::Vec;
 
 use self::frame::{Command, FRAME, HEADER};
 use self::map::{Place, find};
-use crate::error::TextError;
-use crate::num::to_u16;
-use crate::rac::{MAX_LINE, Request, Response};
-use crate::storage::shift_down;
-use crate::variant::text::put_integer;
-use crate::variant::{Variant, VariantBuf, Writer};
+use bcap_core::error::TextError;
+use bcap_core::rac::{MAX_LINE, Request, Response};
+use bcap_core::storage::shift_down;
+use bcap_core::variant::{Variant, VariantBuf, Writer, write_integer};
 
 pub use self::frame::Exception;
 pub use self::map::{Entry, EntryError, Table};
@@ -141,7 +139,7 @@ impl<'a> Front<'a> {
     /// Takes bytes from the client, as many as there is [`room`](Self::room) for.
     ///
     /// `permits` tells whether the rules of the gateway permit a request
-    /// ([`Rules::permits`](crate::gateway::Rules::permits)); it decides whether a write of several variables begins.
+    /// ([`Rules::permits`](crate::Rules::permits)); it decides whether a write of several variables begins.
     pub fn received(&mut self, bytes: &[u8], permits: impl Fn(&Request<'_>) -> bool) {
         for (to, from) in self.request.iter_mut().skip(self.received).zip(bytes) {
             *to = *from;
@@ -334,7 +332,7 @@ impl<'a> Front<'a> {
 
     /// Completes the response, and removes the request.
     fn finish(&mut self, length: usize) {
-        let counted = to_u16(self.response.len().saturating_sub(HEADER.saturating_sub(1)));
+        let counted = u16::try_from(self.response.len().saturating_sub(HEADER.saturating_sub(1))).unwrap_or(u16::MAX);
         if let Some(bytes) = self.response.get_mut(4..6).and_then(|bytes| bytes.first_chunk_mut()) {
             *bytes = counted.to_be_bytes();
         }
@@ -442,10 +440,10 @@ fn put_refused(function: &[u8], out: &mut Writer<'_>) -> Result<(), TextError> {
         u64::from(u16::from_be_bytes(bytes.unwrap_or_default()))
     };
     out.put_slice(b"MODBUS:")?;
-    put_integer(false, function.first().copied().unwrap_or_default().into(), out).map_err(TextError::printing)?;
+    write_integer(function.first().copied().unwrap_or_default().into(), out)?;
     for at in [1, 3] {
         out.put_slice(b":")?;
-        put_integer(false, number(at), out).map_err(TextError::printing)?;
+        write_integer(number(at), out)?;
     }
     out.put_slice(b"\r")?;
     Ok(())

@@ -1,9 +1,8 @@
 //! Values in registers.
 
 use super::map::{Entry, Format};
-use crate::num::{exact_f32, to_f32};
-use crate::rac::VariableKind;
-use crate::variant::{Variant, VariantBuf};
+use bcap_core::rac::VariableKind;
+use bcap_core::variant::{Variant, VariantBuf};
 
 /// Bytes of the longest value in its encoding: the ten R4 of a T variable.
 const VALUE: usize = 64;
@@ -42,6 +41,12 @@ fn store_element(entry: &Entry, value: &Variant<'_>, registers: &mut [u8]) -> Op
     }
 }
 
+/// Returns the nearest f32; infinite above its range.
+#[expect(clippy::as_conversions, reason = "there is no other conversion from f64 to f32")]
+const fn to_f32(value: f64) -> f32 {
+    value as f32
+}
+
 fn put<const N: usize>(mut bytes: [u8; N], low_first: bool, registers: &mut [u8]) -> Option<()> {
     if low_first {
         bytes.as_chunks_mut::<2>().0.reverse();
@@ -70,7 +75,7 @@ pub(super) fn load(entry: &Entry, registers: &[u8]) -> Option<VariantBuf<VALUE>>
         Format::Coil => return None,
     };
     match entry.kind {
-        VariableKind::F => VariantBuf::new(&exact_f32(number)?),
+        VariableKind::F => VariantBuf::new(&Some(to_f32(number)).filter(|single| f64::from(*single) == number)?),
         _ => VariantBuf::new(&number),
     }
     .ok()
@@ -91,7 +96,7 @@ fn take<const N: usize>(low_first: bool, registers: &[u8]) -> Option<[u8; N]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::variant::Encode;
+    use bcap_core::variant::Encode;
 
     fn stored(entry: &str, value: &dyn Encode) -> Option<[u8; 40]> {
         let entry = Entry::registers(entry).unwrap();

@@ -10,9 +10,10 @@ use std::string::{String, ToString};
 use std::vec::Vec;
 
 use super::*;
-use crate::bcap::{Decoder, Frame, FrameWriter, Progress};
-use crate::rac::VariableKind;
-use crate::variant::VariantBuf;
+use crate::{Allow, Rate, Rules};
+use bcap_core::bcap::{Decoder, Frame, FrameWriter, Progress};
+use bcap_core::rac::VariableKind;
+use bcap_core::variant::VariantBuf;
 
 type Owned = VariantBuf<1024>;
 
@@ -274,12 +275,12 @@ fn line(result: HResult) -> String {
     format!("{}\r", result.0)
 }
 
-fn asked(verb: crate::rac::Verb, kind: VariableKind, index: u32) -> Asked {
+fn asked(verb: bcap_core::rac::Verb, kind: VariableKind, index: u32) -> Asked {
     Asked { verb, variable: Variable::new(kind, index) }
 }
 
 fn get_i(index: u32) -> Asked {
-    asked(crate::rac::Verb::Get, VariableKind::I, index)
+    asked(bcap_core::rac::Verb::Get, VariableKind::I, index)
 }
 
 const WRITABLE: Config<'static> =
@@ -616,11 +617,11 @@ fn the_reply_to_a_request_that_timed_out_does_not_answer_the_next() {
 }
 
 #[test]
-fn a_new_client_does_not_get_the_reply_of_the_former_client_of_its_seat() {
+fn a_new_client_does_not_get_the_reply_of_the_former_client_of_its_slot() {
     let mut memory = Memory::<1, 4>::new();
     let mut bench = Bench::up(Config::RC8, &mut memory);
     let gone = bench.gateway.open().unwrap();
-    assert_eq!(bench.gateway.open(), None, "there is one seat");
+    assert_eq!(bench.gateway.open(), None, "there is one slot");
     bench.robot.set("I2", &2_i32);
     bench.robot.script(FunctionId::VARIABLE_GET_VALUE, Do::Nothing);
     bench.send(gone, "GET:RC8:1:I:\r");
@@ -774,7 +775,7 @@ fn without_the_robot_object_nothing_is_written() {
 }
 
 #[test]
-fn each_seat_has_a_token_bucket() {
+fn each_slot_has_a_token_bucket() {
     let mut memory = Memory::<1, 8>::new();
     let rate = Rate { per_second: 1, burst: 2 };
     let config = Config { rules: Rules { rate, ..Rules::READ_ONLY }, ..Config::RC8 };

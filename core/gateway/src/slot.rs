@@ -1,22 +1,22 @@
-//! A seat: the memory for one PLC, with its session, its token bucket and its waiting request.
+//! A slot: the memory for one PLC, with its session, its token bucket and its waiting request.
 
 use core::net::Ipv4Addr;
 use core::time::Duration;
 
 use super::event::{Asked, Event};
 use super::rules::{Pace, Refusal};
-use crate::handler::PeerId;
-use crate::hresult::HResult;
-use crate::rac::server::{self, Config, Session};
-use crate::time::Instant;
-use crate::variant::Encode;
+use bcap_core::handler::PeerId;
+use bcap_core::hresult::HResult;
+use bcap_core::rac::server::{self, Config, Session};
+use bcap_core::time::Instant;
+use bcap_core::variant::Encode;
 
-/// Bytes of a seat's memory for a value: enough for the longest string that fits a line, in a request and a reply.
+/// Bytes of a slot's memory for a value: enough for the longest string that fits a line, in a request and a reply.
 const VALUE: usize = 512;
 
 /// The memory for one PLC.
 #[derive(Debug)]
-pub(super) struct Seat {
+pub(super) struct Slot {
     pub(super) session: Session<[u8; VALUE]>,
     /// The client.
     pub(super) peer: Option<PeerId>,
@@ -44,8 +44,8 @@ impl Waiting {
     }
 }
 
-impl Seat {
-    /// All zero, so that a static of seats needs no memory in the flash; `open` sets the time limit.
+impl Slot {
+    /// All zero, so that a static of slots needs no memory in the flash; `open` sets the time limit.
     pub(super) const FREE: Self = Self {
         session: Session::new(Config { invoke_timeout: Duration::ZERO }, [0; VALUE]),
         peer: None,
@@ -54,7 +54,7 @@ impl Seat {
         waiting: None,
     };
 
-    /// Assigns the seat to a client.
+    /// Assigns the slot to a client.
     pub(super) fn open(&mut self, peer: PeerId, address: Option<Ipv4Addr>, request_timeout: Duration) {
         self.session = Session::new(Config { invoke_timeout: request_timeout }, [0; VALUE]);
         self.peer = Some(peer);
@@ -62,7 +62,7 @@ impl Seat {
         self.waiting = None;
     }
 
-    /// Frees the seat, and drops its waiting request.
+    /// Frees the slot, and drops its waiting request.
     pub(super) fn close(&mut self) {
         self.peer = None;
         self.waiting = None;

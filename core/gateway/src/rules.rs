@@ -18,11 +18,11 @@ use core::time::Duration;
 
 use super::convert::{converts, float};
 use super::network::Network;
-use crate::error::TextError;
-use crate::hresult::HResult;
-use crate::rac::{Request, Variable, VariableKind};
-use crate::time::Instant;
-use crate::variant::Variant;
+use bcap_core::error::TextError;
+use bcap_core::hresult::HResult;
+use bcap_core::rac::{Request, Variable, VariableKind};
+use bcap_core::time::Instant;
+use bcap_core::variant::Variant;
 
 /// Access rules for PLCs.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -139,9 +139,9 @@ impl Bounds {
     }
 }
 
-/// The rate of requests: a token bucket per seat of the gateway.
+/// The rate of requests: a token bucket per slot of the gateway.
 ///
-/// A client that connects again to the same seat gets no new tokens.
+/// A client that connects again to the same slot gets no new tokens.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Rate {
@@ -160,7 +160,7 @@ impl Rate {
     }
 }
 
-/// The token bucket of one seat.
+/// The token bucket of one slot.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pace {
     /// When all admitted requests would be finished at the allowed rate.
@@ -305,8 +305,8 @@ fn find(rules: &[Allow<'_>], client: Option<Ipv4Addr>, variable: Variable) -> Re
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::variant::{Encode, VariantBuf};
     use VariableKind as Kind;
+    use bcap_core::variant::{Encode, VariantBuf};
 
     fn at(micros: u64) -> Instant {
         Instant::from_micros(micros)

@@ -1,7 +1,7 @@
 //! An LRU cache of variable handles, of fixed size.
 
-use crate::bcap::call::VariableHandle;
-use crate::rac::Variable;
+use bcap_core::bcap::call::VariableHandle;
+use bcap_core::rac::Variable;
 
 /// A variable and its handle.
 #[derive(Clone, Copy, Debug)]
@@ -79,7 +79,7 @@ impl<'m> Handles<'m> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rac::VariableKind;
+    use bcap_core::rac::VariableKind;
 
     fn variable(index: u32) -> Variable {
         Variable::new(VariableKind::I, index)

@@ -4,8 +4,8 @@
 extern crate std;
 
 use super::*;
-use crate::hresult::HResult;
-use crate::rac::Variable;
+use bcap_core::hresult::HResult;
+use bcap_core::rac::Variable;
 use std::collections::BTreeMap;
 use std::string::String;
 use std::vec::Vec;
@@ -97,7 +97,7 @@ impl Bench {
     }
 
     fn set(&mut self, kind: &str, index: u32, value: &str) {
-        let kind = crate::rac::VariableKind::from_name(kind).unwrap();
+        let kind = bcap_core::rac::VariableKind::from_name(kind).unwrap();
         self.values.insert(Variable::new(kind, index), value.into());
     }
 }
@@ -186,7 +186,7 @@ fn requests_without_variables_are_refused_and_become_a_line_for_the_log() {
 #[test]
 fn a_write_that_the_rules_refuse_in_part_writes_nothing() {
     let mut bench = bench(&["100=I/10-12:i16"], &[]);
-    bench.protected = std::vec![Variable::new(crate::rac::VariableKind::I, 11)];
+    bench.protected = std::vec![Variable::new(bcap_core::rac::VariableKind::I, 11)];
     assert_eq!(bench.ask(&[16, 0, 100, 0, 3, 6, 0, 1, 0, 2, 0, 3]), [0x90, 2]);
     assert_eq!(bench.lines, ["PUT:RC8:11:I:3,2"], "the refused line, for the log");
     assert!(bench.values.is_empty());

@@ -1,104 +1,33 @@
-//! The gateway: PLCs that speak RAC on one side, a robot that speaks b-CAP on the other.
-//!
-//! ```text
-//!  PLC ─ receive_buffer, received ─►┌─────────┐─ robot_transmit ───────────────────► robot
-//!  PLC ◄─ transmit, transmitted ────│ Gateway │◄─ robot_receive_buffer, robot_received ─
-//!  ...                              └─────────┘
-//!                            poll_event, at poll_timeout, and after
-//!                            bytes moved or a connection opened or closed
-//! ```
-//!
-//! A GET becomes Variable_GetValue, a PUT Variable_PutValue, with a handle from Controller_GetVariable. A [`Gateway`]
-//! contains no socket and no clock. The caller moves the bytes, opens and closes the connection to the robot as
-//! [`robot_wanted`](Gateway::robot_wanted) says, and reads events. All memory is in a [`Memory`]; the gateway itself is not
-//! generic, so an image contains one copy of it.
-//!
-//! * **Replies**: every line gets exactly one reply, its own, in the order of a client's lines. A request that times out
-//!   gets the reply E_TIMEOUT; a later reply of the robot is dropped.
-//! * **Order**: one call to the robot is in flight at a time. Requests of all clients are served in the order of arrival.
-//! * **Without a session** with the robot, every request gets the reply E_NOT_CONNECTED at once. The request in flight when
-//!   the session ends gets E_NOT_CONNECTED, or E_TIMEOUT if the robot stopped responding; a PUT may have been executed then.
-//!   The gateway never sends a PUT twice, except after E_HANDLE, which means that it was not executed.
-//! * **Handles** are valid on the connection that opened them, and kept in an LRU cache. When the cache is full, the least
-//!   recently used handle is released. After E_HANDLE the gateway gets a new handle, once per request.
-//! * **Results** of the robot are passed on unchanged. **Values** are converted to the type of the variable if that is
-//!   lossless, and passed on unchanged otherwise: a line contains the type. A value that has no text, or does not fit the
-//!   256 bytes of a line, becomes the reply E_INVALIDSNDPACKET.
-//! * **Slave Mode**: a PUT may end a stream of another client. So the gateway asks `slvGetMode` before each PUT, and refuses it
-//!   with E_SLVMODE_ON if a stream runs or may run. A stream that begins just after the question can still be ended.
-//! * **Rules** ([`Rules`]) are checked first; by default nothing can be written.
-//!
-//! # Examples
-//!
-//! ```
-//! use bcap_core::gateway::{Config, Event, Gateway, Memory, Refusal};
-//! use bcap_core::time::Instant;
-//!
-//! // four PLCs, 32 handles; on a board this is a static
-//! let mut memory = Memory::<4, 32>::new();
-//! let mut gateway = Gateway::new(Config::RC8, &mut memory);
-//! let now = Instant::ZERO;
-//! assert!(gateway.robot_wanted(), "open a connection to the robot");
-//!
-//! let plc = gateway.open().ok_or("all seats are taken")?;
-//! let line = b"PUT:RC8:10:I:3,5\r";
-//! gateway.receive_buffer(plc)[..line.len()].copy_from_slice(line);
-//! gateway.received(plc, line.len());
-//! let event = gateway.poll_event(now);
-//! assert_eq!(event, Some(Event::Refused { peer: plc, refusal: Refusal::ReadOnly }));
-//! assert_eq!(gateway.line(plc), b"PUT:RC8:10:I:3,5");
-//! assert_eq!(gateway.transmit(plc), b"-2147024891\r"); // E_ACCESSDENIED
-//! # Ok::<(), &str>(())
-//! ```
+//! The state machine between the PLCs and the robot.
 
-mod config;
-mod convert;
-mod counters;
-mod event;
-mod handles;
-mod link;
-mod network;
-mod rule_text;
-mod rules;
-mod seat;
-mod stream;
-
-use crate::endpoint::{Endpoint, ServerEndpoint};
 use core::fmt;
 use core::net::Ipv4Addr;
 
-use self::convert::Converted;
-use self::handles::{Entry, Handles, Lookup};
-use self::link::{RobotLink, State};
-use self::seat::{Seat, Waiting};
-use self::stream::StreamCheck;
+use crate::convert::Converted;
+use crate::handles::{Entry, Handles, Lookup};
+use crate::link::{RobotLink, State};
+use crate::slot::{Slot, Waiting};
+use crate::stream::StreamCheck;
+use crate::{Asked, Config, Counters, Event, Refusal, RobotError};
 
-pub use self::config::Config;
-pub use self::counters::{Counters, Tally};
-pub use self::event::{Asked, Event};
-pub use self::link::RobotError;
-pub use self::network::Network;
-pub use self::rule_text::{AllowBuf, RuleError, RuleErrorKind};
-pub use self::rules::{Allow, Bounds, Rate, Refusal, Rules};
-
-use crate::bcap::call::{Any, ControllerHandle, RawCall, RobotHandle, VariableHandle};
-use crate::bcap::client::{self, Client, ClientError};
-use crate::bcap::{FunctionId, StreamState};
-use crate::handler::PeerId;
-use crate::hresult::HResult;
-use crate::rac::{Request, Variable, server};
-use crate::time::Instant;
-use crate::variant::text::put_integer;
-use crate::variant::{Encode, Variant, Writer};
+use bcap_core::bcap::call::{Any, ControllerHandle, RawCall, RobotHandle, VariableHandle};
+use bcap_core::bcap::client::{self, Client, ClientError};
+use bcap_core::bcap::{FunctionId, StreamState};
+use bcap_core::endpoint::{Endpoint, ServerEndpoint};
+use bcap_core::handler::PeerId;
+use bcap_core::hresult::HResult;
+use bcap_core::rac::{Request, Variable, server};
+use bcap_core::time::Instant;
+use bcap_core::variant::{Encode, Variant, Writer, write_integer};
 
 /// Bytes of a frame to or from the robot: the longest string that fits a line of RAC has 251 characters.
 const FRAME: usize = 640;
 
-/// The memory of a gateway: seats for `SESSIONS` clients, handles for `HANDLES` variables, two frames.
+/// The memory of a gateway: slots for `SESSIONS` clients, handles for `HANDLES` variables, two frames.
 ///
-/// A seat takes about 1.2 KiB, a handle 20 bytes.
+/// A slot takes about 1.2 KiB, a handle 20 bytes.
 pub struct Memory<const SESSIONS: usize, const HANDLES: usize> {
-    seats: [Seat; SESSIONS],
+    slots: [Slot; SESSIONS],
     handles: [Option<Entry>; HANDLES],
     tx: [u8; FRAME],
     rx: [u8; FRAME],
@@ -109,7 +38,7 @@ impl<const SESSIONS: usize, const HANDLES: usize> Memory<SESSIONS, HANDLES> {
     #[must_use]
     pub const fn new() -> Self {
         const { assert!(SESSIONS > 0 && HANDLES > 0, "a gateway needs a session and a handle") };
-        Self { seats: [Seat::FREE; SESSIONS], handles: [None; HANDLES], tx: [0; FRAME], rx: [0; FRAME] }
+        Self { slots: [Slot::FREE; SESSIONS], handles: [None; HANDLES], tx: [0; FRAME], rx: [0; FRAME] }
     }
 }
 
@@ -133,7 +62,7 @@ pub struct Gateway<'m> {
     link: RobotLink,
     stream: StreamCheck,
     handles: Handles<'m>,
-    seats: &'m mut [Seat],
+    slots: &'m mut [Slot],
     /// The purpose of the call that runs at the robot.
     call: Option<InFlight>,
     /// The time of the robot's last reply.
@@ -168,7 +97,7 @@ enum InFlight {
 #[derive(Clone, Copy, Debug)]
 struct Job {
     /// The index of its client; 16 bits keep a gateway within its memory.
-    seat: u16,
+    slot: u16,
     ticket: u32,
     variable: Variable,
     /// Whether this is the second attempt, after E_HANDLE.
@@ -180,15 +109,15 @@ impl<'m> Gateway<'m> {
     #[must_use]
     pub fn new<const S: usize, const H: usize>(config: Config<'m>, memory: &'m mut Memory<S, H>) -> Self {
         let client = Client::new(config.client, memory.tx.as_mut_slice(), memory.rx.as_mut_slice());
-        let seats = memory.seats.as_mut_slice();
-        seats.iter_mut().for_each(Seat::close);
+        let slots = memory.slots.as_mut_slice();
+        slots.iter_mut().for_each(Slot::close);
         Self {
             config,
             client,
             link: RobotLink::new(config.first_pause, config.longest_pause),
             stream: StreamCheck::Unopened,
             handles: Handles::new(&mut memory.handles),
-            seats,
+            slots,
             call: None,
             last_seen: Instant::ZERO,
             next_peer: 1,
@@ -213,7 +142,7 @@ impl<'m> Gateway<'m> {
     /// Returns the number of clients that the gateway has memory for.
     #[must_use]
     pub const fn capacity(&self) -> usize {
-        self.seats.len()
+        self.slots.len()
     }
 
     /// Tells whether there is a session with the robot, so that requests are passed on.
@@ -223,58 +152,58 @@ impl<'m> Gateway<'m> {
     }
 }
 
-/// The side of the PLCs. For a client without a seat, there are no bytes to send and no room to receive.
+/// The side of the PLCs. For a client without a slot, there are no bytes to send and no room to receive.
 impl Gateway<'_> {
-    /// Assigns a seat to a new client without an address, such as one on a serial line; `None` when all seats are taken.
+    /// Assigns a slot to a new client without an address, such as one on a serial line; `None` when all slots are taken.
     pub fn open(&mut self) -> Option<PeerId> {
         self.open_from(None)
     }
 
-    /// Assigns a seat to a new client; `None` when all seats are taken.
+    /// Assigns a slot to a new client; `None` when all slots are taken.
     ///
     /// The address decides which rules apply to the client. The caller checks [`Rules::admits`] before.
     pub fn open_from(&mut self, address: Option<Ipv4Addr>) -> Option<PeerId> {
-        let seat = self.seats.iter_mut().find(|seat| seat.peer.is_none())?;
+        let slot = self.slots.iter_mut().find(|slot| slot.peer.is_none())?;
         let peer = PeerId(self.next_peer);
         self.next_peer = self.next_peer.wrapping_add(1);
-        seat.open(peer, address, self.config.request_timeout);
+        slot.open(peer, address, self.config.request_timeout);
         Some(peer)
     }
 
-    /// Frees the seat of a client that disconnected. Its request in flight is executed nevertheless.
+    /// Frees the slot of a client that disconnected. Its request in flight is executed nevertheless.
     pub fn close(&mut self, peer: PeerId) {
-        if let Some(seat) = self.seat_mut(peer) {
-            seat.close();
+        if let Some(slot) = self.slot_mut(peer) {
+            slot.close();
         }
     }
 
     /// Returns memory for bytes from a client. It is empty while a request of the client runs.
     #[must_use]
     pub fn receive_buffer(&mut self, peer: PeerId) -> &mut [u8] {
-        match self.seat_mut(peer) {
+        match self.slot_mut(peer) {
             // a running request keeps its line, which its event refers to
-            Some(seat) if !seat.session.is_running() => seat.session.receive_buffer(),
+            Some(slot) if !slot.session.is_running() => slot.session.receive_buffer(),
             _ => &mut [],
         }
     }
 
     /// Records that `count` bytes were put into [`receive_buffer`](Self::receive_buffer).
     pub fn received(&mut self, peer: PeerId, count: usize) {
-        if let Some(seat) = self.seat_mut(peer) {
-            seat.session.received(count);
+        if let Some(slot) = self.slot_mut(peer) {
+            slot.session.received(count);
         }
     }
 
     /// Returns the bytes to send to a client.
     #[must_use]
     pub fn transmit(&self, peer: PeerId) -> &[u8] {
-        self.seat(peer).map_or(&[], |seat| seat.session.transmit())
+        self.slot(peer).map_or(&[], |slot| slot.session.transmit())
     }
 
     /// Records that the link to a client has taken `count` bytes of [`transmit`](Self::transmit).
     pub fn transmitted(&mut self, peer: PeerId, count: usize) {
-        if let Some(seat) = self.seat_mut(peer) {
-            seat.session.transmitted(count);
+        if let Some(slot) = self.slot_mut(peer) {
+            slot.session.transmitted(count);
         }
     }
 
@@ -283,27 +212,27 @@ impl Gateway<'_> {
     /// Directly after [`poll_event`](Self::poll_event) has reported an event of this client, it is the line of the event.
     #[must_use]
     pub fn line(&self, peer: PeerId) -> &[u8] {
-        self.seat(peer).map_or(&[], |seat| seat.session.line())
+        self.slot(peer).map_or(&[], |slot| slot.session.line())
     }
 
     /// Tells whether a client has a request without a reply.
     #[must_use]
     pub fn is_running(&self, peer: PeerId) -> bool {
-        self.seat(peer).is_some_and(|seat| seat.session.is_running())
+        self.slot(peer).is_some_and(|slot| slot.session.is_running())
     }
 
     /// Tells whether part of a client's line has arrived and its rest has not.
     #[must_use]
     pub fn is_receiving(&self, peer: PeerId) -> bool {
-        self.seat(peer).is_some_and(|seat| seat.session.is_receiving())
+        self.slot(peer).is_some_and(|slot| slot.session.is_receiving())
     }
 
-    fn seat(&self, peer: PeerId) -> Option<&Seat> {
-        self.seats.iter().find(|seat| seat.peer == Some(peer))
+    fn slot(&self, peer: PeerId) -> Option<&Slot> {
+        self.slots.iter().find(|slot| slot.peer == Some(peer))
     }
 
-    fn seat_mut(&mut self, peer: PeerId) -> Option<&mut Seat> {
-        self.seats.iter_mut().find(|seat| seat.peer == Some(peer))
+    fn slot_mut(&mut self, peer: PeerId) -> Option<&mut Slot> {
+        self.slots.iter_mut().find(|slot| slot.peer == Some(peer))
     }
 }
 
@@ -378,7 +307,7 @@ impl Gateway<'_> {
             State::Up(_) if self.call.is_none() => Some(self.last_seen.saturating_add(self.config.heartbeat)),
             _ => self.client.poll_timeout(),
         };
-        let sessions = self.seats.iter().filter(|seat| seat.peer.is_some()).filter_map(|s| s.session.poll_timeout());
+        let sessions = self.slots.iter().filter(|slot| slot.peer.is_some()).filter_map(|s| s.session.poll_timeout());
         link.into_iter().chain(sessions).min()
     }
 
@@ -459,7 +388,7 @@ impl Gateway<'_> {
                 if state.allows(FunctionId::VARIABLE_PUT_VALUE.properties(None, None)) {
                     return self.call_value(job, handle, now);
                 }
-                waiting_seat(self.seats, job)?.refuse(Refusal::SlaveMode)
+                waiting_slot(self.slots, job)?.refuse(Refusal::SlaveMode)
             }
             // a handle that could not be released is forgotten, too
             InFlight::Release(handle) => {
@@ -516,7 +445,7 @@ impl Gateway<'_> {
     fn fail_link(&mut self, error: RobotError) -> Event {
         if let Some(InFlight::GetVariable(job) | InFlight::Value(job, _) | InFlight::GetModeFor(job, _)) =
             self.call.take()
-            && let Some(waiting) = waiting_seat(self.seats, job).and_then(|seat| seat.waiting.as_mut())
+            && let Some(waiting) = waiting_slot(self.slots, job).and_then(|slot| slot.waiting.as_mut())
         {
             waiting.if_down = error.hresult();
         }
@@ -529,28 +458,28 @@ impl Gateway<'_> {
     /// Reads the clients' requests, replies to those that need no call to the robot, and queues the others.
     fn poll_sessions(&mut self, now: Instant) -> Option<Event> {
         let is_up = self.is_up();
-        for seat in self.seats.iter_mut().filter(|seat| seat.peer.is_some()) {
-            let event = match seat.session.poll(now) {
+        for slot in self.slots.iter_mut().filter(|slot| slot.peer.is_some()) {
+            let event = match slot.session.poll(now) {
                 Some(server::Event::Requested(_)) => {
-                    let request = seat.session.request()?;
-                    match self.config.rules.check(&request, seat.address, &mut seat.pace, now) {
-                        Err(refusal) => seat.refuse(refusal),
+                    let request = slot.session.request()?;
+                    match self.config.rules.check(&request, slot.address, &mut slot.pace, now) {
+                        Err(refusal) => slot.refuse(refusal),
                         Ok(()) => {
                             self.next_ticket = self.next_ticket.wrapping_add(1);
-                            seat.waiting = Some(Waiting::new(self.next_ticket, Asked::of(&request), now));
+                            slot.waiting = Some(Waiting::new(self.next_ticket, Asked::of(&request), now));
                             None
                         }
                     }
                 }
                 Some(server::Event::Malformed(error)) => {
-                    seat.peer.map(|peer| Event::Refused { peer, refusal: Refusal::Line(error) })
+                    slot.peer.map(|peer| Event::Refused { peer, refusal: Refusal::Line(error) })
                 }
                 // the session has replied to a request that timed out
-                Some(server::Event::Served { result, .. }) => seat.answered(result, now),
+                Some(server::Event::Served { result, .. }) => slot.answered(result, now),
                 None => None,
             };
-            let event = event.or_else(|| match seat.waiting {
-                Some(waiting) if !is_up => seat.answer(waiting.if_down, &Variant::Empty, now),
+            let event = event.or_else(|| match slot.waiting {
+                Some(waiting) if !is_up => slot.answer(waiting.if_down, &Variant::Empty, now),
                 _ => None,
             });
             if event.is_some() {
@@ -570,11 +499,11 @@ impl Gateway<'_> {
             return self.open_robot(controller, now);
         }
         let next_ticket = self.next_ticket;
-        let waiting = self.seats.iter().enumerate().filter_map(|(at, seat)| Some((at, seat.waiting?)));
+        let waiting = self.slots.iter().enumerate().filter_map(|(at, slot)| Some((at, slot.waiting?)));
         // compares differences, because tickets wrap
-        if let Some((seat, first)) = waiting.max_by_key(|(_, waiting)| next_ticket.wrapping_sub(waiting.ticket)) {
-            let seat = u16::try_from(seat).ok()?;
-            let job = Job { seat, ticket: first.ticket, variable: first.asked.variable, again: false };
+        if let Some((slot, first)) = waiting.max_by_key(|(_, waiting)| next_ticket.wrapping_sub(waiting.ticket)) {
+            let slot = u16::try_from(slot).ok()?;
+            let job = Job { slot, ticket: first.ticket, variable: first.asked.variable, again: false };
             return self.begin_job(job, now);
         }
         if now >= self.last_seen.saturating_add(self.config.heartbeat) {
@@ -610,7 +539,7 @@ impl Gateway<'_> {
     /// Starts the first call that a request needs.
     fn begin_job(&mut self, job: Job, now: Instant) -> Option<Event> {
         let controller = self.link.controller()?;
-        waiting_seat(self.seats, job)?;
+        waiting_slot(self.slots, job)?;
         let started = match self.handles.look_up(job.variable) {
             Lookup::Known(handle) => return self.begin_value(job, handle, now),
             Lookup::Full(oldest) => {
@@ -633,8 +562,8 @@ impl Gateway<'_> {
 
     /// Starts the call that reads the value, or the question before it is written, if the request still waits.
     fn begin_value(&mut self, job: Job, handle: VariableHandle, now: Instant) -> Option<Event> {
-        let seat = waiting_seat(self.seats, job)?;
-        if matches!(seat.session.request()?, Request::Get(_)) {
+        let slot = waiting_slot(self.slots, job)?;
+        if matches!(slot.session.request()?, Request::Get(_)) {
             return self.call_value(job, handle, now);
         }
         match self.stream {
@@ -642,7 +571,7 @@ impl Gateway<'_> {
                 self.call = Some(InFlight::GetModeFor(job, handle));
                 self.get_mode(robot, now).err().map(|error| self.fail_link(RobotError::Call(error)))
             }
-            StreamCheck::Unopened | StreamCheck::Closed => seat.refuse(Refusal::SlaveMode),
+            StreamCheck::Unopened | StreamCheck::Closed => slot.refuse(Refusal::SlaveMode),
             StreamCheck::Absent => self.call_value(job, handle, now),
         }
     }
@@ -654,8 +583,8 @@ impl Gateway<'_> {
 
     /// Starts the call that reads or writes the value, if the request still waits.
     fn call_value(&mut self, job: Job, handle: VariableHandle, now: Instant) -> Option<Event> {
-        let seat = waiting_seat(self.seats, job)?;
-        let started = match seat.session.request()? {
+        let slot = waiting_slot(self.slots, job)?;
+        let started = match slot.session.request()? {
             Request::Get(_) => {
                 let arguments: [&dyn Encode; 1] = [&handle];
                 self.client.start(
@@ -691,15 +620,15 @@ impl Gateway<'_> {
 
     /// Replies to a request, if it still waits, with the value of the robot's reply if it is a GET.
     fn answer(&mut self, job: Job, result: HResult, now: Instant) -> Option<Event> {
-        let seat = waiting_seat(self.seats, job)?;
+        let slot = waiting_slot(self.slots, job)?;
         let value = self.client.value::<Any>().unwrap_or(Variant::Empty);
-        seat.answer(result, &Converted { kind: job.variable.kind, value }, now)
+        slot.answer(result, &Converted { kind: job.variable.kind, value }, now)
     }
 }
 
-/// Returns the seat of a request, if it still waits there.
-fn waiting_seat(seats: &mut [Seat], job: Job) -> Option<&mut Seat> {
-    seats.get_mut(usize::from(job.seat)).filter(|seat| seat.waiting.is_some_and(|waiting| waiting.ticket == job.ticket))
+/// Returns the slot of a request, if it still waits there.
+fn waiting_slot(slots: &mut [Slot], job: Job) -> Option<&mut Slot> {
+    slots.get_mut(usize::from(job.slot)).filter(|slot| slot.waiting.is_some_and(|waiting| waiting.ticket == job.ticket))
 }
 
 /// The name of the robot object; controllers accept any.
@@ -713,7 +642,7 @@ fn variable_name(variable: Variable, buffer: &mut [u8; NAME]) -> &str {
     let mut out = Writer::new(buffer);
     // it fits: two letters and ten digits
     let _ = out.put_slice(variable.kind.name().as_bytes());
-    let _ = put_integer(false, variable.index.into(), &mut out);
+    let _ = write_integer(variable.index.into(), &mut out);
     core::str::from_utf8(out.into_bytes()).unwrap_or_default()
 }
 

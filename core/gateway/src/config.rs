@@ -3,14 +3,14 @@
 use core::time::Duration;
 
 use super::rules::Rules;
-use crate::bcap::client;
+use bcap_core::bcap::client;
 
 /// The configuration of a gateway.
 ///
 /// # Examples
 ///
 /// ```
-/// use bcap_core::gateway::{Allow, Config, Rules};
+/// use bcap_gateway::{Allow, Config, Rules};
 /// use bcap_core::rac::VariableKind;
 ///
 /// let put = [Allow::range(VariableKind::I, 0, 99)];

@@ -16,11 +16,11 @@
 use core::fmt;
 use core::time::Duration;
 
-use crate::bcap::FunctionId;
-use crate::bcap::call::ControllerHandle;
-use crate::bcap::client::{ClientError, Timeout};
-use crate::hresult::HResult;
-use crate::time::Instant;
+use bcap_core::bcap::FunctionId;
+use bcap_core::bcap::call::ControllerHandle;
+use bcap_core::bcap::client::{ClientError, Timeout};
+use bcap_core::hresult::HResult;
+use bcap_core::time::Instant;
 
 /// The state of the link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -146,7 +146,7 @@ mod tests {
             assert_eq!(link.state, State::Down { until });
             link.closed(now + ms(1));
             assert_eq!(link.state, State::Down { until }, "a second report counts once");
-            link.handle_timeout(until - 1);
+            link.handle_timeout(Instant::from_micros(until.as_micros() - 1));
             assert_eq!(link.state, State::Down { until });
             link.handle_timeout(until);
             now = until;
@@ -159,13 +159,5 @@ mod tests {
         assert_eq!(link.state, State::Closing, "the old connection is closed first");
         link.closed(now);
         assert_eq!(link.state, State::Down { until: now + ms(500) });
-    }
-
-    impl core::ops::Sub<u64> for Instant {
-        type Output = Self;
-
-        fn sub(self, micros: u64) -> Self {
-            Self::from_micros(self.as_micros().saturating_sub(micros))
-        }
     }
 }

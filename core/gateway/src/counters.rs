@@ -2,8 +2,8 @@
 
 use core::time::Duration;
 
-use crate::histogram::Histogram;
-use crate::time::micros_u32;
+use bcap_core::histogram::Histogram;
+use bcap_core::time::micros_u32;
 
 /// Counts since the gateway was made; they saturate at 2^32 - 1.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

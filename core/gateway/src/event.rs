@@ -5,9 +5,9 @@ use core::time::Duration;
 
 use super::link::RobotError;
 use super::rules::Refusal;
-use crate::handler::PeerId;
-use crate::hresult::HResult;
-use crate::rac::{Request, Variable, Verb};
+use bcap_core::handler::PeerId;
+use bcap_core::hresult::HResult;
+use bcap_core::rac::{Request, Variable, Verb};
 
 /// The verb and the variable of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,7 +32,7 @@ impl fmt::Display for Asked {
     }
 }
 
-/// An event of a gateway; [`Gateway::line`](super::Gateway::line) views the line of the first three until the next step.
+/// An event of a gateway; [`Gateway::line`](crate::Gateway::line) views the line of the first three until the next step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[must_use]

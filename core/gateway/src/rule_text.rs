@@ -17,11 +17,9 @@ use heapless::Vec;
 
 use super::network::Network;
 use super::rules::{Allow, Bounds};
-use crate::error::TextErrorKind;
-use crate::num::to_u32;
-use crate::rac::VariableKind;
-use crate::variant::Variant;
-use crate::variant::text::double;
+use bcap_core::error::TextErrorKind;
+use bcap_core::rac::VariableKind;
+use bcap_core::variant::{Variant, parse_f64};
 
 /// The most ranges of a rule: a T variable has most elements.
 const RANGES: usize = VariableKind::T.elements();
@@ -31,7 +29,7 @@ const RANGES: usize = VariableKind::T.elements();
 /// # Examples
 ///
 /// ```
-/// use bcap_core::gateway::{Allow, AllowBuf, Bounds};
+/// use bcap_gateway::{Allow, AllowBuf, Bounds};
 /// use bcap_core::rac::VariableKind;
 ///
 /// let rule = AllowBuf::parse("I/0-99=-10..10")?;
@@ -40,7 +38,7 @@ const RANGES: usize = VariableKind::T.elements();
 ///
 /// let error = AllowBuf::parse("I/3-1").unwrap_err();
 /// assert_eq!(error.to_string(), "invalid index range 3-1: the first index is above the last, at column 3");
-/// # Ok::<(), bcap_core::gateway::RuleError>(())
+/// # Ok::<(), bcap_gateway::RuleError>(())
 /// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct AllowBuf {
@@ -86,7 +84,7 @@ impl AllowBuf {
         Ok(rule)
     }
 
-    /// Views the rule as [`Rules`](super::Rules) take it.
+    /// Views the rule as [`Rules`](crate::Rules) take it.
     #[must_use]
     pub fn as_allow(&self) -> Allow<'_> {
         Allow { kind: self.kind, first: self.first, last: self.last, values: &self.values, clients: Network::ANY }
@@ -209,7 +207,8 @@ fn split(text: &str, separator: char) -> (&str, Option<&str>) {
 
 /// Returns the column of a part of a text.
 fn column(text: &str, part: &str) -> u32 {
-    to_u32(part.as_ptr().addr().wrapping_sub(text.as_ptr().addr())).saturating_add(1)
+    let offset = part.as_ptr().addr().wrapping_sub(text.as_ptr().addr());
+    u32::try_from(offset).unwrap_or(u32::MAX).saturating_add(1)
 }
 
 fn parse_index(text: &str) -> Result<u32, RuleErrorKind> {
@@ -225,7 +224,7 @@ fn parse_bounds(text: &str, range: &str) -> Result<Bounds, RuleError> {
     let parts = parts.and_then(|(min, max)| Some((min, max.strip_prefix("..")?)));
     let (min, max) = parts.ok_or(RuleError { kind: RuleErrorKind::Range, column: column(text, range) })?;
     let number = |part: &str| {
-        double(part.as_bytes()).map_err(|error| RuleError {
+        parse_f64(part.as_bytes()).map_err(|error| RuleError {
             kind: RuleErrorKind::Number(error.kind),
             column: column(text, part).saturating_add(error.column).saturating_sub(1),
         })

@@ -7,7 +7,7 @@ use core::net::Ipv4Addr;
 /// # Examples
 ///
 /// ```
-/// use bcap_core::gateway::Network;
+/// use bcap_gateway::Network;
 ///
 /// let network = Network::parse("192.168.0.0/24").ok_or("no network")?;
 /// assert!(network.contains(Some([192, 168, 0, 7].into())));

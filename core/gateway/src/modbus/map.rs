@@ -19,7 +19,7 @@
 
 use core::fmt;
 
-use crate::rac::{Variable, VariableKind};
+use bcap_core::rac::{Variable, VariableKind};
 
 /// The tables of Modbus: read-only and writable ones share their addresses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -89,13 +89,13 @@ impl Format {
 /// # Examples
 ///
 /// ```
-/// use bcap_core::modbus::Entry;
+/// use bcap_gateway::modbus::Entry;
 ///
 /// let entry = Entry::registers("100=I/10-19:i16")?;
 /// assert_eq!(entry.addresses(), (100, 109));
 /// let error = Entry::registers("100=S/1").unwrap_err();
 /// assert_eq!(error.to_string(), "a variable of kind S cannot be in registers: expected one of I F D V P J T");
-/// # Ok::<(), bcap_core::modbus::EntryError>(())
+/// # Ok::<(), bcap_gateway::modbus::EntryError>(())
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]

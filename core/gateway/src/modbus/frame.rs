@@ -16,7 +16,7 @@
 //! Numbers are big-endian. `length` counts the bytes after it.
 
 use super::map::Table;
-use crate::hresult::HResult;
+use bcap_core::hresult::HResult;
 
 /// The longest frame in bytes.
 pub(super) const FRAME: usize = 260;

@@ -1,12 +1,12 @@
 //! Whether a stream of Slave Mode runs at the robot.
 //!
 //! A controller in Slave Mode refuses Variable_PutValue, or no source says that it executes it, and a refused call ends
-//! Slave Mode ([`FunctionId::properties`](crate::bcap::FunctionId::properties)). So the gateway opens the robot object once
+//! Slave Mode ([`FunctionId::properties`](bcap_core::bcap::FunctionId::properties)). So the gateway opens the robot object once
 //! in each session, asks `slvGetMode` before each PUT, and refuses the PUT unless no stream runs. A GET needs no question.
 //! The heartbeat is the same question: Controller_GetName may end a stream too. A stream that begins between the question and
 //! the PUT can still be ended.
 
-use crate::bcap::call::RobotHandle;
+use bcap_core::bcap::call::RobotHandle;
 
 /// The question that the gateway can ask the robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -11,10 +11,9 @@
 //!
 //! The same means the same bits after the conversion back: 0.1 as R8 does not convert to R4, and -0.0 not to an integer.
 
-use crate::error::EncodeError;
-use crate::num::to_u32;
-use crate::rac::VariableKind;
-use crate::variant::{Element, Encode, VarType, Variant, Writer};
+use bcap_core::error::EncodeError;
+use bcap_core::rac::VariableKind;
+use bcap_core::variant::{Element, Encode, VarType, Variant, Writer};
 
 /// Tells whether a value converts to the type of a variable of this kind without loss.
 pub(super) fn converts(kind: VariableKind, value: &Variant<'_>) -> bool {
@@ -43,7 +42,7 @@ impl Encode for Converted<'_> {
             Variant::Array(array) => {
                 // only V, P, J and T contain arrays
                 out.put(VarType::R4.array_of().0.to_le_bytes())?;
-                out.put(to_u32(array.len()).to_le_bytes())?;
+                out.put(u32::try_from(array.len()).unwrap_or(u32::MAX).to_le_bytes())?;
                 array.iter().try_for_each(|element| match scalar(VarType::R4, &element) {
                     Some(Variant::R4(number)) => number.put(out),
                     _ => Err(EncodeError::Unsendable(element.vartype().0)),
@@ -99,8 +98,8 @@ fn whole(number: f64) -> Option<i32> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::variant::VariantBuf;
     use VariableKind as Kind;
+    use bcap_core::variant::VariantBuf;
 
     /// Returns the converted value; `None` if it does not convert.
     fn converted(kind: Kind, value: &dyn Encode) -> Option<VariantBuf<128>> {
