@@ -50,6 +50,10 @@ mod book {
     mod motion {}
     #[doc = include_str!("../../docs/serial.md")]
     mod serial {}
+    #[doc = include_str!("../../docs/rac.md")]
+    mod rac {}
+    #[doc = include_str!("../../docs/firmware.md")]
+    mod firmware {}
     #[doc = include_str!("../../docs/test-your-driver.md")]
     mod test_your_driver {}
     #[doc = include_str!("../../docs/porting.md")]
