@@ -28,6 +28,7 @@ pub struct DecodeError {
 /// A part of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum Layer {
     /// Header, length, terminator or CRC.
     Frame,
@@ -283,6 +284,7 @@ pub enum TextErrorKind {
 /// A part of a RAC request, in the specification's words.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum RequestPart {
     /// GET or PUT.
     Verb,

@@ -293,6 +293,7 @@ impl<R: Storage> Run<R> {
                 self.model.unanswered.retain(|serials| !serials.is_empty());
             }
             Event::Malformed(error) => assert!(!error.to_string().is_empty()),
+            event => panic!("the model does not know {event:?}"),
         }
     }
 

@@ -15,6 +15,24 @@ use crate::path::ObjectPathError;
 use crate::{CallError, RunError};
 
 /// Why an operation on a controller failed.
+///
+/// # Examples
+///
+/// ```no_run
+/// use bcap_std::Error;
+/// use bcap_std::core::hresult::HResult;
+/// # use bcap_std::{Settings, blocking::Controller};
+/// # let mut cell = Controller::connect("tcp:192.168.0.1", &Settings::rc9())?;
+///
+/// match cell.write("I1", 5) {
+///     Ok(()) => {}
+///     Err(Error::NotConnected { .. }) => println!("not written: connect, and write it"),
+///     Err(Error::NoReply { .. }) => println!("perhaps written: read I1 before it is written again"),
+///     Err(error) if error.code() == Some(HResult::E_ACCESSDENIED) => println!("this client may not write I1"),
+///     Err(error) => println!("{error}"),
+/// }
+/// # Ok::<(), Error>(())
+/// ```
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -150,7 +168,7 @@ impl Error {
     }
 
     pub(crate) fn run(object: &str, error: RunError) -> Self {
-        let RunError { error: StepError { function, cause, .. }, call } = error;
+        let RunError { error: StepError { function, cause, .. }, call, .. } = error;
         match (cause, call) {
             (StepCause::Refused(code), _) => Self::call(function, object, CallError::Refused(code)),
             (_, Some(call)) => Self::call(function, object, call),

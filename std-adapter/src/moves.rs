@@ -107,6 +107,19 @@ fn list(f: &mut fmt::Formatter<'_>, letter: char, numbers: &[f64]) -> fmt::Resul
 }
 
 /// The accuracy at the end of a motion (b-CAP specification, section 5.6.1).
+///
+/// # Examples
+///
+/// ```no_run
+/// # use std::time::Duration;
+/// # use bcap_std::{Move, Pass, Settings, blocking::Controller};
+/// # let mut cell = Controller::connect("tcp:192.168.0.1", &Settings::rc9())?;
+/// # let mut arm = cell.robot()?.take_arm()?;
+/// // round a corner at P1, without a stop, and rest exactly at P2
+/// let moving = arm.start(&Move::line("P1").pass(Pass::Within(20)), Duration::from_secs(30))?;
+/// println!("{:?}", moving.then(&Move::line("P2").pass(Pass::Exact))?.wait()?);
+/// # Ok::<(), bcap_std::Error>(())
+/// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Pass {

@@ -312,8 +312,8 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         let function = step.object.opened_from(object).unwrap_or(FunctionId::CONTROLLER_GET_VARIABLE);
         let wrong = |error: PathError| Error::Reply { function, object: name.to_owned(), reason: error.to_string() };
         let opened = self.run(name, procedure::open_path(owner, &[step]).map_err(wrong)?).await?;
-        let handle = opened.last().map_or(0, |(_, handle)| *handle);
-        self.opened.extend(opened);
+        let handle = opened.handle().unwrap_or_default();
+        self.opened.extend_from_slice(&opened);
         Ok(handle)
     }
 

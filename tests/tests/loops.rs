@@ -58,6 +58,7 @@ fn without_io<E>(error: &CallError<E>) -> String {
         CallError::Disconnected => "Disconnected".to_owned(),
         CallError::Client(error) => format!("{error:?}"),
         CallError::Refused(code) => format!("{code:?}"),
+        _ => panic!("another kind of error"),
     }
 }
 

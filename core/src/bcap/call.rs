@@ -85,6 +85,7 @@ pub trait Reply {
 /// A reply carries a value of another type than its function returns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub struct ReplyError {
     /// The expected value, in words.
     pub expected: &'static str,

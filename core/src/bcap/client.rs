@@ -141,6 +141,7 @@ impl Config {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[must_use]
+#[non_exhaustive]
 pub enum Event {
     /// The reply arrived, with this result; [`Client::reply`] views it.
     Replied(HResult),
@@ -165,6 +166,7 @@ pub enum Event {
 /// Which of a call's time limits has passed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum Timeout {
     /// The last attempt got neither a reply nor S_EXECUTING.
     Attempt,

@@ -85,6 +85,7 @@ impl InSlaveMode {
 /// The effect of a call, and whether Slave Mode allows it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub struct Properties {
     /// Its effect.
     pub effect: Effect,

@@ -75,6 +75,7 @@ pub(crate) enum Decoded<'a> {
 
 /// A validated frame, as a view of its bytes.
 #[derive(Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Frame<'a> {
     /// The serial number.
     pub serial: u16,

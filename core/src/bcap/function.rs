@@ -128,6 +128,7 @@ impl Kind {
 
 /// The arguments and the result of a function.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Signature {
     /// The kinds of its arguments, in order.
     pub arguments: &'static [Kind],

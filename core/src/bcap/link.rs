@@ -57,6 +57,7 @@ impl Link {
 /// The reaction to bytes of a stream that are not a valid frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum OnMalformed {
     /// End the session, because the position of the next frame is unknown.
     Close,

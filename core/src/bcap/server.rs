@@ -164,6 +164,7 @@ impl Config {
 /// An event of a session, for logs and counters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum Event {
     /// A request got its reply, from the handler or from the session.
     Served {

@@ -32,6 +32,7 @@ use crate::time::Instant;
 /// Why a call failed, by whose fault it is; `E` is the error of the transport, `C` that of the client.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum CallError<E, C = bcap::client::ClientError> {
     /// The transport failed.
     Io(E),
@@ -113,6 +114,7 @@ where
 /// A procedure has failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub struct RunError<P, E> {
     /// The error of the procedure.
     pub error: P,

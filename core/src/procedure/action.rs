@@ -76,6 +76,7 @@ pub enum Action<T> {
 /// The connection for a call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum Channel {
     /// The first connection; most procedures use no other.
     Motion,

@@ -10,6 +10,7 @@ use crate::hresult::HResult;
 /// The reason why a call has no reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum Failure {
     /// A time limit has passed, or the call was dropped; the connection can still be used.
     Timeout,
@@ -45,6 +46,7 @@ impl fmt::Display for Failure {
 /// A call of a procedure has failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub struct StepError {
     /// The function that was called.
     pub function: FunctionId,

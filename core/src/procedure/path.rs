@@ -2,6 +2,7 @@
 
 use core::convert::identity;
 use core::fmt;
+use core::ops::Deref;
 
 use super::action::Procedure;
 use super::failure::{StepCause, StepError};
@@ -99,8 +100,25 @@ impl fmt::Display for PathError {
 
 impl core::error::Error for PathError {}
 
-/// The handles of a path, in the order in which they were opened: for [`release`](super::release).
-pub type Opened = heapless::Vec<(Object, i32), UNDO_MAX>;
+/// The handles of a path, in the order in which they were opened: for [`release`](super::release). It is a slice.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Opened(heapless::Vec<(Object, i32), UNDO_MAX>);
+
+impl Opened {
+    /// Returns the handle of the last object, for which the path was opened.
+    #[must_use]
+    pub fn handle(&self) -> Option<i32> {
+        self.0.last().map(|(_, handle)| *handle)
+    }
+}
+
+impl Deref for Opened {
+    type Target = [(Object, i32)];
+
+    fn deref(&self) -> &Self::Target {
+        &self.0
+    }
+}
 
 /// Opens an object and the objects on the way to it. Returns their handles, the handle of the object last.
 ///
@@ -144,7 +162,7 @@ impl<'a> PathSteps<'a> {
             from = step.object;
         }
         let path = heapless::Vec::from_slice(path).map_err(|_| PathError::TooLong)?;
-        Ok(Self { provider: None, path, opened: Opened::new(), owner, done: 0, asks: false, first: None })
+        Ok(Self { provider: None, path, opened: Opened::default(), owner, done: 0, asks: false, first: None })
     }
 
     /// The steps of a new session, up to the controller, or to one of its robots.
@@ -153,7 +171,7 @@ impl<'a> PathSteps<'a> {
         let mut path = heapless::Vec::new();
         // one object always has room
         let _ = robot.map(|robot| path.push(robot));
-        Self { provider: Some(provider), path, opened: Opened::new(), owner, done: 0, asks: false, first: None }
+        Self { provider: Some(provider), path, opened: Opened::default(), owner, done: 0, asks: false, first: None }
     }
 
     /// Returns the handle of the object that was opened last.
@@ -224,7 +242,7 @@ impl Steps for PathSteps<'_> {
             Object::Service => 0,
             _ => handle_of(reply.args).map_err(StepCause::Reply)?,
         };
-        self.opened.push((object, handle)).map_err(|_| StepCause::TooLarge)?;
+        self.opened.0.push((object, handle)).map_err(|_| StepCause::TooLarge)?;
         self.owner = Owner { object, handle };
         self.done = if in_session { self.done.saturating_add(1) } else { 0 };
         Ok(())

@@ -44,7 +44,29 @@ impl MotionConfig {
     }
 }
 
-/// How a motion has ended.
+/// The outcome of a motion.
+///
+/// # Examples
+///
+/// ```
+/// use bcap_core::procedure::Motion;
+///
+/// /// Tells whether the next step of a program may begin.
+/// fn goes_on(motion: Motion) -> bool {
+///     match motion {
+///         Motion::Arrived => true,
+///         // a person or another client stopped the robot, and the program does not know why
+///         Motion::Halted | Motion::TimedOut => false,
+///         Motion::Failed(code) => {
+///             eprintln!("the controller has the error {code}");
+///             false
+///         }
+///         // read the position first
+///         _ => false,
+///     }
+/// }
+/// # assert!(goes_on(Motion::Arrived) && !goes_on(Motion::Unknown));
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]

@@ -320,7 +320,7 @@ fn a_path_is_opened_step_by_step() {
     let expected = [ROBOT, opens("Robot_GetVariable(9, \"@SERVO_ON\", \"\")", "Variable_Release(11)")];
     let (opened, made) = succeed(make());
     assert_eq!(made, calls(&expected));
-    assert_eq!(opened, [(Object::Robot, 9), (Object::Variable, 11)]);
+    assert_eq!(opened[..], [(Object::Robot, 9), (Object::Variable, 11)]);
     fail_each(make, controller, &expected, |call| call == ROBOT.call);
 
     let (_, released) = succeed(release(&opened));

@@ -63,6 +63,7 @@ impl Default for Config {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[must_use]
+#[non_exhaustive]
 pub enum Event {
     /// The reply arrived, with this result; [`Client::reply`] views it.
     Replied(HResult),
@@ -75,6 +76,7 @@ pub enum Event {
 /// The reply that did not arrive in time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum Timeout {
     /// The reply to the request; the server may or may not have executed it.
     Reply,

@@ -26,6 +26,7 @@ pub(super) const CR: u8 = b'\r';
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[must_use]
+#[non_exhaustive]
 pub enum Framed {
     /// A line; [`LineFramer::line`] views it.
     Line,

@@ -88,6 +88,7 @@ impl Default for Config {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[must_use]
+#[non_exhaustive]
 pub enum Event {
     /// A request arrived; [`Session::request`] views it. Only [`Session::poll`] reports this.
     Requested(Variable),

@@ -59,6 +59,7 @@ pub enum Cause {
 /// Whether Slave Mode is off after a fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum Released {
     /// It is off.
     Yes,

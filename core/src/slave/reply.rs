@@ -43,6 +43,7 @@ pub struct MoveReply<'a> {
 /// A time of the controller's clock, a counter of 32 bits that wraps. Only differences have a meaning.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub struct Timestamp {
     /// The counter.
     pub ticks: i32,
@@ -85,6 +86,7 @@ pub enum ReplyPart {
 /// The reply to slvMove does not have the layout that slvRecvFormat set: the peer's fault, or the formats differ.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub struct MoveReplyError {
     /// The invalid element.
     pub part: ReplyPart,
@@ -95,6 +97,7 @@ pub struct MoveReplyError {
 /// Why an element is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum MoveReplyErrorKind {
     /// It is missing.
     Missing,

@@ -8,6 +8,7 @@ pub type Histogram = crate::histogram::Histogram<8, 152>;
 /// Counts since the start of a stream; they saturate.
 #[derive(Clone, Debug, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub struct Stats {
     /// Poses that the controller stored.
     pub cycles: u32,

@@ -128,6 +128,7 @@ impl<const N: usize> defmt::Format for VariantBuf<N> {
 /// The reason why bytes did not become a [`VariantBuf`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum VariantBufError {
     /// They are not a valid value.
     Decode(DecodeError),

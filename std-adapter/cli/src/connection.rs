@@ -130,7 +130,7 @@ pub(crate) fn failed(error: &CallError, target: &Address, timeout: Duration, fun
         CallError::Client(ClientError::Timeout(which)) => {
             let message = match which {
                 Timeout::Attempt => format!("{target} did not answer {function} within {} ms", timeout.as_millis()),
-                Timeout::Deadline | Timeout::KeepAlive => format!("{function} took too long: {error}"),
+                _ => format!("{function} took too long: {error}"),
             };
             let hint = format!("{}, or allow more time with --timeout", check(target));
             Failure::Timeout { message, hint }

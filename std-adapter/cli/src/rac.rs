@@ -141,7 +141,7 @@ fn failed(error: RacError, what: &str, target: &Address, budget: &Budget) -> Fai
             message: format!("{target} did not answer {what} within {} ms", budget.answer().as_millis()),
             hint: "check that the RAC server uses this port, or allow more time with --timeout".into(),
         },
-        RacError::Client(error) => Failure::Connection {
+        error => Failure::Connection {
             message: format!("{what}: {error}"),
             hint: format!("check that {target} is a RAC server"),
         },

@@ -26,7 +26,17 @@ use crate::settings::Settings;
 
 /// A robot of a controller.
 ///
-/// It cannot move; [`take_arm`](Self::take_arm) returns what can.
+/// It cannot move; [`take_arm`](Self::take_arm) returns an [`Arm`], which can.
+///
+/// # Examples
+///
+/// ```no_run
+/// # async fn example(cell: bcap_std::asynch::Controller) -> Result<(), bcap_std::Error> {
+/// let robot = cell.robot().await?;
+/// println!("{:?} {:?}", robot.joints().await?, robot.position().await?);
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Clone, Debug)]
 pub struct Robot {
     handle: Handle,

@@ -17,7 +17,18 @@ use crate::session::{Halted, Session};
 
 /// A robot of a controller.
 ///
-/// It cannot move; [`take_arm`](Self::take_arm) returns what can.
+/// It cannot move; [`take_arm`](Self::take_arm) returns an [`Arm`], which can.
+///
+/// # Examples
+///
+/// ```no_run
+/// # use bcap_std::{Settings, blocking::Controller};
+/// # let mut cell = Controller::connect("tcp:192.168.0.1", &Settings::rc9())?;
+/// let mut robot = cell.robot()?;
+/// println!("{:?} {:?}", robot.joints()?, robot.position()?);
+/// println!("the motor is on: {}", robot.read::<bool>("@SERVO_ON")?);
+/// # Ok::<(), bcap_std::Error>(())
+/// ```
 #[derive(Debug)]
 pub struct Robot<'a> {
     session: &'a mut Session<Blocking>,

@@ -72,6 +72,21 @@ pub use shared::{OnConnect, Tap};
 pub(crate) use tcp::{REFUSAL_TIME, REFUSALS};
 
 /// A server that listens, and serves while it runs.
+///
+/// # Examples
+///
+/// ```no_run
+/// use bcap_std::core::device::{Device, DeviceVariable};
+/// use bcap_std::server::Server;
+///
+/// # async fn example(ctrl_c: impl Future<Output = ()>) -> std::io::Result<()> {
+/// // a device with one variable, I1: the number of parts
+/// let parts = DeviceVariable::new("I1", |parts: &i32, reply| reply.set(parts));
+/// let server = Server::new(Device::<i32, 1>::new(0, [parts]));
+/// server.bcap_tcp("127.0.0.1:5007").await?.rac_tcp("127.0.0.1:5006").await?.run(ctrl_c).await;
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug)]
 pub struct Server<H> {
     shared: Arc<ServerState<H>>,

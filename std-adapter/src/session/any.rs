@@ -187,8 +187,8 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         };
         let opening = procedure::open_path(self.handle, &steps).map_err(wrong)?;
         let opened = self.run(&name, opening).await?;
-        let handle = opened.last().map_or(self.handle.0, |(_, handle)| *handle);
-        self.opened.extend(opened);
+        let handle = opened.handle().unwrap_or(self.handle.0);
+        self.opened.extend_from_slice(&opened);
         Ok(handle)
     }
 

@@ -294,6 +294,7 @@ impl Simulation {
             client::Event::Stale { .. } => self.seen.stale += 1,
             client::Event::Malformed(_) => self.seen.malformed += 1,
             client::Event::Executing => self.seen.executing += 1,
+            _ => {}
         }
         None
     }

@@ -30,7 +30,7 @@ impl From<CallError<std::io::Error>> for Outcome {
             CallError::Client(ClientError::Malformed(_) | ClientError::Closed | ClientError::Reply(_)) => {
                 Self::Malformed
             }
-            CallError::Client(error) => panic!("{error}"),
+            error => panic!("{error}"),
         }
     }
 }

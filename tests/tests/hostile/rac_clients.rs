@@ -50,6 +50,7 @@ impl From<Result<Variant<'_>, RacError<std::io::Error>>> for Outcome {
             Err(RacError::Client(error)) => Self::Client(error),
             Err(RacError::Disconnected) => Self::Disconnected,
             Err(RacError::Io(_)) => Self::Io,
+            Err(error) => panic!("{error}"),
         }
     }
 }

@@ -40,6 +40,7 @@ impl From<Result<Value, CallError<std::io::Error>>> for Outcome {
             Err(CallError::Client(error)) => Self::Client(error),
             Err(CallError::Disconnected) => Self::Disconnected,
             Err(CallError::Io(_)) => Self::Io,
+            Err(error) => panic!("{error}"),
         }
     }
 }

@@ -26,6 +26,7 @@ pub struct StartOptions {
 /// Why an option string was refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum OptionError {
     /// It is not a string, not ASCII, or longer than 128 characters.
     NoText,

@@ -113,7 +113,8 @@ mod tests {
     use super::*;
 
     fn stream() -> (Stats, StreamTimes) {
-        let stats = Stats { cycles: 1000, late: 2, refused: 3, underflows: 1, ..Stats::default() };
+        let mut stats = Stats::default();
+        (stats.cycles, stats.late, stats.refused, stats.underflows) = (1000, 2, 3, 1);
         let mut times = StreamTimes::new();
         (0..1000).for_each(|n| times.rtt.record(if n < 990 { 100 + n / 200 } else { 200 + n - 990 }));
         times.jitter.record(5);
