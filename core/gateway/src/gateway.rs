@@ -336,9 +336,8 @@ impl Gateway<'_> {
             let event = match event {
                 client::Event::Replied(result) => self.replied(result, now),
                 client::Event::Failed(error) => self.failed(error, now),
-                // none of them ends a call
-                client::Event::Executing | client::Event::Retried { .. } => None,
-                client::Event::Stale { .. } | client::Event::Malformed(_) => None,
+                // no other event ends a call
+                _ => None,
             };
             if event.is_some() {
                 return event;
@@ -476,7 +475,7 @@ impl Gateway<'_> {
                 }
                 // the session has replied to a request that timed out
                 Some(server::Event::Served { result, .. }) => slot.answered(result, now),
-                None => None,
+                _ => None,
             };
             let event = event.or_else(|| match slot.waiting {
                 Some(waiting) if !is_up => slot.answer(waiting.if_down, &Variant::Empty, now),
