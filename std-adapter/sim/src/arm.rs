@@ -115,11 +115,11 @@
 //! Commands of real controllers that this model lacks answer `E_NOTIMPL`, other names `E_INVALID_CMD_NAME`.
 
 mod call;
-pub(crate) mod commands;
 mod measures;
 mod moves;
 mod poses;
 mod readings;
+pub(crate) mod robot_execute;
 pub(crate) mod variables;
 
 use bcap_core::handler::PeerId;

@@ -1,8 +1,8 @@
 //! The controller: it composes its parts, advances their time, and offers to a test what happens around a robot.
 
-mod command;
+mod command_objects;
+pub mod controller_execute;
 mod dispatch;
-pub mod execute;
 mod programs;
 pub mod system;
 mod variable;

@@ -42,9 +42,9 @@
 //!   PutTag and PutID; the ID of a user variable is its index.
 //! * Variable_GetDateTime answers when the variable was last read or written through this handle.
 //!
-//! The tables of names, types and answers are with the code: [`variables`], [`system`], [`arm`], [`execute`],
-//! [`commands`], [`comm`], [`messages`], [`trace`], [`explain`], [`files`], [`hand`], [`preparation`], [`pose`], [`kinematics`],
-//! [`scenario`], [`slave`], [`tasks`], [`model`].
+//! The tables of names, types and answers are with the code: [`variables`], [`system`], [`arm`],
+//! [`controller_execute`], [`command_objects`], [`comm`], [`messages`], [`trace`], [`explain`], [`files`], [`hand`],
+//! [`preparation`], [`pose`], [`kinematics`], [`scenario`], [`slave`], [`tasks`], [`model`].
 //!
 //! # Examples
 //!
@@ -66,7 +66,7 @@
 mod answer;
 pub mod arm;
 pub mod comm;
-pub mod commands;
+pub mod command_objects;
 mod config;
 mod context;
 mod controller;
@@ -106,8 +106,8 @@ pub mod variables;
 mod waits;
 
 pub use config::{Config, Mode, Permission, SlaveConfig, SpeedSetting, Token};
-pub use controller::execute::Bit;
-pub use controller::{Controller, EMERGENCY_STOP, execute, system};
+pub use controller::controller_execute::Bit;
+pub use controller::{Controller, EMERGENCY_STOP, controller_execute, system};
 pub use errors::ErrorEntry;
 pub use model::{ArmModel, ArmProfile, Model, Profile, SlaveFormats};
 pub use scenario::Scenario;

@@ -15,7 +15,7 @@ use bcap_core::variant::Variant;
 
 use crate::answer::{Answer, Answered};
 use crate::comm;
-use crate::commands::CommandObject;
+use crate::command_objects::CommandObject;
 use crate::hand;
 use crate::messages::Message;
 use crate::value::{Value, keep, one_int};

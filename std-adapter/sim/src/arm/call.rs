@@ -5,7 +5,7 @@ use bcap_core::bcap::server::Request;
 use bcap_core::hresult::HResult;
 use bcap_core::variant::Variant;
 
-use super::commands::{COMMANDS, Handler};
+use super::robot_execute::{COMMANDS, Handler};
 use super::{Arm, moves};
 use crate::answer::{Answer, Answered};
 use crate::context::Context;

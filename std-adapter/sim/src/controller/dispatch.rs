@@ -9,7 +9,7 @@ use bcap_core::time::Instant;
 use bcap_core::variant::{Encode, Variant};
 
 use super::variable::{accepted_value, names_of};
-use super::{Controller, execute};
+use super::{Controller, controller_execute};
 use crate::answer::{Answer, Answered};
 use crate::arm;
 use crate::comm;
@@ -308,7 +308,7 @@ impl Controller {
             FunctionId::CONTROLLER_GET_EXTENSION_NAMES => Ok(Answer::names(Extension::ALL.map(Extension::name))),
             FunctionId::CONTROLLER_GET_COMMAND => self.open_command(peer, &name()),
             FunctionId::CONTROLLER_GET_COMMAND_NAMES => {
-                Ok(Answer::names(execute::names(self.common.config.model.functions)))
+                Ok(Answer::names(controller_execute::names(self.common.config.model.functions)))
             }
             FunctionId::CONTROLLER_GET_MESSAGE => self.open_message(peer),
             _ => Err(HResult::E_NOTIMPL),
@@ -317,7 +317,7 @@ impl Controller {
 
     /// Executes a command of Controller_Execute.
     pub(super) fn run(&mut self, peer: PeerId, name: &str, param: &Variant<'_>) -> Answered {
-        let run = Command::handler(execute::COMMANDS, name, self.common.config.model.functions)?;
+        let run = Command::handler(controller_execute::COMMANDS, name, self.common.config.model.functions)?;
         run(self, peer, param).map(Answer::of_command)
     }
 
@@ -440,10 +440,10 @@ fn command(request: &Request<'_>) -> Option<(Option<&'static str>, bool)> {
     let name = command_of(request)?;
     match request.function {
         FunctionId::CONTROLLER_EXECUTE => {
-            Command::find(execute::COMMANDS, &name).map(|command| (command.accepts, command.in_slave_mode))
+            Command::find(controller_execute::COMMANDS, &name).map(|command| (command.accepts, command.in_slave_mode))
         }
         FunctionId::ROBOT_EXECUTE => {
-            Command::find(arm::commands::COMMANDS, &name).map(|command| (command.accepts, command.in_slave_mode))
+            Command::find(arm::robot_execute::COMMANDS, &name).map(|command| (command.accepts, command.in_slave_mode))
         }
         // of the commands of a hand, none checks its parameter
         FunctionId::EXTENSION_EXECUTE => {

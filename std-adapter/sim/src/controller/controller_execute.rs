@@ -41,7 +41,7 @@ use bcap_core::variant::Variant;
 
 use super::{Controller, EMERGENCY_STOP};
 use crate::answer::{Answer, Answered};
-use crate::arm::commands::{MOTOR, motor};
+use crate::arm::robot_execute::{MOTOR, motor};
 use crate::config::{Config, Token};
 use crate::errors::{Occurrence, description};
 use crate::model::Functions;
@@ -322,7 +322,7 @@ mod tests {
 
     #[test]
     fn every_command_is_documented() {
-        let sources = [include_str!("execute.rs"), include_str!("../hand.rs")];
+        let sources = [include_str!("controller_execute.rs"), include_str!("../hand.rs")];
         assert_documented(COMMANDS, &sources);
     }
 }

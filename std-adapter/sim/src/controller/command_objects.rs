@@ -5,9 +5,9 @@ use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
 
-use super::{Controller, execute};
+use super::{Controller, controller_execute};
 use crate::answer::{Answer, Answered};
-use crate::commands::CommandObject;
+use crate::command_objects::CommandObject;
 use crate::objects::Item;
 use crate::table::Command;
 use crate::value::kept;
@@ -16,7 +16,7 @@ use crate::waits::Wait;
 impl Controller {
     pub(super) fn open_command(&mut self, peer: PeerId, name: &str) -> Answered {
         let functions = self.common.config.model.functions;
-        let command = Command::find(execute::COMMANDS, name).filter(|command| command.exists(functions));
+        let command = Command::find(controller_execute::COMMANDS, name).filter(|command| command.exists(functions));
         let name = command.ok_or(HResult::E_CAO_OBJECT_NOTFOUND)?.name;
         self.open(peer, Item::Command(CommandObject::default()), name.to_owned())
     }
