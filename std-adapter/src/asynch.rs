@@ -13,6 +13,7 @@
 //! [`connect_rac`] return a [`Connection`] of the core over tokio's sockets. Its calls are cancel safe: the future of a call
 //! may be dropped at any point, and the connection stays usable.
 
+mod actor;
 mod controller;
 mod ending;
 mod handle;
@@ -24,7 +25,6 @@ mod serial;
 mod socket;
 mod state;
 mod subscription;
-mod task;
 
 use std::fmt::Debug;
 use std::io;

@@ -9,12 +9,12 @@ use bcap_core::variant::{Encode, FromVariant, OwnedVariant};
 use tokio::sync::oneshot;
 
 use super::SendTransport;
+use super::actor::Request;
 use super::handle::{Handle, owned};
 use super::objects::{File, Task};
 use super::robot::{Robot, Stopper};
 use super::state::{Recoveries, State, States, Statistics};
 use super::subscription::Subscription;
-use super::task::Request;
 use crate::address::AddressError;
 use crate::error::Error;
 use crate::reply::OwnedReply;

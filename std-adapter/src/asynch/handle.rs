@@ -10,10 +10,10 @@ use tokio::sync::{Semaphore, mpsc, oneshot, watch};
 use tracing::Instrument as _;
 
 use super::SendTransport;
+use super::actor::{self, Actor, Request, Work};
 use super::socket::{self, BoxFuture, Socket};
 use super::state::{Counters, State};
 use super::subscription::Scan;
-use super::task::{self, Request, Task, Work};
 use crate::address::Address;
 use crate::error::Error;
 use crate::session::{Recovery, Session};
@@ -42,7 +42,7 @@ const QUEUE: usize = 256;
 impl Handle {
     /// Connects and opens a session, with the robot if `opens_robot`, and starts the task.
     pub(super) async fn connect(address: Address, settings: &Settings, opens_robot: bool) -> Result<Self, Error> {
-        let session = task::connect(&address, settings, opens_robot).await?;
+        let session = actor::connect(&address, settings, opens_robot).await?;
         Ok(Self::start(Some(address), settings, opens_robot, Some(session)))
     }
 
@@ -52,7 +52,7 @@ impl Handle {
         settings: &Settings,
         opens_robot: bool,
     ) -> Result<Self, Error> {
-        let session = task::open(socket::over(stream, settings), settings, opens_robot).await?;
+        let session = actor::open(socket::over(stream, settings), settings, opens_robot).await?;
         Ok(Self::start(None, settings, opens_robot, Some(session)))
     }
 
@@ -68,7 +68,7 @@ impl Handle {
         let (sender, state) = watch::channel(begun);
         let (reporter, recovered) = watch::channel(None);
         let counters = Arc::<Counters>::default();
-        let task = Task {
+        let actor = Actor {
             requests: receiver,
             state: sender,
             counters: Arc::clone(&counters),
@@ -79,7 +79,7 @@ impl Handle {
             recovered: reporter,
         };
         let span = tracing::info_span!("controller", address = address.as_ref().map(tracing::field::display));
-        tokio::spawn(task.run(session).instrument(span));
+        tokio::spawn(actor.run(session).instrument(span));
         let (queue, settings) = (Arc::new(Semaphore::new(QUEUE)), settings.clone());
         Self { requests, state, counters, recovered, address, settings, queue, limit: None }
     }

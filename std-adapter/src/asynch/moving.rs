@@ -3,8 +3,8 @@
 use bcap_core::procedure::{Motion, MotionQueue, Until};
 use tokio::sync::oneshot;
 
+use super::actor::{MoveRequest, Request};
 use super::handle::Handle;
-use super::task::{MoveRequest, Request};
 use crate::error::Error;
 use crate::moves::Move;
 use crate::session::Halted;

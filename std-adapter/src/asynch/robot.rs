@@ -14,10 +14,10 @@ use bcap_core::time::Instant;
 use bcap_core::variant::{Encode, FromVariant};
 
 use super::SendTransport;
+use super::actor::Request;
 use super::handle::{Handle, owned};
 use super::moving::{Moving, run_queue};
 use super::socket::{BoxFuture, Socket};
-use super::task::Request;
 use crate::address::Address;
 use crate::error::Error;
 use crate::moves::Move;

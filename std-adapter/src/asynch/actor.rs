@@ -1,8 +1,8 @@
-//! The task that owns the connection of a controller.
+//! The actor of a controller: the tokio task that owns the connection.
 //!
 //! ```text
-//!  handles ── requests ──► task ──► session ──► socket
-//!                           │  └──► subscriptions, motion
+//!  handles ── requests ──► actor ──► session ──► socket
+//!                           │   └──► subscriptions, motion
 //!                           └─ lost ─► report, wait, connect again
 //! ```
 //!
@@ -121,8 +121,8 @@ async fn caught<T>(mut future: BoxFuture<'_, T>) -> Result<T, Box<dyn Any + Send
     .await
 }
 
-/// The task of a controller.
-pub(super) struct Task {
+/// Owns the connection of a controller, and carries out the requests of its handles.
+pub(super) struct Actor {
     pub(super) requests: mpsc::UnboundedReceiver<Request>,
     pub(super) state: watch::Sender<State>,
     pub(super) counters: Arc<Counters>,
@@ -169,7 +169,7 @@ pub(super) async fn connect(
     open(socket::connect(address, settings).await?, settings, opens_robot).await
 }
 
-impl Task {
+impl Actor {
     /// Runs until all handles are dropped or one of them closes the controller.
     pub(super) async fn run(mut self, session: Option<Session<Socket>>) {
         // its drop ends the session when the runtime ends
