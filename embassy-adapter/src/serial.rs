@@ -10,13 +10,12 @@ use bcap_core::bcap::Client;
 pub use bcap_core::bcap::client::Config;
 pub use bcap_core::io::asynch::{Connection, Timed};
 use bcap_core::storage::Storage;
-use embassy_time::Timer;
-use embedded_io_async::{ErrorType, Read, Write};
+use embedded_io_async::{Read, Write};
 
 use crate::clock::EmbassyClock;
 
 /// A serial device as a transport.
-pub type SerialTransport<D> = Timed<Line<D>, EmbassyClock>;
+pub type SerialTransport<D> = Timed<D, EmbassyClock>;
 /// A client over a serial line.
 pub type SerialClient<D, T, R = T> = Connection<SerialTransport<D>, T, R>;
 
@@ -44,43 +43,7 @@ where
     Connection::new(transport(device), Client::new(config, tx, rx))
 }
 
-/// Creates a transport over a device, whose errors are lost bytes.
+/// Creates a transport over a device.
 pub const fn transport<D>(device: D) -> SerialTransport<D> {
-    Timed::new(Line(device), EmbassyClock)
-}
-
-/// The pause after an error of the line, so that a device that only fails does not keep its task running.
-const PAUSE_MS: u64 = 1;
-
-/// A serial device whose reads do not fail: errors of the line are lost bytes.
-#[derive(Debug)]
-pub struct Line<D>(D);
-
-impl<D: ErrorType> ErrorType for Line<D> {
-    type Error = D::Error;
-}
-
-impl<D: Read> Read for Line<D> {
-    /// # Cancel safety
-    ///
-    /// As that of the device.
-    async fn read(&mut self, buffer: &mut [u8]) -> Result<usize, D::Error> {
-        loop {
-            match self.0.read(buffer).await {
-                Ok(count) => return Ok(count),
-                // the frame's CRC finds the loss; a device that fails for good ends the call at its timeouts
-                Err(_) => Timer::after_millis(PAUSE_MS).await,
-            }
-        }
-    }
-}
-
-impl<D: Write> Write for Line<D> {
-    async fn write(&mut self, bytes: &[u8]) -> Result<usize, D::Error> {
-        self.0.write(bytes).await
-    }
-
-    async fn flush(&mut self) -> Result<(), D::Error> {
-        self.0.flush().await
-    }
+    Timed::new(device, EmbassyClock)
 }

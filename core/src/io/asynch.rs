@@ -487,6 +487,10 @@ async fn wait<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> En
     Err(CallError::Client(M::CLOSED))
 }
 
+/// The pause after lost bytes, so that a device that only fails does not keep its task running.
+#[cfg(feature = "embedded-io-async")]
+const LINE_ERROR_PAUSE: core::time::Duration = core::time::Duration::from_millis(1);
+
 /// A timer for [`Timed`].
 #[cfg(feature = "embedded-io-async")]
 pub trait Timer: crate::time::Clock {
@@ -496,7 +500,8 @@ pub trait Timer: crate::time::Clock {
 
 /// A transport over a device that reads and writes, and a timer.
 ///
-/// `read` and `write` of the device must be cancel-safe, as `embedded_io_async` requires.
+/// `read` and `write` of the device must be cancel-safe, as `embedded_io_async` requires. An error of a read means lost bytes,
+/// except one that says that the connection has ended.
 #[cfg(feature = "embedded-io-async")]
 #[derive(Debug)]
 pub struct Timed<D, C> {
@@ -531,13 +536,24 @@ where
     }
 
     async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, D::Error> {
+        use embedded_io_async::Error as _;
         let Self { device, timer } = self;
-        // a device with a buffer may otherwise never send the request
-        let read = async {
-            device.flush().await?;
-            device.read(buffer).await
-        };
-        first(read, timer.sleep_until(until)).await.transpose()
+        loop {
+            // a device with a buffer may otherwise never send the request
+            let read = async {
+                device.flush().await?;
+                device.read(buffer).await
+            };
+            match first(read, timer.sleep_until(until)).await {
+                Some(Err(error)) if !super::ends_connection(error.kind()) => {}
+                received => return received.transpose(),
+            }
+            let now = timer.now();
+            if now >= until {
+                return Ok(None);
+            }
+            timer.sleep_until(until.min(now.saturating_add(LINE_ERROR_PAUSE))).await;
+        }
     }
 
     async fn sleep_until(&mut self, at: Instant) {

@@ -289,7 +289,8 @@ fn wait<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X,
 
 /// A transport over a device that can be polled, such as a UART, and a clock.
 ///
-/// It waits in a busy loop; to sleep instead, implement [`Transport`].
+/// It waits in a busy loop; to sleep instead, implement [`Transport`]. An error of a read means lost bytes, except one that says
+/// that the connection has ended.
 #[cfg(feature = "embedded-io")]
 #[derive(Debug)]
 pub struct Polled<D, C> {
@@ -303,6 +304,14 @@ impl<D, C: crate::time::Clock> Polled<D, C> {
     #[must_use]
     pub const fn new(device: D, clock: C) -> Self {
         Self { device, clock }
+    }
+}
+
+#[cfg(feature = "embedded-io")]
+impl<D: embedded_io::Read + embedded_io::ReadReady, C> Polled<D, C> {
+    /// Reads what has arrived; `None` when nothing has.
+    fn read_available(&mut self, buffer: &mut [u8]) -> Result<Option<usize>, D::Error> {
+        if self.device.read_ready()? { self.device.read(buffer).map(Some) } else { Ok(None) }
     }
 }
 
@@ -326,13 +335,15 @@ where
     }
 
     fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, D::Error> {
-        while !self.device.read_ready()? {
-            if self.clock.now() >= until {
-                return Ok(None);
+        use embedded_io::Error as _;
+        loop {
+            match self.read_available(buffer) {
+                Err(error) if super::ends_connection(error.kind()) => return Err(error),
+                Ok(Some(count)) => return Ok(Some(count)),
+                Ok(None) | Err(_) if self.clock.now() >= until => return Ok(None),
+                Ok(None) | Err(_) => core::hint::spin_loop(),
             }
-            core::hint::spin_loop();
         }
-        self.device.read(buffer).map(Some)
     }
 
     fn sleep_until(&mut self, at: Instant) {

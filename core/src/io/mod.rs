@@ -21,6 +21,11 @@ pub mod blocking;
 
 use core::fmt;
 
+#[cfg(feature = "embedded-io")]
+use embedded_io::ErrorKind;
+#[cfg(all(feature = "embedded-io-async", not(feature = "embedded-io")))]
+use embedded_io_async::ErrorKind;
+
 use crate::bcap;
 use crate::endpoint::Endpoint;
 use crate::hresult::HResult;
@@ -179,6 +184,14 @@ fn hand_in<P: Procedure, T: Storage, R: Storage, E>(
 /// The maximum number of reads before a call, which drop early bytes. The buffer of a socket contains fewer datagrams, and
 /// a stream with more replies ends its session.
 const MAX_EARLY: usize = 512;
+
+/// Tells whether an error of a device ends its connection. Any other error, such as a framing error or an overrun of a UART,
+/// lost bytes: it costs one attempt at most, and does not end the call.
+#[cfg(any(feature = "embedded-io", feature = "embedded-io-async"))]
+const fn ends_connection(kind: ErrorKind) -> bool {
+    use ErrorKind::{BrokenPipe, ConnectionAborted, ConnectionReset, NotConnected};
+    matches!(kind, BrokenPipe | ConnectionAborted | ConnectionReset | NotConnected)
+}
 
 /// The common interface of the clients for the loops.
 trait Machine: Endpoint {
@@ -357,3 +370,6 @@ impl From<rac::client::Event> for Step<rac::client::ClientError> {
         }
     }
 }
+
+#[cfg(all(test, feature = "embedded-io", feature = "embedded-io-async"))]
+mod tests;
