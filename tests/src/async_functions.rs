@@ -71,7 +71,7 @@ pub fn functions(src: &Path) -> Vec<String> {
 /// Returns the async functions of a source, with the type or trait that they belong to.
 fn in_file(text: &str) -> Vec<String> {
     let (mut found, mut owner, mut open) = (Vec::new(), String::new(), None::<(String, bool)>);
-    // unit tests end a file, or have one of their own
+    // in a macro, `$($async)?` becomes `async`; unit tests end a file, or have one of their own
     let code = text.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default();
     for line in code.lines().filter(|line| !line.trim_start().starts_with("//")) {
         if line.starts_with("impl") || line.contains("trait ") && !line.starts_with(' ') {
@@ -82,7 +82,7 @@ fn in_file(text: &str) -> Vec<String> {
         if let Some((before, after)) = line.split_once("fn ")
             && before
                 .split_whitespace()
-                .all(|word| word.starts_with("pub") || ["async", "const", "super)"].contains(&word))
+                .all(|word| word.starts_with("pub") || ["async", "const", "super)", "$($async)?"].contains(&word))
         {
             let name: String = after.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect();
             let name = if owner.is_empty() { name } else { format!("{owner}::{name}") };

@@ -1,8 +1,9 @@
 //! Loops that run a client over a transport: [`blocking`] and [`asynch`].
 //!
 //! Both run the clients of [b-CAP](crate::bcap::Client) and [RAC](crate::rac::Client) in the same way: they send the
-//! client's bytes, wait for bytes until the next deadline, and poll the client. This file contains the steps that both
-//! share. All progress is in the client, not on the stack of a loop: a dropped future or an early return loses nothing.
+//! client's bytes, wait for bytes until the next deadline, and poll the client. `connection.rs` has the connections of both,
+//! this file the steps of their loops. All progress is in the client, not on the stack of a loop: a dropped future or an early
+//! return loses nothing.
 //!
 //! `Connection::run` runs any [`Procedure`], over one connection or over two.
 
@@ -15,6 +16,9 @@ macro_rules! log_event {
         log::debug!("{}: {:?}", $protocol, $event);
     };
 }
+
+#[macro_use]
+mod connection;
 
 pub mod asynch;
 pub mod blocking;
@@ -371,5 +375,6 @@ impl From<rac::client::Event> for Step<rac::client::ClientError> {
     }
 }
 
-#[cfg(all(test, feature = "embedded-io", feature = "embedded-io-async"))]
+#[cfg(test)]
+#[cfg(all(feature = "embedded-io", feature = "embedded-io-async"))]
 mod tests;
