@@ -62,6 +62,8 @@ pub(crate) struct Session<X> {
     /// All open objects, in the order in which they were opened, from the service on.
     opened: Vec<(Object, i32)>,
     arm: Option<ArmState>,
+    /// The open variables that switch the motor.
+    motor_switches: Vec<VariableHandle>,
     /// Whether the end of the session leaves the arm as it is.
     keep: bool,
     /// The timing of the client without the limit that applies now.
@@ -118,6 +120,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
             objects: HashMap::new(),
             opened: Vec::new(),
             arm: None,
+            motor_switches: Vec::new(),
             keep: false,
             usual_timing: None,
             lost: None,
@@ -186,16 +189,26 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         T::from_variant(value).map_err(|source| Error::Value { object: object.to_owned(), source })
     }
 
-    /// Executes a command of the controller.
+    /// Executes a command of the controller for the caller.
     pub(crate) async fn execute<T: for<'a> FromVariant<'a>>(
         &mut self,
         command: &str,
         parameter: impl Encode,
     ) -> Result<T, Error> {
-        self.value(command, call::controller_execute(self.handle, command, parameter)).await
+        self.execute_recorded((FunctionId::CONTROLLER_EXECUTE, self.handle.0), command, parameter).await
     }
 
-    /// Executes a command of the robot.
+    /// Executes a command of the robot for the caller, which may also be one that takes the arm or moves.
+    pub(crate) async fn execute_any_of_robot<T: for<'a> FromVariant<'a>>(
+        &mut self,
+        command: &str,
+        parameter: impl Encode,
+    ) -> Result<T, Error> {
+        let robot = self.robot().await?;
+        self.execute_recorded((FunctionId::ROBOT_EXECUTE, robot.0), command, parameter).await
+    }
+
+    /// Executes a command of the robot that changes nothing, or whose effect the session records itself.
     pub(crate) async fn execute_robot<T: for<'a> FromVariant<'a>>(
         &mut self,
         command: &str,

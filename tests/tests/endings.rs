@@ -1,15 +1,20 @@
 //! How programs end: with an error, by a panic, without a connection. The robot rests then, with its motor off and its arm free.
 
+use std::collections::HashMap;
 use std::io;
-use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::panic::AssertUnwindSafe;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
 use std::time::Duration;
+
+use bcap_core::bcap::{FunctionId, Object};
 
 use bcap_core::rac::VariableKind;
 use bcap_core::slave::{AxisLimits, Cycle, Format, Mode, Next, PoseType, ReceiveFormat, ReceivePose, SlaveMode};
 use bcap_core::time::Instant;
+use bcap_core::variant::OwnedVariant;
 use bcap_sim::memory::{Network, Wire};
 use bcap_sim::{Config, Controller as Simulated, Profile};
 use bcap_std::blocking::Transport;
@@ -272,6 +277,184 @@ fn a_program_that_ends_without_a_connection_stops_the_robot() {
         drop(runtime);
         assert_safe(&sim);
     }
+}
+
+/// A datagram relay that is unreachable for a while; then another client's port is another session.
+struct Datagrams {
+    address: SocketAddr,
+    to: SocketAddr,
+    open: Arc<AtomicBool>,
+    thread: Option<JoinHandle<Sessions>>,
+}
+
+/// The sockets of the clients that a relay has seen.
+type Sessions = HashMap<SocketAddr, UdpSocket>;
+
+impl Datagrams {
+    fn new(to: SocketAddr) -> Self {
+        let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+        let address = socket.local_addr().unwrap();
+        let mut relay = Self { address, to, open: Arc::default(), thread: None };
+        relay.start(socket, Sessions::new());
+        relay
+    }
+
+    fn start(&mut self, front: UdpSocket, mut sessions: Sessions) {
+        self.open = Arc::new(AtomicBool::new(true));
+        let (open, to) = (Arc::clone(&self.open), self.to);
+        self.thread = Some(std::thread::spawn(move || {
+            front.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
+            let mut buffer = [0; 1500];
+            while open.load(Ordering::Relaxed) {
+                if let Ok((count, client)) = front.recv_from(&mut buffer) {
+                    let session = sessions.entry(client).or_insert_with(|| {
+                        let session = UdpSocket::bind("127.0.0.1:0").unwrap();
+                        session.connect(to).unwrap();
+                        session.set_nonblocking(true).unwrap();
+                        session
+                    });
+                    session.send(&buffer[..count]).unwrap();
+                }
+                for (client, session) in &sessions {
+                    while let Ok(count) = session.recv(&mut buffer) {
+                        let _ = front.send_to(&buffer[..count], client);
+                    }
+                }
+            }
+            sessions
+        }));
+    }
+
+    /// Makes the address unreachable, and returns the sessions that the controller still has.
+    fn cut(&mut self) -> Sessions {
+        self.open.store(false, Ordering::Relaxed);
+        self.thread.take().unwrap().join().unwrap()
+    }
+
+    fn heal(&mut self, sessions: Sessions) {
+        self.start(UdpSocket::bind(self.address).unwrap(), sessions);
+    }
+}
+
+/// Over UDP the controller does not notice that a session was lost, so it would keep the arm for it.
+#[test]
+fn an_unreachable_datagram_link_leaves_nothing() {
+    for moves in [false, true] {
+        let sim = simulated();
+        let mut relay = Datagrams::new(sim.udp);
+        let [runtime, _] = runtimes();
+        runtime.block_on(async {
+            let cell = asynch::Controller::connect(&format!("udp:{}", relay.address), &settings()).await.unwrap();
+            let mut recoveries = cell.recoveries();
+            let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+            arm.motor_on().await.unwrap();
+            let moving = if moves { Some(arm.start(&far(), LIMIT).await.unwrap()) } else { None };
+            let sessions = relay.cut();
+            while cell.state() == asynch::State::Connected {
+                let _ = cell.read::<i32>("I1").await;
+            }
+            relay.heal(sessions);
+            let recovery = recoveries.next().await.unwrap();
+            assert_eq!((recovery.halted, recovery.motor_off, recovery.arm_free), (Some(true), Some(true), true));
+            assert_safe(&sim);
+            drop(moving);
+            drop(arm);
+            drop(cell.robot().await.unwrap().take_arm().await.unwrap());
+        });
+    }
+}
+
+/// The caller of a motion learns that it was sent, although another handle closes the controller.
+#[test]
+fn a_motion_whose_controller_is_closed_may_have_moved() {
+    let sim = simulated();
+    let [runtime, _] = runtimes();
+    runtime.block_on(async {
+        let cell = asynch::Controller::connect(&format!("tcp:{}", sim.tcp), &settings()).await.unwrap();
+        let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+        arm.motor_on().await.unwrap();
+        let close = async {
+            while !sim.application().is_moving() {
+                tokio::time::sleep(Duration::from_millis(1)).await;
+            }
+            cell.close().await
+        };
+        let (ended, closed) = tokio::join!(arm.move_to(&far(), LIMIT), close);
+        assert!(matches!(ended, Err(Error::NoReply { .. })), "{ended:?}");
+        closed.unwrap();
+        assert_safe(&sim);
+    });
+}
+
+/// A command by name: of the controller or the robot, and its parameter.
+type ByName = (Object, &'static str, OwnedVariant);
+
+fn by_name() -> Vec<ByName> {
+    let motion = ("@0 (1, 150)", "SPEED=10,NEXT");
+    vec![
+        (Object::Robot, "mOTOR", OwnedVariant::new(&[1, 0]).unwrap()),
+        (Object::Controller, "Motor", OwnedVariant::new(&[1, 0]).unwrap()),
+        (Object::Variable, "robot/@servo_on", OwnedVariant::new(&true).unwrap()),
+        (Object::Robot, "DriveEx", OwnedVariant::new(&motion).unwrap()),
+        (Object::Robot, "slvChangeMode", OwnedVariant::new(&0x102).unwrap()),
+    ]
+}
+
+/// A program may call a command by name; its end undoes that too.
+#[test]
+fn commands_by_name_leave_nothing() {
+    for (object, name, parameter) in by_name() {
+        let moves = object == Object::Robot && name != "mOTOR";
+        let sim = simulated();
+        {
+            let mut cell = blocking::Controller::connect(&format!("tcp:{}", sim.tcp), &settings()).unwrap();
+            let mut robot = cell.robot().unwrap();
+            robot.execute::<()>("TakeArm", [0, 1]).unwrap();
+            if moves {
+                robot.execute::<()>("Motor", [1, 0]).unwrap();
+            }
+            match object {
+                Object::Robot => robot.execute(name, &parameter).unwrap(),
+                Object::Controller => cell.execute(name, &parameter).unwrap(),
+                _ => cell.write(name, &parameter).unwrap(),
+            }
+            assert!(sim.application().motor_is_on(), "{name}");
+        }
+        assert_safe(&sim);
+        let sim = simulated();
+        let [runtime, _] = runtimes();
+        runtime.block_on(async {
+            let cell = asynch::Controller::connect(&format!("tcp:{}", sim.tcp), &settings()).await.unwrap();
+            let robot = cell.robot().await.unwrap();
+            robot.execute::<()>("TakeArm", [0, 1]).await.unwrap();
+            if moves {
+                robot.execute::<()>("Motor", [1, 0]).await.unwrap();
+            }
+            match object {
+                Object::Robot => robot.execute(name, &parameter).await.unwrap(),
+                Object::Controller => cell.execute(name, &parameter).await.unwrap(),
+                _ => cell.write(name, &parameter).await.unwrap(),
+            }
+        });
+        drop(runtime);
+        assert_safe(&sim);
+    }
+}
+
+/// As a tool does: with handles that it has opened itself.
+#[test]
+fn a_motor_that_a_handle_switched_on_is_switched_off() {
+    let sim = simulated();
+    let mut cell = blocking::Controller::connect(&format!("tcp:{}", sim.tcp), &settings()).unwrap();
+    cell.robot().unwrap().take_arm().unwrap().keep();
+    let robot = cell.open(&"robot".parse().unwrap()).unwrap();
+    let arguments = [OwnedVariant::new(&robot), OwnedVariant::new("@SERVO_ON"), OwnedVariant::new("")];
+    let (_, servo) = cell.call_any("", FunctionId::ROBOT_GET_VARIABLE, &arguments.map(Result::unwrap)).unwrap();
+    let put = [servo.unwrap(), OwnedVariant::new(&true).unwrap()];
+    cell.call_any("", FunctionId::VARIABLE_PUT_VALUE, &put).unwrap();
+    assert!(sim.application().motor_is_on());
+    drop(cell);
+    assert_safe(&sim);
 }
 
 /// A link that passes a number of bytes in one direction, and fails then.

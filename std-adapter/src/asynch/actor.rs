@@ -27,7 +27,7 @@ use bcap_core::procedure::{MotionQueue, Procedure, StepError, Until};
 use bcap_core::time::Instant;
 use tokio::sync::{mpsc, oneshot, watch};
 
-use super::ending::Open;
+use super::ending::{Left, Open};
 use super::socket::{self, BoxFuture, Socket, SocketConnection};
 use super::state::{Counters, State};
 use super::subscription::{Scan, Subscriber};
@@ -35,7 +35,7 @@ use crate::CallError;
 use crate::address::Address;
 use crate::error::Error;
 use crate::moves::Move;
-use crate::session::{ArmState, ROBOT, Recovery, Session};
+use crate::session::{ROBOT, Recovery, Session};
 use crate::settings::{Backoff, Settings};
 
 /// A request of a handle.
@@ -222,14 +222,14 @@ impl Actor {
     }
 
     /// Opens a session, and ends first what a lost one may have left on the robot. Requests fail meanwhile.
-    async fn connect(&mut self, left: &mut Option<ArmState>) -> ControlFlow<Ended, Result<Session<Socket>, Error>> {
+    async fn connect(&mut self, left: &mut Option<Left>) -> ControlFlow<Ended, Result<Session<Socket>, Error>> {
         let Some(address) = self.address.clone() else { return ControlFlow::Break(Ended::Dropped) };
         self.state.send_replace(State::Connecting);
         let (settings, opens_robot, recovered) = (self.settings.clone(), self.opens_robot, self.recovered.clone());
         let opening = async {
             let mut session = connect(&address, &settings, opens_robot).await?;
-            if let Some(state) = *left {
-                let recovery = session.recover(state).await?;
+            if let Some(state) = left {
+                let recovery = state.recover(&mut session).await?;
                 tracing::warn!(%address, ?recovery, "the robot was stopped after a lost connection");
                 *left = None;
                 recovered.send_replace(Some(recovery));
@@ -311,7 +311,10 @@ impl Actor {
                 () = gone(&mut motion) => {}
                 request = self.requests.recv() => match request {
                     None => return Ended::Dropped,
-                    Some(Request::Close(reply)) => return Ended::Closed(reply),
+                    Some(Request::Close(reply)) => {
+                        fail_motion(motion);
+                        return Ended::Closed(reply);
+                    }
                     Some(Request::Move(request)) => motion = self.start(session, request, motion).await,
                     Some(Request::GiveArm(id)) if id == session.id => {
                         motion = None;
@@ -450,10 +453,15 @@ async fn gone(motion: &mut Option<Moving>) {
 
 /// Ends the service of a lost session.
 fn lost(motion: Option<Moving>, error: Error) -> Ended {
+    fail_motion(motion);
+    Ended::Lost(error)
+}
+
+/// Fails a motion that was accepted, because the session ends: it may have moved the robot.
+fn fail_motion(motion: Option<Moving>) {
     if let Some(motion) = motion {
         let _ = motion.reply.send(Err(unanswered_motion()));
     }
-    Ended::Lost(error)
 }
 
 /// Returns the error of a motion that was accepted, and of which nothing is known since the connection was lost.

@@ -8,16 +8,37 @@ use std::sync::Arc;
 use super::socket::Socket;
 use crate::address::Address;
 use crate::blocking::ending;
-use crate::session::{ArmState, Session};
+use crate::error::Error;
+use crate::session::{ArmState, Recovery, Session};
 use crate::settings::Settings;
 
 /// The session of a task, and the effects that a lost session left behind.
 pub(super) struct Open {
     pub(super) session: Option<Session<Socket>>,
     /// The possible effects of a lost session on the robot, until a new session has ended them.
-    pub(super) left: Option<ArmState>,
+    pub(super) left: Option<Left>,
     address: Option<Address>,
     settings: Arc<Settings>,
+}
+
+/// The possible effects of a lost session on the robot.
+pub(super) struct Left {
+    state: ArmState,
+    /// The lost session, if the controller keeps it alive until its service is stopped.
+    session: Option<Session<Socket>>,
+}
+
+impl Left {
+    /// Ends the effects over a new session.
+    pub(super) async fn recover(&mut self, over: &mut Session<Socket>) -> Result<Recovery, Error> {
+        let Self { state, session } = self;
+        let stop = async {
+            if let Some(lost) = session {
+                lost.stop_lost_service().await;
+            }
+        };
+        over.recover(*state, stop).await
+    }
 }
 
 impl Open {
@@ -27,8 +48,11 @@ impl Open {
 
     /// Forgets a lost session, but not what it may have left on the robot.
     pub(super) fn lose(&mut self) {
-        if let Some(mut session) = self.session.take() {
-            self.left = session.take_left().or(self.left);
+        if let Some(mut session) = self.session.take()
+            && let Some(state) = session.take_left()
+        {
+            let session = session.outlasts_its_link().then_some(session);
+            self.left = Some(Left { state, session });
         }
     }
 }
@@ -41,8 +65,10 @@ impl Drop for Open {
         match session.and_then(|session| session.over(|socket| socket.into_blocking(address.as_ref()))) {
             Some(mut session) => ending::end_now(&mut session, address.as_ref(), settings),
             None => {
-                if let (Some(left), Some(address)) = (left.take(), address) {
-                    ending::recover_now(address, settings, left);
+                if let (Some(Left { state, session }), Some(address)) = (left.take(), &*address) {
+                    let mut lost =
+                        session.and_then(|session| session.over(|socket| socket.into_blocking(Some(address))));
+                    ending::recover_now(address, settings, state, lost.as_mut());
                 }
             }
         }

@@ -114,7 +114,7 @@ impl Robot {
     ///
     /// As [`Controller`](super::Controller).
     pub async fn joints(&self) -> Result<Joints, Error> {
-        self.execute("CurJnt", ()).await
+        self.handle.run(|session| Box::pin(session.execute_robot("CurJnt", ()))).await
     }
 
     /// Reads the position of the tool.
@@ -127,7 +127,7 @@ impl Robot {
     ///
     /// As [`Controller`](super::Controller).
     pub async fn position(&self) -> Result<Position, Error> {
-        self.execute("CurPos", ()).await
+        self.handle.run(|session| Box::pin(session.execute_robot("CurPos", ()))).await
     }
 
     /// Reads a variable of the robot, such as `@SERVO_ON`.
@@ -147,8 +147,9 @@ impl Robot {
     /// Executes a command of the robot with a parameter, and returns its value.
     ///
     /// Some commands move the robot, such as `DriveEx`; they fail without the arm. Other calls of the controller wait until
-    /// the command has ended, and **dropping the future does not stop it**: only a [`Stopper`] does. Use [`Arm::move_to`]
-    /// for motions.
+    /// the command has ended, and **dropping the future does not stop it**: only a [`Stopper`] does. A motion with `NEXT` is
+    /// halted when the [`Arm`] is dropped, and a motor that a command has switched on is switched off. Use [`Arm::move_to`] for
+    /// motions.
     ///
     /// # Errors
     ///
@@ -163,7 +164,9 @@ impl Robot {
         parameter: impl Encode,
     ) -> Result<T, Error> {
         let (command, parameter) = (command.to_owned(), owned(&parameter)?);
-        self.handle.run(move |session| Box::pin(async move { session.execute_robot(&command, parameter).await })).await
+        self.handle
+            .run(move |session| Box::pin(async move { session.execute_any_of_robot(&command, parameter).await }))
+            .await
     }
 }
 

@@ -20,6 +20,8 @@ const CONNECT: Duration = Duration::from_secs(2);
 
 /// Runs the end of a session within [`LIMIT`], or the deadline that it has.
 pub(crate) fn within_limit<T>(session: &mut Session<Blocking>, end: impl FnOnce(&mut Session<Blocking>) -> T) -> T {
+    // a panic of the caller's code may have left the time limit of its calls
+    session.set_limit(None);
     let deadline = session.connection().transport().deadline();
     let limit = SendTransport::now(session.connection().transport()) + LIMIT;
     session.connection().transport().set_deadline(Some(deadline.unwrap_or(limit)));
@@ -34,34 +36,48 @@ pub(crate) fn end_now(session: &mut Session<Blocking>, address: Option<&Address>
     if let Err(error) = within_limit(session, |session| ready(session.release())) {
         tracing::warn!(?address, %error, "the session was not closed");
     }
-    let (Some(left), Some(address)) = (session.take_left(), address) else { return };
-    // a robot that may move is halted first, otherwise the arm is freed first
-    if left.moving {
-        recover_now(address, settings, left);
-    }
-    let transport = session.connection().transport();
-    transport.set_deadline(Some(SendTransport::now(transport) + LIMIT));
-    ready(session.stop_lost_service());
-    if !left.moving {
-        recover_now(address, settings, left);
+    if let (Some(left), Some(address)) = (session.take_left(), address) {
+        recover_now(address, settings, left, Some(session));
     }
 }
 
-/// Ends over a new connection what a lost session may have left behind.
-pub(crate) fn recover_now(address: &Address, settings: &Settings, left: ArmState) {
-    match recover(address, settings, left) {
+/// Ends over a new connection what a lost session may have left behind. Over UDP the lost session is stopped too.
+pub(crate) fn recover_now(
+    address: &Address,
+    settings: &Settings,
+    left: ArmState,
+    mut lost: Option<&mut Session<Blocking>>,
+) {
+    match recover(address, settings, left, stop(&mut lost)) {
         Ok(recovery) => tracing::warn!(%address, ?recovery, "the robot was stopped over a new connection"),
-        Err(error) => tracing::error!(%address, %error, "the connection was lost, and the robot may be moving"),
+        Err(error) => {
+            tracing::error!(%address, %error, "the connection was lost, and the robot may be moving");
+            ready(stop(&mut lost));
+        }
     }
 }
 
-fn recover(address: &Address, settings: &Settings, left: ArmState) -> Result<Recovery, Error> {
+/// Stops the service of a lost session, once.
+async fn stop(lost: &mut Option<&mut Session<Blocking>>) {
+    if let Some(lost) = lost.take() {
+        let transport = lost.connection().transport();
+        transport.set_deadline(Some(SendTransport::now(transport) + LIMIT));
+        lost.stop_lost_service().await;
+    }
+}
+
+fn recover(
+    address: &Address,
+    settings: &Settings,
+    left: ArmState,
+    stop: impl Future<Output = ()>,
+) -> Result<Recovery, Error> {
     let mut settings = settings.clone();
     settings.options = settings.options.connect_timeout(settings.options.connect_timeout.min(CONNECT));
     let mut connection = socket::connect(address, &settings)?;
     connection.transport().set_deadline(Some(crate::now() + LIMIT));
     let mut session = ready(Session::start(connection, &settings))?;
-    let recovered = ready(session.recover(left));
+    let recovered = ready(session.recover(left, stop));
     // the objects are released with the connection if this fails
     let _ = ready(session.release());
     recovered

@@ -2,6 +2,7 @@
 
 use bcap_core::procedure::{Motion, MotionQueue, Until};
 
+use super::ending;
 use super::socket::{Blocking, ready};
 use crate::error::Error;
 use crate::moves::Move;
@@ -70,7 +71,7 @@ impl Moving<'_> {
 impl Drop for Moving<'_> {
     fn drop(&mut self) {
         if self.session.is_moving()
-            && let Err(error) = ready(self.session.halt())
+            && let Err(error) = ending::within_limit(self.session, |session| ready(session.halt()))
         {
             tracing::warn!(%error, "a motion was dropped, and the robot was not halted");
         }

@@ -65,7 +65,7 @@ impl<'a> Robot<'a> {
     ///
     /// An [`Error`].
     pub fn joints(&mut self) -> Result<Joints, Error> {
-        self.execute("CurJnt", ())
+        ready(self.session.execute_robot("CurJnt", ()))
     }
 
     /// Reads the position of the tool.
@@ -74,7 +74,7 @@ impl<'a> Robot<'a> {
     ///
     /// An [`Error`].
     pub fn position(&mut self) -> Result<Position, Error> {
-        self.execute("CurPos", ())
+        ready(self.session.execute_robot("CurPos", ()))
     }
 
     /// Reads a variable of the robot, such as `@SERVO_ON`.
@@ -88,16 +88,15 @@ impl<'a> Robot<'a> {
 
     /// Executes a command of the robot with a parameter, and returns its value.
     ///
-    /// Some commands move the robot, such as `DriveEx`; they fail without the arm. Such a call returns when the motion
-    /// has ended; only a [`Stopper`](super::Stopper) halts it before. After one with `NEXT` the robot continues to move
-    /// even when the [`Arm`] is dropped, because the [`Arm`] halts only motions that its own functions started. Use
-    /// [`Arm::move_to`] for motions.
+    /// Some commands move the robot, such as `DriveEx`; they fail without the arm. Such a call returns when the motion has
+    /// ended; only a [`Stopper`](super::Stopper) halts it before. One with `NEXT` is halted when the [`Arm`] is dropped, and a
+    /// motor that a command has switched on is switched off. Use [`Arm::move_to`] for motions.
     ///
     /// # Errors
     ///
     /// An [`Error`]; [`Error::Value`] if the value of the reply has another type.
     pub fn execute<T: for<'v> FromVariant<'v>>(&mut self, command: &str, parameter: impl Encode) -> Result<T, Error> {
-        ready(self.session.execute_robot(command, parameter))
+        ready(self.session.execute_any_of_robot(command, parameter))
     }
 
     /// Halts the robot, also without the arm, and waits until it rests.
@@ -156,7 +155,7 @@ impl<'a> Arm<'a> {
     ///
     /// An [`Error`].
     pub fn set_speed(&mut self, percent: f64) -> Result<(), Error> {
-        self.robot.execute("ExtSpeed", percent)
+        ready(self.robot.session.execute_robot("ExtSpeed", percent))
     }
 
     /// Selects a tool, which is the point that later positions are about; 0 is the flange.

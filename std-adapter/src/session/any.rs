@@ -3,15 +3,16 @@
 use std::io;
 use std::marker::PhantomData;
 
-use bcap_core::bcap::call::{Call, ControllerHandle, Maybe, Reply, RobotHandle};
+use bcap_core::bcap::call::{Any, Call, ControllerHandle, Maybe, Reply, RobotHandle, VariableHandle};
 use bcap_core::bcap::{Decoder, FrameWriter, FunctionId, Object};
 use bcap_core::error::EncodeError;
 use bcap_core::hresult::HResult;
 use bcap_core::io::asynch::{Connection, Transport};
 use bcap_core::procedure;
-use bcap_core::variant::{OwnedVariant, Variant};
+use bcap_core::variant::{Encode, FromVariant, OwnedVariant, Variant};
 
-use super::{Release, Session};
+use super::arm::{ArmEffect, ArmState};
+use super::{Release, Session, is_motor_switch};
 use crate::error::Error;
 use crate::path::ObjectPath;
 use crate::reply::OwnedReply;
@@ -103,21 +104,28 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         call: RuntimeCall<R, A>,
     ) -> Result<R::Owned, Error> {
         let (function, arguments) = (call.function, call.arguments.as_ref());
+        let (effect, had_arm) = (self.arm_effect(function, arguments), self.has_arm());
+        if let Some(effect) = effect {
+            self.arm_begins(effect, arguments);
+        }
         let called = self.call(object, &call).await.map(R::owned);
-        let may_have_run = !matches!(called, Err(Error::Refused { .. } | Error::NotConnected { .. }));
-        self.record_arm(function, arguments, called.is_ok(), may_have_run);
+        if let Some(effect) = effect {
+            self.arm_ended(effect, had_arm, called.as_ref().map(drop));
+        }
         let value = called?;
         match (function.opens(), function.releases()) {
             (Some(Object::Service), _) => self.opened.push((Object::Service, 0)),
             (_, Some(Object::Service)) => {
                 self.opened.clear();
                 self.arm = None;
+                self.motor_switches.clear();
                 self.forget_handles();
             }
             (Some(opened), _) => {
                 let first = self.connection.client().reply().and_then(|reply| reply.args.get(0));
                 let new = first.as_ref().and_then(handle_of);
-                new.into_iter().for_each(|new| self.record(opened, new));
+                let name = arguments.get(1).and_then(|name| name.as_variant().as_bstr().map(|name| name.to_string()));
+                new.into_iter().for_each(|new| self.record(opened, new, name.as_deref()));
             }
             (_, Some(object)) => {
                 arguments.first().and_then(handle).into_iter().for_each(|old| self.forget(object, old))
@@ -128,46 +136,60 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     }
 
     /// Records an object that a call has opened. Calls refer to the controller that was connected last.
-    fn record(&mut self, object: Object, handle: i32) {
+    fn record(&mut self, object: Object, handle: i32, name: Option<&str>) {
         if object == Object::Controller {
             self.forget_handles();
             self.handle = ControllerHandle(handle);
         }
+        if object == Object::Variable && name.is_some_and(is_motor_switch) {
+            self.motor_switches.push(VariableHandle(handle));
+        }
         self.opened.push((object, handle));
     }
 
-    /// Records what a call of the robot does to the arm, so that the end of the session gives it back.
-    ///
-    /// A call without a reply may have been executed.
-    fn record_arm(&mut self, function: FunctionId, arguments: &[OwnedVariant], succeeded: bool, may_have_run: bool) {
-        let text = |index: usize| arguments.get(index).and_then(|value| value.as_variant().as_bstr());
-        let command = text(1).map(|command| command.to_string().to_ascii_lowercase()).unwrap_or_default();
-        match (function, command.as_str()) {
-            (FunctionId::ROBOT_EXECUTE, "takearm") if may_have_run => {
-                // the arm is given back over the robot that has it
-                self.robot = arguments.first().and_then(handle).map(RobotHandle).or(self.robot);
-                self.arm.get_or_insert_default();
-            }
-            (FunctionId::ROBOT_EXECUTE, "givearm") if succeeded => self.arm = None,
-            (FunctionId::ROBOT_EXECUTE, "motor") => {
-                let on = arguments.get(2).is_some_and(|parameter| is_on(parameter.as_variant()));
-                if let Some(arm) = self.arm.as_mut().filter(|_| on || succeeded) {
-                    arm.motor = on;
-                }
-            }
-            (FunctionId::ROBOT_EXECUTE, "takearm") => {}
-            (FunctionId::ROBOT_EXECUTE, "slvchangemode") => {
-                let mode = arguments.get(2).and_then(handle);
-                self.set_streaming(mode != Some(0) || !succeeded);
-            }
-            (
-                FunctionId::ROBOT_EXECUTE
-                | FunctionId::ROBOT_MOVE
-                | FunctionId::ROBOT_DRIVE
-                | FunctionId::ROBOT_ROTATE
-                | FunctionId::ROBOT_GO_HOME,
-                _,
-            ) => self.set_moving(true),
+    /// Executes a command of the controller or a robot for the caller. Its effect on the arm is recorded, so that the end of the
+    /// session undoes it.
+    pub(crate) async fn execute_recorded<T: for<'a> FromVariant<'a>>(
+        &mut self,
+        (function, owner): (FunctionId, i32),
+        command: &str,
+        parameter: impl Encode,
+    ) -> Result<T, Error> {
+        let arguments = [OwnedVariant::new(&owner)?, OwnedVariant::new(command)?, OwnedVariant::new(&parameter)?];
+        let value = self.call_recorded(command, RuntimeCall::<Any, _>::new(function, &arguments)).await?;
+        value.convert().map_err(|source| Error::Value { object: command.to_owned(), source })
+    }
+
+    /// Returns the effect of a call on the arm.
+    fn arm_effect(&self, function: FunctionId, arguments: &[OwnedVariant]) -> Option<ArmEffect> {
+        let argument = |index: usize| arguments.get(index).map_or(Variant::Empty, OwnedVariant::as_variant);
+        if function == FunctionId::VARIABLE_PUT_VALUE {
+            let variable = VariableHandle(handle_of(&argument(0))?);
+            let on = argument(1).as_bool() != Some(false);
+            return self.motor_switches.contains(&variable).then_some(ArmEffect::Motor(on));
+        }
+        let command = argument(1).as_bstr().map(|command| command.to_string()).unwrap_or_default();
+        ArmEffect::of(function, &command, argument(2))
+    }
+
+    /// Records a call before it is sent, because it may be executed although it is abandoned or has no reply.
+    fn arm_begins(&mut self, effect: ArmEffect, arguments: &[OwnedVariant]) {
+        if effect == ArmEffect::Take && self.arm.is_none() {
+            // the arm is given back over the robot that has it
+            self.robot = arguments.first().and_then(handle).map(RobotHandle).or(self.robot);
+            self.arm = Some(ArmState::default());
+        }
+        if let Some(arm) = &mut self.arm {
+            arm.begin(effect);
+        }
+    }
+
+    /// Records a call that was answered, or was not sent.
+    fn arm_ended(&mut self, effect: ArmEffect, had_arm: bool, ended: Result<(), &Error>) {
+        match (effect, ended, &mut self.arm) {
+            (ArmEffect::Give, Ok(()), arm) => *arm = None,
+            (effect, Ok(()), Some(arm)) => arm.succeed(effect),
+            (ArmEffect::Take, Err(Error::Refused { .. } | Error::NotConnected { .. }), arm) if !had_arm => *arm = None,
             _ => {}
         }
     }
@@ -188,6 +210,9 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         let opening = procedure::open_path(self.handle, &steps).map_err(wrong)?;
         let opened = self.run(&name, opening).await?;
         let handle = opened.handle().unwrap_or(self.handle.0);
+        if path.object() == Object::Variable && is_motor_switch(&name) {
+            self.motor_switches.push(VariableHandle(handle));
+        }
         self.opened.extend_from_slice(&opened);
         Ok(handle)
     }
@@ -207,6 +232,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         match object {
             Object::Variable => {
                 self.variables.values_mut().for_each(|names| names.retain(|_, variable| variable.0 != handle));
+                self.motor_switches.retain(|variable| variable.0 != handle);
             }
             Object::Robot | Object::Controller => {
                 // the controller gives the arm back with the robot that has it
@@ -228,12 +254,6 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         self.variables.clear();
         self.objects.clear();
     }
-}
-
-/// Returns whether the parameter of the command `Motor` switches the motor on: its first number is not 0.
-fn is_on(parameter: Variant<'_>) -> bool {
-    let first = parameter.as_array().map_or(Some(parameter), |array| array.iter().next());
-    first.and_then(|number| number.as_i32()) != Some(0)
 }
 
 /// Returns a handle: an I4, or a UI4 of the same bits.

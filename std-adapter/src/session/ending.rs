@@ -3,6 +3,7 @@
 //! ```text
 //!  over its connection:         slvChangeMode 0 ─► Robot_Halt ─► Motor 0 ─► GiveArm
 //!  over the next connection:    Robot_Halt ─► slvChangeMode 0 ─► TakeArm ─► Motor 0 ─► GiveArm
+//!  over a lost UDP link:            └─► Service_Stop, which frees the arm for TakeArm
 //! ```
 //!
 //! Only what this session may have begun is ended: a session that never took the arm halts and switches nothing.
@@ -27,9 +28,9 @@ use crate::error::Error;
 const BUSY_LIMIT: Duration = Duration::from_secs(5);
 const BUSY_PAUSE: Duration = Duration::from_millis(10);
 
-/// Tells whether the controller refused a call because it executes another one of this client.
+/// Tells whether the controller refused a call because it executes another one of this client, or because the robot brakes.
 const fn is_busy(ended: &Result<(), Error>) -> bool {
-    matches!(ended, Err(Error::Refused { code: HResult::E_BUSY_PROC, .. }))
+    matches!(ended, Err(Error::Refused { code: HResult::E_BUSY_PROC | HResult::E_ROBOTISBUSY, .. }))
 }
 
 impl<X: Transport<Error = io::Error>> Session<X> {
@@ -50,6 +51,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
             objects,
             opened,
             arm,
+            motor_switches,
             keep,
             usual_timing,
             lost,
@@ -66,6 +68,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
             objects,
             opened,
             arm,
+            motor_switches,
             keep,
             usual_timing,
             lost,
@@ -99,7 +102,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     }
 
     /// Leaves Slave Mode, halts the robot if it may move, switches the motor off if it was switched on here, and gives the arm
-    /// back. A refused call does not prevent those after it. Over a lost connection nothing is sent, and the arm stays
+    /// back. A refused call does not prevent those after it, except while the controller is busy: then the arm is kept. Over a lost connection nothing is sent, and the arm stays
     /// recorded for [`recover`](Self::recover).
     pub(crate) async fn give_arm(&mut self) -> Result<(), Error> {
         let Some(ArmState { motor, moving, streaming }) = self.arm else { return Ok(()) };
@@ -107,12 +110,21 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         let left = if streaming { self.leave_slave_mode().await } else { Ok(()) };
         let halted = if moving { self.halt().await.map(drop) } else { Ok(()) };
         let off = if motor { self.motor(false).await } else { Ok(()) };
+        let stopped = left.and(halted).and(off);
+        if is_busy(&stopped) {
+            // with the arm it can be tried again
+            return stopped;
+        }
         let given = self.run(ROBOT, procedure::give_arm(robot)).await;
-        let ended = left.and(halted).and(off).and(given);
-        if self.lost.is_none() && !is_busy(&ended) {
+        if self.lost.is_none() && !is_busy(&given) {
             self.arm = None;
         }
-        ended
+        stopped.and(given)
+    }
+
+    /// Tells whether the controller does not notice that this session has ended, unless its service is stopped.
+    pub(crate) const fn outlasts_its_link(&mut self) -> bool {
+        matches!(self.connection.client().link(), Link::Datagram)
     }
 
     /// Stops the service of a lost session over UDP, as soon as its call without a reply has ended. Nothing else tells the
@@ -120,7 +132,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     pub(crate) async fn stop_lost_service(&mut self) {
         let timing = Timing { attempt_timeout: CLOSE, deadline: CLOSE, ..self.connection.client().timing() };
         let until = self.connection.transport().now() + BUSY_LIMIT;
-        while self.connection.client().link() == Link::Datagram {
+        while self.outlasts_its_link() {
             let stopped = self.connection.call_with(Release { object: Object::Service, handle: 0 }, timing).await;
             let again = self.connection.transport().now() + BUSY_PAUSE;
             if !matches!(stopped, Err(CallError::Refused(HResult::E_BUSY_PROC))) || again > until {
@@ -139,20 +151,21 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         Ok(())
     }
 
-    /// Ends what a lost session may have left behind.
+    /// Ends what a lost session may have left behind; `stop` stops its service.
     ///
-    /// A motion of the lost session is halted first. The motor is switched off if the arm can be taken, or if the robot was
+    /// A motion of the lost session is halted first. Then its service is stopped, so that its arm is free. The motor is switched off if the arm can be taken, or if the robot was
     /// moving: otherwise another client may have begun to use it.
     ///
     /// # Errors
     ///
     /// An [`Error`] if this connection is lost too, or the controller has no robot.
-    pub(crate) async fn recover(&mut self, left: ArmState) -> Result<Recovery, Error> {
+    pub(crate) async fn recover(&mut self, left: ArmState, stop: impl Future<Output = ()>) -> Result<Recovery, Error> {
         let robot = self.robot().await?;
         let mut halted = None;
         if left.moving {
             halted = Some(self.halts().await?);
         }
+        stop.await;
         if left.streaming {
             let ended = self.leave_slave_mode().await;
             self.unless_lost(ended)?;
