@@ -373,7 +373,6 @@ fn a_motor_that_was_on_before_stays_on() {
     first.motor_on().unwrap();
     first.robot().execute::<()>("GiveArm", ()).unwrap();
     std::mem::forget(first);
-    assert!(matches!(cell.robot().unwrap().take_arm(), Err(Error::ArmTaken)));
     connect(&sim).robot().unwrap().take_arm().unwrap().give().unwrap();
     assert!(sim.application().motor_is_on() && sim.application().arm_owner().is_none());
 }

@@ -447,6 +447,7 @@ fn a_motor_that_a_handle_switched_on_is_switched_off() {
     let sim = simulated();
     let mut cell = blocking::Controller::connect(&format!("tcp:{}", sim.tcp), &settings()).unwrap();
     cell.robot().unwrap().take_arm().unwrap().keep();
+    assert!(matches!(cell.robot().unwrap().take_arm(), Err(Error::ArmTaken)));
     let robot = cell.open(&"robot".parse().unwrap()).unwrap();
     let arguments = [OwnedVariant::new(&robot), OwnedVariant::new("@SERVO_ON"), OwnedVariant::new("")];
     let (_, servo) = cell.call_any("", FunctionId::ROBOT_GET_VARIABLE, &arguments.map(Result::unwrap)).unwrap();
