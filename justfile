@@ -133,10 +133,9 @@ board-updates:
     cargo build --release -p bcap-cli
     UPDATE_CUTS=all BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo test -p bcap-qemu --test update -- --nocapture
 
-# Virtual controllers, `bcap fleet`, Mosquitto and a subscriber on this machine: values a second, processor time, memory, latency.
+# Virtual controllers, `bcap-fleet`, Mosquitto and a subscriber on this machine: values a second, processor time, memory, latency.
 fleet controllers="500" values="20" hz="5" seconds="10":
-    cargo build --release -p bcap-cli
-    BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo bench -p bcap-fleet --bench plant -- {{controllers}} {{values}} {{hz}} {{seconds}}
+    cargo bench -p bcap-fleet --bench plant -- {{controllers}} {{values}} {{hz}} {{seconds}}
 
 # Each fuzz target for half a minute, or for `just fuzz 1200` seconds.
 fuzz seconds="30":
@@ -230,7 +229,7 @@ release version execute="":
         *) fail "unknown argument {{execute}}" ;;
     esac
 
-# A Debian package with a static binary, manual pages, completions and a unit for the gateway.
+# A Debian package with static binaries, manual pages, completions and units for the gateway and the fleet.
 debian:
     std-adapter/cli/packaging/debian
 
@@ -238,11 +237,11 @@ debian:
 debian-test root="":
     std-adapter/cli/packaging/debian-test {{root}}
 
-# A container image of the static binary, if there is podman or buildah, and a test of its files in a chroot.
+# A container image of the static binaries, if there is podman or buildah, and a test of its files in a chroot.
 container:
     bash .ci/run container
 
-# Builds the static binary in two directories, and compares the bytes.
+# Builds the static binaries in two directories, and compares the bytes.
 reproducible:
     std-adapter/cli/packaging/reproducible
 

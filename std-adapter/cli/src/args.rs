@@ -1,19 +1,15 @@
 //! The command line.
 #![allow(rustdoc::broken_intra_doc_links, reason = "these comments are the help text, where brackets are brackets")]
 
-use std::env;
-use std::ffi::{OsStr, OsString};
 use std::path::PathBuf;
 
-use bcap_terminal::escape;
-use clap::{Args, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
+use clap::{Args, Parser, Subcommand};
 
 mod backup;
 mod board;
 mod codec;
 mod conform;
 mod files;
-mod fleet;
 mod fuzz;
 mod gateway;
 mod link;
@@ -33,7 +29,6 @@ pub(crate) use self::board::{Board, BoardCommand, Configure, Status, Update};
 pub(crate) use self::codec::{CaptureArgs, Decode, Encode, Text, TextCommand};
 pub(crate) use self::conform::{Conform, LevelArg};
 pub(crate) use self::files::{Cp, Ls};
-pub(crate) use self::fleet::Fleet;
 pub(crate) use self::fuzz::Fuzz;
 pub(crate) use self::gateway::Gateway;
 pub(crate) use self::link::LinkArgs;
@@ -47,7 +42,6 @@ pub(crate) use self::sim::{ArmSource, ModelSource, Sim};
 pub(crate) use self::slave::{Cosine, Doctor, Halt, Play, Record, Slave, SlaveCommand, StreamArgs};
 pub(crate) use self::slave_format::{FormatArgs, wide_bits};
 pub(crate) use self::variables::{Get, Names, Put, Watch};
-use crate::error::Failure;
 
 /// Talks to DENSO robot controllers over b-CAP and RAC, and decodes their traffic.
 #[derive(Debug, Parser)]
@@ -68,35 +62,6 @@ const EXIT_CODES: &str = "\
 Exit codes: 0 done, 1 the controller refused, diff found differences, a case of conform failed or fuzz found faults, 2 wrong
 usage, malformed input or a diff that is refused or incomplete, 3 no connection, 4 timeout, 130 interrupted by a signal.
 There are no colours if NO_COLOR is set or the output is not a terminal.";
-
-impl Cli {
-    /// Parses the command line, or exits with the help or an error.
-    pub(crate) fn parse_or_exit() -> Self {
-        Self::parse_from(env::args_os()).unwrap_or_else(|error| {
-            if !error.use_stderr() {
-                // help and version contain no text from outside
-                error.exit();
-            }
-            // clap quotes arguments in its errors, so parse again with escaped arguments, which are safe to print
-            let safe = env::args_os().map(|argument| escape::line(&escape::cut(&argument.display())));
-            match Self::parse_from(safe) {
-                Err(error) if error.use_stderr() => error.exit(),
-                // the escaped arguments parse differently
-                _ => Failure::Input(escape::line(&error.to_string())).exit(),
-            }
-        })
-    }
-
-    /// Parses arguments; an empty environment variable counts as one that is not set.
-    fn parse_from<A: Into<OsString> + Clone>(arguments: impl Iterator<Item = A>) -> clap::error::Result<Self> {
-        let is_empty = |name: &OsStr| env::var_os(name).is_some_and(|value| value.is_empty());
-        let command = Self::command().mut_args(|argument| match argument.get_env() {
-            Some(name) if is_empty(name) => argument.env(None::<&str>),
-            _ => argument,
-        });
-        Self::from_arg_matches(&command.try_get_matches_from(arguments)?)
-    }
-}
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
@@ -128,7 +93,6 @@ pub(crate) enum Command {
     Doctor(Doctor),
     Gateway(Gateway),
     Board(Board),
-    Fleet(Fleet),
     Proxy(Proxy),
     Replay(Replay),
     Conform(Conform),
@@ -150,7 +114,6 @@ impl Command {
             self,
             Self::Profile(_)
                 | Self::Board(_)
-                | Self::Fleet(_)
                 | Self::Sim(_)
                 | Self::Demo(_)
                 | Self::Decode(_)

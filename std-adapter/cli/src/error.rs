@@ -13,7 +13,7 @@
 //! `hresult` for a refusal, `name` for the refused variable, and `hint`.
 
 use std::io;
-use std::process::{self, ExitCode};
+use std::process::ExitCode;
 
 use bcap_core::error::{DecodeError, EncodeError, TextError};
 use bcap_core::hresult::HResult;
@@ -263,12 +263,6 @@ impl Failure {
         }
         self.print(json, None);
         ExitCode::from(self.code())
-    }
-
-    /// Reports an invalid command line, and exits.
-    pub(crate) fn exit(&self) -> ! {
-        self.print(false, None);
-        process::exit(self.code().into())
     }
 
     /// Prints the message and the hint on stderr; with `json` also as a line of the output, with `name` if given.

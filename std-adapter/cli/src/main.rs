@@ -20,7 +20,6 @@ mod error;
 mod explain;
 mod faults;
 mod files;
-mod fleet;
 mod frame;
 mod fuzz;
 mod gateway;
@@ -80,6 +79,7 @@ mod words;
 
 use std::process::ExitCode;
 
+use bcap_terminal::args::parse_or_exit;
 use clap::CommandFactory as _;
 
 use crate::args::{Cli, Command};
@@ -88,7 +88,7 @@ use crate::interrupt::Interrupt;
 use crate::session::Session;
 
 fn main() -> ExitCode {
-    let cli = Cli::parse_or_exit();
+    let cli: Cli = parse_or_exit();
     let code = match recorded(&cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => failure.report(cli.json),
@@ -160,7 +160,6 @@ pub(crate) fn verb(command: &Command, session: &mut Session, json: bool) -> Resu
         Command::Slave(args) => slave::slave(args, session, json),
         Command::Halt(_) => halt::halt(session, json),
         Command::Doctor(args) => doctor::doctor(args, link, json),
-        Command::Fleet(args) => fleet::fleet(args, json),
         Command::Gateway(args) => gateway::gateway(args, link.untraced()?),
         Command::Board(args) => board::board(args, link, json),
         Command::Proxy(args) => proxy::proxy(args, link.untraced()?, json),

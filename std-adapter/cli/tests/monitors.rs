@@ -15,14 +15,14 @@ mod virtual_robot;
 use std::fs;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Child, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
 use bcap_sim::{Config, Controller, Profile};
 use bcap_std::server::Limits;
 use bcap_tests::served::Served;
 use bcap_tests::slowed::Slowed;
-use common::{Run, bare, bcap, command};
+use common::{Run, bcap, command, fleet_program};
 use running::Running;
 use serde_json::Value;
 use tmux::Terminal;
@@ -98,7 +98,7 @@ fn round(stream: &Stream, fleet: &str, gateway: &str) -> bool {
     let messages = bcap(&[&["messages"], &robot[..]].concat());
     let clear = bcap(&[&["clear"], &robot[..]].concat());
     let doctor = bcap(&[&["doctor", "--json"], &robot[..]].concat());
-    let check = bcap(&["fleet", fleet, "--check"]);
+    let check = common::fleet(&[fleet, "--check"]);
     let rac = ["--robot", gateway];
     let put = bcap(&[&["rac", "put", "I1", "5"], &rac[..]].concat());
     let get = bcap(&[&["rac", "get", "I1"], &rac[..]].concat());
@@ -135,7 +135,7 @@ fn stream_and_monitors(robot: &str, seconds: &str) -> u32 {
     let fleet = fleet(robot, folder.path());
     let mut stream = Stream::start(robot, seconds);
     let gateway = Running::gateway(robot, &["--allow-put", "I/0-9"]);
-    let scan = bare(&["fleet", &fleet]).current_dir(folder.path()).stdout(Stdio::piped()).spawn();
+    let scan = Command::new(fleet_program()).arg(&fleet).current_dir(folder.path()).stdout(Stdio::piped()).spawn();
     let mut scan = Killed(scan.unwrap());
     let events = BufReader::new(scan.0.stdout.take().unwrap()).lines().map(Result::unwrap);
     let mut skipped = events.filter(|line| line.contains("\"event\":\"skipped\""));

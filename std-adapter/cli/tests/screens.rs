@@ -1,5 +1,5 @@
-//! The recordings in `docs/screens`: the terminal of `bcap shell`, `bcap monitor`, `bcap sim --screen` and `bcap fleet --screen`, as
-//! text. It needs tmux, and Mosquitto for the fleet.
+//! The recordings in `docs/screens`: the terminal of `bcap shell`, `bcap monitor`, `bcap sim --screen` and `bcap-fleet --screen`,
+//! as text. It needs tmux, and Mosquitto for the fleet.
 //!
 //! `BLESS=1 cargo test -p bcap-cli --test screens` writes them. The test compares what does not change from run to run: numbers,
 //! sparklines and blanks are left out.
@@ -16,7 +16,7 @@ mod virtual_robot;
 use std::fs;
 use std::path::Path;
 
-use common::{bare, bcap};
+use common::{bare, bcap, fleet_program};
 use tmux::Terminal;
 use virtual_robot::Virtual;
 
@@ -132,8 +132,9 @@ fn the_fleet() {
         }
         let file = folder.path().join("fleet.toml");
         fs::write(&file, config).unwrap();
-        let args = ["fleet", file.to_str().unwrap(), "--screen"];
-        let Some(terminal) = Terminal::start(size, &args, folder.path()) else { return };
+        let program = fleet_program();
+        let line = [program.to_str().unwrap(), file.to_str().unwrap(), "--screen"];
+        let Some(terminal) = Terminal::run(size, &line, folder.path()) else { return };
         terminal.wait_for("2 of 3 controllers connected, broker connected");
         terminal.wait_for("cell3: ");
         // 80 by 24 has lines for three of the four

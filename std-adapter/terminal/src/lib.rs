@@ -2,11 +2,14 @@
 //!
 //! | module   | contents                                                                     |
 //! |----------|------------------------------------------------------------------------------|
+//! | `args`   | parses the command line; feature `args`                                      |
 //! | `escape` | escapes untrusted text before it is printed                                  |
 //! | `report` | an error and its hint on the standard error                                  |
 //! | `signal` | the signals that end or suspend a program                                    |
 //! | `screen` | a live screen of panels; feature `screens`                                   |
 
+#[cfg(feature = "args")]
+pub mod args;
 pub mod escape;
 pub mod report;
 #[cfg(feature = "screens")]

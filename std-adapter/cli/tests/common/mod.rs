@@ -2,7 +2,9 @@
 #![allow(dead_code, reason = "every test file uses its own part of this")]
 
 use std::io::Write;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
+use std::sync::Once;
 
 use serde_json::Value;
 
@@ -43,6 +45,24 @@ pub(crate) fn bare(args: &[&str]) -> Command {
 /// Runs the command without input.
 pub(crate) fn bcap(args: &[&str]) -> Run {
     command(args).stdin(Stdio::null()).output().unwrap().into()
+}
+
+/// Returns the path of the program `bcap-fleet`, which is built if it does not exist.
+pub(crate) fn fleet_program() -> PathBuf {
+    static BUILT: Once = Once::new();
+    let program = Path::new(env!("CARGO_BIN_EXE_bcap")).with_file_name("bcap-fleet");
+    BUILT.call_once(|| {
+        if !program.exists() {
+            let build = Command::new(env!("CARGO")).args(["build", "--quiet", "--package", "bcap-fleet"]).status();
+            assert!(build.unwrap().success());
+        }
+    });
+    program
+}
+
+/// Runs `bcap-fleet` without input.
+pub(crate) fn fleet(args: &[&str]) -> Run {
+    Command::new(fleet_program()).args(args).stdin(Stdio::null()).output().unwrap().into()
 }
 
 /// Runs the command with this input.

@@ -1,4 +1,4 @@
-//! A plant in one machine: virtual controllers in one process, one fleet, a Mosquitto and a subscriber.
+//! A plant in one machine: virtual controllers in one process, `bcap-fleet`, a Mosquitto and a subscriber.
 //!
 //! ```text
 //! cargo bench -p bcap-fleet --bench plant -- [CONTROLLERS [VALUES [HZ [SECONDS]]]]
@@ -6,7 +6,7 @@
 //!
 //! Each controller changes all of its values HZ times a second to the time of the change, and the fleet reads them as often. It
 //! prints what arrives at the subscriber, what each process costs, and what the broker alone carries when a plain client
-//! publishes the same messages as fast as it can. `BCAP=FILE` measures that program instead of the library in a process.
+//! publishes the same messages as fast as it can.
 #![cfg_attr(not(target_os = "linux"), allow(unused, reason = "/proc has the costs of processes"))]
 
 mod mqtt;
@@ -23,7 +23,6 @@ use std::process::{Command, ExitCode};
 use std::thread;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use bcap_fleet::{Config, Fleet};
 use process::{Process, Usage};
 use subscriber::{Seen, Subscriber};
 
@@ -35,7 +34,7 @@ const WARM_UP: Duration = Duration::from_secs(5);
 /// How long the broker alone is measured.
 const ALONE: Duration = Duration::from_secs(5);
 
-/// What is measured.
+/// The size of the plant.
 #[derive(Clone, Copy, Debug)]
 struct Load {
     controllers: u32,
@@ -50,7 +49,6 @@ fn main() -> ExitCode {
     let number = |index: usize, default| words.get(index).and_then(|word| word.parse().ok()).unwrap_or(default);
     let ended = match words.as_slice() {
         ["simulator", ..] => simulator::run(number(1, 1), number(2, 1), number(3, 1)),
-        ["fleet", config] => fleet(config.as_ref()),
         _ => run(Load { controllers: number(0, 500), values: number(1, 20), hz: number(2, 5), seconds: number(3, 10) }),
     };
     match ended {
@@ -60,19 +58,6 @@ fn main() -> ExitCode {
             ExitCode::FAILURE
         }
     }
-}
-
-/// Runs a fleet as `bcap fleet` does, until it is killed.
-fn fleet(config: &Path) -> Result<(), Failure> {
-    let config = Config::read(config)?;
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    runtime.block_on(async {
-        let fleet = Fleet::start(config, |_| {}).await?;
-        let address = fleet.metrics_address().ok_or("no metrics")?;
-        println!("ready metrics={address}");
-        fleet.run(std::future::pending()).await;
-        Ok(())
-    })
 }
 
 fn run(load: Load) -> Result<(), Failure> {
@@ -88,14 +73,6 @@ fn run(load: Load) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The program that runs a fleet.
-fn program() -> Result<Command, Failure> {
-    Ok(match env::var_os("BCAP") {
-        Some(program) => Command::new(program),
-        None => Command::new(env::current_exe()?),
-    })
-}
-
 fn measure(format: &str, load: Load) -> Result<(), Failure> {
     let folder = tempfile::tempdir()?;
     let (broker, port) = Process::broker(folder.path())?;
@@ -109,7 +86,7 @@ fn measure(format: &str, load: Load) -> Result<(), Failure> {
     let start = |ports: &[u16]| {
         let file = folder.path().join("fleet.toml");
         std::fs::write(&file, config(format, port, ports, load))?;
-        let mut fleet = Process::start(program()?.arg("fleet").arg(&file))?;
+        let mut fleet = Process::start(Command::new(env!("CARGO_BIN_EXE_bcap-fleet")).arg(&file))?;
         let line = fleet.line()?;
         let metrics = line.rsplit_once("metrics=").ok_or("no address of the metrics")?.1.to_owned();
         thread::sleep(WARM_UP);

@@ -1,4 +1,4 @@
-//! `bcap fleet --screen`: the controllers, the buffer, the broker and the last events, live in the terminal.
+//! `bcap-fleet CONFIG --screen`: the controllers, the buffer, the broker and the last events, live in the terminal.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -20,7 +20,7 @@ const KEYS: &str = "q quit  up, down, page up, page down: other controllers";
 
 /// The events of a fleet that its screen shows.
 #[derive(Clone, Default)]
-pub(super) struct Events(Arc<Mutex<Lists>>);
+pub(crate) struct ShownEvents(Arc<Mutex<Lists>>);
 
 #[derive(Default)]
 struct Lists {
@@ -32,9 +32,9 @@ struct Lists {
     log: VecDeque<String>,
 }
 
-impl Events {
+impl ShownEvents {
     /// Adds an event with its time.
-    pub(super) fn add(&self, time: &str, event: &Event) {
+    pub(crate) fn add(&self, time: &str, event: &Event) {
         let mut lists = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         // the day is known, and the milliseconds do not matter
         let time = time.get(11..19).unwrap_or(time);
@@ -82,10 +82,10 @@ fn push(lines: &mut VecDeque<String>, line: String) {
     lines.push_back(line);
 }
 
-/// What the screen shows, and where the user is.
-pub(super) struct Shown {
+/// The contents of the screen, and the selected controller.
+pub(crate) struct Shown {
     monitor: Monitor,
-    events: Events,
+    events: ShownEvents,
     metrics: Option<String>,
     /// The controller around which the list is shown.
     selected: usize,
@@ -94,12 +94,12 @@ pub(super) struct Shown {
 }
 
 impl Shown {
-    pub(super) fn new(monitor: Monitor, events: Events, metrics: Option<String>) -> Self {
+    pub(crate) fn new(monitor: Monitor, events: ShownEvents, metrics: Option<String>) -> Self {
         Self { monitor, events, metrics, selected: 0, rate: (Instant::now(), 0, 0.0) }
     }
 
     /// Handles keys, and returns what is drawn.
-    pub(super) fn screen(&mut self, keys: &[KeyCode]) -> Screen {
+    pub(crate) fn screen(&mut self, keys: &[KeyCode]) -> Screen {
         let status = self.monitor.status();
         let last = status.controllers.len().saturating_sub(1);
         for key in keys {
@@ -132,7 +132,7 @@ impl Shown {
         let none = errors.is_empty().then(|| Line::new("all are connected"));
         let lines = |lines: &VecDeque<String>| lines.iter().map(Line::new).collect();
         Screen {
-            title: "bcap fleet".into(),
+            title: "bcap-fleet".into(),
             state: format!("{up} of {count} controllers connected, {broker}"),
             alarm: up < count || !status.broker_up,
             values: Panel::new("controller, scan, readings, errors", controllers).showing(Part::Around(self.selected)),
