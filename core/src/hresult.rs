@@ -23,9 +23,9 @@
 //! * The constants are plain numbers. Names, meanings, functions, causes, sources and hints are separate tables; an image
 //!   contains the table of a method such as [`name`](HResult::name) (or `Debug`, `Display`) only if it calls it.
 //!
-//! The sources `S0:n` and `S2:n` are lines of the two specifications: RAC for the RC8 and b-CAP for the RC9. Codes
-//! that neither of them names come from the vendor's open libraries or from public client programs, and say so. If such a
-//! source has only a name, the meaning is derived from the name.
+//! The sources are the RAC specification for RC8 and the b-CAP specification for RC9. Codes that neither of them names
+//! come from the vendor's open libraries or from public client programs, and say so. If such a source has only a name,
+//! the meaning is derived from the name.
 
 use core::fmt;
 use core::fmt::Write as _;

@@ -53,8 +53,8 @@ fn memory(flash: u32, flash_len: u32, ram: u32) -> String {
     let data = handlers + HANDLER_STACK;
     let record = ram + RAM - RECORD;
     let data_len = record - data;
-    // the program's stack is at the lowest addresses and grows away from the data, so an overflow faults; the handler of
-    // that fault has a stack of its own
+    // the program's stack is at the lowest addresses and grows away from the data, so an overflow faults; the handler
+    // of that fault has a separate stack
     format!(
         "MEMORY
 {{

@@ -108,8 +108,8 @@ impl<'s> HttpListener<'s> {
     }
 }
 
-/// Reads a request and sends its response; `None` when the time is over. All memory is that of the page, so that the future
-/// stays small.
+/// Reads a request and sends its response; `None` when the time is over. All memory belongs to the page, so that the
+/// future stays small.
 async fn serve<X: Transport>(
     transport: &mut X,
     page: &mut [u8],

@@ -1,6 +1,6 @@
 //! b-CAP and RAC on microcontrollers, without an operating system and without allocation.
 //!
-//! | module     | feature       | what it is                                                                       |
+//! | module     | feature       | content                                                                          |
 //! |------------|---------------|----------------------------------------------------------------------------------|
 //! | `net`      | `embassy-net` | clients over the TCP and UDP of embassy-net                                      |
 //! | `serial`   | `serial`      | clients over a serial line, with the CRC of serial frames                        |

@@ -87,7 +87,7 @@ async fn dropped_after<T>(polls: usize, future: impl Future<Output = T>) -> Opti
     .await
 }
 
-/// Runs a test beside something that never ends; what hangs fails.
+/// Runs a test with a background future that never ends. A test that hangs fails.
 async fn beside(background: impl Future, test: impl Future<Output = ()>) {
     let test = with_timeout(embassy_time::Duration::from_secs(120), test);
     let Either::Second(Ok(())) = select(background, test).await else { panic!("it hangs") };
@@ -102,7 +102,7 @@ struct Tokens {
     waits: bool,
 }
 
-/// What the controller answers to a token.
+/// The answer of the controller to a token.
 const fn answer_to(token: i32) -> i32 {
     token.wrapping_mul(3).wrapping_add(1)
 }

@@ -10,7 +10,7 @@
 //! | `new`            | starts empty settings                                            | `ok`              |
 //! | `add KEY=VALUE`  | adds a line to them, if it is valid                              | `ok`              |
 //! | `save CRC32`     | writes them into the flash, if that is their CRC-32, in hexadecimal | `ok`           |
-//! | `factory`        | removes the settings from the flash, so those of the image count | `ok`              |
+//! | `factory`        | removes the settings from the flash, so the image's defaults apply | `ok`              |
 //! | `restart`        | restarts: the settings are read at the start                     | `ok`              |
 //!
 //! The settings of the board change with `save` and `factory` only, and a power cut in either leaves the earlier settings or
@@ -46,7 +46,7 @@ pub const LINE: usize = 512;
 /// The answer to `hello`.
 pub const HELLO: &str = "ok bcap-board 1";
 
-/// What the board must do.
+/// The task that a command leaves to the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Action {

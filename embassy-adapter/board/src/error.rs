@@ -101,7 +101,7 @@ impl SettingError {
 pub struct InvalidLine<'a> {
     /// The line.
     pub line: &'a [u8],
-    /// What is wrong with it.
+    /// The fault in the setting.
     pub error: SettingError,
 }
 

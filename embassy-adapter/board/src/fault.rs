@@ -25,7 +25,7 @@ const RETURNS_TO_PROGRAM: u32 = 1 << 11;
 
 static STOP: Mutex<Cell<Hook>> = Mutex::new(Cell::new(None));
 
-/// What ends the program after a fault.
+/// The function that ends the program after a fault.
 type Hook = Option<fn(&Cause) -> !>;
 
 /// Sets what ends the program after a fault. Without it the board is reset.

@@ -10,7 +10,7 @@
 //! The feature `modbus` adds listeners for two clients of Modbus TCP, `health` a page of the state and messages of syslog. The settings
 //! switch them on.
 //!
-//! An image makes an embassy-net [`Stack`] with [`SOCKETS`] sockets, calls [`start`], runs the stack in a task of its own, and
+//! An image makes an embassy-net [`Stack`] with [`SOCKETS`] sockets, calls [`start`], runs the stack in one task, and
 //! [`watch`] in another.
 
 use core::sync::atomic::{AtomicBool, Ordering};

@@ -20,7 +20,7 @@ pub struct Update<'a> {
     pub board: &'a str,
     /// The version of the image that runs.
     pub version: &'a str,
-    /// What became of the last update.
+    /// The outcome of the last update.
     pub phase: &'a dyn fmt::Display,
     /// The version of the last update; empty without one.
     pub last: &'a str,
@@ -34,7 +34,7 @@ impl fmt::Debug for Update<'_> {
     }
 }
 
-/// What a board shows.
+/// The content of a board's page.
 #[derive(Clone, Copy)]
 pub struct Health<'a> {
     /// The name of the image.

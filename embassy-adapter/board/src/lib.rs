@@ -1,6 +1,6 @@
-//! What boards share: settings, a console for them, faults, watchdog, log, LED, and the tasks of a gateway.
+//! The common part of boards: settings, a console for them, faults, watchdog, log, LED, and the tasks of a gateway.
 //!
-//! | module       | feature    | what it is                                                                    |
+//! | module       | feature    | content                                                                       |
 //! |--------------|------------|-------------------------------------------------------------------------------|
 //! | [`Settings`] |            | lines `KEY=VALUE`                                                             |
 //! | [`mod@image`] |           | the settings in an image, seen from a host                                    |

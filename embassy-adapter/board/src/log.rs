@@ -21,7 +21,7 @@ static RING: Ring<SIZE> = Ring::new();
 static READER: AtomicWaker = AtomicWaker::new();
 static ON_FRAME: Mutex<Cell<Hook>> = Mutex::new(Cell::new(None));
 
-/// What is called after each frame.
+/// The function that is called after each frame.
 type Hook = Option<fn()>;
 
 static STATE: Mutex<RefCell<State>> =

@@ -1,4 +1,4 @@
-//! A MAC address for a board without one of its own.
+//! A MAC address for a board that has none in hardware.
 
 /// The offset basis and the prime of the hash FNV-1a with 64 bits.
 const OFFSET_BASIS: u64 = 0xcbf2_9ce4_8422_2325;

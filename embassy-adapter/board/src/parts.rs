@@ -1,4 +1,4 @@
-//! What the tasks of a gateway board share: the gateway, their numbers, and board-specific data.
+//! The state that the tasks of a gateway board share: the gateway, their numbers, and board-specific data.
 
 use bcap_embassy::gateway::SharedGateway;
 use bcap_embassy::net::Usage;
@@ -28,7 +28,7 @@ pub(crate) const PAGE_TASK: u32 = PLC + 9;
 /// The gateway that the tasks share.
 pub type Board = SharedGateway<'static, NoopRawMutex, SESSIONS>;
 
-/// The buffers of the PLCs' sockets and their size in bytes, and those of the robot's socket over TCP.
+/// The buffers of the PLCs' sockets and of the robot's TCP socket, and their size in bytes.
 pub(crate) static PLC_BUFFERS: Usage = Usage::new();
 pub(crate) const PLC_BUFFER: usize = 512;
 pub(crate) static ROBOT_BUFFERS: Usage = Usage::new();
@@ -52,7 +52,7 @@ pub struct Parts {
 }
 
 impl Parts {
-    /// Logs the cause of the last reset, and returns the parts of a board without counters of its own.
+    /// Logs the cause of the last reset, and returns the parts of a board that has no separate counters.
     #[must_use]
     pub fn after(last_reset: Cause) -> Self {
         defmt::info!("last reset: {}", defmt::Display2Format(&last_reset));

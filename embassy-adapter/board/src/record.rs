@@ -179,7 +179,8 @@ impl<'m> Record<'m> {
         for (to, from) in self.0.iter().zip(words.into_iter().chain([checksum(&words)])) {
             to.store(from, Ordering::Relaxed);
         }
-        // a reset drops the last write to a memory with error correction, such as that of the STM32H7; this one changes nothing
+        // a reset drops the last write to a memory with error correction, such as the RAM of the STM32H7; this write
+        // changes nothing
         if let Some(first) = self.0.first() {
             first.store(MAGIC, Ordering::Relaxed);
         }

@@ -24,7 +24,7 @@ use crate::crc::Crc32;
 pub const SLOT: usize = BLOCK;
 /// The most bytes of text in a slot.
 pub const TEXT: usize = SLOT - HEADER;
-/// The header's size, and that of the parts in which text is moved: a multiple of the units of common flash memories.
+/// The size of the header, and of the parts in which text is moved: a multiple of the units of common flash memories.
 const HEADER: usize = 32;
 const MAGIC: &[u8; 8] = b"BCAPSLOT";
 
@@ -138,7 +138,7 @@ impl<F: NorFlash> Slots<F> {
         if is_written { Ok(()) } else { Err(SlotError::NotWritten) }
     }
 
-    /// Removes the settings, so those of the image are used; a power cut leaves the earlier ones or none.
+    /// Removes the settings, so that the image's defaults are used; a power cut leaves the earlier ones or none.
     ///
     /// # Errors
     ///

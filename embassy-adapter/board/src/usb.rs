@@ -17,7 +17,7 @@ use crate::slots::Slots;
 #[cfg(feature = "update")]
 use crate::update::Updates;
 
-/// pid.codes' pair for tests; a product needs one of its own.
+/// The test pair of pid.codes; a product needs its own pair.
 const VENDOR: u16 = 0x1209;
 const PRODUCT: u16 = 0x0001;
 /// The time in which a host takes the answer to `restart`.

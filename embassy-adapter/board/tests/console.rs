@@ -26,7 +26,7 @@ fn send(board: &mut Board, bytes: &[u8]) -> String {
     String::from_utf8(port.0).unwrap()
 }
 
-/// What the board sent.
+/// The bytes that the board sent.
 #[derive(Default)]
 struct Port(Vec<u8>);
 

@@ -21,7 +21,7 @@ static NEW: Identity = Identity::new("test-board", "0.2.0");
 /// The initial stack pointer 0x20042000 and the reset vector 0x100101b5.
 const VECTORS: &[u8] = b"\x00\x20\x04\x20\xb5\x01\x01\x10";
 const SETTINGS: &[u8] = b"put=I/0-99\n";
-/// The sizes of the partition of an image, and of that of the settings.
+/// The sizes of an image partition and of the settings partition.
 const IMAGE: u32 = 1024;
 const SLOTS: u32 = 4096;
 

@@ -110,7 +110,7 @@ pub const CLOCK_HZ: u32 = chosen::CLOCK_HZ;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Irq(u16);
 
-// SAFETY: the numbers are those of the board, and never change
+// SAFETY: the numbers match the board, and never change
 unsafe impl cortex_m::interrupt::InterruptNumber for Irq {
     fn number(self) -> u16 {
         self.0

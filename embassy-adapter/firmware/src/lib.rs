@@ -1,7 +1,7 @@
 //! Board support that the images share: the Ethernet controller, clock, serial port and executor of a board in QEMU.
-//! What is not special to this board is in `bcap_board`.
+//! Code that does not depend on this board is in `bcap_board`.
 //!
-//! | module       | what it is                                                                        |
+//! | module       | content                                                                           |
 //! |--------------|-----------------------------------------------------------------------------------|
 //! | [`board`]    | the addresses of the chosen board's peripherals                                   |
 //! | [`lan9118`]  | the driver of the Ethernet controller for embassy-net and smoltcp                 |

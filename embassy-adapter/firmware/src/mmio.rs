@@ -12,8 +12,8 @@ impl Block {
     ///
     /// # Safety
     ///
-    /// The address must be that of a peripheral. Accesses to its registers must not change memory that Rust uses, as a DMA
-    /// controller would.
+    /// The address must be the address of a peripheral. Accesses to its registers must not change memory that Rust
+    /// uses, as a DMA controller would.
     pub(crate) const unsafe fn new(base: usize) -> Self {
         Self { base }
     }

@@ -33,7 +33,7 @@ pub const fn updates() -> Updates {
 pub fn prepare() -> Result<State, BootError> {
     let flash = Mutex::<NoopRawMutex, _>::new(RefCell::new(start_of_loader()));
     let part = |range: &Range<u32>| BlockingPartition::new(&flash, range.start, range.end - range.start);
-    // the offsets of the state are those of the whole flash
+    // the offsets of the state count from the start of the flash
     let state = StateFlash::new(part(&(0..OTHER.end)), STATE)?;
     let config = BootLoaderConfig { active: part(&ACTIVE), dfu: part(&OTHER), state };
     BootLoader::new(config).prepare_boot(&mut [0; SECTOR])

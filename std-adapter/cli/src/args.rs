@@ -135,8 +135,8 @@ impl Command {
 /// be plain data. A missing last `option` is an empty string, a missing last `param` is EMPTY. The command starts the
 /// service and connects to the controller as needed.
 ///
-/// What a call does for its session only, such as to take the arm, ends with the command; `bcap move` does a whole motion,
-/// `bcap shell` and `bcap run` keep a session.
+/// Effects that belong to the session, such as the arm authority, end with the command; `bcap move` does a whole
+/// motion, `bcap shell` and `bcap run` keep a session.
 ///
 /// `bcap call FUNCTION --help` prints what FUNCTION does, its arguments with units, what it returns, and which controllers
 /// have it.
@@ -180,10 +180,10 @@ pub(crate) struct Call {
 
 /// Executes a command of the controller or a robot
 ///
-/// OBJECT is controller, robot, robot:NAME, task:NAME, file:NAME or extension:NAME. ARG is TYPE,DATA; otherwise an integer
-/// is sent as I4, another number as R8, any other text as a string. Without ARG the parameter is EMPTY. Several ARG are an
-/// array: of I4, else of R8, else of VARIANT. What a command takes for this session only, such as the arm, is given back
-/// when `bcap exec` ends; `bcap shell` and `bcap run` keep it.
+/// OBJECT is controller, robot, robot:NAME, task:NAME, file:NAME or extension:NAME. ARG is TYPE,DATA; otherwise an
+/// integer is sent as I4, another number as R8, any other text as a string. Without ARG the parameter is EMPTY. Several
+/// ARG are an array: of I4, else of R8, else of VARIANT. Resources that belong to the session, such as the arm, are
+/// released when `bcap exec` ends; `bcap shell` and `bcap run` keep it.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

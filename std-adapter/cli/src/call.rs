@@ -148,7 +148,7 @@ fn unknown(function: &str) -> Failure {
     ))
 }
 
-/// Returns the failure of a refused call: a motion without the arm has a hint of its own.
+/// Returns the failure of a refused call: a motion without the arm has a special hint.
 fn refused(session: &Session, function: FunctionId, code: HResult) -> Failure {
     let moves = [FunctionId::ROBOT_MOVE, FunctionId::ROBOT_DRIVE, FunctionId::ROBOT_ROTATE, FunctionId::ROBOT_GO_HOME];
     if !moves.contains(&function) || session.has_arm() {

@@ -39,7 +39,7 @@ fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// Gives a file the permissions of an ordinary file, where a temporary one has those of a secret.
+/// Gives a file ordinary permissions; temporary files are readable only by their owner.
 #[cfg(unix)]
 fn set_permissions(file: &fs::File) -> io::Result<()> {
     use std::os::unix::fs::PermissionsExt as _;

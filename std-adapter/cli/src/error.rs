@@ -82,17 +82,17 @@ pub(crate) enum Failure {
     /// The connection failed, or the peer sent an invalid or unexpected reply.
     #[error("{message}")]
     Connection {
-        /// What happened.
+        /// The event.
         message: String,
-        /// What to do.
+        /// The remedy.
         hint: String,
     },
     /// The controller answered with a value that does not fit the call; the connection works.
     #[error("{message}")]
     Unexpected {
-        /// What the reply carries.
+        /// The value of the reply.
         message: String,
-        /// What to do.
+        /// The remedy.
         hint: String,
     },
     /// No answer arrived in time.
@@ -100,17 +100,17 @@ pub(crate) enum Failure {
     Timeout {
         /// Which answer is missing.
         message: String,
-        /// What to do.
+        /// The remedy.
         hint: String,
     },
     /// The controller is not in the required state, or has ended a stream of Slave Mode.
     #[error("{message}")]
     Unfit {
-        /// What is wrong, including the controller's first error.
+        /// The fault, including the controller's first error.
         message: String,
         /// The code of that error.
         code: Option<HResult>,
-        /// What to do.
+        /// The remedy.
         hint: Option<String>,
     },
     /// Two backups differ; the output has the differences.
@@ -138,7 +138,7 @@ pub(crate) enum Failure {
 /// Why one item could not be converted.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(crate) struct ItemError {
-    /// What is wrong, in words.
+    /// The fault, in words.
     #[serde(rename = "error")]
     pub(crate) message: String,
     /// Where: a byte of the decoded bytes, or of the item's text when that is what is wrong; 0 is the whole item.

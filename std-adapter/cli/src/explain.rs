@@ -134,7 +134,7 @@ const INTRODUCTION: &str = "\
 Every reply carries a result code (HRESULT). `bcap explain CODE` prints a section of this page; CODE is a name or a number, and
 `bcap explain --index` prints the whole page.
 
-`S0:n` and `S2:n` are lines of the two specifications, RAC for the RC8 and b-CAP for the RC9. The meaning is that of the source; if
+The sources are the RAC specification for RC8, the b-CAP specification for RC9, and others as named. The meaning is the source's; if
 a source has only a name, the meaning is derived from it. Usual causes, functions and hints are this project's advice.
 
 | code | name | meaning |

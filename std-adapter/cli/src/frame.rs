@@ -103,7 +103,7 @@ pub(crate) fn to_call<'a>(function: FunctionId, values: impl Iterator<Item = Var
     out
 }
 
-/// The fields of a frame in JSON; the defaults are those of a first request.
+/// The fields of a frame in JSON; the defaults suit a first request.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Fields<'a> {

@@ -1,4 +1,5 @@
-//! `bcap halt`: halts the robot over a connection of its own, in `bcap shell` and `bcap run` over theirs.
+//! `bcap halt`: halts the robot over a separate connection; in `bcap shell` and `bcap run` over the session's
+//! connection.
 
 use bcap_std::blocking::Halted;
 use bcap_std::{Error, Halt, StoppedTasks};

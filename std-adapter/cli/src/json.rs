@@ -267,7 +267,7 @@ trait Float: std::str::FromStr {
     fn finite_bits(self) -> Option<Self::Bits>;
     fn inf() -> [Self::Bits; 2];
     fn nan() -> Self::Bits;
-    /// Parses the bits of a NaN; `None` if they are not those of a NaN.
+    /// Parses the bits of a NaN; `None` if they are another number.
     fn nan_from_hex(digits: &str) -> Option<Self::Bits>;
 }
 

@@ -1,4 +1,4 @@
-//! A line of the shell or of a script: a command of `bcap`, or one of its own.
+//! A line of the shell or of a script: a command of `bcap`, or a command that only they have.
 
 use std::collections::HashMap;
 use std::time::{Duration, Instant};
@@ -79,7 +79,7 @@ enum LineCommand {
     Exit,
 }
 
-/// What a variable must be.
+/// The condition for a variable.
 #[derive(Debug, clap::Args)]
 struct Condition {
     /// The variable, as for `get`

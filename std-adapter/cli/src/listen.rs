@@ -1,4 +1,4 @@
-//! What the commands that listen have in common.
+//! The common part of the commands that listen.
 
 use std::io;
 use std::net::SocketAddr;

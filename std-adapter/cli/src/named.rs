@@ -19,7 +19,7 @@ pub(crate) struct Named {
     pub(crate) entry: Entry,
 }
 
-/// What is known of a variable.
+/// The known state of a variable.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Entry {
     /// Its value.

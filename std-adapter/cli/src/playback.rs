@@ -1,7 +1,8 @@
 //! `bcap sim --replay FILE`: a server that answers as the server of a capture did.
 //!
-//! The connections of clients are those of the capture in their order. A request gets the reply of the next call of its connection
-//! with the same function and arguments; after the last one the search begins again at the first. Handles are the recorded ones.
+//! Each connection of a client replays the next connection of the capture. A request gets the reply of the next call of
+//! its connection with the same function and arguments; after the last one the search begins again at the first.
+//! Handles are the recorded ones.
 
 use std::collections::HashMap;
 use std::io::{self, Write as _};

@@ -43,7 +43,7 @@ impl Profile {
         self.address.as_ref().map(|address| address.0.as_str())
     }
 
-    /// Returns the provider, or that of the model.
+    /// Returns the provider, or else the provider of the model.
     pub(crate) fn provider(&self) -> Option<&str> {
         let own = self.provider.as_ref().map(|provider| provider.0.as_str());
         own.or_else(|| self.model.map(|model| model.0.provider()))

@@ -170,7 +170,7 @@ pub(crate) fn size(session: &mut Session, path: &str) -> Result<i64, Failure> {
     })
 }
 
-/// What is opened.
+/// The object to open.
 #[derive(Clone, Copy)]
 enum Kind {
     File,

@@ -33,7 +33,7 @@ use serde::Deserialize;
 
 use crate::error::Failure;
 
-/// What a gateway reads at its start. It lives as long as the command.
+/// The files that a gateway reads at its start. They live as long as the command.
 #[derive(Debug, PartialEq)]
 pub(crate) struct Setup {
     pub(crate) rules: Rules<'static>,

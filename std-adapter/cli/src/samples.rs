@@ -69,7 +69,7 @@ fn sample(value: Variant<'_>) -> (Schema, Json) {
                 _ => (TEXT, plain::to_plain(value).into()),
             }
         }
-        // the shortest decimal of a float, not that of the double with its value
+        // the shortest decimal of the float, not of the double with the same value
         Variant::R4(number) => (NUMBER, number.to_string().parse::<f64>().map_or(Json::Null, Json::from)),
         value => match value.as_i64() {
             Some(number) => (NUMBER, number.into()),

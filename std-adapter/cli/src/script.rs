@@ -142,7 +142,7 @@ fn run_each(
     }
 }
 
-/// Reads lines on a thread of its own, because a signal must be noticed while a line is waited for.
+/// Reads lines on a separate thread, so that a signal is handled while the command waits for a line.
 fn read_on_thread(lines: Box<dyn BufRead + Send>) -> io::Result<Receiver<Result<String, String>>> {
     let (sender, receiver) = sync_channel(0);
     thread::Builder::new().name("script".into()).spawn(move || {

@@ -30,7 +30,7 @@ pub(crate) struct Session {
     pub(crate) provider: String,
     /// The objects that stay open for the next use, by path.
     objects: HashMap<String, i32>,
-    /// What a signal does while this session may move the robot.
+    /// The handling of signals while this session may move the robot.
     pub(crate) interrupt: Option<Interrupt>,
     /// Whether this session halts the robot for another one, so that no signal keeps it from its calls.
     is_stopper: bool,
@@ -205,7 +205,7 @@ impl Session {
         }
     }
 
-    /// Sets the time limit that a halt has, at least that of the command.
+    /// Sets the time limit of a halt, at least the time limit of the command.
     fn allow_time(&mut self) {
         if let Some(Open { controller, .. }) = &mut self.open {
             controller.set_deadline(Some(bcap_std::now() + self.link.for_halt().timeout()));
@@ -240,7 +240,7 @@ impl Session {
         body(self.connected()?).map_err(|error| self.ended(error))
     }
 
-    /// Calls a function; `subject` names what it is called on when the call is refused.
+    /// Calls a function; `subject` names its object in the error of a refused call.
     pub(crate) fn call(
         &mut self,
         subject: &str,

@@ -44,8 +44,8 @@ const FILE_JOBS: usize = 64;
 /// The maximum number of queued explanations.
 const EXPLANATIONS: usize = 64;
 
-/// The list of the screen that gets the events of serial lines; `None` without a screen. The server reports them to a function,
-/// which has no state of its own.
+/// The list of the screen that gets the events of serial lines; `None` without a screen. The server reports them to a
+/// function, which has no state.
 static SHOWN: Mutex<Option<Refused>> = Mutex::new(None);
 
 /// Runs `bcap sim`, until a signal ends it; its clients are recorded to `file`.

@@ -7,7 +7,7 @@ use bcap_std::{Address, NetworkAddress, Protocol};
 
 use crate::error::Failure;
 
-/// The port of RAC (S0:206).
+/// The port of RAC (RAC specification, section 3.2).
 const RAC_PORT: u16 = 5006;
 
 /// Returns the controller's address for b-CAP.

@@ -12,7 +12,8 @@ use crate::session::Session;
 use crate::value::{Value, described, integer, text, to_json};
 use crate::words::LAST_PACKETS;
 
-/// Returns the packet of a variable of the b-CAP Tester's debug mode (S2:1500); `None` for another name.
+/// Returns the packet of a variable of the b-CAP Tester's debug mode (b-CAP specification, Table 6-1); `None` for
+/// another name.
 pub(crate) fn last_packet(session: &Session, name: &str) -> Option<Vec<u8>> {
     match LAST_PACKETS.iter().position(|known| name.strip_prefix("variable:").unwrap_or(name) == *known)? {
         0 => Some(session.packets.last_sent()),

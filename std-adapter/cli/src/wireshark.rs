@@ -139,7 +139,7 @@ fn poses() -> String {
     }
     let vector = columns(PoseType::P).get(..VariableKind::V.elements()).unwrap_or_default();
     let _ = writeln!(out, "    V = {{ {} }},\n}}\n", labels(vector));
-    // the type of a destination in Robot_Move (S2:1602-1606)
+    // the type of a destination in Robot_Move (b-CAP specification, section 6.3)
     out.push_str("local DESTINATIONS = { [0] = \"P\", [1] = \"T\", [2] = \"J\", [3] = \"V\" }\n");
     out.push_str("local COMMAND_POSES = { curpos = \"P\", curjnt = \"J\", curtrn = \"T\", destpos = \"P\", destjnt = \"J\", desttrn = \"T\" }\n");
     out.push_str("local SYSTEM_POSES = { [\"@CURRENT_POSITION\"] = \"P\", [\"@CURRENT_ANGLE\"] = \"J\", [\"@CURRENT_TRANS\"] = \"T\" }\n");

@@ -122,7 +122,7 @@ fn a_dump_is_text_that_other_tools_compare() {
     assert_eq!((&manifest["complete"], &manifest["files"]), (&true.into(), &3.into()));
     assert_eq!((&manifest["controller"]["type"], &manifest["variables"]["IO"]), (&"RC8".into(), &512.into()));
     assert!(!tree(&dir).iter().any(|(path, _)| path.extension().is_some_and(|end| end == "part")));
-    // what it has is not replaced
+    // its contents are not replaced
     let run = cell.robot.run(&["dump", &dir]);
     assert!(run.code == 2 && run.err.contains("the folder has a complete backup; choose another folder"), "{run:?}");
     let run = cell.robot.run(&["dump", cell.files.to_str().unwrap()]);
@@ -178,7 +178,7 @@ fn dump_change_100_values_diff_restore_dump_is_identical() {
 
 #[test]
 fn the_plan_is_shown_and_io_needs_an_option() {
-    // any other serial number than that of a virtual controller is that of a real one
+    // any serial number other than the virtual controller's belongs to a real controller
     let cell = Cell::with(Config { serial_number: "1234567".into(), ..Config::new(Profile::Rc8) });
     let dir = cell.dump("a");
     cell.robot.run(&["put", "I5=7", "IO200=true"]);

@@ -110,7 +110,7 @@ impl Board {
         bcap(&[&["board", command, &self.host.name().unwrap()], arguments].concat())
     }
 
-    /// Ends the board, and returns what it was asked to do.
+    /// Ends the board, and returns the action that it was asked for.
     fn end(mut self) -> Option<Action> {
         self.board.take().unwrap().join().unwrap()
     }

@@ -93,11 +93,11 @@ fn the_list_has_every_case_with_its_source() {
     assert_eq!(run.code, 0);
     let cases = bcap_conform::cases();
     assert_eq!(run.out.lines().count(), cases.len());
-    let line = "frames/wrong-end (read): a frame that does not end with 04 is invalid [S0:169]";
+    let line = "frames/wrong-end (read): a frame that does not end with 04 is invalid [RAC specification, Table 2-3]";
     assert!(run.out.lines().any(|found| found == line), "{}", run.out);
     let json = bcap(&["conform", "--list", "--json", "--case", "frames/wrong-end"]);
     let found: Value = serde_json::from_str(&json.out).unwrap();
-    assert_eq!(found["source"], "S0:169");
+    assert_eq!(found["source"], "RAC specification, Table 2-3");
 }
 
 /// The counts of docs/conformance.md.

@@ -35,7 +35,7 @@ fn the_examples_run() {
         let examples = examples(command);
         assert!(examples.len() >= 2, "{command}: {examples:?}");
         for example in examples {
-            // the addresses of the examples are those of the robot here
+            // the addresses of the examples stand for this robot
             let line = example.replace("tcp:192.168.0.1", &robot.tcp).replace("udp:192.168.0.1", &robot.udp);
             let output = shell(&line, folder.path(), &robot.tcp);
             let is_fine = output.status.code() == Some(0) || command == "diff" && output.status.code() == Some(1);

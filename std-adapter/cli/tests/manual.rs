@@ -1,4 +1,4 @@
-//! `bcap man`: a page for each command, with its options and its examples as lines of their own.
+//! `bcap man`: a page for each command, with its options and its examples on separate lines.
 
 mod common;
 

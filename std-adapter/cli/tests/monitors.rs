@@ -28,7 +28,7 @@ use serde_json::Value;
 use tmux::Terminal;
 use virtual_robot::Virtual;
 
-/// What each tool says.
+/// The message of each tool.
 const RUNS: &str = "skipped: a stream of Slave Mode runs, and ";
 
 /// A stream, killed at the end of the test.

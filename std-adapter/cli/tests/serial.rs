@@ -178,7 +178,7 @@ fn a_line_that_is_too_slow_for_slave_mode_is_refused_before_anything_moves() {
     let sim = LineServer::start(slow(), &cable.path(End::Controller));
     let run = bcap(&["slave", "cosine", "--yes", "--robot", &cable.address(115_200)]);
     let part =
-        "together 226 bytes of 10 bits, which are 2260 bits and take 19.6 ms at 115200 baud; a pose is due every 8 ms";
+        "together 226 bytes of 10 bits, which are 2260 bits and take 19.6 ms at 115200 baud; a pose is sent every 8 ms";
     assert!(run.code == 2 && run.err.contains(part), "{run:?}");
     assert_eq!(cable.passed().bytes, 0);
     assert!(!sim.handler().0.motor_is_on());

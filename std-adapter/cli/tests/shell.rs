@@ -376,7 +376,8 @@ fn ctrl_c_at_the_prompt_without_a_terminal_gives_the_arm_back() {
     assert_eq!(shell.wait().unwrap().code(), Some(0));
 }
 
-/// The arm belongs to the session of the shell, so a command with a session of its own would have closed or not seen it.
+/// The arm belongs to the session of the shell, so a command with a separate session would have closed it or not seen
+/// it.
 #[test]
 fn commands_on_files_and_backups_use_the_session_of_the_shell() {
     let robot = Virtual::start(&[]);

@@ -104,7 +104,7 @@ fn a_session_of_commands_works() {
     assert!(names.out.lines().any(|line| line == "task:Pro1"), "{}", names.out);
     assert!(names.out.lines().any(|line| line.starts_with("robot:") && line.ends_with("/@SERVO_ON")), "{}", names.out);
 
-    // each command is a session of its own, and the arm authority belongs to one session
+    // each command is a separate session, and the arm authority belongs to one session
     assert_eq!(sim.tcp(&["exec", "robot", "TakeArm", "8195,0,0"]).code, 0);
     assert_eq!(sim.tcp(&["get", "robot/@SERVO_ON"]).out, "robot/@SERVO_ON = false\n");
     assert_eq!(sim.udp(&["exec", "robot", "Motor", "1"]).code, 0);
@@ -446,7 +446,7 @@ fn the_token_of_an_address_is_for_clients_of_that_address() {
     let file = folder.path().join("clients.pcapng");
     let run = bcap(&["sim", "--token", "192.0.2.1", "--bcap", "127.0.0.1:0", "--write", file.to_str().unwrap()]);
     assert!(run.code != 0 && run.err.contains("leave out --write"), "{}", run.err);
-    // nor with that of a scenario
+    // nor with the errors of a scenario
     let scenario = folder.path().join("scenario.toml");
     for text in
         ["[controller]\ntoken = '192.0.2.1'\n", "[[fault]]\nwhen = { at_ms = 1 }\nthen = { token = '192.0.2.1' }\n"]

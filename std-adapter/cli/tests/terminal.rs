@@ -51,7 +51,7 @@ fn ctrl_c_halts_the_motion_to_the_start_of_a_stream_in_the_shell() {
     let folder = tempfile::tempdir().unwrap();
     let Some(terminal) = Terminal::start((80, 24), &["shell", "--robot", &robot.tcp], folder.path()) else { return };
     terminal.wait_for("RC8 auto ok>");
-    // the second time too, although each line has opened and closed sessions of its own
+    // the second time too, although each line has opened and closed its own sessions
     for to in ["J(90, 45, 90, 0, 45, 0)", "J(-90, 45, 90, 0, 45, 0)"] {
         terminal.enter(&format!("slave cosine --from '{to}' --speed 1 --yes"));
         robot.wait_for_motion();

@@ -406,7 +406,7 @@ impl<'a> Bench<'a> {
         }
     }
 
-    /// Checks what holds for every reply (S2:200-384).
+    /// Checks what holds for every reply (b-CAP specification, sections 4.1.1 to 4.1.5).
     fn check_reply(&self, function: FunctionId, serial: u16, reply: &Reply) -> Result<(), Stop> {
         let expected = |what: &str| format!("the reply to {function} {what}");
         if reply.serial != serial {
@@ -422,7 +422,7 @@ impl<'a> Bench<'a> {
         match (result, reply.value()) {
             (_, None) | (None, _) => Ok(()),
             (_, Some(_)) if reply.code == HResult::S_EXECUTING => {
-                fail("S_EXECUTING has no value (S2:225)", reply.text())
+                fail("S_EXECUTING has no value (b-CAP specification, Table 4-1)", reply.text())
             }
             (Some(Kind::Nothing), Some(value)) if *value != Value::Empty => {
                 fail(expected("has no value"), reply.text())

@@ -57,7 +57,7 @@ impl Bench<'_> {
         }
     }
 
-    /// After E_INVALIDRCPACKET the device closes the connection (S0:169).
+    /// After E_INVALIDRCPACKET the device closes the connection (RAC specification, Table 2-3).
     fn ends(&mut self, code: HResult) -> Result<(), Stop> {
         if self.link == Link::Udp || code != HResult::E_INVALIDRCPACKET {
             return Ok(());

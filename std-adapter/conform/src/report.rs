@@ -166,7 +166,7 @@ mod tests {
             name: "frames/a<b".into(),
             group: Some(Group::Frames),
             level: Some(Level::Read),
-            source: "S2:1",
+            source: "b-CAP specification, section title",
             rule: "a & b",
             verdict: Verdict::Fail,
             reason: None,

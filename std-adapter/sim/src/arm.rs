@@ -1,6 +1,6 @@
 //! The functions of the robot: Robot_Execute and the motions.
 //!
-//! | function                     | what it does here                                                                |
+//! | function                     | effect in the virtual controller                                                 |
 //! |------------------------------|----------------------------------------------------------------------------------|
 //! | Robot_Move                   | interpolation 1 (joints), 2 (line), 3 (arc); 4 (free curve) answers `E_NOTIMPL`  |
 //! | Robot_Drive                  | turns one axis by degrees or mm                                                  |
@@ -34,10 +34,10 @@
 //! as is a line through a singularity.
 //!
 //! Approach ends before its pose, and Depart before the present pose, by the length in mm against the approach vector,
-//! the z of the flange. In an arc the flange turns evenly from the orientation of the start to that of the end; the
-//! orientation of the point on the circle has no effect. Three points on one line are `E_INVALIDARG`. Robot_Rotate turns
-//! right-handed about an axis of the base; with `Pose=1` the flange turns with it, with `Pose=2`, the default, it keeps its
-//! orientation. RotateH turns the tool right-handed about its approach vector, in place.
+//! the z of the flange. In an arc the flange turns evenly from the start orientation to the end orientation; the
+//! orientation of the point on the circle has no effect. Three points on one line are `E_INVALIDARG`. Robot_Rotate
+//! turns right-handed about an axis of the base; with `Pose=1` the flange turns with it, with `Pose=2`, the default, it
+//! keeps its orientation. RotateH turns the tool right-handed about its approach vector, in place.
 //!
 //! Halt answers when the arm is at rest, so that it does not refuse a motion that follows. If the arm is at rest
 //! already, Halt answers `S_FALSE`. The halted call ends with `E_ABORT`.
@@ -195,13 +195,13 @@ impl Arm {
         self.hand.advance(now, waits);
     }
 
-    /// Returns when the next point of the trace is due, if that is by `until`.
+    /// Returns the time of the next point of the trace, if it is not after `until`.
     pub(crate) fn next_point(&mut self, config: &Config, until: Instant) -> Option<Instant> {
         let rest = self.is_at_rest();
         self.trace.next(&config.recorder, until, rest)
     }
 
-    /// Takes the point of the trace that is due.
+    /// Records the point of the trace whose time has come.
     pub(crate) fn take_point(&mut self, config: &Config, at: Instant) {
         let point = self.point(at);
         let rest = self.is_at_rest();

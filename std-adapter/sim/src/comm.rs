@@ -9,10 +9,10 @@
 //! | clear                       | I4 line   | EMPTY; drops these texts                                          |
 //! | close                       | I4 line   | EMPTY; drops these texts                                          |
 //!
-//! The commands, and the state 2 of a line that is open, are those of the public sample `CommCommand.py`. Lines 1 to 16, the
-//! state 0, the unit of count, and all of input and clear on a closed line, which answer `E_NOT_CONNECTED`, are decisions.
-//! A line belongs to the controller, not to the client that opened it, and stays open when the client disconnects: the
-//! maker's RC8 manual (ID 370) says that a line stays open when the task that opened it ends.
+//! The commands, and the state 2 of an open line, come from the public sample `CommCommand.py`. Lines 1 to 16, the
+//! state 0, the unit of count, and all of input and clear on a closed line, which answer `E_NOT_CONNECTED`, are
+//! decisions. A line belongs to the controller, not to the client that opened it, and stays open when the client
+//! disconnects: the maker's RC8 manual (ID 370) says that a line stays open when the task that opened it ends.
 //!
 //! The texts come from a [scenario](crate::scenario). Devices send no texts over a closed line.
 

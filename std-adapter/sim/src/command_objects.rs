@@ -1,6 +1,6 @@
 //! Command objects: a command of Controller_Execute with its parameters and its result, for repeated execution.
 //!
-//! | function                                 | what it does                                                    |
+//! | function                                 | effect                                                          |
 //! |------------------------------------------|-----------------------------------------------------------------|
 //! | Controller_GetCommand                    | opens a command by the name that Controller_Execute takes       |
 //! | Controller_GetCommandNames               | BSTR array: the commands of this controller                     |

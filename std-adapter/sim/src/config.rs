@@ -64,7 +64,7 @@ pub enum Permission {
     ReadOnly,
 }
 
-/// What limits speed and acceleration in Slave Mode: the controller's parameter 153, "Speed setting for b-CAP Slave".
+/// The limits of speed and acceleration in Slave Mode: the controller's parameter 153, "Speed setting for b-CAP Slave".
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SpeedSetting {
     /// The limits of the drives: 1.2 times the command limit of speed, and 4 times that of acceleration.
@@ -171,8 +171,8 @@ pub struct Config {
     pub task_cycle: Duration,
     /// The number of lines of a task. Each takes the same part of its cycle.
     pub task_lines: u32,
-    /// The largest number of objects that one client may open, its service not counted; opening another answers
-    /// `E_MAX_OBJECT`. A server has a limit of its own: 1,000 objects of a connection, with the service.
+    /// The largest number of objects that one client may open, not counting its service; opening another answers
+    /// `E_MAX_OBJECT`. The server has a separate limit: 1,000 objects per connection, including the service.
     pub max_objects: usize,
     /// `@SERIAL_NO`, and SysInfo 0.
     pub serial_number: String,

@@ -1,4 +1,4 @@
-//! What a part of the controller sees of the rest of it during one call.
+//! The view that a part of the controller has of the other parts during one call.
 
 use std::net::IpAddr;
 
@@ -34,7 +34,7 @@ impl Panel {
     }
 }
 
-/// A client's call, and the state that it may need besides that of the part that executes it.
+/// A client's call, and the state of the other parts that it may need.
 #[derive(Debug)]
 pub(crate) struct Context<'a> {
     /// The client.

@@ -149,7 +149,7 @@ impl Controller {
         self.pass_to(now);
     }
 
-    /// Advances the controller to a time before which no point of the trace is due.
+    /// Advances the controller to `now`. No point of the trace lies before that time.
     fn pass_to(&mut self, now: Instant) {
         self.pass_slave_cycles(now);
         self.common.now = now;

@@ -1,7 +1,7 @@
 //! The reason of a refused call: the arguments it had, and those that it accepts.
 //!
 //! The protocol carries no text with a code. So GetErrorDescription of that code ends with the reason, and an
-//! [`Observer`] receives it too. The model keeps one reason for each code, that of the last call of any client, because
+//! [`Observer`] receives it too. The model keeps one reason for each code, from the last call of any client, because
 //! drivers ask for descriptions over another session than the refused one.
 //!
 //! The server refuses a call whose arguments do not have the number or the types of its function, before it reaches the model.
@@ -144,7 +144,7 @@ impl Refusals {
         }
         match wrong_arguments(request) {
             Some(text) => self.keep(text, code, observer),
-            // the reason of an earlier call is not that of this one
+            // the reason of an earlier call does not apply to this one
             None => drop(self.last.remove(&code.to_u32())),
         }
     }

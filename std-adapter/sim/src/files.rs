@@ -3,7 +3,7 @@
 //! A name is a path from the root, `Folder\Name.pcs`, with `\` or `/` between its parts; the name of a folder may end
 //! with one. Without [`Config::files`](crate::Config::files) the functions of files answer `E_NOTIMPL`.
 //!
-//! | function                                 | what it does                                                         |
+//! | function                                 | effect                                                               |
 //! |------------------------------------------|----------------------------------------------------------------------|
 //! | Controller_GetFile, File_GetFile         | opens it; `@Create=1` makes it, or a folder with a final `\`          |
 //! | ..._GetFileNames                         | BSTR array, in order; folders end with `\`                           |

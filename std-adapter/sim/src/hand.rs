@@ -1,6 +1,6 @@
 //! The hand: an electric gripper whose fingers move with a limited speed.
 //!
-//! | Extension_Execute of `Hand0` | Controller_Execute, COBOTTA  | what it does                                       |
+//! | Extension_Execute of `Hand0` | Controller_Execute, COBOTTA  | effect                                             |
 //! |------------------------------|------------------------------|----------------------------------------------------|
 //! | Chuck                        | HandMoveH \[force, true\]    | closes; answers when the fingers are at rest       |
 //! | UnChuck                      | HandMoveH \[force, false\]   | opens; likewise                                    |

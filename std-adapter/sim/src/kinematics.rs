@@ -2,27 +2,27 @@
 //!
 //! # Six axes
 //!
-//! All joints 0 stretch the arm straight up. The dimensions are those of the default arm, in mm; a [model](crate::model) may
-//! have others.
+//! With all joints at 0 the arm points straight up. The dimensions are of the default arm, in mm; a
+//! [model](crate::model) may have others.
 //!
 //! ```text
 //!            z                          d1  345   base to the shoulder axis J2
 //!            |   J3 o===d4===(J4)=o J5  a2  250   upper arm, J2 to J3
-//!            |     /|a3           |     a3  -10   forearm axis beside the elbow axis (above it, with J3 = 90)
+//!            |     /|a3           |     a3  -10   offset of the forearm axis from the elbow axis (above it, with J3 = 90)
 //!            |  a2/               | d6  d4  255   forearm, J3 to the wrist centre
 //!            |   /                v     d6   70   wrist centre to the flange
 //!         J2 o--/               flange
 //!            | d1                       a1    0   shoulder axis J2 before the axis of J1
-//!         ---+--- J1 ------> x          b4    0   forearm axis beside this plane, along y
-//!                                       b6    0   flange axis beside the forearm axis, along y
+//!         ---+--- J1 ------> x          b4    0   offset of the forearm axis from this plane, along y
+//!                                       b6    0   offset of the flange axis from the forearm axis, along y
 //!
 //!   flange = Rz(J1) Ry(J2 + J3) Rz(J4) Ry(J5) Rz(J6),   position through the same chain
 //! ```
 //!
-//! The lengths of the default arm are those of a small arm of this maker, chosen to match the pair of pose and joints in the
-//! guide's slvMove example: joints (0, 45, 90, 0, 45, 0) are the pose (364.16, 0, 278.5355, 180, 0, 180, Fig 5). That example
-//! fixes a2 + d4 - a3 and d1 - d6 + (a2 - d4 - a3) / √2, not each length. Ranges and speeds of its joints are decisions.
-//! [Other arms](crate::model::ArmProfile) have the lengths, ranges and speeds of public descriptions.
+//! The default arm has the lengths of a small arm of this maker, chosen to match the pair of pose and joints in the
+//! guide's slvMove example: joints (0, 45, 90, 0, 45, 0) are the pose (364.16, 0, 278.5355, 180, 0, 180, Fig 5). That
+//! example fixes a2 + d4 - a3 and d1 - d6 + (a2 - d4 - a3) / √2, not each length. Ranges and speeds of its joints are
+//! decisions. [Other arms](crate::model::ArmProfile) have the lengths, ranges and speeds of public descriptions.
 //!
 //! Without b6 the wrist is spherical, and the joints are solved in closed form. With b6, as in COBOTTA and COBOTTA PRO, the
 //! wrist centre depends on J6: J6 is found by the secant method from the present joints, or all its values by a search.
@@ -41,9 +41,9 @@
 //!   x, y = a1 (J1) + a2 (J1 + J2),   z = d1 + J3,   RZ = J1 + J2 + J4,   RX = RY = 0
 //! ```
 //!
-//! The axes of the flange are those of the base with J1 to J4 at 0, as in the public description of an HSR: z points up. A pose
-//! that tilts the flange is out of reach. Fig is a sum of: 1 LEFTY (J2 < 0), 16 J4 is beyond ±180 (DOUBLE), as the maker's manual
-//! of RC8 has it: "RIGHTY" is an elbow at the positive side.
+//! With J1 to J4 at 0, the axes of the flange equal the axes of the base, as in the public description of an HSR: z
+//! points up. A pose that tilts the flange is out of reach. Fig is a sum of: 1 LEFTY (J2 < 0), 16 J4 is beyond ±180
+//! (DOUBLE), as the maker's manual of RC8 has it: "RIGHTY" is an elbow at the positive side.
 //!
 //! Poses are of the tool centre point in work coordinates, which without definitions are the flange and the base.
 

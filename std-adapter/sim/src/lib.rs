@@ -25,9 +25,9 @@
 //!
 //! # What answers `E_NOTIMPL`
 //!
-//! Free curves, areas, motions of two robots, force control;
-//! `docs/virtual-controller.md` has the whole table. A command that no controller is known to have answers `E_INVALID_CMD_NAME`.
-//! A call that answers `S_OK` has done what it was asked for.
+//! Free curves, areas, motions of two robots, force control; `docs/virtual-controller.md` has the whole table. A
+//! command that no controller is known to have answers `E_INVALID_CMD_NAME`. A call that answers `S_OK` has had its
+//! effect.
 //!
 //! # Decisions of this model, where the manuals are silent
 //!

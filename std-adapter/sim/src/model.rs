@@ -4,7 +4,7 @@
 //! file, changed, is another model: [`Model::parse`], `bcap sim --model FILE.toml`. All keys are required
 //! except as named below, and unknown ones are refused.
 //!
-//! | section       | what it has                                                                          |
+//! | section       | content                                                                              |
 //! |---------------|--------------------------------------------------------------------------------------|
 //! | -             | name (`@TYPE`), provider, version, type and name of the robot, RAC                   |
 //! | `[functions]` | the commands that exist besides those of all models                                  |

@@ -208,7 +208,7 @@ impl CommonFunction {
     fn of(function: FunctionId) -> Option<Self> {
         let place = |first: &FunctionId| usize::try_from(function.0.checked_sub(first.0)?).ok();
         let found = Self::FIRST.iter().find_map(|first| Self::ALL.get(place(first)?).copied());
-        // the attributes of a file are those of the file system
+        // the attributes of a file come from the file system
         found.filter(|_| function != FunctionId::FILE_GET_ATTRIBUTE)
     }
 }

@@ -48,7 +48,7 @@ const KNOWN: &[(FunctionId, usize, &[&str])] = &[
 
 const IF_NOT_MEMBER: &[&str] = &["@IfNotMember"];
 
-/// Checks the options of a request that are not those of a motion.
+/// Checks the options of a request that are not motion options.
 ///
 /// # Errors
 ///
@@ -77,7 +77,7 @@ pub(crate) fn split_outside_brackets(text: &str) -> impl Iterator<Item = &str> {
     })
 }
 
-/// Returns the value of an option; of several, that of the first.
+/// Returns the value of the first option with this key.
 pub(crate) fn option<'t>(text: &'t str, key: &str) -> Option<&'t str> {
     options(text).find(|(k, _)| k.eq_ignore_ascii_case(key)).and_then(|(_, value)| value)
 }

@@ -126,8 +126,8 @@ fn axis_limit(arm: &Geometry, from: &Axes, to: &Axes, parts: f64) -> f64 {
 
 /// Returns the largest speed and acceleration along a path, in paths per second (squared), that its bends permit.
 ///
-/// Where an axis turns unevenly, its acceleration has two parts: that along the path, and that of its bend, which grows with the
-/// square of the speed. Each may take half of the limit at least.
+/// Where an axis turns unevenly, its acceleration has two parts: one along the path, and one from the bend of the path,
+/// which grows with the square of the speed. Each may take at least half of the limit.
 fn curved(arm: &Geometry, knots: &[Axes], full_speed: f64) -> (f64, f64) {
     let parts = (knots.len() - 1) as f64;
     let limits = arm.accelerations();

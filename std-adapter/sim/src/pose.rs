@@ -8,8 +8,9 @@
 //! | VARIANT array: index, type, pass   | `[1, "P", "@E"]`                                             |
 //! | array of 7, 8 or 10 numbers        | P, J or T by their count                                     |
 //!
-//! Types are 0 P, 1 T, 2 J. The pass is `@P` (-1), `@E` (-2), `@0` or `@n`; [`arm`](crate::arm) says what it does. As
-//! text it may also stand before the type, as in a public sample program: `[[...], "@E", "P"]`. If a P has no Fig or a negative one, the arm takes the nearest posture.
+//! Types are 0 P, 1 T, 2 J. The pass is `@P` (-1), `@E` (-2), `@0` or `@n`; [`arm`](crate::arm) describes its effect.
+//! As text it may also stand before the type, as in a public sample program: `[[...], "@E", "P"]`. If a P has no Fig or
+//! a negative one, the arm takes the nearest posture.
 //!
 //! An arc has two poses in one text, `"P1, @E P2"`: the point on the circle, and the end.
 //!

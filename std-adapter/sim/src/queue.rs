@@ -29,7 +29,7 @@ use crate::waits::{Wait, Waits};
 /// No public source names the number. A motion beyond it is refused with `E_ROBOTISBUSY`.
 pub(crate) const CAPACITY: usize = 16;
 
-/// What the motions do.
+/// The state of the motions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
     Running,

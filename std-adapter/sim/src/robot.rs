@@ -56,7 +56,7 @@ impl Percent {
     }
 }
 
-/// What a client sets for the motions of the arm.
+/// The settings of a client for the motions of the arm.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Settings {
     /// Internal speed of motions along lines.
@@ -70,7 +70,7 @@ pub(crate) struct Settings {
     pub(crate) load: Load,
 }
 
-/// What a client tells about the load and how the robot uses it. Motions do not depend on it.
+/// The load as set by a client, and how the robot uses it. Motions do not depend on it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Load {
     /// In g.

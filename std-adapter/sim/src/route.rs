@@ -1,6 +1,6 @@
 //! The routes of motions: what a motion command asks for, from which its path is planned.
 //!
-//! The poses of a route are of the flange, relative to the base; the lines and circles are those of the tool.
+//! A route consists of flange poses relative to the base; its lines and circles are paths of the tool.
 
 use bcap_core::hresult::HResult;
 
@@ -10,7 +10,7 @@ use crate::kinematics::{Axes, Frame, Geometry, Joints, OutOfReach, six, with_joi
 use crate::path::Path;
 use crate::pose::Pose;
 
-/// What a motion command asks for.
+/// The target of a motion command.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Route {
     /// To the joints of a pose; the extended joints turn with them.

@@ -1,4 +1,5 @@
-//! What a call needs besides valid arguments. The code reads these rules, and `docs/virtual-controller.md` has them as a table.
+//! The preconditions of each call, apart from valid arguments. The code reads these rules; `docs/virtual-controller.md`
+//! has them as a table.
 //!
 //! The conditions of a rule are checked in the order of the fields of [`Rule`].
 

@@ -232,7 +232,7 @@ pub enum Effect {
     },
 }
 
-/// What happens to an answer on the wire.
+/// The fault of an answer on the wire.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum WireFault {
@@ -246,7 +246,7 @@ pub enum WireFault {
     Disconnect,
 }
 
-/// What to do with the bytes of a reply.
+/// The treatment of the bytes of a reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use]
 pub enum Delivery {
@@ -275,7 +275,7 @@ pub enum ScenarioError {
         name: String,
         /// The number of the step, from 1; 0 for the task itself.
         step: usize,
-        /// What is wrong, and what is accepted.
+        /// The fault, and the accepted values.
         problem: String,
     },
     /// A fault is invalid.
@@ -283,7 +283,7 @@ pub enum ScenarioError {
     Fault {
         /// Its number in the file, from 1.
         number: usize,
-        /// What is wrong, and what is accepted.
+        /// The fault, and the accepted values.
         problem: &'static str,
     },
 }

@@ -129,7 +129,7 @@ pub(crate) enum Offered {
     Withheld,
 }
 
-/// What a cycle did.
+/// The result of a cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Ticked {
     /// It took a position; otherwise the axes hold their position.

@@ -55,7 +55,7 @@ impl fmt::Debug for Recorder {
     }
 }
 
-/// The log, and when the next point is due.
+/// The log, and the time of the next point.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Trace {
     log: VecDeque<TracePoint>,
@@ -92,8 +92,8 @@ impl Trace {
         self.log.get(n)
     }
 
-    /// Returns when the next point is due, if that is by `until`. While the arm is at rest, skips points that neither the
-    /// recorder nor the log would keep.
+    /// Returns the time of the next point, if it is not after `until`. While the arm is at rest, skips points that
+    /// neither the recorder nor the log would keep.
     pub(crate) fn next(&mut self, recorder: &Recorder, until: Instant, rest: bool) -> Option<Instant> {
         if !self.logging && !recorder.is_on() {
             return None;
@@ -107,7 +107,7 @@ impl Trace {
         (self.next <= until).then_some(self.next)
     }
 
-    /// Takes the point that is due.
+    /// Records the point whose time has come.
     pub(crate) fn take(&mut self, recorder: &Recorder, point: &TracePoint, rest: bool) {
         self.next = point.at.saturating_add(INTERVAL);
         if self.logging {

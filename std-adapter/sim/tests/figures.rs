@@ -60,7 +60,7 @@ fn speeds(points: &[Point]) -> Vec<(f64, f64)> {
     points.windows(2).filter(|pair| pair[1].0 > pair[0].0).map(between).collect()
 }
 
-/// What a chart shows.
+/// The content of a chart.
 struct Chart<'a> {
     title: &'a str,
     /// The names of the axes.

@@ -1,4 +1,4 @@
-//! What a COBOTTA needs before it moves, and that other models do not.
+//! The preparation that a COBOTTA needs before it moves, and other models do not.
 
 mod common;
 

@@ -1,4 +1,4 @@
-//! The communication samples of the RAC specification (S0:224-469), on each model.
+//! The communication samples of the RAC specification, section 4, on each model.
 
 mod common;
 

@@ -1,4 +1,4 @@
-//! What a controller refuses, and what a lenient one tolerates and names.
+//! Requests that a controller refuses, and that a lenient one tolerates and names.
 
 mod common;
 

@@ -57,7 +57,7 @@ fn each_profile_has_its_provider() {
         (Profile::Rc9, false, "CaoProv.DENSO.VRC", HResult::E_CAO_PROV_INVALID),
         (Profile::Rc9, true, "CaoProv.DENSO.VRC", HResult::S_OK),
         (Profile::Rc8, true, "CaoProv.DENSO.VRC9", HResult::S_OK),
-        // an electric hand has a code of its own
+        // an electric hand has a separate code
         (Profile::Rc8, true, "CaoProv.DENSO.ESC11PCI", HResult::E_NOTIMPL),
         (Profile::Rc8, true, "", HResult::E_CAO_PROV_INVALID),
     ];

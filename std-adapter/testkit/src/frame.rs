@@ -4,7 +4,7 @@ use bcap_core::bcap::Frame;
 
 use crate::value::Value;
 
-/// The offsets of a frame (S2:200-384): the only description of the layout that the judge uses, apart from the decoder.
+/// The offsets of a frame (b-CAP specification, sections 4.1.1 to 4.1.5): the only description of the layout that the judge uses, apart from the decoder.
 pub mod field {
     use std::ops::Range;
 

@@ -117,7 +117,7 @@ const fn noun(kind: Kind) -> &'static str {
     }
 }
 
-/// Tells whether a variable of RAC has such values (S0:206-331).
+/// Tells whether a variable of RAC has such values (RAC specification, sections 3.2 to 4.1).
 fn fits(value: &Value, kind: VariableKind) -> bool {
     match (kind.name(), value) {
         ("I", Value::I4(_)) | ("F", Value::R4(_)) | ("D", Value::R8(_)) | ("S", Value::Bstr(_)) => true,

@@ -1,4 +1,4 @@
-//! What became of the last update, and its record in the flash.
+//! The outcome of the last update, and its record in the flash.
 //!
 //! ```text
 //!  version that was installed last LF  number of the state  version that was rolled back  reason
@@ -23,7 +23,7 @@ use crate::slots::Slots;
 /// The size of the record.
 const RECORD: usize = 160;
 
-/// What became of the last update.
+/// The outcome of the last update.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Phase {
@@ -52,7 +52,7 @@ impl fmt::Display for Phase {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Status {
     pub(super) identity: Identity,
-    /// What became of the last update.
+    /// The outcome of the last update.
     pub phase: Phase,
     pub(super) history: String<RECORD>,
 }

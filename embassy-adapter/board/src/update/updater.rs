@@ -178,7 +178,7 @@ impl Updater {
         let state = StateFlash::new(flash, self.partitions.state.clone())?;
         let mut word = [0; UNIT];
         let word = word.get_mut(..F::WRITE_SIZE).ok_or(UpdateError::Partitions)?;
-        // its error does not tell that of the flash
+        // its error does not contain the error of the flash
         change(&mut BlockingFirmwareState::new(state, word)).map_err(|_| UpdateError::NotWritten)
     }
 }

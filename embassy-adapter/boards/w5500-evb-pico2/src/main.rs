@@ -61,7 +61,7 @@ extern "C" fn program() -> ! {
     })
 }
 
-/// Starts everything. A task of its own, because the W5500 is initialised over SPI and time.
+/// Starts everything. It is a separate task, because the initialisation of the W5500 waits for SPI and timers.
 #[embassy_executor::task]
 async fn start(spawner: Spawner, parts: Peripherals) {
     if run(spawner, parts).await.is_none() {

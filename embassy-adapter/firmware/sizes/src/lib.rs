@@ -1,7 +1,7 @@
 //! Support code of the measured images: an entry point, memory that is opaque to the compiler, and the panic handler.
 //!
-//! The image `empty` has only this; its size is subtracted from those of the others. It has no `memcpy`, division or soft
-//! float, so those that a part uses count as the part's own. The images are linked, not run.
+//! The image `empty` has only this; its size is subtracted from the sizes of the others. It has no `memcpy`, division
+//! or soft float, so those that a part uses count as the part's own. The images are linked, not run.
 #![no_std]
 
 use core::cell::UnsafeCell;

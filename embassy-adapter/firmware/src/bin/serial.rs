@@ -1,6 +1,7 @@
 //! A gateway without a network: a robot that speaks b-CAP and a PLC that speaks RAC, each at the other end of a serial line.
 //!
-//! The first serial port has the log. The settings of the robot's session and the rules are those of the image `gateway`.
+//! The first serial port has the log. The settings of the robot's session and the rules are the same as in the image
+//! `gateway`.
 #![no_std]
 #![no_main]
 

@@ -2,7 +2,8 @@
 
 use core::ops::Range;
 
-/// The smallest part that can be erased, and the largest part that can be written at once: those of the W25Q16 on an RP2040 board.
+/// The smallest part that can be erased, and the largest part that can be written at once, as on the W25Q16 of an
+/// RP2040 board.
 pub(crate) const SECTOR: usize = 4096;
 pub(crate) const PAGE: usize = 256;
 

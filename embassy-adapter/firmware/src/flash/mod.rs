@@ -86,8 +86,8 @@ pub fn start_of_loader() -> Flash {
 
 /// Returns the words of the memory, including the last sector.
 fn memory() -> &'static [AtomicU32] {
-    // SAFETY: the board has this memory, and it is aligned. The only other references to it are those of the running image to itself,
-    // in the active partition, and the image never writes that partition
+    // SAFETY: the board has this memory, and it is aligned. The only other references to it are from the running image
+    // to itself, in the active partition, and the image never writes that partition
     unsafe { core::slice::from_raw_parts(core::ptr::with_exposed_provenance(FLASH), SIZE / WORD) }
 }
 

@@ -25,10 +25,10 @@ pub(crate) struct Dump {
 
 /// Compares two backups, or a backup with a controller
 ///
-/// A and B are folders of `bcap dump`, addresses such as tcp:192.168.0.1, or robot: for the controller of --robot. A line is
-/// `I5: 3 -> 7`, first the value of A; with --json {"name":"I5","a":{"vt":3,"v":3},"b":{"vt":3,"v":7}}, where null is a
-/// variable or a file that does not exist. System variables show the controller's state, so they are compared only with
-/// --system. What a side does not have because its controller refused it is not compared: a line says so.
+/// A and B are folders of `bcap dump`, addresses such as tcp:192.168.0.1, or robot: for the controller of --robot. A
+/// line is `I5: 3 -> 7`, first the value of A; with --json {"name":"I5","a":{"vt":3,"v":3},"b":{"vt":3,"v":7}}, where
+/// null is a variable or a file that does not exist. System variables show the controller's state, so they are compared
+/// only with --system. An item that one side lacks because its controller refused it is not compared: a line says so.
 ///
 /// The exit code is 0 if everything was compared and is equal, 1 if there is a difference, and 2 or more after an error or a
 /// refusal, or if a part was not compared and the rest is equal.
@@ -84,7 +84,7 @@ pub(crate) struct Restore {
     #[arg(long)]
     pub(crate) io: bool,
 
-    /// Writes to a controller of another type or serial number than that of the backup, or if the number is unknown
+    /// Writes even if the controller's type or serial number differs from the backup, or if the number is unknown
     #[arg(long)]
     pub(crate) other_controller: bool,
 

@@ -18,9 +18,9 @@ pub(crate) enum BoardCommand {
 
 /// Replaces all settings of a board, or prints them
 ///
-/// Without settings as arguments the command prints those of the board. Otherwise it replaces all of them in the flash of the
-/// board, and prints the answer to each. The board uses them after a restart. Settings are checked before anything is sent,
-/// and again by the board. A power cut leaves the earlier settings or the new ones.
+/// Without settings as arguments the command prints the board's settings. Otherwise it replaces all settings in the
+/// flash of the board, and prints the answer to each. The board uses them after a restart. Settings are checked before
+/// anything is sent, and again by the board. A power cut leaves the earlier settings or the new ones.
 ///
 /// --timeout limits each answer.
 #[derive(Debug, Args)]
@@ -48,7 +48,7 @@ pub(crate) struct Configure {
     #[arg(long, value_name = "RATE", default_value_t = 115_200)]
     pub(crate) baud: u32,
 
-    /// Removes the settings from the flash, so those of the image count
+    /// Removes the settings from the flash, so that the image's defaults apply
     #[arg(long, conflicts_with = "settings")]
     pub(crate) factory: bool,
 

@@ -40,7 +40,7 @@ pub(crate) struct Decode {
     pub(crate) hex: Vec<String>,
 }
 
-/// What to show of a capture.
+/// The parts of a capture to show.
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Captures")]
 pub(crate) struct CaptureArgs {

@@ -24,7 +24,7 @@ Examples:
   bcap conform --list --group udp
   bcap conform --listen 127.0.0.1:5007")]
 pub(crate) struct Conform {
-    /// What the cases may do to the device
+    /// The effects that the cases may have on the device
     #[arg(long, value_enum, default_value_t = LevelArg::Read)]
     pub(crate) level: LevelArg,
 
@@ -73,7 +73,7 @@ pub(crate) struct Conform {
     pub(crate) robot_rac: Option<String>,
 }
 
-/// What the cases may do.
+/// The effects that cases may have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum LevelArg {
     /// Changes nothing: opens, reads and releases objects, and sends invalid frames

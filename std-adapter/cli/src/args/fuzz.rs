@@ -10,10 +10,11 @@ use crate::duration;
 
 /// Fuzzes a device that you may break: sends valid, nearly valid and hostile sessions, and saves what goes wrong
 ///
-/// Each session has a connection of its own, and depends only on --seed and its number. After it a new client must be served. A
-/// finding is a crash, a hang, a connection that the device closes after a valid frame, a wrong reply (malformed, serial, type of the
-/// value), a handle that is valid without being open, or a leak of handles. It is repeated, reduced to the steps that it needs, and
-/// saved in --out as steps (for --again) and as a capture (for `bcap decode` and Wireshark). With findings the exit code is 1.
+/// Each session has a separate connection, and depends only on --seed and its number. After it a new client must be
+/// served. A finding is a crash, a hang, a connection that the device closes after a valid frame, a wrong reply
+/// (malformed, serial, type of the value), a handle that is valid without being open, or a leak of handles. It is
+/// repeated, reduced to the steps that it needs, and saved in --out as steps (for --again) and as a capture (for `bcap
+/// decode` and Wireshark). With findings the exit code is 1.
 ///
 /// By default the fuzzer sends only functions that open, read and release, and commands that read, as `bcap replay` does without
 /// --allow. That holds for hostile bytes too: a damaged frame whose function could be another one is not sent. Still a device with a

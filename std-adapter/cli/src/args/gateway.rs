@@ -55,7 +55,7 @@ pub(crate) struct Gateway {
     #[arg(long, value_name = "ENTRY", requires = "modbus", value_parser = Entry::coils)]
     pub(crate) coil: Vec<Entry>,
 
-    /// What clients may do, in TOML
+    /// The rules for clients, in TOML
     #[arg(long, value_name = "FILE")]
     pub(crate) rules: Option<PathBuf>,
 

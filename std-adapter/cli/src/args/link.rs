@@ -76,8 +76,8 @@ pub(crate) struct LinkArgs {
     #[arg(long, global = true, value_name = "FILE.pcapng")]
     pub(crate) write: Option<PathBuf>,
 
-    /// Prints each packet that is sent (->) and received (<-) on the standard error: headers, values, or bytes beside the
-    /// values. `monitor`, `gateway`, `proxy`, `replay`, `conform`, `fuzz`, `slave play` and `slave cosine` do not
+    /// Prints each packet that is sent (->) and received (<-) on the standard error: headers, values, or bytes next to
+    /// the values. `monitor`, `gateway`, `proxy`, `replay`, `conform`, `fuzz`, `slave play` and `slave cosine` do not
     /// have it
     #[arg(long, global = true, value_name = "LEVEL", num_args = 0..=1, require_equals = true,
           default_missing_value = "bytes")]
@@ -174,7 +174,7 @@ impl LinkArgs {
         Self { timeout: Some(self.timeout().max(DEFAULT_TIMEOUT)), ..self.clone() }
     }
 
-    /// Returns the attempts of a call over UDP (S2:1493).
+    /// Returns the attempts of a call over UDP (b-CAP specification, Table 6-1).
     pub(crate) fn attempts(&self) -> u8 {
         let most = u8::try_from(self.attempts.clamp(1, 7)).unwrap_or(7);
         let room = self.timeout().as_millis() / SHORTEST_ATTEMPT.as_millis();
@@ -201,7 +201,7 @@ impl LinkArgs {
     pub(crate) fn start_option(&self) -> String {
         let is_udp = matches!(self.network_target(), Ok(NetworkAddress { protocol: Protocol::Udp, .. }));
         let attempt = self.timeout().as_millis() / if is_udp { u128::from(self.attempts()) } else { 1 };
-        // a server refuses intervals below 80 ms (S2:225)
+        // a server refuses intervals below 80 ms (b-CAP specification, Table 4-1)
         match (attempt / 3).clamp(80, 400) {
             interval if interval < attempt => format!("WDT={interval}"),
             _ => String::new(),

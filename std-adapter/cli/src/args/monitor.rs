@@ -8,11 +8,11 @@ use crate::duration;
 
 /// Shows variables, the robot, tasks, errors, messages and packets live in the terminal
 ///
-/// A variable that changes is bold with a `*` for two seconds; numbers have a sparkline of their last values. The packets are one
-/// call a line; a call whose reply is the same as before is omitted, until `a` shows all. It reads, and never takes the arm. `w`
-/// writes a variable, and asks first. `h` halts the robot at once, over a connection of its own; a serial line carries one
-/// session, so there it waits for the call under way. `q` and Ctrl-C quit, after a halt that is under way; if that fails, the
-/// exit code is 1. SIGTERM and SIGHUP end it with 130.
+/// A variable that changes is bold with a `*` for two seconds; numbers have a sparkline of their last values. The
+/// packets are one call a line; a call whose reply is the same as before is omitted, until `a` shows all. It reads, and
+/// never takes the arm. `w` writes a variable, and asks first. `h` halts the robot at once, over a separate connection;
+/// a serial line carries one session, so there it waits for the call under way. `q` and Ctrl-C quit, after a halt that
+/// is under way; if that fails, the exit code is 1. SIGTERM and SIGHUP end it with 130.
 ///
 /// Without NAME it shows no variables. A lost connection is shown, and tried again every second. The terminal needs at least
 /// 70x18; NO_COLOR removes the colours, and a locale without UTF-8 the characters that are not ASCII. TERM=dumb cannot move the

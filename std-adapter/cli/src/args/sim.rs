@@ -14,13 +14,14 @@ use clap::Args;
 /// A model without RAC leaves `rac=IP:PORT` out.
 /// Port 0 selects a free port. On SIGINT, SIGTERM and SIGHUP it exits with 0.
 ///
-/// Not simulated, and answered with E_NOTIMPL: force control (ForceSensor, ForceValue, ForceCtrl, ForceParam); the provider of
-/// electric hands; SyncTimeStart, SyncTimeEnd, SyncMoveStart and SyncMoveEnd, which need a second robot; and what no public
-/// source describes: areas (GetAreaDef, GetAreaEnabled, SetAreaEnabled), free curves (interpolation 4, AddPathPoint, ClrPathPoint, LoadPathPoint),
-/// scenes (CurScene, CurSubScene, SceneInfo), MPS, SetAutoMode and CalcPos of a pallet. For the same reason the option TIME= of a
-/// motion and the planes XYH, YZH and ZXH of a rotation are refused with E_INVALIDARG. HandCurPressure, the
-/// commands of electric hands (Motor, Org, get_BusyState, get_OrgState) and those of other hands (HandGrip, HandRelease) are
-/// refused with E_INVALID_CMD_NAME. docs/virtual-controller.md says for every function and command what it does.
+/// Not simulated, and answered with E_NOTIMPL: force control (ForceSensor, ForceValue, ForceCtrl, ForceParam); the
+/// provider of electric hands; SyncTimeStart, SyncTimeEnd, SyncMoveStart and SyncMoveEnd, which need a second robot;
+/// and features that no public source describes: areas (GetAreaDef, GetAreaEnabled, SetAreaEnabled), free curves
+/// (interpolation 4, AddPathPoint, ClrPathPoint, LoadPathPoint), scenes (CurScene, CurSubScene, SceneInfo), MPS,
+/// SetAutoMode and CalcPos of a pallet. For the same reason the option TIME= of a motion and the planes XYH, YZH and
+/// ZXH of a rotation are refused with E_INVALIDARG. HandCurPressure, the commands of electric hands (Motor, Org,
+/// get_BusyState, get_OrgState) and of other hands (HandGrip, HandRelease) are refused with E_INVALID_CMD_NAME.
+/// docs/virtual-controller.md describes every function and command.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -72,7 +73,8 @@ pub(crate) struct Sim {
     #[arg(long)]
     pub(crate) print_model: bool,
 
-    /// The arm instead of that of the model: vs060, vs087, hsr065 (four axes), or a file like those that --print-arm prints
+    /// The arm, instead of the model's arm: vs060, vs087, hsr065 (four axes), or a file like those that --print-arm
+    /// prints
     #[arg(long, value_name = "ARM|FILE.toml")]
     pub(crate) arm: Option<ArmSource>,
 
@@ -107,8 +109,9 @@ pub(crate) struct Sim {
 
     /// Answers as the server of a capture did, instead of as a virtual controller
     ///
-    /// The connections of clients are those of the capture in their order. A request gets the reply of the next call with the same
-    /// function and arguments, at once. A request that the capture does not have is refused with E_FAIL and printed on stderr.
+    /// Each connection of a client replays the next connection of the capture. A request gets the reply of the next
+    /// call with the same function and arguments, at once. A request that the capture does not have is refused with
+    /// E_FAIL and printed on stderr.
     #[arg(long, value_name = "FILE.pcapng", conflicts_with_all = [
         "model", "print_model", "arm", "robot_type", "mode", "token", "no_slave_licence", "scenario", "record", "files", "explain", "lenient",
         "as_observed", "screen",

@@ -233,9 +233,9 @@ fn percent(text: &str) -> Result<f64, String> {
 
 /// Halts the robot, also when another client moves it
 ///
-/// Uses a connection of its own and needs neither the arm nor the executable token. The whole command takes at most
-/// --timeout, or 3 s; if the controller has not answered by then, the exit code is 4. The halted motion fails with E_ABORT;
-/// a Slave Mode stream fails because Slave Mode is off.
+/// Uses a separate connection and needs neither the arm nor the executable token. The whole command takes at most
+/// --timeout, or 3 s; if the controller has not answered by then, the exit code is 4. The halted motion fails with
+/// E_ABORT; a Slave Mode stream fails because Slave Mode is off.
 ///
 /// A controller refuses a halt while one of its tasks owns the arm. Then all tasks are stopped (KillAll, or Task_Stop of each task if
 /// the controller refuses KillAll), and the robot is halted again; a task that is started again starts at its first line. `halted`
@@ -250,12 +250,12 @@ pub(crate) struct Halt {}
 
 /// Checks what a program needs before it can move the robot, and says how to fix each failure
 ///
-/// Checks reachability over TCP and UDP, provider, version, mode, executable token, errors, emergency stop, arm, motor, and
-/// the licence and formats of Slave Mode. Each result is ok, FAILED, ? (the controller's answer is inconclusive) or -
-/// (skipped, because another check failed). With --json a line is
-/// {"check":"mode","result":"failed","detail":"..","hint":".."}, with the results passed, failed, untested and skipped. The
-/// exit code is that of the first FAILED or ? result. The command moves nothing and writes nothing; it takes the arm for a
-/// moment if the arm is free.
+/// Checks reachability over TCP and UDP, provider, version, mode, executable token, errors, emergency stop, arm, motor,
+/// and the licence and formats of Slave Mode. Each result is ok, FAILED, ? (the controller's answer is inconclusive)
+/// or - (skipped, because another check failed). With --json a line is
+/// {"check":"mode","result":"failed","detail":"..","hint":".."}, with the results passed, failed, untested and skipped.
+/// The first FAILED or ? result determines the exit code. The command moves nothing and writes nothing; it takes the
+/// arm for a moment if the arm is free.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

@@ -1,4 +1,4 @@
-//! The arguments of `bcap slave` for what slvMove and its reply carry beside the pose.
+//! The arguments of `bcap slave` for the values that slvMove and its reply carry in addition to the pose.
 
 use std::path::PathBuf;
 
@@ -9,10 +9,11 @@ use clap::Args;
 
 use crate::error::Failure;
 
-/// What slvMove and its reply carry beside the pose (S2:1043-1181).
+/// The values that slvMove and its reply carry in addition to the pose (b-CAP specification, section 5.2).
 #[derive(Debug, Args)]
 pub(crate) struct FormatArgs {
-    /// What slvMove sets beside the pose (slvSendFormat): mini or user:PORT:BYTES, and hand, separated by commas
+    /// Values that slvMove sets in addition to the pose (slvSendFormat): mini or user:PORT:BYTES, and hand, separated
+    /// by commas
     ///
     /// MiniIO and user IO exclude each other. PORT is the number of the first IO, a multiple of 8 from 128 on. --mini-io,
     /// --user-io and --hand-io have the values; columns MINI, USER and HAND of a file change them in each pose. A value whose
@@ -20,7 +21,7 @@ pub(crate) struct FormatArgs {
     #[arg(long, value_name = "PARTS", default_value = "none", value_parser = send_format)]
     pub(crate) send_format: SendFormat,
 
-    /// What a reply carries (slvRecvFormat): P, J, T, PJ or TJ, and time or time-us, mini, user:PORT:BYTES, hand, current,
+    /// Values of a reply (slvRecvFormat): P, J, T, PJ or TJ, and time or time-us, mini, user:PORT:BYTES, hand, current,
     /// separated by commas [default: the pose in the type of the stream]
     #[arg(long, value_name = "PARTS", value_parser = ReceiveParts::parse)]
     pub(crate) recv_format: Option<ReceiveParts>,

@@ -104,8 +104,8 @@ pub(crate) struct Watch {
 
     /// Writes the values to an MCAP file instead, for Foxglove and PlotJuggler: a topic for each variable, such as /I1
     ///
-    /// A message is JSON with the field `value`; its time is that of the reading. With --changed a value is written only when
-    /// it has changed. An existing file is replaced.
+    /// A message is JSON with the field `value`; its time is the time of the reading. With --changed a value is written
+    /// only when it has changed. An existing file is replaced.
     #[arg(long, value_name = "FILE.mcap", conflicts_with = "json")]
     pub(crate) mcap: Option<PathBuf>,
 

@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use super::contents::{Contents, Part};
 use crate::named::Entry;
 
-/// What two backups have under one name.
+/// The entries of two backups under one name.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Difference<N, T> {
     pub(super) name: N,
@@ -26,7 +26,7 @@ pub(super) fn differences<'a, N: Ord, T: PartialEq>(
     both.filter(|difference| difference.a != difference.b).collect()
 }
 
-/// Returns the differences of the variables; with `system` also those of the system variables except the clocks.
+/// Returns the differences of the variables; with `system` also of the system variables except the clocks.
 pub(super) fn variables<'a>(a: &'a Contents, b: &'a Contents, system: bool) -> Vec<Difference<String, &'a Entry>> {
     let mut user = differences(&a.variables, &b.variables);
     user.retain(|difference| is_certain(difference, a, b, |part| part.has_variable(*difference.name)));

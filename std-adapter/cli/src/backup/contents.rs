@@ -1,4 +1,4 @@
-//! What a backup holds, in memory.
+//! The contents of a backup, in memory.
 
 use std::collections::BTreeMap;
 
@@ -44,7 +44,7 @@ pub(crate) struct Omission {
     pub(crate) reason: String,
 }
 
-/// What is omitted.
+/// The omitted part.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(into = "String", try_from = "String")]
 pub(crate) enum Part {
@@ -126,7 +126,7 @@ pub(crate) struct Contents {
     pub(crate) system: BTreeMap<String, Entry>,
     /// By path, with `/` between its parts.
     pub(crate) files: BTreeMap<String, Vec<u8>>,
-    /// What could not be listed or read; refused variables are entries of their own.
+    /// The parts that could not be listed or read. Refused variables are separate entries.
     pub(crate) omitted: Vec<Omission>,
 }
 

@@ -52,7 +52,7 @@ struct Manifest {
     file_sizes: BTreeMap<String, usize>,
     /// The number of user variables that could not be read.
     refused: usize,
-    /// What else could not be read.
+    /// Other parts that could not be read.
     omitted: Vec<Omission>,
 }
 

@@ -262,7 +262,7 @@ pub(super) fn system(session: &mut Session, name: &str) -> Result<Option<Entry>,
     Ok(Some(value))
 }
 
-/// Returns the names of all system variables: those of the controller, of its robots and of its tasks.
+/// Returns the names of all system variables: of the controller, of its robots and of its tasks.
 pub(super) fn system_names(session: &mut Session, omitted: &mut Vec<Omission>) -> Result<BTreeSet<String>, Failure> {
     use FunctionId as F;
     let controller = ObjectPath::controller();
@@ -301,7 +301,7 @@ fn listed(session: &mut Session, owner: &ObjectPath, function: FunctionId) -> Re
     }
 }
 
-/// Returns the paths of all files. What cannot be listed does not hide the rest.
+/// Returns the paths of all files. A folder that cannot be listed does not hide the others.
 pub(super) fn files(session: &mut Session, omitted: &mut Vec<Omission>) -> Result<Vec<String>, Failure> {
     remote::walk(session, "", |path, failure| match failure {
         // a controller that does not implement the list has no files

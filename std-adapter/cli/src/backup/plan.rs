@@ -1,4 +1,4 @@
-//! What a restore is going to write: the differences of a backup and a controller, if all of them can be written.
+//! The writes of a restore: the differences between a backup and a controller, if all of them can be written.
 
 use bcap_core::rac::VariableKind;
 use serde_json::json;
@@ -45,7 +45,7 @@ impl FileChange {
 pub(super) struct Plan {
     pub(super) variables: Vec<Change>,
     pub(super) files: Vec<FileChange>,
-    /// What is left as it is, and why.
+    /// The parts that stay unchanged, with the reason.
     pub(super) notes: Vec<String>,
 }
 

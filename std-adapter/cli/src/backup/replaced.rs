@@ -9,7 +9,7 @@ use crate::error::Failure;
 /// The files that one restore replaces.
 pub(super) struct Replaced {
     folder: PathBuf,
-    /// The folder below that of the backup.
+    /// The folder below the backup's folder.
     below: String,
 }
 

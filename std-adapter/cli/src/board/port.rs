@@ -51,7 +51,7 @@ impl Port {
         Ok(port)
     }
 
-    /// Skips the answers to earlier requests, also those of an earlier program, and the log of a board.
+    /// Skips the answers to earlier requests, even of an earlier program, and the log of a board.
     pub(super) fn skip_answers(&mut self) -> Result<(), Failure> {
         // the first line feed ends what an earlier program may have sent
         self.send("\nhello\n")?;

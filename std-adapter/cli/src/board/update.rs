@@ -66,7 +66,7 @@ pub(super) fn update(args: &Update, link: &LinkArgs, json: bool) -> Result<(), F
     Ok(())
 }
 
-/// Reads an image and what it is for.
+/// Reads an image and the board that it is for.
 fn read(path: &str) -> Result<(Vec<u8>, Identity), Failure> {
     let invalid = |reason: &str| Failure::Input(format!("{path}: {reason}"));
     let file = fs::read(path).map_err(|error| invalid(&error.to_string()))?;

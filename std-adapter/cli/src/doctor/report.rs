@@ -20,9 +20,9 @@ pub(super) enum Finding {
     Passed(String),
     /// The check failed.
     Failed {
-        /// What is wrong.
+        /// The fault.
         detail: String,
-        /// What to do.
+        /// The remedy.
         hint: String,
     },
     /// The check was skipped; the check or condition that it depends on.

@@ -44,7 +44,7 @@ const BACKLOG: usize = 4096;
 /// The longest time that the end waits for the writer.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// What a line says.
+/// The content of a line.
 #[derive(Debug, Serialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 enum Record {
@@ -142,7 +142,7 @@ struct Line<'a> {
     record: &'a Record,
 }
 
-/// What bounds an audit log.
+/// The limits of an audit log.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Bounds {
     /// Lines a second of one IP address; 0 writes all.
@@ -248,7 +248,7 @@ impl Audit {
         }
     }
 
-    /// Writes the numbers of suppressed lines when they are due.
+    /// Writes the counts of suppressed lines whose interval has ended.
     pub(super) fn report_suppressed(&mut self) {
         let due = self.throttle.due(now());
         self.write_suppressed(due);

@@ -118,8 +118,8 @@ fn lock(audit: &Mutex<Audit>) -> std::sync::MutexGuard<'_, Audit> {
     audit.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Writes the counts of suppressed lines when they are due, also when nothing else is logged, and reports once that the
-/// recording has failed: the gateway may run for months after that.
+/// Writes the counts of suppressed lines at the end of their interval, even when nothing else is logged. Reports once
+/// that the recording has failed: the gateway may run for months after that.
 async fn report(audit: &Mutex<Audit>, recording: Option<&Recording>) -> Infallible {
     let mut recording = recording;
     loop {

@@ -12,7 +12,7 @@ const BURST: u32 = 10;
 /// The time between the first suppressed line and the record of their number.
 const REPORT: Duration = Duration::from_secs(10);
 
-/// The number of addresses with a bucket of their own; further ones share a bucket.
+/// The number of addresses with a separate bucket; other addresses share one.
 const BUCKETS: usize = 1024;
 
 /// The interval at which full buckets are removed.
@@ -23,7 +23,7 @@ const PURGE: Duration = Duration::from_secs(1);
 pub(super) struct Throttle {
     /// Lines a second for each address; 0 writes all.
     rate: u32,
-    /// `None` is for the addresses without a bucket of their own.
+    /// `None` is the bucket that other addresses share.
     buckets: HashMap<Option<IpAddr>, Bucket>,
     /// When counts are to be written; `None` without any.
     report_at: Option<Instant>,
@@ -42,7 +42,7 @@ struct Bucket {
 /// Lines of a client that were not written.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Suppressed {
-    /// `None` for the clients without a bucket of their own.
+    /// `None` for clients that share a bucket.
     pub(super) client: Option<IpAddr>,
     pub(super) lines: u64,
 }
@@ -80,7 +80,7 @@ impl Throttle {
         key.filter(|_| self.buckets.len() < BUCKETS)
     }
 
-    /// Returns the counts that are due.
+    /// Returns the counts whose interval has ended.
     pub(super) fn due(&mut self, now: Instant) -> Vec<Suppressed> {
         match self.report_at {
             Some(at) if at <= now => self.take(),

@@ -1,7 +1,7 @@
 //! `bcap monitor`: a live screen of a controller.
 //!
-//! The main thread draws and reads keys, the [`reader`] talks to the controller, and a halt has a thread and a
-//! connection of its own, so it waits for neither.
+//! The main thread draws and reads keys, the [`reader`] talks to the controller, and a halt has a separate thread and
+//! connection, so it waits for neither.
 
 mod reader;
 mod state;
@@ -140,7 +140,7 @@ impl Monitor {
         self.requests.send(request).map_err(|_| Failure::Input("the reading thread has ended by a panic".into()))
     }
 
-    /// Halts the robot in a thread of its own. A serial line carries one session, so the reader halts there.
+    /// Halts the robot in a separate thread. A serial line carries one session, so the reader halts there.
     fn halt(&mut self) -> Result<(), Failure> {
         if self.link.is_serial() {
             return self.request(Request::Halt);

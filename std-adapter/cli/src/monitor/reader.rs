@@ -25,7 +25,7 @@ const SLOW: Duration = Duration::from_secs(1);
 /// The tasks whose states are read.
 const TASKS: usize = 64;
 
-/// What the user asks for.
+/// A request of the user.
 #[derive(Debug)]
 pub(crate) enum Request {
     Check(String, String),
@@ -45,7 +45,7 @@ pub(crate) struct Reader {
     pub(crate) requests: Receiver<Request>,
 }
 
-/// What a connection reads.
+/// The reads of a connection.
 struct Plan {
     variables: Vec<ObjectPath>,
     /// `None` until their names are read.

@@ -55,7 +55,7 @@ struct Variable {
     history: Vec<f64>,
 }
 
-/// What the robot's panel shows. What the controller does not have is missing.
+/// The content of the robot's panel. Values that the controller does not have are missing.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Robot {
     pub(crate) joints: Vec<f64>,
@@ -73,7 +73,7 @@ pub(crate) struct Write {
     pub(crate) before: Value,
 }
 
-/// What the user is typing.
+/// The text that the user is typing.
 #[derive(Debug, Default)]
 enum Input {
     #[default]
@@ -84,7 +84,7 @@ enum Input {
     Asking(Box<Write>),
 }
 
-/// What the reader has learned.
+/// A result of the reader.
 #[derive(Debug)]
 pub(crate) enum Update {
     /// The connection is open, and these are the variables.
@@ -115,7 +115,7 @@ pub(crate) fn not_halted(failure: &Failure) -> String {
     format!("NOT HALTED, use the emergency stop: {failure}")
 }
 
-/// What a key asks for.
+/// The command of a key.
 #[derive(Debug)]
 pub(crate) enum Action {
     Quit,

@@ -1,4 +1,4 @@
-//! What a scenario does to the bytes of a reply.
+//! The effect of a scenario on the bytes of a reply.
 
 use std::ops::ControlFlow;
 

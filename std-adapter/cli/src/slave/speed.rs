@@ -34,7 +34,7 @@ fn check_line(line: &SerialLine, format: &Format) -> Result<(), String> {
     let needed = f64::from(bits) / (CYCLE - ENDS).as_secs_f64();
     Err(format!(
         "serial:{line} is too slow for Slave Mode: slvMove has {request} bytes and its reply {reply}, together {bytes} bytes of \
-         {} bits, which are {bits} bits and take {:.1} ms at {} baud; a pose is due every 8 ms, and the two ends need 1 ms of \
+         {} bits, which are {bits} bits and take {:.1} ms at {} baud; a pose is sent every 8 ms, and the two ends need 1 ms of \
          it. The line needs {needed:.0} baud or more, such as 460800 or 921600; or use TCP or UDP",
         line.byte_bits(),
         time.as_secs_f64() * 1000.0,

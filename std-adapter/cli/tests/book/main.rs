@@ -25,7 +25,7 @@ use std::{fs, thread};
 use page::{Action, Page};
 use world::World;
 
-/// What became of the commands of a page.
+/// The outcomes of the commands of a page.
 #[derive(Default)]
 struct Outcome {
     run: usize,

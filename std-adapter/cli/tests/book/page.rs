@@ -14,7 +14,7 @@ pub(crate) struct Command {
     pub(crate) exit: i32,
 }
 
-/// What the test does at a place of a page.
+/// The action of the test at a place of a page.
 #[derive(Debug)]
 pub(crate) enum Action {
     /// Starts another virtual controller with these options.

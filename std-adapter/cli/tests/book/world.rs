@@ -1,4 +1,4 @@
-//! What the commands of a page run in: a folder, a virtual controller, and the servers that they start.
+//! The environment of the commands of a page: a folder, a virtual controller, and the servers that they start.
 
 use std::env;
 use std::fs;
@@ -50,7 +50,7 @@ const PROXY: &[Listening] =
 pub(crate) struct World {
     folder: TempDir,
     servers: Vec<Child>,
-    /// The addresses of the page, and those of this run.
+    /// The addresses of the page, and the addresses of this run.
     to_actual: Vec<(String, String)>,
     to_page: Vec<(String, String)>,
     /// The environment variables of the present controller.

@@ -7,7 +7,7 @@ use bcap_core::rac;
 use bcap_core::time::Instant;
 use bcap_sim::Controller;
 
-/// Returns the answer to a call; `None` for that of the virtual controller.
+/// Returns the answer to a call; `None` lets the virtual controller answer.
 type Hook = Box<dyn FnMut(&Request<'_>) -> Option<HResult> + Send>;
 
 pub(crate) struct Hooked {

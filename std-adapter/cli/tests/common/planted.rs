@@ -19,7 +19,7 @@ use bcap_testkit::judge::TCP;
 use bcap_testkit::oracle::Verdict;
 use bcap_testkit::value::{ARRAY, Value};
 
-/// What is wrong with the device; `None` of them with [`Bug::None`].
+/// The fault of the device; [`Bug::None`] is a device without one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Bug {
     None,
@@ -156,7 +156,7 @@ struct Device {
     retransmitted: AtomicUsize,
 }
 
-/// What happens to a connection.
+/// The outcome of a connection.
 enum Outcome {
     Reply(Vec<u8>),
     /// No reply.
@@ -316,7 +316,7 @@ impl Device {
         client.leave();
     }
 
-    /// Serves clients over UDP, each port with a session of its own.
+    /// Serves clients over UDP, with one session per port.
     fn serve_datagrams(&self, mut socket: UdpSocket) {
         let port = socket.local_addr().unwrap();
         let mut peers: HashMap<SocketAddr, Peer<'_>> = HashMap::new();

@@ -19,7 +19,7 @@ impl Terminal {
 
     /// Runs a command in a terminal of UTF-8 without tmux's own status line; `None` without tmux.
     pub(crate) fn run(size: (u16, u16), command_line: &[&str], folder: &Path) -> Option<Self> {
-        // a name of its own, because the server of the terminal before may still be ending
+        // a new name, because the server of the previous terminal may still be ending
         static NUMBER: AtomicUsize = AtomicUsize::new(0);
         let terminal = Self { socket: folder.join(format!("tmux{}", NUMBER.fetch_add(1, Ordering::Relaxed))) };
         let settings = folder.join("tmux.conf");

@@ -26,20 +26,20 @@ const fn run(
     case(Group::Frames, name, source, rule, setup, Body::Run(run))
 }
 
-const LAYOUT: &str = "S2:200-384";
-const CUT: &str = "S0:169";
-const SIZE: &str = "S0:176";
+const LAYOUT: &str = "b-CAP specification, sections 4.1.1 to 4.1.5";
+const CUT: &str = "RAC specification, Table 2-3";
+const SIZE: &str = "RAC specification, Table 2-3";
 
 pub(super) const CASES: &[Case] = &[
     frame(
         "minimal-request",
-        "S2:206",
+        "b-CAP specification, section 4.1.1",
         "a request without arguments has 16 bytes and is answered",
         &[Step::Must(F::SERVICE_START, &[], Want::NoValue)],
     ),
     frame(
         "request-with-argument",
-        "S2:237",
+        "b-CAP specification, section 4.1.1",
         "a request with an argument is answered",
         &[Step::Must(F::SERVICE_START, &[Arg::S("WDT=400")], Want::NoValue)],
     ),
@@ -161,25 +161,25 @@ pub(super) const CASES: &[Case] = &[
     ),
     frame(
         "function-0",
-        "S2:1613",
+        "b-CAP specification, Appendix A",
         "the functions are 1 to 137",
         &[Step::Must(F::SERVICE_START, &[], Want::NoValue), Step::Call(F(0), &[], Want::Refused)],
     ),
     frame(
         "function-65536",
-        "S2:1806",
+        "b-CAP specification, Appendix A",
         "the functions are 1 to 137",
         &[Step::Must(F::SERVICE_START, &[], Want::NoValue), Step::Must(F(65_536), &[], Want::Refused)],
     ),
     frame(
         "function-negative",
-        "S2:1613",
+        "b-CAP specification, Appendix A",
         "the functions are 1 to 137",
         &[Step::Must(F::SERVICE_START, &[], Want::NoValue), Step::Must(F(-1), &[], Want::Refused)],
     ),
     frame(
         "function-largest",
-        "S2:1806",
+        "b-CAP specification, Appendix A",
         "the functions are 1 to 137",
         &[Step::Must(F::SERVICE_START, &[], Want::NoValue), Step::Must(F(0x7fff_ffff), &[], Want::Refused)],
     ),
@@ -189,27 +189,37 @@ pub(super) const CASES: &[Case] = &[
         "a function number is 32 bits wide",
         &[Step::Edited(&[Byte(11, 1)], Refused)],
     ),
-    frame("empty-datagram", "S2:1487", "an empty datagram is dropped", &[Step::Edited(&[Cut(0)], Refused)])
-        .over(Link::Udp),
+    frame(
+        "empty-datagram",
+        "b-CAP specification, Table 6-1",
+        "an empty datagram is dropped",
+        &[Step::Edited(&[Cut(0)], Refused)],
+    )
+    .over(Link::Udp),
     frame(
         "datagram-of-one-byte",
-        "S2:1487",
+        "b-CAP specification, Table 6-1",
         "a datagram without a frame is dropped",
         &[Step::Edited(&[Cut(1)], Refused)],
     )
     .over(Link::Udp),
-    frame("datagram-cut-off", "S2:1487", "a frame is one datagram", &[Step::Edited(&[Cut(20)], Refused)])
-        .over(Link::Udp),
+    frame(
+        "datagram-cut-off",
+        "b-CAP specification, Table 6-1",
+        "a frame is one datagram",
+        &[Step::Edited(&[Cut(20)], Refused)],
+    )
+    .over(Link::Udp),
     frame(
         "datagram-of-two-frames",
-        "S2:1487",
+        "b-CAP specification, Table 6-1",
         "a frame is one datagram; what follows it is refused or ignored",
         &[Step::Edited(&[After(&[1, 16, 0, 0, 0, 9, 0, 9, 0, 1, 0, 0, 0, 0, 0, 4])], Ends)],
     )
     .over(Link::Udp),
     frame(
         "datagram-of-600-bytes",
-        "S2:1487",
+        "b-CAP specification, Table 6-1",
         "a packet over UDP has at most 488 bytes",
         &[Step::Edited(&[Args(1, LARGE)], Refused)],
     )
@@ -226,7 +236,7 @@ pub(super) const CASES: &[Case] = &[
     ),
     frame(
         "stop-as-an-edited-start",
-        "S2:372",
+        "b-CAP specification, section 4.1.5",
         "Service_Stop has no arguments",
         &[Step::Must(F::SERVICE_START, &[], Want::NoValue), Step::Edited(&[Function(F::SERVICE_STOP)], Reaction::Ends)],
     ),

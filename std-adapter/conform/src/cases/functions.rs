@@ -1,4 +1,4 @@
-//! Cases of each function, made of the function table (S2:1613-1806).
+//! Cases of each function, made of the function table (b-CAP specification, Appendix A).
 
 use std::borrow::Cow;
 
@@ -7,7 +7,7 @@ use bcap_core::hresult::HResult;
 
 use crate::case::{Arg, Body, Case, Group, Level, Setup, Step, Want};
 
-const TABLE: &str = "S2:1613-1806";
+const TABLE: &str = "b-CAP specification, Appendix A";
 
 /// A handle that no device gives out in the first hours.
 const UNKNOWN: i32 = 0x5a17_e001;
@@ -63,20 +63,20 @@ fn of_kind(kind: &Kind) -> Arg {
 
 fn unknown_handle(function: FunctionId, kinds: &[Kind]) -> Case {
     let args = kinds.iter().map(of_kind).collect();
-    let rule = "a handle that was not given out is E_HANDLE (S0:180)";
+    let rule = "a handle that was not given out is E_HANDLE (RAC specification, Table 2-3)";
     made(function, Group::Handles, "unknown", rule, args, Want::Code(&[HResult::E_HANDLE]))
 }
 
 fn missing(function: FunctionId) -> Case {
     let codes = &[HResult::E_INVALIDARG, HResult::E_INVALIDARGTYPE, HResult::E_HANDLE];
-    let rule = "a call without its arguments is refused (S0:182)";
+    let rule = "a call without its arguments is refused (RAC specification, Table 2-3)";
     made(function, Group::Arguments, "missing", rule, Vec::new(), Want::Code(codes))
 }
 
 fn text_as_handle(function: FunctionId, kinds: &[Kind]) -> Case {
     let args = std::iter::once(Arg::S("1")).chain(kinds.iter().skip(1).map(of_kind)).collect();
     let codes = &[HResult::E_INVALIDARGTYPE, HResult::E_INVALIDARG, HResult::E_HANDLE];
-    let rule = "a BSTR is not a handle (S0:173)";
+    let rule = "a BSTR is not a handle (RAC specification, Table 2-3)";
     made(function, Group::Arguments, "text-as-handle", rule, args, Want::Code(codes))
 }
 

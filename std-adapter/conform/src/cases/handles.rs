@@ -29,28 +29,34 @@ const fn handles(
 }
 
 const fn run(name: &'static str, rule: &'static str, run: fn(&mut Bench<'_>) -> Result<(), Stop>) -> Case {
-    case(Group::Handles, name, "S0:180", rule, Controller, Body::Run(run))
+    case(Group::Handles, name, "RAC specification, Table 2-3", rule, Controller, Body::Run(run))
 }
 
 pub(super) const CASES: &[Case] = &[
-    handles("zero", "S0:180", "0 is no handle", Controller, &[Step::Must(F::VARIABLE_GET_VALUE, &[I(0)], INVALID)]),
+    handles(
+        "zero",
+        "RAC specification, Table 2-3",
+        "0 is no handle",
+        Controller,
+        &[Step::Must(F::VARIABLE_GET_VALUE, &[I(0)], INVALID)],
+    ),
     handles(
         "minus-one",
-        "S0:180",
+        "RAC specification, Table 2-3",
         "-1 is no handle",
         Controller,
         &[Step::Must(F::VARIABLE_GET_VALUE, &[I(-1)], INVALID)],
     ),
     handles(
         "largest",
-        "S0:180",
+        "RAC specification, Table 2-3",
         "2147483647 is no handle",
         Controller,
         &[Step::Must(F::VARIABLE_GET_VALUE, &[I(i32::MAX)], INVALID)],
     ),
     handles(
         "use-after-release",
-        "S2:336",
+        "b-CAP specification, section 4.1.4",
         "a released handle is invalid",
         Controller,
         &[
@@ -61,7 +67,7 @@ pub(super) const CASES: &[Case] = &[
     ),
     handles(
         "release-twice",
-        "S2:336",
+        "b-CAP specification, section 4.1.4",
         "a released handle cannot be released again",
         Controller,
         &[
@@ -72,7 +78,7 @@ pub(super) const CASES: &[Case] = &[
     ),
     handles(
         "release-of-another-object",
-        "S2:336",
+        "b-CAP specification, section 4.1.4",
         "the release of one object leaves the others",
         Controller,
         &[
@@ -84,7 +90,7 @@ pub(super) const CASES: &[Case] = &[
     ),
     handles(
         "two-of-one-name",
-        "S2:276",
+        "b-CAP specification, section 4.1.2",
         "two open objects have two handles",
         Controller,
         &[
@@ -97,63 +103,63 @@ pub(super) const CASES: &[Case] = &[
     ),
     handles(
         "controller-as-variable",
-        "S0:180",
+        "RAC specification, Table 2-3",
         "the handle of a controller is no handle of a variable",
         Controller,
         &[Step::Must(F::VARIABLE_GET_VALUE, &[H(C)], INVALID)],
     ),
     handles(
         "variable-as-controller",
-        "S0:180",
+        "RAC specification, Table 2-3",
         "the handle of a variable is no handle of a controller",
         Controller,
         &[OPEN_A, Step::Must(F::CONTROLLER_GET_VARIABLE, &[H(A), S("I1"), S("")], INVALID)],
     ),
     handles(
         "variable-as-robot",
-        "S0:180",
+        "RAC specification, Table 2-3",
         "the handle of a variable is no handle of a robot",
         Controller,
         &[OPEN_A, Step::Call(F::ROBOT_GET_NAME, &[H(A)], INVALID)],
     ),
     handles(
         "robot-as-variable",
-        "S0:180",
+        "RAC specification, Table 2-3",
         "the handle of a robot is no handle of a variable",
         Robot,
         &[Step::Must(F::VARIABLE_GET_VALUE, &[H(Slot::Robot)], INVALID)],
     ),
     handles(
         "robot-as-controller",
-        "S0:180",
+        "RAC specification, Table 2-3",
         "the handle of a robot is no handle of a controller",
         Robot,
         &[Step::Must(F::CONTROLLER_GET_VARIABLE, &[H(Slot::Robot), S("I1"), S("")], INVALID)],
     ),
     handles(
         "robot-as-task",
-        "S0:180",
+        "RAC specification, Table 2-3",
         "the handle of a robot is no handle of a task",
         Robot,
         &[Step::Call(F::TASK_GET_NAME, &[H(Slot::Robot)], INVALID)],
     ),
     handles(
         "task-as-robot",
-        "S0:180",
+        "RAC specification, Table 2-3",
         "the handle of a task is no handle of a robot",
         Task,
         &[Step::Call(F::ROBOT_GET_NAME, &[H(Slot::Task)], INVALID)],
     ),
     handles(
         "release-as-another-kind",
-        "S0:180",
+        "RAC specification, Table 2-3",
         "a variable cannot be released as a robot",
         Controller,
         &[OPEN_A, Step::Call(F::ROBOT_RELEASE, &[H(A)], INVALID), Step::Must(F::VARIABLE_GET_VALUE, &[H(A)], Want::Ok)],
     ),
     handles(
         "robot-and-release",
-        "S2:818",
+        "b-CAP specification, section 4.3.5",
         "a robot is opened and released",
         Robot,
         &[
@@ -163,7 +169,7 @@ pub(super) const CASES: &[Case] = &[
     ),
     handles(
         "task-and-release",
-        "S2:570",
+        "b-CAP specification, section 4.2.3",
         "a task is opened and released",
         Task,
         &[
@@ -173,7 +179,7 @@ pub(super) const CASES: &[Case] = &[
     ),
     handles(
         "variable-of-robot",
-        "S2:1724",
+        "b-CAP specification, Appendix A",
         "a robot has variables",
         Robot,
         &[
@@ -183,7 +189,7 @@ pub(super) const CASES: &[Case] = &[
     ),
     handles(
         "variable-of-task",
-        "S2:1748",
+        "b-CAP specification, Appendix A",
         "a task has variables",
         Task,
         &[
@@ -193,14 +199,14 @@ pub(super) const CASES: &[Case] = &[
     ),
     handles(
         "name-of-variable",
-        "S2:1769",
+        "b-CAP specification, Appendix A",
         "a variable has the name that it was opened with",
         Controller,
         &[OPEN_A, Step::Call(F::VARIABLE_GET_NAME, &[H(A)], Want::Value("8,I1"))],
     ),
     handles(
         "release-out-of-order",
-        "S2:386",
+        "b-CAP specification, section 4.1.6",
         "objects may be released in any order",
         Controller,
         &[

@@ -23,7 +23,7 @@ const fn session(
 }
 
 /// The specification shows the options only; their rules are those of the vendor's client library.
-const OPTIONS: &str = "S2:225, the vendor's client library";
+const OPTIONS: &str = "b-CAP specification, Table 4-1, the vendor's client library";
 
 /// Service_Start with an option must succeed.
 macro_rules! accepted {
@@ -50,14 +50,14 @@ macro_rules! refused {
 pub(super) const CASES: &[Case] = &[
     session(
         "start-and-stop",
-        "S2:372",
+        "b-CAP specification, section 4.1.5",
         "Service_Stop ends the session",
         Connected,
         &[Step::Must(F::SERVICE_START, &[], Want::NoValue), Step::Must(F::SERVICE_STOP, &[], Want::NoValue)],
     ),
     session(
         "start-again",
-        "S2:206",
+        "b-CAP specification, section 4.1.1",
         "after Service_Stop the connection may start another session",
         Connected,
         &[
@@ -68,14 +68,14 @@ pub(super) const CASES: &[Case] = &[
     ),
     session(
         "connect-and-disconnect",
-        "S2:251",
+        "b-CAP specification, section 4.1.2",
         "Controller_Connect returns a handle, which Controller_Disconnect releases",
         Controller,
         &[Step::Must(F::CONTROLLER_DISCONNECT, &[H(C)], Want::NoValue)],
     ),
     session(
         "connect-twice",
-        "S2:251",
+        "b-CAP specification, section 4.1.2",
         "a controller may be connected again after its release",
         Controller,
         &[
@@ -87,7 +87,7 @@ pub(super) const CASES: &[Case] = &[
     case(
         Group::Sessions,
         "two-controllers",
-        "S2:251",
+        "b-CAP specification, section 4.1.2",
         "one client may connect to the controller twice",
         Controller,
         Body::Run(two_controllers),
@@ -95,21 +95,21 @@ pub(super) const CASES: &[Case] = &[
     case(
         Group::Sessions,
         "connect-before-start",
-        "S2:195",
+        "b-CAP specification, section 4.1",
         "Service_Start comes first",
         Connected,
         Body::Run(connect_before_start),
     ),
     session(
         "handle-before-start",
-        "S2:195",
+        "b-CAP specification, section 4.1",
         "Service_Start comes first",
         Connected,
         &[Step::Must(F::CONTROLLER_GET_NAME, &[crate::case::Arg::I(1)], Want::Refused)],
     ),
     session(
         "stop-releases-handles",
-        "S2:372",
+        "b-CAP specification, section 4.1.5",
         "after Service_Stop all handles are invalid",
         Controller,
         &[
@@ -121,14 +121,14 @@ pub(super) const CASES: &[Case] = &[
     ),
     session(
         "work-after-stop",
-        "S2:372",
+        "b-CAP specification, section 4.1.5",
         "after Service_Stop nothing but Service_Start is served",
         Controller,
         &[Step::Must(F::SERVICE_STOP, &[], Want::NoValue), Step::Must(F::CONTROLLER_GET_NAME, &[H(C)], Want::Refused)],
     ),
     session(
         "end-releases-handles",
-        "S2:336",
+        "b-CAP specification, section 4.1.4",
         "handles do not outlive their connection",
         Controller,
         &[
@@ -139,7 +139,7 @@ pub(super) const CASES: &[Case] = &[
     ),
     session(
         "refused-call-keeps-the-session",
-        "S0:153",
+        "RAC specification, Table 2-2",
         "an error of a call does not end the session",
         Controller,
         &[
@@ -151,7 +151,7 @@ pub(super) const CASES: &[Case] = &[
     case(
         Group::Sessions,
         "unknown-provider",
-        "S2:263",
+        "b-CAP specification, section 4.1.2",
         "a provider that does not exist is refused",
         Started,
         Body::Run(unknown_provider),
@@ -183,7 +183,7 @@ pub(super) const CASES: &[Case] = &[
     case(
         Group::Sessions,
         "two-clients",
-        "S0:189",
+        "RAC specification, section 3.1",
         "two clients work at the same time",
         Controller,
         Body::Run(two_clients),
@@ -191,7 +191,7 @@ pub(super) const CASES: &[Case] = &[
     case(
         Group::Sessions,
         "ten-clients",
-        "S0:189",
+        "RAC specification, section 3.1",
         "ten clients work at the same time",
         Started,
         Body::Run(ten_clients),
@@ -200,7 +200,7 @@ pub(super) const CASES: &[Case] = &[
     case(
         Group::Sessions,
         "one-after-another",
-        "S2:195",
+        "b-CAP specification, section 4.1",
         "fifty clients may come one after the other",
         Started,
         Body::Run(one_after_another),

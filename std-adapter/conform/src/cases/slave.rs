@@ -44,14 +44,14 @@ macro_rules! command {
 pub(super) const CASES: &[Case] = &[
     slave(
         "mode-at-rest",
-        "S2:1034",
+        "b-CAP specification, Table 5-1",
         "without Slave Mode slvGetMode returns 0",
         Robot,
         &[command!("slvGetMode", "0,", Want::Value("3,0"))],
     ),
     slave(
         "command-in-lower-case",
-        "S2:691",
+        "b-CAP specification, section 4.3.2",
         "the case of a command does not matter",
         Robot,
         &[command!("slvgetmode", "0,", Want::Value("3,0"))],
@@ -59,7 +59,7 @@ pub(super) const CASES: &[Case] = &[
     case(
         Group::Slave,
         "move-outside",
-        "S2:1027",
+        "b-CAP specification, section 5.1",
         "slvMove outside of Slave Mode is refused",
         Robot,
         Body::Run(move_outside),
@@ -68,7 +68,7 @@ pub(super) const CASES: &[Case] = &[
     case(
         Group::Slave,
         "enter-without-arm",
-        "S2:1022",
+        "b-CAP specification, Table 5-1",
         "Slave Mode needs the arm authority",
         Robot,
         Body::Run(enter_without_arm),
@@ -76,7 +76,7 @@ pub(super) const CASES: &[Case] = &[
     .at(Level::Motion),
     slave(
         "unknown-mode-4",
-        "S2:1018-1033",
+        "b-CAP specification, Table 5-1",
         "mode 0x004 does not exist",
         Arm,
         &[command!("slvChangeMode", "3,4", Want::Refused)],
@@ -84,7 +84,7 @@ pub(super) const CASES: &[Case] = &[
     .at(Level::Motion),
     slave(
         "unknown-mode-200",
-        "S2:1018-1033",
+        "b-CAP specification, Table 5-1",
         "mode 0x200 does not exist",
         Arm,
         &[command!("slvChangeMode", "3,512", Want::Refused)],
@@ -92,7 +92,7 @@ pub(super) const CASES: &[Case] = &[
     .at(Level::Motion),
     slave(
         "unknown-mode-301",
-        "S2:1018-1033",
+        "b-CAP specification, Table 5-1",
         "mode 0x301 does not exist",
         Arm,
         &[command!("slvChangeMode", "3,769", Want::Refused)],
@@ -100,7 +100,7 @@ pub(super) const CASES: &[Case] = &[
     .at(Level::Motion),
     slave(
         "unknown-send-format",
-        "S2:1040-1046",
+        "b-CAP specification, Table 5-1",
         "send format 0x0001 does not exist",
         Arm,
         &[command!("slvSendFormat", "3,1", Want::Refused)],
@@ -108,39 +108,80 @@ pub(super) const CASES: &[Case] = &[
     .at(Level::Motion),
     slave(
         "unknown-receive-format",
-        "S2:1052-1069",
+        "b-CAP specification, Table 5-1",
         "receive format 0x0006 does not exist",
         Arm,
         &[command!("slvRecvFormat", "3,6", Want::Refused)],
     )
     .at(Level::Motion),
-    run("enter-0-p", "S2:1018-1033", "mode 0x001 is entered and left", |bench| enter(bench, 0x001, 'P')),
-    run("enter-0-j", "S2:1018-1033", "mode 0x002 is entered and left", |bench| enter(bench, 0x002, 'J')),
-    run("enter-0-t", "S2:1018-1033", "mode 0x003 is entered and left", |bench| enter(bench, 0x003, 'T')),
-    run("enter-1-p", "S2:1018-1033", "mode 0x101 is entered and left", |bench| enter(bench, 0x101, 'P')),
-    run("enter-1-j", "S2:1018-1033", "mode 0x102 is entered and left", |bench| enter(bench, 0x102, 'J')),
-    run("enter-1-t", "S2:1018-1033", "mode 0x103 is entered and left", |bench| enter(bench, 0x103, 'T')),
-    run("enter-2-p", "S2:1018-1033", "mode 0x201 is entered and left", |bench| enter(bench, 0x201, 'P')),
-    run("enter-2-j", "S2:1018-1033", "mode 0x202 is entered and left", |bench| enter(bench, 0x202, 'J')),
-    run("enter-2-t", "S2:1018-1033", "mode 0x203 is entered and left", |bench| enter(bench, 0x203, 'T')),
-    run("buffer-fills-in-mode-0", "S2:1203", "the pose that fills the buffer is answered S_BUF_FULL", buffer_fills)
-        .over(Link::Tcp),
+    run("enter-0-p", "b-CAP specification, Table 5-1", "mode 0x001 is entered and left", |bench| {
+        enter(bench, 0x001, 'P')
+    }),
+    run("enter-0-j", "b-CAP specification, Table 5-1", "mode 0x002 is entered and left", |bench| {
+        enter(bench, 0x002, 'J')
+    }),
+    run("enter-0-t", "b-CAP specification, Table 5-1", "mode 0x003 is entered and left", |bench| {
+        enter(bench, 0x003, 'T')
+    }),
+    run("enter-1-p", "b-CAP specification, Table 5-1", "mode 0x101 is entered and left", |bench| {
+        enter(bench, 0x101, 'P')
+    }),
+    run("enter-1-j", "b-CAP specification, Table 5-1", "mode 0x102 is entered and left", |bench| {
+        enter(bench, 0x102, 'J')
+    }),
+    run("enter-1-t", "b-CAP specification, Table 5-1", "mode 0x103 is entered and left", |bench| {
+        enter(bench, 0x103, 'T')
+    }),
+    run("enter-2-p", "b-CAP specification, Table 5-1", "mode 0x201 is entered and left", |bench| {
+        enter(bench, 0x201, 'P')
+    }),
+    run("enter-2-j", "b-CAP specification, Table 5-1", "mode 0x202 is entered and left", |bench| {
+        enter(bench, 0x202, 'J')
+    }),
+    run("enter-2-t", "b-CAP specification, Table 5-1", "mode 0x203 is entered and left", |bench| {
+        enter(bench, 0x203, 'T')
+    }),
+    run(
+        "buffer-fills-in-mode-0",
+        "b-CAP specification, section 5.3.1",
+        "the pose that fills the buffer is answered S_BUF_FULL",
+        buffer_fills,
+    )
+    .over(Link::Tcp),
     run(
         "buffer-overflows-in-mode-0",
-        "S2:1204",
+        "b-CAP specification, section 5.3.1",
         "a pose for which there is no room is answered E_BUF_FULL",
         buffer_overflows,
     )
     .over(Link::Tcp),
-    run("buffer-waits-in-mode-2", "S2:1225", "in mode 2 a reply waits for room, and no pose is refused", |bench| {
-        never_full(bench, 0x202)
-    })
+    run(
+        "buffer-waits-in-mode-2",
+        "b-CAP specification, section 5.3.2",
+        "in mode 2 a reply waits for room, and no pose is refused",
+        |bench| never_full(bench, 0x202),
+    )
     .over(Link::Tcp),
-    run("buffer-overwritten-in-mode-1", "S2:1217", "in mode 1 no pose is refused", |bench| never_full(bench, 0x102))
-        .over(Link::Tcp),
-    run("underflow-at-rest", "S2:1289", "without poses a robot at rest stays in Slave Mode", underflow_at_rest),
-    run("other-commands", "S2:1027", "in Slave Mode other commands are refused", other_commands),
-    run("short-pose", "S2:1240-1265", "a pose of 3 elements is refused", short_pose),
+    run(
+        "buffer-overwritten-in-mode-1",
+        "b-CAP specification, section 5.3.1",
+        "in mode 1 no pose is refused",
+        |bench| never_full(bench, 0x102),
+    )
+    .over(Link::Tcp),
+    run(
+        "underflow-at-rest",
+        "b-CAP specification, Table 5-6",
+        "without poses a robot at rest stays in Slave Mode",
+        underflow_at_rest,
+    ),
+    run(
+        "other-commands",
+        "b-CAP specification, section 5.1",
+        "in Slave Mode other commands are refused",
+        other_commands,
+    ),
+    run("short-pose", "b-CAP specification, section 5.4", "a pose of 3 elements is refused", short_pose),
 ];
 
 /// The receive formats, and the number of doubles of the pose.
@@ -151,12 +192,19 @@ const POSES: [(&str, &str, usize); 5] =
 const MORE: [(&str, &str, usize); 4] =
     [("time", "3,0x12", 2), ("current", "3,0x42", 2), ("mini-io", "3,0x102", 2), ("hand-io", "3,0x22", 2)];
 
-/// Returns the cases of the formats of slvMove (S2:1052-1181).
+/// Returns the cases of the formats of slvMove (b-CAP specification, section 5.2).
 pub(super) fn formats() -> impl Iterator<Item = Case> {
     let made = |name: &str, run: Body| Case {
         name: Cow::Owned(format!("receive-{name}")),
-        ..case(Group::Slave, "", "S2:1103-1181", "the reply of slvMove has the values of the receive format", Arm, run)
-            .at(Level::Motion)
+        ..case(
+            Group::Slave,
+            "",
+            "b-CAP specification, Table 5-3",
+            "the reply of slvMove has the values of the receive format",
+            Arm,
+            run,
+        )
+        .at(Level::Motion)
     };
     let functions: [Run; 9] = [
         |bench| received(bench, 0),

@@ -25,28 +25,28 @@ const fn task(
 pub(super) const CASES: &[Case] = &[
     task(
         "names",
-        "S2:1638",
+        "b-CAP specification, Appendix A",
         "the names of the tasks are an array of BSTR",
         Controller,
         &[Step::Call(F::CONTROLLER_GET_TASK_NAMES, &[H(Slot::Controller), S("")], Want::Array(8, 0))],
     ),
     task(
         "unknown",
-        "S2:506",
+        "b-CAP specification, section 4.2.1",
         "a task that does not exist is refused",
         Controller,
         &[Step::Must(F::CONTROLLER_GET_TASK, &[H(Slot::Controller), S("NoSuchTask"), S("")], Want::Refused)],
     ),
     task(
         "empty-name",
-        "S2:506",
+        "b-CAP specification, section 4.2.1",
         "a task has a name",
         Controller,
         &[Step::Must(F::CONTROLLER_GET_TASK, &[H(Slot::Controller), S(""), S("")], Want::Refused)],
     ),
     task(
         "name",
-        "S2:1757",
+        "b-CAP specification, Appendix A",
         "Task_GetName returns a BSTR",
         Task,
         &[Step::Call(F::TASK_GET_NAME, &[H(T)], Want::Type(8))],
@@ -60,21 +60,21 @@ pub(super) const CASES: &[Case] = &[
     ),
     task(
         "unknown-command",
-        "S2:1750",
+        "b-CAP specification, Appendix A",
         "a command that does not exist is refused",
         Task,
         &[Step::Must(F::TASK_EXECUTE, &[H(T), S("NoSuchCommand"), V("0,")], Want::Refused)],
     ),
     task(
         "variable-names",
-        "S2:1749",
+        "b-CAP specification, Appendix A",
         "the names of a task's variables are an array of BSTR",
         Task,
         &[Step::Call(F::TASK_GET_VARIABLE_NAMES, &[H(T), S("")], Want::Array(8, 0))],
     ),
     task(
         "start-with-wrong-mode",
-        "S2:536",
+        "b-CAP specification, section 4.2.2",
         "a mode of Task_Start that does not exist is refused",
         Task,
         &[Step::Call(F::TASK_START, &[H(T), I(99), S("")], Want::Refused)],
@@ -82,7 +82,7 @@ pub(super) const CASES: &[Case] = &[
     .at(Level::Motion),
     task(
         "stop-with-wrong-mode",
-        "S2:546",
+        "b-CAP specification, section 4.2.2",
         "a mode of Task_Stop that does not exist is refused",
         Task,
         &[Step::Call(F::TASK_STOP, &[H(T), I(99), S("")], Want::Refused)],
@@ -90,7 +90,7 @@ pub(super) const CASES: &[Case] = &[
     .at(Level::Motion),
     task(
         "start-without-mode",
-        "S2:536",
+        "b-CAP specification, section 4.2.2",
         "Task_Start has three arguments",
         Task,
         &[Step::Call(F::TASK_START, &[H(T)], Want::Code(&[HResult::E_INVALIDARG]))],
@@ -99,7 +99,7 @@ pub(super) const CASES: &[Case] = &[
     case(
         Group::Tasks,
         "start-and-stop",
-        "S2:531-557",
+        "b-CAP specification, section 4.2.2",
         "a started task runs until it ends or is stopped",
         Task,
         Body::Run(start_and_stop),
@@ -123,7 +123,7 @@ fn start_and_stop(bench: &mut Bench<'_>) -> Result<(), Stop> {
     let running = bench.call(F::VARIABLE_GET_VALUE, &[H(A)])?;
     // immediately, also if the reply above is wrong
     let stopped = bench.call(F::TASK_STOP, &[H(T), I(1), S("")])?;
-    // a short program may have ended already, because mode 2 runs one cycle (S2:531)
+    // a short program may have ended already, because mode 2 runs one cycle (b-CAP specification, section 4.2.2)
     let is_running = running.value() == Some(&RUNNING);
     let is_over = running.value() == before.value();
     if !(is_running || is_over) || running.code.is_err() {

@@ -26,7 +26,7 @@ const fn run(
 pub(super) const CASES: &[Case] = &[
     run(
         "pause-within-the-header",
-        "S2:200-384",
+        "b-CAP specification, sections 4.1.1 to 4.1.5",
         "a pause of 500 ms within a frame loses nothing",
         Connected,
         pause_in_header,
@@ -34,7 +34,7 @@ pub(super) const CASES: &[Case] = &[
     .over(Link::Tcp),
     run(
         "pause-within-an-argument",
-        "S2:200-384",
+        "b-CAP specification, sections 4.1.1 to 4.1.5",
         "a pause of 500 ms within a frame loses nothing",
         Connected,
         pause_in_argument,
@@ -42,14 +42,14 @@ pub(super) const CASES: &[Case] = &[
     .over(Link::Tcp),
     run(
         "pause-between-frames",
-        "S2:200-384",
+        "b-CAP specification, sections 4.1.1 to 4.1.5",
         "a session without calls for a second goes on",
         Controller,
         pause_between,
     ),
     run(
         "pause-of-another-client",
-        "S0:189",
+        "RAC specification, section 3.1",
         "an unfinished frame of one client does not delay another",
         Started,
         unfinished_frame_of_another,
@@ -57,15 +57,21 @@ pub(super) const CASES: &[Case] = &[
     .over(Link::Tcp),
     run(
         "quick-call-without-keep-alive",
-        "S2:225",
+        "b-CAP specification, Table 4-1",
         "a call that takes no time gets no keep-alive",
         Connected,
         no_keep_alive,
     ),
-    run("silence-after-a-reply", "S0:189", "a device sends nothing without a request", Controller, silence),
+    run(
+        "silence-after-a-reply",
+        "RAC specification, section 3.1",
+        "a device sends nothing without a request",
+        Controller,
+        silence,
+    ),
     run(
         "keep-alives-of-a-motion",
-        "S2:225",
+        "b-CAP specification, Table 4-1",
         "with WDT=100 a long call gets S_EXECUTING with its serial, and then its reply",
         Arm,
         keep_alives,
@@ -73,7 +79,7 @@ pub(super) const CASES: &[Case] = &[
     .at(Level::Motion),
     run(
         "no-keep-alive-without-wdt",
-        "S2:225",
+        "b-CAP specification, Table 4-1",
         "without WDT a long call gets no S_EXECUTING",
         Arm,
         no_keep_alives_without_wdt,
@@ -81,7 +87,7 @@ pub(super) const CASES: &[Case] = &[
     .at(Level::Motion),
     run(
         "others-during-a-motion",
-        "S0:189",
+        "RAC specification, section 3.1",
         "a long call of one client does not delay another",
         Arm,
         others_during_a_motion,
@@ -90,7 +96,7 @@ pub(super) const CASES: &[Case] = &[
     case(
         Group::Timeouts,
         "restart-with-another-wdt",
-        "S2:225",
+        "b-CAP specification, Table 4-1",
         "a later Service_Start may set another interval",
         Connected,
         steps(&[

@@ -20,7 +20,7 @@ const fn echo(name: &'static str, source: &'static str, table: &'static [Step]) 
 
 const C: Slot = Slot::Controller;
 const A: Slot = Slot::A;
-const TYPES: &str = "S2:1577-1590";
+const TYPES: &str = "b-CAP specification, Table 6-3";
 
 macro_rules! echo {
     ($name:literal, $kind:literal, $value:literal) => {
@@ -43,7 +43,7 @@ macro_rules! refused {
         case(
             Group::Types,
             $name,
-            "S0:173",
+            "RAC specification, Table 2-3",
             "a value of another type is refused",
             Controller,
             steps(&[

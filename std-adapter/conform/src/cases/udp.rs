@@ -18,11 +18,11 @@ const COPY: Step = Step::Copy { renumbered: true };
 const DUPLICATE: Step = Step::Copy { renumbered: false };
 
 const fn udp(name: &'static str, rule: &'static str, setup: Setup, table: &'static [Step]) -> Case {
-    case(Group::Udp, name, "S2:1487", rule, setup, steps(table)).over(Link::Udp)
+    case(Group::Udp, name, "b-CAP specification, Table 6-1", rule, setup, steps(table)).over(Link::Udp)
 }
 
 const fn run(name: &'static str, rule: &'static str, run: fn(&mut Bench<'_>) -> Result<(), Stop>) -> Case {
-    case(Group::Udp, name, "S2:1487", rule, Controller, Body::Run(run)).over(Link::Udp)
+    case(Group::Udp, name, "b-CAP specification, Table 6-1", rule, Controller, Body::Run(run)).over(Link::Udp)
 }
 
 pub(super) const CASES: &[Case] = &[

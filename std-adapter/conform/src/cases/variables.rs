@@ -43,7 +43,7 @@ macro_rules! written {
     ($name:literal, $kind:literal, $value:literal) => {
         variable(
             $name,
-            "S2:315",
+            "b-CAP specification, section 4.1.3",
             "a written value is seen through another handle",
             Controller,
             &[
@@ -59,18 +59,18 @@ macro_rules! written {
 }
 
 pub(super) const CASES: &[Case] = &[
-    kind!("type-of-i", "I1", "S0:230", "I is an I4", Want::Type(3)),
-    kind!("type-of-f", "F1", "S0:244", "F is an R4", Want::Type(4)),
-    kind!("type-of-d", "D1", "S0:256", "D is an R8", Want::Type(5)),
-    kind!("type-of-s", "S1", "S0:268", "S is a BSTR", Want::Type(8)),
-    kind!("type-of-v", "V1", "S0:283", "V is an array of 3 R4", Want::Array(4, 3)),
-    kind!("type-of-p", "P1", "S0:296", "P is an array of 7 R4", Want::Array(4, 7)),
-    kind!("type-of-j", "J1", "S0:310", "J is an array of 8 R4", Want::Array(4, 8)),
-    kind!("type-of-t", "T1", "S0:325", "T is an array of 10 R4", Want::Array(4, 10)),
-    kind!("type-of-io", "IO150", "S2:310", "IO is a BOOL", Want::Type(11)),
+    kind!("type-of-i", "I1", "RAC specification, section 4.1", "I is an I4", Want::Type(3)),
+    kind!("type-of-f", "F1", "RAC specification, section 4.1", "F is an R4", Want::Type(4)),
+    kind!("type-of-d", "D1", "RAC specification, section 4.1", "D is an R8", Want::Type(5)),
+    kind!("type-of-s", "S1", "RAC specification, section 4.1", "S is a BSTR", Want::Type(8)),
+    kind!("type-of-v", "V1", "RAC specification, section 4.1", "V is an array of 3 R4", Want::Array(4, 3)),
+    kind!("type-of-p", "P1", "RAC specification, section 4.1", "P is an array of 7 R4", Want::Array(4, 7)),
+    kind!("type-of-j", "J1", "RAC specification, section 4.1", "J is an array of 8 R4", Want::Array(4, 8)),
+    kind!("type-of-t", "T1", "RAC specification, section 4.1", "T is an array of 10 R4", Want::Array(4, 10)),
+    kind!("type-of-io", "IO150", "b-CAP specification, section 4.1.3", "IO is a BOOL", Want::Type(11)),
     variable(
         "name-in-lower-case",
-        "S2:691",
+        "b-CAP specification, section 4.3.2",
         "the case of a name does not matter",
         Controller,
         &[
@@ -79,45 +79,45 @@ pub(super) const CASES: &[Case] = &[
         ],
     ),
     kind!("name-with-brackets", "I[1]", "public samples", "I[1] is I1", Want::Type(3)),
-    kind!("index-0", "I0", "S0:69", "indices begin with 0", Want::Type(3)),
+    kind!("index-0", "I0", "RAC specification, section 2.1.2", "indices begin with 0", Want::Type(3)),
     variable(
         "index-too-large",
-        "S0:69",
+        "RAC specification, section 2.1.2",
         "an index above the last one is refused",
         Controller,
         &[Step::Call(F::CONTROLLER_GET_VARIABLE, &[H(C), S("I99999999"), S("")], Want::Refused)],
     ),
     variable(
         "index-negative",
-        "S0:69",
+        "RAC specification, section 2.1.2",
         "a negative index is refused",
         Controller,
         &[Step::Call(F::CONTROLLER_GET_VARIABLE, &[H(C), S("I-1"), S("")], Want::Refused)],
     ),
     variable(
         "unknown-name",
-        "S2:276",
+        "b-CAP specification, section 4.1.2",
         "a name that does not exist is refused",
         Controller,
         &[Step::Must(F::CONTROLLER_GET_VARIABLE, &[H(C), S("NoSuchVariable"), S("")], Want::Refused)],
     ),
     variable(
         "unknown-system-name",
-        "S2:386",
+        "b-CAP specification, section 4.1.6",
         "a system variable that does not exist is refused",
         Controller,
         &[Step::Must(F::CONTROLLER_GET_VARIABLE, &[H(C), S("@NO_SUCH_VARIABLE"), S("")], Want::Refused)],
     ),
     variable(
         "unknown-name-of-robot",
-        "S2:386",
+        "b-CAP specification, section 4.1.6",
         "a system variable that does not exist is refused",
         Robot,
         &[Step::Call(F::ROBOT_GET_VARIABLE, &[H(R), S("@NO_SUCH_VARIABLE"), S("")], Want::Refused)],
     ),
     variable(
         "read-twice",
-        "S2:299",
+        "b-CAP specification, section 4.1.3",
         "a variable may be read many times",
         Controller,
         &[
@@ -129,7 +129,7 @@ pub(super) const CASES: &[Case] = &[
     ),
     variable(
         "names",
-        "S2:1640",
+        "b-CAP specification, Appendix A",
         "the names of the variables are an array of BSTR",
         Controller,
         &[Step::Call(F::CONTROLLER_GET_VARIABLE_NAMES, &[H(C), S("")], Want::Array(8, 0))],
@@ -137,14 +137,14 @@ pub(super) const CASES: &[Case] = &[
     .over(bcap_testkit::wire::Link::Tcp),
     variable(
         "names-of-robots",
-        "S2:1636",
+        "b-CAP specification, Appendix A",
         "the names of the robots are an array of BSTR",
         Controller,
         &[Step::Call(F::CONTROLLER_GET_ROBOT_NAMES, &[H(C), S("")], Want::Array(8, 0))],
     ),
     variable(
         "attribute",
-        "S2:1767",
+        "b-CAP specification, Appendix A",
         "the attribute of a variable is an I4",
         Controller,
         &[
@@ -154,7 +154,7 @@ pub(super) const CASES: &[Case] = &[
     ),
     variable(
         "microsecond",
-        "S2:1774",
+        "b-CAP specification, Appendix A",
         "the time stamp of a variable is an I4",
         Controller,
         &[
@@ -164,56 +164,56 @@ pub(super) const CASES: &[Case] = &[
     ),
     variable(
         "error-description",
-        "S2:834",
+        "b-CAP specification, section 4.3.6",
         "GetErrorDescription returns a BSTR",
         Controller,
         &[Step::Call(F::CONTROLLER_EXECUTE, &[H(C), S("GetErrorDescription"), V("3,-2147024809")], Want::Type(8))],
     ),
     variable(
         "command-in-lower-case",
-        "S2:691",
+        "b-CAP specification, section 4.3.2",
         "the case of a command does not matter",
         Controller,
         &[Step::Call(F::CONTROLLER_EXECUTE, &[H(C), S("geterrordescription"), V("3,-2147024809")], Want::Type(8))],
     ),
     variable(
         "error-count",
-        "S2:834",
+        "b-CAP specification, section 4.3.6",
         "GetCurErrorCount returns an I4",
         Controller,
         &[Step::Call(F::CONTROLLER_EXECUTE, &[H(C), S("GetCurErrorCount"), V("0,")], Want::Type(3))],
     ),
     variable(
         "unknown-command",
-        "S2:834",
+        "b-CAP specification, section 4.3.6",
         "a command that does not exist is refused",
         Controller,
         &[Step::Must(F::CONTROLLER_EXECUTE, &[H(C), S("NoSuchCommand"), V("0,")], Want::Refused)],
     ),
     variable(
         "joints",
-        "S2:1726",
+        "b-CAP specification, Appendix A",
         "CurJnt returns 8 doubles",
         Robot,
         &[Step::Call(F::ROBOT_EXECUTE, &[H(R), S("CurJnt"), V("0,")], Want::Array(5, 8))],
     ),
     variable(
         "position",
-        "S2:1726",
+        "b-CAP specification, Appendix A",
         "CurPos returns 7 doubles",
         Robot,
         &[Step::Call(F::ROBOT_EXECUTE, &[H(R), S("CurPos"), V("0,")], Want::Array(5, 7))],
     ),
     variable(
         "transform",
-        "S2:1726",
+        "b-CAP specification, Appendix A",
         "CurTrn returns 10 doubles",
         Robot,
         &[Step::Call(F::ROBOT_EXECUTE, &[H(R), S("CurTrn"), V("0,")], Want::Array(5, 10))],
     ),
     variable(
         "unknown-command-of-robot",
-        "S2:1726",
+        "b-CAP specification, Appendix A",
         "a command that does not exist is refused",
         Robot,
         &[Step::Must(F::ROBOT_EXECUTE, &[H(R), S("NoSuchCommand"), V("0,")], Want::Refused)],
@@ -240,7 +240,7 @@ pub(super) const CASES: &[Case] = &[
     written!("write-t", "T", "8196,1,2,3,1,0,0,0,1,0,-1"),
     variable(
         "write-a-read-only-variable",
-        "S2:386",
+        "b-CAP specification, section 4.1.6",
         "@MODE cannot be written",
         Controller,
         &[
@@ -251,7 +251,7 @@ pub(super) const CASES: &[Case] = &[
     .at(Level::Write),
     variable(
         "seen-by-another-client",
-        "S2:315",
+        "b-CAP specification, section 4.1.3",
         "a written value is that of the controller, not of the session",
         Controller,
         &[
@@ -298,7 +298,7 @@ const SYSTEM: &[(Setup, &str, u16)] = &[
     (Task, "@PRIORITY", 3),
 ];
 
-/// Returns the cases of the types of system variables (S2:386; names and types from the vendor's open drivers).
+/// Returns the cases of the types of system variables (b-CAP specification, section 4.1.6; names and types from the vendor's open drivers).
 pub(super) fn system() -> impl Iterator<Item = Case> {
     SYSTEM.iter().map(|(setup, name, vartype)| {
         let (object, opens, slot) = match setup {
@@ -316,7 +316,7 @@ pub(super) fn system() -> impl Iterator<Item = Case> {
             name: Cow::Owned(format!("system/{object}/{name}")),
             group: if *setup == Task { Group::Tasks } else { Group::Variables },
             level: Level::Read,
-            source: "S2:386",
+            source: "b-CAP specification, section 4.1.6",
             rule: "a system variable has the type of the provider guide",
             only: None,
             setup: *setup,

@@ -1,4 +1,4 @@
-//! What the robot measures and logs, and what a client tells about its load. The tables are in [`arm`](super).
+//! The measurements and logs of the robot, and its load as set by a client. The tables are in [`arm`](super).
 
 use std::time::Duration;
 

@@ -31,7 +31,7 @@ pub(super) fn convert(arm: &Arm, ctx: &Context<'_>, from: Kind, to: Kind, param:
     .into())
 }
 
-/// Executes Dev or DevH: a pose moved and turned by an offset in work coordinates, or in those of the tool.
+/// Executes Dev or DevH: a pose moved and turned by an offset in work or tool coordinates.
 pub(super) fn deviation(arm: &Arm, ctx: &Context<'_>, param: &Variant<'_>, of_flange: bool) -> Answered {
     let Variant::Array(array) = param.flatten() else { return Err(HResult::E_INVALIDARGTYPE) };
     let (Some(pose), Some(offset), 2) = (array.get(0), array.get(1), array.len()) else {

@@ -17,7 +17,7 @@ use crate::waits::Wait;
 /// The largest encoding of the pose of a step, in bytes.
 const POSE_MAX: usize = 4096;
 
-/// What a step needs next.
+/// The next need of a step.
 enum Next {
     /// It takes this time.
     Takes(Duration),

@@ -1,4 +1,4 @@
-//! The system variables of the controller; those of the robot and of tasks are in [`arm`](crate::arm) and
+//! The system variables of the controller. The variables of the robot are in [`arm`](crate::arm), those for tasks in
 //! [`tasks`](crate::tasks).
 //!
 //! Reading a variable that can only be written answers `E_ACCESSDENIED`, writing one that can only be read

@@ -175,7 +175,7 @@ fn zeros(function: &impl Fn(f64) -> f64, places: &[f64]) -> Vec<f64> {
         if (a < 0.0) != (b < 0.0) {
             found.push(bisect(function, low, high));
         } else if let Some(dip) = dip(function, (low, a), (high, b)) {
-            // the two zeros beside it are one if it only touches
+            // the zeros on both sides are one zero if the function only touches 0
             found.extend([bisect(function, low, dip), bisect(function, high, dip)]);
         }
         found.extend((a.abs() < EXACT).then_some(low));

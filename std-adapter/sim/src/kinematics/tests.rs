@@ -67,7 +67,7 @@ fn vectors_that_span_no_plane_are_no_transform() {
     assert!(Frame::from_trans([0.0; 9]).is_none());
 }
 
-/// All arms: the default one, those of the models and the others.
+/// All arms: the default one, the arms of the models, and the others.
 fn arms() -> Vec<(&'static str, Geometry)> {
     let models = [("cobotta", Profile::Cobotta), ("cobotta pro", Profile::CobottaPro)];
     let models = models.map(|(name, profile)| (name, profile.model().geometry));

@@ -1,4 +1,4 @@
-//! Arms of six axes: four lengths in a vertical plane, a wrist, and offsets beside the plane.
+//! Arms of six axes: four lengths in a vertical plane, a wrist, and offsets from the plane.
 
 use super::frame::{Frame, Joints, Matrix, OutOfReach, SINGULAR, multiply, normal, ry_matrix, rz_matrix, transpose};
 
@@ -15,13 +15,13 @@ pub struct Vertical {
     pub a1: f64,
     /// Upper arm, J2 to J3.
     pub a2: f64,
-    /// Forearm axis beside the elbow axis.
+    /// Offset of the forearm axis from the elbow axis.
     pub a3: f64,
     /// Forearm, J3 to the wrist centre.
     pub d4: f64,
-    /// Forearm axis J4 beside the plane of the arm, along y.
+    /// Offset of the forearm axis J4 from the plane of the arm, along y.
     pub b4: f64,
-    /// Flange axis J6 beside the forearm axis, along y. Other than 0, the wrist is not spherical.
+    /// Offset of the flange axis J6 from the forearm axis, along y. Unless it is 0, the wrist is not spherical.
     pub b6: f64,
     /// Wrist centre to the flange.
     pub d6: f64,

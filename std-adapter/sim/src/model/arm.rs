@@ -16,7 +16,7 @@ const LONGEST: f64 = 1e5;
 /// The largest end of a range, in degrees or mm, and the highest speed: beyond them calculations lose all digits.
 const LARGEST: f64 = 1e6;
 
-/// An arm that is built in, besides those of the [models](super::Profile): its file says where each value comes from.
+/// A built-in arm that belongs to no [model](super::Profile). Its file says where each value comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ArmProfile {

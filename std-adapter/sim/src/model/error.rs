@@ -1,4 +1,4 @@
-//! What is wrong with the file of a model or of an arm.
+//! Errors in the file of a model or of an arm.
 
 use toml::Spanned;
 
@@ -14,7 +14,7 @@ pub enum ModelError {
     Value {
         /// The line of the value, from 1.
         line: usize,
-        /// What is wrong, and what is accepted.
+        /// The fault, and the accepted values.
         problem: String,
     },
 }

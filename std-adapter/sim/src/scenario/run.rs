@@ -1,4 +1,4 @@
-//! A scenario being played: the faults that are due, and the fault that each pending call meets.
+//! A running scenario: the faults whose time has come, and the fault of each pending call.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -33,7 +33,7 @@ struct Armed {
     over: bool,
 }
 
-/// What happens to a call and its answer.
+/// The fault of a call and its answer.
 #[derive(Clone, Debug, Default)]
 struct CallFault {
     refused: Option<HResult>,
@@ -71,7 +71,7 @@ impl Running {
         *self = Self { calls, ..Self::new(scenario) };
     }
 
-    /// Takes the earliest fault that is due by this time.
+    /// Takes the earliest fault whose time has come.
     pub(crate) fn due(&mut self, now: Instant) -> Option<(Instant, Effect)> {
         let waiting = self.faults.iter_mut().filter(|armed| !armed.over);
         let timed = waiting.filter_map(|armed| match armed.fault.when {
@@ -243,7 +243,7 @@ impl Running {
     }
 }
 
-/// What to do with a call.
+/// The treatment of a call.
 #[derive(Debug)]
 pub(crate) enum Step {
     /// Poll it again at this time.

@@ -43,7 +43,7 @@ pub struct Setup {
     pub motor: Option<bool>,
     /// Whether Slave Mode has its licence.
     pub licence: Option<bool>,
-    /// What limits Slave Mode: parameter 153.
+    /// The limits of Slave Mode: parameter 153.
     pub slave_speed_setting: Option<SpeedSetting>,
     /// The formats of Slave Mode.
     pub formats: Option<SlaveFormats>,

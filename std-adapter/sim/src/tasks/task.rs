@@ -46,7 +46,7 @@ enum Until {
     LineEnd(Duration),
 }
 
-/// What a task does while it runs.
+/// The work of a running task.
 #[derive(Clone, Debug)]
 enum Work {
     Timed(Timed),
@@ -65,7 +65,7 @@ pub(crate) struct Task {
     cycles: u64,
     /// The time that it has been running since it was last started from its beginning.
     pub(super) elapsed: Duration,
-    /// It has completed a cycle of its own accord since it was last started.
+    /// It has completed a cycle, without being stopped, since it was last started.
     completed: bool,
 }
 
@@ -121,7 +121,7 @@ impl Task {
         Value::I4(self.status as i32)
     }
 
-    /// Returns the time of a cycle; of a program, that of the last one.
+    /// Returns the cycle time; for a program, of its last cycle.
     pub(super) fn cycle_time(&self) -> Duration {
         match &self.work {
             Work::Timed(timed) => timed.cycle,

@@ -182,7 +182,7 @@ impl World {
         TaskHandle(self.handle(client.peer, call::controller_get_task(client.controller, name, "")))
     }
 
-    /// Reads a variable through a handle of its own, which is released.
+    /// Reads a variable through a temporary handle.
     pub(crate) fn get(&mut self, client: Client, name: &str) -> Reply {
         let handle = self.variable(client, name);
         let reply = self.call(client.peer, call::variable_get_value(handle));
@@ -190,7 +190,7 @@ impl World {
         reply
     }
 
-    /// Writes a variable through a handle of its own, which is released.
+    /// Writes a variable through a temporary handle.
     pub(crate) fn put(&mut self, client: Client, name: &str, value: impl Encode) -> HResult {
         let handle = self.variable(client, name);
         let (result, _) = self.call(client.peer, call::variable_put_value(handle, value));

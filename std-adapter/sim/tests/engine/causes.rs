@@ -1,5 +1,5 @@
-//! What the specification's table of underflow and the codes of slave mode come to: produced by the controller, and
-//! reported by the engine under their names, the first cause first.
+//! Every row of the specification's underflow table and every code of Slave Mode: the controller produces it, and the
+//! engine reports it by name, the first cause first.
 
 use bcap_core::bcap::call;
 use bcap_core::hresult::HResult;
@@ -159,7 +159,7 @@ fn the_engine_refuses_what_would_trip_the_controller_with_axis_and_figures() {
     }
 }
 
-/// What makes the controller answer a code.
+/// A way to make the controller answer a code.
 struct Row {
     code: HResult,
     name: Option<&'static str>,

@@ -1,4 +1,5 @@
-//! Scenarios in the middle of a stream: how the engine ends, what it has sent, and that nothing moved afterwards.
+//! Scenarios in the middle of a stream: how the engine ends, which poses it has sent, and that nothing moved
+//! afterwards.
 
 use bcap_core::hresult::HResult;
 use bcap_core::slave::{Action, Cause, Failure, Fault, Mode, PoseType, RecoverError, Released, Step};

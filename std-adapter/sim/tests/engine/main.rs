@@ -32,7 +32,7 @@ struct Rig {
     sent: Vec<(Instant, Step)>,
     /// Poses that were answered with their value.
     moves: u32,
-    /// Looks at each answer of slvMove as it comes, beside the controller that has made it.
+    /// Checks each answer of slvMove as it arrives, against the controller that made it.
     look: fn(&Format, &MoveReply<'_>, &World),
 }
 

@@ -12,7 +12,7 @@ use bcap_sim::scenario::Delivery;
 
 use crate::common::World;
 
-/// What lies between a client and the controller.
+/// The connection between a client and the controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Link {
     Tcp,

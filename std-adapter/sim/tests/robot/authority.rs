@@ -65,7 +65,7 @@ fn the_token_of_an_address_is_for_its_clients() {
     assert_eq!(take(&mut world, 1), code(HResult::E_TOKEN_ADDRESS));
     assert_eq!(take(&mut world, 2), code(HResult::E_TOKEN_ADDRESS));
     assert_eq!(take(&mut world, 0), ok(&()));
-    // its address is that of the connection, not of the session
+    // its address belongs to the connection, not to the session
     assert_eq!(world.call(clients[0].peer, call::service_stop()), code(HResult::S_OK));
     let again = world.client(1);
     assert_eq!(world.robot(again, "TakeArm", [0, 0]), ok(&()));

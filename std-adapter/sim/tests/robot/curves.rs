@@ -139,7 +139,7 @@ fn rotate_turns_the_flange_with_the_circle_or_not() {
     assert_eq!(world.run(client.peer, go), code(HResult::S_OK));
     let here = pose(&mut world, client);
     assert_close(&here[..3], &[300.0, 0.0, 300.0], 1e-6);
-    // RZ is 180, so the x of the flange is against that of the base
+    // RZ is 180, so the x of the flange points against the x of the base
     assert!((here[3] - 165.0).abs() < 1e-6, "{here:?}");
     for (plane, centre, option) in [
         ("XZ", "V(0,0,0)", ""),

@@ -10,7 +10,7 @@ use crate::common::{World, close, code, doubles, ok};
 fn dev_moves_in_the_base_and_dev_h_in_the_flange() {
     let mut world = World::new();
     let client = world.client(1);
-    // the flange points down, with its x against that of the base
+    // the flange points down, with its x against the x of the base
     let base = [300.0, 50.0, 260.0, 180.0, 0.0, 180.0, 5.0];
     let offset = "P(10, 0, 20, 0, 0, 0, -1)";
     let moved = doubles(&world.robot(client, "Dev", ((base, "P"), offset)).1);

@@ -1,4 +1,4 @@
-//! What stops a motion: Halt, Hold, the emergency stop, errors, the mode switch, a client that goes.
+//! Everything that stops a motion: Halt, Hold, the emergency stop, errors, the mode switch, a client that disconnects.
 
 use bcap_core::bcap::call;
 use bcap_core::bcap::server::Handler as _;

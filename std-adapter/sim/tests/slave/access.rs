@@ -1,4 +1,4 @@
-//! What slave mode needs, what it allows, and what ends it.
+//! The preconditions of Slave Mode, the calls that it allows, and the events that end it.
 
 use bcap_core::bcap::call;
 use bcap_core::bcap::server::Handler as _;

@@ -1,4 +1,4 @@
-//! What real controllers do when they refuse a call in Slave Mode: `Config::as_observed`.
+//! Real controllers that refuse a call in Slave Mode: `Config::as_observed`.
 
 use bcap_core::bcap::call;
 use bcap_core::hresult::HResult;

@@ -18,7 +18,7 @@ type Board = Client<[u8; 512]>;
 fn run(memory: &mut Memory) {
     static CLIENT: Place<Board> = Place::new();
     let client = CLIENT.put(Client::new(black_box(Config::TCP), [0; 512], [0; 512]));
-    // the handles are those of the last reply; that is enough, because the image is not run
+    // all handles are 1; that is enough, because the image is not run
     let handle = black_box(1);
     converse(client, memory, &call::service_start("WDT=400"));
     converse(client, memory, &call::controller_connect("", black_box("CaoProv.DENSO.VRC9"), "localhost", ""));

@@ -1,4 +1,4 @@
-//! The empty image, whose size is subtracted from those of the others.
+//! The empty image, whose size is subtracted from the sizes of the others.
 #![no_std]
 #![no_main]
 
