@@ -1,4 +1,4 @@
-//! Times of large arrays of doubles: encoding a frame and decoding one, beside a `memcpy` of the same bytes.
+//! Times of large arrays of doubles: encoding a frame and decoding one, compared with a `memcpy` of the same bytes.
 //!
 //! ```text
 //! cargo bench -p bcap-tests --bench arrays

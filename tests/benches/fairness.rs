@@ -93,7 +93,7 @@ fn measure(title: &str, large: Option<Vec<u8>>) -> Result<(), Failure> {
     Ok(())
 }
 
-/// A client that sends the same large request without a pause, and reads what it is answered.
+/// A client that sends the same large request without a pause, and reads the answers.
 struct Flood {
     stream: TcpStream,
     threads: [thread::JoinHandle<()>; 2],
@@ -144,7 +144,7 @@ fn read_frame(stream: &mut TcpStream) -> std::io::Result<()> {
     if copied == rest { Ok(()) } else { Err(std::io::ErrorKind::UnexpectedEof.into()) }
 }
 
-/// Starts a server on a thread of its own, and returns its address.
+/// Starts a server on a separate thread, and returns its address.
 fn serve() -> Result<SocketAddr, Failure> {
     let (told, address) = mpsc::channel();
     thread::spawn(move || {

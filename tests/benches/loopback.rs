@@ -4,7 +4,7 @@
 //! cargo bench -p bcap-tests --bench loopback
 //! ```
 //!
-//! The frames are those of a slave-mode cycle: a request of 132 bytes, a reply of 126.
+//! The frames are as in a Slave Mode cycle: a request of 132 bytes, a reply of 126.
 //!
 //! 1. *Round trip*: the blocking client against the tokio server, and a bare ping-pong in which two threads write and
 //!    read the same bytes and look at none. Both are measured in turns, in the same run, twice: with all threads on one
@@ -283,7 +283,7 @@ async fn exchange(stream: &mut tokio::net::TcpStream, request: Vec<u8>) -> Resul
 
 // --- servers -------------------------------------------------------------------------------------------------------
 
-/// A server on a thread of its own.
+/// A server on a separate thread.
 struct Running {
     address: SocketAddr,
     stop: Box<dyn FnOnce() + Send>,

@@ -30,7 +30,7 @@ const FEW_VARIABLES: usize = 10;
 const ROUNDS: usize = 2_000;
 const TIME: Duration = Duration::from_secs(3);
 
-/// A virtual controller in a process of its own.
+/// A virtual controller in a separate process.
 struct Server {
     child: Child,
     address: SocketAddr,

@@ -5,9 +5,9 @@
 //! cargo bench -p bcap-tests --bench slave -- 1000 --fifo       fewer, with SCHED_FIFO and locked memory
 //! ```
 //!
-//! The virtual controller runs in a thread of its own behind TCP; the stream's thread and another one that does nothing
-//! but count share the machine with it. With `--fifo` the controller has the same priority as the stream. Shown are the figures of the engine, and the underflows that the controller
-//! counted. It fails when there is one.
+//! The virtual controller runs in a separate thread behind TCP. It shares the machine with the stream's thread and with
+//! a thread that only counts. With `--fifo` the controller has the same priority as the stream. The output has the
+//! figures of the engine, and the underflows that the controller counted. The benchmark fails on any underflow.
 
 use std::hint::black_box;
 use std::process::ExitCode;
@@ -74,7 +74,7 @@ fn run(cycles: u32, realtime: Realtime) -> Result<u64, Failure> {
     let mut underflows = 0;
     for mode in [Mode::Mode0, Mode::Mode1, Mode::Mode2] {
         for driver in [Driver::Blocking, Driver::Tokio] {
-            // a thread of its own, so that what is asked of the system ends with it
+            // a separate thread, so that its scheduling settings end with it
             let streamed = thread::spawn(move || stream(driver, mode, cycles, realtime)).join();
             let (stats, times, counted) = streamed.map_err(|_| "the stream has panicked")??;
             show(driver, mode, &stats, &times, counted);

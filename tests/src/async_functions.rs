@@ -18,7 +18,7 @@ pub enum Coverage {
 ///
 /// # Errors
 ///
-/// What is missing in the table, what is in it and not in the sources, and what was not dropped anywhere.
+/// Functions that are missing in the table, that are only in the table, and that no test has dropped.
 pub fn check(
     src: &Path,
     table: &[(&'static str, Coverage)],
@@ -100,7 +100,7 @@ fn in_file(text: &str) -> Vec<String> {
     found
 }
 
-/// Returns the name of the type that an `impl` is for, or that of a trait.
+/// Returns the name of the type that an `impl` is for, or of the trait.
 fn owner_of(line: &str) -> String {
     let head = line.split(" where").next().unwrap_or(line);
     let after = match (head.split_once(" for "), head.split_once("trait ")) {

@@ -47,7 +47,7 @@ pub enum End {
     Client,
 }
 
-/// What has passed a cable, in both directions together.
+/// The traffic of a cable, the sum of both directions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Passed {
     /// The bytes that were sent.

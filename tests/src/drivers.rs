@@ -65,7 +65,7 @@ impl Model {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Head {
-    /// What the sequence is called.
+    /// The name of the sequence.
     pub name: String,
     /// Where the facts are from.
     pub source: String,
@@ -74,7 +74,7 @@ pub struct Head {
     /// Its sessions and the link of each in the real program; one over TCP unless given.
     #[serde(default = "one_session")]
     pub sessions: BTreeMap<String, Link>,
-    /// What happens on models that it is not for.
+    /// The outcome on models that it is not for.
     #[serde(default)]
     pub elsewhere: BTreeMap<Model, Failure>,
     /// The controller at the start: a scenario of the virtual controller, in TOML.
@@ -240,7 +240,7 @@ pub struct Stream {
     pub cycles: u32,
     /// The first pose: numbers, or the name of a reply's value.
     pub from: Json,
-    /// What each cycle adds.
+    /// The change in each cycle.
     #[serde(default)]
     pub step: Vec<f64>,
     /// The height of a wave that starts and ends at rest.
@@ -254,7 +254,7 @@ pub struct Stream {
     /// Numbers after the pose.
     #[serde(default)]
     pub tail: Vec<Json>,
-    /// What follows the pose in an array of VARIANT: IO; without it the pose is the parameter.
+    /// The IO values that follow the pose in an array of VARIANT; without them the pose is the parameter.
     #[serde(default)]
     pub io: Vec<Json>,
     /// The element type of the pose: R4, R8 or VARIANT; in the last case, whole numbers of `tail` are I4.

@@ -18,7 +18,7 @@ pub struct Process {
 /// The resident memory of a process, in bytes.
 #[derive(Clone, Copy, Debug)]
 pub struct Memory {
-    /// What it takes now.
+    /// The present memory.
     pub now: u64,
     /// The part of `now` that is not the program or another file: heap and stacks.
     pub anonymous: u64,

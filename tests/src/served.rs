@@ -22,7 +22,7 @@ use bcap_testkit::network::answer_to;
 
 /// A controller with variables of any name and some commands.
 ///
-/// | command | what it does                                                                                |
+/// | command | effect                                                                                      |
 /// |---------|---------------------------------------------------------------------------------------------|
 /// | `sleep` | waits for this number of milliseconds                                                       |
 /// | `echo`  | returns its parameter                                                                       |

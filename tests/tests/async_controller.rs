@@ -190,7 +190,7 @@ async fn a_stopper_stops_the_task_that_moves_the_robot() {
     assert_eq!(stopper.halt().await.unwrap(), Halted::NothingMoved);
 }
 
-/// What the caller of a motion is told agrees with where the robot is, however and whenever it is stopped.
+/// The reported outcome of a motion agrees with the position of the robot, however and whenever it is stopped.
 #[tokio::test]
 async fn no_stopped_motion_is_reported_as_arrived() {
     let trials = std::env::var("TRIALS").ok().and_then(|n| n.parse().ok()).unwrap_or(30_u32);
@@ -302,7 +302,7 @@ async fn motions_that_are_dropped_halt_the_robot() {
     until(&sim, |sim| sim.arm_owner().is_none() && !sim.motor_is_on()).await;
 }
 
-/// What the caller of three motions is told agrees with where the robot is, however and whenever they are stopped.
+/// The reported outcome of three motions agrees with the position of the robot, however and whenever they are stopped.
 #[tokio::test]
 async fn no_stopped_queue_is_reported_as_arrived() {
     let trials = std::env::var("TRIALS").ok().and_then(|n| n.parse().ok()).unwrap_or(30_u32);

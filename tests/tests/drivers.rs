@@ -95,7 +95,7 @@ impl Session {
     }
 }
 
-/// What departs from a sequence.
+/// A deviation from a sequence.
 #[derive(Debug, PartialEq, Eq)]
 struct Departure {
     at: String,
@@ -271,7 +271,7 @@ fn is_of_type(value: &Value, gives: &str) -> bool {
     }
 }
 
-/// The links of a sequence's sessions: those of the real program, all TCP, all UDP.
+/// The links of a sequence's sessions: as in the real program, all TCP, all UDP.
 fn links(sequence: &Sequence) -> BTreeSet<BTreeMap<String, Link>> {
     let own = &sequence.head.sessions;
     let all = |link: Link| own.keys().map(|name| (name.clone(), link)).collect();
@@ -316,7 +316,7 @@ fn files(model: Model) -> PathBuf {
     std::env::temp_dir().join(format!("bcap-drivers-{}-{model:?}", std::process::id()))
 }
 
-/// What was played.
+/// The sequences that were played.
 #[derive(Debug, Default)]
 struct Total {
     runs: usize,

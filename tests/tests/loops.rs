@@ -189,7 +189,7 @@ async fn one_script_gives_one_record_over_every_loop() {
         "core, asynch, datagrams"
     );
 
-    // each over sockets uses a variable of its own, for the server's keep their values
+    // each loop over sockets uses a separate variable, because the server keeps the values
     let (server, options) = (Served::start(Limits::default()), Options::default());
     let mut tcp = tokio_clients::connect_tcp(server.tcp, &options).await.unwrap();
     assert_eq!(script!(tcp, "A", await), expected, "tokio, TCP");

@@ -15,7 +15,7 @@ fn millis(count: u64) -> Duration {
     Duration::from_millis(count)
 }
 
-/// What came of many calls.
+/// The outcomes of many calls.
 #[derive(Debug, Default)]
 struct Tally {
     done: u32,
@@ -264,7 +264,7 @@ fn endless_keep_alives_end_a_call() {
 
 #[test]
 fn a_stream_with_noise_resynchronises_if_configured() {
-    // noise can look like the length of a long frame, so the bound is that of the frames that are wanted
+    // noise can look like the length of a long frame, so the bound equals the longest expected frame
     let limits = Limits { frame: 1024, ..Limits::STREAM };
     let config = client::Config { on_malformed: OnMalformed::Resync, limits, ..client::Config::TCP };
     let mut s = Simulation::new(config, server::Config::TCP, Faults::default(), 8);

@@ -23,7 +23,7 @@ fn response_line(response: &Response<'_>) -> Option<String> {
     Some(String::from_utf8(out.as_bytes().to_vec()).unwrap())
 }
 
-/// What the meaning in the vectors' file says of each command: the variable's kind, and its value.
+/// The variable's kind and value of each command, from the column "meaning" of the vectors' file.
 fn meanings() -> Vec<(VariableKind, Value)> {
     let single = |n: f32| Value::R4(n.to_bits());
     let array = |numbers: &[f32]| Value::Array(4, numbers.iter().map(|n| single(*n)).collect());
@@ -52,7 +52,7 @@ fn the_samples_of_the_specification_mean_what_it_says() {
         let sample = line(&format!("rac_cmd_{number:02}_resp"));
         let reply = Response::parse(sample.as_bytes(), &mut memory).unwrap();
         assert_eq!((reply.result, reply.value.map(Value::read)), (HResult::S_OK, Some(value.clone())), "{sample}");
-        // what is written has no blanks; strings here have none of their own
+        // written lines have no blanks, and the strings in these samples contain none
         assert_eq!(response_line(&reply).unwrap(), format!("{}\r", sample.replace(' ', "")));
         let sample = line(&format!("rac_cmd_{:02}_req", number + 9));
         let put = Request::parse(sample.as_bytes(), &mut memory).unwrap();

@@ -43,7 +43,7 @@ async fn start(address: SocketAddr, log: &Log) -> JoinHandle<()> {
     tokio::spawn(async move { drop(server.run(std::future::pending()).await) })
 }
 
-/// What the caller of a write was told.
+/// The reported outcome of a write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Told {
     Written,

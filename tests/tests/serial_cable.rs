@@ -156,7 +156,7 @@ impl Cell {
     }
 }
 
-/// A value of each of the nine kinds; `round` makes those of the rounds differ.
+/// A value of each of the nine kinds; `round` makes the values of the rounds differ.
 fn values(round: i16) -> [(&'static str, OwnedVariant); 9] {
     let number = f32::from(round);
     let far = f64::from(number);

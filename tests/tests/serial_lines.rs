@@ -23,7 +23,7 @@ fn settings() -> Settings {
     settings.reconnect(Backoff::default().min(Duration::from_millis(1)).max(Duration::from_millis(20)))
 }
 
-/// A value of each of the nine kinds; `round` makes those of the rounds differ.
+/// A value of each of the nine kinds; `round` makes the values of the rounds differ.
 fn values(round: i16) -> [(&'static str, OwnedVariant); 9] {
     let number = f32::from(round);
     let far = f64::from(number);

@@ -125,7 +125,7 @@ fn a_disconnect_after_unread_requests_is_detected() {
 
 #[test]
 fn a_reply_without_memory_is_reported() {
-    // a request of 60 KiB fits, and its reply of as much does not fit beside it
+    // a request of 60 KiB fits, but a reply of the same size does not fit in addition
     let server = Served::start(Limits::default().memory(100 << 10));
     let (mut client, controller) = client(&server);
     let (large, fits) = ([7_u8; 60 << 10], [7_u8; 16 << 10]);

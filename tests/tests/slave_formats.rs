@@ -1,7 +1,7 @@
 //! Slave Mode over real sockets: the engine on the blocking clients, the virtual controller on the server.
 //!
-//! Each format with each other, over a wire without time, is tested beside the virtual controller itself; here a part
-//! of them shows that sockets carry the same.
+//! The tests of the virtual controller combine every format with every other, over a wire without time. A selection
+//! here shows that sockets carry the same.
 
 use std::fmt::Debug;
 use std::net::SocketAddr;
@@ -117,8 +117,8 @@ fn stream<X: Transport<Error: Debug>, T: Storage, R: Storage>(
 
 const POSES: u32 = 10;
 
-/// What is added to the first number of a pose each cycle: so slow that the robot counts as standing, and a busy
-/// machine that comes late with the next pose makes no underflow.
+/// The change of a pose's first number in each cycle: so slow that the robot counts as standing, and a late pose from a
+/// busy machine makes no underflow.
 const STEP: f64 = 5e-5;
 
 fn pose(engine: &Engine<512>, count: u32) -> Pose {

@@ -1,5 +1,5 @@
-//! Tests the text format of values: printed text parses back to the same bits, values without a text are errors, and floats
-//! equal those of the standard library.
+//! Tests the text format of values: printed text parses back to the same bits, values without a text are errors, and
+//! floats are printed as by the standard library.
 
 use bcap_core::error::{TextError, TextErrorKind};
 use bcap_core::limits::{Limits, MAX_DEPTH, Strictness};

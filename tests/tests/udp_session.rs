@@ -24,7 +24,7 @@ const STEPS: usize = 150;
 
 // --- the table ---------------------------------------------------------------------------------------------------------
 
-/// What the table says about a request in a state.
+/// The table's rule for a request in a state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Word {
     Begin,
@@ -96,7 +96,7 @@ fn known(name: &str) -> &'static str {
 
 // --- requests ----------------------------------------------------------------------------------------------------------
 
-/// What a request asks for. Markers of calls count; so do the options of Service_Start.
+/// The kind of a request. Markers of calls count; so do the options of Service_Start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Ask {
     /// Service_Start with `WDT=` a large number, so that no keep-alive is sent by itself.
@@ -434,7 +434,7 @@ fn reply_to(serial: u16, function: FunctionId, code: HResult, value: Option<i32>
 /// A planted fault of the session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum PlantedFault {
-    /// The marker is not read, so that every attempt is a call of its own.
+    /// The marker is not read, so that every attempt is a separate call.
     NoMarkers,
     /// The arguments of Service_Start are not compared.
     OptionsIgnored,
@@ -636,7 +636,7 @@ struct Sequence {
     tally: Tally,
 }
 
-/// What has happened.
+/// The counts of events.
 #[derive(Clone, Copy, Debug, Default)]
 struct Tally {
     requests: u64,

@@ -38,7 +38,8 @@ use crate::rac;
 use crate::storage::Storage;
 use crate::time::Instant;
 
-/// Why a call failed, by whose fault it is; `E` is the error of the transport, `C` that of the client.
+/// The cause of a failed call, by the side that caused it; `E` is the error of the transport, `C` the error of the
+/// client.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]

@@ -47,7 +47,7 @@ pub(crate) const REFUSAL_PAUSE: Duration = Duration::from_millis(100);
 /// The external speed, acceleration and deceleration of cases, in percent.
 const SLOW: &str = "8196,10,10,10";
 
-/// The connection of a case, and what it has opened.
+/// The connection of a case, and the objects that it has opened.
 pub(crate) struct Bench<'a> {
     pub(crate) options: &'a Options,
     pub(crate) link: Link,
@@ -79,7 +79,7 @@ pub(crate) struct Bench<'a> {
     pub(crate) has_reply: bool,
     /// How often a first call or the case was repeated since the last reply from a device that has a slot.
     pub(crate) repeats: usize,
-    /// What was sent and received, one line each.
+    /// The sent and received frames, one line each.
     pub(crate) log: Vec<String>,
 }
 
@@ -256,7 +256,7 @@ impl<'a> Bench<'a> {
         wire.close(self.options.quiet);
     }
 
-    /// Starts a session of another client beside this one; a device that has no slot for it skips the case.
+    /// Starts a session of another client during this one; a device that has no slot for it skips the case.
     pub(crate) fn another(&self) -> Result<Self, Stop> {
         if self.link == Link::Serial {
             return skip("a serial line has one client");

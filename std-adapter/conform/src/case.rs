@@ -1,4 +1,4 @@
-//! A case: its name, its rule and what it does.
+//! A case: its name, its rule and its steps.
 
 use std::borrow::Cow;
 
@@ -81,7 +81,7 @@ pub(crate) const fn case(
 /// A case in Rust.
 pub(crate) type Run = fn(&mut Bench<'_>) -> Result<(), Stop>;
 
-/// What a case does.
+/// The body of a case.
 #[derive(Clone, Debug)]
 pub(crate) enum Body {
     Steps(Cow<'static, [Step]>),

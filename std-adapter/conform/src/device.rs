@@ -67,7 +67,7 @@ impl Options {
     }
 }
 
-/// What a missing function or object means.
+/// The meaning of a missing function or object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Refusals {
     /// The case does not apply.

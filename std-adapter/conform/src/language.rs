@@ -6,7 +6,7 @@ use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
 use serde::Serialize;
 
-/// What a case does to the device.
+/// The effect of a case on the device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Level {
@@ -18,7 +18,7 @@ pub enum Level {
     Motion,
 }
 
-/// What a case is about.
+/// The subject of a case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Group {
@@ -87,7 +87,7 @@ impl fmt::Display for Group {
     }
 }
 
-/// What exists before the steps of a case.
+/// The objects that exist before the steps of a case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Setup {
     /// Nothing: the case speaks RAC.
@@ -135,7 +135,7 @@ pub(crate) enum Arg {
     Scratch(&'static str),
 }
 
-/// What a reply must be.
+/// The condition for a reply.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Want {
     /// Success.
@@ -169,8 +169,8 @@ pub(crate) enum Step {
     Edited(&'static [Edit], Reaction),
     /// Makes a call without sending more than these numbers of bytes at once.
     Pieces(&'static [usize]),
-    /// Sends the last request again: with the next serial and the serial of the first attempt, or unchanged. The reply must
-    /// be that of the first attempt.
+    /// Sends the last request again: with the next serial and the serial of the first attempt, or unchanged. The reply
+    /// must equal the reply to the first attempt.
     Copy { renumbered: bool },
     /// Ends the connection and starts another session; handles keep their places.
     Reconnect,
@@ -215,7 +215,7 @@ pub(crate) enum Edit {
     Nested(usize),
 }
 
-/// What may follow an edited frame. In all cases the device must serve the next session.
+/// The permitted reactions to an edited frame. In all cases the device must serve the next session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Reaction {
     /// A reply of success with the serial of the request.
@@ -228,7 +228,7 @@ pub(crate) enum Reaction {
     Resync,
 }
 
-/// What the answer to a line must be.
+/// The condition for the answer to a line.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum LineWant {
     /// Success with a value of this VARTYPE and number of elements; 0 for a scalar.

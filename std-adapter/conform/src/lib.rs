@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!  cases    tables: what is sent, what must come, the line of the specification
-//!  bench    runs one case on a connection of its own, and undoes what it changed
+//!  bench    runs one case on a separate connection, and undoes its changes
 //!  reply    judges and words what came
 //!  client   cases for clients
 //!  report   results as text, JSON (serde) and JUnit
@@ -86,7 +86,7 @@ fn inapplicable(case: &Case, options: &Options) -> Option<String> {
     }
     match (options.target.bcap, case.only) {
         (None, _) => Some("the address of b-CAP is not given".into()),
-        // the copies of calls over UDP are those of a serial line too
+        // the cases of copied calls over UDP also apply to a serial line
         (Some((Link::Serial, _)), Some(Link::Udp)) if case.group == Group::Udp => None,
         (Some((link, _)), Some(only)) if link != only => Some(match only {
             Link::Tcp => "a case of TCP".into(),

@@ -44,8 +44,8 @@ pub(crate) fn answer(bench: &mut Bench<'_>, wire: &mut Wire) -> Result<String, S
     }
 }
 
-/// Sends a line on a connection of its own, and checks the answer. `{n}` is the scratch index; a PUT to it saves the variable
-/// before.
+/// Sends a line on a separate connection, and checks the answer. `{n}` is the scratch index; a PUT to it saves the
+/// variable before.
 pub(crate) fn check(bench: &mut Bench<'_>, line: &str, want: LineWant) -> Result<(), Stop> {
     if let Some(kind) = line.strip_prefix("PUT:RC8:{n}:").and_then(|rest| rest.split(':').next())
         && VariableKind::from_name(kind).is_some()

@@ -40,7 +40,7 @@ impl Reply {
     }
 }
 
-/// What arrived within a time limit.
+/// The result of a receive with a time limit.
 #[derive(Clone, Debug)]
 pub(crate) enum Came {
     Reply(Reply),

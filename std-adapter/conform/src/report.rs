@@ -38,13 +38,13 @@ pub struct CaseResult {
     /// Why the case was skipped.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
-    /// What was expected.
+    /// The expected reaction.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub expected: Option<String>,
-    /// What came instead.
+    /// The actual reaction.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub came: Option<String>,
-    /// What was sent (`->`) and received (`<-`), decoded.
+    /// The sent (`->`) and received (`<-`) frames, decoded.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub exchange: Vec<String>,
     /// The time that the case took, in ms.

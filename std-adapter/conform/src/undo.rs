@@ -60,7 +60,7 @@ impl<'a> Bench<'a> {
         })
     }
 
-    /// Opens a session for the rest, if that of the case has ended. The controller has given the arm back then.
+    /// Opens a session for the rest, if the session of the case has ended. The controller has released the arm then.
     fn take_arm_again(&mut self) {
         if self.setup(Setup::Robot).is_ok() {
             self.robot_command_at_end("TakeArm", zeros());
@@ -91,7 +91,7 @@ impl<'a> Bench<'a> {
         }
     }
 
-    /// Stops the task over a session of its own.
+    /// Stops the task over a separate session.
     fn stop_task(&mut self) -> Result<(), Stop> {
         self.task_started = false;
         let stopped = self.beside().setup_and(Setup::Task, |other| {

@@ -426,7 +426,7 @@ fn relay_until_a_motion(mut client: &TcpStream, mut device: &TcpStream, motions:
 #[test]
 fn a_motion_whose_connection_ends_is_not_repeated() {
     let served = Served::start(Controller::new(Config::new(Profile::Rc8)));
-    // those of the halt and of the session for the end are refused
+    // the connections of the halt and of the last session are refused
     let refused = AtomicUsize::new(0);
     let accepts = move |_, motions| motions == 0 || refused.fetch_add(1, Ordering::SeqCst) >= 12;
     let device = Ending::start(served.tcp, accepts);

@@ -24,7 +24,7 @@ pub(crate) struct Broker {
     options: MqttOptions,
 }
 
-/// What happened on a connection; an error is its end.
+/// An event on a connection; an error ends the connection.
 pub(crate) type LinkEvent = Result<Event, String>;
 
 /// A connection, whose task ends with it.
@@ -59,7 +59,7 @@ impl Broker {
         Ok(Self { options })
     }
 
-    /// Returns the same with another client id, for a check beside a running fleet.
+    /// Returns the same with another client id, for a check while a fleet runs.
     pub(crate) fn with_suffix(mut self, suffix: &str) -> Self {
         let id = self.options.client_id() + suffix;
         self.options.set_client_id(id);

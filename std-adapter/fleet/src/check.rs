@@ -17,7 +17,7 @@ use crate::stream::StreamCheck;
 /// The longest time of one connection, and of one reading.
 const LIMIT: Duration = Duration::from_secs(5);
 
-/// What was tried, and how it ended.
+/// An attempt and its outcome.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Row {

@@ -32,7 +32,7 @@ pub struct Config {
     pub(crate) controllers: Vec<Cell>,
 }
 
-/// What the broker gets.
+/// The form in which the broker gets readings.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum Format {
@@ -67,7 +67,7 @@ pub(crate) struct Tls {
     pub(crate) key: Option<PathBuf>,
 }
 
-/// What is kept on disk while the broker is disconnected.
+/// The buffer on disk while the broker is disconnected.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Buffer {
@@ -102,7 +102,7 @@ impl Standby {
     }
 }
 
-/// What commands from the broker may do.
+/// The permissions of commands from the broker.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Commands {

@@ -1,8 +1,8 @@
-//! What a fleet reports to its user: changes of connections, and every command.
+//! The events that a fleet reports to its user: changes of connections, and every command.
 
 use serde::Serialize;
 
-/// What happened. Serialised with the tag `event`.
+/// An event. It is serialised with the tag `event`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 #[non_exhaustive]

@@ -9,7 +9,7 @@
 //! # }
 //! ```
 //!
-//! | module                  | what it does                                                             |
+//! | module                  | purpose                                                                  |
 //! |-------------------------|--------------------------------------------------------------------------|
 //! | `config`                | the file of the user, checked                                            |
 //! | `point`                 | the variables to publish                                                 |

@@ -11,6 +11,6 @@ pub(crate) struct Message {
     pub(crate) payload: Vec<u8>,
     pub(crate) qos: QoS,
     pub(crate) retain: bool,
-    /// What must be sent again if the broker does not acknowledge it.
+    /// The readings that are sent again if the broker does not acknowledge the message.
     pub(crate) readings: Vec<Reading>,
 }

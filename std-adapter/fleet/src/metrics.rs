@@ -33,7 +33,7 @@ pub(crate) struct CellMetrics {
     pub(crate) overruns: AtomicU64,
     /// The time of all reads, in microseconds; their number is `readings` and `errors`.
     pub(crate) read_us: AtomicU64,
-    /// The time of the last scan, in microseconds: the reads of all points that were due.
+    /// The time of the last scan, in microseconds: the reads of all points whose deadline had passed.
     pub(crate) scan_us: AtomicU64,
 }
 
@@ -53,7 +53,7 @@ impl Metrics {
         }
     }
 
-    /// Writes all counters. `names` are those of the controllers.
+    /// Writes all counters. `names` are the names of the controllers.
     pub(crate) fn text<'a>(&self, names: impl Iterator<Item = &'a str> + Clone, queued: usize) -> String {
         let mut text = String::new();
         let get = |counter: &AtomicU64| counter.load(Ordering::Relaxed);

@@ -1,4 +1,4 @@
-//! What is published of a controller: variables, ranges of them, and readings of the robot.
+//! The published points of a controller: variables, ranges of them, and readings of the robot.
 
 use std::time::Duration;
 
@@ -47,7 +47,7 @@ pub(crate) struct Point {
     pub(crate) on_change: bool,
 }
 
-/// What is read.
+/// The source of a reading.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Source {
     /// A variable of the controller.

@@ -1,6 +1,6 @@
 //! Moves readings to the broker and commands from it. One task owns the connection, the buffer on disk and the encoder.
 //!
-//! While there is a connection, new readings go first, and those of the buffer when there is nothing new. At most
+//! While there is a connection, new readings go first, and buffered readings when there are no new ones. At most
 //! [`WINDOW`] messages wait for the broker. After a loss, readings that it has not acknowledged go to the buffer.
 
 mod confirm;
@@ -84,7 +84,7 @@ pub(crate) struct Publisher {
     stale: bool,
 }
 
-/// What is known of a controller.
+/// The known state of a controller.
 struct Cell {
     state: Option<State>,
     latest: Vec<Option<Reading>>,

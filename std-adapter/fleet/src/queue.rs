@@ -13,7 +13,7 @@ use crate::reading::Reading;
 /// The most items of a queue.
 const LIMIT: usize = 20_000;
 
-/// What the scans tell the publisher.
+/// A report of the scans to the publisher.
 #[derive(Clone, Debug)]
 pub(crate) enum Item {
     Reading(Reading),

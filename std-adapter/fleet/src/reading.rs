@@ -70,7 +70,7 @@ pub(crate) enum Quality {
     Skipped,
 }
 
-/// What was read, and when.
+/// A value that was read, and its time.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Reading {
     /// The index of the controller.

@@ -1,5 +1,5 @@
-//! The scan of one controller: reads each point at its interval, one call after another, and reports changes. Variables that
-//! are due at the same time are one request to the task of the controller, which saves most of the cost of a reading.
+//! The scan of one controller: reads each point at its interval, one call after another, and reports changes. Variables
+//! with the same deadline are one request to the task of the controller, which saves most of the cost of a reading.
 //!
 //! It reads by itself, and not with `Controller::subscribe`: a subscription skips a reading that was replaced before it was
 //! taken, has no time of the reading, and cannot read the pose of the robot.
@@ -32,7 +32,7 @@ const PAUSE: Duration = Duration::from_secs(4);
 /// The most doublings of a pause: 256 s.
 const DOUBLINGS: u32 = 6;
 
-/// What all scans share.
+/// The state that all scans share.
 pub(crate) struct Shared {
     pub(crate) config: Config,
     pub(crate) queue: Queue,
@@ -133,7 +133,7 @@ impl Scan {
         }
     }
 
-    /// Reads all points when they are due.
+    /// Reads all points at their deadlines.
     async fn read_all(&self, scanned: &mut [Scanned<'_>]) -> std::convert::Infallible {
         let mut began = None;
         // whether the controller replied to the last call
@@ -169,7 +169,7 @@ impl Scan {
                 self.count(scanned, time, value);
             }
             for index in batch {
-                // after the first timeout in a row the others stay due, because they may have a reply
+                // after the first timeout in a row the other points keep their deadlines, because they may get a reply
                 if stopped.is_none() || !is_first {
                     self.reschedule(&mut scanned[index], ended);
                 }
@@ -265,7 +265,7 @@ impl Scan {
     }
 }
 
-/// Returns when a controller's first reading is due.
+/// Returns the delay of a controller's first reading.
 fn offset(interval: Duration, cell: usize, cells: usize) -> Duration {
     let (cell, cells) = (u32::try_from(cell).unwrap_or(0), u32::try_from(cells).unwrap_or(u32::MAX));
     interval / cells.max(1) * cell
@@ -333,8 +333,9 @@ async fn statuses(controller: &Controller, stream: &StreamCheck) -> Result<BTree
     Ok(statuses)
 }
 
-/// Returns the points to read next: those that are due, the least recently read first, so that each has its turn even if
-/// others time out. Variables of the controller are read together, all else alone, and so is a point that timed out.
+/// Returns the points to read next: points whose deadline has passed, the least recently read first, so that none
+/// starves when others time out. Variables of the controller are read together. Other points, and points that timed
+/// out, are read one at a time.
 fn batch(scanned: &[Scanned<'_>], now: Instant) -> Vec<usize> {
     let mut due: Vec<_> = (0..scanned.len()).filter(|index| scanned[*index].due <= now).collect();
     due.sort_by_key(|index| scanned[*index].attempted);

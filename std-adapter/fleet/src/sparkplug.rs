@@ -8,7 +8,7 @@
 //! | DDATA   | readings, by alias; `is_historical` if the broker was disconnected                        |
 //! | DDEATH  | when the session is lost                                                                 |
 //!
-//! Data refer to a birth. So historical data of a disconnected device are sent between a DBIRTH and a DDEATH of their own.
+//! Data refer to a birth. So historical data of a disconnected device are sent between an additional DBIRTH and DDEATH.
 //!
 //! A metric that cannot be read is null, with the property `Quality` 0. A position has a metric for each element, with its unit
 //! as the property `engUnit`. The specification demands QoS 0 for births and data.

@@ -3,7 +3,7 @@
 //! | role    | client id          | what the process does                                                        |
 //! |---------|--------------------|------------------------------------------------------------------------------|
 //! | active  | the node's         | reads, publishes, executes commands, repeats `online` on the topic of its state |
-//! | watcher | one of its own     | reads this topic; keeps its sessions with the controllers, but reads nothing |
+//! | watcher | its own topic      | reads this topic; keeps its sessions with the controllers, but reads nothing |
 //!
 //! The broker is the lock. It has one connection for a client id, and closes the older one. A watcher takes over by a
 //! connection with the client id of the node: from then on the earlier process cannot publish. It takes over when it sees
@@ -79,7 +79,7 @@ impl Standby {
         self.after
     }
 
-    /// Returns whether the connection is, or will be, that of the active process.
+    /// Returns whether the connection is, or will be, the active process's connection.
     pub(crate) const fn is_active(&self) -> bool {
         self.is_active
     }
@@ -142,7 +142,7 @@ impl Standby {
         true
     }
 
-    /// The next connection is that of the active process.
+    /// Makes the next connection the active process's connection.
     pub(crate) fn take_over(&mut self) {
         (self.is_active, self.takeover, self.is_put_off) = (true, None, false);
         self.online = Some(self.instance.clone());

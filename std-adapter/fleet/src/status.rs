@@ -1,4 +1,4 @@
-//! What a running fleet does, for a screen.
+//! The state of a running fleet, for a screen.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -48,7 +48,7 @@ pub struct ControllerStatus {
     pub name: String,
     /// Whether there is a session.
     pub up: bool,
-    /// The time of the last scan: the reads of all variables that were due.
+    /// The time of the last scan: the reads of all variables whose deadline had passed.
     pub scan: Duration,
     /// The values that were read.
     pub readings: u64,

@@ -22,7 +22,7 @@ const COMMANDS: usize = 50;
 /// The topic of the last message.
 const END: &str = "bcap/plant/end/end";
 
-/// What a robot has done, over all its lives.
+/// The calls of a robot over all its restarts.
 #[derive(Default)]
 struct Record {
     /// The reads of I1, which counts them.
@@ -89,7 +89,7 @@ impl Random {
     }
 }
 
-/// What a subscriber has received.
+/// The messages that a subscriber has received.
 #[derive(Default)]
 struct Received {
     /// The ids of each value of a robot, and how often each one arrived.
@@ -151,7 +151,8 @@ async fn send(host: &Subscriber, numbers: std::ops::Range<usize>) {
     }
 }
 
-/// Lets everything fail a number of times. A broker that `crashes` loses what it has acknowledged; this is counted only.
+/// Lets everything fail a number of times. A broker that `crashes` loses messages that it has acknowledged; these
+/// losses are only counted.
 async fn chaos(failures: usize, crashes: bool) {
     let Some(mut broker) = Mosquitto::open() else { return };
     let (_folder, buffer) = folder();

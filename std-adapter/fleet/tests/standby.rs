@@ -188,7 +188,7 @@ async fn a_process_that_may_not_be_active_any_more_refuses_commands() {
     fleet.stop().await;
 }
 
-/// A fleet in a process of its own, whose events say its name and role.
+/// A fleet in a separate process, whose events say its name and role.
 struct Process {
     child: Child,
     /// Whether it is active; `None` before it knows.

@@ -35,7 +35,7 @@ const DATAGRAMS: [usize; 8] = [488, 490, 504, 506, 1472, 1474, 9000, 65_506];
 /// The bytes of a frame with an I4 and an empty BSTR.
 const WITHOUT_LETTERS: usize = 44;
 
-/// What steps are made of.
+/// The material of steps.
 #[derive(Clone, Debug)]
 pub struct Grammar {
     /// The functions to call; without a function there are only bytes and lines.

@@ -15,7 +15,7 @@ use crate::value::Value;
 /// The strict rules of TCP.
 pub const TCP: Oracle = Oracle { limits: Limits::STREAM, strictness: Strictness::Strict, crc: false };
 
-/// What is wrong with a reply.
+/// The fault of a reply.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Fault {
@@ -58,7 +58,7 @@ impl fmt::Display for Fault {
 ///
 /// # Errors
 ///
-/// What is wrong.
+/// The [`Fault`].
 pub fn reply(request: &TestFrame, bytes: &[u8]) -> Result<TestFrame, Fault> {
     let reply = match TCP.decode(bytes) {
         Verdict::Frame(frame, length) if length == bytes.len() => frame,
@@ -134,7 +134,7 @@ fn fits(value: &Value, kind: VariableKind) -> bool {
 ///
 /// # Errors
 ///
-/// What is wrong.
+/// The [`Fault`].
 pub fn response(line: &[u8], response: &[u8]) -> Result<HResult, Fault> {
     let (code, value) = text::response(response).ok_or(Fault::Malformed)?;
     let mut memory = [0; 1024];

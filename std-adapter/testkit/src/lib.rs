@@ -2,7 +2,7 @@
 //!
 //! | module         | contents                                                                    | feature     |
 //! |----------------|-----------------------------------------------------------------------------|-------------|
-//! | [`value`]      | [`Value`](value::Value), an owned tree, with an encoder of its own          |             |
+//! | [`value`]      | [`Value`](value::Value), an owned tree, with an independent encoder         |             |
 //! | [`frame`]      | [`TestFrame`](frame::TestFrame), a frame of such values                     |             |
 //! | [`damage`]     | damage to encoded frames                                                    |             |
 //! | [`oracle`]     | a slow recursive decoder, written from the specification and not from the core |          |
@@ -11,7 +11,7 @@
 //! | [`step`]       | the steps of a client, as values and as a text that can be replayed         |             |
 //! | [`link`]       | a pair of byte streams in memory, and a server on one end                   |             |
 //! | [`wire`]       | the raw end of a TCP, UDP or serial connection, as client or server         |             |
-//! | [`network`]    | a simulated network between a client and a server, with a clock of its own  |             |
+//! | [`network`]    | a simulated network between a client and a server, with a virtual clock     |             |
 //! | `generate`     | `Arbitrary` for values and frames                                           | `arbitrary` |
 //! | `grammar`      | steps that are valid, nearly valid and hostile                              | `arbitrary` |
 //! | `strategies`   | proptest strategies for values, frames and damage to them                   | `proptest`  |

@@ -134,7 +134,8 @@ impl Drop for End {
     }
 }
 
-/// Serves one b-CAP client at the other end until that end is dropped or sends a malformed frame. Run it on a thread of its own.
+/// Serves one b-CAP client at the other end until that end is dropped or sends a malformed frame. Run it on a separate
+/// thread.
 ///
 /// # Errors
 ///

@@ -72,7 +72,7 @@ pub struct Counter {
     pub open: Vec<(Object, i32)>,
 }
 
-/// What the server answers to a token.
+/// The answer of the server to a token.
 #[must_use]
 pub const fn answer_to(token: i32) -> i32 {
     token.wrapping_mul(3).wrapping_add(1)
@@ -152,9 +152,9 @@ pub struct Simulation {
     pub now: Instant,
     /// Events of the client, counted by kind: retries, stale replies, malformed ones, keep-alives.
     pub seen: Seen,
-    /// What goes wrong; it can be changed at any time.
+    /// The faults of the network; they can be changed at any time.
     pub faults: Faults,
-    /// What decides about faults.
+    /// The random numbers that decide about faults.
     pub random: Random,
     /// Packets on their way, the next first; the number keeps those of one instant in order.
     wire: BinaryHeap<Reverse<Packet>>,

@@ -166,7 +166,7 @@ impl fmt::Display for Hex<'_> {
 ///
 /// # Errors
 ///
-/// What is wrong, with the number of the line.
+/// The fault, with the number of the line.
 pub fn parse(text: &str) -> Result<Vec<Step>, String> {
     let lines = (1..).zip(text.lines().map(str::trim)).filter(|(_, line)| !line.is_empty() && !line.starts_with('#'));
     lines.map(|(number, line)| line.parse().map_err(|error| format!("line {number}: {error}"))).collect()

@@ -5,7 +5,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::limits::{Limits, Strictness};
 use bcap_core::variant::{Bstr, Currency, Encode, Null, OleDate, Variant, Writer};
 
-/// A value; floats are kept as their bits, so that equality is that of the wire.
+/// A value. Floats are stored as bits, so that values are equal if their bytes are equal.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[expect(missing_docs, reason = "the variants are the VARTYPEs")]
 pub enum Value {
@@ -33,7 +33,7 @@ pub enum Value {
     Nested(Box<Value>),
     /// An array: the VARTYPE of its elements, and these.
     Array(u16, Vec<Value>),
-    /// What a lenient decoder makes of an unknown VARTYPE: the bytes behind it.
+    /// The result of a lenient decoder for an unknown VARTYPE: the bytes after it.
     Opaque(u16, Vec<u8>),
 }
 
@@ -220,7 +220,7 @@ impl Encode for Value {
             Self::Array(19, items) => Self::slice(items, out, pick!(Ui4, u32::from)),
             Self::Array(20, items) => Self::slice(items, out, pick!(I8, i64::from)),
             Self::Array(21, items) => Self::slice(items, out, pick!(Ui8, u64::from)),
-            // strings that are no str, EMPTY in rows, scalar VARIANTs: Rust has no value of its own for them
+            // strings that are not UTF-8, EMPTY in rows, scalar VARIANTs: Rust has no type for them
             Self::Array(..) | Self::Nested(_) => {
                 let (wire, deepest) = (self.to_wire(), Limits { depth: u8::MAX, ..Limits::STREAM });
                 let value = Variant::decode(&wire, &deepest, Strictness::Strict);

@@ -69,7 +69,7 @@ enum Framing {
     Lines,
 }
 
-/// What arrived.
+/// The received bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Received {
     /// A packet; bytes that are none if no more came in time.

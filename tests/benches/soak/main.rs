@@ -8,8 +8,8 @@
 //!   after     all clients are disconnected
 //! ```
 //!
-//! `cargo bench -p bcap-tests --bench soak -- --seconds 60 --clients 200`; the seconds are those together. The server is a
-//! process of its own, with the limits that a server has unless told otherwise, and one thread.
+//! `cargo bench -p bcap-tests --bench soak -- --seconds 60 --clients 200`; the seconds are the whole duration. The
+//! server is a separate process with the default limits and one thread.
 //!
 //! It fails when the well-behaved half keeps less than 80 % of its throughput alone (in 60 s or more), when 200 silent
 //! connections use 1 % of a processor, when the numbers of handles, tasks or files at the end differ from those at the
@@ -36,17 +36,17 @@ const TOGETHER: Duration = Duration::from_secs(2);
 const ENOUGH: Duration = Duration::from_secs(60);
 /// How much of its throughput the well-behaved half keeps, in per cent.
 const KEPT: f64 = 80.0;
-/// What silent connections may cost of a processor, in per cent.
+/// The processor time that silent connections may take, in per cent.
 const IDLE: f64 = 1.0;
 /// How much the server may grow, in bytes.
 const GROWTH: u64 = 10 << 20;
 
-/// What all clients share.
+/// The state that all clients share.
 #[derive(Debug, Default)]
 pub(crate) struct Plan {
     /// Calls that the well-behaved have made.
     pub(crate) calls: AtomicU64,
-    /// What the others have done.
+    /// The count of invalid actions.
     pub(crate) misbehaviour: AtomicU64,
     /// Whether the others are to misbehave now.
     pub(crate) is_together: AtomicBool,
@@ -54,7 +54,7 @@ pub(crate) struct Plan {
     pub(crate) is_over: AtomicBool,
 }
 
-/// What was asked for.
+/// The options of the run.
 #[derive(Clone, Copy, Debug)]
 struct Wishes {
     time: Duration,
@@ -139,13 +139,13 @@ fn row(plan: &Plan, server: &Server, time: Duration) -> (Window, Window) {
     (alone, together)
 }
 
-/// What was done in a while.
+/// The work of an interval.
 #[derive(Clone, Copy, Debug, Default)]
 struct Window {
     calls: u64,
     misbehaviour: u64,
     time: Duration,
-    /// What the server has used of it.
+    /// The processor time that the server has used.
     used: Duration,
 }
 

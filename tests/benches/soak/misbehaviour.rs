@@ -71,7 +71,7 @@ impl Messages {
     }
 }
 
-/// Starts clients in a thread of their own, which ends when all have.
+/// Starts clients in a separate thread, which ends when all clients have ended.
 pub(crate) fn start(server: Addresses, clients: usize, plan: Arc<Plan>) -> JoinHandle<()> {
     std::thread::spawn(move || {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");

@@ -1,12 +1,13 @@
-//! Requests a second and their times through the gateway board in QEMU, beside a bare echo on the same board.
+//! Requests a second and their times through the gateway board in QEMU, compared with a bare echo on the same board.
 //!
 //! ```text
 //!  PLC ─► gateway ─► virtual controller ─► gateway ─► PLC      GET:RC8:1:I: and its answer
 //!  PLC ─► echo ─► PLC                                          as many bytes, there and back
 //! ```
 //!
-//! Both are measured in turn, in the same run. A request through the gateway crosses the emulated network four times and
-//! two programs of this machine more; the times are the emulator's and this machine's, not those of a board.
+//! Both are measured in turn, in the same run. A request through the gateway crosses the emulated network four times
+//! and two programs of this machine more; the times depend on the emulator and this machine, and say nothing about a
+//! real board.
 #![allow(missing_docs, reason = "a benchmark has no users")]
 
 use std::thread;

@@ -1,4 +1,4 @@
-//! A client that sends refused PUTs as fast as it can, and a PLC that works beside it.
+//! A client that sends refused PUTs as fast as it can, while a PLC works.
 //!
 //! ```text
 //!  PLC ── a GET every 10 ms ────────────┐

@@ -203,7 +203,7 @@ fn a_robot_is_reached_over_udp_as_well() {
     assert_eq!(get.out, "I9 = 49\n");
 }
 
-/// What a PLC under load has seen so far.
+/// The observations of a PLC under load.
 #[derive(Default)]
 struct Seen {
     served: AtomicU32,

@@ -278,7 +278,7 @@ impl Handler for Robot {
     }
 }
 
-/// What happened to the frames of a direction.
+/// The counts of the frames of a direction.
 #[derive(Default)]
 struct Way {
     frames: u32,
@@ -325,7 +325,7 @@ impl Wire {
         (wire, netdev)
     }
 
-    /// Receives arrived frames and delivers due ones; without any, waits for a millisecond.
+    /// Receives frames, and delivers delayed frames whose time has come; without any, waits for a millisecond.
     fn receive(&mut self) {
         let now = Instant::now();
         while let Some(at) = self.delayed.iter().position(|(due, _, _)| *due <= now) {

@@ -59,7 +59,7 @@ pub(super) struct Leg {
     pub(super) speed: f64,
 }
 
-/// What the program does with the robot.
+/// The work of the program with the robot.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) enum Job {
     /// One motion that is waited for.
@@ -231,7 +231,7 @@ pub(super) struct Trial {
     pub(super) udp: bool,
     /// The program.
     pub(super) program: Program,
-    /// What it does.
+    /// The work of the program.
     pub(super) job: Job,
     /// How it ends.
     pub(super) ending: Ending,

@@ -18,7 +18,7 @@ const TOLERANCE: f64 = 0.06;
 /// Commands of Robot_Execute that move the robot.
 const COMMANDS: [&str; 5] = ["DriveEx", "DriveAEx", "Approach", "Depart", "RotateH"];
 
-/// What has happened, readable without the controller.
+/// The events so far, readable without the controller.
 #[derive(Debug, Default)]
 pub(super) struct Marks {
     /// A motion was accepted, or Slave Mode was entered.

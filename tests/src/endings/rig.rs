@@ -52,7 +52,7 @@ impl Tools {
     }
 }
 
-/// What a program has reported, and the truth at that time.
+/// The report of a program, and the truth at that time.
 #[derive(Clone, Debug)]
 pub(super) struct Report {
     /// `arrived`, `halted`, `failed`, `timed-out`, `unknown` or `error ...`.
@@ -61,10 +61,10 @@ pub(super) struct Report {
     pub(super) truth: Truth,
 }
 
-/// What was seen in a trial.
+/// The observations of a trial.
 #[derive(Clone, Debug)]
 pub(super) struct Seen {
-    /// What the program has reported.
+    /// The report of the program.
     pub(super) report: Option<Report>,
     /// The truth one second after a signal that stops the process.
     pub(super) stopped: Option<Truth>,

@@ -6,7 +6,7 @@ use std::fmt;
 use super::Seen;
 use super::draw::{Ending, Job, Trial};
 
-/// What must not be, in the order of the columns.
+/// The faults that must not occur, in the order of the columns.
 const FAULTS: [&str; 6] = ["false Arrived", "false Halted", "moving", "motor on", "arm taken", "no end"];
 
 /// One row.

@@ -118,7 +118,7 @@ fn limits() -> AxisLimits {
     AxisLimits::uniform(200.0, 2000.0)
 }
 
-/// Returns the motions: those of a chain, or the one.
+/// Returns the motions of a chain, or the single motion.
 fn legs(job: &Job) -> &[Leg] {
     match job {
         Job::Move(leg) => std::slice::from_ref(leg),

@@ -13,12 +13,12 @@ use tokio::time::sleep;
 use super::Thread;
 use bcap_testkit::network::{Faults, Random};
 
-/// A network of datagrams, with a port of its own for each client, so that the server can tell them apart.
+/// A network of datagrams, with one port per client, so that the server can tell the clients apart.
 #[derive(Debug)]
 pub struct UdpProxy {
     /// The address to which clients send.
     pub address: SocketAddr,
-    /// What has happened so far.
+    /// The counts so far.
     pub counts: Arc<Counts>,
     _thread: Thread,
 }

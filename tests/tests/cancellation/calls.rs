@@ -154,7 +154,8 @@ fn procedures(kind: Link, add: &mut impl FnMut(&'static str, Result<usize, Strin
     procedure!(kind, add, "give_arm", ready, |rig: &Rig| give_arm(rig.handles.robot));
 }
 
-/// What the core did before calls had their own timing: it changed the client's, and restored it after the reply.
+/// The former implementation, before calls had their own timing: it changed the client's timing, and restored it after
+/// the reply.
 async fn change_timing_and_call(rig: &mut Rig) -> bool {
     let usual = rig.motion.client().timing();
     rig.motion.client().set_timing(short());
@@ -163,7 +164,7 @@ async fn change_timing_and_call(rig: &mut Rig) -> bool {
     replied
 }
 
-/// What a faulty call does when it is dropped.
+/// The effect of dropping a faulty call.
 struct OnDrop<'a, F: FnMut(&mut Rig)>(&'a mut Rig, Option<F>);
 
 impl<F: FnMut(&mut Rig)> Drop for OnDrop<'_, F> {

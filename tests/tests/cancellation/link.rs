@@ -78,7 +78,7 @@ pub(crate) struct Wire {
     session: Session<[u8; 1024], [u8; 1024], 128>,
     world: Rc<RefCell<World>>,
     ready: bool,
-    /// What the server has sent and the client has not received.
+    /// Frames that the server has sent and the client has not received.
     pending: VecDeque<Vec<u8>>,
     /// Everything that is sent before this time is lost.
     pub(crate) deaf_until: Instant,

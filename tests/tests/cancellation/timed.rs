@@ -110,7 +110,7 @@ fn dropped(polls: usize, sends: bool) -> bool {
         received.extend(&buffer[..count]);
     }
     assert_eq!(received, BYTES, "received, after {polls} polls");
-    // its own time limit holds, not that of the dropped one
+    // its own time limit applies, not the limit of the dropped call
     let soon = ticks.now().saturating_add(Duration::from_millis(2));
     let at_once = finish(transport.receive(&mut buffer, soon)).unwrap();
     assert!(at_once.is_none(), "after {polls} polls");

@@ -61,8 +61,8 @@ pub(crate) fn limits() -> Limits {
     Limits::default().udp_peers(1000).udp_peers_per_address(1000)
 }
 
-/// Makes calls by a hundred clients at once, each with a token of its own, and checks how often each was executed. Returns
-/// how many were reported as done, and how many as failed.
+/// Makes calls by a hundred clients at once, each with a separate token, and checks how often each call was executed.
+/// Returns how many were reported as done, and how many as failed.
 pub(crate) fn call_over_udp(server: Served, address: SocketAddr, calls: usize, attempt: Duration) -> (usize, usize) {
     let timing = Timing { attempt_timeout: attempt, deadline: Duration::from_secs(10), ..Timing::UDP };
     let udp = Config { timing, ..Config::UDP };

@@ -78,7 +78,7 @@ impl Peer {
         assert_eq!(code, HResult::E_INVALIDARG.0);
     }
 
-    /// Makes a call under a serial of its own.
+    /// Makes a call with a new serial.
     pub(crate) fn call(&mut self, function: FunctionId, args: Vec<Value>) -> TestFrame {
         self.serial += 1;
         let request = TestFrame { serial: self.serial, reserved: self.serial, ..request(function, args) };

@@ -1,7 +1,7 @@
 //! Known attacks on peers of these protocols, as named cases against this project's clients and servers.
 //!
 //! ```text
-//!   this process                                        a process of its own
+//!   this process                                        a separate process
 //!   cases: raw bytes, real clients ── TCP UDP RAC ──►   the server with a small application
 //!   bystanders: a client of each link, held open ──►
 //! ```

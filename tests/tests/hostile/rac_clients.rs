@@ -55,7 +55,8 @@ impl From<Result<Variant<'_>, RacError<std::io::Error>>> for Outcome {
     }
 }
 
-/// Reads a variable so many times, by each kind of client from a server of its own, and returns how it ended: alike.
+/// Reads a variable `count` times, with each kind of client from a separate server. Returns the outcomes, which are the
+/// same for all kinds.
 fn gets(options: &Options, count: usize, script: fn(&mut Connection)) -> Vec<Outcome> {
     let mut client = blocking::connect_rac(serve(script), options).unwrap();
     let blocking: Vec<Outcome> = (0..count).map(|_| client.get(VARIABLE).into()).collect();

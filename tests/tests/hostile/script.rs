@@ -45,7 +45,7 @@ impl From<Result<Value, CallError<std::io::Error>>> for Outcome {
     }
 }
 
-/// What a server does with a connection, from its first byte.
+/// The behaviour of a server on a connection, from its first byte.
 pub(crate) type Script = fn(&mut Connection);
 
 /// The server's end of a connection.
@@ -104,7 +104,7 @@ pub(crate) fn serve_bytes(bytes: Vec<u8>) -> SocketAddr {
     })
 }
 
-/// What a server answers to a datagram: nothing, one or several.
+/// The answers of a server to a datagram: none, one or several.
 pub(crate) type Answers = fn(&[u8], u32) -> Vec<Vec<u8>>;
 
 /// Starts a server over UDP, which is told how many datagrams have come. It ends when none has for a while.
@@ -143,7 +143,7 @@ pub(crate) fn brief() -> Options {
     options.tcp(config(options.tcp)).udp(config(options.udp)).connect_timeout(TIMEOUT)
 }
 
-/// What clients read.
+/// The variable that clients read.
 pub(crate) const VARIABLE: VariableHandle = VariableHandle(1);
 
 /// The reply that is the right one.
@@ -161,8 +161,8 @@ pub(crate) enum Kind {
     Tokio,
 }
 
-/// Makes `calls` calls to a server over TCP, by each kind of client to a server of its own, and returns how they ended:
-/// alike.
+/// Makes `calls` calls over TCP, with each kind of client to a separate server. Returns the outcomes, which are the
+/// same for all kinds.
 pub(crate) fn calls(options: &Options, calls: usize, mut server: impl FnMut() -> SocketAddr) -> Vec<Outcome> {
     let [blocking, tokio] = [Kind::Blocking, Kind::Tokio].map(|kind| call_tcp(kind, server(), options, calls));
     assert_eq!(blocking, tokio, "both kinds of clients");

@@ -22,7 +22,7 @@ const fn session(
     case(Group::Sessions, name, source, rule, setup, steps(table))
 }
 
-/// The specification shows the options only; their rules are those of the vendor's client library.
+/// The specification shows the options only; their rules come from the vendor's client library.
 const OPTIONS: &str = "b-CAP specification, Table 4-1, the vendor's client library";
 
 /// Service_Start with an option must succeed.

@@ -199,7 +199,7 @@ fn move_back(bench: &mut Bench<'_>) -> Result<(), Stop> {
     Ok(())
 }
 
-/// Sets the interval of keep-alives: the arm is lost with the session, so this is a session of its own.
+/// Sets the interval of keep-alives in a separate session, because the arm is lost with the session.
 fn with_wdt(bench: &mut Bench<'_>, option: &'static str) -> Result<(), Stop> {
     bench.must(F::SERVICE_STOP, &[], Want::NoValue)?;
     bench.must(F::SERVICE_START, &[S(option)], Want::NoValue)?;

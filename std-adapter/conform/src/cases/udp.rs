@@ -178,7 +178,7 @@ fn no_marker(bench: &mut Bench<'_>) -> Result<(), Stop> {
 
 fn wrapping_markers(bench: &mut Bench<'_>) -> Result<(), Stop> {
     bench.serial = 0xffff;
-    // far above the markers so far, so this is a session of its own
+    // far above the markers so far, so this case uses a separate session
     bench.must(F::SERVICE_START, &[S("")], Want::NoValue)?;
     bench.open_controller()?;
     bench.open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")])?;

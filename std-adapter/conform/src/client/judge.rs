@@ -88,7 +88,7 @@ pub struct ClientJudge {
     listener: Listener,
 }
 
-/// What a session of a client needs.
+/// The needs of a client's session.
 struct Play {
     link: Link,
     rules: Rules,

@@ -1,4 +1,4 @@
-//! What every request of a client must be.
+//! The rules for every request of a client.
 
 use std::collections::{BTreeMap, HashMap};
 

@@ -51,14 +51,14 @@ impl Parts {
     }
 }
 
-/// What a reply hook knows.
+/// The context of a reply hook.
 #[derive(Clone, Debug)]
 pub(crate) struct Request {
     pub(crate) function: FunctionId,
     pub(crate) args: Vec<OwnedVariant>,
 }
 
-/// What the hooks of a fault remember.
+/// The state of a fault's hooks.
 #[derive(Debug, Default)]
 pub(crate) struct Memory {
     pub(crate) handle: Option<i32>,
@@ -137,7 +137,7 @@ fn listen(stop: Arc<AtomicBool>, serve: impl Fn(TcpStream) + Send + Sync + 'stat
     address
 }
 
-/// What both directions of a connection share.
+/// The state that both directions of a connection share.
 #[derive(Default)]
 struct Shared {
     memory: Memory,
@@ -232,7 +232,7 @@ fn relay_lines(client: &TcpStream, device: SocketAddr, hooks: Hooks) {
     let _ = device.shutdown(Shutdown::Both);
 }
 
-/// Relays datagrams; each client has a socket of its own.
+/// Relays datagrams; each client has a separate socket.
 fn relay_datagrams(socket: &UdpSocket, device: SocketAddr, hooks: Hooks, ended: &AtomicBool) {
     let mut clients: HashMap<SocketAddr, (UdpSocket, Arc<Mutex<Shared>>)> = HashMap::new();
     socket.set_read_timeout(Some(Duration::from_millis(200))).unwrap();

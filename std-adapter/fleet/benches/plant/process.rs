@@ -60,7 +60,7 @@ pub(crate) struct Usage {
 }
 
 impl Usage {
-    /// Reads those of a process; `self` is this one.
+    /// Reads the figures of a process; `self` is this one.
     pub(crate) fn of(process: &str) -> Result<Self, Failure> {
         let stat = fs::read_to_string(format!("/proc/{process}/stat"))?;
         // the name of the program may have spaces

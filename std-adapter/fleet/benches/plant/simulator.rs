@@ -30,8 +30,8 @@ pub(crate) fn run(count: u32, values: u32, hz: u32) -> Result<(), Failure> {
     runtime.block_on(std::future::pending())
 }
 
-/// A prime number: the order of changes differs from that of the fleet's scans, so that a change waits for its scan between nothing
-/// and the whole interval.
+/// A prime number. It makes the order of changes differ from the order of the scans, so that a change waits for its
+/// scan between 0 and a whole interval.
 const STEP: usize = 7919;
 
 /// Changes one controller after another, spread over the interval.

@@ -15,7 +15,7 @@ use crate::{Failure, clock};
 /// The first level of the topics of Sparkplug.
 const SPARKPLUG: &str = "spBv1.0/";
 
-/// What has arrived.
+/// The messages that have arrived.
 pub(crate) struct Seen {
     pub(crate) messages: u64,
     pub(crate) values: u64,

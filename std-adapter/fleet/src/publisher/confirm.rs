@@ -1,4 +1,4 @@
-//! Confirms readings of QoS 0, which Sparkplug demands: they have no acknowledgements of their own.
+//! Confirms readings of QoS 0, which Sparkplug demands and MQTT does not acknowledge.
 //!
 //! A broker handles the packets of a connection in their order, and answers an UNSUBSCRIBE also if there is no such
 //! subscription. At most one UNSUBSCRIBE is pending. Its UNSUBACK confirms everything sent before it.

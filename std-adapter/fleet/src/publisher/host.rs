@@ -9,7 +9,7 @@ use serde::Deserialize;
 use super::Publisher;
 use crate::event::Event;
 
-/// What the host publishes.
+/// The state message of the host.
 #[derive(Debug, Deserialize)]
 struct HostState {
     online: bool,

@@ -21,7 +21,7 @@ impl Publisher {
         self.is_up() && !self.is_watcher()
     }
 
-    /// Returns whether the connection is, or will be, that of a watcher.
+    /// Returns whether the connection is, or will be, a watcher's connection.
     pub(super) fn is_watcher(&self) -> bool {
         self.standby.as_ref().is_some_and(|standby| !standby.is_active())
     }
@@ -54,7 +54,8 @@ impl Publisher {
         }
     }
 
-    /// The broker has answered a subscription. Without that of a watcher nothing would arrive, and it would take over.
+    /// Handles the broker's answer to a subscription. A watcher without a subscription would receive nothing and take
+    /// over.
     pub(super) async fn subscribed(&mut self, codes: &[SubscribeReasonCode]) {
         let Some(standby) = self.standby.as_mut().filter(|standby| !standby.is_active()) else { return };
         if codes.contains(&SubscribeReasonCode::Failure) {
@@ -64,7 +65,7 @@ impl Publisher {
         standby.subscribed(Instant::now());
     }
 
-    /// Returns the topic of the will of the active process, if it is not that of the state.
+    /// Returns the topic of the will of the active process, if it differs from the topic of the state.
     fn death_topic(&self) -> Option<String> {
         self.sparkplug.as_ref().map(|_| sparkplug::topic(&self.shared.config, "NDEATH", None))
     }
@@ -82,7 +83,7 @@ impl Publisher {
         // another process may have accepted commands until now; the clocks of the two may differ
         let margin = u64::try_from((standby.after() * 2).as_millis()).unwrap_or(u64::MAX);
         self.commands.begin(now.saturating_add(margin));
-        // ids above those of the other process
+        // ids above the ids of the other process
         shared.next_id.fetch_max(now.saturating_mul(1000), Ordering::Relaxed);
         standby.beaten(Instant::now());
         let instance = standby.instance().to_owned();
@@ -105,7 +106,7 @@ impl Publisher {
         let is_death = publish.topic != self.state_topic();
         let Some(standby) = self.standby.as_mut().filter(|standby| !standby.is_active()) else { return };
         if is_death {
-            // that of an earlier birth may come late
+            // the death of an earlier birth may come late
             if self.sparkplug.as_ref().is_some_and(|sparkplug| sparkplug.is_death(&publish.payload)) {
                 standby.saw_death(Instant::now());
             }

@@ -26,7 +26,7 @@ use tokio::time::timeout;
 /// A wait that is longer than this is a failure.
 const LIMIT: Duration = Duration::from_secs(30);
 
-/// A broker in a process of its own.
+/// A broker in a separate process.
 pub(crate) struct Mosquitto {
     folder: TempDir,
     child: Option<Child>,
@@ -77,7 +77,7 @@ impl Mosquitto {
         self.signal("-TERM");
     }
 
-    /// Ends the broker as a crash does; it loses what it has acknowledged and not delivered.
+    /// Ends the broker as a crash does; it loses messages that it has acknowledged but not delivered.
     pub(crate) fn kill(&mut self) {
         self.signal("-KILL");
     }
@@ -336,7 +336,7 @@ impl Proxy {
         self.cut.notify_one();
     }
 
-    /// Forwards or stops to forward. What arrives in between is forwarded later.
+    /// Starts or stops forwarding. Bytes that arrive while it is stopped are forwarded later.
     pub(crate) fn set(&self, flows: bool) {
         self.set_up(flows);
         self.flows[1].send_replace(flows);
@@ -396,7 +396,7 @@ pub(crate) fn now_ms() -> u64 {
     time.as_millis().try_into().unwrap()
 }
 
-/// A folder of its own, and its path.
+/// A temporary folder, and its path.
 pub(crate) fn folder() -> (TempDir, PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().to_owned();

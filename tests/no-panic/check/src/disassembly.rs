@@ -43,14 +43,14 @@ pub(crate) struct Site {
     pub(crate) origin: Origin,
     /// The file and line, or the function where these are unknown.
     pub(crate) place: String,
-    /// What is called.
+    /// The called function.
     pub(crate) target: String,
 }
 
 /// A call or jump from one function to another.
 struct Call {
-    /// Where it comes from: its own address, or those of the jumps to it when the compiler has merged several calls
-    /// into one that has no source line.
+    /// The addresses of the call: its own address, or the addresses of the jumps to it when the compiler has merged
+    /// several calls into one that has no source line.
     addresses: Vec<String>,
     caller: String,
     target: String,

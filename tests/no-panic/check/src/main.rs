@@ -60,7 +60,7 @@ fn run() -> Outcome<()> {
     echoes(&images.join("text"), LINES.as_bytes())
 }
 
-/// Builds the images into a directory of their own below the target directory, which it returns.
+/// Builds the images into a separate directory below the target directory, and returns it.
 fn build(workspace: &Path, name: &str, args: &[&str]) -> Outcome<PathBuf> {
     let target =
         std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| workspace.join("target"), PathBuf::from).join(name);

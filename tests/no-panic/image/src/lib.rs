@@ -1,4 +1,5 @@
-//! What a freestanding program of x86-64 Linux needs: an entry point, a panic handler, three system calls and `memcpy`.
+//! The base of a freestanding program for x86-64 Linux: an entry point, a panic handler, three system calls and
+//! `memcpy`.
 //!
 //! There is no allocator, no std and no libc. The panic handler ends in [`panicked`], which is in the image exactly when
 //! something can panic.

@@ -27,7 +27,7 @@ const CALLS: u32 = 50;
 /// The link was cut.
 struct Cut;
 
-/// What the link does next; the input says so.
+/// The outcome of the next operation of the link, taken from the input.
 struct Fate<'a> {
     input: &'a [u8],
     now: Instant,
@@ -126,7 +126,7 @@ macro_rules! transports {
 
 transports! { Binary Text }
 
-/// Makes calls by the blocking loop, and those of a stream; returns how many were answered.
+/// Makes calls and streams poses with the blocking loop; returns how many calls were answered.
 pub fn binary(input: &[u8]) -> u32 {
     let session = server::Session::new(server::Config::TCP, [0; 512], [0; 512]);
     let link = Binary { fate: Fate { input, now: Instant::ZERO }, session };

@@ -17,7 +17,7 @@ use super::plc::Seen;
 /// The time in which every PLC must be served again after a failure.
 const RECOVERY: Duration = Duration::from_secs(60);
 
-/// What fails.
+/// The failure to cause.
 enum Failure {
     RobotKilled,
     RobotStopped,

@@ -66,7 +66,7 @@ impl Garbage {
         Ok(())
     }
 
-    /// Sends random bytes to the ports of the board, each over a connection of its own.
+    /// Sends random bytes to the ports of the board, one connection per attempt.
     pub(super) fn connections(&self, addresses: &[&str], mut rng: Rng, shared: &Shared) {
         while !shared.is_over() {
             sleep(Duration::from_millis(rng.u64(100..1000)));

@@ -33,7 +33,7 @@ use self::plc::{Front, Seen};
 /// The time between two lines with figures.
 const PROGRESS: Duration = Duration::from_secs(60);
 
-/// What the threads share.
+/// The state that the threads share.
 #[derive(Default)]
 struct Shared {
     stop: AtomicBool,

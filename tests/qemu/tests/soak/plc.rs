@@ -23,7 +23,7 @@ const VARIABLES: i32 = 20;
 /// The last numbers of a variable that may still be written by requests without an answer.
 type Pending = HashSet<(i32, i32)>;
 
-/// What a PLC speaks.
+/// The protocol of a PLC.
 #[derive(Clone, Copy)]
 pub(super) enum Front {
     Rac,
@@ -31,7 +31,7 @@ pub(super) enum Front {
     Modbus,
 }
 
-/// What a PLC has seen so far.
+/// The observations of a PLC.
 #[derive(Default)]
 pub(super) struct Seen {
     served: AtomicU32,

@@ -8,7 +8,7 @@ use socket2::{Domain, Socket, Type};
 use crate::target::{Target, limits, skipped};
 use crate::wire::{Raw, bytes};
 
-/// Connects from an address of the loopback other than that of the bystanders.
+/// Connects from another loopback address than the bystanders.
 fn connect_from(source: IpAddr, server: SocketAddr) -> std::io::Result<TcpStream> {
     let socket = Socket::new(Domain::IPV4, Type::STREAM, None)?;
     socket.bind(&SocketAddr::new(source, 0).into())?;

@@ -150,7 +150,7 @@ fn send<C: Call>(call: &C) -> Option<u32> {
     u32::try_from(bytes.len()).ok()
 }
 
-/// A controller that answers with what it was asked.
+/// A controller that echoes the request.
 struct Echo;
 
 impl Handler for Echo {
