@@ -127,12 +127,12 @@ impl Position {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub struct Joints {
-    /// J1 to J8 in degrees, those of linear axes in mm; 0 for an axis that the robot does not have.
+    /// J1 to J8 in degrees, or in mm for linear axes; 0 for an axis that the robot does not have.
     pub degrees: [f64; 8],
 }
 
 impl Joints {
-    /// Makes it from J1 and the following, in degrees, those of linear axes in mm. Missing axes are 0.
+    /// Makes it from J1 and the following, in degrees, or in mm for linear axes. Missing axes are 0.
     ///
     /// More than eight axes are a compile error.
     #[must_use]

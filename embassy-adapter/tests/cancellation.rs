@@ -88,7 +88,7 @@ async fn dropped_after<T>(polls: usize, future: impl Future<Output = T>) -> Opti
 }
 
 /// Runs a test with a background future that never ends. A test that hangs fails.
-async fn beside(background: impl Future, test: impl Future<Output = ()>) {
+async fn alongside(background: impl Future, test: impl Future<Output = ()>) {
     let test = with_timeout(embassy_time::Duration::from_secs(120), test);
     let Either::Second(Ok(())) = select(background, test).await else { panic!("it hangs") };
 }
@@ -280,7 +280,7 @@ fn tcp_client() {
             })
             .await;
         };
-        beside(serve(server, &controller), test).await;
+        alongside(serve(server, &controller), test).await;
     });
 }
 
@@ -365,7 +365,7 @@ fn udp() {
                 }
                 cable.lose(0);
             };
-            beside(serving, test).await;
+            alongside(serving, test).await;
         }
         // a server that is dropped in the middle, and another that goes on with its peers
         for polls in 1..=20 {
@@ -374,7 +374,7 @@ fn udp() {
             let answered = select(token(&mut robot, handle, number), dropped_after(polls, first.run())).await;
             let ended = matches!(answered, Either::First(Some(answer)) if answer == answer_to(number));
             let mut second = UdpServer::new(&mut socket, &mut peers, &controller, Limits::default());
-            beside(second.run(), check(&mut robot, handle, &controller, number + 1)).await;
+            alongside(second.run(), check(&mut robot, handle, &controller, number + 1)).await;
             POINTS.with_borrow_mut(|all| *all.entry("UdpServer::run").or_default() += usize::from(!ended));
         }
         let at = now().saturating_add(core::time::Duration::from_micros(500));
@@ -465,7 +465,7 @@ fn servers() {
                     let handle = open(&mut robot).await;
                     check(&mut robot, handle, &controller, number + 1).await;
                 };
-                beside(listener.run(&mut slot, session, &controller, &limits), next).await;
+                alongside(listener.run(&mut slot, session, &controller, &limits), next).await;
             }
         }
     });
@@ -502,7 +502,7 @@ fn a_connection_of_a_dropped_server_is_reset_with_its_next_use() {
                 assert_eq!(call.await, Err(CallError::Io(NetError::Reset)));
             };
             let mut next = self::session();
-            beside(listener.serve_one(&mut next, &controller, &limits), reset).await;
+            alongside(listener.serve_one(&mut next, &controller, &limits), reset).await;
         }
     });
 }
@@ -599,7 +599,7 @@ fn gateway() {
                         }
                     };
                     let robot = run_robot(&mut link, &mut frame, &plant);
-                    beside(join(robot, listener.run(&plant, &limits)), next).await;
+                    alongside(join(robot, listener.run(&plant, &limits)), next).await;
                     assert_eq!(executed(&controller, number), 1);
                     assert!(ran_once(&controller), "after {polls} polls");
                 }
@@ -615,7 +615,7 @@ fn gateway() {
             })
             .await;
         };
-        beside(serve(plcs, &controller), test).await;
+        alongside(serve(plcs, &controller), test).await;
     });
 }
 
@@ -639,14 +639,14 @@ fn fronts() {
             let dropped = dropped_after(polls.into(), modbus.run(&plant, &limits));
             let dropped = select(asked(clients, modbus::PORT, &read, &exception), dropped).await;
             count("ModbusListener::run", &dropped);
-            beside(modbus.run(&plant, &limits), asked(clients, modbus::PORT, &read, &exception)).await;
+            alongside(modbus.run(&plant, &limits), asked(clients, modbus::PORT, &read, &exception)).await;
 
             let get = format!("GET /{polls} HTTP/1.1\r\n\r\n");
             let end = format!("\r\n\r\n/{polls}");
             let dropped = dropped_after(polls.into(), http.run(|_| true, answer));
             let dropped = select(asked(clients, 80, get.as_bytes(), end.as_bytes()), dropped).await;
             count("HttpListener::run", &dropped);
-            beside(http.run(|_| true, answer), asked(clients, 80, get.as_bytes(), end.as_bytes())).await;
+            alongside(http.run(|_| true, answer), asked(clients, 80, get.as_bytes(), end.as_bytes())).await;
         }
     });
 }

@@ -114,7 +114,8 @@ fn rules_slots_and_the_log_apply_to_clients_of_modbus() {
             assert_eq!(ask(&mut b, &[16, 0, 100, 0, 2, 4, 0xff, 0xff, 0xff, 0xf6]).await, [16, 0, 100, 0, 2]);
             assert_eq!(ask(&mut a, &[4, 0, 200, 0, 1]).await, [4, 2, 0xff, 0xf6]);
             assert_eq!(logged(), [""; 0]);
-            // a value out of the range, a variable without a rule, two of which one has no rule, and no variable
+            // a value out of the range, a variable without a rule, two variables with a rule for only one of them, and
+            // no variable
             assert_eq!(ask(&mut a, &[6, 0, 200, 0, 11]).await, [0x86, 3]);
             assert_eq!(ask(&mut a, &[16, 0, 102, 0, 2, 4, 0, 0, 0, 5]).await, [0x90, 2]);
             assert_eq!(ask(&mut a, &[16, 0, 100, 0, 4, 8, 0, 0, 0, 5, 0, 0, 0, 5]).await, [0x90, 2]);

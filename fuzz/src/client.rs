@@ -138,8 +138,8 @@ impl<R: Storage> Run<R> {
                 }
                 Op::Pass(millis) => self.pass(self.now + Duration::from_millis(u64::from(millis))),
                 Op::Timeout => {
-                    if let Some(due) = self.client.poll_timeout() {
-                        self.pass(due.max(self.now));
+                    if let Some(deadline) = self.client.poll_timeout() {
+                        self.pass(deadline.max(self.now));
                     }
                 }
                 Op::Abandon => {
@@ -335,9 +335,9 @@ impl<R: Storage> Run<R> {
     /// Checks that the call ends, and that the next one gets its reply if the stream is still valid.
     fn finish(mut self) {
         for _ in 0..600 {
-            let Some(due) = self.client.poll_timeout() else { break };
+            let Some(deadline) = self.client.poll_timeout() else { break };
             self.take(usize::MAX);
-            self.pass(due.max(self.now));
+            self.pass(deadline.max(self.now));
             self.check();
         }
         assert!(!self.client.is_busy());

@@ -1,4 +1,4 @@
-//! What several targets need to read their input.
+//! Readers of input that several targets use.
 
 use bcap_core::limits::Strictness;
 

@@ -106,8 +106,8 @@ impl<V: Storage> Run<V> {
                 Op::Long(count) => self.receive(&vec![b'0'; usize::from(count % 1024)]),
                 Op::Pass(millis) => self.pass(self.now + Duration::from_millis(u64::from(millis))),
                 Op::Timeout => {
-                    if let Some(due) = self.client.poll_timeout() {
-                        self.pass(due.max(self.now));
+                    if let Some(deadline) = self.client.poll_timeout() {
+                        self.pass(deadline.max(self.now));
                     }
                 }
                 Op::Abandon => {
@@ -293,8 +293,8 @@ impl<V: Storage> Run<V> {
     /// Checks that the request ends, and that the next one gets its own reply after the outstanding ones.
     fn finish(mut self) {
         self.take(usize::MAX);
-        if let Some(due) = self.client.poll_timeout() {
-            self.pass(due.max(self.now));
+        if let Some(deadline) = self.client.poll_timeout() {
+            self.pass(deadline.max(self.now));
         }
         assert!(!self.client.is_busy());
         self.take(usize::MAX);

@@ -326,7 +326,7 @@ impl<T: Storage> Run<T> {
         count <= self.session.receive_buffer().len()
     }
 
-    /// Checks that a retransmission of the running request is answered with S_EXECUTING at once, also after noise.
+    /// Checks that a retransmission of the running request is answered with S_EXECUTING at once, even after noise.
     fn expect_executing(&self) {
         let oracle = Oracle { limits: Limits::STREAM, strictness: Strictness::Strict, crc: self.link == Link::Serial };
         let Verdict::Frame(frame, _) = oracle.decode(self.session.transmit()) else {
@@ -369,8 +369,8 @@ impl<T: Storage> Run<T> {
                 );
                 self.take(usize::MAX);
                 // a handler that waits for a past time is polled every millisecond, so the time must advance here
-                let due = self.session.poll_timeout().unwrap_or(self.now).max(self.now);
-                self.now = due + Duration::from_secs(1);
+                let deadline = self.session.poll_timeout().unwrap_or(self.now).max(self.now);
+                self.now = deadline + Duration::from_secs(1);
                 self.serve();
                 continue;
             }
@@ -409,8 +409,11 @@ impl<T: Storage> Run<T> {
             self.running = self.running.filter(|_| self.session.is_running());
             if event.is_none() {
                 if self.session.transmit().is_empty() {
-                    let due = self.session.poll_timeout();
-                    assert!(due.is_none_or(|due| due > self.now), "a deadline in the past was not handled");
+                    let deadline = self.session.poll_timeout();
+                    assert!(
+                        deadline.is_none_or(|deadline| deadline > self.now),
+                        "a deadline in the past was not handled"
+                    );
                 }
                 return;
             }
@@ -454,8 +457,8 @@ impl<T: Storage> Run<T> {
     fn finish(mut self) {
         for _ in 0..4000 {
             self.take(usize::MAX);
-            let Some(due) = self.session.poll_timeout() else { break };
-            self.now = due.max(self.now);
+            let Some(deadline) = self.session.poll_timeout() else { break };
+            self.now = deadline.max(self.now);
             self.serve();
             self.now = self.now + Duration::from_millis(50);
         }

@@ -194,7 +194,7 @@ fn client_log<R: Storage>(setup: Setup, rx: R, bytes: &[u8], sizes: &[u8]) -> Ve
     found
 }
 
-/// A handler that refuses every call except those of the session.
+/// A handler that refuses every call except session calls.
 struct Quiet;
 
 impl Handler for Quiet {

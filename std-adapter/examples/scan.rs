@@ -15,7 +15,7 @@ async fn main() -> Result<(), Error> {
     run(&std::env::args().nth(1).unwrap_or_else(|| "tcp:127.0.0.1".into()), usize::MAX).await
 }
 
-/// Prints so many changes of the controller at `address`.
+/// Prints `count` changes of the controller at `address`.
 pub(crate) async fn run(address: &str, changes: usize) -> Result<(), Error> {
     let cell = Controller::connect(address, &Settings::rc8()).await?;
     let mut readings = cell.subscribe(&["I1", "IO128"], Duration::from_millis(100));

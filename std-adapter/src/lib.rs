@@ -32,7 +32,7 @@
 //! | stream poses                | [`blocking::Arm::stream`], [`slave`]                                                    |
 //! | test without a robot        | `Controller::over` with a `Wire` of the crate `bcap-sim`                                |
 //! | call any of 137 functions   | [`blocking::Controller::call`] with a call of [`core::bcap::call`]                      |
-//! | be a controller             | `server::Server`, with [`core::device::Device`] or a handler of your own                |
+//! | be a controller             | `server::Server`, with [`core::device::Device`] or your own handler                     |
 //! | wait for an input           | [`blocking::Controller::read_until`]                                                    |
 //! | understand an error         | [`Error`], [`core::hresult::HResult`]; [`MainError`] for the result of `main`           |
 //!

@@ -109,7 +109,7 @@ impl Default for Backoff {
     }
 }
 
-/// Which controller is connected, and how.
+/// The controller to connect to, and the settings of the connection.
 ///
 /// # Examples
 ///

@@ -5,8 +5,8 @@
 //! ```
 //!
 //! The server runs on one thread, the large client sends frames of nearly 16 MiB without a pause, and the small client
-//! makes one short call after another for some seconds. The goal is a maximum below 20 ms; all figures are printed, none is
-//! judged, as they include what the scheduler of a busy machine takes.
+//! makes one short call after another for some seconds. The goal is a maximum below 20 ms; all figures are printed and
+//! not judged, because they include the delays of a busy machine's scheduler.
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpStream};

@@ -180,8 +180,8 @@ fn gateway(asks: bool) -> u64 {
         while let Some(event) = gateway.poll_event(now()) {
             sessions += u64::from(event == bcap_gateway::Event::RobotUp);
         }
-        let due = gateway.poll_timeout().map_or(TIME, |due| due.saturating_since(now()));
-        let wait = due.clamp(Duration::from_millis(1), Duration::from_millis(50));
+        let deadline = gateway.poll_timeout().map_or(TIME, |deadline| deadline.saturating_since(now()));
+        let wait = deadline.clamp(Duration::from_millis(1), Duration::from_millis(50));
         match (robot.take(), gateway.robot_wanted()) {
             (Some(stream), true) => match transfer(&mut gateway, &stream, wait) {
                 Ok(()) => robot = Some(stream),

@@ -44,7 +44,7 @@ pub fn check(
     if wrong.is_empty() { Ok(()) } else { Err(wrong.join("\n")) }
 }
 
-/// Returns the async functions below a folder, as `file.rs: Type::function`; those of tests are left out.
+/// Returns the async functions below a folder, as `file.rs: Type::function`; functions of tests are left out.
 #[must_use]
 pub fn functions(src: &Path) -> Vec<String> {
     let mut found = Vec::new();

@@ -98,8 +98,8 @@ impl Direct {
                 return Some(count);
             }
             // time passes until the server's or the client's next timeout
-            match self.session.poll_timeout().filter(|due| *due < until) {
-                Some(due) => self.now = due,
+            match self.session.poll_timeout().filter(|deadline| *deadline < until) {
+                Some(deadline) => self.now = deadline,
                 None => {
                     self.now = self.now.max(until);
                     return None;

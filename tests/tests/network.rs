@@ -219,7 +219,7 @@ fn no_reply_with_a_wrong_serial_ends_or_prolongs_a_call() {
             // on a stream, too many of these at once end the session
             s.now = s.now + millis(500);
             s.begin(i32::from(token)).unwrap();
-            let due = s.client.poll_timeout();
+            let deadline = s.client.poll_timeout();
             let length = s.client.transmit().len();
             s.client.transmitted(length);
             s.now = s.now + millis(10);
@@ -230,9 +230,9 @@ fn no_reply_with_a_wrong_serial_ends_or_prolongs_a_call() {
                 assert_eq!(give(&mut s, &reply(wrong, HResult::S_OK, Some(-1))), [Event::Stale { serial: wrong }]);
                 assert_eq!(give(&mut s, &reply(wrong, HResult::S_EXECUTING, None)), [Event::Stale { serial: wrong }]);
             }
-            assert_eq!(s.client.poll_timeout(), due, "strangers win no time");
+            assert_eq!(s.client.poll_timeout(), deadline, "strangers win no time");
             assert_eq!(give(&mut s, &reply(token, HResult::S_EXECUTING, None)), [Event::Executing]);
-            assert!(s.client.poll_timeout() > due);
+            assert!(s.client.poll_timeout() > deadline);
             let value = i32::from(token);
             assert_eq!(give(&mut s, &reply(token, HResult::S_OK, Some(value))), [Event::Replied(HResult::S_OK)]);
             assert_eq!(s.client.value::<bcap_core::bcap::call::Int>(), Ok(value));

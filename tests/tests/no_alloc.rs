@@ -302,7 +302,7 @@ macro_rules! transport {
 transport!(BoardSession);
 transport!(rac::server::Session<[u8; 512]>);
 
-/// Runs a future of which nothing has to wait.
+/// Runs a future that never waits.
 fn at_once<T>(future: impl Future<Output = T>) -> T {
     match pin!(future).poll(&mut Context::from_waker(Waker::noop())) {
         Poll::Ready(result) => result,

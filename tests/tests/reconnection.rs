@@ -1,4 +1,5 @@
-//! A controller that is killed and restarted under load: no write is executed twice, none is lost without an error.
+//! A controller that is killed and restarted under load: no write is executed twice, and no write is lost without an
+//! error.
 //!
 //! `RESTARTS=100 cargo test -p bcap-tests --test reconnection -- --nocapture` is the long run.
 
@@ -16,7 +17,7 @@ use bcap_std::{Backoff, Error, Settings};
 use bcap_testkit::network::Random;
 use tokio::task::JoinHandle;
 
-/// All values that were written, over all lives of the controller.
+/// All values that were written, over all restarts of the controller.
 type Log = Arc<Mutex<Vec<i32>>>;
 
 fn device(log: &Log) -> Device<Log, 1> {

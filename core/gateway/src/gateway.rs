@@ -314,7 +314,7 @@ impl Gateway<'_> {
     /// Performs the next step and returns its event; `None` when there is nothing to do.
     ///
     /// Call it until it returns `None`: after bytes were received or sent, after a connection was opened or closed, and
-    /// when [`poll_timeout`](Self::poll_timeout) is due.
+    /// at the time of [`poll_timeout`](Self::poll_timeout).
     pub fn poll_event(&mut self, now: Instant) -> Option<Event> {
         let event = self.pending.take().or_else(|| self.poll_robot(now)).or_else(|| self.poll_sessions(now));
         let event = event.or_else(|| self.begin(now));

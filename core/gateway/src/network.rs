@@ -22,7 +22,7 @@ pub struct Network {
 }
 
 impl Network {
-    /// All clients, also those without an address.
+    /// All clients, even without an address.
     pub const ANY: Self = Self { address: Ipv4Addr::UNSPECIFIED, prefix: 0 };
 
     /// Makes the network of the first `prefix` bits of an address; `None` if there are more than 32.

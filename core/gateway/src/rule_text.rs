@@ -24,7 +24,7 @@ use bcap_core::variant::{Variant, parse_f64};
 /// The most ranges of a rule: a T variable has most elements.
 const RANGES: usize = VariableKind::T.elements();
 
-/// A rule with memory of its own for its ranges of values.
+/// A rule with the memory for its ranges of values.
 ///
 /// # Examples
 ///
@@ -110,13 +110,13 @@ impl Allow<'_> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct RuleError {
-    /// What is wrong.
+    /// The kind of error.
     pub kind: RuleErrorKind,
     /// The byte of the text at which it was found, counted from 1; 0 for a rule that was not parsed.
     pub column: u32,
 }
 
-/// What is wrong with a rule.
+/// The kind of an error in a rule.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]

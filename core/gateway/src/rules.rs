@@ -164,20 +164,20 @@ impl Rate {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pace {
     /// When all admitted requests would be finished at the allowed rate.
-    due: Instant,
+    deadline: Instant,
 }
 
 impl Pace {
-    pub(super) const NEW: Self = Self { due: Instant::ZERO };
+    pub(super) const NEW: Self = Self { deadline: Instant::ZERO };
 
     /// Takes a token for a request; `false` if the bucket is empty.
     fn admits(&mut self, rate: Rate, now: Instant) -> bool {
         let interval = rate.interval();
         let ahead = interval.saturating_mul(rate.burst.saturating_sub(1));
-        if self.due.saturating_since(now) > ahead {
+        if self.deadline.saturating_since(now) > ahead {
             return false;
         }
-        self.due = self.due.max(now).saturating_add(interval);
+        self.deadline = self.deadline.max(now).saturating_add(interval);
         true
     }
 }
@@ -252,8 +252,8 @@ impl Rules<'_> {
         self.permits(request, client)
     }
 
-    /// Checks a request of a client against everything but the rate, as a program with its own requests does. Rules for
-    /// networks apply only to a client whose address is known.
+    /// Checks a request of a client against all rules except the rate, for a program that makes its own requests. Rules
+    /// for networks apply only to a client whose address is known.
     ///
     /// # Errors
     ///
@@ -412,7 +412,7 @@ mod tests {
         let client = |a, b, c, d| Some(Ipv4Addr::new(a, b, c, d));
         let put = |rules: &Rules<'_>, client, kind, index| {
             let value = if kind == Kind::I { Variant::I4(1) } else { Variant::R4(1.0) };
-            rules.check(&Request::Put(Variable::new(kind, index), value), client, &mut Pace { due: at(0) }, at(0))
+            rules.check(&Request::Put(Variable::new(kind, index), value), client, &mut Pace { deadline: at(0) }, at(0))
         };
         for (from, in_network, float) in [
             (client(10, 0, 0, 7), Ok(()), Ok(())),

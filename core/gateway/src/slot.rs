@@ -82,7 +82,7 @@ impl Slot {
         Some(Event::answered(self.peer?, asked, result, now.saturating_since(since)))
     }
 
-    /// Replies to a request with a refusal, also if it waits for the robot.
+    /// Replies to a request with a refusal, even if it waits for the robot.
     pub(super) fn refuse(&mut self, refusal: Refusal) -> Option<Event> {
         self.waiting = None;
         let _ = self.session.respond(refusal.hresult())?;

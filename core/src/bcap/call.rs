@@ -4,8 +4,8 @@
 //! client sends it. All are generated from the [function table](super::function), so names and types agree with the wire.
 //!
 //! The documentation of a call says what the function does, its arguments with their units, what it returns, and which
-//! controllers have it; "all" are RC8, RC9 and COBOTTA. The specifications are those of b-CAP for RC9 and of RAC for
-//! RC8. The virtual controller is the crate `bcap-sim`.
+//! controllers have it; "all" are RC8, RC9 and COBOTTA. The specifications are the b-CAP specification for RC9 and the
+//! RAC specification for RC8. The virtual controller is the crate `bcap-sim`.
 //!
 //! The usual calls of an object are also methods of its handle: `controller.variable("I1")`, `variable.get()`,
 //! `robot.take_arm(0, 1)`, see [`ControllerHandle`].

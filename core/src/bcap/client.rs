@@ -20,7 +20,8 @@
 //! * **Early replies** are stale, too: a reply whose first byte arrived before the first byte of the request was sent, and
 //!   a success before the whole request was sent. An error is accepted earlier, because a server may refuse a long request
 //!   at its header.
-//! * **Floods** end the session: a token bucket limits the rate of S_EXECUTING, and on a stream that of stale replies.
+//! * **Floods** end the session: a token bucket limits the rate of S_EXECUTING, and on a stream also the rate of stale
+//!   replies.
 //! * **Cancelling** with [`abandon`](Client::abandon) is possible at any byte: the client finishes a partly sent request,
 //!   and its reply is stale.
 
@@ -100,7 +101,7 @@ pub struct Config {
     pub strictness: Strictness,
     /// The reaction to bytes of a stream that are not a valid frame. Invalid datagrams are always dropped.
     pub on_malformed: OnMalformed,
-    /// The timing of calls without their own: those of [`Connection::call`](crate::io::blocking::Connection::call).
+    /// The timing of calls that bring none, such as [`Connection::call`](crate::io::blocking::Connection::call).
     pub timing: Timing,
     /// On serial lines, the silence inside a frame after which its rest is lost: rounded up to milliseconds, at most 65 s.
     /// While a frame arrives, no attempt ends.
@@ -295,7 +296,7 @@ struct InFlight {
     first: u16,
     last: u16,
     attempt: u8,
-    /// The serial of the last attempt of which bytes were sent; 0 before any were.
+    /// The serial of the last attempt that was at least partly sent; 0 before any were.
     sent: u16,
     /// The parts of the timing that later events need; in microseconds.
     attempts: u8,

@@ -105,7 +105,7 @@ pub trait Handler {
         self.call(peer, request, reply, now)
     }
 
-    /// Is called when a waiting request is not resumed: it timed out, or the peer disconnected.
+    /// Called when a waiting request is not resumed: it timed out, or the peer disconnected.
     fn abandoned(&mut self, peer: PeerId, now: Instant) {
         let _ = (peer, now);
     }
@@ -119,7 +119,7 @@ pub trait Handler {
         let _ = (peer, request, code, now);
     }
 
-    /// Is called when a peer disconnected, after its objects were released.
+    /// Called when a peer disconnected, after its objects were released.
     fn left(&mut self, peer: PeerId, now: Instant) {
         let _ = (peer, now);
     }

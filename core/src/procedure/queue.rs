@@ -1,4 +1,4 @@
-//! How motions are waited for, and what is known of those that follow each other.
+//! Waiting for motions, and the state of motions that follow each other.
 
 use core::time::Duration;
 
@@ -55,7 +55,7 @@ impl MotionConfig {
 /// fn goes_on(motion: Motion) -> bool {
 ///     match motion {
 ///         Motion::Arrived => true,
-///         // a person or another client stopped the robot, and the program does not know why
+///         // a person or another client stopped the robot, for a reason that the program cannot tell
 ///         Motion::Halted | Motion::TimedOut => false,
 ///         Motion::Failed(code) => {
 ///             eprintln!("the controller has the error {code}");

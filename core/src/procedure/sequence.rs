@@ -127,7 +127,7 @@ impl<'a> StepCall<'a> {
         Self { function, arguments: [Argument::End; 5] }
     }
 
-    /// Appends an argument, of which a call has at most five.
+    /// Appends an argument. A call has at most five.
     pub(super) fn with(mut self, argument: impl Into<Argument<'a>>) -> Self {
         if let Some(free) = self.arguments.iter_mut().find(|slot| matches!(slot, Argument::End)) {
             *free = argument.into();

@@ -71,7 +71,7 @@ pub(super) enum Before {
 }
 
 impl Target {
-    /// An end that cannot be compared. Such a motion has arrived only if two polls saw where it leads.
+    /// An end that cannot be compared. Such a motion has arrived only if two polls saw its destination.
     pub const UNKNOWN: Self = Self::new(Place::Unknown);
 
     const fn new(place: Place) -> Self {
@@ -192,7 +192,7 @@ impl End {
         Self::Joints(joints, u8::MAX)
     }
 
-    /// Reads the value of a P, J or T variable, which differ in their lengths, or that of CurTrn.
+    /// Reads the value of a P, J or T variable, which differ in their lengths, or of CurTrn.
     pub(super) fn of_value(value: &Variant<'_>) -> Self {
         match value.as_array().map_or(0, |array| array.len()) {
             7 => value.convert().map_or(Self::Unknown, |position| Self::Position(position, 0.0)),
@@ -245,7 +245,7 @@ impl End {
         matches!(self, Self::Position(..))
     }
 
-    /// Compares CurPos and CurTrn, of which only the needed ones are read.
+    /// Compares CurPos and CurTrn; reads only the needed ones.
     pub(super) fn compare_tool(
         &self,
         position: Option<&Position>,

@@ -17,10 +17,10 @@
 //!   request.
 //! * If the old reply does not arrive, the pending request ends with [`Timeout::Outstanding`]. It was not sent, and the caller
 //!   must reconnect.
-//! * A partly sent request is always sent to its end, so that the stream stays in sync. An abandoned request of which no byte
-//!   was sent is dropped, and no reply is expected.
-//! * An unsolicited line ends the session, because the count of replies is no longer reliable. A line of which the first byte
-//!   arrived before the last byte of its request was sent is unsolicited.
+//! * A partly sent request is always sent to its end, so that the stream stays in sync. An abandoned request that was
+//!   not even partly sent is dropped, and no reply is expected.
+//! * An unsolicited line ends the session, because the count of replies is no longer reliable. A line is unsolicited if
+//!   its first byte arrived before the last byte of the request was sent.
 //! * An invalid reply ends its request, not the session.
 
 use core::fmt;

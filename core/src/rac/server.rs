@@ -54,12 +54,12 @@ pub trait Handler {
         self.call(peer, request, reply, now)
     }
 
-    /// Is called when a waiting request is not resumed: it timed out, or the peer disconnected.
+    /// Called when a waiting request is not resumed: it timed out, or the peer disconnected.
     fn abandoned(&mut self, peer: PeerId, now: Instant) {
         let _ = (peer, now);
     }
 
-    /// Is called when a peer disconnected.
+    /// Called when a peer disconnected.
     fn left(&mut self, peer: PeerId, now: Instant) {
         let _ = (peer, now);
     }

@@ -49,7 +49,7 @@ pub enum Action {
     /// [`push`](Engine::push) a pose, or end with [`stop`](Engine::stop) or [`finish`](Engine::finish).
     Pose {
         /// When it will be sent; a pose that is pushed later makes the cycle late.
-        due: Instant,
+        deadline: Instant,
     },
     /// Poll again at this time.
     Wait(Instant),
@@ -674,15 +674,15 @@ impl<const N: usize> Engine<N> {
     fn pace(&mut self, now: Instant) -> Option<Action> {
         if !self.pacer.loaded {
             if self.stop.is_none() {
-                return Some(Action::Pose { due: self.pacer.due });
+                return Some(Action::Pose { deadline: self.pacer.deadline });
             }
             if !self.load_stop() {
                 self.leave();
                 return None;
             }
         }
-        if now < self.pacer.due {
-            return Some(Action::Wait(self.pacer.due));
+        if now < self.pacer.deadline {
+            return Some(Action::Wait(self.pacer.deadline));
         }
         self.step = Step::Move;
         self.pacer.sending(&self.config, &mut self.stats, now);

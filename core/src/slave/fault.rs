@@ -94,7 +94,7 @@ impl ControllerError {
         Some(Self { code: HResult(code), text: cut(text) })
     }
 
-    /// Returns the controller's text, of which at most 80 bytes are kept; empty without a text.
+    /// Returns the controller's text, cut to 80 bytes; empty without a text.
     #[must_use]
     pub fn text(&self) -> &str {
         &self.text

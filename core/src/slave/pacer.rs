@@ -23,8 +23,8 @@ pub(super) struct Pacer {
     /// Whether the frame contains a pose that the controller has not stored.
     pub(super) loaded: bool,
     /// The deadline of that pose.
-    pub(super) due: Instant,
-    /// Whether `due` is one cycle after the previous deadline, instead of as soon as possible.
+    pub(super) deadline: Instant,
+    /// Whether `deadline` is one cycle after the previous one, instead of as soon as possible.
     steady: bool,
     /// Poses of this stream that the controller has stored.
     pub(super) taken: u32,
@@ -37,13 +37,21 @@ pub(super) struct Pacer {
 
 impl Pacer {
     pub(super) const fn new(now: Instant) -> Self {
-        Self { loaded: false, due: now, steady: false, taken: 0, last_sent: now, refused_since: None, empty_at: None }
+        Self {
+            loaded: false,
+            deadline: now,
+            steady: false,
+            taken: 0,
+            last_sent: now,
+            refused_since: None,
+            empty_at: None,
+        }
     }
 
     /// Records that the pose is sent now.
     pub(super) fn sending(&mut self, config: &Config, stats: &mut Stats, now: Instant) {
         if self.steady {
-            let (overrun, cycle) = (micros_u32(now.saturating_since(self.due)), micros_u32(config.cycle));
+            let (overrun, cycle) = (micros_u32(now.saturating_since(self.deadline)), micros_u32(config.cycle));
             let interval = micros_u32(now.saturating_since(self.last_sent));
             let (late, off) = match config.format.mode.mode {
                 Mode::Mode0 | Mode::Mode1 => (overrun, overrun),
@@ -58,9 +66,9 @@ impl Pacer {
             }
             // the grid of deadlines does not move; missed cycles are skipped
             let missed = overrun.checked_div(cycle).unwrap_or(0);
-            self.due = self.due.saturating_add(config.cycles(missed));
+            self.deadline = self.deadline.saturating_add(config.cycles(missed));
         } else {
-            self.due = now;
+            self.deadline = now;
         }
         self.last_sent = now;
     }
@@ -68,7 +76,7 @@ impl Pacer {
     /// Records that the pose was not stored; `true` when this has lasted for [`Config::stall`].
     pub(super) fn refused(&mut self, config: &Config, now: Instant) -> bool {
         let since = *self.refused_since.get_or_insert(now);
-        self.due = now.saturating_add(config.cycle);
+        self.deadline = now.saturating_add(config.cycle);
         self.steady = true;
         now.saturating_since(since) >= config.stall
     }
@@ -81,19 +89,19 @@ impl Pacer {
         let mode = config.format.mode.mode;
         match mode {
             Mode::Mode0 if full => {
-                self.due = self.due.saturating_add(config.cycle);
+                self.deadline = self.deadline.saturating_add(config.cycle);
                 self.steady = true;
             }
             Mode::Mode0 => {
-                self.due = now;
+                self.deadline = now;
                 self.steady = false;
             }
             Mode::Mode1 => {
-                self.due = self.due.saturating_add(config.cycle);
+                self.deadline = self.deadline.saturating_add(config.cycle);
                 self.steady = true;
             }
             Mode::Mode2 => {
-                self.due = now;
+                self.deadline = now;
                 // the controller may execute a pose while the buffer fills, and its first delayed reply arrives within one
                 // cycle
                 self.steady = self.taken > mode.buffer().saturating_add(2);

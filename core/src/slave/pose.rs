@@ -190,7 +190,7 @@ impl Pose {
         self
     }
 
-    /// Returns the pose with those of these extended joints that a format has.
+    /// Returns the pose with the extended joints that the format has.
     pub(super) fn with_axes(self, axes: ExtendedAxes, j7: f64, j8: f64) -> Self {
         match axes {
             ExtendedAxes::None => self,
@@ -299,7 +299,7 @@ impl Pose {
         out
     }
 
-    /// Returns the difference from `earlier` to this pose; that of Fig and of the option is 0.
+    /// Returns the difference from `earlier` to this pose; the values of Fig and of the option are 0.
     pub(super) fn since(&self, earlier: &Self) -> Delta {
         let mut out = [0.0; MAX];
         for ((slot, to), from) in out.iter_mut().zip(self.numbers).zip(earlier.numbers) {

@@ -243,7 +243,8 @@ impl<'a> MoveReply<'a> {
         matches!(self.format.pose, ReceivePose::T | ReceivePose::TJ).then(|| self.part(0))
     }
 
-    /// Returns the joints, if the receive format has J, P+J or T+J; those that the robot does not have may be other than 0.
+    /// Returns the joints, if the receive format has J, P+J or T+J; values of joints that the robot does not have may
+    /// be other than 0.
     #[must_use]
     pub fn joints(&self) -> Option<[f64; J_LEN]> {
         self.format.pose.joints_at().map(|at| self.part(at))

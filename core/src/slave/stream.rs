@@ -100,9 +100,9 @@ impl<const N: usize> Engine<N> {
 
 impl<T: Trajectory + ?Sized, const N: usize> Stream<'_, T, N> {
     /// Passes the next pose of the trajectory to the engine.
-    fn supply(&mut self, due: Instant, now: Instant) {
+    fn supply(&mut self, deadline: Instant, now: Instant) {
         let Some(trajectory) = &mut self.trajectory else { return self.engine.stop() };
-        match self.engine.supply(*trajectory, self.supplied, due, now) {
+        match self.engine.supply(*trajectory, self.supplied, deadline, now) {
             Ok(()) => self.supplied = self.supplied.saturating_add(1),
             Err(error) => self.refused = Some(StreamError::Pose { number: self.supplied, error }),
         }
@@ -122,8 +122,8 @@ impl<T: Trajectory + ?Sized, const N: usize> Procedure for Stream<'_, T, N> {
                 Action::Faulted => procedure::Action::Done(self.engine.fault().map_or(Ok(()), |fault| {
                     Err(StreamError::Fault { step: fault.step, cause: fault.cause, code: fault.code() })
                 })),
-                Action::Pose { due } => {
-                    self.supply(due, now);
+                Action::Pose { deadline } => {
+                    self.supply(deadline, now);
                     continue;
                 }
             };

@@ -29,7 +29,7 @@ pub struct Cycle<'a> {
     /// The number of the pose, counted from 0.
     pub number: u32,
     /// The deadline of the pose; a later pose makes the cycle late.
-    pub due: Instant,
+    pub deadline: Instant,
     /// The start of the stream.
     pub start: &'a Pose,
     /// The last pose; for the first cycle, the start.
@@ -54,7 +54,7 @@ pub trait Trajectory {
         None
     }
 
-    /// Is called with the controller's reply to a pose.
+    /// Called with the controller's reply to a pose.
     fn moved(&mut self, reply: &MoveReply<'_>, now: Instant) {
         let _ = (reply, now);
     }
@@ -78,12 +78,12 @@ impl<const N: usize> Engine<N> {
         &mut self,
         trajectory: &mut (impl Trajectory + ?Sized),
         number: u32,
-        due: Instant,
+        deadline: Instant,
         now: Instant,
     ) -> Result<(), PoseError> {
         let last = self.last_pose();
         let start = self.start_pose().unwrap_or(last);
-        let cycle = Cycle { number, due, start, last, margin: self.margin(now), stats: self.stats() };
+        let cycle = Cycle { number, deadline, start, last, margin: self.margin(now), stats: self.stats() };
         match trajectory.next(&cycle) {
             Next::Finish => self.finish(),
             Next::Stop => self.stop(),

@@ -30,9 +30,9 @@ use crate::num::to_usize;
 /// A binary format of floats.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Format {
-    /// That of R4.
+    /// The format of R4.
     Single,
-    /// That of R8 and DATE.
+    /// The format of R8 and DATE.
     Double,
 }
 

@@ -143,7 +143,7 @@ impl OwnedVariant {
         }
     }
 
-    /// Returns the value's encoding. That of an unknown VARTYPE cannot be decoded.
+    /// Returns the value's encoding. A value of unknown VARTYPE cannot be decoded.
     #[must_use]
     pub fn as_bytes(&self) -> &[u8] {
         if self.bytes.is_empty() { &[0, 0, 1, 0, 0, 0] } else { &self.bytes }

@@ -350,7 +350,7 @@ mod tests {
         }
     }
 
-    /// What Windows computes, in doubles.
+    /// The algorithm of Windows, in doubles.
     fn in_doubles(day: i32, millis: u32) -> f64 {
         let fraction = f64::from(millis) / f64::from(MILLIS_PER_DAY);
         f64::from(day) + if day < 0 { -fraction } else { fraction }

@@ -34,7 +34,7 @@
 //!   a comma or parenthesis that is invalid in its place.
 //! * Numbers are checked against their type. A leading 0 does not mean octal. A float is out of range if it would become
 //!   infinite, or 0 without being 0. ERROR accepts its bits in hexadecimal: `0x80070057`.
-//! * Blanks are dropped after commas, before types and after `)`, and nowhere else. None are written.
+//! * Blanks are dropped only after commas, before types and after `)`. None are written.
 //! * A DATE is written as a date if that is exactly the same instant, and otherwise as its raw number.
 //! * Text is read once, from front to back. Nesting uses no recursion: both directions keep a few words for each of at most
 //!   [`MAX_DEPTH`](crate::limits::MAX_DEPTH) levels.

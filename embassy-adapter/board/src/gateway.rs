@@ -39,13 +39,13 @@ use crate::parts::{NETWORK, PAGES, PLC, PLC_BUFFER, PLC_BUFFERS, Parts, ROBOT, R
 use crate::watchdog::{self, Task, watched};
 use crate::{RuleMemory, Settings, Transport, address, report};
 
-/// Listeners, of which one answers PLCs without a slot.
+/// Listeners. One of them answers PLCs without a slot.
 const LISTENERS: usize = SESSIONS + 1;
 /// The capacity of the LRU cache of handles.
 const HANDLES: usize = 64;
 // the tasks after the PLCs have fixed numbers
 const _: () = assert!(LISTENERS == 5);
-/// Listeners of Modbus, of which the last refuses clients; the clients of the others share the slots with the PLCs.
+/// Listeners of Modbus. The last one refuses clients; the clients of the others share the slots with the PLCs.
 const MODBUS: usize = if cfg!(feature = "modbus") { 3 } else { 0 };
 /// How long a frame of Modbus may take from its first byte to its last; clients send it at once.
 #[cfg(feature = "modbus")]
@@ -106,8 +106,8 @@ pub async fn watch(board: &'static Board, is_healthy: fn() -> bool, feed: impl F
         if board.view(|gateway| gateway.counters().served.count() > 0).unwrap_or_default() {
             crate::trial::has_served();
         }
-        let due = board.view(Gateway::poll_timeout).flatten();
-        is_healthy() && due.is_none_or(|due| now() <= due.saturating_add(MAX_OVERRUN))
+        let deadline = board.view(Gateway::poll_timeout).flatten();
+        is_healthy() && deadline.is_none_or(|deadline| now() <= deadline.saturating_add(MAX_OVERRUN))
     };
     watchdog::run(is_healthy, feed).await
 }
@@ -190,7 +190,7 @@ fn start_modbus(
     Ok(())
 }
 
-/// Refuses clients of Modbus beyond those that are served.
+/// Refuses Modbus clients above the maximum number.
 #[cfg(feature = "modbus")]
 #[embassy_executor::task]
 async fn refuse_modbus(mut listener: ModbusListener<'static>, board: &'static Board) -> ! {

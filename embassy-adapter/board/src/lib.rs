@@ -38,8 +38,8 @@
 //!  "BCAPCONF"  key=value LF  key=value LF  ...  NUL up to 2048 bytes
 //! ```
 //!
-//! The block is stored unencoded in ELF and binary images, so a tool can search for the eight letters and write after
-//! them, as [`write`](image::write) does. Both sides parse it with [`Settings::read`]. A host knows the keys of all
+//! The block is stored unencoded in ELF and binary images, so a tool such as [`write`](image::write) can search for the
+//! eight letters and write after them. Both sides parse it with [`Settings::read`]. A host accepts the keys of all
 //! features; an image without a feature refuses its keys.
 //!
 //! | key        | value                                | default                  |

@@ -46,7 +46,7 @@ impl Entry {
     /// All zero, so that a static limiter needs no memory in the flash.
     const FREE: Self = Self { client: None, reason: None, logged: Instant::ZERO, left_out: 0 };
 
-    fn is_due(&self, now: Instant) -> bool {
+    fn may_log(&self, now: Instant) -> bool {
         now >= Instant::from_micros(self.logged.as_micros().saturating_add(INTERVAL))
     }
 }
@@ -65,7 +65,7 @@ impl<const N: usize> Limiter<N> {
         let reason = Some(reason);
         let known = self.entries.iter_mut().find(|entry| entry.client == client && entry.reason == reason);
         if let Some(entry) = known {
-            if !entry.is_due(now) {
+            if !entry.may_log(now) {
                 entry.left_out = entry.left_out.saturating_add(1);
                 return None;
             }
@@ -73,7 +73,7 @@ impl<const N: usize> Limiter<N> {
             return Some(core::mem::take(&mut entry.left_out));
         }
         // an entry with lines left out is kept until `drain` reports them
-        let is_free = |entry: &&mut Entry| entry.reason.is_none() || entry.left_out == 0 && entry.is_due(now);
+        let is_free = |entry: &&mut Entry| entry.reason.is_none() || entry.left_out == 0 && entry.may_log(now);
         let place = self.entries.iter_mut().find(is_free);
         match place {
             Some(place) => {

@@ -22,7 +22,7 @@ pub const PORT: u16 = 514;
 /// The facility local0, in the bits above the severity.
 const LOCAL0: u8 = 16 << 3;
 
-/// How severe a message is; the number is that of RFC 5424.
+/// How severe a message is; the number is from RFC 5424.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Severity {
     /// The board reset after a fault.

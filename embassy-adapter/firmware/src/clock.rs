@@ -1,8 +1,8 @@
 //! A hardware counter as a microsecond clock, and embassy's time driver on it.
 //!
-//! The counter of the FPGA runs at 1 MHz and wraps after 71 minutes. The time is the counter's value and the number of its
-//! wraps, of which none is missed, because SysTick reads the counter each millisecond. A SysTick that is lost delays alarms
-//! but does not change the time. Alarms are checked each millisecond, so they fire at most 1 ms late.
+//! The counter of the FPGA runs at 1 MHz and wraps after 71 minutes. The time is the counter's value and the number of
+//! its wraps. No wrap is missed, because SysTick reads the counter each millisecond. A SysTick that is lost delays
+//! alarms but does not change the time. Alarms are checked each millisecond, so they fire at most 1 ms late.
 
 use core::cell::RefCell;
 use core::task::Waker;
@@ -37,12 +37,12 @@ struct State {
     /// How often the counter has wrapped.
     wraps: u32,
     /// The time of the next alarm, in microseconds.
-    due: Option<u64>,
+    deadline: Option<u64>,
     queue: Queue,
 }
 
 embassy_time_driver::time_driver_impl!(static CLOCK: Clock = Clock {
-    state: Mutex::new(RefCell::new(State { last: 0, wraps: 0, due: None, queue: Queue::new() })),
+    state: Mutex::new(RefCell::new(State { last: 0, wraps: 0, deadline: None, queue: Queue::new() })),
 });
 
 /// Starts the clock.
@@ -65,7 +65,7 @@ impl embassy_time_driver::Driver for Clock {
         critical_section::with(|cs| {
             let mut state = self.state.borrow_ref_mut(cs);
             if state.queue.schedule_wake(at, waker) {
-                state.due = Some(state.due.map_or(at, |due| due.min(at)));
+                state.deadline = Some(state.deadline.map_or(at, |deadline| deadline.min(at)));
             }
         });
     }
@@ -87,8 +87,8 @@ impl Clock {
     fn tick(&self, cs: CriticalSection<'_>) {
         let mut state = self.state.borrow_ref_mut(cs);
         let now = state.now();
-        if state.due.is_some_and(|due| now >= due) {
-            state.due = Some(state.queue.next_expiration(now));
+        if state.deadline.is_some_and(|deadline| now >= deadline) {
+            state.deadline = Some(state.queue.next_expiration(now));
         }
     }
 }

@@ -78,7 +78,7 @@ impl<M: RawMutex, const N: usize> Drop for ClientSlot<'_, '_, M, N> {
     }
 }
 
-/// What a session does next.
+/// The next step of a session.
 enum Next {
     /// Send this number of bytes to the client.
     Send(usize),

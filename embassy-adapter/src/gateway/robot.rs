@@ -33,7 +33,7 @@ pub trait RobotLink: Transport {
 ///
 /// # Cancel safety
 ///
-/// When the future is dropped, the connection is closed and the gateway learns it. The next run opens another one.
+/// When the future is dropped, the connection is closed, and the gateway is notified. The next run opens another one.
 pub async fn run_robot<L: RobotLink, M: RawMutex, const N: usize>(
     link: &mut L,
     frame: &mut [u8],

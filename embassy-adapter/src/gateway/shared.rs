@@ -143,7 +143,7 @@ impl<'m, M: RawMutex, const SESSIONS: usize> SharedGateway<'m, M, SESSIONS> {
         })?
     }
 
-    /// Tells whether the rules allow a client to connect; logs it if they do not. For listeners of your own.
+    /// Tells whether the rules allow a client to connect; logs it if they do not. For custom listeners.
     pub fn admits(&self, endpoint: Option<SocketAddrV4>) -> bool {
         let admits = |inner: &mut Inner<'m, SESSIONS>| inner.gateway.config().rules.admits(address(endpoint));
         let admitted = self.with(admits).unwrap_or_default();
@@ -153,7 +153,7 @@ impl<'m, M: RawMutex, const SESSIONS: usize> SharedGateway<'m, M, SESSIONS> {
         admitted
     }
 
-    /// Logs that a client is not served. For listeners of your own.
+    /// Logs that a client is not served. For custom listeners.
     pub fn deny(&self, client: Option<SocketAddrV4>, reason: Denial) {
         self.with(|inner| (inner.log)(&Report::Denied { client, reason }));
     }

@@ -180,13 +180,13 @@ where
     None
 }
 
-/// Waits for bytes, for `due`, or, while the handler has a waiting request, for a change.
+/// Waits for bytes, for the deadline, or, while the handler has a waiting request, for a change.
 async fn wait<X, S, M, H, const N: usize>(
     transport: &mut X,
     session: &mut S,
     shared: &SharedHandler<M, H, N>,
     seen: u32,
-    due: Instant,
+    deadline: Instant,
 ) -> Result<Wake, X::Error>
 where
     X: Transport,
@@ -198,10 +198,10 @@ where
     let bytes = async {
         if room.is_empty() {
             // further bytes wait until the handler has completed the request before them
-            Timer::at(ticks(due)).await;
+            Timer::at(ticks(deadline)).await;
             return Ok(None);
         }
-        transport.receive(room, due).await
+        transport.receive(room, deadline).await
     };
     let wake = match waiting {
         true => match select(bytes, shared.changed(seen)).await {

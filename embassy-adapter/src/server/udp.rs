@@ -74,12 +74,12 @@ impl<'a, 's, M: RawMutex, H: Handler, const N: usize, const OBJECTS: usize> UdpS
         loop {
             let seen = self.shared.changes();
             self.run_all().await;
-            let due = self.next_poll();
+            let deadline = self.next_poll();
             let waiting = self.peers.iter().flatten().any(|peer| peer.session.is_running());
             let changed =
                 async { if waiting { self.shared.changed(seen).await } else { core::future::pending().await } };
             let arrived = self.socket.wait_recv_ready();
-            match select3(arrived, Timer::at(ticks(due)), changed).await {
+            match select3(arrived, Timer::at(ticks(deadline)), changed).await {
                 Either3::First(()) => self.receive().await,
                 Either3::Second(()) | Either3::Third(()) => {}
             }
@@ -144,12 +144,13 @@ impl<'a, 's, M: RawMutex, H: Handler, const N: usize, const OBJECTS: usize> UdpS
     }
 
     fn next_poll(&self) -> Instant {
-        let due = self.peers.iter().flatten().filter_map(|peer| peer.session.poll_timeout());
-        due.min().unwrap_or(Instant::FAR_FUTURE)
+        let deadline = self.peers.iter().flatten().filter_map(|peer| peer.session.poll_timeout());
+        deadline.min().unwrap_or(Instant::FAR_FUTURE)
     }
 }
 
-/// Opens a session for a new peer, in a free slot, in that of a peer without a service, or in that of an idle peer.
+/// Opens a session for a new peer, in a free slot, in the slot of a peer without a service, or in the slot of an idle
+/// peer.
 ///
 /// A peer has a service from Service_Start to Service_Stop. Returns `None` when all slots have peers with a service that were not
 /// idle for [`Limits::udp_idle`].

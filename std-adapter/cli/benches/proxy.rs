@@ -1,4 +1,4 @@
-//! What `bcap proxy` adds to a round trip.
+//! The delay that `bcap proxy` adds to a round trip.
 //!
 //! ```text
 //! cargo bench -p bcap-cli --bench proxy

@@ -168,8 +168,8 @@ pub(crate) struct Call {
 
     /// Lists functions and commands with their effect (session, reads, writes, moves), and whether Slave Mode allows them
     ///
-    /// A call that Slave Mode refuses ends a stream, also when another client sends it. "unknown" counts as refused, and a command
-    /// that is not listed may move.
+    /// A call that Slave Mode refuses ends a stream, even when another client sends it. "unknown" counts as refused,
+    /// and a command that is not listed may move.
     #[arg(long, requires = "list")]
     pub(crate) effects: bool,
 

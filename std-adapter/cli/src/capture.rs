@@ -72,7 +72,7 @@ pub(crate) fn decode(path: &Path, args: &CaptureArgs, strictness: Strictness, js
 
 /// Reads a file, and returns its connections and calls by the time of their first packet.
 ///
-/// A file that ends inside a packet still has the calls before it, so the error is beside them.
+/// A file that ends inside a packet still has the calls before it, so the error is returned together with them.
 pub(crate) fn events(path: &Path, strictness: Strictness) -> (Vec<Event>, Result<(), Failure>) {
     let mut conversations = Conversations::new(strictness);
     let read = file::read(path, |packet| conversations.packet(packet));

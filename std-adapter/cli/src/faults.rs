@@ -69,14 +69,14 @@ impl Plan {
     }
 }
 
-/// What happens to a frame.
+/// The outcome for a frame.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub(crate) struct Verdict {
     pub(crate) is_dropped: bool,
     pub(crate) delay: Duration,
     /// The byte and the bit that change.
     pub(crate) flipped: Option<(usize, u8)>,
-    /// What happened, for people; empty without a fault.
+    /// A description for people; empty without a fault.
     pub(crate) note: String,
 }
 

@@ -117,7 +117,7 @@ impl Lines {
     }
 }
 
-/// A recorded front of a virtual controller in this process, which listens on addresses of its own.
+/// A recorded front of a virtual controller in this process, which listens on separate addresses.
 pub(crate) struct Front {
     listeners: Listeners,
     recording: Recording,

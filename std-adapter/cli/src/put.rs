@@ -51,7 +51,8 @@ pub(crate) fn check(args: &Put) -> Result<(), Failure> {
     if args.from.is_some() { Ok(()) } else { from_words(args).map(drop) }
 }
 
-/// Prepares all writes, then makes them. `prepared` gets the open variables with their values, also when an error ends this.
+/// Prepares all writes, then makes them. `prepared` gets the open variables with their values, even when an error ends
+/// this.
 fn write_all(
     writes: &[Write],
     prepared: &mut Vec<(i32, Value)>,

@@ -5,8 +5,8 @@
 //!                                                        └► the command's own reader, such as the lines of `bcap proxy`
 //! ```
 //!
-//! The headers of IP, TCP and UDP are made up: the operating system does not show those of its own connections. Addresses,
-//! ports, times and the order of bytes are true.
+//! The headers of IP, TCP and UDP are synthetic, because the operating system does not show the real ones. Addresses,
+//! ports, times and the order of bytes are real.
 
 mod ends;
 mod packets;

@@ -1,7 +1,7 @@
 //! A session with a controller within the time limits of the command line.
 //!
-//! Controller_Connect is called when a command first needs the controller. At the end of the session, also after a refusal,
-//! all objects are released in reverse order. After a call without a reply nothing is sent.
+//! Controller_Connect is called when a command first needs the controller. At the end of the session, even after a
+//! refusal, all objects are released in reverse order. After a call without a reply nothing is sent.
 
 use std::collections::HashMap;
 

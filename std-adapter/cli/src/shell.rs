@@ -158,7 +158,7 @@ fn locked(shared: &Shared) -> MutexGuard<'_, Session> {
     shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Returns the state for the prompt. Its packets are not those that the user looks for.
+/// Returns the state for the prompt. Its packets are not traced, because the user did not cause them.
 fn prompt(session: &mut Session) -> String {
     session.packets.set_paused(true);
     let state = state(session);

@@ -12,7 +12,7 @@ use crate::output::note;
 use crate::session::Session;
 use crate::trace::Packets;
 
-/// How long a request is without any reply, also without a keep-alive, before that is reported.
+/// How long a request is without any reply, even without a keep-alive, before that is reported.
 const LIMIT: Duration = Duration::from_secs(1);
 
 /// How often the link is looked at.

@@ -1,8 +1,8 @@
 //! The check before a call that would end a stream of Slave Mode.
 //!
-//! On a real controller a call that Slave Mode refuses ends Slave Mode, also when another client sends it. So a command that
-//! only reads asks for the mode first, and skips what Slave Mode refuses. A stream may begin between the question and the call;
-//! only its end could prevent that.
+//! On a real controller a call that Slave Mode refuses ends Slave Mode, even when another client sends it. So a command
+//! that only reads asks for the mode first, and skips what Slave Mode refuses. A stream may begin between the question
+//! and the call; only its end could prevent that.
 
 use bcap_core::bcap::{FunctionId, StreamState};
 use bcap_core::hresult::HResult;

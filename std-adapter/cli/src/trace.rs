@@ -26,7 +26,7 @@ pub(crate) enum Level {
     Headers,
     /// The decoded values too
     Values,
-    /// The values beside their bytes
+    /// The values next to their bytes
     Bytes,
 }
 

@@ -27,7 +27,7 @@ pub(crate) fn watch(args: &Watch, session: &mut Session, json: bool) -> Result<(
     let mut output = Output { start, changed: args.changed, json, table, samples, last, is_new: false };
     let variables = Variables { names, paths, handles: variables };
     let done = rounds(args, session, &interrupt, &variables, &mut output);
-    // also after a failure, so that the file has its index
+    // even after a failure, so that the file has its index
     let ended = output.samples.as_mut().map_or(Ok(()), Samples::end);
     done.and(ended)
 }

@@ -242,7 +242,7 @@ fn damaged_files_are_errors_or_have_fewer_calls() {
     let session = fs::read(recorded::committed()).unwrap();
     let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("damaged.pcap");
     let mut seed = 1_u32;
-    // the numbers of a linear congruential generator, of which the high bits are good
+    // the numbers of a linear congruential generator, whose high bits are good
     let mut below = |limit: usize| {
         seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
         usize::try_from(seed >> 8).unwrap() % limit

@@ -57,7 +57,7 @@ pub fn cases() -> Vec<Case> {
 /// Before each case it asks `ended` whether to end early; the arm is given back and variables are restored by then.
 pub fn run(options: &Options, mut each: impl FnMut(&CaseResult), ended: impl Fn() -> bool) -> Report {
     let mut report = Report::default();
-    // what a case could not restore, the next one restores
+    // the next case restores values that this one could not restore
     let mut speed = None;
     for case in cases() {
         let name = case.name();

@@ -84,7 +84,7 @@ pub(crate) fn oracle(link: Link) -> Oracle {
     Oracle { crc: link == Link::Serial, ..TCP }
 }
 
-/// Words why bytes are invalid, if the core knows a reason.
+/// Describes why bytes are invalid, if the core has a reason.
 pub(crate) fn reason(bytes: &[u8]) -> String {
     match Decoder::TCP.decode_datagram(bytes) {
         Err(error) => error.to_string(),

@@ -30,7 +30,7 @@ impl Bench<'_> {
             self.log.truncate(log);
         }
         match (result, restored) {
-            // the reader must know both
+            // the reader must see both
             (Err(Stop::Fail { expected, came }), Err(Stop::Fail { expected: then, came: end })) => {
                 fail(format!("{expected}; at the end, {then}"), format!("{came}; at the end, {end}"))
             }

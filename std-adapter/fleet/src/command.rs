@@ -1,4 +1,5 @@
-//! Commands from the broker: to write a variable. Off unless a rule allows them; never a motion, never a motor.
+//! Commands from the broker: to write a variable. They are off unless a rule allows them, and never start a motion or
+//! switch a motor.
 //!
 //! ```json
 //! {"id":"7c1f","name":"I10","value":5,"expires":1790000000000,"origin":"mes"}
@@ -127,7 +128,7 @@ impl Commands {
         Ok(Job { name: canonical(name), value, deadline, expires: *expires })
     }
 
-    /// Takes a token of a controller's bucket, which holds those of one second.
+    /// Takes a token from a controller's bucket. The bucket holds the tokens of one second.
     fn take_token(&mut self, cell: usize, now: u64) -> Result<(), String> {
         let most = f64::from(self.config.per_second);
         let (tokens, counted) = self.tokens.entry(cell).or_insert((most, now));

@@ -145,7 +145,7 @@ pub(crate) struct Cell {
     pub(crate) model: ModelName,
     #[serde(default)]
     publish: Vec<Publish>,
-    /// What `publish` asks for.
+    /// The published items.
     #[serde(skip)]
     pub(crate) points: Vec<Point>,
 }

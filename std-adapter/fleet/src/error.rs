@@ -26,7 +26,7 @@ pub enum Error {
         /// Why.
         source: std::io::Error,
     },
-    /// The address for metrics cannot be listened on.
+    /// Listening on the address for metrics failed.
     #[error("cannot listen on {address} for metrics: {source}")]
     Listen {
         /// The address.

@@ -327,8 +327,8 @@ impl Publisher {
         self.history.extend(readings);
     }
 
-    /// Takes the readings of a session that ends before the birth of its device, as historical ones. Those that are historical
-    /// are in the buffer.
+    /// Takes the readings of a session that ends before the birth of its device, as historical ones. Historical
+    /// readings are in the buffer.
     fn take_unborn(&mut self, cell: usize) -> Vec<Reading> {
         if self.sparkplug.as_ref().is_none_or(|sparkplug| sparkplug.is_born(cell)) {
             return Vec::new();
@@ -431,7 +431,7 @@ impl Publisher {
         }
     }
 
-    /// Sends what a host must know after a new connection, or when it asks.
+    /// Sends the state that a host needs after a new connection, or when it asks.
     fn introduce(&mut self) {
         let shared = Arc::clone(&self.shared);
         let config = &shared.config;

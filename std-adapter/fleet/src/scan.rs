@@ -56,7 +56,7 @@ pub(crate) struct Scan {
 struct Scanned<'a> {
     index: usize,
     point: &'a Point,
-    due: Instant,
+    deadline: Instant,
     /// When the last attempt to read it ended.
     attempted: Option<Instant>,
     /// Its timeouts in a row, while the controller replied to other calls.
@@ -66,7 +66,7 @@ struct Scanned<'a> {
 
 impl<'a> Scanned<'a> {
     fn new(index: usize, point: &'a Point) -> Self {
-        Self { index, point, due: Instant::now(), attempted: None, timeouts: 0, last: None }
+        Self { index, point, deadline: Instant::now(), attempted: None, timeouts: 0, last: None }
     }
 }
 
@@ -112,7 +112,7 @@ impl Scan {
         let (cell, cells) = (self.cell, self.shared.config.controllers.len());
         let now = Instant::now();
         for scanned in scanned {
-            scanned.due = now + offset(scanned.point.interval, cell, cells);
+            scanned.deadline = now + offset(scanned.point.interval, cell, cells);
             scanned.timeouts = 0;
         }
     }
@@ -139,7 +139,7 @@ impl Scan {
         // whether the controller replied to the last call
         let mut replied = true;
         loop {
-            let Some(next) = scanned.iter().map(|scanned| scanned.due).min() else { std::future::pending().await };
+            let Some(next) = scanned.iter().map(|scanned| scanned.deadline).min() else { std::future::pending().await };
             if next > Instant::now() {
                 if let Some(began) = began.take() {
                     self.metrics().scan_us.store(micros(Instant::now() - began), Ordering::Relaxed);
@@ -180,12 +180,12 @@ impl Scan {
         }
     }
 
-    /// Sets the next deadline of a point. Deadlines stay on their grid; those that have passed are left out.
+    /// Sets the next deadline of a point. Deadlines stay on their grid; deadlines that have passed are left out.
     fn reschedule(&self, scanned: &mut Scanned<'_>, ended: Instant) {
         let interval = scanned.point.interval;
-        let (due, missed) = first_after(scanned.due + interval, interval, ended);
+        let (deadline, missed) = first_after(scanned.deadline + interval, interval, ended);
         self.metrics().overruns.fetch_add(missed.into(), Ordering::Relaxed);
-        (scanned.due, _) = first_after(due, interval, ended + pause(scanned.timeouts));
+        (scanned.deadline, _) = first_after(deadline, interval, ended + pause(scanned.timeouts));
     }
 
     /// Counts what was read, and reports it.
@@ -271,13 +271,13 @@ fn offset(interval: Duration, cell: usize, cells: usize) -> Duration {
     interval / cells.max(1) * cell
 }
 
-/// Returns the first deadline of a grid that has not passed at a time, and the number of those that have.
-fn first_after(due: Instant, interval: Duration, time: Instant) -> (Instant, u32) {
-    if due >= time {
-        return (due, 0);
+/// Returns the first deadline of a grid that has not passed at `time`, and the number of missed ones.
+fn first_after(deadline: Instant, interval: Duration, time: Instant) -> (Instant, u32) {
+    if deadline >= time {
+        return (deadline, 0);
     }
-    let missed = u32::try_from((time - due).as_nanos().div_ceil(interval.as_nanos())).unwrap_or(u32::MAX);
-    (due.checked_add(interval * missed).unwrap_or(time + interval), missed)
+    let missed = u32::try_from((time - deadline).as_nanos().div_ceil(interval.as_nanos())).unwrap_or(u32::MAX);
+    (deadline.checked_add(interval * missed).unwrap_or(time + interval), missed)
 }
 
 /// Returns how long a point is not read after a number of timeouts.
@@ -337,15 +337,15 @@ async fn statuses(controller: &Controller, stream: &StreamCheck) -> Result<BTree
 /// starves when others time out. Variables of the controller are read together. Other points, and points that timed
 /// out, are read one at a time.
 fn batch(scanned: &[Scanned<'_>], now: Instant) -> Vec<usize> {
-    let mut due: Vec<_> = (0..scanned.len()).filter(|index| scanned[*index].due <= now).collect();
-    due.sort_by_key(|index| scanned[*index].attempted);
+    let mut ready: Vec<_> = (0..scanned.len()).filter(|index| scanned[*index].deadline <= now).collect();
+    ready.sort_by_key(|index| scanned[*index].attempted);
     let is_joined = |index: &usize| {
         let Scanned { point, timeouts, .. } = &scanned[*index];
         matches!(point.source, Source::Controller(_)) && *timeouts == 0
     };
-    let joined = due.iter().take(BATCH).take_while(|index| is_joined(index)).count();
-    due.truncate(joined.max(1));
-    due
+    let joined = ready.iter().take(BATCH).take_while(|index| is_joined(index)).count();
+    ready.truncate(joined.max(1));
+    ready
 }
 
 /// Reads points, and returns for each when its reply arrived and its value. After a timeout or a loss
@@ -436,7 +436,7 @@ mod tests {
         assert_eq!(read(&[1, 2], 2), [3]);
         assert_eq!(read(&[3], 3), [0]);
         assert_eq!(read(&[0], 4), [1, 2]);
-        scanned[1].due = now + Duration::from_millis(5);
-        assert_eq!(batch(&scanned, now), [2], "the other one is not due");
+        scanned[1].deadline = now + Duration::from_millis(5);
+        assert_eq!(batch(&scanned, now), [2], "the deadline of the other one has not passed");
     }
 }

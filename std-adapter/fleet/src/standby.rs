@@ -153,7 +153,7 @@ impl Standby {
         self.beat = Some(now + self.after / BEATS);
     }
 
-    /// The broker has acknowledged a message that was sent at this time.
+    /// Records that the broker has acknowledged a message that was sent at this time.
     pub(crate) fn prove(&mut self, sent: Instant) {
         self.proven = self.proven.max(Some(sent));
     }

@@ -235,7 +235,7 @@ fn lock(path: &Path) -> io::Result<File> {
     }
 }
 
-/// Reads the lines of a file; a line that a crash has cut is left out.
+/// Reads the lines of a file; skips a line that a crash has truncated.
 fn read_lines(path: &Path) -> io::Result<Vec<Line>> {
     let mut lines = Vec::new();
     for line in BufReader::new(File::open(path)?).split(b'\n') {

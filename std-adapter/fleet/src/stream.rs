@@ -1,8 +1,8 @@
 //! The check before a call that would end a stream of Slave Mode.
 //!
-//! On a real controller a call that Slave Mode refuses ends Slave Mode, also when another client sends it. So the mode is asked
-//! before each such call, and the call is skipped while a stream runs or may run. A stream that begins between the question and
-//! the call can still be ended.
+//! On a real controller a call that Slave Mode refuses ends Slave Mode, even when another client sends it. So the mode
+//! is asked before each such call, and the call is skipped while a stream runs or may run. A stream that begins between
+//! the question and the call can still be ended.
 
 use std::fmt;
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -8,7 +8,7 @@
 //! | Robot_Halt                   | brakes, and answers when the arm is at rest; of any client; see below            |
 //! | Robot_Hold                   | brakes until Unhold; of any client; `S_FALSE` when nothing runs                  |
 //! | Robot_Unhold                 | continues; needs Auto mode, the token and no error                               |
-//! | Robot_Speed                  | axis -1 sets the internal speed of lines and joints, 0 that of joints only       |
+//! | Robot_Speed                  | axis -1 sets the internal speed of lines and joints, 0 of joints only            |
 //! | Robot_Accelerate             | likewise the internal acceleration and deceleration                              |
 //! | Robot_Change                 | `ToolN` and `WorkN` select a definition; all are zero until they are set         |
 //! | Robot_Chuck, Unchuck         | closes and opens the [`hand`](crate::hand)                                       |

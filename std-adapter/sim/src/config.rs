@@ -67,7 +67,7 @@ pub enum Permission {
 /// The limits of speed and acceleration in Slave Mode: the controller's parameter 153, "Speed setting for b-CAP Slave".
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum SpeedSetting {
-    /// The limits of the drives: 1.2 times the command limit of speed, and 4 times that of acceleration.
+    /// The limits of the drives: 1.2 times the command limit of speed, and 4 times the command limit of acceleration.
     #[default]
     Servo = 0,
     /// The same, multiplied by the external speed and the external acceleration.
@@ -127,7 +127,7 @@ pub struct Config {
     /// Whether it tolerates what a real controller may refuse: the provider of another model, and unknown options. It tells
     /// `observer` each text that it tolerates.
     pub lenient: bool,
-    /// Whether it does what real controllers were seen to do after a refusal, where the specification is silent or says
+    /// Whether it behaves as observed on real controllers after a refusal, where the specification is silent or says
     /// otherwise: a call that Slave Mode refuses ends Slave Mode, and Robot_Halt is refused while a task owns the arm.
     pub as_observed: bool,
     /// The numbers of user variables.

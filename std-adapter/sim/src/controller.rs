@@ -130,7 +130,7 @@ impl Controller {
     /// Advances the controller to `now`: motions, Slave Mode and tasks continue, the motor comes on.
     pub fn advance(&mut self, now: Instant) {
         let now = self.common.now.max(now);
-        while let Some((at, effect)) = self.scenario.due(now) {
+        while let Some((at, effect)) = self.scenario.next_effect(now) {
             self.run_programs(at);
             self.pass(self.common.now.max(at));
             self.apply(effect);

@@ -40,7 +40,7 @@ impl Coordinates {
     pub(crate) fn trans(&self, joints: &Joints) -> Vec<f64> {
         let [x, y, z, vectors @ ..] = self.place(joints).to_trans();
         let mut numbers = measured([x, y, z]);
-        // the components of a unit vector, 1e-9 of which are less than 1e-6 degrees
+        // the components of a unit vector; a difference of 1e-9 is less than 1e-6 degrees
         numbers.extend(vectors.map(|n| (n * 1e9).round() / 1e9 + 0.0));
         numbers.push(f64::from(self.arm.figure(joints)));
         numbers
@@ -72,12 +72,12 @@ impl Definitions {
         Self(vec![Frame::IDENTITY; COUNT])
     }
 
-    /// Returns a definition; an invalid number has that of 0.
+    /// Returns a definition; an invalid number has the definition of 0.
     pub(crate) fn get(&self, number: i32) -> Frame {
         usize::try_from(number).ok().and_then(|n| self.0.get(n)).copied().unwrap_or(Frame::IDENTITY)
     }
 
-    /// Sets a definition, except that of 0; returns whether the number is valid.
+    /// Sets a definition, except number 0; returns whether the number is valid.
     pub(crate) fn set(&mut self, number: i32, frame: Frame) -> bool {
         let place = usize::try_from(number).ok().filter(|n| *n > 0).and_then(|n| self.0.get_mut(n));
         place.map(|place| *place = frame).is_some()

@@ -1,4 +1,4 @@
-//! The reason of a refused call: the arguments it had, and those that it accepts.
+//! The reason of a refused call: its actual and its accepted arguments.
 //!
 //! The protocol carries no text with a code. So GetErrorDescription of that code ends with the reason, and an
 //! [`Observer`] receives it too. The model keeps one reason for each code, from the last call of any client, because
@@ -199,7 +199,7 @@ const fn accepted_type(kind: Kind) -> &'static str {
     }
 }
 
-/// Describes the arguments that a call had, and those that it accepts.
+/// Describes the actual and the accepted arguments of a call.
 fn explain(request: &Request<'_>, accepted: Option<&'static str>) -> String {
     let mut text = request.function.to_string();
     let command = match (executes(request.function), request.value(1)) {

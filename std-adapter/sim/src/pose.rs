@@ -63,7 +63,7 @@ impl Target {
         }
     }
 
-    /// Reads two poses in text, of which the second has the pass: `P1, @E P2`.
+    /// Reads two poses in text; the second one has the pass: `P1, @E P2`.
     pub(crate) fn parse_two(value: &Variant<'_>, vars: &Variables) -> Result<(Pose, Self), HResult> {
         let Variant::Bstr(text) = value.flatten() else { return Err(HResult::E_INVALIDARGTYPE) };
         let text = text.to_string();
@@ -183,7 +183,7 @@ impl Pose {
         }
     }
 
-    /// Returns the joints of the pose, for a frame those nearest to `near`.
+    /// Returns the joints of the pose; for a frame, the joints nearest to `near`.
     pub(crate) fn joints(&self, arm: &Geometry, near: &Joints) -> Result<Joints, OutOfReach> {
         match self {
             Self::Joints(joints) => match arm.out_of_range(joints) {

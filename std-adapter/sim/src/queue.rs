@@ -11,7 +11,7 @@
 //! ```
 //!
 //! At most two motions move at a time. Each event (an end, a handover) happens at its own time, however late the queue
-//! learns of it, so the same commands at the same times give the same motion.
+//! is advanced, so the same commands at the same times give the same motion.
 
 use std::collections::VecDeque;
 

@@ -42,8 +42,8 @@
 //!
 //! With [`Config::as_observed`] the calls of all clients count, by the properties of the call
 //! ([`FunctionId::properties`](bcap_core::bcap::FunctionId::properties)): one that Slave Mode does not allow answers
-//! `E_SLVMODE_ON`, which becomes an error of the controller and ends Slave Mode. The next slvMove answers `E_SLVMODE_OFF`,
-//! which becomes an error too. Real controllers were seen to do so.
+//! `E_SLVMODE_ON`, which becomes an error of the controller and ends Slave Mode. The next slvMove answers
+//! `E_SLVMODE_OFF`, which becomes an error too. Real controllers were observed to behave like this.
 //!
 //! # Decisions of this model, where the manuals are silent
 //!
@@ -184,7 +184,7 @@ impl Slave {
     pub(crate) fn next_cycle(&mut self, robot: &mut Robot, until: Instant, most: u64) -> Option<(u64, Instant)> {
         let stream = robot.stream_mut()?;
         stream.skip_idle(until, most, &mut self.counters);
-        stream.is_due(until).then(|| (stream.cycle + 1, stream.next_cycle()))
+        stream.has_cycle_by(until).then(|| (stream.cycle + 1, stream.next_cycle()))
     }
 
     /// Executes a cycle.

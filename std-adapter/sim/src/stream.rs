@@ -36,7 +36,7 @@ pub struct Limits {
     pub acceleration: [f64; 8],
 }
 
-/// What Slave Mode has done since the controller was switched on.
+/// The counters of Slave Mode since the controller was switched on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct SlaveCounters {
     /// Cycles.
@@ -119,7 +119,7 @@ impl SlaveMode {
     }
 }
 
-/// What [`Stream::offer`] did with a position.
+/// The result of [`Stream::offer`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Offered {
     Stored,
@@ -224,7 +224,7 @@ impl Stream {
     }
 
     /// Tells whether a cycle begins by this time.
-    pub(crate) fn is_due(&self, now: Instant) -> bool {
+    pub(crate) fn has_cycle_by(&self, now: Instant) -> bool {
         now.saturating_since(self.began) >= CYCLE
     }
 

@@ -84,9 +84,9 @@ impl Tasks {
     }
 
     /// Returns when the next step of a program continues, and the place of its task.
-    pub(crate) fn due(&self) -> Option<(Instant, usize)> {
-        let due = self.list.iter().enumerate().filter_map(|(n, task)| Some((task.due()?, n)));
-        due.min()
+    pub(crate) fn deadline(&self) -> Option<(Instant, usize)> {
+        let deadline = self.list.iter().enumerate().filter_map(|(n, task)| Some((task.deadline()?, n)));
+        deadline.min()
     }
 
     /// Returns when the next step of a program continues that is not polled.

@@ -160,7 +160,7 @@ pub(crate) fn whole(number: f64) -> Result<i32, HResult> {
     Ok(number as i32)
 }
 
-/// What [`truth`] accepts.
+/// The values that [`truth`] accepts.
 pub(crate) const TRUTH: &str = "BOOL, or an integer: 0 is off";
 
 pub(crate) fn truth(value: &Variant<'_>) -> Result<bool, HResult> {

@@ -125,11 +125,11 @@ fn an_answer_that_is_delayed_is_the_answer_of_its_time() {
     let (mut world, client) = slave(0x102, text);
     let call = call::robot_execute(client.robot, "slvMove", START);
     assert_eq!(world.call(client.peer, &call), ok(&START));
-    let due = Instant::from_micros(world.now.as_micros() + 20_000);
+    let deadline = Instant::from_micros(world.now.as_micros() + 20_000);
     let moved = call::robot_execute(client.robot, "slvMove", j1(0.4));
-    assert_eq!(world.poll(client.peer, &moved, false).0, Outcome::Wait(due));
+    assert_eq!(world.poll(client.peer, &moved, false).0, Outcome::Wait(deadline));
     world.pass(19);
-    assert_eq!(world.again(client.peer, &moved).0, Outcome::Wait(due));
+    assert_eq!(world.again(client.peer, &moved).0, Outcome::Wait(deadline));
     assert_eq!(world.sim.axes(), j1(0.4), "it was carried out at once");
     world.pass(1);
     assert_eq!(world.again(client.peer, &moved), (Outcome::Done(HResult::S_OK), common::value(&START)));

@@ -304,7 +304,7 @@ impl Actor {
             if let Some(error) = session.lost() {
                 return lost(motion, error);
             }
-            let due = motion.as_ref().map(|motion| motion.due).into_iter().chain(self.scan.next()).min();
+            let deadline = motion.as_ref().map(|motion| motion.deadline).into_iter().chain(self.scan.next()).min();
             tokio::select! {
                 biased;
                 // first, because the next round halts the robot
@@ -332,7 +332,7 @@ impl Actor {
                         }
                     }
                 },
-                closed = session.transport().idle_until(due) => if closed {
+                closed = session.transport().idle_until(deadline) => if closed {
                     return lost(motion, not_connected("the controller has closed the connection"));
                 },
             }
@@ -378,7 +378,7 @@ impl Actor {
         };
         self.count(begun.is_ok());
         match begun {
-            Ok(running) => Some(Moving { steps: Box::new(running), due: Instant::ZERO, reply }),
+            Ok(running) => Some(Moving { steps: Box::new(running), deadline: Instant::ZERO, reply }),
             Err(error) => {
                 let _ = reply.send(Err(error));
                 None
@@ -391,7 +391,7 @@ impl Actor {
 struct Moving {
     steps: Box<dyn MotionSteps>,
     /// When the robot is polled.
-    due: Instant,
+    deadline: Instant,
     reply: oneshot::Sender<Result<MotionQueue, Error>>,
 }
 
@@ -414,8 +414,8 @@ impl<P: Procedure<Output = MotionQueue, Error = StepError> + Send> MotionSteps f
 
 /// Polls a motion at its deadline; halts the robot if the caller has gone. Returns the motion while it is under way.
 async fn step(session: &mut Session<Socket>, mut motion: Moving, now: Instant) -> Option<Moving> {
-    let Moving { steps, due, reply } = &mut motion;
-    if now < *due && !reply.is_closed() {
+    let Moving { steps, deadline, reply } = &mut motion;
+    if now < *deadline && !reply.is_closed() {
         return Some(motion);
     }
     let step = tokio::select! {
@@ -425,7 +425,7 @@ async fn step(session: &mut Session<Socket>, mut motion: Moving, now: Instant) -
     };
     match step {
         Some(ControlFlow::Continue(at)) => {
-            *due = at;
+            *deadline = at;
             return Some(motion);
         }
         Some(ControlFlow::Break(ended)) => drop(motion.reply.send(ended)),
@@ -464,7 +464,7 @@ fn fail_motion(motion: Option<Moving>) {
     }
 }
 
-/// Returns the error of a motion that was accepted, and of which nothing is known since the connection was lost.
+/// Returns the error of an accepted motion whose outcome is unknown because the connection was lost.
 fn unanswered_motion() -> Error {
     Error::call(FunctionId::ROBOT_MOVE, ROBOT, CallError::Disconnected)
 }

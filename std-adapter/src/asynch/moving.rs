@@ -9,7 +9,7 @@ use crate::error::Error;
 use crate::moves::Move;
 use crate::session::Halted;
 
-/// Motions that follow each other, of which the last has begun; [`Arm::start`](super::Arm::start) returns it.
+/// Motions that follow each other; the last one has begun. [`Arm::start`](super::Arm::start) returns it.
 ///
 /// **Dropping it halts the robot**, and so does dropping the future of any of its functions. Other calls of the controller
 /// are made meanwhile.

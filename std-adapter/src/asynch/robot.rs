@@ -55,7 +55,7 @@ pub struct Arm {
     session: u64,
 }
 
-/// Halts the robot from any task, also while another call of the [`Controller`](super::Controller) waits.
+/// Halts the robot from any task, even while another call of the [`Controller`](super::Controller) waits.
 ///
 /// It has a separate connection and session, which are open before they are needed, and are opened again when they are lost. It
 /// is not an emergency stop: it needs the network, this computer and the controller.
@@ -97,7 +97,7 @@ impl Robot {
             .run(move |session| {
                 Box::pin(async move {
                     session.take_arm().await?;
-                    // from here on a drop gives it back, also when the caller has gone
+                    // from here on a drop gives it back, even when the caller has gone
                     Ok(Arm { robot: self, session: session.id })
                 })
             })
@@ -472,7 +472,8 @@ impl Stopper {
     ///
     /// # Errors
     ///
-    /// An [`Error`]; the robot may still move. [`Error::NotHalted`] if it was seen to move, or the halt stays refused.
+    /// An [`Error`]; the robot may still move. [`Error::NotHalted`] if the robot still moved, or the halt stays
+    /// refused.
     ///
     /// # Cancel safety
     ///

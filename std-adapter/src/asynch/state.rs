@@ -36,7 +36,7 @@ pub enum State {
 pub struct Statistics {
     /// Operations that were carried out.
     pub operations: u64,
-    /// Operations that failed, also without a connection.
+    /// Operations that failed, even without a connection.
     pub failures: u64,
     /// Values that were read for subscriptions.
     pub scanned: u64,

@@ -63,7 +63,7 @@ pub struct Subscription {
     queue: Arc<Mutex<Queue>>,
 }
 
-/// The last reading of each variable of a subscription, and the order of those that were not taken.
+/// The last reading of each variable of a subscription, and the order of the readings that were not taken.
 #[derive(Default)]
 struct Queue {
     last: Vec<Option<Reading>>,

@@ -152,8 +152,8 @@ impl Scan {
     ///
     /// # Errors
     ///
-    /// An [`Error`] for the first variable that cannot be read; [`Error::OtherSession`] for another controller than that
-    /// of the scan.
+    /// An [`Error`] for the first variable that cannot be read; [`Error::OtherSession`] for another controller than the
+    /// scan's.
     pub fn read<'a>(&self, cell: impl Into<ControllerRef<'a>>) -> Result<Vec<OwnedVariant>, Error> {
         cell.into().limited(async |session| self.read_in(session).await)
     }

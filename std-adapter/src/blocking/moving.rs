@@ -8,9 +8,9 @@ use crate::error::Error;
 use crate::moves::Move;
 use crate::session::{Halted, Session};
 
-/// Motions that follow each other, of which the last has begun; [`Arm::start`](super::Arm::start) returns it.
+/// Motions that follow each other; the last one has begun. [`Arm::start`](super::Arm::start) returns it.
 ///
-/// **Dropping it halts the robot**, also by an error or a panic.
+/// **Dropping it halts the robot**, even by an error or a panic.
 ///
 /// # Outcome
 ///

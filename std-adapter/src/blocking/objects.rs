@@ -84,8 +84,8 @@ impl<'a> File<'a> {
 
 /// Variables that are opened once and read often, from [`Controller::scan`](super::Controller::scan).
 ///
-/// It knows its session. Handles are numbers which another session gives to other objects, so a scan that is used with
-/// another controller is an error and not a wrong value.
+/// It contains its session. Handles are numbers which another session gives to other objects, so a scan that is used
+/// with another controller is an error and not a wrong value.
 ///
 /// # Examples
 ///

@@ -36,9 +36,9 @@ pub struct Robot<'a> {
 
 /// A robot whose arm this client has taken, so that it can move it.
 ///
-/// When it is dropped, also by a panic, it leaves Slave Mode, halts the robot if a motion may be under way, switches the motor
-/// off if it was switched on here, and gives the arm back, within five seconds. After a lost connection the drop of the
-/// [`Controller`](super::Controller) does so over a new one.
+/// When it is dropped, even by a panic, it leaves Slave Mode, halts the robot if a motion may be under way, switches
+/// the motor off if it was switched on here, and gives the arm back, within five seconds. After a lost connection the
+/// drop of the [`Controller`](super::Controller) does so over a new one.
 #[derive(Debug)]
 pub struct Arm<'a> {
     robot: Robot<'a>,
@@ -99,7 +99,7 @@ impl<'a> Robot<'a> {
         ready(self.session.execute_any_of_robot(command, parameter))
     }
 
-    /// Halts the robot, also without the arm, and waits until it rests.
+    /// Halts the robot, even without the arm, and waits until it rests.
     ///
     /// A controller refuses a halt while one of its tasks owns the arm. Then all tasks are stopped (KillAll, or Task_Stop of each
     /// task if the controller refuses that), and the robot is halted again: [`Halted::TasksStopped`]. Each starts at its first
@@ -109,7 +109,8 @@ impl<'a> Robot<'a> {
     ///
     /// # Errors
     ///
-    /// An [`Error`]; the robot may still move. [`Error::NotHalted`] if it was seen to move, or the halt stays refused.
+    /// An [`Error`]; the robot may still move. [`Error::NotHalted`] if the robot still moved, or the halt stays
+    /// refused.
     pub fn halt(&mut self) -> Result<Halted, Error> {
         ready(self.session.halt_and_verify())
     }
@@ -195,7 +196,7 @@ impl<'a> Arm<'a> {
     /// `limit` is the time limit of all of them; after it the robot is halted. It is looked at while a call of the
     /// [`Moving`] runs: a program that keeps the value and makes no call of it halts nothing.
     ///
-    /// **Dropping the [`Moving`] halts the robot**, also by an error or a panic. [`Moving::wait`] waits for the end.
+    /// **Dropping the [`Moving`] halts the robot**, even by an error or a panic. [`Moving::wait`] waits for the end.
     ///
     /// # Errors
     ///

@@ -10,7 +10,7 @@ use crate::error::Error;
 use crate::session::{Halted, Session};
 use crate::settings::Settings;
 
-/// Halts the robot from any thread, also while another call of the [`Controller`](super::Controller) waits.
+/// Halts the robot from any thread, even while another call of the [`Controller`](super::Controller) waits.
 ///
 /// It has a separate connection and session, which are open before they are needed. It is not an emergency stop: it needs the
 /// network, this computer and the controller.
@@ -82,7 +82,8 @@ impl Stopper {
     ///
     /// # Errors
     ///
-    /// An [`Error`]; the robot may still move. [`Error::NotHalted`] if it was seen to move, or the halt stays refused.
+    /// An [`Error`]; the robot may still move. [`Error::NotHalted`] if the robot still moved, or the halt stays
+    /// refused.
     pub fn halt(&self) -> Result<Halted, Error> {
         // a panic cannot leave the session in a state that prevents a halt
         let mut session = self.session.lock().unwrap_or_else(PoisonError::into_inner);

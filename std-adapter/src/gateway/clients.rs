@@ -53,10 +53,10 @@ pub(super) async fn listen(
             reset(stream);
             continue;
         }
-        let seated = shared.lock().open(&slots, address);
-        if let Some((peer, wake)) = seated {
-            let seat = Seat { peer, shared: Arc::clone(&shared), front: Front::new(map, ipv4(address)), ended: None };
-            tasks.spawn(serve(stream, seat, wake, limits, stopped.clone()));
+        let opened = shared.lock().open(&slots, address);
+        if let Some((peer, wake)) = opened {
+            let slot = Slot { peer, shared: Arc::clone(&shared), front: Front::new(map, ipv4(address)), ended: None };
+            tasks.spawn(serve(stream, slot, wake, limits, stopped.clone()));
         } else if refused.len() < REFUSALS {
             refused.spawn(refuse(stream, map));
         }
@@ -76,26 +76,26 @@ fn reset(stream: TcpStream) {
 }
 
 /// The slot of a client, which is freed however its task ends.
-struct Seat {
+struct Slot {
     peer: PeerId,
     shared: Arc<GatewayState>,
     front: Front,
     ended: Option<Ended>,
 }
 
-impl Drop for Seat {
+impl Drop for Slot {
     fn drop(&mut self) {
         self.shared.lock().close(self.peer, self.ended);
     }
 }
 
 /// Serves a client until its connection ends or the gateway stops.
-async fn serve(stream: TcpStream, mut seat: Seat, wake: Arc<Notify>, limits: Limits, stopped: watch::Receiver<()>) {
+async fn serve(stream: TcpStream, mut slot: Slot, wake: Arc<Notify>, limits: Limits, stopped: watch::Receiver<()>) {
     // a socket that cannot be set up is closed already, and its first read tells so
     let _ = set_up_tcp(SockRef::from(&stream), limits.keep_alive);
-    let ended = converse(&stream, &mut seat, &wake, limits, stopped).await;
-    seat.shared.lock().tap.show(|| ends(&stream), Moved::Closed);
-    seat.ended = Some(ended.unwrap_or_else(|error| Ended::Failed(error.kind())));
+    let ended = converse(&stream, &mut slot, &wake, limits, stopped).await;
+    slot.shared.lock().tap.show(|| ends(&stream), Moved::Closed);
+    slot.ended = Some(ended.unwrap_or_else(|error| Ended::Failed(error.kind())));
 }
 
 /// Returns the ends of a client's connection.
@@ -103,7 +103,7 @@ fn ends(stream: &TcpStream) -> io::Result<Ends> {
     Ok((true, stream.peer_addr()?, stream.local_addr()?))
 }
 
-/// What a client's task can do next.
+/// The possible next steps of a client's task.
 struct State {
     sends: bool,
     receives: bool,
@@ -114,17 +114,17 @@ struct State {
 
 impl State {
     /// Returns the state of a client; `None` when it has lost its slot.
-    fn of(seat: &Seat) -> Option<Self> {
-        let inner = &mut *seat.shared.lock();
-        if !inner.is_open(seat.peer) {
+    fn of(slot: &Slot) -> Option<Self> {
+        let inner = &mut *slot.shared.lock();
+        if !inner.is_open(slot.peer) {
             return None;
         }
-        let (gateway, front) = (&mut inner.gateway, &seat.front);
+        let (gateway, front) = (&mut inner.gateway, &slot.front);
         Some(Self {
-            sends: !front.transmit(gateway, seat.peer).is_empty(),
-            receives: front.has_room(gateway, seat.peer),
-            is_running: front.is_running(gateway, seat.peer),
-            is_receiving: front.is_receiving(gateway, seat.peer),
+            sends: !front.transmit(gateway, slot.peer).is_empty(),
+            receives: front.has_room(gateway, slot.peer),
+            is_running: front.is_running(gateway, slot.peer),
+            is_receiving: front.is_receiving(gateway, slot.peer),
         })
     }
 
@@ -145,7 +145,7 @@ impl State {
 /// Moves lines and answers until the connection ends.
 async fn converse(
     stream: &TcpStream,
-    seat: &mut Seat,
+    slot: &mut Slot,
     wake: &Notify,
     limits: Limits,
     mut stopped: watch::Receiver<()>,
@@ -156,14 +156,14 @@ async fn converse(
     loop {
         // a ready socket does not wait, so a client that sends without a pause would keep the thread
         consume_budget().await;
-        seat.shared.step();
+        slot.shared.step();
         // there may be bytes for the robot, or another deadline
-        seat.shared.robot.notify_one();
-        if exchange(seat) {
+        slot.shared.robot.notify_one();
+        if exchange(slot) {
             continue;
         }
-        let Some(state) = State::of(seat) else { return Ok(Ended::Evicted) };
-        if seat.front.is_broken() {
+        let Some(state) = State::of(slot) else { return Ok(Ended::Evicted) };
+        if slot.front.is_broken() {
             return Ok(Ended::NotModbus);
         }
         if stopping && !state.sends && !state.is_running {
@@ -178,13 +178,13 @@ async fn converse(
         tokio::select! {
             ready = stream.writable(), if state.sends => {
                 ready?;
-                if send(stream, seat)? {
+                if send(stream, slot)? {
                     limited = None;
                 }
             }
             ready = stream.readable(), if state.receives && !stopping => {
                 ready?;
-                if receive(stream, seat)? {
+                if receive(stream, slot)? {
                     return Ok(Ended::Closed);
                 }
             }
@@ -198,38 +198,38 @@ async fn converse(
 }
 
 /// Moves lines and replies of a client that speaks Modbus; after `true` the gateway must be polled.
-fn exchange(seat: &mut Seat) -> bool {
-    let inner = &mut *seat.shared.lock();
-    if !inner.is_open(seat.peer) {
+fn exchange(slot: &mut Slot) -> bool {
+    let inner = &mut *slot.shared.lock();
+    if !inner.is_open(slot.peer) {
         return false;
     }
-    let moved = seat.front.exchange(&mut inner.gateway, seat.peer);
-    inner.exchanged(seat.peer, &seat.front);
+    let moved = slot.front.exchange(&mut inner.gateway, slot.peer);
+    inner.exchanged(slot.peer, &slot.front);
     moved
 }
 
 /// Sends a part of an answer; `false` when the socket takes nothing.
-fn send(stream: &TcpStream, seat: &mut Seat) -> io::Result<bool> {
-    let inner = &mut *seat.shared.lock();
-    let bytes = seat.front.transmit(&inner.gateway, seat.peer);
+fn send(stream: &TcpStream, slot: &mut Slot) -> io::Result<bool> {
+    let inner = &mut *slot.shared.lock();
+    let bytes = slot.front.transmit(&inner.gateway, slot.peer);
     let sent = stream.try_write(bytes);
     if must_wait(&sent) {
         return Ok(false);
     }
     let count = sent?;
     inner.tap.show(|| ends(stream), Moved::Reply(bytes.get(..count).unwrap_or(bytes)));
-    seat.front.transmitted(&mut inner.gateway, seat.peer, count);
-    inner.moved(seat.peer, &seat.front);
+    slot.front.transmitted(&mut inner.gateway, slot.peer, count);
+    inner.moved(slot.peer, &slot.front);
     Ok(true)
 }
 
 /// Receives what has arrived; `true` when the client has closed the connection.
-fn receive(stream: &TcpStream, seat: &mut Seat) -> io::Result<bool> {
-    let inner = &mut *seat.shared.lock();
+fn receive(stream: &TcpStream, slot: &mut Slot) -> io::Result<bool> {
+    let inner = &mut *slot.shared.lock();
     let tap = &mut inner.tap;
     let show = |bytes: &[u8]| tap.show(|| ends(stream), Moved::Request(bytes));
     // without room, the step of another task has started a request of this client
-    let Some(count) = seat.front.receive(stream, &mut inner.gateway, seat.peer, show)? else { return Ok(false) };
-    inner.moved(seat.peer, &seat.front);
+    let Some(count) = slot.front.receive(stream, &mut inner.gateway, slot.peer, show)? else { return Ok(false) };
+    inner.moved(slot.peer, &slot.front);
     Ok(count == 0)
 }

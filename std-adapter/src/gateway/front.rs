@@ -1,4 +1,4 @@
-//! What the clients of a listener speak: RAC, or Modbus TCP, whose requests become lines of RAC.
+//! The protocol of a listener's clients: RAC, or Modbus TCP, whose requests become lines of RAC.
 
 use std::io;
 use std::net::Ipv4Addr;
@@ -18,12 +18,12 @@ use crate::server::{REFUSAL_TIME, refuse_rac};
 /// Bytes that are read from a client of Modbus at once.
 const CHUNK: usize = 512;
 
-/// What the clients of a listener speak; for Modbus with the map of its registers and coils.
+/// The protocol of a listener's clients; for Modbus, with the map of its registers and coils.
 pub(super) type Map = Option<&'static [Entry]>;
 
 /// The bytes of one client on their way from and to the gateway.
 pub(super) enum Front {
-    /// They are those of the gateway.
+    /// The gateway owns them.
     Rac,
     /// Lines of RAC are made of them; with the address of the client, to which rules for networks apply.
     Modbus(Box<modbus::Front<'static>>, Option<Ipv4Addr>),

@@ -1,10 +1,10 @@
-//! What PLCs can cost a gateway.
+//! Resource limits for PLC connections.
 
 use std::time::Duration;
 
 use crate::server::Slots;
 
-/// What PLCs can cost a gateway; the number of its slots is its [`capacity`](bcap_gateway::Gateway::capacity).
+/// Resource limits for PLC connections; the number of its slots is its [`capacity`](bcap_gateway::Gateway::capacity).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Limits {

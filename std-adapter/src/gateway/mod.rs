@@ -125,7 +125,7 @@ impl Driver {
         self
     }
 
-    /// Serves the PLCs that connect to `listener` until `shutdown` is ready, and returns what was done.
+    /// Serves the PLCs that connect to `listener` until `shutdown` is ready, and returns the counts.
     ///
     /// Then it accepts no more connections and lines. A running request still gets its answer within the gateway's
     /// `request_timeout`, and the connection to the robot is closed last.

@@ -1,11 +1,11 @@
-//! What a gateway reports to its log.
+//! The reports of a gateway to its log.
 
 use std::io;
 use std::net::SocketAddr;
 
 use bcap_gateway::Event;
 
-/// What has happened.
+/// The event.
 #[derive(Clone, Copy, Debug)]
 #[non_exhaustive]
 pub enum Report<'a> {

@@ -116,13 +116,13 @@ async fn open(shared: &GatewayState, robot: &HostPort, options: &Options) -> Opt
 
 /// Waits until something can be done, and moves the bytes that can be moved.
 async fn wait(shared: &GatewayState, link: Option<RobotSocket>) -> Option<RobotSocket> {
-    let (due, sends) = {
+    let (deadline, sends) = {
         let gateway = &shared.lock().gateway;
         (gateway.poll_timeout(), !gateway.robot_transmit().is_empty())
     };
     let moved = tokio::select! {
         moved = transfer(shared, link.as_ref(), sends) => moved,
-        () = sleep(until(due.unwrap_or(Instant::ZERO))), if due.is_some() => Ok(()),
+        () = sleep(until(deadline.unwrap_or(Instant::ZERO))), if deadline.is_some() => Ok(()),
         () = shared.robot.notified() => Ok(()),
     };
     match moved {

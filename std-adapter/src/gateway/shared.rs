@@ -1,4 +1,4 @@
-//! What all tasks of a gateway share: the gateway itself, its clients, and what wakes the tasks.
+//! The state that all tasks of a gateway share: the gateway itself, its clients, and the wakers of the tasks.
 
 use std::collections::HashMap;
 use std::fmt;
@@ -83,7 +83,7 @@ impl GatewayState {
     }
 }
 
-/// Returns the IPv4 address that the rules know of a client; `None` for a client over IPv6. A listener for both versions
+/// Returns the IPv4 address of a client for the rules; `None` for a client over IPv6. A listener for both versions
 /// reports a client over IPv4 as `::ffff:10.0.0.5`.
 pub(super) fn ipv4(client: SocketAddr) -> Option<Ipv4Addr> {
     match client.ip().to_canonical() {
@@ -102,7 +102,7 @@ impl Inner {
         admitted
     }
 
-    /// Gives a client a slot, if need be that of another client; `None` when it gets no slot.
+    /// Gives a client a slot, if necessary the slot of another client; `None` when it gets no slot.
     pub(super) fn open(&mut self, slots: &Slots, address: SocketAddr) -> Option<(PeerId, Arc<Notify>)> {
         let taken = self.clients.iter().map(|(peer, client)| (*peer, client.address.ip(), self.state(*peer, client)));
         let admission = slots.admit(taken, address.ip(), now());

@@ -4,7 +4,7 @@ use std::fmt;
 use std::io;
 use std::net::SocketAddr;
 
-/// What a connection of a gateway has moved.
+/// The traffic of a gateway's connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Traffic<'a> {
@@ -14,11 +14,11 @@ pub struct Traffic<'a> {
     pub client: SocketAddr,
     /// The address of the server: this gateway, or the robot.
     pub server: SocketAddr,
-    /// What has happened.
+    /// The event.
     pub moved: Moved<'a>,
 }
 
-/// What has happened on a connection.
+/// An event on a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Moved<'a> {

@@ -1,4 +1,4 @@
-//! What peers can cost a server.
+//! Resource limits for the peers of a server.
 
 use std::time::Duration;
 
@@ -6,7 +6,7 @@ use bcap_core::bcap::server::Config;
 
 use super::admission::Slots;
 
-/// What peers can cost a server.
+/// Resource limits for the peers of a server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Limits {

@@ -41,7 +41,7 @@ pub(super) struct ServerState<H> {
 /// no bytes, nothing is sent; if it returns `Break`, the connection is closed.
 pub type Tap<H> = fn(&mut H, PeerId, &mut Vec<u8>) -> ControlFlow<()>;
 
-/// A function that learns the address of a new client, before its first call.
+/// A function that receives the address of a new client, before its first call.
 pub type OnConnect<H> = fn(&mut H, PeerId, IpAddr);
 
 impl<H> ServerState<H> {

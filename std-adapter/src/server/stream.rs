@@ -50,7 +50,7 @@ pub(super) async fn serve<H: Send + 'static, M: ServeLocked<H> + 'static>(
     if let Ok(address) = stream.peer_addr() {
         shared.connected(peer, address.ip());
     }
-    // these wait for the whole connection: a wait of their own for each request would register and remove a waker
+    // these wait for the whole connection: a separate wait for each request would register and remove a waker
     let mut stopped = pin!(stopped.changed());
     let idle = Arc::clone(&activity);
     let mut evicted = pin!(idle.evicted());

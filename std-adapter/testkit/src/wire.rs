@@ -72,7 +72,7 @@ enum Framing {
 /// The received bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Received {
-    /// A packet; bytes that are none if no more came in time.
+    /// A packet; bytes, which are empty if no more arrived in time.
     Packet(Vec<u8>),
     /// The peer closed or reset the connection, or has closed its port for datagrams.
     Closed,

@@ -275,7 +275,7 @@ fn a_robot_that_stops_under_load_costs_errors_and_nothing_else() {
     for ends in ["-TERM", "-KILL"] {
         wait_for_more(&seen, |seen| &seen.served, 50, &mut board, "a robot that is there");
         sim.end(ends);
-        // answered while nothing is there that could answer, so none of them waits for the robot
+        // answered while no robot exists, so no request waits for the robot
         wait_for_more(&seen, |seen| &seen.away, 50, &mut board, "E_NOT_CONNECTED");
         sim = Sim::start(&bcap, &robot);
     }

@@ -328,7 +328,7 @@ impl Wire {
     /// Receives frames, and delivers delayed frames whose time has come; without any, waits for a millisecond.
     fn receive(&mut self) {
         let now = Instant::now();
-        while let Some(at) = self.delayed.iter().position(|(due, _, _)| *due <= now) {
+        while let Some(at) = self.delayed.iter().position(|(deadline, _, _)| *deadline <= now) {
             let (_, to_board, frame) = self.delayed.remove(at);
             self.arrive(to_board, frame);
         }
@@ -355,8 +355,8 @@ impl Wire {
             }
             2 => {
                 way.delayed += 1;
-                let due = Instant::now() + Duration::from_millis(self.rng.u64(DELAY_MS));
-                self.delayed.push((due, to_board, frame));
+                let deadline = Instant::now() + Duration::from_millis(self.rng.u64(DELAY_MS));
+                self.delayed.push((deadline, to_board, frame));
             }
             _ => self.arrive(to_board, frame),
         }

@@ -72,7 +72,8 @@ impl Rig {
         self.world.borrow().now
     }
 
-    /// Makes an ordinary call and checks its reply and its timing; on a lossy link, also when its first attempt is lost.
+    /// Makes an ordinary call and checks its reply and its timing; on a lossy link, even when its first attempt is
+    /// lost.
     fn check(&mut self, token: i32, lost: bool) -> Result<(), String> {
         let usual = usual(self.kind);
         let name = format!("token {token}");

@@ -56,7 +56,7 @@ impl Calls {
     }
 }
 
-/// Room for all clients, and for those that begin again from another port.
+/// Slots for all clients, and for clients that connect again from another port.
 pub(crate) fn limits() -> Limits {
     Limits::default().udp_peers(1000).udp_peers_per_address(1000)
 }
@@ -113,7 +113,7 @@ fn datagrams_are_lost_doubled_and_reordered_and_every_call_is_executed_once() {
         time.as_secs_f64()
     );
     assert_eq!(done + failed, calls);
-    // five attempts, of which each is lost one time in five, and a third of the others are late
+    // five attempts; each is lost one time in five, and a third of the others are late
     assert!(failed <= 5 + done / 100, "{failed} given up");
     assert!(lost > sent / 12 && repeated > sent / 15 && overtaken > 0);
 }

@@ -322,7 +322,7 @@ fn replies_with_two_values_or_another(_: &mut Target) {
     // the first of two is the value; peers differ in how many they send
     let two = reply_frame(FIRST, HResult::S_OK, vec![Value::I4(42), Value::text("x")]);
     assert_eq!(calls(&long_timeouts(), 1, || serve_bytes(two.clone())), [RIGHT]);
-    // none is as good as EMPTY where any value may come
+    // a reply without a value is equivalent to EMPTY where any value is permitted
     let none = reply_frame(FIRST, HResult::S_OK, vec![]);
     assert_eq!(calls(&long_timeouts(), 1, || serve_bytes(none.clone())), [Outcome::Value(Value::Empty)]);
 }

@@ -259,7 +259,7 @@ fn silent_connections_cost_no_processor_time(target: &mut Target) {
 /// Above the limit the first request is answered with E_MAX_CONNECT; connected clients keep their slots.
 fn connections_to_the_limit_and_past_it(target: &mut Target) {
     target.has_released_all();
-    // one place is the bystander's, and one is left for those who come
+    // one slot is the bystander's, and one is left for new clients
     let mut inside: Vec<Raw> = (0..limits().connections_per_address - 2).map(|_| Raw::connect(target.tcp)).collect();
     for raw in &mut inside {
         raw.begin();
@@ -272,7 +272,7 @@ fn connections_to_the_limit_and_past_it(target: &mut Target) {
         assert_eq!(reply.code, HResult::E_MAX_CONNECT.0);
         assert_eq!(outside.rest(), [0_u8; 0]);
     }
-    // a flood of connections that say nothing takes no place either
+    // a flood of silent connections takes no slot either
     let flood: Vec<Raw> = (0..200).map(|_| Raw::connect(target.tcp)).collect();
     for raw in inside.iter_mut().chain([&mut last]) {
         assert_eq!(raw.call(&request(FunctionId::SERVICE_START, vec![])).code, 0);

@@ -155,7 +155,8 @@ fn endless_keep_alives_over_udp(_: &mut Target) {
     assert_eq!(calls_udp(&options, 1, server), [expected]);
 }
 
-/// The socket accepts only its server's datagrams: those of others neither answer a call nor use up an attempt.
+/// The socket accepts only its server's datagrams: replies to other clients neither answer a call nor use up an
+/// attempt.
 fn datagrams_from_elsewhere(_: &mut Target) {
     let server = || {
         let (socket, other) = (UdpSocket::bind("127.0.0.1:0").unwrap(), UdpSocket::bind("127.0.0.1:0").unwrap());

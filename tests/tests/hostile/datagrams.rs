@@ -271,7 +271,7 @@ fn a_new_client_behind_a_known_address(target: &mut Target) {
     let before = target.open();
     let first = peer.begin();
     let marker = 2;
-    // its first attempt may be a copy of the old client's; the serial of its second one was that of another call
+    // its first attempt may be a copy of the old client's; its second call had the serial of another call
     let start = request(FunctionId::SERVICE_START, vec![]);
     peer.send(&TestFrame { serial: marker, reserved: marker, ..start.clone() }.to_wire(false));
     peer.send(&TestFrame { serial: marker + 1, reserved: marker, ..start }.to_wire(false));

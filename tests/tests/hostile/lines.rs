@@ -353,7 +353,7 @@ fn text_and_random_bytes(target: &mut Target) {
 }
 
 fn rac_connections_past_the_limit(target: &mut Target) {
-    // one place is the bystander's, and one is left for those who come
+    // one slot is the bystander's, and one is left for new clients
     let mut inside: Vec<Lines> = (0..limits().connections_per_address - 2).map(|_| Lines::connect(target)).collect();
     for lines in &mut inside {
         assert_eq!(lines.line("PUT:RC8:9:I:3,5"), "0");

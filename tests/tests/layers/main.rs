@@ -31,7 +31,7 @@ const CRATES: [(&str, &str); 11] = [
 /// Circles that the types themselves have: a value can be an array, and the elements of an array are values.
 const RECURSIVE_TYPES: [(&str, [&str; 2]); 1] = [("bcap-core", ["variant/array.rs", "variant/mod.rs"])];
 
-/// Packages of which only the dependencies are checked.
+/// Packages whose dependencies alone are checked.
 const PACKAGES: [(&str, &str); 4] = [
     ("bcap-fuzz", "fuzz"),
     ("bcap-qemu", "tests/qemu"),

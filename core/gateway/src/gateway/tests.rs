@@ -471,7 +471,7 @@ fn without_a_robot_the_reply_is_immediate() {
     bench.now = at(500);
     assert_eq!(bench.events(), []);
     assert!(bench.gateway.robot_wanted());
-    // also while a session starts
+    // even while a session starts
     bench.robot.script(FunctionId::CONTROLLER_CONNECT, Do::Nothing);
     assert_eq!(bench.connect(), []);
     assert_eq!(bench.ask(plc, "GET:RC8:1:I:\r"), not_connected);

@@ -258,7 +258,7 @@ fn bytes_that_are_not_modbus_break_the_connection() {
 
 #[test]
 fn any_bytes_are_safe() {
-    // a generator of its own, so that a failure repeats
+    // a generator with a fixed seed, so that a failure repeats
     let mut state = 1_u32;
     let mut random = || {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);

@@ -118,7 +118,7 @@ impl Serials {
         let Some((at, next)) = service.first_call else {
             return if self.is_last_and_kept(attempt) { Verdict::Repeat } else { Verdict::Begin };
         };
-        // each attempt takes the next serial, so those of Service_Start are below the marker of the first call
+        // each attempt takes the next serial, so the serials of Service_Start are below the marker of the first call
         let could_be_a_copy = attempt.serial.wrapping_sub(service.marker) < next.wrapping_sub(service.marker);
         if could_be_a_copy && !self.is_ordered && now.saturating_since(at) < RESTART_AFTER {
             Verdict::Drop

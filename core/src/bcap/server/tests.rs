@@ -248,8 +248,8 @@ fn keep_alives_are_sent_at_the_watchdog_interval() {
     assert_eq!(bench.call(halt(), 4, at(0)), []);
     let mut sent = Vec::new();
     for _ in 0..4 {
-        let due = bench.session.poll_timeout().unwrap();
-        sent.extend(bench.run(due).iter().map(|(_, code, _)| (due, *code)));
+        let deadline = bench.session.poll_timeout().unwrap();
+        sent.extend(bench.run(deadline).iter().map(|(_, code, _)| (deadline, *code)));
     }
     let executing = HResult::S_EXECUTING;
     assert_eq!(sent, [(at(100), executing), (at(200), executing), (at(300), executing), (at(350), HResult::S_OK)]);

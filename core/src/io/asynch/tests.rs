@@ -81,7 +81,7 @@ impl Transport for OneByte {
     }
 }
 
-/// Polls a future so many times, and returns its output if it ended.
+/// Polls a future `count` times, and returns its output if it ended.
 fn poll_times<T>(future: impl Future<Output = T>, times: usize) -> Option<T> {
     let mut future = pin!(future);
     let mut cx = Context::from_waker(Waker::noop());

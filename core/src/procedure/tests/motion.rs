@@ -332,11 +332,11 @@ fn every_target_is_compared_with_the_reading_that_fits_it() {
         let done = Mover { variable: variable.clone(), ..MOVER }.run(target);
         assert_eq!(done.result, Ok(Motion::Arrived), "{target:?} {:?}", done.calls);
         assert!(!done.calls.iter().any(|call| call == HALT));
-        // halted on the way, also when DestJnt follows the halt at once
+        // halted on the way, even when DestJnt follows the halt at once
         for forgets in [false, true] {
             for stops_at in [0.2, 3.0, 9.0] {
                 let done = Mover { variable: variable.clone(), stops_at, forgets, ..MOVER }.run(target);
-                // or DestJnt says that the motion ends there, and the position is that of another tool
+                // or DestJnt says that the motion ends there, and the position belongs to another tool
                 let is_unknown = forgets && done.calls.iter().any(|call| call == DESTINATION) && stops_at > 1.0;
                 let expected = if is_unknown { Motion::Unknown } else { Motion::Halted };
                 assert_eq!(done.result, Ok(expected), "{target:?} {stops_at}");

@@ -95,7 +95,7 @@ impl Robot {
     }
 }
 
-/// A motion to an angle, of which the target says the end if it is `known`.
+/// A motion to an angle. If it is `known`, the target says where it ends.
 fn to(angle: f64, known: bool) -> (MotionStart<VariantBuf<64>, &'static str>, Target) {
     let target = Target::joints(Joints::new([angle, 0.0, 90.0, 0.0, 45.0]), 8);
     let motion = MotionStart::Move {

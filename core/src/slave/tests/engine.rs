@@ -400,7 +400,7 @@ fn mode_2_is_paced_by_the_controller_alone() {
     let mut asked = 0;
     let end = rig.run(|rig| {
         asked += 1;
-        assert_eq!(rig.engine.poll(rig.now), Action::Pose { due: rig.now });
+        assert_eq!(rig.engine.poll(rig.now), Action::Pose { deadline: rig.now });
         next(rig)
     });
     assert_eq!((end, asked), (Action::Finished, 101));

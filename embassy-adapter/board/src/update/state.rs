@@ -1,8 +1,9 @@
 //! The state partition of embassy-boot, in which a power cut leaves the earlier state or the new one.
 //!
-//! embassy-boot erases its state and then writes a word of equal bytes, such as `f0`: swap the images. A power cut in the middle
-//! can leave bytes that mean something else: an interrupted `d0`, confirmed, can read as `f0`. The boot loader would then swap
-//! images of which one is overwritten. So this flash has two banks with a checked header, and a state is complete with its header:
+//! embassy-boot erases its state and then writes a word of equal bytes, such as `f0`: swap the images. A power cut in
+//! the middle can leave bytes that mean something else: an interrupted `d0`, confirmed, can read as `f0`. The boot
+//! loader would then swap images although one of them is overwritten. So this flash has two banks with a checked
+//! header, and a state is complete with its header:
 //!
 //! ```text
 //!  range ─► [ header | progress of the swap ][ header | progress of the swap ]      two banks, each of whole sectors

@@ -21,7 +21,8 @@ const UNIT: usize = 32;
 pub struct Partitions {
     /// The image that runs.
     pub active: Range<u32>,
-    /// The image that is received, later the earlier one; a sector larger than `active`, for the swap.
+    /// The partition of the received image, and after the swap of the previous one; a sector larger than `active`, for
+    /// the swap.
     pub other: Range<u32>,
     /// The state of the boot loader, for [`StateFlash`].
     pub state: Range<u32>,

@@ -28,7 +28,7 @@ pub(crate) mod control {
     pub(crate) const CUT: usize = 0;
     /// Sectors that were erased.
     pub(crate) const ERASED: usize = 1;
-    /// Pages that were written, also in part.
+    /// Pages that were written at least in part.
     pub(crate) const WRITTEN: usize = 2;
     /// Writes that were refused, because they would set a bit.
     pub(crate) const REFUSED: usize = 3;

@@ -76,7 +76,7 @@ pub fn slots() -> Result<Slots<Flash>, SlotError<FlashError>> {
     Slots::new(Flash(()), SETTINGS)
 }
 
-/// Returns the whole flash, for the boot loader, and counts its start.
+/// Returns the whole flash to the boot loader, and counts its start.
 #[cfg(feature = "update")]
 #[must_use]
 pub fn start_of_loader() -> Flash {

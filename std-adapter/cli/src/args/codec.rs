@@ -68,8 +68,8 @@ pub(crate) struct CaptureArgs {
     #[arg(long, conflicts_with_all = ["json", "stats"])]
     pub(crate) csv: bool,
 
-    /// Prints for each function the number of calls and errors, and p50, p99 and maximum of the response time; for Slave Mode
-    /// also the times between two slvMove requests, and how many are longer than 12 ms
+    /// Prints for each function the number of calls and errors, and p50, p99 and maximum of the response time; for
+    /// Slave Mode also the times between two slvMove requests, and how many are longer than 12 ms
     #[arg(long)]
     pub(crate) stats: bool,
 }

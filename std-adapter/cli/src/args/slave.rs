@@ -231,7 +231,7 @@ fn percent(text: &str) -> Result<f64, String> {
     positive(text).ok().filter(|number| *number <= 100.0).ok_or_else(|| "write a percentage, above 0 up to 100".into())
 }
 
-/// Halts the robot, also when another client moves it
+/// Halts the robot, even when another client moves it
 ///
 /// Uses a separate connection and needs neither the arm nor the executable token. The whole command takes at most
 /// --timeout, or 3 s; if the controller has not answered by then, the exit code is 4. The halted motion fails with

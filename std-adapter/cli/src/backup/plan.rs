@@ -148,7 +148,7 @@ impl Plan {
     }
 }
 
-/// Refuses a controller of which something is unknown that the backup has: a file that could not be read would be
+/// Refuses a controller if it does not tell something that the backup records: a file that could not be read would be
 /// overwritten as a new one.
 fn check_known(backup: &Contents, controller: &Contents) -> Result<(), Failure> {
     let is_needed = |part: &Part| match part {

@@ -92,7 +92,7 @@ fn request(port: &mut Port, request: &str, json: bool) -> Result<(), Failure> {
     answer.accepted(request, SETTINGS_REMAIN)
 }
 
-/// Prints the settings of the board, as `@FILE` takes them, and where they are.
+/// Prints the settings of the board in the format of `@FILE`, and where they are stored.
 fn show(port: &mut Port, json: bool) -> Result<(), Failure> {
     let answer = port.ask("show", |setting| match json {
         true => output::print_json(&serde_json::json!({ "setting": setting }).to_string()),

@@ -1,4 +1,4 @@
-//! What a capture contains: connections, calls and remarks.
+//! The contents of a capture: connections, calls and remarks.
 
 use bcap_core::hresult::HResult;
 

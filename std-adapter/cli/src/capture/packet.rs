@@ -38,7 +38,7 @@ impl Tcp {
 /// Why a packet has no segment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Skipped {
-    /// The link type is not one of those that are known.
+    /// The link type is unknown.
     Link(i32),
     /// A fragment of an IP packet.
     Fragment,

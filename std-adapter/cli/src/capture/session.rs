@@ -12,7 +12,7 @@ use crate::frame::Role;
 use crate::json::LIMITS;
 use crate::value::Value;
 
-/// What a session found in bytes.
+/// The finding of a session in received bytes.
 #[derive(Debug)]
 pub(crate) enum Found {
     Call(Box<Call>),

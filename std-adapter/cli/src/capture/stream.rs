@@ -7,7 +7,7 @@ use super::packet::Tcp;
 /// The most bytes that wait for missing ones. Beyond that the missing bytes are given up.
 const MOST_WAITING: usize = 4 << 20;
 
-/// What a segment adds to a direction.
+/// The new bytes of a segment in its direction.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Piece {
     /// The next bytes.
@@ -63,7 +63,8 @@ impl Half {
         }
     }
 
-    /// Records that the receiver has all bytes before a sequence number: those that the capture lacks will not come.
+    /// Records that the receiver has all bytes before a sequence number: bytes that the capture lacks will not arrive
+    /// later.
     pub(crate) fn acknowledged(&mut self, sequence: u32, out: &mut Vec<Piece>) {
         let Some((next_sequence, next)) = self.next else { return };
         let distance = sequence.wrapping_sub(next_sequence).cast_signed();

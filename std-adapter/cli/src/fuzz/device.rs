@@ -1,4 +1,4 @@
-//! Runs steps against the device, and judges what it does.
+//! Runs steps against the device, and judges its reactions.
 
 use std::collections::HashSet;
 use std::io;
@@ -343,7 +343,7 @@ impl Run<'_> {
             }
             _ => wire.send(&bytes),
         }
-        // a device may take a strange serial number for that of an old call, and may not receive a long datagram
+        // a device may take a strange serial number for an old call's number, and may not receive a long datagram
         let is_usual = call.serial.is_none() && !call.is_retry && bytes.len() <= UDP_SEND_MAX;
         let mut next = Next::Continue;
         for frame in frames {
@@ -372,8 +372,8 @@ impl Run<'_> {
             || (self.device.gate.has_joint(wire.tail(), first) && self.device.gate.has_joint(&tail, whole))
     }
 
-    /// Sends a call again as a retransmission: with the next serial number, and that of the first attempt in the reserved field. The
-    /// device must not execute it, but send its reply again.
+    /// Sends a call again as a retransmission: with the next serial number, and the first attempt's number in the
+    /// reserved field. The device must not execute it, but send its reply again.
     fn retransmit(&mut self, wire: &mut Wire, request: &TestFrame) -> Result<Next, Failure> {
         let Some(first) = self.last.take().filter(|_| request.reserved == 0) else { return Ok(Next::Continue) };
         let copy = TestFrame { serial: self.session.next_serial(), reserved: request.serial, ..request.clone() };

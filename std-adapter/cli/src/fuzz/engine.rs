@@ -110,7 +110,7 @@ fn recover(device: &mut Device, limit: Duration) -> Result<bool, Failure> {
     }
 }
 
-/// What a session found.
+/// The finding of a session.
 struct Found {
     finding: Finding,
     session: u64,

@@ -1,4 +1,4 @@
-//! What a fuzzer finds.
+//! The findings of a fuzzer.
 
 use std::fmt;
 
@@ -41,7 +41,7 @@ impl Kind {
 #[derive(Clone, Debug)]
 pub(super) struct Finding {
     pub(super) kind: Kind,
-    /// What the device was asked: a function, `bytes` or `RAC`.
+    /// The subject of the request: a function, `bytes` or `RAC`.
     pub(super) subject: String,
     pub(super) detail: String,
 }

@@ -1,4 +1,4 @@
-//! What a fuzzer may send to a device.
+//! The requests that a fuzzer may send to a device.
 
 use bcap_core::bcap::{Command, FunctionId};
 use bcap_core::rac::{Request, Variable};
@@ -10,7 +10,7 @@ use bcap_testkit::value::Value;
 /// Numbers from here on are not functions of any firmware; those below may be functions that no public source describes.
 const NO_FUNCTION: i32 = 65_536;
 
-/// What may be sent.
+/// The permitted requests.
 #[derive(Debug)]
 pub(super) struct Gate {
     writable: Vec<AllowBuf>,

@@ -30,7 +30,7 @@ fn simplify(
     fails: &mut impl FnMut(&[Step]) -> Result<Option<bool>, Failure>,
 ) -> Result<bool, Failure> {
     'changed: loop {
-        // each form has one change, so an accepted form has forms of its own
+        // each form has one change, so an accepted form is simplified again
         for simpler in best.get(place).map(simpler).unwrap_or_default() {
             let mut steps = best.clone();
             steps.splice(place..=place, [simpler]);

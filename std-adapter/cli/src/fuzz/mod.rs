@@ -8,7 +8,7 @@
 //!  minimise  delta debugging
 //! ```
 //!
-//! The generators and the judge of replies are those of `bcap-testkit`.
+//! The generators and the judge of replies come from `bcap-testkit`.
 
 mod device;
 mod engine;

@@ -1,4 +1,4 @@
-//! What the fuzzer knows of a connection: its handles, and what their calls may return.
+//! The fuzzer's state of a connection: its handles, and the permitted results of their calls.
 
 use std::collections::HashMap;
 

@@ -19,7 +19,7 @@ const CLOSING: Duration = Duration::from_millis(200);
 /// The serial numbers of Service_Stop over UDP, relative to the last one.
 const STOPS: [u16; 4] = [1, 0x2000, 0x6000, 0xa000];
 
-/// What a device sends.
+/// A message of a device.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Protocol {
     Bcap,
@@ -32,11 +32,11 @@ pub(super) enum Protocol {
 #[derive(Debug)]
 enum Socket {
     Tcp(TcpStream),
-    /// A port of its own, so that the device takes it for another client.
+    /// A separate port, so that the device takes it for another client.
     Udp(UdpSocket),
 }
 
-/// What came.
+/// The result of a receive.
 #[derive(Debug)]
 pub(super) enum Received {
     /// A frame, or a line with its CR; bytes that are neither if no more came in time.
@@ -205,7 +205,7 @@ impl Wire {
         }
     }
 
-    /// Returns the length of the packet at the front; of bytes that cannot be one, that of all bytes.
+    /// Returns the length of the packet at the front; for bytes that cannot be a frame, the length of all bytes.
     fn packet_length(&self) -> Option<usize> {
         if self.protocol == Protocol::Rac {
             return self.received.iter().position(|byte| *byte == b'\r').map(|at| at + 1);

@@ -160,7 +160,7 @@ pub(super) struct Audit {
     robot: String,
     lines: SyncSender<String>,
     dropped: u64,
-    /// The times of all answers, also of those that are not written.
+    /// The times of all answers, even of answers that are not written.
     served: Times,
     failed: Times,
     throttle: Throttle,
@@ -250,8 +250,8 @@ impl Audit {
 
     /// Writes the counts of suppressed lines whose interval has ended.
     pub(super) fn report_suppressed(&mut self) {
-        let due = self.throttle.due(now());
-        self.write_suppressed(due);
+        let counts = self.throttle.take_expired(now());
+        self.write_suppressed(counts);
     }
 
     fn write_suppressed(&mut self, suppressed: Vec<Suppressed>) {

@@ -81,7 +81,7 @@ impl Throttle {
     }
 
     /// Returns the counts whose interval has ended.
-    pub(super) fn due(&mut self, now: Instant) -> Vec<Suppressed> {
+    pub(super) fn take_expired(&mut self, now: Instant) -> Vec<Suppressed> {
         match self.report_at {
             Some(at) if at <= now => self.take(),
             _ => Vec::new(),
@@ -117,9 +117,9 @@ mod tests {
         let (mut written, mut counted) = (0, 0);
         for millis in 0..60_000 {
             written += u64::from(throttle.admits(ip(1), at(millis)));
-            let due = throttle.due(at(millis));
-            assert!(due.len() <= 1);
-            counted += due.iter().map(|suppressed| suppressed.lines).sum::<u64>();
+            let counts = throttle.take_expired(at(millis));
+            assert!(counts.len() <= 1);
+            counted += counts.iter().map(|suppressed| suppressed.lines).sum::<u64>();
         }
         counted += throttle.take().iter().map(|suppressed| suppressed.lines).sum::<u64>();
         assert_eq!((written, counted), (100 + 599, 60_000 - 699));
@@ -133,9 +133,9 @@ mod tests {
             throttle.admits(ip(1), at(0));
         }
         assert!(throttle.admits(ip(2), at(0)));
-        assert_eq!(throttle.due(at(9_999)), []);
-        assert_eq!(throttle.due(at(10_000)), [Suppressed { client: Some(ip(1)), lines: 990 }]);
-        assert_eq!(throttle.due(at(20_000)), []);
+        assert_eq!(throttle.take_expired(at(9_999)), []);
+        assert_eq!(throttle.take_expired(at(10_000)), [Suppressed { client: Some(ip(1)), lines: 990 }]);
+        assert_eq!(throttle.take_expired(at(20_000)), []);
     }
 
     #[test]

@@ -143,7 +143,7 @@ impl Reader {
         }
     }
 
-    /// Prepares the halt, and finds out what there is to read.
+    /// Prepares the halt, and determines what to read.
     fn plan(&mut self) -> Result<Plan, Failure> {
         self.session.restart_budget();
         if !self.session.link().is_serial()

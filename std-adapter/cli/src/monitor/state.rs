@@ -1,4 +1,4 @@
-//! What `bcap monitor` knows, and what its keys do. The state reads neither the clock nor the terminal.
+//! The state of `bcap monitor`, and the effects of its keys. The state reads neither the clock nor the terminal.
 
 use std::collections::VecDeque;
 use std::time::Duration;

@@ -1,4 +1,4 @@
-//! What all tasks of a proxy share.
+//! The state that all tasks of a proxy share.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -10,7 +10,7 @@ use crate::record::{Recorder, Recording};
 /// The most clients over UDP, and the most connections of each TCP port: each needs a socket to the robot and memory.
 pub(super) const CLIENTS: usize = 256;
 
-/// What all tasks share.
+/// The state that all tasks share.
 #[derive(Clone)]
 pub(super) struct Shared {
     pub(super) recorder: Recorder,

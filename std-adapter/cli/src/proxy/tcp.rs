@@ -37,7 +37,7 @@ pub(super) async fn listen(listener: TcpListener, robot: Arc<[SocketAddr]>, is_r
         match accepted {
             Ok((stream, client)) if connections.len() >= CLIENTS => {
                 drop(stream);
-                // one note until a place is free, also if a client connects again and again
+                // one note until a slot is free, even if a client connects again and again
                 if !std::mem::replace(&mut is_full, true) {
                     let ends = Ends { is_tcp: true, client, server: robot.first().copied().unwrap_or(client) };
                     shared.recorder.note(ends, format!("closed connections: {CLIENTS} connections are open"));

@@ -56,7 +56,7 @@ pub(super) async fn serve(socket: UdpSocket, robot: SocketAddr, shared: Shared) 
         let client = match known {
             Some(client) => client,
             None if count_of_clients >= CLIENTS => {
-                // one note until a place is free: a flood of datagrams must not become a flood of notes
+                // one note until a slot is free: a flood of datagrams must not become a flood of notes
                 if !std::mem::replace(&mut is_full, true) {
                     let text = format!("dropped datagrams of more than {CLIENTS} clients over UDP");
                     shared.recorder.note(ends, text);

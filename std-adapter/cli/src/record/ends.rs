@@ -10,7 +10,7 @@ pub(crate) struct Ends {
     pub(crate) server: SocketAddr,
 }
 
-/// What the thread hands to the command.
+/// A message of the thread to the command.
 #[derive(Debug)]
 pub(crate) enum Recorded<'a> {
     /// A packet that begins with its IP header, at nanoseconds since 1970.

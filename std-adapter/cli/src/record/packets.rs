@@ -25,7 +25,7 @@ pub(super) struct Flow {
 }
 
 impl Flow {
-    /// The flow with a number, which makes its sequence numbers differ from those of an earlier one with the same ports.
+    /// Creates a flow. `number` makes its sequence numbers differ from an earlier flow with the same ports.
     pub(super) fn new(ends: Ends, number: u32) -> Self {
         // far apart for consecutive numbers
         let first = number.wrapping_mul(0x9e37_79b1);

@@ -1,6 +1,7 @@
 //! The blocks of a pcapng file: a section, one interface, and a block for each packet.
 //!
-//! The format is that of draft-ietf-opsawg-pcapng. Three kinds of blocks need less code than a crate that writes all kinds.
+//! The format is defined in draft-ietf-opsawg-pcapng. Three kinds of blocks need less code than a crate that writes all
+//! kinds.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};

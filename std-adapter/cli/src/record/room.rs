@@ -22,7 +22,7 @@ impl Room {
         Self { limit, state: Mutex::default(), changed: Condvar::new() }
     }
 
-    /// Waits until there is room for so many bytes, and takes it. An entry above the limit waits until it is alone. Nothing
+    /// Waits until there is room for `bytes`, and takes it. An entry above the limit waits until it is alone. Nothing
     /// waits after the end of the thread that writes.
     pub(super) fn take(&self, bytes: usize) {
         let is_full =
@@ -39,7 +39,7 @@ impl Room {
         self.changed.notify_all();
     }
 
-    /// Lets all entries pass when the guard is dropped: at the end of the thread that writes, also by a panic.
+    /// Lets all entries pass when the guard is dropped: at the end of the thread that writes, even by a panic.
     pub(super) const fn close_at_end(&self) -> Closing<'_> {
         Closing(self)
     }

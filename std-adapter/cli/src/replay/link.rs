@@ -21,7 +21,7 @@ use crate::value::Value;
 /// The attempts of a call over UDP, which share the time limit.
 const UDP_ATTEMPTS: u8 = 5;
 
-/// What came instead of the recorded reply.
+/// The event that replaced the recorded reply.
 #[derive(Debug)]
 pub(super) enum Came {
     Reply(HResult, Option<Value>),

@@ -1,4 +1,4 @@
-//! What a capture contains for a replay.
+//! The contents of a capture for a replay.
 
 use std::collections::{BTreeMap, HashMap};
 use std::time::Duration;
@@ -100,8 +100,8 @@ impl Plan {
     }
 }
 
-/// Returns the connections that have calls. Their calls are in the order of the requests, and no call is earlier than its
-/// predecessor, also if the clock of the capture ran backward.
+/// Returns the connections that have calls. Their calls are in the order of the requests, and no call is earlier than
+/// its predecessor, even if the clock of the capture ran backward.
 fn links(events: Vec<Event>) -> Result<Vec<PlannedLink>, Failure> {
     let (mut links, mut calls) = (Vec::new(), HashMap::<_, Vec<Call>>::new());
     for event in events {

@@ -112,7 +112,7 @@ impl NextOutputs {
         }
     }
 
-    /// Changes those that a file sets.
+    /// Changes the outputs that the file sets.
     fn change(&mut self, file: FileOutputs) {
         if let Some(mini) = file.mini {
             self.mini = low(mini);

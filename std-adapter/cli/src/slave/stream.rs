@@ -34,7 +34,7 @@ const LOSSY_ATTEMPTS: u8 = 5;
 /// The size of the buffer for slvMove, in bytes: a datagram.
 const MOVE_ROOM: usize = 512;
 
-/// How long giving the arm back, the motor and the objects may take after the stream, also if the controller is silent.
+/// The time limit for releasing the arm, the motor and the objects after the stream, even if the controller is silent.
 const END: Duration = Duration::from_secs(5);
 
 /// Streams a course and reports the result.

@@ -1,5 +1,5 @@
-//! A small device with one planted bug, for the fuzzer. It crashes as a process does: every connection ends, and its ports are
-//! closed until it has restarted.
+//! A small device with one planted bug, for the fuzzer. It crashes like a process: every connection ends, and its ports
+//! are closed until it has restarted.
 #![allow(dead_code, reason = "every test file uses its own part of this")]
 
 use std::collections::HashMap;

@@ -102,7 +102,7 @@ impl rac::server::Handler for Recording {
     }
 }
 
-/// A running tcpdump, which ends with the test, also if the test fails.
+/// A running tcpdump, which ends with the test, even if the test fails.
 struct Dump(Child);
 
 impl Drop for Dump {

@@ -361,7 +361,7 @@ fn move_outside(bench: &mut Bench<'_>) -> Result<(), Stop> {
 fn enter_without_arm(bench: &mut Bench<'_>) -> Result<(), Stop> {
     let entered = bench.robot_command("slvChangeMode", "3,514");
     if !matches!(&entered, Ok(reply) if reply.code.is_err()) {
-        // immediately, also if the reply is wrong
+        // immediately, even if the reply is wrong
         let args = [H(R), S("slvChangeMode"), V("3,0")].map(|arg| bench.argument(&arg));
         let args = args.into_iter().collect::<Result<Vec<_>, _>>()?;
         bench.attempt(F::ROBOT_EXECUTE, args, bench.options.timeout);

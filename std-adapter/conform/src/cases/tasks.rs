@@ -121,7 +121,7 @@ fn start_and_stop(bench: &mut Bench<'_>) -> Result<(), Stop> {
         return crate::bench::skip(format!("Task_Start: {}", started.code));
     }
     let running = bench.call(F::VARIABLE_GET_VALUE, &[H(A)])?;
-    // immediately, also if the reply above is wrong
+    // immediately, even if the reply above is wrong
     let stopped = bench.call(F::TASK_STOP, &[H(T), I(1), S("")])?;
     // a short program may have ended already, because mode 2 runs one cycle (b-CAP specification, section 4.2.2)
     let is_running = running.value() == Some(&RUNNING);

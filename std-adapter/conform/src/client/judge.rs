@@ -252,7 +252,7 @@ impl Play {
         let serial = field::serial(reply).unwrap_or(0);
         let stale = coded(serial.wrapping_sub(1), HResult::E_FAIL);
         let case = provocation.case();
-        // the next request decides, also when the client ends the connection at once
+        // the next request decides, even when the client ends the connection at once
         self.pending = Some(case);
         match provocation {
             Provocation::Executing => {

@@ -37,11 +37,11 @@ const STEP: usize = 7919;
 /// Changes one controller after another, spread over the interval.
 fn change(controllers: &[Arc<Mutex<Controller>>], values: u32, hz: u32) {
     let pause = Duration::from_secs(1) / hz / u32::try_from(controllers.len()).unwrap_or(1);
-    let mut due = Instant::now();
+    let mut deadline = Instant::now();
     let order = (0..controllers.len()).map(|number| number * STEP % controllers.len());
     for controller in order.cycle().filter_map(|number| controllers.get(number)) {
-        due += pause;
-        thread::sleep(due.saturating_duration_since(Instant::now()));
+        deadline += pause;
+        thread::sleep(deadline.saturating_duration_since(Instant::now()));
         let mut controller = controller.lock().unwrap_or_else(PoisonError::into_inner);
         for index in 1..=values {
             // the kind and the index exist

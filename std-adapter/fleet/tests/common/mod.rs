@@ -287,7 +287,7 @@ impl Subscriber {
     }
 }
 
-/// A TCP proxy that can stop to forward, as a network does. Connections stay open.
+/// A TCP proxy that can stop forwarding, like a broken network. Connections stay open.
 pub(crate) struct Proxy {
     pub(crate) port: u16,
     /// Whether bytes flow from the clients, and to them.

@@ -49,7 +49,7 @@ pub(super) fn servo_data(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'
     .into())
 }
 
-/// Executes PayLoad: `[mass, centre, inertia]`, of which the last ones may be absent.
+/// Executes PayLoad: `[mass, centre, inertia]`; the last ones may be absent.
 pub(super) fn payload(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
     let param = param.flatten();
     let (mass, centre, inertia) = match param {

@@ -90,7 +90,7 @@ pub(super) fn check_fence(_: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_
     Ok(Value::I4(0).into())
 }
 
-/// Which definitions a command is about.
+/// The definitions that a command concerns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Definition {
     Tool,

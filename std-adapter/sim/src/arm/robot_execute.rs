@@ -222,7 +222,7 @@ fn arm_state(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answe
     Ok(Value::I4(group.unwrap_or(-1)).into())
 }
 
-/// Reads `[group, mode]`, of which both or the mode may be absent.
+/// Reads `[group, mode]`. Both, or only the mode, may be absent.
 fn group_and_mode(param: &Variant<'_>, most: i32) -> Result<i32, HResult> {
     let (group, mode) = match numbers(param)?.as_slice() {
         [] => (-1, 0),

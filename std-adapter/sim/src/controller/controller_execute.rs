@@ -151,8 +151,8 @@ pub(super) fn names(functions: Functions) -> impl Iterator<Item = &'static str> 
     COMMANDS.iter().filter(move |command| command.exists(functions)).map(|command| command.name)
 }
 
-/// The bits of SysState, by their numbers. Other bits are never set: 16 (program start reset) and 24 (command processing
-/// complete), because no source says when, and those that are reserved.
+/// The bits of SysState, by their numbers. Other bits are never set: 16 (program start reset) and 24 (command
+/// processing complete), because no source says when, and the reserved bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Bit {
     /// A task is running.

@@ -146,7 +146,7 @@ impl Controller {
                 self.sessions.insert(peer);
                 return Ok(Answer::Done);
             }
-            // also without a session: a server releases one as an object, before it passes the client's own call on
+            // even without a session: a server releases one as an object, before it passes the client's own call on
             FunctionId::SERVICE_STOP => {
                 self.forget(peer);
                 return Ok(Answer::Done);

@@ -36,10 +36,10 @@ enum Next {
 impl Controller {
     /// Executes the steps that continue by `now`.
     pub(super) fn run_programs(&mut self, now: Instant) {
-        while let Some((at, place)) = self.tasks.due().filter(|(at, _)| *at <= now) {
+        while let Some((at, place)) = self.tasks.deadline().filter(|(at, _)| *at <= now) {
             self.pass(self.common.now.max(at));
             // an error may have stopped the task meanwhile
-            if self.tasks.due() == Some((at, place)) {
+            if self.tasks.deadline() == Some((at, place)) {
                 self.take_turn(place, now);
                 self.free_arm_of_tasks();
             }

@@ -97,7 +97,7 @@ impl Frame {
         Self { position: rotation.map(|row| -dot(row, self.position)), rotation }
     }
 
-    /// Returns a direction of the coordinates of this frame in those in which the frame is given.
+    /// Returns a direction, given in the coordinates of this frame, in the coordinates of its parent.
     pub(crate) fn direction(&self, vector: [f64; 3]) -> [f64; 3] {
         self.rotation.map(|row| dot(row, vector))
     }

@@ -53,7 +53,7 @@ struct Search<'a> {
     arm: &'a Vertical,
     frame: &'a Frame,
     posture: u8,
-    /// The joints that those keep which the frame does not define, in degrees.
+    /// The values in degrees of joints that the frame does not define.
     near: &'a Joints,
 }
 

@@ -72,7 +72,7 @@ impl Running {
     }
 
     /// Takes the earliest fault whose time has come.
-    pub(crate) fn due(&mut self, now: Instant) -> Option<(Instant, Effect)> {
+    pub(crate) fn next_effect(&mut self, now: Instant) -> Option<(Instant, Effect)> {
         let waiting = self.faults.iter_mut().filter(|armed| !armed.over);
         let timed = waiting.filter_map(|armed| match armed.fault.when {
             Trigger::At(at) if at <= now => Some((at, armed)),
@@ -85,12 +85,12 @@ impl Running {
 
     /// Takes the faults of a cycle.
     pub(crate) fn at_cycle(&mut self, cycle: u64) -> Vec<Effect> {
-        let due = |armed: &&mut Armed| !armed.over && armed.fault.when == Trigger::Cycle(cycle);
+        let is_met = |armed: &&mut Armed| !armed.over && armed.fault.when == Trigger::Cycle(cycle);
         let take = |armed: &mut Armed| {
             armed.over = true;
             armed.fault.then.clone()
         };
-        self.faults.iter_mut().filter(due).map(take).collect()
+        self.faults.iter_mut().filter(is_met).map(take).collect()
     }
 
     /// Returns the number of cycles after this one that have no fault.

@@ -236,7 +236,7 @@ fn bytes(value: &Variant<'_>) -> Result<Vec<u8>, HResult> {
     numbers_of_array(value)?.into_iter().map(byte).collect()
 }
 
-/// Reads the 32 IO of a part; those that are not of it are 0.
+/// Reads the 32 IO of a part; IO outside the part are 0.
 fn read_bits(io: &Variables, part: &SlaveIoPart) -> i32 {
     let is_on = |n: usize| (part.read.contains(&n) || part.write.contains(&n)) && io.io(n);
     (0..32).filter(|bit| is_on(part.first + bit)).fold(0_i32, |bits, bit| bits | 1 << bit)

@@ -16,7 +16,7 @@ pub(super) struct Steps {
     /// The present step has begun.
     entered: bool,
     /// When the present step continues, while the task runs.
-    due: Instant,
+    deadline: Instant,
     /// When the present step was first checked, while it is polled.
     polled: Option<Instant>,
     /// The rest of the present step, while the task is stopped.
@@ -48,7 +48,7 @@ impl Steps {
             program,
             at: 0,
             entered: false,
-            due: Instant::ZERO,
+            deadline: Instant::ZERO,
             polled: None,
             left: Duration::ZERO,
             began: Instant::ZERO,
@@ -62,8 +62,8 @@ impl Steps {
     }
 
     /// Returns when the present step continues, while the task runs.
-    pub(super) fn due(&self) -> Instant {
-        self.due
+    pub(super) fn deadline(&self) -> Instant {
+        self.deadline
     }
 
     pub(super) fn reset(&mut self) {
@@ -75,12 +75,12 @@ impl Steps {
         if self.at == 0 && !self.entered {
             self.began = now;
         }
-        self.due = now.saturating_add(self.left);
+        self.deadline = now.saturating_add(self.left);
     }
 
     /// Stops within the step. A motion begins again when the task continues.
     pub(super) fn suspend(&mut self, now: Instant) {
-        (self.left, self.polled) = (self.due.saturating_since(now), None);
+        (self.left, self.polled) = (self.deadline.saturating_since(now), None);
         if let Some(Step::Move { .. }) = self.program.steps.get(self.at) {
             (self.entered, self.left) = (false, Duration::ZERO);
         }
@@ -93,24 +93,24 @@ impl Steps {
     /// Records that the present step has begun, and takes this time, or is checked then.
     pub(super) fn begun(&mut self, now: Instant, time: Duration) {
         self.entered = true;
-        self.due = now.saturating_add(time.max(self.program.line));
+        self.deadline = now.saturating_add(time.max(self.program.line));
     }
 
     /// Checks the present step again at this time, but not before the next line time.
     pub(super) fn wait(&mut self, now: Instant, until: Instant) {
-        (self.due, self.polled) = (until.max(now.saturating_add(self.program.line)), None);
+        (self.deadline, self.polled) = (until.max(now.saturating_add(self.program.line)), None);
     }
 
     /// Checks the present step again at the first time after `quiet` that is whole line times away from the first check.
     pub(super) fn poll(&mut self, now: Instant, quiet: Instant) {
         let first = *self.polled.get_or_insert(now);
-        self.due = self.next_check(first, quiet.max(now));
+        self.deadline = self.next_check(first, quiet.max(now));
     }
 
     /// Checks a polled step again, at the next whole line time.
     pub(super) fn wake(&mut self, now: Instant) {
         if let Some(first) = self.polled {
-            self.due = self.due.min(self.next_check(first, now));
+            self.deadline = self.deadline.min(self.next_check(first, now));
         }
     }
 
@@ -128,7 +128,7 @@ impl Steps {
 
     /// Ends the present step. Returns whether it was the last one of the cycle.
     pub(super) fn end_step(&mut self, now: Instant) -> bool {
-        (self.at, self.entered, self.due) = (self.at + 1, false, now);
+        (self.at, self.entered, self.deadline) = (self.at + 1, false, now);
         (self.left, self.polled) = (Duration::ZERO, None);
         if self.at < self.program.steps.len() {
             return false;

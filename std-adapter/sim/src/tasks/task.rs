@@ -291,8 +291,8 @@ impl Task {
     }
 
     /// Returns when the present step of its program continues; `None` unless it runs one.
-    pub(super) fn due(&self) -> Option<Instant> {
-        self.steps().filter(|_| self.is_running()).map(Steps::due)
+    pub(super) fn deadline(&self) -> Option<Instant> {
+        self.steps().filter(|_| self.is_running()).map(Steps::deadline)
     }
 
     fn steps(&self) -> Option<&Steps> {
@@ -338,7 +338,7 @@ impl Task {
 
     /// Returns when the present step continues, if the task runs a program and its step is not polled.
     pub(super) fn acts(&self) -> Option<Instant> {
-        self.steps().filter(|steps| self.is_running() && !steps.is_polled()).map(Steps::due)
+        self.steps().filter(|steps| self.is_running() && !steps.is_polled()).map(Steps::deadline)
     }
 
     /// Ends the present step of its program, and with it perhaps the cycle.

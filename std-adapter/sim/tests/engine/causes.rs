@@ -92,7 +92,7 @@ fn holding_in_mode_1_out_of_fast_motion_is_too_hard_a_stop() {
     assert_eq!(fault.cause, Cause::Refused(HResult::E_SLVMODE_OFF));
 }
 
-/// The step of one axis in one cycle that trips its limit of speed, or only that of acceleration.
+/// The step of one axis in one cycle that trips its limit of speed, or only its limit of acceleration.
 fn jump(axis: usize, of_speed: bool) -> f64 {
     let top = SPEEDS.get(axis - 1).copied().unwrap_or(EXTENDED_SPEED);
     top * if of_speed { 0.02 } else { 0.005 }

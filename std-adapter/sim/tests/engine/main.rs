@@ -118,7 +118,7 @@ fn from_start(rig: &Rig, number: usize, by: f64) -> Pose {
     }
 }
 
-/// Goes up by so much in so many cycles, at rest at both ends.
+/// Goes up by `height` in `cycles` cycles, at rest at both ends.
 fn smooth(at: u16, count: u16) -> f64 {
     let x = f64::from(at) / f64::from(count);
     x * x * (3.0 - 2.0 * x)

@@ -66,7 +66,7 @@ impl Rig {
         self.execute("slvMove", pose)
     }
 
-    /// Sends joints in mode 0 or 1, of which only J1 differs from the start; returns the code.
+    /// Sends joints in mode 0 or 1. Only J1 differs from the start; returns the code.
     fn j1(&mut self, angle: f64) -> HResult {
         self.slv_move(j1(angle)).0
     }

@@ -64,7 +64,7 @@ fn run(mode: slave::SlaveMode, bits: u8, input: &[u8]) -> Option<u32> {
                     }
                 }
             }
-            Action::Pose { due } => {
+            Action::Pose { deadline } => {
                 let pose = engine.last_pose().as_slice().first_chunk::<8>().map_or([number; 8], |pose| *pose);
                 let mut pose = slave::Pose::from_numbers(mode.pose, pose.get(..mode.pose.len()).unwrap_or(&pose))?;
                 if on(64) {
@@ -75,7 +75,7 @@ fn run(mode: slave::SlaveMode, bits: u8, input: &[u8]) -> Option<u32> {
                 if engine.push(&pose).is_err() || turn % 100 == 99 {
                     engine.stop();
                 }
-                now = now.max(due).saturating_add(config.cycle);
+                now = now.max(deadline).saturating_add(config.cycle);
             }
             Action::Wait(until) => now = until,
             Action::Finished => break,

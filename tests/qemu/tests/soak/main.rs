@@ -49,7 +49,7 @@ impl Shared {
     }
 }
 
-/// Tells the threads to end, also when this thread panics.
+/// Tells the threads to end, even when this thread panics.
 struct Stop<'a>(&'a Shared);
 
 impl Drop for Stop<'_> {

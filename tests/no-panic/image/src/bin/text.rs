@@ -41,7 +41,7 @@ fn main() -> i32 {
             break;
         }
     }
-    // of the few lines that there are not every one can have been served by the robot
+    // not every one of these few lines can have been served by the robot
     i32::from(gateway::serve(input).wrapping_add(loops::text(input)) > 1_000_000)
 }
 
