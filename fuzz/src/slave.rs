@@ -143,7 +143,7 @@ impl Run {
             Op::Fail(index) => {
                 self.fail([Failure::Timeout, Failure::NotSent, Failure::Lost][usize::from(index % 3)]);
             }
-            Op::Push(steps) => self.push_beside(steps),
+            Op::Push(steps) => self.push_near_last(steps),
             Op::PushAny(kind, numbers) => {
                 let kind = [PoseType::P, PoseType::J, PoseType::T][usize::from(kind % 3)];
                 if let Some(pose) = Pose::from_numbers(kind, &numbers) {
@@ -319,7 +319,7 @@ impl Run {
         }
     }
 
-    fn push_beside(&mut self, steps: [i8; 10]) {
+    fn push_near_last(&mut self, steps: [i8; 10]) {
         let last = *self.engine.last_pose();
         let speed = self.engine.config().limits.speed[0].min(1000.0);
         let part = speed * CYCLE.as_secs_f64() / 100.0;

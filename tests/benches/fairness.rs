@@ -45,7 +45,7 @@ fn main() -> ExitCode {
 }
 
 fn run() -> Result<(), Failure> {
-    println!("{:<34} {:>9} {:>9} {:>9} {:>9} {:>8}", "small call beside", "median", "p99", "max", "large/s", "calls");
+    println!("{:<34} {:>9} {:>9} {:>9} {:>9} {:>8}", "small call with", "median", "p99", "max", "large/s", "calls");
     let bytes = vec![7_u8; LARGE];
     let strings = vec!["x"; STRINGS];
     let nested: Vec<Variant<'_>> = vec![Variant::Empty; LARGE / 6];

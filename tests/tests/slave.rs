@@ -102,7 +102,7 @@ impl<X: blocking::Transport<Error = io::Error>> Rig<X> {
 
     fn run(&mut self, trajectory: &mut impl Trajectory) -> Result<(), StreamError> {
         let stream = self.engine.stream(trajectory);
-        self.motion.run_beside(&mut self.watch, stream).map_err(|error| error.error)
+        self.motion.run_watched(&mut self.watch, stream).map_err(|error| error.error)
     }
 
     fn fault(&self) -> &Fault {
@@ -157,7 +157,7 @@ async fn every_mode_streams_over_both_links_under_tokio() {
         let watching = watch.run(open_robot(Provider::RC8, None)).await.unwrap();
         let mut engine = Engine::<MOVE_FRAME>::new(set_up(mode, handles, Some(watching))).unwrap();
         let mut wave = Wave { cycles: 25, ..Wave::default() };
-        motion.run_beside(&mut watch, engine.stream(&mut wave)).await.unwrap();
+        motion.run_watched(&mut watch, engine.stream(&mut wave)).await.unwrap();
         assert_wave(&sim, &wave, engine.stats(), format_args!("{mode:?} over UDP"));
     }
 }
@@ -242,7 +242,7 @@ fn after_an_emergency_stop_there_is_no_recovery_and_the_arm_can_be_given_back() 
     assert_eq!((fault.code(), fault.emergency_stop), (Some(EMERGENCY_STOP), Some(true)));
     assert_eq!(rig.engine.recover(), Err(RecoverError::EmergencyStop));
     let giving_up = rig.engine.give_up();
-    rig.motion.run_beside(&mut rig.watch, giving_up).unwrap();
+    rig.motion.run_watched(&mut rig.watch, giving_up).unwrap();
     assert_eq!(sim.application().0.arm_owner(), None);
 }
 

@@ -105,7 +105,7 @@ proptest! {
     }
 
     #[test]
-    fn numbers_beside_the_middle_of_two_doubles_are_rounded_right(
+    fn numbers_near_the_middle_of_two_doubles_are_rounded_right(
         mantissa in 1_u64 << 53..1 << 54, exponent in -31_i32..=70, keep in 17_usize..60,
         tail in prop::sample::select(&["", "0", "1", "49", "500"][..]), zeros in 0_usize..400
     ) {

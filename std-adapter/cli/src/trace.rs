@@ -188,7 +188,7 @@ const fn decoder(wire: Wire) -> Decoder {
 pub(crate) fn shown(role: Role, wire: Wire, bytes: &[u8], level: Level) -> String {
     if wire == Wire::Lines {
         let text = String::from_utf8_lossy(bytes).trim_end().to_owned();
-        return if level == Level::Bytes { beside_bytes(&text, bytes) } else { text };
+        return if level == Level::Bytes { next_to_bytes(&text, bytes) } else { text };
     }
     let lenient = decoder(wire).decode_datagram(bytes);
     let strict = Decoder { strictness: Strictness::Strict, ..decoder(wire) }.decode_datagram(bytes);
@@ -206,7 +206,7 @@ pub(crate) fn shown(role: Role, wire: Wire, bytes: &[u8], level: Level) -> Strin
 }
 
 /// Formats a line of RAC after its bytes, 16 in a row.
-fn beside_bytes(text: &str, bytes: &[u8]) -> String {
+fn next_to_bytes(text: &str, bytes: &[u8]) -> String {
     let mut rows = bytes.chunks(16).map(hex::spaced);
     let first = format!("{:48} {text}", rows.next().unwrap_or_default());
     std::iter::once(first).chain(rows).collect::<Vec<_>>().join("\n")

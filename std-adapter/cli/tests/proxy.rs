@@ -50,7 +50,7 @@ fn the_file_of_a_proxy_has_the_calls_that_the_server_saw() {
 #[test]
 fn tcpdump_captures_the_same_calls_as_the_proxy() {
     let folder = tempfile::tempdir().unwrap();
-    let Some(files) = recorded::proxied_under_tcpdump("the proxy beside tcpdump", folder.path()) else { return };
+    let Some(files) = recorded::proxied_under_tcpdump("the proxy with tcpdump", folder.path()) else { return };
     let [mut proxied, mut dumped] = files.each_ref().map(|file| json_calls(file));
     proxied.sort();
     dumped.sort();

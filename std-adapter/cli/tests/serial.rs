@@ -75,7 +75,7 @@ fn a_device_that_does_not_exist_is_named_with_a_hint() {
 }
 
 #[test]
-fn the_virtual_controller_serves_a_serial_line_beside_its_sockets() {
+fn the_virtual_controller_serves_a_serial_line_and_its_sockets() {
     let Some(cable) = Cable::new(Quality::default()) else { return };
     let files = tempfile::tempdir().unwrap();
     let free = ["--bcap", "127.0.0.1:0", "--udp", "127.0.0.1:0", "--rac", "127.0.0.1:0"];

@@ -40,7 +40,7 @@ impl<'a> Bench<'a> {
     fn disarm(&mut self) -> Result<(), Stop> {
         self.armed = false;
         // the session of the case may wait for the reply of a motion
-        let halted = self.beside().setup_and(Setup::Robot, |other| {
+        let halted = self.another_connection().setup_and(Setup::Robot, |other| {
             let handle = other.argument(&Arg::H(Slot::Robot))?;
             Ok(other.attempt(FunctionId::ROBOT_HALT, vec![handle, Value::text("")], other.options.timeout))
         });
@@ -94,7 +94,7 @@ impl<'a> Bench<'a> {
     /// Stops the task over a separate session.
     fn stop_task(&mut self) -> Result<(), Stop> {
         self.task_started = false;
-        let stopped = self.beside().setup_and(Setup::Task, |other| {
+        let stopped = self.another_connection().setup_and(Setup::Task, |other| {
             let args = [Arg::H(Slot::Task), Arg::I(1), Arg::S("")];
             let args = args.iter().map(|arg| other.argument(arg)).collect::<Result<Vec<_>, _>>()?;
             Ok(other.attempt(FunctionId::TASK_STOP, args, other.options.timeout))
@@ -107,7 +107,7 @@ impl<'a> Bench<'a> {
     }
 
     /// Returns another connection to the device.
-    fn beside(&self) -> Self {
+    fn another_connection(&self) -> Self {
         Self::new(self.options, self.link)
     }
 

@@ -3,7 +3,7 @@
 //! [`Arm::stream`](crate::blocking::Arm::stream) streams the poses of a trajectory. Below it, a stream is a
 //! [`Procedure`](bcap_core::procedure::Procedure) that [`Engine::stream`](bcap_core::slave::Engine::stream) makes, with all
 //! formats, IO, a required start, and a second connection for the controller's errors;
-//! [`Connection::run_beside`](crate::blocking::Connection::run_beside) runs it. `Realtime` (feature `realtime`) requests the
+//! [`Connection::run_watched`](crate::blocking::Connection::run_watched) runs it. `Realtime` (feature `realtime`) requests the
 //! scheduling and memory settings that a stream needs on a busy machine.
 //!
 //! Timers of tokio have a resolution of one millisecond and never fire early, so in modes 0 and 1 poses are sent one to two

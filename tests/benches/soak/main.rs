@@ -211,7 +211,8 @@ fn judge(wishes: Wishes, rows: &[Row], begin: &State, end: &State, verdict: &mut
         together.add(row.together);
     }
     let kept = 100.0 * together.calls() / alone.calls();
-    let what = format!("beside the others the well-behaved keep {kept:.0} % of their throughput, {KEPT} % wanted");
+    let what =
+        format!("with the others the well-behaved clients keep {kept:.0} % of their throughput, {KEPT} % wanted");
     if wishes.time >= ENOUGH {
         verdict.check(kept >= KEPT, &what);
     } else {

@@ -31,7 +31,7 @@ fn main() {
     let echo_address = format!("127.0.0.1:{echo_port}");
     println!("{:<28} {:>10} {:>10} {:>10} {:>10}", "", "requests/s", "p50 us", "p99 us", "max us");
     for plcs in [1, 4] {
-        let mut gateway: Vec<Plc> = (0..plcs).map(|_| Plc::seated(&board.rac)).collect();
+        let mut gateway: Vec<Plc> = (0..plcs).map(|_| Plc::connect_when_free(&board.rac)).collect();
         let mut echo: Vec<Plc> = (0..plcs).map(|_| Plc::connect(&echo_address)).collect();
         let (mut through, mut back) = (Vec::new(), Vec::new());
         for _ in 0..ROUNDS {

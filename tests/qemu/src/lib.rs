@@ -240,7 +240,7 @@ impl Plc {
     }
 
     /// Connects until the board accepts the connection: the slot of an earlier one may not be free at once.
-    pub fn seated(address: &str) -> Self {
+    pub fn connect_when_free(address: &str) -> Self {
         let since = Instant::now();
         loop {
             let mut plc = Self::connect(address);

@@ -33,7 +33,7 @@ fn a_board_tells_after_its_restart_why_it_was_reset() {
 }
 
 #[test]
-fn a_board_without_a_dhcp_server_asks_again_beside_its_own_address() {
+fn a_board_without_a_dhcp_server_asks_again_while_it_uses_its_own_address() {
     let Some(_) = bcap() else { return };
     // an Ethernet link to a port where nothing listens
     let port = free_port();
@@ -50,7 +50,7 @@ fn a_silent_ethernet_controller_is_initialised_again() {
     let Some(bcap) = bcap() else { return };
     let sim = Sim::start(&bcap, "127.0.0.1:0");
     let mut board = Board::start(&sim.bcap, &["--faults"], &[PROVIDER]).up();
-    let mut plc = Plc::seated(&board.rac);
+    let mut plc = Plc::connect_when_free(&board.rac);
     board.key(b'e');
     // the connection outlives that, because no reset happened
     for _ in 0..2 {

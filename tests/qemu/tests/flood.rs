@@ -42,7 +42,7 @@ fn a_flood_of_refused_requests_resets_nothing() {
     let mut board =
         Board::start(&sim.bcap, &["--baud", BAUD, "--time", &limit], &["provider=CaoProv.DENSO.VRC", "put=I/10-19"])
             .up();
-    let mut plc = Plc::seated(&board.rac);
+    let mut plc = Plc::connect_when_free(&board.rac);
     let (mut quiet, mut attacked, mut refused) = (Times::default(), Times::default(), 0);
     for _ in 0..rounds {
         quiet.add(work(&mut plc, &mut board, attack_of / 3));
@@ -51,7 +51,7 @@ fn a_flood_of_refused_requests_resets_nothing() {
         refused += attack.end();
     }
     assert!(refused > seconds * 100, "{refused} refused PUTs are no flood");
-    show(&format!("flood: {refused} refused PUTs in {seconds} s; a PLC without them {quiet}; beside them {attacked}"));
+    show(&format!("flood: {refused} refused PUTs in {seconds} s; a PLC without them {quiet}; with them {attacked}"));
     if board.log_is_text {
         show(&format!("flood: the log has {} lines of refusals", board.log().matches("refused b\"PUT").count()));
         // the log continues after the attack

@@ -145,16 +145,16 @@ fn four_plcs_are_served_at_once_and_a_fifth_replaces_an_idle_one() {
     let Some(bcap) = bcap() else { return };
     let sim = Sim::start(&bcap, "127.0.0.1:0");
     let board = Board::start(&sim.bcap, &[], &[PROVIDER, "put=I", "rate=1/2", "evict=5"]).up();
-    let mut seated = [(); 4].map(|()| Plc::seated(&board.rac));
+    let mut served = [(); 4].map(|()| Plc::connect_when_free(&board.rac));
     // the four may wait for tokens, but none is idle
-    for plc in &mut seated {
+    for plc in &mut served {
         let _ = plc.ask("GET:RC8:1:I:\r");
     }
     let mut late = Plc::connect(&board.rac);
     assert_eq!(late.ask("GET:RC8:1:I:\r"), error(HResult::E_MAX_CONNECT));
     assert!(late.answer().is_err(), "the connection is closed");
     // each asks for more than its rate allows, and only that is refused
-    for plc in &mut seated {
+    for plc in &mut served {
         plc.send(b"GET:RC8:1:I:\rGET:RC8:1:I:\rGET:RC8:1:I:\rGET:RC8:1:I:\r");
         let answers: Vec<String> = (0..4).map(|_| plc.answer().unwrap()).collect();
         let busy = error(HResult::E_BUSY_PROC);
@@ -162,10 +162,10 @@ fn four_plcs_are_served_at_once_and_a_fifth_replaces_an_idle_one() {
         assert!(answers.contains(&busy), "{answers:?}");
     }
     // four clients that send nothing any more keep no other client out
-    let mut next = Plc::seated(&board.rac);
+    let mut next = Plc::connect_when_free(&board.rac);
     assert_ne!(next.ask("GET:RC8:1:I:\r"), error(HResult::E_MAX_CONNECT));
-    assert!(seated.iter_mut().any(|plc| plc.answer().is_err()), "one of them was disconnected");
-    drop(seated);
+    assert!(served.iter_mut().any(|plc| plc.answer().is_err()), "one of them was disconnected");
+    drop(served);
     let _ = board.up();
 }
 
@@ -176,7 +176,7 @@ fn clients_of_other_networks_have_no_access_or_other_rules() {
     // all connections come from 10.0.2.2
     let rules = [PROVIDER, "allow=10.0.2.0/24", "put=I/1", "put@10.0.2.2=I/2", "put@10.0.2.3=I/3", "idle=2"];
     let board = Board::start(&sim.bcap, &[], &rules).up();
-    let mut plc = Plc::seated(&board.rac);
+    let mut plc = Plc::connect_when_free(&board.rac);
     assert_eq!(plc.ask("PUT:RC8:1:I:3,5\r"), "0\r");
     assert_eq!(plc.ask("PUT:RC8:2:I:3,5\r"), "0\r");
     assert_eq!(plc.ask("PUT:RC8:3:I:3,5\r"), error(HResult::E_ACCESSDENIED));
@@ -223,7 +223,7 @@ impl Seen {
 
 /// Puts unique numbers, reads them back and counts the outcomes, until it is stopped.
 fn load(address: &str, plc: u32, seen: &Arc<Seen>) -> JoinHandle<()> {
-    let (mut connection, seen) = (Plc::seated(address), Arc::clone(seen));
+    let (mut connection, seen) = (Plc::connect_when_free(address), Arc::clone(seen));
     std::thread::spawn(move || {
         let (not_connected, timeout) = (error(HResult::E_NOT_CONNECTED), error(HResult::E_TIMEOUT));
         let mut ask = |line: &str| {

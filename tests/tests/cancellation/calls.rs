@@ -43,15 +43,15 @@ fn ready(rig: &mut Rig) {
 }
 
 /// Streams two poses and leaves.
-fn stream<'a>(rig: &'a mut Rig, beside: bool) -> Work<'a> {
+fn stream<'a>(rig: &'a mut Rig, is_watched: bool) -> Work<'a> {
     Box::pin(async move {
         let mode = SlaveMode { mode: Mode::Mode2, pose: PoseType::J };
         let format = Format::new(mode, ReceiveFormat::pose(ReceivePose::J));
-        let watch = beside.then_some(rig.watching);
+        let watch = is_watched.then_some(rig.watching);
         let mut engine = Engine::<MOVE_FRAME>::new(Config { watch, ..Config::new(format, rig.handles) }).unwrap();
         let mut hold = |cycle: &Cycle<'_>| if cycle.number < 2 { Next::Pose(*cycle.start) } else { Next::Finish };
-        match beside {
-            true => rig.motion.run_beside(&mut rig.watch, engine.stream(&mut hold)).await.is_ok(),
+        match is_watched {
+            true => rig.motion.run_watched(&mut rig.watch, engine.stream(&mut hold)).await.is_ok(),
             false => rig.motion.run(engine.stream(&mut hold)).await.is_ok(),
         }
     })
@@ -85,7 +85,7 @@ pub(crate) fn all() -> BTreeMap<&'static str, usize> {
         let piece = if kind == Link::Stream { 3 } else { 64 };
         let long = |name, prepare| Sweep { name, kind, piece, prepare };
         add("run", long("run a stream", idle).run(|rig| stream(rig, false)));
-        add("run_beside", long("run_beside", idle).run(|rig| stream(rig, true)));
+        add("run_watched", long("run_watched", idle).run(|rig| stream(rig, true)));
         add(
             "run",
             long("move_and_wait", ready).run(|rig| {

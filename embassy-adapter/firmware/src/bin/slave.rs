@@ -134,11 +134,11 @@ async fn stream(motion: &mut Link, watch: &mut Link, settings: &Settings<'_>) ->
             return false;
         }
     };
-    let ended = motion.run_beside(watch, engine.stream(&mut trajectory)).await;
+    let ended = motion.run_watched(watch, engine.stream(&mut trajectory)).await;
     match (&ended, engine.fault()) {
         (Err(_), Some(fault)) => {
             let _ = writeln!(Text, "slave: {fault}");
-            let _ = motion.run_beside(watch, engine.give_up()).await;
+            let _ = motion.run_watched(watch, engine.give_up()).await;
         }
         (Err(error), None) => {
             let _ = writeln!(Text, "slave: {error}");

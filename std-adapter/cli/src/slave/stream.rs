@@ -120,14 +120,14 @@ impl Job<'_> {
         let (kind, samples) = (format.mode.pose, room(args.plot.is_some()));
         let status = Arc::clone(&monitor.status);
         let mut player = Player::new(course, Arc::clone(&status), kind, &args.format, user_bytes, samples, received);
-        let ended = beside(&mut motion, watch.as_mut(), engine.stream(&mut player)).map_err(|error| error.error);
+        let ended = run_watched(&mut motion, watch.as_mut(), engine.stream(&mut player)).map_err(|error| error.error);
         for connection in iter::once(&mut motion).chain(watch.as_mut()) {
             connection.transport().end_within(END);
         }
         let fault = engine.fault().cloned();
         if fault.is_some() {
             // the fault is reported below; a failure to release the arm adds no information
-            let _ = beside(&mut motion, watch.as_mut(), engine.give_up());
+            let _ = run_watched(&mut motion, watch.as_mut(), engine.give_up());
         }
         monitor.end();
         let stats = engine.stats().clone();
@@ -240,13 +240,13 @@ fn motor_is_on<X: Wire<Error = io::Error>>(motion: &mut blocking::Connection<X, 
 }
 
 /// Runs a procedure with a second connection, if there is one.
-fn beside<X: Wire<Error = io::Error>, P: Procedure>(
+fn run_watched<X: Wire<Error = io::Error>, P: Procedure>(
     motion: &mut blocking::Connection<X, Vec<u8>>,
     watch: Option<&mut blocking::Connection<X, Vec<u8>>>,
     procedure: P,
 ) -> Result<P::Output, RunError<P::Error>> {
     match watch {
-        Some(watch) => motion.run_beside(watch, procedure),
+        Some(watch) => motion.run_watched(watch, procedure),
         None => motion.run(procedure),
     }
 }

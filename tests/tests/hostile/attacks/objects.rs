@@ -45,5 +45,5 @@ pub(super) fn objects_of_others_do_not_slow_opening(_: &mut Target) {
         costs.push(after - before);
     }
     let (first, last) = (costs[0].min(costs[1]), costs[costs.len() - 1].min(costs[costs.len() - 2]));
-    assert!(last < 3 * first, "{OBJECTS} objects cost {first:?}, and {last:?} beside {} others", costs.len() * 500);
+    assert!(last < 3 * first, "{OBJECTS} objects cost {first:?}, and {last:?} with {} others", costs.len() * 500);
 }
