@@ -102,7 +102,7 @@ pub enum Error {
         /// The failure of the call.
         source: CallError,
     },
-    /// The reply to a call is not what the function returns.
+    /// The reply to a call has another type than the function returns.
     #[error("{function} of {object}: {reason}")]
     Reply {
         /// The called function.

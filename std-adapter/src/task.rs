@@ -1,4 +1,4 @@
-//! How tasks of a controller start and stop, and what they do.
+//! How tasks of a controller start and stop, and their status.
 
 /// How a task is started (b-CAP specification, section 4.2.2).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

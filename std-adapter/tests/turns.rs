@@ -47,7 +47,7 @@ impl Handler for Recorder {
     }
 }
 
-/// Sends `count` values of `bytes` bytes without waiting for a reply; returns what was recorded, and the server's thread.
+/// Sends `count` values of `bytes` bytes without waiting for a reply; returns the recording, and the server's thread.
 fn puts(count: usize, bytes: usize) -> (Vec<Put>, ThreadId) {
     let (begin, begun) = mpsc::channel();
     let turns = Arc::<AtomicUsize>::default();

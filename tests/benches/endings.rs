@@ -5,8 +5,8 @@
 //! cargo bench -p bcap-tests --bench endings -- pick-and-place [CYCLES]
 //! ```
 //!
-//! TRIALS is the number for each model, 2000 without it. Without `BCAP` only programs of the library take part. A trial that
-//! leaves something behind, or reports what is not so, is printed with its draws; `--only N` repeats it.
+//! TRIALS is the number for each model, 2000 without it. Without `BCAP` only programs of the library take part. A trial
+//! that leaves an effect on the robot, or makes a false report, is printed with its draws; `--only N` repeats it.
 
 use std::process::ExitCode;
 

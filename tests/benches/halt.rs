@@ -1,5 +1,5 @@
-//! How fast a halt is: from `halt()` to the request at the controller, and to the robot at rest; and what the code that
-//! waited for the motion is told.
+//! How fast a halt is: from `halt()` to the request at the controller, and to the robot at rest; and the outcome that
+//! the waiting code gets.
 //!
 //! `cargo bench -p bcap-tests --bench halt -- TRIALS`, 300 without a number. The last column counts motions that were
 //! reported as arrived although the robot rests elsewhere; it must be 0.
@@ -54,7 +54,7 @@ impl rac::server::Handler for Recording {
     }
 }
 
-/// The controller and what was measured.
+/// The controller and the measurements.
 struct Rig {
     sim: Served<Recording>,
     halted: Arc<AtomicU64>,
@@ -104,7 +104,7 @@ impl Rig {
         }
     }
 
-    /// Counts what the waiting code was told: arrived, halted, an error, or nothing because it had given up.
+    /// Counts the outcomes that the waiting code got: arrived, halted, an error, or nothing because it had given up.
     fn told(&mut self, told: Option<Result<Motion, Error>>, target: f64) {
         let off = (self.joint() - target).abs() > 0.05;
         let kind = match told {

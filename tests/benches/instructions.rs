@@ -26,7 +26,7 @@ use bcap_core::variant::{Encode, VariantBuf};
 const FEW: u64 = 100;
 const MANY: u64 = 1100;
 
-/// Buffers and inputs of the cases, made outside of what is counted.
+/// Buffers and inputs of the cases, made outside of the counted part.
 struct Bench {
     buffer: [u8; 512],
     pose: [f64; 8],
@@ -211,7 +211,7 @@ fn patch_slv_move(bench: &mut Bench) {
     black_box(patched);
     let call = black_box(&bench.slv_move);
     let serial = black_box(9_u16).to_le_bytes();
-    // what a client does with it: a copy into its buffer, and the serial
+    // the work of a client with it: a copy into its buffer, and the serial
     if let Some(frame) = call.prepared()
         && let Some(target) = black_box(&mut bench.buffer).get_mut(..frame.len())
     {

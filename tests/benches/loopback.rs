@@ -57,7 +57,7 @@ fn run() -> Result<bool, Failure> {
     let mut within = true;
     for (title, client, server) in placements() {
         println!("{title}");
-        // a new thread, so that what follows is free to run anywhere
+        // a new thread, so that it may run on any core
         let trips = thread::spawn(move || round_trips(client, server));
         within &= trips.join().map_err(|_| "the client has panicked")??;
     }

@@ -111,7 +111,7 @@ fn owner_of(line: &str) -> String {
     after.trim_start().chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect()
 }
 
-/// Returns what follows `impl<...>`.
+/// Returns the text after `impl<...>`.
 fn after_generics(head: &str) -> &str {
     let head = head.strip_prefix("impl").unwrap_or(head);
     let mut depth = 0_u32;

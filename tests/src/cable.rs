@@ -144,7 +144,7 @@ impl Cable {
         symlink(device, self.path(end))
     }
 
-    /// Returns what has passed.
+    /// Returns the traffic so far.
     #[must_use]
     pub fn passed(&self) -> Passed {
         let load = |count: &AtomicU64| count.load(Ordering::Relaxed);

@@ -388,7 +388,7 @@ pub fn value(json: &Json, names: &Names) -> Value {
     }
 }
 
-/// Looks a value up; `names.0` is the first element of an array, `names.1..` what follows it.
+/// Looks a value up; `names.0` is the first element of an array, `names.1..` the others.
 fn named(name: &str, names: &Names) -> Value {
     let (name, part) = name.split_once('.').unwrap_or((name, ""));
     let value = names.get(name).unwrap_or_else(|| panic!("no reply is called {name}"));

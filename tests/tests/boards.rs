@@ -4,7 +4,7 @@
 use std::path::Path;
 use std::process::Command;
 
-/// Runs a script of `embassy-adapter/boards`, and returns its exit code and what it prints as an error.
+/// Runs a script of `embassy-adapter/boards`, and returns its exit code and its error output.
 fn run(script: &str, arguments: &[&str]) -> (Option<i32>, String) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../embassy-adapter/boards").join(script);
     let output = Command::new(path).args(arguments).output().unwrap();

@@ -1,5 +1,5 @@
-//! `Controller` and its objects against the virtual controller, over real sockets: what they return, and what state they
-//! leave the controller in.
+//! `Controller` and its objects against the virtual controller, over real sockets: their results, and the state in
+//! which they leave the controller.
 
 use std::net::TcpListener;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -486,7 +486,7 @@ fn a_motion_is_halted_at_its_time_limit() {
     assert!(!sim.application().is_moving());
 }
 
-/// A halt at a random time: what the waiting code is told agrees with where the robot is.
+/// A halt at a random time: the outcome that the waiting code gets agrees with the position of the robot.
 #[test]
 fn no_halted_motion_is_reported_as_arrived() {
     let trials = std::env::var("TRIALS").ok().and_then(|n| n.parse().ok()).unwrap_or(30_u32);
@@ -689,7 +689,8 @@ fn a_halt_between_motions_is_not_taken_for_arrival() {
     assert_eq!(moving.then(&to(rest + 50.0)).unwrap().wait().unwrap(), Motion::Failed(EMERGENCY_STOP));
 }
 
-/// A halt at a random time during three motions: what the waiting code is told agrees with where the robot is.
+/// A halt at a random time during three motions: the outcome that the waiting code gets agrees with the position of the
+/// robot.
 #[test]
 fn no_halted_queue_is_reported_as_arrived() {
     let trials = std::env::var("TRIALS").ok().and_then(|n| n.parse().ok()).unwrap_or(30_u32);

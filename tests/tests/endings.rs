@@ -547,8 +547,8 @@ fn told<T>(ended: Result<T, Error>) -> Told {
     }
 }
 
-/// Makes one call over a link that fails after each number of bytes, and compares what the program is told with what the
-/// controller has done. `call` calls its second argument before the call, and returns what the program is told.
+/// Makes one call over a link that fails after each number of bytes, and compares the reported outcome with the
+/// controller's record. `call` calls its second argument before the call, and returns the reported outcome.
 fn at_every_byte(call: impl Fn(Failing, &dyn Fn()) -> Told, was_executed: impl Fn(&Simulated) -> bool) {
     for sends in [true, false] {
         let mut outcomes = [0; 3];

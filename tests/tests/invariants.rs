@@ -157,7 +157,7 @@ fn arg() -> impl Strategy<Value = Arg> {
 }
 
 fn call() -> impl Strategy<Value = Step> {
-    // most of what is interesting is about robots and variables
+    // most interesting calls concern robots and variables
     let function = prop_oneof![
         3 => 1..138_i32,
         2 => Just(FunctionId::ROBOT_EXECUTE.0),

@@ -162,7 +162,7 @@ async fn one_script_gives_one_record_over_every_loop() {
         let wire = Wire(Direct::new(server::Config::TCP), Link::Stream);
         script!(blocking::Connection::new(wire, client(Config::TCP)), "A")
     };
-    // what the record itself should say, in a few places
+    // the expected content of the record, in a few places
     let all = expected.join("\n");
     for part in ["E_INVALIDARG", "E_HANDLE", "E_NOTIMPL", "E_INVALIDARGTYPE", "R8[1.5, 1.5,", "naïve 😀", "ReplyError"]
     {

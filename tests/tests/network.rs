@@ -80,7 +80,7 @@ fn duplicated_reordered_and_late_datagrams_execute_calls_once() {
     for seed in 100..120 {
         let faults = Faults { loss: 200, repeat: 200, delay: millis(800), ..Faults::default() };
         let mut simulation = udp(faults, seed);
-        // a Service_Start that comes two seconds late is taken for a new client's, so only what follows comes that late
+        // a Service_Start that comes two seconds late is taken for a new client's, so only later frames come that late
         simulation.settle(millis(2000));
         simulation.faults.straggle = 30;
         let tally = call_many(&mut simulation, 300);
@@ -203,7 +203,7 @@ fn reply(serial: u16, code: HResult, value: Option<i32>) -> Vec<u8> {
     writer.finish(serial, 0, code.0).unwrap().to_vec()
 }
 
-/// Gives the client bytes; returns what it makes of them.
+/// Gives the client bytes; returns its results.
 fn give(simulation: &mut Simulation, bytes: &[u8]) -> Vec<Event> {
     let now = simulation.now;
     simulation.client.receive_buffer()[..bytes.len()].copy_from_slice(bytes);

@@ -1,5 +1,5 @@
-//! The procedures against the virtual controller, over real sockets, blocking and under tokio: what they return, and what
-//! the controller's arm, motor and objects are like afterwards.
+//! The procedures against the virtual controller, over real sockets, blocking and under tokio: their results, and the
+//! state of the controller's arm, motor and objects afterwards.
 
 use std::time::Duration;
 

@@ -48,7 +48,7 @@ fn two_hundred_connections_are_served_at_once() {
             assert_eq!(client.call(call::variable_get_value(*variable)).unwrap().as_i32(), Some(n * 10 + round));
         }
     }
-    // all go without a word; what they had is released
+    // all go without a word; their objects are released
     drop(clients);
     server.stop_empty();
 }

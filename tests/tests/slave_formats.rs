@@ -80,7 +80,7 @@ fn stream<X: Transport<Error: Debug>, T: Storage, R: Storage>(
     mut connection: Connection<X, T, R>,
     format: Format,
 ) -> (u32, u32) {
-    // a machine that is busy may keep an answer for long; what is tested here is not the time
+    // a machine that is busy may keep an answer for long; this test does not check times
     let usual = connection.client().timing();
     connection.client().set_timing(Timing { attempts: 250, ..usual });
     connection.call(call::service_start("")).unwrap();

@@ -100,7 +100,7 @@ fn nothing_is_sent_after_the_deadline() {
     assert_eq!(sends.load(Ordering::SeqCst), before, "a lost connection is left to the controller");
 }
 
-/// A transport that counts what it sends.
+/// A transport that counts sent bytes.
 struct Counting {
     inner: TcpTransport,
     sends: Arc<AtomicUsize>,

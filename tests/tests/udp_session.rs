@@ -544,7 +544,7 @@ impl Server {
         seen
     }
 
-    /// Falsifies what the application is told.
+    /// Falsifies the outcome that the application gets.
     fn garble(&self, seen: &mut Vec<Seen>) {
         match self.fault {
             Some(PlantedFault::NotAbandoned) => seen.retain(|seen| *seen != Seen::Abandoned),

@@ -15,7 +15,7 @@ pub struct Command {
     pub name: &'static str,
     /// Its effect, and whether Slave Mode allows it.
     pub properties: Properties,
-    /// The source of what is said about Slave Mode.
+    /// The source of the facts about Slave Mode.
     pub source: &'static str,
 }
 

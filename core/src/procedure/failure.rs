@@ -68,7 +68,7 @@ pub enum StepCause {
     Reply(ReplyError),
     /// It has no reply.
     Failed(Failure),
-    /// The procedure has no room for what the reply carries.
+    /// The procedure has no room for the values of the reply.
     TooLarge,
 }
 

@@ -90,7 +90,7 @@ pub enum Motion {
 /// How far a joint at rest may be from where the rest began, in degrees or mm.
 pub(super) const AT_REST: f64 = 0.002;
 
-/// Motions that follow each other without a stop: what is known of them between two procedures.
+/// Motions that follow each other without a stop: the known state of them between two procedures.
 ///
 /// [`run_queue`](super::run_queue) adds a motion, and waits for the last one.
 #[derive(Clone, Copy, Debug)]

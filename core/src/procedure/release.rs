@@ -1,4 +1,4 @@
-//! Releasing what was opened.
+//! Releasing opened objects.
 
 use core::convert::identity;
 

@@ -188,7 +188,7 @@ fn fail_each<T, P: Procedure<Output = T, Error = StepError>>(
             let calls: Vec<&str> = forward.chain(undo.filter(|_| !lost)).collect();
             assert_eq!(done.calls, calls, "{} {failure:?}", failing.call);
         }
-        // a failure on the way back changes neither the rest of it nor what is reported
+        // a failure on the way back changes neither the rest of it nor the reported error
         let done = run(make(), |number, call, _| match number {
             _ if number == at => Answer::Failed(Failure::Timeout),
             _ if number > at => Answer::Refused(HResult::E_UNEXPECTED),

@@ -278,7 +278,7 @@ impl<V: Storage> Endpoint for Client<V> {
     }
 
     fn transmitted(&mut self, count: usize) {
-        // what is held back cannot have left
+        // bytes that are held back cannot have been sent
         let count = count.min(self.state.transmit().len());
         if self.state.outbox.transmitted(count) && !self.state.outbox.is_sending() {
             self.state.is_early = self.state.framer.has_begun();

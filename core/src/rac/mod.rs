@@ -8,7 +8,7 @@
 //!                             ◄─────────    0 CR
 //! ```
 //!
-//! | layer                                        | what it guarantees                                                |
+//! | layer                                        | guarantee                                                         |
 //! |----------------------------------------------|-------------------------------------------------------------------|
 //! | [`LineFramer`]                               | lines of at most 256 bytes; the stream survives an invalid line   |
 //! | [`Request`], [`Response`]                    | an error names part and column; a written line reads back the same |

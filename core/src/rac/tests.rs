@@ -50,8 +50,8 @@ fn response_line(response: &Response<'_>) -> Result<String, TextError> {
     Ok(String::from_utf8(out.as_bytes().to_vec()).unwrap())
 }
 
-/// The lines of the specification's section 4 with their values in text without blanks: kind, what a GET answers, what
-/// a PUT sends, the value.
+/// The lines of the specification's section 4 with their values in text without blanks: kind, the answer to a GET, the
+/// text of a PUT, the value.
 const SAMPLES: [(VariableKind, &str, &str, &str); 9] = [
     (VariableKind::I, "0, 3, 123", "PUT:RC8:10:I:3, 123", "3,123"),
     (VariableKind::F, "0, 4, 123.01", "PUT:RC8:10:F:4, 123.01", "4,123.01"),
@@ -98,7 +98,7 @@ fn the_samples_of_the_specification_are_understood_and_written_without_blanks() 
         assert_eq!(response, Response { result: HResult::S_OK, value: Some(value.as_variant()) });
         assert_eq!(response_line(&response).unwrap(), format!("0,{text}\r"));
     }
-    // what every PUT of the samples is answered with
+    // the answer to every PUT of the samples
     let response = Response::parse(b"0", &mut []).unwrap();
     assert_eq!(response, Response { result: HResult::S_OK, value: None });
     assert_eq!(response_line(&response).unwrap(), "0\r");
@@ -264,7 +264,7 @@ fn the_largest_values_of_a_line_fit_the_memory_that_is_promised() {
     assert_eq!(value(&strings).as_bytes().len(), 6 + 4 * 249);
 }
 
-/// A controller that keeps what is put, and answers variable 99 of a kind only when it is told to.
+/// A controller that stores values, and answers variable 99 of a kind only when it is told to.
 #[derive(Default)]
 struct Store {
     values: BTreeMap<Variable, Buf>,
@@ -312,7 +312,7 @@ impl Handler for Store {
     }
 }
 
-/// Gives a session bytes, chunk by chunk, and returns what it answers.
+/// Gives a session bytes, chunk by chunk, and returns its answers.
 fn serve(session: &mut Session<[u8; 256]>, store: &mut Store, bytes: &[u8], chunk: usize) -> String {
     let (mut rest, mut answers) = (bytes, Vec::new());
     loop {
@@ -595,7 +595,7 @@ fn abandoning_is_safe_at_every_byte() {
         let mut wire = client.transmit()[..cut].to_vec();
         client.transmitted(cut);
         client.abandon();
-        // what was begun is finished, what was not begun is not
+        // a partly sent line is finished, an unsent one is not started
         wire.extend_from_slice(client.transmit());
         if (1..line.len()).contains(&cut) {
             assert_eq!(client.start(&get(2), NOW), Err(ClientError::Busy));

@@ -231,7 +231,7 @@ impl Pose {
         self.as_slice().iter().all(|number| number.is_finite())
     }
 
-    /// Returns the numbers without the extended-joint option and what follows it.
+    /// Returns the numbers without the extended-joint option and the elements after it.
     #[must_use]
     pub fn numbers(&self) -> &[f64] {
         self.numbers.get(..self.shape.pose.len()).unwrap_or_default()

@@ -232,7 +232,7 @@ impl Format {
         self.round(u64::from(whole) << shift | fraction, 0_i32.wrapping_sub(shift), inexact)
     }
 
-    /// Splits bits without a sign into a whole number and 2^64ths, cutting what is less; `None` from 2^63 on.
+    /// Splits bits without a sign into a whole number and 2^64ths, dropping smaller parts; `None` from 2^63 on.
     pub(super) fn fixed(self, bits: u64) -> Option<(u64, u64)> {
         let (significand, exponent) = self.parts(bits);
         let shift = u32::try_from(exponent.checked_neg()?).ok()?;
@@ -452,7 +452,7 @@ mod tests {
         (Format::Single.of_decimal(&decimal), Format::Double.of_decimal(&decimal))
     }
 
-    /// Checks against the standard library, where 0 and infinity are what is out of range here.
+    /// Checks against the standard library. Its 0 and infinity correspond to "out of range" here.
     fn check(text: &str) {
         let single = text.parse::<f32>().unwrap();
         let double = text.parse::<f64>().unwrap();

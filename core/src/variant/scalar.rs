@@ -402,7 +402,7 @@ mod tests {
         ] {
             assert_eq!(OleDate::from_civil(civil), None, "{civil}");
         }
-        // what is nearest to midnight is the next day, and before 1899-12-30 too
+        // the time nearest to midnight belongs to the next day, also before 1899-12-30
         assert_eq!(OleDate::from_raw(1.999_999_999_9).to_civil(), Some(CivilTime::date(1900, 1, 1)));
         assert_eq!(OleDate::from_raw(-2.999_999_999_9).to_civil(), Some(CivilTime::date(1899, 12, 29)));
         for (tenths, millis) in [(10.0, 1), (3.0, 0), (7.0, 1), (13.0, 1), (17.0, 2)] {

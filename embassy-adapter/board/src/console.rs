@@ -3,7 +3,7 @@
 //! A host sends a request as a line, which ends with a line feed, a carriage return or both. The board answers with a line that
 //! starts with `ok` or `error`. It ignores empty lines.
 //!
-//! | request          | what the board does                                              | answer            |
+//! | request          | action of the board                                              | answer            |
 //! |------------------|------------------------------------------------------------------|-------------------|
 //! | `hello`          | tells that it speaks this protocol                               | `ok bcap-board 1` |
 //! | `show`           | sends the settings, a line `setting KEY=VALUE` for each          | `ok flash` or `ok image`, their place |
@@ -18,7 +18,7 @@
 //!
 //! With the feature `update`, on a board with partitions for updates:
 //!
-//! | request          | what the board does                                              | answer            |
+//! | request          | action of the board                                              | answer            |
 //! |------------------|------------------------------------------------------------------|-------------------|
 //! | `status`         | tells its name, its version and what became of the last update   | `ok BOARD VERSION PHASE` |
 //! | `update BOARD VERSION LENGTH CRC32` | begins to receive an image of `LENGTH` bytes, if it is for this board | `ok` |

@@ -112,7 +112,7 @@ pub async fn watch(board: &'static Board, is_healthy: fn() -> bool, feed: impl F
     watchdog::run(is_healthy, feed).await
 }
 
-/// Returns what the LED shows.
+/// Returns the pattern of the LED.
 #[must_use]
 pub fn led_state(board: &Board, stack: Stack<'_>) -> State {
     State {

@@ -196,7 +196,7 @@ impl fmt::Display for Html<'_> {
     }
 }
 
-/// Replaces characters of what is written.
+/// Escapes characters of the text.
 struct Escaped<'a, 'f> {
     out: &'a mut fmt::Formatter<'f>,
     escape: fn(char) -> Option<&'static str>,

@@ -1,4 +1,4 @@
-//! The light of a board: one LED that shows what is wrong, by how it blinks.
+//! The light of a board: one LED whose blinking shows the fault.
 //!
 //! | pattern                | state                                              |
 //! |------------------------|----------------------------------------------------|

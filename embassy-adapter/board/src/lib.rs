@@ -17,7 +17,7 @@
 //! | `led`        |            | the patterns of an LED; its task with `embassy`                               |
 //! | `health`, `syslog` | `health` | the page of the state, and the format of messages                         |
 //! | `page`       | `embassy` and `health` | their tasks                                                       |
-//! | `parts`      | `embassy`  | what the tasks share, and board-specific data                                 |
+//! | `parts`      | `embassy`  | the shared state of the tasks, and board-specific data                        |
 //! | `config`     | `embassy`  | reads the settings at the start                                               |
 //! | `memory`     | `embassy`  | the block of settings in the image itself                                     |
 //! | `log`        | `log`      | defmt's logger, into a ring buffer                                            |

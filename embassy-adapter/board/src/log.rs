@@ -47,7 +47,7 @@ pub fn dropped() -> u32 {
     RING.dropped()
 }
 
-/// Sets what is called after each frame, such as starting an interrupt that sends it.
+/// Sets the function that is called after each frame, for example to start an interrupt that sends it.
 pub fn on_frame(start: fn()) {
     critical_section::with(|cs| ON_FRAME.borrow(cs).set(Some(start)));
 }

@@ -39,7 +39,7 @@ pub enum SlotError<E> {
         /// Their length in bytes.
         len: usize,
     },
-    /// The flash does not have what was written; the earlier settings are unchanged.
+    /// The flash does not contain the written bytes; the earlier settings are unchanged.
     NotWritten,
     /// The flash failed.
     Flash(E),

@@ -117,7 +117,7 @@ pub(crate) struct Saved {
     pub(crate) lr: u32,
 }
 
-/// Returns what an exception saved; `None` if the stack has overflowed, because nothing was saved then.
+/// Returns the frame that an exception saved; `None` if the stack has overflowed, because nothing was saved then.
 pub(crate) fn saved() -> Option<Saved> {
     /// The words of a frame, and the places in it.
     const FRAME: usize = 8;

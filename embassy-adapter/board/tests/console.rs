@@ -90,7 +90,7 @@ fn invalid_requests_are_answered_and_change_nothing() {
         send(&mut board, &[&[b'x'; LINE + 1][..], b"\nhello\n"].concat()),
         "error the request is longer than 512 bytes\nok bcap-board 1\n"
     );
-    // what was refused is not a part of the new settings
+    // refused lines are not a part of the new settings
     assert_eq!(send(&mut board, b"save 00000000\nshow\n"), "ok\nok flash\n");
 }
 

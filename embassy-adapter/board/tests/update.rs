@@ -166,7 +166,7 @@ fn recover<const W: usize, const E: usize>(board: &mut Board<W, E>) {
     assert_eq!(board.identity(), next.0, "a repeated update, confirmed");
 }
 
-/// Does `work` with the power cut at each step, and calls `check` with what is left.
+/// Does `work` with the power cut at each step, and calls `check` with the flash after it.
 fn cut_everywhere<const W: usize, const E: usize>(
     board: &Board<W, E>,
     work: impl Fn(&mut Board<W, E>) -> Option<()>,

@@ -7,7 +7,7 @@
 //! | [`lan9118`]  | the driver of the Ethernet controller for embassy-net and smoltcp                 |
 //! | [`clock`]    | a hardware counter as a clock, and embassy's time driver on it                    |
 //! | [`executor`] | an executor that sleeps with WFI                                                  |
-//! | [`uart`]     | the serial port and the buffer of what it sends                                   |
+//! | [`uart`]     | the serial port and its transmit buffer                                           |
 //! | `lines`      | more serial ports: to a robot and a PLC with the feature `lines`, else the console |
 //! | `console`    | changes the settings and the image, with the feature `console`                    |
 //! | `flash`      | a model of a flash, with the feature `console`                                    |

@@ -77,7 +77,7 @@ impl Line {
         Self::start(&THIRD)
     }
 
-    /// Sends what is buffered by polling, for the end of a program.
+    /// Sends the buffered bytes by polling, for the end of a program.
     #[cfg(feature = "console")]
     pub(crate) fn flush_second() {
         uart::flush_to(SECOND.uart, SECOND.to_send);

@@ -23,7 +23,7 @@ impl<'a, 'm, X: Transport, P: Fn(&Request<'_>) -> bool> ModbusLink<'a, 'm, X, P>
         Self { link, front, permits }
     }
 
-    /// Sends what is left of a response; `None` at `until`.
+    /// Sends the rest of a response; `None` at `until`.
     async fn flush(&mut self, until: Instant) -> Result<Option<()>, X::Error> {
         while !self.front.transmit().is_empty() {
             match self.link.send(self.front.transmit(), until).await? {

@@ -23,7 +23,7 @@ pub trait RobotLink: Transport {
     /// Closes the connection without waiting.
     fn close(&mut self);
 
-    /// Returns what the log shows of an error.
+    /// Returns the text of an error for the log.
     fn cause(error: Self::Error) -> NetError;
 }
 

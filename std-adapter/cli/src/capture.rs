@@ -4,7 +4,7 @@
 //!  file    blocks of pcap or pcapng          -> packets with their time
 //!  packet  link layer, IP, TCP or UDP        -> segments
 //!  conversation                              -> the protocol; which end is the client
-//!  stream  segments of one direction         -> bytes in order; what is missing is said
+//!  stream  segments of one direction         -> bytes in order; missing bytes are reported
 //!  session frames of both directions         -> calls with their replies; handles become names
 //!  line    lines of RAC in both directions   -> the same
 //!  print, stats                              -> lines of text or of JSON

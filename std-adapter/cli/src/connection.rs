@@ -101,7 +101,7 @@ pub(crate) fn exhausted(target: &Address, budget: &Budget, call: &str) -> Failur
     }
 }
 
-/// Returns what to check if no answer arrives.
+/// Returns a hint for a missing answer.
 const fn check(target: &Address) -> &'static str {
     match target {
         Address::Network(NetworkAddress { protocol: Protocol::Tcp, .. }) => {

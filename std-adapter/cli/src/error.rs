@@ -3,7 +3,7 @@
 //! | code | meaning                                                                      |
 //! |------|------------------------------------------------------------------------------|
 //! | 0    | done                                                                         |
-//! | 1    | refused, or `diff`, `conform` or `fuzz` found what they look for          |
+//! | 1    | refused, or `diff`, `conform` or `fuzz` has a finding                     |
 //! | 2    | wrong usage, input that cannot be read, or `bcap diff` could not compare all |
 //! | 3    | no connection, or a connection that broke, or an unexpected reply            |
 //! | 4    | the controller did not answer in time                                        |
@@ -141,7 +141,7 @@ pub(crate) struct ItemError {
     /// The fault, in words.
     #[serde(rename = "error")]
     pub(crate) message: String,
-    /// Where: a byte of the decoded bytes, or of the item's text when that is what is wrong; 0 is the whole item.
+    /// Where: a byte of the decoded bytes, or of the item's text if the text is invalid; 0 is the whole item.
     pub(crate) offset: usize,
 }
 
@@ -223,7 +223,7 @@ impl Failure {
         }
     }
 
-    /// Returns what the user can do.
+    /// Returns the hint for the user.
     pub(crate) fn hint(&self) -> Option<&str> {
         match self {
             Self::Refused { code, .. } => code.hint(),

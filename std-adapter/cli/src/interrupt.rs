@@ -206,17 +206,17 @@ impl Interrupt {
         was_answered
     }
 
-    /// Returns what the command does now.
+    /// Returns the present state of the command.
     fn state(&self) -> State {
         self.status().state
     }
 
-    /// Sets what the command does from now on.
+    /// Sets the state of the command.
     pub(crate) fn enter(&self, state: State) {
         self.status().state = state;
     }
 
-    /// Sets what the command does from now on, unless the present state outranks that.
+    /// Sets the state of the command, unless the present state outranks it.
     pub(crate) fn raise(&self, state: State) {
         let mut status = self.status();
         status.state = status.state.max(state);

@@ -310,7 +310,7 @@ impl Condition {
     }
 
     fn holds(&self, found: &Value, wanted: &Value) -> Result<bool, Failure> {
-        // what is printed alike is equal
+        // values with the same text are equal
         let equal = || found == wanted || plain::to_plain(found.as_variant()) == plain::to_plain(wanted.as_variant());
         let numbers = || match (number(found.as_variant()), number(wanted.as_variant())) {
             (Some(found), Some(wanted)) => Ok((found, wanted)),

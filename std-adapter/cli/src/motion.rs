@@ -76,7 +76,7 @@ pub(crate) fn go(args: &MoveArgs, session: &mut Session) -> Result<bool, Failure
 /// Takes the arm and switches the motor on.
 fn prepared(args: &MoveArgs, session: &mut Session, had_arm: bool) -> Result<(), Failure> {
     session.with(|controller| {
-        // what was on before stays on
+        // a motor that was on before stays on
         let on = controller.robot()?.read::<bool>("@SERVO_ON");
         let mut arm = controller.arm()?;
         let prepared = (|| {

@@ -257,7 +257,7 @@ mod tests {
         let usual = "a BOOL is true, false, on, off, 0, 1 or -1; if that is intended, write --typed";
         assert_eq!(write("5", &false).unwrap_err(), format!("5: {usual} 11,5"));
         assert_eq!(write("1,2", &[false; 2]).unwrap_err(), format!("1,2: {usual} 8203,1,2"));
-        // with its type, and what is usual
+        // with its type, and the usual type
         assert_eq!(write("8196,1,nan,3", &[0_f32; 3]).unwrap(), "8196,1,NaN,3");
         assert_eq!(write("-1", &false).unwrap(), "11,-1");
         assert_eq!(write(" On", &false).unwrap(), "11,-1");

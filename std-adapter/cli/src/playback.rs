@@ -116,7 +116,7 @@ impl Handler for Playback {
         };
         let found = self.bcap.next(peer, is_same);
         if found.is_none() && request.function.releases().is_some() {
-            // the server itself releases what a client leaves
+            // the server itself releases the objects that a client leaves open
             return HResult::S_OK.into();
         }
         let shown = || values.iter().map(|value| format!("{:?}", value.as_variant())).collect::<Vec<_>>().join(", ");

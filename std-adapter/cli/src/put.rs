@@ -17,7 +17,7 @@ use crate::session::Session;
 use crate::value::{Value, integer};
 use crate::variables::{print, read, shown};
 
-/// A variable and what to write to it.
+/// A variable and the value to write.
 struct Write {
     name: String,
     path: ObjectPath,

@@ -173,7 +173,7 @@ impl Recording {
         self.thread.is_finished()
     }
 
-    /// Writes what is recorded so far, and closes the file.
+    /// Writes the entries so far, and closes the file.
     pub(crate) fn finish(self) -> Result<(), Failure> {
         self.recorder.put(Entry::End);
         let written = self.thread.join().unwrap_or_else(|_| Err(io::Error::other("the thread that writes panicked")));

@@ -1,4 +1,4 @@
-//! The rules of a gateway and its map of Modbus: a file in TOML, and what the command line adds.
+//! The rules of a gateway and its map of Modbus: a file in TOML, and additions of the command line.
 //!
 //! ```toml
 //! clients = ["10.0.0.0/24", "10.0.1.7"]      # the networks whose clients may connect; left out, all clients may
@@ -42,7 +42,7 @@ pub(crate) struct Setup {
 }
 
 impl Setup {
-    /// Reads a file, and adds what the command line has.
+    /// Reads a file, and adds the rules of the command line.
     pub(crate) fn read(
         file: Option<&Path>,
         clients: &[Network],

@@ -382,8 +382,8 @@ impl Session {
         given
     }
 
-    /// Closes a lost connection, so that the controller releases what it holds, such as the arm. If this session had the arm,
-    /// the robot is halted over another connection first: a motion may be under way.
+    /// Closes a lost connection, so that the controller releases its resources, such as the arm. If this session had
+    /// the arm, the robot is halted over another connection first: a motion may be under way.
     pub(crate) fn abandon(&mut self) {
         if !self.lost {
             return;

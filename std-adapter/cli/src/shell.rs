@@ -136,7 +136,7 @@ fn read_lines(
     }
 }
 
-/// Ctrl-C at the prompt: halts what an earlier line has started, and gives the arm back.
+/// Ctrl-C at the prompt: halts a motion that an earlier line has started, and gives the arm back.
 fn stop(session: &mut Session) -> Result<(), Failure> {
     if !session.has_arm() {
         return Ok(());

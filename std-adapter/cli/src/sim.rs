@@ -295,8 +295,8 @@ fn file_worker() -> io::Result<Executor> {
     Ok(Executor::new(move |job| drop(jobs.try_send(job))))
 }
 
-/// Starts a thread that prints what is tolerated and, with `refusals`, why arguments are refused. It drops lines when its
-/// queue is full.
+/// Starts a thread that prints tolerated faults and, with `refusals`, why arguments are refused. It drops lines when
+/// its queue is full.
 fn explainer(refusals: bool) -> io::Result<Observer> {
     let (lines, queue) = mpsc::sync_channel::<String>(EXPLANATIONS);
     let print = move || queue.into_iter().try_for_each(|line| writeln!(io::stderr(), "{line}"));

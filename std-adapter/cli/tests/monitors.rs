@@ -1,4 +1,5 @@
-//! A stream of Slave Mode with everything that reads the same controller: no call ends it, and each tool says what it skips.
+//! A stream of Slave Mode with everything that reads the same controller: no call ends it, and each tool names the
+//! items that it skips.
 //!
 //! The controller behaves as observed on real ones: a call that Slave Mode refuses ends Slave Mode, from any client.
 //! `just stream-and-monitors` runs the long test, against `bcap sim --as-observed` in real time.

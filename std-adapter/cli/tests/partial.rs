@@ -114,7 +114,7 @@ fn a_restore_to_a_controller_that_cannot_be_read_completely_writes_nothing() {
         (request.function == FunctionId::CONTROLLER_GET_VARIABLE && is_length).then_some(HResult::E_FAIL)
     });
     refused("@VAR_D_LEN: Controller_GetVariable");
-    // what the backup does not have cannot be overwritten
+    // variables that the backup does not have cannot be overwritten
     cell.hook(|_| None);
     fs::write(cell.files.join("new.pcs"), "new").unwrap();
     cell.set_i(5, 7);

@@ -1,4 +1,4 @@
-//! `bcap replay`: the same calls again, differences, and what must be allowed.
+//! `bcap replay`: the same calls again, differences, and calls that must be allowed.
 
 #[path = "common/capture.rs"]
 mod capture;
@@ -152,7 +152,7 @@ fn a_server_that_plays_a_session_back_gives_the_recorded_replies() {
     assert_eq!((run.code, run.err.as_str()), (0, ""), "{run:?}");
     assert!(run.out.ends_with(" replies compared, 0 differences\n"), "{run:?}");
 
-    // what the capture does not have
+    // bytes that the capture does not have
     let run = bcap(&["get", "D77", "--robot", &server.bcap]);
     assert_eq!(run.code, 1, "{run:?}");
     assert!(run.err.contains("E_FAIL"), "{run:?}");

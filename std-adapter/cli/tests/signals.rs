@@ -175,7 +175,7 @@ fn a_script_with_an_error_in_its_last_line_makes_no_call() {
             assert!(run.code == 2 && run.err.contains("script:4: ") && run.err.contains(problem), "{last}: {run:?}");
         }
     }
-    // what is valid is only checked, and what follows `exit` is not
+    // valid lines are only checked, and lines after `exit` are not
     std::fs::write(path("script"), "set x = 3\nput I1 $x\nmove P$x --help\nexit\nnonsense\n").unwrap();
     let run = bcap(&["run", &path("script"), "--check", "--robot", &fake.address]);
     assert_eq!(

@@ -204,7 +204,7 @@ fn the_motor_is_as_it_was_before_the_stream() {
     assert_eq!(slave(&sim, &[&stream[..], &["--keep-motor"]].concat()).code, 0);
     assert!(sim.application().0.motor_is_on());
     assert_eq!(sim.application().0.arm_owner(), None);
-    // what was on stays on
+    // a motor that was on stays on
     assert_eq!(slave(&sim, &stream).code, 0);
     assert!(sim.application().0.motor_is_on());
 }

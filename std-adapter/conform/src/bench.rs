@@ -530,7 +530,7 @@ pub(crate) fn value_of(text: &str) -> Result<Value, Stop> {
     }
 }
 
-/// Tells whether a reply is what a case wants.
+/// Tells whether a reply meets the condition of a case.
 fn matches(want: Want, reply: &Reply) -> bool {
     let value = reply.value();
     let is_ok = reply.code.is_ok();

@@ -203,7 +203,7 @@ impl Config {
     ///
     /// # Errors
     ///
-    /// [`Error::Read`]; [`Error::Config`] with the place of what is wrong.
+    /// [`Error::Read`]; [`Error::Config`] with the place of the fault.
     pub fn read(path: &Path) -> Result<Self, Error> {
         let text = std::fs::read_to_string(path).map_err(|source| Error::Read { path: path.to_owned(), source })?;
         Self::parse(&text).map_err(|error| Error::Config(format!("{}: {error}", path.display())))
@@ -213,7 +213,7 @@ impl Config {
     ///
     /// # Errors
     ///
-    /// [`Error::Config`] with the place of what is wrong.
+    /// [`Error::Config`] with the place of the fault.
     pub fn parse(text: &str) -> Result<Self, Error> {
         let mut config: Self = toml::from_str(text).map_err(|error| Error::Config(describe(text, &error)))?;
         config.check().map_err(Error::Config)?;

@@ -87,8 +87,8 @@ impl Fleet {
         Monitor { shared: Arc::clone(&self.shared) }
     }
 
-    /// Runs until `end` is ready. Then it closes the sessions with the controllers, sends what the broker takes within two
-    /// seconds, and writes the rest to the buffer.
+    /// Runs until `end` is ready. Then it closes the sessions with the controllers, sends the messages that the broker
+    /// takes within two seconds, and writes the rest to the buffer.
     ///
     /// # Cancel safety
     ///

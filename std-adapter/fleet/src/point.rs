@@ -98,7 +98,7 @@ pub(crate) fn points(publish: &Publish) -> Result<Vec<Point>, String> {
     Ok(points)
 }
 
-/// Returns what a name of the file stands for.
+/// Returns the points that a name of the file stands for.
 fn named(text: &str) -> Result<Vec<(String, Source, Option<VariableKind>)>, String> {
     let one = |name: &str, source, kind| Ok(vec![(name.to_owned(), source, kind)]);
     match text {

@@ -231,7 +231,7 @@ impl Publisher {
         self.link.as_ref().is_some_and(|connection| connection.is_up)
     }
 
-    /// Moves what can be moved without waiting for the broker.
+    /// Moves all messages that can be moved without waiting for the broker.
     async fn step(&mut self) {
         if !self.is_active() {
             self.drain().await;
@@ -530,7 +530,7 @@ impl Publisher {
 
     /// Begins to publish and to receive commands.
     async fn begin(&mut self) {
-        // what was read before is historical
+        // readings from before are historical
         self.drain().await;
         self.stale = false;
         let topics = self.topics();
@@ -588,11 +588,11 @@ impl Publisher {
         self.recover().await;
     }
 
-    /// Ends the connection, and keeps what may not have arrived.
+    /// Ends the connection, and keeps readings that may not have arrived.
     async fn recover(&mut self) {
         let Some(connection) = self.link.take() else { return };
         let mut readings = connection.into_readings();
-        // what was loaded goes back as well, so that the file can be deleted
+        // loaded readings go back as well, so that the file can be deleted
         readings.extend(self.history.drain(..));
         readings.iter_mut().for_each(|reading| reading.historical = true);
         readings.sort_by_key(|reading| reading.id);
@@ -775,7 +775,7 @@ impl Publisher {
         }
     }
 
-    /// Announces the end, and keeps what may not have arrived.
+    /// Announces the end, and keeps readings that may not have arrived.
     async fn close(mut self) {
         let ended = async {
             while let Some(finished) = self.running.join_next().await {

@@ -52,7 +52,7 @@ pub(crate) struct Scan {
     pub(crate) stream: StreamCheck,
 }
 
-/// A point, and what was reported last.
+/// A point, and its last report.
 struct Scanned<'a> {
     index: usize,
     point: &'a Point,
@@ -88,7 +88,7 @@ impl Scan {
                     reported = None;
                     state = tokio::select! {
                         biased;
-                        // first, because it reports what was read before the loss
+                        // first, because it reports readings from before the loss
                         never = self.read_while_active(&mut scanned) => match never {},
                         next = states.next() => next,
                     };
@@ -188,7 +188,7 @@ impl Scan {
         (scanned.deadline, _) = first_after(deadline, interval, ended + pause(scanned.timeouts));
     }
 
-    /// Counts what was read, and reports it.
+    /// Counts the readings, and reports them.
     fn count(&self, scanned: &mut Scanned<'_>, time: u64, value: Result<Option<Value>, ReadError>) {
         match value {
             // the state follows, and marks all points

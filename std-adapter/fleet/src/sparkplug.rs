@@ -222,7 +222,7 @@ impl Sparkplug {
         message(topic, &payload, readings)
     }
 
-    /// Returns what a host asks of the node (`cell` is `None`) or of a device.
+    /// Returns the request of a host to the node (`cell` is `None`) or to a device.
     pub(crate) fn command(&self, config: &Config, cell: Option<usize>, payload: &[u8]) -> Result<HostCommand, String> {
         let payload = Payload::decode(payload).map_err(|error| format!("the payload is not Sparkplug B: {error}"))?;
         let mut command = HostCommand { writes: Vec::new(), rebirth: false };

@@ -1,6 +1,6 @@
 //! Active and standby: of the processes with the same group and node, one is active. The others watch it.
 //!
-//! | role    | client id          | what the process does                                                        |
+//! | role    | client id          | work of the process                                                          |
 //! |---------|--------------------|------------------------------------------------------------------------------|
 //! | active  | the node's         | reads, publishes, executes commands, repeats `online` on the topic of its state |
 //! | watcher | its own topic      | reads this topic; keeps its sessions with the controllers, but reads nothing |

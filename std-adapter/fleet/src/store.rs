@@ -61,7 +61,7 @@ struct Line {
 }
 
 impl Store {
-    /// Opens the directory, and finds what an earlier process has left.
+    /// Opens the directory, and finds the files of an earlier process.
     pub(crate) fn open(buffer: &Buffer, config: &Config) -> io::Result<Self> {
         fs::create_dir_all(&buffer.directory)?;
         let lock = lock(&buffer.directory.join("lock"))?;

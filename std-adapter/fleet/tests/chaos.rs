@@ -31,7 +31,7 @@ struct Record {
     writes: HashMap<i32, u32>,
 }
 
-/// A robot whose I1 counts its reads, and whose I10 keeps what was written.
+/// A robot whose I1 counts its reads, and whose I10 stores the written value.
 struct Cell {
     record: Arc<Mutex<Record>>,
     address: SocketAddr,

@@ -247,7 +247,7 @@ async fn births_data_deaths_and_rebirth() {
 
     one.set(1, 6);
     let data = loop {
-        // what was read before the connection is historical
+        // readings from before the connection are historical
         let data = host.data("cell1", i1.alias.unwrap()).await;
         if !data.is_historical {
             break data;
@@ -288,7 +288,7 @@ async fn a_host_writes_an_allowed_value_and_no_other() {
     host.subscriber.publish(command, b"\xFF".to_vec()).await;
     host.subscriber.publish(command, write("I1", now_ms(), 3, 10, 9)).await;
     let data = loop {
-        // what was read before the connection is historical
+        // readings from before the connection are historical
         let data = host.data("cell1", alias).await;
         if !data.is_historical {
             break data;

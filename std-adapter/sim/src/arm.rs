@@ -265,7 +265,7 @@ impl Arm {
         }
     }
 
-    /// Stops what a command has started.
+    /// Stops the motion that a command has started.
     pub(crate) fn cancel(&mut self, wait: Wait, now: Instant, waits: &mut Waits) {
         match wait {
             Wait::Servo => self.robot.turn_off(HResult::E_CANCEL, now, waits),

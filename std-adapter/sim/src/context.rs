@@ -91,7 +91,7 @@ impl Context<'_> {
         self.errors.refuse(code, self.now)
     }
 
-    /// Enters what the call has done into the log of operations.
+    /// Enters the call into the log of operations.
     pub(crate) fn record(&mut self, text: &str) {
         self.operations.record(text, self.now);
     }

@@ -1,4 +1,4 @@
-//! Tools and work coordinates: what a pose is relative to.
+//! Tools and work coordinates: the origin of a pose.
 //!
 //! ```text
 //!  base ── work ──> work coordinates ── pose ──> tool centre point <── tool ── flange

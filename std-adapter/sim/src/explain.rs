@@ -89,8 +89,8 @@ const FILE_NAME: &str = "name BSTR: a path of at most 32 parts without control c
 
 type Tell = dyn Fn(HResult, &str) + Send + Sync;
 
-/// Receives the code and the reason of each refused argument; and under `S_OK` what the controller has tolerated, as a
-/// [lenient](crate::Config::lenient) one does with unknown options.
+/// Receives the code and the reason of each refused argument; and under `S_OK` the faults that a
+/// [lenient](crate::Config::lenient) controller has tolerated, such as unknown options.
 #[derive(Clone, Default)]
 pub struct Observer(Option<Arc<Tell>>);
 
@@ -101,7 +101,7 @@ impl Observer {
         Self(Some(Arc::new(tell)))
     }
 
-    /// Tells what the controller has tolerated, under the code `S_OK`.
+    /// Reports a tolerated fault, under the code `S_OK`.
     pub(crate) fn tolerated(&self, text: &str) {
         if let Some(tell) = &self.0 {
             tell(HResult::S_OK, text);

@@ -278,7 +278,7 @@ pub(crate) fn with_joints(joints: &Joints, rest: &Axes) -> Axes {
     [j1, j2, j3, j4, j5, j6, j7, j8]
 }
 
-/// Rounds numbers to what a controller can measure: 1e-6 mm or degrees.
+/// Rounds numbers to the resolution of a controller: 1e-6 mm or degrees.
 pub(crate) fn measured<const N: usize>(numbers: [f64; N]) -> Vec<f64> {
     // + 0.0 makes 0 of -0
     numbers.iter().map(|n| (n * 1e6).round() / 1e6 + 0.0).collect()

@@ -133,7 +133,7 @@ impl World {
 }
 
 impl Wire {
-    /// Answers what has arrived, as far as that is possible now.
+    /// Answers the requests that have arrived, as far as that is possible now.
     fn serve(&mut self) {
         let mut world = lock(&self.world);
         let now = world.now;

@@ -1,4 +1,4 @@
-//! Messages: what the controller sends without a request, for a client to fetch.
+//! Messages: reports that the controller makes without a request, for a client to fetch.
 //!
 //! Each error of the controller is a message to every client that is connected then, and so is each text that a task or
 //! a scenario posts. Controller_GetMessage opens the oldest message that this client has not fetched, and answers

@@ -1,4 +1,4 @@
-//! The routes of motions: what a motion command asks for, from which its path is planned.
+//! The routes of motions: the target of a motion command, from which its path is planned.
 //!
 //! A route consists of flange poses relative to the base; its lines and circles are paths of the tool.
 

@@ -1,4 +1,4 @@
-//! The logs of errors, operations and positions; servo data; what a client tells about its load.
+//! The logs of errors, operations and positions; servo data; the load as set by a client.
 
 mod common;
 

@@ -163,7 +163,7 @@ fn a_lost_link_carries_nothing_and_the_buffer_runs_empty() {
     assert_eq!(world.sim.deliver(client.peer, &mut frame), Delivery::Send);
 }
 
-/// Sends Service_Start through a server's session, and returns what is to be done with the reply's bytes.
+/// Sends Service_Start through a server's session, and returns the treatment of the reply's bytes.
 fn wire(text: &str) -> (Delivery, Vec<u8>) {
     let mut sim = Controller::new(Config::default());
     sim.play(scenario(text));

@@ -334,7 +334,7 @@ fn what_is_not_modelled_says_so() {
     assert_eq!(world.call(client.peer, call::controller_get_file_names(c, "")), code(HResult::E_NOTIMPL));
     assert_eq!(world.robot(client, "ForceCtrl", ()), code(HResult::E_NOTIMPL));
     assert_eq!(world.execute(client, "SetAutoMode", ()), code(HResult::E_NOTIMPL));
-    // an RC8 has not what a COBOTTA has
+    // an RC8 does not have the variables of a COBOTTA
     assert_eq!(world.execute(client, "HandStop", ()), code(HResult::E_INVALID_CMD_NAME));
     assert_eq!(world.robot(client, "MotionPreparation", ()), code(HResult::E_INVALID_CMD_NAME));
     assert_eq!(world.robot(client, "Sing", ()), code(HResult::E_INVALID_CMD_NAME));

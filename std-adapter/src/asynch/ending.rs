@@ -46,7 +46,7 @@ impl Open {
         Self { session, left: None, address: address.cloned(), settings: Arc::new(settings.clone()) }
     }
 
-    /// Forgets a lost session, but not what it may have left on the robot.
+    /// Forgets a lost session, but not its possible effects on the robot.
     pub(super) fn lose(&mut self) {
         if let Some(mut session) = self.session.take()
             && let Some(state) = session.take_left()

@@ -47,7 +47,7 @@ impl Task {
         self.handle.run_always(move |session| Box::pin(async move { session.stop_task(&name, mode).await })).await
     }
 
-    /// Reads what the task does.
+    /// Reads the status of the task.
     ///
     /// # Errors
     ///

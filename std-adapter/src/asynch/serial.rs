@@ -15,7 +15,8 @@ use crate::line::SerialLine;
 /// A client over a serial line.
 pub type SerialClient = Connection<SerialTransport, Vec<u8>>;
 
-/// Opens a serial line for this process alone, and drops what it received before. Nothing is sent before the first call.
+/// Opens a serial line for this process alone, and drops bytes that it received before. Nothing is sent before the
+/// first call.
 ///
 /// # Errors
 ///

@@ -40,7 +40,7 @@ impl<'a> Task<'a> {
         ready(self.session.stop_task(&self.name, mode))
     }
 
-    /// Reads what the task does.
+    /// Reads the status of the task.
     ///
     /// # Errors
     ///

@@ -151,7 +151,7 @@ async fn converse(
     mut stopped: watch::Receiver<()>,
 ) -> io::Result<Ended> {
     let mut stopping = false;
-    // what is limited now, and since when
+    // the limited operation, and its start
     let mut limited: Option<(Ended, Instant)> = None;
     loop {
         // a ready socket does not wait, so a client that sends without a pause would keep the thread
@@ -223,7 +223,7 @@ fn send(stream: &TcpStream, slot: &mut Slot) -> io::Result<bool> {
     Ok(true)
 }
 
-/// Receives what has arrived; `true` when the client has closed the connection.
+/// Receives the bytes that have arrived; `true` when the client has closed the connection.
 fn receive(stream: &TcpStream, slot: &mut Slot) -> io::Result<bool> {
     let inner = &mut *slot.shared.lock();
     let tap = &mut inner.tap;

@@ -77,7 +77,7 @@ impl GatewayState {
         }
     }
 
-    /// Returns what the gateway has done so far.
+    /// Returns the counts of the gateway so far.
     pub(super) fn counters(&self) -> Counters {
         *self.lock().gateway.counters()
     }

@@ -41,7 +41,7 @@ type Show = Box<dyn FnMut(&Traffic<'_>) + Send>;
 pub(super) struct Tap(pub(super) Option<Show>);
 
 impl Tap {
-    /// Shows what has happened on a connection; a socket without addresses has ended and shows nothing.
+    /// Shows an event on a connection; a socket without addresses has ended and shows nothing.
     pub(super) fn show(&mut self, ends: impl FnOnce() -> io::Result<Ends>, moved: Moved<'_>) {
         if let Some(tap) = &mut self.0
             && let Ok((is_tcp, client, server)) = ends()

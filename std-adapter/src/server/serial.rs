@@ -50,7 +50,7 @@ pub(super) struct Port {
 }
 
 impl Port {
-    /// Opens a serial line for this process alone, and drops what it received before.
+    /// Opens a serial line for this process alone, and drops bytes that it received before.
     pub(super) fn open(line: &SerialLine, report: LineReport) -> io::Result<Self> {
         Ok(Self { line: line.clone(), stream: opened(line)?, report })
     }

@@ -57,7 +57,7 @@ fn encoded(call: &impl Call, memory: &mut [u8]) -> Result<Vec<OwnedVariant>, Enc
     let mut frame = FrameWriter::new(memory)?;
     call.arguments(&mut frame)?;
     let bytes = frame.finish(0, 0, call.function().0)?;
-    // what the writer has written can be read
+    // the bytes of the writer can be read
     let frame = Decoder::TCP.decode_datagram(bytes).map_err(|_| EncodeError::Full)?;
     Ok(frame.args.iter().map(OwnedVariant::from).collect())
 }

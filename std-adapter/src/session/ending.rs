@@ -6,7 +6,7 @@
 //!  over a lost UDP link:            └─► Service_Stop, which frees the arm for TakeArm
 //! ```
 //!
-//! Only what this session may have begun is ended: a session that never took the arm halts and switches nothing.
+//! Only effects of this session are ended: a session that never took the arm halts and switches nothing.
 
 use std::io;
 use std::time::Duration;
@@ -75,7 +75,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         })
     }
 
-    /// Returns what a lost session has left behind on the robot, once.
+    /// Returns, once, the effects that a lost session has left on the robot.
     pub(crate) fn take_left(&mut self) -> Option<ArmState> {
         self.arm.take().filter(|_| !self.keep)
     }

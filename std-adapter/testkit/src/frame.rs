@@ -82,7 +82,7 @@ impl TestFrame {
         wire
     }
 
-    /// Copies what the core decoded, through its public accessors.
+    /// Copies a value that the core decoded, through its public accessors.
     #[must_use]
     pub fn read(frame: &Frame<'_>) -> Self {
         let args = frame.args.iter().map(Value::read).collect();

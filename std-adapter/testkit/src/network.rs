@@ -68,7 +68,7 @@ pub struct Counter {
     next_handle: i32,
     /// How many calls were abandoned by the server.
     pub abandoned: u32,
-    /// Handles given out and not released, by what they are of.
+    /// Handles given out and not released, by their object.
     pub open: Vec<(Object, i32)>,
 }
 
@@ -137,7 +137,7 @@ enum To {
     Server,
 }
 
-/// When a packet arrives, its number, and what it carries where.
+/// The arrival time of a packet, its number, its content and its destination.
 type Packet = (Instant, u64, To, Vec<u8>);
 
 /// A client, a server, and what lies between them.
@@ -306,7 +306,7 @@ impl Simulation {
         self.wire.pop().map(|Reverse((_, _, to, packet))| (to, packet))
     }
 
-    /// Gives a packet to its end, and returns what the client made of it if that ends its call.
+    /// Gives a packet to its end, and returns the client's result if that ends its call.
     fn deliver(&mut self, to: To, packet: Vec<u8>) -> Option<client::Event> {
         let mut rest = &packet[..];
         let mut ended = None;

@@ -106,7 +106,7 @@ impl Value {
         wire
     }
 
-    /// Returns what follows type and count.
+    /// Returns the bytes after type and count.
     fn data(&self) -> Vec<u8> {
         match self {
             Self::Empty | Self::Null | Self::Opaque(..) => Vec::new(),
@@ -138,7 +138,7 @@ impl Value {
         }
     }
 
-    /// Copies what the core decoded, through its public accessors.
+    /// Copies a value that the core decoded, through its public accessors.
     #[must_use]
     pub fn read(value: Variant<'_>) -> Self {
         match value {

@@ -43,7 +43,7 @@ pub struct TextVector {
 ///
 /// # Panics
 ///
-/// When a file is not what it should be.
+/// When a file does not have the expected form.
 #[must_use]
 pub fn frames() -> Vec<FrameVector> {
     GUIDE.lines().chain(SPEC.lines()).map(frame).collect()
@@ -53,7 +53,7 @@ pub fn frames() -> Vec<FrameVector> {
 ///
 /// # Panics
 ///
-/// When a file is not what it should be.
+/// When a file does not have the expected form.
 #[must_use]
 pub fn texts() -> Vec<TextVector> {
     let text = |line| {

@@ -108,7 +108,7 @@ fn soak(wishes: Wishes, verdict: &mut Verdict) {
     let half = wishes.clients / 2;
     let good = work::start(server.addresses(), half, Arc::clone(&plan));
     let bad = misbehaviour::start(server.addresses(), wishes.clients - half, Arc::clone(&plan));
-    // what is made once is made before anything is measured
+    // one-time allocations happen before the measurement
     let _ = Window::of(&plan, &server, ALONE);
     println!("calls/s alone  together  kept   misbehaviour  {}", State::HEAD);
     let mut rows = Vec::new();

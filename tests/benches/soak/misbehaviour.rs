@@ -119,7 +119,7 @@ async fn deed(server: Addresses, random: &mut Random) -> io::Result<()> {
             sleep(PACE).await;
             reset(&stream)?;
         }
-        // sends what is no frame
+        // sends bytes that are not a frame
         5 => ask(&mut stream, MESSAGES.garbage(1000, random)).await?,
         6 => ask(&mut stream, &MESSAGES.deep).await?,
         7 => ask(&mut stream, &MESSAGES.long).await?,

@@ -1,4 +1,4 @@
-//! Random trials of how programs end while they move a robot, and a table of what was left behind.
+//! Random trials of how programs end while they move a robot, and a table of the effects that they left.
 //!
 //! ```text
 //!  this process                                                 a process for each trial
@@ -67,7 +67,7 @@ impl Options {
     }
 }
 
-/// Runs the trials and prints the table. Returns whether no trial left something behind or reported what is not so.
+/// Runs the trials and prints the table. Returns whether no trial left an effect on the robot or made a false report.
 #[must_use]
 pub fn run(options: Options, bcap: Option<PathBuf>) -> bool {
     let with_command = bcap.is_some();

@@ -1,4 +1,4 @@
-//! The virtual controller of a trial, which keeps the truth: where each motion ends, and what has stopped one.
+//! The virtual controller of a trial, which keeps the truth: where each motion ends, and which event has stopped one.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -59,7 +59,7 @@ impl Watched {
         Self { sim, destination: None, marks: Arc::default() }
     }
 
-    /// Returns what has happened.
+    /// Returns the events so far.
     #[must_use]
     pub(super) fn marks(&self) -> Arc<Marks> {
         Arc::clone(&self.marks)

@@ -41,7 +41,7 @@ pub(super) struct Table {
     bad: u32,
 }
 
-/// Judges what was seen.
+/// Judges the observations.
 fn faults(trial: &Trial, seen: &Seen) -> [bool; 6] {
     let Seen { report, stopped, last, disturbed, hangs } = seen;
     let reported = |name: &str| report.as_ref().filter(|report| report.outcome == name).map(|report| report.truth);
@@ -56,7 +56,7 @@ fn faults(trial: &Trial, seen: &Seen) -> [bool; 6] {
 }
 
 impl Table {
-    /// Adds a trial, and prints its draws if it shows what must not be.
+    /// Adds a trial, and prints its draws if it has a fault.
     pub(super) fn add(&mut self, trial: &Trial, seen: Result<Seen, String>) {
         let seen = match seen {
             Ok(seen) => seen,
@@ -67,7 +67,7 @@ impl Table {
         };
         let faults = faults(trial, &seen);
         let apart = trial.ending.is_apart();
-        // a program that cannot act may leave the robot as it is, but what it reported must be true
+        // a program that cannot act may leave the robot as it is, but its report must be true
         let counted = if apart { &faults[..2] } else { &faults[..] };
         if counted.contains(&true) {
             self.bad += 1;
@@ -85,7 +85,7 @@ impl Table {
         }
     }
 
-    /// Tells whether no trial shows what must not be.
+    /// Tells whether no trial has a fault.
     #[must_use]
     pub(super) fn is_good(&self) -> bool {
         self.bad == 0 && self.failed.is_empty()

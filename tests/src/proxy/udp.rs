@@ -64,7 +64,7 @@ async fn forward(socket: Arc<UdpSocket>, server: SocketAddr, network: Network) {
     let mut known: HashMap<SocketAddr, Way> = HashMap::new();
     let mut buffer = [0; 2048];
     loop {
-        // what a client has closed is told here, and is no matter
+        // an error here tells that a client has closed its port, which does not matter
         let Ok((count, client)) = socket.recv_from(&mut buffer).await else { continue };
         let seed = network.seed.wrapping_add(2 * known.len() as u64);
         let way = match known.entry(client) {

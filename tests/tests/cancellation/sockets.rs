@@ -382,7 +382,7 @@ async fn stream_receive<X: Transport<Error = io::Error>, P: AsyncWrite + Unpin +
     let sent = bytes.clone();
     let dripping = spawn_local(async move {
         drip(&sent[..], &mut peer).await;
-        // a serial line that is closed drops what was not read
+        // a serial line that is closed drops unread bytes
         std::future::pending::<()>().await;
     });
     let until = transport.now().saturating_add(LATER);

@@ -63,7 +63,7 @@ impl Rig {
         self.world.borrow().log.len()
     }
 
-    /// Waits until the server is idle, and forgets what the link has recorded; returns the time.
+    /// Waits until the server is idle, and discards the recording of the link; returns the time.
     fn begin_check(&mut self) -> Instant {
         let wire = self.motion.transport();
         wire.settle();
@@ -109,7 +109,7 @@ impl Rig {
     }
 }
 
-/// An operation of a rig, and what is done before it.
+/// An operation of a rig, and its preparation.
 pub(crate) struct Sweep {
     pub(crate) name: &'static str,
     pub(crate) kind: Link,

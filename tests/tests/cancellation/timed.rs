@@ -1,4 +1,4 @@
-//! The core's transport over a device and a timer: what is dropped before it is ready has moved no byte.
+//! The core's transport over a device and a timer: a future that is dropped before it is ready has moved no byte.
 
 use std::cell::{Cell, RefCell};
 use std::collections::{BTreeMap, VecDeque};

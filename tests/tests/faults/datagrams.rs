@@ -121,7 +121,7 @@ fn datagrams_are_lost_doubled_and_reordered_and_every_call_is_executed_once() {
 #[test]
 fn garbled_datagrams_end_no_service() {
     let server = Served::start(limits());
-    // a turned bit in a value or a marker cannot be seen, so nothing can be said of what was executed how often
+    // a flipped bit in a value or a marker cannot be detected, so the number of executions is not checked
     let faults = Faults { loss: 50, garble: 5, delay: Duration::from_millis(5), ..Faults::default() };
     let proxy = UdpProxy::start(server.udp, faults, 7);
     let timing =

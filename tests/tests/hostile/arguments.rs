@@ -265,7 +265,7 @@ fn more_objects_than_the_limit(target: &mut Target) {
     target.serves_others();
 }
 
-/// On a stream a serial is what the client says: 0 and repetitions are executed like any other.
+/// On a stream the client chooses the serial freely: 0 and repetitions are executed like any other.
 fn serials_and_reserved_fields_of_any_value(target: &mut Target) {
     let mut raw = Raw::connect(target.tcp);
     raw.begin();

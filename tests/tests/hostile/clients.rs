@@ -413,7 +413,7 @@ fn a_port_without_a_listener(_: &mut Target) {
 }
 
 fn names_that_do_not_resolve(_: &mut Target) {
-    // none of them reaches a name server: what is no name is not asked for
+    // none of them reaches a name server: an invalid name is not resolved
     for name in ["no such name:5007", "..:5007", "-:5007", "[::1:5007", "127.0.0.1:65536", "127.0.0.1", ""] {
         let is_unresolved = |error: ConnectError| matches!(error, ConnectError::Resolve { .. });
         assert!(is_unresolved(blocking::connect_tcp(name, &long_timeouts()).unwrap_err()), "{name:?}");

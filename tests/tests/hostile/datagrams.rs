@@ -61,7 +61,7 @@ impl Peer {
     }
 
     pub(crate) fn send(&self, bytes: &[u8]) {
-        // what is larger than a datagram does not even leave
+        // a frame that is larger than a datagram is not even sent
         let _ = self.socket.send_to(bytes, self.server);
     }
 
@@ -72,7 +72,7 @@ impl Peer {
         TestFrame::read(&Decoder::UDP.decode_datagram(&buffer[..count]).expect("replies are frames"))
     }
 
-    /// Asserts that nothing is answered to what was sent before: the answer to a call comes first.
+    /// Asserts that the bytes sent before get no answer: the answer to a call comes first.
     fn hears_nothing(&mut self) {
         let code = self.call(FunctionId(138), vec![]).code;
         assert_eq!(code, HResult::E_INVALIDARG.0);

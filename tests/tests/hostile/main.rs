@@ -56,7 +56,7 @@ fn main() -> ExitCode {
     if std::env::var_os(THRESHOLD).is_none() {
         return again();
     }
-    // one after the other: the cases share the server, and what it takes is measured
+    // one after the other: the cases share the server, and its memory is measured
     let arguments = Arguments { test_threads: Some(1), ..Arguments::from_args() };
     if arguments.list {
         libtest_mimic::run(&arguments, trials(&Arc::new(Mutex::new(None)))).exit();

@@ -30,7 +30,7 @@ fn server() -> (Line, Application) {
     (Session::new(server::Config::SERIAL, [0; 512], [0; 512]), Application::default())
 }
 
-/// Gives the server bytes and returns what it sends.
+/// Gives the server bytes and returns its answer.
 fn send(line: &mut (Line, Application), bytes: &[u8]) -> Vec<u8> {
     let mut sent = Vec::new();
     for byte in bytes {

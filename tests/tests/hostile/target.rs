@@ -108,7 +108,7 @@ impl Target {
             rounds: 0,
             descriptors: None,
         };
-        // before anything is measured: what is made once is there
+        // before anything is measured: one-time allocations exist
         target.serves_others();
         target.has_released_all();
         target.descriptors = target.process().descriptors();

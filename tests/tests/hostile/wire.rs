@@ -198,7 +198,7 @@ impl Raw {
                 self.received.extend(&buffer[..count]);
                 count > 0
             }
-            // what the server has not read of us makes its end a reset
+            // bytes that the server has not read turn its close into a reset
             Err(error) if is_closed(error.kind()) => false,
             Err(error) => panic!("{error}"),
         }

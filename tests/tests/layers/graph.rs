@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use crate::source::{Names, Source, child};
 
-/// Arrows from what needs to what is needed.
+/// Arrows from a module to the modules that it needs.
 pub(crate) type Arrows = BTreeMap<String, BTreeSet<String>>;
 
 /// A path leads to re-exports of re-exports at most this often.
@@ -22,7 +22,7 @@ pub(crate) fn files(source: &Source) -> Arrows {
     for mention in &source.mentions {
         add(&mention.scope, item(source, &mention.scope, &mention.path, MAX_REEXPORTS));
     }
-    // what a module re-exports it needs only if it names it
+    // a module needs its re-exports only if it names them
     for (scope, name) in &source.identifiers {
         if let Some(import) = source.import(scope, name).filter(|import| import.is_reexport) {
             add(scope, item(source, scope, &import.path, MAX_REEXPORTS));
@@ -88,7 +88,7 @@ pub(crate) fn circles(arrows: &Arrows) -> Vec<BTreeSet<&String>> {
     circles
 }
 
-/// Returns what can be reached from a node by one arrow or more.
+/// Returns the nodes that can be reached from a node by one arrow or more.
 fn reachable<'a>(arrows: &'a Arrows, node: &'a String) -> BTreeSet<&'a String> {
     let (mut found, mut left) = (BTreeSet::new(), vec![node]);
     while let Some(node) = left.pop() {

@@ -85,7 +85,7 @@ fn proposal(name: &str, arrows: &Arrows) -> String {
     format!("{name}: {}", layers.join("\n    > "))
 }
 
-/// Checks arrows against the layers that the design lists under a name; returns what is wrong.
+/// Checks arrows against the layers that the design lists under a name; returns the violations.
 fn check(name: &str, arrows: &Arrows) -> Option<String> {
     let circles = graph::circles(arrows);
     if !circles.is_empty() {

@@ -1,4 +1,4 @@
-//! Reads the files of a crate: its modules, and what each of them names of the others.
+//! Reads the files of a crate: its modules, and the items of others that each of them names.
 //!
 //! A file is read as tokens, so that comments and strings do not count and the bodies of macros do. Code for tests
 //! (`#[cfg(test)]`, `#[cfg(all(test, ...))]`) is left out.
@@ -50,7 +50,7 @@ impl Source {
         source
     }
 
-    /// Returns what a module has by `use` under a name.
+    /// Returns the item that a module imports under a name.
     pub(crate) fn import(&self, module: &[String], name: &str) -> Option<&Import> {
         self.imports.get(&(module.to_vec(), name.to_owned()))
     }

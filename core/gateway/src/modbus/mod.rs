@@ -181,7 +181,7 @@ impl<'a> Front<'a> {
                 self.complete();
                 self.reply.clear();
             } else if self.reply.push(*byte).is_err() {
-                // longer than a line, which no server sends; what is left of it has no result code
+                // longer than a line, which no server sends; the rest of it has no result code
                 self.reply.clear();
             }
         }

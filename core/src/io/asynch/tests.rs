@@ -121,7 +121,7 @@ fn a_stream_may_be_dropped_at_any_point_and_run_again() {
         let mut hold = |_: &Cycle<'_>| slave::Next::Stop;
         let ended = poll_times(connection.run(engine.stream(&mut hold)), polls).is_some();
         if !ended {
-            // the engine learns that its call was dropped, and asks the controller what has happened
+            // the engine is told that its call was dropped, and asks the controller for its state
             let error =
                 poll_times(connection.run(engine.stream(&mut hold)), 5000).expect("it must end").unwrap_err().error;
             let StreamError::Fault { step, cause, .. } = error else { panic!("{error:?}") };

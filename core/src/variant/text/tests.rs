@@ -51,7 +51,7 @@ fn same<T: Encode + ?Sized>(text: &str, value: &T) {
     assert_eq!(printed(value.as_variant()).as_deref(), Ok(text));
 }
 
-/// Checks that text is read as the value, and what it looks like when it is written.
+/// Checks the value of a text, and the text of that value.
 fn reads<T: Encode + ?Sized>(text: &str, value: &T, canonical: &str) {
     assert_eq!(parsed(text), Buf::new(value).unwrap(), "{text}");
     same(canonical, value);

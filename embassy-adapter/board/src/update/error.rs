@@ -39,7 +39,7 @@ pub enum UpdateError<E> {
     Crc,
     /// The image does not start with a vector table.
     NoVectors,
-    /// The flash does not have what was written.
+    /// The flash does not contain the written bytes.
     NotWritten,
     /// The partitions do not fit the flash.
     Partitions,

@@ -30,7 +30,7 @@ pub enum StateError<E> {
     Range,
     /// An operation that embassy-boot 0.7 does not perform.
     Unsupported,
-    /// The flash does not have what was written.
+    /// The flash does not contain the written bytes.
     NotWritten,
     /// The flash failed.
     Flash(E),

@@ -45,7 +45,7 @@ pub struct Updater {
 }
 
 impl Updater {
-    /// Reads what the boot loader has done before this start; call it once after each start.
+    /// Reads the action of the boot loader before this start; call it once after each start.
     ///
     /// # Errors
     ///
@@ -102,7 +102,7 @@ impl Updater {
     ///
     /// # Errors
     ///
-    /// [`UpdateError::OtherBoard`], [`UpdateError::Size`] or [`UpdateError::Busy`]; what was received before remains.
+    /// [`UpdateError::OtherBoard`], [`UpdateError::Size`] or [`UpdateError::Busy`]; earlier blocks remain.
     pub fn begin<E>(&mut self, board: &str, version: &str, len: u32, crc: u32) -> Result<(), UpdateError<E>> {
         let most = self.partitions.active.end - self.partitions.active.start;
         if board != self.identity.board() {

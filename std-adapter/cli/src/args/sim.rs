@@ -149,7 +149,7 @@ pub(crate) struct Sim {
     #[arg(long)]
     pub(crate) lenient: bool,
 
-    /// Does what real controllers were seen to do after a refusal, where the specification is silent or says otherwise
+    /// Behaves after a refusal as observed on real controllers, where the specification is silent or says otherwise
     ///
     /// A call that Slave Mode refuses ends Slave Mode, from whichever connection it comes. Robot_Halt is refused while a task owns
     /// the arm.

@@ -159,7 +159,7 @@ impl Past {
         self.rest.is_empty() && self.uncertain.is_none()
     }
 
-    /// Says in one sentence what was written.
+    /// Describes the writes in one sentence.
     pub(super) fn summary(&self) -> String {
         let total = self.written.len() + self.rest.len() + usize::from(self.uncertain.is_some());
         let end = match self.end.as_deref() {

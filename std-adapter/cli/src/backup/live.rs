@@ -326,7 +326,7 @@ fn unless_omitted<T>(
     }
 }
 
-/// Adds a part to the list of what is omitted; returns the failure if the session cannot go on after it.
+/// Adds a part to the list of omissions; returns the failure if the session cannot go on after it.
 fn omit(failure: Failure, part: Part, omitted: &mut Vec<Omission>) -> Result<(), Failure> {
     let reason = match failure {
         Failure::Refused { doing, code } => format!("{doing}: {code}"),

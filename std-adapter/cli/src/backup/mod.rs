@@ -1,6 +1,6 @@
 //! `bcap dump`, `bcap diff` and `bcap restore`: backups of a controller in folders.
 //!
-//! `docs/backup.md` describes the format of a folder and what is guaranteed.
+//! `docs/backup.md` describes the format of a folder and the guarantees.
 
 mod compare;
 mod contents;

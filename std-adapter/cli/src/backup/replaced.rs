@@ -14,7 +14,7 @@ pub(super) struct Replaced {
 }
 
 impl Replaced {
-    /// Chooses a folder that does not exist, so that what an earlier restore has saved stays.
+    /// Chooses a folder that does not exist, so that the files of an earlier restore stay.
     pub(super) fn new(folder: &Path) -> Self {
         let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
         let mut time = now;

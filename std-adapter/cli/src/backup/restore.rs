@@ -91,7 +91,7 @@ fn planned(args: &Restore, backup: &Contents, session: &mut Session) -> Result<P
     Plan::new(backup, &controller, args.io)
 }
 
-/// Prints what the last restore has written.
+/// Prints the writes of the last restore.
 fn status(dir: &Path, json: bool) -> Result<(), Failure> {
     let Some(past) = Past::read(dir)? else {
         return note(&format!("nothing was restored from {}", dir.display()), json);

@@ -53,7 +53,7 @@ impl Port {
 
     /// Skips the answers to earlier requests, even of an earlier program, and the log of a board.
     pub(super) fn skip_answers(&mut self) -> Result<(), Failure> {
-        // the first line feed ends what an earlier program may have sent
+        // the first line feed ends a line that an earlier program may have begun
         self.send("\nhello\n")?;
         let deadline = Instant::now() + self.timeout;
         while self.line(deadline)? != HELLO {}
@@ -80,7 +80,7 @@ impl Port {
 
     /// Sends a block of an image; returns the reason of the board if the block must be sent again.
     pub(super) fn send_block(&mut self, request: &str, number: u32) -> Result<Option<String>, Failure> {
-        // the first line feed ends what a damaged line may have left
+        // the first line feed ends a damaged line
         self.send(&format!("\n{request}\n"))?;
         let deadline = Instant::now() + self.timeout;
         let stored = format!("ok {number}");

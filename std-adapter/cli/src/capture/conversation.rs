@@ -107,7 +107,7 @@ impl Conversations {
         }
     }
 
-    /// Takes what the packets so far have shown: connections, and calls with their replies.
+    /// Takes the results of the packets so far: connections, and calls with their replies.
     pub(crate) fn take_events(&mut self) -> Vec<Event> {
         std::mem::take(&mut self.events)
     }

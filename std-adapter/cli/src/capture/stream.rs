@@ -124,7 +124,7 @@ fn advanced(sequence: u32, by: u64) -> u32 {
 mod tests {
     use super::*;
 
-    /// Adds segments of `abcdefgh`, given by first byte and length, and returns what they add.
+    /// Adds segments of `abcdefgh`, given by first byte and length, and returns the new bytes.
     fn run(first: u32, parts: &[(u32, usize)]) -> (Half, Vec<Piece>) {
         let (mut half, mut out) = (Half::default(), Vec::new());
         let syn = Tcp { sequence: first.wrapping_sub(1), acknowledged: None, syn: true };

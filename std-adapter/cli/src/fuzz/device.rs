@@ -39,7 +39,7 @@ const SLOT: Duration = Duration::from_millis(20);
 /// The wait between the parts of a frame that is split.
 const SPLIT: Duration = Duration::from_millis(1);
 
-/// The device, and the limits of what it gets.
+/// The device, and the limits of the requests.
 pub(super) struct Device {
     pub(super) bcap: Vec<SocketAddr>,
     /// The protocol of the addresses before.
@@ -101,7 +101,7 @@ impl Device {
         let is_closed =
             [wire, rac].into_iter().flatten().fold(false, |is_closed, wire| wire.close(&self.gate) | is_closed);
         let found = found.or_else(|| is_closed.then(closed_port));
-        // what every later client meets is worse than what one connection met
+        // a fault seen by every later client outranks one on this connection
         Ok(self.probe(recorder)?.or(found))
     }
 
@@ -442,7 +442,7 @@ impl Run<'_> {
     /// Sends hostile bytes, which end the connection.
     fn bytes(&mut self, bytes: &[u8]) -> Result<Next, Failure> {
         const SUBJECT: &str = "bytes";
-        // joined calls that no call followed were not sent, so the end of what was sent is unknown
+        // joined calls that no call followed were not sent, so the end of the sent bytes is unknown
         if !self.joined.is_empty() || !self.device.gate.has_bytes(bytes) || !self.follows(bytes) {
             return Ok(Next::End);
         }
@@ -519,7 +519,7 @@ impl Run<'_> {
         self.device.pace()?;
         wire.send(lines);
         let found = |kind, detail: String| Ok(Next::Found(Finding::new(kind, SUBJECT, detail)));
-        // what follows the last CR is no line
+        // bytes after the last CR are not a line
         let end = lines.iter().rposition(|byte| *byte == b'\r').unwrap_or(0);
         let lines = || lines.get(..end).unwrap_or_default().split(|byte| *byte == b'\r');
         if lines().any(|line| line.trim_ascii().is_empty()) {

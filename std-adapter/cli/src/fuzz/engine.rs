@@ -1,4 +1,4 @@
-//! Generates sessions from a seed, runs them, and reduces, confirms and saves what is found.
+//! Generates sessions from a seed, runs them, and reduces, confirms and saves findings.
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};

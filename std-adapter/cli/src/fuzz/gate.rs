@@ -22,7 +22,7 @@ impl Gate {
         Self { writable, with_motion }
     }
 
-    /// Returns the grammar of what may be sent. The gate checks every packet nevertheless.
+    /// Returns the grammar of permitted requests. The gate checks every packet nevertheless.
     pub(super) fn grammar(&self, provider: &str) -> Grammar {
         let named = |command: &Command| (command.function, String::from(command.name));
         let mut grammar = Grammar {

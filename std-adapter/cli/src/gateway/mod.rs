@@ -103,7 +103,7 @@ pub(crate) fn gateway(args: &args::Gateway, link: &LinkArgs) -> Result<(), Failu
     recording.map_or(Ok(()), Recording::finish)
 }
 
-/// Records what a connection of the gateway has moved.
+/// Records the traffic of a connection of the gateway.
 fn record(recorder: &Recorder, traffic: &Traffic<'_>) {
     let ends = Ends { is_tcp: traffic.is_tcp, client: traffic.client, server: traffic.server };
     match traffic.moved {

@@ -117,8 +117,8 @@ impl Reader {
         }
     }
 
-    /// Does what the user has asked for meanwhile. Called before each call of a round, so that a halt over a slow line does not
-    /// wait for the end of the round.
+    /// Carries out the requests that the user made meanwhile. Called before each call of a round, so that a halt over a
+    /// slow line does not wait for the end of the round.
     fn poll(&mut self) -> Result<(), Failure> {
         while let Ok(request) = self.requests.try_recv() {
             self.request(request)?;
@@ -307,7 +307,7 @@ impl Reader {
         Ok(array.map(|array| array.iter().filter_map(|number| number.as_f64()).collect()).unwrap_or_default())
     }
 
-    /// Does what the user asks for.
+    /// Carries out a request of the user.
     fn request(&mut self, request: Request) -> Result<(), Failure> {
         let update = match request {
             Request::Check(name, text) => match self.check(&name, &text) {
@@ -360,7 +360,7 @@ impl Reader {
     }
 }
 
-/// Returns `None` for what the controller refuses or answers with an unexpected value. Fails when the connection is lost.
+/// Returns `None` if the controller refuses or answers with an unexpected value. Fails when the connection is lost.
 fn alive<T>(result: Result<T, Failure>) -> Result<Option<T>, Failure> {
     match result {
         Ok(value) => Ok(Some(value)),

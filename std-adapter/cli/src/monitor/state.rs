@@ -264,7 +264,7 @@ impl State {
         None
     }
 
-    /// Returns what is shown now.
+    /// Returns the present content.
     pub(crate) fn screen(&self) -> Screen {
         let state = match &self.lost {
             Some(why) => format!("NOT CONNECTED: {why}"),

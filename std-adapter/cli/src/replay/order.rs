@@ -1,4 +1,4 @@
-//! The order of calls of different connections: what was answered before a call is answered before it again.
+//! The order of calls of different connections: calls that were answered before a call are answered before it again.
 
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;

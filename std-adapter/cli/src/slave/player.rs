@@ -1,4 +1,4 @@
-//! The trajectory of a stream: the poses and outputs that are sent, and what is kept of the replies.
+//! The trajectory of a stream: the poses and outputs to send, and the recorded values of the replies.
 
 use std::sync::Arc;
 

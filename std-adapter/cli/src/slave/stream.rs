@@ -104,7 +104,7 @@ impl Job<'_> {
         let watching = watch.as_mut().map(|watch| watch.run(open_robot(provider, None)));
         let watching = watching.transpose().map_err(opened)?;
         let config = self.config(handles, watching);
-        // what was on before stays on
+        // a motor that was on before stays on
         let stays_on = self.args.keep_motor || motor_is_on(&mut motion, handles.robot);
         let mut engine = Engine::<MOVE_ROOM>::new(config).map_err(|error| Failure::Input(error.to_string()))?;
         let Self { course, format, args, json, target, .. } = self;

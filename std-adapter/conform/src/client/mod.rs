@@ -1,7 +1,7 @@
 //! Cases for clients: a virtual controller that watches its client, and sometimes answers in an unusual way.
 //!
 //! ```text
-//!  rules     what every request must be
+//!  rules     the rules for every request
 //!  judge     serves sessions; unusual replies to calls of Variable_GetValue, one kind after the other
 //! ```
 

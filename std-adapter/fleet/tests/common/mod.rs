@@ -264,7 +264,7 @@ impl Subscriber {
         timeout(LIMIT, self.messages.recv()).await.expect("no message arrived in time").unwrap()
     }
 
-    /// Waits for a message that a function accepts, and returns what it makes of it.
+    /// Waits for a message that a function accepts, and returns its result.
     pub(crate) async fn find<T>(&mut self, mut accept: impl FnMut(&Publish) -> Option<T>) -> T {
         loop {
             if let Some(found) = accept(&self.next().await) {
@@ -331,7 +331,7 @@ impl Proxy {
         Self { port, flows, cut, task }
     }
 
-    /// Ends all connections; what was not forwarded is lost.
+    /// Ends all connections; bytes that were not forwarded are lost.
     pub(crate) fn cut(&self) {
         self.cut.notify_one();
     }

@@ -48,7 +48,7 @@ impl Handler for Controller {
         self.arm.abandon(peer);
     }
 
-    /// Keeps why the server has refused a request, for GetErrorDescription.
+    /// Stores why the server has refused a request, for GetErrorDescription.
     fn refused(&mut self, _: PeerId, request: &Request<'_>, code: HResult, _: Instant) {
         self.refusals.record_signature(request, code, &self.common.config.observer);
     }
@@ -435,7 +435,7 @@ impl Controller {
     }
 }
 
-/// Returns what the tables say about the command of a request: its parameter, and whether Slave Mode allows it.
+/// Returns the table entries of the command of a request: its parameter, and whether Slave Mode allows it.
 fn command(request: &Request<'_>) -> Option<(Option<&'static str>, bool)> {
     let name = command_of(request)?;
     match request.function {

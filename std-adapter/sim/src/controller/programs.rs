@@ -77,7 +77,7 @@ impl Controller {
             Ok(Next::Halted) => task.suspend(now),
             Err(code) => self.fail_in_task(place, code),
         }
-        // what other tasks wait for may have happened
+        // the events that other tasks wait for may have happened
         if !idle {
             self.tasks.wake(now);
         }

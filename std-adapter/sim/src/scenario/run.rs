@@ -146,7 +146,7 @@ impl Running {
         others
     }
 
-    /// Returns what to do with a call that is new or waits.
+    /// Returns the treatment of a call that is new or waits.
     pub(crate) fn step(&mut self, peer: PeerId, now: Instant) -> Step {
         let Some(fault) = self.calls.get(&peer) else { return Step::Execute };
         if fault.lost {

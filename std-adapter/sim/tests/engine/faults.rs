@@ -66,7 +66,7 @@ fn sent_after(rig: &Rig, failed: Step) -> Vec<Step> {
     steps[at + 1..].to_vec()
 }
 
-/// Asks what the matter is, and does nothing.
+/// Diagnoses the fault, and does nothing.
 const DIAGNOSIS: [Step; 4] = [Step::GetMode, Step::ErrorCount, Step::ErrorInfo, Step::SystemState];
 
 fn fault(rig: &Rig) -> &Fault {
@@ -203,7 +203,7 @@ fn an_error_at_any_cycle_ends_the_stream_there() {
             let (mut rig, end) = play(link, mode, &text);
             assert_eq!((end, fault(&rig).code()), (Action::Faulted, Some(code)), "{link:?}, {mode:?}, {cycle}");
             assert_eq!(rig.world.sim.motor_is_on(), code.level() == Some(1));
-            // what the engine met was that slave mode is off, or the error itself when its answer was withheld
+            // the engine found that Slave Mode is off, or the error itself if its answer was withheld
             let refused = [HResult::E_SLVMODE_OFF, code].map(Cause::Refused);
             assert!(refused.contains(&fault(&rig).cause), "{}", fault(&rig));
             assert_eq!((fault(&rig).released, fault(&rig).emergency_stop), (Released::Yes, Some(false)));

@@ -48,7 +48,7 @@ fn check(format: &Format, moved: &MoveReply<'_>, world: &World) {
     let micros = i32::try_from(world.now.as_micros()).unwrap();
     let ticks = receive.time.map(|unit| if unit == TimeUnit::Millis { micros / 1000 } else { micros });
     assert_eq!(moved.timestamp().map(|stamp| (stamp.ticks, Some(stamp.unit))), ticks.map(|t| (t, receive.time)));
-    // what was sent is what is read
+    // the read outputs equal the sent ones
     let mini = if send.io == SendIo::Mini { MINI } else { 0 };
     assert_eq!(moved.mini_io(), receive.mini_io.then_some(mini), "{format:?}");
     assert_eq!(moved.hand_io(), receive.hand_io.then_some(if send.hand_io { HAND } else { 0 }), "{format:?}");

@@ -1,4 +1,4 @@
-//! A client and a server of the core with a wire between them that takes no time, and does what a scenario wants.
+//! A client and a server of the core with a wire between them that takes no time and follows a scenario.
 
 use bcap_core::bcap::call::{self, Call, ControllerHandle, RobotHandle};
 use bcap_core::bcap::client::{self, ClientError, Event, Timing};

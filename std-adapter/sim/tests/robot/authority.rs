@@ -1,4 +1,4 @@
-//! Arm authority, motor and speeds: what a motion needs, and who may set it.
+//! Arm authority, motor and speeds: the preconditions of a motion, and the clients that may set them.
 
 use std::net::IpAddr;
 use std::time::Duration;

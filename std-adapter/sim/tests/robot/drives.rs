@@ -89,7 +89,7 @@ fn extended_joints_move_with_the_pose() {
     assert_eq!(world.run(client.peer, call::robot_drive(client.robot, 8, -2.0, "")), code(HResult::S_OK));
     assert_eq!(here(&world)[7], 0.0);
 
-    // what an axis does not reach, and what is no axis
+    // positions that an axis does not reach, and numbers that are not an axis
     assert_eq!(world.move_to(client, 1, "J(0,45,90,0,45,0) EX((7,2000))", ""), HResult::from_u32(0x8320_4077));
     assert_eq!(world.execute(client, "ClearError", ()), ok(&()));
     assert_eq!(world.move_to(client, 1, "J(0,45,90,0,45,0) EX((6,1))", ""), HResult::E_INVALIDARG);

@@ -1,4 +1,4 @@
-//! Motions: poses in every form, paths, times, and what is refused.
+//! Motions: poses in every form, paths, times, and refusals.
 
 use bcap_core::bcap::call;
 use bcap_core::hresult::HResult;

@@ -1,4 +1,4 @@
-//! Commands that compute with poses, and the digits of what the arm reports.
+//! Commands that compute with poses, and the digits of the arm's reports.
 
 use bcap_core::bcap::call;
 use bcap_core::hresult::HResult;

@@ -24,8 +24,8 @@ pub struct Live {
 }
 
 impl Live {
-    /// Opens the screen. `screen` gets the keys that were pressed since it was last called, and returns what is drawn. When the
-    /// user quits, `quit` is dropped.
+    /// Opens the screen. `screen` gets the keys that were pressed since it was last called, and returns the content to
+    /// draw. When the user quits, `quit` is dropped.
     ///
     /// # Errors
     ///

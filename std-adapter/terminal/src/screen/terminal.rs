@@ -16,7 +16,7 @@ pub struct Terminal {
     look: Look,
 }
 
-/// Checks that the output is a terminal that can move its cursor; `instead` is what to use otherwise.
+/// Checks that the output is a terminal that can move its cursor; `instead` names the alternative.
 ///
 /// # Errors
 ///
@@ -101,7 +101,7 @@ impl Drop for Terminal {
     }
 }
 
-/// Reads what the terminal can show: `NO_COLOR`, and the character set of the locale.
+/// Reads the capabilities of the terminal: `NO_COLOR`, and the character set of the locale.
 fn look() -> Look {
     let set = |name: &str| env::var(name).ok().filter(|value| !value.is_empty());
     let locale = set("LC_ALL").or_else(|| set("LC_CTYPE")).or_else(|| set("LANG")).unwrap_or_default().to_lowercase();

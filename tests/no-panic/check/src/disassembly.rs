@@ -207,7 +207,7 @@ fn shorten(frame: &str, repository: &Path) -> String {
     inside.unwrap_or_else(|_| frame.to_owned())
 }
 
-/// Runs a program of binutils and returns what it prints.
+/// Runs a program of binutils and returns its output.
 fn tool(name: &str, args: &[&str]) -> Outcome<String> {
     let output = Command::new(name).args(args).output();
     let output = output.map_err(|e| format!("cannot run {name}: {e} (on Debian: apt-get install binutils)"))?;

@@ -5,7 +5,7 @@
 //! ```
 //!
 //! 1. `binary`, all of b-CAP, must not have any symbol of `core::panicking`, nor the place where a panic ends.
-//! 2. `text`, the text of values and RAC, must not either; what is found is listed by the crate that it comes from.
+//! 2. `text`, the text of values and RAC, must not either; findings are listed by the crate that they come from.
 //! 3. The first image with a planted panic path must have one, which shows that the check detects it.
 //! 4. Both are run, which shows that the searched images work.
 
@@ -73,7 +73,7 @@ fn build(workspace: &Path, name: &str, args: &[&str]) -> Outcome<PathBuf> {
     Ok(target.join("release"))
 }
 
-/// Fails when the image is too small to hold what it should.
+/// Fails when the image is too small to contain all parts.
 fn contains_the_core(image: &Image) -> Outcome<()> {
     if image.code_size < LEAST_CODE {
         return Err(format!("{} bytes of code are too few to hold the core; was it optimised away?", image.code_size));
@@ -102,7 +102,7 @@ const TEXTS: &str =
 /// Lines of RAC, as they are written.
 const LINES: &str = "GET:RC8:10:I:\rPUT:RC8:10:P:8196,1,2,3,4,5,6,-1\r0,8,Test\r-2147024809\rGET:RC8:1:IO:\r";
 
-/// Runs an image, which must return what it reads.
+/// Runs an image, which must echo its input.
 fn echoes(program: &Path, input: &[u8]) -> Outcome<()> {
     let output = feed(program, input)?;
     let name = program.file_name().unwrap_or_default().to_string_lossy();
@@ -134,7 +134,7 @@ fn cannot_panic(image: &Image, repository: &Path) -> Outcome<()> {
     if found.is_empty() {
         return contains_the_core(image);
     }
-    // the error says what was found, whether or not its lines are known
+    // the error names the finding, even without its source lines
     let mut sites = image.sites(repository).unwrap_or_default();
     sites.sort();
     sites.dedup();

@@ -23,7 +23,7 @@ const PAUSE: Duration = Duration::from_millis(10);
 /// Requests to start from.
 const REQUESTS: [&[u8]; 3] = [b"PUT:RC8:1:I:3,", b"\x12\x34\0\0\0\x06\x01\x03\0\0\0\x02", b"GET / HTTP/1.1\r\n"];
 
-/// Counts what was sent.
+/// Counts the sent bytes.
 #[derive(Default)]
 pub(super) struct Garbage {
     refused: AtomicU32,

@@ -188,7 +188,7 @@ impl Board<'_> {
     pub(crate) fn status(&mut self) -> String {
         let since = Instant::now();
         loop {
-            // the line feed ends what an interrupted request has left
+            // the line feed ends an interrupted request
             self.send("\nstatus\n");
             let asked = Instant::now();
             while asked.elapsed() < Duration::from_millis(100) {

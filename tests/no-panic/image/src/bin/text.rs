@@ -57,7 +57,7 @@ fn values(line: &[u8]) {
     }
 }
 
-/// Parses a line of RAC as what a client and as what a server sends, and sends it.
+/// Parses a line of RAC as a request and as a response, and sends it.
 fn lines(line: &[u8], wire: &mut Wire, now: Instant) {
     let (mut memory, mut buffer) = ([0; MAX_VALUE], [0; 256]);
     if let Ok(request) = Request::parse(line, &mut memory) {
