@@ -150,7 +150,7 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
     ///
     /// As [`run`](Self::run).
     )?
-    pub $($async)? fn run_beside<P, Y, U, S>(
+    pub $($async)? fn run_watched<P, Y, U, S>(
         &mut self,
         watch: &mut Connection<Y, U, S>,
         procedure: P,

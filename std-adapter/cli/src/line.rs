@@ -1,4 +1,4 @@
-//! A line of the shell or of a script: a command of `bcap`, or a command that only they have.
+//! A line of the shell or of a script: a command of `bcap`, or one that exists only there.
 
 use std::collections::HashMap;
 use std::time::{Duration, Instant};

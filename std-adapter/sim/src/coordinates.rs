@@ -1,4 +1,4 @@
-//! Tools and work coordinates: the origin of a pose.
+//! Tools and work coordinates: the frames that poses refer to.
 //!
 //! ```text
 //!  base ── work ──> work coordinates ── pose ──> tool centre point <── tool ── flange

@@ -17,7 +17,7 @@ pub(crate) const CORE: &[(&str, Coverage)] = &[
     ("io/connection.rs: Connection::exchange", Swept("exchange")),
     ("io/connection.rs: Connection::perform", Through("io/connection.rs: Connection::run")),
     ("io/connection.rs: Connection::run", Swept("run")),
-    ("io/connection.rs: Connection::run_beside", Swept("run_beside")),
+    ("io/connection.rs: Connection::run_watched", Swept("run_watched")),
     ("io/connection.rs: RacConnection::get", Swept("get")),
     ("io/connection.rs: RacConnection::put", Swept("put")),
     ("io/connection.rs: RacConnection::request", Through("io/connection.rs: RacConnection::get")),

@@ -1,4 +1,4 @@
-//! The base of all parsers of this grammar: their result, their errors with a position, and the smallest rules.
+//! The common part of the parsers of this grammar: their result, their errors with a position, and the smallest rules.
 
 use nom::Parser;
 use nom::combinator::all_consuming;

@@ -1,4 +1,4 @@
-//! Real controllers that refuse a call in Slave Mode: `Config::as_observed`.
+//! The reaction of real controllers to a call that Slave Mode refuses: `Config::as_observed`.
 
 use bcap_core::bcap::call;
 use bcap_core::hresult::HResult;
