@@ -8,6 +8,10 @@ default:
 ci:
     bash .ci/run
 
+# Evidence that takes hours: packages, fuzzing, fresh random cases, tests of real time, power cuts. `SEED=1 just nightly` repeats a run.
+nightly:
+    bash .ci/run nightly
+
 # A virtual controller, a session with it, and every frame decoded beside its bytes.
 demo:
     cargo run --release -p bcap-cli -- demo
