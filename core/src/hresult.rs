@@ -8,7 +8,7 @@
 //!
 //!  0x00000000 .. 0x7FFFFFFF   success: S_OK, S_FALSE, S_EXECUTING, S_BUF_FULL 0x0F200501
 //!  0x80000000 .. 0x8000FFFF   reserved: E_CAO_* 0x02nn, E_CAOP_* 0x04nn, session 0x09nn, COM 0x40nn
-//!  0x80010000 .. 0x800101FF   reserved: what is wrong with a packet or an argument
+//!  0x80010000 .. 0x800101FF   reserved: faults of a packet or an argument
 //!  0x8002nnnn                 DISP_E_*: conversions between VARIANTs and text
 //!  0x80040200 .. 0x8004FFFF   defined by the user or by a provider
 //!  0x8007nnnn                 Windows error nnnn: E_HANDLE, E_INVALIDARG, ...

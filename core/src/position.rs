@@ -11,9 +11,9 @@
 //! does not convert to [`Joints`]. Only the number of elements can be checked: CurPosEx (the time and a position) and GetSrvData
 //! have eight numbers too, and are not joints.
 //!
-//! Each type is sent as an array of R4, which is what a variable takes ([`Encode`]). R4 has 24 bits: a number near 1000 is
-//! rounded by at most 0.00003. [`target`](Position::target) makes the destination of Robot_Move, in R8. Neither sends a NaN or
-//! an infinite number. `From` makes a pose of Slave Mode ([`slave::Pose`](crate::slave::Pose)) from each type.
+//! Each type is sent as an array of R4, as variables require ([`Encode`]). R4 has 24 bits: a number near 1000 is
+//! rounded by at most 0.00003. [`target`](Position::target) makes the destination of Robot_Move, in R8. Neither sends a
+//! NaN or an infinite number. `From` makes a pose of Slave Mode ([`slave::Pose`](crate::slave::Pose)) from each type.
 //!
 //! # Orientation
 //!

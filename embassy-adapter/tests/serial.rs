@@ -82,7 +82,8 @@ impl Write for Uart {
     }
 }
 
-/// The gateway's end of a PLC's serial line: what the PLC has sent or the line has lost, and what the PLC receives.
+/// The gateway's end of a PLC's serial line: the bytes that the PLC has sent or the line has lost, and the bytes that
+/// the PLC receives.
 #[derive(Clone, Default)]
 struct PlcLine {
     sent: Rc<RefCell<VecDeque<Result<u8, ErrorKind>>>>,

@@ -53,7 +53,7 @@ pub struct NetworkAddress {
     pub port: u16,
 }
 
-/// A text is not an [`Address`]. Its message contains the text, what is wrong, and what to write.
+/// A text is not an [`Address`]. Its message contains the text, the fault, and the expected form.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct AddressError(String);

@@ -43,7 +43,7 @@ pub struct ObjectPath {
     steps: Vec<(Object, Option<String>)>,
 }
 
-/// A text is not an [`ObjectPath`]. Its message contains the text, what is wrong, and what to write.
+/// A text is not an [`ObjectPath`]. Its message contains the text, the fault, and the expected form.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct ObjectPathError(String);

@@ -27,7 +27,7 @@ def a_session_from_start_to_stop(kind, address):
 
 @check("tcp", "udp")
 def the_bytes_of_the_guide(kind, address):
-    """S2:200-384: the packets of the guide's session, byte by byte where they do not depend on the handle."""
+    """b-CAP specification, sections 4.1.1 to 4.1.5: the packets of the guide's session, byte by byte where they do not depend on the handle."""
     peer = Client(kind, address)
     exchanges = [("01100000000100000001000000000004", "01100000000100000000000000000004"),
                  ("01100000000200000002000000000004", "01100000000200000000000000000004")]
@@ -129,7 +129,7 @@ def serials_wrap_from_65535_to_1(kind, address):
 
 @check(*BCAP)
 def long_calls_send_keep_alives(kind, address):
-    """S2:225-233: with WDT=100 a motion of a second is announced with S_EXECUTING."""
+    """b-CAP specification, Table 4-1: with WDT=100 a motion of a second is announced with S_EXECUTING."""
     peer = with_motor(Session(kind, address, option="WDT=100", timeout=2.0))
     peer.command("ExtSpeed", V(R8, 20.0))
     joints = peer.command("CurJnt").value
@@ -369,7 +369,7 @@ def noise_between_frames_is_passed_over(kind, address):
 
 @check(*BCAP)
 def unknown_functions_are_refused(kind, address):
-    """1 to 137 exist (S2:1613-1806)."""
+    """1 to 137 exist (b-CAP specification, Appendix A)."""
     peer = Session(kind, address)
     for function in (0, 138, 9999, 0x7FFFFFFF, 0xFFFFFFFF):
         equal(peer.code(function, peer.controller), E_INVALIDARG, f"code of function 0x{function:x}")
@@ -431,7 +431,7 @@ DAMAGES = [("terminator", lambda data: data[:-1] + b"\x05"), ("length of an argu
 
 @check("tcp")
 def a_damaged_frame_ends_the_connection(kind, address):
-    """S0:169: the controller answers E_INVALIDRCPACKET and cuts the connection; a code is not required here."""
+    """RAC specification, Table 2-3: the controller answers E_INVALIDRCPACKET and cuts the connection; a code is not required here."""
     for what, damage in DAMAGES:
         peer = Session(kind, address)
         good = Packet(peer.next_serial(), 0, VARIABLE_GET_VALUE, (V(I4, 1),)).to_bytes()
@@ -458,7 +458,7 @@ def a_damaged_datagram_ends_nothing(kind, address):
 
 @check("tcp")
 def a_huge_length_ends_the_connection(kind, address):
-    """S0:176: packets over 16 MiB are E_PACKETSIZEOVER."""
+    """RAC specification, Table 2-3: packets over 16 MiB are E_PACKETSIZEOVER."""
     for length in (16 << 20 | 1 << 10, 0x7FFFFFFF, 0xFFFFFFFF):
         peer = Session(kind, address)
         peer.link.write(b"\x01" + struct.pack("<I", length) + b"\x01\0\0\0")
@@ -472,7 +472,7 @@ def a_huge_length_ends_the_connection(kind, address):
 
 @check("udp")
 def datagrams_up_to_503_bytes_are_accepted(kind, address):
-    """488 bytes (S2:1487); vendor libraries take up to 503."""
+    """488 bytes (b-CAP specification, Table 6-1); vendor libraries take up to 503."""
     peer = Session(kind, address)
     variable = peer.variable("I1")
     for size in (488, 503):

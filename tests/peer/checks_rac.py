@@ -26,7 +26,7 @@ def refused(response, what):
 
 @check("rac")
 def all_kinds_of_variables(_, address):
-    """S0:206-469: the guide's samples, written and read back."""
+    """RAC specification, sections 3.2 to 4.2: the guide's samples, written and read back."""
     line = rac_line(address)
     for kind, value in VALUES:
         index = 20 if kind == "IO" else 10
@@ -47,7 +47,7 @@ def true_is_minus_one(_, address):
 
 @check("rac")
 def blanks_of_the_samples_are_accepted(_, address):
-    """S0:57-59: blanks and tabs at the head of a line; the samples have a blank after each comma."""
+    """RAC specification, section 2.1.1: blanks and tabs at the head of a line; the samples have a blank after each comma."""
     line = rac_line(address)
     for request in (b"PUT:RC8:11:I:3, 123\r", b" \t PUT:RC8:11:I:3,123\r", b"PUT:RC8:11:I: 3, 123\r"):
         equal(line(b"PUT:RC8:11:I:3,0\r"), "0", "response")
@@ -70,7 +70,7 @@ def numbers_survive(_, address):
 
 @check("rac")
 def lines_of_256_bytes_and_no_more(_, address):
-    """S0:57-59: with the CR."""
+    """RAC specification, section 2.1.1: with the CR."""
     line = rac_line(address)
     head = b"PUT:RC8:13:S:8,"
     longest = b"x" * (255 - len(head))
@@ -96,7 +96,7 @@ def wrong_lines_are_refused_and_end_nothing(_, address):
 
 @check("rac")
 def codes_of_errors(_, address):
-    """S0:169-177."""
+    """RAC specification, Table 2-3."""
     line = rac_line(address)
     equal(refused(line(b"DEL:RC8:1:I:\r"), "a wrong verb"), 0x80010005, "E_INVALIDCOMMAND")
     equal(refused(line(b"PUT:RC8:1:I:3,12x\r"), "a wrong value"), 0x80010003, "E_INVALIDARGTYPE")

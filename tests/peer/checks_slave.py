@@ -1,4 +1,4 @@
-"""Checks of Slave Mode (S2:979-1456), in joints and positions."""
+"""Checks of Slave Mode (b-CAP specification, section 5), in joints and positions."""
 
 import time
 
@@ -43,7 +43,7 @@ def move(peer, parameter):
 
 
 def stream(peer, mode, cycles):
-    """Streams, with the last pose three times so that the robot stands (S2:1294), and leaves; returns the codes."""
+    """Streams, with the last pose three times so that the robot stands (b-CAP specification, section 5.5), and leaves; returns the codes."""
     start = enter(peer, mode)
     codes = []
     for count in [*range(cycles), cycles - 1, cycles - 1]:
@@ -105,7 +105,7 @@ def mode_0_says_when_the_buffer_is_full(kind, address):
 
 @check("tcp", "udp", "serial")
 def an_underflow_in_motion_releases_slave_mode(kind, address):
-    """Modes 0 and 2 (S2:1275): the buffer runs empty while J1 moves at 1.25 degrees a second."""
+    """Modes 0 and 2 (b-CAP specification, Table 5-6): the buffer runs empty while J1 moves at 1.25 degrees a second."""
     for mode in (0, 2):
         peer = with_motor(Session(kind, address))
         start = enter(peer, mode)

@@ -3,7 +3,7 @@
 It shares no code and no tables with them. Its decoder is strict: a reply that is not exactly what the
 specification describes raises `Malformed`, so every call is also a check of the reply's bytes.
 
-S2:n is line n of the b-CAP specification for RC9, S0:n line n of the RAC specification for RC8.
+The specifications are the b-CAP specification for RC9 and the RAC specification for RC8.
 """
 
 import select

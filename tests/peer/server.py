@@ -190,7 +190,7 @@ def respond(line, values, judge):
         return b"0\r"
     if tuple(variable) not in values:
         return b"%d\r" % (E_HANDLE - 2**32)
-    # the samples of the specification have a blank after the comma (S0:230)
+    # the samples of the specification have a blank after the comma (RAC specification, section 4.1)
     return b"0, " + values[tuple(variable)].encode() + b"\r"
 
 

@@ -71,7 +71,7 @@ pub fn functions(src: &Path) -> Vec<String> {
 /// Returns the async functions of a source, with the type or trait that they belong to.
 fn in_file(text: &str) -> Vec<String> {
     let (mut found, mut owner, mut open) = (Vec::new(), String::new(), None::<(String, bool)>);
-    // in a macro, `$($async)?` becomes `async`; unit tests end a file, or have one of their own
+    // in a macro, `$($async)?` becomes `async`; unit tests stand at the end of a file, or in a separate one
     let code = text.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default();
     for line in code.lines().filter(|line| !line.trim_start().starts_with("//")) {
         if line.starts_with("impl") || line.contains("trait ") && !line.starts_with(' ') {

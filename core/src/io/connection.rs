@@ -127,7 +127,7 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
     ///
     /// # Errors
     ///
-    /// A [`RunError`]: the procedure's own error, and that of the first call without a reply.
+    /// A [`RunError`]: the procedure's own error, and the error of the first call without a reply.
     $(
     ///
     #[doc = $cancel_safety]

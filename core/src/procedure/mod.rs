@@ -25,7 +25,7 @@
 //! | [`run_queue`]                                      | lets motions follow each other, and waits for the last one   |
 //! | [`slave::Stream`](crate::slave::Stream)      | streams poses in Slave Mode                                  |
 //!
-//! A procedure that fails undoes what it did before it reports the failure, as far as the connection still works: it
+//! A procedure that fails undoes its effects before it reports the failure, as far as the connection still works: it
 //! releases handles, gives the arm back, halts a motion.
 
 mod action;

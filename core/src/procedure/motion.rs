@@ -302,7 +302,7 @@ impl<D, O> MoveSteps<D, O> {
         self.judge(comparison, now);
     }
 
-    /// Decides what follows from the position of this poll.
+    /// Chooses the next step from the position of this poll.
     fn judge(&mut self, comparison: Comparison, now: Instant) {
         let MotionQueue { reports_motion, moved, still, is_loop, .. } = self.queue;
         let there = comparison == Comparison::There;
@@ -450,8 +450,8 @@ impl<D: Encode, O: AsRef<str>> Steps for MoveSteps<D, O> {
         moves.then_some(Undo::Halt(self.handles.robot.0))
     }
 
-    /// A controller that is braking, or whose queue is full, is busy: the position at rest tells what follows. A controller
-    /// without a reading leaves the end of the motion unknown.
+    /// A controller that is braking, or whose queue is full, is busy: the position at rest decides the next step. A
+    /// controller without a reading leaves the end of the motion unknown.
     fn recovered(&mut self, cause: &StepCause) -> bool {
         let StepCause::Refused(code) = *cause else { return false };
         match self.step {

@@ -212,7 +212,8 @@ impl<V: Storage> Client<V> {
         self.state.start(request, now)
     }
 
-    /// Returns what the received bytes mean; `None` when more are needed. The reply before is gone when a line has come.
+    /// Returns the event in the received bytes; `None` when more are needed. The reply before is gone when a line has
+    /// come.
     pub fn poll_event(&mut self, now: Instant) -> Option<Event> {
         // the time is not used: a reply that arrived counts, even after its deadline
         let _ = now;

@@ -179,8 +179,7 @@ impl<V: Storage> Session<V> {
         Self { value, state }
     }
 
-    /// Takes the next line if no request is pending, and returns what it contains; the gateway's side of
-    /// [`run`](Self::run).
+    /// Takes the next line if no request is pending, and returns its content; the gateway's side of [`run`](Self::run).
     ///
     /// Each request is reported once, as [`Event::Requested`]. After its time limit it gets the reply E_TIMEOUT and is
     /// reported as [`Event::Served`].

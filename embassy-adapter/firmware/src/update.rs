@@ -1,4 +1,4 @@
-//! Updates of the image `gateway`: its partitions, its identity, and what the boot loader does.
+//! Updates of the image `gateway`: its partitions, its identity, and the work of the boot loader.
 #![expect(unsafe_code, reason = "another program is started, at an address that the compiler does not know")]
 
 use core::cell::RefCell;

@@ -140,7 +140,7 @@ async fn run_session<X: Transport, M: RawMutex, const N: usize>(
     }
 }
 
-/// Decides what a session does next; copies bytes to send into `chunk`.
+/// Chooses the next step of a session; copies bytes to send into `chunk`.
 fn next<M: RawMutex, const N: usize>(slot: &ClientSlot<'_, '_, M, N>, chunk: &mut [u8; CHUNK]) -> Next {
     let next = slot.shared.with(|inner| {
         let mut count = 0;

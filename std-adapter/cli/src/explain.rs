@@ -1,4 +1,5 @@
-//! `bcap explain`: what a result code means and what to do; with `--index`, all known codes as a page of the documentation.
+//! `bcap explain`: the meaning of a result code, and the remedy; with `--index`, all known codes as a page of the
+//! documentation.
 
 use std::fmt::Write as _;
 

@@ -53,7 +53,7 @@ pub(crate) enum State {
     Stepping,
     /// The command may move the robot.
     Moving,
-    /// The command may move the robot, and always restores what it changed.
+    /// The command may move the robot, and always restores its changes.
     Restoring,
     /// The command streams poses.
     Streaming,

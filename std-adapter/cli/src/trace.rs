@@ -1,7 +1,7 @@
 //! The packets of a session: the last ones, and with `--trace` all of them on the standard error.
 //!
-//! The transport of every connection is wrapped, so a packet is what was sent and received, also for retries and
-//! keep-alives.
+//! The transport of every connection is wrapped, so a packet is exactly the sent or received bytes, also for retries
+//! and keep-alives.
 
 use std::io::{self, Write as _};
 use std::sync::atomic::{AtomicBool, Ordering};

@@ -59,7 +59,7 @@ fn constants() -> String {
     )
 }
 
-/// The 137 functions: names, arguments, what they open and release.
+/// The 137 functions: names, arguments, the objects that they open and release.
 fn functions() -> String {
     let mut out = String::from("local FUNCTIONS = {\n");
     for function in FunctionId::all() {

@@ -94,7 +94,7 @@ impl Board {
     fn run(mut console: Console<'static, Flash<4, 2048>>, damage: fn(usize, &mut u8)) -> Option<Self> {
         let (mut port, host) = pty::pair()?;
         port.set_timeout(std::time::Duration::from_millis(5)).unwrap();
-        // what a board logs, and a partly sent request of an earlier program
+        // the log of a board, and a partly sent request of an earlier program
         port.write_all(b"0.001 INFO  started\nok nothing was asked\n").unwrap();
         let (end, received) = <(Arc<AtomicBool>, Arc<AtomicUsize>)>::default();
         let mut line = Line { port, end: Arc::clone(&end), received: Arc::clone(&received), damage };

@@ -82,7 +82,7 @@ fn only_changes_are_written_and_a_signal_completes_the_file() {
     let (path, table) = (folder.path().join("values.mcap"), folder.path().join("values.csv"));
     let files = ["--mcap", path.to_str().unwrap(), "--csv", table.to_str().unwrap()];
     let mut watch = robot.spawn(&[&["watch", "I1", "--interval", "5", "--changed"], &files[..]].concat());
-    // the table shows what has been read
+    // the table shows the read values
     let has_read = |value: &str| fs::read_to_string(&table).is_ok_and(|rows| rows.ends_with(value));
     while !has_read(",0\n") {}
     assert_eq!(robot.run(&["put", "I1", "7"]).code, 0);

@@ -1,4 +1,4 @@
-//! `bcap proxy` and `--write`: what they record, what they print, and the faults.
+//! `bcap proxy` and `--write`: recordings, output, and faults.
 
 #[path = "common/capture.rs"]
 mod capture;

@@ -1,4 +1,4 @@
-//! The commands that talk to a controller: what they send, what they print, and how they fail.
+//! The commands that talk to a controller: their calls, their output, and their failures.
 
 mod common;
 #[path = "common/fake.rs"]

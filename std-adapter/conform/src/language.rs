@@ -1,4 +1,4 @@
-//! The language of cases: what is sent, what must come.
+//! The language of cases: requests, and conditions for the replies.
 
 use std::fmt;
 

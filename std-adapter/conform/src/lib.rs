@@ -1,7 +1,7 @@
 //! Conformance cases for b-CAP and RAC, the protocols of DENSO robot controllers.
 //!
 //! ```text
-//!  cases    tables: what is sent, what must come, the line of the specification
+//!  cases    tables: requests, conditions, the section of the specification
 //!  bench    runs one case on a separate connection, and undoes its changes
 //!  reply    judges and words what came
 //!  client   cases for clients

@@ -1,4 +1,4 @@
-//! Runs a case: its setup, its steps, and the end, which undoes what they changed.
+//! Runs a case: its setup, its steps, and the end, which undoes their changes.
 
 use std::time::Duration;
 
@@ -16,7 +16,7 @@ use crate::reply::request_text;
 const PIECE_PAUSE: Duration = Duration::from_millis(20);
 
 impl Bench<'_> {
-    /// Runs a case, then undoes what it changed.
+    /// Runs a case, then undoes its changes.
     pub(crate) fn run(&mut self, case: &Case) -> Result<(), Stop> {
         let result = self.setup(case.setup).and_then(|()| match &case.body {
             Body::Steps(steps) => steps.iter().try_for_each(|step| self.step(step)),

@@ -67,7 +67,7 @@ pub(crate) struct Job {
     pub(crate) expires: u64,
 }
 
-/// The rules, and what was executed.
+/// The rules, and the executed commands.
 #[derive(Debug)]
 pub(crate) struct Commands {
     config: config::Commands,

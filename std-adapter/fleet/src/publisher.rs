@@ -711,7 +711,7 @@ impl Publisher {
         } else if self.cells[cell].running >= RUNNING.1 {
             Err(format!("{} commands of this controller are running", RUNNING.1))
         } else {
-            // the times first: what is proven afterwards was so at these times, and the deadline is not after the expiry
+            // the times first: a later proof refers to these times, and the deadline is not after the expiry
             let (at, now) = (Instant::now(), now_ms());
             if self.is_proven() {
                 self.commands.check(cell, &command, at, now)

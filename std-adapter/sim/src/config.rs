@@ -124,8 +124,8 @@ impl Default for SlaveConfig {
 pub struct Config {
     /// The model. The other settings begin with its values.
     pub model: Model,
-    /// Whether it tolerates what a real controller may refuse: the provider of another model, and unknown options. It tells
-    /// `observer` each text that it tolerates.
+    /// Whether it tolerates requests that a real controller may refuse: the provider of another model, and unknown
+    /// options. It tells `observer` each text that it tolerates.
     pub lenient: bool,
     /// Whether it behaves as observed on real controllers after a refusal, where the specification is silent or says
     /// otherwise: a call that Slave Mode refuses ends Slave Mode, and Robot_Halt is refused while a task owns the arm.

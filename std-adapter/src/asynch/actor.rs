@@ -221,7 +221,7 @@ impl Actor {
         }
     }
 
-    /// Opens a session, and ends first what a lost one may have left on the robot. Requests fail meanwhile.
+    /// Opens a session. Ends first the effects that a lost session may have left on the robot. Requests fail meanwhile.
     async fn connect(&mut self, left: &mut Option<Left>) -> ControlFlow<Ended, Result<Session<Socket>, Error>> {
         let Some(address) = self.address.clone() else { return ControlFlow::Break(Ended::Dropped) };
         self.state.send_replace(State::Connecting);

@@ -374,8 +374,8 @@ impl Controller {
         States::new(self.handle.state.clone())
     }
 
-    /// Returns what is done for the robot after each further lost connection, if the lost session had taken the arm: the robot
-    /// is halted, the motor that was switched on is switched off, and the arm is given back, before any other call.
+    /// Returns the recoveries of the robot after lost connections whose session had taken the arm: the robot is halted,
+    /// the motor that was switched on is switched off, and the arm is given back, before any other call.
     pub fn recoveries(&self) -> Recoveries {
         Recoveries::new(self.handle.recovered.clone())
     }

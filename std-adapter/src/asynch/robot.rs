@@ -247,9 +247,9 @@ impl Arm {
     ///
     /// # Cancel safety
     ///
-    /// **Dropping the future halts the robot**: the task gives up what it waits for and sends the halt. To let the
-    /// robot move on, keep the future. The halt uses the same connection, so it is executed after a call that the
-    /// controller still executes; a [`Stopper`] has its own.
+    /// **Dropping the future halts the robot**: the task abandons the pending call and sends the halt. To let the robot
+    /// move on, keep the future. The halt uses the same connection, so it is executed after a call that the controller
+    /// still executes; a [`Stopper`] has its own.
     pub fn move_to<'a>(
         &'a mut self,
         motion: &Move,

@@ -41,7 +41,7 @@ pub(crate) fn end_now(session: &mut Session<Blocking>, address: Option<&Address>
     }
 }
 
-/// Ends over a new connection what a lost session may have left behind. Over UDP the lost session is stopped too.
+/// Ends over a new connection the effects that a lost session may have left. Over UDP the lost session is stopped too.
 pub(crate) fn recover_now(
     address: &Address,
     settings: &Settings,

@@ -39,7 +39,8 @@ pub(super) enum ArmEffect {
 }
 
 impl ArmEffect {
-    /// Returns the effect of a call of the controller or the robot; `command` and `parameter` are those of an Execute function.
+    /// Returns the effect of a call of the controller or the robot; `command` and `parameter` are the arguments of an
+    /// Execute function.
     pub(super) fn of(function: FunctionId, command: &str, parameter: Variant<'_>) -> Option<Self> {
         match (function, &*command.to_ascii_lowercase()) {
             (FunctionId::ROBOT_EXECUTE, "takearm") => Some(Self::Take),

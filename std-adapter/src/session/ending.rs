@@ -151,7 +151,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         Ok(())
     }
 
-    /// Ends what a lost session may have left behind; `stop` stops its service.
+    /// Ends the effects that a lost session may have left; `stop` stops its service.
     ///
     /// A motion of the lost session is halted first. Then its service is stopped, so that its arm is free. The motor is switched off if the arm can be taken, or if the robot was
     /// moving: otherwise another client may have begun to use it.

@@ -1,7 +1,7 @@
 //! Generates requests of a client to a server: valid, nearly valid and hostile calls, bytes and lines.
 //!
-//! A [`Grammar`] contains the functions, names and commands to choose from, so the caller decides what a device may receive.
-//! The same bytes give the same steps.
+//! A [`Grammar`] contains the functions, names and commands to choose from, so the caller decides which requests a
+//! device may receive. The same bytes give the same steps.
 //!
 //! # Examples
 //!

@@ -150,7 +150,7 @@ impl Folder {
     }
 }
 
-/// Returns whether a folder does not exist, or has nothing but what a killed dump leaves before it begins.
+/// Returns whether a folder does not exist, or contains only files that a dump leaves when it is killed at its start.
 fn is_empty(path: &Path) -> Result<bool, Failure> {
     if !path.exists() {
         return Ok(true);

@@ -1,4 +1,4 @@
-//! The journal of `bcap restore`: what was going to be written, and what was written.
+//! The journal of `bcap restore`: planned and completed writes.
 //!
 //! ```text
 //!  {"begin":{"planned":["I5","file:Pro1.pcs"],"robot":"tcp:192.168.0.1:5007","unix_time":1700000000}}

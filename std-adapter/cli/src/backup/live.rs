@@ -199,7 +199,7 @@ impl Wildcard {
         Ok(Some(value))
     }
 
-    /// Compares by name what was read before the handle was known to be wrong.
+    /// Compares by name the values that were read before the handle was found to be wrong.
     fn check_again(&self, session: &mut Session, indices: Range<u32>) -> Result<(), Failure> {
         for index in indices {
             if self.only != Some(by_name(session, self.kind, index)?) {

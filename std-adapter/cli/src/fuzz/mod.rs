@@ -4,7 +4,7 @@
 //!  engine    a seed -> sessions; reduces, confirms and saves findings
 //!  device    runs steps and judges the replies; a new client must be served afterwards
 //!  gate      what may be sent
-//!  session   the handles of a connection, and what they may be used for
+//!  session   the handles of a connection, and their permitted uses
 //!  minimise  delta debugging
 //! ```
 //!

@@ -1,4 +1,4 @@
-//! The connections of a recording, and what the thread hands to the command.
+//! The connections of a recording, and the messages of the thread to the command.
 
 use std::net::SocketAddr;
 

@@ -1,4 +1,4 @@
-//! A client's socket that records what it sends and receives, if the command has a recording.
+//! A client's socket that records its traffic, if the command has a recording.
 
 use std::io;
 

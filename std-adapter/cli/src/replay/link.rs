@@ -153,7 +153,7 @@ impl Client {
         came
     }
 
-    /// Records what the call has opened or released in this replay.
+    /// Records the objects that the call has opened or released in this replay.
     ///
     /// The robot may give the number of a released object to another one, so the number must not be sent any more.
     fn remember(&mut self, call: &Call, came: &Came) {

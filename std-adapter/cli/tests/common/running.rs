@@ -57,7 +57,7 @@ impl Running {
         line.trim_end().to_owned()
     }
 
-    /// Ends the process by SIGINT, and returns what it printed after the first line.
+    /// Ends the process by SIGINT, and returns its output after the first line.
     pub(crate) fn interrupt(mut self) -> Run {
         assert!(Command::new("kill").args(["-INT", &self.child.id().to_string()]).status().unwrap().success());
         let (mut out, mut err) = (String::new(), String::new());

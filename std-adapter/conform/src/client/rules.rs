@@ -69,7 +69,7 @@ pub fn client_cases() -> impl Iterator<Item = (String, &'static str, &'static st
     CASES.iter().map(|(name, source, rule)| (format!("client/{name}"), *source, *rule))
 }
 
-/// The verdicts so far, and what the rules must remember of a session.
+/// The verdicts so far, and the state of a session that the rules need.
 #[derive(Debug)]
 pub(super) struct Rules {
     link: Link,
@@ -177,7 +177,7 @@ impl Rules {
         }
     }
 
-    /// Records what a reply opens or releases.
+    /// Records the objects that a reply opens or releases.
     pub(super) fn reply(&mut self, request: &TestFrame, reply: &TestFrame) {
         if HResult(reply.code).is_err() {
             return;

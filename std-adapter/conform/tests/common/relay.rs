@@ -190,7 +190,7 @@ fn relay_stream(client: &TcpStream, device: SocketAddr, hooks: Hooks) {
             let Some(bytes) = changed else { continue };
             let _ = to.write_all(if is_canonical { &bytes } else { &original });
         }
-        // the device judges what is not a frame
+        // the device judges bytes that are not a frame
         if Decoder::TCP.strictness(Strictness::Lenient).decode(&held).is_err() {
             let _ = to.write_all(&std::mem::take(&mut held));
         }

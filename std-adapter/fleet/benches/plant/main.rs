@@ -4,9 +4,9 @@
 //! cargo bench -p bcap-fleet --bench plant -- [CONTROLLERS [VALUES [HZ [SECONDS]]]]
 //! ```
 //!
-//! Each controller changes all of its values HZ times a second to the time of the change, and the fleet reads them as often. It
-//! prints what arrives at the subscriber, what each process costs, and what the broker alone carries when a plain client
-//! publishes the same messages as fast as it can.
+//! Each controller changes all of its values HZ times a second to the time of the change, and the fleet reads them as
+//! often. It prints the messages that arrive at the subscriber, the cost of each process, and the capacity of the
+//! broker alone when a plain client publishes the same messages as fast as it can.
 #![cfg_attr(not(target_os = "linux"), allow(unused, reason = "/proc has the costs of processes"))]
 
 mod mqtt;

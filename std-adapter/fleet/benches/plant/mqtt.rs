@@ -1,4 +1,4 @@
-//! A small MQTT 3.1.1 client for measurements: it costs less than a library, and so shows what the broker carries.
+//! A small MQTT 3.1.1 client for measurements: it costs less than a library, and so shows the capacity of the broker.
 
 use std::io::{BufReader, Read, Write};
 use std::net::TcpStream;

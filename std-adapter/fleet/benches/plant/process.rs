@@ -1,4 +1,4 @@
-//! The processes of the bench, and what they cost.
+//! The processes of the bench, and their cost.
 
 use std::fs;
 use std::io::{BufRead, BufReader};

@@ -119,7 +119,7 @@ impl Subscriber {
         Ok(Self { counts })
     }
 
-    /// Returns what has arrived since the last call.
+    /// Returns the messages since the last call.
     pub(crate) fn take(&self) -> Seen {
         let mut counts: MutexGuard<'_, Counts> = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
         let seen = Seen {

@@ -2,9 +2,9 @@
 //! [`tasks`](crate::tasks).
 //!
 //! Reading a variable that can only be written answers `E_ACCESSDENIED`, writing one that can only be read
-//! `E_CAO_NOT_WRITABLE`. Variables without a function in this model have the value of an idle controller:
-//! `@DEADMAN_SW` and `@TSR_BUSY_STATUS` are false, `@AUTO_ENABLE` is true, `@IO_ALLOC_MODE` and a task's
-//! `@STATUS_DETAILS` are 0. `@PROTECTIVE_STOP` is what a scenario says. `@LOCK`, the machine lock, is stored but has no effect.
+//! `E_CAO_NOT_WRITABLE`. Variables without a function in this model have the value of an idle controller: `@DEADMAN_SW`
+//! and `@TSR_BUSY_STATUS` are false, `@AUTO_ENABLE` is true, `@IO_ALLOC_MODE` and a task's `@STATUS_DETAILS` are 0. A
+//! scenario sets `@PROTECTIVE_STOP`. `@LOCK`, the machine lock, is stored but has no effect.
 
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;

@@ -32,7 +32,7 @@ pub(super) struct Steps {
 pub(crate) struct Turn {
     steps: Arc<[Step]>,
     at: usize,
-    /// Whether the step begins; otherwise it ends, if what it waits for has happened.
+    /// Whether the step begins; otherwise it ends, if the event that it waits for has happened.
     pub(crate) begins: bool,
 }
 

@@ -19,7 +19,7 @@ fn items(answer: &Value) -> Vec<String> {
     }
 }
 
-/// Names a value by what it can only be in an answer.
+/// Names a value by its only possible meaning in an answer.
 fn shape(value: &Variant<'_>) -> String {
     match value {
         Variant::I4(_) => "I4".to_owned(),

@@ -22,7 +22,7 @@ impl Controller {
     /// Wraps a connection over which nothing is started: [`call_any`](Self::call_any) makes the calls of the session.
     ///
     /// It is for tools that choose these calls themselves, or that see all bytes on their own transport. After
-    /// Service_Start and Controller_Connect it is like any other controller, and releases what is open when it is
+    /// Service_Start and Controller_Connect it is like any other controller, and releases its open objects when it is
     /// dropped.
     ///
     /// # Examples

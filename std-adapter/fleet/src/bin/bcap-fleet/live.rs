@@ -98,7 +98,7 @@ impl Shown {
         Self { monitor, events, metrics, selected: 0, rate: (Instant::now(), 0, 0.0) }
     }
 
-    /// Handles keys, and returns what is drawn.
+    /// Handles keys, and returns the content to draw.
     pub(crate) fn screen(&mut self, keys: &[KeyCode]) -> Screen {
         let status = self.monitor.status();
         let last = status.controllers.len().saturating_sub(1);
