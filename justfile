@@ -67,15 +67,15 @@ fairness:
 
 # Random programs of motions with each arm: no axis exceeds its speed or leaves its range.
 programs count="10000":
-    PROGRAMS={{count}} cargo test --release -p bcap-sim --test robot random::no_axis
+    PROGRAMS={{count}} cargo test --release -p bcap-sim --test all robot::random::no_axis
 
 # Random scenarios with 1,000 random calls each, three times: the same records.
 scenarios count="100":
-    PROGRAMS={{count}} cargo test --release -p bcap-sim --test determinism
+    PROGRAMS={{count}} cargo test --release -p bcap-sim --test all determinism::
 
 # Draws the figures of docs/motion.md again.
 figures:
-    FIGURES=write cargo test -p bcap-sim --test figures
+    FIGURES=write cargo test -p bcap-sim --test all figures::
 
 # What `bcap proxy` adds to a round trip.
 proxy:
@@ -83,11 +83,11 @@ proxy:
 
 # Slave Mode in real time through `bcap proxy`, which records: an hour, or `just proxy-slave 1` for a minute. It fails on an underflow.
 proxy-slave minutes="60":
-    MINUTES={{minutes}} cargo test --release -p bcap-cli --test proxy_load -- --ignored --nocapture
+    MINUTES={{minutes}} cargo test --release -p bcap-cli --test all proxy_load:: -- --ignored --nocapture
 
 # A stream in real time with errors, doctor, monitor, fleet and a gateway, on a controller that ends Slave Mode at each refused call.
 stream-and-monitors:
-    cargo test --release -p bcap-cli --test monitors -- --ignored --nocapture
+    cargo test --release -p bcap-cli --test all monitors:: -- --ignored --nocapture
 
 # Round trips over loopback compared with a bare ping-pong, and a server with 100 connections.
 loopback:
@@ -124,18 +124,18 @@ board:
 board-soak minutes="60" seed="1":
     cargo build --release -p bcap-cli
     SOAK_SECONDS=$(({{minutes}} * 60)) SOAK_SEED={{seed}} BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" \
-        cargo test -p bcap-qemu --test soak
+        cargo test -p bcap-qemu soak::
 
 # A client that sends refused PUTs to the gateway board in QEMU as fast as it can, and a PLC beside it: ten minutes, or `just board-flood 1`.
 board-flood minutes="10":
     cargo build --release -p bcap-cli
     FLOOD_SECONDS=$(({{minutes}} * 60)) BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" \
-        cargo test -p bcap-qemu --test flood
+        cargo test -p bcap-qemu flood::
 
 # Updates of the gateway board in QEMU with the power cut in each operation of a swap and a roll-back, and in many of a download: 45 minutes.
 board-updates:
     cargo build --release -p bcap-cli
-    UPDATE_CUTS=all BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo test -p bcap-qemu --test update -- --nocapture
+    UPDATE_CUTS=all BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo test -p bcap-qemu update:: -- --nocapture
 
 # Virtual controllers, `bcap-fleet`, Mosquitto and a subscriber on this machine: values a second, processor time, memory, latency.
 fleet controllers="500" values="20" hz="5" seconds="10":
@@ -147,7 +147,7 @@ fuzz seconds="30":
 
 # How long `bcap fuzz` takes to find each of 35 planted bugs: minutes.
 planted:
-    cargo test --release -p bcap-cli --test fuzz -- --ignored --nocapture
+    cargo test --release -p bcap-cli --test all fuzz:: -- --ignored --nocapture
 
 # The corpora of the fuzz targets: `just corpora unpack` writes the archives' inputs to folders, `just corpora pack` the reverse.
 corpora action:
@@ -155,12 +155,12 @@ corpora action:
 
 # A hundred thousand calls over UDP; one datagram in ten is lost, one in ten duplicated.
 lossy calls="100000":
-    UDP_CALLS={{calls}} cargo test -p bcap-tests --test faults datagrams_are_lost -- --nocapture
+    UDP_CALLS={{calls}} cargo test -p bcap-tests --test all datagrams_are_lost -- --nocapture
 
 # Values and a file of 256 KiB over a serial cable of 115200 baud that corrupts one byte in 10,000, then 10 s of Slave Mode at 921600.
 serial:
-    cargo test --release -p bcap-tests --test serial_cable -- --ignored --nocapture --test-threads 1
-    cargo test --release -p bcap-cli --test serial -- --ignored --nocapture
+    cargo test --release -p bcap-tests --test all serial_cable:: -- --ignored --nocapture --test-threads 1
+    cargo test --release -p bcap-cli --test all serial:: -- --ignored --nocapture
 
 # Two hundred clients for a minute, or for `just soak 36000` seconds; half of them misbehave.
 soak seconds="60":
@@ -172,10 +172,10 @@ coverage target:
 
 # All 2^32 values of every length and count, and the edges with 32-bit addresses (needs Debian's gcc-multilib).
 lengths:
-    cargo test --release -p bcap-tests --test lengths -- --ignored
+    cargo test --release -p bcap-tests --test all lengths:: -- --ignored
     rustup target add i686-unknown-linux-gnu
     cargo test -p bcap-core --lib --target i686-unknown-linux-gnu
-    cargo test -p bcap-tests --test lengths --test vectors --target i686-unknown-linux-gnu
+    cargo test -p bcap-tests --test all --target i686-unknown-linux-gnu -- lengths:: vectors::
 
 # Prints and parses every 1000th float (`just floats 1`: all of them, half an hour), and the milliseconds of some days.
 floats step="1000":
@@ -206,7 +206,7 @@ dependencies:
 # The gateway board in QEMU for a minute on a link that drops, repeats and delays frames; a seed decides which.
 wire seed="1":
     cargo build --quiet --locked --release -p bcap-cli
-    WIRE_SECONDS=60 WIRE_SEED={{seed}} BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo test -p bcap-qemu --test wire
+    WIRE_SECONDS=60 WIRE_SEED={{seed}} BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo test -p bcap-qemu wire::
 
 # Checks a release, as RELEASING.md describes; with `--execute` tags and publishes it: `just release 0.2.0 --execute`.
 release version execute="":
@@ -252,9 +252,9 @@ reproducible:
 # How long it takes until the standby of a fleet replaces a process that is killed or stopped, and until values arrive after
 # a restart of the broker, with the default of `after_ms`. Needs Mosquitto.
 takeover count="20":
-    TAKEOVERS={{count}} cargo test --release -p bcap-fleet --test standby -- --nocapture processes_that_are
+    TAKEOVERS={{count}} cargo test --release -p bcap-fleet --test all standby::processes_that_are -- --nocapture
 
 # A fleet whose broker, robots and network fail again and again: every fourth failure is one of the broker, and there are
 # 50 commands for each. Prints what arrived, was dropped, and was executed. Needs Mosquitto.
 chaos failures="200":
-    FAILURES={{failures}} cargo test --release -p bcap-fleet --test chaos -- --nocapture
+    FAILURES={{failures}} cargo test --release -p bcap-fleet --test all chaos:: -- --nocapture

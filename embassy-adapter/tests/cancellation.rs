@@ -3,21 +3,10 @@
 //!
 //! The functions are listed at the end, and the list is compared with the sources. `tests/tests/cancellation` does the
 //! same for the core and bcap-std.
-#![cfg(all(feature = "http", feature = "modbus", feature = "serial"))]
-#![allow(
-    clippy::expect_used,
-    clippy::indexing_slicing,
-    clippy::large_futures,
-    clippy::panic,
-    clippy::unwrap_used,
-    reason = "a test fails by panicking"
-)]
 
 #[path = "../../tests/src/async_functions.rs"]
 #[allow(unreachable_pub, reason = "it is a module of the library of bcap-tests, too")]
 mod async_functions;
-#[allow(dead_code, reason = "each test uses a part of it")]
-mod common;
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -26,6 +15,7 @@ use std::path::Path;
 use std::pin::pin;
 use std::task::Poll;
 
+use crate::common::{address, between};
 use async_functions::Coverage::{self, Exempt, Swept, Through};
 use bcap_core::bcap::call::{self, ControllerHandle};
 use bcap_core::bcap::client::{Config, Timing};
@@ -44,7 +34,6 @@ use bcap_embassy::net::{Connection, NetError, Options, TcpTransport, Transport, 
 use bcap_embassy::server::{Limits, Listener, SharedHandler, UdpPeer, UdpServer};
 use bcap_gateway::modbus::{self, Entry};
 use bcap_gateway::{Allow, Gateway, Memory, Rules};
-use common::{address, between};
 use embassy_futures::join::join;
 use embassy_futures::select::{Either, Either3, select, select3};
 use embassy_net::Stack;

@@ -1,11 +1,8 @@
 //! Tests the gateway between PLCs and a robot, over two embassy-net stacks connected by a simulated cable.
-#![cfg(feature = "gateway")]
-#![allow(clippy::indexing_slicing, clippy::large_futures, clippy::unwrap_used, reason = "a test fails by panicking")]
-
-mod common;
 
 use std::cell::RefCell;
 
+use crate::common::{Number, address, between};
 use bcap_core::bcap::{client, server};
 use bcap_core::hresult::HResult;
 use bcap_core::rac::{self, VariableKind};
@@ -13,7 +10,6 @@ use bcap_embassy::gateway::{self, Report, TcpRobot, run_robot};
 use bcap_embassy::net::{NetError, Options, UdpTransport};
 use bcap_embassy::server::{Ended, Limits, Listener, SharedHandler, UdpPeer, UdpServer};
 use bcap_gateway::{Allow, Config, Event, Gateway, Memory, Network, Refusal, Rules};
-use common::{Number, address, between};
 use embassy_futures::join::{join, join3};
 use embassy_futures::select::{select, select3};
 use embassy_net::tcp::TcpSocket;

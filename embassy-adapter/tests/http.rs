@@ -1,15 +1,10 @@
 //! Tests the HTTP server over two embassy-net stacks connected by a simulated cable.
-#![cfg(feature = "http")]
-#![allow(clippy::indexing_slicing, clippy::large_futures, clippy::unwrap_used, reason = "a test fails by panicking")]
-
-#[allow(dead_code, reason = "other tests use the rest")]
-mod common;
 
 use std::fmt::Write;
 
+use crate::common::{address, between};
 use bcap_embassy::http::{Content, HttpListener};
 use bcap_embassy::net::Options;
-use common::{address, between};
 use embassy_futures::select::{Either, select};
 use embassy_net::Stack;
 use embassy_net::tcp::TcpSocket;

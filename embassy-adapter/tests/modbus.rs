@@ -1,12 +1,8 @@
 //! Tests clients of Modbus TCP in front of the gateway, over two embassy-net stacks connected by a simulated cable.
-#![cfg(feature = "modbus")]
-#![allow(clippy::indexing_slicing, clippy::large_futures, clippy::unwrap_used, reason = "a test fails by panicking")]
-
-#[allow(dead_code, reason = "other tests use the rest")]
-mod common;
 
 use std::cell::RefCell;
 
+use crate::common::{Number, address, between};
 use bcap_core::bcap::server;
 use bcap_core::rac::VariableKind;
 use bcap_embassy::gateway::{ModbusListener, Report, SharedGateway, TcpRobot, run_robot};
@@ -14,7 +10,6 @@ use bcap_embassy::net::{Options, Usage};
 use bcap_embassy::server::{Limits, Listener, SharedHandler};
 use bcap_gateway::modbus::{Entry, PORT};
 use bcap_gateway::{Allow, Bounds, Config, Event, Gateway, Memory, Rules};
-use common::{Number, address, between};
 use embassy_futures::join::{join, join3};
 use embassy_futures::select::{Either, select, select3};
 use embassy_net::tcp::TcpSocket;

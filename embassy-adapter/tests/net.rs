@@ -1,9 +1,6 @@
 //! Tests clients and servers over two embassy-net stacks connected by a simulated cable.
-#![cfg(all(feature = "embassy-net", feature = "server"))]
-#![allow(clippy::indexing_slicing, clippy::large_futures, clippy::unwrap_used, reason = "a test fails by panicking")]
 
-mod common;
-
+use crate::common::{Number, address, between};
 use bcap_core::bcap::call::{self, ControllerHandle, VariableHandle};
 use bcap_core::bcap::client::{ClientError, Config, Timeout, Timing};
 use bcap_core::bcap::{Client, server};
@@ -13,7 +10,6 @@ use bcap_core::rac;
 use bcap_core::variant::Variant;
 use bcap_embassy::net::{Connection, NetError, Options, TcpClient, TcpTransport, UdpTransport};
 use bcap_embassy::server::{Limits, Listener, SharedHandler, UdpPeer, UdpServer};
-use common::{Number, address, between};
 use embassy_futures::join::join;
 use embassy_futures::select::select;
 use embassy_net::Stack;

@@ -1,6 +1,4 @@
 //! Tests a client on a serial line whose device reports errors of the line.
-#![cfg(all(feature = "gateway", feature = "serial"))]
-#![allow(clippy::indexing_slicing, clippy::large_futures, clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::cell::RefCell;
 use std::collections::VecDeque;

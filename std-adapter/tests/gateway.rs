@@ -1,5 +1,4 @@
 //! The gateway's driver between PLCs and a robot over TCP and UDP, on sockets of the loopback.
-#![cfg(feature = "gateway")]
 
 use std::collections::HashMap;
 use std::net::{Ipv4Addr, SocketAddr};

@@ -1,5 +1,4 @@
 //! Blocking and tokio clients against the server, over loopback sockets.
-#![cfg(feature = "server")]
 
 use std::collections::HashMap;
 use std::io::{Read as _, Write as _};

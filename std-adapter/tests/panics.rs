@@ -1,5 +1,4 @@
 //! Panics in every method of a handler, over every link: the call fails, and the server keeps running.
-#![cfg(feature = "server")]
 
 use std::fmt::Debug;
 use std::io::Write as _;

@@ -1,5 +1,4 @@
 //! RAC over loopback sockets: the server, the blocking client and the tokio client.
-#![cfg(feature = "server")]
 
 use std::io::{Read as _, Write as _};
 use std::net::{SocketAddr, TcpStream};

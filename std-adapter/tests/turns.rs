@@ -1,5 +1,4 @@
 //! A connection with large or many requests yields to other tasks. The tests check counts and threads, not times.
-#![cfg(feature = "server")]
 
 use std::io::{Read as _, Write as _};
 use std::net::{SocketAddr, TcpStream};

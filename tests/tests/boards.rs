@@ -1,5 +1,4 @@
 //! The scripts of the images for boards refuse wrong arguments before they build anything.
-#![cfg(unix)]
 
 use std::path::Path;
 use std::process::Command;

@@ -24,6 +24,7 @@ use bcap_tests::served::Served;
 #[path = "../../std-adapter/examples/device_server.rs"]
 #[expect(dead_code, reason = "an example has a main function")]
 mod device_server;
+
 const LIMIT: Duration = Duration::from_secs(30);
 
 fn simulated() -> Served<Simulated> {

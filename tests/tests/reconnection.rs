@@ -1,7 +1,7 @@
 //! A controller that is killed and restarted under load: no write is executed twice, and no write is lost without an
 //! error.
 //!
-//! `RESTARTS=100 cargo test -p bcap-tests --test reconnection -- --nocapture` is the long run.
+//! `RESTARTS=100 cargo test -p bcap-tests reconnection:: -- --nocapture` is the long run.
 
 use std::collections::HashMap;
 use std::net::SocketAddr;

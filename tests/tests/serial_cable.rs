@@ -2,7 +2,6 @@
 //!
 //! A frame of a serial line has at most 503 bytes, and b-CAP has no function for a part of a value. So a large file travels as
 //! many small ones.
-#![cfg(unix)]
 
 use std::io;
 use std::time::{Duration, Instant as Clock};

@@ -1,5 +1,4 @@
 //! `Controller` over serial lines: pairs of pseudo-terminals, with the virtual controller at the other end and noise between.
-#![cfg(unix)]
 
 use std::io::Read;
 use std::thread::{self, JoinHandle};

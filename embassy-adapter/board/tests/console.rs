@@ -1,13 +1,11 @@
 //! Tests the protocol that changes settings over a serial line.
 
-mod flash;
-
 use std::convert::Infallible;
 
+use crate::flash::Flash;
 use bcap_board::console::{Action, Console, LINE};
 use bcap_board::crc::Crc32;
 use bcap_board::slots::{Slots, TEXT};
-use flash::Flash;
 
 const IMAGE: &[u8] = b"robot=192.168.0.1:5007\nput=I/0-9\n\0\0\0\0";
 

@@ -1,12 +1,10 @@
 //! Tests the settings in flash, with the power cut at every byte that is written or erased.
 
-mod flash;
-
 use std::io::{self, Write as _};
 use std::ops::Range;
 
+use crate::flash::{Flash, FlashError};
 use bcap_board::slots::{SLOT, SlotError, Slots, TEXT};
-use flash::{Flash, FlashError};
 
 type Small = Flash<4, 2048>;
 

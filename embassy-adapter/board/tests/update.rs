@@ -1,11 +1,10 @@
 //! Tests updates with the boot loader of embassy-boot, with the power cut at every byte that is written or erased.
 
-mod flash;
-
 use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::io::{self, Write as _};
 
+use crate::flash::{Flash, FlashError};
 use bcap_board::crc::Crc32;
 use bcap_board::identity::{BLOCK, Identity};
 use bcap_board::slots::{Slots, TEXT};
@@ -14,7 +13,6 @@ use embassy_boot::{BootLoader, BootLoaderConfig};
 use embassy_embedded_hal::flash::partition::BlockingPartition;
 use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
-use flash::{Flash, FlashError};
 
 static OLD: Identity = Identity::new("test-board", "0.1.0");
 static NEW: Identity = Identity::new("test-board", "0.2.0");

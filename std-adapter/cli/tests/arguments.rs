@@ -1,13 +1,10 @@
 //! Arguments that could mean two things are refused with a suggestion; plain ones are accepted, and printed as plainly.
 
-mod common;
-#[path = "common/fake.rs"]
-mod fake;
-
+use crate::common;
+use crate::common::bcap;
+use crate::common::fake::{Fake, usual, value};
 use bcap_core::bcap::FunctionId;
 use bcap_core::variant::{Encode, OwnedVariant};
-use common::bcap;
-use fake::{Fake, usual, value};
 
 /// A controller whose variables all hold `current`.
 fn holding(current: &impl Encode) -> Fake {

@@ -2,9 +2,6 @@
 //! a flood of keep-alives from its robot, names and values that act on a terminal.
 //!
 //! Attacks on servers and clients without the command are in `tests/tests/hostile/attacks.rs`.
-#![cfg(target_os = "linux")]
-
-mod common;
 
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -13,10 +10,10 @@ use std::process::{Child, ChildStdout, Command, Stdio};
 use std::thread;
 use std::time::Duration;
 
+use crate::common::{bcap, command};
 use bcap_core::bcap::{Decoder, FrameWriter, FunctionId, Progress};
 use bcap_core::hresult::HResult;
 use bcap_tests::process::Process;
-use common::{bcap, command};
 use socket2::{Domain, Socket, Type};
 
 /// A process of the command; dropping this kills it.

@@ -1,14 +1,5 @@
 //! `bcap dump`, `bcap diff` and `bcap restore`.
 
-mod common;
-#[path = "common/fake.rs"]
-#[allow(dead_code, reason = "this test needs no datagrams from it")]
-mod fake;
-#[path = "common/robot.rs"]
-mod robot;
-#[path = "common/stalling.rs"]
-mod stalling;
-
 use std::fs;
 #[cfg(unix)]
 use std::io::Read;
@@ -17,6 +8,10 @@ use std::process::Stdio;
 use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
+use crate::common::fake::{Fake, usual, value};
+use crate::common::robot::Robot;
+use crate::common::stalling::Stalling;
+use crate::common::{Run, bcap, command};
 use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
 use bcap_core::rac::VariableKind as Kind;
@@ -24,10 +19,6 @@ use bcap_core::variant::Variant;
 use bcap_sim::{Config, Controller, Permission, Profile, Sizes};
 use bcap_std::server::Limits;
 use bcap_tests::served::Served;
-use common::{Run, bcap, command};
-use fake::{Fake, usual, value};
-use robot::Robot;
-use stalling::Stalling;
 
 /// A robot with files, and a folder for backups.
 struct Cell {

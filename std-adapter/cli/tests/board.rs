@@ -1,8 +1,7 @@
 //! `bcap board` with the board's side of the protocol at the other end of a pair of pseudo-terminals.
-#![cfg(unix)]
 
-mod common;
 #[path = "../../../embassy-adapter/board/tests/flash/mod.rs"]
+#[allow(dead_code, reason = "the tests of bcap-board use the rest")]
 mod flash;
 
 use std::fs;
@@ -11,12 +10,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::thread::{self, JoinHandle};
 
+use crate::common::{Run, bcap};
 use bcap_board::console::{Action, Console};
 use bcap_board::identity::Identity;
 use bcap_board::slots::Slots;
 use bcap_board::update::{Partitions, Updater};
 use bcap_tests::pty;
-use common::{Run, bcap};
 use flash::Flash;
 use serialport::{SerialPort, TTYPort};
 

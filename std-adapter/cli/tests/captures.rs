@@ -1,19 +1,12 @@
 //! `bcap decode FILE`: captures with every fault of a network, of every link type, and one of a real session.
 
-#[path = "common/capture.rs"]
-mod capture;
-mod common;
-#[path = "common/recorded.rs"]
-mod recorded;
-#[path = "common/running.rs"]
-mod running;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use crate::common::capture::{BCAP, Capture, Flow, From, RAC, bstr, i4, list, numbered, segment, wrapped};
+use crate::common::recorded;
+use crate::common::{Run, bcap};
 use bcap_fuzz::{TARGETS, corpus};
-use capture::{BCAP, Capture, Flow, From, RAC, bstr, i4, list, numbered, segment, wrapped};
-use common::{Run, bcap};
 use serde_json::Value;
 
 const GET_VARIABLE: u32 = 9;

@@ -1,8 +1,7 @@
 //! `bcap decode` and `bcap encode` on the command line.
 
-mod common;
-
-use common::{bcap, bcap_with, frames};
+use crate::common;
+use crate::common::{bcap, bcap_with, frames};
 use serde_json::{Value, json};
 
 const FRAME: &str = "011e000000040000006500000001000a0000000300010000000300000004";

@@ -1,18 +1,14 @@
 //! `bcap conform`: its examples run, a correct device passes, and a broken one does not.
-#![cfg(unix)]
-
-mod common;
-#[path = "common/virtual_robot.rs"]
-mod virtual_robot;
 
 use std::env;
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use common::{Run, bcap, bcap_with};
+use crate::common;
+use crate::common::virtual_robot::Virtual;
+use crate::common::{Run, bcap, bcap_with};
 use serde_json::Value;
-use virtual_robot::Virtual;
 
 #[test]
 fn the_examples_of_the_help_run() {

@@ -1,16 +1,14 @@
 //! `bcap doctor` against virtual controllers with one fault each: it reports exactly that fault.
 
-mod common;
-
 use std::fs;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Stdio};
 
+use crate::common::{Run, bcap, command};
 use bcap_core::bcap::call;
 use bcap_core::procedure::{Provider, open_robot};
 use bcap_std::{Options, blocking};
-use common::{Run, bcap, command};
 use serde_json::Value;
 
 /// A `bcap sim` process; dropping this kills it.

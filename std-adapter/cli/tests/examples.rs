@@ -1,17 +1,12 @@
 //! The examples of `--help` of the commands that work with one controller: each runs against a virtual one.
-#![cfg(unix)]
-
-mod common;
-#[path = "common/virtual_robot.rs"]
-mod virtual_robot;
 
 use std::env;
 use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use common::{Run, bcap};
-use virtual_robot::Virtual;
+use crate::common::virtual_robot::Virtual;
+use crate::common::{Run, bcap};
 
 /// The commands, in the order in which they run: `put` writes the position of `move`.
 const COMMANDS: [&str; 12] =

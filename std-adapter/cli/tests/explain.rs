@@ -1,9 +1,7 @@
 //! `bcap explain`: codes by name and by number, and the page of the book with all codes.
 
-mod common;
-
+use crate::common::bcap;
 use bcap_core::hresult::HResult;
-use common::bcap;
 use serde_json::Value;
 
 #[test]

@@ -1,20 +1,13 @@
 //! `bcap ls` and `bcap cp`.
 
-mod common;
-#[path = "common/fake.rs"]
-#[allow(dead_code, reason = "this test needs no datagrams from it")]
-mod fake;
-#[path = "common/robot.rs"]
-mod robot;
-
 use std::fs;
 use std::path::PathBuf;
 
+use crate::common::fake::{Fake, usual, value};
+use crate::common::robot::Robot;
+use crate::common::{Run, bcap, command};
 use bcap_core::bcap::FunctionId;
 use bcap_sim::{Config, Profile};
-use common::{Run, bcap, command};
-use fake::{Fake, usual, value};
-use robot::Robot;
 
 /// A robot with files, and a folder of this machine in which the command runs.
 struct Cell {

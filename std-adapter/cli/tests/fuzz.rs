@@ -1,19 +1,13 @@
 //! `bcap fuzz`: finds planted bugs, finds none in the virtual controller, and sends nothing that moves.
 
-mod common;
-#[path = "common/planted.rs"]
-mod planted;
-#[path = "common/running.rs"]
-mod running;
-
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use crate::common::planted::{Bug, Planted};
+use crate::common::running::Running;
+use crate::common::{Run, bare, bcap};
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_testkit::step::{Argument, Call, Step};
-use common::{Run, bare, bcap};
-use planted::{Bug, Planted};
-use running::Running;
 use serde_json::Value;
 
 const MINE: &str = "--yes-this-device-is-mine";
@@ -276,7 +270,7 @@ fn a_device_that_repeats_an_old_reply_does_not_keep_the_fuzzer() {
     assert_eq!(found["kind"], "wrong-reply", "{found}");
 }
 
-/// Prints how long each planted bug takes: `cargo test -p bcap-cli --test fuzz -- --ignored --nocapture`.
+/// Prints how long each planted bug takes: `cargo test -p bcap-cli fuzz:: -- --ignored --nocapture`.
 #[test]
 #[ignore = "takes minutes; it measures"]
 fn the_time_to_find_each_planted_bug() {

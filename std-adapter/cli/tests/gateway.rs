@@ -1,9 +1,5 @@
 //! `bcap gateway` between a PLC (`bcap rac`) and a robot (`bcap sim`), as processes.
 
-mod common;
-#[path = "common/pymodbus.rs"]
-mod pymodbus;
-
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
 use std::path::Path;
@@ -12,8 +8,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-use common::{Run, bcap, command};
-use pymodbus::Pymodbus;
+use crate::common::pymodbus::Pymodbus;
+use crate::common::{Run, bcap, command};
 use serde_json::Value;
 
 const NOT_CONNECTED: &str = "-2147481342\r";

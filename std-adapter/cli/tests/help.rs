@@ -1,17 +1,13 @@
 //! The examples in the help of the commands for variables, files, backups and profiles run as they are printed.
 
-mod common;
-#[path = "common/robot.rs"]
-mod robot;
-
 use std::env;
 use std::fs;
 use std::path::Path;
 use std::process::Command;
 
+use crate::common::bcap;
+use crate::common::robot::Robot;
 use bcap_sim::{Config, Profile};
-use common::bcap;
-use robot::Robot;
 
 /// Returns the examples of a command.
 fn examples(command: &str) -> Vec<String> {

@@ -1,10 +1,8 @@
 //! `bcap man`: a page for each command, with its options and its examples on separate lines.
 
-mod common;
-
 use std::fs;
 
-use common::bcap;
+use crate::common::bcap;
 
 #[test]
 fn every_command_has_a_page_with_its_examples() {

@@ -1,17 +1,12 @@
 //! The MCAP files of `bcap watch --mcap` and `bcap sim --record`, read back.
-#![cfg(unix)]
-
-mod common;
-#[path = "common/virtual_robot.rs"]
-mod virtual_robot;
 
 use std::fs;
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use crate::common::virtual_robot::{Virtual, signal};
 use mcap::Summary;
 use serde_json::{Value, json};
-use virtual_robot::{Virtual, signal};
 
 /// A message.
 struct Message {

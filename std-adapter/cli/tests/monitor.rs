@@ -1,19 +1,13 @@
 //! `bcap monitor` in a terminal, as a person uses it. It needs tmux.
-#![cfg(unix)]
-
-mod common;
-#[path = "common/tmux.rs"]
-mod tmux;
-#[path = "common/virtual_robot.rs"]
-mod virtual_robot;
 
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Stdio};
 
+use crate::common;
+use crate::common::tmux::Terminal;
+use crate::common::virtual_robot::Virtual;
+use crate::common::{bare, bcap, command};
 use bcap_tests::cable::{Cable, End, Quality};
-use common::{bare, bcap, command};
-use tmux::Terminal;
-use virtual_robot::Virtual;
 
 const SIZES: [(u16, u16); 2] = [(80, 24), (200, 50)];
 

@@ -3,15 +3,6 @@
 //!
 //! The controller behaves as observed on real ones: a call that Slave Mode refuses ends Slave Mode, from any client.
 //! `just stream-and-monitors` runs the long test, against `bcap sim --as-observed` in real time.
-#![cfg(unix)]
-
-mod common;
-#[path = "common/running.rs"]
-mod running;
-#[path = "common/tmux.rs"]
-mod tmux;
-#[path = "common/virtual_robot.rs"]
-mod virtual_robot;
 
 use std::fs;
 use std::io::{BufRead, BufReader};
@@ -19,15 +10,16 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
+use crate::common;
+use crate::common::running::Running;
+use crate::common::tmux::Terminal;
+use crate::common::virtual_robot::Virtual;
+use crate::common::{Run, bcap, command, fleet_program};
 use bcap_sim::{Config, Controller, Profile};
 use bcap_std::server::Limits;
 use bcap_tests::served::Served;
 use bcap_tests::slowed::Slowed;
-use common::{Run, bcap, command, fleet_program};
-use running::Running;
 use serde_json::Value;
-use tmux::Terminal;
-use virtual_robot::Virtual;
 
 /// The message of each tool.
 const RUNS: &str = "skipped: a stream of Slave Mode runs, and ";

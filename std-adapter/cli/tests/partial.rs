@@ -1,16 +1,12 @@
 //! `bcap dump`, `bcap diff` and `bcap restore` with controllers that refuse a part, or change meanwhile.
 
-mod common;
-#[path = "common/fake.rs"]
-#[allow(dead_code, reason = "this test needs no datagrams from it")]
-mod fake;
-#[path = "common/hooked.rs"]
-mod hooked;
-
 use std::fs;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU32, Ordering};
 
+use crate::common::fake::{Fake, usual, value};
+use crate::common::hooked::Hooked;
+use crate::common::{Run, bcap};
 use bcap_core::bcap::FunctionId;
 use bcap_core::bcap::server::Request;
 use bcap_core::hresult::HResult;
@@ -19,9 +15,6 @@ use bcap_core::variant::Variant;
 use bcap_sim::{Config, Controller, Profile, Sizes};
 use bcap_std::server::Limits;
 use bcap_tests::served::Served;
-use common::{Run, bcap};
-use fake::{Fake, usual, value};
-use hooked::Hooked;
 
 /// A controller with few variables and three files, and a folder for backups.
 struct Cell {

@@ -1,21 +1,18 @@
 //! Hostile peers: terminal control characters, oversized and truncated replies, endless keep-alives.
 
-mod common;
-#[path = "common/fake.rs"]
-mod fake;
-
 use std::io::{Read, Write};
 use std::net::{TcpListener, UdpSocket};
 use std::thread;
 
+use crate::common;
+use crate::common::fake::{Answer, Fake, usual, value};
+use crate::common::{Run, bcap, bcap_with, command};
 use bcap_core::bcap::{Decoder, Frame, FrameWriter, FunctionId, Progress};
 use bcap_core::hresult::HResult;
 use bcap_core::variant::{Encode, Writer};
 use bcap_sim::{Controller, Profile};
 use bcap_std::server::Limits;
 use bcap_tests::served::Served;
-use common::{Run, bcap, bcap_with, command};
-use fake::{Answer, Fake, usual, value};
 use proptest::prelude::*;
 use serde_json::Value;
 

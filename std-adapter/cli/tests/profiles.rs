@@ -1,19 +1,12 @@
 //! Profiles and environment variables of the connection, and their precedence.
 
-mod common;
-#[path = "common/fake.rs"]
-#[allow(dead_code, reason = "this test needs no datagrams from it")]
-mod fake;
-#[path = "common/robot.rs"]
-mod robot;
-
 use std::fs;
 use std::path::PathBuf;
 
+use crate::common::fake::{Fake, usual, value};
+use crate::common::robot::Robot;
+use crate::common::{Run, bare};
 use bcap_core::bcap::FunctionId;
-use common::{Run, bare};
-use fake::{Fake, usual, value};
-use robot::Robot;
 
 /// A folder with a file of profiles.
 struct Home {

@@ -1,24 +1,15 @@
 //! `bcap proxy` and `--write`: recordings, output, and faults.
 
-#[path = "common/capture.rs"]
-mod capture;
-mod common;
-#[path = "common/recorded.rs"]
-mod recorded;
-#[path = "common/running.rs"]
-mod running;
-#[path = "common/tshark.rs"]
-mod tshark;
-
 use std::collections::HashSet;
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream, UdpSocket};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use common::{Run, bare, bcap};
-use running::Running;
-use tshark::{has_tshark, selected, tshark};
+use crate::common::recorded;
+use crate::common::running::Running;
+use crate::common::tshark::{has_tshark, selected, tshark};
+use crate::common::{Run, bare, bcap};
 
 fn path(name: &str) -> PathBuf {
     Path::new(env!("CARGO_TARGET_TMPDIR")).join(name)

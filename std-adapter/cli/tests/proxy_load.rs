@@ -1,20 +1,16 @@
 //! `bcap proxy` with many connections, and between a stream of Slave Mode and the robot.
 
-mod common;
-#[path = "common/running.rs"]
-mod running;
-
 use std::path::Path;
 use std::time::Duration;
 
+use crate::common::running::Running;
+use crate::common::{Run, bcap};
 use bcap_sim::{Config, Controller, Profile};
 use bcap_std::Settings;
 use bcap_std::blocking;
 use bcap_std::server::Limits;
 use bcap_tests::served::Served;
 use bcap_tests::slowed::Slowed;
-use common::{Run, bcap};
-use running::Running;
 use serde_json::Value;
 
 /// Starts a proxy that records to a file with this name; returns it and the file.

@@ -1,13 +1,12 @@
 //! `bcap rac`: the lines that it sends, and the output for each answer.
 
-mod common;
-
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpListener;
 use std::sync::{Arc, Mutex};
 use std::thread;
 
-use common::bcap;
+use crate::common;
+use crate::common::bcap;
 
 /// A RAC server that answers every line with `answer(line)`; returns its address and the received lines.
 fn server(answer: impl Fn(&str) -> &'static str + Send + 'static) -> (String, Arc<Mutex<Vec<String>>>) {

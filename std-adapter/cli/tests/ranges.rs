@@ -1,18 +1,11 @@
 //! Ranges of variables, and several writes in one command.
 
-mod common;
-#[path = "common/fake.rs"]
-#[allow(dead_code, reason = "this test needs no datagrams from it")]
-mod fake;
-#[path = "common/robot.rs"]
-mod robot;
-
+use crate::common::bcap;
+use crate::common::fake::{Fake, usual, value};
+use crate::common::robot::Robot;
 use bcap_core::bcap::FunctionId;
 use bcap_core::rac::VariableKind;
 use bcap_core::variant::Variant;
-use common::bcap;
-use fake::{Fake, usual, value};
-use robot::Robot;
 
 #[test]
 fn get_reads_ranges_and_whole_kinds() {

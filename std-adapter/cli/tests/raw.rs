@@ -1,15 +1,10 @@
 //! `bcap raw`: packets as they are written, and their replies.
-#![cfg(unix)]
-
-mod common;
-#[path = "common/virtual_robot.rs"]
-mod virtual_robot;
 
 use std::io::{BufRead, BufReader, Read};
 use std::process::Stdio;
 
-use common::{Run, bcap, bcap_with, command};
-use virtual_robot::{Virtual, signal};
+use crate::common::virtual_robot::{Virtual, signal};
+use crate::common::{Run, bcap, bcap_with, command};
 
 const START: &str = r#"{"name":"ServiceStart","args":[{"vt":8,"v":""}]}"#;
 const STOP: &str = "01 10 00 00 00 02 00 00 00 02 00 00 00 00 00 04";

@@ -1,8 +1,6 @@
 //! `bcap call FUNCTION --help` and `bcap call --list`.
 
-mod common;
-
-use common::bcap;
+use crate::common::bcap;
 use serde_json::Value;
 
 #[test]

@@ -1,19 +1,12 @@
 //! `bcap replay`: the same calls again, differences, and calls that must be allowed.
 
-#[path = "common/capture.rs"]
-mod capture;
-mod common;
-#[path = "common/recorded.rs"]
-mod recorded;
-#[path = "common/running.rs"]
-mod running;
-
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
-use capture::{BCAP, Capture, Flow, From, bstr, i4, numbered};
-use common::{Run, bcap, command};
-use running::Running;
+use crate::common::capture::{BCAP, Capture, Flow, From, bstr, i4, numbered};
+use crate::common::recorded;
+use crate::common::running::Running;
+use crate::common::{Run, bcap, command};
 use serde_json::Value;
 
 fn path(name: &str) -> PathBuf {

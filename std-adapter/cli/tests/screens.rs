@@ -1,24 +1,16 @@
 //! The recordings in `docs/screens`: the terminal of `bcap shell`, `bcap monitor`, `bcap sim --screen` and `bcap-fleet --screen`,
 //! as text. It needs tmux, and Mosquitto for the fleet.
 //!
-//! `BLESS=1 cargo test -p bcap-cli --test screens` writes them. The test compares what does not change from run to run: numbers,
+//! `BLESS=1 cargo test -p bcap-cli screens::` writes them. The test compares what does not change from run to run: numbers,
 //! sparklines and blanks are left out.
-#![cfg(unix)]
-
-mod common;
-#[path = "common/mosquitto.rs"]
-mod mosquitto;
-#[path = "common/tmux.rs"]
-mod tmux;
-#[path = "common/virtual_robot.rs"]
-mod virtual_robot;
 
 use std::fs;
 use std::path::Path;
 
-use common::{bare, bcap, fleet_program};
-use tmux::Terminal;
-use virtual_robot::Virtual;
+use crate::common::mosquitto;
+use crate::common::tmux::Terminal;
+use crate::common::virtual_robot::Virtual;
+use crate::common::{bare, bcap, fleet_program};
 
 const SIZES: [(u16, u16); 2] = [(80, 24), (200, 50)];
 

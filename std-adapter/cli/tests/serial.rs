@@ -1,18 +1,15 @@
 //! Serial lines: `bcap --robot serial:PATH` and `bcap sim --serial PATH`, at the two ends of a cable.
-#![cfg(unix)]
-
-mod common;
 
 use std::fs;
 use std::io::{BufRead, BufReader};
 use std::process::{Child, ChildStderr, Stdio};
 
+use crate::common::{Run, bare, bcap, bcap_with, command};
 use bcap_sim::{Config, Controller, Profile};
 use bcap_tests::cable::{Cable, End, Quality};
 use bcap_tests::line_server::LineServer;
 use bcap_tests::pty::Line;
 use bcap_tests::slowed::Slowed;
-use common::{Run, bare, bcap, bcap_with, command};
 
 /// A `bcap sim` process at the end of a cable; dropping this kills it.
 struct Sim {

@@ -1,17 +1,14 @@
 //! The commands that talk to a controller: their calls, their output, and their failures.
 
-mod common;
-#[path = "common/fake.rs"]
-mod fake;
-
 use std::io::Read;
 use std::net::{TcpListener, UdpSocket};
 use std::thread;
 
+use crate::common;
+use crate::common::bcap;
+use crate::common::fake::{Fake, usual, value};
 use bcap_core::bcap::{Frame, FunctionId};
 use bcap_core::hresult::HResult;
-use common::bcap;
-use fake::{Fake, usual, value};
 
 #[test]
 fn get_runs_a_complete_session_over_both_links() {

@@ -1,15 +1,11 @@
 //! `bcap shell`, `bcap run`, and the commands that do a whole job, against a virtual controller.
-#![cfg(unix)]
-
-mod common;
-#[path = "common/virtual_robot.rs"]
-mod virtual_robot;
 
 use std::io::{BufRead, BufReader, Write};
 use std::process::Stdio;
 
-use common::{Run, bcap, bcap_with};
-use virtual_robot::{Virtual, signal};
+use crate::common;
+use crate::common::virtual_robot::{Virtual, signal};
+use crate::common::{Run, bcap, bcap_with};
 
 /// A motion that takes more than ten seconds.
 const SLOW: [&str; 4] = ["move", "J(90, 45, 90, 0, 45, 0)", "--speed", "1"];

@@ -1,16 +1,4 @@
 //! Signals, questions and checks: no command leaves an arm, a motor or a motion behind, and none moves by mistake.
-#![cfg(unix)]
-
-mod common;
-#[path = "common/fake.rs"]
-#[allow(dead_code, reason = "this test needs no datagrams from it")]
-mod fake;
-#[path = "common/robot.rs"]
-mod robot;
-#[path = "common/tmux.rs"]
-mod tmux;
-#[path = "common/virtual_robot.rs"]
-mod virtual_robot;
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
@@ -20,12 +8,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
+use crate::common::fake::{Fake, usual};
+use crate::common::robot::Robot;
+use crate::common::tmux::Terminal;
+use crate::common::virtual_robot::{Virtual, signal};
+use crate::common::{Run, bare, bcap, bcap_with, command};
 use bcap_sim::{Config, Profile, Scenario};
-use common::{Run, bare, bcap, bcap_with, command};
-use fake::{Fake, usual};
-use robot::Robot;
-use tmux::Terminal;
-use virtual_robot::{Virtual, signal};
 
 /// A motion that takes more than ten seconds.
 const SLOW: [&str; 4] = ["move", "J(90, 45, 90, 0, 45, 0)", "--speed", "1"];

@@ -1,7 +1,5 @@
 //! `bcap sim`, `bcap demo`, and the other commands against a virtual controller.
 
-mod common;
-
 use std::collections::BTreeSet;
 use std::fs;
 use std::io::{BufRead, BufReader, Read};
@@ -9,7 +7,7 @@ use std::net::TcpListener;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
-use common::{Run, bcap, command};
+use crate::common::{Run, bcap, command};
 use serde_json::Value;
 
 /// A `bcap sim` process; dropping this kills it.

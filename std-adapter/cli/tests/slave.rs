@@ -1,7 +1,5 @@
 //! `bcap slave` and `bcap halt` against a virtual controller in the test, which can inspect each cycle.
 
-mod common;
-
 use std::fs;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -9,11 +7,12 @@ use std::process::{Child, Command, Stdio};
 use std::thread;
 use std::time::Duration;
 
+use crate::common;
+use crate::common::{Run, bcap, command};
 use bcap_sim::{Controller, Profile, Scenario, SlaveCycle, TaskStatus};
 use bcap_std::server::Limits;
 use bcap_tests::served::Served;
 use bcap_tests::slowed::Slowed;
-use common::{Run, bcap, command};
 use serde_json::Value;
 
 /// A controller with a slow clock. Mode 2 paces the command, so a busy machine does not affect the test.

@@ -1,18 +1,16 @@
 //! `bcap slave` with IO, receive formats, extended joints and a start from a variable, against a virtual controller in the
 //! test.
 
-mod common;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use crate::common::{Run, bcap};
 use bcap_core::variant::{Variant, VariantBuf};
 use bcap_sim::{Config, Controller, Profile, VariableKind};
 use bcap_std::server::Limits;
 use bcap_tests::served::Served;
 use bcap_tests::slowed::Slowed;
-use common::{Run, bcap};
 
 /// A controller with a slow clock, and two extended joints.
 fn controller() -> Served<Slowed> {

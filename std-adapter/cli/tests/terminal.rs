@@ -1,16 +1,9 @@
 //! `bcap shell` in a terminal, as a person uses it. It needs tmux.
-#![cfg(unix)]
-
-mod common;
-#[path = "common/tmux.rs"]
-mod tmux;
-#[path = "common/virtual_robot.rs"]
-mod virtual_robot;
 
 use std::process::Command;
 
-use tmux::Terminal;
-use virtual_robot::Virtual;
+use crate::common::tmux::Terminal;
+use crate::common::virtual_robot::Virtual;
 
 #[test]
 fn ctrl_c_in_the_shell_halts_the_robot_and_gives_the_arm_back() {

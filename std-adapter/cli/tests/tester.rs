@@ -1,17 +1,11 @@
 //! The items of the b-CAP Tester (chapter 6 of the specification for RC9) that are options of every command. The table in
 //! `docs/tester.md` names the test of each item.
-#![cfg(unix)]
 
-mod common;
-#[path = "common/fake.rs"]
-mod fake;
-#[path = "common/virtual_robot.rs"]
-mod virtual_robot;
-
+use crate::common::bcap;
+use crate::common::fake::{Answer, Fake, usual, value};
+use crate::common::virtual_robot;
+use crate::common::virtual_robot::Virtual;
 use bcap_core::bcap::{Frame, FunctionId};
-use common::bcap;
-use fake::{Answer, Fake, usual, value};
-use virtual_robot::Virtual;
 
 fn answer(request: &Frame<'_>) -> Answer {
     match request.function() {

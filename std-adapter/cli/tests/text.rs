@@ -1,8 +1,6 @@
 //! `bcap text` on the command line.
 
-mod common;
-
-use common::{bcap, bcap_with, vectors};
+use crate::common::{bcap, bcap_with, vectors};
 use serde_json::Value;
 
 #[test]

@@ -2,22 +2,16 @@
 //!
 //! The tests of the dissector need `tshark`; without it they print one line and pass. `BLESS=1` writes the golden files again.
 
-#[path = "common/capture.rs"]
-mod capture;
-mod common;
-#[path = "common/tshark.rs"]
-mod tshark;
-
 use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use crate::common::capture::{BCAP, Capture, Flow, From, RAC, bstr, i4, list, numbered, r8, unhex, wrapped};
+use crate::common::tshark::{DISSECTOR, has_tshark, selected, tshark};
+use crate::common::{frames, vectors};
 use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
 use bcap_fuzz::{TARGETS, corpus};
-use capture::{BCAP, Capture, Flow, From, RAC, bstr, i4, list, numbered, r8, unhex, wrapped};
-use common::{frames, vectors};
-use tshark::{DISSECTOR, has_tshark, selected, tshark};
 
 fn golden(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(name)

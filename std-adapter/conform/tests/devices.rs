@@ -1,13 +1,11 @@
 //! Correct devices pass: the virtual controllers over TCP and UDP, and the server of a small device.
 
-mod common;
-
 use std::collections::BTreeSet;
 
+use crate::common::{Served, provider, report};
 use bcap_conform::{Group, Level, Link, Report, Verdict, cases};
 use bcap_core::device::{Device, DeviceVariable, assign};
 use bcap_sim::{Config, Controller, Profile};
-use common::{Served, provider, report};
 
 /// Runs all cases against a virtual controller: none fails, and only cases of the other link and of `absent` are skipped.
 fn passes(profile: Profile, link: Link, absent: &[&str]) {

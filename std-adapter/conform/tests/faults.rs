@@ -1,9 +1,5 @@
 //! Broken devices: every planted fault is caught by the case that is named with it.
 
-mod common;
-#[path = "common/relay.rs"]
-mod relay;
-
 use std::collections::BTreeSet;
 use std::io::{Read as _, Write as _};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
@@ -11,13 +7,14 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
+use crate::common::Served;
+use crate::common::relay;
+use crate::common::relay::{Hooks, Parts, Relay, Request};
 use bcap_conform::{Level, Link, Options, Verdict, run};
 use bcap_core::bcap::{Decoder, FunctionId as F};
 use bcap_core::hresult::HResult;
 use bcap_core::variant::{OwnedVariant, Variant};
 use bcap_sim::{Config, Controller, Profile};
-use common::Served;
-use relay::{Hooks, Parts, Relay, Request};
 
 /// A fault and the case that catches it.
 struct Fault {

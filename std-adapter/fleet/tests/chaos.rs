@@ -1,16 +1,14 @@
 //! The broker, the robots and the network fail at random: no reading is lost uncounted, and no command is executed twice.
 
-mod common;
-
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use crate::common::{Mosquitto, Proxy, Running, Subscriber, folder, free_port, now_ms};
 use bcap_core::device::{Device, DeviceVariable};
 use bcap_core::hresult::HResult;
 use bcap_std::server::Server;
-use common::{Mosquitto, Proxy, Running, Subscriber, folder, free_port, now_ms};
 use serde_json::{Value, json};
 use tokio::task::JoinHandle;
 

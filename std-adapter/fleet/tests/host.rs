@@ -1,15 +1,13 @@
 //! Sparkplug B with a host of another make: pysparkplug, a package of PyPI, which the test installs.
 
-mod common;
-
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
+use crate::common::{Mosquitto, Robot, Running};
 use bcap_fleet::{CommandResult, Event};
-use common::{Mosquitto, Robot, Running};
 use serde_json::{Value, json};
 
 const PACKAGES: [&str; 2] = ["pysparkplug==0.6.1", "paho-mqtt==1.6.1"];

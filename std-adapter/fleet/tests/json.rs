@@ -1,16 +1,14 @@
 //! Plain JSON through a real Mosquitto: values, states, commands, the buffer.
 
-mod common;
-
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 use std::time::Duration;
 
+use crate::common::{Mosquitto, Proxy, Robot, Running, Subscriber, counter, folder, http, muting_proxy, now_ms};
 use bcap_fleet::{CommandResult, Event};
 use bcap_std::asynch::Controller;
 use bcap_std::{Settings, TaskStart};
-use common::{Mosquitto, Proxy, Robot, Running, Subscriber, counter, folder, http, muting_proxy, now_ms};
 use rumqttc::Publish;
 use serde_json::json;
 
@@ -269,7 +267,7 @@ async fn without_a_rule_no_command_is_received() {
     assert!(!fleet.stop().await.iter().any(|event| matches!(event, Event::Command { .. })));
 }
 
-/// `RESTARTS=50 cargo test -p bcap-fleet --test json -- --nocapture every_reading` is the long run.
+/// `RESTARTS=50 cargo test -p bcap-fleet json::every_reading -- --nocapture` is the long run.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn every_reading_of_a_counter_arrives_once_or_is_counted_as_dropped() {
     let restarts = std::env::var("RESTARTS").ok().and_then(|n| n.parse().ok()).unwrap_or(4_usize);

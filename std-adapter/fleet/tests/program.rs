@@ -1,13 +1,10 @@
 //! The program `bcap-fleet`: its check, its lines, its exit codes, its manual page.
-#![cfg(all(unix, feature = "program"))]
-
-mod common;
 
 use std::fs;
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
 
-use common::{Mosquitto, Robot};
+use crate::common::{Mosquitto, Robot};
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_bcap-fleet");
 

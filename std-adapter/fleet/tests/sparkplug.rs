@@ -1,9 +1,7 @@
 //! Sparkplug B through a real Mosquitto, read by a decoder that is written from the specification alone.
 
-mod common;
-
+use crate::common::{Mosquitto, Proxy, Robot, Running, Subscriber, folder, now_ms};
 use bcap_fleet::Event;
-use common::{Mosquitto, Proxy, Robot, Running, Subscriber, folder, now_ms};
 use rumqttc::Publish;
 
 /// A field of a protocol buffer.

@@ -1,7 +1,5 @@
 //! Processes that are killed or stopped, with a real Mosquitto: one is active, the other takes over; the buffer outlasts them.
 
-mod common;
-
 use std::collections::HashSet;
 use std::io::{BufRead as _, BufReader};
 use std::process::{Child, Command, Stdio};
@@ -9,8 +7,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 use std::time::{Duration, Instant};
 
+use crate::common::{Mosquitto, Proxy, Robot, Running, Subscriber, counter, folder, now_ms};
 use bcap_fleet::{Config, Event, Fleet};
-use common::{Mosquitto, Proxy, Robot, Running, Subscriber, counter, folder, now_ms};
 use serde_json::{Value, json};
 use tokio::sync::watch;
 
@@ -215,7 +213,7 @@ async fn process() {
 impl Process {
     fn start(config: &str) -> Self {
         let mut child = Command::new(std::env::current_exe().unwrap())
-            .args(["--exact", "process", "--ignored", "--nocapture"])
+            .args(["--exact", "standby::process", "--ignored", "--nocapture"])
             .env("FLEET", config)
             .stdout(Stdio::piped())
             .spawn()

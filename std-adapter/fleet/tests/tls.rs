@@ -1,13 +1,10 @@
 //! An encrypted connection to a real Mosquitto that demands a client certificate, user and password.
-#![cfg(feature = "tls")]
-
-mod common;
 
 use std::fs;
 use std::path::Path;
 
+use crate::common::{Mosquitto, Robot, Running};
 use bcap_fleet::Config;
-use common::{Mosquitto, Robot, Running};
 use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, DnType, IsCa, KeyPair};
 
 /// Writes an authority, and certificates of a broker and a client.

@@ -1,14 +1,12 @@
 //! The table of conditions of docs/virtual-controller.md says what the controller answers: each call is made without each
 //! condition.
 
-mod common;
-
 use bcap_core::bcap::call::{self, Call};
 use bcap_core::handler::Outcome;
 use bcap_core::hresult::HResult;
 use bcap_sim::{Config, Mode, Profile, Token};
 
-use common::{Client, World, ok};
+use crate::common::{Client, World, ok};
 
 const PAGE: &str = include_str!("../../../docs/virtual-controller.md");
 

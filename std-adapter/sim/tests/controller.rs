@@ -1,7 +1,5 @@
 //! System variables, errors, commands and tasks over the handler of b-CAP.
 
-mod common;
-
 use std::time::Duration;
 
 use bcap_core::bcap::call::{self, VariableHandle};
@@ -10,7 +8,7 @@ use bcap_core::time::Instant;
 use bcap_core::variant::{OleDate, Variant};
 use bcap_sim::{Bit, Config, EMERGENCY_STOP, Mode, Profile, Scenario, TaskStatus, Token};
 
-use common::{Client, Value, World, code, ok, value};
+use crate::common::{Client, Value, World, code, ok, value};
 
 #[test]
 fn system_variables_have_their_types() {

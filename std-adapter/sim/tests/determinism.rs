@@ -1,8 +1,6 @@
 //! The same scenario and the same calls at the same times give the same answers, however often time is advanced between.
 //! Scenario, calls and times are random. `just scenarios` runs 100.
 
-mod common;
-
 use std::fmt::Write as _;
 
 use bcap_core::bcap::call;
@@ -10,7 +8,7 @@ use bcap_core::handler::Outcome;
 use bcap_core::time::Instant;
 use bcap_sim::{Config, Profile, Scenario};
 
-use common::{Client, Value, World};
+use crate::common::{Client, Value, World};
 
 /// The number of programs; the environment variable `PROGRAMS` sets another one, as 100.
 const PROGRAMS: u64 = 5;

@@ -1,7 +1,5 @@
 //! Why arguments are refused, as GetErrorDescription and an observer tell it.
 
-mod common;
-
 use std::sync::{Arc, Mutex};
 
 use bcap_core::bcap::server::{Config as Server, Session};
@@ -14,7 +12,7 @@ use bcap_core::variant::Encode;
 use bcap_sim::explain::Observer;
 use bcap_sim::{Config, Controller};
 
-use common::{Client, World, code, ok};
+use crate::common::{Client, World, code, ok};
 
 fn description(world: &mut World, client: Client, code: HResult) -> String {
     let (result, text) = world.execute(client, "GetErrorDescription", code.0);

@@ -1,8 +1,6 @@
 //! The figures of `docs/motion.md`: this test draws them from the virtual controller, and compares them with the files.
 //! `just figures` writes the files.
 
-mod common;
-
 use std::ops::Range;
 use std::path::PathBuf;
 
@@ -11,7 +9,7 @@ use bcap_core::hresult::HResult;
 use bcap_sim::{ArmProfile, Config, Profile};
 use plotters::prelude::*;
 
-use common::{World, code, doubles};
+use crate::common::{World, code, doubles};
 
 const COLOURS: [RGBColor; 4] =
     [RGBColor(31, 119, 180), RGBColor(214, 39, 40), RGBColor(44, 140, 60), RGBColor(148, 103, 189)];

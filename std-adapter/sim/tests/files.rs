@@ -1,7 +1,5 @@
 //! Files over the handler of b-CAP, below a temporary folder.
 
-mod common;
-
 use std::fs;
 use std::sync::{Arc, Mutex};
 
@@ -13,7 +11,8 @@ use bcap_sim::files::{Executor, Job};
 use bcap_sim::{Config, Permission};
 use tempfile::TempDir;
 
-use common::{Client, Reply, World, code, ok};
+use crate::common;
+use crate::common::{Client, Reply, World, code, ok};
 
 struct Rig {
     world: World,

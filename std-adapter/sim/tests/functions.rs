@@ -1,7 +1,5 @@
 //! The tables of docs/virtual-controller.md say what the controller answers: each function and each command is called.
 
-mod common;
-
 use std::collections::BTreeSet;
 
 use bcap_core::bcap::call::{self, Call, Nothing};
@@ -11,7 +9,7 @@ use bcap_core::handler::Outcome;
 use bcap_core::hresult::HResult;
 use bcap_sim::{Config, Profile};
 
-use common::{Client, World};
+use crate::common::{Client, World};
 
 const PAGE: &str = include_str!("../../../docs/virtual-controller.md");
 

@@ -1,7 +1,5 @@
 //! The logs of errors, operations and positions; servo data; the load as set by a client.
 
-mod common;
-
 use std::sync::{Arc, Mutex};
 
 use bcap_core::bcap::call;
@@ -10,7 +8,7 @@ use bcap_core::variant::Variant;
 use bcap_sim::trace::{Recorder, TracePoint};
 use bcap_sim::{Config, Mode, Profile};
 
-use common::{Client, Value, World, close, code, doubles, ok};
+use crate::common::{Client, Value, World, close, code, doubles, ok};
 
 fn items(value: &Value) -> Vec<String> {
     let array = value.as_variant().as_array().expect("an array");

@@ -1,7 +1,5 @@
 //! Extensions, command objects and messages over the handler of b-CAP.
 
-mod common;
-
 use bcap_core::bcap::call::{self, CommandHandle, ExtensionHandle, MessageHandle};
 use bcap_core::bcap::server::Handler as _;
 use bcap_core::handler::{Outcome, PeerId};
@@ -10,7 +8,8 @@ use bcap_core::time::Instant;
 use bcap_core::variant::OleDate;
 use bcap_sim::{Config, Profile, Scenario, Token};
 
-use common::{Client, Reply, World, code, ok, value};
+use crate::common;
+use crate::common::{Client, Reply, World, code, ok, value};
 
 fn cobotta() -> (World, Client) {
     let mut world = World::with(Config::new(Profile::Cobotta));

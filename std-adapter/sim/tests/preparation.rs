@@ -1,12 +1,10 @@
 //! The preparation that a COBOTTA needs before it moves, and other models do not.
 
-mod common;
-
 use bcap_core::bcap::call;
 use bcap_core::hresult::HResult;
 use bcap_sim::{Bit, Config, EMERGENCY_STOP, Profile, Token};
 
-use common::{Client, World, code, ok};
+use crate::common::{Client, World, code, ok};
 
 fn cobotta() -> (World, Client) {
     let mut world = World::with(Config::new(Profile::Cobotta));

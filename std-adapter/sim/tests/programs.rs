@@ -1,14 +1,12 @@
 //! Tasks with a program, from a scenario: their steps, their states, their errors.
 
-mod common;
-
 use bcap_core::bcap::call;
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
 use bcap_sim::{Config, Scenario, TaskStatus, VariableKind};
 
-use common::{Client, World, code, ok};
+use crate::common::{Client, World, code, ok};
 
 const FEEDER: &str = r#"
 [[task]]

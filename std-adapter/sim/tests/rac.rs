@@ -1,11 +1,9 @@
 //! The communication samples of the RAC specification, section 4, on each model.
 
-mod common;
-
 use bcap_core::hresult::HResult;
 use bcap_sim::{Config, Profile};
 
-use common::{World, code, value};
+use crate::common::{World, code, value};
 
 #[test]
 fn each_sample_of_the_specification_reads_what_the_other_has_written() {

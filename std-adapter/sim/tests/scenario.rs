@@ -1,7 +1,5 @@
 //! Scenarios: each fault at its place, in the controller and on the wire, the same in every run.
 
-mod common;
-
 use bcap_core::bcap::call;
 use bcap_core::bcap::server::{Config as Server, Session};
 use bcap_core::bcap::{Decoder, FrameWriter};
@@ -13,7 +11,8 @@ use bcap_sim::model::ArmProfile;
 use bcap_sim::scenario::Delivery;
 use bcap_sim::{Config, Controller, EMERGENCY_STOP, Profile, Scenario};
 
-use common::{Client, World, code, ok};
+use crate::common;
+use crate::common::{Client, World, code, ok};
 
 const START: [f64; 8] = [0.0, 45.0, 90.0, 0.0, 45.0, 0.0, 0.0, 0.0];
 

@@ -1,7 +1,5 @@
 //! Requests that a controller refuses, and that a lenient one tolerates and names.
 
-mod common;
-
 use std::sync::{Arc, Mutex};
 
 use bcap_core::bcap::call;
@@ -10,7 +8,7 @@ use bcap_core::hresult::HResult;
 use bcap_sim::explain::Observer;
 use bcap_sim::{Config, Profile};
 
-use common::{World, code};
+use crate::common::{World, code};
 
 type Seen = Arc<Mutex<Vec<String>>>;
 

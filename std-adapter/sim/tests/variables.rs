@@ -1,7 +1,5 @@
 //! Sessions, handles and variables over the handler of b-CAP.
 
-mod common;
-
 use bcap_core::bcap::call::{self, CommandHandle, ControllerHandle, RobotHandle, TaskHandle, VariableHandle};
 use bcap_core::bcap::server::Handler as _;
 use bcap_core::handler::PeerId;
@@ -9,7 +7,8 @@ use bcap_core::hresult::HResult;
 use bcap_core::variant::{Encode, Null, OleDate};
 use bcap_sim::{Config, Permission, Profile, Sizes};
 
-use common::{World, code, ok, value};
+use crate::common;
+use crate::common::{World, code, ok, value};
 
 #[test]
 fn a_session_has_the_handles_of_the_guide() {

@@ -3,14 +3,11 @@
 //! ```text
 //!  bcap ─► pseudo-terminals ─► this test ─► Unix socket ─► QEMU: serial port ─► console ─► flash
 //! ```
-#![cfg(unix)]
-
-mod line;
 
 use std::{env, process};
 
+use crate::line::{connect, join};
 use bcap_qemu::{Board, Sim, bcap, run};
-use line::{connect, join};
 use serialport::{SerialPort, TTYPort};
 
 const PROVIDER: &str = "provider=CaoProv.DENSO.VRC";

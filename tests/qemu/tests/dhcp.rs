@@ -1,5 +1,4 @@
 //! Tests the frames with which the gateway board in QEMU asks for an address.
-#![cfg(unix)]
 
 use std::net::UdpSocket;
 use std::time::{Duration, Instant};

@@ -10,7 +10,6 @@
 //! reset, and every answer must be right. The PLC's times are printed with and without the attack, not asserted.
 //!
 //! `FLOOD_SECONDS` is the length of all attacks, 60 s.
-#![cfg(unix)]
 
 use std::io::{self, Read, Write};
 use std::net::TcpStream;

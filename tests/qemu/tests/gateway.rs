@@ -1,5 +1,4 @@
 //! Tests the gateway board in QEMU between `bcap rac` and `bcap sim`.
-#![cfg(unix)]
 
 use std::io;
 use std::sync::Arc;

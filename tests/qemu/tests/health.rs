@@ -1,5 +1,4 @@
 //! Tests the page of the gateway board's state in QEMU, and its messages of syslog.
-#![cfg(unix)]
 
 use std::io::{Read, Write};
 use std::net::{TcpStream, UdpSocket};

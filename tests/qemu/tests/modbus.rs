@@ -1,5 +1,4 @@
 //! Tests Modbus TCP of the gateway board in QEMU with an independent client: pymodbus.
-#![cfg(unix)]
 
 #[path = "../../../std-adapter/cli/tests/common/pymodbus.rs"]
 mod pymodbus;

@@ -3,9 +3,6 @@
 //! ```text
 //!  bcap sim ─ pseudo-terminals ─ this test ─ Unix socket ─► QEMU: second port ─► gateway ◄─ third port ◄─ Unix socket ─ PLC
 //! ```
-#![cfg(unix)]
-
-mod line;
 
 use std::io::{BufRead, BufReader, Write};
 use std::os::unix::net::UnixStream;
@@ -13,9 +10,9 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 use std::{env, process, thread};
 
+use crate::line::{connect, join};
 use bcap_core::hresult::HResult;
 use bcap_qemu::{Board, TIMEOUT, bcap, error};
-use line::{connect, join};
 use serialport::{SerialPort, TTYPort};
 
 /// A process that is killed when this is dropped.

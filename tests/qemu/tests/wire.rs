@@ -12,7 +12,6 @@
 //! request may hang.
 //!
 //! `WIRE_SECONDS` and `WIRE_SEED` are the length, 15 s, and the seed of the faults, 1.
-#![cfg(unix)]
 
 use std::collections::VecDeque;
 use std::io::{self, Write};

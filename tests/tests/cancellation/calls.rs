@@ -18,7 +18,7 @@ use bcap_core::slave::{
     Config, Cycle, Engine, Format, MOVE_FRAME, Mode, Next, PoseType, ReceiveFormat, ReceivePose, SlaveMode,
 };
 
-use crate::sweep::{Rig, Sweep, Work, finish, usual};
+use crate::cancellation::sweep::{Rig, Sweep, Work, finish, usual};
 
 const LINKS: [Link; 3] = [Link::Stream, Link::Datagram, Link::Serial];
 

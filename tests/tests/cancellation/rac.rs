@@ -17,7 +17,7 @@ use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
 use bcap_testkit::network::answer_to;
 
-use crate::sweep::{finish, poll_times};
+use crate::cancellation::sweep::{finish, poll_times};
 
 /// How long a request may take: not the default.
 const TIMEOUT: Duration = Duration::from_millis(2700);

@@ -16,7 +16,7 @@ use bcap_core::procedure::{Handles, Procedure, Provider, open_robot};
 use bcap_core::time::Instant;
 use bcap_testkit::network::answer_to;
 
-use crate::link::{Wire, World};
+use crate::cancellation::link::{Wire, World};
 
 pub(crate) type Client512 = Connection<Wire, [u8; 512]>;
 pub(crate) type Work<'a> = Pin<Box<dyn Future<Output = bool> + 'a>>;

@@ -12,7 +12,7 @@ use bcap_core::io::asynch::{Timed, Timer, Transport};
 use bcap_core::time::{Clock, Instant};
 use embedded_io_async::{ErrorType, Read, Write};
 
-use crate::sweep::{finish, poll_times};
+use crate::cancellation::sweep::{finish, poll_times};
 
 /// A clock that goes on by a millisecond whenever its timer is polled.
 #[derive(Clone, Default)]

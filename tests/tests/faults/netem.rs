@@ -8,7 +8,7 @@ use bcap_std::{Options, blocking};
 use bcap_testkit::network::answer_to;
 use bcap_tests::served::Served;
 
-use crate::datagrams::{call_over_udp, limits};
+use crate::faults::datagrams::{call_over_udp, limits};
 
 /// One datagram in ten is lost, one in ten doubled, one in four overtakes others; each takes up to 200 ms.
 const BAD: &[&str] = &["loss", "10%", "duplicate", "10%", "delay", "100ms", "100ms", "reorder", "25%", "50%"];
@@ -58,7 +58,7 @@ fn a_bad_link_of_the_kernel_carries_every_call_once() {
     };
     let program = std::env::current_exe().unwrap();
     let mut command = namespace.inside(program.to_str().expect("a path of text"));
-    let output = run(command.args(["--exact", "netem::on_this_link", "--ignored", "--nocapture"])).unwrap();
+    let output = run(command.args(["--exact", "faults::netem::on_this_link", "--ignored", "--nocapture"])).unwrap();
     let said = String::from_utf8_lossy(&output.stdout);
     print!("{said}");
     assert!(said.contains("1 passed"), "the test that runs there has another name");

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use crate::source::{Names, Source, child};
+use super::source::{Names, Source, child};
 
 /// Arrows from a module to the modules that it needs.
 pub(crate) type Arrows = BTreeMap<String, BTreeSet<String>>;

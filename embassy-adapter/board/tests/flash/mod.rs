@@ -1,5 +1,4 @@
 //! A model of a NOR flash whose power can be cut at every byte.
-#![allow(dead_code, reason = "every test file uses its own part of this")]
 
 use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash};
 

@@ -16,8 +16,8 @@ use bcap_tests::served::Served;
 use bcap_tests::stepped::Stepped;
 use tempfile::TempDir;
 
-use crate::page::Command;
-use crate::pattern::{matches, replace};
+use crate::book::page::Command;
+use crate::book::pattern::{matches, replace};
 
 /// The address of the virtual controller in the pages.
 const ROBOT: &str = "192.168.0.1";

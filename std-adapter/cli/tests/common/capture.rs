@@ -1,5 +1,4 @@
 //! Writes captures: payloads in packets with IPv4 and TCP or UDP headers, in the format of libpcap.
-#![allow(dead_code, reason = "every test file uses its own part of this")]
 
 use std::path::Path;
 

@@ -1,5 +1,18 @@
 //! Helpers that run the built command and read the test vectors.
-#![allow(dead_code, reason = "every test file uses its own part of this")]
+
+pub(crate) mod capture;
+pub(crate) mod fake;
+pub(crate) mod hooked;
+pub(crate) mod mosquitto;
+pub(crate) mod planted;
+pub(crate) mod pymodbus;
+pub(crate) mod recorded;
+pub(crate) mod robot;
+pub(crate) mod running;
+pub(crate) mod stalling;
+pub(crate) mod tmux;
+pub(crate) mod tshark;
+pub(crate) mod virtual_robot;
 
 use std::io::Write;
 use std::path::{Path, PathBuf};

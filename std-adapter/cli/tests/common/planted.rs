@@ -1,6 +1,5 @@
 //! A small device with one planted bug, for the fuzzer. It crashes like a process: every connection ends, and its ports
 //! are closed until it has restarted.
-#![allow(dead_code, reason = "every test file uses its own part of this")]
 
 use std::collections::HashMap;
 use std::io::{self, Read, Write};

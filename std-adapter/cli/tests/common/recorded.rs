@@ -1,5 +1,4 @@
 //! A session of variables, motion, Slave Mode, errors and RAC with a virtual controller, captured by tcpdump.
-#![allow(dead_code, reason = "every test file uses its own part of this")]
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -18,9 +17,9 @@ use bcap_tests::slowed::Slowed;
 
 use serde_json::Value;
 
-use crate::capture::unhex;
+use crate::common::capture::unhex;
+use crate::common::running::Running;
 use crate::common::{Run, bcap, bcap_with};
-use crate::running::Running;
 
 /// A call that a server saw: the function, the encoded arguments and the result.
 pub(crate) type Seen = (String, Vec<Vec<u8>>, i64);

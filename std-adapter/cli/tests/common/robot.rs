@@ -1,5 +1,4 @@
 //! A virtual controller of this process on real sockets.
-#![allow(dead_code, reason = "every test file uses its own part of this")]
 
 use bcap_core::rac::VariableKind;
 use bcap_core::variant::Variant;

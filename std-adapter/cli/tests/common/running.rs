@@ -1,5 +1,4 @@
 //! A process of the command that runs until a signal.
-#![allow(dead_code, reason = "every test file uses its own part of this")]
 
 use std::io::{BufRead, BufReader, Read};
 use std::process::{Child, ChildStderr, ChildStdout, Command, Stdio};

@@ -1,5 +1,4 @@
 //! A virtual controller that stops answering at a chosen call.
-#![allow(dead_code, reason = "every test file uses its own part of this")]
 
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::Duration;

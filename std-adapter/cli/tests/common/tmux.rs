@@ -1,5 +1,4 @@
 //! A terminal in which a command runs as a person runs it. It needs tmux.
-#![allow(dead_code, reason = "every test file uses its own part of this")]
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

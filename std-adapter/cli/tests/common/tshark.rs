@@ -1,5 +1,4 @@
 //! tshark with the dissector that `bcap wireshark` prints. Tests that need it print one line and pass without it.
-#![allow(dead_code, reason = "every test file uses its own part of this")]
 
 use std::fs;
 use std::path::Path;

@@ -1,10 +1,9 @@
 //! A `bcap sim` process with clients.
-#![allow(dead_code, reason = "every test file uses its own part of this")]
 
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
 
-use super::common::{Run, bcap, bcap_with, command};
+use super::{Run, bcap, bcap_with, command};
 
 /// A virtual controller; dropping this kills it.
 pub(crate) struct Virtual {
@@ -42,7 +41,7 @@ impl Virtual {
 
     /// Starts a command without a time limit.
     pub(crate) fn spawn(&self, args: &[&str]) -> Child {
-        let mut command: Command = super::common::bare(&[args, &["--robot", &self.tcp]].concat());
+        let mut command: Command = super::bare(&[args, &["--robot", &self.tcp]].concat());
         command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
     }
 

@@ -1,5 +1,6 @@
 //! Servers on free ports of this machine.
-#![allow(dead_code, reason = "every test file uses its own part of this")]
+
+pub(crate) mod relay;
 
 use std::net::SocketAddr;
 use std::thread;

@@ -1,5 +1,4 @@
 //! A Mosquitto, virtual controllers and a subscriber.
-#![allow(dead_code, reason = "every test file uses its own part of this")]
 
 use std::fs;
 use std::net::{SocketAddr, TcpListener};

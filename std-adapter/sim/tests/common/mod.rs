@@ -1,5 +1,4 @@
 //! A client that calls a controller's handler directly, with a clock that only the test moves.
-#![allow(dead_code, reason = "each test file uses a part of it")]
 
 use bcap_core::bcap::call::{self, Call, ControllerHandle, RobotHandle, TaskHandle, VariableHandle};
 use bcap_core::bcap::server::{Handler, Request};

@@ -13,8 +13,8 @@ use bcap_sim::kinematics::SPEEDS;
 use bcap_sim::{Config, Profile, Scenario};
 
 use crate::common::{Client, World};
-use crate::wire::{LINKS, Link};
-use crate::{MODES, Rig, format, from_start};
+use crate::engine::wire::{LINKS, Link};
+use crate::engine::{MODES, Rig, format, from_start};
 
 /// How a stream that paused has ended.
 #[derive(Debug, PartialEq)]

@@ -6,8 +6,8 @@ use bcap_core::slave::{Action, Cause, Failure, Fault, Mode, PoseType, RecoverErr
 use bcap_core::time::Instant;
 use bcap_sim::{EMERGENCY_STOP, Scenario};
 
-use crate::wire::{LINKS, Link};
-use crate::{MODES, Rig, format, from_start, smooth};
+use crate::engine::wire::{LINKS, Link};
+use crate::engine::{MODES, Rig, format, from_start, smooth};
 
 const UNDERFLOW: HResult = HResult::E_COMMAND_BUFFER_EMPTY;
 

@@ -10,8 +10,8 @@ use bcap_core::variant::Variant;
 use bcap_sim::VariableKind;
 
 use crate::common::{World, close};
-use crate::wire::{LINKS, Link};
-use crate::{MODES, Rig, format, from_start};
+use crate::engine::wire::{LINKS, Link};
+use crate::engine::{MODES, Rig, format, from_start};
 
 const MINI: i32 = 0x0005_0000;
 const HAND: i32 = 0x0003_0000;

@@ -4,8 +4,8 @@ use bcap_core::hresult::HResult;
 use bcap_core::slave::{Action, AxisLimits, Cause, Mode, PoseType, Released, Step};
 use bcap_sim::Config;
 
-use crate::wire::{LINKS, Link};
-use crate::{MODES, Rig, format, from_start, smooth};
+use crate::engine::wire::{LINKS, Link};
+use crate::engine::{MODES, Rig, format, from_start, smooth};
 
 #[test]
 fn a_trajectory_arrives_without_an_error_in_every_mode() {

@@ -4,8 +4,8 @@ use bcap_core::bcap::call;
 use bcap_core::hresult::HResult;
 use bcap_sim::{ArmProfile, Config, Profile};
 
-use crate::assert_close;
 use crate::common::{Client, World, code, doubles, ok};
+use crate::robot::assert_close;
 
 const START: &str = "P(300, 0, 300, 180, 0, 180, 5)";
 

@@ -7,7 +7,7 @@ use bcap_sim::kinematics::{RANGES, SPEEDS};
 use bcap_sim::motion::{ACCELERATION_TIME, LINE_SPEED};
 
 use crate::common::{Client, World, code, doubles, ok, value};
-use crate::{JOINTS, POSE, assert_close, joint_time, joints, seconds};
+use crate::robot::{JOINTS, POSE, assert_close, joint_time, joints, seconds};
 
 #[test]
 fn a_robot_is_used_as_the_sample_program_does() {

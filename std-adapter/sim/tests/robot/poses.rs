@@ -3,8 +3,8 @@
 use bcap_core::bcap::call;
 use bcap_core::hresult::HResult;
 
-use crate::assert_close;
 use crate::common::{World, close, code, doubles, ok};
+use crate::robot::assert_close;
 
 #[test]
 fn dev_moves_in_the_base_and_dev_h_in_the_flange() {

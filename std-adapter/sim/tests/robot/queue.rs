@@ -6,7 +6,7 @@ use bcap_core::hresult::HResult;
 use bcap_sim::kinematics::SPEEDS;
 
 use crate::common::{Client, World, code, ok};
-use crate::{assert_close, joint_time, joints, seconds};
+use crate::robot::{assert_close, joint_time, joints, seconds};
 
 /// Starts a motion with NEXT.
 fn next(world: &mut World, client: Client, pose: &str) -> HResult {

@@ -7,7 +7,7 @@ use bcap_core::hresult::HResult;
 use bcap_sim::{Config, EMERGENCY_STOP, Mode, Profile, Token};
 
 use crate::common::{World, code, ok};
-use crate::joints;
+use crate::robot::joints;
 
 #[test]
 fn halt_from_another_connection_ends_the_waiting_move() {

@@ -8,7 +8,7 @@ use bcap_core::variant::Variant;
 use bcap_sim::{Config, EMERGENCY_STOP, Mode, Profile, SlaveConfig, Token};
 
 use crate::common::{Value, World, code, ok};
-use crate::{Rig, START, UNDERFLOW, assert_close, j1, moving};
+use crate::slave::{Rig, START, UNDERFLOW, assert_close, j1, moving};
 
 #[test]
 fn entering_needs_what_every_motion_needs_and_a_licence() {

@@ -4,7 +4,7 @@ use bcap_core::hresult::HResult;
 use bcap_sim::Config;
 
 use crate::common::{code, ok};
-use crate::{POSE, Rig, START, limit};
+use crate::slave::{POSE, Rig, START, limit};
 
 const OPTION: f64 = 4_194_304.0; // 0x00400000
 

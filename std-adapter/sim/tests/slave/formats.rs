@@ -7,7 +7,7 @@ use bcap_core::variant::{Encode, Variant};
 use bcap_sim::{Config, Model, Profile, SlaveConfig, SlaveFormats, VariableKind};
 
 use crate::common::{Value, code, doubles, ok, value};
-use crate::{Rig, START, assert_close, j1};
+use crate::slave::{Rig, START, assert_close, j1};
 
 /// The items of an answer; one that is no array of VARIANT is its only item.
 fn items(answer: &Value) -> Vec<String> {

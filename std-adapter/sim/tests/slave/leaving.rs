@@ -7,7 +7,7 @@ use bcap_core::hresult::HResult;
 use bcap_sim::slave::CYCLE;
 
 use crate::common::ok;
-use crate::{Rig, assert_close, j1, limit, moving};
+use crate::slave::{Rig, assert_close, j1, limit, moving};
 
 #[test]
 fn leaving_does_what_is_buffered_and_then_answers() {

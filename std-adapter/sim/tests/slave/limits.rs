@@ -7,7 +7,7 @@ use bcap_sim::slave::CYCLE;
 use bcap_sim::{Config, Scenario, SlaveConfig, SpeedSetting};
 
 use crate::common::ok;
-use crate::{Rig, START, assert_close, limit};
+use crate::slave::{Rig, START, assert_close, limit};
 
 /// Moves one axis with this acceleration until it is too fast; returns the error, and the speed at which it came.
 fn accelerate(rig: &mut Rig, axis: usize, acceleration: f64) -> (HResult, f64) {

@@ -6,7 +6,7 @@ use bcap_core::hresult::HResult;
 use bcap_sim::slave::CYCLE;
 
 use crate::common::{code, doubles, ok, value};
-use crate::{Rig, START, assert_close, j1};
+use crate::slave::{Rig, START, assert_close, j1};
 
 #[test]
 fn mode_0_tells_when_the_buffer_is_full_and_stores_nothing_more() {

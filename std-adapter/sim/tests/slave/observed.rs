@@ -5,7 +5,7 @@ use bcap_core::hresult::HResult;
 use bcap_sim::Config;
 
 use crate::common::{Client, Reply, World, code, ok};
-use crate::{Rig, START};
+use crate::slave::{Rig, START};
 
 /// A stream in mode 0x202, and a second client.
 fn streaming() -> (Rig, Client) {

@@ -3,7 +3,7 @@
 use bcap_core::time::Instant;
 use bcap_sim::{Config, SlaveConfig};
 
-use crate::Rig;
+use crate::slave::Rig;
 
 #[test]
 fn steps_of_any_size_give_the_same_cycles() {

@@ -2,7 +2,7 @@
 
 use bcap_core::hresult::HResult;
 
-use crate::{Rig, UNDERFLOW, limit};
+use crate::slave::{Rig, UNDERFLOW, limit};
 
 #[test]
 fn modes_0_and_2_underflow_in_motion_and_are_released() {

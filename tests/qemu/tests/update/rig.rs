@@ -17,7 +17,7 @@ use bcap_board::identity::{self, BLOCK, Identity};
 use bcap_board::image;
 use bcap_qemu::{Plc, Sim, TIMEOUT, free_port, signal};
 
-use crate::layout::{ACTIVE, CONTROL, OTHER, SECTOR, control};
+use crate::update::layout::{ACTIVE, CONTROL, OTHER, SECTOR, control};
 
 /// The wait between two looks at the flash or the board.
 const LOOK: Duration = Duration::from_millis(2);

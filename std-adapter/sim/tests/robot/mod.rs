@@ -1,8 +1,6 @@
 //! The arm over the handler of b-CAP: authority, motor, motions and what stops them.
 
 mod authority;
-#[path = "../common/mod.rs"]
-mod common;
 mod curves;
 mod drives;
 mod motions;
@@ -15,7 +13,7 @@ use bcap_core::hresult::HResult;
 use bcap_sim::kinematics::SPEEDS;
 use bcap_sim::motion::ACCELERATION_TIME;
 
-use common::{Client, World, close, doubles};
+use crate::common::{Client, World, close, doubles};
 
 /// The pose and the joints of the guide's slvMove example, where every robot of this file starts.
 const POSE: [f64; 7] = [364.16, 0.0, 278.5355, 180.0, 0.0, 180.0, 5.0];

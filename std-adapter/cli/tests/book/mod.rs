@@ -11,10 +11,7 @@
 //! A comment `<!-- book: ... -->` above a block directs the test: `sim OPTIONS` starts another virtual controller (`sim stepped`: one
 //! whose clock waits for its clients, so that a busy machine meets the deadlines of Slave Mode), `run COMMAND` runs a command that the reader does not see, `file NAME` writes the next block to a file, `needs PROGRAM` runs the next
 //! block only where PROGRAM is installed, and `skip REASON` does not run it.
-#![cfg(unix)]
 
-#[path = "../common/mod.rs"]
-mod common;
 mod page;
 mod pattern;
 mod world;

@@ -8,15 +8,11 @@
 //! A and B are the same image with different versions. A cut happens in an erase of a sector or in a write of a page. By default the
 //! power is cut in a sample of these operations. `UPDATE_CUTS=all` cuts it in each one of a swap, a confirmation and a roll-back, and of
 //! the download and installation of a short image; of the download of the whole image in each seventeenth, about two in each sector.
-#![cfg(unix)]
 
 // the sizes and the words of the flash, which the image has, too
 #[allow(dead_code, reason = "the images use the rest")]
 #[path = "../../../../embassy-adapter/firmware/src/flash/layout.rs"]
 mod layout;
-#[path = "../line/mod.rs"]
-#[allow(dead_code, reason = "this test connects without a log")]
-mod line;
 mod rig;
 
 use std::io::{self, Write};
@@ -30,6 +26,7 @@ use serialport::{SerialPort, TTYPort};
 
 use self::layout::control;
 use self::rig::{Contents, Cut, Rig, flatten, wait};
+use crate::line;
 
 const A: &str = "0.1.0 confirmed";
 const B: &str = "0.2.0 confirmed";

@@ -3,8 +3,6 @@
 //! Every call goes through the core's client and server, over a wire that is a stream or carries datagrams.
 
 mod causes;
-#[path = "../common/mod.rs"]
-mod common;
 mod faults;
 mod formats;
 mod streams;
@@ -18,7 +16,7 @@ use bcap_core::slave::{
 use bcap_core::time::Instant;
 use bcap_sim::Config;
 
-use common::World;
+use crate::common::World;
 use wire::{Link, Wire};
 
 const MODES: [Mode; 3] = [Mode::Mode0, Mode::Mode1, Mode::Mode2];

@@ -12,7 +12,6 @@
 //! test. After each failure every PLC must be served again. Times are printed, not asserted.
 //!
 //! `SOAK_SECONDS` and `SOAK_SEED` are the length, 30 s, and the seed of the failures, 1.
-#![cfg(unix)]
 
 mod chaos;
 mod garbage;

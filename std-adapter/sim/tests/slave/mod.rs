@@ -1,8 +1,6 @@
 //! Slave mode over the handler of b-CAP: each row of its tables, by codes, values and cycles of a clock that stands.
 
 mod access;
-#[path = "../common/mod.rs"]
-mod common;
 mod extended;
 mod formats;
 mod leaving;
@@ -19,7 +17,7 @@ use bcap_core::time::Instant;
 use bcap_core::variant::Encode;
 use bcap_sim::Config;
 
-use common::{Client, Reply, Value, World, close, ok};
+use crate::common::{Client, Reply, Value, World, close, ok};
 
 /// Where every robot of this file starts.
 const START: [f64; 8] = [0.0, 45.0, 90.0, 0.0, 45.0, 0.0, 0.0, 0.0];

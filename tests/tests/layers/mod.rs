@@ -1,6 +1,6 @@
 //! Tests the layers: no module imports one above it, and the files of a crate have no import cycles.
 //!
-//! The order of packages and modules is the block `layers` in `docs/design.md`. `cargo test -p bcap-tests --test layers --
+//! The order of packages and modules is the block `layers` in `docs/design.md`. `cargo test -p bcap-tests layers:: --
 //! --nocapture` prints the number of circles of each crate, and where the block is wrong, an order that the code keeps.
 
 mod graph;

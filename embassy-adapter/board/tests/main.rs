@@ -1,0 +1,8 @@
+//! The tests of this package, as one program. `cargo test -p bcap-board NAME::` runs those of one module.
+
+mod configure;
+mod console;
+mod flash;
+mod slots;
+#[cfg(feature = "update")]
+mod update;

@@ -1,0 +1,59 @@
+//! The tests of this package, as one program. `cargo test -p bcap-cli NAME::` runs those of one module.
+
+mod arguments;
+#[cfg(target_os = "linux")]
+mod attacks;
+mod backup;
+#[cfg(unix)]
+mod board;
+#[cfg(unix)]
+mod book;
+mod captures;
+mod codec;
+mod common;
+#[cfg(unix)]
+mod conform;
+mod doctor;
+#[cfg(unix)]
+mod examples;
+mod explain;
+mod files;
+mod fuzz;
+mod gateway;
+mod help;
+mod manual;
+#[cfg(unix)]
+mod mcap;
+#[cfg(unix)]
+mod monitor;
+#[cfg(unix)]
+mod monitors;
+mod partial;
+mod peers;
+mod profiles;
+mod proxy;
+mod proxy_load;
+mod rac;
+mod ranges;
+#[cfg(unix)]
+mod raw;
+mod reference;
+mod replay;
+#[cfg(unix)]
+mod screens;
+#[cfg(unix)]
+mod serial;
+mod session;
+#[cfg(unix)]
+mod shell;
+#[cfg(unix)]
+mod signals;
+mod sim;
+mod slave;
+mod slave_formats;
+#[cfg(unix)]
+mod terminal;
+#[cfg(unix)]
+mod tester;
+mod text;
+mod wireshark;

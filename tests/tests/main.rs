@@ -1,0 +1,40 @@
+//! The tests of this package, as one program. `cargo test -p bcap-tests NAME::` runs those of one module.
+
+mod async_controller;
+#[cfg(unix)]
+mod boards;
+mod book;
+mod cancellation;
+mod controller;
+mod corpora;
+mod drivers;
+mod early_replies;
+mod endings;
+mod examples;
+mod faults;
+mod gateway;
+#[cfg(target_os = "linux")]
+mod gateway_access;
+mod invariants;
+mod layers;
+mod lengths;
+mod loops;
+mod network;
+mod no_alloc;
+mod peer;
+mod procedures;
+mod rac;
+mod reconnection;
+mod roundtrip;
+#[cfg(unix)]
+mod serial_cable;
+#[cfg(unix)]
+mod serial_lines;
+mod server_robustness;
+mod sizes;
+mod slave;
+mod slave_formats;
+mod text;
+mod tools;
+mod udp_session;
+mod vectors;
