@@ -55,6 +55,16 @@ impl PoseType {
         }
     }
 
+    /// Returns the names of the values of a pose, without the extended-joint option.
+    #[must_use]
+    pub const fn columns(self) -> &'static [&'static str] {
+        match self {
+            Self::P => &["X", "Y", "Z", "RX", "RY", "RZ", "FIG"],
+            Self::J => &["J1", "J2", "J3", "J4", "J5", "J6", "J7", "J8"],
+            Self::T => &["X", "Y", "Z", "OX", "OY", "OZ", "AX", "AY", "AZ", "FIG"],
+        }
+    }
+
     const fn code(self) -> i32 {
         match self {
             Self::P => 1,

@@ -12,7 +12,8 @@ use crate::output::{print_json, print_line};
 use crate::plain;
 use crate::reference::{self, usage};
 use crate::session::Session;
-use crate::value::{Value, integer, text, to_json};
+use crate::value::{Value, integer, text};
+use bcap_capture::value::to_json;
 
 /// Runs `bcap call`.
 pub(crate) fn call(args: &Call, session: &mut Session, json: bool) -> Result<(), Failure> {
@@ -71,7 +72,7 @@ fn call_in(session: &mut Session, function: FunctionId, arguments: &[Argument], 
 fn print_reply(code: HResult, value: Option<&Value>, json: bool) -> Result<(), Failure> {
     if json {
         let name = serde_json::Value::from(code.name());
-        let value = value.map_or("null".into(), to_json);
+        let value = value.map_or("null".into(), |value| to_json(value.as_variant()));
         return Ok(print_json(&format!("{{\"code\":{},\"name\":{name},\"value\":{value}}}", code.0))?);
     }
     if code != HResult::S_OK {

@@ -10,8 +10,8 @@ use bcap_std::{Address, CallError, ConnectError, Error, Halt, HaltAnswer, Networ
 
 use crate::budget::Budget;
 use crate::error::Failure;
-use crate::record::{current, taped};
-use crate::trace::{Packets, Wire};
+use crate::traffic::{recorder, taped};
+use bcap_capture::trace::{Packets, Wire};
 
 /// Connects within the time limits, without starting the service. Over UDP nothing is sent. `packets` sees all bytes.
 pub(crate) fn open(target: &Address, budget: &Budget, packets: &Packets) -> Result<Controller, Failure> {
@@ -36,7 +36,7 @@ pub(crate) fn open(target: &Address, budget: &Budget, packets: &Packets) -> Resu
 
 /// Refuses a serial line for a command that is recorded.
 pub(crate) fn unrecorded(target: &Address) -> Result<(), Failure> {
-    match current() {
+    match recorder() {
         None => Ok(()),
         Some(_) => Err(Failure::Input(format!(
             "{target}: a serial line has no packets to record; --write needs tcp:HOST[:PORT] or udp:HOST[:PORT]"

@@ -15,12 +15,12 @@ use bcap_std::{CallError, ConnectError, Options};
 use tokio::sync::oneshot;
 
 use crate::error::Failure;
-use crate::frame::Role;
 use crate::listen::runtime;
 use crate::output::print_block;
 use crate::sim::{self, Listening};
-use crate::trace::{Level, Packets, Traced, Wire, arrow, with_arrow};
 use crate::value::Value;
+use bcap_capture::Role;
+use bcap_capture::trace::{Level, Packets, Traced, Wire, with_arrow};
 
 const POSE: [f32; 7] = [400.0, 0.0, 300.5, 180.0, 0.0, 180.0, 5.0];
 
@@ -133,9 +133,12 @@ impl Transcript {
     /// Wraps a transport, whose packets are recorded.
     fn of<X>(transport: X, wire: Wire) -> (Self, Traced<X>) {
         let (watcher, packets) = channel();
-        let mut recorder = Packets::new(None);
-        recorder.watch(Level::Bytes, watcher);
-        (Self(packets), recorder.tap(transport, wire))
+        let mut watched = Packets::new();
+        watched.watch(Level::Bytes, move |role, text| {
+            // without a receiver the demo is ending
+            let _ = watcher.send((role, text.to_owned()));
+        });
+        (Self(packets), watched.tap(transport, wire))
     }
 
     /// Prints a purpose, and the packets that served it.
@@ -144,7 +147,7 @@ impl Transcript {
             print_block(&format!("\n{purpose}"))?;
         }
         for (role, text) in self.0.try_iter() {
-            let packet = with_arrow(arrow(role), &text);
+            let packet = with_arrow(role.arrow(), &text);
             print_block(&format!("  {}", packet.replace('\n', "\n  ")))?;
         }
         Ok(())

@@ -15,7 +15,8 @@
 use std::io;
 use std::process::ExitCode;
 
-use bcap_core::error::{DecodeError, EncodeError, TextError};
+use bcap_capture::ConvertError;
+use bcap_core::error::EncodeError;
 use bcap_core::hresult::HResult;
 use bcap_std::ObjectPathError;
 use bcap_terminal::{escape, report};
@@ -31,8 +32,8 @@ pub(crate) enum Failure {
     #[error("{0}")]
     Input(String),
     /// The item on the command line cannot be converted.
-    #[error("{}", .0.message)]
-    Item(ItemError),
+    #[error("{0}")]
+    Item(ConvertError),
     /// Some lines could not be converted; each has been reported in the output.
     #[error("{0} of the lines could not be converted; the output has an error in place of each")]
     BadLines(usize),
@@ -135,46 +136,24 @@ pub(crate) enum Failure {
     Stdio(#[from] io::Error),
 }
 
-/// Why one item could not be converted.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub(crate) struct ItemError {
-    /// The fault, in words.
-    #[serde(rename = "error")]
-    pub(crate) message: String,
-    /// Where: a byte of the decoded bytes, or of the item's text if the text is invalid; 0 is the whole item.
-    pub(crate) offset: usize,
+/// Returns the line of the output in place of an item that cannot be converted.
+pub(crate) fn item_to_json(error: &ConvertError) -> String {
+    #[derive(Serialize)]
+    struct Item {
+        error: String,
+        offset: usize,
+    }
+    let item = Item { error: escape::cut(error), offset: error.offset };
+    // serializing a string and a number cannot fail
+    escape::json(&serde_json::to_string(&item).unwrap_or_default())
 }
 
-impl ItemError {
-    pub(crate) fn new(message: impl Into<String>, offset: usize) -> Self {
-        Self { message: message.into(), offset }
-    }
-
-    /// Returns the line of the output in place of the item.
-    pub(crate) fn to_json(&self) -> String {
-        let short = Self::new(escape::cut(&self.message), self.offset);
-        // serializing a string and a number cannot fail
-        escape::json(&serde_json::to_string(&short).unwrap_or_default())
-    }
-}
-
-impl From<DecodeError> for ItemError {
-    fn from(error: DecodeError) -> Self {
-        Self::new(error.to_string(), error.offset)
-    }
-}
-
-impl From<EncodeError> for ItemError {
-    fn from(error: EncodeError) -> Self {
-        Self::new(error.to_string(), 0)
-    }
-}
-
-impl From<TextError> for ItemError {
-    fn from(error: TextError) -> Self {
-        // columns count from 1; 0 is an error of the value as a whole
-        let column = usize::try_from(error.column).unwrap_or(usize::MAX);
-        Self::new(error.to_string(), column.saturating_sub(1))
+impl From<bcap_capture::Error> for Failure {
+    fn from(error: bcap_capture::Error) -> Self {
+        match error {
+            bcap_capture::Error::Io(error) => Self::Stdio(error),
+            error => Self::Input(error.to_string()),
+        }
     }
 }
 

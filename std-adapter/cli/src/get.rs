@@ -2,11 +2,11 @@
 
 use crate::args::Get;
 use crate::error::Failure;
-use crate::hex;
 use crate::selection::{Selection, expand};
 use crate::session::Session;
 use crate::value::text;
 use crate::variables::{get_one, last_packet, paths, print_each};
+use bcap_capture::hex;
 
 /// Runs `bcap get`.
 pub(crate) fn get(args: &Get, session: &mut Session, json: bool) -> Result<(), Failure> {

@@ -11,7 +11,6 @@ use clap::error::ErrorKind;
 use clap::{CommandFactory as _, Parser, Subcommand};
 
 use crate::args::{Call, Command, Exec, Run};
-use crate::duration;
 use crate::error::Failure;
 use crate::interrupt::{Interrupt, State};
 use crate::output::{print_line, print_raw};
@@ -21,6 +20,7 @@ use crate::session::Session;
 use crate::value::Value;
 use crate::variables::get_one;
 use crate::words::{self, is_name};
+use bcap_capture::duration;
 
 /// A command.
 #[derive(Debug, Parser)]

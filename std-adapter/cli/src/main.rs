@@ -5,7 +5,6 @@ mod backup;
 mod board;
 mod budget;
 mod call;
-mod capture;
 mod confirm;
 mod conform;
 mod connection;
@@ -13,38 +12,32 @@ mod decode;
 mod demo;
 mod destination;
 mod disk;
-mod dissect;
 mod doctor;
-mod duration;
 mod error;
+mod errors;
 mod explain;
-mod faults;
 mod files;
-mod frame;
 mod fuzz;
 mod gateway;
 mod get;
 mod halt;
-mod hex;
+mod input;
 mod interrupt;
-mod item;
-mod json;
 mod line;
 mod listen;
+mod mcap_log;
 mod monitor;
 mod motion;
 mod named;
 mod output;
 mod place;
 mod plain;
-mod playback;
 mod profile;
 mod profiles;
 mod proxy;
 mod put;
 mod rac;
 mod raw;
-mod record;
 mod reference;
 mod remote;
 mod replay;
@@ -54,7 +47,6 @@ mod samples;
 mod screen;
 mod script;
 mod selection;
-mod series;
 mod session;
 mod shell;
 mod silence;
@@ -66,11 +58,8 @@ mod target;
 mod task;
 mod terminal;
 mod text;
-mod times;
-mod title;
-mod trace;
+mod traffic;
 mod trajectory;
-mod trouble;
 mod value;
 mod variables;
 mod watch;
@@ -108,9 +97,9 @@ fn recorded(cli: &Cli) -> Result<(), Failure> {
     if matches!(cli.command, Command::Raw(_) | Command::Conform(_)) || !cli.command.connects() {
         return Err(Failure::Input("this command has nothing to record; leave --write out".into()));
     }
-    let recording = record::Recording::of_command(file)?;
+    let recording = traffic::record(file)?;
     let result = run(cli);
-    result.and(recording.finish())
+    result.and(recording.finish().map_err(Failure::from))
 }
 
 fn run(cli: &Cli) -> Result<(), Failure> {
@@ -149,9 +138,9 @@ pub(crate) fn verb(command: &Command, session: &mut Session, json: bool) -> Resu
         Command::Exec(args) => call::exec(args, session, json),
         Command::Move(args) => motion::motion(args, session, json),
         Command::Task(args) => task::task(args, session, json),
-        Command::Errors(_) => trouble::errors(session, json),
-        Command::Clear(_) => trouble::clear(session),
-        Command::Messages(args) => trouble::messages(args, session, json),
+        Command::Errors(_) => errors::errors(session, json),
+        Command::Clear(_) => errors::clear(session),
+        Command::Messages(args) => errors::messages(args, session, json),
         Command::Shell(_) => shell::shell(session, verb, json),
         Command::Run(args) => script::run(args, session, verb, check, json),
         Command::Raw(args) => raw::raw(args, session, json),

@@ -8,9 +8,9 @@ use serde::Deserialize;
 use serde_json::value::RawValue;
 
 use crate::error::Failure;
-use crate::json::{self, LIMITS, Part};
 use crate::value::Value;
 use crate::variables::shown;
+use bcap_capture::json::{self, LIMITS, Part};
 
 /// A variable with its value, or with the reason why it has none.
 #[derive(Clone, Debug, PartialEq, Eq)]

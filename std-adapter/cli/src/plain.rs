@@ -3,7 +3,8 @@
 use bcap_core::error::{TextError, TextErrorKind};
 use bcap_core::variant::{VarType, Variant};
 
-use crate::value::{self, Value};
+use crate::value::Value;
+use bcap_capture::value;
 
 /// Parses `TYPE,DATA`. The comma is required: `0` and `1` alone are numbers, not EMPTY and NULL.
 pub(crate) fn from_typed(text: &str) -> Result<Value, TextError> {

@@ -20,9 +20,9 @@ use std::time::Duration;
 use bcap_std::Model;
 use serde::Deserialize;
 
-use crate::duration;
 use crate::error::Failure;
 use crate::target;
+use bcap_capture::duration;
 
 /// The connection to a controller.
 #[derive(Clone, Debug, Default, Deserialize)]

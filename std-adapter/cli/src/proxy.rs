@@ -1,72 +1,45 @@
-//! `bcap proxy`: forwards b-CAP and RAC to a robot, prints and records what passes, and injects faults.
+//! `bcap proxy`: forwards b-CAP and RAC to a robot, prints and records the bytes, and injects faults.
 //!
-//! ```text
-//!  tcp   a task for each direction of each connection ─┐
-//!  udp   a socket to the robot for each client ────────┼─► record: the file, and the lines
-//!  RAC   as TCP                                        ┘
-//! ```
-//!
-//! Bytes are forwarded before they are recorded, so that recording does not delay them. The thread of the recording makes the
-//! lines, and another thread prints them: a terminal that does not read delays neither the robot nor the file.
-
-mod shared;
-mod tcp;
-mod udp;
+//! The thread of the recording makes the lines, and another thread prints them: a terminal that does not read delays neither the
+//! robot nor the file.
 
 use std::io;
 use std::net::SocketAddr;
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::thread::{self, JoinHandle};
-use std::time::Duration;
 
+use bcap_capture::decode::{Format, Live};
+use bcap_capture::faults::Plan;
+use bcap_capture::proxy::{Listeners, Robot};
+use bcap_capture::record::Recording;
 use bcap_terminal::signal;
 use tokio::net::{TcpListener, UdpSocket};
-use tokio::time::sleep;
 
-use self::shared::Shared;
 use crate::args::{LinkArgs, Proxy, Sim};
-use crate::capture::Live;
 use crate::error::Failure;
-use crate::faults::Plan;
 use crate::listen::{runtime, taken};
 use crate::output::{print_json, print_line};
-use crate::record::Recording;
-use crate::robot::Robot;
+use crate::robot;
 
 /// The most lines that wait for the terminal.
 const LINES: usize = 4096;
 
-/// The time between two looks whether the file can still be written.
-const CHECK: Duration = Duration::from_millis(200);
-
-/// The time limit for connecting to a controller in this process.
-const DEFAULT_CONNECT: Duration = Duration::from_secs(3);
-
-/// The bound sockets.
-struct Listeners {
-    bcap: TcpListener,
-    udp: UdpSocket,
-    /// `None` if the robot has no RAC.
-    rac: Option<TcpListener>,
-}
-
 /// Runs `bcap proxy` until a signal ends it.
 pub(crate) fn proxy(args: &Proxy, link: &LinkArgs, json: bool) -> Result<(), Failure> {
-    let robot = Robot::resolve(&args.robot, link)?;
-    let plan = Plan { drop: args.drop.clone(), delay: args.delay.clone(), corrupt: args.corrupt.clone() };
+    let robot = robot::resolve(&args.robot, link)?;
+    let faults = Plan { drop: args.drop.clone(), delay: args.delay.clone(), corrupt: args.corrupt.clone() };
     let seed = args.seed.unwrap_or_else(|| fastrand::u64(..));
     let runtime = runtime()?;
     runtime.block_on(async {
         // the signals first: a reader of the line may send one at once
         let ended = signal::wait()?;
-        let listeners = Listeners::of_proxy(args).await?;
+        let listeners = bind(args).await?;
         let lines = (!args.quiet).then(|| Lines::start(json)).transpose()?;
         let recording = record(link.write.as_deref(), lines.as_ref().map(|lines| lines.queue.clone()), json)?;
-        print_line(&listeners.ready()?)?;
-        let shared = Shared::new(&recording, link.timeout()).with_faults(plan, seed);
-        listeners.run(&robot, &shared, &recording, ended).await;
+        print_line(&ready(&listeners)?)?;
+        let proxy = bcap_capture::proxy::Proxy::new(listeners, robot);
+        proxy.connect_timeout(link.timeout()).faults(faults, seed).run(&recording, ended).await;
         recording.finish()?;
         if let Some(lines) = lines {
             lines.finish();
@@ -75,23 +48,17 @@ pub(crate) fn proxy(args: &Proxy, link: &LinkArgs, json: bool) -> Result<(), Fai
     })
 }
 
-/// Returns when the recording has failed.
-async fn failed(recording: &Recording) {
-    while !recording.has_failed() {
-        sleep(CHECK).await;
-    }
-}
-
 /// Starts the recording, with lines of the calls if there is a queue for them.
 fn record(file: Option<&Path>, lines: Option<SyncSender<String>>, json: bool) -> Result<Recording, Failure> {
-    let mut live = Live::new(json);
-    Recording::start(file, move |recorded| {
+    let mut live = Live::new(if json { Format::Json } else { Format::Text });
+    let recording = Recording::start(file, move |recorded| {
         let Some(queue) = &lines else { return };
         for line in live.lines(&recorded) {
             // lines are dropped if the terminal does not read; the file is complete
             let _ = queue.try_send(line);
         }
-    })
+    });
+    Ok(recording?)
 }
 
 /// A thread that prints lines.
@@ -117,7 +84,7 @@ impl Lines {
     }
 }
 
-/// A recorded front of a virtual controller in this process, which listens on separate addresses.
+/// A recorded front of a virtual controller in this process, which listens on other addresses.
 pub(crate) struct Front {
     listeners: Listeners,
     recording: Recording,
@@ -126,82 +93,53 @@ pub(crate) struct Front {
 impl Front {
     /// Binds the addresses of the controller, and starts the recording.
     pub(crate) async fn bind(args: &Sim, rac: Option<SocketAddr>, file: &Path) -> Result<Self, Failure> {
-        Ok(Self { listeners: Listeners::of_sim(args, rac).await?, recording: Recording::start(Some(file), |_| {})? })
+        let listeners = Listeners {
+            bcap: tcp("--bcap", args.bcap).await?,
+            udp: UdpSocket::bind(args.udp).await.map_err(|error| taken("--udp", args.udp, &error))?,
+            rac: match rac {
+                Some(address) => Some(tcp("--rac", address).await?),
+                None => None,
+            },
+        };
+        Ok(Self { listeners, recording: Recording::start(Some(file), |_| {})? })
     }
 
     /// Returns the line that names the addresses.
     pub(crate) fn ready(&self) -> io::Result<String> {
-        self.listeners.ready()
+        ready(&self.listeners)
     }
 
     /// Forwards to the controller until `ended`, then closes the file.
-    pub(crate) async fn serve(self, robot: &Robot, ended: impl Future<Output = ()>) -> Result<(), Failure> {
-        let mut shared = Shared::new(&self.recording, DEFAULT_CONNECT);
-        shared.shows_listener = true;
-        self.listeners.run(robot, &shared, &self.recording, ended).await;
-        self.recording.finish()
+    pub(crate) async fn serve(self, robot: Robot, ended: impl Future<Output = ()>) -> Result<(), Failure> {
+        bcap_capture::proxy::Proxy::new(self.listeners, robot).show_listener().run(&self.recording, ended).await;
+        Ok(self.recording.finish()?)
     }
 }
 
-impl Listeners {
-    /// Binds the sockets that the arguments name. With port 0 b-CAP has the same port over TCP and UDP if it is free.
-    async fn of_proxy(args: &Proxy) -> Result<Self, Failure> {
-        let wanted = args.listen;
-        let bcap = TcpListener::bind(wanted).await.map_err(|error| taken("--listen", wanted, &error))?;
-        let bound = bcap.local_addr()?;
-        let udp = match UdpSocket::bind(bound).await {
-            Err(_) if wanted.port() == 0 => UdpSocket::bind(wanted).await,
-            udp => udp,
-        };
-        let udp = udp.map_err(|error| taken("--listen", bound, &error))?;
-        let below = SocketAddr::new(wanted.ip(), wanted.port().saturating_sub(1));
-        let wanted = args.listen_rac.unwrap_or(below);
-        let rac = TcpListener::bind(wanted).await.map_err(|error| taken("--listen-rac", wanted, &error))?;
-        Ok(Self { bcap, udp, rac: Some(rac) })
-    }
+/// Binds the sockets that the arguments name. With port 0 b-CAP has the same port over TCP and UDP if it is free.
+async fn bind(args: &Proxy) -> Result<Listeners, Failure> {
+    let wanted = args.listen;
+    let bcap = tcp("--listen", wanted).await?;
+    let bound = bcap.local_addr()?;
+    let udp = match UdpSocket::bind(bound).await {
+        Err(_) if wanted.port() == 0 => UdpSocket::bind(wanted).await,
+        udp => udp,
+    };
+    let udp = udp.map_err(|error| taken("--listen", bound, &error))?;
+    let below = SocketAddr::new(wanted.ip(), wanted.port().saturating_sub(1));
+    let rac = tcp("--listen-rac", args.listen_rac.unwrap_or(below)).await?;
+    Ok(Listeners { bcap, udp, rac: Some(rac) })
+}
 
-    /// Binds the sockets of a virtual controller that is recorded.
-    async fn of_sim(args: &Sim, rac: Option<SocketAddr>) -> Result<Self, Failure> {
-        let tcp =
-            async |option, address| TcpListener::bind(address).await.map_err(|error| taken(option, address, &error));
-        let bcap = tcp("--bcap", args.bcap).await?;
-        let rac = match rac {
-            Some(address) => Some(tcp("--rac", address).await?),
-            None => None,
-        };
-        let udp = UdpSocket::bind(args.udp).await.map_err(|error| taken("--udp", args.udp, &error))?;
-        Ok(Self { bcap, udp, rac })
-    }
+async fn tcp(option: &str, address: SocketAddr) -> Result<TcpListener, Failure> {
+    TcpListener::bind(address).await.map_err(|error| taken(option, address, &error))
+}
 
-    fn ready(&self) -> io::Result<String> {
-        let mut ready = format!("ready bcap={} udp={}", self.bcap.local_addr()?, self.udp.local_addr()?);
-        if let Some(rac) = &self.rac {
-            ready += &format!(" rac={}", rac.local_addr()?);
-        }
-        Ok(ready)
+/// Returns the line that names the addresses.
+fn ready(listeners: &Listeners) -> io::Result<String> {
+    let mut ready = format!("ready bcap={} udp={}", listeners.bcap.local_addr()?, listeners.udp.local_addr()?);
+    if let Some(rac) = &listeners.rac {
+        ready += &format!(" rac={}", rac.local_addr()?);
     }
-
-    /// Forwards until `ended` or until the file cannot be written, then closes all connections.
-    async fn run(self, robot: &Robot, shared: &Shared, recording: &Recording, ended: impl Future<Output = ()>) {
-        tokio::select! {
-            () = ended => {}
-            () = self.serve(robot, shared) => {}
-            () = failed(recording) => {}
-        }
-    }
-
-    /// Forwards until it is dropped, which closes all connections.
-    async fn serve(self, robot: &Robot, shared: &Shared) {
-        let (tcp, rac): (Arc<[SocketAddr]>, Arc<[SocketAddr]>) =
-            (robot.tcp.as_slice().into(), robot.rac.as_slice().into());
-        tokio::join!(
-            tcp::listen(self.bcap, tcp, false, shared.clone()),
-            udp::serve(self.udp, robot.udp, shared.clone()),
-            async {
-                if let Some(listener) = self.rac {
-                    tcp::listen(listener, rac, true, shared.clone()).await;
-                }
-            },
-        );
-    }
+    Ok(ready)
 }

@@ -12,11 +12,11 @@ use crate::budget::Budget;
 use crate::connection::{broken, connect, exhausted};
 use crate::error::Failure;
 use crate::plain;
-use crate::record::{TapedTcp, taped_rac};
 use crate::selection::{Selection, expand_offline};
-use crate::trace::{Packets, Traced, Wire};
+use crate::traffic::{TapedTcp, packets, taped_rac};
 use crate::value::Value;
 use crate::variables::{print, print_each, shown};
+use bcap_capture::trace::{Traced, Wire};
 use bcap_std::Address;
 
 /// Runs `bcap rac get` or `bcap rac put`.
@@ -95,7 +95,7 @@ impl RacLink {
         let (target, budget) = (link.rac_target()?, Budget::start(link));
         let connect_rac = |peer: &[SocketAddr], options: &Options| blocking::connect_rac(peer, options).map(taped_rac);
         let (transport, client) = connect(&target, &budget, connect_rac)?.into_parts();
-        let client = RacConnection::new(Packets::new(link.trace).tap(transport, Wire::Lines), client);
+        let client = RacConnection::new(packets(link.trace).tap(transport, Wire::Lines), client);
         let target = Address::Network(target);
         Ok(Self { client, target, budget })
     }

@@ -11,14 +11,14 @@ use bcap_std::{Address, Protocol, blocking};
 use crate::args::{LinkArgs, Raw};
 use crate::budget::Budget;
 use crate::connection::{broken, not_connected};
-use crate::error::{Failure, ItemError};
-use crate::frame::{self, Role};
-use crate::hex;
+use crate::error::{Failure, item_to_json};
 use crate::interrupt::Interrupt;
 use crate::listen::taken;
 use crate::output::{print_block, print_json, print_line};
 use crate::session::Session;
-use crate::trace::{self, Level, Wire};
+use bcap_capture::hex;
+use bcap_capture::trace::{self, Level, Wire};
+use bcap_capture::{Role, frame};
 
 /// The longest wait between two looks for a signal.
 const STEP: Duration = Duration::from_millis(50);
@@ -266,13 +266,12 @@ impl Talk {
         if self.json {
             let line = match Decoder::TCP.decode_datagram(packet) {
                 Ok(frame) => frame::to_json(&frame, role),
-                Err(error) => ItemError::from(error).to_json(),
+                Err(error) => item_to_json(&error.into()),
             };
             return Ok(print_json(&line)?);
         }
-        let arrow = if role == Role::Request { "->" } else { "<-" };
         let text = trace::shown(role, self.peer.wire(), packet, Level::Bytes);
-        Ok(print_block(&trace::with_arrow(arrow, &text))?)
+        Ok(print_block(&trace::with_arrow(role.arrow(), &text))?)
     }
 }
 

@@ -6,7 +6,8 @@ use bcap_core::variant::Variant;
 
 use crate::error::Failure;
 use crate::session::Session;
-use crate::value::{Value, described, integer, text};
+use crate::value::{Value, integer, text};
+use bcap_capture::value::describe;
 
 /// The deepest folder that is read.
 const DEPTH: usize = 32;
@@ -230,7 +231,7 @@ fn strings(list: Option<&Value>) -> Result<Vec<String>, Failure> {
 
 fn unexpected(path: &str, value: Option<&Value>) -> Failure {
     Failure::Unexpected {
-        message: format!("/{path}: the reply carries {}", described(value)),
+        message: format!("/{path}: the reply carries {}", describe(value)),
         hint: "use `bcap call` to see the reply: it prints any value".into(),
     }
 }

@@ -10,8 +10,8 @@ use serde_json::{Value as Json, json};
 
 use crate::disk;
 use crate::error::Failure;
+use crate::mcap_log::{McapLog, Schema};
 use crate::plain;
-use crate::series::{Schema, Series};
 use crate::value::Value;
 
 const NUMBER: Schema =
@@ -31,7 +31,7 @@ const BOOLS: Schema = Schema {
 
 /// A file of samples that is being written.
 pub(crate) struct Samples {
-    series: Series<BufWriter<File>>,
+    series: McapLog<BufWriter<File>>,
     /// The wall clock at the start, since 1970.
     start: Duration,
 }
@@ -40,7 +40,7 @@ impl Samples {
     /// Creates the file, in place of one that exists.
     pub(crate) fn create(path: &Path) -> Result<Self, Failure> {
         let start = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        Ok(Self { series: Series::create(path).map_err(disk::failed(path))?, start })
+        Ok(Self { series: McapLog::create(path).map_err(disk::failed(path))?, start })
     }
 
     /// Adds a value that was read `elapsed` after the start, as `{"value":5}` of the topic `/I1`.

@@ -5,8 +5,8 @@ use bcap_std::ObjectPath;
 
 use crate::error::Failure;
 use crate::session::Session;
-use crate::value::described;
 use crate::variables::get_one;
+use bcap_capture::value::describe;
 
 /// The most variables of a kind: an index has 16 bits.
 const LONGEST: u32 = 1 << 16;
@@ -81,7 +81,7 @@ pub(crate) fn count(session: &mut Session, kind: VariableKind) -> Result<u32, Fa
     let name = format!("@VAR_{}_LEN", kind.name());
     let value = get_one(session, &ObjectPath::variable(&name)?)?;
     value.convert().ok().filter(|count| *count <= LONGEST).ok_or_else(|| Failure::Unexpected {
-        message: format!("{name} is {}, which is not a number from 0 to {LONGEST}", described(Some(&value))),
+        message: format!("{name} is {}, which is not a number from 0 to {LONGEST}", describe(Some(&value))),
         hint: "use a range, such as I1-I50".into(),
     })
 }

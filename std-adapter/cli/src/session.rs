@@ -16,8 +16,10 @@ use crate::connection::{failure, open};
 use crate::error::Failure;
 use crate::interrupt::{Interrupt, State};
 use crate::output::note;
-use crate::trace::Packets;
-use crate::value::{Value, described, integer, text};
+use crate::traffic::packets;
+use crate::value::{Value, integer, text};
+use bcap_capture::trace::Packets;
+use bcap_capture::value::describe;
 
 /// A session, from Service_Start to Service_Stop. It connects when it is first used.
 pub(crate) struct Session {
@@ -92,7 +94,7 @@ impl Session {
             objects: HashMap::new(),
             interrupt: None,
             is_stopper: false,
-            packets: Packets::new(link.trace),
+            packets: packets(link.trace),
             scripts: 0,
         }
     }
@@ -274,7 +276,7 @@ impl Session {
             let arguments = [text("")?, text(&self.provider)?, text(link.machine())?, text(link.option())?];
             let (_, reply) = self.call("", function, &arguments)?;
             if !self.opened()?.controller.is_connected() {
-                let reason = format!("the reply carries {} instead of a handle", described(reply.as_ref()));
+                let reason = format!("the reply carries {} instead of a handle", describe(reply.as_ref()));
                 return Err(self.ended(Error::Reply { function, object: String::new(), reason }));
             }
         }
@@ -306,7 +308,7 @@ impl Session {
         let (_, reply) = self.call(&path.to_string(), function, &arguments)?;
         let handle = reply.as_ref().and_then(|value| value.as_variant().as_i32());
         handle.ok_or_else(|| {
-            let reason = format!("the reply carries {} instead of a handle", described(reply.as_ref()));
+            let reason = format!("the reply carries {} instead of a handle", describe(reply.as_ref()));
             self.ended(Error::Reply { function, object: path.to_string(), reason })
         })
     }

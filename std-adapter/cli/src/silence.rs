@@ -10,7 +10,7 @@ use std::time::Duration;
 use crate::error::Failure;
 use crate::output::note;
 use crate::session::Session;
-use crate::trace::Packets;
+use bcap_capture::trace::Packets;
 
 /// How long a request is without any reply, even without a keep-alive, before that is reported.
 const LIMIT: Duration = Duration::from_secs(1);

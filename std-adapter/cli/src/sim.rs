@@ -12,6 +12,7 @@ use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::thread;
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use bcap_capture::proxy::Robot;
 use bcap_core::hresult::HResult;
 use bcap_core::{bcap, rac};
 use bcap_sim::explain::Observer;
@@ -21,17 +22,16 @@ use bcap_sim::{ArmModel, Config, Controller, Model, Profile, Scenario, Token};
 use bcap_std::SerialLine;
 use bcap_std::server::{LineEvent, Server};
 use bcap_terminal::screen::{Live, require};
-use bcap_terminal::signal;
+use bcap_terminal::{escape, signal};
 use tokio::sync::oneshot;
 
 use crate::args::{ArmSource, ModelSource, Sim};
 use crate::error::Failure;
 use crate::listen::{runtime, taken};
 use crate::output::{note, print_block, print_line};
-use crate::playback::Playback;
 use crate::proxy::Front;
-use crate::robot::Robot;
 use crate::trajectory::Trajectory;
+use bcap_capture::playback::Playback;
 use delivery::deliver;
 use live::{Refused, Watched, shown};
 
@@ -67,7 +67,8 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
         // install the signal handlers before the `ready` line: a reader of that line may send a signal at once
         let ended = signal::wait()?;
         if let Some(capture) = &args.replay {
-            return serve(Server::new(Playback::read(capture)?), args, rac, file, ended, print_line).await;
+            return serve(Server::new(Playback::read(capture, print_unknown)?), args, rac, file, ended, print_line)
+                .await;
         }
         // dropped, and thereby deleted, after the controller has ended
         let temporary = tempfile::tempdir()?;
@@ -121,6 +122,12 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
         }
         Ok(trajectory.map_or(Ok(()), |trajectory| trajectory.end())?)
     })
+}
+
+/// Prints a request that the capture does not have.
+fn print_unknown(request: &str) {
+    // an error of the standard error cannot be reported
+    let _ = writeln!(io::stderr(), "not in the capture: {}", escape::line(request));
 }
 
 /// Returns whether a scenario gives the executable token to an address.
@@ -242,7 +249,7 @@ async fn recorded<H: Serves>(
     let (stop, stopped) = oneshot::channel::<()>();
     let robot = Robot { tcp: vec![bcap], udp, rac: rac.into_iter().collect() };
     let front = async {
-        let written = front.serve(&robot, ended).await;
+        let written = front.serve(robot, ended).await;
         drop(stop);
         written
     };

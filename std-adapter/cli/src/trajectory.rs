@@ -9,7 +9,7 @@ use bcap_sim::trace::{Recorder, TracePoint};
 use serde_json::{Value, json};
 
 use crate::error::Failure;
-use crate::series::{Schema, Series};
+use crate::mcap_log::{McapLog, Schema};
 
 const HEAD: &str = "time_s,J1,J2,J3,J4,J5,J6,J7,J8,X,Y,Z,RX,RY,RZ,tool,work";
 
@@ -39,7 +39,7 @@ enum Format {
 
 /// The messages of an MCAP file.
 struct Points<W: Write + Seek> {
-    series: Series<W>,
+    series: McapLog<W>,
     /// The wall clock at the controller's time 0, in microseconds since 1970.
     origin: u64,
     /// The first failure; nothing is written after it.
@@ -96,7 +96,7 @@ impl Trajectory {
 impl<W: Write + Seek> Points<W> {
     fn new(out: W, origin_ms: i64) -> io::Result<Self> {
         let origin = u64::try_from(origin_ms).unwrap_or(0).saturating_mul(1000);
-        Ok(Self { series: Series::new(out)?, origin, failed: None })
+        Ok(Self { series: McapLog::new(out)?, origin, failed: None })
     }
 
     fn add(&mut self, point: &TracePoint) {

@@ -9,8 +9,9 @@ use crate::error::Failure;
 use crate::output::{print_json, print_line};
 use crate::plain;
 use crate::session::Session;
-use crate::value::{Value, described, integer, text, to_json};
+use crate::value::{Value, integer, text};
 use crate::words::LAST_PACKETS;
+use bcap_capture::value::{describe, to_json};
 
 /// Returns the packet of a variable of the b-CAP Tester's debug mode (b-CAP specification, Table 6-1); `None` for
 /// another name.
@@ -69,7 +70,7 @@ pub(crate) fn read(session: &mut Session, path: &ObjectPath, variable: i32) -> R
 pub(crate) fn shown(name: &str, value: &Value, json: bool) -> String {
     if json {
         let name = serde_json::Value::from(name);
-        format!("{{\"name\":{name},{}", &to_json(value)[1..])
+        format!("{{\"name\":{name},{}", &to_json(value.as_variant())[1..])
     } else {
         format!("{name} = {}", plain::to_plain(value.as_variant()))
     }
@@ -184,7 +185,7 @@ pub(crate) fn list(session: &mut Session, owner: &ObjectPath, function: Function
     match names {
         None => Ok(Vec::new()),
         Some(value) => all_strings(value.as_variant()).ok_or_else(|| Failure::Unexpected {
-            message: format!("{function}: the reply carries {} instead of a list of names", described(Some(&value))),
+            message: format!("{function}: the reply carries {} instead of a list of names", describe(Some(&value))),
             hint: "use `bcap call` to see the reply: it prints any value".into(),
         }),
     }

@@ -14,11 +14,12 @@ use graph::Arrows;
 use source::Source;
 
 /// The crates whose files are read, and their folders.
-const CRATES: [(&str, &str); 11] = [
+const CRATES: [(&str, &str); 12] = [
     ("bcap-core", "core"),
     ("bcap-gateway", "core/gateway"),
     ("bcap-std", "std-adapter"),
     ("bcap-sim", "std-adapter/sim"),
+    ("bcap-capture", "std-adapter/capture"),
     ("bcap-conform", "std-adapter/conform"),
     ("bcap-fleet", "std-adapter/fleet"),
     ("bcap-cli", "std-adapter/cli"),

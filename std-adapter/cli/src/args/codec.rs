@@ -1,8 +1,9 @@
 //! The arguments of `bcap decode`, `bcap encode` and `bcap text`.
 
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Args, Subcommand};
 
-use crate::frame::Role;
+use bcap_capture::Role;
 
 /// Decodes frames, values, or a capture of Wireshark or tcpdump
 ///
@@ -87,6 +88,15 @@ impl CaptureArgs {
     }
 }
 
+/// Parses the role of frames.
+fn role() -> impl TypedValueParser<Value = Role> {
+    PossibleValuesParser::new([
+        PossibleValue::new("request").help("A client's request: the code is a function"),
+        PossibleValue::new("response").help("A server's response: the code is an HRESULT"),
+    ])
+    .try_map(|role| role.parse::<Role>())
+}
+
 /// Encodes frames or values from the JSON that `bcap decode --json` prints
 ///
 /// A frame is {"serial":4,"reserved":0,"code":101,"args":[{"vt":3,"v":3}]}. The defaults are 1 for `serial`, 0 for
@@ -124,7 +134,7 @@ pub(crate) struct Form {
     pub(crate) com: bool,
 
     /// The kind of the frames, which their bytes do not show
-    #[arg(long = "as", value_name = "ROLE", default_value = "request", conflicts_with = "variant")]
+    #[arg(long = "as", value_name = "ROLE", default_value = "request", conflicts_with = "variant", value_parser = role())]
     pub(crate) role: Role,
 }
 

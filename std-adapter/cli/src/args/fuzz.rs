@@ -6,7 +6,7 @@ use std::time::Duration;
 use bcap_gateway::AllowBuf;
 use clap::Args;
 
-use crate::duration;
+use bcap_capture::duration;
 
 /// Fuzzes a device that you may break: sends valid, nearly valid and hostile sessions, and saves what goes wrong
 ///

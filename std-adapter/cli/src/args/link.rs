@@ -5,12 +5,13 @@ use std::time::Duration;
 
 use bcap_std::{Address, NetworkAddress, Protocol};
 use clap::Args;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 
-use crate::duration;
 use crate::error::Failure;
 use crate::profile::Profiles;
 use crate::target;
-use crate::trace::Level;
+use bcap_capture::duration;
+use bcap_capture::trace::Level;
 
 /// The default time limit for an answer.
 const DEFAULT_TIMEOUT: Duration = Duration::from_secs(3);
@@ -80,7 +81,7 @@ pub(crate) struct LinkArgs {
     /// the values. `monitor`, `gateway`, `proxy`, `replay`, `conform`, `fuzz`, `slave play` and `slave cosine` do not
     /// have it
     #[arg(long, global = true, value_name = "LEVEL", num_args = 0..=1, require_equals = true,
-          default_missing_value = "bytes")]
+          default_missing_value = "bytes", value_parser = level())]
     pub(crate) trace: Option<Level>,
 }
 
@@ -207,6 +208,16 @@ impl LinkArgs {
             _ => String::new(),
         }
     }
+}
+
+/// Parses the level of `--trace`.
+fn level() -> impl TypedValueParser<Value = Level> {
+    PossibleValuesParser::new([
+        PossibleValue::new("headers").help("Serial number, function or result code, and size"),
+        PossibleValue::new("values").help("The decoded values too"),
+        PossibleValue::new("bytes").help("The values next to their bytes"),
+    ])
+    .try_map(|level| level.parse::<Level>())
 }
 
 /// The shortest attempt of a call over UDP: longer than the shortest interval of keep-alives.

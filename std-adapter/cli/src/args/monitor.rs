@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use clap::Args;
 
-use crate::duration;
+use bcap_capture::duration;
 
 /// Shows variables, the robot, tasks, errors, messages and packets live in the terminal
 ///

@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 
 use clap::Args;
 
-use crate::faults::{Delay, Share};
+use bcap_capture::faults::{Delay, Share};
 
 /// The addresses of a robot that is used over all protocols.
 #[derive(Debug, Args)]

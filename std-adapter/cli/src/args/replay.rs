@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Args;
 
 use super::RobotPorts;
-use crate::title::Title;
+use bcap_capture::CallName;
 
 /// Makes the calls of a capture again, and compares the replies
 ///
@@ -33,7 +33,7 @@ pub(crate) struct Replay {
 
     /// Allows a function that may move or write: FUNCTION[/COMMAND], or PUT of RAC
     #[arg(long, value_name = "FUNCTION[/COMMAND]")]
-    pub(crate) allow: Vec<Title>,
+    pub(crate) allow: Vec<CallName>,
 
     /// Does not compare the value of these replies, only whether they succeed: FUNCTION[/COMMAND], or an object such as @MODE
     #[arg(long, value_name = "NAME")]

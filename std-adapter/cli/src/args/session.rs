@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use clap::{Args, Subcommand};
 
-use crate::duration;
+use bcap_capture::duration;
 
 /// Moves the robot to a position, and waits until it rests there
 ///

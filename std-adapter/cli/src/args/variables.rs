@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use clap::Args;
 
-use crate::duration;
+use bcap_capture::duration;
 
 /// Reads variables
 ///

@@ -13,7 +13,7 @@ use crate::named::Entry;
 use crate::output::{print_json, print_line};
 use crate::plain;
 use crate::session::{Session, with_session};
-use crate::value::to_json;
+use bcap_capture::value::to_json;
 
 /// Runs `bcap diff`.
 pub(crate) fn diff(args: &Diff, session: &mut Session, json: bool) -> Result<(), Failure> {
@@ -88,7 +88,7 @@ fn variable_line(Difference { name, a, b }: &Difference<String, &Entry>) -> Stri
 
 fn variable_json(Difference { name, a, b }: &Difference<String, &Entry>) -> String {
     let side = |entry: &Option<&Entry>| match entry {
-        Some(Entry::Value(value)) => to_json(value),
+        Some(Entry::Value(value)) => to_json(value.as_variant()),
         Some(Entry::Refused(code)) => format!("{{\"refused\":{}}}", code.0),
         None => "null".into(),
     };

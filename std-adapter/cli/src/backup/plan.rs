@@ -8,7 +8,8 @@ use super::contents::{Contents, Part};
 use super::diff::entry_text;
 use crate::error::Failure;
 use crate::named::Entry;
-use crate::value::{Value, to_json};
+use crate::value::Value;
+use bcap_capture::value::to_json;
 
 /// A variable that is written.
 pub(super) struct Change {
@@ -126,8 +127,9 @@ impl Plan {
         let line = |name: String, was: String, value: String| {
             format!("{{\"name\":{},\"was\":{was},\"value\":{value}}}", serde_json::Value::from(name))
         };
-        let variables =
-            self.variables.iter().map(|change| line(change.name.clone(), to_json(&change.was), to_json(&change.value)));
+        let variables = self.variables.iter().map(|change| {
+            line(change.name.clone(), to_json(change.was.as_variant()), to_json(change.value.as_variant()))
+        });
         let files =
             self.files.iter().map(|file| line(format!("file:{}", file.path), file.was_json(None), file.value_json()));
         variables.chain(files).collect()

@@ -30,8 +30,9 @@ use crate::named::Entry;
 use crate::output::{print_json, print_line};
 use crate::remote;
 use crate::session::Session;
-use crate::value::{Value, integer, to_json};
+use crate::value::{Value, integer};
 use crate::variables::{get_one, read};
+use bcap_capture::value::to_json;
 
 /// The lines of the plan that are shown before the question.
 const SHOWN: usize = 20;
@@ -225,7 +226,7 @@ impl Writing<'_> {
             let [now, was] = [now, was.clone()].map(|value| entry_text(Some(&Entry::Value(value))));
             return Err(stopped(format!("{name} is {now} now and was {was} in the plan: another program writes it")));
         }
-        self.journal.writing(name, &to_json(was), &to_json(value))?;
+        self.journal.writing(name, &to_json(was.as_variant()), &to_json(value.as_variant()))?;
         self.session.call(name, FunctionId::VARIABLE_PUT_VALUE, &[integer(variable)?, value.clone()])?;
         let now = read(self.session, &path, variable)?;
         if now != *value {

@@ -20,7 +20,7 @@ use super::session::Session;
 use super::wire::{Protocol, Received, Wire, serial_of};
 use crate::error::Failure;
 use crate::interrupt::Interrupt;
-use crate::record::Recorder;
+use bcap_capture::record::Recorder;
 
 /// A call may be kept alive for this number of time limits.
 const KEPT_ALIVE: u32 = 10;

@@ -14,7 +14,7 @@ use super::finding::Finding;
 use super::minimise::minimise;
 use super::save::Files;
 use crate::error::Failure;
-use crate::record::Recording;
+use bcap_capture::record::Recording;
 
 /// The bytes that a session is made of; more than any session needs.
 const ENTROPY: usize = 1 << 14;

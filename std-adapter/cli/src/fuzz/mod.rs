@@ -34,8 +34,8 @@ use crate::args::{Fuzz, LinkArgs, RobotPorts};
 use crate::error::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::{note, print_block, print_json, print_line};
-use crate::record::Recording;
-use crate::robot::Robot;
+use crate::robot;
+use bcap_capture::record::Recording;
 
 /// Runs `bcap fuzz`.
 pub(crate) fn fuzz(args: &Fuzz, link: &LinkArgs, json: bool) -> Result<(), Failure> {
@@ -66,7 +66,7 @@ pub(crate) fn fuzz(args: &Fuzz, link: &LinkArgs, json: bool) -> Result<(), Failu
 }
 
 fn device(args: &Fuzz, link: &LinkArgs) -> Result<Device, Failure> {
-    let robot = Robot::resolve(&RobotPorts { robot_udp: None, robot_rac: args.robot_rac.clone() }, link)?;
+    let robot = robot::resolve(&RobotPorts { robot_udp: None, robot_rac: args.robot_rac.clone() }, link)?;
     let (bcap, protocol) = match link.network_target()?.protocol {
         Protocol::Tcp => (robot.tcp, wire::Protocol::Bcap),
         Protocol::Udp => (vec![robot.udp], wire::Protocol::Datagrams),

@@ -10,8 +10,8 @@ use bcap_core::limits::Limits;
 use bcap_testkit::frame::TestFrame;
 
 use super::gate::{Gate, TAIL};
-use crate::frame::Role;
-use crate::record::{Ends, Recorder};
+use bcap_capture::Role;
+use bcap_capture::record::{Ends, Recorder};
 
 /// How long the device may take to close its side after the fuzzer has closed.
 const CLOSING: Duration = Duration::from_millis(200);

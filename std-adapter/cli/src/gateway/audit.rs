@@ -36,7 +36,7 @@ use serde::Serialize;
 use super::rotate::Rotating;
 use super::throttle::{Suppressed, Throttle};
 use crate::error::Failure;
-use crate::times::Times;
+use bcap_capture::times::Times;
 
 /// The most lines that wait for the writer.
 const BACKLOG: usize = 4096;

@@ -22,11 +22,11 @@ use tokio::time::sleep;
 use self::audit::{Audit, Bounds};
 use crate::args::{self, LinkArgs};
 use crate::error::Failure;
-use crate::frame::Role;
 use crate::listen::{runtime, taken};
 use crate::output::{note, print_line};
-use crate::record::{Ends, Recorder, Recording};
 use crate::rules::Setup;
+use bcap_capture::Role;
+use bcap_capture::record::{Ends, Recorder, Recording};
 use bcap_std::Protocol;
 
 /// The most clients at the same time.
@@ -100,7 +100,7 @@ pub(crate) fn gateway(args: &args::Gateway, link: &LinkArgs) -> Result<(), Failu
     if let Some(audit) = Arc::into_inner(audit) {
         audit.into_inner().unwrap_or_else(PoisonError::into_inner).close(&counters);
     }
-    recording.map_or(Ok(()), Recording::finish)
+    Ok(recording.map_or(Ok(()), Recording::finish)?)
 }
 
 /// Records the traffic of a connection of the gateway.

@@ -14,14 +14,14 @@ use bcap_terminal::screen::{Terminal, require};
 
 use crate::args;
 use crate::error::Failure;
-use crate::frame::Role;
 use crate::halt::halt_now;
 use crate::interrupt::Interrupt;
 use crate::output::note;
 use crate::selection::{Selection, expand};
 use crate::session::Session;
-use crate::trace::Level;
 use crate::variables::paths;
+use bcap_capture::Role;
+use bcap_capture::trace::Level;
 use reader::{Reader, Request};
 use state::{Action, HALTED, State, Update, not_halted};
 
@@ -41,7 +41,10 @@ pub(crate) fn monitor(args: &args::Monitor, session: &mut Session, json: bool) -
     require("`bcap watch` prints the values as lines").map_err(Failure::Input)?;
     let (packets, packet) = channel();
     let mut own = Session::new(&link);
-    own.packets.watch(Level::Values, packets);
+    own.packets.watch(Level::Values, move |role, text| {
+        // without a receiver the command is ending
+        let _ = packets.send((role, text.to_owned()));
+    });
     // of the command's session, not of the one that reads: the end of its connection must not close the one that halts
     let interrupt = session.handle_signals()?;
     // the screen must be closed

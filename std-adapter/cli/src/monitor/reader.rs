@@ -10,12 +10,12 @@ use bcap_std::ObjectPath;
 
 use super::state::{Robot, Update, Write};
 use crate::error::Failure;
+use crate::errors;
 use crate::interrupt::Interrupt;
 use crate::plain;
 use crate::session::Session;
 use crate::stream::StreamCheck;
 use crate::task::status_text;
-use crate::trouble;
 use crate::value::{Value, integer};
 use crate::variables::{list, paths, read};
 
@@ -222,7 +222,7 @@ impl Reader {
         self.tell(Update::State(words, has_error));
         if has_error || plan.had_error {
             self.poll()?;
-            let (errors, skipped) = match trouble::present(&mut self.session, &mut plan.stream) {
+            let (errors, skipped) = match errors::present(&mut self.session, &mut plan.stream) {
                 Err(Failure::Unfit { message, .. }) => (vec![message], true),
                 present => {
                     let present = alive(present)?.unwrap_or_default();
@@ -267,7 +267,7 @@ impl Reader {
         while plan.messages {
             self.poll()?;
             self.session.restart_budget();
-            let message = trouble::next_message(&mut self.session, &mut plan.stream);
+            let message = errors::next_message(&mut self.session, &mut plan.stream);
             let was_skipped = mem::replace(&mut plan.skipped_messages, matches!(message, Err(Failure::Unfit { .. })));
             match message {
                 Ok(Some(message)) => self.tell(Update::Message(message.short())),

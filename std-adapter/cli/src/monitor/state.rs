@@ -8,10 +8,10 @@ use bcap_std::ObjectPath;
 use bcap_terminal::screen::{KeyCode, KeyEvent, KeyModifiers, Line, Mark, Panel, Part, Screen};
 
 use crate::error::Failure;
-use crate::frame::Role;
 use crate::plain;
 use crate::screen::{CallLog, numbered, robot_lines};
 use crate::value::Value;
+use bcap_capture::Role;
 
 /// How long a change is marked.
 const MARKED: Duration = Duration::from_secs(2);

@@ -10,7 +10,7 @@ use bcap_core::hresult::HResult;
 use bcap_terminal::escape;
 use bcap_terminal::screen::{KeyCode, Line, Panel, Part};
 
-use crate::frame::Role;
+use bcap_capture::Role;
 
 /// The lines that are kept.
 const KEPT: usize = 500;

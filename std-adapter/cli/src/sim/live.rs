@@ -18,8 +18,8 @@ use bcap_terminal::escape;
 use bcap_terminal::screen::{KeyCode, Line, Panel, Part, Screen};
 
 use super::delivery::deliver;
-use crate::frame::to_call;
 use crate::screen::{CallLog, numbered, robot_lines};
+use bcap_capture::frame::to_call;
 
 /// The refused and tolerated arguments that are kept.
 const KEPT: usize = 200;

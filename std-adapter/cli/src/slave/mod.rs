@@ -23,7 +23,6 @@ use crate::motion;
 use crate::session::Session;
 use player::Course;
 use poses::Poses;
-pub(crate) use poses::columns;
 use sample::CYCLE;
 use stream::stream;
 

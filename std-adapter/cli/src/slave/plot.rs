@@ -9,7 +9,6 @@ use bcap_core::slave::PoseType;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 
-use super::poses::columns;
 use super::sample::{CYCLE, Sample};
 use crate::error::Failure;
 
@@ -39,7 +38,7 @@ fn draw(path: &Path, kind: PoseType, samples: &[Sample]) -> Drawn {
 
     let mut lines = Vec::new();
     for (number, colour) in shown.iter().copied().zip(COLOURS) {
-        let name = columns(kind)[number];
+        let name = kind.columns()[number];
         lines.push(Line::of(samples, &format!("{name} commanded"), colour.mix(0.35), 5, |s| s.commanded[number]));
         lines.push(Line::of(samples, &format!("{name} actual"), colour.to_rgba(), 1, |s| s.actual[number]));
     }
@@ -50,7 +49,7 @@ fn draw(path: &Path, kind: PoseType, samples: &[Sample]) -> Drawn {
         .copied()
         .zip(COLOURS)
         .map(|(number, colour)| {
-            let name = format!("{} commanded - actual", columns(kind)[number]);
+            let name = format!("{} commanded - actual", kind.columns()[number]);
             Line::of(samples, &name, colour.to_rgba(), 1, |s| s.commanded[number] - s.actual[number])
         })
         .collect();

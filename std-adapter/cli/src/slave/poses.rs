@@ -15,15 +15,6 @@ use bcap_core::slave::{Extended, ExtendedAxes, Pose, PoseType};
 use crate::args::{FormatArgs, wide_bits};
 use crate::error::Failure;
 
-/// Returns the column names of a pose type.
-pub(crate) const fn columns(pose: PoseType) -> &'static [&'static str] {
-    match pose {
-        PoseType::P => &["X", "Y", "Z", "RX", "RY", "RZ", "FIG"],
-        PoseType::J => &["J1", "J2", "J3", "J4", "J5", "J6", "J7", "J8"],
-        PoseType::T => &["X", "Y", "Z", "OX", "OY", "OZ", "AX", "AY", "AZ", "FIG"],
-    }
-}
-
 /// Returns the columns of the extended joints, which a J pose has among its own.
 const fn extended_columns(kind: PoseType, extended: ExtendedAxes) -> &'static [&'static str] {
     match (kind, extended) {
@@ -253,7 +244,7 @@ impl Layout {
     fn of(fields: &[&str], kind: Option<PoseType>, extended: ExtendedAxes) -> Result<(Self, bool), String> {
         if fields.iter().all(|field| field.parse::<f64>().is_ok()) {
             let kind = kind.unwrap_or(PoseType::J);
-            let expected = columns(kind).len() + extended_columns(kind, extended).len();
+            let expected = kind.columns().len() + extended_columns(kind, extended).len();
             if fields.len() > expected || (kind != PoseType::J && fields.len() < expected) {
                 let found = fields.len();
                 return Err(format!(
@@ -264,7 +255,7 @@ impl Layout {
             return Ok((Self { kind, time: None, numbers, outputs: [None; 3], fields: fields.len() }, false));
         }
         let find = |name: &str| fields.iter().position(|field| field.eq_ignore_ascii_case(name));
-        let has = |kind: PoseType| columns(kind).iter().all(|name| find(name).is_some());
+        let has = |kind: PoseType| kind.columns().iter().all(|name| find(name).is_some());
         let kind = kind.unwrap_or(match () {
             () if find("J1").is_some() => PoseType::J,
             () if has(PoseType::P) => PoseType::P,
@@ -272,7 +263,7 @@ impl Layout {
             () => PoseType::J,
         });
         // trailing joints may be missing, but no joint in between
-        let names = [columns(kind), extended_columns(kind, extended)].concat();
+        let names = [kind.columns(), extended_columns(kind, extended)].concat();
         let numbers: Vec<usize> = names.iter().map_while(|name| find(name)).collect();
         if numbers.is_empty() || (kind != PoseType::J && numbers.len() < names.len()) {
             return Err(format!("a pose of type {kind:?} needs the columns {}", names.join(",")));

@@ -4,7 +4,6 @@ use std::path::Path;
 
 use bcap_core::slave::{CURRENT_LEN, MoveReply, PoseType, ReceiveFormat, ReceivePose, TimeUnit};
 
-use super::poses::columns;
 use crate::error::Failure;
 
 /// The most numbers of a pose in a reply.
@@ -79,7 +78,7 @@ impl Received {
         };
         let mut names = vec!["t"];
         names.extend(format.time.map(|unit| if unit == TimeUnit::Micros { "TIME_us" } else { "TIME_ms" }));
-        names.extend(kinds.iter().flat_map(|kind| columns(*kind)));
+        names.extend(kinds.iter().flat_map(|kind| kind.columns()));
         names.extend(format.mini_io.then_some("MINI"));
         names.extend(format.user_io.map(|_| "USER"));
         names.extend(format.hand_io.then_some("HAND"));

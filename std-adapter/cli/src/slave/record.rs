@@ -10,13 +10,13 @@ use bcap_core::slave::PoseType;
 use bcap_std::ObjectPath;
 use indicatif::ProgressBar;
 
-use super::poses::columns;
 use crate::args::{LinkArgs, Record};
 use crate::error::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::{print_json, print_line};
 use crate::session::{Session, with_session};
-use crate::value::{Value, described, integer, text};
+use crate::value::{Value, integer, text};
+use bcap_capture::value::describe;
 
 /// Runs `bcap slave record`.
 pub(crate) fn record(args: &Record, link: &LinkArgs, json: bool) -> Result<(), Failure> {
@@ -27,7 +27,7 @@ pub(crate) fn record(args: &Record, link: &LinkArgs, json: bool) -> Result<(), F
         // reads one pose first, so that an error does not overwrite an existing file
         position(session, robot, kind)?;
         let mut file = csv::Writer::from_path(&args.file).map_err(|error| cannot_write(&args.file, &error))?;
-        let header: Vec<&str> = ["t"].iter().chain(columns(kind)).copied().collect();
+        let header: Vec<&str> = ["t"].iter().chain(kind.columns()).copied().collect();
         let recorded = match file.write_record(&header) {
             Ok(()) => poses(session, robot, args, &mut file, &interrupt),
             Err(error) => Err(cannot_write(&args.file, &error)),
@@ -95,11 +95,7 @@ fn position(session: &mut Session, robot: i32, kind: PoseType) -> Result<Vec<f64
     let array = value.as_ref().and_then(|value| value.as_variant().as_array());
     let numbers: Option<Vec<f64>> = array.map(|array| array.iter().filter_map(|number| number.as_f64()).collect());
     numbers.filter(|numbers| numbers.len() == kind.len()).ok_or_else(|| Failure::Connection {
-        message: format!(
-            "{command}: the reply carries {} instead of {} numbers",
-            described(value.as_ref()),
-            kind.len()
-        ),
+        message: format!("{command}: the reply carries {} instead of {} numbers", describe(value.as_ref()), kind.len()),
         hint: "check that the other end is a robot controller".into(),
     })
 }

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use bcap_core::slave::Stats;
 use serde::Serialize;
 
-use crate::times::Times;
+use bcap_capture::times::Times;
 
 /// The round trips and the jitter of a stream.
 #[derive(Clone, Debug)]

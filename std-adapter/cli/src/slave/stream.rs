@@ -26,7 +26,7 @@ use crate::connection::{failed, not_connected, unrecorded};
 use crate::error::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::{note, print_block, print_json};
-use crate::record::taped;
+use crate::traffic::taped;
 
 /// The attempts of a call over UDP and serial lines, which share the time limit.
 const LOSSY_ATTEMPTS: u8 = 5;

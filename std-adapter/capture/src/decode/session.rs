@@ -1,0 +1,231 @@
+//! The b-CAP session of a connection: requests and replies become calls, handles become names.
+
+use std::collections::HashMap;
+
+use bcap_core::bcap::{Decoder, Frame, FunctionId, Kind, Object, Progress};
+use bcap_core::hresult::HResult;
+use bcap_core::limits::Strictness;
+use bcap_core::variant::Variant;
+
+use super::call::{Argument, Call, Reply};
+use crate::json::LIMITS;
+use crate::role::Role;
+use bcap_core::variant::OwnedVariant as Value;
+
+/// The finding of a session in received bytes.
+#[derive(Debug)]
+pub(crate) enum Found {
+    Call(Box<Call>),
+    /// A remark, at nanoseconds since 1970.
+    Note(u64, String),
+}
+
+/// A call whose reply has not arrived, or that may be sent or answered again.
+#[derive(Debug)]
+struct Pending {
+    call: Call,
+    function: FunctionId,
+    /// The first argument, if it is a handle.
+    handle: Option<i32>,
+    /// The name of the object that it opens.
+    opens: Option<String>,
+}
+
+/// The session of a connection or of a pair of UDP ports.
+#[derive(Debug)]
+pub(crate) struct Session {
+    link: String,
+    decoder: Decoder,
+    /// Bytes of incomplete frames, from the client and from the server.
+    partial: [Vec<u8>; 2],
+    /// Calls without a reply, by an index that counts calls.
+    pending: HashMap<u64, Pending>,
+    count: u64,
+    /// The call of each serial number, and of each serial number of a first attempt.
+    serials: HashMap<u16, u64>,
+    firsts: HashMap<u16, (u64, FunctionId)>,
+    objects: HashMap<i32, String>,
+}
+
+impl Session {
+    pub(crate) fn new(link: String, strictness: Strictness) -> Self {
+        Self {
+            link,
+            decoder: Decoder { limits: LIMITS, strictness, crc: false },
+            partial: Default::default(),
+            pending: HashMap::new(),
+            count: 0,
+            serials: HashMap::new(),
+            firsts: HashMap::new(),
+            objects: HashMap::new(),
+        }
+    }
+
+    /// Adds the next bytes of one direction of a stream.
+    pub(crate) fn bytes(&mut self, role: Role, bytes: &[u8], at: u64, out: &mut Vec<Found>) {
+        let mut buffer = std::mem::take(&mut self.partial[role.index()]);
+        buffer.extend_from_slice(bytes);
+        let mut used = 0;
+        while let Some(rest) = buffer.get(used..).filter(|rest| !rest.is_empty()) {
+            match self.decoder.decode(rest) {
+                Ok(Progress::Complete(frame, length)) => {
+                    self.frame(role, &frame, at, false, out);
+                    used += length;
+                }
+                Ok(Progress::NeedMore(_)) => break,
+                Err(error) => {
+                    let skipped = self.decoder.resync(rest).max(1);
+                    let sender = role.sender();
+                    out.push(Found::Note(at, format!("{sender}: {skipped} bytes are not a frame: {error}")));
+                    used += skipped;
+                }
+            }
+        }
+        buffer.drain(..used);
+        self.partial[role.index()] = buffer;
+    }
+
+    /// Records that the capture lacks bytes of one direction.
+    pub(crate) fn missing(&mut self, role: Role, count: u64, at: u64, out: &mut Vec<Found>) {
+        let lost = std::mem::take(&mut self.partial[role.index()]).len();
+        let cut = if lost > 0 { format!(", inside a frame of which {lost} bytes are there") } else { String::new() };
+        out.push(Found::Note(at, format!("{}: the capture lacks {count} bytes{cut}", role.sender())));
+    }
+
+    /// Adds a datagram.
+    pub(crate) fn datagram(&mut self, role: Role, bytes: &[u8], at: u64, out: &mut Vec<Found>) {
+        match self.decoder.decode_datagram(bytes) {
+            Ok(frame) => self.frame(role, &frame, at, true, out),
+            Err(error) => {
+                let length = bytes.len();
+                out.push(Found::Note(at, format!("{}: {length} bytes are not a frame: {error}", role.sender())));
+            }
+        }
+    }
+
+    /// Ends the session: calls without a reply are reported as such.
+    pub(crate) fn end(&mut self, at: u64, out: &mut Vec<Found>) {
+        for role in [Role::Request, Role::Response] {
+            let left = std::mem::take(&mut self.partial[role.index()]).len();
+            if left > 0 {
+                out.push(Found::Note(at, format!("{}: the last {left} bytes are a part of a frame", role.sender())));
+            }
+        }
+        let mut pending: Vec<_> = self.pending.drain().collect();
+        pending.sort_by_key(|(number, _)| *number);
+        out.extend(pending.into_iter().map(|(_, pending)| Found::Call(Box::new(pending.call))));
+    }
+
+    fn frame(&mut self, role: Role, frame: &Frame<'_>, at: u64, is_lossy: bool, out: &mut Vec<Found>) {
+        match role {
+            Role::Request => self.request(frame, at, is_lossy, out),
+            Role::Response => self.reply(frame, at, out),
+        }
+    }
+
+    fn request(&mut self, frame: &Frame<'_>, at: u64, is_lossy: bool, out: &mut Vec<Found>) {
+        let first = if frame.reserved == 0 { frame.serial } else { frame.reserved };
+        let function = frame.function();
+        if is_lossy
+            && let Some((number, of)) = self.firsts.get(&first)
+            && *of == function
+            && let Some(earlier) = self.pending.get_mut(number)
+        {
+            earlier.call.attempts += 1;
+            self.serials.insert(frame.serial, *number);
+            return;
+        }
+        if is_lossy && function == FunctionId::SERVICE_START {
+            self.objects.clear();
+        }
+        let pending = self.pending(frame, at);
+        self.count += 1;
+        self.pending.insert(self.count, pending);
+        let earlier = self.serials.insert(frame.serial, self.count);
+        // a reply with this serial number can no longer belong to an earlier call
+        let unanswered = earlier.and_then(|number| self.pending.remove(&number));
+        out.extend(unanswered.map(|pending| Found::Call(Box::new(pending.call))));
+        self.firsts.insert(first, (self.count, function));
+    }
+
+    fn pending(&self, frame: &Frame<'_>, at: u64) -> Pending {
+        let function = frame.function();
+        let signature = function.signature();
+        let kinds = signature.map_or(&[][..], |signature| signature.arguments);
+        let names = function.argument_names();
+        let argument = |(i, value): (usize, Variant<'_>)| Argument {
+            name: names.get(i).copied(),
+            object: matches!(kinds.get(i), Some(Kind::Handle(_)))
+                .then(|| self.objects.get(&value.as_i32()?).cloned())
+                .flatten(),
+            value: Value::new(&value).ok(),
+        };
+        let arguments: Vec<_> = frame.args.iter().enumerate().map(argument).collect();
+        let text = |i: usize| frame.args.get(i).and_then(|value| value.as_bstr()).map(|text| text.to_string());
+        let executes = names.get(1) == Some(&"command");
+        let owner = arguments.first().and_then(|argument| argument.object.as_deref());
+        let opens = function.opens().filter(|object| *object != Object::Service).map(|object| {
+            let name = names.iter().position(|name| *name == "name").and_then(text).unwrap_or_default();
+            object_name(object, &name, owner)
+        });
+        let handle = matches!(kinds.first(), Some(Kind::Handle(_))).then(|| frame.args.get(0)?.as_i32()).flatten();
+        let command = if executes { text(1) } else { None };
+        let call = Call {
+            at,
+            link: self.link.clone(),
+            number: self.count,
+            serial: Some(frame.serial),
+            function: function.to_string(),
+            command,
+            arguments,
+            attempts: 1,
+            executing: 0,
+            reply: None,
+        };
+        Pending { call, function, handle, opens }
+    }
+
+    fn reply(&mut self, frame: &Frame<'_>, at: u64, out: &mut Vec<Found>) {
+        let code = frame.hresult();
+        let number = self.serials.get(&frame.serial).copied();
+        let Some(pending) = number.and_then(|number| self.pending.get_mut(&number)) else {
+            let what = if number.is_some() { "another reply" } else { "a reply without a request" };
+            out.push(Found::Note(at, format!("server: {what}: #{} {code}", frame.serial)));
+            return;
+        };
+        if code == HResult::S_EXECUTING {
+            pending.call.executing += 1;
+            return;
+        }
+        let Some(mut pending) = number.and_then(|number| self.pending.remove(&number)) else { return };
+        let value = frame.value();
+        let mut opened = None;
+        if code.is_ok() {
+            if let (Some(name), Some(handle)) = (pending.opens, value.and_then(|value| value.as_i32())) {
+                self.objects.insert(handle, name.clone());
+                opened = Some(name);
+            } else if pending.function.releases().is_some()
+                && let Some(handle) = pending.handle
+            {
+                self.objects.remove(&handle);
+            }
+        }
+        let value = value.and_then(|value| Value::new(&value).ok());
+        pending.call.reply = Some(Reply { after: at.saturating_sub(pending.call.at), code, value, opened });
+        out.push(Found::Call(Box::new(pending.call)));
+    }
+}
+
+/// Names an object: `I1`, `robot:Arm0`, `robot:Arm0/@SERVO_ON`.
+fn object_name(object: Object, name: &str, owner: Option<&str>) -> String {
+    let kind = object.name().to_lowercase();
+    let own = match object {
+        _ if name.is_empty() => kind,
+        Object::Variable => name.to_owned(),
+        _ => format!("{kind}:{name}"),
+    };
+    match owner.filter(|owner| !owner.starts_with("controller")) {
+        Some(owner) => format!("{owner}/{own}"),
+        None => own,
+    }
+}

@@ -1,0 +1,101 @@
+//! Makes the calls of a capture again, and compares the replies.
+//!
+//! ```text
+//!  plan   the capture  -> connections with their calls; the calls that each call waits for; the calls to allow
+//!  order  lets a call begin when the calls that were answered before it have been answered again
+//!  link   a thread for each connection: handles are replaced, calls made, replies compared
+//!  report a difference as text or JSON
+//! ```
+//!
+//! # Examples
+//!
+//! ```no_run
+//! use std::net::SocketAddr;
+//! use std::time::Duration;
+//!
+//! use bcap_capture::replay::{Options, Plan};
+//! use bcap_capture::decode;
+//! use bcap_capture::proxy::Robot;
+//! use bcap_core::limits::Strictness;
+//!
+//! let (events, read) = decode::events("session.pcapng".as_ref(), Strictness::Lenient);
+//! read?;
+//! let plan = Plan::new(events)?;
+//! // refuses calls that may move or write
+//! plan.check(&[])?;
+//! let address: SocketAddr = ([192, 168, 0, 1], 5007).into();
+//! let robot = Robot { tcp: vec![address], udp: address, rac: vec![] };
+//! let totals = plan.run(&robot, &Options::new(Duration::from_secs(3)), |outcome| {
+//!     if outcome.is_different {
+//!         println!("{outcome}");
+//!     }
+//!     Ok(())
+//! })?;
+//! println!("{totals}");
+//! # Ok::<(), bcap_capture::Error>(())
+//! ```
+
+mod link;
+mod options;
+mod order;
+mod plan;
+mod report;
+
+use std::io;
+use std::sync::mpsc::channel;
+use std::thread;
+use std::time::Instant;
+
+use self::link::Link;
+pub use self::link::{Came, Outcome};
+pub use self::options::Options;
+use self::order::Order;
+pub use self::plan::Plan;
+pub use self::report::Totals;
+use crate::error::Error;
+use crate::proxy::Robot;
+
+impl Plan {
+    /// Makes the calls, and passes the outcome of each to `each`. An error of `each` ends the replay: no more calls are made.
+    ///
+    /// It does not check which calls are allowed; [`Plan::check`] does.
+    ///
+    /// # Errors
+    ///
+    /// When a thread cannot be started, and the error of `each`.
+    pub fn run(
+        &self,
+        robot: &Robot,
+        options: &Options,
+        mut each: impl FnMut(&Outcome<'_>) -> io::Result<()>,
+    ) -> Result<Totals, Error> {
+        let order = Order::new(self.answered);
+        let began = (!options.fast).then(Instant::now);
+        let mut totals = Totals { connections: self.links.len(), ..Totals::default() };
+        thread::scope(|scope| {
+            let (outcomes, received) = channel();
+            let start = || {
+                self.links.iter().try_for_each(|planned| {
+                    let (outcomes, order) = (outcomes.clone(), &order);
+                    let link = Link { planned, robot, order, began, options };
+                    thread::Builder::new().spawn_scoped(scope, move || link.run(&outcomes)).map(drop)
+                })
+            };
+            let started =
+                start().map_err(|error| Error::Replay(format!("cannot start a thread for each connection: {error}")));
+            drop(outcomes);
+            let done = started.and_then(|()| {
+                received.iter().try_for_each(|outcome| {
+                    totals.count(&outcome);
+                    Ok(each(&outcome)?)
+                })
+            });
+            if done.is_err() {
+                // a caller that cannot see the replay must not have the robot moved
+                order.stop();
+            }
+            done
+        })?;
+        Ok(totals)
+    }
+}

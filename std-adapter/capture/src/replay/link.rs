@@ -1,0 +1,276 @@
+//! The replay of one connection.
+
+use std::collections::HashMap;
+use std::error;
+use std::sync::mpsc::Sender;
+use std::time::{Duration, Instant};
+
+use bcap_core::bcap::{FunctionId, Kind, Object};
+use bcap_core::hresult::HResult;
+use bcap_core::rac::{MAX_VALUE, Variable};
+use bcap_std::blocking::{self, Controller, RacConnection, TcpTransport};
+use bcap_std::{Error, Options, RacError};
+
+use super::options::Options as ReplayOptions;
+use super::order::Order;
+use super::plan::{PlannedCall, PlannedLink, Protocol};
+use crate::decode::{Argument, Call, Reply, is_object};
+use crate::proxy::Robot;
+use crate::record::Taped;
+use bcap_core::variant::OwnedVariant as Value;
+
+/// The attempts of a call over UDP, which share the time limit.
+const UDP_ATTEMPTS: u8 = 5;
+
+/// The result of a call in a replay.
+#[derive(Debug)]
+pub enum Came {
+    /// A reply, with its value.
+    Reply(HResult, Option<Value>),
+    /// The reason why there is no reply, for people.
+    Nothing(String),
+}
+
+/// A call that was made again, or that could not be made.
+#[derive(Debug)]
+#[non_exhaustive]
+pub struct Outcome<'a> {
+    /// The recorded call.
+    pub call: &'a Call,
+    /// The result of this replay.
+    pub came: Came,
+    /// Whether the result differs from the recorded reply; false without a recorded one.
+    pub is_different: bool,
+}
+
+/// A connection to replay.
+pub(super) struct Link<'a> {
+    pub(super) planned: &'a PlannedLink,
+    pub(super) robot: &'a Robot,
+    pub(super) order: &'a Order,
+    /// When the replay began; `None` to make calls as soon as possible.
+    pub(super) began: Option<Instant>,
+    pub(super) options: &'a ReplayOptions,
+}
+
+impl<'a> Link<'a> {
+    /// Makes the calls in turn, and sends the outcome of each, until the replay stops.
+    pub(super) fn run(&self, outcomes: &Sender<Outcome<'a>>) {
+        let mut opened = None;
+        for planned in &self.planned.calls {
+            let left = || self.began.map_or(Duration::ZERO, |began| planned.offset.saturating_sub(began.elapsed()));
+            if !self.order.wait(planned.after, left) {
+                return;
+            }
+            let client = opened.get_or_insert_with(|| self.open());
+            let came = match client {
+                Ok(client) => client.make(&planned.call),
+                Err(why) => Came::Nothing(why.clone()),
+            };
+            if matches!(client, Ok(client) if client.is_lost) {
+                // the other calls of this connection cannot be made
+                *client = Err("not sent: the connection was lost".into());
+            }
+            self.end(planned, came, outcomes);
+        }
+    }
+
+    fn end(&self, planned: &'a PlannedCall, came: Came, outcomes: &Sender<Outcome<'a>>) {
+        if let Some(rank) = planned.rank {
+            self.order.end(rank);
+        }
+        let is_volatile = self.options.volatile.iter().any(|name| is_named(&planned.call, name));
+        let is_different = planned.call.reply.as_ref().is_some_and(|reply| differs(reply, &came, is_volatile));
+        if outcomes.send(Outcome { call: &planned.call, came, is_different }).is_err() {
+            // the receiver ends early only if the output is closed
+            self.order.stop();
+        }
+    }
+
+    /// Opens the connection; an error is for people.
+    fn open(&self) -> Result<Client, String> {
+        let timeout = self.options.timeout;
+        let mut options = Options::default().timeout(timeout);
+        options.udp.timing.attempts = UDP_ATTEMPTS;
+        options.udp.timing.attempt_timeout = (timeout / u32::from(UDP_ATTEMPTS)).max(Duration::from_millis(1));
+        let (robot, recorder) = (self.robot, self.options.recorder.as_ref());
+        let bcap = |controller| Socket::Bcap(Box::new(controller));
+        let socket = match self.planned.protocol {
+            Protocol::Tcp => {
+                let open = |open| bcap(Controller::unopened(Taped::connection(open, recorder)));
+                blocking::connect_tcp(&robot.tcp[..], &options).map(open)
+            }
+            Protocol::Udp => {
+                let open = |open| bcap(Controller::unopened(Taped::connection(open, recorder)));
+                blocking::connect_udp(robot.udp, &options).map(open)
+            }
+            Protocol::Rac => {
+                let open = |client| Socket::Rac(Box::new(Taped::rac_connection(client, recorder)));
+                blocking::connect_rac(&robot.rac[..], &options).map(open)
+            }
+        };
+        let socket = socket.map_err(|error| with_causes(&error))?;
+        Ok(Client { socket, handles: HashMap::new(), is_lost: false })
+    }
+}
+
+/// Returns whether a call has this function, or function and command, or uses this object.
+fn is_named(call: &Call, name: &str) -> bool {
+    let full = call.command.as_ref().map(|command| format!("{}/{command}", call.function));
+    name.eq_ignore_ascii_case(&call.function)
+        || full.is_some_and(|full| name.eq_ignore_ascii_case(&full))
+        || call.objects().any(|object| is_object(object, name))
+}
+
+/// Returns whether a result differs from the recorded reply. New handles never differ.
+fn differs(recorded: &Reply, came: &Came, is_volatile: bool) -> bool {
+    let Came::Reply(code, value) = came else { return true };
+    if is_volatile {
+        return recorded.code.is_ok() != code.is_ok();
+    }
+    if recorded.code != *code {
+        return true;
+    }
+    let bytes = |value: Option<&Value>| value.map(|value| value.as_bytes().to_vec());
+    recorded.opened.is_none() && code.is_ok() && bytes(recorded.value.as_ref()) != bytes(value.as_ref())
+}
+
+/// The present handles by the recorded ones; `None` for an object that is not open in this replay.
+type Handles = HashMap<i32, Option<i32>>;
+
+const NOT_DECODED: &str = "an argument cannot be decoded";
+
+/// A client of RAC.
+type RacClient = RacConnection<Taped<TcpTransport>, [u8; MAX_VALUE]>;
+
+/// An open connection.
+struct Client {
+    socket: Socket,
+    handles: Handles,
+    is_lost: bool,
+}
+
+enum Socket {
+    Bcap(Box<Controller>),
+    Rac(Box<RacClient>),
+}
+
+impl Client {
+    /// Makes a call.
+    fn make(&mut self, call: &Call) -> Came {
+        let (came, is_lost) = match &mut self.socket {
+            Socket::Bcap(controller) => bcap(controller, call, &self.handles),
+            Socket::Rac(client) => rac(client, call),
+        };
+        self.is_lost |= is_lost;
+        self.remember(call, &came);
+        came
+    }
+
+    /// Records the objects that the call has opened or released in this replay.
+    ///
+    /// The robot may give the number of a released object to another one, so the number must not be sent any more.
+    fn remember(&mut self, call: &Call, came: &Came) {
+        let (is_done, value) = match came {
+            Came::Reply(code, value) => (code.is_ok(), value.as_ref().filter(|_| code.is_ok())),
+            Came::Nothing(_) => (false, None),
+        };
+        if is_done && let Some(function) = function(call) {
+            if function.opens() == Some(Object::Service) || function.releases() == Some(Object::Service) {
+                self.handles.clear();
+            } else if function.releases().is_some()
+                && let Some(recorded) = call.arguments.first().and_then(handle)
+            {
+                self.handles.insert(recorded, None);
+            }
+        }
+        let opened = call.reply.as_ref().filter(|reply| reply.opened.is_some());
+        if let Some(recorded) = opened.and_then(|reply| reply.value.as_ref()?.as_variant().as_i32()) {
+            let present = value.and_then(|value| value.as_variant().as_i32());
+            for other in self.handles.values_mut().filter(|other| **other == present) {
+                *other = None;
+            }
+            self.handles.insert(recorded, present);
+        }
+    }
+}
+
+/// Returns the function of a call of b-CAP.
+fn function(call: &Call) -> Option<FunctionId> {
+    let unknown = || call.function.strip_prefix("function ").and_then(|number| number.parse().ok()).map(FunctionId);
+    FunctionId::parse(&call.function).or_else(unknown)
+}
+
+/// Makes a call of b-CAP; the flag is whether the connection was lost.
+fn bcap(controller: &mut Controller, call: &Call, handles: &Handles) -> (Came, bool) {
+    let Some(function) = function(call) else {
+        return (Came::Nothing("not sent: the function is unknown".into()), false);
+    };
+    let arguments = match arguments(call, function, handles) {
+        Ok(arguments) => arguments,
+        Err(why) => return (Came::Nothing(format!("not sent: {why}")), false),
+    };
+    match controller.call_any("", function, &arguments) {
+        Ok((code, value)) => (Came::Reply(code, value), false),
+        Err(Error::Refused { code, .. }) => (Came::Reply(code, None), false),
+        Err(error) => (Came::Nothing(with_causes(&error)), true),
+    }
+}
+
+/// Returns the arguments of a call with the present handles; an error says why the call must not be sent.
+fn arguments(call: &Call, function: FunctionId, handles: &Handles) -> Result<Vec<Value>, &'static str> {
+    let kinds = function.signature().map_or(&[][..], |signature| signature.arguments);
+    let argument = |(i, argument): (usize, &Argument)| match kinds.get(i) {
+        Some(Kind::Handle(_)) => present(argument, handles),
+        _ => argument.value.clone().ok_or(NOT_DECODED),
+    };
+    call.arguments.iter().enumerate().map(argument).collect()
+}
+
+/// Returns the handle that the object of an argument has in this replay.
+///
+/// A recorded number that was not replaced could be the handle of another object of the robot.
+fn present(argument: &Argument, handles: &Handles) -> Result<Value, &'static str> {
+    const NOT_OPEN: &str = "the object is not open in this replay";
+    let recorded = handle(argument).ok_or("a handle is not an integer of 32 bits")?;
+    match handles.get(&recorded) {
+        Some(present) => Value::new(&present.ok_or(NOT_OPEN)?).map_err(|_| NOT_DECODED),
+        // 0 is the handle of no object
+        None if recorded == 0 => argument.value.clone().ok_or(NOT_DECODED),
+        None => Err(NOT_OPEN),
+    }
+}
+
+fn handle(argument: &Argument) -> Option<i32> {
+    argument.value.as_ref()?.as_variant().as_i32()
+}
+
+/// Makes a request of RAC; the flag is whether the connection was lost.
+fn rac(client: &mut RacClient, call: &Call) -> (Came, bool) {
+    match request(client, call) {
+        None => (Came::Nothing("not sent: not a request of RAC".into()), false),
+        Some(Ok(value)) => (Came::Reply(HResult::S_OK, value), false),
+        Some(Err(RacError::Refused(code))) => (Came::Reply(code, None), false),
+        Some(Err(error)) => (Came::Nothing(with_causes(&error)), true),
+    }
+}
+
+/// Sends a request of RAC; `None` if the recorded line is not one.
+fn request(client: &mut RacClient, call: &Call) -> Option<Result<Option<Value>, RacError>> {
+    let name = call.arguments.first()?.object.as_deref()?;
+    let variable: Variable = name.parse().ok()?;
+    match call.function.as_str() {
+        "GET" => Some(client.get(variable).map(|value| Value::new(&value).ok())),
+        "PUT" => {
+            let value = call.arguments.get(1)?.value.as_ref()?;
+            Some(client.put(variable, value.as_variant()).map(|()| None))
+        }
+        _ => None,
+    }
+}
+
+/// An error with its causes, in one line.
+fn with_causes(error: &dyn error::Error) -> String {
+    let causes = std::iter::successors(Some(error), |error| error.source());
+    causes.map(ToString::to_string).collect::<Vec<_>>().join(": ")
+}
