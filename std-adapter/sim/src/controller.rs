@@ -21,7 +21,7 @@ use crate::arm::Arm;
 use crate::comm::Comm;
 use crate::config::{ABSENT, Config, Mode, Permission, Token};
 use crate::context::{Context, Panel};
-use crate::errors::{ErrorEntry, Errors, Place};
+use crate::errors::{ErrorEntry, Errors, SourceLine};
 use crate::explain::Refusals;
 use crate::files::Files;
 use crate::kinematics::Joints;
@@ -337,7 +337,7 @@ impl Controller {
     }
 
     /// Raises an error that has occurred in a task.
-    fn raise_at(&mut self, code: HResult, place: Option<Place>) {
+    fn raise_at(&mut self, code: HResult, place: Option<SourceLine>) {
         let Common { now, waits, errors, .. } = &mut self.common;
         self.messages.post_error(code, place.as_ref().map_or("", |place| &place.program), *now);
         errors.raise(code, *now, place);

@@ -19,7 +19,7 @@ pub struct ErrorEntry {
 
 /// The line of a task's program at which an error has occurred.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Place {
+pub(crate) struct SourceLine {
     pub(crate) program: String,
     /// From 1.
     pub(crate) line: i32,
@@ -30,7 +30,7 @@ pub(crate) struct Place {
 pub(crate) struct Occurrence {
     pub(crate) error: ErrorEntry,
     /// `None` for an error outside of tasks.
-    pub(crate) place: Option<Place>,
+    pub(crate) place: Option<SourceLine>,
 }
 
 /// The lists of errors, both in reverse order.
@@ -43,7 +43,7 @@ pub(crate) struct Errors {
 
 impl Errors {
     /// Enters an error into both lists.
-    pub(crate) fn raise(&mut self, code: HResult, at: Instant, place: Option<Place>) {
+    pub(crate) fn raise(&mut self, code: HResult, at: Instant, place: Option<SourceLine>) {
         let occurrence = Occurrence { error: ErrorEntry { code, at }, place };
         push(&mut self.present, occurrence.clone());
         push(&mut self.log, occurrence);

@@ -49,7 +49,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 
 use crate::context::Context;
-use work::{Operation, Work, contents};
+use work::{FileOperation, Work, contents};
 
 pub(crate) use work::Done;
 
@@ -114,13 +114,13 @@ impl Files {
         let text = |n: usize| request.text(n).to_string();
         let operation = match request.function {
             FunctionId::CONTROLLER_GET_FILE | FunctionId::FILE_GET_FILE => {
-                Operation::Open { name: text(1), options: text(2) }
+                FileOperation::Open { name: text(1), options: text(2) }
             }
-            FunctionId::CONTROLLER_GET_FILE_NAMES | FunctionId::FILE_GET_FILE_NAMES => Operation::List,
-            FunctionId::FILE_PUT_VALUE => Operation::Write(contents(&request.value(1))),
-            FunctionId::FILE_COPY => Operation::Copy(text(1)),
-            FunctionId::FILE_MOVE => Operation::Move(text(1)),
-            function => Operation::Other(function),
+            FunctionId::CONTROLLER_GET_FILE_NAMES | FunctionId::FILE_GET_FILE_NAMES => FileOperation::List,
+            FunctionId::FILE_PUT_VALUE => FileOperation::Write(contents(&request.value(1))),
+            FunctionId::FILE_COPY => FileOperation::Copy(text(1)),
+            FunctionId::FILE_MOVE => FileOperation::Move(text(1)),
+            function => FileOperation::Other(function),
         };
         let root = ctx.config.files.clone().ok_or(HResult::E_NOTIMPL)?;
         let work = Work { root, base: base.to_owned(), operation, writable: ctx.may_write() };

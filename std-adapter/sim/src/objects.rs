@@ -37,7 +37,7 @@ pub(crate) enum Owner {
 
 /// The variable of a handle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Target {
+pub(crate) enum VariableRef {
     /// A user variable.
     User(Family, u32),
     /// All user variables of a family; PutID chooses one.
@@ -82,7 +82,7 @@ pub(crate) enum Item {
     Robot,
     /// The task at this place of the list.
     Task(usize),
-    Variable(Target),
+    Variable(VariableRef),
     /// A file or a folder; its name from the root is the entry's name.
     File,
     Extension(Extension),
@@ -114,7 +114,7 @@ pub(crate) struct Entry {
     pub(crate) name: String,
     /// The value of PutTag, encoded.
     tag: Option<Vec<u8>>,
-    /// The value of PutID, encoded; the index of a variable is in its [`Target`].
+    /// The value of PutID, encoded; the index of a variable is in its [`VariableRef`].
     id: Option<Vec<u8>>,
     /// When a variable was opened, or last read or written through this handle.
     pub(crate) stamp: Instant,
@@ -143,7 +143,7 @@ impl Entry {
 
     fn id(&self) -> Value {
         match self.item {
-            Item::Variable(Target::User(_, n) | Target::Wildcard(_, Some(n))) => Value::I4(n.cast_signed()),
+            Item::Variable(VariableRef::User(_, n) | VariableRef::Wildcard(_, Some(n))) => Value::I4(n.cast_signed()),
             _ => self.id.clone().map_or(Value::Empty, Value::Kept),
         }
     }
@@ -151,13 +151,13 @@ impl Entry {
     /// Chooses the variable of a wildcard; other objects keep the ID.
     fn put_id(&mut self, id: &Variant<'_>, variables: &Variables) -> Result<(), HResult> {
         match self.item {
-            Item::Variable(Target::Wildcard(family, _)) => {
+            Item::Variable(VariableRef::Wildcard(family, _)) => {
                 let index = u32::try_from(one_int(id)?).map_err(|_| HResult::DISP_E_BADINDEX)?;
                 variables.check(family, index)?;
-                self.item = Item::Variable(Target::Wildcard(family, Some(index)));
+                self.item = Item::Variable(VariableRef::Wildcard(family, Some(index)));
             }
             // the index is part of the name
-            Item::Variable(Target::User(..)) => return Err(HResult::E_CAO_NOT_WRITABLE),
+            Item::Variable(VariableRef::User(..)) => return Err(HResult::E_CAO_NOT_WRITABLE),
             _ => self.id = Some(keep(id)?),
         }
         Ok(())
@@ -168,7 +168,7 @@ impl Entry {
             Item::Controller => "A virtual robot controller.".to_owned(),
             Item::Robot => "A virtual arm of six axes.".to_owned(),
             Item::Task(_) => "A virtual task.".to_owned(),
-            Item::Variable(Target::System(..)) => format!("The system variable {}.", self.name),
+            Item::Variable(VariableRef::System(..)) => format!("The system variable {}.", self.name),
             Item::Variable(_) => format!("The user variable {}.", self.name),
             Item::File => format!("The file {}.", self.name),
             Item::Extension(extension) => extension.help().to_owned(),

@@ -126,7 +126,7 @@ use serde::Deserialize;
 use crate::config::{Mode, Token};
 use crate::program::Program;
 
-pub(crate) use run::{Running, Step};
+pub(crate) use run::{CallPlan, Running};
 pub use setup::Setup;
 
 /// A list of faults.

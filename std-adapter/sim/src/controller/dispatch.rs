@@ -18,7 +18,7 @@ use crate::function::{command_of, executes};
 use crate::hand;
 use crate::objects::{Entry, Extension, Item, Owner};
 use crate::options::{check as check_options, option};
-use crate::scenario::Step;
+use crate::scenario::CallPlan;
 use crate::table::Command;
 use crate::tasks;
 use crate::value::{Value, kept};
@@ -97,8 +97,8 @@ impl Controller {
     fn serve(&mut self, peer: PeerId, request: &Request<'_>, turn: Turn, reply: &mut ReplyValue<'_>) -> Outcome {
         reply.clear();
         match self.scenario.step(peer, self.common.now) {
-            Step::Wait(at) => Outcome::Wait(at),
-            Step::Answer(code, value) => {
+            CallPlan::Wait(at) => Outcome::Wait(at),
+            CallPlan::Answer(code, value) => {
                 let fits = value.is_empty() || reply.set(&kept(&value)).is_ok();
                 Outcome::Done(if fits { code } else { HResult::E_TOO_MUCH_DATA })
             }
@@ -106,7 +106,7 @@ impl Controller {
                 // before the call, because Service_Stop drops its fault
                 let time = self.scenario.answer_time(peer);
                 let outcome = match step {
-                    Step::Refuse(code) => Outcome::Done(self.common.errors.refuse(code, self.common.now)),
+                    CallPlan::Refuse(code) => Outcome::Done(self.common.errors.refuse(code, self.common.now)),
                     _ => self.execute(peer, request, turn, reply),
                 };
                 self.scenario.end_call(peer, outcome, time, reply, self.common.now)

@@ -9,7 +9,7 @@ use bcap_core::variant::VariantBuf;
 use super::{Common, Controller};
 use crate::answer::Answer;
 use crate::config::{Token, peer_of_task};
-use crate::errors::Place;
+use crate::errors::SourceLine;
 use crate::program::Step;
 use crate::tasks::{Task, TaskStatus};
 use crate::waits::Wait;
@@ -170,9 +170,9 @@ impl Controller {
         }
     }
 
-    fn place_of(&self, place: usize) -> Option<Place> {
+    fn place_of(&self, place: usize) -> Option<SourceLine> {
         let task = self.tasks.get(place).ok()?;
-        Some(Place { program: task.name().to_owned(), line: task.line() })
+        Some(SourceLine { program: task.name().to_owned(), line: task.line() })
     }
 
     /// Tells whether a task owns the arm.

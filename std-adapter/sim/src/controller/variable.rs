@@ -9,7 +9,7 @@ use bcap_core::variant::Variant;
 use super::{Controller, system};
 use crate::answer::{Answer, Answered};
 use crate::arm;
-use crate::objects::{Entry, Item, Owner, Target};
+use crate::objects::{Entry, Item, Owner, VariableRef};
 use crate::table::Property;
 use crate::tasks;
 use crate::value::Value;
@@ -19,18 +19,18 @@ impl Controller {
     /// Opens a variable of an object by its name.
     pub(super) fn open_variable(&mut self, peer: PeerId, owner: Owner, name: &str) -> Answered {
         let target = match (find_variable(owner, name), parse_name(name), owner) {
-            (Some(n), _, _) => Target::System(owner, n),
+            (Some(n), _, _) => VariableRef::System(owner, n),
             (None, Some((family, Some(index))), Owner::Controller) => {
                 self.common.variables.check(family, index)?;
-                Target::User(family, index)
+                VariableRef::User(family, index)
             }
-            (None, Some((family, None)), Owner::Controller) => Target::Wildcard(family, None),
+            (None, Some((family, None)), Owner::Controller) => VariableRef::Wildcard(family, None),
             _ => return Err(HResult::E_CAO_OBJECT_NOTFOUND),
         };
         self.open(peer, Item::Variable(target), name.trim().to_owned())
     }
 
-    pub(super) fn call_variable(&mut self, peer: PeerId, target: Target, request: &Request<'_>) -> Answered {
+    pub(super) fn call_variable(&mut self, peer: PeerId, target: VariableRef, request: &Request<'_>) -> Answered {
         let stamp = self.objects.get(peer, request.handle(), Object::Variable)?.stamp;
         let config = &self.common.config;
         match request.function {
@@ -42,25 +42,29 @@ impl Controller {
         }
     }
 
-    fn get(&mut self, peer: PeerId, target: Target) -> Result<Value, HResult> {
+    fn get(&mut self, peer: PeerId, target: VariableRef) -> Result<Value, HResult> {
         match target {
-            Target::User(family, n) | Target::Wildcard(family, Some(n)) => self.common.variables.get(family, n),
-            Target::Wildcard(_, None) => Err(HResult::DISP_E_BADINDEX),
-            Target::System(Owner::Controller, n) => property(system::VARIABLES, n)?.getter()?(self),
-            Target::System(Owner::Robot, n) => {
+            VariableRef::User(family, n) | VariableRef::Wildcard(family, Some(n)) => {
+                self.common.variables.get(family, n)
+            }
+            VariableRef::Wildcard(_, None) => Err(HResult::DISP_E_BADINDEX),
+            VariableRef::System(Owner::Controller, n) => property(system::VARIABLES, n)?.getter()?(self),
+            VariableRef::System(Owner::Robot, n) => {
                 Ok(property(arm::variables::VARIABLES, n)?.getter()?(&self.arm, &self.common.context(peer)))
             }
-            Target::System(Owner::Task(task), n) => Ok(property(tasks::VARIABLES, n)?.getter()?(self.tasks.get(task)?)),
+            VariableRef::System(Owner::Task(task), n) => {
+                Ok(property(tasks::VARIABLES, n)?.getter()?(self.tasks.get(task)?))
+            }
         }
     }
 
-    fn put(&mut self, peer: PeerId, target: Target, value: &Variant<'_>) -> Answered {
+    fn put(&mut self, peer: PeerId, target: VariableRef, value: &Variant<'_>) -> Answered {
         let (owner, n) = match target {
-            Target::User(family, n) | Target::Wildcard(family, Some(n)) => {
+            VariableRef::User(family, n) | VariableRef::Wildcard(family, Some(n)) => {
                 return self.put_user(peer, family, n, value).map(|()| Answer::Done);
             }
-            Target::Wildcard(_, None) => return Err(HResult::DISP_E_BADINDEX),
-            Target::System(owner, n) => (owner, n),
+            VariableRef::Wildcard(_, None) => return Err(HResult::DISP_E_BADINDEX),
+            VariableRef::System(owner, n) => (owner, n),
         };
         let mut ctx = self.common.context(peer);
         ctx.may_write()?;
@@ -91,11 +95,11 @@ impl Controller {
 /// Describes the values that Variable_PutValue accepts.
 pub(super) fn accepted_value(entry: &Entry) -> Option<&'static str> {
     match entry.item {
-        Item::Variable(Target::User(family, _) | Target::Wildcard(family, Some(_))) => {
+        Item::Variable(VariableRef::User(family, _) | VariableRef::Wildcard(family, Some(_))) => {
             Some(variables::accepted(family))
         }
-        Item::Variable(Target::Wildcard(_, None)) => Some("a value after Variable_PutID has chosen one variable"),
-        Item::Variable(Target::System(owner, n)) => match owner {
+        Item::Variable(VariableRef::Wildcard(_, None)) => Some("a value after Variable_PutID has chosen one variable"),
+        Item::Variable(VariableRef::System(owner, n)) => match owner {
             Owner::Controller => system::VARIABLES.get(n)?.accepts,
             Owner::Robot => arm::variables::VARIABLES.get(n)?.accepts,
             Owner::Task(_) => tasks::VARIABLES.get(n)?.accepts,

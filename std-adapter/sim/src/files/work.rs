@@ -42,13 +42,13 @@ pub(super) struct Work {
     pub(super) root: PathBuf,
     /// The name from the root of the file or folder of the call.
     pub(super) base: String,
-    pub(super) operation: Operation,
+    pub(super) operation: FileOperation,
     /// The communication permission.
     pub(super) writable: Result<(), HResult>,
 }
 
 /// A function of files with its arguments.
-pub(super) enum Operation {
+pub(super) enum FileOperation {
     Open {
         name: String,
         options: String,
@@ -75,28 +75,28 @@ impl Work {
         let place = self.place(&self.base, "")?;
         let path = place.path();
         match &self.operation {
-            Operation::Open { name, options } => return self.open(name, options),
-            Operation::List => return list(&path),
+            FileOperation::Open { name, options } => return self.open(name, options),
+            FileOperation::List => return list(&path),
             _ => {}
         }
         let metadata = known(fs::metadata(&path).map_err(failed)?)?;
         match self.operation {
-            Operation::Write(ref contents) => {
+            FileOperation::Write(ref contents) => {
                 self.writable?;
                 write(&path, contents.as_ref().map_err(|refused| *refused)?)?;
                 Ok(Done::Nothing)
             }
-            Operation::Copy(ref target) => {
+            FileOperation::Copy(ref target) => {
                 copy(&path, &self.target(target)?.path())?;
                 Ok(Done::Nothing)
             }
-            Operation::Move(ref target) => {
+            FileOperation::Move(ref target) => {
                 let target = self.target(target)?;
                 fs::rename(&path, target.path()).map_err(failed)?;
                 Ok(Done::Moved(target.name()))
             }
-            Operation::Other(function) => self.other(function, &path, &metadata),
-            Operation::Open { .. } | Operation::List => Ok(Done::Nothing),
+            FileOperation::Other(function) => self.other(function, &path, &metadata),
+            FileOperation::Open { .. } | FileOperation::List => Ok(Done::Nothing),
         }
     }
 
@@ -158,7 +158,7 @@ impl Work {
     }
 
     /// Finds the target of a copy or a move, which must not exist yet.
-    fn target(&self, target: &str) -> Result<Place, HResult> {
+    fn target(&self, target: &str) -> Result<RootedPath, HResult> {
         self.writable?;
         let own = if is_folder_name(target) { self.base.rsplit('\\').next().unwrap_or(&self.base) } else { "" };
         let place = self.place(target, own)?;
@@ -171,19 +171,19 @@ impl Work {
         Ok(place)
     }
 
-    fn place(&self, base: &str, name: &str) -> Result<Place, HResult> {
-        Place::new(&self.root, base, name)
+    fn place(&self, base: &str, name: &str) -> Result<RootedPath, HResult> {
+        RootedPath::new(&self.root, base, name)
     }
 }
 
 /// The root folder, and a path below it.
-struct Place {
+struct RootedPath {
     root: PathBuf,
     /// The parts of the name.
     parts: Vec<String>,
 }
 
-impl Place {
+impl RootedPath {
     /// Reads a name relative to a folder below the root.
     fn new(root: &Path, base: &str, name: &str) -> Result<Self, HResult> {
         let mut parts = Vec::new();

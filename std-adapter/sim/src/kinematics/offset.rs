@@ -58,7 +58,7 @@ struct Search<'a> {
 }
 
 /// The arm for one value of J6.
-struct Place {
+struct Candidate {
     /// In radians.
     j6: f64,
     /// J1, J2 and J3, in radians.
@@ -69,7 +69,7 @@ struct Place {
     forearm: [f64; 3],
 }
 
-impl Place {
+impl Candidate {
     /// Returns g.
     fn error(&self) -> f64 {
         dot(self.axis, self.forearm)
@@ -97,7 +97,7 @@ impl Search<'_> {
     /// Returns all joints, in degrees; those with J6 nearest to that of `near` first.
     fn all(&self) -> Vec<Joints> {
         let start = self.near[5].to_radians();
-        let mut found: Vec<Place> = self.arcs(start).into_iter().flat_map(|arc| self.on_arc(arc)).collect();
+        let mut found: Vec<Candidate> = self.arcs(start).into_iter().flat_map(|arc| self.on_arc(arc)).collect();
         found.sort_by(|a, b| (a.j6 - start).abs().total_cmp(&(b.j6 - start).abs()));
         found.iter().filter_map(|place| self.joints(place)).collect()
     }
@@ -117,7 +117,7 @@ impl Search<'_> {
     }
 
     /// Returns the solutions on an arc.
-    fn on_arc(&self, (low, high): (f64, f64)) -> Vec<Place> {
+    fn on_arc(&self, (low, high): (f64, f64)) -> Vec<Candidate> {
         let at = |t: f64| self.place(low.midpoint(high) - (high - low) / 2.0 * t.cos());
         let g = |t: f64| at(t).map_or(f64::NAN, |place| place.error());
         let mut parts = vec![0.0];
@@ -129,15 +129,15 @@ impl Search<'_> {
     }
 
     /// Returns the arm with this J6, in radians.
-    fn place(&self, j6: f64) -> Result<Place, OutOfReach> {
+    fn place(&self, j6: f64) -> Result<Candidate, OutOfReach> {
         let axis = Vertical::wrist_axis(self.frame, j6);
         let arm = self.arm.arm(self.arm.wrist_centre(self.frame, j6), self.posture, self.near)?;
         let ((sine1, cosine1), (sine, cosine)) = (arm[0].sin_cos(), (arm[1] + arm[2]).sin_cos());
-        Ok(Place { j6, arm, axis, forearm: [cosine1 * sine, sine1 * sine, cosine] })
+        Ok(Candidate { j6, arm, axis, forearm: [cosine1 * sine, sine1 * sine, cosine] })
     }
 
     /// Returns the joints, in degrees, within ±180, unless the wrist is in the other posture.
-    fn joints(&self, place: &Place) -> Option<Joints> {
+    fn joints(&self, place: &Candidate) -> Option<Joints> {
         let forearm = Vertical::forearm_rotation(place.arm);
         let flange = multiply(&transpose(&forearm), &self.frame.rotation);
         // Rz(J4) Ry(J5)
@@ -151,12 +151,12 @@ impl Search<'_> {
 
 /// Appends the ends of the parts into which an interval is divided.
 fn divide(
-    at: &impl Fn(f64) -> Result<Place, OutOfReach>,
+    at: &impl Fn(f64) -> Result<Candidate, OutOfReach>,
     (low, high): (f64, f64),
     halvings: u32,
     parts: &mut Vec<f64>,
 ) {
-    let is_far = |a: &Place, b: &Place| dot(a.axis, b.axis) < TURN || dot(a.forearm, b.forearm) < TURN;
+    let is_far = |a: &Candidate, b: &Candidate| dot(a.axis, b.axis) < TURN || dot(a.forearm, b.forearm) < TURN;
     let middle = low.midpoint(high);
     if halvings > 0 && at(low).is_ok_and(|low| at(high).is_ok_and(|high| is_far(&low, &high))) {
         divide(at, (low, middle), halvings - 1, parts);

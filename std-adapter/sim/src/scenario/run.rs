@@ -147,22 +147,22 @@ impl Running {
     }
 
     /// Returns the treatment of a call that is new or waits.
-    pub(crate) fn step(&mut self, peer: PeerId, now: Instant) -> Step {
-        let Some(fault) = self.calls.get(&peer) else { return Step::Execute };
+    pub(crate) fn step(&mut self, peer: PeerId, now: Instant) -> CallPlan {
+        let Some(fault) = self.calls.get(&peer) else { return CallPlan::Execute };
         if fault.lost {
             return match self.is_link_lost(now) {
-                true => Step::Wait(self.lost_until),
+                true => CallPlan::Wait(self.lost_until),
                 false => self.answer(peer, HResult::E_TIMEOUT, Vec::new()),
             };
         }
         match (&fault.answer, fault.refused) {
-            (Some(_), _) if now < fault.until => Step::Wait(fault.until),
+            (Some(_), _) if now < fault.until => CallPlan::Wait(fault.until),
             (Some((code, value)), _) => {
                 let (code, value) = (*code, value.clone());
                 self.answer(peer, code, value)
             }
-            (None, Some(code)) => Step::Refuse(code),
-            (None, None) => Step::Execute,
+            (None, Some(code)) => CallPlan::Refuse(code),
+            (None, None) => CallPlan::Execute,
         }
     }
 
@@ -171,9 +171,9 @@ impl Running {
         self.calls.get(&peer).map_or(Instant::ZERO, |fault| fault.until)
     }
 
-    fn answer(&mut self, peer: PeerId, code: HResult, value: Vec<u8>) -> Step {
+    fn answer(&mut self, peer: PeerId, code: HResult, value: Vec<u8>) -> CallPlan {
         self.answered(peer);
-        Step::Answer(code, value)
+        CallPlan::Answer(code, value)
     }
 
     /// Ends a call that was executed or refused. An answer before `time` is delayed.
@@ -245,7 +245,7 @@ impl Running {
 
 /// The treatment of a call.
 #[derive(Debug)]
-pub(crate) enum Step {
+pub(crate) enum CallPlan {
     /// Poll it again at this time.
     Wait(Instant),
     /// Answer it with this code and this encoded value.

@@ -29,14 +29,14 @@ pub(super) struct Steps {
 
 /// The present step of a task whose time has come.
 #[derive(Clone, Debug)]
-pub(crate) struct Turn {
+pub(crate) struct ReadyStep {
     steps: Arc<[Step]>,
     at: usize,
     /// Whether the step begins; otherwise it ends, if the event that it waits for has happened.
     pub(crate) begins: bool,
 }
 
-impl Turn {
+impl ReadyStep {
     pub(crate) fn step(&self) -> Option<&Step> {
         self.steps.get(self.at)
     }
@@ -86,8 +86,8 @@ impl Steps {
         }
     }
 
-    pub(super) fn turn(&self) -> Turn {
-        Turn { steps: Arc::clone(&self.program.steps), at: self.at, begins: !self.entered }
+    pub(super) fn turn(&self) -> ReadyStep {
+        ReadyStep { steps: Arc::clone(&self.program.steps), at: self.at, begins: !self.entered }
     }
 
     /// Records that the present step has begun, and takes this time, or is checked then.

@@ -1,4 +1,4 @@
-//! A task: its states, and the work that it does while it runs.
+//! A task: its states, and its activity while it runs.
 
 use std::time::Duration;
 
@@ -7,7 +7,7 @@ use bcap_core::bcap::server::Request;
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 
-use super::steps::{Steps, Turn};
+use super::steps::{ReadyStep, Steps};
 use super::timed::Timed;
 use crate::answer::{Answer, Answered};
 use crate::context::Context;
@@ -48,7 +48,7 @@ enum Until {
 
 /// The work of a running task.
 #[derive(Clone, Debug)]
-enum Work {
+enum Activity {
     Timed(Timed),
     Steps(Steps),
 }
@@ -57,7 +57,7 @@ enum Work {
 #[derive(Clone, Debug)]
 pub(crate) struct Task {
     name: String,
-    work: Work,
+    activity: Activity,
     status: TaskStatus,
     until: Until,
     /// Until when the running time is counted.
@@ -71,17 +71,17 @@ pub(crate) struct Task {
 
 impl Task {
     pub(super) fn timed(name: String, cycle: Duration, lines: u32) -> Self {
-        Self::new(name, Work::Timed(Timed::new(cycle, lines)))
+        Self::new(name, Activity::Timed(Timed::new(cycle, lines)))
     }
 
     pub(super) fn of(program: Program) -> Self {
-        Self::new(program.name.clone(), Work::Steps(Steps::new(program)))
+        Self::new(program.name.clone(), Activity::Steps(Steps::new(program)))
     }
 
-    const fn new(name: String, work: Work) -> Self {
+    const fn new(name: String, activity: Activity) -> Self {
         Self {
             name,
-            work,
+            activity,
             status: TaskStatus::Ready,
             until: Until::Stopped,
             since: Instant::ZERO,
@@ -123,17 +123,17 @@ impl Task {
 
     /// Returns the cycle time; for a program, of its last cycle.
     pub(super) fn cycle_time(&self) -> Duration {
-        match &self.work {
-            Work::Timed(timed) => timed.cycle,
-            Work::Steps(steps) => steps.cycle,
+        match &self.activity {
+            Activity::Timed(timed) => timed.cycle,
+            Activity::Steps(steps) => steps.cycle,
         }
     }
 
     /// Returns the present line, from 1.
     pub(crate) fn line(&self) -> i32 {
-        match &self.work {
-            Work::Timed(timed) => timed.line(),
-            Work::Steps(steps) => steps.line(),
+        match &self.activity {
+            Activity::Timed(timed) => timed.line(),
+            Activity::Steps(steps) => steps.line(),
         }
     }
 
@@ -177,7 +177,7 @@ impl Task {
             TaskStatus::Suspended | TaskStatus::StepStop => {}
         }
         (self.until, self.status, self.since, self.completed) = (until, TaskStatus::Running, now, false);
-        if let Work::Steps(steps) = &mut self.work {
+        if let Activity::Steps(steps) = &mut self.activity {
             steps.resume(now);
         }
         Ok(())
@@ -222,7 +222,7 @@ impl Task {
         self.advance(now);
         if self.is_running() {
             self.status = TaskStatus::Suspended;
-            if let Work::Steps(steps) = &mut self.work {
+            if let Activity::Steps(steps) = &mut self.activity {
                 steps.suspend(now);
             }
         }
@@ -235,9 +235,9 @@ impl Task {
             return;
         }
         self.status = TaskStatus::Ready;
-        match &mut self.work {
-            Work::Timed(timed) => timed.progress = Duration::ZERO,
-            Work::Steps(steps) => steps.reset(),
+        match &mut self.activity {
+            Activity::Timed(timed) => timed.progress = Duration::ZERO,
+            Activity::Steps(steps) => steps.reset(),
         }
     }
 
@@ -248,7 +248,7 @@ impl Task {
         }
         let passed = now.saturating_since(self.since);
         self.since = now;
-        let Work::Timed(timed) = &mut self.work else {
+        let Activity::Timed(timed) = &mut self.activity else {
             self.elapsed = self.elapsed.saturating_add(passed);
             return;
         };
@@ -278,15 +278,15 @@ impl Task {
     fn end_cycle(&mut self) {
         self.cycles = self.cycles.saturating_add(1);
         (self.status, self.completed) = (TaskStatus::Ready, self.until == Until::CycleEnd);
-        if let Work::Timed(timed) = &mut self.work {
+        if let Activity::Timed(timed) = &mut self.activity {
             timed.progress = Duration::ZERO;
         }
     }
 
     fn line_end(&self) -> Until {
-        Until::LineEnd(match &self.work {
-            Work::Timed(timed) => timed.line_end(),
-            Work::Steps(_) => Duration::ZERO,
+        Until::LineEnd(match &self.activity {
+            Activity::Timed(timed) => timed.line_end(),
+            Activity::Steps(_) => Duration::ZERO,
         })
     }
 
@@ -296,27 +296,27 @@ impl Task {
     }
 
     fn steps(&self) -> Option<&Steps> {
-        match &self.work {
-            Work::Steps(steps) => Some(steps),
-            Work::Timed(_) => None,
+        match &self.activity {
+            Activity::Steps(steps) => Some(steps),
+            Activity::Timed(_) => None,
         }
     }
 
     /// Returns the present step of its program.
-    pub(crate) fn turn(&self) -> Option<Turn> {
+    pub(crate) fn turn(&self) -> Option<ReadyStep> {
         self.steps().map(Steps::turn)
     }
 
     /// Records that the present step has begun, and takes this time, or is checked then.
     pub(crate) fn begun(&mut self, now: Instant, time: Duration) {
-        if let Work::Steps(steps) = &mut self.work {
+        if let Activity::Steps(steps) = &mut self.activity {
             steps.begun(now, time);
         }
     }
 
     /// Checks the present step again at this time, but not before the next line time.
     pub(crate) fn wait(&mut self, now: Instant, until: Instant) {
-        if let Work::Steps(steps) = &mut self.work {
+        if let Activity::Steps(steps) = &mut self.activity {
             steps.wait(now, until);
         }
     }
@@ -324,14 +324,14 @@ impl Task {
     /// Checks the present step again at the first time after `quiet` that is whole line times away. Until then nothing
     /// changes what it waits for, unless [`wake`](Self::wake) is called.
     pub(crate) fn poll(&mut self, now: Instant, quiet: Instant) {
-        if let Work::Steps(steps) = &mut self.work {
+        if let Activity::Steps(steps) = &mut self.activity {
             steps.poll(now, quiet);
         }
     }
 
     /// Checks a polled step again, at the next whole line time.
     pub(super) fn wake(&mut self, now: Instant) {
-        if let Work::Steps(steps) = &mut self.work {
+        if let Activity::Steps(steps) = &mut self.activity {
             steps.wake(now);
         }
     }
@@ -344,7 +344,7 @@ impl Task {
     /// Ends the present step of its program, and with it perhaps the cycle.
     pub(crate) fn end_step(&mut self, now: Instant) {
         self.advance(now);
-        let Work::Steps(steps) = &mut self.work else { return };
+        let Activity::Steps(steps) = &mut self.activity else { return };
         match (steps.end_step(now), self.until) {
             (true, Until::CycleEnd | Until::LineEnd(_)) => self.end_cycle(),
             (true, Until::Stopped) => self.cycles = self.cycles.saturating_add(1),
