@@ -6,7 +6,7 @@
 
 use bcap_core::bcap::client;
 use bcap_core::rac::VariableKind;
-use bcap_embassy::gateway::{Report, SerialRobot, SharedGateway, run_robot, serve};
+use bcap_embassy::gateway::{Front, Report, SerialRobot, SharedGateway, run_robot, serve};
 use bcap_embassy::serial::transport;
 use bcap_embassy::server::Limits;
 use bcap_gateway::{Allow, Config, Event, Gateway, Memory, Rules};
@@ -43,7 +43,7 @@ fn log(report: &Report<'_>) {
 pub async fn serve_plc<U: Read + Write>(uart: U, board: &Board<'_>) -> ! {
     let mut line = transport(uart);
     loop {
-        let _ = serve(&mut line, None, board, &Limits::default()).await;
+        let _ = serve(&mut line, Front::Rac, None, board, &Limits::default()).await;
     }
 }
 

@@ -6,9 +6,9 @@ use crate::common::{Number, address, between};
 use bcap_core::bcap::{client, server};
 use bcap_core::hresult::HResult;
 use bcap_core::rac::{self, VariableKind};
-use bcap_embassy::gateway::{self, Report, TcpRobot, run_robot};
+use bcap_embassy::gateway::{self, Ended, Report, TcpRobot, run_robot};
 use bcap_embassy::net::{NetError, Options, UdpTransport};
-use bcap_embassy::server::{Ended, Limits, Listener, SharedHandler, UdpPeer, UdpServer};
+use bcap_embassy::server::{Limits, Listener, SharedHandler, UdpPeer, UdpServer};
 use bcap_gateway::{Allow, Config, Event, Gateway, Memory, Network, Refusal, Rules};
 use embassy_futures::join::{join, join3};
 use embassy_futures::select::{select, select3};
@@ -46,9 +46,9 @@ fn log(report: &Report<'_>) {
         }
         Report::Denied { client, reason } => format!("denied {} {reason:?}", client.unwrap().ip()),
         Report::Answered { event: Event::Failed { result, .. }, .. } => format!("failed {result}"),
-        Report::Answered { .. } => return,
         Report::Robot { event: Event::RobotDown { .. }, cause } => format!("robot down {cause:?}"),
         Report::Robot { .. } => "robot up".to_owned(),
+        _ => return,
     };
     LOG.with_borrow_mut(|log| log.push(text));
 }
@@ -58,7 +58,12 @@ fn logged(text: &str) -> bool {
 }
 
 /// Serves two PLCs, answers a third, and runs the connection to the robot, forever.
-async fn run<L: gateway::RobotLink>(stack: Stack<'_>, mut link: L, plant: &Plant<'_>, limits: Limits) {
+async fn run<L: gateway::RobotLink<Cause = NetError>>(
+    stack: Stack<'_>,
+    mut link: L,
+    plant: &Plant<'_>,
+    limits: Limits,
+) {
     let mut memory = [[[0; 512]; 2]; 3];
     let [[rx0, tx0], [rx1, tx1], [rx2, tx2]] = &mut memory;
     let mut first = gateway::Listener::new(stack, rac::PORT, rx0, tx0);

@@ -125,7 +125,7 @@ fn rules_slots_and_the_log_apply_to_clients_of_modbus() {
             // bytes that are not Modbus end the connection and free its slot
             assert_eq!(b.write(b"GET:RC8:1:I:\r").await, Ok(13));
             assert_eq!(b.read(&mut [0]).await, Ok(0), "closed");
-            assert_eq!(logged(), ["Some(Closed)"]);
+            assert_eq!(logged(), ["Some(NotModbus)"]);
             let mut d = connect(clients, d).await;
             assert_eq!(ask(&mut d, &[3, 0, 200, 0, 1]).await, [3, 2, 0xff, 0xf6]);
         };

@@ -11,7 +11,7 @@ use bcap_core::endpoint::{Endpoint, Serve};
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
-use bcap_embassy::gateway::{SerialRobot, SharedGateway, run_robot, serve};
+use bcap_embassy::gateway::{Front, SerialRobot, SharedGateway, run_robot, serve};
 use bcap_embassy::serial::{self, Config};
 use bcap_embassy::server::Limits;
 use embassy_futures::block_on;
@@ -144,7 +144,7 @@ fn a_gateway_between_two_serial_lines_serves_a_plc_despite_errors_of_the_line() 
         }
     };
     let limits = Limits::default();
-    let board = join(run_robot(&mut robot, &mut frame, &plant), serve(&mut line, None, &plant, &limits));
+    let board = join(run_robot(&mut robot, &mut frame, &plant), serve(&mut line, Front::Rac, None, &plant, &limits));
     let test = with_timeout(Duration::from_secs(60), test);
     assert!(matches!(block_on(select(board, test)), Either::Second(Ok(()))), "it hangs");
 }

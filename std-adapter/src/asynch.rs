@@ -160,6 +160,12 @@ impl TcpTransport {
     pub const fn stream(&self) -> &TcpStream {
         &self.stream
     }
+
+    /// Returns the stream, to use it otherwise.
+    #[cfg(feature = "gateway")]
+    pub(crate) fn into_stream(self) -> TcpStream {
+        self.stream
+    }
 }
 
 /// A connected UDP socket as a transport; created by [`connect_udp`], or from any connected socket.

@@ -57,6 +57,7 @@
 mod config;
 mod convert;
 mod counters;
+pub mod driver;
 mod event;
 mod gateway;
 mod handles;

@@ -45,14 +45,6 @@ pub trait Transport {
 
     /// Waits until `at`, and reads no bytes.
     fn sleep_until(&mut self, at: Instant) -> impl Future<Output = ()>;
-
-    /// Tells whether the transport has a part of a request that [`receive`](Self::receive) has not returned.
-    ///
-    /// A transport that collects bytes itself, such as one that translates another protocol, implements it, so that a time limit
-    /// applies to a part of a request. Its `receive` then returns `None` before `until` when a part has arrived.
-    fn is_receiving(&self) -> bool {
-        false
-    }
 }
 
 /// A [`Transport`] whose futures are `Send`, so that code over any transport can be spawned on several threads.

@@ -98,12 +98,12 @@ pub fn log(report: &Report<'_>) {
         Report::Answered { client, line, event: Event::Failed { result, .. } } => {
             defmt::debug!("{}: failed {=[u8]:a}: {}", Client(client), line, result)
         }
-        Report::Answered { .. } => {}
         Report::Robot { event: Event::RobotDown { error, pause }, cause } => {
             let pause = u32::try_from(pause.as_millis()).unwrap_or(u32::MAX);
             defmt::warn!("robot down: {} {}, retry in {=u32} ms", error, cause, pause)
         }
         Report::Robot { .. } => defmt::info!("robot up"),
+        _ => {}
     }
 }
 

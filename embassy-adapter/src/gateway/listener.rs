@@ -3,22 +3,21 @@
 use core::net::SocketAddrV4;
 use core::time::Duration;
 
-use bcap_core::io::asynch::Transport;
+use bcap_gateway::driver::{Ended, Front, refuse};
 use embassy_net::{IpAddress, IpEndpoint, Stack};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::Timer;
 
+use super::SharedGateway;
 use super::clients::{CHUNK, serve};
-use super::{Denial, SharedGateway};
 use crate::net::{Options, TcpTransport};
-use crate::server::{Ended, Limits};
+use crate::server::Limits;
 
 /// The pause before listening again after listening failed.
 const PAUSE_MS: u64 = 100;
 
-/// The answer to the first line of a client without a slot, E_MAX_CONNECT, and how long to wait for that line.
-const FULL: &[u8] = b"-2147481333\r";
-const FULL_WAIT: Duration = Duration::from_millis(500);
+/// How long to wait for the first request of a client without a slot.
+pub(super) const REFUSAL_TIME: Duration = Duration::from_millis(500);
 
 /// A TCP listener that serves one PLC at a time; use several on the same port to serve several PLCs concurrently.
 ///
@@ -47,10 +46,9 @@ impl<'s> Listener<'s> {
     pub async fn run<M: RawMutex, const N: usize>(&mut self, shared: &SharedGateway<'_, M, N>, limits: &Limits) -> ! {
         loop {
             let client = accept(&mut self.transport, self.port, shared).await;
-            let ended = serve(&mut self.transport, client, shared, limits).await;
+            let ended = serve(&mut self.transport, Front::Rac, client, shared, limits).await;
             if ended.is_none() {
-                shared.deny(client, Denial::Full);
-                answer_full(&mut self.transport).await;
+                refuse(&mut self.transport, Front::Rac, REFUSAL_TIME, &mut [0; CHUNK]).await;
             }
             end(&mut self.transport, matches!(ended, Some(Ended::Evicted))).await;
         }
@@ -82,34 +80,5 @@ pub(super) async fn end(transport: &mut TcpTransport<'_>, is_evicted: bool) {
     match is_evicted {
         true => transport.reset().await,
         false => transport.close().await,
-    }
-}
-
-/// Answers the first line of a client without a slot.
-pub(super) async fn answer_full<X: Transport>(transport: &mut X) {
-    let mut chunk = [0; CHUNK];
-    let until = transport.now().saturating_add(FULL_WAIT);
-    // not before its line arrives, because a line that arrives after the close would reset the connection
-    let received = loop {
-        match transport.receive(&mut chunk, until).await {
-            // a part of a frame
-            Ok(None) if transport.now() < until => {}
-            received => break received,
-        }
-    };
-    if let Ok(Some(1..)) = received {
-        // a client that does not read it has no slot either
-        let _ = transport.send(FULL, until).await;
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use bcap_core::hresult::HResult;
-
-    #[test]
-    fn a_full_gateway_answers_e_max_connect() {
-        assert_eq!(std::format!("{}\r", HResult::E_MAX_CONNECT.0).as_bytes(), FULL);
     }
 }

@@ -50,90 +50,40 @@
 mod clients;
 #[cfg(feature = "embassy-net")]
 mod listener;
-#[cfg(feature = "modbus")]
-mod modbus;
 #[cfg(all(feature = "embassy-net", feature = "modbus"))]
 mod modbus_listener;
-mod robot;
+mod platform;
 #[cfg(feature = "serial")]
 mod serial;
-mod shared;
 #[cfg(feature = "embassy-net")]
 mod tcp;
 
 use core::net::SocketAddrV4;
 
-use bcap_gateway::Event;
+use bcap_gateway::driver;
 
 pub use self::clients::serve;
 #[cfg(feature = "embassy-net")]
 pub use self::listener::Listener;
-#[cfg(feature = "modbus")]
-pub use self::modbus::ModbusLink;
 #[cfg(all(feature = "embassy-net", feature = "modbus"))]
 pub use self::modbus_listener::ModbusListener;
-pub use self::robot::{RobotLink, run_robot};
+pub use self::platform::Embassy;
 #[cfg(feature = "serial")]
 pub use self::serial::SerialRobot;
-pub use self::shared::SharedGateway;
 #[cfg(feature = "embassy-net")]
 pub use self::tcp::TcpRobot;
 pub use crate::error::NetError;
-use crate::server::Ended;
+pub use bcap_gateway::driver::{Denial, Ended, Front, RobotLink, run_robot};
+
+/// A gateway that several tasks share; `SESSIONS` is at least the number of its client slots.
+///
+/// `M` is embassy's mutex: `NoopRawMutex` for one executor, `CriticalSectionRawMutex` for several.
+pub type SharedGateway<'m, M, const SESSIONS: usize> = driver::SharedGateway<'m, Embassy<M, SESSIONS>>;
+
+/// An event of the gateway, for a log. The address of a client is `None` on a serial line.
+pub type Report<'a> = driver::Report<'a, Option<SocketAddrV4>, NetError, ()>;
 
 /// A callback that receives reports for a log.
 ///
 /// It runs while the gateway is borrowed, so it must not call the [`SharedGateway`].
 pub type Log = fn(&Report<'_>);
-
-/// Why a client was not served.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[non_exhaustive]
-pub enum Denial {
-    /// The rules do not allow its address to connect.
-    Address,
-    /// All slots are in use, by clients that are not idle.
-    Full,
-}
-
-/// An event of the gateway, for a log.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Report<'a> {
-    /// A client connected and has a slot.
-    Connected {
-        /// The client's address; `None` on a serial line.
-        client: Option<SocketAddrV4>,
-    },
-    /// A client disconnected.
-    Disconnected {
-        /// The client's address; `None` on a serial line.
-        client: Option<SocketAddrV4>,
-        /// Why the session ended; `None` when its future was dropped.
-        ended: Option<Ended<()>>,
-    },
-    /// A client was not served.
-    Denied {
-        /// The client's address; `None` on a serial line.
-        client: Option<SocketAddrV4>,
-        /// The reason.
-        reason: Denial,
-    },
-    /// A line was answered: served, failed or refused.
-    Answered {
-        /// The client's address; `None` on a serial line.
-        client: Option<SocketAddrV4>,
-        /// The line without its CR; the first 256 bytes of an over-long line.
-        line: &'a [u8],
-        /// How the line was answered.
-        event: Event,
-    },
-    /// The robot connected or disconnected.
-    Robot {
-        /// Which of the two happened.
-        event: Event,
-        /// The error that ended the connection, if one did.
-        cause: Option<NetError>,
-    },
-}

@@ -47,13 +47,15 @@ impl<D: Read + Write> Transport for SerialRobot<D> {
 }
 
 impl<D: Read + Write> RobotLink for SerialRobot<D> {
+    type Cause = NetError;
+
     async fn open(&mut self) -> Result<(), D::Error> {
         Ok(())
     }
 
     fn close(&mut self) {}
 
-    fn cause(_: D::Error) -> NetError {
+    fn cause(_: Option<D::Error>) -> NetError {
         NetError::Line
     }
 }

@@ -50,6 +50,8 @@ impl Transport for TcpRobot<'_> {
 }
 
 impl RobotLink for TcpRobot<'_> {
+    type Cause = NetError;
+
     async fn open(&mut self) -> Result<(), NetError> {
         self.transport.connect(self.peer).await
     }
@@ -58,8 +60,8 @@ impl RobotLink for TcpRobot<'_> {
         self.transport.socket().abort();
     }
 
-    fn cause(error: NetError) -> NetError {
-        error
+    fn cause(error: Option<NetError>) -> NetError {
+        error.unwrap_or(NetError::Reset)
     }
 }
 
@@ -67,13 +69,15 @@ impl RobotLink for TcpRobot<'_> {
 ///
 /// UDP has no connection, so opening it succeeds even without a robot; only an answer shows that the robot is connected.
 impl RobotLink for UdpTransport<'_> {
+    type Cause = NetError;
+
     async fn open(&mut self) -> Result<(), NetError> {
         Ok(())
     }
 
     fn close(&mut self) {}
 
-    fn cause(error: NetError) -> NetError {
-        error
+    fn cause(error: Option<NetError>) -> NetError {
+        error.unwrap_or(NetError::Reset)
     }
 }

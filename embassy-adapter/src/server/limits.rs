@@ -36,6 +36,15 @@ impl Default for Limits {
     }
 }
 
+#[cfg(feature = "gateway")]
+impl Limits {
+    /// Returns the limits for clients of a gateway.
+    pub(crate) const fn of_driver(&self) -> bcap_gateway::driver::Limits {
+        let Self { receive, send, idle, evict_after, .. } = *self;
+        bcap_gateway::driver::Limits { connections_per_address: usize::MAX, evict_after, receive, send, idle }
+    }
+}
+
 /// When a session must be polled again, or which limit it exceeded.
 pub(super) enum Deadline {
     At(Instant),

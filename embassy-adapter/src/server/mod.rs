@@ -79,28 +79,10 @@ pub enum Ended<E> {
     RequestTooSlow,
     /// The peer was idle for longer than [`Limits::idle`].
     Idle,
-    /// The peer was idle for longer than [`Limits::evict_after`], and another client got its slot.
-    Evicted,
     /// The peer did not accept a reply within [`Limits::send`].
     ReplyNotRead,
     /// The transport failed, because the peer stopped responding or the network is down.
     Failed(E),
-}
-
-impl<E> Ended<E> {
-    /// Returns the reason without the transport's error.
-    #[cfg(feature = "gateway")]
-    pub(crate) const fn reason(&self) -> Ended<()> {
-        match self {
-            Self::Closed => Ended::Closed,
-            Self::Malformed => Ended::Malformed,
-            Self::RequestTooSlow => Ended::RequestTooSlow,
-            Self::Idle => Ended::Idle,
-            Self::Evicted => Ended::Evicted,
-            Self::ReplyNotRead => Ended::ReplyNotRead,
-            Self::Failed(_) => Ended::Failed(()),
-        }
-    }
 }
 
 /// Serves one peer until its session ends, and notifies the handler that the peer left.

@@ -2,9 +2,9 @@
 
 use std::time::Duration;
 
-use crate::server::Slots;
+use bcap_gateway::driver;
 
-/// Resource limits for PLC connections; the number of its slots is its [`capacity`](bcap_gateway::Gateway::capacity).
+/// Resource limits for PLC connections; the number of slots is its [`capacity`](bcap_gateway::Gateway::capacity).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Limits {
@@ -33,8 +33,9 @@ setters! { Limits {
 } }
 
 impl Limits {
-    pub(super) const fn slots(&self, total: usize) -> Slots {
-        Slots { total, per_address: self.connections_per_address, evict_after: self.evict_after }
+    pub(super) const fn of_driver(&self) -> driver::Limits {
+        let Self { connections_per_address, evict_after, receive, send, idle, .. } = *self;
+        driver::Limits { connections_per_address, evict_after: Some(evict_after), receive, send, idle }
     }
 }
 

@@ -7,14 +7,12 @@
 //!                                 └─► Report: every answer; robot and PLCs connect and disconnect
 //! ```
 //!
-//! A [`Driver`] moves the bytes of any [`Gateway`] and keeps its time. [`Config`](bcap_gateway::Config) says how the
+//! A [`Driver`] runs the [driver of `bcap-gateway`](bcap_gateway::driver) over sockets. [`Config`](bcap_gateway::Config) says how the
 //! robot is reached, what PLCs may do, and how long a request may take. [`Limits`] bounds what PLCs can cost: a new
 //! connection gets the slot of the connection that has been idle longest when slots are short. A PLC that sends without a
 //! pause does not delay the others: tasks yield after each read and write, and the gateway serves requests in turn.
 //!
 //! With [`Driver::modbus`], PLCs that do not speak RAC use Modbus TCP.
-//!
-//! The driver of boards in `bcap-embassy` has the same [`Report`]s.
 //!
 //! # Examples
 //!
@@ -39,36 +37,49 @@
 //! ```
 
 mod clients;
-mod front;
 mod limits;
-mod report;
+mod platform;
 mod robot;
-mod shared;
 mod traffic;
 
+use std::io;
+use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
 use bcap_core::bcap::Link;
+use bcap_gateway::driver;
 use bcap_gateway::modbus::Entry;
 use bcap_gateway::{Counters, Gateway};
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 
-use self::robot::HostPort;
-use self::shared::GatewayState;
-use crate::connect::{Options, random_serial};
+use self::clients::Plant;
+use self::platform::SharedGateway;
+use self::robot::{HostPort, RobotSocket};
+use self::traffic::Tap;
+use crate::connect::{DATAGRAM_ROOM, Options, random_serial};
 
 pub use self::limits::Limits;
-pub use self::report::{Denial, Ended, Report};
 pub use self::traffic::{Moved, Traffic};
+pub use bcap_gateway::driver::Denial;
+
+/// What a gateway reports to its log.
+pub type Report<'a> = driver::Report<'a, SocketAddr, io::Error, io::ErrorKind>;
+
+/// Why the session of a client ended.
+pub type Ended = driver::Ended<io::ErrorKind>;
+
+/// Receives every report.
+type Log = Box<dyn FnMut(&Report<'_>) + Send>;
 
 /// Drives a gateway over the sockets of this machine.
 #[derive(Debug)]
 pub struct Driver {
-    shared: Arc<GatewayState>,
+    shared: Arc<SharedGateway>,
     robot: HostPort,
     options: Options,
+    tap: Tap,
     limits: Limits,
     modbus: Option<(TcpListener, &'static [Entry])>,
 }
@@ -87,11 +98,12 @@ impl Driver {
         if gateway.config().client.link == Link::Datagram {
             gateway.set_next_serial(random_serial());
         }
-        let shared = Arc::new(GatewayState::new(gateway, Box::new(log)));
+        let shared = Arc::new(SharedGateway::new(gateway, Box::new(log)));
         Self {
             shared,
             robot: (host.into(), port),
             options: Options::default(),
+            tap: Tap::default(),
             limits: Limits::default(),
             modbus: None,
         }
@@ -110,12 +122,11 @@ impl Driver {
         Self { modbus: Some((listener, map)), ..self }
     }
 
-    /// Shows all bytes of PLCs and of the robot to a function, such as a recording. It is called while the gateway is locked, so
-    /// it must be short.
+    /// Shows all bytes of PLCs and of the robot to a function, such as a recording. No task moves bytes while it is called, so it
+    /// must be short.
     #[must_use]
     pub fn tap(self, tap: impl FnMut(&Traffic<'_>) + Send + 'static) -> Self {
-        self.shared.lock().tap.0 = Some(Box::new(tap));
-        self
+        Self { tap: Tap::new(tap), ..self }
     }
 
     /// Changes how long connecting to the robot over TCP may take for each address of its name; 3 s by default.
@@ -134,30 +145,30 @@ impl Driver {
     ///
     /// When the future is dropped all connections are closed at once; a running request may have been carried out.
     pub async fn run(self, listener: TcpListener, shutdown: impl Future<Output = ()>) -> Counters {
+        let Self { shared, robot, options, tap, limits, modbus } = self;
         let (stop, stopped) = watch::channel(());
-        let listen =
-            |listener, map| clients::listen(listener, map, Arc::clone(&self.shared), self.limits, stopped.clone());
-        let rac = listen(listener, None);
-        let modbus = self.modbus.map(|(listener, map)| listen(listener, Some(map)));
+        let plant = Plant { shared: Arc::clone(&shared), tap: tap.clone(), limits, stopped };
         let clients = async {
-            tokio::join!(
-                rac,
-                async {
-                    if let Some(modbus) = modbus {
-                        modbus.await
-                    }
-                },
-                async {
-                    shutdown.await;
-                    // every task sees that the sender is dropped
-                    drop(stop);
+            let modbus = async {
+                if let Some((listener, map)) = modbus {
+                    clients::listen(listener, Some(map), plant.clone()).await;
                 }
-            )
+            };
+            let stop = async {
+                shutdown.await;
+                shared.stop();
+                // every listener sees that the sender is dropped
+                drop(stop);
+            };
+            tokio::join!(clients::listen(listener, None, plant.clone()), modbus, stop)
         };
+        let kind = shared.view(|gateway| gateway.config().client.link).unwrap_or(Link::Stream);
+        let mut link = RobotSocket { robot, kind, options, tap, socket: None };
+        let mut frame = vec![0; DATAGRAM_ROOM];
         tokio::select! {
             ((), (), ()) = clients => {}
-            never = robot::run(Arc::clone(&self.shared), self.robot, self.options) => match never {},
+            never = driver::run_robot(&mut link, &mut frame, &shared) => never,
         }
-        self.shared.counters()
+        shared.view(|gateway| *gateway.counters()).unwrap_or_default()
     }
 }

@@ -3,8 +3,9 @@
 use std::fmt;
 use std::io;
 use std::net::SocketAddr;
+use std::sync::{Arc, Mutex, PoisonError};
 
-/// The traffic of a gateway's connection.
+/// What a connection of a gateway has moved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Traffic<'a> {
@@ -14,11 +15,11 @@ pub struct Traffic<'a> {
     pub client: SocketAddr,
     /// The address of the server: this gateway, or the robot.
     pub server: SocketAddr,
-    /// The event.
+    /// What has happened.
     pub moved: Moved<'a>,
 }
 
-/// An event on a connection.
+/// What has happened on a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Moved<'a> {
@@ -37,16 +38,21 @@ pub(super) type Ends = (bool, SocketAddr, SocketAddr);
 type Show = Box<dyn FnMut(&Traffic<'_>) + Send>;
 
 /// Receives all traffic, if the user of the driver wants it.
-#[derive(Default)]
-pub(super) struct Tap(pub(super) Option<Show>);
+#[derive(Clone, Default)]
+pub(super) struct Tap(Option<Arc<Mutex<Show>>>);
 
 impl Tap {
-    /// Shows an event on a connection; a socket without addresses has ended and shows nothing.
-    pub(super) fn show(&mut self, ends: impl FnOnce() -> io::Result<Ends>, moved: Moved<'_>) {
-        if let Some(tap) = &mut self.0
+    pub(super) fn new(show: impl FnMut(&Traffic<'_>) + Send + 'static) -> Self {
+        Self(Some(Arc::new(Mutex::new(Box::new(show)))))
+    }
+
+    /// Shows what has happened on a connection; a socket without addresses has ended and shows nothing.
+    pub(super) fn show(&self, ends: impl FnOnce() -> io::Result<Ends>, moved: Moved<'_>) {
+        if let Some(tap) = &self.0
             && let Ok((is_tcp, client, server)) = ends()
         {
-            tap(&Traffic { is_tcp, client, server, moved });
+            let mut show = tap.lock().unwrap_or_else(PoisonError::into_inner);
+            show(&Traffic { is_tcp, client, server, moved });
         }
     }
 }

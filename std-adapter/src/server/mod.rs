@@ -63,8 +63,6 @@ use shared::ServerState;
 
 pub use admission::{Admission, SlotState, Slots};
 pub use limits::Limits;
-#[cfg(feature = "gateway")]
-pub(crate) use rac::refuse as refuse_rac;
 #[cfg(feature = "serial")]
 pub use serial::{LineEvent, LineReport};
 pub use shared::{OnConnect, Tap};

@@ -32,7 +32,7 @@ pub(super) async fn listen<H: Handler + Send + 'static>(
 }
 
 /// Answers the first line of a connection over the limit with E_MAX_CONNECT.
-pub(crate) async fn refuse(mut stream: TcpStream) {
+async fn refuse(mut stream: TcpStream) {
     let answer = async {
         let mut framer: LineFramer = LineFramer::new();
         while framer.poll().is_none_or(|framed| matches!(framed, Framed::TooLong)) {

@@ -8,11 +8,11 @@ use std::cell::RefCell;
 use std::net::Ipv4Addr;
 
 use bcap_core::rac::{self, Request};
-use bcap_embassy::gateway::{Listener, ModbusLink, ModbusListener, Report, SharedGateway, serve};
+use bcap_embassy::gateway::{Front, Listener, ModbusListener, Report, SharedGateway, serve};
 use bcap_embassy::net::Options;
 use bcap_embassy::serial;
 use bcap_embassy::server::Limits;
-use bcap_gateway::modbus::{self, Front};
+use bcap_gateway::modbus;
 use bcap_gateway::{Config, Gateway, Memory};
 use embassy_futures::select::{Either, Either3, select, select3};
 use embassy_net::tcp::TcpSocket;
@@ -84,14 +84,10 @@ async fn serve_line(mut socket: TcpSocket<'_>, protocol: Protocol, shared: &Shar
     if !is_admitted {
         // the stack sends the reset
     } else if protocol == Protocol::Rac {
-        serve(&mut transport, None, shared, &Limits::default()).await.unwrap();
+        serve(&mut transport, Front::Rac, None, shared, &Limits::default()).await.unwrap();
     } else {
-        let mut front = Front::new(map());
-        let permits = |request: &Request<'_>| {
-            shared.view(|gateway| gateway.config().rules.permits(request, None).is_ok()).unwrap_or_default()
-        };
-        let mut link = ModbusLink::new(&mut transport, &mut front, permits);
-        serve(&mut link, None, shared, &Limits::default()).await.unwrap();
+        let mut front = modbus::Front::new(map());
+        serve(&mut transport, Front::Modbus(&mut front), None, shared, &Limits::default()).await.unwrap();
     }
     std::future::pending().await
 }

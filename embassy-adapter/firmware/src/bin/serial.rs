@@ -8,7 +8,7 @@
 use bcap_board::watchdog::{self, Task, watched};
 use bcap_board::{RuleMemory, Settings, report, stack};
 use bcap_core::bcap::client;
-use bcap_embassy::gateway::{SerialRobot, SharedGateway, run_robot, serve};
+use bcap_embassy::gateway::{Front, SerialRobot, SharedGateway, run_robot, serve};
 use bcap_embassy::serial::transport;
 use bcap_embassy::server::Limits;
 use bcap_firmware::lines::Line;
@@ -77,7 +77,7 @@ async fn serve_plc(board: &'static Board) -> ! {
     let mut line = transport(Line::third());
     let work = async {
         loop {
-            let _ = serve(&mut line, None, board, &Limits::default()).await;
+            let _ = serve(&mut line, Front::Rac, None, board, &Limits::default()).await;
         }
     };
     watched(Task::new(1), work).await

@@ -1,0 +1,264 @@
+//! The PLC side of a gateway: sessions.
+
+use core::net::Ipv4Addr;
+use core::time::Duration;
+
+use bcap_core::handler::PeerId;
+use bcap_core::io::asynch::Transport;
+use bcap_core::time::Instant;
+
+use super::notify::{first, yield_now};
+use super::{Ended, Front, Limits, Platform, SharedGateway};
+
+/// The answer to the first line of a client without a slot, E_MAX_CONNECT.
+const FULL: &[u8] = b"-2147481333\r";
+
+/// Serves one PLC until its session ends, and returns the reason; `None` when it gets no slot.
+///
+/// When all slots are in use, it first ends the session of the client that has been idle for the longest time, at least
+/// [`Limits::evict_after`], preferably one of the same host.
+///
+/// Bytes move through `chunk`. `failure` returns the reported part of an error of the transport.
+///
+/// # Cancel safety
+///
+/// Dropping the future frees the slot and leaves the transport open.
+pub async fn serve<X: Transport, P: Platform>(
+    transport: &mut X,
+    mut front: Front<'_, '_>,
+    client: P::Address,
+    shared: &SharedGateway<'_, P>,
+    limits: &Limits,
+    chunk: &mut [u8],
+    failure: fn(&X::Error) -> P::Failure,
+) -> Option<Ended<X::Error>> {
+    let mut slot = ClientSlot { peer: shared.open(client, limits)?, shared, ended: None };
+    let ended = run_session(transport, &mut front, shared, (slot.peer, P::ipv4(client)), limits, chunk).await;
+    let ended = ended.unwrap_or_else(Ended::Failed);
+    slot.ended = Some(ended.as_ref().map(failure));
+    Some(ended)
+}
+
+/// A client's slot in the gateway; dropping it frees the slot.
+struct ClientSlot<'a, 'm, P: Platform> {
+    peer: PeerId,
+    shared: &'a SharedGateway<'m, P>,
+    ended: Option<Ended<P::Failure>>,
+}
+
+impl<P: Platform> Drop for ClientSlot<'_, '_, P> {
+    fn drop(&mut self) {
+        self.shared.close(self.peer, self.ended);
+    }
+}
+
+/// What a session does next.
+enum Next {
+    /// Move lines or events first.
+    Poll,
+    /// Send this number of bytes to the client.
+    Send(usize),
+    /// Receive up to this number of bytes; 0 while an answer is outstanding.
+    Receive(usize),
+}
+
+/// The kind of a client's time limit.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Limited {
+    No,
+    Sending,
+    Receiving,
+    Idle,
+}
+
+impl Limited {
+    /// Returns the limit and the reason to end after it.
+    fn limit<E>(self, limits: &Limits) -> Option<(Duration, Ended<E>)> {
+        match self {
+            Self::No => None,
+            Self::Sending => Some((limits.send, Ended::ReplyNotRead)),
+            Self::Receiving => Some((limits.receive, Ended::RequestTooSlow)),
+            Self::Idle => limits.idle.map(|idle| (idle, Ended::Idle)),
+        }
+    }
+}
+
+/// Moves lines and answers until the session ends.
+async fn run_session<X: Transport, P: Platform>(
+    transport: &mut X,
+    front: &mut Front<'_, '_>,
+    shared: &SharedGateway<'_, P>,
+    (peer, address): (PeerId, Option<Ipv4Addr>),
+    limits: &Limits,
+    chunk: &mut [u8],
+) -> Result<Ended<X::Error>, X::Error> {
+    let (mut limited, mut since) = (Limited::No, Instant::ZERO);
+    loop {
+        shared.poll_for_client();
+        let (next, limit) = match plan(shared, front, (peer, address), chunk) {
+            Ok(plan) => plan,
+            Err(ended) => return Ok(ended.map(|never| match never {})),
+        };
+        if matches!(next, Next::Poll) {
+            continue;
+        }
+        let now = transport.now();
+        if limit != limited {
+            (limited, since) = (limit, now);
+        }
+        let until = match limited.limit(limits) {
+            Some((limit, ended)) => {
+                let until = since.saturating_add(limit);
+                if now >= until {
+                    return Ok(ended);
+                }
+                until
+            }
+            None => Instant::FAR_FUTURE,
+        };
+        match next {
+            Next::Poll => {}
+            Next::Send(count) => {
+                let answer = match front {
+                    Front::Rac => chunk.get(..count).unwrap_or_default(),
+                    Front::Modbus(front) => front.transmit(),
+                };
+                if let Some(sent) = transport.send(answer, until).await? {
+                    shared.with(|shared| {
+                        front.transmitted(&mut shared.gateway, peer, address, sent);
+                        shared.moved(peer, front);
+                    });
+                    limited = Limited::No;
+                }
+                // one line a turn, so a client that sends many lines at once does not slow the others
+                yield_now().await;
+            }
+            Next::Receive(room) => {
+                let room = chunk.get_mut(..room).unwrap_or_default();
+                match wait_for_bytes(transport, room, until, (shared, peer)).await? {
+                    Some(0) => return Ok(Ended::Closed),
+                    Some(count) => {
+                        let bytes = chunk.get(..count).unwrap_or_default();
+                        shared.with(|shared| {
+                            // they fit, because only this task adds bytes, and answers only remove some
+                            front.received(&mut shared.gateway, peer, address, bytes);
+                            shared.moved(peer, front);
+                        });
+                        // an idle client was active
+                        if limited == Limited::Idle {
+                            limited = Limited::No;
+                        }
+                    }
+                    None => {}
+                }
+            }
+        }
+    }
+}
+
+/// Decides what a session does next, and which limit applies; copies bytes to send to a client of RAC into `chunk`.
+fn plan<P: Platform>(
+    shared: &SharedGateway<'_, P>,
+    front: &mut Front<'_, '_>,
+    (peer, address): (PeerId, Option<Ipv4Addr>),
+    chunk: &mut [u8],
+) -> Result<(Next, Limited), Ended<core::convert::Infallible>> {
+    let planned = shared.with(|shared| {
+        if shared.address(peer).is_none() {
+            return Err(Ended::Evicted);
+        }
+        let moved = front.exchange(&mut shared.gateway, peer, address);
+        shared.exchanged(peer, front);
+        if moved {
+            return Ok((Next::Poll, Limited::No));
+        }
+        if front.is_broken() {
+            return Err(Ended::NotModbus);
+        }
+        let to_send = front.to_send(&shared.gateway, peer);
+        if to_send > 0 {
+            let copied = chunk.iter_mut().zip(shared.gateway.transmit(peer)).map(|(to, from)| *to = *from).count();
+            return Ok((Next::Send(if matches!(front, Front::Rac) { copied } else { to_send }), Limited::Sending));
+        }
+        let is_running = front.is_running(&shared.gateway, peer);
+        if shared.is_stopping() && !is_running {
+            return Err(Ended::Stopped);
+        }
+        let limited = match (is_running, front.is_receiving(&shared.gateway, peer)) {
+            (true, _) => Limited::No,
+            (false, true) => Limited::Receiving,
+            (false, false) => Limited::Idle,
+        };
+        let room = if shared.is_stopping() { 0 } else { front.room(&mut shared.gateway, peer).min(chunk.len()) };
+        Ok((Next::Receive(room), limited))
+    });
+    planned.unwrap_or(Ok((Next::Receive(0), Limited::No)))
+}
+
+/// Waits for bytes, for `until`, or for an event that concerns the client.
+async fn wait_for_bytes<X: Transport, P: Platform>(
+    transport: &mut X,
+    room: &mut [u8],
+    until: Instant,
+    (shared, peer): (&SharedGateway<'_, P>, PeerId),
+) -> Result<Option<usize>, X::Error> {
+    let notify = shared.wait_for_client(peer);
+    if room.is_empty() {
+        // further bytes wait until the request before them is answered
+        first(transport.sleep_until(until), notify).await;
+        return Ok(None);
+    }
+    first(transport.receive(room, until), notify).await.unwrap_or(Ok(None))
+}
+
+/// Answers the first request of a client without a slot, for at most `limit`: a line with E_MAX_CONNECT, a request of Modbus with
+/// the exception "server device busy".
+///
+/// # Cancel safety
+///
+/// Dropping the future leaves the transport open.
+pub async fn refuse<X: Transport>(transport: &mut X, mut front: Front<'_, '_>, limit: Duration, chunk: &mut [u8]) {
+    let until = transport.now().saturating_add(limit);
+    // not before its line arrives, because a line that arrives after the close would reset the connection
+    loop {
+        match transport.receive(chunk, until).await {
+            Ok(Some(count @ 1..)) => {
+                if is_request(&mut front, chunk.get(..count).unwrap_or_default()) {
+                    break;
+                }
+            }
+            Ok(None) if transport.now() < until => {}
+            _ => return,
+        }
+    }
+    let answer = match &front {
+        Front::Rac => FULL,
+        Front::Modbus(front) => front.transmit(),
+    };
+    // a client that does not read it has no slot either
+    let _ = transport.send(answer, until).await;
+}
+
+/// Tells whether the bytes complete a request of Modbus, or are part of a line, and makes the answer.
+fn is_request(front: &mut Front<'_, '_>, bytes: &[u8]) -> bool {
+    let Front::Modbus(front) = front else { return bytes.contains(&b'\r') };
+    let bytes = bytes.get(..front.room()).unwrap_or(bytes);
+    front.received(bytes, |_| true);
+    if !front.line().is_empty() {
+        front.replied(FULL, |_| true);
+    }
+    front.is_broken() || !front.transmit().is_empty()
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use super::*;
+    use bcap_core::hresult::HResult;
+
+    #[test]
+    fn a_full_gateway_answers_e_max_connect() {
+        assert_eq!(std::format!("{}\r", HResult::E_MAX_CONNECT.0).as_bytes(), FULL);
+    }
+}

@@ -1,0 +1,116 @@
+//! The protocol of a client: RAC, or Modbus TCP, whose requests become lines of RAC.
+
+use core::net::Ipv4Addr;
+
+use bcap_core::handler::PeerId;
+use bcap_core::rac::Request;
+
+use crate::{Gateway, Rules, modbus};
+
+/// The protocol of a client. A client of Modbus has a front of its connection.
+#[derive(Debug)]
+pub enum Front<'a, 'm> {
+    /// The client speaks RAC.
+    Rac,
+    /// The client speaks Modbus TCP.
+    Modbus(&'a mut modbus::Front<'m>),
+}
+
+impl Front<'_, '_> {
+    /// Moves lines and replies between a client of Modbus and the gateway. After `true` the gateway must be polled.
+    pub(super) fn exchange(&mut self, gateway: &mut Gateway<'_>, peer: PeerId, client: Option<Ipv4Addr>) -> bool {
+        let Self::Modbus(front) = self else { return false };
+        let rules = gateway.config().rules;
+        let reply = gateway.transmit(peer);
+        let replied = reply.len();
+        if replied > 0 {
+            front.replied(reply, permits(&rules, client));
+            gateway.transmitted(peer, replied);
+        }
+        let count = gateway.receive_buffer(peer).iter_mut().zip(front.line()).map(|(to, from)| *to = *from).count();
+        if count > 0 {
+            front.line_taken(count);
+            gateway.received(peer, count);
+        }
+        replied > 0 || count > 0
+    }
+
+    /// Returns the number of bytes to send to the client.
+    pub(super) fn to_send(&self, gateway: &Gateway<'_>, peer: PeerId) -> usize {
+        match self {
+            Self::Rac => gateway.transmit(peer).len(),
+            Self::Modbus(front) => front.transmit().len(),
+        }
+    }
+
+    /// Returns the number of bytes of the client that there is room for.
+    pub(super) fn room(&self, gateway: &mut Gateway<'_>, peer: PeerId) -> usize {
+        match self {
+            Self::Rac => gateway.receive_buffer(peer).len(),
+            Self::Modbus(front) => front.room(),
+        }
+    }
+
+    /// Passes on bytes from the client; they fit.
+    pub(super) fn received(&mut self, gateway: &mut Gateway<'_>, peer: PeerId, client: Option<Ipv4Addr>, bytes: &[u8]) {
+        match self {
+            Self::Rac => {
+                if let Some(room) = gateway.receive_buffer(peer).get_mut(..bytes.len()) {
+                    room.copy_from_slice(bytes);
+                    gateway.received(peer, bytes.len());
+                }
+            }
+            Self::Modbus(front) => front.received(bytes, permits(&gateway.config().rules, client)),
+        }
+    }
+
+    /// Records that the client's link has taken some of the bytes to send.
+    pub(super) fn transmitted(
+        &mut self,
+        gateway: &mut Gateway<'_>,
+        peer: PeerId,
+        client: Option<Ipv4Addr>,
+        count: usize,
+    ) {
+        match self {
+            Self::Rac => gateway.transmitted(peer, count),
+            Self::Modbus(front) => {
+                front.transmitted(count);
+                // the next request may have arrived
+                front.received(&[], permits(&gateway.config().rules, client));
+            }
+        }
+    }
+
+    /// Tells whether a request runs.
+    pub(super) fn is_running(&self, gateway: &Gateway<'_>, peer: PeerId) -> bool {
+        match self {
+            Self::Rac => gateway.is_running(peer),
+            Self::Modbus(front) => front.is_running(),
+        }
+    }
+
+    /// Tells whether a request of a client of Modbus runs or bytes of its response are left to send. Its client keeps its slot
+    /// meanwhile, also between two lines, while the gateway itself has nothing to do for it.
+    pub(super) fn is_busy(&self) -> bool {
+        matches!(self, Self::Modbus(front) if front.is_running() || !front.transmit().is_empty())
+    }
+
+    /// Tells whether a part of a request has arrived.
+    pub(super) fn is_receiving(&self, gateway: &Gateway<'_>, peer: PeerId) -> bool {
+        match self {
+            Self::Rac => gateway.is_receiving(peer),
+            Self::Modbus(front) => front.is_receiving(),
+        }
+    }
+
+    /// Tells whether a client of Modbus sent other bytes.
+    pub(super) fn is_broken(&self) -> bool {
+        matches!(self, Self::Modbus(front) if front.is_broken())
+    }
+}
+
+/// Returns whether the rules permit a request of a client.
+fn permits(rules: &Rules<'_>, client: Option<Ipv4Addr>) -> impl Fn(&Request<'_>) -> bool {
+    move |request| rules.permits(request, client).is_ok()
+}
