@@ -4,9 +4,8 @@
 #![no_std]
 
 use bcap_core::rac::{self, VariableKind};
-use bcap_embassy::gateway::{Listener, Report, SharedGateway, TcpRobot, run_robot};
+use bcap_embassy::gateway::{Limits, Listener, Report, SharedGateway, TcpRobot, run_robot};
 use bcap_embassy::net::Options;
-use bcap_embassy::server::Limits;
 use bcap_gateway::{Allow, Config, Event, Gateway, Memory, Rules};
 use embassy_net::{IpEndpoint, Stack};
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;

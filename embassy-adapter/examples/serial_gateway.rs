@@ -6,9 +6,8 @@
 
 use bcap_core::bcap::client;
 use bcap_core::rac::VariableKind;
-use bcap_embassy::gateway::{Front, Report, SerialRobot, SharedGateway, run_robot, serve};
+use bcap_embassy::gateway::{Front, Limits, Report, SerialRobot, SharedGateway, run_robot, serve};
 use bcap_embassy::serial::transport;
-use bcap_embassy::server::Limits;
 use bcap_gateway::{Allow, Config, Event, Gateway, Memory, Rules};
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embedded_io_async::{Read, Write};

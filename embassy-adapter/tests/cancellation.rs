@@ -542,7 +542,7 @@ fn gateway() {
         let mut socket_memory = [[0; 512]; 2];
         let [rx, tx] = &mut socket_memory;
         let mut plc = TcpSocket::new(plcs, rx, tx);
-        let limits = Limits::default();
+        let limits = gateway::Limits::default();
         let mut frame = [0; 512];
         let test = async {
             for polls in 1..=60 {
@@ -619,7 +619,7 @@ fn fronts() {
         let mut modbus =
             gateway::ModbusListener::new(board, modbus::PORT, &map, [modbus_rx, modbus_tx], Options::default());
         let mut http = HttpListener::new(board, 80, [http_rx, http_tx], page, Options::default());
-        let limits = Limits::default();
+        let limits = gateway::Limits::default();
         let answer = |path: &str, page: &mut dyn std::fmt::Write| page.write_str(path).ok().map(|()| Content::Text);
         for polls in 1..=30_u8 {
             // there is no robot, so the response is the exception 0x0a
@@ -735,7 +735,6 @@ const DRIVER: &[(&str, Coverage)] = &[
     ("driver/clients.rs: refuse", Exempt("it has no slot, and otherwise awaits what serve awaits")),
     ("driver/clients.rs: run_session", Through("driver/clients.rs: serve")),
     ("driver/clients.rs: serve", Swept("gateway::Listener::run")),
-    ("driver/clients.rs: wait_for_bytes", Through("driver/clients.rs: serve")),
     ("driver/notify.rs: first", Through("driver/clients.rs: serve")),
     ("driver/notify.rs: yield_now", Through("driver/clients.rs: serve")),
     ("driver/robot.rs: RobotLink::open", DECLARED),

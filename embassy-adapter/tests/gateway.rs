@@ -62,7 +62,7 @@ async fn run<L: gateway::RobotLink<Cause = NetError>>(
     stack: Stack<'_>,
     mut link: L,
     plant: &Plant<'_>,
-    limits: Limits,
+    limits: gateway::Limits,
 ) {
     let mut memory = [[[0; 512]; 2]; 3];
     let [[rx0, tx0], [rx1, tx1], [rx2, tx2]] = &mut memory;
@@ -167,7 +167,7 @@ fn plcs_are_served_and_refusals_logged() {
             let mut c = plc(plcs, &mut c).await;
             assert_eq!(ask(&mut c, "GET:RC8:1:I:\r").await, "0,3,8\r");
         });
-        select3(run(board, link, &plant, Limits::default()), serve_robot(plcs, &number), test).await;
+        select3(run(board, link, &plant, gateway::Limits::default()), serve_robot(plcs, &number), test).await;
     });
 }
 
@@ -179,7 +179,8 @@ fn a_full_gateway_answers_so_and_an_idle_client_makes_room() {
         let mut buffers = [[0; 1024]; 2];
         let [rx, tx] = &mut buffers;
         let link = TcpRobot::new(board, rx, tx, Options::default(), robot());
-        let limits = Limits { evict_after: Some(core::time::Duration::from_millis(300)), ..Limits::default() };
+        let limits =
+            gateway::Limits { evict_after: Some(core::time::Duration::from_millis(300)), ..gateway::Limits::default() };
         let test = ends(async {
             let mut memory = [[[0; 512]; 2]; 4];
             let [a, b, c, d] = &mut memory;
@@ -229,7 +230,7 @@ fn a_client_of_another_network_is_not_served() {
                     assert!(a.read(&mut [0]).await.is_err(), "it is reset");
                 }
             });
-            select(run(board, link, &plant, Limits::default()), test).await;
+            select(run(board, link, &plant, gateway::Limits::default()), test).await;
         }
         assert!(logged(&format!("denied {} Address", address(0))));
     });
@@ -256,7 +257,7 @@ fn a_disconnected_robot_is_reported_at_once_and_reconnected() {
             assert!(logged(&format!("robot down {:?}", Some(NetError::Reset))));
             assert!(logged(&format!("failed {}", HResult::E_NOT_CONNECTED)));
         });
-        select(run(board, link, &plant, Limits::default()), test).await;
+        select(run(board, link, &plant, gateway::Limits::default()), test).await;
     });
 }
 
@@ -269,7 +270,7 @@ fn slow_requests_end_a_session_and_an_unplugged_cable_ends_all() {
         let mut buffers = [[0; 1024]; 2];
         let [rx, tx] = &mut buffers;
         let link = TcpRobot::new(board, rx, tx, Options::default(), robot());
-        let limits = Limits { receive: core::time::Duration::from_millis(100), ..Limits::default() };
+        let limits = gateway::Limits { receive: core::time::Duration::from_millis(100), ..gateway::Limits::default() };
         let test = ends(async {
             let (mut a, mut b) = ([[0; 512]; 2], [[0; 512]; 2]);
             let mut a = plc(plcs, &mut a).await;
@@ -327,6 +328,6 @@ fn a_robot_over_udp_is_reached_despite_losses() {
                 assert_eq!(ask(&mut a, "GET:RC8:1:I:\r").await, format!("0,3,{value}\r"));
             }
         });
-        select3(run(board, link, &plant, Limits::default()), serving, test).await;
+        select3(run(board, link, &plant, gateway::Limits::default()), serving, test).await;
     });
 }

@@ -5,7 +5,7 @@ use std::cell::RefCell;
 use crate::common::{Number, address, between};
 use bcap_core::bcap::server;
 use bcap_core::rac::VariableKind;
-use bcap_embassy::gateway::{ModbusListener, Report, SharedGateway, TcpRobot, run_robot};
+use bcap_embassy::gateway::{self, ModbusListener, Report, SharedGateway, TcpRobot, run_robot};
 use bcap_embassy::net::{Options, Usage};
 use bcap_embassy::server::{Limits, Listener, SharedHandler};
 use bcap_gateway::modbus::{Entry, PORT};
@@ -44,7 +44,7 @@ async fn run(stack: Stack<'_>, plant: &Plant<'_>, map: &[Entry]) {
     let mut link = TcpRobot::new(stack, rx, tx, Options::default(), IpEndpoint::from((address(0), 5007)));
     let [mut a, mut b, mut c] =
         rest.each_mut().map(|[rx, tx]| ModbusListener::new(stack, PORT, map, [rx, tx], Options::default()));
-    let (mut frame, limits) = ([0; 512], Limits::default());
+    let (mut frame, limits) = ([0; 512], gateway::Limits::default());
     let clients = join3(a.run(plant, &limits), b.run(plant, &limits), c.run(plant, &limits));
     join(run_robot(&mut link, &mut frame, plant), clients).await;
 }
@@ -146,7 +146,7 @@ fn a_part_of_a_frame_ends_a_session() {
             let [rx, tx] = &mut memory;
             let mut listener = ModbusListener::new(board, PORT, &map, [rx, tx], Options::default());
             let receive = core::time::Duration::from_secs(2);
-            listener.run(&plant, &Limits { receive, ..Limits::default() }).await
+            listener.run(&plant, &gateway::Limits { receive, ..gateway::Limits::default() }).await
         };
         let test = async {
             let mut memory = [[[0; 512]; 2]; 3];
@@ -204,7 +204,7 @@ fn a_client_that_no_listener_can_serve_gets_an_exception_instead_of_a_reset() {
             let mut memory = [[[0; 512]; 2]; 2];
             let [served, spare] =
                 memory.each_mut().map(|[rx, tx]| ModbusListener::new(board, PORT, &map, [&mut rx[..], tx], options));
-            let ([mut served, mut spare], limits) = ([served, spare], Limits::default());
+            let ([mut served, mut spare], limits) = ([served, spare], gateway::Limits::default());
             join(served.run(&plant, &limits), spare.refuse(&plant)).await;
         };
         let test = async {

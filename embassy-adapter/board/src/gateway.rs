@@ -20,9 +20,8 @@ use bcap_core::rac;
 use bcap_embassy::clock::now;
 #[cfg(feature = "modbus")]
 use bcap_embassy::gateway::ModbusListener;
-use bcap_embassy::gateway::{Listener, SharedGateway, TcpRobot, run_robot};
+use bcap_embassy::gateway::{Limits, Listener, SharedGateway, TcpRobot, run_robot};
 use bcap_embassy::net::{Options, UdpTransport};
-use bcap_embassy::server::Limits;
 use bcap_gateway::{Config, Gateway, Memory};
 use embassy_executor::{SpawnError, Spawner};
 use embassy_futures::select::select;

@@ -3,11 +3,10 @@
 use core::net::SocketAddrV4;
 
 use bcap_core::io::asynch::Transport;
-use bcap_gateway::driver::{self, Ended, Front};
+use bcap_gateway::driver::{self, Ended, Front, Limits};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 
 use super::SharedGateway;
-use crate::server::Limits;
 
 /// The size of the buffer through which bytes move; most lines are shorter.
 pub(super) const CHUNK: usize = 64;
@@ -22,12 +21,12 @@ pub(super) const CHUNK: usize = 64;
 /// # Cancel safety
 ///
 /// Dropping the future frees the slot and leaves the transport open.
-pub async fn serve<X: Transport, M: RawMutex, const N: usize>(
-    transport: &mut X,
-    front: Front<'_, '_>,
+pub fn serve<'a, X: Transport, M: RawMutex, const N: usize>(
+    transport: &'a mut X,
+    front: Front<'a, '_>,
     client: Option<SocketAddrV4>,
-    shared: &SharedGateway<'_, M, N>,
-    limits: &Limits,
-) -> Option<Ended<X::Error>> {
-    driver::serve(transport, front, client, shared, &limits.of_driver(), &mut [0; CHUNK], |_| ()).await
+    shared: &'a SharedGateway<'_, M, N>,
+    limits: &'a Limits,
+) -> impl Future<Output = Option<Ended<X::Error>>> {
+    driver::serve::<_, _, CHUNK>(transport, front, client, shared, limits, |_| ())
 }

@@ -3,7 +3,7 @@
 use core::net::SocketAddrV4;
 use core::time::Duration;
 
-use bcap_gateway::driver::{Ended, Front, refuse};
+use bcap_gateway::driver::{Ended, Front, Limits, refuse};
 use embassy_net::{IpAddress, IpEndpoint, Stack};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::Timer;
@@ -11,7 +11,6 @@ use embassy_time::Timer;
 use super::SharedGateway;
 use super::clients::{CHUNK, serve};
 use crate::net::{Options, TcpTransport};
-use crate::server::Limits;
 
 /// The pause before listening again after listening failed.
 const PAUSE_MS: u64 = 100;

@@ -20,9 +20,8 @@
 //! # #[cfg(feature = "embassy-net")] mod example {
 //! use bcap_gateway::{Config, Gateway, Memory};
 //! use bcap_core::rac;
-//! use bcap_embassy::gateway::{Listener, Report, SharedGateway, TcpRobot, run_robot};
+//! use bcap_embassy::gateway::{Limits, Listener, Report, SharedGateway, TcpRobot, run_robot};
 //! use bcap_embassy::net::Options;
-//! use bcap_embassy::server::Limits;
 //! use embassy_futures::join::join;
 //! use embassy_net::{IpEndpoint, Stack};
 //! use embassy_sync::blocking_mutex::raw::NoopRawMutex;
@@ -73,7 +72,7 @@ pub use self::serial::SerialRobot;
 #[cfg(feature = "embassy-net")]
 pub use self::tcp::TcpRobot;
 pub use crate::error::NetError;
-pub use bcap_gateway::driver::{Denial, Ended, Front, RobotLink, run_robot};
+pub use bcap_gateway::driver::{Denial, Ended, Front, Limits, RobotLink, run_robot};
 
 /// A gateway that several tasks share; `SESSIONS` is at least the number of its client slots.
 ///

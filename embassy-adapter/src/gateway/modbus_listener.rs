@@ -1,6 +1,6 @@
 //! TCP listeners for clients of Modbus over embassy-net.
 
-use bcap_gateway::driver::{Denial, Ended, Front, refuse};
+use bcap_gateway::driver::{Denial, Ended, Front, Limits, refuse};
 use bcap_gateway::modbus::{self, Entry};
 use embassy_net::Stack;
 use embassy_sync::blocking_mutex::raw::RawMutex;
@@ -9,7 +9,6 @@ use super::SharedGateway;
 use super::clients::{CHUNK, serve};
 use super::listener::{REFUSAL_TIME, accept, end};
 use crate::net::{Options, TcpTransport};
-use crate::server::Limits;
 
 /// A TCP listener that serves one client of Modbus at a time; use several on the same port to serve several clients, and one
 /// that [refuses](Self::refuse) further clients.

@@ -14,34 +14,21 @@ pub struct Limits {
     pub send: Duration,
     /// How long a connection may be idle before it is closed; `None` means forever.
     pub idle: Option<Duration>,
-    /// How long a client of a gateway must be idle before it may be disconnected to make room for another one; `None` means
-    /// never. Servers without a gateway ignore it.
-    pub evict_after: Option<Duration>,
     /// How long a UDP peer with a service must be idle before another peer may take its slot. Without one, before Service_Start and
     /// after Service_Stop, its slot may be taken at once.
     pub udp_idle: Duration,
 }
 
 impl Default for Limits {
-    /// 30 s for a request, 10 s for a reply, no idle limit on a connection, 10 s before another client may take its slot or
-    /// its UDP peer's.
+    /// 30 s for a request, 10 s for a reply, no idle limit on a connection, 10 s before another client may take the
+    /// slot of a UDP peer.
     fn default() -> Self {
         Self {
             receive: Duration::from_secs(30),
             send: Duration::from_secs(10),
             idle: None,
-            evict_after: Some(Duration::from_secs(10)),
             udp_idle: Duration::from_secs(10),
         }
-    }
-}
-
-#[cfg(feature = "gateway")]
-impl Limits {
-    /// Returns the limits for clients of a gateway.
-    pub(crate) const fn of_driver(&self) -> bcap_gateway::driver::Limits {
-        let Self { receive, send, idle, evict_after, .. } = *self;
-        bcap_gateway::driver::Limits { connections_per_address: usize::MAX, evict_after, receive, send, idle }
     }
 }
 

@@ -84,14 +84,13 @@ async fn serve(stream: TcpStream, client: SocketAddr, map: Map, mut plant: Plant
     let mut link = PlcLink { transport: TcpTransport::new(stream), tap: plant.tap.clone() };
     let (shared, limits) = (Arc::clone(&plant.shared), plant.limits.of_driver());
     let mut modbus = map.map(|map| Box::new(modbus::Front::new(map)));
-    let mut chunk = [0; CHUNK];
     let session =
-        driver::serve(&mut link, front(&mut modbus), client, &shared, &limits, &mut chunk, io::Error::kind).await;
+        driver::serve::<_, _, CHUNK>(&mut link, front(&mut modbus), client, &shared, &limits, io::Error::kind).await;
     if session.is_some() {
         link.show(Moved::Closed);
     } else if let Ok(_permit) = refusals.try_acquire() {
         tokio::select! {
-            () = driver::refuse(&mut link.transport, front(&mut modbus), REFUSAL_TIME, &mut chunk) => {}
+            () = driver::refuse(&mut link.transport, front(&mut modbus), REFUSAL_TIME, &mut [0; CHUNK]) => {}
             _ = plant.stopped.changed() => {}
         }
         // a client that has gone needs no end of the stream

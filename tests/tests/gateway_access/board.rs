@@ -7,11 +7,10 @@ mod common;
 use std::cell::RefCell;
 use std::net::Ipv4Addr;
 
-use bcap_core::rac::{self, Request};
-use bcap_embassy::gateway::{Front, Listener, ModbusListener, Report, SharedGateway, serve};
+use bcap_core::rac;
+use bcap_embassy::gateway::{Front, Limits, Listener, ModbusListener, Report, SharedGateway, serve};
 use bcap_embassy::net::Options;
 use bcap_embassy::serial;
-use bcap_embassy::server::Limits;
 use bcap_gateway::modbus;
 use bcap_gateway::{Config, Gateway, Memory};
 use embassy_futures::select::{Either, Either3, select, select3};

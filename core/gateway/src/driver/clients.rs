@@ -1,6 +1,7 @@
 //! The PLC side of a gateway: sessions.
 
 use core::net::Ipv4Addr;
+use core::pin::pin;
 use core::time::Duration;
 
 use bcap_core::handler::PeerId;
@@ -18,22 +19,21 @@ const FULL: &[u8] = b"-2147481333\r";
 /// When all slots are in use, it first ends the session of the client that has been idle for the longest time, at least
 /// [`Limits::evict_after`], preferably one of the same host.
 ///
-/// Bytes move through `chunk`. `failure` returns the reported part of an error of the transport.
+/// At most `CHUNK` bytes move at once. `failure` returns the reported part of an error of the transport.
 ///
 /// # Cancel safety
 ///
 /// Dropping the future frees the slot and leaves the transport open.
-pub async fn serve<X: Transport, P: Platform>(
+pub async fn serve<X: Transport, P: Platform, const CHUNK: usize>(
     transport: &mut X,
     mut front: Front<'_, '_>,
     client: P::Address,
     shared: &SharedGateway<'_, P>,
     limits: &Limits,
-    chunk: &mut [u8],
-    failure: fn(&X::Error) -> P::Failure,
+    failure: impl FnOnce(&X::Error) -> P::Failure,
 ) -> Option<Ended<X::Error>> {
     let mut slot = ClientSlot { peer: shared.open(client, limits)?, shared, ended: None };
-    let ended = run_session(transport, &mut front, shared, (slot.peer, P::ipv4(client)), limits, chunk).await;
+    let ended = run_session(transport, &mut front, shared, (slot.peer, P::ipv4(client)), limits, &mut [0; CHUNK]).await;
     let ended = ended.unwrap_or_else(Ended::Failed);
     slot.ended = Some(ended.as_ref().map(failure));
     Some(ended)
@@ -135,7 +135,17 @@ async fn run_session<X: Transport, P: Platform>(
             }
             Next::Receive(room) => {
                 let room = chunk.get_mut(..room).unwrap_or_default();
-                match wait_for_bytes(transport, room, until, (shared, peer)).await? {
+                let received = {
+                    let notify = pin!(shared.wait_for_client(peer));
+                    if room.is_empty() {
+                        // further bytes wait until the request before them is answered
+                        first(pin!(transport.sleep_until(until)), notify).await;
+                        None
+                    } else {
+                        first(pin!(transport.receive(room, until)), notify).await.transpose()?.flatten()
+                    }
+                };
+                match received {
                     Some(0) => return Ok(Ended::Closed),
                     Some(count) => {
                         let bytes = chunk.get(..count).unwrap_or_default();
@@ -193,22 +203,6 @@ fn plan<P: Platform>(
         Ok((Next::Receive(room), limited))
     });
     planned.unwrap_or(Ok((Next::Receive(0), Limited::No)))
-}
-
-/// Waits for bytes, for `until`, or for an event that concerns the client.
-async fn wait_for_bytes<X: Transport, P: Platform>(
-    transport: &mut X,
-    room: &mut [u8],
-    until: Instant,
-    (shared, peer): (&SharedGateway<'_, P>, PeerId),
-) -> Result<Option<usize>, X::Error> {
-    let notify = shared.wait_for_client(peer);
-    if room.is_empty() {
-        // further bytes wait until the request before them is answered
-        first(transport.sleep_until(until), notify).await;
-        return Ok(None);
-    }
-    first(transport.receive(room, until), notify).await.unwrap_or(Ok(None))
 }
 
 /// Answers the first request of a client without a slot, for at most `limit`: a line with E_MAX_CONNECT, a request of Modbus with

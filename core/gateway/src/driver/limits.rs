@@ -17,3 +17,17 @@ pub struct Limits {
     /// How long a client may be idle before its connection is closed; `None` means forever.
     pub idle: Option<Duration>,
 }
+
+impl Default for Limits {
+    /// Any number of connections of a host, 10 s until another client may take a slot, 30 s for a request, 10 s for an answer, no
+    /// limit to idle connections.
+    fn default() -> Self {
+        Self {
+            connections_per_address: usize::MAX,
+            evict_after: Some(Duration::from_secs(10)),
+            receive: Duration::from_secs(30),
+            send: Duration::from_secs(10),
+            idle: None,
+        }
+    }
+}

@@ -12,6 +12,7 @@
 //! [`Transport`](bcap_core::io::asynch::Transport)s. The lock, the clock and the types of addresses are those of a [`Platform`].
 //! `bcap-std` and `bcap-embassy` each contain one, and the sockets.
 
+mod client;
 mod clients;
 mod front;
 mod limits;
@@ -21,13 +22,14 @@ mod report;
 mod robot;
 mod shared;
 
+pub use self::client::Client;
 pub use self::clients::{refuse, serve};
 pub use self::front::Front;
 pub use self::limits::Limits;
 pub use self::platform::{Lock, Platform};
 pub use self::report::{Denial, Ended, Report};
 pub use self::robot::{RobotLink, run_robot};
-pub use self::shared::{Client, Shared, SharedGateway};
+pub use self::shared::{Shared, SharedGateway};
 
 #[cfg(test)]
 mod tests;

@@ -1,7 +1,7 @@
 //! Wakes tasks, for any executor.
 
 use core::future::poll_fn;
-use core::pin::pin;
+use core::pin::Pin;
 use core::task::{Context, Poll, Waker};
 
 /// Wakes one task; a notification without a waiting task stays pending.
@@ -31,9 +31,12 @@ impl Notify {
     }
 }
 
-/// Waits for `work` or `end`; `None` when `end` is ready first.
-pub(super) async fn first<T>(work: impl Future<Output = T>, end: impl Future<Output = ()>) -> Option<T> {
-    let (mut work, mut end) = (pin!(work), pin!(end));
+/// Waits for `work` or `end`; `None` when `end` is ready first. Both are pinned by the caller, because an async function keeps
+/// a second copy of a future that it pins.
+pub(super) async fn first<T>(
+    mut work: Pin<&mut impl Future<Output = T>>,
+    mut end: Pin<&mut impl Future<Output = ()>>,
+) -> Option<T> {
     poll_fn(|cx| match work.as_mut().poll(cx) {
         Poll::Ready(done) => Poll::Ready(Some(done)),
         Poll::Pending => end.as_mut().poll(cx).map(|()| None),

@@ -5,7 +5,8 @@ use core::net::Ipv4Addr;
 
 use bcap_core::time::Instant;
 
-use super::{Client, Report};
+use super::client::Client;
+use super::report::Report;
 
 /// A value that several tasks share.
 pub trait Lock<T> {

@@ -1,5 +1,7 @@
 //! The robot's side of a gateway: one connection, which is opened and closed as the gateway requests.
 
+use core::pin::pin;
+
 use bcap_core::bcap;
 use bcap_core::io::asynch::Transport;
 
@@ -52,7 +54,7 @@ pub async fn run_robot<L: RobotLink, P: Platform<Cause = L::Cause>>(
             }
             (true, true) => transfer(robot.link, frame, shared).await,
             (false, false) => {
-                first(robot.link.sleep_until(shared.next_poll()), shared.wait_for_robot()).await;
+                first(pin!(robot.link.sleep_until(shared.next_poll())), pin!(shared.wait_for_robot())).await;
                 Ok(())
             }
         };
@@ -109,7 +111,8 @@ async fn transfer<L: RobotLink, P: Platform>(
     let room = shared.with(|shared| shared.gateway.robot_receive_buffer().len()).unwrap_or_default();
     let len = room.min(frame.len());
     let room = frame.get_mut(..len).unwrap_or_default();
-    match first(link.receive(room, until), shared.wait_for_robot()).await {
+    let moved = first(pin!(link.receive(room, until)), pin!(shared.wait_for_robot())).await;
+    match moved {
         Some(Ok(Some(count))) => received::<L, P>(frame.get(..count).unwrap_or_default(), shared),
         Some(Ok(None)) | None => Ok(()),
         Some(Err(error)) => Err(L::cause(Some(error))),

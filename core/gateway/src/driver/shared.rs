@@ -7,6 +7,7 @@ use core::task::Poll;
 use bcap_core::handler::PeerId;
 use bcap_core::time::Instant;
 
+use super::client::{Client, Holder};
 use super::notify::Notify;
 use super::{Denial, Ended, Front, Limits, Lock, Platform, Report};
 use crate::{Event, Gateway};
@@ -25,30 +26,6 @@ pub struct Shared<'m, P: Platform> {
     cause: Option<P::Cause>,
     is_stopping: bool,
     log: P::Log,
-}
-
-/// The slot of a client, in the memory of a [`Platform`].
-#[derive(Debug)]
-pub struct Client<A> {
-    holder: Option<Holder<A>>,
-    notify: Notify,
-}
-
-/// The client in a slot.
-#[derive(Clone, Copy, Debug)]
-struct Holder<A> {
-    peer: PeerId,
-    address: A,
-    /// The time of its connection, or of the last bytes from it or to it.
-    last_active: Instant,
-    /// Whether its front is busy.
-    is_busy: bool,
-}
-
-impl<A> Default for Client<A> {
-    fn default() -> Self {
-        Self { holder: None, notify: Notify::default() }
-    }
 }
 
 impl<'m, P: Platform> SharedGateway<'m, P> {

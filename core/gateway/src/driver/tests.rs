@@ -4,9 +4,9 @@ extern crate std;
 
 use core::cell::RefCell;
 use core::net::Ipv4Addr;
+use core::sync::atomic::{AtomicU64, Ordering};
 use core::time::Duration;
 use std::string::String;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::vec::Vec;
 
 use bcap_core::handler::PeerId;

@@ -8,9 +8,8 @@
 use bcap_board::watchdog::{self, Task, watched};
 use bcap_board::{RuleMemory, Settings, report, stack};
 use bcap_core::bcap::client;
-use bcap_embassy::gateway::{Front, SerialRobot, SharedGateway, run_robot, serve};
+use bcap_embassy::gateway::{Front, Limits, SerialRobot, SharedGateway, run_robot, serve};
 use bcap_embassy::serial::transport;
-use bcap_embassy::server::Limits;
 use bcap_firmware::lines::Line;
 use bcap_firmware::{config, executor, fault};
 use bcap_gateway::{Config, Gateway, Memory};
