@@ -89,8 +89,9 @@ async fn serve(stream: TcpStream, client: SocketAddr, map: Map, mut plant: Plant
     if session.is_some() {
         link.show(Moved::Closed);
     } else if let Ok(_permit) = refusals.try_acquire() {
+        let mut chunk = [0; CHUNK];
         tokio::select! {
-            () = driver::refuse(&mut link.transport, front(&mut modbus), REFUSAL_TIME, &mut [0; CHUNK]) => {}
+            () = driver::refuse(&mut link.transport, front(&mut modbus), REFUSAL_TIME, &mut chunk) => {}
             _ = plant.stopped.changed() => {}
         }
         // a client that has gone needs no end of the stream
