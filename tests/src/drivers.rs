@@ -1,6 +1,6 @@
 //! The call sequences of public drivers and programs: `tests/drivers/*.jsonl`; its README explains the format.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 
@@ -333,7 +333,7 @@ pub fn sequences() -> Vec<Sequence> {
 ///
 /// # Panics
 ///
-/// When a line is wrong; `place` says where it is from.
+/// When a line is wrong, has an unknown word, or has a word without effect; `place` says where it is from.
 #[must_use]
 pub fn sequence(text: &str, place: &str) -> Sequence {
     fn read<T: for<'de> Deserialize<'de>>(line: &str, place: &str, number: usize) -> T {
@@ -341,8 +341,140 @@ pub fn sequence(text: &str, place: &str) -> Sequence {
     }
     let mut lines = text.lines().enumerate();
     let (_, head) = lines.next().unwrap_or_else(|| panic!("{place} is empty"));
-    let steps = lines.map(|(i, line)| read(line, place, i + 1)).collect();
-    Sequence { head: read(head, place, 1), steps }
+    let head: Head = read(head, place, 1);
+    let mut check = Check::of(&head);
+    let steps = lines.map(|(i, line)| {
+        let step = read(line, place, i + 1);
+        check.step(&step).unwrap_or_else(|e| panic!("{place}:{}: {e}: {line}", i + 1));
+        step
+    });
+    let steps = steps.collect();
+    check.end().unwrap_or_else(|e| panic!("{place}: {e}"));
+    Sequence { head, steps }
+}
+
+/// Refuses words that no player would understand, or that would have no effect.
+struct Check<'a> {
+    head: &'a Head,
+    /// The names of earlier replies.
+    names: BTreeSet<String>,
+    /// The titles of the calls.
+    titles: BTreeSet<String>,
+}
+
+impl<'a> Check<'a> {
+    fn of(head: &'a Head) -> Self {
+        Self { head, names: BTreeSet::from(["provider".to_owned()]), titles: BTreeSet::new() }
+    }
+
+    fn step(&mut self, step: &Step) -> Result<(), String> {
+        match step {
+            Step::Call(call) => self.call(call),
+            Step::Stream(stream) => self.stream(stream),
+            Step::Repeat(repeat) => {
+                self.names.insert("#".to_owned());
+                repeat.steps.iter().try_for_each(|step| self.step(step))
+            }
+            Step::Pause(_) => Ok(()),
+            Step::Event(Event { emergency_stop: None, error: None }) => Err("not a step".into()),
+            Step::Event(_) => Ok(()),
+        }
+    }
+
+    fn call(&mut self, call: &Call) -> Result<(), String> {
+        self.session(&call.on)?;
+        self.models(call.only.iter().flatten())?;
+        self.code(call.code.as_ref())?;
+        call.args.iter().chain(&call.is).chain(&call.until).try_for_each(|json| self.value(json))?;
+        call.gives.as_deref().map_or(Ok(()), is_type)?;
+        if call.until.is_some() && call.times.is_some() {
+            return Err("times has no effect with until".into());
+        }
+        call.during.iter().try_for_each(|step| self.step(step))?;
+        self.titles.insert(call.title());
+        self.names.extend(call.name.clone());
+        Ok(())
+    }
+
+    fn stream(&mut self, stream: &Stream) -> Result<(), String> {
+        self.session(&stream.on)?;
+        self.code(stream.ends.as_ref())?;
+        let robot = Json::from(stream.stream.clone());
+        [&robot, &stream.from]
+            .into_iter()
+            .chain(&stream.tail)
+            .chain(&stream.io)
+            .try_for_each(|json| self.value(json))?;
+        stream.gives.as_deref().map_or(Ok(()), is_type)?;
+        self.titles.insert("slvMove".to_owned());
+        match &*stream.numbers {
+            "R4" | "R8" | "VARIANT" => Ok(()),
+            other => Err(format!("a pose is not made of {other}")),
+        }
+    }
+
+    fn session(&self, name: &str) -> Result<(), String> {
+        if self.head.sessions.contains_key(name) { Ok(()) } else { Err(format!("no session is called {name}")) }
+    }
+
+    /// Refuses models whose programs another model also runs, and models on which the sequence is not played.
+    fn models<'m>(&self, models: impl IntoIterator<Item = &'m Model>) -> Result<(), String> {
+        let is_played = |model: Model| self.head.models.contains(&model) || self.head.failure(model).is_some();
+        let has_effect = |model: &&Model| model.like() == **model && is_played(**model);
+        let other = models.into_iter().find(|model| !has_effect(model));
+        other.map_or(Ok(()), |model| Err(format!("the sequence is not played on {model:?}")))
+    }
+
+    fn code(&self, code: Option<&Expected>) -> Result<(), String> {
+        match code {
+            Some(Expected::ByModel(codes)) => self.models(codes.keys()),
+            Some(Expected::Always(_)) | None => Ok(()),
+        }
+    }
+
+    /// Refuses names of no reply, and types that are unknown.
+    fn value(&self, json: &Json) -> Result<(), String> {
+        match json {
+            Json::String(text) => match text.strip_prefix('$').or((text == "#").then_some("#")) {
+                Some(name) => {
+                    let (name, part) = name.split_once('.').unwrap_or((name, "0"));
+                    let is_part = part.strip_suffix("..").unwrap_or(part).parse::<usize>().is_ok();
+                    let is_known = is_part && self.names.contains(name);
+                    if is_known { Ok(()) } else { Err(format!("no reply is called {text}")) }
+                }
+                None => Ok(()),
+            },
+            Json::Array(items) => items.iter().try_for_each(|item| self.value(item)),
+            Json::Object(typed) => match typed.iter().collect::<Vec<_>>()[..] {
+                [(name, json)] => is_element(name).and_then(|()| self.value(json)),
+                _ => Err("a value has one type".into()),
+            },
+            _ => Ok(()),
+        }
+    }
+
+    fn end(&self) -> Result<(), String> {
+        for (model, failure) in &self.head.elsewhere {
+            if self.head.models.contains(model) || !self.titles.contains(&failure.at) {
+                return Err(format!("{model:?} does not fail at {}", failure.at));
+            }
+        }
+        Ok(())
+    }
+}
+
+fn is_element(name: &str) -> Result<(), String> {
+    let is_known = TYPES.iter().any(|(known, _)| *known == name);
+    if is_known { Ok(()) } else { Err(format!("{name} is no type")) }
+}
+
+/// Refuses what is not a type as `I4`, `R8[8]` or `BSTR[]`.
+fn is_type(gives: &str) -> Result<(), String> {
+    let Some((element, count)) = gives.split_once('[') else { return is_element(gives) };
+    match count.strip_suffix(']') {
+        Some(count) if count.is_empty() || count.parse::<usize>().is_ok() => is_element(element),
+        _ => Err(format!("{gives} is no type")),
+    }
 }
 
 /// Values of earlier replies by name.

@@ -383,6 +383,37 @@ fn a_differing_answer_is_detected() {
 }
 
 #[test]
+fn words_without_a_meaning_are_refused() {
+    let head = r#"{"name": "x", "source": "x", "models": ["rc8"], "elsewhere": {"rc9": {"at": "ServiceStart", "code": "E_FAIL"}}}"#;
+    let start = r#"{"call": "ServiceStart", "args": [""]}"#;
+    let _ = sequence(&format!("{head}\n{start}"), "a test");
+    for wrong in [
+        r#"{}"#,
+        r#"{"paus_ms": 5}"#,
+        r#"{"call": "ServiceStart", "argz": [""]}"#,
+        r#"{"call": "ServiceStart", "on": "mian"}"#,
+        r#"{"call": "ServiceStart", "only": ["rc8a"]}"#,
+        r#"{"call": "ServiceStart", "only": ["cobotta"]}"#,
+        r#"{"call": "ServiceStart", "code": {"rc8a": "E_FAIL"}}"#,
+        r#"{"call": "ServiceStart", "code": "E_FIAL"}"#,
+        r#"{"call": "ServiceStart", "args": ["$c"]}"#,
+        r##"{"call": "ServiceStart", "args": ["#"]}"##,
+        r#"{"call": "ServiceStart", "args": [{"R9": 1}]}"#,
+        r#"{"call": "ServiceStart", "args": [{"R4": 1, "R8": 2}]}"#,
+        r#"{"call": "ServiceStart", "gives": "R8[8"}"#,
+        r#"{"call": "ServiceStart", "gives": "I5"}"#,
+        r#"{"call": "ServiceStart", "until": 1, "times": 2}"#,
+        r#"{"stream": "$provider", "cycles": 1, "from": [0], "numbers": "I4"}"#,
+        r#"{"repeat": 2, "steps": [{"emergency_stopp": true}]}"#,
+    ] {
+        let read = std::panic::catch_unwind(|| sequence(&format!("{head}\n{start}\n{wrong}"), "a test"));
+        assert!(read.is_err(), "{wrong}");
+    }
+    let never = std::panic::catch_unwind(|| sequence(&format!("{head}\n{{\"pause_ms\": 1}}"), "a test"));
+    assert!(never.is_err(), "no step can be the one that fails elsewhere");
+}
+
+#[test]
 fn every_sequence_runs_in_its_models_over_both_links() {
     let sequences = sequences();
     let only = std::env::var("SEQUENCE").unwrap_or_default();

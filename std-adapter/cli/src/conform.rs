@@ -81,16 +81,16 @@ fn judge_clients(args: &Conform, over: Link, address: SocketAddr, limit: Duratio
 }
 
 /// Returns the cases that the arguments choose.
-fn chosen(args: &Conform) -> Result<Vec<Case>, Failure> {
+fn chosen(args: &Conform) -> Result<Vec<&'static Case>, Failure> {
     let cases = bcap_conform::cases();
     if let Some(unknown) = args.case.iter().find(|name| !cases.iter().any(|case| case.name() == **name)) {
         return Err(Failure::Input(format!("no case is named {unknown:?}; `bcap conform --list` prints the names")));
     }
-    let is_chosen = |case: &Case| {
+    let is_chosen = |case: &&Case| {
         (args.group.is_empty() || args.group.contains(&case.group()))
             && (args.case.is_empty() || args.case.contains(&case.name()))
     };
-    let chosen: Vec<_> = cases.into_iter().filter(is_chosen).collect();
+    let chosen: Vec<_> = cases.iter().filter(is_chosen).collect();
     if chosen.is_empty() {
         return Err(Failure::Input("no case of --case is in a group of --group".into()));
     }

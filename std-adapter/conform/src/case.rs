@@ -54,28 +54,6 @@ impl Case {
     pub const fn rule(&self) -> &'static str {
         self.rule
     }
-
-    pub(crate) const fn at(mut self, level: Level) -> Self {
-        self.level = level;
-        self
-    }
-
-    pub(crate) const fn over(mut self, link: Link) -> Self {
-        self.only = Some(link);
-        self
-    }
-}
-
-/// Makes a case of level `read` for all links.
-pub(crate) const fn case(
-    group: Group,
-    name: &'static str,
-    source: &'static str,
-    rule: &'static str,
-    setup: Setup,
-    body: Body,
-) -> Case {
-    Case { name: Cow::Borrowed(name), group, level: Level::Read, source, rule, only: None, setup, body }
 }
 
 /// A case in Rust.
@@ -86,9 +64,4 @@ pub(crate) type Run = fn(&mut Bench<'_>) -> Result<(), Stop>;
 pub(crate) enum Body {
     Steps(Cow<'static, [Step]>),
     Run(Run),
-}
-
-/// The steps of a constant table.
-pub(crate) const fn steps(steps: &'static [Step]) -> Body {
-    Body::Steps(Cow::Borrowed(steps))
 }

@@ -48,7 +48,7 @@ use bench::{Bench, REFUSAL_PAUSE, REFUSALS, Stop};
 
 /// Returns all cases for devices, by group.
 #[must_use]
-pub fn cases() -> Vec<Case> {
+pub fn cases() -> &'static [Case] {
     cases::all()
 }
 
@@ -69,7 +69,7 @@ pub fn run(options: &Options, mut each: impl FnMut(&CaseResult), ended: impl Fn(
         if ended() {
             break;
         }
-        let result = judge(&case, options, &ended, &mut speed);
+        let result = judge(case, options, &ended, &mut speed);
         each(&result);
         report.results.push(result);
     }

@@ -9,12 +9,14 @@ use std::thread;
 
 use crate::common::Served;
 use crate::common::relay;
-use crate::common::relay::{Hooks, Parts, Relay, Request};
+use crate::common::relay::{Hooks, Relay};
 use bcap_conform::{Level, Link, Options, Verdict, run};
-use bcap_core::bcap::{Decoder, FunctionId as F};
+use bcap_core::bcap::FunctionId as F;
 use bcap_core::hresult::HResult;
-use bcap_core::variant::{OwnedVariant, Variant};
 use bcap_sim::{Config, Controller, Profile};
+use bcap_testkit::frame::TestFrame;
+use bcap_testkit::judge::TCP;
+use bcap_testkit::value::Value;
 
 /// A fault and the case that catches it.
 struct Fault {
@@ -46,194 +48,184 @@ const fn of_bytes(
 }
 
 /// Replaces the value of a reply that has one of this kind.
-fn with_value(parts: Parts, change: impl Fn(&Variant<'_>) -> Option<OwnedVariant>) -> Vec<u8> {
-    let changed = parts.args.first().and_then(|value| change(&value.as_variant()));
-    Parts { args: changed.map(|value| vec![value]).unwrap_or(parts.args.clone()), ..parts }.write()
+fn with_value(mut frame: TestFrame, change: impl Fn(&Value) -> Option<Value>) -> Vec<u8> {
+    if let Some(value) = frame.args.first_mut() {
+        *value = change(value).unwrap_or(value.clone());
+    }
+    frame.to_wire(false)
 }
 
 /// Replaces a code.
-fn with_code(parts: Parts, from: HResult, to: HResult) -> Vec<u8> {
-    let code = if parts.result() == from { to.0 } else { parts.code };
-    Parts { code, ..parts }.write()
+fn with_code(frame: TestFrame, from: HResult, to: HResult) -> Vec<u8> {
+    let code = if frame.code == from.0 { to.0 } else { frame.code };
+    TestFrame { code, ..frame }.to_wire(false)
 }
 
-fn owned<T: bcap_core::variant::Encode + ?Sized>(value: &T) -> Option<OwnedVariant> {
-    OwnedVariant::new(value).ok()
-}
-
-/// Returns the text of an argument of a request.
-fn text(request: &Request, index: usize) -> String {
-    let value = request.args.get(index).map(OwnedVariant::as_variant);
-    value.and_then(|value| value.as_bstr()).map(|text| text.to_string()).unwrap_or_default()
-}
-
-fn is_robot_command(request: &Request, name: &str) -> bool {
-    request.function == F::ROBOT_EXECUTE && text(request, 1).eq_ignore_ascii_case(name)
+fn is_command(request: &TestFrame, name: &str) -> bool {
+    F(request.code) == F::ROBOT_EXECUTE && request.args.get(1) == Some(&Value::text(name))
 }
 
 /// Changes bytes of the encoded reply.
-fn patched(parts: &Parts, change: impl Fn(&mut Vec<u8>)) -> Vec<u8> {
-    let mut bytes = parts.write();
+fn patched(frame: &TestFrame, change: impl Fn(&mut Vec<u8>)) -> Vec<u8> {
+    let mut bytes = frame.to_wire(false);
     change(&mut bytes);
     bytes
 }
 
 const FAULTS: &[Fault] = &[
-    of_reply("serial plus one", "frames/minimal-request", |_, _, parts| {
-        Parts { serial: parts.serial.wrapping_add(1), ..parts }.write()
+    of_reply("serial plus one", "frames/minimal-request", |_, _, frame| {
+        TestFrame { serial: frame.serial.wrapping_add(1), ..frame }.to_wire(false)
     }),
-    of_reply("serial of 8 bits", "frames/serial-256", |_, _, parts| {
-        Parts { serial: parts.serial & 0xff, ..parts }.write()
+    of_reply("serial of 8 bits", "frames/serial-256", |_, _, frame| {
+        TestFrame { serial: frame.serial & 0xff, ..frame }.to_wire(false)
     }),
-    of_reply("serial is big-endian", "frames/serial-4660", |_, _, parts| {
-        Parts { serial: parts.serial.swap_bytes(), ..parts }.write()
+    of_reply("serial is big-endian", "frames/serial-4660", |_, _, frame| {
+        TestFrame { serial: frame.serial.swap_bytes(), ..frame }.to_wire(false)
     }),
-    of_reply("serial of 15 bits", "frames/serial-65535", |_, _, parts| {
-        Parts { serial: parts.serial & 0x7fff, ..parts }.write()
+    of_reply("serial of 15 bits", "frames/serial-65535", |_, _, frame| {
+        TestFrame { serial: frame.serial & 0x7fff, ..frame }.to_wire(false)
     }),
-    of_reply("reserved field is the serial", "frames/minimal-request", |_, _, parts| {
-        Parts { marker: parts.serial, ..parts }.write()
+    of_reply("reserved field is the serial", "frames/minimal-request", |_, _, frame| {
+        TestFrame { reserved: frame.serial, ..frame }.to_wire(false)
     }),
-    of_reply("length one too large", "frames/minimal-request", |_, _, parts| patched(&parts, |bytes| bytes[1] += 1)),
-    of_reply("length one too small", "frames/minimal-request", |_, _, parts| patched(&parts, |bytes| bytes[1] -= 1)),
-    of_reply("wrong last byte", "frames/minimal-request", |_, _, parts| {
-        patched(&parts, |bytes| *bytes.last_mut().unwrap() = 3)
+    of_reply("length one too large", "frames/minimal-request", |_, _, frame| patched(&frame, |bytes| bytes[1] += 1)),
+    of_reply("length one too small", "frames/minimal-request", |_, _, frame| patched(&frame, |bytes| bytes[1] -= 1)),
+    of_reply("wrong last byte", "frames/minimal-request", |_, _, frame| {
+        patched(&frame, |bytes| *bytes.last_mut().unwrap() = 3)
     }),
-    of_reply("a checksum, as on serial lines", "frames/minimal-request", |_, _, parts| {
-        patched(&parts, |bytes| {
+    of_reply("a checksum, as on serial lines", "frames/minimal-request", |_, _, frame| {
+        patched(&frame, |bytes| {
             let end = bytes.len() - 1;
             bytes.splice(end..end, [0x12, 0x34]);
             bytes[1] += 2;
         })
     }),
-    of_reply("wrong number of arguments", "sessions/connect-and-disconnect", |_, _, parts| {
-        patched(&parts, |bytes| bytes[13] += 1)
+    of_reply("wrong number of arguments", "sessions/connect-and-disconnect", |_, _, frame| {
+        patched(&frame, |bytes| bytes[13] += 1)
     }),
-    of_reply("argument length one too large", "variables/type-of-i", |_, request, parts| match request.function {
-        F::VARIABLE_GET_VALUE => patched(&parts, |bytes| bytes[15] += 1),
-        _ => parts.write(),
+    of_reply("argument length one too large", "variables/type-of-i", |_, request, frame| match F(request.code) {
+        F::VARIABLE_GET_VALUE => patched(&frame, |bytes| bytes[15] += 1),
+        _ => frame.to_wire(false),
     }),
-    of_reply("a value with a void reply", "frames/minimal-request", |_, request, parts| match request.function {
-        F::SERVICE_START => Parts { args: vec![owned(&1_i32).unwrap()], ..parts }.write(),
-        _ => parts.write(),
+    of_reply("a value with a void reply", "frames/minimal-request", |_, request, frame| match F(request.code) {
+        F::SERVICE_START => TestFrame { args: vec![Value::I4(1)], ..frame }.to_wire(false),
+        _ => frame.to_wire(false),
     }),
-    of_reply("handle as BSTR", "sessions/connect-and-disconnect", |_, request, parts| match request.function {
-        F::CONTROLLER_CONNECT => with_value(parts, |_| owned("2")),
-        _ => parts.write(),
+    of_reply("handle as BSTR", "sessions/connect-and-disconnect", |_, request, frame| match F(request.code) {
+        F::CONTROLLER_CONNECT => with_value(frame, |_| Some(Value::text("2"))),
+        _ => frame.to_wire(false),
     }),
-    of_reply("I as I2", "variables/type-of-i", |_, request, parts| match request.function {
-        F::VARIABLE_GET_VALUE => with_value(parts, |value| value.as_i32().and_then(|_| owned(&1_i16))),
-        _ => parts.write(),
+    of_reply("I as I2", "variables/type-of-i", |_, request, frame| match F(request.code) {
+        F::VARIABLE_GET_VALUE => with_value(frame, |value| matches!(value, Value::I4(_)).then_some(Value::I2(1))),
+        _ => frame.to_wire(false),
     }),
-    of_reply("F as R8", "variables/type-of-f", |_, request, parts| match request.function {
-        F::VARIABLE_GET_VALUE => with_value(parts, |value| value.as_f64().and_then(|number| owned(&number))),
-        _ => parts.write(),
+    of_reply("F as R8", "variables/type-of-f", |_, request, frame| match F(request.code) {
+        F::VARIABLE_GET_VALUE => with_value(frame, |value| value.as_f64().map(|number| Value::R8(number.to_bits()))),
+        _ => frame.to_wire(false),
     }),
-    of_reply("P with 6 elements", "variables/type-of-p", |_, _, parts| {
-        with_value(parts, |value| {
-            let items = value.as_array()?.items::<f32>()?;
-            (items.len() == 7).then(|| owned(&items.iter().take(6).collect::<Vec<f32>>()))?
+    of_reply("P with 6 elements", "variables/type-of-p", |_, _, frame| {
+        with_value(frame, |value| match value {
+            Value::Array(4, items) if items.len() == 7 => Some(Value::Array(4, items[..6].to_vec())),
+            _ => None,
         })
     }),
-    of_reply("letters above 127 are lost", "types/bstr-kanji", |_, _, parts| {
-        with_value(parts, |value| {
-            let text: String = value.as_bstr()?.to_string();
-            owned(text.replace(|letter: char| !letter.is_ascii(), "?").as_str())
+    of_reply("letters above 127 are lost", "types/bstr-kanji", |_, _, frame| {
+        with_value(frame, |value| match value {
+            Value::Bstr(units) => Some(Value::Bstr(units.iter().map(|unit| (*unit).min(0x7f)).collect())),
+            _ => None,
         })
     }),
-    of_reply("I4 without sign", "types/i4-minus-1", |_, request, parts| match request.function {
-        F::VARIABLE_GET_VALUE => with_value(parts, |value| match value {
-            Variant::I4(number) => owned(&(number & 0x7fff_ffff)),
+    of_reply("I4 without sign", "types/i4-minus-1", |_, request, frame| match F(request.code) {
+        F::VARIABLE_GET_VALUE => with_value(frame, |value| match value {
+            Value::I4(number) => Some(Value::I4(number & 0x7fff_ffff)),
             _ => None,
         }),
-        _ => parts.write(),
+        _ => frame.to_wire(false),
     }),
-    of_reply("never S_EXECUTING", "timeouts/keep-alives-of-a-motion", |_, _, parts| match parts.result() {
+    of_reply("never S_EXECUTING", "timeouts/keep-alives-of-a-motion", |_, _, frame| match HResult(frame.code) {
         HResult::S_EXECUTING => Vec::new(),
-        _ => parts.write(),
+        _ => frame.to_wire(false),
     }),
-    of_reply("S_EXECUTING with the serial 0", "timeouts/keep-alives-of-a-motion", |_, _, parts| match parts.result() {
-        HResult::S_EXECUTING => Parts { serial: 0, ..parts }.write(),
-        _ => parts.write(),
+    of_reply("S_EXECUTING with the serial 0", "timeouts/keep-alives-of-a-motion", |_, _, frame| {
+        match HResult(frame.code) {
+            HResult::S_EXECUTING => TestFrame { serial: 0, ..frame }.to_wire(false),
+            _ => frame.to_wire(false),
+        }
     }),
-    of_reply("S_EXECUTING before each reply", "timeouts/quick-call-without-keep-alive", |_, _, parts| {
-        let mut bytes = Parts { code: HResult::S_EXECUTING.0, args: Vec::new(), ..parts.clone() }.write();
-        bytes.extend(parts.write());
-        bytes
+    of_reply("S_EXECUTING before each reply", "timeouts/quick-call-without-keep-alive", |_, _, frame| {
+        let executing = TestFrame { code: HResult::S_EXECUTING.0, args: Vec::new(), ..frame.clone() };
+        [executing.to_wire(false), frame.to_wire(false)].concat()
     }),
-    of_reply("every reply twice", "timeouts/silence-after-a-reply", |_, _, parts| {
-        [parts.write(), parts.write()].concat()
+    of_reply("every reply twice", "timeouts/silence-after-a-reply", |_, _, frame| {
+        [frame.to_wire(false), frame.to_wire(false)].concat()
     }),
-    of_reply("E_FAIL for an invalid handle", "handles/zero", |_, _, parts| {
-        with_code(parts, HResult::E_HANDLE, HResult::E_FAIL)
+    of_reply("E_FAIL for an invalid handle", "handles/zero", |_, _, frame| {
+        with_code(frame, HResult::E_HANDLE, HResult::E_FAIL)
     }),
-    of_reply("success for an invalid handle", "handles/use-after-release", |_, _, parts| {
-        with_code(parts, HResult::E_HANDLE, HResult::S_OK)
+    of_reply("success for an invalid handle", "handles/use-after-release", |_, _, frame| {
+        with_code(frame, HResult::E_HANDLE, HResult::S_OK)
     }),
-    of_reply("success without arguments", "arguments/missing/Controller_GetVariable", |_, _, parts| {
-        with_code(parts, HResult::E_INVALIDARG, HResult::S_OK)
+    of_reply("success without arguments", "arguments/missing/Controller_GetVariable", |_, _, frame| {
+        with_code(frame, HResult::E_INVALIDARG, HResult::S_OK)
     }),
-    of_reply("success with an argument of another type", "arguments/variable-name-is-number", |_, _, parts| {
-        with_code(parts, HResult::E_INVALIDARGTYPE, HResult::S_OK)
+    of_reply("success with an argument of another type", "arguments/variable-name-is-number", |_, _, frame| {
+        with_code(frame, HResult::E_INVALIDARGTYPE, HResult::S_OK)
     }),
-    of_reply("success of an unknown function", "frames/function-65536", |_, request, parts| match request.function {
-        F(65_536) => Parts { code: 0, ..parts }.write(),
-        _ => parts.write(),
+    of_reply("success of an unknown function", "frames/function-65536", |_, request, frame| match F(request.code) {
+        F(65_536) => TestFrame { code: 0, ..frame }.to_wire(false),
+        _ => frame.to_wire(false),
     }),
-    of_reply("a short WDT is accepted", "sessions/option-wdt-79", |_, request, parts| match request.function {
-        F::SERVICE_START => Parts { code: 0, ..parts }.write(),
-        _ => parts.write(),
+    of_reply("a short WDT is accepted", "sessions/option-wdt-79", |_, request, frame| match F(request.code) {
+        F::SERVICE_START => TestFrame { code: 0, ..frame }.to_wire(false),
+        _ => frame.to_wire(false),
     }),
-    of_reply("handle of an open object is given again", "handles/two-of-one-name", |memory, request, parts| {
-        match request.function {
+    of_reply("handle of an open object is given again", "handles/two-of-one-name", |memory, request, frame| {
+        match F(request.code) {
             F::CONTROLLER_GET_VARIABLE => {
-                let new = parts.args.first().and_then(|value| value.as_variant().as_i32());
-                memory.handle = memory.handle.or(new);
-                let first = memory.handle;
-                with_value(parts, |_| owned(&first?))
+                memory.handle = memory.handle.clone().or(frame.args.first().cloned());
+                let first = memory.handle.clone();
+                with_value(frame, |_| first.clone())
             }
-            _ => parts.write(),
+            _ => frame.to_wire(false),
         }
     }),
-    of_reply("slvGetMode is always 0", "slave/enter-2-j", |_, request, parts| {
-        match is_robot_command(request, "slvGetMode") {
-            true => with_value(parts, |_| owned(&0_i32)),
-            false => parts.write(),
+    of_reply("slvGetMode is always 0", "slave/enter-2-j", |_, request, frame| {
+        match is_command(request, "slvGetMode") {
+            true => with_value(frame, |_| Some(Value::I4(0))),
+            false => frame.to_wire(false),
         }
     }),
-    of_reply("never S_BUF_FULL", "slave/buffer-fills-in-mode-0", |_, _, parts| {
-        with_code(parts, HResult::S_BUF_FULL, HResult::S_OK)
+    of_reply("never S_BUF_FULL", "slave/buffer-fills-in-mode-0", |_, _, frame| {
+        with_code(frame, HResult::S_BUF_FULL, HResult::S_OK)
     }),
-    of_reply("E_BUF_FULL is success", "slave/buffer-overflows-in-mode-0", |_, _, parts| {
-        with_code(parts, HResult::E_BUF_FULL, HResult::S_OK)
+    of_reply("E_BUF_FULL is success", "slave/buffer-overflows-in-mode-0", |_, _, frame| {
+        with_code(frame, HResult::E_BUF_FULL, HResult::S_OK)
     }),
-    of_request("a write is not executed", Link::Tcp, "variables/write-i", |_, parts| match F(parts.code) {
+    of_request("a write is not executed", Link::Tcp, "variables/write-i", |_, frame| match F(frame.code) {
         // becomes another call that succeeds without a value
-        F::VARIABLE_PUT_VALUE => Some(Parts { code: F::VARIABLE_PUT_TAG.0, ..parts }),
-        _ => Some(parts),
+        F::VARIABLE_PUT_VALUE => Some(TestFrame { code: F::VARIABLE_PUT_TAG.0, ..frame }),
+        _ => Some(frame),
     }),
-    of_request("names are case-sensitive", Link::Tcp, "variables/name-in-lower-case", |_, mut parts| {
-        if F(parts.code) == F::CONTROLLER_GET_VARIABLE
-            && parts.args.get(1).and_then(|name| name.as_variant().as_bstr()).is_some_and(|name| name == "i1")
-        {
-            parts.args[1] = OwnedVariant::new("NoSuchVariable").unwrap();
+    of_request("names are case-sensitive", Link::Tcp, "variables/name-in-lower-case", |_, mut frame| {
+        if F(frame.code) == F::CONTROLLER_GET_VARIABLE && frame.args.get(1) == Some(&Value::text("i1")) {
+            frame.args[1] = Value::text("NoSuchVariable");
         }
-        Some(parts)
+        Some(frame)
     }),
-    of_request("every name is I1", Link::Tcp, "variables/unknown-name", |_, mut parts| {
-        if F(parts.code) == F::CONTROLLER_GET_VARIABLE && parts.args.len() == 3 {
-            parts.args[1] = OwnedVariant::new("I1").unwrap();
+    of_request("every name is I1", Link::Tcp, "variables/unknown-name", |_, mut frame| {
+        if F(frame.code) == F::CONTROLLER_GET_VARIABLE && frame.args.len() == 3 {
+            frame.args[1] = Value::text("I1");
         }
-        Some(parts)
+        Some(frame)
     }),
-    of_request("a retransmission over UDP is executed again", Link::Udp, "udp/copy-of-release", |_, parts| {
-        Some(Parts { marker: parts.serial, ..parts })
+    of_request("a retransmission over UDP is executed again", Link::Udp, "udp/copy-of-release", |_, frame| {
+        Some(TestFrame { reserved: frame.serial, ..frame })
     }),
-    of_request("a retransmission over UDP opens a second object", Link::Udp, "udp/copy-of-open", |_, parts| {
-        Some(Parts { marker: parts.serial, ..parts })
+    of_request("a retransmission over UDP opens a second object", Link::Udp, "udp/copy-of-open", |_, frame| {
+        Some(TestFrame { reserved: frame.serial, ..frame })
     }),
-    of_request("a retransmission over UDP is not answered", Link::Udp, "udp/copy-of-start", |_, parts| {
-        (parts.marker == 0 || parts.marker == parts.serial).then_some(parts)
+    of_request("a retransmission over UDP is not answered", Link::Udp, "udp/copy-of-start", |_, frame| {
+        [0, frame.serial].contains(&frame.reserved).then_some(frame)
     }),
     of_bytes("an incomplete frame is lost", Link::Tcp, "frames/pieces-after-the-header", |_, bytes| {
         let is_complete = bytes.len() >= 5 && usize::from(bytes[1]) == bytes.len();
@@ -255,7 +247,7 @@ const FAULTS: &[Fault] = &[
         }
     }),
     of_bytes("an invalid datagram ends the service", Link::Udp, "frames/wrong-end", |memory, bytes| {
-        memory.had_invalid |= Decoder::UDP.decode_datagram(&bytes).is_err();
+        memory.had_invalid |= TCP.decode_packet(&bytes).is_none();
         if memory.had_invalid { Vec::new() } else { bytes }
     }),
     of_line("the answer ends with LF", "rac/get-i", |line| line.replace('\r', "\n")),
@@ -320,9 +312,9 @@ fn state(served: &Served) -> (f64, bool, Vec<f64>) {
 fn a_wrong_reply_during_a_motion_leaves_the_robot_as_it_was() {
     let served = Served::start(Controller::new(Config { ext_speed: 40.0, ..Config::new(Profile::Rc8) }));
     let (speed, is_on, joints) = state(&served);
-    let reply: relay::OnReply = |_, _, parts| match parts.result() {
-        HResult::S_EXECUTING => Parts { serial: 0, ..parts }.write(),
-        _ => parts.write(),
+    let reply: relay::OnReply = |_, _, frame| match HResult(frame.code) {
+        HResult::S_EXECUTING => TestFrame { serial: 0, ..frame }.to_wire(false),
+        _ => frame.to_wire(false),
     };
     let hooks = Hooks { reply, ..Hooks::HONEST };
     let (verdict, text) = judged(&served, hooks, Link::Tcp, "timeouts/keep-alives-of-a-motion");
@@ -336,9 +328,9 @@ fn a_wrong_reply_during_a_motion_leaves_the_robot_as_it_was() {
 #[test]
 fn a_task_that_starts_with_an_error_is_stopped() {
     let served = Served::start(Controller::new(Config::new(Profile::Rc8)));
-    let reply: relay::OnReply = |_, request, parts| match request.function {
-        F::TASK_START => with_code(parts, HResult::S_OK, HResult::E_FAIL),
-        _ => parts.write(),
+    let reply: relay::OnReply = |_, request, frame| match F(request.code) {
+        F::TASK_START => with_code(frame, HResult::S_OK, HResult::E_FAIL),
+        _ => frame.to_wire(false),
     };
     let (verdict, text) = judged(&served, Hooks { reply, ..Hooks::HONEST }, Link::Tcp, "tasks/start-and-stop");
     assert_eq!(verdict, Verdict::Skip, "{text}");
@@ -351,12 +343,10 @@ fn a_task_that_starts_with_an_error_is_stopped() {
 fn a_session_that_stops_answering_is_replaced_to_switch_the_motor_off() {
     let served = Served::start(Controller::new(Config { ext_speed: 40.0, ..Config::new(Profile::Rc8) }));
     let before = state(&served);
-    let request: relay::OnRequest = |memory, parts| {
-        let is_change =
-            parts.args.get(1).and_then(|name| name.as_variant().as_bstr()).is_some_and(|name| name == "slvChangeMode");
+    let request: relay::OnRequest = |memory, frame| {
         // from then on the device answers nothing on this connection
-        memory.had_invalid |= is_change;
-        (!memory.had_invalid).then_some(parts)
+        memory.had_invalid |= is_command(&frame, "slvChangeMode");
+        (!memory.had_invalid).then_some(frame)
     };
     let hooks = Hooks { request, ..Hooks::HONEST };
     let (verdict, text) = judged(&served, hooks, Link::Tcp, "slave/enter-2-j");

@@ -14,6 +14,7 @@
 //! | [`network`]    | a simulated network between a client and a server, with a virtual clock     |             |
 //! | `generate`     | `Arbitrary` for values and frames                                           | `arbitrary` |
 //! | `grammar`      | steps that are valid, nearly valid and hostile                              | `arbitrary` |
+//! | `fuzz`         | the engine of `bcap fuzz`: sends sessions to a device, reduces and saves findings | `arbitrary` |
 //! | `strategies`   | proptest strategies for values, frames and damage to them                   | `proptest`  |
 //! | `vectors`      | the frames and lines of the specifications                                  | `vectors`   |
 //!
@@ -25,6 +26,8 @@
 
 pub mod damage;
 pub mod frame;
+#[cfg(feature = "arbitrary")]
+pub mod fuzz;
 #[cfg(feature = "arbitrary")]
 pub mod generate;
 #[cfg(feature = "arbitrary")]

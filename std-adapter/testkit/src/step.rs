@@ -3,6 +3,7 @@
 //! ```text
 //! # a line that begins with # is a comment
 //! call Service_Start 08000100000000000000
+//! call Robot_Execute @Robot "TakeArm" 8195,0,0
 //! call Controller_GetName @Controller            the latest handle of a controller
 //! call Variable_GetValue ~Variable               the handle of the variable that was released last
 //! call Robot_GetName @Robot serial=65535 retry split=7
@@ -13,7 +14,8 @@
 //! reconnect                                      closes the connection and opens another
 //! ```
 //!
-//! An argument is a handle or the hexadecimal digits of an encoded VARIANT. Text after two blanks is a comment too.
+//! An argument is a handle or a value: a text in quotes, type and data as in RAC (`8195,1,2`), or the hexadecimal digits of an
+//! encoded VARIANT. Text after two blanks is a comment too. The cases of `bcap-conform` are written with the same words.
 
 use std::fmt;
 use std::str::FromStr;
@@ -23,6 +25,7 @@ use bcap_core::limits::{Limits, MAX_DEPTH, Strictness};
 
 use crate::frame::TestFrame;
 use crate::oracle::Oracle;
+use crate::text;
 use crate::value::Value;
 
 /// The rules of a value in a step.
@@ -180,29 +183,88 @@ impl FromStr for Step {
         if verb == "line" {
             return unescape(rest).map(Self::Line);
         }
-        // a value has no blank, so two blanks begin a comment
-        let rest = rest.split("  ").next().unwrap_or_default().trim();
-        match verb {
-            "call" => call(rest).map(Self::Call),
-            "bytes" => unhex(rest).map(Self::Bytes),
-            "reconnect" if rest.is_empty() => Ok(Self::Reconnect),
+        let words = words(rest)?;
+        match (verb, words.as_slice()) {
+            ("call", [name, words @ ..]) => call(name, words).map(Self::Call),
+            ("bytes", [digits]) => unhex(digits).map(Self::Bytes),
+            ("reconnect", []) => Ok(Self::Reconnect),
             _ => Err(format!("{verb:?} is not a step; expected call, bytes, line or reconnect")),
         }
     }
 }
 
-fn call(text: &str) -> Result<Call, String> {
-    let mut words = text.split_ascii_whitespace();
-    let name = words.next().ok_or("call needs a function")?;
-    let function = match FunctionId::parse(name) {
-        Some(function) => function.0,
-        None => name.parse().map_err(|_| format!("{name:?} is not a function"))?,
+/// Splits a step into words. A text in quotes is one word; two blanks outside of quotes begin a comment.
+///
+/// # Errors
+///
+/// When a text has no second quote.
+pub fn words(text: &str) -> Result<Vec<&str>, String> {
+    let (mut words, mut rest) = (Vec::new(), text);
+    while !rest.is_empty() && !rest.starts_with("  ") {
+        rest = rest.strip_prefix(' ').unwrap_or(rest);
+        let length = match rest.strip_prefix('"') {
+            Some(quoted) => 1 + end_of_text(quoted).ok_or("the text has no second quote")?,
+            None => rest.find(' ').unwrap_or(rest.len()),
+        };
+        let (word, after) = rest.split_at(length);
+        words.extend(Some(word).filter(|word| !word.is_empty()));
+        rest = after;
+    }
+    Ok(words)
+}
+
+/// Returns the length of a text up to its second quote.
+fn end_of_text(quoted: &str) -> Option<usize> {
+    let mut is_escaped = false;
+    let end = quoted.bytes().position(|byte| {
+        let is_end = byte == b'"' && !is_escaped;
+        is_escaped = byte == b'\\' && !is_escaped;
+        is_end
+    });
+    end.map(|at| at + 1)
+}
+
+/// Parses the name or the number of a function.
+///
+/// # Errors
+///
+/// When it is neither.
+pub fn function(name: &str) -> Result<FunctionId, String> {
+    let number = || name.parse().map(FunctionId).map_err(|_| format!("{name:?} is not a function"));
+    FunctionId::parse(name).map_or_else(number, Ok)
+}
+
+/// Parses a value: a text in quotes, the type and the data of RAC, or hexadecimal digits.
+///
+/// # Errors
+///
+/// When it is none of them.
+pub fn value(word: &str) -> Result<Value, String> {
+    if word.starts_with('"') {
+        return unquote(word).map(|text| Value::text(&text));
+    }
+    let value = match word.contains(',') {
+        true => text::parse(word.as_bytes()),
+        false => VALUE.decode_value(&unhex(word)?),
     };
-    let mut call = Call::new(FunctionId(function), Vec::new());
+    value.ok_or_else(|| format!("{word:?} is not an encoded VARIANT"))
+}
+
+/// Reads a text in quotes.
+///
+/// # Errors
+///
+/// When an escape is unknown, or the text is no UTF-8.
+pub fn unquote(word: &str) -> Result<String, String> {
+    String::from_utf8(unescape(word)?).map_err(|_| format!("{word} is no UTF-8"))
+}
+
+fn call(name: &str, words: &[&str]) -> Result<Call, String> {
+    let mut call = Call::new(function(name)?, Vec::new());
     let number =
         |word: &str, text: &str| text.parse::<u16>().map_err(|_| format!("{word:?}: {text:?} is not a number"));
-    for word in words {
-        match word.split_once('=') {
+    for &word in words {
+        match word.split_once('=').filter(|_| !word.starts_with('"')) {
             Some(("serial", text)) => call.serial = Some(number(word, text)?),
             Some(("split", text)) => {
                 let count = u8::try_from(number(word, text)?).map_err(|_| format!("{word:?}: at most 255"))?;
@@ -228,11 +290,15 @@ fn argument(word: &str) -> Result<Argument, String> {
     if let Some(name) = word.strip_prefix('~') {
         return object(name).map(Argument::Released);
     }
-    let value = VALUE.decode_value(&unhex(word)?);
-    value.map(Argument::Value).ok_or_else(|| format!("{word:?} is not an encoded VARIANT"))
+    value(word).map(Argument::Value)
 }
 
-fn unhex(text: &str) -> Result<Vec<u8>, String> {
+/// Parses pairs of hexadecimal digits.
+///
+/// # Errors
+///
+/// When they are none.
+pub fn unhex(text: &str) -> Result<Vec<u8>, String> {
     let digits = text.bytes().map(|byte| char::from(byte).to_digit(16)).collect::<Option<Vec<_>>>();
     match digits {
         Some(digits) if digits.len() % 2 == 0 => {
@@ -304,7 +370,7 @@ mod tests {
             .take_while(|line| !line.contains("```"))
             .map(|line| format!("{}\n", line.trim_start_matches("//!")))
             .collect();
-        assert_eq!(parse(&text).map(|steps| steps.len()), Ok(9), "{text}");
+        assert_eq!(parse(&text).map(|steps| steps.len()), Ok(10), "{text}");
     }
 
     #[test]

@@ -5,6 +5,7 @@
 
 use serde_json::Value as Json;
 
+use crate::step::unhex;
 use crate::value::{ARRAY, VARIANT, Value};
 
 const GUIDE: &str = include_str!("../vectors/bcap-rc8-guide.jsonl");
@@ -73,7 +74,7 @@ fn frame(line: &str) -> FrameVector {
     let args: Option<Vec<Value>> = json["args"].as_array().map(|args| args.iter().map(value).collect());
     FrameVector {
         name: string(&json, "name"),
-        bytes: unhex(&string(&json, "hex")),
+        bytes: unhex(&string(&json, "hex")).expect("hexadecimal digits"),
         serial: number("serial") as u16,
         // the RC8 guide's lines leave it out where it is 0
         reserved: json["reserved"].as_i64().unwrap_or(0) as u16,
@@ -107,15 +108,4 @@ fn scalar(vartype: u16, json: &Json) -> Value {
         11 => Value::Bool(int() != 0),
         other => panic!("no vector has the VARTYPE {other} yet"),
     }
-}
-
-/// Turns hexadecimal digits into bytes.
-///
-/// # Panics
-///
-/// When a digit is invalid.
-#[must_use]
-pub fn unhex(text: &str) -> Vec<u8> {
-    let digit = |at: usize| u8::from_str_radix(&text[at..at + 2], 16).expect("hexadecimal digits");
-    (0..text.len()).step_by(2).map(digit).collect()
 }

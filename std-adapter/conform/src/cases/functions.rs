@@ -30,7 +30,12 @@ pub(super) fn cases() -> impl Iterator<Item = Case> {
 
 /// Returns the level of the arguments below: a call that succeeds although it must not would have this effect.
 fn level(function: FunctionId) -> Level {
-    match function.properties(Some(""), Some("")).effect {
+    level_of(function.properties(Some(""), Some("")).effect)
+}
+
+/// Returns the level that allows an effect.
+pub(super) const fn level_of(effect: Effect) -> Level {
+    match effect {
         Effect::Session | Effect::Reads => Level::Read,
         Effect::Writes => Level::Write,
         _ => Level::Motion,

@@ -3,249 +3,31 @@
 use bcap_core::hresult::HResult;
 
 use crate::bench::{Bench, Stop, fail, skip};
-use crate::case::Setup::Rac;
-use crate::case::{Body, Case, Group, Level, LineWant, Step, case, steps};
+use crate::case::{LineWant, Run};
 use crate::line::{answer, ask, check_answer, connect};
 
-const fn line(name: &'static str, source: &'static str, rule: &'static str, table: &'static [Step]) -> Case {
-    case(Group::Rac, name, source, rule, Rac, steps(table))
-}
-
-const fn run(
-    name: &'static str,
-    source: &'static str,
-    rule: &'static str,
-    run: fn(&mut Bench<'_>) -> Result<(), Stop>,
-) -> Case {
-    case(Group::Rac, name, source, rule, Rac, Body::Run(run))
-}
-
-const INVALID: LineWant = LineWant::Refused;
 const I4: LineWant = LineWant::Type(3, 0);
-
-/// A written value is read back: the value, and the two lines.
-macro_rules! put {
-    ($name:literal, $source:literal, $kind:literal, $value:literal, $answer:literal) => {
-        run($name, $source, "PUT sets a variable, and GET reads it", |bench| put_and_get(bench, $kind, $value, $answer))
-            .at(Level::Write)
-    };
-}
-
-pub(super) const CASES: &[Case] = &[
-    line("get-i", "RAC specification, section 4.1", "GET of I answers type 3", &[Step::Line("GET:RC8:1:I:\r", I4)]),
-    line(
-        "get-f",
-        "RAC specification, section 4.1",
-        "GET of F answers type 4",
-        &[Step::Line("GET:RC8:1:F:\r", LineWant::Type(4, 0))],
-    ),
-    line(
-        "get-d",
-        "RAC specification, section 4.1",
-        "GET of D answers type 5",
-        &[Step::Line("GET:RC8:1:D:\r", LineWant::Type(5, 0))],
-    ),
-    line(
-        "get-s",
-        "RAC specification, section 4.1",
-        "GET of S answers type 8",
-        &[Step::Line("GET:RC8:1:S:\r", LineWant::Type(8, 0))],
-    ),
-    line(
-        "get-v",
-        "RAC specification, section 4.1",
-        "GET of V answers 3 numbers of type 8196",
-        &[Step::Line("GET:RC8:1:V:\r", LineWant::Type(4, 3))],
-    ),
-    line(
-        "get-p",
-        "RAC specification, section 4.1",
-        "GET of P answers 7 numbers of type 8196",
-        &[Step::Line("GET:RC8:1:P:\r", LineWant::Type(4, 7))],
-    ),
-    line(
-        "get-j",
-        "RAC specification, section 4.1",
-        "GET of J answers 8 numbers of type 8196",
-        &[Step::Line("GET:RC8:1:J:\r", LineWant::Type(4, 8))],
-    ),
-    line(
-        "get-t",
-        "RAC specification, section 4.1",
-        "GET of T answers 10 numbers of type 8196",
-        &[Step::Line("GET:RC8:1:T:\r", LineWant::Type(4, 10))],
-    ),
-    line(
-        "get-io",
-        "RAC specification, section 4.1",
-        "GET of IO answers type 11",
-        &[Step::Line("GET:RC8:128:IO:\r", LineWant::Type(11, 0))],
-    ),
-    line(
-        "blank-at-the-head",
-        "RAC specification, section 2.1.1",
-        "blanks at the head of a line are ignored",
-        &[Step::Line("  GET:RC8:1:I:\r", I4)],
-    ),
-    line(
-        "tab-at-the-head",
-        "RAC specification, section 2.1.1",
-        "a TAB at the head of a line is ignored",
-        &[Step::Line("\tGET:RC8:1:I:\r", I4)],
-    ),
-    run("empty-line", "beyond the specification", "an empty line is E_INVALIDCOMMAND", |bench| {
-        beyond(crate::line::check(bench, "\r", INVALID))
-    }),
-    line(
-        "unknown-command",
-        "RAC specification, Table 2-3",
-        "only GET and PUT are commands",
-        &[Step::Line("SET:RC8:1:I:\r", LineWant::Code(&[HResult::E_INVALIDCOMMAND]))],
-    ),
-    line(
-        "words",
-        "RAC specification, Table 2-3",
-        "a line that is no command is E_INVALIDCOMMAND",
-        &[Step::Line("HELLO\r", LineWant::Code(&[HResult::E_INVALIDCOMMAND]))],
-    ),
-    line("other-part", "RAC specification, section 2.1.2", "the part is RC8", &[Step::Line("GET:RC9:1:I:\r", INVALID)]),
-    line(
-        "unknown-kind",
-        "RAC specification, section 2.1.2",
-        "the kinds of variables are I F D S V P J T IO",
-        &[Step::Line("GET:RC8:1:X:\r", INVALID)],
-    ),
-    line(
-        "no-kind",
-        "RAC specification, section 2.1.2",
-        "a variable has a kind",
-        &[Step::Line("GET:RC8:1::\r", INVALID)],
-    ),
-    line(
-        "no-index",
-        "RAC specification, section 2.1.2",
-        "a variable has an index",
-        &[Step::Line("GET:RC8::I:\r", INVALID)],
-    ),
-    line(
-        "index-is-a-word",
-        "RAC specification, section 2.1.2",
-        "an index is a number",
-        &[Step::Line("GET:RC8:x:I:\r", INVALID)],
-    ),
-    line(
-        "index-negative",
-        "RAC specification, section 2.1.2",
-        "an index is not negative",
-        &[Step::Line("GET:RC8:-1:I:\r", INVALID)],
-    ),
-    line(
-        "index-too-large",
-        "RAC specification, section 2.1.2",
-        "an index above the last one is refused",
-        &[Step::Line("GET:RC8:99999999:I:\r", INVALID)],
-    ),
-    line(
-        "index-wraps",
-        "RAC specification, section 2.1.2",
-        "an index does not wrap at 32 bits",
-        &[Step::Line("GET:RC8:4294967297:I:\r", INVALID)],
-    ),
-    line(
-        "too-few-colons",
-        "RAC specification, section 2.1.2",
-        "a request has four colons",
-        &[Step::Line("GET:RC8:1\r", INVALID)],
-    ),
-    line(
-        "257-bytes",
-        "RAC specification, section 2.1.1",
-        "a command has at most 256 bytes",
-        &[Step::Line(LONG, INVALID)],
-    ),
-    line(
-        "put-without-value",
-        "RAC specification, section 2.1.2",
-        "PUT has a value",
-        &[Step::Line("PUT:RC8:{n}:I:\r", INVALID)],
-    )
-    .at(Level::Write),
-    line(
-        "put-of-a-word",
-        "RAC specification, Table 2-3",
-        "the data of type 3 is a number",
-        &[Step::Line("PUT:RC8:{n}:I:3,x\r", INVALID)],
-    )
-    .at(Level::Write),
-    line(
-        "put-too-large",
-        "RAC specification, Table 2-3",
-        "a number has to fit its type",
-        &[Step::Line("PUT:RC8:{n}:I:3,2147483648\r", INVALID)],
-    )
-    .at(Level::Write),
-    line(
-        "put-of-unknown-type",
-        "RAC specification, Table 2-1",
-        "type 99 does not exist",
-        &[Step::Line("PUT:RC8:{n}:I:99,1\r", INVALID)],
-    )
-    .at(Level::Write),
-    line(
-        "put-of-text-to-i",
-        "RAC specification, Table 2-3",
-        "a value of another type is refused",
-        &[Step::Line("PUT:RC8:{n}:I:8,abc\r", INVALID)],
-    )
-    .at(Level::Write),
-    line(
-        "put-of-short-array",
-        "RAC specification, section 4.2",
-        "P has 7 elements",
-        &[Step::Line("PUT:RC8:{n}:P:8196,1,2\r", INVALID)],
-    )
-    .at(Level::Write),
-    line(
-        "put-to-unknown-kind",
-        "RAC specification, section 2.1.2",
-        "the kinds of variables are I F D S V P J T IO",
-        &[Step::Line("PUT:RC8:{n}:X:3,1\r", INVALID)],
-    )
-    .at(Level::Write),
-    put!("put-i", "RAC specification, section 4.2", "I", "3,-123", "0,3,-123"),
-    put!("put-f", "RAC specification, section 4.2", "F", "4,123.01", "0,4,123.01"),
-    put!("put-d", "RAC specification, section 4.2", "D", "5,0.1", "0,5,0.1"),
-    put!("put-s", "RAC specification, section 4.2", "S", "8,Test", "0,8,Test"),
-    put!("put-v", "RAC specification, section 4.2", "V", "8196,1,2,3", "0,8196,1,2,3"),
-    put!("put-p", "RAC specification, section 4.2", "P", "8196,1,2,3,4,5,6,-1", "0,8196,1,2,3,4,5,6,-1"),
-    put!("put-j", "RAC specification, section 4.2", "J", "8196,1,2,3,4,5,6,7,8", "0,8196,1,2,3,4,5,6,7,8"),
-    put!("put-t", "RAC specification, section 4.2", "T", "8196,1,2,3,4,5,6,7,8,9,-1", "0,8196,1,2,3,4,5,6,7,8,9,-1"),
-    put!("put-with-blanks", "RAC specification, section 4.2", "I", "3, 77", "0,3,77"),
-    put!("put-string-with-commas", "RAC specification, section 2.2", "S", "8,Sample,Test", "0,8,Sample,Test"),
-    run("error-then-answer", "RAC specification, section 3.1", "an error does not end the session", error_then_answer),
-    run("two-lines-at-once", "beyond the specification", "each line is answered once, in order", |bench| {
-        beyond(two_lines(bench))
-    }),
-    run("line-in-pieces", "RAC specification, section 3.1", "a line may arrive in pieces", pieces),
-    run("pause-within-a-line", "RAC specification, section 3.1", "a pause within a line loses nothing", pause),
-    run("line-feed-is-no-end", "RAC specification, section 2.1.3", "a line ends with CR, not with LF", line_feed),
-    run(
-        "half-a-line-and-the-end",
-        "RAC specification, section 3.2",
-        "a connection that ends within a line does not disturb others",
-        half_a_line,
-    ),
-    run("two-sessions", "RAC specification, section 3.1", "two sessions work at the same time", two_sessions),
+/// The cases of `rac.cases` that are functions.
+pub(super) const FUNCTIONS: &[(&str, Run)] = &[
+    ("empty-line", |bench| beyond(crate::line::check(bench, "\r", LineWant::Refused))),
+    ("put-i", |bench| put_and_get(bench, "I", "3,-123", "0,3,-123")),
+    ("put-f", |bench| put_and_get(bench, "F", "4,123.01", "0,4,123.01")),
+    ("put-d", |bench| put_and_get(bench, "D", "5,0.1", "0,5,0.1")),
+    ("put-s", |bench| put_and_get(bench, "S", "8,Test", "0,8,Test")),
+    ("put-v", |bench| put_and_get(bench, "V", "8196,1,2,3", "0,8196,1,2,3")),
+    ("put-p", |bench| put_and_get(bench, "P", "8196,1,2,3,4,5,6,-1", "0,8196,1,2,3,4,5,6,-1")),
+    ("put-j", |bench| put_and_get(bench, "J", "8196,1,2,3,4,5,6,7,8", "0,8196,1,2,3,4,5,6,7,8")),
+    ("put-t", |bench| put_and_get(bench, "T", "8196,1,2,3,4,5,6,7,8,9,-1", "0,8196,1,2,3,4,5,6,7,8,9,-1")),
+    ("put-with-blanks", |bench| put_and_get(bench, "I", "3, 77", "0,3,77")),
+    ("put-string-with-commas", |bench| put_and_get(bench, "S", "8,Sample,Test", "0,8,Sample,Test")),
+    ("error-then-answer", error_then_answer),
+    ("two-lines-at-once", |bench| beyond(two_lines(bench))),
+    ("line-in-pieces", pieces),
+    ("pause-within-a-line", pause),
+    ("line-feed-is-no-end", line_feed),
+    ("half-a-line-and-the-end", half_a_line),
+    ("two-sessions", two_sessions),
 ];
-
-/// A GET with blanks in it, 257 bytes in all.
-const LONG: &str = concat!(
-    "GET:RC8:1:I:",
-    "                                                                                                    ",
-    "                                                                                                    ",
-    "                                            ",
-    "\r"
-);
 
 const GET: &str = "GET:RC8:1:I:\r";
 

@@ -5,106 +5,22 @@ use std::time::{Duration, Instant};
 use bcap_core::bcap::FunctionId as F;
 use bcap_core::hresult::HResult;
 use bcap_testkit::value::Value;
-use bcap_testkit::wire::Link;
 
 use crate::bench::{Bench, Stop, fail, skip, value_of};
 use crate::case::Arg::{H, I, S, V};
-use crate::case::Setup::{Arm, Connected, Controller, Started};
-use crate::case::{Body, Case, Group, Level, Setup, Slot, Step, Want, case, steps};
+use crate::case::{Run, Slot, Want};
 use crate::reply::{Came, request_text};
-
-const fn run(
-    name: &'static str,
-    source: &'static str,
-    rule: &'static str,
-    setup: Setup,
-    run: fn(&mut Bench<'_>) -> Result<(), Stop>,
-) -> Case {
-    case(Group::Timeouts, name, source, rule, setup, Body::Run(run))
-}
-
-pub(super) const CASES: &[Case] = &[
-    run(
-        "pause-within-the-header",
-        "b-CAP specification, sections 4.1.1 to 4.1.5",
-        "a pause of 500 ms within a frame loses nothing",
-        Connected,
-        pause_in_header,
-    )
-    .over(Link::Tcp),
-    run(
-        "pause-within-an-argument",
-        "b-CAP specification, sections 4.1.1 to 4.1.5",
-        "a pause of 500 ms within a frame loses nothing",
-        Connected,
-        pause_in_argument,
-    )
-    .over(Link::Tcp),
-    run(
-        "pause-between-frames",
-        "b-CAP specification, sections 4.1.1 to 4.1.5",
-        "a session without calls for a second goes on",
-        Controller,
-        pause_between,
-    ),
-    run(
-        "pause-of-another-client",
-        "RAC specification, section 3.1",
-        "an unfinished frame of one client does not delay another",
-        Started,
-        unfinished_frame_of_another,
-    )
-    .over(Link::Tcp),
-    run(
-        "quick-call-without-keep-alive",
-        "b-CAP specification, Table 4-1",
-        "a call that takes no time gets no keep-alive",
-        Connected,
-        no_keep_alive,
-    ),
-    run(
-        "silence-after-a-reply",
-        "RAC specification, section 3.1",
-        "a device sends nothing without a request",
-        Controller,
-        silence,
-    ),
-    run(
-        "keep-alives-of-a-motion",
-        "b-CAP specification, Table 4-1",
-        "with WDT=100 a long call gets S_EXECUTING with its serial, and then its reply",
-        Arm,
-        keep_alives,
-    )
-    .at(Level::Motion),
-    run(
-        "no-keep-alive-without-wdt",
-        "b-CAP specification, Table 4-1",
-        "without WDT a long call gets no S_EXECUTING",
-        Arm,
-        no_keep_alives_without_wdt,
-    )
-    .at(Level::Motion),
-    run(
-        "others-during-a-motion",
-        "RAC specification, section 3.1",
-        "a long call of one client does not delay another",
-        Arm,
-        others_during_a_motion,
-    )
-    .at(Level::Motion),
-    case(
-        Group::Timeouts,
-        "restart-with-another-wdt",
-        "b-CAP specification, Table 4-1",
-        "a later Service_Start may set another interval",
-        Connected,
-        steps(&[
-            Step::Must(F::SERVICE_START, &[S("WDT=100")], Want::NoValue),
-            Step::Must(F::SERVICE_STOP, &[], Want::NoValue),
-            Step::Must(F::SERVICE_START, &[S("WDT=500")], Want::NoValue),
-        ]),
-    ),
+/// The cases of `timeouts.cases` that are functions.
+pub(super) const FUNCTIONS: &[(&str, Run)] = &[
+    ("pause-within-the-header", |bench| paused(bench, 7)),
+    ("pause-within-an-argument", |bench| paused(bench, 30)),
+    ("pause-between-frames", pause_between),
+    ("pause-of-another-client", unfinished_frame_of_another),
+    ("quick-call-without-keep-alive", no_keep_alive),
+    ("silence-after-a-reply", silence),
+    ("keep-alives-of-a-motion", keep_alives),
+    ("no-keep-alive-without-wdt", no_keep_alives_without_wdt),
+    ("others-during-a-motion", others_during_a_motion),
 ];
 
 /// A pause that is longer than the poll interval of known servers.
@@ -119,14 +35,6 @@ fn paused(bench: &mut Bench<'_>, at: usize) -> Result<(), Stop> {
     bench.send(&bytes[at..], "the rest")?;
     let reply = bench.reply(F::SERVICE_START, serial)?;
     if reply.code.is_ok() { Ok(()) } else { fail("success", reply.text()) }
-}
-
-fn pause_in_header(bench: &mut Bench<'_>) -> Result<(), Stop> {
-    paused(bench, 7)
-}
-
-fn pause_in_argument(bench: &mut Bench<'_>) -> Result<(), Stop> {
-    paused(bench, 30)
 }
 
 fn pause_between(bench: &mut Bench<'_>) -> Result<(), Stop> {

@@ -3,130 +3,23 @@
 use bcap_core::bcap::FunctionId as F;
 use bcap_core::hresult::HResult;
 use bcap_testkit::value::Value;
-use bcap_testkit::wire::Link;
 
 use crate::bench::{Bench, Stop, fail};
-use crate::case::Arg::{H, S, V};
-use crate::case::Setup::{Connected, Controller};
-use crate::case::{Body, Case, Group, Level, Setup, Slot, Step, Want, case, steps};
+use crate::case::Arg::{H, S};
+use crate::case::{Run, Slot, Want};
 use crate::reply::Came;
 
 const C: Slot = Slot::Controller;
 const A: Slot = Slot::A;
 const B: Slot = Slot::B;
-const COPY: Step = Step::Copy { renumbered: true };
-const DUPLICATE: Step = Step::Copy { renumbered: false };
-
-const fn udp(name: &'static str, rule: &'static str, setup: Setup, table: &'static [Step]) -> Case {
-    case(Group::Udp, name, "b-CAP specification, Table 6-1", rule, setup, steps(table)).over(Link::Udp)
-}
-
-const fn run(name: &'static str, rule: &'static str, run: fn(&mut Bench<'_>) -> Result<(), Stop>) -> Case {
-    case(Group::Udp, name, "b-CAP specification, Table 6-1", rule, Controller, Body::Run(run)).over(Link::Udp)
-}
-
-pub(super) const CASES: &[Case] = &[
-    udp(
-        "copy-of-start",
-        "a retransmitted Service_Start gets its reply again",
-        Connected,
-        &[Step::Must(F::SERVICE_START, &[S("")], Want::NoValue), COPY],
-    ),
-    udp("copy-of-connect", "a retransmission gets the same handle", Controller, &[COPY]),
-    udp(
-        "copy-of-open",
-        "a retransmission opens no second object",
-        Controller,
-        &[Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]), COPY],
-    ),
-    udp(
-        "three-copies-of-open",
-        "every retransmission gets the first reply",
-        Controller,
-        &[Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]), COPY, COPY, COPY],
-    ),
-    udp(
-        "duplicate-of-open",
-        "a datagram that the network duplicates opens no second object",
-        Controller,
-        &[Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]), DUPLICATE],
-    ),
-    udp(
-        "copy-of-release",
-        "a retransmitted release is not executed again, which would be E_HANDLE",
-        Controller,
-        &[
-            Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]),
-            Step::Must(F::VARIABLE_RELEASE, &[H(A)], Want::NoValue),
-            COPY,
-        ],
-    ),
-    udp(
-        "duplicate-of-release",
-        "a duplicated release is not executed again",
-        Controller,
-        &[
-            Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]),
-            Step::Must(F::VARIABLE_RELEASE, &[H(A)], Want::NoValue),
-            DUPLICATE,
-        ],
-    ),
-    udp(
-        "copy-of-a-refusal",
-        "a retransmission of a refused call is refused with the same code",
-        Controller,
-        &[Step::Must(F::CONTROLLER_GET_VARIABLE, &[H(C), S("NoSuchVariable"), S("")], Want::Refused), COPY],
-    ),
-    udp(
-        "copy-of-get",
-        "a retransmission of a reading call gets the same value",
-        Controller,
-        &[
-            Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]),
-            Step::Must(F::VARIABLE_GET_VALUE, &[H(A)], Want::Type(3)),
-            COPY,
-        ],
-    ),
-    udp(
-        "copy-of-disconnect",
-        "a retransmitted Controller_Disconnect is not executed again",
-        Controller,
-        &[Step::Must(F::CONTROLLER_DISCONNECT, &[H(C)], Want::NoValue), COPY],
-    ),
-    udp(
-        "copy-of-put",
-        "a retransmitted write gets its reply again",
-        Controller,
-        &[
-            Step::Save("I"),
-            Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), crate::case::Arg::Scratch("I"), S("")]),
-            Step::Call(F::VARIABLE_PUT_VALUE, &[H(A), V("3,77")], Want::NoValue),
-            COPY,
-            Step::Must(F::VARIABLE_GET_VALUE, &[H(A)], Want::Value("3,77")),
-        ],
-    )
-    .at(Level::Write),
-    udp(
-        "next-call-after-a-copy",
-        "after a retransmission the next call is executed",
-        Controller,
-        &[
-            Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]),
-            COPY,
-            Step::Open(B, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]),
-            Step::Differ(A, B),
-        ],
-    ),
-    run(
-        "same-serial-other-function",
-        "a call with the marker of the last call, but another function, is no copy",
-        same_serial_other_function,
-    ),
-    run("late-copy-is-not-executed", "a copy of an older call is not executed", late_copy),
-    run("reserved-0-means-serial", "a request without a marker has its serial as marker", no_marker),
-    run("first-serial-65535", "markers wrap", wrapping_markers),
-    run("another-port-is-another-client", "two ports are two clients, also with the same serials", another_port),
-    run("reply-of-488-bytes", "a packet over UDP has at most 488 bytes", large_reply),
+/// The cases of `udp.cases` that are functions.
+pub(super) const FUNCTIONS: &[(&str, Run)] = &[
+    ("same-serial-other-function", same_serial_other_function),
+    ("late-copy-is-not-executed", late_copy),
+    ("reserved-0-means-serial", no_marker),
+    ("first-serial-65535", wrapping_markers),
+    ("another-port-is-another-client", another_port),
+    ("reply-of-488-bytes", large_reply),
 ];
 
 /// Sends a request with this serial and marker.

@@ -13,63 +13,35 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::Duration;
 
-use bcap_core::bcap::{Decoder, FrameWriter, FunctionId, Progress};
-use bcap_core::hresult::HResult;
 use bcap_core::limits::Strictness;
-use bcap_core::variant::OwnedVariant;
+use bcap_testkit::frame::TestFrame;
+use bcap_testkit::judge::TCP;
+use bcap_testkit::oracle::{Oracle, Verdict};
+use bcap_testkit::value::Value;
 
-/// A decoded frame, which a hook may change.
-#[derive(Clone, Debug)]
-pub(crate) struct Parts {
-    pub(crate) serial: u16,
-    pub(crate) marker: u16,
-    pub(crate) code: i32,
-    pub(crate) args: Vec<OwnedVariant>,
-}
+/// Frames with wrong lengths pass too: the device judges them.
+const LENIENT: Oracle = Oracle { strictness: Strictness::Lenient, ..TCP };
 
-impl Parts {
-    fn read(bytes: &[u8]) -> Option<(Self, usize)> {
-        match Decoder::TCP.strictness(Strictness::Lenient).decode(bytes) {
-            Ok(Progress::Complete(frame, used)) => {
-                let args = frame.args.iter().map(|value| OwnedVariant::new(&value).unwrap_or_default()).collect();
-                let parts = Self { serial: frame.serial, marker: frame.reserved, code: frame.code, args };
-                Some((parts, used))
-            }
-            _ => None,
-        }
-    }
-
-    pub(crate) fn write(&self) -> Vec<u8> {
-        let mut buffer = vec![0; 1 << 20];
-        let mut frame = FrameWriter::new(&mut buffer).unwrap();
-        self.args.iter().for_each(|value| frame.argument(&value.as_variant()).unwrap());
-        frame.finish(self.serial, self.marker, self.code).unwrap().to_vec()
-    }
-
-    pub(crate) fn result(&self) -> HResult {
-        HResult(self.code)
+/// Decodes the frame at the front of `bytes`; returns its length too.
+fn read_frame(bytes: &[u8]) -> Option<(TestFrame, usize)> {
+    match LENIENT.decode(bytes) {
+        Verdict::Frame(frame, used) => Some((frame, used)),
+        _ => None,
     }
 }
 
-/// The context of a reply hook.
-#[derive(Clone, Debug)]
-pub(crate) struct Request {
-    pub(crate) function: FunctionId,
-    pub(crate) args: Vec<OwnedVariant>,
-}
-
-/// The state of a fault's hooks.
+/// The state of a fault.
 #[derive(Debug, Default)]
 pub(crate) struct Memory {
-    pub(crate) handle: Option<i32>,
+    pub(crate) handle: Option<Value>,
     /// Whether a datagram was invalid.
     pub(crate) had_invalid: bool,
 }
 
 /// Changes a request; `None` drops it.
-pub(crate) type OnRequest = fn(&mut Memory, Parts) -> Option<Parts>;
-/// Returns the bytes to send for a reply.
-pub(crate) type OnReply = fn(&mut Memory, &Request, Parts) -> Vec<u8>;
+pub(crate) type OnRequest = fn(&mut Memory, TestFrame) -> Option<TestFrame>;
+/// Returns the bytes to send for a reply to this request.
+pub(crate) type OnReply = fn(&mut Memory, &TestFrame, TestFrame) -> Vec<u8>;
 
 /// A fault of a device.
 #[derive(Clone, Copy)]
@@ -85,8 +57,8 @@ pub(crate) struct Hooks {
 impl Hooks {
     /// Changes nothing.
     pub(crate) const HONEST: Self = Self {
-        request: |_, parts| Some(parts),
-        reply: |_, _, parts| parts.write(),
+        request: |_, frame| Some(frame),
+        reply: |_, _, frame| frame.to_wire(false),
         bytes: |_, bytes| bytes,
         line: str::to_owned,
     };
@@ -137,26 +109,25 @@ fn listen(stop: Arc<AtomicBool>, serve: impl Fn(TcpStream) + Send + Sync + 'stat
     address
 }
 
-/// The state that both directions of a connection share.
+/// The state of a connection in both directions.
 #[derive(Default)]
 struct Shared {
     memory: Memory,
-    requests: HashMap<u16, Request>,
+    requests: HashMap<u16, TestFrame>,
 }
 
 impl Shared {
     /// Returns the bytes for the device.
-    fn request(&mut self, hooks: &Hooks, parts: Parts) -> Option<Vec<u8>> {
-        let changed = (hooks.request)(&mut self.memory, parts.clone())?;
-        let request = Request { function: FunctionId(parts.code), args: parts.args };
-        self.requests.insert(changed.serial, request);
-        Some(changed.write())
+    fn request(&mut self, hooks: &Hooks, frame: TestFrame) -> Option<Vec<u8>> {
+        let changed = (hooks.request)(&mut self.memory, frame.clone())?;
+        self.requests.insert(changed.serial, frame);
+        Some(changed.to_wire(false))
     }
 
-    fn reply(&mut self, hooks: &Hooks, parts: Parts) -> Vec<u8> {
-        let unknown = Request { function: FunctionId(0), args: Vec::new() };
-        let request = self.requests.get(&parts.serial).cloned().unwrap_or(unknown);
-        (hooks.reply)(&mut self.memory, &request, parts)
+    fn reply(&mut self, hooks: &Hooks, frame: TestFrame) -> Vec<u8> {
+        let unknown = TestFrame { serial: 0, reserved: 0, code: 0, args: Vec::new() };
+        let request = self.requests.get(&frame.serial).cloned().unwrap_or(unknown);
+        (hooks.reply)(&mut self.memory, &request, frame)
     }
 }
 
@@ -169,9 +140,9 @@ fn relay_stream(client: &TcpStream, device: SocketAddr, hooks: Hooks) {
     thread::spawn(move || {
         let mut held = Vec::new();
         while read(&mut from, &mut held) {
-            while let Some((parts, used)) = Parts::read(&held) {
+            while let Some((frame, used)) = read_frame(&held) {
                 held.drain(..used);
-                let bytes = replies.lock().unwrap().reply(&hooks, parts);
+                let bytes = replies.lock().unwrap().reply(&hooks, frame);
                 let _ = to.write_all(&bytes);
             }
         }
@@ -182,16 +153,16 @@ fn relay_stream(client: &TcpStream, device: SocketAddr, hooks: Hooks) {
     let mut chunk = Vec::new();
     while read(&mut from, &mut chunk) {
         held.extend((hooks.bytes)(&mut shared.lock().unwrap().memory, std::mem::take(&mut chunk)));
-        while let Some((parts, used)) = Parts::read(&held) {
+        while let Some((frame, used)) = read_frame(&held) {
             let original = held.drain(..used).collect::<Vec<_>>();
             // frames that only a lenient decoder accepts must reach the device unchanged
-            let is_canonical = parts.write() == original;
-            let changed = shared.lock().unwrap().request(&hooks, parts);
+            let is_canonical = frame.to_wire(false) == original;
+            let changed = shared.lock().unwrap().request(&hooks, frame);
             let Some(bytes) = changed else { continue };
             let _ = to.write_all(if is_canonical { &bytes } else { &original });
         }
-        // the device judges bytes that are not a frame
-        if Decoder::TCP.strictness(Strictness::Lenient).decode(&held).is_err() {
+        // the device judges what is not a frame
+        if LENIENT.decode(&held) == Verdict::Refused {
             let _ = to.write_all(&std::mem::take(&mut held));
         }
     }
@@ -249,8 +220,8 @@ fn relay_datagrams(socket: &UdpSocket, device: SocketAddr, hooks: Hooks, ended: 
             thread::spawn(move || {
                 let mut buffer = [0; 65536];
                 while let Ok(count) = from.recv(&mut buffer) {
-                    let Some((parts, _)) = Parts::read(&buffer[..count]) else { continue };
-                    let bytes = replies.lock().unwrap().reply(&hooks, parts);
+                    let Some((frame, _)) = read_frame(&buffer[..count]) else { continue };
+                    let bytes = replies.lock().unwrap().reply(&hooks, frame);
                     if !bytes.is_empty() {
                         let _ = to.send_to(&bytes, client);
                     }
@@ -260,9 +231,9 @@ fn relay_datagrams(socket: &UdpSocket, device: SocketAddr, hooks: Hooks, ended: 
         });
         let mut shared = shared.lock().unwrap();
         let bytes = (hooks.bytes)(&mut device_memory, buffer[..count].to_vec());
-        match Parts::read(&bytes) {
-            Some((parts, used)) if used == bytes.len() => {
-                if let Some(bytes) = shared.request(&hooks, parts) {
+        match read_frame(&bytes) {
+            Some((frame, used)) if used == bytes.len() => {
+                if let Some(bytes) = shared.request(&hooks, frame) {
                     let _ = out.send(&bytes);
                 }
             }

@@ -1,14 +1,14 @@
-//! The fuzzer's state of a connection: its handles, and the permitted results of their calls.
+//! The state of a connection: its handles, and which calls may succeed.
 
 use std::collections::HashMap;
 
 use bcap_core::bcap::{FunctionId, Kind as ArgumentKind, Object};
 use bcap_core::hresult::HResult;
-use bcap_testkit::frame::TestFrame;
-use bcap_testkit::step::{Argument, Call};
-use bcap_testkit::value::Value;
 
 use super::finding::{Finding, Kind};
+use crate::frame::TestFrame;
+use crate::step::{Argument, Call};
+use crate::value::Value;
 
 /// A handle that the device gave.
 #[derive(Debug)]

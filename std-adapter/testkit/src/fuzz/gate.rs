@@ -1,29 +1,44 @@
-//! The requests that a fuzzer may send to a device.
+//! Decides which packets a device may get, by the effects in the function table of the core.
 
 use bcap_core::bcap::{Command, FunctionId};
-use bcap_core::rac::{Request, Variable};
-use bcap_gateway::AllowBuf;
-use bcap_testkit::frame::TestFrame;
-use bcap_testkit::grammar::Grammar;
-use bcap_testkit::value::Value;
+use bcap_core::rac::{Request, Variable, VariableKind};
+
+use crate::frame::{TestFrame, field};
+use crate::grammar::Grammar;
+use crate::step::{Argument, Step};
+use crate::value::Value;
 
 /// Numbers from here on are not functions of any firmware; those below may be functions that no public source describes.
 const NO_FUNCTION: i32 = 65_536;
 
-/// The permitted requests.
+/// Variables of one kind, from the first index to the last.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Range {
+    /// Their kind.
+    pub kind: VariableKind,
+    /// The first index.
+    pub first: u32,
+    /// The last index.
+    pub last: u32,
+}
+
+/// The packets that may be sent.
 #[derive(Debug)]
-pub(super) struct Gate {
-    writable: Vec<AllowBuf>,
+pub struct Gate {
+    writable: Vec<Range>,
     with_motion: bool,
 }
 
 impl Gate {
-    pub(super) const fn new(writable: Vec<AllowBuf>, with_motion: bool) -> Self {
+    /// Allows calls that read, writes to these variables, and any call if `with_motion`.
+    #[must_use]
+    pub const fn new(writable: Vec<Range>, with_motion: bool) -> Self {
         Self { writable, with_motion }
     }
 
-    /// Returns the grammar of permitted requests. The gate checks every packet nevertheless.
-    pub(super) fn grammar(&self, provider: &str) -> Grammar {
+    /// Returns the grammar of what may be sent. The gate checks every packet nevertheless.
+    #[must_use]
+    pub fn grammar(&self, provider: &str) -> Grammar {
         let named = |command: &Command| (command.function, String::from(command.name));
         let mut grammar = Grammar {
             provider: provider.into(),
@@ -31,10 +46,9 @@ impl Gate {
             ..Grammar::reading()
         };
         for rule in &self.writable {
-            let allow = rule.as_allow();
-            let last = allow.last.min(allow.first.saturating_add(9));
-            grammar.writable.extend([allow.first, last].map(|index| (allow.kind.name(), index)));
-            grammar.names.extend((allow.first..=last).map(|index| format!("{}{index}", allow.kind.name())));
+            let last = rule.last.min(rule.first.saturating_add(9));
+            grammar.writable.extend([rule.first, last].map(|index| (rule.kind.name(), index)));
+            grammar.names.extend((rule.first..=last).map(|index| format!("{}{index}", rule.kind.name())));
         }
         if self.with_motion {
             grammar.functions = FunctionId::all().collect();
@@ -80,10 +94,17 @@ impl Gate {
         self.with_motion || starts.into_iter().all(|at| is_harmless_at(&joint, at))
     }
 
-    /// Returns the name of a variable that may be written, if there is one.
-    pub(super) fn any_variable(&self) -> Option<String> {
-        let allow = self.writable.first()?.as_allow();
-        Some(format!("{}{}", allow.kind.name(), allow.first))
+    /// Returns whether a step may be sent. A write depends on the variable that is open then, so a step that writes passes if any
+    /// variable may be written; it is checked again when it is sent.
+    #[must_use]
+    pub fn may_pass(&self, step: &Step) -> bool {
+        let any = self.writable.first().map(|range| format!("{}{}", range.kind.name(), range.first));
+        match step {
+            Step::Call(call) => self.has_call(&call.to_frame(1, |_: &Argument| 0), any.as_deref()),
+            Step::Bytes(bytes) => self.has_bytes(bytes),
+            Step::Line(line) => self.has_lines(line),
+            Step::Reconnect => true,
+        }
     }
 
     /// Returns whether lines of RAC may be sent. The last one needs its CR, so that it does not continue in the next step.
@@ -106,10 +127,8 @@ impl Gate {
     }
 
     fn writes(&self, variable: Variable) -> bool {
-        self.writable
-            .iter()
-            .map(AllowBuf::as_allow)
-            .any(|allow| allow.kind == variable.kind && (allow.first..=allow.last).contains(&variable.index))
+        let has = |range: &Range| range.kind == variable.kind && (range.first..=range.last).contains(&variable.index);
+        self.writable.iter().any(has)
     }
 }
 
@@ -153,7 +172,7 @@ fn is_safe(code: i32) -> bool {
 
 /// Returns the code of a frame that begins at this place.
 fn code_at(bytes: &[u8], at: usize) -> Option<i32> {
-    bytes.get(at + 9..at + 13)?.try_into().ok().map(i32::from_le_bytes)
+    bytes.get(at..).and_then(field::code)
 }
 
 /// Returns whether a receiver that lost its place, and takes a later byte for the beginning of a frame, sees no known function that
@@ -177,9 +196,11 @@ mod tests {
         TestFrame { serial: 1, reserved: 0, code: function.0, args }
     }
 
-    fn gate(ranges: &[&str]) -> Gate {
-        Gate::new(ranges.iter().map(|text| AllowBuf::parse(text).unwrap()).collect(), false)
+    fn gate(writable: &[Range]) -> Gate {
+        Gate::new(writable.to_vec(), false)
     }
+
+    const I90_TO_99: Range = Range { kind: VariableKind::I, first: 90, last: 99 };
 
     #[test]
     fn only_calls_that_read_pass() {
@@ -235,7 +256,7 @@ mod tests {
     #[test]
     fn writes_need_a_range() {
         let put = frame(FunctionId::VARIABLE_PUT_VALUE, vec![Value::I4(3), Value::I4(1)]);
-        let (none, some) = (gate(&[]), gate(&["I/90-99"]));
+        let (none, some) = (gate(&[]), gate(&[I90_TO_99]));
         assert!(!none.has_call(&put, Some("I90")));
         for (name, passes) in
             [("I90", true), ("I99", true), ("I100", false), ("F90", false), ("I*", false), ("@SPEED", false)]
@@ -257,9 +278,9 @@ mod tests {
 
     #[test]
     fn the_calls_that_open_a_session_pass() {
-        for gate in [gate(&[]), gate(&["I/90-99"])] {
+        for gate in [gate(&[]), gate(&[I90_TO_99])] {
             for step in gate.grammar("CaoProv.DENSO.VRC").opening() {
-                let bcap_testkit::step::Step::Call(call) = step else { panic!("{step}") };
+                let Step::Call(call) = step else { panic!("{step}") };
                 assert!(gate.has_call(&call.to_frame(1, |_| 0), None), "{call}");
             }
         }

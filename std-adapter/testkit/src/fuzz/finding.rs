@@ -1,14 +1,12 @@
-//! The findings of a fuzzer.
+//! Findings, and when two are the same.
 
 use std::fmt;
 
 use bcap_core::bcap::FunctionId;
-use serde::Serialize;
 
 /// A kind of finding.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub(super) enum Kind {
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
     /// No new connection is possible.
     Crash,
     /// No reply came, and no end of the connection.
@@ -25,7 +23,8 @@ pub(super) enum Kind {
 
 impl Kind {
     /// Returns the word for file names and output.
-    pub(super) const fn name(self) -> &'static str {
+    #[must_use]
+    pub const fn name(self) -> &'static str {
         match self {
             Self::Crash => "crash",
             Self::Hang => "hang",
@@ -39,11 +38,13 @@ impl Kind {
 
 /// A finding.
 #[derive(Clone, Debug)]
-pub(super) struct Finding {
-    pub(super) kind: Kind,
-    /// The subject of the request: a function, `bytes` or `RAC`.
-    pub(super) subject: String,
-    pub(super) detail: String,
+pub struct Finding {
+    /// Its kind.
+    pub kind: Kind,
+    /// The request: a function, `bytes` or `RAC`.
+    pub subject: String,
+    /// The fault in words.
+    pub detail: String,
 }
 
 impl Finding {
@@ -56,7 +57,8 @@ impl Finding {
     }
 
     /// Returns whether both are probably the same fault. A crash is noticed only after its session, so any crash is the same.
-    pub(super) fn is_same(&self, other: &Self) -> bool {
+    #[must_use]
+    pub fn is_same(&self, other: &Self) -> bool {
         self.kind == other.kind && (self.kind == Kind::Crash || self.subject == other.subject)
     }
 }

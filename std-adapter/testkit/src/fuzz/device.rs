@@ -1,6 +1,7 @@
 //! Runs steps against the device, and judges its reactions.
 
 use std::collections::HashSet;
+use std::fmt;
 use std::io;
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
@@ -8,19 +9,18 @@ use std::time::{Duration, Instant};
 use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
 use bcap_core::limits::UDP_SEND_MAX;
-use bcap_testkit::frame::TestFrame;
-use bcap_testkit::judge::{self, Fault, TCP};
-use bcap_testkit::oracle::Verdict;
-use bcap_testkit::step::{Argument, Call, Delivery, Step};
-use bcap_testkit::value::Value;
 
+use super::Error;
+use super::channel::{Channel, Protocol};
 use super::finding::{Finding, Kind};
 use super::gate::{Gate, TAIL, call_reads};
 use super::session::Session;
-use super::wire::{Protocol, Received, Wire, serial_of};
-use crate::error::Failure;
-use crate::interrupt::Interrupt;
-use bcap_capture::record::Recorder;
+use crate::frame::{TestFrame, field};
+use crate::judge::{self, Fault, TCP};
+use crate::oracle::Verdict;
+use crate::step::{Argument, Call, Delivery, Step};
+use crate::value::Value;
+use crate::wire::{Link, Received, Recorder};
 
 /// A call may be kept alive for this number of time limits.
 const KEPT_ALIVE: u32 = 10;
@@ -32,29 +32,35 @@ const RELEASING: Duration = Duration::from_millis(150);
 const ATTEMPTS: u32 = 5;
 /// How long a reply to an invalid datagram may take; a device may drop it.
 const DROPPED: Duration = Duration::from_millis(10);
-/// The time between two looks for a signal.
+/// The time between two looks for the end of the run.
 const LOOK: Duration = Duration::from_millis(200);
 /// The wait before a refused connection is tried again.
 const SLOT: Duration = Duration::from_millis(20);
 /// The wait between the parts of a frame that is split.
 const SPLIT: Duration = Duration::from_millis(1);
 
-/// The device, and the limits of the requests.
-pub(super) struct Device {
-    pub(super) bcap: Vec<SocketAddr>,
-    /// The protocol of the addresses before.
-    pub(super) protocol: Protocol,
+/// The device, and the limits of what it gets.
+pub struct Device<'a> {
+    bcap: Vec<SocketAddr>,
+    link: Link,
+    rac: Option<Vec<SocketAddr>>,
+    /// What it may get.
+    pub gate: Gate,
+    /// The time limit of a reply.
+    pub timeout: Duration,
     /// For how long a refused connection is tried again.
-    pub(super) reconnect: Duration,
-    pub(super) rac: Option<Vec<SocketAddr>>,
-    pub(super) timeout: Duration,
-    pub(super) gate: Gate,
-    pub(super) interrupt: Interrupt,
+    pub reconnect: Duration,
     /// The least time between two packets.
-    pub(super) interval: Duration,
-    pub(super) next: Instant,
-    /// Packets so far.
-    pub(super) packets: u64,
+    pub interval: Duration,
+    next: Instant,
+    packets: u64,
+    is_ended: &'a dyn Fn() -> bool,
+}
+
+impl fmt::Debug for Device<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Device").field("bcap", &self.bcap).field("link", &self.link).finish_non_exhaustive()
+    }
 }
 
 /// How a run goes on.
@@ -66,11 +72,11 @@ enum Next {
 }
 
 /// A run of steps.
-struct Run<'a> {
-    device: &'a mut Device,
-    recorder: Option<&'a Recorder>,
-    wire: Option<Wire>,
-    rac: Option<Wire>,
+struct Run<'a, 'd> {
+    device: &'a mut Device<'d>,
+    recorder: Option<&'a dyn Recorder>,
+    wire: Option<Channel>,
+    rac: Option<Channel>,
     session: Session,
     /// Calls that are written together with the next one.
     joined: Vec<TestFrame>,
@@ -82,9 +88,68 @@ struct Run<'a> {
     last: Option<TestFrame>,
 }
 
-impl Device {
+impl<'d> Device<'d> {
+    /// Makes a device with the addresses of one port of b-CAP. The run ends when `is_ended` returns true.
+    pub fn new(
+        bcap: Vec<SocketAddr>,
+        link: Link,
+        gate: Gate,
+        timeout: Duration,
+        is_ended: &'d dyn Fn() -> bool,
+    ) -> Self {
+        let (reconnect, interval) = (Duration::ZERO, Duration::ZERO);
+        let (next, packets) = (Instant::now(), 0);
+        Self { bcap, link, rac: None, gate, timeout, reconnect, interval, next, packets, is_ended }
+    }
+
+    /// Fuzzes RAC too.
+    ///
+    /// # Errors
+    ///
+    /// When the port accepts no connection.
+    pub fn with_rac(&mut self, addresses: Vec<SocketAddr>) -> io::Result<()> {
+        Channel::connect(&addresses, Protocol::Rac, self.timeout, None)?;
+        self.rac = Some(addresses);
+        Ok(())
+    }
+
+    /// Returns the number of packets so far.
+    #[must_use]
+    pub const fn packets(&self) -> u64 {
+        self.packets
+    }
+
+    /// Tells whether packets are datagrams.
+    #[must_use]
+    pub const fn is_datagrams(&self) -> bool {
+        matches!(self.link, Link::Udp)
+    }
+
+    pub(super) const fn has_rac(&self) -> bool {
+        self.rac.is_some()
+    }
+
+    /// Waits; ends when the run does.
+    pub(super) fn sleep(&self, time: Duration) -> Result<(), Error> {
+        let until = Instant::now() + time;
+        loop {
+            if (self.is_ended)() {
+                return Err(Error::Ended);
+            }
+            let left = until.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Ok(());
+            }
+            std::thread::sleep(left.min(LOOK));
+        }
+    }
+
     /// Runs steps on a new connection, and then sees whether a new client is served.
-    pub(super) fn run(&mut self, steps: &[Step], recorder: Option<&Recorder>) -> Result<Option<Finding>, Failure> {
+    ///
+    /// # Errors
+    ///
+    /// When the run is ended.
+    pub fn run(&mut self, steps: &[Step], recorder: Option<&dyn Recorder>) -> Result<Option<Finding>, Error> {
         let mut run = Run {
             device: self,
             recorder,
@@ -106,7 +171,11 @@ impl Device {
     }
 
     /// Sees whether a new client is served.
-    pub(super) fn probe(&mut self, recorder: Option<&Recorder>) -> Result<Option<Finding>, Failure> {
+    ///
+    /// # Errors
+    ///
+    /// When the run is ended.
+    pub fn probe(&mut self, recorder: Option<&dyn Recorder>) -> Result<Option<Finding>, Error> {
         let until = Instant::now() + self.reconnect;
         loop {
             let found = self.probe_once(recorder)?;
@@ -115,11 +184,11 @@ impl Device {
             {
                 return Ok(found);
             }
-            self.interrupt.sleep(SLOT)?;
+            self.sleep(SLOT)?;
         }
     }
 
-    fn probe_once(&mut self, recorder: Option<&Recorder>) -> Result<Option<Finding>, Failure> {
+    fn probe_once(&mut self, recorder: Option<&dyn Recorder>) -> Result<Option<Finding>, Error> {
         const SUBJECT: &str = "a new client";
         let mut wire = match self.connect(recorder) {
             Ok(wire) => wire,
@@ -145,27 +214,22 @@ impl Device {
         }
         wire.close(&self.gate);
         if let Some(addresses) = &self.rac
-            && let Err(error) = Wire::connect(addresses, Protocol::Rac, self.timeout, recorder)
+            && let Err(error) = Channel::connect(addresses, Protocol::Rac, self.timeout, recorder)
         {
             return Ok(Some(Finding::new(Kind::Crash, SUBJECT, format!("cannot connect to RAC: {error}"))));
         }
         Ok(None)
     }
 
-    fn connect(&self, recorder: Option<&Recorder>) -> io::Result<Wire> {
-        Wire::connect(&self.bcap, self.protocol, self.timeout, recorder)
+    fn connect(&self, recorder: Option<&dyn Recorder>) -> io::Result<Channel> {
+        Channel::connect(&self.bcap, Protocol::Bcap(self.link), self.timeout, recorder)
     }
 
     /// Waits until the next packet may be sent; ends on a signal.
-    fn pace(&mut self) -> Result<(), Failure> {
-        if self.interrupt.is_interrupted() {
-            return Err(Failure::Interrupted("interrupted".into()));
-        }
+    fn pace(&mut self) -> Result<(), Error> {
         self.packets += 1;
         let now = Instant::now();
-        if self.next > now {
-            self.interrupt.sleep(self.next - now)?;
-        }
+        self.sleep(self.next.saturating_duration_since(now))?;
         self.next = self.next.max(now) + self.interval;
         Ok(())
     }
@@ -175,11 +239,11 @@ impl Device {
     /// A device may drop a datagram that is not of the usual kind, so the wait for its reply is short.
     fn await_reply(
         &self,
-        wire: &mut Wire,
+        wire: &mut Channel,
         session: &mut Session,
         request: &TestFrame,
         is_usual: bool,
-    ) -> Result<Result<TestFrame, Finding>, Failure> {
+    ) -> Result<Result<TestFrame, Finding>, Error> {
         let found = |kind, detail: String| Ok(Err(Finding::of_function(kind, request.code, detail)));
         let (limit, longest) = (self.timeout, self.timeout.saturating_mul(KEPT_ALIVE));
         // a lost datagram is not a fault of the device, but a device that is only slow must not move or write twice
@@ -192,11 +256,11 @@ impl Device {
         let began = Instant::now();
         let mut until = began + wait;
         loop {
-            if self.interrupt.is_interrupted() {
-                return Err(Failure::Interrupted("interrupted".into()));
+            if (self.is_ended)() {
+                return Err(Error::Ended);
             }
             let rest = until.saturating_duration_since(Instant::now());
-            match wire.receive(if wire.is_datagrams() { rest.min(LOOK) } else { rest })? {
+            match wire.receive(if wire.is_datagrams() { rest.min(LOOK) } else { rest }) {
                 Received::Silence if wire.is_datagrams() && Instant::now() < until => {}
                 Received::Closed if wire.is_datagrams() => return Ok(Err(closed_port())),
                 Received::Closed => {
@@ -215,7 +279,7 @@ impl Device {
                 }
                 Received::Silence => return found(Kind::Hang, format!("no reply within {} ms", limit.as_millis())),
                 Received::Packet(bytes) => {
-                    let serial = serial_of(&bytes);
+                    let serial = field::serial(&bytes);
                     let attempt = attempts.iter().find(|attempt| Some(attempt.serial) == serial).unwrap_or(request);
                     match judge::reply(attempt, &bytes) {
                         // to a datagram before
@@ -237,13 +301,13 @@ impl Device {
     }
 }
 
-impl Run<'_> {
-    fn steps(&mut self, steps: &[Step]) -> Result<Option<Finding>, Failure> {
+impl Run<'_, '_> {
+    fn steps(&mut self, steps: &[Step]) -> Result<Option<Finding>, Error> {
         for (place, step) in steps.iter().enumerate() {
             let next = match step {
                 Step::Call(call) => {
                     // the last call cannot wait for another one
-                    let is_joined = self.device.protocol == Protocol::Bcap
+                    let is_joined = !self.device.is_datagrams()
                         && call.delivery == Delivery::Joined
                         && matches!(steps.get(place + 1), Some(Step::Call(_)));
                     self.call(call, is_joined)?
@@ -267,7 +331,7 @@ impl Run<'_> {
     }
 
     /// Returns the connection for b-CAP, which is opened when it is first used.
-    fn wire(&mut self) -> Result<Wire, Finding> {
+    fn wire(&mut self) -> Result<Channel, Finding> {
         if let Some(wire) = self.wire.take() {
             return Ok(wire);
         }
@@ -290,7 +354,7 @@ impl Run<'_> {
         is_allowed
     }
 
-    fn call(&mut self, call: &Call, is_joined: bool) -> Result<Next, Failure> {
+    fn call(&mut self, call: &Call, is_joined: bool) -> Result<Next, Error> {
         let frame = self.session.frame(call);
         // a joined call may release the handle or give it to another variable
         let is_blind = !self.joined.is_empty() && frame.code == FunctionId::VARIABLE_PUT_VALUE.0;
@@ -318,12 +382,12 @@ impl Run<'_> {
                 return Ok(next);
             }
             self.wire = None;
-            self.device.interrupt.sleep(SLOT)?;
+            self.device.sleep(SLOT)?;
         }
     }
 
     /// Sends frames together, and awaits their replies.
-    fn exchange(&mut self, call: &Call, frames: &[TestFrame]) -> Result<Next, Failure> {
+    fn exchange(&mut self, call: &Call, frames: &[TestFrame]) -> Result<Next, Error> {
         let mut wire = match self.wire() {
             Ok(wire) => wire,
             Err(finding) => return Ok(Next::Found(finding)),
@@ -366,15 +430,15 @@ impl Run<'_> {
     }
 
     /// Returns whether the beginning of a frame may be sent first. Over UDP the whole frame follows, and a device may join both.
-    fn may_split(&self, wire: &Wire, first: &[u8], whole: &[u8]) -> bool {
+    fn may_split(&self, wire: &Channel, first: &[u8], whole: &[u8]) -> bool {
         let tail = [wire.tail(), first].concat();
         !wire.is_datagrams()
             || (self.device.gate.has_joint(wire.tail(), first) && self.device.gate.has_joint(&tail, whole))
     }
 
-    /// Sends a call again as a retransmission: with the next serial number, and the first attempt's number in the
-    /// reserved field. The device must not execute it, but send its reply again.
-    fn retransmit(&mut self, wire: &mut Wire, request: &TestFrame) -> Result<Next, Failure> {
+    /// Sends a call again as a retransmission: with the next serial number, and that of the first attempt in the reserved field. The
+    /// device must not execute it, but send its reply again.
+    fn retransmit(&mut self, wire: &mut Channel, request: &TestFrame) -> Result<Next, Error> {
         let Some(first) = self.last.take().filter(|_| request.reserved == 0) else { return Ok(Next::Continue) };
         let copy = TestFrame { serial: self.session.next_serial(), reserved: request.serial, ..request.clone() };
         let bytes = copy.to_wire(false);
@@ -395,7 +459,7 @@ impl Run<'_> {
         Ok(Next::Found(Finding::of_function(Kind::WrongReply, request.code, detail)))
     }
 
-    fn reply(&mut self, wire: &mut Wire, request: &TestFrame, is_usual: bool) -> Result<Next, Failure> {
+    fn reply(&mut self, wire: &mut Channel, request: &TestFrame, is_usual: bool) -> Result<Next, Error> {
         let mut again = AGAIN;
         let (first, mut request) = (request.serial, request.clone());
         loop {
@@ -425,7 +489,7 @@ impl Run<'_> {
                     if !is_allowed {
                         return Ok(Next::End);
                     }
-                    self.device.interrupt.sleep(RELEASING)?;
+                    self.device.sleep(RELEASING)?;
                     self.device.pace()?;
                     wire.send(&bytes);
                     continue;
@@ -440,7 +504,7 @@ impl Run<'_> {
     }
 
     /// Sends hostile bytes, which end the connection.
-    fn bytes(&mut self, bytes: &[u8]) -> Result<Next, Failure> {
+    fn bytes(&mut self, bytes: &[u8]) -> Result<Next, Error> {
         const SUBJECT: &str = "bytes";
         // joined calls that no call followed were not sent, so the end of the sent bytes is unknown
         if !self.joined.is_empty() || !self.device.gate.has_bytes(bytes) || !self.follows(bytes) {
@@ -460,14 +524,14 @@ impl Run<'_> {
                     next => next,
                 }
             }
-            _ if wire.is_datagrams() => match wire.receive(DROPPED)? {
+            _ if wire.is_datagrams() => match wire.receive(DROPPED) {
                 Received::Packet(reply) if !is_frame(&reply) => {
                     Next::Found(Finding::new(Kind::WrongReply, SUBJECT, "the reply is malformed"))
                 }
                 Received::Closed => Next::Found(closed_port()),
                 Received::Packet(_) | Received::Silence => Next::End,
             },
-            Verdict::Refused if is_complete(bytes) => match wire.receive(self.device.timeout)? {
+            Verdict::Refused if is_complete(bytes) => match wire.receive(self.device.timeout) {
                 Received::Silence => {
                     let limit = self.device.timeout.as_millis();
                     let detail =
@@ -486,7 +550,7 @@ impl Run<'_> {
     }
 
     /// Sends lines of RAC; a device may have no slot for their connection yet.
-    fn line(&mut self, lines: &[u8]) -> Result<Next, Failure> {
+    fn line(&mut self, lines: &[u8]) -> Result<Next, Error> {
         let until = Instant::now() + self.device.reconnect;
         loop {
             let is_new = self.rac.is_none();
@@ -498,18 +562,18 @@ impl Run<'_> {
                 return Ok(next);
             }
             self.rac = None;
-            self.device.interrupt.sleep(SLOT)?;
+            self.device.sleep(SLOT)?;
         }
     }
 
-    fn lines(&mut self, lines: &[u8]) -> Result<Next, Failure> {
+    fn lines(&mut self, lines: &[u8]) -> Result<Next, Error> {
         const SUBJECT: &str = "RAC";
         let Some(addresses) = self.device.rac.as_deref().filter(|_| self.device.gate.has_lines(lines)) else {
             return Ok(Next::Continue);
         };
         let mut wire = match self.rac.take() {
             Some(wire) => wire,
-            None => match Wire::connect(addresses, Protocol::Rac, self.device.timeout, self.recorder) {
+            None => match Channel::connect(addresses, Protocol::Rac, self.device.timeout, self.recorder) {
                 Ok(wire) => wire,
                 Err(error) => {
                     return Ok(Next::Found(Finding::new(Kind::Crash, SUBJECT, format!("cannot connect: {error}"))));
@@ -529,7 +593,7 @@ impl Run<'_> {
         }
         for line in lines() {
             let is_valid = line.len() < bcap_core::rac::MAX_LINE && line.is_ascii();
-            match wire.receive(self.device.timeout)? {
+            match wire.receive(self.device.timeout) {
                 // a server may cut off a client that sends no text or too much of it
                 Received::Closed if !is_valid => return Ok(Next::Continue),
                 Received::Closed => {
@@ -559,9 +623,8 @@ fn closed_port() -> Finding {
 
 /// Returns whether the bytes are at least as many as their length field says, so that a server waits for no more.
 fn is_complete(bytes: &[u8]) -> bool {
-    let length = bytes.get(1..5).and_then(|field| field.try_into().ok()).map(u32::from_le_bytes);
     bytes.first() == Some(&1)
-        && length
+        && field::length(bytes)
             .is_some_and(|length| length >= 16 && usize::try_from(length).is_ok_and(|length| length <= bytes.len()))
 }
 
@@ -570,5 +633,5 @@ fn is_executing(bytes: &[u8]) -> bool {
 }
 
 fn is_frame(bytes: &[u8]) -> bool {
-    matches!(TCP.decode(bytes), Verdict::Frame(_, length) if length == bytes.len())
+    TCP.decode_packet(bytes).is_some()
 }

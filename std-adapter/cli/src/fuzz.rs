@@ -1,41 +1,24 @@
-//! `bcap fuzz`: sends sessions to a device and saves what goes wrong.
-//!
-//! ```text
-//!  engine    a seed -> sessions; reduces, confirms and saves findings
-//!  device    runs steps and judges the replies; a new client must be served afterwards
-//!  gate      what may be sent
-//!  session   the handles of a connection, and their permitted uses
-//!  minimise  delta debugging
-//! ```
-//!
-//! The generators and the judge of replies come from `bcap-testkit`.
+//! `bcap fuzz`: the arguments, the captures and the output of the fuzzer of `bcap-testkit`.
 
-mod device;
-mod engine;
-mod finding;
-mod gate;
-mod minimise;
-mod save;
-mod session;
-mod wire;
-
+use std::io;
+use std::net::SocketAddr;
+use std::path::Path;
 use std::time::{Duration, Instant};
 
+use bcap_capture::Role;
+use bcap_capture::record::{Ends, Recorder, Recording};
 use bcap_std::Protocol;
+use bcap_testkit::fuzz::{self, Device, Error, Finding, Gate, Plan, Range, Saved};
 use bcap_testkit::grammar::Grammar;
-use bcap_testkit::step::{Argument, Step};
+use bcap_testkit::step::Step;
+use bcap_testkit::wire::{self, Link, Tape};
 use serde::Serialize;
 
-use self::device::Device;
-use self::engine::{Plan, Saved};
-use self::finding::{Finding, Kind};
-use self::gate::Gate;
 use crate::args::{Fuzz, LinkArgs, RobotPorts};
 use crate::error::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::{note, print_block, print_json, print_line};
 use crate::robot;
-use bcap_capture::record::Recording;
 
 /// Runs `bcap fuzz`.
 pub(crate) fn fuzz(args: &Fuzz, link: &LinkArgs, json: bool) -> Result<(), Failure> {
@@ -46,13 +29,15 @@ pub(crate) fn fuzz(args: &Fuzz, link: &LinkArgs, json: bool) -> Result<(), Failu
                 .into(),
         ));
     }
-    let again = args.again.as_deref().map(save::read).transpose()?;
+    let again = args.again.as_deref().map(fuzz::read).transpose()?;
     if again.is_none() && link.write.is_some() {
         return Err(Failure::Input(
             "every finding has a capture in --out; --write records only the steps of --again".into(),
         ));
     }
-    let mut device = device(args, link)?;
+    let interrupt = Interrupt::install(|_| {})?;
+    let is_ended = || interrupt.is_interrupted();
+    let mut device = device(args, link, &is_ended)?;
     if let Some(finding) = device.probe(None)? {
         return Err(Failure::Connection {
             message: format!("the device does not serve a client before the first packet: {finding}"),
@@ -65,26 +50,22 @@ pub(crate) fn fuzz(args: &Fuzz, link: &LinkArgs, json: bool) -> Result<(), Failu
     }
 }
 
-fn device(args: &Fuzz, link: &LinkArgs) -> Result<Device, Failure> {
+fn device<'a>(args: &Fuzz, link: &LinkArgs, is_ended: &'a dyn Fn() -> bool) -> Result<Device<'a>, Failure> {
     let robot = robot::resolve(&RobotPorts { robot_udp: None, robot_rac: args.robot_rac.clone() }, link)?;
-    let (bcap, protocol) = match link.network_target()?.protocol {
-        Protocol::Tcp => (robot.tcp, wire::Protocol::Bcap),
-        Protocol::Udp => (vec![robot.udp], wire::Protocol::Datagrams),
+    let (bcap, over) = match link.network_target()?.protocol {
+        Protocol::Tcp => (robot.tcp, Link::Tcp),
+        Protocol::Udp => (vec![robot.udp], Link::Udp),
     };
-    let mut device = Device {
-        bcap,
-        protocol,
-        reconnect: args.reconnect.unwrap_or_default(),
-        rac: None,
-        timeout: link.timeout(),
-        gate: Gate::new(args.with_writes.clone(), args.with_motion),
-        interrupt: Interrupt::install(|_| {})?,
-        interval: Duration::from_secs(1).checked_div(args.rate).unwrap_or_default(),
-        next: Instant::now(),
-        packets: 0,
+    let range = |rule: &bcap_gateway::AllowBuf| {
+        let allow = rule.as_allow();
+        Range { kind: allow.kind, first: allow.first, last: allow.last }
     };
-    match wire::Wire::connect(&robot.rac, wire::Protocol::Rac, device.timeout, None) {
-        Ok(_) => device.rac = Some(robot.rac),
+    let gate = Gate::new(args.with_writes.iter().map(range).collect(), args.with_motion);
+    let mut device = Device::new(bcap, over, gate, link.timeout(), is_ended);
+    device.reconnect = args.reconnect.unwrap_or_default();
+    device.interval = Duration::from_secs(1).checked_div(args.rate).unwrap_or_default();
+    match device.with_rac(robot.rac) {
+        Ok(()) => {}
         Err(error) if args.robot_rac.is_some() => {
             return Err(Failure::Connection {
                 message: format!("cannot connect to RAC: {error}"),
@@ -96,14 +77,11 @@ fn device(args: &Fuzz, link: &LinkArgs) -> Result<Device, Failure> {
     Ok(device)
 }
 
-fn run(device: &mut Device, args: &Fuzz, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+fn run(device: &mut Device<'_>, args: &Fuzz, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let began = Instant::now();
     let plan = Plan {
         seed: args.seed,
-        grammar: Grammar {
-            datagrams: device.protocol == wire::Protocol::Datagrams,
-            ..device.gate.grammar(link.provider())
-        },
+        grammar: Grammar { datagrams: device.is_datagrams(), ..device.gate.grammar(link.provider()) },
         until: began + args.duration,
         sessions: args.runs.unwrap_or(u64::MAX),
         findings: args.findings,
@@ -111,16 +89,16 @@ fn run(device: &mut Device, args: &Fuzz, link: &LinkArgs, json: bool) -> Result<
         out: args.out.clone(),
     };
     let mut count = 0;
-    let result = engine::fuzz(device, &plan, |saved| {
+    let result = fuzz::fuzz(device, &plan, &mut record, |saved| {
         count += 1;
-        Ok(if json { print_json(&line(saved)) } else { print_block(&text(saved)) }?)
+        Ok::<_, Failure>(if json { print_json(&line(saved)) } else { print_block(&text(saved)) }?)
     });
     let (sessions, answers) = result?;
     if !answers {
         note(&format!("the device has not answered for {} ms, so the run ends", args.restart.as_millis()));
     }
-    let totals =
-        Totals { seed: args.seed, sessions, packets: device.packets, findings: count, ms: began.elapsed().as_millis() };
+    let ms = began.elapsed().as_millis();
+    let totals = Totals { seed: args.seed, sessions, packets: device.packets(), findings: count, ms };
     if json {
         // serializing numbers cannot fail
         print_json(&serde_json::to_string(&totals).unwrap_or_default())?;
@@ -132,14 +110,15 @@ fn run(device: &mut Device, args: &Fuzz, link: &LinkArgs, json: bool) -> Result<
 }
 
 /// Runs the steps of a file once.
-fn run_again(device: &mut Device, steps: &[Step], link: &LinkArgs, json: bool) -> Result<(), Failure> {
-    if let Some(step) = steps.iter().find(|step| !may_pass(&device.gate, step)) {
+fn run_again(device: &mut Device<'_>, steps: &[Step], link: &LinkArgs, json: bool) -> Result<(), Failure> {
+    if let Some(step) = steps.iter().find(|step| !device.gate.may_pass(step)) {
         return Err(Failure::Input(format!(
             "this step may move or write: {step}; nothing was sent. Allow it with --with-motion, or a variable with --with-writes"
         )));
     }
     let recording = link.write.as_deref().map(|file| Recording::start(Some(file), |_| {})).transpose()?;
-    let found = device.run(steps, recording.as_ref().map(Recording::recorder));
+    let recorder = recording.as_ref().map(|recording| Records(recording.recorder().clone()));
+    let found = device.run(steps, recorder.as_ref().map(|recorder| recorder as &dyn wire::Recorder));
     recording.map_or(Ok(()), Recording::finish)?;
     let shown = match found? {
         None => return Ok(print_line("no finding")?),
@@ -154,14 +133,63 @@ fn run_again(device: &mut Device, steps: &[Step], link: &LinkArgs, json: bool) -
     Err(Failure::Findings(1))
 }
 
-/// Returns whether the gate would send a step. A write depends on the variable that is open then, so a step that writes passes if any
-/// variable may be written; the gate checks it again when it is sent.
-fn may_pass(gate: &Gate, step: &Step) -> bool {
-    match step {
-        Step::Call(call) => gate.has_call(&call.to_frame(1, |_: &Argument| 0), gate.any_variable().as_deref()),
-        Step::Bytes(bytes) => gate.has_bytes(bytes),
-        Step::Line(line) => gate.has_lines(line),
-        Step::Reconnect => true,
+impl From<Error> for Failure {
+    fn from(error: Error) -> Self {
+        match error {
+            Error::Ended => Self::Interrupted(error.to_string()),
+            other => Self::Input(other.to_string()),
+        }
+    }
+}
+
+/// Begins the capture of a finding.
+fn record(file: &Path) -> io::Result<Box<dyn fuzz::Recording>> {
+    let recording = Recording::start(Some(file), |_| {}).map_err(io::Error::other)?;
+    let recorder = Records(recording.recorder().clone());
+    Ok(Box::new(Capture { recording, recorder }))
+}
+
+/// The capture of a finding.
+struct Capture {
+    recording: Recording,
+    recorder: Records,
+}
+
+impl fuzz::Recording for Capture {
+    fn recorder(&self) -> &dyn wire::Recorder {
+        &self.recorder
+    }
+
+    fn finish(self: Box<Self>) -> io::Result<()> {
+        self.recording.finish().map_err(io::Error::other)
+    }
+}
+
+/// Records connections to the file of a recording.
+struct Records(Recorder);
+
+impl wire::Recorder for Records {
+    fn opened(&self, is_tcp: bool, client: SocketAddr, server: SocketAddr) -> Box<dyn Tape> {
+        let ends = Ends { is_tcp, client, server };
+        self.0.opened(ends);
+        Box::new(Taped(self.0.clone(), ends))
+    }
+}
+
+/// A recorded connection.
+#[derive(Debug)]
+struct Taped(Recorder, Ends);
+
+impl Tape for Taped {
+    fn bytes(&self, is_request: bool, bytes: &[u8]) {
+        let sender = if is_request { Role::Request } else { Role::Response };
+        self.0.bytes(self.0.now(), self.1, sender, bytes);
+    }
+}
+
+impl Drop for Taped {
+    fn drop(&mut self) {
+        self.0.closed(self.1);
     }
 }
 
@@ -178,14 +206,14 @@ fn text(saved: &Saved) -> String {
 /// A finding as a line of JSON.
 #[derive(Serialize)]
 struct Shown<'a> {
-    kind: Kind,
+    kind: &'static str,
     subject: &'a str,
     detail: &'a str,
 }
 
 impl<'a> Shown<'a> {
     fn of(finding: &'a Finding) -> Self {
-        Self { kind: finding.kind, subject: &finding.subject, detail: &finding.detail }
+        Self { kind: finding.kind.name(), subject: &finding.subject, detail: &finding.detail }
     }
 }
 

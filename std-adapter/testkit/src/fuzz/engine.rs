@@ -4,17 +4,16 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use arbitrary::Unstructured;
-use bcap_testkit::generate;
-use bcap_testkit::grammar::Grammar;
-use bcap_testkit::network::Random;
-use bcap_testkit::step::Step;
 
 use super::device::Device;
 use super::finding::Finding;
 use super::minimise::minimise;
 use super::save::Files;
-use crate::error::Failure;
-use bcap_capture::record::Recording;
+use super::{Error, Record};
+use crate::generate;
+use crate::grammar::Grammar;
+use crate::network::Random;
+use crate::step::Step;
 
 /// The bytes that a session is made of; more than any session needs.
 const ENTROPY: usize = 1 << 14;
@@ -28,49 +27,65 @@ const LOOK: Duration = Duration::from_millis(50);
 
 /// A finding that is reduced and saved.
 #[derive(Debug)]
-pub(super) struct Saved {
-    pub(super) finding: Finding,
-    /// The number of the session that found it, from 0 on, and the time since the start.
-    pub(super) session: u64,
-    pub(super) after: Duration,
-    pub(super) steps: usize,
+pub struct Saved {
+    /// The finding.
+    pub finding: Finding,
+    /// The number of the session that found it, from 0 on.
+    pub session: u64,
+    /// The time since the start.
+    pub after: Duration,
+    /// The number of steps that are left.
+    pub steps: usize,
     /// Whether it came again when the same steps were run again.
-    pub(super) is_repeatable: bool,
-    pub(super) files: Files,
+    pub is_repeatable: bool,
+    /// Its files.
+    pub files: Files,
 }
 
 /// The limits of a run.
 #[derive(Debug)]
-pub(super) struct Plan {
-    pub(super) seed: u64,
-    pub(super) grammar: Grammar,
-    pub(super) until: Instant,
-    pub(super) sessions: u64,
-    pub(super) findings: u64,
-    pub(super) restart: Duration,
-    pub(super) out: PathBuf,
+pub struct Plan {
+    /// Chooses the sessions.
+    pub seed: u64,
+    /// What sessions are made of.
+    pub grammar: Grammar,
+    /// When the run ends.
+    pub until: Instant,
+    /// The most sessions.
+    pub sessions: u64,
+    /// The most different findings.
+    pub findings: u64,
+    /// How long a device that does not answer after a finding may take to restart.
+    pub restart: Duration,
+    /// The folder for findings.
+    pub out: PathBuf,
 }
 
 /// Fuzzes until a limit; calls `each` with every finding. Returns the number of sessions, and whether the device still answers.
-pub(super) fn fuzz(
-    device: &mut Device,
+///
+/// # Errors
+///
+/// When the run is ended, or a file cannot be written; errors of `each`.
+pub fn fuzz<E: From<Error>>(
+    device: &mut Device<'_>,
     plan: &Plan,
-    mut each: impl FnMut(&Saved) -> Result<(), Failure>,
-) -> Result<(u64, bool), Failure> {
+    record: Record<'_>,
+    mut each: impl FnMut(&Saved) -> Result<(), E>,
+) -> Result<(u64, bool), E> {
     let began = Instant::now();
     let mut found: Vec<Finding> = Vec::new();
     let mut sessions = 0;
     while sessions < plan.sessions && Instant::now() < plan.until {
         let session = sessions;
         sessions += 1;
-        let steps = steps(plan, session, device.rac.is_some());
+        let steps = steps(plan, session, device.has_rac());
         let Some(finding) = device.run(&steps, None)? else { continue };
         let answers = recover(device, plan.restart)?;
         if found.iter().any(|known| known.is_same(&finding)) && answers {
             continue;
         }
-        let saved =
-            keep(device, plan, Found { finding, session, after: began.elapsed(), steps, answers }, found.len() + 1)?;
+        let after = began.elapsed();
+        let saved = keep(device, plan, record, Found { finding, session, after, steps, answers }, found.len() + 1)?;
         each(&saved)?;
         found.push(saved.finding);
         let answers = recover(device, plan.restart)?;
@@ -97,7 +112,7 @@ fn steps(plan: &Plan, session: u64, has_rac: bool) -> Vec<Step> {
 }
 
 /// Waits until the device answers again; returns whether it does.
-fn recover(device: &mut Device, limit: Duration) -> Result<bool, Failure> {
+fn recover(device: &mut Device<'_>, limit: Duration) -> Result<bool, Error> {
     let until = Instant::now() + limit;
     loop {
         if device.probe(None)?.is_none() {
@@ -106,7 +121,7 @@ fn recover(device: &mut Device, limit: Duration) -> Result<bool, Failure> {
         if Instant::now() >= until {
             return Ok(false);
         }
-        device.interrupt.sleep(LOOK)?;
+        device.sleep(LOOK)?;
     }
 }
 
@@ -121,7 +136,7 @@ struct Found {
 }
 
 /// Reduces a finding and saves it.
-fn keep(device: &mut Device, plan: &Plan, found: Found, number: usize) -> Result<Saved, Failure> {
+fn keep(device: &mut Device<'_>, plan: &Plan, record: Record<'_>, found: Found, number: usize) -> Result<Saved, Error> {
     let Found { finding, session, after, steps, answers } = found;
     let files = Files::new(&plan.out, number, &finding)?;
     let mut remarks = vec![
@@ -161,9 +176,10 @@ fn keep(device: &mut Device, plan: &Plan, found: Found, number: usize) -> Result
     };
     saved.steps = steps.len();
     saved.files.write_steps(&steps, &remarks)?;
-    let recording = Recording::start(Some(&saved.files.capture), |_| {})?;
+    let not_written = |error| Error::File(saved.files.capture.clone(), error);
+    let recording = record(&saved.files.capture).map_err(not_written)?;
     let last = device.run(&steps, Some(recording.recorder()));
-    recording.finish()?;
+    recording.finish().map_err(not_written)?;
     if let Some(last) = last?.filter(|last| last.is_same(&saved.finding)) {
         saved.finding = last;
     }

@@ -1,16 +1,15 @@
 //! Reduces steps to those that a finding needs: delta debugging, and then simpler calls.
 
-use bcap_testkit::step::{Argument, Call, Delivery, Step};
-use bcap_testkit::value::Value;
-
-use crate::error::Failure;
+use super::Error;
+use crate::step::{Argument, Call, Delivery, Step};
+use crate::value::Value;
 
 /// Returns fewer and simpler steps that still fail. `fails` runs steps; after an error, or when it returns `None` because the budget
 /// is spent, the best steps so far are returned.
 pub(super) fn minimise(
     steps: Vec<Step>,
-    mut fails: impl FnMut(&[Step]) -> Result<Option<bool>, Failure>,
-) -> Result<Vec<Step>, Failure> {
+    mut fails: impl FnMut(&[Step]) -> Result<Option<bool>, Error>,
+) -> Result<Vec<Step>, Error> {
     let mut best = steps;
     if !remove(&mut best, &mut fails)? {
         return Ok(best);
@@ -27,8 +26,8 @@ pub(super) fn minimise(
 fn simplify(
     best: &mut Vec<Step>,
     place: usize,
-    fails: &mut impl FnMut(&[Step]) -> Result<Option<bool>, Failure>,
-) -> Result<bool, Failure> {
+    fails: &mut impl FnMut(&[Step]) -> Result<Option<bool>, Error>,
+) -> Result<bool, Error> {
     'changed: loop {
         // each form has one change, so an accepted form is simplified again
         for simpler in best.get(place).map(simpler).unwrap_or_default() {
@@ -48,10 +47,7 @@ fn simplify(
 }
 
 /// Removes chunks of steps, smaller and smaller ones, as long as the rest fails (ddmin). Returns whether budget is left.
-fn remove(
-    best: &mut Vec<Step>,
-    fails: &mut impl FnMut(&[Step]) -> Result<Option<bool>, Failure>,
-) -> Result<bool, Failure> {
+fn remove(best: &mut Vec<Step>, fails: &mut impl FnMut(&[Step]) -> Result<Option<bool>, Error>) -> Result<bool, Error> {
     let mut size = best.len().div_ceil(2);
     while size > 0 {
         let mut at = 0;
