@@ -11,6 +11,8 @@
 //! | [`stepped`]    | a virtual controller whose clock advances only when clients call or wait            |
 //! | [`drivers`]    | the call sequences of public drivers, from `tests/drivers`                          |
 //! | [`proxy`]      | a proxy between a client and a server on real sockets that injects faults            |
+//! | `mosquitto`    | a broker for MQTT that does not outlive the tests                                   |
+//! | [`tools`]      | programs that tests run, and may be missing                                         |
 //! | [`process`]    | memory, processor time and file descriptors of a process                            |
 //! | [`allocation`] | an allocator that counts the allocations of each thread                             |
 //! | `endings`      | random trials of how programs end while they move a robot                           |
@@ -25,6 +27,7 @@ pub mod drivers;
 pub mod endings;
 #[cfg(unix)]
 pub mod line_server;
+pub mod mosquitto;
 pub mod process;
 pub mod proxy;
 #[cfg(unix)]
@@ -33,6 +36,7 @@ pub mod serial;
 pub mod served;
 pub mod slowed;
 pub mod stepped;
+pub mod tools;
 
 /// The examples of the README are compiled.
 #[cfg(doctest)]

@@ -30,6 +30,8 @@ mod monitor;
 mod monitors;
 mod partial;
 mod peers;
+#[cfg(unix)]
+mod plant;
 mod profiles;
 mod proxy;
 mod proxy_load;

@@ -1,25 +1,18 @@
 //! The example plant of docs/fleet.md: `bcap sim`, `bcap put`, `bcap-fleet` and Mosquitto, as processes.
-#![cfg(unix)]
-
-mod common;
-#[path = "common/mosquitto.rs"]
-mod mosquitto;
-#[path = "common/virtual_robot.rs"]
-mod virtual_robot;
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use common::{fleet, fleet_program};
-use mosquitto::broker;
+use crate::common::virtual_robot::signal;
+use crate::common::{fleet, fleet_program};
+use bcap_tests::mosquitto::Mosquitto;
 use rumqttc::{Client, MqttOptions, Packet, QoS};
-use virtual_robot::signal;
 
 #[test]
 fn the_demo_plant_of_the_page_runs() {
     // the script starts another broker
-    let Some(broker) = broker() else { return };
+    let Some(broker) = Mosquitto::open() else { return };
     let port = broker.port;
     drop(broker);
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/plant/run");

@@ -7,10 +7,10 @@
 use std::fs;
 use std::path::Path;
 
-use crate::common::mosquitto;
 use crate::common::tmux::Terminal;
 use crate::common::virtual_robot::Virtual;
 use crate::common::{bare, bcap, fleet_program};
+use bcap_tests::mosquitto::Mosquitto;
 
 const SIZES: [(u16, u16); 2] = [(80, 24), (200, 50)];
 
@@ -109,7 +109,7 @@ fn the_shell() {
 fn the_fleet() {
     for size in SIZES {
         let folder = tempfile::tempdir().unwrap();
-        let Some(broker) = mosquitto::broker() else { return };
+        let Some(broker) = Mosquitto::open().map(Mosquitto::listening) else { return };
         let robots = [(); 2].map(|()| Virtual::start(&[]));
         let mut config = format!(
             "group = \"plant\"\nnode = \"edge1\"\n[broker]\nhost = \"127.0.0.1\"\nport = {}\n[buffer]\ndirectory = {:?}\n",

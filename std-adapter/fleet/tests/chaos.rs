@@ -5,10 +5,11 @@ use std::net::SocketAddr;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use crate::common::{Mosquitto, Proxy, Running, Subscriber, folder, free_port, now_ms};
+use crate::common::{Proxy, Running, Subscriber, folder, free_port, now_ms};
 use bcap_core::device::{Device, DeviceVariable};
 use bcap_core::hresult::HResult;
 use bcap_std::server::Server;
+use bcap_tests::mosquitto::Mosquitto;
 use serde_json::{Value, json};
 use tokio::task::JoinHandle;
 

@@ -6,8 +6,9 @@ use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
-use crate::common::{Mosquitto, Robot, Running};
+use crate::common::{Robot, Running};
 use bcap_fleet::{CommandResult, Event};
+use bcap_tests::mosquitto::Mosquitto;
 use serde_json::{Value, json};
 
 const PACKAGES: [&str; 2] = ["pysparkplug==0.6.1", "paho-mqtt==1.6.1"];

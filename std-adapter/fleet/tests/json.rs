@@ -5,10 +5,11 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 use std::time::Duration;
 
-use crate::common::{Mosquitto, Proxy, Robot, Running, Subscriber, counter, folder, http, muting_proxy, now_ms};
+use crate::common::{Proxy, Robot, Running, Subscriber, counter, folder, http, muting_proxy, now_ms};
 use bcap_fleet::{CommandResult, Event};
 use bcap_std::asynch::Controller;
 use bcap_std::{Settings, TaskStart};
+use bcap_tests::mosquitto::Mosquitto;
 use rumqttc::Publish;
 use serde_json::json;
 

@@ -4,7 +4,8 @@ use std::fs;
 use std::io::{BufRead, BufReader};
 use std::process::{Command, Stdio};
 
-use crate::common::{Mosquitto, Robot};
+use crate::common::Robot;
+use bcap_tests::mosquitto::Mosquitto;
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_bcap-fleet");
 

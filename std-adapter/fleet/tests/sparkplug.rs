@@ -1,7 +1,8 @@
 //! Sparkplug B through a real Mosquitto, read by a decoder that is written from the specification alone.
 
-use crate::common::{Mosquitto, Proxy, Robot, Running, Subscriber, folder, now_ms};
+use crate::common::{Proxy, Robot, Running, Subscriber, folder, now_ms};
 use bcap_fleet::Event;
+use bcap_tests::mosquitto::Mosquitto;
 use rumqttc::Publish;
 
 /// A field of a protocol buffer.

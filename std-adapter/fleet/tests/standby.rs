@@ -7,8 +7,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::common::{Mosquitto, Proxy, Robot, Running, Subscriber, counter, folder, now_ms};
+use crate::common::{Proxy, Robot, Running, Subscriber, counter, folder, now_ms};
 use bcap_fleet::{Config, Event, Fleet};
+use bcap_tests::mosquitto::Mosquitto;
 use serde_json::{Value, json};
 use tokio::sync::watch;
 

@@ -3,8 +3,9 @@
 use std::fs;
 use std::path::Path;
 
-use crate::common::{Mosquitto, Robot, Running};
+use crate::common::{Robot, Running};
 use bcap_fleet::Config;
+use bcap_tests::mosquitto::Mosquitto;
 use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, DnType, IsCa, KeyPair};
 
 /// Writes an authority, and certificates of a broker and a client.

@@ -3,7 +3,6 @@
 pub(crate) mod capture;
 pub(crate) mod fake;
 pub(crate) mod hooked;
-pub(crate) mod mosquitto;
 pub(crate) mod planted;
 pub(crate) mod pymodbus;
 pub(crate) mod recorded;

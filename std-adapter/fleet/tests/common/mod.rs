@@ -1,9 +1,7 @@
-//! A Mosquitto, virtual controllers and a subscriber.
+//! Virtual controllers, fleets, subscribers and a proxy.
 
-use std::fs;
 use std::net::{SocketAddr, TcpListener};
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -24,76 +22,6 @@ use tokio::time::timeout;
 
 /// A wait that is longer than this is a failure.
 const LIMIT: Duration = Duration::from_secs(30);
-
-/// A broker in a separate process.
-pub(crate) struct Mosquitto {
-    folder: TempDir,
-    child: Option<Child>,
-    pub(crate) port: u16,
-}
-
-impl Mosquitto {
-    /// Starts a broker with more lines of configuration; `None`, with a line that says so, where it is not installed.
-    pub(crate) fn start(more: impl Fn(&Path) -> String) -> Option<Self> {
-        let mut programs = ["mosquitto", "/usr/sbin/mosquitto"].into_iter();
-        let found = programs.find(|name| Command::new(name).arg("-h").stdout(Stdio::null()).status().is_ok());
-        if found.is_none() {
-            println!("skipped: mosquitto is not installed");
-            return None;
-        }
-        let folder = tempfile::tempdir().unwrap();
-        let port = free_port();
-        // Debian's package changes to its own user, which cannot write here
-        let text = format!(
-            "listener {port} 127.0.0.1\nuser root\npersistence true\npersistence_location {}/\nmax_queued_messages 0\n{}",
-            folder.path().display(),
-            more(folder.path())
-        );
-        fs::write(folder.path().join("mosquitto.conf"), text).unwrap();
-        let mut broker = Self { folder, child: None, port };
-        broker.restart();
-        Some(broker)
-    }
-
-    /// A broker without passwords.
-    pub(crate) fn open() -> Option<Self> {
-        Self::start(|_| "allow_anonymous true\n".into())
-    }
-
-    pub(crate) fn path(&self) -> &Path {
-        self.folder.path()
-    }
-
-    pub(crate) fn restart(&mut self) {
-        let file = self.folder.path().join("mosquitto.conf");
-        let program = if Path::new("/usr/sbin/mosquitto").exists() { "/usr/sbin/mosquitto" } else { "mosquitto" };
-        let child = Command::new(program).arg("-c").arg(file).stderr(Stdio::null()).spawn().unwrap();
-        self.child = Some(child);
-    }
-
-    /// Ends the broker as its service does; it writes its sessions to disk.
-    pub(crate) fn stop(&mut self) {
-        self.signal("-TERM");
-    }
-
-    /// Ends the broker as a crash does; it loses messages that it has acknowledged but not delivered.
-    pub(crate) fn kill(&mut self) {
-        self.signal("-KILL");
-    }
-
-    fn signal(&mut self, signal: &str) {
-        if let Some(mut child) = self.child.take() {
-            Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap();
-            child.wait().unwrap();
-        }
-    }
-}
-
-impl Drop for Mosquitto {
-    fn drop(&mut self) {
-        self.stop();
-    }
-}
 
 pub(crate) fn free_port() -> u16 {
     TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
