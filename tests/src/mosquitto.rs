@@ -6,11 +6,14 @@ use std::net::{TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use tempfile::TempDir;
 
 use crate::tools;
+
+/// The longest time until a new broker listens.
+const LIMIT: Duration = Duration::from_secs(30);
 
 /// A broker; dropping this ends it. If the process of the tests ends without a drop, a supervising shell kills the broker.
 #[derive(Debug)]
@@ -35,8 +38,8 @@ impl Mosquitto {
         Self::start(|_| "allow_anonymous true\n".into())
     }
 
-    /// Starts a broker with more lines of configuration, made by a function that gets its folder; `None` where Mosquitto is not
-    /// installed.
+    /// Starts a broker with more lines of configuration, made by a function that gets its folder, and waits until it listens.
+    /// `None` where Mosquitto is not installed.
     ///
     /// # Panics
     ///
@@ -56,6 +59,11 @@ impl Mosquitto {
         fs::write(folder.path().join("mosquitto.conf"), text).expect("a configuration");
         let mut broker = Self { folder, program, running: None, port };
         broker.restart();
+        let until = Instant::now() + LIMIT;
+        while TcpStream::connect(("127.0.0.1", port)).is_err() {
+            assert!(Instant::now() < until, "the broker does not listen");
+            thread::sleep(Duration::from_millis(1));
+        }
         Some(broker)
     }
 
@@ -73,15 +81,6 @@ impl Mosquitto {
     pub fn restart(&mut self) {
         let file = self.folder.path().join("mosquitto.conf");
         self.running = Some(Running::start(&self.program, &file).expect("a broker"));
-    }
-
-    /// Waits until it accepts connections.
-    #[must_use]
-    pub fn listening(self) -> Self {
-        while TcpStream::connect(("127.0.0.1", self.port)).is_err() {
-            thread::sleep(Duration::from_millis(1));
-        }
-        self
     }
 
     /// Ends the broker as its service does; it writes its sessions to disk.
