@@ -39,11 +39,10 @@
 mod clients;
 mod limits;
 mod platform;
+mod report;
 mod robot;
 mod traffic;
 
-use std::io;
-use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -61,17 +60,9 @@ use self::traffic::Tap;
 use crate::connect::{DATAGRAM_ROOM, Options, random_serial};
 
 pub use self::limits::Limits;
+pub use self::report::{Ended, Report};
 pub use self::traffic::{Moved, Traffic};
 pub use bcap_gateway::driver::Denial;
-
-/// What a gateway reports to its log.
-pub type Report<'a> = driver::Report<'a, SocketAddr, io::Error, io::ErrorKind>;
-
-/// Why the session of a client ended.
-pub type Ended = driver::Ended<io::ErrorKind>;
-
-/// Receives every report.
-type Log = Box<dyn FnMut(&Report<'_>) + Send>;
 
 /// Drives a gateway over the sockets of this machine.
 #[derive(Debug)]

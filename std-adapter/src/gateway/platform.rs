@@ -7,7 +7,7 @@ use std::sync::{Mutex, PoisonError};
 use bcap_core::time::Instant;
 use bcap_gateway::driver::{self, Client, Lock, Platform};
 
-use super::Log;
+use super::report::Log;
 use crate::clock::now;
 
 /// A gateway that the tasks of a driver share.
