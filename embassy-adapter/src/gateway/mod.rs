@@ -52,37 +52,22 @@ mod listener;
 #[cfg(all(feature = "embassy-net", feature = "modbus"))]
 mod modbus_listener;
 mod platform;
+mod report;
 #[cfg(feature = "serial")]
 mod serial;
 #[cfg(feature = "embassy-net")]
 mod tcp;
-
-use core::net::SocketAddrV4;
-
-use bcap_gateway::driver;
 
 pub use self::clients::serve;
 #[cfg(feature = "embassy-net")]
 pub use self::listener::Listener;
 #[cfg(all(feature = "embassy-net", feature = "modbus"))]
 pub use self::modbus_listener::ModbusListener;
-pub use self::platform::Embassy;
+pub use self::platform::{Embassy, SharedGateway};
+pub use self::report::{Log, Report};
 #[cfg(feature = "serial")]
 pub use self::serial::SerialRobot;
 #[cfg(feature = "embassy-net")]
 pub use self::tcp::TcpRobot;
 pub use crate::error::NetError;
 pub use bcap_gateway::driver::{Denial, Ended, Front, Limits, RobotLink, run_robot};
-
-/// A gateway that several tasks share; `SESSIONS` is at least the number of its client slots.
-///
-/// `M` is embassy's mutex: `NoopRawMutex` for one executor, `CriticalSectionRawMutex` for several.
-pub type SharedGateway<'m, M, const SESSIONS: usize> = driver::SharedGateway<'m, Embassy<M, SESSIONS>>;
-
-/// An event of the gateway, for a log. The address of a client is `None` on a serial line.
-pub type Report<'a> = driver::Report<'a, Option<SocketAddrV4>, NetError, ()>;
-
-/// A callback that receives reports for a log.
-///
-/// It runs while the gateway is borrowed, so it must not call the [`SharedGateway`].
-pub type Log = fn(&Report<'_>);

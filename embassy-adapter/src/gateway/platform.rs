@@ -5,13 +5,18 @@ use core::marker::PhantomData;
 use core::net::{Ipv4Addr, SocketAddrV4};
 
 use bcap_core::time::Instant;
-use bcap_gateway::driver::{Client, Lock, Platform};
+use bcap_gateway::driver::{self, Client, Lock, Platform};
 use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::RawMutex;
 
-use super::Log;
+use super::report::Log;
 use crate::clock::now;
 use crate::error::NetError;
+
+/// A gateway that several tasks share; `SESSIONS` is at least the number of its client slots.
+///
+/// `M` is embassy's mutex: `NoopRawMutex` for one executor, `CriticalSectionRawMutex` for several.
+pub type SharedGateway<'m, M, const SESSIONS: usize> = driver::SharedGateway<'m, Embassy<M, SESSIONS>>;
 
 /// The platform of embassy's tasks, with memory for `SESSIONS` clients.
 #[derive(Debug)]
