@@ -87,7 +87,7 @@ fn a_shell_that_was_suspended_goes_on() {
 
 #[test]
 fn a_command_that_is_ended_while_it_takes_the_arm_gives_it_back() {
-    for name in ["-TERM", "-HUP", "-INT"] {
+    for name in ["-TERM", "-HUP", "-QUIT", "-INT"] {
         for protocol in ["udp", "tcp"] {
             let robot = slow_to_take();
             let address = if protocol == "udp" { &robot.udp } else { &robot.tcp };

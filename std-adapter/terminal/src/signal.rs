@@ -11,7 +11,7 @@ pub enum Signal {
     Interrupt,
     /// SIGTSTP: Ctrl-Z.
     Suspend,
-    /// SIGTERM or SIGHUP.
+    /// SIGTERM, SIGHUP, or SIGQUIT (Ctrl-\).
     End,
 }
 
@@ -50,6 +50,8 @@ struct Sources {
     terminate: tokio::signal::unix::Signal,
     /// `None` if the process ignores it, as `nohup` arranges: a handler would end what `nohup` lets run.
     hangup: Option<tokio::signal::unix::Signal>,
+    /// `None` if the process ignores it, as a shell arranges for a process in the background.
+    quit: Option<tokio::signal::unix::Signal>,
     /// `None` if the process ignores it, as a shell without job control arranges.
     suspend: Option<tokio::signal::unix::Signal>,
 }
@@ -67,6 +69,7 @@ impl Sources {
             interrupt: signal(SignalKind::interrupt())?,
             terminate: signal(SignalKind::terminate())?,
             hangup: unless_ignored(Signal::HUP.as_raw())?,
+            quit: unless_ignored(Signal::QUIT.as_raw())?,
             suspend: unless_ignored(Signal::TSTP.as_raw())?,
         })
     }
@@ -76,6 +79,7 @@ impl Sources {
             _ = self.interrupt.recv() => Signal::Interrupt,
             _ = self.terminate.recv() => Signal::End,
             () = received(&mut self.hangup) => Signal::End,
+            () = received(&mut self.quit) => Signal::End,
             () = received(&mut self.suspend) => Signal::Suspend,
         }
     }
