@@ -4,6 +4,8 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use bcap_core::bcap::FunctionId;
+
 use crate::args::{Cp, Ls};
 use crate::disk;
 use crate::error::Failure;
@@ -11,6 +13,7 @@ use crate::output::{print_json, print_line};
 use crate::place::Place;
 use crate::remote::{self, Item};
 use crate::session::Session;
+use crate::stream::spare;
 
 /// Runs `bcap ls`.
 pub(crate) fn ls(args: &Ls, session: &mut Session, json: bool) -> Result<(), Failure> {
@@ -19,6 +22,7 @@ pub(crate) fn ls(args: &Ls, session: &mut Session, json: bool) -> Result<(), Fai
         Place::Local(path) => remote::normal(&path.to_string_lossy()),
     };
     session.begin()?;
+    spare(session, FunctionId::CONTROLLER_GET_FILE_NAMES, None)?;
     for item in listed(session, &path, args.recursive)? {
         let size = if args.long && !item.is_folder { Some(remote::size(session, &item.path)?) } else { None };
         print_item(&item, size, args.long, json)?;
@@ -107,6 +111,7 @@ struct Copying<'a> {
 impl Copying<'_> {
     fn download(&mut self, patterns: &[String], to: &Path, into: bool) -> Result<(), Failure> {
         self.session.begin()?;
+        spare(self.session, FunctionId::CONTROLLER_GET_FILE_NAMES, None)?;
         let mut found = Vec::new();
         for pattern in patterns {
             let items = remote::find(self.session, pattern)?;
@@ -140,6 +145,7 @@ impl Copying<'_> {
 
     fn upload(&mut self, files: &[PathBuf], to: &str, into: bool) -> Result<(), Failure> {
         self.session.begin()?;
+        spare(self.session, FunctionId::CONTROLLER_GET_FILE_NAMES, None)?;
         // only a listing tells a folder from a file
         let into = into || remote::find(self.session, to)?.iter().any(|item| item.is_folder);
         let mut copies: Vec<(PathBuf, String)> = Vec::new();

@@ -12,6 +12,7 @@ use crate::interrupt::State;
 use crate::output::{print_json, print_line};
 use crate::session::Session;
 use crate::silence::Silence;
+use crate::stream::spare;
 use crate::value::{integer, text};
 
 /// Runs `bcap move`.
@@ -53,6 +54,10 @@ pub(crate) fn go(args: &MoveArgs, session: &mut Session) -> Result<bool, Failure
         ));
     }
     let interrupt = session.handle_signals()?;
+    if !had_arm {
+        // another client's stream
+        spare(session, FunctionId::ROBOT_EXECUTE, Some("TakeArm"))?;
+    }
     session.prepare_halt(&interrupt)?;
     interrupt.enter(State::Moving);
     // a signal from now on halts the robot, an earlier one prevents the motion

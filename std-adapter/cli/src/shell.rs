@@ -244,7 +244,7 @@ impl Names {
         session.packets.set_paused(true);
         let names = all_names(&mut session);
         session.packets.set_paused(false);
-        listed.insert(names).clone()
+        names.map_or_else(Vec::new, |names| listed.insert(names).clone())
     }
 }
 

@@ -68,3 +68,8 @@ impl StreamCheck {
         Err(Failure::Unfit { message, code: Some(HResult::E_SLVMODE_ON), hint: Some(hint.into()) })
     }
 }
+
+/// Fails if a stream of Slave Mode runs that a call would end: the check of a command that makes many such calls.
+pub(crate) fn spare(session: &mut Session, function: FunctionId, command: Option<&str>) -> Result<(), Failure> {
+    StreamCheck::default().require(session, function, command)
+}

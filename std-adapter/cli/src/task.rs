@@ -1,11 +1,13 @@
 //! `bcap task`: starts and stops tasks.
 
+use bcap_core::bcap::FunctionId;
 use bcap_std::{TaskStart, TaskStatus, TaskStop};
 
 use crate::args::{Task, TaskCommand};
 use crate::error::Failure;
 use crate::output::{print_json, print_line};
 use crate::session::Session;
+use crate::stream::spare;
 
 /// Runs `bcap task`.
 pub(crate) fn task(args: &Task, session: &mut Session, json: bool) -> Result<(), Failure> {
@@ -29,6 +31,7 @@ pub(crate) fn task(args: &Task, session: &mut Session, json: bool) -> Result<(),
             session.with(|controller| controller.task(name)?.stop(mode))
         }
         TaskCommand::Status { name } => {
+            spare(session, FunctionId::CONTROLLER_GET_TASK, None)?;
             let status = session.with(|controller| controller.task(name)?.status())?;
             let status = status_text(status);
             let line = &format!("{name} {status}");

@@ -9,6 +9,7 @@ use crate::error::Failure;
 use crate::output::{print_json, print_line};
 use crate::plain;
 use crate::session::Session;
+use crate::stream::spare;
 use crate::value::{Value, integer, text};
 use crate::words::LAST_PACKETS;
 use bcap_capture::value::{describe, to_json};
@@ -93,6 +94,7 @@ const LISTS: [(Object, FunctionId); 6] = [
 
 /// Runs `bcap names`.
 pub(crate) fn names(session: &mut Session, json: bool) -> Result<(), Failure> {
+    spare(session, FunctionId::CONTROLLER_GET_VARIABLE_NAMES, None)?;
     let mut lists = Lists { session, json, total: 0, missing: 0, refused: 0 };
     let controller = ObjectPath::controller();
     for (object, function) in LISTS {
@@ -108,8 +110,9 @@ pub(crate) fn names(session: &mut Session, json: bool) -> Result<(), Failure> {
     lists.end()
 }
 
-/// Returns the names of all lists that the controller has, for completion.
-pub(crate) fn all_names(session: &mut Session) -> Vec<String> {
+/// Returns the names of all lists that the controller has, for completion; `None` while they cannot be read.
+pub(crate) fn all_names(session: &mut Session) -> Option<Vec<String>> {
+    spare(session, FunctionId::CONTROLLER_GET_VARIABLE_NAMES, None).ok()?;
     let mut all = Vec::new();
     let controller = ObjectPath::controller();
     for (object, function) in LISTS {
@@ -122,7 +125,7 @@ pub(crate) fn all_names(session: &mut Session) -> Vec<String> {
             all.push(path.to_string());
         }
     }
-    all
+    Some(all)
 }
 
 /// Prints the lists of `bcap names`: each completely, or not at all. A refused list is reported, except one that the

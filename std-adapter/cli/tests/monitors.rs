@@ -122,6 +122,37 @@ fn round(stream: &Stream, fleet: &str, gateway: &str) -> bool {
     true
 }
 
+fn as_observed() -> Config {
+    Config { as_observed: true, motor_on_delay: Duration::from_millis(1), ..Config::new(Profile::Rc8) }
+}
+
+/// The commands that list names, copy files or move the robot skip their calls too. The stream of this test sends no pose, so
+/// that a busy machine does not end it.
+#[test]
+fn no_command_ends_the_stream_of_another_client() {
+    let sim = Served::of(Controller::new(as_observed()), Limits::default());
+    let robot = format!("tcp:{}", sim.tcp);
+    let mut cell = bcap_std::blocking::Controller::connect(&robot, &bcap_std::Settings::rc8()).unwrap();
+    let mut arm = cell.robot().unwrap().take_arm().unwrap();
+    arm.motor_on().unwrap();
+    arm.robot().execute::<()>("slvChangeMode", 0x202).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let copy = folder.path().join("copy").to_str().unwrap().to_owned();
+    for (reason, command) in [
+        ("Controller_GetVariableNames may end it", vec!["names"]),
+        ("Controller_GetVariableNames may end it", vec!["dump", &copy]),
+        ("Controller_GetVariableNames may end it", vec!["diff", "robot:", "robot:"]),
+        ("Controller_GetFileNames may end it", vec!["ls"]),
+        ("Controller_GetFileNames may end it", vec!["cp", "robot:/a", &copy]),
+        ("Controller_GetTask may end it", vec!["task", "status", "Pro1"]),
+        ("TakeArm would end it", vec!["move", "J(1,45,90,0,45,0)", "--yes"]),
+    ] {
+        let run = bcap(&[&command, &["--robot", &robot][..]].concat());
+        assert!(run.code != 0 && run.err.contains(&format!("{RUNS}{reason}")), "{run:?}");
+        assert_eq!(sim.application().slave_mode(), 0x202, "{command:?}");
+    }
+}
+
 /// Streams while every tool reads, and returns the number of rounds of the tools.
 fn stream_and_monitors(robot: &str, seconds: &str) -> u32 {
     let folder = tempfile::tempdir().unwrap();
@@ -163,7 +194,7 @@ fn stream_and_monitors(robot: &str, seconds: &str) -> u32 {
 
 #[test]
 fn no_tool_ends_a_stream() {
-    let config = Config { as_observed: true, motor_on_delay: Duration::from_millis(1), ..Config::new(Profile::Rc8) };
+    let config = as_observed();
     let sim = Served::<Slowed>::of(Slowed(Controller::new(config)), Limits::default());
     let rounds = stream_and_monitors(&format!("tcp:{}", sim.tcp), "2");
     assert!(rounds > 0, "the stream was too short for the tools");

@@ -20,6 +20,7 @@ use crate::named::Entry;
 use crate::remote;
 use crate::selection::{self, is_user_variable};
 use crate::session::Session;
+use crate::stream::spare;
 use crate::value::{Value, integer};
 use crate::variables::{get_one, list, read};
 
@@ -82,8 +83,9 @@ const ROBOT: [&str; 24] = [
     "@EXTDECEL",
 ];
 
-/// Reads type, version and serial number.
+/// Reads type, version and serial number: the first step of each command, which fails while a stream of Slave Mode runs.
 pub(super) fn about(session: &mut Session) -> Result<About, Failure> {
+    spare(session, FunctionId::CONTROLLER_GET_VARIABLE_NAMES, None)?;
     let mut text = |name: &str| match entry(get_one(session, &ObjectPath::variable(name)?))? {
         Entry::Value(value) => {
             let number = || value.convert::<i64>().map(|number| number.to_string());

@@ -33,8 +33,14 @@ pub(crate) fn usual(request: &Frame<'_>) -> Answer {
         FunctionId::CONTROLLER_GET_VARIABLE => value(2),
         FunctionId::CONTROLLER_GET_ROBOT => value(3),
         FunctionId::CONTROLLER_GET_TASK => value(4),
+        FunctionId::ROBOT_EXECUTE if asks_for_stream(request) => value(0),
         _ => HResult::S_OK.into(),
     }
+}
+
+/// Tells whether a client asks whether a stream of Slave Mode runs.
+fn asks_for_stream(request: &Frame<'_>) -> bool {
+    request.args.get(1).and_then(|command| command.as_bstr()).is_some_and(|command| command == "slvGetMode")
 }
 
 /// A controller on its own port, which serves one client at a time until the test ends.
