@@ -5,7 +5,7 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crate::common;
 use crate::common::{Run, bcap, command};
@@ -80,8 +80,11 @@ fn kill(signal: &str, child: &Child) {
     assert!(Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap().success());
 }
 
+/// Waits until the robot moves faster than `least`, and fails if it does not get there.
 fn await_speed(sim: &Served<Slowed>, least: f64) {
+    let begun = Instant::now();
     while !speeds(sim).last().is_some_and(|speed| *speed > least) {
+        assert!(begun.elapsed() < Duration::from_secs(120), "the robot did not reach {least}");
         thread::sleep(Duration::from_millis(5));
     }
 }
