@@ -23,6 +23,7 @@ mod network;
 mod no_alloc;
 mod peer;
 mod procedures;
+mod programs;
 mod rac;
 mod reconnection;
 mod roundtrip;
