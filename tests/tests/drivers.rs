@@ -391,11 +391,11 @@ fn words_without_a_meaning_are_refused() {
         r#"{}"#,
         r#"{"paus_ms": 5}"#,
         r#"{"call": "ServiceStart", "argz": [""]}"#,
-        r#"{"call": "ServiceStart", "on": "mian"}"#,
+        r#"{"call": "ServiceStart", "on": "nowhere"}"#,
         r#"{"call": "ServiceStart", "only": ["rc8a"]}"#,
         r#"{"call": "ServiceStart", "only": ["cobotta"]}"#,
         r#"{"call": "ServiceStart", "code": {"rc8a": "E_FAIL"}}"#,
-        r#"{"call": "ServiceStart", "code": "E_FIAL"}"#,
+        r#"{"call": "ServiceStart", "code": "E_NO_SUCH"}"#,
         r#"{"call": "ServiceStart", "args": ["$c"]}"#,
         r##"{"call": "ServiceStart", "args": ["#"]}"##,
         r#"{"call": "ServiceStart", "args": [{"R9": 1}]}"#,
@@ -404,7 +404,7 @@ fn words_without_a_meaning_are_refused() {
         r#"{"call": "ServiceStart", "gives": "I5"}"#,
         r#"{"call": "ServiceStart", "until": 1, "times": 2}"#,
         r#"{"stream": "$provider", "cycles": 1, "from": [0], "numbers": "I4"}"#,
-        r#"{"repeat": 2, "steps": [{"emergency_stopp": true}]}"#,
+        r#"{"repeat": 2, "steps": [{"no_such_step": true}]}"#,
     ] {
         let read = std::panic::catch_unwind(|| sequence(&format!("{head}\n{start}\n{wrong}"), "a test"));
         assert!(read.is_err(), "{wrong}");

@@ -269,12 +269,12 @@ mod tests {
         assert!(is_read("a | connected write | source | rule\n    call Service_Start \"x -> y\" 3,1 -> void"));
         for wrong in [
             "a | connected | source\n    copy",
-            "a | conected | source | rule\n    copy",
-            "a | connected wirte | source | rule\n    copy",
+            "a | joined | source | rule\n    copy",
+            "a | connected everything | source | rule\n    copy",
             "a | connected | source | rule",
             "    copy",
-            "a | connected | source | rule\n    coppy",
-            "a | connected | source | rule\n    call Service_Strat -> void",
+            "a | connected | source | rule\n    paste",
+            "a | connected | source | rule\n    call Service_None -> void",
             "a | connected | source | rule\n    call Service_Start",
             "a | connected | source | rule\n    call Service_Start -> viod",
             "a | connected | source | rule\n    call Service_Start -> I4[x]",
