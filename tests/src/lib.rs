@@ -7,6 +7,7 @@
 //! | `pty`          | the same over a pair of pseudo-terminals, with noise                                |
 //! | `cable`        | a serial cable between two pseudo-terminals, with the speed and faults of a real one |
 //! | `line_server`  | the server of `bcap-std` on a serial line                                           |
+//! | [`real_time`]  | tests in real time that a busy machine may starve                                    |
 //! | [`slowed`]     | a virtual controller with a slow clock                                              |
 //! | [`stepped`]    | a virtual controller whose clock advances only when clients call or wait            |
 //! | [`drivers`]    | the call sequences of public drivers, from `tests/drivers`                          |
@@ -32,6 +33,7 @@ pub mod process;
 pub mod proxy;
 #[cfg(unix)]
 pub mod pty;
+pub mod real_time;
 pub mod serial;
 pub mod served;
 pub mod slowed;

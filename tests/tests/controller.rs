@@ -162,6 +162,31 @@ fn a_stopper_connects_without_a_controller() {
     assert!(matches!(Stopper::connect("robot", &Settings::rc8()), Err(Error::Address(_))));
 }
 
+/// The tool stays where it is when only the figure changes, so the place of a halted robot says nothing.
+#[test]
+fn the_same_place_with_another_figure_is_not_the_end_of_a_motion() {
+    let sim = simulated();
+    let mut cell = connect(&sim);
+    let stopper = cell.stopper().unwrap();
+    let mut arm = cell.robot().unwrap().take_arm().unwrap();
+    arm.motor_on().unwrap();
+    let home = Move::joint(Joints::new([0.0, 45.0, 90.0, 0.0, 45.0, 0.0]));
+    for _ in 0..5 {
+        assert_eq!(arm.move_to(&home, LIMIT).unwrap(), Motion::Arrived);
+        let here = arm.robot().position().unwrap();
+        assert_eq!(here.figure, 5);
+        let turned = Move::joint(here.figure(1)).speed_percent(1.0);
+        let moving = arm.start(&turned, LIMIT).unwrap();
+        assert_eq!(stopper.halt().unwrap(), Halted::Halted);
+        let ended = moving.wait().unwrap();
+        assert!(matches!(ended, Motion::Unknown | Motion::Halted), "{ended:?}");
+        assert_eq!(arm.robot().position().unwrap().figure, 5);
+    }
+    let here = arm.robot().position().unwrap();
+    assert_eq!(arm.move_to(&Move::joint(here.figure(1)), LIMIT).unwrap(), Motion::Arrived);
+    assert_eq!(arm.robot().position().unwrap().figure, 1);
+}
+
 #[test]
 fn positions_and_vectors_are_no_joints() {
     let sim = simulated();

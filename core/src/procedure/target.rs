@@ -84,13 +84,13 @@ impl Target {
         Self::new(Place::Joints(joints.degrees, axes))
     }
 
-    /// A position in the present tool and work coordinates. The figure is not compared.
+    /// A position in the present tool and work coordinates. A robot that rests there with another figure has not arrived.
     #[must_use]
     pub const fn position(position: Position) -> Self {
         Self::new(Place::Position(position))
     }
 
-    /// A transform in the present tool and work coordinates. The figure is not compared.
+    /// A transform in the present tool and work coordinates. A robot that rests there with another figure has not arrived.
     #[must_use]
     pub const fn transform(transform: Transform) -> Self {
         Self::new(Place::Transform(transform))
@@ -182,7 +182,7 @@ pub(super) enum End {
 pub(super) enum Comparison {
     /// The robot is there.
     There,
-    /// The tool is there, and its orientation is another one, or is written in another way.
+    /// The tool is there, and its orientation is another one, or is written in another way, or the figure differs.
     Turned,
     Elsewhere,
 }
@@ -263,14 +263,15 @@ impl End {
                 };
                 (
                     near(tip, end.xyz_mm, tolerance.distance_mm),
-                    !is_same_rotation(here.rotation_degrees, end.rotation_degrees, tolerance.angle_degrees),
+                    !is_same_rotation(here.rotation_degrees, end.rotation_degrees, tolerance.angle_degrees)
+                        || differ(here.figure, end.figure),
                 )
             }
             (Self::Transform(end), _, Some(here)) => {
                 // the sine of a small angle
                 let turn = tolerance.angle_degrees * (core::f64::consts::PI / 180.0);
                 let same = near(here.orient, end.orient, turn) && near(here.approach, end.approach, turn);
-                (near(here.xyz_mm, end.xyz_mm, tolerance.distance_mm), !same)
+                (near(here.xyz_mm, end.xyz_mm, tolerance.distance_mm), !same || differ(here.figure, end.figure))
             }
             _ => (false, false),
         };
@@ -280,6 +281,11 @@ impl End {
             (false, _) => Comparison::Elsewhere,
         }
     }
+}
+
+/// Tells whether two figures differ. A negative one stands for any figure.
+const fn differ(one: i32, other: i32) -> bool {
+    one >= 0 && other >= 0 && one != other
 }
 
 /// Returns the point this far from another one, along a vector of length 1.
