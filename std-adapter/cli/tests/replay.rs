@@ -7,6 +7,7 @@ use crate::common::capture::{BCAP, Capture, Flow, From, bstr, i4, numbered};
 use crate::common::recorded;
 use crate::common::running::Running;
 use crate::common::{Run, bcap, command};
+use bcap_tests::real_time::repeated;
 use serde_json::Value;
 
 fn path(name: &str) -> PathBuf {
@@ -81,21 +82,24 @@ fn calls_that_move_or_write_are_made_only_if_they_are_allowed_by_name() {
 
 #[test]
 fn a_whole_session_has_the_same_replies_on_a_new_controller() {
-    let (recorded, _) = recorded::proxied(&["--quiet"]);
-    let served = recorded::serve();
-    let [tcp, udp, rac] = [&served.tcp, &served.udp, &served.rac].map(ToString::to_string);
-    let allowed = ["Variable_PutValue", "Robot_Execute", "Robot_Move", "PUT"].map(|name| ["--allow", name]).concat();
-    // the position depends on the moment
-    let more = ["--volatile", "Robot_Execute/slvMove", "--fast"];
-    let file = recorded.file.to_str().unwrap();
-    let robot = ["--robot", &tcp, "--robot-udp", &udp, "--robot-rac", &rac];
-    let run = bcap(&[&["replay", file], &robot[..], &allowed, &more].concat());
-    assert_eq!(run.code, 0, "{run:?}");
-    let count = recorded.seen.len();
-    let connections = run.out.split(' ').nth(3).unwrap();
-    let totals = format!("{count} calls of {connections} connections, {count} replies compared, 0 differences\n");
-    assert_eq!(run.out, totals);
-    println!("{}", run.out.trim_end());
+    repeated(|| {
+        let (recorded, _) = recorded::proxied(&["--quiet"]);
+        let served = recorded::serve();
+        let [tcp, udp, rac] = [&served.tcp, &served.udp, &served.rac].map(ToString::to_string);
+        let allowed =
+            ["Variable_PutValue", "Robot_Execute", "Robot_Move", "PUT"].map(|name| ["--allow", name]).concat();
+        // the position depends on the moment
+        let more = ["--volatile", "Robot_Execute/slvMove", "--fast"];
+        let file = recorded.file.to_str().unwrap();
+        let robot = ["--robot", &tcp, "--robot-udp", &udp, "--robot-rac", &rac];
+        let run = bcap(&[&["replay", file], &robot[..], &allowed, &more].concat());
+        assert_eq!(run.code, 0, "{run:?}");
+        let count = recorded.seen.len();
+        let connections = run.out.split(' ').nth(3).unwrap();
+        let totals = format!("{count} calls of {connections} connections, {count} replies compared, 0 differences\n");
+        assert_eq!(run.out, totals);
+        println!("{}", run.out.trim_end());
+    });
 }
 
 #[test]
