@@ -238,7 +238,7 @@ pub fn function(name: &str) -> Result<FunctionId, String> {
 ///
 /// # Errors
 ///
-/// When it is none of them.
+/// An error for any other word.
 pub fn value(word: &str) -> Result<Value, String> {
     if word.starts_with('"') {
         return unquote(word).map(|text| Value::text(&text));
@@ -297,7 +297,7 @@ fn argument(word: &str) -> Result<Argument, String> {
 ///
 /// # Errors
 ///
-/// When they are none.
+/// An error if the words are invalid.
 pub fn unhex(text: &str) -> Result<Vec<u8>, String> {
     let digits = text.bytes().map(|byte| char::from(byte).to_digit(16)).collect::<Option<Vec<_>>>();
     match digits {

@@ -45,7 +45,7 @@ impl Files {
 ///
 /// # Errors
 ///
-/// When there are none, or a line is wrong.
+/// An error without a step, or for an invalid line.
 pub fn read(path: &Path) -> Result<Vec<Step>, Error> {
     let text = fs::read_to_string(path).map_err(|error| Error::File(path.into(), error))?;
     let steps = step::parse(&text).map_err(|error| Error::Steps(path.into(), error))?;
