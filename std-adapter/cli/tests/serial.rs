@@ -214,7 +214,7 @@ fn slave_mode_streams_in_real_time_over_a_line_of_921600_baud() {
 #[test]
 fn slave_mode_stops_on_ctrl_c_over_a_line_and_refuses_a_motion_that_nothing_could_halt() {
     let Some(cable) = Cable::new(Quality { baud: Some(921_600), ..Quality::default() }) else { return };
-    let sim = LineServer::start(slow(), &cable.path(End::Controller));
+    let _sim = LineServer::start(slow(), &cable.path(End::Controller));
     let robot = cable.address(921_600);
     for start in [&["cosine", "--from", "J1"][..], &["play", "path.csv", "--approach"]] {
         let run = bcap(&[&["slave"], start, &["--yes", "--robot", &robot]].concat());
