@@ -17,15 +17,14 @@
 //! motion begins.
 
 use std::io::{self, Write as _};
-use std::process;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-use std::thread;
 use std::time::{Duration, Instant};
+use std::{process, thread};
 
 use bcap_terminal::signal::{self, Signal};
 
-use crate::error::Failure;
+use crate::failure::Failure;
 
 /// How long a motion that begins just after a halt may run until the next halt.
 const AGAIN: Duration = Duration::from_millis(50);

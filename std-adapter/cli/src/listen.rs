@@ -5,7 +5,7 @@ use std::net::SocketAddr;
 
 use tokio::runtime::{self, Runtime};
 
-use crate::error::Failure;
+use crate::failure::Failure;
 
 /// Makes the runtime of a command that serves: one thread is enough for a controller or a gateway.
 pub(crate) fn runtime() -> io::Result<Runtime> {

@@ -1,80 +1,40 @@
 //! `bcap`: DENSO robot controllers from the command line.
+#![allow(
+    rustdoc::broken_intra_doc_links,
+    reason = "the comments of arguments are the help text, where brackets are brackets"
+)]
 
-mod args;
-mod backup;
-mod board;
-mod budget;
-mod call;
-mod confirm;
-mod conform;
-mod connection;
-mod decode;
-mod demo;
-mod destination;
-mod disk;
-mod doctor;
-mod error;
-mod errors;
-mod explain;
-mod files;
-mod fuzz;
-mod gateway;
-mod get;
-mod halt;
-mod input;
+mod cli;
+mod commands;
+mod failure;
 mod interrupt;
-mod line;
+mod link;
 mod listen;
+mod local_files;
 mod mcap_log;
-mod monitor;
-mod motion;
-mod named;
 mod output;
-mod place;
-mod plain;
-mod profile;
-mod profiles;
-mod proxy;
-mod put;
-mod rac;
-mod raw;
-mod reference;
-mod remote;
-mod replay;
-mod robot;
-mod rules;
-mod samples;
-mod screen;
-mod script;
-mod selection;
 mod session;
 mod shell;
-mod silence;
-mod sim;
-mod slave;
-mod stream;
-mod table;
-mod target;
-mod task;
-mod terminal;
-mod text;
-mod traffic;
-mod trajectory;
-mod value;
-mod variables;
-mod watch;
-mod wireshark;
-mod words;
+mod values;
 
 use std::process::ExitCode;
 
 use bcap_terminal::args::parse_or_exit;
-use clap::CommandFactory as _;
 
-use crate::args::{Cli, Command};
-use crate::error::Failure;
+use crate::cli::{Cli, Command};
+use crate::commands::backup::{diff, dump, restore};
+use crate::commands::calls::{call, exec};
+use crate::commands::judge::{conform, fuzz};
+use crate::commands::packets::{decode, encode, proxy, raw, replay, text, wireshark};
+use crate::commands::robot::{errors, halt, messages, motion, task};
+use crate::commands::sim::demo;
+use crate::commands::variables::{get, names, put, rac, watch};
+use crate::commands::{board, doctor, explain, files, gateway, monitor, profile, sim, slave};
+use crate::failure::Failure;
 use crate::interrupt::Interrupt;
-use crate::session::Session;
+use crate::session::selection::Selection;
+use crate::session::{Session, traffic};
+use crate::shell::script;
 
 fn main() -> ExitCode {
     let cli: Cli = parse_or_exit();
@@ -127,20 +87,21 @@ pub(crate) fn verb(command: &Command, session: &mut Session, json: bool) -> Resu
         Command::Put(args) => put::put(args, session, json),
         Command::Watch(args) => watch::watch(args, session, json),
         Command::Monitor(args) => monitor::monitor(args, session, json),
-        Command::Names(_) => variables::names(session, json),
+        Command::Names(_) => names::names(session, json),
         Command::Ls(args) => files::ls(args, session, json),
         Command::Cp(args) => files::cp(args, session, json),
-        Command::Dump(args) => backup::dump(args, session, json),
-        Command::Diff(args) => backup::diff(args, session, json),
-        Command::Restore(args) => backup::restore(args, session, json),
-        Command::Profile(args) => profiles::profile(args, json),
+        Command::Dump(args) => dump::dump(args, session, json),
+        Command::Diff(args) => diff::diff(args, session, json),
+        Command::Restore(args) => restore::restore(args, session, json),
+        Command::Profile(args) => profile::profile(args, json),
+        Command::Call(args) if args.is_help() => cli::print_help("call"),
         Command::Call(args) => call::call(args, session, json),
-        Command::Exec(args) => call::exec(args, session, json),
+        Command::Exec(args) => exec::exec(args, session, json),
         Command::Move(args) => motion::motion(args, session, json),
         Command::Task(args) => task::task(args, session, json),
         Command::Errors(_) => errors::errors(session, json),
         Command::Clear(_) => errors::clear(session),
-        Command::Messages(args) => errors::messages(args, session, json),
+        Command::Messages(args) => messages::messages(args, session, json),
         Command::Shell(_) => shell::shell(session, verb, json),
         Command::Run(args) => script::run(args, session, verb, check, json),
         Command::Raw(args) => raw::raw(args, session, json),
@@ -157,43 +118,26 @@ pub(crate) fn verb(command: &Command, session: &mut Session, json: bool) -> Resu
         Command::Fuzz(args) => fuzz::fuzz(args, link.untraced()?, json),
         Command::Demo(_) => demo::demo(),
         Command::Decode(args) => decode::decode(args, json),
-        Command::Encode(args) => decode::encode(args),
+        Command::Encode(args) => encode::encode(args),
         Command::Text(args) => text::text(args, json),
         Command::Explain(args) => explain::explain(args, json),
         Command::Wireshark(_) => wireshark::wireshark(),
-        Command::Completions(args) => completions(args),
-        Command::Man(args) => man(args),
+        Command::Completions(args) => cli::completions(args),
+        Command::Man(args) => cli::man(args),
     }
 }
 
 /// Checks the arguments of a command of a script before the script makes a call.
 fn check(command: &Command) -> Result<(), Failure> {
     match command {
-        Command::Get(args::Get { names }) | Command::Watch(args::Watch { names, .. }) => {
-            selection::Selection::parse_each(names).map(drop)
+        Command::Get(get::Get { names }) | Command::Watch(watch::Watch { names, .. }) => {
+            Selection::parse_each(names).map(drop)
         }
         Command::Put(args) => put::check(args),
         Command::Call(args) => call::check(args),
-        Command::Exec(args) => call::check_exec(args),
+        Command::Exec(args) => exec::check(args),
         Command::Move(args) => motion::check(args),
         Command::Rac(args) => rac::check(args),
         _ => Ok(()),
     }
-}
-
-fn completions(args: &args::Completions) -> Result<(), Failure> {
-    let mut script = Vec::new();
-    clap_complete::generate(args.shell, &mut Cli::command(), "bcap", &mut script);
-    Ok(output::print_raw(String::from_utf8_lossy(&script).trim_end())?)
-}
-
-/// Writes `bcap.1` and a page for each command, such as `bcap-get.1`.
-fn man(args: &args::Man) -> Result<(), Failure> {
-    let failed = |error| Failure::Input(format!("cannot write manual pages to {}: {error}", args.directory.display()));
-    std::fs::create_dir_all(&args.directory).map_err(failed)?;
-    // `bcap help` needs no pages
-    let mut command = Cli::command().disable_help_subcommand(true);
-    // propagates the global options
-    command.build();
-    clap_mangen::generate_to(command, &args.directory).map_err(failed)
 }

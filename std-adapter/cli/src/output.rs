@@ -19,6 +19,11 @@ pub(crate) fn print_json(lines: &str) -> io::Result<()> {
     print_raw(&escape::json(lines))
 }
 
+/// Prints one line, of JSON if `json`.
+pub(crate) fn print(line: &str, json: bool) -> io::Result<()> {
+    if json { print_json(line) } else { print_line(line) }
+}
+
 /// Prints text as it is, with an end of line: nothing of it may come from outside.
 pub(crate) fn print_raw(text: &str) -> io::Result<()> {
     let mut out = io::stdout().lock();

@@ -1,0 +1,224 @@
+//! The command line: all commands, and the arguments of those that work on the command line itself. A shell and a script
+//! run any command, so their code is above this file.
+
+use std::path::PathBuf;
+
+use clap::{Args, CommandFactory as _, Parser, Subcommand};
+
+use crate::commands::backup::diff::Diff;
+use crate::commands::backup::dump::Dump;
+use crate::commands::backup::restore::Restore;
+use crate::commands::board::Board;
+use crate::commands::calls::call::Call;
+use crate::commands::calls::exec::Exec;
+use crate::commands::doctor::Doctor;
+use crate::commands::explain::Explain;
+use crate::commands::files::{Cp, Ls};
+use crate::commands::gateway::Gateway;
+use crate::commands::judge::conform::Conform;
+use crate::commands::judge::fuzz::Fuzz;
+use crate::commands::monitor::Monitor;
+use crate::commands::packets::decode::Decode;
+use crate::commands::packets::encode::Encode;
+use crate::commands::packets::proxy::Proxy;
+use crate::commands::packets::raw::Raw;
+use crate::commands::packets::replay::Replay;
+use crate::commands::packets::text::Text;
+use crate::commands::packets::wireshark::Wireshark;
+use crate::commands::profile::ProfileArgs;
+use crate::commands::robot::errors::{Clear, Errors};
+use crate::commands::robot::halt::HaltArgs;
+use crate::commands::robot::messages::Messages;
+use crate::commands::robot::motion::MoveArgs;
+use crate::commands::robot::task::Task;
+use crate::commands::sim::args::Sim;
+use crate::commands::sim::demo::Demo;
+use crate::commands::slave::args::Slave;
+use crate::commands::variables::get::Get;
+use crate::commands::variables::names::Names;
+use crate::commands::variables::put::Put;
+use crate::commands::variables::rac::Rac;
+use crate::commands::variables::watch::Watch;
+use crate::failure::Failure;
+use crate::link::LinkArgs;
+use crate::output::print_raw;
+
+/// Talks to DENSO robot controllers over b-CAP and RAC, and decodes their traffic.
+#[derive(Debug, Parser)]
+#[command(name = "bcap", version, after_help = EXIT_CODES)]
+pub(crate) struct Cli {
+    /// Prints results as JSON, one object per line; failures too, as {"error":...}
+    #[arg(long, global = true)]
+    pub(crate) json: bool,
+
+    #[command(flatten)]
+    pub(crate) link: LinkArgs,
+
+    #[command(subcommand)]
+    pub(crate) command: Command,
+}
+
+const EXIT_CODES: &str = "\
+Exit codes: 0 done, 1 the controller refused, diff found differences, a case of conform failed or fuzz found faults, 2 wrong
+usage, malformed input or a diff that is refused or incomplete, 3 no connection, 4 timeout, 130 interrupted by a signal.
+There are no colours if NO_COLOR is set or the output is not a terminal.";
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum Command {
+    Get(Get),
+    Put(Put),
+    Watch(Watch),
+    Monitor(Monitor),
+    Names(Names),
+    Ls(Ls),
+    Cp(Cp),
+    Dump(Dump),
+    Diff(Diff),
+    Restore(Restore),
+    Profile(ProfileArgs),
+    Call(Call),
+    Exec(Exec),
+    Move(MoveArgs),
+    Task(Task),
+    Errors(Errors),
+    Clear(Clear),
+    Messages(Messages),
+    Shell(Shell),
+    Run(Run),
+    Raw(Raw),
+    Rac(Rac),
+    Sim(Sim),
+    Slave(Slave),
+    Halt(HaltArgs),
+    Doctor(Doctor),
+    Gateway(Gateway),
+    Board(Board),
+    Proxy(Proxy),
+    Replay(Replay),
+    Conform(Conform),
+    Fuzz(Fuzz),
+    Demo(Demo),
+    Decode(Decode),
+    Encode(Encode),
+    Text(Text),
+    Explain(Explain),
+    Wireshark(Wireshark),
+    Completions(Completions),
+    Man(Man),
+}
+
+impl Command {
+    /// Returns whether the command connects to a controller. The others work with a wrong profile.
+    pub(crate) const fn connects(&self) -> bool {
+        !matches!(
+            self,
+            Self::Profile(_)
+                | Self::Board(_)
+                | Self::Sim(_)
+                | Self::Demo(_)
+                | Self::Decode(_)
+                | Self::Encode(_)
+                | Self::Text(_)
+                | Self::Explain(_)
+                | Self::Wireshark(_)
+                | Self::Completions(_)
+                | Self::Man(_)
+        )
+    }
+}
+
+/// Runs commands over one session, with a prompt
+///
+/// Every command of `bcap` works without the word `bcap`, and all of them use one session: the arm stays taken, handles stay
+/// open. The prompt shows model, mode, errors, and whether this session has the arm and the motor is on. Tab completes
+/// commands, functions and the names that the controller lists. Also: `help [COMMAND|FUNCTION]`, `connect`, `exit`, and
+/// what scripts have (`bcap run --help`).
+///
+/// Ctrl-C halts the robot if this session has the arm, over a second connection, and gives the arm back. The end of the
+/// shell does the same.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap shell
+  bcap shell --robot tcp:192.168.0.1 --provider CaoProv.DENSO.VRC9")]
+pub(crate) struct Shell {}
+
+/// Runs a script: the lines of `bcap shell`, from a file or the standard input (-)
+///
+/// All lines of a file are checked before the first one runs: their commands, arguments and script variables. The lines of the
+/// standard input run as they arrive.
+///
+/// It stops at the first error, prints FILE:LINE, and returns the exit code of that line. Ctrl-C and Ctrl-Z halt the robot if
+/// the script has the arm, and give the arm back; the end of the script gives it back as well.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+A script has one command a line. # begins a comment, words with blanks stand between ' or \", $x and ${x} are variables.
+  set x = 3               sets a variable of the script
+  put I1 $x
+  sleep 100ms             waits
+  wait I1 = 5 2s          waits until the controller's variable has the value; the time is optional
+  expect I1 = 5           fails unless it has the value; also != < <= > >=
+  exec robot TakeArm 0 1  the arm stays taken until GiveArm or the end
+  move P1 --line --speed 10
+Examples:
+  bcap run cycle.bcap
+  echo 'get I1' | bcap run -")]
+pub(crate) struct Run {
+    /// The script; - is the standard input
+    #[arg(value_name = "FILE")]
+    pub(crate) file: PathBuf,
+
+    /// Only checks the lines, without a connection
+    #[arg(long)]
+    pub(crate) check: bool,
+}
+
+/// Prints a completion script for a shell
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap completions bash >~/.local/share/bash-completion/completions/bcap
+  bcap completions zsh >~/.zfunc/_bcap
+  bcap completions fish >~/.config/fish/completions/bcap.fish")]
+pub(crate) struct Completions {
+    /// The shell
+    pub(crate) shell: clap_complete::Shell,
+}
+
+/// Writes the manual pages, one for each command
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap man man1 && man ./man1/bcap.1
+  bcap man /usr/local/share/man/man1")]
+pub(crate) struct Man {
+    /// The directory; it is made if it does not exist
+    #[arg(value_name = "DIR")]
+    pub(crate) directory: PathBuf,
+}
+
+/// Prints the help of a command, as `bcap NAME --help` does.
+pub(crate) fn print_help(command: &str) -> Result<(), Failure> {
+    let mut cli = Cli::command();
+    // propagates the global options
+    cli.build();
+    Ok(cli.find_subcommand_mut(command).map_or(Ok(()), clap::Command::print_long_help)?)
+}
+
+/// Runs `bcap completions`.
+pub(crate) fn completions(args: &Completions) -> Result<(), Failure> {
+    let mut script = Vec::new();
+    clap_complete::generate(args.shell, &mut Cli::command(), "bcap", &mut script);
+    Ok(print_raw(String::from_utf8_lossy(&script).trim_end())?)
+}
+
+/// Runs `bcap man`: writes `bcap.1` and a page for each command, such as `bcap-get.1`.
+pub(crate) fn man(args: &Man) -> Result<(), Failure> {
+    let failed = |error| Failure::Input(format!("cannot write manual pages to {}: {error}", args.directory.display()));
+    std::fs::create_dir_all(&args.directory).map_err(failed)?;
+    // `bcap help` needs no pages
+    let mut command = Cli::command().disable_help_subcommand(true);
+    // propagates the global options
+    command.build();
+    clap_mangen::generate_to(command, &args.directory).map_err(failed)
+}

@@ -1,0 +1,58 @@
+//! The differences of two backups.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::contents::{Contents, Part};
+use crate::values::json_line::Entry;
+
+/// The entries of two backups under one name.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) struct Difference<N, T> {
+    pub(super) name: N,
+    pub(super) a: Option<T>,
+    pub(super) b: Option<T>,
+}
+
+/// System variables that count time, and differ always.
+const CLOCKS: [&str; 4] = ["@TIME", "@CURRENT_TIME", "@ELAPSED_TIME", "@CYCLE_TIME"];
+
+/// Returns the entries that differ, in the order of their names.
+pub(super) fn differences<'a, N: Ord, T: PartialEq>(
+    a: &'a BTreeMap<N, T>,
+    b: &'a BTreeMap<N, T>,
+) -> Vec<Difference<&'a N, &'a T>> {
+    let names: BTreeSet<&N> = a.keys().chain(b.keys()).collect();
+    let both = names.into_iter().map(|name| Difference { name, a: a.get(name), b: b.get(name) });
+    both.filter(|difference| difference.a != difference.b).collect()
+}
+
+/// Returns the differences of the variables; with `system` also of the system variables except the clocks.
+pub(super) fn variables<'a>(a: &'a Contents, b: &'a Contents, system: bool) -> Vec<Difference<String, &'a Entry>> {
+    let mut user = differences(&a.variables, &b.variables);
+    user.retain(|difference| is_certain(difference, a, b, |part| part.has_variable(*difference.name)));
+    let user = user.into_iter().map(|Difference { name, a, b }| Difference { name: name.name(), a, b });
+    let system = if system { differences(&a.system, &b.system) } else { Vec::new() };
+    let is_clock = |name: &str| CLOCKS.iter().any(|clock| name.rsplit('/').next() == Some(clock));
+    let system = system.into_iter().filter(|difference| !is_clock(difference.name));
+    let system = system.filter(|difference| is_certain(difference, a, b, |part| *part == Part::System));
+    let system = system.map(|Difference { name, a, b }| Difference { name: name.clone(), a, b });
+    user.chain(system).collect()
+}
+
+/// Returns the differences of the files.
+pub(super) fn files<'a>(a: &'a Contents, b: &'a Contents) -> Vec<Difference<&'a String, &'a Vec<u8>>> {
+    let mut files = differences(&a.files, &b.files);
+    files.retain(|difference| is_certain(difference, a, b, |part| part.has_file(difference.name)));
+    files
+}
+
+/// Returns whether a difference is known: what only one side has may be omitted from the other.
+fn is_certain<N, T>(
+    difference: &Difference<N, T>,
+    a: &Contents,
+    b: &Contents,
+    is_meant: impl Fn(&Part) -> bool,
+) -> bool {
+    let may_exist = |value: &Option<T>, side: &Contents| value.is_none() && side.omits(&is_meant);
+    !may_exist(&difference.a, a) && !may_exist(&difference.b, b)
+}

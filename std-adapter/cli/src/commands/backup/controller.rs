@@ -1,0 +1,339 @@
+//! Reads a controller.
+//!
+//! The variables of a kind are read through one handle of `I*`, whose PutID chooses the variable: two calls for each instead
+//! of three. A controller may accept PutID and ignore it. So the handle is trusted after two ids have returned different
+//! values that agree with those by name. While all values are equal, only samples are read by name. After the first
+//! disagreement every variable is opened by name.
+
+use std::collections::BTreeSet;
+use std::iter::once;
+use std::ops::Range;
+
+use bcap_core::bcap::{FunctionId, Object};
+use bcap_core::hresult::HResult;
+use bcap_core::rac::VariableKind;
+use bcap_std::ObjectPath;
+
+use super::contents::{About, Contents, Omission, Part, UserVariable};
+use crate::failure::Failure;
+use crate::session::selection::is_user_variable;
+use crate::session::slave_mode::spare;
+use crate::session::variables::{get_one, list, read};
+use crate::session::{Session, remote_files, selection};
+use crate::values::json_line::Entry;
+use crate::values::{Value, integer};
+
+/// The usual system variables, for a controller that does not list its own, or not over UDP.
+const CONTROLLER: [&str; 29] = [
+    "@MODE",
+    "@LOCK",
+    "@TIME",
+    "@CURRENT_TIME",
+    "@BUSY_STATUS",
+    "@TSR_BUSY_STATUS",
+    "@NORMAL_STATUS",
+    "@ERROR_CODE",
+    "@ERROR_CODE_HEX",
+    "@ERROR_DESCRIPTION",
+    "@EMERGENCY_STOP",
+    "@DEADMAN_SW",
+    "@AUTO_ENABLE",
+    "@PROTECTIVE_STOP",
+    "@MAKER_NAME",
+    "@TYPE",
+    "@VERSION",
+    "@FIRMWARE",
+    "@SERIAL_NO",
+    "@IO_ALLOC_MODE",
+    "@VAR_I_LEN",
+    "@VAR_F_LEN",
+    "@VAR_D_LEN",
+    "@VAR_V_LEN",
+    "@VAR_P_LEN",
+    "@VAR_J_LEN",
+    "@VAR_T_LEN",
+    "@VAR_S_LEN",
+    "@VAR_IO_LEN",
+];
+const ROBOT: [&str; 24] = [
+    "@CURRENT_POSITION",
+    "@CURRENT_ANGLE",
+    "@CURRENT_TRANS",
+    "@DEST_POSITION",
+    "@DEST_ANGLE",
+    "@DEST_TRANS",
+    "@SERVO_ON",
+    "@BUSY_STATUS",
+    "@TYPE_NAME",
+    "@TYPE",
+    "@CURRENT_TOOL",
+    "@CURRENT_WORK",
+    "@SPEED",
+    "@ACCEL",
+    "@DECEL",
+    "@JSPEED",
+    "@JACCEL",
+    "@JDECEL",
+    "@HIGH_CURRENT_POSITION",
+    "@HIGH_CURRENT_ANGLE",
+    "@HIGH_CURRENT_TRANS",
+    "@EXTSPEED",
+    "@EXTACCEL",
+    "@EXTDECEL",
+];
+
+/// Reads type, version and serial number: the first step of each command, which fails while a stream of Slave Mode runs.
+pub(super) fn about(session: &mut Session) -> Result<About, Failure> {
+    spare(session, FunctionId::CONTROLLER_GET_VARIABLE_NAMES, None)?;
+    let mut text = |name: &str| match entry(get_one(session, &ObjectPath::variable(name)?))? {
+        Entry::Value(value) => {
+            let number = || value.convert::<i64>().map(|number| number.to_string());
+            Ok(value.convert::<String>().or_else(|_| number()).unwrap_or_default().trim().to_owned())
+        }
+        Entry::Refused(_) => Ok::<_, Failure>(String::new()),
+    };
+    Ok(About { kind: text("@TYPE")?, version: text("@VERSION")?, serial: text("@SERIAL_NO")? })
+}
+
+/// Reads everything.
+pub(super) fn contents(session: &mut Session) -> Result<Contents, Failure> {
+    let mut contents = Contents { about: about(session)?, ..Contents::default() };
+    for kind in VariableKind::ALL {
+        let Some(count) = count(session, kind, &mut contents.omitted)? else { continue };
+        variables(session, kind, 0..count, |index, entry| {
+            contents.variables.insert(UserVariable::new(kind, index), entry);
+            Ok(())
+        })?;
+    }
+    for name in system_names(session, &mut contents.omitted)? {
+        if let Some(entry) = system(session, &name)? {
+            contents.system.insert(name, entry);
+        }
+    }
+    for path in files(session, &mut contents.omitted)? {
+        if let Some(bytes) = file(session, &path, &mut contents.omitted)? {
+            contents.files.insert(path, bytes);
+        }
+    }
+    Ok(contents)
+}
+
+/// Reads the number of variables of a kind; `None` after a refusal.
+pub(super) fn count(
+    session: &mut Session,
+    kind: VariableKind,
+    omitted: &mut Vec<Omission>,
+) -> Result<Option<u32>, Failure> {
+    unless_omitted(selection::count(session, kind), Part::Variables(kind), omitted)
+}
+
+/// Reads variables of a kind, in order.
+pub(super) fn variables(
+    session: &mut Session,
+    kind: VariableKind,
+    indices: Range<u32>,
+    mut each: impl FnMut(u32, Entry) -> Result<(), Failure>,
+) -> Result<(), Failure> {
+    let mut wildcard = Wildcard::open(session, kind, &indices)?;
+    for index in indices.clone() {
+        let value = match &mut wildcard {
+            Some(wildcard) => wildcard.read(session, index)?,
+            None => None,
+        };
+        let value = match value {
+            Some(value) => value,
+            None => {
+                if let Some(wildcard) = wildcard.take() {
+                    wildcard.check_again(session, indices.start..index)?;
+                    wildcard.close(session)?;
+                }
+                by_name(session, kind, index)?
+            }
+        };
+        each(index, value)?;
+    }
+    wildcard.map_or(Ok(()), |wildcard| wildcard.close(session))
+}
+
+/// A handle of `I*`, through which PutID chooses the variable.
+struct Wildcard {
+    kind: VariableKind,
+    handle: i32,
+    /// The value that all ids have returned so far, as a handle that ignores PutID does; `None` when two have differed.
+    only: Option<Entry>,
+}
+
+impl Wildcard {
+    /// Opens `I*`, if the controller has it and reads samples through it as by their names.
+    fn open(session: &mut Session, kind: VariableKind, indices: &Range<u32>) -> Result<Option<Self>, Failure> {
+        if indices.is_empty() {
+            return Ok(None);
+        }
+        let handle = match session.object(&ObjectPath::variable(&format!("{}*", kind.name()))?) {
+            Err(Failure::Refused { .. }) => return Ok(None),
+            opened => opened?,
+        };
+        let mut wildcard = Self { kind, handle, only: None };
+        for index in samples(indices) {
+            let value = entry(by_id(session, kind, handle, index))?;
+            if value != by_name(session, kind, index)? {
+                wildcard.close(session)?;
+                return Ok(None);
+            }
+            if wildcard.only.replace(value).is_some_and(|other| wildcard.only.as_ref() != Some(&other)) {
+                wildcard.only = None;
+                break;
+            }
+        }
+        Ok(Some(wildcard))
+    }
+
+    /// Reads a variable; `None` if the handle returns another value than the name does.
+    fn read(&mut self, session: &mut Session, index: u32) -> Result<Option<Entry>, Failure> {
+        let value = entry(by_id(session, self.kind, self.handle, index))?;
+        if self.only.as_ref().is_some_and(|only| *only != value) {
+            if value != by_name(session, self.kind, index)? {
+                return Ok(None);
+            }
+            self.only = None;
+        }
+        Ok(Some(value))
+    }
+
+    /// Compares by name the values that were read before the handle was found to be wrong.
+    fn check_again(&self, session: &mut Session, indices: Range<u32>) -> Result<(), Failure> {
+        for index in indices {
+            if self.only != Some(by_name(session, self.kind, index)?) {
+                return Err(Failure::Unfit {
+                    message: format!(
+                        "{0}{index} has another value through {0}*: PutID has no effect",
+                        self.kind.name()
+                    ),
+                    code: None,
+                    hint: Some("stop the programs of the controller, and dump to another folder".into()),
+                });
+            }
+        }
+        Ok(())
+    }
+
+    fn close(self, session: &mut Session) -> Result<(), Failure> {
+        session.release(Object::Variable, self.handle)
+    }
+}
+
+/// Returns the indices that are read in both ways: the last, the first, and at least eight if there are as many. Their
+/// distance is odd, so that values that alternate differ in the samples too.
+fn samples(indices: &Range<u32>) -> impl Iterator<Item = u32> + use<> {
+    let last = indices.end.saturating_sub(1);
+    let distance = (indices.len() / 16).min(64) | 1;
+    once(last).chain(indices.clone().step_by(distance).filter(move |index| *index != last))
+}
+
+fn by_id(session: &mut Session, kind: VariableKind, handle: i32, index: u32) -> Result<Value, Failure> {
+    // an index is at most 16 bits wide
+    let id = integer(i32::try_from(index).unwrap_or(i32::MAX))?;
+    session.call(kind.name(), FunctionId::VARIABLE_PUT_ID, &[integer(handle)?, id])?;
+    let (_, value) = session.call(kind.name(), FunctionId::VARIABLE_GET_VALUE, &[integer(handle)?])?;
+    Ok(value.unwrap_or_default())
+}
+
+fn by_name(session: &mut Session, kind: VariableKind, index: u32) -> Result<Entry, Failure> {
+    entry(get_one(session, &ObjectPath::variable(&UserVariable::new(kind, index).name())?))
+}
+
+/// Turns a refusal into an entry.
+fn entry(value: Result<Value, Failure>) -> Result<Entry, Failure> {
+    match value {
+        Ok(value) => Ok(Entry::Value(value)),
+        Err(Failure::Refused { code, .. }) => Ok(Entry::Refused(code)),
+        Err(failure) => Err(failure),
+    }
+}
+
+/// Reads a system variable; `None` if it does not exist.
+pub(super) fn system(session: &mut Session, name: &str) -> Result<Option<Entry>, Failure> {
+    let path = ObjectPath::variable(name)?;
+    let variable = match session.object(&path) {
+        Err(Failure::Refused { .. }) => return Ok(None),
+        opened => opened?,
+    };
+    let value = entry(read(session, &path, variable))?;
+    session.release(Object::Variable, variable)?;
+    Ok(Some(value))
+}
+
+/// Returns the names of all system variables: of the controller, of its robots and of its tasks.
+pub(super) fn system_names(session: &mut Session, omitted: &mut Vec<Omission>) -> Result<BTreeSet<String>, Failure> {
+    use FunctionId as F;
+    let controller = ObjectPath::controller();
+    let mut names = BTreeSet::new();
+    let mut add = |owner: &ObjectPath, listed: Option<Vec<String>>, usual: &[&str]| {
+        let usual = || usual.iter().map(|name| (*name).to_owned()).collect();
+        let own = listed.unwrap_or_else(usual).into_iter().filter(|name| !is_user_variable(name));
+        names.extend(own.map(|name| owner.clone().join(Object::Variable, name).to_string()));
+    };
+    let listed = listed(session, &controller, F::CONTROLLER_GET_VARIABLE_NAMES)?;
+    add(&controller, listed, &CONTROLLER);
+    let owners = [
+        (Object::Robot, F::CONTROLLER_GET_ROBOT_NAMES, F::ROBOT_GET_VARIABLE_NAMES, &ROBOT[..]),
+        (Object::Task, F::CONTROLLER_GET_TASK_NAMES, F::TASK_GET_VARIABLE_NAMES, &["@STATUS", "@PRIORITY"]),
+    ];
+    for (object, list_owners, list_variables, usual) in owners {
+        let owners = match list(session, &controller, list_owners) {
+            // a controller that does not implement the list has no such objects
+            Err(Failure::Refused { code: HResult::E_NOTIMPL, .. }) => Vec::new(),
+            owners => unless_omitted(owners, Part::System, omitted)?.unwrap_or_default(),
+        };
+        for name in owners {
+            let owner = controller.clone().join(object, name);
+            let listed = self::listed(session, &owner, list_variables)?;
+            add(&owner, listed, usual);
+        }
+    }
+    Ok(names)
+}
+
+/// Lists the variables of an object; `None` after a refusal, also because the list does not fit a datagram.
+fn listed(session: &mut Session, owner: &ObjectPath, function: FunctionId) -> Result<Option<Vec<String>>, Failure> {
+    match list(session, owner, function) {
+        Err(Failure::Refused { .. } | Failure::Unexpected { .. }) => Ok(None),
+        names => names.map(Some),
+    }
+}
+
+/// Returns the paths of all files. A folder that cannot be listed does not hide the others.
+pub(super) fn files(session: &mut Session, omitted: &mut Vec<Omission>) -> Result<Vec<String>, Failure> {
+    remote_files::walk(session, "", |path, failure| match failure {
+        // a controller that does not implement the list has no files
+        Failure::Refused { code: HResult::E_NOTIMPL, .. } if path.is_empty() => Ok(()),
+        failure => omit(failure, Part::Files(path), omitted),
+    })
+}
+
+/// Reads a file; `None` if that is not possible.
+pub(super) fn file(session: &mut Session, path: &str, omitted: &mut Vec<Omission>) -> Result<Option<Vec<u8>>, Failure> {
+    unless_omitted(remote_files::read(session, path), Part::Files(path.to_owned()), omitted)
+}
+
+fn unless_omitted<T>(
+    result: Result<T, Failure>,
+    part: Part,
+    omitted: &mut Vec<Omission>,
+) -> Result<Option<T>, Failure> {
+    match result {
+        Err(failure) => omit(failure, part, omitted).map(|()| None),
+        Ok(value) => Ok(Some(value)),
+    }
+}
+
+/// Adds a part to the list of omissions; returns the failure if the session cannot go on after it.
+fn omit(failure: Failure, part: Part, omitted: &mut Vec<Omission>) -> Result<(), Failure> {
+    let reason = match failure {
+        Failure::Refused { doing, code } => format!("{doing}: {code}"),
+        Failure::Unexpected { message, .. } => message,
+        failure => return Err(failure),
+    };
+    omitted.push(Omission { part, reason });
+    Ok(())
+}

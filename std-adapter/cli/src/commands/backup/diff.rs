@@ -1,0 +1,137 @@
+//! `bcap diff`: compares two backups, or a backup with a controller.
+
+use std::path::Path;
+
+use bcap_capture::value::to_json;
+use clap::Args;
+use serde_json::json;
+
+use super::compare::{self, Difference};
+use super::contents::{Contents, Part};
+use super::{controller, folder};
+use crate::failure::Failure;
+use crate::output::{print_json, print_line};
+use crate::session::{Session, with_session};
+use crate::values::data;
+use crate::values::json_line::Entry;
+
+/// Compares two backups, or a backup with a controller
+///
+/// A and B are folders of `bcap dump`, addresses such as tcp:192.168.0.1, or robot: for the controller of --robot. A
+/// line is `I5: 3 -> 7`, first the value of A; with --json {"name":"I5","a":{"vt":3,"v":3},"b":{"vt":3,"v":7}}, where
+/// null is a variable or a file that does not exist. System variables show the controller's state, so they are compared
+/// only with --system. An item that one side lacks because its controller refused it is not compared: a line says so.
+///
+/// The exit code is 0 if everything was compared and is equal, 1 if there is a difference, and 2 or more after an error or a
+/// refusal, or if a part was not compared and the rest is equal.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap diff backup
+  bcap diff backup cell1-monday
+  bcap diff --system backup tcp:192.168.0.1")]
+pub(crate) struct Diff {
+    /// The first backup or controller
+    pub(crate) a: String,
+
+    /// The second one
+    #[arg(default_value = "robot:")]
+    pub(crate) b: String,
+
+    /// Compares the system variables too, except the clocks
+    #[arg(long)]
+    pub(crate) system: bool,
+}
+
+/// Runs `bcap diff`.
+pub(crate) fn diff(args: &Diff, session: &mut Session, json: bool) -> Result<(), Failure> {
+    let mut read = |word| read(word, session).map_err(|failure| Failure::NotCompared(Box::new(failure)));
+    let (a, b) = (read(&args.a)?, read(&args.b)?);
+    let variables = compare::variables(&a, &b, args.system);
+    for difference in &variables {
+        print(&if json { variable_json(difference) } else { variable_line(difference) }, json)?;
+    }
+    let files = compare::files(&a, &b);
+    for difference in &files {
+        print(&if json { file_json(difference) } else { file_line(difference) }, json)?;
+    }
+    let omitted = print_omitted(&a, &b, args.system, json)?;
+    match omitted {
+        _ if !variables.is_empty() || !files.is_empty() => Err(Failure::Different),
+        0 => Ok(()),
+        _ => Err(Failure::NotCompared(Box::new(Failure::Unfit {
+            message: format!("there is no difference in what could be compared, and {omitted} parts could not"),
+            code: None,
+            hint: Some("over UDP, use TCP instead".into()),
+        }))),
+    }
+}
+
+/// Prints the parts that a side does not have, and returns their number.
+fn print_omitted(a: &Contents, b: &Contents, system: bool, json: bool) -> Result<usize, Failure> {
+    let mut count = 0;
+    for (contents, side, words) in [(a, "a", "first"), (b, "b", "second")] {
+        for omission in contents.omitted.iter().filter(|omission| system || omission.part != Part::System) {
+            let reason = &omission.reason;
+            let line = match json {
+                true => json!({ "not_compared": reason, "side": side }).to_string(),
+                false => format!("not compared: {reason}, in the {words}"),
+            };
+            print(&line, json)?;
+            count += 1;
+        }
+    }
+    Ok(count)
+}
+
+/// Reads a folder, or the controller at an address.
+fn read(word: &str, session: &mut Session) -> Result<Contents, Failure> {
+    let is_address = |scheme: &str| ["tcp", "udp", "serial"].iter().any(|known| scheme.eq_ignore_ascii_case(known));
+    match word.split_once(':') {
+        Some((robot, "")) if robot.eq_ignore_ascii_case("robot") => {
+            session.begin()?;
+            controller::contents(session)
+        }
+        Some((scheme, _)) if is_address(scheme) => with_session(&session.link().at(word), controller::contents),
+        _ => folder::load(Path::new(word)),
+    }
+}
+
+fn print(line: &str, json: bool) -> Result<(), Failure> {
+    Ok(if json { print_json(line) } else { print_line(line) }?)
+}
+
+/// Formats an entry for people.
+pub(super) fn entry_text(entry: Option<&Entry>) -> String {
+    match entry {
+        Some(Entry::Value(value)) => data::to_plain(value.as_variant()),
+        Some(Entry::Refused(code)) => format!("(refused with {code})"),
+        None => "(does not exist)".into(),
+    }
+}
+
+fn variable_line(Difference { name, a, b }: &Difference<String, &Entry>) -> String {
+    format!("{name}: {} -> {}", entry_text(*a), entry_text(*b))
+}
+
+fn variable_json(Difference { name, a, b }: &Difference<String, &Entry>) -> String {
+    let side = |entry: &Option<&Entry>| match entry {
+        Some(Entry::Value(value)) => to_json(value.as_variant()),
+        Some(Entry::Refused(code)) => format!("{{\"refused\":{}}}", code.0),
+        None => "null".into(),
+    };
+    format!("{{\"name\":{},\"a\":{},\"b\":{}}}", serde_json::Value::from(name.as_str()), side(a), side(b))
+}
+
+fn file_line(Difference { name, a, b }: &Difference<&String, &Vec<u8>>) -> String {
+    match (a, b) {
+        (Some(a), Some(b)) => format!("file:{name}: {} bytes -> {} bytes, the content differs", a.len(), b.len()),
+        (Some(_), None) => format!("file:{name}: only in the first"),
+        _ => format!("file:{name}: only in the second"),
+    }
+}
+
+fn file_json(Difference { name, a, b }: &Difference<&String, &Vec<u8>>) -> String {
+    let side = |bytes: &Option<&Vec<u8>>| bytes.map(|bytes| json!({ "size": bytes.len() }));
+    json!({ "file": name, "a": side(a), "b": side(b) }).to_string()
+}

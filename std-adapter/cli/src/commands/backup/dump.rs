@@ -1,0 +1,170 @@
+//! `bcap dump`: saves a controller in a folder.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use bcap_core::rac::VariableKind;
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::json;
+
+use super::contents::{Contents, Omission, UserVariable};
+use super::controller;
+use super::folder::Folder;
+use crate::failure::Failure;
+use crate::interrupt::Interrupt;
+use crate::output::{print_json, print_line};
+use crate::session::Session;
+
+/// Saves all variables and files of the controller in a folder
+///
+/// The folder has a file of lines of JSON for each kind of variable, one for the system variables, and the controller's
+/// files as they are; docs/backup.md describes it. `bcap diff` compares two of them, `bcap restore` writes one back. Nothing
+/// is written to the controller. A dump that was interrupted or killed goes on where it was when the same command runs
+/// again. The values are read one after another, so a program that runs meanwhile may change some of them.
+///
+/// The exit code is 1 if the controller refused a part; backup.json names it.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap dump backup
+  bcap dump --robot tcp:192.168.0.1 cell1-monday")]
+pub(crate) struct Dump {
+    /// The folder, which must not exist, be empty, or have an interrupted dump of the same controller
+    #[arg(value_name = "DIR")]
+    pub(crate) dir: PathBuf,
+}
+
+/// Runs `bcap dump`.
+pub(crate) fn dump(args: &Dump, session: &mut Session, json: bool) -> Result<(), Failure> {
+    let interrupt = session.handle_signals()?;
+    let shown = args.dir.display().to_string();
+    session.begin()?;
+    let folder = Folder::begin(&args.dir, controller::about(session)?)?;
+    if folder.is_resumed && !json {
+        print_line(&format!("{shown}: the interrupted dump goes on"))?;
+    }
+    let bar = ProgressBar::new(0);
+    // the template is a constant, and a wrong one only changes the look
+    if let Ok(style) = ProgressStyle::with_template("{msg:4} {bar:30} {pos}/{len} {elapsed}") {
+        bar.set_style(style);
+    }
+    let contents = Dumping { session, folder: &folder, interrupt: &interrupt, shown: &shown, bar: &bar }.run();
+    bar.finish_and_clear();
+    let contents = contents?;
+    print_summary(&shown, &contents, json)?;
+    match contents.refused() + contents.omitted.len() {
+        0 => Ok(()),
+        missing => Err(Failure::Unfit {
+            message: format!("{shown}: the controller refused {missing} parts, which the backup does not have"),
+            code: None,
+            hint: Some(missing_parts(&contents)),
+        }),
+    }
+}
+
+fn print_summary(shown: &str, contents: &Contents, json: bool) -> Result<(), Failure> {
+    let Contents { about, variables, system, files, .. } = contents;
+    let [variables, system, files] = [variables.len(), system.len(), files.len()];
+    if json {
+        let line = json!({
+            "dir": shown,
+            "variables": variables,
+            "system": system,
+            "files": files,
+            "refused": contents.refused(),
+            "omitted": contents.omitted,
+            "controller": about,
+        });
+        return Ok(print_json(&line.to_string())?);
+    }
+    Ok(print_line(&format!(
+        "{shown}: {variables} variables, {system} system variables and {files} files of {}",
+        about.describe()
+    ))?)
+}
+
+fn missing_parts(contents: &Contents) -> String {
+    let first =
+        contents.omitted.first().map(|first| format!("the first of them is {}; ", first.reason)).unwrap_or_default();
+    format!("{first}lines with \"refused\" and \"omitted\" in backup.json have their codes; over UDP, use TCP instead")
+}
+
+struct Dumping<'a> {
+    session: &'a mut Session,
+    folder: &'a Folder,
+    interrupt: &'a Interrupt,
+    shown: &'a str,
+    bar: &'a ProgressBar,
+}
+
+impl Dumping<'_> {
+    fn run(mut self) -> Result<Contents, Failure> {
+        let mut omitted = Vec::new();
+        for kind in VariableKind::ALL {
+            self.kind(kind, &mut omitted)?;
+        }
+        self.system(&mut omitted)?;
+        self.files(&mut omitted)?;
+        self.folder.finish(omitted)
+    }
+
+    /// Saves the variables of a kind, from the first one that an earlier dump did not save.
+    fn kind(&mut self, kind: VariableKind, omitted: &mut Vec<Omission>) -> Result<(), Failure> {
+        let Some(count) = controller::count(self.session, kind, omitted)? else { return Ok(()) };
+        let Some((mut part, done)) = self.folder.part(kind)? else { return Ok(()) };
+        self.begin(kind.name(), count.into());
+        self.bar.set_position(done.into());
+        let Self { session, interrupt, shown, bar, .. } = self;
+        controller::variables(session, kind, done..count, |index, entry| {
+            check_signal(interrupt, shown)?;
+            bar.inc(1);
+            part.push(UserVariable::new(kind, index).name(), entry)
+        })?;
+        part.finish()
+    }
+
+    fn system(&mut self, omitted: &mut Vec<Omission>) -> Result<(), Failure> {
+        let names = controller::system_names(self.session, omitted)?;
+        self.begin("@", names.len() as u64);
+        let mut system = BTreeMap::new();
+        for name in names {
+            check_signal(self.interrupt, self.shown)?;
+            self.bar.inc(1);
+            if let Some(entry) = controller::system(self.session, &name)? {
+                system.insert(name, entry);
+            }
+        }
+        self.folder.write_system(&system)
+    }
+
+    fn files(&mut self, omitted: &mut Vec<Omission>) -> Result<(), Failure> {
+        let paths = controller::files(self.session, omitted)?;
+        self.begin("file", paths.len() as u64);
+        for path in paths {
+            check_signal(self.interrupt, self.shown)?;
+            self.bar.inc(1);
+            if self.folder.has_file(&path) {
+                continue;
+            }
+            if let Some(bytes) = controller::file(self.session, &path, omitted)? {
+                self.folder.write_file(&path, &bytes)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn begin(&self, part: &'static str, count: u64) {
+        self.bar.reset();
+        self.bar.set_length(count);
+        self.bar.set_message(part);
+    }
+}
+
+/// Ends the dump after a signal.
+fn check_signal(interrupt: &Interrupt, shown: &str) -> Result<(), Failure> {
+    if interrupt.is_interrupted() {
+        return Err(Failure::Interrupted(format!("interrupted; run `bcap dump {shown}` again to go on")));
+    }
+    Ok(())
+}

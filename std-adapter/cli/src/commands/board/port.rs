@@ -1,0 +1,139 @@
+//! The serial port to a board: requests and answers are lines.
+
+use std::io::{self, ErrorKind, Read, Write};
+use std::time::{Duration, Instant};
+
+use bcap_board::console::HELLO;
+use serialport::SerialPort;
+
+use crate::failure::Failure;
+
+/// The longest wait for bytes before the time limit is checked.
+const LOOK: Duration = Duration::from_millis(20);
+/// The longest line that a board sends; more bytes belong to something else.
+const MAX_LINE: usize = 4096;
+
+/// An open port with a board at its other end.
+pub(super) struct Port {
+    port: Box<dyn SerialPort>,
+    name: String,
+    timeout: Duration,
+    /// Received bytes without a line end.
+    received: Vec<u8>,
+}
+
+/// The last line of an answer: it starts with `ok` or `error`.
+pub(super) struct Answer(pub(super) String);
+
+impl Answer {
+    /// Fails with `hint` if the board refused the request.
+    pub(super) fn accepted(&self, request: &str, hint: &str) -> Result<(), Failure> {
+        match self.0.strip_prefix("error ") {
+            None => Ok(()),
+            Some(reason) => Err(Failure::Unfit {
+                message: format!("the board refused \"{request}\": {reason}"),
+                code: None,
+                hint: Some(hint.into()),
+            }),
+        }
+    }
+}
+
+impl Port {
+    /// Opens a port, and checks that a board speaks the protocol there; each answer must arrive within `timeout`.
+    pub(super) fn open(name: &str, baud: u32, timeout: Duration) -> Result<Self, Failure> {
+        let port = serialport::new(name, baud).timeout(LOOK).open().map_err(|error| Failure::Connection {
+            message: format!("cannot open {name}: {error}"),
+            hint: "check the name and the permissions of the device, and that no other program uses it".into(),
+        })?;
+        let mut port = Self { port, name: name.into(), timeout, received: Vec::new() };
+        port.skip_answers()?;
+        Ok(port)
+    }
+
+    /// Skips the answers to earlier requests, even of an earlier program, and the log of a board.
+    pub(super) fn skip_answers(&mut self) -> Result<(), Failure> {
+        // the first line feed ends a line that an earlier program may have begun
+        self.send("\nhello\n")?;
+        let deadline = Instant::now() + self.timeout;
+        while self.line(deadline)? != HELLO {}
+        Ok(())
+    }
+
+    /// Sends a request and returns the answer; calls `setting` with each setting before it.
+    pub(super) fn ask(
+        &mut self,
+        request: &str,
+        mut setting: impl FnMut(&str) -> io::Result<()>,
+    ) -> Result<Answer, Failure> {
+        self.send(&format!("{request}\n"))?;
+        let deadline = Instant::now() + self.timeout;
+        loop {
+            let line = self.line(deadline)?;
+            if let Some(line) = line.strip_prefix("setting ") {
+                setting(line)?;
+            } else if line == "ok" || line.starts_with("ok ") || line.starts_with("error ") {
+                return Ok(Answer(line));
+            }
+        }
+    }
+
+    /// Sends a block of an image; returns the reason of the board if the block must be sent again.
+    pub(super) fn send_block(&mut self, request: &str, number: u32) -> Result<Option<String>, Failure> {
+        // the first line feed ends a damaged line
+        self.send(&format!("\n{request}\n"))?;
+        let deadline = Instant::now() + self.timeout;
+        let stored = format!("ok {number}");
+        loop {
+            match self.line(deadline) {
+                Ok(line) if line == stored => return Ok(None),
+                Ok(line) => {
+                    // others are the log of the board, or answers to a block that was sent twice
+                    if let Some(reason) = line.strip_prefix("error ") {
+                        return Ok(Some(reason.to_owned()));
+                    }
+                }
+                Err(Failure::Timeout { message, .. }) => return Ok(Some(message)),
+                Err(failure) => return Err(failure),
+            }
+        }
+    }
+
+    fn send(&mut self, text: &str) -> Result<(), Failure> {
+        self.port.write_all(text.as_bytes()).and_then(|()| self.port.flush()).map_err(|error| self.broken(&error))
+    }
+
+    /// Receives a line; bytes that are not UTF-8 are replaced.
+    fn line(&mut self, deadline: Instant) -> Result<String, Failure> {
+        loop {
+            // first, because a device that is no board may send lines without end
+            if Instant::now() >= deadline {
+                return Err(Failure::Timeout {
+                    message: format!("no answer from a board at {} within {} ms", self.name, self.timeout.as_millis()),
+                    hint: "check the port, --baud and that the image of the board has the console; --timeout allows more time"
+                        .into(),
+                });
+            }
+            if let Some(end) = self.received.iter().position(|byte| *byte == b'\n') {
+                let line: Vec<u8> = self.received.drain(..=end).collect();
+                return Ok(String::from_utf8_lossy(&line).trim_end().to_owned());
+            }
+            if self.received.len() > MAX_LINE {
+                self.received.clear();
+            }
+            let mut buffer = [0; 256];
+            match self.port.read(&mut buffer) {
+                Ok(count) => self.received.extend_from_slice(buffer.get(..count).unwrap_or_default()),
+                Err(error) if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted) => {}
+                Err(error) => return Err(self.broken(&error)),
+            }
+        }
+    }
+
+    fn broken(&self, error: &io::Error) -> Failure {
+        Failure::Connection {
+            message: format!("{}: {error}", self.name),
+            hint: "check the cable; the board has its earlier settings and image, or the new ones".into(),
+        }
+    }
+}

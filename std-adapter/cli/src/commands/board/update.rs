@@ -1,0 +1,183 @@
+//! `bcap board update` and `bcap board status`.
+
+use std::fs;
+
+use bcap_board::crc::Crc32;
+use bcap_board::identity::{self, BLOCK, Identity};
+use bcap_board::vectors;
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::json;
+
+use super::elf;
+use super::port::{Answer, Port};
+use crate::failure::Failure;
+use crate::link::LinkArgs;
+use crate::output;
+
+/// Replaces the image of a board, which goes back to the earlier one if the new one does not work
+///
+/// The board must have a boot loader and an image that was built for updates. It receives the new image into a second partition
+/// while its gateway runs; each erased sector pauses the gateway. After the restart the boot loader swaps the images, and the new one
+/// is on trial: it is confirmed when it has served a request of a PLC, within 10 minutes and without another restart. Otherwise the
+/// earlier image returns. A power cut at any moment leaves one of the two images.
+///
+/// An image for another board is refused before anything is erased. Lost and damaged blocks are sent again.
+///
+/// --timeout limits each answer.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap board update /dev/ttyACM0 target/thumbv6m-none-eabi/release/w5500-evb-pico+updates
+  bcap board update /dev/ttyACM0 gateway.bin --no-restart")]
+pub(crate) struct Update {
+    /// The serial port, such as /dev/ttyACM0 or COM3
+    pub(crate) port: String,
+
+    /// The image: an ELF file, or a binary that starts with its vector table
+    #[arg(value_name = "IMAGE")]
+    pub(crate) image: String,
+
+    /// The rate of the serial line, in bits a second; a USB port ignores it
+    #[arg(long, value_name = "RATE", default_value_t = 115_200)]
+    pub(crate) baud: u32,
+
+    /// Leaves the earlier image running until the next start of the board
+    #[arg(long)]
+    pub(crate) no_restart: bool,
+}
+
+/// Prints the version of a board, and whether its last update was confirmed or rolled back
+///
+/// --timeout limits the answer.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Example:
+  bcap board status /dev/ttyACM0")]
+pub(crate) struct Status {
+    /// The serial port, such as /dev/ttyACM0 or COM3
+    pub(crate) port: String,
+
+    /// The rate of the serial line, in bits a second; a USB port ignores it
+    #[arg(long, value_name = "RATE", default_value_t = 115_200)]
+    pub(crate) baud: u32,
+}
+
+/// How often a block is sent before the command gives up.
+const ATTEMPTS: u32 = 5;
+/// The first bytes of a UF2 file.
+const UF2: &[u8] = b"UF2\n";
+/// The hint after a refused update.
+const IMAGE_REMAINS: &str = "the board runs its earlier image";
+
+/// Prints the version of a board, and what became of its last update.
+pub(super) fn status(args: &Status, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+    let mut port = Port::open(&args.port, args.baud, link.timeout())?;
+    let answer = ask(&mut port, "status")?;
+    let status = answer.0.strip_prefix("ok ").unwrap_or(&answer.0);
+    match json {
+        true => output::print_json(&json!({ "status": status }).to_string())?,
+        false => output::print_line(status)?,
+    }
+    Ok(())
+}
+
+/// Sends an image to a board, and restarts it.
+pub(super) fn update(args: &Update, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+    // the image is checked before the port is opened
+    let (image, identity) = read(&args.image)?;
+    let crc = Crc32::new().and(&image).value();
+    let mut port = Port::open(&args.port, args.baud, link.timeout())?;
+    let (board, version) = (identity.board(), identity.version());
+    ask(&mut port, &format!("update {board} {version} {} {crc:08x}", image.len()))?;
+    let repeated = send(&mut port, &image)?;
+    // answers to blocks that were sent twice
+    port.skip_answers()?;
+    ask(&mut port, "install")?;
+    if !args.no_restart {
+        ask(&mut port, "restart")?;
+    }
+    let (bytes, restarted) = (image.len(), !args.no_restart);
+    if json {
+        let line =
+            json!({ "board": board, "version": version, "bytes": bytes, "repeated": repeated, "restarted": restarted });
+        output::print_json(&line.to_string())?;
+    } else {
+        let repeated = if repeated == 0 { String::new() } else { format!(", {repeated} blocks were sent again") };
+        output::print_line(&format!("{board} {version}: {bytes} bytes received and checked{repeated}"))?;
+        output::note(match restarted {
+            true => {
+                "the board swaps the images and is on trial until it has served a request; ask it with bcap board status"
+            }
+            false => "the board swaps the images at its next start",
+        });
+    }
+    Ok(())
+}
+
+/// Reads an image and the board that it is for.
+fn read(path: &str) -> Result<(Vec<u8>, Identity), Failure> {
+    let invalid = |reason: &str| Failure::Input(format!("{path}: {reason}"));
+    let file = fs::read(path).map_err(|error| invalid(&error.to_string()))?;
+    if file.starts_with(UF2) {
+        return Err(invalid("a UF2 file is for the boot ROM: send the ELF file it was made from"));
+    }
+    let image = match elf::is_elf(&file) {
+        true => {
+            elf::flatten(&file).ok_or_else(|| invalid("the ELF file is damaged, or is not for a board with 32 bits"))?
+        }
+        false => file,
+    };
+    let identity = identity::find(&image).ok_or_else(|| {
+        invalid("the image does not tell its board, so it was not built for updates (--features updates)")
+    })?;
+    if !vectors::is_table(&image) {
+        return Err(invalid(
+            "the image does not start with a vector table: send the ELF file, or a binary without a boot loader",
+        ));
+    }
+    Ok((image, identity))
+}
+
+/// Sends the image in blocks; returns how many were sent again.
+fn send(port: &mut Port, image: &[u8]) -> Result<u32, Failure> {
+    let bar = ProgressBar::new(u64::try_from(image.len()).unwrap_or(u64::MAX));
+    // the template is a constant, and a wrong one only changes the look
+    if let Ok(style) = ProgressStyle::with_template("{bar:30} {bytes}/{total_bytes} {elapsed}") {
+        bar.set_style(style);
+    }
+    let mut repeated = 0;
+    for (number, data) in (0..).zip(image.chunks(BLOCK)) {
+        let crc = Crc32::new().and(&u32::to_le_bytes(number)).and(data).value();
+        let digits: String = data.iter().map(|byte| format!("{byte:02x}")).collect();
+        let request = format!("block {number} {crc:08x} {digits}");
+        let mut attempts = 0;
+        while let Some(reason) = port.send_block(&request, number)? {
+            attempts += 1;
+            if attempts == ATTEMPTS {
+                bar.finish_and_clear();
+                let message = format!("block {number} failed {ATTEMPTS} times: {reason}");
+                return Err(Failure::Unfit { message, code: None, hint: Some(IMAGE_REMAINS.into()) });
+            }
+            repeated += 1;
+        }
+        bar.inc(u64::try_from(data.len()).unwrap_or_default());
+    }
+    bar.finish_and_clear();
+    Ok(repeated)
+}
+
+/// Sends a request; fails if the board refuses it.
+fn ask(port: &mut Port, request: &str) -> Result<Answer, Failure> {
+    let answer = port.ask(request, |_| Ok(()))?;
+    // an image older than updates, or one without them
+    if answer.0.starts_with("error unknown request") {
+        return Err(Failure::Unfit {
+            message: "the board cannot be updated: its image was built without updates".into(),
+            code: None,
+            hint: Some("flash the boot loader and an image with updates once, as the README of the board says".into()),
+        });
+    }
+    answer.accepted(request, IMAGE_REMAINS)?;
+    Ok(answer)
+}

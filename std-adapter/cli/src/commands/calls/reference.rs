@@ -1,0 +1,58 @@
+//! The reference of the functions: `bcap call FUNCTION --help` and `bcap call --list`.
+
+use std::io;
+
+use bcap_core::bcap::{Command, FunctionId, Properties};
+
+use crate::output::{print_block, print_json, print_line};
+
+/// Prints the help of a function.
+pub(crate) fn function(function: FunctionId) -> io::Result<()> {
+    let help = function.help().collect::<Vec<_>>().join("\n");
+    let end = "`bcap call --help` describes how the arguments are written.";
+    print_block(&format!("{}: function {}\n\n{help}\n\n{end}", usage(function), function.0))
+}
+
+/// Lists all functions, one a line: number, usage and first sentence of the help.
+pub(crate) fn list(json: bool) -> io::Result<()> {
+    FunctionId::all().try_for_each(|function| {
+        let summary = function.help().next().unwrap_or_default();
+        if json {
+            let (name, arguments) = (function.to_string(), function.argument_names());
+            let line = serde_json::json!({
+                "number": function.0, "name": name, "arguments": arguments, "summary": summary
+            });
+            return print_json(&line.to_string());
+        }
+        print_line(&format!("{:>3} {}: {summary}", function.0, usage(function)))
+    })
+}
+
+/// Lists all functions and the known commands of the Execute functions, with the effect of a call and whether Slave Mode allows
+/// it.
+pub(crate) fn effects(json: bool) -> io::Result<()> {
+    FunctionId::all().try_for_each(|function| {
+        let properties = function.properties(None, None);
+        print_effects(&function.to_string(), properties, None, json)?;
+        function.commands().try_for_each(|Command { name, properties, source, .. }| {
+            print_effects(&format!("{function}/{name}"), *properties, Some(source), json)
+        })
+    })
+}
+
+fn print_effects(name: &str, properties: Properties, source: Option<&str>, json: bool) -> io::Result<()> {
+    let (effect, in_slave_mode) = (properties.effect.name(), properties.in_slave_mode.name());
+    if json {
+        let line = serde_json::json!({
+            "name": name, "effect": effect, "in_slave_mode": in_slave_mode, "source": source
+        });
+        return print_json(&line.to_string());
+    }
+    let source = source.map(|source| format!("  {source}")).unwrap_or_default();
+    print_line(format!("{name:<44} {effect:<8} {in_slave_mode:<8}{source}").trim_end())
+}
+
+/// Returns the signature of a function: `Robot_Speed(robot, axis, speed)`.
+pub(crate) fn usage(function: FunctionId) -> String {
+    format!("{function}({})", function.argument_names().join(", "))
+}

@@ -1,0 +1,280 @@
+//! `bcap ls` and `bcap cp`: the files of a controller.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use bcap_core::bcap::FunctionId;
+use clap::Args;
+
+use crate::failure::Failure;
+use crate::local_files;
+use crate::output::{print_json, print_line};
+use crate::session::remote_files::Item;
+use crate::session::slave_mode::spare;
+use crate::session::{Session, remote_files};
+
+/// Lists files and folders of the controller
+///
+/// A folder ends with /. PATH may have the wildcards * and ?; quote them. Case does not matter there.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap ls
+  bcap ls --long '/*.pcs'
+  bcap ls --recursive --json")]
+pub(crate) struct Ls {
+    /// A folder or file of the controller; robot: before it is optional
+    #[arg(default_value = "/")]
+    pub(crate) path: String,
+
+    /// Lists all files below each folder
+    #[arg(short, long)]
+    pub(crate) recursive: bool,
+
+    /// Prints the size of each file in bytes before its name
+    #[arg(short, long)]
+    pub(crate) long: bool,
+}
+
+/// Copies files to or from the controller
+///
+/// robot: marks the side of the controller: robot:/Pro1.pcs. A path of the controller may have the wildcards * and ?; quote
+/// them. DEST is a folder if it ends with /, exists as a folder, or there are several sources. All destinations are checked
+/// before the first file is copied; an existing file is replaced only with --force. A file that was written to the
+/// controller is read back and compared. A file of this machine is never half written.
+///
+/// A controller stores text: UTF-8 is sent as a string, other bytes as an array of bytes. Over UDP a file must fit one
+/// datagram of at most 504 bytes.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap cp Pro1.pcs robot:/
+  bcap cp robot:/Pro1.pcs Pro1-copy.pcs
+  bcap cp --force 'robot:/*.pcs' programs/
+  bcap cp --recursive robot:/ all/")]
+pub(crate) struct Cp {
+    /// The files, and where to copy them
+    #[arg(value_names = ["SOURCE", "DEST"], required = true, num_args = 2..)]
+    pub(crate) paths: Vec<String>,
+
+    /// Replaces files that exist
+    #[arg(short, long)]
+    pub(crate) force: bool,
+
+    /// Copies folders with all files below them
+    #[arg(short, long)]
+    pub(crate) recursive: bool,
+}
+
+/// Runs `bcap ls`.
+pub(crate) fn ls(args: &Ls, session: &mut Session, json: bool) -> Result<(), Failure> {
+    let path = match Place::parse(&args.path) {
+        Place::Remote(path) => path,
+        Place::Local(path) => remote_files::normal(&path.to_string_lossy()),
+    };
+    session.begin()?;
+    spare(session, FunctionId::CONTROLLER_GET_FILE_NAMES, None)?;
+    for item in listed(session, &path, args.recursive)? {
+        let size = if args.long && !item.is_folder { Some(remote_files::size(session, &item.path)?) } else { None };
+        print_item(&item, size, args.long, json)?;
+    }
+    Ok(())
+}
+
+/// Returns the content of a folder, or what matches a path with wildcards.
+fn listed(session: &mut Session, path: &str, recursive: bool) -> Result<Vec<Item>, Failure> {
+    let found = remote_files::find(session, path)?;
+    if found.is_empty() {
+        return Err(not_found(path));
+    }
+    let with_wildcards = path.contains(['*', '?']);
+    let mut items = Vec::new();
+    for item in found {
+        match (item.is_folder, recursive) {
+            (true, true) => {
+                let files = remote_files::walk(session, &item.path, |_, failure| Err(failure))?;
+                items.extend(files.into_iter().map(|path| Item { path, is_folder: false }));
+            }
+            (true, false) if !with_wildcards => items.extend(remote_files::list(session, &item.path)?),
+            _ => items.push(item),
+        }
+    }
+    Ok(items)
+}
+
+fn print_item(item: &Item, size: Option<i64>, long: bool, json: bool) -> Result<(), Failure> {
+    if json {
+        let mut line = serde_json::json!({ "path": format!("/{}", item.path), "folder": item.is_folder });
+        if let Some(size) = size {
+            line["size"] = size.into();
+        }
+        return Ok(print_json(&line.to_string())?);
+    }
+    let end = if item.is_folder { "/" } else { "" };
+    let size = size.map(|size| size.to_string()).unwrap_or_default();
+    Ok(print_line(&if long { format!("{size:>10}  /{}{end}", item.path) } else { format!("/{}{end}", item.path) })?)
+}
+
+/// Runs `bcap cp`.
+pub(crate) fn cp(args: &Cp, session: &mut Session, json: bool) -> Result<(), Failure> {
+    let Some((last, sources)) = args.paths.split_last() else {
+        return Err(Failure::Input("write SOURCE and DEST".into()));
+    };
+    let mut copying = Copying { args, session, json };
+    let sources: Vec<Place> = sources.iter().map(|source| Place::parse(source)).collect();
+    let into_folder = last.ends_with(['/', '\\']) || sources.len() > 1;
+    match Place::parse(last) {
+        Place::Local(to) => {
+            let patterns = sources.into_iter().map(|source| match source {
+                Place::Remote(pattern) => Ok(pattern),
+                Place::Local(_) => Err(one_side()),
+            });
+            copying.download(&patterns.collect::<Result<Vec<_>, _>>()?, &to, into_folder)
+        }
+        Place::Remote(to) if to.contains(['*', '?']) => {
+            Err(Failure::Input(format!("robot:/{to}: DEST has no wildcards; write the name of a file or folder")))
+        }
+        Place::Remote(to) => {
+            let files = sources.into_iter().map(|source| match source {
+                Place::Local(file) => Ok(file),
+                Place::Remote(_) => Err(one_side()),
+            });
+            copying.upload(&files.collect::<Result<Vec<_>, _>>()?, &to, into_folder || to.is_empty())
+        }
+    }
+}
+
+fn one_side() -> Failure {
+    Failure::Input("SOURCE or DEST is a file of the controller, and not both: write robot:/NAME for it".into())
+}
+
+fn not_found(path: &str) -> Failure {
+    Failure::Input(format!("robot:/{path}: the controller has no such file or folder; `bcap ls` lists them"))
+}
+
+/// A run of `bcap cp`.
+struct Copying<'a> {
+    args: &'a Cp,
+    session: &'a mut Session,
+    json: bool,
+}
+
+impl Copying<'_> {
+    fn download(&mut self, patterns: &[String], to: &Path, into: bool) -> Result<(), Failure> {
+        self.session.begin()?;
+        spare(self.session, FunctionId::CONTROLLER_GET_FILE_NAMES, None)?;
+        let mut found = Vec::new();
+        for pattern in patterns {
+            let items = remote_files::find(self.session, pattern)?;
+            if items.is_empty() {
+                return Err(not_found(pattern));
+            }
+            found.extend(items);
+        }
+        let into = into || to.is_dir() || found.len() > 1;
+        let mut copies: Vec<(String, PathBuf)> = Vec::new();
+        for item in &found {
+            let base =
+                if into && !item.path.is_empty() { to.join(remote_files::last(&item.path)) } else { to.to_owned() };
+            if !item.is_folder {
+                copies.push((item.path.clone(), base));
+                continue;
+            }
+            self.needs_recursive(&format!("robot:/{}", item.path))?;
+            for path in remote_files::walk(self.session, &item.path, |_, failure| Err(failure))? {
+                let below = path.strip_prefix(&item.path).unwrap_or(&path).trim_start_matches('/');
+                copies.push((path.clone(), base.join(below)));
+            }
+        }
+        check(copies.iter().map(|(_, to)| to.display().to_string()), self.args.force, |to| Ok(Path::new(to).exists()))?;
+        for (from, to) in copies {
+            let bytes = remote_files::read(self.session, &from)?;
+            local_files::write(&to, &bytes, self.args.force)?;
+            self.print(&format!("robot:/{from}"), &to.display().to_string())?;
+        }
+        Ok(())
+    }
+
+    fn upload(&mut self, files: &[PathBuf], to: &str, into: bool) -> Result<(), Failure> {
+        self.session.begin()?;
+        spare(self.session, FunctionId::CONTROLLER_GET_FILE_NAMES, None)?;
+        // only a listing tells a folder from a file
+        let into = into || remote_files::find(self.session, to)?.iter().any(|item| item.is_folder);
+        let mut copies: Vec<(PathBuf, String)> = Vec::new();
+        for file in files {
+            let base = match file.file_name() {
+                Some(name) if into => remote_files::normal(&format!("{to}/{}", name.to_string_lossy())),
+                _ => to.to_owned(),
+            };
+            if !fs::metadata(file).map_err(local_files::failed(file))?.is_dir() {
+                copies.push((file.clone(), base));
+                continue;
+            }
+            self.needs_recursive(&file.display().to_string())?;
+            for below in local_files::all_below(file)? {
+                let name = below.strip_prefix(file).unwrap_or(&below).to_string_lossy().into_owned();
+                copies.push((below, remote_files::normal(&format!("{base}/{name}"))));
+            }
+        }
+        check(copies.iter().map(|(_, to)| to.clone()), self.args.force, |to| remote_files::exists(self.session, to))?;
+        for (from, to) in copies {
+            let bytes = fs::read(&from).map_err(local_files::failed(&from))?;
+            remote_files::make_folders(self.session, &to)?;
+            remote_files::write(self.session, &to, &bytes)?;
+            self.print(&from.display().to_string(), &format!("robot:/{to}"))?;
+        }
+        Ok(())
+    }
+
+    fn needs_recursive(&self, folder: &str) -> Result<(), Failure> {
+        if self.args.recursive {
+            Ok(())
+        } else {
+            Err(Failure::Input(format!("{folder} is a folder; give --recursive")))
+        }
+    }
+
+    fn print(&self, from: &str, to: &str) -> Result<(), Failure> {
+        if self.json {
+            return Ok(print_json(&serde_json::json!({ "from": from, "to": to }).to_string())?);
+        }
+        Ok(print_line(&format!("{from} -> {to}"))?)
+    }
+}
+
+/// Checks all destinations before the first file is copied.
+fn check(
+    all: impl Iterator<Item = String>,
+    force: bool,
+    mut exists: impl FnMut(&str) -> Result<bool, Failure>,
+) -> Result<(), Failure> {
+    let mut seen = BTreeSet::new();
+    for to in all {
+        if !force && exists(&to)? {
+            return Err(Failure::Input(format!("{to} exists; give --force to replace it. No file was copied")));
+        }
+        if let Some(twice) = seen.replace(to) {
+            return Err(Failure::Input(format!("{twice}: two files would have this name. No file was copied")));
+        }
+    }
+    Ok(())
+}
+
+/// A path; `robot:` marks one of the controller.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Place {
+    Local(PathBuf),
+    /// From the root, without a `/` at its beginning and end.
+    Remote(String),
+}
+
+impl Place {
+    /// Parses `robot:/Folder/Name`, or the path of a file of this machine.
+    pub(crate) fn parse(word: &str) -> Self {
+        match word.split_once(':') {
+            Some((robot, path)) if robot.eq_ignore_ascii_case("robot") => Self::Remote(remote_files::normal(path)),
+            _ => Self::Local(word.into()),
+        }
+    }
+}

@@ -1,0 +1,204 @@
+//! `bcap monitor`: a live screen of a controller.
+//!
+//! The main thread draws and reads keys, the [`reader`] talks to the controller, and a halt has a separate thread and
+//! connection, so it waits for neither.
+
+mod reader;
+mod state;
+
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use bcap_capture::trace::Level;
+use bcap_capture::{Role, duration};
+use bcap_terminal::screen::{Terminal, require};
+use clap::Args;
+use reader::{Reader, Request};
+use state::{Action, HALTED, State, Update, not_halted};
+
+use crate::commands::robot::halt::halt_now;
+use crate::failure::Failure;
+use crate::interrupt::Interrupt;
+use crate::link::LinkArgs;
+use crate::output::note;
+use crate::session::Session;
+use crate::session::selection::{Selection, expand};
+use crate::session::variables::paths;
+
+/// Shows variables, the robot, tasks, errors, messages and packets live in the terminal
+///
+/// A variable that changes is bold with a `*` for two seconds; numbers have a sparkline of their last values. The
+/// packets are one call a line; a call whose reply is the same as before is omitted, until `a` shows all. It reads, and
+/// never takes the arm. `w` writes a variable, and asks first. `h` halts the robot at once, over a separate connection;
+/// a serial line carries one session, so there it waits for the call under way. `q` and Ctrl-C quit, after a halt that
+/// is under way; if that fails, the exit code is 1. SIGTERM and SIGHUP end it with 130.
+///
+/// Without NAME it shows no variables. A lost connection is shown, and tried again every second. The terminal needs at least
+/// 70x18; NO_COLOR removes the colours, and a locale without UTF-8 the characters that are not ASCII. TERM=dumb cannot move the
+/// cursor, so use `bcap watch` there. --timeout limits each call.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Keys:
+  q, Ctrl-C            quits
+  h, Ctrl-X            halts the robot at once; Ctrl-X also while a value is typed
+  w, Enter             writes a variable: NAME=VALUE, then y; Esc cancels
+  Up, Down, Home, End  selects a variable
+  a                    shows all packets, or only those of calls whose reply has changed
+  p                    pauses the packets
+
+Examples:
+  bcap monitor
+  bcap monitor I1-I8 IO128-IO135 P1
+  bcap monitor --robot tcp:192.168.0.1 robot/@SPEED task:Pro1/@CYCLE_TIME --interval 500ms
+  NO_COLOR=1 bcap monitor I1")]
+pub(crate) struct Monitor {
+    /// The variables, as for `bcap get`
+    #[arg(value_name = "NAME")]
+    pub(crate) names: Vec<String>,
+
+    /// The time from one reading to the next, in ms or with a unit (100ms, 2s)
+    #[arg(long, value_name = "MS", default_value = "200", value_parser = duration::parse)]
+    pub(crate) interval: Duration,
+}
+
+/// The longest time from one drawing to the next.
+const FRAME: Duration = Duration::from_millis(50);
+
+/// Runs `bcap monitor` until the user quits or a signal ends it.
+pub(crate) fn monitor(args: &Monitor, session: &mut Session, json: bool) -> Result<(), Failure> {
+    if json {
+        return Err(Failure::Input("a live screen has no JSON; `bcap watch --json` prints values as JSON".into()));
+    }
+    let selections = Selection::parse_each(&args.names)?;
+    let link = session.link().limited();
+    if link.trace.is_some() {
+        return Err(Failure::Input("the screen shows the packets; leave --trace out".into()));
+    }
+    require("`bcap watch` prints the values as lines").map_err(Failure::Input)?;
+    let (packets, packet) = channel();
+    let mut own = Session::new(&link);
+    own.packets.watch(Level::Values, move |role, text| {
+        // without a receiver the command is ending
+        let _ = packets.send((role, text.to_owned()));
+    });
+    // of the command's session, not of the one that reads: the end of its connection must not close the one that halts
+    let interrupt = session.handle_signals()?;
+    // the screen must be closed
+    interrupt.set_going_on();
+    let (updates, update) = channel();
+    let (requests, request) = channel();
+    let mut reader = Reader {
+        session: own,
+        interrupt: interrupt.clone(),
+        names: Vec::new(),
+        interval: args.interval,
+        updates: updates.clone(),
+        requests: request,
+    };
+    // a wrong address or selection is an error; only a connection that was open before is tried again
+    reader.connect()?;
+    reader.names = expand(&mut reader.session, &selections)?;
+    paths(&reader.names)?;
+    let state = State::new(link.target()?.to_string());
+    let mut screen = LiveScreen { state, interrupt, link, updates, update, packet, requests, halts: Vec::new() };
+    let reading = thread::Builder::new().name("reader".into()).spawn(move || reader.run())?;
+    let ended = screen.run(&reading);
+    let LiveScreen { update, requests, halts, .. } = screen;
+    // ends the reader, and with it its session
+    drop(requests);
+    let joined = halts.into_iter().map(JoinHandle::join).fold(Ok(()), Result::and);
+    let read = reading.join();
+    outcomes(&update)?;
+    // the panic has printed its message
+    read.and(joined).map_err(|_| Failure::Input("a thread has ended by a panic".into()))?;
+    ended
+}
+
+/// Prints the outcomes of halts and writes that the screen no longer showed; a failed halt is the result.
+fn outcomes(update: &Receiver<Update>) -> Result<(), Failure> {
+    let mut result = Ok(());
+    while let Ok(update) = update.try_recv() {
+        match update {
+            Update::Done(Ok(text) | Err(text)) => note(&text),
+            Update::Halted(Ok(())) => note(HALTED),
+            Update::Halted(Err(failure)) => {
+                result = Err(Failure::Unfit { message: not_halted(&failure), code: None, hint: None });
+            }
+            _ => {}
+        }
+    }
+    result
+}
+
+struct LiveScreen {
+    state: State,
+    interrupt: Interrupt,
+    link: LinkArgs,
+    updates: Sender<Update>,
+    update: Receiver<Update>,
+    packet: Receiver<(Role, String)>,
+    requests: Sender<Request>,
+    /// The threads that halt the robot now.
+    halts: Vec<JoinHandle<()>>,
+}
+
+impl LiveScreen {
+    /// Draws and handles keys until the user quits, a signal arrives, or the reader panics.
+    fn run(&mut self, reading: &JoinHandle<()>) -> Result<(), Failure> {
+        let mut terminal = Terminal::open()?;
+        let start = Instant::now();
+        while !self.interrupt.is_interrupted() && !reading.is_finished() {
+            self.state.set_time(start.elapsed());
+            // the outcomes of the others are drawn below
+            self.halts.retain(|halt| !halt.is_finished());
+            while let Ok((role, text)) = self.packet.try_recv() {
+                self.state.apply(Update::Packet(role, text));
+            }
+            while let Ok(update) = self.update.try_recv() {
+                self.state.apply(update);
+            }
+            terminal.draw(&self.state.screen())?;
+            for key in terminal.keys(FRAME)? {
+                let request = match self.state.key(key) {
+                    None => continue,
+                    Some(Action::Quit) => return Ok(()),
+                    Some(Action::Halt) => {
+                        self.halt()?;
+                        continue;
+                    }
+                    Some(Action::Check(name, text)) => Request::Check(name, text),
+                    Some(Action::Write(write)) => Request::Write(write),
+                };
+                self.request(request)?;
+            }
+        }
+        if self.interrupt.is_ended() { Err(Failure::Interrupted("ended by a signal".into())) } else { Ok(()) }
+    }
+
+    fn request(&self, request: Request) -> Result<(), Failure> {
+        self.requests.send(request).map_err(|_| Failure::Input("the reading thread has ended by a panic".into()))
+    }
+
+    /// Halts the robot in a separate thread. A serial line carries one session, so the reader halts there.
+    fn halt(&mut self) -> Result<(), Failure> {
+        if self.link.is_serial() {
+            return self.request(Request::Halt);
+        }
+        let (interrupt, link, updates) = (self.interrupt.clone(), self.link.clone(), self.updates.clone());
+        self.halts.push(thread::Builder::new().name("halt".into()).spawn(move || {
+            let idle = interrupt.halt();
+            let halted = match idle {
+                Ok(true) => Ok(()),
+                // there is no idle session, or the controller no longer knows its handles
+                Ok(false) | Err(_) => halt_now(&link).map(drop),
+            };
+            // without a receiver the command has ended
+            let _ = updates.send(Update::Halted(halted));
+            if idle.is_err() {
+                interrupt.dismiss();
+            }
+        })?);
+        Ok(())
+    }
+}

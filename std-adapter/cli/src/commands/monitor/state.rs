@@ -1,0 +1,465 @@
+//! The state of `bcap monitor`, and the effects of its keys. The state reads neither the clock nor the terminal.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use bcap_capture::Role;
+use bcap_core::variant::Variant;
+use bcap_std::ObjectPath;
+use bcap_terminal::screen::{KeyCode, KeyEvent, KeyModifiers, Line, Mark, Panel, Part, Screen};
+
+use crate::commands::screen::{CallLog, numbered, robot_lines};
+use crate::failure::Failure;
+use crate::values::{Value, data};
+
+/// How long a change is marked.
+const MARKED: Duration = Duration::from_secs(2);
+
+/// The values of a sparkline that are kept.
+const HISTORY: usize = 60;
+
+/// The messages that are kept.
+const MESSAGES: usize = 200;
+
+const KEYS: &str = "q quit  h HALT  w write  up/down select  a all packets  p pause packets";
+
+/// The state of the monitor.
+#[derive(Debug, Default)]
+pub(crate) struct State {
+    address: String,
+    /// Why there is no connection.
+    lost: Option<String>,
+    /// The words of the controller's state.
+    words: Vec<String>,
+    has_error: bool,
+    variables: Vec<Variable>,
+    selected: usize,
+    robot: Robot,
+    tasks: Vec<(String, String)>,
+    errors: Vec<String>,
+    messages: VecDeque<String>,
+    log: CallLog,
+    input: Input,
+    notice: Line,
+    now: Duration,
+}
+
+/// A variable and its last values.
+#[derive(Debug)]
+struct Variable {
+    name: String,
+    text: String,
+    value: Option<Value>,
+    changed: Option<Duration>,
+    history: Vec<f64>,
+}
+
+/// The content of the robot's panel. Values that the controller does not have are missing.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Robot {
+    pub(crate) joints: Vec<f64>,
+    pub(crate) position: Vec<f64>,
+    pub(crate) tool: Option<String>,
+    pub(crate) work: Option<String>,
+    pub(crate) speed: Option<String>,
+}
+
+/// A value to write, which has been checked.
+#[derive(Clone, Debug)]
+pub(crate) struct Write {
+    pub(crate) path: ObjectPath,
+    pub(crate) value: Value,
+    pub(crate) before: Value,
+}
+
+/// The text that the user is typing.
+#[derive(Debug, Default)]
+enum Input {
+    #[default]
+    None,
+    /// `NAME=VALUE`.
+    Editing(String),
+    /// Whether to write.
+    Asking(Box<Write>),
+}
+
+/// A result of the reader.
+#[derive(Debug)]
+pub(crate) enum Update {
+    /// The connection is open, and these are the variables.
+    Connected(Vec<String>),
+    /// The connection is lost.
+    Lost(String),
+    /// A variable was read, or refused.
+    Value(usize, Result<Value, String>),
+    /// The words of the controller's state, and whether it has an error.
+    State(Vec<String>, bool),
+    Robot(Robot),
+    Tasks(Vec<(String, String)>),
+    Errors(Vec<String>),
+    Message(String),
+    Packet(Role, String),
+    /// A value that was typed was checked.
+    Checked(Result<Box<Write>, String>),
+    /// The outcome of a write, or a remark.
+    Done(Result<String, String>),
+    Halted(Result<(), Failure>),
+}
+
+/// The outcome of a halt that succeeded.
+pub(crate) const HALTED: &str = "the robot rests";
+
+/// Formats the outcome of a halt that failed.
+pub(crate) fn not_halted(failure: &Failure) -> String {
+    format!("NOT HALTED, use the emergency stop: {failure}")
+}
+
+/// The command of a key.
+#[derive(Debug)]
+pub(crate) enum Action {
+    Quit,
+    Halt,
+    /// Checks the value that was typed for a variable.
+    Check(String, String),
+    Write(Box<Write>),
+}
+
+impl State {
+    pub(crate) fn new(address: String) -> Self {
+        Self { address, lost: Some("connecting".into()), ..Self::default() }
+    }
+
+    /// Sets the time since the start.
+    pub(crate) fn set_time(&mut self, now: Duration) {
+        self.now = now;
+    }
+
+    pub(crate) fn apply(&mut self, update: Update) {
+        match update {
+            Update::Connected(names) => self.connected(names),
+            Update::Lost(why) => self.lost = Some(why),
+            Update::Value(n, value) => self.value(n, value),
+            Update::State(words, has_error) => (self.words, self.has_error) = (words, has_error),
+            Update::Robot(robot) => self.robot = robot,
+            Update::Tasks(tasks) => self.tasks = tasks,
+            Update::Errors(errors) => self.errors = errors,
+            Update::Message(text) => {
+                if self.messages.len() >= MESSAGES {
+                    self.messages.pop_front();
+                }
+                self.messages.push_back(text);
+            }
+            Update::Packet(role, text) => self.log.packet(role, &text, self.now),
+            Update::Checked(Ok(write)) if matches!(self.input, Input::None) => self.input = Input::Asking(write),
+            // a `y` that the user types now is no answer
+            Update::Checked(Ok(write)) => self.notice = Line::alarm(format!("{} was not written", write.path)),
+            Update::Checked(Err(why)) | Update::Done(Err(why)) => self.notice = Line::alarm(why),
+            Update::Done(Ok(what)) => self.notice = Line::new(what),
+            Update::Halted(Ok(())) => self.notice = Line::new(HALTED),
+            Update::Halted(Err(failure)) => self.notice = Line::alarm(not_halted(&failure)),
+        }
+    }
+
+    /// The connection is open. Variables that were shown before keep their history.
+    fn connected(&mut self, names: Vec<String>) {
+        self.lost = None;
+        if !names.iter().eq(self.variables.iter().map(|variable| &variable.name)) {
+            let new = |name| Variable { name, text: String::new(), value: None, changed: None, history: Vec::new() };
+            self.variables = names.into_iter().map(new).collect();
+            self.selected = 0;
+        }
+    }
+
+    fn value(&mut self, n: usize, value: Result<Value, String>) {
+        let Some(variable) = self.variables.get_mut(n) else { return };
+        let value = match value {
+            Ok(value) => value,
+            Err(why) => {
+                (variable.text, variable.value) = (why, None);
+                return;
+            }
+        };
+        if variable.value.as_ref().is_some_and(|before| *before != value) {
+            variable.changed = Some(self.now);
+        }
+        variable.text = data::to_plain(value.as_variant());
+        if let Some(number) = number(value.as_variant()) {
+            if variable.history.len() >= HISTORY {
+                variable.history.remove(0);
+            }
+            variable.history.push(number);
+        }
+        variable.value = Some(value);
+    }
+
+    /// Handles a key.
+    pub(crate) fn key(&mut self, key: KeyEvent) -> Option<Action> {
+        let control = key.modifiers.contains(KeyModifiers::CONTROL);
+        match (key.code, control) {
+            (KeyCode::Char('c'), true) => return Some(Action::Quit),
+            (KeyCode::Char('x'), true) => return Some(self.halt()),
+            (KeyCode::Char(_), true) => return None,
+            _ => {}
+        }
+        match std::mem::take(&mut self.input) {
+            Input::None => self.command(key.code),
+            Input::Editing(text) => self.edit(text, key.code),
+            Input::Asking(write) => self.answer(write, key.code),
+        }
+    }
+
+    fn halt(&mut self) -> Action {
+        self.input = Input::None;
+        self.notice = Line::alarm("halting");
+        Action::Halt
+    }
+
+    fn command(&mut self, key: KeyCode) -> Option<Action> {
+        self.notice = Line::default();
+        let last = self.variables.len().saturating_sub(1);
+        match key {
+            KeyCode::Char('q') => return Some(Action::Quit),
+            KeyCode::Char('h') => return Some(self.halt()),
+            KeyCode::Char('w') | KeyCode::Enter => {
+                let name = self.variables.get(self.selected).map(|variable| format!("{}=", variable.name));
+                self.input = Input::Editing(name.unwrap_or_default());
+            }
+            KeyCode::Up => self.selected = self.selected.saturating_sub(1),
+            KeyCode::Down => self.selected = (self.selected + 1).min(last),
+            KeyCode::Home => self.selected = 0,
+            KeyCode::End => self.selected = last,
+            key => self.log.key(key),
+        }
+        None
+    }
+
+    fn edit(&mut self, mut text: String, key: KeyCode) -> Option<Action> {
+        match key {
+            KeyCode::Esc => {
+                self.notice = Line::new("nothing was written");
+                return None;
+            }
+            KeyCode::Enter => match text.split_once('=') {
+                Some((name, value)) if !name.trim().is_empty() => {
+                    return Some(Action::Check(name.trim().into(), value.into()));
+                }
+                _ => self.notice = Line::alarm(format!("{text}: write NAME=VALUE, such as I1=5")),
+            },
+            KeyCode::Backspace => {
+                text.pop();
+            }
+            KeyCode::Char(c) => text.push(c),
+            _ => {}
+        }
+        self.input = Input::Editing(text);
+        None
+    }
+
+    fn answer(&mut self, write: Box<Write>, key: KeyCode) -> Option<Action> {
+        if matches!(key, KeyCode::Char('y' | 'Y')) {
+            return Some(Action::Write(write));
+        }
+        self.notice = Line::new("nothing was written");
+        None
+    }
+
+    /// Returns the present content.
+    pub(crate) fn screen(&self) -> Screen {
+        let state = match &self.lost {
+            Some(why) => format!("NOT CONNECTED: {why}"),
+            None => self.words.join(" "),
+        };
+        let (notice, keys) = self.footer();
+        let tasks = self.tasks.iter().map(|(name, status)| Line::new(format!("{name:16} {status}"))).collect();
+        let errors = match self.errors.as_slice() {
+            [] if !self.has_error && !self.words.is_empty() => vec![Line::new("no errors")],
+            errors => errors.iter().map(Line::new).collect(),
+        };
+        Screen {
+            title: format!("bcap monitor {}", self.address),
+            state,
+            alarm: self.lost.is_some() || self.has_error,
+            values: Panel::new("variables", self.values()).showing(Part::Around(self.selected)),
+            robot: self.robot.panel(),
+            tasks: Panel::new("tasks", tasks),
+            errors: Panel::new("errors", errors).showing(Part::Wrapped),
+            messages: Panel::new("messages, latest first", self.messages.iter().rev().map(Line::new).collect())
+                .showing(Part::Wrapped),
+            log: self.log.panel("packets"),
+            notice,
+            keys,
+        }
+    }
+
+    fn values(&self) -> Vec<Line> {
+        let width = self.variables.iter().map(|variable| variable.name.chars().count()).max().unwrap_or(0).min(24);
+        let line = |variable: &Variable| {
+            let is_marked = variable.changed.is_some_and(|at| self.now < at + MARKED);
+            Line {
+                text: format!("{:width$} = {}", variable.name, variable.text),
+                history: variable.history.clone(),
+                mark: if is_marked { Mark::Changed } else { Mark::Plain },
+            }
+        };
+        self.variables.iter().map(line).collect()
+    }
+
+    fn footer(&self) -> (Line, String) {
+        match &self.input {
+            Input::None => (self.notice.clone(), KEYS.into()),
+            Input::Editing(text) => {
+                let notice =
+                    if self.notice.mark == Mark::Alarm { format!("   {}", self.notice.text) } else { String::new() };
+                (Line::new(format!("write NAME=VALUE: {text}_{notice}")), "Enter check  Esc cancel  Ctrl-X HALT".into())
+            }
+            Input::Asking(write) => {
+                let Write { path, value, before } = write.as_ref();
+                let [value, before] = [value, before].map(|value| data::to_plain(value.as_variant()));
+                (
+                    Line::alarm(format!("write {path} = {value}, now {before}? y/N")),
+                    "y write  n cancel  Ctrl-X HALT".into(),
+                )
+            }
+        }
+    }
+}
+
+impl Robot {
+    fn panel(&self) -> Panel {
+        let mut lines = robot_lines(&self.joints, &self.position);
+        let figure = self.position.get(6).map(ToString::to_string);
+        let line = numbered(&[
+            ("FIG", figure),
+            ("tool", self.tool.clone()),
+            ("work", self.work.clone()),
+            ("ext speed", self.speed.as_ref().map(|speed| format!("{speed} %"))),
+        ]);
+        if !line.is_empty() {
+            lines.push(Line::new(line));
+        }
+        Panel::new("robot, degrees and mm", lines)
+    }
+}
+
+/// Returns the number of a scalar, for a sparkline.
+fn number(value: Variant<'_>) -> Option<f64> {
+    match value {
+        Variant::Bool(on) => Some(f64::from(u8::from(on))),
+        value => value.as_f64(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn text(screen: &Screen) -> Vec<String> {
+        screen.values.lines.iter().map(|line| line.text.clone()).collect()
+    }
+
+    fn value(n: i32) -> Result<Value, String> {
+        Ok(Value::new(&n).unwrap())
+    }
+
+    fn state() -> State {
+        let mut state = State::new("tcp:robot".into());
+        state.apply(Update::Connected(vec!["I1".into(), "IO128".into()]));
+        state.apply(Update::Value(0, value(3)));
+        state
+    }
+
+    fn typed(state: &mut State, keys: &str) -> Option<Action> {
+        keys.chars().map(|c| state.key(KeyCode::Char(c).into())).last().flatten()
+    }
+
+    #[test]
+    fn a_change_is_marked_for_two_seconds() {
+        let mut state = state();
+        assert_eq!(state.screen().values.lines[0].mark, Mark::Plain);
+        state.set_time(Duration::from_secs(5));
+        state.apply(Update::Value(0, value(4)));
+        state.apply(Update::Value(1, Ok(Value::new(&true).unwrap())));
+        state.apply(Update::Value(9, value(4)));
+        let screen = state.screen();
+        assert_eq!(text(&screen), ["I1    = 4", "IO128 = true"]);
+        let marks = screen.values.lines.iter().map(|line| (line.mark, line.history.clone())).collect::<Vec<_>>();
+        // the first value of a variable is no change
+        assert_eq!(marks, [(Mark::Changed, vec![3.0, 4.0]), (Mark::Plain, vec![1.0])]);
+        state.set_time(Duration::from_secs(7));
+        assert_eq!(state.screen().values.lines[0].mark, Mark::Plain);
+    }
+
+    #[test]
+    fn a_lost_connection_is_shown_and_values_stay() {
+        let mut state = state();
+        state.apply(Update::Lost("the cable is broken".into()));
+        let screen = state.screen();
+        assert_eq!((screen.state.as_str(), screen.alarm), ("NOT CONNECTED: the cable is broken", true));
+        state.apply(Update::Connected(vec!["I1".into(), "IO128".into()]));
+        state.apply(Update::State(vec!["RC8".into(), "auto".into()], false));
+        let screen = state.screen();
+        assert_eq!((screen.state.as_str(), screen.alarm), ("RC8 auto", false));
+        assert_eq!(screen.values.lines[0].history, [3.0]);
+    }
+
+    #[test]
+    fn a_write_is_checked_and_asked_for() {
+        let mut state = state();
+        assert!(typed(&mut state, "w5x").is_none());
+        assert_eq!(state.screen().notice.text, "write NAME=VALUE: I1=5x_");
+        state.key(KeyCode::Backspace.into());
+        // `q` and `h` are text here
+        typed(&mut state, "qh");
+        assert_eq!(state.screen().notice.text, "write NAME=VALUE: I1=5qh_");
+        let Some(Action::Check(name, data)) = state.key(KeyCode::Enter.into()) else { panic!("no check") };
+        assert_eq!((name.as_str(), data.as_str()), ("I1", "5qh"));
+        let [value, before] = [5, 3].map(|n| Value::new(&n).unwrap());
+        let write = Box::new(Write { path: ObjectPath::variable("I1").unwrap(), value, before });
+        state.apply(Update::Checked(Ok(write.clone())));
+        assert_eq!(state.screen().notice.text, "write I1 = 5, now 3? y/N");
+        assert!(typed(&mut state, "n").is_none());
+        assert_eq!(state.screen().notice.text, "nothing was written");
+        state.apply(Update::Checked(Ok(write)));
+        assert!(matches!(typed(&mut state, "y"), Some(Action::Write(_))));
+        // a check that ends while the next value is typed asks nothing
+        let [value, before] = [6, 5].map(|n| Value::new(&n).unwrap());
+        typed(&mut state, "w");
+        state.apply(Update::Checked(Ok(Box::new(Write { path: ObjectPath::variable("I1").unwrap(), value, before }))));
+        assert!(typed(&mut state, "y").is_none());
+        assert_eq!(state.screen().notice.text, "write NAME=VALUE: I1=y_   I1 was not written");
+        state.key(KeyCode::Esc.into());
+        // without an equals sign nothing is checked
+        typed(&mut state, "w");
+        (0..3).for_each(|_| assert!(state.key(KeyCode::Backspace.into()).is_none()));
+        assert!(state.key(KeyCode::Enter.into()).is_none());
+        assert!(state.screen().notice.text.contains("such as I1=5"));
+    }
+
+    #[test]
+    fn a_halt_is_not_asked_for() {
+        let mut state = state();
+        assert!(matches!(typed(&mut state, "h"), Some(Action::Halt)));
+        let halt = KeyEvent::new(KeyCode::Char('x'), KeyModifiers::CONTROL);
+        typed(&mut state, "w1");
+        assert!(matches!(state.key(halt), Some(Action::Halt)));
+        state.apply(Update::Done(Err("the cable is broken".into())));
+        assert_eq!(state.screen().notice, Line::alarm("the cable is broken"));
+        let quit = KeyEvent::new(KeyCode::Char('c'), KeyModifiers::CONTROL);
+        typed(&mut state, "w1");
+        assert!(matches!(state.key(quit), Some(Action::Quit)));
+    }
+
+    #[test]
+    fn the_selection_stays_in_the_list() {
+        let mut state = state();
+        for (key, selected) in
+            [(KeyCode::Up, 0), (KeyCode::Down, 1), (KeyCode::Down, 1), (KeyCode::Home, 0), (KeyCode::End, 1)]
+        {
+            state.key(key.into());
+            assert_eq!(state.screen().values.view, Part::Around(selected));
+        }
+        let mut empty = State::new(String::new());
+        empty.key(KeyCode::Down.into());
+        assert_eq!(empty.screen().values.view, Part::Around(0));
+    }
+}

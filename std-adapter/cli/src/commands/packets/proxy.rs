@@ -1,0 +1,201 @@
+//! `bcap proxy`: forwards b-CAP and RAC to a robot, prints and records the bytes, and injects faults.
+//!
+//! The thread of the recording makes the lines, and another thread prints them: a terminal that does not read delays neither the
+//! robot nor the file.
+
+use std::io;
+use std::net::SocketAddr;
+use std::path::Path;
+use std::sync::mpsc::{SyncSender, sync_channel};
+use std::thread::{self, JoinHandle};
+
+use bcap_capture::decode::{Format, Live};
+use bcap_capture::faults::{Delay, Plan, Share};
+use bcap_capture::proxy::{Listeners, Robot};
+use bcap_capture::record::Recording;
+use bcap_terminal::signal;
+use clap::Args;
+use tokio::net::{TcpListener, UdpSocket};
+
+use crate::commands::robot_ports::{self, RobotPorts};
+use crate::commands::sim::args::Sim;
+use crate::failure::Failure;
+use crate::link::LinkArgs;
+use crate::listen::{runtime, taken};
+use crate::output::{print_json, print_line};
+
+/// Forwards b-CAP and RAC to a robot, prints the calls, and records every byte
+///
+/// Prints one line, `ready bcap=IP:PORT udp=IP:PORT rac=IP:PORT`, when it listens, then each call when its reply has arrived, as
+/// `bcap decode` prints it. --write FILE.pcapng records every byte: packets between the client and the robot, as the client
+/// sent and received them. Faults are injected by share: 0.1 is a tenth of the frames, chosen at random, in both directions. A
+/// fault is printed, and in the file it is the comment of its packet. On SIGINT, SIGTERM and SIGHUP it ends with 0.
+///
+/// It serves 256 clients over UDP, 256 TCP connections of b-CAP and 256 of RAC. Datagrams of further clients are dropped, and
+/// further connections are closed, with a note. A client over UDP that the robot has not answered for 10 minutes no longer counts.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap proxy --robot 192.168.0.1 --write session.pcapng
+  bcap proxy --listen [::]:5007 --robot 192.168.0.1 --quiet --write session.pcapng
+  bcap proxy --robot 192.168.0.1 --drop 0.01 --delay 50ms@0.1 --seed 7
+  bcap proxy --robot 192.168.0.1 --corrupt 1:Variable_GetValue --drop 0.5:Robot_Execute/slvMove")]
+pub(crate) struct Proxy {
+    /// Where b-CAP listens, over TCP and UDP
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:5007")]
+    pub(crate) listen: SocketAddr,
+
+    /// Where RAC listens [default: the port below that of --listen; a free one if that is 0]
+    #[arg(long, value_name = "ADDR")]
+    pub(crate) listen_rac: Option<SocketAddr>,
+
+    #[command(flatten)]
+    pub(crate) robot: RobotPorts,
+
+    /// Prints no calls
+    #[arg(long)]
+    pub(crate) quiet: bool,
+
+    /// Drops this share of the frames, SHARE[:FUNCTION[/COMMAND]]
+    ///
+    /// FUNCTION is a name or a number of `bcap call --list`, or GET or PUT of RAC. A fault of a function is one of its requests
+    /// and of its replies. The option may be repeated.
+    #[arg(long, value_name = "SHARE[:FUNCTION]", help_heading = "Faults")]
+    pub(crate) drop: Vec<Share>,
+
+    /// Delays all frames, or a share of them: TIME[@SHARE][:FUNCTION[/COMMAND]]
+    ///
+    /// Later bytes of the same direction of a TCP connection wait too; datagrams overtake each other.
+    #[arg(long, value_name = "TIME[@SHARE][:FUNCTION]", help_heading = "Faults")]
+    pub(crate) delay: Vec<Delay>,
+
+    /// Changes one bit of this share of the frames, SHARE[:FUNCTION[/COMMAND]]
+    #[arg(long, value_name = "SHARE[:FUNCTION]", help_heading = "Faults")]
+    pub(crate) corrupt: Vec<Share>,
+
+    /// Chooses the same frames again for the same traffic
+    #[arg(long, value_name = "N", help_heading = "Faults")]
+    pub(crate) seed: Option<u64>,
+}
+
+/// The most lines that wait for the terminal.
+const LINES: usize = 4096;
+
+/// Runs `bcap proxy` until a signal ends it.
+pub(crate) fn proxy(args: &Proxy, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+    let robot = robot_ports::resolve(&args.robot, link)?;
+    let faults = Plan { drop: args.drop.clone(), delay: args.delay.clone(), corrupt: args.corrupt.clone() };
+    let seed = args.seed.unwrap_or_else(|| fastrand::u64(..));
+    let runtime = runtime()?;
+    runtime.block_on(async {
+        // the signals first: a reader of the line may send one at once
+        let ended = signal::wait()?;
+        let listeners = bind(args).await?;
+        let lines = (!args.quiet).then(|| Lines::start(json)).transpose()?;
+        let recording = record(link.write.as_deref(), lines.as_ref().map(|lines| lines.queue.clone()), json)?;
+        print_line(&ready(&listeners)?)?;
+        let proxy = bcap_capture::proxy::Proxy::new(listeners, robot);
+        proxy.connect_timeout(link.timeout()).faults(faults, seed).run(&recording, ended).await;
+        recording.finish()?;
+        if let Some(lines) = lines {
+            lines.finish();
+        }
+        Ok(())
+    })
+}
+
+/// Starts the recording, with lines of the calls if there is a queue for them.
+fn record(file: Option<&Path>, lines: Option<SyncSender<String>>, json: bool) -> Result<Recording, Failure> {
+    let mut live = Live::new(if json { Format::Json } else { Format::Text });
+    let recording = Recording::start(file, move |recorded| {
+        let Some(queue) = &lines else { return };
+        for line in live.lines(&recorded) {
+            // lines are dropped if the terminal does not read; the file is complete
+            let _ = queue.try_send(line);
+        }
+    });
+    Ok(recording?)
+}
+
+/// A thread that prints lines.
+struct Lines {
+    queue: SyncSender<String>,
+    thread: JoinHandle<()>,
+}
+
+impl Lines {
+    fn start(json: bool) -> io::Result<Self> {
+        let (queue, lines) = sync_channel::<String>(LINES);
+        let print = if json { print_json } else { print_line };
+        // a closed output does not end the proxy
+        let work = move || lines.iter().for_each(|line| drop(print(&line)));
+        Ok(Self { queue, thread: thread::Builder::new().name("lines".into()).spawn(work)? })
+    }
+
+    /// Prints the rest.
+    fn finish(self) {
+        drop(self.queue);
+        // nothing is left to do if it panicked
+        let _ = self.thread.join();
+    }
+}
+
+/// A recorded front of a virtual controller in this process, which listens on other addresses.
+pub(crate) struct Front {
+    listeners: Listeners,
+    recording: Recording,
+}
+
+impl Front {
+    /// Binds the addresses of the controller, and starts the recording.
+    pub(crate) async fn bind(args: &Sim, rac: Option<SocketAddr>, file: &Path) -> Result<Self, Failure> {
+        let listeners = Listeners {
+            bcap: tcp("--bcap", args.bcap).await?,
+            udp: UdpSocket::bind(args.udp).await.map_err(|error| taken("--udp", args.udp, &error))?,
+            rac: match rac {
+                Some(address) => Some(tcp("--rac", address).await?),
+                None => None,
+            },
+        };
+        Ok(Self { listeners, recording: Recording::start(Some(file), |_| {})? })
+    }
+
+    /// Returns the line that names the addresses.
+    pub(crate) fn ready(&self) -> io::Result<String> {
+        ready(&self.listeners)
+    }
+
+    /// Forwards to the controller until `ended`, then closes the file.
+    pub(crate) async fn serve(self, robot: Robot, ended: impl Future<Output = ()>) -> Result<(), Failure> {
+        bcap_capture::proxy::Proxy::new(self.listeners, robot).show_listener().run(&self.recording, ended).await;
+        Ok(self.recording.finish()?)
+    }
+}
+
+/// Binds the sockets that the arguments name. With port 0 b-CAP has the same port over TCP and UDP if it is free.
+async fn bind(args: &Proxy) -> Result<Listeners, Failure> {
+    let wanted = args.listen;
+    let bcap = tcp("--listen", wanted).await?;
+    let bound = bcap.local_addr()?;
+    let udp = match UdpSocket::bind(bound).await {
+        Err(_) if wanted.port() == 0 => UdpSocket::bind(wanted).await,
+        udp => udp,
+    };
+    let udp = udp.map_err(|error| taken("--listen", bound, &error))?;
+    let below = SocketAddr::new(wanted.ip(), wanted.port().saturating_sub(1));
+    let rac = tcp("--listen-rac", args.listen_rac.unwrap_or(below)).await?;
+    Ok(Listeners { bcap, udp, rac: Some(rac) })
+}
+
+async fn tcp(option: &str, address: SocketAddr) -> Result<TcpListener, Failure> {
+    TcpListener::bind(address).await.map_err(|error| taken(option, address, &error))
+}
+
+/// Returns the line that names the addresses.
+fn ready(listeners: &Listeners) -> io::Result<String> {
+    let mut ready = format!("ready bcap={} udp={}", listeners.bcap.local_addr()?, listeners.udp.local_addr()?);
+    if let Some(rac) = &listeners.rac {
+        ready += &format!(" rac={}", rac.local_addr()?);
+    }
+    Ok(ready)
+}

@@ -1,0 +1,79 @@
+//! `bcap replay`: makes the calls of a capture again, and prints the replies that differ.
+
+use std::path::PathBuf;
+
+use bcap_capture::CallName;
+use bcap_capture::decode::events;
+use bcap_capture::replay::{Options, Plan};
+use bcap_core::limits::Strictness;
+use clap::Args;
+
+use crate::commands::robot_ports::{self, RobotPorts};
+use crate::failure::Failure;
+use crate::link::LinkArgs;
+use crate::output::{print_block, print_json, print_line};
+use crate::session::traffic;
+
+/// Makes the calls of a capture again, and compares the replies
+///
+/// Every connection of the capture is opened again, and its calls are made at their times. A call is never made before the calls
+/// that were answered before it have been answered again. Handles are replaced by those that the robot gives now; a call is not
+/// sent if its object is not open in the replay. The retries of calls over UDP are not repeated. A reply that differs is printed
+/// with the recorded one, and the exit code is then 1. A call that had no reply is made, but not compared.
+/// At most 1024 connections are replayed. When the output is closed, such as by `head`, no more calls are made.
+///
+/// Functions and commands that may move the robot or write must be allowed by name (`bcap call --list --effects`). Without
+/// that nothing is sent.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap replay session.pcapng --robot 192.168.0.1
+  bcap replay session.pcapng --fast --allow Variable_PutValue --allow Robot_Execute/TakeArm
+  bcap replay session.pcapng --volatile @CURRENT_TIME --volatile Robot_Execute/slvMove --allow Robot_Execute")]
+pub(crate) struct Replay {
+    /// The capture: a file of `--write`, of Wireshark or of tcpdump
+    pub(crate) file: PathBuf,
+
+    /// Makes each call as soon as the replies before it have arrived, instead of at its time
+    #[arg(long)]
+    pub(crate) fast: bool,
+
+    /// Allows a function that may move or write: FUNCTION[/COMMAND], or PUT of RAC
+    #[arg(long, value_name = "FUNCTION[/COMMAND]")]
+    pub(crate) allow: Vec<CallName>,
+
+    /// Does not compare the value of these replies, only whether they succeed: FUNCTION[/COMMAND], or an object such as @MODE
+    #[arg(long, value_name = "NAME")]
+    pub(crate) volatile: Vec<String>,
+
+    #[command(flatten)]
+    pub(crate) robot: RobotPorts,
+}
+
+/// Runs `bcap replay`.
+pub(crate) fn replay(args: &Replay, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+    let (events, read) = events(&args.file, Strictness::Lenient);
+    read?;
+    let plan = Plan::new(events)?;
+    plan.check(&args.allow)?;
+    let robot = robot_ports::resolve(&args.robot, link)?;
+    let mut options = Options::new(link.timeout());
+    options.fast = args.fast;
+    options.volatile.clone_from(&args.volatile);
+    options.recorder = traffic::recorder().cloned();
+    let totals = plan.run(&robot, &options, |outcome| match outcome.is_different {
+        true if json => print_json(&outcome.to_json()),
+        true => print_block(&outcome.to_string()),
+        false => Ok(()),
+    })?;
+    if json {
+        // serializing numbers cannot fail
+        print_json(&serde_json::to_string(&totals).unwrap_or_default())?;
+    } else {
+        print_line(&totals.to_string())?;
+    }
+    match totals.differences {
+        0 => Ok(()),
+        different => Err(Failure::RepliesDiffer { different, total: totals.compared }),
+    }
+}

@@ -1,0 +1,95 @@
+//! `bcap profile`: lists and shows profiles.
+
+use clap::{Args, Subcommand};
+use serde_json::json;
+
+use crate::failure::Failure;
+use crate::link::profiles::{Profile, Profiles};
+use crate::output::{print_json, print_line};
+
+/// Lists and shows profiles: connections to controllers under a name
+///
+/// The profiles are in ~/.config/bcap/config.toml, or in bcap/config.toml below XDG_CONFIG_HOME. --profile NAME or
+/// BCAP_PROFILE chooses one. An option of the command line overrides its environment variable, which overrides the profile.
+/// `halt` ignores the timeout of a profile, and with --robot also a profile that cannot be read.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+The file:
+  [profile.cell1]
+  address = \"tcp:192.168.0.1\"
+  model = \"rc9\"                # rc8, rc9 or cobotta; or provider = \"CaoProv.DENSO.VRC9\"
+  option = \"\"
+  rac_port = 5006
+  timeout = \"3s\"
+Examples:
+  bcap profile list
+  bcap profile show cell1
+  bcap --profile cell1 get I1")]
+pub(crate) struct ProfileArgs {
+    #[command(subcommand)]
+    pub(crate) command: ProfileCommand,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum ProfileCommand {
+    /// Prints the names and addresses of all profiles
+    List,
+    /// Prints the values of a profile
+    Show {
+        /// The name of the profile
+        name: String,
+    },
+}
+
+/// Runs `bcap profile`.
+pub(crate) fn profile(args: &ProfileArgs, json: bool) -> Result<(), Failure> {
+    let profiles = Profiles::read()?;
+    match &args.command {
+        ProfileCommand::List if profiles.by_name.is_empty() && !json => {
+            Ok(print_line(&format!("{} has no profiles", profiles.path.display()))?)
+        }
+        ProfileCommand::List => profiles.by_name.iter().try_for_each(|(name, profile)| list(name, profile, json)),
+        ProfileCommand::Show { name } => show(name, profiles.find(name)?, json),
+    }
+}
+
+fn list(name: &str, profile: &Profile, json: bool) -> Result<(), Failure> {
+    if json {
+        return Ok(print_json(&line(name, profile))?);
+    }
+    Ok(print_line(&format!("{name}: {}", profile.address().unwrap_or("no address")))?)
+}
+
+fn show(name: &str, profile: &Profile, json: bool) -> Result<(), Failure> {
+    if json {
+        return Ok(print_json(&line(name, profile))?);
+    }
+    print_line(&format!("[profile.{name}]"))?;
+    for (key, value) in [
+        ("address", profile.address().map(|address| format!("{address:?}"))),
+        ("provider", profile.provider().map(|provider| format!("{provider:?}"))),
+        ("machine", profile.machine.as_ref().map(|machine| format!("{machine:?}"))),
+        ("option", profile.option.as_ref().map(|option| format!("{option:?}"))),
+        ("rac_port", profile.rac_port.map(|port| port.to_string())),
+        ("timeout", profile.timeout().map(|timeout| format!("\"{}ms\"", timeout.as_millis()))),
+    ] {
+        if let Some(value) = value {
+            print_line(&format!("{key} = {value}"))?;
+        }
+    }
+    Ok(())
+}
+
+fn line(name: &str, profile: &Profile) -> String {
+    let millis = profile.timeout().map(|timeout| u64::try_from(timeout.as_millis()).unwrap_or(u64::MAX));
+    json!({
+        "name": name,
+        "address": profile.address(),
+        "provider": profile.provider(),
+        "machine": profile.machine,
+        "option": profile.option,
+        "rac_port": profile.rac_port,
+        "timeout_ms": millis,
+    })
+    .to_string()
+}

@@ -1,0 +1,106 @@
+//! `bcap errors`, `bcap clear` and `bcap messages`. While a stream of Slave Mode runs they send nothing that would end it.
+
+use bcap_core::bcap::{FunctionId, StreamState};
+use bcap_core::hresult::HResult;
+use bcap_core::variant::Variant;
+use clap::Args;
+
+use crate::failure::Failure;
+use crate::output::{print_json, print_line};
+use crate::session::Session;
+use crate::session::slave_mode::StreamCheck;
+use crate::values::{Value, data, integer, text};
+
+/// Lists the errors of the controller, the first cause last, with their meanings and remedies
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap errors
+  bcap errors --json")]
+pub(crate) struct Errors {}
+
+/// Clears the errors of the controller
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap clear")]
+pub(crate) struct Clear {}
+
+/// Runs `bcap errors`.
+pub(crate) fn errors(session: &mut Session, json: bool) -> Result<(), Failure> {
+    let mut check = StreamCheck::default();
+    let count = count(session, &mut check)?;
+    if count == 0 && !json {
+        print_line("no errors")?;
+    }
+    // each at once: a refusal of a later one does not hide it
+    (0..count).try_for_each(|index| {
+        let (code, message) = error(session, &mut check, index)?;
+        print_error(code, &message, json)
+    })
+}
+
+/// Reads the present errors of the controller with their texts, the latest first. Fails with [`Failure::Unfit`] while a stream
+/// runs.
+pub(crate) fn present(session: &mut Session, check: &mut StreamCheck) -> Result<Vec<(HResult, String)>, Failure> {
+    (0..count(session, check)?).map(|index| error(session, check, index)).collect()
+}
+
+/// Reads the number of present errors.
+fn count(session: &mut Session, check: &mut StreamCheck) -> Result<i32, Failure> {
+    let count = checked(session, check, "GetCurErrorCount", &())?;
+    Ok(count.as_variant().as_i32().unwrap_or(0).max(0))
+}
+
+fn error(session: &mut Session, check: &mut StreamCheck, index: i32) -> Result<(HResult, String), Failure> {
+    let info = checked(session, check, "GetCurErrorInfo", &index)?;
+    let elements: Vec<Variant<'_>> = info.as_variant().as_array().map(|info| info.iter().collect()).unwrap_or_default();
+    let code = elements.first().and_then(|code| code.as_i32()).map(HResult);
+    let message = elements.get(1).map(|message| data::to_plain(*message)).unwrap_or_default();
+    Ok((code.unwrap_or_default(), message))
+}
+
+fn print_error(code: HResult, message: &str, json: bool) -> Result<(), Failure> {
+    if json {
+        let (name, hint) = (code.name(), code.hint());
+        let line = serde_json::json!({ "code": code.0, "hresult": name, "message": message, "hint": hint });
+        return Ok(print_json(&line.to_string())?);
+    }
+    print_line(&format!("{code} {message}"))?;
+    if let Some(hint) = code.hint() {
+        print_line(&format!("  hint: {hint}"))?;
+    }
+    Ok(())
+}
+
+/// Runs `bcap clear`.
+pub(crate) fn clear(session: &mut Session) -> Result<(), Failure> {
+    let mut check = StreamCheck::default();
+    // any other answer lets the user clear: a controller with errors may refuse slvGetMode
+    if check.ask(session)? == StreamState::Runs {
+        check.require(session, FunctionId::CONTROLLER_EXECUTE, Some("ClearError"))?;
+    }
+    controller(session, "ClearError", &()).map(drop)
+}
+
+/// Executes a command of the controller, unless it would end a stream.
+fn checked(
+    session: &mut Session,
+    check: &mut StreamCheck,
+    command: &str,
+    parameter: &impl bcap_core::variant::Encode,
+) -> Result<Value, Failure> {
+    check.require(session, FunctionId::CONTROLLER_EXECUTE, Some(command))?;
+    controller(session, command, parameter)
+}
+
+/// Executes a command of the controller.
+fn controller(
+    session: &mut Session,
+    command: &str,
+    parameter: &impl bcap_core::variant::Encode,
+) -> Result<Value, Failure> {
+    let arguments = [integer(session.controller()?)?, text(command)?, Value::new(parameter)?];
+    let (_, value) = session.call(command, FunctionId::CONTROLLER_EXECUTE, &arguments)?;
+    Ok(value.unwrap_or_default())
+}

@@ -1,0 +1,85 @@
+//! `bcap halt`: halts the robot over a separate connection; in `bcap shell` and `bcap run` over the session's
+//! connection.
+
+use bcap_std::blocking::Halted;
+use bcap_std::{Error, Halt, StoppedTasks};
+use clap::Args;
+
+use crate::failure::Failure;
+use crate::link::LinkArgs;
+use crate::output::{note, print_block, print_json};
+use crate::session::connect::not_halted;
+use crate::session::{Session, with_session};
+
+/// Halts the robot, even when another client moves it
+///
+/// Uses a separate connection and needs neither the arm nor the executable token. The whole command takes at most
+/// --timeout, or 3 s; if the controller has not answered by then, the exit code is 4. The halted motion fails with
+/// E_ABORT; a Slave Mode stream fails because Slave Mode is off.
+///
+/// A controller refuses a halt while one of its tasks owns the arm. Then all tasks are stopped (KillAll, or Task_Stop of each task if
+/// the controller refuses KillAll), and the robot is halted again; a task that is started again starts at its first line. `halted`
+/// and `nothing was moving` are printed only after the robot was seen at rest. If it was not within 1 s, the first line of the output
+/// is `the robot STILL MOVES`, and the exit code is 1.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap halt
+  bcap halt --robot tcp:192.168.0.1 --provider CaoProv.DENSO.VRC9")]
+pub(crate) struct HaltArgs {}
+
+/// Runs `bcap halt`.
+pub(crate) fn halt(session: &mut Session, json: bool) -> Result<(), Failure> {
+    let halted = if session.is_open() { attempt(session) } else { with_session(&session.link().limited(), attempt) };
+    match halted {
+        Ok(Ok(halted)) if json => print_json(&to_json(halted))?,
+        Ok(Ok(halted)) => print_block(&lines(halted))?,
+        Ok(Err(halt)) => {
+            // with --json the failure is the first line of the output
+            if !json {
+                print_block(&format!("{halt:#}"))?;
+            }
+            return Err(not_halted(&halt));
+        }
+        Err(failure) => {
+            if !failure.leaves_the_session_alive() {
+                note("the robot may still move; use the emergency stop");
+            }
+            return Err(failure);
+        }
+    }
+    Ok(())
+}
+
+/// Halts the robot.
+///
+/// The whole operation has one short time limit, so that a failure is reported while the user still has time to act.
+pub(crate) fn halt_now(link: &LinkArgs) -> Result<Halted, Failure> {
+    with_session(&link.limited(), |session| session.with(|controller| controller.robot()?.halt()))
+}
+
+/// Halts the robot; the inner error is a robot that may still move.
+fn attempt(session: &mut Session) -> Result<Result<Halted, Halt>, Failure> {
+    session.with(|controller| match controller.robot()?.halt() {
+        Err(Error::NotHalted(halt)) => Ok(Err(halt)),
+        halted => halted.map(Ok),
+    })
+}
+
+fn lines(halted: Halted) -> String {
+    match halted {
+        Halted::NothingMoved => "nothing was moving".into(),
+        Halted::TasksStopped(tasks) => format!("halted\n{tasks}"),
+        _ => "halted".into(),
+    }
+}
+
+/// Returns the members `halted`, and `tasks` if some were stopped: `"all"` or their number.
+fn to_json(halted: Halted) -> String {
+    let tasks = match halted {
+        Halted::TasksStopped(StoppedTasks::Single(count)) => format!(",\"tasks\":{count}"),
+        Halted::TasksStopped(_) => ",\"tasks\":\"all\"".into(),
+        _ => String::new(),
+    };
+    format!("{{\"halted\":{}{tasks}}}", halted != Halted::NothingMoved)
+}

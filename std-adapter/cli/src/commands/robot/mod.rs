@@ -1,0 +1,10 @@
+//! The robot and the state of its controller: `bcap move`, `bcap halt`, `bcap task`, `bcap errors`, `bcap clear` and
+//! `bcap messages`.
+
+mod destination;
+pub(crate) mod errors;
+pub(crate) mod halt;
+pub(crate) mod messages;
+pub(crate) mod motion;
+mod silence;
+pub(crate) mod task;

@@ -1,0 +1,207 @@
+//! `bcap move`: a whole motion, from taking the arm to giving it back.
+
+use std::time::Duration;
+
+use bcap_capture::duration;
+use bcap_core::bcap::FunctionId;
+use bcap_core::procedure::Motion;
+use bcap_std::{Move, ObjectPath};
+use clap::Args;
+
+use crate::commands::robot::destination;
+use crate::commands::robot::silence::Silence;
+use crate::failure::Failure;
+use crate::interrupt::State;
+use crate::output::{print_json, print_line};
+use crate::session::Session;
+use crate::session::confirm::Question;
+use crate::session::slave_mode::spare;
+use crate::values::{integer, text};
+
+/// Moves the robot to a position, and waits until it rests there
+///
+/// Takes the arm, switches the motor on, moves, switches the motor off again and gives the arm back. Where this session has
+/// the arm already (`exec robot TakeArm 0 1` in the shell or a script), it keeps the arm, and the motor stays on. Ctrl-C
+/// and Ctrl-Z halt the robot and give the arm back; over a serial line they cannot, because such a line carries one session.
+///
+/// A real robot moves only after a question, or with --yes; without a terminal the question cannot be asked, so --yes is
+/// needed. A virtual controller is recognised by its @MAKER_NAME and @SERIAL_NO, and is not asked about.
+///
+/// POSITION is a variable (P1, J2, T3), or a value as the controller's language writes it: 'J(0, 45, 90, 0, 45, 0)',
+/// 'P(400, 0, 300, 180, 0, 180, 5)'. The exit code is 0 only if the robot rests at the destination, or,
+/// with --no-wait, if the motion has begun.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap move P1 --line --speed 10
+  bcap move 'J(0, 45, 90, 0, 45, 0)' --speed 20 --within 30s")]
+pub(crate) struct MoveArgs {
+    /// The destination
+    #[arg(value_name = "POSITION")]
+    pub(crate) to: String,
+
+    /// Moves the tool along a line; without it all joints move at the same time
+    #[arg(long)]
+    pub(crate) line: bool,
+
+    /// The speed, in percent of the speed that the arm is set to
+    #[arg(long, value_name = "PERCENT", default_value_t = 10.0)]
+    pub(crate) speed: f64,
+
+    /// Selects the tool first; 0 is the flange
+    #[arg(long, value_name = "N")]
+    pub(crate) tool: Option<u8>,
+
+    /// Selects the work coordinates first; 0 is the base of the robot
+    #[arg(long, value_name = "N")]
+    pub(crate) work: Option<u8>,
+
+    /// Halts the robot if it has not arrived after this time
+    #[arg(long, value_name = "TIME", value_parser = duration::parse, default_value = "3min")]
+    pub(crate) within: Duration,
+
+    /// Waits for the end of the motion, which is the default
+    #[arg(long, overrides_with = "no_wait")]
+    pub(crate) wait: bool,
+
+    /// Returns when the motion has begun. It needs the arm of the session, so only the shell and scripts have it
+    #[arg(long)]
+    pub(crate) no_wait: bool,
+
+    /// Moves a real robot without asking for confirmation
+    #[arg(long)]
+    pub(crate) yes: bool,
+}
+
+/// Runs `bcap move`.
+pub(crate) fn motion(args: &MoveArgs, session: &mut Session, json: bool) -> Result<(), Failure> {
+    check(args)?;
+    // a signal at the question prevents the motion
+    session.handle_signals()?;
+    session.begin()?;
+    let way = if args.line { "along a line " } else { "" };
+    let what = format!("{} moves {way}to {} at {} % of its speed", session.link().target()?, args.to, args.speed);
+    let question = Question { what: &what, warning: "The robot will move.", refused: "the robot was not moved" };
+    question.confirm(session, args.yes)?;
+    if !go(args, session)? {
+        return Ok(());
+    }
+    let (key, text) = if args.no_wait { ("started", "on the way to") } else { ("arrived", "at") };
+    let to = &args.to;
+    let name = serde_json::Value::from(to.as_str());
+    Ok(if json { print_json(&format!("{{\"{key}\":{name}}}")) } else { print_line(&format!("{text} {to}")) }?)
+}
+
+/// Checks the arguments before the first call.
+pub(crate) fn check(args: &MoveArgs) -> Result<(), Failure> {
+    if !(args.speed > 0.0 && args.speed <= 100.0) {
+        return Err(Failure::Input(format!("--speed {}: write a speed above 0 and up to 100", args.speed)));
+    }
+    destination::check(&args.to).map_err(Failure::Input)
+}
+
+/// Moves the robot. Returns whether it is where it should be; `false` after an interruption that the line of the shell or the
+/// script reports.
+pub(crate) fn go(args: &MoveArgs, session: &mut Session) -> Result<bool, Failure> {
+    let had_arm = session.has_arm();
+    if args.no_wait && !had_arm {
+        return Err(Failure::Input(
+            "--no-wait needs the arm of this session, which would otherwise be given back while the robot moves; in \
+             `bcap shell` or `bcap run` write `exec robot TakeArm 0 1` first"
+                .into(),
+        ));
+    }
+    let interrupt = session.handle_signals()?;
+    if !had_arm {
+        // another client's stream
+        spare(session, FunctionId::ROBOT_EXECUTE, Some("TakeArm"))?;
+    }
+    session.prepare_halt(&interrupt)?;
+    interrupt.enter(State::Moving);
+    // a signal from now on halts the robot, an earlier one prevents the motion
+    let ready = if interrupt.is_interrupted() { Ok(()) } else { prepared(args, session, had_arm) };
+    let ended = ready.and_then(|()| if interrupt.is_interrupted() { Ok(None) } else { moved(args, session).map(Some) });
+    if had_arm {
+        return ended.and_then(|ended| concluded(args, ended));
+    }
+    // halts the robot if the connection was lost: the controller gives the arm back only when it notices that
+    session.abandon();
+    let given = session.give_arm();
+    interrupt.enter(State::Stepping);
+    if interrupt.is_interrupted() && ended.as_ref().is_ok_and(|_| given.is_ok()) {
+        return Err(interrupt.failure());
+    }
+    // an error of the motion is more useful than an error of giving the arm back
+    let ended = ended?;
+    given.and_then(|()| concluded(args, ended))
+}
+
+/// Takes the arm and switches the motor on.
+fn prepared(args: &MoveArgs, session: &mut Session, had_arm: bool) -> Result<(), Failure> {
+    session.with(|controller| {
+        // a motor that was on before stays on
+        let on = controller.robot()?.read::<bool>("@SERVO_ON");
+        let mut arm = controller.arm()?;
+        let prepared = (|| {
+            if !matches!(on, Ok(true)) {
+                arm.motor_on()?;
+            }
+            args.tool.map_or(Ok(()), |tool| arm.select_tool(tool))?;
+            args.work.map_or(Ok(()), |work| arm.select_work(work))
+        })();
+        if prepared.is_ok() || had_arm {
+            arm.keep();
+        }
+        prepared
+    })
+}
+
+/// Moves; `None` after the start of a motion that is not waited for.
+fn moved(args: &MoveArgs, session: &mut Session) -> Result<Motion, Failure> {
+    // the motion has its own time limit
+    session.suspend_budget();
+    if args.no_wait {
+        return started(args, session).map(|()| Motion::Arrived);
+    }
+    let motion = commanded(args);
+    let silence = Silence::watch(session)?;
+    let ended = session.with(|controller| {
+        let mut arm = controller.arm()?;
+        let ended = arm.move_to(&motion, args.within);
+        arm.keep();
+        ended
+    });
+    drop(silence);
+    session.restart_budget();
+    ended
+}
+
+fn commanded(args: &MoveArgs) -> Move {
+    let to = args.to.as_str();
+    let motion = if args.line { Move::line(to) } else { Move::joint(to) };
+    motion.speed_percent(args.speed)
+}
+
+/// Starts a motion without waiting for its end.
+fn started(args: &MoveArgs, session: &mut Session) -> Result<(), Failure> {
+    let robot = session.object(&"robot".parse::<ObjectPath>()?)?;
+    let interpolation = if args.line { 2 } else { 1 };
+    let option = format!("NEXT,SPEED={}", args.speed);
+    let arguments = [integer(robot)?, integer(interpolation)?, text(&format!("@E {}", args.to))?, text(&option)?];
+    session.call("robot", FunctionId::ROBOT_MOVE, &arguments).map(drop)
+}
+
+fn concluded(args: &MoveArgs, ended: Option<Motion>) -> Result<bool, Failure> {
+    let to = &args.to;
+    let unfit = |message: String, code| Err(Failure::Unfit { message, code, hint: None });
+    match ended {
+        None => Ok(false),
+        Some(Motion::Arrived) => Ok(true),
+        Some(Motion::Failed(code)) => unfit(format!("not at {to}: the controller has the error {code}"), Some(code)),
+        Some(Motion::TimedOut) => {
+            unfit(format!("not at {to}: it took more than {:?} (--within), so the robot was halted", args.within), None)
+        }
+        Some(Motion::Halted) => unfit(format!("not at {to}: the robot was halted"), None),
+        Some(_) => unfit(format!("the robot rests, and whether it is at {to} is unknown: read its position"), None),
+    }
+}

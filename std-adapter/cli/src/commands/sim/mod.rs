@@ -1,0 +1,379 @@
+//! `bcap sim`: serves a virtual controller on sockets and serial lines.
+
+pub(crate) mod args;
+mod delivery;
+pub(crate) mod demo;
+mod live_screen;
+mod trajectory;
+
+use std::io::{self, Write as _};
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
+use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError, mpsc};
+use std::time::{SystemTime, UNIX_EPOCH};
+use std::{fmt, fs, thread};
+
+use bcap_capture::playback::Playback;
+use bcap_capture::proxy::Robot;
+use bcap_core::hresult::HResult;
+use bcap_core::{bcap, rac};
+use bcap_sim::explain::Observer;
+use bcap_sim::files::{Executor, Job};
+use bcap_sim::scenario::Effect;
+use bcap_sim::{ArmModel, Config, Controller, Model, Profile, Scenario, Token};
+use bcap_std::SerialLine;
+use bcap_std::server::{LineEvent, Server};
+use bcap_terminal::screen::{Live, require};
+use bcap_terminal::{escape, signal};
+use delivery::deliver;
+use live_screen::{Refused, Watched, shown};
+use tokio::sync::oneshot;
+
+use crate::commands::packets::proxy::Front;
+use crate::commands::sim::args::{ArmSource, ModelSource, Sim};
+use crate::commands::sim::trajectory::Trajectory;
+use crate::failure::Failure;
+use crate::listen::{runtime, taken};
+use crate::output::{note, print_block, print_line};
+
+/// The address for RAC, on a model that has it.
+const RAC: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 5006);
+
+/// The maximum number of queued file jobs.
+const FILE_JOBS: usize = 64;
+
+/// The maximum number of queued explanations.
+const EXPLANATIONS: usize = 64;
+
+/// The list of the screen that gets the events of serial lines; `None` without a screen. The server reports them to a
+/// function, which has no state.
+static SHOWN: Mutex<Option<Refused>> = Mutex::new(None);
+
+/// Runs `bcap sim`, until a signal ends it; its clients are recorded to `file`.
+pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
+    let model = read_model(&args.model)?;
+    if args.print_model {
+        return print_model(&args.model);
+    }
+    let rac = args.rac.or_else(|| model.rac.then_some(RAC));
+    let arm = args.arm.as_ref().map(read_arm).transpose()?;
+    if let (true, Some((_, text))) = (args.print_arm, &arm) {
+        return Ok(print_block(text.trim_end())?);
+    }
+    if args.screen {
+        require("leave --screen out").map_err(Failure::Input)?;
+    }
+    let runtime = runtime()?;
+    runtime.block_on(async {
+        // install the signal handlers before the `ready` line: a reader of that line may send a signal at once
+        let ended = signal::wait()?;
+        if let Some(capture) = &args.replay {
+            return serve(Server::new(Playback::read(capture, print_unknown)?), args, rac, file, ended, print_line)
+                .await;
+        }
+        // dropped, and thereby deleted, after the controller has ended
+        let temporary = tempfile::tempdir()?;
+        let files = args.files.as_deref().unwrap_or(temporary.path());
+        if !files.is_dir() {
+            return Err(Failure::Input(format!("--files {}: the folder does not exist", files.display())));
+        }
+        let mut config = Config { files: Some(files.to_owned()), file_work: file_worker()?, ..config(model) };
+        (config.mode, config.token) = (args.mode.into(), args.token);
+        config.lenient = args.lenient;
+        config.as_observed = args.as_observed;
+        let refused = Refused::default();
+        *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = args.screen.then(|| refused.clone());
+        if args.screen {
+            config.observer = refused.observer();
+        } else if args.explain || args.lenient {
+            config.observer = explainer(args.explain)?;
+        }
+        if let Some((arm, _)) = &arm {
+            config = config.with_arm(arm);
+        }
+        if let Some(robot_type) = &args.robot_type {
+            config.robot_type.clone_from(robot_type);
+        }
+        config.slave.licensed = !args.no_slave_licence;
+        let create = |path| Trajectory::create(path, config.wall_clock_origin_ms);
+        let trajectory = args.record.as_deref().map(create).transpose()?;
+        if let Some(trajectory) = &trajectory {
+            config.recorder = trajectory.recorder();
+        }
+        let mut controller = Controller::new(config);
+        if let Some(path) = &args.scenario {
+            let scenario = read_scenario(path, controller.config())?;
+            if file.is_some() && has_token_of_address(&scenario) {
+                return Err(no_addresses("the token of the scenario"));
+            }
+            controller.play(scenario);
+        }
+        if args.screen {
+            on_screen(Watched::shared(controller, refused), args, rac, file, ended).await?;
+        } else {
+            serve(
+                Server::new(controller).tap(deliver).on_connect(Controller::connected),
+                args,
+                rac,
+                file,
+                ended,
+                print_line,
+            )
+            .await?;
+        }
+        Ok(trajectory.map_or(Ok(()), |trajectory| trajectory.end())?)
+    })
+}
+
+/// Prints a request that the capture does not have.
+fn print_unknown(request: &str) {
+    // an error of the standard error cannot be reported
+    let _ = writeln!(io::stderr(), "not in the capture: {}", escape::line(request));
+}
+
+/// Returns whether a scenario gives the executable token to an address.
+fn has_token_of_address(scenario: &Scenario) -> bool {
+    let later = scenario.faults.iter().filter_map(|fault| match fault.then {
+        Effect::Token(token) => Some(token),
+        _ => None,
+    });
+    scenario.controller.token.into_iter().chain(later).any(|token| matches!(token, Token::Address(_)))
+}
+
+fn no_addresses(place: &str) -> Failure {
+    Failure::Input(format!(
+        "clients have no address of their own while they are recorded; leave out --write or the address of {place}"
+    ))
+}
+
+/// Serves, and shows the controller, until `ended` or until the user quits.
+async fn on_screen(
+    watched: Arc<Mutex<Watched>>,
+    args: &Sim,
+    rac: Option<SocketAddr>,
+    file: Option<&Path>,
+    ended: impl Future<Output = ()>,
+) -> Result<(), Failure> {
+    let ((quit, quits), mut live) = (oneshot::channel::<()>(), None);
+    let ended = async {
+        tokio::select! {
+            () = ended => {}
+            // the sender is dropped
+            _ = quits => {}
+        }
+    };
+    let served = serve(Watched::server(&watched), args, rac, file, ended, |line| {
+        let addresses = line.strip_prefix("ready ").unwrap_or(line);
+        live = Some(Live::open(quit, shown(addresses, &watched))?);
+        Ok(())
+    })
+    .await;
+    let closed = live.map_or(Ok(()), Live::close);
+    served?;
+    Ok(closed?)
+}
+
+/// Serves at the addresses of the command line until `ended`; the clients are recorded to `file`. `ready` gets the line with
+/// the addresses.
+async fn serve<H: Serves>(
+    server: Server<H>,
+    args: &Sim,
+    rac: Option<SocketAddr>,
+    file: Option<&Path>,
+    ended: impl Future<Output = ()>,
+    ready: impl FnOnce(&str) -> io::Result<()>,
+) -> Result<(), Failure> {
+    if let Some(file) = file {
+        if !args.serial.is_empty() {
+            return Err(Failure::Input("a serial line has no packets to record; leave out --write or --serial".into()));
+        }
+        if matches!(args.token, Token::Address(_)) {
+            return Err(no_addresses("--token"));
+        }
+        return recorded(server, Front::bind(args, rac, file).await?, ended, ready).await;
+    }
+    let (server, listening) = if args.no_network {
+        (server, "ready".to_owned())
+    } else {
+        let wanted = Listening { bcap: args.bcap, udp: args.udp, rac };
+        let (server, listening) = bind(server, &wanted).await?;
+        (server, listening.to_string())
+    };
+    let (server, lines) = open_lines(server, &args.serial)?;
+    ready(&format!("{listening}{lines}"))?;
+    Ok(server.run(ended).await?)
+}
+
+/// Opens the serial lines; also returns their words for the `ready` line.
+fn open_lines<H: Serves>(mut server: Server<H>, lines: &[SerialLine]) -> Result<(Server<H>, String), Failure> {
+    let mut words = String::new();
+    for line in lines {
+        server = server.bcap_serial(line, print_event).map_err(|error| Failure::Connection {
+            message: format!("cannot open serial:{line}: {error}"),
+            hint: "check the name and the permissions of the device, and that no other program uses it".into(),
+        })?;
+        words += &format!(" serial={line}");
+    }
+    Ok((server, words))
+}
+
+/// Prints or shows that a serial line was unplugged or plugged in again.
+fn print_event(line: &SerialLine, event: LineEvent<'_>) {
+    let text = match event {
+        LineEvent::Lost(error) => format!("serial:{line} is lost ({error}); waiting until it can be opened again"),
+        LineEvent::Reopened => format!("serial:{line} is open again"),
+        _ => return,
+    };
+    match &*SHOWN.lock().unwrap_or_else(PoisonError::into_inner) {
+        // a note would be written over the screen
+        Some(shown) => shown.push(text),
+        None => note(&text),
+    }
+}
+
+/// A handler of both protocols.
+trait Serves: bcap::server::Handler + rac::server::Handler + Send + 'static {}
+
+impl<H: bcap::server::Handler + rac::server::Handler + Send + 'static> Serves for H {}
+
+/// Serves through a front that records, until `ended`.
+async fn recorded<H: Serves>(
+    server: Server<H>,
+    front: Front,
+    ended: impl Future<Output = ()>,
+    ready: impl FnOnce(&str) -> io::Result<()>,
+) -> Result<(), Failure> {
+    let any = SocketAddr::from(([127, 0, 0, 1], 0));
+    let (server, Listening { bcap, udp, rac }) =
+        bind(server, &Listening { bcap: any, udp: any, rac: Some(any) }).await?;
+    ready(&front.ready()?)?;
+    let (stop, stopped) = oneshot::channel::<()>();
+    let robot = Robot { tcp: vec![bcap], udp, rac: rac.into_iter().collect() };
+    let front = async {
+        let written = front.serve(robot, ended).await;
+        drop(stop);
+        written
+    };
+    // the controller stops when the sender is dropped
+    let (written, served) = tokio::join!(front, server.run(async { drop(stopped.await) }));
+    served?;
+    written
+}
+
+/// Reads a model, from its file if it is not built in.
+fn read_model(source: &ModelSource) -> Result<Model, Failure> {
+    let path = match source {
+        ModelSource::BuiltIn(profile) => return Ok(profile.model().clone()),
+        ModelSource::File(path) => path,
+    };
+    let text = fs::read_to_string(path)
+        .map_err(|error| Failure::Input(format!("cannot read the model {}: {error}", path.display())))?;
+    Model::parse(&text).map_err(|error| Failure::Input(format!("{} is not a valid model: {error}", path.display())))
+}
+
+/// Reads an arm, from its file if it is not built in; returns it with its text.
+fn read_arm(source: &ArmSource) -> Result<(ArmModel, String), Failure> {
+    let path = match source {
+        ArmSource::BuiltIn(arm) => return Ok((arm.arm().clone(), arm.text().to_owned())),
+        ArmSource::File(path) => path,
+    };
+    let text = fs::read_to_string(path)
+        .map_err(|error| Failure::Input(format!("cannot read the arm {}: {error}", path.display())))?;
+    let arm = ArmModel::parse(&text)
+        .map_err(|error| Failure::Input(format!("{} is not a valid arm: {error}", path.display())))?;
+    Ok((arm, text))
+}
+
+/// Prints the file of a model.
+fn print_model(source: &ModelSource) -> Result<(), Failure> {
+    let text = match source {
+        ModelSource::BuiltIn(profile) => profile.text().into(),
+        ModelSource::File(path) => fs::read_to_string(path)?,
+    };
+    Ok(print_block(text.trim_end())?)
+}
+
+/// Starts a thread for file jobs, so that a blocking file system does not delay other calls.
+///
+/// The process does not wait for this thread when it exits.
+fn file_worker() -> io::Result<Executor> {
+    let (jobs, queue) = mpsc::sync_channel::<Job>(FILE_JOBS);
+    thread::Builder::new().name("files".into()).spawn(move || queue.into_iter().for_each(|job| job()))?;
+    // a job that does not fit the queue is dropped, which answers its call with E_BUSY_PROC
+    Ok(Executor::new(move |job| drop(jobs.try_send(job))))
+}
+
+/// Starts a thread that prints tolerated faults and, with `refusals`, why arguments are refused. It drops lines when
+/// its queue is full.
+fn explainer(refusals: bool) -> io::Result<Observer> {
+    let (lines, queue) = mpsc::sync_channel::<String>(EXPLANATIONS);
+    let print = move || queue.into_iter().try_for_each(|line| writeln!(io::stderr(), "{line}"));
+    thread::Builder::new().name("explain".into()).spawn(print)?;
+    Ok(Observer::new(move |code, text| {
+        let line = match code {
+            HResult::S_OK => format!("tolerated: {text}"),
+            _ if refusals => format!("refused with {code}: {text}"),
+            _ => return,
+        };
+        drop(lines.try_send(line));
+    }))
+}
+
+/// The addresses of a virtual controller.
+pub(crate) struct Listening {
+    pub(crate) bcap: SocketAddr,
+    pub(crate) udp: SocketAddr,
+    /// `None` without RAC.
+    pub(crate) rac: Option<SocketAddr>,
+}
+
+/// Binds the sockets of a controller; port 0 selects a free port.
+pub(crate) async fn listen(
+    controller: Controller,
+    wanted: &Listening,
+) -> Result<(Server<Controller>, Listening), Failure> {
+    bind(Server::new(controller).tap(deliver).on_connect(Controller::connected), wanted).await
+}
+
+async fn bind<H: Serves>(server: Server<H>, wanted: &Listening) -> Result<(Server<H>, Listening), Failure> {
+    let server = server.bcap_tcp(wanted.bcap).await.map_err(|error| taken("--bcap", wanted.bcap, &error))?;
+    let server = server.bcap_udp(wanted.udp).await.map_err(|error| taken("--udp", wanted.udp, &error))?;
+    let server = match wanted.rac {
+        Some(address) => server.rac_tcp(address).await.map_err(|error| taken("--rac", address, &error))?,
+        None => server,
+    };
+    let addresses = server.addresses();
+    let first = |addresses: &[SocketAddr]| addresses.first().copied();
+    match (first(&addresses.bcap_tcp), first(&addresses.bcap_udp), first(&addresses.rac_tcp)) {
+        (Some(bcap), Some(udp), rac) => Ok((server, Listening { bcap, udp, rac })),
+        _ => Err(Failure::Stdio(io::Error::other("a socket has no local address"))),
+    }
+}
+
+fn read_scenario(path: &Path, config: &Config) -> Result<Scenario, Failure> {
+    let text = fs::read_to_string(path)
+        .map_err(|error| Failure::Input(format!("cannot read the scenario {}: {error}", path.display())))?;
+    Scenario::parse(&text)
+        .and_then(|scenario| scenario.check(config).map(|()| scenario))
+        .map_err(|error| Failure::Input(format!("{} is not a valid scenario: {error}", path.display())))
+}
+
+impl fmt::Display for Listening {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "ready bcap={} udp={}", self.bcap, self.udp)?;
+        self.rac.map_or(Ok(()), |rac| write!(f, " rac={rac}"))
+    }
+}
+
+/// Creates a controller.
+pub(crate) fn controller(model: Profile) -> Controller {
+    Controller::new(config(model.model().clone()))
+}
+
+/// Returns the configuration of a controller with the clock of this machine.
+fn config(model: Model) -> Config {
+    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    let origin = since_1970.as_micros().saturating_sub(bcap_std::now().as_micros().into()) / 1000;
+    let wall_clock_origin_ms = i64::try_from(origin).unwrap_or(0);
+    Config { wall_clock_origin_ms, ..Config::of(model) }
+}

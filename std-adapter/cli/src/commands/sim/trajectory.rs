@@ -1,0 +1,229 @@
+//! The file of `bcap sim --record`: the trajectory of the arm, as MCAP if the name ends with `.mcap`, otherwise as CSV.
+
+use std::fs::File;
+use std::io::{self, BufWriter, Seek, Write};
+use std::path::Path;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use bcap_sim::trace::{Recorder, TracePoint};
+use serde_json::{Value, json};
+
+use crate::failure::Failure;
+use crate::mcap_log::{McapLog, Schema};
+
+const HEAD: &str = "time_s,J1,J2,J3,J4,J5,J6,J7,J8,X,Y,Z,RX,RY,RZ,tool,work";
+
+/// The number of lines after which the file is written at the latest, about a second of motion.
+const LINES: u32 = 125;
+
+/// The form of a point in an MCAP file, in degrees and mm.
+const SCHEMA: Schema = Schema {
+    name: "bcap.Arm",
+    json: r#"{"type":"object","properties":{
+        "joints":{"type":"object","properties":{"J1":{"type":"number"},"J2":{"type":"number"},"J3":{"type":"number"},
+            "J4":{"type":"number"},"J5":{"type":"number"},"J6":{"type":"number"},"J7":{"type":"number"},
+            "J8":{"type":"number"}}},
+        "position":{"type":"object","properties":{"X":{"type":"number"},"Y":{"type":"number"},"Z":{"type":"number"},
+            "RX":{"type":"number"},"RY":{"type":"number"},"RZ":{"type":"number"}}},
+        "tool":{"type":"integer"},"work":{"type":"integer"}}}"#,
+};
+
+/// A file of a trajectory.
+#[derive(Clone)]
+pub(crate) struct Trajectory(Arc<Mutex<Format>>);
+
+enum Format {
+    Csv(Lines<File>),
+    Mcap(Box<Points<BufWriter<File>>>),
+}
+
+/// The messages of an MCAP file.
+struct Points<W: Write + Seek> {
+    series: McapLog<W>,
+    /// The wall clock at the controller's time 0, in microseconds since 1970.
+    origin: u64,
+    /// The first failure; nothing is written after it.
+    failed: Option<io::Error>,
+}
+
+/// The lines that are written to `out`.
+#[derive(Debug)]
+struct Lines<W: Write> {
+    out: BufWriter<W>,
+    last: Option<TracePoint>,
+    /// The lines that are not in the file yet.
+    waiting: u32,
+    /// The first failure; nothing is written after it.
+    failed: Option<io::Error>,
+}
+
+impl Trajectory {
+    /// Creates the file, in place of one that exists. `origin_ms` is the wall clock at the controller's time 0.
+    pub(crate) fn create(path: &Path, origin_ms: i64) -> Result<Self, Failure> {
+        let failed = |error: io::Error| Failure::Input(format!("--record {}: {error}", path.display()));
+        let is_mcap = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"));
+        let format = if is_mcap {
+            let out = BufWriter::new(File::create(path).map_err(failed)?);
+            Format::Mcap(Box::new(Points::new(out, origin_ms).map_err(failed)?))
+        } else {
+            Format::Csv(Lines::new(File::create(path).map_err(failed)?).map_err(failed)?)
+        };
+        Ok(Self(Arc::new(Mutex::new(format))))
+    }
+
+    /// Returns the recorder that writes this file.
+    pub(crate) fn recorder(&self) -> Recorder {
+        let file = self.clone();
+        Recorder::new(move |point| match &mut *file.lock() {
+            Format::Csv(lines) => lines.add(point),
+            Format::Mcap(points) => points.add(point),
+        })
+    }
+
+    /// Writes the rest, and tells the first failure.
+    pub(crate) fn end(&self) -> io::Result<()> {
+        match &mut *self.lock() {
+            Format::Csv(lines) => lines.end(),
+            Format::Mcap(points) => points.end(),
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Format> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl<W: Write + Seek> Points<W> {
+    fn new(out: W, origin_ms: i64) -> io::Result<Self> {
+        let origin = u64::try_from(origin_ms).unwrap_or(0).saturating_mul(1000);
+        Ok(Self { series: McapLog::new(out)?, origin, failed: None })
+    }
+
+    fn add(&mut self, point: &TracePoint) {
+        if self.failed.is_some() {
+            return;
+        }
+        let at = self.origin.saturating_add(point.at.as_micros()).saturating_mul(1000);
+        let joints: serde_json::Map<String, Value> =
+            (1..).zip(point.axes).map(|(n, joint)| (format!("J{n}"), rounded(joint).into())).collect();
+        let [x, y, z, rx, ry, rz] = point.position.map(rounded);
+        let position = json!({ "X": x, "Y": y, "Z": z, "RX": rx, "RY": ry, "RZ": rz });
+        let message = json!({ "joints": joints, "position": position, "tool": point.tool, "work": point.work });
+        self.failed = self.series.push("/arm", SCHEMA, at, &message).err();
+    }
+
+    fn end(&mut self) -> io::Result<()> {
+        match self.failed.take() {
+            Some(error) => Err(error),
+            None => self.series.end(),
+        }
+    }
+}
+
+/// Rounds to a millionth. + 0.0 makes a negative zero positive.
+fn rounded(n: f64) -> f64 {
+    (n * 1e6).round() / 1e6 + 0.0
+}
+
+impl<W: Write> Lines<W> {
+    fn new(file: W) -> io::Result<Self> {
+        let mut out = BufWriter::new(file);
+        writeln!(out, "{HEAD}")?;
+        out.flush()?;
+        Ok(Self { out, last: None, waiting: 0, failed: None })
+    }
+
+    fn add(&mut self, point: &TracePoint) {
+        let rests = self.last.replace(*point).is_some_and(|last| last.axes == point.axes);
+        self.waiting += 1;
+        let mut result = self.write(point);
+        if rests || self.waiting >= LINES {
+            result = result.and_then(|()| self.out.flush());
+            self.waiting = 0;
+        }
+        if let (Err(error), None) = (result, &self.failed) {
+            self.failed = Some(error);
+        }
+    }
+
+    fn write(&mut self, point: &TracePoint) -> io::Result<()> {
+        if self.failed.is_some() {
+            return Ok(());
+        }
+        write!(self.out, "{:.6}", point.at.as_micros() as f64 / 1e6)?;
+        point.axes.iter().chain(&point.position).try_for_each(|n| write!(self.out, ",{}", rounded(*n)))?;
+        writeln!(self.out, ",{},{}", point.tool, point.work)
+    }
+
+    fn end(&mut self) -> io::Result<()> {
+        match self.failed.take() {
+            Some(error) => Err(error),
+            None => self.out.flush(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use bcap_core::time::Instant;
+    use std::io::Cursor;
+
+    #[test]
+    fn a_point_is_a_line_of_numbers() {
+        let mut lines = Lines::new(Vec::new()).unwrap();
+        let axes = [0.1, -0.0, 90.0, 1e-9, 45.0, -30.123_456_7, 0.0, 0.0];
+        let position = [364.16, 0.0, 278.5355, 180.0, 0.0, -180.0];
+        lines.add(&TracePoint { at: Instant::from_micros(8_500), axes, position, tool: 1, work: 2 });
+        lines.end().unwrap();
+        let text = String::from_utf8(lines.out.into_inner().unwrap()).unwrap();
+        let line = "0.008500,0.1,0,90,0,45,-30.123457,0,0,364.16,0,278.5355,180,0,-180,1,2";
+        assert_eq!(text, format!("{HEAD}\n{line}\n"));
+    }
+
+    #[test]
+    fn a_point_is_a_message_with_its_time() {
+        let mut out = Cursor::new(Vec::new());
+        let mut points = Points::new(&mut out, 1_700_000_000_123).unwrap();
+        let axes = [0.1, -0.0, 90.0, 1e-9, 45.0, -30.123_456_7, 0.0, 0.0];
+        let position = [364.16, 0.0, 278.5355, 180.0, 0.0, -180.0];
+        points.add(&TracePoint { at: Instant::from_micros(8_500), axes, position, tool: 1, work: 2 });
+        points.end().unwrap();
+        drop(points);
+        let bytes = out.into_inner();
+        let messages: Vec<_> = mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap).collect();
+        let [message] = messages.as_slice() else { panic!("{} messages", messages.len()) };
+        assert_eq!((message.log_time, message.channel.topic.as_str()), (1_700_000_000_131_500_000, "/arm"));
+        let value: Value = serde_json::from_slice(&message.data).unwrap();
+        assert_eq!([&value["joints"]["J6"], &value["position"]["Z"]], [&json!(-30.123_457), &json!(278.5355)]);
+        assert_eq!([&value["tool"], &value["work"]], [&json!(1), &json!(2)]);
+        let schema = message.channel.schema.as_ref().unwrap();
+        let schema: Value = serde_json::from_slice(&schema.data).unwrap();
+        // the schema names each field of the message
+        for (part, fields) in value.as_object().unwrap() {
+            for field in fields.as_object().into_iter().flat_map(|fields| fields.keys()) {
+                assert_eq!(schema["properties"][part]["properties"][field]["type"], "number", "{part} {field}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_first_failure_is_told() {
+        struct Full;
+        impl Write for Full {
+            fn write(&mut self, _: &[u8]) -> io::Result<usize> {
+                Err(io::ErrorKind::StorageFull.into())
+            }
+            fn flush(&mut self) -> io::Result<()> {
+                Ok(())
+            }
+        }
+        let mut lines = Lines { out: BufWriter::new(Full), last: None, waiting: 0, failed: None };
+        for n in 0..300 {
+            let point =
+                TracePoint { at: Instant::from_millis(n), axes: [n as f64; 8], position: [0.0; 6], tool: 0, work: 0 };
+            lines.add(&point);
+        }
+        assert_eq!(lines.end().unwrap_err().kind(), io::ErrorKind::StorageFull);
+    }
+}

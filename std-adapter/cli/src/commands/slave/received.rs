@@ -1,0 +1,102 @@
+//! The replies of a stream, which are written to a CSV file after its end.
+
+use std::path::Path;
+
+use bcap_core::slave::{CURRENT_LEN, MoveReply, PoseType, ReceiveFormat, ReceivePose, TimeUnit};
+
+use crate::failure::Failure;
+
+/// The most numbers of a pose in a reply.
+const POSE_MAX: usize = 18;
+
+/// The most bytes of user IO in a reply.
+const USER_MAX: usize = 8;
+
+/// The replies. It never grows beyond its initial capacity, so recording does not allocate.
+pub(crate) struct Received {
+    format: ReceiveFormat,
+    replies: Vec<Reply>,
+}
+
+#[derive(Clone, Copy)]
+struct Reply {
+    at: f64,
+    time: i32,
+    pose: [f64; POSE_MAX],
+    mini: i32,
+    user: [u8; USER_MAX],
+    hand: i32,
+    current: [f64; CURRENT_LEN],
+}
+
+impl Received {
+    /// Makes room for this number of replies.
+    pub(crate) fn new(format: ReceiveFormat, room: usize) -> Self {
+        Self { format, replies: Vec::with_capacity(room) }
+    }
+
+    /// Records a reply that arrived at `at` seconds.
+    pub(crate) fn record(&mut self, at: f64, reply: &MoveReply<'_>) {
+        if self.replies.len() == self.replies.capacity() {
+            return;
+        }
+        let (mut pose, mut user) = ([0.0; POSE_MAX], [0; USER_MAX]);
+        pose.iter_mut().zip(reply.pose().iter()).for_each(|(slot, number)| *slot = number);
+        user.iter_mut().zip(reply.user_io().unwrap_or_default()).for_each(|(slot, byte)| *slot = *byte);
+        self.replies.push(Reply {
+            at,
+            time: reply.timestamp().map_or(0, |stamp| stamp.ticks),
+            pose,
+            mini: reply.mini_io().unwrap_or(0),
+            user,
+            hand: reply.hand_io().unwrap_or(0),
+            current: reply.current().unwrap_or_default(),
+        });
+    }
+
+    /// Writes the file.
+    pub(crate) fn write(&self, path: &Path) -> Result<(), Failure> {
+        let written = || -> csv::Result<()> {
+            let mut file = csv::Writer::from_path(path)?;
+            file.write_record(self.header())?;
+            for reply in &self.replies {
+                file.write_record(self.fields(reply))?;
+            }
+            Ok(file.flush()?)
+        };
+        written().map_err(|error| Failure::Input(format!("cannot write {}: {error}", path.display())))
+    }
+
+    fn header(&self) -> Vec<String> {
+        let Self { format, .. } = self;
+        let kinds: &[PoseType] = match format.pose {
+            ReceivePose::P => &[PoseType::P],
+            ReceivePose::J => &[PoseType::J],
+            ReceivePose::T => &[PoseType::T],
+            ReceivePose::PJ => &[PoseType::P, PoseType::J],
+            ReceivePose::TJ => &[PoseType::T, PoseType::J],
+        };
+        let mut names = vec!["t"];
+        names.extend(format.time.map(|unit| if unit == TimeUnit::Micros { "TIME_us" } else { "TIME_ms" }));
+        names.extend(kinds.iter().flat_map(|kind| kind.columns()));
+        names.extend(format.mini_io.then_some("MINI"));
+        names.extend(format.user_io.map(|_| "USER"));
+        names.extend(format.hand_io.then_some("HAND"));
+        let currents = (1..=CURRENT_LEN).filter(|_| format.current).map(|axis| format!("CURRENT{axis}"));
+        names.into_iter().map(str::to_owned).chain(currents).collect()
+    }
+
+    fn fields(&self, reply: &Reply) -> Vec<String> {
+        let Self { format, .. } = self;
+        let bits = |bits: i32| format!("{:#x}", bits.cast_unsigned());
+        let mut fields = vec![format!("{:.6}", reply.at)];
+        fields.extend(format.time.map(|_| reply.time.cast_unsigned().to_string()));
+        fields.extend(reply.pose.iter().take(format.pose.len()).map(f64::to_string));
+        fields.extend(format.mini_io.then(|| bits(reply.mini)));
+        // byte 0 has the first IO; `slave play` reads the number
+        fields.extend(format.user_io.map(|_| format!("{:#x}", u64::from_le_bytes(reply.user))));
+        fields.extend(format.hand_io.then(|| bits(reply.hand)));
+        fields.extend(reply.current.iter().filter(|_| format.current).map(f64::to_string));
+        fields
+    }
+}

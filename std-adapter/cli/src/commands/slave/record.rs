@@ -1,0 +1,115 @@
+//! `bcap slave record`: records the pose of the robot periodically, in a file that `bcap slave play` reads.
+
+use std::fs::File;
+use std::io;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use bcap_capture::value::describe;
+use bcap_core::bcap::FunctionId;
+use bcap_core::slave::PoseType;
+use bcap_std::ObjectPath;
+use indicatif::ProgressBar;
+
+use crate::commands::slave::args::Record;
+use crate::failure::Failure;
+use crate::interrupt::Interrupt;
+use crate::link::LinkArgs;
+use crate::output::{print_json, print_line};
+use crate::session::{Session, with_session};
+use crate::values::{Value, integer, text};
+
+/// Runs `bcap slave record`.
+pub(crate) fn record(args: &Record, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+    let kind = PoseType::from(args.pose);
+    let lines = with_session(link, |session| {
+        let interrupt = session.handle_signals()?;
+        let robot = session.object(&"robot".parse::<ObjectPath>()?)?;
+        // reads one pose first, so that an error does not overwrite an existing file
+        position(session, robot, kind)?;
+        let mut file = csv::Writer::from_path(&args.file).map_err(|error| cannot_write(&args.file, &error))?;
+        let header: Vec<&str> = ["t"].iter().chain(kind.columns()).copied().collect();
+        let recorded = match file.write_record(&header) {
+            Ok(()) => poses(session, robot, args, &mut file, &interrupt),
+            Err(error) => Err(cannot_write(&args.file, &error)),
+        };
+        // after an error too, the file keeps the recorded poses
+        file.flush().map_err(|error| cannot_write(&args.file, &error.into()))?;
+        // the time limit covers the end of the session, not the wait before it
+        session.restart_budget();
+        recorded
+    })?;
+    if json {
+        return Ok(print_json(&format!("{{\"poses\":{lines}}}"))?);
+    }
+    Ok(print_line(&format!("{lines} poses in {}", args.file.display()))?)
+}
+
+/// Records poses until the time is over or a signal arrives, and returns their number.
+fn poses(
+    session: &mut Session,
+    robot: i32,
+    args: &Record,
+    file: &mut csv::Writer<File>,
+    interrupt: &Interrupt,
+) -> Result<u32, Failure> {
+    let start = Instant::now();
+    let bar = ProgressBar::new_spinner();
+    let mut lines = 0_u32;
+    loop {
+        session.restart_budget();
+        let before = start.elapsed();
+        let numbers = position(session, robot, args.pose.into())?;
+        // the middle of the round trip
+        let at = (before + start.elapsed()).as_secs_f64() / 2.0;
+        write(file, at, &numbers).map_err(|error| cannot_write(&args.file, &error))?;
+        lines += 1;
+        if lines % 25 == 1 {
+            bar.set_message(format!("{lines} poses, {at:.1} s; Ctrl-C ends"));
+            bar.tick();
+        }
+        // relative to the start, so that a slow round does not delay the following ones
+        let next = Duration::from_secs_f64(f64::from(lines) / args.hz);
+        if args.seconds.is_some_and(|seconds| next.as_secs_f64() > seconds) {
+            break;
+        }
+        if interrupt.sleep(next.saturating_sub(start.elapsed())).is_err() {
+            break;
+        }
+    }
+    bar.finish_and_clear();
+    Ok(lines)
+}
+
+/// Reads the current pose of the robot.
+fn position(session: &mut Session, robot: i32, kind: PoseType) -> Result<Vec<f64>, Failure> {
+    let command = match kind {
+        PoseType::J => "CurJnt",
+        PoseType::P => "CurPos",
+        PoseType::T => "CurTrn",
+    };
+    let arguments = [integer(robot)?, text(command)?, Value::new(&())?];
+    let (code, value) = session.call_for_code(FunctionId::ROBOT_EXECUTE, &arguments)?;
+    if code.is_err() {
+        return Err(Failure::Refused { doing: command.into(), code });
+    }
+    let array = value.as_ref().and_then(|value| value.as_variant().as_array());
+    let numbers: Option<Vec<f64>> = array.map(|array| array.iter().filter_map(|number| number.as_f64()).collect());
+    numbers.filter(|numbers| numbers.len() == kind.len()).ok_or_else(|| Failure::Connection {
+        message: format!("{command}: the reply carries {} instead of {} numbers", describe(value.as_ref()), kind.len()),
+        hint: "check that the other end is a robot controller".into(),
+    })
+}
+
+fn write(file: &mut csv::Writer<File>, at: f64, numbers: &[f64]) -> csv::Result<()> {
+    let fields = std::iter::once(format!("{at:.6}")).chain(numbers.iter().map(f64::to_string));
+    file.write_record(fields)
+}
+
+fn cannot_write(path: &Path, error: &csv::Error) -> Failure {
+    let reason = match error.kind() {
+        csv::ErrorKind::Io(error) => error.to_string(),
+        _ => io::Error::other(error.to_string()).to_string(),
+    };
+    Failure::Input(format!("cannot write {}: {reason}", path.display()))
+}

@@ -1,0 +1,369 @@
+//! Runs one stream for `play` and `cosine`: opens the sessions, streams the poses, and writes the report.
+
+use std::sync::Arc;
+use std::time::Duration;
+use std::{fs, io, iter};
+
+use bcap_core::bcap::call::{self, RobotHandle};
+use bcap_core::hresult::HResult;
+use bcap_core::procedure::{Procedure, Provider, StepCause, give_arm, open_robot, prepare_robot, release_robot};
+use bcap_core::slave::{
+    AxisLimits, Cause, Config, Engine, Failure as NoReply, Fault, Format, Handles, PoseType, SendIo, Stats, StreamError,
+};
+use bcap_core::time::Instant;
+use bcap_std::blocking::{self, Transport as Wire};
+use bcap_std::slave::Realtime;
+use bcap_std::{Address, ConnectError, NetworkAddress, Options, Protocol, RunError};
+
+use super::player::{Course, Player};
+use super::progress::{Monitor, StreamStatus};
+use super::received::Received;
+use super::report::{Report, text};
+use crate::commands::slave::args::StreamArgs;
+use crate::failure::Failure;
+use crate::interrupt::Interrupt;
+use crate::link::LinkArgs;
+use crate::output::{note, print_block, print_json};
+use crate::session::connect::{failed, not_connected, unrecorded};
+use crate::session::traffic::taped;
+
+/// The attempts of a call over UDP and serial lines, which share the time limit.
+const LOSSY_ATTEMPTS: u8 = 5;
+
+/// The size of the buffer for slvMove, in bytes: a datagram.
+const MOVE_ROOM: usize = 512;
+
+/// The time limit for releasing the arm, the motor and the objects after the stream, even if the controller is silent.
+const END: Duration = Duration::from_secs(5);
+
+/// Streams a course and reports the result.
+pub(crate) fn stream(
+    course: Course,
+    format: Format,
+    args: &StreamArgs,
+    link: &LinkArgs,
+    json: bool,
+    interrupt: &Interrupt,
+) -> Result<(), Failure> {
+    let realtime = Realtime::default().fifo(args.fifo).lock_memory(args.lock_memory).core(args.core);
+    let target = link.target()?;
+    let mut options = Options::default().timeout(link.timeout());
+    for lossy in [&mut options.udp.timing, &mut options.serial.timing] {
+        lossy.attempts = LOSSY_ATTEMPTS;
+        lossy.attempt_timeout = (link.timeout() / u32::from(LOSSY_ATTEMPTS)).max(Duration::from_millis(1));
+    }
+    let job = Job { course, format, args, link, json, realtime, target: &target, interrupt };
+    match &target {
+        Address::Serial(line) => {
+            unrecorded(&target)?;
+            job.run(|| blocking::connect_serial(line, &options))
+        }
+        Address::Network(NetworkAddress { protocol: Protocol::Udp, host, port }) => {
+            job.run(|| blocking::connect_udp((host.as_str(), *port), &options).map(taped))
+        }
+        _ => {
+            let NetworkAddress { host, port, .. } = link.network_target()?;
+            job.run(|| blocking::connect_tcp((host.as_str(), port), &options).map(taped))
+        }
+    }
+}
+
+/// The parameters of a stream.
+struct Job<'a> {
+    course: Course,
+    format: Format,
+    args: &'a StreamArgs,
+    link: &'a LinkArgs,
+    json: bool,
+    realtime: Realtime,
+    target: &'a Address,
+    interrupt: &'a Interrupt,
+}
+
+impl Job<'_> {
+    fn run<X: Wire<Error = io::Error>>(
+        self,
+        connect: impl Fn() -> Result<blocking::Connection<X, Vec<u8>>, ConnectError>,
+    ) -> Result<(), Failure> {
+        let connect = || {
+            let (transport, client) = connect().map_err(|error| not_connected(&error, self.target))?.into_parts();
+            Ok::<_, Failure>(blocking::Connection::new(Limited { transport, end: None }, client))
+        };
+        let mut motion = connect()?;
+        // a serial line carries one session
+        let has_second = !matches!(self.target, Address::Serial(_));
+        let mut watch = has_second.then(&connect).transpose()?;
+        let provider = Provider {
+            machine: self.link.machine(),
+            option: self.link.option(),
+            ..Provider::new(self.link.provider())
+        };
+        let opened = |error: RunError| self.not_opened(&error);
+        let handles = motion.run(open_robot(provider, None)).map_err(opened)?;
+        let watching = watch.as_mut().map(|watch| watch.run(open_robot(provider, None)));
+        let watching = watching.transpose().map_err(opened)?;
+        let config = self.config(handles, watching);
+        // a motor that was on before stays on
+        let stays_on = self.args.keep_motor || motor_is_on(&mut motion, handles.robot);
+        let mut engine = Engine::<MOVE_ROOM>::new(config).map_err(|error| Failure::Input(error.to_string()))?;
+        let Self { course, format, args, json, target, .. } = self;
+        let monitor = Monitor::start(self.link, self.interrupt.clone(), course.cycles())?;
+        // after all other threads have started, so that they do not inherit the real-time settings
+        self.realtime.apply().map_err(|error| Failure::Input(error.to_string()))?;
+        let room = |wanted: bool| if wanted { course.cycles() as usize + 500 } else { 0 };
+        let received = Received::new(format.receive, room(args.format.received.is_some()));
+        let user_bytes = match format.send.io {
+            SendIo::User(range) => range.bytes().into(),
+            SendIo::None | SendIo::Mini => 0,
+        };
+        let (kind, samples) = (format.mode.pose, room(args.plot.is_some()));
+        let status = Arc::clone(&monitor.status);
+        let mut player = Player::new(course, Arc::clone(&status), kind, &args.format, user_bytes, samples, received);
+        let ended = run_watched(&mut motion, watch.as_mut(), engine.stream(&mut player)).map_err(|error| error.error);
+        for connection in iter::once(&mut motion).chain(watch.as_mut()) {
+            connection.transport().end_within(END);
+        }
+        let fault = engine.fault().cloned();
+        if fault.is_some() {
+            // the fault is reported below; a failure to release the arm adds no information
+            let _ = run_watched(&mut motion, watch.as_mut(), engine.give_up());
+        }
+        monitor.end();
+        let stats = engine.stats().clone();
+        player.times.follow(&stats);
+        if !stays_on {
+            motor_off(&mut motion, handles.robot);
+        }
+        let _ = motion.run(release_robot(handles));
+        if let Some((watch, handles)) = watch.as_mut().zip(watching) {
+            let _ = watch.run(release_robot(handles));
+        }
+        let job = Outcome { args, json, target };
+        let reported = job.report(&stats, kind, &player);
+        job.end(ended, fault.as_ref(), &status)?;
+        reported
+    }
+
+    fn config(&self, motion: Handles, watch: Option<Handles>) -> Config {
+        Config { watch, start: self.course.start(), limits: limits(self.args), ..Config::new(self.format, motion) }
+    }
+
+    /// Converts the error of opening a session.
+    fn not_opened(&self, error: &RunError) -> Failure {
+        let doing = error.error.function.to_string();
+        match (error.error.cause, &error.call) {
+            (StepCause::Refused(code), _) => Failure::Refused { doing, code },
+            (_, Some(call)) => failed(call, self.target, self.link.timeout(), &doing),
+            (cause, None) => Failure::Connection {
+                message: format!("{doing}: {cause}"),
+                hint: format!("check that {} is a b-CAP server", self.target),
+            },
+        }
+    }
+}
+
+/// A transport that fails from a point of time on.
+struct Limited<X> {
+    transport: X,
+    end: Option<Instant>,
+}
+
+impl<X: Wire<Error = io::Error>> Limited<X> {
+    fn end_within(&mut self, time: Duration) {
+        self.end = Some(self.transport.now() + time);
+    }
+
+    /// Returns the earlier of `until` and the end.
+    fn limited(&self, until: Instant) -> io::Result<Instant> {
+        match self.end {
+            Some(end) if end <= self.transport.now() => Err(io::ErrorKind::TimedOut.into()),
+            end => Ok(end.map_or(until, |end| end.min(until))),
+        }
+    }
+}
+
+impl<X: Wire<Error = io::Error>> Wire for Limited<X> {
+    type Error = io::Error;
+
+    fn now(&self) -> Instant {
+        self.transport.now()
+    }
+
+    fn send(&mut self, bytes: &[u8], until: Instant) -> io::Result<Option<usize>> {
+        let until = self.limited(until)?;
+        self.transport.send(bytes, until)
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], until: Instant) -> io::Result<Option<usize>> {
+        let until = self.limited(until)?;
+        self.transport.receive(buffer, until)
+    }
+
+    fn sleep_until(&mut self, at: Instant) {
+        self.transport.sleep_until(self.end.map_or(at, |end| end.min(at)));
+    }
+}
+
+/// Returns the limits of the command line.
+pub(super) fn limits(args: &StreamArgs) -> AxisLimits {
+    let limit = |limit: Option<f64>| limit.unwrap_or(f64::INFINITY);
+    AxisLimits::uniform(limit(args.max_speed), limit(args.max_acceleration))
+}
+
+/// Switches the motor off that the stream has switched on. The stream has given the arm back, so it is taken again; a controller
+/// with an error refuses that, and its motor is switched off without the arm. The motor of another client stays on.
+fn motor_off<X: Wire<Error = io::Error>>(motion: &mut blocking::Connection<X, Vec<u8>>, robot: RobotHandle) {
+    // Keep 1: the speed, the tool and the work stay
+    let taken = motion.run(prepare_robot(robot, [0, 1], false)).map_err(|error| error.error);
+    let is_others = taken.is_err_and(|error| error.hresult() == Some(HResult::E_ARM_NOT_TAKEN));
+    let mut ended = Err("another client owns the arm".to_owned());
+    if !is_others {
+        let off = motion.call(call::robot_execute(robot, "Motor", [0, 0]));
+        ended = off.map(drop).map_err(|error| error.to_string());
+    }
+    if taken.is_ok() {
+        ended = ended.and(motion.run(give_arm(robot)).map_err(|error| error.error.to_string()));
+    }
+    if let Err(error) = ended {
+        note(&format!("the motor may still be on: {error}; `bcap get robot/@SERVO_ON` tells"));
+    }
+}
+
+/// Returns whether the motor is on, if the controller tells.
+fn motor_is_on<X: Wire<Error = io::Error>>(motion: &mut blocking::Connection<X, Vec<u8>>, robot: RobotHandle) -> bool {
+    let Ok(variable) = motion.call(call::robot_get_variable(robot, "@SERVO_ON", "")) else { return false };
+    let is_on = motion.call(call::variable_get_value(variable)).is_ok_and(|value| value.as_bool() == Some(true));
+    // a variable that cannot be released is released with the session
+    let _ = motion.call(call::variable_release(variable));
+    is_on
+}
+
+/// Runs a procedure with a second connection, if there is one.
+fn run_watched<X: Wire<Error = io::Error>, P: Procedure>(
+    motion: &mut blocking::Connection<X, Vec<u8>>,
+    watch: Option<&mut blocking::Connection<X, Vec<u8>>>,
+    procedure: P,
+) -> Result<P::Output, RunError<P::Error>> {
+    match watch {
+        Some(watch) => motion.run_watched(watch, procedure),
+        None => motion.run(procedure),
+    }
+}
+
+/// Reports a stream that has ended.
+struct Outcome<'a> {
+    args: &'a StreamArgs,
+    json: bool,
+    target: &'a Address,
+}
+
+impl Outcome<'_> {
+    fn report(&self, stats: &Stats, kind: PoseType, player: &Player) -> Result<(), Failure> {
+        let report = Report::of(stats, &player.times).to_json();
+        if let Some(path) = &self.args.report {
+            fs::write(path, format!("{report}\n"))
+                .map_err(|error| Failure::Input(format!("cannot write the report {}: {error}", path.display())))?;
+        }
+        if let Some(path) = &self.args.format.received {
+            player.received.write(path)?;
+        }
+        if let Some(path) = self.args.plot.as_ref().filter(|_| stats.cycles > 1) {
+            super::plot::plot(path, kind, &player.samples)?;
+        }
+        if self.json {
+            print_json(&report)?;
+        } else if stats.cycles > 0 {
+            print_block(&text(stats, &player.times))?;
+        }
+        Ok(())
+    }
+
+    fn end(&self, ended: Result<(), StreamError>, fault: Option<&Fault>, status: &StreamStatus) -> Result<(), Failure> {
+        match (ended, fault) {
+            _ if status.was_halted() => Err(Failure::Interrupted("interrupted twice: the robot was halted".into())),
+            (Ok(()), _) if status.is_stopped() => {
+                Err(Failure::Interrupted("interrupted: the robot has stopped and the arm is released".into()))
+            }
+            (Ok(()), _) => Ok(()),
+            (Err(StreamError::Fault { .. }), Some(fault)) => Err(self.fault(fault)),
+            (Err(error), _) => Err(Failure::Input(format!("{error}; the robot was stopped and the arm released"))),
+        }
+    }
+
+    /// Converts a fault of the stream.
+    fn fault(&self, fault: &Fault) -> Failure {
+        let mut message = fault.to_string();
+        if let Some(meaning) = fault.code().and_then(HResult::meaning).filter(|_| fault.errors().is_empty()) {
+            message += &format!(": {}", meaning.trim_end_matches('.'));
+        }
+        if fault.emergency_stop == Some(true) {
+            message += "; the emergency stop is pressed";
+        }
+        match fault.cause {
+            Cause::Failed(NoReply::Timeout) => Failure::Timeout {
+                message: format!("{}: {message}", self.target),
+                hint: "check the network and the controller with `bcap doctor`".into(),
+            },
+            Cause::Failed(_) => Failure::Connection {
+                message: format!("{}: {message}", self.target),
+                hint: "check the network and the controller with `bcap doctor`".into(),
+            },
+            Cause::NotAtStart { .. } => Failure::Unfit {
+                message,
+                code: None,
+                hint: Some(
+                    match self.target {
+                        Address::Serial(_) => {
+                            "move the robot to the first pose before the stream, for example with `bcap move`"
+                        }
+                        _ => "give --approach to move the robot to the first pose before the stream",
+                    }
+                    .into(),
+                ),
+            },
+            _ => Failure::Unfit { message, code: fault.code(), hint: None },
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A silent controller: every wait lasts as long as it may.
+    struct Silent(Instant);
+
+    impl Wire for Silent {
+        type Error = io::Error;
+
+        fn now(&self) -> Instant {
+            self.0
+        }
+
+        fn send(&mut self, bytes: &[u8], _until: Instant) -> io::Result<Option<usize>> {
+            Ok(Some(bytes.len()))
+        }
+
+        fn receive(&mut self, _buffer: &mut [u8], until: Instant) -> io::Result<Option<usize>> {
+            self.0 = self.0.max(until);
+            Ok(None)
+        }
+
+        fn sleep_until(&mut self, at: Instant) {
+            self.0 = self.0.max(at);
+        }
+    }
+
+    #[test]
+    fn all_calls_after_the_stream_share_one_time_limit() {
+        let client = bcap_core::bcap::Client::new(Options::default().tcp, vec![0; 512], vec![0; 512]);
+        let transport = Limited { transport: Silent(Instant::ZERO), end: None };
+        let mut connection = blocking::Connection::new(transport, client);
+        connection.transport().end_within(END);
+        for _ in 0..10 {
+            connection.call(call::robot_execute(RobotHandle(1), "Motor", [0, 0])).unwrap_err();
+            connection.transport().sleep_until(Instant::ZERO + END * 2);
+        }
+        assert_eq!(connection.transport().now(), Instant::ZERO + END);
+    }
+}

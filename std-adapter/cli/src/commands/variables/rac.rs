@@ -1,0 +1,210 @@
+//! `bcap rac`: variables over RAC, the text protocol.
+
+use std::net::SocketAddr;
+
+use bcap_capture::trace::{Traced, Wire};
+use bcap_core::rac::client::{ClientError, Config};
+use bcap_core::rac::{MAX_VALUE, Variable, VariableKind};
+use bcap_std::blocking::{self, RacConnection};
+use bcap_std::{Address, Options, RacError};
+use clap::{Args, Subcommand};
+
+use crate::commands::variables::get::{Get, print_each};
+use crate::failure::Failure;
+use crate::link::LinkArgs;
+use crate::output::print;
+use crate::session::budget::Budget;
+use crate::session::connect::{broken, connect, exhausted};
+use crate::session::selection::{Selection, expand_offline};
+use crate::session::traffic::{TapedTcp, packets, taped_rac};
+use crate::values::json_line::shown;
+use crate::values::{Value, data};
+
+/// Reads and writes variables over RAC, the text protocol
+///
+/// NAME is one of I F D V P J T S IO with a number: I1, P10, IO128. --robot is HOST[:PORT] here, with the default port 5006.
+/// If the environment variable BCAP_ROBOT names a protocol, such as tcp:HOST:PORT, only its host is used.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap rac --robot 192.168.0.1 get I1 P10
+  bcap rac --robot 192.168.0.1:5006 put S1 'hello, world'")]
+pub(crate) struct Rac {
+    #[command(subcommand)]
+    pub(crate) command: RacCommand,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum RacCommand {
+    /// Reads variables
+    Get(Get),
+    /// Writes a variable
+    Put(RacPut),
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct RacPut {
+    /// The variable
+    pub(crate) name: String,
+
+    /// The value
+    #[arg(allow_hyphen_values = true)]
+    pub(crate) value: String,
+
+    /// Reads VALUE as TYPE,DATA, also of another type than the variable's
+    #[arg(long)]
+    pub(crate) typed: bool,
+}
+
+/// Runs `bcap rac get` or `bcap rac put`.
+pub(crate) fn rac(args: &Rac, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+    match &args.command {
+        RacCommand::Get(args) => get(args, link, json),
+        RacCommand::Put(args) => put(args, link, json),
+    }
+}
+
+/// Checks the arguments before the first call.
+pub(crate) fn check(args: &Rac) -> Result<(), Failure> {
+    match &args.command {
+        RacCommand::Get(args) => Selection::parse_each(&args.names).map(drop),
+        RacCommand::Put(args) => value_of(args).map(drop),
+    }
+}
+
+fn get(args: &Get, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+    let names = expand_offline(&Selection::parse_each(&args.names)?)?;
+    let variables = names.iter().map(|name| variable(name)).collect::<Result<Vec<_>, _>>()?;
+    let mut robot = RacLink::open(link)?;
+    print_each(&names, &variables, json, |variable| robot.get(*variable))
+}
+
+fn put(args: &RacPut, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+    let (variable, value) = value_of(args)?;
+    RacLink::open(link)?.put(variable, &value)?;
+    Ok(print(&shown(&args.name, &value, json), json)?)
+}
+
+/// Returns the variable and the value to write.
+fn value_of(args: &RacPut) -> Result<(Variable, Value), Failure> {
+    let variable = variable(&args.name)?;
+    let value = if args.typed {
+        data::from_typed_input(&args.value)
+    } else {
+        data::to_write(&args.value, model(variable.kind)?.as_variant())
+    };
+    Ok((variable, value.map_err(Failure::Input)?))
+}
+
+/// Parses `I10` or `I[10]`.
+fn variable(name: &str) -> Result<Variable, Failure> {
+    name.parse().map_err(|_| {
+        Failure::Input(format!(
+            "{name}: RAC reads and writes I F D V P J T S IO with a number, such as I10 or IO128; use `bcap get` and \
+             `bcap put` for other variables"
+        ))
+    })
+}
+
+/// Returns an example value of a variable kind, which has a fixed type and number of elements.
+fn model(kind: VariableKind) -> Result<Value, Failure> {
+    Ok(match kind {
+        VariableKind::I => Value::new(&0_i32),
+        VariableKind::F => Value::new(&0_f32),
+        VariableKind::D => Value::new(&0_f64),
+        VariableKind::S => Value::new(""),
+        VariableKind::Io => Value::new(&false),
+        VariableKind::V | VariableKind::P | VariableKind::J | VariableKind::T => {
+            Value::new(vec![0_f32; kind.elements()].as_slice())
+        }
+    }?)
+}
+
+/// A RAC connection that reports errors as a [`Failure`].
+struct RacLink {
+    client: RacConnection<Traced<TapedTcp>, [u8; MAX_VALUE]>,
+    target: Address,
+    budget: Budget,
+}
+
+impl RacLink {
+    fn open(link: &LinkArgs) -> Result<Self, Failure> {
+        let (target, budget) = (link.rac_target()?, Budget::start(link));
+        let connect_rac = |peer: &[SocketAddr], options: &Options| blocking::connect_rac(peer, options).map(taped_rac);
+        let (transport, client) = connect(&target, &budget, connect_rac)?.into_parts();
+        let client = RacConnection::new(packets(link.trace).tap(transport, Wire::Lines), client);
+        let target = Address::Network(target);
+        Ok(Self { client, target, budget })
+    }
+
+    /// Sets the timeout of the next request from the remaining time.
+    fn prepare(&mut self, request: &str) -> Result<(), Failure> {
+        let timeout = self.budget.share(1);
+        if self.budget.is_exhausted() {
+            return Err(exhausted(&self.target, &self.budget, request));
+        }
+        self.client.client().set_config(Config { timeout });
+        Ok(())
+    }
+
+    fn get(&mut self, variable: Variable) -> Result<Value, Failure> {
+        let request = format!("GET {variable}");
+        self.prepare(&request)?;
+        let Self { client, target, budget } = self;
+        let value = client.get(variable).map_err(|error| failed(error, &request, target, budget))?;
+        Ok(Value::new(&value)?)
+    }
+
+    fn put(&mut self, variable: Variable, value: &Value) -> Result<(), Failure> {
+        let request = format!("PUT {variable}");
+        self.prepare(&request)?;
+        let Self { client, target, budget } = self;
+        client.put(variable, value.as_variant()).map_err(|error| failed(error, &request, target, budget))
+    }
+}
+
+/// Converts the error of a request.
+fn failed(error: RacError, what: &str, target: &Address, budget: &Budget) -> Failure {
+    match error {
+        RacError::Refused(code) => Failure::Refused { doing: what.to_owned(), code },
+        RacError::Io(error) => broken(&error, target),
+        RacError::Disconnected => Failure::Connection {
+            message: format!("{target} closed the connection during {what}"),
+            hint: "the controller may have reached its limit of connections; close others or try again".into(),
+        },
+        RacError::Client(ClientError::Request(error)) => Failure::Input(format!("{what}: {error}")),
+        RacError::Client(ClientError::Timeout(_)) if budget.total().is_some() => exhausted(target, budget, what),
+        RacError::Client(ClientError::Timeout(_)) => Failure::Timeout {
+            message: format!("{target} did not answer {what} within {} ms", budget.answer().as_millis()),
+            hint: "check that the RAC server uses this port, or allow more time with --timeout".into(),
+        },
+        error => Failure::Connection {
+            message: format!("{what}: {error}"),
+            hint: format!("check that {target} is a RAC server"),
+        },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn variable_names_are_parsed() {
+        for (name, kind, index) in
+            [("I1", VariableKind::I, 1), ("io128", VariableKind::Io, 128), ("P[10]", VariableKind::P, 10)]
+        {
+            assert_eq!(variable(name).unwrap(), Variable { kind, index }, "{name}");
+        }
+        for name in ["", "I", "1", "X1", "I-1", "I+1", "I[1", "I 1", "@MODE", "I99999999999"] {
+            assert!(variable(name).is_err(), "{name}");
+        }
+    }
+
+    #[test]
+    fn example_values_fit_their_variables() {
+        for kind in VariableKind::ALL {
+            assert!(kind.fits(&model(kind).unwrap().as_variant()), "{kind}");
+        }
+    }
+}

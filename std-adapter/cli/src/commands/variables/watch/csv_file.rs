@@ -1,0 +1,72 @@
+//! The table of `bcap watch --csv`: a row for each round.
+
+use std::fs::File;
+use std::io::{self, Write};
+use std::path::Path;
+use std::time::Duration;
+
+use bcap_core::variant::Variant;
+
+use crate::failure::Failure;
+use crate::local_files;
+use crate::values::{Value, data};
+
+/// A table under way; the first row decides its columns.
+pub(crate) struct Table {
+    writer: csv::Writer<Box<dyn Write>>,
+    /// The number of cells of each variable.
+    widths: Vec<usize>,
+}
+
+impl Table {
+    /// Makes the file, or uses the standard output for `-`.
+    pub(crate) fn create(path: &Path) -> Result<Self, Failure> {
+        let out: Box<dyn Write> = if path == Path::new("-") {
+            Box::new(io::stdout())
+        } else {
+            Box::new(File::create(path).map_err(local_files::failed(path))?)
+        };
+        Ok(Self { writer: csv::Writer::from_writer(out), widths: Vec::new() })
+    }
+
+    /// Adds a row.
+    pub(crate) fn push<'a>(
+        &mut self,
+        time: Duration,
+        names: &[String],
+        values: impl Iterator<Item = &'a Value>,
+    ) -> Result<(), Failure> {
+        let (mut header, mut row) = (vec!["t".to_owned()], vec![format!("{:.6}", time.as_secs_f64())]);
+        let mut widths = Vec::new();
+        for (name, value) in names.iter().zip(values) {
+            let before = row.len();
+            match value.as_variant() {
+                Variant::Array(array) => {
+                    header.extend((1..=array.len()).map(|element| format!("{name}.{element}")));
+                    row.extend(array.iter().map(data::to_plain));
+                }
+                scalar => {
+                    header.push(name.clone());
+                    row.push(data::to_plain(scalar));
+                }
+            }
+            widths.push(row.len() - before);
+        }
+        if self.widths.is_empty() {
+            self.write(&header)?;
+            self.widths.clone_from(&widths);
+        }
+        let lengths = widths.iter().zip(&self.widths);
+        if let Some((name, (now, then))) = names.iter().zip(lengths).find(|(_, (now, then))| now != then) {
+            return Err(Failure::Input(format!(
+                "{name} has {now} values now and had {then} in the first row, so the table ends here"
+            )));
+        }
+        self.write(&row)
+    }
+
+    fn write(&mut self, row: &[String]) -> Result<(), Failure> {
+        self.writer.write_record(row).map_err(|error| Failure::Stdio(io::Error::from(error)))?;
+        Ok(self.writer.flush()?)
+    }
+}

@@ -1,0 +1,211 @@
+//! Profiles: the connection to a controller under a name, in `~/.config/bcap/config.toml`.
+//!
+//! ```toml
+//! [profile.cell1]
+//! address = "tcp:192.168.0.1"
+//! model = "rc9"                # rc8, rc9 or cobotta; or provider = "CaoProv.DENSO.VRC9"
+//! machine = "localhost"         # the machine and the option of Controller_Connect
+//! option = ""
+//! rac_port = 5006
+//! timeout = "3s"
+//! ```
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+use std::{env, fs, io};
+
+use bcap_capture::duration;
+use bcap_std::Model;
+use serde::Deserialize;
+
+use crate::failure::Failure;
+use crate::link::address;
+
+/// The connection to a controller.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Profile {
+    address: Option<Address>,
+    provider: Option<Provider>,
+    model: Option<ModelName>,
+    pub(crate) machine: Option<String>,
+    pub(crate) option: Option<String>,
+    pub(crate) rac_port: Option<u16>,
+    timeout: Option<Timeout>,
+}
+
+impl Profile {
+    /// Returns the address as it is written.
+    pub(crate) fn address(&self) -> Option<&str> {
+        self.address.as_ref().map(|address| address.0.as_str())
+    }
+
+    /// Returns the provider, or else the provider of the model.
+    pub(crate) fn provider(&self) -> Option<&str> {
+        let own = self.provider.as_ref().map(|provider| provider.0.as_str());
+        own.or_else(|| self.model.map(|model| model.0.provider()))
+    }
+
+    pub(crate) fn timeout(&self) -> Option<Duration> {
+        self.timeout.map(|timeout| timeout.0)
+    }
+}
+
+/// The checked address of a controller.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(try_from = "String")]
+struct Address(String);
+
+impl TryFrom<String> for Address {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        address::bcap(Some(&text), None).map_err(|failure| failure.to_string())?;
+        Ok(Self(text))
+    }
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(try_from = "String")]
+struct Provider(String);
+
+impl TryFrom<String> for Provider {
+    type Error = String;
+
+    fn try_from(name: String) -> Result<Self, String> {
+        if name.is_empty() {
+            Err("the provider is empty; leave it out, or write its name".into())
+        } else {
+            Ok(Self(name))
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(try_from = "String")]
+struct ModelName(Model);
+
+impl TryFrom<String> for ModelName {
+    type Error = String;
+
+    fn try_from(name: String) -> Result<Self, String> {
+        match name.to_ascii_lowercase().as_str() {
+            "rc8" => Ok(Self(Model::Rc8)),
+            "rc9" => Ok(Self(Model::Rc9)),
+            "cobotta" => Ok(Self(Model::Cobotta)),
+            _ => Err(format!("{name}: the model is unknown; write rc8, rc9 or cobotta")),
+        }
+    }
+}
+
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(try_from = "String")]
+struct Timeout(Duration);
+
+impl TryFrom<String> for Timeout {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        duration::parse(&text).map(Self).map_err(|error| format!("{text}: {error}"))
+    }
+}
+
+/// All profiles of the file.
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Content {
+    #[serde(default)]
+    profile: BTreeMap<String, Profile>,
+}
+
+/// The file with the profiles.
+#[derive(Debug)]
+pub(crate) struct Profiles {
+    pub(crate) path: PathBuf,
+    pub(crate) by_name: BTreeMap<String, Profile>,
+}
+
+impl Profiles {
+    /// Reads the file; without a file there are no profiles.
+    pub(crate) fn read() -> Result<Self, Failure> {
+        let path = path()
+            .ok_or_else(|| Failure::Input("the folder of settings is not known: set XDG_CONFIG_HOME or HOME".into()))?;
+        let by_name = match fs::read_to_string(&path) {
+            Ok(text) => parse(&text, &path)?,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => BTreeMap::new(),
+            Err(error) => return Err(Failure::Input(format!("cannot read {}: {error}", path.display()))),
+        };
+        Ok(Self { path, by_name })
+    }
+
+    /// Returns a profile.
+    pub(crate) fn find(&self, name: &str) -> Result<&Profile, Failure> {
+        self.by_name.get(name).ok_or_else(|| {
+            let path = self.path.display();
+            let names: Vec<&str> = self.by_name.keys().map(String::as_str).collect();
+            Failure::Input(match names.as_slice() {
+                [] => {
+                    format!("the profile {name} does not exist: {path} has no profiles; write [profile.{name}] there")
+                }
+                names => format!("the profile {name} does not exist; {path} has {}", names.join(", ")),
+            })
+        })
+    }
+}
+
+/// Returns the file, `$XDG_CONFIG_HOME/bcap/config.toml` or `~/.config/bcap/config.toml`.
+fn path() -> Option<PathBuf> {
+    let folder = |name: &str| env::var_os(name).filter(|folder| !folder.is_empty()).map(PathBuf::from);
+    let folder = folder("XDG_CONFIG_HOME")
+        .or_else(|| folder("HOME").map(|home| home.join(".config")))
+        .or_else(|| folder("APPDATA"));
+    Some(folder?.join("bcap").join("config.toml"))
+}
+
+/// Parses the file. An error begins with the file and the line.
+fn parse(text: &str, path: &Path) -> Result<BTreeMap<String, Profile>, Failure> {
+    let wrong = |at: usize, what: &str| {
+        let line = text.get(..at).map_or(1, |before| before.matches('\n').count() + 1);
+        Failure::Input(format!("{}, line {line}: {what}", path.display()))
+    };
+    let content: Content =
+        toml::from_str(text).map_err(|error| wrong(error.span().map_or(0, |span| span.start), error.message()))?;
+    for (name, profile) in &content.profile {
+        if profile.model.is_some() && profile.provider.is_some() {
+            let at = text.find(&format!("[profile.{name}]")).unwrap_or_default();
+            return Err(wrong(at, &format!("the profile {name} has a model and a provider; leave one out")));
+        }
+    }
+    Ok(content.profile)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_wrong_file_is_named_with_the_line() {
+        for (text, expected) in [
+            ("[profile.a]\naddress = \"http://x\"", "config.toml, line 2: http://x: write tcp:HOST"),
+            ("[profile.a]\n\nadress = \"x\"", "config.toml, line 3: unknown field `adress`"),
+            ("[profile.a]\nmodel = \"rc7\"", "config.toml, line 2: rc7: the model is unknown"),
+            ("[profile.a]\nrac_port = 70000", "config.toml, line 2: "),
+            ("[profile.a]\ntimeout = \"3h\"", "config.toml, line 2: 3h: write a time"),
+            ("\n[profile.a\n", "config.toml, line 2: "),
+            ("\n[profile.a]\nmodel = \"rc8\"\nprovider = \"x\"", "config.toml, line 2: the profile a has a model and"),
+        ] {
+            let Err(Failure::Input(message)) = parse(text, Path::new("config.toml")) else { panic!("{text}") };
+            assert!(message.starts_with(expected), "{message}");
+        }
+    }
+
+    #[test]
+    fn a_profile_has_the_provider_of_its_model() {
+        let profiles =
+            parse("[profile.a]\nmodel = \"RC9\"\ntimeout = \"2s\"\n[profile.b]\nprovider = \"x\"", Path::new(""));
+        let profiles = profiles.unwrap();
+        assert_eq!(profiles["a"].provider(), Some("CaoProv.DENSO.VRC9"));
+        assert_eq!((profiles["a"].timeout(), profiles["b"].provider()), (Some(Duration::from_secs(2)), Some("x")));
+    }
+}

@@ -1,0 +1,125 @@
+//! Asks the user before the command moves a robot, or changes what cannot be restored.
+//!
+//! A virtual controller is changed without a question. It is one only if it says so twice, with the maker name of the simulator
+//! and the serial number that no real controller has. Any other answer means a real controller.
+
+use std::io::{self, BufRead, IsTerminal, Write};
+use std::time::Duration;
+
+use bcap_core::variant::OwnedVariant;
+use bcap_terminal::escape;
+
+use crate::failure::Failure;
+use crate::interrupt::Interrupt;
+use crate::session::Session;
+
+/// The variables that identify a virtual controller, with their values.
+const VIRTUAL: [(&str, &str); 2] = [("@MAKER_NAME", "bcap-sim"), ("@SERIAL_NO", "VIRTUAL")];
+
+/// How often a question looks for a signal.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// A question to the user.
+pub(crate) struct Question<'a> {
+    /// The change that the command is about to make.
+    pub(crate) what: &'a str,
+    /// A warning to the user.
+    pub(crate) warning: &'a str,
+    /// The outcome after a refusal.
+    pub(crate) refused: &'a str,
+}
+
+impl Question<'_> {
+    /// Returns if the user has given `--yes`, if the controller is virtual, or if the user agrees.
+    ///
+    /// # Errors
+    ///
+    /// [`Failure::Input`] if the user does not agree or cannot be asked, [`Failure::Interrupted`] after a signal, and the
+    /// failure of a lost connection.
+    pub(crate) fn confirm(&self, session: &mut Session, yes: bool) -> Result<(), Failure> {
+        if yes {
+            return Ok(());
+        }
+        // the user may think for hours: only a session that was open before stays open meanwhile, and a lost one stays lost
+        let is_own = !session.is_open() && !session.is_lost();
+        let is_virtual = is_virtual(session);
+        if is_own {
+            session.close();
+        }
+        if is_virtual? {
+            return Ok(());
+        }
+        let answered = self.ask();
+        session.restart_budget();
+        answered
+    }
+
+    fn ask(&self) -> Result<(), Failure> {
+        let Self { what, warning, refused } = self;
+        let input = io::stdin();
+        if !input.is_terminal() {
+            return Err(Failure::Input(format!(
+                "{what}: cannot ask for confirmation, as stdin is not a terminal; give --yes"
+            )));
+        }
+        let mut err = anstream::stderr().lock();
+        write!(err, "{}. {warning} Continue? [y/N] ", escape::line(what))?;
+        err.flush()?;
+        drop(err);
+        wait_for_line(refused)?;
+        let mut line = String::new();
+        input.lock().read_line(&mut line)?;
+        match line.trim().to_ascii_lowercase().as_str() {
+            "y" | "yes" => Ok(()),
+            _ => Err(Failure::Input(format!("not confirmed: {refused}"))),
+        }
+    }
+}
+
+/// Waits for a line of the terminal; a signal ends that with an error.
+fn wait_for_line(refused: &str) -> Result<(), Failure> {
+    loop {
+        if Interrupt::of_process().is_some_and(|interrupt| interrupt.is_interrupted()) {
+            // after the question
+            anstream::eprintln!();
+            return Err(Failure::Interrupted(format!("interrupted: {refused}")));
+        }
+        if has_line()? {
+            return Ok(());
+        }
+    }
+}
+
+/// Returns whether the terminal has a line, at the latest after a moment.
+#[cfg(unix)]
+fn has_line() -> io::Result<bool> {
+    use rustix::event::{PollFd, PollFlags, Timespec, poll};
+    let stdin = io::stdin();
+    let mut input = [PollFd::new(&stdin, PollFlags::IN)];
+    let time = Timespec { tv_sec: 0, tv_nsec: LOOK.subsec_nanos().into() };
+    match poll(&mut input, Some(&time)) {
+        Ok(ready) => Ok(ready > 0),
+        Err(rustix::io::Errno::INTR) => Ok(false),
+        Err(error) => Err(error.into()),
+    }
+}
+
+/// Reading the line waits for it.
+#[cfg(not(unix))]
+fn has_line() -> io::Result<bool> {
+    Ok(true)
+}
+
+/// Returns whether the controller says beyond doubt that it is a virtual one.
+fn is_virtual(session: &mut Session) -> Result<bool, Failure> {
+    for (name, expected) in VIRTUAL {
+        let value = session.with(|controller| controller.read::<OwnedVariant>(name));
+        let is_expected = |value: &OwnedVariant| value.as_variant().as_bstr().is_some_and(|text| text == *expected);
+        match value {
+            Ok(value) if is_expected(&value) => {}
+            Err(failure) if !failure.leaves_the_session_alive() => return Err(failure),
+            Ok(_) | Err(_) => return Ok(false),
+        }
+    }
+    Ok(true)
+}

@@ -1,0 +1,437 @@
+//! A session with a controller within the time limits of the command line.
+//!
+//! Controller_Connect is called when a command first needs the controller. At the end of the session, even after a
+//! refusal, all objects are released in reverse order. After a call without a reply nothing is sent.
+
+pub(crate) mod budget;
+pub(crate) mod confirm;
+pub(crate) mod connect;
+pub(crate) mod remote_files;
+pub(crate) mod selection;
+pub(crate) mod slave_mode;
+pub(crate) mod traffic;
+pub(crate) mod variables;
+
+use std::collections::HashMap;
+
+use bcap_capture::trace::Packets;
+use bcap_capture::value::describe;
+use bcap_core::bcap::{FunctionId, Object};
+use bcap_core::hresult::HResult;
+use bcap_std::blocking::Controller;
+use bcap_std::{Address, Error, Model, ObjectPath, Settings};
+
+use crate::failure::Failure;
+use crate::interrupt::{Interrupt, State};
+use crate::link::LinkArgs;
+use crate::output::note;
+use crate::session::budget::Budget;
+use crate::session::connect::{failure, open};
+use crate::session::traffic::packets;
+use crate::values::{Value, integer, text};
+
+/// A session, from Service_Start to Service_Stop. It connects when it is first used.
+pub(crate) struct Session {
+    link: LinkArgs,
+    /// The connection, which exists from the first use on.
+    open: Option<Open>,
+    /// Whether the connection was lost.
+    lost: bool,
+    /// The provider for the next Controller_Connect.
+    pub(crate) provider: String,
+    /// The objects that stay open for the next use, by path.
+    objects: HashMap<String, i32>,
+    /// The handling of signals while this session may move the robot.
+    pub(crate) interrupt: Option<Interrupt>,
+    /// Whether this session halts the robot for another one, so that no signal keeps it from its calls.
+    is_stopper: bool,
+    /// The bytes of the last packets.
+    pub(crate) packets: Packets,
+    /// The scripts that run each other now.
+    pub(crate) scripts: u8,
+}
+
+/// An open connection.
+struct Open {
+    controller: Controller,
+    target: Address,
+    budget: Budget,
+}
+
+impl Drop for Session {
+    /// Ends this session, and then the one that halts the robot.
+    fn drop(&mut self) {
+        if self.has_arm() {
+            // halting the robot and giving the arm back have a separate time limit, however long the command took
+            self.allow_time();
+        }
+        self.open = None;
+        if let Some(interrupt) = &self.interrupt {
+            interrupt.dismiss();
+        }
+    }
+}
+
+/// The session that halts the robot while another one waits for a reply.
+struct Stopper(Session);
+
+impl Drop for Stopper {
+    /// Allows time for the end of the session, however long it was idle.
+    fn drop(&mut self) {
+        self.0.close();
+    }
+}
+
+/// Runs `body` with a started session, then releases its objects and stops the service.
+pub(crate) fn with_session<T>(
+    link: &LinkArgs,
+    body: impl FnOnce(&mut Session) -> Result<T, Failure>,
+) -> Result<T, Failure> {
+    let mut session = Session::new(link);
+    session.connect()?;
+    body(&mut session)
+}
+
+impl Session {
+    /// Returns a session that connects when it is first used.
+    pub(crate) fn new(link: &LinkArgs) -> Self {
+        Self {
+            link: link.clone(),
+            open: None,
+            lost: false,
+            provider: link.provider().to_owned(),
+            objects: HashMap::new(),
+            interrupt: None,
+            is_stopper: false,
+            packets: packets(link.trace),
+            scripts: 0,
+        }
+    }
+
+    /// Connects without starting the service.
+    pub(crate) fn open(link: &LinkArgs) -> Result<Self, Failure> {
+        let mut session = Self::new(link);
+        session.open_connection()?;
+        Ok(session)
+    }
+
+    /// Returns how the session connects.
+    pub(crate) const fn link(&self) -> &LinkArgs {
+        &self.link
+    }
+
+    /// Connects and starts the service, unless that has been done.
+    pub(crate) fn connect(&mut self) -> Result<(), Failure> {
+        if self.open.is_none() {
+            self.open_connection()?;
+            let link = self.link.clone();
+            self.start(&link)?;
+        }
+        Ok(())
+    }
+
+    /// Ends the connection, and connects again.
+    pub(crate) fn reconnect(&mut self) -> Result<(), Failure> {
+        self.close();
+        let connected = self.connect().and_then(|()| self.controller());
+        connected.map(drop)
+    }
+
+    /// Ends the session: gives the arm back, releases all objects and stops the service.
+    pub(crate) fn close(&mut self) {
+        if !self.lost {
+            self.restart_budget();
+        }
+        self.open = None;
+        self.lost = false;
+        self.objects.clear();
+        if let Some(interrupt) = &self.interrupt {
+            interrupt.dismiss();
+        }
+    }
+
+    /// Opens the connection, over which nothing is started yet. From then on a signal ends the command after the running call.
+    pub(crate) fn open_connection(&mut self) -> Result<(), Failure> {
+        self.check_signal()?;
+        let (target, budget) = (self.link.target()?, Budget::start(&self.link));
+        let interrupt = if self.is_stopper { None } else { Some(Interrupt::of_session()?) };
+        let is_rc9 = self.link.provider().eq_ignore_ascii_case(Model::Rc9.provider());
+        let settings = Settings::new(if is_rc9 { Model::Rc9 } else { Model::Rc8 }).connect_option(self.link.option());
+        let controller = open(&target, &budget, &self.packets)?.recover_at(target.clone(), settings);
+        if let Some(interrupt) = interrupt {
+            interrupt.raise(State::Calling);
+        }
+        self.open = Some(Open { controller, target, budget });
+        self.set_budget(budget);
+        Ok(())
+    }
+
+    /// Returns the open connection; connects first if necessary.
+    fn opened(&mut self) -> Result<&mut Open, Failure> {
+        self.check_signal()?;
+        if self.lost {
+            return Err(Failure::Connection {
+                message: "the connection is lost".into(),
+                hint: "`connect` connects again; look where the robot is before it moves".into(),
+            });
+        }
+        self.connect()?;
+        self.open.as_mut().ok_or_else(|| Failure::Connection {
+            message: "there is no connection".into(),
+            hint: "`connect` connects again".into(),
+        })
+    }
+
+    /// Connects and starts the service unless that has been done; fails after a lost connection. A command that takes refusals for
+    /// results begins with this, because Service_Start may be refused too.
+    pub(crate) fn begin(&mut self) -> Result<(), Failure> {
+        self.opened().map(drop)
+    }
+
+    /// Returns whether the connection was lost.
+    pub(crate) const fn is_lost(&self) -> bool {
+        self.lost
+    }
+
+    /// Returns whether there is a connection.
+    pub(crate) const fn is_open(&self) -> bool {
+        self.open.is_some() && !self.lost
+    }
+
+    /// Returns whether this session has taken the arm.
+    pub(crate) fn has_arm(&self) -> bool {
+        self.is_open() && self.open.as_ref().is_some_and(|open| open.controller.has_arm())
+    }
+
+    /// Starts the service, with keep-alives for long calls.
+    pub(crate) fn start(&mut self, link: &LinkArgs) -> Result<(), Failure> {
+        self.call("", FunctionId::SERVICE_START, &[text(&link.start_option())?]).map(drop)
+    }
+
+    /// Restarts the time limit of the command.
+    pub(crate) fn restart_budget(&mut self) {
+        if let Some(Open { controller, budget, .. }) = &mut self.open {
+            budget.restart();
+            controller.set_deadline(budget.deadline());
+        }
+    }
+
+    /// Sets the time limit of a halt, at least the time limit of the command.
+    fn allow_time(&mut self) {
+        if let Some(Open { controller, .. }) = &mut self.open {
+            controller.set_deadline(Some(bcap_std::now() + self.link.for_halt().timeout()));
+        }
+    }
+
+    /// Removes the time limit of the command, for a motion, which has its own: without a connection nothing could halt it.
+    pub(crate) fn suspend_budget(&mut self) {
+        if let Some(Open { controller, .. }) = &mut self.open {
+            controller.set_deadline(None);
+        }
+    }
+
+    /// Replaces the time limits.
+    pub(crate) fn set_budget(&mut self, budget: Budget) {
+        if let Some(open) = &mut self.open {
+            open.budget = budget;
+            let timing = budget.timing(open.controller.timing(), &open.target);
+            open.controller.set_timing(timing);
+            open.controller.set_deadline(budget.deadline());
+        }
+    }
+
+    /// Returns the library's controller after Controller_Connect.
+    pub(crate) fn connected(&mut self) -> Result<&mut Controller, Failure> {
+        self.controller()?;
+        Ok(&mut self.opened()?.controller)
+    }
+
+    /// Uses the library's objects after Controller_Connect, and converts their error.
+    pub(crate) fn with<T>(&mut self, body: impl FnOnce(&mut Controller) -> Result<T, Error>) -> Result<T, Failure> {
+        body(self.connected()?).map_err(|error| self.ended(error))
+    }
+
+    /// Calls a function; `subject` names its object in the error of a refused call.
+    pub(crate) fn call(
+        &mut self,
+        subject: &str,
+        function: FunctionId,
+        arguments: &[Value],
+    ) -> Result<(HResult, Option<Value>), Failure> {
+        let open = self.opened()?;
+        let called = open.controller.call_any(subject, function, arguments);
+        if function.releases().is_some() {
+            self.objects.clear();
+        }
+        called.map_err(|error| self.ended(error))
+    }
+
+    /// Calls a function; returns the code, which may be an error, and the value.
+    pub(crate) fn call_for_code(
+        &mut self,
+        function: FunctionId,
+        arguments: &[Value],
+    ) -> Result<(HResult, Option<Value>), Failure> {
+        match self.call("", function, arguments) {
+            Err(Failure::Refused { code, .. }) => Ok((code, None)),
+            called => called,
+        }
+    }
+
+    /// Returns the handle of the controller; calls Controller_Connect first if necessary.
+    pub(crate) fn controller(&mut self) -> Result<i32, Failure> {
+        if !self.opened()?.controller.is_connected() {
+            let (function, link) = (FunctionId::CONTROLLER_CONNECT, self.link.clone());
+            let arguments = [text("")?, text(&self.provider)?, text(link.machine())?, text(link.option())?];
+            let (_, reply) = self.call("", function, &arguments)?;
+            if !self.opened()?.controller.is_connected() {
+                let reason = format!("the reply carries {} instead of a handle", describe(reply.as_ref()));
+                return Err(self.ended(Error::Reply { function, object: String::new(), reason }));
+            }
+        }
+        Ok(self.opened()?.controller.handle().0)
+    }
+
+    /// Opens all objects of a path, and returns the handle of the last one. Each path is opened once.
+    pub(crate) fn object(&mut self, path: &ObjectPath) -> Result<i32, Failure> {
+        let name = path.to_string();
+        if let Some(handle) = self.objects.get(&name) {
+            return Ok(*handle);
+        }
+        let owner = path.split_last().filter(|(owner, _)| owner.object() != Object::Controller);
+        let handle = match owner {
+            // the owner stays open for its next variable
+            Some((owner, Some(variable))) => self.member(&owner, path, variable)?,
+            _ => self.with(|controller| controller.open(path))?,
+        };
+        if path.object() != Object::Controller {
+            self.objects.insert(name, handle);
+        }
+        Ok(handle)
+    }
+
+    /// Opens an object of another object, and returns its handle.
+    fn member(&mut self, owner: &ObjectPath, path: &ObjectPath, name: &str) -> Result<i32, Failure> {
+        let function = path.object().opened_from(owner.object()).unwrap_or(FunctionId::CONTROLLER_GET_VARIABLE);
+        let arguments = [integer(self.object(owner)?)?, text(name)?, text("")?];
+        let (_, reply) = self.call(&path.to_string(), function, &arguments)?;
+        let handle = reply.as_ref().and_then(|value| value.as_variant().as_i32());
+        handle.ok_or_else(|| {
+            let reason = format!("the reply carries {} instead of a handle", describe(reply.as_ref()));
+            self.ended(Error::Reply { function, object: path.to_string(), reason })
+        })
+    }
+
+    /// Handles signals from now on, unless that is so already.
+    pub(crate) fn handle_signals(&mut self) -> Result<Interrupt, Failure> {
+        let interrupt = match self.interrupt.take() {
+            Some(interrupt) => interrupt,
+            None => Interrupt::install(|_| {})?,
+        };
+        self.interrupt = Some(interrupt.clone());
+        Ok(interrupt)
+    }
+
+    /// Refuses a call after a signal, if the command does not look for signals itself.
+    fn check_signal(&self) -> Result<(), Failure> {
+        if !self.is_stopper && Interrupt::of_process().is_some_and(|interrupt| interrupt.forbids_calls()) {
+            return Err(Failure::Interrupted("interrupted".into()));
+        }
+        Ok(())
+    }
+
+    /// Gives the arm back after a signal that ended a command between two calls, and reports that.
+    pub(crate) fn finish(&mut self, done: Result<(), Failure>) -> Result<(), Failure> {
+        let Some(interrupt) = Interrupt::of_process().filter(Interrupt::forbids_calls) else { return done };
+        // the calls that end the session are allowed
+        interrupt.enter(State::Stepping);
+        if matches!(done, Err(Failure::Connection { .. } | Failure::Timeout { .. })) {
+            return done;
+        }
+        if !self.has_arm() {
+            return Err(Failure::Interrupted("interrupted".into()));
+        }
+        self.give_arm()?;
+        Err(Failure::Interrupted("interrupted: the arm was given back".into()))
+    }
+
+    /// Opens the session that halts the robot while this one waits for a reply. Call it before the arm is taken.
+    pub(crate) fn prepare_halt(&self, interrupt: &Interrupt) -> Result<(), Failure> {
+        let mut link = self.link.for_halt();
+        link.trace = None;
+        interrupt.prepare(|| {
+            if link.is_serial() {
+                note("a serial line carries one session, so Ctrl-C cannot halt the robot here");
+                return Ok(None);
+            }
+            let mut stopper = Self::new(&link);
+            stopper.is_stopper = true;
+            // the handle must exist before it is needed
+            stopper.with(|controller| controller.robot().map(drop))?;
+            let mut stopper = Stopper(stopper);
+            Ok(Some(Box::new(move || stopper.0.halt())))
+        })
+    }
+
+    /// Halts the robot, and connects again first if the connection was lost.
+    fn halt(&mut self) -> Result<(), Failure> {
+        if self.lost {
+            self.reconnect()?;
+        }
+        self.restart_budget();
+        self.with(|controller| controller.robot()?.halt().map(drop))
+    }
+
+    /// Gives the arm back if this session has it.
+    pub(crate) fn give_arm(&mut self) -> Result<(), Failure> {
+        if !self.has_arm() {
+            return Ok(());
+        }
+        self.allow_time();
+        let given = self.with(|controller| controller.arm()?.give());
+        self.restart_budget();
+        given
+    }
+
+    /// Closes a lost connection, so that the controller releases its resources, such as the arm. If this session had
+    /// the arm, the robot is halted over another connection first: a motion may be under way.
+    pub(crate) fn abandon(&mut self) {
+        if !self.lost {
+            return;
+        }
+        if self.open.as_ref().is_some_and(|open| open.controller.has_arm()) {
+            match self.interrupt.as_ref().map_or(Ok(false), Interrupt::halt) {
+                Ok(true) => note("the robot was halted over another connection"),
+                Ok(false) => {
+                    note("the robot was NOT halted, because there is no other connection; use the emergency stop")
+                }
+                Err(failure) => {
+                    failure.print(false, None);
+                    note("the robot may still move; use the emergency stop");
+                }
+            }
+        }
+        self.open = None;
+        self.objects.clear();
+    }
+
+    /// Releases an object before the end of the session.
+    pub(crate) fn release(&mut self, object: Object, handle: i32) -> Result<(), Failure> {
+        self.objects.retain(|_, open| *open != handle);
+        let released = self.opened()?.controller.release(object, handle);
+        released.map_err(|error| self.ended(error))
+    }
+
+    /// Converts an error. After a call without a reply, nothing more is sent.
+    pub(crate) fn ended(&mut self, error: Error) -> Failure {
+        let Some(Open { controller, target, budget }) = &mut self.open else {
+            return Failure::Connection { message: error.to_string(), hint: "`connect` connects again".into() };
+        };
+        let failure = failure(error, target, budget);
+        if !failure.leaves_the_session_alive() {
+            controller.set_deadline(Some(bcap_std::now()));
+            self.lost = true;
+        }
+        failure
+    }
+}

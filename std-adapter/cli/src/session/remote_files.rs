@@ -1,0 +1,310 @@
+//! The files of a controller. A path has `/` between its parts here, and `\` on the wire.
+
+use bcap_capture::value::describe;
+use bcap_core::bcap::{FunctionId, Object};
+use bcap_core::hresult::HResult;
+use bcap_core::variant::Variant;
+
+use crate::failure::Failure;
+use crate::session::Session;
+use crate::values::{Value, integer, text};
+
+/// The deepest folder that is read.
+const DEPTH: usize = 32;
+
+/// The most folders that are read, so that a controller cannot list new ones for ever.
+const FOLDERS: usize = 10_000;
+
+/// A file or folder.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Item {
+    /// From the root, without a `/` at its beginning and end.
+    pub(crate) path: String,
+    pub(crate) is_folder: bool,
+}
+
+/// Returns the path of the user without empty parts.
+pub(crate) fn normal(path: &str) -> String {
+    path.split(['/', '\\']).filter(|part| !part.is_empty()).collect::<Vec<_>>().join("/")
+}
+
+/// Lists a folder in the order of its names; the root is the empty path.
+pub(crate) fn list(session: &mut Session, folder: &str) -> Result<Vec<Item>, Failure> {
+    let entries = entries(session, folder)?.into_iter();
+    let mut items = entries.map(|(item, checked)| checked.map(|()| item)).collect::<Result<Vec<_>, _>>()?;
+    items.sort();
+    Ok(items)
+}
+
+/// A listed name, and the result of its check.
+type Listed = (Item, Result<(), Failure>);
+
+/// Lists a folder without the order of its names.
+fn entries(session: &mut Session, folder: &str) -> Result<Vec<Listed>, Failure> {
+    let names = if folder.is_empty() {
+        let controller = integer(session.controller()?)?;
+        session.call("/", FunctionId::CONTROLLER_GET_FILE_NAMES, &[controller, text("")?])?.1
+    } else {
+        let subject = format!("/{folder}");
+        with_file(session, folder, Kind::Folder, |session, handle| {
+            Ok(session.call(&subject, FunctionId::FILE_GET_FILE_NAMES, &[integer(handle)?, text("")?])?.1)
+        })?
+    };
+    let mut items = Vec::new();
+    for name in strings(names.as_ref())? {
+        let (own, is_folder) = name.strip_suffix(['\\', '/']).map_or((name.as_str(), false), |own| (own, true));
+        let path = if folder.is_empty() { own.to_owned() } else { format!("{folder}/{own}") };
+        items.push((Item { path, is_folder }, check_name(own)));
+    }
+    Ok(items)
+}
+
+/// Lists all files of a folder and of the folders below it, without the folders.
+///
+/// `skip` gets the path of a folder that cannot be listed or of an invalid name, with the reason; an error ends the walk.
+pub(crate) fn walk(
+    session: &mut Session,
+    folder: &str,
+    mut skip: impl FnMut(String, Failure) -> Result<(), Failure>,
+) -> Result<Vec<String>, Failure> {
+    let mut files = Vec::new();
+    let mut folders = vec![folder.to_owned()];
+    let mut read = 0;
+    while let Some(folder) = folders.pop() {
+        read += 1;
+        if read > FOLDERS {
+            // the folders that are left are not known by name
+            skip(String::new(), too_many(&folder))?;
+            break;
+        }
+        let is_too_deep = folder.split('/').count() > DEPTH;
+        match if is_too_deep { Err(too_many(&folder)) } else { entries(session, &folder) } {
+            Err(failure) => skip(folder, failure)?,
+            Ok(entries) => {
+                for (Item { path, is_folder }, checked) in entries {
+                    match checked {
+                        // with `/` at its beginning it is not the path of another file
+                        Err(failure) => skip(format!("/{path}"), failure)?,
+                        Ok(()) if is_folder => folders.push(path),
+                        Ok(()) => files.push(path),
+                    }
+                }
+            }
+        }
+    }
+    files.sort();
+    Ok(files)
+}
+
+fn too_many(folder: &str) -> Failure {
+    let message = format!("/{folder}: there are more than {DEPTH} folders in one another, or {FOLDERS} in all");
+    Failure::Unexpected { message, hint: "copy single folders with `bcap cp`".into() }
+}
+
+/// Returns the items that a path with the wildcards `*` and `?` names, in the order of their names.
+pub(crate) fn find(session: &mut Session, pattern: &str) -> Result<Vec<Item>, Failure> {
+    let parts: Vec<&str> = pattern.split('/').filter(|part| !part.is_empty()).collect();
+    let mut found = vec![Item { path: String::new(), is_folder: true }];
+    for (n, part) in parts.iter().enumerate() {
+        let mut next = Vec::new();
+        for folder in found.iter().filter(|item| item.is_folder) {
+            match list(session, &folder.path) {
+                Err(Failure::Refused { .. }) if !part.contains(['*', '?']) => {
+                    // for example a list that does not fit a datagram
+                    let path = normal(&format!("{}/{part}", folder.path));
+                    if exists(session, &path)? {
+                        next.push(Item { path, is_folder: n + 1 < parts.len() });
+                    }
+                }
+                items => next.extend(items?.into_iter().filter(|item| matches(part, last(&item.path)))),
+            }
+        }
+        found = next;
+    }
+    Ok(found)
+}
+
+/// Reads a file: a BSTR as UTF-8, or the bytes of a UI1 array.
+pub(crate) fn read(session: &mut Session, path: &str) -> Result<Vec<u8>, Failure> {
+    with_file(session, path, Kind::File, |session, handle| content(session, path, handle))
+}
+
+/// Writes a file, which is made if it does not exist, and reads it back.
+///
+/// UTF-8 is sent as BSTR, other bytes as UI1 array.
+pub(crate) fn write(session: &mut Session, path: &str, bytes: &[u8]) -> Result<(), Failure> {
+    with_file(session, path, Kind::NewFile, |session, handle| {
+        let value = std::str::from_utf8(bytes).map_or_else(|_| Value::new(bytes), Value::new)?;
+        session.call(&format!("/{path}"), FunctionId::FILE_PUT_VALUE, &[integer(handle)?, value])?;
+        if content(session, path, handle)? == bytes {
+            return Ok(());
+        }
+        Err(Failure::Unfit {
+            message: format!("/{path}: the controller returns another content than was written"),
+            code: None,
+            hint: Some("the controller may convert text; compare the file with `bcap cp`".into()),
+        })
+    })
+}
+
+/// Makes the folders above a file, if they do not exist.
+pub(crate) fn make_folders(session: &mut Session, path: &str) -> Result<(), Failure> {
+    for (end, _) in path.match_indices('/') {
+        with_file(session, &path[..end], Kind::NewFolder, |_, _| Ok(()))?;
+    }
+    Ok(())
+}
+
+/// Returns whether a file or folder exists.
+pub(crate) fn exists(session: &mut Session, path: &str) -> Result<bool, Failure> {
+    match with_file(session, path, Kind::File, |_, _| Ok(())) {
+        Err(Failure::Refused { code: HResult::E_CAO_OBJECT_NOTFOUND, .. }) => Ok(false),
+        opened => opened.map(|()| true),
+    }
+}
+
+/// Returns the size of a file in bytes.
+pub(crate) fn size(session: &mut Session, path: &str) -> Result<i64, Failure> {
+    with_file(session, path, Kind::File, |session, handle| {
+        let (_, size) = session.call(&format!("/{path}"), FunctionId::FILE_GET_SIZE, &[integer(handle)?])?;
+        size.as_ref().and_then(|size| size.as_variant().as_i64()).ok_or_else(|| unexpected(path, size.as_ref()))
+    })
+}
+
+/// The object to open.
+#[derive(Clone, Copy)]
+enum Kind {
+    File,
+    NewFile,
+    Folder,
+    NewFolder,
+}
+
+/// Opens a file or folder, and releases it afterwards.
+fn with_file<T>(
+    session: &mut Session,
+    path: &str,
+    kind: Kind,
+    body: impl FnOnce(&mut Session, i32) -> Result<T, Failure>,
+) -> Result<T, Failure> {
+    let mut name = path.replace('/', "\\");
+    if matches!(kind, Kind::Folder | Kind::NewFolder) {
+        name.push('\\');
+    }
+    let option = if matches!(kind, Kind::NewFile | Kind::NewFolder) { "@Create=1" } else { "" };
+    let arguments = [integer(session.controller()?)?, text(&name)?, text(option)?];
+    let (_, value) = session.call(&format!("/{path}"), FunctionId::CONTROLLER_GET_FILE, &arguments)?;
+    let handle = value.as_ref().and_then(handle_of).ok_or_else(|| unexpected(path, value.as_ref()))?;
+    let done = body(session, handle);
+    let released = session.release(Object::File, handle);
+    // an error of the work is more useful than an error of the release
+    let done = done?;
+    released.map(|()| done)
+}
+
+fn handle_of(value: &Value) -> Option<i32> {
+    match value.as_variant() {
+        Variant::Ui4(handle) => Some(handle.cast_signed()),
+        value => value.as_i32(),
+    }
+}
+
+fn content(session: &mut Session, path: &str, handle: i32) -> Result<Vec<u8>, Failure> {
+    let (_, value) = session.call(&format!("/{path}"), FunctionId::FILE_GET_VALUE, &[integer(handle)?])?;
+    let bytes = match value.as_ref().map(Value::as_variant) {
+        None | Some(Variant::Empty | Variant::Null) => Some(Vec::new()),
+        Some(Variant::Bstr(text)) => text.chars().collect::<Result<String, _>>().ok().map(String::into_bytes),
+        Some(Variant::Array(array)) => array.items::<u8>().map(|bytes| bytes.iter().collect()),
+        Some(_) => None,
+    };
+    bytes.ok_or_else(|| unexpected(path, value.as_ref()))
+}
+
+fn strings(list: Option<&Value>) -> Result<Vec<String>, Failure> {
+    let names = match list.map(Value::as_variant) {
+        None | Some(Variant::Empty | Variant::Null) => Some(Vec::new()),
+        Some(Variant::Array(array)) => array.iter().map(|name| Some(name.as_bstr()?.to_string())).collect(),
+        Some(_) => None,
+    };
+    names.ok_or_else(|| unexpected("", list))
+}
+
+fn unexpected(path: &str, value: Option<&Value>) -> Failure {
+    Failure::Unexpected {
+        message: format!("/{path}: the reply carries {}", describe(value)),
+        hint: "use `bcap call` to see the reply: it prints any value".into(),
+    }
+}
+
+/// Refuses the name of a file that would leave its folder on this machine.
+fn check_name(name: &str) -> Result<(), Failure> {
+    let is_unsafe = |c: char| c.is_control() || "/\\:".contains(c);
+    if name.is_empty() || name == "." || name == ".." || name.contains(is_unsafe) {
+        return Err(Failure::Unexpected {
+            message: format!("the controller lists a file with the unsafe name {name:?}"),
+            hint: "rename the file on the controller".into(),
+        });
+    }
+    Ok(())
+}
+
+/// Returns the last part of a path.
+pub(crate) fn last(path: &str) -> &str {
+    path.rsplit('/').next().unwrap_or(path)
+}
+
+/// Returns whether a name matches a pattern, where `*` is any text and `?` any character; case does not matter.
+fn matches(pattern: &str, name: &str) -> bool {
+    let lower = |text: &str| text.chars().flat_map(char::to_lowercase).collect::<Vec<_>>();
+    let (pattern, name) = (lower(pattern), lower(name));
+    let (mut p, mut n) = (0, 0);
+    // where to go on if the last `*` takes one more character
+    let mut again = None;
+    while n < name.len() {
+        match pattern.get(p) {
+            Some('*') => {
+                again = Some((p, n));
+                p += 1;
+            }
+            Some(c) if *c == '?' || *c == name[n] => (p, n) = (p + 1, n + 1),
+            _ => match again {
+                Some((star, from)) => {
+                    again = Some((star, from + 1));
+                    (p, n) = (star + 1, from + 1);
+                }
+                None => return false,
+            },
+        }
+    }
+    pattern[p..].iter().all(|c| *c == '*')
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn wildcards_match() {
+        for (pattern, name, expected) in [
+            ("*", "", true),
+            ("*.pcs", "Pro1.PCS", true),
+            ("*.pcs", "Pro1.pcs.bak", false),
+            ("P?o*1*", "Pro11", true),
+            ("a*b*c", "aXbYbZc", true),
+            ("a*b*c", "aXbYbZ", false),
+            ("?", "", false),
+            ("ab", "abc", false),
+        ] {
+            assert_eq!(matches(pattern, name), expected, "{pattern} {name}");
+        }
+    }
+
+    #[test]
+    fn paths_have_no_empty_parts_and_names_stay_in_their_folder() {
+        assert_eq!(normal("/a//b\\c/"), "a/b/c");
+        for name in ["", ".", "..", "a/b", "a\\b", "C:", "a\nb"] {
+            assert!(check_name(name).is_err(), "{name:?}");
+        }
+        assert!(check_name("Pro 1.pcs").is_ok());
+    }
+}
