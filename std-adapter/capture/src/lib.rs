@@ -10,6 +10,7 @@
 //! | [`trace`]     | shows each packet of a client's transport as text                                |
 //! | [`dissect`]   | a frame field by field, with offsets and bytes                                   |
 //! | [`frame`]     | frames as lines of JSON and of text; [`json`] for their values, [`hex`] for bytes |
+//! | [`mcap`]      | time series as files for Foxglove and PlotJuggler                                |
 //! | [`wireshark`] | the dissector for Wireshark, one Lua file                                        |
 //!
 //! The library prints nothing and knows no command line. Names and values of its texts come from a peer: escape them before
@@ -28,6 +29,7 @@ pub mod faults;
 pub mod frame;
 pub mod hex;
 pub mod json;
+pub mod mcap;
 pub mod playback;
 pub mod proxy;
 pub mod record;

@@ -11,7 +11,6 @@ mod interrupt;
 mod link;
 mod listen;
 mod local_files;
-mod mcap_log;
 mod output;
 mod session;
 mod shell;

@@ -1,12 +1,14 @@
 //! Draws a [`Screen`].
 
-use ratatui::Frame;
-use ratatui::buffer::Buffer;
-use ratatui::layout::{Constraint, Layout, Rect};
-use ratatui::style::{Color, Modifier, Style};
-use ratatui::symbols::border;
-use ratatui::text::{Line as Styled, Text};
-use ratatui::widgets::{Block, Paragraph, Widget as _, Wrap};
+use ratatui_core::buffer::Buffer;
+use ratatui_core::layout::{Constraint, Layout, Rect};
+use ratatui_core::style::{Color, Modifier, Style};
+use ratatui_core::symbols::border;
+use ratatui_core::terminal::Frame;
+use ratatui_core::text::{Line as Styled, Text};
+use ratatui_core::widgets::Widget as _;
+use ratatui_widgets::block::Block;
+use ratatui_widgets::paragraph::{Paragraph, Wrap};
 
 use super::parts::{Line, Mark, Panel, Part, Screen};
 use super::spark::sparkline;
@@ -177,8 +179,8 @@ fn put(text: &str, style: Style, area: Rect, buffer: &mut Buffer) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ratatui::Terminal;
-    use ratatui::backend::TestBackend;
+    use ratatui_core::backend::TestBackend;
+    use ratatui_core::terminal::Terminal;
 
     const PLAIN: Look = Look { colour: false, unicode: true };
 

@@ -1,18 +1,24 @@
 //! The terminal of a live screen.
 
 use std::env;
-use std::io::{self, IsTerminal as _};
+use std::io::{self, IsTerminal as _, Stdout, stdout};
+use std::panic;
 use std::time::Duration;
 
-use ratatui::DefaultTerminal;
-use ratatui::crossterm::event::{self, Event, KeyEvent, KeyEventKind};
+use ratatui_core::terminal::Terminal as Drawing;
+use ratatui_crossterm::CrosstermBackend;
+use ratatui_crossterm::crossterm::event::{self, Event, KeyEvent, KeyEventKind};
+use ratatui_crossterm::crossterm::execute;
+use ratatui_crossterm::crossterm::terminal::{
+    EnterAlternateScreen, LeaveAlternateScreen, disable_raw_mode, enable_raw_mode,
+};
 
 use super::draw::{Look, draw};
 use super::parts::Screen;
 
 /// A terminal that shows a live screen; dropping this restores it. A panic and a signal restore it too.
 pub struct Terminal {
-    inner: DefaultTerminal,
+    inner: Drawing<CrosstermBackend<Stdout>>,
     look: Look,
 }
 
@@ -42,7 +48,15 @@ impl Terminal {
     ///
     /// When the terminal cannot be switched.
     pub fn open() -> io::Result<Self> {
-        Ok(Self { inner: ratatui::try_init()?, look: look() })
+        let hook = panic::take_hook();
+        panic::set_hook(Box::new(move |info| {
+            // the message of the panic is more useful than an error of the terminal
+            let _ = restore();
+            hook(info);
+        }));
+        enable_raw_mode()?;
+        execute!(stdout(), EnterAlternateScreen)?;
+        Ok(Self { inner: Drawing::new(CrosstermBackend::new(stdout()))?, look: look() })
     }
 
     /// Draws a screen.
@@ -94,10 +108,15 @@ fn wait(time: Duration) -> io::Result<()> {
     event::poll(time).map(drop)
 }
 
+fn restore() -> io::Result<()> {
+    disable_raw_mode()?;
+    execute!(stdout(), LeaveAlternateScreen)
+}
+
 impl Drop for Terminal {
     fn drop(&mut self) {
         // a terminal that is gone cannot be restored
-        let _ = ratatui::try_restore();
+        let _ = restore();
     }
 }
 

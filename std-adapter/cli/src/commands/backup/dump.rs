@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use bcap_core::rac::VariableKind;
+use bcap_terminal::progress::{Progress, bar};
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 
 use super::contents::{Contents, Omission, UserVariable};
@@ -44,14 +44,8 @@ pub(crate) fn dump(args: &Dump, session: &mut Session, json: bool) -> Result<(),
     if folder.is_resumed && !json {
         print_line(&format!("{shown}: the interrupted dump goes on"))?;
     }
-    let bar = ProgressBar::new(0);
-    // the template is a constant, and a wrong one only changes the look
-    if let Ok(style) = ProgressStyle::with_template("{msg:4} {bar:30} {pos}/{len} {elapsed}") {
-        bar.set_style(style);
-    }
-    let contents = Dumping { session, folder: &folder, interrupt: &interrupt, shown: &shown, bar: &bar }.run();
-    bar.finish_and_clear();
-    let contents = contents?;
+    let progress = Progress::default();
+    let contents = Dumping { session, folder: &folder, interrupt: &interrupt, shown: &shown, progress }.run()?;
     print_summary(&shown, &contents, json)?;
     match contents.refused() + contents.omitted.len() {
         0 => Ok(()),
@@ -95,7 +89,7 @@ struct Dumping<'a> {
     folder: &'a Folder,
     interrupt: &'a Interrupt,
     shown: &'a str,
-    bar: &'a ProgressBar,
+    progress: Progress,
 }
 
 impl Dumping<'_> {
@@ -113,12 +107,10 @@ impl Dumping<'_> {
     fn kind(&mut self, kind: VariableKind, omitted: &mut Vec<Omission>) -> Result<(), Failure> {
         let Some(count) = controller::count(self.session, kind, omitted)? else { return Ok(()) };
         let Some((mut part, done)) = self.folder.part(kind)? else { return Ok(()) };
-        self.begin(kind.name(), count.into());
-        self.bar.set_position(done.into());
-        let Self { session, interrupt, shown, bar, .. } = self;
+        let Self { session, interrupt, shown, progress, .. } = self;
         controller::variables(session, kind, done..count, |index, entry| {
             check_signal(interrupt, shown)?;
-            bar.inc(1);
+            show(progress, kind.name(), index.into(), count.into());
             part.push(UserVariable::new(kind, index).name(), entry)
         })?;
         part.finish()
@@ -126,11 +118,10 @@ impl Dumping<'_> {
 
     fn system(&mut self, omitted: &mut Vec<Omission>) -> Result<(), Failure> {
         let names = controller::system_names(self.session, omitted)?;
-        self.begin("@", names.len() as u64);
-        let mut system = BTreeMap::new();
-        for name in names {
+        let (count, mut system) = (names.len(), BTreeMap::new());
+        for (name, done) in names.into_iter().zip(0..) {
             check_signal(self.interrupt, self.shown)?;
-            self.bar.inc(1);
+            show(&mut self.progress, "@", done, count as u64);
             if let Some(entry) = controller::system(self.session, &name)? {
                 system.insert(name, entry);
             }
@@ -140,10 +131,10 @@ impl Dumping<'_> {
 
     fn files(&mut self, omitted: &mut Vec<Omission>) -> Result<(), Failure> {
         let paths = controller::files(self.session, omitted)?;
-        self.begin("file", paths.len() as u64);
-        for path in paths {
+        let count = paths.len();
+        for (path, done) in paths.into_iter().zip(0..) {
             check_signal(self.interrupt, self.shown)?;
-            self.bar.inc(1);
+            show(&mut self.progress, "file", done, count as u64);
             if self.folder.has_file(&path) {
                 continue;
             }
@@ -153,12 +144,10 @@ impl Dumping<'_> {
         }
         Ok(())
     }
+}
 
-    fn begin(&self, part: &'static str, count: u64) {
-        self.bar.reset();
-        self.bar.set_length(count);
-        self.bar.set_message(part);
-    }
+fn show(progress: &mut Progress, part: &str, done: u64, count: u64) {
+    progress.show(|elapsed| format!("{part:4} {} {done}/{count} {elapsed}", bar(done, count)));
 }
 
 /// Ends the dump after a signal.

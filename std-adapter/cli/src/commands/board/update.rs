@@ -5,8 +5,8 @@ use std::fs;
 use bcap_board::crc::Crc32;
 use bcap_board::identity::{self, BLOCK, Identity};
 use bcap_board::vectors;
+use bcap_terminal::progress::{Progress, bar};
 use clap::Args;
-use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 
 use super::elf;
@@ -141,12 +141,7 @@ fn read(path: &str) -> Result<(Vec<u8>, Identity), Failure> {
 
 /// Sends the image in blocks; returns how many were sent again.
 fn send(port: &mut Port, image: &[u8]) -> Result<u32, Failure> {
-    let bar = ProgressBar::new(u64::try_from(image.len()).unwrap_or(u64::MAX));
-    // the template is a constant, and a wrong one only changes the look
-    if let Ok(style) = ProgressStyle::with_template("{bar:30} {bytes}/{total_bytes} {elapsed}") {
-        bar.set_style(style);
-    }
-    let mut repeated = 0;
+    let (mut progress, mut repeated) = (Progress::default(), 0);
     for (number, data) in (0..).zip(image.chunks(BLOCK)) {
         let crc = Crc32::new().and(&u32::to_le_bytes(number)).and(data).value();
         let digits: String = data.iter().map(|byte| format!("{byte:02x}")).collect();
@@ -155,15 +150,14 @@ fn send(port: &mut Port, image: &[u8]) -> Result<u32, Failure> {
         while let Some(reason) = port.send_block(&request, number)? {
             attempts += 1;
             if attempts == ATTEMPTS {
-                bar.finish_and_clear();
                 let message = format!("block {number} failed {ATTEMPTS} times: {reason}");
                 return Err(Failure::Unfit { message, code: None, hint: Some(IMAGE_REMAINS.into()) });
             }
             repeated += 1;
         }
-        bar.inc(u64::try_from(data.len()).unwrap_or_default());
+        let (sent, total) = (u64::from(number) * BLOCK as u64, image.len() as u64);
+        progress.show(|elapsed| format!("{} {}/{} KiB {elapsed}", bar(sent, total), sent >> 10, total >> 10));
     }
-    bar.finish_and_clear();
     Ok(repeated)
 }
 

@@ -1,15 +1,15 @@
 //! The file of `bcap sim --record`: the trajectory of the arm, as MCAP if the name ends with `.mcap`, otherwise as CSV.
 
 use std::fs::File;
-use std::io::{self, BufWriter, Seek, Write};
+use std::io::{self, BufWriter, Write};
 use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use bcap_capture::mcap::{self, Schema};
 use bcap_sim::trace::{Recorder, TracePoint};
 use serde_json::{Value, json};
 
 use crate::failure::Failure;
-use crate::mcap_log::{McapLog, Schema};
 
 const HEAD: &str = "time_s,J1,J2,J3,J4,J5,J6,J7,J8,X,Y,Z,RX,RY,RZ,tool,work";
 
@@ -38,8 +38,8 @@ enum Format {
 }
 
 /// The messages of an MCAP file.
-struct Points<W: Write + Seek> {
-    series: McapLog<W>,
+struct Points<W: Write> {
+    series: mcap::Log<W>,
     /// The wall clock at the controller's time 0, in microseconds since 1970.
     origin: u64,
     /// The first failure; nothing is written after it.
@@ -93,10 +93,10 @@ impl Trajectory {
     }
 }
 
-impl<W: Write + Seek> Points<W> {
+impl<W: Write> Points<W> {
     fn new(out: W, origin_ms: i64) -> io::Result<Self> {
         let origin = u64::try_from(origin_ms).unwrap_or(0).saturating_mul(1000);
-        Ok(Self { series: McapLog::new(out)?, origin, failed: None })
+        Ok(Self { series: mcap::Log::new(out)?, origin, failed: None })
     }
 
     fn add(&mut self, point: &TracePoint) {
@@ -167,7 +167,6 @@ impl<W: Write> Lines<W> {
 mod tests {
     use super::*;
     use bcap_core::time::Instant;
-    use std::io::Cursor;
 
     #[test]
     fn a_point_is_a_line_of_numbers() {
@@ -183,15 +182,14 @@ mod tests {
 
     #[test]
     fn a_point_is_a_message_with_its_time() {
-        let mut out = Cursor::new(Vec::new());
-        let mut points = Points::new(&mut out, 1_700_000_000_123).unwrap();
+        let mut bytes = Vec::new();
+        let mut points = Points::new(&mut bytes, 1_700_000_000_123).unwrap();
         let axes = [0.1, -0.0, 90.0, 1e-9, 45.0, -30.123_456_7, 0.0, 0.0];
         let position = [364.16, 0.0, 278.5355, 180.0, 0.0, -180.0];
         points.add(&TracePoint { at: Instant::from_micros(8_500), axes, position, tool: 1, work: 2 });
         points.end().unwrap();
         drop(points);
-        let bytes = out.into_inner();
-        let messages: Vec<_> = mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap).collect();
+        let messages: Vec<_> = ::mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap).collect();
         let [message] = messages.as_slice() else { panic!("{} messages", messages.len()) };
         assert_eq!((message.log_time, message.channel.topic.as_str()), (1_700_000_000_131_500_000, "/arm"));
         let value: Value = serde_json::from_slice(&message.data).unwrap();

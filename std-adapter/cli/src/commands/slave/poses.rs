@@ -63,19 +63,12 @@ impl Poses {
     }
 
     fn parse(text: &str, kind: Option<PoseType>, extended: ExtendedAxes, hz: f64) -> Result<Self, String> {
-        let mut reader = csv::ReaderBuilder::new()
-            .has_headers(false)
-            .flexible(true)
-            .trim(csv::Trim::All)
-            .comment(Some(b'#'))
-            .from_reader(text.as_bytes());
         let mut layout: Option<Layout> = None;
         let mut rows: Vec<(f64, Vec<f64>)> = Vec::new();
         let mut outputs = Vec::new();
-        for record in reader.records() {
-            let record = record.map_err(|error| error.to_string())?;
-            let line = record.position().map_or(0, csv::Position::line);
-            let fields: Vec<&str> = record.iter().collect();
+        for (text, line) in text.lines().zip(1_u32..).filter(|(text, _)| !text.is_empty() && !text.starts_with('#')) {
+            // a spreadsheet may write quotes around a name or a number
+            let fields: Vec<&str> = text.split(',').map(|field| field.trim().trim_matches('"').trim()).collect();
             let Some(layout) = &layout else {
                 let (found, is_header) =
                     Layout::of(&fields, kind, extended).map_err(|problem| format!("line {line}: {problem}"))?;

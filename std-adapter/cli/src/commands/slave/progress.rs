@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use bcap_core::time::micros;
 use bcap_terminal::escape;
-use indicatif::{ProgressBar, ProgressStyle};
+use bcap_terminal::progress::{Progress, bar};
 
 use crate::commands::robot::halt;
 use crate::failure::Failure;
@@ -107,22 +107,16 @@ impl Drop for Monitor {
 
 fn monitor(link: &LinkArgs, status: &StreamStatus, interrupt: &Interrupt, ended: &Receiver<()>, cycles: u32) {
     const INTERVAL: Duration = Duration::from_millis(50);
-    let bar = ProgressBar::new(cycles.into());
-    let template = "{bar:30} {pos}/{len} {elapsed} {msg}";
-    if let Ok(style) = ProgressStyle::with_template(template) {
-        bar.set_style(style);
-    }
-    let mut handled = 0;
+    let (mut progress, mut handled) = (Progress::default(), 0);
     loop {
         if interrupt.wait_for(handled + 1, INTERVAL) > handled {
             handled += 1;
-            let line = signalled(link, status);
-            print(&bar, &line);
+            progress.print(&signalled(link, status));
         }
-        bar.set_position(status.sent.load(Relaxed).into());
-        bar.set_message(status.message());
+        let sent = status.sent.load(Relaxed);
+        let bar = || bar(sent.into(), cycles.into());
+        progress.show(|elapsed| format!("{} {sent}/{cycles} {elapsed} {}", bar(), status.message()));
         if let Err(mpsc::TryRecvError::Disconnected) = ended.try_recv() {
-            bar.finish_and_clear();
             return;
         }
     }
@@ -144,14 +138,5 @@ fn signalled(link: &LinkArgs, status: &StreamStatus) -> String {
                 Err(failure) => format!("the halt failed: {}; use the emergency stop", escape::failure(&failure)),
             }
         }
-    }
-}
-
-/// Prints a line, above the progress bar if it is shown.
-fn print(bar: &ProgressBar, line: &str) {
-    if bar.is_hidden() {
-        anstream::eprintln!("{line}");
-    } else {
-        bar.println(line);
     }
 }

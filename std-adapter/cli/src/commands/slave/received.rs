@@ -1,5 +1,7 @@
 //! The replies of a stream, which are written to a CSV file after its end.
 
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
 use bcap_core::slave::{CURRENT_LEN, MoveReply, PoseType, ReceiveFormat, ReceivePose, TimeUnit};
@@ -56,15 +58,13 @@ impl Received {
 
     /// Writes the file.
     pub(crate) fn write(&self, path: &Path) -> Result<(), Failure> {
-        let written = || -> csv::Result<()> {
-            let mut file = csv::Writer::from_path(path)?;
-            file.write_record(self.header())?;
-            for reply in &self.replies {
-                file.write_record(self.fields(reply))?;
-            }
-            Ok(file.flush()?)
+        let written = || {
+            let mut file = BufWriter::new(File::create(path)?);
+            writeln!(file, "{}", self.header().join(","))?;
+            self.replies.iter().try_for_each(|reply| writeln!(file, "{}", self.fields(reply).join(",")))?;
+            file.flush()
         };
-        written().map_err(|error| Failure::Input(format!("cannot write {}: {error}", path.display())))
+        written().map_err(|error: io::Error| Failure::Input(format!("cannot write {}: {error}", path.display())))
     }
 
     fn header(&self) -> Vec<String> {

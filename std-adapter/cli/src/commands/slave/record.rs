@@ -1,7 +1,7 @@
 //! `bcap slave record`: records the pose of the robot periodically, in a file that `bcap slave play` reads.
 
 use std::fs::File;
-use std::io;
+use std::io::{self, BufWriter, Write};
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -9,7 +9,7 @@ use bcap_capture::value::describe;
 use bcap_core::bcap::FunctionId;
 use bcap_core::slave::PoseType;
 use bcap_std::ObjectPath;
-use indicatif::ProgressBar;
+use bcap_terminal::progress::Progress;
 
 use crate::commands::slave::args::Record;
 use crate::failure::Failure;
@@ -27,14 +27,14 @@ pub(crate) fn record(args: &Record, link: &LinkArgs, json: bool) -> Result<(), F
         let robot = session.object(&"robot".parse::<ObjectPath>()?)?;
         // reads one pose first, so that an error does not overwrite an existing file
         position(session, robot, kind)?;
-        let mut file = csv::Writer::from_path(&args.file).map_err(|error| cannot_write(&args.file, &error))?;
-        let header: Vec<&str> = ["t"].iter().chain(kind.columns()).copied().collect();
-        let recorded = match file.write_record(&header) {
+        let cannot_write = |error| cannot_write(&args.file, &error);
+        let mut file = BufWriter::new(File::create(&args.file).map_err(cannot_write)?);
+        let recorded = match writeln!(file, "t,{}", kind.columns().join(",")) {
             Ok(()) => poses(session, robot, args, &mut file, &interrupt),
-            Err(error) => Err(cannot_write(&args.file, &error)),
+            Err(error) => Err(cannot_write(error)),
         };
         // after an error too, the file keeps the recorded poses
-        file.flush().map_err(|error| cannot_write(&args.file, &error.into()))?;
+        file.flush().map_err(cannot_write)?;
         // the time limit covers the end of the session, not the wait before it
         session.restart_budget();
         recorded
@@ -50,11 +50,11 @@ fn poses(
     session: &mut Session,
     robot: i32,
     args: &Record,
-    file: &mut csv::Writer<File>,
+    file: &mut impl Write,
     interrupt: &Interrupt,
 ) -> Result<u32, Failure> {
     let start = Instant::now();
-    let bar = ProgressBar::new_spinner();
+    let mut progress = Progress::default();
     let mut lines = 0_u32;
     loop {
         session.restart_budget();
@@ -64,10 +64,7 @@ fn poses(
         let at = (before + start.elapsed()).as_secs_f64() / 2.0;
         write(file, at, &numbers).map_err(|error| cannot_write(&args.file, &error))?;
         lines += 1;
-        if lines % 25 == 1 {
-            bar.set_message(format!("{lines} poses, {at:.1} s; Ctrl-C ends"));
-            bar.tick();
-        }
+        progress.show(|_| format!("{lines} poses, {at:.1} s; Ctrl-C ends"));
         // relative to the start, so that a slow round does not delay the following ones
         let next = Duration::from_secs_f64(f64::from(lines) / args.hz);
         if args.seconds.is_some_and(|seconds| next.as_secs_f64() > seconds) {
@@ -77,7 +74,6 @@ fn poses(
             break;
         }
     }
-    bar.finish_and_clear();
     Ok(lines)
 }
 
@@ -101,15 +97,12 @@ fn position(session: &mut Session, robot: i32, kind: PoseType) -> Result<Vec<f64
     })
 }
 
-fn write(file: &mut csv::Writer<File>, at: f64, numbers: &[f64]) -> csv::Result<()> {
-    let fields = std::iter::once(format!("{at:.6}")).chain(numbers.iter().map(f64::to_string));
-    file.write_record(fields)
+fn write(file: &mut impl Write, at: f64, numbers: &[f64]) -> io::Result<()> {
+    write!(file, "{at:.6}")?;
+    numbers.iter().try_for_each(|number| write!(file, ",{number}"))?;
+    writeln!(file)
 }
 
-fn cannot_write(path: &Path, error: &csv::Error) -> Failure {
-    let reason = match error.kind() {
-        csv::ErrorKind::Io(error) => error.to_string(),
-        _ => io::Error::other(error.to_string()).to_string(),
-    };
-    Failure::Input(format!("cannot write {}: {reason}", path.display()))
+fn cannot_write(path: &Path, error: &io::Error) -> Failure {
+    Failure::Input(format!("cannot write {}: {error}", path.display()))
 }

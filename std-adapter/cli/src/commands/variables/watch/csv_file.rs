@@ -5,6 +5,7 @@ use std::io::{self, Write};
 use std::path::Path;
 use std::time::Duration;
 
+use bcap_capture::decode::csv;
 use bcap_core::variant::Variant;
 
 use crate::failure::Failure;
@@ -13,7 +14,7 @@ use crate::values::{Value, data};
 
 /// A table under way; the first row decides its columns.
 pub(crate) struct Table {
-    writer: csv::Writer<Box<dyn Write>>,
+    out: Box<dyn Write>,
     /// The number of cells of each variable.
     widths: Vec<usize>,
 }
@@ -26,7 +27,7 @@ impl Table {
         } else {
             Box::new(File::create(path).map_err(local_files::failed(path))?)
         };
-        Ok(Self { writer: csv::Writer::from_writer(out), widths: Vec::new() })
+        Ok(Self { out, widths: Vec::new() })
     }
 
     /// Adds a row.
@@ -66,7 +67,7 @@ impl Table {
     }
 
     fn write(&mut self, row: &[String]) -> Result<(), Failure> {
-        self.writer.write_record(row).map_err(|error| Failure::Stdio(io::Error::from(error)))?;
-        Ok(self.writer.flush()?)
+        writeln!(self.out, "{}", csv::row(row))?;
+        Ok(self.out.flush()?)
     }
 }

@@ -5,12 +5,12 @@ use std::io::BufWriter;
 use std::path::Path;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
+use bcap_capture::mcap::{self, Schema};
 use bcap_core::variant::Variant;
 use serde_json::{Value as Json, json};
 
 use crate::failure::Failure;
 use crate::local_files;
-use crate::mcap_log::{McapLog, Schema};
 use crate::values::{Value, data};
 
 const NUMBER: Schema =
@@ -30,7 +30,7 @@ const BOOLS: Schema = Schema {
 
 /// A file of samples that is being written.
 pub(crate) struct Samples {
-    series: McapLog<BufWriter<File>>,
+    series: mcap::Log<BufWriter<File>>,
     /// The wall clock at the start, since 1970.
     start: Duration,
 }
@@ -39,7 +39,7 @@ impl Samples {
     /// Creates the file, in place of one that exists.
     pub(crate) fn create(path: &Path) -> Result<Self, Failure> {
         let start = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        Ok(Self { series: McapLog::create(path).map_err(local_files::failed(path))?, start })
+        Ok(Self { series: mcap::Log::create(path).map_err(local_files::failed(path))?, start })
     }
 
     /// Adds a value that was read `elapsed` after the start, as `{"value":5}` of the topic `/I1`.
