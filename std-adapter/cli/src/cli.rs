@@ -17,6 +17,7 @@ use crate::commands::files::{Cp, Ls};
 use crate::commands::gateway::Gateway;
 use crate::commands::judge::conform::Conform;
 use crate::commands::judge::fuzz::Fuzz;
+#[cfg(feature = "screens")]
 use crate::commands::monitor::Monitor;
 use crate::commands::packets::decode::Decode;
 use crate::commands::packets::encode::Encode;
@@ -68,6 +69,7 @@ pub(crate) enum Command {
     Get(Get),
     Put(Put),
     Watch(Watch),
+    #[cfg(feature = "screens")]
     Monitor(Monitor),
     Names(Names),
     Ls(Ls),

@@ -24,11 +24,13 @@ use crate::cli::{Cli, Command};
 use crate::commands::backup::{diff, dump, restore};
 use crate::commands::calls::{call, exec};
 use crate::commands::judge::{conform, fuzz};
+#[cfg(feature = "screens")]
+use crate::commands::monitor;
 use crate::commands::packets::{decode, encode, proxy, raw, replay, text, wireshark};
 use crate::commands::robot::{errors, halt, messages, motion, task};
 use crate::commands::sim::demo;
 use crate::commands::variables::{get, names, put, rac, watch};
-use crate::commands::{board, doctor, explain, files, gateway, monitor, profile, sim, slave};
+use crate::commands::{board, doctor, explain, files, gateway, profile, sim, slave};
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::session::selection::Selection;
@@ -85,6 +87,7 @@ pub(crate) fn verb(command: &Command, session: &mut Session, json: bool) -> Resu
         Command::Get(args) => get::get(args, session, json),
         Command::Put(args) => put::put(args, session, json),
         Command::Watch(args) => watch::watch(args, session, json),
+        #[cfg(feature = "screens")]
         Command::Monitor(args) => monitor::monitor(args, session, json),
         Command::Names(_) => names::names(session, json),
         Command::Ls(args) => files::ls(args, session, json),

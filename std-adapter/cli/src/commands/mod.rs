@@ -8,11 +8,13 @@ pub(crate) mod explain;
 pub(crate) mod files;
 pub(crate) mod gateway;
 pub(crate) mod judge;
+#[cfg(feature = "screens")]
 pub(crate) mod monitor;
 pub(crate) mod packets;
 pub(crate) mod profile;
 pub(crate) mod robot;
 mod robot_ports;
+#[cfg(feature = "screens")]
 mod screen;
 pub(crate) mod sim;
 pub(crate) mod slave;

@@ -77,6 +77,7 @@ impl fmt::Display for Message {
 
 impl Message {
     /// Formats the message without its time, the text first.
+    #[cfg(feature = "screens")]
     pub(crate) fn short(&self) -> String {
         format!("{} ({} {})", self.text, self.source, self.number)
     }

@@ -114,7 +114,7 @@ pub(crate) struct Sim {
     /// E_FAIL and printed on stderr.
     #[arg(long, value_name = "FILE.pcapng", conflicts_with_all = [
         "model", "print_model", "arm", "robot_type", "mode", "token", "no_slave_licence", "scenario", "record", "files", "explain", "lenient",
-        "as_observed", "screen",
+        "as_observed",
     ])]
     pub(crate) replay: Option<PathBuf>,
 
@@ -130,7 +130,8 @@ pub(crate) struct Sim {
     /// Shows the state, the pose, the tasks, the connections and the last calls live in the terminal; `q` quits
     ///
     /// The refused arguments of --explain are part of the screen. `bcap monitor --help` says what the terminal needs.
-    #[arg(long)]
+    #[cfg(feature = "screens")]
+    #[arg(long, conflicts_with = "replay")]
     pub(crate) screen: bool,
 
     /// The folder of the controller's files; clients see its regular files and folders [default: an empty temporary folder]

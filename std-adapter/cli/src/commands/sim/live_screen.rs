@@ -30,7 +30,25 @@ const KEYS: &str = "q quit  a all calls, or only those whose reply has changed  
 #[derive(Clone, Debug, Default)]
 pub(super) struct Refused(Arc<Mutex<VecDeque<String>>>);
 
+/// The list of the screen that gets the events of serial lines; `None` without a screen. The server reports them to a
+/// function, which has no state.
+static SHOWN: Mutex<Option<Refused>> = Mutex::new(None);
+
 impl Refused {
+    /// Returns the list of the screen, which gets the events of serial lines from now on.
+    pub(super) fn shown() -> Self {
+        SHOWN.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert_default().clone()
+    }
+
+    /// Adds an event to the list of the screen; returns it if there is no screen.
+    pub(super) fn push_shown(event: String) -> Option<String> {
+        match &*SHOWN.lock().unwrap_or_else(PoisonError::into_inner) {
+            Some(shown) => shown.push(event),
+            None => return Some(event),
+        }
+        None
+    }
+
     /// Returns the observer that fills this list.
     pub(super) fn observer(&self) -> Observer {
         let list = self.clone();
@@ -43,7 +61,7 @@ impl Refused {
     }
 
     /// Adds a line, in place of the oldest one if there are many.
-    pub(super) fn push(&self, line: String) {
+    fn push(&self, line: String) {
         let mut lines = self.lines();
         if lines.len() >= KEPT {
             lines.pop_front();
@@ -64,6 +82,9 @@ pub(super) struct Watched {
     refused: Refused,
 }
 
+/// The controller that the server and the screen share.
+pub(super) type Shared = Arc<Mutex<Watched>>;
+
 /// A client.
 struct Client {
     protocol: &'static str,
@@ -76,12 +97,12 @@ struct Client {
 
 impl Watched {
     /// Makes the controller, which the server and the screen share.
-    pub(super) fn shared(controller: Controller, refused: Refused) -> Arc<Mutex<Self>> {
+    pub(super) fn shared(controller: Controller, refused: Refused) -> Shared {
         Arc::new(Mutex::new(Self { controller, clients: BTreeMap::new(), log: CallLog::default(), refused }))
     }
 
     /// Makes the server.
-    pub(super) fn server(shared: &Arc<Mutex<Self>>) -> Server<Self> {
+    pub(super) fn server(shared: &Shared) -> Server<Self> {
         Server::with_shared(Arc::clone(shared)).tap(Self::deliver).on_connect(Self::connected)
     }
 
@@ -228,7 +249,7 @@ impl rac::Handler for Watched {
 }
 
 /// Returns the function that makes the screen, for [`Live`](bcap_terminal::screen::Live).
-pub(super) fn shown(addresses: &str, watched: &Arc<Mutex<Watched>>) -> impl FnMut(&[KeyCode]) -> Screen + Send + use<> {
+pub(super) fn shown(addresses: &str, watched: &Shared) -> impl FnMut(&[KeyCode]) -> Screen + Send + use<> {
     let (addresses, watched) = (addresses.to_owned(), Arc::clone(watched));
     move |keys| {
         let mut watched = watched.lock().unwrap_or_else(PoisonError::into_inner);

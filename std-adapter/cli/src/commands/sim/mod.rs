@@ -3,13 +3,14 @@
 pub(crate) mod args;
 mod delivery;
 pub(crate) mod demo;
+#[cfg(feature = "screens")]
 mod live_screen;
 mod trajectory;
 
 use std::io::{self, Write as _};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::Path;
-use std::sync::{Arc, Mutex, PoisonError, mpsc};
+use std::sync::mpsc;
 use std::time::{SystemTime, UNIX_EPOCH};
 use std::{fmt, fs, thread};
 
@@ -23,10 +24,8 @@ use bcap_sim::scenario::Effect;
 use bcap_sim::{ArmModel, Config, Controller, Model, Profile, Scenario, Token};
 use bcap_std::SerialLine;
 use bcap_std::server::{LineEvent, Server};
-use bcap_terminal::screen::{Live, require};
 use bcap_terminal::{escape, signal};
 use delivery::deliver;
-use live_screen::{Refused, Watched, shown};
 use tokio::sync::oneshot;
 
 use crate::commands::packets::proxy::Front;
@@ -45,10 +44,6 @@ const FILE_JOBS: usize = 64;
 /// The maximum number of queued explanations.
 const EXPLANATIONS: usize = 64;
 
-/// The list of the screen that gets the events of serial lines; `None` without a screen. The server reports them to a
-/// function, which has no state.
-static SHOWN: Mutex<Option<Refused>> = Mutex::new(None);
-
 /// Runs `bcap sim`, until a signal ends it; its clients are recorded to `file`.
 pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
     let model = read_model(&args.model)?;
@@ -60,8 +55,9 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
     if let (true, Some((_, text))) = (args.print_arm, &arm) {
         return Ok(print_block(text.trim_end())?);
     }
+    #[cfg(feature = "screens")]
     if args.screen {
-        require("leave --screen out").map_err(Failure::Input)?;
+        bcap_terminal::screen::require("leave --screen out").map_err(Failure::Input)?;
     }
     let runtime = runtime()?;
     runtime.block_on(async {
@@ -81,12 +77,14 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
         (config.mode, config.token) = (args.mode.into(), args.token);
         config.lenient = args.lenient;
         config.as_observed = args.as_observed;
-        let refused = Refused::default();
-        *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = args.screen.then(|| refused.clone());
-        if args.screen {
-            config.observer = refused.observer();
-        } else if args.explain || args.lenient {
+        if args.explain || args.lenient {
             config.observer = explainer(args.explain)?;
+        }
+        #[cfg(feature = "screens")]
+        let refused = args.screen.then(live_screen::Refused::shown);
+        #[cfg(feature = "screens")]
+        if let Some(refused) = &refused {
+            config.observer = refused.observer();
         }
         if let Some((arm, _)) = &arm {
             config = config.with_arm(arm);
@@ -108,19 +106,13 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
             }
             controller.play(scenario);
         }
-        if args.screen {
-            on_screen(Watched::shared(controller, refused), args, rac, file, ended).await?;
-        } else {
-            serve(
-                Server::new(controller).tap(deliver).on_connect(Controller::connected),
-                args,
-                rac,
-                file,
-                ended,
-                print_line,
-            )
-            .await?;
+        #[cfg(feature = "screens")]
+        if let Some(refused) = refused {
+            on_screen(live_screen::Watched::shared(controller, refused), args, rac, file, ended).await?;
+            return Ok(trajectory.map_or(Ok(()), |trajectory| trajectory.end())?);
         }
+        let server = Server::new(controller).tap(deliver).on_connect(Controller::connected);
+        serve(server, args, rac, file, ended, print_line).await?;
         Ok(trajectory.map_or(Ok(()), |trajectory| trajectory.end())?)
     })
 }
@@ -146,9 +138,10 @@ fn no_addresses(place: &str) -> Failure {
     ))
 }
 
+#[cfg(feature = "screens")]
 /// Serves, and shows the controller, until `ended` or until the user quits.
 async fn on_screen(
-    watched: Arc<Mutex<Watched>>,
+    watched: live_screen::Shared,
     args: &Sim,
     rac: Option<SocketAddr>,
     file: Option<&Path>,
@@ -162,13 +155,13 @@ async fn on_screen(
             _ = quits => {}
         }
     };
-    let served = serve(Watched::server(&watched), args, rac, file, ended, |line| {
+    let served = serve(live_screen::Watched::server(&watched), args, rac, file, ended, |line| {
         let addresses = line.strip_prefix("ready ").unwrap_or(line);
-        live = Some(Live::open(quit, shown(addresses, &watched))?);
+        live = Some(bcap_terminal::screen::Live::open(quit, live_screen::shown(addresses, &watched))?);
         Ok(())
     })
     .await;
-    let closed = live.map_or(Ok(()), Live::close);
+    let closed = live.map_or(Ok(()), bcap_terminal::screen::Live::close);
     served?;
     Ok(closed?)
 }
@@ -224,11 +217,10 @@ fn print_event(line: &SerialLine, event: LineEvent<'_>) {
         LineEvent::Reopened => format!("serial:{line} is open again"),
         _ => return,
     };
-    match &*SHOWN.lock().unwrap_or_else(PoisonError::into_inner) {
-        // a note would be written over the screen
-        Some(shown) => shown.push(text),
-        None => note(&text),
-    }
+    // a note would be written over the screen
+    #[cfg(feature = "screens")]
+    let Some(text) = live_screen::Refused::push_shown(text) else { return };
+    note(&text);
 }
 
 /// A handler of both protocols.

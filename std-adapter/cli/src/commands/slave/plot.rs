@@ -95,24 +95,24 @@ fn chart(svg: &mut String, title: &str, unit: &str, legend_below: bool, curves: 
     let (right, bottom) = (width - right, height - below);
     let x = |at: f64| left + at / end * (right - left);
     let y = |value: f64| bottom - (value - low) / (high - low) * (bottom - top);
+    let (times, values) = (ticks(0.0, end), ticks(low, high));
+    let vertical = times.iter().map(|at| format!("M{:.1},{top}V{bottom}", x(*at)));
+    let horizontal = values.iter().map(|value| format!("M{left},{:.1}H{right}", y(*value)));
+    let grid: String = vertical.chain(horizontal).collect();
+    let _ = writeln!(svg, "<path d=\"{grid}\" stroke=\"#e4e4e4\"/>");
+    let _ = writeln!(svg, "<path d=\"M{left},{top}V{bottom}H{right}\" fill=\"none\" stroke=\"black\"/>");
     let mut text = |x: f64, y: f64, rest: &str, text: &str| {
         let _ = writeln!(svg, "<text x=\"{x:.1}\" y=\"{y:.1}\" {rest}>{text}</text>");
     };
     text(width / 2.0, top - 12.0, "text-anchor=\"middle\" font-size=\"20\"", title);
     text((left + right) / 2.0, height - 10.0, "text-anchor=\"middle\"", "time, s");
     text(14.0, top - 12.0, "", unit);
-    let (times, values) = (ticks(0.0, end), ticks(low, high));
     times.iter().for_each(|at| text(x(*at), bottom + 18.0, "text-anchor=\"middle\"", &number(*at)));
     values.iter().for_each(|value| text(left - 8.0, y(*value) + 5.0, "text-anchor=\"end\"", &number(*value)));
     let from = if legend_below { bottom - 20.0 * curves.len() as f64 } else { top + 16.0 };
     for (curve, n) in curves.iter().zip(0_u8..) {
         text(right - 200.0, from + 20.0 * f64::from(n) + 5.0, "", &curve.name);
     }
-    let vertical = times.iter().map(|at| format!("M{:.1},{top}V{bottom}", x(*at)));
-    let horizontal = values.iter().map(|value| format!("M{left},{:.1}H{right}", y(*value)));
-    let grid: String = vertical.chain(horizontal).collect();
-    let _ = writeln!(svg, "<path d=\"{grid}\" stroke=\"#e4e4e4\"/>");
-    let _ = writeln!(svg, "<path d=\"M{left},{top}V{bottom}H{right}\" fill=\"none\" stroke=\"black\"/>");
     for (curve, n) in curves.iter().zip(0_u8..) {
         let points: String =
             curve.points.iter().map(|(at, value)| format!("{:.1},{:.1} ", x(*at), y(*value))).collect();
