@@ -14,6 +14,7 @@ mod logs;
 mod objects;
 mod preparation;
 mod programs;
+mod provider;
 mod rac;
 mod robot;
 mod scenario;
