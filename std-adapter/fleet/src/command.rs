@@ -67,6 +67,15 @@ pub(crate) struct Job {
     pub(crate) expires: u64,
 }
 
+/// A command that has ended.
+pub(crate) struct Finished {
+    pub(crate) cell: usize,
+    pub(crate) topic: String,
+    pub(crate) command: Command,
+    pub(crate) result: CommandResult,
+    pub(crate) reason: Option<String>,
+}
+
 /// The rules, and the executed commands.
 #[derive(Debug)]
 pub(crate) struct Commands {

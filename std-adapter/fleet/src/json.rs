@@ -13,14 +13,82 @@
 //!
 //! `T` is in milliseconds since 1970. `N` is different for each reading of a node, and increases.
 
+use std::sync::atomic::Ordering;
+
 use rumqttc::QoS;
 use serde::Serialize;
 
 use crate::command::Answer;
 use crate::config::Config;
+use crate::encoder::{Decoded, Encoder, Outbox};
 use crate::message::Message;
 use crate::queue::State;
 use crate::reading::{Quality, Reading, Value};
+
+/// The encoder. It has no state: each message is complete.
+pub(crate) struct Json;
+
+impl Encoder for Json {
+    fn has_births(&self) -> bool {
+        false
+    }
+
+    fn topics(&self, config: &Config, are_on: bool) -> Vec<String> {
+        are_on.then(|| topic(config, "+", "command")).into_iter().collect()
+    }
+
+    fn introduce(&mut self, outbox: &mut Outbox<'_>) {
+        let states: Vec<_> = outbox.cells.iter().filter_map(|cell| cell.state.clone()).collect();
+        states.iter().for_each(|state| self.state(outbox, state));
+        self.repeat(outbox);
+    }
+
+    /// The retained values become the newest.
+    fn repeat(&mut self, outbox: &mut Outbox<'_>) {
+        let readings = outbox.cells.iter().flat_map(|cell| cell.latest.iter().flatten());
+        outbox.messages.extend(readings.map(|reading| repeated(outbox.config, reading)));
+    }
+
+    /// The points of a disconnected controller that this process has not read are unknown. The broker may have good values of an
+    /// earlier process.
+    fn state(&mut self, outbox: &mut Outbox<'_>, state: &State) {
+        outbox.push(self::state(outbox.config, state));
+        if state.down.is_none() {
+            return;
+        }
+        for (point, latest) in outbox.cells[state.cell].latest.iter().enumerate() {
+            if latest.is_none() {
+                let id = outbox.next_id.fetch_add(1, Ordering::Relaxed);
+                outbox.messages.push_back(unknown(outbox.config, state, point, id));
+            }
+        }
+    }
+
+    fn reading(&mut self, outbox: &mut Outbox<'_>, reading: Reading) -> Option<Reading> {
+        outbox.cells[reading.cell].latest[reading.point] = Some(reading.clone());
+        outbox.push(self::reading(outbox.config, reading));
+        None
+    }
+
+    fn historical(&mut self, outbox: &mut Outbox<'_>, reading: Reading, _: bool) {
+        outbox.push(self::reading(outbox.config, reading));
+    }
+
+    fn decode(&self, config: &Config, topic: &str, payload: &[u8], _: u64) -> Decoded {
+        let name = topic.split('/').nth(2).unwrap_or_default();
+        // another node of the group may have this controller
+        let Some(cell) = config.controllers.iter().position(|cell| cell.name == name) else { return Decoded::Nothing };
+        match serde_json::from_slice(payload) {
+            Ok(command) => Decoded::Commands(cell, vec![command]),
+            Err(error) => Decoded::Invalid(cell, format!("it is not a command: {error}")),
+        }
+    }
+
+    fn answer(&self, config: &Config, cell: usize, answer: &Answer<'_>) -> Option<Message> {
+        let topic = topic(config, &config.controllers[cell].name, "answer");
+        Some(Message { retain: false, ..retained(topic, answer) })
+    }
+}
 
 #[derive(Serialize)]
 struct Shown<'a> {
@@ -66,7 +134,7 @@ pub(crate) fn node(config: &Config, online: bool, time: u64, instance: Option<&s
 }
 
 /// Returns the message for a change of a controller's state.
-pub(crate) fn state(config: &Config, state: &State) -> Message {
+fn state(config: &Config, state: &State) -> Message {
     let reason = state.down.as_deref();
     let word = if reason.is_some() { "disconnected" } else { "connected" };
     let shown = StateShown { state: word, time: state.time, reason, instance: None, bd_seq: None };
@@ -74,7 +142,7 @@ pub(crate) fn state(config: &Config, state: &State) -> Message {
 }
 
 /// Returns the message for a reading.
-pub(crate) fn reading(config: &Config, reading: Reading) -> Message {
+fn reading(config: &Config, reading: Reading) -> Message {
     // an old value must not replace a newer one
     let retain = !reading.historical;
     let message = shown(config, &reading, false);
@@ -82,12 +150,12 @@ pub(crate) fn reading(config: &Config, reading: Reading) -> Message {
 }
 
 /// Returns the message that repeats the latest reading of a point.
-pub(crate) fn repeated(config: &Config, reading: &Reading) -> Message {
+fn repeated(config: &Config, reading: &Reading) -> Message {
     shown(config, reading, true)
 }
 
 /// Returns the message that says that a point of a disconnected controller is unknown.
-pub(crate) fn unknown(config: &Config, state: &State, point: usize, id: u64) -> Message {
+fn unknown(config: &Config, state: &State, point: usize, id: u64) -> Message {
     let (cell, time) = (state.cell, state.time);
     shown(config, &Reading { cell, point, time, id, value: None, quality: Quality::Bad, historical: false }, false)
 }
@@ -98,12 +166,6 @@ fn shown(config: &Config, reading: &Reading, repeated: bool) -> Message {
     let historical = reading.historical && !repeated;
     let shown = Shown { value: reading.value.as_ref(), quality, time, id, historical, repeated };
     retained(topic(config, &cell.name, &cell.points[reading.point].name), &shown)
-}
-
-/// Returns the answer to a command.
-pub(crate) fn answer(config: &Config, cell: usize, answer: &Answer<'_>) -> Message {
-    let topic = topic(config, &config.controllers[cell].name, "answer");
-    Message { retain: false, ..retained(topic, answer) }
 }
 
 fn retained(topic: String, shown: &impl Serialize) -> Message {

@@ -19,6 +19,7 @@
 //! | `broker`                | one connection to the broker, with TLS                                   |
 //! | `publisher`             | moves readings to the broker, and commands from it                       |
 //! | `standby`               | decides which process of a node is active                                |
+//! | `encoder`               | the interface of the two formats                                         |
 //! | `json`, `sparkplug`     | topics and payloads                                                      |
 //! | `command`               | rules, expiry and at-most-once execution of commands                     |
 //! | `metrics`, `http`       | counters, and the server that shows them                                 |
@@ -29,6 +30,7 @@ mod broker;
 mod check;
 mod command;
 mod config;
+mod encoder;
 mod error;
 mod event;
 mod fleet;

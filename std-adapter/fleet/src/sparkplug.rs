@@ -13,17 +13,21 @@
 //! A metric that cannot be read is null, with the property `Quality` 0. A position has a metric for each element, with its unit
 //! as the property `engUnit`. The specification demands QoS 0 for births and data.
 
+mod metric;
 mod payload;
 
 use prost::Message as _;
 use rumqttc::QoS;
 
-pub(crate) use self::payload::Payload;
-use self::payload::{Metric, Number, PropertySet, PropertyValue};
+use self::metric::{DataType, type_of, typed, values};
+use self::payload::{Metric, Number, Payload, PropertySet};
+use crate::command::{Command, canonical};
 use crate::config::Config;
+use crate::encoder::{Cell, Decoded, Encoder, Outbox};
 use crate::message::Message;
 use crate::point::Point;
-use crate::reading::{Quality, Reading, Value, now_ms};
+use crate::queue::State;
+use crate::reading::{Reading, now_ms};
 use crate::units::elements;
 
 /// The metric by which a host asks for births.
@@ -55,33 +59,120 @@ struct Device {
     points: Vec<(u64, Option<DataType>)>,
 }
 
-/// The types in use, with their numbers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum DataType {
-    Int32 = 3,
-    Int64 = 4,
-    Float = 9,
-    Double = 10,
-    Boolean = 11,
-    String = 12,
-}
+impl Encoder for Sparkplug {
+    fn has_births(&self) -> bool {
+        true
+    }
 
-/// A command of a host to this node or a device.
-#[derive(Debug, PartialEq)]
-pub(crate) struct HostCommand {
-    pub(crate) writes: Vec<HostWrite>,
-    pub(crate) rebirth: bool,
-}
+    fn will(&mut self, config: &Config) -> Option<Message> {
+        self.bd_seq = self.bd_seq.wrapping_add(1);
+        self.death(config)
+    }
 
-/// A write that a host asks for.
-#[derive(Debug, PartialEq)]
-pub(crate) struct HostWrite {
-    /// The name of the variable.
-    pub(crate) name: String,
-    /// The value as JSON.
-    pub(crate) value: serde_json::Value,
-    /// When the host sent it, in milliseconds since 1970: the time of the metric, or else of the payload; 0 without any.
-    pub(crate) time: u64,
+    fn death(&self, config: &Config) -> Option<Message> {
+        let payload = Payload { timestamp: Some(now_ms()), metrics: vec![self.bd_seq_metric()], seq: None };
+        Some(Message { qos: QoS::AtLeastOnce, ..message(topic(config, "NDEATH", None), &payload, Vec::new()) })
+    }
+
+    fn topics(&self, config: &Config, are_on: bool) -> Vec<String> {
+        let mut topics = vec![topic(config, "NCMD", None)];
+        topics.extend(are_on.then(|| topic(config, "DCMD", None) + "/+"));
+        topics
+    }
+
+    fn introduce(&mut self, outbox: &mut Outbox<'_>) {
+        let birth = self.birth(outbox.config);
+        outbox.push(birth);
+        (0..outbox.cells.len()).for_each(|cell| self.try_birth(outbox, cell));
+    }
+
+    /// Births contain all values.
+    fn repeat(&mut self, outbox: &mut Outbox<'_>) {
+        self.introduce(outbox);
+    }
+
+    /// A birth waits for the first readings of the session.
+    fn state(&mut self, outbox: &mut Outbox<'_>, state: &State) {
+        outbox.messages.extend(self.device_death(outbox.config, state.cell));
+    }
+
+    fn reading(&mut self, outbox: &mut Outbox<'_>, reading: Reading) -> Option<Reading> {
+        let (config, index) = (outbox.config, reading.cell);
+        let cell = &mut outbox.cells[index];
+        if !cell.is_connected() {
+            // the death of the device has said that all values are unknown
+            cell.latest[reading.point] = None;
+            return None;
+        }
+        let before = cell.latest[reading.point].replace(reading.clone());
+        if !self.is_born(index) {
+            // the birth carries the latest reading only; a historical one is in the buffer
+            self.try_birth(outbox, index);
+            return before.filter(|before| !before.historical);
+        }
+        if self.has_type(config, &reading) {
+            self.add_data(outbox, reading);
+        } else {
+            let birth = self.device_birth(config, index, &cell.latest);
+            outbox.push(birth);
+        }
+        None
+    }
+
+    fn historical(&mut self, outbox: &mut Outbox<'_>, reading: Reading, has_more: bool) {
+        let (config, index) = (outbox.config, reading.cell);
+        if !self.is_born(index) {
+            // aliases are unknown before a birth; its unread values are null
+            let birth = self.device_birth(config, index, &outbox.cells[index].latest);
+            outbox.push(birth);
+        }
+        self.add_data(outbox, reading);
+        if !outbox.cells[index].is_connected() && !has_more {
+            // the birth was for its history only
+            outbox.messages.extend(self.device_death(config, index));
+        }
+    }
+
+    /// Readings wait for the birth of their device. Historical ones are in the buffer.
+    fn take_unsent(&mut self, index: usize, cell: &mut Cell) -> Vec<Reading> {
+        let unborn = !self.is_born(index);
+        let latest = cell.latest.iter_mut().filter_map(Option::take);
+        latest
+            .filter(|reading| unborn && !reading.historical)
+            .map(|reading| Reading { historical: true, ..reading })
+            .collect()
+    }
+
+    fn decode(&self, config: &Config, topic: &str, payload: &[u8], longest: u64) -> Decoded {
+        if topic == self::topic(config, "NCMD", None) {
+            let asks = Payload::decode(payload).is_ok_and(|payload| payload.metrics.iter().any(is_rebirth));
+            return if asks { Decoded::Repeat } else { Decoded::Nothing };
+        }
+        let name = topic.split('/').nth(4).unwrap_or_default();
+        let Some(cell) = config.controllers.iter().position(|cell| cell.name == name) else { return Decoded::Nothing };
+        match self.commands(config, cell, payload, longest) {
+            Ok(commands) => Decoded::Commands(cell, commands),
+            Err(reason) => Decoded::Invalid(cell, reason),
+        }
+    }
+
+    fn bd_seq(&self) -> Option<u8> {
+        Some(self.bd_seq)
+    }
+
+    fn follow(&mut self, bd_seq: u8) {
+        self.bd_seq = bd_seq;
+    }
+
+    fn death_topic(&self, config: &Config) -> Option<String> {
+        Some(topic(config, "NDEATH", None))
+    }
+
+    fn is_death(&self, payload: &[u8]) -> bool {
+        let metrics = Payload::decode(payload).map(|payload| payload.metrics).unwrap_or_default();
+        let number = Some(Number::Long(self.bd_seq.into()));
+        metrics.iter().any(|metric| metric.name.as_deref() == Some(BD_SEQ) && metric.value == number)
+    }
 }
 
 impl Sparkplug {
@@ -99,33 +190,22 @@ impl Sparkplug {
         Self { seq: 0, bd_seq: 0, devices: devices.collect() }
     }
 
-    /// Returns the will of the next connection.
-    pub(crate) fn will(&mut self, config: &Config) -> Message {
-        self.bd_seq = self.bd_seq.wrapping_add(1);
-        self.death(config)
+    /// Adds the birth of a device when each of its points was read.
+    fn try_birth(&mut self, outbox: &mut Outbox<'_>, index: usize) {
+        let cell = &outbox.cells[index];
+        if cell.is_connected() && cell.latest.iter().all(Option::is_some) {
+            let birth = self.device_birth(outbox.config, index, &cell.latest);
+            outbox.push(birth);
+        }
     }
 
-    /// Returns the number that joins births and deaths of the present connection.
-    pub(crate) const fn bd_seq(&self) -> u8 {
-        self.bd_seq
-    }
-
-    /// Continues the numbers of another process of this node.
-    pub(crate) const fn follow(&mut self, bd_seq: u8) {
-        self.bd_seq = bd_seq;
-    }
-
-    /// Returns the death of the node.
-    pub(crate) fn death(&self, config: &Config) -> Message {
-        let payload = Payload { timestamp: Some(now_ms()), metrics: vec![self.bd_seq_metric()], seq: None };
-        Message { qos: QoS::AtLeastOnce, ..message(topic(config, "NDEATH", None), &payload, Vec::new()) }
-    }
-
-    /// Returns whether a payload is the death of the birth with the number that was followed last.
-    pub(crate) fn is_death(&self, payload: &[u8]) -> bool {
-        let metrics = Payload::decode(payload).map(|payload| payload.metrics).unwrap_or_default();
-        let number = Some(Number::Long(self.bd_seq.into()));
-        metrics.iter().any(|metric| metric.name.as_deref() == Some(BD_SEQ) && metric.value == number)
+    /// Adds the data of a reading, to the last message if it fits.
+    fn add_data(&mut self, outbox: &mut Outbox<'_>, reading: Reading) {
+        let config = outbox.config;
+        if !outbox.messages.back_mut().is_some_and(|last| self.join(config, last, &reading)) {
+            let data = self.data(config, reading);
+            outbox.push(data);
+        }
     }
 
     fn bd_seq_metric(&self) -> Metric {
@@ -133,19 +213,19 @@ impl Sparkplug {
     }
 
     /// Returns the birth of the node. All devices need a birth after it.
-    pub(crate) fn birth(&mut self, config: &Config) -> Message {
+    fn birth(&mut self, config: &Config) -> Message {
         self.seq = 0;
         self.devices.iter_mut().for_each(|device| device.is_born = false);
         let rebirth = Metric::named(REBIRTH, DataType::Boolean as u32, Number::Boolean(false));
         self.numbered(topic(config, "NBIRTH", None), vec![self.bd_seq_metric(), rebirth], Vec::new())
     }
 
-    pub(crate) fn is_born(&self, cell: usize) -> bool {
+    fn is_born(&self, cell: usize) -> bool {
         self.devices[cell].is_born
     }
 
     /// Returns the birth of a device; points without a reading are null.
-    pub(crate) fn device_birth(&mut self, config: &Config, cell: usize, latest: &[Option<Reading>]) -> Message {
+    fn device_birth(&mut self, config: &Config, cell: usize, latest: &[Option<Reading>]) -> Message {
         let points = &config.controllers[cell].points;
         let mut metrics = Vec::new();
         for ((point, reading), (alias, kind)) in points.iter().zip(latest).zip(&mut self.devices[cell].points) {
@@ -161,27 +241,27 @@ impl Sparkplug {
     }
 
     /// Returns the death of a device, if it was born.
-    pub(crate) fn device_death(&mut self, config: &Config, cell: usize) -> Option<Message> {
+    fn device_death(&mut self, config: &Config, cell: usize) -> Option<Message> {
         std::mem::take(&mut self.devices[cell].is_born)
             .then(|| self.numbered(topic(config, "DDEATH", Some(cell)), Vec::new(), Vec::new()))
     }
 
     /// Returns whether a value has the type that the birth has announced.
-    pub(crate) fn has_type(&self, config: &Config, reading: &Reading) -> bool {
+    fn has_type(&self, config: &Config, reading: &Reading) -> bool {
         let point = &config.controllers[reading.cell].points[reading.point];
         let announced = self.devices[reading.cell].points[reading.point].1;
         typed(point).is_some() || reading.value.as_ref().is_none_or(|value| announced == Some(type_of(value)))
     }
 
     /// Returns the data of a reading.
-    pub(crate) fn data(&mut self, config: &Config, reading: Reading) -> Message {
+    fn data(&mut self, config: &Config, reading: Reading) -> Message {
         let metrics = self.metrics(config, &reading);
         self.numbered(topic(config, "DDATA", Some(reading.cell)), metrics, vec![reading])
     }
 
     /// Adds a reading to the data of other points of the same controller; returns whether it was added. A scan reads many
     /// points at once, and one message for all of them costs the broker and its subscribers much less.
-    pub(crate) fn join(&self, config: &Config, message: &mut Message, reading: &Reading) -> bool {
+    fn join(&self, config: &Config, message: &mut Message, reading: &Reading) -> bool {
         let fits = |other: &Reading| {
             other.cell == reading.cell && other.point != reading.point && other.historical == reading.historical
         };
@@ -222,20 +302,17 @@ impl Sparkplug {
         message(topic, &payload, readings)
     }
 
-    /// Returns the request of a host to the node (`cell` is `None`) or to a device.
-    pub(crate) fn command(&self, config: &Config, cell: Option<usize>, payload: &[u8]) -> Result<HostCommand, String> {
+    /// Returns the writes that a host asks a device for. A write was sent at the time of its metric, or else of the payload.
+    fn commands(&self, config: &Config, cell: usize, payload: &[u8], longest: u64) -> Result<Vec<Command>, String> {
         let payload = Payload::decode(payload).map_err(|error| format!("the payload is not Sparkplug B: {error}"))?;
-        let mut command = HostCommand { writes: Vec::new(), rebirth: false };
-        for metric in payload.metrics {
-            let name = metric.name.clone().or_else(|| self.name(config, cell?, metric.alias?));
+        let command = |metric: Metric| {
+            let name = metric.name.clone().or_else(|| self.name(config, cell, metric.alias?));
             let name = name.ok_or("a metric has neither a name nor a known alias")?;
             let time = metric.timestamp.or(payload.timestamp).unwrap_or(0);
-            match cell {
-                None => command.rebirth |= name == REBIRTH && metric.value == Some(Number::Boolean(true)),
-                Some(_) => command.writes.push(HostWrite { name, value: metric.to_json(), time }),
-            }
-        }
-        Ok(command)
+            let (id, expires) = (format!("{time}/{}", canonical(&name)), time.saturating_add(longest));
+            Ok(Command { id, name, value: metric.to_json(), expires, origin: None })
+        };
+        payload.metrics.into_iter().map(command).collect()
     }
 
     /// Returns the name of the point with an alias.
@@ -245,8 +322,13 @@ impl Sparkplug {
     }
 }
 
+/// Tells whether a metric asks for births.
+fn is_rebirth(metric: &Metric) -> bool {
+    metric.name.as_deref() == Some(REBIRTH) && metric.value == Some(Number::Boolean(true))
+}
+
 /// Returns the topic of a message of the node or of a device.
-pub(crate) fn topic(config: &Config, kind: &str, cell: Option<usize>) -> String {
+fn topic(config: &Config, kind: &str, cell: Option<usize>) -> String {
     let node = format!("spBv1.0/{}/{kind}/{}", config.group, config.node);
     cell.map_or_else(|| node.clone(), |cell| format!("{node}/{}", config.controllers[cell].name))
 }
@@ -255,94 +337,10 @@ fn message(topic: String, payload: &Payload, readings: Vec<Reading>) -> Message 
     Message { topic, payload: payload.encode_to_vec(), qos: QoS::AtMostOnce, retain: false, readings }
 }
 
-/// Returns the type of a point that its kind of variable decides.
-fn typed(point: &Point) -> Option<DataType> {
-    use bcap_core::rac::VariableKind as Kind;
-    Some(match point.kind? {
-        Kind::I => DataType::Int32,
-        Kind::F | Kind::V | Kind::P | Kind::J | Kind::T => DataType::Float,
-        Kind::D => DataType::Double,
-        Kind::S => DataType::String,
-        Kind::Io => DataType::Boolean,
-    })
-}
-
-const fn type_of(value: &Value) -> DataType {
-    match value {
-        Value::Bool(_) => DataType::Boolean,
-        Value::Integer(_) => DataType::Int64,
-        Value::Number(_) => DataType::Double,
-        Value::Text(_) | Value::Numbers(_) | Value::Texts(_) => DataType::String,
-    }
-}
-
-/// Returns a metric for each element of a value, with name, type, unit and quality.
-fn values(point: &Point, value: Option<&Value>, kind: DataType) -> Vec<Metric> {
-    let parts = elements(point.kind);
-    if parts.is_empty() {
-        return vec![metric(point.name.clone(), "", value.and_then(|value| number(value, kind)), kind)];
-    }
-    let numbers = match value {
-        Some(Value::Numbers(numbers)) => numbers.as_slice(),
-        _ => &[],
-    };
-    let one = |(index, (part, unit)): (usize, &(&str, &str))| {
-        let value = numbers.get(index).and_then(|n| number(&Value::Number(*n), kind));
-        metric(format!("{}/{part}", point.name), unit, value, kind)
-    };
-    parts.iter().enumerate().map(one).collect()
-}
-
-fn metric(name: String, unit: &str, value: Option<Number>, kind: DataType) -> Metric {
-    let quality = if value.is_some() { Quality::Good } else { Quality::Bad };
-    let properties = PropertySet::new(quality, unit);
-    Metric {
-        name: Some(name),
-        datatype: Some(kind as u32),
-        is_null: value.is_none().then_some(true),
-        value,
-        properties: Some(properties),
-        ..Metric::default()
-    }
-}
-
-/// Converts a value to a type; `None` if it does not fit.
-fn number(value: &Value, kind: DataType) -> Option<Number> {
-    Some(match (kind, value) {
-        (DataType::Boolean, Value::Bool(b)) => Number::Boolean(*b),
-        // Sparkplug sends negative numbers as their bits
-        (DataType::Int32, Value::Integer(n)) => Number::Int(i32::try_from(*n).ok()?.cast_unsigned()),
-        (DataType::Int64, Value::Integer(n)) => Number::Long(n.cast_unsigned()),
-        (DataType::Float, Value::Number(n)) => Number::Float(*n as f32),
-        (DataType::Double, Value::Number(n)) => Number::Double(*n),
-        (DataType::String, Value::Text(text)) => Number::Text(text.clone()),
-        (DataType::String, value) => Number::Text(serde_json::to_string(value).ok()?),
-        _ => return None,
-    })
-}
-
-impl PropertySet {
-    fn new(quality: Quality, unit: &str) -> Self {
-        let code = if quality == Quality::Good { 192 } else { 0 };
-        let mut set =
-            Self { keys: vec!["Quality".into()], values: vec![PropertyValue::int(DataType::Int32 as u32, code)] };
-        if !unit.is_empty() {
-            set.keys.push("engUnit".into());
-            set.values.push(PropertyValue::text(DataType::String as u32, unit));
-        }
-        set
-    }
-
-    fn quality_only(mut self) -> Self {
-        self.keys.truncate(1);
-        self.values.truncate(1);
-        self
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::reading::{Quality, Value};
 
     #[test]
     fn readings_of_one_scan_are_one_message() {

@@ -59,7 +59,7 @@ impl Publisher {
 
     /// Announces the death of the node, and ends the connection.
     fn leave(&mut self) {
-        let death = self.sparkplug.as_ref().map(|sparkplug| sparkplug.death(&self.shared.config));
+        let death = self.encoder.death(&self.shared.config);
         if let (Some(connection), Some(death)) = (&mut self.link, death) {
             // the channel of the link has room for more than the window; the event of the disconnection follows
             connection.send(death);

@@ -2,17 +2,15 @@
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::Duration;
 
 use rumqttc::{Publish, QoS, SubscribeReasonCode};
 use tokio::time::Instant;
 
-use super::{Connection, Publisher};
+use super::Publisher;
 use crate::event::Event;
 use crate::json;
 use crate::message::Message;
 use crate::reading::now_ms;
-use crate::sparkplug::{self, Sparkplug};
 use crate::standby::{Seen, Standby};
 
 impl Publisher {
@@ -26,9 +24,14 @@ impl Publisher {
         self.standby.as_ref().is_some_and(|standby| !standby.is_active())
     }
 
-    /// Returns whether readings of the buffer can be sent. In JSON a watcher sends them too.
-    pub(super) fn sends_history(&self) -> bool {
-        self.is_active() || self.is_up() && self.sparkplug.is_none()
+    /// Returns whether readings of the backlog can be sent. A watcher sends them too, unless they need a birth.
+    pub(super) fn sends_backlog(&self) -> bool {
+        self.is_active() || self.is_up() && !self.encoder.has_births()
+    }
+
+    /// Returns whether a retained message says whether this node is online.
+    pub(super) fn shows_state(&self) -> bool {
+        self.standby.is_some() || !self.encoder.has_births()
     }
 
     /// Returns whether commands can be accepted: no other process can be active by now.
@@ -39,13 +42,13 @@ impl Publisher {
     /// Returns the message that says whether this node is online.
     pub(super) fn node_state(&self, online: bool) -> Message {
         let instance = self.standby.as_ref().map(Standby::instance);
-        let bd_seq = self.sparkplug.as_ref().map(Sparkplug::bd_seq).filter(|_| instance.is_some());
+        let bd_seq = self.encoder.bd_seq().filter(|_| instance.is_some());
         json::node(&self.shared.config, online, now_ms(), instance, bd_seq)
     }
 
     /// The broker has accepted the connection of a watcher.
     pub(super) fn watch(&mut self) {
-        let topics = [self.death_topic(), Some(self.state_topic())];
+        let topics = [self.encoder.death_topic(self.config()), Some(self.state_topic())];
         if let Some(connection) = &mut self.link {
             connection.is_up = true;
             for topic in topics.into_iter().flatten() {
@@ -63,11 +66,6 @@ impl Publisher {
             return self.lose(reason).await;
         }
         standby.subscribed(Instant::now());
-    }
-
-    /// Returns the topic of the will of the active process, if it differs from the topic of the state.
-    fn death_topic(&self) -> Option<String> {
-        self.sparkplug.as_ref().map(|_| sparkplug::topic(&self.shared.config, "NDEATH", None))
     }
 
     /// Returns the topic of the state of this node.
@@ -89,16 +87,13 @@ impl Publisher {
         let instance = standby.instance().to_owned();
         if !*shared.reads.borrow() {
             // the latest values of an earlier time as the active process
-            let unborn: Vec<_> = (0..self.cells.len()).flat_map(|cell| self.take_unborn(cell)).collect();
-            self.send_later(unborn);
+            let unsent = self.take_unsent();
+            self.backlog.push(unsent);
             self.cells.iter_mut().for_each(|cell| cell.latest.fill(None));
         }
         shared.reads.send_replace(true);
         shared.metrics.active.store(true, Ordering::Relaxed);
         (shared.report)(&Event::Active { instance });
-        if self.sparkplug.is_some() {
-            self.push(self.node_state(true));
-        }
     }
 
     /// A watcher has received the state of the node, or its death.
@@ -107,14 +102,14 @@ impl Publisher {
         let Some(standby) = self.standby.as_mut().filter(|standby| !standby.is_active()) else { return };
         if is_death {
             // the death of an earlier birth may come late
-            if self.sparkplug.as_ref().is_some_and(|sparkplug| sparkplug.is_death(&publish.payload)) {
+            if self.encoder.is_death(&publish.payload) {
                 standby.saw_death(Instant::now());
             }
             return;
         }
         let Ok(seen) = serde_json::from_slice::<Seen>(&publish.payload) else { return };
-        if let (Some(sparkplug), Some(bd_seq)) = (&mut self.sparkplug, seen.bd_seq) {
-            sparkplug.follow(bd_seq);
+        if let Some(bd_seq) = seen.bd_seq {
+            self.encoder.follow(bd_seq);
         }
         if standby.saw(&seen, publish.retain, Instant::now()) && !std::mem::replace(&mut self.stands_by, true) {
             self.shared.reads.send_replace(false);
@@ -150,12 +145,5 @@ impl Publisher {
         if let Some(standby) = self.standby.as_mut().filter(|standby| standby.is_active()) {
             standby.prove(sent);
         }
-    }
-}
-
-impl Connection {
-    /// Returns how long the connection has lasted since the broker accepted it.
-    pub(super) fn age(&self) -> Duration {
-        if self.is_up { self.began.elapsed() } else { Duration::ZERO }
     }
 }

@@ -1,0 +1,262 @@
+//! The backlog: readings to send as historical ones, in memory and on disk. It counts all readings that are lost.
+//!
+//! Without a buffer on disk, and after it has failed, the newest [`MEMORY`] readings are kept. With one, new readings of the
+//! backlog are appended to it, and one file after another is loaded to be sent. The file is deleted when all of its readings
+//! have arrived.
+
+use std::collections::VecDeque;
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use tokio::task::spawn_blocking;
+
+use crate::event::Event;
+use crate::reading::{Reading, now_ms};
+use crate::scan::Shared;
+use crate::store::Store;
+
+/// The most readings in memory without a buffer on disk.
+const MEMORY: usize = 20_000;
+
+/// The readings to send as historical ones.
+pub(super) struct Backlog {
+    shared: Arc<Shared>,
+    /// `None` without a buffer on disk, or after it has failed.
+    store: Option<Store>,
+    /// The readings to send next.
+    next: VecDeque<Reading>,
+    /// Readings that must arrive before the loaded file of the store can be deleted.
+    loaded: usize,
+}
+
+impl Backlog {
+    pub(super) const fn new(shared: Arc<Shared>, store: Option<Store>) -> Self {
+        Self { shared, store, next: VecDeque::new(), loaded: 0 }
+    }
+
+    /// Adds readings, on disk if there is a buffer.
+    pub(super) async fn keep(&mut self, readings: Vec<Reading>) {
+        if readings.is_empty() {
+            return;
+        }
+        if self.store.is_none() {
+            self.next.extend(readings);
+            let excess = self.next.len().saturating_sub(MEMORY);
+            self.next.drain(..excess);
+            return self.lose(excess as u64);
+        }
+        let count = readings.len() as u64;
+        if self.with_store(move |store| store.append(&readings, now_ms())).await.is_none() {
+            self.lose(count);
+        }
+    }
+
+    /// Adds readings to send as soon as there are no new ones.
+    pub(super) fn push(&mut self, readings: impl IntoIterator<Item = Reading>) {
+        let before = self.next.len();
+        self.next.extend(readings);
+        // the loaded file stays until these have arrived as well
+        self.loaded += self.next.len() - before;
+    }
+
+    /// Takes the next reading to send, and tells whether another one of the same controller follows.
+    pub(super) fn pop(&mut self) -> Option<(Reading, bool)> {
+        let reading = self.next.pop_front()?;
+        let has_more = self.next.front().is_some_and(|next| next.cell == reading.cell);
+        Some((reading, has_more))
+    }
+
+    /// Loads the oldest readings of the store when all others were sent and have arrived; returns whether there are any.
+    pub(super) async fn load(&mut self) -> bool {
+        let has_stored = self.store.as_ref().is_some_and(|store| store.stored() > 0);
+        if !self.next.is_empty() || self.loaded > 0 || !has_stored {
+            return false;
+        }
+        let readings = self.with_store(|store| store.load(now_ms())).await.unwrap_or_default();
+        self.push(readings);
+        self.loaded > 0
+    }
+
+    /// Counts readings that the broker has.
+    pub(super) async fn arrived(&mut self, readings: &[Reading]) {
+        self.shared.metrics.published.fetch_add(readings.len() as u64, Ordering::Relaxed);
+        let loaded = readings.iter().filter(|reading| reading.historical).count().min(self.loaded);
+        self.loaded -= loaded;
+        if loaded > 0 && self.loaded == 0 {
+            self.acknowledge().await;
+        }
+    }
+
+    /// Takes back the readings of a lost connection, which may not have arrived.
+    pub(super) async fn restore(&mut self, mut readings: Vec<Reading>) {
+        // loaded readings go back as well, so that their file can be deleted
+        readings.extend(self.next.drain(..));
+        readings.iter_mut().for_each(|reading| reading.historical = true);
+        readings.sort_by_key(|reading| reading.id);
+        let had_loaded = std::mem::take(&mut self.loaded) > 0;
+        self.keep(readings).await;
+        if had_loaded {
+            self.acknowledge().await;
+        }
+    }
+
+    /// Ends it: readings in memory are lost.
+    pub(super) fn close(self) {
+        let readings = self.next.len() as u64;
+        if readings > 0 {
+            self.lose(readings);
+            (self.shared.report)(&Event::Unsent { readings });
+        }
+    }
+
+    /// Deletes the loaded file.
+    async fn acknowledge(&mut self) {
+        self.with_store(|store| {
+            store.acknowledge();
+            Ok(())
+        })
+        .await;
+    }
+
+    /// Runs a blocking function of the store on another thread. A store that fails is given up.
+    async fn with_store<T: Send + 'static>(
+        &mut self,
+        work: impl FnOnce(&mut Store) -> io::Result<T> + Send + 'static,
+    ) -> Option<T> {
+        let mut store = self.store.take()?;
+        let done = spawn_blocking(move || {
+            let result = work(&mut store);
+            let counts = (store.take_dropped(), store.stored(), store.stored_bytes());
+            (store, result, counts)
+        });
+        let (store, result, (dropped, stored, bytes)) = done.await.ok()?;
+        self.lose(dropped);
+        self.shared.metrics.stored.store(stored, Ordering::Relaxed);
+        self.shared.metrics.stored_bytes.store(bytes, Ordering::Relaxed);
+        match result {
+            Ok(value) => {
+                self.store = Some(store);
+                Some(value)
+            }
+            Err(error) => {
+                (self.shared.report)(&Event::BufferFailed { reason: error.to_string() });
+                None
+            }
+        }
+    }
+
+    /// Counts lost readings.
+    fn lose(&self, readings: u64) {
+        self.shared.metrics.dropped.fetch_add(readings, Ordering::Relaxed);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+    use std::sync::Mutex;
+    use std::sync::atomic::AtomicU64;
+
+    use tokio::sync::watch;
+
+    use super::*;
+    use crate::config::{Buffer, Config};
+    use crate::metrics::Metrics;
+    use crate::queue::Queue;
+    use crate::reading::{Quality, Value};
+
+    /// A backlog, and the events that it reports.
+    fn backlog(store: impl FnOnce(&Config) -> Option<Store>) -> (Backlog, Arc<Mutex<Vec<Event>>>) {
+        let text = "group = \"g\"\nnode = \"n\"\n[broker]\nhost = \"h\"\n[[controller]]\nname = \"a\"\n\
+            address = \"tcp:127.0.0.1\"\n[[controller.publish]]\nnames = [\"I1\"]\n";
+        let config = Config::parse(text).unwrap();
+        let (store, metrics) = (store(&config), Arc::new(Metrics::new(1)));
+        let events = Arc::new(Mutex::new(Vec::new()));
+        let reported = Arc::clone(&events);
+        let shared = Shared {
+            config,
+            queue: Queue::new(Arc::clone(&metrics)),
+            metrics,
+            report: Box::new(move |event| reported.lock().unwrap().push(event.clone())),
+            reads: watch::Sender::new(true),
+            next_id: AtomicU64::new(0),
+        };
+        (Backlog::new(Arc::new(shared), store), events)
+    }
+
+    fn open(directory: &Path, config: &Config) -> Option<Store> {
+        Some(Store::open(&Buffer { directory: directory.to_owned(), mib: 1, hours: 1 }, config).unwrap())
+    }
+
+    fn readings(ids: std::ops::Range<u64>) -> Vec<Reading> {
+        let (time, value) = (now_ms(), Some(Value::Integer(1)));
+        let reading = |id| Reading {
+            cell: 0,
+            point: 0,
+            time,
+            id,
+            value: value.clone(),
+            quality: Quality::Good,
+            historical: false,
+        };
+        ids.map(reading).collect()
+    }
+
+    fn dropped(backlog: &Backlog) -> u64 {
+        backlog.shared.metrics.dropped.load(Ordering::Relaxed)
+    }
+
+    fn ids(backlog: &mut Backlog) -> Vec<(u64, bool)> {
+        std::iter::from_fn(|| backlog.pop()).map(|(reading, has_more)| (reading.id, has_more)).collect()
+    }
+
+    #[tokio::test]
+    async fn memory_keeps_the_newest_readings_and_counts_each_lost_one_once() {
+        let (mut backlog, events) = backlog(|_| None);
+        backlog.keep(readings(0..MEMORY as u64 + 3)).await;
+        assert_eq!((dropped(&backlog), backlog.pop().unwrap().0.id), (3, 3));
+        let shared = Arc::clone(&backlog.shared);
+        backlog.close();
+        assert_eq!(shared.metrics.dropped.load(Ordering::Relaxed), MEMORY as u64 + 2);
+        assert_eq!(*events.lock().unwrap(), [Event::Unsent { readings: MEMORY as u64 - 1 }]);
+    }
+
+    #[tokio::test]
+    async fn a_lost_connection_returns_its_readings_in_order() {
+        let folder = tempfile::tempdir().unwrap();
+        let (mut backlog, _) = backlog(|config| open(folder.path(), config));
+        backlog.keep(readings(0..2)).await;
+        assert!(backlog.load().await);
+        assert!(!backlog.load().await, "the loaded ones were not sent");
+        assert_eq!(ids(&mut backlog), [(0, true), (1, false)]);
+        backlog.push(readings(3..4));
+        backlog.restore(readings(0..3)).await;
+        assert!(backlog.load().await);
+        assert_eq!(ids(&mut backlog), [(0, true), (1, true), (2, true), (3, false)]);
+        let arrived: Vec<_> =
+            readings(0..4).into_iter().map(|reading| Reading { historical: true, ..reading }).collect();
+        backlog.arrived(&arrived).await;
+        assert!(!backlog.load().await);
+        let metrics = &backlog.shared.metrics;
+        let counts = [&metrics.published, &metrics.dropped, &metrics.stored, &metrics.stored_bytes];
+        assert_eq!(counts.map(|count| count.load(Ordering::Relaxed)), [4, 0, 0, 0]);
+    }
+
+    #[tokio::test]
+    async fn readings_that_a_failing_buffer_does_not_take_are_counted() {
+        let folder = tempfile::tempdir().unwrap();
+        let (mut backlog, events) = backlog(|config| open(folder.path(), config));
+        // the name of the first file is taken
+        std::fs::create_dir(folder.path().join("000000000000.jsonl")).unwrap();
+        backlog.keep(readings(0..5)).await;
+        assert_eq!(dropped(&backlog), 5);
+        assert!(matches!(events.lock().unwrap()[..], [Event::BufferFailed { .. }]));
+        backlog.keep(readings(5..7)).await;
+        assert_eq!(
+            (dropped(&backlog), ids(&mut backlog)),
+            (5, vec![(5, true), (6, false)]),
+            "memory takes the next ones"
+        );
+    }
+}

@@ -1,0 +1,123 @@
+//! Commands from the broker: they run side by side, and each one is reported and answered.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use rumqttc::Publish;
+use tokio::time::Instant;
+
+use super::Publisher;
+use crate::command::{Answer, Command, Finished, execute};
+use crate::encoder::Decoded;
+use crate::event::{CommandResult, Event};
+use crate::reading::now_ms;
+
+/// The most messages that wait for the window before answers are left out: commands must not fill the memory.
+const WAITING: usize = 1000;
+
+/// The most commands that run at the same time, and those of one controller: a slow one must not occupy all.
+const RUNNING: (usize, usize) = (64, 16);
+
+/// The most bytes of a text of a command in an answer or event.
+const LONGEST_TEXT: usize = 256;
+
+impl Publisher {
+    /// Handles a message of a host, or, as a watcher, of the active process.
+    pub(super) fn receive(&mut self, publish: &Publish) {
+        if self.is_watcher() {
+            return self.saw(publish);
+        }
+        let longest = self.commands.longest();
+        match self.encoder.decode(&self.shared.config, &publish.topic, &publish.payload, longest) {
+            Decoded::Nothing => {}
+            // not at once: a host that asks again and again must not fill the memory
+            Decoded::Repeat => self.stale = true,
+            Decoded::Commands(cell, commands) => {
+                commands.into_iter().for_each(|command| self.order(cell, publish, command));
+            }
+            Decoded::Invalid(cell, reason) => self.refuse_invalid(cell, publish, reason),
+        }
+    }
+
+    /// Executes a command, or refuses it.
+    fn order(&mut self, cell: usize, publish: &Publish, command: Command) {
+        self.shared.metrics.commands.fetch_add(1, Ordering::Relaxed);
+        let checked = if publish.retain {
+            Err("it is retained, and may be old".into())
+        } else if self.running.len() >= RUNNING.0 {
+            Err(format!("{} commands are running", RUNNING.0))
+        } else if self.running_of[cell] >= RUNNING.1 {
+            Err(format!("{} commands of this controller are running", RUNNING.1))
+        } else {
+            // the times first: a later proof refers to these times, and the deadline is not after the expiry
+            let (at, now) = (Instant::now(), now_ms());
+            if self.is_proven() {
+                self.commands.check(cell, &command, at, now)
+            } else {
+                Err("another process of this node may be active by now; send a new one".into())
+            }
+        };
+        let topic = publish.topic.clone();
+        match checked {
+            Ok(job) => {
+                let controller = self.controllers[cell].clone();
+                self.running_of[cell] += 1;
+                self.running.spawn(async move {
+                    let (result, reason) = execute(controller, job).await;
+                    Finished { cell, topic, command, result, reason }
+                });
+            }
+            Err(reason) => {
+                self.finish(Finished { cell, topic, command, result: CommandResult::Refused, reason: Some(reason) });
+            }
+        }
+    }
+
+    /// Ends a command that ran.
+    pub(super) fn end(&mut self, finished: Finished) {
+        self.running_of[finished.cell] -= 1;
+        self.finish(finished);
+    }
+
+    fn refuse_invalid(&mut self, cell: usize, publish: &Publish, reason: String) {
+        self.shared.metrics.commands.fetch_add(1, Ordering::Relaxed);
+        let command = Command { id: String::new(), name: String::new(), value: ().into(), expires: 0, origin: None };
+        let (topic, result) = (publish.topic.clone(), CommandResult::Refused);
+        self.finish(Finished { cell, topic, command, result, reason: Some(reason) });
+    }
+
+    /// Writes the outcome of a command to the audit log, and answers it.
+    fn finish(&mut self, finished: Finished) {
+        let Finished { cell, topic, command, result, reason } = finished;
+        let shared = Arc::clone(&self.shared);
+        if result == CommandResult::Refused {
+            shared.metrics.refused.fetch_add(1, Ordering::Relaxed);
+        }
+        let (id, reason) = (cut(command.id), reason.map(cut));
+        let answer = Answer { id: &id, result, reason: reason.as_deref() };
+        let answer = self.encoder.answer(&shared.config, cell, &answer);
+        (shared.report)(&Event::Command {
+            controller: shared.config.controllers[cell].name.clone(),
+            topic,
+            id,
+            origin: command.origin.map(cut),
+            name: cut(command.name),
+            value: cut(command.value.to_string()),
+            result,
+            reason,
+        });
+        let has_room = self.link.as_ref().is_some_and(|connection| connection.out.len() < WAITING);
+        if self.is_active() && has_room {
+            answer.into_iter().for_each(|answer| self.push(answer));
+        }
+    }
+}
+
+/// Shortens a text of a command: a sender must not fill the log.
+fn cut(mut text: String) -> String {
+    if text.len() > LONGEST_TEXT {
+        text.truncate(text.floor_char_boundary(LONGEST_TEXT));
+        text.push('…');
+    }
+    text
+}
