@@ -1,4 +1,7 @@
-//! Owned values as text.
+//! Values as text.
+
+pub mod data;
+pub mod named;
 
 use bcap_core::error::TextError;
 use bcap_core::variant::{OwnedVariant, Variant};

@@ -13,6 +13,7 @@
 //! `hresult` for a refusal, `name` for the refused variable, and `hint`.
 
 use std::io;
+use std::path::Path;
 use std::process::ExitCode;
 
 use bcap_capture::ConvertError;
@@ -152,6 +153,20 @@ impl From<bcap_capture::Error> for Failure {
     fn from(error: bcap_capture::Error) -> Self {
         match error {
             bcap_capture::Error::Io(error) => Self::Stdio(error),
+            error => Self::Input(error.to_string()),
+        }
+    }
+}
+
+/// Returns the failure of a file operation.
+pub(crate) fn of_file(path: &Path) -> impl Fn(io::Error) -> Failure {
+    move |error| Failure::Input(format!("{}: {error}", path.display()))
+}
+
+impl From<bcap_backup::Error> for Failure {
+    fn from(error: bcap_backup::Error) -> Self {
+        match error {
+            bcap_backup::Error::Unfit(message) => Self::Unfit { message, code: None, hint: None },
             error => Self::Input(error.to_string()),
         }
     }

@@ -10,7 +10,6 @@ mod failure;
 mod interrupt;
 mod link;
 mod listen;
-mod local_files;
 mod output;
 mod session;
 mod shell;

@@ -7,12 +7,12 @@ use std::path::{Path, PathBuf};
 use bcap_core::bcap::FunctionId;
 use clap::Args;
 
-use crate::failure::Failure;
-use crate::local_files;
+use crate::failure::{Failure, of_file};
 use crate::output::{print_json, print_line};
 use crate::session::remote_files::Item;
 use crate::session::slave_mode::spare;
 use crate::session::{Session, remote_files};
+use bcap_backup::local_files;
 
 /// Lists files and folders of the controller
 ///
@@ -207,7 +207,7 @@ impl Copying<'_> {
                 Some(name) if into => remote_files::normal(&format!("{to}/{}", name.to_string_lossy())),
                 _ => to.to_owned(),
             };
-            if !fs::metadata(file).map_err(local_files::failed(file))?.is_dir() {
+            if !fs::metadata(file).map_err(of_file(file))?.is_dir() {
                 copies.push((file.clone(), base));
                 continue;
             }
@@ -219,7 +219,7 @@ impl Copying<'_> {
         }
         check(copies.iter().map(|(_, to)| to.clone()), self.args.force, |to| remote_files::exists(self.session, to))?;
         for (from, to) in copies {
-            let bytes = fs::read(&from).map_err(local_files::failed(&from))?;
+            let bytes = fs::read(&from).map_err(of_file(&from))?;
             remote_files::make_folders(self.session, &to)?;
             remote_files::write(self.session, &to, &bytes)?;
             self.print(&from.display().to_string(), &format!("robot:/{to}"))?;

@@ -21,7 +21,8 @@ use crate::output::{print_line, print_raw};
 use crate::session::Session;
 use crate::session::variables::get_one;
 use crate::shell::words::{self, is_name};
-use crate::values::{Value, data};
+use crate::values::Value;
+use bcap_capture::value::data;
 
 /// A command.
 #[derive(Debug, Parser)]
@@ -307,12 +308,12 @@ impl Condition {
         let found = get_one(session, &ObjectPath::variable(&self.name)?)?;
         let wanted = data::from_input(&self.value, found.as_variant()).map_err(Failure::Input)?;
         let holds = self.holds(&found, &wanted)?;
-        Ok(if holds { Ok(()) } else { Err(data::to_plain(found.as_variant())) })
+        Ok(if holds { Ok(()) } else { Err(data::format(found.as_variant())) })
     }
 
     fn holds(&self, found: &Value, wanted: &Value) -> Result<bool, Failure> {
         // values with the same text are equal
-        let equal = || found == wanted || data::to_plain(found.as_variant()) == data::to_plain(wanted.as_variant());
+        let equal = || found == wanted || data::format(found.as_variant()) == data::format(wanted.as_variant());
         let numbers = || match (number(found.as_variant()), number(wanted.as_variant())) {
             (Some(found), Some(wanted)) => Ok((found, wanted)),
             _ => Err(Failure::Input(format!("{}: only numbers can be compared with {}", self.name, self.relation))),

@@ -206,7 +206,7 @@ fn state(session: &mut Session) -> String {
 /// Reads a variable of the controller as text; `None` if the controller does not have it.
 fn read(session: &mut Session, name: &str) -> Option<String> {
     let value = get_one(session, &ObjectPath::variable(name).ok()?).ok()?;
-    Some(bcap_terminal::escape::line(&crate::values::data::to_plain(value.as_variant())))
+    Some(bcap_terminal::escape::line(&bcap_capture::value::data::format(value.as_variant())))
 }
 
 fn editor(shared: &Shared) -> Result<Editor<Names, FileHistory>, Failure> {

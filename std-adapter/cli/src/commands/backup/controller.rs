@@ -14,14 +14,14 @@ use bcap_core::hresult::HResult;
 use bcap_core::rac::VariableKind;
 use bcap_std::ObjectPath;
 
-use super::contents::{About, Contents, Omission, Part, UserVariable};
 use crate::failure::Failure;
 use crate::session::selection::is_user_variable;
 use crate::session::slave_mode::spare;
 use crate::session::variables::{get_one, list, read};
 use crate::session::{Session, remote_files, selection};
-use crate::values::json_line::Entry;
 use crate::values::{Value, integer};
+use bcap_backup::contents::{About, Contents, Omission, Part, UserVariable};
+use bcap_capture::value::named::Entry;
 
 /// The usual system variables, for a controller that does not list its own, or not over UDP.
 const CONTROLLER: [&str; 29] = [

@@ -6,14 +6,15 @@ use bcap_capture::value::to_json;
 use clap::Args;
 use serde_json::json;
 
-use super::compare::{self, Difference};
-use super::contents::{Contents, Part};
-use super::{controller, folder};
+use bcap_backup::compare::{self, Difference, entry_text};
+use bcap_backup::contents::{Contents, Part};
+use bcap_backup::folder;
+
+use super::controller;
 use crate::failure::Failure;
 use crate::output::{print_json, print_line};
 use crate::session::{Session, with_session};
-use crate::values::data;
-use crate::values::json_line::Entry;
+use bcap_capture::value::named::Entry;
 
 /// Compares two backups, or a backup with a controller
 ///
@@ -93,21 +94,12 @@ fn read(word: &str, session: &mut Session) -> Result<Contents, Failure> {
             controller::contents(session)
         }
         Some((scheme, _)) if is_address(scheme) => with_session(&session.link().at(word), controller::contents),
-        _ => folder::load(Path::new(word)),
+        _ => Ok(folder::load(Path::new(word))?),
     }
 }
 
 fn print(line: &str, json: bool) -> Result<(), Failure> {
     Ok(if json { print_json(line) } else { print_line(line) }?)
-}
-
-/// Formats an entry for people.
-pub(super) fn entry_text(entry: Option<&Entry>) -> String {
-    match entry {
-        Some(Entry::Value(value)) => data::to_plain(value.as_variant()),
-        Some(Entry::Refused(code)) => format!("(refused with {code})"),
-        None => "(does not exist)".into(),
-    }
 }
 
 fn variable_line(Difference { name, a, b }: &Difference<String, &Entry>) -> String {

@@ -8,13 +8,13 @@ use bcap_terminal::progress::{Progress, bar};
 use clap::Args;
 use serde_json::json;
 
-use super::contents::{Contents, Omission, UserVariable};
 use super::controller;
-use super::folder::Folder;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::{print_json, print_line};
 use crate::session::Session;
+use bcap_backup::contents::{Contents, Omission, UserVariable};
+use bcap_backup::folder::Folder;
 
 /// Saves all variables and files of the controller in a folder
 ///
@@ -100,7 +100,7 @@ impl Dumping<'_> {
         }
         self.system(&mut omitted)?;
         self.files(&mut omitted)?;
-        self.folder.finish(omitted)
+        Ok(self.folder.finish(omitted)?)
     }
 
     /// Saves the variables of a kind, from the first one that an earlier dump did not save.
@@ -111,9 +111,9 @@ impl Dumping<'_> {
         controller::variables(session, kind, done..count, |index, entry| {
             check_signal(interrupt, shown)?;
             show(progress, kind.name(), index.into(), count.into());
-            part.push(UserVariable::new(kind, index).name(), entry)
+            Ok(part.push(UserVariable::new(kind, index).name(), entry)?)
         })?;
-        part.finish()
+        Ok(part.finish()?)
     }
 
     fn system(&mut self, omitted: &mut Vec<Omission>) -> Result<(), Failure> {
@@ -126,7 +126,7 @@ impl Dumping<'_> {
                 system.insert(name, entry);
             }
         }
-        self.folder.write_system(&system)
+        Ok(self.folder.write_system(&system)?)
     }
 
     fn files(&mut self, omitted: &mut Vec<Omission>) -> Result<(), Failure> {

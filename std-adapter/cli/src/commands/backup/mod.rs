@@ -2,13 +2,7 @@
 //!
 //! `docs/backup.md` describes the format of a folder and the guarantees.
 
-mod compare;
-mod contents;
 mod controller;
 pub(crate) mod diff;
 pub(crate) mod dump;
-mod folder;
-mod journal;
-mod plan;
-mod replaced;
 pub(crate) mod restore;

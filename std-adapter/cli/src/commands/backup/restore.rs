@@ -18,20 +18,22 @@ use bcap_std::ObjectPath;
 use clap::Args;
 use serde_json::json;
 
-use super::contents::{About, Contents};
-use super::diff::entry_text;
-use super::journal::{Journal, Past};
-use super::plan::{Change, FileChange, Plan, unfit};
-use super::replaced::Replaced;
-use super::{controller, folder};
+use bcap_backup::compare::entry_text;
+use bcap_backup::contents::{About, Contents};
+use bcap_backup::folder;
+use bcap_backup::journal::{Journal, Past};
+use bcap_backup::plan::{Change, FileChange, Plan};
+use bcap_backup::replaced::Replaced;
+
+use super::controller;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::{print_json, print_line};
 use crate::session::confirm::Question;
 use crate::session::variables::{get_one, read};
 use crate::session::{Session, remote_files};
-use crate::values::json_line::Entry;
 use crate::values::{Value, integer};
+use bcap_capture::value::named::Entry;
 
 /// Writes a backup back to the controller
 ///
@@ -130,7 +132,7 @@ fn planned(args: &Restore, backup: &Contents, session: &mut Session) -> Result<P
     check_state(session)?;
     let controller = controller::contents(session)?;
     check_controller(args, &backup.about, &controller.about)?;
-    Plan::new(backup, &controller, args.io)
+    Ok(Plan::new(backup, &controller, args.io)?)
 }
 
 /// Prints the writes of the last restore.
@@ -288,7 +290,7 @@ impl Writing<'_> {
         self.journal.writing(&name, &file.was_json(saved.as_deref()), &file.value_json())?;
         remote_files::make_folders(self.session, &file.path)?;
         remote_files::write(self.session, &file.path, &file.bytes)?;
-        self.journal.written(&name)
+        Ok(self.journal.written(&name)?)
     }
 
     /// Ends the restore between two writes after a signal.
@@ -318,4 +320,9 @@ fn check_still_clear(session: &mut Session) -> Result<(), Failure> {
 
 fn stopped(message: String) -> Failure {
     Failure::Unfit { message, code: None, hint: Some("nothing more was written".into()) }
+}
+
+/// Returns the failure of a restore that has written nothing.
+fn unfit(message: String) -> Failure {
+    bcap_backup::Error::unfit(message).into()
 }

@@ -11,7 +11,8 @@ use crate::commands::calls::reference::{self, usage};
 use crate::failure::Failure;
 use crate::output::{print_json, print_line};
 use crate::session::Session;
-use crate::values::{Value, data, integer};
+use crate::values::{Value, integer};
+use bcap_capture::value::data;
 
 /// Calls any of the 137 functions
 ///
@@ -131,7 +132,7 @@ pub(super) fn print_reply(code: HResult, value: Option<&Value>, json: bool) -> R
     match value.map(Value::as_variant) {
         // most commands return no value
         None | Some(Variant::Empty) => Ok(()),
-        Some(value) => Ok(print_line(&data::to_plain(value))?),
+        Some(value) => Ok(print_line(&data::format(value))?),
     }
 }
 

@@ -9,7 +9,8 @@ use clap::Args;
 use super::call::print_reply;
 use crate::failure::Failure;
 use crate::session::Session;
-use crate::values::{Value, data, integer, text};
+use crate::values::{Value, integer, text};
+use bcap_capture::value::data;
 
 /// Executes a command of the controller or a robot
 ///

@@ -202,7 +202,7 @@ fn variable(session: &mut Session, name: &str) -> Result<Option<Value>, Failure>
 }
 
 fn plain(value: &Value) -> String {
-    crate::values::data::to_plain(value.as_variant())
+    bcap_capture::value::data::format(value.as_variant())
 }
 
 /// The controller and the robot that are examined.

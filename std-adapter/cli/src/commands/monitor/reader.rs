@@ -17,7 +17,8 @@ use crate::interrupt::Interrupt;
 use crate::session::Session;
 use crate::session::slave_mode::StreamCheck;
 use crate::session::variables::{list, paths, read};
-use crate::values::{Value, data, integer};
+use crate::values::{Value, integer};
+use bcap_capture::value::data;
 
 /// How often tasks, messages, the tool, the work and the speed are read, and how often a lost connection is tried again.
 const SLOW: Duration = Duration::from_secs(1);
@@ -296,7 +297,7 @@ impl Reader {
     fn text(&mut self, name: &str) -> Result<Option<String>, Failure> {
         self.poll()?;
         let value = alive(self.value(&ObjectPath::variable(name)?))?;
-        Ok(value.map(|value| data::to_plain(value.as_variant())))
+        Ok(value.map(|value| data::format(value.as_variant())))
     }
 
     /// Reads an array of numbers; empty if the controller does not have it.
@@ -356,7 +357,7 @@ impl Reader {
         let variable = self.session.object(&write.path)?;
         let arguments = [integer(variable)?, write.value.clone()];
         self.session.call(&write.path.to_string(), FunctionId::VARIABLE_PUT_VALUE, &arguments)?;
-        Ok(format!("{} = {} is written", write.path, data::to_plain(write.value.as_variant())))
+        Ok(format!("{} = {} is written", write.path, data::format(write.value.as_variant())))
     }
 }
 

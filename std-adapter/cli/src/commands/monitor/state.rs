@@ -10,7 +10,8 @@ use bcap_terminal::screen::{KeyCode, KeyEvent, KeyModifiers, Line, Mark, Panel, 
 
 use crate::commands::screen::{CallLog, numbered, robot_lines};
 use crate::failure::Failure;
-use crate::values::{Value, data};
+use crate::values::Value;
+use bcap_capture::value::data;
 
 /// How long a change is marked.
 const MARKED: Duration = Duration::from_secs(2);
@@ -182,7 +183,7 @@ impl State {
         if variable.value.as_ref().is_some_and(|before| *before != value) {
             variable.changed = Some(self.now);
         }
-        variable.text = data::to_plain(value.as_variant());
+        variable.text = data::format(value.as_variant());
         if let Some(number) = number(value.as_variant()) {
             if variable.history.len() >= HISTORY {
                 variable.history.remove(0);
@@ -314,7 +315,7 @@ impl State {
             }
             Input::Asking(write) => {
                 let Write { path, value, before } = write.as_ref();
-                let [value, before] = [value, before].map(|value| data::to_plain(value.as_variant()));
+                let [value, before] = [value, before].map(|value| data::format(value.as_variant()));
                 (
                     Line::alarm(format!("write {path} = {value}, now {before}? y/N")),
                     "y write  n cancel  Ctrl-X HALT".into(),

@@ -9,7 +9,8 @@ use crate::failure::Failure;
 use crate::output::{print_json, print_line};
 use crate::session::Session;
 use crate::session::slave_mode::StreamCheck;
-use crate::values::{Value, data, integer, text};
+use crate::values::{Value, integer, text};
+use bcap_capture::value::data;
 
 /// Lists the errors of the controller, the first cause last, with their meanings and remedies
 #[derive(Debug, Args)]
@@ -57,7 +58,7 @@ fn error(session: &mut Session, check: &mut StreamCheck, index: i32) -> Result<(
     let info = checked(session, check, "GetCurErrorInfo", &index)?;
     let elements: Vec<Variant<'_>> = info.as_variant().as_array().map(|info| info.iter().collect()).unwrap_or_default();
     let code = elements.first().and_then(|code| code.as_i32()).map(HResult);
-    let message = elements.get(1).map(|message| data::to_plain(*message)).unwrap_or_default();
+    let message = elements.get(1).map(|message| data::format(*message)).unwrap_or_default();
     Ok((code.unwrap_or_default(), message))
 }
 

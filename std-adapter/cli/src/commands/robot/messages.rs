@@ -12,7 +12,8 @@ use crate::failure::Failure;
 use crate::output::{print_json, print_line};
 use crate::session::Session;
 use crate::session::slave_mode::StreamCheck;
-use crate::values::{data, integer};
+use crate::values::integer;
+use bcap_capture::value::data;
 
 /// Fetches the messages of the controller and prints them: number, source, time and text
 ///
@@ -100,7 +101,7 @@ fn read_message(session: &mut Session, check: &mut StreamCheck, handle: i32) -> 
     let mut field = |function| {
         check.require(session, function, None)?;
         let (_, value) = session.call("message", function, &[integer(handle)?])?;
-        Ok::<_, Failure>(data::to_plain(value.unwrap_or_default().as_variant()))
+        Ok::<_, Failure>(data::format(value.unwrap_or_default().as_variant()))
     };
     Ok(Message {
         number: field(FunctionId::MESSAGE_GET_NUMBER)?,

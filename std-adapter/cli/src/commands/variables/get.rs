@@ -8,8 +8,8 @@ use crate::output::print;
 use crate::session::Session;
 use crate::session::selection::{Selection, expand};
 use crate::session::variables::{get_one, paths};
-use crate::values::json_line::shown;
 use crate::values::{Value, text};
+use bcap_capture::value::named::shown;
 
 /// The names that the b-CAP Tester calls `$LAST_SEND_PACKET$` and `$LAST_RECEIVE_PACKET$`. They stay as they are.
 pub(crate) const LAST_PACKETS: [&str; 2] = ["$LAST_SEND_PACKET$", "$LAST_RECEIVE_PACKET$"];

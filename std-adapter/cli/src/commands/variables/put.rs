@@ -14,8 +14,9 @@ use crate::failure::Failure;
 use crate::output::print;
 use crate::session::Session;
 use crate::session::variables::read;
-use crate::values::json_line::{Entry, Named, shown};
-use crate::values::{Value, data, integer, json_line};
+use crate::values::{Value, integer};
+use bcap_capture::value::data;
+use bcap_capture::value::named::{self, Entry, Named, shown};
 
 /// Writes variables
 ///
@@ -168,11 +169,11 @@ fn no_pair(word: &str, words: &[&String]) -> Failure {
 /// Reads a file of lines of JSON, or the standard input for `-`.
 fn from_lines(path: &Path) -> Result<Vec<Write>, Failure> {
     let lines = if path == Path::new("-") {
-        json_line::read_lines(io::stdin().lock(), "the standard input")?
+        named::read_lines(io::stdin().lock(), "the standard input").map_err(Failure::Input)?
     } else {
         let shown = path.display().to_string();
         let file = File::open(path).map_err(|error| Failure::Input(format!("cannot read {shown}: {error}")))?;
-        json_line::read_lines(BufReader::new(file), &shown)?
+        named::read_lines(BufReader::new(file), &shown).map_err(Failure::Input)?
     };
     let write = |line: Named| match line.entry {
         Entry::Value(value) => {

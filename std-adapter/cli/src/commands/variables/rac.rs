@@ -17,8 +17,9 @@ use crate::session::budget::Budget;
 use crate::session::connect::{broken, connect, exhausted};
 use crate::session::selection::{Selection, expand_offline};
 use crate::session::traffic::{TapedTcp, packets, taped_rac};
-use crate::values::json_line::shown;
-use crate::values::{Value, data};
+use crate::values::Value;
+use bcap_capture::value::data;
+use bcap_capture::value::named::shown;
 
 /// Reads and writes variables over RAC, the text protocol
 ///

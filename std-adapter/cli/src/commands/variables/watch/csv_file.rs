@@ -8,9 +8,9 @@ use std::time::Duration;
 use bcap_capture::decode::csv;
 use bcap_core::variant::Variant;
 
-use crate::failure::Failure;
-use crate::local_files;
-use crate::values::{Value, data};
+use crate::failure::{Failure, of_file};
+use crate::values::Value;
+use bcap_capture::value::data;
 
 /// A table under way; the first row decides its columns.
 pub(crate) struct Table {
@@ -25,7 +25,7 @@ impl Table {
         let out: Box<dyn Write> = if path == Path::new("-") {
             Box::new(io::stdout())
         } else {
-            Box::new(File::create(path).map_err(local_files::failed(path))?)
+            Box::new(File::create(path).map_err(of_file(path))?)
         };
         Ok(Self { out, widths: Vec::new() })
     }
@@ -44,11 +44,11 @@ impl Table {
             match value.as_variant() {
                 Variant::Array(array) => {
                     header.extend((1..=array.len()).map(|element| format!("{name}.{element}")));
-                    row.extend(array.iter().map(data::to_plain));
+                    row.extend(array.iter().map(data::format));
                 }
                 scalar => {
                     header.push(name.clone());
-                    row.push(data::to_plain(scalar));
+                    row.push(data::format(scalar));
                 }
             }
             widths.push(row.len() - before);

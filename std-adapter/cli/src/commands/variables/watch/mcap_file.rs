@@ -9,9 +9,9 @@ use bcap_capture::mcap::{self, Schema};
 use bcap_core::variant::Variant;
 use serde_json::{Value as Json, json};
 
-use crate::failure::Failure;
-use crate::local_files;
-use crate::values::{Value, data};
+use crate::failure::{Failure, of_file};
+use crate::values::Value;
+use bcap_capture::value::data;
 
 const NUMBER: Schema =
     Schema { name: "bcap.Number", json: r#"{"type":"object","properties":{"value":{"type":"number"}}}"# };
@@ -39,7 +39,7 @@ impl Samples {
     /// Creates the file, in place of one that exists.
     pub(crate) fn create(path: &Path) -> Result<Self, Failure> {
         let start = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        Ok(Self { series: mcap::Log::create(path).map_err(local_files::failed(path))?, start })
+        Ok(Self { series: mcap::Log::create(path).map_err(of_file(path))?, start })
     }
 
     /// Adds a value that was read `elapsed` after the start, as `{"value":5}` of the topic `/I1`.
@@ -65,16 +65,14 @@ fn sample(value: Variant<'_>) -> (Schema, Json) {
             match values {
                 _ if has(|value| value.is_number() || value.is_null()) => (NUMBERS, values.into()),
                 _ if has(Json::is_boolean) => (BOOLS, values.into()),
-                _ => (TEXT, data::to_plain(value).into()),
+                _ => (TEXT, data::format(value).into()),
             }
         }
         // the shortest decimal of the float, not of the double with the same value
         Variant::R4(number) => (NUMBER, number.to_string().parse::<f64>().map_or(Json::Null, Json::from)),
         value => match value.as_i64() {
             Some(number) => (NUMBER, number.into()),
-            None => {
-                value.as_f64().map_or_else(|| (TEXT, data::to_plain(value).into()), |number| (NUMBER, number.into()))
-            }
+            None => value.as_f64().map_or_else(|| (TEXT, data::format(value).into()), |number| (NUMBER, number.into())),
         },
     }
 }

@@ -19,7 +19,7 @@ use crate::session::Session;
 use crate::session::selection::{Selection, expand};
 use crate::session::variables::{paths, read};
 use crate::values::Value;
-use crate::values::json_line::shown;
+use bcap_capture::value::named::shown;
 
 /// Reads variables periodically
 ///

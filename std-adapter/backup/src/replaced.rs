@@ -3,11 +3,11 @@
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use crate::failure::Failure;
+use crate::error::Error;
 use crate::local_files;
 
 /// The files that one restore replaces.
-pub(super) struct Replaced {
+pub struct Replaced {
     folder: PathBuf,
     /// The folder below the backup's folder.
     below: String,
@@ -15,7 +15,7 @@ pub(super) struct Replaced {
 
 impl Replaced {
     /// Chooses a folder that does not exist, so that the files of an earlier restore stay.
-    pub(super) fn new(folder: &Path) -> Self {
+    pub fn new(folder: &Path) -> Self {
         let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs();
         let mut time = now;
         while folder.join("replaced").join(time.to_string()).exists() {
@@ -25,7 +25,7 @@ impl Replaced {
     }
 
     /// Saves a file, and returns its path below the folder of the backup.
-    pub(super) fn save(&self, path: &str, bytes: &[u8]) -> Result<String, Failure> {
+    pub fn save(&self, path: &str, bytes: &[u8]) -> Result<String, Error> {
         let saved = format!("{}/{path}", self.below);
         local_files::write(&self.folder.join(&saved), bytes, false)?;
         Ok(saved)

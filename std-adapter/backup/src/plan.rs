@@ -4,31 +4,35 @@ use bcap_capture::value::to_json;
 use bcap_core::rac::VariableKind;
 use serde_json::json;
 
-use super::compare::{Difference, differences, variables};
-use super::contents::{Contents, Part};
-use super::diff::entry_text;
-use crate::failure::Failure;
-use crate::values::Value;
-use crate::values::json_line::Entry;
+use crate::compare::{Difference, differences, entry_text, variables};
+use crate::contents::{Contents, Part};
+use crate::error::Error;
+use bcap_capture::value::named::Entry;
+use bcap_core::variant::OwnedVariant as Value;
 
 /// A variable that is written.
-pub(super) struct Change {
-    pub(super) name: String,
-    pub(super) was: Value,
-    pub(super) value: Value,
+pub struct Change {
+    /// The name of the variable.
+    pub name: String,
+    /// The value that is replaced.
+    pub was: Value,
+    /// The value to write.
+    pub value: Value,
 }
 
 /// A file that is written.
-pub(super) struct FileChange {
-    pub(super) path: String,
+pub struct FileChange {
+    /// The path of the file.
+    pub path: String,
     /// The content that is replaced; `None` for a new file.
-    pub(super) was: Option<Vec<u8>>,
-    pub(super) bytes: Vec<u8>,
+    pub was: Option<Vec<u8>>,
+    /// The content to write.
+    pub bytes: Vec<u8>,
 }
 
 impl FileChange {
     /// Returns the replaced file as JSON; `saved` is the place of its copy.
-    pub(super) fn was_json(&self, saved: Option<&str>) -> String {
+    pub fn was_json(&self, saved: Option<&str>) -> String {
         match (&self.was, saved) {
             (None, _) => "null".into(),
             (Some(was), None) => json!({ "size": was.len() }).to_string(),
@@ -37,23 +41,25 @@ impl FileChange {
     }
 
     /// Returns the new file as JSON.
-    pub(super) fn value_json(&self) -> String {
+    pub fn value_json(&self) -> String {
         json!({ "size": self.bytes.len() }).to_string()
     }
 }
 
 /// All writes of a restore.
-pub(super) struct Plan {
-    pub(super) variables: Vec<Change>,
-    pub(super) files: Vec<FileChange>,
+pub struct Plan {
+    /// The variables, in the order of the writes.
+    pub variables: Vec<Change>,
+    /// The files, which are written after the variables.
+    pub files: Vec<FileChange>,
     /// The parts that stay unchanged, with the reason.
-    pub(super) notes: Vec<String>,
+    pub notes: Vec<String>,
 }
 
 impl Plan {
     /// Compares the backup with the controller. A difference that cannot be written is an error, so that a restore is not
     /// partial by plan.
-    pub(super) fn new(backup: &Contents, controller: &Contents, io: bool) -> Result<Self, Failure> {
+    pub fn new(backup: &Contents, controller: &Contents, io: bool) -> Result<Self, Error> {
         check_known(backup, controller)?;
         let mut plan = Self { variables: Vec::new(), files: Vec::new(), notes: Vec::new() };
         let (mut misfits, mut unread, mut outputs, mut extra) = (Vec::new(), 0, 0, 0);
@@ -76,7 +82,10 @@ impl Plan {
             }
         }
         if let Some(first) = misfits.first() {
-            return Err(unfit(format!("{} variables of the backup do not fit the controller: {first}", misfits.len())));
+            return Err(Error::unfit(format!(
+                "{} variables of the backup do not fit the controller: {first}",
+                misfits.len()
+            )));
         }
         plan.add_files(backup, controller);
         plan.add_notes(backup, controller, [outputs, unread, extra]);
@@ -112,18 +121,19 @@ impl Plan {
         self.notes.extend(backup.omitted.iter().map(|part| format!("not in the backup: {}", part.reason)));
     }
 
-    pub(super) fn is_empty(&self) -> bool {
+    /// Returns whether there is nothing to write.
+    pub fn is_empty(&self) -> bool {
         self.variables.is_empty() && self.files.is_empty()
     }
 
     /// Returns the names of all writes, in their order, as the journal has them.
-    pub(super) fn names(&self) -> Vec<String> {
+    pub fn names(&self) -> Vec<String> {
         let files = self.files.iter().map(|file| format!("file:{}", file.path));
         self.variables.iter().map(|change| change.name.clone()).chain(files).collect()
     }
 
     /// Returns a line of JSON for each write.
-    pub(super) fn json_lines(&self) -> Vec<String> {
+    pub fn json_lines(&self) -> Vec<String> {
         let line = |name: String, was: String, value: String| {
             format!("{{\"name\":{},\"was\":{was},\"value\":{value}}}", serde_json::Value::from(name))
         };
@@ -136,7 +146,7 @@ impl Plan {
     }
 
     /// Returns a line for each write.
-    pub(super) fn lines(&self) -> Vec<String> {
+    pub fn lines(&self) -> Vec<String> {
         let text = |value: &Value| entry_text(Some(&Entry::Value(value.clone())));
         let variables = self
             .variables
@@ -152,7 +162,7 @@ impl Plan {
 
 /// Refuses a controller if it does not tell something that the backup records: a file that could not be read would be
 /// overwritten as a new one.
-fn check_known(backup: &Contents, controller: &Contents) -> Result<(), Failure> {
+fn check_known(backup: &Contents, controller: &Contents) -> Result<(), Error> {
     let is_needed = |part: &Part| match part {
         Part::Variables(_) => backup.variables.keys().any(|variable| part.has_variable(*variable)),
         Part::Files(_) => backup.files.keys().any(|path| part.has_file(path)),
@@ -165,16 +175,11 @@ fn check_known(backup: &Contents, controller: &Contents) -> Result<(), Failure> 
         0 => String::new(),
         more => format!(" and {more} more"),
     };
-    Err(unfit(format!("the controller could not be read completely: {}{more}; over UDP, use TCP", first.reason)))
+    Err(Error::unfit(format!("the controller could not be read completely: {}{more}; over UDP, use TCP", first.reason)))
 }
 
 fn same_type(a: &Value, b: &Value) -> bool {
     let [a, b] =
         [a, b].map(|value| (value.as_variant().vartype(), value.as_variant().as_array().map(|array| array.len())));
     a == b
-}
-
-/// Returns the failure of a restore that has written nothing.
-pub(super) fn unfit(message: String) -> Failure {
-    Failure::Unfit { message: format!("{message}. Nothing was written"), code: None, hint: None }
 }

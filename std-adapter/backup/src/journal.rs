@@ -19,23 +19,22 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use serde::Deserialize;
 use serde_json::json;
 
-use crate::failure::Failure;
-use crate::local_files;
+use crate::error::{Error, failed};
 
 /// The name of the journal in the folder of a backup.
 const NAME: &str = "restore.jsonl";
 
 /// The journal while a restore runs.
-pub(super) struct Journal {
+pub struct Journal {
     path: PathBuf,
     file: File,
 }
 
 impl Journal {
     /// Begins a new restore after those that the journal already has.
-    pub(super) fn begin(folder: &Path, robot: &str, planned: &[String]) -> Result<Self, Failure> {
+    pub fn begin(folder: &Path, robot: &str, planned: &[String]) -> Result<Self, Error> {
         let path = folder.join(NAME);
-        let file = OpenOptions::new().create(true).append(true).open(&path).map_err(local_files::failed(&path))?;
+        let file = OpenOptions::new().create(true).append(true).open(&path).map_err(failed(&path))?;
         let mut journal = Self { path, file };
         if !journal.ends_with_a_line()? {
             // the last line of a killed restore may be cut off
@@ -48,54 +47,55 @@ impl Journal {
     }
 
     /// Records that a write is sent next; `was` and `value` are JSON.
-    pub(super) fn writing(&mut self, name: &str, was: &str, value: &str) -> Result<(), Failure> {
+    pub fn writing(&mut self, name: &str, was: &str, value: &str) -> Result<(), Error> {
         let name = serde_json::Value::from(name);
         self.push(&format!("{{\"writing\":{name},\"was\":{was},\"value\":{value}}}"))
     }
 
     /// Records that the controller has the new value.
-    pub(super) fn written(&mut self, name: &str) -> Result<(), Failure> {
+    pub fn written(&mut self, name: &str) -> Result<(), Error> {
         self.push(&json!({ "written": name }).to_string())
     }
 
     /// Records the end: "complete", or why the restore stopped.
-    pub(super) fn end(&mut self, how: &str) -> Result<(), Failure> {
+    pub fn end(&mut self, how: &str) -> Result<(), Error> {
         self.push(&json!({ "end": how }).to_string())?;
         self.sync()
     }
 
-    fn push(&mut self, line: &str) -> Result<(), Failure> {
+    fn push(&mut self, line: &str) -> Result<(), Error> {
         // one call, so that a line is written whole
-        self.file.write_all(format!("{line}\n").as_bytes()).map_err(local_files::failed(&self.path))
+        self.file.write_all(format!("{line}\n").as_bytes()).map_err(failed(&self.path))
     }
 
-    fn sync(&self) -> Result<(), Failure> {
-        self.file.sync_all().map_err(local_files::failed(&self.path))
+    fn sync(&self) -> Result<(), Error> {
+        self.file.sync_all().map_err(failed(&self.path))
     }
 
-    fn ends_with_a_line(&self) -> Result<bool, Failure> {
-        let bytes = fs::read(&self.path).map_err(local_files::failed(&self.path))?;
+    fn ends_with_a_line(&self) -> Result<bool, Error> {
+        let bytes = fs::read(&self.path).map_err(failed(&self.path))?;
         Ok(bytes.last().is_none_or(|last| *last == b'\n'))
     }
 }
 
 /// A restore as its journal tells it.
 #[derive(Debug, Default, PartialEq, Eq)]
-pub(super) struct Past {
-    pub(super) robot: String,
+pub struct Past {
+    /// The address of the controller.
+    pub robot: String,
     /// The names that are known to have the new value, in order.
-    pub(super) written: Vec<String>,
+    pub written: Vec<String>,
     /// The name that may have the old value or the new one.
-    pub(super) uncertain: Option<String>,
+    pub uncertain: Option<String>,
     /// The names that were not written.
-    pub(super) rest: Vec<String>,
+    pub rest: Vec<String>,
     /// How it ended; `None` if it was killed.
-    pub(super) end: Option<String>,
+    pub end: Option<String>,
 }
 
 #[derive(Deserialize)]
 #[serde(rename_all = "lowercase")]
-enum Line {
+enum Event {
     Begin(Begin),
     Written(String),
     End(String),
@@ -114,19 +114,19 @@ struct Writing {
 
 impl Past {
     /// Reads the last restore of a folder; `None` if there was none.
-    pub(super) fn read(folder: &Path) -> Result<Option<Self>, Failure> {
+    pub fn read(folder: &Path) -> Result<Option<Self>, Error> {
         let path = folder.join(NAME);
         if !path.exists() {
             return Ok(None);
         }
-        let text = fs::read(&path).map_err(local_files::failed(&path))?;
+        let text = fs::read(&path).map_err(failed(&path))?;
         Ok(Self::parse(&String::from_utf8_lossy(&text)))
     }
 
     fn parse(text: &str) -> Option<Self> {
         let mut past: Option<(Self, Vec<String>)> = None;
         for line in text.lines() {
-            if let Ok(Line::Begin(Begin { robot, planned })) = serde_json::from_str(line) {
+            if let Ok(Event::Begin(Begin { robot, planned })) = serde_json::from_str(line) {
                 past = Some((Self { robot, ..Self::default() }, planned));
             } else if let Some((past, _)) = &mut past {
                 past.add(line);
@@ -145,22 +145,22 @@ impl Past {
             return;
         }
         match serde_json::from_str(line) {
-            Ok(Line::Written(name)) => {
+            Ok(Event::Written(name)) => {
                 self.uncertain = None;
                 self.written.push(name);
             }
-            Ok(Line::End(how)) => self.end = Some(how),
-            Ok(Line::Begin(_)) | Err(_) => {}
+            Ok(Event::End(how)) => self.end = Some(how),
+            Ok(Event::Begin(_)) | Err(_) => {}
         }
     }
 
     /// Returns whether everything was written.
-    pub(super) fn is_complete(&self) -> bool {
+    pub fn is_complete(&self) -> bool {
         self.rest.is_empty() && self.uncertain.is_none()
     }
 
     /// Describes the writes in one sentence.
-    pub(super) fn summary(&self) -> String {
+    pub fn summary(&self) -> String {
         let total = self.written.len() + self.rest.len() + usize::from(self.uncertain.is_some());
         let end = match self.end.as_deref() {
             Some("complete") => "is complete".to_owned(),

@@ -6,23 +6,18 @@ use std::path::{Path, PathBuf};
 
 use tempfile::Builder;
 
-use crate::failure::Failure;
-
-/// Returns the failure of a file operation.
-pub(crate) fn failed(path: &Path) -> impl Fn(io::Error) -> Failure {
-    move |error| Failure::Input(format!("{}: {error}", path.display()))
-}
+use crate::error::{Error, failed};
 
 /// How the names of temporary files begin. A command that is killed leaves one.
 pub(crate) const TEMPORARY: &str = ".bcap-";
 
 /// Writes a file in one step, with the folders above it; refuses to replace a file unless `replace`.
-pub(crate) fn write(path: &Path, bytes: &[u8], replace: bool) -> Result<(), Failure> {
+pub fn write(path: &Path, bytes: &[u8], replace: bool) -> Result<(), Error> {
     write_by(folder_of(path), path, bytes, replace)
 }
 
 /// As [`write()`], with the temporary file in another folder of the same file system.
-pub(crate) fn write_by(temporary: &Path, path: &Path, bytes: &[u8], replace: bool) -> Result<(), Failure> {
+pub fn write_by(temporary: &Path, path: &Path, bytes: &[u8], replace: bool) -> Result<(), Error> {
     for folder in [temporary, folder_of(path)] {
         fs::create_dir_all(folder).map_err(failed(folder))?;
     }
@@ -52,7 +47,7 @@ fn set_permissions(_: &fs::File) -> io::Result<()> {
 }
 
 /// Lists the regular files of a folder of this machine and of the folders below it.
-pub(crate) fn all_below(folder: &Path) -> Result<Vec<PathBuf>, Failure> {
+pub fn all_below(folder: &Path) -> Result<Vec<PathBuf>, Error> {
     let mut files = Vec::new();
     let mut folders = vec![folder.to_owned()];
     while let Some(folder) = folders.pop() {

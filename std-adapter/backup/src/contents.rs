@@ -5,29 +5,30 @@ use std::collections::BTreeMap;
 use bcap_core::rac::VariableKind;
 use serde::{Deserialize, Serialize};
 
-use crate::values::json_line::Entry;
+use bcap_capture::value::named::Entry;
 
 /// Which controller a backup is of; a text that the controller refuses is empty.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct About {
+pub struct About {
     /// `@TYPE`.
     #[serde(rename = "type")]
-    pub(crate) kind: String,
+    pub kind: String,
     /// `@VERSION`.
-    pub(crate) version: String,
+    pub version: String,
     /// `@SERIAL_NO`.
-    pub(crate) serial: String,
+    pub serial: String,
 }
 
 impl About {
     /// Returns whether both are of the same controller, whose software may have been updated. Without a serial number that
     /// is not known.
-    pub(crate) fn is_same_controller(&self, other: &Self) -> bool {
+    pub fn is_same_controller(&self, other: &Self) -> bool {
         !self.serial.is_empty() && (&self.kind, &self.serial) == (&other.kind, &other.serial)
     }
 
-    pub(crate) fn describe(&self) -> String {
+    /// Describes the controller for people.
+    pub fn describe(&self) -> String {
         let part = |name: &str, text: &str| if text.is_empty() { String::new() } else { format!("{name}{text}") };
         let kind = if self.kind.is_empty() { "a controller of unknown type" } else { &self.kind };
         let serial = if self.serial.is_empty() { " with unknown serial number" } else { " with serial number " };
@@ -38,16 +39,17 @@ impl About {
 /// A part that could not be listed or read.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct Omission {
-    pub(crate) part: Part,
+pub struct Omission {
+    /// The part.
+    pub part: Part,
     /// Why, in words.
-    pub(crate) reason: String,
+    pub reason: String,
 }
 
 /// The omitted part.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(into = "String", try_from = "String")]
-pub(crate) enum Part {
+pub enum Part {
     /// All variables of a kind; `I` in backup.json.
     Variables(VariableKind),
     /// Some system variables; `system`.
@@ -58,13 +60,14 @@ pub(crate) enum Part {
 
 impl Part {
     /// Returns whether the part has a file, or may have it.
-    pub(crate) fn has_file(&self, path: &str) -> bool {
+    pub fn has_file(&self, path: &str) -> bool {
         let Self::Files(omitted) = self else { return false };
         let below = path.strip_prefix(omitted.as_str());
         omitted.is_empty() || below.is_some_and(|below| below.is_empty() || below.starts_with('/'))
     }
 
-    pub(crate) fn has_variable(&self, variable: UserVariable) -> bool {
+    /// Returns whether the part has a variable, or may have it.
+    pub fn has_variable(&self, variable: UserVariable) -> bool {
         *self == Self::Variables(variable.kind())
     }
 }
@@ -96,48 +99,53 @@ impl TryFrom<String> for Part {
 
 /// A user variable; they are ordered by kind, then by index.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct UserVariable {
+pub struct UserVariable {
     /// The place of the kind in [`VariableKind::ALL`].
     place: usize,
     index: u32,
 }
 
 impl UserVariable {
-    pub(crate) fn new(kind: VariableKind, index: u32) -> Self {
+    /// Creates the variable of a kind with an index.
+    pub fn new(kind: VariableKind, index: u32) -> Self {
         let place = VariableKind::ALL.iter().position(|other| *other == kind).unwrap_or_default();
         Self { place, index }
     }
 
-    pub(crate) fn kind(self) -> VariableKind {
+    /// Returns the kind.
+    pub fn kind(self) -> VariableKind {
         VariableKind::ALL[self.place]
     }
 
-    pub(crate) fn name(self) -> String {
+    /// Returns the name, such as `I5`.
+    pub fn name(self) -> String {
         format!("{}{}", self.kind().name(), self.index)
     }
 }
 
 /// All variables and files.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Contents {
-    pub(crate) about: About,
-    pub(crate) variables: BTreeMap<UserVariable, Entry>,
+pub struct Contents {
+    /// The controller.
+    pub about: About,
+    /// The user variables.
+    pub variables: BTreeMap<UserVariable, Entry>,
     /// By name, such as `@MODE` and `robot:Arm0/@SERVO_ON`.
-    pub(crate) system: BTreeMap<String, Entry>,
+    pub system: BTreeMap<String, Entry>,
     /// By path, with `/` between its parts.
-    pub(crate) files: BTreeMap<String, Vec<u8>>,
+    pub files: BTreeMap<String, Vec<u8>>,
     /// The parts that could not be listed or read. Refused variables are separate entries.
-    pub(crate) omitted: Vec<Omission>,
+    pub omitted: Vec<Omission>,
 }
 
 impl Contents {
     /// Returns whether a part is omitted that `is_meant` selects.
-    pub(crate) fn omits(&self, is_meant: impl Fn(&Part) -> bool) -> bool {
+    pub fn omits(&self, is_meant: impl Fn(&Part) -> bool) -> bool {
         self.omitted.iter().any(|omission| is_meant(&omission.part))
     }
 
     /// Counts the user variables that could not be read. System variables that can only be written do not count.
-    pub(crate) fn refused(&self) -> usize {
+    pub fn refused(&self) -> usize {
         self.variables.values().filter(|entry| matches!(entry, Entry::Refused(_))).count()
     }
 }

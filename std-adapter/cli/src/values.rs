@@ -1,8 +1,5 @@
 //! Arguments of calls as owned values.
 
-pub(crate) mod data;
-pub(crate) mod json_line;
-
 pub(crate) use bcap_core::variant::OwnedVariant as Value;
 
 use crate::failure::Failure;

@@ -2,22 +2,26 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::contents::{Contents, Part};
-use crate::values::json_line::Entry;
+use crate::contents::{Contents, Part};
+use bcap_capture::value::data;
+use bcap_capture::value::named::Entry;
 
 /// The entries of two backups under one name.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) struct Difference<N, T> {
-    pub(super) name: N,
-    pub(super) a: Option<T>,
-    pub(super) b: Option<T>,
+pub struct Difference<N, T> {
+    /// The name of the variable or file.
+    pub name: N,
+    /// Its entry in the first backup.
+    pub a: Option<T>,
+    /// Its entry in the second one.
+    pub b: Option<T>,
 }
 
 /// System variables that count time, and differ always.
 const CLOCKS: [&str; 4] = ["@TIME", "@CURRENT_TIME", "@ELAPSED_TIME", "@CYCLE_TIME"];
 
 /// Returns the entries that differ, in the order of their names.
-pub(super) fn differences<'a, N: Ord, T: PartialEq>(
+pub fn differences<'a, N: Ord, T: PartialEq>(
     a: &'a BTreeMap<N, T>,
     b: &'a BTreeMap<N, T>,
 ) -> Vec<Difference<&'a N, &'a T>> {
@@ -27,7 +31,7 @@ pub(super) fn differences<'a, N: Ord, T: PartialEq>(
 }
 
 /// Returns the differences of the variables; with `system` also of the system variables except the clocks.
-pub(super) fn variables<'a>(a: &'a Contents, b: &'a Contents, system: bool) -> Vec<Difference<String, &'a Entry>> {
+pub fn variables<'a>(a: &'a Contents, b: &'a Contents, system: bool) -> Vec<Difference<String, &'a Entry>> {
     let mut user = differences(&a.variables, &b.variables);
     user.retain(|difference| is_certain(difference, a, b, |part| part.has_variable(*difference.name)));
     let user = user.into_iter().map(|Difference { name, a, b }| Difference { name: name.name(), a, b });
@@ -40,7 +44,7 @@ pub(super) fn variables<'a>(a: &'a Contents, b: &'a Contents, system: bool) -> V
 }
 
 /// Returns the differences of the files.
-pub(super) fn files<'a>(a: &'a Contents, b: &'a Contents) -> Vec<Difference<&'a String, &'a Vec<u8>>> {
+pub fn files<'a>(a: &'a Contents, b: &'a Contents) -> Vec<Difference<&'a String, &'a Vec<u8>>> {
     let mut files = differences(&a.files, &b.files);
     files.retain(|difference| is_certain(difference, a, b, |part| part.has_file(difference.name)));
     files
@@ -55,4 +59,14 @@ fn is_certain<N, T>(
 ) -> bool {
     let may_exist = |value: &Option<T>, side: &Contents| value.is_none() && side.omits(&is_meant);
     !may_exist(&difference.a, a) && !may_exist(&difference.b, b)
+}
+
+/// Formats an entry for people.
+#[must_use]
+pub fn entry_text(entry: Option<&Entry>) -> String {
+    match entry {
+        Some(Entry::Value(value)) => data::format(value.as_variant()),
+        Some(Entry::Refused(code)) => format!("(refused with {code})"),
+        None => "(does not exist)".into(),
+    }
 }

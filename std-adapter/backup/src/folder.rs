@@ -21,11 +21,11 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use bcap_core::rac::VariableKind;
 use serde::{Deserialize, Serialize};
 
-use super::compare::{Difference, differences};
-use super::contents::{About, Contents, Omission, UserVariable};
-use crate::failure::Failure;
+use crate::compare::{Difference, differences};
+use crate::contents::{About, Contents, Omission, UserVariable};
+use crate::error::{Error, failed};
 use crate::local_files;
-use crate::values::json_line::{self, Entry, Named};
+use bcap_capture::value::named::{self, Entry, Named};
 
 /// The version of this format.
 const FORMAT: u32 = 1;
@@ -57,17 +57,17 @@ struct Manifest {
 
 /// The folder of a backup.
 #[derive(Debug)]
-pub(super) struct Folder {
+pub struct Folder {
     path: PathBuf,
     about: About,
     /// Whether an earlier dump was interrupted.
-    pub(super) is_resumed: bool,
+    pub is_resumed: bool,
 }
 
 impl Folder {
     /// Makes the folder, or opens the one of an interrupted dump of the same controller.
-    pub(super) fn begin(path: &Path, about: About) -> Result<Self, Failure> {
-        let wrong = |what: &str| Err(Failure::Input(format!("{}: {what}; choose another folder", path.display())));
+    pub fn begin(path: &Path, about: About) -> Result<Self, Error> {
+        let wrong = |what: &str| Err(Error::at(path, format!("{what}; choose another folder")));
         let is_resumed = match read_manifest(path)? {
             Some(manifest) if manifest.complete => return wrong("the folder has a complete backup"),
             Some(manifest) if !manifest.controller.is_same_controller(&about) => {
@@ -87,7 +87,7 @@ impl Folder {
     }
 
     /// Opens the lines of a kind; `None` if they are complete. The second value is the number of lines that exist.
-    pub(super) fn part(&self, kind: VariableKind) -> Result<Option<(Part, u32)>, Failure> {
+    pub fn part(&self, kind: VariableKind) -> Result<Option<(Part, u32)>, Error> {
         let complete = variables(&self.path, kind);
         if complete.exists() {
             return Ok(None);
@@ -95,13 +95,13 @@ impl Folder {
         let path = complete.with_extension("jsonl.part");
         let done = whole_lines(&path, kind)?;
         self.write(&path, done.join("").as_bytes())?;
-        let file = OpenOptions::new().append(true).open(&path).map_err(local_files::failed(&path))?;
+        let file = OpenOptions::new().append(true).open(&path).map_err(failed(&path))?;
         let count = u32::try_from(done.len()).unwrap_or(u32::MAX);
         Ok(Some((Part { path, complete, file: BufWriter::new(file), unwritten: 0 }, count)))
     }
 
     /// Writes the system variables.
-    pub(super) fn write_system(&self, system: &BTreeMap<String, Entry>) -> Result<(), Failure> {
+    pub fn write_system(&self, system: &BTreeMap<String, Entry>) -> Result<(), Error> {
         let line =
             |(name, entry): (&String, &Entry)| Named { name: name.clone(), entry: entry.clone() }.to_json() + "\n";
         let lines: String = system.iter().map(line).collect();
@@ -109,27 +109,28 @@ impl Folder {
     }
 
     /// Returns whether an earlier dump has saved a file.
-    pub(super) fn has_file(&self, path: &str) -> bool {
+    pub fn has_file(&self, path: &str) -> bool {
         self.path.join("files").join(path).is_file()
     }
 
-    pub(super) fn write_file(&self, path: &str, bytes: &[u8]) -> Result<(), Failure> {
+    /// Writes a file of the controller.
+    pub fn write_file(&self, path: &str, bytes: &[u8]) -> Result<(), Error> {
         self.write(&self.path.join("files").join(path), bytes)
     }
 
     /// Reads everything back, and marks the backup as complete.
-    pub(super) fn finish(&self, omitted: Vec<Omission>) -> Result<Contents, Failure> {
+    pub fn finish(&self, omitted: Vec<Omission>) -> Result<Contents, Error> {
         let contents = Contents { about: self.about.clone(), omitted, ..read_all(&self.path)? };
         self.write_manifest(true, &contents)?;
         Ok(contents)
     }
 
     /// Writes a file in one step. The temporary file is not below `files`, where it would become a part of the backup.
-    fn write(&self, path: &Path, bytes: &[u8]) -> Result<(), Failure> {
+    fn write(&self, path: &Path, bytes: &[u8]) -> Result<(), Error> {
         local_files::write_by(&self.path, path, bytes, true)
     }
 
-    fn write_manifest(&self, complete: bool, contents: &Contents) -> Result<(), Failure> {
+    fn write_manifest(&self, complete: bool, contents: &Contents) -> Result<(), Error> {
         let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let manifest = Manifest {
             format: FORMAT,
@@ -150,21 +151,21 @@ impl Folder {
 }
 
 /// Returns whether a folder does not exist, or contains only files that a dump leaves when it is killed at its start.
-fn is_empty(path: &Path) -> Result<bool, Failure> {
+fn is_empty(path: &Path) -> Result<bool, Error> {
     if !path.exists() {
         return Ok(true);
     }
-    let mut entries = fs::read_dir(path).map_err(local_files::failed(path))?;
+    let mut entries = fs::read_dir(path).map_err(failed(path))?;
     Ok(entries.all(|entry| entry.is_ok_and(|entry| is_temporary(&entry))))
 }
 
 /// Removes the temporary files of a killed dump.
-fn remove_temporary(path: &Path) -> Result<(), Failure> {
+fn remove_temporary(path: &Path) -> Result<(), Error> {
     if !path.exists() {
         return Ok(());
     }
-    for entry in fs::read_dir(path).map_err(local_files::failed(path))?.filter_map(Result::ok).filter(is_temporary) {
-        fs::remove_file(entry.path()).map_err(local_files::failed(&entry.path()))?;
+    for entry in fs::read_dir(path).map_err(failed(path))?.filter_map(Result::ok).filter(is_temporary) {
+        fs::remove_file(entry.path()).map_err(failed(&entry.path()))?;
     }
     Ok(())
 }
@@ -174,7 +175,7 @@ fn is_temporary(entry: &DirEntry) -> bool {
 }
 
 /// The lines of a kind while they are read.
-pub(super) struct Part {
+pub struct Part {
     path: PathBuf,
     complete: PathBuf,
     file: BufWriter<File>,
@@ -182,27 +183,28 @@ pub(super) struct Part {
 }
 
 impl Part {
-    pub(super) fn push(&mut self, name: String, entry: Entry) -> Result<(), Failure> {
-        writeln!(self.file, "{}", Named { name, entry }.to_json()).map_err(local_files::failed(&self.path))?;
+    /// Adds a line.
+    pub fn push(&mut self, name: String, entry: Entry) -> Result<(), Error> {
+        writeln!(self.file, "{}", Named { name, entry }.to_json()).map_err(failed(&self.path))?;
         self.unwritten += 1;
         if self.unwritten < UNWRITTEN {
             return Ok(());
         }
         self.unwritten = 0;
-        self.file.flush().map_err(local_files::failed(&self.path))
+        self.file.flush().map_err(failed(&self.path))
     }
 
     /// Gives the file its name.
-    pub(super) fn finish(mut self) -> Result<(), Failure> {
-        self.file.flush().map_err(local_files::failed(&self.path))?;
-        self.file.get_ref().sync_all().map_err(local_files::failed(&self.path))?;
-        fs::rename(&self.path, &self.complete).map_err(local_files::failed(&self.complete))
+    pub fn finish(mut self) -> Result<(), Error> {
+        self.file.flush().map_err(failed(&self.path))?;
+        self.file.get_ref().sync_all().map_err(failed(&self.path))?;
+        fs::rename(&self.path, &self.complete).map_err(failed(&self.complete))
     }
 }
 
 /// Returns the complete lines at the beginning of a partly written file.
-fn whole_lines(path: &Path, kind: VariableKind) -> Result<Vec<String>, Failure> {
-    let bytes = if path.exists() { fs::read(path).map_err(local_files::failed(path))? } else { Vec::new() };
+fn whole_lines(path: &Path, kind: VariableKind) -> Result<Vec<String>, Error> {
+    let bytes = if path.exists() { fs::read(path).map_err(failed(path))? } else { Vec::new() };
     let text = String::from_utf8_lossy(&bytes);
     let is_next = |(line, index): &(&str, u32)| {
         let name = UserVariable::new(kind, *index).name();
@@ -212,8 +214,8 @@ fn whole_lines(path: &Path, kind: VariableKind) -> Result<Vec<String>, Failure> 
 }
 
 /// Reads a complete backup.
-pub(super) fn load(path: &Path) -> Result<Contents, Failure> {
-    let wrong = |what: String| Failure::Input(format!("{}: {what}", path.display()));
+pub fn load(path: &Path) -> Result<Contents, Error> {
+    let wrong = |what: String| Error::at(path, what);
     let Some(manifest) = read_manifest(path)? else {
         return Err(wrong("there is no backup: backup.json is missing".into()));
     };
@@ -246,13 +248,13 @@ fn sizes(contents: &Contents) -> BTreeMap<String, usize> {
     contents.files.iter().map(|(path, bytes)| (path.clone(), bytes.len())).collect()
 }
 
-fn read_manifest(path: &Path) -> Result<Option<Manifest>, Failure> {
+fn read_manifest(path: &Path) -> Result<Option<Manifest>, Error> {
     let path = path.join("backup.json");
     if !path.exists() {
         return Ok(None);
     }
-    let text = fs::read_to_string(&path).map_err(local_files::failed(&path))?;
-    let wrong = |what: String| Failure::Input(format!("{}: {what}", path.display()));
+    let text = fs::read_to_string(&path).map_err(failed(&path))?;
+    let wrong = |what: String| Error::at(&path, what);
     let manifest: Manifest = serde_json::from_str(&text).map_err(|error| wrong(error.to_string()))?;
     if manifest.format != FORMAT {
         return Err(wrong(format!("this is format {}; this version of bcap reads format {FORMAT}", manifest.format)));
@@ -261,7 +263,7 @@ fn read_manifest(path: &Path) -> Result<Option<Manifest>, Failure> {
 }
 
 /// Reads the variables and files.
-fn read_all(path: &Path) -> Result<Contents, Failure> {
+fn read_all(path: &Path) -> Result<Contents, Error> {
     let mut contents = Contents::default();
     for kind in VariableKind::ALL {
         let file = variables(path, kind);
@@ -271,12 +273,8 @@ fn read_all(path: &Path) -> Result<Contents, Failure> {
         for (named, index) in lines(&file)?.into_iter().zip(0..) {
             let variable = UserVariable::new(kind, index);
             if named.name != variable.name() {
-                return Err(Failure::Input(format!(
-                    "{}: {} follows where {} is expected",
-                    file.display(),
-                    named.name,
-                    variable.name()
-                )));
+                let (found, name) = (named.name, variable.name());
+                return Err(Error::at(&file, format!("{found} follows where {name} is expected")));
             }
             contents.variables.insert(variable, named.entry);
         }
@@ -289,14 +287,14 @@ fn read_all(path: &Path) -> Result<Contents, Failure> {
     for file in if files.is_dir() { local_files::all_below(&files)? } else { Vec::new() } {
         let below = file.strip_prefix(&files).unwrap_or(&file);
         let parts: Vec<_> = below.components().map(|part| part.as_os_str().to_string_lossy()).collect();
-        contents.files.insert(parts.join("/"), fs::read(&file).map_err(local_files::failed(&file))?);
+        contents.files.insert(parts.join("/"), fs::read(&file).map_err(failed(&file))?);
     }
     Ok(contents)
 }
 
-fn lines(path: &Path) -> Result<Vec<Named>, Failure> {
-    let file = File::open(path).map_err(local_files::failed(path))?;
-    json_line::read_lines(BufReader::new(file), &path.display().to_string())
+fn lines(path: &Path) -> Result<Vec<Named>, Error> {
+    let file = File::open(path).map_err(failed(path))?;
+    named::read_lines(BufReader::new(file), &path.display().to_string()).map_err(Error::Invalid)
 }
 
 fn variables(path: &Path, kind: VariableKind) -> PathBuf {

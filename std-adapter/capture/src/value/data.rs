@@ -1,13 +1,15 @@
-//! Plain data: the text form of a value without its type.
+//! Data: the text of a value without its type, as people write and read it.
 
-use bcap_capture::value;
+use crate::value;
 use bcap_core::error::{TextError, TextErrorKind};
-use bcap_core::variant::{VarType, Variant};
-
-use crate::values::Value;
+use bcap_core::variant::{OwnedVariant as Value, VarType, Variant};
 
 /// Parses `TYPE,DATA`. The comma is required: `0` and `1` alone are numbers, not EMPTY and NULL.
-pub(crate) fn from_typed(text: &str) -> Result<Value, TextError> {
+///
+/// # Errors
+///
+/// When the text is not `TYPE,DATA`.
+pub fn from_typed(text: &str) -> Result<Value, TextError> {
     let value = Value::parse_text(text.as_bytes())?;
     if text.contains(',') {
         Ok(value)
@@ -17,7 +19,11 @@ pub(crate) fn from_typed(text: &str) -> Result<Value, TextError> {
 }
 
 /// Parses `text` as data of a type. A BOOL may also be `true`, `false`, `on` or `off`.
-pub(crate) fn from_data(vartype: VarType, text: &str) -> Result<Value, TextError> {
+///
+/// # Errors
+///
+/// When the text is not data of this type.
+pub fn from_data(vartype: VarType, text: &str) -> Result<Value, TextError> {
     let typed = |data: &str| Value::parse_text(format!("{},{data}", vartype.0).as_bytes());
     if vartype.element() != VarType::BOOL {
         return typed(text);
@@ -30,8 +36,12 @@ pub(crate) fn from_data(vartype: VarType, text: &str) -> Result<Value, TextError
     typed(&text.split(',').map(number).collect::<Vec<_>>().join(","))
 }
 
-/// Parses the input of a user who gave `--typed`. The error is a sentence with the whole input.
-pub(crate) fn from_typed_input(text: &str) -> Result<Value, String> {
+/// Parses the input of a user who gave `--typed`.
+///
+/// # Errors
+///
+/// A sentence with the whole input.
+pub fn from_typed_input(text: &str) -> Result<Value, String> {
     from_typed(text).map_err(|error| format!("{text}: {error}"))
 }
 
@@ -40,8 +50,10 @@ pub(crate) fn from_typed_input(text: &str) -> Result<Value, String> {
 /// An input that could be both is refused, because `3,14` for a float is more likely a decimal comma than the I4 14. The
 /// exception is an array: `TYPE,DATA` with the variable's own type and length is one value too long to be plain data.
 ///
-/// The error is a sentence with the whole input.
-pub(crate) fn from_input(text: &str, current: Variant<'_>) -> Result<Value, String> {
+/// # Errors
+///
+/// A sentence with the whole input.
+pub fn from_input(text: &str, current: Variant<'_>) -> Result<Value, String> {
     let vartype = current.vartype();
     if [VarType::EMPTY, VarType::NULL, VarType::VARIANT].contains(&vartype) {
         return Err(format!("{text}: the variable's type is unknown; TYPE,DATA needs --typed"));
@@ -81,8 +93,12 @@ pub(crate) fn from_input(text: &str, current: Variant<'_>) -> Result<Value, Stri
 /// Parses user input that is going to be written to a variable that now holds `current`.
 ///
 /// Rarely meant values are refused unless the user writes their type: a number that is not finite, and a BOOL that is neither 0
-/// nor 1. The error is a sentence with the whole input.
-pub(crate) fn to_write(text: &str, current: Variant<'_>) -> Result<Value, String> {
+/// nor 1.
+///
+/// # Errors
+///
+/// A sentence with the whole input.
+pub fn to_write(text: &str, current: Variant<'_>) -> Result<Value, String> {
     let value = from_input(text, current)?;
     if from_typed(text).is_ok_and(|typed| typed == value) {
         return Ok(value);
@@ -140,11 +156,12 @@ fn hint(text: &str, current: Variant<'_>) -> String {
 ///
 /// RAC writes a date as a number if its text is not exact; then the `Debug` form shows the date. The numbers of an array of
 /// R8, such as a pose, have at most 15 digits: the 16th and 17th are often the rounding errors of a computation.
-pub(crate) fn to_plain(value: Variant<'_>) -> String {
+#[must_use]
+pub fn format(value: Variant<'_>) -> String {
     match value {
         Variant::Bool(value) => value.to_string(),
         Variant::Array(array) if !array.is_empty() && array.element() == VarType::BOOL => {
-            array.iter().map(to_plain).collect::<Vec<_>>().join(",")
+            array.iter().map(format).collect::<Vec<_>>().join(",")
         }
         Variant::Array(array) if array.element() == VarType::R8 => {
             let rounded: Vec<f64> = array.iter().filter_map(|number| number.as_f64()).map(rounded).collect();
@@ -276,7 +293,7 @@ mod tests {
 
     #[test]
     fn values_are_printed_without_their_type() {
-        let plain = |value: &dyn Encode| to_plain(Value::new(value).unwrap().as_variant());
+        let plain = |value: &dyn Encode| format(Value::new(value).unwrap().as_variant());
         assert_eq!(plain(&5_i32), "5");
         assert_eq!(plain(&[1.5_f32, -2.0]), "1.5,-2");
         assert_eq!(plain(&[400.000_000_000_000_06, 0.0]), "400,0");

@@ -2,26 +2,27 @@
 
 use std::io::BufRead;
 
-use bcap_capture::json::{self, LIMITS, Part};
-use bcap_capture::value::to_json;
 use bcap_core::hresult::HResult;
 use bcap_core::limits::Strictness;
+use bcap_core::variant::OwnedVariant as Value;
 use serde::Deserialize;
 use serde_json::value::RawValue;
 
-use crate::failure::Failure;
-use crate::values::{Value, data};
+use super::{data, to_json};
+use crate::json::{self, LIMITS, Part};
 
 /// A variable with its value, or with the reason why it has none.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Named {
-    pub(crate) name: String,
-    pub(crate) entry: Entry,
+pub struct Named {
+    /// The name of the variable.
+    pub name: String,
+    /// Its value.
+    pub entry: Entry,
 }
 
 /// The known state of a variable.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum Entry {
+pub enum Entry {
     /// Its value.
     Value(Value),
     /// The controller refused to read it.
@@ -30,7 +31,7 @@ pub(crate) enum Entry {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Line<'a> {
+struct JsonLine<'a> {
     name: String,
     vt: Option<u16>,
     #[serde(borrow)]
@@ -40,8 +41,12 @@ struct Line<'a> {
 
 impl Named {
     /// Parses a line.
-    pub(crate) fn parse(line: &str) -> Result<Self, String> {
-        let Line { name, vt, v, refused } = serde_json::from_str(line).map_err(|error| {
+    ///
+    /// # Errors
+    ///
+    /// The fault with its column.
+    pub fn parse(line: &str) -> Result<Self, String> {
+        let JsonLine { name, vt, v, refused } = serde_json::from_str(line).map_err(|error| {
             let text = error.to_string();
             // the caller names the line
             let at = text.find(" at line ").unwrap_or(text.len());
@@ -56,7 +61,8 @@ impl Named {
     }
 
     /// Formats the line.
-    pub(crate) fn to_json(&self) -> String {
+    #[must_use]
+    pub fn to_json(&self) -> String {
         match &self.entry {
             Entry::Value(value) => shown(&self.name, value, true),
             Entry::Refused(code) => {
@@ -73,8 +79,12 @@ fn value(vt: u16, data: &str) -> Result<Value, String> {
 }
 
 /// Reads all lines; `source` names them in errors. Empty lines are ignored.
-pub(crate) fn read_lines(input: impl BufRead, source: &str) -> Result<Vec<Named>, Failure> {
-    let wrong = |number: usize, error: String| Failure::Input(format!("{source}, line {number}: {error}"));
+///
+/// # Errors
+///
+/// The fault with `source`, its line and its column.
+pub fn read_lines(input: impl BufRead, source: &str) -> Result<Vec<Named>, String> {
+    let wrong = |number: usize, error: String| format!("{source}, line {number}: {error}");
     let mut all = Vec::new();
     for (line, number) in input.lines().zip(1..) {
         let line = line.map_err(|error| wrong(number, error.to_string()))?;
@@ -86,12 +96,13 @@ pub(crate) fn read_lines(input: impl BufRead, source: &str) -> Result<Vec<Named>
 }
 
 /// Formats a value with its name: `I1 = 5`, or `{"name":"I1","vt":3,"v":5}`.
-pub(crate) fn shown(name: &str, value: &Value, json: bool) -> String {
+#[must_use]
+pub fn shown(name: &str, value: &Value, json: bool) -> String {
     if json {
         let name = serde_json::Value::from(name);
         format!("{{\"name\":{name},{}", &to_json(value.as_variant())[1..])
     } else {
-        format!("{name} = {}", data::to_plain(value.as_variant()))
+        format!("{name} = {}", data::format(value.as_variant()))
     }
 }
 
@@ -122,7 +133,7 @@ mod tests {
             ("{\"name\":\"I1\",\"vt\":3,\"v\":1.5}", "x, line 1: 1.5 is not an integer"),
             ("{\"name\":\"I1\"}", "x, line 1: I1: the value is missing"),
         ] {
-            let Err(Failure::Input(message)) = read_lines(text.as_bytes(), "x") else { panic!("{text}") };
+            let Err(message) = read_lines(text.as_bytes(), "x") else { panic!("{text}") };
             assert!(message.contains(part), "{message}");
         }
     }

@@ -1,0 +1,37 @@
+//! The errors of backups.
+
+use std::fmt;
+use std::io;
+use std::path::Path;
+
+use thiserror::Error;
+
+/// Why a backup cannot be used.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A file or a folder cannot be read or written, or its content is invalid.
+    #[error("{0}")]
+    Invalid(String),
+    /// The controller does not fit the backup, so nothing is written to it.
+    #[error("{0}")]
+    Unfit(String),
+}
+
+impl Error {
+    /// Returns the error of a file or a folder.
+    pub(crate) fn at(path: &Path, reason: impl fmt::Display) -> Self {
+        Self::Invalid(format!("{}: {reason}", path.display()))
+    }
+
+    /// Returns the error of a restore that has written nothing.
+    #[must_use]
+    pub fn unfit(reason: impl fmt::Display) -> Self {
+        Self::Unfit(format!("{reason}. Nothing was written"))
+    }
+}
+
+/// Returns the error of a file operation.
+pub(crate) fn failed(path: &Path) -> impl Fn(io::Error) -> Error {
+    move |error| Error::at(path, error)
+}

@@ -1,0 +1,26 @@
+//! Backups of controllers in folders: their content, differences, the plan of a restore, and its journal.
+//!
+//! | module          | contents                                                                  |
+//! |-----------------|---------------------------------------------------------------------------|
+//! | [`contents`]    | the variables and files of a controller, in memory                        |
+//! | [`folder`]      | a backup in a folder, also one that is being written                      |
+//! | [`compare`]     | the differences of two backups                                            |
+//! | [`plan`]        | the writes of a restore, if all of them can be made                       |
+//! | [`journal`]     | the writes of a restore so far, which survive the end of the process      |
+//! | [`replaced`]    | the files of the controller that a restore replaces                       |
+//! | [`local_files`] | files of this machine that are never visible half written                 |
+//!
+//! # Examples
+//!
+#![doc = include_str!("../README.md")]
+
+pub mod compare;
+pub mod contents;
+mod error;
+pub mod folder;
+pub mod journal;
+pub mod local_files;
+pub mod plan;
+pub mod replaced;
+
+pub use self::error::Error;
