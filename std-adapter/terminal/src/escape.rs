@@ -59,7 +59,7 @@ pub fn failure(text: &impl fmt::Display) -> String {
     block(&cut(text)).replace('\n', "\n       ")
 }
 
-/// Truncates a text to [`LONGEST`] characters, and adds the number of omitted characters.
+/// Truncates a text to 1,000 characters, and adds the number of omitted characters.
 pub fn cut(text: &impl fmt::Display) -> String {
     let mut cut = Cut { text: String::new(), room: LONGEST, more: 0 };
     // `Cut` accepts all text
