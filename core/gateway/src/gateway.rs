@@ -161,7 +161,7 @@ impl Gateway<'_> {
 
     /// Assigns a slot to a new client; `None` when all slots are taken.
     ///
-    /// The address decides which rules apply to the client. The caller checks [`Rules::admits`] before.
+    /// The address decides which rules apply to the client. The caller checks [`Rules::admits`](crate::rules::Rules::admits) before.
     pub fn open_from(&mut self, address: Option<Ipv4Addr>) -> Option<PeerId> {
         let slot = self.slots.iter_mut().find(|slot| slot.peer.is_none())?;
         let peer = PeerId(self.next_peer);

@@ -61,7 +61,7 @@ pub struct Controller {
 
 impl Controller {
     /// Connects to the controller at `tcp:HOST[:PORT]`, `udp:HOST[:PORT]` or `serial:PATH[?baud=N&parity=P&stop=S]`
-    /// ([`Address`]), and starts a session with a watchdog. Serial lines need the feature `serial`.
+    /// ([`Address`](crate::Address)), and starts a session with a watchdog. Serial lines need the feature `serial`.
     ///
     /// # Errors
     ///

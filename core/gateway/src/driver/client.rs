@@ -5,7 +5,7 @@ use bcap_core::time::Instant;
 
 use super::notify::Notify;
 
-/// The slot of a client, in the memory of a [`Platform`].
+/// The slot of a client, in the memory of a [`Platform`](super::Platform).
 #[derive(Debug)]
 pub struct Client<A> {
     pub(super) holder: Option<Holder<A>>,
