@@ -229,7 +229,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
             let lost = error.call.as_ref().filter(|call| !call.is_recoverable()).map(ToString::to_string);
             self.lost = self.lost.take().or_else(|| lost.clone());
             match lost {
-                Some(reason) if error.error.undone => Error::NotConnected { reason },
+                Some(reason) if error.error.had_no_effect() => Error::NotConnected { reason },
                 _ => Error::run(object, error),
             }
         })

@@ -53,7 +53,7 @@ pub struct StepError {
     /// Why it failed.
     pub cause: StepCause,
     /// Whether the procedure has undone its effects, as far as the controller allowed it. Over a lost connection it cannot: a
-    /// motion may go on, the arm may stay taken.
+    /// motion may go on, the arm may stay taken. What a halt has stopped stays stopped.
     pub undone: bool,
 }
 
@@ -81,6 +81,13 @@ impl StepCause {
 }
 
 impl StepError {
+    /// Tells whether the controller has certainly executed no call of the procedure that has an effect, except those that were
+    /// undone.
+    #[must_use]
+    pub const fn had_no_effect(&self) -> bool {
+        self.undone && !self.cause.may_have_run()
+    }
+
     /// Returns the controller's code, if it refused the call.
     #[must_use]
     pub const fn hresult(&self) -> Option<HResult> {

@@ -335,6 +335,10 @@ impl Steps for HaltSteps {
         Ok(())
     }
 
+    fn has_effect(&self) -> bool {
+        self.tried || self.step != Step::Halt
+    }
+
     /// A failed call does not keep the robot moving if another one may still stop it.
     fn recovered(&mut self, cause: &StepCause) -> bool {
         if *cause == StepCause::Failed(Failure::Lost) {

@@ -20,6 +20,7 @@
 //! | [`release`], [`release_controller`], [`release_robot`] | releases in reverse order and stops the service          |
 //! | [`read_variable`], [`write_variable`]              | opens a variable, reads or writes it, releases it            |
 //! | [`prepare_robot`], [`give_arm`]                    | takes the arm and switches the motor on; gives the arm back  |
+//! | [`reclaim`]                                        | ends the effects of a session that does not own the arm (any more) |
 //! | [`move_and_wait`]                                  | starts a motion and waits for its end                        |
 //! | [`halt`]                                           | halts the robot and stops tasks that own the arm, verifies rest |
 //! | [`run_queue`]                                      | lets motions follow each other, and waits for the last one   |
@@ -36,6 +37,7 @@ mod open;
 mod path;
 mod provider;
 mod queue;
+mod reclaim;
 mod release;
 mod robot;
 mod sequence;
@@ -50,6 +52,7 @@ pub use self::open::{open, open_robot};
 pub use self::path::{Opened, Owner, PATH_MAX, PathError, PathStep, open_path};
 pub use self::provider::{Handles, Provider};
 pub use self::queue::{Motion, MotionConfig, MotionQueue};
+pub use self::reclaim::{ArmOwner, Effects, Reclaimed, reclaim};
 pub use self::release::{release, release_controller, release_robot};
 pub use self::robot::{give_arm, prepare_robot};
 pub use self::target::Target;

@@ -3,7 +3,7 @@
 //! ```text
 //!  from rest:  CurJnt ─► (the variable, or CurTrn) ─► Robot_Move NEXT
 //!  each poll:  SysState ─► (DestJnt) ─► CurJnt ─► at rest: (CurPos, CurTrn) ─► Arrived, Halted, Unknown
-//!                  └─► GetCurErrorCount ─► GetCurErrorInfo ─► Failed
+//!                  └─► GetCurErrorCount ─► GetCurErrorInfo ─► (Robot_Halt) ─► Failed
 //! ```
 //!
 //! The position decides: the robot has arrived when it rests at the [`Target`] of its motion. That SysState reports no
@@ -12,6 +12,9 @@
 //! A robot that rests elsewhere was halted, unless SysState reports a motion (a slow start, a motion on hold) or the robot
 //! has not begun to move yet. DestJnt alone never decides, because after a halt it may be the place where the robot rests.
 //! It counts if two polls saw it during the motion, and then only where the target cannot be compared.
+//!
+//! An error of the controller ends the motion, but not every error stops the robot. So the robot is halted, unless it has been
+//! seen at rest after it had moved. If the halt is refused, which it may be because of the error, the next polls must find the robot at rest.
 //!
 //! A motion that follows another one is sent while that one is under way, or from rest at its end. At most one motion waits
 //! for the one under way.
@@ -145,6 +148,10 @@ struct MoveSteps<D, O> {
     now: Instant,
     /// The index of the error to ask for.
     error: i32,
+    /// Whether an error of the controller ends the motion, and whether the halt after it was refused. Then the robot is watched
+    /// until it rests.
+    has_error: bool,
+    watches: bool,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -197,6 +204,8 @@ impl<D, O> MoveSteps<D, O> {
             seen,
             now,
             error: 0,
+            has_error: false,
+            watches: false,
         }
     }
 
@@ -342,6 +351,7 @@ impl<D, O> MoveSteps<D, O> {
     fn update_state(&mut self, bits: i32) {
         self.queue.reports_motion = bits & MOVING != 0;
         self.step = match bits & (ERROR | EMERGENCY_STOP) {
+            _ if self.watches => Step::Position,
             0 if self.queue.needs_destination() => Step::Destination,
             0 => Step::Position,
             _ => Step::ErrorCount,
@@ -351,7 +361,23 @@ impl<D, O> MoveSteps<D, O> {
     /// Takes the first error of the controller.
     fn update_error(&mut self, code: HResult) {
         // the error that a halted motion leaves
-        self.end(if code == HResult::E_MOTION_STOPPED { Motion::Halted } else { Motion::Failed(code) });
+        let outcome = if code == HResult::E_MOTION_STOPPED { Motion::Halted } else { Motion::Failed(code) };
+        self.has_error = true;
+        // a robot that has not moved yet may begin later
+        let rests = self.queue.moved && self.queue.is_stopped(self.begins());
+        if rests { self.end(outcome) } else { self.halt(outcome) }
+    }
+
+    /// Watches the robot until it rests. If it does not, it is halted again, and a second refusal is an error.
+    fn watch(&mut self, joints: [f64; JOINTS], now: Instant) {
+        self.queue.update_rest(&joints, now);
+        if self.queue.is_stopped(false) {
+            self.step = Step::End;
+        } else if now >= self.queue.until {
+            self.step = Step::Halt;
+        } else {
+            self.pause(now);
+        }
     }
 }
 
@@ -423,6 +449,7 @@ impl<D: Encode, O: AsRef<str>> Steps for MoveSteps<D, O> {
             Step::Move => self.accepted(now),
             Step::State => self.update_state(Int::read(reply.args).map_err(StepCause::Reply)?),
             Step::Destination => (self.seen, self.step) = (Some(joints(reply)?), Step::Position),
+            Step::Position if self.watches => self.watch(joints(reply)?, now),
             Step::Position => self.update_position(joints(reply)?, now),
             Step::Tool => {
                 self.position = Some(pose(reply)?);
@@ -461,6 +488,11 @@ impl<D: Encode, O: AsRef<str>> Steps for MoveSteps<D, O> {
             }
             Step::Variable => self.step = if self.follows { Step::State } else { Step::Start },
             Step::StartFrame => self.step = Step::Move,
+            Step::Halt if self.has_error && !self.watches => {
+                self.watches = true;
+                self.queue.until = self.now.saturating_add(self.queue.config.start);
+                self.step = Step::State;
+            }
             _ => return false,
         }
         true

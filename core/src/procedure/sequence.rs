@@ -75,6 +75,11 @@ pub(super) trait Steps {
         None
     }
 
+    /// Tells whether a call that succeeded has an effect that no undo entry ends.
+    fn has_effect(&self) -> bool {
+        false
+    }
+
     /// Handles a failed call: `true` when the steps continue without it.
     fn recovered(&mut self, cause: &StepCause) -> bool {
         let _ = cause;
@@ -256,7 +261,7 @@ impl<S: Steps, M: FnMut(S::Output) -> T, T> Procedure for Sequence<S, M> {
                 Next::End if !self.backward && !S::KEEPS_OBJECTS && !self.undo.is_empty() => self.backward = true,
                 Next::End => {
                     return Action::Done(match self.error {
-                        Some(error) => Err(StepError { undone: self.undo.is_empty(), ..error }),
+                        Some(error) => Err(StepError { undone: self.undo.is_empty() && !self.steps.has_effect(), ..error }),
                         None => Ok((self.map)(self.steps.output())),
                     });
                 }

@@ -23,6 +23,7 @@ use crate::variant::{Encode, VarType, Variant, VariantBuf};
 mod halt;
 mod motion;
 mod queue;
+mod reclaim;
 
 /// The reaction of the peer to a call.
 #[derive(Clone, Debug)]

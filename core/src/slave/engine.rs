@@ -17,6 +17,7 @@
 //!
 //! * The engine never sends a pose that exceeds the limits, has another layout, or is not finite.
 //! * After an error it sends no pose: it queries the controller, and leaves Slave Mode if it is on.
+//! * It starts nothing, and ends nothing, while a stream of Slave Mode runs that it has not started.
 //! * Only [`Engine::recover`] clears the error list and switches the motor on again, and never after an emergency stop.
 
 use core::time::Duration;
@@ -33,7 +34,7 @@ use super::reply::MoveReply;
 use super::request::{Request, Step};
 use super::stats::Stats;
 use crate::bcap::client::Timing;
-use crate::bcap::{Frame, Link};
+use crate::bcap::{Frame, Link, Properties, StreamState};
 use crate::hresult::HResult;
 use crate::procedure::{Channel, Failure};
 use crate::time::{Instant, micros_u32};
@@ -166,6 +167,8 @@ pub struct Engine<const N: usize = MOVE_FRAME> {
     motion: Health,
     watch: Health,
     has_arm: bool,
+    /// Whether this engine may have entered Slave Mode, so that it must leave it.
+    may_be_in_mode: bool,
     /// Whether this is a start after a fault, which accepts any position of the robot.
     restarted: bool,
     /// Whether `stop` was called while starting or recovering.
@@ -207,13 +210,14 @@ impl<const N: usize> Engine<N> {
             config,
             frame: frame.map_err(ConfigError::Frame)?,
             phase: Phase::Starting,
-            step: Step::SendFormat,
+            step: Step::GetMode,
             channel: Channel::Motion,
             in_flight: false,
             sent_at: Instant::ZERO,
             motion: Health::Good,
             watch: if config.watch.is_some() { Health::Good } else { Health::Lost },
             has_arm: false,
+            may_be_in_mode: false,
             restarted: false,
             stop_wanted: false,
             stop: None,
@@ -297,6 +301,11 @@ impl<const N: usize> Engine<N> {
             (Failure::Timeout, Health::Good) => Health::Silent,
             (Failure::Timeout | Failure::Lost | Failure::Closed, _) => Health::Lost,
         };
+        if failure != Failure::NotSent {
+            // without a reply it may have been executed
+            self.has_arm |= self.step == Step::TakeArm;
+            self.may_be_in_mode |= self.step == Step::Enter;
+        }
         match self.phase {
             Phase::Diagnosing => self.skip_diagnosis(failure),
             _ => self.fail(Cause::Failed(failure)),
@@ -479,14 +488,18 @@ impl<const N: usize> Engine<N> {
     fn fail(&mut self, cause: Cause) {
         self.stop = None;
         self.pacer.loaded = false;
-        let seen_by_us = matches!(cause, Cause::NotAtStart { .. } | Cause::EmergencyStop);
-        let released = if seen_by_us { Released::Yes } else { Released::Unknown };
+        let (released, is_known) = match cause {
+            Cause::NotAtStart { .. } | Cause::EmergencyStop => (Released::Yes, true),
+            Cause::Occupied(StreamState::Runs) => (Released::No, true),
+            Cause::Occupied(_) => (Released::Unknown, true),
+            _ => (Released::Unknown, false),
+        };
         let mut fault = Fault::new(self.step, cause, released);
         if cause == Cause::EmergencyStop {
             fault.emergency_stop = Some(true);
         }
         self.fault = Some(fault);
-        if seen_by_us {
+        if is_known {
             self.phase = Phase::Faulted;
         } else {
             self.phase = Phase::Diagnosing;
@@ -498,7 +511,12 @@ impl<const N: usize> Engine<N> {
 /// Starting, leaving and recovering.
 impl<const N: usize> Engine<N> {
     fn handle_start(&mut self, code: HResult, value: Variant<'_>, now: Instant) {
-        if code.is_err() {
+        if self.step == Step::GetMode {
+            let state = StreamState::from_reply(code, value.as_i32());
+            if !state.allows(Properties::UNKNOWN) {
+                return self.fail(Cause::Occupied(state));
+            }
+        } else if code.is_err() {
             return self.fail(Cause::Refused(code));
         }
         let done = match self.step {
@@ -531,6 +549,7 @@ impl<const N: usize> Engine<N> {
         let config = &self.config;
         let extended = config.format.extended != ExtendedAxes::None && config.format.mode.pose != PoseType::J;
         match self.step {
+            Step::GetMode => Step::SendFormat,
             Step::SendFormat => Step::ReceiveFormat,
             Step::ReceiveFormat if config.arm.is_some() => Step::TakeArm,
             Step::ReceiveFormat | Step::TakeArm if config.motor => Step::Motor,
@@ -616,6 +635,7 @@ impl<const N: usize> Engine<N> {
 
     fn begin_stream(&mut self, now: Instant) {
         self.phase = Phase::Streaming;
+        self.may_be_in_mode = true;
         self.step = Step::Move;
         self.pacer = Pacer::new(now);
         self.delta = Delta::ZERO;
@@ -644,8 +664,9 @@ impl<const N: usize> Engine<N> {
         if code.is_err() {
             return self.fail(Cause::Refused(code));
         }
-        if self.step == Step::GiveArm {
-            self.has_arm = false;
+        match self.step {
+            Step::GiveArm => self.has_arm = false,
+            _ => self.may_be_in_mode = false,
         }
         self.give_arm();
     }
@@ -664,7 +685,7 @@ impl<const N: usize> Engine<N> {
         self.fault = None;
         self.restarted = true;
         self.phase = Phase::Starting;
-        self.step = Step::SendFormat;
+        self.step = Step::GetMode;
     }
 }
 
@@ -816,17 +837,20 @@ impl<const N: usize> Engine<N> {
             Step::GetMode => match int {
                 Some(0) => {
                     fault.released = Released::Yes;
+                    self.may_be_in_mode = false;
                     self.diagnose(Step::ErrorCount);
                 }
                 Some(_) => {
                     fault.released = Released::No;
-                    self.diagnose(Step::Leave);
+                    // the other queries would end the stream of another client
+                    if self.may_be_in_mode { self.diagnose(Step::Leave) } else { self.end_diagnosis() }
                 }
                 None => self.diagnose(Step::ErrorCount),
             },
             Step::Leave => {
                 if code.is_ok() || code == HResult::E_SLVMODE_OFF {
                     fault.released = Released::Yes;
+                    self.may_be_in_mode = false;
                 }
                 self.diagnose(Step::ErrorCount);
             }

@@ -4,6 +4,7 @@ use core::fmt;
 
 use super::reply::MoveReplyError;
 use super::request::Step;
+use crate::bcap::StreamState;
 use crate::hresult::HResult;
 use crate::procedure::Failure;
 use crate::variant::{Bstr, Variant};
@@ -50,6 +51,9 @@ pub enum Cause {
         /// The value of the start.
         expected: f64,
     },
+    /// A stream of Slave Mode runs already, or the controller does not say whether one runs. Nothing was changed: the calls that
+    /// start a stream would end the other one.
+    Occupied(StreamState),
     /// The buffer stayed full for [`Config::stall`](super::Config::stall): the robot does not execute poses.
     Stalled,
     /// The emergency stop is pressed, so the recovery was not started.
@@ -63,7 +67,7 @@ pub enum Cause {
 pub enum Released {
     /// It is off.
     Yes,
-    /// It is on, and could not be left.
+    /// It is on: it could not be left, or the stream of another client runs.
     No,
     /// The controller did not reply to the query.
     Unknown,
@@ -159,6 +163,10 @@ impl fmt::Display for Cause {
                 f,
                 "the robot is not at the start: number {number} of its pose is {actual}, the stream begins at {expected}"
             ),
+            Self::Occupied(StreamState::Unknown(code)) => {
+                write!(f, "refused with {code}, so the stream of another client may run")
+            }
+            Self::Occupied(_) => f.write_str("a stream of Slave Mode runs already"),
             Self::Stalled => f.write_str("the controller accepts no more poses: its buffer stays full"),
             Self::EmergencyStop => f.write_str("the emergency stop is pressed"),
         }

@@ -1,10 +1,11 @@
 //! Slave Mode: streams one pose per control cycle to the controller (b-CAP specification, section 5).
 //!
 //! ```text
-//!  formats ─► TakeArm ─► Motor ─► position ─► slvChangeMode m ─► slvMove, slvMove, ... ─► slvChangeMode 0 ─► GiveArm
-//!                                                                    │ any error: Slave Mode ends
-//!                                                                    ▼
-//!                                     slvGetMode ─► (slvChangeMode 0) ─► errors ─► emergency stop? ─► Fault
+//!  slvGetMode ─► formats ─► TakeArm ─► Motor ─► position ─► slvChangeMode m ─► slvMove, slvMove, ...
+//!      │ a stream runs: Fault                                                      │         └─► slvChangeMode 0 ─► GiveArm
+//!                                                                                  │ any error: Slave Mode ends
+//!                                                                                  ▼
+//!                                                   slvGetMode ─► (slvChangeMode 0) ─► errors ─► emergency stop? ─► Fault
 //! ```
 //!
 //! Three layers; each can be used without the next:

@@ -178,14 +178,58 @@ fn a_failed_motion_reports_the_first_error_which_is_the_last_of_the_list() {
             let info = Answer::value(&ValueThen(value));
             let done = failed(state, 3, &info);
             assert_eq!(done.result, Ok(Motion::Failed(HResult::from_u32(code))));
-            let asked =
-                ["Controller_Execute(7, \"GetCurErrorCount\", EMPTY)", "Controller_Execute(7, \"GetCurErrorInfo\", 2)"];
-            assert_eq!(done.calls[done.calls.len() - 2..], asked);
+            let asked = [COUNT, "Controller_Execute(7, \"GetCurErrorInfo\", 2)", HALT];
+            assert_eq!(done.calls[done.calls.len() - 3..], asked);
         }
     }
     // an emergency stop without an entry, and an entry without a code
     assert_eq!(failed(1 << 10, 0, &Answer::Empty).result, Ok(Motion::Failed(HResult::E_FAIL)));
     assert_eq!(failed(1 << 1, 1, &Answer::value(&"?")).result, Ok(Motion::Failed(HResult::E_FAIL)));
+}
+
+/// A motion to 10 degrees with an error from 50 ms on; `position` says where the first joint is, and `halt` answers Robot_Halt.
+fn failing(position: impl Fn(u64) -> f64, halt: Answer) -> Run<Motion> {
+    let error = Answer::value(&ValueThen(&0x8150_1003_u32));
+    run(motion(within(10_000)), |_, call, now| {
+        let millis = now.as_micros() / 1000;
+        match call {
+            DESTINATION => at(10.0),
+            STATE => Answer::value(&if millis >= 50 { 1 << 1 } else { 0 }),
+            POSITION => at(position(millis)),
+            COUNT => Answer::value(&1),
+            HALT => halt.clone(),
+            _ if call.contains("GetCurErrorInfo") => error.clone(),
+            _ => Answer::Empty,
+        }
+    })
+}
+
+/// A warning does not stop the robot.
+#[test]
+fn a_failed_motion_leaves_nothing_moving() {
+    let failed = Ok(Motion::Failed(HResult::from_u32(0x8150_1003)));
+    for position in [ramp as fn(u64) -> f64, |_| 0.0] {
+        let done = failing(position, Answer::Empty);
+        assert_eq!((done.result, done.calls.last().unwrap().as_str()), (failed, HALT));
+        assert!(done.now.as_micros() / 1000 < 80, "{:?}", done.now);
+    }
+}
+
+#[test]
+fn a_refused_halt_of_a_failed_motion_is_not_taken_for_rest() {
+    let refusal = Answer::Refused(HResult::E_ERROR_PRESENT);
+    let failed = Ok(Motion::Failed(HResult::from_u32(0x8150_1003)));
+    let halts = |done: &Run<Motion>| done.calls.iter().filter(|call| *call == HALT).count();
+    // it brakes for the error itself
+    let done = failing(|millis| ramp(millis.min(80)), refusal.clone());
+    assert_eq!((done.result, halts(&done)), (failed, 1));
+    assert!(done.now.as_micros() / 1000 >= 80 + 5 * 20, "{:?}", done.now);
+    // it goes on
+    let done = failing(|millis| millis as f64 / 100.0, refusal);
+    let error = done.result.unwrap_err();
+    assert_eq!((error.function, error.hresult()), (FunctionId::ROBOT_HALT, Some(HResult::E_ERROR_PRESENT)));
+    assert_eq!(halts(&done), 3, "the last one is on the way back");
+    assert!((1000..1200).contains(&(done.now.as_micros() / 1000)), "{:?}", done.now);
 }
 
 /// An entry of the list of errors: the code and a message.

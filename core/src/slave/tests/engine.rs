@@ -11,7 +11,7 @@ use std::vec::Vec;
 use super::*;
 use crate::bcap::call::ControllerHandle;
 use crate::bcap::client::Event;
-use crate::bcap::{Frame, FrameWriter};
+use crate::bcap::{Frame, FrameWriter, StreamState};
 use crate::hresult::HResult;
 use crate::time::Instant;
 
@@ -289,8 +289,16 @@ fn smooth(at: u16, count: u16) -> f64 {
     x * x * (3.0 - 2.0 * x)
 }
 
-const START: [&str; 7] =
-    ["slvSendFormat", "slvRecvFormat", "TakeArm", "Motor", "CurJnt", "slvChangeMode", "slvChangeMode"];
+const START: [&str; 8] = [
+    "slvGetMode",
+    "slvSendFormat",
+    "slvRecvFormat",
+    "TakeArm",
+    "Motor",
+    "CurJnt",
+    "slvChangeMode",
+    "slvChangeMode",
+];
 
 #[test]
 fn every_mode_executes_every_pose_once_and_in_order() {
@@ -306,8 +314,8 @@ fn every_mode_executes_every_pose_once_and_in_order() {
             "{}",
             path.len()
         );
-        assert_eq!(rig.names()[..5], START[..5]);
-        assert_eq!(rig.names()[5..], ["slvChangeMode", "slvChangeMode", "GiveArm"]);
+        assert_eq!(rig.names()[..6], START[..6]);
+        assert_eq!(rig.names()[6..], ["slvChangeMode", "slvChangeMode", "GiveArm"]);
         assert!(!rig.controller.arm && rig.controller.mode == 0 && rig.controller.errors.is_empty());
         let stats = rig.engine.stats();
         assert_eq!((stats.underflows, stats.late), (0, 0), "{mode:?}");
@@ -534,7 +542,7 @@ fn a_stop_during_a_recovery_is_not_forgotten() {
     assert_eq!((rig.names().last(), rig.moves), (Some(&"GiveArm"), 0));
     // a stop requested before the fault ends with it
     let mut rig = Rig::new(config(Mode::Mode2), &[0.0; 8]);
-    rig.controller.script.push(("slvSendFormat", refused(HResult::from_u32(0x8350_106e))));
+    rig.controller.script.push(("slvGetMode", refused(HResult::E_FAIL)));
     rig.engine.stop();
     assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
     rig.engine.recover().unwrap();
@@ -607,6 +615,59 @@ fn each_refused_step_ends_the_start() {
     }
 }
 
+/// Every call of a start but slvGetMode would end the other stream.
+#[test]
+fn a_stream_of_another_client_is_left_alone() {
+    let mut rig = Rig::new(Config { watch: Some(WATCH), ..config(Mode::Mode0) }, &[0.0; 8]);
+    rig.controller.mode = 0x202;
+    assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
+    let fault = rig.engine.fault().unwrap();
+    assert_eq!((fault.step, fault.cause), (Step::GetMode, Cause::Occupied(StreamState::Runs)));
+    assert_eq!((fault.to_string().as_str(), fault.released), ("slvGetMode: a stream of Slave Mode runs already", Released::No));
+    rig.engine.stop();
+    assert_eq!((rig.run(|_| None), rig.names(), rig.controller.mode), (Action::Finished, ["slvGetMode"].to_vec(), 0x202));
+    // a controller that does not say it may have a stream; one without Slave Mode has none
+    let mut rig = Rig::new(config(Mode::Mode0), &[0.0; 8]);
+    rig.controller.script.push(("slvGetMode", refused(HResult::E_FAIL)));
+    assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
+    let fault = rig.engine.fault().unwrap();
+    assert_eq!(fault.cause, Cause::Occupied(StreamState::Unknown(HResult::E_FAIL)));
+    assert!(fault.to_string().ends_with("so the stream of another client may run"), "{fault}");
+    let mut rig = Rig::new(config(Mode::Mode0), &[0.0; 8]);
+    rig.controller.script.push(("slvGetMode", refused(HResult::E_NOTIMPL)));
+    assert_eq!(rig.run(trajectory(10)), Action::Finished);
+}
+
+/// The stream of another client begins between the question and a call of the start.
+#[test]
+fn a_stream_that_begins_during_the_start_is_left_alone() {
+    for (command, step) in [("TakeArm", Step::TakeArm), ("slvChangeMode", Step::Enter)] {
+        let mut rig = Rig::new(config(Mode::Mode0), &[0.0; 8]);
+        rig.controller.script.push((command, refused(HResult::E_ARM_NOT_TAKEN)));
+        rig.controller.script.push(("slvGetMode", ok(&0)));
+        rig.controller.script.push(("slvGetMode", ok(&0x102)));
+        assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
+        let fault = rig.engine.fault().unwrap();
+        assert_eq!((fault.step, fault.released), (step, Released::No));
+        assert_eq!(rig.names().last(), Some(&"slvGetMode"));
+    }
+}
+
+#[test]
+fn an_arm_whose_taking_has_no_reply_is_given_back() {
+    let mut rig = Rig::new(config(Mode::Mode0), &[0.0; 8]);
+    loop {
+        let Action::Call(step, _) = rig.engine.poll(rig.now) else { panic!("no call") };
+        if step == Step::TakeArm {
+            break rig.engine.handle_failure(Failure::Timeout, rig.now);
+        }
+        rig.call();
+    }
+    assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
+    rig.engine.stop();
+    assert_eq!((rig.run(|_| None), rig.names().last()), (Action::Finished, Some(&"GiveArm")));
+}
+
 #[test]
 fn a_lost_connection_is_diagnosed_over_the_other_one() {
     let mut rig = Rig::new(Config { watch: Some(WATCH), ..config(Mode::Mode0) }, &[0.0; 8]);
@@ -646,7 +707,7 @@ fn a_call_without_a_reply_ends_slave_mode() {
     let fault = rig.engine.fault().unwrap();
     assert_eq!((fault.cause, fault.released), (Cause::Failed(Failure::Timeout), Released::Yes));
     assert_eq!(rig.controller.mode, 0);
-    assert_eq!(rig.names()[6..8], ["slvGetMode", "slvChangeMode"]);
+    assert_eq!(rig.names()[7..9], ["slvGetMode", "slvChangeMode"]);
     assert_eq!(rig.moves, 20);
 }
 
@@ -750,7 +811,7 @@ fn a_stop_before_the_first_pose_moves_nothing() {
     let _ = rig.engine.poll(rig.now);
     rig.engine.stop();
     assert_eq!(rig.run(|_| None), Action::Finished);
-    assert_eq!(rig.names(), ["slvSendFormat"]);
+    assert_eq!(rig.names(), ["slvGetMode"]);
 }
 
 #[test]
@@ -801,7 +862,7 @@ fn cartesian_streams_wrap_angles_and_command_extended_joints() {
         (count <= 5).then(|| pose.with_extended(axes(40.0 + f64::from(count) * 0.2)))
     });
     assert_eq!(end, Action::Finished);
-    assert_eq!(rig.names()[4..6], ["CurPos", "CurJnt"]);
+    assert_eq!(rig.names()[5..7], ["CurPos", "CurJnt"]);
     assert_eq!(rig.engine.start_pose(), Some(&Pose::p(at).with_extended(axes(40.0))));
     let (last, end) = (last.unwrap(), *rig.engine.last_pose());
     assert!((last.as_slice()[3] + 179.6).abs() < 1e-9);
@@ -842,12 +903,12 @@ fn unrequested_input_changes_nothing() {
     assert_eq!(rig.engine.push(&joints(0.0)), Err(PoseError::NotNow));
     assert!(rig.engine.request().is_none());
     rig.engine.handle_failure(Failure::Lost, rig.now);
-    assert_eq!(rig.engine.poll(rig.now), Action::Call(Step::SendFormat, Channel::Motion));
+    assert_eq!(rig.engine.poll(rig.now), Action::Call(Step::GetMode, Channel::Motion));
     // polling again returns the same call
-    assert_eq!(rig.engine.poll(rig.now), Action::Call(Step::SendFormat, Channel::Motion));
+    assert_eq!(rig.engine.poll(rig.now), Action::Call(Step::GetMode, Channel::Motion));
     assert_eq!(rig.run(trajectory(5)), Action::Finished);
     assert_eq!(rig.engine.poll(rig.now), Action::Finished);
-    assert_eq!(rig.names().iter().filter(|name| **name == "slvSendFormat").count(), 1);
+    assert_eq!(rig.names().iter().filter(|name| **name == "slvGetMode").count(), 1);
 }
 
 #[test]

@@ -1,0 +1,212 @@
+//! Ending the effects of a session on a robot whose arm it does not own: of a lost session, or one that never took the arm.
+//!
+//! ```text
+//!  slvGetMode ─► off ─► TakeArm ─► taken ──────────────► Robot_Halt ──► (Motor 0) ─► GiveArm
+//!      │          │        ├─────► refused ────────────► (Robot_Halt) ─► (Motor 0)
+//!      │          │        └─────► another client owns the arm: nothing
+//!      │          └─► the lost session owns the arm ───► (Robot_Halt) ─► (Motor 0)
+//!      ├─► a stream runs: nothing, unless it is the lost session's ─► slvChangeMode 0 ─► Robot_Halt ─► (Motor 0)
+//!      └─► refused: a stream may run ──────────────────► (Robot_Halt)
+//! ```
+//!
+//! The calls in brackets are made only if the session may have caused what they end.
+//!
+//! Only TakeArm tells whether another client owns the arm: TakeArmState tells it of the asking client alone. A refused TakeArm
+//! may leave an error on the controller, so it is not called while the lost session is known to own the arm.
+
+use core::convert::identity;
+
+use super::action::Procedure;
+use super::failure::{StepCause, StepError};
+use super::sequence::{Argument, Next, Sequence, StepCall, Steps, Undo};
+use crate::bcap::call::{Int, Reply, RobotHandle};
+use crate::bcap::{Frame, FunctionId, Properties, StreamState};
+use crate::hresult::HResult;
+use crate::time::Instant;
+
+/// The possible effects of a session on a robot.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Effects {
+    /// A motion may be under way.
+    pub moving: bool,
+    /// A stream of Slave Mode may run.
+    pub streaming: bool,
+    /// The motor may have been switched on.
+    pub motor: bool,
+    /// The controller still gives the arm to the lost session, because it has not noticed the loss.
+    pub owns_arm: bool,
+}
+
+/// The effect of [`reclaim`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub struct Reclaimed {
+    /// The owner of the arm afterwards.
+    pub owner: ArmOwner,
+    /// Whether the robot was halted; `None` if no halt was tried.
+    pub halted: Option<bool>,
+    /// Whether the motor was switched off; `None` if that was not tried.
+    pub motor_off: Option<bool>,
+}
+
+/// The owner of the arm.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum ArmOwner {
+    /// No client: the arm was taken and given back.
+    Nobody,
+    /// Another client or a task; nothing was changed.
+    Other,
+    /// Unknown: the lost session still owns it, or the controller did not say.
+    Unknown,
+}
+
+/// Ends the effects of a session on a robot, as far as no other client uses the robot.
+///
+/// # Errors
+///
+/// Refusals are in the output. An error means that a call has no reply: the robot may still move.
+///
+/// # Cancel safety
+///
+/// When a run is dropped, the arm may stay taken. Run the procedure again, and it gives the arm back.
+pub fn reclaim(robot: RobotHandle, effects: Effects) -> impl Procedure<Output = Reclaimed, Error = StepError> + use<> {
+    let output = Reclaimed { owner: ArmOwner::Unknown, halted: None, motor_off: None };
+    Sequence::new(ReclaimSteps { robot, effects, step: Step::Mode, taken: false, output }, identity)
+}
+
+struct ReclaimSteps {
+    robot: RobotHandle,
+    effects: Effects,
+    step: Step,
+    taken: bool,
+    output: Reclaimed,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Step {
+    Mode,
+    Leave,
+    TakeArm,
+    Halt,
+    MotorOff,
+    GiveArm,
+    End,
+}
+
+/// The parameters of TakeArm: group 0, and the speed, the tool and the work stay.
+const KEEP: [i32; 2] = [0, 1];
+/// The parameter of Motor: off, and reply when the motor is off.
+const MOTOR_OFF: [i32; 2] = [0, 0];
+
+impl ReclaimSteps {
+    fn update_mode(&mut self, state: StreamState) {
+        let Effects { streaming, owns_arm, .. } = self.effects;
+        self.step = match state {
+            _ if state.allows(Properties::UNKNOWN) && owns_arm => self.halt(),
+            _ if state.allows(Properties::UNKNOWN) => Step::TakeArm,
+            _ if streaming && owns_arm => Step::Leave,
+            StreamState::Runs => self.end(ArmOwner::Other),
+            _ => {
+                // the other calls might end a stream
+                self.effects.motor = false;
+                self.halt()
+            }
+        };
+    }
+
+    fn end(&mut self, owner: ArmOwner) -> Step {
+        self.output.owner = owner;
+        Step::End
+    }
+
+    /// Returns the step that halts the robot, if it may move or nobody else can.
+    fn halt(&self) -> Step {
+        let Effects { moving, streaming, .. } = self.effects;
+        if self.taken || moving || streaming { Step::Halt } else { self.switch_off() }
+    }
+
+    fn switch_off(&self) -> Step {
+        if self.effects.motor { Step::MotorOff } else { self.give() }
+    }
+
+    const fn give(&self) -> Step {
+        if self.taken { Step::GiveArm } else { Step::End }
+    }
+
+    /// Takes the answer to the present call: `None`, or the code of a refusal.
+    fn answered(&mut self, refusal: Option<HResult>) {
+        let done = Some(refusal.is_none());
+        self.step = match (self.step, refusal) {
+            (Step::TakeArm, Some(HResult::E_ARM_NOT_TAKEN)) => self.end(ArmOwner::Other),
+            (Step::TakeArm, refusal) => {
+                self.taken = refusal.is_none();
+                self.halt()
+            }
+            (Step::Leave, _) => self.halt(),
+            (Step::Halt, _) => {
+                self.output.halted = done;
+                self.switch_off()
+            }
+            (Step::MotorOff, _) => {
+                self.output.motor_off = done;
+                self.give()
+            }
+            (Step::GiveArm, None) => self.end(ArmOwner::Nobody),
+            _ => Step::End,
+        };
+    }
+}
+
+impl Steps for ReclaimSteps {
+    type Output = Reclaimed;
+    const KEEPS_OBJECTS: bool = true;
+
+    fn next(&self) -> Next<'_> {
+        let robot = self.robot.0;
+        let of_robot = |command| StepCall::new(FunctionId::ROBOT_EXECUTE).with(robot).with(command);
+        Next::Call(match self.step {
+            Step::Mode => of_robot(StreamState::COMMAND).with(Argument::Empty),
+            Step::Leave => of_robot("slvChangeMode").with(0),
+            Step::TakeArm => of_robot("TakeArm").with(Argument::Value(&KEEP)),
+            Step::Halt => StepCall::new(FunctionId::ROBOT_HALT).with(robot).with(""),
+            Step::MotorOff => of_robot("Motor").with(Argument::Value(&MOTOR_OFF)),
+            Step::GiveArm => of_robot("GiveArm").with(Argument::Empty),
+            Step::End => return Next::End,
+        })
+    }
+
+    fn succeeded(&mut self, reply: &Frame<'_>, _now: Instant) -> Result<(), StepCause> {
+        match self.step {
+            Step::Mode => self.update_mode(StreamState::from_reply(reply.hresult(), Int::read(reply.args).ok())),
+            _ => self.answered(None),
+        }
+        Ok(())
+    }
+
+    fn undo(&self, cause: Option<&StepCause>) -> Option<Undo> {
+        // without a reply the arm may have been taken
+        let takes = self.step == Step::TakeArm && cause.is_none_or(StepCause::may_have_run);
+        takes.then_some(Undo::GiveArm(self.robot.0))
+    }
+
+    fn has_effect(&self) -> bool {
+        self.output.halted.is_some() || self.output.motor_off.is_some()
+    }
+
+    fn recovered(&mut self, cause: &StepCause) -> bool {
+        let StepCause::Refused(code) = *cause else { return false };
+        match self.step {
+            Step::Mode => self.update_mode(StreamState::from_reply(code, None)),
+            _ => self.answered(Some(code)),
+        }
+        true
+    }
+
+    fn output(&mut self) -> Reclaimed {
+        self.output
+    }
+}

@@ -1,0 +1,100 @@
+//! `reclaim` against a robot that another client uses, or nobody.
+
+use super::*;
+
+const ROBOT: RobotHandle = RobotHandle(9);
+const MODE: &str = "Robot_Execute(9, \"slvGetMode\", EMPTY)";
+const LEAVE: &str = "Robot_Execute(9, \"slvChangeMode\", 0)";
+const TAKE: &str = "Robot_Execute(9, \"TakeArm\", I4[0, 1])";
+const HALT: &str = "Robot_Halt(9, \"\")";
+const OFF: &str = "Robot_Execute(9, \"Motor\", I4[0, 0])";
+const GIVE: &str = "Robot_Execute(9, \"GiveArm\", EMPTY)";
+
+const ALL: Effects = Effects { moving: true, streaming: true, motor: true, owns_arm: false };
+const MOVED: Effects = Effects { streaming: false, ..ALL };
+const MOTOR: Effects = Effects { moving: false, ..MOVED };
+
+/// Runs it while the mode is `mode` and the call `refused` has this answer.
+fn reclaimed(effects: Effects, mode: i32, refused: (&str, HResult)) -> Run<Reclaimed> {
+    run(reclaim(ROBOT, effects), |_, call, _| match call {
+        _ if call == refused.0 => Answer::Refused(refused.1),
+        MODE => Answer::value(&mode),
+        _ => Answer::Empty,
+    })
+}
+
+const NONE: (&str, HResult) = ("", HResult::S_OK);
+
+#[test]
+fn a_free_arm_is_taken_before_the_robot_is_halted() {
+    for (effects, off) in [(MOVED, Some(true)), (Effects { motor: false, ..MOVED }, None), (MOTOR, Some(true))] {
+        let done = reclaimed(effects, 0, NONE);
+        let expected = Reclaimed { owner: ArmOwner::Nobody, halted: Some(true), motor_off: off };
+        assert_eq!(done.result, Ok(expected));
+        let calls = [MODE, TAKE, HALT].into_iter().chain(off.map(|_| OFF)).chain([GIVE]);
+        assert_eq!(done.calls, calls.collect::<Vec<_>>());
+    }
+}
+
+#[test]
+fn a_robot_of_another_client_is_left_alone() {
+    let other = Reclaimed { owner: ArmOwner::Other, halted: None, motor_off: None };
+    let done = reclaimed(MOVED, 0, (TAKE, HResult::E_ARM_NOT_TAKEN));
+    assert_eq!((done.result, done.calls), (Ok(other), vec![MODE.to_string(), TAKE.to_string()]));
+    // TakeArm would end its stream
+    let done = reclaimed(ALL, 0x102, NONE);
+    assert_eq!((done.result, done.calls), (Ok(other), vec![MODE.to_string()]));
+}
+
+#[test]
+fn a_session_that_still_owns_the_arm_is_not_asked_for_it() {
+    let ended = Reclaimed { owner: ArmOwner::Unknown, halted: Some(true), motor_off: Some(true) };
+    let done = reclaimed(Effects { owns_arm: true, ..MOVED }, 0, NONE);
+    assert_eq!((done.result, done.calls.as_slice()), (Ok(ended), [MODE, HALT, OFF].map(String::from).as_slice()));
+    let done = reclaimed(Effects { owns_arm: true, ..ALL }, 0x102, (LEAVE, HResult::E_ARM_NOT_TAKEN));
+    assert_eq!((done.result, done.calls.as_slice()), (Ok(ended), [MODE, LEAVE, HALT, OFF].map(String::from).as_slice()));
+    let done = reclaimed(Effects { owns_arm: true, ..MOTOR }, 0, NONE);
+    assert_eq!(done.calls, [MODE, OFF]);
+    // a session without a stream has not started the one that runs
+    let done = reclaimed(Effects { owns_arm: true, ..MOVED }, 0x102, NONE);
+    assert_eq!(done.calls, [MODE]);
+}
+
+#[test]
+fn a_refusal_keeps_nothing_moving() {
+    let done = reclaimed(MOVED, 0, (TAKE, HResult::E_ERROR_PRESENT));
+    assert_eq!(done.calls, [MODE, TAKE, HALT, OFF]);
+    assert_eq!(done.result.unwrap().owner, ArmOwner::Unknown);
+    let done = reclaimed(MOTOR, 0, (TAKE, HResult::E_ERROR_PRESENT));
+    assert_eq!(done.calls, [MODE, TAKE, OFF]);
+    let done = reclaimed(MOVED, 0, (HALT, HResult::E_FAIL));
+    assert_eq!(done.calls, [MODE, TAKE, HALT, OFF, GIVE]);
+    assert_eq!(done.result, Ok(Reclaimed { owner: ArmOwner::Nobody, halted: Some(false), motor_off: Some(true) }));
+    let done = reclaimed(MOVED, 0, (GIVE, HResult::E_FAIL));
+    assert_eq!(done.result.unwrap().owner, ArmOwner::Unknown);
+    // a stream may run
+    let done = reclaimed(ALL, 0, (MODE, HResult::E_FAIL));
+    assert_eq!(done.calls, [MODE, HALT]);
+}
+
+#[test]
+fn each_failure_gives_the_arm_back_and_says_whether_something_was_done() {
+    let calls = [MODE, TAKE, HALT, OFF, GIVE];
+    for (at, call) in calls.into_iter().enumerate() {
+        for failure in [Failure::Timeout, Failure::NotSent, Failure::Lost, Failure::Closed] {
+            let done = run(reclaim(ROBOT, MOVED), |number, call, _| match call {
+                _ if number == at => Answer::Failed(failure),
+                MODE => Answer::value(&0),
+                _ => Answer::Empty,
+            });
+            let error = done.result.err().unwrap();
+            assert_eq!((error.function, error.cause), (function_of(call), StepCause::Failed(failure)));
+            let lost = matches!(failure, Failure::Lost | Failure::Closed);
+            let sent = matches!(failure, Failure::Lost | Failure::Timeout);
+            let gives = !lost && (at > 1 || (at == 1 && sent));
+            assert_eq!(done.calls.last().unwrap() == GIVE, gives || at == 4, "{call} {failure:?}");
+            let was_taken = at > 1 || (at == 1 && sent);
+            assert_eq!(error.had_no_effect(), !sent && at < 3 && !(lost && was_taken), "{call} {failure:?}");
+        }
+    }
+}
