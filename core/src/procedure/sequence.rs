@@ -261,7 +261,9 @@ impl<S: Steps, M: FnMut(S::Output) -> T, T> Procedure for Sequence<S, M> {
                 Next::End if !self.backward && !S::KEEPS_OBJECTS && !self.undo.is_empty() => self.backward = true,
                 Next::End => {
                     return Action::Done(match self.error {
-                        Some(error) => Err(StepError { undone: self.undo.is_empty() && !self.steps.has_effect(), ..error }),
+                        Some(error) => {
+                            Err(StepError { undone: self.undo.is_empty() && !self.steps.has_effect(), ..error })
+                        }
                         None => Ok((self.map)(self.steps.output())),
                     });
                 }

@@ -182,6 +182,9 @@ impl Transport for Robot {
         if command == "slvMove" || command == "CurJnt" {
             reply.argument(&[1.5; 8]).unwrap();
         }
+        if command == "slvGetMode" {
+            reply.argument(&0).unwrap();
+        }
         if command == "slvMove" {
             code = if request.serial.is_multiple_of(5) { HResult::E_BUF_FULL } else { HResult::S_BUF_FULL };
         }
@@ -253,9 +256,9 @@ fn a_connection_that_closes_ends_the_stream() {
     let link = Scripted::new(512, replies);
     let mut connection = Connection::new(link, Client::new(Config::TCP, [0; 512], [0; 512]));
     let cause = Cause::Failed(Failure::Lost);
-    let error = StreamError::Fault { step: Step::ReceiveFormat, cause, code: None };
+    let error = StreamError::Fault { step: Step::SendFormat, cause, code: None };
     let lost = Some(CallError::Disconnected);
     assert_eq!(connection.run(engine.stream(&mut Hold::default())), Err(RunError { error, call: lost }));
     let fault = engine.fault().unwrap();
-    assert_eq!((fault.step, fault.cause), (Step::ReceiveFormat, cause));
+    assert_eq!((fault.step, fault.cause), (Step::SendFormat, cause));
 }

@@ -52,7 +52,10 @@ fn a_session_that_still_owns_the_arm_is_not_asked_for_it() {
     let done = reclaimed(Effects { owns_arm: true, ..MOVED }, 0, NONE);
     assert_eq!((done.result, done.calls.as_slice()), (Ok(ended), [MODE, HALT, OFF].map(String::from).as_slice()));
     let done = reclaimed(Effects { owns_arm: true, ..ALL }, 0x102, (LEAVE, HResult::E_ARM_NOT_TAKEN));
-    assert_eq!((done.result, done.calls.as_slice()), (Ok(ended), [MODE, LEAVE, HALT, OFF].map(String::from).as_slice()));
+    assert_eq!(
+        (done.result, done.calls.as_slice()),
+        (Ok(ended), [MODE, LEAVE, HALT, OFF].map(String::from).as_slice())
+    );
     let done = reclaimed(Effects { owns_arm: true, ..MOTOR }, 0, NONE);
     assert_eq!(done.calls, [MODE, OFF]);
     // a session without a stream has not started the one that runs

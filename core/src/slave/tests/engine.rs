@@ -289,16 +289,8 @@ fn smooth(at: u16, count: u16) -> f64 {
     x * x * (3.0 - 2.0 * x)
 }
 
-const START: [&str; 8] = [
-    "slvGetMode",
-    "slvSendFormat",
-    "slvRecvFormat",
-    "TakeArm",
-    "Motor",
-    "CurJnt",
-    "slvChangeMode",
-    "slvChangeMode",
-];
+const START: [&str; 8] =
+    ["slvGetMode", "slvSendFormat", "slvRecvFormat", "TakeArm", "Motor", "CurJnt", "slvChangeMode", "slvChangeMode"];
 
 #[test]
 fn every_mode_executes_every_pose_once_and_in_order() {
@@ -623,9 +615,15 @@ fn a_stream_of_another_client_is_left_alone() {
     assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
     let fault = rig.engine.fault().unwrap();
     assert_eq!((fault.step, fault.cause), (Step::GetMode, Cause::Occupied(StreamState::Runs)));
-    assert_eq!((fault.to_string().as_str(), fault.released), ("slvGetMode: a stream of Slave Mode runs already", Released::No));
+    assert_eq!(
+        (fault.to_string().as_str(), fault.released),
+        ("slvGetMode: a stream of Slave Mode runs already", Released::No)
+    );
     rig.engine.stop();
-    assert_eq!((rig.run(|_| None), rig.names(), rig.controller.mode), (Action::Finished, ["slvGetMode"].to_vec(), 0x202));
+    assert_eq!(
+        (rig.run(|_| None), rig.names(), rig.controller.mode),
+        (Action::Finished, ["slvGetMode"].to_vec(), 0x202)
+    );
     // a controller that does not say it may have a stream; one without Slave Mode has none
     let mut rig = Rig::new(config(Mode::Mode0), &[0.0; 8]);
     rig.controller.script.push(("slvGetMode", refused(HResult::E_FAIL)));
