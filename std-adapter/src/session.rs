@@ -31,6 +31,7 @@ use bcap_core::procedure::{
     Target, Until,
 };
 use bcap_core::slave::{AxisLimits, Config, Engine, Format, MOVE_FRAME, Stats, StreamError, Trajectory};
+use bcap_core::time::Instant;
 use bcap_core::variant::{Encode, FromVariant, OwnedVariant};
 
 use crate::error::Error;
@@ -40,7 +41,8 @@ use crate::task::{TaskStart, TaskStatus, TaskStop};
 use crate::{CallError, RunError};
 
 pub(crate) use self::any::RuntimeCall;
-pub(crate) use self::arm::ArmState;
+use self::arm::ArmState;
+pub(crate) use self::arm::Left;
 pub use self::arm::Recovery;
 pub use self::variables::TimedReading;
 #[cfg(feature = "tokio")]
@@ -61,7 +63,7 @@ pub(crate) struct Session<X> {
     objects: HashMap<(Object, i32, String), i32>,
     /// All open objects, in the order in which they were opened, from the service on.
     opened: Vec<(Object, i32)>,
-    arm: Option<ArmState>,
+    arm: ArmState,
     /// The open variables that switch the motor.
     motor_switches: Vec<VariableHandle>,
     /// Whether the end of the session leaves the arm as it is.
@@ -70,6 +72,10 @@ pub(crate) struct Session<X> {
     usual_timing: Option<Timing>,
     /// Why the connection can no longer be used.
     lost: Option<String>,
+    /// Since when no call had a reply.
+    silent_since: Option<Instant>,
+    /// Whether the controller has closed the connection.
+    is_closed: bool,
 }
 
 /// The effect of a halt.
@@ -119,11 +125,13 @@ impl<X: Transport<Error = io::Error>> Session<X> {
             variables: HashMap::new(),
             objects: HashMap::new(),
             opened: Vec::new(),
-            arm: None,
+            arm: ArmState::default(),
             motor_switches: Vec::new(),
             keep: false,
             usual_timing: None,
             lost: None,
+            silent_since: None,
+            is_closed: false,
         }
     }
 
@@ -160,11 +168,9 @@ impl<X: Transport<Error = io::Error>> Session<X> {
             let error = result.as_ref().err().map(tracing::field::display);
             tracing::debug!(%function, object, serial, ?duration, error, "call");
         }
+        self.observe(result.as_ref().err());
         if let Err(error) = result {
-            let (is_lost, was_sent) = (!error.is_recoverable(), connection.client().was_sent());
-            if is_lost {
-                self.lost = Some(error.to_string());
-            }
+            let (is_lost, was_sent) = (!error.is_recoverable(), self.connection.client().was_sent());
             return Err(match self.lost() {
                 Some(not_sent) if is_lost && !was_sent => not_sent,
                 _ => Error::call(function, object, error),
@@ -172,6 +178,26 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         }
         let value = self.connection.client().value::<C::Reply>();
         value.map_err(|error| Error::call(function, object, error.into()))
+    }
+
+    /// Records whether the link works, after a call with this error.
+    fn observe(&mut self, error: Option<&CallError>) {
+        let Some(error) = error.filter(|error| !matches!(error, CallError::Refused(_))) else {
+            self.silent_since = None;
+            return;
+        };
+        let now = self.connection.transport().now();
+        self.silent_since.get_or_insert(now);
+        if !error.is_recoverable() {
+            self.lost.get_or_insert_with(|| error.to_string());
+            self.is_closed |= is_closed(error);
+        }
+    }
+
+    /// Records that the controller has closed the connection while no call ran.
+    #[cfg(feature = "tokio")]
+    pub(crate) const fn set_closed(&mut self) {
+        self.is_closed = true;
     }
 
     /// Returns why the connection can no longer be used, if so, as the error of a call that is not sent.
@@ -225,9 +251,9 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     }
 
     fn ended<T>(&mut self, object: &str, ended: Result<T, RunError>) -> Result<T, Error> {
+        self.observe(ended.as_ref().err().and_then(|error| error.call.as_ref()));
         ended.map_err(|error| {
             let lost = error.call.as_ref().filter(|call| !call.is_recoverable()).map(ToString::to_string);
-            self.lost = self.lost.take().or_else(|| lost.clone());
             match lost {
                 Some(reason) if error.error.had_no_effect() => Error::NotConnected { reason },
                 _ => Error::run(object, error),
@@ -244,8 +270,8 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     /// Writes a variable of the controller, or of one of its objects by a path, or of the robot.
     pub(crate) async fn write(&mut self, owner: Object, name: &str, value: impl Encode) -> Result<(), Error> {
         let variable = self.variable(owner, name).await?;
-        if let Some(arm) = self.arm.as_mut().filter(|_| is_motor_switch(name)) {
-            arm.motor = true;
+        if is_motor_switch(name) {
+            self.arm.motor |= OwnedVariant::new(&value)?.as_variant().as_bool() != Some(false);
         }
         self.call(name, call::variable_put_value(variable, value)).await
     }
@@ -332,28 +358,24 @@ impl<X: Transport<Error = io::Error>> Session<X> {
 
     /// Takes the arm, which keeps its speed, tool and work.
     pub(crate) async fn take_arm(&mut self) -> Result<(), Error> {
-        if self.arm.is_some() {
+        if self.arm.taken {
             return Err(Error::ArmTaken);
         }
         let robot = self.robot().await?;
         // before the call, so that the arm is given back even if the call is abandoned
-        self.arm = Some(ArmState::default());
+        self.arm.taken = true;
         let taken = self.run(ROBOT, procedure::prepare_robot(robot, [0, 1], false)).await;
         if taken.is_err() && self.lost.is_none() {
-            self.arm = None;
+            self.arm.taken = false;
         }
         taken
     }
 
     /// Switches the motor on or off, and waits until it is.
     pub(crate) async fn motor(&mut self, on: bool) -> Result<(), Error> {
-        if let Some(arm) = self.arm.as_mut().filter(|_| on) {
-            arm.motor = true;
-        }
+        self.arm.motor |= on;
         self.execute_robot::<()>("Motor", [i32::from(on), 0]).await?;
-        if let Some(arm) = self.arm.as_mut() {
-            arm.motor = on;
-        }
+        self.arm.motor = on;
         Ok(())
     }
 
@@ -416,11 +438,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         self.set_moving(true);
         self.set_streaming(true);
         let ended = self.connection.run(engine.stream(trajectory)).await;
-        if let Err(RunError::<StreamError> { call: Some(call), .. }) = &ended
-            && !call.is_recoverable()
-        {
-            self.lost = Some(call.to_string());
-        }
+        self.observe(ended.as_ref().err().and_then(|error: &RunError<StreamError>| error.call.as_ref()));
         ended.map_err(|error| Error::Stream(error.error))?;
         self.set_moving(false);
         self.set_streaming(false);
@@ -429,13 +447,11 @@ impl<X: Transport<Error = io::Error>> Session<X> {
 
     /// Tells whether a motion may be under way.
     pub(crate) fn is_moving(&self) -> bool {
-        self.arm.is_some_and(|arm| arm.moving)
+        self.arm.moving
     }
 
     fn set_moving(&mut self, moving: bool) {
-        if let Some(arm) = &mut self.arm {
-            arm.moving = moving;
-        }
+        self.arm.moving = moving && self.arm.taken;
     }
 
     /// Halts the robot and waits until it rests.
@@ -471,6 +487,18 @@ impl<X: Transport<Error = io::Error>> Session<X> {
             }
         }
         Ok(())
+    }
+}
+
+/// Tells whether an error means that the controller has closed the connection, and so has ended its session.
+fn is_closed(error: &CallError) -> bool {
+    use io::ErrorKind::{BrokenPipe, ConnectionAborted, ConnectionReset, UnexpectedEof};
+    match error {
+        CallError::Disconnected => true,
+        CallError::Io(error) => {
+            matches!(error.kind(), BrokenPipe | ConnectionAborted | ConnectionReset | UnexpectedEof)
+        }
+        _ => false,
     }
 }
 

@@ -52,7 +52,7 @@ pub use self::open::{open, open_robot};
 pub use self::path::{Opened, Owner, PATH_MAX, PathError, PathStep, open_path};
 pub use self::provider::{Handles, Provider};
 pub use self::queue::{Motion, MotionConfig, MotionQueue};
-pub use self::reclaim::{ArmOwner, Effects, Reclaimed, reclaim};
+pub use self::reclaim::{ArmOwner, Claim, Effects, Reclaimed, reclaim};
 pub use self::release::{release, release_controller, release_robot};
 pub use self::robot::{give_arm, prepare_robot};
 pub use self::target::Target;

@@ -34,8 +34,22 @@ pub struct Effects {
     pub streaming: bool,
     /// The motor may have been switched on.
     pub motor: bool,
-    /// The controller still gives the arm to the lost session, because it has not noticed the loss.
-    pub owns_arm: bool,
+    /// The owner of the arm, as far as it is known.
+    pub claim: Claim,
+}
+
+/// The owner of the arm before [`reclaim`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum Claim {
+    /// Unknown. If TakeArm is refused for another reason than another owner, no other client is known to use the robot.
+    #[default]
+    Unknown,
+    /// The lost session: the controller has not noticed the loss.
+    Lost,
+    /// Another client, when TakeArm was asked before. Nothing is done unless the arm can be taken now.
+    Other,
 }
 
 /// The effect of [`reclaim`].
@@ -104,12 +118,13 @@ const MOTOR_OFF: [i32; 2] = [0, 0];
 
 impl ReclaimSteps {
     fn update_mode(&mut self, state: StreamState) {
-        let Effects { streaming, owns_arm, .. } = self.effects;
+        let Effects { streaming, claim, .. } = self.effects;
         self.step = match state {
-            _ if state.allows(Properties::UNKNOWN) && owns_arm => self.halt(),
+            _ if state.allows(Properties::UNKNOWN) && claim == Claim::Lost => self.halt(),
             _ if state.allows(Properties::UNKNOWN) => Step::TakeArm,
-            _ if streaming && owns_arm => Step::Leave,
+            _ if streaming && claim == Claim::Lost => Step::Leave,
             StreamState::Runs => self.end(ArmOwner::Other),
+            _ if claim == Claim::Other => Step::End,
             _ => {
                 // the other calls might end a stream
                 self.effects.motor = false;
@@ -142,6 +157,7 @@ impl ReclaimSteps {
         let done = Some(refusal.is_none());
         self.step = match (self.step, refusal) {
             (Step::TakeArm, Some(HResult::E_ARM_NOT_TAKEN)) => self.end(ArmOwner::Other),
+            (Step::TakeArm, Some(_)) if self.effects.claim == Claim::Other => Step::End,
             (Step::TakeArm, refusal) => {
                 self.taken = refusal.is_none();
                 self.halt()

@@ -333,6 +333,7 @@ impl Actor {
                     }
                 },
                 closed = session.transport().idle_until(deadline) => if closed {
+                    session.set_closed();
                     return lost(motion, not_connected("the controller has closed the connection"));
                 },
             }

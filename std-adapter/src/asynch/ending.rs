@@ -9,7 +9,7 @@ use super::socket::Socket;
 use crate::address::Address;
 use crate::blocking::ending;
 use crate::error::Error;
-use crate::session::{ArmState, Recovery, Session};
+use crate::session::{self, Recovery, Session};
 use crate::settings::Settings;
 
 /// The session of a task, and the effects that a lost session left behind.
@@ -23,7 +23,7 @@ pub(super) struct Open {
 
 /// The possible effects of a lost session on the robot.
 pub(super) struct Left {
-    state: ArmState,
+    state: session::Left,
     /// The lost session, if the controller keeps it alive until its service is stopped.
     session: Option<Session<Socket>>,
 }
@@ -60,8 +60,8 @@ impl Open {
 impl Drop for Open {
     fn drop(&mut self) {
         let Self { session, left, address, settings } = self;
-        // a session that has only read ends with its connection
-        let session = session.take().filter(Session::has_arm);
+        // a session that has changed nothing ends with its connection
+        let session = session.take().filter(Session::uses_robot);
         match session.and_then(|session| session.over(|socket| socket.into_blocking(address.as_ref()))) {
             Some(mut session) => ending::end_now(&mut session, address.as_ref(), settings),
             None => {

@@ -9,7 +9,7 @@ use bcap_core::io::asynch::SendTransport;
 use super::socket::{self, Blocking, ready};
 use crate::address::Address;
 use crate::error::Error;
-use crate::session::{ArmState, Recovery, Session};
+use crate::session::{Left, Recovery, Session};
 use crate::settings::Settings;
 
 /// How long the end of a session may take.
@@ -45,7 +45,7 @@ pub(crate) fn end_now(session: &mut Session<Blocking>, address: Option<&Address>
 pub(crate) fn recover_now(
     address: &Address,
     settings: &Settings,
-    left: ArmState,
+    left: Left,
     mut lost: Option<&mut Session<Blocking>>,
 ) {
     match recover(address, settings, left, stop(&mut lost)) {
@@ -69,7 +69,7 @@ async fn stop(lost: &mut Option<&mut Session<Blocking>>) {
 fn recover(
     address: &Address,
     settings: &Settings,
-    left: ArmState,
+    left: Left,
     stop: impl Future<Output = ()>,
 ) -> Result<Recovery, Error> {
     let mut settings = settings.clone();

@@ -104,20 +104,23 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         call: RuntimeCall<R, A>,
     ) -> Result<R::Owned, Error> {
         let (function, arguments) = (call.function, call.arguments.as_ref());
-        let (effect, had_arm) = (self.arm_effect(function, arguments), self.has_arm());
+        if let Some(released) = function.releases() {
+            self.end_arm_before(released, arguments.first().and_then(handle)).await?;
+        }
+        let (effect, before) = (self.arm_effect(function, arguments), self.arm);
         if let Some(effect) = effect {
-            self.arm_begins(effect, arguments);
+            self.arm_begins(effect, function, arguments);
         }
         let called = self.call(object, &call).await.map(R::owned);
         if let Some(effect) = effect {
-            self.arm_ended(effect, had_arm, called.as_ref().map(drop));
+            self.arm_ended(effect, before, called.as_ref().map(drop));
         }
         let value = called?;
         match (function.opens(), function.releases()) {
             (Some(Object::Service), _) => self.opened.push((Object::Service, 0)),
             (_, Some(Object::Service)) => {
                 self.opened.clear();
-                self.arm = None;
+                self.arm = ArmState::default();
                 self.motor_switches.clear();
                 self.forget_handles();
             }
@@ -173,30 +176,51 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     }
 
     /// Records a call before it is sent, because it may be executed although it is abandoned or has no reply.
-    fn arm_begins(&mut self, effect: ArmEffect, arguments: &[OwnedVariant]) {
-        if effect == ArmEffect::Take && self.arm.is_none() {
-            // the arm is given back over the robot that has it
+    fn arm_begins(&mut self, effect: ArmEffect, function: FunctionId, arguments: &[OwnedVariant]) {
+        let takes = matches!(effect, ArmEffect::Take | ArmEffect::Motor(true)) && !self.has_arm();
+        if takes && function == FunctionId::ROBOT_EXECUTE {
+            // its effect is undone over the robot that has it
             self.robot = arguments.first().and_then(handle).map(RobotHandle).or(self.robot);
-            self.arm = Some(ArmState::default());
         }
-        if let Some(arm) = &mut self.arm {
-            arm.begin(effect);
-        }
+        self.arm.begin(effect);
     }
 
-    /// Records a call that was answered, or was not sent.
-    fn arm_ended(&mut self, effect: ArmEffect, had_arm: bool, ended: Result<(), &Error>) {
-        match (effect, ended, &mut self.arm) {
-            (ArmEffect::Give, Ok(()), arm) => *arm = None,
-            (effect, Ok(()), Some(arm)) => arm.succeed(effect),
-            (ArmEffect::Take, Err(Error::Refused { .. } | Error::NotConnected { .. }), arm) if !had_arm => *arm = None,
+    /// Records a call that was answered, or was not sent; `before` is the state before it.
+    fn arm_ended(&mut self, effect: ArmEffect, before: ArmState, ended: Result<(), &Error>) {
+        match (effect, ended) {
+            (effect, Ok(())) => self.arm.succeed(effect),
+            (ArmEffect::Take | ArmEffect::Motor(true), Err(Error::Refused { .. } | Error::NotConnected { .. })) => {
+                self.arm = before;
+            }
             _ => {}
         }
     }
 
     /// Returns whether this session has taken the arm.
     pub(crate) const fn has_arm(&self) -> bool {
-        self.arm.is_some()
+        self.arm.taken
+    }
+
+    /// Returns whether the end of this session has something to undo on the robot.
+    pub(crate) const fn uses_robot(&self) -> bool {
+        self.arm.is_used()
+    }
+
+    /// Leaves the motor as it is at the end of this session, if the arm is not taken. Returns whether it was switched on here.
+    pub(crate) const fn leave_motor(&mut self) -> bool {
+        let leaves = self.arm.motor && !self.arm.taken;
+        self.arm.motor &= !leaves;
+        leaves
+    }
+
+    /// Undoes the effects on the robot before an object is released without which that is no longer possible.
+    async fn end_arm_before(&mut self, released: Object, handle: Option<i32>) -> Result<(), Error> {
+        let is_needed = match released {
+            Object::Robot => handle.map(RobotHandle) == self.robot,
+            Object::Service | Object::Controller => true,
+            _ => false,
+        };
+        if is_needed { self.end_arm().await } else { Ok(()) }
     }
 
     /// Opens all objects of a path, and returns the handle of the last one.
@@ -222,6 +246,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         if !self.opened.contains(&(object, handle)) {
             return Ok(());
         }
+        self.end_arm_before(object, Some(handle)).await?;
         self.forget(object, handle);
         self.call(object.name(), Release { object, handle }).await
     }
@@ -237,7 +262,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
             Object::Robot | Object::Controller => {
                 // the controller gives the arm back with the robot that has it
                 if object == Object::Controller || self.robot == Some(RobotHandle(handle)) {
-                    self.arm = None;
+                    self.arm = self.arm.without_arm();
                 }
                 self.forget_handles();
             }

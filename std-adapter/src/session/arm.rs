@@ -1,11 +1,20 @@
 //! The state of the arm in a session, the calls that change it, and the recovery after a lost session.
 
+use std::time::Duration;
+
 use bcap_core::bcap::{Effect, FunctionId};
+use bcap_core::procedure::{ArmOwner, Claim, Effects, Reclaimed};
+use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
 
-/// The effects of a session on the arm that it has taken.
+/// How long a controller may take to notice that a link has become silent. Until then the arm counts as the lost session's.
+const UNNOTICED: Duration = Duration::from_secs(10);
+
+/// The effects of a session on the robot.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct ArmState {
+    /// Whether the arm may have been taken here.
+    pub(super) taken: bool,
     /// Whether the motor may have been switched on here.
     pub(super) motor: bool,
     /// Whether a motion may be under way.
@@ -14,17 +23,50 @@ pub(crate) struct ArmState {
     pub(super) streaming: bool,
 }
 
-/// The recovery of the arm of a lost session, over the next connection.
-#[derive(Clone, Debug, PartialEq, Eq)]
+/// The effects that a lost session may have left on the robot.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Left {
+    pub(super) arm: ArmState,
+    /// Since when the link was silent.
+    pub(super) since: Instant,
+    /// Whether the controller has closed the connection, so that it has ended the session.
+    pub(super) is_closed: bool,
+    /// Whether the session lasts until its service is stopped, because datagrams have no connection.
+    pub(super) is_datagram: bool,
+}
+
+impl Left {
+    /// Returns the effects, and whether the controller still gives the arm to the lost session.
+    pub(super) fn effects(&self, now: Instant) -> Effects {
+        let ArmState { motor, moving, streaming, .. } = self.arm;
+        let is_recent = now.saturating_since(self.since) < UNNOTICED;
+        let claim = if is_recent && !self.is_closed { Claim::Lost } else { Claim::Unknown };
+        Effects { moving, streaming, motor, claim }
+    }
+}
+
+/// The recovery of the robot after a lost session, over the next connection.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Recovery {
-    /// Whether the robot was halted; `None` if the lost session had not begun a motion, and another client may own the arm.
+    /// Whether the robot was halted; `None` if another client uses it, or the lost session had not begun a motion.
     pub halted: Option<bool>,
-    /// Whether the motor was switched off; `None` if the lost session had not switched it on.
+    /// Whether the motor was switched off; `None` if another client uses the robot, or the lost session had not switched it on.
     pub motor_off: Option<bool>,
-    /// Whether no client owns the arm now. Otherwise another client owns it, or the controller has not noticed yet that the
+    /// Whether the arm was seen to be free. Otherwise another client owns it, or the controller has not noticed yet that the
     /// connection was lost.
     pub arm_free: bool,
+}
+
+impl Recovery {
+    /// Adds what a further attempt has done.
+    pub(super) fn add(&mut self, reclaimed: Reclaimed) {
+        let either =
+            |before: Option<bool>, now: Option<bool>| if before == Some(true) { before } else { now.or(before) };
+        self.halted = either(self.halted, reclaimed.halted);
+        self.motor_off = either(self.motor_off, reclaimed.motor_off);
+        self.arm_free |= reclaimed.owner == ArmOwner::Nobody;
+    }
 }
 
 /// The effect of a call on the arm.
@@ -63,22 +105,34 @@ impl ArmEffect {
 }
 
 impl ArmState {
+    /// Tells whether the end of the session has something to undo.
+    pub(crate) const fn is_used(&self) -> bool {
+        self.taken || self.motor
+    }
+
+    /// Returns the effects that do not end with the arm.
+    pub(super) fn without_arm(self) -> Self {
+        Self { motor: self.motor, ..Self::default() }
+    }
+
     /// Records a call before it is sent, so that its effect is undone even if the call is abandoned or has no reply.
     pub(super) const fn begin(&mut self, effect: ArmEffect) {
         match effect {
             ArmEffect::Motor(true) => self.motor = true,
             ArmEffect::SlaveMode(true) => self.streaming = true,
             ArmEffect::Moves => self.moving = true,
-            ArmEffect::Take | ArmEffect::Give | ArmEffect::Motor(false) | ArmEffect::SlaveMode(false) => {}
+            ArmEffect::Take => self.taken = true,
+            ArmEffect::Give | ArmEffect::Motor(false) | ArmEffect::SlaveMode(false) => {}
         }
     }
 
     /// Records a call that succeeded.
-    pub(super) const fn succeed(&mut self, effect: ArmEffect) {
+    pub(super) fn succeed(&mut self, effect: ArmEffect) {
         match effect {
             ArmEffect::Motor(on) => self.motor = on,
             ArmEffect::SlaveMode(on) => self.streaming = on,
-            ArmEffect::Take | ArmEffect::Give | ArmEffect::Moves => {}
+            ArmEffect::Give => *self = self.without_arm(),
+            ArmEffect::Take | ArmEffect::Moves => {}
         }
     }
 }

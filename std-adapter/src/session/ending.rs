@@ -1,12 +1,15 @@
 //! The end of a session that has taken the arm: the robot is halted, Slave Mode left, the motor off, and the arm free.
 //!
 //! ```text
-//!  over its connection:         slvChangeMode 0 ─► Robot_Halt ─► Motor 0 ─► GiveArm
-//!  over the next connection:    Robot_Halt ─► slvChangeMode 0 ─► TakeArm ─► Motor 0 ─► GiveArm
-//!  over a lost UDP link:            └─► Service_Stop, which frees the arm for TakeArm
+//!  over its connection:                      slvChangeMode 0 ─► Robot_Halt ─► Motor 0 ─► GiveArm
+//!  over the next connection:
+//!   the controller has not noticed the loss  (slvChangeMode 0) ─► Robot_Halt ─► Motor 0
+//!   it has, or had the time for it           TakeArm ─► Robot_Halt ─► Motor 0 ─► GiveArm
+//!   a lost UDP link                          the first, then Service_Stop, then the second
 //! ```
 //!
-//! Only effects of this session are ended: a session that never took the arm halts and switches nothing.
+//! Only effects of this session are ended: a session that neither took the arm nor switched the motor on halts and switches
+//! nothing. The procedure [`reclaim`](procedure::reclaim) has the calls over the next connection.
 
 use std::io;
 use std::time::Duration;
@@ -17,9 +20,9 @@ use bcap_core::hresult::HResult;
 #[cfg(feature = "tokio")]
 use bcap_core::io::asynch::Connection;
 use bcap_core::io::asynch::Transport;
-use bcap_core::procedure;
+use bcap_core::procedure::{self, ArmOwner, Claim, Effects};
 
-use super::arm::{ArmState, Recovery};
+use super::arm::{ArmState, Left, Recovery};
 use super::{CLOSE, ROBOT, Release, Session};
 use crate::CallError;
 use crate::error::Error;
@@ -27,6 +30,8 @@ use crate::error::Error;
 /// How long, and how often, a controller is asked that still executes an earlier call.
 const BUSY_LIMIT: Duration = Duration::from_secs(5);
 const BUSY_PAUSE: Duration = Duration::from_millis(10);
+/// How long a controller may take to end the session of a connection that it has closed.
+const NOTICE: Duration = Duration::from_millis(500);
 
 /// Tells whether the controller refused a call because it executes another one of this client, or because the robot brakes.
 const fn is_busy(ended: &Result<(), Error>) -> bool {
@@ -55,6 +60,8 @@ impl<X: Transport<Error = io::Error>> Session<X> {
             keep,
             usual_timing,
             lost,
+            silent_since,
+            is_closed,
         } = self;
         let (transport, client) = connection.into_parts();
         let connection = Connection::new(change(transport)?, client);
@@ -72,12 +79,17 @@ impl<X: Transport<Error = io::Error>> Session<X> {
             keep,
             usual_timing,
             lost,
+            silent_since,
+            is_closed,
         })
     }
 
     /// Returns, once, the effects that a lost session has left on the robot.
-    pub(crate) fn take_left(&mut self) -> Option<ArmState> {
-        self.arm.take().filter(|_| !self.keep)
+    pub(crate) fn take_left(&mut self) -> Option<Left> {
+        let arm = std::mem::take(&mut self.arm);
+        let (is_closed, is_datagram) = (self.is_closed, self.outlasts_its_link());
+        let since = self.silent_since.unwrap_or_else(|| self.connection.transport().now());
+        (arm.is_used() && !self.keep).then_some(Left { arm, since, is_closed, is_datagram })
     }
 
     /// Gives the arm back at the end of its use, unless the settings leave it as it is. Over UDP the controller refuses every
@@ -96,16 +108,17 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     }
 
     pub(super) fn set_streaming(&mut self, streaming: bool) {
-        if let Some(arm) = &mut self.arm {
-            arm.streaming = streaming;
-        }
+        self.arm.streaming = streaming && self.arm.taken;
     }
 
     /// Leaves Slave Mode, halts the robot if it may move, switches the motor off if it was switched on here, and gives the arm
-    /// back. A refused call does not prevent those after it, except while the controller is busy: then the arm is kept. Over a lost connection nothing is sent, and the arm stays
-    /// recorded for [`recover`](Self::recover).
+    /// back. A refused call does not prevent those after it, except while the controller is busy: then the arm is kept. Over a
+    /// lost connection nothing is sent, and the arm stays recorded for [`recover`](Self::recover).
     pub(crate) async fn give_arm(&mut self) -> Result<(), Error> {
-        let Some(ArmState { motor, moving, streaming }) = self.arm else { return Ok(()) };
+        let ArmState { taken, motor, moving, streaming } = self.arm;
+        if !taken {
+            return self.switch_off().await;
+        }
         let robot = self.robot().await?;
         let left = if streaming { self.leave_slave_mode().await } else { Ok(()) };
         let halted = if moving { self.halt().await.map(drop) } else { Ok(()) };
@@ -117,9 +130,24 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         }
         let given = self.run(ROBOT, procedure::give_arm(robot)).await;
         if self.lost.is_none() && !is_busy(&given) {
-            self.arm = None;
+            self.arm = self.arm.without_arm();
         }
         stopped.and(given)
+    }
+
+    /// Switches the motor off that was switched on without the arm, unless another client uses the robot.
+    async fn switch_off(&mut self) -> Result<(), Error> {
+        if !self.arm.motor {
+            return Ok(());
+        }
+        let robot = self.robot().await?;
+        let effects = Effects { motor: true, ..Effects::default() };
+        let done = self.run(ROBOT, procedure::reclaim(robot, effects)).await?;
+        self.arm.motor = false;
+        if done.motor_off != Some(true) {
+            tracing::warn!(?done, "the motor was not switched off");
+        }
+        Ok(())
     }
 
     /// Tells whether the controller does not notice that this session has ended, unless its service is stopped.
@@ -153,52 +181,32 @@ impl<X: Transport<Error = io::Error>> Session<X> {
 
     /// Ends the effects that a lost session may have left; `stop` stops its service.
     ///
-    /// A motion of the lost session is halted first. Then its service is stopped, so that its arm is free. The motor is switched off if the arm can be taken, or if the robot was
-    /// moving: otherwise another client may have begun to use it.
+    /// While the controller may not have noticed the loss, the arm is the lost session's, so the robot is halted first. Otherwise
+    /// the arm is asked for: a robot that another client uses is left alone.
     ///
     /// # Errors
     ///
     /// An [`Error`] if this connection is lost too, or the controller has no robot.
-    pub(crate) async fn recover(&mut self, left: ArmState, stop: impl Future<Output = ()>) -> Result<Recovery, Error> {
+    pub(crate) async fn recover(&mut self, left: Left, stop: impl Future<Output = ()>) -> Result<Recovery, Error> {
         let robot = self.robot().await?;
-        let mut halted = None;
-        if left.moving {
-            halted = Some(self.halts().await?);
+        let effects = left.effects(self.connection.transport().now());
+        let mut recovery = Recovery::default();
+        if effects.claim == Claim::Lost {
+            recovery.add(self.run(ROBOT, procedure::reclaim(robot, effects)).await?);
         }
         stop.await;
-        if left.streaming {
-            let ended = self.leave_slave_mode().await;
-            self.unless_lost(ended)?;
+        if effects.claim == Claim::Lost && !left.is_datagram {
+            return Ok(recovery);
         }
-        let taken = self.run(ROBOT, procedure::prepare_robot(robot, [0, 1], false)).await;
-        let is_taken = self.unless_lost(taken)?;
-        if is_taken && !left.moving {
-            halted = Some(self.halts().await?);
+        let reclaimed =
+            self.run(ROBOT, procedure::reclaim(robot, Effects { claim: Claim::Unknown, ..effects })).await?;
+        recovery.add(reclaimed);
+        if reclaimed.owner == ArmOwner::Other && left.is_closed {
+            // perhaps the controller is about to notice
+            let again = self.connection.transport().now() + NOTICE;
+            self.connection.transport().sleep_until(again).await;
+            recovery.add(self.run(ROBOT, procedure::reclaim(robot, Effects { claim: Claim::Other, ..effects })).await?);
         }
-        let mut motor_off = left.motor.then_some(is_taken || left.moving);
-        if motor_off == Some(true) {
-            let off = self.motor(false).await;
-            motor_off = Some(self.unless_lost(off)?);
-        }
-        let mut arm_free = is_taken;
-        if is_taken {
-            let given = self.run(ROBOT, procedure::give_arm(robot)).await;
-            arm_free = self.unless_lost(given)?;
-        }
-        Ok(Recovery { halted, motor_off, arm_free })
-    }
-
-    /// Halts the robot, and returns whether the controller did so.
-    async fn halts(&mut self) -> Result<bool, Error> {
-        let halted = self.halt().await.map(drop);
-        self.unless_lost(halted)
-    }
-
-    /// Returns whether a call succeeded; an error only if the connection is lost.
-    fn unless_lost(&self, ended: Result<(), Error>) -> Result<bool, Error> {
-        match (ended, &self.lost) {
-            (Err(error), Some(_)) => Err(error),
-            (ended, _) => Ok(ended.is_ok()),
-        }
+        Ok(recovery)
     }
 }

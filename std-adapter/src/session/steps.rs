@@ -45,7 +45,10 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         running: &mut Running<P, io::Error>,
     ) -> ControlFlow<Result<MotionQueue, Error>, Instant> {
         match self.connection.advance(running).await {
-            ControlFlow::Continue(at) => ControlFlow::Continue(at),
+            ControlFlow::Continue(at) => {
+                self.observe(None);
+                ControlFlow::Continue(at)
+            }
             ControlFlow::Break(ended) => {
                 let ended = self.ended(ROBOT, ended);
                 // after an error it is unknown whether the halt of the procedure succeeded

@@ -10,7 +10,7 @@ const HALT: &str = "Robot_Halt(9, \"\")";
 const OFF: &str = "Robot_Execute(9, \"Motor\", I4[0, 0])";
 const GIVE: &str = "Robot_Execute(9, \"GiveArm\", EMPTY)";
 
-const ALL: Effects = Effects { moving: true, streaming: true, motor: true, owns_arm: false };
+const ALL: Effects = Effects { moving: true, streaming: true, motor: true, claim: Claim::Unknown };
 const MOVED: Effects = Effects { streaming: false, ..ALL };
 const MOTOR: Effects = Effects { moving: false, ..MOVED };
 
@@ -49,17 +49,17 @@ fn a_robot_of_another_client_is_left_alone() {
 #[test]
 fn a_session_that_still_owns_the_arm_is_not_asked_for_it() {
     let ended = Reclaimed { owner: ArmOwner::Unknown, halted: Some(true), motor_off: Some(true) };
-    let done = reclaimed(Effects { owns_arm: true, ..MOVED }, 0, NONE);
+    let done = reclaimed(Effects { claim: Claim::Lost, ..MOVED }, 0, NONE);
     assert_eq!((done.result, done.calls.as_slice()), (Ok(ended), [MODE, HALT, OFF].map(String::from).as_slice()));
-    let done = reclaimed(Effects { owns_arm: true, ..ALL }, 0x102, (LEAVE, HResult::E_ARM_NOT_TAKEN));
+    let done = reclaimed(Effects { claim: Claim::Lost, ..ALL }, 0x102, (LEAVE, HResult::E_ARM_NOT_TAKEN));
     assert_eq!(
         (done.result, done.calls.as_slice()),
         (Ok(ended), [MODE, LEAVE, HALT, OFF].map(String::from).as_slice())
     );
-    let done = reclaimed(Effects { owns_arm: true, ..MOTOR }, 0, NONE);
+    let done = reclaimed(Effects { claim: Claim::Lost, ..MOTOR }, 0, NONE);
     assert_eq!(done.calls, [MODE, OFF]);
     // a session without a stream has not started the one that runs
-    let done = reclaimed(Effects { owns_arm: true, ..MOVED }, 0x102, NONE);
+    let done = reclaimed(Effects { claim: Claim::Lost, ..MOVED }, 0x102, NONE);
     assert_eq!(done.calls, [MODE]);
 }
 
@@ -75,6 +75,9 @@ fn a_refusal_keeps_nothing_moving() {
     assert_eq!(done.result, Ok(Reclaimed { owner: ArmOwner::Nobody, halted: Some(false), motor_off: Some(true) }));
     let done = reclaimed(MOVED, 0, (GIVE, HResult::E_FAIL));
     assert_eq!(done.result.unwrap().owner, ArmOwner::Unknown);
+    // another client was seen to own the arm, and the refused question has left the error
+    let done = reclaimed(Effects { claim: Claim::Other, ..MOVED }, 0, (TAKE, HResult::E_ERROR_PRESENT));
+    assert_eq!(done.calls, [MODE, TAKE]);
     // a stream may run
     let done = reclaimed(ALL, 0, (MODE, HResult::E_FAIL));
     assert_eq!(done.calls, [MODE, HALT]);

@@ -104,6 +104,12 @@ impl Controller {
         if taken { Ok(Arm::new(robot)) } else { robot.take_arm() }
     }
 
+    /// Leaves the motor as it is at the end of this session, if the session has switched it on without taking the arm. Returns
+    /// whether that was so.
+    pub const fn leave_motor(&mut self) -> bool {
+        self.session.leave_motor()
+    }
+
     /// Returns whether this session has taken the arm. The end of the session gives it back.
     #[must_use]
     pub const fn has_arm(&self) -> bool {
