@@ -70,7 +70,12 @@ fn run(cli: &Cli) -> Result<(), Failure> {
     };
     let mut session = Session::new(&link);
     let done = verb(&cli.command, &mut session, cli.json);
-    if session.has_arm() && matches!(cli.command, Command::Exec(_) | Command::Call(_)) {
+    let is_single = matches!(cli.command, Command::Exec(_) | Command::Call(_) | Command::Put(_));
+    let is_interrupted = Interrupt::of_process().is_some_and(|interrupt| interrupt.is_interrupted());
+    if is_single && done.is_ok() && !is_interrupted && session.leave_motor() {
+        output::note("the motor stays on after this command; `bcap exec robot Motor 0` switches it off");
+    }
+    if is_single && session.has_arm() {
         output::note(
             "the arm was taken, and is given back now, because one command is one session; `bcap shell` and `bcap run` keep \
              it, `bcap move` does a whole motion",

@@ -206,6 +206,11 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         self.arm.is_used()
     }
 
+    /// Returns whether this session has switched the motor on.
+    pub(crate) const fn has_motor(&self) -> bool {
+        self.arm.motor
+    }
+
     /// Leaves the motor as it is at the end of this session, if the arm is not taken. Returns whether it was switched on here.
     pub(crate) const fn leave_motor(&mut self) -> bool {
         let leaves = self.arm.motor && !self.arm.taken;

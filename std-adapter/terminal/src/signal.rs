@@ -11,7 +11,7 @@ pub enum Signal {
     Interrupt,
     /// SIGTSTP: Ctrl-Z.
     Suspend,
-    /// SIGTERM, SIGHUP, or SIGQUIT (Ctrl-\).
+    /// SIGTERM, SIGHUP, SIGQUIT (Ctrl-\), and every other signal that ends a program without a handler and can have one.
     End,
 }
 
@@ -26,7 +26,7 @@ pub fn receiver() -> io::Result<Receiver<Signal>> {
     // the handlers are in place before this returns
     let mut sources = {
         let _inside = runtime.enter();
-        Sources::new()?
+        Sources::new(|_| true)?
     };
     thread::Builder::new().name("signals".into()).spawn(move || {
         runtime.block_on(async { while sender.send(sources.next().await).is_ok() {} });
@@ -44,53 +44,74 @@ pub fn suspend() {
     }
 }
 
+/// The signals that a program can handle, and what they mean; each would end or suspend a program without a handler.
+///
+/// Not among them: SIGPIPE, which Rust ignores, and the signals of faults, after which a program cannot go on.
 #[cfg(unix)]
-struct Sources {
-    interrupt: tokio::signal::unix::Signal,
-    terminate: tokio::signal::unix::Signal,
-    /// `None` if the process ignores it, as `nohup` arranges: a handler would end what `nohup` lets run.
-    hangup: Option<tokio::signal::unix::Signal>,
-    /// `None` if the process ignores it, as a shell arranges for a process in the background.
-    quit: Option<tokio::signal::unix::Signal>,
-    /// `None` if the process ignores it, as a shell without job control arranges.
-    suspend: Option<tokio::signal::unix::Signal>,
+fn handled() -> impl Iterator<Item = (i32, Signal)> {
+    use rustix::process::Signal as Raw;
+    let ends = [
+        Raw::TERM,
+        Raw::HUP,
+        Raw::QUIT,
+        Raw::USR1,
+        Raw::USR2,
+        Raw::ALARM,
+        Raw::VTALARM,
+        Raw::PROF,
+        Raw::XCPU,
+        Raw::XFSZ,
+        Raw::IO,
+    ];
+    #[cfg(target_os = "linux")]
+    let more = [Raw::STKFLT.as_raw(), Raw::POWER.as_raw()].into_iter().chain(REAL_TIME);
+    #[cfg(not(target_os = "linux"))]
+    let more = std::iter::empty();
+    let ends = ends.into_iter().map(Raw::as_raw).chain(more).map(|raw| (raw, Signal::End));
+    [(Raw::INT.as_raw(), Signal::Interrupt), (Raw::TSTP.as_raw(), Signal::Suspend)].into_iter().chain(ends)
 }
+
+/// The real-time signals that the C library leaves to programs.
+#[cfg(target_os = "linux")]
+const REAL_TIME: std::ops::RangeInclusive<i32> = 34..=64;
+
+#[cfg(unix)]
+struct Sources(Vec<(Signal, tokio::signal::unix::Signal)>);
 
 #[cfg(unix)]
 impl Sources {
-    fn new() -> io::Result<Self> {
-        use rustix::process::Signal;
+    /// Handles those signals that `wanted` accepts.
+    fn new(wanted: impl Fn(Signal) -> bool) -> io::Result<Self> {
         use tokio::signal::unix::{SignalKind, signal};
-        let unless_ignored = |raw: i32| {
-            let handled = (!is_ignored(raw)).then(|| signal(SignalKind::from_raw(raw)));
-            handled.transpose()
-        };
-        Ok(Self {
-            interrupt: signal(SignalKind::interrupt())?,
-            terminate: signal(SignalKind::terminate())?,
-            hangup: unless_ignored(Signal::HUP.as_raw())?,
-            quit: unless_ignored(Signal::QUIT.as_raw())?,
-            suspend: unless_ignored(Signal::TSTP.as_raw())?,
-        })
-    }
-
-    async fn next(&mut self) -> Signal {
-        tokio::select! {
-            _ = self.interrupt.recv() => Signal::Interrupt,
-            _ = self.terminate.recv() => Signal::End,
-            () = received(&mut self.hangup) => Signal::End,
-            () = received(&mut self.quit) => Signal::End,
-            () = received(&mut self.suspend) => Signal::Suspend,
+        let mut sources = Vec::new();
+        for (raw, meaning) in handled().filter(|(_, meaning)| wanted(*meaning)) {
+            let kind = SignalKind::from_raw(raw);
+            // SIGINT and SIGTERM always end a program; a handler of another one would end what `nohup` lets run, or a shell in
+            // the background
+            let is_required = [SignalKind::interrupt(), SignalKind::terminate()].contains(&kind);
+            if !is_required && is_ignored(raw) {
+                continue;
+            }
+            match signal(kind) {
+                Ok(source) => sources.push((meaning, source)),
+                Err(error) if is_required => return Err(error),
+                // the C library keeps it for itself
+                Err(_) => {}
+            }
         }
+        Ok(Self(sources))
     }
-}
 
-/// Waits for a signal; for ever if it is ignored.
-#[cfg(unix)]
-async fn received(source: &mut Option<tokio::signal::unix::Signal>) {
-    match source {
-        Some(source) => drop(source.recv().await),
-        None => std::future::pending().await,
+    /// Waits for a signal.
+    async fn next(&mut self) -> Signal {
+        std::future::poll_fn(|context| {
+            let received = self
+                .0
+                .iter_mut()
+                .find_map(|(meaning, source)| source.poll_recv(context).is_ready().then_some(*meaning));
+            received.map_or(std::task::Poll::Pending, std::task::Poll::Ready)
+        })
+        .await
     }
 }
 
@@ -99,7 +120,7 @@ struct Sources;
 
 #[cfg(not(unix))]
 impl Sources {
-    fn new() -> io::Result<Self> {
+    fn new(_: impl Fn(Signal) -> bool) -> io::Result<Self> {
         Ok(Self)
     }
 
@@ -119,17 +140,10 @@ impl Sources {
 /// When a handler cannot be installed.
 #[cfg(unix)]
 pub fn wait() -> io::Result<impl Future<Output = ()>> {
-    use tokio::signal::unix::{SignalKind, signal};
-    let mut interrupt = signal(SignalKind::interrupt())?;
-    let mut terminate = signal(SignalKind::terminate())?;
-    let hangup = SignalKind::hangup();
-    let mut hangup = (!is_ignored(hangup.as_raw_value())).then(|| signal(hangup)).transpose()?;
+    // a server that is suspended goes on later
+    let mut sources = Sources::new(|meaning| meaning != Signal::Suspend)?;
     Ok(async move {
-        tokio::select! {
-            _ = interrupt.recv() => {}
-            _ = terminate.recv() => {}
-            () = received(&mut hangup) => {}
-        }
+        let _ = sources.next().await;
     })
 }
 

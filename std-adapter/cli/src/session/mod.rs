@@ -61,10 +61,7 @@ struct Open {
 impl Drop for Session {
     /// Ends this session, and then the one that halts the robot.
     fn drop(&mut self) {
-        if self.has_arm() {
-            // halting the robot and giving the arm back have a separate time limit, however long the command took
-            self.allow_time();
-        }
+        self.prepare_end();
         self.open = None;
         if let Some(interrupt) = &self.interrupt {
             interrupt.dismiss();
@@ -142,12 +139,32 @@ impl Session {
         if !self.lost {
             self.restart_budget();
         }
+        self.prepare_end();
         self.open = None;
         self.lost = false;
         self.objects.clear();
         if let Some(interrupt) = &self.interrupt {
             interrupt.dismiss();
         }
+    }
+
+    /// Allows time for the end of a session that has something to undo: it has a separate time limit, however long the command took.
+    fn prepare_end(&mut self) {
+        if !self.is_open() {
+            return;
+        }
+        let has_motor = self.open.as_ref().is_some_and(|open| open.controller.has_motor());
+        if self.has_arm() || has_motor {
+            self.allow_time();
+        }
+        if has_motor && !self.has_arm() {
+            note("the motor is switched off now, because this session has switched it on");
+        }
+    }
+
+    /// Lets the motor stay on that this command was to switch on. Returns whether it has done so, without taking the arm.
+    pub(crate) fn leave_motor(&mut self) -> bool {
+        self.open.as_mut().is_some_and(|open| open.controller.leave_motor())
     }
 
     /// Opens the connection, over which nothing is started yet. From then on a signal ends the command after the running call.

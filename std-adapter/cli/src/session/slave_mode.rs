@@ -11,6 +11,10 @@ use crate::failure::Failure;
 use crate::session::Session;
 use crate::values::{Value, integer, text};
 
+/// The hint for a command that would end a stream.
+pub(crate) const AFTER_STREAM: &str =
+    "wait for the end of the stream; `bcap get @ERROR_CODE` reads the latest error and does not end it";
+
 /// Checks calls before they are sent.
 #[derive(Debug, Default)]
 pub(crate) struct StreamCheck {
@@ -64,8 +68,7 @@ impl StreamCheck {
         command: Option<&str>,
     ) -> Result<(), Failure> {
         let Some(message) = self.skip(session, function, command)? else { return Ok(()) };
-        let hint = "wait for the end of the stream; `bcap get @ERROR_CODE` reads the latest error and does not end it";
-        Err(Failure::Unfit { message, code: Some(HResult::E_SLVMODE_ON), hint: Some(hint.into()) })
+        Err(Failure::Unfit { message, code: Some(HResult::E_SLVMODE_ON), hint: Some(AFTER_STREAM.into()) })
     }
 }
 

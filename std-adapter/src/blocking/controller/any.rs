@@ -104,6 +104,12 @@ impl Controller {
         if taken { Ok(Arm::new(robot)) } else { robot.take_arm() }
     }
 
+    /// Returns whether this session has switched the motor on. The end of the session switches it off.
+    #[must_use]
+    pub const fn has_motor(&self) -> bool {
+        self.session.has_motor()
+    }
+
     /// Leaves the motor as it is at the end of this session, if the session has switched it on without taking the arm. Returns
     /// whether that was so.
     pub const fn leave_motor(&mut self) -> bool {

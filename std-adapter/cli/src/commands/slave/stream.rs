@@ -6,7 +6,9 @@ use std::{fs, io, iter};
 
 use bcap_core::bcap::call::{self, RobotHandle};
 use bcap_core::hresult::HResult;
-use bcap_core::procedure::{Procedure, Provider, StepCause, give_arm, open_robot, prepare_robot, release_robot};
+use bcap_core::procedure::{
+    ArmOwner, Effects, Procedure, Provider, Reclaimed, StepCause, open_robot, reclaim, release_robot,
+};
 use bcap_core::slave::{
     AxisLimits, Cause, Config, Engine, Failure as NoReply, Fault, Format, Handles, PoseType, SendIo, Stats, StreamError,
 };
@@ -25,6 +27,7 @@ use crate::interrupt::Interrupt;
 use crate::link::LinkArgs;
 use crate::output::{note, print_block, print_json};
 use crate::session::connect::{failed, not_connected, unrecorded};
+use crate::session::slave_mode::AFTER_STREAM;
 use crate::session::traffic::taped;
 
 /// The attempts of a call over UDP and serial lines, which share the time limit.
@@ -131,7 +134,8 @@ impl Job<'_> {
         monitor.end();
         let stats = engine.stats().clone();
         player.times.follow(&stats);
-        if !stays_on {
+        // a start that found another stream has switched nothing on
+        if !stays_on && !matches!(fault.as_ref().map(|fault| fault.cause), Some(Cause::Occupied(_))) {
             motor_off(&mut motion, handles.robot);
         }
         let _ = motion.run(release_robot(handles));
@@ -210,23 +214,17 @@ pub(super) fn limits(args: &StreamArgs) -> AxisLimits {
     AxisLimits::uniform(limit(args.max_speed), limit(args.max_acceleration))
 }
 
-/// Switches the motor off that the stream has switched on. The stream has given the arm back, so it is taken again; a controller
-/// with an error refuses that, and its motor is switched off without the arm. The motor of another client stays on.
+/// Switches the motor off that the stream has switched on, unless another client uses the robot meanwhile: the stream has given the
+/// arm back.
 fn motor_off<X: Wire<Error = io::Error>>(motion: &mut blocking::Connection<X, Vec<u8>>, robot: RobotHandle) {
-    // Keep 1: the speed, the tool and the work stay
-    let taken = motion.run(prepare_robot(robot, [0, 1], false)).map_err(|error| error.error);
-    let is_others = taken.is_err_and(|error| error.hresult() == Some(HResult::E_ARM_NOT_TAKEN));
-    let mut ended = Err("another client owns the arm".to_owned());
-    if !is_others {
-        let off = motion.call(call::robot_execute(robot, "Motor", [0, 0]));
-        ended = off.map(drop).map_err(|error| error.to_string());
-    }
-    if taken.is_ok() {
-        ended = ended.and(motion.run(give_arm(robot)).map_err(|error| error.error.to_string()));
-    }
-    if let Err(error) = ended {
-        note(&format!("the motor may still be on: {error}; `bcap get robot/@SERVO_ON` tells"));
-    }
+    let done = motion.run(reclaim(robot, Effects { motor: true, ..Effects::default() }));
+    let problem = match done {
+        Ok(Reclaimed { motor_off: Some(true), .. }) => return,
+        Ok(Reclaimed { owner: ArmOwner::Other, .. }) => "another client uses the robot".to_owned(),
+        Ok(_) => "the controller refused to switch it off".to_owned(),
+        Err(error) => error.to_string(),
+    };
+    note(&format!("the motor may still be on: {problem}; `bcap get robot/@SERVO_ON` tells"));
 }
 
 /// Returns whether the motor is on, if the controller tells.
@@ -307,6 +305,11 @@ impl Outcome<'_> {
             Cause::Failed(_) => Failure::Connection {
                 message: format!("{}: {message}", self.target),
                 hint: "check the network and the controller with `bcap doctor`".into(),
+            },
+            Cause::Occupied(_) => Failure::Unfit {
+                message: format!("{message}; nothing was moved"),
+                code: Some(HResult::E_SLVMODE_ON),
+                hint: Some(AFTER_STREAM.into()),
             },
             Cause::NotAtStart { .. } => Failure::Unfit {
                 message,
