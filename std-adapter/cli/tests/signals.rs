@@ -65,6 +65,67 @@ fn ctrl_z_halts_the_robot_and_gives_the_arm_back_before_the_process_is_suspended
     }
 }
 
+/// Signals that would end a process without its clean-up.
+#[test]
+#[cfg(target_os = "linux")]
+fn every_signal_that_can_be_handled_ends_a_motion_in_order() {
+    let robot = Virtual::start(&[]);
+    for name in
+        ["-USR1", "-USR2", "-ALRM", "-VTALRM", "-PROF", "-XCPU", "-XFSZ", "-IO", "-STKFLT", "-PWR", "-40", "-64"]
+    {
+        let child = robot.spawn(&SLOW);
+        robot.wait_for_motion();
+        signal(name, &child);
+        let run: Run = child.wait_with_output().unwrap().into();
+        assert_eq!(run.code, 130, "{name}: {run:?}");
+        assert!(run.err.contains(INTERRUPTED), "{name}: {run:?}");
+        robot.assert_at_rest_with_free_arm();
+    }
+}
+
+/// One command may leave the motor on, and says so. A session of several commands leaves nothing on, however it ends.
+#[test]
+fn a_motor_that_was_switched_on_by_name_stays_on_only_after_a_single_command() {
+    let robot = Robot::start();
+    let is_on = || robot.served.application().motor_is_on();
+    const STAYS: &str = "the motor stays on after this command";
+    for args in [
+        &["exec", "robot", "Motor", "1"][..],
+        &["exec", "controller", "Motor", "1"],
+        &["put", "robot/@SERVO_ON", "true"],
+    ] {
+        let run = robot.run(args);
+        assert!(run.code == 0 && run.err.contains(STAYS) && is_on(), "{args:?}: {run:?}");
+        let run = robot.run(&["exec", "robot", "Motor", "0"]);
+        assert!(run.code == 0 && !run.err.contains("motor") && !is_on(), "{run:?}");
+    }
+    const OFF: &str = "the motor is switched off now";
+    for (lines, code) in [
+        ("exec robot Motor 1 0\n", 0),
+        ("exec robot Motor 1 0\nexpect I1 = 5\n", 1),
+        ("put robot/@SERVO_ON true\n", 0),
+        ("exec robot TakeArm 0 1\nexec robot Motor 1 0\nexec robot GiveArm\n", 0),
+        ("call RobotExecute robot Motor 3,1\nexec robot TakeArm 0 1\nexec robot GiveArm\n", 0),
+    ] {
+        for program in [&["run", "-"][..], &["shell"]] {
+            let run = robot.run_with(program, lines);
+            // the shell prints an error and goes on
+            assert_eq!(run.code, if program[0] == "shell" { 0 } else { code }, "{lines}: {run:?}");
+            assert!(run.err.contains(OFF) && !is_on(), "{program:?} {lines}: {run:?}");
+        }
+    }
+    // with the arm it belongs to the arm
+    let run = robot.run_with(&["run", "-"], "exec robot Motor 1 0\nexec robot TakeArm 0 1\ncall RobotRelease robot\n");
+    assert!(run.code == 0 && !is_on(), "{run:?}");
+    // another client uses the motor
+    let address = format!("tcp:{}", robot.served.tcp);
+    let mut other = bcap_std::blocking::Controller::connect(&address, &bcap_std::Settings::rc8()).unwrap();
+    let arm = other.robot().unwrap().take_arm().unwrap();
+    let run = robot.run_with(&["run", "-"], "exec robot Motor 1 0\n");
+    assert!(run.code == 0 && is_on(), "{run:?}");
+    drop(arm);
+}
+
 #[test]
 #[cfg(target_os = "linux")]
 fn a_shell_that_was_suspended_goes_on() {

@@ -226,6 +226,32 @@ fn the_first_error_is_reported() {
     assert!(run.code == 1 && run.err.contains("TakeArm: refused") && run.err.contains("0x84204043"), "{run:?}");
 }
 
+/// The calls that begin a stream would end the one that runs, on a real controller, and so would those that switch the motor off.
+#[test]
+fn a_stream_of_another_client_is_not_ended() {
+    let sim = controller();
+    let ramp = ramp("ramp_other.csv", 60);
+    let other = command(&["slave", "play", &ramp, "--yes", "--robot", &tcp(&sim)])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    await_speed(&sim, 5.0);
+    let owner = sim.application().0.arm_owner();
+    for args in [&["cosine", "--yes"][..], &["play", &ramp, "--yes"], &["play", &ramp, "--yes", "--approach", "10"]] {
+        let run = slave(&sim, args);
+        assert_eq!(run.code, 1, "{run:?}");
+        assert!(run.err.contains("a stream of Slave Mode runs") && !run.err.contains("motor"), "{run:?}");
+        let controller = &sim.application().0;
+        assert!(owner.is_some() && controller.arm_owner() == owner && controller.slave_mode() != 0, "{args:?}");
+        assert!(controller.motor_is_on() && controller.errors().next().is_none(), "{args:?}");
+    }
+    kill("-INT", &other);
+    let ended: Run = other.wait_with_output().unwrap().into();
+    assert!(ended.err.contains("the robot has stopped and the arm is released"), "{ended:?}");
+    assert_at_rest(&sim, 0);
+}
+
 #[test]
 fn ctrl_c_slows_down_within_the_limits_and_releases_the_arm() {
     let sim = controller();
