@@ -6,7 +6,7 @@
 use std::fmt::Write as _;
 
 use bcap_core::bcap::{self, EOT, FunctionId, HEADER_LEN, Kind, MIN_FRAME, SOH};
-use bcap_core::hresult::HResult;
+use bcap_core::hresult::{HResult, Pattern, Row};
 use bcap_core::limits::Limits;
 use bcap_core::rac::{self, VariableKind};
 use bcap_core::slave::{Mode, PoseType, ReceiveFormat, ReceivePose, SlaveMode, TimeUnit, UserIo};
@@ -90,12 +90,12 @@ fn function_fields(function: FunctionId) -> String {
     out
 }
 
-/// The result codes with names, and the ranges without.
+/// The result codes with names, and the patterns of those without, the narrowest first.
 fn results() -> String {
     let mut out = String::from("local RESULTS = {\n");
     for code in HResult::known() {
         let text = |text: Option<&str>| quoted(text.unwrap_or_default());
-        let (name, meaning, hint) = (text(code.name()), text(code.meaning()), text(code.hint()));
+        let (name, meaning, hint) = (text(code.name()), text(code.meaning()), quoted(&hint(code)));
         let _ = writeln!(
             out,
             "    [0x{:08x}] = {{ name = {name}, meaning = {meaning},\n        hint = {hint} }},",
@@ -103,12 +103,25 @@ fn results() -> String {
         );
     }
     out.push_str("}\n\nlocal RANGES = {\n");
-    for (first, last, meaning) in HResult::ranges() {
-        let (first, last) = (first.to_u32(), last.to_u32());
-        let _ = writeln!(out, "    {{ first = 0x{first:08x}, last = 0x{last:08x}, meaning = {} }},", quoted(meaning));
+    let unnamed = Row::all().filter(|row| !row.meaning.is_empty());
+    let mut patterns: Vec<_> =
+        unnamed.flat_map(|row| row.patterns().map(move |pattern| (pattern, row.meaning))).collect();
+    // the dissector takes the first one
+    patterns.sort_by_key(|(Pattern { first, last, .. }, _)| last - first);
+    for (Pattern { first, last, has_axis }, meaning) in patterns {
+        let axis = if has_axis { ", axis = true" } else { "" };
+        let (meaning, hint) = (quoted(meaning), quoted(&hint(HResult::from_u32(first))));
+        let _ = writeln!(
+            out,
+            "    {{ first = 0x{first:08x}, last = 0x{last:08x}{axis}, meaning = {meaning},\n        hint = {hint} }},"
+        );
     }
     out.push_str("}\n");
     out
+}
+
+fn hint(code: HResult) -> String {
+    code.hint().map(|hint| hint.to_string()).unwrap_or_default()
 }
 
 /// The VARTYPEs: their names without `VT_`, and the bytes of an element if they are fixed.

@@ -12,6 +12,7 @@
 //! With `--json` a failure is also a line of the output: `{"error":...}`, with `offset` for malformed input, `code` and
 //! `hresult` for a refusal, `name` for the refused variable, and `hint`.
 
+use std::borrow::Cow;
 use std::io;
 use std::path::Path;
 use std::process::ExitCode;
@@ -218,11 +219,14 @@ impl Failure {
     }
 
     /// Returns the hint for the user.
-    pub(crate) fn hint(&self) -> Option<&str> {
+    pub(crate) fn hint(&self) -> Option<Cow<'_, str>> {
+        let of = |code: HResult| code.hint().map(|hint| Cow::Owned(hint.to_string()));
         match self {
-            Self::Refused { code, .. } => code.hint(),
-            Self::Connection { hint, .. } | Self::Unexpected { hint, .. } | Self::Timeout { hint, .. } => Some(hint),
-            Self::Unfit { code, hint, .. } => hint.as_deref().or_else(|| code.and_then(HResult::hint)),
+            Self::Refused { code, .. } => of(*code),
+            Self::Connection { hint, .. } | Self::Unexpected { hint, .. } | Self::Timeout { hint, .. } => {
+                Some(hint.as_str().into())
+            }
+            Self::Unfit { code, hint, .. } => hint.as_deref().map(Cow::from).or_else(|| code.and_then(of)),
             Self::Script { failure, .. } | Self::NotCompared(failure) => failure.hint(),
             Self::Input(_)
             | Self::Item(_)
@@ -269,9 +273,14 @@ impl Failure {
         if json && let Some(line) = self.to_json(name) {
             let _ = print_json(&line);
         }
-        let name = self.result_code().and_then(HResult::name).map(|name| format!("bcap explain {name}"));
-        let hint = self.hint().map(|hint| ("hint", hint));
-        let more = name.as_deref().map(|name| ("more", name));
+        let code = self.result_code().filter(|code| code.meaning().is_some());
+        let explain = code.map(|code| match code.name() {
+            Some(name) => format!("bcap explain {name}"),
+            None => format!("bcap explain {code}"),
+        });
+        let hint = self.hint();
+        let hint = hint.as_deref().map(|hint| ("hint", hint));
+        let more = explain.as_deref().map(|explain| ("more", explain));
         report::error(self, &Vec::from_iter(hint.into_iter().chain(more)));
     }
 
@@ -323,7 +332,7 @@ struct Line<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     hresult: Option<&'static str>,
     #[serde(skip_serializing_if = "Option::is_none")]
-    hint: Option<&'a str>,
+    hint: Option<Cow<'a, str>>,
 }
 
 /// Returns the meaning of a code as the end of a message.

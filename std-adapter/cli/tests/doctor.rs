@@ -194,7 +194,7 @@ fn a_missing_token_is_reported() {
 fn errors_are_reported_with_the_first_cause() {
     let faults = [("at_ms = 0", "{ error = '0x84204043' }"), ("at_ms = 1", "{ error = '0x83204072' }")];
     let sim = Sim::start(&["--scenario", &scenario("doctor-error.toml", &faults)]);
-    names(&sim, "errors", "2, the first is 0x84204043", 1);
+    names(&sim, "errors", "2, the first cause is 0x84204043", 1);
 }
 
 #[test]

@@ -83,7 +83,11 @@ fn a_refusal_has_its_code_and_a_hint() {
     assert_eq!((run.out.as_str(), run.code), ("", 1));
     assert!(run.err.contains("I1: Controller_GetVariable"), "{}", run.err);
     assert!(run.err.contains("0x80000902 (E_NOT_CONNECTED)"), "{}", run.err);
-    assert!(run.err.contains("hint: ") && run.err.contains(HResult::E_NOT_CONNECTED.hint().unwrap()), "{}", run.err);
+    assert!(
+        run.err.contains("hint: ") && run.err.contains(&HResult::E_NOT_CONNECTED.hint().unwrap().to_string()),
+        "{}",
+        run.err
+    );
     // the session is ended after a refusal too
     assert_eq!(fake.seen().last().unwrap(), "ServiceStop()");
 }
@@ -114,7 +118,7 @@ fn failures_are_printed_as_json() {
     let code = HResult::E_CAO_OBJECT_NOTFOUND;
     assert_eq!((&line(&run)["name"], &line(&run)["code"]), (&"I1".into(), &code.0.into()));
     assert_eq!(line(&run)["hresult"], "E_CAO_OBJECT_NOTFOUND");
-    assert_eq!(line(&run)["hint"], code.hint().unwrap());
+    assert_eq!(line(&run)["hint"], code.hint().unwrap().to_string());
     let run = bcap(&["get", "I1", "--json", "--robot", &fake.address]);
     assert_eq!((run.out.lines().count(), run.err.matches("error").count(), run.code), (1, 1, 1), "{run:?}");
     assert_eq!(line(&run)["name"], "I1");

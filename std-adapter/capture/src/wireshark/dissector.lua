@@ -202,12 +202,18 @@ local function label(text)
 end
 
 local function result_row(code)
+    if code >= 0xc1000000 and code < 0xc6000000 then
+        -- an error of the controller with the reserved bit
+        code = code - 0x40000000
+    end
     local row = RESULTS[code]
     if row then
         return row.name, row.meaning, row.hint
     end
     for _, range in ipairs(RANGES) do
-        if range.first <= code and code <= range.last then
+        local digit = code % 16
+        local axis = not range.axis or (digit >= 1 and digit <= 8)
+        if range.first <= code and code <= range.last and axis then
             return nil, range.meaning, range.hint
         end
     end

@@ -3,7 +3,7 @@
 
 use std::fmt::Write as _;
 
-use bcap_core::hresult::HResult;
+use bcap_core::hresult::{HResult, Pattern, Row};
 use clap::Args;
 
 use crate::failure::Failure;
@@ -71,15 +71,19 @@ fn unknown(text: &str) -> String {
     format!("{text:?} is no result code: write 0x83500121, 83500121, -2092957407 or E_SLVMODE_OFF{similar}")
 }
 
-/// The columns of the table, with the title of each.
+/// The facts about a code, with the title of each.
 fn facts(code: HResult) -> impl Iterator<Item = (&'static str, String)> {
+    let same = code.listed();
+    let level = code.level().zip(code.effect());
     [
+        ("same as", (same != code).then(|| format!("{same}: the bit that makes 8 to C has no meaning"))),
         ("meaning", code.meaning().map(str::to_owned)),
         ("axis", code.axis().map(|axis| axis.to_string())),
-        ("level", code.level().map(|level| format!("{level}, of 1 to 5 of the controller's errors"))),
+        ("level", level.map(|(level, effect)| format!("{level} of 0 to 5: {effect}"))),
+        ("part", code.part().map(str::to_owned)),
         ("system", code.os_error().map(|number| format!("error {number} of the operating system that answered"))),
         ("cause", code.cause().map(str::to_owned)),
-        ("what to do", code.hint().map(str::to_owned)),
+        ("what to do", code.hint().map(|hint| hint.to_string())),
         ("returned by", code.functions().map(str::to_owned)),
         ("source", code.source().map(str::to_owned)),
     ]
@@ -90,23 +94,17 @@ fn facts(code: HResult) -> impl Iterator<Item = (&'static str, String)> {
 fn as_text(code: HResult) -> String {
     let kind = if code.is_ok() { "success" } else { "failure" };
     let mut text = format!("{code}, decimal {}, a {kind}", code.0);
-    let mut known = false;
     for (title, fact) in facts(code) {
         let _ = write!(text, "\n  {title:<11}  {fact}");
-        known = true;
     }
-    if !known {
+    if code.meaning().is_none() {
         text.push_str("\n  no source gives its meaning; ask the controller: bcap exec GetErrorDescription CODE");
     }
     text
 }
 
 fn as_json(code: HResult) -> String {
-    let mut line = serde_json::json!({
-        "code": code.0,
-        "hex": format!("{:#010X}", code.to_u32()).replacen("0X", "0x", 1),
-        "name": code.name(),
-    });
+    let mut line = serde_json::json!({ "code": code.0, "hex": hex(code), "name": code.name() });
     for (title, fact) in facts(code) {
         line[title.replace(' ', "_")] = fact.into();
     }
@@ -118,30 +116,56 @@ fn as_json(code: HResult) -> String {
             line[title] = number.into();
         }
     }
+    if code.listed() != code {
+        line["same_as"] = hex(code.listed()).into();
+    }
+    line["effect"] = code.effect().into();
     line.to_string()
+}
+
+/// Formats a code as the manuals write it.
+fn hex(code: HResult) -> String {
+    format!("0x{:08X}", code.to_u32())
 }
 
 /// The page of the book with all codes.
 fn index() -> String {
     let mut page = String::from(INTRODUCTION);
+    for level in 0..=5 {
+        let code = HResult::from_u32(0x8020_0000 | level << 24);
+        let _ = write!(page, "\n| {level} | {} |", code.effect().unwrap_or_default());
+    }
+    page.push_str("\n\n## Codes with a name\n\n| code | name | meaning |\n|---|---|---|");
     for code in HResult::known() {
-        let _ = write!(page, "\n| [`{:#010X}`](#{}) |", code.to_u32(), anchor(code));
+        let _ = write!(page, "\n| [`{}`](#{}) |", hex(code), anchor(code));
         let _ = write!(page, " {} | {} |", code.name().unwrap_or_default(), code.meaning().unwrap_or_default());
     }
-    page.push_str(
-        "\n\nCodes without a name have the meaning of their range:\n\n| from | to | meaning |\n|---|---|---|",
-    );
-    for (first, last, meaning) in HResult::ranges() {
-        let _ = write!(page, "\n| `{:#010X}` | `{:#010X}` | {meaning} |", first.to_u32(), last.to_u32());
+    page.push_str(PATTERNS);
+    for row in Row::all().filter(|row| !row.meaning.is_empty()) {
+        let codes: Vec<String> = row.patterns().map(pattern).collect();
+        let hint = row.patterns().next().and_then(|pattern| HResult::from_u32(pattern.first).hint());
+        let hint = hint.map(|hint| hint.to_string()).unwrap_or_default();
+        let _ = write!(page, "\n| {} | {} | {hint} |", codes.join(" "), row.meaning);
     }
     for code in HResult::known() {
-        let _ =
-            write!(page, "\n\n## {}\n\n`{:#010X}`, decimal {}.", anchor(code).to_uppercase(), code.to_u32(), code.0);
-        for (title, fact) in facts(code).filter(|(title, _)| *title != "axis") {
+        let _ = write!(page, "\n\n## {}\n\n`{}`, decimal {}.", anchor(code).to_uppercase(), hex(code), code.0);
+        for (title, fact) in facts(code) {
             let _ = write!(page, "\n\n**{title}**: {fact}");
         }
     }
-    page.replace("`0X", "`0x")
+    page
+}
+
+/// Formats a pattern for the page: `8320407n`, or the first and the last code.
+fn pattern(pattern: Pattern) -> String {
+    let code = |code: u32| {
+        let digits = format!("{code:08X}");
+        if pattern.has_axis { format!("{}n", digits.split_at(7).0) } else { digits }
+    };
+    match (code(pattern.first), code(pattern.last)) {
+        (first, last) if first == last => format!("`{first}`"),
+        (first, last) => format!("`{first}` to `{last}`"),
+    }
 }
 
 /// The link to the section of a code: its name in lower case.
@@ -152,11 +176,24 @@ fn anchor(code: HResult) -> String {
 const INTRODUCTION: &str = "\
 # Result codes
 
-Every reply carries a result code (HRESULT). `bcap explain CODE` prints a section of this page; CODE is a name or a number, and
-`bcap explain --index` prints the whole page.
+Every reply carries a result code (HRESULT). `bcap explain CODE` prints all that is known about a code; CODE is a name or a number,
+and `bcap explain --index` prints this page.
 
 The sources are the RAC specification for RC8, the b-CAP specification for RC9, and others as named. The meaning is the source's; if
 a source has only a name, the meaning is derived from it. Usual causes, functions and hints are this project's advice.
 
-| code | name | meaning |
+The second digit of an error of the controller is its level. An error that begins with 0xC is the same as with 0x8.
+
+| level | effect |
+|---|---|";
+
+const PATTERNS: &str = "
+
+## Errors of the controller
+
+Codes without a name. A last digit n is an axis, 1 to 8. If two rows contain a code, the narrower one applies. The texts are this
+project's; the facts come from public lists of codes and the log of an RC8A. The controller has its own text for each code:
+`bcap exec controller GetErrorDescription CODE`.
+
+| codes | meaning | what to do |
 |---|---|---|";

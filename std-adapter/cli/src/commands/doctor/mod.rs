@@ -26,6 +26,7 @@ use bcap_std::{ObjectPath, Protocol};
 use clap::Args;
 
 use self::report::{Finding, Report};
+use crate::commands::robot::errors::described;
 use crate::failure::Failure;
 use crate::link::LinkArgs;
 use crate::session::Session;
@@ -358,11 +359,12 @@ impl Examined<'_> {
             Some((code, elements.next().and_then(|text| text.as_bstr().map(|text| text.to_string()))))
         });
         let hint = first.as_ref().and_then(|(code, _)| code.hint());
-        let hint = hint.map(|hint| format!("{hint}; then `bcap exec controller ClearError`"));
-        let what = first.map(|(code, text)| format!(", the first is {code} {}", text.unwrap_or_default()));
+        let hint = hint.map(|hint| format!("{hint} (`bcap clear`)"));
+        let what =
+            first.map(|(code, text)| format!(", the first cause is {}", described(code, &text.unwrap_or_default())));
         Ok(Finding::failed(
             format!("{count}{}", what.unwrap_or_default()),
-            hint.unwrap_or_else(|| "fix its cause, then `bcap exec controller ClearError`".into()),
+            hint.unwrap_or_else(|| "fix its cause, then `bcap clear`".into()),
         ))
     }
 

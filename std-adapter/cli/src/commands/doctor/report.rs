@@ -89,7 +89,7 @@ impl Report {
     /// Prints that the controller cannot be reached over a link.
     pub(super) fn unreachable(&mut self, check: &'static str, failure: Failure) -> Result<(), Failure> {
         let detail = failure.to_string();
-        self.print(&Line { check, result: "failed", detail: &detail, hint: failure.hint() })?;
+        self.print(&Line { check, result: "failed", detail: &detail, hint: failure.hint().as_deref() })?;
         self.first.get_or_insert(failure);
         Ok(())
     }

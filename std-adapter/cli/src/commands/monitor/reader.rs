@@ -380,25 +380,8 @@ fn is_stale(failure: &Failure) -> bool {
     matches!(failure, Failure::Refused { code: HResult::E_HANDLE, .. })
 }
 
-/// Formats an error with its text, its meaning if the text does not contain it, and what to do.
+/// Formats an error with its meaning, its text, and what to do.
 fn explained(code: HResult, text: &str) -> String {
-    // some controllers begin the text with the name
-    let text = code.name().and_then(|name| text.strip_prefix(name)?.strip_prefix(": ")).unwrap_or(text);
-    let meaning = code.meaning().filter(|meaning| !text.contains(*meaning)).map(|meaning| format!(" {meaning}"));
     let hint = code.hint().map(|hint| format!(" Hint: {hint}")).unwrap_or_default();
-    format!("{code} {text}{}{hint}", meaning.unwrap_or_default())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn an_error_has_its_meaning_once() {
-        let meaning = HResult::E_MOTOR_OFF.meaning().unwrap();
-        let named = explained(HResult::E_MOTOR_OFF, &format!("E_MOTOR_OFF: {meaning}"));
-        assert_eq!(named, explained(HResult::E_MOTOR_OFF, meaning));
-        assert!(named.starts_with(&format!("{} {meaning} Hint: ", HResult::E_MOTOR_OFF)), "{named}");
-        assert!(explained(HResult::E_MOTOR_OFF, "own text").contains(&format!("own text {meaning}")));
-    }
+    format!("{}{hint}", errors::described(code, text))
 }

@@ -12,7 +12,7 @@ use crate::session::slave_mode::StreamCheck;
 use crate::values::{Value, integer, text};
 use bcap_capture::value::data;
 
-/// Lists the errors of the controller, the first cause last, with their meanings and remedies
+/// Lists the errors of the controller, the first cause first, with their meanings and remedies
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -34,8 +34,8 @@ pub(crate) fn errors(session: &mut Session, json: bool) -> Result<(), Failure> {
     if count == 0 && !json {
         print_line("no errors")?;
     }
-    // each at once: a refusal of a later one does not hide it
-    (0..count).try_for_each(|index| {
+    // the last one is the first cause; each is printed at once, so that a refusal of a later one does not hide it
+    (0..count).rev().try_for_each(|index| {
         let (code, message) = error(session, &mut check, index)?;
         print_error(code, &message, json)
     })
@@ -63,16 +63,27 @@ fn error(session: &mut Session, check: &mut StreamCheck, index: i32) -> Result<(
 }
 
 fn print_error(code: HResult, message: &str, json: bool) -> Result<(), Failure> {
+    let hint = code.hint().map(|hint| hint.to_string());
     if json {
-        let (name, hint) = (code.name(), code.hint());
-        let line = serde_json::json!({ "code": code.0, "hresult": name, "message": message, "hint": hint });
+        let line = serde_json::json!({
+            "code": code.0, "hresult": code.name(), "level": code.level(), "meaning": code.meaning(),
+            "message": message, "hint": hint
+        });
         return Ok(print_json(&line.to_string())?);
     }
-    print_line(&format!("{code} {message}"))?;
-    if let Some(hint) = code.hint() {
-        print_line(&format!("  hint: {hint}"))?;
+    print_line(&described(code, message))?;
+    hint.map_or(Ok(()), |hint| Ok(print_line(&format!("  hint: {hint}"))?))
+}
+
+/// Formats an error: its code, its meaning, and the controller's own text if that says something else.
+pub(crate) fn described(code: HResult, text: &str) -> String {
+    // some controllers begin the text with the name
+    let own = code.name().and_then(|name| text.strip_prefix(name)?.strip_prefix(": ")).unwrap_or(text);
+    match code.meaning() {
+        Some(meaning) if own.is_empty() => format!("{code} {meaning}"),
+        Some(meaning) if !own.contains(meaning) => format!("{code} {meaning} The controller says: {own}"),
+        _ => format!("{code} {own}"),
     }
-    Ok(())
 }
 
 /// Runs `bcap clear`.
@@ -105,4 +116,21 @@ fn controller(
     let arguments = [integer(session.controller()?)?, text(command)?, Value::new(parameter)?];
     let (_, value) = session.call(command, FunctionId::CONTROLLER_EXECUTE, &arguments)?;
     Ok(value.unwrap_or_default())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_has_its_meaning_once_and_then_the_text_of_the_controller() {
+        let (code, meaning) = (HResult::E_MOTOR_OFF, HResult::E_MOTOR_OFF.meaning().unwrap());
+        for same in ["", meaning, &format!("E_MOTOR_OFF: {meaning}")] {
+            assert_eq!(described(code, same), format!("{code} {meaning}"));
+        }
+        assert_eq!(described(code, "Motor is off."), format!("{code} {meaning} The controller says: Motor is off."));
+        let unknown = HResult::from_u32(0x8550_F001);
+        assert!(described(unknown, "New fault.").ends_with("published meaning. The controller says: New fault."));
+        assert_eq!(described(HResult(-1), "text"), "0xffffffff text");
+    }
 }
