@@ -364,6 +364,40 @@ fn an_unreachable_datagram_link_leaves_nothing() {
     }
 }
 
+/// The controller has closed the connection, so it has ended the session, and another client may use the robot.
+#[test]
+fn a_robot_that_another_client_has_taken_meanwhile_is_left_alone() {
+    let sim = simulated();
+    let relay = Relay::new(sim.tcp);
+    let [runtime, _] = runtimes();
+    runtime.block_on(async {
+        let slow = settings().reconnect(Backoff::default().min(LIMIT).max(LIMIT));
+        let cell = asynch::Controller::connect(&format!("tcp:{}", relay.address), &slow).await.unwrap();
+        let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+        arm.motor_on().await.unwrap();
+        let moving = arm.start(&far(), LIMIT).await.unwrap();
+        relay.cut();
+        assert!(matches!(moving.wait().await, Err(Error::NoReply { .. })));
+        until(&sim, |controller| controller.arm_owner().is_none() && !controller.is_moving());
+        let mut other = blocking::Controller::connect(&format!("tcp:{}", sim.tcp), &settings()).unwrap();
+        let mut theirs = other.robot().unwrap().take_arm().unwrap();
+        theirs.motor_on().unwrap();
+        let their_motion = theirs.start(&far(), LIMIT).unwrap();
+        // the drop of its task recovers over a new connection
+        drop(arm);
+        drop(cell);
+        tokio::time::sleep(Duration::from_secs(1)).await;
+        {
+            let mut controller = sim.application();
+            controller.advance(bcap_std::now());
+            assert!(controller.is_moving() && controller.motor_is_on());
+        }
+        drop(their_motion);
+    });
+    drop(runtime);
+    assert_safe(&sim);
+}
+
 /// The caller of a motion learns that it was sent, although another handle closes the controller.
 #[test]
 fn a_motion_whose_controller_is_closed_may_have_moved() {
@@ -398,6 +432,35 @@ fn by_name() -> Vec<ByName> {
         (Object::Robot, "DriveEx", OwnedVariant::new(&motion).unwrap()),
         (Object::Robot, "slvChangeMode", OwnedVariant::new(&0x102).unwrap()),
     ]
+}
+
+/// A motor needs no arm.
+#[test]
+fn a_motor_that_was_switched_on_without_the_arm_is_switched_off() {
+    for (object, name, parameter) in by_name().into_iter().take(3) {
+        let sim = simulated();
+        let mut cell = blocking::Controller::connect(&format!("tcp:{}", sim.tcp), &settings()).unwrap();
+        match object {
+            Object::Robot => cell.robot().unwrap().execute(name, &parameter).unwrap(),
+            Object::Controller => cell.execute(name, &parameter).unwrap(),
+            _ => cell.write(name, &parameter).unwrap(),
+        }
+        assert!(sim.application().motor_is_on(), "{name}");
+        drop(cell);
+        assert_safe(&sim);
+        let sim = simulated();
+        let [runtime, _] = runtimes();
+        runtime.block_on(async {
+            let cell = asynch::Controller::connect(&format!("tcp:{}", sim.tcp), &settings()).await.unwrap();
+            match object {
+                Object::Robot => cell.robot().await.unwrap().execute(name, &parameter).await.unwrap(),
+                Object::Controller => cell.execute(name, &parameter).await.unwrap(),
+                _ => cell.write(name, &parameter).await.unwrap(),
+            }
+        });
+        drop(runtime);
+        assert_safe(&sim);
+    }
 }
 
 /// A program may call a command by name; its end undoes that too.
@@ -600,6 +663,70 @@ fn a_write_that_was_not_sent_is_told_from_one_without_a_reply() {
         },
         is_written,
     );
+}
+
+/// A program that was told that its halt was not sent would think that the robot goes on.
+#[test]
+fn a_halt_that_was_not_sent_is_told_from_one_without_a_reply() {
+    at_every_byte(
+        |link, begin| {
+            let mut cell = blocking::Controller::over(link, &settings()).unwrap();
+            let mut arm = cell.robot().unwrap().take_arm().unwrap();
+            arm.motor_on().unwrap();
+            std::mem::forget(arm.start(&far(), LIMIT).unwrap());
+            begin();
+            let told = told(arm.robot().halt());
+            arm.keep();
+            // the end of its connection would halt the robot
+            std::mem::forget(cell);
+            told
+        },
+        |controller| !controller.is_moving(),
+    );
+}
+
+#[test]
+fn an_arm_that_was_given_back_unheard_is_told_from_one_that_was_kept() {
+    let is_given = |controller: &Simulated| controller.arm_owner().is_none();
+    at_every_byte(
+        |link, begin| {
+            let mut cell = blocking::Controller::over(link, &settings()).unwrap();
+            let arm = cell.robot().unwrap().take_arm().unwrap();
+            begin();
+            let told = told(arm.give());
+            // the end of its connection would free the arm
+            std::mem::forget(cell);
+            told
+        },
+        is_given,
+    );
+}
+
+/// Releasing the robot by name would leave the motor on.
+#[test]
+fn a_robot_that_is_released_by_name_is_left_with_its_motor_off() {
+    for function in [FunctionId::ROBOT_RELEASE, FunctionId::CONTROLLER_DISCONNECT, FunctionId::SERVICE_STOP] {
+        let sim = simulated();
+        let mut cell = blocking::Controller::connect(&format!("tcp:{}", sim.tcp), &settings()).unwrap();
+        let robot = OwnedVariant::new(&cell.open(&"robot".parse().unwrap()).unwrap()).unwrap();
+        let execute = |command: &str, parameter: &[i32]| {
+            [robot.clone(), OwnedVariant::new(command).unwrap(), OwnedVariant::new(&parameter).unwrap()]
+        };
+        for (command, parameter) in [("TakeArm", &[0, 1]), ("Motor", &[1, 0])] {
+            cell.call_any("", FunctionId::ROBOT_EXECUTE, &execute(command, parameter)).unwrap();
+        }
+        let motion = [robot.clone(), OwnedVariant::new("DriveEx").unwrap(), by_name()[3].2.clone()];
+        cell.call_any("", FunctionId::ROBOT_EXECUTE, &motion).unwrap();
+        assert!(sim.application().motor_is_on() && sim.application().is_moving());
+        let handle = OwnedVariant::new(&cell.handle().0).unwrap();
+        let arguments = match function {
+            FunctionId::ROBOT_RELEASE => vec![robot.clone()],
+            FunctionId::CONTROLLER_DISCONNECT => vec![handle],
+            _ => vec![],
+        };
+        cell.call_any("", function, &arguments).unwrap();
+        assert_safe(&sim);
+    }
 }
 
 #[test]

@@ -340,7 +340,8 @@ fn job(random: &mut Random, program: Program) -> Job {
     }
 }
 
-/// The destinations are absolute or begin at the home position; `P10` and `J10` are 5 to 50 mm and some degrees from it.
+/// The destinations are absolute or begin at the home position; `P10` and `J10` are 5 to 50 mm and some degrees from it, and `P11`
+/// has its position with another figure.
 fn leg(random: &mut Random, is_command: bool) -> Leg {
     let home = [0.0, 45.0, 90.0, 0.0, 45.0, 0.0];
     let numbers = |random: &mut Random| {
@@ -351,16 +352,21 @@ fn leg(random: &mut Random, is_command: bool) -> Leg {
         numbers
     };
     let text = |numbers: [f64; 6]| format!("J({})", numbers.map(|number| format!("{number:.2}")).join(", "));
-    let way = match random.below(if is_command { 5 } else { 9 }) {
+    let way = match random.below(if is_command { 6 } else { 10 }) {
         0 => Way::Joint(text(numbers(random))),
         1 => Way::Joint("J10".into()),
         2 => Way::Joint("P10".into()),
         3 => Way::Line("P10".into()),
         // where it already stands
         4 => Way::Joint(text(home)),
-        5 => Way::Numbers(numbers(random)),
-        6 => Way::DriveBy(vec![(1 + random.below(6) as u8, between(random, -20.0, 20.0))]),
-        7 => Way::Approach(between(random, 2.0, 30.0)),
+        // the wrist turns by 180 degrees
+        5 => {
+            let way = Way::Joint("P11".into());
+            return Leg { way, near: random.happens(500), speed: between(random, 40.0, 100.0) };
+        }
+        6 => Way::Numbers(numbers(random)),
+        7 => Way::DriveBy(vec![(1 + random.below(6) as u8, between(random, -20.0, 20.0))]),
+        8 => Way::Approach(between(random, 2.0, 30.0)),
         _ => Way::Depart(between(random, 2.0, 30.0)),
     };
     // mostly slow, so that the motion lasts until its ending

@@ -9,6 +9,7 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use bcap_core::hresult::HResult;
+use bcap_core::position::Position;
 use bcap_sim::{Config, Controller as Simulated, Profile, Scenario};
 use bcap_std::server::Limits;
 use bcap_std::{Error, blocking, now};
@@ -115,7 +116,10 @@ fn config(trial: &Trial) -> Config {
     Config { motor_on_delay: Duration::from_millis(trial.motor_ms), ..Config::new(trial.profile()) }
 }
 
-/// Prepares the arm, sets the destinations P10 and J10, and plays the faults.
+/// The joints of the home position with the wrist turned over: only the figure differs.
+const TURNED: [f64; 6] = [0.0, 45.0, 90.0, 180.0, -45.0, 180.0];
+
+/// Prepares the arm, sets the destinations P10, P11 and J10, and plays the faults.
 fn set_up(trial: &Trial, sim: &Sim) -> Result<(), Error> {
     let address = format!("tcp:{}", sim.tcp);
     let mut cell = blocking::Controller::connect(&address, &victim::settings(trial))?;
@@ -132,6 +136,12 @@ fn set_up(trial: &Trial, sim: &Sim) -> Result<(), Error> {
     (position[0], position[1]) = (position[0] + length * angle.cos() * 0.8, position[1] + length * angle.sin() * 0.8);
     position[2] -= length * 0.6 * part(24);
     cell.write("P10", position)?;
+    // a wrist that does not turn that far has no other figure there
+    let turned =
+        cell.robot()?.execute::<Position>("J2P", format!("J({})", TURNED.map(|angle| angle.to_string()).join(", ")))?;
+    let target = turned.to_array();
+    let is_reached = cell.robot()?.execute::<i32>("OutRange", target).is_ok_and(|axes| axes == 0);
+    cell.write("P11", if is_reached { target.map(|number| number as f32) } else { position })?;
     cell.write("J10", [part(32) * 25.0, 45.0 - part(40) * 20.0, 90.0, 0.0, 45.0 + part(48) * 25.0, 0.0, 0.0, 0.0_f32])?;
     cell.close()?;
     let motor = if trial.motor_before { "[controller]\nmotor = true\n" } else { "" };
