@@ -136,12 +136,14 @@ fn set_up(trial: &Trial, sim: &Sim) -> Result<(), Error> {
     (position[0], position[1]) = (position[0] + length * angle.cos() * 0.8, position[1] + length * angle.sin() * 0.8);
     position[2] -= length * 0.6 * part(24);
     cell.write("P10", position)?;
-    // a wrist that does not turn that far has no other figure there
-    let turned =
-        cell.robot()?.execute::<Position>("J2P", format!("J({})", TURNED.map(|angle| angle.to_string()).join(", ")))?;
-    let target = turned.to_array();
-    let is_reached = cell.robot()?.execute::<i32>("OutRange", target).is_ok_and(|axes| axes == 0);
-    cell.write("P11", if is_reached { target.map(|number| number as f32) } else { position })?;
+    let mut turned = position;
+    // the wrist of a COBOTTA does not turn that far
+    if trial.profile() != Profile::Cobotta {
+        let joints = TURNED.map(|angle| angle.to_string()).join(", ");
+        let there = cell.robot()?.execute::<Position>("J2P", format!("J({joints})"))?;
+        turned = there.to_array().map(|number| number as f32);
+    }
+    cell.write("P11", turned)?;
     cell.write("J10", [part(32) * 25.0, 45.0 - part(40) * 20.0, 90.0, 0.0, 45.0 + part(48) * 25.0, 0.0, 0.0, 0.0_f32])?;
     cell.close()?;
     let motor = if trial.motor_before { "[controller]\nmotor = true\n" } else { "" };
