@@ -92,7 +92,7 @@ pub enum Halted {
 }
 
 /// The object that errors name when a session starts or ends.
-const SESSION: &str = "the session";
+pub(crate) const SESSION: &str = "the session";
 /// The object that errors name for a typed call.
 pub(crate) const CONTROLLER: &str = "the controller";
 /// The object that errors name for a robot.

@@ -420,6 +420,30 @@ fn a_motion_whose_controller_is_closed_may_have_moved() {
     });
 }
 
+/// The caller waits in another runtime than the task of the session, which ends.
+#[test]
+fn a_motion_whose_runtime_ends_may_have_moved() {
+    let sim = simulated();
+    let [caller, task] = runtimes();
+    let cell = task.block_on(asynch::Controller::connect(&format!("tcp:{}", sim.tcp), &settings())).unwrap();
+    let ended = caller.block_on(async {
+        let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+        arm.motor_on().await.unwrap();
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                until(&sim, Simulated::is_moving);
+                drop(task);
+            });
+            // it blocks this thread, as a caller without a task may
+            scope.spawn(|| runtimes().into_iter().next().unwrap().block_on(arm.move_to(&far(), LIMIT))).join().unwrap()
+        })
+    });
+    assert!(matches!(ended, Err(Error::NoReply { .. })), "{ended:?}");
+    assert_safe(&sim);
+    // nothing is sent any more
+    assert!(matches!(caller.block_on(cell.read::<i32>("I1")), Err(Error::Closed)));
+}
+
 /// A command by name: of the controller or the robot, and its parameter.
 type ByName = (Object, &'static str, OwnedVariant);
 

@@ -35,7 +35,7 @@ use crate::CallError;
 use crate::address::Address;
 use crate::error::Error;
 use crate::moves::Move;
-use crate::session::{ROBOT, Recovery, Session};
+use crate::session::{ROBOT, Recovery, SESSION, Session};
 use crate::settings::{Backoff, Settings};
 
 /// A request of a handle.
@@ -92,13 +92,13 @@ where
 {
     fn run<'a>(self: Box<Self>, session: &'a mut Session<Socket>) -> BoxFuture<'a, Outcome> {
         let Self { work, reply, limit, .. } = *self;
+        let begun = Begun::new(reply, || Ok(Err(unanswered(FunctionId::CONTROLLER_EXECUTE, SESSION))));
         Box::pin(async move {
             session.set_limit(limit);
             let result = caught(work(session)).await;
             session.set_limit(None);
             let succeeded = matches!(result, Ok(Ok(_)));
-            // a caller that has gone does not need the result
-            let _ = reply.send(result);
+            begun.send(result);
             succeeded
         })
     }
@@ -109,6 +109,41 @@ where
 
     fn is_abandoned(&self) -> bool {
         !self.always && self.reply.is_closed()
+    }
+}
+
+/// The receiver of the result of a request that has begun. A runtime that ends drops it with its task: then the request may
+/// have been carried out.
+struct Begun<T> {
+    reply: Option<oneshot::Sender<T>>,
+    dropped: fn() -> T,
+}
+
+impl<T> Begun<T> {
+    const fn new(reply: oneshot::Sender<T>, dropped: fn() -> T) -> Self {
+        Self { reply: Some(reply), dropped }
+    }
+
+    fn send(mut self, result: T) {
+        // a caller that has gone does not need the result
+        drop(self.reply.take().map(|reply| reply.send(result)));
+    }
+
+    fn is_closed(&self) -> bool {
+        self.reply.as_ref().is_none_or(oneshot::Sender::is_closed)
+    }
+
+    /// Waits until the caller has gone.
+    async fn closed(&mut self) {
+        if let Some(reply) = &mut self.reply {
+            reply.closed().await;
+        }
+    }
+}
+
+impl<T> Drop for Begun<T> {
+    fn drop(&mut self) {
+        drop(self.reply.take().map(|reply| reply.send((self.dropped)())));
     }
 }
 
@@ -312,7 +347,7 @@ impl Actor {
                 request = self.requests.recv() => match request {
                     None => return Ended::Dropped,
                     Some(Request::Close(reply)) => {
-                        fail_motion(motion);
+                        drop(motion);
                         return Ended::Closed(reply);
                     }
                     Some(Request::Move(request)) => motion = self.start(session, request, motion).await,
@@ -379,7 +414,10 @@ impl Actor {
         };
         self.count(begun.is_ok());
         match begun {
-            Ok(running) => Some(Moving { steps: Box::new(running), deadline: Instant::ZERO, reply }),
+            Ok(running) => {
+                let reply = Begun::new(reply, || Err(unanswered_motion()));
+                Some(Moving { steps: Box::new(running), deadline: Instant::ZERO, reply })
+            }
             Err(error) => {
                 let _ = reply.send(Err(error));
                 None
@@ -393,7 +431,7 @@ struct Moving {
     steps: Box<dyn MotionSteps>,
     /// When the robot is polled.
     deadline: Instant,
-    reply: oneshot::Sender<Result<MotionQueue, Error>>,
+    reply: Begun<Result<MotionQueue, Error>>,
 }
 
 /// A running motion as a trait object.
@@ -429,7 +467,7 @@ async fn step(session: &mut Session<Socket>, mut motion: Moving, now: Instant) -
             *deadline = at;
             return Some(motion);
         }
-        Some(ControlFlow::Break(ended)) => drop(motion.reply.send(ended)),
+        Some(ControlFlow::Break(ended)) => motion.reply.send(ended),
         None => give_up(session).await,
     }
     None
@@ -452,22 +490,19 @@ async fn gone(motion: &mut Option<Moving>) {
     }
 }
 
-/// Ends the service of a lost session.
+/// Ends the service of a lost session. The caller of the motion learns that it may have moved the robot.
 fn lost(motion: Option<Moving>, error: Error) -> Ended {
-    fail_motion(motion);
+    drop(motion);
     Ended::Lost(error)
-}
-
-/// Fails a motion that was accepted, because the session ends: it may have moved the robot.
-fn fail_motion(motion: Option<Moving>) {
-    if let Some(motion) = motion {
-        let _ = motion.reply.send(Err(unanswered_motion()));
-    }
 }
 
 /// Returns the error of an accepted motion whose outcome is unknown because the connection was lost.
 fn unanswered_motion() -> Error {
-    Error::call(FunctionId::ROBOT_MOVE, ROBOT, CallError::Disconnected)
+    unanswered(FunctionId::ROBOT_MOVE, ROBOT)
+}
+
+fn unanswered(function: FunctionId, object: &str) -> Error {
+    Error::call(function, object, CallError::Disconnected)
 }
 
 fn not_connected(reason: &str) -> Error {
