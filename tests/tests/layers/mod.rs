@@ -14,13 +14,14 @@ use graph::Arrows;
 use source::Source;
 
 /// The crates whose files are read, and their folders.
-const CRATES: [(&str, &str); 13] = [
+const CRATES: [(&str, &str); 14] = [
     ("bcap-core", "core"),
     ("bcap-gateway", "core/gateway"),
     ("bcap-std", "std-adapter"),
     ("bcap-sim", "std-adapter/sim"),
     ("bcap-capture", "std-adapter/capture"),
     ("bcap-backup", "std-adapter/backup"),
+    ("bcap-stream", "std-adapter/stream"),
     ("bcap-conform", "std-adapter/conform"),
     ("bcap-fleet", "std-adapter/fleet"),
     ("bcap-cli", "std-adapter/cli"),

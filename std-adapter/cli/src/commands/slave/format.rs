@@ -7,7 +7,7 @@ use bcap_core::slave::{
 };
 use clap::Args;
 
-use crate::failure::Failure;
+use bcap_stream::outputs::{self, OutputBits, parse_bits};
 
 /// The values that slvMove and its reply carry in addition to the pose (b-CAP specification, section 5.2).
 #[derive(Debug, Args)]
@@ -35,7 +35,7 @@ pub(crate) struct FormatArgs {
     pub(crate) hand_io: Option<i32>,
 
     /// The bits of the user IO that slvMove sets; bit 0 is the first IO of its range [default: 0]
-    #[arg(long, value_name = "BITS", value_parser = wide_bits)]
+    #[arg(long, value_name = "BITS", value_parser = parse_bits)]
     pub(crate) user_io: Option<u64>,
 
     /// The extended joints that slvMove moves: 7, 8 or 7,8
@@ -63,34 +63,15 @@ impl FormatArgs {
     }
 
     /// Checks the options of the outputs.
-    pub(crate) fn check_options(&self) -> Result<(), Failure> {
-        let [mini, hand] = [self.mini_io, self.hand_io].map(|bits| bits.map(|bits| bits.cast_unsigned().into()));
-        let checked = self.check_outputs(["--mini-io", "--user-io", "--hand-io"], [mini, self.user_io, hand]);
-        checked.map_err(Failure::Input)
+    pub(crate) fn check_options(&self) -> Result<(), String> {
+        let OutputBits { mini, user, hand } = self.outputs();
+        outputs::check(self.send_format, ["--mini-io", "--user-io", "--hand-io"], [mini, user, hand])
     }
 
-    /// Checks that slvMove carries MiniIO, user IO and HandIO, where they have a value, and that the value fits. The names say
-    /// where the values are from.
-    pub(crate) fn check_outputs(&self, names: [&str; 3], values: [Option<u64>; 3]) -> Result<(), String> {
-        let SendFormat { io, hand_io } = self.send_format;
-        let parts = [
-            ("mini", if io == SendIo::Mini { 32 } else { 0 }),
-            ("user:PORT:BYTES", if let SendIo::User(range) = io { u32::from(range.bytes()) * 8 } else { 0 }),
-            ("hand", if hand_io { 32 } else { 0 }),
-        ];
-        for (((part, bits), name), value) in parts.into_iter().zip(names).zip(values) {
-            let Some(value) = value else { continue };
-            if bits == 0 {
-                return Err(format!(
-                    "{name}: slvMove does not carry it; add {part} to --send-format, or leave {name} out"
-                ));
-            }
-            // a shift by 64 bits leaves nothing
-            if value.checked_shr(bits).unwrap_or(0) != 0 {
-                return Err(format!("{name}: {value:#x} does not fit the {bits} bits of {part} in --send-format"));
-            }
-        }
-        Ok(())
+    /// Returns the outputs of the command line.
+    pub(crate) fn outputs(&self) -> OutputBits {
+        let [mini, hand] = [self.mini_io, self.hand_io].map(|bits| bits.map(|bits| bits.cast_unsigned().into()));
+        OutputBits { mini, user: self.user_io, hand }
     }
 }
 
@@ -179,17 +160,8 @@ fn extended(text: &str) -> Result<ExtendedAxes, String> {
 
 /// Parses 32 bits.
 fn bits(text: &str) -> Result<i32, String> {
-    let bits = wide_bits(text)?;
+    let bits = parse_bits(text)?;
     u32::try_from(bits).map(u32::cast_signed).map_err(|_| format!("{text} has more than 32 bits"))
-}
-
-/// Parses bits as a number, decimal or with `0x`.
-pub(crate) fn wide_bits(text: &str) -> Result<u64, String> {
-    let number = match text.strip_prefix("0x").or_else(|| text.strip_prefix("0X")) {
-        Some(digits) => u64::from_str_radix(digits, 16),
-        None => text.parse(),
-    };
-    number.map_err(|_| "write a number, such as 48 or 0x30".into())
 }
 
 #[cfg(test)]

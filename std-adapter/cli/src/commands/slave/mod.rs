@@ -2,23 +2,18 @@
 
 pub(crate) mod args;
 mod format;
-mod line_speed;
-mod player;
-mod plot;
-mod poses;
 mod progress;
-mod received;
 mod record;
-mod report;
-mod sample;
 mod stream;
 
 use std::time::Duration;
 
 use bcap_core::slave::{ExtendedAxes, Format, Mode, Pose, PoseType, ReceivePose, SlaveMode};
-use player::Course;
-use poses::Poses;
-use sample::CYCLE;
+use bcap_std::Address;
+use bcap_stream::line_speed;
+use bcap_stream::player::Course;
+use bcap_stream::poses::Poses;
+use bcap_stream::sample::CYCLE;
 use stream::stream;
 
 use crate::commands::robot::motion::{self, MoveArgs};
@@ -46,10 +41,11 @@ fn play(args: &Play, session: &mut Session, json: bool) -> Result<(), Failure> {
     if args.approach.is_some() {
         check_can_halt("--approach", link)?;
     }
-    let poses = Poses::read(&args.file, args.stream.pose.map(PoseType::from), args.stream.format.extended, args.hz)?;
+    let poses = Poses::read(&args.file, args.stream.pose.map(PoseType::from), args.stream.format.extended, args.hz)
+        .map_err(Failure::Input)?;
     let format = checked_format(&args.stream, poses.kind, link)?;
     poses
-        .check_outputs(&args.stream.format)
+        .check_outputs(args.stream.format.send_format)
         .map_err(|problem| Failure::Input(format!("{}: {problem}", args.file.display())))?;
     let outputs = poses.each_outputs(CYCLE);
     let course = Course::Poses { poses: poses.each_cycle(CYCLE), outputs, loops: args.loops };
@@ -177,8 +173,10 @@ fn checked_format(args: &StreamArgs, kind: PoseType, link: &LinkArgs) -> Result<
     if args.plot.is_some() && !is_contained {
         return Err(Failure::Input(format!("--plot needs the type of the stream in --recv-format: write {kind:?}")));
     }
-    args.format.check_options()?;
-    line_speed::check(link, &format)?;
+    args.format.check_options().map_err(Failure::Input)?;
+    if let Address::Serial(line) = link.target()? {
+        line_speed::check(&line, &format).map_err(Failure::Input)?;
+    }
     Ok(format)
 }
 

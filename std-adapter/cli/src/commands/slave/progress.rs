@@ -1,12 +1,11 @@
 //! The monitor thread of a stream: shows the progress, stops the stream on Ctrl-C, and halts the robot on a second one.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering::Relaxed};
 use std::sync::mpsc::{self, Receiver, Sender};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-use bcap_core::time::micros;
+use bcap_stream::status::StreamStatus;
 use bcap_terminal::escape;
 use bcap_terminal::progress::{Progress, bar};
 
@@ -14,50 +13,6 @@ use crate::commands::robot::halt;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::link::LinkArgs;
-
-/// The state that the stream's thread and the monitor share.
-#[derive(Debug)]
-pub(crate) struct StreamStatus {
-    /// Set by the first Ctrl-C; the trajectory then ends.
-    stop: AtomicBool,
-    /// Set by the second Ctrl-C.
-    halted: AtomicBool,
-    sent: AtomicU32,
-    late: AtomicU32,
-    refused: AtomicU32,
-    /// The margin of the controller's buffer in microseconds; `NO_MARGIN` without a buffer.
-    margin: AtomicU32,
-}
-
-const NO_MARGIN: u32 = u32::MAX;
-
-impl StreamStatus {
-    pub(crate) fn is_stopped(&self) -> bool {
-        self.stop.load(Relaxed)
-    }
-
-    pub(crate) fn was_halted(&self) -> bool {
-        self.halted.load(Relaxed)
-    }
-
-    /// Records the progress of the stream. It is called in each cycle, so it must be short.
-    pub(crate) fn update(&self, sent: u32, late: u32, refused: u32, margin: Option<Duration>) {
-        self.sent.store(sent, Relaxed);
-        self.late.store(late, Relaxed);
-        self.refused.store(refused, Relaxed);
-        let margin = margin.map_or(NO_MARGIN, |margin| u32::try_from(micros(margin)).unwrap_or(NO_MARGIN - 1));
-        self.margin.store(margin, Relaxed);
-    }
-
-    fn message(&self) -> String {
-        let margin = match self.margin.load(Relaxed) {
-            NO_MARGIN => String::new(),
-            margin => format!("buffer {:4.1} ms, ", f64::from(margin) / 1000.0),
-        };
-        let stopping = if self.is_stopped() { "stopping, " } else { "" };
-        format!("{stopping}{margin}late {}, refused {}", self.late.load(Relaxed), self.refused.load(Relaxed))
-    }
-}
 
 /// The monitor thread of a stream.
 pub(crate) struct Monitor {
@@ -69,14 +24,7 @@ pub(crate) struct Monitor {
 impl Monitor {
     /// Starts to handle signals and to show the progress up to `cycles`.
     pub(crate) fn start(link: &LinkArgs, interrupt: Interrupt, cycles: u32) -> Result<Self, Failure> {
-        let status = Arc::new(StreamStatus {
-            stop: AtomicBool::new(false),
-            halted: AtomicBool::new(false),
-            sent: AtomicU32::new(0),
-            late: AtomicU32::new(0),
-            refused: AtomicU32::new(0),
-            margin: AtomicU32::new(NO_MARGIN),
-        });
+        let status = Arc::new(StreamStatus::default());
         let (done, ended) = mpsc::channel();
         let (link, shared) = (link.clone(), Arc::clone(&status));
         let thread = thread::Builder::new()
@@ -113,7 +61,7 @@ fn monitor(link: &LinkArgs, status: &StreamStatus, interrupt: &Interrupt, ended:
             handled += 1;
             progress.print(&signalled(link, status));
         }
-        let sent = status.sent.load(Relaxed);
+        let sent = status.sent();
         let bar = || bar(sent.into(), cycles.into());
         progress.show(|elapsed| format!("{} {sent}/{cycles} {elapsed} {}", bar(), status.message()));
         if let Err(mpsc::TryRecvError::Disconnected) = ended.try_recv() {
@@ -124,7 +72,7 @@ fn monitor(link: &LinkArgs, status: &StreamStatus, interrupt: &Interrupt, ended:
 
 /// Stops the stream at the first signal, and halts the robot at the others. Returns the line that says so.
 fn signalled(link: &LinkArgs, status: &StreamStatus) -> String {
-    let is_first = !status.stop.swap(true, Relaxed);
+    let is_first = status.stop();
     match (is_first, link.is_serial()) {
         (true, true) => "stopping: the robot slows down and the arm is released".into(),
         (true, false) => "stopping: the robot slows down and the arm is released; Ctrl-C again halts it at once".into(),
@@ -132,7 +80,7 @@ fn signalled(link: &LinkArgs, status: &StreamStatus) -> String {
             "a serial line carries one session, so nothing can halt the robot now; use the emergency stop".into()
         }
         (false, false) => {
-            status.halted.store(true, Relaxed);
+            status.set_halted();
             match halt::halt_now(link) {
                 Ok(_) => "halted".into(),
                 Err(failure) => format!("the halt failed: {}; use the emergency stop", escape::failure(&failure)),

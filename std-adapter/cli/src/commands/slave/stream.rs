@@ -10,17 +10,18 @@ use bcap_core::procedure::{
     ArmOwner, Effects, Procedure, Provider, Reclaimed, StepCause, open_robot, reclaim, release_robot,
 };
 use bcap_core::slave::{
-    AxisLimits, Cause, Config, Engine, Failure as NoReply, Fault, Format, Handles, PoseType, SendIo, Stats, StreamError,
+    AxisLimits, Cause, Config, Engine, Failure as NoReply, Fault, Format, Handles, PoseType, Stats, StreamError,
 };
 use bcap_core::time::Instant;
 use bcap_std::blocking::{self, Transport as Wire};
 use bcap_std::slave::Realtime;
 use bcap_std::{Address, ConnectError, NetworkAddress, Options, Protocol, RunError};
+use bcap_stream::player::{Course, Player};
+use bcap_stream::plot::plot;
+use bcap_stream::report::{Report, text};
+use bcap_stream::status::StreamStatus;
 
-use super::player::{Course, Player};
-use super::progress::{Monitor, StreamStatus};
-use super::received::Received;
-use super::report::{Report, text};
+use super::progress::Monitor;
 use crate::commands::slave::args::StreamArgs;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
@@ -114,14 +115,13 @@ impl Job<'_> {
         // after all other threads have started, so that they do not inherit the real-time settings
         self.realtime.apply().map_err(|error| Failure::Input(error.to_string()))?;
         let room = |wanted: bool| if wanted { course.cycles() as usize + 500 } else { 0 };
-        let received = Received::new(format.receive, room(args.format.received.is_some()));
-        let user_bytes = match format.send.io {
-            SendIo::User(range) => range.bytes().into(),
-            SendIo::None | SendIo::Mini => 0,
-        };
-        let (kind, samples) = (format.mode.pose, room(args.plot.is_some()));
         let status = Arc::clone(&monitor.status);
-        let mut player = Player::new(course, Arc::clone(&status), kind, &args.format, user_bytes, samples, received);
+        let (samples, replies) = (room(args.plot.is_some()), room(args.format.received.is_some()));
+        let mut player = Player::new(course, &format)
+            .with_outputs(args.format.outputs())
+            .with_status(Arc::clone(&status))
+            .keeping_samples(samples)
+            .keeping_replies(replies);
         let ended = run_watched(&mut motion, watch.as_mut(), engine.stream(&mut player)).map_err(|error| error.error);
         for connection in iter::once(&mut motion).chain(watch.as_mut()) {
             connection.transport().end_within(END);
@@ -143,7 +143,7 @@ impl Job<'_> {
             let _ = watch.run(release_robot(handles));
         }
         let job = Outcome { args, json, target };
-        let reported = job.report(&stats, kind, &player);
+        let reported = job.report(&stats, format.mode.pose, &player);
         job.end(ended, fault.as_ref(), &status)?;
         reported
     }
@@ -263,10 +263,11 @@ impl Outcome<'_> {
                 .map_err(|error| Failure::Input(format!("cannot write the report {}: {error}", path.display())))?;
         }
         if let Some(path) = &self.args.format.received {
-            player.received.write(path)?;
+            let written = player.received.write(path);
+            written.map_err(|error| Failure::Input(format!("cannot write {}: {error}", path.display())))?;
         }
         if let Some(path) = self.args.plot.as_ref().filter(|_| stats.cycles > 1) {
-            super::plot::plot(path, kind, &player.samples)?;
+            plot(path, kind, &player.samples).map_err(Failure::Input)?;
         }
         if self.json {
             print_json(&report)?;

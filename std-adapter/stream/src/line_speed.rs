@@ -4,10 +4,7 @@ use std::time::Duration;
 
 use bcap_core::bcap::Link;
 use bcap_core::slave::Format;
-use bcap_std::{Address, SerialLine};
-
-use crate::failure::Failure;
-use crate::link::LinkArgs;
+use bcap_std::SerialLine;
 
 /// The time in which a pose and its reply must pass the line.
 const CYCLE: Duration = Duration::from_millis(8);
@@ -16,14 +13,11 @@ const CYCLE: Duration = Duration::from_millis(8);
 const ENDS: Duration = Duration::from_millis(1);
 
 /// Refuses a serial line that cannot carry a pose and its reply in each cycle.
-pub(crate) fn check(link: &LinkArgs, format: &Format) -> Result<(), Failure> {
-    match link.target()? {
-        Address::Serial(line) => check_line(&line, format).map_err(Failure::Input),
-        _ => Ok(()),
-    }
-}
-
-fn check_line(line: &SerialLine, format: &Format) -> Result<(), String> {
+///
+/// # Errors
+///
+/// The time of a pose and its reply, and the baud rate that they need.
+pub fn check(line: &SerialLine, format: &Format) -> Result<(), String> {
     let [request, reply] = format.frame_lengths(Link::Serial).map(|bytes| u32::try_from(bytes).unwrap_or(u32::MAX));
     let bytes = request.saturating_add(reply);
     let time = line.transfer_time(bytes);
@@ -52,15 +46,15 @@ mod tests {
     fn the_line_must_carry_a_pose_and_its_reply_in_a_cycle() {
         let mode = SlaveMode { mode: Mode::Mode2, pose: PoseType::J };
         let format = Format::new(mode, ReceiveFormat::pose(ReceivePose::J));
-        let check = |baud| check_line(&SerialLine::new("/dev/ttyS0").baud(baud), &format);
-        let error = check(115_200).unwrap_err();
+        let at = |baud| check(&SerialLine::new("/dev/ttyS0").baud(baud), &format);
+        let error = at(115_200).unwrap_err();
         let part = "slvMove has 134 bytes and its reply 92, together 226 bytes of 10 bits, which are 2260 bits and take 19.6 ms at \
                     115200 baud";
         assert!(error.contains(part), "{error}");
         assert!(error.contains("The line needs 322857 baud"), "{error}");
-        assert!(check(230_400).is_err() && check(322_850).is_err());
-        assert!(check(322_860).is_ok() && check(921_600).is_ok());
+        assert!(at(230_400).is_err() && at(322_850).is_err());
+        assert!(at(322_860).is_ok() && at(921_600).is_ok());
         // a parity bit is an eleventh bit
-        assert!(check_line(&SerialLine::new("/dev/ttyS0").baud(322_860).parity(Parity::Even), &format).is_err());
+        assert!(check(&SerialLine::new("/dev/ttyS0").baud(322_860).parity(Parity::Even), &format).is_err());
     }
 }

@@ -10,10 +10,9 @@
 
 use std::path::Path;
 
-use bcap_core::slave::{Extended, ExtendedAxes, Pose, PoseType};
+use bcap_core::slave::{Extended, ExtendedAxes, Pose, PoseType, SendFormat};
 
-use crate::commands::slave::format::{FormatArgs, wide_bits};
-use crate::failure::Failure;
+use crate::outputs::{self, OutputBits, parse_bits};
 
 /// Returns the columns of the extended joints, which a J pose has among its own.
 const fn extended_columns(kind: PoseType, extended: ExtendedAxes) -> &'static [&'static str] {
@@ -35,31 +34,22 @@ const fn extended_joints(axes: ExtendedAxes, seven: f64, eight: f64) -> Option<E
     }
 }
 
-/// The outputs that a line of a file sets; `None` without their column.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct FileOutputs {
-    pub(crate) mini: Option<u64>,
-    pub(crate) user: Option<u64>,
-    pub(crate) hand: Option<u64>,
-}
-
 /// The poses of a file with their times, in seconds from the first one.
 #[derive(Debug)]
-pub(crate) struct Poses {
-    pub(crate) kind: PoseType,
+pub struct Poses {
+    /// The type of the poses.
+    pub kind: PoseType,
     extended: ExtendedAxes,
     rows: Vec<(f64, Vec<f64>)>,
     /// For each row.
-    outputs: Vec<FileOutputs>,
+    outputs: Vec<OutputBits>,
 }
 
 impl Poses {
     /// Reads a file.
-    pub(crate) fn read(path: &Path, kind: Option<PoseType>, extended: ExtendedAxes, hz: f64) -> Result<Self, Failure> {
-        let text = std::fs::read_to_string(path)
-            .map_err(|error| Failure::Input(format!("cannot read {}: {error}", path.display())))?;
-        Self::parse(&text, kind, extended, hz)
-            .map_err(|problem| Failure::Input(format!("{}: {problem}", path.display())))
+    pub fn read(path: &Path, kind: Option<PoseType>, extended: ExtendedAxes, hz: f64) -> Result<Self, String> {
+        let text = std::fs::read_to_string(path).map_err(|error| format!("cannot read {}: {error}", path.display()))?;
+        Self::parse(&text, kind, extended, hz).map_err(|problem| format!("{}: {problem}", path.display()))
     }
 
     fn parse(text: &str, kind: Option<PoseType>, extended: ExtendedAxes, hz: f64) -> Result<Self, String> {
@@ -74,7 +64,7 @@ impl Poses {
                     Layout::of(&fields, kind, extended).map_err(|problem| format!("line {line}: {problem}"))?;
                 let found = layout.insert(found);
                 if !is_header {
-                    outputs.push(FileOutputs::default());
+                    outputs.push(OutputBits::default());
                     rows.push(found.row(&fields, 0, hz).map_err(|problem| format!("line {line}: {problem}"))?);
                 }
                 continue;
@@ -101,25 +91,25 @@ impl Poses {
     }
 
     /// Checks that the format of slvMove carries the outputs of the file.
-    pub(crate) fn check_outputs(&self, format: &FormatArgs) -> Result<(), String> {
-        self.outputs.iter().try_for_each(|FileOutputs { mini, user, hand }| {
-            format.check_outputs(["column MINI", "column USER", "column HAND"], [*mini, *user, *hand])
+    pub fn check_outputs(&self, send: SendFormat) -> Result<(), String> {
+        self.outputs.iter().try_for_each(|OutputBits { mini, user, hand }| {
+            outputs::check(send, ["column MINI", "column USER", "column HAND"], [*mini, *user, *hand])
         })
     }
 
     /// Returns the first pose.
-    pub(crate) fn first(&self) -> Option<Pose> {
+    pub fn first(&self) -> Option<Pose> {
         self.rows.first().and_then(|(_, numbers)| self.pose(numbers))
     }
 
     /// Returns a pose for each cycle, from the first pose of the file to its last.
-    pub(crate) fn each_cycle(&self, cycle: f64) -> Vec<Pose> {
+    pub fn each_cycle(&self, cycle: f64) -> Vec<Pose> {
         let moments = self.moments(cycle).into_iter();
         moments.filter_map(|(row, at)| self.pose(&self.at(row, at, cycle))).collect()
     }
 
     /// Returns the outputs for each cycle.
-    pub(crate) fn each_outputs(&self, cycle: f64) -> Vec<FileOutputs> {
+    pub fn each_outputs(&self, cycle: f64) -> Vec<OutputBits> {
         let moments = self.moments(cycle).into_iter();
         moments.map(|(row, _)| self.outputs.get(row).copied().unwrap_or_default()).collect()
     }
@@ -283,16 +273,16 @@ impl Layout {
     }
 
     /// Reads the outputs of a line, which has as many fields as the first one.
-    fn outputs(&self, fields: &[&str]) -> Result<FileOutputs, String> {
+    fn outputs(&self, fields: &[&str]) -> Result<OutputBits, String> {
         let read = |column: Option<usize>| {
             let field = column.and_then(|column| fields.get(column).map(|field| (column + 1, field)));
             let bits = field.map(|(number, field)| {
-                wide_bits(field).map_err(|problem| format!("field {number}: {field:?}: {problem}"))
+                parse_bits(field).map_err(|problem| format!("field {number}: {field:?}: {problem}"))
             });
             bits.transpose()
         };
         let [mini, user, hand] = self.outputs;
-        Ok(FileOutputs { mini: read(mini)?, user: read(user)?, hand: read(hand)? })
+        Ok(OutputBits { mini: read(mini)?, user: read(user)?, hand: read(hand)? })
     }
 }
 
@@ -349,9 +339,9 @@ mod tests {
     #[test]
     fn outputs_hold_from_line_to_line() {
         let poses = parse("t,J1,MINI,HAND\n0,0,0x30000,1\n0.016,1,0,2\n").unwrap();
-        let set = |mini, hand| FileOutputs { mini: Some(mini), user: None, hand: Some(hand) };
+        let set = |mini, hand| OutputBits { mini: Some(mini), user: None, hand: Some(hand) };
         assert_eq!(poses.each_outputs(0.008), [set(0x30000, 1), set(0x30000, 1), set(0, 2)]);
-        assert_eq!(parse("1\n2\n").unwrap().each_outputs(0.008), [FileOutputs::default(); 2]);
+        assert_eq!(parse("1\n2\n").unwrap().each_outputs(0.008), [OutputBits::default(); 2]);
         assert!(parse("J1,MINI\n0,on\n").unwrap_err().contains("line 2: field 2: \"on\": write a number"));
     }
 

@@ -6,8 +6,6 @@ use std::path::Path;
 
 use bcap_core::slave::{CURRENT_LEN, MoveReply, PoseType, ReceiveFormat, ReceivePose, TimeUnit};
 
-use crate::failure::Failure;
-
 /// The most numbers of a pose in a reply.
 const POSE_MAX: usize = 18;
 
@@ -15,8 +13,8 @@ const POSE_MAX: usize = 18;
 const USER_MAX: usize = 8;
 
 /// The replies. It never grows beyond its initial capacity, so recording does not allocate.
-pub(crate) struct Received {
-    format: ReceiveFormat,
+pub struct Received {
+    pub(crate) format: ReceiveFormat,
     replies: Vec<Reply>,
 }
 
@@ -33,12 +31,12 @@ struct Reply {
 
 impl Received {
     /// Makes room for this number of replies.
-    pub(crate) fn new(format: ReceiveFormat, room: usize) -> Self {
+    pub fn new(format: ReceiveFormat, room: usize) -> Self {
         Self { format, replies: Vec::with_capacity(room) }
     }
 
     /// Records a reply that arrived at `at` seconds.
-    pub(crate) fn record(&mut self, at: f64, reply: &MoveReply<'_>) {
+    pub fn record(&mut self, at: f64, reply: &MoveReply<'_>) {
         if self.replies.len() == self.replies.capacity() {
             return;
         }
@@ -57,14 +55,11 @@ impl Received {
     }
 
     /// Writes the file.
-    pub(crate) fn write(&self, path: &Path) -> Result<(), Failure> {
-        let written = || {
-            let mut file = BufWriter::new(File::create(path)?);
-            writeln!(file, "{}", self.header().join(","))?;
-            self.replies.iter().try_for_each(|reply| writeln!(file, "{}", self.fields(reply).join(",")))?;
-            file.flush()
-        };
-        written().map_err(|error: io::Error| Failure::Input(format!("cannot write {}: {error}", path.display())))
+    pub fn write(&self, path: &Path) -> io::Result<()> {
+        let mut file = BufWriter::new(File::create(path)?);
+        writeln!(file, "{}", self.header().join(","))?;
+        self.replies.iter().try_for_each(|reply| writeln!(file, "{}", self.fields(reply).join(",")))?;
+        file.flush()
     }
 
     fn header(&self) -> Vec<String> {

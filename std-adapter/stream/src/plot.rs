@@ -8,8 +8,7 @@ use std::path::Path;
 
 use bcap_core::slave::PoseType;
 
-use super::sample::{CYCLE, Sample};
-use crate::failure::Failure;
+use crate::sample::{CYCLE, Sample};
 
 /// The colours of the plotted elements.
 const COLOURS: [&str; 3] = ["#1f77b4", "#d62728", "#2c8c3c"];
@@ -20,8 +19,8 @@ const SIZE: (f64, f64) = (1000.0, 333.0);
 const MARGINS: [f64; 4] = [76.0, 34.0, 28.0, 48.0];
 
 /// Draws a plot into a file.
-pub(crate) fn plot(path: &Path, kind: PoseType, samples: &[Sample]) -> Result<(), Failure> {
-    let failed = |error: &dyn std::fmt::Display| Failure::Input(format!("cannot draw {}: {error}", path.display()));
+pub fn plot(path: &Path, kind: PoseType, samples: &[Sample]) -> Result<(), String> {
+    let failed = |error: &dyn std::fmt::Display| format!("cannot draw {}: {error}", path.display());
     if samples.len() < 2 {
         return Err(failed(&"a plot needs at least two cycles"));
     }

@@ -1,15 +1,15 @@
 //! One cycle of a stream, as it is recorded for the plot.
 
 /// The cycle of a controller, in seconds.
-pub(crate) const CYCLE: f64 = 0.008;
+pub const CYCLE: f64 = 0.008;
 
 /// The poses of one cycle.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Sample {
+pub struct Sample {
     /// The time of the answer, in seconds since the first one.
-    pub(crate) at: f64,
+    pub at: f64,
     /// The pose that was commanded.
-    pub(crate) commanded: [f64; 10],
+    pub commanded: [f64; 10],
     /// The pose that was answered.
-    pub(crate) actual: [f64; 10],
+    pub actual: [f64; 10],
 }

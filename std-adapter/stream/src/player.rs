@@ -2,24 +2,23 @@
 
 use std::sync::Arc;
 
-use bcap_core::slave::{AxisLimits, Cycle, MoveReply, Next, Outputs, Pose, PoseType, Trajectory};
+use bcap_core::slave::{AxisLimits, Cycle, Format, MoveReply, Next, Outputs, Pose, PoseType, SendIo, Trajectory};
 use bcap_core::time::Instant;
 
-use super::poses::FileOutputs;
-use super::progress::StreamStatus;
-use super::received::Received;
-use super::report::StreamTimes;
-use super::sample::{CYCLE, Sample};
-use crate::commands::slave::format::FormatArgs;
+use crate::outputs::OutputBits;
+use crate::received::Received;
+use crate::report::StreamTimes;
+use crate::sample::{CYCLE, Sample};
+use crate::status::StreamStatus;
 
 /// The path of the robot.
-pub(crate) enum Course {
+pub enum Course {
     /// A sequence of poses, played `loops` times.
     Poses {
         /// One pose per cycle.
         poses: Vec<Pose>,
         /// The outputs of each cycle.
-        outputs: Vec<FileOutputs>,
+        outputs: Vec<OutputBits>,
         /// The number of repetitions.
         loops: u32,
     },
@@ -34,7 +33,7 @@ pub(crate) enum Course {
 
 impl Course {
     /// Returns the number of cycles.
-    pub(crate) fn cycles(&self) -> u32 {
+    pub fn cycles(&self) -> u32 {
         match self {
             Self::Poses { poses, loops, .. } => u32::try_from(poses.len()).unwrap_or(u32::MAX).saturating_mul(*loops),
             Self::Cosine { cycles, .. } => *cycles,
@@ -43,7 +42,7 @@ impl Course {
 
     /// Checks all poses against limits, from rest at the first pose, as they are checked again before each is sent. The error is
     /// a sentence with the number of the pose, counted from 0.
-    pub(crate) fn check(&self, limits: &AxisLimits) -> Result<(), String> {
+    pub fn check(&self, limits: &AxisLimits) -> Result<(), String> {
         let Self::Poses { poses, loops, .. } = self else { return Ok(()) };
         // the step from the last pose to the first one is the same in every loop
         let rounds = usize::try_from(*loops).unwrap_or(usize::MAX).min(2);
@@ -73,17 +72,17 @@ impl Course {
     }
 
     /// Returns the outputs that the file has for a cycle.
-    fn outputs(&self, number: u32) -> FileOutputs {
+    fn outputs(&self, number: u32) -> OutputBits {
         match self {
             Self::Poses { outputs, .. } => {
                 outputs.get(number as usize % outputs.len().max(1)).copied().unwrap_or_default()
             }
-            Self::Cosine { .. } => FileOutputs::default(),
+            Self::Cosine { .. } => OutputBits::default(),
         }
     }
 
     /// Returns the pose where the stream starts; `None` for the current pose.
-    pub(crate) fn start(&self) -> Option<Pose> {
+    pub fn start(&self) -> Option<Pose> {
         match self {
             Self::Poses { poses, .. } => poses.first().copied(),
             Self::Cosine { .. } => None,
@@ -102,18 +101,18 @@ struct NextOutputs {
 }
 
 impl NextOutputs {
-    /// Returns the outputs of the command line.
-    fn new(args: &FormatArgs, user_bytes: usize) -> Self {
+    /// Returns the outputs at the start.
+    fn new(bits: OutputBits, user_bytes: usize) -> Self {
         Self {
-            mini: args.mini_io.unwrap_or(0),
-            hand: args.hand_io.unwrap_or(0),
-            user: args.user_io.unwrap_or(0).to_le_bytes(),
+            mini: low(bits.mini.unwrap_or(0)),
+            hand: low(bits.hand.unwrap_or(0)),
+            user: bits.user.unwrap_or(0).to_le_bytes(),
             user_bytes,
         }
     }
 
     /// Changes the outputs that the file sets.
-    fn change(&mut self, file: FileOutputs) {
+    fn change(&mut self, file: OutputBits) {
         if let Some(mini) = file.mini {
             self.mini = low(mini);
         }
@@ -132,42 +131,65 @@ fn low(bits: u64) -> i32 {
 }
 
 /// The trajectory of a running stream.
-pub(crate) struct Player {
+pub struct Player {
     course: Course,
     status: Arc<StreamStatus>,
     kind: PoseType,
     outputs: NextOutputs,
     commanded: [f64; 10],
     began: Option<Instant>,
-    pub(crate) times: StreamTimes,
+    /// The round trips and the jitter.
+    pub times: StreamTimes,
     /// The cycles for the plot. It never grows beyond its initial capacity, so recording does not allocate.
-    pub(crate) samples: Vec<Sample>,
+    pub samples: Vec<Sample>,
     /// The replies for the file, which does not allocate either.
-    pub(crate) received: Received,
+    pub received: Received,
 }
 
 impl Player {
-    /// Makes the trajectory. `samples` is the number of cycles to keep for the plot.
-    pub(crate) fn new(
-        course: Course,
-        status: Arc<StreamStatus>,
-        kind: PoseType,
-        args: &FormatArgs,
-        user_bytes: usize,
-        samples: usize,
-        received: Received,
-    ) -> Self {
+    /// Makes the trajectory of a stream with this format. It sets no outputs, and keeps no cycles and no replies.
+    #[must_use]
+    pub fn new(course: Course, format: &Format) -> Self {
+        let user_bytes = match format.send.io {
+            SendIo::User(range) => range.bytes().into(),
+            SendIo::None | SendIo::Mini => 0,
+        };
         Self {
             course,
-            status,
-            kind,
-            outputs: NextOutputs::new(args, user_bytes),
+            status: Arc::default(),
+            kind: format.mode.pose,
+            outputs: NextOutputs::new(OutputBits::default(), user_bytes),
             commanded: [0.0; 10],
             began: None,
-            times: StreamTimes::new(),
-            samples: Vec::with_capacity(samples),
-            received,
+            times: StreamTimes::default(),
+            samples: Vec::new(),
+            received: Received::new(format.receive, 0),
         }
+    }
+
+    /// Begins with these outputs.
+    #[must_use]
+    pub fn with_outputs(mut self, bits: OutputBits) -> Self {
+        self.outputs = NextOutputs::new(bits, self.outputs.user_bytes);
+        self
+    }
+
+    /// Reports the progress there, and stops when it says so.
+    #[must_use]
+    pub fn with_status(self, status: Arc<StreamStatus>) -> Self {
+        Self { status, ..self }
+    }
+
+    /// Keeps this number of cycles for a plot.
+    #[must_use]
+    pub fn keeping_samples(self, count: usize) -> Self {
+        Self { samples: Vec::with_capacity(count), ..self }
+    }
+
+    /// Keeps this number of replies for a file.
+    #[must_use]
+    pub fn keeping_replies(self, count: usize) -> Self {
+        Self { received: Received::new(self.received.format, count), ..self }
     }
 }
 

@@ -7,19 +7,15 @@ use bcap_core::slave::Stats;
 use serde::Serialize;
 
 /// The round trips and the jitter of a stream.
-#[derive(Clone, Debug)]
-pub(crate) struct StreamTimes {
+#[derive(Clone, Debug, Default)]
+pub struct StreamTimes {
     rtt: Times,
     jitter: Times,
 }
 
 impl StreamTimes {
-    pub(crate) fn new() -> Self {
-        Self { rtt: Times::new(), jitter: Times::new() }
-    }
-
     /// Records the times of the last cycle.
-    pub(crate) fn follow(&mut self, stats: &Stats) {
+    pub fn follow(&mut self, stats: &Stats) {
         self.rtt.follow(&stats.rtt);
         self.jitter.follow(&stats.jitter);
     }
@@ -27,7 +23,7 @@ impl StreamTimes {
 
 /// The statistics of a stream; times in microseconds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub(crate) struct Report {
+pub struct Report {
     cycles: u32,
     late: u32,
     underflows: u32,
@@ -51,7 +47,8 @@ impl Quantiles {
 }
 
 impl Report {
-    pub(crate) fn of(stats: &Stats, times: &StreamTimes) -> Self {
+    /// Creates the report of a stream that has ended.
+    pub fn of(stats: &Stats, times: &StreamTimes) -> Self {
         Self {
             cycles: stats.cycles,
             late: stats.late,
@@ -62,13 +59,14 @@ impl Report {
         }
     }
 
-    pub(crate) fn to_json(self) -> String {
+    /// Formats the report as a line of JSON.
+    pub fn to_json(self) -> String {
         serde_json::to_string(&self).unwrap_or_default()
     }
 }
 
 /// Formats the statistics as text.
-pub(crate) fn text(stats: &Stats, times: &StreamTimes) -> String {
+pub fn text(stats: &Stats, times: &StreamTimes) -> String {
     let report = Report::of(stats, times);
     let mut out = String::new();
     let seconds = f64::from(stats.cycles) * 0.008;
@@ -114,7 +112,7 @@ mod tests {
     fn stream() -> (Stats, StreamTimes) {
         let mut stats = Stats::default();
         (stats.cycles, stats.late, stats.refused, stats.underflows) = (1000, 2, 3, 1);
-        let mut times = StreamTimes::new();
+        let mut times = StreamTimes::default();
         (0..1000).for_each(|n| times.rtt.record(if n < 990 { 100 + n / 200 } else { 200 + n - 990 }));
         times.jitter.record(5);
         times.jitter.record(70);
