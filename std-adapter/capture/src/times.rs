@@ -1,55 +1,44 @@
 //! Histograms of times with three significant digits, for reports.
 //!
-//! The core's histogram has few buckets, so p50, p99 and the maximum of a narrow distribution are equal there. A host has
-//! the memory for an HDR histogram, which allocates once and never while it records.
+//! The histograms of a stream have few buckets, so p50, p99 and the maximum of a narrow distribution are equal there. A host has
+//! the memory for 1,024 buckets for each power of two.
 
-use hdrhistogram::Histogram;
+/// The longest time that has a bucket, in microseconds.
+const LONGEST: u32 = 10_000_000;
 
-/// Times in microseconds, from 1 us to 10 s; longer ones count as 10 s, except in [`max`](Self::max).
-#[derive(Clone, Debug)]
+/// The buckets: 1,024 for each power of two up to [`LONGEST`].
+type Histogram = bcap_core::histogram::Histogram<1024, { 15 * 1024 }>;
+
+/// Times in microseconds, up to 10 s; longer ones count as 10 s, except in [`max`](Self::max).
+#[derive(Clone, Debug, Default)]
 pub struct Times {
-    histogram: Histogram<u32>,
+    histogram: Box<Histogram>,
     max: u64,
-}
-
-impl Default for Times {
-    fn default() -> Self {
-        Self::new()
-    }
 }
 
 impl Times {
     /// No times.
     #[must_use]
     pub fn new() -> Self {
-        const LONGEST: u64 = 10_000_000;
-        const DIGITS: u8 = 3;
-        let histogram = Histogram::new_with_bounds(1, LONGEST, DIGITS).expect("the bounds are valid");
-        Self { histogram, max: 0 }
+        Self::default()
     }
 
     /// Adds a time.
     pub fn record(&mut self, micros: u64) {
-        self.record_n(micros, 1);
-    }
-
-    fn record_n(&mut self, micros: u64, count: u32) {
-        self.histogram.saturating_record_n(micros, count);
+        self.histogram.record(u32::try_from(micros).unwrap_or(u32::MAX).min(LONGEST));
         self.max = self.max.max(micros);
     }
 
     /// Follows the core's histogram `counted`: records its last time once for each count since the last call.
     pub fn follow<const SUB: usize, const N: usize>(&mut self, counted: &bcap_core::histogram::Histogram<SUB, N>) {
-        let new = u64::from(counted.count()).saturating_sub(self.histogram.len());
-        if let Ok(new @ 1..) = u32::try_from(new) {
-            self.record_n(counted.last().into(), new);
-        }
+        let new = counted.count().saturating_sub(self.histogram.count());
+        (0..new).for_each(|_| self.record(counted.last().into()));
     }
 
-    /// Returns a quantile: the time that this share of all times does not exceed. 0.5 is the median.
+    /// Returns a quantile in per mille: the time that this share of all times does not exceed. 500 is the median.
     #[must_use]
-    pub fn quantile(&self, share: f64) -> u64 {
-        self.histogram.value_at_quantile(share).min(self.max)
+    pub fn quantile(&self, permille: u32) -> u64 {
+        self.histogram.quantile(permille).into()
     }
 
     /// Returns the longest time.
@@ -58,10 +47,11 @@ impl Times {
         self.max
     }
 
-    /// Returns how many times are in `from..=to`.
+    /// Returns how many times are in `from..=to`, where `from` and `to + 1` are powers of two.
     #[must_use]
     pub fn count_between(&self, from: u64, to: u64) -> u64 {
-        self.histogram.count_between(from, to)
+        let within = self.histogram.iter().filter(|(upper, _)| (from..=to).contains(&u64::from(*upper)));
+        within.map(|(_, count)| u64::from(count)).sum()
     }
 }
 
@@ -78,16 +68,16 @@ mod tests {
             times.follow(&counted);
         }
         assert_eq!([counted.quantile(500), counted.quantile(990), counted.max()], [143, 146, 146]);
-        assert_eq!([times.quantile(0.5), times.quantile(0.99), times.max()], [142, 144, 146]);
+        assert_eq!([times.quantile(500), times.quantile(990), times.max()], [142, 144, 146]);
     }
 
     #[test]
     fn a_time_above_the_bounds_is_exact_in_the_maximum() {
         let mut times = Times::new();
-        assert_eq!((times.quantile(0.5), times.max()), (0, 0));
+        assert_eq!((times.quantile(500), times.max()), (0, 0));
         times.record(0);
         times.record(20_000_000);
-        assert_eq!((times.quantile(0.5), times.max()), (0, 20_000_000));
-        assert_eq!(times.quantile(1.0), 10_002_431);
+        assert_eq!((times.quantile(500), times.max()), (0, 20_000_000));
+        assert_eq!(times.quantile(1000), 10_000_000);
     }
 }

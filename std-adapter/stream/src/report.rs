@@ -42,7 +42,7 @@ struct Quantiles {
 
 impl Quantiles {
     fn of(times: &Times) -> Self {
-        Self { p50: times.quantile(0.5), p99: times.quantile(0.99), p999: times.quantile(0.999), max: times.max() }
+        Self { p50: times.quantile(500), p99: times.quantile(990), p999: times.quantile(999), max: times.max() }
     }
 }
 

@@ -14,7 +14,7 @@ use graph::Arrows;
 use source::Source;
 
 /// The crates whose files are read, and their folders.
-const CRATES: [(&str, &str); 14] = [
+const CRATES: [(&str, &str); 15] = [
     ("bcap-core", "core"),
     ("bcap-gateway", "core/gateway"),
     ("bcap-std", "std-adapter"),
@@ -22,6 +22,7 @@ const CRATES: [(&str, &str); 14] = [
     ("bcap-capture", "std-adapter/capture"),
     ("bcap-backup", "std-adapter/backup"),
     ("bcap-stream", "std-adapter/stream"),
+    ("bcap-service", "std-adapter/service"),
     ("bcap-conform", "std-adapter/conform"),
     ("bcap-fleet", "std-adapter/fleet"),
     ("bcap-cli", "std-adapter/cli"),

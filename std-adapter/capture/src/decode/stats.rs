@@ -111,7 +111,7 @@ fn millis(micros: u64) -> String {
 
 /// Returns p50, p99 and the maximum in microseconds.
 fn quantiles(times: &Times) -> [u64; 3] {
-    [times.quantile(0.5), times.quantile(0.99), times.max()]
+    [times.quantile(500), times.quantile(990), times.max()]
 }
 
 impl Figures {

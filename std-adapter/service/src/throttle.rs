@@ -20,7 +20,7 @@ const PURGE: Duration = Duration::from_secs(1);
 
 /// Decides which lines are written, and counts the others.
 #[derive(Debug)]
-pub(super) struct Throttle {
+pub(crate) struct Throttle {
     /// Lines a second for each address; 0 writes all.
     rate: u32,
     /// `None` is the bucket that other addresses share.
@@ -41,19 +41,19 @@ struct Bucket {
 
 /// Lines of a client that were not written.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) struct Suppressed {
+pub(crate) struct Suppressed {
     /// `None` for clients that share a bucket.
-    pub(super) client: Option<IpAddr>,
-    pub(super) lines: u64,
+    pub(crate) client: Option<IpAddr>,
+    pub(crate) lines: u64,
 }
 
 impl Throttle {
-    pub(super) fn new(rate: u32) -> Self {
+    pub(crate) fn new(rate: u32) -> Self {
         Self { rate, buckets: HashMap::new(), report_at: None, purge_at: Instant::ZERO }
     }
 
     /// Takes a token of a client. Without a token it counts a suppressed line and returns `false`.
-    pub(super) fn admits(&mut self, client: IpAddr, now: Instant) -> bool {
+    pub(crate) fn admits(&mut self, client: IpAddr, now: Instant) -> bool {
         let Some(interval) = Duration::from_secs(1).checked_div(self.rate) else { return true };
         let ahead = interval.saturating_mul(self.rate.saturating_mul(BURST).saturating_sub(1));
         let key = self.key(client.to_canonical(), now);
@@ -81,7 +81,7 @@ impl Throttle {
     }
 
     /// Returns the counts whose interval has ended.
-    pub(super) fn take_expired(&mut self, now: Instant) -> Vec<Suppressed> {
+    pub(crate) fn take_expired(&mut self, now: Instant) -> Vec<Suppressed> {
         match self.report_at {
             Some(at) if at <= now => self.take(),
             _ => Vec::new(),
@@ -89,7 +89,7 @@ impl Throttle {
     }
 
     /// Returns all counts and resets them.
-    pub(super) fn take(&mut self) -> Vec<Suppressed> {
+    pub(crate) fn take(&mut self) -> Vec<Suppressed> {
         self.report_at = None;
         let counted = self.buckets.iter_mut().filter(|(_, bucket)| bucket.suppressed > 0);
         counted

@@ -9,7 +9,7 @@ use bcap_terminal::escape;
 
 /// A file of bounded size, and its predecessors.
 #[derive(Debug)]
-pub(super) struct Rotating {
+pub(crate) struct Rotating {
     path: PathBuf,
     file: File,
     /// Bytes in the file.
@@ -22,7 +22,7 @@ pub(super) struct Rotating {
 
 impl Rotating {
     /// Opens the file to append to it. A file that is not regular, such as a device or a FIFO, is not rotated.
-    pub(super) fn open(path: &Path, max: u64, keep: u32) -> io::Result<Self> {
+    pub(crate) fn open(path: &Path, max: u64, keep: u32) -> io::Result<Self> {
         let file = append(path)?;
         let metadata = file.metadata()?;
         let max = if metadata.is_file() { max } else { 0 };

@@ -31,30 +31,32 @@ use bcap_gateway::modbus::{Entry as ModbusEntry, EntryError, Table};
 use bcap_gateway::{Allow, AllowBuf, Bounds, Network, Rate, RuleErrorKind, Rules};
 use serde::Deserialize;
 
-use crate::failure::Failure;
-
 /// The files that a gateway reads at its start. They live as long as the command.
 #[derive(Debug, PartialEq)]
-pub(crate) struct Setup {
-    pub(crate) rules: Rules<'static>,
+pub struct Setup {
+    /// The rules.
+    pub rules: Rules<'static>,
     /// The map of Modbus.
-    pub(crate) map: Vec<ModbusEntry>,
+    pub map: Vec<ModbusEntry>,
 }
 
 impl Setup {
     /// Reads a file, and adds the rules of the command line.
-    pub(crate) fn read(
+    ///
+    /// # Errors
+    ///
+    /// The fault, with the file and its line or with the rule.
+    pub fn read(
         file: Option<&Path>,
         clients: &[Network],
         allow_put: &[AllowPut],
         more: &[ModbusEntry],
-    ) -> Result<Self, Failure> {
+    ) -> Result<Self, String> {
         let mut setup = match file {
             Some(path) => {
                 let text = fs::read_to_string(path)
-                    .map_err(|error| Failure::Input(format!("cannot read the rules in {}: {error}", path.display())))?;
-                Self::parse(&text)
-                    .map_err(|error| Failure::Input(format!("the rules in {}: {error}", path.display())))?
+                    .map_err(|error| format!("cannot read the rules in {}: {error}", path.display()))?;
+                Self::parse(&text).map_err(|error| format!("the rules in {}: {error}", path.display()))?
             }
             None => Self { rules: Rules::READ_ONLY, map: Vec::new() },
         };
@@ -63,7 +65,7 @@ impl Setup {
         setup.rules.put = Vec::leak(setup.rules.put.iter().copied().chain(put).collect());
         setup.map.extend(more);
         match overlap(&setup.map) {
-            Some(error) => Err(Failure::Input(error)),
+            Some(error) => Err(error),
             None => Ok(setup),
         }
     }
@@ -93,7 +95,11 @@ impl Setup {
 }
 
 /// Parses a network of clients, such as `10.0.0.0/24`, or the address of one client.
-pub(crate) fn network(text: &str) -> Result<Network, String> {
+///
+/// # Errors
+///
+/// The text, and the forms of a network.
+pub fn network(text: &str) -> Result<Network, String> {
     let network = Network::parse(text);
     network.ok_or_else(|| format!("{text:?}: invalid network: expected an IPv4 ADDRESS[/PREFIX], such as 10.0.0.0/24"))
 }
@@ -119,14 +125,14 @@ fn overlap(map: &[ModbusEntry]) -> Option<String> {
 
 /// One use of `--allow-put`: rules in the grammar of [`AllowBuf`], separated by commas.
 #[derive(Clone, Debug)]
-pub(crate) struct AllowPut(Vec<AllowBuf>);
+pub struct AllowPut(Vec<AllowBuf>);
 
 impl AllowPut {
     /// Parses rules, such as `I/0-99,IO/128=0..1` or `V/7=0..1,-5..5`.
     ///
     /// A comma also separates the ranges of one rule. A rule begins with a letter; a range does not, because its minimum
     /// is a finite number.
-    pub(crate) fn parse(text: &str) -> Result<Self, String> {
+    pub fn parse(text: &str) -> Result<Self, String> {
         let begins_range = |first: char| first.is_ascii_digit() || "-+.".contains(first);
         let commas = text.match_indices(',').map(|(comma, _)| comma);
         let commas = commas.filter(|comma| !text[comma + 1..].starts_with(begins_range));
@@ -234,7 +240,7 @@ mod tests {
 
     #[test]
     fn the_rules_of_the_package_allow_no_write_until_a_line_is_uncommented() {
-        let file = include_str!("../../../packaging/gateway.toml");
+        let file = include_str!("../../cli/packaging/gateway.toml");
         let rules = Setup::parse(file).unwrap().rules;
         assert_eq!((rules.put.len(), rules.get.len()), (0, Allow::EVERYTHING.len()));
         let rules =

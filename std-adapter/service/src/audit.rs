@@ -34,9 +34,8 @@ use bcap_std::now;
 use bcap_terminal::escape;
 use serde::Serialize;
 
-use super::rotate::Rotating;
-use super::throttle::{Suppressed, Throttle};
-use crate::failure::Failure;
+use crate::rotate::Rotating;
+use crate::throttle::{Suppressed, Throttle};
 
 /// The most lines that wait for the writer.
 const BACKLOG: usize = 4096;
@@ -114,8 +113,8 @@ impl Total {
         Self {
             count: tally.count(),
             mean_us: micros(tally.mean()),
-            p50_us: times.quantile(0.5),
-            p99_us: times.quantile(0.99),
+            p50_us: times.quantile(500),
+            p99_us: times.quantile(990),
             max_us: times.max(),
         }
     }
@@ -136,7 +135,7 @@ fn micros(time: Duration) -> u64 {
 
 /// A line of the log.
 #[derive(Serialize)]
-struct Line<'a> {
+struct LogLine<'a> {
     time: String,
     #[serde(flatten)]
     record: &'a Record,
@@ -144,18 +143,18 @@ struct Line<'a> {
 
 /// The limits of an audit log.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Bounds {
+pub struct Bounds {
     /// Lines a second of one IP address; 0 writes all.
-    pub(super) rate: u32,
+    pub rate: u32,
     /// The most bytes of a file; 0 for any size.
-    pub(super) size: u64,
+    pub size: u64,
     /// The number of old files to keep.
-    pub(super) keep: u32,
+    pub keep: u32,
 }
 
 /// An audit log.
 #[derive(Debug)]
-pub(super) struct Audit {
+pub struct Audit {
     /// The robot's address.
     robot: String,
     lines: SyncSender<String>,
@@ -169,12 +168,18 @@ pub(super) struct Audit {
 
 impl Audit {
     /// Opens the log: `-` is the standard output, a file is appended to.
-    pub(super) fn open(path: &Path, robot: String, bounds: Bounds) -> Result<Self, Failure> {
+    ///
+    /// # Errors
+    ///
+    /// When the file cannot be opened, or the thread that writes cannot be started.
+    pub fn open(path: &Path, robot: String, bounds: Bounds) -> io::Result<Self> {
         let output: Box<dyn Write + Send> = if path == Path::new("-") {
             Box::new(io::stdout())
         } else {
             let file = Rotating::open(path, bounds.size, bounds.keep);
-            Box::new(file.map_err(|error| Failure::Input(format!("cannot write to {}: {error}", path.display())))?)
+            let failed =
+                |error: io::Error| io::Error::new(error.kind(), format!("cannot write to {}: {error}", path.display()));
+            Box::new(file.map_err(failed)?)
         };
         let (lines, waiting) = sync_channel(BACKLOG);
         let writer = thread::Builder::new().name("audit".into()).spawn(move || write(output, &waiting))?;
@@ -186,7 +191,7 @@ impl Audit {
     }
 
     /// Writes a report of the gateway, unless its client has exceeded its rate.
-    pub(super) fn log(&mut self, report: &Report<'_>) {
+    pub fn log(&mut self, report: &Report<'_>) {
         match *report {
             Report::Connected { client } => self.log_client(client, |client| Record::Connected { client }),
             Report::Denied { client, reason } => {
@@ -249,7 +254,7 @@ impl Audit {
     }
 
     /// Writes the counts of suppressed lines whose interval has ended.
-    pub(super) fn report_suppressed(&mut self) {
+    pub fn report_suppressed(&mut self) {
         let counts = self.throttle.take_expired(now());
         self.write_suppressed(counts);
     }
@@ -276,7 +281,7 @@ impl Audit {
     }
 
     /// Writes the totals and waits for the writer.
-    pub(super) fn close(mut self, counters: &Counters) {
+    pub fn close(mut self, counters: &Counters) {
         let suppressed = self.throttle.take();
         self.write_suppressed(suppressed);
         let totals = Totals {
@@ -320,7 +325,7 @@ fn write(mut output: impl Write, lines: &Receiver<String>) {
 
 fn text(record: &Record) -> String {
     // strings and numbers have no way to fail
-    escape::json(&serde_json::to_string(&Line { time: time(), record }).unwrap_or_default())
+    escape::json(&serde_json::to_string(&LogLine { time: time(), record }).unwrap_or_default())
 }
 
 /// Returns the time of day in UTC, as `2026-11-21T08:05:00.000Z`.
@@ -372,7 +377,7 @@ mod tests {
     fn a_line_has_time_client_request_and_result() {
         let answer = Answer::new("10.0.0.2:40000".into(), b"GET:RC8:1:I:\xff", HResult::E_ACCESSDENIED);
         let record = Record::Refused(answer.because("not today".into()));
-        let line = serde_json::to_string(&Line { time: time(), record: &record }).unwrap();
+        let line = serde_json::to_string(&LogLine { time: time(), record: &record }).unwrap();
         let (time, rest) = line.split_at(r#"{"time":"2026-11-21T08:05:00.000Z","#.len());
         assert!(time.starts_with(r#"{"time":"20"#) && time.ends_with(r#"Z","#), "{line}");
         let expected = "\"event\":\"refused\",\"client\":\"10.0.0.2:40000\",\"line\":\"GET:RC8:1:I:\u{fffd}\",\

@@ -2,11 +2,6 @@
 //!
 //! [`bcap_std::gateway`] drives it. This module turns arguments into its configuration and its reports into the log.
 
-mod audit;
-mod rotate;
-mod rules;
-mod throttle;
-
 use std::convert::Infallible;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -18,6 +13,8 @@ use bcap_capture::record::{Ends, Recorder, Recording};
 use bcap_core::bcap::client;
 use bcap_gateway::modbus::Entry;
 use bcap_gateway::{Config, Memory, Network, Rules};
+use bcap_service::audit::{Audit, Bounds};
+use bcap_service::rules::{AllowPut, Setup, network};
 use bcap_std::Protocol;
 use bcap_std::gateway::{Driver, Limits, Moved, Report, Traffic};
 use bcap_terminal::signal;
@@ -25,8 +22,6 @@ use clap::Args;
 use tokio::net::TcpListener;
 use tokio::time::sleep;
 
-use self::audit::{Audit, Bounds};
-use crate::commands::gateway::rules::{AllowPut, Setup, network};
 use crate::failure::Failure;
 use crate::link::LinkArgs;
 use crate::listen::{runtime, taken};
@@ -139,7 +134,8 @@ const REPORT: Duration = Duration::from_secs(1);
 pub(crate) fn gateway(args: &Gateway, link: &LinkArgs) -> Result<(), Failure> {
     let target = link.network_target()?;
     let more: Vec<Entry> = args.register.iter().chain(&args.coil).copied().collect();
-    let Setup { rules, map } = Setup::read(args.rules.as_deref(), &args.clients, &args.allow_put, &more)?;
+    let Setup { rules, map } =
+        Setup::read(args.rules.as_deref(), &args.clients, &args.allow_put, &more).map_err(Failure::Input)?;
     if args.modbus.is_some() && map.is_empty() {
         let hint = "--register 100=I/10-19, --coil 0=IO/128-143, or the same in --rules";
         return Err(Failure::Input(format!("--modbus needs a map of registers or coils: {hint}")));
@@ -153,7 +149,8 @@ pub(crate) fn gateway(args: &Gateway, link: &LinkArgs) -> Result<(), Failure> {
         size: u64::from(args.audit_size).saturating_mul(1 << 20),
         keep: args.audit_keep,
     };
-    let audit = Arc::new(Mutex::new(Audit::open(&args.audit, target.to_string(), bounds)?));
+    let audit = Audit::open(&args.audit, target.to_string(), bounds);
+    let audit = Arc::new(Mutex::new(audit.map_err(|error| Failure::Input(error.to_string()))?));
     let recording = link.write.as_deref().map(|file| Recording::start(Some(file), |_| {})).transpose()?;
     let recorder = recording.as_ref().map(|recording| recording.recorder().clone());
     let counters = runtime()?.block_on(async {
