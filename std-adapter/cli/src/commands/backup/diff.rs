@@ -12,7 +12,7 @@ use bcap_backup::folder;
 
 use super::controller;
 use crate::failure::Failure;
-use crate::output::{print_json, print_line};
+use crate::output::print;
 use crate::session::{Session, with_session};
 use bcap_capture::value::named::Entry;
 
@@ -96,10 +96,6 @@ fn read(word: &str, session: &mut Session) -> Result<Contents, Failure> {
         Some((scheme, _)) if is_address(scheme) => with_session(&session.link().at(word), controller::contents),
         _ => Ok(folder::load(Path::new(word))?),
     }
-}
-
-fn print(line: &str, json: bool) -> Result<(), Failure> {
-    Ok(if json { print_json(line) } else { print_line(line) }?)
 }
 
 fn variable_line(Difference { name, a, b }: &Difference<String, &Entry>) -> String {

@@ -4,9 +4,10 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use bcap_sim::{ArmProfile, Profile, Token};
+use bcap_sim::{ArmProfile, Mode, Profile, Token};
 use bcap_std::{Address, SerialLine};
 use clap::Args;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 
 /// Runs a virtual controller on real sockets
 ///
@@ -89,8 +90,8 @@ pub(crate) struct Sim {
     pub(crate) robot_type: Option<String>,
 
     /// The operation mode at the start
-    #[arg(long, value_name = "MODE", default_value = "auto")]
-    pub(crate) mode: OperationMode,
+    #[arg(long, value_name = "MODE", default_value = "auto", value_parser = mode())]
+    pub(crate) mode: Mode,
 
     /// The holder of the executable token: any client, the teach pendant, or the clients of one IP address
     ///
@@ -215,22 +216,13 @@ impl FromStr for ArmSource {
     }
 }
 
-/// An operation mode.
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-pub(crate) enum OperationMode {
-    Manual,
-    TeachCheck,
-    Auto,
-}
-
-impl From<OperationMode> for bcap_sim::Mode {
-    fn from(mode: OperationMode) -> Self {
-        match mode {
-            OperationMode::Manual => Self::Manual,
-            OperationMode::TeachCheck => Self::TeachCheck,
-            OperationMode::Auto => Self::Auto,
-        }
-    }
+/// Parses an operation mode.
+fn mode() -> impl TypedValueParser<Value = Mode> {
+    PossibleValuesParser::new(["manual", "teach-check", "auto"]).map(|mode| match mode.as_str() {
+        "manual" => Mode::Manual,
+        "teach-check" => Mode::TeachCheck,
+        _ => Mode::Auto,
+    })
 }
 
 /// Parses the holder of the executable token.

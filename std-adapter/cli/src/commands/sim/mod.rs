@@ -74,7 +74,7 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
             return Err(Failure::Input(format!("--files {}: the folder does not exist", files.display())));
         }
         let mut config = Config { files: Some(files.to_owned()), file_work: file_worker()?, ..config(model) };
-        (config.mode, config.token) = (args.mode.into(), args.token);
+        (config.mode, config.token) = (args.mode, args.token);
         config.lenient = args.lenient;
         config.as_observed = args.as_observed;
         if args.explain || args.lenient {

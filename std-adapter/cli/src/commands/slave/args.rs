@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 
 use bcap_core::slave::{Mode, PoseType};
-use clap::{Args, Subcommand, ValueEnum};
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use clap::{Args, Subcommand};
 
 use super::format::FormatArgs;
 
@@ -114,8 +115,8 @@ pub(crate) struct Record {
     pub(crate) file: PathBuf,
 
     /// The pose type: joints, position, or homogeneous transform
-    #[arg(long = "type", value_name = "TYPE", default_value = "J")]
-    pub(crate) pose: PoseArg,
+    #[arg(long = "type", value_name = "TYPE", default_value = "J", value_parser = pose())]
+    pub(crate) pose: PoseType,
 
     /// The poses per second
     #[arg(long, default_value_t = 125.0, value_parser = positive)]
@@ -130,12 +131,12 @@ pub(crate) struct Record {
 #[derive(Debug, Args)]
 pub(crate) struct StreamArgs {
     /// How the controller accepts poses: 0 fills a buffer of 3, 1 overwrites the last pose, 2 answers when there is room
-    #[arg(long, value_name = "MODE", default_value = "2")]
-    pub(crate) mode: ModeArg,
+    #[arg(long, value_name = "MODE", default_value = "2", value_parser = mode())]
+    pub(crate) mode: Mode,
 
     /// The pose type: joints, position, or homogeneous transform [default: from the file's first line, or J]
-    #[arg(long = "type", value_name = "TYPE")]
-    pub(crate) pose: Option<PoseArg>,
+    #[arg(long = "type", value_name = "TYPE", value_parser = pose())]
+    pub(crate) pose: Option<PoseType>,
 
     #[command(flatten)]
     pub(crate) format: FormatArgs,
@@ -177,44 +178,23 @@ pub(crate) struct StreamArgs {
     pub(crate) core: Option<usize>,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub(crate) enum ModeArg {
-    #[value(name = "0")]
-    Mode0,
-    #[value(name = "1")]
-    Mode1,
-    #[value(name = "2")]
-    Mode2,
+/// Parses a mode.
+fn mode() -> impl TypedValueParser<Value = Mode> {
+    PossibleValuesParser::new(["0", "1", "2"]).map(|mode| match mode.as_str() {
+        "0" => Mode::Mode0,
+        "1" => Mode::Mode1,
+        _ => Mode::Mode2,
+    })
 }
 
-impl From<ModeArg> for Mode {
-    fn from(mode: ModeArg) -> Self {
-        match mode {
-            ModeArg::Mode0 => Self::Mode0,
-            ModeArg::Mode1 => Self::Mode1,
-            ModeArg::Mode2 => Self::Mode2,
-        }
-    }
-}
-
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub(crate) enum PoseArg {
-    #[value(name = "J", alias = "j")]
-    J,
-    #[value(name = "P", alias = "p")]
-    P,
-    #[value(name = "T", alias = "t")]
-    T,
-}
-
-impl From<PoseArg> for PoseType {
-    fn from(pose: PoseArg) -> Self {
-        match pose {
-            PoseArg::J => Self::J,
-            PoseArg::P => Self::P,
-            PoseArg::T => Self::T,
-        }
-    }
+/// Parses a type of poses.
+fn pose() -> impl TypedValueParser<Value = PoseType> {
+    let types = [("J", "j"), ("P", "p"), ("T", "t")].map(|(name, alias)| PossibleValue::new(name).alias(alias));
+    PossibleValuesParser::new(types).map(|pose| match pose.to_ascii_uppercase().as_str() {
+        "P" => PoseType::P,
+        "T" => PoseType::T,
+        _ => PoseType::J,
+    })
 }
 
 fn finite(text: &str) -> Result<f64, String> {

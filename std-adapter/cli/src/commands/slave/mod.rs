@@ -8,7 +8,7 @@ mod stream;
 
 use std::time::Duration;
 
-use bcap_core::slave::{ExtendedAxes, Format, Mode, Pose, PoseType, ReceivePose, SlaveMode};
+use bcap_core::slave::{ExtendedAxes, Format, Pose, PoseType, ReceivePose, SlaveMode};
 use bcap_std::Address;
 use bcap_stream::line_speed;
 use bcap_stream::player::Course;
@@ -41,8 +41,8 @@ fn play(args: &Play, session: &mut Session, json: bool) -> Result<(), Failure> {
     if args.approach.is_some() {
         check_can_halt("--approach", link)?;
     }
-    let poses = Poses::read(&args.file, args.stream.pose.map(PoseType::from), args.stream.format.extended, args.hz)
-        .map_err(Failure::Input)?;
+    let poses =
+        Poses::read(&args.file, args.stream.pose, args.stream.format.extended, args.hz).map_err(Failure::Input)?;
     let format = checked_format(&args.stream, poses.kind, link)?;
     poses
         .check_outputs(args.stream.format.send_format)
@@ -82,7 +82,7 @@ fn cosine(args: &Cosine, session: &mut Session, json: bool) -> Result<(), Failur
     }
     // the range was checked above
     let course = Course::Cosine { cycles: (cycles as u32).max(1), amplitude: args.amplitude };
-    let kind = args.stream.pose.map_or(PoseType::J, PoseType::from);
+    let kind = args.stream.pose.unwrap_or(PoseType::J);
     let format = checked_format(&args.stream, kind, link)?;
     let (along, unit) = if kind == PoseType::J { ("joint 1", "degrees") } else { ("Z", "mm") };
     let (target, mode) = (link.target()?, args.stream.mode);
@@ -164,7 +164,7 @@ fn start_text(pose: &Pose) -> Result<String, Failure> {
 
 /// Returns the format of a stream, if the options fit each other and the line is fast enough.
 fn checked_format(args: &StreamArgs, kind: PoseType, link: &LinkArgs) -> Result<Format, Failure> {
-    let format = args.format.format(SlaveMode { mode: Mode::from(args.mode), pose: kind });
+    let format = args.format.format(SlaveMode { mode: args.mode, pose: kind });
     let is_contained = match kind {
         PoseType::P => matches!(format.receive.pose, ReceivePose::P | ReceivePose::PJ),
         PoseType::J => matches!(format.receive.pose, ReceivePose::J | ReceivePose::PJ | ReceivePose::TJ),

@@ -21,7 +21,7 @@ use crate::values::{Value, integer, text};
 
 /// Runs `bcap slave record`.
 pub(crate) fn record(args: &Record, link: &LinkArgs, json: bool) -> Result<(), Failure> {
-    let kind = PoseType::from(args.pose);
+    let kind = args.pose;
     let lines = with_session(link, |session| {
         let interrupt = session.handle_signals()?;
         let robot = session.object(&"robot".parse::<ObjectPath>()?)?;
@@ -59,7 +59,7 @@ fn poses(
     loop {
         session.restart_budget();
         let before = start.elapsed();
-        let numbers = position(session, robot, args.pose.into())?;
+        let numbers = position(session, robot, args.pose)?;
         // the middle of the round trip
         let at = (before + start.elapsed()).as_secs_f64() / 2.0;
         write(file, at, &numbers).map_err(|error| cannot_write(&args.file, &error))?;
