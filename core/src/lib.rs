@@ -118,6 +118,7 @@ pub mod io;
 pub mod limits;
 mod num;
 mod outbox;
+pub mod peers;
 pub mod position;
 pub mod procedure;
 pub mod rac;

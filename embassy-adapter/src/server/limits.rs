@@ -2,7 +2,7 @@
 
 use core::time::Duration;
 
-use bcap_core::time::Instant;
+use bcap_core::peers::TimeLimits;
 
 /// The time limits of a peer's session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,14 +32,9 @@ impl Default for Limits {
     }
 }
 
-/// When a session must be polled again, or which limit it exceeded.
-pub(super) enum Deadline {
-    At(Instant),
-    Exceeded(Limit),
-}
-
-/// A limit that a session can exceed.
-pub(super) enum Limit {
-    Receive,
-    Idle,
+impl Limits {
+    /// Returns the time limits of a connection.
+    pub(super) const fn times(&self) -> TimeLimits {
+        TimeLimits { receive: self.receive, idle: self.idle }
+    }
 }

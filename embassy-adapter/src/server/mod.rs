@@ -50,13 +50,13 @@ mod tcp;
 mod udp;
 
 use bcap_core::io::asynch::Transport;
+use bcap_core::peers::{Exceeded, StreamTimes};
 use bcap_core::time::Instant;
 use embassy_futures::select::{Either, select};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::Timer;
 
 pub use self::limits::Limits;
-use self::limits::{Deadline, Limit};
 use self::shared::ActiveSession;
 pub use self::shared::SharedHandler;
 #[cfg(feature = "embassy-net")]
@@ -101,39 +101,48 @@ where
     S: Serve<H>,
     M: RawMutex,
 {
-    let mut active = ActiveSession::new(session, shared, transport.now());
+    let mut active = ActiveSession::new(session, shared);
+    let mut times = StreamTimes::new(transport.now());
     loop {
         // read before the handler is called, so that a change by another task in between is not missed
         let seen = shared.changes();
-        active.run(transport.now());
+        if active.run(transport.now()) {
+            times.ran();
+        }
         if !active.session.transmit().is_empty() {
             match send(transport, active.session, limits).await {
                 Some(ended) => return ended,
                 // bytes after the request can be processed now
-                None => continue,
+                None => {
+                    times.moved(transport.now());
+                    continue;
+                }
             }
         }
         if active.session.is_finished() {
             return Ended::Malformed;
         }
-        let wake = match active.deadline(limits, transport.now()) {
-            Deadline::Exceeded(limit) => return limit.into(),
-            Deadline::At(at) => wait(transport, active.session, shared, seen, at).await,
+        let deadline = match times.deadline(active.session, limits.times(), transport.now()) {
+            Ok(deadline) => deadline.unwrap_or(Instant::FAR_FUTURE),
+            Err(exceeded) => return exceeded.into(),
         };
-        match wake {
+        match wait(transport, active.session, shared, seen, deadline).await {
             Ok(Wake::Bytes(0)) => return Ended::Closed,
-            Ok(Wake::Bytes(count)) => active.received(count, transport.now()),
+            Ok(Wake::Bytes(count)) => {
+                times.moved(transport.now());
+                active.session.received(count);
+            }
             Ok(Wake::Poll) => {}
             Err(error) => return Ended::Failed(error),
         }
     }
 }
 
-impl<E> From<Limit> for Ended<E> {
-    fn from(limit: Limit) -> Self {
+impl<E> From<Exceeded> for Ended<E> {
+    fn from(limit: Exceeded) -> Self {
         match limit {
-            Limit::Receive => Self::RequestTooSlow,
-            Limit::Idle => Self::Idle,
+            Exceeded::Receive => Self::RequestTooSlow,
+            Exceeded::Idle => Self::Idle,
         }
     }
 }

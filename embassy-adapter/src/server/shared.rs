@@ -12,7 +12,6 @@ use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_sync::waitqueue::MultiWakerRegistration;
 
 use super::Serve;
-use super::limits::{Deadline, Limit, Limits};
 use crate::clock::now;
 
 /// A handler that several tasks call, one at a time; up to `WAITERS` tasks (at least 1) can wait for changes.
@@ -75,16 +74,6 @@ impl<M: RawMutex, H, const WAITERS: usize> SharedHandler<M, H, WAITERS> {
         .await;
     }
 
-    /// Runs a session until it makes no progress; returns whether it made any.
-    pub(super) fn run<S: Serve<H>>(&self, session: &mut S, peer: PeerId, now: Instant) -> bool {
-        let mut progressed = false;
-        // one step for each lock, so that a busy peer does not block interrupts for long
-        while self.step(session, peer, now) {
-            progressed = true;
-        }
-        progressed
-    }
-
     /// Performs one step of a session; returns whether it made progress.
     pub(super) fn step<S: Serve<H>>(&self, session: &mut S, peer: PeerId, now: Instant) -> bool {
         self.with(|inner| inner.step(session, peer, now)).unwrap_or_default()
@@ -138,44 +127,21 @@ pub(super) struct ActiveSession<'a, S: Serve<H>, M: RawMutex, H, const N: usize>
     pub(super) session: &'a mut S,
     shared: &'a SharedHandler<M, H, N>,
     peer: PeerId,
-    last_received: Instant,
-    /// When the first byte of a partial request arrived.
-    partial_since: Option<Instant>,
 }
 
 impl<'a, S: Serve<H>, M: RawMutex, H, const N: usize> ActiveSession<'a, S, M, H, N> {
-    pub(super) fn new(session: &'a mut S, shared: &'a SharedHandler<M, H, N>, now: Instant) -> Self {
-        Self { session, shared, peer: shared.next_peer(), last_received: now, partial_since: None }
+    pub(super) fn new(session: &'a mut S, shared: &'a SharedHandler<M, H, N>) -> Self {
+        Self { session, shared, peer: shared.next_peer() }
     }
 
-    pub(super) fn run(&mut self, now: Instant) {
-        if self.shared.run(self.session, self.peer, now) {
-            // a request was complete, so the timeout for a following partial request starts now
-            self.partial_since = None;
+    /// Runs the session until it makes no progress; returns whether it made any.
+    pub(super) fn run(&mut self, now: Instant) -> bool {
+        let mut progressed = false;
+        // one step for each lock, so that a busy peer does not block interrupts for long
+        while self.shared.step(self.session, self.peer, now) {
+            progressed = true;
         }
-    }
-
-    pub(super) fn received(&mut self, count: usize, now: Instant) {
-        self.last_received = now;
-        self.session.received(count);
-    }
-
-    /// Returns when the session must be polled again, or the limit that it exceeded.
-    pub(super) fn deadline(&mut self, limits: &Limits, now: Instant) -> Deadline {
-        self.partial_since = self.session.is_receiving().then(|| self.partial_since.unwrap_or(now));
-        let request = self.partial_since.map(|since| since.saturating_add(limits.receive));
-        if request.is_some_and(|until| now >= until) {
-            return Deadline::Exceeded(Limit::Receive);
-        }
-        let idle = match limits.idle {
-            Some(limit) if !self.session.is_running() => self.last_received.saturating_add(limit),
-            _ => Instant::FAR_FUTURE,
-        };
-        if now >= idle {
-            return Deadline::Exceeded(Limit::Idle);
-        }
-        let session = self.session.poll_timeout();
-        Deadline::At(idle.min(request.unwrap_or(idle)).min(session.unwrap_or(idle)))
+        progressed
     }
 }
 

@@ -9,6 +9,7 @@ use bcap_gateway::driver::{self, Client, Lock, Platform};
 
 use super::report::Log;
 use crate::clock::now;
+use crate::server::is_same_host;
 
 /// A gateway that the tasks of a driver share.
 pub(super) type SharedGateway = driver::SharedGateway<'static, Tokio>;
@@ -56,6 +57,6 @@ impl Platform for Tokio {
     }
 
     fn is_same_host(client: SocketAddr, other: SocketAddr) -> bool {
-        client.ip().to_canonical() == other.ip().to_canonical()
+        is_same_host(client.ip(), other.ip())
     }
 }

@@ -1,10 +1,10 @@
 //! Resource limits for the peers of a server.
 
+use std::net::IpAddr;
 use std::time::Duration;
 
 use bcap_core::bcap::server::Config;
-
-use super::admission::Slots;
+use bcap_core::peers::{Slots, TimeLimits};
 
 /// Resource limits for the peers of a server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -15,7 +15,7 @@ pub struct Limits {
     /// Connections of one IP address at the same time, b-CAP and RAC each.
     pub connections_per_address: usize,
     /// The silence after which a connection without a running request may be closed when another connection needs its
-    /// slot. The connection that has been idle longest is closed first.
+    /// slot. A connection of the same address is closed first, otherwise the one that has been idle longest.
     pub evict_after: Duration,
     /// UDP peers at the same time. A peer that has stopped its service, or was silent for `udp_idle`,
     /// makes room for another.
@@ -65,13 +65,23 @@ setters! { Limits {
 impl Limits {
     /// Returns the slots for connections of one protocol.
     pub(super) const fn connection_slots(&self) -> Slots {
-        Slots { total: self.connections, per_address: self.connections_per_address, evict_after: self.evict_after }
+        Slots { total: self.connections, per_host: self.connections_per_address, evict_after: Some(self.evict_after) }
     }
 
     /// Returns the slots for UDP peers.
     pub(super) const fn udp_slots(&self) -> Slots {
-        Slots { total: self.udp_peers, per_address: self.udp_peers_per_address, evict_after: self.udp_idle }
+        Slots { total: self.udp_peers, per_host: self.udp_peers_per_address, evict_after: Some(self.udp_idle) }
     }
+
+    /// Returns the time limits of a connection.
+    pub(super) const fn times(&self) -> TimeLimits {
+        TimeLimits { receive: self.receive, idle: self.idle }
+    }
+}
+
+/// Tells whether two clients are on one host. A listener for both versions of IP shows `10.0.0.5` as `::ffff:10.0.0.5`.
+pub(crate) fn is_same_host(one: IpAddr, other: IpAddr) -> bool {
+    one.to_canonical() == other.to_canonical()
 }
 
 impl Default for Limits {
@@ -92,5 +102,18 @@ impl Default for Limits {
             memory: 256 << 20,
             keep_alive: Some(Duration::from_secs(60)),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_ipv4_mapped_ipv6_address_is_the_same_host() {
+        let address = std::net::Ipv4Addr::new(10, 0, 0, 9);
+        let mapped = IpAddr::V6(address.to_ipv6_mapped());
+        assert!(is_same_host(mapped, address.into()) && is_same_host(address.into(), mapped));
+        assert!(!is_same_host(mapped, [10, 0, 0, 1].into()));
     }
 }

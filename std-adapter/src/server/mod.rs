@@ -16,8 +16,8 @@
 //! handler is locked for each call, not for decoding.
 //!
 //! [`Limits`] bounds what one peer can cost: its connections, partly received requests, objects, and the memory of all
-//! peers. When slots are short a new connection gets the slot of the one that has been idle longest; without such a
-//! connection it is answered E_MAX_CONNECT and closed.
+//! peers. When slots are short a new connection gets the slot of an idle one, by the rules of
+//! [`Slots`](bcap_core::peers::Slots); without such a connection it is answered E_MAX_CONNECT and closed.
 //!
 //! A handler that panics fails its call with E_UNEXPECTED; the server and the handler go on. With `panic = "abort"` a
 //! panic ends the process.
@@ -36,7 +36,7 @@
 //! # mod tokio { pub async fn signal_that_ends_it() {} }
 //! ```
 
-mod admission;
+mod activity;
 mod limits;
 mod memory;
 mod rac;
@@ -61,8 +61,9 @@ use tokio::task::JoinSet;
 use memory::Pool;
 use shared::ServerState;
 
-pub use admission::{Admission, SlotState, Slots};
 pub use limits::Limits;
+#[cfg(feature = "gateway")]
+pub(crate) use limits::is_same_host;
 #[cfg(feature = "serial")]
 pub use serial::{LineEvent, LineReport};
 pub use shared::{OnConnect, Tap};

@@ -6,10 +6,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bcap_core::bcap::server::{Config, Handler, Session};
-use bcap_core::endpoint::{Endpoint, Serve, ServerEndpoint};
+use bcap_core::endpoint::Endpoint;
 use bcap_core::handler::PeerId;
 use bcap_core::limits::SERIAL_MAX;
-use bcap_core::time::Instant;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::sync::watch;
 use tokio::time::{sleep, timeout};
@@ -17,7 +16,8 @@ use tokio_serial::{ClearBuffer, SerialPort, SerialStream};
 
 use super::limits::Limits;
 use super::shared::{Changes, ServerState, Tapped};
-use crate::clock::{now, until};
+use super::stream::sleep_until;
+use crate::clock::now;
 use crate::line::SerialLine;
 
 /// The maximum number of open handles of the client.
@@ -121,32 +121,13 @@ impl<H: Handler + Send + 'static> Connection<H> {
     /// Moves bytes until the device fails.
     async fn run(&mut self) -> io::Error {
         loop {
-            self.run_session();
+            let Self { changes, session, shared, peer, .. } = self;
+            changes.run(&mut **session, |session| shared.step(session, *peer, now()));
             let moved = if self.session.transmit().is_empty() { self.wait().await } else { self.send().await };
             if let Err(error) = moved {
                 return error;
             }
         }
-    }
-
-    /// Runs the session until it has no more work.
-    fn run_session(&mut self) {
-        // register before the handler runs, so that no change of another peer is missed
-        self.changes.wait(self.session.is_running().into());
-        while self.step() {}
-        if self.session.is_running() && self.changes.waiting() == 0 {
-            // the handler has just begun to wait: call it once more now that this task is registered for changes
-            self.changes.wait(1);
-            self.step();
-        }
-    }
-
-    /// Performs one step of the session; `false` if there is nothing to do.
-    fn step(&mut self) -> bool {
-        let Some(event) = self.session.run(&mut self.shared.handler(), self.peer, now()) else { return false };
-        tracing::trace!(peer = self.peer.0, ?event);
-        self.shared.notify_change();
-        true
     }
 
     /// Waits until bytes arrive, a deadline passes or something changes.
@@ -186,14 +167,6 @@ impl<H: Handler + Send + 'static> Connection<H> {
 
     /// Ends the session: releases the objects of the client.
     fn end(&mut self) {
-        self.session.close(&mut self.shared.handler(), self.peer, now());
-        self.shared.notify_change();
-    }
-}
-
-async fn sleep_until(deadline: Option<Instant>) {
-    match deadline {
-        Some(at) => sleep(until(at)).await,
-        None => std::future::pending().await,
+        self.shared.close(&mut *self.session, self.peer, now());
     }
 }

@@ -5,7 +5,7 @@
 
 use std::any::Any;
 use std::cmp::Ordering::{Equal, Greater, Less};
-use std::net::IpAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
@@ -13,13 +13,21 @@ use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
 use bcap_core::bcap::server as bcap;
+use bcap_core::endpoint::{Serve, ServerEndpoint};
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
+use bcap_core::peers::datagrams::{SharedState, UdpSession};
 use bcap_core::rac::{Request as RacRequest, server as rac};
 use bcap_core::time::Instant;
 use tokio::sync::Notify;
 
+use super::limits::is_same_host;
 use crate::clock::{now, until};
+
+/// A session of either protocol whose handler is shared.
+pub(super) trait ServeLocked<H>: for<'h> Serve<Locking<'h, H>> + Send {}
+
+impl<H, S: for<'h> Serve<Locking<'h, H>> + Send> ServeLocked<H> for S {}
 
 /// The handler, which many tasks call one at a time, and the state around it.
 #[derive(Debug)]
@@ -95,6 +103,20 @@ impl<H> ServerState<H> {
         Locking(&self.handler)
     }
 
+    /// Performs one step of a session, and notifies waiting tasks; `false` if there is nothing to do.
+    pub(super) fn step<M: ServeLocked<H>>(&self, session: &mut M, peer: PeerId, now: Instant) -> bool {
+        let Some(event) = session.run(&mut self.handler(), peer, now) else { return false };
+        tracing::trace!(peer = peer.0, ?event);
+        self.notify_change();
+        true
+    }
+
+    /// Ends a session: releases the objects of its peer.
+    pub(super) fn close<M: ServeLocked<H>>(&self, session: &mut M, peer: PeerId, now: Instant) {
+        session.close(&mut self.handler(), peer, now);
+        self.notify_change();
+    }
+
     /// Notifies waiting tasks that something may have changed.
     ///
     /// Every call of every peer ends here. Most waiting tasks are in their [`PAUSE`]: they are not woken, and see the change
@@ -134,6 +156,29 @@ impl<H> ServerState<H> {
     /// Subscribes to changes from now on.
     pub(super) fn changes(self: &Arc<Self>) -> Changes<H> {
         Changes { shared: Arc::clone(self), seen: 0, waiting: 0, not_before: now() }
+    }
+}
+
+/// The peers of UDP.
+impl<H: bcap::Handler + Send, const OBJECTS: usize> SharedState<UdpSession<OBJECTS>> for ServerState<H> {
+    type Address = SocketAddr;
+
+    fn is_same_host(one: SocketAddr, other: SocketAddr) -> bool {
+        is_same_host(one.ip(), other.ip())
+    }
+
+    fn connect(&self, address: SocketAddr) -> PeerId {
+        let peer = self.next_peer();
+        self.connected(peer, address.ip());
+        peer
+    }
+
+    fn step(&self, session: &mut UdpSession<OBJECTS>, peer: PeerId, now: Instant) -> bool {
+        self.step(session, peer, now)
+    }
+
+    fn close(&self, session: &mut UdpSession<OBJECTS>, peer: PeerId, now: Instant) {
+        self.close(session, peer, now);
     }
 }
 
@@ -270,6 +315,18 @@ impl<H> Changes<H> {
     /// Returns how many requests of this task wait for changes.
     pub(super) const fn waiting(&self) -> usize {
         self.waiting
+    }
+
+    /// Runs a session until `step` has nothing to do.
+    pub(super) fn run<M: ServerEndpoint>(&mut self, session: &mut M, mut step: impl FnMut(&mut M) -> bool) {
+        // register before the handler runs, so that no change of another peer is missed
+        self.wait(session.is_running().into());
+        while step(session) {}
+        if session.is_running() && self.waiting == 0 {
+            // the handler has just begun to wait: call it once more now that this task is registered for changes
+            self.wait(1);
+            step(session);
+        }
     }
 
     /// Waits for the next change; never returns while no request of this task waits.

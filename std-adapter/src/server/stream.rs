@@ -5,24 +5,19 @@ use std::pin::{Pin, pin};
 use std::sync::Arc;
 use std::time::Duration;
 
-use bcap_core::endpoint::Serve;
 use bcap_core::handler::PeerId;
+use bcap_core::peers::{Exceeded, StreamTimes};
 use bcap_core::time::Instant;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use tokio::sync::watch;
 use tokio::time::timeout;
 
-use super::admission::Activity;
+use super::activity::Activity;
 use super::limits::Limits;
-use super::shared::{Changes, Locking, ServerState, Tapped};
+use super::shared::{Changes, ServeLocked, ServerState, Tapped};
 use crate::clock::{now, until};
 use crate::connect::STREAM_ROOM;
-
-/// A session of either protocol whose handler is shared.
-pub(super) trait ServeLocked<H>: for<'h> Serve<Locking<'h, H>> + Send {}
-
-impl<H, S: for<'h> Serve<Locking<'h, H>> + Send> ServeLocked<H> for S {}
 
 /// The bytes that a connection may receive and send before it yields to other tasks. Without this limit, a peer that sends
 /// and reads as fast as the server does would starve the others.
@@ -63,8 +58,7 @@ pub(super) async fn serve<H: Send + 'static, M: ServeLocked<H> + 'static>(
         changes,
         limits,
         activity,
-        partial_since: None,
-        last_active: now(),
+        times: StreamTimes::new(now()),
         time: now(),
         moved: 0,
     };
@@ -85,8 +79,7 @@ pub(super) async fn serve<H: Send + 'static, M: ServeLocked<H> + 'static>(
             }
         }
     }
-    session.close(&mut connection.shared.handler(), peer, now());
-    connection.shared.notify_change();
+    connection.shared.close(&mut *session, peer, now());
 }
 
 struct Connection<H> {
@@ -96,10 +89,7 @@ struct Connection<H> {
     changes: Changes<H>,
     limits: Limits,
     activity: Arc<Activity>,
-    /// When the first byte of an unfinished request arrived.
-    partial_since: Option<Instant>,
-    /// When the last bytes arrived or the last reply was sent.
-    last_active: Instant,
+    times: StreamTimes,
     /// The time after the last wait, send or request.
     time: Instant,
     /// The used part of the turn, in bytes.
@@ -134,7 +124,7 @@ impl<H: Send + 'static> Connection<H> {
                     return Ok(Pause::Ended(reason));
                 }
                 self.time = now();
-                self.last_active = self.time;
+                self.times.moved(self.time);
                 continue;
             }
             if session.is_finished() {
@@ -163,9 +153,15 @@ impl<H: Send + 'static> Connection<H> {
         stopped: Pin<&mut impl Future>,
         evicted: Pin<&mut impl Future>,
     ) -> io::Result<Option<&'static str>> {
-        self.partial_since = session.is_receiving().then(|| self.partial_since.unwrap_or_else(now));
-        let (deadline, is_idle) = (self.next_deadline(session), !session.is_running());
-        self.activity.set(is_idle.then_some(self.last_active));
+        let deadline = match self.times.deadline(session, self.limits.times(), self.time) {
+            Ok(deadline) => deadline,
+            Err(Exceeded::Receive) => return Ok(Some("a request took too long to arrive")),
+            Err(Exceeded::Idle) => return Ok(Some("the peer was silent for too long")),
+        };
+        let kept_until = self.memory_kept_until(session);
+        let deadline = [deadline, kept_until].into_iter().flatten().min();
+        let is_idle = !session.is_running();
+        self.activity.set(is_idle.then_some(self.times.last_active()));
         let room = session.receive_buffer();
         let is_full = room.is_empty();
         let room = room.split_at_mut(room.len().min(TURN)).0;
@@ -175,14 +171,16 @@ impl<H: Send + 'static> Connection<H> {
                 0 => return Ok(Some("the peer closed it")),
                 count => {
                     self.time = now();
-                    self.last_active = self.time;
+                    self.times.moved(self.time);
                     self.moved += count;
                     session.received(count);
                 }
             },
             () = sleep_until(deadline) => {
                 self.time = now();
-                return Ok(self.meet_deadline(session));
+                if kept_until.is_some_and(|until| until <= self.time) {
+                    session.shrink(STREAM_ROOM);
+                }
             }
             closed = closed(writer.as_ref()), if is_full => {
                 closed?;
@@ -196,43 +194,18 @@ impl<H: Send + 'static> Connection<H> {
         Ok(None)
     }
 
-    /// Handles a deadline that has passed; returns the reason if the connection must end.
-    fn meet_deadline<M: ServeLocked<H>>(&self, session: &mut M) -> Option<&'static str> {
-        let is_over = |until: Option<Instant>| until.is_some_and(|until| until <= self.time);
-        if is_over(self.partial_since.map(|since| since.saturating_add(self.limits.receive))) {
-            return Some("a request took too long to arrive");
-        }
-        if is_over(self.silent_until(session)) {
-            return Some("the peer was silent for too long");
-        }
-        if is_over(self.memory_kept_until(session)) {
-            session.shrink(STREAM_ROOM);
-        }
-        None
-    }
-
-    /// Runs the session until it has no more work.
+    /// Runs the session until it has no more work, or a request for another thread.
     fn run_session<M: ServeLocked<H>>(&mut self, session: &mut M) {
-        // register before the handler runs, so that no change of another peer is missed
-        self.changes.wait(session.is_running().into());
-        while session.next_request() < TURN && self.step(session) {}
-        if session.is_running() && self.changes.waiting() == 0 {
-            // the handler has just begun to wait: call it once more now that this task is registered for changes
-            self.changes.wait(1);
-            self.step(session);
-        }
-    }
-
-    /// Performs one step of the session; `false` if there is nothing to do.
-    fn step<M: ServeLocked<H>>(&mut self, session: &mut M) -> bool {
-        let Some(event) = session.run(&mut self.shared.handler(), self.peer, self.time) else { return false };
-        self.time = now();
-        tracing::trace!(peer = self.peer.0, ?event);
-        self.shared.notify_change();
-        self.moved += REQUEST;
-        // a request is complete, so the time limit of the next one starts anew
-        self.partial_since = None;
-        true
+        let Self { changes, shared, peer, times, time, moved, .. } = self;
+        changes.run(session, |session| {
+            if session.next_request() >= TURN || !shared.step(session, *peer, *time) {
+                return false;
+            }
+            *time = now();
+            *moved += REQUEST;
+            times.ran();
+            true
+        });
     }
 
     /// Performs one step of the session on another thread, so that a large request does not delay other connections;
@@ -241,12 +214,10 @@ impl<H: Send + 'static> Connection<H> {
         self.activity.set(None);
         let (shared, peer) = (Arc::clone(&self.shared), self.peer);
         let step = tokio::task::spawn_blocking(move || {
-            let event = session.run(&mut shared.handler(), peer, now());
-            tracing::trace!(peer = peer.0, ?event);
-            shared.notify_change();
+            shared.step(&mut *session, peer, now());
             session
         });
-        self.partial_since = None;
+        self.times.ran();
         let session = step.await.ok();
         self.time = now();
         session
@@ -293,28 +264,15 @@ impl<H: Send + 'static> Connection<H> {
         Ok(None)
     }
 
-    /// Returns the next deadline.
-    fn next_deadline<M: ServeLocked<H>>(&self, session: &M) -> Option<Instant> {
-        let partial = self.partial_since.map(|since| since.saturating_add(self.limits.receive));
-        let memory = self.memory_kept_until(session);
-        [session.poll_timeout(), partial, self.silent_until(session), memory].into_iter().flatten().min()
-    }
-
     /// Returns when unused memory must be released; `None` if the session is busy or has no unused memory.
     fn memory_kept_until<M: ServeLocked<H>>(&self, session: &M) -> Option<Instant> {
         let idle = !session.is_running() && !session.is_receiving();
-        (idle && session.memory() > 2 * STREAM_ROOM).then(|| self.last_active.saturating_add(MEMORY_KEPT))
-    }
-
-    /// Returns when the idle limit ends; `None` without a limit or while a request runs.
-    fn silent_until<M: ServeLocked<H>>(&self, session: &M) -> Option<Instant> {
-        let idle = self.limits.idle.filter(|_| !session.is_running())?;
-        Some(self.last_active.saturating_add(idle))
+        (idle && session.memory() > 2 * STREAM_ROOM).then(|| self.times.last_active().saturating_add(MEMORY_KEPT))
     }
 }
 
 /// Waits for a deadline, if there is one. A timer is created only when it is polled.
-async fn sleep_until(deadline: Option<Instant>) {
+pub(super) async fn sleep_until(deadline: Option<Instant>) {
     match deadline {
         Some(at) => tokio::time::sleep(until(at)).await,
         None => std::future::pending().await,

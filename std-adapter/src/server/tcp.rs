@@ -7,8 +7,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bcap_core::bcap::server::{Config, Handler, Session};
-use bcap_core::bcap::{Decoder, FrameWriter, Progress};
-use bcap_core::hresult::HResult;
+use bcap_core::bcap::{Decoder, Progress};
+use bcap_core::peers::{Admission, Holder, REFUSAL, Slots, refusal};
 use socket2::SockRef;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
@@ -16,8 +16,8 @@ use tokio::sync::watch;
 use tokio::task::{Id, JoinError, JoinSet};
 use tokio::time::timeout;
 
-use super::admission::{Activity, Admission, Slots};
-use super::limits::Limits;
+use super::activity::Activity;
+use super::limits::{Limits, is_same_host};
 use super::memory::{Buffer, Pool};
 use super::shared::ServerState;
 use super::stream;
@@ -109,8 +109,12 @@ struct Served {
 impl Served {
     /// Finds a slot for a connection, and evicts the connection that loses it; `None` if there is no slot.
     fn admit(&mut self, address: IpAddr) -> Option<Arc<Activity>> {
-        let taken = self.holders.iter().map(|(id, (address, activity))| (*id, *address, activity.state()));
-        match self.slots.admit(taken, address, now()) {
+        let taken = self.holders.iter().map(|(id, (holder, activity))| Holder {
+            key: *id,
+            is_same_host: is_same_host(*holder, address),
+            state: activity.state(),
+        });
+        match self.slots.admit(taken, now()) {
             Admission::Free => {}
             Admission::Instead(id) => {
                 if let Some((address, activity)) = self.holders.remove(&id) {
@@ -162,9 +166,7 @@ async fn refuse(mut stream: TcpStream) {
                 _ => return None,
             }
         };
-        let mut reply = [0; 16];
-        let reply = FrameWriter::new(&mut reply).ok()?.finish(serial, 0, HResult::E_MAX_CONNECT.0).ok()?;
-        stream.write_all(reply).await.ok()?;
+        stream.write_all(refusal(serial, &mut [0; REFUSAL])).await.ok()?;
         stream.shutdown().await.ok()
     };
     let _ = timeout(REFUSAL_TIME, answer).await;

@@ -35,7 +35,7 @@ pub async fn serve<X: Transport, P: Platform, const CHUNK: usize>(
     let mut slot = ClientSlot { peer: shared.open(client, limits)?, shared, ended: None };
     let ended = run_session(transport, &mut front, shared, (slot.peer, P::ipv4(client)), limits, &mut [0; CHUNK]).await;
     let ended = ended.unwrap_or_else(Ended::Failed);
-    slot.ended = Some(ended.as_ref().map(failure));
+    slot.ended = Some(ended.map(failure));
     Some(ended)
 }
 
@@ -97,7 +97,7 @@ async fn run_session<X: Transport, P: Platform>(
         shared.poll_for_client();
         let (next, limit) = match plan(shared, front, (peer, address), chunk) {
             Ok(plan) => plan,
-            Err(ended) => return Ok(ended.map(|never| match never {})),
+            Err(ended) => return Ok(ended.map(|never| match *never {})),
         };
         if matches!(next, Next::Poll) {
             continue;

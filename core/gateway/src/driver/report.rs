@@ -84,23 +84,9 @@ pub enum Ended<E> {
 
 impl<E> Ended<E> {
     /// Converts the error of the link.
-    pub fn map<F>(self, convert: impl FnOnce(E) -> F) -> Ended<F> {
+    pub fn map<F>(&self, convert: impl FnOnce(&E) -> F) -> Ended<F> {
         match self {
             Self::Failed(error) => Ended::Failed(convert(error)),
-            Self::Closed => Ended::Closed,
-            Self::RequestTooSlow => Ended::RequestTooSlow,
-            Self::Idle => Ended::Idle,
-            Self::ReplyNotRead => Ended::ReplyNotRead,
-            Self::NotModbus => Ended::NotModbus,
-            Self::Evicted => Ended::Evicted,
-            Self::Stopped => Ended::Stopped,
-        }
-    }
-
-    /// Borrows the error of the link.
-    pub const fn as_ref(&self) -> Ended<&E> {
-        match self {
-            Self::Failed(error) => Ended::Failed(error),
             Self::Closed => Ended::Closed,
             Self::RequestTooSlow => Ended::RequestTooSlow,
             Self::Idle => Ended::Idle,

@@ -5,9 +5,10 @@ use core::future::poll_fn;
 use core::task::Poll;
 
 use bcap_core::handler::PeerId;
+use bcap_core::peers::{Admission, Holder, Slots};
 use bcap_core::time::Instant;
 
-use super::client::{Client, Holder};
+use super::client::{Client, Connected};
 use super::notify::Notify;
 use super::{Denial, Ended, Front, Limits, Lock, Platform, Report};
 use crate::{Event, Gateway};
@@ -47,7 +48,7 @@ impl<'m, P: Platform> SharedGateway<'m, P> {
     /// Returns the number of clients with a slot.
     #[must_use]
     pub fn sessions(&self) -> usize {
-        self.with(|shared| shared.holders().count()).unwrap_or_default()
+        self.with(|shared| shared.connected().count()).unwrap_or_default()
     }
 
     /// Tells whether the rules allow a client to connect; logs it if they do not. For listeners of your own.
@@ -135,7 +136,7 @@ impl<P: Platform> Shared<'_, P> {
         match event.peer() {
             Some(peer) => {
                 let Some((client, address)) = self.client(peer).and_then(|client| {
-                    let address = client.holder.as_ref()?.address;
+                    let address = client.connected.as_ref()?.address;
                     Some((client, address))
                 }) else {
                     return true;
@@ -163,60 +164,55 @@ impl<P: Platform> Shared<'_, P> {
         peer
     }
 
-    /// Assigns a slot. A host that has used its share replaces only its own clients.
+    /// Assigns a slot by the rules of [`Slots`].
     fn take_slot(&mut self, address: P::Address, limits: &Limits) -> Option<PeerId> {
-        let own = self.holders().filter(|holder| P::is_same_host(holder.address, address)).count();
-        let has_share = own >= limits.connections_per_address;
-        let is_free = self.clients.as_mut().iter().any(|client| client.holder.is_none());
-        if has_share || !is_free || self.holders().count() >= self.gateway.capacity() {
-            let idle = self.longest_idle(address, has_share, limits)?;
-            self.close(idle, Some(Ended::Evicted));
-        }
-        let client = self.clients.as_mut().iter_mut().find(|client| client.holder.is_none())?;
-        let peer = self.gateway.open_from(P::ipv4(address))?;
-        client.holder = Some(Holder { peer, address, last_active: P::now(), is_busy: false });
-        Some(peer)
-    }
-
-    /// Returns the client that has been idle for the longest time, preferably one of the host of the new client.
-    fn longest_idle(&mut self, address: P::Address, only_own: bool, limits: &Limits) -> Option<PeerId> {
-        let (now, after) = (P::now(), limits.evict_after?);
         let Self { clients, gateway, .. } = self;
-        let holders = clients.as_mut().iter().filter_map(|client| client.holder);
-        let idle = holders.filter_map(|holder| {
-            let (is_own, idle) = (P::is_same_host(holder.address, address), now.saturating_since(holder.last_active));
-            // a client that waits for an answer or receives it keeps its slot
-            let is_busy =
-                holder.is_busy || gateway.is_running(holder.peer) || !gateway.transmit(holder.peer).is_empty();
-            (!is_busy && idle >= after && (is_own || !only_own)).then_some(((is_own, idle), holder.peer))
+        let clients = clients.as_mut();
+        let slots = Slots {
+            total: gateway.capacity().min(clients.len()),
+            per_host: limits.connections_per_address,
+            evict_after: limits.evict_after,
+        };
+        let connected = clients.iter().filter_map(|client| client.connected.as_ref());
+        let holders = connected.map(|connected| Holder {
+            key: connected.peer,
+            is_same_host: P::is_same_host(connected.address, address),
+            state: connected.state(gateway),
         });
-        idle.max_by_key(|(rank, _)| *rank).map(|(_, peer)| peer)
+        match slots.admit(holders, P::now()) {
+            Admission::Free => {}
+            Admission::Instead(peer) => self.close(peer, Some(Ended::Evicted)),
+            Admission::Refused => return None,
+        }
+        let client = self.clients.as_mut().iter_mut().find(|client| client.connected.is_none())?;
+        let peer = self.gateway.open_from(P::ipv4(address))?;
+        client.connected = Some(Connected { peer, address, last_active: P::now(), is_busy: false });
+        Some(peer)
     }
 
     fn close(&mut self, peer: PeerId, ended: Option<Ended<P::Failure>>) {
         self.gateway.close(peer);
         if let Some(client) = self.client(peer)
-            && let Some(holder) = client.holder.take()
+            && let Some(connected) = client.connected.take()
         {
             client.notify.notify();
             client.notify = Notify::default();
-            (self.log)(&Report::Disconnected { client: holder.address, ended });
+            (self.log)(&Report::Disconnected { client: connected.address, ended });
         }
     }
 
-    fn holders(&mut self) -> impl Iterator<Item = &Holder<P::Address>> {
-        self.clients.as_mut().iter().filter_map(|client| client.holder.as_ref())
+    fn connected(&mut self) -> impl Iterator<Item = &Connected<P::Address>> {
+        self.clients.as_mut().iter().filter_map(|client| client.connected.as_ref())
     }
 
     fn client(&mut self, peer: PeerId) -> Option<&mut Client<P::Address>> {
-        let is_holder =
-            |client: &&mut Client<P::Address>| client.holder.as_ref().is_some_and(|holder| holder.peer == peer);
-        self.clients.as_mut().iter_mut().find(is_holder)
+        let is_peer = |connected: &Connected<P::Address>| connected.peer == peer;
+        self.clients.as_mut().iter_mut().find(|client| client.connected.as_ref().is_some_and(is_peer))
     }
 
     /// Returns the address of a client; `None` when it has lost its slot.
     pub(super) fn address(&mut self, peer: PeerId) -> Option<P::Address> {
-        self.client(peer)?.holder.as_ref().map(|holder| holder.address)
+        self.client(peer)?.connected.as_ref().map(|connected| connected.address)
     }
 
     pub(super) const fn is_stopping(&self) -> bool {
@@ -225,16 +221,16 @@ impl<P: Platform> Shared<'_, P> {
 
     /// Records that bytes of a client were received or sent.
     pub(super) fn moved(&mut self, peer: PeerId, front: &Front<'_, '_>) {
-        if let Some(holder) = self.client(peer).and_then(|client| client.holder.as_mut()) {
-            holder.last_active = P::now();
-            holder.is_busy = front.is_busy();
+        if let Some(connected) = self.client(peer).and_then(|client| client.connected.as_mut()) {
+            connected.last_active = P::now();
+            connected.is_busy = front.is_busy();
         }
     }
 
     /// Records whether the front of a client is busy.
     pub(super) fn exchanged(&mut self, peer: PeerId, front: &Front<'_, '_>) {
-        if let Some(holder) = self.client(peer).and_then(|client| client.holder.as_mut()) {
-            holder.is_busy = front.is_busy();
+        if let Some(connected) = self.client(peer).and_then(|client| client.connected.as_mut()) {
+            connected.is_busy = front.is_busy();
         }
     }
 
