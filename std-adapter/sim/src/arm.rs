@@ -30,8 +30,8 @@
 //! the error's code after an error. After a pass it answers when the motion begins to brake. With the option `NEXT` it
 //! answers at once. Further options are `SPEED=` (or `S=`),
 //! `ACCEL=` and `DECEL=`, in percent of the internal values, each a number or a variable (`SPEED=F2`); another option
-//! is refused with `E_INVALIDARG`. A pose for which axis n would leave its range is the controller's error 0x8320407n,
-//! as is a line through a singularity.
+//! is refused with `E_INVALIDARG`. A motion that the arm cannot make is an error of the controller; its
+//! [codes](crate::codes) say why.
 //!
 //! Approach ends before its pose, and Depart before the present pose, by the length in mm against the approach vector,
 //! the z of the flange. In an arc the flange turns evenly from the start orientation to the end orientation; the
@@ -70,7 +70,7 @@
 //! | RobInfo                         | I4: 1                       | BSTR: likewise; other numbers `E_NOTIMPL`        |
 //! | J2P J2T P2J P2T T2J T2P         | a pose                      | R8 array                                         |
 //! | Dev, DevH                       | \[pose, offset\]            | R8\[7\]: offset in the base, in the flange       |
-//! | OutRange                        | pose or \[pose, -1, -1\]    | I4: 0, or bit n-1 of axis n                      |
+//! | OutRange                        | pose or \[pose, -1, -1\]    | I4: 0, bits of axes, -1 no reach, -2 singular    |
 //! | GetToolDef, GetWorkDef          | I4, 0 to 63                 | R8\[6\]: X Y Z RX RY RZ                          |
 //! | SetToolDef, SetWorkDef          | \[1 to 63, pose\]           | EMPTY; needs the arm authority                   |
 //! | StartLog, StopLog               | -                           | EMPTY; a point of the log every 8 ms             |

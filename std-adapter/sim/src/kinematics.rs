@@ -164,6 +164,12 @@ impl Geometry {
         }
     }
 
+    /// Tells whether J4 and J6 of an arm of six axes are in line.
+    pub(crate) const fn is_singular(&self, joints: &Joints) -> bool {
+        const IN_LINE: f64 = 1e-6;
+        matches!(self.links, Links::Vertical(_)) && joints[4].abs() < IN_LINE
+    }
+
     /// Tells whether two Figs have the same shoulder, elbow and wrist, as far as the arm has them.
     pub(crate) const fn same_posture(&self, a: u8, b: u8) -> bool {
         let bits = match self.links {
@@ -209,7 +215,7 @@ impl Geometry {
         {
             return Ok(joints);
         }
-        let mut best: Result<(f64, Joints), OutOfReach> = Err(OutOfReach(3));
+        let mut best: Result<(f64, Joints), OutOfReach> = Err(OutOfReach::Unreachable);
         for fig in (0..32).filter(|fig| self.may_have(*fig)) {
             match (self.inverse(frame, fig, near), &best) {
                 (Ok(joints), best_so_far) => {
@@ -218,8 +224,9 @@ impl Geometry {
                         best = Ok((turning, joints));
                     }
                 }
-                (Err(error), Err(_)) => best = Err(error),
-                (Err(_), Ok(_)) => {}
+                // an axis beyond its limit says more than a frame out of reach
+                (Err(error), Err(OutOfReach::Unreachable)) => best = Err(error),
+                (Err(_), _) => {}
             }
         }
         best.map(|(_, joints)| joints)
@@ -247,7 +254,7 @@ impl Geometry {
             Links::Vertical(_) => [j1, j2, j3, beyond(j4, DOUBLE4), j5, beyond(j6, DOUBLE6)],
             Links::Horizontal(_) => [j1, j2, j3, beyond(j4, DOUBLE), j5, j6],
         };
-        self.out_of_range(&joints).map_or(Ok(joints), |axis| Err(OutOfReach(axis)))
+        self.out_of_range(&joints).map_or(Ok(joints), Err)
     }
 
     /// Returns the value of J1 within its range that is nearest to `near` among those a full turn apart.
@@ -257,12 +264,14 @@ impl Geometry {
         turns.min_by(|a, b| (a - near).abs().total_cmp(&(b - near).abs())).unwrap_or(j1)
     }
 
-    /// Returns the first axis whose value is NaN or outside its range. The slice has J1 to J6, or all axes.
-    pub(crate) fn out_of_range(&self, axes: &[f64]) -> Option<u8> {
+    /// Returns the axes whose value is NaN or outside its range. The slice has J1 to J6, or all axes.
+    pub(crate) fn out_of_range(&self, axes: &[f64]) -> Option<OutOfReach> {
         // a pose computed at the end of a range may be beyond it through rounding
         const SLACK: f64 = 1e-6;
         let outside = |(place, (low, high)): (&f64, &(f64, f64))| !(*low - SLACK..=*high + SLACK).contains(place);
-        axes.iter().zip(&self.ranges).position(outside).and_then(|n| u8::try_from(n + 1).ok())
+        let bits = axes.iter().zip(&self.ranges).map(outside).enumerate();
+        let bits = bits.fold(0_u8, |bits, (axis, outside)| if outside { bits | 1 << axis } else { bits });
+        (bits != 0).then_some(OutOfReach::Limits(bits))
     }
 }
 

@@ -65,6 +65,7 @@
 
 mod answer;
 pub mod arm;
+pub mod codes;
 pub mod comm;
 pub mod command_objects;
 mod config;

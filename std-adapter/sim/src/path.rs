@@ -1,5 +1,8 @@
 //! The path of a motion: positions of the axes, and the speed that all limits permit.
 
+use bcap_core::hresult::HResult;
+
+use crate::codes;
 use crate::kinematics::{Axes, Frame, Geometry, OutOfReach, six, with_joints};
 
 /// The largest speed of the flange on a line, in mm per second.
@@ -13,6 +16,40 @@ const LINE_PARTS: usize = 100;
 
 /// The largest turn of a joint in one part of a line, in degrees; a larger one means a singularity.
 const LARGEST_STEP: f64 = 30.0;
+
+/// A path that changes the posture passes a singular point, and one on which an axis permits less than this part of
+/// the speed of the flange is too near to one.
+const SINGULAR_SPEED: f64 = 0.01;
+
+/// Why a route cannot be followed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Blocked {
+    /// Its goal is out of reach.
+    Goal(OutOfReach),
+    /// A pose on the way is out of reach.
+    Path(OutOfReach),
+    /// A straight path ends in another figure.
+    Figure,
+    /// The command asks for something that no path has.
+    Invalid,
+}
+
+impl Blocked {
+    pub(crate) fn code(self) -> HResult {
+        match self {
+            Self::Goal(reason) => reason.of_goal(),
+            Self::Path(reason) => reason.on_path(),
+            Self::Figure => codes::OTHER_FIGURE,
+            Self::Invalid => HResult::E_INVALIDARG,
+        }
+    }
+}
+
+impl From<OutOfReach> for Blocked {
+    fn from(reason: OutOfReach) -> Self {
+        Self::Goal(reason)
+    }
+}
 
 /// Positions of the axes, which a motion passes evenly.
 #[derive(Clone, Debug)]
@@ -45,18 +82,25 @@ impl Path {
         end: &Axes,
         size: (f64, f64),
         frame: impl Fn(f64) -> Frame,
-    ) -> Result<Self, OutOfReach> {
+    ) -> Result<Self, Blocked> {
         let mut full_speed = (LINE_SPEED / size.0).min(TURN_SPEED / size.1);
+        let slowest = full_speed * SINGULAR_SPEED;
         let mut knots = vec![start];
         let mut here = start;
         for n in 1..=LINE_PARTS {
             let part = n as f64 / LINE_PARTS as f64;
-            let joints = arm.inverse_nearest(&frame(part), &six(&here))?;
+            let joints = arm.inverse_nearest(&frame(part), &six(&here)).map_err(|error| {
+                // a goal out of reach explains the path
+                arm.inverse_nearest(&frame(1.0), &six(&here)).err().map_or(Blocked::Path(error), Blocked::Goal)
+            })?;
             let next = with_joints(&joints, &between(&start, end, part));
-            if let Some(axis) = here.iter().zip(&next).take(6).position(|(a, b)| (a - b).abs() > LARGEST_STEP) {
-                return Err(OutOfReach(u8::try_from(axis + 1).unwrap_or(0)));
+            let speed = axis_limit(arm, &here, &next, LINE_PARTS as f64);
+            let jumps = here.iter().zip(&next).take(6).any(|(a, b)| (a - b).abs() > LARGEST_STEP);
+            let flips = !arm.same_posture(arm.figure(&six(&here)), arm.figure(&joints));
+            if speed < slowest || jumps || flips {
+                return Err(Blocked::Path(OutOfReach::Singular));
             }
-            full_speed = full_speed.min(axis_limit(arm, &here, &next, LINE_PARTS as f64));
+            full_speed = full_speed.min(speed);
             knots.push(next);
             here = next;
         }

@@ -188,7 +188,7 @@ impl Pose {
         match self {
             Self::Joints(joints) => match arm.out_of_range(joints) {
                 None => Ok(*joints),
-                Some(axis) => Err(OutOfReach(axis)),
+                Some(error) => Err(error),
             },
             Self::Frame(frame, Some(fig)) => arm.inverse(frame, *fig, near),
             Self::Frame(frame, None) => arm.inverse_nearest(frame, near),

@@ -21,7 +21,7 @@ use bcap_core::time::Instant;
 
 use crate::kinematics::Axes;
 use crate::motion::Motion;
-use crate::route::Blocked;
+use crate::path::Blocked;
 use crate::waits::{Wait, Waits};
 
 /// The largest number of motions in the queue, with the one under way.

@@ -2,12 +2,10 @@
 //!
 //! A route consists of flange poses relative to the base; its lines and circles are paths of the tool.
 
-use bcap_core::hresult::HResult;
-
 use crate::curve::{Arc, Point};
 use crate::drive::Drive;
 use crate::kinematics::{Axes, Frame, Geometry, Joints, OutOfReach, six, with_joints};
-use crate::path::Path;
+use crate::path::{Blocked, Path};
 use crate::pose::Pose;
 
 /// The target of a motion command.
@@ -29,30 +27,6 @@ pub(crate) enum Route {
     RotateTool(f64),
     /// On a circle about an axis, with the flange turning like the circle or not at all.
     Rotate { arc: Arc, turns: bool },
-}
-
-/// Why a route cannot be followed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Blocked {
-    /// An axis would leave its range, or turn too far at a singularity: an error of the controller.
-    OutOfReach(OutOfReach),
-    /// The command asks for something that no path has.
-    Invalid,
-}
-
-impl Blocked {
-    pub(crate) fn code(self) -> HResult {
-        match self {
-            Self::OutOfReach(reason) => reason.code(),
-            Self::Invalid => HResult::E_INVALIDARG,
-        }
-    }
-}
-
-impl From<OutOfReach> for Blocked {
-    fn from(reason: OutOfReach) -> Self {
-        Self::OutOfReach(reason)
-    }
 }
 
 impl Route {
@@ -82,10 +56,10 @@ impl Route {
             Self::Rotate { arc, turns } => {
                 let (from, flange) = (arm.forward(&six(here)).times(tool), tool.inverse());
                 let size = (arc.length(from.position), if *turns { arc.degrees.abs() } else { 0.0 });
-                Ok(Path::along(arm, *here, here, size, |part| {
+                Path::along(arm, *here, here, size, |part| {
                     let turned = from.turned(arc.centre, arc.axis, arc.degrees * part);
                     if *turns { turned } else { from.moved_to(turned.position) }.times(&flange)
-                })?)
+                })
             }
         }
     }
@@ -96,7 +70,7 @@ fn turned(extended: &Option<Drive>, here: &Axes) -> Axes {
 }
 
 fn in_range(arm: &Geometry, axes: Axes) -> Result<Axes, OutOfReach> {
-    arm.out_of_range(&axes).map_or(Ok(axes), |axis| Err(OutOfReach(axis)))
+    arm.out_of_range(&axes).map_or(Ok(axes), Err)
 }
 
 /// Plans a line, on which the posture cannot change; J7 and J8 move to those of `extended`.
@@ -131,7 +105,7 @@ fn tip(arm: &Geometry, pose: &Pose, tool: &Frame) -> (Frame, Option<u8>) {
 fn keeps_posture(path: Path, fig: Option<u8>) -> Result<Path, Blocked> {
     // the turns of J4 and J6 result from the path
     match fig {
-        Some(fig) if !path.arm.same_posture(path.arm.figure(&six(&path.end())), fig) => Err(Blocked::Invalid),
+        Some(fig) if !path.arm.same_posture(path.arm.figure(&six(&path.end())), fig) => Err(Blocked::Figure),
         _ => Ok(path),
     }
 }

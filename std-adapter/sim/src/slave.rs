@@ -26,8 +26,8 @@
 //! An axis is at rest below 0.01 degrees per second; while all axes are, an empty buffer is no error in any mode. A pose
 //! for which axis n would exceed its limit is the error 0x8420405n (speed) or 0x8420404n (acceleration) of the cycle that
 //! takes it; speeds are checked first. The check includes the first pose, relative to the robot's position, and a sudden
-//! stop: holding in mode 1, or leaving before the poses have slowed down. A pose out of reach is the error 0x8320407n at
-//! once.
+//! stop: holding in mode 1, or leaving before the poses have slowed down. A pose out of reach is the error 0x83201501 or
+//! 0x8320407n at once.
 //!
 //! # Required state
 //!
@@ -144,7 +144,8 @@ impl Slave {
         }
         let coordinates = robot.coordinates();
         let Some(stream) = robot.stream_mut() else { return Err(HResult::E_SLVMODE_OFF) };
-        let axes = target(stream, &coordinates, ctx.config, &order.pose)?.map_err(|error| ctx.raise(error.code()))?;
+        let axes =
+            target(stream, &coordinates, ctx.config, &order.pose)?.map_err(|error| ctx.raise(error.on_path()))?;
         match stream.offer(axes, &mut self.counters) {
             Offered::Withheld => Ok(Answer::Until(Wait::Stored)),
             stored => {
@@ -334,7 +335,7 @@ fn target(
     let pose = coordinates.flange(Pose::new(kind, numbers)?);
     Ok(pose.joints(&coordinates.arm, &six(&near)).and_then(|joints| {
         axes[..6].copy_from_slice(&joints);
-        coordinates.arm.out_of_range(&axes).map_or(Ok(axes), |axis| Err(OutOfReach(axis)))
+        coordinates.arm.out_of_range(&axes).map_or(Ok(axes), Err)
     }))
 }
 

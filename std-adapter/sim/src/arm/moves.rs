@@ -11,9 +11,10 @@ use crate::curve::{Arc, Point};
 use crate::drive::Drive;
 use crate::kinematics::Frame;
 use crate::options::{Pass, options, pass_item, pass_of_text, split_outside_brackets, split_pass};
+use crate::path::Blocked;
 use crate::pose::{Pose, Target};
 use crate::robot::{Percent, Robot, percent};
-use crate::route::{Blocked, Route};
+use crate::route::Route;
 use crate::rules;
 use crate::value::{number, numbers_of_text};
 use crate::variables::{Family, Variables, parse_name};
@@ -242,8 +243,8 @@ fn start(robot: &mut Robot, ctx: &mut Context<'_>, way: (Route, Pass), speed: Sp
 /// Returns the code of a motion that cannot be planned; a pose out of reach is an error of the controller.
 pub(super) fn refuse(ctx: &mut Context<'_>, blocked: Blocked) -> HResult {
     match blocked {
-        Blocked::OutOfReach(reason) => ctx.raise(reason.code()),
         Blocked::Invalid => blocked.code(),
+        _ => ctx.raise(blocked.code()),
     }
 }
 

@@ -9,7 +9,7 @@ use super::Arm;
 use crate::answer::{Answer, Answered};
 use crate::context::Context;
 use crate::coordinates::Coordinates;
-use crate::kinematics::{angle, measured, pose_numbers};
+use crate::kinematics::{OutOfReach, angle, measured, pose_numbers};
 use crate::pose::Pose;
 use crate::robot::coordinates;
 use crate::rules;
@@ -20,8 +20,7 @@ pub(super) fn convert(arm: &Arm, ctx: &Context<'_>, from: Kind, to: Kind, param:
     let near = arm.robot.joints(ctx.now);
     let pose = Pose::parse_as(from, param, ctx.variables)?;
     let coordinates = arm.robot.coordinates();
-    // an argument out of reach is no error of the controller
-    let joints = coordinates.flange(pose).joints(&coordinates.arm, &near).map_err(|error| error.code())?;
+    let joints = coordinates.flange(pose).joints(&coordinates.arm, &near).map_err(OutOfReach::of_conversion)?;
     Ok(Value::R8s(match (to, pose) {
         (Kind::P, Pose::Frame(frame, _)) => pose_numbers(&frame, coordinates.arm.figure(&joints)),
         (Kind::P, Pose::Joints(_)) => coordinates.position(&joints),
@@ -44,7 +43,7 @@ pub(super) fn deviation(arm: &Arm, ctx: &Context<'_>, param: &Variant<'_>, of_fl
     Ok(Value::R8s(measured([x, y, z, rx, ry, rz, fig.map_or(-1.0, f64::from)])).into())
 }
 
-/// Executes OutRange: 0, or the bit of the axis that would leave its range.
+/// Executes OutRange: 0, the bits of the axes that would leave their ranges, -1 out of reach, or -2 singular.
 pub(super) fn out_range(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
     let robot = &arm.robot;
     let near = robot.joints(ctx.now);
@@ -62,9 +61,13 @@ pub(super) fn out_range(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_
         }
         _ => (*param, robot.coordinates()),
     };
-    Ok(Value::I4(match coordinates.flange(pose_of(&pose, ctx)?).joints(&coordinates.arm, &near) {
+    let pose = coordinates.flange(pose_of(&pose, ctx)?);
+    Ok(Value::I4(match pose.joints(&coordinates.arm, &near) {
+        Ok(joints) if matches!(pose, Pose::Frame(..)) && coordinates.arm.is_singular(&joints) => -2,
         Ok(_) => 0,
-        Err(out_of_reach) => 1 << out_of_reach.0.saturating_sub(1),
+        Err(OutOfReach::Limits(axes)) => axes.into(),
+        Err(OutOfReach::Unreachable) => -1,
+        Err(OutOfReach::Singular) => -2,
     })
     .into())
 }

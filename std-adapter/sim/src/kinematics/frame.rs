@@ -2,17 +2,44 @@
 
 use bcap_core::hresult::HResult;
 
+use crate::codes;
+
 /// J1 to J6, in degrees; of an arm of four axes J3 is in mm, and J5 and J6 are 0.
 pub type Joints = [f64; 6];
 
-/// A pose out of reach: the axis, 1 to 8, that would leave its range.
+/// Why the arm cannot take a pose.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct OutOfReach(pub(crate) u8);
+pub(crate) enum OutOfReach {
+    /// No joints give this frame.
+    Unreachable,
+    /// These axes would leave their ranges: bit n - 1 of axis n. At least one.
+    Limits(u8),
+    /// Axes would turn too far at a singular point.
+    Singular,
+}
 
 impl OutOfReach {
-    /// Returns the error of the controller.
-    pub(crate) fn code(self) -> HResult {
-        HResult::from_u32(0x8320_4070 + u32::from(self.0))
+    /// Returns the error of a motion whose goal it is.
+    pub(crate) fn of_goal(self) -> HResult {
+        self.code(codes::UNREACHABLE, codes::GOAL_BEYOND_LIMIT, codes::SINGULAR)
+    }
+
+    /// Returns the error of a pose on the way.
+    pub(crate) fn on_path(self) -> HResult {
+        self.code(codes::UNREACHABLE, codes::PATH_BEYOND_LIMIT, codes::SINGULAR)
+    }
+
+    /// Returns the error of a pose that is converted only.
+    pub(crate) fn of_conversion(self) -> HResult {
+        self.code(codes::CONVERSION_UNREACHABLE, codes::CONVERSION_BEYOND_LIMIT, codes::CONVERSION_SINGULAR)
+    }
+
+    fn code(self, unreachable: HResult, limit: HResult, singular: HResult) -> HResult {
+        match self {
+            Self::Unreachable => unreachable,
+            Self::Limits(axes) => codes::of_axis(limit, axes.trailing_zeros()),
+            Self::Singular => singular,
+        }
     }
 }
 

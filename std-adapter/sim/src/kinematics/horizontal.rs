@@ -35,11 +35,11 @@ impl Horizontal {
         let (r, [x, y, z]) = (&frame.rotation, frame.position);
         if r[0][2].hypot(r[1][2]) > UPRIGHT || r[2][2] < 0.0 {
             // only an axis that this arm lacks could tilt the flange
-            return Err(OutOfReach(5));
+            return Err(OutOfReach::Unreachable);
         }
         let cosine = (x * x + y * y - self.a1 * self.a1 - self.a2 * self.a2) / (2.0 * self.a1 * self.a2);
         if !(-1.0 - SINGULAR..=1.0 + SINGULAR).contains(&cosine) {
-            return Err(OutOfReach(2));
+            return Err(OutOfReach::Unreachable);
         }
         let angle = cosine.clamp(-1.0, 1.0).acos();
         let j2 = if posture & LEFTY == 0 { angle } else { -angle };

@@ -44,7 +44,7 @@ pub(super) fn inverse(
     match found.iter().find(|joints| accept(joints)).or(found.first()) {
         Some(joints) => Ok(*joints),
         // the axis that cannot reach with J6 as it is, or else the elbow
-        None => Err(search.place(near[5].to_radians()).err().unwrap_or(OutOfReach(3))),
+        None => Err(search.place(near[5].to_radians()).err().unwrap_or(OutOfReach::Unreachable)),
     }
 }
 

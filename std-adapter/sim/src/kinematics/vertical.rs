@@ -90,7 +90,7 @@ impl Vertical {
         let cosine = self.elbow_cosine(reach - self.a1, centre[2] - self.d1);
         // the elbow cannot stretch or fold further
         if !(-1.0 - SINGULAR..=1.0 + SINGULAR).contains(&cosine) {
-            return Err(OutOfReach(3));
+            return Err(OutOfReach::Unreachable);
         }
         let angle = cosine.clamp(-1.0, 1.0).acos();
         let bend = if (posture & BELOW != 0) != lefty { angle } else { -angle };
@@ -124,7 +124,7 @@ impl Vertical {
     fn base_angle(&self, centre: [f64; 3], lefty: bool, near: f64) -> Result<(f64, f64), OutOfReach> {
         let distance = centre[0].hypot(centre[1]);
         if distance + SINGULAR < self.b4.abs() {
-            return Err(OutOfReach(1));
+            return Err(OutOfReach::Unreachable);
         }
         let reach = self.reach(centre, lefty);
         if distance < SINGULAR {

@@ -7,7 +7,7 @@ use toml::Spanned;
 
 use super::error::{ModelError, Wrong, located, text};
 use crate::kinematics::{
-    ACCELERATION_TIME, EXTENDED_RANGE, EXTENDED_SPEED, Geometry, Horizontal, Joints, Links, Vertical,
+    ACCELERATION_TIME, EXTENDED_RANGE, EXTENDED_SPEED, Geometry, Horizontal, Joints, Links, OutOfReach, Vertical,
 };
 
 /// The longest link in mm.
@@ -258,8 +258,10 @@ impl ArmEntry {
         let mut home = [0.0; 6];
         home.iter_mut().zip(values).for_each(|(joint, value)| *joint = *value);
         match geometry.out_of_range(&home) {
-            Some(axis) => Err((start, format!("`home`: J{axis} is outside its range"))),
-            None => Ok(home),
+            Some(OutOfReach::Limits(axes)) => {
+                Err((start, format!("`home`: J{} is outside its range", axes.trailing_zeros() + 1)))
+            }
+            _ => Ok(home),
         }
     }
 }

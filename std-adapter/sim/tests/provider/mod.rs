@@ -219,8 +219,8 @@ fn the_commands_of_the_guide() {
     let table = Table::of(COMMANDS, |object, name, steps| Rig::new().play(object, name, steps));
     println!("{table}");
     let expected = [
-        (Status::AsDocumented, 42),
-        (Status::EffectDiffers, 18),
+        (Status::AsDocumented, 43),
+        (Status::EffectDiffers, 17),
         (Status::OtherLayout, 4),
         (Status::PartRefused, 12),
         (Status::Missing, 69),

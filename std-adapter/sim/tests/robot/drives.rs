@@ -57,7 +57,7 @@ fn a_drive_is_refused_as_a_motion_is() {
     assert_eq!(world.robot(client, "DriveEx", ["(1,1)", "FAST"]), code(HResult::E_INVALIDARG));
     assert_eq!(world.robot(client, "DriveEx", ()), code(HResult::E_INVALIDARGTYPE));
     assert_eq!(world.sim.errors().count(), 0);
-    assert_eq!(world.robot(client, "DriveEx", "(1,171)"), code(HResult::from_u32(0x8320_4071)));
+    assert_eq!(world.robot(client, "DriveEx", "(1,171)"), code(HResult::from_u32(0x8320_4231)));
     assert_eq!(world.sim.errors().count(), 1);
     assert_eq!(world.execute(client, "ClearError", ()), ok(&()));
     assert_eq!(world.robot(client, "GiveArm", ()), ok(&()));
@@ -90,7 +90,7 @@ fn extended_joints_move_with_the_pose() {
     assert_eq!(here(&world)[7], 0.0);
 
     // positions that an axis does not reach, and numbers that are not an axis
-    assert_eq!(world.move_to(client, 1, "J(0,45,90,0,45,0) EX((7,2000))", ""), HResult::from_u32(0x8320_4077));
+    assert_eq!(world.move_to(client, 1, "J(0,45,90,0,45,0) EX((7,2000))", ""), HResult::from_u32(0x8320_4237));
     assert_eq!(world.execute(client, "ClearError", ()), ok(&()));
     assert_eq!(world.move_to(client, 1, "J(0,45,90,0,45,0) EX((6,1))", ""), HResult::E_INVALIDARG);
     let mut world = World::new();

@@ -32,11 +32,14 @@ fn out_range_tells_whether_a_pose_can_be_reached() {
     let client = world.client(1);
     assert_eq!(world.robot(client, "OutRange", "J(0, 45, 90, 0, 45, 0, 0, 0)"), ok(&0));
     assert_eq!(world.robot(client, "OutRange", "J(0, 45, 90, 0, 121, 0)"), ok(&16));
+    assert_eq!(world.robot(client, "OutRange", "J(0, 145, 90, 0, 121, 0)"), ok(&18));
+    let (_, in_line) = world.robot(client, "J2P", [0.0, 45.0, 45.0, 0.0, 0.0, 0.0]);
+    assert_eq!(world.robot(client, "OutRange", doubles(&in_line).as_slice()), ok(&-2), "J4 and J6 are in line");
     // as the public sample asks
     let pose = ([300.0, 0.0, 400.0, 180.0, 0.0, 180.0, 5.0], "P");
     assert_eq!(world.robot(client, "OutRange", (pose, -1, -1)), ok(&0));
     let far = ([900.0, 0.0, 400.0, 180.0, 0.0, 180.0, 5.0], "P");
-    assert_eq!(world.robot(client, "OutRange", (far, -1, -1)), ok(&4));
+    assert_eq!(world.robot(client, "OutRange", (far, -1, -1)), ok(&-1));
     assert_eq!(world.robot(client, "OutRange", (pose, 64, -1)), code(HResult::E_INVALIDARG));
     assert_eq!(world.sim.errors().count(), 0);
 }
@@ -94,7 +97,7 @@ fn work_coordinates_turn_poses() {
     let pose = ([50.0, -20.0, 10.0, 180.0, 0.0, 90.0, 5.0], "P");
     assert_eq!(world.robot(client, "OutRange", (pose, -1, -1)), ok(&0));
     assert_eq!(world.robot(client, "SetWorkDef", (2, "P(2000, 0, 0, 0, 0, 0)")), ok(&()));
-    assert_eq!(world.robot(client, "OutRange", (pose, 0, 2)), ok(&4));
+    assert_eq!(world.robot(client, "OutRange", (pose, 0, 2)), ok(&-1));
     assert_eq!(world.call(client.peer, call::robot_change(client.robot, "Work0")), code(HResult::S_OK));
     assert_close(&doubles(&world.robot(client, "CurPos", ()).1)[..3], &[320.0, 50.0, 310.0], 1e-6);
 

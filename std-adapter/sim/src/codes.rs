@@ -1,0 +1,28 @@
+//! The codes of poses that the arm cannot take.
+//!
+//! "seen" is the error log of a real RC8A with a VS087A4, in a public repository (jtcass01/denso_api); "listed" is the list
+//! of error codes of the maker, in another one (nkawa/Denso_CobottaPro900_MQTT_Control).
+
+use bcap_core::hresult::HResult;
+
+/// The goal of a motion is out of reach. Seen.
+pub const UNREACHABLE: HResult = HResult::from_u32(0x8320_1501);
+/// A straight path is too near to a singular point. Seen.
+pub const SINGULAR: HResult = HResult::from_u32(0x8320_1504);
+/// A straight path ends in another figure. Listed.
+pub const OTHER_FIGURE: HResult = HResult::from_u32(0x8320_1401);
+/// The goal of a motion is beyond the limit of axis n, the last digit. Seen.
+pub const GOAL_BEYOND_LIMIT: HResult = HResult::from_u32(0x8320_4230);
+/// Axis n, the last digit, passes its limit on the way. Listed.
+pub const PATH_BEYOND_LIMIT: HResult = HResult::from_u32(0x8320_4070);
+/// A pose to be converted is out of reach. Listed.
+pub const CONVERSION_UNREACHABLE: HResult = HResult::from_u32(0x8120_1503);
+/// A pose to be converted is singular. Listed.
+pub const CONVERSION_SINGULAR: HResult = HResult::from_u32(0x8120_1506);
+/// A pose to be converted is beyond the limit of axis n, the last digit. Listed.
+pub const CONVERSION_BEYOND_LIMIT: HResult = HResult::from_u32(0x8120_4120);
+
+/// Returns the code of a range for an axis, counted from 0.
+pub(crate) const fn of_axis(range: HResult, axis: u32) -> HResult {
+    HResult::from_u32(range.to_u32() + axis + 1)
+}
