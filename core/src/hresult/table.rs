@@ -34,7 +34,8 @@ impl Row {
     pub(super) fn parse(line: &'static str) -> Option<Self> {
         let mut columns = line.split('\t');
         let (codes, meaning, remedy) = (columns.next()?, columns.next()?, columns.next()?);
-        Some(Self { codes, meaning, remedy, cause: columns.next(), functions: columns.next(), source: columns.next() })
+        let mut more = || columns.next().filter(|text| !text.is_empty());
+        Some(Self { codes, meaning, remedy, cause: more(), functions: more(), source: more() })
     }
 
     /// Iterates over the codes of the row.

@@ -11,7 +11,7 @@ use crate::output::{print_block, print_json, print_raw};
 
 /// Explains result codes: meaning, usual cause, what to do
 ///
-/// CODE is a name, or a number as the manuals write it (0x83500121 or 83500121) or as a program prints it (-2092957407). Needs
+/// CODE is a name, or a number as the manuals write it (0x83500121 or 83500121) or as a program prints it (-2091908831). Needs
 /// no connection.
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -68,7 +68,7 @@ fn unknown(text: &str) -> String {
     let similar = HResult::known().filter_map(HResult::name).filter(|name| part.len() > 2 && name.contains(&part));
     let similar = similar.collect::<Vec<_>>().join(", ");
     let similar = if similar.is_empty() { String::new() } else { format!("; names with this text: {similar}") };
-    format!("{text:?} is no result code: write 0x83500121, 83500121, -2092957407 or E_SLVMODE_OFF{similar}")
+    format!("{text:?} is no result code: write 0x83500121, 83500121, -2091908831 or E_SLVMODE_OFF{similar}")
 }
 
 /// The facts about a code, with the title of each.
