@@ -195,33 +195,33 @@ sanitizers:
 [group('board in QEMU')]
 board:
     cargo build --release -p bcap-cli
-    BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo bench -p bcap-qemu --bench gateway
+    BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo bench -p bcap-qemu --features qemu --bench gateway
 
 # The gateway board in QEMU for a minute on a link that drops, repeats and delays frames; a seed decides which.
 [group('board in QEMU')]
 wire seed="1":
     cargo build --quiet --locked --release -p bcap-cli
-    WIRE_SECONDS=60 WIRE_SEED={{seed}} BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo test -p bcap-qemu wire::
+    WIRE_SECONDS=60 WIRE_SEED={{seed}} BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo test -p bcap-qemu --features qemu wire::
 
 # The gateway board in QEMU with four PLCs while the robot, the link and other clients fail at random: an hour, or `just board-soak 1`.
 [group('board in QEMU')]
 board-soak minutes="60" seed="1":
     cargo build --release -p bcap-cli
     SOAK_SECONDS=$(({{minutes}} * 60)) SOAK_SEED={{seed}} BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" \
-        cargo test -p bcap-qemu soak::
+        cargo test -p bcap-qemu --features qemu soak::
 
 # A client that sends refused PUTs to the gateway board in QEMU as fast as it can, next to a well-behaved PLC: ten minutes, or `just board-flood 1`.
 [group('board in QEMU')]
 board-flood minutes="10":
     cargo build --release -p bcap-cli
     FLOOD_SECONDS=$(({{minutes}} * 60)) BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" \
-        cargo test -p bcap-qemu flood::
+        cargo test -p bcap-qemu --features qemu flood::
 
 # Updates of the gateway board in QEMU with the power cut in each operation of a swap and a roll-back, and in many of a download: 45 minutes.
 [group('board in QEMU')]
 board-updates:
     cargo build --release -p bcap-cli
-    UPDATE_CUTS=all BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo test -p bcap-qemu update:: -- --nocapture
+    UPDATE_CUTS=all BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo test -p bcap-qemu --features qemu update:: -- --nocapture
 
 # Checks a release, as RELEASING.md describes; with `--execute` tags and publishes it: `just release 0.2.0 --execute`.
 [group('release')]

@@ -83,28 +83,25 @@ struct Plug {
 }
 
 impl Cable {
-    /// Makes a cable with both ends plugged in; `None` if this machine has no pseudo-terminals.
+    /// Makes a cable with both ends plugged in.
     ///
     /// # Panics
     ///
-    /// When this machine has no temporary folder.
+    /// When this machine has no temporary folder, or no more pseudo-terminals.
     #[must_use]
-    pub fn new(quality: Quality) -> Option<Self> {
+    pub fn new(quality: Quality) -> Self {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let shared = Arc::new(Shared::default());
         let mut cable = Self { folder, shared, threads: Vec::new() };
         for end in [End::Controller, End::Client] {
-            if let Err(error) = cable.try_plug(end) {
-                eprintln!("skipped: this machine has no pseudo-terminals ({error})");
-                return None;
-            }
+            cable.plug(end);
         }
         for (from, to) in [(End::Controller, End::Client), (End::Client, End::Controller)] {
             let random = Random(quality.seed.wrapping_mul(2).wrapping_add(from as u64));
             let direction = Direction { shared: Arc::clone(&cable.shared), from, to, quality, random, free: None };
             cable.threads.push(thread::spawn(move || direction.run()));
         }
-        Some(cable)
+        cable
     }
 
     /// Returns the path of an end.
@@ -135,13 +132,9 @@ impl Cable {
     ///
     /// When this machine has no more pseudo-terminals.
     pub fn plug(&mut self, end: End) {
-        self.try_plug(end).expect("a pseudo-terminal");
-    }
-
-    fn try_plug(&mut self, end: End) -> io::Result<()> {
-        let (plug, device) = Plug::new()?;
+        let (plug, device) = Plug::new().expect("a pseudo-terminal");
         *self.shared.plug(end) = Some(Arc::new(plug));
-        symlink(device, self.path(end))
+        symlink(device, self.path(end)).expect("a link in the temporary folder");
     }
 
     /// Returns the traffic so far.

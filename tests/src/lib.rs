@@ -13,7 +13,9 @@
 //! | [`drivers`]    | the call sequences of public drivers, from `tests/drivers`                          |
 //! | [`proxy`]      | a proxy between a client and a server on real sockets that injects faults            |
 //! | `mosquitto`    | a broker for MQTT that does not outlive the tests                                   |
-//! | [`tools`]      | programs that tests run, and may be missing                                         |
+//! | [`tools`]      | tools that tests need, and may be missing                                           |
+//! | [`pymodbus`]   | a client of Modbus of another make                                                  |
+//! | [`python`]     | packages of PyPI that tests run                                                     |
 //! | [`process`]    | memory, processor time and file descriptors of a process                            |
 //! | [`allocation`] | an allocator that counts the allocations of each thread                             |
 //! | `endings`      | random trials of how programs end while they move a robot                           |
@@ -33,6 +35,8 @@ pub mod process;
 pub mod proxy;
 #[cfg(unix)]
 pub mod pty;
+pub mod pymodbus;
+pub mod python;
 pub mod real_time;
 pub mod serial;
 pub mod served;

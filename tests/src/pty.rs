@@ -35,10 +35,14 @@ struct Noisy {
     corrupted: Arc<AtomicU32>,
 }
 
-/// Makes the two ends of a line, the controller's first; says so if this machine has no pseudo-terminals.
+/// Makes the two ends of a line, the controller's first.
+///
+/// # Panics
+///
+/// When this machine has no more pseudo-terminals.
 #[must_use]
-pub fn pair() -> Option<(TTYPort, TTYPort)> {
-    TTYPort::pair().map_err(|error| eprintln!("skipped: this machine has no pseudo-terminals ({error})")).ok()
+pub fn pair() -> (TTYPort, TTYPort) {
+    TTYPort::pair().expect("a pair of pseudo-terminals")
 }
 
 /// Returns the address of a line for clients.
@@ -52,11 +56,14 @@ pub fn address(client: &TTYPort) -> String {
 }
 
 impl Line {
-    /// Connects a line to a controller, which corrupts so many of 1,000 bytes; `None` if this machine has no
-    /// pseudo-terminals.
+    /// Connects a line to a controller, which corrupts so many of 1,000 bytes.
+    ///
+    /// # Panics
+    ///
+    /// When this machine has no more pseudo-terminals.
     #[must_use]
-    pub fn to<H: Handler + Send + 'static>(controller: H, seed: u64, per_mille: u64) -> Option<Self> {
-        let (port, client) = pair()?;
+    pub fn to<H: Handler + Send + 'static>(controller: H, seed: u64, per_mille: u64) -> Self {
+        let (port, client) = pair();
         let (unplugged, corrupted) = <(Arc<AtomicBool>, Arc<AtomicU32>)>::default();
         let random = Random(seed);
         let wire =
@@ -64,7 +71,7 @@ impl Line {
         let controller = Mutex::new(controller);
         // an error is the end of the line
         let server = thread::spawn(move || drop(serve(wire, &controller, PeerId(1))));
-        Some(Self { client, unplugged, corrupted, server: Some(server) })
+        Self { client, unplugged, corrupted, server: Some(server) }
     }
 
     /// Returns the address for clients.

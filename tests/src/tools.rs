@@ -1,6 +1,6 @@
-//! Programs that tests run, and may be missing.
+//! Tools that tests need, and may be missing.
 //!
-//! With `CI=true` a missing program is a failure. Elsewhere its tests end at once, and each prints a line with their number.
+//! With `CI=true` a missing tool is a failure. Elsewhere its tests end at once, and each prints a line with their number.
 
 use std::collections::BTreeMap;
 use std::env;
@@ -8,10 +8,10 @@ use std::io::{self, Write as _};
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 
-/// The number of tests that each missing program has skipped.
+/// The number of tests that the lack of each tool has skipped.
 static SKIPPED: Mutex<BTreeMap<String, u32>> = Mutex::new(BTreeMap::new());
 
-/// Returns the path of a program, or `None` with a line that says that a test is skipped.
+/// Returns the path of a program, or `None` after [`missing`].
 ///
 /// # Panics
 ///
@@ -23,16 +23,21 @@ pub fn find(program: &str) -> Option<PathBuf> {
     let folders = env::split_paths(&path).chain([PathBuf::from("/usr/sbin")]);
     let found = folders.map(|folder| folder.join(program)).find(|file| file.is_file());
     if found.is_none() {
-        skip(program);
+        missing(&format!("{program} is not installed"));
     }
     found
 }
 
-fn skip(program: &str) {
-    assert!(env::var_os("CI").is_none_or(|value| value != "true"), "{program} is not installed");
+/// Prints a line that says that a test is skipped, and which tool this machine lacks.
+///
+/// # Panics
+///
+/// With `CI=true`.
+pub fn missing(what: &str) {
+    assert!(env::var_os("CI").is_none_or(|value| value != "true"), "{what}");
     let mut skipped = SKIPPED.lock().unwrap_or_else(PoisonError::into_inner);
-    let count = skipped.entry(program.to_owned()).or_default();
+    let count = skipped.entry(what.to_owned()).or_default();
     *count += 1;
     // not `println`, whose lines a test that passes does not show
-    let _ = writeln!(io::stderr(), "skipped: {program} is not installed ({count} tests so far)");
+    let _ = writeln!(io::stderr(), "skipped: {what} ({count} tests so far)");
 }

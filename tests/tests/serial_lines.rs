@@ -46,7 +46,7 @@ const ROUNDS: i16 = 12;
 
 #[test]
 fn every_kind_of_variable_survives_noise_on_the_line() {
-    let Some(line) = Line::to(simulated(), 1, 1) else { return };
+    let line = Line::to(simulated(), 1, 1);
     let mut cell = blocking::Controller::connect(&line.address(), &settings()).unwrap();
     for round in 1..=ROUNDS {
         for (name, value) in values(round) {
@@ -64,7 +64,7 @@ fn every_kind_of_variable_survives_noise_on_the_line() {
 
 #[tokio::test]
 async fn every_kind_of_variable_survives_noise_on_the_line_under_tokio() {
-    let Some(line) = Line::to(simulated(), 2, 1) else { return };
+    let line = Line::to(simulated(), 2, 1);
     let cell = asynch::Controller::connect(&line.address(), &settings()).await.unwrap();
     for round in 1..=ROUNDS {
         for (name, value) in values(round) {
@@ -82,7 +82,7 @@ async fn every_kind_of_variable_survives_noise_on_the_line_under_tokio() {
 
 #[test]
 fn an_unplugged_line_is_a_lost_connection() {
-    let Some(mut line) = Line::to(simulated(), 3, 0) else { return };
+    let mut line = Line::to(simulated(), 3, 0);
     let mut cell = blocking::Controller::connect(&line.address(), &settings()).unwrap();
     cell.write("I1", 1).unwrap();
     line.unplug();
@@ -92,7 +92,7 @@ fn an_unplugged_line_is_a_lost_connection() {
 
 #[tokio::test]
 async fn an_unplugged_line_is_a_lost_connection_under_tokio() {
-    let Some(mut line) = Line::to(simulated(), 4, 0) else { return };
+    let mut line = Line::to(simulated(), 4, 0);
     let cell = asynch::Controller::connect(&line.address(), &settings()).await.unwrap();
     cell.write("I1", 1).await.unwrap();
     let mut states = cell.states();
@@ -106,23 +106,23 @@ async fn an_unplugged_line_is_a_lost_connection_under_tokio() {
 }
 
 /// A line whose other end takes the first byte of a request and is then unplugged.
-fn unplugged_during_a_call() -> Option<(TTYPort, JoinHandle<()>)> {
-    let (mut port, client) = pair()?;
+fn unplugged_during_a_call() -> (TTYPort, JoinHandle<()>) {
+    let (mut port, client) = pair();
     let unplugging = thread::spawn(move || {
         port.set_timeout(Duration::from_secs(60)).unwrap();
         port.read_exact(&mut [0]).unwrap();
     });
-    Some((client, unplugging))
+    (client, unplugging)
 }
 
 #[tokio::test]
 async fn a_call_ends_when_the_line_is_unplugged() {
-    let Some((line, unplugging)) = unplugged_during_a_call() else { return };
+    let (line, unplugging) = unplugged_during_a_call();
     let error = blocking::Controller::connect(&address(&line), &settings()).unwrap_err();
     assert!(error.is_lost(), "{error}");
     unplugging.join().unwrap();
 
-    let Some((line, unplugging)) = unplugged_during_a_call() else { return };
+    let (line, unplugging) = unplugged_during_a_call();
     let error = asynch::Controller::connect(&address(&line), &settings()).await.unwrap_err();
     assert!(error.is_lost(), "{error}");
     unplugging.join().unwrap();
@@ -130,7 +130,7 @@ async fn a_call_ends_when_the_line_is_unplugged() {
 
 #[tokio::test]
 async fn a_line_carries_one_session() {
-    let Some(line) = Line::to(simulated(), 5, 0) else { return };
+    let line = Line::to(simulated(), 5, 0);
     let mut cell = blocking::Controller::connect(&line.address(), &settings()).unwrap();
     assert!(matches!(cell.stopper(), Err(Error::NoSecondSession)));
     for error in [

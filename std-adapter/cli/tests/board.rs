@@ -76,13 +76,12 @@ impl embedded_io::Write for Line {
 }
 
 impl Board {
-    /// Starts a board; `None` if this machine has no pseudo-terminals.
-    fn start() -> Option<Self> {
+    fn start() -> Self {
         Self::run(Console::new(Slots::new(Flash::new(4096), 0..4096).unwrap(), IMAGE), |_, _| {})
     }
 
     /// Starts a board with partitions for updates; `damage` gets the number of each received byte and the byte.
-    fn with_updates(damage: fn(usize, &mut u8)) -> Option<Self> {
+    fn with_updates(damage: fn(usize, &mut u8)) -> Self {
         let mut slots = Slots::new(Flash::new(40_960), 0..4096).unwrap();
         let partitions =
             Partitions { active: 12_288..22_528, other: 22_528..34_816, state: 34_816..38_912, history: 4096..8192 };
@@ -90,15 +89,15 @@ impl Board {
         Self::run(Console::new(slots, IMAGE).with_updates(Some(updater)), damage)
     }
 
-    fn run(mut console: Console<'static, Flash<4, 2048>>, damage: fn(usize, &mut u8)) -> Option<Self> {
-        let (mut port, host) = pty::pair()?;
+    fn run(mut console: Console<'static, Flash<4, 2048>>, damage: fn(usize, &mut u8)) -> Self {
+        let (mut port, host) = pty::pair();
         port.set_timeout(std::time::Duration::from_millis(5)).unwrap();
         // the log of a board, and a partly sent request of an earlier program
         port.write_all(b"0.001 INFO  started\nok nothing was asked\n").unwrap();
         let (end, received) = <(Arc<AtomicBool>, Arc<AtomicUsize>)>::default();
         let mut line = Line { port, end: Arc::clone(&end), received: Arc::clone(&received), damage };
         let board = thread::spawn(move || console.run(&mut line).unwrap());
-        Some(Self { host, end, received, board: Some(board) })
+        Self { host, end, received, board: Some(board) }
     }
 
     fn configure(&self, arguments: &[&str]) -> Run {
@@ -123,7 +122,7 @@ impl Drop for Board {
 
 #[test]
 fn settings_are_replaced_shown_and_removed() {
-    let Some(board) = Board::start() else { return };
+    let board = Board::start();
     let run = board.configure(&[]);
     let note = " note: these settings are those of the image; the flash has none\n";
     assert_eq!((run.out.as_str(), run.err.as_str(), run.code), ("robot=192.168.0.1:5007\n", note, 0));
@@ -149,7 +148,7 @@ fn settings_are_replaced_shown_and_removed() {
 
 #[test]
 fn a_board_is_restarted_after_its_settings_are_saved() {
-    let Some(board) = Board::start() else { return };
+    let board = Board::start();
     let run = board.configure(&["put=I/0-99", "--restart"]);
     assert!(run.code == 0 && run.out.ends_with(": ok\nrestart: ok\n"), "{run:?}");
     assert_eq!(board.end(), Some(Action::Restart));
@@ -157,7 +156,7 @@ fn a_board_is_restarted_after_its_settings_are_saved() {
 
 #[test]
 fn invalid_settings_are_refused_with_their_column_before_anything_is_sent() {
-    let Some(board) = Board::start() else { return };
+    let board = Board::start();
     let long = format!("provider={}", "x".repeat(500));
     let many: Vec<String> = (0..9).map(|_| format!("provider={}", "x".repeat(300))).collect();
     let many: Vec<&str> = many.iter().map(String::as_str).collect();
@@ -180,7 +179,7 @@ fn invalid_settings_are_refused_with_their_column_before_anything_is_sent() {
 
 #[test]
 fn a_device_that_sends_other_lines_without_end_is_no_board() {
-    let Some((mut device, host)) = pty::pair() else { return };
+    let (mut device, host) = pty::pair();
     let is_full = |error: &io::Error| error.kind() == ErrorKind::TimedOut;
     thread::spawn(move || while device.write_all(b"$GPGGA,0\n").as_ref().err().is_none_or(is_full) {});
     let run = bcap(&["board", "configure", &host.name().unwrap(), "--timeout", "300"]);
@@ -189,7 +188,7 @@ fn a_device_that_sends_other_lines_without_end_is_no_board() {
 
 #[test]
 fn a_port_without_a_board_is_reported() {
-    let Some((_silent, host)) = pty::pair() else { return };
+    let (_silent, host) = pty::pair();
     let run = bcap(&["board", "configure", &host.name().unwrap(), "--timeout", "100"]);
     assert!(run.code == 4 && run.err.contains("no answer from a board at /dev/"), "{run:?}");
     let run = bcap(&["board", "configure", "/dev/no-such-line"]);
@@ -215,7 +214,7 @@ fn an_image_is_received_although_the_line_damages_blocks() {
         11_000 => *byte = b'\n',
         _ => {}
     };
-    let Some(board) = Board::with_updates(damage) else { return };
+    let board = Board::with_updates(damage);
     assert_eq!(board.bcap("status", &[]).out, "test-board 0.1.0 confirmed\n");
     let folder = tempfile::tempdir().unwrap();
     let image = image(&folder, &NEW, 10_000);
@@ -230,7 +229,7 @@ fn an_image_is_received_although_the_line_damages_blocks() {
 
 #[test]
 fn a_board_is_restarted_after_its_update() {
-    let Some(board) = Board::with_updates(|_, _| {}) else { return };
+    let board = Board::with_updates(|_, _| {});
     let folder = tempfile::tempdir().unwrap();
     let run = board.bcap("update", &[&image(&folder, &NEW, 1000), "--json"]);
     let expected = r#"{"board":"test-board","bytes":1000,"repeated":0,"restarted":true,"version":"0.2.0"}"#;
@@ -241,7 +240,7 @@ fn a_board_is_restarted_after_its_update() {
 #[test]
 fn an_image_that_does_not_fit_the_board_is_refused() {
     let folder = tempfile::tempdir().unwrap();
-    let Some(board) = Board::with_updates(|_, _| {}) else { return };
+    let board = Board::with_updates(|_, _| {});
     let other = Identity::new("other-board", "0.2.0");
     for (identity, len, message) in [
         (&other, 1000, "the image is for another board: this is a test-board"),
@@ -264,7 +263,7 @@ fn an_image_that_does_not_fit_the_board_is_refused() {
     }
     assert_eq!(board.received.load(Ordering::Relaxed), sent, "bytes that the board received");
 
-    let Some(board) = Board::start() else { return };
+    let board = Board::start();
     let run = board.bcap("update", &[&image(&folder, &NEW, 1000)]);
     assert!(run.code == 1 && run.err.contains("this image has no partition for updates"), "{run:?}");
 }

@@ -8,8 +8,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::common::pymodbus::Pymodbus;
 use crate::common::{Run, bcap, command};
+use bcap_tests::pymodbus::Pymodbus;
+use bcap_tests::tools;
 use serde_json::Value;
 
 const NOT_CONNECTED: &str = "-2147481342\r";
@@ -541,7 +542,10 @@ fn clients_of_modbus_read_and_write_what_the_rules_allow() {
 
 #[test]
 fn a_client_of_modbus_of_another_make_reads_and_writes_variables() {
-    let Some(pymodbus) = Pymodbus::find(Path::new(env!("CARGO_TARGET_TMPDIR"))) else { return };
+    let pymodbus = match Pymodbus::find(Path::new(env!("CARGO_TARGET_TMPDIR"))) {
+        Ok(pymodbus) => pymodbus,
+        Err(why) => return tools::missing(&why),
+    };
     let sim = Server::sim("127.0.0.1:0");
     let gateway = with_modbus("gateway-pymodbus.toml", &sim.address("bcap"));
     let exchanges = [

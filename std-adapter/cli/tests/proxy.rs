@@ -41,7 +41,7 @@ fn the_file_of_a_proxy_has_the_calls_that_the_server_saw() {
 #[test]
 fn tcpdump_captures_the_same_calls_as_the_proxy() {
     let folder = tempfile::tempdir().unwrap();
-    let Some(files) = recorded::proxied_under_tcpdump("the proxy with tcpdump", folder.path()) else { return };
+    let Some(files) = recorded::proxied_under_tcpdump(folder.path()) else { return };
     let [mut proxied, mut dumped] = files.each_ref().map(|file| json_calls(file));
     proxied.sort();
     dumped.sort();
@@ -52,7 +52,7 @@ fn tcpdump_captures_the_same_calls_as_the_proxy() {
 
 #[test]
 fn tshark_links_all_requests_of_the_file_of_a_proxy() {
-    if !has_tshark("the file of a proxy") {
+    if !has_tshark() {
         return;
     }
     let (recorded, _) = recorded::proxied(&["--quiet"]);
@@ -176,7 +176,7 @@ fn corrupted_replies_are_recorded_as_the_client_received_them() {
     assert_ne!(run.out, "I1 = 0\n", "{run:?}");
     let printed = proxy.interrupt();
     assert!(printed.out.contains("note: fault: flipped bit "), "{}", printed.out);
-    if has_tshark("comments of faults") {
+    if has_tshark() {
         let comments = tshark(&file, &["-T", "fields", "-e", "frame.comment", "-Y", "frame.comment"]);
         assert!(comments.starts_with("fault: flipped bit "), "{comments}");
     }

@@ -52,7 +52,7 @@ fn done(run: Run) -> String {
 
 #[test]
 fn variables_are_written_and_read_over_a_serial_line() {
-    let Some(line) = Line::to(Controller::new(Config::new(Profile::Rc8)), 1, 0) else { return };
+    let line = Line::to(Controller::new(Config::new(Profile::Rc8)), 1, 0);
     let robot = line.address();
     let [put, get, doctor] = [["put", "I1", "42"].as_slice(), &["get", "I1"], &["doctor"]]
         .map(|command| bcap(&[command, &["--robot", &robot]].concat()));
@@ -74,7 +74,7 @@ fn a_device_that_does_not_exist_is_named_with_a_hint() {
 
 #[test]
 fn the_virtual_controller_serves_a_serial_line_and_its_sockets() {
-    let Some(cable) = Cable::new(Quality::default()) else { return };
+    let cable = Cable::new(Quality::default());
     let files = tempfile::tempdir().unwrap();
     let free = ["--bcap", "127.0.0.1:0", "--udp", "127.0.0.1:0", "--rac", "127.0.0.1:0"];
     let sim = Sim::start(&cable, &[&free[..], &["--files", files.path().to_str().unwrap()]].concat());
@@ -107,7 +107,7 @@ fn the_virtual_controller_serves_a_serial_line_and_its_sockets() {
 
 #[test]
 fn the_virtual_controller_survives_unplugging() {
-    let Some(mut cable) = Cable::new(Quality::default()) else { return };
+    let mut cable = Cable::new(Quality::default());
     let mut sim = Sim::start(&cable, &["--no-network"]);
     let path = cable.path(End::Controller).display().to_string();
     assert_eq!(sim.ready, format!("ready serial={path}?baud=115200\n"));
@@ -129,7 +129,7 @@ fn the_virtual_controller_survives_unplugging() {
 /// The client whose line was unplugged releases nothing itself: the controller gives its arm back.
 #[test]
 fn an_unplugged_client_loses_the_arm() {
-    let Some(mut cable) = Cable::new(Quality::default()) else { return };
+    let mut cable = Cable::new(Quality::default());
     let mut sim = Sim::start(&cable, &["--bcap", "127.0.0.1:0", "--udp", "127.0.0.1:0", "--rac", "127.0.0.1:0"]);
     let tcp = sim.ready.split_whitespace().find_map(|word| word.strip_prefix("bcap=")).unwrap().to_owned();
     let mut shell = bare(&["shell", "--robot", &cable.address(115_200)]);
@@ -172,7 +172,7 @@ fn slow() -> Slowed<5> {
 
 #[test]
 fn a_line_that_is_too_slow_for_slave_mode_is_refused_before_anything_moves() {
-    let Some(cable) = Cable::new(Quality::default()) else { return };
+    let cable = Cable::new(Quality::default());
     let sim = LineServer::start(slow(), &cable.path(End::Controller));
     let run = bcap(&["slave", "cosine", "--yes", "--robot", &cable.address(115_200)]);
     let part =
@@ -192,7 +192,7 @@ fn stream<H: bcap_core::bcap::server::Handler + Send + 'static>(cable: &Cable, c
 #[test]
 fn slave_mode_streams_over_a_fast_line() {
     repeated(|| {
-        let Some(cable) = Cable::new(Quality { baud: Some(921_600), ..Quality::default() }) else { return };
+        let cable = Cable::new(Quality { baud: Some(921_600), ..Quality::default() });
         let run = stream(&cable, slow(), "1");
         assert_eq!((run.code, run.err.as_str()), (0, ""), "{run:?}");
         let report: serde_json::Value = serde_json::from_str(&run.out).unwrap();
@@ -203,7 +203,7 @@ fn slave_mode_streams_over_a_fast_line() {
 #[test]
 #[ignore = "measures a stream in real time: `just serial`"]
 fn slave_mode_streams_in_real_time_over_a_line_of_921600_baud() {
-    let Some(cable) = Cable::new(Quality { baud: Some(921_600), ..Quality::default() }) else { return };
+    let cable = Cable::new(Quality { baud: Some(921_600), ..Quality::default() });
     let run = stream(&cable, Controller::new(Config::new(Profile::Rc8)), "10");
     println!("{}{:?}", run.out, cable.passed());
     assert_eq!((run.code, run.err.as_str()), (0, ""), "{run:?}");
@@ -213,7 +213,7 @@ fn slave_mode_streams_in_real_time_over_a_line_of_921600_baud() {
 
 #[test]
 fn slave_mode_stops_on_ctrl_c_over_a_line_and_refuses_a_motion_that_nothing_could_halt() {
-    let Some(cable) = Cable::new(Quality { baud: Some(921_600), ..Quality::default() }) else { return };
+    let cable = Cable::new(Quality { baud: Some(921_600), ..Quality::default() });
     let _sim = LineServer::start(slow(), &cable.path(End::Controller));
     let robot = cable.address(921_600);
     for start in [&["cosine", "--from", "J1"][..], &["play", "path.csv", "--approach"]] {
@@ -224,7 +224,7 @@ fn slave_mode_stops_on_ctrl_c_over_a_line_and_refuses_a_motion_that_nothing_coul
 }
 
 fn interrupted_stream() {
-    let Some(cable) = Cable::new(Quality { baud: Some(921_600), ..Quality::default() }) else { return };
+    let cable = Cable::new(Quality { baud: Some(921_600), ..Quality::default() });
     let sim = LineServer::start(slow(), &cable.path(End::Controller));
     let robot = cable.address(921_600);
     let args = ["slave", "cosine", "--yes", "--seconds", "60", "--robot", &robot];

@@ -1,36 +1,19 @@
 //! Sparkplug B with a host of another make: pysparkplug, a package of PyPI, which the test installs.
 
 use std::io::{BufRead as _, BufReader, Write as _};
-use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStdin, Command, Stdio};
+use std::path::Path;
+use std::process::{Child, ChildStdin, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
 use crate::common::{Robot, Running};
 use bcap_fleet::{CommandResult, Event};
 use bcap_tests::mosquitto::Mosquitto;
+use bcap_tests::python::Python;
+use bcap_tests::tools;
 use serde_json::{Value, json};
 
 const PACKAGES: [&str; 2] = ["pysparkplug==0.6.1", "paho-mqtt==1.6.1"];
-
-/// Returns a Python that has the package; `None`, with a line that says so, where it cannot be installed.
-fn python() -> Option<PathBuf> {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("pysparkplug");
-    let python = folder.join("bin/python");
-    let runs = |program: &Path, args: &[&str]| {
-        let output = Command::new(program).args(args).output();
-        output.is_ok_and(|output| output.status.success())
-    };
-    if !runs(&python, &["-c", "import pysparkplug"]) {
-        let pip = ["-m", "pip", "--disable-pip-version-check", "install", "--quiet", "--retries=0", "--timeout=10"];
-        let is_new = runs(Path::new("python3"), &["-m", "venv", folder.to_str()?]);
-        if !is_new || !runs(&python, &[&pip[..], &PACKAGES[..]].concat()) {
-            println!("skipped: Python's package pysparkplug cannot be installed");
-            return None;
-        }
-    }
-    Some(python)
-}
 
 /// The host as a process.
 struct Host {
@@ -48,9 +31,10 @@ impl Drop for Host {
 
 impl Host {
     /// Starts the host, and waits until it is connected and has subscribed.
-    fn start(python: &Path, port: u16) -> Self {
+    fn start(python: &Python, port: u16) -> Self {
         let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/host.py");
-        let mut child = Command::new(python)
+        let mut child = python
+            .command()
             .arg(script)
             .arg(port.to_string())
             .stdin(Stdio::piped())
@@ -96,7 +80,10 @@ fn config(port: u16, robot: &Robot) -> String {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn pysparkplug_reads_births_and_data_and_writes_an_allowed_value() {
     let Some(broker) = Mosquitto::open() else { return };
-    let Some(python) = python() else { return };
+    let python = match Python::with(&PACKAGES, "pysparkplug", Path::new(env!("CARGO_TARGET_TMPDIR"))) {
+        Ok(python) => python,
+        Err(why) => return tools::missing(&why),
+    };
     let mut robot = Robot::start().await;
     robot.set(1, -5);
     let mut host = Host::start(&python, broker.port);

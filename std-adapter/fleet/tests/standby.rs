@@ -1,16 +1,17 @@
 //! Processes that are killed or stopped, with a real Mosquitto: one is active, the other takes over; the buffer outlasts them.
 
 use std::collections::HashSet;
-use std::io::{BufRead as _, BufReader};
+use std::io::{BufRead as _, BufReader, Write as _};
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 use std::time::{Duration, Instant};
 
 use crate::common::{Proxy, Robot, Running, Subscriber, counter, folder, now_ms};
-use bcap_fleet::{Config, Event, Fleet};
+use bcap_fleet::Event;
 use bcap_tests::mosquitto::Mosquitto;
 use serde_json::{Value, json};
+use tempfile::NamedTempFile;
 use tokio::sync::watch;
 
 const STATE: &str = "bcap/plant/edge1/state";
@@ -187,11 +188,12 @@ async fn a_process_that_may_not_be_active_any_more_refuses_commands() {
     fleet.stop().await;
 }
 
-/// A fleet in a separate process, whose events say its name and role.
+/// The program `bcap-fleet` in a separate process.
 struct Process {
     child: Child,
     /// Whether it is active; `None` before it knows.
     role: watch::Receiver<Option<bool>>,
+    _config: NamedTempFile,
 }
 
 impl Drop for Process {
@@ -201,24 +203,12 @@ impl Drop for Process {
     }
 }
 
-/// The body of a [`Process`]: this test program starts itself with this test only.
-#[tokio::test]
-#[ignore = "a process of the other tests"]
-async fn process() {
-    let Ok(text) = std::env::var("FLEET") else { return };
-    let fleet =
-        Fleet::start(Config::parse(&text).unwrap(), |event| println!("\n{}", serde_json::to_string(event).unwrap()));
-    fleet.await.unwrap().run(std::future::pending()).await;
-}
-
 impl Process {
     fn start(config: &str) -> Self {
-        let mut child = Command::new(std::env::current_exe().unwrap())
-            .args(["--exact", "standby::process", "--ignored", "--nocapture"])
-            .env("FLEET", config)
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
+        let mut file = NamedTempFile::new().unwrap();
+        file.write_all(config.as_bytes()).unwrap();
+        let mut program = Command::new(env!("CARGO_BIN_EXE_bcap-fleet"));
+        let mut child = program.arg(file.path()).stdout(Stdio::piped()).spawn().unwrap();
         let lines = BufReader::new(child.stdout.take().unwrap()).lines();
         let (sender, role) = watch::channel(None);
         std::thread::spawn(move || {
@@ -229,7 +219,7 @@ impl Process {
                 }
             }
         });
-        Self { child, role }
+        Self { child, role, _config: file }
     }
 
     fn signal(&self, signal: &str) {

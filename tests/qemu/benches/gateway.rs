@@ -23,7 +23,7 @@ const REQUEST: &str = "GET:RC8:1:I:\r";
 const ANSWER: &str = "0,3,123456\r";
 
 fn main() {
-    let Some(bcap) = bcap() else { return };
+    let bcap = bcap();
     let sim = Sim::start(&bcap, "127.0.0.1:0");
     assert!(run(&bcap, &["put", "I1", "123456", "--robot", &format!("tcp:{}", sim.bcap)]).ok);
     let echo_port = free_port().to_string();

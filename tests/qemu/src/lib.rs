@@ -1,8 +1,8 @@
 //! The gateway board in QEMU, a virtual controller and PLCs, as processes and connections of this machine.
 //!
-//! Building an image takes a compiler for the board, and running it takes QEMU. The tests of this package therefore run only
-//! if the variable `BCAP` has the path of the built command `bcap`; `embassy-adapter/firmware/test` sets it. `BOARD` names
-//! another board.
+//! Building an image takes a compiler for the board, and running it takes QEMU. The tests of this package are therefore only
+//! built with the feature `qemu`. The variable `BCAP` has the path of the built command `bcap`, and `BOARD` names another board;
+//! `embassy-adapter/firmware/test` sets them.
 #![cfg(unix)]
 
 use std::fs::{self, File};
@@ -11,7 +11,6 @@ use std::net::{TcpListener, TcpStream};
 use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
 use std::process::{Child, ChildStdin, Command, Stdio};
-use std::sync::Once;
 use std::sync::atomic::{AtomicU16, AtomicU32, Ordering};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
@@ -26,16 +25,9 @@ pub fn error(code: HResult) -> String {
     format!("{}\r", code.0)
 }
 
-/// Returns the path of the command `bcap`; without one it prints that the test is skipped.
-pub fn bcap() -> Option<PathBuf> {
-    static SAID: Once = Once::new();
-    let bcap = std::env::var_os("BCAP").map(PathBuf::from);
-    if bcap.is_none() {
-        // not `eprintln`, which the tests of cargo show of failures only
-        let say = || writeln!(io::stderr(), "left out: the board was not run; embassy-adapter/firmware/test does that");
-        SAID.call_once(|| drop(say()));
-    }
-    bcap
+/// Returns the path of the command `bcap`.
+pub fn bcap() -> PathBuf {
+    std::env::var_os("BCAP").expect("the variable BCAP has the path of the command `bcap`").into()
 }
 
 /// The result of a run of `bcap`.

@@ -14,8 +14,8 @@ const PROVIDER: &str = "provider=CaoProv.DENSO.VRC";
 
 #[test]
 fn settings_are_used_after_a_restart_until_they_are_removed() {
-    let Some(bcap) = bcap() else { return };
-    let Ok((line, host)) = TTYPort::pair() else { return };
+    let bcap = bcap();
+    let (line, host) = TTYPort::pair().unwrap();
     let sim = Sim::start(&bcap, "127.0.0.1:0");
     let socket = env::temp_dir().join(format!("bcap-console-{}", process::id()));
     let options = ["--faults", "--console", socket.to_str().unwrap()];

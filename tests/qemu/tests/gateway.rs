@@ -26,7 +26,7 @@ const KINDS: [(&str, &str); 9] = [
 
 #[test]
 fn all_kinds_are_read_and_none_is_written_unless_a_rule_allows_it() {
-    let Some(bcap) = bcap() else { return };
+    let bcap = bcap();
     let sim = Sim::start(&bcap, "127.0.0.1:0");
     let robot = format!("tcp:{}", sim.bcap);
     let read_only = Board::start(&sim.bcap, &[], &[PROVIDER]).up();
@@ -87,7 +87,7 @@ fn other(name: &str) -> (&'static str, &'static str) {
 
 #[test]
 fn wrong_lines_are_answered_and_the_session_lives() {
-    let Some(bcap) = bcap() else { return };
+    let bcap = bcap();
     let sim = Sim::start(&bcap, "127.0.0.1:0");
     let rules = [PROVIDER, "put=I/10-19=-10..10", "put=F", "get=I", "get=F", "convert=yes"];
     let board = Board::start(&sim.bcap, &[], &rules).up();
@@ -141,7 +141,7 @@ fn show(text: &str) {
 
 #[test]
 fn four_plcs_are_served_at_once_and_a_fifth_replaces_an_idle_one() {
-    let Some(bcap) = bcap() else { return };
+    let bcap = bcap();
     let sim = Sim::start(&bcap, "127.0.0.1:0");
     let board = Board::start(&sim.bcap, &[], &[PROVIDER, "put=I", "rate=1/2", "evict=5"]).up();
     let mut served = [(); 4].map(|()| Plc::connect_when_free(&board.rac));
@@ -170,7 +170,7 @@ fn four_plcs_are_served_at_once_and_a_fifth_replaces_an_idle_one() {
 
 #[test]
 fn clients_of_other_networks_have_no_access_or_other_rules() {
-    let Some(bcap) = bcap() else { return };
+    let bcap = bcap();
     let sim = Sim::start(&bcap, "127.0.0.1:0");
     // all connections come from 10.0.2.2
     let rules = [PROVIDER, "allow=10.0.2.0/24", "put=I/1", "put@10.0.2.2=I/2", "put@10.0.2.3=I/3", "idle=2"];
@@ -190,7 +190,7 @@ fn clients_of_other_networks_have_no_access_or_other_rules() {
 
 #[test]
 fn a_robot_is_reached_over_udp_as_well() {
-    let Some(bcap) = bcap() else { return };
+    let bcap = bcap();
     let sim = Sim::start(&bcap, "127.0.0.1:0");
     let board = Board::start(&sim.udp, &["--udp"], &["put=I", PROVIDER]).up();
     let mut plc = Plc::connect(&board.rac);
@@ -265,7 +265,7 @@ fn wait_for_more(seen: &[Arc<Seen>], count: impl Fn(&Seen) -> &AtomicU32, more: 
 
 #[test]
 fn a_robot_that_stops_under_load_costs_errors_and_nothing_else() {
-    let Some(bcap) = bcap() else { return };
+    let bcap = bcap();
     let mut sim = Sim::start(&bcap, "127.0.0.1:0");
     let robot = sim.bcap.clone();
     let mut board = Board::start(&robot, &[], &[PROVIDER, "put=I/0-99"]).up();

@@ -15,6 +15,11 @@ mod health;
 mod line;
 #[cfg(unix)]
 mod modbus;
+// without a dependency on the crate of these files, which would double the build
+#[path = "../../src/pymodbus.rs"]
+pub mod pymodbus;
+#[path = "../../src/python.rs"]
+pub mod python;
 #[cfg(unix)]
 mod serial;
 #[cfg(unix)]

@@ -1,17 +1,15 @@
 //! Tests Modbus TCP of the gateway board in QEMU with an independent client: pymodbus.
 
-#[path = "../../../std-adapter/cli/tests/common/pymodbus.rs"]
-mod pymodbus;
-
 use std::path::Path;
 
 use bcap_qemu::{Board, Sim, bcap, free_port, run};
-use pymodbus::Pymodbus;
+
+use crate::pymodbus::Pymodbus;
 
 #[test]
 fn an_independent_client_of_modbus_reads_and_writes_variables() {
-    let Some(bcap) = bcap() else { return };
-    let Some(pymodbus) = Pymodbus::find(Path::new(env!("CARGO_TARGET_TMPDIR"))) else { return };
+    let bcap = bcap();
+    let pymodbus = Pymodbus::find(Path::new(env!("CARGO_TARGET_TMPDIR"))).unwrap();
     let sim = Sim::start(&bcap, "127.0.0.1:0");
     let port = free_port().to_string();
     let settings = [

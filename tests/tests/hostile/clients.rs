@@ -11,10 +11,11 @@ use bcap_core::io::CallError;
 use bcap_core::variant::VarType;
 use bcap_std::{ConnectError, Options, asynch, blocking};
 use bcap_testkit::value::Value;
+use bcap_tests::tools;
 
 use crate::Case;
 use crate::script::{Connection, Outcome, RIGHT, Script, brief, calls, right, runtime, serve, serve_bytes};
-use crate::target::{Target, long_timeouts, skipped};
+use crate::target::{Target, long_timeouts};
 use crate::wire::{UNKNOWN_TYPES, argument, broken_values, frame, nested, reply_frame, value};
 
 pub(crate) const CASES: &[Case] = crate::cases! {
@@ -432,7 +433,7 @@ fn more_files_than_a_bitmap_holds(target: &mut Target) {
     while files.len() < 1100 {
         match std::fs::File::open("/dev/null") {
             Ok(file) => files.push(file),
-            Err(error) => return skipped(&format!("this process may not have 1100 files open: {error}")),
+            Err(error) => return tools::missing(&format!("this process may not have 1100 files open: {error}")),
         }
     }
     target.serves_others();

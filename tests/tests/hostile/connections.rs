@@ -6,9 +6,10 @@ use std::time::{Duration, Instant};
 use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
 use bcap_testkit::value::Value;
+use bcap_tests::tools;
 
 use crate::Case;
-use crate::target::{Target, limits, skipped};
+use crate::target::{Target, limits};
 use crate::wire::{Raw, SERIAL, bytes, request};
 
 pub(crate) const CASES: &[Case] = crate::cases! {
@@ -42,7 +43,7 @@ fn many(target: &Target) -> Vec<Raw> {
 fn sleeps(target: &Target) {
     match target.load() {
         Some(load) => assert!(load < 0.2, "{:.0} % of a processor for connections that say nothing", load * 100.0),
-        None => skipped("there is no /proc to tell the server's processor time"),
+        None => tools::missing("there is no /proc to tell the server's processor time"),
     }
 }
 

@@ -1,7 +1,7 @@
 //! The attacked server, in a separate process, and the bystanders: clients that the attacks must not disturb.
 
 use std::fmt::Debug;
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{BufRead, BufReader, Read};
 use std::net::SocketAddr;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -228,9 +228,4 @@ fn works(client: &mut RacClient, round: i32) {
     let variable = Variable::new(VariableKind::I, 77);
     client.put(variable, Variant::I4(round)).unwrap();
     assert_eq!(client.get(variable).unwrap(), Variant::I4(round));
-}
-
-/// Prints why a case was skipped on this machine.
-pub(crate) fn skipped(why: &str) {
-    let _ = writeln!(std::io::stdout(), "skipped: {why}");
 }

@@ -19,6 +19,7 @@ mod world;
 use std::path::{Path, PathBuf};
 use std::{fs, thread};
 
+use bcap_tests::tools;
 use page::{Action, Page};
 use world::World;
 
@@ -50,7 +51,7 @@ fn run(page: &Page) -> Outcome {
             Action::Sim(options) => world.start_sim(options),
             Action::File { name, content } => world.write(name, content),
             Action::Hidden(command) => outcome.failures.extend(world.run(command).err()),
-            Action::Commands { needs: Some(program), commands, .. } if !world.has(program) => {
+            Action::Commands { needs: Some(program), commands, .. } if tools::find(program).is_none() => {
                 outcome.skipped.push(format!("{}: {} commands: {program} is not installed", page.name, commands.len()));
             }
             Action::Commands { commands, .. } => {

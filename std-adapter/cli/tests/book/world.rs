@@ -72,10 +72,6 @@ impl World {
         fs::write(self.folder.path().join(name), content).unwrap();
     }
 
-    pub(crate) fn has(&self, program: &str) -> bool {
-        Process::new("sh").args(["-c", &format!("command -v {program}")]).output().unwrap().status.success()
-    }
-
     /// Starts a virtual controller, which the pages know under the address [`ROBOT`].
     pub(crate) fn start_sim(&mut self, options: &str) {
         if options == "stepped" {

@@ -4,7 +4,6 @@ pub(crate) mod capture;
 pub(crate) mod fake;
 pub(crate) mod hooked;
 pub(crate) mod planted;
-pub(crate) mod pymodbus;
 pub(crate) mod recorded;
 pub(crate) mod robot;
 pub(crate) mod running;

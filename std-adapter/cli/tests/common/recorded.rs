@@ -14,6 +14,7 @@ use bcap_sim::{Controller, Profile};
 use bcap_std::server::Limits;
 use bcap_tests::served::Served;
 use bcap_tests::slowed::Slowed;
+use bcap_tests::tools;
 
 use serde_json::Value;
 
@@ -112,23 +113,20 @@ impl Drop for Dump {
     }
 }
 
-/// Starts tcpdump and waits until it captures; prints one line and returns `None` if it cannot.
-fn tcpdump(test: &str, file: &Path, ports: [u16; 3]) -> Option<Dump> {
+/// Starts tcpdump and waits until it captures; `None`, after [`tools::missing`], if it cannot.
+fn tcpdump(file: &Path, ports: [u16; 3]) -> Option<Dump> {
     let [tcp, udp, rac] = ports;
     let filter = format!("port {tcp} or port {udp} or port {rac}");
     // in immediate mode the kernel reserves the snap length for each packet: with the defaults it has room for 8
-    let child = Command::new("tcpdump")
+    let mut child = Command::new(tools::find("tcpdump")?)
         .args(["-i", "lo", "-U", "--immediate-mode", "--snapshot-length", "4096", "--buffer-size", "32768"])
         .args(["-Z", "root", "-w"])
         .arg(file)
         .arg(filter)
         .stdout(Stdio::null())
         .stderr(Stdio::piped())
-        .spawn();
-    let Ok(mut child) = child else {
-        println!("skipped {test}: there is no tcpdump; install the Debian package tcpdump");
-        return None;
-    };
+        .spawn()
+        .unwrap();
     let mut said = String::new();
     let mut lines = BufReader::new(child.stderr.take().unwrap());
     while lines.read_line(&mut said).is_ok_and(|count| count > 0) {
@@ -139,7 +137,7 @@ fn tcpdump(test: &str, file: &Path, ports: [u16; 3]) -> Option<Dump> {
         }
     }
     child.wait().unwrap();
-    println!("skipped {test}: tcpdump cannot capture: {}", said.trim_end().replace('\n', "; "));
+    tools::missing(&format!("tcpdump cannot capture: {}", said.trim_end().replace('\n', "; ")));
     None
 }
 
@@ -215,10 +213,10 @@ fn wait_for_the_end(file: &Path) {
 }
 
 /// Runs a session through `bcap proxy` while tcpdump captures between the proxy and the server; returns the files of both.
-pub(crate) fn proxied_under_tcpdump(test: &str, folder: &Path) -> Option<[PathBuf; 2]> {
+pub(crate) fn proxied_under_tcpdump(folder: &Path) -> Option<[PathBuf; 2]> {
     let served = serve();
     let [proxied, dumped] = ["proxy.pcapng", "tcpdump.pcap"].map(|name| folder.join(name));
-    let dump = tcpdump(test, &dumped, [served.tcp.port(), served.udp.port(), served.rac.port()])?;
+    let dump = tcpdump(&dumped, [served.tcp.port(), served.udp.port(), served.rac.port()])?;
     let proxy = start_proxy(&served, &proxied, &["--quiet"]);
     run(&format!("tcp:{}", proxy.bcap), &format!("udp:{}", proxy.udp), &proxy.rac);
     assert_eq!(proxy.interrupt().code, 0);
@@ -228,11 +226,11 @@ pub(crate) fn proxied_under_tcpdump(test: &str, folder: &Path) -> Option<[PathBu
 }
 
 /// Runs a session under tcpdump; `None` if tcpdump cannot capture.
-pub(crate) fn session(test: &str) -> Option<Recorded> {
+pub(crate) fn session() -> Option<Recorded> {
     let served = serve();
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("session.pcap");
-    let dump = tcpdump(test, &file, [served.tcp.port(), served.udp.port(), served.rac.port()])?;
+    let dump = tcpdump(&file, [served.tcp.port(), served.udp.port(), served.rac.port()])?;
     run(&format!("tcp:{}", served.tcp), &format!("udp:{}", served.udp), &served.rac.to_string());
     wait_for_the_end(&file);
     drop(dump);

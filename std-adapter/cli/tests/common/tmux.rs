@@ -5,6 +5,8 @@ use std::process::Command;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
+use bcap_tests::tools;
+
 /// A terminal; dropping this ends it.
 pub(crate) struct Terminal {
     socket: PathBuf,
@@ -18,6 +20,7 @@ impl Terminal {
 
     /// Runs a command in a terminal of UTF-8 without tmux's own status line; `None` without tmux.
     pub(crate) fn run(size: (u16, u16), command_line: &[&str], folder: &Path) -> Option<Self> {
+        tools::find("tmux")?;
         // a new name, because the server of the previous terminal may still be ending
         static NUMBER: AtomicUsize = AtomicUsize::new(0);
         let terminal = Self { socket: folder.join(format!("tmux{}", NUMBER.fetch_add(1, Ordering::Relaxed))) };
@@ -28,14 +31,7 @@ impl Terminal {
         let mut command = terminal.tmux();
         command.args(["-u", "-f"]).arg(settings).args(["new-session", "-d", "-x", &width, "-y", &height]);
         command.args(["-e", &history, "-e", "LC_ALL=C.UTF-8"]);
-        match command.args(command_line).status() {
-            Ok(status) => assert!(status.success()),
-            Err(_) => {
-                eprintln!("skipped: tmux is not installed");
-                std::mem::forget(terminal);
-                return None;
-            }
-        }
+        assert!(command.args(command_line).status().unwrap().success());
         Some(terminal)
     }
 

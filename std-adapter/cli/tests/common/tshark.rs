@@ -1,9 +1,11 @@
-//! tshark with the dissector that `bcap wireshark` prints. Tests that need it print one line and pass without it.
+//! tshark with the dissector that `bcap wireshark` prints.
 
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Command;
 use std::sync::LazyLock;
+
+use bcap_tests::tools;
 
 /// The output of `bcap wireshark`.
 pub(crate) static DISSECTOR: LazyLock<String> = LazyLock::new(|| {
@@ -12,12 +14,9 @@ pub(crate) static DISSECTOR: LazyLock<String> = LazyLock::new(|| {
     run.out
 });
 
-pub(crate) fn has_tshark(test: &str) -> bool {
-    let found = Command::new("tshark").arg("--version").stdout(Stdio::null()).stderr(Stdio::null()).status().is_ok();
-    if !found {
-        println!("skipped {test}: there is no tshark; install the Debian package tshark");
-    }
-    found
+/// Tells whether this machine has tshark; if not, the test says that it is skipped.
+pub(crate) fn has_tshark() -> bool {
+    tools::find("tshark").is_some()
 }
 
 /// Runs tshark with the dissector alone, without the user's settings, and returns its output.

@@ -38,8 +38,8 @@ const WRITE: [f64; 2] = [0.4, 3.0];
 
 #[test]
 fn bcap_updates_a_board_and_a_served_request_confirms_it() {
-    let Some(bcap) = bcap() else { return };
-    let Ok((line, host)) = TTYPort::pair() else { return };
+    let bcap = bcap();
+    let (line, host) = TTYPort::pair().unwrap();
     let rig = Rig::new(&bcap);
     let new = rig.file("new.elf", &rig.version("0.2.0"));
     let device = host.name().unwrap();
@@ -71,7 +71,7 @@ fn bcap_updates_a_board_and_a_served_request_confirms_it() {
 
 #[test]
 fn an_image_that_serves_nothing_is_rolled_back_and_the_status_tells_why() {
-    let Some(bcap) = bcap() else { return };
+    let bcap = bcap();
     let rig = Rig::new(&bcap);
     let good = rig.version("0.2.0");
     let installed = installed(&rig, &rig.contents(), &flatten(&good));
@@ -116,7 +116,7 @@ fn an_image_that_serves_nothing_is_rolled_back_and_the_status_tells_why() {
 
 #[test]
 fn a_board_starts_again_after_a_power_cut_in_any_operation_of_the_flash() {
-    let Some(bcap) = bcap() else { return };
+    let bcap = bcap();
     let rig = Rig::new(&bcap);
     let (original, since) = (rig.contents(), Instant::now());
     let image = flatten(&rig.version("0.2.0"));
@@ -134,7 +134,7 @@ fn a_board_starts_again_after_a_power_cut_in_any_operation_of_the_flash() {
 
 #[test]
 fn a_board_whose_power_fails_during_a_swap_finishes_it() {
-    let Some(bcap) = bcap() else { return };
+    let bcap = bcap();
     let rig = Rig::new(&bcap);
     let installed = installed(&rig, &rig.contents(), &flatten(&rig.version("0.2.0")));
     let (mut kills, mut rounds) = (0, 0);

@@ -12,9 +12,10 @@ use bcap_sim::{Controller, Profile};
 use bcap_std::{Options, blocking};
 use bcap_testkit::value::Value;
 use bcap_tests::served::Served;
+use bcap_tests::tools;
 
 use crate::script::Outcome;
-use crate::target::{Target, limits, skipped};
+use crate::target::{Target, limits};
 
 /// Reading and writing it fails at once, and other clients are served meanwhile.
 pub(super) fn a_fifo_among_the_files(_: &mut Target) {
@@ -22,7 +23,7 @@ pub(super) fn a_fifo_among_the_files(_: &mut Target) {
     fs::create_dir_all(&folder).unwrap();
     let fifo = folder.join("pipe");
     if !Command::new("mkfifo").arg(&fifo).status().is_ok_and(|status| status.success()) {
-        return skipped("there is no mkfifo");
+        return tools::missing("there is no mkfifo");
     }
     let config = bcap_sim::Config { files: Some(folder.clone()), ..bcap_sim::Config::new(Profile::Rc8) };
     let served = Served::of(Controller::new(config), limits());

@@ -8,9 +8,10 @@ use bcap_core::bcap::call;
 use bcap_core::hresult::HResult;
 use bcap_std::{asynch, blocking};
 use bcap_tests::process::thread_time;
+use bcap_tests::tools;
 
 use crate::script::{VARIABLE, brief, runtime, serial_of, serve};
-use crate::target::{Target, skipped};
+use crate::target::Target;
 use crate::wire::reply_frame;
 
 /// The call ends with an error, and until then its client sleeps most of the time.
@@ -60,7 +61,7 @@ fn costs_little(budget: Duration, call: impl FnOnce() -> bool) {
 
 fn is_little(budget: Duration, before: Option<Duration>) {
     let (Some(before), Some(after)) = (before, thread_time()) else {
-        return skipped("there is no /proc to tell a thread's processor time");
+        return tools::missing("there is no /proc to tell a thread's processor time");
     };
     assert!(after - before < budget / 10, "{:?} of processor time in {budget:?}", after - before);
 }

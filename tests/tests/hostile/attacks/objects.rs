@@ -9,8 +9,9 @@ use bcap_sim::{Controller, Profile};
 use bcap_testkit::frame::TestFrame;
 use bcap_testkit::value::Value;
 use bcap_tests::process::thread_time;
+use bcap_tests::tools;
 
-use crate::target::{Target, skipped};
+use crate::target::Target;
 use crate::wire::bytes;
 
 /// Clients of the virtual controller, one after the other, each with as many objects as it may have.
@@ -40,7 +41,7 @@ pub(super) fn objects_of_others_do_not_slow_opening(_: &mut Target) {
             ask(FunctionId::CONTROLLER_GET_VARIABLE, variable);
         }
         let (Some(before), Some(after)) = (before, thread_time()) else {
-            return skipped("there is no /proc to tell a thread's processor time");
+            return tools::missing("there is no /proc to tell a thread's processor time");
         };
         costs.push(after - before);
     }

@@ -3,9 +3,10 @@
 use std::net::{IpAddr, SocketAddr, TcpStream};
 
 use bcap_core::bcap::FunctionId;
+use bcap_tests::tools;
 use socket2::{Domain, Socket, Type};
 
-use crate::target::{Target, limits, skipped};
+use crate::target::{Target, limits};
 use crate::wire::{Raw, bytes};
 
 /// Connects from another loopback address than the bystanders.
@@ -23,7 +24,7 @@ pub(super) fn idle_connections_of_one_address_leave_slots_to_others(target: &mut
     for server in [target.tcp, target.rac] {
         for n in 0..limits().connections + 10 {
             let Ok(stream) = connect_from(attacker, server) else {
-                return skipped("the loopback has one address only");
+                return tools::missing("the loopback has one address only");
             };
             let mut raw = Raw::new(stream);
             if n % 2 == 1 && server == target.tcp {
