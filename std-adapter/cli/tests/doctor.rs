@@ -222,7 +222,7 @@ fn an_arm_of_another_client_is_reported() {
     assert_eq!(run.code, 1);
     // the other client still owns the arm
     let state = other.call(call::robot_execute(handles.robot, "TakeArmState", -1)).unwrap();
-    assert_eq!(state.as_i32(), Some(0));
+    assert_eq!(state.as_i32(), Some(1));
 }
 
 #[test]

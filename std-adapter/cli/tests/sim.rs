@@ -139,11 +139,11 @@ fn refusals_are_explained_over_all_links() {
 #[test]
 fn a_refused_argument_is_explained_on_stderr_and_by_its_description() {
     let mut sim = Sim::start_with(&["--explain"], Stdio::piped());
-    assert_eq!(sim.tcp(&["exec", "robot", "TakeArm", "8195,5,0"]).code, 1);
+    assert_eq!(sim.tcp(&["exec", "robot", "TakeArm", "8195,32,0"]).code, 1);
     let mut line = String::new();
     BufReader::new(sim.child.stderr.take().unwrap()).read_line(&mut line).unwrap();
-    let why = "Robot_Execute \"TakeArm\": given [I4(5), I4(0)]; accepted nothing, the group, or [group, keep]: group 0, \
-               keep 0 or 1";
+    let why = "Robot_Execute \"TakeArm\": given [I4(32), I4(0)]; accepted nothing, the group, or [group, keep]: \
+               group 0 to 31, keep 0 or 1";
     assert!(line.contains("E_INVALIDARG") && line.trim_end().ends_with(why), "{line}");
     let text = sim.tcp(&["exec", "controller", "GetErrorDescription", "-2147024809"]).out;
     assert!(text.trim_end().ends_with(why), "{text}");
@@ -167,7 +167,7 @@ fn the_help_names_all_that_is_not_simulated() {
     let page = include_str!("../../../docs/virtual-controller.md");
     let commands = page.split("\n## Commands").nth(1).unwrap().lines().filter(|line| line.starts_with('|'));
     let cells = commands.map(|line| line.split('|').map(str::trim).collect::<Vec<_>>());
-    let missing: Vec<_> = cells.filter(|cells| ["no", "unknown"].contains(&cells[4])).map(|cells| cells[2]).collect();
+    let missing: Vec<_> = cells.filter(|cells| ["no", "unknown"].contains(&cells[3])).map(|cells| cells[2]).collect();
     assert!(["ForceCtrl", "HandCurPressure"].iter().all(|name| missing.contains(name)), "{missing:?}");
     assert!(missing.iter().all(|name| words.contains(name)), "{missing:?}");
 }

@@ -2,7 +2,7 @@
 //!
 //! | function                     | effect in the virtual controller                                                 |
 //! |------------------------------|----------------------------------------------------------------------------------|
-//! | Robot_Move                   | interpolation 1 (joints), 2 (line), 3 (arc); 4 (free curve) answers `E_NOTIMPL`  |
+//! | Robot_Move                   | interpolation 1 (joints), 2 (line), 3 (arc), 4 (a curve through the points of a path) |
 //! | Robot_Drive                  | turns one axis by degrees or mm                                                  |
 //! | Robot_GoHome                 | moves the joints to [`Config::home`](crate::Config::home)                        |
 //! | Robot_Halt                   | brakes, and answers when the arm is at rest; of any client; see below            |
@@ -12,7 +12,7 @@
 //! | Robot_Accelerate             | likewise the internal acceleration and deceleration                              |
 //! | Robot_Change                 | `ToolN` and `WorkN` select a definition; all are zero until they are set         |
 //! | Robot_Chuck, Unchuck         | closes and opens the [`hand`](crate::hand)                                       |
-//! | Robot_Rotate                 | moves on a circle in a plane (XY, YZ, ZX) about a point                          |
+//! | Robot_Rotate                 | moves on a circle in a plane (XY, YZ, ZX, of the tool XYH, YZH, ZXH, or three V) about a point |
 //!
 //! Speeds and accelerations are percent, 0.0001 to 100, and apply from the next motion on. Internal speeds, tool and
 //! work coordinates belong to the arm: while one client owns it, Speed, Accelerate, Change and the variables of these
@@ -29,9 +29,9 @@
 //! The call answers when the motion has ended: with `S_OK`, with `E_ABORT` after Halt or the end of Auto mode, with
 //! the error's code after an error. After a pass it answers when the motion begins to brake. With the option `NEXT` it
 //! answers at once. Further options are `SPEED=` (or `S=`),
-//! `ACCEL=` and `DECEL=`, in percent of the internal values, each a number or a variable (`SPEED=F2`); another option
-//! is refused with `E_INVALIDARG`. A motion that the arm cannot make is an error of the controller; its
-//! [codes](crate::codes) say why.
+//! `ACCEL=` and `DECEL=`, in percent of the internal values, each a number or a variable (`SPEED=F2`), and `TIME=`, which has
+//! no effect, because its unit is not documented; another option is refused with `E_INVALIDARG`. A motion that the arm cannot
+//! make is an error of the controller; its [codes](crate::codes) say why.
 //!
 //! Approach ends before its pose, and Depart before the present pose, by the length in mm against the approach vector,
 //! the z of the flange. In an arc the flange turns evenly from the start orientation to the end orientation; the
@@ -47,14 +47,17 @@
 //! | command                         | parameter                   | answer                                           |
 //! |---------------------------------|-----------------------------|--------------------------------------------------|
 //! | TakeArm                         | \[group, keep\] or nothing  | EMPTY; `E_ARM_NOT_TAKEN` while another has it    |
-//! | GiveArm                         | -                           | EMPTY; `S_FALSE` without it                      |
-//! | TakeArmState                    | group or -1                 | I4: the group this client holds, -1 for none     |
+//! | GiveArm                         | -                           | EMPTY, when the arm is at rest; `S_FALSE` without it |
+//! | TakeArmState                    | group or -1                 | I4: 1 if this client owns it, 0 if not           |
 //! | Motor                           | \[state, no wait\] or state | EMPTY when the motor is on; at once with no wait |
 //! | ExtSpeed                        | \[speed, accel, decel\]     | EMPTY; accel, decel: -1 keeps, -2 speed² / 100   |
 //! | DriveEx, DriveAEx               | \[pairs, option\] or pairs  | EMPTY; turns axes by, or to, a value             |
 //! | Approach                        | \[1 or 2, pose, length\]     | EMPTY; to a pose before this one                 |
 //! | Depart                          | \[1 or 2, length\]           | EMPTY; away from the present pose                |
 //! | RotateH                         | angle or \[angle, option\]   | EMPTY; turns the tool in place                   |
+//! | Draw                            | \[1 or 2, vector\]          | EMPTY; by a vector in work coordinates           |
+//! | ArchMove                        | \[pose, height, rise, fall\] | EMPTY; half a sine above the line, height in z of the work |
+//! | Arrive                          | percent                     | EMPTY, when the motion has covered this part     |
 //! | MotionSkip                      | \[group, mode\] or nothing  | EMPTY at once; `S_FALSE` without a motion        |
 //! | MotionComplete                  | \[group, mode\] or nothing  | BOOL: 0 commands complete, 1 robot at rest       |
 //! | CurPos, DestPos, HighCurPos     | -                           | R8\[7\]: X Y Z RX RY RZ Fig                      |
@@ -62,25 +65,36 @@
 //! | CurTrn, DestTrn, HighCurTrn     | -                           | R8\[10\]: position, orient, approach, Fig        |
 //! | CurPosEx, CurJntEx, CurTrnEx    | -                           | the same after the time in ms                    |
 //! | HighCurPosEx, HighCurJntEx, HighCurTrnEx | -                  | likewise                                         |
+//! | DestPosEx, DestJntEx, DestTrnEx | -                           | likewise                                         |
 //! | CurSpd, CurAcc, CurDec          | -                           | R4: internal, of lines                           |
 //! | CurJSpd, CurJAcc, CurJDec       | -                           | R4: internal, of joints                          |
 //! | CurExtSpd, CurExtAcc, CurExtDec | -                           | R4: external                                     |
 //! | CurFig, CurTool, CurWork        | -                           | I4                                               |
 //! | GetRobotTypeName                | -                           | BSTR: the robot's type                           |
-//! | RobInfo                         | I4: 1                       | BSTR: likewise; other numbers `E_NOTIMPL`        |
+//! | RobInfo                         | I4: 0, 1, 2                 | I4 0; BSTR: likewise; R8\[8\] 0                  |
 //! | J2P J2T P2J P2T T2J T2P         | a pose                      | R8 array                                         |
 //! | Dev, DevH                       | \[pose, offset\]            | R8\[7\]: offset in the base, in the flange       |
 //! | OutRange                        | pose or \[pose, -1, -1\]    | I4: 0, bits of axes, -1 no reach, -2 singular    |
-//! | GetToolDef, GetWorkDef          | I4, 0 to 63                 | R8\[6\]: X Y Z RX RY RZ                          |
-//! | SetToolDef, SetWorkDef          | \[1 to 63, pose\]           | EMPTY; needs the arm authority                   |
-//! | StartLog, StopLog               | -                           | EMPTY; a point of the log every 8 ms             |
-//! | ClearLog, GetLogCount           | -                           | EMPTY; I4, at most 10,000                        |
+//! | TMul, TInv, TNorm               | \[T, T\], T                 | R8\[10\], with the Fig of the first              |
+//! | MPS, RPM, DPS                   | mm/s, \[axis, rpm\], deg/s or \[axis, deg/s\] | R4: percent of the largest speed |
+//! | GetToolDef                      | I4, 0 to 63                 | R8\[6\]: X Y Z RX RY RZ                          |
+//! | GetWorkDef, GetBaseDef          | I4, 0 to 63                 | R8\[7\]: likewise, and the attribute             |
+//! | SetToolDef                      | \[1 to 63, pose\]           | EMPTY; needs the arm authority                   |
+//! | SetWorkDef, SetBaseDef          | \[1 to 63, pose, attribute\] | EMPTY; likewise. Bases have no effect            |
+//! | WorkAttribute                   | I4, 0 to 63                 | I4: 0, or 1 for a fixed tool, without an effect  |
+//! | SetHandIO, GetHandIO            | \[first, value, count\], \[first, count\] | EMPTY; I4: IO as the bits of a number |
+//! | ClearLog                        | -                           | EMPTY; empties the control log and records       |
+//! | StartLog, StopLog               | -                           | EMPTY; the log ends when it is full, or now; needs ClearLog |
+//! | GetCtrlLogMaxTime, GetCtrlLogInterval | -                     | I4: 10 s, 8 ms                                   |
+//! | SetCtrlLogMaxTime, SetCtrlLogInterval | 10 to 240 s, 8 to 32 ms | EMPTY                                          |
+//! | GetLogCount                     | -                           | I4, at most 1,250 with a length of 10 s          |
 //! | GetLogRecord                    | I4 index, 0 is the oldest   | an array of 39, see below                        |
 //! | PayLoad                         | \[g, centre, inertia\]      | EMPTY; kept, without an effect on motions        |
 //! | SpeedMode                       | I4, 0 to 3                  | EMPTY; kept, without an effect on motions        |
 //! | ConvertPosWork                  | \[pose, from, to\]          | R8\[7\]: the pose in other work coordinates      |
 //! | CheckVirtualFence               | a pose                      | I4: 0, because there are no fences               |
-//! | GetSrvData                      | I4: 2, 4, 17                | R8\[8\]: see below                               |
+//! | GetSrvData                      | I4                          | R8\[8\]: see below                               |
+//! | GetSrvJntData                   | \[1, 2, 4, 5 or 8, axis\]   | R4: the same of one axis                         |
 //! | slvMove, slvChangeMode, ...     | see [`slave`]               |                                                  |
 //! | MotionPreparation, ...          | see [`preparation`](crate::preparation) |                                      |
 //!
@@ -90,8 +104,9 @@
 //! GetLogRecord  of J1 to J8: commanded position, position R8, current, load R8;
 //!               user data, program number I4, file name BSTR, line I4, ms since the start of the controller I4,
 //!               tool, work I4
-//! GetSrvData    2 deviation of each motor; 4 torque of each axis; 17 speed of the tool centre point in x, y, z of the
-//!               work coordinates, in mm per second
+//! GetSrvData    1 speed of each axis; 2 deviation, 4 and 5 current and torque, 7 load of each axis; 8 position;
+//!               17 speed of the tool centre point in x, y, z of the work coordinates, in mm per second; 18 the same with the
+//!               angles; 19, 20 zero
 //! ```
 //!
 //! The arm follows its commands exactly and has no mass: deviations, torques, currents and loads are 0. A record does not
@@ -110,16 +125,19 @@
 //! Halt, errors and the end of Auto mode empty the queue. Hold and Unhold keep it. MotionSkip brakes the motion under
 //! way, whose call answers `S_OK`; the queue continues from the place where the arm comes to rest.
 //!
-//! TakeArm while an error is present answers `E_ERROR_PRESENT`. GiveArm while a motion is under way answers
-//! `E_ROBOTISBUSY`; after the answer of a pass motion it waits for its end.
+//! TakeArm while an error is present answers `E_ERROR_PRESENT`. GiveArm waits for the end of the motions. The groups 0 to 31
+//! of TakeArm differ in extended joints, which this model always moves.
 //! Commands of real controllers that this model lacks answer `E_NOTIMPL`, other names `E_INVALID_CMD_NAME`.
 
+mod areas;
 mod call;
 mod measures;
 mod moves;
+mod paths;
 mod poses;
 mod readings;
 pub(crate) mod robot_execute;
+mod settings;
 pub(crate) mod variables;
 
 use bcap_core::handler::PeerId;
@@ -127,10 +145,12 @@ use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 
 use crate::answer::{Answer, Answered};
+use crate::areas::Areas;
 use crate::config::Config;
 use crate::context::Context;
 use crate::hand::Hand;
 use crate::kinematics::six;
+use crate::paths::Paths;
 use crate::preparation::Preparation;
 use crate::robot::{Robot, Servo};
 use crate::rules;
@@ -146,6 +166,8 @@ pub(crate) struct Arm {
     preparation: Preparation,
     slave: Slave,
     trace: Trace,
+    areas: Areas,
+    paths: Paths,
 }
 
 impl Arm {
@@ -156,6 +178,8 @@ impl Arm {
             preparation: Preparation::new(config.model.functions),
             slave: Slave::default(),
             trace: Trace::default(),
+            areas: Areas::new(),
+            paths: Paths::new(),
         }
     }
 
@@ -245,6 +269,7 @@ impl Arm {
     pub(crate) fn end_of(&self, wait: Wait, now: Instant) -> Option<Instant> {
         match wait {
             Wait::Motion(_) | Wait::Rest => self.robot.motion_end(now),
+            Wait::Part(id, part) => self.robot.end_of_part(id, f64::from(part) / 1e5, now),
             Wait::Servo => match self.robot.servo() {
                 Servo::TurningOn(at) => Some(at),
                 _ => None,
@@ -252,6 +277,7 @@ impl Arm {
             Wait::Hand => self.hand.end(now),
             Wait::Stored | Wait::Left => self.robot.stream().map(|stream| stream.next_cycle()),
             Wait::Over(_) => Some(now),
+            Wait::Tasks => None,
         }
     }
 

@@ -271,6 +271,13 @@ impl Config {
         OleDate::from_unix_millis(millis).ok_or(HResult::DISP_E_OVERFLOW)
     }
 
+    /// Returns the day of the week of a time: 0 Sunday to 6.
+    pub(crate) fn weekday(&self, at: Instant) -> i32 {
+        let millis = i128::from(self.wall_clock_origin_ms) + i128::from(at.as_micros() / 1000);
+        // 1970-01-01 was a Thursday
+        i32::try_from((millis.div_euclid(86_400_000) + 4).rem_euclid(7)).unwrap_or(0)
+    }
+
     /// Returns the microseconds of a time within its second of the wall clock.
     pub(crate) fn microsecond(&self, at: Instant) -> i32 {
         let origin = i128::from(self.wall_clock_origin_ms) * 1000;

@@ -30,7 +30,7 @@ use crate::objects::Objects;
 use crate::operations::Operations;
 use crate::scenario::{Delivery, Effect, Running, Scenario, Setup};
 use crate::slave::{self, Limits, SlaveCounters, SlaveCycle};
-use crate::tasks::{TaskStatus, Tasks};
+use crate::tasks::{self, TaskStatus, Tasks};
 use crate::trace::TracePoint;
 use crate::variables::{Family, Variables};
 use crate::waits::{Wait, Waits};
@@ -154,6 +154,9 @@ impl Controller {
         self.pass_slave_cycles(now);
         self.common.now = now;
         self.tasks.advance(now);
+        if !self.tasks.iter().any(tasks::Task::is_running) {
+            self.common.waits.end(Wait::Tasks, HResult::S_OK);
+        }
         self.arm.advance(now, &mut self.common.waits);
     }
 

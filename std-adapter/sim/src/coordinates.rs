@@ -63,23 +63,32 @@ impl Coordinates {
     }
 }
 
-/// The definitions of tools, or of work coordinates.
+/// The definitions of tools, of work coordinates or of bases, each with its attribute.
 #[derive(Clone, Debug)]
-pub(crate) struct Definitions(Vec<Frame>);
+pub(crate) struct Definitions(Vec<(Frame, i32)>);
 
 impl Definitions {
     pub(crate) fn new() -> Self {
-        Self(vec![Frame::IDENTITY; COUNT])
+        Self(vec![(Frame::IDENTITY, 0); COUNT])
     }
 
     /// Returns a definition; an invalid number has the definition of 0.
     pub(crate) fn get(&self, number: i32) -> Frame {
-        usize::try_from(number).ok().and_then(|n| self.0.get(n)).copied().unwrap_or(Frame::IDENTITY)
+        self.entry(number).0
+    }
+
+    /// Returns the attribute of a definition: 0, or 1 for work coordinates with a fixed tool.
+    pub(crate) fn attribute(&self, number: i32) -> i32 {
+        self.entry(number).1
+    }
+
+    fn entry(&self, number: i32) -> (Frame, i32) {
+        usize::try_from(number).ok().and_then(|n| self.0.get(n)).copied().unwrap_or((Frame::IDENTITY, 0))
     }
 
     /// Sets a definition, except number 0; returns whether the number is valid.
-    pub(crate) fn set(&mut self, number: i32, frame: Frame) -> bool {
+    pub(crate) fn set(&mut self, number: i32, frame: Frame, attribute: i32) -> bool {
         let place = usize::try_from(number).ok().filter(|n| *n > 0).and_then(|n| self.0.get_mut(n));
-        place.map(|place| *place = frame).is_some()
+        place.map(|place| *place = (frame, attribute)).is_some()
     }
 }

@@ -1,6 +1,6 @@
 //! Circles, for arcs and rotations.
 
-use crate::kinematics::{cross, dot, unit};
+use crate::kinematics::{Frame, cross, dot, unit};
 
 /// A point or a vector, in mm.
 pub(crate) type Point = [f64; 3];
@@ -36,6 +36,22 @@ impl Arc {
         let along = dot(arm, self.axis);
         (dot(arm, arm) - along * along).max(0.0).sqrt() * self.degrees.abs().to_radians()
     }
+}
+
+/// Returns the place on a curve through frames, at least two; `part` is 0 to 1.
+///
+/// The positions are on a Catmull-Rom spline, the orientations turn evenly between two frames.
+pub(crate) fn on_curve(frames: &[Frame], part: f64) -> Frame {
+    let last = frames.len() - 1;
+    let place = part.clamp(0.0, 1.0) * last as f64;
+    let (n, t) = ((place as usize).min(last - 1), place - (place as usize).min(last - 1) as f64);
+    let point = |n: usize| frames[n.min(last)].position;
+    let (before, from, to, after) = (point(n.saturating_sub(1)), point(n), point(n + 1), point(n + 2));
+    let position = [0, 1, 2].map(|i| {
+        let (a, b, c, d) = (before[i], from[i], to[i], after[i]);
+        b + t * (c - a + t * (2.0 * a - 5.0 * b + 4.0 * c - d + t * (3.0 * (b - c) + d - a))) / 2.0
+    });
+    frames[n].towards(&frames[n + 1], t).moved_to(position)
 }
 
 fn sum(a: Point, b: Point) -> Point {

@@ -3,9 +3,9 @@
 //! | form                                    | example                                                   |
 //! |-----------------------------------------|-----------------------------------------------------------|
 //! | BSTR: pass, pairs of axis and value     | `"@E (1, 5), (2, 5)"`, `"(7, -15)"`                       |
-//! | VARIANT array: pairs                    | `[[[1, 5], -1, -2], [[2, -5], -1, 0]]`, `[[1, 5], [2, 5]]` |
+//! | VARIANT array: pairs                    | `[[[1, 5], -1, -2], [[2, -5], -1, 0]]`, `[[1, 5], [2, 5]]`, `[[1, 5], -1, -2]` |
 //! | Robot_Move, BSTR: after the pose        | `"@P P1 EX((7, 30.5))"`, `"P1 EXA((7, 10), (8, 5))"`      |
-//! | Robot_Move, VARIANT array: 4th element  | `[2, [7, 10]]`                                            |
+//! | Robot_Move, VARIANT array: 4th element  | `[2, [7, 10]]`, `["EXA", [7, 10]]`                        |
 //!
 //! EX (1) and DriveEx are relative to the position of the axis, EXA (2) and DriveAEx to its zero. The values of a pair
 //! are in degrees or mm. In the array, each pair is an array of two numbers, alone or with the type (-1) and the pass that the
@@ -63,6 +63,11 @@ impl Drive {
             // one pair alone
             Variant::Array(array) if is_pair(array) => Self::new(absolute, vec![pair(&value.flatten())?]),
             Variant::Array(array) if array.len() > AXES => Err(HResult::E_INVALIDARG),
+            // one pair with its type and its pass
+            Variant::Array(array) if array.len() > 1 && !is_array(&array.get(1).unwrap_or(Variant::Empty)) => {
+                let (turn, pass) = pair_item(&value.flatten())?;
+                Ok(Self { pass, ..Self::new(absolute, vec![turn])? })
+            }
             Variant::Array(array) => {
                 let pairs: Vec<_> = array.iter().map(|item| pair_item(&item)).collect::<Result<_, _>>()?;
                 let pass = pairs.last().map(|(_, pass)| *pass).unwrap_or_default();
@@ -78,7 +83,12 @@ impl Drive {
         let rest = upper.strip_prefix("EX").ok_or(HResult::E_INVALIDARG)?;
         let (absolute, list) = rest.strip_prefix('A').map_or((false, rest), |list| (true, list));
         let inner = list.trim().strip_prefix('(').and_then(|list| list.strip_suffix(')'));
-        Self::new(absolute, pairs_of_text(inner.ok_or(HResult::E_INVALIDARG)?)?)?.extended_only()
+        let pairs = match inner.ok_or(HResult::E_INVALIDARG)?.trim() {
+            // one pair in the brackets of the list, as an example of the guide has it
+            pair if !pair.is_empty() && !pair.starts_with('(') => pairs_of_text(&format!("({pair})"))?,
+            pairs => pairs_of_text(pairs)?,
+        };
+        Self::new(absolute, pairs)?.extended_only()
     }
 
     /// Reads the extended joints of a pose in an array: the mode, then the pairs.
@@ -88,9 +98,11 @@ impl Drive {
             return Err(HResult::E_INVALIDARG);
         }
         let mut items = array.iter();
-        let absolute = match items.next().and_then(|mode| mode.flatten().as_i32()) {
-            Some(1) => false,
-            Some(2) => true,
+        let absolute = match items.next().map(|mode| mode.flatten()) {
+            Some(Variant::Bstr(mode)) if mode.to_string().trim().eq_ignore_ascii_case("EX") => false,
+            Some(Variant::Bstr(mode)) if mode.to_string().trim().eq_ignore_ascii_case("EXA") => true,
+            Some(mode) if mode.as_i32() == Some(1) => false,
+            Some(mode) if mode.as_i32() == Some(2) => true,
             _ => return Err(HResult::E_INVALIDARG),
         };
         Self::new(absolute, items.map(|item| pair(&item)).collect::<Result<_, _>>()?)?.extended_only()
@@ -133,6 +145,10 @@ fn pair_item(item: &Variant<'_>) -> Result<((f64, f64), Pass), HResult> {
     }
     let pass = pass_item(&array.get(2).unwrap_or(Variant::Empty))?;
     Ok((pair(&array.get(0).ok_or(HResult::E_INVALIDARG)?)?, pass))
+}
+
+fn is_array(value: &Variant<'_>) -> bool {
+    matches!(value.flatten(), Variant::Array(_))
 }
 
 /// Tells whether an array is a pair itself, not a list of them.
@@ -202,7 +218,8 @@ mod tests {
         assert_eq!(drive(false, &"(a,5)"), Err(HResult::DISP_E_TYPEMISMATCH));
         assert_eq!(drive(false, &"(1.5,5)"), Err(HResult::DISP_E_TYPEMISMATCH));
         assert_eq!(drive(false, &5), Err(HResult::E_INVALIDARGTYPE));
-        assert_eq!(drive(false, &((1, 5, 6), 2)), Err(HResult::E_INVALIDARGTYPE));
+        assert_eq!(drive(false, &((1, 5, 6), 2)), Err(HResult::E_INVALIDARG));
+        assert_eq!(drive(false, &(5, 6, 7)), Err(HResult::E_INVALIDARGTYPE));
     }
 
     #[test]
@@ -210,7 +227,8 @@ mod tests {
         let apply = |text| Drive::parse_extended_text(text).map(|drive| drive.apply(&HERE)[6..].to_vec());
         assert_eq!(apply("EX((7,30.5))"), Ok(vec![37.5, 8.0]));
         assert_eq!(apply("exa( (7,10) , (8,5) )"), Ok(vec![10.0, 5.0]));
-        for text in ["EX(7,1)", "EX", "EXB((7,1))", "EX((6,1))", "EX()"] {
+        assert_eq!(apply("EXA(7, 30.5)"), Ok(vec![30.5, 8.0]));
+        for text in ["EX(7)", "EX", "EXB((7,1))", "EX((6,1))", "EX()"] {
             assert_eq!(apply(text), Err(HResult::E_INVALIDARG), "{text}");
         }
     }

@@ -5,7 +5,7 @@
 //!
 //! | function                                 | effect                                                               |
 //! |------------------------------------------|----------------------------------------------------------------------|
-//! | Controller_GetFile, File_GetFile         | opens it; `@Create=1` makes it, or a folder with a final `\`          |
+//! | Controller_GetFile, File_GetFile         | opens it; `@Create=1` makes it, or a folder with a final `\`; 2 only a new one |
 //! | ..._GetFileNames                         | BSTR array, in order; folders end with `\`                           |
 //! | File_GetValue                            | BSTR; a UI1 array when the bytes are no UTF-8                        |
 //! | File_PutValue                            | writes BSTR as UTF-8, or a UI1 array as it is                        |
@@ -16,8 +16,7 @@
 //! | File_GetSize                             | I4 in bytes; 0 for a folder                                          |
 //! | File_GetAttribute                        | I4: 1 read-only, 16 folder                                           |
 //! | File_GetType                             | BSTR: the extension of the name; `Folder`                            |
-//! | File_GetVariableNames                    | an empty array: files have no variables                              |
-//! | File_GetVariable                         | `E_CAO_OBJECT_NOTFOUND`: files have no variables                     |
+//! | File_GetVariableNames, File_GetVariable  | `@CRC`, I4: the CRC-32 of the contents when it was opened            |
 //! | File_Execute                             | `E_INVALID_CMD_NAME`: files have no commands                         |
 //! | File_Run                                 | starts the task of the file for one cycle, BSTR: its name            |
 //!
@@ -51,7 +50,7 @@ use bcap_core::time::Instant;
 use crate::context::Context;
 use work::{FileOperation, Work, contents};
 
-pub(crate) use work::Done;
+pub(crate) use work::{CRC, Done};
 
 pub use crate::executor::{Executor, Job};
 

@@ -1,21 +1,37 @@
 //! The hand: an electric gripper whose fingers move with a limited speed.
 //!
-//! | Extension_Execute of `Hand0` | Controller_Execute, COBOTTA  | effect                                             |
-//! |------------------------------|------------------------------|----------------------------------------------------|
-//! | Chuck                        | HandMoveH \[force, true\]    | closes; answers when the fingers are at rest       |
-//! | UnChuck                      | HandMoveH \[force, false\]   | opens; likewise                                    |
-//! | -                            | HandMoveA \[place, speed\]   | moves to a place, 0 to 30 mm                       |
-//! | -                            | HandMoveR \[way, speed\]     | moves by so many mm; a negative way closes         |
-//! | -                            | HandMoveAH \[place, speed, force\] | moves to a place; there is nothing to grip on the way |
-//! | -                            | HandMoveVH \[power, on\]     | switches suction, of 0 to 100 percent, on or off   |
-//! | -                            | HandHoldState                | BOOL: always false, there is nothing to grip       |
-//! | -                            | HandStop                     | stops; waiting calls get `E_ABORT`; `S_FALSE` at rest |
-//! | CurPos                       | HandCurPos                   | R8, mm between the fingers                         |
-//! | -                            | HandCurLoad                  | R8, percent: always 0, there is nothing to grip    |
+//! | Controller_Execute, COBOTTA        | effect                                                |
+//! |------------------------------------|-------------------------------------------------------|
+//! | HandMoveH \[force, close\]         | closes or opens; answers when the fingers are at rest |
+//! | HandMoveA \[place, speed\]         | moves to a place, 0 to 30 mm                          |
+//! | HandMoveR \[way, speed\]           | moves by so many mm; a negative way closes            |
+//! | HandMoveAH \[place, speed, force\] | moves to a place; there is nothing to grip on the way |
+//! | HandMoveVH \[power, on\]           | switches suction, of 0 to 100 percent, on or off      |
+//! | HandHoldState                      | BOOL: always false, there is nothing to grip          |
+//! | HandStop                           | stops; waiting calls get `E_ABORT`; `S_FALSE` at rest |
+//! | HandCurPos                         | R8, mm between the fingers                            |
+//! | HandCurLoad                        | R8, percent: always 0, there is nothing to grip       |
 //!
-//! Robot_Chuck and Robot_Unchuck close and open as well; they have no options. Speeds are 1 to 100 percent of
-//! [`SPEED`]. A force is 6 to 20 N; HandMoveH moves at a quarter of [`SPEED`]. The parameter of Chuck and UnChuck, the
-//! number of a way to grip, is ignored.
+//! | Extension_Execute of `Hand0`        | effect (RC8 provider guide, 5.2.36)                                  |
+//! |-------------------------------------|----------------------------------------------------------------------|
+//! | Motor state                         | switches the motor of the hand                                       |
+//! | Org                                 | closes, and finds the origin; moves are refused before it            |
+//! | Chuck, UnChuck point                | closes, opens                                                        |
+//! | MoveP point                         | as the point says: points 0 to 31, the odd ones close, the even ones open |
+//! | MoveA, MoveR \[mm, speed\]          | moves to a place, by a way; speed 20 to 100 percent                  |
+//! | MoveAH, MoveRH \[mm, speed, force\] | likewise; force 30 to 100 percent                                    |
+//! | MoveH \[speed, force, direction\]   | opens (0) or closes; speed 20 to 50 percent                          |
+//! | MoveZH \[zone, zone, speed, force, direction\] | likewise, with a zone for get_ZonState                    |
+//! | Stop                                | stops; waiting calls get `E_ABORT`                                   |
+//! | CurPos                              | R4, mm                                                               |
+//! | GetPoint \[point, element\]         | I4 mode, R4 mm, I4 speed, I4 force, R4 zone, R4 zone                 |
+//! | get_EmgState, get_MotorState, get_OrgState | I4: 0 emergency stop; 0 off; 0 before Org                     |
+//! | get_BusyState, get_InposState, get_ZonState | I4: 1 while it moves; after a move; within the zone          |
+//! | get_HoldState, get_Error            | I4 0: there is nothing to grip                                       |
+//!
+//! Robot_Chuck and Robot_Unchuck close and open as well; they have no options and need no Org. Speeds are 1 to 100 percent of
+//! [`SPEED`]. A force of a COBOTTA is 6 to 20 N; HandMoveH moves at a quarter of [`SPEED`]. There is one board, number 0. A move
+//! before Org, or with the motor of the hand off, is refused with 0x83585200, the code of such states.
 //!
 //! To move the hand needs Auto mode, the executable token and no error. While it moves, another motion of it is refused
 //! with `E_ROBOTISBUSY`. An error stops it at once, as does the end of the client that moves it. Numbers out of range
@@ -32,7 +48,7 @@ use crate::answer::{Answer, Answered};
 use crate::context::Context;
 use crate::rules;
 use crate::table::Command;
-use crate::value::{Value, numbers};
+use crate::value::{Value, numbers, one_int, whole};
 use crate::waits::{Wait, Waits};
 
 /// The name of the extension.
@@ -47,14 +63,124 @@ pub const SPEED: f64 = 80.0;
 /// The forces that HandMoveH accepts, in N.
 const FORCES: std::ops::RangeInclusive<f64> = 6.0..=20.0;
 
-type Run = fn(&mut Hand, &mut Context<'_>) -> Answered;
+/// The state of an electric hand forbids a command: no origin, or its motor is off. The last digit is the board.
+const HAND_STATE: HResult = HResult::from_u32(0x8358_5200);
+
+/// The number of points, and the speeds and forces of the moves of an electric hand, in percent.
+const POINTS: std::ops::RangeInclusive<i32> = 0..=31;
+const SPEEDS: std::ops::RangeInclusive<f64> = 20.0..=100.0;
+const GRIP_SPEEDS: std::ops::RangeInclusive<f64> = 20.0..=50.0;
+const GRIP_FORCES: std::ops::RangeInclusive<f64> = 30.0..=100.0;
+
+type Run = fn(&mut Hand, &mut Context<'_>, &Variant<'_>) -> Answered;
+
+const fn command(name: &'static str, run: Run) -> Command<Run> {
+    Command::new(name, run)
+}
+
+const POINT: &str = "one number, 0 to 31";
+const MOVE: &str = "[mm, speed]: within 0 to 30 mm, 20 to 100 percent";
+const MOVE_AND_GRIP: &str = "[mm, speed, force]: within 0 to 30 mm, 20 to 100 percent, 30 to 100 percent";
 
 /// The commands of Extension_Execute.
 pub(crate) const COMMANDS: &[Command<Run>] = &[
-    Command::new("Chuck", Hand::close),
-    Command::new("UnChuck", Hand::open),
-    Command::new("CurPos", |hand, ctx| Ok(Value::R8(hand.position(ctx.now)).into())),
+    command("Chuck", |hand, ctx, param| hand.at_point(ctx, param, |_| 0.0)).accepts(POINT),
+    command("UnChuck", |hand, ctx, param| hand.at_point(ctx, param, |_| STROKE)).accepts(POINT),
+    command("Motor", |hand, ctx, param| {
+        let on = one_int(param)? != 0;
+        ctx.may(&rules::HAND)?;
+        hand.motor = on && (hand.motor || !ctx.panel.emergency_stop);
+        Ok(Answer::Done)
+    })
+    .accepts("one number: 0 off, otherwise on"),
+    command("Org", |hand, ctx, _| {
+        ctx.may(&rules::HAND)?;
+        hand.origin = hand.motor;
+        hand.drive(ctx, 0.0, 100.0)
+    }),
+    command("MoveP", |hand, ctx, param| hand.at_point(ctx, param, place_of_point)).accepts(POINT),
+    command("MoveA", |hand, ctx, param| match numbers(param)?[..] {
+        [place, speed] if SPEEDS.contains(&speed) => hand.drive(ctx, place, speed),
+        _ => Err(HResult::E_INVALIDARG),
+    })
+    .accepts(MOVE),
+    command("MoveR", |hand, ctx, param| match numbers(param)?[..] {
+        [way, speed] if SPEEDS.contains(&speed) => hand.drive(ctx, hand.position(ctx.now) + way, speed),
+        _ => Err(HResult::E_INVALIDARG),
+    })
+    .accepts(MOVE),
+    command("MoveAH", |hand, ctx, param| match numbers(param)?[..] {
+        [place, speed, force] if SPEEDS.contains(&speed) && GRIP_FORCES.contains(&force) => {
+            hand.drive(ctx, place, speed)
+        }
+        _ => Err(HResult::E_INVALIDARG),
+    })
+    .accepts(MOVE_AND_GRIP),
+    command("MoveRH", |hand, ctx, param| match numbers(param)?[..] {
+        [way, speed, force] if SPEEDS.contains(&speed) && GRIP_FORCES.contains(&force) => {
+            hand.drive(ctx, hand.position(ctx.now) + way, speed)
+        }
+        _ => Err(HResult::E_INVALIDARG),
+    })
+    .accepts(MOVE_AND_GRIP),
+    command("MoveH", |hand, ctx, param| hand.until_grip(ctx, &numbers(param)?))
+        .accepts("[speed, force, direction]: 20 to 50 percent, 30 to 100 percent, 0 opens"),
+    command("MoveZH", |hand, ctx, param| match &numbers(param)?[..] {
+        [first, second, others @ ..] if [first, second].iter().all(|place| (0.0..=STROKE).contains(*place)) => {
+            let answer = hand.until_grip(ctx, others)?;
+            hand.zone = Some((first.min(*second), first.max(*second)));
+            Ok(answer)
+        }
+        _ => Err(HResult::E_INVALIDARG),
+    })
+    .accepts("[zone, zone, speed, force, direction]: two places in mm, then as MoveH"),
+    command("Stop", |hand, ctx, _| {
+        hand.stop(HResult::E_ABORT, ctx.now, ctx.waits);
+        Ok(Answer::Done)
+    }),
+    command("CurPos", |hand, ctx, _| Ok(Value::R4(hand.position(ctx.now) as f32).into())),
+    command("GetPoint", |_, _, param| match numbers(param)?[..] {
+        [point, element] => element_of_point(whole(point)?, whole(element)?),
+        _ => Err(HResult::E_INVALIDARG),
+    })
+    .accepts("[point, element]: point 0 to 31, element 0 to 5"),
+    command("get_EmgState", |_, ctx, _| state(!ctx.panel.emergency_stop)),
+    command("get_ZonState", |hand, ctx, _| {
+        let place = hand.position(ctx.now);
+        state(hand.zone.is_some_and(|(from, to)| (from..=to).contains(&place)))
+    }),
+    command("get_OrgState", |hand, _, _| state(hand.origin)),
+    command("get_HoldState", |_, _, _| state(false)),
+    command("get_InposState", |hand, ctx, _| state(hand.origin && hand.end(ctx.now).is_none())),
+    command("get_Error", |_, _, _| state(false)),
+    command("get_BusyState", |hand, ctx, _| state(hand.end(ctx.now).is_some())),
+    command("get_MotorState", |hand, _, _| state(hand.motor)),
 ];
+
+fn state(on: bool) -> Answered {
+    Ok(Value::I4(on.into()).into())
+}
+
+/// Returns where the fingers are at a point: the odd ones close, the even ones open.
+fn place_of_point(point: i32) -> f64 {
+    if point % 2 == 0 { STROKE } else { 0.0 }
+}
+
+/// Returns an element of a point: the mode, the place, speed and force in percent, the zone.
+fn element_of_point(point: i32, element: i32) -> Answered {
+    if !POINTS.contains(&point) {
+        return Err(HResult::E_INVALIDARG);
+    }
+    Ok(match element {
+        0 => Value::I4(point % 2),
+        1 => Value::R4(place_of_point(point) as f32),
+        2 => Value::I4(100),
+        3 => Value::I4(50),
+        4 | 5 => Value::R4(0.0),
+        _ => return Err(HResult::E_INVALIDARG),
+    }
+    .into())
+}
 
 /// The fingers.
 #[derive(Clone, Copy, Debug)]
@@ -67,12 +193,20 @@ pub(crate) struct Hand {
     /// The client that moved the fingers last.
     peer: PeerId,
     suction: bool,
+    /// The motor of an electric hand.
+    motor: bool,
+    /// An electric hand knows its origin.
+    origin: bool,
+    /// The zone of the last MoveZH, in mm.
+    zone: Option<(f64, f64)>,
 }
 
 impl Hand {
     /// Makes a closed hand at rest.
     pub(crate) const fn new() -> Self {
-        Self { from: 0.0, to: 0.0, began: Instant::ZERO, end: Instant::ZERO, peer: PeerId(0), suction: false }
+        let (began, end) = (Instant::ZERO, Instant::ZERO);
+        let (suction, motor, origin) = (false, false, false);
+        Self { from: 0.0, to: 0.0, began, end, peer: PeerId(0), suction, motor, origin, zone: None }
     }
 
     /// Returns the distance between the fingers, in mm.
@@ -100,6 +234,31 @@ impl Hand {
 
     pub(crate) fn open(&mut self, ctx: &mut Context<'_>) -> Answered {
         self.move_to(ctx, STROKE, 100.0)
+    }
+
+    /// Moves an electric hand, which needs its motor and its origin.
+    fn drive(&mut self, ctx: &mut Context<'_>, to: f64, percent: f64) -> Answered {
+        ctx.may(&rules::HAND)?;
+        if !self.motor || !self.origin {
+            return Err(ctx.refuse(HAND_STATE));
+        }
+        self.move_to(ctx, to, percent)
+    }
+
+    /// Moves an electric hand to the place of a point.
+    fn at_point(&mut self, ctx: &mut Context<'_>, param: &Variant<'_>, place: fn(i32) -> f64) -> Answered {
+        let point = Some(one_int(param)?).filter(|point| POINTS.contains(point)).ok_or(HResult::E_INVALIDARG)?;
+        self.drive(ctx, place(point), 100.0)
+    }
+
+    /// Moves an electric hand to the end of its way, `[speed, force, direction]`.
+    fn until_grip(&mut self, ctx: &mut Context<'_>, given: &[f64]) -> Answered {
+        match given {
+            [speed, force, direction] if GRIP_SPEEDS.contains(speed) && GRIP_FORCES.contains(force) => {
+                self.drive(ctx, if *direction == 0.0 { STROKE } else { 0.0 }, *speed)
+            }
+            _ => Err(HResult::E_INVALIDARG),
+        }
     }
 
     /// Executes HandMoveA, `[place, speed]`.

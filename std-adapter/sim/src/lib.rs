@@ -25,7 +25,7 @@
 //!
 //! # What answers `E_NOTIMPL`
 //!
-//! Free curves, areas, motions of two robots, force control; `docs/virtual-controller.md` has the whole table. A
+//! Motions of two robots, force control, and the calculator of paths; `docs/virtual-controller.md` has the whole table. A
 //! command that no controller is known to have answers `E_INVALID_CMD_NAME`. A call that answers `S_OK` has had its
 //! effect.
 //!
@@ -64,6 +64,7 @@
 #![cfg_attr(docsrs, feature(doc_cfg))]
 
 mod answer;
+mod areas;
 pub mod arm;
 pub mod codes;
 pub mod comm;
@@ -89,6 +90,7 @@ mod objects;
 mod operations;
 mod options;
 mod path;
+mod paths;
 pub mod pose;
 pub mod preparation;
 pub mod program;

@@ -142,6 +142,21 @@ impl Motion {
         [0, 1, 2, 3, 4, 5, 6, 7].map(|i| here[i] - start[i])
     }
 
+    /// Returns the part of its path that it has covered, 0 to 1.
+    pub(crate) fn covered(&self, now: Instant) -> f64 {
+        self.ramp.at(now).0
+    }
+
+    /// Returns when it has covered a part of its path; if it comes to rest before, that time.
+    pub(crate) fn time_of(&self, part: f64) -> Instant {
+        let (mut before, mut after) = (self.ramp.begin.as_micros(), self.end().as_micros());
+        while before + 1 < after {
+            let middle = before.midpoint(after);
+            if self.covered(Instant::from_micros(middle)) < part { before = middle } else { after = middle }
+        }
+        Instant::from_micros(after)
+    }
+
     /// Returns the arm that it moves.
     pub(crate) fn arm(&self) -> &Geometry {
         &self.path.arm
@@ -168,11 +183,10 @@ impl Motion {
         self.pass_time = self.plan_pass();
     }
 
-    /// Brakes to rest.
-    pub(crate) fn brake(&mut self, now: Instant) {
+    /// Brakes to rest: at full deceleration, or at the deceleration of the motion.
+    pub(crate) fn brake(&mut self, now: Instant, gently: bool) {
         let (place, speed) = self.ramp.at(now);
-        // at full deceleration, whatever the deceleration of the motion
-        let decel = self.path.full_accel;
+        let decel = if gently { self.path.full_accel * self.rates.decel } else { self.path.full_accel };
         if decel.is_finite() {
             self.ramp = Ramp::brake(now, place, speed, decel);
         }
@@ -289,7 +303,7 @@ mod tests {
         let mut motion = turn_of_j1(150.0, FULL);
         let at = Instant::from_millis(300);
         let before = motion.axes(at)[0];
-        motion.brake(at);
+        motion.brake(at, false);
         let held = motion.axes(Instant::from_millis(10_000))[0];
         // braking from full speed takes half of speed times the ramp's time
         assert!((held - before - SPEEDS[0] * ACCELERATION_TIME / 2.0).abs() < 1e-6, "{before} {held}");
@@ -301,7 +315,7 @@ mod tests {
     fn a_slow_motion_brakes_as_soon_as_a_fast_one() {
         let mut motion = turn_of_j1(150.0, Rates { speed: 0.5, accel: 0.5, decel: 0.001 });
         let at = Instant::from_millis(500);
-        motion.brake(at);
+        motion.brake(at, false);
         let braking = motion.end().saturating_since(at);
         assert!(braking.as_secs_f64() <= ACCELERATION_TIME / 2.0 + 1e-6, "{braking:?}");
         // run again in the middle of braking, it still arrives
@@ -313,7 +327,7 @@ mod tests {
     fn a_path_without_length_takes_no_time() {
         let mut motion = turn_of_j1(0.0, FULL);
         assert_eq!(motion.end(), Instant::ZERO);
-        motion.brake(Instant::ZERO);
+        motion.brake(Instant::ZERO, false);
         motion.run(Instant::ZERO);
         assert_eq!(motion.end(), Instant::ZERO);
     }

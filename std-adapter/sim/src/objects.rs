@@ -19,7 +19,7 @@ use crate::command_objects::CommandObject;
 use crate::hand;
 use crate::messages::Message;
 use crate::value::{Value, keep, one_int};
-use crate::variables::{Family, Variables};
+use crate::variables::{Family, Variables, is_wildcard};
 
 /// The longest name of an object, in bytes.
 const NAME_MAX: usize = 1024;
@@ -40,10 +40,36 @@ pub(crate) enum Owner {
 pub(crate) enum VariableRef {
     /// A user variable.
     User(Family, u32),
-    /// All user variables of a family; PutID chooses one.
+    /// All user variables of a family; PutID chooses one, at first it is 0.
     Wildcard(Family, Option<u32>),
     /// A system variable, by its place in the table of its owner.
     System(Owner, usize),
+    /// The checksum of a file, as it was when the variable was opened.
+    Crc(i32),
+    /// A definition of the robot; PutID chooses the number of a wildcard.
+    Definition(DefinitionKind, Option<i32>),
+}
+
+/// The definitions that are variables of the robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum DefinitionKind {
+    Tool,
+    Work,
+    Area,
+}
+
+impl DefinitionKind {
+    const ALL: [(Self, &'static str); 3] = [(Self::Tool, "TOOL"), (Self::Work, "WORK"), (Self::Area, "AREA")];
+
+    /// Reads a name: `Tool1`, or `Tool*` for any number.
+    pub(crate) fn parse(name: &str) -> Option<(Self, Option<i32>)> {
+        let upper = name.trim().to_ascii_uppercase();
+        let (kind, number) = Self::ALL.iter().find_map(|(kind, name)| Some((*kind, upper.strip_prefix(name)?)))?;
+        if is_wildcard(number) {
+            return Some((kind, None));
+        }
+        Some((kind, Some(number.parse().ok().filter(|_| number.bytes().all(|b| b.is_ascii_digit()))?)))
+    }
 }
 
 /// An extension.
@@ -143,7 +169,9 @@ impl Entry {
 
     fn id(&self) -> Value {
         match self.item {
-            Item::Variable(VariableRef::User(_, n) | VariableRef::Wildcard(_, Some(n))) => Value::I4(n.cast_signed()),
+            Item::Variable(VariableRef::User(_, n)) => Value::I4(n.cast_signed()),
+            Item::Variable(VariableRef::Wildcard(_, n)) => Value::I4(n.unwrap_or(0).cast_signed()),
+            Item::Variable(VariableRef::Definition(_, n)) => Value::I4(n.unwrap_or(0)),
             _ => self.id.clone().map_or(Value::Empty, Value::Kept),
         }
     }
@@ -155,6 +183,9 @@ impl Entry {
                 let index = u32::try_from(one_int(id)?).map_err(|_| HResult::DISP_E_BADINDEX)?;
                 variables.check(family, index)?;
                 self.item = Item::Variable(VariableRef::Wildcard(family, Some(index)));
+            }
+            Item::Variable(VariableRef::Definition(kind, None)) => {
+                self.item = Item::Variable(VariableRef::Definition(kind, Some(one_int(id)?)));
             }
             // the index is part of the name
             Item::Variable(VariableRef::User(..)) => return Err(HResult::E_CAO_NOT_WRITABLE),
@@ -168,7 +199,9 @@ impl Entry {
             Item::Controller => "A virtual robot controller.".to_owned(),
             Item::Robot => "A virtual arm of six axes.".to_owned(),
             Item::Task(_) => "A virtual task.".to_owned(),
-            Item::Variable(VariableRef::System(..)) => format!("The system variable {}.", self.name),
+            Item::Variable(VariableRef::System(..) | VariableRef::Definition(..) | VariableRef::Crc(_)) => {
+                format!("The system variable {}.", self.name)
+            }
             Item::Variable(_) => format!("The user variable {}.", self.name),
             Item::File => format!("The file {}.", self.name),
             Item::Extension(extension) => extension.help().to_owned(),
@@ -243,6 +276,19 @@ impl Objects {
         self.by_peer.entry(entry.peer).or_default().insert(handle);
         self.open.insert(handle, entry);
         Ok(handle)
+    }
+
+    /// Returns the name for a controller that a client connects to: a unique one in place of an empty name.
+    pub(crate) fn controller_name(&self, wanted: &str) -> String {
+        if !wanted.trim().is_empty() {
+            return wanted.to_owned();
+        }
+        let is_free = |name: &String| {
+            let mut controllers = self.open.values().filter(|entry| matches!(entry.item, Item::Controller));
+            !controllers.any(|entry| entry.name.eq_ignore_ascii_case(name))
+        };
+        // one of them is free, because there are fewer objects
+        (1_u32..).map(|n| format!("Controller{n}")).find(is_free).unwrap_or_default()
     }
 
     pub(crate) fn get(&self, peer: PeerId, handle: i32, object: Object) -> Result<&Entry, HResult> {

@@ -85,7 +85,7 @@ pub(crate) fn option<'t>(text: &'t str, key: &str) -> Option<&'t str> {
 /// How a motion passes to the next one.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) enum Pass {
-    /// `@0`, `@E`: it comes to rest first.
+    /// `@0`, `@E`, `@C`: it comes to rest first.
     #[default]
     Stop,
     /// `@P`, `@n`: the next motion begins while it brakes; with a number, within this distance of its end in mm.
@@ -102,10 +102,11 @@ pub(crate) fn split_pass(text: &str) -> Result<(Pass, &str), HResult> {
     Ok((pass_of_text(pass)?, rest.trim_start()))
 }
 
-/// Reads a pass in an array: EMPTY, its text, or its number (`@P` -1, `@E` -2, `@0`, `@n`).
+/// Reads a pass in an array: EMPTY or "" for none, its text, or its number (`@P` -1, `@E` -2, `@0`, `@n`).
 pub(crate) fn pass_item(item: &Variant<'_>) -> Result<Pass, HResult> {
     match item.flatten() {
         Variant::Empty | Variant::Null => Ok(Pass::Stop),
+        Variant::Bstr(pass) if pass.to_string().trim().is_empty() => Ok(Pass::Stop),
         Variant::Bstr(pass) => pass_of_text(&pass.to_string()),
         pass => match pass.as_i32() {
             Some(-1) => Ok(Pass::Near(None)),
@@ -121,7 +122,7 @@ pub(crate) fn pass_of_text(pass: &str) -> Result<Pass, HResult> {
     let rest = pass.trim().strip_prefix('@').unwrap_or(pass.trim());
     match rest {
         "P" | "p" => Ok(Pass::Near(None)),
-        "E" | "e" => Ok(Pass::Stop),
+        "E" | "e" | "C" | "c" => Ok(Pass::Stop),
         _ if !rest.is_empty() && rest.bytes().all(|b| b.is_ascii_digit()) => match rest.parse::<f64>() {
             Ok(distance) if distance > 0.0 => Ok(Pass::Near(Some(distance))),
             Ok(_) => Ok(Pass::Stop),

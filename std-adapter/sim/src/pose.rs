@@ -1,4 +1,4 @@
-//! Poses in the forms that motion commands accept.
+//! POSEDATA: the poses, vectors and lengths of motion commands, in all forms of the RC8 provider guide, appendix B.
 //!
 //! | form                               | example                                                      |
 //! |------------------------------------|--------------------------------------------------------------|
@@ -7,8 +7,11 @@
 //! | VARIANT array: numbers, type, pass | `[[0,45,90,0,45,0], "J", "@E"]`, `[[...], 2, -2]`            |
 //! | VARIANT array: index, type, pass   | `[1, "P", "@E"]`                                             |
 //! | array of 7, 8 or 10 numbers        | P, J or T by their count                                     |
+//! | a vector, 3 numbers                | `"V1"`, `"V(1,2,3)"`, `[1, "V"]`, `[[1,2,3], 3]`, an array   |
+//! | a length or an angle               | `30`, `"@P 30"`, `[30, "", "@P"]`, `[30, -1, -1]`            |
 //!
-//! Types are 0 P, 1 T, 2 J. The pass is `@P` (-1), `@E` (-2), `@0` or `@n`; [`arm`](crate::arm) describes its effect.
+//! Types are 0 P, 1 T, 2 J, 3 V, -1 or `""` none. A pose without a type is a P. The pass is `@P` (-1), `@E` (-2), `@C`, `@0`
+//! or `@n`, and `""` none; [`arm`](crate::arm) describes its effect. A J may have four numbers or more; the others are 0.
 //! As text it may also stand before the type, as in a public sample program: `[[...], "@E", "P"]`. If a P has no Fig or
 //! a negative one, the arm takes the nearest posture.
 //!
@@ -24,7 +27,7 @@ use bcap_core::variant::{Array, Variant};
 use crate::drive::Drive;
 use crate::kinematics::{Frame, Geometry, Joints, OutOfReach};
 use crate::options::{Pass, pass_item, split_outside_brackets, split_pass};
-use crate::value::{number, numbers, numbers_of_text, whole};
+use crate::value::{number, numbers, numbers_of_text, one_int, whole};
 use crate::variables::{Family, Variables, parse_name};
 
 /// The target of a motion command.
@@ -63,17 +66,40 @@ impl Target {
         }
     }
 
-    /// Reads two poses in text; the second one has the pass: `P1, @E P2`.
+    /// Reads two poses of the same type, in text (`P1, @E P2`) or in an array; the second one has the pass.
     pub(crate) fn parse_two(value: &Variant<'_>, vars: &Variables) -> Result<(Pose, Self), HResult> {
-        let Variant::Bstr(text) = value.flatten() else { return Err(HResult::E_INVALIDARGTYPE) };
-        let text = text.to_string();
-        let mut poses = split_outside_brackets(&text);
-        let (Some(via), Some(end), None) = (poses.next(), poses.next(), poses.next()) else {
-            return Err(HResult::E_INVALIDARG);
+        let (via, end) = match value.flatten() {
+            Variant::Bstr(text) => {
+                let text = text.to_string();
+                let mut poses = split_outside_brackets(&text);
+                let (Some(via), Some(end), None) = (poses.next(), poses.next(), poses.next()) else {
+                    return Err(HResult::E_INVALIDARG);
+                };
+                (Self::parse_text(via, vars)?, Self::parse_text(end, vars)?)
+            }
+            Variant::Array(array) if array.len() == 2 => {
+                let item = |n| array.get(n).unwrap_or(Variant::Empty);
+                (Self::parse(&item(0), vars)?, Self::parse(&item(1), vars)?)
+            }
+            _ => return Err(HResult::E_INVALIDARGTYPE),
         };
-        match (Self::parse_text(via, vars)?, Self::parse_text(end, vars)?) {
-            (Self { pose, extended: None, pass: Pass::Stop }, end @ Self { extended: None, .. }) => Ok((pose, end)),
+        let is_same =
+            matches!((&via.pose, &end.pose), (Pose::Joints(_), Pose::Joints(_)) | (Pose::Frame(..), Pose::Frame(..)));
+        match (via, end) {
+            (Self { pose, extended: None, pass: Pass::Stop }, end @ Self { extended: None, .. }) if is_same => {
+                Ok((pose, end))
+            }
             _ => Err(HResult::E_INVALIDARG),
+        }
+    }
+
+    /// Tells whether a value has a pass of any kind, also one that stops.
+    pub(crate) fn has_pass(value: &Variant<'_>) -> bool {
+        let is_pass =
+            |item: &Variant<'_>| matches!(item, Variant::Bstr(text) if text.to_string().trim().starts_with('@'));
+        match value.flatten() {
+            Variant::Array(array) => (0..3).any(|n| is_pass(&array.get(n).unwrap_or(Variant::Empty).flatten())),
+            value => is_pass(&value),
         }
     }
 
@@ -103,6 +129,9 @@ impl Pose {
                     return Err(HResult::E_INVALIDARG);
                 }
                 Ok(Self::Joints([*j1, *j2, *j3, *j4, *j5, *j6]))
+            }
+            (Kind::J, [j1, j2, j3, j4, more @ ..]) => {
+                Ok(Self::Joints([*j1, *j2, *j3, *j4, more.first().copied().unwrap_or(0.0), 0.0]))
             }
             (Kind::T, [t @ .., _]) if numbers.len() == 10 => Self::transform(t, figure(&numbers[9..])?),
             (Kind::T, t) => Self::transform(t, None),
@@ -135,6 +164,9 @@ impl Pose {
         if let Some((family, Some(index))) = parse_name(text) {
             return Self::of_variable(family, index, vars);
         }
+        if let Ok(index) = text.parse() {
+            return Self::of_variable(Family::Plain(Kind::P), index, vars);
+        }
         let (letter, list) = text.split_once('(').ok_or(HResult::E_INVALIDARG)?;
         let list = list.trim_end().strip_suffix(')').ok_or(HResult::E_INVALIDARG)?;
         Self::new(kind_of_letter(letter)?, &numbers_of_text(list)?)
@@ -148,6 +180,7 @@ impl Pose {
         let pass = pass_item(&pass)?;
         let kind = match kind {
             Variant::Empty | Variant::Null => None,
+            Variant::Bstr(letter) if letter.to_string().trim().is_empty() => None,
             Variant::Bstr(letter) => Some(kind_of_letter(&letter.to_string())?),
             number => match number.as_i32() {
                 Some(0) => Some(Kind::P),
@@ -167,12 +200,12 @@ impl Pose {
                 let (own, text) = split_pass(&text)?;
                 Ok((Self::parse_text(text, vars)?, if own == Pass::Stop { pass } else { own }))
             }
-            (index, Some(kind)) => {
+            (index, kind) => {
+                let kind = kind.unwrap_or(Kind::P);
                 let index = whole(number(&index).ok_or(HResult::E_INVALIDARGTYPE)?)?;
                 let index = u32::try_from(index).map_err(|_| HResult::DISP_E_BADINDEX)?;
                 Ok((Self::of_variable(Family::Plain(kind), index, vars)?, pass))
             }
-            _ => Err(HResult::E_INVALIDARG),
         }
     }
 
@@ -196,6 +229,111 @@ impl Pose {
     }
 }
 
+/// Reads a vector: a point of a motion, or a size.
+pub(crate) fn vector(value: &Variant<'_>, vars: &Variables) -> Result<[f64; 3], HResult> {
+    Ok(vector_and_pass(value, vars)?.0)
+}
+
+/// Reads a vector and its pass.
+pub(crate) fn vector_and_pass(value: &Variant<'_>, vars: &Variables) -> Result<([f64; 3], Pass), HResult> {
+    let (numbers, pass) = match value.flatten() {
+        Variant::Bstr(text) => {
+            let text = text.to_string();
+            let (pass, text) = split_pass(&text)?;
+            (vector_of_text(text, vars)?, pass)
+        }
+        // the three numbers, unless they are an index, the type and the pass
+        Variant::Array(array) if array.len() == 3 && !is_vector_type(array.get(1)) => (numbers(value)?, Pass::Stop),
+        Variant::Array(array) => {
+            let item = |n| array.get(n).unwrap_or(Variant::Empty).flatten();
+            let numbers = match item(0) {
+                Variant::Bstr(text) => vector_of_text(text.to_string().trim(), vars)?,
+                list @ Variant::Array(_) => numbers(&list)?,
+                index => vars.pose(Kind::V, u32::try_from(one_int(&index)?).map_err(|_| HResult::DISP_E_BADINDEX)?)?,
+            };
+            if !item(1).is_empty() && !is_vector_type(array.get(1)) {
+                return Err(HResult::E_INVALIDARG);
+            }
+            (numbers, pass_item(&item(2))?)
+        }
+        _ => return Err(HResult::E_INVALIDARGTYPE),
+    };
+    let vector: [f64; 3] = numbers.try_into().map_err(|_| HResult::E_INVALIDARG)?;
+    if vector.iter().all(|n| n.is_finite()) { Ok((vector, pass)) } else { Err(HResult::E_INVALIDARG) }
+}
+
+/// Tells whether an element of an array is the type V.
+fn is_vector_type(item: Option<Variant<'_>>) -> bool {
+    match item.map(|item| item.flatten()) {
+        Some(Variant::Bstr(text)) => text.to_string().trim().eq_ignore_ascii_case("V"),
+        Some(Variant::I4(kind)) => kind == 3,
+        _ => false,
+    }
+}
+
+/// Reads `V(1, 2, 3)`, or a variable V.
+fn vector_of_text(text: &str, vars: &Variables) -> Result<Vec<f64>, HResult> {
+    match parse_name(text) {
+        Some((Family::Plain(Kind::V), Some(index))) => vars.pose(Kind::V, index),
+        Some(_) => Err(HResult::E_INVALIDARG),
+        None => {
+            let list = text.strip_prefix(['V', 'v']).unwrap_or(text).trim().strip_prefix('(');
+            numbers_of_text(list.and_then(|rest| rest.strip_suffix(')')).ok_or(HResult::E_INVALIDARG)?)
+        }
+    }
+}
+
+/// Reads three vectors: `"V1, V2, V3"` with commas or blanks, or an array of them.
+pub(crate) fn three_vectors(value: &Variant<'_>, vars: &Variables) -> Result<[[f64; 3]; 3], HResult> {
+    let vectors: Vec<_> = match value.flatten() {
+        Variant::Bstr(text) => {
+            let text = text.to_string();
+            // a blank separates two vectors, but not the numbers of one
+            let mut depth = 0_i32;
+            let separated: String = text
+                .chars()
+                .map(|c| {
+                    depth += i32::from(c == '(') - i32::from(c == ')');
+                    if c.is_whitespace() && depth <= 0 { ',' } else { c }
+                })
+                .collect();
+            let points = split_outside_brackets(&separated).filter(|point| !point.is_empty());
+            points.map(|point| vector_of_text(point, vars)?.try_into().map_err(|_| HResult::E_INVALIDARG)).collect()
+        }
+        Variant::Array(array) if array.len() == 3 => array.iter().map(|item| vector(&item, vars)).collect(),
+        _ => Err(HResult::E_INVALIDARG),
+    }?;
+    vectors.try_into().map_err(|_| HResult::E_INVALIDARG)
+}
+
+/// Reads a length in mm, or an angle in degrees, and its pass.
+pub(crate) fn length_and_pass(value: &Variant<'_>) -> Result<(f64, Pass), HResult> {
+    let (length, pass) = match value.flatten() {
+        Variant::Bstr(text) => {
+            let text = text.to_string();
+            let (pass, length) = split_pass(&text)?;
+            (length.parse().map_err(|_| HResult::E_INVALIDARG)?, pass)
+        }
+        Variant::Array(array) if array.len() <= 3 => {
+            let item = |n: usize| array.get(n).unwrap_or(Variant::Empty).flatten();
+            let has_type = match item(1) {
+                Variant::Empty | Variant::Null => false,
+                Variant::Bstr(text) => !text.to_string().trim().is_empty(),
+                kind => kind.as_i32() != Some(-1),
+            };
+            if has_type {
+                return Err(HResult::E_INVALIDARG);
+            }
+            match item(0) {
+                text @ Variant::Bstr(_) if array.len() == 1 => return length_and_pass(&text),
+                length => (number(&length).ok_or(HResult::E_INVALIDARGTYPE)?, pass_item(&item(2))?),
+            }
+        }
+        other => (number(&other).ok_or(HResult::E_INVALIDARGTYPE)?, Pass::Stop),
+    };
+    if length.is_finite() { Ok((length, pass)) } else { Err(HResult::E_INVALIDARG) }
+}
+
 /// Reads the rest after the coordinates: nothing, a Fig of 0 to 31, or a negative number for any.
 fn figure(rest: &[f64]) -> Result<Option<u8>, HResult> {
     match rest {
@@ -208,7 +346,7 @@ fn figure(rest: &[f64]) -> Result<Option<u8>, HResult> {
 
 fn kind_of(len: usize) -> Result<Kind, HResult> {
     match len {
-        7 => Ok(Kind::P),
+        6 | 7 => Ok(Kind::P),
         8 => Ok(Kind::J),
         10 => Ok(Kind::T),
         _ => Err(HResult::E_INVALIDARG),
@@ -217,7 +355,7 @@ fn kind_of(len: usize) -> Result<Kind, HResult> {
 
 fn kind_of_letter(letter: &str) -> Result<Kind, HResult> {
     match letter.trim() {
-        "P" | "p" => Ok(Kind::P),
+        "P" | "p" | "" => Ok(Kind::P),
         "J" | "j" => Ok(Kind::J),
         "T" | "t" => Ok(Kind::T),
         _ => Err(HResult::E_INVALIDARG),

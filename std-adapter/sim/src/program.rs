@@ -4,9 +4,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bcap_core::hresult::HResult;
-use bcap_core::variant::Bstr;
+use bcap_core::variant::{Bstr, Variant};
 
-use crate::value::{Value, kept};
+use crate::value::{self, Value, kept, numbers_of_array, one_int, truth, whole};
 use crate::variables::{Family, Variables, parse_name};
 
 /// The program of a task. After its last step it begins again, or ends.
@@ -20,6 +20,75 @@ pub struct Program {
     pub line: Duration,
     /// The mode of Task_Start in which it starts with the scenario; `None` waits for a client.
     pub start: Option<i32>,
+    /// The public variables, at the beginning.
+    pub public: PublicValues,
+}
+
+/// The public variables of a program, for GetPublicValue and SetPublicValue of the controller.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PublicValues(Vec<(String, Value)>);
+
+impl PublicValues {
+    pub(crate) const fn new(list: Vec<(String, Value)>) -> Self {
+        Self(list)
+    }
+
+    fn place(&self, name: &str) -> Result<usize, HResult> {
+        self.0.iter().position(|(known, _)| known.eq_ignore_ascii_case(name)).ok_or(HResult::E_CAO_OBJECT_NOTFOUND)
+    }
+
+    /// Returns a variable, or an element of an array.
+    pub(crate) fn get(&self, name: &str, index: Option<usize>) -> Result<Value, HResult> {
+        let value = &self.0[self.place(name)?].1;
+        let Some(n) = index else { return Ok(value.clone()) };
+        match value {
+            Value::I4s(items) => items.get(n).copied().map(Value::I4).ok_or(HResult::DISP_E_BADINDEX),
+            Value::R8s(items) => items.get(n).copied().map(Value::R8).ok_or(HResult::DISP_E_BADINDEX),
+            Value::Texts(items) => items.get(n).cloned().map(Value::Text).ok_or(HResult::DISP_E_BADINDEX),
+            _ => Err(HResult::E_INVALIDARG),
+        }
+    }
+
+    /// Writes a variable, or an element of an array; type and count stay.
+    pub(crate) fn put(&mut self, name: &str, index: Option<usize>, given: &Variant<'_>) -> Result<(), HResult> {
+        let place = self.place(name)?;
+        let present = &mut self.0[place].1;
+        match (present, index) {
+            (Value::I4s(items), Some(n)) => *items.get_mut(n).ok_or(HResult::DISP_E_BADINDEX)? = one_int(given)?,
+            (Value::R8s(items), Some(n)) => *items.get_mut(n).ok_or(HResult::DISP_E_BADINDEX)? = one(given)?,
+            (Value::Texts(items), Some(n)) => *items.get_mut(n).ok_or(HResult::DISP_E_BADINDEX)? = text(given)?,
+            (_, Some(_)) => return Err(HResult::E_INVALIDARG),
+            (Value::I4(item), None) => *item = one_int(given)?,
+            (Value::R8(item), None) => *item = one(given)?,
+            (Value::Bool(item), None) => *item = truth(given)?,
+            (Value::Text(item), None) => *item = text(given)?,
+            (Value::I4s(items), None) => {
+                let given: Result<Vec<_>, _> = numbers_of_array(given)?.into_iter().map(whole).collect();
+                *items = given.ok().filter(|given| given.len() == items.len()).ok_or(HResult::E_INVALIDARG)?;
+            }
+            (Value::R8s(items), None) => {
+                let given = numbers_of_array(given)?;
+                *items = Some(given).filter(|given| given.len() == items.len()).ok_or(HResult::E_INVALIDARG)?;
+            }
+            (Value::R4s(items), None) => {
+                let given: Vec<_> = numbers_of_array(given)?.into_iter().map(|number| number as f32).collect();
+                *items = Some(given).filter(|given| given.len() == items.len()).ok_or(HResult::E_INVALIDARG)?;
+            }
+            _ => return Err(HResult::E_INVALIDARG),
+        }
+        Ok(())
+    }
+}
+
+fn one(given: &Variant<'_>) -> Result<f64, HResult> {
+    value::number(&given.flatten()).ok_or(HResult::E_INVALIDARGTYPE)
+}
+
+fn text(value: &Variant<'_>) -> Result<String, HResult> {
+    match value.flatten() {
+        Variant::Bstr(text) => Ok(text.to_string()),
+        _ => Err(HResult::E_INVALIDARGTYPE),
+    }
 }
 
 /// A step of a program.

@@ -160,6 +160,9 @@ impl Queue {
             {
                 waits.end(Wait::Motion(first.id), HResult::S_OK);
             }
+            if let Some(first) = self.motions.front() {
+                waits.cover(first.id, first.covered(now), HResult::S_OK);
+            }
             if at > now {
                 return;
             }
@@ -196,12 +199,25 @@ impl Queue {
                 self.rest = self.axes(at);
                 for skipped in self.motions.drain(..self.begun) {
                     waits.end(Wait::Motion(skipped.id), HResult::S_OK);
+                    waits.cover(skipped.id, 1.0, HResult::S_OK);
                 }
                 (self.stage, self.since) = (Stage::Running, at);
                 self.begin(at);
             }
             Stage::Halting => self.stop(HResult::E_ABORT, at, waits),
         }
+    }
+
+    /// Returns the number of the motion under way.
+    pub(crate) fn first(&self) -> Option<u64> {
+        self.motions.front().map(|motion| motion.id)
+    }
+
+    /// Returns when to look again for a part of a motion; `None` while it is held.
+    pub(crate) fn end_of_part(&self, id: u64, part: f64, now: Instant) -> Option<Instant> {
+        let end = self.end(now)?;
+        let motion = self.motions.front().filter(|motion| motion.id == id);
+        Some(motion.map_or(end, |motion| motion.time_of(part).min(end)))
     }
 
     /// Returns when to look again for the end of a motion; `None` while it is held.
@@ -222,7 +238,7 @@ impl Queue {
     /// Brakes all motions to their end; returns whether there was one.
     pub(crate) fn halt(&mut self, now: Instant) -> bool {
         if self.stage != Stage::Halting {
-            self.slow_down(Stage::Halting, now);
+            self.slow_down(Stage::Halting, now, false);
         }
         !self.is_empty()
     }
@@ -231,7 +247,7 @@ impl Queue {
     pub(crate) fn hold(&mut self, now: Instant) -> bool {
         let holds = !self.is_empty() && matches!(self.stage, Stage::Running | Stage::Resuming);
         if holds {
-            self.slow_down(Stage::Holding, now);
+            self.slow_down(Stage::Holding, now, false);
         }
         holds
     }
@@ -245,14 +261,14 @@ impl Queue {
         held
     }
 
-    /// Brakes the motions under way, after which the next one begins from the place where the arm comes to rest.
+    /// Brakes the motions under way, at full deceleration or at their own, after which the next one begins from the place where the arm comes to rest.
     ///
     /// Returns `false` without a motion that can be skipped.
     ///
     /// # Errors
     ///
     /// The reason why a motion of the queue cannot begin there. Then it and those after it are dropped.
-    pub(crate) fn skip(&mut self, now: Instant, waits: &mut Waits) -> Result<bool, Blocked> {
+    pub(crate) fn skip(&mut self, gently: bool, now: Instant, waits: &mut Waits) -> Result<bool, Blocked> {
         if self.is_empty() || matches!(self.stage, Stage::Halting | Stage::Skipping) {
             return Ok(false);
         }
@@ -260,7 +276,7 @@ impl Queue {
         if self.begun > 1 && self.motions[1].progress(now) == [0.0; 8] {
             self.begun = 1;
         }
-        self.slow_down(Stage::Skipping, now);
+        self.slow_down(Stage::Skipping, now, gently);
         let mut here = self.axes(self.at_rest());
         for n in self.begun..self.motions.len() {
             let motion = &self.motions[n];
@@ -279,10 +295,10 @@ impl Queue {
         Ok(true)
     }
 
-    fn slow_down(&mut self, stage: Stage, now: Instant) {
+    fn slow_down(&mut self, stage: Stage, now: Instant, gently: bool) {
         self.stage = stage;
         let begun = self.begun;
-        self.motions.iter_mut().take(begun).for_each(|motion| motion.brake(now));
+        self.motions.iter_mut().take(begun).for_each(|motion| motion.brake(now, gently));
     }
 
     /// Stops without braking, and drops all motions. Calls that wait for them end with `code`.
@@ -290,6 +306,7 @@ impl Queue {
         self.set_rest(self.axes(now));
         for dropped in self.motions.drain(..) {
             waits.end(Wait::Motion(dropped.id), code);
+            waits.cover(dropped.id, 1.0, code);
         }
         self.begun = 0;
         self.stage = Stage::Running;

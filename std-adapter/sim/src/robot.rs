@@ -91,11 +91,14 @@ pub(crate) struct Robot {
     stream: Option<Stream>,
     last_motion: u64,
     servo: Servo,
+    /// How often the motor was switched on.
+    motor_starts: i32,
     /// The client that owns the arm, and the arm group.
     owner: Option<(PeerId, i32)>,
     settings: Settings,
     pub(crate) tools: Definitions,
     pub(crate) works: Definitions,
+    pub(crate) bases: Definitions,
 }
 
 impl Robot {
@@ -108,9 +111,11 @@ impl Robot {
             stream: None,
             last_motion: 0,
             servo: Servo::Off,
+            motor_starts: 0,
             owner: None,
             tools: Definitions::new(),
             works: Definitions::new(),
+            bases: Definitions::new(),
             settings: Settings {
                 line: internal,
                 joint: internal,
@@ -142,6 +147,11 @@ impl Robot {
         self.servo
     }
 
+    /// Returns how often the motor was switched on by clients.
+    pub(crate) fn motor_starts(&self) -> i32 {
+        self.motor_starts
+    }
+
     pub(crate) fn motor_is_on(&self) -> bool {
         self.servo == Servo::On
     }
@@ -149,6 +159,7 @@ impl Robot {
     /// Starts to switch the motor on, if it is off.
     pub(crate) fn turn_on(&mut self, at: Instant) {
         if self.servo == Servo::Off {
+            self.motor_starts = self.motor_starts.saturating_add(1);
             self.servo = Servo::TurningOn(at);
         }
     }
@@ -233,6 +244,16 @@ impl Robot {
         self.queue.end(now)
     }
 
+    /// Returns the number of the motion under way.
+    pub(crate) fn motion(&self) -> Option<u64> {
+        self.queue.first()
+    }
+
+    /// Returns when to look again for a part of a motion; `None` while it is held.
+    pub(crate) fn end_of_part(&self, id: u64, part: f64, now: Instant) -> Option<Instant> {
+        self.queue.end_of_part(id, part, now)
+    }
+
     pub(crate) fn joints(&self, now: Instant) -> Joints {
         six(&self.axes(now))
     }
@@ -292,8 +313,8 @@ impl Robot {
     /// # Errors
     ///
     /// The reason why the next motion cannot begin there.
-    pub(crate) fn skip_motion(&mut self, now: Instant, waits: &mut Waits) -> Result<bool, Blocked> {
-        let skipped = self.queue.skip(now, waits)?;
+    pub(crate) fn skip_motion(&mut self, gently: bool, now: Instant, waits: &mut Waits) -> Result<bool, Blocked> {
+        let skipped = self.queue.skip(gently, now, waits)?;
         self.advance(now, waits);
         Ok(skipped)
     }

@@ -2,7 +2,7 @@
 //!
 //! A route consists of flange poses relative to the base; its lines and circles are paths of the tool.
 
-use crate::curve::{Arc, Point};
+use crate::curve::{Arc, Point, on_curve};
 use crate::drive::Drive;
 use crate::kinematics::{Axes, Frame, Geometry, Joints, OutOfReach, six, with_joints};
 use crate::path::{Blocked, Path};
@@ -23,10 +23,16 @@ pub(crate) enum Route {
     Arc(Point, Pose),
     /// Against the approach vector by a distance in mm, on a line or by the joints.
     Depart { distance: f64, line: bool },
+    /// By a vector in base coordinates, on a line or by the joints.
+    Draw { way: Point, line: bool },
+    /// To a pose of the flange, over the top of an arch, a vector in base coordinates.
+    Arch { pose: Pose, top: Point },
+    /// Through frames of the tool, relative to the base, on a curve.
+    Through(Vec<Frame>),
     /// About the approach vector by an angle in degrees, in place.
     RotateTool(f64),
-    /// On a circle about an axis, with the flange turning like the circle or not at all.
-    Rotate { arc: Arc, turns: bool },
+    /// On a circle about an axis of the base, or of the tool at its start, with the flange turning like the circle or not at all.
+    Rotate { arc: Arc, turns: bool, of_tool: bool },
 }
 
 impl Route {
@@ -39,22 +45,39 @@ impl Route {
             Self::Turn(drive) => axes(drive.apply(here)),
             Self::Home(joints) => axes(with_joints(joints, here)),
             Self::Arc(via, pose) => arc_path(arm, here, tool, *via, pose),
-            Self::Depart { distance, line: straight } => {
-                let frame = arm.withdraw(&arm.forward(&six(here)).times(tool), *distance).times(&tool.inverse());
-                let pose = Pose::Frame(frame, None);
-                if *straight {
-                    line(arm, here, tool, &pose, here)
-                } else {
-                    Self::Joints(pose, None).path(arm, here, tool)
-                }
+            Self::Depart { distance, line } => {
+                let from = arm.forward(&six(here)).times(tool);
+                to_frame(arm, here, tool, &arm.withdraw(&from, *distance), *line)
+            }
+            Self::Draw { way, line } => {
+                let from = arm.forward(&six(here)).times(tool);
+                to_frame(arm, here, tool, &from.moved_to([0, 1, 2].map(|i| from.position[i] + way[i])), *line)
+            }
+            Self::Arch { pose, top } => {
+                let (from, (to, fig)) = (arm.forward(&six(here)).times(tool), tip(arm, pose, tool));
+                let (way, turn) = from.distance(&to);
+                let height = top.iter().map(|n| n * n).sum::<f64>().sqrt();
+                let path = Path::along(arm, *here, here, (way + 2.0 * height, turn), |part| {
+                    let (straight, lift) = (from.towards(&to, part), (std::f64::consts::PI * part).sin());
+                    straight.moved_to([0, 1, 2].map(|i| straight.position[i] + top[i] * lift)).times(&tool.inverse())
+                })?;
+                keeps_posture(path, fig)
+            }
+            Self::Through(points) => {
+                let points = [&[arm.forward(&six(here)).times(tool)], &points[..]].concat();
+                let sizes = points.windows(2).map(|two| two[0].distance(&two[1]));
+                let size = sizes.fold((0.0, 0.0), |sum, size| (sum.0 + size.0, sum.1 + size.1));
+                Ok(Path::along(arm, *here, here, size, |part| on_curve(&points, part).times(&tool.inverse()))?)
             }
             Self::RotateTool(degrees) => {
                 let from = arm.forward(&six(here)).times(tool);
                 let arc = Arc { centre: from.position, axis: from.direction([0.0, 0.0, 1.0]), degrees: *degrees };
-                Self::Rotate { arc, turns: true }.path(arm, here, tool)
+                Self::Rotate { arc, turns: true, of_tool: false }.path(arm, here, tool)
             }
-            Self::Rotate { arc, turns } => {
+            Self::Rotate { arc, turns, of_tool } => {
                 let (from, flange) = (arm.forward(&six(here)).times(tool), tool.inverse());
+                let axis = if *of_tool { from.direction(arc.axis) } else { arc.axis };
+                let arc = Arc { axis, ..*arc };
                 let size = (arc.length(from.position), if *turns { arc.degrees.abs() } else { 0.0 });
                 Path::along(arm, *here, here, size, |part| {
                     let turned = from.turned(arc.centre, arc.axis, arc.degrees * part);
@@ -62,6 +85,15 @@ impl Route {
                 })
             }
         }
+    }
+}
+
+/// Plans a motion of the tool to a frame, on a line or by the joints.
+fn to_frame(arm: &Geometry, here: &Axes, tool: &Frame, to: &Frame, straight: bool) -> Result<Path, Blocked> {
+    let pose = Pose::Frame(to.times(&tool.inverse()), None);
+    match straight {
+        true => line(arm, here, tool, &pose, here),
+        false => Route::Joints(pose, None).path(arm, here, tool),
     }
 }
 

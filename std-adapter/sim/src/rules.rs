@@ -41,7 +41,7 @@ const EXECUTION: Rule = Rule { auto: true, token: true, no_error: true, ..NOTHIN
 
 /// Motions. A motion of the client whose motion is under way joins the queue instead of finding the arm at rest.
 pub(crate) const MOTION: Rule = Rule {
-    calls: "Robot_Move, Robot_Drive, Robot_Rotate, Robot_GoHome, DriveEx, DriveAEx, Approach, Depart, RotateH",
+    calls: "Robot_Move, Robot_Drive, Robot_Rotate, Robot_GoHome, DriveEx, DriveAEx, Approach, Depart, RotateH, Draw, ArchMove",
     arm: Authority::Own,
     motor: true,
     rest: true,
@@ -71,7 +71,7 @@ pub(crate) const START_TASK: Rule = Rule { calls: "Task_Start, File_Run", ..EXEC
 
 /// The hand.
 pub(crate) const HAND: Rule = Rule {
-    calls: "Robot_Chuck, Robot_Unchuck, HandMoveA, HandMoveR, HandMoveH, HandMoveAH, HandMoveVH, Chuck, UnChuck",
+    calls: "Robot_Chuck, Robot_Unchuck, HandMoveA, HandMoveR, HandMoveH, HandMoveAH, HandMoveVH, Chuck, UnChuck, Org, MoveP, MoveA, MoveR, MoveAH, MoveRH, MoveH, MoveZH",
     ..EXECUTION
 };
 
@@ -80,13 +80,14 @@ pub(crate) const PREPARATION: Rule = Rule { calls: "MotionPreparation, AutoCal",
 
 /// Settings of the arm. A client may change them unless another client owns the arm.
 pub(crate) const SETTING: Rule = Rule {
-    calls: "Robot_Speed, Robot_Accelerate, Robot_Change, MotionSkip, PayLoad, SpeedMode, @CURRENT_TOOL, @CURRENT_WORK",
+    calls: "Robot_Speed, Robot_Accelerate, Robot_Change, MotionSkip, Arrive, PayLoad, SpeedMode, CrtMotionAllow, EncMotionAllow, EncMotionAllowJnt, ErAlw, GrvCtrl, GrvOffset, HighPathAccuracy, CurLmt, Zforce, MotionTimeout, SingularAvoid, SetAreaDef, SetArea, ResetArea, SetAreaEnabled, AddPathPoint, ClrPathPoint, LoadPathPoint, @CURRENT_TOOL, @CURRENT_WORK, @SPEED, @ACCEL, @DECEL, @JSPEED, @JACCEL, @JDECEL",
     arm: Authority::Free,
     ..NOTHING
 };
 
 /// Definitions of tools and work coordinates.
-pub(crate) const DEFINITION: Rule = Rule { calls: "SetToolDef, SetWorkDef", arm: Authority::Own, ..NOTHING };
+pub(crate) const DEFINITION: Rule =
+    Rule { calls: "SetToolDef, SetWorkDef, SetBaseDef", arm: Authority::Own, ..NOTHING };
 
 #[cfg(test)]
 mod tests {

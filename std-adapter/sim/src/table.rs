@@ -94,6 +94,11 @@ impl<G: Copy, P: Copy> Property<G, P> {
         Self { name, get: Some(get), put: None, accepts: None }
     }
 
+    /// Declares a variable that can be neither read nor written.
+    pub(crate) const fn unsupported(name: &'static str) -> Self {
+        Self { name, get: None, put: None, accepts: None }
+    }
+
     pub(crate) const fn write(name: &'static str, put: P, accepts: &'static str) -> Self {
         Self { name, get: None, put: Some(put), accepts: Some(accepts) }
     }

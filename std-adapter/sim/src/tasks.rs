@@ -13,7 +13,8 @@
 //!                   SUSPENDED (1)  +-- STEP STOP (4)
 //! ```
 //!
-//! KillAll of the controller stops all tasks as Stop 4 does. An error of level 1 or 2 suspends all tasks, as does the end of Auto mode; an error from level 3 on resets them. A task
+//! Start 4 goes one line back. KillAll of the controller stops all tasks as Stop 4 does, SuspendAll as Stop 1, StepStopAll as
+//! Stop 2; ContinueStartAll continues the suspended ones in the mode of their last start. An error of level 1 or 2 suspends all tasks, as does the end of Auto mode; an error from level 3 on resets them. A task
 //! whose step fails raises the code of the failure as an error of the controller, which names the task and the line.
 //!
 //! Task_Delete removes a task that does not run; of a running one it is refused with `E_CAO_CMD_EXECUTE`. A deleted task
@@ -73,6 +74,16 @@ impl Tasks {
     /// Stops all tasks and returns them to their beginning.
     pub(crate) fn kill(&mut self, now: Instant) {
         self.list.iter_mut().for_each(|task| task.reset(now));
+    }
+
+    /// Stops the running tasks at the end of their lines.
+    pub(crate) fn step_stop(&mut self, _: Instant) {
+        self.list.iter_mut().filter(|task| task.is_running()).for_each(Task::stop_at_line_end);
+    }
+
+    /// Continues the suspended tasks.
+    pub(crate) fn continue_start(&mut self, now: Instant) {
+        self.list.iter_mut().for_each(|task| task.continue_start(now));
     }
 
     /// Stops the tasks because of an error: from level 3 on it also resets them.

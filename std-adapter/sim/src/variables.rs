@@ -18,7 +18,8 @@
 //! `E_INVALIDARGTYPE`, a fraction for an integer with `DISP_E_TYPEMISMATCH`, a number that does not fit with
 //! `DISP_E_OVERFLOW`, another count of elements with `E_INVALIDARG`, an index out of range with `DISP_E_BADINDEX`.
 //!
-//! Names are `I1` or `I[1]`, ignoring case, with indices from 0. `I*` names all variables of a kind; PutID chooses one.
+//! Names are `I1` or `I[1]`, ignoring case, with indices from 0. `I*` names all variables of a kind, as `I*_1` does: number 0
+//! until PutID chooses another one.
 
 use bcap_core::hresult::HResult;
 use bcap_core::rac::VariableKind as Kind;
@@ -70,6 +71,20 @@ impl Sizes {
             Kind::T => self.t,
             Kind::S => self.s,
             Kind::Io => self.io,
+        }
+    }
+
+    pub(crate) fn of_mut(&mut self, kind: Kind) -> &mut u16 {
+        match kind {
+            Kind::I => &mut self.i,
+            Kind::F => &mut self.f,
+            Kind::D => &mut self.d,
+            Kind::V => &mut self.v,
+            Kind::P => &mut self.p,
+            Kind::J => &mut self.j,
+            Kind::T => &mut self.t,
+            Kind::S => &mut self.s,
+            Kind::Io => &mut self.io,
         }
     }
 }
@@ -134,13 +149,19 @@ impl Family {
 pub(crate) fn parse_name(name: &str) -> Option<(Family, Option<u32>)> {
     let upper = name.trim().to_ascii_uppercase();
     let (family, rest) = Family::BY_NAME.iter().find_map(|f| Some((*f, upper.strip_prefix(f.name())?)))?;
-    if rest == "*" || rest == "[*]" {
+    if is_wildcard(rest) {
         return Some((family, None));
     }
     let digits = rest.strip_prefix('[').and_then(|r| r.strip_suffix(']')).unwrap_or(rest);
     let plain = !digits.is_empty() && digits.bytes().all(|b| b.is_ascii_digit());
     // more digits than fit are an index out of range, but a valid name
     plain.then(|| (family, Some(digits.parse().unwrap_or(u32::MAX))))
+}
+
+/// Tells whether the rest of a name is a wildcard: `*`, `[*]`, or one of several, `*_1`.
+pub(crate) fn is_wildcard(rest: &str) -> bool {
+    let (star, number) = rest.split_once('_').map_or((rest, "0"), |(star, number)| (star, number));
+    matches!(star, "*" | "[*]") && !number.is_empty() && number.bytes().all(|b| b.is_ascii_digit())
 }
 
 /// Returns the wildcard names of all families, in the order of Controller_GetVariableNames.
@@ -193,6 +214,22 @@ impl Variables {
             t: vec![[0.0; 10]; sizes.t.into()],
             s: vec![Vec::new(); sizes.s.into()],
             io: vec![false; sizes.io.into()],
+        }
+    }
+
+    /// Changes the number of variables of a kind; new ones are zero or empty.
+    pub(crate) fn resize(&mut self, kind: Kind, count: u16) {
+        let count = usize::from(count);
+        match kind {
+            Kind::I => self.i.resize(count, 0),
+            Kind::F => self.f.resize(count, 0.0),
+            Kind::D => self.d.resize(count, 0.0),
+            Kind::V => self.v.resize(count, [0.0; 3]),
+            Kind::P => self.p.resize(count, [0.0; 7]),
+            Kind::J => self.j.resize(count, [0.0; 8]),
+            Kind::T => self.t.resize(count, [0.0; 10]),
+            Kind::S => self.s.resize(count, Vec::new()),
+            Kind::Io => self.io.resize(count, false),
         }
     }
 
@@ -364,12 +401,14 @@ mod tests {
         let plain = |kind, n| Some((Family::Plain(kind), n));
         assert_eq!(parse_name("I1"), plain(Kind::I, Some(1)));
         assert_eq!(parse_name("i[12]"), plain(Kind::I, Some(12)));
-        assert_eq!(parse_name("P*"), plain(Kind::P, None));
+        for name in ["P*", "P[*]", "p*_1", "P[*]_20"] {
+            assert_eq!(parse_name(name), plain(Kind::P, None), "{name}");
+        }
         assert_eq!(parse_name("io150"), plain(Kind::Io, Some(150)));
         assert_eq!(parse_name("IOB128"), Some((Family::Byte, Some(128))));
         assert_eq!(parse_name("IOW[8]"), Some((Family::Word, Some(8))));
         assert_eq!(parse_name("I99999999999"), plain(Kind::I, Some(u32::MAX)));
-        for name in ["", "I", "X1", "I-1", "I+1", "I[1", "I1]", "I1x", "@MODE", "IOX1"] {
+        for name in ["", "I", "X1", "I-1", "I+1", "I[1", "I1]", "I1x", "@MODE", "IOX1", "I*_", "I*_x"] {
             assert_eq!(parse_name(name), None, "{name}");
         }
     }

@@ -10,10 +10,14 @@ use bcap_core::hresult::HResult;
 pub(crate) enum Wait {
     /// The end of the motion with this number, or the begin of its pass.
     Motion(u64),
+    /// The motion with this number has covered this part of its path, in thousandths of a percent.
+    Part(u64, u32),
     /// The motor is on.
     Servo,
     /// The arm is at rest.
     Rest,
+    /// No task runs.
+    Tasks,
     /// The hand is at rest.
     Hand,
     /// The buffer of Slave Mode has room for the pose.
@@ -46,5 +50,14 @@ impl Waits {
     /// Ends all calls that wait for this event; `result` is their code.
     pub(crate) fn end(&mut self, event: Wait, result: HResult) {
         self.by_peer.values_mut().filter(|wait| **wait == event).for_each(|wait| *wait = Wait::Over(result));
+    }
+
+    /// Ends all calls that wait for a part of a motion that it has covered; `covered` is 0 to 1.
+    pub(crate) fn cover(&mut self, motion: u64, covered: f64, result: HResult) {
+        let is_covered = |wait: &&mut Wait| match wait {
+            Wait::Part(id, part) => *id == motion && f64::from(*part) <= covered * 1e5,
+            _ => false,
+        };
+        self.by_peer.values_mut().filter(is_covered).for_each(|wait| *wait = Wait::Over(result));
     }
 }

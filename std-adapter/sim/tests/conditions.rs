@@ -56,10 +56,10 @@ impl Rig {
         self.now(call::variable_put_value(variable, value))
     }
 
-    fn hand(&mut self, command: &str) -> HResult {
+    fn hand(&mut self, command: &str, param: impl bcap_core::variant::Encode) -> HResult {
         let open = call::controller_get_extension(self.client.controller, "Hand0", "");
         let hand = call::ExtensionHandle(self.world.handle(self.client.peer, open));
-        self.now(call::extension_execute(hand, command, ()))
+        self.now(call::extension_execute(hand, command, param))
     }
 
     /// Makes a call of the table with valid arguments.
@@ -88,6 +88,17 @@ impl Rig {
             "Approach" => self.robot(name, (1, "J(5,45,90,0,45,0)", 5.0)),
             "Depart" => self.robot(name, (1, 5.0)),
             "RotateH" => self.robot(name, 5.0),
+            "Draw" => self.robot(name, (1, "V(0,0,5)")),
+            "ArchMove" => self.robot(name, ("J(5,45,90,0,45,0)", 5.0)),
+            "Arrive" => self.robot(name, 50.0),
+            "GrvCtrl" | "GrvOffset" | "HighPathAccuracy" | "Zforce" | "MotionTimeout" | "SingularAvoid" => {
+                self.robot(name, 0)
+            }
+            "CrtMotionAllow" | "EncMotionAllow" | "EncMotionAllowJnt" | "ErAlw" | "CurLmt" => self.robot(name, [0, 1]),
+            "SetAreaDef" => self.robot(name, (1, [0.0_f64; 11])),
+            "SetArea" | "ResetArea" | "ClrPathPoint" | "LoadPathPoint" => self.robot(name, 1),
+            "SetAreaEnabled" => self.robot(name, (1, true)),
+            "AddPathPoint" => self.robot(name, (1, "J(5,45,90,0,45,0)")),
             "slvChangeMode" => self.robot(name, 0x002),
             "slvMove" => self.robot(name, START),
             "TakeArm" | "MotionSkip" => self.robot(name, ()),
@@ -96,15 +107,21 @@ impl Rig {
             "@SERVO_ON true" => self.put("@SERVO_ON", true),
             "@SERVO_ON false" => self.put("@SERVO_ON", false),
             "@CURRENT_TOOL" | "@CURRENT_WORK" => self.put(name, 1),
+            "@SPEED" | "@ACCEL" | "@DECEL" | "@JSPEED" | "@JACCEL" | "@JDECEL" => self.put(name, 50.0),
             "HandMoveA" | "HandMoveR" => self.controller(name, [1.0, 50.0]),
             "HandMoveH" => self.controller(name, [10.0, 1.0]),
             "HandMoveAH" => self.controller(name, [5.0, 50.0, 10.0]),
             "HandMoveVH" => self.controller(name, [50.0, 1.0]),
-            "Chuck" | "UnChuck" => self.hand(name),
+            "Chuck" | "UnChuck" | "MoveP" => self.hand(name, 1),
+            "Org" => self.hand(name, ()),
+            "MoveA" | "MoveR" => self.hand(name, [1.0, 50.0]),
+            "MoveAH" | "MoveRH" => self.hand(name, [1.0, 50.0, 50.0]),
+            "MoveH" => self.hand(name, [50, 50, 1]),
+            "MoveZH" => self.hand(name, [0, 10, 50, 50, 1]),
             "MotionPreparation" | "AutoCal" => self.robot(name, ()),
             "PayLoad" => self.robot(name, 100),
             "SpeedMode" => self.robot(name, 1),
-            "SetToolDef" | "SetWorkDef" => self.robot(name, (1, "P(0,0,10,0,0,0)")),
+            "SetToolDef" | "SetWorkDef" | "SetBaseDef" => self.robot(name, (1, "P(0,0,10,0,0,0)")),
             _ => panic!("the test has no arguments for {name}"),
         }
     }
@@ -171,6 +188,9 @@ fn each_call_is_refused_without_each_of_its_conditions() {
 /// Returns a controller in which a call has all its conditions.
 fn prepared(name: &str) -> Rig {
     let mut rig = Rig::new();
+    for command in ["Motor", "Org"] {
+        assert_eq!(rig.hand(command, 1), HResult::S_OK);
+    }
     if name == "slvMove" {
         assert_eq!(rig.world.robot(rig.client, "slvChangeMode", 0x002), ok(&()));
     }

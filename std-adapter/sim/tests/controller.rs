@@ -65,9 +65,10 @@ fn errors_are_listed_newest_first_with_the_first_cause_last() {
         value.as_variant().as_bstr().unwrap().to_string()
     };
     assert!(text(&mut world, first).contains("refused in slave mode"));
-    for (index, code) in [(0, second), (1, first)] {
+    for (index, code, millis) in [(0, second, 20), (1, first, 10)] {
         let message = text(&mut world, code);
-        let expected = ok(&(code.0, message.as_str(), 0, 0, "", 0, 0));
+        let at = OleDate::from_unix_millis(millis).unwrap();
+        let expected = ok(&(code.0, message.as_str(), code.0, 0, "", 0, 0, at));
         assert_eq!(world.execute(client, "GetCurErrorInfo", index), expected);
     }
     assert_eq!(world.execute(client, "GetCurErrorInfo", 2), code(HResult::DISP_E_BADINDEX));
@@ -87,9 +88,10 @@ fn the_log_has_the_time_and_the_message() {
     world.sim.inject_error(HResult::E_BUF_FULL, Instant::from_millis(86_400_000 + 3_723_004));
     let (_, entry) = world.execute(client, "GetErrorLog", 0);
     let items: Vec<_> = entry.as_variant().as_array().unwrap().iter().collect();
-    assert_eq!(items.len(), 13);
-    let numbers: Vec<_> = items[..11].iter().map(|n| n.as_i32().unwrap()).collect();
-    assert_eq!(numbers, [HResult::E_BUF_FULL.0, 1970, 1, 2, 1, 2, 3, 4, 0, 0, 0]);
+    assert_eq!(items.len(), 15);
+    let numbers: Vec<_> = items[..10].iter().map(|n| n.as_i32().unwrap()).collect();
+    // a Friday
+    assert_eq!(numbers, [HResult::E_BUF_FULL.0, 1970, 1, 5, 2, 1, 2, 3, 4, 90_123_004]);
     assert!(items[12].as_bstr().unwrap().to_string().starts_with("E_BUF_FULL"));
     assert_eq!(world.execute(client, "GetErrorLog", 1), code(HResult::DISP_E_BADINDEX));
 }
@@ -145,7 +147,7 @@ fn sys_state_tells_each_thing_by_its_bit() {
     assert_eq!(world.get(client, "@MODE"), ok(&2));
     assert_eq!(world.execute(client, "SysInfo", 0), ok("VIRTUAL"));
     assert_eq!(world.execute(client, "SysInfo", 15), ok(&0));
-    assert_eq!(world.execute(client, "SysInfo", 1), code(HResult::E_NOTIMPL));
+    assert_eq!(world.execute(client, "SysInfo", 17), code(HResult::E_INVALIDARG));
 }
 
 #[test]
@@ -188,10 +190,10 @@ fn a_task_runs_on_the_given_clock() {
     assert_eq!(world.call(client.peer, call::task_start(task, 1, "")), code(HResult::S_OK));
     world.pass(50);
     assert_eq!(world.call(client.peer, &status), ok(&3));
-    assert_eq!(get(&mut world, "@LINE_NO"), ok(&[3]));
+    assert_eq!(get(&mut world, "@LINE_NO"), ok(&[3, 0]));
     assert_eq!(get(&mut world, "@CYCLE_TIME"), ok(&200));
     assert_eq!(get(&mut world, "@ELAPSED_TIME"), ok(&50));
-    assert_eq!(get(&mut world, "@PRIORITY"), ok(&128));
+    assert_eq!(get(&mut world, "@PRIORITY"), code(HResult::E_ACCESSDENIED));
     assert_eq!(world.get(client, "@BUSY_STATUS"), ok(&true));
     assert!(state(&mut world, client).contains(&(Bit::Running as u32)));
     assert!(!state(&mut world, client).contains(&(Bit::CycleComplete as u32)));
@@ -202,7 +204,7 @@ fn a_task_runs_on_the_given_clock() {
     assert_eq!(world.sim.task("Pro1"), Some((TaskStatus::Ready, 1)));
     assert!(state(&mut world, client).contains(&(Bit::CycleComplete as u32)));
     assert_eq!(world.call(client.peer, call::task_stop(task, 0, "")), code(HResult::S_FALSE));
-    assert_eq!(world.call(client.peer, call::task_start(task, 4, "")), code(HResult::E_INVALIDARG));
+    assert_eq!(world.call(client.peer, call::task_start(task, 5, "")), code(HResult::E_INVALIDARG));
     assert_eq!(world.call(client.peer, call::task_stop(task, 5, "")), code(HResult::E_INVALIDARG));
     assert_eq!(world.call(client.peer, call::task_execute(task, "Dance", ())), code(HResult::E_INVALID_CMD_NAME));
     assert_eq!(world.call(client.peer, call::task_get_file_name(task)), ok("Pro1.pcs"));

@@ -75,7 +75,14 @@ fn the_hand_opens_and_closes_in_its_time() {
     let hand = hand(&mut world, client);
     let execute = |command| call::extension_execute(hand, command, ());
     assert_eq!(world.call(client.peer, call::extension_get_name(hand)), ok("Hand0"));
-    assert_eq!(world.call(client.peer, execute("CurPos")), ok(&0.0));
+    assert_eq!(world.call(client.peer, execute("CurPos")), ok(&0.0_f32));
+    let at_rest =
+        |world: &mut World, command, param: i32| world.run(client.peer, call::extension_execute(hand, command, param));
+    assert_eq!(at_rest(&mut world, "UnChuck", 1).0, HResult::from_u32(0x8358_5200), "before Org");
+    for command in ["Motor", "Org"] {
+        assert_eq!(at_rest(&mut world, command, 1), ok(&()));
+    }
+    let execute = |command: &'static str| call::extension_execute(hand, command, 1);
     world.begin(client.peer, &execute("UnChuck"));
     // 30 mm at 80 mm per second
     world.pass(100);
@@ -84,7 +91,7 @@ fn the_hand_opens_and_closes_in_its_time() {
     assert_eq!((world.now, world.sim.hand_position()), (Instant::from_millis(375), 30.0));
     assert_eq!(world.call(client.peer, execute("unchuck")), ok(&()), "open already");
     assert_eq!(world.run(client.peer, call::robot_chuck(client.robot, "")), code(HResult::S_OK));
-    assert_eq!((world.now, world.call(client.peer, execute("CurPos"))), (Instant::from_millis(750), ok(&0.0)));
+    assert_eq!((world.now, world.call(client.peer, execute("CurPos"))), (Instant::from_millis(750), ok(&0.0_f32)));
     assert_eq!(world.run(client.peer, call::robot_unchuck(client.robot, "")), code(HResult::S_OK));
     assert_eq!(world.sim.hand_position(), 30.0);
     assert_eq!(world.call(client.peer, call::robot_chuck(client.robot, "x")), code(HResult::E_INVALIDARG));
@@ -207,7 +214,7 @@ fn a_command_object_keeps_parameters_and_result() {
 
 #[test]
 fn the_names_of_commands_are_those_that_can_be_opened_and_executed() {
-    for (profile, count) in [(Profile::Rc8, 12), (Profile::Rc9, 15), (Profile::Cobotta, 25)] {
+    for (profile, count) in [(Profile::Rc8, 19), (Profile::Rc9, 22), (Profile::Cobotta, 32)] {
         let mut world = World::with(Config::new(profile));
         let client = world.client(1);
         let (_, names) = world.call(client.peer, call::controller_get_command_names(client.controller, ""));

@@ -127,7 +127,7 @@ fn a_task_is_stepped_stopped_continued_and_reset() {
     let line = world.task(client, "T");
     let line = call::task_get_variable(line, "@LINE_NO", "");
     let line = call::VariableHandle(world.handle(client.peer, line));
-    assert_eq!(world.call(client.peer, call::variable_get_value(line)), ok(&[2_i32][..]));
+    assert_eq!(world.call(client.peer, call::variable_get_value(line)), ok(&[2, 0][..]));
     world.pass(5000);
     assert_eq!(int(&world, 2), 0);
     assert_eq!(start(&mut world, client, "T", 2), HResult::S_OK);

@@ -782,7 +782,7 @@ macro_rules! for_each_function {
             /// Opens a system variable of the task.
             ///
             /// * `task`: its handle, from Controller_GetTask.
-            /// * `name`: the name of the variable, in any case: `@STATUS` and `@PRIORITY` (I4), `@START` and
+            /// * `name`: the name of the variable, in any case: `@STATUS` (I4), `@START` and
             ///   `@STOP` (I4, to be written), or another one of Task_GetVariableNames.
             /// * `option`: an option string; the specification lists no options.
             /// * Returns the handle of the variable (I4), to be released with Variable_Release.

@@ -41,7 +41,6 @@ const SYSTEM: &[(Setup, &str, u16)] = &[
     (Robot, "@SPEED", 4),
     (Robot, "@EXTSPEED", 4),
     (Task, "@STATUS", 3),
-    (Task, "@PRIORITY", 3),
 ];
 
 /// Returns the cases of the types of system variables (b-CAP specification, section 4.1.6; names and types from the vendor's open drivers).

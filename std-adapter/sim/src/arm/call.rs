@@ -5,16 +5,22 @@ use bcap_core::bcap::server::Request;
 use bcap_core::hresult::HResult;
 use bcap_core::variant::Variant;
 
+use super::poses::{self, Definition};
 use super::robot_execute::{COMMANDS, Handler};
 use super::{Arm, moves};
 use crate::answer::{Answer, Answered};
 use crate::context::Context;
 use crate::drive::Drive;
 use crate::function::command_of;
+use crate::objects::DefinitionKind;
 use crate::robot::{Percent, coordinates, percent};
 use crate::rules;
 use crate::table::Command;
+use crate::value::Value;
 use crate::waits::Wait;
+
+/// The interpolation of Robot_Move along the points of a path.
+const PATH: i32 = 4;
 
 impl Arm {
     /// Executes a function of the robot that concerns the arm.
@@ -24,6 +30,10 @@ impl Arm {
                 let name = command_of(request).unwrap_or_default();
                 let handler = Command::handler(COMMANDS, &name, ctx.config.model.functions)?;
                 self.run(handler, ctx, request)
+            }
+            FunctionId::ROBOT_MOVE if request.int(1) == PATH => {
+                let option = request.text(3).to_string();
+                moves::follow(&mut self.robot, &self.paths, ctx, &request.value(2), &option)
             }
             FunctionId::ROBOT_MOVE => {
                 let option = request.text(3).to_string();
@@ -56,6 +66,33 @@ impl Arm {
             FunctionId::ROBOT_UNCHUCK => self.hand.open(ctx),
             FunctionId::ROBOT_CHANGE => self.change(ctx, &request.text(1).to_string()),
             _ => Err(HResult::E_NOTIMPL),
+        }
+    }
+
+    /// Returns the numbers of a definition.
+    pub(crate) fn numbers(&self, kind: DefinitionKind, number: i32) -> Result<Value, HResult> {
+        match kind {
+            DefinitionKind::Tool => poses::numbers_of(self, Definition::Tool, number),
+            DefinitionKind::Work => poses::numbers_of(self, Definition::Work, number),
+            DefinitionKind::Area => self.areas.get(number).map(|area| Value::R8s(area.to_vec())),
+        }
+    }
+
+    /// Writes the numbers of a definition.
+    pub(crate) fn put_numbers(
+        &mut self,
+        ctx: &mut Context<'_>,
+        kind: DefinitionKind,
+        number: i32,
+        given: &[f64],
+    ) -> Answered {
+        match kind {
+            DefinitionKind::Tool => poses::put_numbers(self, ctx, Definition::Tool, number, given),
+            DefinitionKind::Work => poses::put_numbers(self, ctx, Definition::Work, number, given),
+            DefinitionKind::Area => {
+                self.robot.may(ctx, &rules::SETTING)?;
+                self.areas.set(number, given).map(|()| Answer::Done)
+            }
         }
     }
 
@@ -122,7 +159,10 @@ impl Arm {
     fn change(&mut self, ctx: &mut Context<'_>, name: &str) -> Answered {
         self.robot.may(ctx, &rules::SETTING)?;
         let upper = name.trim().to_ascii_uppercase();
-        let number = |digits: &str| digits.parse().map_err(|_| HResult::E_INVALIDARG).and_then(coordinates);
+        let number = |digits: &str| match digits {
+            "" => Ok(0),
+            digits => digits.parse().map_err(|_| HResult::E_INVALIDARG).and_then(coordinates),
+        };
         let settings = self.robot.settings_mut();
         if let Some(digits) = upper.strip_prefix("TOOL") {
             settings.tool = number(digits)?;

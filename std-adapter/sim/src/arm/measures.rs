@@ -9,9 +9,11 @@ use super::Arm;
 use crate::answer::{Answer, Answered};
 use crate::context::Context;
 use crate::kinematics::{measured, six};
+use crate::path::{LINE_SPEED, TURN_SPEED};
+use crate::pose::vector;
 use crate::robot::Load;
 use crate::rules;
-use crate::value::{Value, numbers, numbers_of_text, one_int, whole};
+use crate::value::{Value, numbers, one_int, whole};
 
 /// The time over which a speed is measured.
 const SPEED_TIME: Duration = Duration::from_millis(1);
@@ -34,19 +36,94 @@ pub(super) fn log_record(arm: &Arm, param: &Variant<'_>) -> Answered {
 
 /// Executes GetSrvData.
 pub(super) fn servo_data(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
-    Ok(Value::R8s(match one_int(param)? {
-        // the arm follows its commands exactly, and has no mass
-        2 | 4 => vec![0.0; 8],
-        17 => {
-            let coordinates = arm.robot.coordinates();
-            let place = |at| coordinates.place(&six(&arm.robot.axes(at))).position;
-            let (here, soon) = (place(ctx.now), place(ctx.now.saturating_add(SPEED_TIME)));
-            let [x, y, z] = [0, 1, 2].map(|i| (soon[i] - here[i]) / SPEED_TIME.as_secs_f64());
-            measured([x, y, z, 0.0, 0.0, 0.0, 0.0, 0.0])
-        }
-        _ => return Err(HResult::E_NOTIMPL),
+    Ok(Value::R8s(measured(axes_data(arm, ctx, one_int(param)?)?)).into())
+}
+
+/// Executes GetSrvJntData: `[number, axis]`.
+pub(super) fn axis_data(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    let [number, axis] = numbers(param)?[..] else { return Err(HResult::E_INVALIDARG) };
+    let (number @ (1 | 2 | 4 | 5 | 8), axis @ 1..=8) = (whole(number)?, whole(axis)?) else {
+        return Err(HResult::E_INVALIDARG);
+    };
+    let data = axes_data(arm, ctx, number)?;
+    Ok(Value::R4(data[axis.unsigned_abs() as usize - 1] as f32).into())
+}
+
+/// Returns the servo data of a number. The arm follows its commands exactly, and has no mass.
+fn axes_data(arm: &Arm, ctx: &Context<'_>, number: i32) -> Result<[f64; 8], HResult> {
+    let (here, soon) = (arm.robot.axes(ctx.now), arm.robot.axes(ctx.now.saturating_add(SPEED_TIME)));
+    let speed = |from: f64, to: f64| (to - from) / SPEED_TIME.as_secs_f64();
+    let coordinates = arm.robot.coordinates();
+    let [from, to] = [here, soon].map(|axes| coordinates.place(&six(&axes)).to_xyz_rpy());
+    let [x, y, z, rx, ry, rz] = [0, 1, 2, 3, 4, 5].map(|i| speed(from[i], to[i]));
+    Ok(match number {
+        1 => [0, 1, 2, 3, 4, 5, 6, 7].map(|i| speed(here[i], soon[i])),
+        2 | 4 | 5 | 7 | 19 | 20 => [0.0; 8],
+        8 => here,
+        17 => [x, y, z, 0.0, 0.0, 0.0, 0.0, 0.0],
+        18 => [x, y, z, rx, ry, rz, 0.0, 0.0],
+        _ => return Err(HResult::E_INVALIDARG),
     })
-    .into())
+}
+
+/// Executes MPS: the percentage of a speed along a line, in mm per second.
+pub(super) fn line_percent(_: &mut Arm, _: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    let [speed] = numbers(param)?[..] else { return Err(HResult::E_INVALIDARG) };
+    percentage(speed, LINE_SPEED)
+}
+
+/// Executes RPM: the percentage of a speed of an axis, `[axis, revolutions per minute]`.
+pub(super) fn axis_percent(arm: &mut Arm, _: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    let [axis, rpm] = numbers(param)?[..] else { return Err(HResult::E_INVALIDARG) };
+    percentage(rpm * 6.0, axis_speed(arm, axis)?)
+}
+
+/// Executes DPS: the percentage of a turning speed in degrees per second, or of one axis, `[axis, speed]`.
+pub(super) fn turn_percent(arm: &mut Arm, _: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    match numbers(param)?[..] {
+        [speed] => percentage(speed, TURN_SPEED),
+        [axis, speed] => percentage(speed, axis_speed(arm, axis)?),
+        _ => Err(HResult::E_INVALIDARG),
+    }
+}
+
+fn axis_speed(arm: &Arm, axis: f64) -> Result<f64, HResult> {
+    let place = usize::try_from(whole(axis)?).ok().and_then(|axis| axis.checked_sub(1));
+    place.and_then(|place| arm.robot.geometry().speeds.get(place).copied()).ok_or(HResult::E_INVALIDARG)
+}
+
+fn percentage(speed: f64, full: f64) -> Answered {
+    if !speed.is_finite() {
+        return Err(HResult::E_INVALIDARG);
+    }
+    Ok(Value::R4((speed / full * 100.0) as f32).into())
+}
+
+/// Executes SetHandIO: `[first, value, count]`.
+pub(super) fn set_hand_io(_: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    let [first, value, count] = numbers(param)?[..] else { return Err(HResult::E_INVALIDARG) };
+    let (range, value) = (io_range(ctx, first, count)?, whole(value)?);
+    ctx.may_write()?;
+    for (bit, n) in range.enumerate() {
+        ctx.variables.set_io(n, value >> bit & 1 != 0);
+    }
+    Ok(Answer::Done)
+}
+
+/// Executes GetHandIO: `[first, count]`.
+pub(super) fn hand_io(_: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    let [first, count] = numbers(param)?[..] else { return Err(HResult::E_INVALIDARG) };
+    let bits = io_range(ctx, first, count)?.rev().fold(0, |bits, n| bits << 1 | i32::from(ctx.variables.io(n)));
+    Ok(Value::I4(bits).into())
+}
+
+/// Checks a range of at most 32 IO.
+fn io_range(ctx: &Context<'_>, first: f64, count: f64) -> Result<std::ops::Range<usize>, HResult> {
+    let (Ok(first), count @ 1..=32) = (usize::try_from(whole(first)?), whole(count)?) else {
+        return Err(HResult::E_INVALIDARG);
+    };
+    let end = first.saturating_add(count.unsigned_abs() as usize);
+    if end <= ctx.variables.io_len() { Ok(first..end) } else { Err(HResult::DISP_E_BADINDEX) }
 }
 
 /// Executes PayLoad: `[mass, centre, inertia]`; the last ones may be absent.
@@ -56,7 +133,11 @@ pub(super) fn payload(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>)
         // one array of numbers is the mass alone
         Variant::Array(array) if array.len() <= 3 => {
             let item = |place: usize| array.get(place).unwrap_or(Variant::Empty);
-            (one_int(&item(0))?, vector(&item(1))?, vector(&item(2))?)
+            let vector = |place| match item(place).flatten() {
+                Variant::Empty | Variant::Null => Ok([0.0; 3]),
+                given => vector(&given, ctx.variables),
+            };
+            (one_int(&item(0))?, vector(1)?, vector(2)?)
         }
         Variant::Array(_) => return Err(HResult::E_INVALIDARG),
         _ => (one_int(&param)?, [0.0; 3], [0.0; 3]),
@@ -82,19 +163,4 @@ pub(super) fn speed_mode(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'
     arm.robot.may(ctx, &rules::SETTING)?;
     arm.robot.settings_mut().load.speed_mode = mode;
     Ok(Answer::Done)
-}
-
-/// Reads a vector: an array of 3 numbers, `V(x,y,z)`, or nothing, which is zero.
-fn vector(value: &Variant<'_>) -> Result<[f64; 3], HResult> {
-    let numbers = match value.flatten() {
-        Variant::Empty | Variant::Null => return Ok([0.0; 3]),
-        Variant::Bstr(text) => {
-            let text = text.to_string();
-            let list = text.trim().strip_prefix(['V', 'v']).map(str::trim).and_then(|rest| rest.strip_prefix('('));
-            numbers_of_text(list.and_then(|rest| rest.strip_suffix(')')).ok_or(HResult::E_INVALIDARG)?)?
-        }
-        other => numbers(&other)?,
-    };
-    let vector: [f64; 3] = numbers.try_into().map_err(|_| HResult::E_INVALIDARG)?;
-    if vector.iter().all(|n| n.is_finite()) { Ok(vector) } else { Err(HResult::E_INVALIDARG) }
 }

@@ -2,22 +2,21 @@
 
 use bcap_core::bcap::server::Request;
 use bcap_core::hresult::HResult;
-use bcap_core::rac::VariableKind;
-use bcap_core::variant::Variant;
+use bcap_core::variant::{Array, Variant};
 
 use crate::answer::{Answer, Answered};
 use crate::context::Context;
-use crate::curve::{Arc, Point};
+use crate::curve::Arc;
 use crate::drive::Drive;
-use crate::kinematics::Frame;
-use crate::options::{Pass, options, pass_item, pass_of_text, split_outside_brackets, split_pass};
+use crate::kinematics::{Frame, cross, unit};
+use crate::options::{Pass, options, pass_of_text, split_outside_brackets};
 use crate::path::Blocked;
-use crate::pose::{Pose, Target};
+use crate::paths::Paths;
+use crate::pose::{Pose, Target, length_and_pass, three_vectors, vector, vector_and_pass};
 use crate::robot::{Percent, Robot, percent};
 use crate::route::Route;
 use crate::rules;
-use crate::value::{number, numbers_of_text};
-use crate::variables::{Family, Variables, parse_name};
+use crate::value::{number, numbers, whole};
 use crate::waits::Wait;
 
 /// Whose internal speed a motion has.
@@ -66,7 +65,6 @@ pub(super) fn move_to(
             let via = coordinates.work.times(&coordinates.pose_of(&via).0).position;
             start(robot, ctx, (Route::Arc(via, coordinates.flange(pose)), pass), Speed::Line, option)
         }
-        4 => Err(HResult::E_NOTIMPL),
         _ => Err(HResult::E_INVALIDARG),
     }
 }
@@ -75,6 +73,9 @@ pub(super) fn move_to(
 pub(super) fn approach(robot: &mut Robot, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
     let (line, [pose, length, option]) = straight_or_not(param)?;
     let (distance, pass) = length_and_pass(&length)?;
+    if Target::has_pass(&pose) {
+        return Err(HResult::E_INVALIDARG);
+    }
     let coordinates = robot.coordinates();
     let (frame, fig) = coordinates.pose_of(&Pose::parse(&pose, ctx.variables)?);
     let pose = coordinates.flange(Pose::Frame(coordinates.arm.withdraw(&frame, distance), fig));
@@ -89,19 +90,83 @@ pub(super) fn depart(robot: &mut Robot, ctx: &mut Context<'_>, param: &Variant<'
     start(robot, ctx, (Route::Depart { distance, line }, pass), Speed::of(line), &text_or_nothing(&option)?)
 }
 
+/// Executes Robot_Move 4: through the points of a path.
+pub(super) fn follow(
+    robot: &mut Robot,
+    paths: &Paths,
+    ctx: &mut Context<'_>,
+    path: &Variant<'_>,
+    option: &str,
+) -> Answered {
+    let (path, pass) = length_and_pass(path)?;
+    let coordinates = robot.coordinates();
+    let points: Vec<_> = paths.frames(whole(path)?)?.iter().map(|frame| coordinates.work.times(frame)).collect();
+    if points.is_empty() {
+        return Err(HResult::E_INVALIDARG);
+    }
+    start(robot, ctx, (Route::Through(points), pass), Speed::Line, option)
+}
+
+/// Executes Draw: `[interpolation, vector]`, perhaps with a motion option after them.
+pub(super) fn draw(robot: &mut Robot, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    let (line, [way, option]) = straight_or_not(param)?;
+    let (way, pass) = vector_and_pass(&way, ctx.variables)?;
+    let way = robot.coordinates().work.direction(way);
+    start(robot, ctx, (Route::Draw { way, line }, pass), Speed::of(line), &text_or_nothing(&option)?)
+}
+
+/// Executes ArchMove: `[pose, height]`, perhaps with the lengths of the rise and the fall.
+pub(super) fn arch(robot: &mut Robot, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    let Variant::Array(array) = param.flatten() else { return Err(HResult::E_INVALIDARGTYPE) };
+    let item = |n: usize| array.get(n).unwrap_or(Variant::Empty).flatten();
+    let length = |n: usize| if item(n).is_empty() { Some(0.0) } else { number(&item(n)) };
+    let [Some(height), Some(rise), Some(fall)] = [1, 2, 3].map(length) else { return Err(HResult::E_INVALIDARGTYPE) };
+    let is_valid = height > 0.0 && [rise, fall].iter().all(|length| (0.0..=height).contains(length));
+    if !is_valid || !(2..=4).contains(&array.len()) {
+        return Err(HResult::E_INVALIDARG);
+    }
+    let Target { pose, extended: None, pass } = Target::parse(&item(0), ctx.variables)? else {
+        return Err(HResult::E_INVALIDARG);
+    };
+    let coordinates = robot.coordinates();
+    let top = coordinates.work.direction([0.0, 0.0, height]);
+    start(robot, ctx, (Route::Arch { pose: coordinates.flange(pose), top }, pass), Speed::Line, "")
+}
+
+/// Executes Arrive: waits until the motion under way has covered a part of its path, in percent.
+pub(super) fn arrive(robot: &mut Robot, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    let [percent] = numbers(param)?[..] else { return Err(HResult::E_INVALIDARG) };
+    if !(percent > 0.0 && percent <= 100.0) {
+        return Err(HResult::E_INVALIDARG);
+    }
+    robot.may(ctx, &rules::SETTING)?;
+    Ok(robot.motion().map_or(Answer::Done, |id| Answer::Until(Wait::Part(id, (percent * 1e3).round() as u32))))
+}
+
 /// Executes Robot_Rotate.
 pub(super) fn rotate(robot: &mut Robot, ctx: &mut Context<'_>, request: &Request<'_>) -> Answered {
-    let axis = match request.text(1).to_string().trim().to_ascii_uppercase().as_str() {
-        "XY" => [0.0, 0.0, 1.0],
-        "YZ" => [1.0, 0.0, 0.0],
-        "ZX" => [0.0, 1.0, 0.0],
-        _ => return Err(HResult::E_INVALIDARG),
+    let plane = request.value(1);
+    let name = match plane.flatten() {
+        Variant::Bstr(text) => text.to_string().trim().to_ascii_uppercase(),
+        _ => String::new(),
+    };
+    let work = robot.coordinates().work;
+    let (of_tool, plane_axis) = match name.strip_suffix('H').map_or((false, name.as_str()), |name| (true, name)) {
+        (of_tool, "XY") => (of_tool, [0.0, 0.0, 1.0]),
+        (of_tool, "YZ") => (of_tool, [1.0, 0.0, 0.0]),
+        (of_tool, "ZX") => (of_tool, [0.0, 1.0, 0.0]),
+        _ => {
+            let [a, b, c] = three_vectors(&plane, ctx.variables)?;
+            let way = |to: [f64; 3]| [0, 1, 2].map(|i| to[i] - a[i]);
+            // the points of a plane are in base coordinates
+            (false, work.inverse().direction(unit(cross(way(b), way(c))).ok_or(HResult::E_INVALIDARG)?))
+        }
     };
     let degrees = request.float(2);
     if !degrees.is_finite() {
         return Err(HResult::E_INVALIDARG);
     }
-    let centre = point(&request.text(3).to_string(), ctx.variables)?;
+    let centre = vector(&request.value(3), ctx.variables)?;
     let (mut turns, mut pass) = (false, Pass::Stop);
     let option = request.text(4).to_string();
     let mut others = Vec::new();
@@ -114,9 +179,9 @@ pub(super) fn rotate(robot: &mut Robot, ctx: &mut Context<'_>, request: &Request
             _ => others.push(part),
         }
     }
-    let work = robot.coordinates().work;
     let centre = work.times(&Frame::IDENTITY.moved_to(centre)).position;
-    let route = Route::Rotate { arc: Arc { centre, axis: work.direction(axis), degrees }, turns };
+    let axis = if of_tool { plane_axis } else { work.direction(plane_axis) };
+    let route = Route::Rotate { arc: Arc { centre, axis, degrees }, turns, of_tool };
     start(robot, ctx, (route, pass), Speed::Line, &others.join(","))
 }
 
@@ -124,7 +189,7 @@ pub(super) fn rotate(robot: &mut Robot, ctx: &mut Context<'_>, request: &Request
 pub(super) fn rotate_tool(robot: &mut Robot, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
     let param = param.flatten();
     let (angle, option) = match param {
-        Variant::Array(array) if array.len() == 2 => {
+        Variant::Array(array) if array.len() <= 2 => {
             (array.get(0).unwrap_or(param), text_or_nothing(&array.get(1).unwrap_or(Variant::Empty))?)
         }
         _ => (param, String::new()),
@@ -153,41 +218,6 @@ fn straight_or_not<'v, const N: usize>(param: &Variant<'v>) -> Result<(bool, [Va
     Ok((line, others))
 }
 
-/// Reads a length in mm, or an angle in degrees, and its pass: a number, `"@P 30"`, or `[30, "", "@P"]`.
-fn length_and_pass(value: &Variant<'_>) -> Result<(f64, Pass), HResult> {
-    let (length, pass) = match value.flatten() {
-        Variant::Bstr(text) => {
-            let text = text.to_string();
-            let (pass, length) = split_pass(&text)?;
-            (length.parse().map_err(|_| HResult::E_INVALIDARG)?, pass)
-        }
-        Variant::Array(array) if array.len() <= 3 => {
-            let item = |n: usize| array.get(n).unwrap_or(Variant::Empty);
-            if !text_or_nothing(&item(1))?.trim().is_empty() {
-                return Err(HResult::E_INVALIDARG);
-            }
-            (number(&item(0).flatten()).ok_or(HResult::E_INVALIDARGTYPE)?, pass_item(&item(2))?)
-        }
-        other => (number(&other).ok_or(HResult::E_INVALIDARGTYPE)?, Pass::Stop),
-    };
-    if length.is_finite() { Ok((length, pass)) } else { Err(HResult::E_INVALIDARG) }
-}
-
-/// Reads a point: `V(1, 2, 3)`, or a variable V.
-fn point(text: &str, variables: &Variables) -> Result<Point, HResult> {
-    let text = text.trim();
-    let numbers = match parse_name(text) {
-        Some((Family::Plain(VariableKind::V), Some(index))) => variables.pose(VariableKind::V, index)?,
-        Some(_) => return Err(HResult::E_INVALIDARG),
-        None => {
-            let list = text.strip_prefix(['V', 'v']).map(str::trim).and_then(|rest| rest.strip_prefix('('));
-            numbers_of_text(list.and_then(|rest| rest.strip_suffix(')')).ok_or(HResult::E_INVALIDARG)?)?
-        }
-    };
-    let point: Point = numbers.try_into().map_err(|_| HResult::E_INVALIDARG)?;
-    if point.iter().all(|n| n.is_finite()) { Ok(point) } else { Err(HResult::E_INVALIDARG) }
-}
-
 fn text_or_nothing(value: &Variant<'_>) -> Result<String, HResult> {
     match value.flatten() {
         Variant::Bstr(text) => Ok(text.to_string()),
@@ -200,13 +230,23 @@ fn text_or_nothing(value: &Variant<'_>) -> Result<String, HResult> {
 pub(super) fn drive_command(robot: &mut Robot, ctx: &mut Context<'_>, absolute: bool, param: &Variant<'_>) -> Answered {
     let param = param.flatten();
     let (pairs, option) = match param {
-        Variant::Array(array) => match array.get(1).map(|item| item.flatten()) {
-            Some(Variant::Bstr(option)) if array.len() == 2 => (array.get(0).unwrap_or(param), option.to_string()),
-            _ => (param, String::new()),
-        },
+        Variant::Array(array) => {
+            match (array.get(0).map(|item| item.flatten()), array.get(1).map(|item| item.flatten())) {
+                (Some(pairs), Some(Variant::Bstr(option))) if array.len() == 2 => (pairs, option.to_string()),
+                // the pairs alone, without an option
+                (Some(pairs @ Variant::Bstr(_)), None) => (pairs, String::new()),
+                (Some(pairs @ Variant::Array(list)), None) if is_list(list) => (pairs, String::new()),
+                _ => (param, String::new()),
+            }
+        }
         _ => (param, String::new()),
     };
     drive(robot, ctx, Drive::parse(absolute, &pairs)?, &option)
+}
+
+/// Tells whether an array is a list of pairs, or a pair with its type.
+fn is_list(array: Array<'_>) -> bool {
+    array.get(0).is_some_and(|item| matches!(item.flatten(), Variant::Array(_)))
 }
 
 /// Turns single axes.
@@ -261,6 +301,8 @@ impl MoveOptions {
                 "SPEED" | "S" => read.internal.speed = scaled(internal.speed)?,
                 "ACCEL" => read.internal.accel = scaled(internal.accel)?,
                 "DECEL" => read.internal.decel = scaled(internal.decel)?,
+                // the guide has no unit of the time; the motion does not depend on it
+                "TIME" => drop(ctx.variables.number_of_text(value.ok_or(HResult::E_INVALIDARG)?)?),
                 _ => ctx.config.unknown_option("a motion", key)?,
             }
         }

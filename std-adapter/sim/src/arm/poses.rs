@@ -8,12 +8,12 @@ use bcap_core::variant::Variant;
 use super::Arm;
 use crate::answer::{Answer, Answered};
 use crate::context::Context;
-use crate::coordinates::Coordinates;
-use crate::kinematics::{OutOfReach, angle, measured, pose_numbers};
+use crate::coordinates::{Coordinates, Definitions};
+use crate::kinematics::{Frame, OutOfReach, angle, measured, pose_numbers};
 use crate::pose::Pose;
-use crate::robot::coordinates;
+use crate::robot::{Robot, coordinates};
 use crate::rules;
-use crate::value::{Value, one_int};
+use crate::value::{Value, one_int, whole};
 
 /// Converts a pose to another kind; of several postures, takes the nearest to the robot's.
 pub(super) fn convert(arm: &Arm, ctx: &Context<'_>, from: Kind, to: Kind, param: &Variant<'_>) -> Answered {
@@ -93,31 +93,124 @@ pub(super) fn check_fence(_: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_
     Ok(Value::I4(0).into())
 }
 
-/// The definitions that a command concerns.
+/// The definitions that a command or a variable concerns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Definition {
+pub(crate) enum Definition {
     Tool,
     Work,
+    Base,
 }
 
-/// Executes GetToolDef or GetWorkDef.
+impl Definition {
+    fn of(self, robot: &Robot) -> &Definitions {
+        match self {
+            Self::Tool => &robot.tools,
+            Self::Work => &robot.works,
+            Self::Base => &robot.bases,
+        }
+    }
+}
+
+/// Executes GetToolDef, GetWorkDef or GetBaseDef: the last two have the attribute as seventh number.
 pub(super) fn definition(arm: &Arm, of: Definition, param: &Variant<'_>) -> Answered {
-    let number = coordinates(one_int(param)?)?;
-    let definitions = if of == Definition::Tool { &arm.robot.tools } else { &arm.robot.works };
-    Ok(Value::R8s(measured(definitions.get(number).to_xyz_rpy())).into())
+    numbers_of(arm, of, one_int(param)?).map(Answer::Value)
 }
 
-/// Executes SetToolDef or SetWorkDef: `[number, pose]`.
+/// Returns the numbers of a definition.
+pub(super) fn numbers_of(arm: &Arm, of: Definition, number: i32) -> Result<Value, HResult> {
+    let (definitions, number) = (of.of(&arm.robot), coordinates(number)?);
+    let mut numbers = measured(definitions.get(number).to_xyz_rpy());
+    if of != Definition::Tool {
+        numbers.push(definitions.attribute(number).into());
+    }
+    Ok(Value::R8s(numbers))
+}
+
+/// Executes WorkAttribute.
+pub(super) fn attribute(arm: &mut Arm, _: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    Ok(Value::I4(arm.robot.works.attribute(coordinates(one_int(param)?)?)).into())
+}
+
+/// Executes SetToolDef, SetWorkDef or SetBaseDef: `[number, pose]`, the last two perhaps with the attribute.
 pub(super) fn define(arm: &mut Arm, ctx: &mut Context<'_>, of: Definition, param: &Variant<'_>) -> Answered {
     let Variant::Array(array) = param.flatten() else { return Err(HResult::E_INVALIDARGTYPE) };
-    let (Some(number), Some(pose), 2) = (array.get(0), array.get(1), array.len()) else {
+    let (Some(number), Some(pose), 2 | 3) = (array.get(0), array.get(1), array.len()) else {
         return Err(HResult::E_INVALIDARG);
     };
+    let attribute = array.get(2).map_or(Ok(0), |attribute| one_int(&attribute))?;
+    if attribute != 0 && (attribute != 1 || of == Definition::Tool) {
+        return Err(HResult::E_INVALIDARG);
+    }
     let Pose::Frame(frame, _) = pose_of(&pose, ctx)? else { return Err(HResult::E_INVALIDARG) };
-    let number = one_int(&number)?;
+    set_definition(arm, ctx, of, one_int(&number)?, (frame, attribute))
+}
+
+/// Writes the numbers of a definition.
+pub(super) fn put_numbers(
+    arm: &mut Arm,
+    ctx: &mut Context<'_>,
+    of: Definition,
+    number: i32,
+    given: &[f64],
+) -> Answered {
+    let (frame, attribute) = match (of, given) {
+        (_, frame) if frame.len() == 6 => (frame, 0),
+        (Definition::Work | Definition::Base, [frame @ .., attribute @ (0.0 | 1.0)]) => (frame, whole(*attribute)?),
+        _ => return Err(HResult::E_INVALIDARG),
+    };
+    let Pose::Frame(frame, _) = Pose::new(Kind::P, frame)? else { return Err(HResult::E_INVALIDARG) };
+    set_definition(arm, ctx, of, number, (frame, attribute))
+}
+
+fn set_definition(
+    arm: &mut Arm,
+    ctx: &mut Context<'_>,
+    of: Definition,
+    number: i32,
+    (frame, attribute): (Frame, i32),
+) -> Answered {
     arm.robot.may(ctx, &rules::DEFINITION)?;
-    let definitions = if of == Definition::Tool { &mut arm.robot.tools } else { &mut arm.robot.works };
-    if definitions.set(number, frame) { Ok(Answer::Done) } else { Err(HResult::E_INVALIDARG) }
+    let definitions = match of {
+        Definition::Tool => &mut arm.robot.tools,
+        Definition::Work => &mut arm.robot.works,
+        Definition::Base => &mut arm.robot.bases,
+    };
+    if definitions.set(number, frame, attribute) { Ok(Answer::Done) } else { Err(HResult::E_INVALIDARG) }
+}
+
+/// Executes TMul: the product of two transforms, with the Fig of the first.
+pub(super) fn product(_: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    let Variant::Array(array) = param.flatten() else { return Err(HResult::E_INVALIDARGTYPE) };
+    let (Some(first), Some(second), 2) = (array.get(0), array.get(1), array.len()) else {
+        return Err(HResult::E_INVALIDARG);
+    };
+    let ((first, fig), (second, _)) = (transform(&first, ctx)?, transform(&second, ctx)?);
+    Ok(trans_numbers(&first.times(&second), fig).into())
+}
+
+/// Executes TInv.
+pub(super) fn inverse(_: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    let (frame, fig) = transform(param, ctx)?;
+    Ok(trans_numbers(&frame.inverse(), fig).into())
+}
+
+/// Executes TNorm: reading a transform makes its vectors units at right angles.
+pub(super) fn normalised(_: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    let (frame, fig) = transform(param, ctx)?;
+    Ok(trans_numbers(&frame, fig).into())
+}
+
+fn transform(value: &Variant<'_>, ctx: &Context<'_>) -> Result<(Frame, Option<u8>), HResult> {
+    match Pose::parse_as(Kind::T, value, ctx.variables)? {
+        Pose::Frame(frame, fig) => Ok((frame, fig)),
+        Pose::Joints(_) => Err(HResult::E_INVALIDARG),
+    }
+}
+
+fn trans_numbers(frame: &Frame, fig: Option<u8>) -> Value {
+    let mut numbers = measured(frame.to_trans());
+    numbers.push(fig.map_or(-1.0, f64::from));
+    Value::R8s(numbers)
 }
 
 /// Tells whether the first element of an array is a pose itself, not the numbers of one.

@@ -32,6 +32,18 @@ pub(super) fn timed_trans(arm: &Arm, ctx: &Context<'_>) -> Value {
     timed(ctx, current_trans(arm, ctx))
 }
 
+pub(super) fn timed_target_position(arm: &Arm, ctx: &Context<'_>) -> Value {
+    timed(ctx, target_position(arm, ctx))
+}
+
+pub(super) fn timed_target_angle(arm: &Arm, ctx: &Context<'_>) -> Value {
+    timed(ctx, target_angle(arm, ctx))
+}
+
+pub(super) fn timed_target_trans(arm: &Arm, ctx: &Context<'_>) -> Value {
+    timed(ctx, target_trans(arm, ctx))
+}
+
 /// Puts the time in ms before a reading.
 fn timed(ctx: &Context<'_>, reading: Value) -> Value {
     let millis = ctx.now.as_micros() as f64 / 1000.0;

@@ -6,7 +6,7 @@ use bcap_core::variant::Variant;
 
 use super::poses::Definition;
 use super::readings::{self, Reading};
-use super::{Arm, measures, moves, poses};
+use super::{Arm, areas, measures, moves, paths, poses, settings};
 use crate::answer::{Answer, Answered};
 use crate::context::Context;
 use crate::model::Functions;
@@ -44,6 +44,11 @@ const DEPART: &str = "[interpolation, length] or [..., option]: interpolation 1 
 const DEVIATION: &str = "[pose, offset]: two poses in any form, the offset a P or a T";
 const DEFINITION: &str = "one number, 0 to 63";
 const DEFINE: &str = "[number, pose]: 1 to 63; a P in any form, or its 6 numbers";
+const DEFINE_WORK: &str =
+    "[number, pose] or [number, pose, attribute]: 1 to 63; a P in any form; attribute 0, or 1 fixed tool";
+const SWITCH: &str = "one number: 0 off, otherwise on";
+const AREA: &str = "one number, 0 to 31";
+const PATH: &str = "one number, 1 to 20";
 const JOINTS: &str = "6 to 8 numbers in degrees, \"J(...)\", \"J1\" or [numbers, \"J\"]";
 const POSITION: &str = "6 or 7 numbers (X Y Z RX RY RZ Fig), \"P(...)\", \"P1\" or [numbers, \"P\"]";
 const TRANS: &str = "9 or 10 numbers (position, orient, approach, Fig), \"T(...)\", \"T1\" or [numbers, \"T\"]";
@@ -69,6 +74,9 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     read("DestPos", readings::target_position),
     read("DestJnt", readings::target_angle),
     read("DestTrn", readings::target_trans),
+    read("DestPosEx", readings::timed_target_position),
+    read("DestJntEx", readings::timed_target_angle),
+    read("DestTrnEx", readings::timed_target_trans),
     read("CurSpd", readings::speed),
     read("CurAcc", readings::accel),
     read("CurDec", readings::decel),
@@ -82,7 +90,7 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     read("CurTool", readings::tool),
     read("CurWork", readings::work),
     read("GetRobotTypeName", readings::robot_type),
-    command("RobInfo", robot_info).accepts("one number: 1"),
+    command("RobInfo", robot_info).accepts("one number: 0 the number of the type, 1 the type, 2 the distances of the axes"),
     command("J2P", |arm, ctx, param| poses::convert(arm, ctx, Kind::J, Kind::P, param)).accepts(JOINTS),
     command("J2T", |arm, ctx, param| poses::convert(arm, ctx, Kind::J, Kind::T, param)).accepts(JOINTS),
     command("P2J", |arm, ctx, param| poses::convert(arm, ctx, Kind::P, Kind::J, param)).accepts(POSITION),
@@ -91,13 +99,53 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     command("T2P", |arm, ctx, param| poses::convert(arm, ctx, Kind::T, Kind::P, param)).accepts(TRANS),
     command("Dev", |arm, ctx, param| poses::deviation(arm, ctx, param, false)).accepts(DEVIATION),
     command("DevH", |arm, ctx, param| poses::deviation(arm, ctx, param, true)).accepts(DEVIATION),
+    command("TMul", poses::product).accepts("[T, T]: two transforms in any form"),
+    command("TInv", poses::inverse).accepts(TRANS),
+    command("TNorm", poses::normalised).accepts(TRANS),
+    command("MPS", measures::line_percent).accepts("one number: mm per second"),
+    command("RPM", measures::axis_percent).accepts("[axis, revolutions per minute]: axis 1 to 8"),
+    command("DPS", measures::turn_percent).accepts("degrees per second, or [axis, degrees per second]: axis 1 to 8"),
     command("OutRange", poses::out_range)
         .accepts("a pose, or [pose, tool, work]: the pose as text or with its type, tool and work -1 to 63"),
     command("GetToolDef", |arm, _, param| poses::definition(arm, Definition::Tool, param)).accepts(DEFINITION),
     command("GetWorkDef", |arm, _, param| poses::definition(arm, Definition::Work, param)).accepts(DEFINITION),
     command("SetToolDef", |arm, ctx, param| poses::define(arm, ctx, Definition::Tool, param)).accepts(DEFINE),
-    command("SetWorkDef", |arm, ctx, param| poses::define(arm, ctx, Definition::Work, param)).accepts(DEFINE),
-    command("TakeArm", take_arm).accepts("nothing, the group, or [group, keep]: group 0, keep 0 or 1"),
+    command("SetWorkDef", |arm, ctx, param| poses::define(arm, ctx, Definition::Work, param)).accepts(DEFINE_WORK),
+    command("WorkAttribute", poses::attribute).accepts(DEFINITION),
+    command("GetBaseDef", |arm, _, param| poses::definition(arm, Definition::Base, param)).accepts(DEFINITION),
+    command("SetBaseDef", |arm, ctx, param| poses::define(arm, ctx, Definition::Base, param)).accepts(DEFINE_WORK),
+    command("GetAreaDef", areas::definition).accepts(AREA),
+    command("SetAreaDef", areas::define).accepts(
+        "[area, P, V, IO, variable, detection] or [area, numbers]: area 0 to 31; 11 to 34 numbers",
+    ),
+    command("AreaSize", areas::size).accepts(AREA),
+    command("GetAreaEnabled", areas::is_enabled).accepts(AREA),
+    command("SetAreaEnabled", |arm, ctx, param| areas::enable(arm, ctx, None, param))
+        .accepts("[area, enabled]: area 0 to 31, BOOL"),
+    command("SetArea", |arm, ctx, param| areas::enable(arm, ctx, Some(true), param)).accepts(AREA),
+    command("ResetArea", |arm, ctx, param| areas::enable(arm, ctx, Some(false), param)).accepts(AREA),
+    command("AddPathPoint", paths::add).accepts("[path, pose]: path 1 to 20"),
+    command("ClrPathPoint", paths::clear).accepts(PATH),
+    command("LoadPathPoint", paths::clear).accepts(PATH),
+    command("GetPathPoint", paths::point).accepts("[path, point]: path 1 to 20, point from 1"),
+    command("GetPathPointCount", paths::count).accepts(PATH),
+    command("CrtMotionAllow", settings::crt_motion_allow).accepts("[on, mm] or [on, mm, degrees]; 0 alone is off"),
+    command("EncMotionAllow", settings::enc_motion_allow).accepts("[on, value] or [on, value, mode]: mode 0 degrees or mm, 1 pulses; 0 alone is off"),
+    command("EncMotionAllowJnt", settings::enc_motion_allow_jnt).accepts("[on, axis, value] or [on, axis, value, mode]: axis 1 to 8; [0, axis] is off"),
+    command("ErAlw", settings::er_alw).accepts("[on, axis, value]: axis 1 to 8; [0, axis] is off, with the axis 0 for all"),
+    command("GrvCtrl", settings::switch).accepts(SWITCH),
+    command("GrvOffset", settings::switch).accepts(SWITCH),
+    command("HighPathAccuracy", settings::switch).accepts(SWITCH),
+    command("CurLmt", settings::cur_lmt).accepts("[on, axis, percent]: axis 1 to 8, 1 to 100 percent; [0, axis] is off, with the axis 0 for all"),
+    command("Zforce", settings::zforce).accepts("one number"),
+    command("MotionTimeout", settings::motion_timeout).accepts("[on, timeout]: 1 to 30000 ms; 0 alone is off"),
+    command("SingularAvoid", settings::singular_avoid).accepts("one number: 0 off, 2 on"),
+    command("StartServoLog", |_, _, _| Ok(Answer::Done)),
+    command("StopServoLog", |_, _, _| Ok(Answer::Done)),
+    command("ClearServoLog", |_, _, _| Ok(Answer::Done)),
+    command("SetHandIO", measures::set_hand_io).accepts("[first, value, count]: an IO, and 1 to 32 of them"),
+    command("GetHandIO", measures::hand_io).accepts("[first, count]: an IO, and 1 to 32 of them"),
+    command("TakeArm", take_arm).accepts("nothing, the group, or [group, keep]: group 0 to 31, keep 0 or 1"),
     command("GiveArm", give_arm).resumes(Handler::Execute(give_arm)),
     command("TakeArmState", arm_state).accepts("nothing, or one number: the group 0, or -1"),
     command("Motor", motor).accepts(MOTOR),
@@ -111,6 +159,13 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
         .accepts(DEPART),
     command("RotateH", |arm, ctx, param| moves::rotate_tool(&mut arm.robot, ctx, param))
         .accepts("an angle of -180 to 180 degrees, perhaps with a pass (\"@P 30\"), or [angle, motion option]"),
+    command("Draw", |arm, ctx, param| moves::draw(&mut arm.robot, ctx, param)).accepts(
+        "[interpolation, vector] or [..., option]: interpolation 1 or 2; \"@P V(x,y,z)\", \"V1\" or [[x,y,z], \"V\", \"@P\"]",
+    ),
+    command("ArchMove", |arm, ctx, param| moves::arch(&mut arm.robot, ctx, param))
+        .accepts("[pose, height], [..., rise] or [..., rise, fall]: in mm, rise and fall at most the height"),
+    command("Arrive", |arm, ctx, param| moves::arrive(&mut arm.robot, ctx, param))
+        .accepts("one number: percent of the motion under way, above 0 to 100"),
     command("MotionSkip", motion_skip).accepts("nothing, the group, or [group, mode]: group 0 or -1, mode 0 to 3"),
     command("MotionComplete", motion_complete)
         .accepts("nothing, the group, or [group, mode]: group 0 or -1, mode 0 (commands) or 1 (motion)"),
@@ -139,29 +194,30 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     read("GetMotionPreparationState", |arm, _| Value::Bool(arm.preparation.is_motion_ready()))
         .of(has_preparation),
     command("AutoCal", |arm, ctx, _| arm.preparation.calibrate(ctx)).of(has_preparation),
-    command("StartLog", |arm, ctx, _| {
-        arm.trace.start(ctx.now);
+    command("ClearLog", |arm, ctx, _| {
+        arm.trace.clear(ctx.now);
         Ok(Answer::Done)
     }),
-    command("StopLog", |arm, _, _| Ok(Answer::done_if(arm.trace.stop()))),
-    command("ClearLog", |arm, _, _| {
-        arm.trace.clear();
-        Ok(Answer::Done)
-    }),
+    command("StartLog", |arm, _, _| arm.trace.start().map(|()| Answer::Done)),
+    command("StopLog", |arm, _, _| arm.trace.stop().map(|()| Answer::Done)),
+    read("GetCtrlLogMaxTime", |arm, _| Value::I4(arm.trace.length())),
+    command("SetCtrlLogMaxTime", |arm, _, param| arm.trace.set_length(one_int(param)?).map(|()| Answer::Done))
+        .accepts("one number: 10 to 240 s"),
+    read("GetCtrlLogInterval", |arm, _| Value::I4(arm.trace.interval())),
+    command("SetCtrlLogInterval", |arm, _, param| arm.trace.set_interval(one_int(param)?).map(|()| Answer::Done))
+        .accepts("one number: 8 to 32 ms"),
     read("GetLogCount", |arm, _| Value::I4(i32::try_from(arm.trace.len()).unwrap_or(i32::MAX))),
     command("GetLogRecord", |arm, _, param| measures::log_record(arm, param))
         .accepts("one number: the index, from 0 to below GetLogCount"),
     command("GetSrvData", measures::servo_data)
-        .accepts("one number: 2 deviations, 4 torques, 17 speed of the tool centre point"),
+        .accepts("one number: 1 speeds, 2, 4, 5, 7 zero, 8 positions, 17 and 18 speeds of the tool centre point, 19, 20 zero"),
+    command("GetSrvJntData", measures::axis_data).accepts("[number, axis]: 1, 2, 4, 5 or 8, axis 1 to 8"),
     command("PayLoad", measures::payload)
         .accepts("[mass, centre, inertia]: g, and two arrays of 3 numbers or \"V(x,y,z)\", the last of which may be absent"),
     command("SpeedMode", measures::speed_mode).accepts("one number, 0 to 3"),
     command("ConvertPosWork", poses::convert_work)
         .accepts("[pose, from] or [pose, from, to]: a pose, and two numbers of work coordinates, 0 to 63"),
     command("CheckVirtualFence", poses::check_fence).accepts("a pose in any form"),
-    Command::missing("GetAreaDef"),
-    Command::missing("GetAreaEnabled"),
-    Command::missing("SetAreaEnabled"),
     Command::missing("ForceSensor"),
     Command::missing("ForceValue"),
     Command::missing("ForceCtrl"),
@@ -170,13 +226,12 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     Command::missing("SyncTimeEnd"),
     Command::missing("SyncMoveStart"),
     Command::missing("SyncMoveEnd"),
-    Command::missing("AddPathPoint"),
-    Command::missing("ClrPathPoint"),
-    Command::missing("LoadPathPoint"),
+    Command::missing("ForceWaitCondition"),
+    Command::missing("ForceChangeTable"),
+    Command::missing("GenerateNonStopPath"),
     Command::missing("CurScene"),
     Command::missing("CurSubScene"),
     Command::missing("SceneInfo"),
-    Command::missing("MPS"),
 ];
 
 /// The parameter of Motor.
@@ -189,8 +244,8 @@ fn take_arm(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answer
         [group, keep] => (whole(*group)?, whole(*keep)?),
         _ => return Err(HResult::E_INVALIDARG),
     };
-    // there is one arm, and group 0 is the arm; -1 is TRUE
-    if group != 0 || ![-1, 0, 1].contains(&keep) {
+    // the groups differ in extended joints, which this model always moves; -1 is TRUE
+    if !(0..=31).contains(&group) || ![-1, 0, 1].contains(&keep) {
         return Err(HResult::E_INVALIDARG);
     }
     arm.robot.may(ctx, &rules::TAKE_ARM)?;
@@ -207,9 +262,7 @@ fn give_arm(arm: &mut Arm, ctx: &mut Context<'_>, _: &Variant<'_>) -> Answered {
         return Ok(Answer::Code(HResult::S_FALSE));
     }
     if arm.robot.is_moving() {
-        // the maker's own driver sends it at once after the answer of a pass motion
-        let passes = arm.robot.commands_are_complete(ctx.now);
-        return if passes { Ok(Answer::Until(Wait::Rest)) } else { Err(HResult::E_ROBOTISBUSY) };
+        return Ok(Answer::Until(Wait::Rest));
     }
     arm.robot.set_owner(None);
     ctx.record("arm given back");
@@ -218,8 +271,8 @@ fn give_arm(arm: &mut Arm, ctx: &mut Context<'_>, _: &Variant<'_>) -> Answered {
 
 fn arm_state(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
     let wanted = if param.is_empty() { -1 } else { one_int(param)? };
-    let group = arm.robot.group_of(ctx.peer).filter(|group| [-1, *group].contains(&wanted));
-    Ok(Value::I4(group.unwrap_or(-1)).into())
+    let owned = arm.robot.group_of(ctx.peer).is_some_and(|group| [-1, group].contains(&wanted));
+    Ok(Value::I4(owned.into()).into())
 }
 
 /// Reads `[group, mode]`. Both, or only the mode, may be absent.
@@ -230,13 +283,14 @@ fn group_and_mode(param: &Variant<'_>, most: i32) -> Result<i32, HResult> {
         [group, mode] => (whole(*group)?, whole(*mode)?),
         _ => return Err(HResult::E_INVALIDARG),
     };
-    if [-1, 0].contains(&group) && (0..=most).contains(&mode) { Ok(mode) } else { Err(HResult::E_INVALIDARG) }
+    if (-1..=31).contains(&group) && (0..=most).contains(&mode) { Ok(mode) } else { Err(HResult::E_INVALIDARG) }
 }
 
 fn motion_skip(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
-    group_and_mode(param, 3)?;
+    // 2 and 3 brake at the deceleration of the motion
+    let gently = group_and_mode(param, 3)? >= 2;
     arm.robot.may(ctx, &rules::SETTING)?;
-    let skipped = arm.robot.skip_motion(ctx.now, ctx.waits);
+    let skipped = arm.robot.skip_motion(gently, ctx.now, ctx.waits);
     Ok(Answer::done_if(skipped.map_err(|blocked| moves::refuse(ctx, blocked))?))
 }
 
@@ -259,10 +313,14 @@ pub(crate) fn motor(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -
 }
 
 fn robot_info(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
-    match one_int(param)? {
-        1 => Ok(readings::robot_type(arm, ctx).into()),
-        _ => Err(HResult::E_NOTIMPL),
+    Ok(match one_int(param)? {
+        0 => Value::I4(0),
+        1 => readings::robot_type(arm, ctx),
+        // a new arm: the distances since delivery are not counted
+        2 => Value::R8s(vec![0.0; 8]),
+        _ => return Err(HResult::E_INVALIDARG),
     }
+    .into())
 }
 
 fn external_speed(arm: &mut Arm, _: &mut Context<'_>, param: &Variant<'_>) -> Answered {
@@ -296,7 +354,14 @@ mod tests {
 
     #[test]
     fn every_command_is_documented() {
-        let sources = [include_str!("../arm.rs"), include_str!("../slave.rs"), include_str!("../preparation.rs")];
+        let sources = [
+            include_str!("../arm.rs"),
+            include_str!("areas.rs"),
+            include_str!("paths.rs"),
+            include_str!("settings.rs"),
+            include_str!("../slave.rs"),
+            include_str!("../preparation.rs"),
+        ];
         assert_documented(COMMANDS, &sources);
     }
 }

@@ -7,7 +7,7 @@ use super::Arm;
 use super::readings::{self, Reading};
 use crate::answer::{Answer, Answered};
 use crate::context::Context;
-use crate::robot::{Percent, coordinates, percent};
+use crate::robot::{Percent, Settings, coordinates, percent};
 use crate::rules;
 use crate::table::Property;
 use crate::value::{TRUTH, Value, number, one_int, truth};
@@ -37,16 +37,29 @@ pub(crate) const VARIABLES: &[Property<Reading, Write>] = &[
     read("@TYPE", |_, _| Value::I4(0)),
     read("@CURRENT_TOOL", readings::tool).and_write(put_tool, COORDINATES),
     read("@CURRENT_WORK", readings::work).and_write(put_work, COORDINATES),
-    read("@SPEED", readings::speed),
-    read("@ACCEL", readings::accel),
-    read("@DECEL", readings::decel),
-    read("@JSPEED", readings::joint_speed),
-    read("@JACCEL", readings::joint_accel),
-    read("@JDECEL", readings::joint_decel),
-    read("@EXTSPEED", readings::external_speed).and_write(put_external_speed, "one number: percent, 0.0001 to 100"),
-    read("@EXTACCEL", readings::external_accel),
-    read("@EXTDECEL", readings::external_decel),
+    read("@SPEED", readings::speed)
+        .and_write(|arm, ctx, value| put_internal(arm, ctx, value, |settings| &mut settings.line.speed), PERCENT),
+    read("@ACCEL", readings::accel)
+        .and_write(|arm, ctx, value| put_internal(arm, ctx, value, |settings| &mut settings.line.accel), PERCENT),
+    read("@DECEL", readings::decel)
+        .and_write(|arm, ctx, value| put_internal(arm, ctx, value, |settings| &mut settings.line.decel), PERCENT),
+    read("@JSPEED", readings::joint_speed)
+        .and_write(|arm, ctx, value| put_internal(arm, ctx, value, |settings| &mut settings.joint.speed), PERCENT),
+    read("@JACCEL", readings::joint_accel)
+        .and_write(|arm, ctx, value| put_internal(arm, ctx, value, |settings| &mut settings.joint.accel), PERCENT),
+    read("@JDECEL", readings::joint_decel)
+        .and_write(|arm, ctx, value| put_internal(arm, ctx, value, |settings| &mut settings.joint.decel), PERCENT),
+    read("@EXTSPEED", readings::external_speed).and_write(put_external_speed, PERCENT),
+    read("@EXTACCEL", readings::external_accel)
+        .and_write(|arm, ctx, value| put_external(arm, ctx, value, |settings| &mut settings.external.accel), PERCENT),
+    read("@EXTDECEL", readings::external_decel)
+        .and_write(|arm, ctx, value| put_external(arm, ctx, value, |settings| &mut settings.external.decel), PERCENT),
 ];
+
+const PERCENT: &str = "one number: percent, 0.0001 to 100";
+
+/// Finds a percentage among the settings.
+type Percentage = fn(&mut Settings) -> &mut f32;
 
 /// Writing true answers when the motor is on, as `Motor` does without its NoWait.
 fn put_servo_on(arm: &mut Arm, ctx: &mut Context<'_>, value: &Variant<'_>) -> Answered {
@@ -63,6 +76,16 @@ fn put_tool(arm: &mut Arm, ctx: &mut Context<'_>, value: &Variant<'_>) -> Answer
 fn put_work(arm: &mut Arm, ctx: &mut Context<'_>, value: &Variant<'_>) -> Answered {
     arm.robot.may(ctx, &rules::SETTING)?;
     arm.robot.settings_mut().work = coordinates(one_int(value)?)?;
+    Ok(Answer::Done)
+}
+
+fn put_internal(arm: &mut Arm, ctx: &mut Context<'_>, value: &Variant<'_>, of: Percentage) -> Answered {
+    arm.robot.may(ctx, &rules::SETTING)?;
+    put_external(arm, ctx, value, of)
+}
+
+fn put_external(arm: &mut Arm, _: &mut Context<'_>, value: &Variant<'_>, of: Percentage) -> Answered {
+    *of(arm.robot.settings_mut()) = percent(number(&value.flatten()).ok_or(HResult::E_INVALIDARGTYPE)?)?;
     Ok(Answer::Done)
 }
 

@@ -10,44 +10,55 @@
 //! | GetOprLogCount                     | -                   | I4                                               |
 //! | GetOprLog                          | I4 index            | an array of VARIANT, see below                   |
 //! | SysState                           | -                   | I4 of bits, see [`Bit`]                          |
-//! | SysInfo                            | I4: 0               | BSTR, the serial number                          |
+//! | SysInfo                            | I4: 0, 1            | BSTR: the serial number; a MAC address           |
+//! |                                    | I4: 3               | I4\[8\]: the numbers of I F D V P J T S variables |
+//! |                                    | I4: 8, 10, 12       | I4: minutes since the controller was switched on |
+//! |                                    | I4: 5; 14           | I4: 3000, the user level; starts of the motor    |
 //! |                                    | I4: 15              | I4: -1 when the battery's date has passed, or 0  |
+//! |                                    | I4: others to 16    | I4: 0                                            |
 //! | Motor                              | as Robot_Execute's  | as Robot_Execute's                               |
-//! | KillAll                            | -, or I4: 0 or 1    | EMPTY, with 1 when the robot rests               |
+//! | KillAll, SuspendAll, StepStopAll   | -, or I4: 0 or 1    | EMPTY, with 1 when tasks and robot rest          |
+//! | ContinueStartAll                   | -                   | EMPTY; continues the suspended tasks             |
+//! | KillAllTsr, RunAllTsr              | -, or I4: 0 or 1    | EMPTY; there are no supervisory tasks            |
+//! | GetPublicValue                     | \[task, variable, index\] | the value of a public variable of a scenario's task |
+//! | SetPublicValue                     | \[value, task, variable, index\] | EMPTY; a value of the same type and count |
 //! | StoState                           | -                   | BOOL; RC9, COBOTTA                               |
 //! | ManualReset, ResetStoState         | -                   | EMPTY; likewise; `E_ACCESSDENIED` in emergency stop |
 //! | ManualResetPreparation             | -                   | see [`preparation`](crate::preparation); COBOTTA |
 //! | HandMoveA, HandMoveH, ...          | see [`hand`](crate::hand) | likewise                                   |
 //!
 //! ```text
-//! GetCurErrorInfo  code I4, message BSTR, subcode I4, file and line I4, program BSTR, line I4, file I4
-//! GetErrorLog      code, year, month, day, hour, minute, second, millisecond, subcode, file, line I4,
-//!                  program, message BSTR
-//! GetOprLog        the same, with the code 0 and the operation as message
+//! GetCurErrorInfo  code I4, message BSTR, code I4, file and line I4, program BSTR, line I4, file I4, DATE
+//! GetErrorLog      code, year, month, day of the week, day, hour, minute, second, millisecond, tick in ms I4, program BSTR,
+//!                  line I4, message BSTR, original code, client I4
+//! GetOprLog        code 0 to tick, as GetErrorLog; client I4, operation BSTR
 //! ```
+//!
+//! The day of the week counts from Sunday, 0. The client is 0 the controller, 3 a client, 4 a task, -1 unknown.
 //!
 //! File and line, program and its line tell the task in which an error has occurred, and its step.
 //!
 //! Index 0 is the latest error, the greatest index the oldest one, which is the first cause: clients that print the list
-//! from its end show it in order. An index out of range answers `DISP_E_BADINDEX`. Of GetErrorLog's array, public
-//! clients show only the place of the message (12); the other places are a decision of this model.
+//! from its end show it in order. An index out of range answers `DISP_E_BADINDEX`.
 //!
 //! A command of real controllers that this model lacks answers `E_NOTIMPL`, another name `E_INVALID_CMD_NAME`.
 
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
+use bcap_core::rac::VariableKind as Kind;
 use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
 
-use super::{Controller, EMERGENCY_STOP};
+use super::{Common, Controller, EMERGENCY_STOP};
 use crate::answer::{Answer, Answered};
 use crate::arm::robot_execute::{MOTOR, motor};
 use crate::config::{Config, Token};
 use crate::errors::{Occurrence, description};
 use crate::model::Functions;
 use crate::operations::Operation;
+use crate::rules;
 use crate::table::Command;
-use crate::tasks::Task;
+use crate::tasks::{Task, Tasks};
 use crate::value::{Value, numbers, one_int};
 use crate::waits::Wait;
 
@@ -72,7 +83,8 @@ pub(super) const COMMANDS: &[Command<Run>] = &[
         .accepts("one code: I4, UI4, ERROR or another integer"),
     command("GetCurErrorCount", |controller, _, _| Ok(count(controller.common.errors.present().len()).into())),
     command("GetCurErrorInfo", |controller, _, param| {
-        Ok(error_info(controller.common.errors.present().get(index(param)?).ok_or(HResult::DISP_E_BADINDEX)?).into())
+        let entry = controller.common.errors.present().get(index(param)?).ok_or(HResult::DISP_E_BADINDEX)?;
+        Ok(error_info(&controller.common.config, entry)?.into())
     })
     .accepts("one number: the index, from 0 to below GetCurErrorCount"),
     command("GetErrorLogCount", |controller, _, _| Ok(count(controller.common.errors.log().len()).into())),
@@ -88,17 +100,38 @@ pub(super) const COMMANDS: &[Command<Run>] = &[
     })
     .accepts("one number: the index, from 0 to below GetOprLogCount"),
     command("SysState", |controller, _, _| Ok(Value::I4(controller.system_state()).into())),
-    command("SysInfo", |controller, _, param| match one_int(param)? {
-        0 => Ok(Value::from(controller.common.config.serial_number.as_str()).into()),
-        // -1 when the date of the encoders' battery has passed
-        15 => Ok(Value::I4(if controller.common.panel.battery_low { -1 } else { 0 }).into()),
-        _ => Err(HResult::E_NOTIMPL),
-    })
-    .accepts("one number: 0, the serial number, or 15, the battery"),
+    command("SysInfo", |controller, _, param| controller.system_info(one_int(param)?).map(Answer::Value))
+        .accepts("one number, 0 to 16"),
     command("Motor", |controller, peer, param| motor(&mut controller.arm, &mut controller.common.context(peer), param))
         .accepts(MOTOR),
-    command("KillAll", |controller, _, param| controller.kill_all(param))
-        .accepts("nothing, or one number: 0, answer at once, or 1, answer when the robot rests"),
+    command("KillAll", |controller, _, param| controller.stop_all(param, Tasks::kill)).accepts(SYNC),
+    command("SuspendAll", |controller, _, param| controller.stop_all(param, Tasks::suspend)).accepts(SYNC),
+    command("StepStopAll", |controller, _, param| controller.stop_all(param, Tasks::step_stop)).accepts(SYNC),
+    command("ContinueStartAll", |controller, peer, _| {
+        controller.common.context(peer).may(&rules::START_TASK)?;
+        controller.tasks.continue_start(controller.common.now);
+        controller.record_operation("all tasks continued");
+        Ok(Answer::Done)
+    }),
+    // there are no supervisory tasks
+    command("KillAllTsr", |_, _, param| synchronous(param).map(|_| Answer::Done)).accepts(SYNC),
+    command("RunAllTsr", |_, _, param| synchronous(param).map(|_| Answer::Done))
+        .accepts("nothing, or one number: 0 the tasks of the root folder, 1 all"),
+    command("GetPublicValue", |controller, _, param| {
+        let (task, name, index) = public_value(param, 0)?;
+        let task = controller.tasks.position(&task).ok_or(HResult::E_CAO_OBJECT_NOTFOUND)?;
+        Ok(controller.tasks.get(task)?.public().get(&name, index)?.into())
+    })
+    .accepts("[task, variable] or [task, variable, index]"),
+    command("SetPublicValue", |controller, peer, param| {
+        let (task, name, index) = public_value(param, 1)?;
+        controller.common.context(peer).may_write()?;
+        let task = controller.tasks.position(&task).ok_or(HResult::E_CAO_OBJECT_NOTFOUND)?;
+        let value = element(param, 0).unwrap_or(Variant::Empty);
+        controller.tasks.get_mut(task)?.public_mut().put(&name, index, &value)?;
+        Ok(Answer::Done)
+    })
+    .accepts("[value, task, variable] or [value, task, variable, index]: a value of the type of the variable"),
     command("StoState", |controller, _, _| Ok(Value::Bool(controller.arm.preparation().is_torque_off()).into()))
         .of(has_safe_torque_off)
         .in_slave_mode(),
@@ -145,6 +178,11 @@ pub(super) const COMMANDS: &[Command<Run>] = &[
     command("HandCurLoad", |_, _, _| Ok(Value::R8(0.0).into())).of(has_hand),
     Command::missing("SetAutoMode"),
 ];
+
+const SYNC: &str = "nothing, or one number: 0, answer at once, or 1, answer when tasks and robot rest";
+
+/// The number of an unknown client in the logs.
+const UNKNOWN_CLIENT: i32 = -1;
 
 /// Iterates over the names of the commands that a model has.
 pub(super) fn names(functions: Functions) -> impl Iterator<Item = &'static str> {
@@ -205,15 +243,39 @@ impl Controller {
         Ok(Answer::Done)
     }
 
-    /// Stops all tasks, and waits until the robot rests if `param` says so.
-    fn kill_all(&mut self, param: &Variant<'_>) -> Answered {
-        let waits = match numbers(param)?.as_slice() {
-            [] | [0.0] => false,
-            [1.0] => true,
+    /// Stops all tasks, and waits until tasks and robot rest if `param` says so.
+    fn stop_all(&mut self, param: &Variant<'_>, stop: fn(&mut Tasks, Instant)) -> Answered {
+        let waits = synchronous(param)?;
+        stop(&mut self.tasks, self.common.now);
+        self.free_arm_of_tasks();
+        self.record_operation("all tasks stopped");
+        Ok(match (waits, self.tasks.iter().any(Task::is_running), self.is_moving()) {
+            (true, true, _) => Answer::Until(Wait::Tasks),
+            (true, false, true) => Answer::Until(Wait::Rest),
+            _ => Answer::Done,
+        })
+    }
+
+    /// Returns a fact about the controller. Minutes are those since it was switched on; the times of programs are not counted.
+    fn system_info(&self, number: i32) -> Result<Value, HResult> {
+        let Common { config, panel, now, .. } = &self.common;
+        let minutes = i32::try_from(now.as_micros() / 60_000_000).unwrap_or(i32::MAX);
+        let kinds = [Kind::I, Kind::F, Kind::D, Kind::V, Kind::P, Kind::J, Kind::T, Kind::S];
+        Ok(match number {
+            0 => Value::from(config.serial_number.as_str()),
+            // no network card
+            1 => Value::from("00:00:00:00:00:00"),
+            3 => Value::I4s(kinds.map(|kind| config.sizes.of(kind).into()).to_vec()),
+            // maintainer
+            5 => Value::I4(3000),
+            8 | 10 | 12 => Value::I4(minutes),
+            14 => Value::I4(self.arm.robot().motor_starts()),
+            // -1 when the date of the encoders' battery has passed
+            15 => Value::I4(if panel.battery_low { -1 } else { 0 }),
+            // no pendant, an unknown processor, no supervisory tasks, no panel
+            2 | 4 | 6 | 7 | 9 | 11 | 13 | 16 => Value::I4(0),
             _ => return Err(HResult::E_INVALIDARG),
-        };
-        self.kill_tasks();
-        Ok(if waits && self.is_moving() { Answer::Until(Wait::Rest) } else { Answer::Done })
+        })
     }
 
     /// Describes a code, with the last call that it refused.
@@ -260,28 +322,69 @@ fn count(n: usize) -> Value {
     Value::I4(i32::try_from(n).unwrap_or(i32::MAX))
 }
 
+/// Returns the 15 places of an entry of the error log.
 fn log_entry(config: &Config, entry: &Occurrence) -> Result<Value, HResult> {
-    let mut items = vec![Value::I4(entry.error.code.0)];
+    let code = entry.error.code;
+    let mut items = vec![Value::I4(code.0)];
     items.extend(civil_time(config, entry.error.at)?);
     let (program, line) = place_of(entry);
-    items.extend([Value::I4(0), Value::I4(0), Value::I4(line), Value::from(program)]);
-    items.push(Value::Text(description(entry.error.code)));
+    items.extend([Value::from(program), Value::I4(line), Value::Text(description(code)), Value::I4(code.0)]);
+    items.push(Value::I4(client_of(entry)));
     Ok(Value::List(items))
 }
 
+/// Returns the 12 places of an entry of the log of operations.
 fn operation(config: &Config, entry: &Operation) -> Result<Value, HResult> {
     let mut items = vec![Value::I4(0)];
     items.extend(civil_time(config, entry.at)?);
-    items.extend([Value::I4(0), Value::I4(0), Value::I4(0), Value::from(""), Value::from(entry.text.as_str())]);
+    items.extend([Value::I4(UNKNOWN_CLIENT), Value::from(entry.text.as_str())]);
     Ok(Value::List(items))
 }
 
-/// Returns year, month, day, hour, minute, second and millisecond of a time.
-fn civil_time(config: &Config, at: Instant) -> Result<[Value; 7], HResult> {
+/// Returns the number of the client that caused an error: a task, or the controller.
+fn client_of(entry: &Occurrence) -> i32 {
+    if entry.place.is_some() { 4 } else { 0 }
+}
+
+/// Returns year, month, day of the week (0 Sunday), day, hour, minute, second, millisecond and tick of a time.
+fn civil_time(config: &Config, at: Instant) -> Result<[Value; 9], HResult> {
     let time = config.date(at)?.to_civil().ok_or(HResult::DISP_E_OVERFLOW)?;
+    let weekday = config.weekday(at);
     let [month, day, hour] = [time.month, time.day, time.hour].map(i32::from);
     let [minute, second, milli] = [time.minute.into(), time.second.into(), time.millisecond.into()];
-    Ok([time.year.into(), month, day, hour, minute, second, milli].map(Value::I4))
+    // the tick wraps as a counter of 32 bits does
+    let tick = (at.as_micros() / 1000) as i32;
+    Ok([time.year.into(), month, weekday, day, hour, minute, second, milli, tick].map(Value::I4))
+}
+
+/// Reads whether a command answers after its effect.
+fn synchronous(param: &Variant<'_>) -> Result<bool, HResult> {
+    match numbers(param)?.as_slice() {
+        [] | [0.0] => Ok(false),
+        [1.0] => Ok(true),
+        _ => Err(HResult::E_INVALIDARG),
+    }
+}
+
+fn element<'v>(param: &Variant<'v>, place: usize) -> Option<Variant<'v>> {
+    match param.flatten() {
+        Variant::Array(array) => array.get(place).map(|item| item.flatten()),
+        _ => None,
+    }
+}
+
+/// Reads the task, the name and perhaps the index of a public variable, from this place of the parameter on.
+fn public_value(param: &Variant<'_>, from: usize) -> Result<(String, String, Option<usize>), HResult> {
+    let text = |place| match element(param, place) {
+        Some(Variant::Bstr(text)) => Ok(text.to_string().trim().to_owned()),
+        _ => Err(HResult::E_INVALIDARGTYPE),
+    };
+    let index =
+        element(param, from + 2).map(|index| usize::try_from(one_int(&index)?).map_err(|_| HResult::DISP_E_BADINDEX));
+    if element(param, from + 3).is_some() {
+        return Err(HResult::E_INVALIDARG);
+    }
+    Ok((text(from)?, text(from + 1)?, index.transpose()?))
 }
 
 /// Returns the program and the line at which an error has occurred; nothing and 0 outside of tasks.
@@ -308,11 +411,12 @@ fn index(param: &Variant<'_>) -> Result<usize, HResult> {
     usize::try_from(one_int(param)?).map_err(|_| HResult::DISP_E_BADINDEX)
 }
 
-fn error_info(entry: &Occurrence) -> Value {
+fn error_info(config: &Config, entry: &Occurrence) -> Result<Value, HResult> {
     let (program, line) = place_of(entry);
     let (code, message) = (entry.error.code, Value::Text(description(entry.error.code)));
     let (number, program) = (Value::I4, Value::from(program));
-    Value::List(vec![number(code.0), message, number(0), number(line), program, number(line), number(0)])
+    let places = [number(code.0), message, number(code.0), number(line), program, number(line), number(0)];
+    Ok(Value::List([&places[..], &[Value::Date(config.date(entry.error.at)?)]].concat()))
 }
 
 #[cfg(test)]

@@ -13,10 +13,10 @@ use super::{Controller, controller_execute};
 use crate::answer::{Answer, Answered};
 use crate::arm;
 use crate::comm;
-use crate::files::{Done, WorkProgress};
+use crate::files::{CRC, Done, WorkProgress};
 use crate::function::{command_of, executes};
 use crate::hand;
-use crate::objects::{Entry, Extension, Item, Owner};
+use crate::objects::{Entry, Extension, Item, Owner, VariableRef};
 use crate::options::{check as check_options, option};
 use crate::scenario::CallPlan;
 use crate::table::Command;
@@ -216,8 +216,10 @@ impl Controller {
                 let name = entry.name.clone();
                 self.run_file(peer, &name)
             }
-            // files have no variables and no commands
-            Item::File if request.function == FunctionId::FILE_GET_VARIABLE => Err(HResult::E_CAO_OBJECT_NOTFOUND),
+            Item::File if request.function == FunctionId::FILE_GET_VARIABLE && !is_crc(request) => {
+                Err(HResult::E_CAO_OBJECT_NOTFOUND)
+            }
+            // files have no commands
             Item::File if request.function == FunctionId::FILE_EXECUTE => Err(HResult::E_INVALID_CMD_NAME),
             Item::File => {
                 let progress = self.files.call(&self.common.context(peer), &entry.name, request)?;
@@ -266,8 +268,9 @@ impl Controller {
         check_options(&self.common.config, request)?;
         let silent =
             option(&request.text(3).to_string(), "@EventDisable").is_some_and(|v| v.eq_ignore_ascii_case("true"));
+        let name = self.objects.controller_name(&request.text(0).to_string());
         self.messages.connect(peer, !silent);
-        self.open(peer, Item::Controller, request.text(0).to_string())
+        self.open(peer, Item::Controller, name)
     }
 
     /// Opens an object and answers its handle.
@@ -339,7 +342,7 @@ impl Controller {
                 match extension {
                     Extension::Hand => {
                         let run = Command::handler(hand::COMMANDS, &name, functions)?;
-                        run(self.arm.hand_mut(), &mut self.common.context(peer))
+                        run(self.arm.hand_mut(), &mut self.common.context(peer), &request.value(2))
                     }
                     Extension::Comm => {
                         let run = Command::handler(comm::COMMANDS, &name, functions)?;
@@ -392,6 +395,9 @@ impl Controller {
             WorkProgress::Pending(at) => Answer::Poll(at),
             WorkProgress::Done(Done::Nothing) => Answer::Done,
             WorkProgress::Done(Done::Value(value)) => value.into(),
+            WorkProgress::Done(Done::Crc(crc)) => {
+                return self.open(peer, Item::Variable(VariableRef::Crc(crc)), CRC.to_owned());
+            }
             WorkProgress::Done(Done::Open(name)) => return self.open(peer, Item::File, name),
             WorkProgress::Done(Done::Moved(name)) => {
                 self.objects.rename(peer, request.handle(), name)?;
@@ -451,6 +457,12 @@ fn command(request: &Request<'_>) -> Option<(Option<&'static str>, bool)> {
         }
         _ => None,
     }
+}
+
+/// Tells whether a request opens the variable of a file; an example of the guide omits the `@`.
+fn is_crc(request: &Request<'_>) -> bool {
+    let name = request.text(1).to_string();
+    name.trim().eq_ignore_ascii_case(CRC) || name.trim().eq_ignore_ascii_case("CRC")
 }
 
 /// Encodes a value into `reply`.

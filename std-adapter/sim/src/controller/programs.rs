@@ -181,13 +181,6 @@ impl Controller {
         owner.is_some_and(|owner| (0..self.tasks.len()).any(|place| peer_of_task(place) == owner))
     }
 
-    /// Returns all tasks to their beginning, which halts their motion and frees the arm of them.
-    pub(super) fn kill_tasks(&mut self) {
-        self.tasks.kill(self.common.now);
-        self.free_arm_of_tasks();
-        self.record_operation("all tasks stopped");
-    }
-
     /// Halts the motions of tasks that do not run, and frees the arm from tasks at their beginning.
     pub(super) fn free_arm_of_tasks(&mut self) {
         for place in 0..self.tasks.len() {

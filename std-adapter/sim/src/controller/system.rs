@@ -3,8 +3,8 @@
 //!
 //! Reading a variable that can only be written answers `E_ACCESSDENIED`, writing one that can only be read
 //! `E_CAO_NOT_WRITABLE`. Variables without a function in this model have the value of an idle controller: `@DEADMAN_SW`
-//! and `@TSR_BUSY_STATUS` are false, `@AUTO_ENABLE` is true, `@IO_ALLOC_MODE` and a task's `@STATUS_DETAILS` are 0. A
-//! scenario sets `@PROTECTIVE_STOP`. `@LOCK`, the machine lock, is stored but has no effect.
+//! and `@TSR_BUSY_STATUS` are false, `@AUTO_ENABLE` is true, `@IO_ALLOC_MODE` is 0. A
+//! scenario sets `@PROTECTIVE_STOP`. Writing `@VAR_I_LEN` and the others but `@VAR_IO_LEN` changes the number of variables at once. `@LOCK`, the machine lock, is stored but has no effect.
 
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
@@ -54,16 +54,37 @@ pub(super) const VARIABLES: &[Property<Read, Write>] = &[
     read("@FIRMWARE", |controller| Ok(Value::from(controller.config().version.as_str()))),
     read("@SERIAL_NO", |controller| Ok(Value::from(controller.config().serial_number.as_str()))),
     read("@IO_ALLOC_MODE", |_| Ok(Value::I4(0))),
-    read("@VAR_I_LEN", |controller| Ok(size(controller, Kind::I))),
-    read("@VAR_F_LEN", |controller| Ok(size(controller, Kind::F))),
-    read("@VAR_D_LEN", |controller| Ok(size(controller, Kind::D))),
-    read("@VAR_V_LEN", |controller| Ok(size(controller, Kind::V))),
-    read("@VAR_P_LEN", |controller| Ok(size(controller, Kind::P))),
-    read("@VAR_J_LEN", |controller| Ok(size(controller, Kind::J))),
-    read("@VAR_T_LEN", |controller| Ok(size(controller, Kind::T))),
-    read("@VAR_S_LEN", |controller| Ok(size(controller, Kind::S))),
+    read("@VAR_I_LEN", |controller| Ok(size(controller, Kind::I)))
+        .and_write(|controller, _, value| put_size(controller, Kind::I, value), SIZE),
+    read("@VAR_F_LEN", |controller| Ok(size(controller, Kind::F)))
+        .and_write(|controller, _, value| put_size(controller, Kind::F, value), SIZE),
+    read("@VAR_D_LEN", |controller| Ok(size(controller, Kind::D)))
+        .and_write(|controller, _, value| put_size(controller, Kind::D, value), SIZE),
+    read("@VAR_V_LEN", |controller| Ok(size(controller, Kind::V)))
+        .and_write(|controller, _, value| put_size(controller, Kind::V, value), SIZE),
+    read("@VAR_P_LEN", |controller| Ok(size(controller, Kind::P)))
+        .and_write(|controller, _, value| put_size(controller, Kind::P, value), SIZE),
+    read("@VAR_J_LEN", |controller| Ok(size(controller, Kind::J)))
+        .and_write(|controller, _, value| put_size(controller, Kind::J, value), SIZE),
+    read("@VAR_T_LEN", |controller| Ok(size(controller, Kind::T)))
+        .and_write(|controller, _, value| put_size(controller, Kind::T, value), SIZE),
+    read("@VAR_S_LEN", |controller| Ok(size(controller, Kind::S)))
+        .and_write(|controller, _, value| put_size(controller, Kind::S, value), SIZE),
     read("@VAR_IO_LEN", |controller| Ok(size(controller, Kind::Io))),
 ];
+
+/// The largest number of variables of a kind.
+const SIZE_MAX: u16 = 32_766;
+
+const SIZE: &str = "one number, 1 to 32766";
+
+fn put_size(controller: &mut Controller, kind: Kind, value: &Variant<'_>) -> Answered {
+    let count =
+        u16::try_from(one_int(value)?).ok().filter(|n| (1..=SIZE_MAX).contains(n)).ok_or(HResult::E_INVALIDARG)?;
+    *controller.common.config.sizes.of_mut(kind) = count;
+    controller.common.variables.resize(kind, count);
+    Ok(Answer::Done)
+}
 
 fn size(controller: &Controller, kind: Kind) -> Value {
     Value::I4(controller.config().sizes.of(kind).into())

@@ -9,10 +9,10 @@ use bcap_core::variant::Variant;
 use super::{Controller, system};
 use crate::answer::{Answer, Answered};
 use crate::arm;
-use crate::objects::{Entry, Item, Owner, VariableRef};
+use crate::objects::{DefinitionKind, Entry, Item, Owner, VariableRef};
 use crate::table::Property;
 use crate::tasks;
-use crate::value::Value;
+use crate::value::{Value, numbers_of_array};
 use crate::variables::{self, Family, parse_name};
 
 impl Controller {
@@ -25,6 +25,11 @@ impl Controller {
                 VariableRef::User(family, index)
             }
             (None, Some((family, None)), Owner::Controller) => VariableRef::Wildcard(family, None),
+            (None, _, Owner::Robot) => {
+                let (kind, number) = DefinitionKind::parse(name).ok_or(HResult::E_CAO_OBJECT_NOTFOUND)?;
+                number.map_or(Ok(()), |number| self.arm.numbers(kind, number).map(drop))?;
+                VariableRef::Definition(kind, number)
+            }
             _ => return Err(HResult::E_CAO_OBJECT_NOTFOUND),
         };
         self.open(peer, Item::Variable(target), name.trim().to_owned())
@@ -44,10 +49,10 @@ impl Controller {
 
     fn get(&mut self, peer: PeerId, target: VariableRef) -> Result<Value, HResult> {
         match target {
-            VariableRef::User(family, n) | VariableRef::Wildcard(family, Some(n)) => {
-                self.common.variables.get(family, n)
-            }
-            VariableRef::Wildcard(_, None) => Err(HResult::DISP_E_BADINDEX),
+            VariableRef::User(family, n) => self.common.variables.get(family, n),
+            VariableRef::Wildcard(family, n) => self.common.variables.get(family, n.unwrap_or(0)),
+            VariableRef::Crc(crc) => Ok(Value::I4(crc)),
+            VariableRef::Definition(kind, number) => self.arm.numbers(kind, number.unwrap_or(0)),
             VariableRef::System(Owner::Controller, n) => property(system::VARIABLES, n)?.getter()?(self),
             VariableRef::System(Owner::Robot, n) => {
                 Ok(property(arm::variables::VARIABLES, n)?.getter()?(&self.arm, &self.common.context(peer)))
@@ -60,10 +65,16 @@ impl Controller {
 
     fn put(&mut self, peer: PeerId, target: VariableRef, value: &Variant<'_>) -> Answered {
         let (owner, n) = match target {
-            VariableRef::User(family, n) | VariableRef::Wildcard(family, Some(n)) => {
-                return self.put_user(peer, family, n, value).map(|()| Answer::Done);
+            VariableRef::User(family, n) => return self.put_user(peer, family, n, value).map(|()| Answer::Done),
+            VariableRef::Wildcard(family, n) => {
+                return self.put_user(peer, family, n.unwrap_or(0), value).map(|()| Answer::Done);
             }
-            VariableRef::Wildcard(_, None) => return Err(HResult::DISP_E_BADINDEX),
+            VariableRef::Definition(kind, number) => {
+                let mut ctx = self.common.context(peer);
+                ctx.may_write()?;
+                return self.arm.put_numbers(&mut ctx, kind, number.unwrap_or(0), &numbers_of_array(value)?);
+            }
+            VariableRef::Crc(_) => return Err(HResult::E_CAO_NOT_WRITABLE),
             VariableRef::System(owner, n) => (owner, n),
         };
         let mut ctx = self.common.context(peer);
@@ -95,10 +106,12 @@ impl Controller {
 /// Describes the values that Variable_PutValue accepts.
 pub(super) fn accepted_value(entry: &Entry) -> Option<&'static str> {
     match entry.item {
-        Item::Variable(VariableRef::User(family, _) | VariableRef::Wildcard(family, Some(_))) => {
+        Item::Variable(VariableRef::User(family, _) | VariableRef::Wildcard(family, _)) => {
             Some(variables::accepted(family))
         }
-        Item::Variable(VariableRef::Wildcard(_, None)) => Some("a value after Variable_PutID has chosen one variable"),
+        Item::Variable(VariableRef::Definition(..)) => {
+            Some("an array of 6 numbers of a tool, 6 or 7 of a work, 11 to 34 of an area")
+        }
         Item::Variable(VariableRef::System(owner, n)) => match owner {
             Owner::Controller => system::VARIABLES.get(n)?.accepts,
             Owner::Robot => arm::variables::VARIABLES.get(n)?.accepts,
@@ -126,7 +139,10 @@ fn find_variable(owner: Owner, name: &str) -> Option<usize> {
 pub(super) fn names_of(owner: Owner) -> Vec<&'static str> {
     match owner {
         Owner::Controller => system::VARIABLES.iter().map(|property| property.name).collect(),
-        Owner::Robot => arm::variables::VARIABLES.iter().map(|property| property.name).collect(),
+        Owner::Robot => {
+            let definitions = ["Tool*", "Work*", "Area*"];
+            arm::variables::VARIABLES.iter().map(|property| property.name).chain(definitions).collect()
+        }
         Owner::Task(_) => tasks::VARIABLES.iter().map(|property| property.name).collect(),
     }
 }

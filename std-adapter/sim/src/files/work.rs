@@ -21,6 +21,9 @@ const NAMES_MAX: usize = 1 << 16;
 /// The largest number of parts of a path.
 const PARTS_MAX: usize = 32;
 
+/// The variable of a file.
+pub(crate) const CRC: &str = "@CRC";
+
 /// The bits of File_GetAttribute, as Windows numbers them.
 const READ_ONLY: i32 = 1;
 const FOLDER: i32 = 16;
@@ -30,6 +33,8 @@ const FOLDER: i32 = 16;
 pub(crate) enum Done {
     Nothing,
     Value(Value),
+    /// The call opens the variable `@CRC` with this value.
+    Crc(i32),
     /// The call opens the file with this name from the root.
     Open(String),
     /// The file was moved, and has this name from the root.
@@ -59,6 +64,12 @@ pub(super) enum FileOperation {
     Move(String),
     /// A function without arguments.
     Other(FunctionId),
+}
+
+/// Returns the CRC-32 of ISO 3309 (reflected, polynomial 0x04C11DB7).
+fn crc32(bytes: &[u8]) -> u32 {
+    let step = |crc: u32, _| if crc & 1 == 0 { crc >> 1 } else { crc >> 1 ^ 0xedb8_8320 };
+    !bytes.iter().fold(u32::MAX, |crc, byte| (0..8).fold(crc ^ u32::from(*byte), step))
 }
 
 /// Returns the bytes to be written to a file.
@@ -100,20 +111,24 @@ impl Work {
         }
     }
 
-    /// Opens a file or folder; the option `@Create=1` makes one that does not exist.
+    /// Opens a file or folder; the options `@Create=1` and `@Create=2` make one that does not exist, and with 2 it is an error if it
+    /// exists.
     fn open(&self, name: &str, options: &str) -> Result<Done, HResult> {
         let place = self.place(&self.base, name)?;
         if place.parts.is_empty() {
             // no client may move or delete the root
             return Err(HResult::E_INVALIDARG);
         }
-        let path = place.path();
+        let (path, mode) = (place.path(), option(options, "@Create"));
         match fs::metadata(&path) {
             Ok(metadata) => {
                 known(metadata)?;
+                if mode == Some("2") {
+                    return Err(HResult::E_CAO_COLLECTION_REGISTERED);
+                }
             }
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(failed(error)),
-            Err(_) if option(options, "@Create") != Some("1") => return Err(HResult::E_CAO_OBJECT_NOTFOUND),
+            Err(_) if !matches!(mode, Some("1" | "2")) => return Err(HResult::E_CAO_OBJECT_NOTFOUND),
             Err(_) => {
                 self.writable?;
                 let made = if is_folder_name(name) { fs::create_dir(path) } else { create(&path).map(drop) };
@@ -127,7 +142,11 @@ impl Work {
     fn other(&self, function: FunctionId, path: &Path, metadata: &Metadata) -> Result<Done, HResult> {
         let date = |time: io::Result<SystemTime>| date(time.or_else(|_| metadata.modified()));
         Ok(Done::Value(match function {
-            FunctionId::FILE_GET_VARIABLE_NAMES => Value::Texts(Vec::new()),
+            FunctionId::FILE_GET_VARIABLE_NAMES => Value::Texts(vec![CRC.to_owned()]),
+            FunctionId::FILE_GET_VARIABLE if metadata.len() > LARGEST => return Err(HResult::E_TOO_MUCH_DATA),
+            FunctionId::FILE_GET_VARIABLE => {
+                return Ok(Done::Crc(crc32(&fs::read(path).map_err(failed)?).cast_signed()));
+            }
             FunctionId::FILE_GET_VALUE => read(path)?,
             FunctionId::FILE_DELETE => {
                 self.writable?;

@@ -7,7 +7,8 @@ use serde::Deserialize;
 
 use super::ScenarioError;
 use super::section::read_code;
-use crate::program::{Assignment, Constant, Program, Step};
+use crate::program::{Assignment, Constant, Program, PublicValues, Step};
+use crate::value::Value;
 
 /// The largest number of steps of a program.
 const STEPS_MAX: usize = 10_000;
@@ -20,6 +21,49 @@ pub(super) struct TaskEntry {
     #[serde(default = "default_line")]
     line_ms: u64,
     start: Option<i32>,
+    #[serde(default)]
+    public: BTreeMap<String, PublicEntry>,
+}
+
+/// A public variable: its type is that of its value, or the key of a pose.
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum PublicEntry {
+    Bool(bool),
+    Integer(i32),
+    Number(f64),
+    Text(String),
+    Integers(Vec<i32>),
+    Numbers(Vec<f64>),
+    Texts(Vec<String>),
+    Pose(PoseEntry),
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum PoseEntry {
+    V([f32; 3]),
+    P([f32; 7]),
+    J([f32; 8]),
+    T([f32; 10]),
+}
+
+impl PublicEntry {
+    fn read(self) -> Value {
+        match self {
+            Self::Bool(on) => Value::Bool(on),
+            Self::Integer(n) => Value::I4(n),
+            Self::Number(n) => Value::R8(n),
+            Self::Text(text) => Value::Text(text),
+            Self::Integers(items) => Value::I4s(items),
+            Self::Numbers(items) => Value::R8s(items),
+            Self::Texts(items) => Value::Texts(items),
+            Self::Pose(PoseEntry::V(items)) => Value::R4s(items.to_vec()),
+            Self::Pose(PoseEntry::P(items)) => Value::R4s(items.to_vec()),
+            Self::Pose(PoseEntry::J(items)) => Value::R4s(items.to_vec()),
+            Self::Pose(PoseEntry::T(items)) => Value::R4s(items.to_vec()),
+        }
+    }
 }
 
 const fn default_line() -> u64 {
@@ -85,7 +129,8 @@ impl TaskEntry {
         let steps = self.steps.into_iter().enumerate();
         let steps = steps.map(|(n, step)| step.read().map_err(|problem| wrong(n + 1, problem)));
         let steps = steps.collect::<Result<Vec<_>, _>>()?.into();
-        Ok(Program { steps, line: Duration::from_millis(self.line_ms), start: self.start, name })
+        let public = PublicValues::new(self.public.into_iter().map(|(name, value)| (name, value.read())).collect());
+        Ok(Program { steps, line: Duration::from_millis(self.line_ms), start: self.start, public, name })
     }
 }
 

@@ -70,6 +70,11 @@ impl Steps {
         (self.at, self.entered, self.left, self.polled) = (0, false, Duration::ZERO, None);
     }
 
+    /// Goes to the beginning of the step before the present one.
+    pub(super) fn step_back(&mut self) {
+        (self.at, self.entered, self.left, self.polled) = (self.at.saturating_sub(1), false, Duration::ZERO, None);
+    }
+
     /// Continues, or starts at the beginning.
     pub(super) fn resume(&mut self, now: Instant) {
         if self.at == 0 && !self.entered {

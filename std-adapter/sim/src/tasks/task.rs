@@ -6,21 +6,29 @@ use bcap_core::bcap::FunctionId;
 use bcap_core::bcap::server::Request;
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
+use bcap_core::variant::Variant;
 
 use super::steps::{ReadyStep, Steps};
 use super::timed::Timed;
 use crate::answer::{Answer, Answered};
 use crate::context::Context;
 use crate::function::command_of;
-use crate::program::Program;
+use crate::program::{Program, PublicValues};
 use crate::rules;
 use crate::table::Command;
-use crate::value::Value;
+use crate::value::{Value, one_int};
 
-type Read = fn(&Task) -> Value;
+type Run = fn(&mut Task, &Variant<'_>) -> Answered;
 
 /// The commands of Task_Execute.
-const COMMANDS: &[Command<Read>] = &[Command::new("GetStatus", Task::status_value)];
+pub(crate) const COMMANDS: &[Command<Run>] = &[
+    Command::new("GetStatus", |task, _| Ok(task.status_value().into())),
+    Command::new("GetThreadPriority", |task, _| Ok(Value::I4(task.priority).into())),
+    Command::new("SetThreadPriority", Task::set_priority as Run).accepts("nothing, which is 0, or one number, -2 to 2"),
+];
+
+/// The priorities of a task; they have no effect.
+const PRIORITIES: std::ops::RangeInclusive<i32> = -2..=2;
 
 /// The state of a task, with the numbers of `@STATUS` and GetStatus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,6 +44,9 @@ pub enum TaskStatus {
     /// Stopped at the end of a line.
     StepStop = 4,
 }
+
+/// The mode of Task_Start that goes one line back.
+const STEP_BACK: i32 = 4;
 
 /// The point at which a running task stops by itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -67,18 +78,21 @@ pub(crate) struct Task {
     pub(super) elapsed: Duration,
     /// It has completed a cycle, without being stopped, since it was last started.
     completed: bool,
+    priority: i32,
+    public: PublicValues,
 }
 
 impl Task {
     pub(super) fn timed(name: String, cycle: Duration, lines: u32) -> Self {
-        Self::new(name, Activity::Timed(Timed::new(cycle, lines)))
+        Self::new(name, Activity::Timed(Timed::new(cycle, lines)), PublicValues::default())
     }
 
     pub(super) fn of(program: Program) -> Self {
-        Self::new(program.name.clone(), Activity::Steps(Steps::new(program)))
+        let public = program.public.clone();
+        Self::new(program.name.clone(), Activity::Steps(Steps::new(program)), public)
     }
 
-    const fn new(name: String, activity: Activity) -> Self {
+    const fn new(name: String, activity: Activity, public: PublicValues) -> Self {
         Self {
             name,
             activity,
@@ -88,7 +102,17 @@ impl Task {
             cycles: 0,
             elapsed: Duration::ZERO,
             completed: false,
+            priority: 0,
+            public,
         }
+    }
+
+    pub(crate) fn public(&self) -> &PublicValues {
+        &self.public
+    }
+
+    pub(crate) fn public_mut(&mut self) -> &mut PublicValues {
+        &mut self.public
     }
 
     pub(crate) fn name(&self) -> &str {
@@ -142,7 +166,7 @@ impl Task {
         match request.function {
             FunctionId::TASK_EXECUTE => {
                 let name = command_of(request).unwrap_or_default();
-                Ok(Command::handler(COMMANDS, &name, ctx.config.model.functions)?(self).into())
+                Command::handler(COMMANDS, &name, ctx.config.model.functions)?(self, &request.value(2))
             }
             // a deleted task answers its state only
             _ if self.status == TaskStatus::NonExistent => Err(HResult::E_CAO_OBJECT_NOTFOUND),
@@ -162,8 +186,12 @@ impl Task {
         Ok(Answer::Done)
     }
 
-    /// Starts or continues it: mode 1 to the end of the cycle, 2 until it is stopped, 3 to the end of the line.
+    /// Starts or continues it: mode 1 to the end of the cycle, 2 until it is stopped, 3 to the end of the line. Mode 4 goes one
+    /// line back, and stops there.
     pub(crate) fn start(&mut self, mode: i32, now: Instant) -> Result<(), HResult> {
+        if mode == STEP_BACK {
+            return self.step_back();
+        }
         let until = match mode {
             1 => Until::CycleEnd,
             2 => Until::Stopped,
@@ -183,6 +211,43 @@ impl Task {
         Ok(())
     }
 
+    /// Executes SetThreadPriority; without a number the priority is 0.
+    fn set_priority(&mut self, param: &Variant<'_>) -> Answered {
+        let priority = if param.is_empty() { 0 } else { one_int(param)? };
+        self.priority = Some(priority).filter(|n| PRIORITIES.contains(n)).ok_or(HResult::E_INVALIDARG)?;
+        Ok(Answer::Done)
+    }
+
+    /// Goes one line back; a task at its beginning stays there.
+    fn step_back(&mut self) -> Result<(), HResult> {
+        match self.status {
+            TaskStatus::NonExistent => return Err(HResult::E_CAO_OBJECT_NOTFOUND),
+            TaskStatus::Running => return Err(HResult::E_CAO_CMD_EXECUTE),
+            TaskStatus::Ready => return Ok(()),
+            TaskStatus::Suspended | TaskStatus::StepStop => self.status = TaskStatus::StepStop,
+        }
+        match &mut self.activity {
+            Activity::Timed(timed) => timed.step_back(),
+            Activity::Steps(steps) => steps.step_back(),
+        }
+        Ok(())
+    }
+
+    /// Stops it at the end of its line.
+    pub(super) fn stop_at_line_end(&mut self) {
+        self.until = self.line_end();
+    }
+
+    /// Continues it, if it is suspended, as it was last started.
+    pub(super) fn continue_start(&mut self, now: Instant) {
+        if self.status == TaskStatus::Suspended {
+            (self.status, self.since) = (TaskStatus::Running, now);
+            if let Activity::Steps(steps) = &mut self.activity {
+                steps.resume(now);
+            }
+        }
+    }
+
     /// Stops it for a client.
     pub(super) fn stop_for(&mut self, ctx: &mut Context<'_>, mode: i32) -> Result<bool, HResult> {
         let stopped = self.stop(mode, ctx.now)?;
@@ -196,7 +261,7 @@ impl Task {
         let running = self.is_running();
         match mode {
             0 | 1 => self.suspend(now),
-            2 => self.until = self.line_end(),
+            2 => self.stop_at_line_end(),
             3 => self.until = Until::CycleEnd,
             4 => {
                 let changed = self.status != TaskStatus::Ready;

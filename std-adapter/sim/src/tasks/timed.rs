@@ -33,6 +33,11 @@ impl Timed {
         if line >= self.lines { self.cycle } else { self.line_time() * line }
     }
 
+    /// Goes to the beginning of the line before the present one.
+    pub(super) fn step_back(&mut self) {
+        self.progress = self.line_time() * self.line().unsigned_abs().saturating_sub(2);
+    }
+
     /// Passes whole cycles, and returns their number.
     pub(super) fn pass(&mut self, time: Duration) -> u64 {
         let micros = |n: u128| u64::try_from(n).unwrap_or(u64::MAX);

@@ -10,9 +10,6 @@ use crate::context::Context;
 use crate::table::Property;
 use crate::value::{Value, one_int};
 
-/// The priority of every task.
-const PRIORITY: i32 = 128;
-
 type Read = fn(&Task) -> Value;
 type Write = fn(&mut Task, &mut Context<'_>, &Variant<'_>) -> Answered;
 
@@ -27,15 +24,16 @@ const fn write(name: &'static str, put: Write, accepts: &'static str) -> Propert
 /// The system variables of a task, in the order of Task_GetVariableNames.
 pub(crate) const VARIABLES: &[Property<Read, Write>] = &[
     read("@STATUS", Task::status_value),
-    read("@STATUS_DETAILS", |_| Value::I4(0)),
-    read("@PRIORITY", |_| Value::I4(PRIORITY)),
-    read("@LINE_NO", |task| Value::I4s(vec![task.line()])),
+    read("@STATUS_DETAILS", Task::status_value),
+    Property::unsupported("@PRIORITY"),
+    // the line, and the file: file objects have no ID
+    read("@LINE_NO", |task| Value::I4s(vec![task.line(), 0])),
     read("@CYCLE_TIME", |task| millis(task.cycle_time())),
     read("@ELAPSED_TIME", |task| millis(task.elapsed)),
     write(
         "@START",
         |task, ctx, mode| task.start_for(ctx, one_int(mode)?),
-        "one number: 1 one cycle, 2 continuous, 3 one line",
+        "one number: 1 one cycle, 2 continuous, 3 one line, 4 one line back",
     ),
     write(
         "@STOP",

@@ -5,7 +5,7 @@ use bcap_core::hresult::HResult;
 use bcap_sim::codes::UNREACHABLE;
 use bcap_sim::{ArmProfile, Config, Profile};
 
-use crate::common::{Client, World, code, doubles, ok};
+use crate::common::{Client, World, close, code, doubles, ok};
 use crate::robot::assert_close;
 
 const START: &str = "P(300, 0, 300, 180, 0, 180, 5)";
@@ -153,4 +153,37 @@ fn rotate_turns_the_flange_with_the_circle_or_not() {
         let go = call::robot_rotate(client.robot, plane, 1.0, centre, option);
         assert_eq!(world.run(client.peer, go), code(HResult::E_INVALIDARG), "{plane} {centre} {option}");
     }
+}
+
+#[test]
+fn a_path_goes_through_its_points() {
+    let mut world = World::new();
+    let client = world.mover(1);
+    let place = "364.16,0,278.5355,180,0,180,5";
+    for pose in [&format!("P({place})"), "P(364.16,100,278.5355,180,0,180,5)", "P(300,100,278.5355,180,0,180,5)"] {
+        assert_eq!(world.robot(client, "AddPathPoint", (20, pose)), ok(&()));
+    }
+    assert_eq!(world.move_to(client, 4, "@E 20", ""), HResult::S_OK);
+    let here = doubles(&world.robot(client, "CurPos", ()).1);
+    assert!(close(&here, &[300.0, 100.0, 278.5355, 180.0, 0.0, 180.0, 5.0], 1e-3), "{here:?}");
+    for path in [0, 21] {
+        assert_eq!(world.move_to(client, 4, path, ""), HResult::E_INVALIDARG, "{path}");
+    }
+}
+
+#[test]
+fn a_plane_is_three_points_or_two_axes_of_the_tool() {
+    let end = |plane: &str| {
+        let mut world = World::new();
+        let client = world.mover(1);
+        let rotate = call::robot_rotate(client.robot, plane, 10.0, "V(300,0,278.5355)", "");
+        assert_eq!(world.run(client.peer, rotate), code(HResult::S_OK), "{plane}");
+        doubles(&world.robot(client, "CurPos", ()).1)
+    };
+    let base = end("XY");
+    for plane in ["V(0,0,5), V(1,0,5), V(0,1,5)", "V(0,0,0) V(1,0,0)\tV(0,1,0)"] {
+        assert!(close(&end(plane), &base, 1e-3), "{plane}");
+    }
+    // the z of the tool points down
+    assert!((end("XYH")[1] + base[1]).abs() < 1e-3, "{:?} {base:?}", end("XYH"));
 }

@@ -15,13 +15,11 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 /// A model without RAC leaves `rac=IP:PORT` out.
 /// Port 0 selects a free port. On SIGINT, SIGTERM and SIGHUP it exits with 0.
 ///
-/// Not simulated, and answered with E_NOTIMPL: force control (ForceSensor, ForceValue, ForceCtrl, ForceParam); the
-/// provider of electric hands; SyncTimeStart, SyncTimeEnd, SyncMoveStart and SyncMoveEnd, which need a second robot;
-/// and features that no public source describes: areas (GetAreaDef, GetAreaEnabled, SetAreaEnabled), free curves
-/// (interpolation 4, AddPathPoint, ClrPathPoint, LoadPathPoint), scenes (CurScene, CurSubScene, SceneInfo), MPS,
-/// SetAutoMode and CalcPos of a pallet. For the same reason the option TIME= of a motion and the planes XYH, YZH and
-/// ZXH of a rotation are refused with E_INVALIDARG. HandCurPressure, the commands of electric hands (Motor, Org,
-/// get_BusyState, get_OrgState) and of other hands (HandGrip, HandRelease) are refused with E_INVALID_CMD_NAME.
+/// Not simulated, and answered with E_NOTIMPL, because only hardware could answer: force control (ForceSensor, ForceValue,
+/// ForceCtrl, ForceParam, ForceWaitCondition, ForceChangeTable); the provider of electric hands; SyncTimeStart, SyncTimeEnd,
+/// SyncMoveStart and SyncMoveEnd, which need a second robot; GenerateNonStopPath, which needs a licence. No public source
+/// describes scenes (CurScene, CurSubScene, SceneInfo), SetAutoMode and CalcPos of a pallet. HandCurPressure and the
+/// commands of other hands (HandGrip, HandRelease) are refused with E_INVALID_CMD_NAME.
 /// docs/virtual-controller.md describes every function and command.
 #[derive(Debug, Args)]
 #[command(after_help = "\
