@@ -202,6 +202,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     }
 
     /// Returns whether the end of this session has something to undo on the robot.
+    #[cfg(feature = "tokio")]
     pub(crate) const fn uses_robot(&self) -> bool {
         self.arm.is_used()
     }
