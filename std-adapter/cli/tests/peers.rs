@@ -240,8 +240,12 @@ fn an_incomplete_list_over_udp_is_an_error() {
     assert_eq!((tcp.code, tcp.err.as_str()), (0, ""));
     let udp = bcap(&["names", "--robot", &format!("udp:{}", sim.udp)]);
     assert_eq!(udp.code, 1, "{udp:?}");
-    // the two lists that do not fit a datagram are reported, the others are complete
-    for list in ["controller: Controller_GetVariableNames", "robot:Arm0: Robot_GetVariableNames"] {
+    // the lists that do not fit a datagram are reported, the others are complete
+    for list in [
+        "controller: Controller_GetVariableNames",
+        "controller: Controller_GetCommandNames",
+        "robot:Arm0: Robot_GetVariableNames",
+    ] {
         let refused = format!("error: {list}: the controller refused with 0x80000909 (E_TOO_MUCH_DATA)");
         assert!(udp.err.contains(&refused), "{}", udp.err);
     }
@@ -250,11 +254,11 @@ fn an_incomplete_list_over_udp_is_an_error() {
     assert_eq!(kept, udp.out.lines().collect::<Vec<_>>());
     let missing = tcp.out.lines().filter(|line| !kept.contains(line));
     for line in missing {
-        let is_of_the_controller = !line.contains('/') && !line.contains(':');
+        let is_of_the_controller = !line.contains('/') && (!line.contains(':') || line.starts_with("command:"));
         assert!(is_of_the_controller || line.starts_with("robot:Arm0/"), "{line}");
     }
     let json = bcap(&["names", "--json", "--robot", &format!("udp:{}", sim.udp)]);
-    assert_eq!(json.out.matches("\"hresult\":\"E_TOO_MUCH_DATA\"").count(), 2, "{}", json.out);
+    assert_eq!(json.out.matches("\"hresult\":\"E_TOO_MUCH_DATA\"").count(), 3, "{}", json.out);
 }
 
 #[test]

@@ -10,6 +10,9 @@ use crate::common::{Run, bcap, command};
 use bcap_tests::real_time::repeated;
 use serde_json::Value;
 
+/// The calls of a recorded session that may move or write. Its end halts the robot before it switches the motor off.
+const ALLOWED: [&str; 5] = ["Variable_PutValue", "Robot_Execute", "Robot_Move", "Robot_Halt", "PUT"];
+
 fn path(name: &str) -> PathBuf {
     Path::new(env!("CARGO_TARGET_TMPDIR")).join(name)
 }
@@ -86,8 +89,7 @@ fn a_whole_session_has_the_same_replies_on_a_new_controller() {
         let (recorded, _) = recorded::proxied(&["--quiet"]);
         let served = recorded::serve();
         let [tcp, udp, rac] = [&served.tcp, &served.udp, &served.rac].map(ToString::to_string);
-        let allowed =
-            ["Variable_PutValue", "Robot_Execute", "Robot_Move", "PUT"].map(|name| ["--allow", name]).concat();
+        let allowed = ALLOWED.map(|name| ["--allow", name]).concat();
         // the position depends on the moment
         let more = ["--volatile", "Robot_Execute/slvMove", "--fast"];
         let file = recorded.file.to_str().unwrap();
@@ -143,7 +145,7 @@ fn a_server_that_plays_a_session_back_gives_the_recorded_replies() {
     let file = recorded.file.to_str().unwrap();
     let again = path("again.pcapng");
     let server = Running::sim(&["--replay", file, "--write", again.to_str().unwrap()]);
-    let allowed = ["Variable_PutValue", "Robot_Execute", "Robot_Move", "PUT"].map(|name| ["--allow", name]).concat();
+    let allowed = ALLOWED.map(|name| ["--allow", name]).concat();
     // positions of Slave Mode are compared too: they are the recorded ones
     let run = replay(&recorded.file, &server, &[&["--fast"][..], &allowed].concat());
     assert_eq!((run.code, run.err.as_str()), (0, ""), "{run:?}");
