@@ -64,8 +64,10 @@ pub(crate) fn fleet_program() -> PathBuf {
     let program = Path::new(env!("CARGO_BIN_EXE_bcap")).with_file_name("bcap-fleet");
     BUILT.call_once(|| {
         if !program.exists() {
-            let build = Command::new(env!("CARGO")).args(["build", "--quiet", "--package", "bcap-fleet"]).status();
-            assert!(build.unwrap().success());
+            // the profile of these tests, whose folder it is
+            let profile = if cfg!(debug_assertions) { "dev" } else { "release" };
+            let build = ["build", "--quiet", "--package", "bcap-fleet", "--profile", profile];
+            assert!(Command::new(env!("CARGO")).args(build).status().unwrap().success());
         }
     });
     program
