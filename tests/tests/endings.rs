@@ -57,6 +57,13 @@ fn until(sim: &Served<Simulated>, reached: impl Fn(&Simulated) -> bool) {
     panic!("the controller did not get there");
 }
 
+/// Asserts that another client's motion goes on, with the motor on.
+fn assert_undisturbed(sim: &Served<Simulated>) {
+    let mut controller = sim.application();
+    controller.advance(bcap_std::now());
+    assert!(controller.is_moving() && controller.motor_is_on());
+}
+
 /// Asserts that the robot rests, with its motor off, and that no client has the arm. It may brake for some more cycles.
 fn assert_safe(sim: &Served<Simulated>) {
     let (owner, motor) = {
@@ -110,9 +117,7 @@ fn a_program_that_only_reads_stops_no_other_client() {
             cell
         });
         drop((cell, runtime));
-        let mut controller = sim.application();
-        controller.advance(bcap_std::now());
-        assert!(controller.is_moving() && controller.motor_is_on());
+        assert_undisturbed(&sim);
     }
     drop(moving);
     drop(arm);
@@ -387,11 +392,7 @@ fn a_robot_that_another_client_has_taken_meanwhile_is_left_alone() {
         drop(arm);
         drop(cell);
         tokio::time::sleep(Duration::from_secs(1)).await;
-        {
-            let mut controller = sim.application();
-            controller.advance(bcap_std::now());
-            assert!(controller.is_moving() && controller.motor_is_on());
-        }
+        assert_undisturbed(&sim);
         drop(their_motion);
     });
     drop(runtime);

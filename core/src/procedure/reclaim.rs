@@ -71,7 +71,7 @@ pub struct Reclaimed {
 #[non_exhaustive]
 pub enum ArmOwner {
     /// No client: the arm was taken and given back.
-    Nobody,
+    Free,
     /// Another client or a task; nothing was changed.
     Other,
     /// Unknown: the lost session still owns it, or the controller did not say.
@@ -138,7 +138,8 @@ impl ReclaimSteps {
         Step::End
     }
 
-    /// Returns the step that halts the robot, if it may move or nobody else can.
+    /// Returns the step that halts the robot, if the session may have moved it, or owns the arm now, so that no other client
+    /// moves it.
     fn halt(&self) -> Step {
         let Effects { moving, streaming, .. } = self.effects;
         if self.taken || moving || streaming { Step::Halt } else { self.switch_off() }
@@ -171,7 +172,7 @@ impl ReclaimSteps {
                 self.output.motor_off = done;
                 self.give()
             }
-            (Step::GiveArm, None) => self.end(ArmOwner::Nobody),
+            (Step::GiveArm, None) => self.end(ArmOwner::Free),
             _ => Step::End,
         };
     }

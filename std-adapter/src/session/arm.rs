@@ -65,7 +65,7 @@ impl Recovery {
             |before: Option<bool>, now: Option<bool>| if before == Some(true) { before } else { now.or(before) };
         self.halted = either(self.halted, reclaimed.halted);
         self.motor_off = either(self.motor_off, reclaimed.motor_off);
-        self.arm_free |= reclaimed.owner == ArmOwner::Nobody;
+        self.arm_free |= reclaimed.owner == ArmOwner::Free;
     }
 }
 

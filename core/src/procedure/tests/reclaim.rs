@@ -1,4 +1,4 @@
-//! `reclaim` against a robot that another client uses, or nobody.
+//! `reclaim` on a robot that another client uses, and on a free one.
 
 use super::*;
 
@@ -29,7 +29,7 @@ const NONE: (&str, HResult) = ("", HResult::S_OK);
 fn a_free_arm_is_taken_before_the_robot_is_halted() {
     for (effects, off) in [(MOVED, Some(true)), (Effects { motor: false, ..MOVED }, None), (MOTOR, Some(true))] {
         let done = reclaimed(effects, 0, NONE);
-        let expected = Reclaimed { owner: ArmOwner::Nobody, halted: Some(true), motor_off: off };
+        let expected = Reclaimed { owner: ArmOwner::Free, halted: Some(true), motor_off: off };
         assert_eq!(done.result, Ok(expected));
         let calls = [MODE, TAKE, HALT].into_iter().chain(off.map(|_| OFF)).chain([GIVE]);
         assert_eq!(done.calls, calls.collect::<Vec<_>>());
@@ -72,7 +72,7 @@ fn a_refusal_keeps_nothing_moving() {
     assert_eq!(done.calls, [MODE, TAKE, OFF]);
     let done = reclaimed(MOVED, 0, (HALT, HResult::E_FAIL));
     assert_eq!(done.calls, [MODE, TAKE, HALT, OFF, GIVE]);
-    assert_eq!(done.result, Ok(Reclaimed { owner: ArmOwner::Nobody, halted: Some(false), motor_off: Some(true) }));
+    assert_eq!(done.result, Ok(Reclaimed { owner: ArmOwner::Free, halted: Some(false), motor_off: Some(true) }));
     let done = reclaimed(MOVED, 0, (GIVE, HResult::E_FAIL));
     assert_eq!(done.result.unwrap().owner, ArmOwner::Unknown);
     // another client was seen to own the arm, and the refused question has left the error
