@@ -26,6 +26,8 @@ pub struct Config {
     pub arm: Option<[i32; 2]>,
     /// Whether to switch the motor on.
     pub motor: bool,
+    /// Whether to switch the motor off at the end, if the engine has switched it on; also if it was on before.
+    pub motor_off: bool,
     /// The required position of the robot at the start of the stream; `None` accepts any position.
     pub start: Option<Pose>,
     /// The tolerance of each value of `start`, in mm or degrees.
@@ -43,7 +45,8 @@ pub struct Config {
 }
 
 impl Config {
-    /// Takes the arm (group 0) and switches the motor on; no limits, no expected start, six joints, no second connection.
+    /// Takes the arm (group 0) and switches the motor on, and off at the end; no limits, no expected start, six joints, no
+    /// second connection.
     ///
     /// A stop slows down within 200 ms; poses are late after half a cycle, and the stream fails after 1 s of E_BUF_FULL.
     #[must_use]
@@ -55,6 +58,7 @@ impl Config {
             cycle: Duration::from_millis(8),
             arm: Some([0, 1]),
             motor: true,
+            motor_off: true,
             start: None,
             tolerance: 0.05,
             limits: AxisLimits::NONE,

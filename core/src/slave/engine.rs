@@ -19,6 +19,7 @@
 //! * After an error it sends no pose: it queries the controller, and leaves Slave Mode if it is on.
 //! * It starts nothing, and ends nothing, while a stream of Slave Mode runs that it has not started.
 //! * Only [`Engine::recover`] clears the error list and switches the motor on again, and never after an emergency stop.
+//! * It switches the motor off that it has switched on, unless [`Config::motor_off`] is unset, and before it gives the arm back.
 
 use core::time::Duration;
 
@@ -36,7 +37,7 @@ use super::stats::Stats;
 use crate::bcap::client::Timing;
 use crate::bcap::{Frame, Link, Properties, StreamState};
 use crate::hresult::HResult;
-use crate::procedure::{Channel, Failure};
+use crate::procedure::{Channel, Claim, Effects, Failure};
 use crate::time::{Instant, micros_u32};
 use crate::variant::Variant;
 
@@ -54,7 +55,7 @@ pub enum Action {
     },
     /// Poll again at this time.
     Wait(Instant),
-    /// The robot is at rest, Slave Mode is off, and the arm is given back.
+    /// The robot is at rest, Slave Mode and the motor are off, and the arm is given back.
     Finished,
     /// The stream failed; [`Engine::fault`] says why. Slave Mode was left if that was possible.
     Faulted,
@@ -167,6 +168,9 @@ pub struct Engine<const N: usize = MOVE_FRAME> {
     motion: Health,
     watch: Health,
     has_arm: bool,
+    /// Whether this engine may have switched the motor on, and whether its poses may move the robot.
+    has_motor: bool,
+    may_move: bool,
     /// Whether this engine may have entered Slave Mode, so that it must leave it.
     may_be_in_mode: bool,
     /// Whether this is a start after a fault, which accepts any position of the robot.
@@ -174,6 +178,9 @@ pub struct Engine<const N: usize = MOVE_FRAME> {
     /// Whether `stop` was called while starting or recovering.
     stop_wanted: bool,
     stop: Option<Stop>,
+    /// Whether the engine ends after a fault, and the first of its steps that failed at the end.
+    gives_up: bool,
+    unreleased: Option<(Step, Cause)>,
     /// The start of the stream, in the shape of the format.
     start: Option<Pose>,
     /// The last pose in the frame, and its step and speed.
@@ -217,10 +224,14 @@ impl<const N: usize> Engine<N> {
             motion: Health::Good,
             watch: if config.watch.is_some() { Health::Good } else { Health::Lost },
             has_arm: false,
+            has_motor: false,
+            may_move: false,
             may_be_in_mode: false,
             restarted: false,
             stop_wanted: false,
             stop: None,
+            gives_up: false,
+            unreleased: None,
             start: None,
             last: Pose::zero(expected),
             delta: Delta::ZERO,
@@ -304,10 +315,12 @@ impl<const N: usize> Engine<N> {
         if failure != Failure::NotSent {
             // without a reply it may have been executed
             self.has_arm |= self.step == Step::TakeArm;
+            self.has_motor |= self.step == Step::Motor;
             self.may_be_in_mode |= self.step == Step::Enter;
         }
         match self.phase {
             Phase::Diagnosing => self.skip_diagnosis(failure),
+            Phase::Leaving if self.gives_up => self.keep_unreleased(Cause::Failed(failure)),
             _ => self.fail(Cause::Failed(failure)),
         }
     }
@@ -371,8 +384,9 @@ impl<const N: usize> Engine<N> {
     /// Ends a stream in motion.
     ///
     /// The robot slows down along its present direction, within the limits and for at least [`Config::ramp`]. Then the
-    /// engine repeats the last pose until the robot is at rest, leaves Slave Mode, and gives the arm back. After a fault it
-    /// only gives the arm back.
+    /// engine repeats the last pose until the robot is at rest, leaves Slave Mode, switches the motor off that it has switched
+    /// on, and gives the arm back. After a fault it leaves Slave Mode if it may still be on, halts the robot if it may move,
+    /// and releases the motor and the arm.
     pub fn stop(&mut self) {
         self.end(self.config.ramp);
     }
@@ -389,7 +403,10 @@ impl<const N: usize> Engine<N> {
         match self.phase {
             Phase::Starting | Phase::Recovering => self.stop_wanted = true,
             Phase::Streaming if self.stop.is_none() => self.begin_stop(ramp),
-            Phase::Faulted => self.give_arm(),
+            Phase::Faulted => {
+                self.gives_up = true;
+                self.release(None);
+            }
             _ => {}
         }
     }
@@ -413,7 +430,20 @@ impl<const N: usize> Engine<N> {
         self.phase = Phase::Recovering;
         self.step = Step::SystemState;
         self.stop_wanted = false;
+        self.gives_up = false;
         Ok(())
+    }
+
+    /// Returns the effects that this engine may have left on the robot, for [`reclaim`](crate::procedure::reclaim) over another
+    /// connection; `claim` is unknown.
+    #[must_use]
+    pub fn effects(&self) -> Effects {
+        Effects {
+            moving: self.may_move,
+            streaming: self.may_be_in_mode,
+            motor: self.has_motor && self.config.motor_off,
+            claim: Claim::Unknown,
+        }
     }
 
     /// Returns the fault that ended the stream; it is complete after [`Action::Faulted`].
@@ -524,6 +554,10 @@ impl<const N: usize> Engine<N> {
                 self.has_arm = true;
                 Ok(())
             }
+            Step::Motor => {
+                self.has_motor = true;
+                Ok(())
+            }
             Step::Position => self.take_position(value),
             Step::Joints => self.take_joints(value),
             _ => Ok(()),
@@ -535,7 +569,7 @@ impl<const N: usize> Engine<N> {
             return self.begin_stream(now);
         }
         if self.stop_wanted {
-            return self.give_arm();
+            return self.release(None);
         }
         self.step = self.next_start();
         if self.step == Step::Enter
@@ -636,6 +670,7 @@ impl<const N: usize> Engine<N> {
     fn begin_stream(&mut self, now: Instant) {
         self.phase = Phase::Streaming;
         self.may_be_in_mode = true;
+        self.may_move = true;
         self.step = Step::Move;
         self.pacer = Pacer::new(now);
         self.delta = Delta::ZERO;
@@ -651,24 +686,69 @@ impl<const N: usize> Engine<N> {
         self.step = Step::Leave;
     }
 
-    fn give_arm(&mut self) {
-        if self.has_arm && self.motion != Health::Lost {
-            self.phase = Phase::Leaving;
-            self.step = Step::GiveArm;
-        } else {
-            self.phase = Phase::Finished;
+    /// Moves to the next step of the end, or ends.
+    fn release(&mut self, after: Option<Step>) {
+        const ORDER: [Step; 4] = [Step::Leave, Step::Halt, Step::MotorOff, Step::GiveArm];
+        let done =
+            after.and_then(|step| ORDER.iter().position(|other| *other == step)).map_or(0, |at| at.saturating_add(1));
+        let next = ORDER.into_iter().skip(done).find(|step| self.is_unreleased(*step));
+        // the calls of the end would end the stream of another client
+        let is_foreign =
+            !self.may_be_in_mode && self.fault.as_ref().is_some_and(|fault| fault.released == Released::No);
+        match next.filter(|_| self.motion != Health::Lost && !is_foreign) {
+            Some(step) => (self.phase, self.step) = (Phase::Leaving, step),
+            None => self.end_release(),
         }
     }
 
+    /// Tells whether a step of the end has something to undo.
+    const fn is_unreleased(&self, step: Step) -> bool {
+        match step {
+            Step::Leave => self.gives_up && self.may_be_in_mode,
+            // after a stop the robot is at rest
+            Step::Halt => self.gives_up && self.may_move,
+            Step::MotorOff => self.has_motor && self.config.motor_off,
+            _ => self.has_arm,
+        }
+    }
+
+    fn end_release(&mut self) {
+        match self.unreleased.take() {
+            None => self.phase = Phase::Finished,
+            // the fault that ended the stream says more
+            Some(_) if self.gives_up => self.phase = Phase::Faulted,
+            Some((step, cause)) => {
+                self.step = step;
+                self.fail(cause);
+            }
+        }
+    }
+
+    /// Goes on after a step of the end that failed: the steps after it are more urgent than its reason.
+    fn keep_unreleased(&mut self, cause: Cause) {
+        self.unreleased.get_or_insert((self.step, cause));
+        self.release(Some(self.step));
+    }
+
     fn handle_leave(&mut self, code: HResult) {
-        if code.is_err() {
-            return self.fail(Cause::Refused(code));
+        let is_off = self.gives_up && self.step == Step::Leave && code == HResult::E_SLVMODE_OFF;
+        if code.is_err() && !is_off {
+            return match self.step {
+                Step::Leave if !self.gives_up => self.fail(Cause::Refused(code)),
+                _ => self.keep_unreleased(Cause::Refused(code)),
+            };
         }
         match self.step {
-            Step::GiveArm => self.has_arm = false,
-            _ => self.may_be_in_mode = false,
+            Step::Leave => {
+                self.may_be_in_mode = false;
+                // a stop leaves Slave Mode at rest
+                self.may_move &= self.gives_up;
+            }
+            Step::Halt => self.may_move = false,
+            Step::MotorOff => self.has_motor = false,
+            _ => self.has_arm = false,
         }
-        self.give_arm();
+        self.release(Some(self.step));
     }
 
     fn handle_recovery(&mut self, code: HResult, value: Variant<'_>) {

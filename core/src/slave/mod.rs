@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!  slvGetMode ─► formats ─► TakeArm ─► Motor ─► position ─► slvChangeMode m ─► slvMove, slvMove, ...
-//!      │ a stream runs: Fault                                                      │         └─► slvChangeMode 0 ─► GiveArm
+//!      │ a stream runs: Fault                                                      │         └─► slvChangeMode 0 ─► Motor 0 ─► GiveArm
 //!                                                                                  │ any error: Slave Mode ends
 //!                                                                                  ▼
 //!                                                   slvGetMode ─► (slvChangeMode 0) ─► errors ─► emergency stop? ─► Fault

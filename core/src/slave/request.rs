@@ -32,6 +32,10 @@ pub enum Step {
     Move,
     /// slvChangeMode 0.
     Leave,
+    /// Robot_Halt.
+    Halt,
+    /// Motor, off.
+    MotorOff,
     /// GiveArm.
     GiveArm,
     /// slvGetMode.
@@ -54,7 +58,8 @@ impl Step {
             Self::SendFormat => "slvSendFormat",
             Self::ReceiveFormat => "slvRecvFormat",
             Self::TakeArm => "TakeArm",
-            Self::Motor => "Motor",
+            Self::Motor | Self::MotorOff => "Motor",
+            Self::Halt => "Halt",
             Self::Position => "CurPos",
             Self::Joints => "CurJnt",
             Self::Enter | Self::Leave => "slvChangeMode",
@@ -122,6 +127,7 @@ impl Request<'_> {
             Step::TakeArm => put(&self.config.arm.unwrap_or_default()),
             // on; the reply arrives when the motor is on
             Step::Motor => put(&[1, 0]),
+            Step::MotorOff => put(&[0, 0]),
             Step::Enter => put(&format.mode.code()),
             Step::Leave => put(&SlaveMode::OFF),
             Step::ErrorInfo => put(&self.index),
@@ -134,12 +140,20 @@ impl Call for Request<'_> {
     type Reply = Any;
 
     fn function(&self) -> FunctionId {
-        if self.step.is_of_controller() { FunctionId::CONTROLLER_EXECUTE } else { FunctionId::ROBOT_EXECUTE }
+        match self.step {
+            Step::Halt => FunctionId::ROBOT_HALT,
+            step if step.is_of_controller() => FunctionId::CONTROLLER_EXECUTE,
+            _ => FunctionId::ROBOT_EXECUTE,
+        }
     }
 
     fn arguments(&self, frame: &mut FrameWriter<'_>) -> Result<(), EncodeError> {
         if self.step == Step::Move {
             return self.slv_move.arguments(frame);
+        }
+        if self.step == Step::Halt {
+            frame.argument(&self.handles.robot)?;
+            return frame.argument("");
         }
         if self.step.is_of_controller() {
             frame.argument(&self.handles.controller)?;

@@ -15,13 +15,13 @@ use crate::hresult::HResult;
 use crate::procedure::{self, Failure, Procedure};
 use crate::time::Instant;
 
-/// One run of an [`Engine`], made by [`Engine::stream`]: starts Slave Mode, streams a trajectory, leaves Slave Mode, and
-/// gives the arm back.
+/// One run of an [`Engine`], made by [`Engine::stream`]: starts Slave Mode, streams a trajectory, leaves Slave Mode, switches the
+/// motor off, and gives the arm back.
 ///
 /// It ends in one of four ways. In all but the last the robot comes to rest within the limits:
 ///
 /// * The trajectory returns [`Next::Finish`]: the engine repeats the last pose until the robot is at rest, leaves Slave
-///   Mode, and gives the arm back.
+///   Mode, and releases the motor and the arm.
 /// * The trajectory returns [`Next::Stop`]: the same after a ramp along the present direction.
 /// * The trajectory returns a pose that is invalid or exceeds the limits: the same ramp, then [`StreamError::Pose`].
 /// * A call fails: Slave Mode is off, and the engine has asked the controller for its first error. [`StreamError::Fault`]
@@ -91,7 +91,9 @@ impl<const N: usize> Engine<N> {
         Stream { engine: self, trajectory: Some(trajectory), supplied: 0, refused: None }
     }
 
-    /// Makes a [`Procedure`] that only gives the arm back, after a fault.
+    /// Makes a [`Procedure`] that ends the effects of the stream after a fault: Slave Mode, a motion, the motor and the arm.
+    ///
+    /// It fails with the fault again if a call of the end fails; [`effects`](Engine::effects) returns the remaining ones.
     pub fn give_up(&mut self) -> Stream<'_, fn(&Cycle<'_>) -> Next, N> {
         self.stop();
         Stream { engine: self, trajectory: None, supplied: 0, refused: None }

@@ -11,8 +11,9 @@ use std::vec::Vec;
 use super::*;
 use crate::bcap::call::ControllerHandle;
 use crate::bcap::client::Event;
-use crate::bcap::{Frame, FrameWriter, StreamState};
+use crate::bcap::{Frame, FrameWriter, FunctionId, StreamState};
 use crate::hresult::HResult;
+use crate::procedure::Effects;
 use crate::time::Instant;
 
 const CYCLE: Duration = Duration::from_millis(8);
@@ -45,6 +46,7 @@ struct Controller {
     errors: Vec<(HResult, &'static str)>,
     system: i32,
     arm: bool,
+    motor: bool,
     /// Scripted replies by command; each replaces one normal reply.
     script: Vec<(&'static str, Answer)>,
     /// Received commands, and their connection.
@@ -66,6 +68,7 @@ impl Controller {
             errors: Vec::new(),
             system: 0,
             arm: false,
+            motor: false,
             script: Vec::new(),
             log: Vec::new(),
             asleep: 0,
@@ -112,26 +115,34 @@ impl Controller {
 
     fn answer(&mut self, channel: Channel, request: &Frame<'_>) -> Answer {
         let handle = request.args.get(0).and_then(|v| v.as_i32()).unwrap();
+        let halts = request.function() == FunctionId::ROBOT_HALT;
         let name =
             request.args.get(1).and_then(|v| v.as_bstr()).unwrap().chars().map(Result::unwrap).collect::<String>();
         let handles = if channel == Channel::Motion { HANDLES } else { WATCH };
         let expected = match request.function().0 {
-            64 => handles.robot.0,
+            64 | 70 => handles.robot.0,
             17 => handles.controller.0,
             other => panic!("function {other}"),
         };
         assert_eq!(handle, expected, "{name}");
+        let name = if halts { "Robot_Halt".to_string() } else { name };
         self.log.push((channel, name.clone()));
         if let Some(at) = self.script.iter().position(|(command, _)| *command == name) {
             return self.script.remove(at).1;
         }
-        let parameter = request.args.get(2).unwrap();
+        let parameter = request.args.get(2).unwrap_or(Variant::Empty);
         match name.as_str() {
             "slvChangeMode" => self.change_mode(parameter.as_i32().unwrap()),
             "slvMove" => self.slv_move(parameter),
             "slvGetMode" => ok(&self.mode),
+            "Robot_Halt" => ok(&()),
             _ if self.mode != 0 => refused(HResult::E_SLVMODE_ON),
-            "slvSendFormat" | "slvRecvFormat" | "Motor" => ok(&()),
+            "slvSendFormat" | "slvRecvFormat" => ok(&()),
+            "Motor" => {
+                assert!(self.arm, "Motor without the arm");
+                self.motor = parameter.as_array().unwrap().items::<i32>().unwrap().iter().next() == Some(1);
+                ok(&())
+            }
             "TakeArm" | "GiveArm" => {
                 self.arm = name == "TakeArm";
                 ok(&())
@@ -307,8 +318,13 @@ fn every_mode_executes_every_pose_once_and_in_order() {
             path.len()
         );
         assert_eq!(rig.names()[..6], START[..6]);
-        assert_eq!(rig.names()[6..], ["slvChangeMode", "slvChangeMode", "GiveArm"]);
-        assert!(!rig.controller.arm && rig.controller.mode == 0 && rig.controller.errors.is_empty());
+        assert_eq!(rig.names()[6..], ["slvChangeMode", "slvChangeMode", "Motor", "GiveArm"]);
+        assert!(
+            !rig.controller.arm
+                && !rig.controller.motor
+                && rig.controller.mode == 0
+                && rig.controller.errors.is_empty()
+        );
         let stats = rig.engine.stats();
         assert_eq!((stats.underflows, stats.late), (0, 0), "{mode:?}");
         assert_eq!(usize::try_from(stats.cycles).unwrap(), path.len(), "{mode:?}");
@@ -637,6 +653,85 @@ fn a_stream_of_another_client_is_left_alone() {
 }
 
 /// The stream of another client begins between the question and a call of the start.
+/// A stream that has ended with an error of the controller.
+fn faulted(config: Config) -> Rig {
+    let mut rig = Rig::new(config, &[0.0; 8]);
+    let mut count = 0;
+    let end = rig.run(|rig| {
+        count += 1;
+        if count == 20 {
+            rig.controller.fail(HResult::from_u32(0x8350_0001), "an error");
+        }
+        Some(joints(f64::from(count) * 0.01))
+    });
+    assert_eq!(end, Action::Faulted);
+    rig.controller.log.clear();
+    rig
+}
+
+#[test]
+fn after_a_fault_the_robot_is_halted_and_the_motor_switched_off_before_the_arm_is_given_back() {
+    let mut rig = faulted(config(Mode::Mode2));
+    assert_eq!(rig.engine.effects(), Effects { moving: true, motor: true, ..Effects::default() });
+    rig.engine.stop();
+    assert_eq!(rig.run(|_| None), Action::Finished);
+    assert_eq!(rig.names(), ["Robot_Halt", "Motor", "GiveArm"]);
+    assert!(!rig.controller.motor && !rig.controller.arm);
+    assert_eq!(rig.engine.effects(), Effects::default());
+}
+
+#[test]
+fn a_motor_that_is_to_stay_on_is_not_switched_off() {
+    let config = Config { motor_off: false, ..config(Mode::Mode0) };
+    let mut rig = Rig::new(config, &[0.0; 8]);
+    assert_eq!(rig.run(trajectory(20)), Action::Finished);
+    assert_eq!((rig.names().last(), rig.controller.motor), (Some(&"GiveArm"), true));
+    let mut rig = faulted(config);
+    rig.engine.stop();
+    assert_eq!((rig.run(|_| None), rig.names()), (Action::Finished, ["Robot_Halt", "GiveArm"].to_vec()));
+    assert_eq!(rig.engine.effects(), Effects::default());
+}
+
+#[test]
+fn a_refused_step_of_the_end_prevents_none_after_it() {
+    for (refuses, left) in [
+        ("Robot_Halt", Effects { moving: true, ..Effects::default() }),
+        ("Motor", Effects { motor: true, ..Effects::default() }),
+        ("GiveArm", Effects::default()),
+    ] {
+        let mut rig = faulted(config(Mode::Mode2));
+        let before = rig.engine.fault().unwrap().to_string();
+        rig.controller.script.push((refuses, refused(HResult::E_FAIL)));
+        rig.engine.stop();
+        assert_eq!(rig.run(|_| None), Action::Faulted, "{refuses}");
+        assert_eq!(rig.names(), ["Robot_Halt", "Motor", "GiveArm"]);
+        assert_eq!((rig.engine.fault().unwrap().to_string(), rig.engine.effects()), (before, left));
+        // again, only the missing step
+        rig.controller.log.clear();
+        rig.engine.stop();
+        rig.controller.arm = true;
+        assert_eq!((rig.run(|_| None), rig.names()), (Action::Finished, [refuses].to_vec()));
+    }
+}
+
+#[test]
+fn a_motor_that_stays_on_at_the_end_of_a_stream_is_a_fault() {
+    let mut rig = Rig::new(config(Mode::Mode0), &[0.0; 8]);
+    let mut poses = trajectory(20);
+    let end = rig.run(|rig| {
+        let pose = poses(rig);
+        if pose.is_none() {
+            rig.controller.script.push(("Motor", refused(HResult::E_FAIL)));
+        }
+        pose
+    });
+    assert_eq!(end, Action::Faulted);
+    let fault = rig.engine.fault().unwrap();
+    assert_eq!((fault.step, fault.cause), (Step::MotorOff, Cause::Refused(HResult::E_FAIL)));
+    assert!(rig.controller.motor && !rig.controller.arm);
+    assert_eq!(rig.engine.effects(), Effects { motor: true, ..Effects::default() });
+}
+
 #[test]
 fn a_stream_that_begins_during_the_start_is_left_alone() {
     for (command, step) in [("TakeArm", Step::TakeArm), ("slvChangeMode", Step::Enter)] {
@@ -648,6 +743,8 @@ fn a_stream_that_begins_during_the_start_is_left_alone() {
         let fault = rig.engine.fault().unwrap();
         assert_eq!((fault.step, fault.released), (step, Released::No));
         assert_eq!(rig.names().last(), Some(&"slvGetMode"));
+        rig.engine.stop();
+        assert_eq!((rig.run(|_| None), rig.names().last()), (Action::Finished, Some(&"slvGetMode")));
     }
 }
 
@@ -733,7 +830,7 @@ fn a_robot_that_is_not_at_the_start_is_not_moved() {
     let mut rig = Rig::new(Config { start: Some(start), ..config(Mode::Mode0) }, &at);
     assert_eq!(rig.run(|_| None), Action::Finished);
     assert_eq!(rig.engine.start_pose(), Some(&start));
-    assert_eq!(rig.names(), [&START[..], &["GiveArm"]].concat());
+    assert_eq!(rig.names(), [&START[..], &["Motor", "GiveArm"]].concat());
 }
 
 #[test]
@@ -803,7 +900,7 @@ fn a_stop_in_motion_slows_down_within_the_limits() {
 fn a_stop_before_the_first_pose_moves_nothing() {
     let mut rig = Rig::new(config(Mode::Mode2), &[0.0; 8]);
     assert_eq!(rig.run(|_| None), Action::Finished);
-    assert_eq!((rig.moves, rig.names()), (0, [&START[..], &["GiveArm"]].concat()));
+    assert_eq!((rig.moves, rig.names()), (0, [&START[..], &["Motor", "GiveArm"]].concat()));
     // also before Slave Mode is entered
     let mut rig = Rig::new(config(Mode::Mode2), &[0.0; 8]);
     let _ = rig.engine.poll(rig.now);

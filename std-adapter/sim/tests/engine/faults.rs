@@ -271,7 +271,10 @@ fn an_emergency_stop_ends_the_stream_for_good() {
         let calls = rig.sent.len();
         rig.engine.stop();
         assert_eq!(trajectory(&mut rig), Action::Finished);
-        assert_eq!(rig.sent[calls..].iter().map(|(_, step)| *step).collect::<Vec<_>>(), [Step::GiveArm]);
+        assert_eq!(
+            rig.sent[calls..].iter().map(|(_, step)| *step).collect::<Vec<_>>(),
+            [Step::Halt, Step::MotorOff, Step::GiveArm]
+        );
     }
 }
 

@@ -7,7 +7,7 @@ use std::{fs, io, iter};
 use bcap_core::bcap::call::{self, RobotHandle};
 use bcap_core::hresult::HResult;
 use bcap_core::procedure::{
-    ArmOwner, Effects, Procedure, Provider, Reclaimed, StepCause, open_robot, reclaim, release_robot,
+    ArmOwner, Claim, Effects, Procedure, Provider, Reclaimed, StepCause, open_robot, reclaim, release_robot,
 };
 use bcap_core::slave::{
     AxisLimits, Cause, Config, Engine, Failure as NoReply, Fault, Format, Handles, PoseType, Stats, StreamError,
@@ -106,9 +106,9 @@ impl Job<'_> {
         let handles = motion.run(open_robot(provider, None)).map_err(opened)?;
         let watching = watch.as_mut().map(|watch| watch.run(open_robot(provider, None)));
         let watching = watching.transpose().map_err(opened)?;
-        let config = self.config(handles, watching);
         // a motor that was on before stays on
         let stays_on = self.args.keep_motor || motor_is_on(&mut motion, handles.robot);
+        let config = Config { motor_off: !stays_on, ..self.config(handles, watching) };
         let mut engine = Engine::<MOVE_ROOM>::new(config).map_err(|error| Failure::Input(error.to_string()))?;
         let Self { course, format, args, json, target, .. } = self;
         let monitor = Monitor::start(self.link, self.interrupt.clone(), course.cycles())?;
@@ -128,16 +128,13 @@ impl Job<'_> {
         }
         let fault = engine.fault().cloned();
         if fault.is_some() {
-            // the fault is reported below; a failure to release the arm adds no information
+            // the fault is reported below; what is left on the robot is ended next
             let _ = run_watched(&mut motion, watch.as_mut(), engine.give_up());
         }
         monitor.end();
         let stats = engine.stats().clone();
         player.times.follow(&stats);
-        // a start that found another stream has switched nothing on
-        if !stays_on && !matches!(fault.as_ref().map(|fault| fault.cause), Some(Cause::Occupied(_))) {
-            motor_off(&mut motion, handles.robot);
-        }
+        end_left(engine.effects(), fault.as_ref(), watch.as_mut().zip(watching));
         let _ = motion.run(release_robot(handles));
         if let Some((watch, handles)) = watch.as_mut().zip(watching) {
             let _ = watch.run(release_robot(handles));
@@ -214,17 +211,33 @@ pub(super) fn limits(args: &StreamArgs) -> AxisLimits {
     AxisLimits::uniform(limit(args.max_speed), limit(args.max_acceleration))
 }
 
-/// Switches the motor off that the stream has switched on, unless another client uses the robot meanwhile: the stream has given the
-/// arm back.
-fn motor_off<X: Wire<Error = io::Error>>(motion: &mut blocking::Connection<X, Vec<u8>>, robot: RobotHandle) {
-    let done = motion.run(reclaim(robot, Effects { motor: true, ..Effects::default() }));
+/// Ends, over the second connection, the effects of a stream whose first one is lost, and reports those that may remain.
+fn end_left<X: Wire<Error = io::Error>>(
+    left: Effects,
+    fault: Option<&Fault>,
+    watch: Option<(&mut blocking::Connection<X, Vec<u8>>, Handles)>,
+) {
+    if !(left.moving || left.streaming || left.motor) {
+        return;
+    }
+    // a connection that is closed, not silent, ends the session on the controller, too
+    let is_closed = matches!(fault.map(|fault| fault.cause), Some(Cause::Failed(NoReply::Lost | NoReply::Closed)));
+    let claim = if is_closed { Claim::Unknown } else { Claim::Lost };
+    let done = watch.map(|(watch, handles)| watch.run(reclaim(handles.robot, Effects { claim, ..left })));
     let problem = match done {
-        Ok(Reclaimed { motor_off: Some(true), .. }) => return,
-        Ok(Reclaimed { owner: ArmOwner::Other, .. }) => "another client uses the robot".to_owned(),
-        Ok(_) => "the controller refused to switch it off".to_owned(),
-        Err(error) => error.to_string(),
+        Some(Ok(Reclaimed { owner: ArmOwner::Other, .. })) => "another client uses the robot".to_owned(),
+        Some(Ok(Reclaimed { halted, motor_off, .. }))
+            if halted != Some(false) && motor_off == left.motor.then_some(true) =>
+        {
+            return;
+        }
+        Some(Ok(_)) => "the controller refused the calls that end it".to_owned(),
+        Some(Err(error)) => error.to_string(),
+        None => "the connection is lost".to_owned(),
     };
-    note(&format!("the motor may still be on: {problem}; `bcap get robot/@SERVO_ON` tells"));
+    note(&format!(
+        "the robot may still move, or its motor be on: {problem}; `bcap halt` halts it, `bcap get robot/@SERVO_ON` tells"
+    ));
 }
 
 /// Returns whether the motor is on, if the controller tells.
