@@ -218,6 +218,9 @@ impl Controller {
             self.arm.preparation_mut().emergency_stop(config.model.functions);
             self.arm.turn_off(HResult::E_MOTOR_OFF, *now, waits);
         }
+        if setup.prepared {
+            self.arm.preparation_mut().complete_all();
+        }
         match setup.motor {
             Some(true) => self.arm.force_on(),
             Some(false) => self.arm.turn_off(HResult::E_MOTOR_OFF, *now, waits),

@@ -69,6 +69,12 @@ impl Preparation {
         (self.motion, self.torque_off) = (true, false);
     }
 
+    /// Does all steps, as a person does at the arm.
+    pub(crate) const fn complete_all(&mut self) {
+        self.manual_reset = true;
+        self.complete();
+    }
+
     /// Executes ManualResetPreparation.
     pub(crate) const fn prepare_reset(&mut self) {
         self.manual_reset = true;

@@ -58,6 +58,7 @@
 //! permission = "read_only"    # read_write
 //! emergency_stop = true       # pressed, which is an error that cannot be cleared
 //! torque_off = true           # as after an emergency stop that was released; only of models that have StoState
+//! prepared = true             # a COBOTTA: ManualResetPreparation and MotionPreparation are done
 //! battery_low = true          # the battery is exhausted: SysState, SysInfo 15
 //! warning = true              # the robot warns: SysState
 //! protective_stop = true      # is shown by SysState and @PROTECTIVE_STOP; it stops nothing

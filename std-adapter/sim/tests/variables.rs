@@ -86,7 +86,7 @@ fn a_handle_is_good_for_its_client_and_its_kind_only() {
     let before = world.sim.open_objects();
     world.sim.left(one.peer, world.now);
     assert_eq!(world.sim.open_objects(), before - 3);
-    assert_eq!(world.call(two.peer, call::controller_get_name(two.controller)), ok(&"b-CAP"));
+    assert_eq!(world.call(two.peer, call::controller_get_name(two.controller)), ok(&"b-CAP 2"));
 }
 
 #[test]

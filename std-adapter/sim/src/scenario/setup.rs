@@ -35,6 +35,8 @@ pub struct Setup {
     pub protective_stop: Option<bool>,
     /// Whether the torque is off, as after an emergency stop that was released. Models without StoState ignore it.
     pub torque_off: bool,
+    /// Whether a COBOTTA is prepared, as a person prepares it at the arm. Models without a preparation ignore it.
+    pub prepared: bool,
     /// The present errors, the first cause first.
     pub errors: Vec<HResult>,
     /// Whether a client that is not connected owns the arm.

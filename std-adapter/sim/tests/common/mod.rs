@@ -140,7 +140,8 @@ impl World {
         let peer = PeerId(peer);
         assert_eq!(self.call(peer, call::service_start("")), code(HResult::S_OK));
         let provider = self.sim.config().model.provider.clone();
-        let controller = self.handle(peer, call::controller_connect("b-CAP", &provider, "localhost", ""));
+        let name = if peer.0 == 1 { "b-CAP".to_owned() } else { format!("b-CAP {}", peer.0) };
+        let controller = self.handle(peer, call::controller_connect(&name, &provider, "localhost", ""));
         let controller = ControllerHandle(controller);
         let robot = RobotHandle(self.handle(peer, call::controller_get_robot(controller, "Arm", "")));
         Client { peer, controller, robot }

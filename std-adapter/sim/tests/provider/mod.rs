@@ -1,13 +1,17 @@
-//! The commands and system variables of the RC8 provider guide, each played against the controller.
+//! The commands and system variables of the RC8 provider guide, and [observations](evidence) of real controllers, each played
+//! against the controller.
 //!
 //! `commands.toml` and `variables.toml` have a line for each: its section, the calls to make, and the documented answers. The
 //! test prints the table and asserts its counts: `cargo test -p bcap-sim --test all provider:: -- --nocapture`.
 
+mod evidence;
+
 use std::collections::BTreeMap;
 use std::fmt;
 
-use bcap_core::bcap::call;
+use bcap_core::bcap::call::{self, Call};
 use bcap_core::error::EncodeError;
+use bcap_core::handler::{Outcome, PeerId};
 use bcap_core::hresult::HResult;
 use bcap_core::variant::{Encode, Variant, Writer};
 use bcap_sim::{Config, Scenario};
@@ -33,7 +37,7 @@ enum Status {
     NeedsHardware,
 }
 
-/// An argument of a call: an integer is an I4, a float an R8, `{}` EMPTY, `{ r4 = [...] }` an array of R4.
+/// An argument of a call: an integer is an I4, a float an R8, `{}` EMPTY, an array one of VARIANT, `{ r4 = [...] }` one of R4.
 struct Argument<'a>(&'a Value);
 
 impl Encode for Argument<'_> {
@@ -47,15 +51,19 @@ impl Encode for Argument<'_> {
                 let items: Vec<_> = items.iter().map(Argument).collect();
                 items.iter().map(|item| item as &dyn Encode).collect::<Vec<_>>().as_slice().encode(out)
             }
-            Value::Table(table) => match table.get("r4") {
-                Some(Value::Array(items)) => {
-                    items.iter().map(|item| number(item) as f32).collect::<Vec<_>>().as_slice().encode(out)
-                }
+            Value::Table(table) => match (numbers(table, "r4"), numbers(table, "r8"), numbers(table, "i4")) {
+                (Some(r4), ..) => r4.iter().map(|n| *n as f32).collect::<Vec<_>>().as_slice().encode(out),
+                (_, Some(r8), _) => r8.as_slice().encode(out),
+                (.., Some(i4)) => i4.iter().map(|n| *n as i32).collect::<Vec<_>>().as_slice().encode(out),
                 _ => ().encode(out),
             },
             Value::Datetime(_) => panic!("an argument is no date"),
         }
     }
+}
+
+fn numbers(table: &toml::Table, element: &str) -> Option<Vec<f64>> {
+    table.get(element)?.as_array().map(|items| items.iter().map(number).collect())
 }
 
 fn number(value: &Value) -> f64 {
@@ -93,12 +101,32 @@ fn is(value: &Variant<'_>, expected: &Value) -> bool {
     }
 }
 
-/// A controller with a client that owns the arm, and a second client.
+/// A controller with a client that owns the arm, and a task.
 struct Rig {
     world: World,
     client: Client,
     hand: call::ExtensionHandle,
     task: call::TaskHandle,
+}
+
+/// The part of a call that a step makes: all of it, or its start, or its end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Turn {
+    Whole,
+    Begin,
+    End,
+}
+
+/// Makes a call, or a part of it.
+fn make(world: &mut World, peer: PeerId, call: &impl Call, turn: Turn) -> Reply {
+    match turn {
+        Turn::Whole => world.run(peer, call),
+        Turn::End => world.run_again(peer, call),
+        Turn::Begin => match world.poll(peer, call, false) {
+            (Outcome::Done(code), value) => (code, value),
+            (Outcome::Wait(_), _) => crate::common::code(HResult::S_OK),
+        },
+    }
 }
 
 impl Rig {
@@ -115,28 +143,33 @@ impl Rig {
     }
 
     /// Makes a call of a step: `object.Name`, or a name of this list.
-    fn call(&mut self, object: &str, name: &str, argument: &Value) -> Reply {
+    fn call(&mut self, object: &str, name: &str, argument: &Value, turn: Turn) -> Reply {
         let Client { peer, controller, robot } = self.client;
+        let world = &mut self.world;
         let item = |n: usize| argument.get(n).cloned().unwrap_or_else(|| Value::Table(toml::Table::new()));
         let text = |n: usize| item(n).as_str().unwrap_or_default().to_owned();
         let whole = |n: usize| i32::try_from(item(n).as_integer().unwrap_or_default()).unwrap();
         match (object, name) {
             ("", "pass") => {
-                self.world.pass(argument.as_integer().unwrap().unsigned_abs());
+                world.pass(argument.as_integer().unwrap().unsigned_abs());
                 crate::common::code(HResult::S_OK)
             }
-            ("", "Robot_Move") => self.world.run(peer, call::robot_move(robot, whole(0), Argument(&item(1)), &text(2))),
+            ("", "Robot_Move") => {
+                make(world, peer, &call::robot_move(robot, whole(0), Argument(&item(1)), &text(2)), turn)
+            }
             ("", "Robot_Rotate") => {
                 let (plane, degrees, centre, option) = (item(0), number(&item(1)), item(2), text(3));
                 let (plane, centre) = (Argument(&plane), Argument(&centre));
-                self.world.run(peer, call::robot_rotate(robot, plane, degrees as f32, centre, &option))
+                make(world, peer, &call::robot_rotate(robot, plane, degrees as f32, centre, &option), turn)
             }
-            ("", "Task_Start") => self.world.run(peer, call::task_start(self.task, whole(0), "")),
-            ("", "Task_Stop") => self.world.run(peer, call::task_stop(self.task, whole(0), "")),
-            ("controller", _) => self.world.run(peer, call::controller_execute(controller, name, Argument(argument))),
-            ("robot", _) => self.world.run(peer, call::robot_execute(robot, name, Argument(argument))),
-            ("hand", _) => self.world.run(peer, call::extension_execute(self.hand, name, Argument(argument))),
-            ("task", _) => self.world.run(peer, call::task_execute(self.task, name, Argument(argument))),
+            ("", "Task_Start") => make(world, peer, &call::task_start(self.task, whole(0), ""), turn),
+            ("", "Task_Stop") => make(world, peer, &call::task_stop(self.task, whole(0), ""), turn),
+            ("controller", _) => {
+                make(world, peer, &call::controller_execute(controller, name, Argument(argument)), turn)
+            }
+            ("robot", _) => make(world, peer, &call::robot_execute(robot, name, Argument(argument)), turn),
+            ("hand", _) => make(world, peer, &call::extension_execute(self.hand, name, Argument(argument)), turn),
+            ("task", _) => make(world, peer, &call::task_execute(self.task, name, Argument(argument)), turn),
             _ => panic!("{object}.{name} is unknown"),
         }
     }
@@ -150,7 +183,7 @@ impl Rig {
             let target = step[0].as_str().unwrap();
             let is_function = ["pass", "Robot_Move", "Robot_Rotate", "Task_Start", "Task_Stop"].contains(&target);
             let (of, command) = target.rsplit_once('.').unwrap_or((if is_function { "" } else { object }, target));
-            let (code, value) = self.call(of, command, &step[1]);
+            let (code, value) = self.call(of, command, &step[1], Turn::Whole);
             let value = value.as_variant();
             let seen = format!("{target} {:?}: {code} {value:?}", step[1]);
             let own = (of, command) == (object, name);
