@@ -241,6 +241,11 @@ pub struct Hint {
 }
 
 impl Hint {
+    /// Tells whether only a restart of the controller helps.
+    pub(crate) fn needs_restart(self) -> bool {
+        self.remedy.contains("restart the controller")
+    }
+
     /// Returns what the level of an error needs after its remedy; `None` if the remedy has all steps.
     const fn clearing(self) -> Option<&'static str> {
         match self.level {

@@ -70,6 +70,9 @@ pub enum StepCause {
     Failed(Failure),
     /// The procedure has no room for the values of the reply.
     TooLarge,
+    /// The call succeeded, and the procedure must not continue after it: the state does not permit that, or the caller has
+    /// stopped it.
+    Stopped,
 }
 
 impl StepCause {
@@ -111,6 +114,7 @@ impl fmt::Display for StepCause {
             Self::Reply(error) => error.fmt(f),
             Self::Failed(failure) => failure.fmt(f),
             Self::TooLarge => f.write_str("the reply is longer than expected"),
+            Self::Stopped => f.write_str("stopped"),
         }
     }
 }

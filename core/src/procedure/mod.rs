@@ -19,6 +19,8 @@
 //! | [`open_path`]                                      | opens an object and the objects on the way to it             |
 //! | [`release`], [`release_controller`], [`release_robot`] | releases in reverse order and stops the service          |
 //! | [`read_variable`], [`write_variable`]              | opens a variable, reads or writes it, releases it            |
+//! | [`examine`]                                        | reads what is wrong, and what a recovery needs               |
+//! | [`recover`], [`prepare`]                           | ends errors, prepares a COBOTTA, takes the arm; switches the motor on |
 //! | [`prepare_robot`], [`give_arm`]                    | takes the arm and switches the motor on; gives the arm back  |
 //! | [`reclaim`]                                        | ends the effects of a session that does not own the arm (any more) |
 //! | [`move_and_wait`]                                  | starts a motion and waits for its end                        |
@@ -30,6 +32,7 @@
 //! releases handles, gives the arm back, halts a motion.
 
 mod action;
+mod examine;
 mod failure;
 mod halt;
 mod motion;
@@ -38,6 +41,7 @@ mod path;
 mod provider;
 mod queue;
 mod reclaim;
+mod recover;
 mod release;
 mod robot;
 mod sequence;
@@ -45,6 +49,7 @@ mod target;
 mod variable;
 
 pub use self::action::{Action, Channel, Procedure};
+pub use self::examine::{Examination, Obstacle, RecoveryStep, SysState, examine};
 pub use self::failure::{Failure, StepCause, StepError};
 pub use self::halt::{Halt, HaltAnswer, HaltConfig, StoppedTasks, halt};
 pub use self::motion::{MotionStart, Until, move_and_wait, run_queue};
@@ -53,6 +58,7 @@ pub use self::path::{Opened, Owner, PATH_MAX, PathError, PathStep, open_path};
 pub use self::provider::{Handles, Provider};
 pub use self::queue::{Motion, MotionConfig, MotionQueue};
 pub use self::reclaim::{ArmOwner, Claim, Effects, Reclaimed, reclaim};
+pub use self::recover::{NotRecovered, Recovered, RecoveryConfig, prepare, recover};
 pub use self::release::{release, release_controller, release_robot};
 pub use self::robot::{give_arm, prepare_robot};
 pub use self::target::Target;

@@ -524,7 +524,7 @@ pub(super) fn joints(reply: &Frame<'_>) -> Result<[f64; JOINTS], StepCause> {
 }
 
 /// Reads the code of an error, which controllers send as I4, UI4, ERROR or I8.
-fn code(value: &Variant<'_>) -> Option<HResult> {
+pub(super) fn code(value: &Variant<'_>) -> Option<HResult> {
     match *value {
         Variant::I4(n) => Some(HResult(n)),
         Variant::Ui4(n) => Some(HResult(n.cast_signed())),

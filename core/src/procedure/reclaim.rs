@@ -18,7 +18,7 @@ use core::convert::identity;
 
 use super::action::Procedure;
 use super::failure::{StepCause, StepError};
-use super::sequence::{Argument, Next, Sequence, StepCall, Steps, Undo};
+use super::sequence::{Argument, MOTOR_OFF, Next, Sequence, StepCall, Steps, Undo};
 use crate::bcap::call::{Int, Reply, RobotHandle};
 use crate::bcap::{Frame, FunctionId, Properties, StreamState};
 use crate::hresult::HResult;
@@ -112,9 +112,7 @@ enum Step {
 }
 
 /// The parameters of TakeArm: group 0, and the speed, the tool and the work stay.
-const KEEP: [i32; 2] = [0, 1];
-/// The parameter of Motor: off, and reply when the motor is off.
-const MOTOR_OFF: [i32; 2] = [0, 0];
+pub(super) const KEEP: [i32; 2] = [0, 1];
 
 impl ReclaimSteps {
     fn update_mode(&mut self, state: StreamState) {

@@ -47,7 +47,7 @@ enum Step {
 }
 
 /// The parameter of Motor: on, and reply when the motor is on.
-const MOTOR_ON: [i32; 2] = [1, 0];
+pub(super) const MOTOR_ON: [i32; 2] = [1, 0];
 
 impl Steps for PrepareSteps {
     type Output = ();

@@ -6,7 +6,8 @@
 //!     └────── a call fails ─────────────────────────► Backward ──► Done(Err)
 //! ```
 //!
-//! Backward undoes the calls in reverse order: it releases handles, gives the arm back, halts a motion. Failures there are
+//! Backward undoes the calls in reverse order: it releases handles, gives the arm back, halts a motion, switches
+//! the motor off. Failures there are
 //! ignored, because the sequence reports the first failure.
 
 use super::action::{Action, Channel, Procedure};
@@ -29,7 +30,12 @@ pub(super) enum Undo {
     GiveArm(i32),
     /// Halts this robot.
     Halt(i32),
+    /// Switches the motor of this robot off.
+    MotorOff(i32),
 }
+
+/// The parameter of Motor: off, and reply when the motor is off.
+pub(super) const MOTOR_OFF: [i32; 2] = [0, 0];
 
 impl Undo {
     fn call<'a>(self) -> StepCall<'a> {
@@ -40,6 +46,9 @@ impl Undo {
                 StepCall::new(FunctionId::ROBOT_EXECUTE).with(robot).with("GiveArm").with(Argument::Empty)
             }
             Self::Halt(robot) => StepCall::new(FunctionId::ROBOT_HALT).with(robot).with(""),
+            Self::MotorOff(robot) => {
+                StepCall::new(FunctionId::ROBOT_EXECUTE).with(robot).with("Motor").with(Argument::Value(&MOTOR_OFF))
+            }
         }
     }
 }
@@ -182,6 +191,11 @@ impl<S: Steps, M> Sequence<S, M> {
             let _ = self.undo.push(undo);
         }
         self
+    }
+
+    /// Returns the steps, at the call that failed after a failure.
+    pub(super) const fn steps(&self) -> &S {
+        &self.steps
     }
 
     fn next(&self) -> Next<'_> {

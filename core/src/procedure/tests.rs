@@ -24,6 +24,7 @@ mod halt;
 mod motion;
 mod queue;
 mod reclaim;
+mod recover;
 
 /// The reaction of the peer to a call.
 #[derive(Clone, Debug)]
@@ -41,8 +42,8 @@ impl Answer {
 }
 
 /// The record of a procedure: its result, its calls as text, and the time at the end.
-struct Run<T> {
-    result: Result<T, StepError>,
+struct Run<T, E = StepError> {
+    result: Result<T, E>,
     calls: Vec<String>,
     now: Instant,
 }
@@ -51,19 +52,19 @@ struct Run<T> {
 const CALL: Duration = Duration::from_millis(1);
 
 /// Runs a procedure against a peer, which is given the number of the call, its text, and the time of the reply.
-fn run<T>(
-    procedure: impl Procedure<Output = T, Error = StepError>,
+fn run<T, E>(
+    procedure: impl Procedure<Output = T, Error = E>,
     peer: impl FnMut(usize, &str, Instant) -> Answer,
-) -> Run<T> {
+) -> Run<T, E> {
     run_from(Instant::ZERO, procedure, peer)
 }
 
 /// As [`run`], from this time on.
-fn run_from<T>(
+fn run_from<T, E>(
     mut now: Instant,
-    mut procedure: impl Procedure<Output = T, Error = StepError>,
+    mut procedure: impl Procedure<Output = T, Error = E>,
     mut peer: impl FnMut(usize, &str, Instant) -> Answer,
-) -> Run<T> {
+) -> Run<T, E> {
     let mut calls = Vec::new();
     let timing = procedure.timing(Link::Stream, Timing::TCP);
     assert_eq!(timing, Timing::TCP, "these procedures use the connection's timing");
