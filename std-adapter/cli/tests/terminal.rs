@@ -127,6 +127,30 @@ fn ctrl_z_suspends_the_shell_after_the_arm_is_given_back_and_fg_continues_it() {
     terminal.enter("exit");
 }
 
+/// The terminal would stop a process in the background at its first output (`stty tostop`) or input, with the arm taken.
+#[test]
+fn the_terminal_does_not_stop_a_command_in_the_background() {
+    let robot = Virtual::start(&[]);
+    let folder = tempfile::tempdir().unwrap();
+    let script = folder.path().join("script.bcap");
+    let lines = ["exec robot TakeArm 0 1", "exec robot Motor 1 0", "get I1"];
+    std::fs::write(&script, lines.join("\n")).unwrap();
+    let Some(terminal) = Terminal::run((120, 24), &["bash", "--norc", "-i"], folder.path()) else { return };
+    terminal.enter("PS1='%% '; stty tostop");
+    let bcap = env!("CARGO_BIN_EXE_bcap");
+    let run = format!("run {}", script.display());
+    for (line, end) in [(run.as_str(), "Done"), ("shell", "Exit")] {
+        terminal.enter(&format!("{bcap} {line} --robot {} &", robot.tcp));
+        // the shell reports the end of a job before its next prompt
+        terminal.wait_until(end, |screen| {
+            assert!(!screen.contains("Stopped"), "{screen}");
+            terminal.keys(&["Enter"]);
+            screen.contains(end)
+        });
+        robot.assert_at_rest_with_free_arm();
+    }
+}
+
 /// The prompt reads single keys without an echo; the shell that a person returns to must not.
 #[test]
 fn sigterm_at_the_prompt_restores_the_terminal() {

@@ -15,12 +15,16 @@ pub enum Signal {
     End,
 }
 
-/// Handles signals from now on, and returns a receiver of them.
+/// Handles signals from now on, and returns a receiver of them. Call it before other threads are started that use the terminal.
+///
+/// The terminal does not stop this thread and those that it starts: for a process in the background, output appears in spite of
+/// `stty tostop`, and input is an error. Otherwise SIGTTOU or SIGTTIN would stop the program in the middle of its work.
 ///
 /// # Errors
 ///
 /// When a handler cannot be installed, or no thread can be started.
 pub fn receiver() -> io::Result<Receiver<Signal>> {
+    ignore_terminal_stops()?;
     let (sender, receiver) = channel();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build()?;
     // the handlers are in place before this returns
@@ -32,6 +36,16 @@ pub fn receiver() -> io::Result<Receiver<Signal>> {
         runtime.block_on(async { while sender.send(sources.next().await).is_ok() {} });
     })?;
     Ok(receiver)
+}
+
+/// Blocks SIGTTIN and SIGTTOU in this thread: a handler cannot help, because the system repeats the read or the write after it.
+fn ignore_terminal_stops() -> io::Result<()> {
+    #[cfg(unix)]
+    {
+        use nix::sys::signal::{SigSet, Signal};
+        [Signal::SIGTTIN, Signal::SIGTTOU].into_iter().collect::<SigSet>().thread_block()?;
+    }
+    Ok(())
 }
 
 /// Suspends this process, as Ctrl-Z does to a process without a handler; returns when it continues.
