@@ -399,6 +399,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         let handles = self.handles().await?;
         let motion = self.aimed(motion).await?;
         self.set_moving(true);
+        self.set_destination(queue.is_new(), motion.as_ref().map(|(_, target)| *target));
         let queue = self.run(ROBOT, procedure::run_queue(handles, queue, motion, until)).await?;
         self.set_moving(queue.ended().is_none());
         Ok(queue)
@@ -452,6 +453,14 @@ impl<X: Transport<Error = io::Error>> Session<X> {
 
     fn set_moving(&mut self, moving: bool) {
         self.arm.moving = moving && self.arm.taken;
+    }
+
+    /// Records where a new motion ends. With several motions it is unknown for which of them the robot heads.
+    fn set_destination(&mut self, is_first: bool, target: Option<Target>) {
+        self.arm.destination = match target {
+            Some(target) => Some(target).filter(|_| is_first),
+            None => self.arm.destination,
+        };
     }
 
     /// Halts the robot and waits until it rests.

@@ -3,7 +3,9 @@
 //! ```text
 //!  slvGetMode ─► off ─► TakeArm ─► taken ──────────────► Robot_Halt ──► (Motor 0) ─► GiveArm
 //!      │          │        ├─────► refused ────────────► (Robot_Halt) ─► (Motor 0)
-//!      │          │        └─────► another client owns the arm: nothing
+//!      │          │        └─────► another owner: nothing, unless it may be the lost session
+//!      │          │                └─► (DestJnt) ─► elsewhere: nothing
+//!      │          │                        └──────► Robot_Halt ──► (Motor 0)
 //!      │          └─► the lost session owns the arm ───► (Robot_Halt) ─► (Motor 0)
 //!      ├─► a stream runs: nothing, unless it is the lost session's ─► slvChangeMode 0 ─► Robot_Halt ─► (Motor 0)
 //!      └─► refused: a stream may run ──────────────────► (Robot_Halt)
@@ -13,23 +15,30 @@
 //!
 //! Only TakeArm tells whether another client owns the arm: TakeArmState tells it of the asking client alone. A refused TakeArm
 //! may leave an error on the controller, so it is not called while the lost session is known to own the arm.
+//!
+//! If the lost session may own the arm, and has begun a motion whose end is not known, then the robot is halted unless it heads
+//! for another destination than that motion: when it is unclear who moves the robot, it does not move.
 
 use core::convert::identity;
 
 use super::action::Procedure;
 use super::failure::{StepCause, StepError};
+use super::motion::joints;
 use super::sequence::{Argument, MOTOR_OFF, Next, Sequence, StepCall, Steps, Undo};
+use super::target::{Comparison, JOINTS, Target, Tolerance};
 use crate::bcap::call::{Int, Reply, RobotHandle};
 use crate::bcap::{Frame, FunctionId, Properties, StreamState};
 use crate::hresult::HResult;
 use crate::time::Instant;
 
 /// The possible effects of a session on a robot.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Effects {
     /// A motion may be under way.
     pub moving: bool,
+    /// Where that motion ends, if it is the only one. Only joints tell it from the motion of another client.
+    pub destination: Option<Target>,
     /// A stream of Slave Mode may run.
     pub streaming: bool,
     /// The motor may have been switched on.
@@ -48,6 +57,8 @@ pub enum Claim {
     Unknown,
     /// The lost session: the controller has not noticed the loss.
     Lost,
+    /// The lost session, if the controller has not noticed the loss, or another client since.
+    Silent,
     /// Another client, when TakeArm was asked before. Nothing is done unless the arm can be taken now.
     Other,
 }
@@ -74,7 +85,7 @@ pub enum ArmOwner {
     Free,
     /// Another client or a task; nothing was changed.
     Other,
-    /// Unknown: the lost session still owns it, or the controller did not say.
+    /// Unknown: the lost session may still own it, or the controller did not say.
     Unknown,
 }
 
@@ -105,6 +116,7 @@ enum Step {
     Mode,
     Leave,
     TakeArm,
+    Destination,
     Halt,
     MotorOff,
     GiveArm,
@@ -121,6 +133,7 @@ impl ReclaimSteps {
             _ if state.allows(Properties::UNKNOWN) && claim == Claim::Lost => self.halt(),
             _ if state.allows(Properties::UNKNOWN) => Step::TakeArm,
             _ if streaming && claim == Claim::Lost => Step::Leave,
+            // a stream ends some cycles after its last pose, so it is not the silent session's
             StreamState::Runs => self.end(ArmOwner::Other),
             _ if claim == Claim::Other => Step::End,
             _ => {
@@ -134,6 +147,33 @@ impl ReclaimSteps {
     fn end(&mut self, owner: ArmOwner) -> Step {
         self.output.owner = owner;
         Step::End
+    }
+
+    /// Returns the step after a TakeArm that was refused because the arm has an owner.
+    fn refused_arm(&mut self) -> Step {
+        let Effects { moving, destination, claim, .. } = self.effects;
+        match (claim, destination) {
+            (Claim::Silent, Some(target)) if moving && target.joints_end().is_some() => Step::Destination,
+            (Claim::Silent, _) if moving => self.halt_only(),
+            _ => self.end(ArmOwner::Other),
+        }
+    }
+
+    /// Returns the step that halts a robot whose owner is unknown. Its motor stays on.
+    const fn halt_only(&mut self) -> Step {
+        self.effects.motor = false;
+        Step::Halt
+    }
+
+    /// Compares the destination of the robot with the lost session's.
+    fn update_destination(&mut self, destination: &[f64; JOINTS]) {
+        let end = self.effects.destination.and_then(|target| target.joints_end());
+        let is_same = end.and_then(|end| end.compare_joints(destination, &Tolerance::DESTINATION));
+        self.step = match is_same {
+            Some(Comparison::There) => Step::Halt,
+            Some(_) => self.end(ArmOwner::Other),
+            None => self.halt_only(),
+        };
     }
 
     /// Returns the step that halts the robot, if the session may have moved it, or owns the arm now, so that no other client
@@ -155,7 +195,8 @@ impl ReclaimSteps {
     fn answered(&mut self, refusal: Option<HResult>) {
         let done = Some(refusal.is_none());
         self.step = match (self.step, refusal) {
-            (Step::TakeArm, Some(HResult::E_ARM_NOT_TAKEN)) => self.end(ArmOwner::Other),
+            (Step::TakeArm, Some(HResult::E_ARM_NOT_TAKEN)) => self.refused_arm(),
+            (Step::Destination, _) => self.halt_only(),
             (Step::TakeArm, Some(_)) if self.effects.claim == Claim::Other => Step::End,
             (Step::TakeArm, refusal) => {
                 self.taken = refusal.is_none();
@@ -187,6 +228,7 @@ impl Steps for ReclaimSteps {
             Step::Mode => of_robot(StreamState::COMMAND).with(Argument::Empty),
             Step::Leave => of_robot("slvChangeMode").with(0),
             Step::TakeArm => of_robot("TakeArm").with(Argument::Value(&KEEP)),
+            Step::Destination => of_robot("DestJnt").with(Argument::Empty),
             Step::Halt => StepCall::new(FunctionId::ROBOT_HALT).with(robot).with(""),
             Step::MotorOff => of_robot("Motor").with(Argument::Value(&MOTOR_OFF)),
             Step::GiveArm => of_robot("GiveArm").with(Argument::Empty),
@@ -197,6 +239,10 @@ impl Steps for ReclaimSteps {
     fn succeeded(&mut self, reply: &Frame<'_>, _now: Instant) -> Result<(), StepCause> {
         match self.step {
             Step::Mode => self.update_mode(StreamState::from_reply(reply.hresult(), Int::read(reply.args).ok())),
+            Step::Destination => match joints(reply) {
+                Ok(destination) => self.update_destination(&destination),
+                Err(_) => self.answered(None),
+            },
             _ => self.answered(None),
         }
         Ok(())

@@ -30,6 +30,11 @@ pub(super) struct Tolerance {
     pub(super) angle_degrees: f64,
 }
 
+impl Tolerance {
+    /// For destinations of the same motion, which differ by rounding only.
+    pub(super) const DESTINATION: Self = Self { joint: 0.05, distance_mm: 0.1, angle_degrees: 0.05 };
+}
+
 /// Where a motion ends, for the comparison with the robot.
 ///
 /// # Examples
@@ -130,6 +135,14 @@ impl Target {
     #[must_use]
     pub const fn with_loop(self) -> Self {
         Self { is_loop: true, ..self }
+    }
+
+    /// Returns the end, if it is known by joints without a reading.
+    pub(super) fn joints_end(&self) -> Option<End> {
+        match self.place {
+            Place::Joints(joints, axes) if self.back_mm == 0.0 => Some(End::Joints(joints, axes)),
+            _ => None,
+        }
     }
 
     /// Returns the reading that [`resolve`](Self::resolve) needs, besides the joints; `from_rest` tells whether no other motion

@@ -37,7 +37,7 @@ use super::stats::Stats;
 use crate::bcap::client::Timing;
 use crate::bcap::{Frame, Link, Properties, StreamState};
 use crate::hresult::HResult;
-use crate::procedure::{Channel, Claim, Effects, Failure};
+use crate::procedure::{Channel, Effects, Failure};
 use crate::time::{Instant, micros_u32};
 use crate::variant::Variant;
 
@@ -435,14 +435,14 @@ impl<const N: usize> Engine<N> {
     }
 
     /// Returns the effects that this engine may have left on the robot, for [`reclaim`](crate::procedure::reclaim) over another
-    /// connection; `claim` is unknown.
+    /// connection. The claim to the arm is unknown.
     #[must_use]
     pub fn effects(&self) -> Effects {
         Effects {
             moving: self.may_move,
             streaming: self.may_be_in_mode,
             motor: self.has_motor && self.config.motor_off,
-            claim: Claim::Unknown,
+            ..Effects::default()
         }
     }
 

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use bcap_core::bcap::{Effect, FunctionId};
-use bcap_core::procedure::{ArmOwner, Claim, Effects, Reclaimed};
+use bcap_core::procedure::{ArmOwner, Claim, Effects, Reclaimed, Target};
 use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
 
@@ -19,6 +19,8 @@ pub(crate) struct ArmState {
     pub(super) motor: bool,
     /// Whether a motion may be under way.
     pub(crate) moving: bool,
+    /// Where that motion ends, if it is the only one since the robot was at rest.
+    pub(super) destination: Option<Target>,
     /// Whether Slave Mode may be on.
     pub(super) streaming: bool,
 }
@@ -38,10 +40,16 @@ pub(crate) struct Left {
 impl Left {
     /// Returns the effects, and whether the controller still gives the arm to the lost session.
     pub(super) fn effects(&self, now: Instant) -> Effects {
-        let ArmState { motor, moving, streaming, .. } = self.arm;
+        let ArmState { motor, moving, streaming, destination, .. } = self.arm;
         let is_recent = now.saturating_since(self.since) < UNNOTICED;
-        let claim = if is_recent && !self.is_closed { Claim::Lost } else { Claim::Unknown };
-        Effects { moving, streaming, motor, claim }
+        let claim = match (self.is_closed, is_recent) {
+            (true, _) => Claim::Unknown,
+            (false, true) => Claim::Lost,
+            // the service of a session over datagrams is stopped before the arm is asked for
+            (false, false) if self.is_datagram => Claim::Unknown,
+            (false, false) => Claim::Silent,
+        };
+        Effects { moving, destination, streaming, motor, claim }
     }
 }
 
@@ -120,7 +128,7 @@ impl ArmState {
         match effect {
             ArmEffect::Motor(true) => self.motor = true,
             ArmEffect::SlaveMode(true) => self.streaming = true,
-            ArmEffect::Moves => self.moving = true,
+            ArmEffect::Moves => (self.moving, self.destination) = (true, None),
             ArmEffect::Take => self.taken = true,
             ArmEffect::Give | ArmEffect::Motor(false) | ArmEffect::SlaveMode(false) => {}
         }
@@ -141,4 +149,24 @@ impl ArmState {
 fn first_number(parameter: Variant<'_>) -> Option<i32> {
     let first = parameter.as_array().map_or(Some(parameter), |array| array.iter().next());
     first.and_then(|number| number.as_i32())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_owner_of_the_arm_follows_from_the_loss() {
+        let arm = ArmState { taken: true, moving: true, ..ArmState::default() };
+        let lost = |is_closed, is_datagram, seconds: u64| {
+            let left = Left { arm, since: Instant::ZERO, is_closed, is_datagram };
+            left.effects(Instant::from_millis(seconds * 1000)).claim
+        };
+        for is_datagram in [false, true] {
+            assert_eq!(lost(false, is_datagram, 9), Claim::Lost);
+            // the controller has ended the session
+            assert_eq!((lost(true, is_datagram, 0), lost(true, is_datagram, 11)), (Claim::Unknown, Claim::Unknown));
+        }
+        assert_eq!((lost(false, false, 11), lost(false, true, 11)), (Claim::Silent, Claim::Unknown));
+    }
 }

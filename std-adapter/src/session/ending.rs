@@ -115,7 +115,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     /// back. A refused call does not prevent those after it, except while the controller is busy: then the arm is kept. Over a
     /// lost connection nothing is sent, and the arm stays recorded for [`recover`](Self::recover).
     pub(crate) async fn give_arm(&mut self) -> Result<(), Error> {
-        let ArmState { taken, motor, moving, streaming } = self.arm;
+        let ArmState { taken, motor, moving, streaming, .. } = self.arm;
         if !taken {
             return self.switch_off().await;
         }
@@ -181,8 +181,9 @@ impl<X: Transport<Error = io::Error>> Session<X> {
 
     /// Ends the effects that a lost session may have left; `stop` stops its service.
     ///
-    /// While the controller may not have noticed the loss, the arm is the lost session's, so the robot is halted first. Otherwise
-    /// the arm is asked for: a robot that another client uses is left alone.
+    /// While the controller can hardly have noticed the loss, the arm is the lost session's, so the robot is halted first. Otherwise
+    /// the arm is asked for: a robot that another client uses is left alone. If the arm may still be the lost session's, its
+    /// motion is halted, unless the robot heads elsewhere.
     ///
     /// # Errors
     ///
@@ -198,8 +199,8 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         if effects.claim == Claim::Lost && !left.is_datagram {
             return Ok(recovery);
         }
-        let reclaimed =
-            self.run(ROBOT, procedure::reclaim(robot, Effects { claim: Claim::Unknown, ..effects })).await?;
+        let claim = if effects.claim == Claim::Lost { Claim::Unknown } else { effects.claim };
+        let reclaimed = self.run(ROBOT, procedure::reclaim(robot, Effects { claim, ..effects })).await?;
         recovery.add(reclaimed);
         if reclaimed.owner == ArmOwner::Other && left.is_closed {
             // perhaps the controller is about to notice

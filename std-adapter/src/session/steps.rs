@@ -36,6 +36,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         let handles = self.handles().await?;
         let motion = self.aimed(motion).await?;
         self.set_moving(true);
+        self.set_destination(queue.is_new(), motion.as_ref().map(|(_, target)| *target));
         Ok(Running::new(procedure::run_queue(handles, queue, motion, until)))
     }
 

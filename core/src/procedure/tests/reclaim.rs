@@ -10,7 +10,9 @@ const HALT: &str = "Robot_Halt(9, \"\")";
 const OFF: &str = "Robot_Execute(9, \"Motor\", I4[0, 0])";
 const GIVE: &str = "Robot_Execute(9, \"GiveArm\", EMPTY)";
 
-const ALL: Effects = Effects { moving: true, streaming: true, motor: true, claim: Claim::Unknown };
+const DESTINATION: &str = "Robot_Execute(9, \"DestJnt\", EMPTY)";
+
+const ALL: Effects = Effects { moving: true, destination: None, streaming: true, motor: true, claim: Claim::Unknown };
 const MOVED: Effects = Effects { streaming: false, ..ALL };
 const MOTOR: Effects = Effects { moving: false, ..MOVED };
 
@@ -61,6 +63,44 @@ fn a_session_that_still_owns_the_arm_is_not_asked_for_it() {
     // a session without a stream has not started the one that runs
     let done = reclaimed(Effects { claim: Claim::Lost, ..MOVED }, 0x102, NONE);
     assert_eq!(done.calls, [MODE]);
+}
+
+/// After a long silence the arm may still be the lost session's, which a refused TakeArm does not tell.
+#[test]
+fn a_motion_that_may_be_the_silent_sessions_is_halted() {
+    let to = |first: f64| Target::joints(Joints::new([first, 45.0, 90.0, 0.0, 45.0, 0.0]), 6);
+    let other = Reclaimed { owner: ArmOwner::Other, halted: None, motor_off: None };
+    let halted = Reclaimed { owner: ArmOwner::Unknown, halted: Some(true), motor_off: None };
+    let silent = Effects { claim: Claim::Silent, ..MOVED };
+    let dest = |answer: Option<[f64; 8]>, effects: Effects| {
+        let done = run(reclaim(ROBOT, effects), |_, call, _| match (call, answer) {
+            (MODE, _) => Answer::value(&0),
+            (TAKE, _) => Answer::Refused(HResult::E_ARM_NOT_TAKEN),
+            (DESTINATION, Some(joints)) => Answer::value(&joints),
+            (DESTINATION, None) => Answer::Refused(HResult::E_FAIL),
+            _ => Answer::Empty,
+        });
+        (done.result.unwrap(), done.calls[2..].to_vec())
+    };
+    let at = [60.01, 45.0, 90.0, 0.0, 45.0, 0.0, 7.0, 8.0];
+    let calls = |calls: &[&str]| calls.iter().map(ToString::to_string).collect::<Vec<_>>();
+    let known = |first: f64| Effects { destination: Some(to(first)), ..silent };
+    // the same destination proves whose motion it is
+    let ours = Reclaimed { motor_off: Some(true), ..halted };
+    assert_eq!(dest(Some(at), known(60.0)), (ours, calls(&[DESTINATION, HALT, OFF])));
+    assert_eq!(dest(Some(at), known(61.0)), (other, calls(&[DESTINATION])));
+    // it is unclear whose motion it is
+    assert_eq!(dest(None, known(60.0)), (halted, calls(&[DESTINATION, HALT])));
+    assert_eq!(dest(Some([f64::NAN; 8]), known(60.0)), (halted, calls(&[DESTINATION, HALT])));
+    for destination in [None, Some(Target::UNKNOWN), Some(Target::drive_by(Joints::new([60.0])))] {
+        assert_eq!(dest(Some(at), Effects { destination, ..silent }), (halted, calls(&[HALT])));
+    }
+    // without a motion nothing is done, nor after the controller has ended the session
+    assert_eq!(dest(Some(at), Effects { moving: false, ..known(60.0) }), (other, vec![]));
+    assert_eq!(dest(Some(at), Effects { claim: Claim::Unknown, ..known(60.0) }), (other, vec![]));
+    // a stream that runs now is another client's, and a free arm is taken as after any loss
+    assert_eq!(reclaimed(Effects { claim: Claim::Silent, ..ALL }, 0x102, NONE).calls, [MODE]);
+    assert_eq!(reclaimed(silent, 0, NONE).calls, [MODE, TAKE, HALT, OFF, GIVE]);
 }
 
 #[test]
