@@ -7,6 +7,8 @@
 //!   T(X, Y, Z, OX, OY, OZ, AX, AY, AZ [, FIG])       mm and vectors
 //!   ... EX((7, 30.5))  ... EXA((7, 30.5), (8, 90))   each of them with extended joints
 //! ```
+//!
+//! FIG is a whole number; the extended joints are 7 and 8, each once. The text is ASCII, because it is sent as it is.
 
 use std::ops::RangeInclusive;
 
@@ -15,6 +17,9 @@ const EXPECTED: &str = "write a variable such as P1, J2 or T3, or a value such a
 
 /// Checks the text of a destination.
 pub(crate) fn check(text: &str) -> Result<(), String> {
+    if let Some(wrong) = text.chars().find(|c| !(' '..='~').contains(c)) {
+        return Err(format!("{text:?}: {wrong:?} is no part of a destination: {EXPECTED}"));
+    }
     let trimmed = text.trim();
     let lower = trimmed.to_ascii_lowercase();
     let (trimmed, extended) = lower.find(" ex").map_or((trimmed, None), |at| {
@@ -69,25 +74,46 @@ fn check_numbers(text: &str, list: &str, kind: &str, counts: RangeInclusive<usiz
     if let Some(wrong) = numbers.iter().find(is_number) {
         return Err(format!("{text}: {wrong:?} is not a finite number"));
     }
-    if counts.contains(&numbers.len()) {
-        return Ok(());
-    }
     let (least, most) = counts.into_inner();
+    if (least..=most).contains(&numbers.len()) {
+        let figure = numbers.last().filter(|_| kind != "J" && numbers.len() == most);
+        return match figure {
+            Some(figure) if figure.parse::<i32>().is_err() => {
+                Err(format!("{text}: the figure {figure:?} is no whole number"))
+            }
+            _ => Ok(()),
+        };
+    }
     Err(format!("{text}: a value of type {kind} has {least} to {most} numbers, and this one has {}", numbers.len()))
 }
 
-/// Checks the extended joints: pairs of an axis and a number.
+/// Checks the extended joints: pairs of an axis and a number, `EX((7, 1), (8, 2))` or `EX(7, 1)`.
 fn check_extended(text: &str, extended: &str) -> Result<(), String> {
     let wrong = || {
         format!("{text}: {extended:?} are no extended joints; write them as EX((7, 30.5)) or EXA((7, 30.5), (8, 90))")
     };
-    let list = extended.trim_start_matches(|c: char| c.is_ascii_alphabetic()).trim_start();
-    let list = list.strip_prefix('(').and_then(|list| list.strip_suffix(')')).ok_or_else(wrong)?;
-    let is_balanced = list.matches('(').count() == list.matches(')').count();
-    let words = list.split([',', '(', ')']).map(str::trim).filter(|word| !word.is_empty());
-    let numbers: Vec<f64> = words.map(str::parse).collect::<Result<_, _>>().map_err(|_| wrong())?;
-    let are_pairs = !numbers.is_empty() && numbers.len().is_multiple_of(2) && numbers.iter().all(|n| n.is_finite());
-    if is_balanced && are_pairs { Ok(()) } else { Err(wrong()) }
+    let letters = extended.find(|c: char| !c.is_ascii_alphabetic()).unwrap_or(extended.len());
+    let (name, list) = extended.split_at(letters);
+    let list = list.trim().strip_prefix('(').and_then(|list| list.strip_suffix(')')).ok_or_else(wrong)?.trim();
+    let mut axes: Vec<u8> = Vec::new();
+    // the pairs end with a bracket; a single one has none
+    let inner = list.strip_prefix('(').map_or(Some(list), |inner| inner.strip_suffix(')')).ok_or_else(wrong)?;
+    let pairs: Vec<&str> = if inner.len() == list.len() { vec![list] } else { inner.split(')').collect() };
+    for (pair, at) in pairs.iter().zip(0..) {
+        // between two pairs: `, (`
+        let pair = if at == 0 {
+            Some(*pair)
+        } else {
+            pair.trim().strip_prefix(',').and_then(|pair| pair.trim_start().strip_prefix('('))
+        };
+        let (axis, number) = pair.and_then(|pair| pair.split_once(',')).ok_or_else(wrong)?;
+        let is_finite = number.trim().parse::<f64>().is_ok_and(f64::is_finite);
+        match axis.trim().parse() {
+            Ok(axis @ 7..=8) if is_finite && !axes.contains(&axis) => axes.push(axis),
+            _ => return Err(wrong()),
+        }
+    }
+    if matches!(&*name.to_ascii_uppercase(), "EX" | "EXA") { Ok(()) } else { Err(wrong()) }
 }
 
 #[cfg(test)]
@@ -109,6 +135,8 @@ mod tests {
             "P1 EX((7, 30.5))",
             "J100 EXA((7, 30.5), (8, 90.5))",
             "J100 exa(7, 30.5)",
+            "J(0, 45, 90, 0, 45, 0) EXA( (7, 30.5) , ( 8 , -1 ) )",
+            "P(400, 0, 300, 180, 0, 180, -1)",
         ] {
             assert_eq!(check(text), Ok(()), "{text}");
         }
@@ -139,6 +167,19 @@ mod tests {
             ("P1 EX((7, 30.5)", "are no extended joints"),
             ("P1 EX((7, nan))", "are no extended joints"),
             ("P1 EX((7))", "are no extended joints"),
+            ("P1 EXX((7, 1))", "are no extended joints"),
+            ("P1 EX((9, 1))", "are no extended joints"),
+            ("P1 EX((-7, 1))", "are no extended joints"),
+            ("P1 EX((7.5, 1))", "are no extended joints"),
+            ("P1 EX((7, 1), (7, 2))", "are no extended joints"),
+            ("P1 EX(()7, 1)", "are no extended joints"),
+            ("P1 EX((7, 1)(8, 1))", "are no extended joints"),
+            ("P1 EX((7, 1)), (8, 1)", "are no extended joints"),
+            ("P1 EX()", "are no extended joints"),
+            ("P(400, 0, 300, 180, 0, 180, 5.5)", "the figure \"5.5\" is no whole number"),
+            ("T(400, 0, 300, 1, 0, 0, 0, 0, -1, 1e1)", "the figure \"1e1\" is no whole number"),
+            ("\u{a0}P1", "'\\u{a0}' is no part of a destination"),
+            ("P1\n", "'\\n' is no part of a destination"),
             ("P1 P2", "P1 P2 is not the destination of a motion"),
         ] {
             let error = check(text).unwrap_err();
