@@ -231,7 +231,8 @@ impl HaltSteps {
     fn update_position(&mut self, joints: [f64; JOINTS], now: Instant) -> Step {
         let reported = self.state & MOVING != 0;
         let same = self.last.map(|last| within(&joints, &last, AT_REST));
-        self.moved |= reported || same == Some(false);
+        let moves = reported || same == Some(false);
+        self.moved |= moves;
         if same == Some(true) && !reported {
             self.still = self.still.saturating_add(1);
         } else {
@@ -241,8 +242,13 @@ impl HaltSteps {
         if self.still >= self.config.still.max(1) {
             return Step::End;
         }
+        let next = now.saturating_add(self.config.interval);
         if now < until {
-            return Step::Pause(now.saturating_add(self.config.interval).min(until));
+            return Step::Pause(next.min(until));
+        }
+        if !moves {
+            // slow polls: nothing has shown that it still moves
+            return Step::Pause(next);
         }
         if self.tried || self.state & RUNNING == 0 {
             return Step::End;

@@ -120,6 +120,19 @@ fn a_robot_that_never_rests_still_moves() {
     }
 }
 
+/// On a busy machine the time limit can pass before there were enough polls.
+#[test]
+fn a_robot_at_rest_is_not_said_to_move_after_slow_polls() {
+    let config = HaltConfig { limit: Duration::ZERO, ..config() };
+    for (speed, rests) in [(0.0, true), (1.0, false)] {
+        let done = run(halt(HANDLES, config), |_, call, now| match call {
+            POSITION => at(speed * now.as_micros() as f64),
+            call => resting(call),
+        });
+        assert_eq!(done.result.unwrap().rests, rests);
+    }
+}
+
 #[test]
 fn tasks_are_stopped_after_a_refusal_and_the_robot_is_halted_again() {
     let done = halted(|number, _, _| (number == 0).then_some(Answer::Refused(OWNED)));
