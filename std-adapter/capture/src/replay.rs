@@ -42,9 +42,9 @@ mod plan;
 mod report;
 
 use std::io;
-use std::sync::mpsc::channel;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::thread;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use self::link::Link;
 pub use self::link::{Came, Outcome};
@@ -58,11 +58,12 @@ use crate::proxy::Robot;
 impl Plan {
     /// Makes the calls, and passes the outcome of each to `each`. An error of `each` ends the replay: no more calls are made.
     ///
-    /// It does not check which calls are allowed; [`Plan::check`] does.
+    /// It does not check which calls are allowed; [`Plan::check`] does. The end of each connection halts the robot, switches the
+    /// motor off and gives the arm back, as far as its calls have made that necessary.
     ///
     /// # Errors
     ///
-    /// When a thread cannot be started, and the error of `each`.
+    /// When a thread cannot be started, when the replay is interrupted, and the error of `each`.
     pub fn run(
         &self,
         robot: &Robot,
@@ -85,10 +86,11 @@ impl Plan {
                 start().map_err(|error| Error::Replay(format!("cannot start a thread for each connection: {error}")));
             drop(outcomes);
             let done = started.and_then(|()| {
-                received.iter().try_for_each(|outcome| {
+                while let Some(outcome) = next(&received, options)? {
                     totals.count(&outcome);
-                    Ok(each(&outcome)?)
-                })
+                    each(&outcome)?;
+                }
+                Ok(())
             });
             if done.is_err() {
                 // a caller that cannot see the replay must not have the robot moved
@@ -97,5 +99,22 @@ impl Plan {
             done
         })?;
         Ok(totals)
+    }
+}
+
+/// How often a replay looks for an interruption.
+const LOOK: Duration = Duration::from_millis(20);
+
+/// Waits for the next outcome; `None` at the end of all connections.
+fn next<'a>(received: &Receiver<Outcome<'a>>, options: &Options) -> Result<Option<Outcome<'a>>, Error> {
+    loop {
+        if options.is_interrupted.is_some_and(|is_interrupted| is_interrupted()) {
+            return Err(Error::Replay("interrupted".into()));
+        }
+        match received.recv_timeout(LOOK) {
+            Ok(outcome) => return Ok(Some(outcome)),
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => return Ok(None),
+        }
     }
 }

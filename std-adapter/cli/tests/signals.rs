@@ -147,6 +147,37 @@ fn a_shell_that_was_suspended_goes_on() {
 }
 
 #[test]
+fn a_replay_that_is_ended_during_a_motion_leaves_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let (script, capture) = (folder.path().join("script.bcap"), folder.path().join("session.pcapng"));
+    let lines = [
+        "exec robot TakeArm 0 1",
+        "exec robot Motor 1 0",
+        "call Robot_Move robot 1 '8,@E J(90, 45, 90, 0, 45, 0)' '8,NEXT, SPEED=2'",
+        "call Robot_Halt robot 8,",
+        // waits for the end of the motion
+        "call Robot_Move robot 1 '8,@E J(90, 45, 90, 0, 45, 0)' 8,SPEED=100",
+    ];
+    std::fs::write(&script, lines.join("\n")).unwrap();
+    let (script, capture) = (script.to_str().unwrap(), capture.to_str().unwrap());
+    let recorded = Virtual::start(&[]).run(&["run", script, "--write", capture]);
+    assert_eq!(recorded.code, 0, "{recorded:?}");
+    for name in ["-INT", "-TERM"] {
+        let robot = Virtual::start(&[]);
+        let slow = robot.run(&["exec", "robot", "ExtSpeed", "1"]);
+        assert_eq!(slow.code, 0, "{slow:?}");
+        let allow = ["--allow", "Robot_Execute", "--allow", "Robot_Move", "--allow", "Robot_Halt"];
+        let child = robot.spawn(&[&["replay", capture, "--fast"], &allow[..]].concat());
+        robot.wait_for_motion();
+        signal(name, &child);
+        let run: Run = child.wait_with_output().unwrap().into();
+        assert!(run.code == 130 && run.err.contains("its effects on the robot were ended"), "{run:?}");
+        robot.assert_at_rest_with_free_arm();
+        assert_eq!(robot.run(&["get", "robot/@SERVO_ON"]).out, "robot/@SERVO_ON = false\n");
+    }
+}
+
+#[test]
 fn a_command_that_is_ended_while_it_takes_the_arm_gives_it_back() {
     for name in ["-TERM", "-HUP", "-QUIT", "-INT"] {
         for protocol in ["udp", "tcp"] {

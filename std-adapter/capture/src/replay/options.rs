@@ -16,12 +16,14 @@ pub struct Options {
     pub volatile: Vec<String>,
     /// Records the replay.
     pub recorder: Option<Recorder>,
+    /// Tells whether the replay is to end: no more calls are made, and each connection ends its effects on the robot.
+    pub is_interrupted: Option<fn() -> bool>,
 }
 
 impl Options {
     /// Calls at their times, all values compared, nothing recorded.
     #[must_use]
     pub const fn new(timeout: Duration) -> Self {
-        Self { fast: false, timeout, volatile: Vec::new(), recorder: None }
+        Self { fast: false, timeout, volatile: Vec::new(), recorder: None, is_interrupted: None }
     }
 }

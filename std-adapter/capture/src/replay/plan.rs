@@ -85,6 +85,12 @@ impl Plan {
         Ok(Self { links, answered: ends.len() })
     }
 
+    /// Tells whether no call moves or writes.
+    #[must_use]
+    pub fn is_harmless(&self) -> bool {
+        self.links.iter().flat_map(|link| &link.calls).all(|planned| reads(&planned.call))
+    }
+
     /// Refuses calls that may move or write and that are not allowed.
     ///
     /// # Errors

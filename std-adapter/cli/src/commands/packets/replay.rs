@@ -4,15 +4,17 @@ use std::path::PathBuf;
 
 use bcap_capture::CallName;
 use bcap_capture::decode::events;
+use bcap_capture::proxy::Robot;
 use bcap_capture::replay::{Options, Plan};
 use bcap_core::limits::Strictness;
 use clap::Args;
 
 use crate::commands::robot_ports::{self, RobotPorts};
 use crate::failure::Failure;
+use crate::interrupt::{Interrupt, State};
 use crate::link::LinkArgs;
-use crate::output::{print_block, print_json, print_line};
-use crate::session::traffic;
+use crate::output::{note, print_block, print_json, print_line};
+use crate::session::{Session, traffic};
 
 /// Makes the calls of a capture again, and compares the replies
 ///
@@ -20,7 +22,8 @@ use crate::session::traffic;
 /// that were answered before it have been answered again. Handles are replaced by those that the robot gives now; a call is not
 /// sent if its object is not open in the replay. The retries of calls over UDP are not repeated. A reply that differs is printed
 /// with the recorded one, and the exit code is then 1. A call that had no reply is made, but not compared.
-/// At most 1024 connections are replayed. When the output is closed, such as by `head`, no more calls are made.
+/// At most 1024 connections are replayed. When the output is closed, such as by `head`, no more calls are made. The end of a
+/// connection and Ctrl-C halt the robot, switch the motor off and give the arm back if the replayed calls require that.
 ///
 /// Functions and commands that may move the robot or write must be allowed by name (`bcap call --list --effects`). Without
 /// that nothing is sent.
@@ -61,7 +64,29 @@ pub(crate) fn replay(args: &Replay, link: &LinkArgs, json: bool) -> Result<(), F
     options.fast = args.fast;
     options.volatile.clone_from(&args.volatile);
     options.recorder = traffic::recorder().cloned();
-    let totals = plan.run(&robot, &options, |outcome| match outcome.is_different {
+    options.is_interrupted = Some(|| Interrupt::of_process().is_some_and(|interrupt| interrupt.is_interrupted()));
+    let interrupt = Interrupt::install(|_| {})?;
+    if !plan.is_harmless() {
+        // a call may wait for the end of a motion
+        if let Err(failure) = Session::new(link).prepare_halt(&interrupt) {
+            failure.print(json, None);
+            note("Ctrl-C waits for the end of a call, because there is no session that could halt the robot");
+        }
+        interrupt.enter(State::Moving);
+    }
+    let done = made(&plan, &robot, &options, json);
+    interrupt.enter(State::Stepping);
+    interrupt.dismiss();
+    if interrupt.is_interrupted() {
+        let left = if plan.is_harmless() { "" } else { ": its effects on the robot were ended" };
+        return Err(Failure::Interrupted(format!("interrupted{left}")));
+    }
+    done
+}
+
+/// Makes the calls, and reports the differences.
+fn made(plan: &Plan, robot: &Robot, options: &Options, json: bool) -> Result<(), Failure> {
+    let totals = plan.run(robot, options, |outcome| match outcome.is_different {
         true if json => print_json(&outcome.to_json()),
         true => print_block(&outcome.to_string()),
         false => Ok(()),
