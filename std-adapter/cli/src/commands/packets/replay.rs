@@ -9,12 +9,13 @@ use bcap_capture::replay::{Options, Plan};
 use bcap_core::limits::Strictness;
 use clap::Args;
 
+use crate::commands::robot::halt::halt_now;
 use crate::commands::robot_ports::{self, RobotPorts};
 use crate::failure::Failure;
 use crate::interrupt::{Interrupt, State};
 use crate::link::LinkArgs;
-use crate::output::{note, print_block, print_json, print_line};
-use crate::session::{Session, traffic};
+use crate::output::{print_block, print_json, print_line};
+use crate::session::traffic;
 
 /// Makes the calls of a capture again, and compares the replies
 ///
@@ -68,10 +69,9 @@ pub(crate) fn replay(args: &Replay, link: &LinkArgs, json: bool) -> Result<(), F
     let interrupt = Interrupt::install(|_| {})?;
     if !plan.is_harmless() {
         // a call may wait for the end of a motion
-        if let Err(failure) = Session::new(link).prepare_halt(&interrupt) {
-            failure.print(json, None);
-            note("Ctrl-C waits for the end of a call, because there is no session that could halt the robot");
-        }
+        // over a session that begins with the signal: the capture has the connections of the replay
+        let link = link.for_halt();
+        interrupt.prepare(|| Ok(Some(Box::new(move || halt_now(&link).map(drop)))))?;
         interrupt.enter(State::Moving);
     }
     let done = made(&plan, &robot, &options, json);
