@@ -725,6 +725,51 @@ fn an_arm_that_was_given_back_unheard_is_told_from_one_that_was_kept() {
         },
         is_given,
     );
+    let [runtime, _] = runtimes();
+    at_every_byte(
+        |link, begin| {
+            runtime.block_on(async {
+                let cell = asynch::Controller::over(link, &settings()).await.unwrap();
+                let arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+                begin();
+                let told = told(arm.give().await);
+                std::mem::forget(cell);
+                told
+            })
+        },
+        is_given,
+    );
+}
+
+#[test]
+fn a_motor_call_that_was_not_sent_is_told_from_one_without_a_reply() {
+    // the end of the arm would switch the motor off
+    at_every_byte(
+        |link, begin| {
+            let mut cell = blocking::Controller::over(link, &settings()).unwrap();
+            let mut arm = cell.robot().unwrap().take_arm().unwrap();
+            begin();
+            let told = told(arm.motor_on());
+            arm.keep();
+            std::mem::forget(cell);
+            told
+        },
+        Simulated::motor_is_on,
+    );
+    let [runtime, _] = runtimes();
+    at_every_byte(
+        |link, begin| {
+            runtime.block_on(async {
+                let cell = asynch::Controller::over(link, &settings()).await.unwrap();
+                let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+                begin();
+                let told = told(arm.motor_on().await);
+                std::mem::forget((cell, arm));
+                told
+            })
+        },
+        Simulated::motor_is_on,
+    );
 }
 
 /// Releasing the robot by name would leave the motor on.
