@@ -5,7 +5,7 @@ use std::time::Duration;
 use bcap_core::bcap::FunctionId;
 use bcap_core::error::EncodeError;
 use bcap_core::hresult::HResult;
-use bcap_core::procedure::{Halt, HaltAnswer, StepCause, StepError};
+use bcap_core::procedure::{Halt, HaltAnswer, NotRecovered, StepCause, StepError};
 use bcap_core::slave::{ConfigError, StreamError};
 use bcap_core::variant::{ConvertError, OwnedVariant};
 
@@ -73,6 +73,9 @@ pub enum Error {
     /// The robot still moves after the halt, or the controller refuses Robot_Halt, so that the robot may move at any time.
     #[error("{0}; use the emergency stop")]
     NotHalted(Halt),
+    /// A recovery or a preparation ended before its last step. It names the step, the controller's code, and what to do.
+    #[error("not recovered: {0}")]
+    NotRecovered(NotRecovered),
     /// A value has no VARIANT. The call was not sent.
     #[error("the value cannot be sent: {0}")]
     Argument(#[from] EncodeError),
@@ -145,6 +148,7 @@ impl Error {
     pub const fn code(&self) -> Option<HResult> {
         match self {
             Self::Refused { code, .. } | Self::NotHalted(Halt { answer: HaltAnswer::Refused(code), .. }) => Some(*code),
+            Self::NotRecovered(error) => error.code(),
             _ => None,
         }
     }

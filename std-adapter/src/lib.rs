@@ -26,6 +26,7 @@
 //! |-----------------------------|-----------------------------------------------------------------------------------------|
 //! | move a robot                | [`blocking::Arm::move_to`], [`Move`], [`Motion`]                                        |
 //! | follow a path without stops | [`blocking::Arm::start`], [`blocking::Moving`]                                          |
+//! | recover it after an error   | [`blocking::Robot::examine`], [`recover`](blocking::Robot::recover); for a COBOTTA [`prepare`](blocking::Robot::prepare) |
 //! | stop it                     | [`blocking::Stopper`]; what a drop does: [`blocking::Arm`], [`blocking::Moving`]        |
 //! | read and write              | [`blocking::Controller::read`], [`write`](blocking::Controller::write), [`scan`](blocking::Controller::scan) |
 //! | use tokio                   | `asynch::Controller`: many tasks, reconnection, subscriptions                           |
@@ -50,7 +51,9 @@
 
 pub use bcap_core as core;
 pub use bcap_core::position::{Joints, Position, Transform};
-pub use bcap_core::procedure::{Halt, HaltAnswer, Motion, StoppedTasks};
+pub use bcap_core::procedure::{
+    Examination, Halt, HaltAnswer, Motion, NotRecovered, Obstacle, RecoveryConfig, RecoveryStep, StoppedTasks,
+};
 
 /// Defines a setter for each field of a struct that may grow.
 macro_rules! setters {

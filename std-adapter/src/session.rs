@@ -9,6 +9,7 @@ mod ending;
 mod halt;
 mod limit;
 mod names;
+mod recovery;
 #[cfg(feature = "tokio")]
 mod steps;
 mod variables;

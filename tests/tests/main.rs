@@ -26,6 +26,7 @@ mod procedures;
 mod programs;
 mod rac;
 mod reconnection;
+mod recovery;
 mod roundtrip;
 #[cfg(unix)]
 mod serial_cable;

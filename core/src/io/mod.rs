@@ -132,6 +132,13 @@ pub struct RunError<P, E> {
     pub call: Option<CallError<E>>,
 }
 
+impl<P, E> RunError<P, E> {
+    /// Converts the error of the procedure.
+    pub fn map<Q>(self, convert: impl FnOnce(P) -> Q) -> RunError<Q, E> {
+        RunError { error: convert(self.error), call: self.call }
+    }
+}
+
 impl<P: fmt::Display, E: fmt::Display> fmt::Display for RunError<P, E> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.error.fmt(f)?;

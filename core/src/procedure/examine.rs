@@ -101,9 +101,7 @@ pub enum Obstacle {
     Mode,
     /// The teach pendant has the executable token.
     Token,
-    /// This error is not one that ClearError ends.
-    Fault(HResult),
-    /// A preparation needs a controller without errors, and this is the first of them.
+    /// ClearError does not end this error, or must not: a preparation needs a controller without errors.
     Error(HResult),
     /// The controller refuses to say who owns the arm while it has errors, and the caller does not know either.
     OwnerUnknown,
@@ -133,7 +131,7 @@ pub enum RecoveryStep {
 }
 
 /// The steps of a recovery or a preparation.
-pub(super) type Plan = heapless::Vec<RecoveryStep, 12>;
+pub(super) type Plan = heapless::Vec<RecoveryStep, 9>;
 
 impl RecoveryStep {
     /// Returns the name of the command.
@@ -193,14 +191,14 @@ impl Examination {
                 (!state.has_outside_token()).then_some(Obstacle::Token),
             ]
         });
-        let faults = self.errors.iter().filter(|code| !is_clearable(**code)).map(|code| Obstacle::Fault(*code));
+        let faults = self.errors.iter().filter(|code| !is_clearable(**code)).map(|code| Obstacle::Error(*code));
         stream.into_iter().chain(unknown).chain(bits.flatten()).chain(faults)
     }
 
     /// Tells whether the robot needs no recovery: the controller has no error, and the motor is on.
     #[must_use]
     pub fn is_ready(&self) -> bool {
-        self.obstacles().next().is_none() && self.needed().iter().all(|step| *step == RecoveryStep::TakeArm)
+        self.obstacles().next().is_none() && self.plan(true, false).iter().all(|step| *step == RecoveryStep::TakeArm)
     }
 
     /// Iterates over the steps of a recovery from this state. `sets_speed` tells whether it sets the external speed.
@@ -210,47 +208,28 @@ impl Examination {
     /// state does not need are left out. While the controller has errors, TakeArm is asked once before ClearError, in case
     /// the controller says who owns the arm.
     pub fn steps(&self, sets_speed: bool) -> impl Iterator<Item = RecoveryStep> + use<> {
-        let mut plan = self.needed();
-        if sets_speed {
-            // the plan has room for all steps
-            let _ = plan.push(RecoveryStep::ExtSpeed);
-        }
-        plan.into_iter()
+        self.plan(true, sets_speed).into_iter()
     }
 
-    fn needed(&self) -> Plan {
-        let has_error = self.has_error();
+    /// Returns the steps of a recovery, or those of a preparation: TakeArm and what precedes the motor of a COBOTTA.
+    pub(super) fn plan(&self, recovers: bool, sets_speed: bool) -> Plan {
+        let clears = recovers && self.has_error();
+        // an RC8 does not tell its torque; one that a COBOTTA does not tell may be off
+        let resets = recovers && self.torque_off.unwrap_or(self.is_cobotta);
+        let prepares = self.is_cobotta && self.prepared != Some(true);
         let motor_is_on = self.state.is_some_and(SysState::motor_is_on);
-        // an unknown torque is only a fault of a COBOTTA
-        let torque_off = self.torque_off.unwrap_or(self.is_cobotta);
-        let prepares = self.is_cobotta && self.prepared != Some(true);
-        let reset = self.is_cobotta;
-        [
-            (has_error && reset, RecoveryStep::ManualResetPreparation),
-            (has_error, RecoveryStep::ClearError),
+        let plan = [
+            (clears && self.is_cobotta, RecoveryStep::ManualResetPreparation),
+            (clears, RecoveryStep::ClearError),
             (!self.owns_arm, RecoveryStep::TakeArm),
-            (torque_off && reset, RecoveryStep::ManualResetPreparation),
-            (torque_off, RecoveryStep::ManualReset),
+            (resets && self.is_cobotta, RecoveryStep::ManualResetPreparation),
+            (resets, RecoveryStep::ManualReset),
             (prepares, RecoveryStep::ManualResetPreparation),
             (prepares, RecoveryStep::MotionPreparation),
-            (!motor_is_on, RecoveryStep::Motor),
-        ]
-        .into_iter()
-        .filter_map(|(is_needed, step)| is_needed.then_some(step))
-        .collect()
-    }
-
-    /// Returns the steps of a preparation: the arm is taken, and the motion of a COBOTTA prepared.
-    pub(super) fn preparation(&self) -> Plan {
-        let prepares = self.is_cobotta && self.prepared != Some(true);
-        [
-            (!self.owns_arm, RecoveryStep::TakeArm),
-            (prepares, RecoveryStep::ManualResetPreparation),
-            (prepares, RecoveryStep::MotionPreparation),
-        ]
-        .into_iter()
-        .filter_map(|(is_needed, step)| is_needed.then_some(step))
-        .collect()
+            (recovers && !motor_is_on, RecoveryStep::Motor),
+            (sets_speed, RecoveryStep::ExtSpeed),
+        ];
+        plan.into_iter().filter_map(|(is_needed, step)| is_needed.then_some(step)).collect()
     }
 
     pub(super) fn has_error(&self) -> bool {
@@ -262,6 +241,17 @@ impl Examination {
 fn is_clearable(code: HResult) -> bool {
     let restarts = code.hint().is_some_and(|hint| hint.needs_restart());
     matches!(code.level(), Some(0..=4)) && !restarts
+}
+
+impl Obstacle {
+    /// Returns the code of the error or the refusal.
+    #[must_use]
+    pub const fn code(self) -> Option<HResult> {
+        match self {
+            Self::Error(code) | Self::StreamUnknown(code) => Some(code),
+            _ => None,
+        }
+    }
 }
 
 impl fmt::Display for Obstacle {
@@ -283,7 +273,7 @@ impl fmt::Display for Obstacle {
             Self::Token => f.write_str(
                 "the teach pendant has the executable token: set it to Ethernet with the address of this machine, or to Any",
             ),
-            Self::Fault(code) | Self::Error(code) => {
+            Self::Error(code) => {
                 write!(f, "the error {code}")?;
                 code.meaning().map_or(Ok(()), |meaning| write!(f, ", {}", meaning.trim_end_matches('.')))?;
                 match code.hint() {
@@ -309,13 +299,15 @@ impl fmt::Display for Obstacle {
 ///
 /// When a run is dropped, run the procedure again.
 pub fn examine(handles: Handles) -> impl Procedure<Output = Examination, Error = StepError> + use<> {
-    Sequence::new(ExamineSteps::new(handles), identity)
+    Sequence::new(ExamineSteps::new(handles, false), identity)
 }
 
 /// The steps of an examination, which a recovery begins with.
 #[derive(Debug)]
 pub(super) struct ExamineSteps {
     handles: Handles,
+    /// Whether the caller knows that no other client uses the robot, so that no client streams if slvGetMode is refused.
+    is_alone: bool,
     step: Step,
     /// Whether slvGetMode has answered since the last call that may end a stream.
     asked: bool,
@@ -337,8 +329,8 @@ enum Step {
 }
 
 impl ExamineSteps {
-    pub(super) const fn new(handles: Handles) -> Self {
-        Self { handles, step: Step::State, asked: false, left: 0, result: Examination::UNKNOWN }
+    pub(super) const fn new(handles: Handles, is_alone: bool) -> Self {
+        Self { handles, is_alone, step: Step::State, asked: false, left: 0, result: Examination::UNKNOWN }
     }
 
     /// Tells whether slvGetMode comes before the next step.
@@ -349,7 +341,12 @@ impl ExamineSteps {
 
     fn update_stream(&mut self, stream: StreamState) {
         (self.result.stream, self.asked) = (stream, true);
-        if !matches!(stream, StreamState::Off | StreamState::Absent) {
+        let may_run = match stream {
+            StreamState::Off | StreamState::Absent => false,
+            StreamState::Runs => true,
+            StreamState::Unknown(_) => !self.is_alone,
+        };
+        if may_run {
             // what was read before the stream began is old
             self.result = Examination { stream, ..Examination::UNKNOWN };
             self.step = Step::End;

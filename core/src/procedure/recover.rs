@@ -70,7 +70,7 @@ impl NotRecovered {
     #[must_use]
     pub const fn code(&self) -> Option<HResult> {
         match self.obstacle {
-            Some(Obstacle::Fault(code) | Obstacle::Error(code) | Obstacle::StreamUnknown(code)) => Some(code),
+            Some(obstacle) if obstacle.code().is_some() => obstacle.code(),
             _ => self.error.hresult(),
         }
     }
@@ -150,11 +150,13 @@ struct Recovery<F>(Sequence<RecoverySteps<F>, fn(Recovered) -> Recovered>);
 
 impl<F: FnMut(RecoveryStep, Result<(), HResult>) -> ControlFlow<()>> Recovery<F> {
     fn new(handles: Handles, goal: Goal, observe: F) -> Self {
+        let is_alone = matches!(goal, Goal::Recovered(RecoveryConfig { is_alone: true, .. }));
         let steps = RecoverySteps {
             handles,
             goal,
+            is_alone,
             observe,
-            examine: ExamineSteps::new(handles),
+            examine: ExamineSteps::new(handles, is_alone),
             examined: false,
             plan: Plan::new(),
             at: 0,
@@ -200,6 +202,7 @@ impl<F: FnMut(RecoveryStep, Result<(), HResult>) -> ControlFlow<()>> Procedure f
 struct RecoverySteps<F> {
     handles: Handles,
     goal: Goal,
+    is_alone: bool,
     observe: F,
     examine: ExamineSteps,
     examined: bool,
@@ -226,10 +229,6 @@ impl<F> RecoverySteps<F> {
         }
     }
 
-    const fn is_alone(&self) -> bool {
-        matches!(self.goal, Goal::Recovered(RecoveryConfig { is_alone: true, .. }))
-    }
-
     /// Tells whether slvGetMode comes before the present step.
     fn asks_mode(&self) -> bool {
         !self.has_arm && !self.asked && self.examine.result.stream != StreamState::Absent
@@ -242,20 +241,16 @@ impl<F> RecoverySteps<F> {
 
     /// Plans the steps after the examination.
     fn begin(&mut self) -> Result<(), StepCause> {
-        let state = &self.examine.result;
-        let error = match self.goal {
-            Goal::Prepared if state.has_error() => {
-                Some(Obstacle::Error(state.errors().first().copied().unwrap_or(HResult::E_ERROR_PRESENT)))
-            }
-            _ => None,
+        let (state, is_alone) = (&self.examine.result, self.is_alone);
+        let (recovers, speed) = match self.goal {
+            Goal::Recovered(config) => (true, config.speed),
+            Goal::Prepared => (false, None),
         };
-        let is_alone = self.is_alone();
+        let first = state.errors().first().copied().unwrap_or(HResult::E_ERROR_PRESENT);
+        let error = (!recovers && state.has_error()).then_some(Obstacle::Error(first));
         let is_known = |obstacle: &Obstacle| is_alone && matches!(obstacle, Obstacle::StreamUnknown(_));
         let obstacle = state.obstacles().find(|obstacle| !is_known(obstacle)).or(error);
-        self.plan = match self.goal {
-            Goal::Recovered(config) => state.steps(config.speed.is_some()).collect(),
-            Goal::Prepared => state.preparation(),
-        };
+        self.plan = state.plan(recovers, speed.is_some());
         self.has_arm = state.owns_arm;
         self.asks_owner = state.has_error() && !state.owns_arm;
         if let Some(obstacle) = obstacle {
@@ -270,7 +265,7 @@ impl<F> RecoverySteps<F> {
         (self.asked, self.examine.result.stream) = (true, stream);
         match stream {
             StreamState::Runs => self.stop(Obstacle::Stream),
-            StreamState::Unknown(code) if !self.is_alone() => self.stop(Obstacle::StreamUnknown(code)),
+            StreamState::Unknown(code) if !self.is_alone => self.stop(Obstacle::StreamUnknown(code)),
             _ => Ok(()),
         }
     }
@@ -382,7 +377,7 @@ impl<F: FnMut(RecoveryStep, Result<(), HResult>) -> ControlFlow<()>> Steps for R
         }
         match self.step() {
             RecoveryStep::TakeArm if self.asks_owner && code == HResult::E_ERROR_PRESENT => {
-                if !self.is_alone() {
+                if !self.is_alone {
                     self.obstacle = Some(Obstacle::OwnerUnknown);
                     return false;
                 }

@@ -2,13 +2,14 @@
 
 use std::any::Any;
 use std::io;
+use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::{Arc, Weak};
 use std::time::Duration;
 
 use bcap_core::bcap::Object;
 use bcap_core::position::{Joints, Position};
-use bcap_core::procedure::{Motion, MotionConfig, MotionQueue, Until};
+use bcap_core::procedure::{Examination, Motion, MotionConfig, MotionQueue, RecoveryConfig, Until};
 use bcap_core::slave::{AxisLimits, Cycle, Format, MoveReply, Next, Stats, Trajectory};
 use bcap_core::time::Instant;
 use bcap_core::variant::{Encode, FromVariant};
@@ -98,6 +99,86 @@ impl Robot {
                 Box::pin(async move {
                     session.take_arm().await?;
                     // from here on a drop gives it back, even when the caller has gone
+                    Ok(Arm { robot: self, session: session.id })
+                })
+            })
+            .await
+    }
+
+    /// Reads what is wrong: the present errors, mode, stops, motor, torque and Slave Mode. It changes nothing, and interrupts no
+    /// stream.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; a refused call only leaves a part unknown.
+    ///
+    /// # Cancel safety
+    ///
+    /// As [`Controller`](super::Controller).
+    ///
+    /// # Examples
+    ///
+    /// ```no_run
+    /// # async fn example(robot: bcap_std::asynch::Robot) -> Result<(), bcap_std::Error> {
+    /// let state = robot.examine().await?;
+    /// for code in state.errors() {
+    ///     println!("{code}: {}", code.hint().map(|hint| hint.to_string()).unwrap_or_default());
+    /// }
+    /// state.obstacles().for_each(|obstacle| println!("first of all: {obstacle}"));
+    /// # Ok(())
+    /// # }
+    /// ```
+    pub async fn examine(&self) -> Result<Examination, Error> {
+        self.handle.run(|session| Box::pin(session.examine())).await
+    }
+
+    /// Recovers the robot after an error: clears the errors, takes the arm, resets the safe torque off, prepares the motion of a
+    /// COBOTTA, and switches the motor on. Steps that the state does not need are left out.
+    ///
+    /// **The arm of a COBOTTA can move**, so a person must have looked at the robot. Nothing is cleared unless it is known that
+    /// no other client uses the robot: while a controller has errors it may refuse to say who owns the arm, and then
+    /// [`RecoveryConfig::is_alone`] decides. The drop of the [`Arm`] switches the motor off, and gives the arm back.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::NotRecovered`] with the step, the code and what to do; the arm is not taken then, and the motor is as it was.
+    /// [`Error::ArmTaken`] if the arm is taken over this session.
+    ///
+    /// # Cancel safety
+    ///
+    /// If the future is dropped, the task makes the remaining steps, and then undoes them: the motor is switched off, and the arm
+    /// given back.
+    pub async fn recover(self, config: RecoveryConfig) -> Result<Arm, Error> {
+        self.make_ready(Some(config)).await
+    }
+
+    /// Takes the arm, and prepares the motion of a COBOTTA, without which its motor cannot be switched on. Of another model it
+    /// takes only the arm.
+    ///
+    /// **The arm can move.** Nothing else makes this preparation, except [`recover`](Self::recover).
+    ///
+    /// # Errors
+    ///
+    /// As [`recover`](Self::recover); it fails while the controller has errors.
+    ///
+    /// # Cancel safety
+    ///
+    /// If the future is dropped, the task makes the remaining steps, and then undoes them: the motor is switched off, and the arm
+    /// given back.
+    pub async fn prepare(self) -> Result<Arm, Error> {
+        self.make_ready(None).await
+    }
+
+    async fn make_ready(self, config: Option<RecoveryConfig>) -> Result<Arm, Error> {
+        let handle = self.handle.clone();
+        handle
+            .run(move |session| {
+                Box::pin(async move {
+                    if session.has_arm() {
+                        return Err(Error::ArmTaken);
+                    }
+                    session.make_ready(config, |_, _| ControlFlow::Continue(())).await?;
+                    // from here on a drop undoes it, even when the caller has gone
                     Ok(Arm { robot: self, session: session.id })
                 })
             })

@@ -1,10 +1,11 @@
 //! A robot and its arm as objects.
 
+use std::ops::ControlFlow;
 use std::time::Duration;
 
 use bcap_core::bcap::Object;
 use bcap_core::position::{Joints, Position};
-use bcap_core::procedure::{Motion, MotionConfig, MotionQueue, Until};
+use bcap_core::procedure::{Examination, Motion, MotionConfig, MotionQueue, RecoveryConfig, Until};
 use bcap_core::slave::{AxisLimits, Format, Stats, Trajectory};
 use bcap_core::variant::{Encode, FromVariant};
 
@@ -56,6 +57,64 @@ impl<'a> Robot<'a> {
     /// An [`Error`]; the arm is not taken then.
     pub fn take_arm(self) -> Result<Arm<'a>, Error> {
         ready(self.session.take_arm())?;
+        Ok(Arm { robot: self })
+    }
+
+    /// Reads what is wrong: the present errors, mode, stops, motor, torque and Slave Mode. It changes nothing, and interrupts no
+    /// stream.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; a refused call only leaves a part unknown.
+    ///
+    /// # Examples
+    ///
+    /// ```no_run
+    /// # use bcap_std::{Settings, blocking::Controller};
+    /// # let mut cell = Controller::connect("tcp:192.168.0.1", &Settings::rc9())?;
+    /// let state = cell.robot()?.examine()?;
+    /// for code in state.errors() {
+    ///     println!("{code}: {}", code.hint().map(|hint| hint.to_string()).unwrap_or_default());
+    /// }
+    /// state.obstacles().for_each(|obstacle| println!("first of all: {obstacle}"));
+    /// # Ok::<(), bcap_std::Error>(())
+    /// ```
+    pub fn examine(&mut self) -> Result<Examination, Error> {
+        ready(self.session.examine())
+    }
+
+    /// Recovers the robot after an error: clears the errors, takes the arm, resets the safe torque off, prepares the motion of a
+    /// COBOTTA, and switches the motor on. Steps that the state does not need are left out.
+    ///
+    /// **The arm of a COBOTTA can move**, so a person must have looked at the robot. Nothing is cleared unless it is known that
+    /// no other client uses the robot: while a controller has errors it may refuse to say who owns the arm, and then
+    /// [`RecoveryConfig::is_alone`] decides. The drop of the [`Arm`] switches the motor off, and gives the arm back.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::NotRecovered`] with the step, the code and what to do; the arm is not taken then, and the motor is as it was.
+    /// [`Error::ArmTaken`] if the arm is taken over this session.
+    pub fn recover(self, config: RecoveryConfig) -> Result<Arm<'a>, Error> {
+        self.make_ready(Some(config))
+    }
+
+    /// Takes the arm, and prepares the motion of a COBOTTA, without which its motor cannot be switched on. Of another model it
+    /// takes only the arm.
+    ///
+    /// **The arm can move.** Nothing else makes this preparation, except [`recover`](Self::recover).
+    ///
+    /// # Errors
+    ///
+    /// As [`recover`](Self::recover); it fails while the controller has errors.
+    pub fn prepare(self) -> Result<Arm<'a>, Error> {
+        self.make_ready(None)
+    }
+
+    fn make_ready(self, config: Option<RecoveryConfig>) -> Result<Arm<'a>, Error> {
+        if self.session.has_arm() {
+            return Err(Error::ArmTaken);
+        }
+        ready(self.session.make_ready(config, |_, _| ControlFlow::Continue(())))?;
         Ok(Arm { robot: self })
     }
 

@@ -12,7 +12,7 @@ use bcap_core::variant::OwnedVariant;
 use bcap_sim::{Config, Controller as Simulated, Profile};
 use bcap_std::asynch::{Arm, Controller, Stopper};
 use bcap_std::server::Limits;
-use bcap_std::{Joints, Motion, Move, Settings, TaskStart, TaskStop};
+use bcap_std::{Joints, Motion, Move, RecoveryConfig, Settings, TaskStart, TaskStop};
 use bcap_tests::served::Served;
 use tokio::task::yield_now;
 
@@ -149,6 +149,13 @@ async fn calls(rig: &mut Rig) {
 
 async fn arms(rig: &mut Rig) {
     rig.sweep("Robot::take_arm", async |cell| drop(arm(&cell).await)).await;
+    let alone = RecoveryConfig { is_alone: true, ..RecoveryConfig::default() };
+    rig.sweep("Robot::examine", async |cell| {
+        cell.robot().await.unwrap().examine().await.unwrap();
+    })
+    .await;
+    rig.sweep("Robot::recover", async |cell| drop(cell.robot().await.unwrap().recover(alone).await.unwrap())).await;
+    rig.sweep("Robot::prepare", async |cell| drop(cell.robot().await.unwrap().prepare().await.unwrap())).await;
     rig.sweep("Arm::motor_on", async |cell| arm(&cell).await.motor_on().await.unwrap()).await;
     rig.sweep("Arm::motor_off", async |cell| {
         let mut arm = arm(&cell).await;

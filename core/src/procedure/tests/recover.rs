@@ -175,11 +175,11 @@ fn a_person_is_named_what_only_a_person_can_do() {
     // a fault of the controller, a code that only a restart ends, a code of no known list
     for code in [0x8550_0001, 0x8000_4005] {
         let code = HResult::from_u32(code);
-        assert_eq!(obstacles(examined(failed(&[code, PATH]))), [Obstacle::Fault(code)]);
+        assert_eq!(obstacles(examined(failed(&[code, PATH]))), [Obstacle::Error(code)]);
     }
     let unknown = Peer { other: vec![("SysState", Answer::Refused(HResult::E_FAIL))], ..peer() };
     assert_eq!(obstacles(examined(unknown)), [Obstacle::StateUnknown]);
-    for obstacle in [Obstacle::EmergencyStop, Obstacle::Mode, Obstacle::Token, Obstacle::Fault(PATH)] {
+    for obstacle in [Obstacle::EmergencyStop, Obstacle::Mode, Obstacle::Token, Obstacle::Error(PATH)] {
         assert!(obstacle.to_string().contains(": "), "it says what to do: {obstacle}");
     }
 }
@@ -263,6 +263,8 @@ fn errors_stay_until_it_is_known_that_no_other_client_uses_the_robot() {
     let (error, _) = stopped(unknown, refused);
     assert_eq!(error.code(), Some(HResult::E_ERROR_PRESENT));
     assert_eq!((error.step, error.error.function), (RecoveryStep::Examine, FunctionId::ROBOT_EXECUTE));
+    let refused = Peer { mode: Answer::Refused(HResult::E_ERROR_PRESENT), ..failed(&[PATH]) };
+    assert_eq!(changes(&recovered(Some(ALONE), refused).1), ["TakeArm", "ClearError", "TakeArm", "Motor"]);
 }
 
 #[test]
@@ -327,18 +329,14 @@ fn a_failed_step_is_named_and_the_arm_and_the_motor_are_undone() {
 #[test]
 fn a_link_that_is_lost_during_the_examination_leaves_nothing() {
     let (_, normal, _) = recovered(Some(ALONE), cobotta());
-    let first = normal.iter().position(|call| call.contains("TakeArm\"")).unwrap();
-    for at in 0..first {
+    for at in 0..normal.iter().position(|call| call.contains("TakeArm\"")).unwrap() {
         for failure in [Failure::Lost, Failure::Timeout] {
             let mut controller = cobotta();
-            let answer = |number: usize, call: &str| match number {
-                _ if number == at => Answer::Failed(failure),
-                _ => controller.answer(call),
-            };
+            let answer =
+                |number, call: &str| if number == at { Answer::Failed(failure) } else { controller.answer(call) };
             let (result, calls, _) = answered(Some(ALONE), answer, |_| ControlFlow::Continue(()));
-            let error = result.unwrap_err();
-            assert_eq!((error.error.cause, error.error.undone), (StepCause::Failed(failure), true), "{at}");
-            assert_eq!(calls.len(), at + 1);
+            let StepError { cause, undone, .. } = result.unwrap_err().error;
+            assert_eq!((cause, undone, calls.len()), (StepCause::Failed(failure), true, at + 1));
         }
     }
 }

@@ -1,10 +1,12 @@
 //! A controller for tools: calls and objects that are known only at run time, and time limits.
 
 use std::io;
+use std::ops::ControlFlow;
 
 use bcap_core::bcap::client::Timing;
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::hresult::HResult;
+use bcap_core::procedure::{RecoveryConfig, RecoveryStep};
 use bcap_core::time::Instant;
 use bcap_core::variant::OwnedVariant;
 
@@ -102,6 +104,24 @@ impl Controller {
         let taken = self.session.has_arm();
         let robot = self.robot()?;
         if taken { Ok(Arm::new(robot)) } else { robot.take_arm() }
+    }
+
+    /// As [`Robot::recover`](crate::blocking::Robot::recover) or, without a configuration, [`Robot::prepare`](crate::blocking::Robot::prepare),
+    /// with an observer, and also with the arm of this session.
+    ///
+    /// `observe` gets each step with its result: `Err` for a step that the controller does not know, and that is left out. The
+    /// procedure ends when it returns [`ControlFlow::Break`], and undoes its effects.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; [`Error::NotRecovered`] with the step, the code and what to do.
+    pub fn make_ready(
+        &mut self,
+        config: Option<RecoveryConfig>,
+        observe: impl FnMut(RecoveryStep, Result<(), HResult>) -> ControlFlow<()>,
+    ) -> Result<Arm<'_>, Error> {
+        ready(self.session.make_ready(config, observe))?;
+        Ok(Arm::new(self.robot()?))
     }
 
     /// Returns whether this session has switched the motor on. The end of the session switches it off.
