@@ -31,6 +31,7 @@ use crate::commands::robot::errors::{Clear, Errors};
 use crate::commands::robot::halt::HaltArgs;
 use crate::commands::robot::messages::Messages;
 use crate::commands::robot::motion::MoveArgs;
+use crate::commands::robot::recover::Recover;
 use crate::commands::robot::task::Task;
 use crate::commands::sim::args::Sim;
 use crate::commands::sim::demo::Demo;
@@ -84,6 +85,7 @@ pub(crate) enum Command {
     Task(Task),
     Errors(Errors),
     Clear(Clear),
+    Recover(Recover),
     Messages(Messages),
     Shell(Shell),
     Run(Run),

@@ -26,7 +26,7 @@ use crate::commands::judge::{conform, fuzz};
 #[cfg(feature = "screens")]
 use crate::commands::monitor;
 use crate::commands::packets::{decode, encode, proxy, raw, replay, text, wireshark};
-use crate::commands::robot::{errors, halt, messages, motion, task};
+use crate::commands::robot::{errors, halt, messages, motion, recover, task};
 use crate::commands::sim::demo;
 use crate::commands::variables::{get, names, put, rac, watch};
 use crate::commands::{board, doctor, explain, files, gateway, profile, sim, slave};
@@ -70,7 +70,8 @@ fn run(cli: &Cli) -> Result<(), Failure> {
     };
     let mut session = Session::new(&link);
     let done = verb(&cli.command, &mut session, cli.json);
-    let is_single = matches!(cli.command, Command::Exec(_) | Command::Call(_) | Command::Put(_));
+    let keeps_motor = matches!(&cli.command, Command::Recover(args) if args.keep);
+    let is_single = keeps_motor || matches!(cli.command, Command::Exec(_) | Command::Call(_) | Command::Put(_));
     let is_interrupted = Interrupt::of_process().is_some_and(|interrupt| interrupt.is_interrupted());
     if is_single && done.is_ok() && !is_interrupted && session.leave_motor() {
         output::note("the motor stays on after this command; `bcap exec robot Motor 0` switches it off");
@@ -107,6 +108,7 @@ pub(crate) fn verb(command: &Command, session: &mut Session, json: bool) -> Resu
         Command::Task(args) => task::task(args, session, json),
         Command::Errors(_) => errors::errors(session, json),
         Command::Clear(_) => errors::clear(session),
+        Command::Recover(args) => recover::recover(args, session, json),
         Command::Messages(args) => messages::messages(args, session, json),
         Command::Shell(_) => shell::shell(session, verb, json),
         Command::Run(args) => script::run(args, session, verb, check, json),
@@ -143,6 +145,7 @@ fn check(command: &Command) -> Result<(), Failure> {
         Command::Call(args) => call::check(args),
         Command::Exec(args) => exec::check(args),
         Command::Move(args) => motion::check(args),
+        Command::Recover(args) => recover::check(args),
         Command::Rac(args) => rac::check(args),
         _ => Ok(()),
     }

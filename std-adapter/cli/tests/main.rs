@@ -39,6 +39,8 @@ mod rac;
 mod ranges;
 #[cfg(unix)]
 mod raw;
+#[cfg(unix)]
+mod recover;
 mod reference;
 mod replay;
 #[cfg(unix)]

@@ -54,6 +54,18 @@ impl Question<'_> {
         answered
     }
 
+    /// Returns if the user has given `--yes`, or agrees. Also a virtual controller is asked about: the user vouches for what the
+    /// controller does not say.
+    ///
+    /// # Errors
+    ///
+    /// As [`confirm`](Self::confirm).
+    pub(crate) fn confirm_by_person(&self, session: &mut Session, yes: bool) -> Result<(), Failure> {
+        let answered = if yes { Ok(()) } else { self.ask() };
+        session.restart_budget();
+        answered
+    }
+
     fn ask(&self) -> Result<(), Failure> {
         let Self { what, warning, refused } = self;
         let input = io::stdin();

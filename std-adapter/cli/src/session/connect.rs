@@ -7,7 +7,9 @@ use std::time::Duration;
 use bcap_capture::trace::{Packets, Wire};
 use bcap_core::bcap::client::{ClientError, Timeout};
 use bcap_std::blocking::{self, Controller, Transport};
-use bcap_std::{Address, CallError, ConnectError, Error, Halt, HaltAnswer, NetworkAddress, Options, Protocol};
+use bcap_std::{
+    Address, CallError, ConnectError, Error, Halt, HaltAnswer, NetworkAddress, NotRecovered, Options, Protocol,
+};
 
 use crate::failure::Failure;
 use crate::session::budget::Budget;
@@ -80,6 +82,7 @@ pub(crate) fn failure(error: Error, target: &Address, budget: &Budget) -> Failur
         },
         Error::Argument(error) => error.into(),
         Error::NotHalted(halt) => not_halted(&halt),
+        Error::NotRecovered(error) => not_recovered(&error),
         error => {
             Failure::Connection { message: error.to_string(), hint: format!("check that {target} is a controller") }
         }
@@ -90,6 +93,18 @@ pub(crate) fn failure(error: Error, target: &Address, budget: &Budget) -> Failur
 pub(crate) fn not_halted(halt: &Halt) -> Failure {
     let code = if let HaltAnswer::Refused(code) = halt.answer { Some(code) } else { None };
     Failure::Unfit { message: halt.to_string(), code, hint: Some("use the emergency stop".into()) }
+}
+
+/// Returns the failure of a recovery or a preparation.
+fn not_recovered(error: &NotRecovered) -> Failure {
+    let step = error.step;
+    match (error.obstacle, error.code()) {
+        (Some(obstacle), code) => {
+            Failure::Unfit { message: format!("before {step}: {obstacle}"), code, hint: Some("then try again".into()) }
+        }
+        (None, Some(code)) => Failure::Refused { doing: step.to_string(), code },
+        (None, None) => Failure::Unfit { message: error.to_string(), code: None, hint: None },
+    }
 }
 
 /// Returns the failure of a call that exceeded the time limit of the whole command.

@@ -21,6 +21,7 @@ use std::time::{Duration, Instant};
 
 use bcap_core::bcap::{FunctionId, StreamState};
 use bcap_core::hresult::HResult;
+use bcap_core::procedure::SysState;
 use bcap_core::variant::{Encode, Variant};
 use bcap_std::{ObjectPath, Protocol};
 use clap::Args;
@@ -61,12 +62,6 @@ pub(crate) struct Doctor {
 const PROVIDERS: [&str; 2] = ["CaoProv.DENSO.VRC", "CaoProv.DENSO.VRC9"];
 /// The time limit of Service_Start over UDP, where a port without a server does not answer.
 const UDP_TIMEOUT: Duration = Duration::from_secs(2);
-
-/// Bits of SysState.
-const SERVO_ON: u32 = 2;
-const AUTO: u32 = 4;
-const TOKEN_OUTSIDE: u32 = 5;
-const EMERGENCY_STOP: u32 = 10;
 
 /// The checks after the links, in this order.
 const CHECKS: [&str; 10] =
@@ -283,8 +278,8 @@ impl Examined<'_> {
             let rest = CHECKS.into_iter().skip(3);
             return rest.into_iter().try_for_each(|check| report.note(check, Finding::skipped("it needs SysState")));
         };
-        let is = |bit: u32| bits & (1 << bit) != 0;
-        let (auto, outside, stopped) = (is(AUTO), is(TOKEN_OUTSIDE), is(EMERGENCY_STOP));
+        let state = SysState(bits);
+        let (auto, outside, stopped) = (state.is_auto(), state.has_outside_token(), state.is_emergency_stopped());
         let errors = self.errors(stopped)?;
         let emergency = self.emergency_stop(stopped)?;
         let ready = auto && outside && !errors.has_failed() && !emergency.has_failed() && !stopped;
@@ -296,7 +291,7 @@ impl Examined<'_> {
         report.note("errors", errors)?;
         report.note("emergency stop", emergency)?;
         report.note("arm", arm)?;
-        report.note("motor", motor(is(SERVO_ON), ready))?;
+        report.note("motor", motor(state.motor_is_on(), ready))?;
         let (licence, formats) =
             if ready { self.slave_mode()? } else { both("it needs all of the above but the motor") };
         report.note("licence", licence)?;
@@ -359,19 +354,19 @@ impl Examined<'_> {
             Some((code, elements.next().and_then(|text| text.as_bstr().map(|text| text.to_string()))))
         });
         let hint = first.as_ref().and_then(|(code, _)| code.hint());
-        let hint = hint.map(|hint| format!("{hint} (`bcap clear`)"));
+        let hint = hint.map(|hint| format!("{hint} (`bcap recover`)"));
         let what =
             first.map(|(code, text)| format!(", the first cause is {}", described(code, &text.unwrap_or_default())));
         Ok(Finding::failed(
             format!("{count}{}", what.unwrap_or_default()),
-            hint.unwrap_or_else(|| "fix its cause, then `bcap clear`".into()),
+            hint.unwrap_or_else(|| "fix its cause, then `bcap recover`".into()),
         ))
     }
 
     fn emergency_stop(&mut self, stopped: bool) -> Result<Finding, Failure> {
         if stopped {
             let hint = "make sure that the robot endangers no person, release the stop, then \
-                        `bcap exec controller ClearError`";
+                        `bcap recover`";
             return Ok(Finding::failed("pressed", hint));
         }
         // an RC8 does not have this command
@@ -379,7 +374,7 @@ impl Examined<'_> {
         let off = torque_off.value.as_ref().filter(|_| torque_off.code.is_ok()).map(|value| value.as_variant());
         Ok(match off {
             Some(Variant::Bool(true)) => {
-                let hint = "restore the torque with `bcap exec controller ManualReset`";
+                let hint = "restore the torque with `bcap recover`";
                 Finding::failed("released, but the torque is still off", hint)
             }
             Some(Variant::Bool(false)) => Finding::Passed("released, the torque is not off".into()),
@@ -499,8 +494,8 @@ fn motor(on: bool, ready: bool) -> Finding {
         (true, _) => Finding::Passed("on".into()),
         (false, false) => Finding::skipped("off, and it needs all of the above"),
         (false, true) => {
-            let hint = "switch it on with `bcap exec robot Motor 1`; `bcap slave` does so itself. A COBOTTA needs \
-                        ManualResetPreparation and MotionPreparation first";
+            let hint = "switch it on with `bcap recover --keep`, which prepares a COBOTTA first; `bcap move` and `bcap slave` \
+                        switch it on themselves";
             Finding::failed("off", hint)
         }
     }

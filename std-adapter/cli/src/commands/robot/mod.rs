@@ -1,10 +1,11 @@
-//! The robot and the state of its controller: `bcap move`, `bcap halt`, `bcap task`, `bcap errors`, `bcap clear` and
-//! `bcap messages`.
+//! The robot and the state of its controller: `bcap move`, `bcap halt`, `bcap task`, `bcap errors`, `bcap clear`,
+//! `bcap recover` and `bcap messages`.
 
 mod destination;
 pub(crate) mod errors;
 pub(crate) mod halt;
 pub(crate) mod messages;
 pub(crate) mod motion;
+pub(crate) mod recover;
 mod silence;
 pub(crate) mod task;

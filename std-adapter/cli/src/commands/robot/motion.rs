@@ -1,9 +1,11 @@
 //! `bcap move`: a whole motion, from taking the arm to giving it back.
 
+use std::ops::ControlFlow;
 use std::time::Duration;
 
 use bcap_capture::duration;
 use bcap_core::bcap::FunctionId;
+use bcap_core::hresult::HResult;
 use bcap_core::procedure::Motion;
 use bcap_std::{Move, ObjectPath};
 use clap::Args;
@@ -11,7 +13,7 @@ use clap::Args;
 use crate::commands::robot::destination;
 use crate::commands::robot::silence::Silence;
 use crate::failure::Failure;
-use crate::interrupt::State;
+use crate::interrupt::{Interrupt, State};
 use crate::output::{print_json, print_line};
 use crate::session::Session;
 use crate::session::confirm::Question;
@@ -26,6 +28,8 @@ use crate::values::{integer, text};
 ///
 /// A real robot moves only after a question, or with --yes; without a terminal the question cannot be asked, so --yes is
 /// needed. A virtual controller is recognised by its @MAKER_NAME and @SERIAL_NO, and is not asked about.
+///
+/// A COBOTTA needs its motion prepared before its motor can be switched on: --prepare does it, and can move the arm.
 ///
 /// POSITION is a variable (P1, J2, T3), or a value as the controller's language writes it: 'J(0, 45, 90, 0, 45, 0)',
 /// 'P(400, 0, 300, 180, 0, 180, 5)'. The exit code is 0 only if the robot rests at the destination, or,
@@ -60,6 +64,10 @@ pub(crate) struct MoveArgs {
     #[arg(long, value_name = "TIME", value_parser = duration::parse, default_value = "3min")]
     pub(crate) within: Duration,
 
+    /// Prepares the motion of a COBOTTA first, if that has not been done. The preparation can move the arm
+    #[arg(long)]
+    pub(crate) prepare: bool,
+
     /// Waits for the end of the motion, which is the default
     #[arg(long, overrides_with = "no_wait")]
     pub(crate) wait: bool,
@@ -81,7 +89,8 @@ pub(crate) fn motion(args: &MoveArgs, session: &mut Session, json: bool) -> Resu
     session.begin()?;
     let way = if args.line { "along a line " } else { "" };
     let what = format!("{} moves {way}to {} at {} % of its speed", session.link().target()?, args.to, args.speed);
-    let question = Question { what: &what, warning: "The robot will move.", refused: "the robot was not moved" };
+    let warning = if args.prepare { "The robot will move, also for its preparation." } else { "The robot will move." };
+    let question = Question { what: &what, warning, refused: "the robot was not moved" };
     question.confirm(session, args.yes)?;
     if !go(args, session)? {
         return Ok(());
@@ -119,8 +128,14 @@ pub(crate) fn go(args: &MoveArgs, session: &mut Session) -> Result<bool, Failure
     session.prepare_halt(&interrupt)?;
     interrupt.enter(State::Moving);
     // a signal from now on halts the robot, an earlier one prevents the motion
-    let ready = if interrupt.is_interrupted() { Ok(()) } else { prepared(args, session, had_arm) };
-    let ended = ready.and_then(|()| if interrupt.is_interrupted() { Ok(None) } else { moved(args, session).map(Some) });
+    let ready = if interrupt.is_interrupted() { Ok(()) } else { prepared(args, session, &interrupt, had_arm) };
+    let ended = match ready {
+        // the preparation was stopped
+        Err(_) if args.prepare && interrupt.is_interrupted() && session.is_open() => Ok(None),
+        Ok(()) if interrupt.is_interrupted() => Ok(None),
+        Ok(()) => moved(args, session).map(Some),
+        Err(failure) => Err(failure),
+    };
     if had_arm {
         return ended.and_then(|ended| concluded(args, ended));
     }
@@ -136,12 +151,13 @@ pub(crate) fn go(args: &MoveArgs, session: &mut Session) -> Result<bool, Failure
     given.and_then(|()| concluded(args, ended))
 }
 
-/// Takes the arm and switches the motor on.
-fn prepared(args: &MoveArgs, session: &mut Session, had_arm: bool) -> Result<(), Failure> {
-    session.with(|controller| {
+/// Takes the arm, prepares the motion if wanted, and switches the motor on.
+fn prepared(args: &MoveArgs, session: &mut Session, interrupt: &Interrupt, had_arm: bool) -> Result<(), Failure> {
+    let prepared = session.with(|controller| {
         // a motor that was on before stays on
         let on = controller.robot()?.read::<bool>("@SERVO_ON");
-        let mut arm = controller.arm()?;
+        let go_on = |_, _| if interrupt.is_interrupted() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
+        let mut arm = if args.prepare { controller.make_ready(None, go_on)? } else { controller.arm()? };
         let prepared = (|| {
             if !matches!(on, Ok(true)) {
                 arm.motor_on()?;
@@ -153,6 +169,14 @@ fn prepared(args: &MoveArgs, session: &mut Session, had_arm: bool) -> Result<(),
             arm.keep();
         }
         prepared
+    });
+    prepared.map_err(|failure| match failure {
+        Failure::Refused { code: code @ HResult::E_MOTION_UNPREPARED, .. } => Failure::Unfit {
+            message: failure.to_string(),
+            code: Some(code),
+            hint: Some("keep clear of the arm, which can move: `bcap recover` prepares it after this error, --prepare before a motion".into()),
+        },
+        failure => failure,
     })
 }
 

@@ -141,6 +141,7 @@ fn approach(to: String, percent: f64, link: &LinkArgs) -> Result<(), Failure> {
         tool: None,
         work: None,
         within: APPROACH,
+        prepare: false,
         wait: true,
         no_wait: false,
         yes: true,
