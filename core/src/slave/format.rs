@@ -203,13 +203,11 @@ impl ReceiveFormat {
     }
 }
 
-/// The parameter of slvRecvFormat: the number, or the pair of number and unit for a time stamp in microseconds.
+/// The parameter of slvRecvFormat: an array of the number and the unit of the time stamp, 0 for milliseconds and 1 for
+/// microseconds (b-CAP specification, table 5-1).
 impl Encode for ReceiveFormat {
     fn encode(&self, out: &mut Writer<'_>) -> Result<(), EncodeError> {
-        match self.time {
-            Some(TimeUnit::Micros) => [self.code(), 1].encode(out),
-            _ => self.code().encode(out),
-        }
+        [self.code(), i32::from(self.time == Some(TimeUnit::Micros))].encode(out)
     }
 }
 

@@ -276,11 +276,11 @@ fn receive_formats_have_the_numbers_of_the_specification() {
     let parameter = |format: ReceiveFormat| {
         let bytes = request(receive_format(ROBOT, format), 1);
         let frame = Decoder::TCP.decode_datagram(&bytes).unwrap();
-        let value = frame.args.get(2).unwrap();
-        (value.as_i32(), value.as_array().and_then(|a| a.items::<i32>()).and_then(|i| i.to_array()))
+        frame.args.get(2).unwrap().as_array().and_then(|array| array.items::<i32>()).and_then(|items| items.to_array())
     };
-    assert_eq!(parameter(all), (None, Some([0x374, 1])));
-    assert_eq!(parameter(ReceiveFormat { time: Some(TimeUnit::Millis), ..all }), (Some(0x374), None));
+    assert_eq!(parameter(all), Some([0x374, 1]));
+    assert_eq!(parameter(ReceiveFormat { time: Some(TimeUnit::Millis), ..all }), Some([0x374, 0]));
+    assert_eq!(parameter(ReceiveFormat::pose(ReceivePose::J)), Some([2, 0]));
 }
 
 /// Writes a reply in the order of the specification's table.

@@ -419,7 +419,10 @@ impl Examined<'_> {
             [("slvSendFormat", "sending", &SEND[..]), ("slvRecvFormat", "receiving", &RECEIVE)]
         {
             for (format, name) in formats {
-                let code = self.robot(command, format)?.code;
+                let code = match command {
+                    "slvRecvFormat" => self.robot(command, &[*format, 0])?.code,
+                    _ => self.robot(command, format)?.code,
+                };
                 let needed = *format <= 3;
                 if code.is_err() && needed {
                     answers.push((command, code));
