@@ -94,6 +94,7 @@
 //! | ConvertPosWork                  | \[pose, from, to\]          | R8\[7\]: the pose in other work coordinates      |
 //! | CheckVirtualFence               | a pose                      | I4: 0, because there are no fences               |
 //! | GetSrvData                      | I4                          | R8\[8\]: see below                               |
+//! | GetAllSrvData                   | -                           | array of 8 R4\[8\]: see below                    |
 //! | GetSrvJntData                   | \[1, 2, 4, 5 or 8, axis\]   | R4: the same of one axis                         |
 //! | slvMove, slvChangeMode, ...     | see [`slave`]               |                                                  |
 //! | MotionPreparation, ...          | see [`preparation`](crate::preparation) |                                      |
@@ -104,7 +105,8 @@
 //! GetLogRecord  of J1 to J8: commanded position, position R8, current, load R8;
 //!               user data, program number I4, file name BSTR, line I4, ms since the start of the controller I4,
 //!               tool, work I4
-//! GetSrvData    1 speed of each axis; 2 deviation, 4 and 5 current and torque, 7 load of each axis; 8 position;
+//! GetSrvData    1 speed of each axis; 2 deviation, which is not 0 while the motor is on; 4 and 5 current and torque, 7 load of
+//!               each axis; 8 position;
 //!               17 speed of the tool centre point in x, y, z of the work coordinates, in mm per second; 18 the same with the
 //!               angles; 19, 20 zero
 //! ```

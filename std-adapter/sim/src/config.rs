@@ -31,6 +31,9 @@ pub enum Mode {
 /// The providers of electric hands that public programs connect to at the same controller. This model has no such hand.
 const HAND_PROVIDERS: &[&str] = &["CaoProv.DENSO.ESC11PCI"];
 
+/// The provider of a PC for all controllers of the maker.
+const PC_PROVIDER: &str = "CaoProv.DENSO.RC8";
+
 /// A client that is not connected: no server gives this number to a client.
 pub(crate) const ABSENT: PeerId = PeerId(u32::MAX);
 
@@ -54,14 +57,16 @@ pub enum Token {
     Address(IpAddr),
 }
 
-/// The communication permission.
+/// The communication permission. Robot_Halt is never refused for it, so that a client can stop the robot.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Permission {
     /// Clients may read and write variables.
     #[default]
     ReadWrite,
-    /// Writing a variable answers `E_CAO_NOT_WRITABLE`.
+    /// Writing a variable answers `E_CAO_NOT_WRITABLE`, and any other call that writes or moves `E_ACCESSDENIED`.
     ReadOnly,
+    /// Reading answers `E_ACCESSDENIED`, too. A client can open and release objects.
+    None,
 }
 
 /// The limits of speed and acceleration in Slave Mode: the controller's parameter 153, "Speed setting for b-CAP Slave".
@@ -244,10 +249,14 @@ impl Config {
     }
 
     /// Checks the provider that a client names.
-    pub(crate) fn check_provider(&self, name: &str) -> Result<(), HResult> {
+    pub(crate) fn check_provider(&self, name: &str, option: &str) -> Result<(), HResult> {
         let own = self.model.provider.as_str();
         if own.eq_ignore_ascii_case(name) {
             return Ok(());
+        }
+        // the provider of a PC: a COBOTTA connects it if it is told the address
+        if PC_PROVIDER.eq_ignore_ascii_case(name) {
+            return crate::options::option(option, "Server").map(drop).ok_or(HResult::E_INVALIDARG);
         }
         if HAND_PROVIDERS.iter().any(|provider| provider.eq_ignore_ascii_case(name)) {
             return Err(HResult::E_NOTIMPL);
@@ -258,6 +267,12 @@ impl Config {
         let model = &self.model.name;
         self.observer.tolerated(&format!("Controller_Connect: provider {name:?} is not that of {model}, {own:?}"));
         Ok(())
+    }
+
+    /// Tells whether the version is this one or a later one; a version without numbers is.
+    pub(crate) fn version_is_from(&self, first: &[u32]) -> bool {
+        let numbers = self.version.split('.').map(|number| number.trim().parse().unwrap_or(u32::MAX));
+        numbers.ge(first.iter().copied())
     }
 
     /// Returns the wall clock at a time of the model.

@@ -58,7 +58,7 @@ impl Context<'_> {
         if rule.auto && !self.panel.is_auto() {
             return Err(self.refuse(HResult::E_ACCESSDENIED));
         }
-        if rule.token {
+        if rule.token && (rule.token_of_cobotta || !self.config.model.functions.preparation) {
             self.has_token()?;
         }
         if rule.no_error && self.errors.code().is_err() {
@@ -83,6 +83,7 @@ impl Context<'_> {
         match self.config.permission {
             Permission::ReadWrite => Ok(()),
             Permission::ReadOnly => Err(HResult::E_CAO_NOT_WRITABLE),
+            Permission::None => Err(HResult::E_ACCESSDENIED),
         }
     }
 

@@ -184,6 +184,7 @@ impl Controller {
             Effect::LinkLoss(time) => self.scenario.lose_link(time, self.common.now),
             Effect::Mode(mode) => self.turn_mode_switch(mode),
             Effect::Token(token) => self.set_token(token),
+            Effect::Permission(permission) => self.set_permission(permission),
             Effect::Motor(true) => self.turn_motor_on(),
             Effect::Motor(false) => self.arm.turn_off(HResult::E_MOTOR_OFF, self.common.now, &mut self.common.waits),
             Effect::Message(text) => self.messages.post_text(&text, "", self.common.now),

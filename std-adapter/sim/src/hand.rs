@@ -3,7 +3,7 @@
 //! | Controller_Execute, COBOTTA        | effect                                                |
 //! |------------------------------------|-------------------------------------------------------|
 //! | HandMoveH \[force, close\]         | closes or opens; answers when the fingers are at rest |
-//! | HandMoveA \[place, speed\]         | moves to a place, 0 to 30 mm                          |
+//! | HandMoveA \[place, speed\]         | moves to a place, 0 to 30 mm; HandMoveA and HandMoveH accept a third element `"Next"`, and answer at once then |
 //! | HandMoveR \[way, speed\]           | moves by so many mm; a negative way closes            |
 //! | HandMoveAH \[place, speed, force\] | moves to a place; there is nothing to grip on the way |
 //! | HandMoveVH \[power, on\]           | switches suction, of 0 to 100 percent, on or off      |
@@ -48,7 +48,7 @@ use crate::answer::{Answer, Answered};
 use crate::context::Context;
 use crate::rules;
 use crate::table::Command;
-use crate::value::{Value, numbers, one_int, whole};
+use crate::value::{Value, command_number, numbers, one_int, whole};
 use crate::waits::{Wait, Waits};
 
 /// The name of the extension.
@@ -261,10 +261,10 @@ impl Hand {
         }
     }
 
-    /// Executes HandMoveA, `[place, speed]`.
+    /// Executes HandMoveA, `[place, speed]`, perhaps with `"Next"`.
     pub(crate) fn move_absolute(&mut self, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
-        let (place, percent) = pair(param)?;
-        self.move_to(ctx, place, percent)
+        let ((place, percent), next) = pair_and_next(param)?;
+        Ok(without_wait(self.move_to(ctx, place, percent)?, next))
     }
 
     /// Executes HandMoveR, `[way, speed]`.
@@ -273,13 +273,13 @@ impl Hand {
         self.move_to(ctx, self.position(ctx.now) + way, percent)
     }
 
-    /// Executes HandMoveH, `[force, close]`.
+    /// Executes HandMoveH, `[force, close]`, perhaps with `"Next"`.
     pub(crate) fn grip(&mut self, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
-        let (force, closes) = pair(param)?;
+        let ((force, closes), next) = pair_and_next(param)?;
         if !FORCES.contains(&force) {
             return Err(HResult::E_INVALIDARG);
         }
-        self.move_to(ctx, if closes != 0.0 { 0.0 } else { STROKE }, 25.0)
+        Ok(without_wait(self.move_to(ctx, if closes != 0.0 { 0.0 } else { STROKE }, 25.0)?, next))
     }
 
     /// Executes HandMoveAH, `[place, speed, force]`.
@@ -339,6 +339,22 @@ impl Hand {
             self.stop(HResult::E_ABORT, now, waits);
         }
     }
+}
+
+/// Reads two numbers, and whether the text `Next` follows: the call does not wait for the fingers.
+fn pair_and_next(param: &Variant<'_>) -> Result<((f64, f64), bool), HResult> {
+    let items: Vec<_> = param.as_array().into_iter().flat_map(|array| array.iter()).collect();
+    let [first, second, next] = &items[..] else { return Ok((pair(param)?, false)) };
+    match next.flatten() {
+        Variant::Bstr(text) if text.to_string().trim().eq_ignore_ascii_case("next") => {
+            Ok(((command_number(first)?, command_number(second)?), true))
+        }
+        _ => Err(HResult::E_INVALIDARG),
+    }
+}
+
+fn without_wait(answer: Answer, next: bool) -> Answer {
+    if next { Answer::Done } else { answer }
 }
 
 fn pair(param: &Variant<'_>) -> Result<(f64, f64), HResult> {

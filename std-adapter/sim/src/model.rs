@@ -6,7 +6,7 @@
 //!
 //! | section       | content                                                                              |
 //! |---------------|--------------------------------------------------------------------------------------|
-//! | -             | name (`@TYPE`), provider, version, type and name of the robot, RAC                   |
+//! | -             | name, `type` (`@TYPE`; the name if it is absent), provider, version, type and name of the robot, RAC                   |
 //! | `[functions]` | the commands that exist besides those of all models                                  |
 //! | `[slave]`     | the parts of the formats of Slave Mode, and which IO they are                        |
 //! | `[variables]` | the number of variables of each kind, with the IO                                    |
@@ -102,8 +102,10 @@ impl Profile {
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Model {
-    /// `@TYPE`.
+    /// The name of the model.
     pub name: String,
+    /// `@TYPE`: the key `type`, or the name.
+    pub controller_type: String,
     /// The name of the provider that Controller_Connect accepts.
     pub provider: String,
     /// `@VERSION`.
@@ -207,6 +209,8 @@ pub(crate) enum FormatName {
 #[serde(deny_unknown_fields)]
 struct File {
     name: Spanned<String>,
+    #[serde(rename = "type")]
+    controller_type: Option<Spanned<String>>,
     provider: Spanned<String>,
     version: Spanned<String>,
     robot_type: Spanned<String>,
@@ -293,8 +297,11 @@ impl File {
     fn read(self) -> Result<Model, Wrong> {
         let SizesEntry { i, f, d, v, p, j, t, s, io } = self.variables;
         let (geometry, home, extended_axes) = ArmEntry::read(&self.arm)?;
+        let name = text("name", self.name)?;
+        let controller_type = self.controller_type.map_or_else(|| Ok(name.clone()), |own| text("type", own))?;
         Ok(Model {
-            name: text("name", self.name)?,
+            name,
+            controller_type,
             provider: text("provider", self.provider)?,
             version: text("version", self.version)?,
             robot_type: text("robot_type", self.robot_type)?,

@@ -4,7 +4,7 @@
 //! or of a released object is refused with `E_HANDLE`. Handles count up from 2, as in the guide's frames, and start over
 //! when no object is open. Two open objects never have the same handle.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, btree_map};
 
 use bcap_core::bcap::server::Request;
 use bcap_core::bcap::{FunctionId, Object};
@@ -255,7 +255,32 @@ pub(crate) struct Objects {
     open: BTreeMap<i32, Entry>,
     /// The handles of each client; a client without handles has no entry.
     by_peer: BTreeMap<PeerId, BTreeSet<i32>>,
+    /// How often each object is open that is to be open once.
+    single: BTreeMap<Single, usize>,
     last: i32,
+}
+
+/// An object that is to be open once.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Single {
+    /// A controller, by its name in lower case, of all clients.
+    Controller(String),
+    /// A task of a client.
+    Task(PeerId, usize),
+}
+
+impl Single {
+    fn of(entry: &Entry) -> Option<Self> {
+        match entry.item {
+            Item::Controller => Some(Self::controller(&entry.name)),
+            Item::Task(task) => Some(Self::Task(entry.peer, task)),
+            _ => None,
+        }
+    }
+
+    fn controller(name: &str) -> Self {
+        Self::Controller(name.trim().to_lowercase())
+    }
 }
 
 impl Objects {
@@ -263,10 +288,10 @@ impl Objects {
     ///
     /// # Errors
     ///
-    /// `E_ARGSIZEOVER` for a name that is too long, `E_MAX_OBJECT` if the client has `limit` objects already.
+    /// `E_OUTOFMEMORY` for a name that is too long, `E_MAX_OBJECT` if the client has `limit` objects already.
     pub(crate) fn open(&mut self, entry: Entry, limit: usize) -> Result<i32, HResult> {
         if entry.name.len() > NAME_MAX {
-            return Err(HResult::E_ARGSIZEOVER);
+            return Err(HResult::E_OUTOFMEMORY);
         }
         if self.by_peer.get(&entry.peer).map_or(0, BTreeSet::len) >= limit {
             return Err(HResult::E_MAX_OBJECT);
@@ -274,6 +299,9 @@ impl Objects {
         let handle = self.free_handle();
         self.last = handle;
         self.by_peer.entry(entry.peer).or_default().insert(handle);
+        if let Some(single) = Single::of(&entry) {
+            *self.single.entry(single).or_default() += 1;
+        }
         self.open.insert(handle, entry);
         Ok(handle)
     }
@@ -283,12 +311,18 @@ impl Objects {
         if !wanted.trim().is_empty() {
             return wanted.to_owned();
         }
-        let is_free = |name: &String| {
-            let mut controllers = self.open.values().filter(|entry| matches!(entry.item, Item::Controller));
-            !controllers.any(|entry| entry.name.eq_ignore_ascii_case(name))
-        };
         // one of them is free, because there are fewer objects
-        (1_u32..).map(|n| format!("Controller{n}")).find(is_free).unwrap_or_default()
+        (1_u32..).map(|n| format!("Controller{n}")).find(|name| !self.has_controller(name)).unwrap_or_default()
+    }
+
+    /// Tells whether any client has connected a controller with this name; an empty name is none.
+    pub(crate) fn has_controller(&self, name: &str) -> bool {
+        self.single.contains_key(&Single::controller(name))
+    }
+
+    /// Tells whether a client has opened this task.
+    pub(crate) fn has_task(&self, peer: PeerId, task: usize) -> bool {
+        self.single.contains_key(&Single::Task(peer, task))
     }
 
     pub(crate) fn get(&self, peer: PeerId, handle: i32, object: Object) -> Result<&Entry, HResult> {
@@ -303,7 +337,7 @@ impl Objects {
 
     pub(crate) fn release(&mut self, peer: PeerId, handle: i32, object: Object) -> Result<(), HResult> {
         self.get(peer, handle, object)?;
-        self.open.remove(&handle);
+        self.remove(handle);
         if let Some(handles) = self.by_peer.get_mut(&peer) {
             handles.remove(&handle);
             if handles.is_empty() {
@@ -322,7 +356,17 @@ impl Objects {
     /// Releases all objects of a client.
     pub(crate) fn release_all(&mut self, peer: PeerId) {
         for handle in self.by_peer.remove(&peer).unwrap_or_default() {
-            self.open.remove(&handle);
+            self.remove(handle);
+        }
+    }
+
+    fn remove(&mut self, handle: i32) {
+        let Some(single) = self.open.remove(&handle).as_ref().and_then(Single::of) else { return };
+        if let btree_map::Entry::Occupied(mut count) = self.single.entry(single) {
+            *count.get_mut() -= 1;
+            if *count.get() == 0 {
+                count.remove();
+            }
         }
     }
 

@@ -334,12 +334,18 @@ pub(crate) fn length_and_pass(value: &Variant<'_>) -> Result<(f64, Pass), HResul
     if length.is_finite() { Ok((length, pass)) } else { Err(HResult::E_INVALIDARG) }
 }
 
-/// Reads the rest after the coordinates: nothing, a Fig of 0 to 31, or a negative number for any.
+/// A bit of the Fig that programs of a COBOTTA send, and read from it, as in 261; no source has its meaning.
+const FIG_OF_COBOTTA: f64 = 256.0;
+
+/// Reads the rest after the coordinates: nothing, a Fig of 0 to 31, perhaps with [`FIG_OF_COBOTTA`], or a negative number for
+/// any.
 fn figure(rest: &[f64]) -> Result<Option<u8>, HResult> {
     match rest {
         [] => Ok(None),
         [fig] if *fig < 0.0 => Ok(None),
-        [fig] if fig.fract() == 0.0 && *fig < 32.0 => Ok(Some(*fig as u8)),
+        [fig] if fig.fract() == 0.0 && (0.0..32.0).contains(&(fig % FIG_OF_COBOTTA)) && *fig < 2.0 * FIG_OF_COBOTTA => {
+            Ok(Some((fig % FIG_OF_COBOTTA) as u8))
+        }
         _ => Err(HResult::E_INVALIDARG),
     }
 }

@@ -2,8 +2,8 @@
 //! removes.
 //!
 //! ```text
-//!   ManualResetPreparation --> one of ClearError, ManualReset, MotionPreparation    each needs a new one
-//!                              MotionPreparation --> Motor, on                      until the next emergency stop
+//!   ManualResetPreparation --> ClearError, ManualReset, MotionPreparation     until the next emergency stop
+//!                              MotionPreparation --> Motor, on                until the next emergency stop
 //! ```
 //!
 //! | command of the robot      | parameter | answer                                                            |
@@ -14,15 +14,19 @@
 //! | AutoCal                   | -         | EMPTY; sets the bit "calibrated" of SysState                      |
 //!
 //! Without ManualResetPreparation, the three commands after it answer `E_MANUAL_RESET_UNPREPARED`. Without
-//! MotionPreparation, Motor answers `E_MOTION_UNPREPARED`. MotionPreparation and AutoCal need Auto mode, the executable
-//! token and no error. Public clients show this order and the two codes; how long a preparation lasts is a decision of
-//! this model. AutoCal takes no time and moves nothing.
+//! MotionPreparation, Motor answers `E_MOTION_UNPREPARED`. MotionPreparation and AutoCal need Auto mode and no error. Public
+//! clients show this order and the two codes, and that ClearError may follow MotionPreparation; that an emergency stop ends a
+//! preparation is a decision of this model. AutoCal takes no time and moves nothing.
+//!
+//! Before version 2.8.0, the three commands need no ManualResetPreparation, which answers `E_INVALIDARG`: programs of 2021 and
+//! 2022 sent none. A person can prepare the arm, too: `prepared` of a [scenario](crate::scenario).
 //!
 //! Other models do not know these commands and need no preparation.
 
 use bcap_core::hresult::HResult;
 
 use crate::answer::{Answer, Answered};
+use crate::config::Config;
 use crate::context::Context;
 use crate::model::Functions;
 use crate::rules;
@@ -30,7 +34,7 @@ use crate::rules;
 /// The steps of the preparation that are done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Preparation {
-    /// The next command that concerns safety may be executed.
+    /// The commands that concern safety may be executed.
     manual_reset: bool,
     /// The motor may be switched on.
     motion: bool,
@@ -62,6 +66,7 @@ impl Preparation {
     pub(crate) const fn emergency_stop(&mut self, functions: Functions) {
         self.torque_off = functions.safe_torque_off;
         self.motion = !functions.preparation;
+        self.manual_reset = !functions.preparation;
     }
 
     /// Makes the motor ready to be switched on.
@@ -76,8 +81,12 @@ impl Preparation {
     }
 
     /// Executes ManualResetPreparation.
-    pub(crate) const fn prepare_reset(&mut self) {
+    pub(crate) fn prepare_reset(&mut self, config: &Config) -> Answered {
+        if !needs_manual_reset(config) {
+            return Err(HResult::E_INVALIDARG);
+        }
         self.manual_reset = true;
+        Ok(Answer::Done)
     }
 
     /// Executes MotionPreparation.
@@ -86,7 +95,7 @@ impl Preparation {
         if ctx.panel.emergency_stop {
             return Err(HResult::E_ACCESSDENIED);
         }
-        self.use_manual_reset(ctx)?;
+        self.check_manual_reset(ctx)?;
         self.complete();
         ctx.record("motion preparation");
         Ok(Answer::Done)
@@ -105,20 +114,22 @@ impl Preparation {
         if ctx.panel.emergency_stop {
             return Err(HResult::E_ACCESSDENIED);
         }
-        self.use_manual_reset(ctx)?;
+        self.check_manual_reset(ctx)?;
         self.torque_off = false;
         ctx.record("manual reset");
         Ok(Answer::Done)
     }
 
-    /// Checks that a command that concerns safety may be executed, and consumes its preparation.
-    pub(crate) fn use_manual_reset(&mut self, ctx: &mut Context<'_>) -> Result<(), HResult> {
-        if !ctx.config.model.functions.preparation {
-            return Ok(());
-        }
-        match std::mem::take(&mut self.manual_reset) {
+    /// Checks that a command that concerns safety may be executed.
+    pub(crate) fn check_manual_reset(&self, ctx: &mut Context<'_>) -> Result<(), HResult> {
+        match self.manual_reset || !needs_manual_reset(ctx.config) {
             true => Ok(()),
             false => Err(ctx.refuse(HResult::E_MANUAL_RESET_UNPREPARED)),
         }
     }
+}
+
+/// Tells whether the model and its version have ManualResetPreparation.
+fn needs_manual_reset(config: &Config) -> bool {
+    config.model.functions.preparation && config.version_is_from(&[2, 8, 0])
 }

@@ -13,6 +13,9 @@ pub(crate) struct Rule {
     pub(crate) auto: bool,
     /// The executable token, otherwise `E_TOKEN_NOT_ETHERNET` or `E_TOKEN_ADDRESS`.
     pub(crate) token: bool,
+    /// Whether the token is needed on a model with a preparation, too: a COBOTTA was seen to take the arm and to be prepared
+    /// without it.
+    pub(crate) token_of_cobotta: bool,
     /// No error, otherwise `E_ERROR_PRESENT`.
     pub(crate) no_error: bool,
     /// The arm authority, otherwise `E_ARM_NOT_TAKEN`.
@@ -34,8 +37,16 @@ pub(crate) enum Authority {
     Own,
 }
 
-const NOTHING: Rule =
-    Rule { calls: "", auto: false, token: false, no_error: false, arm: Authority::Any, motor: false, rest: false };
+const NOTHING: Rule = Rule {
+    calls: "",
+    auto: false,
+    token: false,
+    token_of_cobotta: true,
+    no_error: false,
+    arm: Authority::Any,
+    motor: false,
+    rest: false,
+};
 
 const EXECUTION: Rule = Rule { auto: true, token: true, no_error: true, ..NOTHING };
 
@@ -55,13 +66,14 @@ pub(crate) const ENTER_SLAVE_MODE: Rule = Rule { calls: "slvChangeMode", ..MOTIO
 pub(crate) const SLAVE_MOVE: Rule = Rule { calls: "slvMove", token: true, ..NOTHING };
 
 /// Taking the arm.
-pub(crate) const TAKE_ARM: Rule = Rule { calls: "TakeArm", arm: Authority::Free, ..EXECUTION };
+pub(crate) const TAKE_ARM: Rule = Rule { calls: "TakeArm", arm: Authority::Free, token_of_cobotta: false, ..EXECUTION };
 
 /// Switching the motor on.
 pub(crate) const MOTOR_ON: Rule = Rule { calls: "Motor 1, @SERVO_ON true", ..EXECUTION };
 
 /// Switching the motor off.
-pub(crate) const MOTOR_OFF: Rule = Rule { calls: "Motor 0, @SERVO_ON false", auto: true, token: true, ..NOTHING };
+pub(crate) const MOTOR_OFF: Rule =
+    Rule { calls: "Motor 0, @SERVO_ON false", auto: true, token: true, token_of_cobotta: false, ..NOTHING };
 
 /// Continuing a held motion.
 pub(crate) const UNHOLD: Rule = Rule { calls: "Robot_Unhold", ..EXECUTION };
@@ -76,7 +88,7 @@ pub(crate) const HAND: Rule = Rule {
 };
 
 /// The preparation of a COBOTTA.
-pub(crate) const PREPARATION: Rule = Rule { calls: "MotionPreparation, AutoCal", ..EXECUTION };
+pub(crate) const PREPARATION: Rule = Rule { calls: "MotionPreparation, AutoCal", token_of_cobotta: false, ..EXECUTION };
 
 /// Settings of the arm. A client may change them unless another client owns the arm.
 pub(crate) const SETTING: Rule = Rule {
@@ -125,7 +137,8 @@ mod tests {
                 Authority::Free => "free",
                 Authority::Own => "own",
             };
-            let [auto, token, no_error] = [rule.auto, rule.token, rule.no_error].map(needs);
+            let [auto, no_error] = [rule.auto, rule.no_error].map(needs);
+            let token = if rule.token && !rule.token_of_cobotta { "not COBOTTA" } else { needs(rule.token) };
             vec![rule.calls, auto, token, no_error, arm, needs(rule.motor), needs(rule.rest)]
         });
         assert_eq!(rows, cells);

@@ -40,6 +40,7 @@
 //! | `{ link_loss_ms = t }`  | for this time no call arrives and no answer is sent; 0 is without end            |
 //! | `{ mode = m }`          | the mode switch is turned: `"auto"`, `"manual"`, `"teach_check"`                 |
 //! | `{ token = t }`         | the executable token goes to `"any"`, the `"pendant"`, an `"other"` client, an address |
+//! | `{ permission = p }`    | the communication permission becomes `"read_write"`, `"read_only"`, `"none"`     |
 //! | `{ motor = b }`         | the motor is switched on or off from outside                                     |
 //! | `{ message = text }`    | a message is posted to the clients, see [`messages`](crate::messages)            |
 //! | `{ comm = { line = n, text = t } }` | a device sends a text on a line, see [`comm`](crate::comm)           |
@@ -55,7 +56,7 @@
 //! [controller]
 //! mode = "manual"             # auto, manual, teach_check
 //! token = "pendant"           # any; pendant: the teach pendant; other: a client that is not connected; or an IP address
-//! permission = "read_only"    # read_write
+//! permission = "read_only"    # read_write, read_only, none
 //! emergency_stop = true       # pressed, which is an error that cannot be cleared
 //! torque_off = true           # as after an emergency stop that was released; only of models that have StoState
 //! prepared = true             # a COBOTTA: ManualResetPreparation and MotionPreparation are done
@@ -124,7 +125,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 use serde::Deserialize;
 
-use crate::config::{Mode, Token};
+use crate::config::{Mode, Permission, Token};
 use crate::program::Program;
 
 pub(crate) use run::{CallPlan, Running};
@@ -220,6 +221,8 @@ pub enum Effect {
     Mode(Mode),
     /// The executable token gets another holder.
     Token(Token),
+    /// The communication permission is changed.
+    Permission(Permission),
     /// The motor is switched on or off.
     Motor(bool),
     /// A message is posted to the clients.

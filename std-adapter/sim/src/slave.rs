@@ -269,6 +269,10 @@ pub(crate) fn change_mode(robot: &mut Robot, ctx: &mut Context<'_>, param: &Vari
         return Err(ctx.refuse(HResult::E_SLVMODE_ON));
     }
     robot.may(ctx, &rules::ENTER_SLAVE_MODE)?;
+    // seen on a COBOTTA: only group 0 streams
+    if robot.group_of(ctx.peer) != Some(0) {
+        return Err(ctx.refuse(HResult::E_ARM_NOT_TAKEN));
+    }
     let limits = limits(robot, ctx.config);
     robot.enter(Stream::new(ctx.peer, mode, limits, robot.axes(ctx.now), ctx.now));
     Ok(Answer::Done)

@@ -86,7 +86,7 @@ pub(crate) fn keep(value: &Variant<'_>) -> Result<Vec<u8>, HResult> {
     let mut copy = ReplyValue::new(&mut buffer);
     match copy.set(value) {
         Ok(()) => Ok(copy.as_bytes().to_vec()),
-        Err(EncodeError::Full) => Err(HResult::E_ARGSIZEOVER),
+        Err(EncodeError::Full) => Err(HResult::E_OUTOFMEMORY),
         Err(_) => Err(HResult::E_INVALIDARGTYPE),
     }
 }
@@ -107,7 +107,7 @@ pub(crate) fn number(value: &Variant<'_>) -> Option<f64> {
 }
 
 /// Reads a number of a command without loss; TRUE is -1, as OLE Automation converts it.
-fn command_number(value: &Variant<'_>) -> Result<f64, HResult> {
+pub(crate) fn command_number(value: &Variant<'_>) -> Result<f64, HResult> {
     let value = value.flatten();
     if let Variant::Bool(b) = value {
         return Ok(if b { -1.0 } else { 0.0 });

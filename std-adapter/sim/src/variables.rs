@@ -89,8 +89,8 @@ impl Sizes {
     }
 }
 
-/// Bytes of an S variable at most; they stay when their writer has gone.
-const S_MAX: usize = 64 << 10;
+/// The bytes of all S variables at most; they stay when their writer has gone. A packet limits one.
+const S_MAX: usize = 64 << 20;
 
 /// A kind of variables as a name tells it: one of the nine, or a view of the IO bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -176,10 +176,10 @@ pub(crate) const fn accepted(family: Family) -> &'static str {
         Family::Plain(Kind::I) => "one integer of 32 bits; R4 or R8 without a fraction",
         Family::Plain(Kind::F | Kind::D) | Family::Float => "one number: an integer, R4 or R8",
         Family::Plain(Kind::V) => "an array of 3 numbers",
-        Family::Plain(Kind::P) => "an array of 7 numbers: X Y Z RX RY RZ Fig",
+        Family::Plain(Kind::P) => "an array of 7 numbers: X Y Z RX RY RZ Fig; 3 or 6 numbers leave the last ones out",
         Family::Plain(Kind::J) => "an array of 8 numbers: J1 to J8",
         Family::Plain(Kind::T) => "an array of 10 numbers: position, orient, approach, Fig",
-        Family::Plain(Kind::S) => "BSTR of at most 64 KiB",
+        Family::Plain(Kind::S) => "BSTR; all S variables have 64 MiB together",
         Family::Plain(Kind::Io) => "BOOL, or an integer: 0 is off",
         Family::Byte => "one integer of 8 bits",
         Family::Word => "one integer of 16 bits",
@@ -199,6 +199,8 @@ pub(crate) struct Variables {
     t: Vec<[f32; 10]>,
     /// UTF-16LE.
     s: Vec<Vec<u8>>,
+    /// The bytes of all `s`, at most [`S_MAX`].
+    s_bytes: usize,
     io: Vec<bool>,
 }
 
@@ -213,6 +215,7 @@ impl Variables {
             j: vec![[0.0; 8]; sizes.j.into()],
             t: vec![[0.0; 10]; sizes.t.into()],
             s: vec![Vec::new(); sizes.s.into()],
+            s_bytes: 0,
             io: vec![false; sizes.io.into()],
         }
     }
@@ -228,7 +231,10 @@ impl Variables {
             Kind::P => self.p.resize(count, [0.0; 7]),
             Kind::J => self.j.resize(count, [0.0; 8]),
             Kind::T => self.t.resize(count, [0.0; 10]),
-            Kind::S => self.s.resize(count, Vec::new()),
+            Kind::S => {
+                self.s.resize(count, Vec::new());
+                self.s_bytes = self.s.iter().map(Vec::len).sum();
+            }
             Kind::Io => self.io.resize(count, false),
         }
     }
@@ -278,14 +284,16 @@ impl Variables {
             Family::Plain(Kind::F) => self.f[n] = float(value)?,
             Family::Plain(Kind::D) => self.d[n] = number(value).ok_or(HResult::E_INVALIDARGTYPE)?,
             Family::Plain(Kind::V) => self.v[n] = floats(value)?,
-            Family::Plain(Kind::P) => self.p[n] = floats(value)?,
+            Family::Plain(Kind::P) => self.p[n] = position(value)?,
             Family::Plain(Kind::J) => self.j[n] = floats(value)?,
             Family::Plain(Kind::T) => self.t[n] = floats(value)?,
             Family::Plain(Kind::S) => {
                 let text = value.as_bstr().ok_or(HResult::E_INVALIDARGTYPE)?.as_bytes();
-                if text.len() > S_MAX {
-                    return Err(HResult::E_ARGSIZEOVER);
+                let others = self.s_bytes - self.s[n].len();
+                if text.len() > S_MAX - others {
+                    return Err(HResult::E_OUTOFMEMORY);
                 }
+                self.s_bytes = others + text.len();
                 self.s[n] = text.to_vec();
             }
             Family::Plain(Kind::Io) => self.io[n] = value.as_bool().ok_or(HResult::E_INVALIDARGTYPE)?,
@@ -377,6 +385,20 @@ fn floats<const N: usize>(value: &Variant<'_>) -> Result<[f32; N], HResult> {
         *slot = float(&item.flatten())?;
     }
     Ok(out)
+}
+
+/// Reads X Y Z RX RY RZ Fig, as public programs write them: without the Fig it is -1, any posture, and without RX RY RZ
+/// these are 0.
+fn position(value: &Variant<'_>) -> Result<[f32; 7], HResult> {
+    let array = value.as_array().ok_or(HResult::E_INVALIDARGTYPE)?;
+    if ![3, 6, 7].contains(&array.len()) {
+        return Err(HResult::E_INVALIDARG);
+    }
+    let mut numbers = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0];
+    for (slot, item) in numbers.iter_mut().zip(array) {
+        *slot = float(&item.flatten())?;
+    }
+    Ok(numbers)
 }
 
 /// Reads an integer, signed or unsigned, that fits `bits`.

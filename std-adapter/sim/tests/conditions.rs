@@ -4,7 +4,7 @@
 use bcap_core::bcap::call::{self, Call};
 use bcap_core::handler::Outcome;
 use bcap_core::hresult::HResult;
-use bcap_sim::{Config, Mode, Profile, Token};
+use bcap_sim::{Config, Mode, Profile, Scenario, Token};
 
 use crate::common::{Client, World, ok};
 
@@ -164,6 +164,35 @@ const CONDITIONS: &[Condition] = &[
     }),
     (6, &["yes"], HResult::E_ROBOTISBUSY, Rig::brake),
 ];
+
+#[test]
+fn the_communication_permission_holds_for_every_function() {
+    let text = "[controller]\npermission = 'read_only'
+        [[fault]]\nwhen = { at_ms = 1000 }\nthen = { permission = 'none' }
+        [[fault]]\nwhen = { at_ms = 2000 }\nthen = { permission = 'read_write' }";
+    let mut world = World::new();
+    world.sim.play(Scenario::parse(text).unwrap());
+    let client = world.client(1);
+    let codes = |world: &mut World| {
+        let move_to = call::robot_move(client.robot, 1, "J(10,45,90,0,45,0)", "");
+        [
+            world.get(client, "I1").0,
+            world.robot(client, "CurJnt", ()).0,
+            world.put(client, "I1", 1),
+            world.robot(client, "TakeArm", [0, 1]).0,
+            world.robot(client, "ExtSpeed", [50.0]).0,
+            world.run(client.peer, move_to).0,
+            world.execute(client, "ClearError", ()).0,
+        ]
+    };
+    let (ok, denied, read_only) = (HResult::S_OK, HResult::E_ACCESSDENIED, HResult::E_CAO_NOT_WRITABLE);
+    assert_eq!(codes(&mut world), [ok, ok, read_only, denied, denied, denied, denied]);
+    world.pass(1000);
+    assert_eq!(codes(&mut world), [denied; 7]);
+    assert!(world.call(client.peer, call::robot_halt(client.robot, "")).0.is_ok(), "a stop is never refused");
+    world.pass(1000);
+    assert_eq!(codes(&mut world), [ok, ok, ok, ok, ok, HResult::E_MOTOR_OFF, ok]);
+}
 
 #[test]
 fn each_call_is_refused_without_each_of_its_conditions() {

@@ -16,7 +16,7 @@ fn system_variables_have_their_types() {
     let client = world.client(1);
     world.pass(1234);
     let date = OleDate::from_unix_millis(1_700_000_001_234).unwrap();
-    let expected: [(&str, Value); 19] = [
+    let expected: [(&str, Value); 20] = [
         ("@MODE", value(&3)),
         ("@LOCK", value(&false)),
         ("@TIME", value(&1234)),
@@ -34,7 +34,8 @@ fn system_variables_have_their_types() {
         ("@TYPE", value("RC9")),
         ("@SERIAL_NO", value("VIRTUAL")),
         ("@VERSION", value("1.4.0")),
-        ("@MAKER_NAME", value("bcap-sim")),
+        ("@MAKER_NAME", value("DENSO CORPORATION")),
+        ("@FIRMWARE", value("bcap-sim")),
         ("@IO_ALLOC_MODE", value(&0)),
     ];
     for (name, value) in expected {

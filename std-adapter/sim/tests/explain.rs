@@ -51,7 +51,7 @@ fn a_refused_argument_is_named_with_what_is_accepted() {
     // each code has its own
     assert_eq!(world.put(client, "P1", "x"), HResult::E_INVALIDARGTYPE);
     let text = description(&mut world, client, HResult::E_INVALIDARGTYPE);
-    let end = "Variable_PutValue: given \"x\"; accepted an array of 7 numbers: X Y Z RX RY RZ Fig";
+    let end = "Variable_PutValue: given \"x\"; accepted an array of 7 numbers: X Y Z RX RY RZ Fig; 3 or 6 numbers leave the last ones out";
     assert!(text.ends_with(end), "{text}");
     assert!(description(&mut world, client, HResult::E_INVALIDARG).contains("slvChangeMode"));
     let servo = world.robot_variable(client, "@SERVO_ON");

@@ -162,7 +162,19 @@ fn servo_data_has_the_speed_of_the_tool_centre_point() {
     // the path between its knots is not quite straight
     assert!(close(&doubles(&speed)[..3], &[0.0, moved, 0.0], 5.0), "{moved} {:?}", doubles(&speed));
     assert_eq!(doubles(&world.robot(client, "GetSrvData", 4).1), [0.0; 8]);
-    assert_eq!(doubles(&world.robot(client, "GetSrvData", 2).1), [0.0; 8]);
+    let on = doubles(&world.robot(client, "GetSrvData", 2).1);
+    assert!(on[..6].iter().all(|n| *n != 0.0) && on[6..] == [0.0; 2], "{on:?}");
+    let (code, all) = world.robot(client, "GetAllSrvData", ());
+    let all = all.as_variant().as_array().expect("an array");
+    assert_eq!((code, all.len()), (HResult::S_OK, 8));
+    let joints = doubles(&world.robot(client, "CurJnt", ()).1);
+    let array = |n: usize| -> Vec<f64> {
+        let item = all.iter().nth(n).unwrap().flatten();
+        item.as_array().unwrap().items::<f32>().unwrap().iter().map(f64::from).collect()
+    };
+    assert!(close(&array(2), &joints, 1e-4), "{:?}", array(2));
+    assert_eq!(array(7), [0.0; 8]);
+    assert!(array(4).iter().any(|speed| *speed != 0.0), "the robot moves");
     assert_eq!(world.robot(client, "GetSrvData", 3).0, HResult::E_INVALIDARG);
 }
 

@@ -2,7 +2,7 @@
 
 use bcap_core::bcap::call;
 use bcap_core::hresult::HResult;
-use bcap_sim::{Bit, Config, EMERGENCY_STOP, Profile, Token};
+use bcap_sim::{Bit, Config, EMERGENCY_STOP, Profile, Scenario, Token};
 
 use crate::common::{Client, World, code, ok};
 
@@ -28,8 +28,49 @@ fn the_motor_wants_the_motion_prepared_and_that_the_manual_reset() {
     assert_eq!(world.robot(client, "GetMotionPreparationState", ()), ok(&true));
     assert_eq!(world.robot(client, "Motor", 1), ok(&()));
     assert!(world.sim.motor_is_on());
-    // one preparation is for one command
-    assert_eq!(world.robot(client, "MotionPreparation", ()), code(HResult::E_MANUAL_RESET_UNPREPARED));
+    // a preparation is for all commands
+    assert_eq!(world.robot(client, "MotionPreparation", ()), ok(&()));
+    assert_eq!(world.execute(client, "ClearError", ()), ok(&()));
+}
+
+#[test]
+fn before_version_2_8_nothing_needs_the_manual_reset() {
+    let mut world = World::with(Config { version: "2.7.9".to_owned(), ..Config::new(Profile::Cobotta) });
+    let client = world.client(1);
+    assert_eq!(world.robot(client, "ManualResetPreparation", ()), code(HResult::E_INVALIDARG));
+    assert_eq!(world.execute(client, "ManualResetPreparation", ()), code(HResult::E_INVALIDARG));
+    assert_eq!(world.execute(client, "ClearError", ()), ok(&()));
+    assert_eq!(world.robot(client, "Motor", 1), code(HResult::E_MOTION_UNPREPARED));
+    assert_eq!(world.robot(client, "MotionPreparation", ()), ok(&()));
+    assert_eq!(world.robot(client, "Motor", 1), ok(&()));
+    for (version, needs) in [("2.8.0", true), ("2.10", true), ("3", true), ("2.8", false), ("1.9.9", false)] {
+        let mut world = World::with(Config { version: version.to_owned(), ..Config::new(Profile::Cobotta) });
+        let client = world.client(1);
+        let answer = world.execute(client, "ClearError", ());
+        assert_eq!(answer.0 == HResult::E_MANUAL_RESET_UNPREPARED, needs, "{version}");
+    }
+}
+
+#[test]
+fn a_scenario_starts_with_a_prepared_arm() {
+    let (mut world, client) = cobotta();
+    world.sim.play(Scenario::parse("[controller]\nprepared = true").unwrap());
+    assert_eq!(world.robot(client, "GetMotionPreparationState", ()), ok(&true));
+    assert_eq!(world.execute(client, "ClearError", ()), ok(&()));
+    assert_eq!(world.robot(client, "Motor", 1), ok(&()));
+}
+
+#[test]
+fn without_the_token_only_what_moves_is_refused() {
+    let (mut world, client) = cobotta();
+    world.sim.set_token(Token::TeachPendant);
+    assert_eq!(world.robot(client, "TakeArm", [0, 1]), ok(&()));
+    assert_eq!(world.robot(client, "ManualResetPreparation", ()), ok(&()));
+    assert_eq!(world.robot(client, "MotionPreparation", ()), ok(&()));
+    assert!(world.robot(client, "Motor", 0).0.is_ok());
+    assert_eq!(world.robot(client, "Motor", 1), code(HResult::E_TOKEN_NOT_ETHERNET));
+    let task = world.task(client, "Pro1");
+    assert_eq!(world.call(client.peer, call::task_start(task, 1, "")), code(HResult::E_TOKEN_NOT_ETHERNET));
 }
 
 #[test]
@@ -44,9 +85,9 @@ fn errors_are_cleared_behind_a_preparation_only() {
     // the controller has the command as well as the robot
     assert_eq!(world.execute(client, "ManualResetPreparation", ()), ok(&()));
     assert_eq!(world.robot(client, "AutoCal", ()), code(HResult::E_ERROR_PRESENT));
-    assert_eq!(world.robot(client, "MotionPreparation", ()), code(HResult::E_ERROR_PRESENT), "it uses up nothing");
+    assert_eq!(world.robot(client, "MotionPreparation", ()), code(HResult::E_ERROR_PRESENT));
     assert_eq!(world.execute(client, "ClearError", ()), ok(&()));
-    assert_eq!(world.execute(client, "ClearError", ()), code(HResult::E_MANUAL_RESET_UNPREPARED));
+    assert_eq!(world.execute(client, "ClearError", ()), ok(&()), "the preparation lasts");
 }
 
 #[test]
@@ -60,7 +101,7 @@ fn an_emergency_stop_undoes_the_preparation() {
     world.robot(client, "ManualResetPreparation", ());
     assert_eq!(world.execute(client, "ClearError", ()), code(EMERGENCY_STOP));
     world.sim.emergency_stop(false, world.now);
-    assert_eq!(world.execute(client, "ClearError", ()), ok(&()), "the refused one has used up nothing");
+    assert_eq!(world.execute(client, "ClearError", ()), ok(&()), "the preparation was made after the stop");
     assert_eq!(world.robot(client, "Motor", 1), code(HResult::E_MOTION_UNPREPARED));
     world.robot(client, "ManualResetPreparation", ());
     assert_eq!(world.robot(client, "MotionPreparation", ()), ok(&()));
@@ -69,12 +110,9 @@ fn an_emergency_stop_undoes_the_preparation() {
 }
 
 #[test]
-fn calibrating_needs_the_token_and_is_told_by_sys_state() {
+fn calibrating_is_told_by_sys_state() {
     let (mut world, client) = cobotta();
     assert!(!calibrated(&mut world, client));
-    world.sim.set_token(Token::TeachPendant);
-    assert_eq!(world.robot(client, "AutoCal", ()), code(HResult::E_TOKEN_NOT_ETHERNET));
-    world.sim.set_token(Token::Any);
     assert_eq!(world.robot(client, "AutoCal", ()), ok(&()));
     assert!(calibrated(&mut world, client));
 }

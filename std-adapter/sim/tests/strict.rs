@@ -58,7 +58,7 @@ fn an_unknown_option_is_refused_or_ignored_by_name() {
             world.call(peer, call::controller_get_variable(client.controller, "I1", "@IfNotMembr")).0,
             world.call(peer, call::robot_get_variable(client.robot, "@SPEED", "x=(1,2)")).0,
             world.call(peer, call::task_get_variable(task, "@STATUS", "x")).0,
-            world.call(peer, call::controller_get_task(client.controller, "Pro1", "x")).0,
+            world.call(peer, call::controller_get_task(client.controller, "Pro2", "x")).0,
             world.call(peer, call::task_stop(task, 1, "fast")).0,
         ];
         let expected = if lenient { HResult::S_OK } else { HResult::E_INVALIDARG };

@@ -166,7 +166,9 @@ fn other_types_are_converted_without_loss_or_refused() {
     refused("F1", "1", HResult::E_INVALIDARGTYPE);
     refused("D1", OleDate::from_raw(1.0), HResult::E_INVALIDARGTYPE);
     refused("S1", 1, HResult::E_INVALIDARGTYPE);
-    refused("P1", [1.0_f32; 6], HResult::E_INVALIDARG);
+    refused("P1", [1.0_f32; 5], HResult::E_INVALIDARG);
+    round_trip("P1", [1.0_f32; 6], &[1.0_f32, 1.0, 1.0, 1.0, 1.0, 1.0, -1.0]);
+    round_trip("P1", [0, 0, 7], &[0.0_f32, 0.0, 7.0, 0.0, 0.0, 0.0, -1.0]);
     refused("P1", [1.0_f32; 8], HResult::E_INVALIDARG);
     refused("J1", [1.0_f32; 0], HResult::E_INVALIDARG);
     refused("V1", 1.0_f32, HResult::E_INVALIDARGTYPE);
@@ -242,7 +244,9 @@ fn both_protocols_see_one_state() {
 
     assert_eq!(world.rac("GET:RC8:100:I:"), code(HResult::DISP_E_BADINDEX));
     assert_eq!(world.rac("PUT:RC8:1:I:5,0.5"), code(HResult::DISP_E_TYPEMISMATCH));
-    assert_eq!(world.rac("PUT:RC8:1:P:8196,1,2,3"), code(HResult::E_INVALIDARG));
+    assert_eq!(world.rac("PUT:RC8:1:P:8196,1,2"), code(HResult::E_INVALIDARG));
+    world.sim.set_permission(Permission::None);
+    assert_eq!(world.rac("GET:RC8:5:IO:"), code(HResult::E_ACCESSDENIED));
     world.sim.set_permission(Permission::ReadOnly);
     assert_eq!(world.rac("PUT:RC8:1:I:3,1"), code(HResult::E_CAO_NOT_WRITABLE));
     assert_eq!(world.put(client, "I1", 1), HResult::E_CAO_NOT_WRITABLE);
@@ -348,7 +352,7 @@ fn what_a_client_leaves_behind_has_a_largest_size() {
     let client = world.client(1);
     let peer = client.peer;
     let (fits, over) = ([7_u8; 4000], [7_u8; 4100]);
-    let too_large = code(HResult::E_ARGSIZEOVER);
+    let too_large = code(HResult::E_OUTOFMEMORY);
     assert_eq!(world.call(peer, call::robot_put_tag(client.robot, &fits[..])), code(HResult::S_OK));
     assert_eq!(world.call(peer, call::robot_put_tag(client.robot, 7)), code(HResult::S_OK));
     assert_eq!(world.call(peer, call::robot_put_tag(client.robot, &over[..])), too_large);
@@ -362,10 +366,24 @@ fn what_a_client_leaves_behind_has_a_largest_size() {
     let robot = |name| call::controller_get_robot(client.controller, name, "");
     assert_eq!(world.call(peer, robot(&name)), too_large);
     world.handle(peer, robot(&name[1..]));
-    let text = world.variable(client, "S1");
-    let (fits, over) = ("x".repeat(32 << 10), "x".repeat((32 << 10) + 1));
-    assert_eq!(world.call(peer, call::variable_put_value(text, fits.as_str())), code(HResult::S_OK));
-    assert_eq!(world.call(peer, call::variable_put_value(text, "seven")), code(HResult::S_OK));
-    assert_eq!(world.call(peer, call::variable_put_value(text, over.as_str())), too_large);
-    assert_eq!(world.call(peer, call::variable_get_value(text)), ok("seven"));
+}
+
+#[test]
+fn texts_are_as_long_as_a_packet_and_fill_the_memory() {
+    let mut world = World::new();
+    let client = world.client(1);
+    assert_eq!(world.put(client, "@VAR_S_LEN", 600), HResult::S_OK);
+    // 128 KiB each
+    let text = "x".repeat(64 << 10);
+    for n in 0..512 {
+        assert_eq!(world.put(client, &format!("S{n}"), text.as_str()), HResult::S_OK, "{n}");
+    }
+    assert_eq!(world.put(client, "S512", "x"), HResult::E_OUTOFMEMORY);
+    assert_eq!(world.put(client, "S0", text.as_str()), HResult::S_OK, "it replaces its own text");
+    assert_eq!(world.put(client, "S0", "seven"), HResult::S_OK);
+    assert_eq!(world.put(client, "S512", "x"), HResult::S_OK);
+    assert_eq!(world.get(client, "S0"), ok("seven"));
+    assert_eq!(world.put(client, "@VAR_S_LEN", 1), HResult::S_OK);
+    assert_eq!(world.put(client, "@VAR_S_LEN", 600), HResult::S_OK);
+    assert_eq!(world.put(client, "S511", text.as_str()), HResult::S_OK, "removed variables free their memory");
 }

@@ -1,6 +1,6 @@
 //! Asks the user before the command moves a robot, or changes what cannot be restored.
 //!
-//! A virtual controller is changed without a question. It is one only if it says so twice, with the maker name of the simulator
+//! A virtual controller is changed without a question. It is one only if it says so twice, with the firmware of the simulator
 //! and the serial number that no real controller has. Any other answer means a real controller.
 
 use std::io::{self, BufRead, IsTerminal, Write};
@@ -14,7 +14,7 @@ use crate::interrupt::Interrupt;
 use crate::session::Session;
 
 /// The variables that identify a virtual controller, with their values.
-const VIRTUAL: [(&str, &str); 2] = [("@MAKER_NAME", "bcap-sim"), ("@SERIAL_NO", "VIRTUAL")];
+const VIRTUAL: [(&str, &str); 2] = [("@FIRMWARE", "bcap-sim"), ("@SERIAL_NO", "VIRTUAL")];
 
 /// How often a question looks for a signal.
 const LOOK: Duration = Duration::from_millis(50);

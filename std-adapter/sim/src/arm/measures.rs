@@ -39,6 +39,22 @@ pub(super) fn servo_data(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'
     Ok(Value::R8s(measured(axes_data(arm, ctx, one_int(param)?)?)).into())
 }
 
+/// Executes GetAllSrvData: eight arrays, of which a public program names \[2\], the joints, \[4\], speeds in revolutions per
+/// minute, and \[7\], the load in 0.1 percent. The speeds are those of the joints; the other arrays are 0. The type R4 is a
+/// decision; such an answer fits a datagram.
+pub(super) fn all_servo_data(arm: &mut Arm, ctx: &mut Context<'_>, _: &Variant<'_>) -> Answered {
+    let speeds = axes_data(arm, ctx, 1)?.map(|speed| speed / 6.0);
+    let arrays = (0..8).map(|n| match n {
+        2 => arm.robot.axes(ctx.now),
+        4 => speeds,
+        _ => [0.0; 8],
+    });
+    Ok(Value::List(arrays.map(|array| Value::R4s(array.map(|n| n as f32).to_vec())).collect()).into())
+}
+
+/// The deviation of a joint while the motor is on, in GetSrvData 2: a public program takes 0 for a motor that is off.
+const DEVIATION: f64 = 0.001;
+
 /// Executes GetSrvJntData: `[number, axis]`.
 pub(super) fn axis_data(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
     let [number, axis] = numbers(param)?[..] else { return Err(HResult::E_INVALIDARG) };
@@ -58,6 +74,9 @@ fn axes_data(arm: &Arm, ctx: &Context<'_>, number: i32) -> Result<[f64; 8], HRes
     let [x, y, z, rx, ry, rz] = [0, 1, 2, 3, 4, 5].map(|i| speed(from[i], to[i]));
     Ok(match number {
         1 => [0, 1, 2, 3, 4, 5, 6, 7].map(|i| speed(here[i], soon[i])),
+        2 if arm.robot.motor_is_on() => {
+            [0, 1, 2, 3, 4, 5, 6, 7].map(|i| if i < coordinates.arm.joints() { DEVIATION } else { 0.0 })
+        }
         2 | 4 | 5 | 7 | 19 | 20 => [0.0; 8],
         8 => here,
         17 => [x, y, z, 0.0, 0.0, 0.0, 0.0, 0.0],

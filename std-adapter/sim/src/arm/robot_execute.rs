@@ -185,10 +185,7 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     command("slvRecvFormat", |arm, ctx, param| arm.slave.receive_format(ctx, param)).accepts(
         "format or [format, unit]: the pose 1 to 5, plus 0x10, 0x20, 0x40, 0x100, 0x200; unit 0 or 1",
     ),
-    command("ManualResetPreparation", |arm, _, _| {
-        arm.preparation.prepare_reset();
-        Ok(Answer::Done)
-    })
+    command("ManualResetPreparation", |arm, ctx, _| arm.preparation.prepare_reset(ctx.config))
     .of(has_preparation),
     command("MotionPreparation", |arm, ctx, _| arm.preparation.prepare_motion(ctx)).of(has_preparation),
     read("GetMotionPreparationState", |arm, _| Value::Bool(arm.preparation.is_motion_ready()))
@@ -209,6 +206,7 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     read("GetLogCount", |arm, _| Value::I4(i32::try_from(arm.trace.len()).unwrap_or(i32::MAX))),
     command("GetLogRecord", |arm, _, param| measures::log_record(arm, param))
         .accepts("one number: the index, from 0 to below GetLogCount"),
+    command("GetAllSrvData", measures::all_servo_data),
     command("GetSrvData", measures::servo_data)
         .accepts("one number: 1 speeds, 2, 4, 5, 7 zero, 8 positions, 17 and 18 speeds of the tool centre point, 19, 20 zero"),
     command("GetSrvJntData", measures::axis_data).accepts("[number, axis]: 1, 2, 4, 5 or 8, axis 1 to 8"),

@@ -138,15 +138,14 @@ pub(super) const COMMANDS: &[Command<Run>] = &[
     command("ManualReset", manual_reset).of(has_safe_torque_off).in_slave_mode(),
     command("ResetStoState", manual_reset).of(has_safe_torque_off),
     command("ManualResetPreparation", |controller, _, _| {
-        controller.arm.preparation_mut().prepare_reset();
-        Ok(Answer::Done)
+        controller.arm.preparation_mut().prepare_reset(&controller.common.config)
     })
     .of(|functions| functions.preparation),
     command("HandMoveA", |controller, peer, param| {
         controller.arm.hand_mut().move_absolute(&mut controller.common.context(peer), param)
     })
     .of(has_hand)
-    .accepts("[place, speed]: 0 to 30 mm, 1 to 100 percent"),
+    .accepts("[place, speed], perhaps with \"Next\": 0 to 30 mm, 1 to 100 percent"),
     command("HandMoveR", |controller, peer, param| {
         controller.arm.hand_mut().move_relative(&mut controller.common.context(peer), param)
     })
@@ -156,7 +155,7 @@ pub(super) const COMMANDS: &[Command<Run>] = &[
         controller.arm.hand_mut().grip(&mut controller.common.context(peer), param)
     })
     .of(has_hand)
-    .accepts("[force, close]: 6 to 20 N, BOOL or a number"),
+    .accepts("[force, close], perhaps with \"Next\": 6 to 20 N, BOOL or a number"),
     command("HandMoveAH", |controller, peer, param| {
         controller.arm.hand_mut().move_and_grip(&mut controller.common.context(peer), param)
     })
@@ -237,7 +236,7 @@ impl Controller {
         if self.common.panel.emergency_stop {
             return Err(EMERGENCY_STOP);
         }
-        self.arm.preparation_mut().use_manual_reset(&mut self.common.context(peer))?;
+        self.arm.preparation().check_manual_reset(&mut self.common.context(peer))?;
         self.common.errors.clear();
         self.record_operation("errors cleared");
         Ok(Answer::Done)

@@ -1,7 +1,7 @@
 //! From a request to the part of the controller that executes it: all of RAC, and all functions of b-CAP.
 
 use bcap_core::bcap::server::{Handler, Request};
-use bcap_core::bcap::{FunctionId, Object};
+use bcap_core::bcap::{Effect, FunctionId, Object};
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::rac;
@@ -13,11 +13,12 @@ use super::{Controller, controller_execute};
 use crate::answer::{Answer, Answered};
 use crate::arm;
 use crate::comm;
+use crate::config::Permission;
 use crate::files::{CRC, Done, WorkProgress};
 use crate::function::{command_of, executes};
 use crate::hand;
 use crate::objects::{Entry, Extension, Item, Owner, VariableRef};
-use crate::options::{check as check_options, option};
+use crate::options::{check as check_options, has_option, option};
 use crate::scenario::CallPlan;
 use crate::table::Command;
 use crate::tasks;
@@ -71,6 +72,7 @@ impl rac::server::Handler for Controller {
         }
         let rac::Variable { kind, index } = request.variable();
         let result = match request.value() {
+            None if self.common.config.permission == Permission::None => Err(HResult::E_ACCESSDENIED),
             None => self.common.variables.get(Family::Plain(kind), index).map(|value| set_reply(reply, &value)),
             Some(value) => self.put_user(peer, Family::Plain(kind), index, &value).map(|()| HResult::S_OK),
         };
@@ -162,6 +164,9 @@ impl Controller {
     fn call_object(&mut self, peer: PeerId, request: &Request<'_>, turn: Turn, object: Object) -> Answered {
         let handle = request.handle();
         self.objects.get(peer, handle, object)?;
+        if turn == Turn::First {
+            self.check_permission(request, object)?;
+        }
         if turn == Turn::First && self.common.config.as_observed {
             self.check_slave_mode_as_observed(request)?;
         }
@@ -264,11 +269,15 @@ impl Controller {
     }
 
     fn connect(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
-        self.common.config.check_provider(&request.text(1).to_string())?;
+        self.common.config.check_provider(&request.text(1).to_string(), &request.text(3).to_string())?;
         check_options(&self.common.config, request)?;
         let silent =
             option(&request.text(3).to_string(), "@EventDisable").is_some_and(|v| v.eq_ignore_ascii_case("true"));
-        let name = self.objects.controller_name(&request.text(0).to_string());
+        let wanted = request.text(0).to_string();
+        if !has_option(&request.text(3).to_string(), "@IfNotMember") && self.objects.has_controller(&wanted) {
+            return Err(HResult::E_CAO_COLLECTION_REGISTERED);
+        }
+        let name = self.objects.controller_name(&wanted);
         self.messages.connect(peer, !silent);
         self.open(peer, Item::Controller, name)
     }
@@ -296,6 +305,9 @@ impl Controller {
             FunctionId::CONTROLLER_GET_TASK => {
                 let n = self.tasks.position(name().trim()).ok_or(HResult::E_CAO_OBJECT_NOTFOUND)?;
                 let name = self.tasks.get(n)?.name().to_owned();
+                if !has_option(&request.text(2).to_string(), "@IfNotMember") && self.objects.has_task(peer, n) {
+                    return Err(HResult::E_CAO_COLLECTION_REGISTERED);
+                }
                 self.open(peer, Item::Task(n), name)
             }
             FunctionId::CONTROLLER_GET_TASK_NAMES => Ok(Answer::names(self.tasks.iter().map(tasks::Task::name))),
@@ -404,6 +416,25 @@ impl Controller {
                 Answer::Done
             }
         })
+    }
+
+    /// Checks the communication permission. The code of a variable that must not be written is in [`Context::may_write`].
+    ///
+    /// [`Context::may_write`]: crate::context::Context::may_write
+    fn check_permission(&self, request: &Request<'_>, object: Object) -> Result<(), HResult> {
+        let function = request.function;
+        let permission = self.common.config.permission;
+        if permission == Permission::ReadWrite || function == FunctionId::ROBOT_HALT {
+            return Ok(());
+        }
+        let is_refused = match function.properties(command_of(request).as_deref(), None).effect {
+            Effect::Session => false,
+            _ if function.opens().is_some() => false,
+            Effect::Reads => permission == Permission::None,
+            // these check it themselves, with the code of a variable
+            _ => object != Object::File && function != FunctionId::VARIABLE_PUT_VALUE,
+        };
+        if is_refused { Err(HResult::E_ACCESSDENIED) } else { Ok(()) }
     }
 
     /// Ends Slave Mode by a call that it refuses, from any client, as real controllers do: the refusal is an error, and the

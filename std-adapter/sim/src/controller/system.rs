@@ -4,6 +4,7 @@
 //! Reading a variable that can only be written answers `E_ACCESSDENIED`, writing one that can only be read
 //! `E_CAO_NOT_WRITABLE`. Variables without a function in this model have the value of an idle controller: `@DEADMAN_SW`
 //! and `@TSR_BUSY_STATUS` are false, `@AUTO_ENABLE` is true, `@IO_ALLOC_MODE` is 0. A scenario sets `@PROTECTIVE_STOP`.
+//! `@MAKER_NAME` is that of a real controller; `@FIRMWARE` is "bcap-sim", by which a client recognises a virtual one.
 //! Writing `@VAR_I_LEN` and the like changes the number of variables at once; `@VAR_IO_LEN` is read-only. `@LOCK`, the
 //! machine lock, is stored but has no effect.
 
@@ -49,10 +50,10 @@ pub(super) const VARIABLES: &[Property<Read, Write>] = &[
     read("@DEADMAN_SW", |_| Ok(Value::Bool(false))),
     read("@AUTO_ENABLE", |_| Ok(Value::Bool(true))),
     read("@PROTECTIVE_STOP", |controller| Ok(Value::Bool(controller.common.panel.protective_stop))),
-    read("@MAKER_NAME", |_| Ok(Value::from("bcap-sim"))),
-    read("@TYPE", |controller| Ok(Value::from(controller.config().model.name.as_str()))),
+    read("@MAKER_NAME", |_| Ok(Value::from("DENSO CORPORATION"))),
+    read("@TYPE", |controller| Ok(Value::from(controller.config().model.controller_type.as_str()))),
     read("@VERSION", |controller| Ok(Value::from(controller.config().version.as_str()))),
-    read("@FIRMWARE", |controller| Ok(Value::from(controller.config().version.as_str()))),
+    read("@FIRMWARE", |_| Ok(Value::from("bcap-sim"))),
     read("@SERIAL_NO", |controller| Ok(Value::from(controller.config().serial_number.as_str()))),
     read("@IO_ALLOC_MODE", |_| Ok(Value::I4(0))),
     read("@VAR_I_LEN", |controller| Ok(size(controller, Kind::I)))

@@ -5,7 +5,7 @@ use std::time::Duration;
 use bcap_core::time::Instant;
 use serde::Deserialize;
 
-use super::section::{ModeName, SetupEntry, TokenName, read_code};
+use super::section::{ModeName, PermissionName, SetupEntry, TokenName, read_code};
 use super::task::TaskEntry;
 use super::{Effect, Scenario, ScenarioError, ScenarioFault, Trigger, Which, WireFault};
 use crate::comm;
@@ -57,6 +57,7 @@ enum ThenEntry {
     LinkLossMs(u64),
     Mode(ModeName),
     Token(TokenName),
+    Permission(PermissionName),
     Motor(bool),
     Message(String),
     Comm(CommEntry),
@@ -159,6 +160,7 @@ impl ThenEntry {
             Self::LinkLossMs(0) => Effect::LinkLoss(None),
             Self::Mode(mode) => Effect::Mode(mode.into()),
             Self::Token(token) => Effect::Token(token.into()),
+            Self::Permission(permission) => Effect::Permission(permission.into()),
             Self::Motor(on) => Effect::Motor(on),
             Self::Message(text) => Effect::Message(text),
             Self::Comm(CommEntry { line, text }) if comm::LINES.contains(&line) => Effect::Comm { line, text },

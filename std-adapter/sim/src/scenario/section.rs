@@ -73,9 +73,10 @@ pub(super) struct TokenName(Token);
 
 #[derive(Clone, Copy, Deserialize)]
 #[serde(rename_all = "snake_case")]
-enum PermissionName {
+pub(super) enum PermissionName {
     ReadWrite,
     ReadOnly,
+    None,
 }
 
 #[derive(Clone, Copy, PartialEq, Deserialize)]
@@ -122,6 +123,7 @@ impl From<PermissionName> for Permission {
         match name {
             PermissionName::ReadWrite => Self::ReadWrite,
             PermissionName::ReadOnly => Self::ReadOnly,
+            PermissionName::None => Self::None,
         }
     }
 }

@@ -141,7 +141,7 @@ impl World {
         assert_eq!(self.call(peer, call::service_start("")), code(HResult::S_OK));
         let provider = self.sim.config().model.provider.clone();
         let name = if peer.0 == 1 { "b-CAP".to_owned() } else { format!("b-CAP {}", peer.0) };
-        let controller = self.handle(peer, call::controller_connect(&name, &provider, "localhost", ""));
+        let controller = self.handle(peer, call::controller_connect(&name, &provider, "localhost", "@IfNotMember"));
         let controller = ControllerHandle(controller);
         let robot = RobotHandle(self.handle(peer, call::controller_get_robot(controller, "Arm", "")));
         Client { peer, controller, robot }
@@ -179,7 +179,7 @@ impl World {
     }
 
     pub(crate) fn task(&mut self, client: Client, name: &str) -> TaskHandle {
-        TaskHandle(self.handle(client.peer, call::controller_get_task(client.controller, name, "")))
+        TaskHandle(self.handle(client.peer, call::controller_get_task(client.controller, name, "@IfNotMember")))
     }
 
     /// Reads a variable through a temporary handle.

@@ -337,6 +337,9 @@ fn a_cobotta_wants_its_preparations_and_the_engine_says_which() {
     assert_eq!(rig.run(|rig| Some(from_start(rig, 0, 0.0))), Action::Faulted);
     assert_eq!(rig.engine.fault().unwrap().code(), Some(HResult::from_u32(0x8420_4043)));
 
+    // a stop ends the preparation
+    rig.world.sim.emergency_stop(true, rig.world.now);
+    rig.world.sim.emergency_stop(false, rig.world.now);
     rig.engine.recover().unwrap();
     assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
     let fault = rig.engine.fault().unwrap();
@@ -344,6 +347,11 @@ fn a_cobotta_wants_its_preparations_and_the_engine_says_which() {
     assert_eq!(fault.code(), Some(HResult::from_u32(0x8420_4043)), "the first cause is still there");
 
     assert_eq!(prepare(&mut rig, "ManualResetPreparation"), Ok(HResult::S_OK));
+    rig.engine.recover().unwrap();
+    assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
+    let fault = rig.engine.fault().unwrap();
+    assert_eq!((fault.step, fault.cause), (Step::Motor, Cause::Refused(HResult::E_MOTION_UNPREPARED)));
+    assert_eq!(prepare(&mut rig, "MotionPreparation"), Ok(HResult::S_OK));
     rig.engine.recover().unwrap();
     let mut count = 0;
     let end = rig.run(|rig| {

@@ -27,7 +27,7 @@ use crate::values::{integer, text};
 /// and Ctrl-Z halt the robot and give the arm back; over a serial line they cannot, because such a line carries one session.
 ///
 /// A real robot moves only after a question, or with --yes; without a terminal the question cannot be asked, so --yes is
-/// needed. A virtual controller is recognised by its @MAKER_NAME and @SERIAL_NO, and is not asked about.
+/// needed. A virtual controller is recognised by its @FIRMWARE and @SERIAL_NO, and is not asked about.
 ///
 /// A COBOTTA needs its motion prepared before its motor can be switched on: --prepare does it, and can move the arm.
 ///
