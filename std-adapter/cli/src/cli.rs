@@ -27,6 +27,7 @@ use crate::commands::packets::replay::Replay;
 use crate::commands::packets::text::Text;
 use crate::commands::packets::wireshark::Wireshark;
 use crate::commands::profile::ProfileArgs;
+use crate::commands::report::ReportArgs;
 use crate::commands::robot::errors::{Clear, Errors};
 use crate::commands::robot::halt::HaltArgs;
 use crate::commands::robot::messages::Messages;
@@ -95,6 +96,7 @@ pub(crate) enum Command {
     Slave(Slave),
     Halt(HaltArgs),
     Doctor(Doctor),
+    Report(ReportArgs),
     Gateway(Gateway),
     Board(Board),
     Proxy(Proxy),

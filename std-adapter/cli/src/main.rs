@@ -29,7 +29,7 @@ use crate::commands::packets::{decode, encode, proxy, raw, replay, text, wiresha
 use crate::commands::robot::{errors, halt, messages, motion, recover, task};
 use crate::commands::sim::demo;
 use crate::commands::variables::{get, names, put, rac, watch};
-use crate::commands::{board, doctor, explain, files, gateway, profile, sim, slave};
+use crate::commands::{board, doctor, explain, files, gateway, profile, report, sim, slave};
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::session::selection::Selection;
@@ -118,6 +118,7 @@ pub(crate) fn verb(command: &Command, session: &mut Session, json: bool) -> Resu
         Command::Slave(args) => slave::slave(args, session, json),
         Command::Halt(_) => halt::halt(session, json),
         Command::Doctor(args) => doctor::doctor(args, link, json),
+        Command::Report(args) => report::report(args, session, json),
         Command::Gateway(args) => gateway::gateway(args, link.untraced()?),
         Command::Board(args) => board::board(args, link, json),
         Command::Proxy(args) => proxy::proxy(args, link.untraced()?, json),

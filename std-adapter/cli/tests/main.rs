@@ -44,6 +44,8 @@ mod recover;
 mod reference;
 mod replay;
 #[cfg(unix)]
+mod report;
+#[cfg(unix)]
 mod screens;
 #[cfg(unix)]
 mod serial;

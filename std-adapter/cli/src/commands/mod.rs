@@ -12,6 +12,7 @@ pub(crate) mod judge;
 pub(crate) mod monitor;
 pub(crate) mod packets;
 pub(crate) mod profile;
+pub(crate) mod report;
 pub(crate) mod robot;
 mod robot_ports;
 #[cfg(feature = "screens")]

@@ -137,6 +137,18 @@ impl LinkArgs {
         Self { robot: Some(address.to_owned()), ..self.clone() }
     }
 
+    /// Returns the options for a virtual controller of this process, with the same time limits.
+    pub(crate) fn for_virtual(&self, address: &str, provider: &str) -> Self {
+        Self {
+            provider: Some(provider.to_owned()),
+            machine: None,
+            option: None,
+            trace: None,
+            write: None,
+            ..self.at(address)
+        }
+    }
+
     /// Returns the controller's address for b-CAP.
     pub(crate) fn target(&self) -> Result<Address, Failure> {
         address::bcap(self.robot.as_deref(), self.profile_address.as_deref())

@@ -1,9 +1,8 @@
 //! `bcap demo`: a session with a virtual controller over TCP, UDP and RAC, with each frame decoded next to its bytes.
 
 use std::io;
-use std::net::{Ipv4Addr, SocketAddr};
+use std::net::SocketAddr;
 use std::sync::mpsc::{Receiver, channel};
-use std::thread::{self, JoinHandle};
 
 use bcap_capture::Role;
 use bcap_capture::trace::{Level, Packets, Traced, Wire, with_arrow};
@@ -15,11 +14,10 @@ use bcap_sim::Profile;
 use bcap_std::blocking::{self, Connection, RacConnection, Transport};
 use bcap_std::{CallError, ConnectError, Options};
 use clap::Args;
-use tokio::sync::oneshot;
 
-use crate::commands::sim::{self, Listening};
+use crate::commands::sim::Listening;
+use crate::commands::sim::local::LocalController;
 use crate::failure::Failure;
-use crate::listen::runtime;
 use crate::output::print_block;
 use crate::values::Value;
 
@@ -37,7 +35,7 @@ const POSE: [f32; 7] = [400.0, 0.0, 300.5, 180.0, 0.0, 180.0, 5.0];
 
 /// Runs `bcap demo`.
 pub(crate) fn demo() -> Result<(), Failure> {
-    let robot = Robot::start()?;
+    let robot = LocalController::start(Profile::Rc8.model().clone())?;
     print_block(&format!(
         "A virtual controller is running in this process: {}.\n\
          It is the controller of `bcap sim`. Below, -> marks requests of the client and <- replies of the controller.",
@@ -243,35 +241,4 @@ fn failed(doing: &str, error: &CallError) -> Failure {
 
 fn unreached(error: &ConnectError, address: SocketAddr) -> Failure {
     disagreement(format!("{address}: {error}"))
-}
-
-/// The virtual controller, in its own thread.
-struct Robot {
-    listening: Listening,
-    stop: oneshot::Sender<()>,
-    thread: JoinHandle<io::Result<()>>,
-}
-
-impl Robot {
-    fn start() -> Result<Self, Failure> {
-        let free = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
-        let wanted = Listening { bcap: free, udp: free, rac: Some(free) };
-        let runtime = runtime()?;
-        let (server, listening) = runtime.block_on(sim::listen(sim::controller(Profile::Rc8), &wanted))?;
-        let (stop, stopped) = oneshot::channel();
-        let thread = thread::Builder::new().name("controller".into()).spawn(move || {
-            // a dropped sender also stops the server
-            runtime.block_on(server.run(async { stopped.await.unwrap_or(()) }))
-        })?;
-        Ok(Self { listening, stop, thread })
-    }
-
-    fn stop(self) -> Result<(), Failure> {
-        // if the controller has ended already, its result says why
-        let _ = self.stop.send(());
-        match self.thread.join() {
-            Ok(result) => Ok(result?),
-            Err(_) => Err(disagreement("the virtual controller has panicked".into())),
-        }
-    }
 }

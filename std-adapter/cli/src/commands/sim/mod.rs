@@ -5,6 +5,7 @@ mod delivery;
 pub(crate) mod demo;
 #[cfg(feature = "screens")]
 mod live_screen;
+pub(crate) mod local;
 mod trajectory;
 
 use std::io::{self, Write as _};
@@ -21,7 +22,7 @@ use bcap_core::{bcap, rac};
 use bcap_sim::explain::Observer;
 use bcap_sim::files::{Executor, Job};
 use bcap_sim::scenario::Effect;
-use bcap_sim::{ArmModel, Config, Controller, Model, Profile, Scenario, Token};
+use bcap_sim::{ArmModel, Config, Controller, Model, Scenario, Token};
 use bcap_std::SerialLine;
 use bcap_std::server::{LineEvent, Server};
 use bcap_terminal::{escape, signal};
@@ -253,7 +254,7 @@ async fn recorded<H: Serves>(
 }
 
 /// Reads a model, from its file if it is not built in.
-fn read_model(source: &ModelSource) -> Result<Model, Failure> {
+pub(crate) fn read_model(source: &ModelSource) -> Result<Model, Failure> {
     let path = match source {
         ModelSource::BuiltIn(profile) => return Ok(profile.model().clone()),
         ModelSource::File(path) => path,
@@ -355,11 +356,6 @@ impl fmt::Display for Listening {
         write!(f, "ready bcap={} udp={}", self.bcap, self.udp)?;
         self.rac.map_or(Ok(()), |rac| write!(f, " rac={rac}"))
     }
-}
-
-/// Creates a controller.
-pub(crate) fn controller(model: Profile) -> Controller {
-    Controller::new(config(model.model().clone()))
 }
 
 /// Returns the configuration of a controller with the clock of this machine.
