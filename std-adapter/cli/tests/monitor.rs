@@ -22,9 +22,10 @@ fn monitor(size: (u16, u16), args: &str, folder: &tempfile::TempDir) -> Option<T
 #[track_caller]
 fn assert_sane(terminal: &Terminal) {
     terminal.wait_for("ready>");
-    assert_eq!(["alternate_on", "cursor_flag"].map(|name| terminal.variable(name)), ["0", "1"]);
     terminal.enter("stty -a | tr ' ;' '\\n\\n' | grep -xE -- '-?(icanon|echo|isig)' | tr '\\n' '.'");
+    // the shell runs this after the command, which has then restored all of the terminal
     terminal.wait_for("isig.icanon.echo.");
+    assert_eq!(["alternate_on", "cursor_flag"].map(|name| terminal.variable(name)), ["0", "1"]);
 }
 
 #[test]
