@@ -150,7 +150,9 @@ async fn a_motion_that_is_dropped_halts_the_robot() {
     until(&sim, |sim| !sim.is_moving()).await;
     let there = arm.robot().joints().await.unwrap().degrees[0];
     assert!(there < 149.0, "it went on to {there}");
-    // the arm still has its robot
+    // the arm still has its robot, after ClearError
+    assert!(arm.move_to(&to(there + 1.0), LIMIT).await.unwrap_err().code() == Some(HResult::E_ERROR_PRESENT));
+    cell.execute::<()>("ClearError", ()).await.unwrap();
     assert_eq!(arm.move_to(&to(there + 1.0), LIMIT).await.unwrap(), Motion::Arrived);
     drop(arm);
     until(&sim, |sim| sim.arm_owner().is_none() && !sim.motor_is_on()).await;
@@ -179,7 +181,7 @@ async fn a_stopper_stops_the_task_that_moves_the_robot() {
             { move = 'J(60, 45, 90, 0, 45, 0)' },
             { move = 'J(-60, 45, 90, 0, 45, 0)' },
         ]";
-    let mut sim = Simulated::new(Config { as_observed: true, ..config() });
+    let mut sim = Simulated::new(config());
     sim.play(Scenario::parse(task).unwrap());
     let sim = Served::of(sim, Limits::default());
     let stopper = connect(&sim).await.stopper().await.unwrap();
@@ -224,7 +226,9 @@ async fn no_stopped_motion_is_reported_as_arrived() {
                 arrived += 1;
             }
             Some(Ok(Motion::Halted)) => {
-                assert!(off > 0.05, "trial {trial}: it is there");
+                // a halt can come when the robot is almost there; it leaves its error
+                let errors = sim.application().errors().count();
+                assert!(off > 0.05 || errors > 0, "trial {trial}: it is there");
                 halted += 1;
             }
             None => {
@@ -236,6 +240,7 @@ async fn no_stopped_motion_is_reported_as_arrived() {
             }
             other => panic!("{other:?}"),
         }
+        sim.application().clear_errors(bcap_std::now());
     }
     println!("{trials} trials: {arrived} arrived, {halted} halted, {dropped} dropped");
     assert!(halted + dropped > 0, "no stop came in time");
@@ -281,22 +286,30 @@ async fn motions_that_are_dropped_halt_the_robot() {
     drop(arm.start(&to(150.0), LIMIT).await.unwrap());
     until(&sim, |sim| !sim.is_moving()).await;
     assert!(sim.application().joints()[0] < 149.0);
+    let clear = || sim.application().clear_errors(bcap_std::now());
+    clear();
     // while one motion waits for another, and while the end is waited for
     let moving = arm.start(&to(150.0), LIMIT).await.unwrap();
     assert!(tokio::time::timeout(Duration::from_millis(20), moving.then(&to(0.0))).await.is_err());
     until(&sim, |sim| !sim.is_moving()).await;
+    clear();
     let moving = arm.start(&to(150.0), LIMIT).await.unwrap();
     assert!(tokio::time::timeout(Duration::from_millis(20), moving.wait()).await.is_err());
     until(&sim, |sim| !sim.is_moving()).await;
+    clear();
     assert_eq!(arm.start(&to(150.0), LIMIT).await.unwrap().halt().await.unwrap(), Halted::Halted);
     let rest = sim.application().joints()[0];
     assert!(rest < 149.0, "{rest}");
+    clear();
     // an error of a later motion halts those before it
     let moving = arm.start(&to(150.0), LIMIT).await.unwrap();
     assert!(moving.then(&Move::joint("P(")).await.unwrap_err().code().is_some());
     assert!(!sim.application().is_moving());
-    // one that is forgotten is halted before the next
+    clear();
+    // one that is forgotten is halted before the next, which is refused because of that
     std::mem::forget(arm.start(&to(150.0), LIMIT).await.unwrap());
+    assert!(arm.move_to(&to(rest), LIMIT).await.is_err());
+    clear();
     assert_eq!(arm.move_to(&to(rest), LIMIT).await.unwrap(), Motion::Arrived);
     drop(arm);
     until(&sim, |sim| sim.arm_owner().is_none() && !sim.motor_is_on()).await;
@@ -349,6 +362,7 @@ async fn no_stopped_queue_is_reported_as_arrived() {
             }
             Some(other) => panic!("trial {trial}: {other:?}"),
         }
+        sim.application().clear_errors(bcap_std::now());
     }
     println!("{trials} trials: {arrived} arrived, {halted} halted, {dropped} dropped");
     assert!(halted + dropped > 0, "no stop came in time");
@@ -429,6 +443,7 @@ async fn one_arm_at_a_time() {
     let other = connect(&sim).await;
     let taken = other.robot().await.unwrap().take_arm().await.unwrap_err();
     assert_eq!(taken.code(), Some(HResult::E_ARM_NOT_TAKEN));
+    sim.application().clear_errors(bcap_std::now());
     drop(arm);
     drop(robot.take_arm().await.unwrap());
     // a future that is dropped before it ends leaves no arm either

@@ -124,6 +124,8 @@ const BEGIN_INTERVAL: Duration = Duration::from_millis(5);
 const ERROR: i32 = 1 << 1;
 const EMERGENCY_STOP: i32 = 1 << 10;
 pub(super) const MOVING: i32 = 0b11 << 20;
+/// The answer to a command while the emergency stop is pressed.
+const STOPPED: HResult = HResult::from_u32(0x8150_101A);
 
 struct MoveSteps<D, O> {
     handles: Handles,
@@ -152,6 +154,8 @@ struct MoveSteps<D, O> {
     /// until it rests.
     has_error: bool,
     watches: bool,
+    /// Whether the emergency stop is pressed, which is no error in every controller.
+    is_emergency: bool,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -206,6 +210,7 @@ impl<D, O> MoveSteps<D, O> {
             error: 0,
             has_error: false,
             watches: false,
+            is_emergency: false,
         }
     }
 
@@ -350,6 +355,7 @@ impl<D, O> MoveSteps<D, O> {
     /// Takes the state of the controller.
     fn update_state(&mut self, bits: i32) {
         self.queue.reports_motion = bits & MOVING != 0;
+        self.is_emergency = bits & EMERGENCY_STOP != 0;
         self.step = match bits & (ERROR | EMERGENCY_STOP) {
             _ if self.watches => Step::Position,
             0 if self.queue.needs_destination() => Step::Destination,
@@ -358,10 +364,15 @@ impl<D, O> MoveSteps<D, O> {
         };
     }
 
-    /// Takes the first error of the controller.
+    /// Takes the first error of the controller; `S_OK` if it has none.
     fn update_error(&mut self, code: HResult) {
-        // the error that a halted motion leaves
-        let outcome = if code == HResult::E_MOTION_STOPPED { Motion::Halted } else { Motion::Failed(code) };
+        let outcome = match code {
+            HResult::E_MOTION_STOPPED | HResult::S_OK if self.is_emergency => Motion::Failed(STOPPED),
+            // the error that a halted motion leaves
+            HResult::E_MOTION_STOPPED => Motion::Halted,
+            HResult::S_OK => Motion::Failed(HResult::E_FAIL),
+            code => Motion::Failed(code),
+        };
         self.has_error = true;
         // a robot that has not moved yet may begin later
         let rests = self.queue.moved && self.queue.is_stopped(self.begins());
@@ -459,7 +470,7 @@ impl<D: Encode, O: AsRef<str>> Steps for MoveSteps<D, O> {
             Step::ErrorCount => {
                 // the last error of the list is the oldest, so the first cause
                 self.error = Int::read(reply.args).map_err(StepCause::Reply)?.saturating_sub(1);
-                if self.error >= 0 { self.step = Step::ErrorInfo } else { self.update_error(HResult::E_FAIL) }
+                if self.error >= 0 { self.step = Step::ErrorInfo } else { self.update_error(HResult::S_OK) }
             }
             Step::ErrorInfo => {
                 let value = Any::read(reply.args).map_err(StepCause::Reply)?;

@@ -75,7 +75,8 @@ pub enum Motion {
     /// The robot rests where the motion ends.
     Arrived,
     /// The robot rests elsewhere, and the controller has no other error: it was halted, or did not begin to move within the
-    /// time for that and was halted then.
+    /// time for that and was halted then. The halt leaves [`E_MOTION_STOPPED`](HResult::E_MOTION_STOPPED) on a controller, which
+    /// refuses the next motion until ClearError.
     Halted,
     /// The robot rests, and whether that is the end of the motion is unknown: the end cannot be compared with a reading, and
     /// the motion was too short to be seen; or the tool or the work coordinates changed meanwhile. Read the position before

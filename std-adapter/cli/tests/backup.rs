@@ -205,8 +205,10 @@ fn nothing_is_written_in_an_unclear_state() {
     };
     let now = bcap_std::now();
     cell.robot.served.application().emergency_stop(true, now);
-    refused("the controller has an error: clear it first (@NORMAL_STATUS is false)", &cell.robot);
+    refused("the emergency stop is pressed: release it first (@EMERGENCY_STOP is true)", &cell.robot);
     cell.robot.served.application().emergency_stop(false, now);
+    cell.robot.served.application().inject_error(HResult::E_MOTOR_OFF, now);
+    refused("the controller has an error: clear it first (@NORMAL_STATUS is false)", &cell.robot);
     cell.robot.run(&["exec", "controller", "ClearError"]);
     cell.robot.run(&["call", "TaskStart", "task:Pro1", "2"]);
     refused("the controller is busy: stop its tasks", &cell.robot);

@@ -1,8 +1,8 @@
 //! A stream of Slave Mode with everything that reads the same controller: no call ends it, and each tool names the
 //! items that it skips.
 //!
-//! The controller behaves as observed on real ones: a call that Slave Mode refuses ends Slave Mode, from any client.
-//! `just stream-and-monitors` runs the long test, against `bcap sim --as-observed` in real time.
+//! A call that Slave Mode refuses ends Slave Mode, from any client.
+//! `just stream-and-monitors` runs the long test, against `bcap sim` in real time.
 
 use std::fs;
 use std::io::{BufRead, BufReader};
@@ -125,15 +125,15 @@ fn round(stream: &Stream, fleet: &str, gateway: &str) -> bool {
     true
 }
 
-fn as_observed() -> Config {
-    Config { as_observed: true, motor_on_delay: Duration::from_millis(1), ..Config::new(Profile::Rc8) }
+fn config() -> Config {
+    Config { motor_on_delay: Duration::from_millis(1), ..Config::new(Profile::Rc8) }
 }
 
 /// The commands that list names, copy files or move the robot skip their calls too. The stream of this test sends no pose, so
 /// that a busy machine does not end it.
 #[test]
 fn no_command_ends_the_stream_of_another_client() {
-    let sim = Served::of(Controller::new(as_observed()), Limits::default());
+    let sim = Served::of(Controller::new(config()), Limits::default());
     let robot = format!("tcp:{}", sim.tcp);
     let mut cell = bcap_std::blocking::Controller::connect(&robot, &bcap_std::Settings::rc8()).unwrap();
     let mut arm = cell.robot().unwrap().take_arm().unwrap();
@@ -198,7 +198,7 @@ fn stream_and_monitors(robot: &str, seconds: &str) -> u32 {
 #[test]
 fn no_tool_ends_a_stream() {
     repeated(|| {
-        let sim = Served::<Slowed>::of(Slowed(Controller::new(as_observed())), Limits::default());
+        let sim = Served::<Slowed>::of(Slowed(Controller::new(config())), Limits::default());
         let ended = catch_unwind(|| stream_and_monitors(&format!("tcp:{}", sim.tcp), "2"));
         let mut errors = sim.application().0.errors().map(|error| error.code).collect::<Vec<_>>();
         errors.retain(|code| *code == HResult::E_COMMAND_BUFFER_EMPTY);
@@ -212,7 +212,7 @@ fn no_tool_ends_a_stream() {
 #[test]
 #[ignore = "in real time; `just stream-and-monitors`"]
 fn no_tool_ends_a_stream_in_real_time() {
-    let sim = Virtual::start(&["--as-observed"]);
+    let sim = Virtual::start(&[]);
     let rounds = stream_and_monitors(&sim.tcp, "20");
     println!("20 s, {rounds} rounds of errors, messages, clear, doctor, fleet --check and gateway: 0 interruptions");
 }

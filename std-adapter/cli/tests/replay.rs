@@ -90,8 +90,9 @@ fn a_whole_session_has_the_same_replies_on_a_new_controller() {
         let served = recorded::serve();
         let [tcp, udp, rac] = [&served.tcp, &served.udp, &served.rac].map(ToString::to_string);
         let allowed = ALLOWED.map(|name| ["--allow", name]).concat();
-        // the position depends on the moment
-        let more = ["--volatile", "Robot_Execute/slvMove", "--fast"];
+        // the position and the date of an error depend on the moment
+        let more =
+            ["--volatile", "Robot_Execute/slvMove", "--volatile", "Controller_Execute/GetCurErrorInfo", "--fast"];
         let file = recorded.file.to_str().unwrap();
         let robot = ["--robot", &tcp, "--robot-udp", &udp, "--robot-rac", &rac];
         let run = bcap(&[&["replay", file], &robot[..], &allowed, &more].concat());

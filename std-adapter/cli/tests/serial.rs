@@ -146,6 +146,8 @@ fn an_unplugged_client_loses_the_arm() {
     assert_eq!(bcap(&take).code, 1);
     cable.unplug(End::Controller);
     assert!(sim.note().contains("is lost"));
+    // the refusal is an error
+    assert_eq!(bcap(&["clear", "--robot", &tcp]).code, 0);
     assert_eq!(bcap(&take).code, 0);
     cable.plug(End::Controller);
     drop(lines);

@@ -174,7 +174,7 @@ fn ctrl_c_halts_motions_after_a_command_with_signals_of_its_own() {
     robot.wait_for_motion();
     signal("-INT", &child);
     robot.wait_for_rest();
-    stdin.write_all(back.as_bytes()).unwrap();
+    stdin.write_all(format!("clear\n{back}").as_bytes()).unwrap();
     robot.wait_for_motion();
     signal("-INT", &child);
     robot.wait_for_rest();
@@ -262,6 +262,8 @@ fn a_connection_that_is_lost_during_a_motion_is_replaced_to_halt() {
         assert!(run.err.contains("the robot was halted over another connection"), "{lines}: {run:?}");
         let state = robot.run(&["get", "@BUSY_STATUS"]);
         assert_eq!(state.out, "@BUSY_STATUS = false\n");
+        // the halted motion is an error
+        assert_eq!(robot.run(&["clear"]).code, 0);
         assert_eq!(robot.run(&["exec", "robot", "TakeArm", "0", "1"]).code, 0);
     }
 }

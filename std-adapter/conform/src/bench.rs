@@ -65,6 +65,8 @@ pub(crate) struct Bench<'a> {
     pub(crate) way_back: Option<Value>,
     /// Whether a call may have started the task.
     pub(crate) task_started: bool,
+    /// The codes of the controller with which calls of the case were refused. They are errors of the controller.
+    pub(crate) caused: Vec<HResult>,
     /// Tells whether the run is to end, so that nothing may move any more.
     pub(crate) is_interrupted: Option<&'a dyn Fn() -> bool>,
     /// Whether nothing was sent on the connection.
@@ -101,6 +103,7 @@ impl<'a> Bench<'a> {
             armed: false,
             way_back: None,
             task_started: false,
+            caused: Vec::new(),
             is_interrupted: None,
             is_fresh: false,
             answered: false,
@@ -306,7 +309,10 @@ impl<'a> Bench<'a> {
     pub(crate) fn receive_within(&mut self, limit: Duration) -> Came {
         let came = self.wire.as_mut().map_or(Came::Closed, |wire| Came::of(self.link, wire.receive(limit)));
         match came {
-            Came::Reply(_) => (self.answered, self.has_reply) = (true, true),
+            Came::Reply(ref reply) => {
+                (self.answered, self.has_reply) = (true, true);
+                self.caused.extend(reply.code.level().is_some_and(|level| level > 0).then_some(reply.code));
+            }
             Came::Closed => self.refused |= !self.answered,
             Came::Invalid(_) | Came::Nothing => {}
         }

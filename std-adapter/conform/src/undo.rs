@@ -8,7 +8,7 @@ use bcap_testkit::value::Value;
 
 use crate::bench::{Bench, Stop, fail};
 use crate::language::{Arg, Setup, Slot, Want};
-use crate::reply::{Came, request_text};
+use crate::reply::{Came, Reply, request_text};
 
 /// The longest turn of an axis at the slow speed of cases.
 const TURN: Duration = Duration::from_secs(60);
@@ -33,7 +33,44 @@ impl<'a> Bench<'a> {
         for (name, value) in std::mem::take(&mut self.saved) {
             restored = restored.and(self.restore(&name, value));
         }
+        self.clear_own_errors();
         armed.and(stopped).and(restored)
+    }
+
+    /// Clears the errors of the controller, if calls of this case have caused all of them.
+    fn clear_own_errors(&mut self) {
+        let caused = std::mem::take(&mut self.caused);
+        if caused.is_empty() {
+            return;
+        }
+        // a device without errors, or that does not answer, is left as it is
+        let _ = self.another_connection().setup_and(Setup::Robot, |other| {
+            let count = other.controller_command("GetCurErrorCount", Value::Empty)?;
+            let count = if let Some(Value::I4(count)) = count.value() { *count } else { 0 };
+            for index in 0..count {
+                let info = other.controller_command("GetCurErrorInfo", Value::I4(index))?;
+                let is_own = match info.value() {
+                    Some(Value::Array(_, places)) => {
+                        matches!(places.first(), Some(Value::I4(code)) if caused.contains(&HResult(*code)))
+                    }
+                    _ => false,
+                };
+                if !is_own {
+                    return Ok(());
+                }
+            }
+            if count > 0 {
+                // a COBOTTA wants it, and others do not know it
+                other.robot_command_at_end("ManualResetPreparation", Value::Empty);
+                other.controller_command("ClearError", Value::Empty)?;
+            }
+            Ok(())
+        });
+    }
+
+    fn controller_command(&mut self, command: &str, value: Value) -> Result<Reply, Stop> {
+        let handle = self.argument(&Arg::H(Slot::Controller))?;
+        self.exchange(FunctionId::CONTROLLER_EXECUTE, vec![handle, Value::text(command), value])
     }
 
     /// Halts the robot and gives the arm back.
@@ -50,6 +87,9 @@ impl<'a> Bench<'a> {
         if self.robot_command_at_end("slvChangeMode", Value::I4(0)).is_none() {
             self.take_arm_again();
         }
+        // the halt of a motion is an error, too
+        self.caused.push(HResult::E_MOTION_STOPPED);
+        self.clear_own_errors();
         let turned = self.turn_back();
         self.restore_speed();
         self.robot_command_at_end("Motor", zeros());

@@ -13,7 +13,7 @@ pub(crate) enum Answer {
     Done,
     /// `S_OK` with a value.
     Value(Value),
-    /// Another success code than `S_OK`.
+    /// A code that refuses nothing: another success code than `S_OK`, or the failure of an event that was waited for.
     Code(HResult),
     /// A success code with a value.
     Coded(HResult, Value),

@@ -20,15 +20,16 @@
 //!
 //! # Motions
 //!
-//! A command that cannot be parsed is refused first. Then a motion needs, in this order: Auto mode (`E_ACCESSDENIED`;
-//! no code of the controller's own is publicly known), the executable token (`E_TOKEN_NOT_ETHERNET`,
-//! `E_TOKEN_ADDRESS`), no error (`E_ERROR_PRESENT`), the arm authority of this client (`E_ARM_NOT_TAKEN`), the motor on
-//! (`E_MOTOR_OFF`), and no motion of another client, no full queue and no Slave Mode (`E_ROBOTISBUSY`). Refusals with a
-//! code of the controller go into the error log, but are no errors that must be cleared.
+//! A command that cannot be parsed is refused first. Then a motion needs, in this order: a released emergency stop
+//! (0x8150101A), Auto mode (0x81501012), the executable token (`E_TOKEN_NOT_ETHERNET`, `E_TOKEN_ADDRESS`), no error
+//! (`E_ERROR_PRESENT`, or 0x82501009 after one of level 5), the arm authority of this client (`E_ARM_NOT_TAKEN`), the motor on
+//! (`E_MOTOR_OFF`), and no motion of another client, no full queue and no Slave Mode (`E_ROBOTISBUSY`). A refusal with a code
+//! of the controller is an error, which must be cleared.
 //!
-//! The call answers when the motion has ended: with `S_OK`, with `E_ABORT` after Halt or the end of Auto mode, with
-//! the error's code after an error. After a pass it answers when the motion begins to brake. With the option `NEXT` it
-//! answers at once. Further options are `SPEED=` (or `S=`),
+//! The call answers when the motion has ended: with `S_OK`, or with `E_MOTION_STOPPED` after Halt, the end of Auto mode, the
+//! emergency stop, the end of the motor, or, 20 ms later, an error. `E_MOTION_STOPPED` is an error of
+//! the client that moved the robot, also after `NEXT` and after the end of its connection. After a pass the call answers
+//! when the motion begins to brake. With the option `NEXT` it answers at once. Further options are `SPEED=` (or `S=`),
 //! `ACCEL=` and `DECEL=`, in percent of the internal values, each a number or a variable (`SPEED=F2`), and `TIME=`, which has
 //! no effect, because its unit is not documented; another option is refused with `E_INVALIDARG`. A motion that the arm cannot
 //! make is an error of the controller; its [codes](crate::codes) say why.
@@ -40,7 +41,8 @@
 //! keeps its orientation. RotateH turns the tool right-handed about its approach vector, in place.
 //!
 //! Halt answers when the arm is at rest, so that it does not refuse a motion that follows. If the arm is at rest
-//! already, Halt answers `S_FALSE`. The halted call ends with `E_ABORT`.
+//! already, Halt answers `S_FALSE`. The halted motion leaves the error
+//! `E_MOTION_STOPPED`. While a task owns the arm, Halt is refused (0x83500079).
 //!
 //! # Commands of Robot_Execute
 //!
@@ -148,10 +150,13 @@ use bcap_core::time::Instant;
 
 use crate::answer::{Answer, Answered};
 use crate::areas::Areas;
+use crate::codes::EMERGENCY_STOP;
 use crate::config::Config;
 use crate::context::Context;
 use crate::hand::Hand;
 use crate::kinematics::six;
+use crate::levels::Effects;
+use crate::model::Functions;
 use crate::paths::Paths;
 use crate::preparation::Preparation;
 use crate::robot::{Robot, Servo};
@@ -278,6 +283,7 @@ impl Arm {
             },
             Wait::Hand => self.hand.end(now),
             Wait::Stored | Wait::Left => self.robot.stream().map(|stream| stream.next_cycle()),
+            Wait::Stopped(at) => Some(at),
             Wait::Over(_) => Some(now),
             Wait::Tasks => None,
         }
@@ -301,13 +307,22 @@ impl Arm {
         }
     }
 
-    /// Stops everything without braking because of an error, which from level 3 on also switches the motor off.
-    pub(crate) fn fail(&mut self, code: HResult, now: Instant, waits: &mut Waits) {
-        self.robot.stop(code, now, waits);
-        self.hand.stop(code, now, waits);
-        if code.level().is_some_and(|level| level >= 3) {
+    /// Stops everything without braking because of an error, as far as its effects say.
+    pub(crate) fn fail(&mut self, code: HResult, effects: Effects, now: Instant, waits: &mut Waits) {
+        if effects.stops {
+            self.robot.stop(code, now, waits);
+            self.hand.stop(code, now, waits);
+        }
+        if effects.motor_off {
             self.robot.turn_off(code, now, waits);
         }
+    }
+
+    /// Stops everything without braking, and switches the motor off, because of the emergency stop.
+    pub(crate) fn emergency_stop(&mut self, functions: Functions, now: Instant, waits: &mut Waits) {
+        self.preparation.emergency_stop(functions);
+        self.hand.stop(EMERGENCY_STOP, now, waits);
+        self.robot.turn_off(EMERGENCY_STOP, now, waits);
     }
 
     /// Brakes the motion or Slave Mode; returns whether there was one.
@@ -351,7 +366,7 @@ impl Arm {
         }
     }
 
-    /// Switches the motor off. Calls that wait for it or for a motion end with `code`.
+    /// Switches the motor off. Calls that wait for it end with `code`.
     pub(crate) fn turn_off(&mut self, code: HResult, now: Instant, waits: &mut Waits) {
         self.robot.turn_off(code, now, waits);
     }
@@ -365,11 +380,8 @@ impl Arm {
             return Ok(Answer::Done);
         }
         ctx.may(&rules::MOTOR_ON)?;
-        if ctx.panel.emergency_stop {
-            return Err(HResult::E_ACCESSDENIED);
-        }
         if !self.preparation.is_motion_ready() {
-            return Err(ctx.refuse(HResult::E_MOTION_UNPREPARED));
+            return Err(HResult::E_MOTION_UNPREPARED);
         }
         if self.preparation.is_torque_off() {
             return Err(HResult::E_ACCESSDENIED);

@@ -1,10 +1,20 @@
-//! The codes of poses that the arm cannot take.
+//! The codes of the controller's refusals that have no constant in [`HResult`].
 //!
 //! "seen" is the error log of a real RC8A with a VS087A4, in a public repository (jtcass01/denso_api); "listed" is the list
 //! of error codes of the maker, in another one (nkawa/Denso_CobottaPro900_MQTT_Control).
 
 use bcap_core::hresult::HResult;
 
+/// The command needs Auto mode. Seen.
+pub const MANUAL_MODE: HResult = HResult::from_u32(0x8150_1012);
+/// The emergency stop is pressed. Seen.
+pub const EMERGENCY_STOP: HResult = HResult::from_u32(0x8150_101A);
+/// The emergency stop is pressed: the answer to ManualReset. Seen by a public program on a COBOTTA PRO.
+pub const RESET_IN_EMERGENCY_STOP: HResult = HResult::from_u32(0x8350_0178);
+/// An error of level 5 is present. Seen.
+pub const FAULT_PRESENT: HResult = HResult::from_u32(0x8250_1009);
+/// A task owns the arm. Listed.
+pub const ARM_OF_TASK: HResult = HResult::from_u32(0x8350_0079);
 /// The goal of a motion is out of reach. Seen.
 pub const UNREACHABLE: HResult = HResult::from_u32(0x8320_1501);
 /// A straight path is too near to a singular point. Seen.

@@ -76,7 +76,7 @@ impl CommandObject {
             }
             FunctionId::COMMAND_GET_RESULT => match &self.progress {
                 Progress::Done(result) => Value::Kept(result.clone()).into(),
-                Progress::Failed(code) => return Err(*code),
+                Progress::Failed(code) => Answer::Code(*code),
                 Progress::NotYet | Progress::Running(_) => Value::Empty.into(),
             },
             _ => return Err(HResult::E_NOTIMPL),
@@ -119,6 +119,7 @@ impl CommandObject {
         self.progress = match answered {
             Ok(Answer::Until(wait)) => Progress::Running(*wait),
             Ok(Answer::Value(value) | Answer::Coded(_, value)) => Progress::Done(value.encoded()),
+            Ok(Answer::Code(code)) if code.is_err() => Progress::Failed(*code),
             Ok(_) => Progress::Done(Vec::new()),
             Err(code) => Progress::Failed(*code),
         };

@@ -132,9 +132,6 @@ pub struct Config {
     /// Whether it tolerates requests that a real controller may refuse: the provider of another model, and unknown
     /// options. It tells `observer` each text that it tolerates.
     pub lenient: bool,
-    /// Whether it behaves as observed on real controllers after a refusal, where the specification is silent or says
-    /// otherwise: a call that Slave Mode refuses ends Slave Mode, and Robot_Halt is refused while a task owns the arm.
-    pub as_observed: bool,
     /// The numbers of user variables.
     pub sizes: Sizes,
     /// The initial mode.
@@ -201,7 +198,6 @@ impl Config {
     pub fn of(model: Model) -> Self {
         Self {
             lenient: false,
-            as_observed: false,
             sizes: model.sizes,
             mode: Mode::Auto,
             token: Token::Any,

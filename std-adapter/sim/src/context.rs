@@ -6,6 +6,7 @@ use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 
+use crate::codes::{EMERGENCY_STOP, FAULT_PRESENT, MANUAL_MODE};
 use crate::config::{Config, Mode, Permission, Token};
 use crate::errors::Errors;
 use crate::operations::Operations;
@@ -46,34 +47,34 @@ pub(crate) struct Context<'a> {
     pub(crate) panel: Panel,
     pub(crate) variables: &'a mut Variables,
     pub(crate) waits: &'a mut Waits,
-    pub(crate) errors: &'a mut Errors,
+    pub(crate) errors: &'a Errors,
     pub(crate) operations: &'a mut Operations,
-    /// The error that the call has caused. The controller raises it when the call returns.
-    pub(crate) raised: &'a mut Option<HResult>,
 }
 
 impl Context<'_> {
-    /// Checks the conditions of a rule that do not concern the arm: the mode, the executable token, no error.
-    pub(crate) fn may(&mut self, rule: &Rule) -> Result<(), HResult> {
+    /// Checks the conditions of a rule that do not concern the arm: the emergency stop, the mode, the executable token, no
+    /// error.
+    pub(crate) fn may(&self, rule: &Rule) -> Result<(), HResult> {
+        if rule.no_error && self.panel.emergency_stop {
+            return Err(EMERGENCY_STOP);
+        }
         if rule.auto && !self.panel.is_auto() {
-            return Err(self.refuse(HResult::E_ACCESSDENIED));
+            return Err(MANUAL_MODE);
         }
         if rule.token && (rule.token_of_cobotta || !self.config.model.functions.preparation) {
             self.has_token()?;
         }
         if rule.no_error && self.errors.code().is_err() {
-            return Err(self.refuse(HResult::E_ERROR_PRESENT));
+            return Err(if self.errors.lasting().is_some() { FAULT_PRESENT } else { HResult::E_ERROR_PRESENT });
         }
         Ok(())
     }
 
-    fn has_token(&mut self) -> Result<(), HResult> {
+    fn has_token(&self) -> Result<(), HResult> {
         match self.panel.token {
-            Token::TeachPendant => Err(self.refuse(HResult::E_TOKEN_NOT_ETHERNET)),
-            Token::Client(owner) if owner != self.peer => Err(self.refuse(HResult::E_TOKEN_ADDRESS)),
-            Token::Address(address) if self.address != Some(address.to_canonical()) => {
-                Err(self.refuse(HResult::E_TOKEN_ADDRESS))
-            }
+            Token::TeachPendant => Err(HResult::E_TOKEN_NOT_ETHERNET),
+            Token::Client(owner) if owner != self.peer => Err(HResult::E_TOKEN_ADDRESS),
+            Token::Address(address) if self.address != Some(address.to_canonical()) => Err(HResult::E_TOKEN_ADDRESS),
             _ => Ok(()),
         }
     }
@@ -87,19 +88,8 @@ impl Context<'_> {
         }
     }
 
-    /// Enters a refused call into the error log.
-    pub(crate) fn refuse(&mut self, code: HResult) -> HResult {
-        self.errors.refuse(code, self.now)
-    }
-
     /// Enters the call into the log of operations.
     pub(crate) fn record(&mut self, text: &str) {
         self.operations.record(text, self.now);
-    }
-
-    /// Makes the controller raise an error when this call returns; the call ends with its code.
-    pub(crate) fn raise(&mut self, code: HResult) -> HResult {
-        *self.raised = Some(code);
-        code
     }
 }

@@ -21,10 +21,11 @@ use crate::arm::Arm;
 use crate::comm::Comm;
 use crate::config::{ABSENT, Config, Mode, Permission, Token};
 use crate::context::{Context, Panel};
-use crate::errors::{ErrorEntry, Errors, SourceLine};
+use crate::errors::{ErrorEntry, Errors, Occurrence, Origin, SourceLine};
 use crate::explain::Refusals;
 use crate::files::Files;
 use crate::kinematics::Joints;
+use crate::levels::Effects;
 use crate::messages::Messages;
 use crate::objects::Objects;
 use crate::operations::Operations;
@@ -34,11 +35,6 @@ use crate::tasks::{self, TaskStatus, Tasks};
 use crate::trace::TracePoint;
 use crate::variables::{Family, Variables};
 use crate::waits::{Wait, Waits};
-
-/// The error that the emergency stop raises.
-///
-/// No public source names the code of the button itself. This is the code that clients see when it has stopped the robot.
-pub const EMERGENCY_STOP: HResult = HResult::E_COMMAND_POSITION_GEN_STOPPED;
 
 /// The longest interval at which a waiting call is polled, so that an event from outside (the emergency stop, an
 /// injected error) ends its wait soon.
@@ -77,8 +73,6 @@ struct Common {
     waits: Waits,
     errors: Errors,
     operations: Operations,
-    /// The error that the present call has caused.
-    raised: Option<HResult>,
 }
 
 impl Common {
@@ -91,9 +85,8 @@ impl Common {
             panel: self.panel,
             variables: &mut self.variables,
             waits: &mut self.waits,
-            errors: &mut self.errors,
+            errors: &self.errors,
             operations: &mut self.operations,
-            raised: &mut self.raised,
         }
     }
 }
@@ -121,7 +114,6 @@ impl Controller {
                 waits: Waits::default(),
                 errors: Errors::default(),
                 operations: Operations::default(),
-                raised: None,
                 config,
             },
         }
@@ -158,6 +150,16 @@ impl Controller {
             self.common.waits.end(Wait::Tasks, HResult::S_OK);
         }
         self.arm.advance(now, &mut self.common.waits);
+        self.report_stops();
+    }
+
+    /// Enters the errors of the clients whose motions were stopped.
+    fn report_stops(&mut self) {
+        while let Some((at, mover)) = self.common.waits.next_stopped(self.common.now) {
+            if !self.is_task(mover) {
+                self.enter(HResult::E_MOTION_STOPPED, at, Origin::Client, None);
+            }
+        }
     }
 
     /// Executes the cycles of Slave Mode that begin by `until`.
@@ -267,8 +269,8 @@ impl Controller {
 
     /// Presses or releases the emergency stop.
     ///
-    /// Pressed, it switches the motor off, stops motion and tasks at once and is an error ([`EMERGENCY_STOP`]) that
-    /// cannot be cleared before it is released.
+    /// Pressed, it switches the motor off and stops motion and tasks at once. It is no error itself, but commands are refused
+    /// with [`EMERGENCY_STOP`](crate::codes::EMERGENCY_STOP), and it ends Slave Mode with `E_COMMAND_POSITION_GEN_STOPPED`.
     pub fn emergency_stop(&mut self, pressed: bool, now: Instant) {
         self.advance(now);
         self.press_emergency_stop(pressed);
@@ -279,13 +281,23 @@ impl Controller {
             self.record_operation(if pressed { "emergency stop pressed" } else { "emergency stop released" });
         }
         if pressed && !self.common.panel.emergency_stop {
-            self.arm.preparation_mut().emergency_stop(self.common.config.model.functions);
-            self.raise(EMERGENCY_STOP);
+            self.end_slave_mode();
+            let Common { config, now, waits, .. } = &mut self.common;
+            self.arm.emergency_stop(config.model.functions, *now, waits);
+            self.tasks.kill(*now);
+            self.free_arm_of_tasks();
         }
         self.common.panel.emergency_stop = pressed;
     }
 
-    /// Turns the mode switch; leaving Auto mode halts the robot and suspends the tasks.
+    /// Ends Slave Mode, if it is on, by the error of a stop from outside.
+    fn end_slave_mode(&mut self) {
+        if self.arm.robot().stream().is_some() {
+            self.raise(HResult::E_COMMAND_POSITION_GEN_STOPPED);
+        }
+    }
+
+    /// Turns the mode switch; leaving Auto mode halts the robot, ends Slave Mode by an error, and suspends the tasks.
     pub fn set_mode(&mut self, mode: Mode, now: Instant) {
         self.advance(now);
         self.turn_mode_switch(mode);
@@ -299,6 +311,7 @@ impl Controller {
         });
         self.common.panel.mode = mode;
         if mode != Mode::Auto {
+            self.end_slave_mode();
             let Common { config, now, waits, .. } = &mut self.common;
             self.arm.halt(config, *now, waits);
             self.tasks.suspend(*now);
@@ -332,24 +345,40 @@ impl Controller {
         }
     }
 
-    /// Raises an error. It stops the motion and suspends the tasks; from level 3 on it also switches the motor off and
-    /// resets the tasks.
+    /// Raises an error of the controller. Its level says what it stops.
     pub fn inject_error(&mut self, code: HResult, now: Instant) {
         self.advance(now);
         self.raise(code);
     }
 
     fn raise(&mut self, code: HResult) {
-        self.raise_at(code, None);
+        self.enter(code, self.common.now, Origin::Controller, None);
     }
 
-    /// Raises an error that has occurred in a task.
-    fn raise_at(&mut self, code: HResult, place: Option<SourceLine>) {
+    /// Clears the errors, as a person does at the teach pendant.
+    pub fn clear_errors(&mut self, now: Instant) {
+        self.advance(now);
+        self.common.errors.clear();
+        self.record_operation("errors cleared");
+    }
+
+    /// Makes the refusal of a client's call an error, if its code is one of the controller.
+    fn refuse(&mut self, code: HResult) {
+        if code.level().is_some() {
+            self.enter(code, self.common.now, Origin::Client, None);
+        }
+    }
+
+    /// Enters an error into the lists, and stops what its level says. `place` is the line of a task at which it occurred.
+    fn enter(&mut self, code: HResult, at: Instant, origin: Origin, place: Option<SourceLine>) {
         let Common { now, waits, errors, .. } = &mut self.common;
-        self.messages.post_error(code, place.as_ref().map_or("", |place| &place.program), *now);
-        errors.raise(code, *now, place);
-        self.arm.fail(code, *now, waits);
-        self.tasks.fail(code, *now);
+        let source = place.as_ref().map_or(String::new(), |place| place.program.clone());
+        if errors.enter(Occurrence { error: ErrorEntry { code, at }, origin, place }) {
+            self.messages.post_error(code, &source, *now);
+        }
+        let effects = Effects::of(code);
+        self.arm.fail(code, effects, *now, waits);
+        self.tasks.fail(effects.tasks, *now);
         self.free_arm_of_tasks();
     }
 

@@ -1,12 +1,14 @@
-//! The errors of the controller: the list of present errors, and the log of past errors and refused calls.
+//! The errors of the controller: the list of present errors, and the log of all errors. A refused call is an error.
 
 use std::collections::VecDeque;
 
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 
+use crate::levels::Effects;
+
 /// The capacity of each list; a full list drops its oldest entry.
-const CAPACITY: usize = 256;
+const CAPACITY: usize = 1000;
 
 /// An error of the controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,10 +27,19 @@ pub(crate) struct SourceLine {
     pub(crate) line: i32,
 }
 
+/// The originator of an error, with its number in the log.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Origin {
+    Controller = 0,
+    Client = 3,
+    Task = 4,
+}
+
 /// An error, and where it occurred.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Occurrence {
     pub(crate) error: ErrorEntry,
+    pub(crate) origin: Origin,
     /// `None` for an error outside of tasks.
     pub(crate) place: Option<SourceLine>,
 }
@@ -42,23 +53,32 @@ pub(crate) struct Errors {
 }
 
 impl Errors {
-    /// Enters an error into both lists.
-    pub(crate) fn raise(&mut self, code: HResult, at: Instant, place: Option<SourceLine>) {
-        let occurrence = Occurrence { error: ErrorEntry { code, at }, place };
-        push(&mut self.present, occurrence.clone());
-        push(&mut self.log, occurrence);
-    }
-
-    /// Enters a refused call into the log only, if its code is one of the controller.
-    pub(crate) fn refuse(&mut self, code: HResult, at: Instant) -> HResult {
-        if code.level().is_some() {
-            push(&mut self.log, Occurrence { error: ErrorEntry { code, at }, place: None });
+    /// Enters an error into the log, and into the list of present errors. That list has a refusal of clients once. Returns
+    /// whether it is new there.
+    pub(crate) fn enter(&mut self, occurrence: Occurrence) -> bool {
+        let code = occurrence.error.code;
+        let again = occurrence.origin == Origin::Client && self.has(code);
+        let is_new = Effects::of(code).is_present && !again;
+        if is_new {
+            push(&mut self.present, occurrence.clone());
         }
-        code
+        push(&mut self.log, occurrence);
+        is_new
     }
 
+    /// Removes the errors that ClearError can remove.
     pub(crate) fn clear(&mut self) {
-        self.present.clear();
+        self.present.retain(|entry| Effects::of(entry.error.code).lasts);
+    }
+
+    /// Tells whether an error is present.
+    pub(crate) fn has(&self, code: HResult) -> bool {
+        self.present.iter().any(|entry| entry.error.code == code)
+    }
+
+    /// Returns the latest error that ClearError cannot remove.
+    pub(crate) fn lasting(&self) -> Option<HResult> {
+        self.present.iter().map(|entry| entry.error.code).find(|code| Effects::of(*code).lasts)
     }
 
     pub(crate) fn present(&self) -> &VecDeque<Occurrence> {
@@ -94,13 +114,29 @@ pub(crate) fn description(code: HResult) -> String {
 mod tests {
     use super::*;
 
+    fn occurrence(code: u32, origin: Origin) -> Occurrence {
+        let error = ErrorEntry { code: HResult::from_u32(code), at: Instant::ZERO };
+        Occurrence { error, origin, place: None }
+    }
+
+    #[test]
+    fn a_refusal_is_present_once_a_notice_never_and_a_fault_stays() {
+        let mut errors = Errors::default();
+        for (code, is_new) in [(0x8150_1003, true), (0x8150_1003, false), (0x8020_1418, false), (0x8540_0001, true)] {
+            assert_eq!(errors.enter(occurrence(code, Origin::Client)), is_new, "{code:#X}");
+        }
+        assert_eq!((errors.present().len(), errors.log().len()), (2, 4));
+        errors.clear();
+        assert_eq!((errors.code(), errors.lasting()), (HResult::from_u32(0x8540_0001), Some(errors.code())));
+    }
+
     #[test]
     fn the_lists_are_in_reverse_order_and_bounded() {
         let mut errors = Errors::default();
-        for n in 0..300 {
-            errors.raise(HResult::from_u32(0x8320_0000 + n), Instant::from_millis(n.into()), None);
+        for n in 0..1100 {
+            errors.enter(occurrence(0x8320_0000 + n, Origin::Controller));
         }
-        assert_eq!(errors.code(), HResult::from_u32(0x8320_0000 + 299));
+        assert_eq!(errors.code(), HResult::from_u32(0x8320_0000 + 1099));
         assert_eq!(errors.present().len(), CAPACITY);
         errors.clear();
         assert_eq!(errors.code(), HResult::S_OK);

@@ -240,7 +240,7 @@ impl Hand {
     fn drive(&mut self, ctx: &mut Context<'_>, to: f64, percent: f64) -> Answered {
         ctx.may(&rules::HAND)?;
         if !self.motor || !self.origin {
-            return Err(ctx.refuse(HAND_STATE));
+            return Err(HAND_STATE);
         }
         self.move_to(ctx, to, percent)
     }

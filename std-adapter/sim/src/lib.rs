@@ -34,9 +34,9 @@
 //! * Service_Start is the first call of a connection, on all profiles; other calls before it answer `E_NOT_CONNECTED`.
 //! * Objects of a controller remain open after its Controller_Disconnect, until they are released themselves.
 //! * A client that disconnects loses its arm authority, and its motion halts.
-//! * Refused calls go into the error log only. The emergency stop, poses out of range and injected errors are errors that
-//!   must be cleared: with level 1 and 2 they stop motion and suspend tasks; from level 3 on they also switch the motor
-//!   off and reset the tasks.
+//! * The code of a refused call, if it is one of the controller (0x81 to 0x85), is an error that must be cleared. Its level
+//!   says what it stops: level 1 nothing, level 2 motions and tasks, level 3 to 5 also the motor. The stop of a client's motion
+//!   is an error of that client.
 //! * A client may give the robot any name; there is one arm, and an `ID=` other than 0 is `E_CAO_OBJECT_NOTFOUND`.
 //! * GetAttribute answers 0; for a file, the sum of 1 (read-only) and 16 (folder). GetTag and GetID answer the values of
 //!   PutTag and PutID; the ID of a user variable is its index.
@@ -51,14 +51,14 @@
 //! ```
 //! use bcap_core::time::Instant;
 //! use bcap_core::variant::Variant;
-//! use bcap_sim::{Config, Controller, EMERGENCY_STOP, Profile, VariableKind};
+//! use bcap_sim::{Config, Controller, Profile, VariableKind};
 //!
 //! let mut controller = Controller::new(Config::new(Profile::Rc8));
 //! controller.set_variable(VariableKind::I, 10, &Variant::I4(123))?;
 //! assert_eq!(controller.variable::<16>(VariableKind::I, 10)?.as_variant(), Variant::I4(123));
 //!
 //! controller.emergency_stop(true, Instant::from_millis(5));
-//! assert_eq!(controller.errors().map(|e| e.code).collect::<Vec<_>>(), [EMERGENCY_STOP]);
+//! assert!(controller.emergency_stopped() && !controller.motor_is_on());
 //! # Ok::<(), bcap_core::hresult::HResult>(())
 //! ```
 #![cfg_attr(docsrs, feature(doc_cfg))]
@@ -82,6 +82,7 @@ pub mod files;
 mod function;
 pub mod hand;
 pub mod kinematics;
+mod levels;
 pub mod memory;
 pub mod messages;
 pub mod model;
@@ -110,7 +111,7 @@ mod waits;
 
 pub use config::{Config, Mode, Permission, SlaveConfig, SpeedSetting, Token};
 pub use controller::controller_execute::Bit;
-pub use controller::{Controller, EMERGENCY_STOP, controller_execute, system};
+pub use controller::{Controller, controller_execute, system};
 pub use errors::ErrorEntry;
 pub use model::{ArmModel, ArmProfile, Model, Profile, SlaveFormats};
 pub use scenario::Scenario;

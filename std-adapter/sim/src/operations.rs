@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use bcap_core::time::Instant;
 
 /// The capacity of the log; a full log drops its oldest entry.
-const CAPACITY: usize = 256;
+const CAPACITY: usize = 1000;
 
 /// An operation.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -9,7 +9,7 @@
 //! | command of the robot      | parameter | answer                                                            |
 //! |---------------------------|-----------|-------------------------------------------------------------------|
 //! | ManualResetPreparation    | -         | EMPTY; also a command of the controller                           |
-//! | MotionPreparation         | -         | EMPTY; torque is back; `E_ACCESSDENIED` in emergency stop         |
+//! | MotionPreparation         | -         | EMPTY; torque is back                                             |
 //! | GetMotionPreparationState | -         | BOOL                                                              |
 //! | AutoCal                   | -         | EMPTY; sets the bit "calibrated" of SysState                      |
 //!
@@ -26,6 +26,7 @@
 use bcap_core::hresult::HResult;
 
 use crate::answer::{Answer, Answered};
+use crate::codes::RESET_IN_EMERGENCY_STOP;
 use crate::config::Config;
 use crate::context::Context;
 use crate::model::Functions;
@@ -92,9 +93,6 @@ impl Preparation {
     /// Executes MotionPreparation.
     pub(crate) fn prepare_motion(&mut self, ctx: &mut Context<'_>) -> Answered {
         ctx.may(&rules::PREPARATION)?;
-        if ctx.panel.emergency_stop {
-            return Err(HResult::E_ACCESSDENIED);
-        }
         self.check_manual_reset(ctx)?;
         self.complete();
         ctx.record("motion preparation");
@@ -112,7 +110,7 @@ impl Preparation {
     /// Executes ManualReset.
     pub(crate) fn manual_reset(&mut self, ctx: &mut Context<'_>) -> Answered {
         if ctx.panel.emergency_stop {
-            return Err(HResult::E_ACCESSDENIED);
+            return Err(RESET_IN_EMERGENCY_STOP);
         }
         self.check_manual_reset(ctx)?;
         self.torque_off = false;
@@ -124,7 +122,7 @@ impl Preparation {
     pub(crate) fn check_manual_reset(&self, ctx: &mut Context<'_>) -> Result<(), HResult> {
         match self.manual_reset || !needs_manual_reset(ctx.config) {
             true => Ok(()),
-            false => Err(ctx.refuse(HResult::E_MANUAL_RESET_UNPREPARED)),
+            false => Err(HResult::E_MANUAL_RESET_UNPREPARED),
         }
     }
 }

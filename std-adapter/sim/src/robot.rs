@@ -169,10 +169,11 @@ impl Robot {
         self.servo = Servo::On;
     }
 
-    /// Switches the motor off. Calls that wait for it or for a motion end with `code`.
+    /// Switches the motor off, and stops motion and Slave Mode. Calls that wait for the motor or for Slave Mode end with `code`.
     pub(crate) fn turn_off(&mut self, code: HResult, now: Instant, waits: &mut Waits) {
         self.servo = Servo::Off;
-        self.stop(code, now, waits);
+        self.leave(code, now, waits);
+        self.queue.stop(HResult::E_ABORT, now, waits);
         waits.end(Wait::Servo, code);
     }
 
@@ -319,7 +320,7 @@ impl Robot {
         Ok(skipped)
     }
 
-    /// Stops motion and Slave Mode without braking. Calls that wait for them end with `code`.
+    /// Stops motion and Slave Mode without braking. Calls that wait for Slave Mode end with `code`.
     pub(crate) fn stop(&mut self, code: HResult, now: Instant, waits: &mut Waits) {
         self.leave(code, now, waits);
         self.queue.stop(code, now, waits);
@@ -355,7 +356,7 @@ impl Robot {
     }
 
     /// Checks the conditions of a rule, in the order of its fields.
-    pub(crate) fn may(&self, ctx: &mut Context<'_>, rule: &Rule) -> Result<(), HResult> {
+    pub(crate) fn may(&self, ctx: &Context<'_>, rule: &Rule) -> Result<(), HResult> {
         ctx.may(rule)?;
         let may_own = match (rule.arm, self.owner()) {
             (Authority::Any, _) | (Authority::Free, None) => true,
@@ -363,10 +364,10 @@ impl Robot {
             (_, Some(owner)) => owner == ctx.peer,
         };
         if !may_own {
-            return Err(ctx.refuse(HResult::E_ARM_NOT_TAKEN));
+            return Err(HResult::E_ARM_NOT_TAKEN);
         }
         if rule.motor && !self.motor_is_on() {
-            return Err(ctx.refuse(HResult::E_MOTOR_OFF));
+            return Err(HResult::E_MOTOR_OFF);
         }
         if rule.rest && (self.is_moving() || self.stream.is_some()) {
             return Err(HResult::E_ROBOTISBUSY);

@@ -1,7 +1,7 @@
 //! The preconditions of each call, apart from valid arguments. The code reads these rules; `docs/virtual-controller.md`
 //! has them as a table.
 //!
-//! The conditions of a rule are checked in the order of the fields of [`Rule`].
+//! The conditions of a rule are checked in the order of the fields of [`Rule`], after the emergency stop.
 
 /// The conditions of some calls.
 #[derive(Debug)]
@@ -9,14 +9,15 @@ pub(crate) struct Rule {
     /// The functions, the commands and the system variables, as the table names them.
     #[cfg_attr(not(test), expect(dead_code, reason = "the tests compare them with the table"))]
     calls: &'static str,
-    /// Auto mode, otherwise `E_ACCESSDENIED`.
+    /// Auto mode, otherwise [`MANUAL_MODE`](crate::codes::MANUAL_MODE).
     pub(crate) auto: bool,
     /// The executable token, otherwise `E_TOKEN_NOT_ETHERNET` or `E_TOKEN_ADDRESS`.
     pub(crate) token: bool,
     /// Whether the token is needed on a model with a preparation, too: a COBOTTA was seen to take the arm and to be prepared
     /// without it.
     pub(crate) token_of_cobotta: bool,
-    /// No error, otherwise `E_ERROR_PRESENT`.
+    /// A released emergency stop, which is checked first, otherwise [`EMERGENCY_STOP`](crate::codes::EMERGENCY_STOP); and no
+    /// error, otherwise `E_ERROR_PRESENT`, or [`FAULT_PRESENT`](crate::codes::FAULT_PRESENT) after one of level 5.
     pub(crate) no_error: bool,
     /// The arm authority, otherwise `E_ARM_NOT_TAKEN`.
     pub(crate) arm: Authority,

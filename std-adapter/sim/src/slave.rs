@@ -4,7 +4,7 @@
 //!   off -- slvChangeMode n --> on: a cycle each 8 ms takes a pose from the buffer; the axes move to it evenly and
 //!    ^                         |   arrive when the next cycle begins
 //!    +-- slvChangeMode 0 ------+   the buffer is emptied, the axes come to rest, then the call is answered
-//!    +-- any error, Halt, -----+   at once; buffered poses are dropped
+//!    +-- an error, Halt, ------+   at once; buffered poses are dropped
 //!        the client disconnects,
 //!        motor off, mode not Auto
 //! ```
@@ -36,14 +36,9 @@
 //! answers `E_SLVMODE_OFF`; from another client it answers `E_ARM_NOT_TAKEN`. Each slvMove needs Auto mode and the
 //! executable token.
 //!
-//! The client in Slave Mode may call slvMove, slvGetMode, slvChangeMode 0, StoState, ManualReset, CurJnt, Robot_Halt
-//! and the functions that open, name and release objects. All other functions answer it `E_SLVMODE_ON`, including those
-//! that read the values of variables. Other clients are not affected, except that they do not own the arm.
-//!
-//! With [`Config::as_observed`] the calls of all clients count, by the properties of the call
-//! ([`FunctionId::properties`](bcap_core::bcap::FunctionId::properties)): one that Slave Mode does not allow answers
-//! `E_SLVMODE_ON`, which becomes an error of the controller and ends Slave Mode. The next slvMove answers
-//! `E_SLVMODE_OFF`, which becomes an error too. Real controllers were observed to behave like this.
+//! The properties of a call ([`FunctionId::properties`](bcap_core::bcap::FunctionId::properties)) say whether Slave Mode allows
+//! it, from any client. Another call answers `E_SLVMODE_ON`, which is an error of the controller and ends Slave Mode. The next
+//! slvMove answers `E_SLVMODE_OFF`, which is an error too. Real controllers were seen to behave like this.
 //!
 //! # Decisions of this model, where the manuals are silent
 //!
@@ -53,7 +48,7 @@
 //! * IO are written when the pose is stored. Bit n of MiniIO is IO n (written: 16 to 31). Bit n of HandIO is IO 48 + n
 //!   (written: 64 to 71, read: these and 48 to 55).
 //! * A parameter that does not fit the formats is refused (`E_INVALIDARGTYPE`, `E_INVALIDARG`, `DISP_E_BADINDEX`) and
-//!   changes nothing: a refused call is not an error of the controller and does not end Slave Mode.
+//!   changes nothing: these codes are no errors of the controller, so Slave Mode stays on.
 //! * Poses are 7, 8 or 10 numbers, followed by an option element that is 0 or `0x00400000 |` bits of joints. The bits
 //!   of axes 7 and 8 (0x40, 0x80) make them move; in P and T, their values follow the option. Without its bit an
 //!   axis keeps its position. An axis that the arm lacks ([`Config::extended_axes`](crate::Config::extended_axes)) is
@@ -130,22 +125,21 @@ impl Slave {
     pub(crate) fn do_move(&mut self, robot: &mut Robot, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
         let (owner, refuses) = match robot.stream() {
             Some(stream) if !stream.leaving => (stream.peer, stream.refuses()),
-            _ => return Err(refuse_without_slave_mode(ctx)),
+            _ => return Err(HResult::E_SLVMODE_OFF),
         };
         if owner != ctx.peer {
-            return Err(ctx.refuse(HResult::E_ARM_NOT_TAKEN));
+            return Err(HResult::E_ARM_NOT_TAKEN);
         }
         ctx.may(&rules::SLAVE_MOVE)?;
         let order = self.order(ctx, param)?;
         if refuses {
-            // normal in mode 0, so it does not go into the error log
+            // normal in mode 0, so it is no error of the controller
             self.counters.refused += 1;
-            return Err(HResult::E_BUF_FULL);
+            return Ok(Answer::Code(HResult::E_BUF_FULL));
         }
         let coordinates = robot.coordinates();
         let Some(stream) = robot.stream_mut() else { return Err(HResult::E_SLVMODE_OFF) };
-        let axes =
-            target(stream, &coordinates, ctx.config, &order.pose)?.map_err(|error| ctx.raise(error.on_path()))?;
+        let axes = target(stream, &coordinates, ctx.config, &order.pose)?.map_err(OutOfReach::on_path)?;
         match stream.offer(axes, &mut self.counters) {
             Offered::Withheld => Ok(Answer::Until(Wait::Stored)),
             stored => {
@@ -222,15 +216,6 @@ impl Slave {
     }
 }
 
-/// Refuses a slvMove. With [`Config::as_observed`] it is an error too, once, if a refused call has ended Slave Mode.
-fn refuse_without_slave_mode(ctx: &mut Context<'_>) -> HResult {
-    let has = |code| ctx.errors.present().iter().any(|occurrence| occurrence.error.code == code);
-    if ctx.config.as_observed && has(HResult::E_SLVMODE_ON) && !has(HResult::E_SLVMODE_OFF) {
-        return ctx.raise(HResult::E_SLVMODE_OFF);
-    }
-    ctx.refuse(HResult::E_SLVMODE_OFF)
-}
-
 /// Returns the number of slvGetMode; 0 while Slave Mode is off.
 pub(crate) fn mode(robot: &Robot) -> i32 {
     robot.stream().map_or(0, |stream| stream.mode.number())
@@ -266,12 +251,12 @@ pub(crate) fn change_mode(robot: &mut Robot, ctx: &mut Context<'_>, param: &Vari
         return Err(HResult::E_NO_LICENSE);
     }
     if robot.stream().is_some() {
-        return Err(ctx.refuse(HResult::E_SLVMODE_ON));
+        return Err(HResult::E_SLVMODE_ON);
     }
     robot.may(ctx, &rules::ENTER_SLAVE_MODE)?;
     // seen on a COBOTTA: only group 0 streams
     if robot.group_of(ctx.peer) != Some(0) {
-        return Err(ctx.refuse(HResult::E_ARM_NOT_TAKEN));
+        return Err(HResult::E_ARM_NOT_TAKEN);
     }
     let limits = limits(robot, ctx.config);
     robot.enter(Stream::new(ctx.peer, mode, limits, robot.axes(ctx.now), ctx.now));
@@ -282,7 +267,7 @@ pub(crate) fn change_mode(robot: &mut Robot, ctx: &mut Context<'_>, param: &Vari
 fn leave(robot: &mut Robot, ctx: &mut Context<'_>) -> Answered {
     let Some(stream) = robot.stream_mut() else { return Ok(Answer::Done) };
     if stream.peer != ctx.peer {
-        return Err(ctx.refuse(HResult::E_ARM_NOT_TAKEN));
+        return Err(HResult::E_ARM_NOT_TAKEN);
     }
     stream.leaving = true;
     if stream.has_left() {

@@ -18,18 +18,16 @@ pub(crate) struct Command<R> {
     is_of: fn(Functions) -> bool,
     /// The values that its parameter may have, for commands that check it.
     pub(crate) accepts: Option<&'static str>,
-    /// Whether the client in Slave Mode may call it.
-    pub(crate) in_slave_mode: bool,
 }
 
 impl<R: Copy> Command<R> {
     pub(crate) const fn new(name: &'static str, run: R) -> Self {
-        Self { name, run: Some(run), resume: None, is_of: |_| true, accepts: None, in_slave_mode: false }
+        Self { name, run: Some(run), resume: None, is_of: |_| true, accepts: None }
     }
 
     /// Declares a command that answers `E_NOTIMPL`.
     pub(crate) const fn missing(name: &'static str) -> Self {
-        Self { name, run: None, resume: None, is_of: |_| true, accepts: None, in_slave_mode: false }
+        Self { name, run: None, resume: None, is_of: |_| true, accepts: None }
     }
 
     pub(crate) const fn resumes(mut self, resume: R) -> Self {
@@ -45,11 +43,6 @@ impl<R: Copy> Command<R> {
     /// Restricts the command to some models; the others do not know its name.
     pub(crate) const fn of(mut self, is_of: fn(Functions) -> bool) -> Self {
         self.is_of = is_of;
-        self
-    }
-
-    pub(crate) const fn in_slave_mode(mut self) -> Self {
-        self.in_slave_mode = true;
         self
     }
 

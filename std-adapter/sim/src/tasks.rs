@@ -14,7 +14,8 @@
 //! ```
 //!
 //! Start 4 goes one line back. KillAll of the controller stops all tasks as Stop 4 does, SuspendAll as Stop 1, StepStopAll as
-//! Stop 2; ContinueStartAll continues the suspended ones in the mode of their last start. An error of level 1 or 2 suspends all tasks, as does the end of Auto mode; an error from level 3 on resets them. A task
+//! Stop 2; ContinueStartAll continues the suspended ones in the mode of their last start. An error of level 2 suspends all tasks, as does the end of Auto mode; an error from level 3 on resets them,
+//! unless it only refuses a call. A task
 //! whose step fails raises the code of the failure as an error of the controller, which names the task and the line.
 //!
 //! Task_Delete removes a task that does not run; of a running one it is refused with `E_CAO_CMD_EXECUTE`. A deleted task
@@ -33,6 +34,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 
 use crate::config::Config;
+use crate::levels::Programs;
 use crate::program::Program;
 
 pub(crate) use task::Task;
@@ -86,11 +88,12 @@ impl Tasks {
         self.list.iter_mut().for_each(|task| task.continue_start(now));
     }
 
-    /// Stops the tasks because of an error: from level 3 on it also resets them.
-    pub(crate) fn fail(&mut self, code: HResult, now: Instant) {
-        match code.level() {
-            Some(3..) => self.kill(now),
-            _ => self.suspend(now),
+    /// Stops the tasks because of an error, as its effects say.
+    pub(crate) fn fail(&mut self, effect: Programs, now: Instant) {
+        match effect {
+            Programs::Continue => {}
+            Programs::Suspend => self.suspend(now),
+            Programs::Reset => self.kill(now),
         }
     }
 

@@ -4,6 +4,7 @@
 use bcap_core::bcap::call::{self, Call};
 use bcap_core::handler::Outcome;
 use bcap_core::hresult::HResult;
+use bcap_sim::codes::{EMERGENCY_STOP, MANUAL_MODE};
 use bcap_sim::{Config, Mode, Profile, Scenario, Token};
 
 use crate::common::{Client, World, ok};
@@ -153,9 +154,10 @@ fn rows() -> Vec<Vec<&'static str>> {
 type Condition = (usize, &'static [&'static str], HResult, fn(&mut Rig));
 
 const CONDITIONS: &[Condition] = &[
-    (1, &["yes"], HResult::E_ACCESSDENIED, |rig| rig.world.sim.set_mode(Mode::Manual, rig.world.now)),
+    (1, &["yes"], MANUAL_MODE, |rig| rig.world.sim.set_mode(Mode::Manual, rig.world.now)),
     (2, &["yes"], HResult::E_TOKEN_NOT_ETHERNET, |rig| rig.world.sim.set_token(Token::TeachPendant)),
     (2, &["yes"], HResult::E_TOKEN_ADDRESS, |rig| rig.world.sim.set_token(Token::Client(rig.other.peer))),
+    (3, &["yes"], EMERGENCY_STOP, |rig| rig.world.sim.emergency_stop(true, rig.world.now)),
     (3, &["yes"], HResult::E_ERROR_PRESENT, |rig| rig.world.sim.inject_error(ERROR, rig.world.now)),
     (4, &["own"], HResult::E_ARM_NOT_TAKEN, |rig| rig.give(false)),
     (4, &["own", "free"], HResult::E_ARM_NOT_TAKEN, |rig| rig.give(true)),

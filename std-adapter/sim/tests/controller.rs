@@ -6,7 +6,8 @@ use bcap_core::bcap::call::{self, VariableHandle};
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 use bcap_core::variant::{OleDate, Variant};
-use bcap_sim::{Bit, Config, EMERGENCY_STOP, Mode, Profile, Scenario, TaskStatus, Token};
+use bcap_sim::codes::MANUAL_MODE;
+use bcap_sim::{Bit, Config, Mode, Profile, Scenario, TaskStatus, Token};
 
 use crate::common::{Client, Value, World, code, ok, value};
 
@@ -86,14 +87,14 @@ fn errors_are_listed_newest_first_with_the_first_cause_last() {
 fn the_log_has_the_time_and_the_message() {
     let mut world = World::with(Config { wall_clock_origin_ms: 0, ..Config::default() });
     let client = world.client(1);
-    world.sim.inject_error(HResult::E_BUF_FULL, Instant::from_millis(86_400_000 + 3_723_004));
+    world.sim.inject_error(HResult::E_MOTOR_OFF, Instant::from_millis(86_400_000 + 3_723_004));
     let (_, entry) = world.execute(client, "GetErrorLog", 0);
     let items: Vec<_> = entry.as_variant().as_array().unwrap().iter().collect();
     assert_eq!(items.len(), 15);
     let numbers: Vec<_> = items[..10].iter().map(|n| n.as_i32().unwrap()).collect();
     // a Friday
-    assert_eq!(numbers, [HResult::E_BUF_FULL.0, 1970, 1, 5, 2, 1, 2, 3, 4, 90_123_004]);
-    assert!(items[12].as_bstr().unwrap().to_string().starts_with("E_BUF_FULL"));
+    assert_eq!(numbers, [HResult::E_MOTOR_OFF.0, 1970, 1, 5, 2, 1, 2, 3, 4, 90_123_004]);
+    assert!(items[12].as_bstr().unwrap().to_string().starts_with("E_MOTOR_OFF"));
     assert_eq!(world.execute(client, "GetErrorLog", 1), code(HResult::DISP_E_BADINDEX));
 }
 
@@ -101,9 +102,9 @@ fn the_log_has_the_time_and_the_message() {
 fn a_written_error_code_of_zero_clears() {
     let mut world = World::new();
     let client = world.client(1);
-    world.sim.inject_error(HResult::E_BUF_FULL, world.now);
+    world.sim.inject_error(HResult::E_MOTOR_OFF, world.now);
     assert_eq!(world.put(client, "@ERROR_CODE", 5), HResult::E_INVALIDARG);
-    assert_eq!(world.get(client, "@ERROR_CODE"), ok(&HResult::E_BUF_FULL.0));
+    assert_eq!(world.get(client, "@ERROR_CODE"), ok(&HResult::E_MOTOR_OFF.0));
     assert_eq!(world.put(client, "@ERROR_CODE", 0_i64), HResult::S_OK);
     assert_eq!(world.get(client, "@ERROR_CODE"), ok(&0));
 }
@@ -143,7 +144,7 @@ fn sys_state_tells_each_thing_by_its_bit() {
     world.sim.emergency_stop(true, world.now);
     world.sim.set_mode(Mode::TeachCheck, world.now);
     world.sim.set_token(Token::TeachPendant);
-    let stopped = [Bit::Error, Bit::Initialized, Bit::EmergencyStop, Bit::AutoEnable, Bit::Calibrated, Bit::Manual];
+    let stopped = [Bit::Initialized, Bit::EmergencyStop, Bit::AutoEnable, Bit::Calibrated, Bit::Manual];
     assert_eq!(state(&mut world, client), stopped.map(|bit| bit as u32));
     assert_eq!(world.get(client, "@MODE"), ok(&2));
     assert_eq!(world.execute(client, "SysInfo", 0), ok("VIRTUAL"));
@@ -246,19 +247,24 @@ fn tasks_need_what_motions_need_and_are_stopped_by_errors() {
     let task = world.task(client, "Pro3");
     let start = || call::task_start(task, 2, "");
     world.sim.set_mode(Mode::Manual, world.now);
-    assert_eq!(world.call(client.peer, start()), code(HResult::E_ACCESSDENIED));
+    assert_eq!(world.call(client.peer, start()), code(MANUAL_MODE));
     world.sim.set_mode(Mode::Auto, world.now);
     world.sim.set_token(Token::TeachPendant);
     assert_eq!(world.call(client.peer, start()), code(HResult::E_TOKEN_NOT_ETHERNET));
     world.sim.set_token(Token::Any);
-    world.sim.inject_error(EMERGENCY_STOP, world.now);
     assert_eq!(world.call(client.peer, start()), code(HResult::E_ERROR_PRESENT));
     world.execute(client, "ClearError", ());
     assert_eq!(world.call(client.peer, start()), code(HResult::S_OK));
-    // level 1 suspends, level 4 resets
+    // level 1 lets them run, level 2 suspends, level 4 resets
     world.sim.inject_error(HResult::from_u32(0x8150_0001), world.now);
+    assert_eq!(world.sim.task("Pro3").map(|t| t.0), Some(TaskStatus::Running));
+    world.sim.inject_error(HResult::from_u32(0x8220_0001), world.now);
     assert_eq!(world.sim.task("Pro3").map(|t| t.0), Some(TaskStatus::Suspended));
     world.execute(client, "ClearError", ());
+    assert_eq!(world.call(client.peer, start()), code(HResult::S_OK));
+    world.sim.inject_error(HResult::from_u32(0x8420_0001), world.now);
+    assert_eq!(world.sim.task("Pro3").map(|t| t.0), Some(TaskStatus::Ready));
+    world.clear(client);
     assert_eq!(world.call(client.peer, start()), code(HResult::S_OK));
     world.sim.emergency_stop(true, world.now);
     assert_eq!(world.sim.task("Pro3").map(|t| t.0), Some(TaskStatus::Ready));

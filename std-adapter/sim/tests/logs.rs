@@ -46,7 +46,6 @@ fn the_log_of_operations_has_what_was_done_and_when() {
     world.sim.emergency_stop(true, world.now);
     world.sim.emergency_stop(true, world.now);
     world.sim.emergency_stop(false, world.now);
-    assert_eq!(world.robot(client, "Motor", [1, 0]).0, HResult::E_ERROR_PRESENT);
     assert_eq!(world.execute(client, "ClearError", ()), ok(&()));
     world.sim.set_mode(Mode::Manual, world.now);
     let done = [

@@ -79,6 +79,7 @@ fn the_hand_opens_and_closes_in_its_time() {
     let at_rest =
         |world: &mut World, command, param: i32| world.run(client.peer, call::extension_execute(hand, command, param));
     assert_eq!(at_rest(&mut world, "UnChuck", 1).0, HResult::from_u32(0x8358_5200), "before Org");
+    world.clear(client);
     for command in ["Motor", "Org"] {
         assert_eq!(at_rest(&mut world, command, 1), ok(&()));
     }
@@ -152,7 +153,7 @@ fn the_hand_is_stopped_by_a_command_an_error_or_the_end_of_its_client() {
 
     world.begin(client.peer, &open);
     world.pass(500);
-    let error = HResult::from_u32(0x8150_0001);
+    let error = HResult::from_u32(0x8220_0001);
     world.sim.inject_error(error, world.now);
     assert_eq!(world.again(client.peer, &open).0, Outcome::Done(error));
     world.pass(500);
@@ -164,6 +165,7 @@ fn the_hand_is_stopped_by_a_command_an_error_or_the_end_of_its_client() {
     world.sim.set_token(Token::TeachPendant);
     assert_eq!(world.execute(client, "HandMoveA", [30, 10]), code(HResult::E_TOKEN_NOT_ETHERNET));
     world.sim.set_token(Token::Any);
+    world.clear(client);
     world.begin(client.peer, &open);
     world.pass(500);
     world.sim.left(client.peer, world.now);

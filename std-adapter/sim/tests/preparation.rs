@@ -2,7 +2,8 @@
 
 use bcap_core::bcap::call;
 use bcap_core::hresult::HResult;
-use bcap_sim::{Bit, Config, EMERGENCY_STOP, Profile, Scenario, Token};
+use bcap_sim::codes::{EMERGENCY_STOP, RESET_IN_EMERGENCY_STOP};
+use bcap_sim::{Bit, Config, Profile, Scenario, Token};
 
 use crate::common::{Client, World, code, ok};
 
@@ -21,8 +22,10 @@ fn calibrated(world: &mut World, client: Client) -> bool {
 fn the_motor_wants_the_motion_prepared_and_that_the_manual_reset() {
     let (mut world, client) = cobotta();
     assert_eq!(world.robot(client, "GetMotionPreparationState", ()), ok(&false));
-    assert_eq!(world.robot(client, "Motor", 1), code(HResult::E_MOTION_UNPREPARED));
     assert_eq!(world.robot(client, "MotionPreparation", ()), code(HResult::E_MANUAL_RESET_UNPREPARED));
+    world.clear(client);
+    assert_eq!(world.robot(client, "Motor", 1), code(HResult::E_MOTION_UNPREPARED));
+    world.clear(client);
     assert_eq!(world.robot(client, "ManualResetPreparation", ""), ok(&()));
     assert_eq!(world.robot(client, "Motionpreparation", ""), ok(&()));
     assert_eq!(world.robot(client, "GetMotionPreparationState", ()), ok(&true));
@@ -41,6 +44,7 @@ fn before_version_2_8_nothing_needs_the_manual_reset() {
     assert_eq!(world.execute(client, "ManualResetPreparation", ()), code(HResult::E_INVALIDARG));
     assert_eq!(world.execute(client, "ClearError", ()), ok(&()));
     assert_eq!(world.robot(client, "Motor", 1), code(HResult::E_MOTION_UNPREPARED));
+    assert_eq!(world.execute(client, "ClearError", ()), ok(&()));
     assert_eq!(world.robot(client, "MotionPreparation", ()), ok(&()));
     assert_eq!(world.robot(client, "Motor", 1), ok(&()));
     for (version, needs) in [("2.8.0", true), ("2.10", true), ("3", true), ("2.8", false), ("1.9.9", false)] {
@@ -81,7 +85,7 @@ fn errors_are_cleared_behind_a_preparation_only() {
         assert_eq!(world.execute(client, "ClearError", ()), code(HResult::E_MANUAL_RESET_UNPREPARED));
         assert_eq!(world.put(client, "@ERROR_CODE", 0), HResult::E_MANUAL_RESET_UNPREPARED);
     }
-    assert_eq!(world.sim.errors().count(), 1);
+    assert_eq!(world.errors(), [HResult::E_MANUAL_RESET_UNPREPARED, HResult::from_u32(0x8350_0001)]);
     // the controller has the command as well as the robot
     assert_eq!(world.execute(client, "ManualResetPreparation", ()), ok(&()));
     assert_eq!(world.robot(client, "AutoCal", ()), code(HResult::E_ERROR_PRESENT));
@@ -98,11 +102,13 @@ fn an_emergency_stop_undoes_the_preparation() {
     world.sim.emergency_stop(true, world.now);
     assert_eq!(world.robot(client, "GetMotionPreparationState", ()), ok(&false));
     assert_eq!(world.execute(client, "StoState", ()), ok(&true));
-    world.robot(client, "ManualResetPreparation", ());
-    assert_eq!(world.execute(client, "ClearError", ()), code(EMERGENCY_STOP));
+    assert_eq!(world.errors(), []);
+    assert_eq!(world.robot(client, "Motor", 1), code(EMERGENCY_STOP));
+    assert_eq!(world.robot(client, "MotionPreparation", ()), code(EMERGENCY_STOP));
+    world.clear(client);
     world.sim.emergency_stop(false, world.now);
-    assert_eq!(world.execute(client, "ClearError", ()), ok(&()), "the preparation was made after the stop");
     assert_eq!(world.robot(client, "Motor", 1), code(HResult::E_MOTION_UNPREPARED));
+    world.clear(client);
     world.robot(client, "ManualResetPreparation", ());
     assert_eq!(world.robot(client, "MotionPreparation", ()), ok(&()));
     assert_eq!(world.execute(client, "StoState", ()), ok(&false));
@@ -137,7 +143,7 @@ fn an_rc9_is_reset_by_either_name_of_the_command() {
         let mut world = World::with(Config::new(Profile::Rc9));
         let client = world.client(1);
         world.sim.emergency_stop(true, world.now);
-        assert_eq!(world.execute(client, command, ()), code(HResult::E_ACCESSDENIED));
+        assert_eq!(world.execute(client, command, ()), code(RESET_IN_EMERGENCY_STOP));
         world.sim.emergency_stop(false, world.now);
         assert_eq!(world.execute(client, "ClearError", ()), ok(&()));
         assert_eq!(world.robot(client, "Motor", 1), code(HResult::E_ACCESSDENIED));

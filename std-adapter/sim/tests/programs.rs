@@ -4,7 +4,8 @@ use bcap_core::bcap::call;
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
-use bcap_sim::{Config, Scenario, TaskStatus, VariableKind};
+use bcap_sim::codes::ARM_OF_TASK;
+use bcap_sim::{Scenario, TaskStatus, VariableKind};
 
 use crate::common::{Client, World, code, ok};
 
@@ -204,8 +205,9 @@ fn a_task_moves_along_points() {
     }
     assert_eq!(world.sim.axes()[0], 30.0);
     world.pass(5000);
-    assert_eq!((world.sim.axes()[0], world.sim.arm_owner()), (0.0, None));
+    assert_eq!((world.sim.axes()[0], world.sim.arm_owner()), (0.0, None), "the refused call does not stop the task");
     assert_eq!(world.sim.task("Move"), Some((TaskStatus::Ready, 1)));
+    world.clear(client);
     assert_eq!(world.robot(client, "TakeArm", [0, 0]), ok(&()));
 }
 
@@ -299,12 +301,9 @@ const MOVER: &str = "[controller]\nmotor = true
         { move = 'J(60, 45, 90, 0, 45, 0)' },
         { move = 'J(-60, 45, 90, 0, 45, 0)' },
     ]";
-/// A PacScript task holds the arm.
-const ARM_OF_TASK: HResult = HResult::from_u32(0x8350_0079);
-
 /// Returns a controller whose task moves the arm, and a client.
-fn moving(as_observed: bool) -> (World, Client) {
-    let mut world = World::with(Config { as_observed, ..Config::default() });
+fn moving() -> (World, Client) {
+    let mut world = World::new();
     world.sim.play(Scenario::parse(MOVER).unwrap_or_else(|error| panic!("{error}")));
     let client = world.client(1);
     world.pass(500);
@@ -313,15 +312,8 @@ fn moving(as_observed: bool) -> (World, Client) {
 }
 
 #[test]
-fn a_halt_of_a_task_is_refused_as_observed_until_the_task_is_stopped() {
-    let (mut world, client) = moving(false);
-    assert_eq!(world.run(client.peer, call::robot_halt(client.robot, "")), code(HResult::S_OK));
-    // when the motion would have ended
-    world.pass(5000);
-    assert!(!world.sim.is_moving());
-    assert_eq!(world.sim.task("Mover").unwrap().0, TaskStatus::Suspended);
-
-    let (mut world, client) = moving(true);
+fn a_halt_of_a_task_is_refused_until_the_task_is_stopped() {
+    let (mut world, client) = moving();
     assert_eq!(world.call(client.peer, call::robot_halt(client.robot, "")), code(ARM_OF_TASK));
     world.pass(10);
     assert!(world.sim.is_moving());
@@ -331,6 +323,8 @@ fn a_halt_of_a_task_is_refused_as_observed_until_the_task_is_stopped() {
     assert_eq!(world.run(client.peer, call::robot_halt(client.robot, "")), code(HResult::S_OK));
     assert!(!world.sim.is_moving());
     // of a client's motion it is accepted
+    assert_eq!(world.errors(), [ARM_OF_TASK]);
+    world.clear(client);
     assert_eq!(world.robot(client, "TakeArm", [0, 1]), ok(&()));
     let away = call::robot_move(client.robot, 1, "J(10, 45, 90, 0, 45, 0)", "NEXT");
     assert_eq!(world.call(client.peer, away), code(HResult::S_OK));
@@ -340,7 +334,7 @@ fn a_halt_of_a_task_is_refused_as_observed_until_the_task_is_stopped() {
 #[test]
 fn kill_all_stops_every_task_and_frees_the_arm() {
     for (sync, waits) in [(None, false), (Some(0), false), (Some(1), true)] {
-        let (mut world, client) = moving(true);
+        let (mut world, client) = moving();
         assert_eq!(start(&mut world, client, "Pro1", 2), HResult::S_OK);
         let reply = match sync {
             None => world.execute(client, "KillAll", ()),
@@ -355,7 +349,7 @@ fn kill_all_stops_every_task_and_frees_the_arm() {
         world.pass(5000);
         assert!(!world.sim.is_moving());
     }
-    let (mut world, client) = moving(true);
+    let (mut world, client) = moving();
     for wrong in [-1, 2] {
         assert_eq!(world.execute(client, "KillAll", wrong), code(HResult::E_INVALIDARG));
     }

@@ -182,8 +182,12 @@ fn a_failed_motion_reports_the_first_error_which_is_the_last_of_the_list() {
             assert_eq!(done.calls[done.calls.len() - 3..], asked);
         }
     }
-    // an emergency stop without an entry, and an entry without a code
-    assert_eq!(failed(1 << 10, 0, &Answer::Empty).result, Ok(Motion::Failed(HResult::E_FAIL)));
+    // an emergency stop without an entry or with the stopped motion alone, and an entry without a code
+    let stopped = Ok(Motion::Failed(HResult::from_u32(0x8150_101A)));
+    assert_eq!(failed(1 << 10, 0, &Answer::Empty).result, stopped);
+    let motion = Answer::value(&(HResult::E_MOTION_STOPPED.0, "message"));
+    assert_eq!(failed(1 << 1 | 1 << 10, 1, &motion).result, stopped);
+    assert_eq!(failed(1 << 1, 0, &Answer::Empty).result, Ok(Motion::Failed(HResult::E_FAIL)));
     assert_eq!(failed(1 << 1, 1, &Answer::value(&"?")).result, Ok(Motion::Failed(HResult::E_FAIL)));
 }
 

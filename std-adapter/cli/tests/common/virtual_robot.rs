@@ -58,8 +58,12 @@ impl Virtual {
     /// Asserts that the robot rests with its motor off, and that another client can take the arm.
     #[track_caller]
     pub(crate) fn assert_at_rest_with_free_arm(&self) {
-        let state = self.run(&["get", "@BUSY_STATUS", "robot/@SERVO_ON", "@ERROR_CODE"]);
-        assert_eq!(state.out, "@BUSY_STATUS = false\nrobot/@SERVO_ON = false\n@ERROR_CODE = 0\n");
+        let state = self.run(&["get", "@BUSY_STATUS", "robot/@SERVO_ON"]);
+        assert_eq!(state.out, "@BUSY_STATUS = false\nrobot/@SERVO_ON = false\n");
+        // a halted motion is an error
+        let errors = self.run(&["errors"]).out;
+        assert!(errors == "no errors\n" || errors.starts_with("0x83500076") && errors.lines().count() == 2, "{errors}");
+        assert_eq!(self.run(&["clear"]).code, 0);
         assert_eq!(self.run(&["exec", "robot", "TakeArm", "0", "1"]).code, 0);
     }
 }

@@ -167,8 +167,7 @@ fn underflow_at_rest(bench: &mut Bench<'_>) -> Result<(), Stop> {
 fn other_commands(bench: &mut Bench<'_>) -> Result<(), Stop> {
     change(bench, 0x202)?;
     let reply = bench.robot_command("CurSpd", "0,")?;
-    bench.check(F::ROBOT_EXECUTE, &reply, Want::Refused, Refusals::Fail)?;
-    mode(bench, 0x202)
+    bench.check(F::ROBOT_EXECUTE, &reply, Want::Refused, Refusals::Fail)
 }
 
 /// Sends the present position: a device that accepts it does not jump.

@@ -271,21 +271,13 @@ fn start(robot: &mut Robot, ctx: &mut Context<'_>, way: (Route, Pass), speed: Sp
         checked => checked?,
     }
     let started = robot.start(ctx.peer, way, options.internal, ctx.now);
-    let id = started.map_err(|blocked| refuse(ctx, blocked))?;
+    let id = started.map_err(Blocked::code)?;
     if !options.next {
         return Ok(Answer::Until(Wait::Motion(id)));
     }
     // a motion without length ends at once
     robot.advance(ctx.now, ctx.waits);
     Ok(Answer::Done)
-}
-
-/// Returns the code of a motion that cannot be planned; a pose out of reach is an error of the controller.
-pub(super) fn refuse(ctx: &mut Context<'_>, blocked: Blocked) -> HResult {
-    match blocked {
-        Blocked::Invalid => blocked.code(),
-        _ => ctx.raise(blocked.code()),
-    }
 }
 
 impl MoveOptions {

@@ -10,6 +10,7 @@ use super::{Arm, areas, measures, moves, paths, poses, settings};
 use crate::answer::{Answer, Answered};
 use crate::context::Context;
 use crate::model::Functions;
+use crate::path::Blocked;
 use crate::robot::{Percent, percent};
 use crate::rules;
 use crate::slave;
@@ -61,7 +62,7 @@ const fn has_preparation(functions: Functions) -> bool {
 pub(crate) const COMMANDS: &[Command<Handler>] = &[
     read("CurPos", readings::current_position),
     read("HighCurPos", readings::current_position),
-    read("CurJnt", readings::current_angle).in_slave_mode(),
+    read("CurJnt", readings::current_angle),
     read("HighCurJnt", readings::current_angle),
     read("CurTrn", readings::current_trans),
     read("HighCurTrn", readings::current_trans),
@@ -170,16 +171,14 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     command("MotionComplete", motion_complete)
         .accepts("nothing, the group, or [group, mode]: group 0 or -1, mode 0 (commands) or 1 (motion)"),
     command("slvChangeMode", |arm, ctx, param| slave::change_mode(&mut arm.robot, ctx, param))
-        .accepts("one number: 0, 0x001 to 0x003, 0x101 to 0x103, 0x201 to 0x203")
-        .in_slave_mode(),
-    read("slvGetMode", |arm, _| Value::I4(slave::mode(&arm.robot))).in_slave_mode(),
+        .accepts("one number: 0, 0x001 to 0x003, 0x101 to 0x103, 0x201 to 0x203"),
+    read("slvGetMode", |arm, _| Value::I4(slave::mode(&arm.robot))),
     command("slvMove", |arm, ctx, param| arm.slave.do_move(&mut arm.robot, ctx, param))
         .resumes(Handler::Execute(|arm, ctx, param| arm.slave.stored(&arm.robot, ctx, param)))
         .accepts(
             "an array of 7 (P), 8 (J) or 10 (T) numbers by the mode, with an option element and J7, J8 where the arm has \
              them; with IO: [pose, MiniIO, user IO offset, size, bytes, offset, size, HandIO] by the formats",
-        )
-        .in_slave_mode(),
+        ),
     command("slvSendFormat", |arm, ctx, param| arm.slave.send_format(ctx, param))
         .accepts("one number: 0, 0x20, 0x100, 0x120, 0x200 or 0x220, of the parts that the controller has"),
     command("slvRecvFormat", |arm, ctx, param| arm.slave.receive_format(ctx, param)).accepts(
@@ -289,7 +288,7 @@ fn motion_skip(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Ans
     let gently = group_and_mode(param, 3)? >= 2;
     arm.robot.may(ctx, &rules::SETTING)?;
     let skipped = arm.robot.skip_motion(gently, ctx.now, ctx.waits);
-    Ok(Answer::done_if(skipped.map_err(|blocked| moves::refuse(ctx, blocked))?))
+    Ok(Answer::done_if(skipped.map_err(Blocked::code)?))
 }
 
 fn motion_complete(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {

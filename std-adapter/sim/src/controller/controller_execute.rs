@@ -2,7 +2,7 @@
 //!
 //! | command                            | parameter           | answer                                           |
 //! |------------------------------------|---------------------|--------------------------------------------------|
-//! | ClearError                         | -                   | EMPTY; the error's code while its cause persists |
+//! | ClearError                         | -                   | EMPTY; the code of an error that remains, of level 5 |
 //! | GetErrorDescription                | I4, UI4, ERROR code | BSTR; see [`explain`](crate::explain)            |
 //! | GetCurErrorCount, GetErrorLogCount | -                   | I4                                               |
 //! | GetCurErrorInfo                    | I4 index            | an array of VARIANT, see below                   |
@@ -23,7 +23,7 @@
 //! | GetPublicValue                     | \[task, variable, index\] | the value of a public variable of a scenario's task |
 //! | SetPublicValue                     | \[value, task, variable, index\] | EMPTY; a value of the same type and count |
 //! | StoState                           | -                   | BOOL; RC9, COBOTTA                               |
-//! | ManualReset, ResetStoState         | -                   | EMPTY; likewise; `E_ACCESSDENIED` in emergency stop |
+//! | ManualReset, ResetStoState         | -                   | EMPTY; likewise; 0x83500178 in emergency stop |
 //! | ManualResetPreparation             | -                   | see [`preparation`](crate::preparation); COBOTTA |
 //! | HandMoveA, HandMoveH, ...          | see [`hand`](crate::hand) | likewise                                   |
 //!
@@ -49,7 +49,7 @@ use bcap_core::rac::VariableKind as Kind;
 use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
 
-use super::{Common, Controller, EMERGENCY_STOP};
+use super::{Common, Controller};
 use crate::answer::{Answer, Answered};
 use crate::arm::robot_execute::{MOTOR, motor};
 use crate::config::{Config, Token};
@@ -133,9 +133,8 @@ pub(super) const COMMANDS: &[Command<Run>] = &[
     })
     .accepts("[value, task, variable] or [value, task, variable, index]: a value of the type of the variable"),
     command("StoState", |controller, _, _| Ok(Value::Bool(controller.arm.preparation().is_torque_off()).into()))
-        .of(has_safe_torque_off)
-        .in_slave_mode(),
-    command("ManualReset", manual_reset).of(has_safe_torque_off).in_slave_mode(),
+        .of(has_safe_torque_off),
+    command("ManualReset", manual_reset).of(has_safe_torque_off),
     command("ResetStoState", manual_reset).of(has_safe_torque_off),
     command("ManualResetPreparation", |controller, _, _| {
         controller.arm.preparation_mut().prepare_reset(&controller.common.config)
@@ -231,15 +230,11 @@ pub enum Bit {
 }
 
 impl Controller {
-    /// Removes the errors. An error whose cause persists cannot be removed, and is the answer.
+    /// Removes the errors, also in emergency stop. An error of level 5 cannot be removed, and is the answer.
     pub(super) fn clear_error(&mut self, peer: PeerId) -> Answered {
-        if self.common.panel.emergency_stop {
-            return Err(EMERGENCY_STOP);
-        }
         self.arm.preparation().check_manual_reset(&mut self.common.context(peer))?;
-        self.common.errors.clear();
-        self.record_operation("errors cleared");
-        Ok(Answer::Done)
+        self.clear_errors(self.common.now);
+        Ok(self.common.errors.lasting().map_or(Answer::Done, Answer::Code))
     }
 
     /// Stops all tasks, and waits until tasks and robot rest if `param` says so.
@@ -328,7 +323,7 @@ fn log_entry(config: &Config, entry: &Occurrence) -> Result<Value, HResult> {
     items.extend(civil_time(config, entry.error.at)?);
     let (program, line) = place_of(entry);
     items.extend([Value::from(program), Value::I4(line), Value::Text(description(code)), Value::I4(code.0)]);
-    items.push(Value::I4(client_of(entry)));
+    items.push(Value::I4(entry.origin as i32));
     Ok(Value::List(items))
 }
 
@@ -338,11 +333,6 @@ fn operation(config: &Config, entry: &Operation) -> Result<Value, HResult> {
     items.extend(civil_time(config, entry.at)?);
     items.extend([Value::I4(UNKNOWN_CLIENT), Value::from(entry.text.as_str())]);
     Ok(Value::List(items))
-}
-
-/// Returns the number of the client that caused an error: a task, or the controller.
-fn client_of(entry: &Occurrence) -> i32 {
-    if entry.place.is_some() { 4 } else { 0 }
 }
 
 /// Returns year, month, day of the week (0 Sunday), day, hour, minute, second, millisecond and tick of a time.

@@ -12,6 +12,7 @@ use super::variable::{accepted_value, names_of};
 use super::{Controller, controller_execute};
 use crate::answer::{Answer, Answered};
 use crate::arm;
+use crate::codes::ARM_OF_TASK;
 use crate::comm;
 use crate::config::Permission;
 use crate::files::{CRC, Done, WorkProgress};
@@ -84,9 +85,6 @@ impl rac::server::Handler for Controller {
     }
 }
 
-/// A task owns the arm: the answer to Robot_Halt [as observed](crate::Config::as_observed).
-const ARM_OF_TASK: HResult = HResult::from_u32(0x8350_0079);
-
 /// Whether the server calls the handler for the first time for a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Turn {
@@ -108,7 +106,10 @@ impl Controller {
                 // before the call, because Service_Stop drops its fault
                 let time = self.scenario.answer_time(peer);
                 let outcome = match step {
-                    CallPlan::Refuse(code) => Outcome::Done(self.common.errors.refuse(code, self.common.now)),
+                    CallPlan::Refuse(code) => {
+                        self.refuse(code);
+                        Outcome::Done(code)
+                    }
                     _ => self.execute(peer, request, turn, reply),
                 };
                 self.scenario.end_call(peer, outcome, time, reply, self.common.now)
@@ -118,11 +119,7 @@ impl Controller {
 
     /// Executes a request, or continues one that waits, whatever the scenario says.
     fn execute(&mut self, peer: PeerId, request: &Request<'_>, turn: Turn, reply: &mut ReplyValue<'_>) -> Outcome {
-        let answered = self.dispatch(peer, request, turn);
-        if let Some(code) = self.common.raised.take() {
-            self.raise(code);
-        }
-        match answered {
+        match self.dispatch(peer, request, turn) {
             Ok(Answer::Done) => Outcome::Done(HResult::S_OK),
             Ok(Answer::Value(value)) => Outcome::Done(set_reply(reply, &value)),
             Ok(Answer::Code(code)) => Outcome::Done(code),
@@ -135,6 +132,7 @@ impl Controller {
             Err(code) => {
                 let accepted = self.accepted(peer, request);
                 self.refusals.record(request, accepted, code, &self.common.config.observer);
+                self.refuse(code);
                 Outcome::Done(code)
             }
         }
@@ -166,9 +164,7 @@ impl Controller {
         self.objects.get(peer, handle, object)?;
         if turn == Turn::First {
             self.check_permission(request, object)?;
-        }
-        if turn == Turn::First && self.common.config.as_observed {
-            self.check_slave_mode_as_observed(request)?;
+            self.check_slave_mode(request)?;
         }
         let entry = self.objects.get_mut(peer, handle, object)?;
         if let Some(answered) = entry.common(request, &self.common.variables) {
@@ -179,9 +175,6 @@ impl Controller {
             return Ok(Answer::Done);
         }
         if turn == Turn::First {
-            if !self.common.config.as_observed {
-                self.check_slave_mode(peer, request)?;
-            }
             check_options(&self.common.config, request)?;
         }
         let answer = match turn {
@@ -261,7 +254,8 @@ impl Controller {
         match self.common.waits.get(peer) {
             Some(Wait::Over(result)) => {
                 self.common.waits.forget(peer);
-                if result == HResult::S_OK { Ok(Answer::Done) } else { Err(result) }
+                // its error was entered when the event occurred
+                Ok(if result == HResult::S_OK { Answer::Done } else { Answer::Code(result) })
             }
             Some(wait) => Ok(Answer::Until(wait)),
             None => Err(HResult::E_ABORT),
@@ -340,9 +334,7 @@ impl Controller {
         match request.function {
             FunctionId::ROBOT_GET_VARIABLE => self.open_variable(peer, Owner::Robot, &request.text(1).to_string()),
             FunctionId::ROBOT_GET_VARIABLE_NAMES => Ok(Answer::names(names_of(Owner::Robot))),
-            FunctionId::ROBOT_HALT if self.common.config.as_observed && self.is_arm_of_task() => {
-                Err(self.common.errors.refuse(ARM_OF_TASK, self.common.now))
-            }
+            FunctionId::ROBOT_HALT if self.is_arm_of_task() => Err(ARM_OF_TASK),
             _ => self.arm.call(&mut self.common.context(peer), request),
         }
     }
@@ -437,55 +429,33 @@ impl Controller {
         if is_refused { Err(HResult::E_ACCESSDENIED) } else { Ok(()) }
     }
 
-    /// Ends Slave Mode by a call that it refuses, from any client, as real controllers do: the refusal is an error, and the
-    /// robot stops.
-    fn check_slave_mode_as_observed(&mut self, request: &Request<'_>) -> Result<(), HResult> {
+    /// Checks that Slave Mode allows a call, from any client. The refusal of another call ends Slave Mode, as every error does.
+    fn check_slave_mode(&self, request: &Request<'_>) -> Result<(), HResult> {
         let command = command_of(request);
         let properties = request.function.properties(command.as_deref(), None);
-        if self.arm.robot().stream().is_none() || properties.in_slave_mode.is_allowed() {
-            return Ok(());
+        match self.arm.robot().stream().is_none() || properties.in_slave_mode.is_allowed() {
+            true => Ok(()),
+            false => Err(HResult::E_SLVMODE_ON),
         }
-        self.raise(HResult::E_SLVMODE_ON);
-        Err(HResult::E_SLVMODE_ON)
-    }
-
-    /// Checks that the client in Slave Mode may call a function.
-    fn check_slave_mode(&mut self, peer: PeerId, request: &Request<'_>) -> Result<(), HResult> {
-        let streams = self.arm.robot().stream().is_some_and(|stream| stream.peer == peer);
-        if !streams {
-            return Ok(());
-        }
-        let allowed = match request.function {
-            FunctionId::ROBOT_HALT => true,
-            function if executes(function) => command(request).is_some_and(|(_, in_slave_mode)| in_slave_mode),
-            function => function.opens().is_some(),
-        };
-        if allowed { Ok(()) } else { Err(self.common.errors.refuse(HResult::E_SLVMODE_ON, self.common.now)) }
     }
 
     /// Returns the arguments that a call accepts, where they depend on more than its function.
     fn accepted(&self, peer: PeerId, request: &Request<'_>) -> Option<&'static str> {
         if request.function != FunctionId::VARIABLE_PUT_VALUE {
-            return command(request)?.0;
+            return accepts(request);
         }
         accepted_value(self.objects.get(peer, request.handle(), Object::Variable).ok()?)
     }
 }
 
-/// Returns the table entries of the command of a request: its parameter, and whether Slave Mode allows it.
-fn command(request: &Request<'_>) -> Option<(Option<&'static str>, bool)> {
+/// Returns what the command of a request accepts as its parameter.
+fn accepts(request: &Request<'_>) -> Option<&'static str> {
     let name = command_of(request)?;
     match request.function {
-        FunctionId::CONTROLLER_EXECUTE => {
-            Command::find(controller_execute::COMMANDS, &name).map(|command| (command.accepts, command.in_slave_mode))
-        }
-        FunctionId::ROBOT_EXECUTE => {
-            Command::find(arm::robot_execute::COMMANDS, &name).map(|command| (command.accepts, command.in_slave_mode))
-        }
+        FunctionId::CONTROLLER_EXECUTE => Command::find(controller_execute::COMMANDS, &name)?.accepts,
+        FunctionId::ROBOT_EXECUTE => Command::find(arm::robot_execute::COMMANDS, &name)?.accepts,
         // of the commands of a hand, none checks its parameter
-        FunctionId::EXTENSION_EXECUTE => {
-            Command::find(comm::COMMANDS, &name).map(|command| (command.accepts, command.in_slave_mode))
-        }
+        FunctionId::EXTENSION_EXECUTE => Command::find(comm::COMMANDS, &name)?.accepts,
         _ => None,
     }
 }

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 use bcap_core::variant::VariantBuf;
@@ -9,7 +10,7 @@ use bcap_core::variant::VariantBuf;
 use super::{Common, Controller};
 use crate::answer::Answer;
 use crate::config::{Token, peer_of_task};
-use crate::errors::SourceLine;
+use crate::errors::{Errors, Origin, SourceLine};
 use crate::program::Step;
 use crate::tasks::{Task, TaskStatus};
 use crate::waits::Wait;
@@ -99,10 +100,14 @@ impl Controller {
                 return self.begin_motion(place, *interpolation, pose, option);
             }
             Step::Error(code) => {
-                self.raise_at(*code, self.place_of(place));
-                // a suspended task continues after it
-                if let Some(task) = self.tasks.get_mut(place).ok().filter(|task| task.can_continue()) {
-                    task.end_step(self.common.now);
+                self.raise_in_task(*code, place);
+                // a task that is not reset stops, and continues after it
+                let now = self.common.now;
+                if let Ok(task) = self.tasks.get_mut(place) {
+                    task.suspend(now);
+                    if task.can_continue() {
+                        task.end_step(now);
+                    }
                 }
                 return Ok(Next::Halted);
             }
@@ -117,12 +122,11 @@ impl Controller {
     fn begin_motion(&mut self, place: usize, interpolation: i32, pose: &str, option: &str) -> Result<Next, HResult> {
         let peer = peer_of_task(place);
         let mut ctx = self.common.context(peer);
-        // the executable token concerns clients
-        ctx.panel.token = Token::Any;
+        // the executable token concerns clients, and an error that concerns tasks has stopped this one
+        let no_errors = Errors::default();
+        (ctx.panel.token, ctx.errors) = (Token::Any, &no_errors);
         let pose = VariantBuf::<POSE_MAX>::new(pose).map_err(|_| HResult::E_ARGSIZEOVER)?;
-        let answered = self.arm.move_for_task(&mut ctx, interpolation, &pose.as_variant(), option);
-        self.common.raised = None;
-        match answered {
+        match self.arm.move_for_task(&mut ctx, interpolation, &pose.as_variant(), option) {
             Ok(Answer::Until(wait)) => {
                 self.common.waits.begin(peer, wait);
                 Ok(Next::Motion(wait))
@@ -164,10 +168,14 @@ impl Controller {
 
     /// Raises the error of a task's step, at which the task stands.
     fn fail_in_task(&mut self, place: usize, code: HResult) {
-        self.raise_at(code, self.place_of(place));
+        self.raise_in_task(code, place);
         if let Ok(task) = self.tasks.get_mut(place) {
             task.suspend(self.common.now);
         }
+    }
+
+    fn raise_in_task(&mut self, code: HResult, place: usize) {
+        self.enter(code, self.common.now, Origin::Task, self.place_of(place));
     }
 
     fn place_of(&self, place: usize) -> Option<SourceLine> {
@@ -177,8 +185,12 @@ impl Controller {
 
     /// Tells whether a task owns the arm.
     pub(super) fn is_arm_of_task(&self) -> bool {
-        let owner = self.arm.robot().owner();
-        owner.is_some_and(|owner| (0..self.tasks.len()).any(|place| peer_of_task(place) == owner))
+        self.arm.robot().owner().is_some_and(|owner| self.is_task(owner))
+    }
+
+    /// Tells whether the number of a client stands for a task.
+    pub(super) fn is_task(&self, peer: PeerId) -> bool {
+        (0..self.tasks.len()).any(|place| peer_of_task(place) == peer)
     }
 
     /// Halts the motions of tasks that do not run, and frees the arm from tasks at their beginning.

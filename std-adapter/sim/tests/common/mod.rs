@@ -147,6 +147,19 @@ impl World {
         Client { peer, controller, robot }
     }
 
+    /// Removes the errors.
+    pub(crate) fn clear(&mut self, client: Client) {
+        if self.sim.config().model.functions.preparation {
+            assert_eq!(self.robot(client, "ManualResetPreparation", ()), ok(&()));
+        }
+        assert_eq!(self.execute(client, "ClearError", ()), ok(&()));
+    }
+
+    /// Returns the codes of the present errors, the latest first.
+    pub(crate) fn errors(&self) -> Vec<HResult> {
+        self.sim.errors().map(|error| error.code).collect()
+    }
+
     /// Opens a session that holds the arm, with the motor on and the external speed at 100 %.
     pub(crate) fn mover(&mut self, peer: u32) -> Client {
         let client = self.client(peer);

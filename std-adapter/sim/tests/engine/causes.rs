@@ -8,6 +8,7 @@ use bcap_core::slave::{
     PoseError, PoseType, Released, SendFormat, Step,
 };
 use bcap_core::variant::Encode;
+use bcap_sim::codes::MANUAL_MODE;
 use bcap_sim::kinematics::EXTENDED_SPEED;
 use bcap_sim::kinematics::SPEEDS;
 use bcap_sim::{Config, Profile, Scenario};
@@ -202,7 +203,7 @@ fn each_code_of_slave_mode_is_answered_under_its_name() {
             name: Some("E_SLVMODE_ON"),
             cause: |world, client| {
                 robot(world, client, "slvChangeMode", 0x002);
-                robot(world, client, "CurPos", ())
+                robot(world, client, "TakeArm", ())
             },
         },
         Row {
@@ -282,7 +283,7 @@ fn each_code_of_slave_mode_is_answered_under_its_name() {
 #[test]
 fn what_stands_in_the_way_at_the_start_is_reported_at_its_step() {
     for (section, step, code) in [
-        ("mode = 'manual'", Step::TakeArm, HResult::E_ACCESSDENIED),
+        ("mode = 'manual'", Step::TakeArm, MANUAL_MODE),
         ("token = 'pendant'", Step::TakeArm, HResult::E_TOKEN_NOT_ETHERNET),
         ("token = 'other'", Step::TakeArm, HResult::E_TOKEN_ADDRESS),
         ("arm = 'taken'", Step::TakeArm, HResult::E_ARM_NOT_TAKEN),
@@ -300,7 +301,9 @@ fn what_stands_in_the_way_at_the_start_is_reported_at_its_step() {
         let fault = rig.engine.fault().unwrap();
         assert_eq!((end, fault.step, fault.code()), (Action::Faulted, step, Some(code)), "{section}: {fault}");
         assert_eq!(fault.cause, Cause::Refused(code));
-        assert_eq!((fault.released, fault.errors()), (Released::Yes, &[][..]), "{section}");
+        let errors: Vec<_> = fault.errors().iter().map(|error| error.code).collect();
+        let expected: &[HResult] = if code.level().is_some() { &[code] } else { &[] };
+        assert_eq!((fault.released, &errors[..]), (Released::Yes, expected), "{section}");
     }
 }
 
@@ -312,7 +315,11 @@ fn an_error_before_the_start_is_the_first_cause_of_the_refusal() {
     let fault = rig.engine.fault().unwrap();
     assert_eq!(fault.cause, Cause::Refused(HResult::E_ERROR_PRESENT));
     let codes: Vec<_> = fault.errors().iter().map(|error| error.code).collect();
-    assert_eq!(codes, [HResult::from_u32(0x8420_4043), HResult::E_SLVMODE_OFF], "the first cause first");
+    assert_eq!(
+        codes,
+        [HResult::from_u32(0x8420_4043), HResult::E_SLVMODE_OFF, HResult::E_ERROR_PRESENT],
+        "the first cause first"
+    );
 }
 
 #[test]
@@ -351,6 +358,9 @@ fn a_cobotta_wants_its_preparations_and_the_engine_says_which() {
     assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
     let fault = rig.engine.fault().unwrap();
     assert_eq!((fault.step, fault.cause), (Step::Motor, Cause::Refused(HResult::E_MOTION_UNPREPARED)));
+    let controller = rig.engine.config().motion.controller;
+    let clear = call::controller_execute(controller, "ClearError", ());
+    assert_eq!(rig.wires[0].call(&mut rig.world, &clear), Ok(HResult::S_OK));
     assert_eq!(prepare(&mut rig, "MotionPreparation"), Ok(HResult::S_OK));
     rig.engine.recover().unwrap();
     let mut count = 0;

@@ -47,8 +47,6 @@ struct Observation {
     #[serde(default)]
     scenario: String,
     arm: Option<String>,
-    #[serde(default)]
-    as_observed: bool,
     elsewhere: Option<String>,
     differs: Option<String>,
     not_modelled: Option<String>,
@@ -101,7 +99,6 @@ impl Observation {
         let profile = Profile::ALL.into_iter().find(|profile| key_of(*profile) == self.model);
         let mut config = Config::new(profile.unwrap_or_else(|| panic!("no model is {}", self.model)));
         config.files = Some(tempfile::tempdir().unwrap().keep());
-        config.as_observed = self.as_observed;
         let Some(name) = self.arm.as_deref() else { return config };
         let arm =
             ArmProfile::ALL.into_iter().find(|arm| arm.name() == name).unwrap_or_else(|| panic!("no arm is {name}"));

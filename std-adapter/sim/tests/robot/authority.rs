@@ -8,6 +8,7 @@ use bcap_core::bcap::server::Handler as _;
 use bcap_core::handler::Outcome;
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
+use bcap_sim::codes::{EMERGENCY_STOP, MANUAL_MODE};
 use bcap_sim::{Config, Mode, Token, VariableKind};
 
 use crate::common::{World, code, ok, value};
@@ -20,36 +21,51 @@ fn each_missing_condition_has_its_code_in_this_order() {
     world.sim.inject_error(HResult::from_u32(0x8150_0001), world.now);
     let try_move = |world: &mut World| world.move_to(client, 1, "J(0,40,90,0,45,0)", "");
 
-    assert_eq!(try_move(&mut world), HResult::E_ACCESSDENIED);
+    world.sim.emergency_stop(true, world.now);
+    assert_eq!(try_move(&mut world), EMERGENCY_STOP);
+    world.sim.emergency_stop(false, world.now);
+    assert_eq!(try_move(&mut world), MANUAL_MODE);
     world.sim.set_mode(Mode::Auto, world.now);
     assert_eq!(try_move(&mut world), HResult::E_TOKEN_NOT_ETHERNET);
     world.sim.set_token(Token::Client(other_peer));
     assert_eq!(try_move(&mut world), HResult::E_TOKEN_ADDRESS);
     world.sim.set_token(Token::Client(client.peer));
     assert_eq!(try_move(&mut world), HResult::E_ERROR_PRESENT);
-    assert_eq!(world.execute(client, "ClearError", ()), ok(&()));
+    // each refusal is an error
+    let present = [
+        HResult::E_ERROR_PRESENT,
+        HResult::E_TOKEN_ADDRESS,
+        HResult::E_TOKEN_NOT_ETHERNET,
+        MANUAL_MODE,
+        EMERGENCY_STOP,
+        HResult::from_u32(0x8150_0001),
+    ];
+    assert_eq!(world.errors(), present);
+    assert_eq!(world.get(client, "@ERROR_CODE"), ok(&HResult::E_ERROR_PRESENT.0));
+    let cleared = |world: &mut World, code| {
+        assert_eq!(world.errors(), [code]);
+        world.clear(client);
+    };
+    world.clear(client);
     assert_eq!(try_move(&mut world), HResult::E_ARM_NOT_TAKEN);
+    cleared(&mut world, HResult::E_ARM_NOT_TAKEN);
     assert_eq!(world.robot(client, "TakeArm", [0, 0]), ok(&()));
     assert_eq!(try_move(&mut world), HResult::E_MOTOR_OFF);
+    assert_eq!(world.robot(client, "Motor", [1, 1]), code(HResult::E_ERROR_PRESENT));
+    assert_eq!(world.errors(), [HResult::E_ERROR_PRESENT, HResult::E_MOTOR_OFF]);
+    world.clear(client);
     // switched on with "no wait", it is not on yet
     assert_eq!(world.call(client.peer, call::robot_execute(client.robot, "Motor", [1, 1])), ok(&()));
     assert_eq!(try_move(&mut world), HResult::E_MOTOR_OFF);
     assert_eq!(world.robot_get(client, "@SERVO_ON"), ok(&false));
     world.pass(300);
     assert_eq!(world.robot_get(client, "@SERVO_ON"), ok(&true));
+    cleared(&mut world, HResult::E_MOTOR_OFF);
     assert_eq!(try_move(&mut world), HResult::S_OK);
 
-    // a refusal is in the log, and nothing that had to be cleared
     let log: Vec<_> = world.sim.error_log().map(|e| e.code).collect();
-    let expected = [
-        HResult::E_MOTOR_OFF,
-        HResult::E_MOTOR_OFF,
-        HResult::E_ARM_NOT_TAKEN,
-        HResult::E_ERROR_PRESENT,
-        HResult::E_TOKEN_ADDRESS,
-        HResult::E_TOKEN_NOT_ETHERNET,
-        HResult::from_u32(0x8150_0001),
-    ];
+    let later = [HResult::E_MOTOR_OFF, HResult::E_ERROR_PRESENT, HResult::E_MOTOR_OFF, HResult::E_ARM_NOT_TAKEN];
+    let expected = [&later[..], &present[..]].concat();
     assert_eq!(log, expected);
 }
 
@@ -64,6 +80,7 @@ fn the_token_of_an_address_is_for_its_clients() {
     // the third client is at a serial line and has no address
     assert_eq!(take(&mut world, 1), code(HResult::E_TOKEN_ADDRESS));
     assert_eq!(take(&mut world, 2), code(HResult::E_TOKEN_ADDRESS));
+    world.clear(clients[0]);
     assert_eq!(take(&mut world, 0), ok(&()));
     // its address belongs to the connection, not to the session
     assert_eq!(world.call(clients[0].peer, call::service_stop()), code(HResult::S_OK));
@@ -91,6 +108,7 @@ fn the_arm_belongs_to_one_client_until_it_goes() {
     assert_eq!(world.call(two.peer, call::robot_speed(two.robot, -1, 5.0)), code(HResult::E_ARM_NOT_TAKEN));
     assert_eq!(world.robot(one, "TakeArm", [32, 0]), code(HResult::E_INVALIDARG));
     assert_eq!(world.robot(one, "TakeArm", [0, 2]), code(HResult::E_INVALIDARG));
+    world.clear(one);
 
     world.sim.left(one.peer, world.now);
     assert_eq!(world.robot(two, "TakeArm", [0, 0]), ok(&()));

@@ -98,6 +98,7 @@ fn approach_and_depart_keep_their_distance() {
     assert_eq!(world.robot(client, "Depart", (1, "900")), code(UNREACHABLE));
     assert_eq!(world.execute(client, "ClearError", ()), ok(&()));
     assert_eq!(world.robot(client, "Depart", (1, "1")), code(HResult::E_MOTOR_OFF));
+    world.clear(client);
     assert_eq!(world.robot(client, "GiveArm", ()), ok(&()));
     assert_eq!(world.robot(client, "Approach", (1, text, "1")), code(HResult::E_ARM_NOT_TAKEN));
 }

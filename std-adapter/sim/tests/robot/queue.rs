@@ -1,7 +1,6 @@
 //! The queue of motions: NEXT, pass motions, and what empties the queue.
 
 use bcap_core::bcap::call;
-use bcap_core::handler::Outcome;
 use bcap_core::hresult::HResult;
 use bcap_sim::kinematics::SPEEDS;
 
@@ -21,6 +20,7 @@ fn motions_with_next_are_accepted_and_executed_in_order() {
     assert_eq!(next(&mut world, client, "J(90,45,90,0,45,0)"), HResult::S_OK);
     assert_eq!(next(&mut world, client, "J(90,20,90,0,45,0)"), HResult::S_OK);
     assert_eq!(world.call(other.peer, call::robot_move(other.robot, 1, "P1", "")), code(HResult::E_ARM_NOT_TAKEN));
+    world.clear(client);
     world.pass(200);
     let here = joints(&mut world, other);
     assert!(here[0] > 0.0 && here[1] == 45.0, "{here:?}");
@@ -63,12 +63,13 @@ fn a_pose_out_of_reach_is_refused_before_its_turn() {
 
 #[test]
 fn halt_and_errors_end_all_motions() {
-    const ERROR: HResult = HResult::from_u32(0x8150_0001);
+    const ERROR: HResult = HResult::from_u32(0x8220_0001);
     let halt: fn(&mut World, Client) = |world, other| {
         assert_eq!(world.run(other.peer, call::robot_halt(other.robot, "")), code(HResult::S_OK));
     };
     let fail: fn(&mut World, Client) = |world, _| world.sim.inject_error(ERROR, world.now);
-    for (happens, end) in [(halt, HResult::E_ABORT), (fail, ERROR)] {
+    let stopped = HResult::E_MOTION_STOPPED;
+    for (happens, errors) in [(halt, vec![stopped]), (fail, vec![stopped, ERROR])] {
         let mut world = World::new();
         let (client, other) = (world.mover(1), world.client(2));
         let third = call::robot_move(client.robot, 1, "J(120,20,90,0,45,0)", "");
@@ -77,7 +78,8 @@ fn halt_and_errors_end_all_motions() {
         world.begin(client.peer, &third);
         world.pass(200);
         happens(&mut world, other);
-        assert_eq!(world.again(client.peer, &third).0, Outcome::Done(end));
+        assert_eq!(world.run_again(client.peer, &third), code(stopped));
+        assert_eq!(world.errors(), errors);
         world.pass(5000);
         let here = joints(&mut world, other);
         assert!(here[0] < 110.0 && here[1] == 45.0 && here[5] == 0.0, "{here:?}");

@@ -5,10 +5,14 @@ use bcap_core::bcap::server::Handler as _;
 use bcap_core::handler::Outcome;
 use bcap_core::hresult::HResult;
 use bcap_core::variant::Variant;
-use bcap_sim::{Config, EMERGENCY_STOP, Mode, Profile, SlaveConfig, Token};
+use bcap_sim::codes::MANUAL_MODE;
+use bcap_sim::{Config, Mode, Profile, SlaveConfig, Token};
 
 use crate::common::{Value, World, code, ok};
 use crate::slave::{Rig, START, UNDERFLOW, assert_close, j1, moving};
+
+/// The error of a stop from outside.
+const STOPPED: HResult = HResult::E_COMMAND_POSITION_GEN_STOPPED;
 
 #[test]
 fn entering_needs_what_every_motion_needs_and_a_licence() {
@@ -23,26 +27,29 @@ fn entering_needs_what_every_motion_needs_and_a_licence() {
     let (client, other) = (world.client(1), world.client(2));
     world.sim.inject_error(HResult::from_u32(0x8150_0001), world.now);
     let enter = |world: &mut World| world.robot(client, "slvChangeMode", 0x002).0;
-    assert_eq!(enter(&mut world), HResult::E_ACCESSDENIED);
+    assert_eq!(enter(&mut world), MANUAL_MODE);
     world.sim.set_mode(Mode::Auto, world.now);
     assert_eq!(enter(&mut world), HResult::E_TOKEN_NOT_ETHERNET);
     world.sim.set_token(Token::Client(other.peer));
     assert_eq!(enter(&mut world), HResult::E_TOKEN_ADDRESS);
     world.sim.set_token(Token::Client(client.peer));
     assert_eq!(enter(&mut world), HResult::E_ERROR_PRESENT);
-    world.execute(client, "ClearError", ());
+    world.clear(client);
     assert_eq!(enter(&mut world), HResult::E_ARM_NOT_TAKEN);
+    world.clear(client);
     world.robot(client, "TakeArm", [0, 1]);
     assert_eq!(enter(&mut world), HResult::E_MOTOR_OFF);
+    world.clear(client);
     world.robot(client, "Motor", 1);
     let moves = call::robot_move(client.robot, 1, "J(10,45,90,0,45,0)", "NEXT");
     assert_eq!(world.call(client.peer, moves), code(HResult::S_OK));
     assert_eq!(enter(&mut world), HResult::E_ROBOTISBUSY);
     world.pass(1000);
     assert_eq!(enter(&mut world), HResult::S_OK);
-    assert_eq!(enter(&mut world), HResult::E_SLVMODE_ON);
-    assert_eq!(world.robot(other, "slvChangeMode", 0x002).0, HResult::E_SLVMODE_ON);
     assert_eq!(world.robot(other, "slvChangeMode", 0).0, HResult::E_ARM_NOT_TAKEN);
+    assert_eq!(world.sim.slave_mode(), 0x002, "Slave Mode allows the command");
+    assert_eq!(enter(&mut world), HResult::E_SLVMODE_ON);
+    assert_eq!(world.sim.slave_mode(), 0);
 }
 
 #[test]
@@ -65,61 +72,46 @@ fn the_nine_modes_are_told_by_get_mode_and_others_are_none() {
 fn slv_move_without_slave_mode_hides_the_first_cause_which_the_list_tells() {
     let mut rig = Rig::new();
     assert_eq!(rig.j1(0.0), HResult::E_SLVMODE_OFF);
-    assert_eq!(rig.errors(), [], "a refusal is no error of the controller");
+    assert_eq!(rig.errors(), [HResult::E_SLVMODE_OFF]);
+    let client = rig.client;
+    rig.world.clear(client);
     rig.execute("slvChangeMode", 0x002);
     rig.j1(0.1);
     rig.cycles(2);
     assert_eq!(rig.j1(0.2), HResult::E_SLVMODE_OFF);
-    let client = rig.client;
-    assert_eq!(rig.world.execute(client, "GetCurErrorCount", ()), ok(&1));
-    let (_, info) = rig.world.execute(client, "GetCurErrorInfo", 0);
+    assert_eq!(rig.world.execute(client, "GetCurErrorCount", ()), ok(&2));
+    let (_, info) = rig.world.execute(client, "GetCurErrorInfo", 1);
     let Variant::Array(info) = info.as_variant() else { panic!("no array") };
     assert_eq!(info.get(0).map(Variant::flatten), Some(Variant::I4(UNDERFLOW.0)));
-    assert_eq!(rig.world.get(client, "@ERROR_CODE"), ok(&UNDERFLOW.0));
+    assert_eq!(rig.world.get(client, "@ERROR_CODE"), ok(&HResult::E_SLVMODE_OFF.0));
     // recovery: nothing but its own order
     assert_eq!(rig.execute("slvChangeMode", 0x002), code(HResult::E_ERROR_PRESENT));
     assert_eq!(rig.world.execute(client, "ClearError", ()), ok(&()));
     assert_eq!(rig.execute("slvChangeMode", 0x002), code(HResult::E_MOTOR_OFF));
+    rig.world.clear(client);
     assert_eq!(rig.world.robot(client, "Motor", 1), ok(&()));
     assert_eq!(rig.execute("slvChangeMode", 0x002), ok(&()));
     assert_eq!(rig.j1(0.2), HResult::S_OK);
 }
 
 #[test]
-fn in_slave_mode_its_client_may_call_little_else() {
+fn the_state_of_a_safe_stop_is_read_and_reset_in_slave_mode() {
     let mut rig = Rig::with(Config::new(Profile::Rc9));
-    let (client, other) = (rig.client, rig.world.client(2));
-    let variable = rig.world.variable(client, "I1");
+    let client = rig.client;
     rig.execute("slvChangeMode", 0x002);
-    for (command, param) in [("TakeArm", 0), ("Motor", 0), ("CurPos", 0), ("slvSendFormat", 0), ("slvRecvFormat", 2)] {
-        assert_eq!(rig.execute(command, param), code(HResult::E_SLVMODE_ON), "{command}");
-    }
-    assert_eq!(rig.execute("GiveArm", ()), code(HResult::E_SLVMODE_ON));
-    assert_eq!(rig.execute("slvChangeMode", 0x102), code(HResult::E_SLVMODE_ON));
-    for command in ["ClearError", "GetCurErrorCount", "SysState", "NoSuchCommand"] {
-        assert_eq!(rig.world.execute(client, command, ()), code(HResult::E_SLVMODE_ON), "{command}");
-    }
-    let refused = rig.world.call(client.peer, call::robot_move(client.robot, 1, "J1", ""));
-    assert_eq!(refused, code(HResult::E_SLVMODE_ON));
-    assert_eq!(rig.world.call(client.peer, call::variable_get_value(variable)), code(HResult::E_SLVMODE_ON));
-    assert_eq!(rig.world.call(client.peer, call::variable_put_value(variable, 1)), code(HResult::E_SLVMODE_ON));
-
-    assert_eq!(rig.execute("slvGetMode", ()), ok(&2));
     assert_eq!(rig.execute("curjnt", ()), ok(&START));
     assert_eq!(rig.world.execute(client, "StoState", ()), ok(&false));
     assert_eq!(rig.world.execute(client, "ManualReset", ()), ok(&()));
-    assert_eq!(rig.world.call(client.peer, call::variable_release(variable)), code(HResult::S_OK));
-    rig.world.variable(client, "I2");
+    assert_eq!((rig.mode(), rig.errors()), (2, vec![]));
+}
 
-    // another connection is free, but has not the arm
-    assert_eq!(rig.world.put(other, "I1", 5), HResult::S_OK);
-    assert_eq!(rig.world.execute(other, "GetCurErrorCount", ()), ok(&0));
-    assert_eq!(rig.world.robot(other, "slvGetMode", ()), ok(&2));
+#[test]
+fn a_pose_of_another_client_is_refused_and_leaves_slave_mode_on() {
+    let mut rig = Rig::enter(0x002);
+    let other = rig.world.client(2);
     assert_eq!(rig.world.robot(other, "slvMove", START), code(HResult::E_ARM_NOT_TAKEN));
-    assert_eq!(rig.world.move_to(other, 1, "J1", ""), HResult::E_ARM_NOT_TAKEN);
-    assert_eq!(rig.mode(), 2, "refused calls release nothing");
+    assert_eq!((rig.mode(), rig.errors()), (2, vec![HResult::E_ARM_NOT_TAKEN]));
     assert_eq!(rig.execute("slvChangeMode", 0), ok(&()));
-    assert_eq!(rig.world.execute(client, "GetCurErrorCount", ()), ok(&0));
 }
 
 #[test]
@@ -132,35 +124,33 @@ fn the_token_counts_for_every_pose() {
 }
 
 #[test]
-fn the_emergency_stop_ends_slave_mode_where_the_robot_is() {
-    let mut rig = moving(0x202);
-    rig.j1(0.8);
-    rig.withheld(j1(1.0));
-    rig.world.pass(4);
-    rig.world.sim.emergency_stop(true, rig.world.now);
-    assert_eq!(rig.again(j1(1.0)), (Outcome::Done(EMERGENCY_STOP), Value::EMPTY), "who waits is told");
-    assert_eq!((rig.mode(), rig.errors()), (0, vec![EMERGENCY_STOP]));
-    assert_close(&rig.here(), &j1(0.1), 1e-12);
-    rig.cycles(10);
-    assert_close(&rig.here(), &j1(0.1), 1e-12);
-    assert_eq!(rig.j1(0.2), HResult::E_SLVMODE_OFF);
+fn the_emergency_stop_and_the_mode_switch_end_slave_mode_where_the_robot_is() {
+    let stops: [fn(&mut World); 2] =
+        [|world| world.sim.emergency_stop(true, world.now), |world| world.sim.set_mode(Mode::Manual, world.now)];
+    for stop in stops {
+        let mut rig = moving(0x202);
+        rig.j1(0.8);
+        rig.withheld(j1(1.0));
+        rig.world.pass(4);
+        stop(&mut rig.world);
+        assert_eq!(rig.again(j1(1.0)), (Outcome::Done(STOPPED), Value::EMPTY), "a waiting call ends");
+        assert_eq!((rig.mode(), rig.errors()), (0, vec![STOPPED]));
+        assert!(!rig.world.sim.motor_is_on());
+        assert_close(&rig.here(), &j1(0.1), 1e-12);
+        rig.cycles(10);
+        assert_close(&rig.here(), &j1(0.1), 1e-12);
+        assert_eq!(rig.j1(0.2), HResult::E_SLVMODE_OFF);
+        assert_eq!(rig.errors(), [HResult::E_SLVMODE_OFF, STOPPED]);
+    }
 }
 
 #[test]
-fn an_error_the_motor_and_the_mode_switch_end_it_too() {
-    let mut rig = moving(0x002);
-    rig.world.sim.inject_error(HResult::from_u32(0x8150_0001), rig.world.now);
-    assert_eq!((rig.mode(), rig.errors()), (0, vec![HResult::from_u32(0x8150_0001)]));
-
-    let mut rig = moving(0x002);
-    let other = rig.world.client(2);
-    assert_eq!(rig.world.robot(other, "Motor", 0), ok(&()));
-    assert_eq!((rig.mode(), rig.errors(), rig.world.sim.is_moving()), (0, vec![], false));
-
-    let mut rig = moving(0x002);
-    rig.world.sim.set_mode(Mode::Manual, rig.world.now);
-    assert_eq!((rig.mode(), rig.errors()), (0, vec![]));
-    assert_eq!(rig.j1(0.8), HResult::E_SLVMODE_OFF);
+fn an_error_from_level_two_ends_it_too() {
+    for (error, mode) in [(0x8150_0001, 2), (0x8220_0001, 0)] {
+        let mut rig = moving(0x002);
+        rig.world.sim.inject_error(HResult::from_u32(error), rig.world.now);
+        assert_eq!((rig.mode(), rig.errors()), (mode, vec![HResult::from_u32(error)]));
+    }
 }
 
 #[test]

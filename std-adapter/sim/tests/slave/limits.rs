@@ -97,7 +97,7 @@ fn a_pose_out_of_reach_is_an_error_at_once() {
 }
 
 /// Streams poses in mode 0 as the maker's sample does: it waits for 8 ms after each reply that is not `S_OK`, and sends
-/// a pose again that was not stored. Returns the errors that this ended with.
+/// a pose again that was not stored. Returns the causes that this ended with.
 fn stream(rig: &mut Rig, poses: &[[f64; 8]]) -> Vec<HResult> {
     for pose in poses {
         loop {
@@ -108,7 +108,7 @@ fn stream(rig: &mut Rig, poses: &[[f64; 8]]) -> Vec<HResult> {
             match reply {
                 HResult::E_BUF_FULL => {}
                 _ if reply.is_ok() => break,
-                _ => return rig.errors(),
+                _ => return causes(rig),
             }
         }
     }
@@ -118,7 +118,12 @@ fn stream(rig: &mut Rig, poses: &[[f64; 8]]) -> Vec<HResult> {
     if rig.errors().is_empty() {
         assert_eq!(reply, left);
     }
-    rig.errors()
+    causes(rig)
+}
+
+/// Returns the present errors, without the refusal of the poses after them.
+fn causes(rig: &Rig) -> Vec<HResult> {
+    rig.errors().into_iter().filter(|code| *code != HResult::E_SLVMODE_OFF).collect()
 }
 
 /// One turn in 100 cycles around the start, J1 going on by 0.1 degrees a cycle, and the last pose once more.

@@ -6,7 +6,7 @@ mod formats;
 mod leaving;
 mod limits;
 mod modes;
-mod observed;
+mod refused;
 mod time;
 mod underflow;
 

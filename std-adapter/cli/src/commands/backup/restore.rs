@@ -185,7 +185,7 @@ fn check_state(session: &mut Session) -> Result<(), Failure> {
     for (name, fitting, wrong) in [
         ("@BUSY_STATUS", Value::new(&false)?, "the controller is busy: stop its tasks and the robot first"),
         ("@NORMAL_STATUS", Value::new(&true)?, "the controller has an error: clear it first"),
-        ("@EMERGENCY_STOP", Value::new(&false)?, "the emergency stop is pressed: release it and clear the error first"),
+        ("@EMERGENCY_STOP", Value::new(&false)?, "the emergency stop is pressed: release it first"),
     ] {
         match get_one(session, &ObjectPath::variable(name)?) {
             Ok(value) if value == fitting => {}

@@ -14,6 +14,9 @@
 //! Nothing moves and no variable is written. TakeArm is the only way to check that the arm is free, so the arm is taken and
 //! released at once (Keep 1, so that speeds, tool and work coordinates stay). slvChangeMode checks the licence; without the
 //! arm it cannot enter Slave Mode. The formats are set for this session only, and only while no client is in Slave Mode.
+//!
+//! A refusal is an error of the controller, which refuses the calls of others until it is cleared. So the refusals of TakeArm and
+//! slvChangeMode are cleared at once, but only if the controller had no error before, and has no other one now.
 
 mod report;
 
@@ -319,6 +322,7 @@ impl Examined<'_> {
             // a controller that accepts it is in Slave Mode now
             self.robot("slvChangeMode", &0_i32)?;
         }
+        self.clear_own(code)?;
         answers.push(("slvChangeMode", code));
         Ok((licence(&answers), formats))
     }
@@ -344,15 +348,7 @@ impl Examined<'_> {
         if let Some(why) = self.skip(FunctionId::CONTROLLER_EXECUTE, "GetCurErrorInfo")? {
             return Ok(Finding::Skipped(why));
         }
-        let first = self.controller("GetCurErrorInfo", &(count - 1))?;
-        let first = first.value.as_ref().and_then(|value| {
-            let mut elements = value.as_variant().as_array()?.iter();
-            let code = match elements.next()? {
-                Variant::Error(code) => code,
-                number => HResult::from_u32(u32::try_from(number.as_i64()? & 0xffff_ffff).ok()?),
-            };
-            Some((code, elements.next().and_then(|text| text.as_bstr().map(|text| text.to_string()))))
-        });
+        let first = self.error(count - 1)?;
         let hint = first.as_ref().and_then(|(code, _)| code.hint());
         let hint = hint.map(|hint| format!("{hint} (`bcap recover`)"));
         let what =
@@ -392,12 +388,40 @@ impl Examined<'_> {
             self.robot("GiveArm", &())?;
             return Ok((None, Finding::Passed("free".into())));
         }
+        self.clear_own(taken)?;
         if [HResult::E_TOKEN_ADDRESS, HResult::E_TOKEN_NOT_ETHERNET].contains(&taken) {
             let token = Finding::failed(format!("TakeArm is refused with {taken}"), TOKEN_HINT);
             return Ok((Some(token), Finding::skipped("it needs the token")));
         }
         let hint = "end the program that owns the arm; closing its connection releases the arm";
         Ok((None, Finding::failed(format!("TakeArm is refused with {taken}"), hint)))
+    }
+
+    /// Clears the error that a refusal of this command has left, if it is the only one.
+    fn clear_own(&mut self, refusal: HResult) -> Result<(), Failure> {
+        if refusal.level().is_none() || self.skip(FunctionId::CONTROLLER_EXECUTE, "GetCurErrorCount")?.is_some() {
+            return Ok(());
+        }
+        let count = self.controller("GetCurErrorCount", &())?.int().unwrap_or_default();
+        let is_own = count == 1 && self.error(0)?.is_some_and(|(code, _)| code == refusal);
+        if is_own && self.controller("ClearError", &())?.code == HResult::E_MANUAL_RESET_UNPREPARED {
+            self.robot("ManualResetPreparation", &())?;
+            self.controller("ClearError", &())?;
+        }
+        Ok(())
+    }
+
+    /// Reads a present error: its code and its text.
+    fn error(&mut self, index: i32) -> Result<Option<(HResult, Option<String>)>, Failure> {
+        let info = self.controller("GetCurErrorInfo", &index)?;
+        Ok(info.value.as_ref().and_then(|value| {
+            let mut elements = value.as_variant().as_array()?.iter();
+            let code = match elements.next()? {
+                Variant::Error(code) => code,
+                number => HResult::from_u32(u32::try_from(number.as_i64()? & 0xffff_ffff).ok()?),
+            };
+            Some((code, elements.next().and_then(|text| text.as_bstr().map(|text| text.to_string()))))
+        }))
     }
 
     /// Sets all formats, the default ones last; adds the refusals of the formats that Slave Mode needs to `answers`.

@@ -14,8 +14,8 @@ use crate::session::{Session, with_session};
 /// Halts the robot, even when another client moves it
 ///
 /// Uses a separate connection and needs neither the arm nor the executable token. The whole command takes at most
-/// --timeout, or 3 s; if the controller has not answered by then, the exit code is 4. The halted motion fails with
-/// E_ABORT; a Slave Mode stream fails because Slave Mode is off.
+/// --timeout, or 3 s; if the controller has not answered by then, the exit code is 4. The halted motion leaves
+/// the error 0x83500076, which must be cleared before the next one; a Slave Mode stream fails because Slave Mode is off.
 ///
 /// A controller refuses a halt while one of its tasks owns the arm. Then all tasks are stopped (KillAll, or Task_Stop of each task if
 /// the controller refuses KillAll), and the robot is halted again; a task that is started again starts at its first line. `halted`

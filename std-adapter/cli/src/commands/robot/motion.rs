@@ -225,7 +225,13 @@ fn concluded(args: &MoveArgs, ended: Option<Motion>) -> Result<bool, Failure> {
         Some(Motion::TimedOut) => {
             unfit(format!("not at {to}: it took more than {:?} (--within), so the robot was halted", args.within), None)
         }
-        Some(Motion::Halted) => unfit(format!("not at {to}: the robot was halted"), None),
+        Some(Motion::Halted) => Err(Failure::Unfit {
+            message: format!("not at {to}: the robot was halted"),
+            code: None,
+            hint: Some(
+                "if that has left an error (`bcap errors`), clear it before the next motion: `bcap clear`".into(),
+            ),
+        }),
         Some(_) => unfit(format!("the robot rests, and whether it is at {to} is unknown: read its position"), None),
     }
 }

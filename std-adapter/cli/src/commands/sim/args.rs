@@ -113,7 +113,6 @@ pub(crate) struct Sim {
     /// E_FAIL and printed on stderr.
     #[arg(long, value_name = "FILE.pcapng", conflicts_with_all = [
         "model", "print_model", "arm", "robot_type", "mode", "token", "no_slave_licence", "scenario", "record", "files", "explain", "lenient",
-        "as_observed",
     ])]
     pub(crate) replay: Option<PathBuf>,
 
@@ -148,13 +147,6 @@ pub(crate) struct Sim {
     /// Without it, Controller_Connect answers E_CAO_PROV_INVALID, and other functions E_INVALIDARG.
     #[arg(long)]
     pub(crate) lenient: bool,
-
-    /// Behaves after a refusal as observed on real controllers, where the specification is silent or says otherwise
-    ///
-    /// A call that Slave Mode refuses ends Slave Mode, from whichever connection it comes. Robot_Halt is refused while a task owns
-    /// the arm.
-    #[arg(long)]
-    pub(crate) as_observed: bool,
 }
 
 /// Parses a serial line, with or without `serial:`.

@@ -171,9 +171,10 @@ impl Watched {
             Mode::Auto => "auto",
         };
         let mut words = vec![controller.config().model.name.clone(), mode.to_owned()];
-        words.push(
-            controller.errors().next().map_or("ok".into(), |error| format!("error {:#010X}", error.code.to_u32())),
-        );
+        match controller.errors().next() {
+            Some(error) => words.push(format!("error {:#010X}", error.code.to_u32())),
+            None => words.extend((!controller.emergency_stopped()).then(|| "ok".into())),
+        }
         words.extend(controller.emergency_stopped().then(|| "EMERGENCY STOP".into()));
         words.extend(controller.arm_owner().map(|peer| match self.clients.contains_key(&peer) {
             true => format!("arm: client {}", peer.0),
@@ -263,7 +264,7 @@ mod tests {
     use super::*;
     use bcap_core::rac::{Variable, VariableKind};
     use bcap_core::variant::Variant;
-    use bcap_sim::{Config, EMERGENCY_STOP, Profile};
+    use bcap_sim::{Config, Profile};
 
     fn texts(panel: &Panel) -> Vec<&str> {
         panel.lines.iter().map(|line| line.text.as_str()).collect()
@@ -281,14 +282,17 @@ mod tests {
         let outcome = rac::Handler::call(&mut *watched, PeerId(7), &put, &mut reply, at);
         assert_eq!(outcome, Outcome::Done(HResult::S_OK));
         watched.controller.emergency_stop(true, at);
+        assert_eq!(watched.screen("", at).state, "RC8 auto EMERGENCY STOP");
+        let error = HResult::from_u32(0x8420_4043);
+        watched.controller.inject_error(error, at);
         let screen = watched.screen("bcap=127.0.0.1:5007", at);
         assert_eq!(screen.notice.text, "bcap=127.0.0.1:5007");
-        assert_eq!(screen.state, format!("RC8 auto error {:#010X} EMERGENCY STOP", EMERGENCY_STOP.to_u32()));
+        assert_eq!(screen.state, "RC8 auto error 0x84204043 EMERGENCY STOP");
         assert!(screen.alarm);
         assert_eq!(texts(&screen.values), ["client 7: Put I1, 1 calls, RAC"]);
         assert_eq!(texts(&screen.log), ["    1.50 client 7: S_OK = Put I1 I4(5)"]);
         assert_eq!(texts(&screen.tasks)[0], "Pro1             Ready, 0 cycles");
-        assert!(texts(&screen.errors)[0].starts_with(&EMERGENCY_STOP.to_string()), "{:?}", screen.errors);
+        assert!(texts(&screen.errors)[0].starts_with(&error.to_string()), "{:?}", screen.errors);
         assert_eq!(texts(&screen.robot)[4], "tool 0  work 0");
         rac::Handler::left(&mut *watched, PeerId(7), at);
         assert_eq!(texts(&watched.screen("", at).values), [""; 0]);

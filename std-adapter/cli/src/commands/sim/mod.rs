@@ -77,7 +77,6 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
         let mut config = Config { files: Some(files.to_owned()), file_work: file_worker()?, ..config(model) };
         (config.mode, config.token) = (args.mode, args.token);
         config.lenient = args.lenient;
-        config.as_observed = args.as_observed;
         if args.explain || args.lenient {
             config.observer = explainer(args.explain)?;
         }

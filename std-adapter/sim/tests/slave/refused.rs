@@ -1,15 +1,14 @@
-//! The reaction of real controllers to a call that Slave Mode refuses: `Config::as_observed`.
+//! A call that Slave Mode refuses ends Slave Mode.
 
 use bcap_core::bcap::call;
 use bcap_core::hresult::HResult;
-use bcap_sim::Config;
 
-use crate::common::{Client, Reply, World, code, ok};
+use crate::common::{Client, Reply, code, ok};
 use crate::slave::{Rig, START};
 
 /// A stream in mode 0x202, and a second client.
 fn streaming() -> (Rig, Client) {
-    let mut rig = Rig::with(Config { as_observed: true, ..Config::default() });
+    let mut rig = Rig::new();
     let other = rig.world.client(2);
     assert_eq!(rig.execute("slvChangeMode", 0x202), ok(&()));
     (rig, other)
@@ -86,16 +85,4 @@ fn recovery_is_clear_error_and_the_usual_order() {
     assert_eq!(rig.world.robot(client, "Motor", 1), ok(&()));
     assert_eq!(rig.execute("slvChangeMode", 0x202), ok(&()));
     assert_eq!(rig.slv_move(START).0, HResult::S_OK);
-}
-
-#[test]
-fn without_slave_mode_and_without_the_switch_nothing_changes() {
-    let mut world = World::with(Config { as_observed: true, ..Config::default() });
-    let client = world.client(1);
-    assert_eq!(world.execute(client, "GetCurErrorCount", ()), ok(&0));
-    let mut rig = Rig::new();
-    let other = rig.world.client(2);
-    assert_eq!(rig.execute("slvChangeMode", 0x202), ok(&()));
-    assert_eq!(rig.world.execute(other, "GetCurErrorCount", ()), ok(&0));
-    assert_eq!((rig.mode(), rig.errors()), (0x202, vec![]));
 }
