@@ -5,12 +5,13 @@ use std::time::Duration;
 
 use bcap_core::hresult::HResult;
 use bcap_core::variant::OwnedVariant;
-use bcap_sim::{Config, Controller as Simulated, EMERGENCY_STOP, Profile};
+use bcap_sim::{Config, Controller as Simulated, Profile};
 use bcap_std::server::Limits;
 use bcap_std::{Error, Obstacle, RecoveryConfig, RecoveryStep, Settings, asynch, blocking};
 use bcap_tests::served::Served;
 
 const MODELS: [Profile; 4] = [Profile::Rc8, Profile::Rc9, Profile::Cobotta, Profile::CobottaPro];
+const ERROR: HResult = HResult::from_u32(0x8420_4043);
 const ALONE: RecoveryConfig = RecoveryConfig { is_alone: true, speed: None };
 
 fn simulated(profile: Profile) -> (Served<Simulated>, Settings) {
@@ -51,18 +52,19 @@ macro_rules! recovered {
         press(sim, true);
         let mut robot = cell.robot()$(.$wait)?.unwrap();
         let seen = robot.examine()$(.$wait)?.unwrap();
-        assert_eq!(seen.errors(), [EMERGENCY_STOP]);
+        assert_eq!(seen.errors(), [], "the stop itself is no error");
         assert_eq!(seen.obstacles().collect::<Vec<_>>(), [Obstacle::EmergencyStop]);
         let error = robot.recover(ALONE)$(.$wait)?.map(drop).unwrap_err();
         assert_eq!(not_recovered(error).1, Some(Obstacle::EmergencyStop));
-        assert_eq!(state(sim), (false, false, 1));
+        assert_eq!(state(sim), (false, false, 0));
 
         press(sim, false);
+        sim.application().inject_error(ERROR, bcap_std::now());
         // the controller does not say who owns the arm while it has an error, so the error stays
         let unsure = cell.robot()$(.$wait)?.unwrap().recover(RecoveryConfig::default())$(.$wait)?.map(drop);
         let (step, obstacle, _) = not_recovered(unsure.unwrap_err());
         assert_eq!((step, obstacle), (RecoveryStep::TakeArm, Some(Obstacle::OwnerUnknown)));
-        assert!(sim.application().errors().any(|error| error.code == EMERGENCY_STOP));
+        assert!(sim.application().errors().any(|error| error.code == ERROR));
         let arm = cell.robot()$(.$wait)?.unwrap().recover(ALONE)$(.$wait)?.unwrap();
         assert_eq!(state(sim), (true, true, 0));
         arm.give()$(.$wait)?.unwrap();
