@@ -139,10 +139,10 @@ fn refusals_are_explained_over_all_links() {
 #[test]
 fn a_refused_argument_is_explained_on_stderr_and_by_its_description() {
     let mut sim = Sim::start_with(&["--explain"], Stdio::piped());
-    assert_eq!(sim.tcp(&["exec", "robot", "TakeArm", "8195,32,0"]).code, 1);
+    assert_eq!(sim.tcp(&["exec", "robot", "TakeArm", "8195,0,0,0"]).code, 1);
     let mut line = String::new();
     BufReader::new(sim.child.stderr.take().unwrap()).read_line(&mut line).unwrap();
-    let why = "Robot_Execute \"TakeArm\": given [I4(32), I4(0)]; accepted nothing, the group, or [group, keep]: \
+    let why = "Robot_Execute \"TakeArm\": given [I4(0), I4(0), I4(0)]; accepted nothing, the group, or [group, keep]: \
                group 0 to 31, keep 0 or 1";
     assert!(line.contains("E_INVALIDARG") && line.trim_end().ends_with(why), "{line}");
     let text = sim.tcp(&["exec", "controller", "GetErrorDescription", "-2147024809"]).out;

@@ -31,12 +31,13 @@
 //! the client that moved the robot, also after `NEXT` and after the end of its connection. After a pass the call answers
 //! when the motion begins to brake. With the option `NEXT` it answers at once. Further options are `SPEED=` (or `S=`),
 //! `ACCEL=` and `DECEL=`, in percent of the internal values, each a number or a variable (`SPEED=F2`), and `TIME=`, which has
-//! no effect, because its unit is not documented; another option is refused with `E_INVALIDARG`. A motion that the arm cannot
+//! no effect, because its unit is not documented; another option is refused. A wrong argument of a motion is the error
+//! [`WRONG_ARGUMENT`](crate::codes::WRONG_ARGUMENT) of the controller. A motion that the arm cannot
 //! make is an error of the controller; its [codes](crate::codes) say why.
 //!
 //! Approach ends before its pose, and Depart before the present pose, by the length in mm against the approach vector,
 //! the z of the flange. In an arc the flange turns evenly from the start orientation to the end orientation; the
-//! orientation of the point on the circle has no effect. Three points on one line are `E_INVALIDARG`. Robot_Rotate
+//! orientation of the point on the circle has no effect. Three points on one line are refused. Robot_Rotate
 //! turns right-handed about an axis of the base; with `Pose=1` the flange turns with it, with `Pose=2`, the default, it
 //! keeps its orientation. RotateH turns the tool right-handed about its approach vector, in place.
 //!
@@ -129,7 +130,8 @@
 //! Halt, errors and the end of Auto mode empty the queue. Hold and Unhold keep it. MotionSkip brakes the motion under
 //! way, whose call answers `S_OK`; the queue continues from the place where the arm comes to rest.
 //!
-//! TakeArm while an error is present answers `E_ERROR_PRESENT`. GiveArm waits for the end of the motions. The groups 0 to 31
+//! TakeArm while an error is present answers `E_ERROR_PRESENT`, of another group than the one that the client owns 0x83500042, of an
+//! undefined group 0x83500003, and with another second number than 0 or 1 0x83503010. GiveArm waits for the end of the motions. The groups 0 to 31
 //! of TakeArm differ in extended joints, which this model always moves.
 //! Commands of real controllers that this model lacks answer `E_NOTIMPL`, other names `E_INVALID_CMD_NAME`.
 

@@ -13,6 +13,14 @@ pub const EMERGENCY_STOP: HResult = HResult::from_u32(0x8150_101A);
 pub const RESET_IN_EMERGENCY_STOP: HResult = HResult::from_u32(0x8350_0178);
 /// An error of level 5 is present. Seen.
 pub const FAULT_PRESENT: HResult = HResult::from_u32(0x8250_1009);
+/// An argument of a motion has a wrong value, text or type, or is missing. Seen.
+pub const WRONG_ARGUMENT: HResult = HResult::from_u32(0x8150_001B);
+/// The arm group of TakeArm does not exist. Listed.
+pub const UNDEFINED_GROUP: HResult = HResult::from_u32(0x8350_0003);
+/// The client owns another arm group. Seen.
+pub const OTHER_GROUP: HResult = HResult::from_u32(0x8350_0042);
+/// The second number of TakeArm is not 0 or 1. Listed.
+pub const WRONG_KEEP: HResult = HResult::from_u32(0x8350_3010);
 /// A task owns the arm. Listed.
 pub const ARM_OF_TASK: HResult = HResult::from_u32(0x8350_0079);
 /// The goal of a motion is out of reach. Seen.

@@ -16,10 +16,12 @@ use bcap_core::bcap::{FunctionId, Kind};
 use bcap_core::hresult::HResult;
 use bcap_core::variant::Variant;
 
+use crate::codes::WRONG_ARGUMENT;
 use crate::function::executes;
 
 /// The codes of refused arguments.
-const CODES: [HResult; 6] = [
+const CODES: [HResult; 7] = [
+    WRONG_ARGUMENT,
     HResult::E_INVALIDARG,
     HResult::E_INVALIDARGTYPE,
     HResult::E_ARGSIZEOVER,
@@ -86,6 +88,11 @@ const OBJECT: &str = "name BSTR; option BSTR: @IfNotMember";
 
 const FILE_NAME: &str = "name BSTR: a path of at most 32 parts without control characters and < > : \" | ? *; option \
                          BSTR: @Create=, @IfNotMember";
+
+/// Tells whether a code says that an argument is refused.
+pub(crate) fn is_of_argument(code: HResult) -> bool {
+    CODES.contains(&code)
+}
 
 type Tell = dyn Fn(HResult, &str) + Send + Sync;
 

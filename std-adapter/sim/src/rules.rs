@@ -7,7 +7,6 @@
 #[derive(Debug)]
 pub(crate) struct Rule {
     /// The functions, the commands and the system variables, as the table names them.
-    #[cfg_attr(not(test), expect(dead_code, reason = "the tests compare them with the table"))]
     calls: &'static str,
     /// Auto mode, otherwise [`MANUAL_MODE`](crate::codes::MANUAL_MODE).
     pub(crate) auto: bool,
@@ -36,6 +35,13 @@ pub(crate) enum Authority {
     Free,
     /// The client of the call.
     Own,
+}
+
+impl Rule {
+    /// Tells whether a function or a command is one of the calls.
+    pub(crate) fn concerns(&self, name: &str) -> bool {
+        self.calls.split(", ").any(|call| call.eq_ignore_ascii_case(name.trim()))
+    }
 }
 
 const NOTHING: Rule = Rule {

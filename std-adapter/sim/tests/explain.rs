@@ -9,6 +9,7 @@ use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 use bcap_core::variant::Encode;
+use bcap_sim::codes::WRONG_ARGUMENT;
 use bcap_sim::explain::Observer;
 use bcap_sim::{Config, Controller};
 
@@ -27,14 +28,15 @@ fn a_refused_argument_is_named_with_what_is_accepted() {
     let plain = description(&mut world, other, HResult::E_INVALIDARG);
     assert!(plain.starts_with("E_INVALIDARG: ") && !plain.contains("Last refused"), "{plain}");
 
-    assert_eq!(world.robot(client, "takearm", [32, 0]), code(HResult::E_INVALIDARG));
-    let expected = "Robot_Execute \"takearm\": given [I4(32), I4(0)]; accepted nothing, the group, or [group, keep]: \
+    assert_eq!(world.robot(client, "takearm", [0, 0, 0]), code(HResult::E_INVALIDARG));
+    let expected = "Robot_Execute \"takearm\": given [I4(0), I4(0), I4(0)]; accepted nothing, the group, or [group, keep]: \
                     group 0 to 31, keep 0 or 1";
     // also over another session: drivers ask there
     assert_eq!(description(&mut world, other, HResult::E_INVALIDARG), format!("{plain} Last refused: {expected}"));
 
-    assert_eq!(world.move_to(client, 1, "J1", "FAST"), HResult::E_INVALIDARG);
-    let text = description(&mut world, client, HResult::E_INVALIDARG);
+    assert_eq!(world.move_to(client, 1, "J1", "FAST"), WRONG_ARGUMENT);
+    let text = description(&mut world, client, WRONG_ARGUMENT);
+    world.clear(client);
     assert!(
         text.contains("Robot_Move: given I4(1); \"J1\"; \"FAST\"; accepted interpolation I4: 1 joints, 2 line"),
         "{text}"
@@ -70,8 +72,8 @@ fn long_values_are_cut_and_control_characters_escaped() {
     let client = world.client(1);
     let long = format!("\u{1b}[31m\u{9b}{}", "x".repeat(10_000));
     let pose = call::robot_move(client.robot, 1, long.as_str(), long.as_str());
-    assert_eq!(world.run(client.peer, pose).0, HResult::E_INVALIDARG);
-    let text = description(&mut world, client, HResult::E_INVALIDARG);
+    assert_eq!(world.run(client.peer, pose).0, WRONG_ARGUMENT);
+    let text = description(&mut world, client, WRONG_ARGUMENT);
     assert!(text.len() < 2000 && !text.contains(char::is_control), "{text}");
     assert!(text.contains(r"\u{1b}[31m\u{9b}xxx"), "{text}");
     assert_eq!(world.robot(client, "TakeArm", vec![1.0_f64; 5000].as_slice()), code(HResult::E_INVALIDARG));

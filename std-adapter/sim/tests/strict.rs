@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex};
 use bcap_core::bcap::call;
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
+use bcap_sim::codes::WRONG_ARGUMENT;
 use bcap_sim::explain::Observer;
 use bcap_sim::{Config, Profile};
 
@@ -76,14 +77,14 @@ fn an_unknown_option_is_refused_or_ignored_by_name() {
 
 #[test]
 fn an_unknown_option_of_a_motion_is_refused_or_ignored_by_name() {
-    for (lenient, expected) in [(false, HResult::E_INVALIDARG), (true, HResult::S_OK)] {
+    for (lenient, expected) in [(false, WRONG_ARGUMENT), (true, HResult::S_OK)] {
         let (mut world, seen) = controller(Profile::Rc8, lenient);
         let client = world.mover(1);
         assert_eq!(world.move_to(client, 1, "J(10,45,90,0,45,0)", "TEMPO=1000, SPEED=50"), expected);
         let text = r#"a motion: unknown option "TEMPO" is ignored"#;
         assert_eq!(texts(&seen), if lenient { vec![text] } else { vec![] });
         // a known option with an invalid value is not tolerated
-        assert_eq!(world.move_to(client, 1, "J(10,45,90,0,45,0)", "SPEED=x"), HResult::E_INVALIDARG);
+        assert_eq!(world.move_to(client, 1, "J(10,45,90,0,45,0)", "SPEED=x"), WRONG_ARGUMENT);
     }
 }
 

@@ -8,6 +8,7 @@ use super::poses::Definition;
 use super::readings::{self, Reading};
 use super::{Arm, areas, measures, moves, paths, poses, settings};
 use crate::answer::{Answer, Answered};
+use crate::codes::{OTHER_GROUP, UNDEFINED_GROUP, WRONG_KEEP};
 use crate::context::Context;
 use crate::model::Functions;
 use crate::path::Blocked;
@@ -241,11 +242,18 @@ fn take_arm(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answer
         [group, keep] => (whole(*group)?, whole(*keep)?),
         _ => return Err(HResult::E_INVALIDARG),
     };
-    // the groups differ in extended joints, which this model always moves; -1 is TRUE
-    if !(0..=31).contains(&group) || ![-1, 0, 1].contains(&keep) {
-        return Err(HResult::E_INVALIDARG);
+    // the groups differ in extended joints, which this model always moves
+    if !(0..=31).contains(&group) {
+        return Err(UNDEFINED_GROUP);
+    }
+    // -1 is TRUE
+    if ![-1, 0, 1].contains(&keep) {
+        return Err(WRONG_KEEP);
     }
     arm.robot.may(ctx, &rules::TAKE_ARM)?;
+    if arm.robot.group_of(ctx.peer).is_some_and(|own| own != group) {
+        return Err(OTHER_GROUP);
+    }
     arm.robot.set_owner(Some((ctx.peer, group)));
     ctx.record("arm taken");
     if keep == 0 {

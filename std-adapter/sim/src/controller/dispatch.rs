@@ -12,14 +12,16 @@ use super::variable::{accepted_value, names_of};
 use super::{Controller, controller_execute};
 use crate::answer::{Answer, Answered};
 use crate::arm;
-use crate::codes::ARM_OF_TASK;
+use crate::codes::{ARM_OF_TASK, WRONG_ARGUMENT};
 use crate::comm;
 use crate::config::Permission;
+use crate::explain::is_of_argument;
 use crate::files::{CRC, Done, WorkProgress};
 use crate::function::{command_of, executes};
 use crate::hand;
 use crate::objects::{Entry, Extension, Item, Owner, VariableRef};
 use crate::options::{check as check_options, has_option, option};
+use crate::rules;
 use crate::scenario::CallPlan;
 use crate::table::Command;
 use crate::tasks;
@@ -130,6 +132,7 @@ impl Controller {
             Ok(Answer::Until(wait)) => Outcome::Wait(self.poll_time(wait)),
             Ok(Answer::Poll(at)) => Outcome::Wait(at),
             Err(code) => {
+                let code = code_of_motion(request, code);
                 let accepted = self.accepted(peer, request);
                 self.refusals.record(request, accepted, code, &self.common.config.observer);
                 self.refuse(code);
@@ -446,6 +449,12 @@ impl Controller {
         }
         accepted_value(self.objects.get(peer, request.handle(), Object::Variable).ok()?)
     }
+}
+
+/// Returns the code of a refusal: the controller itself refuses the arguments of a motion, others are refused before it.
+fn code_of_motion(request: &Request<'_>, code: HResult) -> HResult {
+    let name = command_of(request).unwrap_or_else(|| request.function.to_string());
+    if is_of_argument(code) && rules::MOTION.concerns(&name) { WRONG_ARGUMENT } else { code }
 }
 
 /// Returns what the command of a request accepts as its parameter.

@@ -8,7 +8,7 @@ use bcap_core::bcap::server::Handler as _;
 use bcap_core::handler::Outcome;
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
-use bcap_sim::codes::{EMERGENCY_STOP, MANUAL_MODE};
+use bcap_sim::codes::{EMERGENCY_STOP, MANUAL_MODE, OTHER_GROUP, UNDEFINED_GROUP, WRONG_KEEP};
 use bcap_sim::{Config, Mode, Token, VariableKind};
 
 use crate::common::{World, code, ok, value};
@@ -106,8 +106,10 @@ fn the_arm_belongs_to_one_client_until_it_goes() {
     assert_eq!(world.robot(two, "TakeArm", [0, 0]), code(HResult::E_ARM_NOT_TAKEN));
     assert_eq!(world.robot(two, "GiveArm", ()).0, HResult::S_FALSE);
     assert_eq!(world.call(two.peer, call::robot_speed(two.robot, -1, 5.0)), code(HResult::E_ARM_NOT_TAKEN));
-    assert_eq!(world.robot(one, "TakeArm", [32, 0]), code(HResult::E_INVALIDARG));
-    assert_eq!(world.robot(one, "TakeArm", [0, 2]), code(HResult::E_INVALIDARG));
+    assert_eq!(world.robot(one, "TakeArm", [32, 0]), code(UNDEFINED_GROUP));
+    assert_eq!(world.robot(one, "TakeArm", [0, 2]), code(WRONG_KEEP));
+    world.clear(one);
+    assert_eq!(world.robot(one, "TakeArm", [1, 0]), code(OTHER_GROUP));
     world.clear(one);
 
     world.sim.left(one.peer, world.now);

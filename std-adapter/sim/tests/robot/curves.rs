@@ -2,7 +2,7 @@
 
 use bcap_core::bcap::call;
 use bcap_core::hresult::HResult;
-use bcap_sim::codes::UNREACHABLE;
+use bcap_sim::codes::{UNREACHABLE, WRONG_ARGUMENT};
 use bcap_sim::{ArmProfile, Config, Profile};
 
 use crate::common::{Client, World, close, code, doubles, ok};
@@ -61,9 +61,10 @@ fn an_arc_without_a_circle_is_refused() {
         "P1, P2, P3",
         "",
     ] {
-        assert_eq!(world.move_to(client, 3, poses, ""), HResult::E_INVALIDARG, "{poses}");
+        assert_eq!(world.move_to(client, 3, poses, ""), WRONG_ARGUMENT, "{poses}");
     }
-    assert_eq!(world.move_to(client, 3, 1, ""), HResult::E_INVALIDARGTYPE);
+    assert_eq!(world.move_to(client, 3, 1, ""), WRONG_ARGUMENT);
+    world.clear(client);
     let far = "P(800, 300, 300, 180, 0, 180, 5), P(400, 0, 300, 180, 0, 180, 5)";
     assert_eq!(world.move_to(client, 3, far, ""), HResult::from_u32(0x8320_4073));
 }
@@ -90,11 +91,12 @@ fn approach_and_depart_keep_their_distance() {
     assert_eq!(world.robot(client, "Depart", (2, 5)), ok(&()));
     assert_close(&pose(&mut world, client)[..3], &[320.0, 60.0, 315.0], 1e-6);
 
-    assert_eq!(world.robot(client, "Approach", (1, text, "@X 40")), code(HResult::E_INVALIDARG));
-    assert_eq!(world.robot(client, "Approach", (3, text, "@0 40")), code(HResult::E_INVALIDARG));
-    assert_eq!(world.robot(client, "Approach", (1, text)), code(HResult::E_INVALIDARGTYPE));
-    assert_eq!(world.robot(client, "Depart", (1, (20.0, "x", "@E"))), code(HResult::E_INVALIDARG));
-    assert_eq!(world.robot(client, "Depart", ()), code(HResult::E_INVALIDARGTYPE));
+    assert_eq!(world.robot(client, "Approach", (1, text, "@X 40")), code(WRONG_ARGUMENT));
+    assert_eq!(world.robot(client, "Approach", (3, text, "@0 40")), code(WRONG_ARGUMENT));
+    assert_eq!(world.robot(client, "Approach", (1, text)), code(WRONG_ARGUMENT));
+    assert_eq!(world.robot(client, "Depart", (1, (20.0, "x", "@E"))), code(WRONG_ARGUMENT));
+    assert_eq!(world.robot(client, "Depart", ()), code(WRONG_ARGUMENT));
+    world.clear(client);
     assert_eq!(world.robot(client, "Depart", (1, "900")), code(UNREACHABLE));
     assert_eq!(world.execute(client, "ClearError", ()), ok(&()));
     assert_eq!(world.robot(client, "Depart", (1, "1")), code(HResult::E_MOTOR_OFF));
@@ -113,8 +115,8 @@ fn rotate_h_turns_the_tool_in_place() {
     assert!((here[5] - 150.0).abs() < 1e-6, "{here:?}");
     assert_eq!(world.robot(client, "RotateH", ("@0 -50", "SPEED=50")), ok(&()));
     assert!((pose(&mut world, client)[5].abs() - 160.0).abs() < 1e-6);
-    assert_eq!(world.robot(client, "RotateH", 181), code(HResult::E_INVALIDARG));
-    assert_eq!(world.robot(client, "RotateH", ()), code(HResult::E_INVALIDARGTYPE));
+    assert_eq!(world.robot(client, "RotateH", 181), code(WRONG_ARGUMENT));
+    assert_eq!(world.robot(client, "RotateH", ()), code(WRONG_ARGUMENT));
     // four axes turn J4
     let arm = ArmProfile::Hsr065.arm();
     let mut world = World::with(Config::new(Profile::Rc8).with_arm(arm));
@@ -152,7 +154,7 @@ fn rotate_turns_the_flange_with_the_circle_or_not() {
         ("XY", "V(0,0,0)", "FAST"),
     ] {
         let go = call::robot_rotate(client.robot, plane, 1.0, centre, option);
-        assert_eq!(world.run(client.peer, go), code(HResult::E_INVALIDARG), "{plane} {centre} {option}");
+        assert_eq!(world.run(client.peer, go), code(WRONG_ARGUMENT), "{plane} {centre} {option}");
     }
 }
 
@@ -168,7 +170,7 @@ fn a_path_goes_through_its_points() {
     let here = doubles(&world.robot(client, "CurPos", ()).1);
     assert!(close(&here, &[300.0, 100.0, 278.5355, 180.0, 0.0, 180.0, 5.0], 1e-3), "{here:?}");
     for path in [0, 21] {
-        assert_eq!(world.move_to(client, 4, path, ""), HResult::E_INVALIDARG, "{path}");
+        assert_eq!(world.move_to(client, 4, path, ""), WRONG_ARGUMENT, "{path}");
     }
 }
 
