@@ -11,7 +11,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::procedure::Motion;
 use bcap_core::rac::{Variable, VariableKind};
 use bcap_core::variant::{OwnedVariant, Variant};
-use bcap_sim::codes::EMERGENCY_STOP;
+use bcap_sim::codes::{EMERGENCY_STOP, WRONG_ARGUMENT};
 use bcap_sim::memory::Network;
 use bcap_sim::{Config, Controller as Simulated, Profile, Scenario};
 use bcap_std::blocking::{Controller, Halted, Stopper};
@@ -349,7 +349,7 @@ fn axes_are_driven_and_the_pass_is_sent() {
         assert_eq!(arm.move_to(&Move::joint("J(0, 45, 90, 0, 45, 0)").pass(pass), LIMIT).unwrap(), Motion::Arrived);
     }
     let refused = arm.move_to(&Move::drive_by([(9, 1.0)]), LIMIT).unwrap_err();
-    assert_eq!(refused.code(), Some(HResult::E_INVALIDARG));
+    assert_eq!(refused.code(), Some(WRONG_ARGUMENT));
 }
 
 #[test]
