@@ -119,7 +119,7 @@ impl Preparation {
     }
 
     /// Checks that a command that concerns safety may be executed.
-    pub(crate) fn check_manual_reset(&self, ctx: &mut Context<'_>) -> Result<(), HResult> {
+    pub(crate) fn check_manual_reset(&self, ctx: &Context<'_>) -> Result<(), HResult> {
         match self.manual_reset || !needs_manual_reset(ctx.config) {
             true => Ok(()),
             false => Err(HResult::E_MANUAL_RESET_UNPREPARED),

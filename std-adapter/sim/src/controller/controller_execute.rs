@@ -232,7 +232,7 @@ pub enum Bit {
 impl Controller {
     /// Removes the errors, also in emergency stop. An error of level 5 cannot be removed, and is the answer.
     pub(super) fn clear_error(&mut self, peer: PeerId) -> Answered {
-        self.arm.preparation().check_manual_reset(&mut self.common.context(peer))?;
+        self.arm.preparation().check_manual_reset(&self.common.context(peer))?;
         self.clear_errors(self.common.now);
         Ok(self.common.errors.lasting().map_or(Answer::Done, Answer::Code))
     }
