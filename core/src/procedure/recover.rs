@@ -348,16 +348,13 @@ impl<F: FnMut(RecoveryStep, Result<(), HResult>) -> ControlFlow<()>> Steps for R
             return None;
         }
         let robot = self.handles.robot.0;
-        // without a reply the call may have been executed
-        let ran = cause.is_none_or(StepCause::may_have_run);
+        // without a reply the call may have been executed; a controller that gives it up may still execute it
+        let given_up = matches!(cause, Some(StepCause::Refused(HResult::E_TIMEOUT)));
+        let ran = given_up || cause.is_none_or(StepCause::may_have_run);
         match self.step() {
             RecoveryStep::TakeArm => ran.then_some(Undo::GiveArm(robot)),
             RecoveryStep::MotionPreparation => (ran && cause.is_some()).then_some(Undo::Halt(robot)),
-            // a controller that gives up the call may still switch the motor on
-            RecoveryStep::Motor => {
-                let timed_out = matches!(cause, Some(StepCause::Refused(HResult::E_TIMEOUT)));
-                (ran || timed_out).then_some(Undo::MotorOff(robot))
-            }
+            RecoveryStep::Motor => ran.then_some(Undo::MotorOff(robot)),
             _ => None,
         }
     }
