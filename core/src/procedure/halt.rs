@@ -276,7 +276,11 @@ impl Steps for HaltSteps {
             Step::KillAll => of_controller("KillAll").with(Argument::Empty),
             Step::TaskNames => StepCall::new(FunctionId::CONTROLLER_GET_TASK_NAMES).with(controller.0).with(""),
             Step::OpenTask => {
-                StepCall::new(FunctionId::CONTROLLER_GET_TASK).with(controller.0).with(self.name.as_str()).with("")
+                // a real controller refuses a second handle of a task without this option
+                StepCall::new(FunctionId::CONTROLLER_GET_TASK)
+                    .with(controller.0)
+                    .with(self.name.as_str())
+                    .with("@IfNotMember")
             }
             Step::TaskStatus => {
                 StepCall::new(FunctionId::TASK_EXECUTE).with(self.task.0).with("GetStatus").with(Argument::Empty)

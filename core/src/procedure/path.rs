@@ -221,6 +221,10 @@ impl Steps for PathSteps<'_> {
             }
         };
         match step.object.opened_from(self.owner.object) {
+            // a real controller refuses a second handle of a task without the option
+            Some(function @ FunctionId::CONTROLLER_GET_TASK) => {
+                Next::Call(StepCall::new(function).with(owner).with(name).with("@IfNotMember"))
+            }
             Some(function) => Next::Call(StepCall::new(function).with(owner).with(name).with("")),
             // `from` has checked the path
             None => Next::End,

@@ -1,5 +1,6 @@
 //! One connection to the device: calls, their replies, and the handles that they give.
 
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 
 use bcap_core::bcap::{FunctionId, Kind};
@@ -143,8 +144,11 @@ impl<'a> Bench<'a> {
     }
 
     pub(crate) fn open_controller(&mut self) -> Result<(), Stop> {
+        // a name that is in use is refused
+        static CONNECTED: AtomicU32 = AtomicU32::new(1);
         let options = self.options;
-        let args = ["b-CAP", &options.provider, &options.machine, &options.option].map(Value::text);
+        let name = format!("b-CAP {}", CONNECTED.fetch_add(1, Ordering::Relaxed));
+        let args = [name.as_str(), &options.provider, &options.machine, &options.option].map(Value::text);
         let reply = self.exchange(FunctionId::CONTROLLER_CONNECT, args.to_vec())?;
         self.check(FunctionId::CONTROLLER_CONNECT, &reply, Want::Ok, Refusals::Fail)?;
         self.keep(Slot::Controller, &reply)

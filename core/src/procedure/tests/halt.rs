@@ -164,14 +164,14 @@ fn each_task_that_does_something_is_stopped_without_kill_all() {
     let refused = |number, call: &str| match call {
         _ if number == 0 => Some(Answer::Refused(OWNED)),
         KILL => Some(Answer::Refused(HResult::E_INVALID_CMD_NAME)),
-        "Controller_GetTask(7, \"Pro1\", \"\")" => Some(Answer::value(&31)),
-        "Controller_GetTask(7, \"Pro2\", \"\")" => Some(Answer::value(&32)),
+        "Controller_GetTask(7, \"Pro1\", \"@IfNotMember\")" => Some(Answer::value(&31)),
+        "Controller_GetTask(7, \"Pro2\", \"@IfNotMember\")" => Some(Answer::value(&32)),
         "Task_Execute(32, \"GetStatus\", EMPTY)" => Some(Answer::value(&2)),
         _ => None,
     };
     let done = halted(|number, call, _| refused(number, call));
     let of_task = |name: &str, handle: u8, stops: bool| {
-        let get = [NAMES.to_string(), format!("Controller_GetTask(7, {name:?}, \"\")")];
+        let get = [NAMES.to_string(), format!("Controller_GetTask(7, {name:?}, \"@IfNotMember\")")];
         let status = format!("Task_Execute({handle}, \"GetStatus\", EMPTY)");
         let stop = stops.then(|| format!("Task_Stop({handle}, 4, \"\")"));
         get.into_iter().chain([status]).chain(stop).chain([format!("Task_Release({handle})")]).collect::<Vec<_>>()
@@ -185,7 +185,7 @@ fn each_task_that_does_something_is_stopped_without_kill_all() {
     assert_eq!(halt.to_string(), "halted; 2 tasks were stopped (Task_Stop)");
     // a task of unknown state is stopped; one that cannot be opened is skipped
     let done = halted(|number, call, _| match call {
-        "Controller_GetTask(7, \"Pro1\", \"\")" => Some(Answer::Refused(HResult::E_FAIL)),
+        "Controller_GetTask(7, \"Pro1\", \"@IfNotMember\")" => Some(Answer::Refused(HResult::E_FAIL)),
         _ if call.starts_with("Task_Execute(") => Some(Answer::Refused(HResult::E_NOTIMPL)),
         _ => refused(number, call),
     });
