@@ -5,6 +5,7 @@ mod async_controller;
 mod boards;
 mod book;
 mod cancellation;
+mod citations;
 mod controller;
 mod corpora;
 mod drivers;

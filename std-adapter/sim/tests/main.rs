@@ -3,6 +3,7 @@
 mod common;
 mod conditions;
 mod controller;
+mod decisions;
 mod determinism;
 mod engine;
 mod explain;

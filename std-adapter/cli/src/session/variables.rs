@@ -61,3 +61,8 @@ fn all_strings(list: Variant<'_>) -> Option<Vec<String>> {
         list => list.as_array()?.iter().map(|name| name.as_bstr().map(|name| name.to_string())).collect(),
     }
 }
+
+/// Shortens the text of `@TYPE`: an RC8 answers "RC8 Controller".
+pub(crate) fn short_type(kind: &str) -> String {
+    kind.trim().strip_suffix(" Controller").unwrap_or(kind.trim()).to_owned()
+}

@@ -23,7 +23,7 @@ use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::{note, print_line};
 use crate::session::Session;
-use crate::session::variables::get_one;
+use crate::session::variables::{get_one, short_type};
 use crate::shell::line::{Flow, Runner, Verb};
 use crate::shell::terminal::Terminal;
 
@@ -178,7 +178,7 @@ fn state(session: &mut Session) -> String {
     }
     session.restart_budget();
     let mut words = Vec::new();
-    words.extend(read(session, "@TYPE").map(|kind| if kind.is_empty() { "robot".into() } else { kind }));
+    words.extend(read(session, "@TYPE").map(|kind| if kind.is_empty() { "robot".into() } else { short_type(&kind) }));
     words.extend(read(session, "@MODE").map(|mode| match mode.as_str() {
         "1" => "manual".into(),
         "2" => "teach-check".into(),

@@ -17,7 +17,7 @@ use bcap_std::ObjectPath;
 use crate::failure::Failure;
 use crate::session::selection::is_user_variable;
 use crate::session::slave_mode::spare;
-use crate::session::variables::{get_one, list, read};
+use crate::session::variables::{get_one, list, read, short_type};
 use crate::session::{Session, remote_files, selection};
 use crate::values::{Value, integer};
 use bcap_backup::contents::{About, Contents, Omission, Part, UserVariable};
@@ -92,7 +92,7 @@ pub(super) fn about(session: &mut Session) -> Result<About, Failure> {
         }
         Entry::Refused(_) => Ok::<_, Failure>(String::new()),
     };
-    Ok(About { kind: text("@TYPE")?, version: text("@VERSION")?, serial: text("@SERIAL_NO")? })
+    Ok(About { kind: short_type(&text("@TYPE")?), version: text("@VERSION")?, serial: text("@SERIAL_NO")? })
 }
 
 /// Reads everything.

@@ -36,7 +36,7 @@ use crate::link::LinkArgs;
 use crate::session::Session;
 use crate::session::budget::Budget;
 use crate::session::slave_mode::StreamCheck;
-use crate::session::variables::get_one;
+use crate::session::variables::{get_one, short_type};
 use crate::values::{Value, integer, text};
 
 /// Checks what a program needs before it can move the robot, and says how to fix each failure
@@ -152,7 +152,7 @@ fn provider(session: &mut Session, link: &LinkArgs, report: &mut Report) -> Resu
         provider.clone_into(&mut session.provider);
         match session.controller() {
             Ok(controller) => {
-                let kind = variable(session, "@TYPE")?.map(|kind| plain(&kind)).unwrap_or_default();
+                let kind = variable(session, "@TYPE")?.map(|kind| short_type(&plain(&kind))).unwrap_or_default();
                 let is_rc9 = provider.to_ascii_lowercase().ends_with("vrc9") || kind.eq_ignore_ascii_case("RC9");
                 let family = if is_rc9 { "RC9" } else { "RC8" };
                 let kind = if kind.is_empty() || kind == family { String::new() } else { format!(", it is a {kind}") };

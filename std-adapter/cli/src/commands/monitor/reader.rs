@@ -16,7 +16,7 @@ use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::session::Session;
 use crate::session::slave_mode::StreamCheck;
-use crate::session::variables::{list, paths, read};
+use crate::session::variables::{list, paths, read, short_type};
 use crate::values::{Value, integer};
 use bcap_capture::value::data;
 
@@ -156,7 +156,7 @@ impl Reader {
         }
         let variables = paths(&self.names)?;
         self.tell(Update::Connected(self.names.clone()));
-        let kind = self.text("@TYPE")?;
+        let kind = self.text("@TYPE")?.map(|kind| short_type(&kind));
         Ok(Plan {
             variables,
             tasks: None,
