@@ -244,15 +244,15 @@ impl Config {
         Ok(())
     }
 
-    /// Checks the provider that a client names.
-    pub(crate) fn check_provider(&self, name: &str, option: &str) -> Result<(), HResult> {
+    /// Checks the provider that a client names, perhaps with the address of the controller.
+    pub(crate) fn check_provider(&self, name: &str, has_server: bool) -> Result<(), HResult> {
         let own = self.model.provider.as_str();
         if own.eq_ignore_ascii_case(name) {
             return Ok(());
         }
         // the provider of a PC: a COBOTTA connects it if it is told the address
         if PC_PROVIDER.eq_ignore_ascii_case(name) {
-            return crate::options::option(option, "Server").map(drop).ok_or(HResult::E_INVALIDARG);
+            return if has_server { Ok(()) } else { Err(HResult::E_INVALIDARG) };
         }
         if HAND_PROVIDERS.iter().any(|provider| provider.eq_ignore_ascii_case(name)) {
             return Err(HResult::E_NOTIMPL);

@@ -266,7 +266,8 @@ impl Controller {
     }
 
     fn connect(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
-        self.common.config.check_provider(&request.text(1).to_string(), &request.text(3).to_string())?;
+        let has_server = option(&request.text(3).to_string(), "Server").is_some();
+        self.common.config.check_provider(&request.text(1).to_string(), has_server)?;
         check_options(&self.common.config, request)?;
         let silent =
             option(&request.text(3).to_string(), "@EventDisable").is_some_and(|v| v.eq_ignore_ascii_case("true"));
