@@ -46,7 +46,10 @@ fn a_report_is_a_new_file_without_values() {
     assert_eq!((run.code, run.out.as_str()), (0, ""), "{run:?}");
     let text = fs::read_to_string(&file).unwrap();
     assert!(text.starts_with("bcap report, format 1\n# Read this file before you send it."), "{text}");
-    assert!(text.contains("\nmodel        RC8\n") && text.contains("\nended        after all rounds\n"), "{text}");
+    assert!(
+        text.contains("\nmodel        RC8 Controller\n") && text.contains("\nended        after all rounds\n"),
+        "{text}"
+    );
     let row = |text: &str| text.lines().find(|line| line.starts_with("variable S0 ")).unwrap().to_owned();
     assert!(row(&text).contains(" BSTR "), "{text}");
     for private in ["secret", &sim.tcp["tcp:".len()..], "127.0.0.1"] {

@@ -155,6 +155,8 @@ fn a_replay_that_is_ended_during_a_motion_leaves_nothing() {
         "exec robot Motor 1 0",
         "call Robot_Move robot 1 '8,@E J(90, 45, 90, 0, 45, 0)' '8,NEXT, SPEED=2'",
         "call Robot_Halt robot 8,",
+        // the halted motion is an error
+        "clear",
         // waits for the end of the motion
         "call Robot_Move robot 1 '8,@E J(90, 45, 90, 0, 45, 0)' 8,SPEED=100",
     ];
@@ -166,7 +168,8 @@ fn a_replay_that_is_ended_during_a_motion_leaves_nothing() {
         let robot = Virtual::start(&[]);
         let slow = robot.run(&["exec", "robot", "ExtSpeed", "1"]);
         assert_eq!(slow.code, 0, "{slow:?}");
-        let allow = ["--allow", "Robot_Execute", "--allow", "Robot_Move", "--allow", "Robot_Halt"];
+        let allow = ["Controller_Execute", "Robot_Execute", "Robot_Move", "Robot_Halt"];
+        let allow = allow.map(|name| ["--allow", name]).concat();
         let child = robot.spawn(&[&["replay", capture, "--fast"], &allow[..]].concat());
         robot.wait_for_motion();
         signal(name, &child);
