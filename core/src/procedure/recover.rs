@@ -297,6 +297,12 @@ const fn is_unknown(code: HResult) -> bool {
     matches!(code, HResult::E_INVALID_CMD_NAME | HResult::E_INVALIDCOMMAND | HResult::E_NOTIMPL)
 }
 
+/// Tells whether a COBOTTA has no ManualResetPreparation. Before version 2.8 it answers as if an argument were wrong, and needs
+/// none (DENSORobot/denso_robot_ros, issue 44).
+const fn needs_no_reset(code: HResult) -> bool {
+    is_unknown(code) || matches!(code, HResult::E_INVALIDARG)
+}
+
 impl<F: FnMut(RecoveryStep, Result<(), HResult>) -> ControlFlow<()>> Steps for RecoverySteps<F> {
     type Output = Recovered;
     const KEEPS_OBJECTS: bool = true;
@@ -381,9 +387,8 @@ impl<F: FnMut(RecoveryStep, Result<(), HResult>) -> ControlFlow<()>> Steps for R
                 (self.asks_owner, self.asked) = (false, false);
                 true
             }
-            RecoveryStep::ManualResetPreparation | RecoveryStep::ManualReset if is_unknown(code) => {
-                self.end_step(Err(code)).is_ok()
-            }
+            RecoveryStep::ManualResetPreparation if needs_no_reset(code) => self.end_step(Err(code)).is_ok(),
+            RecoveryStep::ManualReset if is_unknown(code) => self.end_step(Err(code)).is_ok(),
             _ => false,
         }
     }

@@ -361,15 +361,18 @@ fn the_caller_can_stop_it_after_each_step() {
 
 #[test]
 fn an_early_cobotta_without_the_commands_is_recovered() {
-    let unknown = Answer::Refused(HResult::E_INVALID_CMD_NAME);
-    let other = vec![("ManualResetPreparation", unknown.clone()), ("ManualReset", unknown)];
-    let (result, _, reports) = recovered(Some(ALONE), Peer { other, ..cobotta() });
-    assert_eq!(result, Ok(Recovered { motor_on: true }));
-    let left_out = reports.iter().filter(|(_, result)| result.is_err()).map(|(step, _)| step.name());
-    assert_eq!(
-        left_out.collect::<Vec<_>>(),
-        ["ManualResetPreparation", "ManualResetPreparation", "ManualReset", "ManualResetPreparation"]
-    );
+    // the second code is the answer of a COBOTTA before version 2.8
+    for code in [HResult::E_INVALID_CMD_NAME, HResult::E_INVALIDARG] {
+        let unknown = Answer::Refused(HResult::E_INVALID_CMD_NAME);
+        let other = vec![("ManualResetPreparation", Answer::Refused(code)), ("ManualReset", unknown)];
+        let (result, _, reports) = recovered(Some(ALONE), Peer { other, ..cobotta() });
+        assert_eq!(result, Ok(Recovered { motor_on: true }), "{code}");
+        let left_out = reports.iter().filter(|(_, result)| result.is_err()).map(|(step, _)| step.name());
+        assert_eq!(
+            left_out.collect::<Vec<_>>(),
+            ["ManualResetPreparation", "ManualResetPreparation", "ManualReset", "ManualResetPreparation"]
+        );
+    }
     // a controller may execute a call that it has given up
     for (command, undo) in
         [("Motor", "Robot_Execute(9, \"Motor\", I4[0, 0])"), ("MotionPreparation", "Robot_Halt(9, \"\")")]
