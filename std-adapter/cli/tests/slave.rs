@@ -12,6 +12,7 @@ use crate::common::{Run, bcap, command};
 use bcap_core::hresult::HResult;
 use bcap_sim::{Controller, Profile, Scenario, SlaveCycle, TaskStatus};
 use bcap_std::server::Limits;
+use bcap_tests::real_time::repeated;
 use bcap_tests::served::Served;
 use bcap_tests::slowed::Slowed;
 use serde_json::Value;
@@ -92,6 +93,10 @@ fn await_speed(sim: &Served<Slowed>, least: f64) {
 
 #[test]
 fn a_cosine_returns_to_its_start_and_is_reported() {
+    repeated(reported_cosine);
+}
+
+fn reported_cosine() {
     let sim = controller();
     let (report, plot) = (path("cosine.json"), path("cosine.svg"));
     let files = ["--report", report.to_str().unwrap(), "--plot", plot.to_str().unwrap()];
