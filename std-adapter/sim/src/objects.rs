@@ -315,7 +315,7 @@ impl Objects {
         (1_u32..).map(|n| format!("Controller{n}")).find(|name| !self.has_controller(name)).unwrap_or_default()
     }
 
-    /// Tells whether any client has connected a controller with this name; an empty name is none.
+    /// Tells whether any client has connected a controller with this name. An empty name is always free.
     pub(crate) fn has_controller(&self, name: &str) -> bool {
         self.single.contains_key(&Single::controller(name))
     }

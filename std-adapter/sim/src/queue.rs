@@ -310,7 +310,7 @@ impl Queue {
     pub(crate) fn stop(&mut self, code: HResult, now: Instant, waits: &mut Waits) {
         self.set_rest(self.axes(now));
         let report = if code.level().is_some() { now.saturating_add(REPORT_DELAY) } else { now };
-        // nobody waits for the braking after Slave Mode, which has no route
+        // the braking after Slave Mode has no route, and no call waits for it
         for dropped in self.motions.drain(..).filter(|motion| motion.route.is_some()) {
             waits.stop(dropped.id, dropped.peer, report);
         }
