@@ -7,8 +7,8 @@
 //! ```
 //!
 //! A call that Slave Mode may refuse ends a stream, even that of another client. So slvGetMode is asked before each of them.
-//! A refused call leaves its part of the state unknown. No call tells whether another client owns the arm: Only
-//! TakeArm does, and it has an effect.
+//! A refused call leaves its part of the state unknown. Only TakeArm tells whether another client owns
+//! the arm, and it has an effect.
 
 use core::convert::identity;
 use core::fmt;

@@ -43,8 +43,11 @@ pub(super) struct Row {
     pub(super) answer: Answer,
     /// The layouts of later answers that differ from the first.
     pub(super) others: Vec<String>,
+    /// The first value.
     pub(super) value: Option<Value>,
+    /// The round trips.
     pub(super) times: Times,
+    /// How often the call was made.
     pub(super) count: u32,
 }
 
