@@ -81,10 +81,10 @@
 //! | TMul, TInv, TNorm               | \[T, T\], T                 | R8\[10\], with the Fig of the first              |
 //! | MPS, RPM, DPS                   | mm/s, \[axis, rpm\], deg/s or \[axis, deg/s\] | R4: percent of the largest speed |
 //! | GetToolDef                      | I4, 0 to 63                 | R8\[6\]: X Y Z RX RY RZ                          |
-//! | GetWorkDef, GetBaseDef          | I4, 0 to 63                 | R8\[7\]: likewise, and the attribute             |
+//! | GetWorkDef, GetBaseDef          | I4, 0 to 7                  | R8\[7\]: likewise, and the attribute             |
 //! | SetToolDef                      | \[1 to 63, pose\]           | EMPTY; needs the arm authority                   |
-//! | SetWorkDef, SetBaseDef          | \[1 to 63, pose, attribute\] | EMPTY; likewise. Bases have no effect            |
-//! | WorkAttribute                   | I4, 0 to 63                 | I4: 0, or 1 for a fixed tool, without an effect  |
+//! | SetWorkDef, SetBaseDef          | \[1 to 7, pose, attribute\] | EMPTY; likewise. Bases have no effect            |
+//! | WorkAttribute                   | I4, 0 to 7                  | I4: 0, or 1 for a fixed tool, without an effect  |
 //! | SetHandIO, GetHandIO            | \[first, value, count\], \[first, count\] | EMPTY; I4: IO as the bits of a number |
 //! | ClearLog                        | -                           | EMPTY; empties the control log and records       |
 //! | StartLog, StopLog               | -                           | EMPTY; the log ends when it is full, or now; needs ClearLog |

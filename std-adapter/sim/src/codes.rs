@@ -13,7 +13,8 @@ pub const EMERGENCY_STOP: HResult = HResult::from_u32(0x8150_101A);
 pub const RESET_IN_EMERGENCY_STOP: HResult = HResult::from_u32(0x8350_0178);
 /// An error of level 5 is present. Seen.
 pub const FAULT_PRESENT: HResult = HResult::from_u32(0x8250_1009);
-/// An argument of a motion has a wrong value, text or type, or is missing. Seen.
+/// An argument of a motion has a wrong value, text or type, or is missing. Seen 52 times in one log, which has none of the listed
+/// codes 0x8150001C to 0x81500027 for missing arguments and for the argument n.
 pub const WRONG_ARGUMENT: HResult = HResult::from_u32(0x8150_001B);
 /// The arm group of TakeArm does not exist. Listed.
 pub const UNDEFINED_GROUP: HResult = HResult::from_u32(0x8350_0003);
@@ -21,6 +22,8 @@ pub const UNDEFINED_GROUP: HResult = HResult::from_u32(0x8350_0003);
 pub const OTHER_GROUP: HResult = HResult::from_u32(0x8350_0042);
 /// The second number of TakeArm is not 0 or 1. Listed.
 pub const WRONG_KEEP: HResult = HResult::from_u32(0x8350_3010);
+/// Robot_Change during a motion. Listed.
+pub const CHANGE_IN_MOTION: HResult = HResult::from_u32(0x8350_010F);
 /// A task owns the arm. Listed.
 pub const ARM_OF_TASK: HResult = HResult::from_u32(0x8350_0079);
 /// The goal of a motion is out of reach. Seen.

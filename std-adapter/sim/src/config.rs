@@ -205,7 +205,7 @@ impl Config {
             wall_clock_origin_ms: 0,
             geometry: model.geometry,
             home: model.home,
-            motor_on_delay: Duration::from_millis(300),
+            motor_on_delay: model.motor_on,
             servo_on_waits: true,
             speed: 100.0,
             ext_speed: 100.0,

@@ -64,7 +64,7 @@ const FUNCTIONS: &[(FunctionId, &str)] = &[
     ),
     (FunctionId::ROBOT_SPEED, "axis I4: -1 or 0; speed: percent, 0.0001 to 100"),
     (FunctionId::ROBOT_ACCELERATE, "axis I4: -1 or 0; acceleration and deceleration: percent, 0.0001 to 100, or -1"),
-    (FunctionId::ROBOT_CHANGE, "name BSTR: Tool or Work with a number, 0 to 63"),
+    (FunctionId::ROBOT_CHANGE, "name BSTR: Tool with a number, 0 to 63, or Work with one, 0 to 7"),
     (FunctionId::ROBOT_CHUCK, "option BSTR: empty"),
     (FunctionId::ROBOT_UNCHUCK, "option BSTR: empty"),
     (FunctionId::TASK_START, "mode I4: 1 one cycle, 2 continuous, 3 one line; option BSTR: empty"),

@@ -47,8 +47,8 @@ const FAULT: Effects = Effects { lasts: true, ..ERROR };
 const LEVELS: [Effects; 6] = [NOTICE, REFUSAL, STOP, ERROR, ERROR, FAULT];
 
 /// Codes above level 1 that only refuse a call: by the state of the controller, the token and the arm; a stopped motion; a pose
-/// without Slave Mode; ManualReset; TakeArm; electric hands.
-const REFUSALS: [RangeInclusive<u32>; 11] = [
+/// without Slave Mode; Robot_Change; ManualReset; TakeArm; electric hands.
+const REFUSALS: [RangeInclusive<u32>; 12] = [
     0x8250_1000..=0x8250_1FFF,
     0x8350_1000..=0x8350_1031,
     // 0x83501032 ends Slave Mode
@@ -56,6 +56,7 @@ const REFUSALS: [RangeInclusive<u32>; 11] = [
     0x8350_0003..=0x8350_0003,
     0x8350_0042..=0x8350_0042,
     0x8350_0076..=0x8350_0079,
+    0x8350_010F..=0x8350_010F,
     0x8350_0121..=0x8350_0121,
     0x8350_0178..=0x8350_0178,
     0x8350_0372..=0x8350_0372,

@@ -6,7 +6,7 @@
 //!
 //! | section       | content                                                                              |
 //! |---------------|--------------------------------------------------------------------------------------|
-//! | -             | name, `type` (`@TYPE`; the name if it is absent), provider, version, type and name of the robot, RAC                   |
+//! | -             | name, `type` (`@TYPE`; the name if it is absent), provider, version, type and name of the robot, `motor_on_ms` (300 if it is absent), RAC |
 //! | `[functions]` | the commands that exist besides those of all models                                  |
 //! | `[slave]`     | the parts of the formats of Slave Mode, and which IO they are                        |
 //! | `[variables]` | the number of variables of each kind, with the IO                                    |
@@ -20,6 +20,7 @@ mod error;
 
 use std::ops::Range;
 use std::sync::OnceLock;
+use std::time::Duration;
 
 use serde::Deserialize;
 use toml::Spanned;
@@ -30,6 +31,9 @@ pub use self::error::ModelError;
 use self::error::{Wrong, located, text};
 use crate::kinematics::{Geometry, Joints};
 use crate::variables::Sizes;
+
+/// How long the motor takes to come on; a decision.
+const MOTOR_ON: Duration = Duration::from_millis(300);
 
 /// A model of controller that is built in.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -114,6 +118,8 @@ pub struct Model {
     pub robot_type: String,
     /// The robot's name.
     pub arm_name: String,
+    /// How long the motor takes to come on: the key `motor_on_ms`, or 300 ms.
+    pub motor_on: Duration,
     /// Whether it has a server of RAC. A program that serves a [`Controller`](crate::Controller) decides by it.
     pub rac: bool,
     /// The commands that exist besides those of all models.
@@ -215,6 +221,7 @@ struct File {
     version: Spanned<String>,
     robot_type: Spanned<String>,
     arm_name: Spanned<String>,
+    motor_on_ms: Option<u16>,
     rac: bool,
     functions: Functions,
     slave: SlaveEntry,
@@ -306,6 +313,7 @@ impl File {
             version: text("version", self.version)?,
             robot_type: text("robot_type", self.robot_type)?,
             arm_name: text("arm_name", self.arm_name)?,
+            motor_on: self.motor_on_ms.map_or(MOTOR_ON, |ms| Duration::from_millis(ms.into())),
             rac: self.rac,
             functions: self.functions,
             formats: SlaveFormats::of(&self.slave.formats),

@@ -14,9 +14,9 @@
 //! | AutoCal                   | -         | EMPTY; sets the bit "calibrated" of SysState                      |
 //!
 //! Without ManualResetPreparation, the three commands after it answer `E_MANUAL_RESET_UNPREPARED`. Without
-//! MotionPreparation, Motor answers `E_MOTION_UNPREPARED`. MotionPreparation and AutoCal need Auto mode and no error. Public
-//! clients show this order and the two codes, and that ClearError may follow MotionPreparation; that an emergency stop ends a
-//! preparation is a decision of this model. AutoCal takes no time and moves nothing.
+//! MotionPreparation, Motor answers `E_MOTION_UNPREPARED`. Both need Auto mode and a released emergency
+//! stop, AutoCal also no error. Public clients show this order and the two codes, and that ClearError may follow MotionPreparation;
+//! that an emergency stop ends a preparation is a decision of this model. AutoCal takes no time and moves nothing.
 //!
 //! Before version 2.8.0, the three commands need no ManualResetPreparation, which answers `E_INVALIDARG`: programs of 2021 and
 //! 2022 sent none. A person can prepare the arm, too: `prepared` of a [scenario](crate::scenario).
@@ -26,7 +26,7 @@
 use bcap_core::hresult::HResult;
 
 use crate::answer::{Answer, Answered};
-use crate::codes::RESET_IN_EMERGENCY_STOP;
+use crate::codes::{EMERGENCY_STOP, RESET_IN_EMERGENCY_STOP};
 use crate::config::Config;
 use crate::context::Context;
 use crate::model::Functions;
@@ -92,7 +92,10 @@ impl Preparation {
 
     /// Executes MotionPreparation.
     pub(crate) fn prepare_motion(&mut self, ctx: &mut Context<'_>) -> Answered {
-        ctx.may(&rules::PREPARATION)?;
+        if ctx.panel.emergency_stop {
+            return Err(EMERGENCY_STOP);
+        }
+        ctx.may(&rules::MOTION_PREPARATION)?;
         self.check_manual_reset(ctx)?;
         self.complete();
         ctx.record("motion preparation");
@@ -101,7 +104,7 @@ impl Preparation {
 
     /// Executes AutoCal.
     pub(crate) fn calibrate(&mut self, ctx: &mut Context<'_>) -> Answered {
-        ctx.may(&rules::PREPARATION)?;
+        ctx.may(&rules::CALIBRATION)?;
         self.calibrated = true;
         ctx.record("calibration");
         Ok(Answer::Done)
@@ -128,6 +131,6 @@ impl Preparation {
 }
 
 /// Tells whether the model and its version have ManualResetPreparation.
-fn needs_manual_reset(config: &Config) -> bool {
+pub(crate) fn needs_manual_reset(config: &Config) -> bool {
     config.model.functions.preparation && config.version_is_from(&[2, 8, 0])
 }

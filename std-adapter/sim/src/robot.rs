@@ -18,8 +18,9 @@ use crate::rules::{Authority, Rule};
 use crate::stream::Stream;
 use crate::waits::{Wait, Waits};
 
-/// The highest number of a tool or of work coordinates.
-const LAST_COORDINATES: i32 = 63;
+/// The highest numbers of a tool and of work or base coordinates, in the backup of a real RC8A.
+const LAST_TOOL: i32 = 63;
+const LAST_WORK: i32 = 7;
 
 /// The motor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -382,7 +383,12 @@ pub(crate) fn percent(value: f64) -> Result<f32, HResult> {
     if (0.0001..=100.0).contains(&value) { Ok(value as f32) } else { Err(HResult::E_INVALIDARG) }
 }
 
-/// Checks the number of a tool or of work coordinates.
-pub(crate) fn coordinates(number: i32) -> Result<i32, HResult> {
-    if (0..=LAST_COORDINATES).contains(&number) { Ok(number) } else { Err(HResult::E_INVALIDARG) }
+/// Checks the number of a tool.
+pub(crate) fn tool(number: i32) -> Result<i32, HResult> {
+    if (0..=LAST_TOOL).contains(&number) { Ok(number) } else { Err(HResult::E_INVALIDARG) }
+}
+
+/// Checks the number of work coordinates, or of base coordinates.
+pub(crate) fn work(number: i32) -> Result<i32, HResult> {
+    if (0..=LAST_WORK).contains(&number) { Ok(number) } else { Err(HResult::E_INVALIDARG) }
 }

@@ -94,8 +94,11 @@ pub(crate) const HAND: Rule = Rule {
     ..EXECUTION
 };
 
-/// The preparation of a COBOTTA.
-pub(crate) const PREPARATION: Rule = Rule { calls: "MotionPreparation, AutoCal", token_of_cobotta: false, ..EXECUTION };
+/// The preparation of a COBOTTA. A public program sends it before ClearError.
+pub(crate) const MOTION_PREPARATION: Rule = Rule { calls: "MotionPreparation", no_error: false, ..CALIBRATION };
+
+/// The calibration of a COBOTTA.
+pub(crate) const CALIBRATION: Rule = Rule { calls: "AutoCal", token_of_cobotta: false, ..EXECUTION };
 
 /// Settings of the arm. A client may change them unless another client owns the arm.
 pub(crate) const SETTING: Rule = Rule {
@@ -112,7 +115,7 @@ pub(crate) const DEFINITION: Rule =
 mod tests {
     use super::*;
 
-    const RULES: [&Rule; 12] = [
+    const RULES: [&Rule; 13] = [
         &MOTION,
         &ENTER_SLAVE_MODE,
         &SLAVE_MOVE,
@@ -122,7 +125,8 @@ mod tests {
         &UNHOLD,
         &START_TASK,
         &HAND,
-        &PREPARATION,
+        &MOTION_PREPARATION,
+        &CALIBRATION,
         &SETTING,
         &DEFINITION,
     ];

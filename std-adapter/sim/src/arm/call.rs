@@ -9,11 +9,12 @@ use super::poses::{self, Definition};
 use super::robot_execute::{COMMANDS, Handler};
 use super::{Arm, moves};
 use crate::answer::{Answer, Answered};
+use crate::codes::CHANGE_IN_MOTION;
 use crate::context::Context;
 use crate::drive::Drive;
 use crate::function::command_of;
 use crate::objects::DefinitionKind;
-use crate::robot::{Percent, coordinates, percent};
+use crate::robot::{Percent, percent, tool, work};
 use crate::rules;
 use crate::table::Command;
 use crate::value::Value;
@@ -155,19 +156,22 @@ impl Arm {
         Ok(Answer::Done)
     }
 
-    /// Executes Robot_Change, which selects a tool or work coordinates.
+    /// Executes Robot_Change, which selects a tool or work coordinates while the arm is at rest.
     fn change(&mut self, ctx: &mut Context<'_>, name: &str) -> Answered {
         self.robot.may(ctx, &rules::SETTING)?;
+        if self.robot.is_moving() {
+            return Err(CHANGE_IN_MOTION);
+        }
         let upper = name.trim().to_ascii_uppercase();
         let number = |digits: &str| match digits {
             "" => Ok(0),
-            digits => digits.parse().map_err(|_| HResult::E_INVALIDARG).and_then(coordinates),
+            digits => digits.parse().map_err(|_| HResult::E_INVALIDARG),
         };
         let settings = self.robot.settings_mut();
         if let Some(digits) = upper.strip_prefix("TOOL") {
-            settings.tool = number(digits)?;
+            settings.tool = number(digits).and_then(tool)?;
         } else if let Some(digits) = upper.strip_prefix("WORK") {
-            settings.work = number(digits)?;
+            settings.work = number(digits).and_then(work)?;
         } else {
             return Err(HResult::E_INVALIDARG);
         }

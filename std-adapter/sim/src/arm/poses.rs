@@ -11,7 +11,7 @@ use crate::context::Context;
 use crate::coordinates::{Coordinates, Definitions};
 use crate::kinematics::{Frame, OutOfReach, angle, measured, pose_numbers};
 use crate::pose::Pose;
-use crate::robot::{Robot, coordinates};
+use crate::robot::{Robot, tool, work};
 use crate::rules;
 use crate::value::{Value, one_int, whole};
 
@@ -52,11 +52,11 @@ pub(super) fn out_range(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_
             // with -1, the present ones
             let number = |place: usize, present: i32| match one_int(&array.get(place).unwrap_or(Variant::Empty))? {
                 -1 => Ok(present),
-                number => coordinates(number),
+                number => Ok(number),
             };
             let settings = robot.settings();
-            let tool = robot.tools.get(number(1, settings.tool)?);
-            let work = robot.works.get(number(2, settings.work)?);
+            let tool = robot.tools.get(number(1, settings.tool).and_then(tool)?);
+            let work = robot.works.get(number(2, settings.work).and_then(work)?);
             (array.get(0).unwrap_or(Variant::Empty), Coordinates { arm: *robot.geometry(), tool, work })
         }
         _ => (*param, robot.coordinates()),
@@ -81,7 +81,7 @@ pub(super) fn convert_work(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant
         3 => (one_int(&item(1))?, one_int(&item(2))?),
         _ => return Err(HResult::E_INVALIDARG),
     };
-    let [from, to] = [coordinates(from)?, coordinates(to)?].map(|number| arm.robot.works.get(number));
+    let [from, to] = [work(from)?, work(to)?].map(|number| arm.robot.works.get(number));
     let Pose::Frame(frame, fig) = pose_of(&item(0), ctx)? else { return Err(HResult::E_INVALIDARG) };
     let [x, y, z, rx, ry, rz] = to.inverse().times(&from.times(&frame)).to_xyz_rpy();
     Ok(Value::R8s(measured([x, y, z, rx, ry, rz, fig.map_or(-1.0, f64::from)])).into())
@@ -109,6 +109,14 @@ impl Definition {
             Self::Base => &robot.bases,
         }
     }
+
+    /// Checks the number of a definition.
+    fn number(self, number: i32) -> Result<i32, HResult> {
+        match self {
+            Self::Tool => tool(number),
+            Self::Work | Self::Base => work(number),
+        }
+    }
 }
 
 /// Executes GetToolDef, GetWorkDef or GetBaseDef: the last two have the attribute as seventh number.
@@ -118,7 +126,7 @@ pub(super) fn definition(arm: &Arm, of: Definition, param: &Variant<'_>) -> Answ
 
 /// Returns the numbers of a definition.
 pub(super) fn numbers_of(arm: &Arm, of: Definition, number: i32) -> Result<Value, HResult> {
-    let (definitions, number) = (of.of(&arm.robot), coordinates(number)?);
+    let (definitions, number) = (of.of(&arm.robot), of.number(number)?);
     let mut numbers = measured(definitions.get(number).to_xyz_rpy());
     if of != Definition::Tool {
         numbers.push(definitions.attribute(number).into());
@@ -128,7 +136,7 @@ pub(super) fn numbers_of(arm: &Arm, of: Definition, number: i32) -> Result<Value
 
 /// Executes WorkAttribute.
 pub(super) fn attribute(arm: &mut Arm, _: &mut Context<'_>, param: &Variant<'_>) -> Answered {
-    Ok(Value::I4(arm.robot.works.attribute(coordinates(one_int(param)?)?)).into())
+    Ok(Value::I4(arm.robot.works.attribute(work(one_int(param)?)?)).into())
 }
 
 /// Executes SetToolDef, SetWorkDef or SetBaseDef: `[number, pose]`, the last two perhaps with the attribute.
@@ -170,6 +178,7 @@ fn set_definition(
     (frame, attribute): (Frame, i32),
 ) -> Answered {
     arm.robot.may(ctx, &rules::DEFINITION)?;
+    let number = of.number(number)?;
     let definitions = match of {
         Definition::Tool => &mut arm.robot.tools,
         Definition::Work => &mut arm.robot.works,

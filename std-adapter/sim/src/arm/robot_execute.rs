@@ -12,6 +12,7 @@ use crate::codes::{OTHER_GROUP, UNDEFINED_GROUP, WRONG_KEEP};
 use crate::context::Context;
 use crate::model::Functions;
 use crate::path::Blocked;
+use crate::preparation;
 use crate::robot::{Percent, percent};
 use crate::rules;
 use crate::slave;
@@ -44,10 +45,11 @@ const APPROACH: &str = "[interpolation, pose, length] or [..., option]: interpol
 const DEPART: &str = "[interpolation, length] or [..., option]: interpolation 1 or 2; length in mm: a number, \"@P 30\", or \
                       [30, \"\", \"@P\"]";
 const DEVIATION: &str = "[pose, offset]: two poses in any form, the offset a P or a T";
-const DEFINITION: &str = "one number, 0 to 63";
+const TOOL: &str = "one number, 0 to 63";
+const WORK: &str = "one number, 0 to 7";
 const DEFINE: &str = "[number, pose]: 1 to 63; a P in any form, or its 6 numbers";
 const DEFINE_WORK: &str =
-    "[number, pose] or [number, pose, attribute]: 1 to 63; a P in any form; attribute 0, or 1 fixed tool";
+    "[number, pose] or [number, pose, attribute]: 1 to 7; a P in any form; attribute 0, or 1 fixed tool";
 const SWITCH: &str = "one number: 0 off, otherwise on";
 const AREA: &str = "one number, 0 to 31";
 const PATH: &str = "one number, 1 to 20";
@@ -108,13 +110,13 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     command("RPM", measures::axis_percent).accepts("[axis, revolutions per minute]: axis 1 to 8"),
     command("DPS", measures::turn_percent).accepts("degrees per second, or [axis, degrees per second]: axis 1 to 8"),
     command("OutRange", poses::out_range)
-        .accepts("a pose, or [pose, tool, work]: the pose as text or with its type, tool and work -1 to 63"),
-    command("GetToolDef", |arm, _, param| poses::definition(arm, Definition::Tool, param)).accepts(DEFINITION),
-    command("GetWorkDef", |arm, _, param| poses::definition(arm, Definition::Work, param)).accepts(DEFINITION),
+        .accepts("a pose, or [pose, tool, work]: the pose as text or with its type, tool -1 to 63, work -1 to 7"),
+    command("GetToolDef", |arm, _, param| poses::definition(arm, Definition::Tool, param)).accepts(TOOL),
+    command("GetWorkDef", |arm, _, param| poses::definition(arm, Definition::Work, param)).accepts(WORK),
     command("SetToolDef", |arm, ctx, param| poses::define(arm, ctx, Definition::Tool, param)).accepts(DEFINE),
     command("SetWorkDef", |arm, ctx, param| poses::define(arm, ctx, Definition::Work, param)).accepts(DEFINE_WORK),
-    command("WorkAttribute", poses::attribute).accepts(DEFINITION),
-    command("GetBaseDef", |arm, _, param| poses::definition(arm, Definition::Base, param)).accepts(DEFINITION),
+    command("WorkAttribute", poses::attribute).accepts(WORK),
+    command("GetBaseDef", |arm, _, param| poses::definition(arm, Definition::Base, param)).accepts(WORK),
     command("SetBaseDef", |arm, ctx, param| poses::define(arm, ctx, Definition::Base, param)).accepts(DEFINE_WORK),
     command("GetAreaDef", areas::definition).accepts(AREA),
     command("SetAreaDef", areas::define).accepts(
@@ -214,7 +216,7 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
         .accepts("[mass, centre, inertia]: g, and two arrays of 3 numbers or \"V(x,y,z)\", the last of which may be absent"),
     command("SpeedMode", measures::speed_mode).accepts("one number, 0 to 3"),
     command("ConvertPosWork", poses::convert_work)
-        .accepts("[pose, from] or [pose, from, to]: a pose, and two numbers of work coordinates, 0 to 63"),
+        .accepts("[pose, from] or [pose, from, to]: a pose, and two numbers of work coordinates, 0 to 7"),
     command("CheckVirtualFence", poses::check_fence).accepts("a pose in any form"),
     Command::missing("ForceSensor"),
     Command::missing("ForceValue"),
@@ -328,7 +330,11 @@ fn robot_info(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answ
     .into())
 }
 
-fn external_speed(arm: &mut Arm, _: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+fn external_speed(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    // one I4 was refused by a COBOTTA that needs ManualResetPreparation; programs for older ones send it
+    if matches!(param.flatten(), Variant::I4(_)) && preparation::needs_manual_reset(ctx.config) {
+        return Err(HResult::E_INVALIDARG);
+    }
     let given = numbers(param)?;
     let [speed, rest @ ..] = given.as_slice() else { return Err(HResult::E_INVALIDARG) };
     let square = Percent::of_speed(percent(*speed)?);

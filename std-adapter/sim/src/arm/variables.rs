@@ -7,7 +7,7 @@ use super::Arm;
 use super::readings::{self, Reading};
 use crate::answer::{Answer, Answered};
 use crate::context::Context;
-use crate::robot::{Percent, Settings, coordinates, percent};
+use crate::robot::{Percent, Settings, percent, tool, work};
 use crate::rules;
 use crate::table::Property;
 use crate::value::{TRUTH, Value, number, one_int, truth};
@@ -18,7 +18,8 @@ const fn read(name: &'static str, get: Reading) -> Property<Reading, Write> {
     Property::read(name, get)
 }
 
-const COORDINATES: &str = "one number, 0 to 63";
+const TOOL: &str = "one number, 0 to 63";
+const WORK: &str = "one number, 0 to 7";
 
 /// The variables, in the order of Robot_GetVariableNames.
 pub(crate) const VARIABLES: &[Property<Reading, Write>] = &[
@@ -35,8 +36,8 @@ pub(crate) const VARIABLES: &[Property<Reading, Write>] = &[
     read("@BUSY_STATUS", |arm, _| Value::Bool(arm.robot.is_moving())),
     read("@TYPE_NAME", |_, ctx| Value::from(ctx.config.robot_type.as_str())),
     read("@TYPE", |_, _| Value::I4(0)),
-    read("@CURRENT_TOOL", readings::tool).and_write(put_tool, COORDINATES),
-    read("@CURRENT_WORK", readings::work).and_write(put_work, COORDINATES),
+    read("@CURRENT_TOOL", readings::tool).and_write(put_tool, TOOL),
+    read("@CURRENT_WORK", readings::work).and_write(put_work, WORK),
     read("@SPEED", readings::speed)
         .and_write(|arm, ctx, value| put_internal(arm, ctx, value, |settings| &mut settings.line.speed), PERCENT),
     read("@ACCEL", readings::accel)
@@ -69,13 +70,13 @@ fn put_servo_on(arm: &mut Arm, ctx: &mut Context<'_>, value: &Variant<'_>) -> An
 
 fn put_tool(arm: &mut Arm, ctx: &mut Context<'_>, value: &Variant<'_>) -> Answered {
     arm.robot.may(ctx, &rules::SETTING)?;
-    arm.robot.settings_mut().tool = coordinates(one_int(value)?)?;
+    arm.robot.settings_mut().tool = tool(one_int(value)?)?;
     Ok(Answer::Done)
 }
 
 fn put_work(arm: &mut Arm, ctx: &mut Context<'_>, value: &Variant<'_>) -> Answered {
     arm.robot.may(ctx, &rules::SETTING)?;
-    arm.robot.settings_mut().work = coordinates(one_int(value)?)?;
+    arm.robot.settings_mut().work = work(one_int(value)?)?;
     Ok(Answer::Done)
 }
 
