@@ -12,7 +12,7 @@ use bcap_testkit::value::Value;
 use bcap_testkit::wire::{Link, Wire};
 
 use crate::device::{Options, Refusals};
-use crate::language::{Arg, Setup, Slot, Want};
+use crate::language::{Arg, Model, Setup, Slot, Want};
 use crate::reply::{Came, Reply, hex, oracle, request_text};
 
 /// Why a case ends early.
@@ -58,6 +58,8 @@ pub(crate) struct Bench<'a> {
     pub(crate) last: Option<Sent>,
     /// The values of scratch variables before the case.
     pub(crate) saved: Vec<(String, Value)>,
+    /// The joints that a step of the case has kept.
+    pub(crate) here: Option<Value>,
     /// The external speed before the first case that changed it; `None` when it is restored.
     pub(crate) speed: Option<[f64; 3]>,
     /// Whether the arm was taken, so that the case must give it back.
@@ -100,6 +102,7 @@ impl<'a> Bench<'a> {
             handles,
             last: None,
             saved: Vec::new(),
+            here: None,
             speed: None,
             armed: false,
             way_back: None,
@@ -130,13 +133,7 @@ impl<'a> Bench<'a> {
         }
         self.open_controller()?;
         match setup {
-            Setup::Robot | Setup::Arm => {
-                self.open(
-                    Slot::Robot,
-                    FunctionId::CONTROLLER_GET_ROBOT,
-                    &[Arg::H(Slot::Controller), Arg::S("Arm"), Arg::S("")],
-                )?;
-            }
+            Setup::Robot | Setup::Arm => self.open_robot()?,
             Setup::Task => self.open_task()?,
             _ => {}
         }
@@ -152,6 +149,24 @@ impl<'a> Bench<'a> {
         let reply = self.exchange(FunctionId::CONTROLLER_CONNECT, args.to_vec())?;
         self.check(FunctionId::CONTROLLER_CONNECT, &reply, Want::Ok, Refusals::Fail)?;
         self.keep(Slot::Controller, &reply)
+    }
+
+    pub(crate) fn open_robot(&mut self) -> Result<(), Stop> {
+        let args = [Arg::H(Slot::Controller), Arg::S("Arm"), Arg::S("")];
+        self.open(Slot::Robot, FunctionId::CONTROLLER_GET_ROBOT, &args)
+    }
+
+    /// Returns the model of the device, by the type of its robot and the provider.
+    pub(crate) fn model(&mut self) -> Option<Model> {
+        self.setup(Setup::Robot).ok()?;
+        let reply = self.robot_command("GetRobotTypeName", "0,").ok().filter(|reply| reply.code.is_ok())?;
+        let Some(Value::Bstr(units)) = reply.value() else { return None };
+        Some(match String::from_utf16_lossy(units) {
+            name if name.starts_with("CVRB") => Model::CobottaPro,
+            name if name.starts_with("CVR") => Model::Cobotta,
+            _ if self.options.provider.to_ascii_uppercase().ends_with("VRC9") => Model::Rc9,
+            _ => Model::Rc8,
+        })
     }
 
     fn open_task(&mut self) -> Result<(), Stop> {

@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 
 use crate::bench::{Bench, Stop};
-pub(crate) use crate::language::{Arg, Edit, LineWant, Reaction, Setup, Slot, Step, Want};
+pub(crate) use crate::language::{Arg, Edit, LineWant, Model, Reaction, Setup, Slot, Step, Want};
 pub use crate::language::{Group, Level};
 use bcap_testkit::wire::Link;
 
@@ -14,12 +14,14 @@ pub struct Case {
     pub(crate) name: Cow<'static, str>,
     pub(crate) group: Group,
     pub(crate) level: Level,
-    /// The lines of the specification.
+    /// The lines of the specification, or where the answer was seen.
     pub(crate) source: &'static str,
     /// The rule in one sentence.
     pub(crate) rule: &'static str,
     /// The link without which the case does not apply.
     pub(crate) only: Option<Link>,
+    /// The models that the answer was seen of; none for a case of the specification.
+    pub(crate) models: Vec<Model>,
     pub(crate) setup: Setup,
     pub(crate) body: Body,
 }
@@ -43,7 +45,7 @@ impl Case {
         self.level
     }
 
-    /// Returns the lines of the specification that the case tests.
+    /// Returns the lines of the specification that the case tests; for an answer of a real controller, where it was seen.
     #[must_use]
     pub const fn source(&self) -> &'static str {
         self.source

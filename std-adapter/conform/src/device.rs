@@ -38,7 +38,8 @@ pub struct Options {
     pub option: String,
     /// The name of the task for the cases of tasks.
     pub task: String,
-    /// The index of the variables that cases of level `write` may write: I90, F90, D90, S90, V90, P90, J90, T90.
+    /// The index of the variables that cases of level `write` may write: I49, F49, D49, S49, V49, P49, J49, T49. A real RC8A has 50 of
+    /// D, S, V and T.
     pub scratch: u32,
 }
 
@@ -57,7 +58,7 @@ impl Options {
             machine: "localhost".into(),
             option: String::new(),
             task: "Pro1".into(),
-            scratch: 90,
+            scratch: 49,
         }
     }
 

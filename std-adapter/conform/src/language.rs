@@ -44,11 +44,13 @@ pub enum Group {
     Slave,
     /// The text protocol.
     Rac,
+    /// Answers of real controllers that no specification has. A difference is not a failure.
+    Seen,
 }
 
 impl Group {
     /// All groups, in the order in which they run.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::Frames,
         Self::Arguments,
         Self::Types,
@@ -60,6 +62,7 @@ impl Group {
         Self::Tasks,
         Self::Slave,
         Self::Rac,
+        Self::Seen,
     ];
 
     /// Returns the name, as in the names of its cases.
@@ -77,6 +80,7 @@ impl Group {
             Self::Tasks => "tasks",
             Self::Slave => "slave",
             Self::Rac => "rac",
+            Self::Seen => "seen",
         }
     }
 }
@@ -84,6 +88,33 @@ impl Group {
 impl fmt::Display for Group {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())
+    }
+}
+
+/// A model of controller that answers were seen of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Model {
+    /// RC8 or RC8A.
+    Rc8,
+    Rc9,
+    Cobotta,
+    CobottaPro,
+}
+
+impl Model {
+    /// All models, with their words in the tables.
+    pub(crate) const WORDS: [(&'static str, Self); 4] =
+        [("rc8", Self::Rc8), ("rc9", Self::Rc9), ("cobotta", Self::Cobotta), ("cobotta-pro", Self::CobottaPro)];
+}
+
+impl fmt::Display for Model {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Rc8 => "RC8",
+            Self::Rc9 => "RC9",
+            Self::Cobotta => "COBOTTA",
+            Self::CobottaPro => "COBOTTA PRO",
+        })
     }
 }
 
@@ -182,6 +213,12 @@ pub(crate) enum Step {
     Save(&'static str),
     /// Sends a line of RAC and checks the answer.
     Line(&'static str, LineWant),
+    /// Makes a step as another client, in a new session with controller and robot.
+    Other(&'static Step),
+    /// Keeps the present joints.
+    Here,
+    /// Sends the kept joints as a pose of Slave Mode.
+    SlvMove(Want),
 }
 
 /// A change of a valid Service_Start.

@@ -8,6 +8,9 @@
 //!  report   results as text, JSON (serde) and JUnit
 //! ```
 //!
+//! Most cases are of the specifications. Those of the group `seen` are answers of real controllers that no specification has:
+//! a device that answers otherwise [differs](Verdict::Differs), and does not fail.
+//!
 //! [`run`] judges a device: a controller, a gateway, another implementation. No client logic is between a case and the
 //! socket, so wrong frames can be sent, and nothing hides a wrong reply. Every wait has a time limit. [`ClientJudge`] is a
 //! controller that judges its clients.
@@ -36,6 +39,7 @@ mod report;
 mod steps;
 mod undo;
 
+use std::cell::OnceCell;
 use std::time::Instant;
 
 pub use bcap_testkit::wire::Link;
@@ -45,6 +49,7 @@ pub use device::{Options, Target};
 pub use report::{CaseResult, Report, Verdict};
 
 use bench::{Bench, REFUSAL_PAUSE, REFUSALS, Stop};
+use language::Model;
 
 /// Returns all cases for devices, by group.
 #[must_use]
@@ -59,6 +64,7 @@ pub fn run(options: &Options, mut each: impl FnMut(&CaseResult), ended: impl Fn(
     let mut report = Report::default();
     // the next case restores values that this one could not restore
     let mut speed = None;
+    let model = OnceCell::new();
     for case in cases() {
         let name = case.name();
         let wanted = (options.groups.is_empty() || options.groups.contains(&case.group))
@@ -69,7 +75,7 @@ pub fn run(options: &Options, mut each: impl FnMut(&CaseResult), ended: impl Fn(
         if ended() {
             break;
         }
-        let result = judge(case, options, &ended, &mut speed);
+        let result = judge(case, options, &model, &ended, &mut speed);
         each(&result);
         report.results.push(result);
     }
@@ -102,9 +108,17 @@ fn may_run_again(case: &Case, bench: &Bench<'_>) -> bool {
     case.level == Level::Read && bench.refused && !bench.has_reply && bench.repeats < REFUSALS
 }
 
+/// Returns why a case of what was seen on other models does not apply.
+fn of_another_model(case: &Case, device: Option<Model>) -> Option<String> {
+    let Some(device) = device else { return Some("the type of the robot is not known".into()) };
+    let models = case.models.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
+    (!case.models.contains(&device)).then(|| format!("seen on {models}; the device is an {device}"))
+}
+
 fn judge<'a>(
     case: &Case,
     options: &'a Options,
+    model: &OnceCell<Option<Model>>,
     ended: &'a dyn Fn() -> bool,
     speed: &mut Option<[f64; 3]>,
 ) -> CaseResult {
@@ -116,7 +130,10 @@ fn judge<'a>(
         bench
     };
     let mut bench = new_bench(*speed);
-    let mut outcome = match inapplicable(case, options) {
+    let model = || *model.get_or_init(|| Bench::new(options, link).model());
+    let inapplicable = inapplicable(case, options)
+        .or_else(|| (case.group == Group::Seen).then(|| of_another_model(case, model())).flatten());
+    let mut outcome = match inapplicable {
         Some(reason) => Err(Stop::Skip(reason)),
         None => bench.run(case),
     };
@@ -131,7 +148,10 @@ fn judge<'a>(
     let (verdict, reason, expected, came) = match outcome {
         Ok(()) => (Verdict::Pass, None, None, None),
         Err(Stop::Skip(reason)) => (Verdict::Skip, Some(reason), None, None),
-        Err(Stop::Fail { expected, came }) => (Verdict::Fail, None, Some(expected), Some(came)),
+        Err(Stop::Fail { expected, came }) => {
+            let verdict = if case.group == Group::Seen { Verdict::Differs } else { Verdict::Fail };
+            (verdict, None, Some(expected), Some(came))
+        }
     };
     CaseResult {
         name: case.name(),
@@ -139,6 +159,7 @@ fn judge<'a>(
         level: Some(case.level),
         source: case.source,
         rule: case.rule,
+        seen_on: (case.group == Group::Seen).then(model).flatten().map(|model| model.to_string()),
         verdict,
         reason,
         expected,

@@ -14,6 +14,8 @@ pub enum Verdict {
     Pass,
     /// The device breaks the rule.
     Fail,
+    /// The device answers otherwise than a real controller of its model was seen to.
+    Differs,
     /// The case did not run, or does not apply to the device.
     Skip,
 }
@@ -29,10 +31,13 @@ pub struct CaseResult {
     /// The level; none for a case of a client.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub level: Option<Level>,
-    /// The lines of the specification.
+    /// The lines of the specification, or where the answer was seen.
     pub source: &'static str,
     /// The rule in one sentence.
     pub rule: &'static str,
+    /// The model that the answer was seen on; none for a case of the specification.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub seen_on: Option<String>,
     /// The outcome.
     pub verdict: Verdict,
     /// Why the case was skipped.
@@ -52,25 +57,32 @@ pub struct CaseResult {
 }
 
 impl CaseResult {
-    /// Returns the result as lines of text; only a failure has the exchange.
+    /// Returns the result as lines of text; only a failure or a difference has the exchange.
     #[must_use]
     pub fn text(&self) -> String {
         let Self { name, source, rule, .. } = self;
         match self.verdict {
             Verdict::Pass => format!("pass {name}"),
             Verdict::Skip => format!("skip {name}: {}", self.reason.as_deref().unwrap_or_default()),
-            Verdict::Fail => {
-                let mut out = format!("FAIL {name}\n  rule:     {rule} ({source})");
-                for line in &self.exchange {
-                    // writing to a string cannot fail, here and below
-                    let _ = write!(out, "\n  {line}");
-                }
-                let (expected, came) = (self.expected.as_deref(), self.came.as_deref());
-                let _ = write!(out, "\n  expected: {}", expected.unwrap_or_default());
-                let _ = write!(out, "\n  came:     {}", came.unwrap_or_default());
-                out
+            Verdict::Fail => self.exchanged(format!("FAIL {name}\n  rule:     {rule} ({source})")),
+            Verdict::Differs => {
+                let model = self.seen_on.as_deref().unwrap_or_default();
+                let first = format!("DIFF {name}: differs from what was seen on {model} ({source})");
+                self.exchanged(format!("{first}\n  seen:     {rule}"))
             }
         }
+    }
+
+    /// Appends the exchange, what was expected and what came.
+    fn exchanged(&self, mut out: String) -> String {
+        for line in &self.exchange {
+            // writing to a string cannot fail, here and below
+            let _ = write!(out, "\n  {line}");
+        }
+        let (expected, came) = (self.expected.as_deref(), self.came.as_deref());
+        let _ = write!(out, "\n  expected: {}", expected.unwrap_or_default());
+        let _ = write!(out, "\n  came:     {}", came.unwrap_or_default());
+        out
     }
 }
 
@@ -93,12 +105,23 @@ impl Report {
         self.results.iter().filter(|result| result.verdict == Verdict::Fail).map(|result| result.name.as_str())
     }
 
-    /// Returns the numbers of the results in one line.
+    /// Returns the numbers of the results in one line: those of the specification, then those of what was seen, if any ran.
     #[must_use]
     pub fn summary(&self) -> String {
+        let (seen, specified): (Vec<_>, Vec<_>) =
+            self.results.iter().partition(|result| result.group == Some(Group::Seen));
+        let count =
+            |results: &[&CaseResult], verdict| results.iter().filter(|result| result.verdict == verdict).count();
         let [passed, failed, skipped] =
-            [Verdict::Pass, Verdict::Fail, Verdict::Skip].map(|verdict| self.count(verdict));
-        format!("{} cases: {passed} passed, {failed} failed, {skipped} skipped", self.results.len())
+            [Verdict::Pass, Verdict::Fail, Verdict::Skip].map(|verdict| count(&specified, verdict));
+        let mut out = format!("{} cases: {passed} passed, {failed} failed, {skipped} skipped", specified.len());
+        let [same, differ] = [Verdict::Pass, Verdict::Differs].map(|verdict| count(&seen, verdict));
+        if same + differ > 0 {
+            // writing to a string cannot fail
+            let _ =
+                write!(out, "; {} answers seen on a controller: {same} the same, {differ} different", same + differ);
+        }
+        out
     }
 
     /// Returns the report as a file of JUnit.
@@ -110,7 +133,7 @@ impl Report {
             "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<testsuite name=\"bcap conform\" tests=\"{}\" failures=\"{}\" skipped=\"{}\" time=\"{}\">\n",
             self.results.len(),
             self.count(Verdict::Fail),
-            self.count(Verdict::Skip),
+            self.count(Verdict::Skip) + self.count(Verdict::Differs),
             seconds(total)
         );
         for result in &self.results {
@@ -124,8 +147,9 @@ impl Report {
             );
             out.push_str(&match result.verdict {
                 Verdict::Pass => "/>\n".into(),
-                Verdict::Skip => {
-                    let reason = xml(result.reason.as_deref().unwrap_or_default());
+                Verdict::Skip | Verdict::Differs => {
+                    let reason = result.reason.clone().unwrap_or_else(|| result.text());
+                    let reason = xml(&reason);
                     format!("><skipped message=\"{reason}\"/></testcase>\n")
                 }
                 Verdict::Fail => {
@@ -168,6 +192,7 @@ mod tests {
             level: Some(Level::Read),
             source: "b-CAP specification, section title",
             rule: "a & b",
+            seen_on: None,
             verdict: Verdict::Fail,
             reason: None,
             expected: Some("\"x\"".into()),

@@ -8,7 +8,7 @@ use bcap_testkit::value::Value;
 use crate::bench::{Bench, Stop, fail};
 use crate::case::{Body, Case};
 use crate::device::Refusals;
-use crate::language::{Arg, Setup, Step, Want};
+use crate::language::{Arg, Setup, Slot, Step, Want};
 use crate::line;
 use crate::reply::request_text;
 
@@ -59,7 +59,29 @@ impl Bench<'_> {
             Step::ConnectController => self.open_controller(),
             Step::Save(kind) => self.save(kind),
             Step::Line(line, want) => line::check(self, line, want),
+            Step::Other(step) => self.as_another(step),
+            Step::Here => {
+                let reply = self.robot_command("CurJnt", "0,")?;
+                self.check(FunctionId::ROBOT_EXECUTE, &reply, Want::Array(5, 8), Refusals::Skip)?;
+                self.here = reply.args.into_iter().next();
+                Ok(())
+            }
+            Step::SlvMove(want) => {
+                let Some(here) = self.here.clone() else { return fail("the present joints", "they were not read") };
+                let args = vec![self.argument(&Arg::H(Slot::Robot))?, Value::text("slvMove"), here];
+                let reply = self.exchange(FunctionId::ROBOT_EXECUTE, args)?;
+                self.check(FunctionId::ROBOT_EXECUTE, &reply, want, Refusals::Skip)
+            }
         }
+    }
+
+    /// Makes a step in a new session of another client. Its refusals are those of this case, too.
+    fn as_another(&mut self, step: &Step) -> Result<(), Stop> {
+        let mut other = self.another()?;
+        let made = other.open_controller().and_then(|()| other.open_robot()).and_then(|()| other.step(step));
+        self.caused.append(&mut other.caused);
+        self.log.extend(other.log.drain(..).map(|line| format!("other client: {line}")));
+        made
     }
 
     /// Sends Service_Start in pieces, each after a pause.

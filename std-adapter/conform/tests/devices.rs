@@ -1,21 +1,29 @@
 //! Correct devices pass: the virtual controllers over TCP and UDP, and the server of a small device.
 
 use std::collections::BTreeSet;
+use std::time::Duration;
 
 use crate::common::{Served, provider, report};
 use bcap_conform::{Group, Level, Link, Report, Verdict, cases};
 use bcap_core::device::{Device, DeviceVariable, assign};
-use bcap_sim::{Config, Controller, Profile};
+use bcap_sim::{Config, Controller, Profile, Scenario};
 
-/// Runs all cases against a virtual controller: none fails, and only cases of the other link and of `absent` are skipped.
+/// Runs all cases against a virtual controller: none fails or differs, and only cases of the other link, of other models and of
+/// `absent` are skipped.
 fn passes(profile: Profile, link: Link, absent: &[&str]) {
-    let served = Served::start(Controller::new(Config::new(profile)));
+    // an RC8A takes more than a second
+    let config = Config { motor_on_delay: Duration::from_millis(300), ..Config::new(profile) };
+    let served = Served::start(Controller::new(config));
     let mut options = served.options(link, Level::Motion);
     options.provider = provider(profile);
     let report = report(&options);
     assert_eq!(report.failures().collect::<Vec<_>>(), [""; 0]);
+    assert_eq!(report.count(Verdict::Differs), 0);
+    assert!(report.results.iter().any(|result| result.seen_on.is_some() && result.verdict == Verdict::Pass));
     let reasons = report.results.iter().filter_map(|result| Some((result.name.as_str(), result.reason.as_deref()?)));
-    let skipped = reasons.filter(|(_, reason)| !reason.starts_with("a case of ")).map(|(name, _)| name);
+    let skipped = reasons
+        .filter(|(_, reason)| !reason.starts_with("a case of ") && !reason.starts_with("seen on "))
+        .map(|(name, _)| name);
     assert_eq!(skipped.collect::<Vec<_>>(), absent);
 }
 
@@ -47,6 +55,56 @@ fn the_cobotta_passes_over_tcp() {
 #[test]
 fn the_cobotta_passes_over_udp() {
     passes(Profile::Cobotta, Link::Udp, &["slave/receive-hand-io"]);
+}
+
+#[test]
+fn the_rc8a_passes_over_tcp() {
+    passes(Profile::Rc8a, Link::Tcp, &[]);
+}
+
+#[test]
+fn the_cobotta_pro_passes_over_tcp() {
+    passes(Profile::CobottaPro, Link::Tcp, &[]);
+}
+
+/// Each answer that was seen names its observations, which the tests of the virtual controller play.
+#[test]
+fn answers_that_were_seen_name_their_observations() {
+    let observations = include_str!("../../sim/tests/provider/observations.toml");
+    for case in cases().iter().filter(|case| case.group() == Group::Seen) {
+        let (_, names) = case.source().rsplit_once("; ").unwrap_or_else(|| panic!("{}", case.name()));
+        for name in names.split(' ') {
+            let (_, observation) = observations.split_once(&format!("[{name}]\n")).unwrap_or_else(|| panic!("{name}"));
+            let observation = observation.split("\n\n").next().unwrap();
+            assert!(observation.contains("\nplay = ") && !observation.contains("\ndiffers = "), "{name}");
+        }
+    }
+}
+
+/// A controller that answers otherwise than its model differs from what was seen, and does not fail.
+#[test]
+fn a_controller_that_answers_otherwise_differs() {
+    let fault = "[[fault]]\nwhen = { call = 1, of = 'CurFig' }\nthen = { refuse = '0x80004005' }";
+    let mut controller = Controller::new(Config::new(Profile::Cobotta));
+    controller.play(Scenario::parse(fault).unwrap());
+    let served = Served::start(controller);
+    let mut options = served.options(Link::Tcp, Level::Read);
+    options.groups = vec![Group::Seen];
+    let report = report(&options);
+    let differing: Vec<_> = report.results.iter().filter(|result| result.verdict == Verdict::Differs).collect();
+    let [result] = differing[..] else { panic!("{differing:?}") };
+    let text = result.text();
+    assert!(
+        text.starts_with("DIFF seen/figure: differs from what was seen on COBOTTA (haraisao/cobotta_client; P077)"),
+        "{text}"
+    );
+    assert_eq!(report.failures().count(), 0);
+    let summary = report.summary();
+    assert!(
+        summary.starts_with("0 cases: 0 passed, 0 failed, 0 skipped; ") && summary.ends_with("1 different"),
+        "{summary}"
+    );
+    assert!(report.junit().contains("failures=\"0\""), "{}", report.junit());
 }
 
 #[test]

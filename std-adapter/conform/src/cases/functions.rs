@@ -51,6 +51,7 @@ fn made(function: FunctionId, group: Group, prefix: &str, rule: &'static str, ar
         source: TABLE,
         rule,
         only: None,
+        models: Vec::new(),
         setup: Setup::Started,
         body: Body::Steps(Cow::Owned(vec![step])),
     }

@@ -44,6 +44,7 @@ const fn source(group: Group) -> &'static str {
         Group::Tasks => include_str!("tasks.cases"),
         Group::Slave => include_str!("slave.cases"),
         Group::Rac => include_str!("rac.cases"),
+        Group::Seen => include_str!("seen.cases"),
     }
 }
 
@@ -58,7 +59,7 @@ const fn named(group: Group) -> &'static [(&'static str, Run)] {
         Group::Tasks => tasks::FUNCTIONS,
         Group::Slave => slave::FUNCTIONS,
         Group::Rac => rac::FUNCTIONS,
-        Group::Arguments | Group::Types | Group::Variables => &[],
+        Group::Arguments | Group::Types | Group::Variables | Group::Seen => &[],
     }
 }
 
@@ -81,9 +82,11 @@ mod tests {
 
     #[test]
     fn the_level_of_a_case_allows_the_effects_of_its_calls() {
+        let mut wrong = Vec::new();
         for case in all() {
             let Body::Steps(steps) = &case.body else { continue };
             for step in steps.iter() {
+                let step = if let Step::Other(step) = step { step } else { step };
                 let (Step::Call(function, args, _) | Step::Must(function, args, _) | Step::Open(_, function, args)) =
                     step
                 else {
@@ -92,8 +95,11 @@ mod tests {
                 // a function or a command that does not exist has no effect
                 let is_known =
                     function.signature().is_some() && !args.iter().any(|arg| matches!(arg, Arg::S("NoSuchCommand")));
-                assert!(!is_known || level(*function, args) <= case.level, "{}: {step:?}", case.name());
+                if is_known && level(*function, args) > case.level {
+                    wrong.push(format!("{}: {step:?}", case.name()));
+                }
             }
         }
+        assert_eq!(wrong, [""; 0]);
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! # a comment
-//! NAME | SETUP [write|motion] [tcp|udp] | SOURCE | RULE
+//! NAME | SETUP [write|motion] [tcp|udp] [rc8] [rc9] [cobotta] [cobotta-pro] | SOURCE | RULE
 //!     call Variable_GetValue @A -> I4              a function that the device does not have skips the case
 //!     must Service_Start "WDT=400" -> void         a function that every device has
 //!     open A Controller_GetVariable @Controller "I1" ""     keeps the handle as @A
@@ -14,11 +14,13 @@
 //!     reconnect, reconnect controller, connect     another session; with the controller; the controller once more
 //!     save I                                       restores the scratch variable of this kind after the case
 //!     line "GET:RC8:1:I:\r" -> I4                  a line of RAC
+//!     other STEP                                   the step of another client, in a new session
+//!     here, slvmove -> R8[8]                       keeps the present joints; sends them as a pose of Slave Mode
 //! ```
 //!
 //! Functions and values are written as in the steps of `bcap-testkit`; `@A:UI4` sends a handle as UI4, and `{n}` in a text is the
 //! index of the scratch variables. After `->` comes what must be replied: `ok`, `void`, a type as `I4`, `R4[7]` or `BSTR[]`,
-//! `= 3,77` a value, `E_HANDLE|E_FAIL` codes, `refused` any error. The bytes of an edit are pairs of digits; `41*590` repeats
+//! `= 3,77` a value, `E_HANDLE|83501024` codes, `refused` any error. The bytes of an edit are pairs of digits; `41*590` repeats
 //! them, and `+` joins parts. A case without steps is a function in the Rust file of its group.
 
 use std::borrow::Cow;
@@ -29,7 +31,7 @@ use bcap_testkit::step::{function, unhex, unquote, value, words};
 use bcap_testkit::text;
 use bcap_testkit::wire::Link;
 
-use crate::case::{Arg, Body, Case, Edit, Group, Level, LineWant, Reaction, Run, Setup, Slot, Step, Want};
+use crate::case::{Arg, Body, Case, Edit, Group, Level, LineWant, Model, Reaction, Run, Setup, Slot, Step, Want};
 
 /// Reads the cases of a group, whose functions are those of the cases without steps.
 ///
@@ -68,6 +70,7 @@ fn head(group: Group, line: &'static str) -> Result<Case, String> {
         source,
         rule,
         only: None,
+        models: Vec::new(),
         setup: match setup {
             "rac" => Setup::Rac,
             "connected" => Setup::Connected,
@@ -86,13 +89,22 @@ fn head(group: Group, line: &'static str) -> Result<Case, String> {
             "motion" => case.level = Level::Motion,
             "tcp" => case.only = Some(Link::Tcp),
             "udp" => case.only = Some(Link::Udp),
-            _ => return Err(format!("{option:?} is neither a level nor a link")),
+            _ => match Model::WORDS.iter().find(|(word, _)| *word == option) {
+                Some((_, model)) => case.models.push(*model),
+                None => return Err(format!("{option:?} is neither a level, nor a link, nor a model")),
+            },
         }
+    }
+    if (group == Group::Seen) == case.models.is_empty() {
+        return Err(format!("{name}: answers that were seen, and only they, have a model"));
     }
     Ok(case)
 }
 
 fn step(line: &'static str) -> Result<Step, String> {
+    if let Some(other) = line.strip_prefix("other ") {
+        return Ok(Step::Other(Box::leak(Box::new(step(other)?))));
+    }
     let (line, wanted) = line.rsplit_once(" -> ").map_or((line, None), |(line, wanted)| (line, Some(wanted)));
     let words = words(line)?;
     let wanted = || wanted.ok_or_else(|| format!("{line:?} needs -> and what must be replied"));
@@ -115,6 +127,8 @@ fn step(line: &'static str) -> Result<Step, String> {
         ["reconnect", "controller"] => Step::ReconnectController,
         ["connect"] => Step::ConnectController,
         ["save", kind] => Step::Save(kind),
+        ["here"] => Step::Here,
+        ["slvmove"] => Step::SlvMove(want(wanted()?)?),
         ["line", line] => Step::Line(unquote(line)?.leak(), line_want(wanted()?)?),
         _ => return Err(format!("{line:?} is no step")),
     })
@@ -192,7 +206,13 @@ fn vartype(text: &str) -> Option<(u16, Option<usize>)> {
 }
 
 fn codes(text: &str) -> Result<&'static [HResult], String> {
-    let code = |name| HResult::from_name(name).ok_or_else(|| format!("{name:?} is neither a type nor a code"));
+    let number =
+        |digits: &str| u32::from_str_radix(digits, 16).ok().filter(|_| digits.len() == 8).map(HResult::from_u32);
+    let code = |name| {
+        HResult::from_name(name)
+            .or_else(|| number(name))
+            .ok_or_else(|| format!("{name:?} is neither a type nor a code"))
+    };
     let codes = text.split('|').map(code).collect::<Result<Vec<_>, _>>()?;
     Ok(codes.leak())
 }

@@ -64,6 +64,7 @@ pub(super) fn system() -> impl Iterator<Item = Case> {
             source: "b-CAP specification, section 4.1.6",
             rule: "a system variable has the type of the provider guide",
             only: None,
+            models: Vec::new(),
             setup: *setup,
             body: Body::Steps(Cow::Owned(table)),
         }

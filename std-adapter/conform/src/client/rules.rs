@@ -218,7 +218,20 @@ impl Rules {
             let exchange = if verdict == Verdict::Fail { log.clone() } else { Vec::new() };
             let name = format!("client/{name}");
             let (group, level) = (None, None);
-            CaseResult { name, group, level, source, rule, verdict, reason, expected, came, exchange, milliseconds: 0 }
+            CaseResult {
+                name,
+                group,
+                level,
+                source,
+                rule,
+                seen_on: None,
+                verdict,
+                reason,
+                expected,
+                came,
+                exchange,
+                milliseconds: 0,
+            }
         });
         made.collect()
     }

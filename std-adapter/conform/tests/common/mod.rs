@@ -64,7 +64,7 @@ impl Drop for Served {
 /// The provider of a model.
 pub(crate) fn provider(profile: Profile) -> String {
     match profile {
-        Profile::Rc9 => "CaoProv.DENSO.VRC9".into(),
+        Profile::Rc9 | Profile::CobottaPro => "CaoProv.DENSO.VRC9".into(),
         _ => "CaoProv.DENSO.VRC".into(),
     }
 }

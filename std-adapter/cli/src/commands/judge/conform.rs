@@ -17,11 +17,15 @@ use crate::output::{print_block, print_json, print_line};
 use crate::session::Session;
 use crate::session::connect::not_connected;
 
-/// Judges a controller, a gateway or another server by the cases of the specification, or a client
+/// Judges a controller, a gateway or another server by the cases of the specifications and by answers of real controllers, or a
+/// client
 ///
 /// Each case has its own connection. A failure is printed with what was sent and received, what was expected and what came; a
 /// skipped case with the reason. The address of --robot chooses the link of b-CAP, TCP or UDP. RAC is at the same host.
 /// docs/conformance.md describes the groups.
+///
+/// The group `seen` has answers of real controllers that no specification has. A device of the same model that answers otherwise
+/// differs, and does not fail.
 ///
 /// The exit code is 0 if no case failed, otherwise 1. Ctrl-C ends the run after the present case; with --level motion it
 /// halts the robot first, and the case restores what it changed.
@@ -44,7 +48,7 @@ pub(crate) struct Conform {
     #[arg(long)]
     pub(crate) yes_the_robot_may_move: bool,
 
-    /// Runs only this group; may be repeated
+    /// Runs only this group, such as slave or seen; may be repeated
     #[arg(long, value_name = "GROUP", value_parser = group)]
     pub(crate) group: Vec<Group>,
 
@@ -61,7 +65,7 @@ pub(crate) struct Conform {
     pub(crate) junit: bool,
 
     /// The index of the variables I F D S V P J T that --level write writes and restores
-    #[arg(long, value_name = "INDEX", default_value_t = 90)]
+    #[arg(long, value_name = "INDEX", default_value_t = 49)]
     pub(crate) scratch: u32,
 
     /// The task of the cases of tasks; --level motion starts and stops it
