@@ -440,7 +440,7 @@ fn every_sequence_runs_in_its_models_over_both_links() {
     let played: BTreeSet<Link> = ended.iter().flat_map(|(_, (total, _))| total.links.clone()).collect();
     println!("{} sequences, {calls} calls, {} models, {} links", chosen.len(), ended.len(), played.len());
     if only.is_empty() {
-        assert!(chosen.len() >= 68 && calls >= 60_000, "sequences or calls are missing");
+        assert!(chosen.len() >= 69 && calls >= 60_000, "sequences or calls are missing");
         assert_eq!(played, BTreeSet::from([Link::Tcp, Link::Udp]));
     }
     for (model, (total, _)) in &ended {

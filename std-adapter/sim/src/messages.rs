@@ -18,7 +18,7 @@
 //! | Message_Reply                 | `S_FALSE`: no message asks for a reply | likewise                             |
 //! | Message_Clear                 | `S_OK`                               | likewise                               |
 //!
-//! No public source says which messages a real controller sends. The maker's own tools show that errors are among them.
+//! A real controller sends errors and changes of state (RC8 provider guide, table 3-1); the guide has no numbers of messages.
 
 use std::collections::{BTreeMap, VecDeque};
 

@@ -131,6 +131,6 @@ impl Preparation {
 }
 
 /// Tells whether the model and its version have ManualResetPreparation.
-pub(crate) fn needs_manual_reset(config: &Config) -> bool {
+fn needs_manual_reset(config: &Config) -> bool {
     config.model.functions.preparation && config.version_is_from(&[2, 8, 0])
 }

@@ -638,7 +638,7 @@ macro_rules! for_each_function {
             /// * It halts a motion that Robot_Move has started with the option NEXT (b-CAP specification, section
             ///   4.3.4). A motion without NEXT blocks its connection until its end; halt it over a second connection.
             /// * The virtual controller answers at rest, with S_FALSE if nothing moved; the halted call ends with
-            ///   E_ABORT.
+            ///   E_MOTION_STOPPED, which remains an error until ClearError, as in the log of a real RC8A.
             /// * Controllers: all (b-CAP specification, section 4.3.4).
             70 ROBOT_HALT robot_halt "RobotHalt" Robot (robot: Robot, option: Text) Nothing, Moves Allowed;
 
@@ -669,8 +669,9 @@ macro_rules! for_each_function {
             /// * Returns no value.
             /// * Needs Auto mode, the executable token for this client, no error, the arm authority (TakeArm) and the
             ///   motor on (b-CAP specification, sections 3, 4.3.2 and 4.3.3).
-            /// * A motion command while the robot moves is refused with E_ROBOTISBUSY (RAC specification, Table 2-3).
-            ///   After Robot_Halt the virtual controller ends the call with E_ABORT.
+            /// * A motion command while another client's motion runs is refused with E_ROBOTISBUSY (RAC specification,
+            ///   Table 2-3). In the virtual controller the motions of the same client join a queue.
+            /// * After Robot_Halt the virtual controller ends the call with E_MOTION_STOPPED, as a real RC8A did.
             /// * A client that stops waiting for the reply does not stop the motion. Robot_Halt does, over a second
             ///   connection while this one waits.
             /// * Controllers: all (b-CAP specification, sections 4.3.4 and 5.6.1).
@@ -679,16 +680,16 @@ macro_rules! for_each_function {
             /// Rotates the robot in a plane about a pivot: the statement ROTATE.
             ///
             /// * `robot`: its handle, from Controller_GetRobot.
-            /// * `surface`: the plane of rotation (VARIANT); the specification does not define its form.
+            /// * `surface`: the plane of rotation (VARIANT): `XY`, `YZ`, `ZX`, `XYH`, `YZH`, `ZXH`, or three points V
+            ///   (RC8 provider guide, 5.2.26).
             /// * `degrees`: the angle, in degrees.
-            /// * `pivot`: the point about which it rotates (VARIANT); the specification does not define its form.
-            /// * `option`: motion options, as for Robot_Move.
+            /// * `pivot`: the point about which it rotates (VARIANT), such as `V(0, 0, 0)`.
+            /// * `option`: motion options, as for Robot_Move, and `Pose=`.
             /// * Returns no value.
             /// * Needs Auto mode, the executable token for this client, no error, the arm authority (TakeArm) and the
             ///   motor on (b-CAP specification, sections 3, 4.3.2 and 4.3.3).
             /// * A client that stops waiting for the reply does not stop the motion. Robot_Halt does, over a second
             ///   connection while this one waits.
-            /// * The virtual controller answers E_NOTIMPL.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL.
             73 ROBOT_ROTATE robot_rotate "RobotRotate" Robot (robot: Robot, surface: Any, degrees: Float, pivot: Any, option: Text) Nothing, Moves Refused;
 
@@ -834,7 +835,6 @@ macro_rules! for_each_function {
             /// * `task`: its handle, from Controller_GetTask.
             /// * `option`: an option string; the specification lists no options.
             /// * Returns no value.
-            /// * The virtual controller answers E_NOTIMPL.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL.
             90 TASK_DELETE task_delete "TaskDelete" Task (task: Task, option: Text) Nothing, Writes Unknown;
 

@@ -12,7 +12,6 @@ use crate::codes::{OTHER_GROUP, UNDEFINED_GROUP, WRONG_KEEP};
 use crate::context::Context;
 use crate::model::Functions;
 use crate::path::Blocked;
-use crate::preparation;
 use crate::robot::{Percent, percent};
 use crate::rules;
 use crate::slave;
@@ -330,11 +329,7 @@ fn robot_info(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answ
     .into())
 }
 
-fn external_speed(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
-    // one I4 was refused by a COBOTTA that needs ManualResetPreparation; programs for older ones send it
-    if matches!(param.flatten(), Variant::I4(_)) && preparation::needs_manual_reset(ctx.config) {
-        return Err(HResult::E_INVALIDARG);
-    }
+fn external_speed(arm: &mut Arm, _: &mut Context<'_>, param: &Variant<'_>) -> Answered {
     let given = numbers(param)?;
     let [speed, rest @ ..] = given.as_slice() else { return Err(HResult::E_INVALIDARG) };
     let square = Percent::of_speed(percent(*speed)?);

@@ -169,7 +169,7 @@ impl World {
         }
         assert_eq!(self.robot(client, "TakeArm", [0, 1]), ok(&()));
         assert_eq!(self.robot(client, "Motor", [1, 0]), ok(&()));
-        assert_eq!(self.robot(client, "ExtSpeed", [100]), ok(&()));
+        assert_eq!(self.robot(client, "ExtSpeed", 100), ok(&()));
         client
     }
 
