@@ -140,10 +140,11 @@ chaos failures="200":
 # All 2^32 values of every length and count, and the edges with 32-bit addresses (needs Debian's gcc-multilib).
 [group('long tests')]
 lengths:
-    cargo test --release -p bcap-tests --test all lengths:: -- --ignored
+    cargo test --release -p bcap-testkit --test lengths -- --ignored
     rustup target add i686-unknown-linux-gnu
     cargo test -p bcap-core --lib --target i686-unknown-linux-gnu
-    cargo test -p bcap-tests --test all --target i686-unknown-linux-gnu -- lengths:: vectors::
+    cargo test -p bcap-testkit --test lengths --target i686-unknown-linux-gnu
+    cargo test -p bcap-tests --test all --target i686-unknown-linux-gnu -- vectors::
 
 # Prints and parses every 1000th float (`just floats 1`: all of them, half an hour), and the milliseconds of some days.
 [group('long tests')]

@@ -18,7 +18,6 @@ mod gateway;
 mod gateway_access;
 mod invariants;
 mod layers;
-mod lengths;
 mod loops;
 mod network;
 mod no_alloc;

@@ -6,8 +6,17 @@
 //! speed, only on the compiler, so a bar that is missed is a regression and fails the run.
 //!
 //! ```text
-//! cargo bench -p bcap-tests --bench instructions            # needs valgrind
+//! cargo bench -p bcap-core --bench instructions            # needs valgrind
 //! ```
+
+#![allow(
+    clippy::arithmetic_side_effects,
+    clippy::as_conversions,
+    clippy::expect_used,
+    clippy::indexing_slicing,
+    clippy::std_instead_of_core,
+    reason = "a program of the developer may panic"
+)]
 
 use std::hint::black_box;
 use std::process::{Command, ExitCode};
