@@ -56,6 +56,7 @@ mod owned;
 mod scalar;
 #[cfg(all(feature = "alloc", feature = "serde"))]
 mod serial;
+mod shape;
 pub(crate) mod text;
 
 pub use self::array::{Array, Elements, Items, Scalar};
@@ -66,6 +67,7 @@ pub use self::encode::{Element, Encode};
 #[cfg(feature = "alloc")]
 pub use self::owned::OwnedVariant;
 pub use self::scalar::{CivilTime, Currency, Null, OleDate};
+pub use self::shape::Shape;
 pub use self::text::{parse_f64, write_integer};
 pub use crate::wire::Writer;
 
@@ -422,6 +424,20 @@ impl<'a> Variant<'a> {
             Self::Array(array) => array.element().array_of(),
             Self::Opaque(opaque) => opaque.vartype,
         }
+    }
+
+    /// Returns the types of the value and the numbers of its elements, to be displayed.
+    ///
+    /// ```
+    /// use bcap_core::variant::VariantBuf;
+    ///
+    /// let value = VariantBuf::<64>::new(&(3, "ready", [1.0, 2.0]))?;
+    /// assert_eq!(value.as_variant().shape().to_string(), "(I4 BSTR R8[2])");
+    /// # Ok::<(), bcap_core::error::EncodeError>(())
+    /// ```
+    #[must_use]
+    pub const fn shape(self) -> Shape<'a> {
+        Shape(self)
     }
 
     /// Returns the value inside, when this is a scalar VARIANT, however deep; otherwise the value itself.

@@ -72,15 +72,9 @@ fn number(value: &Value) -> f64 {
 
 /// Names the layout of a value: `I4`, `R8[7]`, `I4 BSTR`; EMPTY is nothing.
 fn layout(value: &Variant<'_>) -> String {
-    let array = match value {
-        Variant::Empty => return String::new(),
-        Variant::Array(array) => array,
-        other => return other.vartype().to_string().trim_start_matches("VT_").to_owned(),
-    };
-    let vartype = value.vartype().to_string();
-    match vartype.trim_start_matches("VT_ARRAY|VT_") {
-        "VARIANT" => array.iter().map(|item| layout(&item.flatten())).collect::<Vec<_>>().join(" "),
-        element => format!("{element}[{}]", array.len()),
+    match value.shape().to_string().as_str() {
+        "EMPTY" => String::new(),
+        shape => shape.strip_prefix('(').and_then(|rest| rest.strip_suffix(')')).unwrap_or(shape).to_owned(),
     }
 }
 

@@ -6,7 +6,6 @@ use std::time::{Duration, Instant};
 use bcap_capture::times::Times;
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::hresult::HResult;
-use bcap_core::variant::Variant;
 use bcap_std::ObjectPath;
 
 use crate::failure::Failure;
@@ -227,21 +226,7 @@ impl Call {
             return Ok((Answer::Refused(code), None, took));
         }
         let value = value.unwrap_or_default();
-        Ok((Answer::Value(layout(&value.as_variant())), Some(value), took))
-    }
-}
-
-/// Names the layout of a value: `I4`, `R8[8]`, or the elements of an array of variants, such as `(I4 BSTR)`.
-fn layout(value: &Variant<'_>) -> String {
-    let name = |vartype: String| vartype.trim_start_matches("VT_ARRAY|").trim_start_matches("VT_").to_owned();
-    let vartype = name(value.vartype().to_string());
-    match value {
-        Variant::Array(array) if vartype == "VARIANT" => {
-            let elements: Vec<_> = array.iter().map(|element| layout(&element.flatten())).collect();
-            format!("({})", elements.join(" "))
-        }
-        Variant::Array(array) => format!("{vartype}[{}]", array.len()),
-        _ => vartype,
+        Ok((Answer::Value(value.as_variant().shape().to_string()), Some(value), took))
     }
 }
 
