@@ -426,20 +426,6 @@ impl<'a> Variant<'a> {
         }
     }
 
-    /// Returns the types of the value and the numbers of its elements, to be displayed.
-    ///
-    /// ```
-    /// use bcap_core::variant::VariantBuf;
-    ///
-    /// let value = VariantBuf::<64>::new(&(3, "ready", [1.0, 2.0]))?;
-    /// assert_eq!(value.as_variant().shape().to_string(), "(I4 BSTR R8[2])");
-    /// # Ok::<(), bcap_core::error::EncodeError>(())
-    /// ```
-    #[must_use]
-    pub const fn shape(self) -> Shape<'a> {
-        Shape(self)
-    }
-
     /// Returns the value inside, when this is a scalar VARIANT, however deep; otherwise the value itself.
     #[must_use]
     pub fn flatten(self) -> Self {

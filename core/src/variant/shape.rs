@@ -6,7 +6,23 @@ use super::{VarType, Variant};
 
 /// The types of a value and the numbers of its elements: [`Variant::shape`].
 #[derive(Clone, Copy, Debug)]
-pub struct Shape<'a>(pub(super) Variant<'a>);
+pub struct Shape<'a>(Variant<'a>);
+
+impl<'a> Variant<'a> {
+    /// Returns the types of the value and the numbers of its elements, to be displayed.
+    ///
+    /// ```
+    /// use bcap_core::variant::VariantBuf;
+    ///
+    /// let value = VariantBuf::<64>::new(&(3, "ready", [1.0, 2.0]))?;
+    /// assert_eq!(value.as_variant().shape().to_string(), "(I4 BSTR R8[2])");
+    /// # Ok::<(), bcap_core::error::EncodeError>(())
+    /// ```
+    #[must_use]
+    pub const fn shape(self) -> Shape<'a> {
+        Shape(self)
+    }
+}
 
 impl fmt::Display for Shape<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
