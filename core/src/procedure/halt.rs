@@ -3,8 +3,9 @@
 //! ```text
 //!  Robot_Halt ─► accepted ─────────────────────────────────────────────────────────► verify
 //!       └─────► refused ─► KillAll ─► done ────────────────────────► Robot_Halt ─► verify
-//!                             └────► refused: GetTaskNames             ▲
-//!                                       └─► each task that does not rest: Task_Stop 4
+//!                             ├────► refused: GetTaskNames             ▲
+//!                             │         └─► each task that does not rest: Task_Stop 4
+//!                             └── no effect within the time limit ◄─ verify
 //!
 //!  verify: (slvGetMode ─► SysState ─► CurJnt ─► pause)*: rest, or the time limit
 //! ```
@@ -36,8 +37,8 @@ use crate::time::Instant;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct HaltConfig {
-    /// The time limit for the robot to come to rest after the last stop was answered. If tasks are stopped because of it, it
-    /// begins again, once.
+    /// The time limit for the robot to come to rest after the last stop was answered. It begins again after KillAll and after
+    /// the tasks were stopped one by one.
     pub limit: Duration,
     /// The pause between two polls of the robot.
     pub interval: Duration,
@@ -89,7 +90,7 @@ pub enum HaltAnswer {
 pub enum StoppedTasks {
     /// All tasks but supervisory ones, by KillAll.
     All,
-    /// This number of tasks, each by Task_Stop, because the controller refused KillAll.
+    /// This number of tasks, each by Task_Stop, because KillAll was refused or had no effect.
     Single(u8),
 }
 
@@ -131,8 +132,9 @@ impl fmt::Display for StoppedTasks {
 /// Halts the robot, and verifies that it rests.
 ///
 /// If Robot_Halt is refused, it stops the tasks of the controller and halts again. It also stops them if the robot still
-/// moves after the time limit and SysState says that a task runs. The tasks are stopped by KillAll or, if the controller
-/// refuses that, by Task_Stop of each task that is neither ready nor missing.
+/// moves after the time limit and SysState says that a task runs. The tasks are stopped by KillAll. If the controller
+/// refuses that, or after the time limit still refuses Robot_Halt or moves the robot by a task, they are stopped by
+/// Task_Stop of each task that is neither ready nor missing; a Task_Stop that fails is repeated once.
 ///
 /// The robot rests if its joints do not change and, outside of Slave Mode, SysState reports no motion. A SysState or a
 /// slvGetMode that is refused counts as unknown; then the joints alone decide.
@@ -152,7 +154,8 @@ pub fn halt(handles: Handles, config: HaltConfig) -> impl Procedure<Output = Hal
         config,
         step: Step::Halt,
         answer: HaltAnswer::NothingMoved,
-        tried: false,
+        stage: Stage::Halt,
+        repeated: false,
         tasks: None,
         place: 0,
         name: Name::new(),
@@ -179,8 +182,9 @@ struct HaltSteps {
     config: HaltConfig,
     step: Step,
     answer: HaltAnswer,
-    /// Whether stopping the tasks has begun.
-    tried: bool,
+    stage: Stage,
+    /// Whether the present Task_Stop was repeated.
+    repeated: bool,
     tasks: Option<StoppedTasks>,
     /// The place of the present task in the list of names.
     place: u8,
@@ -197,6 +201,17 @@ struct HaltSteps {
     still: u8,
     /// Whether a poll has seen it move.
     moved: bool,
+}
+
+/// The strongest means in use.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stage {
+    /// Robot_Halt alone.
+    Halt,
+    /// KillAll.
+    All,
+    /// Task_Stop of each task.
+    Single,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -216,8 +231,21 @@ enum Step {
 }
 
 impl HaltSteps {
+    /// Takes the next stronger means, which has the whole time limit again.
+    fn escalate(&mut self) -> Option<Step> {
+        let (stage, step) = match self.stage {
+            Stage::Halt => (Stage::All, Step::KillAll),
+            // KillAll had no effect
+            Stage::All => (Stage::Single, Step::TaskNames),
+            Stage::Single => return None,
+        };
+        (self.stage, self.until, self.tasks, self.still) = (stage, None, None, 0);
+        Some(step)
+    }
+
     /// Moves to the next task of the list.
     fn next_task(&mut self) -> Step {
+        self.repeated = false;
         match self.place.checked_add(1) {
             Some(place) => {
                 self.place = place;
@@ -239,22 +267,23 @@ impl HaltSteps {
             (self.still, self.last) = (0, Some(joints));
         }
         let until = *self.until.get_or_insert(now.saturating_add(self.config.limit));
-        if self.still >= self.config.still.max(1) {
+        // the tasks that KillAll stops may need a moment to free the arm
+        let owned = self.is_refused() && self.stage == Stage::All;
+        if self.still >= self.config.still.max(1) && !owned {
             return Step::End;
         }
         let next = now.saturating_add(self.config.interval);
         if now < until {
             return Step::Pause(next.min(until));
         }
-        if !moves {
+        if !moves && !owned {
             // slow polls: nothing has shown that it still moves
             return Step::Pause(next);
         }
-        if self.tried || self.state & RUNNING == 0 {
+        if !owned && self.state & RUNNING == 0 {
             return Step::End;
         }
-        (self.tried, self.until) = (true, None);
-        Step::KillAll
+        self.escalate().unwrap_or(Step::End)
     }
 
     const fn is_refused(&self) -> bool {
@@ -346,7 +375,7 @@ impl Steps for HaltSteps {
     }
 
     fn has_effect(&self) -> bool {
-        self.tried || self.step != Step::Halt
+        self.stage != Stage::Halt || self.step != Step::Halt
     }
 
     /// A failed call does not keep the robot moving if another one may still stop it.
@@ -358,11 +387,14 @@ impl Steps for HaltSteps {
             (Step::Halt, StepCause::Refused(HResult::E_HANDLE | HResult::E_NOT_CONNECTED)) => return false,
             (Step::Halt, StepCause::Refused(code)) => {
                 self.answer = HaltAnswer::Refused(*code);
-                if core::mem::replace(&mut self.tried, true) { Step::SlaveMode } else { Step::KillAll }
+                match self.stage {
+                    Stage::Halt => self.escalate().unwrap_or(Step::End),
+                    Stage::All | Stage::Single => Step::SlaveMode,
+                }
             }
             // the next poll halts again
             (Step::Halt, _) if self.is_refused() => Step::SlaveMode,
-            (Step::KillAll, StepCause::Refused(_)) => Step::TaskNames,
+            (Step::KillAll, StepCause::Refused(_)) => self.escalate().unwrap_or(Step::End),
             // it may have been executed
             (Step::KillAll, _) => Step::Halt,
             // a name that is too long for a task
@@ -370,6 +402,7 @@ impl Steps for HaltSteps {
             (Step::TaskNames, _) => Step::Halt,
             // a task of unknown state may move the arm
             (Step::TaskStatus, _) => Step::StopTask,
+            (Step::StopTask, _) if !core::mem::replace(&mut self.repeated, true) => Step::StopTask,
             (Step::StopTask, _) => Step::ReleaseTask,
             (Step::SlaveMode | Step::State, StepCause::Refused(_) | StepCause::Reply(_)) => {
                 self.state = 0;

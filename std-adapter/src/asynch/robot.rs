@@ -548,8 +548,8 @@ impl Stopper {
     /// Halts the robot, and waits until it rests.
     ///
     /// A controller refuses a halt while one of its tasks owns the arm. Then all tasks are stopped (KillAll, or Task_Stop of each
-    /// task if the controller refuses that), and the robot is halted again: [`Halted::TasksStopped`]. Each starts at its first
-    /// line when it is started again. Rest is not assumed: the robot is polled until it rests, at most for one second.
+    /// task if KillAll is refused or has no effect), and the robot is halted again: [`Halted::TasksStopped`]. Each starts at its first
+    /// line when it is started again. Rest is not assumed: the robot is polled until it rests, at most for one second after each means.
     ///
     /// # Errors
     ///

@@ -151,12 +151,47 @@ fn tasks_are_stopped_if_one_runs_and_the_robot_moves_on_after_a_halt() {
     });
     assert_eq!(done.result, Ok(outcome(HaltAnswer::Halted, Some(StoppedTasks::All), true)));
     assert_eq!((count(&done.calls, HALT), count(&done.calls, KILL)), (2, 1));
-    // and once only
+    // and by each means once only
     let done = halted(|_, call, _| (call == STATE).then(|| Answer::value(&(MOVING | RUNNING))));
     let halt = done.result.unwrap();
-    assert_eq!(halt, outcome(HaltAnswer::Halted, Some(StoppedTasks::All), false));
-    assert_eq!((count(&done.calls, HALT), count(&done.calls, KILL)), (2, 1));
-    assert_eq!(halt.to_string(), "the robot STILL MOVES; all tasks were stopped (KillAll)");
+    assert_eq!(halt, outcome(HaltAnswer::Halted, Some(StoppedTasks::Single(3)), false));
+    assert_eq!((count(&done.calls, HALT), count(&done.calls, KILL)), (3, 1));
+    assert_eq!(halt.to_string(), "the robot STILL MOVES; 3 tasks were stopped (Task_Stop)");
+}
+
+#[test]
+fn tasks_are_stopped_one_by_one_if_kill_all_has_no_effect() {
+    // the arm is owned, or the robot moves, until the third task is stopped; the first Task_Stop of each task fails
+    let failures = [None, Some(Answer::Refused(HResult::E_FAIL)), Some(Answer::Failed(Failure::Timeout))];
+    for (owned, failure) in [true, false].into_iter().flat_map(|owned| failures.clone().map(|failure| (owned, failure)))
+    {
+        let (stopped, attempts) = (Cell::new(0), Cell::new(0));
+        let done = halted(|_, call, _| match call {
+            HALT if owned && stopped.get() < 3 => Some(Answer::Refused(OWNED)),
+            STATE if !owned && stopped.get() < 3 => Some(Answer::value(&(MOVING | RUNNING))),
+            _ if call.starts_with("Task_Stop(") => {
+                attempts.set(attempts.get() + 1);
+                let fails = attempts.get() % 2 == 1;
+                let answer = failure.clone().filter(|_| fails);
+                stopped.set(stopped.get() + i32::from(answer.is_none()));
+                answer
+            }
+            _ => None,
+        });
+        assert_eq!(done.result, Ok(outcome(HaltAnswer::Halted, Some(StoppedTasks::Single(3)), true)), "{owned}");
+        assert_eq!(
+            (count(&done.calls, KILL), count(&done.calls, "Task_Stop(")),
+            (1, if failure.is_some() { 6 } else { 3 })
+        );
+    }
+    // a Task_Stop that fails twice leaves its task out
+    let done = halted(|number, call, _| match call {
+        _ if number == 0 => Some(Answer::Refused(OWNED)),
+        KILL => Some(Answer::Refused(HResult::E_NOTIMPL)),
+        _ if call.starts_with("Task_Stop(") => Some(Answer::Refused(HResult::E_FAIL)),
+        _ => None,
+    });
+    assert_eq!((done.result.map(|halt| halt.tasks), count(&done.calls, "Task_Stop(")), (Ok(None), 6));
 }
 
 #[test]
@@ -233,7 +268,7 @@ fn a_halt_that_stays_refused_is_no_halt_even_at_rest() {
     });
     let text = done.result.unwrap().to_string();
     assert!(text.starts_with("the robot STILL MOVES; Robot_Halt was refused: 0x83500079"), "{text}");
-    assert!(text.ends_with("; all tasks were stopped (KillAll)"), "{text}");
+    assert!(text.ends_with("; 3 tasks were stopped (Task_Stop)"), "{text}");
 }
 
 #[test]

@@ -2,6 +2,7 @@
 
 use crate::value;
 use bcap_core::error::{TextError, TextErrorKind};
+use bcap_core::position::{Position, Transform};
 use bcap_core::variant::{OwnedVariant as Value, VarType, Variant};
 
 /// Parses `TYPE,DATA`. The comma is required: `0` and `1` alone are numbers, not EMPTY and NULL.
@@ -92,13 +93,13 @@ pub fn from_input(text: &str, current: Variant<'_>) -> Result<Value, String> {
 
 /// Parses user input that is going to be written to a variable that now holds `current`.
 ///
-/// Rarely meant values are refused unless the user writes their type: a number that is not finite, and a BOOL that is neither 0
-/// nor 1.
+/// Rarely meant values are refused unless the user writes their type: a number that is not finite, a BOOL that is neither 0 nor
+/// 1, and a P or T whose figure is not a whole number.
 ///
 /// # Errors
 ///
 /// A sentence with the whole input.
-pub fn to_write(text: &str, current: Variant<'_>) -> Result<Value, String> {
+pub fn to_write(name: &str, text: &str, current: Variant<'_>) -> Result<Value, String> {
     let value = from_input(text, current)?;
     if from_typed(text).is_ok_and(|typed| typed == value) {
         return Ok(value);
@@ -106,6 +107,7 @@ pub fn to_write(text: &str, current: Variant<'_>) -> Result<Value, String> {
     let (vartype, found) = (current.vartype(), value.as_variant());
     let wrong = match vartype.element() {
         VarType::R4 | VarType::R8 if !is_finite(found) => "a number is not finite",
+        VarType::R4 | VarType::R8 if !has_figure(name, found) => "the figure is not a whole number",
         VarType::BOOL if !text.split(',').all(is_bool) => "a BOOL is true, false, on, off, 0, 1 or -1",
         _ => return Ok(value),
     };
@@ -116,6 +118,16 @@ pub fn to_write(text: &str, current: Variant<'_>) -> Result<Value, String> {
 fn is_finite(value: Variant<'_>) -> bool {
     let is_finite = |number: Variant<'_>| number.as_f64().is_none_or(f64::is_finite);
     value.as_array().map_or_else(|| is_finite(value), |array| array.iter().all(is_finite))
+}
+
+/// Returns whether the last element of a P or T is a figure. Other variables have none.
+fn has_figure(name: &str, value: Variant<'_>) -> bool {
+    match name.split_at_checked(1) {
+        Some((_, number)) if number.trim_matches(['[', ']']).parse::<u32>().is_err() => true,
+        Some(("P" | "p", _)) => value.convert::<Position>().is_ok(),
+        Some(("T" | "t", _)) => value.convert::<Transform>().is_ok(),
+        _ => true,
+    }
 }
 
 /// Returns whether a word is the usual text of a BOOL.
@@ -265,7 +277,7 @@ mod tests {
     #[test]
     fn what_is_rarely_meant_is_written_only_with_its_type() {
         let write = |text: &str, current: &dyn Encode| {
-            to_write(text, Value::new(current).unwrap().as_variant())
+            to_write("V1", text, Value::new(current).unwrap().as_variant())
                 .map(|value| value::to_text(value.as_variant()).unwrap())
         };
         let finite = "a number is not finite; if that is intended, write --typed";

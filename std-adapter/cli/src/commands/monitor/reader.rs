@@ -347,7 +347,7 @@ impl Reader {
     fn check(&mut self, name: &str, text: &str) -> Result<Write, Failure> {
         let path = ObjectPath::variable(name)?;
         let before = self.value(&path)?;
-        let value = data::to_write(text, before.as_variant()).map_err(Failure::Input)?;
+        let value = data::to_write(name, text, before.as_variant()).map_err(Failure::Input)?;
         Ok(Write { path, value, before })
     }
 

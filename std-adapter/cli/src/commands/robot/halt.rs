@@ -1,6 +1,8 @@
 //! `bcap halt`: halts the robot over a separate connection; in `bcap shell` and `bcap run` over the session's
 //! connection.
 
+use std::time::Duration;
+
 use bcap_std::blocking::Halted;
 use bcap_std::{Error, Halt, StoppedTasks};
 use clap::Args;
@@ -8,19 +10,21 @@ use clap::Args;
 use crate::failure::Failure;
 use crate::link::LinkArgs;
 use crate::output::{note, print_block, print_json};
+use crate::session::budget::Budget;
 use crate::session::connect::not_halted;
 use crate::session::{Session, with_session};
 
 /// Halts the robot, even when another client moves it
 ///
-/// Uses a separate connection and needs neither the arm nor the executable token. The whole command takes at most
-/// --timeout, or 3 s; if the controller has not answered by then, the exit code is 4. The halted motion leaves
-/// the error 0x83500076, which must be cleared before the next one; a Slave Mode stream fails because Slave Mode is off.
+/// Uses a separate connection and needs neither the arm nor the executable token. If the controller does not answer within 3 s, the
+/// exit code is 4. The whole command takes at most 10 s, because a controller may need seconds to stop its tasks; --timeout limits
+/// both. The halted motion leaves the error 0x83500076, which must be cleared before the next one; a Slave Mode stream fails because
+/// Slave Mode is off.
 ///
 /// A controller refuses a halt while one of its tasks owns the arm. Then all tasks are stopped (KillAll, or Task_Stop of each task if
-/// the controller refuses KillAll), and the robot is halted again; a task that is started again starts at its first line. `halted`
-/// and `nothing was moving` are printed only after the robot was seen at rest. If it was not within 1 s, the first line of the output
-/// is `the robot STILL MOVES`, and the exit code is 1.
+/// KillAll is refused or has no effect), and the robot is halted again; a task that is started again starts at its first line.
+/// `halted` and `nothing was moving` are printed only after the robot was seen at rest. If it was not within 1 s of the last stop, the
+/// first line of the output is `the robot STILL MOVES`, and the exit code is 1.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -28,9 +32,12 @@ Examples:
   bcap halt --robot tcp:192.168.0.1 --provider CaoProv.DENSO.VRC9")]
 pub(crate) struct HaltArgs {}
 
+/// The time limit of the whole halt: two seconds of seeing the robot move on after each means, and the time of stopping tasks.
+const LIMIT: Duration = Duration::from_secs(10);
+
 /// Runs `bcap halt`.
 pub(crate) fn halt(session: &mut Session, json: bool) -> Result<(), Failure> {
-    let halted = if session.is_open() { attempt(session) } else { with_session(&session.link().limited(), attempt) };
+    let halted = if session.is_open() { attempt(session) } else { limited(session.link(), attempt) };
     match halted {
         Ok(Ok(halted)) if json => print_json(&to_json(halted))?,
         Ok(Ok(halted)) => print_block(&lines(halted))?,
@@ -51,11 +58,18 @@ pub(crate) fn halt(session: &mut Session, json: bool) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Halts the robot.
-///
-/// The whole operation has one short time limit, so that a failure is reported while the user still has time to act.
+/// Halts the robot over a separate connection.
 pub(crate) fn halt_now(link: &LinkArgs) -> Result<Halted, Failure> {
-    with_session(&link.limited(), |session| session.with(|controller| controller.robot()?.halt()))
+    limited(link, |session| session.with(|controller| controller.robot()?.halt()))
+}
+
+/// Calls `halt` with a session that has short time limits, so that a failure is reported while the user still has time to act.
+fn limited<T>(link: &LinkArgs, halt: impl FnOnce(&mut Session) -> Result<T, Failure>) -> Result<T, Failure> {
+    with_session(&link.limited(), |session| {
+        session.begin()?;
+        session.set_budget(Budget::start(link).command_within(LIMIT));
+        halt(session)
+    })
 }
 
 /// Halts the robot; the inner error is a robot that may still move.

@@ -26,8 +26,8 @@ use bcap_capture::value::named::{self, Entry, Named, shown};
 /// VALUE is plain data, which take the variable's present type. A number has a decimal point; a BOOL is true, false, on, off,
 /// or a number; an array has commas between its elements, as many as the variable has. With --typed VALUE is TYPE,DATA,
 /// where TYPE is a VARTYPE number, and the variable is not read first: 3,5 is the I4 5. A VALUE that could be both is
-/// refused, such as 3,5 without --typed. So are a number that is not finite, and a BOOL such as 5. Without --typed, TYPE,DATA is accepted only for an array, with the variable's own
-/// type and length.
+/// refused, such as 3,5 without --typed. So are a number that is not finite, a BOOL such as 5, and the figure 7.5 of a position.
+/// Without --typed, TYPE,DATA is accepted only for an array, with the variable's own type and length.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -122,7 +122,7 @@ fn prepare(session: &mut Session, write: &Write) -> Result<(i32, Value), Failure
         Data::Value(value) => value.clone(),
         Data::Plain(text) => {
             let current = read(session, &write.path, variable)?;
-            data::to_write(text, current.as_variant())
+            data::to_write(&write.name, text, current.as_variant())
                 .map_err(|error| Failure::Input(format!("{}: {error}", write.name)))?
         }
     };

@@ -92,7 +92,7 @@ fn value_of(args: &RacPut) -> Result<(Variable, Value), Failure> {
     let value = if args.typed {
         data::from_typed_input(&args.value)
     } else {
-        data::to_write(&args.value, model(variable.kind)?.as_variant())
+        data::to_write(&args.name, &args.value, model(variable.kind)?.as_variant())
     };
     Ok((variable, value.map_err(Failure::Input)?))
 }
