@@ -435,22 +435,36 @@ const MOVER: &str = "[controller]\nmotor = true
 
 /// Makes a controller that refuses Robot_Halt while its task moves the arm.
 fn moved_by_a_task(faults: &str) -> Served<Simulated> {
-    let mut sim = Simulated::new(Config::new(Profile::Rc8));
+    of_model(Profile::Rc8, faults)
+}
+
+fn of_model(model: Profile, faults: &str) -> Served<Simulated> {
+    let mut sim = Simulated::new(Config::new(model));
     sim.play(Scenario::parse(&format!("{MOVER}{faults}")).unwrap());
     Served::of(sim, Limits::default())
 }
 
 /// The controller does not know KillAll.
 const NO_KILL_ALL: &str = "[[fault]]\nwhen = { every = 1, of = 'KillAll' }\nthen = { refuse = 'E_INVALID_CMD_NAME' }\n";
+/// It accepts KillAll, and its tasks go on.
+const IDLE_KILL_ALL: &str = "[[fault]]\nwhen = { every = 1, of = 'KillAll' }\nthen = { refuse = 'S_OK' }\n";
 /// It does not list its tasks either.
 const NO_LIST: &str =
     "[[fault]]\nwhen = { every = 1, of = 'Controller_GetTaskNames' }\nthen = { refuse = 'E_NOTIMPL' }\n";
 
 #[test]
 fn a_stopper_stops_the_task_that_moves_the_robot() {
-    for (faults, tasks) in [(String::new(), StoppedTasks::All), (NO_KILL_ALL.to_owned(), StoppedTasks::Single(1))] {
-        let sim = moved_by_a_task(&faults);
-        let mut cell = connect(&sim);
+    let models = [
+        (Profile::Rc8, Settings::rc8()),
+        (Profile::Rc9, Settings::rc9()),
+        (Profile::Cobotta, Settings::cobotta()),
+        (Profile::CobottaPro, Settings::rc9()),
+    ];
+    let answers =
+        [("", StoppedTasks::All), (NO_KILL_ALL, StoppedTasks::Single(1)), (IDLE_KILL_ALL, StoppedTasks::Single(1))];
+    for ((model, settings), (faults, tasks)) in models.iter().flat_map(|model| answers.map(|answer| (model, answer))) {
+        let sim = of_model(*model, faults);
+        let mut cell = Controller::connect(&tcp(&sim), settings).unwrap();
         when_moving(&sim);
         assert_eq!(cell.stopper().unwrap().halt().unwrap(), Halted::TasksStopped(tasks));
         assert!(!sim.application().is_moving());

@@ -27,6 +27,9 @@ use crate::session::connect::{broken, not_connected};
 /// Without PACKET, or with `-`, each line of the standard input is one. After each packet the command waits for its reply, at
 /// most for --timeout (3 s); keep-alives (S_EXECUTING) are shown, and it waits on.
 ///
+/// It undoes nothing at its end, not even after Ctrl-C: an arm that a packet takes stays taken, a motor stays on, a robot goes on
+/// moving. `bcap halt`, `bcap call` and `bcap exec` end safely.
+///
 /// With --listen it is the server: it waits for a client, and answers each request with the next packet.
 #[derive(Debug, Args)]
 #[command(after_help = r#"Examples:
