@@ -272,7 +272,7 @@ fn a_device_that_repeats_an_old_reply_does_not_keep_the_fuzzer() {
 
 /// Prints how long each planted bug takes: `cargo test -p bcap-cli fuzz:: -- --ignored --nocapture`.
 #[test]
-#[ignore = "takes minutes; it measures"]
+#[ignore = "takes minutes and measures: `just planted`"]
 fn the_time_to_find_each_planted_bug() {
     let mut found = 0;
     println!("{:<26} {:<12} {:>8} {:>8} {:>6}  finding", "bug", "kind", "session", "ms", "steps");

@@ -76,7 +76,7 @@ fn slave_mode_through_a_proxy_lacks_no_pose() {
 
 /// Streams in real time through a proxy that records: `just proxy-slave`.
 #[test]
-#[ignore = "takes an hour; needs a quiet machine"]
+#[ignore = "takes an hour on a quiet machine: `just proxy-slave`"]
 fn slave_mode_through_a_proxy_in_real_time() {
     let minutes: u32 = std::env::var("MINUTES").map_or(60, |text| text.parse().expect("MINUTES is a number"));
     let sim = Running::sim(&[]);
