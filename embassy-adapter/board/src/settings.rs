@@ -189,15 +189,15 @@ impl<'a> Settings<'a> {
         let line = str::from_utf8(line).ok().and_then(|line| line.split_once('='));
         let (key, text) = line.ok_or(SettingError::Key)?;
         match key {
-            "robot" => self.robot = valid(robot(text))?,
+            "robot" => self.robot = valid(robot(text).filter(|robot| self.is_other(*robot.address.ip())))?,
             "provider" => self.provider = text,
             "machine" => self.machine = text,
             "option" => self.option = text,
             "service" => self.service = text,
             "variable" => self.variable = text,
             "dhcp" => self.dhcp = valid(yes(text))?,
-            "address" => self.address = Some(valid(network(text))?),
-            "gateway" => self.gateway = Some(valid(host(text))?),
+            "address" => self.address = Some(valid(network(text).filter(|own| self.are_others(*own)))?),
+            "gateway" => self.gateway = Some(valid(host(text).filter(|gateway| self.is_other(*gateway)))?),
             "mac" => self.mac = Some(valid(mac(text))?),
             "hostname" => self.hostname = Some(valid(hostname(text))?),
             "get" => self.lists.allow_get(text)?,
@@ -212,7 +212,9 @@ impl<'a> Settings<'a> {
             #[cfg(feature = "health")]
             "health" => self.health = Some(self.port(key, text)?),
             #[cfg(feature = "health")]
-            "syslog" => self.syslog = Some(valid(collector(text))?),
+            "syslog" => {
+                self.syslog = Some(valid(collector(text).filter(|collector| self.is_other(*collector.ip())))?);
+            }
             #[cfg(feature = "modbus")]
             "modbus" => self.modbus = Some(self.port(key, text)?),
             #[cfg(feature = "modbus")]
@@ -225,6 +227,21 @@ impl<'a> Settings<'a> {
             },
         }
         Ok(())
+    }
+
+    /// Returns whether an address can be another machine's: it is neither the board's nor the broadcast of its network.
+    fn is_other(&self, address: Ipv4Addr) -> bool {
+        self.address.is_none_or(|own| is_other(own, address))
+    }
+
+    /// Returns whether the machines that are set already are others if the board has this address.
+    fn are_others(&self, own: (Ipv4Addr, u8)) -> bool {
+        #[cfg(feature = "health")]
+        let collector = self.syslog.as_ref().map(|address| *address.ip());
+        #[cfg(not(feature = "health"))]
+        let collector = None;
+        let mut others = [Some(*self.robot.address.ip()), self.gateway, collector].into_iter().flatten();
+        others.all(|other| is_other(own, other))
     }
 
     /// Parses the port of a service, which no other service of the board may have.
@@ -286,13 +303,23 @@ fn network(value: &str) -> Option<(Ipv4Addr, u8)> {
     Some((host(address)?, prefix.parse().ok().filter(|prefix| *prefix <= 32)?))
 }
 
+/// Returns whether an address is neither `own`, with the length of its prefix, nor the first or last one of its network.
+fn is_other((own, prefix): (Ipv4Addr, u8), address: Ipv4Addr) -> bool {
+    let hosts = u32::MAX.checked_shr(prefix.into()).unwrap_or(0);
+    let (own, bits) = (own.to_bits(), address.to_bits());
+    // a network of two addresses or one has no broadcast
+    let is_broadcast = hosts > 1 && (own ^ bits) & !hosts == 0 && [0, hosts].contains(&(bits & hosts));
+    bits != own && !is_broadcast
+}
+
 fn robot(value: &str) -> Option<Robot> {
     let (transport, address) = match value.split_once(':')? {
         ("tcp", address) => (Transport::Tcp, address),
         ("udp", address) => (Transport::Udp, address),
         _ => (Transport::Tcp, value),
     };
-    Some(Robot { transport, address: address.parse().ok()? })
+    let (address, number) = address.split_once(':')?;
+    Some(Robot { transport, address: SocketAddrV4::new(host(address)?, port(number)?) })
 }
 
 fn yes(value: &str) -> Option<bool> {
@@ -427,11 +454,46 @@ mod tests {
     }
 
     #[test]
+    fn another_machine_has_another_address_than_the_board_and_no_broadcast_address() {
+        let keys: &[&str] = &[
+            "robot=HOST:5007",
+            "gateway=HOST",
+            #[cfg(feature = "health")]
+            "syslog=HOST",
+        ];
+        for (own, host, is_valid) in [
+            ("192.168.0.7/24", "192.168.0.8", true),
+            ("192.168.0.7/24", "192.168.0.7", false),
+            ("192.168.0.7/24", "192.168.0.255", false),
+            ("192.168.0.7/24", "192.168.0.0", false),
+            ("192.168.0.7/16", "192.168.0.255", true),
+            // other networks, whose prefix is unknown, and networks without a broadcast address
+            ("192.168.0.7/24", "10.0.0.255", true),
+            ("192.168.0.6/31", "192.168.0.7", true),
+            ("192.168.0.6/32", "192.168.0.6", false),
+            ("10.0.0.1/0", "192.168.0.7", true),
+        ] {
+            for key in keys {
+                let (own, line) = (std::format!("address={own}"), key.replace("HOST", host));
+                for text in [std::format!("{own}\n{line}"), std::format!("{line}\n{own}")] {
+                    assert_eq!(Settings::check(text.as_bytes()).is_ok(), is_valid, "{text}");
+                }
+            }
+        }
+    }
+
+    #[test]
     fn an_invalid_line_is_reported_and_forbids_every_put() {
         for line in [
             "robot=10.0.2.2",
             "robot=robot:5007",
             "robot=http:10.0.2.2:5007",
+            "robot=0.0.0.0:5007",
+            "robot=255.255.255.255:5007",
+            "robot=udp:224.0.0.1:5007",
+            "robot=127.0.0.1:5007",
+            "robot=10.0.2.2:0",
+            "robot=10.0.2.2:5007:1",
             "address=10.0.2.15",
             "address=10.0.2.15/33",
             "address=0.0.0.0/0",
