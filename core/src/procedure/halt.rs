@@ -90,6 +90,8 @@ pub enum HaltAnswer {
 pub enum StoppedTasks {
     /// All tasks but supervisory ones, by KillAll.
     All,
+    /// KillAll was accepted, but SysState still says that a task runs: perhaps a supervisory one.
+    AllButRunning,
     /// This number of tasks, each by Task_Stop, because KillAll was refused or had no effect.
     Single(u8),
 }
@@ -123,6 +125,7 @@ impl fmt::Display for StoppedTasks {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::All => f.write_str("all tasks were stopped (KillAll)"),
+            Self::AllButRunning => f.write_str("KillAll was accepted, but a task still runs"),
             Self::Single(1) => f.write_str("1 task was stopped (Task_Stop)"),
             Self::Single(count) => write!(f, "{count} tasks were stopped (Task_Stop)"),
         }
@@ -269,7 +272,8 @@ impl HaltSteps {
         let until = *self.until.get_or_insert(now.saturating_add(self.config.limit));
         // the tasks that KillAll stops may need a moment to free the arm
         let owned = self.is_refused() && self.stage == Stage::All;
-        if self.still >= self.config.still.max(1) && !owned {
+        let rests = self.still >= self.config.still.max(1) && !owned;
+        if rests && !(self.runs_after_kill_all() && now < until) {
             return Step::End;
         }
         let next = now.saturating_add(self.config.interval);
@@ -284,6 +288,11 @@ impl HaltSteps {
             return Step::End;
         }
         self.escalate().unwrap_or(Step::End)
+    }
+
+    /// Tells whether a task runs, although KillAll was accepted.
+    fn runs_after_kill_all(&self) -> bool {
+        self.tasks == Some(StoppedTasks::All) && self.state & RUNNING != 0
     }
 
     const fn is_refused(&self) -> bool {
@@ -418,6 +427,7 @@ impl Steps for HaltSteps {
             HaltAnswer::NothingMoved if self.moved => HaltAnswer::Halted,
             answer => answer,
         };
-        Halt { answer, tasks: self.tasks, rests: self.still >= self.config.still.max(1) }
+        let tasks = if self.runs_after_kill_all() { Some(StoppedTasks::AllButRunning) } else { self.tasks };
+        Halt { answer, tasks, rests: self.still >= self.config.still.max(1) }
     }
 }

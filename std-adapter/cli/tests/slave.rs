@@ -344,8 +344,8 @@ const MOVER: &str = "[controller]\nmotor = true
     ]\n";
 
 /// Makes a controller that refuses Robot_Halt while its task moves the arm.
-fn moved_by_a_task(faults: &str) -> Served<Controller> {
-    let mut sim = Controller::new(bcap_sim::Config::new(Profile::Rc8));
+fn moved_by_a_task(model: Profile, faults: &str) -> Served<Controller> {
+    let mut sim = Controller::new(bcap_sim::Config::new(model));
     sim.play(Scenario::parse(&format!("{MOVER}{faults}")).unwrap());
     Served::of(sim, Limits::default())
 }
@@ -365,27 +365,56 @@ fn halt_task(sim: &Served<Controller>, args: &[&str]) -> Run {
     bcap(&[&["halt", "--robot", &format!("tcp:{}", sim.tcp)], args].concat())
 }
 
+/// The tasks of the controller go on after KillAll.
+const IDLE_KILL_ALL: &str = "[[fault]]\nwhen = { every = 1, of = 'KillAll' }\nthen = { refuse = 'S_OK' }\n";
+
 #[test]
 fn halt_stops_the_task_that_owns_the_arm() {
-    for (faults, tasks, json) in
-        [("", "all tasks were stopped (KillAll)", "\"all\""), (NO_KILL_ALL, "1 task was stopped (Task_Stop)", "1")]
-    {
-        for (args, out) in [
-            (&[][..], format!("halted\n{tasks}\n")),
-            (&["--json"][..], format!("{{\"halted\":true,\"tasks\":{json}}}\n")),
-        ] {
-            let sim = moved_by_a_task(faults);
-            let run = halt_task(&sim, args);
-            assert_eq!((run.out.as_str(), run.code), (out.as_str(), 0), "{}", run.err);
-            assert!(!sim.application().is_moving());
-            assert_eq!(sim.application().task("Mover").unwrap().0, TaskStatus::Ready);
+    let answers = [
+        ("", "all tasks were stopped (KillAll)", "\"all\""),
+        (NO_KILL_ALL, "1 task was stopped (Task_Stop)", "1"),
+        (IDLE_KILL_ALL, "1 task was stopped (Task_Stop)", "1"),
+    ];
+    for model in [Profile::Rc8, Profile::Rc9, Profile::Cobotta, Profile::CobottaPro] {
+        for (faults, tasks, json) in answers {
+            for (args, out) in [
+                (&[][..], format!("halted\n{tasks}\n")),
+                (&["--json"][..], format!("{{\"halted\":true,\"tasks\":{json}}}\n")),
+            ] {
+                let sim = moved_by_a_task(model, faults);
+                let provider = if matches!(model, Profile::Rc8 | Profile::Cobotta) {
+                    "CaoProv.DENSO.VRC"
+                } else {
+                    "CaoProv.DENSO.VRC9"
+                };
+                let run = halt_task(&sim, &[&["--provider", provider], args].concat());
+                assert_eq!((run.out.as_str(), run.code), (out.as_str(), 0), "{model:?} {}", run.err);
+                assert!(!sim.application().is_moving());
+                assert_eq!(sim.application().task("Mover").unwrap().0, TaskStatus::Ready);
+            }
         }
     }
 }
 
+/// Five tasks of 2.2 s each take longer than any fixed limit of the whole halt.
+#[test]
+fn a_halt_has_time_for_each_task() {
+    let waits: String =
+        (1..5).map(|n| format!("[[task]]\nname = 'Wait{n}'\nstart = 2\nsteps = [{{ wait_ms = 60000 }}]\n")).collect();
+    let slow = "[[fault]]\nwhen = { every = 1, of = 'Task_Stop' }\nthen = { delay_ms = 2200 }\n";
+    let sim = moved_by_a_task(Profile::Rc8, &format!("{waits}{NO_KILL_ALL}{slow}"));
+    let run = halt_task(&sim, &[]);
+    assert_eq!((run.out.as_str(), run.code), ("halted\n5 tasks were stopped (Task_Stop)\n", 0), "{}", run.err);
+    // --timeout limits the whole command, and nothing is said to be halted
+    let sim = moved_by_a_task(Profile::Rc8, &format!("{waits}{NO_KILL_ALL}{slow}"));
+    let run = halt_task(&sim, &["--timeout", "2500"]);
+    assert_eq!((run.out.as_str(), run.code), ("", 4), "{}", run.err);
+    assert!(run.err.contains("the robot may still move; use the emergency stop"), "{}", run.err);
+}
+
 #[test]
 fn a_robot_that_still_moves_is_the_first_line() {
-    let sim = moved_by_a_task(&format!("{NO_KILL_ALL}{NO_LIST}"));
+    let sim = moved_by_a_task(Profile::Rc8, &format!("{NO_KILL_ALL}{NO_LIST}"));
     let run = halt_task(&sim, &[]);
     assert_eq!(run.code, 1, "{run:?}");
     let lines: Vec<_> = run.out.lines().collect();

@@ -195,6 +195,25 @@ fn tasks_are_stopped_one_by_one_if_kill_all_has_no_effect() {
 }
 
 #[test]
+fn all_tasks_were_stopped_only_if_none_runs() {
+    let killed_at = |until: u64| {
+        halted(move |number, call, millis| match call {
+            _ if number == 0 => Some(Answer::Refused(OWNED)),
+            STATE if millis < until => Some(Answer::value(&RUNNING)),
+            _ => None,
+        })
+    };
+    // a task may need a moment to end
+    assert_eq!(killed_at(200).result, Ok(outcome(HaltAnswer::Halted, Some(StoppedTasks::All), true)));
+    let done = killed_at(u64::MAX);
+    let halt = done.result.unwrap();
+    assert_eq!(halt, outcome(HaltAnswer::Halted, Some(StoppedTasks::AllButRunning), true));
+    assert_eq!(halt.to_string(), "halted; KillAll was accepted, but a task still runs");
+    // a supervisory task goes on if the robot rests
+    assert_eq!((count(&done.calls, KILL), count(&done.calls, "Task_Stop(")), (1, 0));
+}
+
+#[test]
 fn each_task_that_does_something_is_stopped_without_kill_all() {
     let refused = |number, call: &str| match call {
         _ if number == 0 => Some(Answer::Refused(OWNED)),

@@ -30,11 +30,6 @@ impl Budget {
         Self { answer: self.answer.min(most), ..self }
     }
 
-    /// Limits the whole command to `most` unless the user gave a limit.
-    pub(crate) fn command_within(self, most: Duration) -> Self {
-        Self { total: Some(self.total.unwrap_or(most)), ..self }
-    }
-
     /// Restarts the time limit of the whole command, for a command that works in rounds.
     pub(crate) fn restart(&mut self) {
         self.began = Instant::now();

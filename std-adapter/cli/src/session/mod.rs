@@ -13,9 +13,11 @@ pub(crate) mod traffic;
 pub(crate) mod variables;
 
 use std::collections::HashMap;
+use std::time::Duration;
 
 use bcap_capture::trace::Packets;
 use bcap_capture::value::describe;
+use bcap_core::bcap::client::Timing;
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::hresult::HResult;
 use bcap_std::blocking::Controller;
@@ -254,6 +256,14 @@ impl Session {
             let timing = budget.timing(open.controller.timing(), &open.target);
             open.controller.set_timing(timing);
             open.controller.set_deadline(budget.deadline());
+        }
+    }
+
+    /// Limits each call with its keep-alives.
+    pub(crate) fn limit_calls(&mut self, most: Duration) {
+        if let Some(Open { controller, .. }) = &mut self.open {
+            let timing = controller.timing();
+            controller.set_timing(Timing { deadline: most, keep_alive: most, ..timing });
         }
     }
 

@@ -16,10 +16,10 @@ use crate::session::{Session, with_session};
 
 /// Halts the robot, even when another client moves it
 ///
-/// Uses a separate connection and needs neither the arm nor the executable token. If the controller does not answer within 3 s, the
-/// exit code is 4. The whole command takes at most 10 s, because a controller may need seconds to stop its tasks; --timeout limits
-/// both. The halted motion leaves the error 0x83500076, which must be cleared before the next one; a Slave Mode stream fails because
-/// Slave Mode is off.
+/// Uses a separate connection and needs neither the arm nor the executable token. If the controller does not answer a call within
+/// 3 s, or does not end it within 10 s, the exit code is 4. A controller may need seconds to stop a task, so the limit of the whole command
+/// grows with the number of tasks; --timeout limits the whole command. The halted motion leaves the error 0x83500076, which must be
+/// cleared before the next one; a Slave Mode stream fails because Slave Mode is off.
 ///
 /// A controller refuses a halt while one of its tasks owns the arm. Then all tasks are stopped (KillAll, or Task_Stop of each task if
 /// KillAll is refused or has no effect), and the robot is halted again; a task that is started again starts at its first line.
@@ -32,7 +32,7 @@ Examples:
   bcap halt --robot tcp:192.168.0.1 --provider CaoProv.DENSO.VRC9")]
 pub(crate) struct HaltArgs {}
 
-/// The time limit of the whole halt: two seconds of seeing the robot move on after each means, and the time of stopping tasks.
+/// The time limit of each call with its keep-alives. The whole halt has no other limit: each task adds the calls that stop it.
 const LIMIT: Duration = Duration::from_secs(10);
 
 /// Runs `bcap halt`.
@@ -67,7 +67,8 @@ pub(crate) fn halt_now(link: &LinkArgs) -> Result<Halted, Failure> {
 fn limited<T>(link: &LinkArgs, halt: impl FnOnce(&mut Session) -> Result<T, Failure>) -> Result<T, Failure> {
     with_session(&link.limited(), |session| {
         session.begin()?;
-        session.set_budget(Budget::start(link).command_within(LIMIT));
+        session.set_budget(Budget::start(link));
+        session.limit_calls(LIMIT);
         halt(session)
     })
 }
@@ -88,10 +89,11 @@ fn lines(halted: Halted) -> String {
     }
 }
 
-/// Returns the members `halted`, and `tasks` if some were stopped: `"all"` or their number.
+/// Returns the members `halted`, and `tasks` if some were stopped: `"all"`, `"all but running"` or their number.
 fn to_json(halted: Halted) -> String {
     let tasks = match halted {
         Halted::TasksStopped(StoppedTasks::Single(count)) => format!(",\"tasks\":{count}"),
+        Halted::TasksStopped(StoppedTasks::AllButRunning) => ",\"tasks\":\"all but running\"".into(),
         Halted::TasksStopped(_) => ",\"tasks\":\"all\"".into(),
         _ => String::new(),
     };
