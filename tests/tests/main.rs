@@ -21,6 +21,7 @@ mod layers;
 mod loops;
 mod network;
 mod no_alloc;
+mod outages;
 mod peer;
 mod procedures;
 mod programs;
