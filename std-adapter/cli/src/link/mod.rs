@@ -36,7 +36,7 @@ pub(crate) struct LinkArgs {
     /// It covers connecting, all calls with their keep-alives, and the end of the session. `watch` and `slave record` apply
     /// it to each round; `doctor` to each link, and then to all other checks together; `slave play`, `slave cosine`,
     /// `gateway`, `replay` and `fuzz` to each answer; `proxy` to connecting; `shell` and `run` to each line. A motion of `move` has
-    /// --within instead. Without this option `halt` ends within 3 s, and a controller can keep any other call alive for
+    /// --within instead. Without this option a controller can keep a call alive for 10 s in `halt`, and any other for
     /// 180 s. Over UDP the attempts (--attempts) share the time.
     #[arg(long, global = true, value_name = "MS", env = "BCAP_TIMEOUT", value_parser = duration::parse)]
     timeout: Option<Duration>,
