@@ -36,17 +36,17 @@ mod variant;
 pub mod world;
 
 pub use self::client::client;
-pub use self::frame::frame;
+pub use self::frame::{frame, judge_frame};
 pub use self::gateway::gateway;
 pub use self::rac_client::rac_client;
 pub use self::rac_line::rac_line;
-pub use self::roundtrip::{roundtrip_binary, roundtrip_text};
+pub use self::roundtrip::{frame_there_and_back, roundtrip_binary, roundtrip_text, text_there_and_back};
 pub use self::server::server;
 pub use self::sim::sim;
 pub use self::slave::slave;
 pub use self::stream::stream;
 pub use self::text::text;
-pub use self::variant::variant;
+pub use self::variant::{judge_value, variant};
 
 /// A target: its name and its body.
 pub type Target = (&'static str, fn(&[u8]));

@@ -4,8 +4,9 @@ use std::fmt::Write as _;
 
 use arbitrary::Unstructured;
 use bcap_core::bcap::{Decoder, FrameWriter, Progress};
+use bcap_core::error::EncodeError;
 use bcap_core::limits::{Limits, MAX_DEPTH, Strictness};
-use bcap_core::variant::{Encode as _, Variant, Writer};
+use bcap_core::variant::{Encode as _, Variant, VariantBuf, Writer};
 use bcap_testkit::frame::TestFrame;
 use bcap_testkit::text;
 use bcap_testkit::value::Value;
@@ -27,10 +28,17 @@ pub fn roundtrip_binary(data: &[u8]) {
     while let (true, Ok(value)) = (args.len() < 8 && !u.is_empty(), u.arbitrary()) {
         args.push(value);
     }
-    for value in &args {
-        value_there_and_back(value);
-    }
-    let frame = TestFrame { serial, reserved, code, args };
+    frame_there_and_back(&TestFrame { serial, reserved, code, args }, crc);
+}
+
+/// Encodes a frame and its values with the core and with the oracle, and decodes them.
+///
+/// # Panics
+///
+/// When an assertion about the core fails.
+pub fn frame_there_and_back(frame: &TestFrame, crc: bool) {
+    let TestFrame { serial, reserved, code, .. } = *frame;
+    frame.args.iter().for_each(value_there_and_back);
     let expected = frame.to_wire(crc);
     let mut buffer = vec![0xa5; expected.len()];
     let mut writer = FrameWriter::new(&mut buffer).expect("room for a frame").with_crc(crc);
@@ -65,6 +73,11 @@ fn value_there_and_back(value: &Value) {
     for strictness in BOTH {
         let decoded = Variant::decode(&wire, &DEEPEST, strictness).expect("the encoding is canonical");
         assert_eq!(&Value::read(decoded), value);
+        assert_eq!(decoded.vartype().0, value.vartype());
+    }
+    match VariantBuf::<256>::new(value) {
+        Ok(owned) => assert_eq!(owned.as_bytes(), wire),
+        Err(error) => assert!(error == EncodeError::Full && wire.len() > 256),
     }
 }
 
@@ -87,7 +100,12 @@ pub fn roundtrip_text(data: &[u8]) {
     }
 }
 
-fn text_there_and_back(value: &Value) {
+/// Prints a value as text and parses the text with the core and with the oracle.
+///
+/// # Panics
+///
+/// When an assertion about the core fails.
+pub fn text_there_and_back(value: &Value) {
     let wire = value.to_wire();
     if wire.len() > 4096 {
         return;

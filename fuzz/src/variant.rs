@@ -17,23 +17,30 @@ pub fn variant(data: &[u8]) {
     let Some((depth, bytes)) = data.split_first() else { return };
     let limits = Limits { depth: depth % (MAX_DEPTH + 4), ..Limits::STREAM };
     let [strict, lenient] = BOTH.map(|strictness| {
-        let oracle = Oracle { limits, strictness, crc: false }.decode_value(bytes);
-        let ours = match Variant::decode(bytes, &limits, strictness) {
+        match Variant::decode(bytes, &limits, strictness) {
             Ok(value) => {
                 look_at(value);
                 encode_again(value, bytes, strictness);
-                Some(Value::read(value))
             }
-            Err(error) => {
-                assert!(error.offset <= bytes.len(), "{error:?} in {} bytes", bytes.len());
-                assert!(!error.to_string().is_empty());
-                None
-            }
-        };
-        assert_eq!(ours, oracle, "{strictness:?}");
-        ours
+            Err(error) => assert!(!error.to_string().is_empty()),
+        }
+        judge_value(&limits, strictness, bytes)
     });
     assert!(strict.is_none() || strict == lenient);
+}
+
+/// Decodes a value with the core and with the oracle; returns it, or `None` when both refuse it.
+///
+/// # Panics
+///
+/// When they differ, or an error is outside the bytes.
+pub fn judge_value(limits: &Limits, strictness: Strictness, bytes: &[u8]) -> Option<Value> {
+    let decoded = Variant::decode(bytes, limits, strictness);
+    assert!(decoded.is_ok() || decoded.is_err_and(|error| error.offset <= bytes.len()), "{bytes:02x?}");
+    let ours = decoded.ok().map(Value::read);
+    let oracle = Oracle { limits: *limits, strictness, crc: false };
+    assert_eq!(ours, oracle.decode_value(bytes), "{strictness:?} {bytes:02x?}");
+    ours
 }
 
 /// Checks that a decoded value encodes canonically, and that the encoding decodes strictly to the same value.

@@ -9,54 +9,19 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use bcap_core::bcap::FunctionId;
-use bcap_core::bcap::server::{Handler, Request};
-use bcap_core::handler::{Outcome, PeerId, ReplyValue};
-use bcap_core::rac;
 use bcap_core::slave::{AxisLimits, Cycle, Format, Mode, Next, Pose, PoseType, ReceiveFormat, ReceivePose, SlaveMode};
 use bcap_core::time::Instant;
 use bcap_sim::{Config, Controller as Simulated, Profile};
 use bcap_std::server::Limits;
 use bcap_std::{Error, Joints, Motion, Move, Settings, asynch, blocking, now};
 use bcap_testkit::network::Random;
+use bcap_tests::hooked::Hooked;
 use bcap_tests::served::Served;
-
-/// A virtual controller that records when a Robot_Halt arrives, in microseconds of this process's clock.
-struct Recording {
-    inner: Simulated,
-    halted: Arc<AtomicU64>,
-}
-
-impl Handler for Recording {
-    fn call(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, at: Instant) -> Outcome {
-        if request.function == FunctionId::ROBOT_HALT {
-            // the first one: the code that waits for a motion may send another
-            let _ = self.halted.compare_exchange(0, now().as_micros(), Ordering::SeqCst, Ordering::SeqCst);
-        }
-        Handler::call(&mut self.inner, peer, request, reply, at)
-    }
-
-    fn resume(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, at: Instant) -> Outcome {
-        Handler::resume(&mut self.inner, peer, request, reply, at)
-    }
-
-    fn abandoned(&mut self, peer: PeerId, at: Instant) {
-        Handler::abandoned(&mut self.inner, peer, at);
-    }
-
-    fn left(&mut self, peer: PeerId, at: Instant) {
-        Handler::left(&mut self.inner, peer, at);
-    }
-}
-
-impl rac::server::Handler for Recording {
-    fn call(&mut self, peer: PeerId, request: &rac::Request<'_>, reply: &mut ReplyValue<'_>, at: Instant) -> Outcome {
-        rac::server::Handler::call(&mut self.inner, peer, request, reply, at)
-    }
-}
 
 /// The controller and the measurements.
 struct Rig {
-    sim: Served<Recording>,
+    sim: Served<Hooked<Simulated>>,
+    /// When Robot_Halt arrived, in microseconds of this process's clock.
     halted: Arc<AtomicU64>,
     arrivals: Vec<Duration>,
     rests: Vec<Duration>,
@@ -68,8 +33,15 @@ impl Rig {
     fn new() -> Self {
         let config = Config { motor_on_delay: Duration::from_millis(1), ..Config::new(Profile::Rc8) };
         let halted = Arc::<AtomicU64>::default();
-        let recording = Recording { inner: Simulated::new(config), halted: Arc::clone(&halted) };
-        let sim = Served::of(recording, Limits::default());
+        let (mut hooked, arrived) = (Hooked::new(Simulated::new(config)), Arc::clone(&halted));
+        hooked.set(move |request| {
+            if request.function == FunctionId::ROBOT_HALT {
+                // the first one: the code that waits for a motion may send another
+                let _ = arrived.compare_exchange(0, now().as_micros(), Ordering::SeqCst, Ordering::SeqCst);
+            }
+            None
+        });
+        let sim = Served::of(hooked, Limits::default());
         Self { sim, halted, arrivals: Vec::new(), rests: Vec::new(), told: [0; 4], wrong: 0 }
     }
 
@@ -78,9 +50,9 @@ impl Rig {
     }
 
     fn is_moving(&self) -> bool {
-        let mut recording = self.sim.application();
-        recording.inner.advance(now());
-        recording.inner.is_moving()
+        let mut hooked = self.sim.application();
+        hooked.inner.advance(now());
+        hooked.inner.is_moving()
     }
 
     fn joint(&self) -> f64 {

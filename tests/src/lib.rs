@@ -11,7 +11,9 @@
 //! | [`slowed`]     | a virtual controller with a slow clock                                              |
 //! | [`stepped`]    | a virtual controller whose clock advances only when clients call or wait            |
 //! | [`drivers`]    | the call sequences of public drivers, from `tests/drivers`                          |
+//! | [`hooked`]     | a handler whose answers to some calls are replaced, delayed or recorded             |
 //! | [`proxy`]      | a proxy between a client and a server on real sockets that injects faults            |
+//! | [`background`] | asynchronous code in a thread                                                       |
 //! | `mosquitto`    | a broker for MQTT that does not outlive the tests                                   |
 //! | [`tools`]      | tools that tests need, and may be missing                                           |
 //! | [`pymodbus`]   | a client of Modbus of another make                                                  |
@@ -23,11 +25,13 @@
 
 pub mod allocation;
 pub mod async_functions;
+pub mod background;
 #[cfg(unix)]
 pub mod cable;
 pub mod drivers;
 #[cfg(unix)]
 pub mod endings;
+pub mod hooked;
 #[cfg(unix)]
 pub mod line_server;
 pub mod mosquitto;

@@ -2,8 +2,7 @@
 
 use std::collections::{BTreeSet, HashMap};
 use std::net::SocketAddr;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
-use std::thread::JoinHandle;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use bcap_core::bcap::server::{Handler, Request};
@@ -16,9 +15,10 @@ use bcap_core::time::Instant;
 use bcap_core::variant::VariantBuf;
 use bcap_std::server::{Limits, Server};
 use tokio::runtime::Handle;
-use tokio::sync::oneshot;
 
 use bcap_testkit::network::answer_to;
+
+use crate::background::Background;
 
 /// A controller with variables of any name and some commands.
 ///
@@ -174,8 +174,7 @@ pub struct Served<H = Application> {
     pub rac: SocketAddr,
     application: Arc<Mutex<H>>,
     runtime: Handle,
-    stop: Option<oneshot::Sender<()>>,
-    thread: Option<JoinHandle<()>>,
+    background: Background,
 }
 
 impl Served {
@@ -205,7 +204,7 @@ impl Served {
     /// Stops the server and waits for its end; returns the application.
     #[must_use]
     pub fn stop(mut self) -> Application {
-        self.end();
+        self.background.end();
         std::mem::take(&mut *self.application())
     }
 }
@@ -220,22 +219,19 @@ impl<H: Handler + rac::server::Handler + Send + 'static> Served<H> {
     pub fn of(handler: H, limits: Limits) -> Self {
         let application = Arc::new(Mutex::new(handler));
         let shared = Arc::clone(&application);
-        let (stop, stopped) = oneshot::channel();
-        let (tell, told) = mpsc::channel();
-        let thread = std::thread::spawn(move || {
-            let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
-            runtime.block_on(async {
-                let server = Server::with_shared(shared).limits(limits);
-                let server = server.bcap_tcp("127.0.0.1:0").await.expect("a port for TCP");
-                let server = server.bcap_udp("127.0.0.1:0").await.expect("a port for UDP");
-                let server = server.rac_tcp("127.0.0.1:0").await.expect("a port for RAC");
-                tell.send((server.addresses(), Handle::current())).expect("the test waits");
+        let (background, (addresses, runtime)) = Background::start(async move |stopped| {
+            let server = Server::with_shared(shared).limits(limits);
+            let server = server.bcap_tcp("127.0.0.1:0").await.expect("a port for TCP");
+            let server = server.bcap_udp("127.0.0.1:0").await.expect("a port for UDP");
+            let server = server.rac_tcp("127.0.0.1:0").await.expect("a port for RAC");
+            let addresses = server.addresses();
+            let run = async {
                 server.run(async { _ = stopped.await }).await.expect("the listeners last");
-            });
+            };
+            ((addresses, Handle::current()), run)
         });
-        let (addresses, runtime) = told.recv().expect("the server starts");
         let (tcp, udp, rac) = (addresses.bcap_tcp[0], addresses.bcap_udp[0], addresses.rac_tcp[0]);
-        Self { tcp, udp, rac, application, runtime, stop: Some(stop), thread: Some(thread) }
+        Self { tcp, udp, rac, application, runtime, background }
     }
 }
 
@@ -249,21 +245,5 @@ impl<H> Served<H> {
     /// Calls a function with the application; the server waits meanwhile.
     pub fn application(&self) -> MutexGuard<'_, H> {
         self.application.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn end(&mut self) {
-        drop(self.stop.take());
-        if let Some(thread) = self.thread.take()
-            && thread.join().is_err()
-            && !std::thread::panicking()
-        {
-            panic!("the server has panicked");
-        }
-    }
-}
-
-impl<H> Drop for Served<H> {
-    fn drop(&mut self) {
-        self.end();
     }
 }

@@ -11,6 +11,7 @@ use bcap_std::asynch::{Controller, Halted, Reading, State, Stopper};
 use bcap_std::server::Limits;
 use bcap_std::{Backoff, Error, Joints, Motion, Move, Pass, Position, Settings, StoppedTasks};
 use bcap_testkit::network::Random;
+use bcap_tests::proxy::{Cut, Relay};
 use bcap_tests::served::Served;
 use bcap_tests::slowed::{Slowed, inner};
 
@@ -592,10 +593,9 @@ async fn in_memory_a_long_motion_takes_no_time() {
 #[tokio::test]
 async fn a_lost_session_ends_the_arm_and_a_new_one_begins() {
     let sim = simulated();
-    let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     // a relay, because a server cannot be told to close one connection
-    let relay = tokio::spawn(relay(free, sim.tcp));
-    let cell = Controller::spawn(&format!("tcp:{free}"), &settings()).unwrap();
+    let relay = Relay::tcp(sim.tcp);
+    let cell = Controller::spawn(&format!("tcp:{}", relay.tcp), &settings()).unwrap();
     cell.connected().await.unwrap();
     let mut states = cell.states();
     assert_eq!(states.next().await, Some(State::Connected));
@@ -605,7 +605,7 @@ async fn a_lost_session_ends_the_arm_and_a_new_one_begins() {
     arm.motor_on().await.unwrap();
     let lost = async {
         until(&sim, Simulated::is_moving).await;
-        relay.abort();
+        relay.cut(Cut::Fin);
     };
     let (motion, ()) = tokio::join!(arm.move_to(&to(150.0), LIMIT), lost);
     assert!(matches!(motion, Err(Error::NoReply { .. } | Error::NotConnected { .. })), "{motion:?}");
@@ -614,7 +614,7 @@ async fn a_lost_session_ends_the_arm_and_a_new_one_begins() {
     let Some(State::Disconnected { reason, retry_in }) = states.next().await else { panic!("{:?}", cell.state()) };
     assert!(!reason.is_empty() && retry_in <= Duration::from_millis(20), "{reason} {retry_in:?}");
     assert!(matches!(cell.read::<i32>("I1").await, Err(Error::NotConnected { .. })));
-    let relay = tokio::spawn(self::relay(free, sim.tcp));
+    relay.heal();
     cell.connected().await.unwrap();
     assert!(matches!(arm.motor_on().await, Err(Error::ArmLost)));
     assert!(matches!(arm.move_to(&to(1.0), LIMIT).await, Err(Error::ArmLost)));
@@ -630,19 +630,5 @@ async fn a_lost_session_ends_the_arm_and_a_new_one_begins() {
     assert_eq!((statistics.connections, statistics.losses), (2, 1));
     drop(arm);
     cell.close().await.unwrap();
-    relay.abort();
     until(&sim, |sim| sim.open_objects() == 0).await;
-}
-
-/// Carries bytes between clients and a server until it is aborted, which closes all connections.
-async fn relay(from: std::net::SocketAddr, to: std::net::SocketAddr) {
-    let listener = tokio::net::TcpListener::bind(from).await.unwrap();
-    let mut connections = tokio::task::JoinSet::new();
-    loop {
-        let (mut client, _) = listener.accept().await.unwrap();
-        connections.spawn(async move {
-            let mut server = tokio::net::TcpStream::connect(to).await.unwrap();
-            let _ = tokio::io::copy_bidirectional(&mut client, &mut server).await;
-        });
-    }
 }

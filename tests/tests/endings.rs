@@ -2,10 +2,10 @@
 
 use std::collections::HashMap;
 use std::io;
-use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream, UdpSocket};
+use std::net::{SocketAddr, UdpSocket};
 use std::panic::AssertUnwindSafe;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -20,6 +20,7 @@ use bcap_sim::{Config, Controller as Simulated, Profile};
 use bcap_std::blocking::Transport;
 use bcap_std::server::Limits;
 use bcap_std::{Backoff, Error, Joints, Move, Settings, asynch, blocking};
+use bcap_tests::proxy::Relay;
 use bcap_tests::served::Served;
 
 const LIMIT: Duration = Duration::from_secs(30);
@@ -184,49 +185,13 @@ fn a_panic_in_a_trajectory_leaves_nothing() {
     }
 }
 
-/// A relay whose connections can be cut; new ones are made at the same address.
-struct Relay {
-    address: SocketAddr,
-    connections: Arc<Mutex<Vec<TcpStream>>>,
-}
-
-impl Relay {
-    fn new(to: SocketAddr) -> Self {
-        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-        let address = listener.local_addr().unwrap();
-        let connections = Arc::<Mutex<Vec<TcpStream>>>::default();
-        let opened = Arc::clone(&connections);
-        std::thread::spawn(move || {
-            for client in listener.incoming() {
-                let (client, server) = (client.unwrap(), TcpStream::connect(to).unwrap());
-                for (mut from, mut to) in [(&client, &server), (&server, &client)]
-                    .map(|(from, to)| (from.try_clone().unwrap(), to.try_clone().unwrap()))
-                {
-                    std::thread::spawn(move || {
-                        let _ = io::copy(&mut from, &mut to);
-                        let _ = to.shutdown(Shutdown::Both);
-                    });
-                }
-                opened.lock().unwrap().extend([client, server]);
-            }
-        });
-        Self { address, connections }
-    }
-
-    fn cut(&self) {
-        for connection in self.connections.lock().unwrap().drain(..) {
-            let _ = connection.shutdown(Shutdown::Both);
-        }
-    }
-}
-
 #[test]
 fn after_a_lost_connection_the_next_session_stops_the_robot_first() {
     let sim = simulated();
-    let relay = Relay::new(sim.tcp);
+    let relay = Relay::tcp(sim.tcp);
     let [runtime, _] = runtimes();
     runtime.block_on(async {
-        let cell = asynch::Controller::connect(&format!("tcp:{}", relay.address), &settings()).await.unwrap();
+        let cell = asynch::Controller::connect(&format!("tcp:{}", relay.tcp), &settings()).await.unwrap();
         let mut recoveries = cell.recoveries();
         let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
         arm.motor_on().await.unwrap();
@@ -235,7 +200,7 @@ fn after_a_lost_connection_the_next_session_stops_the_robot_first() {
             while !sim.application().is_moving() {
                 tokio::time::sleep(Duration::from_millis(1)).await;
             }
-            relay.cut();
+            relay.disconnect();
         };
         let (ended, ()) = tokio::join!(arm.move_to(&far(), LIMIT), cut);
         // it was sent, so a program must not take it for one that was not
@@ -251,12 +216,12 @@ fn after_a_lost_connection_the_next_session_stops_the_robot_first() {
 #[test]
 fn after_a_lost_connection_the_drop_stops_the_robot() {
     let sim = simulated();
-    let relay = Relay::new(sim.tcp);
-    let mut cell = blocking::Controller::connect(&format!("tcp:{}", relay.address), &settings()).unwrap();
+    let relay = Relay::tcp(sim.tcp);
+    let mut cell = blocking::Controller::connect(&format!("tcp:{}", relay.tcp), &settings()).unwrap();
     let mut arm = cell.robot().unwrap().take_arm().unwrap();
     arm.motor_on().unwrap();
     let moving = arm.start(&far(), LIMIT).unwrap();
-    relay.cut();
+    relay.disconnect();
     let ended = moving.wait();
     assert!(matches!(ended, Err(Error::NoReply { .. })), "{ended:?}");
     drop(arm);
@@ -269,14 +234,14 @@ fn after_a_lost_connection_the_drop_stops_the_robot() {
 fn a_program_that_ends_without_a_connection_stops_the_robot() {
     for runtime in runtimes() {
         let sim = simulated();
-        let relay = Relay::new(sim.tcp);
+        let relay = Relay::tcp(sim.tcp);
         let slow = settings().reconnect(Backoff::default().min(LIMIT).max(LIMIT));
         runtime.block_on(async {
-            let cell = asynch::Controller::connect(&format!("tcp:{}", relay.address), &slow).await.unwrap();
+            let cell = asynch::Controller::connect(&format!("tcp:{}", relay.tcp), &slow).await.unwrap();
             let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
             arm.motor_on().await.unwrap();
             let moving = arm.start(&far(), LIMIT).await.unwrap();
-            relay.cut();
+            relay.disconnect();
             assert!(matches!(moving.wait().await, Err(Error::NoReply { .. })));
         });
         drop(runtime);
@@ -375,15 +340,15 @@ fn an_unreachable_datagram_link_leaves_nothing() {
 #[test]
 fn a_robot_that_another_client_has_taken_meanwhile_is_left_alone() {
     let sim = simulated();
-    let relay = Relay::new(sim.tcp);
+    let relay = Relay::tcp(sim.tcp);
     let [runtime, _] = runtimes();
     runtime.block_on(async {
         let slow = settings().reconnect(Backoff::default().min(LIMIT).max(LIMIT));
-        let cell = asynch::Controller::connect(&format!("tcp:{}", relay.address), &slow).await.unwrap();
+        let cell = asynch::Controller::connect(&format!("tcp:{}", relay.tcp), &slow).await.unwrap();
         let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
         arm.motor_on().await.unwrap();
         let moving = arm.start(&far(), LIMIT).await.unwrap();
-        relay.cut();
+        relay.disconnect();
         assert!(matches!(moving.wait().await, Err(Error::NoReply { .. })));
         until(&sim, |controller| controller.arm_owner().is_none() && !controller.is_moving());
         let mut other = blocking::Controller::connect(&format!("tcp:{}", sim.tcp), &settings()).unwrap();

@@ -36,7 +36,6 @@ mod serial_lines;
 mod server_robustness;
 mod sizes;
 mod slave;
-mod slave_formats;
 mod text;
 mod tools;
 mod udp_session;

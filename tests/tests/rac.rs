@@ -2,7 +2,7 @@
 
 use bcap_core::error::TextErrorKind;
 use bcap_core::hresult::HResult;
-use bcap_core::rac::{Framed, LineFramer, MAX_LINE, MAX_VALUE, Request, Response, Variable, VariableKind};
+use bcap_core::rac::{MAX_LINE, MAX_VALUE, Request, Response, Variable, VariableKind};
 use bcap_core::variant::{VariantBuf, Writer};
 use bcap_testkit::strategies;
 use bcap_testkit::value::Value;
@@ -102,49 +102,20 @@ proptest! {
     }
 
     #[test]
-    fn damaged_lines_are_read_or_refused_with_a_column(
-        index in 0_usize..36, damage in prop::collection::vec(strategies::damage(), 1..4)
+    fn damaged_lines_are_taken_as_the_oracle_takes_them(
+        index in 0_usize..36, damage in prop::collection::vec(strategies::damage(), 1..4), cuts in any::<[u8; 4]>()
     ) {
         let samples: Vec<_> = texts().into_iter().filter(|vector| vector.text.ends_with('\r')).collect();
         let mut line = samples[index].text.trim_end().as_bytes().to_vec();
         damage.into_iter().for_each(|damage| damage.apply(&mut line));
-        let mut memory = [0; MAX_VALUE];
-        let columns = 1..=line.len() as u32 + 1;
-        match Request::parse(&line, &mut memory) {
-            Ok(request) => {
-                if let Some(again) = request_line(&request) {
-                    let mut memory = [0; MAX_VALUE];
-                    prop_assert_eq!(Request::parse(&again.as_bytes()[..again.len() - 1], &mut memory), Ok(request));
-                }
-            }
-            Err(error) => prop_assert!(columns.contains(&error.column), "{}", error),
-        }
-        if let Err(error) = Response::parse(&line, &mut memory) {
-            prop_assert!(columns.contains(&error.column), "{}", error);
-        }
+        bcap_fuzz::rac_line(&[&cuts[..], &line, b"\r"].concat());
     }
 
     #[test]
     fn lines_are_the_same_however_the_bytes_are_cut(
-        lines in prop::collection::vec("[ -~]{0,40}|[ -~]{250,600}", 0..8), cuts in prop::collection::vec(1_usize..100, 1..20)
+        lines in prop::collection::vec("[ -~]{0,40}|[ -~]{250,600}", 0..8), cuts in any::<[u8; 4]>()
     ) {
-        let stream: Vec<u8> = lines.iter().flat_map(|line| [line.as_bytes(), b"\r"].concat()).collect();
-        let mut framer = LineFramer::<MAX_LINE>::new();
-        let (mut found, mut rest, mut cuts) = (Vec::new(), &stream[..], cuts.iter().cycle());
-        while !rest.is_empty() {
-            let room = framer.receive_buffer();
-            let count = room.len().min(rest.len()).min(*cuts.next().unwrap());
-            prop_assert!(count > 0, "there is always room");
-            room[..count].copy_from_slice(&rest[..count]);
-            framer.received(count);
-            rest = &rest[count..];
-            while let Some(framed) = framer.poll() {
-                found.push((framed == Framed::Line).then(|| framer.line().to_vec()));
-            }
-        }
-        let expected: Vec<_> =
-            lines.iter().map(|line| (line.len() < MAX_LINE).then(|| line.clone().into_bytes())).collect();
-        prop_assert_eq!(found, expected);
-        prop_assert!(!framer.is_partial());
+        let stream = lines.iter().flat_map(|line| [line.as_bytes(), b"\r"].concat());
+        bcap_fuzz::rac_line(&cuts.into_iter().chain(stream).collect::<Vec<_>>());
     }
 }

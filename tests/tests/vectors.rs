@@ -4,7 +4,7 @@ use bcap_core::bcap::{Decoder, FrameWriter, Progress};
 use bcap_core::error::DecodeErrorKind;
 use bcap_core::limits::Strictness;
 use bcap_testkit::frame::TestFrame;
-use bcap_testkit::oracle::{Oracle, Verdict};
+use bcap_testkit::oracle::Verdict;
 use bcap_testkit::vectors::{FrameVector, frames};
 
 fn whole(decoder: Decoder, bytes: &[u8]) -> TestFrame {
@@ -103,29 +103,17 @@ fn a_truncated_or_padded_datagram_is_refused() {
 /// Sets each byte of every frame to each other value, and compares the core with the oracle.
 fn flip_all(strictness: Strictness) {
     let decoder = Decoder::UDP.strictness(strictness);
-    let oracle = Oracle { limits: decoder.limits, strictness, crc: false };
     let (mut accepted, mut refused) = (0, 0);
-    for FrameVector { name, mut bytes, .. } in frames() {
+    for FrameVector { mut bytes, .. } in frames() {
         for at in 0..bytes.len() {
             let right = bytes[at];
             for wrong in (0..=255).filter(|wrong| *wrong != right) {
                 bytes[at] = wrong;
-                let ours = match decoder.decode(&bytes) {
-                    Ok(Progress::Complete(frame, used)) => {
-                        accepted += 1;
-                        Verdict::Frame(TestFrame::read(&frame), used)
-                    }
-                    Ok(Progress::NeedMore(more)) => {
-                        assert!(more > bytes.len(), "{name} byte {at} = {wrong:#x}");
-                        Verdict::Incomplete
-                    }
-                    Err(error) => {
-                        refused += 1;
-                        assert!(error.offset <= bytes.len(), "{name} byte {at} = {wrong:#x}: {error}");
-                        Verdict::Refused
-                    }
-                };
-                assert_eq!(ours, oracle.decode(&bytes), "{name} byte {at} = {wrong:#x}");
+                match bcap_fuzz::judge_frame(decoder, &bytes) {
+                    Verdict::Frame(..) => accepted += 1,
+                    Verdict::Refused => refused += 1,
+                    Verdict::Incomplete => {}
+                }
             }
             bytes[at] = right;
         }

@@ -6,55 +6,16 @@
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
-use std::process::{Child, ChildStdout, Command, Stdio};
+
 use std::thread;
 use std::time::Duration;
 
-use crate::common::{bcap, command};
+use crate::common::bcap;
+use crate::common::running::Running;
 use bcap_core::bcap::{Decoder, FrameWriter, FunctionId, Progress};
 use bcap_core::hresult::HResult;
 use bcap_tests::process::Process;
 use socket2::{Domain, Socket, Type};
-
-/// A process of the command; dropping this kills it.
-struct Running {
-    child: Child,
-    out: BufReader<ChildStdout>,
-    ready: String,
-}
-
-impl Running {
-    fn start(command: &mut Command) -> Self {
-        let mut child = command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn().unwrap();
-        let mut out = BufReader::new(child.stdout.take().unwrap());
-        let mut ready = String::new();
-        out.read_line(&mut ready).unwrap();
-        Self { child, out, ready }
-    }
-
-    /// Returns the address after `key` in the line that it printed when it was ready.
-    fn address(&self, key: &str) -> SocketAddr {
-        let found = self.ready.split_whitespace().find_map(|word| word.strip_prefix(key)?.strip_prefix('='));
-        found.unwrap_or_else(|| panic!("{key} in {:?}", self.ready)).parse().unwrap()
-    }
-
-    fn sim(more: &[&str]) -> Self {
-        let any = ["sim", "--bcap", "127.0.0.1:0", "--udp", "127.0.0.1:0", "--rac", "127.0.0.1:0"];
-        Self::start(&mut command(&[&any, more].concat()))
-    }
-
-    fn gateway(robot: SocketAddr, more: &[&str]) -> Self {
-        let robot = format!("tcp:{robot}");
-        Self::start(&mut command(&[&["gateway", "--rac", "127.0.0.1:0", "--robot", &robot], more].concat()))
-    }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        _ = self.child.kill();
-        _ = self.child.wait();
-    }
-}
 
 /// A connection from another address of the loopback.
 fn connect_from(source: [u8; 4], server: SocketAddr) -> TcpStream {
@@ -84,9 +45,9 @@ fn folder(name: &str) -> std::path::PathBuf {
 fn a_flood_of_wrong_lines_does_not_fill_the_audit_log() {
     let folder = folder("flood");
     let log = folder.join("audit.jsonl");
-    let sim = Running::sim(&[]);
-    let gateway = Running::gateway(sim.address("bcap"), &["--audit", log.to_str().unwrap()]);
-    let plc = TcpStream::connect(gateway.address("rac")).unwrap();
+    let sim = Running::quiet_sim(&[]);
+    let gateway = Running::gateway_to(&format!("tcp:{}", sim.bcap), &["--audit", log.to_str().unwrap()]);
+    let plc = TcpStream::connect(&gateway.rac).unwrap();
     thread::scope(|scope| {
         let mut reader = &plc;
         scope.spawn(move || std::io::copy(&mut reader, &mut std::io::sink()));
@@ -100,7 +61,7 @@ fn a_flood_of_wrong_lines_does_not_fill_the_audit_log() {
         _ = plc.shutdown(std::net::Shutdown::Write);
     });
     // the gateway still answers
-    ask(&TcpStream::connect(gateway.address("rac")).unwrap(), "GET:RC8:1:I:\r");
+    ask(&TcpStream::connect(&gateway.rac).unwrap(), "GET:RC8:1:I:\r");
     drop(gateway);
     let written: u64 = fs::read_dir(&folder).unwrap().map(|file| file.unwrap().metadata().unwrap().len()).sum();
     fs::remove_dir_all(folder).unwrap();
@@ -110,9 +71,9 @@ fn a_flood_of_wrong_lines_does_not_fill_the_audit_log() {
 /// Idle connections of one address; a client of another address gets a slot.
 #[test]
 fn idle_connections_of_one_address_leave_slots_at_the_gateway() {
-    let sim = Running::sim(&[]);
-    let gateway = Running::gateway(sim.address("bcap"), &["--audit", "/dev/null"]);
-    let rac = gateway.address("rac");
+    let sim = Running::quiet_sim(&[]);
+    let gateway = Running::gateway_to(&format!("tcp:{}", sim.bcap), &["--audit", "/dev/null"]);
+    let rac: SocketAddr = gateway.rac.parse().unwrap();
     let idle: Vec<_> = (0..80).map(|_| connect_from([127, 0, 0, 2], rac)).collect();
     // the gateway accepts in order, so it has accepted all of them when it answers this
     let response = ask(&connect_from([127, 0, 0, 3], rac), "GET:RC8:1:I:\r");
@@ -131,14 +92,9 @@ fn a_flood_of_keep_alives_costs_the_gateway_little() {
             thread::spawn(move || flood(stream.unwrap()));
         }
     });
-    let mut gateway = Running::gateway(robot, &[]);
-    let mut line = String::new();
-    while !line.contains("robot_up") {
-        line.clear();
-        assert!(gateway.out.read_line(&mut line).unwrap() > 0, "the log ends");
-    }
+    let gateway = Running::gateway(&format!("tcp:{robot}"), &[]);
     // the flood begins with the gateway's first call
-    let plc = TcpStream::connect(gateway.address("rac")).unwrap();
+    let plc = TcpStream::connect(&gateway.rac).unwrap();
     (&plc).write_all(b"GET:RC8:1:I:\r").unwrap();
     let process = Process::new(gateway.child.id());
     let before = process.processor_time().unwrap();
@@ -180,8 +136,8 @@ fn names_and_values_of_a_controller_do_not_act_on_the_terminal() {
     let hostile = "a\u{9b}31mb\u{202e}c\u{2028}d\u{85}e";
     let folder = folder("names");
     fs::write(folder.join(format!("{hostile}.txt")), "x").unwrap();
-    let sim = Running::sim(&["--files", folder.to_str().unwrap()]);
-    let robot = format!("tcp:{}", sim.address("bcap"));
+    let sim = Running::quiet_sim(&["--files", folder.to_str().unwrap()]);
+    let robot = format!("tcp:{}", sim.bcap);
     let robot = ["--robot", robot.as_str()];
     let put = bcap(&[&["put", "S1", hostile], &robot[..]].concat());
     assert_eq!(put.code, 0, "{put:?}");

@@ -5,12 +5,13 @@ use std::fs;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
 use crate::common::fake::{Fake, usual, value};
 use crate::common::robot::Robot;
-use crate::common::stalling::Stalling;
 use crate::common::{Run, bcap, command};
 use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
@@ -18,6 +19,7 @@ use bcap_core::rac::VariableKind as Kind;
 use bcap_core::variant::Variant;
 use bcap_sim::{Config, Controller, Permission, Profile, Sizes};
 use bcap_std::server::Limits;
+use bcap_tests::hooked::Hooked;
 use bcap_tests::served::Served;
 
 /// A robot with files, and a folder for backups.
@@ -257,6 +259,13 @@ fn kill_when_stalled(args: &[&str], stalled: &Receiver<()>) {
     child.wait().unwrap();
 }
 
+/// A controller that answers `left` calls of a function.
+fn stalling(controller: Controller, function: FunctionId, left: u32) -> (Served<Hooked<Controller>>, Receiver<()>) {
+    let mut hooked = Hooked::new(controller);
+    let stalled = hooked.stall(function, left);
+    (Served::of(hooked, Limits::default()), stalled)
+}
+
 #[test]
 fn a_killed_restore_says_what_was_written() {
     let cell = Cell::start();
@@ -264,9 +273,7 @@ fn a_killed_restore_says_what_was_written() {
         cell.robot.set(Kind::I, index, &Variant::I4(1000));
     }
     let dir = cell.dump("a");
-    let (stalling, stalled) =
-        Stalling::after(Controller::new(Config::new(Profile::Rc8)), FunctionId::VARIABLE_PUT_VALUE, 30);
-    let served = Served::of(stalling, Limits::default());
+    let (served, stalled) = stalling(Controller::new(Config::new(Profile::Rc8)), FunctionId::VARIABLE_PUT_VALUE, 30);
     let address = format!("tcp:{}", served.tcp);
     kill_when_stalled(&["restore", "--yes", &dir, "--robot", &address], &stalled);
 
@@ -275,14 +282,14 @@ fn a_killed_restore_says_what_was_written() {
     assert_eq!(lines(&run)[29..32], ["I29: written", "I30: may be written", "I31: not written"]);
     let summary = "was interrupted or is running; 30 of 103 are written, I30 may be written, 72 are not written";
     assert!(run.err.contains(summary), "{run:?}");
-    let values = |served: &Served<Stalling>| {
-        let stalling = served.application();
-        let value = |index| stalling.controller.variable::<16>(Kind::I, index).unwrap().as_variant().as_i32().unwrap();
+    let values = |served: &Served<Hooked<Controller>>| {
+        let controller = &served.application().inner;
+        let value = |index| controller.variable::<16>(Kind::I, index).unwrap().as_variant().as_i32().unwrap();
         (0..100).map(value).collect::<Vec<_>>()
     };
     assert_eq!(values(&served), [vec![1000; 30], vec![0; 70]].concat());
 
-    served.application().go_on();
+    served.application().set(|_| None);
     // this controller has no files, so that the variables are restored and the first file is refused
     let run = bcap(&["restore", "--yes", &dir, "--robot", &address]);
     assert!(run.out.contains(summary) && run.code == 1, "{run:?}");
@@ -300,8 +307,7 @@ fn a_killed_dump_goes_on_where_it_was() {
     for (index, number) in (0..1000).zip(0..) {
         controller.set_variable(Kind::I, index, &Variant::I4(number * 7)).unwrap();
     }
-    let (stalling, stalled) = Stalling::after(controller, FunctionId::VARIABLE_PUT_ID, 620);
-    let served = Served::of(stalling, Limits::default());
+    let (served, stalled) = stalling(controller, FunctionId::VARIABLE_PUT_ID, 620);
     let address = format!("tcp:{}", served.tcp);
     kill_when_stalled(&["dump", &dir, "--robot", &address], &stalled);
     let part = Path::new(&dir).join("variables/I.jsonl.part");
@@ -316,13 +322,17 @@ fn a_killed_dump_goes_on_where_it_was() {
     fs::write(Path::new(&dir).join(".bcap-Xy12"), "half").unwrap();
     // a line that was cut off is read again
     fs::write(&part, fs::read_to_string(&part).unwrap().trim_end()).unwrap();
-    served.application().go_on();
-    let before = served.application().count;
+    let count = Arc::new(AtomicU32::new(0));
+    let counted = Arc::clone(&count);
+    served.application().set(move |request| {
+        counted.fetch_add(u32::from(request.function == FunctionId::VARIABLE_PUT_ID), Ordering::Relaxed);
+        None
+    });
     let run = bcap(&["dump", &dir, "--robot", &address]);
     assert!(run.code == 0 && run.out.contains("the interrupted dump goes on"), "{run:?}");
     // two samples of I differ; all values of the other kinds are equal, and each 7th or 33rd and the last are samples
     let all = 1000 - 599 + 2 + 7 * (100 + 16) + 512 + 17;
-    assert_eq!(served.application().count - before, all);
+    assert_eq!(count.load(Ordering::Relaxed), all);
     assert!(!Path::new(&dir).join(".bcap-Xy12").exists());
     let text = fs::read_to_string(Path::new(&dir).join("variables/I.jsonl")).unwrap();
     let expected: String = (0..1000).map(|n| format!("{{\"name\":\"I{n}\",\"vt\":3,\"v\":{}}}\n", n * 7)).collect();
@@ -340,8 +350,7 @@ fn a_write_without_a_reply_may_have_been_made() {
     for index in 0..3 {
         controller.set_variable(Kind::I, index, &Variant::I4(7)).unwrap();
     }
-    let (stalling, _stalled) = Stalling::after(controller, FunctionId::VARIABLE_PUT_VALUE, 1);
-    let served = Served::of(stalling, Limits::default());
+    let (served, _stalled) = stalling(controller, FunctionId::VARIABLE_PUT_VALUE, 1);
     let address = format!("tcp:{}", served.tcp);
     // the backup has files and this controller has none, so they are a part of the plan
     let run = bcap(&["restore", "--yes", &dir, "--timeout", "4000", "--robot", &address]);
@@ -355,8 +364,7 @@ fn a_signal_ends_a_dump_after_the_call_and_a_second_one_at_once() {
     let folder = tempfile::tempdir().unwrap();
     let dir = folder.path().join("a").to_str().unwrap().to_owned();
     let controller = Controller::new(Config::new(Profile::Rc8));
-    let (stalling, stalled) = Stalling::after(controller, FunctionId::VARIABLE_PUT_ID, 50);
-    let served = Served::of(stalling, Limits::default());
+    let (served, stalled) = stalling(controller, FunctionId::VARIABLE_PUT_ID, 50);
     let address = format!("tcp:{}", served.tcp);
     let start = || {
         let child = command(&["dump", &dir, "--robot", &address]).stderr(Stdio::piped()).spawn().unwrap();
@@ -375,7 +383,7 @@ fn a_signal_ends_a_dump_after_the_call_and_a_second_one_at_once() {
     let mut child = start();
     interrupt(child.id());
     child.stderr.as_mut().unwrap().read_exact(&mut first).unwrap();
-    served.application().go_on();
+    served.application().set(|_| None);
     let run = Run::from(child.wait_with_output().unwrap());
     assert!(run.code == 130 && run.err.contains("interrupted; run `bcap dump"), "{run:?}");
     assert_eq!(bcap(&["dump", &dir, "--robot", &address]).code, 0);

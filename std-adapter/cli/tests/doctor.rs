@@ -1,37 +1,26 @@
 //! `bcap doctor` against virtual controllers with one fault each: it reports exactly that fault.
 
 use std::fs;
-use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Child, Stdio};
 
-use crate::common::{Run, bcap, command};
+use crate::common::virtual_robot::Virtual;
+use crate::common::{Run, bcap};
 use bcap_core::bcap::call;
 use bcap_core::procedure::{Provider, open_robot};
 use bcap_std::{Options, blocking};
 use serde_json::Value;
 
-/// A `bcap sim` process; dropping this kills it.
+/// A virtual controller and its provider.
 struct Sim {
-    child: Child,
-    tcp: String,
-    udp: String,
+    robot: Virtual,
     provider: &'static str,
 }
 
 impl Sim {
     /// Starts a controller, with the motor off.
     fn start(more: &[&str]) -> Self {
-        let free = ["--bcap", "127.0.0.1:0", "--udp", "127.0.0.1:0", "--rac", "127.0.0.1:0"];
-        let mut child = command(&[&["sim"], &free[..], more].concat()).stdout(Stdio::piped()).spawn().unwrap();
-        let mut line = String::new();
-        BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
-        let port = |key: &str| {
-            let address = line.split_whitespace().find_map(|word| word.strip_prefix(key)).unwrap();
-            address.rsplit_once(':').unwrap().1.to_owned()
-        };
         let provider = if more.contains(&"rc9") { "CaoProv.DENSO.VRC9" } else { "CaoProv.DENSO.VRC" };
-        Self { tcp: port("bcap="), udp: port("udp="), provider, child }
+        Self { robot: Virtual::start(more), provider }
     }
 
     /// Starts a controller and prepares it, with the motor on.
@@ -47,24 +36,13 @@ impl Sim {
         sim
     }
 
-    fn robot(&self) -> String {
-        format!("tcp:127.0.0.1:{}", self.tcp)
-    }
-
     /// Runs a command with the address and the provider of the controller.
     fn bcap(&self, command: &[&str]) -> Run {
-        bcap(&[command, &["--robot", &self.robot(), "--provider", self.provider]].concat())
+        bcap(&[command, &["--robot", &self.robot.tcp, "--provider", self.provider]].concat())
     }
 
     fn doctor(&self, more: &[&str]) -> Run {
-        self.bcap(&[&["doctor", "--udp-port", &self.udp], more].concat())
-    }
-}
-
-impl Drop for Sim {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+        self.bcap(&[&["doctor", "--udp-port", self.robot.udp.rsplit_once(':').unwrap().1], more].concat())
     }
 }
 
@@ -137,14 +115,14 @@ fn an_unreachable_link_is_reported() {
     assert_eq!((failed(&run).iter().map(|(check, _)| check.as_str()).collect::<Vec<_>>(), run.code), (vec!["tcp"], 3));
     let silent = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
     let port = silent.local_addr().unwrap().port().to_string();
-    let run = bcap(&["doctor", "--json", "--robot", &sim.robot(), "--udp-port", &port, "--timeout", "500"]);
+    let run = bcap(&["doctor", "--json", "--robot", &sim.robot.tcp, "--udp-port", &port, "--timeout", "500"]);
     assert_eq!((failed(&run).iter().map(|(check, _)| check.as_str()).collect::<Vec<_>>(), run.code), (vec!["udp"], 4));
     // without any link all other checks are skipped
     let run = bcap(&[
         "doctor",
         "--json",
         "--robot",
-        &sim.robot(),
+        &sim.robot.tcp,
         "--tcp-port",
         &closed,
         "--udp-port",
@@ -214,7 +192,7 @@ fn the_emergency_stop_is_reported() {
 #[test]
 fn an_arm_of_another_client_is_reported() {
     let sim = Sim::ready(&[]);
-    let mut other = blocking::connect_tcp(sim.robot().trim_start_matches("tcp:"), &Options::default()).unwrap();
+    let mut other = blocking::connect_tcp(sim.robot.tcp.trim_start_matches("tcp:"), &Options::default()).unwrap();
     let handles = other.run(open_robot(Provider::RC8, None)).unwrap();
     other.call(call::robot_execute(handles.robot, "TakeArm", [0, 0])).unwrap();
     let run = sim.doctor(&["--json"]);

@@ -3,82 +3,26 @@
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
 use std::path::Path;
-use std::process::{Child, ChildStdout, Command, Stdio};
+
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::common::{Run, bcap, command};
+use crate::common::running::Running;
+use crate::common::{bcap, command};
 use bcap_tests::pymodbus::Pymodbus;
 use bcap_tests::tools;
 use serde_json::Value;
 
 const NOT_CONNECTED: &str = "-2147481342\r";
 
-/// A process of the command that runs until a signal; dropping this kills it.
-struct Server {
-    child: Child,
-    out: BufReader<ChildStdout>,
-    ready: String,
+/// Starts a virtual controller at an address.
+fn sim(bcap: &str) -> Running {
+    Running::of(&mut command(&["sim", "--bcap", bcap, "--udp", "127.0.0.1:0", "--rac", "127.0.0.1:0"]))
 }
 
-impl Server {
-    fn start(args: &[&str]) -> Self {
-        let mut child = command(args).stdout(Stdio::piped()).spawn().unwrap();
-        let mut out = BufReader::new(child.stdout.take().unwrap());
-        let mut ready = String::new();
-        out.read_line(&mut ready).unwrap();
-        Self { child, out, ready }
-    }
-
-    /// Returns the address after `key` in the `ready` line.
-    fn address(&self, key: &str) -> String {
-        let mut words = self.ready.trim_end().split(' ');
-        assert_eq!(words.next(), Some("ready"), "{}", self.ready);
-        words.find_map(|word| word.strip_prefix(key)?.strip_prefix('=')).unwrap().to_owned()
-    }
-
-    fn sim(bcap: &str) -> Self {
-        Self::start(&["sim", "--bcap", bcap, "--udp", "127.0.0.1:0", "--rac", "127.0.0.1:0"])
-    }
-
-    fn gateway(robot: &str, more: &[&str]) -> Self {
-        let robot = format!("tcp:{robot}");
-        Self::start(&[&["gateway", "--rac", "127.0.0.1:0", "--robot", &robot], more].concat())
-    }
-
-    /// Reads the log up to the next line of this kind.
-    fn log(&mut self, event: &str) -> Value {
-        loop {
-            let mut line = String::new();
-            assert!(self.out.read_line(&mut line).unwrap() > 0, "no {event} in the log");
-            let object: Value = serde_json::from_str(&line).unwrap();
-            if object["event"] == event {
-                return object;
-            }
-        }
-    }
-
-    fn rac(&self, args: &[&str]) -> Run {
-        bcap(&[&["rac"], args, &["--robot", &self.address("rac")]].concat())
-    }
-
-    /// Sends a signal, waits for the exit, and returns the rest of the output.
-    #[cfg(unix)]
-    fn end(mut self, signal: &str) -> String {
-        assert!(Command::new("kill").args([signal, &self.child.id().to_string()]).status().unwrap().success());
-        let mut rest = String::new();
-        self.out.read_to_string(&mut rest).unwrap();
-        assert_eq!(self.child.wait().unwrap().code(), Some(0));
-        rest
-    }
-}
-
-impl Drop for Server {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
+fn gateway(robot: &str, more: &[&str]) -> Running {
+    Running::gateway_to(&format!("tcp:{robot}"), more)
 }
 
 /// A PLC: a connection that sends lines and reads answers.
@@ -87,7 +31,7 @@ struct Plc {
 }
 
 impl Plc {
-    fn connect(gateway: &Server) -> Self {
+    fn connect(gateway: &Running) -> Self {
         let stream = TcpStream::connect(gateway.address("rac")).unwrap();
         stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
         Self { stream: BufReader::new(stream) }
@@ -102,8 +46,8 @@ impl Plc {
 }
 
 /// Starts a gateway and waits until its robot is connected.
-fn up(robot: &str, more: &[&str]) -> Server {
-    let mut gateway = Server::gateway(robot, more);
+fn up(robot: &str, more: &[&str]) -> Running {
+    let mut gateway = self::gateway(robot, more);
     gateway.log("robot_up");
     gateway
 }
@@ -130,7 +74,7 @@ fn clients_of_other_networks_are_reset_and_rules_for_networks_apply() {
     std::fs::write(&rules, file).unwrap();
     let rules = rules.to_str().unwrap();
     // no robot: a request that the rules allow is answered so
-    let mut gateway = Server::gateway("127.0.0.1:1", &["--rules", rules]);
+    let mut gateway = self::gateway("127.0.0.1:1", &["--rules", rules]);
     // a reset may arrive before the connection is used
     let refused = TcpStream::connect(gateway.address("rac")).and_then(|mut plc| plc.read(&mut [0]));
     assert_eq!(refused.unwrap_err().kind(), std::io::ErrorKind::ConnectionReset);
@@ -138,7 +82,7 @@ fn clients_of_other_networks_are_reset_and_rules_for_networks_apply() {
     assert_eq!(denied["reason"], "the rules do not allow this address to connect");
     assert!(denied["client"].as_str().unwrap().starts_with("127.0.0.1:"), "{denied}");
 
-    let gateway = Server::gateway("127.0.0.1:1", &["--rules", rules, "--clients", "10.0.1.7,127.0.0.0/8"]);
+    let gateway = self::gateway("127.0.0.1:1", &["--rules", rules, "--clients", "10.0.1.7,127.0.0.0/8"]);
     let mut plc = Plc::connect(&gateway);
     assert_eq!(plc.ask("PUT:RC8:1:I:3,5\r"), NOT_CONNECTED);
     assert_eq!(plc.ask("PUT:RC8:2:I:3,5\r"), "-2147024891\r", "the rule is for another client");
@@ -146,7 +90,7 @@ fn clients_of_other_networks_are_reset_and_rules_for_networks_apply() {
 
 #[test]
 fn all_kinds_can_be_read_and_only_allowed_kinds_written() {
-    let sim = Server::sim("127.0.0.1:0");
+    let sim = self::sim("127.0.0.1:0");
     let robot = sim.address("bcap");
     let mut read_only = up(&robot, &[]);
     let writing = up(&robot, &["--allow-put", "I,F,D,S,V", "--allow-put", "P,J,T,IO/128-143"]);
@@ -181,7 +125,7 @@ fn a_file_of_rules_limits_writes() {
         [[put]]\nkind = \"F\"\n\
         [[get]]\nkind = \"I\"\n";
     std::fs::write(&path, rules).unwrap();
-    let sim = Server::sim("127.0.0.1:0");
+    let sim = self::sim("127.0.0.1:0");
     let gateway = up(&sim.address("bcap"), &["--rules", path.to_str().unwrap()]);
     let mut plc = Plc::connect(&gateway);
     for (line, answer) in [
@@ -209,10 +153,9 @@ fn a_file_of_rules_limits_writes() {
 
 #[test]
 fn the_robot_is_reached_over_udp_too() {
-    let sim = Server::sim("127.0.0.1:0");
+    let sim = self::sim("127.0.0.1:0");
     let robot = format!("udp:{}", sim.address("udp"));
-    let mut gateway =
-        Server::start(&["gateway", "--rac", "127.0.0.1:0", "--robot", &robot, "--allow-put", "V/7=0..1,-5..5,I"]);
+    let mut gateway = Running::gateway_to(&robot, &["--allow-put", "V/7=0..1,-5..5,I"]);
     assert_eq!(gateway.log("robot_up")["robot"], robot);
     let mut plc = Plc::connect(&gateway);
     assert_eq!(plc.ask("PUT:RC8:7:V:8196,1,-5,5\r"), "0\r");
@@ -227,7 +170,7 @@ fn the_robot_is_reached_over_udp_too() {
 /// A client chooses the text of its lines; a terminal that shows the log must not act on them.
 #[test]
 fn lines_in_the_log_are_escaped() {
-    let mut gateway = Server::gateway("127.0.0.1:9", &[]);
+    let mut gateway = self::gateway("127.0.0.1:9", &[]);
     let line = "GET:\u{9b}31m\u{202e}";
     Plc::connect(&gateway).ask(&format!("{line}\r"));
     let mut raw = String::new();
@@ -241,7 +184,7 @@ fn lines_in_the_log_are_escaped() {
 
 #[test]
 fn invalid_lines_are_answered_and_the_session_continues() {
-    let sim = Server::sim("127.0.0.1:0");
+    let sim = self::sim("127.0.0.1:0");
     let mut gateway = up(&sim.address("bcap"), &[]);
     let mut plc = Plc::connect(&gateway);
     let long = format!("GET:RC8:1:I:{}\r", " ".repeat(287));
@@ -267,7 +210,7 @@ fn invalid_lines_are_answered_and_the_session_continues() {
 fn a_disconnected_robot_gives_an_error_at_once_and_service_resumes_after_reconnecting() {
     // a free port, on which the robot will listen later
     let robot = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
-    let mut gateway = Server::gateway(&robot, &["--allow-put", "I"]);
+    let mut gateway = self::gateway(&robot, &["--allow-put", "I"]);
     let down = gateway.log("robot_down");
     assert_eq!(down["retry_ms"], 500);
     assert!(down["reason"].as_str().unwrap().contains("refused"), "{down}");
@@ -276,7 +219,7 @@ fn a_disconnected_robot_gives_an_error_at_once_and_service_resumes_after_reconne
         assert_eq!(plc.ask("GET:RC8:1:I:\r"), NOT_CONNECTED);
     }
     for round in 1..=2 {
-        let sim = Server::sim(&robot);
+        let sim = self::sim(&robot);
         gateway.log("robot_up");
         for (n, plc) in plcs.iter_mut().enumerate() {
             assert_eq!(plc.ask(&format!("PUT:RC8:{n}:I:3,{round}{n}\r")), "0\r");
@@ -301,7 +244,7 @@ fn a_disconnected_robot_gives_an_error_at_once_and_service_resumes_after_reconne
 #[test]
 fn no_client_gets_the_answer_of_another() {
     let robot = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
-    let sim = Server::sim(&robot);
+    let sim = self::sim(&robot);
     let mut gateway = up(&robot, &["--allow-put", "I"]);
     let clients: Vec<_> = (0..4)
         .map(|n| {
@@ -332,7 +275,7 @@ fn no_client_gets_the_answer_of_another() {
     }
     drop(sim);
     gateway.log("robot_down");
-    let _sim = Server::sim(&robot);
+    let _sim = self::sim(&robot);
     gateway.log("robot_up");
     for client in clients {
         let (served, away) = client.join().unwrap();
@@ -344,8 +287,8 @@ fn no_client_gets_the_answer_of_another() {
 #[test]
 #[cfg(unix)]
 fn a_flood_of_lines_does_not_starve_other_clients() {
-    let sim = Server::sim("127.0.0.1:0");
-    let gateway = up(&sim.address("bcap"), &[]);
+    let sim = self::sim("127.0.0.1:0");
+    let mut gateway = up(&sim.address("bcap"), &[]);
     let flood = TcpStream::connect(gateway.address("rac")).unwrap();
     let (mut to, mut from) = (flood.try_clone().unwrap(), flood.try_clone().unwrap());
     let writer = std::thread::spawn(move || while to.write_all(&[b'\r'; 500]).is_ok() {});
@@ -383,9 +326,9 @@ fn a_flood_of_lines_does_not_starve_other_clients() {
 #[cfg(unix)]
 #[test]
 fn signals_end_the_gateway_with_0_and_the_log_with_totals() {
-    let sim = Server::sim("127.0.0.1:0");
+    let sim = self::sim("127.0.0.1:0");
     for signal in ["-INT", "-TERM"] {
-        let gateway = up(&sim.address("bcap"), &[]);
+        let mut gateway = up(&sim.address("bcap"), &[]);
         let mut plc = Plc::connect(&gateway);
         assert_eq!(plc.ask("GET:RC8:1:I:\r"), "0,3,0\r");
         assert_eq!(plc.ask("PUT:RC8:1:I:3,1\r"), "-2147024891\r");
@@ -402,7 +345,7 @@ fn signals_end_the_gateway_with_0_and_the_log_with_totals() {
 #[cfg(unix)]
 fn a_flood_of_wrong_lines_is_counted_in_the_log() {
     const LINES: u64 = 20_000;
-    let gateway = Server::gateway("127.0.0.1:9", &[]);
+    let mut gateway = self::gateway("127.0.0.1:9", &[]);
     let begun = Instant::now();
     let mut flood = TcpStream::connect(gateway.address("rac")).unwrap();
     let mut answers = flood.try_clone().unwrap();
@@ -433,8 +376,8 @@ fn a_flood_of_wrong_lines_is_counted_in_the_log() {
 #[test]
 #[cfg(unix)]
 fn every_successful_write_is_logged() {
-    let sim = Server::sim("127.0.0.1:0");
-    let gateway = up(&sim.address("bcap"), &["--allow-put", "I", "--audit-rate", "1"]);
+    let sim = self::sim("127.0.0.1:0");
+    let mut gateway = up(&sim.address("bcap"), &["--allow-put", "I", "--audit-rate", "1"]);
     let mut plc = Plc::connect(&gateway);
     for n in 0..50 {
         assert_eq!(plc.ask("GET:RC8:1:I:\r"), if n == 0 { "0,3,0\r".into() } else { format!("0,3,{}\r", n - 1) });
@@ -449,7 +392,7 @@ fn every_successful_write_is_logged() {
 
 #[test]
 fn one_address_cannot_exceed_its_share_of_the_slots() {
-    let gateway = Server::gateway("127.0.0.1:9", &[]);
+    let gateway = self::gateway("127.0.0.1:9", &[]);
     let mut connected: Vec<Plc> = (0..16).map(|_| Plc::connect(&gateway)).collect();
     for plc in &mut connected {
         assert_eq!(plc.ask("GET:RC8:1:I:\r"), NOT_CONNECTED);
@@ -469,7 +412,7 @@ fn one_address_cannot_exceed_its_share_of_the_slots() {
 
 #[test]
 fn the_longest_idle_connection_is_evicted_for_a_new_one() {
-    let gateway = Server::gateway("127.0.0.1:9", &["--clients-per-address", "2", "--evict-after", "0"]);
+    let gateway = self::gateway("127.0.0.1:9", &["--clients-per-address", "2", "--evict-after", "0"]);
     let mut plcs = [(); 2].map(|()| Plc::connect(&gateway));
     // the second connection is idle longest
     for n in [0, 1, 0] {
@@ -483,7 +426,7 @@ fn the_longest_idle_connection_is_evicted_for_a_new_one() {
 
 #[test]
 fn a_client_over_the_limit_is_answered_e_max_connect() {
-    let gateway = Server::gateway("127.0.0.1:9", &["--clients-per-address", "64"]);
+    let gateway = self::gateway("127.0.0.1:9", &["--clients-per-address", "64"]);
     let mut connected: Vec<Plc> = (0..64).map(|_| Plc::connect(&gateway)).collect();
     for plc in &mut connected {
         assert_eq!(plc.ask("GET:RC8:1:I:\r"), NOT_CONNECTED);
@@ -503,7 +446,7 @@ fn an_address_in_use_is_reported() {
 }
 
 /// A gateway with Modbus: its map is in a file and on the command line.
-fn with_modbus(name: &str, robot: &str) -> Server {
+fn with_modbus(name: &str, robot: &str) -> Running {
     let file = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
     let rules = "register = [\"100=I/10-20:i16\", \"200=F/1:low\"]\n\
                  [[put]]\nkind = \"I\"\nindex = [10, 19]\nvalues = [-100, 100]\n[[put]]\nkind = \"F\"\nindex = 1\n";
@@ -514,7 +457,7 @@ fn with_modbus(name: &str, robot: &str) -> Server {
 
 #[test]
 fn clients_of_modbus_read_and_write_what_the_rules_allow() {
-    let sim = Server::sim("127.0.0.1:0");
+    let sim = self::sim("127.0.0.1:0");
     let mut gateway = with_modbus("gateway-modbus.toml", &sim.address("bcap"));
     let mut stream = TcpStream::connect(gateway.address("modbus")).unwrap();
     let mut ask = |request: &[u8], response: &[u8]| {
@@ -546,7 +489,7 @@ fn a_client_of_modbus_of_another_make_reads_and_writes_variables() {
         Ok(pymodbus) => pymodbus,
         Err(why) => return tools::missing(&why),
     };
-    let sim = Server::sim("127.0.0.1:0");
+    let sim = self::sim("127.0.0.1:0");
     let gateway = with_modbus("gateway-pymodbus.toml", &sim.address("bcap"));
     let exchanges = [
         ("client.write_registers(100, [7, 65535, 9])", "ok"),

@@ -5,7 +5,6 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use crate::common::fake::{Fake, usual, value};
-use crate::common::hooked::Hooked;
 use crate::common::{Run, bcap};
 use bcap_core::bcap::FunctionId;
 use bcap_core::bcap::server::Request;
@@ -14,11 +13,12 @@ use bcap_core::rac::VariableKind as Kind;
 use bcap_core::variant::Variant;
 use bcap_sim::{Config, Controller, Profile, Sizes};
 use bcap_std::server::Limits;
+use bcap_tests::hooked::Hooked;
 use bcap_tests::served::Served;
 
 /// A controller with few variables and three files, and a folder for backups.
 struct Cell {
-    served: Served<Hooked>,
+    served: Served<Hooked<Controller>>,
     address: String,
     folder: tempfile::TempDir,
     files: PathBuf,
@@ -69,7 +69,7 @@ impl Cell {
     }
 
     fn set_i(&self, index: u32, number: i32) {
-        self.served.application().controller.set_variable(Kind::I, index, &Variant::I4(number)).unwrap();
+        self.served.application().inner.set_variable(Kind::I, index, &Variant::I4(number)).unwrap();
     }
 
     fn read(&self, name: &str) -> String {

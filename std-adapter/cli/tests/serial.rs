@@ -2,8 +2,9 @@
 
 use std::fs;
 use std::io::{BufRead, BufReader};
-use std::process::{Child, ChildStderr, Stdio};
+use std::process::Stdio;
 
+use crate::common::running::Running;
 use crate::common::{Run, bare, bcap, bcap_with, command};
 use bcap_sim::{Config, Controller, Profile};
 use bcap_tests::cable::{Cable, End, Quality};
@@ -12,36 +13,10 @@ use bcap_tests::pty::Line;
 use bcap_tests::real_time::repeated;
 use bcap_tests::slowed::Slowed;
 
-/// A `bcap sim` process at the end of a cable; dropping this kills it.
-struct Sim {
-    child: Child,
-    ready: String,
-    notes: BufReader<ChildStderr>,
-}
-
-impl Sim {
-    fn start(cable: &Cable, more: &[&str]) -> Self {
-        let line = format!("{}?baud=115200", cable.path(End::Controller).display());
-        let mut sim = bare(&[&["sim", "--serial", &line], more].concat());
-        let mut child = sim.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-        let mut ready = String::new();
-        BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut ready).unwrap();
-        let notes = BufReader::new(child.stderr.take().unwrap());
-        Self { child, ready, notes }
-    }
-
-    fn note(&mut self) -> String {
-        let mut line = String::new();
-        self.notes.read_line(&mut line).unwrap();
-        line
-    }
-}
-
-impl Drop for Sim {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
+/// Starts a virtual controller at the end of a cable.
+fn sim(cable: &Cable, more: &[&str]) -> Running {
+    let line = format!("{}?baud=115200", cable.path(End::Controller).display());
+    Running::of(bare(&[&["sim", "--serial", &line], more].concat()).stderr(Stdio::piped()))
 }
 
 #[track_caller]
@@ -77,10 +52,10 @@ fn the_virtual_controller_serves_a_serial_line_and_its_sockets() {
     let cable = Cable::new(Quality::default());
     let files = tempfile::tempdir().unwrap();
     let free = ["--bcap", "127.0.0.1:0", "--udp", "127.0.0.1:0", "--rac", "127.0.0.1:0"];
-    let sim = Sim::start(&cable, &[&free[..], &["--files", files.path().to_str().unwrap()]].concat());
+    let sim = self::sim(&cable, &[&free[..], &["--files", files.path().to_str().unwrap()]].concat());
     let path = cable.path(End::Controller).display().to_string();
     assert!(sim.ready.ends_with(&format!(" serial={path}?baud=115200\n")), "{}", sim.ready);
-    let tcp = sim.ready.split_whitespace().find_map(|word| word.strip_prefix("bcap=")).unwrap().to_owned();
+    let tcp = sim.bcap.clone();
     let robot = cable.address(115_200);
     let run = |args: &[&str]| bcap(&[args, &["--robot", &robot]].concat());
 
@@ -108,7 +83,7 @@ fn the_virtual_controller_serves_a_serial_line_and_its_sockets() {
 #[test]
 fn the_virtual_controller_survives_unplugging() {
     let mut cable = Cable::new(Quality::default());
-    let mut sim = Sim::start(&cable, &["--no-network"]);
+    let mut sim = self::sim(&cable, &["--no-network"]);
     let path = cable.path(End::Controller).display().to_string();
     assert_eq!(sim.ready, format!("ready serial={path}?baud=115200\n"));
     let robot = cable.address(115_200);
@@ -116,10 +91,10 @@ fn the_virtual_controller_survives_unplugging() {
     done(run(&["put", "I1", "1"]));
     for round in 1..=2 {
         cable.unplug(End::Controller);
-        let lost = sim.note();
+        let lost = sim.error_line();
         assert!(lost.contains(&format!("serial:{path}?baud=115200 is lost")), "{lost}");
         cable.plug(End::Controller);
-        let again = sim.note();
+        let again = sim.error_line();
         assert!(again.contains(&format!("serial:{path}?baud=115200 is open again")), "{again}");
         assert_eq!(done(run(&["get", "I1"])), format!("I1 = {round}\n"));
         done(run(&["put", "I1", &(round + 1).to_string()]));
@@ -130,8 +105,8 @@ fn the_virtual_controller_survives_unplugging() {
 #[test]
 fn an_unplugged_client_loses_the_arm() {
     let mut cable = Cable::new(Quality::default());
-    let mut sim = Sim::start(&cable, &["--bcap", "127.0.0.1:0", "--udp", "127.0.0.1:0", "--rac", "127.0.0.1:0"]);
-    let tcp = sim.ready.split_whitespace().find_map(|word| word.strip_prefix("bcap=")).unwrap().to_owned();
+    let mut sim = self::sim(&cable, &["--bcap", "127.0.0.1:0", "--udp", "127.0.0.1:0", "--rac", "127.0.0.1:0"]);
+    let tcp = sim.bcap.clone();
     let mut shell = bare(&["shell", "--robot", &cable.address(115_200)]);
     let mut shell = shell.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
     let mut lines = shell.stdin.take().unwrap();
@@ -145,7 +120,7 @@ fn an_unplugged_client_loses_the_arm() {
     let take = ["exec", "robot", "TakeArm", "0", "1", "--robot", &tcp];
     assert_eq!(bcap(&take).code, 1);
     cable.unplug(End::Controller);
-    assert!(sim.note().contains("is lost"));
+    assert!(sim.error_line().contains("is lost"));
     // the refusal is an error
     assert_eq!(bcap(&["clear", "--robot", &tcp]).code, 0);
     assert_eq!(bcap(&take).code, 0);

@@ -1,12 +1,8 @@
 //! Signals, questions and checks: no command leaves an arm, a motor or a motion behind, and none moves by mistake.
 
 use std::io::{BufRead, BufReader, Read, Write};
-use std::net::{TcpListener, TcpStream};
 use std::process::{Child, Stdio};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
-use std::time::Duration;
 
 use crate::common::fake::{Fake, usual};
 use crate::common::robot::Robot;
@@ -14,6 +10,7 @@ use crate::common::tmux::Terminal;
 use crate::common::virtual_robot::{Virtual, signal};
 use crate::common::{Run, bare, bcap, bcap_with, command};
 use bcap_sim::{Config, Profile, Scenario};
+use bcap_tests::proxy::Relay;
 
 /// A motion that takes more than ten seconds.
 const SLOW: [&str; 4] = ["move", "J(90, 45, 90, 0, 45, 0)", "--speed", "1"];
@@ -337,47 +334,20 @@ fn what_is_rarely_meant_is_written_only_with_its_type() {
     assert_eq!(robot.run(&["get", "F1", "IO128"]).out, "F1 = NaN\nIO128 = true\n");
 }
 
-/// A TCP relay that can be silent: it neither forwards nor closes.
-fn relay(to: String, is_silent: &Arc<AtomicBool>) -> String {
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let address = format!("tcp:{}", listener.local_addr().unwrap());
-    let is_silent = Arc::clone(is_silent);
-    thread::spawn(move || {
-        for client in listener.incoming() {
-            let (client, server) = (client.unwrap(), TcpStream::connect(&to).unwrap());
-            for (mut from, mut to) in [(client.try_clone().unwrap(), server.try_clone().unwrap()), (server, client)] {
-                let is_silent = Arc::clone(&is_silent);
-                thread::spawn(move || {
-                    let mut part = [0; 4096];
-                    while let Ok(count @ 1..) = from.read(&mut part) {
-                        while is_silent.load(Ordering::SeqCst) {
-                            thread::sleep(Duration::from_millis(5));
-                        }
-                        if to.write_all(&part[..count]).is_err() {
-                            return;
-                        }
-                    }
-                });
-            }
-        }
-    });
-    address
-}
-
 #[test]
 fn a_link_that_is_silent_during_a_motion_is_reported_before_the_call_fails() {
     let robot = Virtual::start(&[]);
-    let is_silent = Arc::new(AtomicBool::new(false));
-    let address = relay(robot.tcp.trim_start_matches("tcp:").to_owned(), &is_silent);
+    let relay = Relay::tcp(robot.tcp.trim_start_matches("tcp:").parse().unwrap());
+    let address = format!("tcp:{}", relay.tcp);
     let args = [&SLOW[..], &["--timeout", "60s", "--robot", &address]].concat();
     let mut child = bare(&args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     robot.wait_for_motion();
-    is_silent.store(true, Ordering::SeqCst);
+    relay.hold(true);
     let mut err = BufReader::new(child.stderr.take().unwrap());
     let mut line = String::new();
     err.read_line(&mut line).unwrap();
     assert!(line.contains("has not answered for 1 s: the robot may be moving"), "{line}");
-    is_silent.store(false, Ordering::SeqCst);
+    relay.hold(false);
     line.clear();
     err.read_line(&mut line).unwrap();
     assert!(line.contains("answers again"), "{line}");
@@ -392,12 +362,12 @@ fn a_link_that_is_silent_during_a_motion_is_reported_before_the_call_fails() {
 #[test]
 fn a_motion_whose_link_is_lost_may_go_on_and_the_command_says_so() {
     let robot = Virtual::start(&[]);
-    let is_silent = Arc::new(AtomicBool::new(false));
-    let address = relay(robot.tcp.trim_start_matches("tcp:").to_owned(), &is_silent);
+    let relay = Relay::tcp(robot.tcp.trim_start_matches("tcp:").parse().unwrap());
+    let address = format!("tcp:{}", relay.tcp);
     let args = [&SLOW[..], &["--timeout", "1500ms", "--robot", &address]].concat();
     let child = bare(&args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     robot.wait_for_motion();
-    is_silent.store(true, Ordering::SeqCst);
+    relay.hold(true);
     let run: Run = child.wait_with_output().unwrap().into();
     assert_eq!(run.code, 4, "{run:?}");
     assert!(run.err.contains("the robot may still move; use the emergency stop"), "{run:?}");

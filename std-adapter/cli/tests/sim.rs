@@ -5,55 +5,31 @@ use std::fs;
 use std::io::{BufRead, BufReader, Read};
 use std::net::TcpListener;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 
+use crate::common::running::Running;
+use crate::common::virtual_robot::Virtual;
 use crate::common::{Run, bcap, command};
 use serde_json::Value;
 
-/// A `bcap sim` process; dropping this kills it.
-struct Sim {
-    child: Child,
-    tcp: String,
-    udp: String,
-    rac: String,
-}
+/// A virtual controller, and the command over each of its links.
+struct Sim(Virtual);
 
 impl Sim {
     fn start(more: &[&str]) -> Self {
-        Self::start_with(more, Stdio::inherit())
-    }
-
-    fn start_with(more: &[&str], stderr: Stdio) -> Self {
-        let free = ["--bcap", "127.0.0.1:0", "--udp", "127.0.0.1:0", "--rac", "127.0.0.1:0"];
-        let mut command = command(&[&["sim"], &free[..], more].concat());
-        let mut child = command.stdout(Stdio::piped()).stderr(stderr).spawn().unwrap();
-        let mut line = String::new();
-        BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
-        let mut words = line.trim_end().split(' ');
-        assert_eq!(words.next(), Some("ready"), "{line}");
-        let mut address = |key: &str| words.next().unwrap().strip_prefix(key).unwrap().to_owned();
-        let (tcp, udp, rac) = (address("bcap="), address("udp="), address("rac="));
-        assert_eq!(words.next(), None, "{line}");
-        Self { child, tcp: format!("tcp:{tcp}"), udp: format!("udp:{udp}"), rac }
+        Self(Virtual::start(more))
     }
 
     fn tcp(&self, args: &[&str]) -> Run {
-        bcap(&[args, &["--robot", &self.tcp]].concat())
+        self.0.run(args)
     }
 
     fn udp(&self, args: &[&str]) -> Run {
-        bcap(&[args, &["--robot", &self.udp]].concat())
+        bcap(&[args, &["--robot", &self.0.udp]].concat())
     }
 
     fn rac(&self, args: &[&str]) -> Run {
-        bcap(&[&["rac"], args, &["--robot", &self.rac]].concat())
-    }
-}
-
-impl Drop for Sim {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+        self.0.process.rac(args)
     }
 }
 
@@ -138,10 +114,9 @@ fn refusals_are_explained_over_all_links() {
 
 #[test]
 fn a_refused_argument_is_explained_on_stderr_and_by_its_description() {
-    let mut sim = Sim::start_with(&["--explain"], Stdio::piped());
+    let mut sim = Sim(Running::sim(&["--explain"]).into());
     assert_eq!(sim.tcp(&["exec", "robot", "TakeArm", "8195,0,0,0"]).code, 1);
-    let mut line = String::new();
-    BufReader::new(sim.child.stderr.take().unwrap()).read_line(&mut line).unwrap();
+    let line = sim.0.process.error_line();
     let why = "Robot_Execute \"TakeArm\": given [I4(0), I4(0), I4(0)]; accepted nothing, the group, or [group, keep]: \
                group 0 to 31, keep 0 or 1";
     assert!(line.contains("E_INVALIDARG") && line.trim_end().ends_with(why), "{line}");
@@ -151,11 +126,10 @@ fn a_refused_argument_is_explained_on_stderr_and_by_its_description() {
 
 #[test]
 fn an_argument_of_the_wrong_type_is_named_on_stderr() {
-    let mut sim = Sim::start_with(&["--explain"], Stdio::piped());
+    let mut sim = Sim(Running::sim(&["--explain"]).into());
     let run = sim.tcp(&["call", "Robot_Speed", "robot", "8,fast", "4,10"]);
     assert!(run.code == 1 && run.err.contains("E_INVALIDARGTYPE"), "{run:?}");
-    let mut line = String::new();
-    BufReader::new(sim.child.stderr.take().unwrap()).read_line(&mut line).unwrap();
+    let line = sim.0.process.error_line();
     let why = "Robot_Speed: axis: given \"fast\"; accepted I4, or another integer type whose value fits";
     assert!(line.contains("E_INVALIDARGTYPE") && line.trim_end().ends_with(why), "{line}");
 }
@@ -177,10 +151,9 @@ fn a_lenient_controller_names_what_it_tolerates() {
     let strict = Sim::start(&["--model", "rc9"]);
     let run = strict.tcp(&["get", "I1"]);
     assert!(run.code == 1 && run.err.contains("E_CAO_PROV_INVALID"), "{run:?}");
-    let mut sim = Sim::start_with(&["--model", "rc9", "--lenient"], Stdio::piped());
+    let mut sim = Sim(Running::sim(&["--model", "rc9", "--lenient"]).into());
     assert_eq!(sim.tcp(&["get", "I1"]).code, 0);
-    let mut line = String::new();
-    BufReader::new(sim.child.stderr.take().unwrap()).read_line(&mut line).unwrap();
+    let line = sim.0.process.error_line();
     let tolerated = "tolerated: Controller_Connect: provider \"CaoProv.DENSO.VRC\" is not that of RC9";
     assert!(line.starts_with(tolerated), "{line}");
 }
@@ -270,8 +243,7 @@ fn a_fifo_in_the_folder_blocks_neither_b_cap_nor_rac_nor_signals() {
     assert_eq!(copy.code, 1, "{copy:?}");
     assert_eq!(sim.rac(&["get", "I1"]).out, "I1 = 0\n");
     assert_eq!(sim.udp(&["get", "I1"]).out, "I1 = 0\n");
-    assert!(Command::new("kill").args(["-TERM", &sim.child.id().to_string()]).status().unwrap().success());
-    assert_eq!(sim.child.wait().unwrap().code(), Some(0));
+    sim.0.end("-TERM");
 }
 
 #[test]
@@ -300,15 +272,10 @@ fn signals_end_sim_with_0() {
     for signal in ["-INT", "-TERM"] {
         let mut sim = Sim::start(&[]);
         // a connected client does not delay the exit
-        let mut watch = command(&["watch", "I1", "--interval", "1", "--robot", &sim.tcp]);
+        let mut watch = command(&["watch", "I1", "--interval", "1", "--robot", &sim.0.tcp]);
         let mut watch = watch.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
         watch.stdout.as_mut().unwrap().read_exact(&mut [0; 8]).unwrap();
-        let kill = |child: &Child| Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap();
-        assert!(kill(&sim.child).success());
-        assert_eq!(sim.child.wait().unwrap().code(), Some(0));
-        let mut rest = String::new();
-        sim.child.stdout.as_mut().unwrap().read_to_string(&mut rest).unwrap();
-        assert_eq!(rest, "", "one line and no more");
+        assert_eq!(sim.0.process.end(signal), "", "one line and no more");
         // the client's connection is closed
         drop(watch.stdout.take());
         watch.wait().unwrap();
@@ -320,7 +287,7 @@ fn signals_end_sim_with_0() {
 fn a_watch_ends_with_0_when_it_is_interrupted() {
     let sim = Sim::start(&[]);
     let mut watch =
-        command(&["watch", "I1", "--interval", "1", "--robot", &sim.tcp]).stdout(Stdio::piped()).spawn().unwrap();
+        command(&["watch", "I1", "--interval", "1", "--robot", &sim.0.tcp]).stdout(Stdio::piped()).spawn().unwrap();
     let mut out = BufReader::new(watch.stdout.take().unwrap());
     out.read_line(&mut String::new()).unwrap();
     assert!(Command::new("kill").args(["-INT", &watch.id().to_string()]).status().unwrap().success());
@@ -459,14 +426,7 @@ fn the_token_of_an_address_is_for_clients_of_that_address() {
 #[test]
 fn a_model_without_rac_serves_it_only_on_request() {
     let free = ["sim", "--bcap", "127.0.0.1:0", "--udp", "127.0.0.1:0", "--model", "rc9"];
-    let ready = |more: &[&str]| {
-        let mut child = command(&[&free[..], more].concat()).stdout(Stdio::piped()).spawn().unwrap();
-        let mut line = String::new();
-        BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
-        child.kill().unwrap();
-        child.wait().unwrap();
-        line
-    };
+    let ready = |more: &[&str]| Running::of(&mut command(&[&free[..], more].concat())).ready.clone();
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("clients.pcapng");
     let write = ["--write", file.to_str().unwrap()];

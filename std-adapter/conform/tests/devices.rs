@@ -1,20 +1,24 @@
 //! Correct devices pass: the virtual controllers over TCP and UDP, and the server of a small device.
 
 use std::collections::BTreeSet;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use crate::common::{Served, provider, report};
-use bcap_conform::{Group, Level, Link, Report, Verdict, cases};
+use crate::common::{assert_restored, options, provider, rc8, report, state};
+use bcap_conform::{Group, Level, Link, Options, Report, Target, Verdict, cases};
 use bcap_core::device::{Device, DeviceVariable, assign};
 use bcap_sim::{Config, Controller, Profile, Scenario};
+use bcap_std::server::Limits;
+use bcap_tests::serial::SerialServer;
+use bcap_tests::served::Served;
 
 /// Runs all cases against a virtual controller: none fails or differs, and only cases of the other link, of other models and of
 /// `absent` are skipped.
 fn passes(profile: Profile, link: Link, absent: &[&str]) {
     // an RC8A takes more than a second
     let config = Config { motor_on_delay: Duration::from_millis(300), ..Config::new(profile) };
-    let served = Served::start(Controller::new(config));
-    let mut options = served.options(link, Level::Motion);
+    let served = Served::of(Controller::new(config), Limits::default());
+    let mut options = options(&served, link, Level::Motion);
     options.provider = provider(profile);
     let report = report(&options);
     assert_eq!(report.failures().collect::<Vec<_>>(), [""; 0]);
@@ -87,8 +91,8 @@ fn a_controller_that_answers_otherwise_differs() {
     let fault = "[[fault]]\nwhen = { call = 1, of = 'CurFig' }\nthen = { refuse = '0x80004005' }";
     let mut controller = Controller::new(Config::new(Profile::Cobotta));
     controller.play(Scenario::parse(fault).unwrap());
-    let served = Served::start(controller);
-    let mut options = served.options(Link::Tcp, Level::Read);
+    let served = Served::of(controller, Limits::default());
+    let mut options = options(&served, Link::Tcp, Level::Read);
     options.groups = vec![Group::Seen];
     let report = report(&options);
     let differing: Vec<_> = report.results.iter().filter(|result| result.verdict == Verdict::Differs).collect();
@@ -108,34 +112,31 @@ fn a_controller_that_answers_otherwise_differs() {
 }
 
 #[test]
+fn the_rc8_passes_over_a_serial_line() {
+    let controller = Controller::new(Config::new(Profile::Rc8));
+    let line = SerialServer::start(Arc::new(Mutex::new(controller)));
+    let target = Target { bcap: Some((Link::Serial, line.address)), rac: None };
+    let report = report(&Options { level: Level::Write, quiet: Duration::from_millis(100), ..Options::new(target) });
+    assert_eq!(report.failures().collect::<Vec<_>>(), [""; 0], "{:?}", report.results);
+    let passed = |group: &str| {
+        let names = report.results.iter().filter(|result| result.verdict == Verdict::Pass);
+        names.filter(|result| result.name.starts_with(group)).count()
+    };
+    let passed = ["udp/", "types/", "seen/", ""].map(passed);
+    assert_eq!((passed, report.count(Verdict::Differs)), ([17, 28, 5, 549], 0), "{}", report.summary());
+}
+
+#[test]
 fn a_motion_leaves_the_robot_as_it_was() {
-    let served = Served::start(Controller::new(Config { ext_speed: 40.0, ..Config::new(Profile::Rc8) }));
-    let mut options = served.options(Link::Tcp, Level::Motion);
+    let served = rc8(40.0);
+    let mut options = options(&served, Link::Tcp, Level::Motion);
     options.cases = vec!["timeouts/keep-alives-of-a-motion".into(), "slave/enter-2-j".into()];
     let before = state(&served);
     assert_eq!(report(&options).count(Verdict::Pass), 2);
-    let after = state(&served);
     assert_eq!((before.0, before.1), (40.0, false));
-    assert_eq!((after.0, after.1), (before.0, before.1));
-    let moved = before.2.iter().zip(&after.2).any(|(before, after)| (before - after).abs() > 0.001);
-    assert!(!moved, "{before:?} {after:?}");
+    assert_restored(&before, &served, "");
 }
 
-/// Returns the external speed, whether the motor is on, and the joints.
-fn state(served: &Served) -> (f64, bool, Vec<f64>) {
-    let mut cell =
-        bcap_std::blocking::Controller::connect(&format!("tcp:{}", served.tcp), &bcap_std::Settings::rc8()).unwrap();
-    let mut robot = cell.robot().unwrap();
-    let state = (
-        robot.execute("CurExtSpd", ()).unwrap(),
-        robot.read("@SERVO_ON").unwrap(),
-        robot.execute("CurJnt", ()).unwrap(),
-    );
-    cell.close().unwrap();
-    state
-}
-
-/// The state of the device of the example `device_server`.
 #[derive(Default)]
 struct Conveyor {
     parts: i32,
@@ -157,8 +158,8 @@ fn passed_groups(report: &Report) -> BTreeSet<Group> {
 #[test]
 fn the_server_of_a_device_passes_what_it_has() {
     for link in [Link::Tcp, Link::Udp] {
-        let served = Served::start(conveyor());
-        let mut options = served.options(link, Level::Motion);
+        let served = Served::of(conveyor(), Limits::default());
+        let mut options = options(&served, link, Level::Motion);
         // F1 may be written
         options.scratch = 1;
         let report = report(&options);

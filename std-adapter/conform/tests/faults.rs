@@ -7,16 +7,17 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
-use crate::common::Served;
 use crate::common::relay;
 use crate::common::relay::{Hooks, Relay};
+use crate::common::{assert_restored, rc8, state};
 use bcap_conform::{Level, Link, Options, Verdict, run};
 use bcap_core::bcap::FunctionId as F;
 use bcap_core::hresult::HResult;
-use bcap_sim::{Config, Controller, Profile};
+use bcap_sim::Controller;
 use bcap_testkit::frame::TestFrame;
 use bcap_testkit::judge::TCP;
 use bcap_testkit::value::Value;
+use bcap_tests::served::Served;
 
 /// A fault and the case that catches it.
 struct Fault {
@@ -262,7 +263,7 @@ const FAULTS: &[Fault] = &[
 ];
 
 /// Runs one case against the controller behind a relay, and returns the verdict and the text of the result.
-fn judged(served: &Served, hooks: Hooks, link: Link, case: &str) -> (Verdict, String) {
+fn judged(served: &Served<Controller>, hooks: Hooks, link: Link, case: &str) -> (Verdict, String) {
     let relay = Relay::start(hooks, served.tcp, served.udp, served.rac);
     let target = bcap_conform::Target {
         bcap: Some((link, if link == Link::Tcp { relay.tcp } else { relay.udp })),
@@ -277,7 +278,7 @@ fn judged(served: &Served, hooks: Hooks, link: Link, case: &str) -> (Verdict, St
 
 #[test]
 fn every_planted_fault_is_caught_by_its_case() {
-    let served = Served::start(Controller::new(Config::new(Profile::Rc8)));
+    let served = rc8(100.0);
     let mut missed = Vec::new();
     for fault in FAULTS {
         let (honest, text) = judged(&served, Hooks::HONEST, fault.link, fault.case);
@@ -294,24 +295,10 @@ fn every_planted_fault_is_caught_by_its_case() {
     assert_eq!((names.len(), FAULTS.len()), (46, 46));
 }
 
-/// Returns the external speed, whether the motor is on, and the joints.
-fn state(served: &Served) -> (f64, bool, Vec<f64>) {
-    let address = format!("tcp:{}", served.tcp);
-    let mut cell = bcap_std::blocking::Controller::connect(&address, &bcap_std::Settings::rc8()).unwrap();
-    let mut robot = cell.robot().unwrap();
-    let state = (
-        robot.execute("CurExtSpd", ()).unwrap(),
-        robot.read("@SERVO_ON").unwrap(),
-        robot.execute("CurJnt", ()).unwrap(),
-    );
-    cell.close().unwrap();
-    state
-}
-
 #[test]
 fn a_wrong_reply_during_a_motion_leaves_the_robot_as_it_was() {
-    let served = Served::start(Controller::new(Config { ext_speed: 40.0, ..Config::new(Profile::Rc8) }));
-    let (speed, is_on, joints) = state(&served);
+    let served = rc8(40.0);
+    let before = state(&served);
     let reply: relay::OnReply = |_, _, frame| match HResult(frame.code) {
         HResult::S_EXECUTING => TestFrame { serial: 0, ..frame }.to_wire(false),
         _ => frame.to_wire(false),
@@ -319,15 +306,12 @@ fn a_wrong_reply_during_a_motion_leaves_the_robot_as_it_was() {
     let hooks = Hooks { reply, ..Hooks::HONEST };
     let (verdict, text) = judged(&served, hooks, Link::Tcp, "timeouts/keep-alives-of-a-motion");
     assert_eq!(verdict, Verdict::Fail, "{text}");
-    let after = state(&served);
-    assert_eq!((after.0, after.1), (speed, is_on), "{text}");
-    let has_moved = joints.iter().zip(&after.2).any(|(before, after)| (before - after).abs() > 0.001);
-    assert!(!has_moved, "{joints:?} {:?}", after.2);
+    assert_restored(&before, &served, &text);
 }
 
 #[test]
 fn a_task_that_starts_with_an_error_is_stopped() {
-    let served = Served::start(Controller::new(Config::new(Profile::Rc8)));
+    let served = rc8(100.0);
     let reply: relay::OnReply = |_, request, frame| match F(request.code) {
         F::TASK_START => with_code(frame, HResult::S_OK, HResult::E_FAIL),
         _ => frame.to_wire(false),
@@ -341,7 +325,7 @@ fn a_task_that_starts_with_an_error_is_stopped() {
 
 #[test]
 fn a_session_that_stops_answering_is_replaced_to_switch_the_motor_off() {
-    let served = Served::start(Controller::new(Config { ext_speed: 40.0, ..Config::new(Profile::Rc8) }));
+    let served = rc8(40.0);
     let before = state(&served);
     let request: relay::OnRequest = |memory, frame| {
         // from then on the device answers nothing on this connection
@@ -412,7 +396,7 @@ fn relay_until_a_motion(mut client: &TcpStream, mut device: &TcpStream, motions:
 
 #[test]
 fn a_motion_whose_connection_ends_is_not_repeated() {
-    let served = Served::start(Controller::new(Config::new(Profile::Rc8)));
+    let served = rc8(100.0);
     // the connections of the halt and of the last session are refused
     let refused = AtomicUsize::new(0);
     let accepts = move |_, motions| motions == 0 || refused.fetch_add(1, Ordering::SeqCst) >= 12;
@@ -424,7 +408,7 @@ fn a_motion_whose_connection_ends_is_not_repeated() {
 
 #[test]
 fn a_device_that_ends_every_connection_gets_few() {
-    let served = Served::start(Controller::new(Config::new(Profile::Rc8)));
+    let served = rc8(100.0);
     for case in [
         "sessions/start-and-stop",
         "sessions/two-clients",
@@ -443,7 +427,7 @@ fn a_device_that_ends_every_connection_gets_few() {
 
 #[test]
 fn a_device_that_loses_its_slots_fails() {
-    let served = Served::start(Controller::new(Config::new(Profile::Rc8)));
+    let served = rc8(100.0);
     let device = Ending::start(served.tcp, |connections, _| connections < 20);
     let (verdict, text) = device.judge(Level::Read, "sessions/one-after-another");
     assert_eq!(verdict, Verdict::Fail, "{text}");

@@ -5,11 +5,12 @@ use std::net::SocketAddr;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use crate::common::{Proxy, Running, Subscriber, folder, free_port, now_ms};
+use crate::common::{Running, Subscriber, folder, free_port, now_ms};
 use bcap_core::device::{Device, DeviceVariable};
 use bcap_core::hresult::HResult;
 use bcap_std::server::Server;
 use bcap_tests::mosquitto::Mosquitto;
+use bcap_tests::proxy::Relay;
 use serde_json::{Value, json};
 use tokio::task::JoinHandle;
 
@@ -159,10 +160,10 @@ async fn chaos(failures: usize, crashes: bool) {
     for _ in 0..CELLS {
         cells.push(Cell::start().await);
     }
-    let proxy = Proxy::start(broker.port).await;
+    let proxy = Relay::tcp(([127, 0, 0, 1], broker.port).into());
     let mut host = Subscriber::start(broker.port, "bcap/plant/#").await;
     let sender = Subscriber::start(broker.port, "unused").await;
-    let fleet = Running::start(&config(proxy.port, &buffer, &cells)).await;
+    let fleet = Running::start(&config(proxy.tcp.port(), &buffer, &cells)).await;
     let (mut random, mut received) = (Random(0x9E37_79B9_7F4A_7C15), Received::default());
     let pause = |milliseconds| tokio::time::sleep(Duration::from_millis(milliseconds));
     for failure in 0..failures {
@@ -188,12 +189,12 @@ async fn chaos(failures: usize, crashes: bool) {
                     cell.restart().await;
                 }
                 stalled => {
-                    proxy.set(false);
+                    proxy.hold(true);
                     pause(random.below(500)).await;
                     if stalled == 3 {
-                        proxy.cut();
+                        proxy.disconnect();
                     }
-                    proxy.set(true);
+                    proxy.hold(false);
                 }
             }
         };

@@ -5,11 +5,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 use std::time::Duration;
 
-use crate::common::{Proxy, Robot, Running, Subscriber, counter, folder, http, muting_proxy, now_ms};
+use crate::common::{Robot, Running, Subscriber, counter, folder, http, muting_proxy, now_ms};
 use bcap_fleet::{CommandResult, Event};
 use bcap_std::asynch::Controller;
 use bcap_std::{Settings, TaskStart};
 use bcap_tests::mosquitto::Mosquitto;
+use bcap_tests::proxy::Relay;
 use rumqttc::Publish;
 use serde_json::json;
 
@@ -71,14 +72,14 @@ async fn values_and_states_of_several_robots_arrive() {
 async fn a_robot_that_stops_responding_costs_one_timeout() {
     let Some(broker) = Mosquitto::open() else { return };
     let robot = Robot::start().await;
-    let proxy = Proxy::start(robot.address.port()).await;
+    let proxy = Relay::tcp(robot.address);
     let publish = "[[controller.publish]]\nnames = [\"I1-16\"]\ninterval_ms = 10";
     let text = config(broker.port, "", &[&robot], publish);
-    let text = text.replace(&robot.address.to_string(), &format!("127.0.0.1:{}", proxy.port));
+    let text = text.replace(&robot.address.to_string(), &format!("127.0.0.1:{}", proxy.tcp.port()));
     let mut host = Subscriber::start(broker.port, "bcap/plant/cell1/+").await;
     let fleet = Running::start(&text).await;
     host.json("bcap/plant/cell1/I16", |json| json["quality"] == "good").await;
-    proxy.set(false);
+    proxy.hold(true);
     // a call times out after 3 s, so a timeout for each of the 16 would take 48 s
     let bad = async {
         while fleet.metric("bcap_read_errors_total{controller=\"cell1\"}").await < 16 {
@@ -87,7 +88,7 @@ async fn a_robot_that_stops_responding_costs_one_timeout() {
         host.json("bcap/plant/cell1/I16", |json| json["quality"] == "bad").await;
     };
     tokio::time::timeout(Duration::from_secs(20), bad).await.expect("all points are bad after few timeouts");
-    proxy.set(true);
+    proxy.hold(false);
     host.json("bcap/plant/cell1/I16", |json| json["quality"] == "good").await;
     fleet.stop().await;
 }

@@ -1,8 +1,9 @@
 //! Sparkplug B through a real Mosquitto, read by a decoder that is written from the specification alone.
 
-use crate::common::{Proxy, Robot, Running, Subscriber, folder, now_ms};
+use crate::common::{Robot, Running, Subscriber, folder, now_ms};
 use bcap_fleet::Event;
 use bcap_tests::mosquitto::Mosquitto;
+use bcap_tests::proxy::Relay;
 use rumqttc::Publish;
 
 /// A field of a protocol buffer.
@@ -385,7 +386,7 @@ async fn readings_before_the_birth_of_their_device_are_not_lost() {
 async fn the_births_of_two_processes_follow_each_other() {
     let Some(broker) = Mosquitto::open() else { return };
     let robot = Robot::start().await;
-    let proxy = Proxy::start(broker.port).await;
+    let proxy = Relay::tcp(([127, 0, 0, 1], broker.port).into());
     let mut host = Subscriber::start(broker.port, "spBv1.0/plant/#").await;
     // the will of a killed process is much faster than this
     let text = |port| config(port, "[standby]\nafter_ms = 3000", &[&robot]);
@@ -396,10 +397,10 @@ async fn the_births_of_two_processes_follow_each_other() {
     let mut node = (false, 0);
     for number in 1..=4 {
         // the second one to take over has a network that stalls; the others are killed
-        let other = Running::start(&text(if number == 2 { proxy.port } else { broker.port })).await;
+        let other = Running::start(&text(if number == 2 { proxy.tcp.port() } else { broker.port })).await;
         other.event(|event| matches!(event, Event::Standby { .. })).await;
         if number == 3 {
-            proxy.set(false);
+            proxy.hold(true);
         } else {
             active.abort().await;
         }
@@ -434,11 +435,11 @@ async fn the_births_of_two_processes_follow_each_other() {
 async fn readings_that_a_broken_connection_has_lost_are_sent_as_historical() {
     let Some(broker) = Mosquitto::open() else { return };
     let robot = Robot::start().await;
-    let proxy = Proxy::start(broker.port).await;
+    let proxy = Relay::tcp(([127, 0, 0, 1], broker.port).into());
     let mut host = Host::start(broker.port).await;
-    let fleet = Running::start(&config(proxy.port, "[metrics]\nport = 0", &[&robot])).await;
+    let fleet = Running::start(&config(proxy.tcp.port(), "[metrics]\nport = 0", &[&robot])).await;
     let alias = named(&host.next("DBIRTH/edge1/cell1").await, "I1").alias.unwrap();
-    proxy.set_up(false);
+    proxy.hold_up(true);
     for value in 1..=5 {
         let before = fleet.metric("bcap_readings_total{controller=\"cell1\"}").await;
         robot.set(1, value);
@@ -447,9 +448,9 @@ async fn readings_that_a_broken_connection_has_lost_are_sent_as_historical() {
             tokio::time::sleep(std::time::Duration::from_millis(1)).await;
         }
     }
-    proxy.cut();
+    proxy.disconnect();
     fleet.event(|event| matches!(event, Event::BrokerDown { .. })).await;
-    proxy.set_up(true);
+    proxy.hold_up(false);
     host.next("NBIRTH/edge1").await;
     for value in 1..=5 {
         let data = host.data("cell1", alias).await;

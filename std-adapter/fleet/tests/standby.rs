@@ -7,9 +7,10 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::common::{Proxy, Robot, Running, Subscriber, counter, folder, now_ms};
+use crate::common::{Robot, Running, Subscriber, counter, folder, now_ms};
 use bcap_fleet::Event;
 use bcap_tests::mosquitto::Mosquitto;
+use bcap_tests::proxy::Relay;
 use serde_json::{Value, json};
 use tempfile::NamedTempFile;
 use tokio::sync::watch;
@@ -77,12 +78,12 @@ async fn a_process_whose_network_stalls_becomes_the_standby_and_sends_its_readin
     let Some(broker) = Mosquitto::open() else { return };
     let robot = Robot::start().await;
     let mut host = Subscriber::start(broker.port, "bcap/#").await;
-    let proxy = Proxy::start(broker.port).await;
-    let first = Running::start(&config(proxy.port, robot.address, FAST)).await;
+    let proxy = Relay::tcp(([127, 0, 0, 1], broker.port).into());
+    let first = Running::start(&config(proxy.tcp.port(), robot.address, FAST)).await;
     is_active(&first).await;
     let second = Running::start(&config(broker.port, robot.address, FAST)).await;
     is_standby(&second).await;
-    proxy.set(false);
+    proxy.hold(true);
     // read by the first process, which does not know yet that it is not the active one
     robot.set(1, 7);
     let before = first.metric("bcap_readings_total{controller=\"cell1\"}").await;
@@ -92,7 +93,7 @@ async fn a_process_whose_network_stalls_becomes_the_standby_and_sends_its_readin
     is_active(&second).await;
     robot.set(1, 8);
     host.json(VALUE, |json| is_new(json) && json["value"] == 8).await;
-    proxy.set(true);
+    proxy.hold(false);
     host.json(VALUE, |json| json["historical"] == true && json["value"] == 7).await;
     is_standby(&first).await;
     assert_eq!(first.metric("bcap_active").await, 0);
@@ -113,8 +114,8 @@ async fn no_command_is_executed_by_both() {
     let robot = Robot::start().await;
     let mut host = Subscriber::start(broker.port, "bcap/#").await;
     let rules = format!("{FAST}\n[commands]\nallow = [\"I/10\"]\nper_second = 1000\nlongest_seconds = 2");
-    let proxy = Proxy::start(broker.port).await;
-    let first = Running::start(&config(proxy.port, robot.address, &rules)).await;
+    let proxy = Relay::tcp(([127, 0, 0, 1], broker.port).into());
+    let first = Running::start(&config(proxy.tcp.port(), robot.address, &rules)).await;
     is_active(&first).await;
     let second = Running::start(&config(broker.port, robot.address, &rules)).await;
     is_standby(&second).await;
@@ -134,7 +135,7 @@ async fn no_command_is_executed_by_both() {
     };
 
     // this one waits in the network until another process is active
-    proxy.set(false);
+    proxy.hold(true);
     let late = command("late", 3, now_ms() + 1900);
     host.publish(to, late.clone()).await;
     is_active(&second).await;
@@ -144,7 +145,7 @@ async fn no_command_is_executed_by_both() {
         assert_eq!(answer["result"], "refused", "{answer}");
         assert!(answer["reason"].as_str().unwrap().contains("started or taken over"), "{answer}");
     }
-    proxy.set(true);
+    proxy.hold(false);
     is_standby(&first).await;
     assert_eq!(robot.get(10), 1);
 
@@ -167,12 +168,12 @@ async fn a_process_that_may_not_be_active_any_more_refuses_commands() {
     let robot = Robot::start().await;
     let mut host = Subscriber::start(broker.port, "bcap/#").await;
     let rules = format!("{FAST}\n[commands]\nallow = [\"I/10\"]\nlongest_seconds = 600");
-    let proxy = Proxy::start(broker.port).await;
-    let fleet = Running::start(&config(proxy.port, robot.address, &rules)).await;
+    let proxy = Relay::tcp(([127, 0, 0, 1], broker.port).into());
+    let fleet = Running::start(&config(proxy.tcp.port(), robot.address, &rules)).await;
     is_active(&fleet).await;
     // what arrives now was sent before the connection stalls
     host.json(VALUE, is_new).await;
-    proxy.set_up(false);
+    proxy.hold_up(true);
     let stalled = now_ms();
     while now_ms() < stalled + 400 {
         tokio::time::sleep(Duration::from_millis(10)).await;
@@ -183,7 +184,7 @@ async fn a_process_that_may_not_be_active_any_more_refuses_commands() {
         matches!(event, Event::Command { id, reason: Some(reason), .. } if id == "a" && reason.contains(text))
     };
     fleet.event(refused).await;
-    proxy.set(true);
+    proxy.hold(false);
     host.json("bcap/plant/cell1/answer", |json| json["result"] == "refused").await;
     fleet.stop().await;
 }

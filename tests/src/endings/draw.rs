@@ -6,6 +6,8 @@ use bcap_sim::Profile;
 use bcap_testkit::network::Random;
 use serde::{Deserialize, Serialize};
 
+use crate::proxy::Cut;
+
 /// The program whose end is tried.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) enum Program {
@@ -73,21 +75,6 @@ pub(super) enum Job {
         /// How far joint 1 is from its start at the end.
         degrees: f64,
     },
-}
-
-/// How a link is cut.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) enum Cut {
-    /// No byte passes any more, and no side is told.
-    Silent,
-    /// No byte passes to the controller.
-    Up,
-    /// No byte passes to the client.
-    Down,
-    /// Both connections are closed in order.
-    Fin,
-    /// Both connections are reset.
-    Reset,
 }
 
 /// A signal for the process.

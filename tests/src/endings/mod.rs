@@ -12,7 +12,6 @@
 
 mod cycles;
 mod draw;
-mod link;
 mod model;
 mod rig;
 mod table;

@@ -15,10 +15,10 @@ use bcap_std::server::Limits;
 use bcap_std::{Error, blocking, now};
 use rustix::process::{Pid, WaitId, WaitIdOptions, kill_process, waitid};
 
-use super::draw::{Cut, Ending, Job, Leg, Program, Signal, Since, Trial, Way};
-use super::link::Link;
+use super::draw::{Ending, Job, Leg, Program, Signal, Since, Trial, Way};
 use super::model::{Marks, Truth, Watched};
 use super::victim::{self, Script};
+use crate::proxy::{Cut, Relay};
 use crate::served::Served;
 
 /// The longest time of a program, after which it counts as hanging.
@@ -89,7 +89,7 @@ pub(super) fn run(trial: &Trial, tools: &Tools) -> Result<Seen, Box<dyn std::err
     let config = config(trial);
     let sim: Sim = Arc::new(Served::of(Watched::new(Simulated::new(config.clone())), Limits::default()));
     set_up(trial, &sim)?;
-    let link = Link::start(sim.tcp, sim.udp);
+    let link = Relay::start(sim.tcp, sim.udp);
     let direct = format!("tcp:{}", sim.tcp);
     let second = (trial.ending == Ending::SecondClient)
         .then(|| blocking::Controller::connect(&direct, &victim::settings(trial)).and_then(|cell| cell.stopper()))
@@ -167,7 +167,7 @@ fn set_up(trial: &Trial, sim: &Sim) -> Result<(), Error> {
 }
 
 /// Ends the trial from outside the program.
-fn disturb(ending: Ending, trial: &Trial, sim: &Sim, link: &Link, config: &Config) {
+fn disturb(ending: Ending, trial: &Trial, sim: &Sim, link: &Relay, config: &Config) {
     match ending {
         Ending::EmergencyStop => {
             let mut application = sim.application();
@@ -211,7 +211,7 @@ struct Process {
 }
 
 impl Process {
-    fn start(trial: &Trial, tools: &Tools, link: &Link, sim: &Sim) -> std::io::Result<Self> {
+    fn start(trial: &Trial, tools: &Tools, link: &Relay, sim: &Sim) -> std::io::Result<Self> {
         let address = if trial.udp { format!("udp:{}", link.udp) } else { format!("tcp:{}", link.tcp) };
         let (mut command, input) = match &tools.bcap {
             Some(bcap) if trial.program.is_command() => bcap_command(bcap, trial, tools, &address),

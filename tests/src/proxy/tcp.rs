@@ -11,7 +11,7 @@ use tokio::net::tcp::{ReadHalf, WriteHalf};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::time::{Instant, sleep, timeout_at};
 
-use super::Thread;
+use crate::background::{Background, until};
 use bcap_testkit::network::Random;
 
 /// A fault in one direction of a connection.
@@ -95,19 +95,19 @@ fn random_steps(random: &mut Random, bytes: u64, lies: bool) -> Vec<Step> {
 pub struct TcpProxy {
     /// The address to which clients connect.
     pub address: SocketAddr,
-    _thread: Thread,
+    _background: Background,
 }
 
 impl TcpProxy {
     /// Starts a proxy; `script` is asked for each connection, the first being 0.
     #[must_use]
     pub fn start(server: SocketAddr, script: impl FnMut(u64) -> Script + Send + 'static) -> Self {
-        let (thread, address) = Thread::start(async move || {
+        let (background, address) = Background::start(async move |stopped| {
             let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
             let address = listener.local_addr().expect("it has an address");
-            (address, accept(listener, server, script))
+            (address, until(stopped, accept(listener, server, script)))
         });
-        Self { address, _thread: thread }
+        Self { address, _background: background }
     }
 }
 

@@ -10,7 +10,7 @@ use std::time::Duration;
 use tokio::net::UdpSocket;
 use tokio::time::sleep;
 
-use super::Thread;
+use crate::background::{Background, until};
 use bcap_testkit::network::{Faults, Random};
 
 /// A network of datagrams, with one port per client, so that the server can tell the clients apart.
@@ -20,7 +20,7 @@ pub struct UdpProxy {
     pub address: SocketAddr,
     /// The counts so far.
     pub counts: Arc<Counts>,
-    _thread: Thread,
+    _background: Background,
 }
 
 /// Counters of a proxy, both directions together.
@@ -42,12 +42,12 @@ impl UdpProxy {
     pub fn start(server: SocketAddr, faults: Faults, seed: u64) -> Self {
         let counts = Arc::<Counts>::default();
         let shared = Arc::clone(&counts);
-        let (thread, address) = Thread::start(async move || {
+        let (background, address) = Background::start(async move |stopped| {
             let socket = Arc::new(UdpSocket::bind("127.0.0.1:0").await.expect("a port"));
             let address = socket.local_addr().expect("it has an address");
-            (address, forward(socket, server, Network { faults, seed, counts: shared }))
+            (address, until(stopped, forward(socket, server, Network { faults, seed, counts: shared })))
         });
-        Self { address, counts, _thread: thread }
+        Self { address, counts, _background: background }
     }
 }
 

@@ -1,8 +1,8 @@
 //! Attacks that succeeded against an earlier version of this project.
 //!
-//! Attacks on only the `bcap` command are in `std-adapter/cli/tests/attacks.rs`.
+//! Attacks on only the `bcap` command are in `std-adapter/cli/tests/attacks.rs`, replies before their request in
+//! `tests/tests/early_replies.rs`.
 
-mod early_replies;
 mod fifo;
 mod forged_datagrams;
 mod keep_alives;
@@ -13,17 +13,11 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::thread;
 
 use bcap_core::bcap::FunctionId;
-use bcap_core::bcap::server::{Handler, Request};
-use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
-use bcap_core::rac;
-use bcap_core::time::Instant;
 use bcap_testkit::value::Value;
+use bcap_tests::hooked::Hooked;
 use bcap_tests::served::{Application, Served};
 
-use self::early_replies::{
-    a_datagram_before_its_request_is_not_its_reply, a_reply_before_its_request_is_not_its_reply,
-};
 use self::fifo::a_fifo_among_the_files;
 use self::forged_datagrams::a_forged_first_datagram_locks_no_client_out;
 use self::keep_alives::a_flood_of_keep_alives_costs_little;
@@ -39,8 +33,6 @@ pub(crate) const CASES: &[Case] = crate::cases! {
         large_requests_leave_others_their_turn
         a_handler_that_panics_over_udp
         a_forged_first_datagram_locks_no_client_out
-        a_reply_before_its_request_is_not_its_reply
-        a_datagram_before_its_request_is_not_its_reply
         a_flood_of_keep_alives_costs_little
         objects_of_others_do_not_slow_opening
         idle_connections_of_one_address_leave_slots_to_others
@@ -85,31 +77,17 @@ fn large_requests_leave_others_their_turn(target: &mut Target) {
     });
 }
 
-/// An application that panics when it is told to.
-#[derive(Default)]
-struct Panicking(Application);
-
-impl Handler for Panicking {
-    fn call(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
-        let panics =
-            request.function == FunctionId::CONTROLLER_EXECUTE && request.text(1).eq_ignore_ascii_case("panic");
-        if panics {
+/// One call fails; its client and others are served, over UDP and over TCP.
+fn a_handler_that_panics_over_udp(_: &mut Target) {
+    let mut panicking = Hooked::new(Application::default());
+    panicking.set(|request| {
+        if request.function == FunctionId::CONTROLLER_EXECUTE && request.text(1).eq_ignore_ascii_case("panic") {
             // without the hook, which would print a backtrace, and take the memory for it
             std::panic::resume_unwind(Box::new("the handler was told to panic"));
         }
-        Handler::call(&mut self.0, peer, request, reply, now)
-    }
-}
-
-impl rac::server::Handler for Panicking {
-    fn call(&mut self, peer: PeerId, request: &rac::Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
-        rac::server::Handler::call(&mut self.0, peer, request, reply, now)
-    }
-}
-
-/// One call fails; its client and others are served, over UDP and over TCP.
-fn a_handler_that_panics_over_udp(_: &mut Target) {
-    let served = Served::of(Panicking::default(), limits());
+        None
+    });
+    let served = Served::of(panicking, limits());
     let (mut one, mut other) = (Peer::to(served.udp), Peer::to(served.udp));
     let (first, second) = (one.begin(), other.begin());
     for _ in 0..3 {

@@ -4,7 +4,7 @@
 //! | test                | proves                                                                                          |
 //! |---------------------|-------------------------------------------------------------------------------------------------|
 //! | `server::*`         | facts that no case of `bcap-conform` has, because they need IO, tags or more than a device promises |
-//! | `serial`            | the cases of `bcap-conform` over a serial line, whose frames have a CRC                           |
+//! | `serial`            | the CRC of frames on a serial line, and noise between them                                        |
 //! | `client::*`         | values of every type arrive as they were sent, at a server that loses, delays and repeats packets |
 //!
 //! `bcap-conform` judges everything else with the same peer: servers in `std-adapter/conform/tests/devices.rs`, clients in

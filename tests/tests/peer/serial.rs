@@ -3,7 +3,6 @@
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use bcap_conform::{Level, Options, Target, Verdict, run};
 use bcap_core::bcap::FunctionId as F;
 use bcap_core::hresult::HResult;
 use bcap_testkit::frame::TestFrame;
@@ -11,22 +10,6 @@ use bcap_testkit::wire::{Link, Received};
 use bcap_tests::serial::SerialServer;
 
 use super::session::{Session, controller};
-
-#[test]
-fn the_cases_of_a_device_pass_over_a_serial_line() {
-    let line = SerialServer::start(Arc::new(Mutex::new(controller())));
-    let target = Target { bcap: Some((Link::Serial, line.address)), rac: None };
-    let options = Options { level: Level::Write, quiet: Duration::from_millis(100), ..Options::new(target) };
-    let report = run(&options, |_| (), || false);
-    assert_eq!(report.failures().collect::<Vec<_>>(), [""; 0], "{:?}", report.results);
-    let passed = |group: &str| {
-        let names = report.results.iter().filter(|result| result.verdict == Verdict::Pass);
-        names.filter(|result| result.name.starts_with(group)).count()
-    };
-    println!("{}", report.summary());
-    let passed = ["udp/", "types/", "seen/", ""].map(passed);
-    assert_eq!((passed, report.count(Verdict::Differs)), ([17, 28, 5, 549], 0), "{}", report.summary());
-}
 
 #[test]
 fn a_frame_has_the_crc_of_the_vendors_libraries() {

@@ -2,12 +2,10 @@
 
 pub(crate) mod capture;
 pub(crate) mod fake;
-pub(crate) mod hooked;
 pub(crate) mod planted;
 pub(crate) mod recorded;
 pub(crate) mod robot;
 pub(crate) mod running;
-pub(crate) mod stalling;
 pub(crate) mod tmux;
 pub(crate) mod tshark;
 pub(crate) mod virtual_robot;

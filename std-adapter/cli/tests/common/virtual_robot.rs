@@ -1,27 +1,29 @@
 //! A `bcap sim` process with clients.
 
-use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
 
-use super::{Run, bcap, bcap_with, command};
+use super::running::Running;
+pub(crate) use super::running::signal;
+use super::{Run, bcap, bcap_with};
 
 /// A virtual controller; dropping this kills it.
 pub(crate) struct Virtual {
-    child: Child,
+    pub(crate) process: Running,
     pub(crate) tcp: String,
     pub(crate) udp: String,
     pub(crate) rac: String,
 }
 
+impl From<Running> for Virtual {
+    fn from(process: Running) -> Self {
+        let (tcp, udp) = (format!("tcp:{}", process.bcap), format!("udp:{}", process.udp));
+        Self { tcp, udp, rac: process.rac.clone(), process }
+    }
+}
+
 impl Virtual {
     pub(crate) fn start(more: &[&str]) -> Self {
-        let free = ["--bcap", "127.0.0.1:0", "--udp", "127.0.0.1:0", "--rac", "127.0.0.1:0"];
-        let mut child = command(&[&["sim"], &free[..], more].concat()).stdout(Stdio::piped()).spawn().unwrap();
-        let mut line = String::new();
-        BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
-        let address = |key: &str| line.split_whitespace().find_map(|word| word.strip_prefix(key)).unwrap().to_owned();
-        let (tcp, udp) = (format!("tcp:{}", address("bcap=")), format!("udp:{}", address("udp=")));
-        Self { tcp, udp, rac: address("rac="), child }
+        Running::quiet_sim(more).into()
     }
 
     pub(crate) fn run(&self, args: &[&str]) -> Run {
@@ -30,8 +32,7 @@ impl Virtual {
 
     /// Ends the controller with a signal, and waits until it has written its files.
     pub(crate) fn end(&mut self, name: &str) {
-        signal(name, &self.child);
-        assert_eq!(self.child.wait().unwrap().code(), Some(0));
+        self.process.end(name);
     }
 
     /// Runs lines as a script.
@@ -66,16 +67,4 @@ impl Virtual {
         assert_eq!(self.run(&["clear"]).code, 0);
         assert_eq!(self.run(&["exec", "robot", "TakeArm", "0", "1"]).code, 0);
     }
-}
-
-impl Drop for Virtual {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
-
-/// Sends a signal to a process.
-pub(crate) fn signal(name: &str, child: &Child) {
-    assert!(Command::new("kill").args([name, &child.id().to_string()]).status().unwrap().success());
 }

@@ -2,63 +2,42 @@
 
 pub(crate) mod relay;
 
-use std::net::SocketAddr;
-use std::thread;
-
 use bcap_conform::{Level, Link, Options, Report, Target, Verdict, run};
-use bcap_core::{bcap, rac};
-use bcap_sim::Profile;
-use bcap_std::server::Server;
-use tokio::sync::oneshot;
+use bcap_sim::{Config, Controller, Profile};
+use bcap_std::blocking;
+use bcap_std::server::Limits;
+use bcap_tests::served::Served;
 
-/// A server that ends when this is dropped.
-pub(crate) struct Served {
-    pub(crate) tcp: SocketAddr,
-    pub(crate) udp: SocketAddr,
-    pub(crate) rac: SocketAddr,
-    stop: Option<oneshot::Sender<()>>,
-    thread: Option<thread::JoinHandle<()>>,
+/// Serves a virtual RC8 whose external speed is `ext_speed` percent.
+pub(crate) fn rc8(ext_speed: f32) -> Served<Controller> {
+    Served::of(Controller::new(Config { ext_speed, ..Config::new(Profile::Rc8) }), Limits::default())
 }
 
-impl Served {
-    pub(crate) fn start<H>(handler: H) -> Self
-    where
-        H: bcap::server::Handler + rac::server::Handler + Send + 'static,
-    {
-        let (stop, stopped) = oneshot::channel();
-        let (ready, addresses) = std::sync::mpsc::channel();
-        let thread = thread::spawn(move || {
-            let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-            runtime.block_on(async {
-                let any = "127.0.0.1:0";
-                let server = Server::new(handler).bcap_tcp(any).await.unwrap().bcap_udp(any).await.unwrap();
-                let server = server.rac_tcp(any).await.unwrap();
-                ready.send(server.addresses()).unwrap();
-                server.run(async { drop(stopped.await) }).await.unwrap();
-            });
-        });
-        let addresses = addresses.recv().unwrap();
-        Self {
-            tcp: addresses.bcap_tcp[0],
-            udp: addresses.bcap_udp[0],
-            rac: addresses.rac_tcp[0],
-            stop: Some(stop),
-            thread: Some(thread),
-        }
-    }
-
-    pub(crate) fn options(&self, link: Link, level: Level) -> Options {
-        let address = if link == Link::Tcp { self.tcp } else { self.udp };
-        let target = Target { bcap: Some((link, address)), rac: Some(self.rac) };
-        Options { level, ..Options::new(target) }
-    }
+pub(crate) fn options<H>(served: &Served<H>, link: Link, level: Level) -> Options {
+    let address = if link == Link::Tcp { served.tcp } else { served.udp };
+    let target = Target { bcap: Some((link, address)), rac: Some(served.rac) };
+    Options { level, ..Options::new(target) }
 }
 
-impl Drop for Served {
-    fn drop(&mut self) {
-        drop(self.stop.take());
-        let _ = self.thread.take().unwrap().join();
-    }
+/// Returns the external speed, whether the motor is on, and the joints.
+pub(crate) fn state(served: &Served<Controller>) -> (f64, bool, Vec<f64>) {
+    let mut cell = blocking::Controller::connect(&format!("tcp:{}", served.tcp), &bcap_std::Settings::rc8()).unwrap();
+    let mut robot = cell.robot().unwrap();
+    let state = (
+        robot.execute("CurExtSpd", ()).unwrap(),
+        robot.read("@SERVO_ON").unwrap(),
+        robot.execute("CurJnt", ()).unwrap(),
+    );
+    cell.close().unwrap();
+    state
+}
+
+/// Asserts that speed and motor are the same, and the joints nearly.
+pub(crate) fn assert_restored(before: &(f64, bool, Vec<f64>), served: &Served<Controller>, text: &str) {
+    let after = state(served);
+    assert_eq!((after.0, after.1), (before.0, before.1), "{text}");
+    let has_moved = before.2.iter().zip(&after.2).any(|(before, after)| (before - after).abs() > 0.001);
+    assert!(!has_moved, "{before:?} {after:?}");
 }
 
 /// The provider of a model.

@@ -15,9 +15,8 @@ use rumqttc::{AsyncClient, Event as Mqtt, MqttOptions, Packet, Publish, QoS};
 use tempfile::TempDir;
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
-use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
-use tokio::sync::{Notify, mpsc, oneshot, watch};
-use tokio::task::{JoinHandle, JoinSet};
+use tokio::sync::{mpsc, oneshot};
+use tokio::task::JoinHandle;
 use tokio::time::timeout;
 
 /// A wait that is longer than this is a failure.
@@ -214,67 +213,6 @@ impl Subscriber {
     }
 }
 
-/// A TCP proxy that can stop forwarding, like a broken network. Connections stay open.
-pub(crate) struct Proxy {
-    pub(crate) port: u16,
-    /// Whether bytes flow from the clients, and to them.
-    flows: [watch::Sender<bool>; 2],
-    cut: Arc<Notify>,
-    task: JoinHandle<()>,
-}
-
-impl Drop for Proxy {
-    fn drop(&mut self) {
-        self.task.abort();
-    }
-}
-
-impl Proxy {
-    /// Forwards to a port of this machine.
-    pub(crate) async fn start(to: u16) -> Self {
-        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let port = listener.local_addr().unwrap().port();
-        let flows = [watch::Sender::new(true), watch::Sender::new(true)];
-        let cut = Arc::new(Notify::new());
-        let cuts = Arc::clone(&cut);
-        let [up, down] = [flows[0].subscribe(), flows[1].subscribe()];
-        let task = tokio::spawn(async move {
-            let mut connections = JoinSet::new();
-            loop {
-                let accepted = tokio::select! {
-                    accepted = listener.accept() => accepted,
-                    () = cuts.notified() => {
-                        connections.shutdown().await;
-                        continue;
-                    }
-                };
-                let Ok((client, _)) = accepted else { return };
-                let Ok(server) = TcpStream::connect(("127.0.0.1", to)).await else { continue };
-                let ((from_client, to_client), (from_server, to_server)) = (client.into_split(), server.into_split());
-                connections.spawn(forward(from_client, to_server, up.clone()));
-                connections.spawn(forward(from_server, to_client, down.clone()));
-            }
-        });
-        Self { port, flows, cut, task }
-    }
-
-    /// Ends all connections; bytes that were not forwarded are lost.
-    pub(crate) fn cut(&self) {
-        self.cut.notify_one();
-    }
-
-    /// Starts or stops forwarding. Bytes that arrive while it is stopped are forwarded later.
-    pub(crate) fn set(&self, flows: bool) {
-        self.set_up(flows);
-        self.flows[1].send_replace(flows);
-    }
-
-    /// Forwards or stops to forward what clients send.
-    pub(crate) fn set_up(&self, flows: bool) {
-        self.flows[0].send_replace(flows);
-    }
-}
-
 /// Forwards connections to a server of b-CAP, except requests with one of these texts while `muted`. Returns the port.
 pub(crate) async fn muting_proxy(to: SocketAddr, texts: &[&str], muted: &Arc<AtomicBool>) -> u16 {
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
@@ -305,16 +243,6 @@ pub(crate) async fn muting_proxy(to: SocketAddr, texts: &[&str], muted: &Arc<Ato
         }
     });
     port
-}
-
-async fn forward(mut from: OwnedReadHalf, mut to: OwnedWriteHalf, mut flows: watch::Receiver<bool>) {
-    let mut bytes = [0; 4096];
-    while let Ok(count @ 1..) = from.read(&mut bytes).await {
-        if flows.wait_for(|flows| *flows).await.is_err() || to.write_all(&bytes[..count]).await.is_err() {
-            return;
-        }
-    }
-    let _ = flows.wait_for(|flows| *flows).await;
 }
 
 /// Returns the time in milliseconds since 1970.

@@ -1,94 +1,120 @@
-//! A link between a program and the controller, over TCP and UDP, that can be cut.
+//! A relay between clients and a server, over TCP and UDP, that can be cut or held.
 //!
-//! A cut concerns the connections that exist. Later the link accepts new ones again; datagrams then pass again.
+//! A cut concerns the connections that exist. Later the relay accepts new ones again; datagrams then pass again. While it is held,
+//! bytes of streams wait in it, and pass later.
 
 use std::collections::HashMap;
 use std::io;
 use std::net::SocketAddr;
 use std::sync::Arc;
-use std::sync::mpsc;
-use std::thread::JoinHandle;
 use std::time::Duration;
 
+use serde::{Deserialize, Serialize};
 use socket2::SockRef;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
 use tokio::net::{TcpListener, TcpStream, UdpSocket};
 use tokio::sync::watch;
 
-use super::draw::Cut;
+use crate::background::Background;
 
-/// The state of the link.
+/// How a relay is cut.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Cut {
+    /// No byte passes any more, and no side is told.
+    Silent,
+    /// No byte passes to the server.
+    Up,
+    /// No byte passes to the client.
+    Down,
+    /// Both connections are closed in order.
+    Fin,
+    /// Both connections are reset.
+    Reset,
+}
+
+/// The state of the relay.
 #[derive(Clone, Copy, Debug, Default)]
 struct State {
-    /// How often the link was cut.
+    /// How often the relay was cut.
     cuts: u64,
     /// How it was cut last.
     cut: Option<Cut>,
     /// Whether new connections and datagrams pass.
     open: bool,
-    /// The trial is over.
-    ended: bool,
+    /// Whether bytes to the server wait.
+    holds_up: bool,
+    /// Whether bytes to the client wait.
+    holds_down: bool,
 }
 
-/// A link.
+/// A relay, until it is dropped.
 #[derive(Debug)]
-pub(super) struct Link {
-    /// Where a program connects over TCP.
-    pub(super) tcp: SocketAddr,
-    /// Where a program connects over UDP.
-    pub(super) udp: SocketAddr,
+pub struct Relay {
+    /// Where a client connects over TCP.
+    pub tcp: SocketAddr,
+    /// Where a client connects over UDP.
+    pub udp: SocketAddr,
     state: watch::Sender<State>,
-    thread: Option<JoinHandle<()>>,
+    _background: Background,
 }
 
-impl Link {
-    /// Starts a link to a controller.
+impl Relay {
+    /// Starts a relay to a server of TCP.
     ///
     /// # Panics
     ///
     /// When the machine has no socket for it.
     #[must_use]
-    pub(super) fn start(tcp: SocketAddr, udp: SocketAddr) -> Self {
-        let (state, seen) = watch::channel(State { open: true, ..State::default() });
-        let (tell, told) = mpsc::channel();
-        let thread = std::thread::spawn(move || {
-            let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
-            runtime.block_on(async {
-                let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port for TCP");
-                let socket = Arc::new(UdpSocket::bind("127.0.0.1:0").await.expect("a port for UDP"));
-                let addresses = (listener.local_addr(), socket.local_addr());
-                tell.send((addresses.0.expect("an address"), addresses.1.expect("an address")))
-                    .expect("the trial waits");
-                let mut end = seen.clone();
-                tokio::spawn(accept(listener, tcp, seen.clone()));
-                tokio::spawn(relay(socket, udp, seen));
-                let _ = end.wait_for(|state| state.ended).await;
-            });
-        });
-        let (tcp, udp) = told.recv().expect("the link starts");
-        Self { tcp, udp, state, thread: Some(thread) }
+    pub fn tcp(server: SocketAddr) -> Self {
+        Self::start(server, server)
     }
 
-    /// Cuts all connections.
-    pub(super) fn cut(&self, cut: Cut) {
+    /// Starts a relay to a server of TCP and UDP.
+    ///
+    /// # Panics
+    ///
+    /// When the machine has no socket for it.
+    #[must_use]
+    pub fn start(tcp: SocketAddr, udp: SocketAddr) -> Self {
+        let (state, seen) = watch::channel(State { open: true, ..State::default() });
+        let (background, (tcp, udp)) = Background::start(async move |stopped| {
+            let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port for TCP");
+            let socket = Arc::new(UdpSocket::bind("127.0.0.1:0").await.expect("a port for UDP"));
+            let (here, there) = (listener.local_addr().expect("an address"), socket.local_addr().expect("an address"));
+            tokio::spawn(accept(listener, tcp, seen.clone()));
+            tokio::spawn(relay(socket, udp, seen));
+            ((here, there), async { drop(stopped.await) })
+        });
+        Self { tcp, udp, state, _background: background }
+    }
+
+    /// Cuts all connections, and allows no new ones until [`heal`](Self::heal).
+    pub fn cut(&self, cut: Cut) {
         self.state.send_modify(|state| {
             *state = State { cuts: state.cuts + 1, cut: Some(cut), open: false, ..*state };
         });
     }
 
     /// Lets new connections and datagrams pass.
-    pub(super) fn heal(&self) {
+    pub fn heal(&self) {
         self.state.send_modify(|state| state.open = true);
     }
-}
 
-impl Drop for Link {
-    fn drop(&mut self) {
-        self.state.send_modify(|state| state.ended = true);
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
+    /// Closes all connections; bytes that are held are lost. New connections pass.
+    pub fn disconnect(&self) {
+        self.cut(Cut::Fin);
+        self.heal();
+    }
+
+    /// Lets bytes in both directions wait, or pass again.
+    pub fn hold(&self, holds: bool) {
+        self.state.send_modify(|state| (state.holds_up, state.holds_down) = (holds, holds));
+    }
+
+    /// Lets bytes to the server wait, or pass again.
+    pub fn hold_up(&self, holds: bool) {
+        self.state.send_modify(|state| state.holds_up = holds);
     }
 }
 
@@ -138,11 +164,18 @@ async fn carry(client: TcpStream, server: SocketAddr, mut state: watch::Receiver
 }
 
 /// Passes bytes on; after a silent cut of this direction it keeps the sockets open and passes nothing.
-async fn pump(mut from: OwnedReadHalf, mut to: OwnedWriteHalf, state: watch::Receiver<State>, (born, way): (u64, Cut)) {
+async fn pump(
+    mut from: OwnedReadHalf,
+    mut to: OwnedWriteHalf,
+    mut state: watch::Receiver<State>,
+    (born, way): (u64, Cut),
+) {
     let stalls = |state: &State| state.cuts > born && state.cut.is_some_and(|cut| cut == Cut::Silent || cut == way);
     let mut buffer = vec![0; 4096];
     loop {
         let Ok(len) = from.read(&mut buffer).await else { return };
+        let passes = |state: &State| if way == Cut::Up { !state.holds_up } else { !state.holds_down };
+        let _ = state.wait_for(passes).await;
         let stalled = stalls(&state.borrow());
         if stalled {
             std::future::pending::<()>().await;
