@@ -178,7 +178,7 @@ fn stream_and_monitors(robot: &str, seconds: &str) -> u32 {
             assert!(event.contains(RUNS) && event.contains("cell1"), "{event}");
             if let Some(monitor) = &monitor {
                 monitor.wait_for("skipped: a stream of Slave Mode runs");
-                assert!(stream.runs(), "the monitor was read after the stream");
+                assert!(stream.runs(), "the stream was over before the tools");
             }
         }
     }
@@ -204,7 +204,7 @@ fn no_tool_ends_a_stream() {
         errors.retain(|code| *code == HResult::E_COMMAND_BUFFER_EMPTY);
         assert!(errors.is_empty(), "{errors:?}");
         let rounds = ended.unwrap_or_else(|panic| resume_unwind(panic));
-        assert!(rounds > 0, "the stream was too short for the tools");
+        assert!(rounds > 0, "the stream was over before the tools");
         assert_eq!(sim.application().0.errors().count(), 0);
     });
 }
