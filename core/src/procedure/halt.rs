@@ -97,7 +97,8 @@ pub enum StoppedTasks {
 }
 
 impl Halt {
-    /// Tells whether the robot rests, and nothing that was seen can move it.
+    /// Tells whether the robot rests and Robot_Halt was not refused. A task that still runs may move it again: see
+    /// [`tasks`](Self::tasks).
     #[must_use]
     pub const fn is_halted(&self) -> bool {
         self.rests && !matches!(self.answer, HaltAnswer::Refused(_))
