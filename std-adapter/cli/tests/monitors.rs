@@ -160,9 +160,11 @@ fn no_command_ends_the_stream_of_another_client() {
 fn stream_and_monitors(robot: &str, seconds: &str) -> u32 {
     let folder = tempfile::tempdir().unwrap();
     let fleet = fleet(robot, folder.path());
+    // before the stream, because it may have to be built
+    let program = fleet_program();
     let mut stream = Stream::start(robot, seconds);
     let gateway = Running::gateway(robot, &["--allow-put", "I/0-9"]);
-    let scan = Command::new(fleet_program()).arg(&fleet).current_dir(folder.path()).stdout(Stdio::piped()).spawn();
+    let scan = Command::new(program).arg(&fleet).current_dir(folder.path()).stdout(Stdio::piped()).spawn();
     let mut scan = Killed(scan.unwrap());
     let events = BufReader::new(scan.0.stdout.take().unwrap()).lines().map(Result::unwrap);
     let mut skipped = events.filter(|line| line.contains("\"event\":\"skipped\""));
@@ -214,5 +216,6 @@ fn no_tool_ends_a_stream() {
 fn no_tool_ends_a_stream_in_real_time() {
     let sim = Virtual::start(&[]);
     let rounds = stream_and_monitors(&sim.tcp, "20");
+    assert!(rounds > 0, "the stream was over before the tools");
     println!("20 s, {rounds} rounds of errors, messages, clear, doctor, fleet --check and gateway: 0 interruptions");
 }
