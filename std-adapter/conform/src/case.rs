@@ -20,7 +20,7 @@ pub struct Case {
     pub(crate) rule: &'static str,
     /// The link without which the case does not apply.
     pub(crate) only: Option<Link>,
-    /// The models that the answer was seen of; none for a case of the specification.
+    /// The models that the answer was seen on; none for a case of the specification.
     pub(crate) models: Vec<Model>,
     pub(crate) setup: Setup,
     pub(crate) body: Body,

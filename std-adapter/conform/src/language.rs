@@ -91,7 +91,7 @@ impl fmt::Display for Group {
     }
 }
 
-/// A model of controller that answers were seen of.
+/// A model of controller that answers were seen on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Model {
     /// RC8 or RC8A.
