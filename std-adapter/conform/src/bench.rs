@@ -90,9 +90,9 @@ pub(crate) struct Bench<'a> {
 
 impl<'a> Bench<'a> {
     pub(crate) fn new(options: &'a Options, link: Link) -> Self {
-        // over UDP a stale reply to an earlier client of the same port must not match, and a low serial would make 65534 look like a
-        // late copy
-        let serial = if link.repeats() { fastrand::u16(1000..30000) } else { 1 };
+        // over UDP a stale reply to an earlier client of the same port must not match; 65534, and 1 after 65535, must not look like
+        // late copies of calls before a low serial
+        let serial = if link.repeats() { fastrand::u16(10_000..30_000) } else { 1 };
         let (handles, log) = ([None; Slot::COUNT], Vec::new());
         Self {
             options,
