@@ -35,7 +35,7 @@ use std::time::Duration;
 use bcap_core::bcap::Client;
 pub use bcap_core::io::blocking::{Connection, RacConnection, Transport};
 use bcap_core::rac;
-use bcap_core::time::Instant;
+use bcap_core::time::{Instant, micros};
 use socket2::{SockRef, Socket};
 
 pub use self::borrowed::ControllerRef;
@@ -103,7 +103,7 @@ impl TcpTransport {
     /// Wraps a connected stream.
     #[must_use]
     pub const fn new(stream: TcpStream) -> Self {
-        Self { stream, timeouts: Timeouts { read: None, write: None } }
+        Self { stream, timeouts: Timeouts { read: 0, write: 0 } }
     }
 
     /// Returns the stream.
@@ -124,7 +124,7 @@ impl UdpTransport {
     /// Wraps a connected socket.
     #[must_use]
     pub const fn new(socket: UdpSocket) -> Self {
-        Self { socket, timeouts: Timeouts { read: None, write: None } }
+        Self { socket, timeouts: Timeouts { read: 0, write: 0 } }
     }
 
     /// Returns the socket.
@@ -134,11 +134,11 @@ impl UdpTransport {
     }
 }
 
-/// The timeouts that are set on a socket.
+/// The timeouts that are set on a socket, in microseconds; 0 if none is set.
 #[derive(Debug)]
 struct Timeouts {
-    read: Option<Duration>,
-    write: Option<Duration>,
+    read: u64,
+    write: u64,
 }
 
 /// Sets a socket's timeout so that an operation ends at `deadline`; returns `false` if the deadline has passed.
@@ -146,20 +146,20 @@ struct Timeouts {
 /// A timeout that is at most an eighth too long is not changed, so repeated calls with equal timeouts need no system call
 /// for it. An operation may therefore end that much after its deadline.
 fn set_timeout(
-    current: &mut Option<Duration>,
+    current: &mut u64,
     deadline: Instant,
     set: impl FnOnce(Option<Duration>) -> io::Result<()>,
 ) -> io::Result<bool> {
-    let wanted = until(deadline);
-    if wanted.is_zero() {
+    let wanted = micros(until(deadline));
+    if wanted == 0 {
         return Ok(false);
     }
-    let near = current.is_some_and(|current| wanted <= current && current <= wanted + wanted / 8);
+    let near = wanted <= *current && *current - wanted <= wanted / 8;
     if !near {
-        // a socket's timeout must not be zero, and is truncated to microseconds
-        let wanted = wanted.max(Duration::from_micros(100));
-        set(Some(wanted))?;
-        *current = Some(wanted);
+        // a socket's timeout must not be zero
+        let wanted = wanted.max(100);
+        set(Some(Duration::from_micros(wanted)))?;
+        *current = wanted;
     }
     Ok(true)
 }
@@ -189,14 +189,14 @@ fn try_receive(mut socket: &Socket, buffer: &mut [u8]) -> io::Result<usize> {
 
 /// Sends bytes without waiting.
 #[cfg(target_os = "linux")]
-fn try_send(stream: &TcpStream, bytes: &[u8]) -> io::Result<usize> {
+fn try_send(socket: &Socket, bytes: &[u8]) -> io::Result<usize> {
     use rustix::net::{SendFlags, send};
-    Ok(send(stream, bytes, SendFlags::DONTWAIT | SendFlags::NOSIGNAL)?)
+    Ok(send(socket, bytes, SendFlags::DONTWAIT | SendFlags::NOSIGNAL)?)
 }
 
 /// Sends nothing: on this platform each attempt would cost two more system calls.
 #[cfg(not(target_os = "linux"))]
-fn try_send(_: &TcpStream, _: &[u8]) -> io::Result<usize> {
+fn try_send(_: &Socket, _: &[u8]) -> io::Result<usize> {
     Err(io::ErrorKind::WouldBlock.into())
 }
 
@@ -222,7 +222,7 @@ impl Transport for TcpTransport {
     fn send(&mut self, bytes: &[u8], until: Instant) -> io::Result<Option<usize>> {
         let Self { stream, timeouts } = self;
         // the send buffer almost always has room for a request, so the common case needs no timeout
-        if let Some(Ok(Some(count))) = classified(try_send(stream, bytes)) {
+        if let Some(Ok(Some(count))) = classified(try_send(&SockRef::from(&*stream), bytes)) {
             return Ok(Some(count));
         }
         loop {
@@ -261,6 +261,9 @@ impl Transport for UdpTransport {
 
     fn send(&mut self, bytes: &[u8], until: Instant) -> io::Result<Option<usize>> {
         let Self { socket, timeouts } = self;
+        if let Some(Ok(Some(count))) = classified(try_send(&SockRef::from(&*socket), bytes)) {
+            return Ok(Some(count));
+        }
         loop {
             if !set_timeout(&mut timeouts.write, until, |time| socket.set_write_timeout(time))? {
                 return Ok(None);

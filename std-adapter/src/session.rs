@@ -14,7 +14,6 @@ mod recovery;
 mod steps;
 mod variables;
 
-use std::collections::HashMap;
 use std::io;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -34,6 +33,8 @@ use bcap_core::procedure::{
 use bcap_core::slave::{AxisLimits, Config, Engine, Format, MOVE_FRAME, Stats, StreamError, Trajectory};
 use bcap_core::time::Instant;
 use bcap_core::variant::{Encode, FromVariant, OwnedVariant};
+// the hasher of the standard library takes a seventh of the instructions of a read, against names that the caller chooses
+use foldhash::{HashMap, HashMapExt};
 
 use crate::error::Error;
 use crate::moves::Move;

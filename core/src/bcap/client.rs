@@ -798,7 +798,7 @@ impl Flood {
 // an array and not a `heapless::Vec`, whose shifting would link `memmove` on a board
 #[derive(Debug, Default)]
 struct Unanswered {
-    /// In reverse order of the calls. No call has serial 0, so `(0, 0)` contains none.
+    /// In reverse order of the calls, followed by `(0, 0)`: no call has serial 0.
     ranges: [(u16, u16); 8],
 }
 
@@ -811,13 +811,16 @@ impl Unanswered {
     }
 
     fn contains(&self, serial: u16) -> bool {
-        self.ranges.iter().any(|(first, last)| within(serial, *first, *last))
+        self.ranges.iter().take_while(|(first, _)| *first != 0).any(|(first, last)| within(serial, *first, *last))
     }
 
     /// Forgets a range of one serial whose reply arrived. A retried call may get further replies.
     fn answered(&mut self, serial: u16) {
-        for range in self.ranges.iter_mut().filter(|range| **range == (serial, serial)) {
-            *range = (0, 0);
+        if let Some(at) = self.ranges.iter().position(|range| *range == (serial, serial)) {
+            let mut older = (0, 0);
+            for range in self.ranges.iter_mut().skip(at).rev() {
+                core::mem::swap(range, &mut older);
+            }
         }
     }
 }

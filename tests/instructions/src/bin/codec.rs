@@ -1,25 +1,9 @@
-//! Instructions per operation, counted by callgrind and held against the project's bars.
-//!
-//! Each case is counted by running this program under callgrind twice, with few repetitions and with many: the
-//! difference divided by the repetitions is the cost of one, libc's `memcpy` included and start-up excluded. An empty
-//! case, counted the same way, is subtracted as the cost of the loop. The figures do not depend on the machine's load or
-//! speed, only on the compiler, so a bar that is missed is a regression and fails the run.
-//!
-//! ```text
-//! cargo bench -p bcap-core --bench instructions            # needs valgrind
-//! ```
+//! The codec, the client and the engine without a link. An empty case is subtracted from the others as the cost of the loop.
 
-#![allow(
-    clippy::arithmetic_side_effects,
-    clippy::as_conversions,
-    clippy::expect_used,
-    clippy::indexing_slicing,
-    clippy::std_instead_of_core,
-    reason = "a program of the developer may panic"
-)]
+#![allow(clippy::expect_used, reason = "a program of the developer may panic")]
 
+use std::error::Error;
 use std::hint::black_box;
-use std::process::{Command, ExitCode};
 
 use bcap_core::bcap::call::{self, Call, ControllerHandle, RobotHandle, VariableHandle};
 use bcap_core::bcap::client::{self, Client};
@@ -80,71 +64,28 @@ const CASES: &[Case] = &[
     Case { name: "check 100 strings, nothing read", bar: None, run: check_strings },
 ];
 
-fn main() -> ExitCode {
-    let mut args = std::env::args().skip(1);
-    if let (Some(flag), Some(case), Some(times)) = (args.next(), args.next(), args.next())
-        && flag == "--case"
-    {
-        return repeat(&case, &times);
+fn main() -> Result<(), Box<dyn Error>> {
+    if let Some((case, times, _)) = bcap_instructions::arguments() {
+        let case = CASES.get(case).ok_or("no such case")?;
+        repeat(black_box(case.run), times);
+        return Ok(());
     }
-    match measure_all() {
-        Ok(true) => ExitCode::SUCCESS,
-        Ok(false) => ExitCode::FAILURE,
-        Err(message) => {
-            eprintln!("instructions: {message}");
-            ExitCode::FAILURE
-        }
-    }
-}
-
-/// Counts every case and tells whether all are within their bars.
-fn measure_all() -> Result<bool, String> {
-    println!("{:<42} {:>12} {:>8}", "instructions per operation", "measured", "bar");
+    let count = |case| bcap_instructions::count(case, FEW, MANY, &[]);
+    bcap_instructions::print_head();
     let empty = count(0)?;
     let mut within = true;
     for (index, case) in CASES.iter().enumerate().skip(1) {
-        let measured = count(index)?.saturating_sub(empty);
-        let missed = case.bar.is_some_and(|bar| measured > bar);
-        within &= !missed;
-        let bar = case.bar.map_or_else(|| "-".to_owned(), |bar| bar.to_string());
-        println!("{:<42} {measured:>12} {bar:>8}{}", case.name, if missed { "  OVER THE BAR" } else { "" });
+        within &= bcap_instructions::print(case.name, count(index)?.saturating_sub(empty), case.bar);
     }
-    Ok(within)
+    if within { Ok(()) } else { Err("a figure is over its bar".into()) }
 }
 
-/// Returns the instructions of one repetition of a case, its loop included.
-fn count(case: usize) -> Result<u64, String> {
-    let (few, many) = (callgrind(case, FEW)?, callgrind(case, MANY)?);
-    Ok(many.saturating_sub(few).div_ceil(MANY - FEW))
-}
-
-/// Runs this program under callgrind and returns the instructions that it counted.
-fn callgrind(case: usize, times: u64) -> Result<u64, String> {
-    let program = std::env::current_exe().map_err(|e| format!("cannot find this program: {e}"))?;
-    let output = Command::new("valgrind")
-        .args(["--tool=callgrind", "--callgrind-out-file=/dev/null"])
-        .arg(program)
-        .args(["--case", &case.to_string(), &times.to_string()])
-        .output()
-        .map_err(|e| format!("cannot run valgrind: {e} (on Debian: apt-get install valgrind)"))?;
-    let text = String::from_utf8_lossy(&output.stderr);
-    if !output.status.success() {
-        return Err(format!("valgrind failed, {}:\n{text}", output.status));
-    }
-    let collected = text.lines().find_map(|line| line.split_once("Collected :")).map(|(_, number)| number.trim());
-    collected.and_then(|n| n.parse().ok()).ok_or_else(|| format!("no count in what valgrind printed:\n{text}"))
-}
-
-/// Runs one case many times; what callgrind watches.
-fn repeat(case: &str, times: &str) -> ExitCode {
-    let case = case.parse().ok().and_then(|n: usize| CASES.get(n));
-    let (Some(case), Ok(times)) = (case, times.parse::<u64>()) else { return ExitCode::FAILURE };
+/// Runs a case many times; what callgrind watches.
+fn repeat(run: fn(&mut Bench), times: u64) {
     let mut bench = Bench::new();
-    let run = black_box(case.run);
     for _ in 0..times {
         run(black_box(&mut bench));
     }
-    ExitCode::SUCCESS
 }
 
 impl Bench {
