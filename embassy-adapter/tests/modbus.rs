@@ -85,14 +85,18 @@ async fn ask(socket: &mut TcpSocket<'_>, function: &[u8]) -> Vec<u8> {
 fn rules_slots_and_the_log_apply_to_clients_of_modbus() {
     between(|_, clients, board| async move {
         let values = [Bounds { min: -10.0, max: 10.0 }];
-        let put = [Allow { values: &values, ..Allow::range(VariableKind::I, 1, 1) }];
+        let put = [
+            Allow { values: &values, ..Allow::range(VariableKind::I, 1, 1) },
+            Allow::range(VariableKind::F, 1, 1),
+            Allow::range(VariableKind::D, 1, 1),
+        ];
         let config = Config {
             rules: Rules { put: &put, ..Rules::READ_ONLY },
             first_pause: core::time::Duration::from_millis(20),
             longest_pause: core::time::Duration::from_millis(100),
             ..Config::RC8
         };
-        let map = [Entry::registers("100=I/1-2").unwrap(), Entry::registers("200=I/1:i16").unwrap()];
+        let map = ["100=I/1-2", "200=I/1:i16", "300=F/1", "400=D/1"].map(|entry| Entry::registers(entry).unwrap());
         let number = SharedHandler::new(Number { value: 70_000, left: 0 });
         let mut memory = Memory::<2, 4>::new();
         let plant = Plant::new(Gateway::new(config, &mut memory), log);
@@ -117,6 +121,11 @@ fn rules_slots_and_the_log_apply_to_clients_of_modbus() {
             assert_eq!(ask(&mut a, &[1, 0, 0, 0, 1]).await, [0x81, 2]);
             let expected = ["PUT:RC8:1:I:3,11", "PUT:RC8:2:I:3,5", "PUT:RC8:2:I:3,5", "MODBUS:1:0:1"];
             assert_eq!(logged(), expected);
+            // an infinity in F1, NaN and an infinity in D1
+            assert_eq!(ask(&mut a, &[16, 1, 44, 0, 2, 4, 0x7f, 0x80, 0, 0]).await, [0x90, 3]);
+            assert_eq!(ask(&mut a, &[16, 1, 144, 0, 4, 8, 0x7f, 0xf8, 0, 0, 0, 0, 0, 0]).await, [0x90, 3]);
+            assert_eq!(ask(&mut a, &[16, 1, 144, 0, 4, 8, 0xff, 0xf0, 0, 0, 0, 0, 0, 0]).await, [0x90, 3]);
+            assert_eq!(logged(), ["PUT:RC8:1:F:4,inf", "PUT:RC8:1:D:5,NaN", "PUT:RC8:1:D:5,-inf"]);
             assert_eq!(ask(&mut a, &[4, 0, 200, 0, 1]).await, [4, 2, 0xff, 0xf6], "nothing was written");
             // both slots are in use
             let mut c = connect(clients, c).await;

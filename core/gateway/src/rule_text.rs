@@ -9,7 +9,8 @@
 //! ```
 //!
 //! Without an index the rule is about all variables of the kind, with one index about this variable, with two about these
-//! and those between them. Each range is about one element of the value, the last range also about the elements after it.
+//! and those between them. A range allows an infinity only as its bound: `0..inf` allows it, `0..1e9` and no range do not. No
+//! rule allows NaN. Each range is about one element of the value, the last range also about the elements after it.
 
 use core::fmt;
 

@@ -11,6 +11,7 @@
 //! | `Kind`, `Index`         | `E_ACCESSDENIED`   | no variable of this kind, or not this one                |
 //! | `Type`                  | `E_INVALIDARGTYPE` | the value is not of the variable's type                  |
 //! | `Value`                 | `E_INVALIDARG`     | the value is out of range                                |
+//! | `NotFinite`             | `E_INVALIDARG`     | NaN, or an infinity that no range has as its bound       |
 
 use core::fmt;
 use core::net::Ipv4Addr;
@@ -69,14 +70,14 @@ pub struct Allow<'a> {
     /// The last index.
     pub last: u32,
     /// The range of each element of the value; the last range applies to all further elements. An empty slice allows any
-    /// value.
+    /// value that is finite.
     pub values: &'a [Bounds],
     /// The clients that the rule applies to.
     pub clients: Network,
 }
 
 impl Allow<'_> {
-    /// All variables, with any value.
+    /// All variables, with any finite value.
     pub const EVERYTHING: [Self; 9] = [
         Self::all(VariableKind::I),
         Self::all(VariableKind::F),
@@ -89,13 +90,13 @@ impl Allow<'_> {
         Self::all(VariableKind::Io),
     ];
 
-    /// Allows all variables of a kind, with any value.
+    /// Allows all variables of a kind, with any finite value.
     #[must_use]
     pub const fn all(kind: VariableKind) -> Self {
         Self::range(kind, 0, u32::MAX)
     }
 
-    /// Allows the variables from `first` to `last`, with any value.
+    /// Allows the variables from `first` to `last`, with any finite value.
     #[must_use]
     pub const fn range(kind: VariableKind, first: u32, last: u32) -> Self {
         Self { kind, first, last, values: &[], clients: Network::ANY }
@@ -113,11 +114,23 @@ impl Allow<'_> {
     }
 
     fn has_element(&self, at: usize, element: &Variant<'_>) -> bool {
-        self.values.get(at).or(self.values.last()).is_none_or(|bounds| bounds.contain(element))
+        match self.values.get(at).or(self.values.last()) {
+            Some(bounds) => bounds.contain(element),
+            None => is_finite(element),
+        }
     }
 }
 
-/// A range of values, both ends included. BOOL counts as 0 or 1, a string as its length in UTF-16 units.
+/// Tells whether a value has no infinity and no NaN, which a program of the robot could use as a position or a speed.
+fn is_finite(value: &Variant<'_>) -> bool {
+    let scalar = |value: &Variant<'_>| value.as_f64().is_none_or(f64::is_finite);
+    match value.flatten() {
+        Variant::Array(array) => array.iter().all(|element| scalar(&element.flatten())),
+        value => scalar(&value),
+    }
+}
+
+/// A range of values, both ends included: an infinite end allows that infinity. BOOL counts as 0 or 1, a string as its length in UTF-16 units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Bounds {
@@ -201,6 +214,8 @@ pub enum Refusal {
     Type,
     /// The value is out of range.
     Value,
+    /// The value is NaN, or an infinity that no rule allows.
+    NotFinite,
     /// A stream of Slave Mode runs, or may run, and writing may end it.
     SlaveMode,
 }
@@ -214,7 +229,7 @@ impl Refusal {
             Self::Rate => HResult::E_BUSY_PROC,
             Self::ReadOnly | Self::Kind | Self::Index => HResult::E_ACCESSDENIED,
             Self::Type => HResult::E_INVALIDARGTYPE,
-            Self::Value => HResult::E_INVALIDARG,
+            Self::Value | Self::NotFinite => HResult::E_INVALIDARG,
             Self::SlaveMode => HResult::E_SLVMODE_ON,
         }
     }
@@ -230,6 +245,7 @@ impl fmt::Display for Refusal {
             Self::Index => "no rule allows this variable",
             Self::Type => "the value is not of the variable's type",
             Self::Value => "the value is out of the range that the rules allow",
+            Self::NotFinite => "the value is not a finite number, and no rule allows one that is not",
             Self::SlaveMode => "skipped: a stream of Slave Mode runs or may run, and writing may end it",
         })
     }
@@ -271,7 +287,7 @@ impl Rules<'_> {
                     return Err(Refusal::Type);
                 }
                 if !matching(self.put, client, *variable).any(|allow| allow.has_value(value)) {
-                    return Err(Refusal::Value);
+                    return Err(if is_finite(value) { Refusal::Value } else { Refusal::NotFinite });
                 }
             }
         }
@@ -365,9 +381,39 @@ mod tests {
         assert_eq!(put(&rules, Kind::V, 1, &[1.0_f32, 5.0, -5.0]), Ok(()));
         assert_eq!(put(&rules, Kind::V, 1, &[2.0_f32, 5.0, -5.0]), Err(Refusal::Value));
         assert_eq!(put(&rules, Kind::V, 1, &[1.0_f32, 5.0, -5.5]), Err(Refusal::Value));
-        assert_eq!(put(&rules, Kind::F, 1, &f32::NAN), Err(Refusal::Value));
         assert_eq!(put(&rules, Kind::S, 1, &"12345"), Ok(()));
         assert_eq!(put(&rules, Kind::S, 1, &"123456"), Err(Refusal::Value));
+    }
+
+    #[test]
+    fn only_finite_numbers_are_written_unless_a_range_has_infinity_as_a_bound() {
+        let everything = Rules { put: &Allow::EVERYTHING, convert: true, ..Rules::READ_ONLY };
+        let values = [Bounds { min: -1.0, max: f64::INFINITY }];
+        let upward = Allow::EVERYTHING.map(|allow| Allow { values: &values, ..allow });
+        let upward = Rules { put: &upward, ..everything };
+        let refused = Err(Refusal::NotFinite);
+        let cases: [(Kind, &dyn Encode, Result<(), Refusal>); 10] = [
+            (Kind::F, &f32::INFINITY, Ok(())),
+            (Kind::F, &f32::NEG_INFINITY, refused),
+            (Kind::F, &f32::NAN, refused),
+            (Kind::F, &f64::INFINITY, Ok(())),
+            (Kind::D, &f64::INFINITY, Ok(())),
+            (Kind::D, &f32::INFINITY, Ok(())),
+            (Kind::D, &f64::NAN, refused),
+            (Kind::V, &[0.0, f32::INFINITY, 0.0], Ok(())),
+            (Kind::V, &[0.0, 0.0, f32::NAN], refused),
+            (Kind::V, &(0.0_f32, 1_i32, f64::INFINITY), Ok(())),
+        ];
+        for (kind, value, in_range) in cases {
+            assert_eq!(put(&everything, kind, 1, value), refused, "{kind}");
+            assert_eq!(put(&upward, kind, 1, value), in_range, "{kind}");
+        }
+        for rules in [everything, upward] {
+            assert_eq!(put(&rules, Kind::F, 1, &f32::MAX), Ok(()));
+            assert_eq!(put(&rules, Kind::D, 1, &f64::MAX), Ok(()));
+        }
+        assert_eq!(put(&everything, Kind::D, 1, &f64::MIN), Ok(()));
+        assert_eq!(put(&upward, Kind::D, 1, &f64::MIN), Err(Refusal::Value));
     }
 
     #[test]

@@ -117,6 +117,7 @@ fn name(refusal: &Refusal) -> &'static str {
         Refusal::Index => "refused: index",
         Refusal::Type => "refused: type",
         Refusal::Value => "refused: value",
+        Refusal::NotFinite => "refused: not finite",
         Refusal::SlaveMode => "refused: slave mode",
         _ => "refused",
     }

@@ -87,7 +87,8 @@ pub(crate) struct Gateway {
     /// Allows variables to be written, in addition to the rules: KIND[/FIRST[-LAST]][=MIN..MAX[,MIN..MAX]...], several
     /// separated by commas
     ///
-    /// Each range is about one element of the value, the last range also about the elements after it.
+    /// Each range is about one element of the value, the last range also about the elements after it. Without a range any
+    /// finite value may be written; an infinity only if a range has it as its bound.
     #[arg(long, value_name = "RULES", value_parser = AllowPut::parse)]
     pub(crate) allow_put: Vec<AllowPut>,
 
