@@ -1,8 +1,7 @@
 //! Blocking and tokio clients against the server, over loopback sockets.
 
 use std::collections::HashMap;
-use std::io::{Read as _, Write as _};
-use std::net::{SocketAddr, TcpStream};
+use std::fmt::Debug;
 use std::ops::ControlFlow;
 use std::time::Duration;
 
@@ -15,9 +14,11 @@ use bcap_core::hresult::HResult;
 use bcap_core::io::CallError;
 use bcap_core::time::Instant;
 use bcap_core::variant::{Variant, VariantBuf};
+use bcap_std::blocking::{self, Connection, Transport};
 use bcap_std::server::{Limits, Server};
-use bcap_std::{Options, asynch, blocking};
-use tokio::sync::oneshot;
+use bcap_std::{Options, asynch};
+
+use crate::served::{Served, until};
 
 /// A handler with variables by number. An Execute call waits until a client writes variable 9.
 #[derive(Default)]
@@ -38,9 +39,7 @@ impl Handler for Store {
         match request.function {
             FunctionId::CONTROLLER_GET_VARIABLE => {
                 self.next_handle += 1;
-                let name = request.text(1).to_string();
-                assert_ne!(name, "panic", "on request of the test");
-                let number = name.parse().unwrap_or(0);
+                let number = request.text(1).to_string().parse().unwrap_or(0);
                 self.names.insert(self.next_handle, number);
                 let _ = reply.set(&self.next_handle);
             }
@@ -73,55 +72,21 @@ impl Handler for Store {
     }
 }
 
-/// A server in its own thread; dropping this stops it.
-struct Running {
-    tcp: SocketAddr,
-    udp: SocketAddr,
-    store: std::sync::Arc<std::sync::Mutex<Store>>,
-    stop: Option<oneshot::Sender<()>>,
-    thread: Option<std::thread::JoinHandle<()>>,
-}
-
-fn start(limits: Limits) -> Running {
+fn start(limits: Limits) -> Served<Store> {
     start_with(limits, |server| server)
 }
 
-fn start_with(limits: Limits, set_up: fn(Server<Store>) -> Server<Store>) -> Running {
-    let store = std::sync::Arc::default();
-    let handler = std::sync::Arc::clone(&store);
-    let (stop, stopped) = oneshot::channel();
-    let (sender, addresses) = std::sync::mpsc::channel();
-    let thread = std::thread::spawn(move || {
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-        runtime.block_on(async {
-            let server = set_up(Server::with_shared(handler)).limits(limits);
-            let server = server.bcap_tcp("127.0.0.1:0").await.unwrap().bcap_udp("127.0.0.1:0").await.unwrap();
-            sender.send(server.addresses()).unwrap();
-            let shutdown = async {
-                let _ = stopped.await;
-            };
-            server.run(shutdown).await.unwrap();
-        });
-    });
-    let addresses = addresses.recv().unwrap();
-    let (tcp, udp) = (addresses.bcap_tcp[0], addresses.bcap_udp[0]);
-    Running { tcp, udp, store, stop: Some(stop), thread: Some(thread) }
+fn start_with(limits: Limits, set_up: fn(Server<Store>) -> Server<Store>) -> Served<Store> {
+    Served::start(Store::default(), async move |server| {
+        set_up(server).limits(limits).bcap_tcp("127.0.0.1:0").await?.bcap_udp("127.0.0.1:0").await
+    })
 }
 
-impl Running {
-    /// Stops the server and joins its thread.
-    fn stop(&mut self) {
-        drop(self.stop.take());
-        if let Some(thread) = self.thread.take() {
-            thread.join().unwrap();
-        }
-    }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        self.stop();
-    }
+/// Begins a session and opens a variable.
+fn opened<X: Transport<Error: Debug>>(client: &mut Connection<X, Vec<u8>>, name: &str) -> VariableHandle {
+    client.call(call::service_start("")).unwrap();
+    let controller = client.call(call::controller_connect("", "", "", "")).unwrap();
+    client.call(call::controller_get_variable(controller, name, "")).unwrap()
 }
 
 /// Connects, writes a variable and reads it back.
@@ -148,15 +113,15 @@ macro_rules! session {
 fn blocking_clients_work_over_both_links_and_by_name() {
     let server = start(Limits::default());
     let options = Options::default();
-    session!(blocking::connect_tcp(server.tcp, &options).unwrap(), "1");
-    session!(blocking::connect_udp(server.udp, &options).unwrap(), "2");
-    session!(blocking::connect_tcp(("localhost", server.tcp.port()), &options).unwrap(), "1");
+    session!(blocking::connect_tcp(server.tcp(), &options).unwrap(), "1");
+    session!(blocking::connect_udp(server.udp(), &options).unwrap(), "2");
+    session!(blocking::connect_tcp(("localhost", server.tcp().port()), &options).unwrap(), "1");
 }
 
 #[tokio::test]
 async fn tokio_clients_work_over_both_links_and_from_any_task() {
     let server = start(Limits::default());
-    let (tcp, udp) = (server.tcp, server.udp);
+    let (tcp, udp) = (server.tcp(), server.udp());
     let over_tcp = tokio::spawn(async move {
         session!(asynch::connect_tcp(tcp, &Options::default()).await.unwrap(), "1".await);
     });
@@ -183,7 +148,7 @@ fn tap(store: &mut Store, _: PeerId, frame: &mut Vec<u8>) -> ControlFlow<()> {
 fn a_tap_can_count_drop_and_disconnect() {
     let server = start_with(Limits::default(), |server| server.tap(tap));
     let options = Options::default().timeout(Duration::from_secs(1));
-    let mut client = blocking::connect_tcp(server.tcp, &options).unwrap();
+    let mut client = blocking::connect_tcp(server.tcp(), &options).unwrap();
     client.call(call::service_start("")).unwrap();
     let controller = client.call(call::controller_connect("", "", "", "")).unwrap();
     let lost = client.call(call::controller_get_variable(controller, "1", "")).unwrap_err();
@@ -192,32 +157,20 @@ fn a_tap_can_count_drop_and_disconnect() {
     let closed = client.call(call::controller_get_name(controller)).unwrap_err();
     assert!(closed.hresult().is_none(), "{closed}");
     assert!(!matches!(closed, CallError::Client(ClientError::Timeout(_))), "{closed}");
-    assert_eq!(server.store.lock().unwrap().sent, 5);
+    assert_eq!(server.handler().sent, 5);
 
     // the sixth frame is dropped, and the UDP client retransmits
-    let mut client = blocking::connect_udp(server.udp, &Options::default().timeout(Duration::from_secs(2))).unwrap();
+    let mut client = blocking::connect_udp(server.udp(), &Options::default().timeout(Duration::from_secs(2))).unwrap();
     client.call(call::service_start("")).unwrap();
-    let store = server.store.lock().unwrap();
+    let store = server.handler();
     assert_eq!((store.sent, store.left.len()), (7, 1));
-}
-
-#[test]
-fn a_large_value_grows_the_buffers() {
-    let server = start(Limits::default());
-    let mut client = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
-    client.call(call::service_start("")).unwrap();
-    let controller = client.call(call::controller_connect("", "", "", "")).unwrap();
-    let variable = client.call(call::controller_get_variable(controller, "1", "")).unwrap();
-    // larger than the store holds; the refusal shows that the whole frame arrived
-    let error = client.call(call::variable_put_value(variable, &vec![1.0; 200_000][..])).unwrap_err();
-    assert_eq!(error.hresult(), Some(HResult::E_OUTOFMEMORY));
 }
 
 #[test]
 fn a_waiting_call_is_kept_alive_and_resumed_by_another_client_s_change() {
     let server = start(Limits::default());
     let options = Options::default().timeout(Duration::from_secs(1));
-    let address = server.tcp;
+    let address = server.tcp();
     let waiting = std::thread::spawn(move || {
         let mut client = blocking::connect_tcp(address, &options).unwrap();
         client.call(call::service_start("WDT=80")).unwrap();
@@ -225,12 +178,10 @@ fn a_waiting_call_is_kept_alive_and_resumed_by_another_client_s_change() {
         // takes longer than the attempt timeout, so it depends on keep-alives
         client.call(call::controller_execute(controller, "wait", ())).map(|v| v == Variant::Empty)
     });
-    until(|| server.store.lock().unwrap().executed >= 3);
+    server.until(|store| store.executed >= 3);
     std::thread::sleep(Duration::from_millis(1500));
-    let mut other = blocking::connect_udp(server.udp, &Options::default()).unwrap();
-    other.call(call::service_start("")).unwrap();
-    let controller = other.call(call::controller_connect("", "", "", "")).unwrap();
-    let variable = other.call(call::controller_get_variable(controller, "9", "")).unwrap();
+    let mut other = blocking::connect_udp(server.udp(), &Options::default()).unwrap();
+    let variable = opened(&mut other, "9");
     other.call(call::variable_put_value(variable, 1)).unwrap();
     assert!(waiting.join().unwrap().unwrap());
 }
@@ -253,100 +204,64 @@ fn a_silent_peer_a_closed_port_and_an_unknown_host_give_different_errors() {
 }
 
 #[test]
-fn a_connection_over_the_limit_is_answered_e_max_connect() {
-    let server = start(Limits::default().connections(1));
-    let mut first = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
-    first.call(call::service_start("")).unwrap();
-    let mut second = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
-    let error = second.call(call::service_start("")).unwrap_err();
-    assert_eq!(error.hresult(), Some(HResult::E_MAX_CONNECT));
-    first.call(call::controller_connect("", "", "", "")).unwrap();
-}
-
-#[test]
 fn one_address_cannot_exceed_its_share_of_the_slots() {
     let server = start(Limits::default().connections_per_address(1).udp_peers_per_address(1));
     let refused = Some(HResult::E_MAX_CONNECT);
-    let mut first = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
+    let mut first = blocking::connect_tcp(server.tcp(), &Options::default()).unwrap();
     first.call(call::service_start("")).unwrap();
-    let mut second = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
+    let mut second = blocking::connect_tcp(server.tcp(), &Options::default()).unwrap();
     assert_eq!(second.call(call::service_start("")).unwrap_err().hresult(), refused);
-    let mut first = blocking::connect_udp(server.udp, &Options::default()).unwrap();
+    let mut first = blocking::connect_udp(server.udp(), &Options::default()).unwrap();
     first.call(call::service_start("")).unwrap();
-    let mut second = blocking::connect_udp(server.udp, &Options::default()).unwrap();
+    let mut second = blocking::connect_udp(server.udp(), &Options::default()).unwrap();
     assert_eq!(second.call(call::service_start("")).unwrap_err().hresult(), refused);
 }
 
 #[test]
 fn the_longest_idle_connection_is_evicted_for_a_new_one() {
     let server = start(Limits::default().connections(2).evict_after(Duration::ZERO));
-    let mut clients = [(); 2].map(|()| blocking::connect_tcp(server.tcp, &Options::default()).unwrap());
+    let mut clients = [(); 2].map(|()| blocking::connect_tcp(server.tcp(), &Options::default()).unwrap());
     // the second is idle longest
     for n in [0, 1, 0] {
         clients[n].call(call::service_start("")).unwrap();
     }
-    let mut late = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
+    let mut late = blocking::connect_tcp(server.tcp(), &Options::default()).unwrap();
     late.call(call::service_start("")).unwrap();
     clients[0].call(call::service_start("")).unwrap();
-    until(|| server.store.lock().unwrap().left.len() == 1);
+    server.until(|store| store.left.len() == 1);
     assert!(matches!(clients[1].call(call::service_start("")), Err(CallError::Disconnected | CallError::Io(_))));
 }
 
 #[test]
 fn a_connection_with_a_running_call_is_not_evicted() {
     let server = start(Limits::default().connections(1).evict_after(Duration::ZERO));
-    let (address, options) = (server.tcp, Options::default().timeout(Duration::from_secs(30)));
+    let (address, options) = (server.tcp(), Options::default().timeout(Duration::from_secs(30)));
     let waiting = std::thread::spawn(move || {
         let mut client = blocking::connect_tcp(address, &options).unwrap();
         client.call(call::service_start("")).unwrap();
         let controller = client.call(call::controller_connect("", "", "", "")).unwrap();
         client.call(call::controller_execute(controller, "wait", ())).map(|value| value == Variant::Empty)
     });
-    until(|| server.store.lock().unwrap().executed >= 3);
-    let mut late = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
+    server.until(|store| store.executed >= 3);
+    let mut late = blocking::connect_tcp(server.tcp(), &Options::default()).unwrap();
     assert_eq!(late.call(call::service_start("")).unwrap_err().hresult(), Some(HResult::E_MAX_CONNECT));
-    let mut other = blocking::connect_udp(server.udp, &Options::default()).unwrap();
-    other.call(call::service_start("")).unwrap();
-    let controller = other.call(call::controller_connect("", "", "", "")).unwrap();
-    let variable = other.call(call::controller_get_variable(controller, "9", "")).unwrap();
+    let mut other = blocking::connect_udp(server.udp(), &Options::default()).unwrap();
+    let variable = opened(&mut other, "9");
     other.call(call::variable_put_value(variable, 1)).unwrap();
     assert!(waiting.join().unwrap().unwrap());
 }
 
 #[test]
-fn a_udp_peer_over_the_limit_is_answered_e_max_connect() {
-    let server = start(Limits::default().udp_peers(1));
-    let mut first = blocking::connect_udp(server.udp, &Options::default()).unwrap();
-    first.call(call::service_start("")).unwrap();
-    let mut second = blocking::connect_udp(server.udp, &Options::default()).unwrap();
-    assert_eq!(second.call(call::service_start("")).unwrap_err().hresult(), Some(HResult::E_MAX_CONNECT));
-    first.call(call::controller_connect("", "", "", "")).unwrap();
-}
-
-#[test]
-fn a_udp_peer_frees_its_slot_with_service_stop() {
-    let server = start(Limits::default().udp_peers(2));
-    let mut first = blocking::connect_udp(server.udp, &Options::default()).unwrap();
-    first.call(call::service_start("")).unwrap();
-    for _ in 0..5 {
-        let mut other = blocking::connect_udp(server.udp, &Options::default()).unwrap();
-        other.call(call::service_start("")).unwrap();
-        other.call(call::service_stop()).unwrap();
-    }
-    first.call(call::controller_connect("", "", "", "")).unwrap();
-}
-
-#[test]
 fn open_objects_of_a_peer_are_released_in_reverse_order() {
     let mut server = start(Limits::default());
-    let mut client = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
+    let mut client = blocking::connect_tcp(server.tcp(), &Options::default()).unwrap();
     client.call(call::service_start("")).unwrap();
     let controller = client.call(call::controller_connect("", "", "", "")).unwrap();
     let first = client.call(call::controller_get_variable(controller, "1", "")).unwrap();
     let second = client.call(call::controller_get_variable(controller, "2", "")).unwrap();
     // the connection is still open when the server stops
     server.stop();
-    let store = server.store.lock().unwrap();
+    let store = server.handler();
     assert_eq!(store.released, [second.0, first.0, controller.0, 0]);
     assert_eq!(store.left.len(), 1);
     drop(store);
@@ -354,59 +269,11 @@ fn open_objects_of_a_peer_are_released_in_reverse_order() {
 }
 
 #[test]
-fn an_invalid_frame_is_answered_and_the_connection_closed() {
-    let server = start(Limits::default());
-    let mut stream = TcpStream::connect(server.tcp).unwrap();
-    stream.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
-    stream.write_all(b"GET / HTTP/1.1\r\n\r\n").unwrap();
-    let mut answer = Vec::new();
-    stream.read_to_end(&mut answer).unwrap();
-    assert_eq!(answer, b"\x01\x10\0\0\0\0\0\0\0\x01\0\x01\x80\0\0\x04");
-    session!(blocking::connect_tcp(server.tcp, &Options::default()).unwrap(), "1");
-}
-
-#[test]
-fn a_partly_received_request_times_out() {
-    let server = start(Limits::default().receive(Duration::from_millis(150)));
-    let mut stream = TcpStream::connect(server.tcp).unwrap();
-    stream.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
-    stream.write_all(b"\x01").unwrap();
-    assert_eq!(stream.read(&mut [0; 16]).unwrap(), 0);
-}
-
-#[test]
-fn a_panic_of_the_handler_fails_only_its_call() {
-    let server = start(Limits::default());
-    // printing the first backtrace may take seconds
-    let options = Options::default().timeout(Duration::from_secs(30));
-    let mut tcp = blocking::connect_tcp(server.tcp, &options).unwrap();
-    let mut udp = blocking::connect_udp(server.udp, &options).unwrap();
-    tcp.call(call::service_start("")).unwrap();
-    udp.call(call::service_start("")).unwrap();
-    let controller = tcp.call(call::controller_connect("", "", "", "")).unwrap();
-    let its_own = udp.call(call::controller_connect("", "", "", "")).unwrap();
-    for _ in 0..3 {
-        let error = tcp.call(call::controller_get_variable(controller, "panic", "")).unwrap_err();
-        assert_eq!(error.hresult(), Some(HResult::E_UNEXPECTED));
-        let error = udp.call(call::controller_get_variable(its_own, "panic", "")).unwrap_err();
-        assert_eq!(error.hresult(), Some(HResult::E_UNEXPECTED));
-    }
-    // two services, two controllers, and six calls that panicked once each
-    assert_eq!(server.store.lock().unwrap().executed, 4 + 6);
-    let variable = tcp.call(call::controller_get_variable(controller, "5", "")).unwrap();
-    tcp.call(call::variable_put_value(variable, &7)).unwrap();
-    let variable = udp.call(call::controller_get_variable(its_own, "5", "")).unwrap();
-    assert_eq!(udp.call(call::variable_get_value(variable)).unwrap(), Variant::I4(7));
-}
-
-#[test]
 fn large_requests_and_replies_share_the_memory_pool() {
     let server = start(Limits::default().memory(100 << 10));
     let connect = || {
-        let mut client = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
-        client.call(call::service_start("")).unwrap();
-        let controller = client.call(call::controller_connect("", "", "", "")).unwrap();
-        let variable = client.call(call::controller_get_variable(controller, "1", "")).unwrap();
+        let mut client = blocking::connect_tcp(server.tcp(), &Options::default()).unwrap();
+        let variable = opened(&mut client, "1");
         (client, variable)
     };
     let large = [0_u8; 60 << 10];
@@ -434,24 +301,14 @@ fn large_requests_and_replies_share_the_memory_pool() {
     second.call(call::variable_put_value(two, &2)).unwrap();
 }
 
-/// Waits until `condition` holds, at most 30 s.
-#[track_caller]
-fn until(mut condition: impl FnMut() -> bool) {
-    let begin = std::time::Instant::now();
-    while !condition() {
-        assert!(begin.elapsed() < Duration::from_secs(30), "the condition did not hold within 30 s");
-        std::thread::sleep(Duration::from_millis(50));
-    }
-}
-
 #[test]
 fn invalid_datagrams_create_no_peer() {
     // there is one slot: a peer created by garbage would be evicted for the client, and counted in `left`
     let server = start(Limits::default().udp_peers(1).udp_idle(Duration::ZERO));
     let socket = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
     for garbage in [&b""[..], b"\x01", b"hello", &[1; 600], &[0xff; 504]] {
-        socket.send_to(garbage, server.udp).unwrap();
+        socket.send_to(garbage, server.udp()).unwrap();
     }
-    session!(blocking::connect_udp(server.udp, &Options::default()).unwrap(), "2");
-    assert_eq!(server.store.lock().unwrap().left.len(), 0, "no peer was evicted");
+    session!(blocking::connect_udp(server.udp(), &Options::default()).unwrap(), "2");
+    assert_eq!(server.handler().left.len(), 0, "no peer was evicted");
 }

@@ -9,4 +9,6 @@ mod panics;
 #[cfg(feature = "server")]
 mod rac;
 #[cfg(feature = "server")]
+mod served;
+#[cfg(feature = "server")]
 mod turns;

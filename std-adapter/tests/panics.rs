@@ -3,21 +3,20 @@
 use std::fmt::Debug;
 use std::io::Write as _;
 use std::net::TcpStream;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use bcap_core::bcap::call::{self, Call, ControllerHandle};
+use bcap_core::bcap::call::{self, ControllerHandle};
 use bcap_core::bcap::server::{Handler, Request};
-use bcap_core::bcap::{FrameWriter, FunctionId, Object};
+use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::rac::{self, VariableKind};
 use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
+use bcap_std::Options;
 use bcap_std::blocking::{self, Connection, Transport};
-use bcap_std::server::{Addresses, Limits, Server};
-use bcap_std::{Options, now};
-use tokio::sync::oneshot;
+
+use crate::served::{Served, frame};
 
 /// The payload of a panic that panics when it is dropped.
 struct Bomb;
@@ -126,54 +125,10 @@ impl rac::server::Handler for Panicking {
     }
 }
 
-/// A server in its own thread, which must end without an error.
-struct Running {
-    addresses: Addresses,
-    handler: Arc<Mutex<Panicking>>,
-    stop: oneshot::Sender<()>,
-    thread: std::thread::JoinHandle<std::io::Result<()>>,
-}
-
-impl Running {
-    fn start() -> Self {
-        let handler = Arc::<Mutex<Panicking>>::default();
-        let shared = Arc::clone(&handler);
-        let (stop, stopped) = oneshot::channel::<()>();
-        let (sender, addresses) = std::sync::mpsc::channel();
-        let thread = std::thread::spawn(move || {
-            let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-            runtime.block_on(async {
-                let server = Server::with_shared(shared).limits(Limits::default());
-                let server = server.bcap_tcp("127.0.0.1:0").await.unwrap().bcap_udp("127.0.0.1:0").await.unwrap();
-                let server = server.rac_tcp("127.0.0.1:0").await.unwrap();
-                sender.send(server.addresses()).unwrap();
-                server.run(async { drop(stopped.await) }).await
-            })
-        });
-        Self { addresses: addresses.recv().unwrap(), handler, stop, thread }
-    }
-
-    /// Locks the handler, whose mutex is poisoned.
-    fn handler(&self) -> MutexGuard<'_, Panicking> {
-        self.handler.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Waits until `condition` holds for the handler.
-    #[track_caller]
-    fn until(&self, condition: impl Fn(&Panicking) -> bool) {
-        let until = now() + Duration::from_secs(60);
-        while !condition(&self.handler()) {
-            assert!(now() < until, "{:?}", self.handler());
-            std::thread::yield_now();
-        }
-    }
-
-    /// Stops the server, which must still run; returns the handler.
-    fn stop(self) -> Panicking {
-        self.stop.send(()).expect("the server runs");
-        self.thread.join().expect("the server's thread has not panicked").expect("the server ends without an error");
-        std::mem::take(&mut *self.handler.lock().unwrap_or_else(PoisonError::into_inner))
-    }
+fn start() -> Served<Panicking> {
+    Served::start(Panicking::default(), async |server| {
+        server.bcap_tcp("127.0.0.1:0").await?.bcap_udp("127.0.0.1:0").await?.rac_tcp("127.0.0.1:0").await
+    })
 }
 
 /// Options with a long timeout: printing the first backtrace may take seconds.
@@ -204,16 +159,17 @@ fn call_all<X: Transport<Error: Debug>>(client: &mut Connection<X, Vec<u8>>) -> 
 
 #[test]
 fn panics_over_tcp_fail_only_their_calls() {
-    let server = Running::start();
-    let mut client = blocking::connect_tcp(server.addresses.bcap_tcp[0], &options()).unwrap();
+    let mut server = start();
+    let mut client = blocking::connect_tcp(server.tcp(), &options()).unwrap();
     let handles = call_all(&mut client);
     drop(client);
     server.until(|handler| handler.left == 1);
-    let mut next = blocking::connect_tcp(server.addresses.bcap_tcp[0], &options()).unwrap();
+    let mut next = blocking::connect_tcp(server.tcp(), &options()).unwrap();
     call_all(&mut next);
     drop(next);
     server.until(|handler| handler.left == 2);
-    let handler = server.stop();
+    server.stop();
+    let handler = server.handler();
     assert_eq!((handler.calls, handler.resumed, handler.abandoned), (4, 4, 4));
     // a failed release leaves the object open; a panic while a peer is closed does not prevent the other releases
     assert_eq!(handler.released[..5], [handles[1], handles[0], handles[1], handles[2], 0]);
@@ -222,8 +178,8 @@ fn panics_over_tcp_fail_only_their_calls() {
 
 #[test]
 fn panics_over_udp_fail_only_their_calls() {
-    let server = Running::start();
-    let address = server.addresses.bcap_udp[0];
+    let mut server = start();
+    let address = server.udp();
     let mut client = blocking::connect_udp(address, &options()).unwrap();
     let handles = call_all(&mut client);
     // Service_Stop releases open objects, and is answered although each release panics
@@ -232,15 +188,16 @@ fn panics_over_udp_fail_only_their_calls() {
     // the same task still serves other peers
     let mut next = blocking::connect_udp(address, &options()).unwrap();
     call_all(&mut next);
-    let handler = server.stop();
+    server.stop();
+    let handler = server.handler();
     assert_eq!((handler.calls, handler.resumed, handler.abandoned, handler.left), (4, 4, 4, 2));
 }
 
 #[test]
 fn panics_while_a_peer_with_a_waiting_call_is_closed_do_not_stop_the_server() {
-    let server = Running::start();
+    let mut server = start();
     let calling = {
-        let mut stream = TcpStream::connect(server.addresses.bcap_tcp[0]).unwrap();
+        let mut stream = TcpStream::connect(server.tcp()).unwrap();
         let mut send = |frame: Vec<u8>| stream.write_all(&frame).unwrap();
         send(frame(call::service_start("")));
         send(frame(call::controller_connect("", "", "", "")));
@@ -250,14 +207,15 @@ fn panics_while_a_peer_with_a_waiting_call_is_closed_do_not_stop_the_server() {
     server.until(|handler| handler.waiting == 1);
     drop(calling);
     server.until(|handler| handler.left == 1);
-    let handler = server.stop();
+    server.stop();
+    let handler = server.handler();
     assert_eq!((handler.abandoned, &handler.released[..]), (1, &[1, 0][..]));
 }
 
 #[test]
 fn panics_over_rac_fail_only_their_requests() {
-    let server = Running::start();
-    let mut client = blocking::connect_rac(server.addresses.rac_tcp[0], &options()).unwrap();
+    let mut server = start();
+    let mut client = blocking::connect_rac(server.rac(), &options()).unwrap();
     let variable = |index| rac::Variable::new(VariableKind::I, index);
     for _ in 0..2 {
         for index in [1, 2] {
@@ -266,19 +224,12 @@ fn panics_over_rac_fail_only_their_requests() {
         assert_eq!(client.get(variable(0)).unwrap(), Variant::I4(7));
     }
     // a waiting request is abandoned when its client disconnects
-    let mut gone = TcpStream::connect(server.addresses.rac_tcp[0]).unwrap();
+    let mut gone = TcpStream::connect(server.rac()).unwrap();
     gone.write_all(b"GET:RC8:3:I:\r").unwrap();
     server.until(|handler| handler.waiting == 1);
     drop((gone, client));
     server.until(|handler| handler.left == 2);
-    let handler = server.stop();
+    server.stop();
+    let handler = server.handler();
     assert_eq!((handler.calls, handler.resumed, handler.abandoned), (2, 2, 1));
-}
-
-/// Encodes a request.
-fn frame(call: impl Call) -> Vec<u8> {
-    let mut buffer = [0; 512];
-    let mut writer = FrameWriter::new(&mut buffer).unwrap();
-    call.arguments(&mut writer).unwrap();
-    writer.finish(1, 0, call.function().0).unwrap().to_vec()
 }

@@ -1,9 +1,7 @@
 //! RAC over loopback sockets: the server, the blocking client and the tokio client.
 
 use std::io::{Read as _, Write as _};
-use std::net::{SocketAddr, TcpStream};
-use std::sync::{Arc, Mutex};
-use std::thread::JoinHandle;
+use std::net::TcpStream;
 use std::time::Duration;
 
 use bcap_core::bcap;
@@ -14,11 +12,11 @@ use bcap_core::rac::client::{ClientError, Timeout};
 use bcap_core::rac::{Request, Variable, VariableKind, server};
 use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
-use bcap_std::server::{Limits, Server};
 use bcap_std::{Options, asynch, blocking};
-use tokio::sync::oneshot;
 
-/// A handler with one integer, I0. A read of I1 waits until I0 is 0, and a read of I2 panics.
+use crate::served::Served;
+
+/// A handler with one integer, I0. A read of I1 waits until I0 is 0.
 #[derive(Default)]
 struct Counter {
     count: i32,
@@ -30,11 +28,6 @@ impl server::Handler for Counter {
         let variable = request.variable();
         match (variable.kind, variable.index, request.value()) {
             (VariableKind::I, 0, Some(Variant::I4(count))) => self.count = count,
-            (VariableKind::I, 2, None) => {
-                // a value that was set before the panic is not sent
-                let _ = reply.set(&self.count);
-                panic!("on request of the test");
-            }
             (VariableKind::I, 1, None) if self.count != 0 => return Outcome::Wait(Instant::FAR_FUTURE),
             (VariableKind::I, 0 | 1, None) => {
                 let _ = reply.set(&self.count);
@@ -55,44 +48,8 @@ impl bcap::server::Handler for Counter {
     }
 }
 
-/// A server in its own thread; dropping this stops it.
-struct Running {
-    address: SocketAddr,
-    counter: Arc<Mutex<Counter>>,
-    stop: Option<oneshot::Sender<()>>,
-    thread: Option<JoinHandle<()>>,
-}
-
-fn start(limits: Limits) -> Running {
-    let counter = Arc::new(Mutex::new(Counter { count: 41, left: 0 }));
-    let handler = Arc::clone(&counter);
-    let (stop, stopped) = oneshot::channel::<()>();
-    let (sender, addresses) = std::sync::mpsc::channel();
-    let thread = std::thread::spawn(move || {
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-        runtime.block_on(async {
-            let server = Server::with_shared(handler).limits(limits).rac_tcp("127.0.0.1:0").await.unwrap();
-            sender.send(server.addresses()).unwrap();
-            server.run(async { drop(stopped.await) }).await.unwrap();
-        });
-    });
-    let address = addresses.recv().unwrap().rac_tcp[0];
-    Running { address, counter, stop: Some(stop), thread: Some(thread) }
-}
-
-impl Running {
-    fn stop(&mut self) {
-        drop(self.stop.take());
-        if let Some(thread) = self.thread.take() {
-            thread.join().unwrap();
-        }
-    }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        self.stop();
-    }
+fn start() -> Served<Counter> {
+    Served::start(Counter { count: 41, left: 0 }, async |server| server.rac_tcp("127.0.0.1:0").await)
 }
 
 /// Reads one line without its CR.
@@ -109,64 +66,25 @@ fn line(stream: &mut TcpStream) -> String {
 }
 
 #[test]
-fn every_line_is_answered_in_order_for_any_segmentation() {
-    let server = start(Limits::default());
-    let mut stream = TcpStream::connect(server.address).unwrap();
-    let long = "X".repeat(300);
-    let lines = format!("GET:RC8:0:I:\rPUT:RC8:0:I:3,42\rnonsense\r{long}\r\n GET:RC8:0:I:\rGET:RC8:0:F:\r");
-    let expected = ["0,3,41", "0", "-2147418107", "-2147418095", "0,3,42", "-2147024809"];
-    stream.write_all(lines.as_bytes()).unwrap();
-    assert_eq!(expected.map(|_| line(&mut stream)), expected);
-    for byte in "PUT:RC8:0:I:3,41\r".bytes() {
-        stream.write_all(&[byte]).unwrap();
-    }
-    assert_eq!(line(&mut stream), "0");
-    assert_eq!(server.counter.lock().unwrap().count, 41);
-}
-
-#[test]
 fn a_waiting_request_is_resumed_by_another_connection() {
-    let server = start(Limits::default());
-    let mut waiting = TcpStream::connect(server.address).unwrap();
+    let server = start();
+    let mut waiting = TcpStream::connect(server.rac()).unwrap();
     waiting.write_all(b"GET:RC8:1:I:\r").unwrap();
-    let mut other = TcpStream::connect(server.address).unwrap();
+    let mut other = TcpStream::connect(server.rac()).unwrap();
     other.write_all(b"PUT:RC8:0:I:3,0\r").unwrap();
     assert_eq!(line(&mut other), "0");
     assert_eq!(line(&mut waiting), "0,3,0");
 }
 
 #[test]
-fn a_connection_over_the_limit_is_answered_e_max_connect() {
-    let server = start(Limits::default().connections(1));
-    let mut first = TcpStream::connect(server.address).unwrap();
-    first.write_all(b"GET:RC8:0:I:\r").unwrap();
-    assert_eq!(line(&mut first), "0,3,41");
-    let mut second = TcpStream::connect(server.address).unwrap();
-    second.write_all(b"GET:RC8:0:I:\r").unwrap();
-    assert_eq!(line(&mut second), HResult::E_MAX_CONNECT.0.to_string());
-    assert_eq!(second.read(&mut [0; 8]).unwrap(), 0);
-}
-
-#[test]
-fn a_panic_of_the_handler_fails_only_its_request() {
-    let server = start(Limits::default());
-    let mut stream = TcpStream::connect(server.address).unwrap();
-    for _ in 0..3 {
-        stream.write_all(b"GET:RC8:2:I:\rGET:RC8:0:I:\r").unwrap();
-        assert_eq!(line(&mut stream), HResult::E_UNEXPECTED.0.to_string());
-        assert_eq!(line(&mut stream), "0,3,41");
-    }
-}
-
-#[test]
 fn a_stop_closes_connections_and_reports_them_to_the_handler() {
-    let mut server = start(Limits::default());
-    let mut stream = TcpStream::connect(server.address).unwrap();
+    let mut server = start();
+    let mut stream = TcpStream::connect(server.rac()).unwrap();
     stream.write_all(b"GET:RC8:0:I:\r").unwrap();
     assert_eq!(line(&mut stream), "0,3,41");
     server.stop();
     assert_eq!(stream.read(&mut [0; 8]).unwrap(), 0);
-    assert_eq!(server.counter.lock().unwrap().left, 1);
+    assert_eq!(server.handler().left, 1);
 }
 
 /// Reads and writes a variable, and keeps the connection after refused requests.
@@ -187,21 +105,21 @@ macro_rules! session {
 
 #[test]
 fn a_blocking_client_reads_writes_and_is_refused() {
-    let server = start(Limits::default());
-    session!(blocking::connect_rac(server.address, &Options::default()).unwrap());
+    let server = start();
+    session!(blocking::connect_rac(server.rac(), &Options::default()).unwrap());
 }
 
 #[tokio::test]
 async fn a_tokio_client_reads_writes_and_is_refused() {
-    let server = start(Limits::default());
-    session!(asynch::connect_rac(server.address, &Options::default()).await.unwrap(), await);
+    let server = start();
+    session!(asynch::connect_rac(server.rac(), &Options::default()).await.unwrap(), await);
 }
 
 #[test]
 fn a_late_reply_is_never_matched_to_a_later_request() {
-    let server = start(Limits::default());
+    let server = start();
     let options = Options::default().timeout(Duration::from_millis(600));
-    let mut client = blocking::connect_rac(server.address, &options).unwrap();
+    let mut client = blocking::connect_rac(server.rac(), &options).unwrap();
     let (count, zero) = (Variable::new(VariableKind::I, 0), Variable::new(VariableKind::I, 1));
     // the server delays this reply until the count is 0
     let error = client.get(zero).unwrap_err();
@@ -209,7 +127,7 @@ fn a_late_reply_is_never_matched_to_a_later_request() {
     assert!(error.is_recoverable());
     let error = client.put(count, Variant::I4(5)).unwrap_err();
     assert!(matches!(error, CallError::Client(ClientError::Timeout(Timeout::Outstanding))), "{error}");
-    let mut other = blocking::connect_rac(server.address, &Options::default()).unwrap();
+    let mut other = blocking::connect_rac(server.rac(), &Options::default()).unwrap();
     other.put(count, Variant::I4(0)).unwrap();
     other.put(count, Variant::I4(9)).unwrap();
     assert_eq!(client.get(count).unwrap(), Variant::I4(9));

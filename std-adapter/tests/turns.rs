@@ -3,17 +3,18 @@
 use std::io::{Read as _, Write as _};
 use std::net::{SocketAddr, TcpStream};
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, mpsc};
+use std::sync::{Arc, mpsc};
 use std::thread::{self, ThreadId};
 use std::time::Duration;
 
-use bcap_core::bcap::call::{self, Call, ControllerHandle, VariableHandle};
+use bcap_core::bcap::FunctionId;
+use bcap_core::bcap::call::{self, ControllerHandle, VariableHandle};
 use bcap_core::bcap::server::{Handler, Request};
-use bcap_core::bcap::{FrameWriter, FunctionId};
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
-use bcap_std::server::Server;
+
+use crate::served::{Served, frame};
 
 /// A handler that opens any object and accepts any value. For each value it records the thread, and the number of turns of
 /// another task.
@@ -51,29 +52,19 @@ fn puts(count: usize, bytes: usize) -> (Vec<Put>, ThreadId) {
     let (begin, begun) = mpsc::channel();
     let turns = Arc::<AtomicUsize>::default();
     let handler = Recorder { puts: Vec::new(), turns: Arc::clone(&turns), begin: begun };
-    let handler = Arc::new(Mutex::new(handler));
-    let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
-    let (sender, address) = mpsc::channel();
-    let shared = Arc::clone(&handler);
-    let server = thread::spawn(move || {
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-        runtime.block_on(async {
-            tokio::spawn(async move {
-                loop {
-                    turns.fetch_add(1, Ordering::Relaxed);
-                    tokio::task::yield_now().await;
-                }
-            });
-            let server = Server::with_shared(shared).bcap_tcp("127.0.0.1:0").await.unwrap();
-            sender.send(server.addresses().bcap_tcp[0]).unwrap();
-            server.run(async { drop(stopped.await) }).await.unwrap();
+    let mut server = Served::start(handler, async |server| {
+        tokio::spawn(async move {
+            loop {
+                turns.fetch_add(1, Ordering::Relaxed);
+                tokio::task::yield_now().await;
+            }
         });
+        server.bcap_tcp("127.0.0.1:0").await
     });
-    let thread = server.thread().id();
-    flood(address.recv().unwrap(), count, bytes, begin);
-    stop.send(()).unwrap();
-    server.join().unwrap();
-    let puts = handler.lock().unwrap().puts.clone();
+    let thread = server.thread();
+    flood(server.tcp(), count, bytes, begin);
+    server.stop();
+    let puts = server.handler().puts.clone();
     (puts, thread)
 }
 
@@ -95,13 +86,6 @@ fn flood(address: SocketAddr, count: usize, bytes: usize, begin: mpsc::Sender<()
     let mut all = vec![0; 16 + 2 * 30 + count * 16];
     replies.read_exact(&mut all).unwrap();
     drop(writer.join().unwrap());
-}
-
-fn frame(call: impl Call) -> Vec<u8> {
-    let mut buffer = vec![0; 17 << 20];
-    let mut writer = FrameWriter::new(&mut buffer).unwrap();
-    call.arguments(&mut writer).unwrap();
-    writer.finish(1, 0, call.function().0).unwrap().to_vec()
 }
 
 /// Checks that another task had a turn within any `count` consecutive values. Tokio's scheduler may give a task two turns in
