@@ -22,7 +22,6 @@ mod loops;
 mod network;
 mod no_alloc;
 mod outages;
-mod peer;
 mod procedures;
 mod programs;
 mod rac;

@@ -22,6 +22,7 @@ pub(crate) const CASES: &[Case] = crate::cases! {
         a_reset_at_every_byte
         a_byte_at_a_time
         many_requests_in_one_piece
+        a_repeated_serial_runs_again
         endless_requests_do_not_starve_others
         pieces_that_never_end_with_a_request
         large_requests_of_many_at_the_same_time
@@ -143,6 +144,15 @@ fn many_requests_in_one_piece(target: &mut Target) {
         let reply = raw.reply();
         assert_eq!((reply.serial, reply.code), (serial, 0));
     }
+}
+
+/// A stream loses no request, so the same serial is another call.
+fn a_repeated_serial_runs_again(target: &mut Target) {
+    let mut raw = Raw::connect(target.tcp);
+    let args = vec![Value::I4(raw.begin()), Value::text("I1"), Value::text("")];
+    let open = request(FunctionId::CONTROLLER_GET_VARIABLE, args);
+    let handles = [(); 3].map(|()| raw.call(&open).args[0].clone());
+    assert!(handles[0] != handles[1] && handles[1] != handles[2], "{handles:?}");
 }
 
 /// A client that sends requests without a pause, into an enlarged buffer, does not delay the others.

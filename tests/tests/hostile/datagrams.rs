@@ -339,6 +339,7 @@ fn a_reply_that_no_datagram_holds(target: &mut Target) {
     // a string of 229 characters is the longest that a reply of 488 bytes can have
     let (name, put) = (vec![Value::I4(controller), Value::text("V"), Value::text("")], FunctionId::VARIABLE_PUT_VALUE);
     let variable = peer.call(FunctionId::CONTROLLER_GET_VARIABLE, name).args[0].clone();
+    // and a request with 230 is the longest datagram, 504 bytes
     for (length, expected) in [(229, 0), (230, HResult::E_TOO_MUCH_DATA.0)] {
         let put = peer.call(put, vec![variable.clone(), Value::text(&"x".repeat(length))]);
         assert_eq!(put.code, 0, "{length}");
