@@ -171,6 +171,41 @@ fn a_name_that_leaves_the_folder_is_refused() {
 }
 
 #[test]
+fn one_unsafe_name_hides_no_other_file() {
+    let fake = Fake::tcp(|request| match request.function() {
+        FunctionId::CONTROLLER_GET_FILE_NAMES => {
+            value(["b\n.pcs", "a.pcs", "..\\", "c.txt"].map(str::to_owned).to_vec())
+        }
+        FunctionId::CONTROLLER_GET_FILE => value(5),
+        FunctionId::FILE_GET_VALUE => value("x".to_owned()),
+        FunctionId::FILE_GET_SIZE => value(1),
+        _ => usual(request),
+    });
+    let run = |args: &[&str]| bcap(&[args, &["--robot", &fake.address]].concat());
+    for args in [&["ls"][..], &["ls", "--recursive"], &["ls", "/*"]] {
+        let listed = run(args);
+        assert_eq!((listed.err.as_str(), listed.code), ("", 0), "{args:?}");
+        assert_eq!(listed.out, "\"/../\"\n/a.pcs\n\"/b\\n.pcs\"\n/c.txt\n", "{args:?}");
+    }
+    let listed = run(&["ls", "--long", "--json", "/*.pcs"]);
+    let expected = "{\"folder\":false,\"path\":\"/a.pcs\",\"size\":1}\n\
+                    {\"folder\":false,\"path\":\"/b\\n.pcs\",\"unsafe\":true}\n";
+    assert_eq!((listed.out.as_str(), listed.code), (expected, 0), "{listed:?}");
+    for (args, names) in [
+        (&["cp", "robot:/*"][..], r#""/../", "/b\n.pcs""#),
+        (&["cp", "robot:/*.pcs"], r#""/b\n.pcs""#),
+        (&["cp", "--recursive", "robot:/"], r#""/../", "/b\n.pcs""#),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let to = format!("{}/", folder.path().display());
+        let copied = run(&[args, &[&to]].concat());
+        let message = format!("unsafe names, which were not copied: {names}\n");
+        assert!(copied.code == 3 && copied.err.contains(&message), "{args:?}: {copied:?}");
+        assert_eq!(fs::read(folder.path().join("a.pcs")).unwrap(), b"x", "{args:?}");
+    }
+}
+
+#[test]
 fn folders_without_end_are_an_error() {
     let fake = Fake::tcp(|request| match request.function() {
         FunctionId::CONTROLLER_GET_FILE_NAMES | FunctionId::FILE_GET_FILE_NAMES => value(vec!["again\\".to_owned()]),

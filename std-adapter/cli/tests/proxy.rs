@@ -140,7 +140,8 @@ fn json_calls(file: &Path) -> Vec<String> {
 fn faulty(name: &str, faults: &[&str]) -> (Running, Running, PathBuf) {
     let (sim, file) = (Running::sim(&[]), path(name));
     let robot = ["--robot", &sim.bcap, "--robot-udp", &sim.udp, "--robot-rac", &sim.rac];
-    let more = ["--listen", "127.0.0.1:0", "--seed", "7", "--write", file.to_str().unwrap()];
+    let more =
+        ["--listen", "127.0.0.1:0", "--listen-rac", "127.0.0.1:0", "--seed", "7", "--write", file.to_str().unwrap()];
     let proxy = Running::start(&[&["proxy"], &robot[..], &more, faults].concat());
     (sim, proxy, file)
 }
@@ -237,6 +238,9 @@ fn a_robot_that_refuses_and_a_file_that_cannot_be_written_are_said() {
     assert!(run.code == 2 && run.err.contains("write a share from 0 to 1"), "{run:?}");
 }
 
+/// Service_Stop.
+const STOP: [u8; 16] = [1, 16, 0, 0, 0, 1, 0, 0, 0, 2, 0, 0, 0, 0, 0, 4];
+
 /// The most clients of a proxy over UDP, and the most connections over TCP.
 const CLIENTS: usize = 256;
 
@@ -259,9 +263,35 @@ fn a_proxy_over_udp_drops_datagrams_of_more_clients_than_it_serves() {
     clients[0].send_to(b"again", &proxy.udp).unwrap();
     let (count, from) = robot.recv_from(&mut buffer).unwrap();
     assert_eq!((&buffer[..count], sources.contains(&from)), (&b"again"[..], true));
+    // a client that stops its service frees its slot at once, and its socket after the reply
+    clients[1].send_to(&STOP, &proxy.udp).unwrap();
+    let (_, stopped) = robot.recv_from(&mut buffer).unwrap();
+    clients[CLIENTS].send_to(b"spare", &proxy.udp).unwrap();
+    let (count, from) = robot.recv_from(&mut buffer).unwrap();
+    assert_eq!((&buffer[..count], sources.contains(&from)), (&b"spare"[..], false));
+    assert!(sources.contains(&stopped));
     let printed = proxy.interrupt();
     let notes: Vec<_> = printed.out.lines().filter(|line| line.contains("256 clients over UDP")).collect();
     assert_eq!(notes.len(), 1, "{}", printed.out);
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_proxy_closes_the_socket_of_a_client_that_has_stopped_its_service() {
+    let sim = Running::sim(&[]);
+    let robot = ["--robot", &sim.bcap, "--robot-udp", &sim.udp];
+    let proxy = Running::start(&[&["proxy", "--quiet", "--listen", "127.0.0.1:0"], &robot[..]].concat());
+    let descriptors = || std::fs::read_dir(format!("/proc/{}/fd", proxy.child.id())).unwrap().count();
+    let before = descriptors();
+    let clients: Vec<_> = (0..3).map(|_| UdpSocket::bind("127.0.0.1:0").unwrap()).collect();
+    for client in &clients {
+        client.send_to(&STOP, &proxy.udp).unwrap();
+        client.recv_from(&mut [0; 16]).unwrap();
+    }
+    assert_eq!(descriptors(), before + 3);
+    while descriptors() > before {
+        std::thread::sleep(std::time::Duration::from_millis(50));
+    }
 }
 
 #[test]

@@ -17,8 +17,7 @@ use serde_json::Value;
 /// Starts a proxy that records to a file with this name; returns it and the file.
 fn proxy(robot: &str, name: &str) -> (Running, String) {
     let file = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name).to_str().unwrap().to_owned();
-    let args = ["proxy", "--listen", "127.0.0.1:0", "--robot-rac", "127.0.0.1:1", "--quiet", "--write", &file];
-    (Running::start(&[&args[..], &["--listen-rac", "127.0.0.1:0", "--robot", robot]].concat()), file)
+    (Running::start(&["proxy", "--listen", "127.0.0.1:0", "--quiet", "--write", &file, "--robot", robot]), file)
 }
 
 /// Streams a cosine through a proxy; returns the run of the command and its report.

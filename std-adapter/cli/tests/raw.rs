@@ -1,7 +1,9 @@
 //! `bcap raw`: packets as they are written, and their replies.
 
-use std::io::{BufRead, BufReader, Read};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpListener;
 use std::process::Stdio;
+use std::thread;
 
 use crate::common::virtual_robot::{Virtual, signal};
 use crate::common::{Run, bcap, bcap_with, command};
@@ -43,6 +45,22 @@ fn a_packet_without_a_reply_is_an_error() {
     let run = bcap(&["raw", "01g", "--robot", &robot.tcp]);
     assert!(run.code == 2 && run.err.contains("is not a hexadecimal digit"), "{run:?}");
     assert_eq!(bcap_with(&["raw"], b"\n").code, 2);
+}
+
+#[test]
+fn keep_alives_without_end_are_limited_by_the_timeout() {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = format!("tcp:{}", listener.local_addr().unwrap());
+    let robot = thread::spawn(move || {
+        let (mut stream, _) = listener.accept().unwrap();
+        stream.read_exact(&mut [0; 16]).unwrap();
+        let executing = [1, 16, 0, 0, 0, 2, 0, 0, 0, 0, 9, 0, 0, 0, 0, 4];
+        while stream.write_all(&executing).is_ok() {}
+    });
+    let run = bcap(&["raw", STOP, "--robot", &address, "--timeout", "200", "--last", "--json"]);
+    robot.join().unwrap();
+    assert!(run.code == 4 && run.err.contains("no reply to packet 1 within 200 ms, only keep-alives"), "{}", run.err);
+    assert!(run.out.contains("S_EXECUTING"), "{run:?}");
 }
 
 #[test]

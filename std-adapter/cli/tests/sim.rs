@@ -246,6 +246,20 @@ fn a_fifo_in_the_folder_blocks_neither_b_cap_nor_rac_nor_signals() {
     sim.0.end("-TERM");
 }
 
+#[cfg(unix)]
+#[test]
+fn a_fifo_is_no_model_arm_or_scenario() {
+    let folder = tempfile::tempdir().unwrap();
+    let fifo = folder.path().join("fifo.toml");
+    assert!(Command::new("mkfifo").arg(&fifo).status().unwrap().success());
+    let fifo = fifo.to_str().unwrap();
+    for (option, more) in [("model", &[][..]), ("model", &["--print-model"]), ("arm", &[]), ("scenario", &[])] {
+        let run = bcap(&[&["sim", &format!("--{option}"), fifo], more].concat());
+        let error = format!("cannot read the {option} {fifo}: it is not a regular file");
+        assert!(run.code == 2 && run.err.contains(&error), "{run:?}");
+    }
+}
+
 #[test]
 fn the_robot_type_can_be_set() {
     let type_of = |more: &[&str]| Sim::start(more).tcp(&["get", "robot/@TYPE_NAME", "@VERSION"]).out;

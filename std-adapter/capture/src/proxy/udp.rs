@@ -6,8 +6,11 @@ use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use bcap_core::bcap::{Decoder, FunctionId};
+use bcap_core::peers::{Admission, Holder, SlotState, Slots};
+use bcap_core::time::Instant;
 use tokio::net::UdpSocket;
-use tokio::task::JoinSet;
+use tokio::task::{AbortHandle, JoinSet};
 use tokio::time::{sleep, timeout};
 
 use super::shared::{CLIENTS, Shared};
@@ -18,10 +21,16 @@ use crate::role::Role;
 /// The silence of the robot after which a client's socket is closed. A client that comes back gets another one.
 const SILENCE: Duration = Duration::from_secs(600);
 
+/// The same after the reply to Service_Stop, which the client requests again if it is lost.
+const STOPPED: Duration = Duration::from_secs(5);
+
+/// The slots for clients.
+const SLOTS: Slots = Slots { total: CLIENTS, per_host: CLIENTS, evict_after: Some(Duration::from_secs(10)) };
+
 /// The largest datagram.
 const DATAGRAM: usize = 65_535;
 
-type Clients = Arc<Mutex<HashMap<SocketAddr, Client>>>;
+type Clients = Arc<Mutex<HashMap<SocketAddr, (Client, AbortHandle)>>>;
 
 /// A client with its socket to the robot.
 #[derive(Clone)]
@@ -32,6 +41,7 @@ struct Client {
     robot: Arc<UdpSocket>,
     recorder: Recorder,
     faults: Option<Arc<Mutex<Faults>>>,
+    state: Arc<Mutex<SlotState>>,
 }
 
 /// Forwards datagrams until it is dropped.
@@ -48,14 +58,11 @@ pub(super) async fn serve(socket: UdpSocket, robot: SocketAddr, shared: Shared) 
         // an ICMP error for an earlier reply does not affect the socket
         let Ok((count, from)) = received else { continue };
         let at = shared.recorder.now();
-        let (known, count_of_clients) = {
-            let clients = lock(&clients);
-            (clients.get(&from).cloned(), clients.len())
-        };
+        let known = lock(&clients).get(&from).map(|(client, _)| client.clone());
         let ends = Ends { is_tcp: false, client: from, server: robot };
         let client = match known {
             Some(client) => client,
-            None if count_of_clients >= CLIENTS => {
+            None if !has_slot(&clients) => {
                 // one note until a slot is free: a flood of datagrams must not become a flood of notes
                 if !std::mem::replace(&mut is_full, true) {
                     let text = format!("dropped datagrams of more than {CLIENTS} clients over UDP");
@@ -66,8 +73,8 @@ pub(super) async fn serve(socket: UdpSocket, robot: SocketAddr, shared: Shared) 
             None => match open(&here, from, robot, &shared).await {
                 Ok(client) => {
                     is_full = false;
-                    lock(&clients).insert(from, client.clone());
-                    replies.spawn(forward_replies(client.clone(), Arc::clone(&clients)));
+                    let task = replies.spawn(forward_replies(client.clone(), Arc::clone(&clients)));
+                    lock(&clients).insert(from, (client.clone(), task));
                     client
                 }
                 Err(error) => {
@@ -76,7 +83,30 @@ pub(super) async fn serve(socket: UdpSocket, robot: SocketAddr, shared: Shared) 
                 }
             },
         };
-        client.forward(Role::Request, at, buffer.get(..count).unwrap_or_default()).await;
+        let request = buffer.get(..count).unwrap_or_default();
+        *lock(&client.state) = match Decoder::UDP.decode_datagram(request).map(|frame| frame.function()) {
+            Ok(FunctionId::SERVICE_STOP) => SlotState::Over,
+            _ => SlotState::Idle(bcap_std::now()),
+        };
+        client.forward(Role::Request, at, request).await;
+    }
+}
+
+/// Tells whether there is a slot for a new client, and closes the socket of the client that loses it.
+fn has_slot(clients: &Clients) -> bool {
+    let mut clients = lock(clients);
+    let holders =
+        clients.iter().map(|(&key, (client, _))| Holder { key, is_same_host: false, state: *lock(&client.state) });
+    match SLOTS.admit(holders, bcap_std::now()) {
+        Admission::Free => true,
+        Admission::Instead(address) => {
+            if let Some((client, task)) = clients.remove(&address) {
+                task.abort();
+                client.recorder.closed(client.ends);
+            }
+            true
+        }
+        Admission::Refused => false,
     }
 }
 
@@ -96,14 +126,16 @@ async fn open(here: &Arc<UdpSocket>, from: SocketAddr, robot: SocketAddr, shared
         robot: Arc::new(socket),
         recorder: shared.recorder.clone(),
         faults: shared.faults(false).map(|faults| Arc::new(Mutex::new(faults))),
+        state: Arc::new(Mutex::new(SlotState::Idle(Instant::ZERO))),
     })
 }
 
-/// Forwards the robot's datagrams to a client, until the robot is silent.
+/// Forwards the robot's datagrams to a client, until the service has stopped or the robot is silent.
 async fn forward_replies(client: Client, clients: Clients) {
     let mut buffer = vec![0; DATAGRAM];
     loop {
-        match timeout(SILENCE, client.robot.recv(&mut buffer)).await {
+        let limit = if *lock(&client.state) == SlotState::Over { STOPPED } else { SILENCE };
+        match timeout(limit, client.robot.recv(&mut buffer)).await {
             Ok(Ok(count)) => {
                 let at = client.recorder.now();
                 client.forward(Role::Response, at, buffer.get(..count).unwrap_or_default()).await;

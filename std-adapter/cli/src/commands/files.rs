@@ -16,7 +16,8 @@ use bcap_backup::local_files;
 
 /// Lists files and folders of the controller
 ///
-/// A folder ends with /. PATH may have the wildcards * and ?; quote them. Case does not matter there.
+/// A folder ends with /. PATH may have the wildcards * and ?; quote them. Case does not matter there. A name that would be unsafe
+/// on this machine, such as `../x`, is shown in quotes.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -42,7 +43,8 @@ pub(crate) struct Ls {
 /// robot: marks the side of the controller: robot:/Pro1.pcs. A path of the controller may have the wildcards * and ?; quote
 /// them. DEST is a folder if it ends with /, exists as a folder, or there are several sources. All destinations are checked
 /// before the first file is copied; an existing file is replaced only with --force. A file that was written to the
-/// controller is read back and compared. A file of this machine is never half written.
+/// controller is read back and compared. A file of this machine is never half written. A file of the controller whose name would
+/// be unsafe on this machine is not copied; the command copies the others, names it and ends with 3.
 ///
 /// A controller stores text: UTF-8 is sent as a string, other bytes as an array of bytes. Over UDP a file must fit one
 /// datagram of at most 504 bytes.
@@ -76,7 +78,11 @@ pub(crate) fn ls(args: &Ls, session: &mut Session, json: bool) -> Result<(), Fai
     session.begin()?;
     spare(session, FunctionId::CONTROLLER_GET_FILE_NAMES, None)?;
     for item in listed(session, &path, args.recursive)? {
-        let size = if args.long && !item.is_folder { Some(remote_files::size(session, &item.path)?) } else { None };
+        let size = if args.long && !item.is_folder && !item.is_unsafe {
+            Some(remote_files::size(session, &item.path)?)
+        } else {
+            None
+        };
         print_item(&item, size, args.long, json)?;
     }
     Ok(())
@@ -91,11 +97,8 @@ fn listed(session: &mut Session, path: &str, recursive: bool) -> Result<Vec<Item
     let with_wildcards = path.contains(['*', '?']);
     let mut items = Vec::new();
     for item in found {
-        match (item.is_folder, recursive) {
-            (true, true) => {
-                let files = remote_files::walk(session, &item.path, |_, failure| Err(failure))?;
-                items.extend(files.into_iter().map(|path| Item { path, is_folder: false }));
-            }
+        match (item.is_folder && !item.is_unsafe, recursive) {
+            (true, true) => items.extend(remote_files::walk(session, &item.path, |_, failure| Err(failure))?),
             (true, false) if !with_wildcards => items.extend(remote_files::list(session, &item.path)?),
             _ => items.push(item),
         }
@@ -109,11 +112,13 @@ fn print_item(item: &Item, size: Option<i64>, long: bool, json: bool) -> Result<
         if let Some(size) = size {
             line["size"] = size.into();
         }
+        if item.is_unsafe {
+            line["unsafe"] = true.into();
+        }
         return Ok(print_json(&line.to_string())?);
     }
-    let end = if item.is_folder { "/" } else { "" };
-    let size = size.map(|size| size.to_string()).unwrap_or_default();
-    Ok(print_line(&if long { format!("{size:>10}  /{}{end}", item.path) } else { format!("/{}{end}", item.path) })?)
+    let (path, size) = (item.shown(), size.map(|size| size.to_string()).unwrap_or_default());
+    Ok(print_line(&if long { format!("{size:>10}  {path}") } else { path })?)
 }
 
 /// Runs `bcap cp`.
@@ -174,6 +179,7 @@ impl Copying<'_> {
         }
         let into = into || to.is_dir() || found.len() > 1;
         let mut copies: Vec<(String, PathBuf)> = Vec::new();
+        let (mut skipped, found): (Vec<_>, Vec<_>) = found.into_iter().partition(|item| item.is_unsafe);
         for item in &found {
             let base =
                 if into && !item.path.is_empty() { to.join(remote_files::last(&item.path)) } else { to.to_owned() };
@@ -182,9 +188,14 @@ impl Copying<'_> {
                 continue;
             }
             self.needs_recursive(&format!("robot:/{}", item.path))?;
-            for path in remote_files::walk(self.session, &item.path, |_, failure| Err(failure))? {
-                let below = path.strip_prefix(&item.path).unwrap_or(&path).trim_start_matches('/');
-                copies.push((path.clone(), base.join(below)));
+            for file in remote_files::walk(self.session, &item.path, |_, failure| Err(failure))? {
+                if file.is_unsafe {
+                    skipped.push(file);
+                    continue;
+                }
+                let below = file.path.strip_prefix(&item.path).unwrap_or(&file.path).trim_start_matches('/');
+                let to = base.join(below);
+                copies.push((file.path, to));
             }
         }
         check(copies.iter().map(|(_, to)| to.display().to_string()), self.args.force, |to| Ok(Path::new(to).exists()))?;
@@ -193,7 +204,7 @@ impl Copying<'_> {
             local_files::write(&to, &bytes, self.args.force)?;
             self.print(&format!("robot:/{from}"), &to.display().to_string())?;
         }
-        Ok(())
+        if skipped.is_empty() { Ok(()) } else { Err(remote_files::unsafe_names(&skipped)) }
     }
 
     fn upload(&mut self, files: &[PathBuf], to: &str, into: bool) -> Result<(), Failure> {

@@ -21,6 +21,16 @@ pub(crate) struct Item {
     /// From the root, without a `/` at its beginning and end.
     pub(crate) path: String,
     pub(crate) is_folder: bool,
+    /// Whether its name could leave its folder on this machine. It is shown, and neither opened nor copied.
+    pub(crate) is_unsafe: bool,
+}
+
+impl Item {
+    /// Returns the path for people; an unsafe one is quoted and escaped.
+    pub(crate) fn shown(&self) -> String {
+        let path = format!("/{}{}", self.path, if self.is_folder { "/" } else { "" });
+        if self.is_unsafe { format!("{path:?}") } else { path }
+    }
 }
 
 /// Returns the path of the user without empty parts.
@@ -30,17 +40,6 @@ pub(crate) fn normal(path: &str) -> String {
 
 /// Lists a folder in the order of its names; the root is the empty path.
 pub(crate) fn list(session: &mut Session, folder: &str) -> Result<Vec<Item>, Failure> {
-    let entries = entries(session, folder)?.into_iter();
-    let mut items = entries.map(|(item, checked)| checked.map(|()| item)).collect::<Result<Vec<_>, _>>()?;
-    items.sort();
-    Ok(items)
-}
-
-/// A listed name, and the result of its check.
-type Listed = (Item, Result<(), Failure>);
-
-/// Lists a folder without the order of its names.
-fn entries(session: &mut Session, folder: &str) -> Result<Vec<Listed>, Failure> {
     let names = if folder.is_empty() {
         let controller = integer(session.controller()?)?;
         session.call("/", FunctionId::CONTROLLER_GET_FILE_NAMES, &[controller, text("")?])?.1
@@ -54,19 +53,20 @@ fn entries(session: &mut Session, folder: &str) -> Result<Vec<Listed>, Failure> 
     for name in strings(names.as_ref())? {
         let (own, is_folder) = name.strip_suffix(['\\', '/']).map_or((name.as_str(), false), |own| (own, true));
         let path = if folder.is_empty() { own.to_owned() } else { format!("{folder}/{own}") };
-        items.push((Item { path, is_folder }, check_name(own)));
+        items.push(Item { path, is_folder, is_unsafe: is_unsafe(own) });
     }
+    items.sort();
     Ok(items)
 }
 
-/// Lists all files of a folder and of the folders below it, without the folders.
+/// Lists all files of a folder and of the folders below it, without the folders whose names are safe.
 ///
-/// `skip` gets the path of a folder that cannot be listed or of an invalid name, with the reason; an error ends the walk.
+/// `skip` gets the path of a folder that cannot be listed, with the reason; an error ends the walk.
 pub(crate) fn walk(
     session: &mut Session,
     folder: &str,
     mut skip: impl FnMut(String, Failure) -> Result<(), Failure>,
-) -> Result<Vec<String>, Failure> {
+) -> Result<Vec<Item>, Failure> {
     let mut files = Vec::new();
     let mut folders = vec![folder.to_owned()];
     let mut read = 0;
@@ -78,16 +78,11 @@ pub(crate) fn walk(
             break;
         }
         let is_too_deep = folder.split('/').count() > DEPTH;
-        match if is_too_deep { Err(too_many(&folder)) } else { entries(session, &folder) } {
+        match if is_too_deep { Err(too_many(&folder)) } else { list(session, &folder) } {
             Err(failure) => skip(folder, failure)?,
-            Ok(entries) => {
-                for (Item { path, is_folder }, checked) in entries {
-                    match checked {
-                        // with `/` at its beginning it is not the path of another file
-                        Err(failure) => skip(format!("/{path}"), failure)?,
-                        Ok(()) if is_folder => folders.push(path),
-                        Ok(()) => files.push(path),
-                    }
+            Ok(items) => {
+                for item in items {
+                    if item.is_folder && !item.is_unsafe { folders.push(item.path) } else { files.push(item) }
                 }
             }
         }
@@ -104,16 +99,16 @@ fn too_many(folder: &str) -> Failure {
 /// Returns the items that a path with the wildcards `*` and `?` names, in the order of their names.
 pub(crate) fn find(session: &mut Session, pattern: &str) -> Result<Vec<Item>, Failure> {
     let parts: Vec<&str> = pattern.split('/').filter(|part| !part.is_empty()).collect();
-    let mut found = vec![Item { path: String::new(), is_folder: true }];
+    let mut found = vec![Item { path: String::new(), is_folder: true, is_unsafe: false }];
     for (n, part) in parts.iter().enumerate() {
         let mut next = Vec::new();
-        for folder in found.iter().filter(|item| item.is_folder) {
+        for folder in found.iter().filter(|item| item.is_folder && !item.is_unsafe) {
             match list(session, &folder.path) {
                 Err(Failure::Refused { .. }) if !part.contains(['*', '?']) => {
                     // for example a list that does not fit a datagram
                     let path = normal(&format!("{}/{part}", folder.path));
                     if exists(session, &path)? {
-                        next.push(Item { path, is_folder: n + 1 < parts.len() });
+                        next.push(Item { path, is_folder: n + 1 < parts.len(), is_unsafe: false });
                     }
                 }
                 items => next.extend(items?.into_iter().filter(|item| matches(part, last(&item.path)))),
@@ -236,17 +231,26 @@ fn unexpected(path: &str, value: Option<&Value>) -> Failure {
     }
 }
 
-/// Refuses the name of a file that would leave its folder on this machine.
-fn check_name(name: &str) -> Result<(), Failure> {
-    let is_unsafe = |c: char| c.is_control() || "/\\:".contains(c);
-    if name.is_empty() || name == "." || name == ".." || name.contains(is_unsafe) {
-        return Err(Failure::Unexpected {
-            message: format!("the controller lists a file with the unsafe name {name:?}"),
-            hint: "rename the file on the controller".into(),
-        });
-    }
-    Ok(())
+/// Tells whether the name of a file could leave its folder on this machine.
+fn is_unsafe(name: &str) -> bool {
+    name.is_empty() || name == "." || name == ".." || name.contains(|c: char| c.is_control() || "/\\:".contains(c))
 }
+
+/// The error for items that were not copied because of their names.
+pub(crate) fn unsafe_names(items: &[Item]) -> Failure {
+    let shown = items.iter().take(SHOWN).map(Item::shown).collect::<Vec<_>>().join(", ");
+    let more = match items.len().saturating_sub(SHOWN) {
+        0 => String::new(),
+        more => format!(" and {more} more"),
+    };
+    Failure::Unexpected {
+        message: format!("the controller lists files with unsafe names, which were not copied: {shown}{more}"),
+        hint: "rename these files on the controller".into(),
+    }
+}
+
+/// The most names that an error shows.
+const SHOWN: usize = 5;
 
 /// Returns the last part of a path.
 pub(crate) fn last(path: &str) -> &str {
@@ -303,8 +307,8 @@ mod tests {
     fn paths_have_no_empty_parts_and_names_stay_in_their_folder() {
         assert_eq!(normal("/a//b\\c/"), "a/b/c");
         for name in ["", ".", "..", "a/b", "a\\b", "C:", "a\nb"] {
-            assert!(check_name(name).is_err(), "{name:?}");
+            assert!(is_unsafe(name), "{name:?}");
         }
-        assert!(check_name("Pro 1.pcs").is_ok());
+        assert!(!is_unsafe("Pro 1.pcs"));
     }
 }

@@ -45,7 +45,7 @@ const SIM: &[Listening] = &[
 ];
 const GATEWAY: &[Listening] = &[listening("--rac", &["rac"], "127.0.0.1:5006"), listening("--modbus", &["modbus"], "")];
 const PROXY: &[Listening] =
-    &[listening("--listen", &["bcap", "udp"], "127.0.0.1:5007"), listening("--listen-rac", &["rac"], "127.0.0.1:5006")];
+    &[listening("--listen", &["bcap", "udp"], "127.0.0.1:5007"), listening("--listen-rac", &["rac"], "")];
 
 pub(crate) struct World {
     folder: TempDir,

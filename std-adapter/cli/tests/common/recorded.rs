@@ -188,7 +188,9 @@ pub(crate) fn serve() -> Served<Recording> {
 fn start_proxy(served: &Served<Recording>, file: &Path, options: &[&str]) -> Running {
     let [tcp, udp, rac] = [&served.tcp, &served.udp, &served.rac].map(ToString::to_string);
     let robot = ["--robot", &tcp, "--robot-udp", &udp, "--robot-rac", &rac, "--write", file.to_str().unwrap()];
-    Running::start(&[&["proxy", "--listen", "127.0.0.1:0"], &robot[..], options].concat())
+    Running::start(
+        &[&["proxy", "--listen", "127.0.0.1:0", "--listen-rac", "127.0.0.1:0"], &robot[..], options].concat(),
+    )
 }
 
 /// Runs a session through `bcap proxy`, which records it.

@@ -304,11 +304,22 @@ fn listed(session: &mut Session, owner: &ObjectPath, function: FunctionId) -> Re
 
 /// Returns the paths of all files. A folder that cannot be listed does not hide the others.
 pub(super) fn files(session: &mut Session, omitted: &mut Vec<Omission>) -> Result<Vec<String>, Failure> {
-    remote_files::walk(session, "", |path, failure| match failure {
+    let items = remote_files::walk(session, "", |path, failure| match failure {
         // a controller that does not implement the list has no files
         Failure::Refused { code: HResult::E_NOTIMPL, .. } if path.is_empty() => Ok(()),
         failure => omit(failure, Part::Files(path), omitted),
-    })
+    })?;
+    let mut files = Vec::new();
+    for item in items {
+        if item.is_unsafe {
+            let failure = remote_files::unsafe_names(std::slice::from_ref(&item));
+            // with `/` at its beginning it is not the path of another file
+            omit(failure, Part::Files(format!("/{}", item.path)), omitted)?;
+        } else {
+            files.push(item.path);
+        }
+    }
+    Ok(files)
 }
 
 /// Reads a file; `None` if that is not possible.

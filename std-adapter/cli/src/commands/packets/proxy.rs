@@ -26,18 +26,19 @@ use crate::output::{print_json, print_line};
 
 /// Forwards b-CAP and RAC to a robot, prints the calls, and records every byte
 ///
-/// Prints one line, `ready bcap=IP:PORT udp=IP:PORT rac=IP:PORT`, when it listens, then each call when its reply has arrived, as
+/// Prints one line, `ready bcap=IP:PORT udp=IP:PORT`, when it listens, with `rac=IP:PORT` after --listen-rac, then each call when its reply has arrived, as
 /// `bcap decode` prints it. --write FILE.pcapng records every byte: packets between the client and the robot, as the client
 /// sent and received them. Faults are injected by share: 0.1 is a tenth of the frames, chosen at random, in both directions. A
 /// fault is printed, and in the file it is the comment of its packet. On SIGINT, SIGTERM and SIGHUP it ends with 0.
 ///
 /// It serves 256 clients over UDP, 256 TCP connections of b-CAP and 256 of RAC. Datagrams of further clients are dropped, and
-/// further connections are closed, with a note. A client over UDP that the robot has not answered for 10 minutes no longer counts.
+/// further connections are closed, with a note. The slot of a client over UDP is free 5 seconds after its Service_Stop, or when
+/// the robot has not answered it for 10 minutes; a new client can take it when this client has sent nothing for 10 seconds.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   bcap proxy --robot 192.168.0.1 --write session.pcapng
-  bcap proxy --listen [::]:5007 --robot 192.168.0.1 --quiet --write session.pcapng
+  bcap proxy --listen [::]:5007 --listen-rac [::]:5006 --robot 192.168.0.1 --quiet --write session.pcapng
   bcap proxy --robot 192.168.0.1 --drop 0.01 --delay 50ms@0.1 --seed 7
   bcap proxy --robot 192.168.0.1 --corrupt 1:Variable_GetValue --drop 0.5:Robot_Execute/slvMove")]
 pub(crate) struct Proxy {
@@ -45,7 +46,7 @@ pub(crate) struct Proxy {
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:5007")]
     pub(crate) listen: SocketAddr,
 
-    /// Where RAC listens [default: the port below that of --listen; a free one if that is 0]
+    /// Where RAC listens [default: RAC is not forwarded]
     #[arg(long, value_name = "ADDR")]
     pub(crate) listen_rac: Option<SocketAddr>,
 
@@ -182,9 +183,11 @@ async fn bind(args: &Proxy) -> Result<Listeners, Failure> {
         udp => udp,
     };
     let udp = udp.map_err(|error| taken("--listen", bound, &error))?;
-    let below = SocketAddr::new(wanted.ip(), wanted.port().saturating_sub(1));
-    let rac = tcp("--listen-rac", args.listen_rac.unwrap_or(below)).await?;
-    Ok(Listeners { bcap, udp, rac: Some(rac) })
+    let rac = match args.listen_rac {
+        Some(address) => Some(tcp("--listen-rac", address).await?),
+        None => None,
+    };
+    Ok(Listeners { bcap, udp, rac })
 }
 
 async fn tcp(option: &str, address: SocketAddr) -> Result<TcpListener, Failure> {

@@ -25,7 +25,7 @@ use crate::session::connect::{broken, not_connected};
 /// It starts no service and changes no byte: serial numbers, handles and errors are the writer's. PACKET is hexadecimal
 /// digits, as for `bcap decode`, or JSON, as for `bcap encode`; one PACKET may hold several frames of hexadecimal digits.
 /// Without PACKET, or with `-`, each line of the standard input is one. After each packet the command waits for its reply, at
-/// most for --timeout (3 s); keep-alives (S_EXECUTING) are shown, and it waits on.
+/// most for --timeout. Keep-alives (S_EXECUTING) are shown; without --timeout each of them allows another 3 s.
 ///
 /// It undoes nothing at its end, not even after Ctrl-C: an arm that a packet takes stays taken, a motor stays on, a robot goes on
 /// moving. `bcap halt`, `bcap call` and `bcap exec` end safely.
@@ -57,6 +57,8 @@ pub(crate) struct Raw {
 
 /// The longest wait between two looks for a signal.
 const STEP: Duration = Duration::from_millis(50);
+/// The longest wait for a peer that reads nothing.
+const SEND: Duration = Duration::from_secs(10);
 /// The largest datagram.
 const DATAGRAM: usize = 65_535;
 
@@ -71,7 +73,7 @@ pub(crate) fn raw(args: &Raw, session: &mut Session, json: bool) -> Result<(), F
         Some(address) => Peer::listen(address, &interrupt)?,
         None => Peer::connect(link)?,
     };
-    let mut talk = Talk { peer, received: Vec::new(), interrupt, timeout: link.timeout(), json };
+    let mut talk = Talk { peer, received: Vec::new(), interrupt, budget: Budget::start(link), json };
     for _ in 0..args.rounds {
         for (index, packet) in packets.iter().enumerate() {
             talk.check()?;
@@ -176,7 +178,9 @@ impl Peer {
     /// Limits each wait, so that signals are noticed.
     fn with_steps(self) -> io::Result<Self> {
         match &self {
-            Self::Tcp(stream) => stream.set_read_timeout(Some(STEP)),
+            Self::Tcp(stream) => {
+                stream.set_read_timeout(Some(STEP)).and_then(|()| stream.set_write_timeout(Some(SEND)))
+            }
             Self::Udp(socket) | Self::UdpServer(socket, _) => socket.set_read_timeout(Some(STEP)),
         }?;
         Ok(self)
@@ -231,7 +235,7 @@ struct Talk {
     /// Received bytes that are not a packet yet.
     received: Vec<u8>,
     interrupt: Interrupt,
-    timeout: Duration,
+    budget: Budget,
     json: bool,
 }
 
@@ -239,11 +243,15 @@ impl Talk {
     /// Sends a packet and waits for its reply.
     fn ask(&mut self, number: usize, packet: &[u8], shows: bool) -> Result<(), Failure> {
         self.show(Role::Request, packet, shows)?;
+        self.budget.restart();
         self.peer.send(packet).map_err(lost)?;
+        let mut only = "";
         loop {
-            let Some(reply) = self.receive(Some(self.timeout))? else {
+            let limit = self.budget.left().unwrap_or(self.budget.answer());
+            let Some(reply) = self.receive(Some(limit))? else {
+                let limit = self.budget.answer().as_millis();
                 return Err(Failure::Timeout {
-                    message: format!("no reply to packet {number} within {} ms", self.timeout.as_millis()),
+                    message: format!("no reply to packet {number} within {limit} ms{only}"),
                     hint: "a server drops packets that are not frames; allow more time with --timeout".into(),
                 });
             };
@@ -252,6 +260,7 @@ impl Talk {
             if code != Ok(HResult::S_EXECUTING) {
                 return Ok(());
             }
+            only = ", only keep-alives (S_EXECUTING)";
         }
     }
 
@@ -270,13 +279,14 @@ impl Talk {
         let began = std::time::Instant::now();
         let mut buffer = vec![0; DATAGRAM];
         loop {
-            if let Some(length) = trace::packet_length(&self.received, self.peer.wire()) {
-                let rest = self.received.split_off(length);
-                return Ok(Some(std::mem::replace(&mut self.received, rest)));
-            }
+            // first, because a peer can send packets without end
             self.check()?;
             if limit.is_some_and(|limit| began.elapsed() >= limit) {
                 return Ok(None);
+            }
+            if let Some(length) = trace::packet_length(&self.received, self.peer.wire()) {
+                let rest = self.received.split_off(length);
+                return Ok(Some(std::mem::replace(&mut self.received, rest)));
             }
             match self.peer.receive(&mut buffer) {
                 Ok(0) if self.peer.wire() == Wire::Stream => {

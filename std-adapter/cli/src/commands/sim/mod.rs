@@ -258,9 +258,18 @@ pub(crate) fn read_model(source: &ModelSource) -> Result<Model, Failure> {
         ModelSource::BuiltIn(profile) => return Ok(profile.model().clone()),
         ModelSource::File(path) => path,
     };
-    let text = fs::read_to_string(path)
-        .map_err(|error| Failure::Input(format!("cannot read the model {}: {error}", path.display())))?;
+    let text = read_text("model", path)?;
     Model::parse(&text).map_err(|error| Failure::Input(format!("{} is not a valid model: {error}", path.display())))
+}
+
+/// Reads a file. A FIFO without a writer would block for ever.
+fn read_text(what: &str, path: &Path) -> Result<String, Failure> {
+    let regular = |metadata: fs::Metadata| match metadata.is_file() {
+        true => fs::read_to_string(path),
+        false => Err(io::Error::other("it is not a regular file")),
+    };
+    let failed = |error| Failure::Input(format!("cannot read the {what} {}: {error}", path.display()));
+    fs::metadata(path).and_then(regular).map_err(failed)
 }
 
 /// Reads an arm, from its file if it is not built in; returns it with its text.
@@ -269,8 +278,7 @@ fn read_arm(source: &ArmSource) -> Result<(ArmModel, String), Failure> {
         ArmSource::BuiltIn(arm) => return Ok((arm.arm().clone(), arm.text().to_owned())),
         ArmSource::File(path) => path,
     };
-    let text = fs::read_to_string(path)
-        .map_err(|error| Failure::Input(format!("cannot read the arm {}: {error}", path.display())))?;
+    let text = read_text("arm", path)?;
     let arm = ArmModel::parse(&text)
         .map_err(|error| Failure::Input(format!("{} is not a valid arm: {error}", path.display())))?;
     Ok((arm, text))
@@ -280,7 +288,7 @@ fn read_arm(source: &ArmSource) -> Result<(ArmModel, String), Failure> {
 fn print_model(source: &ModelSource) -> Result<(), Failure> {
     let text = match source {
         ModelSource::BuiltIn(profile) => profile.text().into(),
-        ModelSource::File(path) => fs::read_to_string(path)?,
+        ModelSource::File(path) => read_text("model", path)?,
     };
     Ok(print_block(text.trim_end())?)
 }
@@ -343,8 +351,7 @@ async fn bind<H: Serves>(server: Server<H>, wanted: &Listening) -> Result<(Serve
 }
 
 fn read_scenario(path: &Path, config: &Config) -> Result<Scenario, Failure> {
-    let text = fs::read_to_string(path)
-        .map_err(|error| Failure::Input(format!("cannot read the scenario {}: {error}", path.display())))?;
+    let text = read_text("scenario", path)?;
     Scenario::parse(&text)
         .and_then(|scenario| scenario.check(config).map(|()| scenario))
         .map_err(|error| Failure::Input(format!("{} is not a valid scenario: {error}", path.display())))
