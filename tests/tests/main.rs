@@ -13,7 +13,6 @@ mod early_replies;
 mod endings;
 mod examples;
 mod faults;
-mod gateway;
 #[cfg(target_os = "linux")]
 mod gateway_access;
 mod invariants;
