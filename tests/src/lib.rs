@@ -8,6 +8,7 @@
 //! | `cable`        | a serial cable between two pseudo-terminals, with the speed and faults of a real one |
 //! | `line_server`  | the server of `bcap-std` on a serial line                                           |
 //! | [`real_time`]  | tests in real time that a busy machine may starve                                    |
+//! | [`simulated`]  | a virtual RC8 on real sockets                                                       |
 //! | [`slowed`]     | a virtual controller with a slow clock                                              |
 //! | [`stepped`]    | a virtual controller whose clock advances only when clients call or wait            |
 //! | [`drivers`]    | the call sequences of public drivers, from `tests/drivers`                          |
@@ -44,6 +45,7 @@ pub mod python;
 pub mod real_time;
 pub mod serial;
 pub mod served;
+pub mod simulated;
 pub mod slowed;
 pub mod stepped;
 pub mod tools;

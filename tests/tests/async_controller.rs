@@ -7,51 +7,36 @@ use bcap_core::hresult::HResult;
 use bcap_core::slave::{AxisLimits, Cycle, Format, Mode, Next, Pose, PoseType, ReceiveFormat, ReceivePose, SlaveMode};
 use bcap_sim::memory::Network;
 use bcap_sim::{Config, Controller as Simulated, Profile, Scenario, TaskStatus};
-use bcap_std::asynch::{Controller, Halted, Reading, State, Stopper};
+use bcap_std::asynch::{Arm, Controller, Halted, Reading, State, Stopper};
 use bcap_std::server::Limits;
-use bcap_std::{Backoff, Error, Joints, Motion, Move, Pass, Position, Settings, StoppedTasks};
+use bcap_std::{Backoff, Error, Motion, Move, Pass, Position, Settings, StoppedTasks};
 use bcap_testkit::network::Random;
 use bcap_tests::proxy::{Cut, Relay};
 use bcap_tests::served::Served;
+use bcap_tests::simulated::{Outcomes, quick, simulated, to};
 use bcap_tests::slowed::{Slowed, inner};
 
 const LIMIT: Duration = Duration::from_secs(30);
-
-fn config() -> Config {
-    Config { motor_on_delay: Duration::from_millis(1), ..Config::new(Profile::Rc8) }
-}
-
-fn simulated() -> Served<Simulated> {
-    Served::of(Simulated::new(config()), Limits::default())
-}
 
 fn settings() -> Settings {
     Settings::rc8().reconnect(Backoff::default().min(Duration::from_millis(1)).max(Duration::from_millis(20)))
 }
 
 async fn connect(sim: &Served<Simulated>) -> Controller {
-    Controller::connect(&format!("tcp:{}", sim.tcp), &settings()).await.unwrap()
+    Controller::connect(&sim.address(), &settings()).await.unwrap()
 }
 
-/// Turns the first joint.
-fn to(degrees: f64) -> Move {
-    Move::joint(Joints::new([degrees, 45.0, 90.0, 0.0, 45.0, 0.0]))
-}
-
-/// Asserts that no client has the arm, a session or an object, and that the motor is off.
-fn assert_left(sim: &Served<Simulated>) {
-    let sim = sim.application();
-    assert_eq!((sim.arm_owner(), sim.motor_is_on(), sim.is_moving(), sim.open_objects()), (None, false, false, 0));
+/// Connects, takes the arm and switches the motor on.
+async fn ready(sim: &Served<Simulated>) -> (Controller, Arm) {
+    let cell = connect(sim).await;
+    let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+    arm.motor_on().await.unwrap();
+    (cell, arm)
 }
 
 /// Waits until the simulated controller is in a state.
-async fn until(sim: &Served<Simulated>, reached: impl Fn(&Simulated) -> bool) {
-    let is_there = || {
-        let mut controller = sim.application();
-        controller.advance(bcap_std::now());
-        reached(&controller)
-    };
-    poll(is_there).await;
+async fn until(sim: &Served<Simulated>, state: impl Fn(&Simulated) -> bool) {
+    poll(|| sim.is(&state)).await;
 }
 
 async fn poll(is_there: impl Fn() -> bool) {
@@ -67,7 +52,7 @@ async fn poll(is_there: impl Fn() -> bool) {
 #[tokio::test]
 async fn variables_are_read_and_written_by_many_tasks() {
     let sim = simulated();
-    for address in [format!("tcp:{}", sim.tcp), format!("udp:{}", sim.udp)] {
+    for address in [sim.address(), format!("udp:{}", sim.udp)] {
         let cell = Controller::connect(&address, &settings()).await.unwrap();
         let tasks: Vec<_> = (1..=8)
             .map(|index| {
@@ -97,7 +82,7 @@ async fn variables_are_read_and_written_by_many_tasks() {
         let statistics = cell.statistics();
         assert!(statistics.operations >= 19 && statistics.connections == 1, "{statistics:?}");
         cell.close().await.unwrap();
-        assert_left(&sim);
+        sim.assert_left();
     }
 }
 
@@ -116,9 +101,7 @@ async fn a_handle_of_a_closed_controller_says_so() {
 #[tokio::test]
 async fn other_calls_are_made_while_the_robot_moves() {
     let sim = simulated();
-    let cell = connect(&sim).await;
-    let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
-    arm.motor_on().await.unwrap();
+    let (cell, mut arm) = ready(&sim).await;
     arm.set_speed(100.0).await.unwrap();
     let reads = async {
         until(&sim, Simulated::is_moving).await;
@@ -135,15 +118,13 @@ async fn other_calls_are_made_while_the_robot_moves() {
     assert!(reads > 1, "{reads} reads during the motion");
     arm.give().await.unwrap();
     cell.close().await.unwrap();
-    assert_left(&sim);
+    sim.assert_left();
 }
 
 #[tokio::test]
 async fn a_motion_that_is_dropped_halts_the_robot() {
     let sim = simulated();
-    let cell = connect(&sim).await;
-    let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
-    arm.motor_on().await.unwrap();
+    let (cell, mut arm) = ready(&sim).await;
     tokio::select! {
         ended = arm.move_to(&to(150.0), LIMIT) => panic!("{ended:?}"),
         () = until(&sim, Simulated::is_moving) => {}
@@ -182,7 +163,7 @@ async fn a_stopper_stops_the_task_that_moves_the_robot() {
             { move = 'J(60, 45, 90, 0, 45, 0)' },
             { move = 'J(-60, 45, 90, 0, 45, 0)' },
         ]";
-    let mut sim = Simulated::new(config());
+    let mut sim = Simulated::new(quick(Profile::Rc8));
     sim.play(Scenario::parse(task).unwrap());
     let sim = Served::of(sim, Limits::default());
     let stopper = connect(&sim).await.stopper().await.unwrap();
@@ -193,17 +174,21 @@ async fn a_stopper_stops_the_task_that_moves_the_robot() {
     assert_eq!(stopper.halt().await.unwrap(), Halted::NothingMoved);
 }
 
+/// Asserts that the robot rests, and does not begin to move later.
+async fn assert_rests(sim: &Served<Simulated>, arm: &mut Arm) {
+    let rest = sim.application().joints()[0];
+    let asked = arm.robot().joints().await.unwrap().degrees[0];
+    assert!((asked - rest).abs() < 0.001, "it moved on from {rest} to {asked}");
+}
+
 /// The reported outcome of a motion agrees with the position of the robot, however and whenever it is stopped.
 #[tokio::test]
 async fn no_stopped_motion_is_reported_as_arrived() {
-    let trials = std::env::var("TRIALS").ok().and_then(|n| n.parse().ok()).unwrap_or(30_u32);
     let sim = simulated();
-    let cell = connect(&sim).await;
+    let (cell, mut arm) = ready(&sim).await;
     let stopper = cell.stopper().await.unwrap();
-    let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
-    arm.motor_on().await.unwrap();
-    let (mut random, mut arrived, mut halted, mut dropped) = (Random(11), 0, 0, 0);
-    for trial in 0..trials {
+    let (mut random, mut outcomes) = (Random(11), Outcomes::default());
+    for trial in 0..Outcomes::trials() {
         let degrees = if trial % 2 == 0 { 10.0 } else { 0.0 };
         let delay = Duration::from_micros(random.below(200_000));
         let ended = if trial % 3 == 0 {
@@ -220,39 +205,18 @@ async fn no_stopped_motion_is_reported_as_arrived() {
             Some(tokio::join!(arm.move_to(&to(degrees), LIMIT), halt).0)
         };
         until(&sim, |sim| !sim.is_moving()).await;
-        let off = (sim.application().joints()[0] - degrees).abs();
-        match ended {
-            Some(Ok(Motion::Arrived)) => {
-                assert!(off <= 0.05, "trial {trial}: {off} degrees from the end");
-                arrived += 1;
-            }
-            Some(Ok(Motion::Halted)) => {
-                // a halt can come when the robot is almost there; it leaves its error
-                let errors = sim.application().errors().count();
-                assert!(off > 0.05 || errors > 0, "trial {trial}: it is there");
-                halted += 1;
-            }
-            None => {
-                // the robot rests; it does not begin to move later
-                let rest = sim.application().joints()[0];
-                let asked = arm.robot().joints().await.unwrap().degrees[0];
-                assert!((asked - rest).abs() < 0.001, "trial {trial}: it moved on from {rest} to {asked}");
-                dropped += 1;
-            }
-            other => panic!("{other:?}"),
+        if ended.is_none() {
+            assert_rests(&sim, &mut arm).await;
         }
-        sim.application().clear_errors(bcap_std::now());
+        outcomes.count(&sim, ended.map(Result::unwrap), [degrees, 0.0]);
     }
-    println!("{trials} trials: {arrived} arrived, {halted} halted, {dropped} dropped");
-    assert!(halted + dropped > 0, "no stop came in time");
+    outcomes.assert_stopped();
 }
 
 #[tokio::test]
 async fn motions_follow_each_other_and_other_calls_are_made() {
     let sim = simulated();
-    let cell = connect(&sim).await;
-    let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
-    arm.motor_on().await.unwrap();
+    let (cell, mut arm) = ready(&sim).await;
     let motions = async {
         // motions that a loaded machine sees to begin, too
         let mut moving = arm.start(&to(90.0).pass(Pass::Near), LIMIT).await.unwrap();
@@ -280,37 +244,34 @@ async fn motions_follow_each_other_and_other_calls_are_made() {
 #[tokio::test]
 async fn motions_that_are_dropped_halt_the_robot() {
     let sim = simulated();
-    let cell = connect(&sim).await;
-    let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
-    arm.motor_on().await.unwrap();
+    let (_cell, mut arm) = ready(&sim).await;
     // between two motions
     drop(arm.start(&to(150.0), LIMIT).await.unwrap());
     until(&sim, |sim| !sim.is_moving()).await;
     assert!(sim.application().joints()[0] < 149.0);
-    let clear = || sim.application().clear_errors(bcap_std::now());
-    clear();
+    sim.clear();
     // while one motion waits for another, and while the end is waited for
     let moving = arm.start(&to(150.0), LIMIT).await.unwrap();
     assert!(tokio::time::timeout(Duration::from_millis(20), moving.then(&to(0.0))).await.is_err());
     until(&sim, |sim| !sim.is_moving()).await;
-    clear();
+    sim.clear();
     let moving = arm.start(&to(150.0), LIMIT).await.unwrap();
     assert!(tokio::time::timeout(Duration::from_millis(20), moving.wait()).await.is_err());
     until(&sim, |sim| !sim.is_moving()).await;
-    clear();
+    sim.clear();
     assert_eq!(arm.start(&to(150.0), LIMIT).await.unwrap().halt().await.unwrap(), Halted::Halted);
     let rest = sim.application().joints()[0];
     assert!(rest < 149.0, "{rest}");
-    clear();
+    sim.clear();
     // an error of a later motion halts those before it
     let moving = arm.start(&to(150.0), LIMIT).await.unwrap();
     assert!(moving.then(&Move::joint("P(")).await.unwrap_err().code().is_some());
     assert!(!sim.application().is_moving());
-    clear();
+    sim.clear();
     // one that is forgotten is halted before the next, which is refused because of that
     std::mem::forget(arm.start(&to(150.0), LIMIT).await.unwrap());
     assert!(arm.move_to(&to(rest), LIMIT).await.is_err());
-    clear();
+    sim.clear();
     assert_eq!(arm.move_to(&to(rest), LIMIT).await.unwrap(), Motion::Arrived);
     drop(arm);
     until(&sim, |sim| sim.arm_owner().is_none() && !sim.motor_is_on()).await;
@@ -319,14 +280,11 @@ async fn motions_that_are_dropped_halt_the_robot() {
 /// The reported outcome of three motions agrees with the position of the robot, however and whenever they are stopped.
 #[tokio::test]
 async fn no_stopped_queue_is_reported_as_arrived() {
-    let trials = std::env::var("TRIALS").ok().and_then(|n| n.parse().ok()).unwrap_or(30_u32);
     let sim = simulated();
-    let cell = connect(&sim).await;
+    let (cell, mut arm) = ready(&sim).await;
     let stopper = cell.stopper().await.unwrap();
-    let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
-    arm.motor_on().await.unwrap();
-    let (mut random, mut arrived, mut halted, mut dropped) = (Random(29), 0, 0, 0);
-    for trial in 0..trials {
+    let (mut random, mut outcomes) = (Random(29), Outcomes::default());
+    for trial in 0..Outcomes::trials() {
         let end = if trial % 2 == 0 { 12.0 } else { 0.0 };
         let pass = if trial % 5 < 3 { Pass::Near } else { Pass::Commanded };
         let delay = Duration::from_micros(random.below(400_000));
@@ -347,26 +305,12 @@ async fn no_stopped_queue_is_reported_as_arrived() {
             Some(tokio::join!(motions, halt).0)
         };
         until(&sim, |sim| !sim.is_moving()).await;
-        let off = (sim.application().joints()[0] - end).abs();
-        match ended {
-            Some(Motion::Arrived) => {
-                assert!(off <= 0.05, "trial {trial}: {off} degrees from the end");
-                arrived += 1;
-            }
-            Some(Motion::Halted) => halted += 1,
-            None => {
-                // the robot rests; it does not begin to move later
-                let rest = sim.application().joints()[0];
-                let asked = arm.robot().joints().await.unwrap().degrees[0];
-                assert!((asked - rest).abs() < 0.001, "trial {trial}: it moved on from {rest} to {asked}");
-                dropped += 1;
-            }
-            Some(other) => panic!("trial {trial}: {other:?}"),
+        if ended.is_none() {
+            assert_rests(&sim, &mut arm).await;
         }
-        sim.application().clear_errors(bcap_std::now());
+        outcomes.count(&sim, ended, [end, 0.0]);
     }
-    println!("{trials} trials: {arrived} arrived, {halted} halted, {dropped} dropped");
-    assert!(halted + dropped > 0, "no stop came in time");
+    outcomes.assert_stopped();
 }
 
 /// Swings the first joint by 4 degrees, in so many cycles.
@@ -381,7 +325,7 @@ fn swing(cycles: u32) -> impl FnMut(&Cycle<'_>) -> Next + Send + 'static {
 
 #[tokio::test]
 async fn poses_are_streamed_and_a_dropped_stream_stops() {
-    let sim: Served<Slowed> = Served::of(Slowed(Simulated::new(config())), Limits::default());
+    let sim: Served<Slowed> = Served::of(Slowed(Simulated::new(quick(Profile::Rc8))), Limits::default());
     let until = async |reached: &dyn Fn(&Simulated) -> bool| {
         let is_there = || {
             let controller = &mut sim.application().0;
@@ -431,7 +375,7 @@ async fn a_panic_of_the_user_leaves_nothing() {
     });
     assert!(task.await.unwrap_err().is_panic());
     until(&sim, |sim| sim.open_objects() == 0).await;
-    assert_left(&sim);
+    sim.assert_left();
 }
 
 #[tokio::test]
@@ -444,7 +388,7 @@ async fn one_arm_at_a_time() {
     let other = connect(&sim).await;
     let taken = other.robot().await.unwrap().take_arm().await.unwrap_err();
     assert_eq!(taken.code(), Some(HResult::E_ARM_NOT_TAKEN));
-    sim.application().clear_errors(bcap_std::now());
+    sim.clear();
     drop(arm);
     drop(robot.take_arm().await.unwrap());
     // a future that is dropped before it ends leaves no arm either
@@ -567,7 +511,7 @@ async fn a_path_names_a_variable_of_an_object_everywhere() {
     assert_eq!(count.as_ref().unwrap().convert(), Ok(0));
     cell.write("robot/@SERVO_ON", false).await.unwrap();
     cell.close().await.unwrap();
-    assert_left(&sim);
+    sim.assert_left();
 }
 
 #[tokio::test]

@@ -14,13 +14,14 @@ use bcap_core::variant::{OwnedVariant, Variant};
 use bcap_sim::codes::{EMERGENCY_STOP, WRONG_ARGUMENT};
 use bcap_sim::memory::Network;
 use bcap_sim::{Config, Controller as Simulated, Profile, Scenario};
-use bcap_std::blocking::{Controller, Halted, Stopper};
+use bcap_std::blocking::{Arm, Controller, Halted, Stopper};
 use bcap_std::server::Limits;
 use bcap_std::{
     Error, Interpolation, Joints, Move, Pass, Plane, Position, Settings, StoppedTasks, TaskStart, TaskStatus, TaskStop,
 };
 use bcap_testkit::network::Random;
 use bcap_tests::served::Served;
+use bcap_tests::simulated::{Outcomes, simulated, to, turn};
 
 #[path = "../../std-adapter/examples/device_server.rs"]
 #[expect(dead_code, reason = "an example has a main function")]
@@ -28,34 +29,21 @@ mod device_server;
 
 const LIMIT: Duration = Duration::from_secs(30);
 
-fn simulated() -> Served<Simulated> {
-    let config = Config { motor_on_delay: Duration::from_millis(1), ..Config::new(Profile::Rc8) };
-    Served::of(Simulated::new(config), Limits::default())
-}
-
-fn tcp(sim: &Served<Simulated>) -> String {
-    format!("tcp:{}", sim.tcp)
+/// Takes the arm and switches the motor on.
+fn ready(cell: &mut Controller) -> Arm<'_> {
+    let mut arm = cell.robot().unwrap().take_arm().unwrap();
+    arm.motor_on().unwrap();
+    arm
 }
 
 fn connect(sim: &Served<Simulated>) -> Controller {
-    Controller::connect(&tcp(sim), &Settings::rc8()).unwrap()
-}
-
-/// Turns the first joint.
-fn to(degrees: f64) -> Move {
-    Move::joint(Joints::new([degrees, 45.0, 90.0, 0.0, 45.0, 0.0]))
-}
-
-/// Asserts that no client has the arm, a session or an object, and that the motor is off.
-fn assert_left(sim: &Served<Simulated>) {
-    let sim = sim.application();
-    assert_eq!((sim.arm_owner(), sim.motor_is_on(), sim.is_moving(), sim.open_objects()), (None, false, false, 0));
+    Controller::connect(&sim.address(), &Settings::rc8()).unwrap()
 }
 
 #[test]
 fn variables_are_read_and_written_over_both_transports() {
     let sim = simulated();
-    for address in [tcp(&sim), format!("udp:{}", sim.udp)] {
+    for address in [sim.address(), format!("udp:{}", sim.udp)] {
         let mut cell = Controller::connect(&address, &Settings::rc8().robot("Arm0")).unwrap();
         cell.write("I1", 41).unwrap();
         assert_eq!(cell.read::<i32>("I1").unwrap(), 41);
@@ -68,14 +56,14 @@ fn variables_are_read_and_written_over_both_transports() {
         // I1, P1, the robot and its variable, each opened once
         assert_eq!(sim.application().open_objects(), 5, "with the controller");
         cell.close().unwrap();
-        assert_left(&sim);
+        sim.assert_left();
     }
 }
 
 #[test]
 fn a_path_names_a_variable_of_an_object_everywhere() {
     let sim = simulated();
-    let mut cell = Controller::connect(&tcp(&sim), &Settings::rc8().robot("Arm0")).unwrap();
+    let mut cell = Controller::connect(&sim.address(), &Settings::rc8().robot("Arm0")).unwrap();
     let mut arm = cell.robot().unwrap().take_arm().unwrap();
     let mut all = arm.controller();
     // the path opens no second handle of the robot that has the arm
@@ -103,7 +91,7 @@ fn a_path_names_a_variable_of_an_object_everywhere() {
     drop(arm);
     assert!(!sim.application().motor_is_on(), "it was switched on here");
     cell.close().unwrap();
-    assert_left(&sim);
+    sim.assert_left();
 }
 
 #[test]
@@ -123,7 +111,7 @@ fn variables_are_read_and_written_while_the_arm_is_taken_and_moves() {
     drop(arm);
     assert_eq!(scan.read(&mut cell).unwrap()[0].convert(), Ok(6));
     drop(cell);
-    assert_left(&sim);
+    sim.assert_left();
 }
 
 #[test]
@@ -152,13 +140,13 @@ fn values_are_waited_for_and_calls_have_time_limits() {
     assert!(matches!(late, Error::NoReply { .. }) && !late.is_lost(), "{late:?}");
     assert_eq!(cell.read::<i32>("I1").unwrap(), 3);
     drop(cell);
-    assert_left(&sim);
+    sim.assert_left();
 }
 
 #[test]
 fn a_stopper_connects_without_a_controller() {
     let sim = simulated();
-    let stopper = Stopper::connect(&format!("tcp:{}", sim.tcp), &Settings::rc8()).unwrap();
+    let stopper = Stopper::connect(&sim.address(), &Settings::rc8()).unwrap();
     assert_eq!(stopper.halt().unwrap(), Halted::NothingMoved);
     assert!(matches!(Stopper::connect("robot", &Settings::rc8()), Err(Error::Address(_))));
 }
@@ -169,8 +157,7 @@ fn the_same_place_with_another_figure_is_not_the_end_of_a_motion() {
     let sim = simulated();
     let mut cell = connect(&sim);
     let stopper = cell.stopper().unwrap();
-    let mut arm = cell.robot().unwrap().take_arm().unwrap();
-    arm.motor_on().unwrap();
+    let mut arm = ready(&mut cell);
     let home = Move::joint(Joints::new([0.0, 45.0, 90.0, 0.0, 45.0, 0.0]));
     for _ in 0..5 {
         assert_eq!(arm.move_to(&home, LIMIT).unwrap(), Motion::Arrived);
@@ -182,7 +169,7 @@ fn the_same_place_with_another_figure_is_not_the_end_of_a_motion() {
         let ended = moving.wait().unwrap();
         assert!(matches!(ended, Motion::Unknown | Motion::Halted), "{ended:?}");
         assert_eq!(arm.robot().position().unwrap().figure, 5);
-        sim.application().clear_errors(bcap_std::now());
+        sim.clear();
     }
     let here = arm.robot().position().unwrap();
     assert_eq!(arm.move_to(&Move::joint(here.figure(1)), LIMIT).unwrap(), Motion::Arrived);
@@ -236,8 +223,7 @@ fn an_error_names_function_object_and_reason() {
 fn a_motion_arrives_and_the_drop_leaves_nothing() {
     let sim = simulated();
     let mut cell = connect(&sim);
-    let mut arm = cell.robot().unwrap().take_arm().unwrap();
-    arm.motor_on().unwrap();
+    let mut arm = ready(&mut cell);
     arm.set_speed(100.0).unwrap();
     assert_eq!(arm.move_to(&to(3.0), LIMIT).unwrap(), Motion::Arrived);
     assert!((arm.robot().joints().unwrap().degrees[0] - 3.0).abs() < 0.05);
@@ -251,7 +237,7 @@ fn a_motion_arrives_and_the_drop_leaves_nothing() {
     drop(arm);
     assert!(!sim.application().motor_is_on() && sim.application().arm_owner().is_none());
     drop(cell);
-    assert_left(&sim);
+    sim.assert_left();
 }
 
 #[test]
@@ -278,7 +264,7 @@ fn an_arm_that_is_kept_or_taken_by_a_call_is_given_back_with_the_session() {
     assert_eq!(arm.move_to(&motion, Duration::from_millis(1)).unwrap(), Motion::TimedOut);
     arm.keep();
     drop(cell);
-    assert_left(&sim);
+    sim.assert_left();
     assert!(sim.application().arm_owner().is_none() && !sim.application().motor_is_on());
 }
 
@@ -335,8 +321,7 @@ fn tool_and_work_are_selected() {
 fn axes_are_driven_and_the_pass_is_sent() {
     let sim = simulated();
     let mut cell = connect(&sim);
-    let mut arm = cell.robot().unwrap().take_arm().unwrap();
-    arm.motor_on().unwrap();
+    let mut arm = ready(&mut cell);
     assert_eq!(
         arm.move_to(&Move::drive_to([(1, 4.0), (2, 44.0)]).speed_percent(50.0), LIMIT).unwrap(),
         Motion::Arrived
@@ -356,8 +341,7 @@ fn axes_are_driven_and_the_pass_is_sent() {
 fn arcs_rotations_approach_and_depart_end_where_they_should() {
     let sim = simulated();
     let mut cell = connect(&sim);
-    let mut arm = cell.robot().unwrap().take_arm().unwrap();
-    arm.motor_on().unwrap();
+    let mut arm = ready(&mut cell);
     let from = arm.robot().position().unwrap();
     let [x, y, z] = from.xyz_mm;
     let at = |dx: f64, dy: f64, dz: f64| Position { xyz_mm: [x + dx, y + dy, z + dz], ..from };
@@ -390,7 +374,7 @@ fn a_panic_of_the_user_leaves_nothing() {
         panic!("in user code");
     }));
     assert!(panicked.is_err());
-    assert_left(&sim);
+    sim.assert_left();
 }
 
 #[test]
@@ -409,21 +393,14 @@ fn a_motor_that_was_on_before_stays_on() {
 fn an_error_of_the_controller_is_the_end_of_a_motion() {
     let sim = simulated();
     let mut cell = connect(&sim);
-    let mut arm = cell.robot().unwrap().take_arm().unwrap();
-    arm.motor_on().unwrap();
+    let mut arm = ready(&mut cell);
     std::thread::scope(|scope| {
         scope.spawn(|| {
-            when_moving(&sim);
+            sim.until(Simulated::is_moving);
             sim.application().emergency_stop(true, bcap_std::now());
         });
         assert_eq!(arm.move_to(&to(150.0), LIMIT).unwrap(), Motion::Failed(EMERGENCY_STOP));
     });
-}
-
-/// Waits until the robot moves.
-fn when_moving(sim: &Served<Simulated>) {
-    let never = AtomicBool::new(false);
-    when_moving_or(sim, &never);
 }
 
 /// A task that moves the arm to and fro without a pause.
@@ -464,8 +441,8 @@ fn a_stopper_stops_the_task_that_moves_the_robot() {
         [("", StoppedTasks::All), (NO_KILL_ALL, StoppedTasks::Single(1)), (IDLE_KILL_ALL, StoppedTasks::Single(1))];
     for ((model, settings), (faults, tasks)) in models.iter().flat_map(|model| answers.map(|answer| (model, answer))) {
         let sim = of_model(*model, faults);
-        let mut cell = Controller::connect(&tcp(&sim), settings).unwrap();
-        when_moving(&sim);
+        let mut cell = Controller::connect(&sim.address(), settings).unwrap();
+        sim.until(Simulated::is_moving);
         assert_eq!(cell.stopper().unwrap().halt().unwrap(), Halted::TasksStopped(tasks));
         assert!(!sim.application().is_moving());
         assert_eq!(sim.application().task("Mover").unwrap().0, bcap_sim::TaskStatus::Ready);
@@ -474,7 +451,7 @@ fn a_stopper_stops_the_task_that_moves_the_robot() {
     // the drop of an arm halts its own motions only
     let sim = moved_by_a_task("");
     let mut cell = connect(&sim);
-    when_moving(&sim);
+    sim.until(Simulated::is_moving);
     let taken = cell.robot().unwrap().take_arm().map(drop);
     assert_eq!(taken.unwrap_err().code(), Some(HResult::E_ARM_NOT_TAKEN));
     assert!(sim.application().task("Mover").unwrap().0 == bcap_sim::TaskStatus::Running);
@@ -484,7 +461,7 @@ fn a_stopper_stops_the_task_that_moves_the_robot() {
 fn a_robot_that_moves_on_is_no_success_of_a_halt() {
     let sim = moved_by_a_task(&format!("{NO_KILL_ALL}{NO_LIST}"));
     let stopper = connect(&sim).stopper().unwrap();
-    when_moving(&sim);
+    sim.until(Simulated::is_moving);
     let error = stopper.halt().unwrap_err();
     let Error::NotHalted(halt) = &error else { panic!("{error}") };
     assert_eq!((halt.rests, halt.tasks), (false, None));
@@ -499,13 +476,12 @@ fn a_stopper_halts_a_motion_that_another_thread_waits_for() {
     let mut cell = connect(&sim);
     let stopper = cell.stopper().unwrap();
     assert_eq!(stopper.halt().unwrap(), Halted::NothingMoved);
-    let mut arm = cell.robot().unwrap().take_arm().unwrap();
-    arm.motor_on().unwrap();
+    let mut arm = ready(&mut cell);
     std::thread::scope(|scope| {
         let button = stopper.clone();
         let pressed = scope.spawn(|| {
             let button = button;
-            when_moving(&sim);
+            sim.until(Simulated::is_moving);
             button.halt().unwrap()
         });
         assert_eq!(arm.move_to(&to(150.0), LIMIT).unwrap(), Motion::Halted);
@@ -514,15 +490,14 @@ fn a_stopper_halts_a_motion_that_another_thread_waits_for() {
     assert!(arm.robot().joints().unwrap().degrees[0] < 150.0);
     drop(arm);
     drop((cell, stopper));
-    assert_left(&sim);
+    sim.assert_left();
 }
 
 #[test]
 fn a_motion_is_halted_at_its_time_limit() {
     let sim = simulated();
     let mut cell = connect(&sim);
-    let mut arm = cell.robot().unwrap().take_arm().unwrap();
-    arm.motor_on().unwrap();
+    let mut arm = ready(&mut cell);
     let slow = to(150.0).speed_percent(1.0);
     assert_eq!(arm.move_to(&slow, Duration::from_millis(100)).unwrap(), Motion::TimedOut);
     assert!(!sim.application().is_moving());
@@ -531,20 +506,18 @@ fn a_motion_is_halted_at_its_time_limit() {
 /// A halt at a random time: the outcome that the waiting code gets agrees with the position of the robot.
 #[test]
 fn no_halted_motion_is_reported_as_arrived() {
-    let trials = std::env::var("TRIALS").ok().and_then(|n| n.parse().ok()).unwrap_or(30_u32);
     let sim = simulated();
     let mut cell = connect(&sim);
     let stopper = cell.stopper().unwrap();
-    let mut arm = cell.robot().unwrap().take_arm().unwrap();
-    arm.motor_on().unwrap();
-    let (mut random, mut outcomes) = (Random(7), [0, 0]);
-    for trial in 0..trials {
+    let mut arm = ready(&mut cell);
+    let (mut random, mut outcomes) = (Random(7), Outcomes::default());
+    for trial in 0..Outcomes::trials() {
         let degrees = if trial % 2 == 0 { 10.0 } else { 0.0 };
         let delay = Duration::from_micros(random.below(200_000));
         let ended = AtomicBool::new(false);
         let motion = std::thread::scope(|scope| {
             scope.spawn(|| {
-                when_moving_or(&sim, &ended);
+                sim.until(|sim| sim.is_moving() || ended.load(Ordering::Relaxed));
                 std::thread::sleep(delay);
                 stopper.halt().unwrap()
             });
@@ -552,31 +525,9 @@ fn no_halted_motion_is_reported_as_arrived() {
             ended.store(true, Ordering::Relaxed);
             motion
         });
-        let off = (sim.application().joints()[0] - degrees).abs();
-        match motion {
-            Motion::Arrived => assert!(off <= 0.05, "{off} degrees from the end"),
-            // a halt can come when the robot is almost there; it leaves its error
-            Motion::Halted => assert!(off > 0.05 || sim.application().errors().count() > 0, "it is there"),
-            other => panic!("{other:?}"),
-        }
-        outcomes[usize::from(motion == Motion::Halted)] += 1;
-        sim.application().clear_errors(bcap_std::now());
+        outcomes.count(&sim, Some(motion), [degrees, 0.0]);
     }
-    println!("{trials} trials: {} arrived, {} halted", outcomes[0], outcomes[1]);
-    assert!(outcomes[1] > 0, "no halt came in time");
-}
-
-/// Waits until the robot moves, or until the motion has ended.
-fn when_moving_or(sim: &Served<Simulated>, ended: &AtomicBool) {
-    loop {
-        let mut controller = sim.application();
-        controller.advance(bcap_std::now());
-        if controller.is_moving() || ended.load(Ordering::Relaxed) {
-            return;
-        }
-        drop(controller);
-        std::thread::yield_now();
-    }
+    outcomes.assert_stopped();
 }
 
 #[test]
@@ -598,8 +549,7 @@ fn in_memory_a_motion_of_many_seconds_takes_no_time_and_can_be_halted() {
     assert!(matches!(cell.stopper(), Err(Error::NoAddress)));
     let stopper = Stopper::over(network.connect(), &Settings::rc8()).unwrap();
     assert_eq!(stopper.halt().unwrap(), Halted::NothingMoved);
-    let mut arm = cell.robot().unwrap().take_arm().unwrap();
-    arm.motor_on().unwrap();
+    let mut arm = ready(&mut cell);
     let begun = network.now();
     assert_eq!(arm.move_to(&to(80.0).speed_percent(1.0), LIMIT * 10).unwrap(), Motion::Arrived);
     let seconds = network.now().saturating_since(begun).as_secs();
@@ -628,8 +578,7 @@ fn a_device_of_a_table_is_a_controller() {
 fn motions_follow_each_other_without_a_stop() {
     let sim = simulated();
     let mut cell = connect(&sim);
-    let mut arm = cell.robot().unwrap().take_arm().unwrap();
-    arm.motor_on().unwrap();
+    let mut arm = ready(&mut cell);
     let both_turn = AtomicBool::new(false);
     let ended = AtomicBool::new(false);
     std::thread::scope(|scope| {
@@ -653,57 +602,40 @@ fn motions_follow_each_other_without_a_stop() {
     assert!((joints[0] - 60.0).abs() < 0.05 && joints[5].abs() < 0.05, "{joints:?}");
     // late: the robot rests, and the next motion starts from there
     let moving = arm.start(&to(-30.0), LIMIT).unwrap();
-    until_rest(&sim);
+    sim.until(|sim| !sim.is_moving());
     assert_eq!(moving.then(&to(60.0)).unwrap().wait().unwrap(), Motion::Arrived);
     assert!((sim.application().joints()[0] - 60.0).abs() < 0.05);
-}
-
-/// Turns the first and the sixth joint.
-fn turn(first: f64, sixth: f64) -> Move {
-    Move::joint(Joints::new([first, 45.0, 90.0, 0.0, 45.0, sixth]))
-}
-
-fn until_rest(sim: &Served<Simulated>) {
-    while {
-        let mut controller = sim.application();
-        controller.advance(bcap_std::now());
-        controller.is_moving()
-    } {
-        std::thread::sleep(Duration::from_millis(1));
-    }
 }
 
 #[test]
 fn motions_that_are_dropped_halt_the_robot() {
     let sim = simulated();
     let mut cell = connect(&sim);
-    let mut arm = cell.robot().unwrap().take_arm().unwrap();
-    arm.motor_on().unwrap();
+    let mut arm = ready(&mut cell);
     drop(arm.start(&to(150.0), LIMIT).unwrap());
     assert!(!sim.application().is_moving() && sim.application().joints()[0] < 149.0);
-    let clear = || sim.application().clear_errors(bcap_std::now());
     // the halted motion is an error
     assert_eq!(arm.start(&to(150.0), LIMIT).unwrap_err().code(), Some(HResult::E_ERROR_PRESENT));
-    clear();
+    sim.clear();
     assert_eq!(arm.start(&to(150.0), LIMIT).unwrap().halt().unwrap(), Halted::Halted);
     assert!(!sim.application().is_moving());
-    clear();
+    sim.clear();
     // an error of a later motion halts those before it
     let moving = arm.start(&to(150.0), LIMIT).unwrap();
     let refused = moving.then(&Move::joint("P(")).unwrap_err();
     assert!(refused.code().is_some() && !sim.application().is_moving(), "{refused}");
-    clear();
+    sim.clear();
     // one that is forgotten is halted before the next, which is refused because of that
     let below = sim.application().joints()[0] - 5.0;
     std::mem::forget(arm.start(&to(150.0), LIMIT).unwrap());
     assert!(arm.move_to(&to(below), LIMIT).is_err());
-    clear();
+    sim.clear();
     assert_eq!(arm.move_to(&to(below), LIMIT).unwrap(), Motion::Arrived);
     std::mem::forget(arm.start(&to(150.0), LIMIT).unwrap());
     drop(arm);
     assert!(!sim.application().is_moving());
     drop(cell);
-    assert_left(&sim);
+    sim.assert_left();
 }
 
 #[test]
@@ -711,8 +643,7 @@ fn a_halt_between_motions_is_not_taken_for_arrival() {
     let sim = simulated();
     let mut cell = connect(&sim);
     let stopper = cell.stopper().unwrap();
-    let mut arm = cell.robot().unwrap().take_arm().unwrap();
-    arm.motor_on().unwrap();
+    let mut arm = ready(&mut cell);
     // while the program does something else: the next motion is not sent
     let moving = arm.start(&to(100.0), LIMIT).unwrap();
     assert_eq!(stopper.halt().unwrap(), Halted::Halted);
@@ -720,7 +651,7 @@ fn a_halt_between_motions_is_not_taken_for_arrival() {
     let moving = moving.then(&to(0.0)).unwrap().then(&to(100.0)).unwrap();
     assert_eq!(moving.wait().unwrap(), Motion::Halted);
     assert!((sim.application().joints()[0] - rest).abs() < 0.001);
-    sim.application().clear_errors(bcap_std::now());
+    sim.clear();
     // of two motions, the second one waits in the controller
     let moving = arm.start(&to(rest + 50.0), LIMIT).unwrap();
     let motion = std::thread::scope(|scope| {
@@ -736,7 +667,7 @@ fn a_halt_between_motions_is_not_taken_for_arrival() {
     let end = sim.application().joints()[0];
     assert_eq!(motion, Motion::Halted);
     assert!(end > rest + 15.0 && end < rest + 49.0, "{end} from {rest}");
-    sim.application().clear_errors(bcap_std::now());
+    sim.clear();
     // an emergency stop is the end of the queue as well
     let moving = arm.start(&to(rest), LIMIT).unwrap();
     sim.application().emergency_stop(true, bcap_std::now());
@@ -747,14 +678,12 @@ fn a_halt_between_motions_is_not_taken_for_arrival() {
 /// robot.
 #[test]
 fn no_halted_queue_is_reported_as_arrived() {
-    let trials = std::env::var("TRIALS").ok().and_then(|n| n.parse().ok()).unwrap_or(30_u32);
     let sim = simulated();
     let mut cell = connect(&sim);
     let stopper = cell.stopper().unwrap();
-    let mut arm = cell.robot().unwrap().take_arm().unwrap();
-    arm.motor_on().unwrap();
-    let (mut random, mut outcomes) = (Random(23), [0, 0]);
-    for trial in 0..trials {
+    let mut arm = ready(&mut cell);
+    let (mut random, mut outcomes) = (Random(23), Outcomes::default());
+    for trial in 0..Outcomes::trials() {
         let pass = [Pass::Exact, Pass::Near, Pass::Within(5)][random.below(3) as usize];
         let (degrees, other) = if trial % 2 == 0 { (12.0, 20.0) } else { (0.0, 0.0) };
         let delay = Duration::from_micros(random.below(500_000));
@@ -776,17 +705,8 @@ fn no_halted_queue_is_reported_as_arrived() {
                 Err(error) => panic!("trial {trial}: {error}"),
             }
         });
-        until_rest(&sim);
-        let joints = sim.application().joints();
-        let off = (joints[0] - degrees).abs().max((joints[5] - other).abs());
-        match motion {
-            Motion::Arrived => assert!(off <= 0.05, "trial {trial}: {off} degrees from the end"),
-            Motion::Halted => {}
-            ended => panic!("trial {trial}: {ended:?}"),
-        }
-        outcomes[usize::from(motion == Motion::Halted)] += 1;
-        sim.application().clear_errors(bcap_std::now());
+        sim.until(|sim| !sim.is_moving());
+        outcomes.count(&sim, Some(motion), [degrees, other]);
     }
-    println!("{trials} trials: {} arrived, {} halted", outcomes[0], outcomes[1]);
-    assert!(outcomes[1] > 0, "no halt came in time");
+    outcomes.assert_stopped();
 }

@@ -114,87 +114,64 @@ fn get() -> impl bcap_core::bcap::call::Call<Reply = call::Any> {
     call::variable_get_value(VariableHandle(1))
 }
 
-#[test]
-fn a_blocking_client_over_tcp_drops_them() {
-    let (address, forged) = serve_together();
-    let mut client = blocking::connect_tcp(address, &Options::default()).unwrap();
-    forged.recv().unwrap();
-    // it has not only been sent, it is there
-    client.transport().stream().peek(&mut [0]).unwrap();
-    for count in 0..ROUNDS {
-        assert_eq!(client.call(get()).unwrap(), Variant::I4(count));
-    }
-
-    let ((address, forged), done) = serve_apart();
-    let mut client = blocking::connect_tcp(address, &Options::default()).unwrap();
-    for count in 0..ROUNDS {
-        assert_eq!(client.call(get()).unwrap(), Variant::I4(count));
-        done.send(()).unwrap();
+/// Calls both servers over TCP; `$wait` is `.await` or nothing.
+macro_rules! over_tcp {
+    ($clients:ident $(, $wait:tt)?) => {{
+        let (address, forged) = serve_together();
+        let mut client = $clients::connect_tcp(address, &Options::default())$(.$wait)?.unwrap();
         forged.recv().unwrap();
-        client.transport().stream().peek(&mut [0]).unwrap();
-    }
+        // it has not only been sent, it is there
+        client.transport().stream().peek(&mut [0])$(.$wait)?.unwrap();
+        for count in 0..ROUNDS {
+            assert_eq!(client.call(get())$(.$wait)?.unwrap(), Variant::I4(count));
+        }
+
+        let ((address, forged), done) = serve_apart();
+        let mut client = $clients::connect_tcp(address, &Options::default())$(.$wait)?.unwrap();
+        for count in 0..ROUNDS {
+            assert_eq!(client.call(get())$(.$wait)?.unwrap(), Variant::I4(count));
+            done.send(()).unwrap();
+            forged.recv().unwrap();
+            client.transport().stream().peek(&mut [0])$(.$wait)?.unwrap();
+        }
+    }};
 }
 
-#[test]
-fn a_blocking_client_over_udp_drops_them() {
-    let (address, forged) = serve_udp();
-    let mut client = blocking::connect_udp(address, &Options::default()).unwrap();
-    for count in 0..ROUNDS {
-        assert_eq!(client.call(get()).unwrap(), Variant::I4(count));
-        forged.recv().unwrap();
-        client.transport().socket().peek(&mut [0; 64]).unwrap();
-    }
+macro_rules! over_udp {
+    ($clients:ident $(, $wait:tt)?) => {{
+        let (address, forged) = serve_udp();
+        let mut client = $clients::connect_udp(address, &Options::default())$(.$wait)?.unwrap();
+        for count in 0..ROUNDS {
+            assert_eq!(client.call(get())$(.$wait)?.unwrap(), Variant::I4(count));
+            forged.recv().unwrap();
+            client.transport().socket().peek(&mut [0; 64])$(.$wait)?.unwrap();
+        }
+    }};
 }
 
-#[tokio::test]
-async fn a_tokio_client_over_tcp_drops_them() {
-    let (address, forged) = serve_together();
-    let mut client = asynch::connect_tcp(address, &Options::default()).await.unwrap();
-    forged.recv().unwrap();
-    client.transport().stream().peek(&mut [0]).await.unwrap();
-    for count in 0..ROUNDS {
-        assert_eq!(client.call(get()).await.unwrap(), Variant::I4(count));
-    }
-
-    let ((address, forged), done) = serve_apart();
-    let mut client = asynch::connect_tcp(address, &Options::default()).await.unwrap();
-    for count in 0..ROUNDS {
-        assert_eq!(client.call(get()).await.unwrap(), Variant::I4(count));
-        done.send(()).unwrap();
+macro_rules! over_rac {
+    ($clients:ident $(, $wait:tt)?) => {{
+        let (address, forged) = serve_rac();
+        let mut client = $clients::connect_rac(address, &Options::default())$(.$wait)?.unwrap();
         forged.recv().unwrap();
-        client.transport().stream().peek(&mut [0]).await.unwrap();
-    }
-}
-
-#[tokio::test]
-async fn a_tokio_client_over_udp_drops_them() {
-    let (address, forged) = serve_udp();
-    let mut client = asynch::connect_udp(address, &Options::default()).await.unwrap();
-    for count in 0..ROUNDS {
-        assert_eq!(client.call(get()).await.unwrap(), Variant::I4(count));
-        forged.recv().unwrap();
-        client.transport().socket().peek(&mut [0; 64]).await.unwrap();
-    }
+        client.transport().stream().peek(&mut [0])$(.$wait)?.unwrap();
+        let error = client.get(Variable::new(VariableKind::I, 1))$(.$wait)?.unwrap_err();
+        assert!(matches!(error, RacError::Client(ClientError::Unsolicited)), "{error}");
+    }};
 }
 
 #[test]
-fn a_rac_client_ends_its_session() {
-    let (address, forged) = serve_rac();
-    let mut client = blocking::connect_rac(address, &Options::default()).unwrap();
-    forged.recv().unwrap();
-    client.transport().stream().peek(&mut [0]).unwrap();
-    let error = client.get(Variable::new(VariableKind::I, 1)).unwrap_err();
-    assert!(matches!(error, RacError::Client(ClientError::Unsolicited)), "{error}");
+fn blocking_clients_drop_them_and_one_of_rac_ends_its_session() {
+    over_tcp!(blocking);
+    over_udp!(blocking);
+    over_rac!(blocking);
 }
 
 #[tokio::test]
-async fn a_tokio_rac_client_ends_its_session() {
-    let (address, forged) = serve_rac();
-    let mut client = asynch::connect_rac(address, &Options::default()).await.unwrap();
-    forged.recv().unwrap();
-    client.transport().stream().peek(&mut [0]).await.unwrap();
-    let error = client.get(Variable::new(VariableKind::I, 1)).await.unwrap_err();
-    assert!(matches!(error, RacError::Client(ClientError::Unsolicited)), "{error}");
+async fn tokio_clients_drop_them_and_one_of_rac_ends_its_session() {
+    over_tcp!(asynch, await);
+    over_udp!(asynch, await);
+    over_rac!(asynch, await);
 }
 
 #[test]

@@ -18,17 +18,12 @@ use bcap_core::variant::OwnedVariant;
 use bcap_sim::memory::{Network, Wire};
 use bcap_sim::{Config, Controller as Simulated, Profile};
 use bcap_std::blocking::Transport;
-use bcap_std::server::Limits;
 use bcap_std::{Backoff, Error, Joints, Move, Settings, asynch, blocking};
 use bcap_tests::proxy::Relay;
 use bcap_tests::served::Served;
+use bcap_tests::simulated::simulated;
 
 const LIMIT: Duration = Duration::from_secs(30);
-
-fn simulated() -> Served<Simulated> {
-    let config = Config { motor_on_delay: Duration::from_millis(1), ..Config::new(Profile::Rc8) };
-    Served::of(Simulated::new(config), Limits::default())
-}
 
 fn settings() -> Settings {
     Settings::rc8().reconnect(Backoff::default().min(Duration::from_millis(1)).max(Duration::from_millis(20)))
@@ -42,20 +37,6 @@ fn far() -> Move {
 /// A motion of some polls.
 fn near() -> Move {
     Move::joint(Joints::new([1.0, 45.0, 90.0, 0.0, 45.0, 0.0]))
-}
-
-fn until(sim: &Served<Simulated>, reached: impl Fn(&Simulated) -> bool) {
-    for _ in 0..20_000 {
-        {
-            let mut controller = sim.application();
-            controller.advance(bcap_std::now());
-            if reached(&controller) {
-                return;
-            }
-        }
-        std::thread::sleep(Duration::from_millis(1));
-    }
-    panic!("the controller did not get there");
 }
 
 /// Asserts that another client's motion goes on, with the motor on.
@@ -72,7 +53,7 @@ fn assert_safe(sim: &Served<Simulated>) {
         (controller.arm_owner(), controller.motor_is_on())
     };
     assert_eq!((owner, motor), (None, false));
-    until(sim, |controller| !controller.is_moving() && controller.slave_mode() == 0);
+    sim.until(|controller| !controller.is_moving() && controller.slave_mode() == 0);
     assert!(sim.application().joints()[0] < 149.0, "it went on to the end");
 }
 
@@ -139,7 +120,7 @@ fn a_program_may_leave_the_robot_as_it_is() {
     assert!(sim.application().motor_is_on());
     let settings = settings().keep(true);
     let mut cell = blocking::Controller::connect(&format!("tcp:{}", sim.tcp), &settings).unwrap();
-    until(&sim, |controller| controller.arm_owner().is_none());
+    sim.until(|controller| controller.arm_owner().is_none());
     drop(cell.robot().unwrap().take_arm().unwrap());
     drop(cell);
     assert!(sim.application().motor_is_on());
@@ -350,7 +331,7 @@ fn a_robot_that_another_client_has_taken_meanwhile_is_left_alone() {
         let moving = arm.start(&far(), LIMIT).await.unwrap();
         relay.disconnect();
         assert!(matches!(moving.wait().await, Err(Error::NoReply { .. })));
-        until(&sim, |controller| controller.arm_owner().is_none() && !controller.is_moving());
+        sim.until(|controller| controller.arm_owner().is_none() && !controller.is_moving());
         let mut other = blocking::Controller::connect(&format!("tcp:{}", sim.tcp), &settings()).unwrap();
         other.execute::<()>("ClearError", ()).unwrap();
         let mut theirs = other.robot().unwrap().take_arm().unwrap();
@@ -400,7 +381,7 @@ fn a_motion_whose_runtime_ends_may_have_moved() {
         arm.motor_on().await.unwrap();
         std::thread::scope(|scope| {
             scope.spawn(|| {
-                until(&sim, Simulated::is_moving);
+                sim.until(Simulated::is_moving);
                 drop(task);
             });
             // it blocks this thread, as a caller without a task may

@@ -5,10 +5,8 @@ use std::time::Duration;
 
 use bcap_core::rac::{Variable, VariableKind};
 use bcap_core::variant::Variant;
-use bcap_sim::{Config, Controller as Simulated, Profile};
-use bcap_std::server::Limits;
 use bcap_tests::real_time::repeated;
-use bcap_tests::served::Served;
+use bcap_tests::simulated::simulated;
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
 
@@ -31,34 +29,19 @@ examples! {
     test_without_robot "../../std-adapter/examples/test_without_robot.rs";
 }
 
-fn simulated() -> Served<Simulated> {
-    let config = Config { motor_on_delay: Duration::from_millis(1), ..Config::new(Profile::Rc8) };
-    Served::of(Simulated::new(config), Limits::default())
-}
-
-fn tcp(sim: &Served<Simulated>) -> String {
-    format!("tcp:{}", sim.tcp)
-}
-
-/// Asserts that no client has the arm, a session or an object, and that the motor is off.
-fn assert_left(sim: &Served<Simulated>) {
-    let sim = sim.application();
-    assert_eq!((sim.arm_owner(), sim.motor_is_on(), sim.is_moving(), sim.open_objects()), (None, false, false, 0));
-}
-
 #[test]
 fn read_write_runs() {
     let sim = simulated();
-    read_write::run(&tcp(&sim)).unwrap();
-    assert_left(&sim);
+    read_write::run(&sim.address()).unwrap();
+    sim.assert_left();
 }
 
 #[test]
 fn move_and_stop_runs() {
     let sim = simulated();
-    move_and_stop::run(&tcp(&sim)).unwrap();
+    move_and_stop::run(&sim.address()).unwrap();
     assert!((sim.application().joints()[0] - 20.0).abs() < 0.05);
-    assert_left(&sim);
+    sim.assert_left();
 }
 
 #[test]
@@ -68,15 +51,15 @@ fn slave_cosine_runs() {
         let before = sim.application().joints()[0];
         slave_cosine::run(&format!("udp:{}", sim.udp), 250).unwrap_or_else(|error| panic!("{error}"));
         assert!((sim.application().joints()[0] - before).abs() < 0.01, "it ends where it began");
-        assert_left(&sim);
+        sim.assert_left();
     });
 }
 
 #[test]
 fn tasks_runs() {
     let sim = simulated();
-    tasks::run(&tcp(&sim)).unwrap();
-    assert_left(&sim);
+    tasks::run(&sim.address()).unwrap();
+    sim.assert_left();
 }
 
 #[test]
@@ -87,8 +70,8 @@ fn test_without_robot_runs() {
 #[tokio::test]
 async fn scan_runs() {
     let sim = simulated();
-    scan::run(&tcp(&sim), 2).await.unwrap();
-    assert_left(&sim);
+    scan::run(&sim.address(), 2).await.unwrap();
+    sim.assert_left();
 }
 
 #[tokio::test]
@@ -102,7 +85,7 @@ async fn reconnecting_fleet_runs() {
             }
         }
     };
-    reconnecting_fleet::run(&[tcp(&first), tcp(&second)], counted).await.unwrap();
+    reconnecting_fleet::run(&[first.address(), second.address()], counted).await.unwrap();
     assert!(reconnecting_fleet::run(&["robot".into()], async {}).await.is_err());
 }
 

@@ -1,27 +1,26 @@
 //! Examining, recovering and preparing robots of each model against the virtual controller, blocking and under tokio.
 
 use std::ops::ControlFlow;
-use std::time::Duration;
 
 use bcap_core::hresult::HResult;
 use bcap_core::variant::OwnedVariant;
-use bcap_sim::{Config, Controller as Simulated, Profile};
+use bcap_sim::{Controller as Simulated, Profile};
 use bcap_std::server::Limits;
 use bcap_std::{Error, Obstacle, RecoveryConfig, RecoveryStep, Settings, asynch, blocking};
 use bcap_tests::served::Served;
+use bcap_tests::simulated::quick;
 
 const MODELS: [Profile; 4] = [Profile::Rc8, Profile::Rc9, Profile::Cobotta, Profile::CobottaPro];
 const ERROR: HResult = HResult::from_u32(0x8420_4043);
 const ALONE: RecoveryConfig = RecoveryConfig { is_alone: true, speed: None };
 
 fn simulated(profile: Profile) -> (Served<Simulated>, Settings) {
-    let config = Config { motor_on_delay: Duration::from_millis(1), ..Config::new(profile) };
     let settings = match profile {
         Profile::Rc9 | Profile::CobottaPro => Settings::rc9(),
         Profile::Cobotta => Settings::cobotta(),
         _ => Settings::rc8(),
     };
-    (Served::of(Simulated::new(config), Limits::default()), settings)
+    (Served::of(Simulated::new(quick(profile)), Limits::default()), settings)
 }
 
 fn connect(sim: &Served<Simulated>, settings: &Settings) -> blocking::Controller {

@@ -44,40 +44,36 @@ fn values(round: i16) -> [(&'static str, OwnedVariant); 9] {
 
 const ROUNDS: i16 = 12;
 
+/// Writes and reads every kind of variable over a noisy line; `$wait` is `.await` or nothing.
+macro_rules! through_noise {
+    ($line:ident, $cell:ident $(, $wait:tt)?) => {{
+        for round in 1..=ROUNDS {
+            for (name, value) in values(round) {
+                $cell.write(name, &value)$(.$wait)?.unwrap();
+            }
+            for (name, value) in values(round) {
+                assert_eq!($cell.read::<OwnedVariant>(name)$(.$wait)?.unwrap(), value, "{name} in round {round}");
+            }
+        }
+        $cell.close()$(.$wait)?.unwrap();
+        let corrupted = $line.corrupted();
+        println!("{corrupted} bytes corrupted");
+        assert!(corrupted > 5, "{corrupted}");
+    }};
+}
+
 #[test]
 fn every_kind_of_variable_survives_noise_on_the_line() {
     let line = Line::to(simulated(), 1, 1);
     let mut cell = blocking::Controller::connect(&line.address(), &settings()).unwrap();
-    for round in 1..=ROUNDS {
-        for (name, value) in values(round) {
-            cell.write(name, &value).unwrap();
-        }
-        for (name, value) in values(round) {
-            assert_eq!(cell.read::<OwnedVariant>(name).unwrap(), value, "{name} in round {round}");
-        }
-    }
-    cell.close().unwrap();
-    let corrupted = line.corrupted();
-    println!("{corrupted} bytes corrupted");
-    assert!(corrupted > 5, "{corrupted}");
+    through_noise!(line, cell);
 }
 
 #[tokio::test]
 async fn every_kind_of_variable_survives_noise_on_the_line_under_tokio() {
     let line = Line::to(simulated(), 2, 1);
     let cell = asynch::Controller::connect(&line.address(), &settings()).await.unwrap();
-    for round in 1..=ROUNDS {
-        for (name, value) in values(round) {
-            cell.write(name, &value).await.unwrap();
-        }
-        for (name, value) in values(round) {
-            assert_eq!(cell.read::<OwnedVariant>(name).await.unwrap(), value, "{name} in round {round}");
-        }
-    }
-    cell.close().await.unwrap();
-    let corrupted = line.corrupted();
-    println!("{corrupted} bytes corrupted");
-    assert!(corrupted > 5, "{corrupted}");
+    through_noise!(line, cell, await);
 }
 
 #[test]

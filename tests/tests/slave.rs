@@ -1,7 +1,6 @@
 //! Tests the streams of `bcap-std` with the virtual controller over real sockets. They assert counts and positions, not
 //! times; the controller's clock is slow enough for a busy machine.
 
-use std::time::Duration;
 use std::{fmt, io};
 
 use bcap_core::hresult::HResult;
@@ -17,13 +16,13 @@ use bcap_std::blocking::Connection;
 use bcap_std::server::Limits;
 use bcap_std::{Options, asynch, blocking};
 use bcap_tests::served::Served;
+use bcap_tests::simulated::quick;
 use bcap_tests::slowed::{CYCLE, Slowed, inner};
 
 const MODES: [Mode; 3] = [Mode::Mode0, Mode::Mode1, Mode::Mode2];
 
 fn controller() -> Served<Slowed> {
-    let config = bcap_sim::Config { motor_on_delay: Duration::from_millis(1), ..bcap_sim::Config::new(Profile::Rc8) };
-    Served::of(Slowed(Controller::new(config)), Limits::default())
+    Served::of(Slowed(Controller::new(quick(Profile::Rc8))), Limits::default())
 }
 
 fn format(mode: Mode) -> Format {

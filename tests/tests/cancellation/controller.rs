@@ -11,9 +11,9 @@ use bcap_core::bcap::call;
 use bcap_core::variant::OwnedVariant;
 use bcap_sim::{Config, Controller as Simulated, Profile};
 use bcap_std::asynch::{Arm, Controller, Stopper};
-use bcap_std::server::Limits;
 use bcap_std::{Joints, Motion, Move, RecoveryConfig, Settings, TaskStart, TaskStop};
 use bcap_tests::served::Served;
+use bcap_tests::simulated::simulated;
 use tokio::task::yield_now;
 
 /// The numbers of turns after which a future is dropped.
@@ -42,9 +42,8 @@ struct Rig {
 
 impl Rig {
     async fn new() -> Self {
-        let config = Config { motor_on_delay: Duration::from_millis(1), ..Config::new(Profile::Rc8) };
-        let sim = Served::of(Simulated::new(config), Limits::default());
-        let address = format!("tcp:{}", sim.tcp);
+        let sim = simulated();
+        let address = sim.address();
         let cell = Controller::connect(&address, &Settings::rc8()).await.unwrap();
         Self { sim, cell, address, points: BTreeMap::new() }
     }
