@@ -2,13 +2,13 @@
 
 use std::cell::RefCell;
 
-use crate::common::{Number, address, between};
-use bcap_core::bcap::{client, server};
+use crate::common::{address, ask, between, dial, number, serve, serve_udp};
+use bcap_core::bcap::client;
 use bcap_core::hresult::HResult;
 use bcap_core::rac::{self, VariableKind};
 use bcap_embassy::gateway::{self, Ended, Report, TcpRobot, run_robot};
 use bcap_embassy::net::{NetError, Options, UdpTransport};
-use bcap_embassy::server::{Limits, Listener, SharedHandler, UdpPeer, UdpServer};
+use bcap_embassy::server::Limits;
 use bcap_gateway::{Allow, Config, Event, Gateway, Memory, Network, Refusal, Rules};
 use embassy_futures::join::{join, join3};
 use embassy_futures::select::{select, select3};
@@ -78,37 +78,14 @@ fn robot() -> IpEndpoint {
     (address(0), 5007).into()
 }
 
-/// Serves b-CAP over TCP, on the PLCs' side of the cable.
-async fn serve_robot(stack: Stack<'_>, number: &SharedHandler<NoopRawMutex, Number, 4>) {
-    let (mut rx, mut tx) = ([0; 512], [0; 512]);
-    let mut slot = None;
-    let make = || server::Session::<_, _, 8>::new(server::Config::TCP, [0; 512], [0; 512]);
-    Listener::new(stack, 5007, &mut rx, &mut tx).run(&mut slot, make, number, &Limits::default()).await
+/// Makes a gateway with two slots, until the test's process ends.
+fn plant(config: Config<'_>) -> Plant<'_> {
+    Plant::new(Gateway::new(config, Box::leak(Box::new(Memory::<2, 4>::new()))), log)
 }
 
-/// Connects, retrying until the gateway has a free slot.
-async fn plc<'s>(stack: Stack<'s>, memory: &'s mut [[u8; 512]; 2]) -> TcpSocket<'s> {
-    let [rx, tx] = memory;
-    let mut socket = TcpSocket::new(stack, rx, tx);
-    while socket.connect((address(1), rac::PORT)).await.is_err() {
-        Timer::after_millis(1).await;
-    }
-    socket
-}
-
-/// Sends a line and returns the answer.
-async fn ask(socket: &mut TcpSocket<'_>, line: &str) -> String {
-    let mut sent = 0;
-    while sent < line.len() {
-        sent += socket.write(&line.as_bytes()[sent..]).await.unwrap();
-    }
-    let mut reply = Vec::new();
-    while reply.last() != Some(&b'\r') {
-        let mut byte = [0];
-        assert_eq!(socket.read(&mut byte).await, Ok(1), "closed after {reply:?}");
-        reply.extend(byte);
-    }
-    String::from_utf8(reply).unwrap()
+fn tcp_robot(stack: Stack<'_>) -> TcpRobot<'_> {
+    let [rx, tx] = Box::leak(Box::new([[0; 1024]; 2]));
+    TcpRobot::new(stack, rx, tx, Options::default(), robot())
 }
 
 fn error(code: HResult) -> String {
@@ -130,16 +107,12 @@ async fn ends(test: impl Future<Output = ()>) {
 #[test]
 fn plcs_are_served_and_refusals_logged() {
     between(|_, plcs, board| async move {
-        let number = SharedHandler::new(Number { value: 7, left: 0 });
-        let mut memory = Memory::<2, 4>::new();
-        let plant = Plant::new(Gateway::new(CONFIG, &mut memory), log);
-        let mut buffers = [[0; 1024]; 2];
-        let [rx, tx] = &mut buffers;
-        let link = TcpRobot::new(board, rx, tx, Options::default(), robot());
+        let number = number(7);
+        let (plant, link) = (plant(CONFIG), tcp_robot(board));
         let test = ends(async {
             let (mut a, mut b) = ([[0; 512]; 2], [[0; 512]; 2]);
-            let mut a = plc(plcs, &mut a).await;
-            let mut b = plc(plcs, &mut b).await;
+            let mut a = dial(plcs, &mut a, rac::PORT).await;
+            let mut b = dial(plcs, &mut b, rac::PORT).await;
             until(&mut a, "GET:RC8:1:I:\r", "0,3,7\r").await;
             assert_eq!(ask(&mut b, "PUT:RC8:1:I:3,8\r").await, "0\r");
             assert_eq!(ask(&mut a, "GET:RC8:1:I:\r").await, "0,3,8\r");
@@ -164,33 +137,30 @@ fn plcs_are_served_and_refusals_logged() {
                 Timer::after_millis(1).await;
             }
             let mut c = [[0; 512]; 2];
-            let mut c = plc(plcs, &mut c).await;
+            let mut c = dial(plcs, &mut c, rac::PORT).await;
             assert_eq!(ask(&mut c, "GET:RC8:1:I:\r").await, "0,3,8\r");
         });
-        select3(run(board, link, &plant, gateway::Limits::default()), serve_robot(plcs, &number), test).await;
+        select3(run(board, link, &plant, gateway::Limits::default()), serve(plcs, &number, Limits::default()), test)
+            .await;
     });
 }
 
 #[test]
 fn a_full_gateway_answers_so_and_an_idle_client_makes_room() {
     between(|_, plcs, board| async move {
-        let mut memory = Memory::<2, 4>::new();
-        let plant = Plant::new(Gateway::new(CONFIG, &mut memory), log);
-        let mut buffers = [[0; 1024]; 2];
-        let [rx, tx] = &mut buffers;
-        let link = TcpRobot::new(board, rx, tx, Options::default(), robot());
+        let (plant, link) = (plant(CONFIG), tcp_robot(board));
         let limits =
             gateway::Limits { evict_after: Some(core::time::Duration::from_millis(300)), ..gateway::Limits::default() };
         let test = ends(async {
             let mut memory = [[[0; 512]; 2]; 4];
             let [a, b, c, d] = &mut memory;
             let answer = error(HResult::E_NOT_CONNECTED);
-            let mut silent = plc(plcs, a).await;
+            let mut silent = dial(plcs, a, rac::PORT).await;
             assert_eq!(ask(&mut silent, "GET:RC8:1:I:\r").await, answer);
-            let mut busy = plc(plcs, b).await;
+            let mut busy = dial(plcs, b, rac::PORT).await;
             assert_eq!(ask(&mut busy, "GET:RC8:1:I:\r").await, answer);
             // no client is idle yet
-            let mut refused = plc(plcs, c).await;
+            let mut refused = dial(plcs, c, rac::PORT).await;
             assert_eq!(ask(&mut refused, "GET:RC8:1:I:\r").await, error(HResult::E_MAX_CONNECT));
             assert_eq!(refused.read(&mut [0]).await, Ok(0));
             assert!(logged(&format!("denied {} Full", address(0))));
@@ -199,7 +169,7 @@ fn a_full_gateway_answers_so_and_an_idle_client_makes_room() {
                 Timer::after_millis(10).await;
             }
             // now one of the two is
-            let mut late = plc(plcs, d).await;
+            let mut late = dial(plcs, d, rac::PORT).await;
             assert_eq!(ask(&mut late, "GET:RC8:1:I:\r").await, answer);
             assert!(silent.read(&mut [0]).await.is_err(), "it is reset");
             assert_eq!(ask(&mut busy, "GET:RC8:1:I:\r").await, answer);
@@ -215,22 +185,17 @@ fn a_client_of_another_network_is_not_served() {
         let own = [Network::new(address(0), 32).unwrap()];
         let other = [Network::parse("10.0.0.0/8").unwrap()];
         for (clients, is_served) in [(&own, true), (&other, false)] {
-            let mut memory = Memory::<2, 4>::new();
-            let config = Config { rules: Rules { clients, ..CONFIG.rules }, ..CONFIG };
-            let plant = Plant::new(Gateway::new(config, &mut memory), log);
-            let mut buffers = [[0; 1024]; 2];
-            let [rx, tx] = &mut buffers;
-            let link = TcpRobot::new(board, rx, tx, Options::default(), robot());
+            let plant = plant(Config { rules: Rules { clients, ..CONFIG.rules }, ..CONFIG });
             let test = ends(async {
                 let mut a = [[0; 512]; 2];
-                let mut a = plc(plcs, &mut a).await;
+                let mut a = dial(plcs, &mut a, rac::PORT).await;
                 if is_served {
                     assert_eq!(ask(&mut a, "GET:RC8:1:I:\r").await, error(HResult::E_NOT_CONNECTED));
                 } else {
                     assert!(a.read(&mut [0]).await.is_err(), "it is reset");
                 }
             });
-            select(run(board, link, &plant, gateway::Limits::default()), test).await;
+            select(run(board, tcp_robot(board), &plant, gateway::Limits::default()), test).await;
         }
         assert!(logged(&format!("denied {} Address", address(0))));
     });
@@ -239,18 +204,14 @@ fn a_client_of_another_network_is_not_served() {
 #[test]
 fn a_disconnected_robot_is_reported_at_once_and_reconnected() {
     between(|_, plcs, board| async move {
-        let number = SharedHandler::new(Number { value: 7, left: 0 });
-        let mut memory = Memory::<2, 4>::new();
-        let plant = Plant::new(Gateway::new(CONFIG, &mut memory), log);
-        let mut buffers = [[0; 1024]; 2];
-        let [rx, tx] = &mut buffers;
-        let link = TcpRobot::new(board, rx, tx, Options::default(), robot());
+        let number = number(7);
+        let (plant, link) = (plant(CONFIG), tcp_robot(board));
         let test = ends(async {
             let mut a = [[0; 512]; 2];
-            let mut a = plc(plcs, &mut a).await;
+            let mut a = dial(plcs, &mut a, rac::PORT).await;
             assert_eq!(ask(&mut a, "GET:RC8:1:I:\r").await, error(HResult::E_NOT_CONNECTED), "there is no robot yet");
             for _ in 0..3 {
-                select(serve_robot(plcs, &number), until(&mut a, "GET:RC8:1:I:\r", "0,3,7\r")).await;
+                select(serve(plcs, &number, Limits::default()), until(&mut a, "GET:RC8:1:I:\r", "0,3,7\r")).await;
                 // dropping the server closes the connection
                 until(&mut a, "GET:RC8:1:I:\r", &error(HResult::E_NOT_CONNECTED)).await;
             }
@@ -264,21 +225,17 @@ fn a_disconnected_robot_is_reported_at_once_and_reconnected() {
 #[test]
 fn slow_requests_end_a_session_and_an_unplugged_cable_ends_all() {
     between(|cable, plcs, board| async move {
-        let number = SharedHandler::new(Number { value: 7, left: 0 });
-        let mut memory = Memory::<2, 4>::new();
-        let plant = Plant::new(Gateway::new(CONFIG, &mut memory), log);
-        let mut buffers = [[0; 1024]; 2];
-        let [rx, tx] = &mut buffers;
-        let link = TcpRobot::new(board, rx, tx, Options::default(), robot());
+        let number = number(7);
+        let (plant, link) = (plant(CONFIG), tcp_robot(board));
         let limits = gateway::Limits { receive: core::time::Duration::from_millis(100), ..gateway::Limits::default() };
         let test = ends(async {
             let (mut a, mut b) = ([[0; 512]; 2], [[0; 512]; 2]);
-            let mut a = plc(plcs, &mut a).await;
+            let mut a = dial(plcs, &mut a, rac::PORT).await;
             until(&mut a, "GET:RC8:1:I:\r", "0,3,7\r").await;
             // half a line without its rest
             a.write(b"GET:RC8").await.unwrap();
             assert_eq!(a.read(&mut [0]).await, Ok(0), "the session is over");
-            let mut b = plc(plcs, &mut b).await;
+            let mut b = dial(plcs, &mut b, rac::PORT).await;
             assert!(logged(&format!("gone {} {:?}", address(0), Some(Ended::RequestTooSlow::<()>))));
             until(&mut b, "GET:RC8:1:I:\r", "0,3,7\r").await;
             cable.cut(true);
@@ -290,37 +247,28 @@ fn slow_requests_end_a_session_and_an_unplugged_cable_ends_all() {
             }
             cable.cut(false);
             let mut c = [[0; 512]; 2];
-            let mut c = plc(plcs, &mut c).await;
+            let mut c = dial(plcs, &mut c, rac::PORT).await;
             until(&mut c, "GET:RC8:1:I:\r", "0,3,7\r").await;
         });
-        select3(run(board, link, &plant, limits), serve_robot(plcs, &number), test).await;
+        select3(run(board, link, &plant, limits), serve(plcs, &number, Limits::default()), test).await;
     });
 }
 
 #[test]
 fn a_robot_over_udp_is_reached_despite_losses() {
     between(|cable, plcs, board| async move {
-        let number = SharedHandler::<NoopRawMutex, _, 4>::new(Number { value: 7, left: 0 });
-        let mut memory = Memory::<2, 4>::new();
+        let number = number(7);
         let client = client::Config {
             timing: client::Timing { attempt_timeout: core::time::Duration::from_millis(20), ..client::Timing::UDP },
             ..client::Config::UDP
         };
-        let plant = Plant::new(Gateway::new(Config { client, ..CONFIG }, &mut memory), log);
+        let plant = plant(Config { client, ..CONFIG });
         let (mut metas, mut buffers) = ([[PacketMetadata::EMPTY; 2]; 2], [[0; 1024]; 2]);
         let ([rx_meta, tx_meta], [rx, tx]) = (&mut metas, &mut buffers);
         let link = UdpTransport::new(board, UdpSocket::new(board, rx_meta, rx, tx_meta, tx), robot()).unwrap();
-        let serving = async {
-            let (mut metas, mut buffers) = ([[PacketMetadata::EMPTY; 2]; 2], [[0; 1024]; 2]);
-            let ([rx_meta, tx_meta], [rx, tx]) = (&mut metas, &mut buffers);
-            let mut socket = UdpSocket::new(plcs, rx_meta, rx, tx_meta, tx);
-            socket.bind(5007).unwrap();
-            let mut peers: [Option<UdpPeer<8>>; 1] = [None];
-            UdpServer::new(&mut socket, &mut peers, &number, Limits::default()).run().await
-        };
         let test = ends(async {
             let mut a = [[0; 512]; 2];
-            let mut a = plc(plcs, &mut a).await;
+            let mut a = dial(plcs, &mut a, rac::PORT).await;
             until(&mut a, "GET:RC8:1:I:\r", "0,3,7\r").await;
             cable.lose(9);
             for value in 0..6 {
@@ -328,6 +276,6 @@ fn a_robot_over_udp_is_reached_despite_losses() {
                 assert_eq!(ask(&mut a, "GET:RC8:1:I:\r").await, format!("0,3,{value}\r"));
             }
         });
-        select3(run(board, link, &plant, gateway::Limits::default()), serving, test).await;
+        select3(run(board, link, &plant, gateway::Limits::default()), serve_udp(plcs, &number), test).await;
     });
 }

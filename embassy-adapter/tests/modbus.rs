@@ -2,12 +2,11 @@
 
 use std::cell::RefCell;
 
-use crate::common::{Number, address, between};
-use bcap_core::bcap::server;
+use crate::common::{address, between, dial, number, serve};
 use bcap_core::rac::VariableKind;
 use bcap_embassy::gateway::{self, ModbusListener, Report, SharedGateway, TcpRobot, run_robot};
 use bcap_embassy::net::{Options, Usage};
-use bcap_embassy::server::{Limits, Listener, SharedHandler};
+use bcap_embassy::server::Limits;
 use bcap_gateway::modbus::{Entry, PORT};
 use bcap_gateway::{Allow, Bounds, Config, Event, Gateway, Memory, Rules};
 use embassy_futures::join::{join, join3};
@@ -49,23 +48,6 @@ async fn run(stack: Stack<'_>, plant: &Plant<'_>, map: &[Entry]) {
     join(run_robot(&mut link, &mut frame, plant), clients).await;
 }
 
-/// Serves b-CAP over TCP, on the clients' side of the cable.
-async fn serve_robot(stack: Stack<'_>, number: &SharedHandler<NoopRawMutex, Number, 4>) {
-    let (mut rx, mut tx) = ([0; 512], [0; 512]);
-    let mut slot = None;
-    let make = || server::Session::<_, _, 8>::new(server::Config::TCP, [0; 512], [0; 512]);
-    Listener::new(stack, 5007, &mut rx, &mut tx).run(&mut slot, make, number, &Limits::default()).await
-}
-
-async fn connect<'s>(stack: Stack<'s>, memory: &'s mut [[u8; 512]; 2]) -> TcpSocket<'s> {
-    let [rx, tx] = memory;
-    let mut socket = TcpSocket::new(stack, rx, tx);
-    while socket.connect((address(1), PORT)).await.is_err() {
-        Timer::after_millis(1).await;
-    }
-    socket
-}
-
 /// Sends a request and returns the function and the data of the response.
 async fn ask(socket: &mut TcpSocket<'_>, function: &[u8]) -> Vec<u8> {
     let length = u8::try_from(function.len() + 1).unwrap();
@@ -97,14 +79,14 @@ fn rules_slots_and_the_log_apply_to_clients_of_modbus() {
             ..Config::RC8
         };
         let map = ["100=I/1-2", "200=I/1:i16", "300=F/1", "400=D/1"].map(|entry| Entry::registers(entry).unwrap());
-        let number = SharedHandler::new(Number { value: 70_000, left: 0 });
+        let number = number(70_000);
         let mut memory = Memory::<2, 4>::new();
         let plant = Plant::new(Gateway::new(config, &mut memory), log);
         let test = async {
             let mut memory = [[[0; 512]; 2]; 4];
             let [a, b, c, d] = &mut memory;
-            let mut a = connect(clients, a).await;
-            let mut b = connect(clients, b).await;
+            let mut a = dial(clients, a, PORT).await;
+            let mut b = dial(clients, b, PORT).await;
             // before the robot is connected, the path is not available
             while ask(&mut a, &[3, 0, 100, 0, 2]).await != [3, 4, 0, 1, 0x11, 0x70] {
                 Timer::after_millis(1).await;
@@ -128,18 +110,18 @@ fn rules_slots_and_the_log_apply_to_clients_of_modbus() {
             assert_eq!(logged(), ["PUT:RC8:1:F:4,inf", "PUT:RC8:1:D:5,NaN", "PUT:RC8:1:D:5,-inf"]);
             assert_eq!(ask(&mut a, &[4, 0, 200, 0, 1]).await, [4, 2, 0xff, 0xf6], "nothing was written");
             // both slots are in use
-            let mut c = connect(clients, c).await;
+            let mut c = dial(clients, c, PORT).await;
             assert_eq!(ask(&mut c, &[3, 0, 100, 0, 2]).await, [0x83, 6]);
             assert_eq!(c.read(&mut [0]).await, Ok(0), "closed");
             // bytes that are not Modbus end the connection and free its slot
             assert_eq!(b.write(b"GET:RC8:1:I:\r").await, Ok(13));
             assert_eq!(b.read(&mut [0]).await, Ok(0), "closed");
             assert_eq!(logged(), ["Some(NotModbus)"]);
-            let mut d = connect(clients, d).await;
+            let mut d = dial(clients, d, PORT).await;
             assert_eq!(ask(&mut d, &[3, 0, 200, 0, 1]).await, [3, 2, 0xff, 0xf6]);
         };
         let test = with_timeout(Duration::from_secs(60), test);
-        let ended = select3(run(board, &plant, &map), serve_robot(clients, &number), test).await;
+        let ended = select3(run(board, &plant, &map), serve(clients, &number, Limits::default()), test).await;
         assert!(matches!(ended, embassy_futures::select::Either3::Third(Ok(()))), "it hangs");
     });
 }
@@ -161,17 +143,17 @@ fn a_part_of_a_frame_ends_a_session() {
             let mut memory = [[[0; 512]; 2]; 3];
             let [a, b, c] = &mut memory;
             // a part of the header, of the data, and of a request after a complete one
-            let mut a = connect(clients, a).await;
+            let mut a = dial(clients, a, PORT).await;
             assert_eq!(a.write(&[0x12]).await, Ok(1));
             assert_eq!(a.read(&mut [0]).await, Ok(0), "closed");
-            let mut b = connect(clients, b).await;
+            let mut b = dial(clients, b, PORT).await;
             assert_eq!(logged(), ["Some(RequestTooSlow)"]);
             for byte in [0x12, 0x34, 0, 0, 0, 6, 1, 3, 0] {
                 assert_eq!(b.write(&[byte]).await, Ok(1));
                 assert_eq!(b.flush().await, Ok(()));
             }
             assert_eq!(b.read(&mut [0]).await, Ok(0), "closed");
-            let mut c = connect(clients, c).await;
+            let mut c = dial(clients, c, PORT).await;
             assert_eq!(logged(), ["Some(RequestTooSlow)"]);
             let request = [0x12, 0x34, 0, 0, 0, 6, 1, 3, 0, 100, 0, 2];
             for part in request.chunks(5) {
@@ -219,14 +201,14 @@ fn a_client_that_no_listener_can_serve_gets_an_exception_instead_of_a_reset() {
         let test = async {
             let mut memory = [[[0; 512]; 2]; 3];
             let [a, b, c] = &mut memory;
-            let mut a = connect(clients, a).await;
+            let mut a = dial(clients, a, PORT).await;
             assert_eq!(ask(&mut a, &[3, 0, 100, 0, 2]).await, [0x83, 0x0a], "served, without a robot");
-            let mut b = connect(clients, b).await;
+            let mut b = dial(clients, b, PORT).await;
             assert_eq!(ask(&mut b, &[3, 0, 100, 0, 2]).await, [0x83, 6]);
             assert_eq!(b.read(&mut [0]).await, Ok(0), "closed");
             a.close();
             assert_eq!(a.read(&mut [0]).await, Ok(0), "closed");
-            let mut c = connect(clients, c).await;
+            let mut c = dial(clients, c, PORT).await;
             assert_eq!(ask(&mut c, &[3, 0, 100, 0, 2]).await, [0x83, 0x0a], "served");
         };
         let ended = select(serve, with_timeout(Duration::from_secs(60), test)).await;

@@ -1,39 +1,23 @@
 //! Tests clients and servers over two embassy-net stacks connected by a simulated cable.
 
-use crate::common::{Number, address, between};
+use crate::common::{Controller, address, ask, between, dial, number, serve, serve_udp};
+use bcap_core::bcap::Client;
 use bcap_core::bcap::call::{self, ControllerHandle, VariableHandle};
 use bcap_core::bcap::client::{ClientError, Config, Timeout, Timing};
-use bcap_core::bcap::{Client, server};
 use bcap_core::hresult::HResult;
 use bcap_core::io::CallError;
 use bcap_core::rac;
 use bcap_core::variant::Variant;
 use bcap_embassy::net::{Connection, NetError, Options, TcpClient, TcpTransport, UdpTransport};
-use bcap_embassy::server::{Limits, Listener, SharedHandler, UdpPeer, UdpServer};
+use bcap_embassy::server::{Limits, Listener};
 use embassy_futures::join::join;
 use embassy_futures::select::select;
 use embassy_net::Stack;
-use embassy_net::tcp::TcpSocket;
 use embassy_net::udp::{PacketMetadata, UdpSocket};
-use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embassy_time::{Duration, Timer, with_timeout};
-
-type Controller = SharedHandler<NoopRawMutex, Number, 4>;
-
-fn number(value: i32) -> Controller {
-    SharedHandler::new(Number { value, left: 0 })
-}
 
 fn left(shared: &Controller) -> usize {
     shared.view(|number| number.left).unwrap()
-}
-
-/// Serves b-CAP on port 5007 forever.
-async fn serve(stack: Stack<'_>, shared: &Controller, limits: Limits) {
-    let (mut rx, mut tx) = ([0; 512], [0; 512]);
-    let mut slot = None;
-    let make = || Box::new(server::Session::<_, _, 8>::new(server::Config::TCP, [0; 512], [0; 512]));
-    Listener::new(stack, 5007, &mut rx, &mut tx).run(&mut slot, || *make(), shared, &limits).await
 }
 
 async fn connect<'s>(stack: Stack<'s>, memory: &'s mut [[u8; 512]; 2]) -> TcpClient<'s, [u8; 512]> {
@@ -127,14 +111,6 @@ fn a_closed_port_refuses_and_a_missing_peer_times_out() {
 fn a_client_over_udp_survives_losses() {
     between(|cable, client, server| async move {
         let shared = number(0);
-        let serving = async {
-            let (mut rx_meta, mut tx_meta) = ([PacketMetadata::EMPTY; 4], [PacketMetadata::EMPTY; 4]);
-            let (mut rx, mut tx) = ([0; 2048], [0; 2048]);
-            let mut socket = UdpSocket::new(server, &mut rx_meta, &mut rx, &mut tx_meta, &mut tx);
-            socket.bind(5007).unwrap();
-            let mut peers: Vec<Option<UdpPeer<8>>> = [None, None].into_iter().collect();
-            UdpServer::new(&mut socket, &mut peers, &shared, Limits::default()).run().await;
-        };
         let test = async {
             let (mut rx_meta, mut tx_meta) = ([PacketMetadata::EMPTY; 2], [PacketMetadata::EMPTY; 2]);
             let (mut rx, mut tx) = ([0; 1024], [0; 1024]);
@@ -156,7 +132,7 @@ fn a_client_over_udp_survives_losses() {
             let silent = robot.call(call::variable_get_value(variable)).await;
             assert_eq!(silent, Err(CallError::Client(ClientError::Timeout(Timeout::Attempt))));
         };
-        select(serving, test).await;
+        select(serve_udp(server, &shared), test).await;
     });
 }
 
@@ -164,14 +140,6 @@ fn a_client_over_udp_survives_losses() {
 fn the_slot_of_a_udp_peer_is_free_after_service_stop() {
     between(|_, client, server| async move {
         let shared = number(7);
-        let serving = async {
-            let (mut rx_meta, mut tx_meta) = ([PacketMetadata::EMPTY; 4], [PacketMetadata::EMPTY; 4]);
-            let (mut rx, mut tx) = ([0; 2048], [0; 2048]);
-            let mut socket = UdpSocket::new(server, &mut rx_meta, &mut rx, &mut tx_meta, &mut tx);
-            socket.bind(5007).unwrap();
-            let mut peers: Vec<Option<UdpPeer<8>>> = [None, None].into_iter().collect();
-            UdpServer::new(&mut socket, &mut peers, &shared, Limits::default()).run().await;
-        };
         let mut memory: [_; 4] = std::array::from_fn(|_| ([PacketMetadata::EMPTY; 4], [[0; 1024]; 2]));
         let [a, b, c, d] = memory.each_mut().map(|(meta, [rx, tx])| {
             let (rx_meta, tx_meta) = meta.split_at_mut(2);
@@ -194,7 +162,7 @@ fn the_slot_of_a_udp_peer_is_free_after_service_stop() {
             assert_eq!(full, Err(CallError::Refused(HResult::E_MAX_CONNECT)));
             working.call(call::controller_get_variable(controller, "I1", "")).await.unwrap();
         };
-        select(serving, test).await;
+        select(serve_udp(server, &shared), test).await;
     });
 }
 
@@ -206,22 +174,6 @@ async fn serve_rac(stack: Stack<'_>, shared: &Controller, limits: Limits) {
     Listener::new(stack, rac::PORT, &mut rx, &mut tx).run(&mut slot, make, shared, &limits).await
 }
 
-/// Sends a line and returns the answer.
-async fn ask(socket: &mut TcpSocket<'_>, line: &str) -> String {
-    let mut sent = 0;
-    while sent < line.len() {
-        sent += socket.write(&line.as_bytes()[sent..]).await.unwrap();
-    }
-    let mut reply = Vec::new();
-    while reply.last() != Some(&b'\r') {
-        // byte by byte, so that bytes after the line stay for the next read
-        let mut byte = [0];
-        assert_eq!(socket.read(&mut byte).await, Ok(1), "closed after {reply:?}");
-        reply.extend(byte);
-    }
-    String::from_utf8(reply).unwrap()
-}
-
 #[test]
 fn lines_are_answered_and_waiting_requests_polled_after_changes() {
     between(|_, client, server| async move {
@@ -229,12 +181,9 @@ fn lines_are_answered_and_waiting_requests_polled_after_changes() {
         let serving =
             join(serve_rac(server, &shared, Limits::default()), serve_rac(server, &shared, Limits::default()));
         let test = async {
-            let (mut rx, mut tx) = ([0; 512], [0; 512]);
-            let mut a = TcpSocket::new(client, &mut rx, &mut tx);
-            a.connect((address(1), rac::PORT)).await.unwrap();
-            let (mut rx, mut tx) = ([0; 512], [0; 512]);
-            let mut b = TcpSocket::new(client, &mut rx, &mut tx);
-            b.connect((address(1), rac::PORT)).await.unwrap();
+            let mut memory = [[[0; 512]; 2]; 2];
+            let [a, b] = &mut memory;
+            let (mut a, mut b) = (dial(client, a, rac::PORT).await, dial(client, b, rac::PORT).await);
 
             assert_eq!(ask(&mut a, "GET:RC8:1:I:\r").await, "0,3,0\r");
             // 200 bytes too many do not end the session
@@ -278,9 +227,8 @@ fn idle_peers_and_partial_requests_end_their_sessions() {
         ] {
             let shared = number(0);
             let test = async {
-                let (mut rx, mut tx) = ([0; 512], [0; 512]);
-                let mut socket = TcpSocket::new(client, &mut rx, &mut tx);
-                socket.connect((address(1), rac::PORT)).await.unwrap();
+                let mut memory = [[0; 512]; 2];
+                let mut socket = dial(client, &mut memory, rac::PORT).await;
                 if !line.is_empty() {
                     socket.write(line.as_bytes()).await.unwrap();
                 }
@@ -299,9 +247,8 @@ fn lines_split_across_packets_do_not_count_as_slow() {
         let limits = Limits { receive: core::time::Duration::from_secs(1), ..Limits::default() };
         let shared = number(7);
         let test = async {
-            let (mut rx, mut tx) = ([0; 512], [0; 512]);
-            let mut socket = TcpSocket::new(client, &mut rx, &mut tx);
-            socket.connect((address(1), rac::PORT)).await.unwrap();
+            let mut memory = [[0; 512]; 2];
+            let mut socket = dial(client, &mut memory, rac::PORT).await;
             socket.write(b"GET:RC8:1:").await.unwrap();
             for _ in 0..30 {
                 Timer::after_millis(40).await;

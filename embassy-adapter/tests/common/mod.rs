@@ -11,9 +11,14 @@ use bcap_core::hresult::HResult;
 use bcap_core::rac::{self, Request, VariableKind};
 use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
+use bcap_embassy::server::{Limits, Listener, SharedHandler, UdpPeer, UdpServer};
 use embassy_futures::select::{Either3, select3};
+use embassy_net::tcp::TcpSocket;
+use embassy_net::udp::{PacketMetadata, UdpSocket};
 use embassy_net::{Config, Ipv4Address, Ipv4Cidr, Stack, StackResources, StaticConfigV4};
 use embassy_net_driver::{Capabilities, Driver, HardwareAddress, LinkState};
+use embassy_sync::blocking_mutex::raw::NoopRawMutex;
+use embassy_time::Timer;
 
 const MTU: usize = 1514;
 
@@ -202,4 +207,55 @@ impl rac::server::Handler for Number {
     fn left(&mut self, _: PeerId, _: Instant) {
         self.left += 1;
     }
+}
+
+/// The controller, shared by its connections.
+pub(crate) type Controller = SharedHandler<NoopRawMutex, Number, 4>;
+
+pub(crate) fn number(value: i32) -> Controller {
+    SharedHandler::new(Number { value, left: 0 })
+}
+
+/// Serves b-CAP over TCP on port 5007 forever, one connection at a time.
+pub(crate) async fn serve(stack: Stack<'_>, number: &Controller, limits: Limits) {
+    let (mut rx, mut tx) = ([0; 512], [0; 512]);
+    let mut slot = None;
+    let make = || bcap::server::Session::<_, _, 8>::new(bcap::server::Config::TCP, [0; 512], [0; 512]);
+    Listener::new(stack, 5007, &mut rx, &mut tx).run(&mut slot, make, number, &limits).await
+}
+
+/// Serves b-CAP over UDP on port 5007 forever, two peers.
+pub(crate) async fn serve_udp(stack: Stack<'_>, number: &Controller) {
+    let (mut metas, mut buffers) = ([[PacketMetadata::EMPTY; 4]; 2], [[0; 2048]; 2]);
+    let ([rx_meta, tx_meta], [rx, tx]) = (&mut metas, &mut buffers);
+    let mut socket = UdpSocket::new(stack, rx_meta, rx, tx_meta, tx);
+    socket.bind(5007).unwrap();
+    let mut peers: [Option<UdpPeer<8>>; 2] = [None, None];
+    UdpServer::new(&mut socket, &mut peers, number, Limits::default()).run().await
+}
+
+/// Connects to a port of the server's stack, retrying until it has a free slot.
+pub(crate) async fn dial<'s>(stack: Stack<'s>, memory: &'s mut [[u8; 512]; 2], port: u16) -> TcpSocket<'s> {
+    let [rx, tx] = memory;
+    let mut socket = TcpSocket::new(stack, rx, tx);
+    while socket.connect((address(1), port)).await.is_err() {
+        Timer::after_millis(1).await;
+    }
+    socket
+}
+
+/// Sends a line of RAC and returns the answer.
+pub(crate) async fn ask(socket: &mut TcpSocket<'_>, line: &str) -> String {
+    let mut sent = 0;
+    while sent < line.len() {
+        sent += socket.write(&line.as_bytes()[sent..]).await.unwrap();
+    }
+    let mut reply = Vec::new();
+    while reply.last() != Some(&b'\r') {
+        // byte by byte, so that bytes after the line stay for the next read
+        let mut byte = [0];
+        assert_eq!(socket.read(&mut byte).await, Ok(1), "closed after {reply:?}");
+        reply.extend(byte);
+    }
+    String::from_utf8(reply).unwrap()
 }
