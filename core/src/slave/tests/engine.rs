@@ -267,6 +267,23 @@ impl Rig {
         panic!("the engine does not end");
     }
 
+    /// Moves without an end, and does something at a pose; the engine is faulted then.
+    fn fault_at(&mut self, at: u32, act: impl Fn(&mut Self)) {
+        let mut count = 0;
+        let end = self.run(|rig| {
+            count += 1;
+            if count == at {
+                act(rig);
+            }
+            Some(joints(f64::from(count) * 0.01))
+        });
+        assert_eq!(end, Action::Faulted);
+    }
+
+    fn fault(&self) -> &Fault {
+        self.engine.fault().unwrap()
+    }
+
     fn names(&self) -> Vec<&str> {
         self.controller.log.iter().map(|(_, name)| name.as_str()).filter(|name| *name != "slvMove").collect()
     }
@@ -298,6 +315,21 @@ fn trajectory(count: u16) -> impl FnMut(&mut Rig) -> Option<Pose> {
 fn smooth(at: u16, count: u16) -> f64 {
     let x = f64::from(at) / f64::from(count);
     x * x * (3.0 - 2.0 * x)
+}
+
+/// Moves without an end, and does something at a pose; returns when the engine is faulted.
+fn disturbed(config: Config, at: u32, act: impl Fn(&mut Rig)) -> Rig {
+    let mut rig = Rig::new(config, &[0.0; 8]);
+    rig.fault_at(at, act);
+    rig
+}
+
+/// Starts with a reply to one command; returns when the engine is faulted, without a pose.
+fn refused_start(config: Config, command: &'static str, code: HResult) -> Rig {
+    let mut rig = Rig::new(config, &[0.0; 8]);
+    rig.controller.script.push((command, refused(code)));
+    assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
+    rig
 }
 
 const START: [&str; 8] =
@@ -382,7 +414,7 @@ fn a_controller_whose_buffer_stays_full_ends_the_stream() {
         Some(joints(f64::from(count) * 1e-3))
     });
     assert_eq!(end, Action::Faulted);
-    let fault = rig.engine.fault().unwrap();
+    let fault = rig.fault();
     assert_eq!((fault.cause, fault.released), (Cause::Stalled, Released::Yes));
     // one second of cycles
     assert!((120..=130).contains(&rig.engine.stats().refused), "{}", rig.engine.stats().refused);
@@ -428,17 +460,9 @@ fn mode_2_is_paced_by_the_controller_alone() {
 #[test]
 fn an_underflow_is_reported_by_its_first_cause() {
     for (mode, watch) in [(Mode::Mode0, None), (Mode::Mode2, Some(WATCH))] {
-        let mut rig = Rig::new(Config { watch, ..config(mode) }, &[0.0; 8]);
-        let mut count = 0;
-        let end = rig.run(|rig| {
-            count += 1;
-            if count == 30 {
-                rig.now = rig.now + Duration::from_millis(60);
-            }
-            Some(joints(f64::from(count) * 0.01))
-        });
-        assert_eq!(end, Action::Faulted);
-        let fault = rig.engine.fault().unwrap();
+        let late = |rig: &mut Rig| rig.now = rig.now + Duration::from_millis(60);
+        let rig = disturbed(Config { watch, ..config(mode) }, 30, late);
+        let fault = rig.fault();
         // the reply to slvMove only says that Slave Mode is off
         assert_eq!((fault.step, fault.cause), (Step::Move, Cause::Refused(HResult::E_SLVMODE_OFF)));
         assert_eq!(fault.code(), Some(HResult::E_COMMAND_BUFFER_EMPTY));
@@ -456,20 +480,13 @@ fn an_underflow_is_reported_by_its_first_cause() {
 
 #[test]
 fn the_oldest_errors_are_read_first_up_to_the_maximum() {
-    let mut rig = Rig::new(config(Mode::Mode2), &[0.0; 8]);
-    let mut count = 0;
-    let end = rig.run(|rig| {
-        count += 1;
-        if count == 10 {
-            rig.controller.fail(HResult::from_u32(0x8420_4043), "J3 command accel limit over");
-            for _ in 0..6 {
-                rig.controller.fail(HResult::E_COMMAND_BUFFER_EMPTY, "");
-            }
+    let rig = disturbed(config(Mode::Mode2), 10, |rig| {
+        rig.controller.fail(HResult::from_u32(0x8420_4043), "J3 command accel limit over");
+        for _ in 0..6 {
+            rig.controller.fail(HResult::E_COMMAND_BUFFER_EMPTY, "");
         }
-        Some(joints(f64::from(count) * 0.01))
     });
-    assert_eq!(end, Action::Faulted);
-    let fault = rig.engine.fault().unwrap();
+    let fault = rig.fault();
     assert_eq!(fault.errors().len(), ERRORS_MAX);
     assert_eq!(fault.code().and_then(HResult::axis), Some(3));
     assert_eq!(rig.names().iter().filter(|name| **name == "GetCurErrorInfo").count(), ERRORS_MAX);
@@ -480,14 +497,7 @@ fn recovery_happens_on_request_and_starts_at_the_position_of_the_robot() {
     let start = joints(0.0);
     let mut rig = Rig::new(Config { start: Some(start), ..config(Mode::Mode0) }, &[0.0; 8]);
     assert_eq!(rig.engine.recover(), Err(RecoverError::NoFault));
-    let mut count = 0;
-    let _ = rig.run(|rig| {
-        count += 1;
-        if count == 20 {
-            rig.controller.fail(HResult::from_u32(0x8420_4051), "J1 command speed limit over");
-        }
-        Some(joints(f64::from(count) * 0.01))
-    });
+    rig.fault_at(20, |rig| rig.controller.fail(HResult::from_u32(0x8420_4051), "J1 command speed limit over"));
     let stopped_at = rig.controller.at[0];
     assert!(stopped_at > 0.0);
     assert_eq!(rig.engine.poll(rig.now), Action::Faulted);
@@ -507,7 +517,7 @@ fn a_robot_without_a_finite_position_is_not_moved() {
         let limited = Config { limits: AxisLimits::uniform(10.0, 100.0), ..config(Mode::Mode0) };
         let mut rig = Rig::new(limited, &[0.0, number, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
         assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
-        let fault = rig.engine.fault().unwrap();
+        let fault = rig.fault();
         assert_eq!((fault.step, fault.cause, rig.moves), (Step::Position, Cause::NoValue, 0));
         // joints that it does not have may have any value
         let mut rig = Rig::new(limited, &[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, number, number]);
@@ -540,9 +550,7 @@ fn nan_bounds_are_refused() {
 
 #[test]
 fn a_stop_during_a_recovery_is_not_forgotten() {
-    let mut rig = Rig::new(config(Mode::Mode2), &[0.0; 8]);
-    rig.controller.script.push(("Motor", refused(HResult::from_u32(0x8350_106e))));
-    assert_eq!(rig.run(|_| None), Action::Faulted);
+    let mut rig = refused_start(config(Mode::Mode2), "Motor", HResult::from_u32(0x8350_106e));
     rig.engine.recover().unwrap();
     assert!(matches!(rig.engine.poll(rig.now), Action::Call(Step::SystemState, _)));
     rig.engine.stop();
@@ -564,18 +572,11 @@ fn a_stop_during_a_recovery_is_not_forgotten() {
 
 #[test]
 fn recovery_is_refused_after_an_emergency_stop() {
-    let mut rig = Rig::new(config(Mode::Mode2), &[0.0; 8]);
-    let mut count = 0;
-    let end = rig.run(|rig| {
-        count += 1;
-        if count == 20 {
-            rig.controller.system = 1 << 10;
-            rig.controller.fail(HResult::from_u32(0x8350_0001), "Emergency stop");
-        }
-        Some(joints(f64::from(count) * 0.01))
+    let mut rig = disturbed(config(Mode::Mode2), 20, |rig| {
+        rig.controller.system = 1 << 10;
+        rig.controller.fail(HResult::from_u32(0x8350_0001), "Emergency stop");
     });
-    assert_eq!(end, Action::Faulted);
-    assert_eq!(rig.engine.fault().unwrap().emergency_stop, Some(true));
+    assert_eq!(rig.fault().emergency_stop, Some(true));
     let (calls, done) = (rig.controller.log.len(), rig.path().len());
     assert_eq!(rig.engine.recover(), Err(RecoverError::EmergencyStop));
     rig.controller.system = 0;
@@ -590,14 +591,12 @@ fn recovery_is_refused_after_an_emergency_stop() {
 
 #[test]
 fn a_later_emergency_stop_prevents_a_recovery() {
-    let mut rig = Rig::new(config(Mode::Mode2), &[0.0; 8]);
-    rig.controller.script.push(("Motor", refused(HResult::from_u32(0x8350_106e))));
-    assert_eq!(rig.run(|_| None), Action::Faulted);
-    assert_eq!(rig.engine.fault().unwrap().code(), Some(HResult::from_u32(0x8350_106e)));
+    let mut rig = refused_start(config(Mode::Mode2), "Motor", HResult::from_u32(0x8350_106e));
+    assert_eq!(rig.fault().code(), Some(HResult::from_u32(0x8350_106e)));
     rig.controller.system = 1 << 10;
     rig.engine.recover().unwrap();
     assert_eq!(rig.run(|_| None), Action::Faulted);
-    assert_eq!(rig.engine.fault().unwrap().cause, Cause::EmergencyStop);
+    assert_eq!(rig.fault().cause, Cause::EmergencyStop);
     assert_eq!(rig.engine.recover(), Err(RecoverError::EmergencyStop));
     assert!(!rig.names().contains(&"ClearError"));
 }
@@ -613,10 +612,8 @@ fn each_refused_step_ends_the_start() {
         ("CurJnt", Step::Position),
         ("slvChangeMode", Step::Enter),
     ] {
-        let mut rig = Rig::new(config(Mode::Mode1), &[0.0; 8]);
-        rig.controller.script.push((command, refused(code)));
-        assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
-        let fault = rig.engine.fault().unwrap();
+        let rig = refused_start(config(Mode::Mode1), command, code);
+        let fault = rig.fault();
         assert_eq!((fault.step, fault.cause, fault.released), (step, Cause::Refused(code), Released::Yes));
         assert_eq!(rig.names().last(), Some(&"SysState"));
         assert_eq!(rig.moves, 0);
@@ -629,7 +626,7 @@ fn a_stream_of_another_client_is_left_alone() {
     let mut rig = Rig::new(Config { watch: Some(WATCH), ..config(Mode::Mode0) }, &[0.0; 8]);
     rig.controller.mode = 0x202;
     assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
-    let fault = rig.engine.fault().unwrap();
+    let fault = rig.fault();
     assert_eq!((fault.step, fault.cause), (Step::GetMode, Cause::Occupied(StreamState::Runs)));
     assert_eq!(
         (fault.to_string().as_str(), fault.released),
@@ -641,10 +638,8 @@ fn a_stream_of_another_client_is_left_alone() {
         (Action::Finished, ["slvGetMode"].to_vec(), 0x202)
     );
     // a controller that does not say it may have a stream; one without Slave Mode has none
-    let mut rig = Rig::new(config(Mode::Mode0), &[0.0; 8]);
-    rig.controller.script.push(("slvGetMode", refused(HResult::E_FAIL)));
-    assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
-    let fault = rig.engine.fault().unwrap();
+    let rig = refused_start(config(Mode::Mode0), "slvGetMode", HResult::E_FAIL);
+    let fault = rig.fault();
     assert_eq!(fault.cause, Cause::Occupied(StreamState::Unknown(HResult::E_FAIL)));
     assert!(fault.to_string().ends_with("so the stream of another client may run"), "{fault}");
     let mut rig = Rig::new(config(Mode::Mode0), &[0.0; 8]);
@@ -652,19 +647,10 @@ fn a_stream_of_another_client_is_left_alone() {
     assert_eq!(rig.run(trajectory(10)), Action::Finished);
 }
 
-/// The stream of another client begins between the question and a call of the start.
 /// A stream that has ended with an error of the controller.
 fn faulted(config: Config) -> Rig {
-    let mut rig = Rig::new(config, &[0.0; 8]);
-    let mut count = 0;
-    let end = rig.run(|rig| {
-        count += 1;
-        if count == 20 {
-            rig.controller.fail(HResult::from_u32(0x8350_0001), "an error");
-        }
-        Some(joints(f64::from(count) * 0.01))
-    });
-    assert_eq!(end, Action::Faulted);
+    let fail = |rig: &mut Rig| rig.controller.fail(HResult::from_u32(0x8350_0001), "an error");
+    let mut rig = disturbed(config, 20, fail);
     rig.controller.log.clear();
     rig
 }
@@ -700,12 +686,12 @@ fn a_refused_step_of_the_end_prevents_none_after_it() {
         ("GiveArm", Effects::default()),
     ] {
         let mut rig = faulted(config(Mode::Mode2));
-        let before = rig.engine.fault().unwrap().to_string();
+        let before = rig.fault().to_string();
         rig.controller.script.push((refuses, refused(HResult::E_FAIL)));
         rig.engine.stop();
         assert_eq!(rig.run(|_| None), Action::Faulted, "{refuses}");
         assert_eq!(rig.names(), ["Robot_Halt", "Motor", "GiveArm"]);
-        assert_eq!((rig.engine.fault().unwrap().to_string(), rig.engine.effects()), (before, left));
+        assert_eq!((rig.fault().to_string(), rig.engine.effects()), (before, left));
         // again, only the missing step
         rig.controller.log.clear();
         rig.engine.stop();
@@ -726,7 +712,7 @@ fn a_motor_that_stays_on_at_the_end_of_a_stream_is_a_fault() {
         pose
     });
     assert_eq!(end, Action::Faulted);
-    let fault = rig.engine.fault().unwrap();
+    let fault = rig.fault();
     assert_eq!((fault.step, fault.cause), (Step::MotorOff, Cause::Refused(HResult::E_FAIL)));
     assert!(rig.controller.motor && !rig.controller.arm);
     assert_eq!(rig.engine.effects(), Effects { motor: true, ..Effects::default() });
@@ -740,7 +726,7 @@ fn a_stream_that_begins_during_the_start_is_left_alone() {
         rig.controller.script.push(("slvGetMode", ok(&0)));
         rig.controller.script.push(("slvGetMode", ok(&0x102)));
         assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
-        let fault = rig.engine.fault().unwrap();
+        let fault = rig.fault();
         assert_eq!((fault.step, fault.released), (step, Released::No));
         assert_eq!(rig.names().last(), Some(&"slvGetMode"));
         rig.engine.stop();
@@ -767,13 +753,8 @@ fn an_arm_whose_taking_has_no_reply_is_given_back() {
 fn a_lost_connection_is_diagnosed_over_the_other_one() {
     let mut rig = Rig::new(Config { watch: Some(WATCH), ..config(Mode::Mode0) }, &[0.0; 8]);
     rig.failures.push((20, Failure::Lost));
-    let mut count = 0;
-    let end = rig.run(|_| {
-        count += 1;
-        Some(joints(f64::from(count) * 0.01))
-    });
-    assert_eq!(end, Action::Faulted);
-    let fault = rig.engine.fault().unwrap();
+    rig.fault_at(0, |_| {});
+    let fault = rig.fault();
     assert_eq!((fault.cause, fault.released), (Cause::Failed(Failure::Lost), Released::Yes));
     let after: Vec<_> = rig.controller.log.iter().skip_while(|(channel, _)| *channel == Channel::Motion).collect();
     assert!(after.iter().all(|(channel, _)| *channel == Channel::Watch));
@@ -789,7 +770,7 @@ fn without_a_connection_the_state_is_unknown() {
     let mut rig = Rig::new(config(Mode::Mode0), &[0.0; 8]);
     rig.failures.push((20, Failure::Lost));
     assert_eq!(rig.run(trajectory(100)), Action::Faulted);
-    let fault = rig.engine.fault().unwrap();
+    let fault = rig.fault();
     assert_eq!((fault.released, fault.emergency_stop, fault.code()), (Released::Unknown, None, None));
     assert_eq!(fault.to_string(), "slvMove: the connection is lost");
 }
@@ -799,7 +780,7 @@ fn a_call_without_a_reply_ends_slave_mode() {
     let mut rig = Rig::new(config(Mode::Mode1), &[0.0; 8]);
     rig.failures.push((20, Failure::Timeout));
     assert_eq!(rig.run(trajectory(100)), Action::Faulted);
-    let fault = rig.engine.fault().unwrap();
+    let fault = rig.fault();
     assert_eq!((fault.cause, fault.released), (Cause::Failed(Failure::Timeout), Released::Yes));
     assert_eq!(rig.controller.mode, 0);
     assert_eq!(rig.names()[7..9], ["slvGetMode", "slvChangeMode"]);
@@ -812,7 +793,7 @@ fn a_reply_of_another_format_ends_the_stream() {
     rig.controller.script.push(("slvMove", ok(&[0.0; 7])));
     assert_eq!(rig.run(trajectory(10)), Action::Faulted);
     let kind = MoveReplyErrorKind::Length { expected: 8, found: 7 };
-    assert_eq!(rig.engine.fault().unwrap().cause, Cause::Reply(MoveReplyError { part: ReplyPart::Pose, kind }));
+    assert_eq!(rig.fault().cause, Cause::Reply(MoveReplyError { part: ReplyPart::Pose, kind }));
     assert_eq!((rig.controller.mode, rig.moves), (0, 1));
 }
 
@@ -822,7 +803,7 @@ fn a_robot_that_is_not_at_the_start_is_not_moved() {
     let at = [10.0, 20.04, 30.5, 0.0, 0.0, 0.0, 1e-307, 3e-313];
     let mut rig = Rig::new(Config { start: Some(start), ..config(Mode::Mode0) }, &at);
     assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
-    let fault = rig.engine.fault().unwrap();
+    let fault = rig.fault();
     assert_eq!(fault.cause, Cause::NotAtStart { number: 3, actual: 30.5, expected: 30.0 });
     assert_eq!((rig.names().last(), rig.controller.mode), (Some(&"CurJnt"), 0));
     // within the tolerance, with any value of joints that the robot does not have
