@@ -16,6 +16,9 @@ pub enum Coverage {
 
 /// Checks a table against the sources below `src` and the await points at which functions were dropped.
 ///
+/// A name that ends with `*` stands for the functions that begin so and are not listed, except those that users of the crate can
+/// call.
+///
 /// # Errors
 ///
 /// Functions that are missing in the table, that are only in the table, and that no test has dropped.
@@ -24,13 +27,19 @@ pub fn check(
     table: &[(&'static str, Coverage)],
     points: &BTreeMap<&'static str, usize>,
 ) -> Result<(), String> {
-    let found: BTreeSet<String> = functions(src).into_iter().collect();
+    let found = functions(src);
     let listed: BTreeSet<&str> = table.iter().map(|(name, _)| *name).collect();
+    let stands_for = |entry: &str, (name, is_public): (&String, &bool)| match entry.strip_suffix('*') {
+        Some(start) => name.starts_with(start) && !is_public && !listed.contains(name.as_str()),
+        None => name == entry,
+    };
     let mut wrong = Vec::new();
+    let is_covered = |function: &(&String, &bool)| listed.iter().any(|entry| stands_for(entry, *function));
     wrong.extend(
-        found.iter().filter(|name| !listed.contains(name.as_str())).map(|name| format!("{name} is not covered")),
+        found.iter().filter(|function| !is_covered(function)).map(|(name, _)| format!("{name} is not covered")),
     );
-    wrong.extend(listed.iter().filter(|name| !found.contains(**name)).map(|name| format!("{name} does not exist")));
+    let exists = |entry: &&&str| found.iter().any(|function| stands_for(entry, function));
+    wrong.extend(listed.iter().filter(|entry| !exists(entry)).map(|name| format!("{name} does not exist")));
     for (name, coverage) in table {
         match coverage {
             Coverage::Swept(sweep) if points.get(sweep).is_none_or(|points| *points == 0) => {
@@ -44,10 +53,10 @@ pub fn check(
     if wrong.is_empty() { Ok(()) } else { Err(wrong.join("\n")) }
 }
 
-/// Returns the async functions below a folder, as `file.rs: Type::function`; functions of tests are left out.
-#[must_use]
-pub fn functions(src: &Path) -> Vec<String> {
-    let mut found = Vec::new();
+/// Returns the async functions below a folder, as `file.rs: Type::function`, and whether each is public; functions of tests are left
+/// out.
+fn functions(src: &Path) -> BTreeMap<String, bool> {
+    let mut found = BTreeMap::new();
     let mut folders = vec![src.to_path_buf()];
     while let Some(folder) = folders.pop() {
         for entry in std::fs::read_dir(&folder).expect("the sources are there") {
@@ -58,19 +67,20 @@ pub fn functions(src: &Path) -> Vec<String> {
                 Some(extension) if extension == "rs" && name != "tests.rs" => {
                     let text = std::fs::read_to_string(&path).expect("a source");
                     let file = path.strip_prefix(src).expect("it is below").display().to_string();
-                    found.extend(in_file(&text).into_iter().map(|name| format!("{file}: {name}")));
+                    found.extend(
+                        in_file(&text).into_iter().map(|(name, is_public)| (format!("{file}: {name}"), is_public)),
+                    );
                 }
                 _ => {}
             }
         }
     }
-    found.sort();
     found
 }
 
-/// Returns the async functions of a source, with the type or trait that they belong to.
-fn in_file(text: &str) -> Vec<String> {
-    let (mut found, mut owner, mut open) = (Vec::new(), String::new(), None::<(String, bool)>);
+/// Returns the async functions of a source, with the type or trait that they belong to, and whether each is public.
+fn in_file(text: &str) -> Vec<(String, bool)> {
+    let (mut found, mut owner, mut open) = (Vec::new(), String::new(), None::<(String, bool, bool)>);
     // in a macro, `$($async)?` becomes `async`; unit tests stand at the end of a file, or in a separate one
     let code = text.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default();
     for line in code.lines().filter(|line| !line.trim_start().starts_with("//")) {
@@ -86,13 +96,13 @@ fn in_file(text: &str) -> Vec<String> {
         {
             let name: String = after.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect();
             let name = if owner.is_empty() { name } else { format!("{owner}::{name}") };
-            open = Some((name, before.contains("async")));
+            open = Some((name, before.contains("async"), before.trim_start().starts_with("pub ")));
         }
-        let Some((name, is_async)) = &mut open else { continue };
+        let Some((name, is_async, is_public)) = &mut open else { continue };
         *is_async |= line.contains("-> impl Future");
         if line.ends_with('{') || line.ends_with(';') || line.ends_with('}') {
             if *is_async {
-                found.push(std::mem::take(name));
+                found.push((std::mem::take(name), *is_public));
             }
             open = None;
         }
@@ -140,6 +150,7 @@ mod tests {
             \n    }\n    fn d(work: impl Future<Output = ()>) {}\n}\n\
             impl<X> T for Two<'_, X> {\n    async fn send(&self) -> u8 {\n    }\n}\n\
             #[cfg(test)]\nmod tests {\n    async fn test() {}\n}\n";
-        assert_eq!(in_file(source), ["free", "T::b", "One::c", "Two::send"]);
+        let expected = [("free", true), ("T::b", false), ("One::c", false), ("Two::send", false)];
+        assert_eq!(in_file(source), expected.map(|(name, is_public)| (name.to_owned(), is_public)));
     }
 }
