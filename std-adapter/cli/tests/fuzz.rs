@@ -276,7 +276,7 @@ fn a_device_that_repeats_an_old_reply_does_not_keep_the_fuzzer() {
 fn the_time_to_find_each_planted_bug() {
     let mut found = 0;
     println!("{:<26} {:<12} {:>8} {:>8} {:>6}  finding", "bug", "kind", "session", "ms", "steps");
-    for bug in Bug::ALL {
+    for bug in Bug::ALL.iter().copied() {
         let began = Instant::now();
         let Some(finding) = first_finding(bug, &["--duration", "5min", "--timeout", "800"]) else {
             println!("{:<26} not found in {} s", format!("{bug:?}"), began.elapsed().as_secs());

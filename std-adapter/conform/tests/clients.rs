@@ -1,16 +1,18 @@
 //! Clients: our own pass, and every planted fault of a small client is caught by the case that is named with it.
 
-use std::io::{Read, Write};
-use std::net::{SocketAddr, TcpStream};
+use std::net::SocketAddr;
 use std::thread;
 use std::time::Duration;
 
 use bcap_conform::{ClientJudge, Link, Report, Verdict, client_cases};
-use bcap_core::bcap::{Decoder, FrameWriter, FunctionId as F, Progress};
+use bcap_core::bcap::FunctionId as F;
 use bcap_core::hresult::HResult;
-use bcap_core::variant::OwnedVariant;
 use bcap_std::blocking::Controller;
 use bcap_std::{Error, Settings};
+use bcap_testkit::frame::TestFrame;
+use bcap_testkit::judge::TCP;
+use bcap_testkit::value::Value;
+use bcap_testkit::wire::{Received, Wire};
 
 /// Judges what `client` does, in this number of sessions.
 fn judged(link: Link, sessions: usize, client: impl FnOnce(SocketAddr) + Send + 'static) -> Report {
@@ -77,10 +79,9 @@ fn there_are_cases_for_clients() {
 
 /// A small client with a fault.
 struct Small {
-    stream: TcpStream,
+    wire: Wire,
     serial: u16,
     fault: &'static str,
-    received: Vec<u8>,
 }
 
 impl Small {
@@ -88,59 +89,53 @@ impl Small {
         self.fault == fault
     }
 
-    fn send(&mut self, function: F, args: &[OwnedVariant]) -> u16 {
-        let is_read = function == F::VARIABLE_GET_VALUE;
-        let mut buffer = [0; 512];
-        let mut frame = FrameWriter::new(&mut buffer).unwrap();
-        args.iter().for_each(|value| frame.argument(&value.as_variant()).unwrap());
+    fn send(&mut self, function: F, args: &[Value]) -> u16 {
         let serial = self.serial;
         let reserved = if self.is("reserved-0") { serial } else { 0 };
-        let mut bytes = frame.finish(serial, reserved, function.0).unwrap().to_vec();
-        if self.is("valid-frames") && is_read {
+        let frame = TestFrame { serial, reserved, code: function.0, args: args.to_vec() };
+        let mut bytes = frame.to_wire(false);
+        if self.is("valid-frames") && function == F::VARIABLE_GET_VALUE {
             *bytes.last_mut().unwrap() = 9;
         }
         if !self.is("serials-ascend") {
             self.serial = serial.wrapping_add(1);
         }
-        self.stream.write_all(&bytes).unwrap();
+        self.wire.send(&bytes).unwrap();
         serial
     }
 
     /// Receives a reply; `None` when the client gives up.
-    fn reply(&mut self, serial: u16) -> Option<(HResult, Option<OwnedVariant>)> {
+    fn reply(&mut self, serial: u16) -> Option<(HResult, Option<Value>)> {
+        // this fault is that a part of a reply is taken for all of it
+        let limit = Duration::from_millis(if self.is("reply-in-pieces") { 1 } else { 5000 });
         loop {
-            if let Ok(Progress::Complete(frame, used)) = Decoder::TCP.decode(&self.received) {
-                let value = frame.value().map(|value| OwnedVariant::new(&value).unwrap());
-                let (found, code) = (frame.serial, frame.hresult());
-                self.received.drain(..used);
-                let takes_serial = found == serial || self.is("other-serial-ignored");
-                let takes_code = code != HResult::S_EXECUTING || self.is("waits-while-executing");
-                if takes_serial && takes_code {
-                    return Some((code, value));
-                }
-                continue;
+            let bytes = match self.wire.receive(limit) {
+                Received::Packet(bytes) => bytes,
+                Received::Silence if self.is("reply-in-pieces") => continue,
+                Received::Silence | Received::Closed => return None,
+            };
+            let reply = TCP.decode_packet(&bytes)?;
+            let code = HResult(reply.code);
+            let takes_serial = reply.serial == serial || self.is("other-serial-ignored");
+            let takes_code = code != HResult::S_EXECUTING || self.is("waits-while-executing");
+            if takes_serial && takes_code {
+                return Some((code, reply.args.into_iter().next()));
             }
-            if self.is("reply-in-pieces") && !self.received.is_empty() {
-                return None;
-            }
-            let mut buffer = [0; 512];
-            let count = self.stream.read(&mut buffer).ok().filter(|count| *count > 0)?;
-            self.received.extend_from_slice(&buffer[..count]);
         }
     }
 
-    fn call(&mut self, function: F, args: &[OwnedVariant]) -> Option<OwnedVariant> {
+    fn call(&mut self, function: F, args: &[Value]) -> Option<Value> {
         let serial = self.send(function, args);
         let (code, value) = self.reply(serial)?;
         if self.is("refusal-survived") && code == HResult::E_FAIL {
             return None;
         }
-        Some(value.unwrap_or_default())
+        Some(value.unwrap_or(Value::Empty))
     }
 
     /// A session with one variable; `None` when the client gives up.
     fn session(&mut self) -> Option<()> {
-        let text = |text: &str| OwnedVariant::new(text).unwrap();
+        let text = Value::text;
         if !self.is("start-first") {
             let option = if self.is("wdt-option") { "WDT=10" } else { "WDT=400" };
             self.call(F::SERVICE_START, &[text(option)])?;
@@ -150,7 +145,7 @@ impl Small {
             connect.pop();
         }
         if self.is("argument-types") {
-            connect[0] = OwnedVariant::new(&1.5_f64).unwrap();
+            connect[0] = Value::R8(1.5_f64.to_bits());
         }
         let controller = self.call(F::CONTROLLER_CONNECT, &connect)?;
         let variable = self.call(F::CONTROLLER_GET_VARIABLE, &[controller.clone(), text("I1"), text("")])?;
@@ -160,8 +155,8 @@ impl Small {
         for _ in 0..10 {
             let handle = match self.fault {
                 "handles-of-the-kind" => controller.clone(),
-                "handles-are-i4" => OwnedVariant::new(&2.0_f64).unwrap(),
-                "handles-are-open" => OwnedVariant::new(&4711).unwrap(),
+                "handles-are-i4" => Value::R8(2.0_f64.to_bits()),
+                "handles-are-open" => Value::I4(4711),
                 _ => variable.clone(),
             };
             if self.is("one-at-a-time") {
@@ -189,10 +184,9 @@ impl Small {
 /// Runs the small client with a fault.
 fn small(fault: &'static str) -> Report {
     judged(Link::Tcp, 1, move |address| {
-        let stream = TcpStream::connect(address).unwrap();
-        stream.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
+        let wire = Wire::connect(Link::Tcp, address, Duration::from_secs(5)).unwrap();
         let serial = if fault == "serial-not-0" { 0 } else { 1 };
-        let _ = Small { stream, serial, fault, received: Vec::new() }.session();
+        let _ = Small { wire, serial, fault }.session();
     })
 }
 

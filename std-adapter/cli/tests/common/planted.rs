@@ -18,101 +18,50 @@ use bcap_testkit::judge::TCP;
 use bcap_testkit::oracle::Verdict;
 use bcap_testkit::value::{ARRAY, Value};
 
-/// The fault of the device; [`Bug::None`] is a device without one.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Bug {
-    None,
+/// Makes the enum of faults, and the list of those that are bugs.
+macro_rules! bugs {
+    ($($bug:ident)+; $($(#[$what:meta])* $other:ident)+) => {
+        /// The fault of the device; [`Bug::None`] is a device without one.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub(crate) enum Bug {
+            None,
+            $($bug,)+
+            $($(#[$what])* $other,)+
+        }
+
+        impl Bug {
+            /// All bugs.
+            pub(crate) const ALL: &[Self] = &[$(Self::$bug),+];
+        }
+    };
+}
+
+bugs! {
     // malformed frames
-    LengthBelowHeaderCrashes,
-    HugeLengthCrashes,
-    ArgumentCountCrashes,
-    ArrayCountCrashes,
-    NestingCrashes,
-    OddStringHangs,
-    WrongEndIsIgnored,
+    LengthBelowHeaderCrashes HugeLengthCrashes ArgumentCountCrashes ArrayCountCrashes NestingCrashes OddStringHangs
+    WrongEndIsIgnored
     // valid frames
-    LongStringCrashes,
-    SurrogateResets,
-    UnknownFunctionResets,
-    UnknownFunctionSucceeds,
-    MissingArgumentSucceeds,
-    ExtraArgumentHangs,
-    ForeignHandleCrashes,
-    InvalidHandleHangs,
+    LongStringCrashes SurrogateResets UnknownFunctionResets UnknownFunctionSucceeds MissingArgumentSucceeds
+    ExtraArgumentHangs ForeignHandleCrashes InvalidHandleHangs
     // delivery
-    SplitHeaderHangs,
-    JoinedRequestHangs,
-    RetryIsAnsweredTwice,
+    SplitHeaderHangs JoinedRequestHangs RetryIsAnsweredTwice
     // replies
-    SerialIsCut,
-    LengthIsOffByOne,
-    NameIsNumber,
-    TwoValues,
-    NoValue,
-    ExecutingForever,
+    SerialIsCut LengthIsOffByOne NameIsNumber TwoValues NoValue ExecutingForever
     // handles
-    HandleLivesOn,
-    NegativeHandleIsValid,
-    ReleaseLeaks,
-    DisconnectLeaks,
+    HandleLivesOn NegativeHandleIsValid ReleaseLeaks DisconnectLeaks
     // RAC
-    LongLineCrashes,
-    IndexResets,
-    DoubleIsSingle,
+    LongLineCrashes IndexResets DoubleIsSingle
     // UDP
-    LongDatagramCrashes,
-    CutDatagramHangs,
-    RetransmissionIsExecuted,
-    OldReplyRepeats,
-    // no bugs
+    LongDatagramCrashes CutDatagramHangs RetransmissionIsExecuted OldReplyRepeats;
     /// The network loses first attempts, and the device drops a repeated serial number.
-    LosesDatagrams,
+    LosesDatagrams
     /// Controller_Execute over UDP takes longer than any time limit.
-    SlowExecute,
+    SlowExecute
     /// RAC has one slot, which is mostly taken.
-    BusyRac,
+    BusyRac
 }
 
 impl Bug {
-    /// All bugs.
-    pub(crate) const ALL: [Self; 35] = [
-        Self::LengthBelowHeaderCrashes,
-        Self::HugeLengthCrashes,
-        Self::ArgumentCountCrashes,
-        Self::ArrayCountCrashes,
-        Self::NestingCrashes,
-        Self::OddStringHangs,
-        Self::WrongEndIsIgnored,
-        Self::LongStringCrashes,
-        Self::SurrogateResets,
-        Self::UnknownFunctionResets,
-        Self::UnknownFunctionSucceeds,
-        Self::MissingArgumentSucceeds,
-        Self::ExtraArgumentHangs,
-        Self::ForeignHandleCrashes,
-        Self::InvalidHandleHangs,
-        Self::SplitHeaderHangs,
-        Self::JoinedRequestHangs,
-        Self::RetryIsAnsweredTwice,
-        Self::SerialIsCut,
-        Self::LengthIsOffByOne,
-        Self::NameIsNumber,
-        Self::TwoValues,
-        Self::NoValue,
-        Self::ExecutingForever,
-        Self::HandleLivesOn,
-        Self::NegativeHandleIsValid,
-        Self::ReleaseLeaks,
-        Self::DisconnectLeaks,
-        Self::LongLineCrashes,
-        Self::IndexResets,
-        Self::DoubleIsSingle,
-        Self::LongDatagramCrashes,
-        Self::CutDatagramHangs,
-        Self::RetransmissionIsExecuted,
-        Self::OldReplyRepeats,
-    ];
-
     /// Returns whether only datagrams show it.
     pub(crate) const fn is_of_datagrams(self) -> bool {
         matches!(
