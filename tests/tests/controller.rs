@@ -9,8 +9,7 @@ use std::time::Duration;
 use bcap_core::bcap::{FunctionId, call};
 use bcap_core::hresult::HResult;
 use bcap_core::procedure::Motion;
-use bcap_core::rac::{Variable, VariableKind};
-use bcap_core::variant::{OwnedVariant, Variant};
+use bcap_core::variant::OwnedVariant;
 use bcap_sim::codes::{EMERGENCY_STOP, WRONG_ARGUMENT};
 use bcap_sim::memory::Network;
 use bcap_sim::{Config, Controller as Simulated, Profile, Scenario};
@@ -22,10 +21,6 @@ use bcap_std::{
 use bcap_testkit::network::Random;
 use bcap_tests::served::Served;
 use bcap_tests::simulated::{Outcomes, simulated, to, turn};
-
-#[path = "../../std-adapter/examples/device_server.rs"]
-#[expect(dead_code, reason = "an example has a main function")]
-mod device_server;
 
 const LIMIT: Duration = Duration::from_secs(30);
 
@@ -559,19 +554,6 @@ fn in_memory_a_motion_of_many_seconds_takes_no_time_and_can_be_halted() {
     drop((cell, stopper));
     let controller = network.controller();
     assert_eq!((controller.arm_owner(), controller.motor_is_on(), controller.open_objects()), (None, false, 0));
-}
-
-#[test]
-fn a_device_of_a_table_is_a_controller() {
-    let served = Served::of(device_server::device(), Limits::default());
-    let mut cell = Controller::connect(&format!("tcp:{}", served.tcp), &Settings::rc9()).unwrap();
-    assert_eq!(cell.read::<i32>("I1").unwrap(), 0);
-    cell.write("F1", 0.5_f32).unwrap();
-    let refused = cell.write("I1", 1).unwrap_err();
-    assert_eq!(refused.code(), Some(HResult::E_ACCESSDENIED));
-    let mut rac = bcap_std::blocking::connect_rac(served.rac, &Default::default()).unwrap();
-    assert_eq!(rac.get(Variable::new(VariableKind::F, 1)).unwrap(), Variant::R4(0.5));
-    cell.close().unwrap();
 }
 
 #[test]

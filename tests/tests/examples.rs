@@ -1,11 +1,16 @@
-//! The examples of bcap-std against the virtual controller. The example of a device is in `controller.rs`.
+//! The examples of bcap-std against the virtual controller.
 
 use std::net::Ipv4Addr;
 use std::time::Duration;
 
+use bcap_core::hresult::HResult;
 use bcap_core::rac::{Variable, VariableKind};
 use bcap_core::variant::Variant;
+use bcap_std::Settings;
+use bcap_std::blocking::Controller;
+use bcap_std::server::Limits;
 use bcap_tests::real_time::repeated;
+use bcap_tests::served::Served;
 use bcap_tests::simulated::simulated;
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
@@ -19,6 +24,7 @@ macro_rules! examples {
 }
 
 examples! {
+    device_server "../../std-adapter/examples/device_server.rs";
     gateway "../../std-adapter/examples/gateway.rs";
     move_and_stop "../../std-adapter/examples/move_and_stop.rs";
     read_write "../../std-adapter/examples/read_write.rs";
@@ -107,4 +113,17 @@ async fn gateway_runs() {
     assert!(rac.put(Variable::new(VariableKind::I, 100), Variant::I4(7)).await.is_err(), "no rule permits it");
     drop(end);
     gateway.await.unwrap().unwrap();
+}
+
+#[test]
+fn a_device_of_a_table_is_a_controller() {
+    let served = Served::of(device_server::device(), Limits::default());
+    let mut cell = Controller::connect(&format!("tcp:{}", served.tcp), &Settings::rc9()).unwrap();
+    assert_eq!(cell.read::<i32>("I1").unwrap(), 0);
+    cell.write("F1", 0.5_f32).unwrap();
+    let refused = cell.write("I1", 1).unwrap_err();
+    assert_eq!(refused.code(), Some(HResult::E_ACCESSDENIED));
+    let mut rac = bcap_std::blocking::connect_rac(served.rac, &Default::default()).unwrap();
+    assert_eq!(rac.get(Variable::new(VariableKind::F, 1)).unwrap(), Variant::R4(0.5));
+    cell.close().unwrap();
 }
