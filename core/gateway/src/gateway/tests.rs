@@ -169,23 +169,32 @@ fn reply(serial: u16, code: HResult, value: Option<&Owned>) -> Vec<u8> {
 }
 
 /// A gateway, its robot, and the time.
-struct Bench<'m> {
-    gateway: Gateway<'m>,
+struct Bench<'c> {
+    gateway: Gateway<'c>,
     robot: Robot,
     now: Instant,
 }
 
-impl<'m> Bench<'m> {
-    fn new<const S: usize, const H: usize>(config: Config<'m>, memory: &'m mut Memory<S, H>) -> Self {
+impl<'c> Bench<'c> {
+    /// A gateway with S slots and H handles, whose memory lasts as long as the process.
+    fn new<const S: usize, const H: usize>(config: Config<'c>) -> Self {
+        let memory = Box::leak(Box::new(Memory::<S, H>::new()));
         Self { gateway: Gateway::new(config, memory), robot: Robot::default(), now: at(0) }
     }
 
-    /// A gateway with a session.
-    fn up<const S: usize, const H: usize>(config: Config<'m>, memory: &'m mut Memory<S, H>) -> Self {
-        let mut bench = Self::new(config, memory);
+    /// The same with a session.
+    fn up<const S: usize, const H: usize>(config: Config<'c>) -> Self {
+        let mut bench = Self::new::<S, H>(config);
         assert_eq!(bench.connect(), [Event::RobotUp]);
         bench.robot.calls();
         bench
+    }
+
+    /// The same with a session and a client.
+    fn with_client<const S: usize, const H: usize>(config: Config<'c>) -> (Self, PeerId) {
+        let mut bench = Self::up::<S, H>(config);
+        let plc = bench.gateway.open().unwrap();
+        (bench, plc)
     }
 
     fn connect(&mut self) -> Vec<Event> {
@@ -288,9 +297,8 @@ const WRITABLE: Config<'static> =
 
 #[test]
 fn a_session_begins_as_configured_and_reads_with_one_handle() {
-    let mut memory = Memory::<2, 4>::new();
     let config = Config { name: "plc", machine: "10.0.0.1", option: "@IfNotMember", ..Config::RC9 };
-    let mut bench = Bench::new(config, &mut memory);
+    let mut bench = Bench::new::<2, 4>(config);
     assert_eq!(bench.connect(), [Event::RobotUp]);
     assert!(bench.gateway.is_up());
     assert_eq!(
@@ -313,9 +321,7 @@ fn a_session_begins_as_configured_and_reads_with_one_handle() {
 
 #[test]
 fn all_kinds_are_read_and_written() {
-    let mut memory = Memory::<1, 4>::new();
-    let mut bench = Bench::up(WRITABLE, &mut memory);
-    let plc = bench.gateway.open().unwrap();
+    let (mut bench, plc) = Bench::with_client::<1, 4>(WRITABLE);
     for (part, name, value) in [
         ("4294967295:I", "I4294967295", "3,-5"),
         ("2:F", "F2", "4,1.5"),
@@ -337,10 +343,8 @@ fn all_kinds_are_read_and_written() {
 
 #[test]
 fn values_are_converted_if_that_is_lossless() {
-    let mut memory = Memory::<1, 8>::new();
     let config = Config { rules: Rules { convert: true, ..WRITABLE.rules }, ..WRITABLE };
-    let mut bench = Bench::up(config, &mut memory);
-    let plc = bench.gateway.open().unwrap();
+    let (mut bench, plc) = Bench::with_client::<1, 8>(config);
     assert_eq!(bench.ask(plc, "PUT:RC8:1:F:3,5\r"), "0\r");
     assert_eq!(bench.robot.value("F1"), Variant::R4(5.0));
     assert_eq!(bench.ask(plc, "PUT:RC8:1:V:8197,1,2.5,3\r"), "0\r");
@@ -357,18 +361,14 @@ fn values_are_converted_if_that_is_lossless() {
 
 #[test]
 fn another_type_is_refused_by_default_without_a_call() {
-    let mut memory = Memory::<1, 8>::new();
-    let mut bench = Bench::up(WRITABLE, &mut memory);
-    let plc = bench.gateway.open().unwrap();
+    let (mut bench, plc) = Bench::with_client::<1, 8>(WRITABLE);
     assert_eq!(bench.ask(plc, "PUT:RC8:1:F:3,5\r"), line(HResult::E_INVALIDARGTYPE));
     assert_eq!(bench.robot.calls(), Vec::<String>::new());
 }
 
 #[test]
 fn refusals_are_reported_with_their_line_and_the_session_continues() {
-    let mut memory = Memory::<1, 8>::new();
-    let mut bench = Bench::up(Config::RC8, &mut memory);
-    let plc = bench.gateway.open().unwrap();
+    let (mut bench, plc) = Bench::with_client::<1, 8>(Config::RC8);
     bench.robot.set("I1", &1_i32);
     let long = format!("GET:RC8:1:I:{}\r", " ".repeat(300));
     for (text, result) in [
@@ -401,9 +401,7 @@ fn refusals_are_reported_with_their_line_and_the_session_continues() {
 
 #[test]
 fn results_of_the_robot_are_passed_on() {
-    let mut memory = Memory::<1, 8>::new();
-    let mut bench = Bench::up(WRITABLE, &mut memory);
-    let plc = bench.gateway.open().unwrap();
+    let (mut bench, plc) = Bench::with_client::<1, 8>(WRITABLE);
     assert_eq!(bench.ask(plc, "GET:RC8:1:I:\r"), line(HResult::DISP_E_BADINDEX));
     bench.robot.script(FunctionId::CONTROLLER_GET_VARIABLE, Do::Reply(HResult::E_CAO_OBJECT_NOTFOUND, None));
     bench.send(plc, "GET:RC8:2:I:\r");
@@ -420,9 +418,7 @@ fn results_of_the_robot_are_passed_on() {
 
 #[test]
 fn the_least_recently_used_handle_is_released() {
-    let mut memory = Memory::<1, 2>::new();
-    let mut bench = Bench::up(Config::RC8, &mut memory);
-    let plc = bench.gateway.open().unwrap();
+    let (mut bench, plc) = Bench::with_client::<1, 2>(Config::RC8);
     for index in 1..=3 {
         bench.robot.set(&format!("I{index}"), &index);
     }
@@ -439,9 +435,7 @@ fn the_least_recently_used_handle_is_released() {
 
 #[test]
 fn an_invalid_handle_is_replaced_once() {
-    let mut memory = Memory::<1, 2>::new();
-    let mut bench = Bench::up(WRITABLE, &mut memory);
-    let plc = bench.gateway.open().unwrap();
+    let (mut bench, plc) = Bench::with_client::<1, 2>(WRITABLE);
     assert_eq!(bench.ask(plc, "PUT:RC8:1:I:3,1\r"), "0\r");
     bench.robot.handles.clear();
     assert_eq!(bench.ask(plc, "PUT:RC8:1:I:3,2\r"), "0\r");
@@ -456,8 +450,7 @@ fn an_invalid_handle_is_replaced_once() {
 
 #[test]
 fn without_a_robot_the_reply_is_immediate() {
-    let mut memory = Memory::<2, 2>::new();
-    let mut bench = Bench::new(WRITABLE, &mut memory);
+    let mut bench = Bench::new::<2, 2>(WRITABLE);
     let plc = bench.gateway.open().unwrap();
     let not_connected = line(HResult::E_NOT_CONNECTED);
     assert_eq!(bench.ask(plc, "GET:RC8:1:I:\r"), not_connected);
@@ -482,8 +475,7 @@ fn without_a_robot_the_reply_is_immediate() {
 
 #[test]
 fn pauses_double_while_the_robot_refuses_and_a_session_resets_them() {
-    let mut memory = Memory::<1, 2>::new();
-    let mut bench = Bench::new(Config::RC8, &mut memory);
+    let mut bench = Bench::new::<1, 2>(Config::RC8);
     let refused = |function, pause| {
         let error = RobotError::Refused { function, result: HResult::E_CAO_PROV_INVALID };
         Event::RobotDown { error, pause: Duration::from_millis(pause) }
@@ -512,8 +504,7 @@ fn pauses_double_while_the_robot_refuses_and_a_session_resets_them() {
 
 #[test]
 fn when_the_robot_disconnects_every_request_is_answered_and_handles_are_removed() {
-    let mut memory = Memory::<3, 4>::new();
-    let mut bench = Bench::up(WRITABLE, &mut memory);
+    let mut bench = Bench::up::<3, 4>(WRITABLE);
     let plcs = [(); 3].map(|()| bench.gateway.open().unwrap());
     bench.robot.set("I1", &11_i32);
     assert_eq!(bench.ask(plcs[0], "GET:RC8:1:I:\r"), "0,3,11\r");
@@ -539,8 +530,7 @@ fn when_the_robot_disconnects_every_request_is_answered_and_handles_are_removed(
 
 #[test]
 fn a_robot_that_stops_responding_ends_the_connection_and_the_request_in_flight() {
-    let mut memory = Memory::<2, 4>::new();
-    let mut bench = Bench::up(WRITABLE, &mut memory);
+    let mut bench = Bench::up::<2, 4>(WRITABLE);
     let [first, second] = [(); 2].map(|()| bench.gateway.open().unwrap());
     bench.robot.script(FunctionId::CONTROLLER_GET_VARIABLE, Do::Nothing);
     bench.send(first, "PUT:RC8:1:I:3,1\r");
@@ -561,9 +551,7 @@ fn a_robot_that_stops_responding_ends_the_connection_and_the_request_in_flight()
 
 #[test]
 fn invalid_bytes_end_the_connection() {
-    let mut memory = Memory::<1, 4>::new();
-    let mut bench = Bench::up(Config::RC8, &mut memory);
-    let plc = bench.gateway.open().unwrap();
+    let (mut bench, plc) = Bench::with_client::<1, 4>(Config::RC8);
     bench.robot.script(FunctionId::CONTROLLER_GET_VARIABLE, Do::Nothing);
     bench.send(plc, "GET:RC8:2:I:\r");
     bench.settle();
@@ -582,10 +570,8 @@ fn invalid_bytes_end_the_connection() {
 
 #[test]
 fn the_reply_to_a_request_that_timed_out_does_not_answer_the_next() {
-    let mut memory = Memory::<1, 4>::new();
     let config = Config { request_timeout: Duration::from_secs(1), ..WRITABLE };
-    let mut bench = Bench::up(config, &mut memory);
-    let plc = bench.gateway.open().unwrap();
+    let (mut bench, plc) = Bench::with_client::<1, 4>(config);
     bench.robot.set("I1", &1_i32);
     bench.robot.set("I2", &2_i32);
     bench.ask(plc, "GET:RC8:1:I:\r");
@@ -618,8 +604,7 @@ fn the_reply_to_a_request_that_timed_out_does_not_answer_the_next() {
 
 #[test]
 fn a_new_client_does_not_get_the_reply_of_the_former_client_of_its_slot() {
-    let mut memory = Memory::<1, 4>::new();
-    let mut bench = Bench::up(Config::RC8, &mut memory);
+    let mut bench = Bench::up::<1, 4>(Config::RC8);
     let gone = bench.gateway.open().unwrap();
     assert_eq!(bench.gateway.open(), None, "there is one slot");
     bench.robot.set("I2", &2_i32);
@@ -645,8 +630,7 @@ fn a_new_client_does_not_get_the_reply_of_the_former_client_of_its_slot() {
 
 #[test]
 fn requests_are_served_in_the_order_of_arrival() {
-    let mut memory = Memory::<3, 8>::new();
-    let mut bench = Bench::up(Config::RC8, &mut memory);
+    let mut bench = Bench::up::<3, 8>(Config::RC8);
     let plcs = [(); 3].map(|()| bench.gateway.open().unwrap());
     bench.robot.script(FunctionId::CONTROLLER_GET_VARIABLE, Do::Nothing);
     for (plc, index) in [(plcs[2], 12), (plcs[0], 10), (plcs[1], 11)] {
@@ -659,9 +643,7 @@ fn requests_are_served_in_the_order_of_arrival() {
 
 #[test]
 fn lines_without_a_pause_are_answered_in_order() {
-    let mut memory = Memory::<1, 8>::new();
-    let mut bench = Bench::up(WRITABLE, &mut memory);
-    let plc = bench.gateway.open().unwrap();
+    let (mut bench, plc) = Bench::with_client::<1, 8>(WRITABLE);
     bench.send(plc, "PUT:RC8:1:I:3,7\rGET:RC8:1:I:\rNONSENSE\rGET:RC8:1:I:\r");
     let mut answers = Vec::new();
     for _ in 0..4 {
@@ -673,9 +655,7 @@ fn lines_without_a_pause_are_answered_in_order() {
 
 #[test]
 fn a_value_that_does_not_fit_a_line_is_an_error() {
-    let mut memory = Memory::<1, 8>::new();
-    let mut bench = Bench::up(WRITABLE, &mut memory);
-    let plc = bench.gateway.open().unwrap();
+    let (mut bench, plc) = Bench::with_client::<1, 8>(WRITABLE);
     for (length, fits) in [(251, true), (252, false), (300, false), (500, false), (10_000, false)] {
         let text = "x".repeat(length);
         let mut big = Vec::new();
@@ -700,8 +680,7 @@ fn a_value_that_does_not_fit_a_line_is_an_error() {
 
 #[test]
 fn the_heartbeat_detects_a_robot_that_does_not_respond() {
-    let mut memory = Memory::<1, 8>::new();
-    let mut bench = Bench::up(Config::RC8, &mut memory);
+    let mut bench = Bench::up::<1, 8>(Config::RC8);
     assert_eq!(bench.gateway.poll_timeout(), Some(at(2000)));
     assert_eq!(bench.sleep(2000), []);
     assert_eq!(bench.robot.calls(), [MODE]);
@@ -716,8 +695,7 @@ fn the_heartbeat_detects_a_robot_that_does_not_respond() {
 
 #[test]
 fn a_put_is_refused_while_a_stream_runs_or_may_run() {
-    let mut memory = Memory::<1, 8>::new();
-    let mut bench = Bench::up(WRITABLE, &mut memory);
+    let mut bench = Bench::up::<1, 8>(WRITABLE);
     bench.robot.set("I1", &11_i32);
     let plc = bench.gateway.open().unwrap();
     bench.robot.mode = 0x202;
@@ -742,9 +720,7 @@ fn a_put_is_refused_while_a_stream_runs_or_may_run() {
 
 #[test]
 fn a_robot_without_slave_mode_is_asked_once() {
-    let mut memory = Memory::<1, 8>::new();
-    let mut bench = Bench::up(WRITABLE, &mut memory);
-    let plc = bench.gateway.open().unwrap();
+    let (mut bench, plc) = Bench::with_client::<1, 8>(WRITABLE);
     bench.robot.script(FunctionId::ROBOT_EXECUTE, Do::Reply(HResult::E_NO_LICENSE, None));
     assert_eq!(bench.ask(plc, "PUT:RC8:1:I:3,5\r"), "0\r");
     assert_eq!(bench.ask(plc, "PUT:RC8:1:I:3,6\r"), "0\r");
@@ -756,8 +732,7 @@ fn a_robot_without_slave_mode_is_asked_once() {
 
 #[test]
 fn without_the_robot_object_nothing_is_written() {
-    let mut memory = Memory::<1, 8>::new();
-    let mut bench = Bench::new(WRITABLE, &mut memory);
+    let mut bench = Bench::new::<1, 8>(WRITABLE);
     bench.robot.mode = 0x202;
     bench.robot.script.push_back((FunctionId::CONTROLLER_GET_ROBOT, Do::Reply(HResult::E_FAIL, None)));
     assert_eq!(bench.connect(), [Event::RobotUp]);
@@ -776,10 +751,9 @@ fn without_the_robot_object_nothing_is_written() {
 
 #[test]
 fn each_slot_has_a_token_bucket() {
-    let mut memory = Memory::<1, 8>::new();
     let rate = Rate { per_second: 1, burst: 2 };
     let config = Config { rules: Rules { rate, ..Rules::READ_ONLY }, ..Config::RC8 };
-    let mut bench = Bench::up(config, &mut memory);
+    let mut bench = Bench::up::<1, 8>(config);
     bench.robot.set("I1", &1_i32);
     for _ in 0..2 {
         let plc = bench.gateway.open().unwrap();
@@ -794,9 +768,7 @@ fn each_slot_has_a_token_bucket() {
 
 #[test]
 fn times_are_counted_from_the_line_to_the_reply() {
-    let mut memory = Memory::<1, 8>::new();
-    let mut bench = Bench::up(Config::RC8, &mut memory);
-    let plc = bench.gateway.open().unwrap();
+    let (mut bench, plc) = Bench::with_client::<1, 8>(Config::RC8);
     bench.robot.script(FunctionId::CONTROLLER_GET_VARIABLE, Do::Nothing);
     bench.send(plc, "GET:RC8:1:I:\r");
     bench.settle();
@@ -828,8 +800,7 @@ impl Dice {
 fn no_request_gets_the_reply_of_another() {
     for seed in 0..8 {
         let mut dice = Dice(seed);
-        let mut memory = Memory::<4, 3>::new();
-        let mut bench = Bench::new(Config { request_timeout: Duration::from_secs(4), ..WRITABLE }, &mut memory);
+        let mut bench = Bench::new::<4, 3>(Config { request_timeout: Duration::from_secs(4), ..WRITABLE });
         // a client, the reply it expects, and the time of its request
         let mut clients: Vec<(PeerId, Option<(String, Instant)>)> = Vec::new();
         let (mut answered, mut number) = (0, 0);
