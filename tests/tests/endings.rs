@@ -88,13 +88,13 @@ fn a_program_that_fails_during_a_motion_leaves_nothing() {
 #[test]
 fn a_program_that_only_reads_stops_no_other_client() {
     let sim = simulated();
-    let mut other = blocking::Controller::connect(&format!("tcp:{}", sim.tcp), &settings()).unwrap();
+    let mut other = blocking::Controller::connect(&sim.address(), &settings()).unwrap();
     let mut arm = other.robot().unwrap().take_arm().unwrap();
     arm.motor_on().unwrap();
     let moving = arm.start(&far(), LIMIT).unwrap();
     for runtime in runtimes() {
         let cell = runtime.block_on(async {
-            let cell = asynch::Controller::connect(&format!("tcp:{}", sim.tcp), &settings()).await.unwrap();
+            let cell = asynch::Controller::connect(&sim.address(), &settings()).await.unwrap();
             cell.robot().await.unwrap().joints().await.unwrap();
             cell
         });
@@ -112,14 +112,14 @@ fn a_program_may_leave_the_robot_as_it_is() {
     let [runtime, _] = runtimes();
     runtime.block_on(async {
         let settings = settings().keep(true);
-        let cell = asynch::Controller::connect(&format!("tcp:{}", sim.tcp), &settings).await.unwrap();
+        let cell = asynch::Controller::connect(&sim.address(), &settings).await.unwrap();
         let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
         arm.motor_on().await.unwrap();
     });
     drop(runtime);
     assert!(sim.application().motor_is_on());
     let settings = settings().keep(true);
-    let mut cell = blocking::Controller::connect(&format!("tcp:{}", sim.tcp), &settings).unwrap();
+    let mut cell = blocking::Controller::connect(&sim.address(), &settings).unwrap();
     sim.until(|controller| controller.arm_owner().is_none());
     drop(cell.robot().unwrap().take_arm().unwrap());
     drop(cell);
@@ -143,7 +143,7 @@ fn a_panic_in_a_trajectory_leaves_nothing() {
             let sim = simulated();
             let ended = std::panic::catch_unwind(AssertUnwindSafe(|| {
                 runtime.block_on(async {
-                    let cell = asynch::Controller::connect(&format!("tcp:{}", sim.tcp), &settings()).await.unwrap();
+                    let cell = asynch::Controller::connect(&sim.address(), &settings()).await.unwrap();
                     let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
                     arm.motor_on().await.unwrap();
                     arm.stream(format, limits, panics_at(cycle)).await.unwrap();
@@ -156,7 +156,7 @@ fn a_panic_in_a_trajectory_leaves_nothing() {
         }
         let sim = simulated();
         let ended = std::panic::catch_unwind(AssertUnwindSafe(|| {
-            let mut cell = blocking::Controller::connect(&format!("tcp:{}", sim.tcp), &settings()).unwrap();
+            let mut cell = blocking::Controller::connect(&sim.address(), &settings()).unwrap();
             let mut arm = cell.robot().unwrap().take_arm().unwrap();
             arm.motor_on().unwrap();
             arm.stream(format, limits, &mut panics_at(cycle)).unwrap();
@@ -332,7 +332,7 @@ fn a_robot_that_another_client_has_taken_meanwhile_is_left_alone() {
         relay.disconnect();
         assert!(matches!(moving.wait().await, Err(Error::NoReply { .. })));
         sim.until(|controller| controller.arm_owner().is_none() && !controller.is_moving());
-        let mut other = blocking::Controller::connect(&format!("tcp:{}", sim.tcp), &settings()).unwrap();
+        let mut other = blocking::Controller::connect(&sim.address(), &settings()).unwrap();
         other.execute::<()>("ClearError", ()).unwrap();
         let mut theirs = other.robot().unwrap().take_arm().unwrap();
         theirs.motor_on().unwrap();
@@ -354,7 +354,7 @@ fn a_motion_whose_controller_is_closed_may_have_moved() {
     let sim = simulated();
     let [runtime, _] = runtimes();
     runtime.block_on(async {
-        let cell = asynch::Controller::connect(&format!("tcp:{}", sim.tcp), &settings()).await.unwrap();
+        let cell = asynch::Controller::connect(&sim.address(), &settings()).await.unwrap();
         let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
         arm.motor_on().await.unwrap();
         let close = async {
@@ -375,7 +375,7 @@ fn a_motion_whose_controller_is_closed_may_have_moved() {
 fn a_motion_whose_runtime_ends_may_have_moved() {
     let sim = simulated();
     let [caller, task] = runtimes();
-    let cell = task.block_on(asynch::Controller::connect(&format!("tcp:{}", sim.tcp), &settings())).unwrap();
+    let cell = task.block_on(asynch::Controller::connect(&sim.address(), &settings())).unwrap();
     let ended = caller.block_on(async {
         let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
         arm.motor_on().await.unwrap();
@@ -413,7 +413,7 @@ fn by_name() -> Vec<ByName> {
 fn a_motor_that_was_switched_on_without_the_arm_is_switched_off() {
     for (object, name, parameter) in by_name().into_iter().take(3) {
         let sim = simulated();
-        let mut cell = blocking::Controller::connect(&format!("tcp:{}", sim.tcp), &settings()).unwrap();
+        let mut cell = blocking::Controller::connect(&sim.address(), &settings()).unwrap();
         match object {
             Object::Robot => cell.robot().unwrap().execute(name, &parameter).unwrap(),
             Object::Controller => cell.execute(name, &parameter).unwrap(),
@@ -425,7 +425,7 @@ fn a_motor_that_was_switched_on_without_the_arm_is_switched_off() {
         let sim = simulated();
         let [runtime, _] = runtimes();
         runtime.block_on(async {
-            let cell = asynch::Controller::connect(&format!("tcp:{}", sim.tcp), &settings()).await.unwrap();
+            let cell = asynch::Controller::connect(&sim.address(), &settings()).await.unwrap();
             match object {
                 Object::Robot => cell.robot().await.unwrap().execute(name, &parameter).await.unwrap(),
                 Object::Controller => cell.execute(name, &parameter).await.unwrap(),
@@ -444,7 +444,7 @@ fn commands_by_name_leave_nothing() {
         let moves = object == Object::Robot && name != "mOTOR";
         let sim = simulated();
         {
-            let mut cell = blocking::Controller::connect(&format!("tcp:{}", sim.tcp), &settings()).unwrap();
+            let mut cell = blocking::Controller::connect(&sim.address(), &settings()).unwrap();
             let mut robot = cell.robot().unwrap();
             robot.execute::<()>("TakeArm", [0, 1]).unwrap();
             if moves {
@@ -461,7 +461,7 @@ fn commands_by_name_leave_nothing() {
         let sim = simulated();
         let [runtime, _] = runtimes();
         runtime.block_on(async {
-            let cell = asynch::Controller::connect(&format!("tcp:{}", sim.tcp), &settings()).await.unwrap();
+            let cell = asynch::Controller::connect(&sim.address(), &settings()).await.unwrap();
             let robot = cell.robot().await.unwrap();
             robot.execute::<()>("TakeArm", [0, 1]).await.unwrap();
             if moves {
@@ -482,7 +482,7 @@ fn commands_by_name_leave_nothing() {
 #[test]
 fn a_motor_that_a_handle_switched_on_is_switched_off() {
     let sim = simulated();
-    let mut cell = blocking::Controller::connect(&format!("tcp:{}", sim.tcp), &settings()).unwrap();
+    let mut cell = blocking::Controller::connect(&sim.address(), &settings()).unwrap();
     cell.robot().unwrap().take_arm().unwrap().keep();
     assert!(matches!(cell.robot().unwrap().take_arm(), Err(Error::ArmTaken)));
     let robot = cell.open(&"robot".parse().unwrap()).unwrap();
@@ -611,29 +611,42 @@ fn at_every_byte(call: impl Fn(Failing, &dyn Fn()) -> Told, was_executed: impl F
     }
 }
 
+fn at_every_byte_blocking(
+    call: impl Fn(blocking::Controller, &dyn Fn()) -> Told,
+    was_executed: impl Fn(&Simulated) -> bool,
+) {
+    at_every_byte(|link, begin| call(blocking::Controller::over(link, &settings()).unwrap(), begin), was_executed);
+}
+
+fn at_every_byte_async(
+    call: impl AsyncFn(asynch::Controller, &dyn Fn()) -> Told,
+    was_executed: impl Fn(&Simulated) -> bool,
+) {
+    let [runtime, _] = runtimes();
+    let over = |link, begin: &dyn Fn()| {
+        runtime.block_on(async { call(asynch::Controller::over(link, &settings()).await.unwrap(), begin).await })
+    };
+    at_every_byte(over, was_executed);
+}
+
 #[test]
 fn a_write_that_was_not_sent_is_told_from_one_without_a_reply() {
     let is_written = |controller: &Simulated| {
         controller.variable::<32>(VariableKind::I, 1).is_ok_and(|value| value.as_variant().as_i32() == Some(7))
     };
-    at_every_byte(
-        |link, begin| {
-            let mut cell = blocking::Controller::over(link, &settings()).unwrap();
+    at_every_byte_blocking(
+        |mut cell, begin| {
             cell.read::<i32>("I1").unwrap();
             begin();
             told(cell.write("I1", 7))
         },
         is_written,
     );
-    let [runtime, _] = runtimes();
-    at_every_byte(
-        |link, begin| {
-            runtime.block_on(async {
-                let cell = asynch::Controller::over(link, &settings()).await.unwrap();
-                cell.read::<i32>("I1").await.unwrap();
-                begin();
-                told(cell.write("I1", 7).await)
-            })
+    at_every_byte_async(
+        async |cell, begin| {
+            cell.read::<i32>("I1").await.unwrap();
+            begin();
+            told(cell.write("I1", 7).await)
         },
         is_written,
     );
@@ -642,9 +655,8 @@ fn a_write_that_was_not_sent_is_told_from_one_without_a_reply() {
 /// A program that was told that its halt was not sent would think that the robot goes on.
 #[test]
 fn a_halt_that_was_not_sent_is_told_from_one_without_a_reply() {
-    at_every_byte(
-        |link, begin| {
-            let mut cell = blocking::Controller::over(link, &settings()).unwrap();
+    at_every_byte_blocking(
+        |mut cell, begin| {
             let mut arm = cell.robot().unwrap().take_arm().unwrap();
             arm.motor_on().unwrap();
             std::mem::forget(arm.start(&far(), LIMIT).unwrap());
@@ -662,9 +674,8 @@ fn a_halt_that_was_not_sent_is_told_from_one_without_a_reply() {
 #[test]
 fn an_arm_that_was_given_back_unheard_is_told_from_one_that_was_kept() {
     let is_given = |controller: &Simulated| controller.arm_owner().is_none();
-    at_every_byte(
-        |link, begin| {
-            let mut cell = blocking::Controller::over(link, &settings()).unwrap();
+    at_every_byte_blocking(
+        |mut cell, begin| {
             let arm = cell.robot().unwrap().take_arm().unwrap();
             begin();
             let told = told(arm.give());
@@ -674,17 +685,13 @@ fn an_arm_that_was_given_back_unheard_is_told_from_one_that_was_kept() {
         },
         is_given,
     );
-    let [runtime, _] = runtimes();
-    at_every_byte(
-        |link, begin| {
-            runtime.block_on(async {
-                let cell = asynch::Controller::over(link, &settings()).await.unwrap();
-                let arm = cell.robot().await.unwrap().take_arm().await.unwrap();
-                begin();
-                let told = told(arm.give().await);
-                std::mem::forget(cell);
-                told
-            })
+    at_every_byte_async(
+        async |cell, begin| {
+            let arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+            begin();
+            let told = told(arm.give().await);
+            std::mem::forget(cell);
+            told
         },
         is_given,
     );
@@ -693,9 +700,8 @@ fn an_arm_that_was_given_back_unheard_is_told_from_one_that_was_kept() {
 #[test]
 fn a_motor_call_that_was_not_sent_is_told_from_one_without_a_reply() {
     // the end of the arm would switch the motor off
-    at_every_byte(
-        |link, begin| {
-            let mut cell = blocking::Controller::over(link, &settings()).unwrap();
+    at_every_byte_blocking(
+        |mut cell, begin| {
             let mut arm = cell.robot().unwrap().take_arm().unwrap();
             begin();
             let told = told(arm.motor_on());
@@ -705,17 +711,13 @@ fn a_motor_call_that_was_not_sent_is_told_from_one_without_a_reply() {
         },
         Simulated::motor_is_on,
     );
-    let [runtime, _] = runtimes();
-    at_every_byte(
-        |link, begin| {
-            runtime.block_on(async {
-                let cell = asynch::Controller::over(link, &settings()).await.unwrap();
-                let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
-                begin();
-                let told = told(arm.motor_on().await);
-                std::mem::forget((cell, arm));
-                told
-            })
+    at_every_byte_async(
+        async |cell, begin| {
+            let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+            begin();
+            let told = told(arm.motor_on().await);
+            std::mem::forget((cell, arm));
+            told
         },
         Simulated::motor_is_on,
     );
@@ -726,7 +728,7 @@ fn a_motor_call_that_was_not_sent_is_told_from_one_without_a_reply() {
 fn a_robot_that_is_released_by_name_is_left_with_its_motor_off() {
     for function in [FunctionId::ROBOT_RELEASE, FunctionId::CONTROLLER_DISCONNECT, FunctionId::SERVICE_STOP] {
         let sim = simulated();
-        let mut cell = blocking::Controller::connect(&format!("tcp:{}", sim.tcp), &settings()).unwrap();
+        let mut cell = blocking::Controller::connect(&sim.address(), &settings()).unwrap();
         let robot = OwnedVariant::new(&cell.open(&"robot".parse().unwrap()).unwrap()).unwrap();
         let execute = |command: &str, parameter: &[i32]| {
             [robot.clone(), OwnedVariant::new(command).unwrap(), OwnedVariant::new(&parameter).unwrap()]
@@ -751,9 +753,8 @@ fn a_robot_that_is_released_by_name_is_left_with_its_motor_off() {
 #[test]
 fn a_motion_that_was_not_sent_is_told_from_one_that_may_be_under_way() {
     let has_moved = |controller: &Simulated| controller.is_moving() || controller.joints()[0] != 0.0;
-    at_every_byte(
-        |link, begin| {
-            let mut cell = blocking::Controller::over(link, &settings()).unwrap();
+    at_every_byte_blocking(
+        |mut cell, begin| {
             let mut arm = cell.robot().unwrap().take_arm().unwrap();
             arm.motor_on().unwrap();
             begin();
@@ -761,16 +762,12 @@ fn a_motion_that_was_not_sent_is_told_from_one_that_may_be_under_way() {
         },
         has_moved,
     );
-    let [runtime, _] = runtimes();
-    at_every_byte(
-        |link, begin| {
-            runtime.block_on(async {
-                let cell = asynch::Controller::over(link, &settings()).await.unwrap();
-                let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
-                arm.motor_on().await.unwrap();
-                begin();
-                told(arm.move_to(&near(), LIMIT).await)
-            })
+    at_every_byte_async(
+        async |cell, begin| {
+            let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+            arm.motor_on().await.unwrap();
+            begin();
+            told(arm.move_to(&near(), LIMIT).await)
         },
         has_moved,
     );
