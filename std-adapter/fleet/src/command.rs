@@ -6,11 +6,11 @@
 //! ```
 //!
 //! The checks, in this order: the message is new (not retained) and valid; it has not expired, and does not expire later than
-//! `longest_seconds` from now; its id is new; the rate; the rules.
+//! `longest_seconds` from now, for Sparkplug plus the [`lead`](Commands::lead); its id is new; the rate; the rules.
 //!
 //! A command is executed at most once. A copy that arrives before the expiry has a known id, and a copy that arrives later
 //! has expired. A copy of a command that an earlier process has executed expires before the start of this one and
-//! `longest_seconds`; all such commands are refused. This needs a clock that is not set back.
+//! `longest_seconds` and the lead; all such commands are refused. This needs a clock that is not set back.
 
 use std::collections::HashMap;
 use std::time::Duration;
@@ -80,6 +80,9 @@ pub(crate) struct Finished {
 #[derive(Debug)]
 pub(crate) struct Commands {
     config: config::Commands,
+    /// How far the clock of a sender may be ahead of this one, in milliseconds. A host of Sparkplug sends no expiry: its
+    /// commands expire `longest_seconds` after its own time.
+    lead: u64,
     /// The last time at which another process can have accepted a command, in milliseconds since 1970.
     began: u64,
     /// The expiry of each command that was accepted, by controller and id.
@@ -89,8 +92,8 @@ pub(crate) struct Commands {
 }
 
 impl Commands {
-    pub(crate) fn new(config: config::Commands, began: u64) -> Self {
-        Self { config, began, accepted: HashMap::new(), tokens: HashMap::new() }
+    pub(crate) fn new(config: config::Commands, lead: u64, began: u64) -> Self {
+        Self { config, lead, began, accepted: HashMap::new(), tokens: HashMap::new() }
     }
 
     /// Refuses the commands that another process may have accepted until a time.
@@ -117,10 +120,11 @@ impl Commands {
         if *expires <= now {
             return Err(format!("it expired {} ms ago", now - expires));
         }
-        if *expires > now + self.longest() {
-            return Err(format!("it expires in {} ms; the longest time is {} ms", expires - now, self.longest()));
+        let longest = self.longest() + self.lead;
+        if *expires > now + longest {
+            return Err(format!("it expires in {} ms; the longest time is {longest} ms", expires - now));
         }
-        if *expires <= self.began + self.longest() {
+        if *expires <= self.began + longest {
             return Err(
                 "this node has just started or taken over, and another process may have executed it; send a new one"
                     .into(),
@@ -223,7 +227,7 @@ mod tests {
 
     fn commands(rules: &[&str], per_second: u32) -> Commands {
         let allow = rules.iter().map(|rule| config::Rule::try_from((*rule).to_owned()).unwrap()).collect();
-        Commands::new(config::Commands { allow, per_second, longest_seconds: 10 }, BEGAN)
+        Commands::new(config::Commands { allow, per_second, longest_seconds: 10 }, 1000, BEGAN)
     }
 
     fn command(id: &str, name: &str, value: Value, expires: u64) -> Command {
@@ -244,9 +248,11 @@ mod tests {
         assert_eq!(check("a", now + 5000, now), Ok(one.clone()));
         assert_eq!(check("a", now + 5000, now + 1), Err("this id was accepted before".into()));
         assert_eq!(check("a", now + 5000, now + 5000), Err("it expired 0 ms ago".into()));
-        assert_eq!(check("b", now + 10_001, now), Err("it expires in 10001 ms".into()));
+        assert_eq!(check("b", now + 11_001, now), Err("it expires in 11001 ms".into()));
+        assert_eq!(check("b", now + 10_005, now), Ok(one.clone()), "a clock that is 5 ms ahead");
+        assert_eq!(check("b", now + 10_005, now + 10_004), Err("this id was accepted before".into()));
         assert_eq!(check("", now + 1, now), Err("the id has 0 bytes".into()));
-        assert_eq!(check("a", now + 15_000, now + 5001), Ok(one), "the id is free again after its expiry");
+        assert_eq!(check("a", now + 15_000, now + 10_005), Ok(one), "the id is free again after its expiry");
     }
 
     #[test]
@@ -265,15 +271,15 @@ mod tests {
     fn a_command_that_an_earlier_process_may_have_executed_is_refused() {
         let mut commands = commands(&["I"], 1000);
         // an earlier process accepts this just before it ends
-        let old = command("a", "I1", json!(1), BEGAN + 10_000);
+        let old = command("a", "I1", json!(1), BEGAN + 11_000);
         assert!(commands.check(0, &old, Instant::now(), BEGAN).unwrap_err().starts_with("this node has just started"));
         assert!(
             commands
-                .check(0, &old, Instant::now(), BEGAN + 9_999)
+                .check(0, &old, Instant::now(), BEGAN + 10_999)
                 .unwrap_err()
                 .starts_with("this node has just started")
         );
-        assert!(commands.check(0, &command("b", "I1", json!(1), BEGAN + 10_001), Instant::now(), BEGAN + 1).is_ok());
+        assert!(commands.check(0, &command("b", "I1", json!(1), BEGAN + 11_001), Instant::now(), BEGAN + 1).is_ok());
     }
 
     #[test]

@@ -51,6 +51,11 @@ pub(crate) trait Encoder: Send {
     /// Decodes a message. Its commands expire `longest` ms after they were sent if they do not say when.
     fn decode(&self, config: &Config, topic: &str, payload: &[u8], longest: u64) -> Decoded;
 
+    /// Returns how far the clock of a host may be ahead, in milliseconds.
+    fn lead(&self) -> u64 {
+        0
+    }
+
     /// Returns the answer to a command, if the format has answers.
     fn answer(&self, _: &Config, _: usize, _: &Answer<'_>) -> Option<Message> {
         None
@@ -117,6 +122,6 @@ pub(crate) enum Decoded {
     Repeat,
     /// Commands for a controller.
     Commands(usize, Vec<Command>),
-    /// A message for a controller that is not a command, and why.
-    Invalid(usize, String),
+    /// A message for a controller that is not a command, the id that it has, and why.
+    Invalid(usize, String, String),
 }

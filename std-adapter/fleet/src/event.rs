@@ -51,10 +51,19 @@ pub enum Event {
         /// Which call was skipped, and why.
         reason: String,
     },
-    /// The buffer on disk failed; readings that do not fit the memory are dropped and counted.
+    /// The buffer on disk failed; new readings wait in memory, and those that do not fit are dropped and counted.
     BufferFailed {
         /// Why.
         reason: String,
+    },
+    /// The buffer on disk takes readings again.
+    BufferWorks {},
+    /// Events of commands of a controller exceeded the rate, and were not reported.
+    Suppressed {
+        /// The controller.
+        controller: String,
+        /// How many.
+        events: u64,
     },
     /// The end of the process lost readings that were in memory, because there is no buffer on disk, or it has failed.
     Unsent {

@@ -1,18 +1,22 @@
 //! `/metrics` in the format of OpenMetrics, and `/healthz`.
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::Semaphore;
+use tokio::task::{AbortHandle, JoinSet};
 use tokio::time::timeout;
 
 use crate::scan::Shared;
 
-/// The most connections at the same time.
+/// The most connections at the same time. A further one ends the oldest, so that idle ones lock no other out.
 const CONNECTIONS: usize = 16;
+
+/// The time until the end of a request's header.
+const HEADER: Duration = Duration::from_secs(1);
 
 /// The time of a connection.
 const LIMIT: Duration = Duration::from_secs(5);
@@ -22,47 +26,69 @@ const REQUEST: usize = 4096;
 
 /// Serves until it is dropped.
 pub(crate) async fn serve(listener: TcpListener, shared: Arc<Shared>) {
-    let slots = Arc::new(Semaphore::new(CONNECTIONS));
+    let mut connections = JoinSet::new();
+    let mut open: VecDeque<AbortHandle> = VecDeque::new();
     loop {
-        let Ok(slot) = Arc::clone(&slots).acquire_owned().await else { return };
-        let Ok((stream, _)) = listener.accept().await else {
+        let accepted = tokio::select! {
+            accepted = listener.accept() => accepted,
+            Some(_) = connections.join_next() => continue,
+        };
+        let Ok((stream, _)) = accepted else {
             // the process has no more file descriptors
             tokio::time::sleep(Duration::from_millis(100)).await;
             continue;
         };
+        open.retain(|connection| !connection.is_finished());
+        if open.len() >= CONNECTIONS
+            && let Some(oldest) = open.pop_front()
+        {
+            oldest.abort();
+        }
         let shared = Arc::clone(&shared);
-        tokio::spawn(async move {
+        open.push_back(connections.spawn(async move {
             // a client that is slow or has gone gets no answer
             let _ = timeout(LIMIT, answer(stream, &shared)).await;
-            drop(slot);
-        });
+        }));
     }
 }
 
 async fn answer(mut stream: TcpStream, shared: &Shared) -> std::io::Result<()> {
     let mut request = [0; REQUEST];
-    let mut length = 0;
-    while !request[..length].windows(4).any(|end| end == b"\r\n\r\n") {
-        match stream.read(&mut request[length..]).await? {
-            0 => return Ok(()),
-            count => length += count,
-        }
-    }
+    let length = timeout(HEADER, header(&mut stream, &mut request)).await??;
     let line = request[..length].split(|byte| *byte == b'\r').next().unwrap_or_default();
     let mut words = line.split(|byte| *byte == b' ');
-    let (status, kind, body) = match (words.next(), words.next()) {
-        (Some(b"GET"), Some(b"/metrics")) => ("200 OK", OPEN_METRICS, metrics(shared)),
-        (Some(b"GET"), Some(b"/healthz")) => health(shared),
-        (Some(b"GET"), _) => ("404 Not Found", PLAIN, "/metrics and /healthz exist\n".into()),
-        _ => ("405 Method Not Allowed", PLAIN, "only GET is allowed\n".into()),
+    let (method, target) = (words.next().unwrap_or_default(), words.next().unwrap_or_default());
+    // a query does not change the answer
+    let path = target.split(|byte| *byte == b'?').next().unwrap_or_default();
+    let (status, kind, mut body) = match (method, path) {
+        (b"GET" | b"HEAD", b"/metrics") => ("200 OK", OPEN_METRICS, metrics(shared)),
+        (b"GET" | b"HEAD", b"/healthz") => health(shared),
+        (b"GET" | b"HEAD", _) => ("404 Not Found", PLAIN, "/metrics and /healthz exist\n".into()),
+        _ => ("405 Method Not Allowed\r\nAllow: GET, HEAD", PLAIN, "only GET and HEAD are allowed\n".into()),
     };
     let head = format!(
         "HTTP/1.1 {status}\r\nContent-Type: {kind}\r\nContent-Length: {}\r\nConnection: close\r\n\r\n",
         body.len()
     );
+    if method == b"HEAD" {
+        body.clear();
+    }
     stream.write_all(head.as_bytes()).await?;
     stream.write_all(body.as_bytes()).await?;
     stream.shutdown().await
+}
+
+/// Reads up to the end of a header; returns the number of bytes.
+async fn header(stream: &mut TcpStream, request: &mut [u8]) -> std::io::Result<usize> {
+    let mut length = 0;
+    while !request[..length].windows(4).any(|end| end == b"\r\n\r\n") {
+        match stream.read(&mut request[length..]).await? {
+            // also of a header that is too long
+            0 => return Err(std::io::ErrorKind::UnexpectedEof.into()),
+            count => length += count,
+        }
+    }
+    Ok(length)
 }
 
 const PLAIN: &str = "text/plain; charset=utf-8";

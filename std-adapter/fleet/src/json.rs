@@ -16,7 +16,7 @@
 use std::sync::atomic::Ordering;
 
 use rumqttc::QoS;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::command::Answer;
 use crate::config::Config;
@@ -80,7 +80,7 @@ impl Encoder for Json {
         let Some(cell) = config.controllers.iter().position(|cell| cell.name == name) else { return Decoded::Nothing };
         match serde_json::from_slice(payload) {
             Ok(command) => Decoded::Commands(cell, vec![command]),
-            Err(error) => Decoded::Invalid(cell, format!("it is not a command: {error}")),
+            Err(error) => Decoded::Invalid(cell, id(payload), format!("it is not a command: {error}")),
         }
     }
 
@@ -88,6 +88,15 @@ impl Encoder for Json {
         let topic = topic(config, &config.controllers[cell].name, "answer");
         Some(Message { retain: false, ..retained(topic, answer) })
     }
+}
+
+/// Returns the id of a message that is not a command, for its answer; empty if it has none.
+fn id(payload: &[u8]) -> String {
+    #[derive(Deserialize)]
+    struct WithId {
+        id: String,
+    }
+    serde_json::from_slice(payload).map_or_else(|_| String::new(), |WithId { id }| id)
 }
 
 #[derive(Serialize)]

@@ -50,7 +50,7 @@ mod store;
 mod stream;
 mod units;
 
-pub use self::check::{Row, check};
+pub use self::check::{Row, check, check_offline};
 pub use self::config::Config;
 pub use self::error::Error;
 pub use self::event::{CommandResult, Event};

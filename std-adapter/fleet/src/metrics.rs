@@ -18,6 +18,8 @@ pub(crate) struct Metrics {
     /// Readings on disk.
     pub(crate) stored: AtomicU64,
     pub(crate) stored_bytes: AtomicU64,
+    /// Whether the buffer on disk did not take the last reading.
+    pub(crate) buffer_failed: AtomicBool,
     pub(crate) commands: AtomicU64,
     pub(crate) refused: AtomicU64,
 }
@@ -48,6 +50,7 @@ impl Metrics {
             dropped: AtomicU64::new(0),
             stored: AtomicU64::new(0),
             stored_bytes: AtomicU64::new(0),
+            buffer_failed: AtomicBool::new(false),
             commands: AtomicU64::new(0),
             refused: AtomicU64::new(0),
         }
@@ -88,6 +91,7 @@ impl Metrics {
         });
         let up = u64::from(self.broker_up.load(Ordering::Relaxed));
         let active = u64::from(self.active.load(Ordering::Relaxed));
+        let buffer_failed = u64::from(self.buffer_failed.load(Ordering::Relaxed));
         for (name, kind, help, value) in [
             ("bcap_active", "gauge", "Whether this process is not a standby.", active),
             ("bcap_broker_up", "gauge", "Whether there is a connection to the broker.", up),
@@ -97,6 +101,7 @@ impl Metrics {
             ("bcap_queued", "gauge", "Readings in memory.", queued as u64),
             ("bcap_stored", "gauge", "Readings on disk.", get(&self.stored)),
             ("bcap_stored_bytes", "gauge", "Bytes of the readings on disk.", get(&self.stored_bytes)),
+            ("bcap_buffer_failed", "gauge", "Whether the buffer on disk takes no readings.", buffer_failed),
             ("bcap_commands", "counter", "Commands from the broker.", get(&self.commands)),
             ("bcap_commands_refused", "counter", "Commands that were refused.", get(&self.refused)),
         ] {
@@ -104,6 +109,8 @@ impl Metrics {
             let suffix = if kind == "counter" { "_total" } else { "" };
             let _ = writeln!(text, "{name}{suffix} {value}");
         }
+        family(&mut text, "bcap_build", "info", "The version of this program.");
+        let _ = writeln!(text, "bcap_build_info{{version=\"{}\"}} 1", env!("CARGO_PKG_VERSION"));
         text.push_str("# EOF\n");
         text
     }
@@ -134,6 +141,11 @@ mod tests {
             "bcap_readings_total{controller=\"b\\\"c\"} 7\n",
             "# TYPE bcap_dropped counter\n",
             "bcap_queued 3\n",
+            concat!(
+                "# TYPE bcap_build info\n# HELP bcap_build The version of this program.\nbcap_build_info{version=\"",
+                env!("CARGO_PKG_VERSION"),
+                "\"} 1\n"
+            ),
         ] {
             assert!(text.contains(line), "{text}");
         }

@@ -159,5 +159,6 @@ mod tests {
         assert_eq!(named("task/I1").unwrap(), [("task/I1".into(), Source::Task("I1".into()), None)]);
         assert_eq!(named("@CURRENT_TIME").unwrap()[0].2, None);
         assert!(named("I3-1").is_err() && named("I 1").is_err() && named("").is_err() && named("I0-99999").is_err());
+        assert!(named("P/5").is_err(), "a command could not name it");
     }
 }

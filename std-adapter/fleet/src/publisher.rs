@@ -21,6 +21,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
+use bcap_service::throttle::Throttle;
 use bcap_std::asynch::Controller;
 use rumqttc::{ConnectReturnCode, Event as Mqtt, Outgoing, Packet, QoS};
 use tokio::task::JoinSet;
@@ -54,6 +55,12 @@ const BACKLOG: usize = 10_000;
 /// How long a connection must last before the backoff begins anew: a broker may accept and close at once.
 const STABLE: Duration = Duration::from_secs(2);
 
+/// The least time between two rounds of all values.
+const REPEAT: Duration = Duration::from_secs(1);
+
+/// Events of refused commands of a controller a second, over a longer time.
+const REFUSALS: u32 = 10;
+
 /// Moves readings to the broker and commands from it.
 pub(crate) struct Publisher {
     shared: Arc<Shared>,
@@ -61,7 +68,7 @@ pub(crate) struct Publisher {
     broker: Broker,
     /// `None` if this is the only process of the node.
     standby: Option<Standby>,
-    /// When the primary host came online, as it says, in milliseconds since 1970; 0 if it is offline or unknown.
+    /// The latest time in a state of the primary host, in milliseconds since 1970; 0 if it is unknown.
     host_since: u64,
     /// Whether another process was seen as the active one since this process was.
     stands_by: bool,
@@ -77,6 +84,10 @@ pub(crate) struct Publisher {
     backoff: Duration,
     /// Whether all values must be sent again: newer ones than the retained ones went to the buffer, or a host has asked.
     stale: bool,
+    /// When all values may be sent again, so that many requests of hosts are one.
+    repeat_at: Instant,
+    /// Limits the events of refused commands, by controller.
+    refusals: Throttle<usize>,
 }
 
 impl Publisher {
@@ -87,11 +98,11 @@ impl Publisher {
             Format::Sparkplug => Box::new(Sparkplug::new(config)),
         };
         Self {
-            encoder,
             cells: config.controllers.iter().map(|cell| Cell::new(cell.points.len())).collect(),
             backlog: Backlog::new(Arc::clone(&shared), store),
+            commands: Commands::new(config.commands.clone(), encoder.lead(), now_ms()),
+            encoder,
             running_of: vec![0; config.controllers.len()],
-            commands: Commands::new(config.commands.clone(), now_ms()),
             standby: config.standby.as_ref().map(|standby| Standby::new(standby.after())),
             host_since: 0,
             stands_by: false,
@@ -102,6 +113,8 @@ impl Publisher {
             retry: Instant::now(),
             backoff: BACKOFF.0,
             stale: false,
+            repeat_at: Instant::now(),
+            refusals: Throttle::new(REFUSALS),
             shared,
         }
     }
@@ -115,12 +128,16 @@ impl Publisher {
                 self.connect();
             }
             self.step().await;
+            let suppressed = self.refusals.take_expired(bcap_std::now());
+            self.report_suppressed(suppressed);
+            let repeat = Some(self.repeat_at).filter(|at| self.stale && *at > Instant::now());
             let wake = self.standby.as_ref().and_then(Standby::wake);
             tokio::select! {
                 event = next(&mut self.link) => self.handle(event).await,
                 () = shared.queue.added() => {}
                 () = sleep_until(self.retry), if self.link.is_none() => {}
                 () = at(wake) => self.tick().await,
+                () = at(repeat) => {}
                 Some(Ok(finished)) = self.running.join_next() => self.end(finished),
                 () = &mut end => break,
             }
@@ -183,7 +200,11 @@ impl Publisher {
         let shared = Arc::clone(&self.shared);
         let is_active = self.is_active();
         while self.link.as_ref().is_some_and(|connection| connection.room() > 0) {
-            if let Some(item) = is_active.then(|| shared.queue.pop()).flatten() {
+            let repeats = is_active && self.stale && self.repeat_at <= Instant::now();
+            // data after a request for births must not be sent before them
+            if repeats && self.encoder.has_births() {
+                self.repeat();
+            } else if let Some(item) = is_active.then(|| shared.queue.pop()).flatten() {
                 match item {
                     Item::State(state) => {
                         let unsent = self.set_state(&state);
@@ -195,8 +216,8 @@ impl Publisher {
                         self.backlog.push(replaced.map(|replaced| Reading { historical: true, ..replaced }));
                     }
                 }
-            } else if is_active && std::mem::take(&mut self.stale) {
-                self.encode(|encoder, outbox| encoder.repeat(outbox));
+            } else if repeats {
+                self.repeat();
             } else if let Some((reading, has_more)) = self.backlog.pop() {
                 self.encode(|encoder, outbox| encoder.historical(outbox, reading, has_more));
             } else {
@@ -206,6 +227,12 @@ impl Publisher {
         if let Some(connection) = &mut self.link {
             connection.flush();
         }
+    }
+
+    /// Sends all values again.
+    fn repeat(&mut self) {
+        (self.stale, self.repeat_at) = (false, Instant::now() + REPEAT);
+        self.encode(|encoder, outbox| encoder.repeat(outbox));
     }
 
     fn push(&mut self, message: Message) {
@@ -309,7 +336,7 @@ impl Publisher {
     async fn begin(&mut self) {
         // readings from before are historical
         self.drain().await;
-        self.stale = false;
+        (self.stale, self.repeat_at) = (false, Instant::now() + REPEAT);
         let topics = self.encoder.topics(&self.shared.config, self.commands.are_on());
         if let Some(connection) = &mut self.link {
             (connection.is_up, connection.began) = (true, Instant::now());
@@ -378,6 +405,8 @@ impl Publisher {
         self.drain().await;
         let unsent = self.take_unsent();
         self.backlog.keep(unsent).await;
+        let suppressed = self.refusals.take();
+        self.report_suppressed(suppressed);
         self.backlog.close();
     }
 }

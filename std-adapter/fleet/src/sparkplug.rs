@@ -152,8 +152,12 @@ impl Encoder for Sparkplug {
         let Some(cell) = config.controllers.iter().position(|cell| cell.name == name) else { return Decoded::Nothing };
         match self.commands(config, cell, payload, longest) {
             Ok(commands) => Decoded::Commands(cell, commands),
-            Err(reason) => Decoded::Invalid(cell, reason),
+            Err(reason) => Decoded::Invalid(cell, String::new(), reason),
         }
+    }
+
+    fn lead(&self) -> u64 {
+        1000
     }
 
     fn bd_seq(&self) -> Option<u8> {
@@ -187,7 +191,8 @@ impl Sparkplug {
         let devices = config.controllers.iter();
         let devices =
             devices.map(|cell| Device { is_born: false, points: cell.points.iter().map(&mut next).collect() });
-        Self { seq: 0, bd_seq: 0, devices: devices.collect() }
+        // the will of the first connection counts it to 0
+        Self { seq: 0, bd_seq: u8::MAX, devices: devices.collect() }
     }
 
     /// Adds the birth of a device when each of its points was read.
@@ -217,7 +222,8 @@ impl Sparkplug {
         self.seq = 0;
         self.devices.iter_mut().for_each(|device| device.is_born = false);
         let rebirth = Metric::named(REBIRTH, DataType::Boolean as u32, Number::Boolean(false));
-        self.numbered(topic(config, "NBIRTH", None), vec![self.bd_seq_metric(), rebirth], Vec::new())
+        let metrics = [self.bd_seq_metric(), rebirth].map(|metric| Metric { timestamp: Some(now_ms()), ..metric });
+        self.numbered(topic(config, "NBIRTH", None), metrics.into(), Vec::new())
     }
 
     fn is_born(&self, cell: usize) -> bool {

@@ -2,7 +2,7 @@
 //!
 //! A file is deleted after the broker has acknowledged all of its readings. If the process is killed before that, they are
 //! sent again, with the same ids. A file that exceeds the limits of bytes or age is deleted, and its readings are counted
-//! as dropped. The functions block; the publisher calls them on a thread for blocking work.
+//! as dropped. Only regular files of the directory are used, and no links are followed. The functions block; the publisher calls them on a thread for blocking work.
 
 use std::collections::VecDeque;
 use std::fs::{self, File, OpenOptions, TryLockError};
@@ -90,14 +90,15 @@ impl Store {
     fn find(&mut self) -> io::Result<()> {
         let mut numbers = Vec::new();
         for entry in fs::read_dir(&self.directory)? {
-            let name = entry?.file_name();
+            let (name, is_file) = entry.and_then(|entry| Ok((entry.file_name(), entry.file_type()?.is_file())))?;
             let number = name.to_str().and_then(|name| name.strip_suffix(".jsonl")).and_then(|n| n.parse::<u64>().ok());
-            numbers.extend(number);
+            // a folder, a link or a FIFO is left alone
+            numbers.extend(number.filter(|_| is_file));
         }
         numbers.sort_unstable();
         for number in numbers {
-            let path = self.path(number);
-            let (lines, bytes) = (read_lines(&path)?, fs::metadata(&path)?.len());
+            let file = open(&self.path(number), OpenOptions::new().read(true))?;
+            let (bytes, lines) = (file.metadata()?.len(), read_lines(file)?);
             let newest = lines.iter().map(|line| line.time).max().unwrap_or(0);
             self.segments.push_back(Segment { number, bytes, readings: lines.len() as u64, newest });
             self.next = number + 1;
@@ -105,31 +106,55 @@ impl Store {
         Ok(())
     }
 
-    /// Appends readings, and deletes what exceeds the limits.
-    pub(crate) fn append(&mut self, readings: &[Reading], now: u64) -> io::Result<()> {
-        for reading in readings {
-            if self.open.is_none() || self.segments.back().is_some_and(|last| last.bytes >= self.segment) {
-                self.begin()?;
-            }
-            let mut line = serde_json::to_vec(&self.line(reading)).map_err(io::Error::from)?;
-            line.push(b'\n');
-            if let (Some(file), Some(last)) = (&mut self.open, self.segments.back_mut()) {
-                file.write_all(&line)?;
-                last.bytes += line.len() as u64;
-                last.readings += 1;
-                last.newest = last.newest.max(reading.time);
+    /// Appends readings, which it removes from the list, and deletes what exceeds the limits. After an error, such as a full
+    /// disk, the list has the rest for the next call.
+    pub(crate) fn append(&mut self, readings: &mut VecDeque<Reading>, now: u64) -> io::Result<()> {
+        let mut done = Ok(());
+        while let (Ok(()), Some(reading)) = (&done, readings.front()) {
+            done = self.append_one(reading);
+            if done.is_ok() {
+                readings.pop_front();
             }
         }
         self.trim(now);
+        done
+    }
+
+    fn append_one(&mut self, reading: &Reading) -> io::Result<()> {
+        if self.open.is_none() || self.segments.back().is_some_and(|last| last.bytes >= self.segment) {
+            self.begin()?;
+        }
+        let mut line = serde_json::to_vec(&self.line(reading)).map_err(io::Error::from)?;
+        line.push(b'\n');
+        let (Some(file), Some(last)) = (&mut self.open, self.segments.back_mut()) else { return Ok(()) };
+        if let Err(error) = file.write_all(&line) {
+            // without the part of the line, so that the same file can take the next one
+            if file.set_len(last.bytes).is_err() {
+                self.open = None;
+            }
+            return Err(error);
+        }
+        last.bytes += line.len() as u64;
+        last.readings += 1;
+        last.newest = last.newest.max(reading.time);
         Ok(())
     }
 
     fn begin(&mut self) -> io::Result<()> {
-        let path = self.path(self.next);
-        self.open = Some(OpenOptions::new().create_new(true).append(true).open(path)?);
-        self.segments.push_back(Segment { number: self.next, bytes: 0, readings: 0, newest: 0 });
-        self.next += 1;
-        Ok(())
+        loop {
+            let (number, path) = (self.next, self.path(self.next));
+            match OpenOptions::new().create_new(true).append(true).open(path) {
+                Ok(file) => {
+                    self.open = Some(file);
+                    self.segments.push_back(Segment { number, bytes: 0, readings: 0, newest: 0 });
+                    self.next += 1;
+                    return Ok(());
+                }
+                // what is not of this store keeps its name
+                Err(error) if error.kind() == io::ErrorKind::AlreadyExists => self.next += 1,
+                Err(error) => return Err(error),
+            }
+        }
     }
 
     /// Deletes the oldest files until the limits are met.
@@ -159,7 +184,8 @@ impl Store {
         if self.segments.is_empty() {
             self.open = None;
         }
-        let lines = read_lines(&self.path(first.number))?;
+        let file = open(&self.path(first.number), OpenOptions::new().read(true));
+        let lines = file.and_then(read_lines).inspect_err(|_| self.dropped += first.readings)?;
         let mut readings = Vec::new();
         for line in lines {
             match self.reading(line) {
@@ -227,7 +253,7 @@ impl Store {
 
 /// Locks a file until it is closed.
 fn lock(path: &Path) -> io::Result<File> {
-    let file = OpenOptions::new().create(true).truncate(false).write(true).open(path)?;
+    let file = open(path, OpenOptions::new().create(true).truncate(false).write(true))?;
     match file.try_lock() {
         Ok(()) => Ok(file),
         Err(TryLockError::WouldBlock) => Err(io::Error::other("another process uses this directory")),
@@ -235,10 +261,23 @@ fn lock(path: &Path) -> io::Result<File> {
     }
 }
 
+/// Opens a regular file. Follows no link, and does not wait for the other end of a FIFO.
+fn open(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
+    #[cfg(unix)]
+    {
+        use rustix::fs::OFlags;
+        use std::os::unix::fs::OpenOptionsExt as _;
+        options.custom_flags((OFlags::NOFOLLOW | OFlags::NONBLOCK).bits().cast_signed());
+    }
+    let failed = |error: io::Error| io::Error::new(error.kind(), format!("{}: {error}", path.display()));
+    let file = options.open(path).map_err(failed)?;
+    if file.metadata()?.is_file() { Ok(file) } else { Err(failed(io::Error::other("it is not a regular file"))) }
+}
+
 /// Reads the lines of a file; skips a line that a crash has truncated.
-fn read_lines(path: &Path) -> io::Result<Vec<Line>> {
+fn read_lines(file: File) -> io::Result<Vec<Line>> {
     let mut lines = Vec::new();
-    for line in BufReader::new(File::open(path)?).split(b'\n') {
+    for line in BufReader::new(file).split(b'\n') {
         lines.extend(serde_json::from_slice(&line?).ok());
     }
     Ok(lines)
@@ -254,7 +293,7 @@ mod tests {
         Config::parse(text).unwrap()
     }
 
-    fn open(directory: &Path, hours: u32) -> Store {
+    fn opened(directory: &Path, hours: u32) -> Store {
         Store::open(&Buffer { directory: directory.to_owned(), mib: 1, hours }, &config()).unwrap()
     }
 
@@ -270,12 +309,12 @@ mod tests {
     #[test]
     fn readings_come_back_in_order_also_in_another_process() {
         let folder = tempfile::tempdir().unwrap();
-        let mut store = open(folder.path(), 1);
-        store.append(&[reading(1, 10), reading(2, 11)], 11).unwrap();
+        let mut store = opened(folder.path(), 1);
+        store.append(&mut [reading(1, 10), reading(2, 11)].into(), 11).unwrap();
         assert_eq!(ids(&store.load(11).unwrap()), [1, 2]);
-        store.append(&[reading(3, 12)], 12).unwrap();
+        store.append(&mut [reading(3, 12)].into(), 12).unwrap();
         drop(store);
-        let mut store = open(folder.path(), 1);
+        let mut store = opened(folder.path(), 1);
         assert_eq!(store.stored(), 3, "1 and 2 were not acknowledged");
         assert_eq!(store.load(12).unwrap(), [reading(1, 10), reading(2, 11)]);
         store.acknowledge();
@@ -290,7 +329,7 @@ mod tests {
     fn a_directory_has_one_store() {
         let folder = tempfile::tempdir().unwrap();
         let buffer = Buffer { directory: folder.path().to_owned(), mib: 1, hours: 1 };
-        let first = open(folder.path(), 1);
+        let first = opened(folder.path(), 1);
         let error = Store::open(&buffer, &config()).unwrap_err();
         assert_eq!(error.to_string(), "another process uses this directory");
         drop(first);
@@ -300,9 +339,9 @@ mod tests {
     #[test]
     fn the_oldest_readings_are_dropped_and_counted() {
         let folder = tempfile::tempdir().unwrap();
-        let mut store = open(folder.path(), 1);
+        let mut store = opened(folder.path(), 1);
         for id in 0..10_000 {
-            store.append(&[reading(id, 0)], 0).unwrap();
+            store.append(&mut [reading(id, 0)].into(), 0).unwrap();
         }
         assert!(store.stored_bytes() <= 1 << 20, "{}", store.stored_bytes());
         let dropped = store.take_dropped();
@@ -320,10 +359,39 @@ mod tests {
     #[test]
     fn a_cut_line_is_left_out() {
         let folder = tempfile::tempdir().unwrap();
-        open(folder.path(), 1).append(&[reading(1, 10), reading(2, 11)], 11).unwrap();
+        opened(folder.path(), 1).append(&mut [reading(1, 10), reading(2, 11)].into(), 11).unwrap();
         let path = folder.path().join("000000000000.jsonl");
         let text = fs::read(&path).unwrap();
         fs::write(&path, &text[..text.len() - 5]).unwrap();
-        assert_eq!(ids(&open(folder.path(), 1).load(11).unwrap()), [1]);
+        assert_eq!(ids(&opened(folder.path(), 1).load(11).unwrap()), [1]);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn only_regular_files_of_the_directory_are_used() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        fs::create_dir(path("000000000000.jsonl")).unwrap();
+        fs::write(path("elsewhere"), "untouched").unwrap();
+        std::os::unix::fs::symlink("elsewhere", path("000000000001.jsonl")).unwrap();
+        let fifo = |name| rustix::fs::mkfifoat(rustix::fs::CWD, path(name), rustix::fs::Mode::RUSR).unwrap();
+        fifo("000000000002.jsonl");
+        let mut first = opened(folder.path(), 1);
+        first.append(&mut [reading(1, 10)].into(), 10).unwrap();
+        assert!(path("000000000003.jsonl").is_file());
+        drop(first);
+        let mut second = opened(folder.path(), 1);
+        assert_eq!(ids(&second.load(10).unwrap()), [1]);
+        second.acknowledge();
+        drop(second);
+        assert_eq!(fs::read_to_string(path("elsewhere")).unwrap(), "untouched");
+        for name in ["000000000000.jsonl", "000000000001.jsonl", "000000000002.jsonl"] {
+            assert!(path(name).symlink_metadata().is_ok(), "{name}");
+        }
+        // a lock that would block
+        fs::remove_file(path("lock")).unwrap();
+        fifo("lock");
+        let buffer = Buffer { directory: folder.path().to_owned(), mib: 1, hours: 1 };
+        assert!(Store::open(&buffer, &config()).unwrap_err().to_string().contains("lock: "));
     }
 }

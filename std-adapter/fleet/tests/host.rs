@@ -103,6 +103,7 @@ async fn pysparkplug_reads_births_and_data_and_writes_an_allowed_value() {
     let i1 = |message: &Value, value| message["type"] == "DDATA" && message["metrics"]["I1"]["value"] == value;
     host.find(|message| i1(message, 6));
 
+    fleet.accepts_commands().await;
     host.send("write cell1 I1 11");
     host.send("write cell1 I1 9");
     host.find(|message| i1(message, 9));

@@ -13,6 +13,7 @@ use bcap_tests::mosquitto::Mosquitto;
 use bcap_tests::proxy::Relay;
 use rumqttc::Publish;
 use serde_json::json;
+use tokio::net::TcpStream;
 
 /// Returns a configuration with the controllers `cell1`, `cell2`, ...
 fn config(port: u16, more: &str, robots: &[&Robot], publish: &str) -> String {
@@ -61,11 +62,58 @@ async fn values_and_states_of_several_robots_arrive() {
     let pose = late.json("bcap/plant/cell2/pose", |json| json["quality"] == "good").await;
     assert_eq!(pose["value"].as_array().unwrap().len(), 7);
 
-    assert!(http(fleet.metrics.unwrap(), "/healthz").await.starts_with("HTTP/1.1 200 OK\r\n"));
+    let address = fleet.metrics.unwrap();
+    // more idle connections than it serves
+    let mut idle = Vec::new();
+    for _ in 0..40 {
+        idle.push(TcpStream::connect(address).await.unwrap());
+    }
+    assert!(http(address, "GET /healthz").await.starts_with("HTTP/1.1 200 OK\r\n"));
+    drop(idle);
+    let head = http(address, "HEAD /metrics?name=x").await;
+    assert!(head.starts_with("HTTP/1.1 200 OK\r\n") && head.ends_with("\r\n\r\n"), "{head}");
+    let text = http(address, "GET /metrics?name=x").await;
+    assert!(text.contains("\nbcap_build_info{version=") && text.ends_with("# EOF\n"), "{text}");
+    assert!(http(address, "POST /metrics").await.contains("\r\nAllow: GET, HEAD\r\n"));
     assert!(fleet.metric("bcap_controller_up{controller=\"cell2\"}").await == 1);
     assert!(fleet.metric("bcap_published_total").await > 0);
     fleet.stop().await;
     host.json("bcap/plant/edge1/state", |json| json["state"] == "offline").await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_flood_of_refused_commands_is_answered_and_few_of_its_events_are_reported() {
+    const FLOOD: u64 = 500;
+    let Some(broker) = Mosquitto::open() else { return };
+    let robot = Robot::start().await;
+    let mut host = Subscriber::start(broker.port, "bcap/plant/cell1/answer").await;
+    let fleet = Running::start(&config(broker.port, "[commands]\nallow = [\"I/1\"]", &[&robot], FAST)).await;
+    fleet.event(|event| matches!(event, Event::RobotUp { .. })).await;
+    let began = std::time::Instant::now();
+    for number in 0..FLOOD {
+        // not a command, but it has an id
+        let command = json!({"id": number.to_string(), "name": 1}).to_string();
+        host.publish("bcap/plant/cell1/command", command).await;
+    }
+    let last = (FLOOD - 1).to_string();
+    let answer = host.json("bcap/plant/cell1/answer", |json| json["id"] == last).await;
+    assert_eq!(answer["result"], "refused");
+    let (mut reported, mut suppressed) = (0, 0);
+    for event in fleet.stop().await {
+        match event {
+            Event::Command { result, .. } => {
+                assert_eq!(result, CommandResult::Refused);
+                reported += 1;
+            }
+            Event::Suppressed { controller, events } => {
+                assert_eq!(controller, "cell1");
+                suppressed += events;
+            }
+            _ => {}
+        }
+    }
+    assert_eq!(reported + suppressed, FLOOD);
+    assert!(reported <= 100 + 10 * (1 + began.elapsed().as_secs()), "{reported}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -50,6 +50,9 @@ async fn the_configuration_of_the_page_runs() {
     let check = run(&[file, "--check"]);
     assert_eq!(check.code, Some(0), "{check:?}");
     assert!(check.out.lines().any(|line| line.starts_with("cell1 ") && line.contains(" I9 ")), "{}", check.out);
+    let check = run(&[file, "--check", "--offline"]);
+    let out: Vec<_> = check.out.lines().map(|line| line.split_whitespace().last().unwrap_or_default()).collect();
+    assert_eq!((out, check.code), (vec!["connected", "variables", "variables", "variables"], Some(0)), "{check:?}");
     let check = run(&[file, "--check", "--json"]);
     let first: serde_json::Value = serde_json::from_str(check.out.lines().next().unwrap()).unwrap();
     assert_eq!((first["name"].as_str(), first["value"].as_str()), (Some("broker"), Some("connected")));

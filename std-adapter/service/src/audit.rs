@@ -18,7 +18,7 @@
 //! that act on a terminal are escaped, because clients choose the text of their lines.
 
 use std::io::{self, Write};
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::path::Path;
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::{self, JoinHandle};
@@ -162,7 +162,7 @@ pub struct Audit {
     /// The times of all answers, even of answers that are not written.
     served: Times,
     failed: Times,
-    throttle: Throttle,
+    throttle: Throttle<IpAddr>,
     writer: JoinHandle<()>,
 }
 
@@ -186,7 +186,7 @@ impl Audit {
         Ok(Self::new(robot, lines, Throttle::new(bounds.rate), writer))
     }
 
-    fn new(robot: String, lines: SyncSender<String>, throttle: Throttle, writer: JoinHandle<()>) -> Self {
+    fn new(robot: String, lines: SyncSender<String>, throttle: Throttle<IpAddr>, writer: JoinHandle<()>) -> Self {
         Self { robot, lines, dropped: 0, served: Times::new(), failed: Times::new(), throttle, writer }
     }
 
@@ -207,7 +207,7 @@ impl Audit {
     }
 
     fn log_client(&mut self, client: SocketAddr, record: impl FnOnce(String) -> Record) {
-        if self.throttle.admits(client.ip(), now()) {
+        if self.throttle.admits(client.ip().to_canonical(), now()) {
             self.write(&record(client.to_string()));
         }
     }
@@ -259,8 +259,8 @@ impl Audit {
         self.write_suppressed(counts);
     }
 
-    fn write_suppressed(&mut self, suppressed: Vec<Suppressed>) {
-        for Suppressed { client, lines } in suppressed {
+    fn write_suppressed(&mut self, suppressed: Vec<Suppressed<IpAddr>>) {
+        for Suppressed { source: client, lines } in suppressed {
             let client = client.map_or_else(|| "others".to_owned(), |client| client.to_string());
             self.write(&Record::Suppressed { client, lines });
         }

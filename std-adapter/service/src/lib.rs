@@ -4,6 +4,7 @@
 //! |-----------|--------------------------------------------------------------------------------------------|
 //! | [`rules`] | the rules for clients and the map of Modbus: a TOML file, and additions of a command line    |
 //! | [`audit`] | the log: one JSON object a line, limited for each IP address, in files of bounded size       |
+//! | [`throttle`] | that limit, also for the events of a fleet                                                |
 //!
 //! The log cannot report its own failure in the log: a warning goes to the standard error.
 //!
@@ -14,4 +15,4 @@
 pub mod audit;
 mod rotate;
 pub mod rules;
-mod throttle;
+pub mod throttle;

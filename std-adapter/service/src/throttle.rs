@@ -1,18 +1,18 @@
-//! The rate of one client's lines in the audit log: a token bucket for each IP address.
+//! The rate of lines in a log: a token bucket for each source, such as the IP address of a client.
 
 use std::collections::HashMap;
-use std::net::IpAddr;
+use std::hash::Hash;
 use std::time::Duration;
 
 use bcap_core::time::Instant;
 
-/// The seconds whose tokens a client may use at once.
+/// The seconds whose tokens a source may use at once.
 const BURST: u32 = 10;
 
 /// The time between the first suppressed line and the record of their number.
 const REPORT: Duration = Duration::from_secs(10);
 
-/// The number of addresses with a separate bucket; other addresses share one.
+/// The number of sources with a separate bucket; other sources share one.
 const BUCKETS: usize = 1024;
 
 /// The interval at which full buckets are removed.
@@ -20,18 +20,18 @@ const PURGE: Duration = Duration::from_secs(1);
 
 /// Decides which lines are written, and counts the others.
 #[derive(Debug)]
-pub(crate) struct Throttle {
-    /// Lines a second for each address; 0 writes all.
+pub struct Throttle<K> {
+    /// Lines a second for each source; 0 writes all.
     rate: u32,
-    /// `None` is the bucket that other addresses share.
-    buckets: HashMap<Option<IpAddr>, Bucket>,
+    /// `None` is the bucket that other sources share.
+    buckets: HashMap<Option<K>, Bucket>,
     /// When counts are to be written; `None` without any.
     report_at: Option<Instant>,
     /// When full buckets may be removed next: looking for them costs more than a line.
     purge_at: Instant,
 }
 
-/// The allowance of one address.
+/// The allowance of one source.
 #[derive(Debug)]
 struct Bucket {
     /// When all tokens are back.
@@ -39,24 +39,27 @@ struct Bucket {
     suppressed: u64,
 }
 
-/// Lines of a client that were not written.
+/// Lines of a source that were not written.
 #[derive(Debug, PartialEq, Eq)]
-pub(crate) struct Suppressed {
-    /// `None` for clients that share a bucket.
-    pub(crate) client: Option<IpAddr>,
-    pub(crate) lines: u64,
+pub struct Suppressed<K> {
+    /// `None` for sources that share a bucket.
+    pub source: Option<K>,
+    /// How many.
+    pub lines: u64,
 }
 
-impl Throttle {
-    pub(crate) fn new(rate: u32) -> Self {
+impl<K: Copy + Eq + Hash> Throttle<K> {
+    /// Allows this number of lines a second for each source; 0 allows all.
+    #[must_use]
+    pub fn new(rate: u32) -> Self {
         Self { rate, buckets: HashMap::new(), report_at: None, purge_at: Instant::ZERO }
     }
 
-    /// Takes a token of a client. Without a token it counts a suppressed line and returns `false`.
-    pub(crate) fn admits(&mut self, client: IpAddr, now: Instant) -> bool {
+    /// Takes a token of a source. Without a token it counts a suppressed line and returns `false`.
+    pub fn admits(&mut self, source: K, now: Instant) -> bool {
         let Some(interval) = Duration::from_secs(1).checked_div(self.rate) else { return true };
         let ahead = interval.saturating_mul(self.rate.saturating_mul(BURST).saturating_sub(1));
-        let key = self.key(client.to_canonical(), now);
+        let key = self.key(source, now);
         let bucket = self.buckets.entry(key).or_insert(Bucket { full_at: now, suppressed: 0 });
         if bucket.full_at.saturating_since(now) > ahead {
             bucket.suppressed += 1;
@@ -67,9 +70,9 @@ impl Throttle {
         true
     }
 
-    /// Returns the key of a client's bucket, and removes full buckets when there are too many.
-    fn key(&mut self, client: IpAddr, now: Instant) -> Option<IpAddr> {
-        let key = Some(client);
+    /// Returns the key of a source's bucket, and removes full buckets when there are too many.
+    fn key(&mut self, source: K, now: Instant) -> Option<K> {
+        let key = Some(source);
         if self.buckets.len() < BUCKETS || self.buckets.contains_key(&key) {
             return key;
         }
@@ -81,7 +84,7 @@ impl Throttle {
     }
 
     /// Returns the counts whose interval has ended.
-    pub(crate) fn take_expired(&mut self, now: Instant) -> Vec<Suppressed> {
+    pub fn take_expired(&mut self, now: Instant) -> Vec<Suppressed<K>> {
         match self.report_at {
             Some(at) if at <= now => self.take(),
             _ => Vec::new(),
@@ -89,17 +92,19 @@ impl Throttle {
     }
 
     /// Returns all counts and resets them.
-    pub(crate) fn take(&mut self) -> Vec<Suppressed> {
+    pub fn take(&mut self) -> Vec<Suppressed<K>> {
         self.report_at = None;
         let counted = self.buckets.iter_mut().filter(|(_, bucket)| bucket.suppressed > 0);
         counted
-            .map(|(client, bucket)| Suppressed { client: *client, lines: std::mem::take(&mut bucket.suppressed) })
+            .map(|(source, bucket)| Suppressed { source: *source, lines: std::mem::take(&mut bucket.suppressed) })
             .collect()
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::net::IpAddr;
+
     use super::*;
 
     fn at(millis: u64) -> Instant {
@@ -134,7 +139,7 @@ mod tests {
         }
         assert!(throttle.admits(ip(2), at(0)));
         assert_eq!(throttle.take_expired(at(9_999)), []);
-        assert_eq!(throttle.take_expired(at(10_000)), [Suppressed { client: Some(ip(1)), lines: 990 }]);
+        assert_eq!(throttle.take_expired(at(10_000)), [Suppressed { source: Some(ip(1)), lines: 990 }]);
         assert_eq!(throttle.take_expired(at(20_000)), []);
     }
 
@@ -150,7 +155,7 @@ mod tests {
         let written = (0..100_000).filter(|n| throttle.admits(ip(*n), at(0))).count();
         assert_eq!(written, BUCKETS + BURST as usize);
         assert_eq!(throttle.buckets.len(), BUCKETS + 1);
-        assert_eq!(throttle.take(), [Suppressed { client: None, lines: 100_000 - written as u64 }]);
+        assert_eq!(throttle.take(), [Suppressed { source: None, lines: 100_000 - written as u64 }]);
         // buckets that are full again are not kept
         assert!(throttle.admits(ip(200_000), at(60_000)));
         assert!(throttle.buckets.len() < 3);

@@ -1,8 +1,8 @@
 //! The backlog: readings to send as historical ones, in memory and on disk. It counts all readings that are lost.
 //!
-//! Without a buffer on disk, and after it has failed, the newest [`MEMORY`] readings are kept. With one, new readings of the
-//! backlog are appended to it, and one file after another is loaded to be sent. The file is deleted when all of its readings
-//! have arrived.
+//! Without a buffer on disk, the newest [`MEMORY`] readings are kept. With one, new readings of the backlog are appended to it,
+//! and one file after another is loaded to be sent. The file is deleted when all of its readings have arrived. While the disk
+//! takes nothing, the newest [`MEMORY`] readings wait for it, and each new one is another attempt.
 
 use std::collections::VecDeque;
 use std::io;
@@ -22,8 +22,10 @@ const MEMORY: usize = 20_000;
 /// The readings to send as historical ones.
 pub(super) struct Backlog {
     shared: Arc<Shared>,
-    /// `None` without a buffer on disk, or after it has failed.
+    /// `None` without a buffer on disk.
     store: Option<Store>,
+    /// The readings that the store has not taken.
+    unstored: VecDeque<Reading>,
     /// The readings to send next.
     next: VecDeque<Reading>,
     /// Readings that must arrive before the loaded file of the store can be deleted.
@@ -32,7 +34,7 @@ pub(super) struct Backlog {
 
 impl Backlog {
     pub(super) const fn new(shared: Arc<Shared>, store: Option<Store>) -> Self {
-        Self { shared, store, next: VecDeque::new(), loaded: 0 }
+        Self { shared, store, unstored: VecDeque::new(), next: VecDeque::new(), loaded: 0 }
     }
 
     /// Adds readings, on disk if there is a buffer.
@@ -42,13 +44,30 @@ impl Backlog {
         }
         if self.store.is_none() {
             self.next.extend(readings);
-            let excess = self.next.len().saturating_sub(MEMORY);
-            self.next.drain(..excess);
-            return self.lose(excess as u64);
+            let excess = trim(&mut self.next);
+            return self.lose(excess);
         }
-        let count = readings.len() as u64;
-        if self.with_store(move |store| store.append(&readings, now_ms())).await.is_none() {
-            self.lose(count);
+        self.unstored.extend(readings);
+        self.append().await;
+    }
+
+    /// Writes readings to the store; those that it does not take wait.
+    async fn append(&mut self) {
+        let mut unstored = std::mem::take(&mut self.unstored);
+        let appended = self.with_store(move |store| {
+            let result = store.append(&mut unstored, now_ms());
+            Ok((unstored, result))
+        });
+        let Some((unstored, result)) = appended.await else { return };
+        self.unstored = unstored;
+        let excess = trim(&mut self.unstored);
+        self.lose(excess);
+        let failed = &self.shared.metrics.buffer_failed;
+        match result {
+            Ok(()) if failed.swap(false, Ordering::Relaxed) => (self.shared.report)(&Event::BufferWorks {}),
+            Ok(()) => {}
+            Err(error) if !failed.swap(true, Ordering::Relaxed) => self.report_failure(&error),
+            Err(_) => {}
         }
     }
 
@@ -69,12 +88,16 @@ impl Backlog {
 
     /// Loads the oldest readings of the store when all others were sent and have arrived; returns whether there are any.
     pub(super) async fn load(&mut self) -> bool {
-        let has_stored = self.store.as_ref().is_some_and(|store| store.stored() > 0);
-        if !self.next.is_empty() || self.loaded > 0 || !has_stored {
+        if !self.next.is_empty() || self.loaded > 0 {
             return false;
         }
-        let readings = self.with_store(|store| store.load(now_ms())).await.unwrap_or_default();
-        self.push(readings);
+        if self.store.as_ref().is_some_and(|store| store.stored() > 0) {
+            let readings = self.with_store(|store| store.load(now_ms())).await.unwrap_or_default();
+            self.push(readings);
+        } else {
+            let unstored = std::mem::take(&mut self.unstored);
+            self.push(unstored);
+        }
         self.loaded > 0
     }
 
@@ -99,11 +122,15 @@ impl Backlog {
         if had_loaded {
             self.acknowledge().await;
         }
+        if !self.unstored.is_empty() {
+            // the deleted file has made room
+            self.append().await;
+        }
     }
 
     /// Ends it: readings in memory are lost.
     pub(super) fn close(self) {
-        let readings = self.next.len() as u64;
+        let readings = (self.next.len() + self.unstored.len()) as u64;
         if readings > 0 {
             self.lose(readings);
             (self.shared.report)(&Event::Unsent { readings });
@@ -119,7 +146,7 @@ impl Backlog {
         .await;
     }
 
-    /// Runs a blocking function of the store on another thread. A store that fails is given up.
+    /// Runs a blocking function of the store on another thread.
     async fn with_store<T: Send + 'static>(
         &mut self,
         work: impl FnOnce(&mut Store) -> io::Result<T> + Send + 'static,
@@ -134,22 +161,23 @@ impl Backlog {
         self.lose(dropped);
         self.shared.metrics.stored.store(stored, Ordering::Relaxed);
         self.shared.metrics.stored_bytes.store(bytes, Ordering::Relaxed);
-        match result {
-            Ok(value) => {
-                self.store = Some(store);
-                Some(value)
-            }
-            Err(error) => {
-                (self.shared.report)(&Event::BufferFailed { reason: error.to_string() });
-                None
-            }
-        }
+        self.store = Some(store);
+        result.inspect_err(|error| self.report_failure(error)).ok()
+    }
+
+    fn report_failure(&self, error: &io::Error) {
+        (self.shared.report)(&Event::BufferFailed { reason: error.to_string() });
     }
 
     /// Counts lost readings.
     fn lose(&self, readings: u64) {
         self.shared.metrics.dropped.fetch_add(readings, Ordering::Relaxed);
     }
+}
+
+/// Keeps the newest readings that the memory takes; returns the number of others.
+fn trim(readings: &mut VecDeque<Reading>) -> u64 {
+    readings.drain(..readings.len().saturating_sub(MEMORY)).count() as u64
 }
 
 #[cfg(test)]
@@ -186,7 +214,7 @@ mod tests {
     }
 
     fn open(directory: &Path, config: &Config) -> Option<Store> {
-        Some(Store::open(&Buffer { directory: directory.to_owned(), mib: 1, hours: 1 }, config).unwrap())
+        Some(Store::open(&Buffer { directory: directory.to_owned(), mib: 4, hours: 1 }, config).unwrap())
     }
 
     fn readings(ids: std::ops::Range<u64>) -> Vec<Reading> {
@@ -244,19 +272,34 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn readings_that_a_failing_buffer_does_not_take_are_counted() {
+    async fn a_disk_that_takes_nothing_is_tried_again_and_its_readings_are_sent() {
         let folder = tempfile::tempdir().unwrap();
-        let (mut backlog, events) = backlog(|config| open(folder.path(), config));
-        // the name of the first file is taken
-        std::fs::create_dir(folder.path().join("000000000000.jsonl")).unwrap();
+        let path = folder.path().join("buffer");
+        let (mut backlog, events) = backlog(|config| open(&path, config));
+        let failed = |backlog: &Backlog| backlog.shared.metrics.buffer_failed.load(Ordering::Relaxed);
+        std::fs::remove_dir_all(&path).unwrap();
         backlog.keep(readings(0..5)).await;
-        assert_eq!(dropped(&backlog), 5);
-        assert!(matches!(events.lock().unwrap()[..], [Event::BufferFailed { .. }]));
-        backlog.keep(readings(5..7)).await;
-        assert_eq!(
-            (dropped(&backlog), ids(&mut backlog)),
-            (5, vec![(5, true), (6, false)]),
-            "memory takes the next ones"
-        );
+        backlog.keep(readings(5..MEMORY as u64 + 2)).await;
+        assert!(failed(&backlog));
+        assert_eq!((dropped(&backlog), backlog.unstored.len()), (2, MEMORY), "memory keeps the newest ones");
+        std::fs::create_dir(&path).unwrap();
+        backlog.keep(readings(MEMORY as u64 + 2..MEMORY as u64 + 3)).await;
+        assert!(!failed(&backlog));
+        assert!(matches!(events.lock().unwrap()[..], [Event::BufferFailed { .. }, Event::BufferWorks {}]));
+        let stored = backlog.shared.metrics.stored.load(Ordering::Relaxed);
+        assert_eq!((dropped(&backlog), backlog.unstored.len(), stored), (2, 0, MEMORY as u64 + 1));
+        assert!(backlog.load().await);
+        assert_eq!(backlog.pop().unwrap().0.id, 2);
+    }
+
+    #[tokio::test]
+    async fn readings_that_the_disk_has_not_taken_are_sent_from_memory() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("buffer");
+        let (mut backlog, _) = backlog(|config| open(&path, config));
+        std::fs::remove_dir_all(&path).unwrap();
+        backlog.keep(readings(0..2)).await;
+        assert!(backlog.load().await);
+        assert_eq!((ids(&mut backlog), dropped(&backlog)), (vec![(0, true), (1, false)], 0));
     }
 }

@@ -26,7 +26,6 @@ impl Publisher {
     /// Subscribes to the state of the primary host; returns whether there is one to wait for.
     pub(super) fn waits_for_host(&mut self) -> bool {
         let topic = self.host_topic();
-        self.host_since = 0;
         if let (Some(connection), Some(topic)) = (&mut self.link, &topic) {
             connection.flush();
             let _ = connection.link.client.try_subscribe(topic, QoS::AtLeastOnce);
@@ -40,11 +39,9 @@ impl Publisher {
             return false;
         }
         let Ok(HostState { online, timestamp }) = serde_json::from_slice(&publish.payload) else { return true };
-        if online {
-            self.host_since = self.host_since.max(timestamp);
-        }
-        // the will of an earlier connection of the host may come late
-        let is_late = !online && timestamp < self.host_since;
+        // a state of an earlier connection of the host may come late
+        let is_late = timestamp < self.host_since;
+        self.host_since = self.host_since.max(timestamp);
         if is_late || online == self.is_up() || self.link.is_none() {
             return true;
         }

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
+use bcap_service::throttle::Suppressed;
 use rumqttc::Publish;
 use tokio::time::Instant;
 
@@ -35,7 +36,7 @@ impl Publisher {
             Decoded::Commands(cell, commands) => {
                 commands.into_iter().for_each(|command| self.order(cell, publish, command));
             }
-            Decoded::Invalid(cell, reason) => self.refuse_invalid(cell, publish, reason),
+            Decoded::Invalid(cell, id, reason) => self.refuse_invalid(cell, publish, id, reason),
         }
     }
 
@@ -79,9 +80,9 @@ impl Publisher {
         self.finish(finished);
     }
 
-    fn refuse_invalid(&mut self, cell: usize, publish: &Publish, reason: String) {
+    fn refuse_invalid(&mut self, cell: usize, publish: &Publish, id: String, reason: String) {
         self.shared.metrics.commands.fetch_add(1, Ordering::Relaxed);
-        let command = Command { id: String::new(), name: String::new(), value: ().into(), expires: 0, origin: None };
+        let command = Command { id, name: String::new(), value: ().into(), expires: 0, origin: None };
         let (topic, result) = (publish.topic.clone(), CommandResult::Refused);
         self.finish(Finished { cell, topic, command, result, reason: Some(reason) });
     }
@@ -96,19 +97,30 @@ impl Publisher {
         let (id, reason) = (cut(command.id), reason.map(cut));
         let answer = Answer { id: &id, result, reason: reason.as_deref() };
         let answer = self.encoder.answer(&shared.config, cell, &answer);
-        (shared.report)(&Event::Command {
-            controller: shared.config.controllers[cell].name.clone(),
-            topic,
-            id,
-            origin: command.origin.map(cut),
-            name: cut(command.name),
-            value: cut(command.value.to_string()),
-            result,
-            reason,
-        });
+        // any other command may have changed the robot, so it is always reported
+        if result != CommandResult::Refused || self.refusals.admits(cell, bcap_std::now()) {
+            (shared.report)(&Event::Command {
+                controller: shared.config.controllers[cell].name.clone(),
+                topic,
+                id,
+                origin: command.origin.map(cut),
+                name: cut(command.name),
+                value: cut(command.value.to_string()),
+                result,
+                reason,
+            });
+        }
         let has_room = self.link.as_ref().is_some_and(|connection| connection.out.len() < WAITING);
         if self.is_active() && has_room {
             answer.into_iter().for_each(|answer| self.push(answer));
+        }
+    }
+
+    /// Reports how many events were left out.
+    pub(super) fn report_suppressed(&self, suppressed: Vec<Suppressed<usize>>) {
+        for Suppressed { source, lines } in suppressed {
+            let controller = source.map_or_else(String::new, |cell| self.config().controllers[cell].name.clone());
+            (self.shared.report)(&Event::Suppressed { controller, events: lines });
         }
     }
 }

@@ -17,7 +17,7 @@ use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
 use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinHandle;
-use tokio::time::timeout;
+use tokio::time::{Instant, timeout};
 
 /// A wait that is longer than this is a failure.
 const LIMIT: Duration = Duration::from_secs(30);
@@ -90,6 +90,7 @@ pub(crate) struct Running {
     pub(crate) events: Arc<Mutex<Vec<Event>>>,
     end: oneshot::Sender<()>,
     task: JoinHandle<()>,
+    began: Instant,
 }
 
 impl Running {
@@ -101,7 +102,12 @@ impl Running {
         let metrics = fleet.metrics_address();
         let (end, ended) = oneshot::channel();
         let task = tokio::spawn(fleet.run(async { drop(ended.await) }));
-        Self { metrics, events, end, task }
+        Self { metrics, events, end, task, began: Instant::now() }
+    }
+
+    /// Waits until commands of Sparkplug cannot be commands of an earlier process.
+    pub(crate) async fn accepts_commands(&self) {
+        tokio::time::sleep_until(self.began + Duration::from_millis(1010)).await;
     }
 
     pub(crate) async fn stop(self) -> Vec<Event> {
@@ -128,16 +134,16 @@ impl Running {
 
     /// Returns a number of the metrics.
     pub(crate) async fn metric(&self, name: &str) -> u64 {
-        let text = http(self.metrics.unwrap(), "/metrics").await;
+        let text = http(self.metrics.unwrap(), "GET /metrics").await;
         let line = text.lines().find(|line| line.starts_with(&format!("{name} "))).unwrap_or_else(|| panic!("{text}"));
         line.rsplit(' ').next().unwrap().parse().unwrap()
     }
 }
 
-/// Asks the server of metrics.
-pub(crate) async fn http(address: SocketAddr, path: &str) -> String {
+/// Sends a request, such as `GET /metrics`, to the server of metrics.
+pub(crate) async fn http(address: SocketAddr, request: &str) -> String {
     let mut stream = TcpStream::connect(address).await.unwrap();
-    stream.write_all(format!("GET {path} HTTP/1.1\r\nHost: x\r\n\r\n").as_bytes()).await.unwrap();
+    stream.write_all(format!("{request} HTTP/1.1\r\nHost: x\r\n\r\n").as_bytes()).await.unwrap();
     let mut text = String::new();
     stream.read_to_string(&mut text).await.unwrap();
     text

@@ -33,6 +33,7 @@ A small CONFIG:
   interval_ms = 200
 Examples:
   bcap-fleet fleet.toml --check
+  bcap-fleet fleet.toml --check --offline
   bcap-fleet fleet.toml
   bcap-fleet fleet.toml --screen
   mosquitto_sub -v -t 'bcap/plant/#'
@@ -50,6 +51,10 @@ pub(crate) struct Args {
     /// anything failed
     #[arg(long)]
     pub(crate) check: bool,
+
+    /// Makes --check connect to nothing: it reads the configuration with its secrets and certificates
+    #[arg(long, requires = "check")]
+    pub(crate) offline: bool,
 
     /// Prints the table of --check as JSON, one object per line; a failure too, as {"error":...}
     #[arg(long)]

@@ -37,8 +37,11 @@ impl<'a> From<&'a Row> for RowLine<'a> {
 }
 
 /// Prints the rows as a table, or as JSON.
-pub(crate) fn check(config: &Config, json: bool) -> Result<(), Failure> {
-    let rows = runtime()?.block_on(bcap_fleet::check(config))?;
+pub(crate) fn check(config: &Config, offline: bool, json: bool) -> Result<(), Failure> {
+    let rows = match offline {
+        true => bcap_fleet::check_offline(config)?,
+        false => runtime()?.block_on(bcap_fleet::check(config))?,
+    };
     if json {
         rows.iter().try_for_each(|row| print_json(&RowLine::from(row)))?;
     } else {

@@ -63,6 +63,8 @@ impl ShownEvents {
                 return;
             }
             Event::BufferFailed { reason } => format!("the buffer has failed: {reason}"),
+            Event::BufferWorks {} => "the buffer takes readings again".to_owned(),
+            Event::Suppressed { controller, events } => format!("{controller}: {events} more refused commands"),
             Event::Unsent { readings } => format!("{readings} readings were not sent"),
             Event::Active { .. } => "this process is active".to_owned(),
             Event::Standby { active: Some(active) } => format!("this process is the standby of {active}"),

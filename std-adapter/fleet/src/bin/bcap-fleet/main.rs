@@ -36,7 +36,7 @@ fn execute(args: &Args) -> Result<(), Failure> {
     let Some(config) = &args.config else { return Ok(print_reference(args)?) };
     let config = Config::read(config)?;
     match (args.check, args.screen) {
-        (true, _) => check::check(&config, args.json),
+        (true, _) => check::check(&config, args.offline, args.json),
         (false, true) => run_on_screen(config),
         (false, false) => run(config),
     }
