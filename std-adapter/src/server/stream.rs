@@ -31,6 +31,9 @@ const REQUEST: usize = TURN / 32;
 /// The silence after which a connection releases the memory of its last request or reply.
 const MEMORY_KEPT: Duration = Duration::from_secs(5);
 
+/// Why a connection ends when the server stops.
+const STOPPED: &str = "the server stops";
+
 /// Serves one connection until it ends or the server stops.
 pub(super) async fn serve<H: Send + 'static, M: ServeLocked<H> + 'static>(
     stream: TcpStream,
@@ -113,7 +116,9 @@ impl<H: Send + 'static> Connection<H> {
         mut evicted: Pin<&mut impl Future>,
     ) -> io::Result<Pause> {
         loop {
-            self.end_turn().await;
+            if self.end_turn(stopped.as_mut()).await {
+                return Ok(Pause::Ended(STOPPED));
+            }
             if session.next_request() >= TURN {
                 return Ok(Pause::LargeRequest);
             }
@@ -137,13 +142,19 @@ impl<H: Send + 'static> Connection<H> {
         }
     }
 
-    /// Yields to other tasks when this one has used its turn.
-    async fn end_turn(&mut self) {
-        if self.moved >= TURN {
-            self.moved = 0;
-            tokio::task::yield_now().await;
-            self.time = now();
+    /// Yields to other tasks when this one has used its turn; returns whether the server stops.
+    async fn end_turn(&mut self, stopped: Pin<&mut impl Future>) -> bool {
+        if self.moved < TURN {
+            return false;
         }
+        self.moved = 0;
+        let stops = tokio::select! {
+            biased;
+            _ = stopped => true,
+            () = tokio::task::yield_now() => false,
+        };
+        self.time = now();
+        stops
     }
 
     /// Waits until bytes arrive, a deadline passes or something changes; returns the reason if the connection must end.
@@ -167,6 +178,9 @@ impl<H: Send + 'static> Connection<H> {
         let room = room.split_at_mut(room.len().min(TURN)).0;
         let (mut reader, writer) = self.stream.split();
         tokio::select! {
+            // bytes first: a request that has arrived needs no look at the rest, whose turn comes when there is none. A peer
+            // that always has one is stopped at the end of its turn.
+            biased;
             count = reader.read(room), if !is_full => match count? {
                 0 => return Ok(Some("the peer closed it")),
                 count => {
@@ -189,7 +203,7 @@ impl<H: Send + 'static> Connection<H> {
             () = self.changes.next() => self.time = now(),
             // a connection whose call has just begun is not evicted: that would stop a motion
             _ = evicted, if is_idle => return Ok(Some("another connection needs its slot")),
-            _ = stopped => return Ok(Some("the server stops")),
+            _ = stopped => return Ok(Some(STOPPED)),
         }
         Ok(None)
     }
@@ -243,7 +257,9 @@ impl<H: Send + 'static> Connection<H> {
                         Err(reason) => return Ok(Some(reason)),
                     }
                     self.moved += part.len();
-                    self.end_turn().await;
+                    if self.end_turn(stopped.as_mut()).await {
+                        return Ok(Some(STOPPED));
+                    }
                 }
                 return Ok(None);
             }
@@ -290,7 +306,7 @@ async fn within<T>(
             Ok(written) => written.map(Ok),
             Err(_) => Ok(Err("the peer does not read")),
         },
-        _ = stopped => Ok(Err("the server stops")),
+        _ = stopped => Ok(Err(STOPPED)),
     }
 }
 

@@ -7,6 +7,7 @@
 //! ```text
 //! cargo run --profile bench -p bcap-instructions --bin codec      # needs valgrind
 //! cargo run --profile bench -p bcap-instructions --bin client
+//! cargo run --profile bench -p bcap-instructions --bin server
 //! ```
 
 use std::error::Error;
