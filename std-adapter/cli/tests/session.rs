@@ -270,7 +270,7 @@ fn a_timeout_exits_with_4() {
     let udp = format!("udp:{}", socket.local_addr().unwrap());
     for address in [tcp, udp] {
         let run = bcap(&["get", "I1", "--timeout", "500", "--robot", &address]);
-        assert_eq!((run.out.as_str(), run.code), ("", 4));
+        assert_eq!((run.out.as_str(), run.code), ("", 4), "{run:?}");
         assert!(
             run.err.contains("did not answer Service_Start within the command's time limit of 500 ms"),
             "{}",

@@ -131,7 +131,7 @@ fn marker_of(datagram: &[u8]) -> u16 {
 }
 
 fn endless_wrong_serials_over_udp(_: &mut Target) {
-    ends(&[SILENCE], |datagram, _| (10..200).map(|n| right(serial_of(datagram) + n)).collect());
+    ends(&[SILENCE], |datagram, _| (10..200).map(|n| right(serial_of(datagram).wrapping_add(n))).collect());
 }
 
 fn endless_keep_alives_over_udp(_: &mut Target) {

@@ -8,7 +8,8 @@
 //!
 //! A case asserts the answers of the server (or the behaviour of the attacked client) and the state of the connection. After
 //! each case, the server must answer the bystanders and a new client of each link, and must hold no handle or file
-//! descriptor of the case. At the end neither process may have grown by 10 MiB.
+//! descriptor of the case. At the end neither process may have grown by 10 MiB. Each group of cases has two processes of its
+//! own; the groups run at the same time, because most cases wait.
 //!
 //! `cargo test -p bcap-tests --test hostile NAME` runs the cases whose names contain NAME; `--list` names them.
 
@@ -26,7 +27,7 @@ mod serial;
 mod target;
 mod wire;
 
-use std::process::ExitCode;
+use std::process::{Command, ExitCode, Output};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use bcap_tests::process::{Memory, Process};
@@ -34,10 +35,10 @@ use libtest_mimic::{Arguments, Trial};
 
 use crate::target::Target;
 
-/// How much a process may grow over the whole list.
+/// How much a process may grow over a group.
 const GROWTH: u64 = 10 << 20;
 
-/// A case of the list.
+/// A case of a group.
 type Case = (&'static str, fn(&mut Target));
 
 /// Names cases by their functions, in the module that is named first.
@@ -48,22 +49,66 @@ macro_rules! cases {
 }
 pub(crate) use cases;
 
+const GROUPS: [&[Case]; 10] = [
+    frames::CASES,
+    arguments::CASES,
+    connections::CASES,
+    datagrams::CASES,
+    lines::CASES,
+    serial::CASES,
+    clients::CASES,
+    datagram_clients::CASES,
+    rac_clients::CASES,
+    attacks::CASES,
+];
+
+/// The variable with the number of the group that a process runs.
+const GROUP: &str = "BCAP_HOSTILE_GROUP";
+
 fn main() -> ExitCode {
     if std::env::args().nth(1).as_deref() == Some(target::SERVE) {
         target::serve();
         return ExitCode::SUCCESS;
     }
-    if std::env::var_os(THRESHOLD).is_none() {
-        return again();
-    }
     // one after the other: the cases share the server, and its memory is measured
     let arguments = Arguments { test_threads: Some(1), ..Arguments::from_args() };
     if arguments.list {
-        libtest_mimic::run(&arguments, trials(&Arc::new(Mutex::new(None)))).exit();
+        let none = Arc::new(Mutex::new(None));
+        libtest_mimic::run(&arguments, GROUPS.iter().flat_map(|group| trials(group, &none)).collect()).exit();
     }
+    let group = std::env::var(GROUP).ok().and_then(|number| GROUPS.get(number.parse::<usize>().ok()?));
+    if group.map_or_else(|| run_groups(&arguments), |group| run(group, &arguments)) {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::from(101)
+    }
+}
+
+/// Runs this program once for each group that has chosen cases, all at the same time; returns whether all succeeded.
+fn run_groups(arguments: &Arguments) -> bool {
+    let is_chosen = |case: &Case| {
+        arguments
+            .filter
+            .as_ref()
+            .is_none_or(|filter| if arguments.exact { case.0 == filter } else { case.0.contains(filter.as_str()) })
+    };
+    let chosen = (0..GROUPS.len()).filter(|group| GROUPS[*group].iter().any(is_chosen));
+    let running: Vec<_> = chosen.map(|group| std::thread::spawn(move || again(group))).collect();
+    let mut is_good = true;
+    for group in running {
+        let output = group.join().expect("a group of cases ran");
+        print!("{}", String::from_utf8_lossy(&output.stdout));
+        eprint!("{}", String::from_utf8_lossy(&output.stderr));
+        is_good &= output.status.success();
+    }
+    is_good
+}
+
+/// Runs the chosen cases of a group; returns whether all succeeded.
+fn run(group: &'static [Case], arguments: &Arguments) -> bool {
     let target = Arc::new(Mutex::new(Some(Target::start())));
     let before = memory(&target);
-    let conclusion = libtest_mimic::run(&arguments, trials(&target));
+    let conclusion = libtest_mimic::run(arguments, trials(group, &target));
     let after = memory(&target);
     let stopped = target.lock().unwrap_or_else(PoisonError::into_inner).take().is_some_and(Target::stop);
     println!("{} hostile cases; after each the server was alive and the others were served", conclusion.num_passed);
@@ -85,7 +130,7 @@ fn main() -> ExitCode {
             is_good = false;
         }
     }
-    if is_good { ExitCode::SUCCESS } else { ExitCode::from(101) }
+    is_good
 }
 
 /// The variable that makes glibc release memory as soon as it is free.
@@ -93,29 +138,16 @@ fn main() -> ExitCode {
 /// By default glibc keeps the memory of large requests, which hides how much is still in use.
 const THRESHOLD: &str = "MALLOC_MMAP_THRESHOLD_";
 
-/// Runs this program again with that variable set.
-fn again() -> ExitCode {
+/// Runs this program again for a group, with that variable set.
+fn again(group: usize) -> Output {
     let program = std::env::current_exe().expect("this program has a file");
-    let mut command = std::process::Command::new(program);
+    let mut command = Command::new(program);
     command.args(std::env::args_os().skip(1)).env(THRESHOLD, "65536").env("MALLOC_ARENA_MAX", "1");
-    let status = command.status();
-    if status.expect("this program starts").success() { ExitCode::SUCCESS } else { ExitCode::from(101) }
+    command.env(GROUP, group.to_string()).output().expect("this program starts")
 }
 
-/// Returns all cases as tests.
-fn trials(target: &Arc<Mutex<Option<Target>>>) -> Vec<Trial> {
-    let all = [
-        frames::CASES,
-        arguments::CASES,
-        connections::CASES,
-        datagrams::CASES,
-        lines::CASES,
-        serial::CASES,
-        clients::CASES,
-        datagram_clients::CASES,
-        rac_clients::CASES,
-        attacks::CASES,
-    ];
+/// Returns the cases of a group as tests.
+fn trials(group: &'static [Case], target: &Arc<Mutex<Option<Target>>>) -> Vec<Trial> {
     let test = |&(name, case): &Case| {
         let target = Arc::clone(target);
         Trial::test(name, move || {
@@ -126,7 +158,7 @@ fn trials(target: &Arc<Mutex<Option<Target>>>) -> Vec<Trial> {
             Ok(())
         })
     };
-    all.into_iter().flatten().map(test).collect()
+    group.iter().map(test).collect()
 }
 
 /// Returns the memory of the two processes.
