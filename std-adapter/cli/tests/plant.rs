@@ -26,9 +26,9 @@ fn the_demo_plant_of_the_page_runs() {
     // a pipe that is full would stop the script
     let rest = std::thread::spawn(move || lines.count());
 
-    let mut options = MqttOptions::new("test", "127.0.0.1", port);
+    let mut options = MqttOptions::new("test", ("127.0.0.1", port));
     options.set_max_packet_size(1 << 20, 1 << 20);
-    let (client, mut connection) = Client::new(options, 10);
+    let (client, mut connection) = Client::builder(options).capacity(10).build();
     client.subscribe("bcap/demo/#", QoS::AtLeastOnce).unwrap();
     let mut waiting: Vec<_> = ["I1", "tasks"].into_iter().flat_map(|name| (1..=3).map(move |n| (n, name))).collect();
     let messages = connection.iter().filter_map(|event| match event.unwrap() {

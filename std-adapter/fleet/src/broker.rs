@@ -1,14 +1,13 @@
 //! One connection to the broker. It is made anew after a loss, so that nothing is sent again without the publisher knowing.
 
-use std::time::Duration;
-
-use rumqttc::{AsyncClient, Event, LastWill, MqttOptions};
+use rumqttc::{AsyncClient, Event, LastWill, MqttOptions, default_socket_connect};
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 
 use crate::config::{self, Config};
 use crate::error::Error;
 use crate::message::Message;
+use crate::shorten::{LARGEST, Shortened};
 
 /// The most messages that the broker has not acknowledged.
 pub(crate) const WINDOW: u16 = 100;
@@ -16,8 +15,11 @@ pub(crate) const WINDOW: u16 = 100;
 /// The most events that wait for the publisher.
 const EVENTS: usize = 256;
 
-/// The largest message in bytes: a birth may be long, a command is short.
-const LARGEST: (usize, usize) = (1 << 20, 16 << 20);
+/// The largest message to the broker in bytes: a birth may be long.
+const LARGEST_SENT: usize = 16 << 20;
+
+/// The most bytes of a header: the fixed header, a topic, and the identifier of a packet.
+const HEADER: usize = 5 + (2 + 0xffff) + 2;
 
 /// How to connect, with secrets and certificates that were read once.
 pub(crate) struct Broker {
@@ -46,16 +48,22 @@ impl Broker {
         let broker = &config.broker;
         let port = broker.port.unwrap_or(if broker.tls.is_some() { 8883 } else { 1883 });
         let id = broker.client_id.clone().unwrap_or_else(|| format!("bcap-{}-{}", config.group, config.node));
-        let mut options = MqttOptions::new(id, &broker.host, port);
-        options.set_keep_alive(Duration::from_secs(broker.keep_alive_seconds.into()));
+        let mut options = MqttOptions::new(id, (broker.host.as_str(), port));
+        options.set_keep_alive(broker.keep_alive_seconds);
         options.set_clean_session(true).set_inflight(WINDOW);
-        options.set_max_packet_size(LARGEST.0, LARGEST.1);
+        options.set_max_packet_size(LARGEST + HEADER, LARGEST_SENT);
         if let Some(user) = &broker.user {
             options.set_credentials(user, password(broker)?);
         }
-        if let Some(tls) = &broker.tls {
-            set_tls(&mut options, tls)?;
+        match &broker.tls {
+            Some(tls) => connect_with_tls(&mut options, &broker.host, tls)?,
+            None => {
+                options.set_socket_connector(async |address, network| {
+                    Ok(Shortened::new(default_socket_connect(address, network).await?))
+                });
+            }
         }
+        options.validate().map_err(|error| Error::Config(format!("[broker]: {error}")))?;
         Ok(Self { options })
     }
 
@@ -83,7 +91,7 @@ impl Broker {
     }
 
     fn open(options: MqttOptions) -> Link {
-        let (client, mut events) = AsyncClient::new(options, usize::from(WINDOW) * 2);
+        let (client, mut events) = AsyncClient::builder(options).capacity(usize::from(WINDOW) * 2).build();
         let (sender, receiver) = mpsc::channel(EVENTS);
         let task = tokio::spawn(async move {
             loop {
@@ -112,19 +120,19 @@ fn password(broker: &config::Broker) -> Result<String, Error> {
 }
 
 #[cfg(not(feature = "tls"))]
-fn set_tls(_: &mut MqttOptions, _: &config::Tls) -> Result<(), Error> {
+fn connect_with_tls(_: &mut MqttOptions, _: &str, _: &config::Tls) -> Result<(), Error> {
     Err(Error::Tls("this program was built without TLS".into()))
 }
 
 #[cfg(feature = "tls")]
-fn set_tls(options: &mut MqttOptions, tls: &config::Tls) -> Result<(), Error> {
+fn connect_with_tls(options: &mut MqttOptions, host: &str, tls: &config::Tls) -> Result<(), Error> {
     use std::path::Path;
     use std::sync::Arc;
 
-    use rumqttc::{TlsConfiguration, Transport};
+    use tokio_rustls::TlsConnector;
     use tokio_rustls::rustls::crypto::ring::default_provider;
     use tokio_rustls::rustls::pki_types::pem::PemObject as _;
-    use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
+    use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer, ServerName};
     use tokio_rustls::rustls::{ClientConfig, RootCertStore};
 
     let wrong = |path: &Path, error: &dyn std::fmt::Display| Error::Tls(format!("{}: {error}", path.display()));
@@ -152,6 +160,14 @@ fn set_tls(options: &mut MqttOptions, tls: &config::Tls) -> Result<(), Error> {
         }
         _ => builder.with_no_client_auth(),
     };
-    options.set_transport(Transport::tls_with_config(TlsConfiguration::Rustls(Arc::new(config))));
+    let name = ServerName::try_from(host.to_owned()).map_err(|error| Error::Tls(format!("{host}: {error}")))?;
+    let connector = TlsConnector::from(Arc::new(config));
+    options.set_socket_connector(move |address, network| {
+        let (connector, name) = (connector.clone(), name.clone());
+        async move {
+            let stream = default_socket_connect(address, network).await?;
+            Ok(Shortened::new(connector.connect(name, stream).await?))
+        }
+    });
     Ok(())
 }

@@ -24,6 +24,7 @@ use crate::encoder::{Decoded, Encoder, Outbox};
 use crate::message::Message;
 use crate::queue::State;
 use crate::reading::{Quality, Reading, Value};
+use crate::shorten::LARGEST;
 
 /// The encoder. It has no state: each message is complete.
 pub(crate) struct Json;
@@ -78,6 +79,9 @@ impl Encoder for Json {
         let name = topic.split('/').nth(2).unwrap_or_default();
         // another node of the group may have this controller
         let Some(cell) = config.controllers.iter().position(|cell| cell.name == name) else { return Decoded::Nothing };
+        if payload.is_empty() {
+            return Decoded::Invalid(cell, String::new(), format!("it is empty, or has more than {LARGEST} bytes"));
+        }
         match serde_json::from_slice(payload) {
             Ok(command) => Decoded::Commands(cell, vec![command]),
             Err(error) => Decoded::Invalid(cell, id(payload), format!("it is not a command: {error}")),

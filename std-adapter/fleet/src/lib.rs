@@ -43,6 +43,7 @@ mod publisher;
 mod queue;
 mod reading;
 mod scan;
+mod shorten;
 mod sparkplug;
 mod standby;
 mod status;

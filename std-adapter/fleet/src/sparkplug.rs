@@ -28,6 +28,7 @@ use crate::message::Message;
 use crate::point::Point;
 use crate::queue::State;
 use crate::reading::{Reading, now_ms};
+use crate::shorten::LARGEST;
 use crate::units::elements;
 
 /// The metric by which a host asks for births.
@@ -310,6 +311,9 @@ impl Sparkplug {
 
     /// Returns the writes that a host asks a device for. A write was sent at the time of its metric, or else of the payload.
     fn commands(&self, config: &Config, cell: usize, payload: &[u8], longest: u64) -> Result<Vec<Command>, String> {
+        if payload.is_empty() {
+            return Err(format!("it is empty, or has more than {LARGEST} bytes"));
+        }
         let payload = Payload::decode(payload).map_err(|error| format!("the payload is not Sparkplug B: {error}"))?;
         let command = |metric: Metric| {
             let name = metric.name.clone().or_else(|| self.name(config, cell, metric.alias?));

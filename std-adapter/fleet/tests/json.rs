@@ -5,13 +5,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 use std::time::Duration;
 
-use crate::common::{Robot, Running, Subscriber, counter, folder, http, muting_proxy, now_ms};
+use crate::common::{Publish, Robot, Running, Subscriber, counter, folder, http, muting_proxy, now_ms};
 use bcap_fleet::{CommandResult, Event};
 use bcap_std::asynch::Controller;
 use bcap_std::{Settings, TaskStart};
 use bcap_tests::mosquitto::Mosquitto;
 use bcap_tests::proxy::Relay;
-use rumqttc::Publish;
 use serde_json::json;
 use tokio::net::TcpStream;
 
@@ -88,7 +87,9 @@ async fn a_flood_of_refused_commands_is_answered_and_few_of_its_events_are_repor
     let robot = Robot::start().await;
     let mut host = Subscriber::start(broker.port, "bcap/plant/cell1/answer").await;
     let fleet = Running::start(&config(broker.port, "[commands]\nallow = [\"I/1\"]", &[&robot], FAST)).await;
-    fleet.event(|event| matches!(event, Event::RobotUp { .. })).await;
+    // the node subscribes before it says that it is online
+    let mut node = Subscriber::start(broker.port, "bcap/plant/edge1/state").await;
+    node.json("bcap/plant/edge1/state", |json| json["state"] == "online").await;
     let began = std::time::Instant::now();
     for number in 0..FLOOD {
         // not a command, but it has an id
@@ -114,6 +115,27 @@ async fn a_flood_of_refused_commands_is_answered_and_few_of_its_events_are_repor
     }
     assert_eq!(reported + suppressed, FLOOD);
     assert!(reported <= 100 + 10 * (1 + began.elapsed().as_secs()), "{reported}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_retained_message_of_5_mb_on_a_command_topic_stops_nothing() {
+    let Some(broker) = Mosquitto::open() else { return };
+    let robot = Robot::start().await;
+    let (to, from) = ("bcap/plant/cell1/command", "bcap/plant/cell1/answer");
+    let mut host = Subscriber::start(broker.port, from).await;
+    host.retain(to, vec![b'x'; 5_000_000]).await;
+    let rules = "[commands]\nallow = [\"I/1\"]\nlongest_seconds = 1";
+    let fleet = Running::start(&config(broker.port, rules, &[&robot], FAST)).await;
+    fleet.event(|event| matches!(event, Event::RobotUp { .. })).await;
+    let answer = host.json(from, |_| true).await;
+    assert_eq!(answer, json!({"id": "", "result": "refused", "reason": "it is empty, or has more than 1048576 bytes"}));
+    // other commands, with the same connection to the broker
+    host.publish(to, command("a", "I1", 7, now_ms() + 1000)).await;
+    assert_eq!(host.json(from, |json| json["id"] == "a").await["result"], "done");
+    let mut values = Subscriber::start(broker.port, "bcap/plant/cell1/I1").await;
+    values.json("bcap/plant/cell1/I1", |json| json["value"] == 7).await;
+    assert_eq!(fleet.metric("bcap_broker_connections_total").await, 1);
+    fleet.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -6,6 +6,7 @@ mod host;
 mod json;
 #[cfg(all(unix, feature = "program"))]
 mod program;
+mod rules;
 mod sparkplug;
 mod standby;
 #[cfg(feature = "tls")]

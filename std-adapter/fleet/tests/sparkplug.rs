@@ -1,14 +1,13 @@
 //! Sparkplug B through a real Mosquitto, read by a decoder that is written from the specification alone.
 
-use crate::common::{Robot, Running, Subscriber, folder, now_ms};
+use crate::common::{Publish, Robot, Running, Subscriber, folder, now_ms};
 use bcap_fleet::Event;
 use bcap_tests::mosquitto::Mosquitto;
 use bcap_tests::proxy::Relay;
-use rumqttc::Publish;
 
 /// A field of a protocol buffer.
 #[derive(Clone, Debug, PartialEq)]
-enum Field {
+pub(crate) enum Field {
     Number(u64),
     Bytes(Vec<u8>),
 }
@@ -50,23 +49,23 @@ fn fields(mut bytes: &[u8]) -> Vec<(u64, Field)> {
 }
 
 #[derive(Debug, Default, Clone)]
-struct Metric {
-    name: Option<String>,
-    alias: Option<u64>,
-    time: Option<u64>,
-    datatype: Option<u64>,
-    is_historical: bool,
-    is_null: bool,
+pub(crate) struct Metric {
+    pub(crate) name: Option<String>,
+    pub(crate) alias: Option<u64>,
+    pub(crate) time: Option<u64>,
+    pub(crate) datatype: Option<u64>,
+    pub(crate) is_historical: bool,
+    pub(crate) is_null: bool,
     /// Of any type.
-    value: Option<Field>,
-    properties: Vec<(String, Field)>,
+    pub(crate) value: Option<Field>,
+    pub(crate) properties: Vec<(String, Field)>,
 }
 
 #[derive(Debug)]
-struct Payload {
-    time: u64,
-    seq: Option<u64>,
-    metrics: Vec<Metric>,
+pub(crate) struct Payload {
+    pub(crate) time: u64,
+    pub(crate) seq: Option<u64>,
+    pub(crate) metrics: Vec<Metric>,
 }
 
 fn number(field: &Field) -> u64 {
@@ -116,7 +115,7 @@ fn metric(data: &[u8]) -> Metric {
     metric
 }
 
-fn payload(publish: &Publish) -> Payload {
+pub(crate) fn payload(publish: &Publish) -> Payload {
     let mut payload = Payload { time: 0, seq: None, metrics: Vec::new() };
     for (tag, field) in fields(&publish.payload) {
         match tag {
@@ -173,7 +172,7 @@ impl Host {
     }
 }
 
-fn named<'a>(payload: &'a Payload, name: &str) -> &'a Metric {
+pub(crate) fn named<'a>(payload: &'a Payload, name: &str) -> &'a Metric {
     payload.metrics.iter().find(|metric| metric.name.as_deref() == Some(name)).unwrap_or_else(|| panic!("{payload:?}"))
 }
 
@@ -181,7 +180,7 @@ fn property(metric: &Metric, key: &str) -> Option<Field> {
     metric.properties.iter().find(|(name, _)| name == key).map(|(_, value)| value.clone())
 }
 
-fn config(port: u16, more: &str, robots: &[&Robot]) -> String {
+pub(crate) fn config(port: u16, more: &str, robots: &[&Robot]) -> String {
     let mut config = format!(
         "group = \"plant\"\nnode = \"edge1\"\nformat = \"sparkplug\"\n[broker]\nhost = \"127.0.0.1\"\nport = {port}\n{more}\n"
     );
@@ -501,8 +500,7 @@ async fn nothing_is_published_while_the_primary_host_is_offline() {
     robot.set(1, 1);
     let mut host = Host::start(broker.port).await;
     let state = async |host: &Host, online, time| {
-        let client = &host.subscriber.client;
-        client.publish("spBv1.0/STATE/scada", rumqttc::QoS::AtLeastOnce, true, host_state(online, time)).await.unwrap();
+        host.subscriber.retain("spBv1.0/STATE/scada", host_state(online, time)).await;
     };
     let text = format!("primary_host = \"scada\"\n{}", config(broker.port, "[metrics]\nport = 0", &[&robot]));
     let fleet = Running::start(&text).await;

@@ -3,6 +3,7 @@
 use std::collections::{HashMap, VecDeque};
 use std::time::Duration;
 
+use rumqttc::PublishOptions;
 use tokio::time::Instant;
 
 use super::confirm::{self, Unconfirmed};
@@ -68,7 +69,7 @@ impl Connection {
     pub(super) fn send(&mut self, message: Message) {
         let Message { topic, payload, qos, retain, readings } = message;
         // the channel of the link has room for more than the window; after a loss the event follows
-        let _ = self.link.client.try_publish(topic, qos, retain, payload);
+        let _ = self.link.client.try_publish(topic, payload, PublishOptions::new(qos).retain(retain));
         self.sent.push_back(Sent { at: Instant::now(), readings });
     }
 

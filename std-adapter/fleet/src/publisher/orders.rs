@@ -29,7 +29,7 @@ impl Publisher {
             return self.saw(publish);
         }
         let longest = self.commands.longest();
-        match self.encoder.decode(&self.shared.config, &publish.topic, &publish.payload, longest) {
+        match self.encoder.decode(&self.shared.config, &topic(publish), &publish.payload, longest) {
             Decoded::Nothing => {}
             // not at once: a host that asks again and again must not fill the memory
             Decoded::Repeat => self.stale = true,
@@ -58,7 +58,7 @@ impl Publisher {
                 Err("another process of this node may be active by now; send a new one".into())
             }
         };
-        let topic = publish.topic.clone();
+        let topic = topic(publish);
         match checked {
             Ok(job) => {
                 let controller = self.controllers[cell].clone();
@@ -83,7 +83,7 @@ impl Publisher {
     fn refuse_invalid(&mut self, cell: usize, publish: &Publish, id: String, reason: String) {
         self.shared.metrics.commands.fetch_add(1, Ordering::Relaxed);
         let command = Command { id, name: String::new(), value: ().into(), expires: 0, origin: None };
-        let (topic, result) = (publish.topic.clone(), CommandResult::Refused);
+        let (topic, result) = (topic(publish), CommandResult::Refused);
         self.finish(Finished { cell, topic, command, result, reason: Some(reason) });
     }
 
@@ -123,6 +123,11 @@ impl Publisher {
             (self.shared.report)(&Event::Suppressed { controller, events: lines });
         }
     }
+}
+
+/// Returns the topic of a message.
+fn topic(publish: &Publish) -> String {
+    String::from_utf8_lossy(&publish.topic).into_owned()
 }
 
 /// Shortens a text of a command: a sender must not fill the log.

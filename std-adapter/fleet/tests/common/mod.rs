@@ -11,7 +11,7 @@ use bcap_core::variant::Variant;
 use bcap_fleet::{Config, Event, Fleet};
 use bcap_sim::{Controller, Profile, VariableKind};
 use bcap_std::server::Server;
-use rumqttc::{AsyncClient, Event as Mqtt, MqttOptions, Packet, Publish, QoS};
+use rumqttc::{AsyncClient, Event as Mqtt, MqttOptions, Packet, PublishOptions, QoS};
 use tempfile::TempDir;
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
@@ -149,6 +149,13 @@ pub(crate) async fn http(address: SocketAddr, request: &str) -> String {
     text
 }
 
+/// A received message.
+pub(crate) struct Publish {
+    pub(crate) topic: String,
+    pub(crate) payload: Vec<u8>,
+    pub(crate) retain: bool,
+}
+
 /// A subscriber whose session outlasts a restart of the broker.
 pub(crate) struct Subscriber {
     pub(crate) client: AsyncClient,
@@ -165,9 +172,9 @@ impl Drop for Subscriber {
 impl Subscriber {
     /// Subscribes, and waits until the broker has confirmed it.
     pub(crate) async fn start(port: u16, topic: &str) -> Self {
-        let mut options = MqttOptions::new(format!("subscriber-{}", free_port()), "127.0.0.1", port);
-        options.set_clean_session(false).set_max_packet_size(1 << 20, 1 << 20);
-        let (client, mut events) = AsyncClient::new(options, 100);
+        let mut options = MqttOptions::new(format!("subscriber-{}", free_port()), ("127.0.0.1", port));
+        options.set_clean_session(false).set_max_packet_size(1 << 20, 8 << 20);
+        let (client, mut events) = AsyncClient::builder(options).capacity(100).build();
         client.subscribe(topic, QoS::AtLeastOnce).await.unwrap();
         let (again, topic) = (client.clone(), topic.to_owned());
         let (sender, messages) = mpsc::unbounded_channel();
@@ -176,10 +183,14 @@ impl Subscriber {
         let task = tokio::spawn(async move {
             loop {
                 match events.poll().await {
-                    Ok(Mqtt::Incoming(Packet::Publish(publish))) => drop(sender.send(publish)),
+                    Ok(Mqtt::Incoming(Packet::Publish(publish))) => {
+                        let topic = String::from_utf8(publish.topic.to_vec()).unwrap();
+                        let (payload, retain) = (publish.payload.to_vec(), publish.retain);
+                        drop(sender.send(Publish { topic, payload, retain }));
+                    }
                     // a broker that was killed has lost the session
                     Ok(Mqtt::Incoming(Packet::ConnAck(ack))) if !ack.session_present && confirm.is_none() => {
-                        let _ = again.try_subscribe(&topic, QoS::AtLeastOnce);
+                        let _ = again.try_subscribe(topic.as_str(), QoS::AtLeastOnce);
                     }
                     Ok(Mqtt::Incoming(Packet::SubAck(_))) => drop(confirm.take().map(|confirm| confirm.send(()))),
                     Ok(_) => {}
@@ -215,7 +226,11 @@ impl Subscriber {
     }
 
     pub(crate) async fn publish(&self, topic: &str, payload: impl Into<Vec<u8>>) {
-        self.client.publish(topic, QoS::AtLeastOnce, false, payload).await.unwrap();
+        self.client.publish(topic, payload.into(), PublishOptions::at_least_once()).await.unwrap();
+    }
+
+    pub(crate) async fn retain(&self, topic: &str, payload: impl Into<Vec<u8>>) {
+        self.client.publish(topic, payload.into(), PublishOptions::at_least_once().retained()).await.unwrap();
     }
 }
 
