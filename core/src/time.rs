@@ -1,9 +1,11 @@
 //! Time in microseconds, from a clock of the caller.
 //!
 //! The core has no clock. The caller of a client or server passes the current [`Instant`] and gets the next deadline.
-//! Only differences matter, so any monotonic counter works: `std::time::Instant` since the start of
-//! the program, embassy's ticks, a timer of the board, the fake clock of a test.
+//! Only differences matter, so any counter that never goes back works: `std::time::Instant` since the start of
+//! the program, embassy's ticks, a timer of the board, the fake clock of a test. A timer of 32 bits goes back to 0 after 71
+//! minutes, and a deadline before that would not pass for as long; [`Wrapping32`] makes a clock of it.
 
+use core::cell::Cell;
 use core::fmt;
 use core::time::Duration;
 
@@ -92,9 +94,74 @@ impl<F: Fn() -> Instant> Clock for F {
     }
 }
 
+/// A clock from a timer that counts microseconds in 32 bits and wraps.
+///
+/// Ask it at least once in 71 minutes, the time of a wrap; a waiting call does. A timer that an interrupt or another processor asks,
+/// too, needs a clock for each.
+///
+/// # Examples
+///
+/// ```
+/// use bcap_core::time::{Clock, Wrapping32};
+///
+/// # fn read_timer() -> u32 { 5 }
+/// let clock = Wrapping32::new(read_timer);
+/// assert_eq!(clock.now().as_micros(), 5);
+/// ```
+#[derive(Clone, Debug)]
+pub struct Wrapping32<F> {
+    read: F,
+    /// The time when it was last asked.
+    last: Cell<u64>,
+}
+
+impl<F: Fn() -> u32> Wrapping32<F> {
+    /// Makes a clock from a function that reads the timer.
+    #[must_use]
+    pub const fn new(read: F) -> Self {
+        Self { read, last: Cell::new(0) }
+    }
+}
+
+impl<F: Fn() -> u32> Clock for Wrapping32<F> {
+    fn now(&self) -> Instant {
+        let last = self.last.get();
+        let [.., a, b, c, d] = last.to_be_bytes();
+        let passed = (self.read)().wrapping_sub(u32::from_be_bytes([a, b, c, d]));
+        let now = last.saturating_add(passed.into());
+        self.last.set(now);
+        Instant(now)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_timer_of_32_bits_never_goes_back() {
+        let count = Cell::new(0_u32);
+        let clock = Wrapping32::new(|| count.get());
+        let mut expected = 0;
+        // three wraps, with steps of up to a whole one
+        for step in [5, u32::MAX - 10, 5, 1, u32::MAX, 0, 7, u32::MAX / 2] {
+            count.set(count.get().wrapping_add(step));
+            expected += u64::from(step);
+            assert_eq!(clock.now().as_micros(), expected, "after a step of {step}");
+        }
+        assert!(expected > 2 << 32);
+    }
+
+    #[test]
+    fn a_deadline_passes_across_a_wrap() {
+        let count = Cell::new(u32::MAX - 5);
+        let clock = Wrapping32::new(|| count.get());
+        let deadline = clock.now() + Duration::from_micros(10);
+        count.set(3);
+        assert!(clock.now() < deadline);
+        count.set(4);
+        assert_eq!(clock.now(), deadline);
+    }
 
     #[test]
     fn sums_saturate_and_differences_never_wrap() {
