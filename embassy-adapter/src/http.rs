@@ -28,10 +28,11 @@ use core::time::Duration;
 
 use bcap_core::io::asynch::Transport;
 use bcap_core::time::Instant;
+use embassy_futures::select::{Either, select};
 use embassy_net::{IpEndpoint, Stack};
 use embassy_time::Timer;
 
-use crate::net::{Options, TcpTransport};
+use crate::net::{Options, TcpTransport, evicted};
 
 /// The memory for the head of a response in bytes, and for the path of a request.
 const RESPONSE_HEAD: usize = 192;
@@ -68,6 +69,8 @@ impl Content {
 }
 
 /// A TCP listener that answers one request at a time.
+///
+/// With several on one port and a [`Backlog`](crate::net::Backlog), the oldest unfinished request makes room for a new client.
 #[derive(Debug)]
 pub struct HttpListener<'s> {
     transport: TcpTransport<'s>,
@@ -93,17 +96,22 @@ impl<'s> HttpListener<'s> {
         answer: impl Fn(&str, &mut dyn Write) -> Option<Content>,
     ) -> ! {
         loop {
-            if self.transport.accept(self.port).await.is_err() {
+            let Ok(place) = self.transport.accept(self.port).await else {
                 Timer::after_millis(PAUSE_MS).await;
                 continue;
-            }
+            };
             if !admits(self.transport.socket().remote_endpoint()) {
                 self.transport.reset().await;
                 continue;
             }
-            // a client that sends nothing or does not read its page gets no other answer
-            let _ = serve(&mut self.transport, self.page, &answer).await;
-            self.transport.close().await;
+            let request = async {
+                // a client that sends nothing or does not read its page gets no other answer
+                let _ = serve(&mut self.transport, self.page, &answer).await;
+                self.transport.close().await;
+            };
+            if let Either::Second(()) = select(request, evicted(place.as_ref())).await {
+                self.transport.reset().await;
+            }
         }
     }
 }

@@ -3,8 +3,10 @@
 use std::fmt::Write;
 
 use crate::common::{address, between};
+use crate::frames;
 use bcap_embassy::http::{Content, HttpListener};
-use bcap_embassy::net::Options;
+use bcap_embassy::net::{Backlog, Options};
+use embassy_futures::join::join;
 use embassy_futures::select::{Either, select};
 use embassy_net::Stack;
 use embassy_net::tcp::TcpSocket;
@@ -85,5 +87,78 @@ fn a_client_that_is_not_admitted_gets_a_reset() {
         });
         let ended = select(listener.run(|client| client.is_none(), answer), test).await;
         assert!(matches!(ended, Either::Second(Ok(()))), "it hangs");
+    });
+}
+
+/// Makes the frame that begins a connection to the page, from a machine that does not exist.
+fn syn(number: u8) -> Vec<u8> {
+    frames::syn([2, 0, 0, 0, 0, 1], address(100 + number), address(1), [50_000, 80])
+}
+
+/// Runs a test with two listeners, whose handshakes have no time limit.
+async fn with_two_listeners(board: Stack<'static>, backlog: &'static Backlog, test: impl Future<Output = ()>) {
+    let memory = &mut [([[0; 512]; 2], [0; 1192]); 2];
+    let options = Options { connect_timeout: Duration::from_secs(3600), backlog: Some(backlog), ..Options::default() };
+    let [mut first, mut second] =
+        memory.each_mut().map(|([rx, tx], page)| HttpListener::new(board, 80, [rx, tx], page, options));
+    let listeners = join(first.run(|_| true, answer), second.run(|_| true, answer));
+    let ended = select(listeners, with_timeout(Duration::from_secs(60), test)).await;
+    assert!(matches!(ended, Either::Second(Ok(()))), "it hangs");
+}
+
+const GET: &[u8] = b"GET / HTTP/1.1\r\n\r\n";
+
+#[test]
+fn half_open_connections_leave_a_listener_free() {
+    static BACKLOG: Backlog = Backlog::new();
+    between(|cable, clients, board| async move {
+        let test = async {
+            for round in 0..10 {
+                for number in 0..6 {
+                    cable.send(1, syn(10 * round + number));
+                    Timer::after_millis(2).await;
+                }
+                assert!(exchange(clients, GET).await.ends_with("<p>up"));
+            }
+        };
+        with_two_listeners(board, &BACKLOG, test).await;
+    });
+}
+
+#[test]
+fn a_handshake_that_does_not_end_is_given_up() {
+    between(|cable, clients, board| async move {
+        let ([mut rx, mut tx], mut page) = ([[0; 512]; 2], [0; 400]);
+        let options = Options { connect_timeout: Duration::from_millis(200), ..Options::default() };
+        let mut listener = HttpListener::new(board, 80, [&mut rx, &mut tx], &mut page, options);
+        let test = with_timeout(Duration::from_secs(60), async {
+            cable.send(1, syn(0));
+            assert!(exchange(clients, GET).await.ends_with("<p>up"));
+        });
+        let ended = select(listener.run(|_| true, answer), test).await;
+        assert!(matches!(ended, Either::Second(Ok(()))), "it hangs");
+    });
+}
+
+#[test]
+fn the_oldest_unfinished_request_makes_room_for_a_new_client() {
+    static BACKLOG: Backlog = Backlog::new();
+    between(|_, clients, board| async move {
+        let test = async {
+            let mut memory = [[[0; 512]; 2]; 2];
+            let mut slow = memory.each_mut().map(|[rx, tx]| TcpSocket::new(clients, rx, tx));
+            for round in 0..20 {
+                let client = &mut slow[round % 2];
+                client.abort();
+                // waits until the reset is sent
+                let _ = client.flush().await;
+                while client.connect((address(1), 80)).await.is_err() {
+                    Timer::after_millis(1).await;
+                }
+                client.write(b"GET / HT").await.unwrap();
+                assert!(exchange(clients, GET).await.ends_with("<p>up"), "round {round}");
+            }
+        };
+        with_two_listeners(board, &BACKLOG, test).await;
     });
 }

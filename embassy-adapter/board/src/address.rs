@@ -13,7 +13,7 @@ pub const DHCP_AGAIN: Duration = Duration::from_secs(60);
 
 /// Returns the configuration to create the network stack with.
 #[must_use]
-pub fn config(settings: &Settings<'_>) -> Config {
+pub(crate) fn config(settings: &Settings<'_>) -> Config {
     match own(settings).filter(|_| !settings.dhcp) {
         Some(own) => Config::ipv4_static(own),
         None => Config::dhcpv4(dhcp(settings)),

@@ -21,7 +21,7 @@ use bcap_embassy::clock::now;
 #[cfg(feature = "modbus")]
 use bcap_embassy::gateway::ModbusListener;
 use bcap_embassy::gateway::{Limits, Listener, SharedGateway, TcpRobot, run_robot};
-use bcap_embassy::net::{Options, UdpTransport};
+use bcap_embassy::net::{Backlog, Options, UdpTransport};
 use bcap_gateway::{Config, Gateway, Memory};
 use embassy_executor::{SpawnError, Spawner};
 use embassy_futures::select::select;
@@ -33,10 +33,13 @@ use static_cell::{ConstStaticCell, StaticCell};
 use crate::led::State;
 pub use crate::parts::{Board, SESSIONS};
 #[cfg(feature = "modbus")]
-use crate::parts::{MODBUS_TASK, SPARE_TASK};
-use crate::parts::{NETWORK, PAGES, PLC, PLC_BUFFER, PLC_BUFFERS, Parts, ROBOT, ROBOT_BUFFER, ROBOT_BUFFERS, STATUS};
+use crate::parts::{MODBUS_BACKLOG, MODBUS_TASK, SPARE_TASK};
+use crate::parts::{
+    NETWORK, PAGES, PLC, PLC_BACKLOG, PLC_BUFFER, PLC_BUFFERS, Parts, ROBOT, ROBOT_BUFFER, ROBOT_BUFFERS, STATUS,
+};
+use crate::record::Cause;
 use crate::watchdog::{self, Task, watched};
-use crate::{RuleMemory, Settings, Transport, address, report};
+use crate::{RuleMemory, Settings, Transport, address, network, report};
 
 /// Listeners. One of them answers PLCs without a slot.
 const LISTENERS: usize = SESSIONS + 1;
@@ -98,17 +101,24 @@ pub async fn run_network<F: Future>(runner: F) -> F::Output {
     watched(NETWORK, runner).await
 }
 
-/// Calls `feed` each second while the tasks run, the gateway meets its deadlines and `is_healthy` returns true.
-pub async fn watch(board: &'static Board, is_healthy: fn() -> bool, feed: impl FnMut()) -> ! {
-    let is_healthy = || {
+/// Calls `feed` each second while the tasks run, the gateway meets its deadlines and the Ethernet controller works.
+///
+/// `silence` is the time without a frame after which the controller counts as dead ([`network::SILENCE`]).
+pub async fn watch(board: &'static Board, silence: Duration, feed: impl FnMut()) -> ! {
+    let fault = || {
         #[cfg(feature = "update")]
         if board.view(|gateway| gateway.counters().served.count() > 0).unwrap_or_default() {
             crate::trial::has_served();
         }
         let deadline = board.view(Gateway::poll_timeout).flatten();
-        is_healthy() && deadline.is_none_or(|deadline| now() <= deadline.saturating_add(MAX_OVERRUN))
+        let is_late = deadline.is_some_and(|deadline| now() > deadline.saturating_add(MAX_OVERRUN));
+        match () {
+            () if network::is_dead(silence) => Some(Cause::Network),
+            () if is_late => Some(Cause::Watchdog { tasks: 0 }),
+            () => None,
+        }
     };
-    watchdog::run(is_healthy, feed).await
+    watchdog::run(fault, feed).await
 }
 
 /// Returns the pattern of the LED.
@@ -162,7 +172,7 @@ async fn serve(
     task: Task,
 ) -> ! {
     let [rx, tx] = memory;
-    let mut listener = Listener::with_options(stack, rac::PORT, rx, tx, options(settings));
+    let mut listener = Listener::with_options(stack, rac::PORT, rx, tx, options(settings, &PLC_BACKLOG));
     watched(task, listener.run(board, &limits(settings))).await
 }
 
@@ -179,7 +189,7 @@ fn start_modbus(
     let Some(port) = settings.modbus else { return Ok(()) };
     let [serving @ .., spare] = MEMORY.take();
     let listener = |[rx, tx]: &'static mut [[u8; PLC_BUFFER]; 2]| {
-        ModbusListener::new(stack, port, settings.modbus_map(), [rx, tx], options(settings))
+        ModbusListener::new(stack, port, settings.modbus_map(), [rx, tx], options(settings, &MODBUS_BACKLOG))
     };
     // the network passes a connection to the first listener that is free, so the spare one comes last
     for (number, memory) in (MODBUS_TASK..).zip(serving) {
@@ -216,10 +226,10 @@ fn limits(settings: &Settings<'_>) -> Limits {
 }
 
 /// Returns the timeouts of a PLC's connection; one that confirms no keep-alive is reset.
-fn options(settings: &Settings<'_>) -> Options {
+fn options(settings: &Settings<'_>, backlog: &'static Backlog) -> Options {
     let keep_alive = Duration::from_secs(settings.keep_alive.as_secs());
     let lost = Options::default().lost.max(keep_alive * 3);
-    Options { keep_alive, lost, usage: Some(&PLC_BUFFERS), ..Options::default() }
+    Options { keep_alive, lost, usage: Some(&PLC_BUFFERS), backlog: Some(backlog), ..Options::default() }
 }
 
 /// Waits for an address, then runs the connection to the robot.
@@ -231,8 +241,9 @@ async fn run_robot_link(
     dhcp_again: Duration,
 ) {
     static MEMORY: ConstStaticCell<[[u8; ROBOT_BUFFER]; 3]> = ConstStaticCell::new([[0; ROBOT_BUFFER]; 3]);
-    static META: ConstStaticCell<[[PacketMetadata; 2]; 2]> = ConstStaticCell::new([[PacketMetadata::EMPTY; 2]; 2]);
-    let ([rx, tx, frame], [rx_meta, tx_meta]) = (MEMORY.take(), META.take());
+    // not a `ConstStaticCell`: the values are not all zero, and would lie in the flash as well
+    static META: StaticCell<[[PacketMetadata; 2]; 2]> = StaticCell::new();
+    let ([rx, tx, frame], [rx_meta, tx_meta]) = (MEMORY.take(), META.init_with(|| [[PacketMetadata::EMPTY; 2]; 2]));
     let address = settings.robot.address;
     let run = async {
         match settings.robot.transport {

@@ -13,6 +13,7 @@
 //! | `gateway`    | `embassy`  | the tasks of a gateway                                                        |
 //! | `report`     | `embassy`  | the log of a gateway, and its status line                                     |
 //! | `address`    | `embassy`  | the board's address: DHCP or configured                                       |
+//! | `network`    | `embassy`  | embassy-net, which gets checked leases only; finds a silent Ethernet controller |
 //! | `watchdog`   | `embassy`  | feeds a watchdog while all tasks run                                          |
 //! | `led`        |            | the patterns of an LED; its task with `embassy`                               |
 //! | `health`, `syslog` | `health` | the page of the state, and the format of messages                         |
@@ -51,7 +52,7 @@
 //! | `service`  | the option of Service_Start          | `WDT=400`                |
 //! | `variable` | the variable that the images `bare` and `node` read | `I1`      |
 //! | `dhcp`     | `yes`, `no`: request an address by DHCP; always without an `address` | `yes` |
-//! | `address`  | `ADDRESS/PREFIX`: the board's address without DHCP, or when no server answers for 5 s | none |
+//! | `address`  | `ADDRESS/PREFIX`: the board's address without DHCP, or when no server gives a valid lease for 5 s | none |
 //! | `gateway`  | the default gateway, used with `address` | none                 |
 //! | `mac`      | `02:00:00:bc:a9:03`: the MAC address | derived from the chip's id |
 //! | `hostname` | the name sent with DHCP: at most 32 letters, digits and hyphens | none |
@@ -93,8 +94,11 @@ pub mod fault;
 pub mod gateway;
 #[cfg(feature = "health")]
 pub mod health;
+mod host;
 pub mod identity;
 pub mod image;
+#[cfg(any(feature = "embassy", test))]
+mod lease;
 pub mod led;
 pub mod limiter;
 #[cfg(feature = "log")]
@@ -104,6 +108,8 @@ pub mod mac;
 pub mod memory;
 #[cfg(feature = "modbus")]
 mod modbus_map;
+#[cfg(feature = "embassy")]
+pub mod network;
 #[cfg(feature = "usb")]
 mod packets;
 #[cfg(all(feature = "embassy", feature = "health"))]

@@ -25,7 +25,9 @@ use crate::health::Health;
 #[cfg(feature = "update")]
 use crate::health::Update;
 use crate::limiter::Limiter;
-use crate::parts::{Board, PAGE_TASK, PAGES, PLC_BUFFER, PLC_BUFFERS, Parts, ROBOT_BUFFER, ROBOT_BUFFERS, SYSLOG_TASK};
+use crate::parts::{
+    Board, PAGE_BACKLOG, PAGE_TASK, PAGES, PLC_BUFFER, PLC_BUFFERS, Parts, ROBOT_BUFFER, ROBOT_BUFFERS, SYSLOG_TASK,
+};
 use crate::syslog::{Message, Severity};
 use crate::watchdog::{Task, watched};
 
@@ -70,8 +72,9 @@ pub(crate) fn start(
 ) -> Result<(), SpawnError> {
     static MEMORY: ConstStaticCell<[PageMemory; PAGES]> = ConstStaticCell::new([([[0; 1024]; 2], [0; PAGE]); PAGES]);
     if let Some(port) = settings.health {
+        let options = Options { backlog: Some(&PAGE_BACKLOG), ..Options::default() };
         for (number, ([rx, tx], page)) in (PAGE_TASK..).zip(MEMORY.take()) {
-            let listener = HttpListener::new(stack, port, [rx, tx], page, Options::default());
+            let listener = HttpListener::new(stack, port, [rx, tx], page, options);
             spawner.spawn(serve(listener, board, parts, Task::new(number))?);
         }
     }

@@ -1,7 +1,7 @@
 //! The state that the tasks of a gateway board share: the gateway, their numbers, and board-specific data.
 
 use bcap_embassy::gateway::SharedGateway;
-use bcap_embassy::net::Usage;
+use bcap_embassy::net::{Backlog, Usage};
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 
 use crate::record::Cause;
@@ -33,6 +33,13 @@ pub(crate) static PLC_BUFFERS: Usage = Usage::new();
 pub(crate) const PLC_BUFFER: usize = 512;
 pub(crate) static ROBOT_BUFFERS: Usage = Usage::new();
 pub(crate) const ROBOT_BUFFER: usize = 1024;
+
+/// The listeners of PLCs, of Modbus and of the page.
+pub(crate) static PLC_BACKLOG: Backlog = Backlog::new();
+#[cfg(feature = "modbus")]
+pub(crate) static MODBUS_BACKLOG: Backlog = Backlog::new();
+#[cfg(feature = "health")]
+pub(crate) static PAGE_BACKLOG: Backlog = Backlog::new();
 
 /// Board-specific data for the status line and the page.
 #[derive(Clone, Copy)]

@@ -9,6 +9,7 @@ use bcap_core::rac;
 use bcap_gateway::modbus::Entry;
 use bcap_gateway::{Network, Rate, Rules};
 
+use crate::host::{Own, is_host, is_host_in, is_other};
 #[cfg(feature = "modbus")]
 use crate::modbus_map::ModbusMap;
 use crate::rules::{List, RuleMemory};
@@ -234,8 +235,14 @@ impl<'a> Settings<'a> {
         self.address.is_none_or(|own| is_other(own, address))
     }
 
+    /// Returns whether the board may have an address that a DHCP server leases.
+    #[cfg(any(feature = "embassy", test))]
+    pub(crate) fn accepts(&self, own: Own) -> bool {
+        is_host_in(own) && self.are_others(own)
+    }
+
     /// Returns whether the machines that are set already are others if the board has this address.
-    fn are_others(&self, own: (Ipv4Addr, u8)) -> bool {
+    fn are_others(&self, own: Own) -> bool {
         #[cfg(feature = "health")]
         let collector = self.syslog.as_ref().map(|address| *address.ip());
         #[cfg(not(feature = "health"))]
@@ -290,26 +297,15 @@ fn without_comment(line: &str) -> &str {
     hashes.find(|before| before.is_empty() || before.ends_with([' ', '\t'])).unwrap_or(line)
 }
 
-/// Parses an address that one machine can have. The network stack panics on any other one.
+/// Parses an address that one machine can have.
 fn host(value: &str) -> Option<Ipv4Addr> {
-    let is_host = |address: &Ipv4Addr| {
-        !(address.is_unspecified() || address.is_broadcast() || address.is_multicast() || address.is_loopback())
-    };
-    value.parse().ok().filter(is_host)
+    value.parse().ok().filter(|address| is_host(*address))
 }
 
-fn network(value: &str) -> Option<(Ipv4Addr, u8)> {
+fn network(value: &str) -> Option<Own> {
     let (address, prefix) = value.split_once('/')?;
-    Some((host(address)?, prefix.parse().ok().filter(|prefix| *prefix <= 32)?))
-}
-
-/// Returns whether an address is neither `own`, with the length of its prefix, nor the first or last one of its network.
-fn is_other((own, prefix): (Ipv4Addr, u8), address: Ipv4Addr) -> bool {
-    let hosts = u32::MAX.checked_shr(prefix.into()).unwrap_or(0);
-    let (own, bits) = (own.to_bits(), address.to_bits());
-    // a network of two addresses or one has no broadcast
-    let is_broadcast = hosts > 1 && (own ^ bits) & !hosts == 0 && [0, hosts].contains(&(bits & hosts));
-    bits != own && !is_broadcast
+    let own = (address.parse().ok()?, prefix.parse().ok().filter(|prefix| *prefix <= 32)?);
+    is_host_in(own).then_some(own)
 }
 
 fn robot(value: &str) -> Option<Robot> {
@@ -500,6 +496,8 @@ mod tests {
             "address=224.0.0.1/24",
             "address=255.255.255.255/32",
             "address=127.0.0.1/8",
+            "address=10.0.2.255/24",
+            "address=10.0.2.0/24",
             "gateway=10.0.2",
             "gateway=0.0.0.0",
             "gateway=239.1.2.3",

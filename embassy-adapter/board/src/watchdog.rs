@@ -57,16 +57,19 @@ pub async fn watched<F: Future>(task: Task, work: F) -> F::Output {
     }
 }
 
-/// Calls `feed` each second while all registered tasks run and `is_healthy` returns true. Otherwise it records
-/// [`Cause::Watchdog`], in case that the watchdog resets the board.
-pub async fn run(is_healthy: impl Fn() -> bool, mut feed: impl FnMut()) -> ! {
+/// Calls `feed` each second while all registered tasks run and `fault` returns none. Otherwise it records [`Cause::Watchdog`], or the
+/// fault, in case that the watchdog resets the board.
+pub async fn run(fault: impl Fn() -> Option<Cause>, mut feed: impl FnMut()) -> ! {
     let mut was_fed = true;
     loop {
         Timer::after(PULSE).await;
-        let tasks = stalled();
-        let is_fed = tasks == 0 && is_healthy();
+        let cause = match stalled() {
+            0 => fault(),
+            tasks => Some(Cause::Watchdog { tasks }),
+        };
+        let is_fed = cause.is_none();
         if is_fed != was_fed {
-            record(if is_fed { Cause::Unrecorded } else { Cause::Watchdog { tasks } });
+            record(cause.unwrap_or(Cause::Unrecorded));
         }
         was_fed = is_fed;
         if is_fed {

@@ -9,8 +9,8 @@
 //! * A received frame is copied out of the controller before its token is created. A frame to send is copied into the
 //!   controller when its token is consumed. The two tokens of a pair borrow different fields, so they share no bytes.
 //! * A `TxToken` is created only when the controller has room for the largest frame, so sending never waits.
-//! * A controller that receives nothing for 30 s while its link is up is initialised again. After five minutes it counts as
-//!   [dead](is_dead), if it has received frames before: a network without any traffic is no reason for a reset.
+//! * A controller that receives nothing for 30 s while its link is up is initialised again. After five minutes
+//!   [`bcap_board::network`] lets the watchdog reset the board.
 //! * The interrupt handler masks the interrupt and wakes the driver. The driver unmasks it when it has no more work. A
 //!   frame that arrives in between keeps the interrupt pending and is not missed.
 
@@ -93,18 +93,15 @@ const READY_POLLS: usize = 100_000;
 /// The interval at which the driver reads the link state from the PHY.
 const LINK_INTERVAL: Duration = Duration::from_millis(250);
 
-/// The time without a received frame after which the controller is initialised again, and how often that is tried before it
-/// counts as dead. A test has less time.
+/// The time without a received frame after which the controller is initialised again. A test has less time.
 const SILENCE: Duration = Duration::from_secs(if cfg!(feature = "faults") { 3 } else { 30 });
-const MAX_RESTARTS: u32 = if cfg!(feature = "faults") { 3 } else { 10 };
 
 static WAKER: AtomicWaker = AtomicWaker::new();
 static RECEIVED: AtomicU32 = AtomicU32::new(0);
 static SENT: AtomicU32 = AtomicU32::new(0);
 static DROPPED: AtomicU32 = AtomicU32::new(0);
-/// How often the controller was initialised again, in total and since it last received a frame.
+/// How often the controller was initialised again.
 static RESTARTS: AtomicU32 = AtomicU32::new(0);
-static FAILED_RESTARTS: AtomicU32 = AtomicU32::new(0);
 
 /// Wakes the driver; the interrupt handler calls it.
 pub(crate) fn wake() {
@@ -142,12 +139,6 @@ pub fn counters() -> Counters {
         dropped: DROPPED.load(Ordering::Relaxed),
         restarts: RESTARTS.load(Ordering::Relaxed),
     }
-}
-
-/// Tells whether the controller stays silent although it was initialised again and again.
-#[must_use]
-pub fn is_dead() -> bool {
-    FAILED_RESTARTS.load(Ordering::Relaxed) >= MAX_RESTARTS
 }
 
 /// Switches the controller off; `for_good` also when it is initialised again.
@@ -245,9 +236,6 @@ impl<'m> Lan9118<'m> {
     /// Initialises the controller again if it has received nothing for too long while its link is up.
     fn check_silence(&mut self, now: Instant) {
         let received = RECEIVED.load(Ordering::Relaxed);
-        if received != self.link.received {
-            FAILED_RESTARTS.store(0, Ordering::Relaxed);
-        }
         if received != self.link.received || !self.link.up {
             self.link.received = received;
             self.link.silent_since = now;
@@ -257,9 +245,6 @@ impl<'m> Lan9118<'m> {
         }
         self.link.silent_since = now;
         RESTARTS.store(RESTARTS.load(Ordering::Relaxed).saturating_add(1), Ordering::Relaxed);
-        if received > 0 {
-            FAILED_RESTARTS.store(FAILED_RESTARTS.load(Ordering::Relaxed).saturating_add(1), Ordering::Relaxed);
-        }
         // a controller that does not respond stays silent, which is counted
         let _ = self.init();
         board::unmask(board::ETHERNET_IRQ);

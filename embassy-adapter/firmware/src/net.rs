@@ -1,7 +1,7 @@
 //! embassy-net on the board: the Ethernet controller and the network stack.
 
-use bcap_board::{Settings, address};
-use embassy_net::{Runner, Stack, StackResources};
+use bcap_board::{Settings, address, network};
+use embassy_net::{Stack, StackResources};
 use embassy_time::{Duration, Instant};
 use static_cell::{ConstStaticCell, StaticCell};
 
@@ -11,15 +11,17 @@ use crate::lan9118::{Frames, Lan9118};
 /// The pause before the board asks for an address again. A test has less time.
 pub const DHCP_AGAIN: Duration = if cfg!(feature = "faults") { Duration::from_secs(3) } else { address::DHCP_AGAIN };
 
+/// The silence after which the Ethernet controller counts as dead. A test has less time.
+pub const SILENCE: Duration = if cfg!(feature = "faults") { Duration::from_secs(10) } else { network::SILENCE };
+
 /// The runner that moves frames; one task must run it.
-pub type NetRunner = Runner<'static, &'static mut Lan9118<'static>>;
+pub type NetRunner = network::Runner<&'static mut Lan9118<'static>>;
 
 /// Starts the network. Call it once.
 ///
-/// Without an Ethernet controller the program ends. Not inlined, because the network stack is built on the call stack.
-#[inline(never)]
+/// Without an Ethernet controller the program ends.
 pub fn start<const SOCKETS: usize>(
-    settings: &Settings<'_>,
+    settings: &'static Settings<'static>,
     resources: &'static mut StackResources<SOCKETS>,
 ) -> (Stack<'static>, NetRunner) {
     static FRAMES: ConstStaticCell<Frames> = ConstStaticCell::new(Frames::new());
@@ -33,7 +35,7 @@ pub fn start<const SOCKETS: usize>(
         }
     };
     let mac = device.address();
-    embassy_net::new(device, address::config(settings), resources, seed(mac))
+    network::start(device, settings, resources, seed(mac))
 }
 
 /// Returns a seed for port numbers and the like. This board has no source of random numbers, so the seed is the MAC address

@@ -18,7 +18,8 @@ const PAUSE_MS: u64 = 100;
 /// How long to wait for the first request of a client without a slot.
 pub(super) const REFUSAL_TIME: Duration = Duration::from_millis(500);
 
-/// A TCP listener that serves one PLC at a time; use several on the same port to serve several PLCs concurrently.
+/// A TCP listener that serves one PLC at a time; use several on the same port, with one [`Backlog`](crate::net::Backlog), to serve
+/// several PLCs concurrently.
 ///
 /// With one listener more than the gateway has slots, a PLC without a slot gets the answer E_MAX_CONNECT to its first line.
 /// The network resets connections that no listener accepts.
@@ -61,7 +62,8 @@ pub(super) async fn accept<M: RawMutex, const N: usize>(
     shared: &SharedGateway<'_, M, N>,
 ) -> Option<SocketAddrV4> {
     loop {
-        if transport.accept(port).await.is_err() {
+        // its place is free after the handshake
+        if transport.accept(port).await.map(drop).is_err() {
             Timer::after_millis(PAUSE_MS).await;
             continue;
         }

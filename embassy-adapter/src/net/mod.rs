@@ -40,6 +40,8 @@
 //! }
 //! ```
 
+#[cfg(feature = "server")]
+mod backlog;
 mod link;
 mod tcp;
 mod udp;
@@ -47,6 +49,10 @@ mod usage;
 
 pub use bcap_core::io::asynch::{Connection, Transport};
 
+#[cfg(feature = "server")]
+pub use self::backlog::Backlog;
+#[cfg(feature = "server")]
+pub(crate) use self::backlog::{Place, evicted};
 pub use self::tcp::{Options, TcpTransport};
 pub use self::udp::UdpTransport;
 pub use self::usage::Usage;

@@ -1,14 +1,26 @@
 //! A TCP socket of embassy-net as a transport.
 
 use core::fmt;
+#[cfg(feature = "server")]
+use core::future::poll_fn;
+#[cfg(feature = "server")]
+use core::pin::pin;
+#[cfg(feature = "server")]
+use core::task::{Context, Poll, Waker};
 
 use bcap_core::io::asynch::Transport;
 use bcap_core::time::Instant;
+#[cfg(feature = "server")]
+use embassy_futures::select::select;
+#[cfg(feature = "server")]
+use embassy_net::tcp::State;
 use embassy_net::tcp::{ConnectError, TcpSocket};
 use embassy_net::{IpEndpoint, Stack};
 use embassy_time::{Duration, Timer, with_timeout};
 
 use super::link::{is_down, wait};
+#[cfg(feature = "server")]
+use super::{Backlog, Place, evicted};
 use super::{NetError, Usage};
 use crate::clock::{now, ticks};
 
@@ -16,7 +28,7 @@ use crate::clock::{now, ticks};
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Options {
-    /// How long connecting may take.
+    /// How long connecting, or the handshake of a client, may take.
     pub connect_timeout: Duration,
     /// The time without traffic after which a TCP keep-alive is sent.
     pub keep_alive: Duration,
@@ -26,6 +38,9 @@ pub struct Options {
     pub lost: Duration,
     /// Where the use of the buffers is counted, if anywhere.
     pub usage: Option<&'static Usage>,
+    /// The listeners of a port, if there are several on it.
+    #[cfg(feature = "server")]
+    pub backlog: Option<&'static Backlog>,
 }
 
 impl Default for Options {
@@ -36,6 +51,8 @@ impl Default for Options {
             keep_alive: Duration::from_secs(5),
             lost: Duration::from_secs(15),
             usage: None,
+            #[cfg(feature = "server")]
+            backlog: None,
         }
     }
 }
@@ -90,21 +107,58 @@ impl<'s> TcpTransport<'s> {
         result
     }
 
-    /// Waits for a peer to connect to `port`.
+    /// Waits for a peer to connect to `port`, and returns its place in the backlog, where it is unfinished.
+    ///
+    /// A handshake that takes longer than [`Options::connect_timeout`], or that makes room for another one, is given up.
     ///
     /// # Errors
     ///
-    /// A [`NetError`] when the peer disconnected while connecting, or the port is 0.
+    /// A [`NetError`] when the port is 0.
     ///
     /// # Cancel safety
     ///
     /// After the future is dropped, the next use of the transport resets a peer that is just connecting.
     #[cfg(feature = "server")]
-    pub(crate) async fn accept(&mut self, port: u16) -> Result<(), NetError> {
+    pub(crate) async fn accept(&mut self, port: u16) -> Result<Option<Place>, NetError> {
         self.reset().await;
-        self.socket.accept(port).await.map_err(|_| NetError::Reset)?;
-        self.set_up();
-        Ok(())
+        loop {
+            let place = self.options.backlog.and_then(Backlog::join);
+            self.listen(port)?;
+            self.leaves(State::Listen).await;
+            if let Some(place) = &place {
+                place.begin();
+            }
+            let handshake = select(self.leaves(State::SynReceived), evicted(place.as_ref()));
+            let _ = with_timeout(self.options.connect_timeout, handshake).await;
+            // a reset by the peer makes it listen again
+            if !matches!(self.socket.state(), State::Listen | State::SynReceived | State::Closed) {
+                self.set_up();
+                return Ok(place);
+            }
+            // not a reset of the transport: the peer may not exist, and the listener would wait for it
+            self.socket.abort();
+        }
+    }
+
+    /// Starts to listen.
+    #[cfg(feature = "server")]
+    fn listen(&mut self, port: u16) -> Result<(), NetError> {
+        // the first poll of the future listens; its end does not say how a handshake went
+        match pin!(self.socket.accept(port)).poll(&mut Context::from_waker(Waker::noop())) {
+            Poll::Ready(Err(_)) => Err(NetError::Reset),
+            _ => Ok(()),
+        }
+    }
+
+    /// Waits until the socket leaves a state in which nothing can be sent.
+    #[cfg(feature = "server")]
+    async fn leaves(&self, state: State) {
+        poll_fn(|cx| match self.socket.state() == state {
+            // registers the task for changes of the state
+            true => pin!(self.socket.wait_write_ready()).poll(cx),
+            false => Poll::Ready(()),
+        })
+        .await;
     }
 
     /// Closes the connection after the sent bytes are acknowledged; resets it after [`Options::connect_timeout`].

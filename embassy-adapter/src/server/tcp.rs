@@ -9,7 +9,7 @@ use crate::net::{NetError, Options, TcpTransport};
 
 /// A TCP listener that serves one connection at a time.
 ///
-/// Use several listeners on the same port to serve several connections concurrently.
+/// Use several listeners on the same port, with one [`Backlog`](crate::net::Backlog), to serve several connections concurrently.
 #[derive(Debug)]
 pub struct Listener<'s> {
     transport: TcpTransport<'s>,
@@ -23,7 +23,13 @@ impl<'s> Listener<'s> {
     /// Creates a listener; `rx` and `tx` are its socket's buffers.
     #[must_use]
     pub fn new(stack: Stack<'s>, port: u16, rx: &'s mut [u8], tx: &'s mut [u8]) -> Self {
-        Self { transport: TcpTransport::new(stack, rx, tx, Options::default()), port }
+        Self::with_options(stack, port, rx, tx, Options::default())
+    }
+
+    /// Creates a listener with other timeouts of its connections.
+    #[must_use]
+    pub fn with_options(stack: Stack<'s>, port: u16, rx: &'s mut [u8], tx: &'s mut [u8], options: Options) -> Self {
+        Self { transport: TcpTransport::new(stack, rx, tx, options), port }
     }
 
     /// Serves connections forever; `make` creates the session of each, which is stored in `slot`.
@@ -54,7 +60,7 @@ impl<'s> Listener<'s> {
     ///
     /// # Errors
     ///
-    /// A [`NetError`] when the peer disconnected while connecting, or the port is 0.
+    /// A [`NetError`] when the port is 0.
     ///
     /// # Cancel safety
     ///
@@ -69,7 +75,8 @@ impl<'s> Listener<'s> {
         S: Serve<H>,
         M: RawMutex,
     {
-        self.transport.accept(self.port).await?;
+        // its place is free after the handshake
+        drop(self.transport.accept(self.port).await?);
         let ended = serve(&mut self.transport, session, shared, limits).await;
         self.transport.close().await;
         Ok(ended)

@@ -45,6 +45,13 @@ impl Cable {
         wire.wakers.iter().flatten().for_each(Waker::wake_by_ref);
     }
 
+    /// Puts a frame on its way to an end.
+    pub(crate) fn send(&self, to: usize, frame: Vec<u8>) {
+        let mut wire = self.0.borrow_mut();
+        wire.frames[to].push_back(frame);
+        wire.wakers.iter().flatten().for_each(Waker::wake_by_ref);
+    }
+
     /// Loses every `nth` frame from now on.
     pub(crate) fn lose(&self, nth: usize) {
         self.0.borrow_mut().lose = nth;

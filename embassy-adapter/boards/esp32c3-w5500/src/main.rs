@@ -8,7 +8,7 @@ use core::panic::PanicInfo;
 use bcap_board::gateway::{self, Board};
 use bcap_board::parts::Parts;
 use bcap_board::slots::Slots;
-use bcap_board::{address, config, led, mac, memory, port};
+use bcap_board::{address, config, led, mac, memory, network, port};
 use embassy_executor::Spawner;
 use embassy_futures::join::join;
 use embassy_net::{Stack, StackResources};
@@ -37,7 +37,7 @@ const SETTINGS: core::ops::Range<u32> = 0x9000..0xb000;
 
 type Bus = ExclusiveDevice<Spi<'static, Async>, Output<'static>, Delay>;
 type Wiznet = embassy_net_wiznet::Runner<'static, W5500, Bus, Input<'static>, Output<'static>>;
-type Net = embassy_net::Runner<'static, embassy_net_wiznet::Device<'static>>;
+type Net = network::Runner<embassy_net_wiznet::Device<'static>>;
 
 #[panic_handler]
 fn panic(info: &PanicInfo<'_>) -> ! {
@@ -80,7 +80,7 @@ async fn start(spawner: Spawner, p: Peripherals) -> Option<()> {
     let (device, wiznet) = embassy_net_wiznet::new(address, state, bus, interrupt, reset).await.ok()?;
     let (resources, random) = (RESOURCES.init_with(StackResources::new), Rng::new());
     let seed = u64::from(random.random()) << 32 | u64::from(random.random());
-    let (net, runner) = embassy_net::new(device, address::config(settings), resources, seed);
+    let (net, runner) = network::start(device, settings, resources, seed);
 
     spawner.spawn(run_network(wiznet, runner).ok()?);
     let board = gateway::start(spawner, net, settings, parts, address::DHCP_AGAIN).ok()?;
@@ -107,6 +107,6 @@ async fn run_network(wiznet: Wiznet, mut stack: Net) {
 
 #[embassy_executor::task]
 async fn watch(board: &'static Board, mut watchdog: Rwdt, led: Output<'static>, net: Stack<'static>) {
-    let watch = gateway::watch(board, || true, || watchdog.feed());
+    let watch = gateway::watch(board, network::SILENCE, || watchdog.feed());
     join(watch, led::run(led, || gateway::led_state(board, net))).await;
 }

@@ -10,7 +10,7 @@ use core::panic::PanicInfo;
 use bcap_board::gateway::{self, Board};
 use bcap_board::parts::Parts;
 use bcap_board::slots::Slots;
-use bcap_board::{address, config, fault, led, mac, memory, port, stack};
+use bcap_board::{address, config, fault, led, mac, memory, network, port, stack};
 use cortex_m::peripheral::SCB;
 use embassy_executor::{Executor, Spawner};
 use embassy_futures::join::join;
@@ -93,7 +93,7 @@ fn start(spawner: Spawner, p: Peripherals) -> Option<()> {
         p.PC1,
     );
     let (resources, seed) = (RESOURCES.init_with(StackResources::new), Rng::new(p.RNG, Irqs).next_u64());
-    let (net, runner) = embassy_net::new(device, address::config(settings), resources, seed);
+    let (net, runner) = network::start(device, settings, resources, seed);
     spawner.spawn(run_network(runner).ok()?);
     let board = gateway::start(spawner, net, settings, parts, address::DHCP_AGAIN).ok()?;
     spawner.spawn(watch(board, watchdog, Output::new(p.PB0, Level::Low, Speed::Low), net).ok()?);
@@ -109,12 +109,12 @@ async fn serve(slots: Slots<BoardFlash>, console: BufferedUart<'static>, log: Bu
 }
 
 #[embassy_executor::task]
-async fn run_network(mut stack: embassy_net::Runner<'static, Device>) {
+async fn run_network(mut stack: network::Runner<Device>) {
     gateway::run_network(stack.run()).await;
 }
 
 #[embassy_executor::task]
 async fn watch(board: &'static Board, mut watchdog: Watchdog, led: Output<'static>, net: Stack<'static>) {
-    let watch = gateway::watch(board, || true, || watchdog.pet());
+    let watch = gateway::watch(board, network::SILENCE, || watchdog.pet());
     join(watch, led::run(led, || gateway::led_state(board, net))).await;
 }

@@ -10,7 +10,7 @@ use core::panic::PanicInfo;
 use bcap_board::gateway::{self, Board};
 use bcap_board::parts::Parts;
 use bcap_board::slots::Slots;
-use bcap_board::{address, config, fault, led, mac, memory, stack};
+use bcap_board::{address, config, fault, led, mac, memory, network, stack};
 use embassy_executor::{Executor, Spawner};
 use embassy_futures::join::join;
 use embassy_net::{Stack, StackResources};
@@ -40,7 +40,7 @@ const WATCHDOG_TIME: Duration = Duration::from_secs(8);
 type BoardFlash = Flash<'static, FLASH, Blocking, FLASH_SIZE>;
 type Bus = ExclusiveDevice<Spi<'static, SPI0, Async>, Output<'static>, Delay>;
 type Wiznet = embassy_net_wiznet::Runner<'static, W5500, Bus, Input<'static>, Output<'static>>;
-type Net = embassy_net::Runner<'static, embassy_net_wiznet::Device<'static>>;
+type Net = network::Runner<embassy_net_wiznet::Device<'static>>;
 
 #[panic_handler]
 fn panic(info: &PanicInfo<'_>) -> ! {
@@ -93,7 +93,7 @@ async fn run(spawner: Spawner, p: Peripherals) -> Option<()> {
     let state = WIZNET.init_with(embassy_net_wiznet::State::new);
     let (device, wiznet) = embassy_net_wiznet::new(address, state, bus, interrupt, reset).await.ok()?;
     let resources = RESOURCES.init_with(StackResources::new);
-    let (net, runner) = embassy_net::new(device, address::config(settings), resources, RoscRng.next_u64());
+    let (net, runner) = network::start(device, settings, resources, RoscRng.next_u64());
 
     spawner.spawn(run_network(wiznet, runner).ok()?);
     let board = gateway::start(spawner, net, settings, parts, address::DHCP_AGAIN).ok()?;
@@ -114,6 +114,6 @@ async fn run_network(wiznet: Wiznet, mut stack: Net) {
 
 #[embassy_executor::task]
 async fn watch(board: &'static Board, mut watchdog: Watchdog, led: Output<'static>, net: Stack<'static>) {
-    let watch = gateway::watch(board, || true, || watchdog.feed(WATCHDOG_TIME));
+    let watch = gateway::watch(board, network::SILENCE, || watchdog.feed(WATCHDOG_TIME));
     join(watch, led::run(led, || gateway::led_state(board, net))).await;
 }

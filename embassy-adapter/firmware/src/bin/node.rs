@@ -13,7 +13,7 @@ use bcap_core::bcap::client::Config as ClientConfig;
 use bcap_core::bcap::{Client, call, server as bcap_server};
 use bcap_core::io::CallError;
 use bcap_core::rac::{self, server as rac_server};
-use bcap_embassy::net::{Connection, NetError, Options, TcpClient, TcpTransport};
+use bcap_embassy::net::{Backlog, Connection, NetError, Options, TcpClient, TcpTransport};
 use bcap_embassy::server::{Limits, Listener, SharedHandler, UdpPeer, UdpServer};
 use bcap_firmware::net::{self, NetRunner};
 use bcap_firmware::node::Node;
@@ -34,6 +34,9 @@ type RacSession = rac_server::Session<[u8; 512]>;
 type BcapSession = bcap_server::Session<[u8; 512], [u8; 512], 16>;
 
 static NODE: SharedHandler<CriticalSectionRawMutex, Node, SOCKETS> = SharedHandler::new(Node::new());
+
+/// The listeners of RAC.
+static BACKLOG: Backlog = Backlog::new();
 
 #[panic_handler]
 fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
@@ -94,7 +97,8 @@ async fn serve_rac(
 ) -> ! {
     let [rx, tx] = memory;
     let make = || RacSession::new(rac_server::Config::TCP, [0; 512]);
-    Listener::new(stack, rac::PORT, rx, tx).run(session, make, &NODE, &Limits::default()).await
+    let options = Options { backlog: Some(&BACKLOG), ..Options::default() };
+    Listener::with_options(stack, rac::PORT, rx, tx, options).run(session, make, &NODE, &Limits::default()).await
 }
 
 #[embassy_executor::task]
@@ -108,10 +112,10 @@ async fn serve_bcap(stack: Stack<'static>) -> ! {
 
 #[embassy_executor::task]
 async fn serve_udp(stack: Stack<'static>) {
-    static META: ConstStaticCell<[[PacketMetadata; 2]; 2]> = ConstStaticCell::new([[PacketMetadata::EMPTY; 2]; 2]);
+    static META: StaticCell<[[PacketMetadata; 2]; 2]> = StaticCell::new();
     static MEMORY: ConstStaticCell<[[u8; 1024]; 2]> = ConstStaticCell::new([[0; 1024]; 2]);
     static PEERS: StaticCell<[Option<UdpPeer<16>>; 2]> = StaticCell::new();
-    let ([rx_meta, tx_meta], [rx, tx]) = (META.take(), MEMORY.take());
+    let ([rx_meta, tx_meta], [rx, tx]) = (META.init_with(|| [[PacketMetadata::EMPTY; 2]; 2]), MEMORY.take());
     let mut socket = UdpSocket::new(stack, rx_meta, rx, tx_meta, tx);
     match socket.bind(BCAP_PORT) {
         Ok(()) => UdpServer::new(&mut socket, PEERS.init_with(|| [None, None]), &NODE, Limits::default()).run().await,

@@ -85,5 +85,5 @@ async fn serve_plc(board: &'static Board) -> ! {
 /// Feeds the watchdog while the tasks run.
 #[embassy_executor::task]
 async fn watch() -> ! {
-    watchdog::run(|| true, bcap_firmware::watchdog::feed).await
+    watchdog::run(|| None, bcap_firmware::watchdog::feed).await
 }

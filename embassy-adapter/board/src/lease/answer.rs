@@ -1,0 +1,81 @@
+//! Answers of DHCP servers; tests of other packages use this file, too.
+
+use std::net::Ipv4Addr;
+use std::vec::Vec;
+
+use smoltcp::phy::ChecksumCapabilities;
+use smoltcp::wire::{
+    DhcpMessageType, DhcpOption, DhcpPacket, DhcpRepr, EthernetAddress, IpProtocol, UdpPacket, UdpRepr,
+};
+
+use super::frames::packet;
+
+/// The answer of a server to a request of the board.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Answer {
+    pub(crate) kind: DhcpMessageType,
+    pub(crate) transaction: u32,
+    pub(crate) server: Ipv4Addr,
+    pub(crate) address: Ipv4Addr,
+    pub(crate) mask: Ipv4Addr,
+    pub(crate) router: Option<Ipv4Addr>,
+    /// The seconds of the lease, and until it has to be renewed.
+    pub(crate) times: [Option<u32>; 3],
+}
+
+/// A valid lease.
+pub(crate) const GOOD: Answer = Answer {
+    kind: DhcpMessageType::Ack,
+    transaction: 7,
+    server: Ipv4Addr::new(10, 0, 2, 2),
+    address: Ipv4Addr::new(10, 0, 2, 15),
+    mask: Ipv4Addr::new(255, 255, 255, 0),
+    router: Some(Ipv4Addr::new(10, 0, 2, 2)),
+    times: [Some(3600), None, None],
+};
+
+impl Answer {
+    /// Makes the frame, with the checksum of UDP.
+    pub(crate) fn frame(&self, mac: [u8; 6]) -> Vec<u8> {
+        let Self { kind, transaction, server, address, mask, router, times: [lease, renew, rebind] } = *self;
+        let none = Ipv4Addr::UNSPECIFIED;
+        // smoltcp writes only the time of the lease
+        let later = [renew, rebind].map(|seconds| seconds.unwrap_or_default().to_be_bytes());
+        let later: Vec<_> = [(58, renew, &later[0]), (59, rebind, &later[1])]
+            .into_iter()
+            .filter_map(|(kind, seconds, data)| seconds.map(|_| DhcpOption { kind, data }))
+            .collect();
+        let dhcp = DhcpRepr {
+            message_type: kind,
+            transaction_id: transaction,
+            secs: 0,
+            client_hardware_address: EthernetAddress(mac),
+            client_ip: none,
+            your_ip: address,
+            server_ip: server,
+            router,
+            subnet_mask: Some(mask),
+            relay_agent_ip: none,
+            broadcast: true,
+            requested_ip: None,
+            client_identifier: None,
+            server_identifier: Some(server),
+            parameter_request_list: None,
+            dns_servers: None,
+            max_size: None,
+            lease_duration: lease,
+            renew_duration: None,
+            rebind_duration: None,
+            additional_options: &later,
+        };
+        let udp = UdpRepr { src_port: 67, dst_port: 68 };
+        let write = |payload: &mut [u8]| {
+            let (server, client) = (server.into(), Ipv4Addr::BROADCAST.into());
+            let emit = |data: &mut [u8]| dhcp.emit(&mut DhcpPacket::new_unchecked(data)).unwrap();
+            let mut packet = UdpPacket::new_unchecked(payload);
+            udp.emit(&mut packet, &server, &client, dhcp.buffer_len(), emit, &ChecksumCapabilities::default());
+        };
+        let len = udp.header_len() + dhcp.buffer_len();
+        packet((mac, server, Ipv4Addr::BROADCAST, IpProtocol::Udp), len, write)
+    }
+}

@@ -1,0 +1,53 @@
+//! Frames for a board, as tests send them; tests of other packages use this file, too.
+
+use std::net::Ipv4Addr;
+use std::vec;
+use std::vec::Vec;
+
+use smoltcp::phy::ChecksumCapabilities;
+use smoltcp::wire::{
+    EthernetAddress, EthernetFrame, EthernetProtocol, EthernetRepr, IpProtocol, Ipv4Packet, Ipv4Repr, TcpControl,
+    TcpPacket, TcpRepr, TcpSeqNumber,
+};
+
+/// The header of Ethernet.
+const ETHERNET: usize = 14;
+/// The sender of all frames.
+const SENDER: EthernetAddress = EthernetAddress([2, 0, 0, 0, 0, 0xfe]);
+
+/// The head of a packet: the MAC address of the board, the sender's address, the destination, the protocol.
+pub(crate) type Head = ([u8; 6], Ipv4Addr, Ipv4Addr, IpProtocol);
+
+/// Makes a frame whose payload of `len` bytes is written by `write`.
+pub(crate) fn packet((mac, from, to, protocol): Head, len: usize, write: impl FnOnce(&mut [u8])) -> Vec<u8> {
+    let ip = Ipv4Repr { src_addr: from, dst_addr: to, next_header: protocol, payload_len: len, hop_limit: 64 };
+    let ethernet = EthernetRepr { src_addr: SENDER, dst_addr: EthernetAddress(mac), ethertype: EthernetProtocol::Ipv4 };
+    let mut frame = vec![0; ETHERNET + ip.buffer_len() + len];
+    ethernet.emit(&mut EthernetFrame::new_unchecked(&mut frame[..]));
+    ip.emit(&mut Ipv4Packet::new_unchecked(&mut frame[ETHERNET..]), &ChecksumCapabilities::default());
+    write(&mut frame[ETHERNET + ip.buffer_len()..]);
+    frame
+}
+
+/// Makes the frame that begins a connection to a port.
+pub(crate) fn syn(mac: [u8; 6], from: Ipv4Addr, to: Ipv4Addr, [source, port]: [u16; 2]) -> Vec<u8> {
+    let tcp = TcpRepr {
+        src_port: source,
+        dst_port: port,
+        control: TcpControl::Syn,
+        seq_number: TcpSeqNumber(1),
+        ack_number: None,
+        window_len: 1000,
+        window_scale: None,
+        max_seg_size: None,
+        sack_permitted: false,
+        sack_ranges: [None; 3],
+        timestamp: None,
+        payload: &[],
+    };
+    let write = |payload: &mut [u8]| {
+        let mut packet = TcpPacket::new_unchecked(payload);
+        tcp.emit(&mut packet, &from.into(), &to.into(), &ChecksumCapabilities::default());
+    };
+    packet((mac, from, to, IpProtocol::Tcp), tcp.buffer_len(), write)
+}

@@ -1,0 +1,172 @@
+//! embassy-net over the driver of a board: it gets checked leases only, and a controller that stays silent is found.
+//!
+//! ```text
+//!  driver ─► Checked: drops invalid leases of DHCP, counts as a sign of life ─► embassy-net
+//! ```
+
+use core::cell::Cell;
+use core::task::Context;
+
+use embassy_net::driver::{Capabilities, Driver, HardwareAddress, LinkState, RxToken};
+use embassy_net::{Stack, StackResources};
+use embassy_sync::blocking_mutex::Mutex;
+use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
+use embassy_time::{Duration, Instant};
+
+use crate::lease::{Lease, Refused, check};
+use crate::{Settings, address};
+
+/// The time without a frame, while the link is up, after which the Ethernet controller counts as dead, if it has received frames
+/// before: a network without any traffic is no reason for a reset.
+pub const SILENCE: Duration = Duration::from_secs(300);
+
+/// The pause between two offers that the network stack gets. A server that refuses what it has offered would otherwise be asked
+/// again without a pause; after an offer that is dropped, the stack asks after 10 s.
+const OFFER_PAUSE: Duration = Duration::from_secs(1);
+
+/// The network stack of a board, which one task must run.
+pub type Runner<D> = embassy_net::Runner<'static, Checked<D>>;
+
+/// The last sign of life of the Ethernet controller.
+#[derive(Clone, Copy)]
+struct Life {
+    has_received: bool,
+    /// Since when nothing has been received over a link that is up.
+    silent_since: Option<Instant>,
+}
+
+static LIFE: Mutex<CriticalSectionRawMutex, Cell<Life>> =
+    Mutex::new(Cell::new(Life { has_received: false, silent_since: None }));
+
+/// Makes the network stack of a board, with the address of the settings or of a DHCP server. Call it once.
+///
+/// Not inlined, because the network stack is built on the call stack.
+#[inline(never)]
+pub fn start<D: Driver, const SOCKETS: usize>(
+    driver: D,
+    settings: &'static Settings<'static>,
+    resources: &'static mut StackResources<SOCKETS>,
+    seed: u64,
+) -> (Stack<'static>, Runner<D>) {
+    let driver = Checked { driver, settings, next_offer: Instant::MIN, told: None };
+    embassy_net::new(driver, address::config(settings), resources, seed)
+}
+
+/// Tells whether the controller has received nothing for this time while its link is up, and had received frames before.
+#[must_use]
+pub fn is_dead(silence: Duration) -> bool {
+    let Life { has_received, silent_since } = LIFE.lock(Cell::get);
+    has_received && silent_since.is_some_and(|since| since.elapsed() > silence)
+}
+
+/// A driver whose frames are checked before the network stack gets them.
+pub struct Checked<D> {
+    driver: D,
+    settings: &'static Settings<'static>,
+    next_offer: Instant,
+    /// The refusal that was last logged.
+    told: Option<Refused>,
+}
+
+impl<D> core::fmt::Debug for Checked<D> {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.debug_struct("Checked").finish_non_exhaustive()
+    }
+}
+
+impl<D: Driver> Driver for Checked<D> {
+    type RxToken<'a>
+        = CheckedFrame<'a, D::RxToken<'a>>
+    where
+        Self: 'a;
+    type TxToken<'a>
+        = D::TxToken<'a>
+    where
+        Self: 'a;
+
+    fn receive(&mut self, cx: &mut Context<'_>) -> Option<(Self::RxToken<'_>, Self::TxToken<'_>)> {
+        let HardwareAddress::Ethernet(mac) = self.driver.hardware_address() else { return None };
+        let Self { driver, settings, next_offer, told } = self;
+        let (frame, room) = driver.receive(cx)?;
+        LIFE.lock(|life| life.set(Life { has_received: true, silent_since: Some(Instant::now()) }));
+        Some((CheckedFrame { frame, mac, settings, next_offer, told }, room))
+    }
+
+    fn transmit(&mut self, cx: &mut Context<'_>) -> Option<Self::TxToken<'_>> {
+        self.driver.transmit(cx)
+    }
+
+    fn link_state(&mut self, cx: &mut Context<'_>) -> LinkState {
+        let state = self.driver.link_state(cx);
+        LIFE.lock(|cell| {
+            let life = cell.get();
+            let silent_since = match state {
+                LinkState::Up => life.silent_since.or_else(|| Some(Instant::now())),
+                LinkState::Down => None,
+            };
+            cell.set(Life { silent_since, ..life });
+        });
+        state
+    }
+
+    fn capabilities(&self) -> Capabilities {
+        self.driver.capabilities()
+    }
+
+    fn hardware_address(&self) -> HardwareAddress {
+        self.driver.hardware_address()
+    }
+}
+
+/// A received frame that is checked before the network stack gets it.
+#[derive(Debug)]
+pub struct CheckedFrame<'a, T> {
+    frame: T,
+    mac: [u8; 6],
+    settings: &'static Settings<'static>,
+    next_offer: &'a mut Instant,
+    told: &'a mut Option<Refused>,
+}
+
+impl<T: RxToken> RxToken for CheckedFrame<'_, T> {
+    fn consume<R, F>(self, take: F) -> R
+    where
+        F: FnOnce(&mut [u8]) -> R,
+    {
+        let Self { frame, mac, settings, next_offer, told } = self;
+        frame.consume(|frame| match may_pass(frame, mac, settings, next_offer, told) {
+            true => take(frame),
+            // the network stack skips an empty frame
+            false => take(&mut []),
+        })
+    }
+}
+
+/// Tells whether the network stack may have a frame; logs a refused lease, unless it is the last one again.
+fn may_pass(
+    frame: &mut [u8],
+    mac: [u8; 6],
+    settings: &Settings<'_>,
+    next_offer: &mut Instant,
+    told: &mut Option<Refused>,
+) -> bool {
+    match check(frame, mac, |own| settings.accepts(own)) {
+        Ok(Some(Lease { is_offer: true })) => {
+            let now = Instant::now();
+            let is_early = now < *next_offer;
+            if !is_early {
+                *next_offer = now.saturating_add(OFFER_PAUSE);
+            }
+            !is_early
+        }
+        Ok(_) => true,
+        Err(refused) => {
+            if *told != Some(refused) {
+                *told = Some(refused);
+                let Refused { server, address, reason } = refused;
+                defmt::warn!("DHCP: refused {} from {}: {=str}", address, server, reason.text());
+            }
+            false
+        }
+    }
+}
