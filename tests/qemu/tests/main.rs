@@ -1,6 +1,9 @@
 //! The tests of this package, as one program. `cargo test -p bcap-qemu NAME::` runs those of one module.
 
 #[cfg(unix)]
+#[path = "../../../embassy-adapter/board/src/lease/answer.rs"]
+mod answer;
+#[cfg(unix)]
 mod console;
 #[cfg(unix)]
 mod dhcp;
@@ -9,9 +12,14 @@ mod faults;
 #[cfg(unix)]
 mod flood;
 #[cfg(unix)]
+#[path = "../../../embassy-adapter/board/src/lease/frames.rs"]
+mod frames;
+#[cfg(unix)]
 mod gateway;
 #[cfg(unix)]
 mod health;
+#[cfg(unix)]
+mod hostile;
 mod line;
 #[cfg(unix)]
 mod modbus;

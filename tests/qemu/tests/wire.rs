@@ -32,8 +32,8 @@ use smoltcp::phy::{self, Device, DeviceCapabilities, Medium};
 use smoltcp::socket::tcp;
 use smoltcp::wire::{EthernetAddress, IpCidr, Ipv4Address};
 
-const BOARD: Ipv4Address = Ipv4Address::new(10, 0, 2, 15);
-const HOST: Ipv4Address = Ipv4Address::new(10, 0, 2, 2);
+pub(crate) const BOARD: Ipv4Address = Ipv4Address::new(10, 0, 2, 15);
+pub(crate) const HOST: Ipv4Address = Ipv4Address::new(10, 0, 2, 2);
 const PLCS: usize = 4;
 /// More variables than the board's handle cache holds.
 const VARIABLES: i32 = 200;
@@ -51,7 +51,7 @@ fn no_answer_is_wrong_and_every_request_ends_on_a_lossy_wire() {
     let (wire, netdev) = Wire::open(seed);
     let settings = ["provider=CaoProv.DENSO.VRC", "dhcp=no", "put=I"];
     let mut board = Board::start("10.0.2.2:5007", &["--netdev", &netdev], &settings);
-    let mut world = World::new(wire, seed);
+    let mut world = World::new(wire, PLCS, seed);
 
     // the board may have to be built first
     world.run_until(&mut board, Duration::from_secs(600), |world| world.plcs.iter().all(|plc| plc.answers > 0));
@@ -80,21 +80,21 @@ fn value_of(number: i32) -> i32 {
 }
 
 /// Everything at this end of the wire.
-struct World {
+pub(crate) struct World {
     begin: Instant,
-    wire: Wire,
-    interface: Interface,
-    sockets: SocketSet<'static>,
-    robot: Robot,
+    pub(crate) wire: Wire,
+    pub(crate) interface: Interface,
+    pub(crate) sockets: SocketSet<'static>,
+    pub(crate) robot: Robot,
     servers: Vec<(SocketHandle, TcpServer<RobotSession>)>,
-    plcs: Vec<Plc>,
+    pub(crate) plcs: Vec<Plc>,
     rng: Rng,
 }
 
 type RobotSession = Session<[u8; 1024], [u8; 1024], 256>;
 
 impl World {
-    fn new(mut wire: Wire, seed: u64) -> Self {
+    pub(crate) fn new(mut wire: Wire, plcs: usize, seed: u64) -> Self {
         let address = EthernetAddress([0x02, 0, 0, 0, 0, 0x02]);
         let mut config = iface::Config::new(address.into());
         config.random_seed = seed;
@@ -105,7 +105,7 @@ impl World {
             let buffer = || tcp::SocketBuffer::new(vec![0; 2048]);
             sockets.add(tcp::Socket::new(buffer(), buffer()))
         };
-        let plcs = (0..PLCS).map(|index| Plc::new(socket(), index)).collect();
+        let plcs = (0..plcs).map(|index| Plc::new(socket(), index)).collect();
         // a connection that the board has given up may not have ended here yet
         let servers = (0..3).map(|index| (socket(), TcpServer::new(5007, index, 3))).collect();
         let robot = Robot { wrong: 0, requests: 0 };
@@ -119,20 +119,25 @@ impl World {
             assert!(board.is_running(), "the board has ended or was reset: {}", board.log());
             assert!(since.elapsed() < limit, "nothing goes on: {}; {}", self.report(), board.log());
             self.wire.receive();
-            let now = CoreInstant::from_micros(u64::try_from(self.begin.elapsed().as_micros()).unwrap());
-            self.interface.poll(bare::to_smoltcp(now), &mut self.wire, &mut self.sockets);
-            for (handle, server) in &mut self.servers {
-                let make = || Session::new(Config::TCP, [0; 1024], [0; 1024]);
-                server.poll(self.sockets.get_mut(*handle), make, &mut self.robot, now);
-            }
-            for plc in &mut self.plcs {
-                plc.go_on(self.sockets.get_mut(plc.socket), &mut self.interface, &mut self.rng);
-            }
-            self.interface.poll(bare::to_smoltcp(now), &mut self.wire, &mut self.sockets);
+            self.poll();
         }
     }
 
-    fn forget(&mut self) {
+    /// Lets everything here process the frames that have arrived.
+    pub(crate) fn poll(&mut self) {
+        let now = CoreInstant::from_micros(u64::try_from(self.begin.elapsed().as_micros()).unwrap());
+        self.interface.poll(bare::to_smoltcp(now), &mut self.wire, &mut self.sockets);
+        for (handle, server) in &mut self.servers {
+            let make = || Session::new(Config::TCP, [0; 1024], [0; 1024]);
+            server.poll(self.sockets.get_mut(*handle), make, &mut self.robot, now);
+        }
+        for plc in &mut self.plcs {
+            plc.go_on(self.sockets.get_mut(plc.socket), &mut self.interface, &mut self.rng);
+        }
+        self.interface.poll(bare::to_smoltcp(now), &mut self.wire, &mut self.sockets);
+    }
+
+    pub(crate) fn forget(&mut self) {
         self.wire.ways = Default::default();
         self.robot.requests = 0;
         for plc in &mut self.plcs {
@@ -140,7 +145,7 @@ impl World {
         }
     }
 
-    fn report(&self) -> String {
+    pub(crate) fn report(&self) -> String {
         let sum = |of: fn(&Plc) -> u32| self.plcs.iter().map(of).sum::<u32>();
         let [to, from] = &self.wire.ways;
         let longest = self.plcs.iter().map(|plc| plc.longest).max().unwrap_or_default();
@@ -157,15 +162,17 @@ impl World {
 }
 
 /// A PLC: one request after the other, over one connection after the other.
-struct Plc {
+pub(crate) struct Plc {
     socket: SocketHandle,
+    /// Whether it connects anew for each request.
+    pub(crate) reconnects: bool,
     next_port: u16,
     received: Vec<u8>,
     /// The number of the variable that is asked for, whether it is put, and since when.
     waiting: Option<(i32, bool, Instant)>,
     requests: u32,
-    answers: u32,
-    errors: u32,
+    pub(crate) answers: u32,
+    pub(crate) errors: u32,
     lost: u32,
     longest: Duration,
 }
@@ -175,6 +182,7 @@ impl Plc {
         let next_port = 49_152 + 1000 * u16::try_from(index).unwrap();
         Self {
             socket,
+            reconnects: false,
             next_port,
             received: Vec::new(),
             waiting: None,
@@ -195,6 +203,9 @@ impl Plc {
             while let Some(end) = self.received.iter().position(|byte| *byte == b'\r') {
                 let line: Vec<u8> = self.received.drain(..=end).collect();
                 self.check(str::from_utf8(&line[..end]).unwrap());
+                if self.reconnects {
+                    socket.close();
+                }
             }
         }
         if !socket.is_open() || !matches!(socket.state(), tcp::State::SynSent) && !socket.may_recv() {
@@ -238,9 +249,9 @@ impl Plc {
 }
 
 /// A robot controller whose variables have their values.
-struct Robot {
+pub(crate) struct Robot {
     /// Values that do not belong to their variable.
-    wrong: u32,
+    pub(crate) wrong: u32,
     requests: u32,
 }
 
@@ -293,20 +304,20 @@ impl std::fmt::Display for Way {
 }
 
 /// The wire: a datagram for each frame, and the injected faults.
-struct Wire {
-    link: UdpSocket,
+pub(crate) struct Wire {
+    pub(crate) link: UdpSocket,
     rng: Rng,
     faulty: bool,
     /// To the board and from it.
     ways: [Way; 2],
-    arrived: VecDeque<Vec<u8>>,
+    pub(crate) arrived: VecDeque<Vec<u8>>,
     /// Frames on their way: when they arrive, and whether at the board.
     delayed: Vec<(Instant, bool, Vec<u8>)>,
 }
 
 impl Wire {
     /// Makes a wire, and the back-end of QEMU's that is its other end.
-    fn open(seed: u64) -> (Self, String) {
+    pub(crate) fn open(seed: u64) -> (Self, String) {
         let link = UdpSocket::bind("127.0.0.1:0").unwrap();
         let other = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
         link.connect(other).unwrap();
@@ -324,7 +335,7 @@ impl Wire {
     }
 
     /// Receives frames, and delivers delayed frames whose time has come; without any, waits for a millisecond.
-    fn receive(&mut self) {
+    pub(crate) fn receive(&mut self) {
         let now = Instant::now();
         while let Some(at) = self.delayed.iter().position(|(deadline, _, _)| *deadline <= now) {
             let (_, to_board, frame) = self.delayed.remove(at);
@@ -337,7 +348,10 @@ impl Wire {
             if self.arrived.len() >= 16 {
                 break;
             }
+            // only the first one is waited for: the timeout of a socket may take two ticks of the kernel
+            self.link.set_nonblocking(true).unwrap();
         }
+        self.link.set_nonblocking(false).unwrap();
     }
 
     fn carry(&mut self, to_board: bool, frame: Vec<u8>) {
@@ -390,7 +404,7 @@ impl Device for Wire {
 }
 
 /// A frame that has arrived.
-struct Frame(Vec<u8>);
+pub(crate) struct Frame(Vec<u8>);
 
 impl phy::RxToken for Frame {
     fn consume<R, F: FnOnce(&[u8]) -> R>(self, f: F) -> R {
@@ -399,7 +413,7 @@ impl phy::RxToken for Frame {
 }
 
 /// Room for a frame to the board.
-struct Room<'a>(&'a mut Wire);
+pub(crate) struct Room<'a>(&'a mut Wire);
 
 impl phy::TxToken for Room<'_> {
     fn consume<R, F: FnOnce(&mut [u8]) -> R>(self, len: usize, f: F) -> R {

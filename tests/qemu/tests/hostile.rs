@@ -1,0 +1,274 @@
+//! Tests the gateway board in QEMU on a hostile network: invalid leases, half-open connections, slow clients of the page, random frames.
+//!
+//! ```text
+//!  4 PLCs, one of which connects for each request ─┐
+//!                                           robot ─┼─ Ethernet ─ gateway image
+//!  20 DHCP servers, floods, slow HTTP, pings ──────┘
+//! ```
+//!
+//! The board must not be reset, every answer must be right, and the PLC that connects anew must be served during the attack.
+//! `HOSTILE_SECONDS` and `HOSTILE_SEED` are the length of the attack, 10 s, and the seed, 1.
+
+use std::io::{self, Write};
+use std::net::{Ipv4Addr, UdpSocket};
+use std::time::{Duration, Instant};
+
+use bcap_qemu::Board;
+use fastrand::Rng;
+use smoltcp::iface::SocketHandle;
+use smoltcp::phy::ChecksumCapabilities;
+use smoltcp::socket::tcp;
+use smoltcp::wire::{DhcpMessageType, DhcpPacket, DhcpRepr, Icmpv4Packet, Icmpv4Repr, IpProtocol};
+
+use crate::answer::{Answer, GOOD};
+use crate::frames::{packet, syn};
+use crate::wire::{BOARD, HOST, Wire, World};
+
+const MAC: [u8; 6] = [2, 0, 0, 0, 0, 0x15];
+/// The header of Ethernet, and those up to a message of ICMP and of DHCP.
+const ETHERNET: usize = 14;
+const ICMP: usize = ETHERNET + 20;
+const DHCP: usize = ICMP + 8;
+/// The pauses between half-open connections, random frames, pings, and requests of slow clients.
+const PAUSES: [Duration; 4] =
+    [Duration::from_millis(10), Duration::from_millis(5), Duration::from_millis(100), Duration::from_millis(50)];
+const PING: u16 = 0x1234;
+/// How long the board may need to serve all PLCs after the attack; usually it takes a few seconds.
+const RECOVERY: Duration = Duration::from_secs(60);
+
+#[test]
+fn a_hostile_network_resets_nothing_and_keeps_no_plc_out() {
+    let setting = |name: &str, usual: u64| std::env::var(name).map_or(usual, |text| text.parse().unwrap());
+    let length = Duration::from_secs(setting("HOSTILE_SECONDS", 10));
+    let seed = setting("HOSTILE_SEED", 1);
+    let (wire, netdev) = Wire::open(seed);
+    let limit = (length.as_secs() + 600).to_string();
+    // the forwarded port belongs to user networking, which is not used
+    let options = ["--netdev", &netdev, "--health", "1", "--time", &limit];
+    let settings = ["provider=CaoProv.DENSO.VRC", "put=I", "mac=02:00:00:00:00:15"];
+    let mut board = Board::start("10.0.2.2:5007", &options, &settings);
+    let mut world = World::new(wire, 4, seed);
+    world.plcs[3].reconnects = true;
+    let mut attack = Attack::new(&mut world, seed);
+
+    // the board may have to be built first
+    attack.run(&mut world, &mut board, Duration::from_secs(600), |world| world.plcs.iter().all(|plc| plc.answers > 0));
+    world.forget();
+    (attack.is_on, attack.found) = (true, Found::default());
+    let end = Instant::now() + length;
+    attack.run(&mut world, &mut board, 2 * length + RECOVERY, |_| Instant::now() >= end);
+    attack.is_on = false;
+    let during: Vec<u32> = world.plcs.iter().map(|plc| plc.answers).collect();
+    let Found { requests, pongs, pages, .. } = attack.found;
+    // not `eprintln`, which the tests of cargo show of failures only
+    let _ = writeln!(
+        io::stderr(),
+        "hostile network, seed {seed}, {length:?}: {:?}; {}; answers {during:?}",
+        attack.found,
+        world.report()
+    );
+    let since = Instant::now();
+    attack.run(&mut world, &mut board, RECOVERY, |world| {
+        world.plcs.iter().zip(&during).all(|(plc, before)| plc.answers >= before + 20)
+    });
+    let _ = writeln!(io::stderr(), "hostile network: all PLCs served again after {:?}", since.elapsed());
+
+    assert_eq!(world.robot.wrong, 0, "values at the robot that no PLC wrote");
+    assert!(during.iter().all(|answers| *answers > 0), "answers under attack: {during:?}");
+    assert!(pongs > 0 && pages > 0, "{:?}", attack.found);
+    // a renewal each 10 s, and what follows the attack
+    assert!(u64::from(requests) <= length.as_secs() / 5 + 5, "{requests} requests of DHCP");
+}
+
+/// What was sent to the board and received from it during the attack.
+#[derive(Clone, Copy, Debug, Default)]
+struct Found {
+    /// Requests of DHCP, and invalid leases.
+    requests: u32,
+    leases: u32,
+    half_open: u32,
+    frames: u32,
+    pings: u32,
+    pongs: u32,
+    /// Requests of slow clients, pages, and requests without a page.
+    slow: u32,
+    pages: u32,
+    no_page: u32,
+}
+
+struct Attack {
+    link: UdpSocket,
+    rng: Rng,
+    is_on: bool,
+    next: [Instant; PAUSES.len()],
+    /// The slow clients of the page, and after them one that reads it.
+    browsers: Vec<(SocketHandle, Vec<u8>)>,
+    next_port: u16,
+    found: Found,
+}
+
+impl Attack {
+    fn new(world: &mut World, seed: u64) -> Self {
+        let buffer = || tcp::SocketBuffer::new(vec![0; 4096]);
+        let mut socket = || world.sockets.add(tcp::Socket::new(buffer(), buffer()));
+        Self {
+            browsers: (0..4).map(|_| (socket(), Vec::new())).collect(),
+            link: world.wire.link.try_clone().unwrap(),
+            rng: Rng::with_seed(seed),
+            is_on: false,
+            next: [Instant::now(); PAUSES.len()],
+            next_port: 30_000,
+            found: Found::default(),
+        }
+    }
+
+    /// Runs until `done`, at most for `limit`; the board must run throughout.
+    fn run(&mut self, world: &mut World, board: &mut Board, limit: Duration, done: impl Fn(&World) -> bool) {
+        let since = Instant::now();
+        while !done(world) {
+            assert!(board.is_running(), "the board has ended or was reset: {}", board.log());
+            assert!(since.elapsed() < limit, "nothing goes on: {}; {}", world.report(), board.log());
+            world.wire.receive();
+            for frame in &world.wire.arrived {
+                self.answer(frame);
+            }
+            if self.is_on {
+                self.attack(world);
+            }
+            world.poll();
+        }
+    }
+
+    fn send(&self, frame: &[u8]) {
+        // until QEMU is up no process receives the frames
+        let _ = self.link.send(frame);
+    }
+
+    /// Answers a request of DHCP with invalid leases and a valid one, and counts pongs.
+    fn answer(&mut self, frame: &[u8]) {
+        let protocol = frame.get(ETHERNET + 9).map(|protocol| IpProtocol::from(*protocol));
+        if protocol == Some(IpProtocol::Icmp) {
+            let reply = Icmpv4Packet::new_checked(&frame[ICMP..]).unwrap();
+            let reply = Icmpv4Repr::parse(&reply, &ChecksumCapabilities::default());
+            self.found.pongs += u32::from(matches!(reply, Ok(Icmpv4Repr::EchoReply { ident: PING, .. })));
+        }
+        let message = frame.get(DHCP..).filter(|_| protocol == Some(IpProtocol::Udp));
+        let Some(Ok(message)) = message.map(DhcpPacket::new_checked) else { return };
+        let Ok(request) = DhcpRepr::parse(&message) else { return };
+        self.found.requests += 1;
+        let kind = match request.message_type {
+            DhcpMessageType::Discover => DhcpMessageType::Offer,
+            _ => DhcpMessageType::Ack,
+        };
+        for lease in invalid_leases() {
+            self.send(&Answer { kind, transaction: request.transaction_id, ..lease }.frame(MAC));
+            self.found.leases += 1;
+        }
+        // a valid lease whose router is not one
+        let router = [[0, 0, 0, 0], [255, 255, 255, 255], [224, 0, 0, 1]][self.rng.usize(..3)];
+        let times = [Some(20), None, None];
+        let lease = Answer { kind, transaction: request.transaction_id, router: Some(router.into()), times, ..GOOD };
+        self.send(&lease.frame(MAC));
+    }
+
+    fn attack(&mut self, world: &mut World) {
+        let now = Instant::now();
+        let starts = self.next.map(|next| next <= now);
+        for ((next, pause), _) in self.next.iter_mut().zip(PAUSES).zip(starts).filter(|(_, starts)| *starts) {
+            *next = now + pause;
+        }
+        let [half_open, random, ping, slow] = starts;
+        if half_open {
+            // from the network of the board, and from others
+            let host = self.rng.u8(20..250);
+            let from = [Ipv4Addr::new(10, 0, 2, host), Ipv4Addr::new(172, 16, 0, host)][self.rng.usize(..2)];
+            let ports = [self.rng.u16(1024..), 5006];
+            self.send(&syn(MAC, from, BOARD, ports));
+            self.found.half_open += 1;
+        }
+        if random {
+            let frame = random_frame(&mut self.rng);
+            self.send(&frame);
+            self.found.frames += 1;
+        }
+        if ping {
+            self.ping();
+        }
+        self.browse(world, slow);
+    }
+
+    fn ping(&mut self) {
+        let data = &[0x55; 56];
+        let echo = Icmpv4Repr::EchoRequest { ident: PING, seq_no: 1, data };
+        let write = |bytes: &mut [u8]| {
+            echo.emit(&mut Icmpv4Packet::new_unchecked(bytes), &ChecksumCapabilities::default());
+        };
+        self.send(&packet((MAC, HOST, BOARD, IpProtocol::Icmp), echo.buffer_len(), write));
+        self.found.pings += 1;
+    }
+
+    /// Begins requests for the page without their end, if `slow`, and reads the page with another client.
+    fn browse(&mut self, world: &mut World, slow: bool) {
+        let count = self.browsers.len();
+        for (index, (handle, page)) in self.browsers.iter_mut().enumerate() {
+            let reads = index + 1 == count;
+            let socket = world.sockets.get_mut::<tcp::Socket<'_>>(*handle);
+            if socket.can_recv() {
+                socket.recv(|bytes| (bytes.len(), page.extend_from_slice(bytes))).unwrap();
+            }
+            if socket.can_send() && socket.send_queue() == 0 && page.is_empty() && socket.may_recv() {
+                // once: its answer, or a byte that was never received, follows
+                page.push(0);
+                let request: &[u8] = if reads { b"GET /health.json HTTP/1.1\r\n\r\n" } else { b"GET / HT" };
+                socket.send_slice(request).unwrap();
+            }
+            let has_ended = !matches!(socket.state(), tcp::State::SynSent) && !socket.may_recv();
+            if !has_ended || !(slow || reads) {
+                continue;
+            }
+            match (reads, page.get(1..).unwrap_or_default().starts_with(b"HTTP/1.1 200 OK")) {
+                (true, true) => self.found.pages += 1,
+                (true, false) => self.found.no_page += 1,
+                (false, _) => self.found.slow += 1,
+            }
+            page.clear();
+            socket.abort();
+            self.next_port = 30_000 + (self.next_port + 1) % 10_000;
+            socket.connect(world.interface.context(), (BOARD, 80), self.next_port).unwrap();
+        }
+    }
+}
+
+/// Makes a frame that is random, apart from the head of an IPv4, ARP, TCP, UDP or ICMP packet to the board.
+fn random_frame(rng: &mut Rng) -> Vec<u8> {
+    let mut bytes: Vec<u8> = (0..rng.usize(1..1400)).map(|_| rng.u8(..)).collect();
+    let protocol = [IpProtocol::Tcp, IpProtocol::Udp, IpProtocol::Icmp, IpProtocol::Igmp][rng.usize(..4)];
+    let from = Ipv4Addr::from_bits(rng.u32(..));
+    // to a port that is open
+    let ports = [[0_u16, 5006], [67, 68], [514, 80]][rng.usize(..3)].map(u16::to_be_bytes);
+    for (to, byte) in bytes.iter_mut().zip(ports.as_flattened()).skip(2 * rng.usize(..2)) {
+        *to = *byte;
+    }
+    let mut frame = packet((MAC, from, BOARD, protocol), bytes.len(), |payload| payload.copy_from_slice(&bytes));
+    if rng.u8(..3) == 0 {
+        // ARP, IPv6 or another protocol
+        let kind = [[8, 6], [0x86, 0xdd], [rng.u8(..), rng.u8(..)]][rng.usize(..3)];
+        frame[ETHERNET - 2..ETHERNET].copy_from_slice(&kind);
+    }
+    frame
+}
+
+/// Returns leases that the board must not use.
+fn invalid_leases() -> impl Iterator<Item = Answer> {
+    let address = |address: [u8; 4]| Answer { address: address.into(), ..GOOD };
+    let mask = |mask: [u8; 4]| Answer { mask: mask.into(), ..GOOD };
+    let server = |server: [u8; 4]| Answer { server: server.into(), ..GOOD };
+    let time = |seconds| Answer { times: [Some(seconds), None, None], ..GOOD };
+    // the last one is the robot's
+    let addresses =
+        [[0; 4], [10, 0, 2, 0], [10, 0, 2, 255], [224, 0, 0, 1], [255; 4], [127, 0, 0, 1], [10, 0, 2, 2]].map(address);
+    let masks = [[0; 4], [255, 0, 255, 0], [0, 255, 255, 0], [255, 255, 255, 1], [0, 0, 0, 1]].map(mask);
+    let servers = [[0; 4], [127, 0, 0, 1], [224, 0, 0, 1], [255; 4]].map(server);
+    let times = [0, 1, 5, 9].map(time);
+    addresses.into_iter().chain(masks).chain(servers).chain(times)
+}
