@@ -2,10 +2,10 @@
 
 use std::convert::Infallible;
 
-use crate::flash::Flash;
 use bcap_board::console::{Action, Console, LINE};
 use bcap_board::crc::Crc32;
 use bcap_board::slots::{Slots, TEXT};
+use bcap_testkit::flash::Flash;
 
 const IMAGE: &[u8] = b"robot=192.168.0.1:5007\nput=I/0-9\n\0\0\0\0";
 

@@ -2,7 +2,6 @@
 
 mod configure;
 mod console;
-mod flash;
 mod slots;
 #[cfg(feature = "update")]
 mod update;

@@ -3,8 +3,8 @@
 use std::io::{self, Write as _};
 use std::ops::Range;
 
-use crate::flash::{Flash, FlashError};
 use bcap_board::slots::{SLOT, SlotError, Slots, TEXT};
+use bcap_testkit::flash::{Flash, FlashError};
 
 type Small = Flash<4, 2048>;
 

@@ -4,11 +4,11 @@ use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::io::{self, Write as _};
 
-use crate::flash::{Flash, FlashError};
 use bcap_board::crc::Crc32;
 use bcap_board::identity::{BLOCK, Identity};
 use bcap_board::slots::{Slots, TEXT};
 use bcap_board::update::{Partitions, Phase, StateFlash, UpdateError, Updater};
+use bcap_testkit::flash::{Flash, FlashError};
 use embassy_boot::{BootLoader, BootLoaderConfig};
 use embassy_embedded_hal::flash::partition::BlockingPartition;
 use embassy_sync::blocking_mutex::Mutex;

@@ -1,9 +1,5 @@
 //! `bcap board` with the board's side of the protocol at the other end of a pair of pseudo-terminals.
 
-#[path = "../../../embassy-adapter/board/tests/flash/mod.rs"]
-#[allow(dead_code, reason = "the tests of bcap-board use the rest")]
-mod flash;
-
 use std::fs;
 use std::io::{self, ErrorKind, Read, Write};
 use std::sync::Arc;
@@ -15,8 +11,8 @@ use bcap_board::console::{Action, Console};
 use bcap_board::identity::Identity;
 use bcap_board::slots::Slots;
 use bcap_board::update::{Partitions, Updater};
+use bcap_testkit::flash::Flash;
 use bcap_tests::pty;
-use flash::Flash;
 use serialport::{SerialPort, TTYPort};
 
 const IMAGE: &[u8] = b"robot=192.168.0.1:5007\n";

@@ -17,6 +17,7 @@
 //! | `fuzz`         | the engine of `bcap fuzz`: sends sessions to a device, reduces and saves findings | `arbitrary` |
 //! | `strategies`   | proptest strategies for values, frames and damage to them                   | `proptest`  |
 //! | `vectors`      | the frames and lines of the specifications                                  | `vectors`   |
+//! | `flash`        | a NOR flash whose power can be cut at every byte                            | `flash`     |
 //!
 //! It depends only on the core. It is written for clarity, not for speed; where it disagrees with the core, one of the two has a
 //! bug.
@@ -25,6 +26,8 @@
 #![cfg_attr(docsrs, feature(doc_cfg))]
 
 pub mod damage;
+#[cfg(feature = "flash")]
+pub mod flash;
 pub mod frame;
 #[cfg(feature = "arbitrary")]
 pub mod fuzz;

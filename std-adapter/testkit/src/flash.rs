@@ -8,7 +8,7 @@ use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashError, NorFlashEr
 /// cut: the byte of that step gets an arbitrary value between the old and the new one, and all later operations fail. A sector
 /// is erased as a whole, so a power cut also changes its other bytes.
 #[derive(Clone, Debug)]
-pub(crate) struct Flash<const WRITE: usize, const ERASE: usize> {
+pub struct Flash<const WRITE: usize, const ERASE: usize> {
     bytes: Vec<u8>,
     /// The steps until the power cut, and those done.
     left: Option<u32>,
@@ -21,7 +21,8 @@ pub(crate) struct Flash<const WRITE: usize, const ERASE: usize> {
 
 /// Why an operation failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum FlashError {
+pub enum FlashError {
+    /// The power was cut during this operation or before it.
     PowerCut,
     /// A misaligned operation, or one out of bounds.
     Misuse,
@@ -37,34 +38,48 @@ impl NorFlashError for FlashError {
 
 impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
     /// Makes a flash with random contents.
-    pub(crate) fn new(len: usize) -> Self {
+    ///
+    /// # Panics
+    ///
+    /// Never: the contents are bytes.
+    #[must_use]
+    pub fn new(len: usize) -> Self {
         let noise = (0..len).map(|at| u8::try_from(at.wrapping_mul(2_654_435_761) >> 11 & 0xff).unwrap());
         Self { bytes: noise.collect(), left: None, done: 0, noise: 0, erased_at_once: 1 }
     }
 
     /// Cuts the power at this step from now on; `None` means never.
-    pub(crate) fn with_cut_at(self, step: Option<u32>) -> Self {
+    #[must_use]
+    pub fn with_cut_at(self, step: Option<u32>) -> Self {
         Self { left: step, ..self }
     }
 
     /// Returns the steps that were done.
-    pub(crate) fn done(&self) -> u32 {
+    #[must_use]
+    pub const fn done(&self) -> u32 {
         self.done
     }
 
     /// Changes other bits at a power cut.
-    pub(crate) fn with_noise(self, noise: u32) -> Self {
+    #[must_use]
+    pub fn with_noise(self, noise: u32) -> Self {
         Self { noise, ..self }
     }
 
     /// Erases `count` bytes in a step: power cuts during an erase differ only in which bits they leave.
-    pub(crate) fn with_erased_at_once(self, count: usize) -> Self {
+    ///
+    /// # Panics
+    ///
+    /// When a sector is not a multiple of `count`.
+    #[must_use]
+    pub fn with_erased_at_once(self, count: usize) -> Self {
         assert!(ERASE.is_multiple_of(count));
         Self { erased_at_once: count, ..self }
     }
 
     /// Returns the contents.
-    pub(crate) fn bytes(&self) -> &[u8] {
+    #[must_use]
+    pub fn bytes(&self) -> &[u8] {
         &self.bytes
     }
 
