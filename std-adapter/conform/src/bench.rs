@@ -80,6 +80,8 @@ pub(crate) struct Bench<'a> {
     pub(crate) refused: bool,
     /// Whether a first call got no reply although it was repeated.
     has_no_slot: bool,
+    /// Whether the device did not accept the first connection of the case.
+    pub(crate) unreachable: bool,
     /// Whether any reply has arrived in this case.
     pub(crate) has_reply: bool,
     /// How often a first call or the case was repeated since the last reply from a device that has a slot.
@@ -113,6 +115,7 @@ impl<'a> Bench<'a> {
             answered: false,
             refused: false,
             has_no_slot: false,
+            unreachable: false,
             has_reply: false,
             repeats: 0,
             log,
@@ -301,7 +304,10 @@ impl<'a> Bench<'a> {
         };
         match Wire::connect(self.link, address, self.options.timeout) {
             Ok(wire) => (self.wire, self.is_fresh, self.answered) = (Some(wire), true, false),
-            Err(error) => return fail(format!("{address} accepts the connection"), error.to_string()),
+            Err(error) => {
+                self.unreachable = self.log.is_empty();
+                return fail(format!("{address} accepts the connection"), error.to_string());
+            }
         }
         Ok(())
     }

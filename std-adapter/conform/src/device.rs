@@ -28,6 +28,8 @@ pub struct Options {
     pub cases: Vec<String>,
     /// The time limit of each reply, and of connecting.
     pub timeout: Duration,
+    /// How long a run waits for a device that accepts no connections after a case, such as after a crash.
+    pub restart: Duration,
     /// How long the device must be silent before a case takes it for silent.
     pub quiet: Duration,
     /// The provider of Controller_Connect.
@@ -53,6 +55,7 @@ impl Options {
             groups: Vec::new(),
             cases: Vec::new(),
             timeout: Duration::from_secs(3),
+            restart: Duration::from_secs(30),
             quiet: Duration::from_millis(250),
             provider: "CaoProv.DENSO.VRC".into(),
             machine: "localhost".into(),

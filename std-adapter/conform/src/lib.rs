@@ -40,7 +40,7 @@ mod steps;
 mod undo;
 
 use std::cell::OnceCell;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 pub use bcap_testkit::wire::Link;
 pub use case::{Case, Group, Level};
@@ -48,6 +48,7 @@ pub use client::{ClientJudge, client_cases};
 pub use device::{Options, Target};
 pub use report::{CaseResult, Report, Verdict};
 
+use bcap_testkit::wire::Wire;
 use bench::{Bench, REFUSAL_PAUSE, REFUSALS, Stop};
 use language::Model;
 
@@ -75,12 +76,45 @@ pub fn run(options: &Options, mut each: impl FnMut(&CaseResult), ended: impl Fn(
         if ended() {
             break;
         }
-        let result = judge(case, options, &model, &ended, &mut speed);
+        let (mut result, mut unreachable) = judge(case, options, &model, &ended, &mut speed);
+        if unreachable {
+            // no failure of this case: the device may have crashed in an earlier one
+            let earlier = report.results.iter().rfind(|result| result.verdict != Verdict::Skip);
+            report.crashes.extend(earlier.map(|result| result.name.clone()));
+            if report.crashes.is_empty() || !returns(options, &ended) {
+                report.unreachable = true;
+                break;
+            }
+            (result, unreachable) = judge(case, options, &model, &ended, &mut speed);
+            if unreachable {
+                report.unreachable = true;
+                break;
+            }
+        }
         each(&result);
         report.results.push(result);
     }
     report
 }
+
+/// Waits until the device accepts connections again; `false` if it does not in time.
+fn returns(options: &Options, ended: &dyn Fn() -> bool) -> bool {
+    let Some((link, address)) = options.target.bcap else { return false };
+    let until = Instant::now() + options.restart;
+    while !ended() {
+        if Wire::connect(link, address, options.timeout).is_ok() {
+            return true;
+        }
+        if Instant::now() >= until {
+            return false;
+        }
+        std::thread::sleep(RESTART_PAUSE);
+    }
+    false
+}
+
+/// The time between two attempts to reach a device that restarts.
+const RESTART_PAUSE: Duration = Duration::from_millis(200);
 
 /// Returns why a case does not apply.
 fn inapplicable(case: &Case, options: &Options) -> Option<String> {
@@ -115,13 +149,14 @@ fn of_another_model(case: &Case, device: Option<Model>) -> Option<String> {
     (!case.models.contains(&device)).then(|| format!("seen on {models}; the device is an {device}"))
 }
 
+/// Runs a case; also tells whether the device did not accept its connection.
 fn judge<'a>(
     case: &Case,
     options: &'a Options,
     model: &OnceCell<Option<Model>>,
     ended: &'a dyn Fn() -> bool,
     speed: &mut Option<[f64; 3]>,
-) -> CaseResult {
+) -> (CaseResult, bool) {
     let began = Instant::now();
     let link = options.target.bcap.map_or(Link::Tcp, |(link, _)| link);
     let new_bench = |speed| {
@@ -139,10 +174,14 @@ fn judge<'a>(
     };
     while matches!(outcome, Err(Stop::Fail { .. })) && may_run_again(case, &bench) {
         std::thread::sleep(REFUSAL_PAUSE);
-        let repeats = bench.repeats + 1;
-        bench = new_bench(bench.speed);
-        bench.repeats = repeats;
-        outcome = bench.run(case);
+        let mut again = new_bench(bench.speed);
+        again.repeats = bench.repeats + 1;
+        let repeated = again.run(case);
+        if again.unreachable {
+            // this case may have crashed the device
+            break;
+        }
+        (bench, outcome) = (again, repeated);
     }
     *speed = bench.speed;
     let (verdict, reason, expected, came) = match outcome {
@@ -153,7 +192,7 @@ fn judge<'a>(
             (verdict, None, Some(expected), Some(came))
         }
     };
-    CaseResult {
+    let result = CaseResult {
         name: case.name(),
         group: Some(case.group),
         level: Some(case.level),
@@ -166,7 +205,10 @@ fn judge<'a>(
         came,
         exchange: std::mem::take(&mut bench.log),
         milliseconds: u64::try_from(began.elapsed().as_millis()).unwrap_or(u64::MAX),
-    }
+    };
+    // a case of RAC that cannot use b-CAP is skipped
+    let unreachable = bench.unreachable && matches!(result.verdict, Verdict::Fail | Verdict::Differs);
+    (result, unreachable)
 }
 
 /// The examples of the crate's page.

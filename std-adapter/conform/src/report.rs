@@ -91,6 +91,11 @@ impl CaseResult {
 pub struct Report {
     /// The results, in the order in which the cases ran.
     pub results: Vec<CaseResult>,
+    /// The cases after which the device accepted no connection for a time: they may have crashed it.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub crashes: Vec<String>,
+    /// Whether the run ended because the device accepted no more connections.
+    pub unreachable: bool,
 }
 
 impl Report {
@@ -200,7 +205,7 @@ mod tests {
             exchange: vec!["-> y".into()],
             milliseconds: 1234,
         };
-        let junit = Report { results: vec![result] }.junit();
+        let junit = Report { results: vec![result], ..Report::default() }.junit();
         assert!(junit.contains("tests=\"1\" failures=\"1\" skipped=\"0\" time=\"1.234\""), "{junit}");
         assert!(junit.contains("classname=\"frames\" name=\"a&lt;b\""), "{junit}");
         assert!(junit.contains("came:     \u{fffd}[0m&lt;script&gt;\u{fffd}"), "{junit}");

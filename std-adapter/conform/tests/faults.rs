@@ -10,7 +10,7 @@ use std::thread;
 use crate::common::relay;
 use crate::common::relay::{Hooks, Relay};
 use crate::common::{assert_restored, rc8, state};
-use bcap_conform::{Level, Link, Options, Verdict, run};
+use bcap_conform::{Group, Level, Link, Options, Verdict, run};
 use bcap_core::bcap::FunctionId as F;
 use bcap_core::hresult::HResult;
 use bcap_sim::Controller;
@@ -431,4 +431,83 @@ fn a_device_that_loses_its_slots_fails() {
     let device = Ending::start(served.tcp, |connections, _| connections < 20);
     let (verdict, text) = device.judge(Level::Read, "sessions/one-after-another");
     assert_eq!(verdict, Verdict::Fail, "{text}");
+}
+
+/// Serves a controller through connections that end, as those of a crash do, when a request has the wrong end 0x05. The port is
+/// closed then, for a time if the device restarts.
+fn crashing(robot: SocketAddr, restarts: bool) -> SocketAddr {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    thread::spawn(move || {
+        let mut listener = Some(listener);
+        while let Some(life) = listener.take() {
+            let crashed = Arc::new(AtomicUsize::new(0));
+            let mut ends = Vec::new();
+            while crashed.load(Ordering::SeqCst) == 0 {
+                let (client, server) = (life.accept().unwrap().0, TcpStream::connect(robot).unwrap());
+                ends.extend([client.try_clone().unwrap(), server.try_clone().unwrap()]);
+                copy(server.try_clone().unwrap(), client.try_clone().unwrap(), address, None);
+                copy(client, server, address, Some(Arc::clone(&crashed)));
+            }
+            ends.iter().for_each(|end| drop(end.shutdown(Shutdown::Both)));
+            drop(life);
+            if restarts {
+                thread::sleep(std::time::Duration::from_millis(500));
+                listener = Some(bound(address));
+            }
+        }
+    });
+    address
+}
+
+/// Binds a port again, which may not be free at once.
+fn bound(address: SocketAddr) -> TcpListener {
+    loop {
+        match TcpListener::bind(address) {
+            Ok(listener) => return listener,
+            Err(_) => thread::sleep(std::time::Duration::from_millis(5)),
+        }
+    }
+}
+
+/// Copies bytes until one end closes, or until bytes crash the device, which a new connection then notices.
+fn copy(mut from: TcpStream, mut to: TcpStream, device: SocketAddr, crashed: Option<Arc<AtomicUsize>>) {
+    thread::spawn(move || {
+        let mut bytes = [0; 4096];
+        while let Ok(count @ 1..) = from.read(&mut bytes) {
+            if let Some(crashed) = crashed.as_ref().filter(|_| count >= 16 && bytes[count - 1] == 5) {
+                crashed.store(1, Ordering::SeqCst);
+                let _ = (from.shutdown(Shutdown::Both), TcpStream::connect(device));
+                return;
+            }
+            if to.write_all(&bytes[..count]).is_err() {
+                break;
+            }
+        }
+        let _ = to.shutdown(Shutdown::Both);
+    });
+}
+
+#[test]
+fn a_device_that_crashes_and_restarts_has_no_false_failures() {
+    let served = rc8(100.0);
+    let device = crashing(served.tcp, true);
+    let target = bcap_conform::Target { bcap: Some((Link::Tcp, device)), rac: None };
+    let report = run(&Options { groups: vec![Group::Frames], ..Options::new(target) }, |_| {}, || false);
+    assert_eq!(report.crashes, ["frames/wrong-end"], "{:?}", report.failures().collect::<Vec<_>>());
+    let others: Vec<_> = report.failures().filter(|name| *name != "frames/wrong-end").collect();
+    assert_eq!((others, report.unreachable), (vec![], false));
+    let frames = bcap_conform::cases().iter().filter(|case| case.group() == Group::Frames).count();
+    assert_eq!(report.results.len(), frames);
+}
+
+#[test]
+fn a_device_that_crashes_for_good_ends_the_run() {
+    let served = rc8(100.0);
+    let device = crashing(served.tcp, false);
+    let target = bcap_conform::Target { bcap: Some((Link::Tcp, device)), rac: None };
+    let restart = std::time::Duration::from_millis(100);
+    let report = run(&Options { restart, groups: vec![Group::Frames], ..Options::new(target) }, |_| {}, || false);
+    assert_eq!((report.crashes, report.unreachable), (vec!["frames/wrong-end".to_owned()], true));
+    assert_eq!(report.results.last().map(|result| result.name.as_str()), Some("frames/wrong-end"));
 }

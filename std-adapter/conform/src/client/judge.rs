@@ -146,7 +146,7 @@ impl ClientJudge {
             play.session = Session::new(config, vec![0; 1024], vec![0; 1024]);
             play.serve(&mut socket, peer, limit);
         }
-        Ok(Report { results: play.rules.results() })
+        Ok(Report { results: play.rules.results(), ..Report::default() })
     }
 }
 

@@ -4,6 +4,7 @@ use std::io;
 use std::net::SocketAddr;
 use std::time::Duration;
 
+use bcap_capture::duration;
 use bcap_conform::{Case, CaseResult, ClientJudge, Group, Level, Link, Options, Report, Target, Verdict};
 use bcap_std::{NetworkAddress, Protocol, blocking};
 use clap::{Args, ValueEnum};
@@ -27,7 +28,10 @@ use crate::session::connect::not_connected;
 /// The group `seen` has answers of real controllers that no specification has. A device of the same model that answers otherwise
 /// differs, and does not fail.
 ///
-/// The exit code is 0 if no case failed, otherwise 1. Ctrl-C ends the run after the present case; with --level motion it
+/// A device that accepts no connection after a case, such as after a crash, is waited for, and the case is named. Without the
+/// device the run ends.
+///
+/// The exit code is 0 if no case failed, otherwise 1; 3 if the device accepts no connections. Ctrl-C ends the run after the present case; with --level motion it
 /// halts the robot first, and the case restores what it changed.
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -83,6 +87,10 @@ pub(crate) struct Conform {
     /// The number of sessions of clients that --listen serves, one after the other
     #[arg(long, value_name = "N", default_value_t = 1, requires = "listen")]
     pub(crate) sessions: usize,
+
+    /// Waits this time for a device that accepts no connection after a case
+    #[arg(long, value_name = "TIME", value_parser = duration::parse, default_value = "30s")]
+    pub(crate) wait: Duration,
 
     /// The address of RAC [default: the host of --robot and port 5006]
     #[arg(long, value_name = "HOST[:PORT]")]
@@ -219,6 +227,7 @@ fn options(args: &Conform, link: &LinkArgs) -> Result<Options, Failure> {
         groups: args.group.clone(),
         cases: args.case.clone(),
         timeout: link.timeout(),
+        restart: args.wait,
         provider: link.provider().into(),
         machine: link.machine().into(),
         option: link.option().into(),
@@ -253,7 +262,23 @@ fn finish(args: &Conform, json: bool, report: &Report, planned: usize) -> Result
     if args.junit {
         print_block(report.junit().trim_end())?;
     } else if !json {
+        report.crashes.iter().try_for_each(|case| print_line(&format!("the device stopped after {case}")))?;
         print_line(&report.summary())?;
+    }
+    if report.unreachable {
+        let (after, planned) = (report.results.len(), report.results.len().max(planned));
+        let last =
+            report.crashes.last().map(|case| format!("; {case} was the last one that reached it")).unwrap_or_default();
+        let message = format!("the device accepts no connection after {after} of {planned} cases{last}");
+        return Err(Failure::Connection {
+            message,
+            hint: "start the device again; --wait allows more time for that".into(),
+        });
+    }
+    if let Some(first) = report.crashes.first() {
+        let count = report.crashes.len();
+        let message = format!("the device accepted no connection for a time after {count} cases, such as {first}");
+        return Err(Failure::Unfit { message, code: None, hint: Some("run these cases alone with --case".into()) });
     }
     if report.results.len() < planned {
         return Err(Failure::Interrupted(format!("ended after {} of {planned} cases", report.results.len())));
