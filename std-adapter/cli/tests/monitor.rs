@@ -181,13 +181,62 @@ fn a_lost_connection_is_shown_and_opened_again() {
 }
 
 #[test]
-fn a_small_terminal_says_so_until_it_is_large_enough() {
+fn a_small_terminal_shows_the_variables() {
     let robot = Virtual::start(&[]);
     let folder = tempfile::tempdir().unwrap();
-    let Some(terminal) = monitor((60, 12), &format!("monitor I1 --robot {}", robot.tcp), &folder) else { return };
-    terminal.wait_for("The terminal is 60x12.");
+    let Some(terminal) = monitor((40, 8), &format!("monitor I1 --robot {}", robot.tcp), &folder) else { return };
+    terminal.wait_for("> I1 = 0");
+    terminal.wait_for("RC8 auto ok");
+    terminal.wait_for("70x18 shows all panels");
     terminal.resize((80, 24));
-    terminal.wait_for("I1 = 0");
+    terminal.wait_for("┌ variables ─");
+    terminal.keys(&["q"]);
+    assert_sane(&terminal);
+}
+
+#[test]
+fn a_long_value_next_to_a_long_name_is_whole() {
+    for width in [80, 86] {
+        let robot = Virtual::start(&[]);
+        assert_eq!(robot.run(&["put", "I1", "123456789"]).code, 0);
+        let folder = tempfile::tempdir().unwrap();
+        let args = format!("monitor I1 D1 task:Pro1/@CYCLE_TIME --interval 20 --robot {}", robot.tcp);
+        let Some(terminal) = monitor((width, 24), &args, &folder) else { return };
+        let shown = |screen: &str, name: &str, value: &str| {
+            let row = screen.lines().find(|line| line.contains(name)).unwrap_or_default().to_owned();
+            row.split('│').nth(1).is_some_and(|row| row.split(" = ").nth(1).is_some_and(|text| text.starts_with(value)))
+        };
+        // there is room for a sparkline only next to the values
+        terminal.wait_until("sparklines", |screen| screen.contains("▁▁▁▁"));
+        let screen = terminal.screen();
+        assert!(shown(&screen, "I1 ", "123456789"), "{screen}");
+        assert!(shown(&screen, "Pro1/@CYCLE_TIME", "0"), "{screen}");
+        terminal.keys(&["q"]);
+        assert_sane(&terminal);
+    }
+}
+
+#[test]
+fn six_errors_are_counted_and_explained() {
+    let folder = tempfile::tempdir().unwrap();
+    let scenario = folder.path().join("scenario.toml");
+    let codes = ["0x84201482", "0x81501003", "0x81501025", "0x83204232", "0x84204041", "0x81501004"];
+    std::fs::write(&scenario, format!("[controller]\nerrors = {codes:?}\n")).unwrap();
+    let robot = Virtual::start(&["--scenario", scenario.to_str().unwrap()]);
+    let errors = robot.run(&["errors"]).out;
+    let first = errors.split(' ').next().unwrap().to_uppercase().replace("0X", "0x");
+    let Some(terminal) = monitor((80, 24), &format!("monitor I1 --robot {}", robot.tcp), &folder) else { return };
+    let screen = terminal.wait_for("(4 more)");
+    assert!(screen.contains("┌ 6 errors, first cause first ─"), "{screen}");
+    assert!(screen.contains(&format!("│{first} ")), "{first}:\n{screen}");
+    terminal.keys(&["Tab", "Tab", "Enter"]);
+    let details = terminal.wait_for("Hint: ");
+    let meaning = errors.lines().next().unwrap().split(") ").nth(1).unwrap();
+    assert!(details.contains(meaning.split(". ").next().unwrap()), "{details}\n{errors}");
+    terminal.keys(&["?"]);
+    terminal.wait_for("> 0x");
+    terminal.keys(&["?"]);
+    terminal.wait_for("shows the keys");
     terminal.keys(&["q"]);
     assert_sane(&terminal);
 }

@@ -25,6 +25,8 @@ pub struct Screen {
     pub notice: Line,
     /// The keys.
     pub keys: String,
+    /// Drawn in place of the panels: details of a line, or all keys.
+    pub overlay: Option<Panel>,
 }
 
 /// A part of the screen.
@@ -55,6 +57,8 @@ pub enum Part {
 /// A line of a panel.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Line {
+    /// The name of a value, which is shortened in its middle before the text is cut.
+    pub name: String,
     /// The text, which is escaped when it is drawn.
     pub text: String,
     /// The last values, which are drawn as a sparkline.
@@ -94,6 +98,12 @@ impl Line {
     #[must_use]
     pub fn new(text: impl Into<String>) -> Self {
         Self { text: text.into(), ..Self::default() }
+    }
+
+    /// A value after its name.
+    #[must_use]
+    pub fn named(name: impl Into<String>, text: impl Into<String>) -> Self {
+        Self { name: name.into(), ..Self::new(text) }
     }
 
     /// A line that needs attention.

@@ -15,7 +15,7 @@ use bcap_capture::{Role, duration};
 use bcap_terminal::screen::{Terminal, require};
 use clap::Args;
 use reader::{Reader, Request};
-use state::{Action, HALTED, State, Update, not_halted};
+use state::{ALL_KEYS, Action, HALTED, State, Update, not_halted};
 
 use crate::commands::robot::halt::halt_now;
 use crate::failure::Failure;
@@ -30,28 +30,23 @@ use crate::session::variables::paths;
 ///
 /// A variable that changes is bold with a `*` for two seconds; numbers have a sparkline of their last values. The
 /// packets are one call a line; a call whose reply is the same as before is omitted, until `a` shows all. It reads, and
-/// never takes the arm. `w` writes a variable, and asks first. `h` halts the robot at once, over a separate connection;
+/// never takes the arm. `w` writes a variable, and asks first; Enter shows a line that is cut (`…`). `h` halts the robot at once, over a separate connection;
 /// a serial line carries one session, so there it waits for the call under way. `q` and Ctrl-C quit, after a halt that
 /// is under way; if that fails, the exit code is 1. SIGTERM and SIGHUP end it with 130.
 ///
-/// Without NAME it shows no variables. A lost connection is shown, and tried again every second. The terminal needs at least
-/// 70x18; NO_COLOR removes the colours, and a locale without UTF-8 the characters that are not ASCII. TERM=dumb cannot move the
+/// Without NAME it shows no variables. A lost connection is shown, and tried again every second. Below 70x18 the terminal shows
+/// only the variables; NO_COLOR removes the colours, and a locale without UTF-8 the characters that are not ASCII. TERM=dumb cannot move the
 /// cursor, so use `bcap watch` there. --timeout limits each call.
 #[derive(Debug, Args)]
-#[command(after_help = "\
+#[command(after_help = format!("\
 Keys:
-  q, Ctrl-C            quits
-  h, Ctrl-X            halts the robot at once; Ctrl-X also while a value is typed
-  w, Enter             writes a variable: NAME=VALUE, then y; Esc cancels
-  Up, Down, Home, End  selects a variable
-  a                    shows all packets, or only those of calls whose reply has changed
-  p                    pauses the packets
+{ALL_KEYS}
 
 Examples:
   bcap monitor
   bcap monitor I1-I8 IO128-IO135 P1
   bcap monitor --robot tcp:192.168.0.1 robot/@SPEED task:Pro1/@CYCLE_TIME --interval 500ms
-  NO_COLOR=1 bcap monitor I1")]
+  NO_COLOR=1 bcap monitor I1"))]
 pub(crate) struct Monitor {
     /// The variables, as for `bcap get`
     #[arg(value_name = "NAME")]

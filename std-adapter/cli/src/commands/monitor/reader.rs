@@ -224,10 +224,10 @@ impl Reader {
         if has_error || plan.had_error {
             self.poll()?;
             let (errors, skipped) = match errors::present(&mut self.session, &mut plan.stream) {
-                Err(Failure::Unfit { message, .. }) => (vec![message], true),
+                Err(Failure::Unfit { message, .. }) => (vec![(message.clone(), message)], true),
                 present => {
                     let present = alive(present)?.unwrap_or_default();
-                    (present.iter().map(|(code, text)| explained(*code, text)).collect(), false)
+                    (present.iter().map(|(code, text)| (short(*code, text), explained(*code, text))).collect(), false)
                 }
             };
             self.tell(Update::Errors(errors));
@@ -378,6 +378,11 @@ fn is_lost(failure: &Failure) -> bool {
 /// Returns whether the controller no longer knows a handle of the session: it has started again, or has ended the session.
 fn is_stale(failure: &Failure) -> bool {
     matches!(failure, Failure::Refused { code: HResult::E_HANDLE, .. })
+}
+
+/// Formats an error in one line.
+fn short(code: HResult, text: &str) -> String {
+    format!("{:#010X} {}", code.to_u32(), if text.is_empty() { code.meaning().unwrap_or_default() } else { text })
 }
 
 /// Formats an error with its meaning, its text, and what to do.

@@ -22,7 +22,33 @@ const HISTORY: usize = 60;
 /// The messages that are kept.
 const MESSAGES: usize = 200;
 
-const KEYS: &str = "q quit  h HALT  w write  up/down select  a all packets  p pause packets";
+const KEYS: &str = "q quit  h HALT  w write  ? keys  Tab panel  Enter details  / filter  s sort";
+
+/// All keys; the help of the command has them, too.
+pub(crate) const ALL_KEYS: &str = "\
+  q, Ctrl-C            quits
+  h, H, Ctrl-X         halts the robot at once; Ctrl-X also while a value is typed
+  w                    writes a variable: NAME=VALUE, then y; Esc cancels
+  u                    writes the value that the last write replaced; asks, too
+  Tab                  moves to the next panel
+  Up, Down, Home, End  selects a line of the panel
+  Enter                shows the whole line; an error with its meaning and remedy
+  /                    shows the variables whose names have a text; Esc ends that
+  s                    sorts the variables by their last change, or as given
+  a                    shows all packets, or only those of calls whose reply has changed
+  p                    pauses the packets
+  ?                    shows the keys";
+
+/// The panels, in the order of Tab.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Focus {
+    #[default]
+    Variables,
+    Tasks,
+    Errors,
+    Messages,
+    Packets,
+}
 
 /// The state of the monitor.
 #[derive(Debug, Default)]
@@ -34,14 +60,24 @@ pub(crate) struct State {
     words: Vec<String>,
     has_error: bool,
     variables: Vec<Variable>,
+    focus: Focus,
+    /// The selected line of the panel.
     selected: usize,
+    /// The text that the names of the variables must have.
+    filter: String,
+    sorts_by_change: bool,
     robot: Robot,
     tasks: Vec<(String, String)>,
-    errors: Vec<String>,
+    /// In one line, and with the meaning and the remedy; the first cause first.
+    errors: Vec<(String, String)>,
     messages: VecDeque<String>,
     log: CallLog,
     input: Input,
     notice: Line,
+    /// A long text in place of the panels.
+    overlay: Option<Panel>,
+    /// The name and the value that the last write replaced.
+    undo: Option<(String, String)>,
     now: Duration,
 }
 
@@ -80,6 +116,8 @@ enum Input {
     None,
     /// `NAME=VALUE`.
     Editing(String),
+    /// The text of the filter is edited in place.
+    Filtering,
     /// Whether to write.
     Asking(Box<Write>),
 }
@@ -97,7 +135,7 @@ pub(crate) enum Update {
     State(Vec<String>, bool),
     Robot(Robot),
     Tasks(Vec<(String, String)>),
-    Errors(Vec<String>),
+    Errors(Vec<(String, String)>),
     Message(String),
     Packet(Role, String),
     /// A value that was typed was checked.
@@ -204,6 +242,7 @@ impl State {
         }
         match std::mem::take(&mut self.input) {
             Input::None => self.command(key.code),
+            Input::Filtering => self.filter(key.code),
             Input::Editing(text) => self.edit(text, key.code),
             Input::Asking(write) => self.answer(write, key.code),
         }
@@ -217,14 +256,26 @@ impl State {
 
     fn command(&mut self, key: KeyCode) -> Option<Action> {
         self.notice = Line::default();
-        let last = self.variables.len().saturating_sub(1);
+        let was_open = self.overlay.take().is_some();
+        let last = self.focused().lines.len().saturating_sub(1);
         match key {
             KeyCode::Char('q') => return Some(Action::Quit),
-            KeyCode::Char('h') => return Some(self.halt()),
-            KeyCode::Char('w') | KeyCode::Enter => {
-                let name = self.variables.get(self.selected).map(|variable| format!("{}=", variable.name));
-                self.input = Input::Editing(name.unwrap_or_default());
+            KeyCode::Char('h' | 'H') => return Some(self.halt()),
+            _ if was_open => {}
+            KeyCode::Char('w') => {
+                let name = self.shown().nth(self.selected).filter(|_| self.focus == Focus::Variables);
+                self.input = Input::Editing(name.map(|variable| format!("{}=", variable.name)).unwrap_or_default());
             }
+            KeyCode::Char('u') => match &self.undo {
+                Some((name, value)) => return Some(Action::Check(name.clone(), value.clone())),
+                None => self.notice = Line::new("nothing was written"),
+            },
+            KeyCode::Char('/') => (self.focus, self.selected, self.input) = (Focus::Variables, 0, Input::Filtering),
+            KeyCode::Char('s') => self.sorts_by_change = !self.sorts_by_change,
+            KeyCode::Char('?') => self.overlay = Some(whole("keys", ALL_KEYS.lines())),
+            KeyCode::Enter => self.overlay = self.details(),
+            KeyCode::Esc => self.filter.clear(),
+            KeyCode::Tab => (self.focus, self.selected) = (self.focus.next(), 0),
             KeyCode::Up => self.selected = self.selected.saturating_sub(1),
             KeyCode::Down => self.selected = (self.selected + 1).min(last),
             KeyCode::Home => self.selected = 0,
@@ -232,6 +283,46 @@ impl State {
             key => self.log.key(key),
         }
         None
+    }
+
+    fn filter(&mut self, key: KeyCode) -> Option<Action> {
+        match key {
+            KeyCode::Enter => return None,
+            KeyCode::Esc => {
+                self.filter.clear();
+                return None;
+            }
+            KeyCode::Backspace => {
+                self.filter.pop();
+            }
+            KeyCode::Char(c) => self.filter.push(c),
+            _ => {}
+        }
+        self.input = Input::Filtering;
+        None
+    }
+
+    /// Returns the panel with the selection.
+    fn focused(&self) -> Panel {
+        match self.focus {
+            Focus::Variables => self.variables_panel(),
+            Focus::Tasks => self.tasks_panel(),
+            Focus::Errors => self.errors_panel(),
+            Focus::Messages => self.messages_panel(),
+            Focus::Packets => self.log.panel("packets"),
+        }
+    }
+
+    /// Returns the whole text of the selected line.
+    fn details(&self) -> Option<Panel> {
+        let panel = self.focused();
+        let line = panel.lines.get(self.selected)?;
+        let text = match self.errors.get(self.selected) {
+            Some((_, details)) if self.focus == Focus::Errors => details.clone(),
+            _ if line.name.is_empty() => line.text.clone(),
+            _ => format!("{} = {}", line.name, line.text),
+        };
+        Some(whole(&panel.title, [text.as_str()]))
     }
 
     fn edit(&mut self, mut text: String, key: KeyCode) -> Option<Action> {
@@ -258,6 +349,7 @@ impl State {
 
     fn answer(&mut self, write: Box<Write>, key: KeyCode) -> Option<Action> {
         if matches!(key, KeyCode::Char('y' | 'Y')) {
+            self.undo = Some((write.path.to_string(), data::format(write.before.as_variant())));
             return Some(Action::Write(write));
         }
         self.notice = Line::new("nothing was written");
@@ -271,43 +363,79 @@ impl State {
             None => self.words.join(" "),
         };
         let (notice, keys) = self.footer();
-        let tasks = self.tasks.iter().map(|(name, status)| Line::new(format!("{name:16} {status}"))).collect();
-        let errors = match self.errors.as_slice() {
-            [] if !self.has_error && !self.words.is_empty() => vec![Line::new("no errors")],
-            errors => errors.iter().map(Line::new).collect(),
-        };
-        Screen {
+        let mut screen = Screen {
             title: format!("bcap monitor {}", self.address),
             state,
             alarm: self.lost.is_some() || self.has_error,
-            values: Panel::new("variables", self.values()).showing(Part::Around(self.selected)),
+            values: self.variables_panel(),
             robot: self.robot.panel(),
-            tasks: Panel::new("tasks", tasks),
-            errors: Panel::new("errors", errors).showing(Part::Wrapped),
-            messages: Panel::new("messages, latest first", self.messages.iter().rev().map(Line::new).collect())
-                .showing(Part::Wrapped),
+            tasks: self.tasks_panel(),
+            errors: self.errors_panel(),
+            messages: self.messages_panel(),
             log: self.log.panel("packets"),
             notice,
             keys,
-        }
+            overlay: self.overlay.clone(),
+        };
+        let focused = match self.focus {
+            Focus::Variables => &mut screen.values,
+            Focus::Tasks => &mut screen.tasks,
+            Focus::Errors => &mut screen.errors,
+            Focus::Messages => &mut screen.messages,
+            Focus::Packets => &mut screen.log,
+        };
+        focused.view = Part::Around(self.selected);
+        screen
     }
 
-    fn values(&self) -> Vec<Line> {
-        let width = self.variables.iter().map(|variable| variable.name.chars().count()).max().unwrap_or(0).min(24);
+    fn tasks_panel(&self) -> Panel {
+        let line = |(name, status): &(String, String)| Line::new(format!("{name:16} {status}"));
+        Panel::new("tasks", self.tasks.iter().map(line).collect())
+    }
+
+    fn errors_panel(&self) -> Panel {
+        let title = match self.errors.len() {
+            0 | 1 => "errors".into(),
+            count => format!("{count} errors, first cause first"),
+        };
+        let none = self.errors.is_empty() && !self.has_error && !self.words.is_empty();
+        let lines = self.errors.iter().map(|(line, _)| Line::new(line)).chain(none.then(|| Line::new("no errors")));
+        Panel::new(title, lines.collect())
+    }
+
+    fn messages_panel(&self) -> Panel {
+        Panel::new("messages, latest first", self.messages.iter().rev().map(Line::new).collect())
+    }
+
+    /// Returns the variables that the filter shows, in their order.
+    fn shown(&self) -> impl Iterator<Item = &Variable> {
+        let mut shown: Vec<_> = self.variables.iter().filter(|variable| variable.name.contains(&self.filter)).collect();
+        if self.sorts_by_change {
+            shown.sort_by_key(|variable| std::cmp::Reverse(variable.changed));
+        }
+        shown.into_iter()
+    }
+
+    fn variables_panel(&self) -> Panel {
         let line = |variable: &Variable| {
             let is_marked = variable.changed.is_some_and(|at| self.now < at + MARKED);
             Line {
-                text: format!("{:width$} = {}", variable.name, variable.text),
                 history: variable.history.clone(),
                 mark: if is_marked { Mark::Changed } else { Mark::Plain },
+                ..Line::named(&variable.name, &variable.text)
             }
         };
-        self.variables.iter().map(line).collect()
+        let filter = if self.filter.is_empty() { String::new() } else { format!(" with {}", self.filter) };
+        let order = if self.sorts_by_change { ", latest change first" } else { "" };
+        Panel::new(format!("variables{filter}{order}"), self.shown().map(line).collect())
     }
 
     fn footer(&self) -> (Line, String) {
         match &self.input {
             Input::None => (self.notice.clone(), KEYS.into()),
+            Input::Filtering => {
+                (Line::new(format!("show names with: {}_", self.filter)), "Enter done  Esc all  Ctrl-X HALT".into())
+            }
             Input::Editing(text) => {
                 let notice =
                     if self.notice.mark == Mark::Alarm { format!("   {}", self.notice.text) } else { String::new() };
@@ -323,6 +451,24 @@ impl State {
             }
         }
     }
+}
+
+impl Focus {
+    const fn next(self) -> Self {
+        match self {
+            Self::Variables => Self::Tasks,
+            Self::Tasks => Self::Errors,
+            Self::Errors => Self::Messages,
+            Self::Messages => Self::Packets,
+            Self::Packets => Self::Variables,
+        }
+    }
+}
+
+/// Returns a panel of whole lines.
+fn whole<'a>(title: &str, lines: impl IntoIterator<Item = &'a str>) -> Panel {
+    let title = format!("{title}; any key closes this, h HALTS");
+    Panel::new(title, lines.into_iter().map(Line::new).collect()).showing(Part::Wrapped)
 }
 
 impl Robot {
@@ -355,7 +501,7 @@ mod tests {
     use super::*;
 
     fn text(screen: &Screen) -> Vec<String> {
-        screen.values.lines.iter().map(|line| line.text.clone()).collect()
+        screen.values.lines.iter().map(|line| format!("{} = {}", line.name, line.text)).collect()
     }
 
     fn value(n: i32) -> Result<Value, String> {
@@ -382,7 +528,7 @@ mod tests {
         state.apply(Update::Value(1, Ok(Value::new(&true).unwrap())));
         state.apply(Update::Value(9, value(4)));
         let screen = state.screen();
-        assert_eq!(text(&screen), ["I1    = 4", "IO128 = true"]);
+        assert_eq!(text(&screen), ["I1 = 4", "IO128 = true"]);
         let marks = screen.values.lines.iter().map(|line| (line.mark, line.history.clone())).collect::<Vec<_>>();
         // the first value of a variable is no change
         assert_eq!(marks, [(Mark::Changed, vec![3.0, 4.0]), (Mark::Plain, vec![1.0])]);
@@ -434,6 +580,64 @@ mod tests {
         (0..3).for_each(|_| assert!(state.key(KeyCode::Backspace.into()).is_none()));
         assert!(state.key(KeyCode::Enter.into()).is_none());
         assert!(state.screen().notice.text.contains("such as I1=5"));
+    }
+
+    #[test]
+    fn the_write_is_undone_after_a_question() {
+        let mut state = state();
+        typed(&mut state, "u");
+        assert_eq!(state.screen().notice.text, "nothing was written");
+        let [value, before] = [5, 3].map(|n| Value::new(&n).unwrap());
+        let write = Write { path: ObjectPath::variable("I1").unwrap(), value, before };
+        state.apply(Update::Checked(Ok(Box::new(write))));
+        typed(&mut state, "y");
+        let Some(Action::Check(name, text)) = typed(&mut state, "u") else { panic!("no check") };
+        assert_eq!([name, text], ["I1", "3"]);
+    }
+
+    #[test]
+    fn six_errors_are_one_line_each_and_enter_explains_one() {
+        let mut state = state();
+        let error = |n: u8| (format!("error {n}"), format!("error {n}: its meaning. Hint: its remedy"));
+        state.apply(Update::Errors((1..=6).map(error).collect()));
+        assert_eq!(state.screen().errors.title, "6 errors, first cause first");
+        assert_eq!((state.screen().errors.lines.len(), state.screen().errors.view), (6, Part::First));
+        for key in [KeyCode::Tab, KeyCode::Tab, KeyCode::Down, KeyCode::Enter] {
+            state.key(key.into());
+        }
+        let screen = state.screen();
+        assert_eq!((screen.errors.view, screen.values.view), (Part::Around(1), Part::First));
+        let overlay = screen.overlay.unwrap();
+        assert_eq!(overlay.lines, [Line::new("error 2: its meaning. Hint: its remedy")]);
+        // the details do not hide the halt, and any other key closes them
+        assert!(matches!(typed(&mut state, "H"), Some(Action::Halt)));
+        state.key(KeyCode::Enter.into());
+        typed(&mut state, "w");
+        assert_eq!((state.screen().overlay.is_none(), state.screen().notice.text), (true, String::new()));
+        typed(&mut state, "?");
+        assert!(state.screen().overlay.unwrap().lines.iter().any(|line| line.text.contains("halts the robot at once")));
+    }
+
+    #[test]
+    fn the_filter_and_the_order_choose_the_variable_that_is_written() {
+        let mut state = state();
+        state.set_time(Duration::from_secs(1));
+        state.apply(Update::Value(1, value(1)));
+        state.apply(Update::Value(1, value(2)));
+        typed(&mut state, "s");
+        assert_eq!(text(&state.screen()), ["IO128 = 2", "I1 = 3"]);
+        typed(&mut state, "/1h");
+        assert_eq!(state.screen().notice.text, "show names with: 1h_");
+        assert!(text(&state.screen()).is_empty());
+        state.key(KeyCode::Backspace.into());
+        state.key(KeyCode::Enter.into());
+        typed(&mut state, "s/");
+        state.key(KeyCode::Backspace.into());
+        typed(&mut state, "O");
+        state.key(KeyCode::Enter.into());
+        assert_eq!(state.screen().values.title, "variables with O");
+        typed(&mut state, "w");
+        assert_eq!(state.screen().notice.text, "write NAME=VALUE: IO128=_");
     }
 
     #[test]

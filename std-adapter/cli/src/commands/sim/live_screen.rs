@@ -160,6 +160,7 @@ impl Watched {
             log: self.log.panel("calls"),
             notice: Line::new(addresses),
             keys: KEYS.into(),
+            overlay: None,
         }
     }
 

@@ -147,6 +147,7 @@ impl Shown {
                 self.metrics.as_ref().map(|at| format!("metrics: http://{at}/metrics")).unwrap_or_default(),
             ),
             keys: KEYS.into(),
+            overlay: None,
         }
     }
 
