@@ -210,7 +210,7 @@ fn a_long_value_next_to_a_long_name_is_whole() {
         terminal.wait_until("sparklines", |screen| screen.contains("▁▁▁▁"));
         let screen = terminal.screen();
         assert!(shown(&screen, "I1 ", "123456789"), "{screen}");
-        assert!(shown(&screen, "Pro1/@CYCLE_TIME", "0"), "{screen}");
+        assert!(shown(&screen, "Pro1/@CYCLE_TIME", "1000"), "{screen}");
         terminal.keys(&["q"]);
         assert_sane(&terminal);
     }
@@ -232,7 +232,7 @@ fn six_errors_are_counted_and_explained() {
     terminal.keys(&["Tab", "Tab", "Enter"]);
     let details = terminal.wait_for("Hint: ");
     let meaning = errors.lines().next().unwrap().split(") ").nth(1).unwrap();
-    assert!(details.contains(meaning.split(". ").next().unwrap()), "{details}\n{errors}");
+    assert!(details.contains(&meaning[..30]), "{details}\n{errors}");
     terminal.keys(&["?"]);
     terminal.wait_for("> 0x");
     terminal.keys(&["?"]);

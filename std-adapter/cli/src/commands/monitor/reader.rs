@@ -382,7 +382,8 @@ fn is_stale(failure: &Failure) -> bool {
 
 /// Formats an error in one line.
 fn short(code: HResult, text: &str) -> String {
-    format!("{:#010X} {}", code.to_u32(), if text.is_empty() { code.meaning().unwrap_or_default() } else { text })
+    let own = errors::own(code, text);
+    format!("{:#010X} {}", code.to_u32(), if own.is_empty() { code.meaning().unwrap_or_default() } else { own })
 }
 
 /// Formats an error with its meaning, its text, and what to do.

@@ -77,13 +77,17 @@ fn print_error(code: HResult, message: &str, json: bool) -> Result<(), Failure> 
 
 /// Formats an error: its code, its meaning, and the controller's own text if that says something else.
 pub(crate) fn described(code: HResult, text: &str) -> String {
-    // some controllers begin the text with the name
-    let own = code.name().and_then(|name| text.strip_prefix(name)?.strip_prefix(": ")).unwrap_or(text);
+    let own = own(code, text);
     match code.meaning() {
         Some(meaning) if own.is_empty() => format!("{code} {meaning}"),
         Some(meaning) if !own.contains(meaning) => format!("{code} {meaning} The controller says: {own}"),
         _ => format!("{code} {own}"),
     }
+}
+
+/// Returns the controller's own text; some controllers begin it with the name of the code.
+pub(crate) fn own(code: HResult, text: &str) -> &str {
+    code.name().and_then(|name| text.strip_prefix(name)?.strip_prefix(": ")).unwrap_or(text)
 }
 
 /// Runs `bcap clear`.
