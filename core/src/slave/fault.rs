@@ -12,7 +12,9 @@ use crate::variant::{Bstr, Variant};
 /// The maximum number of controller errors in a fault; it contains the earliest ones.
 pub const ERRORS_MAX: usize = 4;
 /// The maximum length of an error's text, in bytes.
-const TEXT_MAX: usize = 80;
+const TEXT_MAX: usize = 160;
+/// The end of a text that was cut.
+const CUT: char = '…';
 
 /// A failed call of the engine, with the errors that the controller reported.
 #[derive(Clone, Debug)]
@@ -98,7 +100,7 @@ impl ControllerError {
         Some(Self { code: HResult(code), text: cut(text) })
     }
 
-    /// Returns the controller's text, cut to 80 bytes; empty without a text.
+    /// Returns the controller's text, cut to 160 bytes and then with `…` at its end; empty without a text.
     #[must_use]
     pub fn text(&self) -> &str {
         &self.text
@@ -110,6 +112,7 @@ fn cut(text: Bstr<'_>) -> heapless::String<TEXT_MAX> {
     let mut out = heapless::String::new();
     for unit in text.chars() {
         if out.push(unit.unwrap_or(char::REPLACEMENT_CHARACTER)).is_err() {
+            while out.push(CUT).is_err() && out.pop().is_some() {}
             break;
         }
     }

@@ -220,7 +220,7 @@ impl Failure {
 
     /// Returns the hint for the user.
     pub(crate) fn hint(&self) -> Option<Cow<'_, str>> {
-        let of = |code: HResult| code.hint().map(|hint| Cow::Owned(hint.to_string()));
+        let of = |code: HResult| hint_of(code).map(Cow::Owned);
         match self {
             Self::Refused { code, .. } => of(*code),
             Self::Connection { hint, .. } | Self::Unexpected { hint, .. } | Self::Timeout { hint, .. } => {
@@ -333,6 +333,17 @@ struct Line<'a> {
     hresult: Option<&'static str>,
     #[serde(skip_serializing_if = "Option::is_none")]
     hint: Option<Cow<'a, str>>,
+}
+
+/// Returns the hint of a code, with the commands of `bcap` in place of the functions of the protocol.
+pub(crate) fn hint_of(code: HResult) -> Option<String> {
+    const COMMANDS: [(&str, &str); 3] = [
+        ("GetCurErrorInfo", "`bcap errors`"),
+        ("ClearError", "`bcap clear`"),
+        ("the matching Get...Names function lists", "`bcap names` lists"),
+    ];
+    let hint = code.hint()?.to_string();
+    Some(COMMANDS.iter().fold(hint, |hint, (function, command)| hint.replace(function, command)))
 }
 
 /// Returns the meaning of a code as the end of a message.

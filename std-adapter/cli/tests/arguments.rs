@@ -165,3 +165,22 @@ fn an_empty_environment_variable_counts_as_missing() {
     let run: common::Run = common::bare(&["explain", "S_OK"]).env("BCAP_TIMEOUT", "x").output().unwrap().into();
     assert!(run.code == 2 && run.err.contains("--timeout"), "{run:?}");
 }
+
+#[test]
+fn a_refused_call_without_all_arguments_says_so() {
+    let robot = crate::common::virtual_robot::Virtual::start(&[]);
+    let run = robot.run(&["call", "RobotMove", "robot"]);
+    assert_eq!(run.code, 1, "{run:?}");
+    assert!(run.err.contains("hint: arguments are missing: interpolation, pose, option"), "{}", run.err);
+    // with all arguments it is the arm
+    let run = robot.run(&["call", "RobotMove", "robot", "1", "8,@P P1"]);
+    assert!(run.err.contains("this session has not taken the arm"), "{}", run.err);
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_table_that_cannot_be_written_is_named() {
+    let robot = crate::common::virtual_robot::Virtual::start(&[]);
+    let run = robot.run(&["watch", "I1", "--count", "1", "--csv", "/dev/full"]);
+    assert_eq!((run.err.starts_with("error: /dev/full: No space left on device"), run.code), (true, 2), "{run:?}");
+}

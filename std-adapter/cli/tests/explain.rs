@@ -74,7 +74,9 @@ fn the_page_of_the_book_has_every_code() {
     assert!(page.starts_with("# Result codes\n"), "the page of the book has the title of docs/errors.md");
     // the eight codes of an axis are one pattern
     assert!(
-        page.contains("| `8320407n` | An axis would have left its range on the way to its goal. | ClearError, jog"),
+        page.contains(
+            "| `8320407n` | An axis would have left its range on the way to its goal. | ClearError, correct the goal"
+        ),
         "{page}"
     );
     for code in HResult::known() {
@@ -89,4 +91,13 @@ fn the_page_of_the_book_has_every_code() {
             "{name}"
         );
     }
+}
+
+#[test]
+fn an_unknown_code_names_the_command_that_asks_the_controller() {
+    let out = bcap(&["explain", "0x92345678"]).out;
+    let (_, command) = out.split_once("ask the controller: bcap ").unwrap();
+    let robot = crate::common::virtual_robot::Virtual::start(&[]);
+    let run = robot.run(&command.split_whitespace().collect::<Vec<_>>());
+    assert_eq!((run.code, run.out.is_empty()), (0, false), "{run:?}");
 }

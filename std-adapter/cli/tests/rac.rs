@@ -41,6 +41,14 @@ fn values_are_printed_as_by_get() {
 }
 
 #[test]
+fn a_reply_without_the_value_is_an_error_of_the_peer() {
+    let (address, _) = server(|_| "0\r");
+    let run = bcap(&["rac", "get", "I10", "--robot", &address]);
+    assert_eq!((run.out.as_str(), run.code), ("", 3), "{run:?}");
+    assert!(run.err.contains("GET I[10]: the reply has no value"), "{}", run.err);
+}
+
+#[test]
 fn values_are_written_with_the_type_of_their_variable() {
     let (address, seen) = server(|_| "0\r");
     for (name, value) in

@@ -55,6 +55,40 @@ fn put_writes_several_variables() {
 }
 
 #[test]
+fn put_writes_a_value_to_a_range() {
+    let robot = Robot::start();
+    let run = robot.run(&["put", "I1-I3", "7"]);
+    assert_eq!((run.out.as_str(), run.code), ("I1 = 7\nI2 = 7\nI3 = 7\n", 0), "{run:?}");
+    let run = robot.run(&["put", "I2-3=8", "F1=2.5"]);
+    assert_eq!((run.out.as_str(), run.code), ("I2 = 8\nI3 = 8\nF1 = 2.5\n", 0), "{run:?}");
+    let run = robot.run(&["put", "I*", "0"]);
+    assert_eq!((run.out.lines().count(), run.code, robot.i(1)), (100, 0, 0), "{run:?}");
+    // the whole range is checked before the first write
+    let run = robot.run(&["put", "I98-I101", "1"]);
+    assert_eq!((run.out.as_str(), run.code, robot.i(98)), ("", 1, 0), "{run:?}");
+    let run = robot.run(&["put", "P1", "1", "2", "3"]);
+    assert!(run.code == 2 && run.err.contains("write commas between the elements: P1 1,2,3"), "{run:?}");
+}
+
+#[test]
+fn more_variables_than_a_session_may_open_go_in_groups() {
+    let robot = Robot::start();
+    // a session has 1,000 objects
+    let pairs = ["IO*=true", "I*=9", "F*=1.0", "D*=1.0", "S*=a", "V*=1,2,3"];
+    let run = robot.run(&[&["put"], &pairs[..]].concat());
+    assert_eq!((run.out.lines().count(), run.code, robot.i(99)), (1012, 0, 9), "{}", run.err);
+    let kinds = pairs.map(|pair| pair.split_once('=').unwrap().0);
+    let run = robot.run(&[&["watch", "--count", "1"], &kinds[..]].concat());
+    assert_eq!((run.out.lines().count(), run.code), (1012, 0), "{}", run.err);
+    let values = robot.run(&[&["get", "--json"], &kinds[..]].concat()).out.replace("\"v\":9", "\"v\":8");
+    let run = robot.run_with(&["put", "--from", "-"], &values);
+    assert_eq!((run.out.lines().count(), run.code, robot.i(99)), (1012, 0, 8), "{}", run.err);
+    // a wrong value of the last group is reported before the first write
+    let run = robot.run(&["put", "IO*=false", "I*=7", "F*=1.0", "D*=1.0", "S*=a", "V*=1,2"]);
+    assert_eq!((run.out.as_str(), run.code, robot.i(99)), ("", 2, 8), "{}", run.err);
+}
+
+#[test]
 fn nothing_is_written_if_one_value_is_wrong() {
     let robot = Robot::start();
     for (words, part) in [

@@ -478,10 +478,16 @@ fn an_underflow_is_reported_by_its_first_cause() {
     }
 }
 
+/// A text that does not fit.
+const LONG: &str = concat!(
+    "J3 command accel limit over, J3 command accel limit over, J3 command accel limit over, ",
+    "J3 command accel limit over, J3 command accel limit over, J3 command accel limit over"
+);
+
 #[test]
 fn the_oldest_errors_are_read_first_up_to_the_maximum() {
     let rig = disturbed(config(Mode::Mode2), 10, |rig| {
-        rig.controller.fail(HResult::from_u32(0x8420_4043), "J3 command accel limit over");
+        rig.controller.fail(HResult::from_u32(0x8420_4043), LONG);
         for _ in 0..6 {
             rig.controller.fail(HResult::E_COMMAND_BUFFER_EMPTY, "");
         }
@@ -489,6 +495,8 @@ fn the_oldest_errors_are_read_first_up_to_the_maximum() {
     let fault = rig.fault();
     assert_eq!(fault.errors().len(), ERRORS_MAX);
     assert_eq!(fault.code().and_then(HResult::axis), Some(3));
+    let text = fault.errors()[0].text();
+    assert!(text.starts_with("J3 command accel limit over, J3") && text.ends_with('…') && text.len() >= 158, "{text}");
     assert_eq!(rig.names().iter().filter(|name| **name == "GetCurErrorInfo").count(), ERRORS_MAX);
 }
 

@@ -98,7 +98,11 @@ fn as_text(code: HResult) -> String {
         let _ = write!(text, "\n  {title:<11}  {fact}");
     }
     if code.meaning().is_none() {
-        text.push_str("\n  no source gives its meaning; ask the controller: bcap exec GetErrorDescription CODE");
+        let _ = write!(
+            text,
+            "\n  no source gives its meaning; ask the controller: bcap exec controller GetErrorDescription {}",
+            code.0
+        );
     }
     text
 }

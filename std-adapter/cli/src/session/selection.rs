@@ -28,7 +28,7 @@ impl Selection {
         words.iter().map(|word| Self::parse(word)).collect()
     }
 
-    fn parse(word: &str) -> Result<Self, Failure> {
+    pub(crate) fn parse(word: &str) -> Result<Self, Failure> {
         if let Some(kind) = word.strip_suffix('*').and_then(VariableKind::from_name) {
             return Ok(Self::All(kind));
         }

@@ -114,7 +114,7 @@ fn call_in(session: &mut Session, function: FunctionId, arguments: &[Argument], 
         .collect::<Result<Vec<_>, _>>()?;
     let (code, value) = session.call_for_code(function, &values)?;
     if code.is_err() {
-        return Err(refused(session, function, code));
+        return Err(refused(session, function, arguments.len(), code));
     }
     print_reply(code, value.as_ref(), json)
 }
@@ -200,8 +200,16 @@ fn unknown(function: &str) -> Failure {
     ))
 }
 
-/// Returns the failure of a refused call: a motion without the arm has a special hint.
-fn refused(session: &Session, function: FunctionId, code: HResult) -> Failure {
+/// Returns the failure of a refused call: missing arguments and a motion without the arm have special hints.
+fn refused(session: &Session, function: FunctionId, given: usize, code: HResult) -> Failure {
+    let missing = function.argument_names().get(given..).unwrap_or_default().join(", ");
+    if !missing.is_empty() {
+        return Failure::Unfit {
+            message: Failure::Refused { doing: usage(function), code }.to_string(),
+            code: Some(code),
+            hint: Some(format!("arguments are missing: {missing}; `bcap call {function} --help` describes them")),
+        };
+    }
     let moves = [FunctionId::ROBOT_MOVE, FunctionId::ROBOT_DRIVE, FunctionId::ROBOT_ROTATE, FunctionId::ROBOT_GO_HOME];
     if !moves.contains(&function) || session.has_arm() {
         return Failure::Refused { doing: usage(function), code };

@@ -1,7 +1,7 @@
 //! `bcap doctor`: checks what a program needs before it can move a robot, and says how to fix each failure.
 //!
 //! ```text
-//!   tcp ─┬─ provider ─ version ─ mode ─ token ─ errors ─ emergency stop ─ arm ─ motor ─ licence ─ formats
+//!   tcp ─┬─ provider ─ version ─ permission ─ mode ─ token ─ errors ─ emergency stop ─ arm ─ motor ─ licence ─ formats
 //!   udp ─┘
 //! ```
 //!
@@ -31,7 +31,7 @@ use clap::Args;
 
 use self::report::{Finding, Report};
 use crate::commands::robot::errors::described;
-use crate::failure::Failure;
+use crate::failure::{Failure, hint_of};
 use crate::link::LinkArgs;
 use crate::session::Session;
 use crate::session::budget::Budget;
@@ -67,8 +67,19 @@ const PROVIDERS: [&str; 2] = ["CaoProv.DENSO.VRC", "CaoProv.DENSO.VRC9"];
 const UDP_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// The checks after the links, in this order.
-const CHECKS: [&str; 10] =
-    ["provider", "version", "mode", "token", "errors", "emergency stop", "arm", "motor", "licence", "formats"];
+const CHECKS: [&str; 11] = [
+    "provider",
+    "version",
+    "permission",
+    "mode",
+    "token",
+    "errors",
+    "emergency stop",
+    "arm",
+    "motor",
+    "licence",
+    "formats",
+];
 
 /// Runs `bcap doctor`.
 pub(crate) fn doctor(args: &Doctor, link: &LinkArgs, json: bool) -> Result<(), Failure> {
@@ -132,6 +143,8 @@ fn examine(session: &mut Session, link: &LinkArgs, report: &mut Report) -> Resul
     };
     let version = version(session)?;
     report.note("version", version)?;
+    // no function returns it (b-CAP specification for RC9, section 3.1), and this command writes nothing
+    report.note("permission", Finding::skipped("reading is allowed; only a write shows whether writing is"))?;
     let mut examined = Examined { session, stream: StreamCheck::default(), controller, robot: 0 };
     examined.robot = match examined.session.object(&"robot".parse()?) {
         Ok(robot) => robot,
@@ -253,12 +266,11 @@ impl Examined<'_> {
     /// Skips the checks that would end a stream of Slave Mode.
     fn streaming(&mut self, report: &mut Report, why: &str) -> Result<(), Failure> {
         let state = self.stream.ask(self.session)?;
-        for check in CHECKS.into_iter().skip(2) {
+        for check in CHECKS.into_iter().skip(3) {
             let finding = match (check, state) {
-                ("arm", StreamState::Runs) => Finding::failed(
-                    "a client is in Slave Mode, so it owns the arm",
-                    "end its stream; closing its connection releases the arm",
-                ),
+                ("arm", StreamState::Runs) => {
+                    Finding::failed("a client is in Slave Mode, so it owns the arm", ARM_HINT)
+                }
                 ("licence", StreamState::Unknown(code)) => {
                     Finding::Untested(format!("slvGetMode returns no mode ({code}), so a client may be in Slave Mode"))
                 }
@@ -278,7 +290,7 @@ impl Examined<'_> {
         let Some(bits) = state.int() else {
             let refused = format!("SysState is refused with {}", state.code);
             report.note("mode", Finding::failed(refused, "check that the controller has finished starting"))?;
-            let rest = CHECKS.into_iter().skip(3);
+            let rest = CHECKS.into_iter().skip(4);
             return rest.into_iter().try_for_each(|check| report.note(check, Finding::skipped("it needs SysState")));
         };
         let state = SysState(bits);
@@ -349,7 +361,7 @@ impl Examined<'_> {
             return Ok(Finding::Skipped(why));
         }
         let first = self.error(count - 1)?;
-        let hint = first.as_ref().and_then(|(code, _)| code.hint());
+        let hint = first.as_ref().and_then(|(code, _)| hint_of(*code));
         let hint = hint.map(|hint| format!("{hint} (`bcap recover`)"));
         let what =
             first.map(|(code, text)| format!(", the first cause is {}", described(code, &text.unwrap_or_default())));
@@ -393,8 +405,7 @@ impl Examined<'_> {
             let token = Finding::failed(format!("TakeArm is refused with {taken}"), TOKEN_HINT);
             return Ok((Some(token), Finding::skipped("it needs the token")));
         }
-        let hint = "end the program that owns the arm; closing its connection releases the arm";
-        Ok((None, Finding::failed(format!("TakeArm is refused with {taken}"), hint)))
+        Ok((None, Finding::failed(format!("TakeArm is refused with {taken}"), ARM_HINT)))
     }
 
     /// Clears the error that a refusal of this command has left, if it is the only one.
@@ -496,6 +507,9 @@ fn both(why: &str) -> (Finding, Finding) {
     (Finding::skipped(why), Finding::skipped(why))
 }
 
+const ARM_HINT: &str =
+    "end the program that owns the arm: its last call gives the arm back, or over TCP the end of its connection";
+
 const TOKEN_HINT: &str =
     "on the teach pendant, set the executable token to Ethernet with the address of this machine, or to Any";
 
@@ -520,10 +534,9 @@ fn motor(on: bool, ready: bool) -> Finding {
     match (on, ready) {
         (true, _) => Finding::Passed("on".into()),
         (false, false) => Finding::skipped("off, and it needs all of the above"),
-        (false, true) => {
-            let hint = "switch it on with `bcap recover --keep`, which prepares a COBOTTA first; `bcap move` and `bcap slave` \
-                        switch it on themselves";
-            Finding::failed("off", hint)
-        }
+        (false, true) => Finding::Passed(
+            "off; `bcap move` and `bcap slave` switch it on, and so does `bcap recover --keep`, which prepares a COBOTTA first"
+                .into(),
+        ),
     }
 }

@@ -12,7 +12,7 @@ use super::state::{Robot, Update, Write};
 use crate::commands::robot::errors;
 use crate::commands::robot::messages::next_message;
 use crate::commands::robot::task::status_text;
-use crate::failure::Failure;
+use crate::failure::{Failure, hint_of};
 use crate::interrupt::Interrupt;
 use crate::session::Session;
 use crate::session::slave_mode::StreamCheck;
@@ -388,6 +388,6 @@ fn short(code: HResult, text: &str) -> String {
 
 /// Formats an error with its meaning, its text, and what to do.
 fn explained(code: HResult, text: &str) -> String {
-    let hint = code.hint().map(|hint| format!(" Hint: {hint}")).unwrap_or_default();
+    let hint = hint_of(code).map(|hint| format!(" Hint: {hint}")).unwrap_or_default();
     format!("{}{hint}", errors::described(code, text))
 }

@@ -5,7 +5,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::variant::Variant;
 use clap::Args;
 
-use crate::failure::Failure;
+use crate::failure::{Failure, hint_of};
 use crate::output::{print_json, print_line};
 use crate::session::Session;
 use crate::session::slave_mode::StreamCheck;
@@ -63,7 +63,7 @@ fn error(session: &mut Session, check: &mut StreamCheck, index: i32) -> Result<(
 }
 
 fn print_error(code: HResult, message: &str, json: bool) -> Result<(), Failure> {
-    let hint = code.hint().map(|hint| hint.to_string());
+    let hint = hint_of(code);
     if json {
         let line = serde_json::json!({
             "code": code.0, "hresult": code.name(), "level": code.level(), "meaning": code.meaning(),

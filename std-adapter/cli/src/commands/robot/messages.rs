@@ -71,16 +71,24 @@ pub(crate) struct Message {
 
 impl fmt::Display for Message {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { number, source, time, text } = self;
-        write!(f, "{time} {source} {number}: {text}")
+        let Self { source, time, text, .. } = self;
+        write!(f, "{time} {source} {}: {text}", self.number())
     }
 }
 
 impl Message {
+    /// Returns the number; the code of an error as everything else prints it.
+    fn number(&self) -> String {
+        match self.number.parse() {
+            Ok(code @ ..0) => format!("{:#010x}", HResult(code).to_u32()),
+            _ => self.number.clone(),
+        }
+    }
+
     /// Formats the message without its time, the text first.
     #[cfg(feature = "screens")]
     pub(crate) fn short(&self) -> String {
-        format!("{} ({} {})", self.text, self.source, self.number)
+        format!("{} ({} {})", self.text, self.source, self.number())
     }
 }
 
@@ -109,4 +117,21 @@ fn read_message(session: &mut Session, check: &mut StreamCheck, handle: i32) -> 
         time: field(FunctionId::MESSAGE_GET_DATE_TIME)?,
         text: field(FunctionId::MESSAGE_GET_DESCRIPTION)?,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_code_of_an_error_is_hexadecimal() {
+        let message = |number: &str| Message {
+            number: number.into(),
+            source: "RC8".into(),
+            time: "10:00".into(),
+            text: "Motor is off.".into(),
+        };
+        assert_eq!(message("-2125459453").to_string(), "10:00 RC8 0x81501003: Motor is off.");
+        assert_eq!(message("7").to_string(), "10:00 RC8 7: Motor is off.");
+    }
 }

@@ -13,6 +13,7 @@ use clap::Args;
 use crate::failure::Failure;
 use crate::output::print;
 use crate::session::Session;
+use crate::session::selection::{Selection, expand};
 use crate::session::variables::read;
 use crate::values::{Value, integer};
 use bcap_capture::value::data;
@@ -20,7 +21,7 @@ use bcap_capture::value::named::{self, Entry, Named, shown};
 
 /// Writes variables
 ///
-/// Several variables are written as NAME=VALUE, in order. All values are checked before the first is written. After a
+/// Several variables are written as NAME=VALUE, in order. A range (I1-I50, I*) gets one value. All values are checked before the first is written. After a
 /// refusal nothing more is written; each written variable has been printed.
 ///
 /// VALUE is plain data, which take the variable's present type. A number has a decimal point; a BOOL is true, false, on, off,
@@ -37,6 +38,7 @@ Examples:
   bcap put --typed F1 4,2.5
   bcap put IO128 true
   bcap put I1=5 I2=7 V1=-1,2,3
+  bcap put I1-I50 0
   bcap get --json I1-I50 >values.jsonl
   bcap put --from values.jsonl")]
 pub(crate) struct Put {
@@ -61,6 +63,9 @@ pub(crate) struct Put {
     pub(crate) from: Option<PathBuf>,
 }
 
+/// The most variables that are open at a time: a controller has a limit.
+pub(crate) const GROUP: usize = 500;
+
 /// A variable and the value to write.
 struct Write {
     name: String,
@@ -68,26 +73,53 @@ struct Write {
     data: Data,
 }
 
+#[derive(Clone)]
 enum Data {
     /// Text of the user, which gets the type of the variable.
     Plain(String),
     Value(Value),
 }
 
+impl Write {
+    fn new(name: String, data: Data) -> Result<Self, Failure> {
+        Ok(Self { path: ObjectPath::variable(&name)?, name, data })
+    }
+}
+
 /// Runs `bcap put`.
 pub(crate) fn put(args: &Put, session: &mut Session, json: bool) -> Result<(), Failure> {
-    let writes = match &args.from {
+    let mut writes = match &args.from {
         Some(path) => from_lines(path)?,
-        None => from_words(args)?,
+        None => from_words(args)?
+            .into_iter()
+            .map(|(selection, data)| {
+                let names = expand(session, &[selection])?;
+                names.into_iter().map(|name| Write::new(name, data.clone())).collect::<Result<Vec<_>, _>>()
+            })
+            .collect::<Result<Vec<_>, _>>()?
+            .into_iter()
+            .flatten()
+            .collect(),
     };
-    let mut prepared = Vec::with_capacity(writes.len());
-    let done = write_all(&writes, &mut prepared, session, json);
-    if done.as_ref().is_err_and(|failure| !failure.leaves_the_session_alive()) {
-        return done;
+    let total = writes.len();
+    if total > GROUP {
+        for group in writes.chunks_mut(GROUP) {
+            let values = with_open(session, group, |_, open| Ok(open.to_vec()))?;
+            group.iter_mut().zip(values).for_each(|(write, (_, value))| write.data = Data::Value(value));
+        }
     }
-    // an error of the writes is more useful than an error of a release
-    let released = prepared.iter().map(|(variable, _)| session.release(Object::Variable, *variable));
-    done.and(released.collect())
+    for (n, group) in writes.chunks(GROUP).enumerate() {
+        with_open(session, group, |session, open| {
+            for (done, (write, (variable, value))) in (n * GROUP..).zip(group.iter().zip(open)) {
+                let arguments = [integer(*variable)?, value.clone()];
+                let written = session.call(&write.name, FunctionId::VARIABLE_PUT_VALUE, &arguments);
+                written.map_err(|failure| after(failure, done, total))?;
+                print(&shown(&write.name, value, json), json)?;
+            }
+            Ok(())
+        })?;
+    }
+    Ok(())
 }
 
 /// Checks the arguments before the first call. A file of `--from` is read when its line runs.
@@ -95,24 +127,24 @@ pub(crate) fn check(args: &Put) -> Result<(), Failure> {
     if args.from.is_some() { Ok(()) } else { from_words(args).map(drop) }
 }
 
-/// Prepares all writes, then makes them. `prepared` gets the open variables with their values, even when an error ends
-/// this.
-fn write_all(
-    writes: &[Write],
-    prepared: &mut Vec<(i32, Value)>,
+/// Opens variables and converts the values to write, runs `body`, and releases the variables.
+fn with_open<T>(
     session: &mut Session,
-    json: bool,
-) -> Result<(), Failure> {
-    for write in writes {
-        prepared.push(prepare(session, write)?);
+    writes: &[Write],
+    body: impl FnOnce(&mut Session, &[(i32, Value)]) -> Result<T, Failure>,
+) -> Result<T, Failure> {
+    let mut open = Vec::with_capacity(writes.len());
+    let prepared = writes.iter().try_for_each(|write| {
+        open.push(prepare(session, write)?);
+        Ok(())
+    });
+    let done = prepared.and_then(|()| body(session, &open));
+    if done.as_ref().is_err_and(|failure| !failure.leaves_the_session_alive()) {
+        return done;
     }
-    for (done, (write, (variable, value))) in writes.iter().zip(prepared).enumerate() {
-        let arguments = [integer(*variable)?, value.clone()];
-        let written = session.call(&write.name, FunctionId::VARIABLE_PUT_VALUE, &arguments);
-        written.map_err(|failure| after(failure, done, writes.len()))?;
-        print(&shown(&write.name, value, json), json)?;
-    }
-    Ok(())
+    // an error of the writes is more useful than an error of a release
+    let released = open.iter().try_for_each(|(variable, _)| session.release(Object::Variable, *variable));
+    done.and_then(|done| released.map(|()| done))
 }
 
 /// Opens a variable and returns its handle with the value to write.
@@ -139,7 +171,7 @@ fn after(failure: Failure, done: usize, total: usize) -> Failure {
     }
 }
 
-fn from_words(args: &Put) -> Result<Vec<Write>, Failure> {
+fn from_words(args: &Put) -> Result<Vec<(Selection, Data)>, Failure> {
     let words: Vec<&String> = args.name.iter().chain(&args.value).chain(&args.more).collect();
     let pairs: Vec<(&str, &str)> = match words.as_slice() {
         [name, value] if !name.contains('=') => vec![(name, value)],
@@ -154,7 +186,7 @@ fn from_words(args: &Put) -> Result<Vec<Write>, Failure> {
         } else {
             Data::Plain((*text).to_owned())
         };
-        Ok(Write { name: (*name).to_owned(), path: ObjectPath::variable(name)?, data })
+        Ok((Selection::parse(name)?, data))
     };
     pairs.iter().map(write).collect()
 }
@@ -162,6 +194,10 @@ fn from_words(args: &Put) -> Result<Vec<Write>, Failure> {
 fn no_pair(word: &str, words: &[&String]) -> Failure {
     match words {
         [name] => Failure::Input(format!("{name}: the value is missing; write {name} VALUE")),
+        [name, numbers @ ..] if !name.contains('=') && numbers.iter().all(|number| number.parse::<f64>().is_ok()) => {
+            let numbers: Vec<&str> = numbers.iter().map(|number| number.as_str()).collect();
+            Failure::Input(format!("{name}: write commas between the elements: {name} {}", numbers.join(",")))
+        }
         _ => Failure::Input(format!("{word}: write several variables as NAME=VALUE, such as I1=5 I2=7")),
     }
 }
@@ -176,9 +212,7 @@ fn from_lines(path: &Path) -> Result<Vec<Write>, Failure> {
         named::read_lines(BufReader::new(file), &shown).map_err(Failure::Input)?
     };
     let write = |line: Named| match line.entry {
-        Entry::Value(value) => {
-            Ok(Write { path: ObjectPath::variable(&line.name)?, name: line.name, data: Data::Value(value) })
-        }
+        Entry::Value(value) => Write::new(line.name, Data::Value(value)),
         Entry::Refused(code) => {
             Err(Failure::Input(format!("{}: the line has no value, the controller refused it with {code}", line.name)))
         }

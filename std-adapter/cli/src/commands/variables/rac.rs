@@ -153,6 +153,12 @@ impl RacLink {
         self.prepare(&request)?;
         let Self { client, target, budget } = self;
         let value = client.get(variable).map_err(|error| failed(error, &request, target, budget))?;
+        if value.is_empty() {
+            return Err(Failure::Unexpected {
+                message: format!("{request}: the reply has no value"),
+                hint: format!("check that {target} is a RAC server"),
+            });
+        }
         Ok(Value::new(&value)?)
     }
 

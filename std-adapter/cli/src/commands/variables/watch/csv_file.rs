@@ -2,7 +2,7 @@
 
 use std::fs::File;
 use std::io::{self, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use bcap_capture::decode::csv;
@@ -15,6 +15,7 @@ use bcap_capture::value::data;
 /// A table under way; the first row decides its columns.
 pub(crate) struct Table {
     out: Box<dyn Write>,
+    path: PathBuf,
     /// The number of cells of each variable.
     widths: Vec<usize>,
 }
@@ -27,7 +28,7 @@ impl Table {
         } else {
             Box::new(File::create(path).map_err(of_file(path))?)
         };
-        Ok(Self { out, widths: Vec::new() })
+        Ok(Self { out, path: path.to_owned(), widths: Vec::new() })
     }
 
     /// Adds a row.
@@ -67,7 +68,8 @@ impl Table {
     }
 
     fn write(&mut self, row: &[String]) -> Result<(), Failure> {
-        writeln!(self.out, "{}", csv::row(row))?;
-        Ok(self.out.flush()?)
+        let written = writeln!(self.out, "{}", csv::row(row)).and_then(|()| self.out.flush());
+        // a closed pipe of the standard output is no error
+        written.map_err(|error| if self.path == Path::new("-") { error.into() } else { of_file(&self.path)(error) })
     }
 }

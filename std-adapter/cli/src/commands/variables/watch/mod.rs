@@ -10,6 +10,7 @@ use bcap_capture::duration;
 use bcap_std::ObjectPath;
 use clap::Args;
 
+use crate::commands::variables::put::GROUP;
 use crate::commands::variables::watch::csv_file::Table;
 use crate::commands::variables::watch::mcap_file::Samples;
 use crate::failure::Failure;
@@ -17,7 +18,7 @@ use crate::interrupt::Interrupt;
 use crate::output::print;
 use crate::session::Session;
 use crate::session::selection::{Selection, expand};
-use crate::session::variables::{paths, read};
+use crate::session::variables::{get_one, paths, read};
 use crate::values::Value;
 use bcap_capture::value::named::shown;
 
@@ -70,23 +71,15 @@ pub(crate) fn watch(args: &Watch, session: &mut Session, json: bool) -> Result<(
     let names = expand(session, &Selection::parse_each(&args.names)?)?;
     let paths = paths(&names)?;
     // before the files: a controller that cannot be reached does not cost the values of an earlier run
-    let variables = paths.iter().map(|path| session.object(path)).collect::<Result<Vec<_>, _>>()?;
+    paths.iter().take(GROUP).try_for_each(|path| session.object(path).map(drop))?;
     let table = args.csv.as_deref().map(Table::create).transpose()?;
     let samples = args.mcap.as_deref().map(Samples::create).transpose()?;
     let (start, last) = (Instant::now(), vec![None; paths.len()]);
     let mut output = Output { start, changed: args.changed, json, table, samples, last, is_new: false };
-    let variables = Variables { names, paths, handles: variables };
-    let done = rounds(args, session, &interrupt, &variables, &mut output);
+    let done = rounds(args, session, &interrupt, &names, &paths, &mut output);
     // even after a failure, so that the file has its index
     let ended = output.samples.as_mut().map_or(Ok(()), Samples::end);
     done.and(ended)
-}
-
-/// The variables that are read, which are open.
-struct Variables {
-    names: Vec<String>,
-    paths: Vec<ObjectPath>,
-    handles: Vec<i32>,
 }
 
 /// Reads the variables until `--count` or a signal ends it.
@@ -94,18 +87,22 @@ fn rounds(
     args: &Watch,
     session: &mut Session,
     interrupt: &Interrupt,
-    variables: &Variables,
+    names: &[String],
+    paths: &[ObjectPath],
     output: &mut Output,
 ) -> Result<(), Failure> {
-    let Variables { names, paths, handles } = variables;
     let start = output.start;
     let mut pace = Pace { interval: args.interval, next: start };
     let mut rounds = 0;
     loop {
         session.restart_budget();
         let began = start.elapsed();
-        for (n, (path, variable)) in paths.iter().zip(handles).enumerate() {
-            let value = read(session, path, *variable)?;
+        for (n, path) in paths.iter().enumerate() {
+            // the first ones stay open; a controller has a limit
+            let value = match n {
+                ..GROUP => session.object(path).and_then(|variable| read(session, path, variable)),
+                _ => get_one(session, path),
+            }?;
             output.value(n, &names[n], value)?;
         }
         output.end_round(began, names)?;
