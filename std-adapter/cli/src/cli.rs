@@ -12,6 +12,7 @@ use crate::commands::board::Board;
 use crate::commands::calls::call::Call;
 use crate::commands::calls::exec::Exec;
 use crate::commands::doctor::Doctor;
+use crate::commands::doctor::status::Status;
 use crate::commands::explain::Explain;
 use crate::commands::files::{Cp, Ls};
 use crate::commands::gateway::Gateway;
@@ -68,6 +69,7 @@ There are no colours if NO_COLOR is set or the output is not a terminal.";
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
+    Status(Status),
     Get(Get),
     Put(Put),
     Watch(Watch),

@@ -89,6 +89,7 @@ fn run(cli: &Cli) -> Result<(), Failure> {
 pub(crate) fn verb(command: &Command, session: &mut Session, json: bool) -> Result<(), Failure> {
     let link = &session.link().clone();
     match command {
+        Command::Status(_) => doctor::status::status(session, json),
         Command::Get(args) => get::get(args, session, json),
         Command::Put(args) => put::put(args, session, json),
         Command::Watch(args) => watch::watch(args, session, json),

@@ -278,3 +278,36 @@ fn formats_are_not_set_while_a_client_may_be_in_slave_mode() {
         assert!(detail.contains("may run, and SysState would end it"), "{detail}");
     }
 }
+
+#[test]
+fn status_shows_the_state_and_the_command_that_changes_it() {
+    let sim = Sim::start(&[]);
+    let run = sim.bcap(&["status"]);
+    assert_eq!((run.code, run.err.as_str()), (0, ""), "{}", run.out);
+    let items: Vec<&str> = run.out.lines().map(|line| line[7..21].trim_end()).collect();
+    let all = "controller mode permission token errors emergency stop motor arm speed position tasks ready";
+    assert_eq!(items.join(" "), all, "{}", run.out);
+    assert!(!run.out.contains("FAILED"), "{}", run.out);
+    for text in ["RC8 2.8.0", "Auto", "off; `bcap move`", "100 %", "364.159992,0,278.5", "none runs; `bcap task start`"] {
+        assert!(run.out.contains(text), "{text}: {}", run.out);
+    }
+    assert!(run.out.contains("yes, after the motor is on"), "{}", run.out);
+    assert_eq!(sim.bcap(&["task", "start", "Pro1", "--forever"]).code, 0);
+    assert_eq!(
+        result(&sim.bcap(&["status", "--json"]), "tasks").1,
+        "Pro1 running; `bcap task stop` stops one, `bcap halt` the robot"
+    );
+    // it left the arm free, and no error
+    assert_eq!(sim.bcap(&["errors"]).out, "no errors\n");
+}
+
+#[test]
+fn status_names_the_first_cause_and_why_the_robot_is_not_ready() {
+    let faults = [("at_ms = 0", "{ error = '0x84204043' }"), ("at_ms = 1", "{ error = '0x83204072' }")];
+    let sim = Sim::start(&["--scenario", &scenario("status-errors.toml", &faults)]);
+    let run = sim.bcap(&["status", "--json"]);
+    assert_eq!(run.code, 0, "{run:?}");
+    let (found, detail) = result(&run, "errors");
+    assert!(found == "failed" && detail.starts_with("2, first cause 0x84204043"), "{detail}");
+    assert_eq!(result(&run, "ready").0, "failed", "{}", run.out);
+}

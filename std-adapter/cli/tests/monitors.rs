@@ -94,6 +94,7 @@ fn round(stream: &Stream, fleet: &str, gateway: &str) -> bool {
     let messages = bcap(&[&["messages"], &robot[..]].concat());
     let clear = bcap(&[&["clear"], &robot[..]].concat());
     let doctor = bcap(&[&["doctor", "--json"], &robot[..]].concat());
+    let status = bcap(&[&["status"], &robot[..]].concat());
     let check = common::fleet(&[fleet, "--check"]);
     let rac = ["--robot", gateway];
     let put = bcap(&[&["rac", "put", "I1", "5"], &rac[..]].concat());
@@ -104,6 +105,7 @@ fn round(stream: &Stream, fleet: &str, gateway: &str) -> bool {
     assert!(errors.code == 1 && errors.err.contains(&format!("{RUNS}GetCurErrorCount would end it")), "{errors:?}");
     assert!(messages.err.contains(&format!("{RUNS}Controller_GetMessage may end it")), "{messages:?}");
     assert!(clear.code == 1 && clear.err.contains(&format!("{RUNS}ClearError would end it")), "{clear:?}");
+    assert!(status.code == 0 && status.out.contains("a client in Slave Mode has it"), "{status:?}");
     let line = |name: &str| -> Value {
         let mut lines = doctor.out.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
         lines.find(|line| line["check"] == name).unwrap_or_else(|| panic!("no {name}: {doctor:?}"))

@@ -19,6 +19,7 @@
 //! slvChangeMode are cleared at once, but only if the controller had no error before, and has no other one now.
 
 mod report;
+pub(crate) mod status;
 
 use std::time::{Duration, Instant};
 
@@ -144,7 +145,7 @@ fn examine(session: &mut Session, link: &LinkArgs, report: &mut Report) -> Resul
     let version = version(session)?;
     report.note("version", version)?;
     // no function returns it (b-CAP specification for RC9, section 3.1), and this command writes nothing
-    report.note("permission", Finding::skipped("reading is allowed; only a write shows whether writing is"))?;
+    report.note("permission", Finding::skipped(PERMISSION))?;
     let mut examined = Examined { session, stream: StreamCheck::default(), controller, robot: 0 };
     examined.robot = match examined.session.object(&"robot".parse()?) {
         Ok(robot) => robot,
@@ -506,6 +507,8 @@ fn licence(answers: &[(&str, HResult)]) -> Finding {
 fn both(why: &str) -> (Finding, Finding) {
     (Finding::skipped(why), Finding::skipped(why))
 }
+
+const PERMISSION: &str = "reading is allowed; only a write shows whether writing is";
 
 const ARM_HINT: &str =
     "end the program that owns the arm: its last call gives the arm back, or over TCP the end of its connection";

@@ -1,0 +1,147 @@
+//! `bcap status`: the state of the controller and of the robot, each line with the command that changes it.
+//!
+//! Variables are read in any case. While a stream of Slave Mode runs, or may run, nothing is sent that would end it.
+
+use bcap_core::bcap::{FunctionId, StreamState};
+use bcap_core::procedure::SysState;
+use bcap_std::{Examination, ObjectPath, TaskStatus};
+use clap::Args;
+
+use super::report::{Finding, Report};
+use super::{PERMISSION, mode, plain, token_finding, variable};
+use crate::commands::robot::errors::described;
+use crate::failure::Failure;
+use crate::session::Session;
+use crate::session::slave_mode::StreamCheck;
+use crate::session::variables::{list, short_type};
+
+/// Shows the state of the controller and of the robot: what it is, what it does, and why it is not ready
+///
+/// Lines are as in `bcap doctor`: FAILED is a reason why the robot is not ready, and the line after it has the remedy. It only
+/// reads, never takes the arm, and asks nothing that would end a stream of Slave Mode. The exit code is 0 for any state that
+/// was read.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap status
+  bcap status --json")]
+pub(crate) struct Status {}
+
+/// Runs `bcap status`.
+pub(crate) fn status(session: &mut Session, json: bool) -> Result<(), Failure> {
+    session.begin()?;
+    let mut report = Report::new(json);
+    let mut read = |name: &str| Ok::<_, Failure>(variable(session, name)?.map(|value| plain(&value)));
+    let (kind, version, number) = (read("@TYPE")?, read("@VERSION")?.unwrap_or_default(), read("@MODE")?);
+    let (servo, speed) = (read("robot/@SERVO_ON")?, read("robot/@EXTSPEED")?);
+    let position = read("robot/@CURRENT_POSITION")?;
+    let state = session.with(|controller| controller.robot()?.examine())?;
+    let kind = short_type(&kind.unwrap_or_default());
+    report.note("controller", Finding::Passed(format!("{kind} {version}")))?;
+    report.note("mode", number.map_or_else(|| Finding::skipped("unknown"), |number| mode(number == "3")))?;
+    report.note("permission", Finding::skipped(PERMISSION))?;
+    let safety = of_state(&state, |state| token_finding(state.has_outside_token()));
+    report.note("token", safety)?;
+    report.note("errors", errors(&state))?;
+    report.note("emergency stop", of_state(&state, |bits| emergency_stop(bits, state.torque_off)))?;
+    report.note("motor", motor(servo.as_deref()))?;
+    report.note("arm", arm(&state))?;
+    let known = |value: Option<String>, unit| value.map_or_else(|| "unknown".into(), |value| format!("{value}{unit}"));
+    report.note("speed", Finding::Passed(format!("{}; `bcap move --speed` changes it", known(speed, " %"))))?;
+    report
+        .note("position", Finding::Passed(format!("{}; X,Y,Z in mm, RX,RY,RZ in degrees, FIG", known(position, ""))))?;
+    report.note("tasks", tasks(session)?)?;
+    report.note("ready", ready(&state, servo.as_deref()))
+}
+
+/// Returns a finding about the state; skipped if it is unknown, such as during a stream.
+fn of_state(state: &Examination, finding: impl FnOnce(SysState) -> Finding) -> Finding {
+    match (state.state, state.stream) {
+        (Some(bits), _) => finding(bits),
+        (None, StreamState::Runs) => Finding::skipped("a stream of Slave Mode runs, and the question would end it"),
+        (None, _) => Finding::skipped("the controller does not say it"),
+    }
+}
+
+fn errors(state: &Examination) -> Finding {
+    of_state(state, |_| match (state.error_count, state.errors().first()) {
+        (0, _) => Finding::Passed("none".into()),
+        (count, first) => {
+            let first = first.map(|code| format!(", first cause {}", described(*code, ""))).unwrap_or_default();
+            Finding::failed(
+                format!("{count}{first}"),
+                "`bcap errors` shows all; remove the first cause, then `bcap recover`",
+            )
+        }
+    })
+}
+
+fn emergency_stop(bits: SysState, torque_off: Option<bool>) -> Finding {
+    match (bits.is_emergency_stopped(), bits.is_protectively_stopped(), torque_off) {
+        (true, ..) => {
+            Finding::failed("pressed", "make sure that no person is in danger, release it, then `bcap recover`")
+        }
+        (_, true, _) => Finding::failed("protective stop", "close the guard, then `bcap recover`"),
+        (.., Some(true)) => Finding::failed("released, but the torque is still off", "`bcap recover` restores it"),
+        _ => Finding::Passed("released".into()),
+    }
+}
+
+fn motor(servo: Option<&str>) -> Finding {
+    Finding::Passed(match servo {
+        Some("true") => "on; `bcap exec robot Motor 0` switches it off".into(),
+        Some(_) => "off; `bcap move` and `bcap recover --keep` switch it on".into(),
+        None => "unknown".into(),
+    })
+}
+
+fn arm(state: &Examination) -> Finding {
+    match (state.stream, state.owns_arm) {
+        (StreamState::Runs, _) => Finding::Passed("a client in Slave Mode has it; `bcap halt` stops the robot".into()),
+        (_, true) => Finding::Passed("this session has it; `exec robot GiveArm` gives it back".into()),
+        _ => Finding::skipped(
+            "only taking it shows whether another client has it, which `bcap doctor` does for a moment",
+        ),
+    }
+}
+
+/// Returns the tasks that run.
+fn tasks(session: &mut Session) -> Result<Finding, Failure> {
+    let mut check = StreamCheck::default();
+    for (function, command) in
+        [(FunctionId::CONTROLLER_GET_TASK_NAMES, None), (FunctionId::TASK_EXECUTE, Some("GetStatus"))]
+    {
+        if let Some(why) = check.skip(session, function, command)? {
+            return Ok(Finding::Skipped(why));
+        }
+    }
+    let names = match list(session, &ObjectPath::controller(), FunctionId::CONTROLLER_GET_TASK_NAMES) {
+        Err(failure) if failure.leaves_the_session_alive() => return Ok(Finding::Skipped(failure.to_string())),
+        names => names?,
+    };
+    let mut running = Vec::new();
+    for name in names {
+        if session.with(|controller| controller.task(&name)?.status())? == TaskStatus::Running {
+            running.push(name);
+        }
+    }
+    Ok(Finding::Passed(match running.as_slice() {
+        [] => "none runs; `bcap task start` starts one".into(),
+        running => format!("{} running; `bcap task stop` stops one, `bcap halt` the robot", running.join(", ")),
+    }))
+}
+
+/// Returns whether a motion can start, and otherwise why not.
+fn ready(state: &Examination, servo: Option<&str>) -> Finding {
+    let mut reasons: Vec<String> = state.obstacles().map(|obstacle| obstacle.to_string()).collect();
+    if state.error_count > 0 && reasons.is_empty() {
+        reasons.push("the controller has errors".into());
+    }
+    match (reasons.as_slice(), servo) {
+        ([], Some("true")) => Finding::Passed("yes, if no other client has the arm".into()),
+        ([], _) => Finding::Passed("yes, after the motor is on, if no other client has the arm".into()),
+        (reasons, _) => {
+            Finding::failed(reasons.join("; "), "`bcap recover` shows the steps, and asks before it changes anything")
+        }
+    }
+}
