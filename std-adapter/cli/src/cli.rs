@@ -49,7 +49,7 @@ use crate::output::print_raw;
 
 /// Talks to DENSO robot controllers over b-CAP and RAC, and decodes their traffic.
 #[derive(Debug, Parser)]
-#[command(name = "bcap", version, after_help = EXIT_CODES)]
+#[command(name = "bcap", version, help_template = include_str!("page.txt"), after_help = EXIT_CODES)]
 pub(crate) struct Cli {
     /// Prints results as JSON, one object per line; failures too, as {"error":...}
     #[arg(long, global = true)]
@@ -63,9 +63,11 @@ pub(crate) struct Cli {
 }
 
 const EXIT_CODES: &str = "\
-Exit codes: 0 done, 1 the controller refused, diff found differences, a case of conform failed or fuzz found faults, 2 wrong
-usage, malformed input or a diff that is refused or incomplete, 3 no connection, 4 timeout, 130 interrupted by a signal.
-There are no colours if NO_COLOR is set or the output is not a terminal.";
+Exit codes: 0 done, 1 the controller refused, diff found differences, a case of
+conform failed or fuzz found faults, 2 wrong usage, malformed input, a file that
+failed, or a diff that is refused or incomplete, 3 no connection, 4 timeout,
+130 interrupted by a signal. There are no colours if NO_COLOR is set or the
+output is not a terminal.";
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
@@ -113,6 +115,9 @@ pub(crate) enum Command {
     Wireshark(Wireshark),
     Completions(Completions),
     Man(Man),
+    /// The options of the connection to a controller, of every command that has one
+    #[command(hide = true)]
+    Connection,
 }
 
 impl Command {
@@ -131,6 +136,7 @@ impl Command {
                 | Self::Wireshark(_)
                 | Self::Completions(_)
                 | Self::Man(_)
+                | Self::Connection
         )
     }
 }
@@ -205,9 +211,20 @@ pub(crate) struct Man {
     pub(crate) directory: PathBuf,
 }
 
+/// Hides the options of the connection in the help of the commands that do not connect.
+pub(crate) fn with_groups(command: clap::Command) -> clap::Command {
+    const LOCAL: [&str; 11] =
+        ["profile", "board", "sim", "demo", "decode", "encode", "text", "explain", "wireshark", "completions", "man"];
+    let options = command.get_arguments().filter(|option| option.get_help_heading() == Some("Connection"));
+    let options: Vec<clap::Arg> = options.map(|option| option.clone().hide(true)).collect();
+    // `sim` records its clients
+    let of = |name| options.iter().filter(move |option| name != "sim" || option.get_id() != "write").cloned();
+    LOCAL.iter().fold(command, |command, name| command.mut_subcommand(name, |local| local.args(of(*name))))
+}
+
 /// Prints the help of a command, as `bcap NAME --help` does.
 pub(crate) fn print_help(command: &str) -> Result<(), Failure> {
-    let mut cli = Cli::command();
+    let mut cli = with_groups(Cli::command());
     // propagates the global options
     cli.build();
     Ok(cli.find_subcommand_mut(command).map_or(Ok(()), clap::Command::print_long_help)?)

@@ -37,7 +37,7 @@ use crate::session::{Session, traffic};
 use crate::shell::script;
 
 fn main() -> ExitCode {
-    let cli: Cli = parse_or_exit();
+    let cli: Cli = parse_or_exit(cli::with_groups);
     let code = match recorded(&cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => failure.report(cli.json),
@@ -134,6 +134,7 @@ pub(crate) fn verb(command: &Command, session: &mut Session, json: bool) -> Resu
         Command::Wireshark(_) => wireshark::wireshark(),
         Command::Completions(args) => cli::completions(args),
         Command::Man(args) => cli::man(args),
+        Command::Connection => cli::print_help("connection"),
     }
 }
 

@@ -288,7 +288,8 @@ fn status_shows_the_state_and_the_command_that_changes_it() {
     let all = "controller mode permission token errors emergency stop motor arm speed position tasks ready";
     assert_eq!(items.join(" "), all, "{}", run.out);
     assert!(!run.out.contains("FAILED"), "{}", run.out);
-    for text in ["RC8 2.8.0", "Auto", "off; `bcap move`", "100 %", "364.159992,0,278.5", "none runs; `bcap task start`"] {
+    for text in ["RC8 2.8.0", "Auto", "off; `bcap move`", "100 %", "364.159992,0,278.5", "none runs; `bcap task start`"]
+    {
         assert!(run.out.contains(text), "{text}: {}", run.out);
     }
     assert!(run.out.contains("yes, after the motor is on"), "{}", run.out);

@@ -48,3 +48,46 @@ fn shell(line: &str, folder: &Path, address: &str) -> std::process::Output {
     shell.args(["-c", line]).current_dir(folder).env("PATH", path).env("BCAP_ROBOT", address);
     shell.env("XDG_CONFIG_HOME", folder.join("settings")).env_remove("BCAP_PROFILE").output().unwrap()
 }
+
+#[test]
+fn the_first_page_names_every_command_once_in_40_lines() {
+    let page = bcap(&["--help"]).out;
+    assert!(page.lines().count() <= 40 && page.lines().all(|line| line.len() <= 80), "{page}");
+    let folder = tempfile::tempdir().unwrap();
+    assert_eq!(bcap(&["man", folder.path().to_str().unwrap()]).code, 0);
+    let is_row = |line: &&str| line.starts_with("  ") && !line.starts_with("  -");
+    let rows = page.lines().filter(is_row).map(|line| line[2..].split("  ").next().unwrap());
+    let mut named: Vec<String> = rows
+        .flat_map(|row| row.split([',', ' ']).filter(|word| !word.is_empty()).map(str::to_owned).collect::<Vec<_>>())
+        .collect();
+    named.sort();
+    let mut pages: Vec<String> = fs::read_dir(folder.path())
+        .unwrap()
+        .filter_map(|file| {
+            let name = file.unwrap().file_name().into_string().unwrap();
+            let name = name.strip_prefix("bcap-")?.strip_suffix(".1")?.to_owned();
+            (!name.contains('-')).then_some(name)
+        })
+        .collect();
+    pages.sort();
+    assert_eq!(named, pages);
+}
+
+#[test]
+fn the_options_of_the_connection_are_one_line_or_none() {
+    let get = bcap(&["get", "-h"]).out;
+    assert!(get.contains("--robot <ADDRESS>") && get.contains("`bcap help connection`"), "{get}");
+    assert!(!get.contains("--provider") && !get.contains("--attempts"), "{get}");
+    for local in ["explain", "man", "completions", "decode", "sim"] {
+        for help in ["-h", "--help"] {
+            let out = bcap(&[local, help]).out;
+            assert!(!out.contains("--robot <") && !out.contains("--provider"), "{local}: {out}");
+        }
+    }
+    assert!(bcap(&["sim", "--help"]).out.contains("--write"));
+    let connection = bcap(&["help", "connection"]).out;
+    for option in ["--robot", "--timeout", "--provider", "--machine", "--option", "--attempts", "--rac-port", "--trace"]
+    {
+        assert!(connection.contains(option), "{option}: {connection}");
+    }
+}

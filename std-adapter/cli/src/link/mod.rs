@@ -23,7 +23,7 @@ const DEFAULT_TIMEOUT: Duration = Duration::from_secs(3);
 #[command(next_help_heading = "Connection")]
 pub(crate) struct LinkArgs {
     /// The controller: [tcp:|udp:]HOST[:PORT] or serial:PATH; for rac HOST[:PORT] [env: BCAP_ROBOT=]
-    /// [default: tcp:127.0.0.1]
+    /// [default: tcp:127.0.0.1]; `bcap help connection` has the other options
     ///
     /// Without a protocol it is TCP; tcp://HOST is accepted too. Write IPv6 addresses in brackets: tcp:[fe80::1]:5007. A serial
     /// line may have settings, here with the defaults: 'serial:/dev/ttyUSB0?baud=115200&parity=none&stop=1'. `rac`, `raw`,
@@ -38,34 +38,34 @@ pub(crate) struct LinkArgs {
     /// `gateway`, `replay` and `fuzz` to each answer; `proxy` to connecting; `shell` and `run` to each line. A motion of `move` has
     /// --within instead. Without this option a controller can keep a call alive for 10 s in `halt`, and any other for
     /// 180 s. Over UDP the attempts (--attempts) share the time.
-    #[arg(long, global = true, value_name = "MS", env = "BCAP_TIMEOUT", value_parser = duration::parse)]
+    #[arg(long, global = true, hide_short_help = true, value_name = "MS", env = "BCAP_TIMEOUT", value_parser = duration::parse)]
     timeout: Option<Duration>,
 
     /// The provider to connect to; an RC9 or a COBOTTA PRO has CaoProv.DENSO.VRC9 [default: CaoProv.DENSO.VRC]
-    #[arg(long, global = true, value_name = "NAME", env = "BCAP_PROVIDER")]
+    #[arg(long, global = true, hide_short_help = true, value_name = "NAME", env = "BCAP_PROVIDER")]
     provider: Option<String>,
 
     /// The machine name of Controller_Connect; for an RC9 the specification asks for the address of the controller
     /// [default: localhost]
-    #[arg(long, global = true, value_name = "NAME", env = "BCAP_MACHINE")]
+    #[arg(long, global = true, hide_short_help = true, value_name = "NAME", env = "BCAP_MACHINE")]
     machine: Option<String>,
 
     /// The option of Controller_Connect, such as @EventDisable=false [default: empty]
-    #[arg(long, global = true, value_name = "TEXT", env = "BCAP_OPTION")]
+    #[arg(long, global = true, hide_short_help = true, value_name = "TEXT", env = "BCAP_OPTION")]
     option: Option<String>,
 
     /// The attempts of a call over UDP, 1 to 7; other numbers become the nearest. They share the time limit of an answer,
     /// at least 100 ms each, so that the controller's keep-alives arrive before an attempt ends
-    #[arg(long, global = true, value_name = "N", env = "BCAP_ATTEMPTS", default_value_t = 5)]
+    #[arg(long, global = true, hide_short_help = true, value_name = "N", env = "BCAP_ATTEMPTS", default_value_t = 5)]
     pub(crate) attempts: u32,
 
     /// The port of RAC, for an address without a port for RAC [default: 5006]
-    #[arg(long, global = true, value_name = "PORT", env = "BCAP_RAC_PORT")]
+    #[arg(long, global = true, hide_short_help = true, value_name = "PORT", env = "BCAP_RAC_PORT")]
     rac_port: Option<u16>,
 
     /// A profile of ~/.config/bcap/config.toml, whose values apply where neither an option nor an environment variable is
     /// given
-    #[arg(long, global = true, value_name = "NAME", env = "BCAP_PROFILE")]
+    #[arg(long, global = true, hide_short_help = true, value_name = "NAME", env = "BCAP_PROFILE")]
     profile: Option<String>,
 
     /// The address of the profile.
@@ -76,13 +76,13 @@ pub(crate) struct LinkArgs {
     ///
     /// The file is pcapng. A serial line has no packets. `sim` and `proxy` record their clients, `gateway` its PLCs and the
     /// robot.
-    #[arg(long, global = true, value_name = "FILE.pcapng")]
+    #[arg(long, global = true, hide_short_help = true, value_name = "FILE.pcapng")]
     pub(crate) write: Option<PathBuf>,
 
     /// Prints each packet that is sent (->) and received (<-) on the standard error: headers, values, or bytes next to
     /// the values. `monitor`, `gateway`, `proxy`, `replay`, `conform`, `fuzz`, `slave play` and `slave cosine` do not
     /// have it
-    #[arg(long, global = true, value_name = "LEVEL", num_args = 0..=1, require_equals = true,
+    #[arg(long, global = true, hide_short_help = true, value_name = "LEVEL", num_args = 0..=1, require_equals = true,
           default_missing_value = "bytes", value_parser = level())]
     pub(crate) trace: Option<Level>,
 }

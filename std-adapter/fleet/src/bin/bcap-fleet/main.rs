@@ -25,7 +25,7 @@ use crate::live::{Shown, ShownEvents};
 use crate::output::{print, print_line};
 
 fn main() -> ExitCode {
-    let args: Args = parse_or_exit();
+    let args: Args = parse_or_exit(|command| command);
     match execute(&args) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => failure.report(args.json),
