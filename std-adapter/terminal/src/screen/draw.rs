@@ -404,15 +404,16 @@ mod tests {
     fn a_small_terminal_shows_the_state_the_values_and_the_answer() {
         let mut screen = example();
         let small = |screen: &Screen| rows(screen, PLAIN, (20, 5));
-        let values = [" *I1    = 5  ▁▂▃█", "> IO128 = a\\u{1b}[…"];
+        let values = [" *I1    = 5   ▁▂▃█", "> IO128 = a\\u{1b}[2…"];
         assert_eq!(small(&screen), ["RC8 auto ok", values[0], values[1], "", "halted"]);
         screen.notice = Line::default();
         assert_eq!(small(&screen)[4], "70x18 shows all pan…");
         // a question is not cut without a mark
         screen.notice = Line::alarm("write IO128 = 123456789, now 987654321, y/N");
         assert_eq!(small(&screen)[2..], ["write IO128 =", "123456789, now", "987654321, y/N"]);
+        screen.notice = Line::default();
         screen.overlay = Some(Panel::new("keys", vec![Line::new("q quits"), Line::new("h halts")]));
-        assert_eq!(small(&screen)[..2], ["RC8 auto ok", "q quits"]);
+        assert_eq!(small(&screen)[..3], ["RC8 auto ok", "q quits", "h halts"]);
     }
 
     #[test]
