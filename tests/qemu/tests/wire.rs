@@ -179,7 +179,7 @@ pub(crate) struct Plc {
 
 impl Plc {
     fn new(socket: SocketHandle, index: usize) -> Self {
-        let next_port = 49_152 + 1000 * u16::try_from(index).unwrap();
+        let next_port = 48_000 + 4000 * u16::try_from(index).unwrap();
         Self {
             socket,
             reconnects: false,
@@ -243,7 +243,8 @@ impl Plc {
         self.received.clear();
         socket.abort();
         bare::set_up(socket);
-        self.next_port += 1;
+        // a range for each of them
+        self.next_port = if self.next_port % 4000 == 3999 { self.next_port - 3999 } else { self.next_port + 1 };
         socket.connect(interface.context(), (BOARD, 5006), self.next_port).unwrap();
     }
 }
