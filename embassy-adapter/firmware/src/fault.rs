@@ -10,7 +10,7 @@ use bcap_board::record::Cause;
 use bcap_board::{memory, network, watchdog};
 use cortex_m::peripheral::SCB;
 
-use crate::net;
+use crate::lan9118;
 use crate::uart::{self, Text};
 
 /// Reports faults on the serial port before the board is reset.
@@ -42,7 +42,7 @@ pub fn panic_text(info: &PanicInfo<'_>) -> ! {
 /// Handles the watchdog's NMI.
 pub(crate) fn hung() -> ! {
     bcap_board::fault::stop(match watchdog::stalled() {
-        0 if network::is_dead(net::SILENCE) => Cause::Network,
+        0 if network::is_dead(lan9118::SILENCE) => Cause::Network,
         tasks => Cause::Watchdog { tasks },
     })
 }

@@ -18,6 +18,7 @@ use core::sync::atomic::{AtomicU32, Ordering};
 use core::task::{Context, Waker};
 
 use bcap_board::mac::from_unique_id;
+use bcap_board::network;
 use embassy_net_driver::{Capabilities, Driver, HardwareAddress, LinkState};
 use embassy_sync::waitqueue::AtomicWaker;
 use embassy_time::{Duration, Instant};
@@ -94,7 +95,10 @@ const READY_POLLS: usize = 100_000;
 const LINK_INTERVAL: Duration = Duration::from_millis(250);
 
 /// The time without a received frame after which the controller is initialised again. A test has less time.
-const SILENCE: Duration = Duration::from_secs(if cfg!(feature = "faults") { 3 } else { 30 });
+const AGAIN: Duration = Duration::from_secs(if cfg!(feature = "faults") { 3 } else { 30 });
+
+/// The silence after which the watchdog resets the board. A test has less time.
+pub const SILENCE: Duration = if cfg!(feature = "faults") { Duration::from_secs(10) } else { network::SILENCE };
 
 static WAKER: AtomicWaker = AtomicWaker::new();
 static RECEIVED: AtomicU32 = AtomicU32::new(0);
@@ -240,7 +244,7 @@ impl<'m> Lan9118<'m> {
             self.link.received = received;
             self.link.silent_since = now;
         }
-        if now < self.link.silent_since + SILENCE {
+        if now < self.link.silent_since + AGAIN {
             return;
         }
         self.link.silent_since = now;

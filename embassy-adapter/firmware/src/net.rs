@@ -11,9 +11,6 @@ use crate::lan9118::{Frames, Lan9118};
 /// The pause before the board asks for an address again. A test has less time.
 pub const DHCP_AGAIN: Duration = if cfg!(feature = "faults") { Duration::from_secs(3) } else { address::DHCP_AGAIN };
 
-/// The silence after which the Ethernet controller counts as dead. A test has less time.
-pub const SILENCE: Duration = if cfg!(feature = "faults") { Duration::from_secs(10) } else { network::SILENCE };
-
 /// The runner that moves frames; one task must run it.
 pub type NetRunner = network::Runner<&'static mut Lan9118<'static>>;
 

@@ -81,7 +81,7 @@ async fn run_stack(mut runner: NetRunner) -> ! {
 /// Feeds the watchdog while the tasks run, the gateway meets its deadlines and the network works.
 #[embassy_executor::task]
 async fn watch(board: &'static Board) -> ! {
-    gateway::watch(board, net::SILENCE, watchdog::feed).await
+    gateway::watch(board, lan9118::SILENCE, watchdog::feed).await
 }
 
 /// Serves the host that changes the settings.
