@@ -12,7 +12,7 @@ use bcap_core::time::Instant;
 use bcap_sim::Controller;
 
 /// The real time of one second on the controller's clock, in seconds.
-pub const SLOWNESS: u32 = 4;
+pub const SLOWNESS: u32 = 8;
 
 /// The controller's cycle in real time.
 pub const CYCLE: Duration = bcap_sim::slave::CYCLE.saturating_mul(SLOWNESS);

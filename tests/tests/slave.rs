@@ -172,7 +172,7 @@ fn a_stop_ramps_within_the_limits_and_gives_the_arm_back() {
     let controller = &sim.application().0;
     let axes: Vec<f64> = controller.slave_record().map(|cycle| cycle.axes[0]).collect();
     let steps: Vec<f64> = axes.windows(2).map(|pair| (pair[1] - pair[0]) / CYCLE.as_secs_f64()).collect();
-    assert!(steps[20] > 1.5, "it was moving: {steps:?}");
+    assert!(steps[20] > 0.75, "it was moving: {steps:?}");
     assert_eq!(steps.last(), Some(&0.0), "and stands");
     for pair in steps.windows(2) {
         assert!(((pair[1] - pair[0]) / CYCLE.as_secs_f64()).abs() <= 500.0, "{pair:?}");
@@ -185,14 +185,14 @@ fn a_stop_ramps_within_the_limits_and_gives_the_arm_back() {
 fn a_pose_that_is_too_far_is_not_sent_and_the_stream_stops() {
     let sim = controller();
     let mut rig = over_tcp(&sim, |config| {
-        config.limits = AxisLimits::uniform(100.0, 8000.0);
+        config.limits = AxisLimits::uniform(50.0, 4000.0);
     });
     let mut far = |cycle: &Cycle<'_>| Next::Pose(turned(cycle.start, if cycle.number < 30 { 0.0 } else { 5.0 }));
     let error = rig.run(&mut far).unwrap_err();
-    let StreamError::Pose { number: 30, error: PoseError::Speed { axis: 1, speed, limit: 100.0 } } = error else {
+    let StreamError::Pose { number: 30, error: PoseError::Speed { axis: 1, speed, limit: 50.0 } } = error else {
         panic!("{error}")
     };
-    assert!((speed - 156.25).abs() < 1e-6, "{speed}");
+    assert!((speed - 5.0 / CYCLE.as_secs_f64()).abs() < 1e-6, "{speed}");
     let controller = &sim.application().0;
     assert!(controller.slave_record().all(|cycle| cycle.axes[0] == 0.0), "nothing moved");
     assert_eq!((controller.slave_mode(), controller.arm_owner(), controller.errors().count()), (0, None, 0));
