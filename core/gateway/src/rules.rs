@@ -130,7 +130,8 @@ fn is_finite(value: &Variant<'_>) -> bool {
     }
 }
 
-/// A range of values, both ends included: an infinite end allows that infinity. BOOL counts as 0 or 1, a string as its length in UTF-16 units.
+/// A range of values, both ends included: an infinite end allows that infinity. BOOL counts as 0 or 1, a string as its
+/// length in UTF-16 units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Bounds {

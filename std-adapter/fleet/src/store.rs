@@ -2,7 +2,8 @@
 //!
 //! A file is deleted after the broker has acknowledged all of its readings. If the process is killed before that, they are
 //! sent again, with the same ids. A file that exceeds the limits of bytes or age is deleted, and its readings are counted
-//! as dropped. Only regular files of the directory are used, and no links are followed. The functions block; the publisher calls them on a thread for blocking work.
+//! as dropped. Only regular files of the directory are used, and no links are followed. The functions block; the publisher
+//! calls them on a thread for blocking work.
 
 use std::collections::VecDeque;
 use std::fs::{self, File, OpenOptions, TryLockError};

@@ -178,8 +178,8 @@ impl<H: Send + 'static> Connection<H> {
         let room = room.split_at_mut(room.len().min(TURN)).0;
         let (mut reader, writer) = self.stream.split();
         tokio::select! {
-            // bytes first: a request that has arrived needs no look at the rest, whose turn comes when there is none. A peer
-            // that always has one is stopped at the end of its turn.
+            // The read comes first: while requests arrive, the other branches need not be polled. `end_turn` checks `stopped`
+            // for a peer whose requests never pause.
             biased;
             count = reader.read(room), if !is_full => match count? {
                 0 => return Ok(Some("the peer closed it")),

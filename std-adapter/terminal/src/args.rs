@@ -8,7 +8,8 @@ use clap::{Command, Parser};
 
 use crate::{escape, report};
 
-/// Parses the command line, or exits with the help or an error. `adjust` changes what the derive cannot. An empty environment variable counts as one that is not set.
+/// Parses the command line, or exits with the help or an error. `adjust` changes what the derive cannot. An empty environment
+/// variable counts as one that is not set.
 #[must_use]
 pub fn parse_or_exit<P: Parser>(adjust: fn(Command) -> Command) -> P {
     parse::<P, _>(adjust, env::args_os()).unwrap_or_else(|error| {

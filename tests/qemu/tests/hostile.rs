@@ -1,4 +1,5 @@
-//! Tests the gateway board in QEMU on a hostile network: invalid leases, half-open connections, slow clients of the page, random frames.
+//! Tests the gateway board in QEMU on a hostile network: invalid leases, half-open connections, slow clients of the page,
+//! random frames.
 //!
 //! ```text
 //!  4 PLCs, one of which connects for each request ─┐

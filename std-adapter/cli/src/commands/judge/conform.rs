@@ -31,8 +31,8 @@ use crate::session::connect::not_connected;
 /// A device that accepts no connection after a case, such as after a crash, is waited for, and the case is named. Without the
 /// device the run ends.
 ///
-/// The exit code is 0 if no case failed, otherwise 1; 3 if the device accepts no connections. Ctrl-C ends the run after the present case; with --level motion it
-/// halts the robot first, and the case restores what it changed.
+/// The exit code is 0 if no case failed, otherwise 1; 3 if the device accepts no connections. Ctrl-C ends the run after the
+/// present case; with --level motion it halts the robot first, and the case restores what it changed.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

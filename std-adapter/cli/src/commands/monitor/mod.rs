@@ -30,13 +30,13 @@ use crate::session::variables::paths;
 ///
 /// A variable that changes is bold with a `*` for two seconds; numbers have a sparkline of their last values. The
 /// packets are one call a line; a call whose reply is the same as before is omitted, until `a` shows all. It reads, and
-/// never takes the arm. `w` writes a variable, and asks first; Enter shows a line that is cut (`…`). `h` halts the robot at once, over a separate connection;
-/// a serial line carries one session, so there it waits for the call under way. `q` and Ctrl-C quit, after a halt that
-/// is under way; if that fails, the exit code is 1. SIGTERM and SIGHUP end it with 130.
+/// never takes the arm. `w` writes a variable, and asks first; Enter shows a line that is cut (`…`). `h` halts the robot at
+/// once, over a separate connection; a serial line carries one session, so there it waits for the call under way. `q` and
+/// Ctrl-C quit, after a halt that is under way; if that fails, the exit code is 1. SIGTERM and SIGHUP end it with 130.
 ///
 /// Without NAME it shows no variables. A lost connection is shown, and tried again every second. Below 70x18 the terminal shows
-/// only the variables; NO_COLOR removes the colours, and a locale without UTF-8 the characters that are not ASCII. TERM=dumb cannot move the
-/// cursor, so use `bcap watch` there. --timeout limits each call.
+/// only the variables; NO_COLOR removes the colours, and a locale without UTF-8 the characters that are not ASCII. TERM=dumb
+/// cannot move the cursor, so use `bcap watch` there. --timeout limits each call.
 #[derive(Debug, Args)]
 #[command(after_help = format!("\
 Keys:

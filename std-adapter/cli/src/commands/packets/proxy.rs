@@ -28,8 +28,9 @@ use crate::output::{print_json, print_line};
 ///
 /// Prints one line, `ready bcap=IP:PORT udp=IP:PORT`, when it listens, with `rac=IP:PORT` after --listen-rac, then each call when
 /// its reply has arrived, as `bcap decode` prints it. --write FILE.pcapng records every byte: packets between the client and the
-/// robot, as the client sent and received them. Faults are injected by share: 0.1 is a tenth of the frames, chosen at random, in both directions. A
-/// fault is printed, and in the file it is the comment of its packet. On SIGINT, SIGTERM and SIGHUP it ends with 0.
+/// robot, as the client sent and received them. Faults are injected by share: 0.1 is a tenth of the frames, chosen at random,
+/// in both directions. A fault is printed, and in the file it is the comment of its packet. On SIGINT, SIGTERM and SIGHUP it
+/// ends with 0.
 ///
 /// It serves 256 clients over UDP, 256 TCP connections of b-CAP and 256 of RAC. Datagrams of further clients are dropped, and
 /// further connections are closed, with a note. The slot of a client over UDP is free 5 seconds after its Service_Stop, or when

@@ -21,8 +21,8 @@ use bcap_capture::value::named::{self, Entry, Named, shown};
 
 /// Writes variables
 ///
-/// Several variables are written as NAME=VALUE, in order. A range (I1-I50, I*) gets one value. All values are checked before the first is written. After a
-/// refusal nothing more is written; each written variable has been printed.
+/// Several variables are written as NAME=VALUE, in order. A range (I1-I50, I*) gets one value. All values are checked before
+/// the first is written. After a refusal nothing more is written; each written variable has been printed.
 ///
 /// VALUE is plain data, which take the variable's present type. A number has a decimal point; a BOOL is true, false, on, off,
 /// or a number; an array has commas between its elements, as many as the variable has. With --typed VALUE is TYPE,DATA,
