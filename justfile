@@ -8,7 +8,7 @@ default:
 # A virtual controller, a session with it, and every frame decoded next to its bytes.
 [group('develop')]
 demo:
-    cargo run --release -p bcap-cli -- demo
+    cargo run -p bcap-capture --example demo
 
 # All tests.
 [group('develop')]

@@ -15,7 +15,7 @@ use bcap_core::variant::{MAX_EMPTY_ELEMENTS, VarType};
 const HEAD: &str = "\
 -- b-CAP and RAC of DENSO robot controllers: a dissector for Wireshark 4.0 or later.
 --
--- `bcap wireshark` prints this file, with the tables of bcap-core. Do not edit it.
+-- `bcap generate wireshark` prints this file, with the tables of bcap-core. Do not edit it.
 -- Licence: MIT OR Apache-2.0
 ";
 

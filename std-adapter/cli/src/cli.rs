@@ -1,7 +1,7 @@
 //! The command line: all commands, and the arguments of those that work on the command line itself. A shell and a script
 //! run any command, so their code is above this file.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::{Args, CommandFactory as _, Parser, Subcommand};
 
@@ -21,22 +21,17 @@ use crate::commands::judge::fuzz::Fuzz;
 #[cfg(feature = "screens")]
 use crate::commands::monitor::Monitor;
 use crate::commands::packets::decode::Decode;
-use crate::commands::packets::encode::Encode;
 use crate::commands::packets::proxy::Proxy;
 use crate::commands::packets::raw::Raw;
 use crate::commands::packets::replay::Replay;
-use crate::commands::packets::text::Text;
-use crate::commands::packets::wireshark::Wireshark;
 use crate::commands::profile::ProfileArgs;
 use crate::commands::report::ReportArgs;
-use crate::commands::robot::errors::{Clear, Errors};
+use crate::commands::robot::errors::Errors;
 use crate::commands::robot::halt::HaltArgs;
-use crate::commands::robot::messages::Messages;
 use crate::commands::robot::motion::MoveArgs;
 use crate::commands::robot::recover::Recover;
 use crate::commands::robot::task::Task;
 use crate::commands::sim::args::Sim;
-use crate::commands::sim::demo::Demo;
 use crate::commands::slave::args::Slave;
 use crate::commands::variables::get::Get;
 use crate::commands::variables::names::Names;
@@ -89,9 +84,7 @@ pub(crate) enum Command {
     Move(MoveArgs),
     Task(Task),
     Errors(Errors),
-    Clear(Clear),
     Recover(Recover),
-    Messages(Messages),
     Shell(Shell),
     Run(Run),
     Raw(Raw),
@@ -107,14 +100,9 @@ pub(crate) enum Command {
     Replay(Replay),
     Conform(Conform),
     Fuzz(Fuzz),
-    Demo(Demo),
     Decode(Decode),
-    Encode(Encode),
-    Text(Text),
     Explain(Explain),
-    Wireshark(Wireshark),
-    Completions(Completions),
-    Man(Man),
+    Generate(Generate),
     /// The options of the connection to a controller, of every command that has one
     #[command(hide = true)]
     Connection,
@@ -128,14 +116,9 @@ impl Command {
             Self::Profile(_)
                 | Self::Board(_)
                 | Self::Sim(_)
-                | Self::Demo(_)
                 | Self::Decode(_)
-                | Self::Encode(_)
-                | Self::Text(_)
                 | Self::Explain(_)
-                | Self::Wireshark(_)
-                | Self::Completions(_)
-                | Self::Man(_)
+                | Self::Generate(_)
                 | Self::Connection
         )
     }
@@ -187,38 +170,52 @@ pub(crate) struct Run {
     pub(crate) check: bool,
 }
 
-/// Prints a completion script for a shell
+/// Generates the completion script of a shell, manual pages, or a dissector for Wireshark
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  bcap completions bash >~/.local/share/bash-completion/completions/bcap
-  bcap completions zsh >~/.zfunc/_bcap
-  bcap completions fish >~/.config/fish/completions/bcap.fish")]
-pub(crate) struct Completions {
-    /// The shell
-    pub(crate) shell: clap_complete::Shell,
+  bcap generate completions bash >~/.local/share/bash-completion/completions/bcap
+  bcap generate man man1 && man ./man1/bcap.1
+  bcap generate wireshark >~/.local/lib/wireshark/plugins/bcap.lua")]
+pub(crate) struct Generate {
+    #[command(subcommand)]
+    pub(crate) output: Output,
 }
 
-/// Writes the manual pages, one for each command
-#[derive(Debug, Args)]
-#[command(after_help = "\
-Examples:
-  bcap man man1 && man ./man1/bcap.1
-  bcap man /usr/local/share/man/man1")]
-pub(crate) struct Man {
-    /// The directory; it is made if it does not exist
-    #[arg(value_name = "DIR")]
-    pub(crate) directory: PathBuf,
+#[derive(Debug, Subcommand)]
+pub(crate) enum Output {
+    /// Prints a completion script for a shell
+    Completions {
+        /// The shell
+        shell: clap_complete::Shell,
+    },
+    /// Writes the manual pages, one for each command
+    Man {
+        /// The directory; it is made if it does not exist
+        #[arg(value_name = "DIR")]
+        directory: PathBuf,
+    },
+    /// Prints a dissector for Wireshark, one Lua file
+    ///
+    /// It decodes b-CAP over TCP and UDP, and RAC. docs/wireshark.md describes its fields and filters.
+    Wireshark,
 }
 
-/// Hides the options of the connection in the help of the commands that do not connect.
+/// Hides the options of the connection in the help of the commands that do not connect; for others `bcap help connection` has
+/// them.
 pub(crate) fn with_groups(command: clap::Command) -> clap::Command {
-    const LOCAL: [&str; 11] =
-        ["profile", "board", "sim", "demo", "decode", "encode", "text", "explain", "wireshark", "completions", "man"];
-    let options = command.get_arguments().filter(|option| option.get_help_heading() == Some("Connection"));
-    let options: Vec<clap::Arg> = options.map(|option| option.clone().hide(true)).collect();
+    const LOCAL: [&str; 6] = ["profile", "board", "sim", "decode", "explain", "generate"];
+    let is_of_connection = |option: &clap::Arg| option.get_help_heading() == Some("Connection");
+    let options: Vec<_> = command.get_arguments().filter(|option| is_of_connection(option)).cloned().collect();
+    let command = command.mut_subcommand("connection", |page| page.args(options.clone()));
+    let command = command.mut_args(|option| match option.get_id() == "robot" {
+        true => option.long_help(None),
+        false if is_of_connection(&option) => option.hide_long_help(true),
+        false => option,
+    });
     // `sim` records its clients
-    let of = |name| options.iter().filter(move |option| name != "sim" || option.get_id() != "write").cloned();
+    let is_hidden = |name, option: &clap::Arg| name != "sim" || option.get_id() != "write";
+    let of = |name| options.iter().map(move |option| option.clone().hide(is_hidden(name, option)));
     LOCAL.iter().fold(command, |command, name| command.mut_subcommand(name, |local| local.args(of(*name))))
 }
 
@@ -230,20 +227,27 @@ pub(crate) fn print_help(command: &str) -> Result<(), Failure> {
     Ok(cli.find_subcommand_mut(command).map_or(Ok(()), clap::Command::print_long_help)?)
 }
 
-/// Runs `bcap completions`.
-pub(crate) fn completions(args: &Completions) -> Result<(), Failure> {
-    let mut script = Vec::new();
-    clap_complete::generate(args.shell, &mut Cli::command(), "bcap", &mut script);
-    Ok(print_raw(String::from_utf8_lossy(&script).trim_end())?)
+/// Runs `bcap generate`.
+pub(crate) fn generate(args: &Generate) -> Result<(), Failure> {
+    match &args.output {
+        Output::Completions { shell } => {
+            let mut script = Vec::new();
+            clap_complete::generate(*shell, &mut Cli::command(), "bcap", &mut script);
+            Ok(print_raw(String::from_utf8_lossy(&script).trim_end())?)
+        }
+        Output::Man { directory } => man(directory),
+        // it has no text from outside
+        Output::Wireshark => Ok(print_raw(bcap_capture::wireshark::script().trim_end())?),
+    }
 }
 
-/// Runs `bcap man`: writes `bcap.1` and a page for each command, such as `bcap-get.1`.
-pub(crate) fn man(args: &Man) -> Result<(), Failure> {
-    let failed = |error| Failure::Input(format!("cannot write manual pages to {}: {error}", args.directory.display()));
-    std::fs::create_dir_all(&args.directory).map_err(failed)?;
+/// Writes `bcap.1` and a page for each command, such as `bcap-get.1`.
+fn man(directory: &Path) -> Result<(), Failure> {
+    let failed = |error| Failure::Input(format!("cannot write manual pages to {}: {error}", directory.display()));
+    std::fs::create_dir_all(directory).map_err(failed)?;
     // `bcap help` needs no pages
     let mut command = Cli::command().disable_help_subcommand(true);
     // propagates the global options
     command.build();
-    clap_mangen::generate_to(command, &args.directory).map_err(failed)
+    clap_mangen::generate_to(command, directory).map_err(failed)
 }

@@ -339,7 +339,7 @@ struct Line<'a> {
 pub(crate) fn hint_of(code: HResult) -> Option<String> {
     const COMMANDS: [(&str, &str); 3] = [
         ("GetCurErrorInfo", "`bcap errors`"),
-        ("ClearError", "`bcap clear`"),
+        ("ClearError", "`bcap errors --clear`"),
         ("the matching Get...Names function lists", "`bcap names` lists"),
     ];
     let hint = code.hint()?.to_string();

@@ -25,9 +25,8 @@ use crate::commands::calls::{call, exec};
 use crate::commands::judge::{conform, fuzz};
 #[cfg(feature = "screens")]
 use crate::commands::monitor;
-use crate::commands::packets::{decode, encode, proxy, raw, replay, text, wireshark};
-use crate::commands::robot::{errors, halt, messages, motion, recover, task};
-use crate::commands::sim::demo;
+use crate::commands::packets::{decode, proxy, raw, replay};
+use crate::commands::robot::{errors, halt, motion, recover, task};
 use crate::commands::variables::{get, names, put, rac, watch};
 use crate::commands::{board, doctor, explain, files, gateway, profile, report, sim, slave};
 use crate::failure::Failure;
@@ -107,10 +106,8 @@ pub(crate) fn verb(command: &Command, session: &mut Session, json: bool) -> Resu
         Command::Exec(args) => exec::exec(args, session, json),
         Command::Move(args) => motion::motion(args, session, json),
         Command::Task(args) => task::task(args, session, json),
-        Command::Errors(_) => errors::errors(session, json),
-        Command::Clear(_) => errors::clear(session),
+        Command::Errors(args) => errors::errors(args, session, json),
         Command::Recover(args) => recover::recover(args, session, json),
-        Command::Messages(args) => messages::messages(args, session, json),
         Command::Shell(_) => shell::shell(session, verb, json),
         Command::Run(args) => script::run(args, session, verb, check, json),
         Command::Raw(args) => raw::raw(args, session, json),
@@ -126,14 +123,9 @@ pub(crate) fn verb(command: &Command, session: &mut Session, json: bool) -> Resu
         Command::Replay(args) => replay::replay(args, link.untraced()?, json),
         Command::Conform(args) => conform::conform(args, link, json),
         Command::Fuzz(args) => fuzz::fuzz(args, link.untraced()?, json),
-        Command::Demo(_) => demo::demo(),
         Command::Decode(args) => decode::decode(args, json),
-        Command::Encode(args) => encode::encode(args),
-        Command::Text(args) => text::text(args, json),
         Command::Explain(args) => explain::explain(args, json),
-        Command::Wireshark(_) => wireshark::wireshark(),
-        Command::Completions(args) => cli::completions(args),
-        Command::Man(args) => cli::man(args),
+        Command::Generate(args) => cli::generate(args),
         Command::Connection => cli::print_help("connection"),
     }
 }

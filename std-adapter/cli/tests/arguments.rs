@@ -156,7 +156,7 @@ fn an_empty_environment_variable_counts_as_missing() {
     let names = ["TIMEOUT", "PROVIDER", "MACHINE", "OPTION", "ATTEMPTS", "RAC_PORT", "PROFILE"];
     for name in names {
         let run: common::Run =
-            common::command(&["encode", "--help"]).env(format!("BCAP_{name}"), "").output().unwrap().into();
+            common::command(&["decode", "--help"]).env(format!("BCAP_{name}"), "").output().unwrap().into();
         assert_eq!((run.code, run.err.as_str()), (0, ""), "BCAP_{name}");
         let run: common::Run =
             common::bare(&["explain", "S_OK"]).env(format!("BCAP_{name}"), "").output().unwrap().into();

@@ -1,4 +1,4 @@
-//! `bcap decode` and `bcap encode` on the command line.
+//! `bcap decode` on the command line.
 
 use crate::common;
 use crate::common::{bcap, bcap_with, frames};
@@ -11,7 +11,7 @@ fn a_frame_decodes_to_the_documented_line_and_encodes_back() {
     let run = bcap(&["decode", "--json", FRAME]);
     let line = r#"{"serial":4,"reserved":0,"code":101,"name":"VariableGetValue","args":[{"vt":3,"v":3}]}"#;
     assert_eq!((run.out.as_str(), run.err.as_str(), run.code), (format!("{line}\n").as_str(), "", 0));
-    let run = bcap(&["encode", line]);
+    let run = bcap(&["decode", "--reverse", line]);
     assert_eq!((run.out.trim_end(), run.code), (FRAME, 0));
 }
 
@@ -38,7 +38,7 @@ fn all_frames_of_the_vectors_are_decoded_and_encoded() {
             assert_eq!(line["name"].is_null(), role == "request" && line["code"] == 0, "{line}");
         }
 
-        let encoded = bcap_with(&["encode", "--as", role, "-"], decoded.out.as_bytes());
+        let encoded = bcap_with(&["decode", "--reverse", "--as", role, "-"], decoded.out.as_bytes());
         assert_eq!((encoded.code, encoded.err.as_str()), (0, ""));
         assert_eq!(encoded.out, input);
     }
@@ -62,7 +62,7 @@ fn all_values_of_the_vectors_are_decoded_and_encoded() {
     let input = values.join("\n") + "\n";
     let decoded = bcap_with(&["decode", "--variant", "--json", "-"], input.as_bytes());
     assert_eq!((decoded.code, decoded.err.as_str()), (0, ""));
-    let encoded = bcap_with(&["encode", "--variant", "-"], decoded.out.as_bytes());
+    let encoded = bcap_with(&["decode", "--reverse", "--variant", "-"], decoded.out.as_bytes());
     assert_eq!((encoded.code, encoded.out), (0, input));
 }
 
@@ -79,7 +79,7 @@ fn an_invalid_line_is_reported_in_order_and_the_others_are_converted() {
     assert_eq!(lines[3]["offset"], 0);
     assert!(run.err.contains("3 of the lines"), "{}", run.err);
 
-    let run = bcap_with(&["encode", "-"], b"{\"code\":2}\n{\"code\":\"x\"}\n\xff\n{\"code\":2}\n");
+    let run = bcap_with(&["decode", "--reverse", "-"], b"{\"code\":2}\n{\"code\":\"x\"}\n\xff\n{\"code\":2}\n");
     let lines: Vec<&str> = run.out.lines().collect();
     assert_eq!((run.code, lines.len()), (2, 4));
     assert_eq!((lines[0], lines[3]), ("01100000000100000002000000000004", "01100000000100000002000000000004"));
@@ -107,7 +107,7 @@ fn an_invalid_argument_exits_with_2() {
 fn frames_of_serial_lines_carry_a_crc() {
     let run = bcap(&["decode", "--com", "--json", "011200000001000100020000000000893a04"]);
     assert_eq!(run.out.trim_end(), r#"{"serial":1,"reserved":1,"code":2,"name":"ServiceStop","args":[]}"#);
-    let back = bcap(&["encode", "--com", run.out.trim_end()]);
+    let back = bcap(&["decode", "--reverse", "--com", run.out.trim_end()]);
     assert_eq!(back.out, "011200000001000100020000000000893a04\n");
     let run = bcap(&["decode", "--com", "011200000001000100020000000000893b04"]);
     assert_eq!(run.code, 2);
@@ -121,11 +121,11 @@ fn a_response_names_its_hresult() {
     let run = bcap(&["decode", "--as", "response", "--json", "01100000000300000000090080000004"]);
     assert_eq!(run.out.trim_end(), r#"{"serial":3,"reserved":0,"code":-2147481344,"name":"E_TIMEOUT","args":[]}"#);
     for line in [r#"{"serial":3,"code":2147485952}"#, r#"{"serial":3,"name":"E_TIMEOUT"}"#] {
-        assert_eq!(bcap(&["encode", "--as", "response", line]).out, "01100000000300000000090080000004\n");
+        assert_eq!(bcap(&["decode", "--reverse", "--as", "response", line]).out, "01100000000300000000090080000004\n");
     }
     let unknown = bcap(&["decode", "--as", "response", "--json", "01100000000300000078563412000004"]);
     assert!(unknown.out.contains(r#""code":305419896,"name":null"#), "{}", unknown.out);
-    assert_eq!(bcap(&["encode", "--as", "response", unknown.out.trim_end()]).code, 0);
+    assert_eq!(bcap(&["decode", "--reverse", "--as", "response", unknown.out.trim_end()]).code, 0);
 }
 
 #[test]
@@ -177,16 +177,16 @@ fn lenient_decoding_accepts_trailing_bytes_and_unknown_types() {
     let run = bcap(&["decode", "--lenient", "--json", hex]);
     assert_eq!((run.code, run.out.contains(r#""args":[{"vt":16,"opaque":"010000007f"}]"#)), (0, true), "{run:?}");
     assert_eq!(bcap(&["decode", "--lenient", hex]).code, 0);
-    let back = bcap(&["encode", run.out.trim_end()]);
+    let back = bcap(&["decode", "--reverse", run.out.trim_end()]);
     assert!(back.code == 2 && back.err.contains("opaque"), "{back:?}");
 }
 
 #[test]
 fn completions_have_the_commands() {
     for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
-        let run = bcap(&["completions", shell]);
+        let run = bcap(&["generate", "completions", shell]);
         assert_eq!(run.code, 0);
-        assert!(run.out.contains("decode") && run.out.contains("encode"), "{shell}");
+        assert!(run.out.contains("decode") && run.out.contains("doctor"), "{shell}");
     }
 }
 
@@ -194,7 +194,7 @@ fn completions_have_the_commands() {
 fn help_shows_examples_and_exit_codes() {
     let run = bcap(&["--help"]);
     assert!(run.code == 0 && run.out.contains("Exit codes"), "{run:?}");
-    for command in ["decode", "encode", "text", "completions", "proxy", "replay"] {
+    for command in ["decode", "generate", "proxy", "replay"] {
         let run = bcap(&[command, "--help"]);
         assert!(run.code == 0 && run.out.contains("Examples:\n  bcap "), "{run:?}");
     }

@@ -9,8 +9,7 @@ use crate::common::virtual_robot::Virtual;
 use crate::common::{Run, bcap};
 
 /// The commands, in the order in which they run: `put` writes the position of `move`.
-const COMMANDS: [&str; 12] =
-    ["put", "get", "names", "call", "exec", "move", "task", "errors", "clear", "messages", "run", "raw"];
+const COMMANDS: [&str; 10] = ["put", "get", "names", "call", "exec", "move", "task", "errors", "run", "raw"];
 
 /// Returns the lines of the examples.
 fn examples(command: &str) -> Vec<String> {

@@ -1,4 +1,4 @@
-//! `bcap man`: a page for each command, with its options and its examples on separate lines.
+//! `bcap generate man`: a page for each command, with its options and its examples on separate lines.
 
 use std::fs;
 
@@ -8,7 +8,7 @@ use crate::common::bcap;
 fn every_command_has_a_page_with_its_examples() {
     let directory = tempfile::tempdir().unwrap();
     let pages = directory.path().join("man1");
-    let run = bcap(&["man", pages.to_str().unwrap()]);
+    let run = bcap(&["generate", "man", pages.to_str().unwrap()]);
     assert_eq!((run.out.as_str(), run.err.as_str(), run.code), ("", "", 0));
     let mut names: Vec<_> =
         fs::read_dir(&pages).unwrap().map(|file| file.unwrap().file_name().into_string().unwrap()).collect();
@@ -27,6 +27,6 @@ fn every_command_has_a_page_with_its_examples() {
 #[test]
 fn a_directory_that_cannot_be_written_is_named() {
     let file = tempfile::NamedTempFile::new().unwrap();
-    let run = bcap(&["man", file.path().to_str().unwrap()]);
+    let run = bcap(&["generate", "man", file.path().to_str().unwrap()]);
     assert!(run.code == 2 && run.err.contains("cannot write manual pages to /"), "{run:?}");
 }

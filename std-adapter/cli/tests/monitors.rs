@@ -91,8 +91,8 @@ fn fleet(robot: &str, folder: &Path) -> String {
 fn round(stream: &Stream, fleet: &str, gateway: &str) -> bool {
     let robot = ["--robot", &stream.robot];
     let errors = bcap(&[&["errors"], &robot[..]].concat());
-    let messages = bcap(&[&["messages"], &robot[..]].concat());
-    let clear = bcap(&[&["clear"], &robot[..]].concat());
+    let messages = bcap(&[&["errors", "--follow", "--for", "1ms"], &robot[..]].concat());
+    let clear = bcap(&[&["errors", "--clear"], &robot[..]].concat());
     let doctor = bcap(&[&["doctor", "--json"], &robot[..]].concat());
     let status = bcap(&[&["status"], &robot[..]].concat());
     let check = common::fleet(&[fleet, "--check"]);

@@ -108,7 +108,7 @@ fn a_wrong_profile_is_named_with_file_and_line() {
     let place = format!("{}, line 5: unknown field `modell`", home.file.display());
     assert!(run.code == 2 && run.err.contains(&place), "{run:?}");
     // a command that does not connect does not read the file
-    assert_eq!(home.run(&["text", "parse", "3,1"], &[("BCAP_PROFILE", "cell")]).code, 0);
+    assert_eq!(home.run(&["decode", "--rac", "--reverse", "3,1"], &[("BCAP_PROFILE", "cell")]).code, 0);
 
     let home = Home::with("[profile.cell]\naddress = \"tcp:x\"\n[profile.b]\n");
     let run = home.run(&["get", "I1"], &[("BCAP_PROFILE", "cel")]);

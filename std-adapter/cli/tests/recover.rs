@@ -116,7 +116,7 @@ fn a_robot_of_another_client_is_left_alone() {
     let last = lines(&run).pop().unwrap();
     assert_eq!((run.code, last["hresult"].clone()), (1, json!("E_ARM_NOT_TAKEN")), "{run:?}");
     assert!(last["error"].as_str().unwrap().starts_with("TakeArm: "), "{last}");
-    robot.run(&["clear"]);
+    robot.run(&["errors", "--clear"]);
     arm.motor_on().unwrap();
     arm.robot().execute::<OwnedVariant>("slvChangeMode", 0x202).unwrap();
     let run = recover(&robot, &["--yes"]);
@@ -199,12 +199,12 @@ fn a_cobotta_is_prepared_for_a_motion_only_with_the_option() {
         run.code == 1 && run.err.contains("E_MOTION_UNPREPARED") && run.err.contains("--prepare before a motion"),
         "{run:?}"
     );
-    robot.run(&["clear"]);
+    robot.run(&["errors", "--clear"]);
     raise(&robot, REACH);
     let run = robot.run(&[&motion[..], &["--prepare"]].concat());
     assert!(run.code == 1 && run.err.contains("before the examination: the error "), "{run:?}");
     assert_eq!(robot.run(&["exec", "robot", "ManualResetPreparation"]).code, 0);
-    assert_eq!(robot.run(&["clear"]).code, 0);
+    assert_eq!(robot.run(&["errors", "--clear"]).code, 0);
     let run = robot.run(&[&motion[..], &["--prepare"]].concat());
     assert_eq!((run.code, run.out.as_str()), (0, "at J(10, 45, 90, 0, 45, 0)\n"), "{}", run.err);
     assert_eq!(state(&robot), (false, false, 0));

@@ -122,7 +122,7 @@ fn an_unplugged_client_loses_the_arm() {
     cable.unplug(End::Controller);
     assert!(sim.error_line().contains("is lost"));
     // the refusal is an error
-    assert_eq!(bcap(&["clear", "--robot", &tcp]).code, 0);
+    assert_eq!(bcap(&["errors", "--clear", "--robot", &tcp]).code, 0);
     assert_eq!(bcap(&take).code, 0);
     cable.plug(End::Controller);
     drop(lines);

@@ -93,7 +93,7 @@ fn one_move_takes_the_arm_and_gives_it_back() {
     robot.assert_at_rest_with_free_arm();
     let run = robot.run(&["move", "J(999, 45, 90, 0, 45, 0)"]);
     assert_eq!(run.code, 1, "{run:?}");
-    assert_eq!(robot.run(&["clear"]).code, 0);
+    assert_eq!(robot.run(&["errors", "--clear"]).code, 0);
     let run = robot.run(&["move", "P1", "--speed", "0"]);
     assert!(run.code == 2 && run.err.contains("write a speed above 0 and up to 100"), "{run:?}");
     let run = robot.run(&["move", "P1", "--no-wait"]);
@@ -172,7 +172,7 @@ fn ctrl_c_halts_motions_after_a_command_with_signals_of_its_own() {
     robot.wait_for_motion();
     signal("-INT", &child);
     robot.wait_for_rest();
-    stdin.write_all(format!("clear\n{back}").as_bytes()).unwrap();
+    stdin.write_all(format!("errors --clear\n{back}").as_bytes()).unwrap();
     robot.wait_for_motion();
     signal("-INT", &child);
     robot.wait_for_rest();
@@ -261,7 +261,7 @@ fn a_connection_that_is_lost_during_a_motion_is_replaced_to_halt() {
         let state = robot.run(&["get", "@BUSY_STATUS"]);
         assert_eq!(state.out, "@BUSY_STATUS = false\n");
         // the halted motion is an error
-        assert_eq!(robot.run(&["clear"]).code, 0);
+        assert_eq!(robot.run(&["errors", "--clear"]).code, 0);
         assert_eq!(robot.run(&["exec", "robot", "TakeArm", "0", "1"]).code, 0);
     }
 }
@@ -338,7 +338,7 @@ fn errors_and_messages_are_shown_and_cleared() {
     assert_eq!((run.out.as_str(), run.code), ("no errors\n", 0));
     let shell = bcap_with(
         &["shell", "--robot", &robot.tcp],
-        b"exec robot TakeArm 0 1\nexec robot Motor 1 0\nerrors\nmessages\nclear\nerrors\nexit\nget I1\n",
+        b"exec robot TakeArm 0 1\nexec robot Motor 1 0\nerrors\nerrors --follow --for 1ms\nerrors --clear\nerrors\nexit\nget I1\n",
     );
     assert_eq!(shell.out.matches("0x84201486 (E_").count(), 1, "{shell:?}");
     assert!(shell.out.contains(" RC8 0x84201486: "), "{shell:?}");

@@ -153,7 +153,7 @@ fn a_replay_that_is_ended_during_a_motion_leaves_nothing() {
         "call Robot_Move robot 1 '8,@E J(90, 45, 90, 0, 45, 0)' '8,NEXT, SPEED=2'",
         "call Robot_Halt robot 8,",
         // the halted motion is an error
-        "clear",
+        "errors --clear",
         // waits for the end of the motion
         "call Robot_Move robot 1 '8,@E J(90, 45, 90, 0, 45, 0)' 8,SPEED=100",
     ];

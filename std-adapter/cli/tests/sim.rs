@@ -1,4 +1,4 @@
-//! `bcap sim`, `bcap demo`, and the other commands against a virtual controller.
+//! `bcap sim`, and the other commands against a virtual controller.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -317,26 +317,6 @@ fn an_address_in_use_is_reported() {
     assert_eq!((run.out.as_str(), run.code), ("", 3));
     assert!(run.err.contains(&address) && run.err.contains("hint: ") && run.err.contains("--bcap"), "{}", run.err);
     assert_eq!(bcap(&["sim", "--bcap", "nonsense"]).code, 2);
-}
-
-#[test]
-fn the_demo_shows_frames_of_all_links() {
-    let run = bcap(&["demo"]);
-    assert_eq!((run.code, run.err.as_str()), (0, ""));
-    for part in [
-        "== b-CAP over TCP",
-        "== b-CAP over UDP",
-        "== RAC",
-        "-> 01 10 00 00 00 13 00 00 00 02 00 00 00 00 00 04  #19 Service_Stop, 16 bytes",
-        "(S_EXECUTING)",
-        "0x80010003 (E_INVALIDARGTYPE): ",
-        "value: I4(42)",
-        "GET:RC8:1:P:",
-        "PUT:RC8:1:I:3,44",
-        "0,8196,400,0,300.5,180,0,180,5",
-    ] {
-        assert!(run.out.contains(part), "{part}: {}", run.out);
-    }
 }
 
 #[test]

@@ -123,7 +123,7 @@ fn several_arguments_are_an_array() {
 #[test]
 fn messages_are_fetched_while_the_command_waits() {
     let robot = Virtual::start(&[]);
-    let mut waiting = robot.spawn(&["messages", "--for", "1min", "--json"]);
+    let mut waiting = robot.spawn(&["errors", "--follow", "--for", "1min", "--json"]);
     let mut out = std::io::BufReader::new(waiting.stdout.take().unwrap());
     // another client causes errors until the first message arrives
     let mut line = String::new();
@@ -133,7 +133,7 @@ fn messages_are_fetched_while_the_command_waits() {
         let causes = scope.spawn(move || {
             while stopped.try_recv().is_err() {
                 robot.run(&["move", "J(999, 45, 90, 0, 45, 0)"]);
-                robot.run(&["clear"]);
+                robot.run(&["errors", "--clear"]);
             }
         });
         std::io::BufRead::read_line(&mut out, &mut line).unwrap();

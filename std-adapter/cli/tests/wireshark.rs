@@ -1,4 +1,4 @@
-//! `bcap wireshark`: the dissector has the tables of the core, and tshark decodes with it.
+//! `bcap generate wireshark`: the dissector has the tables of the core, and tshark decodes with it.
 //!
 //! `BLESS=1` writes the golden files again.
 

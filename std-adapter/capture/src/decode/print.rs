@@ -164,7 +164,7 @@ struct CallFields<'a> {
 struct ArgumentFields<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     object: Option<&'a str>,
-    /// `{"vt":3,"v":100}`, as `bcap encode` takes it.
+    /// `{"vt":3,"v":100}`, as `bcap decode --reverse` takes it.
     #[serde(skip_serializing_if = "Option::is_none")]
     value: Option<Box<RawValue>>,
 }

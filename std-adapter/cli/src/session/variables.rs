@@ -2,6 +2,7 @@
 
 use bcap_capture::value::describe;
 use bcap_core::bcap::{FunctionId, Object};
+use bcap_core::hresult::HResult;
 use bcap_core::variant::Variant;
 use bcap_std::ObjectPath;
 
@@ -60,6 +61,22 @@ fn all_strings(list: Variant<'_>) -> Option<Vec<String>> {
         Variant::Empty | Variant::Null => Some(Vec::new()),
         list => list.as_array()?.iter().map(|name| name.as_bstr().map(|name| name.to_string())).collect(),
     }
+}
+
+/// Formats the values of `@TYPE`, `@MODE` and `@ERROR_CODE`, as far as the controller has them: `RC8 auto ok`.
+pub(crate) fn state_words(kind: Option<String>, mode: Option<String>, code: Option<&str>) -> Vec<String> {
+    let mode = mode.map(|mode| match mode.as_str() {
+        "1" => "manual".into(),
+        "2" => "teach-check".into(),
+        "3" => "auto".into(),
+        mode => format!("mode {mode}"),
+    });
+    let code = code.map(|code| match code.parse() {
+        Ok(0) => "ok".into(),
+        Ok(number) => format!("error {:#010X}", HResult(number).to_u32()),
+        Err(_) => code.into(),
+    });
+    kind.into_iter().chain(mode).chain(code).collect()
 }
 
 /// Shortens the text of `@TYPE`: an RC8 answers "RC8 Controller".

@@ -10,7 +10,6 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::{env, process};
 
 use bcap_core::bcap::FunctionId;
-use bcap_core::hresult::HResult;
 use bcap_std::ObjectPath;
 use bcap_terminal::signal::{self, Signal};
 use rustyline::completion::{Completer, FilenameCompleter};
@@ -23,7 +22,7 @@ use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::{note, print_line};
 use crate::session::Session;
-use crate::session::variables::{get_one, short_type};
+use crate::session::variables::{get_one, short_type, state_words};
 use crate::shell::line::{Flow, Runner, Verb};
 use crate::shell::terminal::Terminal;
 
@@ -177,19 +176,9 @@ fn state(session: &mut Session) -> String {
         return "not connected".into();
     }
     session.restart_budget();
-    let mut words = Vec::new();
-    words.extend(read(session, "@TYPE").map(|kind| if kind.is_empty() { "robot".into() } else { short_type(&kind) }));
-    words.extend(read(session, "@MODE").map(|mode| match mode.as_str() {
-        "1" => "manual".into(),
-        "2" => "teach-check".into(),
-        "3" => "auto".into(),
-        mode => format!("mode {mode}"),
-    }));
-    words.extend(read(session, "@ERROR_CODE").map(|code| match code.parse() {
-        Ok(0) => "ok".into(),
-        Ok(code) => format!("error {:#010X}", HResult(code).to_u32()),
-        Err(_) => code,
-    }));
+    let kind = read(session, "@TYPE").map(|kind| if kind.is_empty() { "robot".into() } else { short_type(&kind) });
+    let (mode, code) = (read(session, "@MODE"), read(session, "@ERROR_CODE"));
+    let mut words = state_words(kind, mode, code.as_deref());
     if session.has_arm() {
         words.push("arm".into());
     }

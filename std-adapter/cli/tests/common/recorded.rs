@@ -143,7 +143,7 @@ fn tcpdump(file: &Path, ports: [u16; 3]) -> Option<Dump> {
 
 /// The values of calls as bytes, in hexadecimal digits.
 fn encoded(values: &[String]) -> Vec<String> {
-    let run = bcap_with(&["encode", "--variant", "-"], values.join("\n").as_bytes());
+    let run = bcap_with(&["decode", "--reverse", "--variant", "-"], values.join("\n").as_bytes());
     assert_eq!(run.code, 0, "{run:?}");
     run.out.lines().map(str::to_owned).collect()
 }

@@ -1,4 +1,4 @@
-//! tshark with the dissector that `bcap wireshark` prints.
+//! tshark with the dissector that `bcap generate wireshark` prints.
 
 use std::fs;
 use std::path::Path;
@@ -7,9 +7,9 @@ use std::sync::LazyLock;
 
 use bcap_tests::tools;
 
-/// The output of `bcap wireshark`.
+/// The output of `bcap generate wireshark`.
 pub(crate) static DISSECTOR: LazyLock<String> = LazyLock::new(|| {
-    let run = crate::common::bcap(&["wireshark"]);
+    let run = crate::common::bcap(&["generate", "wireshark"]);
     assert_eq!((run.code, run.err.as_str()), (0, ""));
     run.out
 });

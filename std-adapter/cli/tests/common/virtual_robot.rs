@@ -64,7 +64,7 @@ impl Virtual {
         // a halted motion is an error
         let errors = self.run(&["errors"]).out;
         assert!(errors == "no errors\n" || errors.starts_with("0x83500076") && errors.lines().count() == 2, "{errors}");
-        assert_eq!(self.run(&["clear"]).code, 0);
+        assert_eq!(self.run(&["errors", "--clear"]).code, 0);
         assert_eq!(self.run(&["exec", "robot", "TakeArm", "0", "1"]).code, 0);
     }
 }

@@ -16,7 +16,7 @@ use crate::failure::{Failure, hint_of};
 use crate::interrupt::Interrupt;
 use crate::session::Session;
 use crate::session::slave_mode::StreamCheck;
-use crate::session::variables::{list, paths, read, short_type};
+use crate::session::variables::{list, paths, read, short_type, state_words};
 use crate::values::{Value, integer};
 use bcap_capture::value::data;
 
@@ -205,16 +205,9 @@ impl Reader {
 
     /// Reads the words of the state: `RC8 auto ok motor moving`; and the errors, if there are any.
     fn state(&mut self, plan: &mut Plan) -> Result<(), Failure> {
-        let mut words: Vec<String> = plan.kind.iter().cloned().collect();
-        words.extend(self.text("@MODE")?.map(|mode| match mode.as_str() {
-            "1" => "manual".into(),
-            "2" => "teach-check".into(),
-            "3" => "auto".into(),
-            mode => format!("mode {mode}"),
-        }));
-        let code = self.text("@ERROR_CODE")?.and_then(|code| code.parse().ok()).map(HResult);
-        let has_error = code.is_some_and(|code| code != HResult::S_OK);
-        words.extend(code.map(|code| if has_error { format!("error {:#010X}", code.to_u32()) } else { "ok".into() }));
+        let (mode, code) = (self.text("@MODE")?, self.text("@ERROR_CODE")?);
+        let has_error = code.as_ref().is_some_and(|code| code != "0");
+        let mut words = state_words(plan.kind.clone(), mode, code.as_deref());
         for (name, word) in [("robot/@SERVO_ON", "motor"), ("robot/@BUSY_STATUS", "moving")] {
             if self.text(name)?.as_deref() == Some("true") {
                 words.push(word.into());

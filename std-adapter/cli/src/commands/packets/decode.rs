@@ -1,4 +1,4 @@
-//! `bcap decode` and `bcap encode`: convert captures, frames and values between their bytes and text or JSON.
+//! `bcap decode`: converts captures, frames and values between their bytes and text or JSON.
 
 use std::path::Path;
 use std::str;
@@ -6,20 +6,22 @@ use std::time::Duration;
 
 use bcap_capture::decode::{Event, Filter, Format, Printer, Stats, csv, events, function_name};
 use bcap_capture::dissect::dissect;
-use bcap_capture::json::LIMITS;
-use bcap_capture::value::to_json;
+use bcap_capture::json::{self, LIMITS, Part};
+use bcap_capture::value::{self, to_json};
 use bcap_capture::{ConvertError, Role, frame, hex};
 use bcap_core::bcap::Decoder;
 use bcap_core::limits::Strictness;
 use bcap_core::variant::Variant;
+use bcap_terminal::escape;
 use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 
 use crate::commands::packets::items::{Items, Source};
 use crate::failure::Failure;
 use crate::output::{print_json, print_line};
+use crate::values::Value;
 
-/// Decodes frames, values, or a capture of Wireshark or tcpdump
+/// Decodes frames, values, or a capture of Wireshark or tcpdump; encodes with --reverse
 ///
 /// Of a capture (FILE.pcap, FILE.pcapng, FILE.cap) it prints the calls with their replies and times: b-CAP over TCP and UDP
 /// port 5007, RAC on port 5006, and both on any other port whose first packet shows the protocol. Handles are shown by the
@@ -28,9 +30,21 @@ use crate::output::{print_json, print_line};
 /// Prints HEX field by field with offsets; HEX may hold several frames in sequence. With `-` each line of the standard input
 /// is one item and gives one line of output. An invalid line gives {"error":...,"offset":...}, and the exit code is then 2.
 /// HEX may have blanks, colons, commas and 0x prefixes between bytes.
+///
+/// With --reverse it prints the bytes of the JSON that --json prints, as lower-case hexadecimal digits. A frame is
+/// {"serial":4,"reserved":0,"code":101,"args":[{"vt":3,"v":3}]}. The defaults are 1 for `serial`, 0 for `reserved` and no
+/// `args`; `name` may replace `code`. Unknown fields are errors. With --variant a value is {"vt":3,"v":100}.
+///
+/// `v` is a number for numbers, CY (ten-thousandths), DATE (days since 1899-12-30) and ERROR; -1 or 0 for BOOL; a string
+/// for BSTR; null for EMPTY and NULL; a list for arrays. Elements of VARIANT arrays are again {"vt":..,"v":..}. Floats that
+/// are not finite are "NaN", "inf" and "-inf"; a NaN with other bits is "NaN(0x7ff8000000000001)". An unpaired surrogate is
+/// \ud800.
+///
+/// With --rac it prints the text form of a value in RAC, TYPE,DATA: the VARTYPE as a number, then the data; --reverse converts
+/// such a text to bytes. Both give the same bits, except that control characters are printed as \u{1b}; with --json the
+/// text is {"text":"8,\u001b"}, which is exact. A value without a text form, such as an empty array, is an error.
 #[derive(Debug, Args)]
-#[command(after_help = "\
-Examples:
+#[command(after_help = r#"Examples:
   bcap decode 011e000000040000006500000001000a0000000300010000000300000004
   bcap decode --as response --json 01 1c 00 00 00 04 00 00 00 00 00 00 00 01 00 08 00 00 00 0b 00 01 00 00 00 00 00 04
   bcap decode --variant --json 030001000000ffffffff
@@ -38,10 +52,32 @@ Examples:
   bcap decode capture.pcapng
   bcap decode capture.pcapng --error any --object robot
   bcap decode capture.pcapng --stats --function Robot_Execute
-  bcap decode capture.pcapng --csv --from 2 --until 3.5")]
+  bcap decode capture.pcapng --csv --from 2 --until 3.5
+  bcap decode --reverse '{"name":"ServiceStart","args":[{"vt":8,"v":"WDT=400"}]}'
+  bcap decode --reverse --variant '{"vt":8204,"v":[{"vt":8,"v":"Sample"},{"vt":2,"v":100}]}'
+  bcap decode --reverse - <frames.jsonl >frames.hex
+  bcap decode --rac 0300010000007b000000
+  bcap decode --rac --reverse '8204,(8,Sample),(2,100)'"#)]
 pub(crate) struct Decode {
-    #[command(flatten)]
-    pub(crate) form: Form,
+    /// The bytes are a single VARIANT instead of a frame
+    #[arg(long)]
+    pub(crate) variant: bool,
+
+    /// The bytes are a single VARIANT, whose text is the one of RAC
+    #[arg(long, conflicts_with_all = ["variant", "com", "role"])]
+    pub(crate) rac: bool,
+
+    /// Frames have the CRC of a serial (COM) line
+    #[arg(long, conflicts_with = "variant")]
+    pub(crate) com: bool,
+
+    /// The kind of the frames, which their bytes do not show
+    #[arg(long = "as", value_name = "ROLE", default_value = "request", conflicts_with = "variant", value_parser = role())]
+    pub(crate) role: Role,
+
+    /// Converts JSON to bytes; with --rac, text to bytes, or to JSON with --json
+    #[arg(long)]
+    pub(crate) reverse: bool,
 
     /// Accepts common errors of peers: trailing bytes, counts and lengths that disagree, unknown types
     #[arg(long)]
@@ -51,8 +87,8 @@ pub(crate) struct Decode {
     pub(crate) capture: CaptureArgs,
 
     /// The bytes, or the file of a capture; without it, or with `-`, the lines of the standard input
-    #[arg(value_name = "HEX|FILE")]
-    pub(crate) hex: Vec<String>,
+    #[arg(value_name = "HEX|FILE|JSON|TEXT")]
+    pub(crate) words: Vec<String>,
 }
 
 /// The parts of a capture to show.
@@ -102,22 +138,6 @@ impl CaptureArgs {
     }
 }
 
-/// The format of the bytes.
-#[derive(Debug, Args)]
-pub(crate) struct Form {
-    /// The bytes are a single VARIANT instead of a frame
-    #[arg(long)]
-    pub(crate) variant: bool,
-
-    /// Frames have the CRC of a serial (COM) line
-    #[arg(long, conflicts_with = "variant")]
-    pub(crate) com: bool,
-
-    /// The kind of the frames, which their bytes do not show
-    #[arg(long = "as", value_name = "ROLE", default_value = "request", conflicts_with = "variant", value_parser = role())]
-    pub(crate) role: Role,
-}
-
 /// Parses the role of frames.
 fn role() -> impl TypedValueParser<Value = Role> {
     PossibleValuesParser::new([
@@ -130,9 +150,12 @@ fn role() -> impl TypedValueParser<Value = Role> {
 /// Runs `bcap decode`.
 pub(crate) fn decode(args: &Decode, json: bool) -> Result<(), Failure> {
     let strictness = if args.lenient { Strictness::Lenient } else { Strictness::Strict };
-    if let Some(file) = capture_file(&args.hex) {
-        if args.form.variant || args.form.com {
-            return Err(Failure::Input("--variant and --com do not apply to a capture".into()));
+    if args.reverse {
+        return reverse(args, json);
+    }
+    if let Some(file) = capture_file(&args.words) {
+        if args.variant || args.com || args.rac {
+            return Err(Failure::Input("--variant, --com and --rac do not apply to a capture".into()));
         }
         return decode_capture(file, &args.capture, strictness, json);
     }
@@ -140,20 +163,44 @@ pub(crate) fn decode(args: &Decode, json: bool) -> Result<(), Failure> {
         let options = "--function, --object, --error, --from, --until, --csv and --stats";
         return Err(Failure::Input(format!("{options} need a capture: FILE.pcap, FILE.pcapng or FILE.cap")));
     }
-    let decoder = Decoder { limits: LIMITS, strictness, crc: args.form.com };
-    Items::from_words(&args.hex).convert(json, |text, source| {
+    let decoder = Decoder { limits: LIMITS, strictness, crc: args.com };
+    Items::from_words(&args.words).convert(json, |text, source| {
         let bytes = hex::parse(text)?;
         match source {
-            _ if args.form.variant => {
+            _ if args.variant || args.rac => {
                 let value = Variant::decode(&bytes, &LIMITS, strictness)?;
-                Ok(if json { to_json(value) } else { format!("{value:?}") })
+                Ok(match (args.rac, json) {
+                    (true, true) => serde_json::json!({ "text": value::to_text(value)? }).to_string(),
+                    (true, false) => escape::line(&value::to_text(value)?),
+                    (false, true) => to_json(value),
+                    (false, false) => format!("{value:?}"),
+                })
             }
             Source::Line => {
                 let frame = decoder.decode_datagram(&bytes)?;
-                Ok(if json { frame::to_json(&frame, args.form.role) } else { frame::to_line(&frame, args.form.role) })
+                Ok(if json { frame::to_json(&frame, args.role) } else { frame::to_line(&frame, args.role) })
             }
-            Source::Argument => all_frames(&bytes, decoder, args.form.role, json),
+            Source::Argument => all_frames(&bytes, decoder, args.role, json),
         }
+    })
+}
+
+/// Converts JSON, or the text of RAC, to bytes.
+fn reverse(args: &Decode, json: bool) -> Result<(), Failure> {
+    if args.lenient || args.capture.is_used() {
+        return Err(Failure::Input("--lenient and the options of captures do not apply to --reverse".into()));
+    }
+    Items::from_words(&args.words).convert(json && args.rac, |text, _| {
+        let text = str::from_utf8(text).map_err(|e| ConvertError::new("the text is not UTF-8", e.valid_up_to()))?;
+        if args.rac {
+            let value = Value::parse_text(text.as_bytes())?;
+            return Ok(if json { to_json(value.as_variant()) } else { hex::compact(value.as_bytes()) });
+        }
+        Ok(hex::compact(&if args.variant {
+            json::parse_value(Part::whole(text))?
+        } else {
+            frame::from_json(text, args.role, args.com)?
+        }))
     })
 }
 

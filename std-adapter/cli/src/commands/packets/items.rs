@@ -32,15 +32,6 @@ impl Items {
         }
     }
 
-    /// Creates items from one word of the command line, whose blanks are significant; no word, or `-`, selects the standard
-    /// input.
-    pub(crate) fn from_word(word: Option<&str>) -> Self {
-        match word {
-            None | Some("-") => Self::Lines,
-            Some(word) => Self::One(word.to_owned()),
-        }
-    }
-
     /// Converts every item and prints the results, as JSON if `json`.
     pub(crate) fn convert(
         self,

@@ -1,11 +1,7 @@
-//! Packets and captures: `bcap decode`, `bcap encode`, `bcap text`, `bcap raw`, `bcap proxy`, `bcap replay` and
-//! `bcap wireshark`.
+//! Packets and captures: `bcap decode`, `bcap raw`, `bcap proxy` and `bcap replay`.
 
 pub(crate) mod decode;
-pub(crate) mod encode;
 mod items;
 pub(crate) mod proxy;
 pub(crate) mod raw;
 pub(crate) mod replay;
-pub(crate) mod text;
-pub(crate) mod wireshark;

@@ -1,10 +1,14 @@
-//! `bcap errors`, `bcap clear` and `bcap messages`. While a stream of Slave Mode runs they send nothing that would end it.
+//! `bcap errors`. While a stream of Slave Mode runs it sends nothing that would end it.
 
+use std::time::Duration;
+
+use bcap_capture::duration;
 use bcap_core::bcap::{FunctionId, StreamState};
 use bcap_core::hresult::HResult;
 use bcap_core::variant::Variant;
 use clap::Args;
 
+use crate::commands::robot::messages;
 use crate::failure::{Failure, hint_of};
 use crate::output::{print_json, print_line};
 use crate::session::Session;
@@ -12,23 +16,42 @@ use crate::session::slave_mode::StreamCheck;
 use crate::values::{Value, integer, text};
 use bcap_capture::value::data;
 
-/// Lists the errors of the controller, the first cause first, with their meanings and remedies
+/// Lists the errors of the controller, the first cause first, with their meanings and remedies; clears them; follows messages
+///
+/// A controller keeps messages for each session from its start on, so --follow prints those that arrive while it waits; in the
+/// shell it also prints those since the last time.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   bcap errors
-  bcap errors --json")]
-pub(crate) struct Errors {}
+  bcap errors --json
+  bcap errors --clear
+  bcap errors --follow --for 100ms")]
+pub(crate) struct Errors {
+    /// Clears the errors instead of listing them
+    #[arg(long)]
+    pub(crate) clear: bool,
 
-/// Clears the errors of the controller
-#[derive(Debug, Args)]
-#[command(after_help = "\
-Examples:
-  bcap clear")]
-pub(crate) struct Clear {}
+    /// Prints the messages of the controller as they arrive: number, source, time and text; Ctrl-C ends that
+    #[arg(long, conflicts_with = "clear")]
+    pub(crate) follow: bool,
+
+    /// Ends --follow after this time
+    #[arg(long = "for", value_name = "TIME", value_parser = duration::parse, requires = "follow")]
+    pub(crate) time: Option<Duration>,
+}
 
 /// Runs `bcap errors`.
-pub(crate) fn errors(session: &mut Session, json: bool) -> Result<(), Failure> {
+pub(crate) fn errors(args: &Errors, session: &mut Session, json: bool) -> Result<(), Failure> {
+    match args {
+        Errors { clear: true, .. } => clear(session),
+        Errors { follow: true, time, .. } => messages::follow(*time, session, json),
+        _ => list(session, json),
+    }
+}
+
+/// Prints the present errors.
+pub(crate) fn list(session: &mut Session, json: bool) -> Result<(), Failure> {
     let mut check = StreamCheck::default();
     let count = count(session, &mut check)?;
     if count == 0 && !json {
@@ -90,8 +113,8 @@ pub(crate) fn own(code: HResult, text: &str) -> &str {
     code.name().and_then(|name| text.strip_prefix(name)?.strip_prefix(": ")).unwrap_or(text)
 }
 
-/// Runs `bcap clear`.
-pub(crate) fn clear(session: &mut Session) -> Result<(), Failure> {
+/// Clears the errors.
+fn clear(session: &mut Session) -> Result<(), Failure> {
     let mut check = StreamCheck::default();
     // any other answer lets the user clear: a controller with errors may refuse slvGetMode
     if check.ask(session)? == StreamState::Runs {

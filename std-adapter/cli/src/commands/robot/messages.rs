@@ -1,12 +1,10 @@
-//! `bcap messages`: the messages of the controller. While a stream of Slave Mode runs, nothing is sent that would end it.
+//! `bcap errors --follow`: the messages of the controller. While a stream of Slave Mode runs, nothing is sent that would end it.
 
 use std::fmt;
 use std::time::{Duration, Instant};
 
-use bcap_capture::duration;
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::hresult::HResult;
-use clap::Args;
 
 use crate::failure::Failure;
 use crate::output::{print_json, print_line};
@@ -15,32 +13,16 @@ use crate::session::slave_mode::StreamCheck;
 use crate::values::integer;
 use bcap_capture::value::data;
 
-/// Fetches the messages of the controller and prints them: number, source, time and text
-///
-/// A controller keeps messages for each session from its start on, so a single command gets those that arrive while it
-/// waits (--for); in the shell `messages` prints those since the last call.
-#[derive(Debug, Args)]
-#[command(after_help = "\
-Examples:
-  bcap messages
-  bcap messages --for 100ms --json")]
-pub(crate) struct Messages {
-    /// Waits this long for further messages; Ctrl-C ends that
-    #[arg(long = "for", value_name = "TIME", value_parser = duration::parse)]
-    pub(crate) time: Option<Duration>,
-}
-
-/// Runs `bcap messages`.
-pub(crate) fn messages(args: &Messages, session: &mut Session, json: bool) -> Result<(), Failure> {
+/// Prints the messages of the controller as they arrive, until a signal or the end of the time.
+pub(crate) fn follow(time: Option<Duration>, session: &mut Session, json: bool) -> Result<(), Failure> {
     const INTERVAL: Duration = Duration::from_millis(50);
     let mut check = StreamCheck::default();
-    let Some(time) = args.time else { return fetch(session, &mut check, json) };
     let interrupt = session.handle_signals()?;
-    let until = Instant::now() + time;
+    let began = Instant::now();
     loop {
         session.restart_budget();
         fetch(session, &mut check, json)?;
-        let left = until.saturating_duration_since(Instant::now());
+        let left = time.map_or(INTERVAL, |time| time.saturating_sub(began.elapsed()));
         if left.is_zero() || interrupt.sleep(INTERVAL.min(left)).is_err() {
             return Ok(());
         }

@@ -1,5 +1,5 @@
-//! The robot and the state of its controller: `bcap move`, `bcap halt`, `bcap task`, `bcap errors`, `bcap clear`,
-//! `bcap recover` and `bcap messages`.
+//! The robot and the state of its controller: `bcap move`, `bcap halt`, `bcap task`, `bcap errors` and
+//! `bcap recover`.
 
 mod destination;
 pub(crate) mod errors;

@@ -229,7 +229,8 @@ fn concluded(args: &MoveArgs, ended: Option<Motion>) -> Result<bool, Failure> {
             message: format!("not at {to}: the robot was halted"),
             code: None,
             hint: Some(
-                "if that has left an error (`bcap errors`), clear it before the next motion: `bcap clear`".into(),
+                "if that has left an error (`bcap errors`), clear it before the next motion: `bcap errors --clear`"
+                    .into(),
             ),
         }),
         Some(_) => unfit(format!("the robot rests, and whether it is at {to} is unknown: read its position"), None),

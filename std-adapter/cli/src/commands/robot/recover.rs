@@ -9,7 +9,7 @@ use bcap_std::blocking::Arm;
 use bcap_std::{Examination, Obstacle, RecoveryConfig, RecoveryStep};
 use clap::Args;
 
-use crate::commands::robot::errors::errors;
+use crate::commands::robot::errors;
 use crate::failure::Failure;
 use crate::interrupt::{Interrupt, State};
 use crate::output::{print_json, print_line};
@@ -69,13 +69,13 @@ pub(crate) fn recover(args: &Recover, session: &mut Session, json: bool) -> Resu
     session.begin()?;
     let state = session.with(|controller| controller.robot()?.examine())?;
     if state.error_count > 0 {
-        errors(session, json)?;
+        errors::list(session, json)?;
     }
     let steps: Vec<RecoveryStep> = state.steps(args.speed.is_some()).collect();
     show(&state, &steps, json)?;
     if let Some(obstacle) = state.obstacles().next() {
         let again = if matches!(obstacle, Obstacle::StreamUnknown(_)) {
-            "`bcap clear` and `bcap recover`"
+            "`bcap errors --clear` and `bcap recover`"
         } else {
             "`bcap recover` again"
         };

@@ -2,7 +2,6 @@
 
 pub(crate) mod args;
 mod delivery;
-pub(crate) mod demo;
 #[cfg(feature = "screens")]
 mod live_screen;
 pub(crate) mod local;

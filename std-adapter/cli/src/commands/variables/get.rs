@@ -18,7 +18,7 @@ pub(crate) const LAST_PACKETS: [&str; 2] = ["$LAST_SEND_PACKET$", "$LAST_RECEIVE
 ///
 /// NAME is a variable of the controller, such as I1, P10 or @MODE, or of an object: robot/@SERVO_ON,
 /// robot:Arm0/@CURRENT_POSITION, task:Pro1/@STATUS. I1-I50 is a range, and 'I*' are all variables of a kind (quote it).
-/// With --json a line is {"name":"I1","vt":3,"v":5}; `bcap encode --help` describes `vt` and `v`. Without --json the numbers
+/// With --json a line is {"name":"I1","vt":3,"v":5}; `bcap decode --help` describes `vt` and `v`. Without --json the numbers
 /// of an R8 array, such as a pose, have at most 15 digits. $LAST_SEND_PACKET$ and $LAST_RECEIVE_PACKET$ are the bytes of the
 /// last packets before them.
 #[derive(Debug, Args)]
