@@ -13,35 +13,25 @@
 //! | `end`                              | `served` `failed` `refused` `sessions` and the times in us |
 //!
 //! Every object has `time`, in UTC. A successful PUT is always written. All other lines of one IP address are limited by a
-//! token bucket; `suppressed` gives the number of lines that exceeded it, at most every 10 s and at the end. A thread
-//! writes the lines: a reader that does not read costs lines, which are counted, and never delays the gateway. Characters
-//! that act on a terminal are escaped, because clients choose the text of their lines.
+//! token bucket; `suppressed` gives the number of lines that exceeded it, at most every 10 s and at the end. Characters that
+//! act on a terminal are escaped, because clients choose the text of their lines.
 
 use std::io::{self, Write};
 use std::net::{IpAddr, SocketAddr};
 use std::path::Path;
-use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
-use std::thread::{self, JoinHandle};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use bcap_capture::times::Times;
 use bcap_core::hresult::HResult;
 use bcap_core::rac::Verb;
-use bcap_core::variant::OleDate;
 use bcap_gateway::{Counters, Event, RobotError, Tally};
 use bcap_std::gateway::{Denial, Report};
 use bcap_std::now;
-use bcap_terminal::escape;
 use serde::Serialize;
 
+use crate::events::{self, Log, Writer};
 use crate::rotate::Rotating;
 use crate::throttle::{Suppressed, Throttle};
-
-/// The most lines that wait for the writer.
-const BACKLOG: usize = 4096;
-
-/// The longest time that the end waits for the writer.
-const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// The content of a line.
 #[derive(Debug, Serialize)]
@@ -56,7 +46,6 @@ enum Record {
     RobotUp { robot: String },
     RobotDown { robot: String, reason: String, retry_ms: u64 },
     Suppressed { client: String, lines: u64 },
-    Dropped { lines: u64 },
     End(Totals),
 }
 
@@ -133,14 +122,6 @@ fn micros(time: Duration) -> u64 {
     u64::try_from(time.as_micros()).unwrap_or(u64::MAX)
 }
 
-/// A line of the log.
-#[derive(Serialize)]
-struct LogLine<'a> {
-    time: String,
-    #[serde(flatten)]
-    record: &'a Record,
-}
-
 /// The limits of an audit log.
 #[derive(Clone, Copy, Debug)]
 pub struct Bounds {
@@ -157,13 +138,12 @@ pub struct Bounds {
 pub struct Audit {
     /// The robot's address.
     robot: String,
-    lines: SyncSender<String>,
-    dropped: u64,
+    log: Log,
     /// The times of all answers, even of answers that are not written.
     served: Times,
     failed: Times,
     throttle: Throttle<IpAddr>,
-    writer: JoinHandle<()>,
+    writer: Writer,
 }
 
 impl Audit {
@@ -181,13 +161,9 @@ impl Audit {
                 |error: io::Error| io::Error::new(error.kind(), format!("cannot write to {}: {error}", path.display()));
             Box::new(file.map_err(failed)?)
         };
-        let (lines, waiting) = sync_channel(BACKLOG);
-        let writer = thread::Builder::new().name("audit".into()).spawn(move || write(output, &waiting))?;
-        Ok(Self::new(robot, lines, Throttle::new(bounds.rate), writer))
-    }
-
-    fn new(robot: String, lines: SyncSender<String>, throttle: Throttle<IpAddr>, writer: JoinHandle<()>) -> Self {
-        Self { robot, lines, dropped: 0, served: Times::new(), failed: Times::new(), throttle, writer }
+        let (log, writer) = events::open(output)?;
+        let throttle = Throttle::new(bounds.rate);
+        Ok(Self { robot, log, served: Times::new(), failed: Times::new(), throttle, writer })
     }
 
     /// Writes a report of the gateway, unless its client has exceeded its rate.
@@ -208,7 +184,7 @@ impl Audit {
 
     fn log_client(&mut self, client: SocketAddr, record: impl FnOnce(String) -> Record) {
         if self.throttle.admits(client.ip().to_canonical(), now()) {
-            self.write(&record(client.to_string()));
+            self.log.write(&record(client.to_string()));
         }
     }
 
@@ -222,7 +198,7 @@ impl Audit {
         match event {
             // a write has changed the robot, so it is always logged
             Event::Served { request, result, time, .. } if request.verb == Verb::Put => {
-                self.write(&Record::Served(answer(client.to_string(), result).took(time)));
+                self.log.write(&Record::Served(answer(client.to_string(), result).took(time)));
             }
             Event::Served { result, time, .. } => {
                 self.log_client(client, |client| Record::Served(answer(client, result).took(time)));
@@ -240,14 +216,14 @@ impl Audit {
     fn log_robot(&mut self, event: Event, cause: Option<&io::Error>) {
         let robot = self.robot.clone();
         match event {
-            Event::RobotUp => self.write(&Record::RobotUp { robot }),
+            Event::RobotUp => self.log.write(&Record::RobotUp { robot }),
             Event::RobotDown { error, pause } => {
                 let reason = match (error, cause) {
                     (RobotError::Closed, Some(cause)) => cause.to_string(),
                     (error, _) => error.to_string(),
                 };
                 let retry_ms = u64::try_from(pause.as_millis()).unwrap_or(u64::MAX);
-                self.write(&Record::RobotDown { robot, reason, retry_ms });
+                self.log.write(&Record::RobotDown { robot, reason, retry_ms });
             }
             Event::Served { .. } | Event::Failed { .. } | Event::Refused { .. } => {}
         }
@@ -262,22 +238,8 @@ impl Audit {
     fn write_suppressed(&mut self, suppressed: Vec<Suppressed<IpAddr>>) {
         for Suppressed { source: client, lines } in suppressed {
             let client = client.map_or_else(|| "others".to_owned(), |client| client.to_string());
-            self.write(&Record::Suppressed { client, lines });
+            self.log.write(&Record::Suppressed { client, lines });
         }
-    }
-
-    fn write(&mut self, record: &Record) {
-        if self.dropped > 0 && self.send(&Record::Dropped { lines: self.dropped }) {
-            self.dropped = 0;
-        }
-        if !self.send(record) {
-            self.dropped += 1;
-        }
-    }
-
-    /// Hands a record to the writer; `false` when the queue is full. After the writer has ended, no line counts as dropped.
-    fn send(&self, record: &Record) -> bool {
-        !matches!(self.lines.try_send(text(record)), Err(TrySendError::Full(_)))
     }
 
     /// Writes the totals and waits for the writer.
@@ -290,130 +252,22 @@ impl Audit {
             refused: counters.refused,
             sessions: counters.connected,
         };
-        self.write(&Record::End(totals));
-        drop(self.lines);
-        let until = Instant::now() + CLOSE_TIMEOUT;
-        while !self.writer.is_finished() && Instant::now() < until {
-            thread::sleep(Duration::from_millis(1));
-        }
+        self.log.write(&Record::End(totals));
+        drop(self.log);
+        self.writer.finish();
     }
-}
-
-/// Writes lines until there are no more, or the pipe has no reader. Lines that a full disk refuses are counted, and the count
-/// is written as soon as the disk has room again.
-fn write(mut output: impl Write, lines: &Receiver<String>) {
-    // in one piece, so that a rotation does not split it
-    let mut put = |line: &str| output.write_all(format!("{line}\n").as_bytes()).and_then(|()| output.flush());
-    let mut lost = 0;
-    while let Ok(line) = lines.recv() {
-        let counted = match lost {
-            0 => Ok(()),
-            lines => put(&text(&Record::Dropped { lines })).inspect(|()| lost = 0),
-        };
-        match counted.and_then(|()| put(&line)) {
-            Ok(()) => {}
-            Err(error) if error.kind() == io::ErrorKind::BrokenPipe => return,
-            Err(error) => {
-                if lost == 0 {
-                    eprintln!("warning: the audit log cannot be written: {}", escape::failure(&error));
-                }
-                lost += 1;
-            }
-        }
-    }
-}
-
-fn text(record: &Record) -> String {
-    // strings and numbers have no way to fail
-    escape::json(&serde_json::to_string(&LogLine { time: time(), record }).unwrap_or_default())
-}
-
-/// Returns the time of day in UTC, as `2026-11-21T08:05:00.000Z`.
-fn time() -> String {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    let civil = i64::try_from(since.as_millis()).ok().and_then(OleDate::from_unix_millis).and_then(OleDate::to_civil);
-    civil.map(|civil| format!("{civil}Z")).unwrap_or_default()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// A disk that is full for some writes.
-    struct Disk {
-        written: Vec<u8>,
-        full_for: u32,
-    }
-
-    impl Write for &mut Disk {
-        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-            if self.full_for > 0 {
-                self.full_for -= 1;
-                return Err(io::ErrorKind::StorageFull.into());
-            }
-            self.written.extend(bytes);
-            Ok(bytes.len())
-        }
-
-        fn flush(&mut self) -> io::Result<()> {
-            Ok(())
-        }
-    }
-
     #[test]
-    fn lines_that_a_full_disk_refuses_are_counted() {
-        let mut disk = Disk { written: Vec::new(), full_for: 2 };
-        let (sender, lines) = sync_channel(10);
-        ["one", "two", "three"].iter().for_each(|line| sender.send((*line).to_owned()).unwrap());
-        drop(sender);
-        write(&mut disk, &lines);
-        let written = String::from_utf8(disk.written).unwrap();
-        let [dropped, three] = written.lines().collect::<Vec<_>>()[..] else { panic!("{written}") };
-        assert!(dropped.contains("\"lines\":2"), "{dropped}");
-        assert_eq!(three, "three");
-    }
-
-    #[test]
-    fn a_line_has_time_client_request_and_result() {
+    fn a_line_has_client_request_and_result() {
         let answer = Answer::new("10.0.0.2:40000".into(), b"GET:RC8:1:I:\xff", HResult::E_ACCESSDENIED);
         let record = Record::Refused(answer.because("not today".into()));
-        let line = serde_json::to_string(&LogLine { time: time(), record: &record }).unwrap();
-        let (time, rest) = line.split_at(r#"{"time":"2026-11-21T08:05:00.000Z","#.len());
-        assert!(time.starts_with(r#"{"time":"20"#) && time.ends_with(r#"Z","#), "{line}");
-        let expected = "\"event\":\"refused\",\"client\":\"10.0.0.2:40000\",\"line\":\"GET:RC8:1:I:\u{fffd}\",\
+        let expected = "{\"event\":\"refused\",\"client\":\"10.0.0.2:40000\",\"line\":\"GET:RC8:1:I:\u{fffd}\",\
                         \"result\":-2147024891,\"name\":\"E_ACCESSDENIED\",\"reason\":\"not today\"}";
-        assert_eq!(rest, expected);
-    }
-
-    #[test]
-    fn characters_that_act_on_a_terminal_are_escaped() {
-        let line = "GET:\u{9b}31m\u{202e}\u{2028}\u{7f}Grün";
-        let answer = Answer::new("10.0.0.2:40000".into(), line.as_bytes(), HResult::E_INVALIDCOMMAND);
-        let logged = text(&Record::Refused(answer.because("\u{1b}[2J".into())));
-        assert!(!logged.chars().any(escape::acts), "{logged}");
-        assert!(logged.contains("GET:\\u009b31m\\u202e\\u2028\\u007fGrün"), "{logged}");
-        let object: serde_json::Value = serde_json::from_str(&logged).unwrap();
-        assert_eq!((&object["line"], &object["reason"]), (&line.into(), &"\u{1b}[2J".into()));
-    }
-
-    #[test]
-    fn lines_without_room_in_the_queue_are_counted() {
-        let (lines, waiting) = sync_channel(2);
-        let throttle = Throttle::new(10);
-        let mut audit = Audit::new(String::new(), lines, throttle, thread::spawn(|| {}));
-        let up = Record::RobotUp { robot: "tcp:10.0.0.1:5007".into() };
-        for _ in 0..5 {
-            audit.write(&up);
-        }
-        assert_eq!(audit.dropped, 3);
-        assert_eq!(waiting.try_iter().count(), 2);
-        audit.write(&up);
-        let lines: Vec<String> = waiting.try_iter().collect();
-        assert!(lines[0].contains(r#""event":"dropped","lines":3"#), "{lines:?}");
-        assert_eq!((lines.len(), audit.dropped), (2, 0));
-        drop(waiting);
-        audit.write(&up);
-        assert_eq!(audit.dropped, 0, "without a reader no line is missing");
-        audit.close(&Counters::default());
+        assert_eq!(serde_json::to_string(&record).unwrap(), expected);
     }
 }

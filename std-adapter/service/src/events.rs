@@ -1,0 +1,190 @@
+//! A log of events: one JSON object a line, each with its time in UTC.
+//!
+//! A thread writes the lines. A reader that does not read, and a full disk, cost lines, which are counted, and never delay
+//! the program. An event `dropped` has their number as soon as there is room again.
+
+use std::io::{self, Write};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use bcap_core::variant::OleDate;
+use bcap_terminal::escape;
+use serde::Serialize;
+
+/// The most lines that wait for the writer.
+const BACKLOG: usize = 4096;
+
+/// The longest time that the end waits for the writer.
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// An event with its time.
+#[derive(Serialize)]
+struct Line<'a, T> {
+    time: String,
+    #[serde(flatten)]
+    event: &'a T,
+}
+
+/// The event of lost lines.
+#[derive(Serialize)]
+#[serde(tag = "event", rename_all = "snake_case")]
+enum Loss {
+    Dropped { lines: u64 },
+}
+
+/// A log, for any thread.
+#[derive(Debug)]
+pub struct Log {
+    lines: SyncSender<String>,
+    dropped: AtomicU64,
+}
+
+/// The thread that writes a log.
+#[derive(Debug)]
+pub struct Writer(JoinHandle<()>);
+
+/// Starts a log.
+///
+/// # Errors
+///
+/// When no thread can be started.
+pub fn open(output: impl Write + Send + 'static) -> io::Result<(Log, Writer)> {
+    let (log, lines) = Log::new(BACKLOG);
+    let writer = thread::Builder::new().name("events".into()).spawn(move || write(output, &lines))?;
+    Ok((log, Writer(writer)))
+}
+
+impl Log {
+    fn new(backlog: usize) -> (Self, Receiver<String>) {
+        let (lines, waiting) = sync_channel(backlog);
+        (Self { lines, dropped: AtomicU64::new(0) }, waiting)
+    }
+
+    /// Queues an event, or counts it if the queue is full.
+    pub fn write(&self, event: &impl Serialize) {
+        let lines = self.dropped.swap(0, Ordering::Relaxed);
+        if lines > 0 && !self.send(&Loss::Dropped { lines }) {
+            self.dropped.fetch_add(lines, Ordering::Relaxed);
+        }
+        if !self.send(event) {
+            self.dropped.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    /// Returns `false` when the queue is full. After the writer has ended, no line counts as dropped.
+    fn send(&self, event: &impl Serialize) -> bool {
+        !matches!(self.lines.try_send(text(event)), Err(TrySendError::Full(_)))
+    }
+}
+
+impl Writer {
+    /// Waits until all events are written. The [`Log`] must have been dropped, or the wait lasts two seconds.
+    pub fn finish(self) {
+        let until = Instant::now() + CLOSE_TIMEOUT;
+        while !self.0.is_finished() && Instant::now() < until {
+            thread::sleep(Duration::from_millis(1));
+        }
+    }
+}
+
+/// Writes lines until there are no more, or the pipe has no reader.
+fn write(mut output: impl Write, lines: &Receiver<String>) {
+    // in one piece, so that a rotation does not split it
+    let mut put = |line: &str| output.write_all(format!("{line}\n").as_bytes()).and_then(|()| output.flush());
+    let mut lost = 0;
+    while let Ok(line) = lines.recv() {
+        let counted = match lost {
+            0 => Ok(()),
+            lines => put(&text(&Loss::Dropped { lines })).inspect(|()| lost = 0),
+        };
+        match counted.and_then(|()| put(&line)) {
+            Ok(()) => {}
+            Err(error) if error.kind() == io::ErrorKind::BrokenPipe => return,
+            Err(error) => {
+                if lost == 0 {
+                    eprintln!("warning: the log of events cannot be written: {}", escape::failure(&error));
+                }
+                lost += 1;
+            }
+        }
+    }
+}
+
+fn text(event: &impl Serialize) -> String {
+    // strings and numbers have no way to fail
+    escape::json(&serde_json::to_string(&Line { time: utc(), event }).unwrap_or_default())
+}
+
+/// Returns the time of day in UTC, as `2026-11-21T08:05:00.000Z`.
+#[must_use]
+pub fn utc() -> String {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    let civil = i64::try_from(since.as_millis()).ok().and_then(OleDate::from_unix_millis).and_then(OleDate::to_civil);
+    civil.map(|civil| format!("{civil}Z")).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A disk that is full for some writes.
+    struct Disk {
+        written: Vec<u8>,
+        full_for: u32,
+    }
+
+    impl Write for &mut Disk {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            if self.full_for > 0 {
+                self.full_for -= 1;
+                return Err(io::ErrorKind::StorageFull.into());
+            }
+            self.written.extend(bytes);
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn lines_that_a_full_disk_refuses_are_counted() {
+        let mut disk = Disk { written: Vec::new(), full_for: 2 };
+        let (sender, lines) = sync_channel(10);
+        ["one", "two", "three"].iter().for_each(|line| sender.send((*line).to_owned()).unwrap());
+        drop(sender);
+        write(&mut disk, &lines);
+        let written = String::from_utf8(disk.written).unwrap();
+        let [dropped, three] = written.lines().collect::<Vec<_>>()[..] else { panic!("{written}") };
+        assert!(dropped.contains("\"lines\":2"), "{dropped}");
+        assert_eq!(three, "three");
+    }
+
+    #[test]
+    fn lines_without_room_in_the_queue_are_counted() {
+        let (log, waiting) = Log::new(2);
+        let up = serde_json::json!({"event": "robot_up"});
+        (0..5).for_each(|_| log.write(&up));
+        assert_eq!(log.dropped.load(Ordering::Relaxed), 3);
+        assert_eq!(waiting.try_iter().count(), 2);
+        log.write(&up);
+        let lines: Vec<String> = waiting.try_iter().collect();
+        assert!(lines[0].contains(r#""event":"dropped","lines":3"#), "{lines:?}");
+        assert_eq!((lines.len(), log.dropped.load(Ordering::Relaxed)), (2, 0));
+        drop(waiting);
+        log.write(&up);
+        assert_eq!(log.dropped.load(Ordering::Relaxed), 0, "without a reader no line is missing");
+    }
+
+    #[test]
+    fn a_line_begins_with_its_time_and_is_escaped() {
+        let line = text(&serde_json::json!({"reason": "\u{1b}[2J\u{9b}31m\u{202e}\u{2028}\u{7f}Grün"}));
+        assert!(!line.chars().any(escape::acts), "{line}");
+        let (time, rest) = line.split_at(r#"{"time":"2026-11-21T08:05:00.000Z","#.len());
+        assert!(time.starts_with(r#"{"time":"20"#) && time.ends_with(r#"Z","#), "{line}");
+        assert_eq!(rest, r#""reason":"\u001b[2J\u009b31m\u202e\u2028\u007fGrün"}"#);
+    }
+}
