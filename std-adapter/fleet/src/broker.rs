@@ -145,8 +145,16 @@ fn connect_with_tls(options: &mut MqttOptions, host: &str, tls: &config::Tls) ->
         }
     };
     let mut roots = RootCertStore::empty();
-    for certificate in certificates(&tls.ca)? {
-        roots.add(certificate).map_err(|error| wrong(&tls.ca, &error))?;
+    if let Some(ca) = &tls.ca {
+        for certificate in certificates(ca)? {
+            roots.add(certificate).map_err(|error| wrong(ca, &error))?;
+        }
+    } else {
+        // some of them may have a form that rustls does not know
+        roots.add_parsable_certificates(rustls_native_certs::load_native_certs().certs);
+        if roots.is_empty() {
+            return Err(Error::Tls("this system has no certificates of authorities: give ca in [broker.tls]".into()));
+        }
     }
     let builder = ClientConfig::builder_with_provider(Arc::new(default_provider()))
         .with_safe_default_protocol_versions()

@@ -61,8 +61,8 @@ pub(crate) struct Broker {
 #[serde(deny_unknown_fields)]
 #[cfg_attr(not(feature = "tls"), allow(dead_code, reason = "only encrypted connections use them"))]
 pub(crate) struct Tls {
-    /// The authorities that sign the broker's certificate.
-    pub(crate) ca: PathBuf,
+    /// The authorities that sign the broker's certificate; without them those of the operating system.
+    pub(crate) ca: Option<PathBuf>,
     pub(crate) certificate: Option<PathBuf>,
     pub(crate) key: Option<PathBuf>,
 }

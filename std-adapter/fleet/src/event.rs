@@ -30,6 +30,8 @@ pub enum Event {
         /// Whether it is online.
         online: bool,
     },
+    /// The broker refuses the subscription of commands, so none arrives. Values are published.
+    CommandsDenied {},
     /// A session with a controller was opened.
     RobotUp {
         /// The controller.
@@ -41,6 +43,19 @@ pub enum Event {
         controller: String,
         /// Why.
         reason: String,
+    },
+    /// A controller has a new latest error. Only a controller whose `error` is published has these events.
+    RobotError {
+        /// The controller.
+        controller: String,
+        /// The code, as `0x83204071`.
+        code: String,
+        /// What it means.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        meaning: Option<&'static str>,
+        /// What to do.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        remedy: Option<String>,
     },
     /// A variable is not read while a stream of Slave Mode runs, because reading it may end the stream.
     Skipped {

@@ -23,12 +23,12 @@ use std::time::Duration;
 
 use bcap_service::throttle::Throttle;
 use bcap_std::asynch::Controller;
-use rumqttc::{ConnectReturnCode, Event as Mqtt, Outgoing, Packet, QoS};
+use rumqttc::{ConnectReturnCode, Event as Mqtt, Outgoing, Packet};
 use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep_until, timeout};
 
 use self::backlog::Backlog;
-use self::connection::{Connection, Sent, next};
+use self::connection::{Connection, Phase, next};
 use crate::broker::{Broker, LinkEvent};
 use crate::command::{Commands, Finished};
 use crate::config::{Config, Format};
@@ -150,7 +150,7 @@ impl Publisher {
     }
 
     fn is_up(&self) -> bool {
-        self.link.as_ref().is_some_and(|connection| connection.is_up)
+        self.link.as_ref().is_some_and(Connection::is_up)
     }
 
     /// Moves all messages that can be moved without waiting for the broker.
@@ -270,7 +270,7 @@ impl Publisher {
                 self.broker.connect(Some(will.unwrap_or_else(|| self.node_state(false))))
             }
         };
-        self.link = Some(Connection::new(link));
+        self.link = Some(Connection::new(link, &self.shared.config));
     }
 
     async fn handle(&mut self, event: Option<LinkEvent>) {
@@ -285,8 +285,8 @@ impl Publisher {
             }
             Some(Ok(Mqtt::Outgoing(Outgoing::Disconnect))) => self.lose("the primary host is offline".into()).await,
             Some(Ok(Mqtt::Incoming(Packet::PubAck(ack)))) => {
-                let sent = self.link.as_mut().and_then(|connection| connection.waiting.remove(&ack.pkid));
-                if let Some(Sent { at, readings }) = sent {
+                let sent = self.link.as_mut().and_then(|connection| connection.acknowledged(ack.pkid));
+                if let Some((at, readings)) = sent {
                     self.prove(at);
                     self.backlog.arrived(&readings).await;
                 }
@@ -296,15 +296,6 @@ impl Publisher {
                 if let Some(connection) = &mut self.link {
                     connection.written(packet);
                 }
-            }
-            Some(Ok(Mqtt::Outgoing(Outgoing::Unsubscribe(_)))) => {
-                if let Some(connection) = &mut self.link {
-                    connection.unconfirmed.asked();
-                }
-            }
-            Some(Ok(Mqtt::Incoming(Packet::UnsubAck(_)))) => {
-                let confirmed = self.link.as_mut().map(|connection| connection.unconfirmed.confirmed());
-                self.backlog.arrived(&confirmed.unwrap_or_default()).await;
             }
             Some(Ok(_)) => {}
             Some(Err(reason)) => self.lose(reason).await,
@@ -332,17 +323,27 @@ impl Publisher {
         }
     }
 
-    /// Begins to publish and to receive commands.
+    /// Begins to receive commands, and then to publish.
     async fn begin(&mut self) {
+        let topics = self.encoder.topics(&self.shared.config, self.commands.are_on());
+        if let Some(connection) = &mut self.link {
+            connection.phase = Phase::Subscribing;
+            connection.subscribe(topics);
+        }
+        self.rise().await;
+    }
+
+    /// Begins to publish if the broker has answered all subscriptions.
+    async fn rise(&mut self) {
+        let is_ready = |link: &Connection| link.phase == Phase::Subscribing && link.subscribing == 0;
+        if !self.link.as_ref().is_some_and(is_ready) {
+            return;
+        }
         // readings from before are historical
         self.drain().await;
         (self.stale, self.repeat_at) = (false, Instant::now() + REPEAT);
-        let topics = self.encoder.topics(&self.shared.config, self.commands.are_on());
         if let Some(connection) = &mut self.link {
-            (connection.is_up, connection.began) = (true, Instant::now());
-            for topic in topics {
-                let _ = connection.link.client.try_subscribe(topic, QoS::AtLeastOnce);
-            }
+            connection.rise();
         }
         self.encode(|encoder, outbox| encoder.introduce(outbox));
     }

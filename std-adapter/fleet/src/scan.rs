@@ -10,6 +10,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use bcap_core::bcap::{FunctionId, call};
+use bcap_core::hresult::HResult;
 use bcap_core::variant::OwnedVariant;
 use bcap_std::asynch::{Controller, State as Session};
 use bcap_std::{Error, TaskStatus};
@@ -232,10 +233,27 @@ impl Scan {
         if on_change && scanned.last.as_ref().is_some_and(is_same) {
             return;
         }
+        if matches!(&scanned.point.source, Source::Controller(name) if name == "@ERROR_CODE")
+            && let Some(Value::Integer(code)) = &value
+            && scanned.last.as_ref().and_then(|(last, _)| last.as_ref()) != value.as_ref()
+        {
+            self.report_error(*code);
+        }
         scanned.last = Some((value.clone(), quality));
         let id = self.shared.next_id.fetch_add(1, Ordering::Relaxed);
         let reading = Reading { cell: self.cell, point: scanned.index, time, id, value, quality, historical: false };
         self.shared.queue.push(Item::Reading(reading));
+    }
+
+    /// Reports a new latest error.
+    fn report_error(&self, code: i64) {
+        let Some(code) = i32::try_from(code).ok().filter(|code| *code != 0).map(HResult) else { return };
+        (self.shared.report)(&Event::RobotError {
+            controller: self.shared.config.controllers[self.cell].name.clone(),
+            code: format!("0x{:08X}", code.to_u32()),
+            meaning: code.meaning(),
+            remedy: code.hint().map(|hint| hint.to_string()),
+        });
     }
 
     /// Reports that no value is known.

@@ -2,7 +2,8 @@
 
 use std::fs;
 use std::io::{BufRead, BufReader};
-use std::process::{Command, Stdio};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
 
 use crate::common::Robot;
 use bcap_tests::mosquitto::Mosquitto;
@@ -66,9 +67,32 @@ async fn the_configuration_of_the_page_runs() {
         assert!(line["time"].as_str().unwrap().ends_with('Z'), "{line}");
         waiting.retain(|word| line["event"] != *word && line["controller"] != *word);
     }
+    reload(&fleet, &mut lines, Path::new(file));
     Command::new("kill").args(["-TERM", &fleet.id().to_string()]).status().unwrap();
     assert_eq!(fleet.wait().unwrap().code(), Some(0));
     assert!(folder.path().join("buffer").is_dir());
+}
+
+/// Reloads a file with a fault, and then one without the third controller.
+fn reload(fleet: &Child, lines: &mut impl Iterator<Item = String>, file: &Path) {
+    let good = fs::read_to_string(file).unwrap();
+    let outcome = |lines: &mut dyn Iterator<Item = String>, config: &str| {
+        fs::write(file, config).unwrap();
+        Command::new("kill").args(["-HUP", &fleet.id().to_string()]).status().unwrap();
+        let mut events = lines.map(|line| serde_json::from_str::<serde_json::Value>(&line).unwrap());
+        events.find(|event| event["event"].as_str().unwrap().starts_with("reload")).unwrap()
+    };
+    let failed = outcome(lines, &good.replace("interval_ms = 200", "interval_ms = 0"));
+    assert!(
+        failed["event"] == "reload_failed" && failed["reason"].as_str().unwrap().contains("interval_ms"),
+        "{failed}"
+    );
+    let two = good.split("[[controller]]\nname = \"cell3\"").next().unwrap();
+    let reloaded = outcome(lines, two);
+    assert!(reloaded["event"] == "reloaded" && reloaded["controllers"] == 2, "{reloaded}");
+    let up = lines.map(|line| serde_json::from_str::<serde_json::Value>(&line).unwrap());
+    let up: Vec<_> = up.filter(|event| event["event"] == "robot_up").take(2).collect();
+    assert!(up.iter().all(|event| event["controller"] != "cell3"), "{up:?}");
 }
 
 #[test]

@@ -1,9 +1,12 @@
 //! Sparkplug B through a real Mosquitto, read by a decoder that is written from the specification alone.
 
 use crate::common::{Publish, Robot, Running, Subscriber, folder, now_ms};
+use bcap_core::hresult::HResult;
 use bcap_fleet::Event;
 use bcap_tests::mosquitto::Mosquitto;
 use bcap_tests::proxy::Relay;
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+use tokio::net::{TcpListener, TcpStream};
 
 /// A field of a protocol buffer.
 #[derive(Clone, Debug, PartialEq)]
@@ -214,6 +217,60 @@ fn write(name: &str, time: u64, datatype: u8, tag: u8, value: u64) -> Vec<u8> {
     payload.extend([2 << 3 | 2, metric.len() as u8]);
     payload.extend(metric);
     payload
+}
+
+/// Reads an MQTT packet: its first byte, and the bytes after its length.
+async fn packet(stream: &mut TcpStream) -> (u8, Vec<u8>) {
+    let kind = stream.read_u8().await.unwrap();
+    let mut length = 0;
+    for shift in (0..).step_by(7) {
+        let byte = stream.read_u8().await.unwrap();
+        length |= usize::from(byte & 0x7F) << shift;
+        if byte & 0x80 == 0 {
+            break;
+        }
+    }
+    let mut body = vec![0; length];
+    stream.read_exact(&mut body).await.unwrap();
+    (kind, body)
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_node_is_born_after_the_broker_has_answered_its_subscription() {
+    let broker = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let robot = Robot::start().await;
+    let text = format!("{}[metrics]\nport = 0\n", config(broker.local_addr().unwrap().port(), "", &[&robot]));
+    let fleet = Running::start(&text).await;
+    let (mut stream, _) = broker.accept().await.unwrap();
+    assert_eq!(packet(&mut stream).await.0, 0x10, "CONNECT");
+    stream.write_all(&[0x20, 2, 0, 0]).await.unwrap();
+    let (kind, body) = packet(&mut stream).await;
+    assert_eq!((kind, &body[4..body.len() - 1]), (0x82, &b"spBv1.0/plant/NCMD/edge1"[..]));
+    // the node has readings to publish
+    while fleet.metric("bcap_readings_total{controller=\"cell1\"}").await < 3 {}
+    let early = stream.try_read(&mut [0]).unwrap_err();
+    assert_eq!(early.kind(), std::io::ErrorKind::WouldBlock, "a message before the answer");
+    stream.write_all(&[0x90, 3, body[0], body[1], 1]).await.unwrap();
+    let (kind, body) = packet(&mut stream).await;
+    assert_eq!((kind & 0xF0, &body[2..26]), (0x30, &b"spBv1.0/plant/NBIRTH/edge1"[..24]));
+    fleet.abort().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_error_of_the_robot_is_an_event_with_its_remedy() {
+    let Some(broker) = Mosquitto::open() else { return };
+    let robot = Robot::start().await;
+    let text = config(broker.port, "", &[&robot]).replace("names = [", "names = [\"error\", ");
+    let fleet = Running::start(&text).await;
+    fleet.event(|event| matches!(event, Event::RobotUp { .. })).await;
+    robot.controller.lock().unwrap().inject_error(HResult::from_u32(0x8120_4071), bcap_std::now());
+    fleet.event(|event| matches!(event, Event::RobotError { .. })).await;
+    let errors: Vec<_> =
+        fleet.stop().await.into_iter().filter(|event| matches!(event, Event::RobotError { .. })).collect();
+    let [Event::RobotError { controller, code, meaning: Some(_), remedy: Some(_) }] = &errors[..] else {
+        panic!("{errors:?}")
+    };
+    assert_eq!((controller.as_str(), code.as_str()), ("cell1", "0x81204071"));
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::path::Path;
+use std::process::Command;
 
 use crate::common::{Robot, Running};
 use bcap_fleet::Config;
@@ -78,6 +79,21 @@ async fn a_client_certificate_and_a_password_are_needed() {
         good.lines().filter(|line| !line.contains("client.")).map(|line| format!("{line}\n")).collect();
     let rows = bcap_fleet::check(&Config::parse(&without).unwrap()).await.unwrap();
     assert!(rows[0].result.is_err(), "{rows:?}");
+
+    // OpenSSL's variable names the authorities of the system
+    let system =
+        good.lines().filter(|line| !line.starts_with("ca =")).map(|line| format!("{line}\n")).collect::<String>();
+    let file = broker.path().join("system.toml");
+    fs::write(&file, system).unwrap();
+    for (roots, code) in [("ca.pem", 0), ("broker.pem", 3)] {
+        let check = Command::new(env!("CARGO_BIN_EXE_bcap-fleet"))
+            .arg(&file)
+            .arg("--check")
+            .env("SSL_CERT_FILE", broker.path().join(roots))
+            .output();
+        let check = check.unwrap();
+        assert_eq!(check.status.code(), Some(code), "{roots}: {check:?}");
+    }
 
     fs::write(broker.path().join("password"), "another").unwrap();
     let rows = bcap_fleet::check(&Config::parse(&good).unwrap()).await.unwrap();

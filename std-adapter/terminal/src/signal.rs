@@ -30,7 +30,7 @@ pub fn receiver() -> io::Result<Receiver<Signal>> {
     // the handlers are in place before this returns
     let mut sources = {
         let _inside = runtime.enter();
-        Sources::new(|_| true)?
+        Sources::new(|_, _| true)?
     };
     thread::Builder::new().name("signals".into()).spawn(move || {
         runtime.block_on(async { while sender.send(sources.next().await).is_ok() {} });
@@ -94,11 +94,11 @@ struct Sources(Vec<(Signal, tokio::signal::unix::Signal)>);
 
 #[cfg(unix)]
 impl Sources {
-    /// Handles those signals that `wanted` accepts.
-    fn new(wanted: impl Fn(Signal) -> bool) -> io::Result<Self> {
+    /// Handles those signals that `wanted` accepts, by number and meaning.
+    fn new(wanted: impl Fn(i32, Signal) -> bool) -> io::Result<Self> {
         use tokio::signal::unix::{SignalKind, signal};
         let mut sources = Vec::new();
-        for (raw, meaning) in handled().filter(|(_, meaning)| wanted(*meaning)) {
+        for (raw, meaning) in handled().filter(|(raw, meaning)| wanted(*raw, *meaning)) {
             let kind = SignalKind::from_raw(raw);
             // SIGINT and SIGTERM always end a program; a handler of another one would end what `nohup` lets run, or a shell in
             // the background
@@ -134,7 +134,7 @@ struct Sources;
 
 #[cfg(not(unix))]
 impl Sources {
-    fn new(_: impl Fn(Signal) -> bool) -> io::Result<Self> {
+    fn new(_: impl Fn(i32, Signal) -> bool) -> io::Result<Self> {
         Ok(Self)
     }
 
@@ -155,10 +155,55 @@ impl Sources {
 #[cfg(unix)]
 pub fn wait() -> io::Result<impl Future<Output = ()>> {
     // a server that is suspended goes on later
-    let mut sources = Sources::new(|meaning| meaning != Signal::Suspend)?;
+    let mut sources = Sources::new(|_, meaning| meaning != Signal::Suspend)?;
     Ok(async move {
         let _ = sources.next().await;
     })
+}
+
+/// As [`wait`], but SIGHUP does not complete the future: the second value waits for it.
+///
+/// # Errors
+///
+/// When a handler cannot be installed.
+#[cfg(unix)]
+pub fn wait_without_hang_up() -> io::Result<(impl Future<Output = ()>, HangUp)> {
+    use rustix::process::Signal as Raw;
+    use tokio::signal::unix::{SignalKind, signal};
+    let hang_up = Raw::HUP.as_raw();
+    let mut sources = Sources::new(|raw, meaning| meaning != Signal::Suspend && raw != hang_up)?;
+    let handled = if is_ignored(hang_up) { None } else { Some(signal(SignalKind::hangup())?) };
+    let ended = async move {
+        let _ = sources.next().await;
+    };
+    Ok((ended, HangUp(handled)))
+}
+
+/// As [`wait`]: there is no SIGHUP on this platform.
+///
+/// # Errors
+///
+/// None on this platform.
+#[cfg(not(unix))]
+pub fn wait_without_hang_up() -> io::Result<(impl Future<Output = ()>, HangUp)> {
+    Ok((wait()?, HangUp::default()))
+}
+
+/// SIGHUP, if it is handled.
+#[derive(Debug, Default)]
+pub struct HangUp(#[cfg(unix)] Option<tokio::signal::unix::Signal>);
+
+impl HangUp {
+    /// Waits for the signal; forever if it is not handled.
+    pub async fn next(&mut self) {
+        #[cfg(unix)]
+        if let Some(signal) = &mut self.0
+            && signal.recv().await.is_some()
+        {
+            return;
+        }
+        std::future::pending().await
+    }
 }
 
 /// Returns whether this process ignores a signal. Only Linux tells.

@@ -1,26 +1,33 @@
 //! Confirms readings of QoS 0, which Sparkplug demands and MQTT does not acknowledge.
 //!
-//! A broker handles the packets of a connection in their order, and answers an UNSUBSCRIBE also if there is no such
-//! subscription. At most one UNSUBSCRIBE is pending. Its UNSUBACK confirms everything sent before it.
+//! A broker handles the packets of a connection in their order. So the acknowledgement of an empty message of QoS 1 confirms
+//! everything sent before it. At most one such message is pending.
 
 use std::collections::VecDeque;
 
+use rumqttc::QoS;
+
+use crate::config::Config;
+use crate::message::Message;
 use crate::reading::Reading;
 
 /// No message is sent while this many readings are unconfirmed. Below this limit the window counts messages, and a message has
 /// up to 100 readings. So at most about 20,000 readings are unconfirmed.
 const LIMIT: usize = 10_000;
 
-/// The topic that is unsubscribed. Nothing subscribes to it.
-pub(super) const TOPIC: &str = "bcap/confirm";
+/// The message that confirms the messages before it. Nothing subscribes to its topic.
+pub(super) fn message(config: &Config) -> Message {
+    let topic = crate::json::topic(config, &config.node, "confirm");
+    Message { topic, payload: Vec::new(), qos: QoS::AtLeastOnce, retain: false, readings: Vec::new() }
+}
 
 /// Readings that were written to the connection.
 #[derive(Debug, Default)]
 pub(super) struct Unconfirmed {
     readings: VecDeque<Reading>,
-    /// Whether an UNSUBSCRIBE was passed to the link, and its UNSUBACK has not arrived.
+    /// Whether a message to confirm was passed to the link, and its acknowledgement has not arrived.
     is_asking: bool,
-    /// How many readings the UNSUBACK confirms.
+    /// How many readings the acknowledgement confirms.
     asked: usize,
 }
 
@@ -38,20 +45,19 @@ impl Unconfirmed {
         self.readings.extend(readings);
     }
 
-    /// Sends an UNSUBSCRIBE with a function if there is something to confirm and none is pending. The function returns whether
-    /// the link took it; if not, the next call sends it.
-    pub(super) fn ask(&mut self, send: impl FnOnce() -> bool) {
-        if !self.is_empty() && !self.is_asking {
-            self.is_asking = send();
-        }
+    /// Returns whether the link must send a message to confirm now.
+    pub(super) fn asks(&mut self) -> bool {
+        let asks = !self.is_empty() && !self.is_asking;
+        self.is_asking |= asks;
+        asks
     }
 
-    /// The UNSUBSCRIBE was written.
+    /// The message to confirm was written.
     pub(super) fn asked(&mut self) {
         self.asked = self.readings.len();
     }
 
-    /// The UNSUBACK has arrived: returns the readings that it confirms.
+    /// Its acknowledgement has arrived: returns the readings that it confirms.
     pub(super) fn confirmed(&mut self) -> Vec<Reading> {
         self.is_asking = false;
         let count = std::mem::take(&mut self.asked).min(self.readings.len());

@@ -3,40 +3,75 @@
 use std::collections::{HashMap, VecDeque};
 use std::time::Duration;
 
-use rumqttc::PublishOptions;
+use rumqttc::{PublishOptions, QoS};
 use tokio::time::Instant;
 
 use super::confirm::{self, Unconfirmed};
 use crate::broker::{Link, LinkEvent, WINDOW};
+use crate::config::Config;
 use crate::message::Message;
 use crate::reading::Reading;
 
 /// A message passed to the link, until the broker confirms it.
-pub(super) struct Sent {
-    pub(super) at: Instant,
-    pub(super) readings: Vec<Reading>,
+struct Sent {
+    at: Instant,
+    readings: Vec<Reading>,
+    /// Whether its acknowledgement confirms the messages before it.
+    confirms: bool,
+}
+
+/// The progress of a connection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Phase {
+    /// Nothing is published: the broker has not accepted it, or the primary host is offline.
+    Waiting,
+    /// The node is born when the broker has answered all subscriptions, so that no command to it is lost.
+    Subscribing,
+    /// Messages are published.
+    Up,
 }
 
 /// A connection and its messages.
 pub(super) struct Connection {
     pub(super) link: Link,
-    /// Whether the broker has accepted it.
-    pub(super) is_up: bool,
+    pub(super) phase: Phase,
+    /// When it came up.
     pub(super) began: Instant,
+    /// The number of subscriptions that the broker has not answered.
+    pub(super) subscribing: usize,
+    confirm: Message,
     /// Messages to give to the link.
     pub(super) out: VecDeque<Message>,
     /// Messages that the link has not sent.
-    pub(super) sent: VecDeque<Sent>,
+    sent: VecDeque<Sent>,
     /// Messages that the broker has not acknowledged, by packet.
-    pub(super) waiting: HashMap<u16, Sent>,
+    waiting: HashMap<u16, Sent>,
     /// Messages without acknowledgements.
-    pub(super) unconfirmed: Unconfirmed,
+    unconfirmed: Unconfirmed,
 }
 
 impl Connection {
-    pub(super) fn new(link: Link) -> Self {
-        let (out, sent, waiting, unconfirmed) = Default::default();
-        Self { link, is_up: false, began: Instant::now(), out, sent, waiting, unconfirmed }
+    pub(super) fn new(link: Link, config: &Config) -> Self {
+        let (out, sent, waiting, unconfirmed, subscribing) = Default::default();
+        let (phase, began, confirm) = (Phase::Waiting, Instant::now(), confirm::message(config));
+        Self { link, phase, began, subscribing, confirm, out, sent, waiting, unconfirmed }
+    }
+
+    pub(super) fn is_up(&self) -> bool {
+        self.phase == Phase::Up
+    }
+
+    /// Messages are published from now on.
+    pub(super) fn rise(&mut self) {
+        (self.phase, self.began) = (Phase::Up, Instant::now());
+    }
+
+    /// Subscribes to topics.
+    pub(super) fn subscribe(&mut self, topics: impl IntoIterator<Item = String>) {
+        for topic in topics {
+            // the channel of the link has room; after a loss the event follows
+            self.subscribing += usize::from(self.link.client.try_subscribe(topic, QoS::AtLeastOnce).is_ok());
+        }
     }
 
     pub(super) fn room(&self) -> usize {
@@ -54,7 +89,7 @@ impl Connection {
 
     /// Returns how long it has lasted since the broker accepted it.
     pub(super) fn age(&self) -> Duration {
-        if self.is_up { self.began.elapsed() } else { Duration::ZERO }
+        if self.is_up() { self.began.elapsed() } else { Duration::ZERO }
     }
 
     /// Gives messages to the link.
@@ -63,24 +98,42 @@ impl Connection {
             let Some(message) = self.out.pop_front() else { break };
             self.send(message);
         }
-        self.unconfirmed.ask(|| self.link.client.try_unsubscribe(confirm::TOPIC).is_ok());
+        if self.in_flight() < usize::from(WINDOW) && self.unconfirmed.asks() {
+            self.transmit(self.confirm.clone(), true);
+        }
     }
 
     pub(super) fn send(&mut self, message: Message) {
+        self.transmit(message, false);
+    }
+
+    fn transmit(&mut self, message: Message, confirms: bool) {
         let Message { topic, payload, qos, retain, readings } = message;
         // the channel of the link has room for more than the window; after a loss the event follows
         let _ = self.link.client.try_publish(topic, payload, PublishOptions::new(qos).retain(retain));
-        self.sent.push_back(Sent { at: Instant::now(), readings });
+        self.sent.push_back(Sent { at: Instant::now(), readings, confirms });
     }
 
     /// The link has written a message: as this packet, or as 0 if the broker will not acknowledge it.
     pub(super) fn written(&mut self, packet: u16) {
         let Some(sent) = self.sent.pop_front() else { return };
+        if sent.confirms {
+            self.unconfirmed.asked();
+        }
         if packet == 0 {
             self.unconfirmed.push(sent.readings);
         } else {
             self.waiting.insert(packet, sent);
         }
+    }
+
+    /// The broker has acknowledged a packet: returns when it was sent, and the readings that have arrived.
+    pub(super) fn acknowledged(&mut self, packet: u16) -> Option<(Instant, Vec<Reading>)> {
+        let Sent { at, mut readings, confirms } = self.waiting.remove(&packet)?;
+        if confirms {
+            readings.extend(self.unconfirmed.confirmed());
+        }
+        Some((at, readings))
     }
 
     /// Returns the readings that may not have arrived, the oldest first.

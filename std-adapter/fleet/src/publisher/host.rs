@@ -3,10 +3,11 @@
 //! The host says on the retained topic `spBv1.0/STATE/HOST` whether it is online. If it goes offline, the node announces its
 //! death and ends the connection, as the specification demands. The next connection waits for the host.
 
-use rumqttc::{Publish, QoS};
+use rumqttc::Publish;
 use serde::Deserialize;
 
 use super::Publisher;
+use super::connection::Phase;
 use crate::event::Event;
 
 /// The state message of the host.
@@ -19,18 +20,18 @@ struct HostState {
 
 impl Publisher {
     /// Returns the topic of the primary host, if there is one.
-    fn host_topic(&self) -> Option<String> {
+    pub(super) fn host_topic(&self) -> Option<String> {
         self.config().primary_host.as_ref().map(|host| format!("spBv1.0/STATE/{host}"))
     }
 
     /// Subscribes to the state of the primary host; returns whether there is one to wait for.
     pub(super) fn waits_for_host(&mut self) -> bool {
-        let topic = self.host_topic();
-        if let (Some(connection), Some(topic)) = (&mut self.link, &topic) {
+        let Some(topic) = self.host_topic() else { return false };
+        if let Some(connection) = &mut self.link {
             connection.flush();
-            let _ = connection.link.client.try_subscribe(topic, QoS::AtLeastOnce);
+            connection.subscribe([topic]);
         }
-        topic.is_some()
+        true
     }
 
     /// Handles a state of the primary host; returns whether the message is one.
@@ -42,7 +43,8 @@ impl Publisher {
         // a state of an earlier connection of the host may come late
         let is_late = timestamp < self.host_since;
         self.host_since = self.host_since.max(timestamp);
-        if is_late || online == self.is_up() || self.link.is_none() {
+        let is_begun = self.link.as_ref().map(|connection| connection.phase != Phase::Waiting);
+        if is_late || is_begun.is_none_or(|is_begun| is_begun == online) {
             return true;
         }
         (self.shared.report)(&Event::PrimaryHost { online });
@@ -61,7 +63,7 @@ impl Publisher {
             // the channel of the link has room for more than the window; the event of the disconnection follows
             connection.send(death);
             let _ = connection.link.client.try_disconnect();
-            connection.is_up = false;
+            connection.phase = Phase::Waiting;
         }
     }
 }

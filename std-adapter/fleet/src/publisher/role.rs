@@ -3,10 +3,11 @@
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use rumqttc::{Publish, QoS, SubscribeReasonCode};
+use rumqttc::{Publish, SubscribeReasonCode};
 use tokio::time::Instant;
 
 use super::Publisher;
+use super::connection::Phase;
 use crate::event::Event;
 use crate::json;
 use crate::message::Message;
@@ -50,22 +51,28 @@ impl Publisher {
     pub(super) fn watch(&mut self) {
         let topics = [self.encoder.death_topic(self.config()), Some(self.state_topic())];
         if let Some(connection) = &mut self.link {
-            connection.is_up = true;
-            for topic in topics.into_iter().flatten() {
-                let _ = connection.link.client.try_subscribe(topic, QoS::AtLeastOnce);
-            }
+            connection.rise();
+            connection.subscribe(topics.into_iter().flatten());
         }
     }
 
-    /// Handles the broker's answer to a subscription. A watcher without a subscription would receive nothing and take
-    /// over.
+    /// Handles the broker's answer to a subscription. Without it a watcher would receive nothing and take over, and a node
+    /// would wait for its primary host forever; only commands can be missed.
     pub(super) async fn subscribed(&mut self, codes: &[SubscribeReasonCode]) {
-        let Some(standby) = self.standby.as_mut().filter(|standby| !standby.is_active()) else { return };
+        let Some(connection) = &mut self.link else { return };
+        connection.subscribing = connection.subscribing.saturating_sub(1);
+        let is_for_commands = connection.phase == Phase::Subscribing;
         if codes.contains(&SubscribeReasonCode::Failure) {
-            let reason = format!("the broker refuses the subscription of {}", self.state_topic());
-            return self.lose(reason).await;
+            if !is_for_commands {
+                let topic = self.host_topic().filter(|_| !self.is_watcher()).unwrap_or_else(|| self.state_topic());
+                return self.lose(format!("the broker refuses the subscription of {topic}")).await;
+            }
+            (self.shared.report)(&Event::CommandsDenied {});
         }
-        standby.subscribed(Instant::now());
+        match self.standby.as_mut().filter(|standby| !standby.is_active()) {
+            Some(standby) => standby.subscribed(Instant::now()),
+            None => self.rise().await,
+        }
     }
 
     /// Returns the topic of the state of this node.

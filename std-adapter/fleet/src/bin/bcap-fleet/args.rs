@@ -13,8 +13,8 @@ use clap_complete::Shell;
 ///
 /// Two processes with the same group and node and a table `[standby]` are active and standby.
 ///
-/// Prints a line `ready`, then one JSON object a line: changes of connections, and commands. SIGINT, SIGTERM and SIGHUP end it
-/// with 0.
+/// Prints a line `ready`, then one JSON object a line: changes of connections, and commands. SIGINT and SIGTERM end it with 0.
+/// SIGHUP reads CONFIG again; with a terminal as the standard output it ends the program too.
 #[derive(Debug, Parser)]
 #[command(
     name = "bcap-fleet",

@@ -55,6 +55,10 @@ impl ShownEvents {
                 lists.down.insert(controller.clone(), reason.clone());
                 format!("{controller} is disconnected: {reason}")
             }
+            Event::CommandsDenied {} => "the broker refuses the subscription of commands".to_owned(),
+            Event::RobotError { controller, code, meaning, .. } => {
+                format!("{controller} has the error {code} {}", meaning.unwrap_or_default())
+            }
             Event::Skipped { controller, variable, reason } => format!("{controller} {variable} {reason}"),
             Event::Command { controller, name, value, result, reason, .. } => {
                 let reason = reason.as_ref().map(|reason| format!(": {reason}")).unwrap_or_default();

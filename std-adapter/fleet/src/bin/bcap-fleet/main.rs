@@ -2,17 +2,18 @@
 
 mod args;
 mod check;
-mod events;
 mod failure;
 mod live;
 mod output;
+mod reload;
 
 use std::io;
+use std::path::Path;
 use std::process::ExitCode;
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::sync::Arc;
 
-use bcap_core::variant::OleDate;
 use bcap_fleet::{Config, Fleet};
+use bcap_service::events::{self, Log, utc};
 use bcap_terminal::screen::{Live, require};
 use bcap_terminal::{args::parse_or_exit, signal};
 use clap::CommandFactory as _;
@@ -23,6 +24,7 @@ use crate::args::Args;
 use crate::failure::Failure;
 use crate::live::{Shown, ShownEvents};
 use crate::output::{print, print_line};
+use crate::reload::{Outcome, Reload};
 
 fn main() -> ExitCode {
     let args: Args = parse_or_exit(|command| command);
@@ -33,12 +35,12 @@ fn main() -> ExitCode {
 }
 
 fn execute(args: &Args) -> Result<(), Failure> {
-    let Some(config) = &args.config else { return Ok(print_reference(args)?) };
-    let config = Config::read(config)?;
+    let Some(path) = &args.config else { return Ok(print_reference(args)?) };
+    let config = Config::read(path)?;
     match (args.check, args.screen) {
         (true, _) => check::check(&config, args.offline, args.json),
         (false, true) => run_on_screen(config),
-        (false, false) => run(config),
+        (false, false) => run(path, config),
     }
 }
 
@@ -53,23 +55,41 @@ fn print_reference(args: &Args) -> io::Result<()> {
 }
 
 /// Publishes until a signal arrives.
-fn run(config: Config) -> Result<(), Failure> {
-    let (events, printer) = events::start()?;
+fn run(path: &Path, mut config: Config) -> Result<(), Failure> {
+    let (log, writer) = events::open(io::stdout())?;
+    let log = Arc::new(log);
     runtime()?.block_on(async {
         // the signals first: a reader of the line may send one at once
-        let ended = signal::wait()?;
-        let controllers = config.controllers();
-        let fleet = Fleet::start(config, move |event| events.add(event)).await?;
+        let mut reload = Reload::new(path)?;
+        let mut fleet = start(&config, &log).await?;
         let metrics = fleet.metrics_address().map(|address| format!(" metrics={address}")).unwrap_or_default();
-        print_line(&format!("ready controllers={controllers}{metrics}"))?;
-        fleet.run(ended).await;
-        Ok::<_, Failure>(())
+        print_line(&format!("ready controllers={}{metrics}", config.controllers()))?;
+        loop {
+            let mut next = None;
+            fleet.run(async { next = reload.wait(&log).await }).await;
+            let Some(new) = next else { return Ok::<_, Failure>(()) };
+            fleet = match start(&new, &log).await {
+                Ok(fleet) => {
+                    log.write(&Outcome::Reloaded { controllers: new.controllers() });
+                    config = new;
+                    fleet
+                }
+                Err(error) => {
+                    log.write(&Outcome::ReloadFailed { reason: error.to_string() });
+                    start(&config, &log).await?
+                }
+            };
+        }
     })?;
-    match printer.finish() {
-        0 => {}
-        count => eprintln!(" note: {count} lines were not printed, because the reader of the output was too slow"),
-    }
+    drop(log);
+    writer.finish();
     Ok(())
+}
+
+/// Starts a fleet whose events are lines of a log.
+async fn start(config: &Config, log: &Arc<Log>) -> Result<Fleet, bcap_fleet::Error> {
+    let log = Arc::clone(log);
+    Fleet::start(config.clone(), move |event| log.write(event)).await
 }
 
 /// Publishes until a signal arrives or the user quits, and shows the fleet.
@@ -79,7 +99,7 @@ fn run_on_screen(config: Config) -> Result<(), Failure> {
         let ended = signal::wait()?;
         let events = ShownEvents::default();
         let shown = events.clone();
-        let fleet = Fleet::start(config, move |event| shown.add(&now(), event)).await?;
+        let fleet = Fleet::start(config, move |event| shown.add(&utc(), event)).await?;
         let metrics = fleet.metrics_address().map(|address| address.to_string());
         let mut shown = Shown::new(fleet.monitor(), events, metrics);
         let (quit, quits) = oneshot::channel::<()>();
@@ -101,11 +121,4 @@ fn run_on_screen(config: Config) -> Result<(), Failure> {
 /// Makes the runtime: one thread is enough for many controllers.
 fn runtime() -> io::Result<Runtime> {
     runtime::Builder::new_current_thread().enable_all().build()
-}
-
-/// Returns the time in UTC.
-fn now() -> String {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    let civil = i64::try_from(since.as_millis()).ok().and_then(OleDate::from_unix_millis).and_then(OleDate::to_civil);
-    civil.map(|civil| format!("{civil}Z")).unwrap_or_default()
 }
