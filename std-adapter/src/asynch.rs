@@ -22,7 +22,7 @@ mod objects;
 mod robot;
 #[cfg(feature = "serial")]
 mod serial;
-mod socket;
+pub(crate) mod socket;
 mod state;
 mod subscription;
 
@@ -30,7 +30,6 @@ use std::fmt::Debug;
 use std::io;
 use std::net::SocketAddr;
 
-use bcap_core::bcap::Client;
 pub use bcap_core::io::asynch::{Connection, RacConnection, SendTransport, Transport};
 use bcap_core::rac;
 use bcap_core::time::Instant;
@@ -47,7 +46,7 @@ pub use self::serial::{SerialClient, SerialTransport, connect_serial};
 pub use self::state::{Recoveries, State, States, Statistics};
 pub use self::subscription::{Reading, Subscription};
 use crate::clock::{now, until};
-use crate::connect::{self, ConnectError, DATAGRAM_ROOM, Options, STREAM_ROOM};
+use crate::connect::{self, ConnectError, Options};
 pub use crate::session::Halted;
 
 /// A client over TCP.
@@ -69,8 +68,7 @@ pub type RacClient = RacConnection<TcpTransport, [u8; rac::MAX_VALUE]>;
 /// Dropping the future closes the connection.
 pub async fn connect_tcp<A: ToSocketAddrs + Debug>(peer: A, options: &Options) -> Result<TcpClient, ConnectError> {
     let transport = TcpTransport::new(connect_stream(peer, options).await?);
-    let client = Client::new(options.tcp, vec![0; STREAM_ROOM], vec![0; STREAM_ROOM]);
-    Ok(Connection::new(transport, client))
+    Ok(Connection::new(transport, options.tcp_client()))
 }
 
 /// Connects a RAC client.
@@ -84,7 +82,7 @@ pub async fn connect_tcp<A: ToSocketAddrs + Debug>(peer: A, options: &Options) -
 /// Dropping the future closes the connection.
 pub async fn connect_rac<A: ToSocketAddrs + Debug>(peer: A, options: &Options) -> Result<RacClient, ConnectError> {
     let transport = TcpTransport::new(connect_stream(peer, options).await?);
-    Ok(RacConnection::new(transport, rac::client::Client::new(options.rac, [0; rac::MAX_VALUE])))
+    Ok(RacConnection::new(transport, options.rac_client()))
 }
 
 /// Connects a TCP stream and configures it for short messages.
@@ -116,10 +114,7 @@ pub(crate) async fn connect_stream<A: ToSocketAddrs + Debug>(
 ///
 /// A [`ConnectError`] if the name has no address or the socket cannot be created.
 pub async fn connect_udp<A: ToSocketAddrs + Debug>(peer: A, options: &Options) -> Result<UdpClient, ConnectError> {
-    let socket = connect_datagrams(peer).await?;
-    let mut client = Client::new(options.udp, vec![0; DATAGRAM_ROOM], vec![0; DATAGRAM_ROOM]);
-    client.set_next_serial(connect::random_serial());
-    Ok(Connection::new(UdpTransport::new(socket), client))
+    Ok(Connection::new(UdpTransport::new(connect_datagrams(peer).await?), options.udp_client()))
 }
 
 /// Creates a UDP socket that receives datagrams of one peer only.

@@ -32,7 +32,6 @@ use std::net::{TcpStream, ToSocketAddrs, UdpSocket};
 use std::thread;
 use std::time::Duration;
 
-use bcap_core::bcap::Client;
 pub use bcap_core::io::blocking::{Connection, RacConnection, Transport};
 use bcap_core::rac;
 use bcap_core::time::{Instant, micros};
@@ -48,7 +47,7 @@ pub use self::robot::{Arm, Robot};
 pub use self::serial::{SerialClient, SerialTransport, connect_serial};
 pub use self::stopper::Stopper;
 use crate::clock::{now, until};
-use crate::connect::{self, ConnectError, DATAGRAM_ROOM, Options, STREAM_ROOM};
+use crate::connect::{self, ConnectError, Options};
 pub use crate::session::Halted;
 
 /// A client over TCP.
@@ -66,8 +65,7 @@ pub type RacClient = RacConnection<TcpTransport, [u8; rac::MAX_VALUE]>;
 /// A [`ConnectError`] for the last address that was tried.
 pub fn connect_tcp<A: ToSocketAddrs + Debug>(peer: A, options: &Options) -> Result<TcpClient, ConnectError> {
     let transport = TcpTransport::new(connect::tcp(peer, options)?);
-    let client = Client::new(options.tcp, vec![0; STREAM_ROOM], vec![0; STREAM_ROOM]);
-    Ok(Connection::new(transport, client))
+    Ok(Connection::new(transport, options.tcp_client()))
 }
 
 /// Creates a client over UDP. Nothing is sent before the first call.
@@ -76,10 +74,7 @@ pub fn connect_tcp<A: ToSocketAddrs + Debug>(peer: A, options: &Options) -> Resu
 ///
 /// A [`ConnectError`] if the name has no address or the socket cannot be created.
 pub fn connect_udp<A: ToSocketAddrs + Debug>(peer: A, options: &Options) -> Result<UdpClient, ConnectError> {
-    let transport = UdpTransport::new(connect::udp(peer)?);
-    let mut client = Client::new(options.udp, vec![0; DATAGRAM_ROOM], vec![0; DATAGRAM_ROOM]);
-    client.set_next_serial(connect::random_serial());
-    Ok(Connection::new(transport, client))
+    Ok(Connection::new(UdpTransport::new(connect::udp(peer)?), options.udp_client()))
 }
 
 /// Connects a RAC client.
@@ -89,7 +84,7 @@ pub fn connect_udp<A: ToSocketAddrs + Debug>(peer: A, options: &Options) -> Resu
 /// A [`ConnectError`] for the last address that was tried.
 pub fn connect_rac<A: ToSocketAddrs + Debug>(peer: A, options: &Options) -> Result<RacClient, ConnectError> {
     let transport = TcpTransport::new(connect::tcp(peer, options)?);
-    Ok(RacConnection::new(transport, rac::client::Client::new(options.rac, [0; rac::MAX_VALUE])))
+    Ok(RacConnection::new(transport, options.rac_client()))
 }
 
 /// A TCP stream as a transport; created by [`connect_tcp`], or from any connected stream.
@@ -103,7 +98,7 @@ impl TcpTransport {
     /// Wraps a connected stream.
     #[must_use]
     pub const fn new(stream: TcpStream) -> Self {
-        Self { stream, timeouts: Timeouts { read: 0, write: 0 } }
+        Self { stream, timeouts: Timeouts::NONE }
     }
 
     /// Returns the stream.
@@ -124,7 +119,7 @@ impl UdpTransport {
     /// Wraps a connected socket.
     #[must_use]
     pub const fn new(socket: UdpSocket) -> Self {
-        Self { socket, timeouts: Timeouts { read: 0, write: 0 } }
+        Self { socket, timeouts: Timeouts::NONE }
     }
 
     /// Returns the socket.
@@ -139,6 +134,50 @@ impl UdpTransport {
 struct Timeouts {
     read: u64,
     write: u64,
+}
+
+impl Timeouts {
+    const NONE: Self = Self { read: 0, write: 0 };
+
+    /// Sends bytes until a deadline with `write`, which waits for room.
+    fn send(
+        &mut self,
+        socket: &Socket,
+        bytes: &[u8],
+        until: Instant,
+        write: impl Fn(&[u8]) -> io::Result<usize>,
+    ) -> io::Result<Option<usize>> {
+        // the send buffer almost always has room for a request, so the common case needs no timeout
+        if let Some(Ok(Some(count))) = classified(try_send(socket, bytes)) {
+            return Ok(Some(count));
+        }
+        loop {
+            if !set_timeout(&mut self.write, until, |time| socket.set_write_timeout(time))? {
+                return Ok(None);
+            }
+            if let Some(result) = classified(write(bytes)) {
+                return result;
+            }
+        }
+    }
+
+    /// Receives bytes until a deadline with `read`, which waits for them.
+    fn receive(
+        &mut self,
+        socket: &Socket,
+        buffer: &mut [u8],
+        until: Instant,
+        read: impl Fn(&mut [u8]) -> io::Result<usize>,
+    ) -> io::Result<Option<usize>> {
+        loop {
+            if !set_timeout(&mut self.read, until, |time| socket.set_read_timeout(time))? {
+                return receive_now(socket, buffer);
+            }
+            if let Some(result) = classified(read(buffer)) {
+                return result;
+            }
+        }
+    }
 }
 
 /// Sets a socket's timeout so that an operation ends at `deadline`; returns `false` if the deadline has passed.
@@ -221,30 +260,12 @@ impl Transport for TcpTransport {
 
     fn send(&mut self, bytes: &[u8], until: Instant) -> io::Result<Option<usize>> {
         let Self { stream, timeouts } = self;
-        // the send buffer almost always has room for a request, so the common case needs no timeout
-        if let Some(Ok(Some(count))) = classified(try_send(&SockRef::from(&*stream), bytes)) {
-            return Ok(Some(count));
-        }
-        loop {
-            if !set_timeout(&mut timeouts.write, until, |time| stream.set_write_timeout(time))? {
-                return Ok(None);
-            }
-            if let Some(result) = classified(io::Write::write(stream, bytes)) {
-                return result;
-            }
-        }
+        timeouts.send(&SockRef::from(&*stream), bytes, until, |bytes| io::Write::write(&mut &*stream, bytes))
     }
 
     fn receive(&mut self, buffer: &mut [u8], until: Instant) -> io::Result<Option<usize>> {
         let Self { stream, timeouts } = self;
-        loop {
-            if !set_timeout(&mut timeouts.read, until, |time| stream.set_read_timeout(time))? {
-                return receive_now(&SockRef::from(&*stream), buffer);
-            }
-            if let Some(result) = classified(io::Read::read(stream, buffer)) {
-                return result;
-            }
-        }
+        timeouts.receive(&SockRef::from(&*stream), buffer, until, |buffer| io::Read::read(&mut &*stream, buffer))
     }
 
     fn sleep_until(&mut self, at: Instant) {
@@ -261,29 +282,12 @@ impl Transport for UdpTransport {
 
     fn send(&mut self, bytes: &[u8], until: Instant) -> io::Result<Option<usize>> {
         let Self { socket, timeouts } = self;
-        if let Some(Ok(Some(count))) = classified(try_send(&SockRef::from(&*socket), bytes)) {
-            return Ok(Some(count));
-        }
-        loop {
-            if !set_timeout(&mut timeouts.write, until, |time| socket.set_write_timeout(time))? {
-                return Ok(None);
-            }
-            if let Some(result) = classified(socket.send(bytes)) {
-                return result;
-            }
-        }
+        timeouts.send(&SockRef::from(&*socket), bytes, until, |bytes| socket.send(bytes))
     }
 
     fn receive(&mut self, buffer: &mut [u8], until: Instant) -> io::Result<Option<usize>> {
         let Self { socket, timeouts } = self;
-        loop {
-            if !set_timeout(&mut timeouts.read, until, |time| socket.set_read_timeout(time))? {
-                return receive_now(&SockRef::from(&*socket), buffer);
-            }
-            if let Some(result) = classified(socket.recv(buffer)) {
-                return result;
-            }
-        }
+        timeouts.receive(&SockRef::from(&*socket), buffer, until, |buffer| socket.recv(buffer))
     }
 
     fn sleep_until(&mut self, at: Instant) {

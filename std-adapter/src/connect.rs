@@ -7,8 +7,10 @@ use std::io;
 use std::net::{SocketAddr, TcpStream, ToSocketAddrs, UdpSocket};
 use std::time::Duration;
 
+use bcap_core::bcap::Client;
 use bcap_core::bcap::client::{Config, Timing};
 use bcap_core::limits::UDP_RECEIVE_MAX;
+use bcap_core::rac;
 use socket2::{SockRef, TcpKeepalive};
 
 /// The options of a connection.
@@ -28,7 +30,7 @@ pub struct Options {
     /// reply.
     pub serial: Config,
     /// The time limit of RAC requests.
-    pub rac: bcap_core::rac::client::Config,
+    pub rac: rac::client::Config,
     /// The silence on TCP after which the operating system probes the peer; `None` disables probes.
     pub keep_alive: Option<Duration>,
 }
@@ -38,7 +40,7 @@ setters! { Options {
     tcp: Config;
     udp: Config;
     serial: Config;
-    rac: bcap_core::rac::client::Config;
+    rac: rac::client::Config;
     keep_alive: Option<Duration>;
 } }
 
@@ -49,7 +51,7 @@ impl Default for Options {
             tcp: Config::TCP,
             udp: Config::UDP,
             serial: Config::SERIAL,
-            rac: bcap_core::rac::client::Config::TCP,
+            rac: rac::client::Config::TCP,
             keep_alive: Some(Duration::from_secs(60)),
         }
     }
@@ -64,9 +66,26 @@ impl Options {
             tcp: Config { timing: Timing { attempt_timeout: timeout, ..self.tcp.timing }, ..self.tcp },
             udp: Config { timing: Timing { attempt_timeout: timeout, ..self.udp.timing }, ..self.udp },
             serial: Config { timing: Timing { attempt_timeout: timeout, ..self.serial.timing }, ..self.serial },
-            rac: bcap_core::rac::client::Config { timeout },
+            rac: rac::client::Config { timeout },
             ..self
         }
+    }
+
+    /// Makes a client for TCP.
+    pub(crate) fn tcp_client(&self) -> Client<Vec<u8>> {
+        Client::new(self.tcp, vec![0; STREAM_ROOM], vec![0; STREAM_ROOM])
+    }
+
+    /// Makes a client for UDP.
+    pub(crate) fn udp_client(&self) -> Client<Vec<u8>> {
+        let mut client = Client::new(self.udp, vec![0; DATAGRAM_ROOM], vec![0; DATAGRAM_ROOM]);
+        client.set_next_serial(random_serial());
+        client
+    }
+
+    /// Makes a client of RAC.
+    pub(crate) fn rac_client(&self) -> rac::Client<[u8; rac::MAX_VALUE]> {
+        rac::Client::new(self.rac, [0; rac::MAX_VALUE])
     }
 }
 
@@ -182,6 +201,14 @@ pub(crate) fn udp<A: ToSocketAddrs + Debug>(name: A) -> Result<UdpSocket, Connec
         socket.connect(address)?;
         Ok(socket)
     })
+}
+
+/// Makes a client for a serial line.
+#[cfg(feature = "serial")]
+pub(crate) fn serial_client(config: Config) -> Client<Vec<u8>> {
+    let mut client = Client::new(config, vec![0; STREAM_ROOM], vec![0; STREAM_ROOM]);
+    client.set_next_serial(random_serial());
+    client
 }
 
 /// The buffer for one datagram: one byte more than the limit, so that a longer datagram is detected.

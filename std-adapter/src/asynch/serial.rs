@@ -2,14 +2,13 @@
 
 use std::io;
 
-use bcap_core::bcap::Client;
 use bcap_core::time::Instant;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio_serial::{ClearBuffer, SerialPort, SerialStream};
 
 use super::{Connection, SendTransport, has_passed, within};
 use crate::clock::{now, until};
-use crate::connect::{self, ConnectError, Options, STREAM_ROOM};
+use crate::connect::{ConnectError, Options, serial_client};
 use crate::line::SerialLine;
 
 /// A client over a serial line.
@@ -29,9 +28,7 @@ pub fn connect_serial(line: &SerialLine, options: &Options) -> Result<SerialClie
     let failed = |error: tokio_serial::Error| ConnectError::Serial { path: line.path.clone(), source: error.into() };
     let port = SerialStream::open(&line.builder()).map_err(failed)?;
     port.clear(ClearBuffer::Input).map_err(failed)?;
-    let mut client = Client::new(line.config(options.serial), vec![0; STREAM_ROOM], vec![0; STREAM_ROOM]);
-    client.set_next_serial(connect::random_serial());
-    Ok(Connection::new(SerialTransport::new(port), client))
+    Ok(Connection::new(SerialTransport::new(port), serial_client(line.config(options.serial))))
 }
 
 /// A serial line as a transport; created by [`connect_serial`], or from any open port.

@@ -12,12 +12,12 @@ use tokio::net::TcpStream;
 use super::SerialTransport;
 use super::{Connection, SendTransport, TcpTransport, Transport, UdpTransport, connect_tcp, connect_udp};
 use crate::address::{Address, NetworkAddress, Protocol};
-use crate::blocking::socket::{self as blocking, Blocking};
-use crate::connect::{ConnectError, STREAM_ROOM};
+use crate::blocking::socket::Blocking;
+use crate::connect::ConnectError;
 use crate::settings::Settings;
 
 /// A TCP or UDP socket, a serial line, or a transport of the user.
-pub(super) enum Socket {
+pub(crate) enum Socket {
     Tcp(TcpTransport),
     Udp(UdpTransport),
     #[cfg(feature = "serial")]
@@ -32,7 +32,7 @@ pub(super) type SocketConnection = Connection<Socket, Vec<u8>>;
 pub(super) type BoxFuture<'a, T> = Pin<Box<dyn Future<Output = T> + Send + 'a>>;
 
 /// A [`SendTransport`] as a trait object.
-pub(super) trait Boxed: Send + Sync {
+pub(crate) trait Boxed: Send + Sync {
     fn now(&self) -> Instant;
     fn send<'a>(&'a mut self, bytes: &'a [u8], until: Instant) -> BoxFuture<'a, io::Result<Option<usize>>>;
     fn receive<'a>(&'a mut self, buffer: &'a mut [u8], until: Instant) -> BoxFuture<'a, io::Result<Option<usize>>>;
@@ -92,8 +92,7 @@ pub(super) fn over(
     stream: impl SendTransport<Error = io::Error> + Send + Sync + 'static,
     settings: &Settings,
 ) -> SocketConnection {
-    let client = Client::new(settings.socket_options().tcp, vec![0; STREAM_ROOM], vec![0; STREAM_ROOM]);
-    Connection::new(Socket::Other(Box::new(stream)), client)
+    Connection::new(Socket::Other(Box::new(stream)), settings.socket_options().tcp_client())
 }
 
 fn wrap<X: Transport>(connection: Connection<X, Vec<u8>>, socket: fn(X) -> Socket) -> SocketConnection {
@@ -105,16 +104,16 @@ impl Socket {
     /// Returns the same connection with calls that block, for the end of a session whose runtime has ended. `None` for a stream of
     /// the caller, and if the operating system refuses.
     pub(super) fn into_blocking(self, address: Option<&Address>) -> Option<Blocking> {
-        let socket = match self {
+        let blocking = match self {
             Self::Tcp(tcp) => {
                 let stream = std::net::TcpStream::from(SockRef::from(tcp.stream()).try_clone().ok()?);
                 stream.set_nonblocking(false).ok()?;
-                blocking::Socket::Tcp(crate::blocking::TcpTransport::new(stream))
+                Blocking::new(crate::blocking::TcpTransport::new(stream))
             }
             Self::Udp(udp) => {
                 let socket = std::net::UdpSocket::from(SockRef::from(udp.socket()).try_clone().ok()?);
                 socket.set_nonblocking(false).ok()?;
-                blocking::Socket::Udp(crate::blocking::UdpTransport::new(socket))
+                Blocking::new(crate::blocking::UdpTransport::new(socket))
             }
             #[cfg(feature = "serial")]
             Self::Serial(port) => {
@@ -122,12 +121,12 @@ impl Socket {
                 drop(port);
                 let Some(Address::Serial(line)) = address else { return None };
                 let connection = crate::blocking::connect_serial(line, &crate::Options::default()).ok()?;
-                blocking::Socket::Serial(connection.into_parts().0)
+                Blocking::new(connection.into_parts().0)
             }
             Self::Other(_) => return None,
         };
         let _ = address;
-        Some(Blocking::new(socket))
+        Some(blocking)
     }
 
     /// Waits until `at`, or for ever; returns whether the peer has closed the connection meanwhile.

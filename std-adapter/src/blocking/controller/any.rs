@@ -13,7 +13,7 @@ use bcap_core::variant::OwnedVariant;
 use super::Controller;
 use crate::address::Address;
 use crate::blocking::robot::Arm;
-use crate::blocking::socket::{ready, wrap_any};
+use crate::blocking::socket::{ready, wrap};
 use crate::blocking::{Connection, Transport};
 use crate::error::Error;
 use crate::path::ObjectPath;
@@ -48,7 +48,7 @@ impl Controller {
     where
         X: Transport<Error = io::Error> + Send + 'static,
     {
-        Self { session: Session::unopened(wrap_any(connection)), address: None, settings: Settings::new(Model::Rc8) }
+        Self { session: Session::unopened(wrap(connection)), address: None, settings: Settings::new(Model::Rc8) }
     }
 
     /// Sets where the drop connects once more if the connection was lost while this session had the arm, to halt the robot, switch
