@@ -34,7 +34,7 @@ use bcap_core::slave::{AxisLimits, Config, Engine, Format, MOVE_FRAME, Stats, St
 use bcap_core::time::Instant;
 use bcap_core::variant::{Encode, FromVariant, OwnedVariant};
 // the hasher of the standard library takes a seventh of the instructions of a read, against names that the caller chooses
-use foldhash::{HashMap, HashMapExt};
+use foldhash::HashMap;
 
 use crate::error::Error;
 use crate::moves::Move;
@@ -57,21 +57,33 @@ pub(crate) struct Session<X> {
     /// The session ID, unique within the process.
     pub(crate) id: u64,
     pub(crate) handle: ControllerHandle,
-    robot: Option<RobotHandle>,
     robot_name: Option<String>,
-    /// The handles of variables, by their owner and by name.
-    variables: HashMap<(Object, i32), HashMap<String, VariableHandle>>,
-    /// The handles of other objects, by the handle of their owner and by name.
-    objects: HashMap<(Object, i32, String), i32>,
-    /// All open objects, in the order in which they were opened, from the service on.
-    opened: Vec<(Object, i32)>,
+    objects: Objects,
     arm: ArmState,
-    /// The open variables that switch the motor.
-    motor_switches: Vec<VariableHandle>,
     /// Whether the end of the session leaves the arm as it is.
     keep: bool,
     /// The timing of the client without the limit that applies now.
     usual_timing: Option<Timing>,
+    link: LinkState,
+}
+
+/// The open objects of a session.
+#[derive(Debug, Default)]
+struct Objects {
+    robot: Option<RobotHandle>,
+    /// The handles of variables, by their owner and by name.
+    variables: HashMap<(Object, i32), HashMap<String, VariableHandle>>,
+    /// The handles of other objects, by the handle of their owner and by name.
+    others: HashMap<(Object, i32, String), i32>,
+    /// All open objects, in the order in which they were opened, from the service on.
+    opened: Vec<(Object, i32)>,
+    /// The open variables that switch the motor.
+    motor_switches: Vec<VariableHandle>,
+}
+
+/// Whether the link of a session works.
+#[derive(Debug, Default)]
+struct LinkState {
     /// Why the connection can no longer be used.
     lost: Option<String>,
     /// Since when no call had a reply.
@@ -111,8 +123,9 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         let opened = connection.run(procedure::open(provider)).await;
         let handle = opened.map_err(|error| Error::run(SESSION, error))?;
         let opened = vec![(Object::Service, 0), (Object::Controller, handle.0)];
+        let objects = Objects { opened, ..Objects::default() };
         let robot_name = settings.robot.clone();
-        Ok(Self { handle, robot_name, opened, keep: settings.keep, ..Self::unopened(connection) })
+        Ok(Self { handle, robot_name, objects, keep: settings.keep, ..Self::unopened(connection) })
     }
 
     /// Wraps a connection over which nothing is open.
@@ -122,24 +135,18 @@ impl<X: Transport<Error = io::Error>> Session<X> {
             connection,
             id: NEXT.fetch_add(1, Ordering::Relaxed),
             handle: ControllerHandle(0),
-            robot: None,
             robot_name: None,
-            variables: HashMap::new(),
-            objects: HashMap::new(),
-            opened: Vec::new(),
+            objects: Objects::default(),
             arm: ArmState::default(),
-            motor_switches: Vec::new(),
             keep: false,
             usual_timing: None,
-            lost: None,
-            silent_since: None,
-            is_closed: false,
+            link: LinkState::default(),
         }
     }
 
     /// Returns the handle of the robot, and opens it when it is first used.
     pub(crate) async fn robot(&mut self) -> Result<RobotHandle, Error> {
-        if let Some(handle) = self.robot {
+        if let Some(handle) = self.objects.robot {
             return Ok(handle);
         }
         let name = self.robot_name.take();
@@ -147,7 +154,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         let opened = self.open(Object::Controller, self.handle.0, step).await;
         self.robot_name = name;
         let handle = RobotHandle(opened?);
-        self.robot = Some(handle);
+        self.objects.robot = Some(handle);
         Ok(handle)
     }
 
@@ -185,26 +192,26 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     /// Records whether the link works, after a call with this error.
     fn observe(&mut self, error: Option<&CallError>) {
         let Some(error) = error.filter(|error| !matches!(error, CallError::Refused(_))) else {
-            self.silent_since = None;
+            self.link.silent_since = None;
             return;
         };
         let now = self.connection.transport().now();
-        self.silent_since.get_or_insert(now);
+        self.link.silent_since.get_or_insert(now);
         if !error.is_recoverable() {
-            self.lost.get_or_insert_with(|| error.to_string());
-            self.is_closed |= is_closed(error);
+            self.link.lost.get_or_insert_with(|| error.to_string());
+            self.link.is_closed |= is_closed(error);
         }
     }
 
     /// Records that the controller has closed the connection while no call ran.
     #[cfg(feature = "tokio")]
     pub(crate) const fn set_closed(&mut self) {
-        self.is_closed = true;
+        self.link.is_closed = true;
     }
 
     /// Returns why the connection can no longer be used, if so, as the error of a call that is not sent.
     pub(crate) fn lost(&self) -> Option<Error> {
-        self.lost.clone().map(|reason| Error::NotConnected { reason })
+        self.link.lost.clone().map(|reason| Error::NotConnected { reason })
     }
 
     /// Makes a call and converts its value.
@@ -281,11 +288,11 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     /// Returns the handle of a variable, and opens it when it is first used.
     pub(crate) async fn variable(&mut self, owner: Object, name: &str) -> Result<VariableHandle, Error> {
         let (owner, handle, name) = self.owner_of(owner, name).await?;
-        if let Some(known) = self.variables.get(&(owner, handle)).and_then(|names| names.get(&*name)) {
+        if let Some(known) = self.objects.variables.get(&(owner, handle)).and_then(|names| names.get(&*name)) {
             return Ok(*known);
         }
         let variable = VariableHandle(self.open(owner, handle, PathStep::variable(&name)).await?);
-        self.variables.entry((owner, handle)).or_default().insert(name.into_owned(), variable);
+        self.objects.variables.entry((owner, handle)).or_default().insert(name.into_owned(), variable);
         Ok(variable)
     }
 
@@ -297,11 +304,11 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     /// Returns the handle of an object of another one, and opens it when it is first used.
     async fn object_of(&mut self, owner: (Object, i32), step: PathStep<'_>) -> Result<i32, Error> {
         let key = (step.object, owner.1, step.name.unwrap_or_default().to_owned());
-        if let Some(known) = self.objects.get(&key) {
+        if let Some(known) = self.objects.others.get(&key) {
             return Ok(*known);
         }
         let handle = self.open(owner.0, owner.1, step).await?;
-        self.objects.insert(key, handle);
+        self.objects.others.insert(key, handle);
         Ok(handle)
     }
 
@@ -354,7 +361,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         let wrong = |error: PathError| Error::Reply { function, object: name.to_owned(), reason: error.to_string() };
         let opened = self.run(name, procedure::open_path(owner, &[step]).map_err(wrong)?).await?;
         let handle = opened.handle().unwrap_or_default();
-        self.opened.extend_from_slice(&opened);
+        self.objects.opened.extend_from_slice(&opened);
         Ok(handle)
     }
 
@@ -367,7 +374,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         // before the call, so that the arm is given back even if the call is abandoned
         self.arm.taken = true;
         let taken = self.run(ROBOT, procedure::prepare_robot(robot, [0, 1], false)).await;
-        if taken.is_err() && self.lost.is_none() {
+        if taken.is_err() && self.link.lost.is_none() {
             self.arm.taken = false;
         }
         taken
@@ -395,6 +402,19 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         motion: Option<Move>,
         until: Until,
     ) -> Result<MotionQueue, Error> {
+        let running = self.begin_queue(queue, motion, until).await?;
+        let queue = self.run(ROBOT, running).await?;
+        self.set_moving(queue.ended().is_none());
+        Ok(queue)
+    }
+
+    /// Returns the procedure that runs the motions of a queue, with one more if there is one.
+    async fn begin_queue(
+        &mut self,
+        queue: MotionQueue,
+        motion: Option<Move>,
+        until: Until,
+    ) -> Result<impl Procedure<Output = MotionQueue, Error = StepError> + Send + use<X>, Error> {
         if queue.is_new() {
             self.clear_way().await?;
         }
@@ -402,9 +422,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         let motion = self.aimed(motion).await?;
         self.set_moving(true);
         self.set_destination(queue.is_new(), motion.as_ref().map(|(_, target)| *target));
-        let queue = self.run(ROBOT, procedure::run_queue(handles, queue, motion, until)).await?;
-        self.set_moving(queue.ended().is_none());
-        Ok(queue)
+        Ok(procedure::run_queue(handles, queue, motion, until))
     }
 
     /// Returns the call that starts a motion, and where the motion ends; opens the variable of the destination.
@@ -479,18 +497,18 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     /// Gives the arm back, releases all objects in reverse order and stops the service, once. It ends at the first call
     /// without a reply.
     pub(crate) async fn release(&mut self) -> Result<(), Error> {
-        if self.lost.is_none()
+        if self.link.lost.is_none()
             && let Err(error) = self.end_arm().await
         {
             tracing::warn!(%error, "the arm was not given back");
         }
-        if self.lost.is_some() {
+        if self.link.lost.is_some() {
             return Ok(());
         }
-        self.lost = Some("it was closed".to_owned());
+        self.link.lost = Some("it was closed".to_owned());
         let timing = self.connection.client().timing();
         let timing = Timing { attempt_timeout: timing.attempt_timeout.min(CLOSE), deadline: CLOSE, ..timing };
-        for (object, handle) in std::mem::take(&mut self.opened).into_iter().rev() {
+        for (object, handle) in std::mem::take(&mut self.objects.opened).into_iter().rev() {
             match self.connection.call_with(Release { object, handle }, timing).await {
                 // an object that cannot be released does not exist
                 Ok(()) | Err(CallError::Refused(_)) => {}

@@ -12,7 +12,7 @@ use bcap_core::procedure;
 use bcap_core::variant::{Encode, FromVariant, OwnedVariant, Variant};
 
 use super::arm::{ArmEffect, ArmState};
-use super::{Release, Session, is_motor_switch};
+use super::{Objects, Release, Session, is_motor_switch};
 use crate::error::Error;
 use crate::path::ObjectPath;
 use crate::reply::OwnedReply;
@@ -82,7 +82,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
 
     /// Returns whether Controller_Connect has succeeded.
     pub(crate) fn is_connected(&self) -> bool {
-        self.opened.iter().any(|(object, _)| *object == Object::Controller)
+        self.objects.opened.iter().any(|(object, _)| *object == Object::Controller)
     }
 
     /// Makes a call, and returns its code and a copy of its value. Objects that it opens or releases are recorded.
@@ -117,12 +117,10 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         }
         let value = called?;
         match (function.opens(), function.releases()) {
-            (Some(Object::Service), _) => self.opened.push((Object::Service, 0)),
+            (Some(Object::Service), _) => self.objects.opened.push((Object::Service, 0)),
             (_, Some(Object::Service)) => {
-                self.opened.clear();
+                self.objects = Objects::default();
                 self.arm = ArmState::default();
-                self.motor_switches.clear();
-                self.forget_handles();
             }
             (Some(opened), _) => {
                 let first = self.connection.client().reply().and_then(|reply| reply.args.get(0));
@@ -145,9 +143,9 @@ impl<X: Transport<Error = io::Error>> Session<X> {
             self.handle = ControllerHandle(handle);
         }
         if object == Object::Variable && name.is_some_and(is_motor_switch) {
-            self.motor_switches.push(VariableHandle(handle));
+            self.objects.motor_switches.push(VariableHandle(handle));
         }
-        self.opened.push((object, handle));
+        self.objects.opened.push((object, handle));
     }
 
     /// Executes a command of the controller or a robot for the caller. Its effect on the arm is recorded, so that the end of the
@@ -169,7 +167,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         if function == FunctionId::VARIABLE_PUT_VALUE {
             let variable = VariableHandle(handle_of(&argument(0))?);
             let on = argument(1).as_bool() != Some(false);
-            return self.motor_switches.contains(&variable).then_some(ArmEffect::Motor(on));
+            return self.objects.motor_switches.contains(&variable).then_some(ArmEffect::Motor(on));
         }
         let command = argument(1).as_bstr().map(|command| command.to_string()).unwrap_or_default();
         ArmEffect::of(function, &command, argument(2))
@@ -180,7 +178,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         let takes = matches!(effect, ArmEffect::Take | ArmEffect::Motor(true)) && !self.has_arm();
         if takes && function == FunctionId::ROBOT_EXECUTE {
             // its effect is undone over the robot that has it
-            self.robot = arguments.first().and_then(handle).map(RobotHandle).or(self.robot);
+            self.objects.robot = arguments.first().and_then(handle).map(RobotHandle).or(self.objects.robot);
         }
         self.arm.begin(effect);
     }
@@ -222,7 +220,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     /// Undoes the effects on the robot before an object is released without which that is no longer possible.
     async fn end_arm_before(&mut self, released: Object, handle: Option<i32>) -> Result<(), Error> {
         let is_needed = match released {
-            Object::Robot => handle.map(RobotHandle) == self.robot,
+            Object::Robot => handle.map(RobotHandle) == self.objects.robot,
             Object::Service | Object::Controller => true,
             _ => false,
         };
@@ -241,15 +239,15 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         let opened = self.run(&name, opening).await?;
         let handle = opened.handle().unwrap_or(self.handle.0);
         if path.object() == Object::Variable && is_motor_switch(&name) {
-            self.motor_switches.push(VariableHandle(handle));
+            self.objects.motor_switches.push(VariableHandle(handle));
         }
-        self.opened.extend_from_slice(&opened);
+        self.objects.opened.extend_from_slice(&opened);
         Ok(handle)
     }
 
     /// Releases an object of this session; another handle is ignored.
     pub(crate) async fn release_object(&mut self, object: Object, handle: i32) -> Result<(), Error> {
-        if !self.opened.contains(&(object, handle)) {
+        if !self.objects.opened.contains(&(object, handle)) {
             return Ok(());
         }
         self.end_arm_before(object, Some(handle)).await?;
@@ -259,31 +257,31 @@ impl<X: Transport<Error = io::Error>> Session<X> {
 
     /// Removes an object that the controller has released.
     fn forget(&mut self, object: Object, handle: i32) {
-        self.opened.retain(|opened| *opened != (object, handle));
+        self.objects.opened.retain(|opened| *opened != (object, handle));
         match object {
             Object::Variable => {
-                self.variables.values_mut().for_each(|names| names.retain(|_, variable| variable.0 != handle));
-                self.motor_switches.retain(|variable| variable.0 != handle);
+                self.objects.variables.values_mut().for_each(|names| names.retain(|_, variable| variable.0 != handle));
+                self.objects.motor_switches.retain(|variable| variable.0 != handle);
             }
             Object::Robot | Object::Controller => {
                 // the controller gives the arm back with the robot that has it
-                if object == Object::Controller || self.robot == Some(RobotHandle(handle)) {
+                if object == Object::Controller || self.objects.robot == Some(RobotHandle(handle)) {
                     self.arm = self.arm.without_arm();
                 }
                 self.forget_handles();
             }
             _ => {
-                self.variables.remove(&(object, handle));
-                self.objects.retain(|(kind, ..), open| (*kind, *open) != (object, handle));
+                self.objects.variables.remove(&(object, handle));
+                self.objects.others.retain(|(kind, ..), open| (*kind, *open) != (object, handle));
             }
         }
     }
 
     /// Removes the handles that are kept for the next use. Their objects stay open until the end of the session.
     fn forget_handles(&mut self) {
-        self.robot = None;
-        self.variables.clear();
-        self.objects.clear();
+        self.objects.robot = None;
+        self.objects.variables.clear();
+        self.objects.others.clear();
     }
 }
 

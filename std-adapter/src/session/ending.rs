@@ -46,49 +46,17 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         change: impl FnOnce(X) -> Option<Y>,
     ) -> Option<Session<Y>> {
         self.set_limit(None);
-        let Self {
-            connection,
-            id,
-            handle,
-            robot,
-            robot_name,
-            variables,
-            objects,
-            opened,
-            arm,
-            motor_switches,
-            keep,
-            usual_timing,
-            lost,
-            silent_since,
-            is_closed,
-        } = self;
+        let Self { connection, id, handle, robot_name, objects, arm, keep, usual_timing, link } = self;
         let (transport, client) = connection.into_parts();
         let connection = Connection::new(change(transport)?, client);
-        Some(Session {
-            connection,
-            id,
-            handle,
-            robot,
-            robot_name,
-            variables,
-            objects,
-            opened,
-            arm,
-            motor_switches,
-            keep,
-            usual_timing,
-            lost,
-            silent_since,
-            is_closed,
-        })
+        Some(Session { connection, id, handle, robot_name, objects, arm, keep, usual_timing, link })
     }
 
     /// Returns, once, the effects that a lost session has left on the robot.
     pub(crate) fn take_left(&mut self) -> Option<Left> {
         let arm = std::mem::take(&mut self.arm);
-        let (is_closed, is_datagram) = (self.is_closed, self.outlasts_its_link());
-        let since = self.silent_since.unwrap_or_else(|| self.connection.transport().now());
+        let (is_closed, is_datagram) = (self.link.is_closed, self.outlasts_its_link());
+        let since = self.link.silent_since.unwrap_or_else(|| self.connection.transport().now());
         (arm.is_used() && !self.keep).then_some(Left { arm, since, is_closed, is_datagram })
     }
 
@@ -129,7 +97,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
             return stopped;
         }
         let given = self.run(ROBOT, procedure::give_arm(robot)).await;
-        if self.lost.is_none() && !is_busy(&given) {
+        if self.link.lost.is_none() && !is_busy(&given) {
             self.arm = self.arm.without_arm();
         }
         stopped.and(given)

@@ -52,7 +52,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
 
     fn not_ready(&mut self, before: ArmState, error: RunError<NotRecovered>) -> Result<(), Error> {
         let NotRecovered { step, error: failed, .. } = error.error;
-        if self.lost.is_none() || step == RecoveryStep::Examine {
+        if self.link.lost.is_none() || step == RecoveryStep::Examine {
             // the procedure has undone its effects
             self.arm = before;
         }

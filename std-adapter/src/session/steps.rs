@@ -4,7 +4,7 @@ use std::io;
 use std::ops::ControlFlow;
 
 use bcap_core::io::asynch::{Running, Transport};
-use bcap_core::procedure::{self, MotionQueue, Procedure, StepError, Until};
+use bcap_core::procedure::{MotionQueue, Procedure, StepError, Until};
 use bcap_core::time::Instant;
 
 use super::{ROBOT, Session};
@@ -30,14 +30,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         until: Until,
     ) -> Result<Running<impl Procedure<Output = MotionQueue, Error = StepError> + Send + use<X>, io::Error>, Error>
     {
-        if queue.is_new() {
-            self.clear_way().await?;
-        }
-        let handles = self.handles().await?;
-        let motion = self.aimed(motion).await?;
-        self.set_moving(true);
-        self.set_destination(queue.is_new(), motion.as_ref().map(|(_, target)| *target));
-        Ok(Running::new(procedure::run_queue(handles, queue, motion, until)))
+        self.begin_queue(queue, motion, until).await.map(Running::new)
     }
 
     /// Makes the calls of a motion until it waits or ends.
