@@ -1,7 +1,5 @@
 //! A robot at the other end of a serial line.
 
-use bcap_core::io::asynch::Transport;
-use bcap_core::time::Instant;
 use embedded_io_async::{Read, Write};
 
 use super::RobotLink;
@@ -26,28 +24,13 @@ impl<D: Read + Write> SerialRobot<D> {
     }
 }
 
-impl<D: Read + Write> Transport for SerialRobot<D> {
-    type Error = D::Error;
-
-    fn now(&self) -> Instant {
-        self.transport.now()
-    }
-
-    async fn send(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, D::Error> {
-        self.transport.send(bytes, until).await
-    }
-
-    async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, D::Error> {
-        self.transport.receive(buffer, until).await
-    }
-
-    async fn sleep_until(&mut self, at: Instant) {
-        self.transport.sleep_until(at).await;
-    }
-}
-
 impl<D: Read + Write> RobotLink for SerialRobot<D> {
+    type Transport = SerialTransport<D>;
     type Cause = NetError;
+
+    fn transport(&mut self) -> &mut SerialTransport<D> {
+        &mut self.transport
+    }
 
     async fn open(&mut self) -> Result<(), D::Error> {
         Ok(())

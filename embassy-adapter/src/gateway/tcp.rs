@@ -1,11 +1,8 @@
 //! Links to a robot over embassy-net.
 
-use bcap_core::io::asynch::Transport;
-use bcap_core::time::Instant;
 use embassy_net::{IpEndpoint, Stack};
 
 use super::RobotLink;
-use crate::clock::now;
 use crate::net::{NetError, Options, TcpTransport, UdpTransport};
 
 /// A link to the robot over TCP.
@@ -29,28 +26,13 @@ impl<'s> TcpRobot<'s> {
     }
 }
 
-impl Transport for TcpRobot<'_> {
-    type Error = NetError;
-
-    fn now(&self) -> Instant {
-        now()
-    }
-
-    async fn send(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, NetError> {
-        self.transport.send(bytes, until).await
-    }
-
-    async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, NetError> {
-        self.transport.receive(buffer, until).await
-    }
-
-    async fn sleep_until(&mut self, at: Instant) {
-        self.transport.sleep_until(at).await;
-    }
-}
-
-impl RobotLink for TcpRobot<'_> {
+impl<'s> RobotLink for TcpRobot<'s> {
+    type Transport = TcpTransport<'s>;
     type Cause = NetError;
+
+    fn transport(&mut self) -> &mut TcpTransport<'s> {
+        &mut self.transport
+    }
 
     async fn open(&mut self) -> Result<(), NetError> {
         self.transport.connect(self.peer).await
@@ -69,7 +51,12 @@ impl RobotLink for TcpRobot<'_> {
 ///
 /// UDP has no connection, so opening it succeeds even without a robot; only an answer shows that the robot is connected.
 impl RobotLink for UdpTransport<'_> {
+    type Transport = Self;
     type Cause = NetError;
+
+    fn transport(&mut self) -> &mut Self {
+        self
+    }
 
     async fn open(&mut self) -> Result<(), NetError> {
         Ok(())

@@ -8,6 +8,7 @@ use bcap_core::time::Instant;
 use bcap_gateway::driver::RobotLink;
 
 use super::traffic::{Moved, Tap};
+use crate::asynch::socket::Socket;
 use crate::asynch::{TcpTransport, UdpTransport, connect_datagrams, connect_stream};
 use crate::clock::{now, until};
 use crate::connect::Options;
@@ -24,19 +25,18 @@ pub(super) struct RobotSocket {
     pub(super) socket: Option<Socket>,
 }
 
-pub(super) enum Socket {
-    Stream(TcpTransport),
-    Datagrams(UdpTransport),
-}
-
 impl RobotSocket {
     fn show(&self, moved: Moved<'_>) {
         let ends = || match &self.socket {
-            Some(Socket::Stream(tcp)) => Ok((true, tcp.stream().local_addr()?, tcp.stream().peer_addr()?)),
-            Some(Socket::Datagrams(udp)) => Ok((false, udp.socket().local_addr()?, udp.socket().peer_addr()?)),
-            None => Err(io::ErrorKind::NotConnected.into()),
+            Some(Socket::Tcp(tcp)) => Ok((true, tcp.stream().local_addr()?, tcp.stream().peer_addr()?)),
+            Some(Socket::Udp(udp)) => Ok((false, udp.socket().local_addr()?, udp.socket().peer_addr()?)),
+            _ => Err(io::ErrorKind::NotConnected.into()),
         };
         self.tap.show(ends, moved);
+    }
+
+    fn open_socket(&mut self) -> io::Result<&mut Socket> {
+        self.socket.as_mut().ok_or_else(|| io::ErrorKind::NotConnected.into())
     }
 }
 
@@ -48,11 +48,7 @@ impl SendTransport for RobotSocket {
     }
 
     async fn send(&mut self, bytes: &[u8], until: Instant) -> io::Result<Option<usize>> {
-        let sent = match &mut self.socket {
-            Some(Socket::Stream(tcp)) => SendTransport::send(tcp, bytes, until).await?,
-            Some(Socket::Datagrams(udp)) => SendTransport::send(udp, bytes, until).await?,
-            None => return Err(io::ErrorKind::NotConnected.into()),
-        };
+        let sent = SendTransport::send(self.open_socket()?, bytes, until).await?;
         if let Some(count) = sent {
             self.show(Moved::Request(bytes.get(..count).unwrap_or(bytes)));
         }
@@ -60,11 +56,7 @@ impl SendTransport for RobotSocket {
     }
 
     async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> io::Result<Option<usize>> {
-        let received = match &mut self.socket {
-            Some(Socket::Stream(tcp)) => SendTransport::receive(tcp, buffer, until).await?,
-            Some(Socket::Datagrams(udp)) => SendTransport::receive(udp, buffer, until).await?,
-            None => return Err(io::ErrorKind::NotConnected.into()),
-        };
+        let received = SendTransport::receive(self.open_socket()?, buffer, until).await?;
         if let Some(count) = received
             && (count > 0 || self.kind == bcap::Link::Datagram)
         {
@@ -79,13 +71,18 @@ impl SendTransport for RobotSocket {
 }
 
 impl RobotLink for RobotSocket {
+    type Transport = Self;
     type Cause = io::Error;
+
+    fn transport(&mut self) -> &mut Self {
+        self
+    }
 
     async fn open(&mut self) -> io::Result<()> {
         let peer = (self.robot.0.as_str(), self.robot.1);
         self.socket = Some(match self.kind {
-            bcap::Link::Datagram => Socket::Datagrams(UdpTransport::new(connect_datagrams(peer).await?)),
-            _ => Socket::Stream(TcpTransport::new(connect_stream(peer, &self.options).await?)),
+            bcap::Link::Datagram => Socket::Udp(UdpTransport::new(connect_datagrams(peer).await?)),
+            _ => Socket::Tcp(TcpTransport::new(connect_stream(peer, &self.options).await?)),
         });
         Ok(())
     }

@@ -8,24 +8,32 @@ use bcap_core::io::asynch::Transport;
 use super::notify::first;
 use super::{Platform, SharedGateway};
 
-/// A transport to the robot that can be reopened.
-pub trait RobotLink: Transport {
+/// A link to the robot, whose transport can be reopened.
+pub trait RobotLink {
+    /// The transport.
+    type Transport: Transport;
     /// The reported part of an error.
     type Cause;
+
+    /// Returns the transport, to move bytes while it is open, and to wait at any time.
+    fn transport(&mut self) -> &mut Self::Transport;
 
     /// Opens a connection.
     ///
     /// # Errors
     ///
     /// When the connection cannot be opened.
-    fn open(&mut self) -> impl Future<Output = Result<(), Self::Error>>;
+    fn open(&mut self) -> impl Future<Output = Result<(), LinkError<Self>>>;
 
     /// Closes the connection without waiting.
     fn close(&mut self);
 
     /// Returns the reported part of an error; `None` stands for a connection that the robot has closed.
-    fn cause(error: Option<Self::Error>) -> Self::Cause;
+    fn cause(error: Option<LinkError<Self>>) -> Self::Cause;
 }
+
+/// The error of a link's transport.
+type LinkError<L> = <<L as RobotLink>::Transport as Transport>::Error;
 
 /// Runs the connection to the robot and polls the gateway at its deadlines, forever.
 ///
@@ -54,7 +62,8 @@ pub async fn run_robot<L: RobotLink, P: Platform<Cause = L::Cause>>(
             }
             (true, true) => transfer(robot.link, frame, shared).await,
             (false, false) => {
-                first(pin!(robot.link.sleep_until(shared.next_poll())), pin!(shared.wait_for_robot())).await;
+                first(pin!(robot.link.transport().sleep_until(shared.next_poll())), pin!(shared.wait_for_robot()))
+                    .await;
                 Ok(())
             }
         };
@@ -102,7 +111,7 @@ async fn transfer<L: RobotLink, P: Platform>(
     let to_send = shared.with(|shared| copy(&shared.gateway, frame)).unwrap_or_default();
     if to_send > 0 {
         let to_send = frame.get(..to_send).unwrap_or_default();
-        if let Some(sent) = link.send(to_send, until).await.map_err(|error| L::cause(Some(error)))? {
+        if let Some(sent) = link.transport().send(to_send, until).await.map_err(|error| L::cause(Some(error)))? {
             shared.with(|shared| shared.gateway.robot_transmitted(sent));
         }
         return Ok(());
@@ -111,7 +120,7 @@ async fn transfer<L: RobotLink, P: Platform>(
     let room = shared.with(|shared| shared.gateway.robot_receive_buffer().len()).unwrap_or_default();
     let len = room.min(frame.len());
     let room = frame.get_mut(..len).unwrap_or_default();
-    let moved = first(pin!(link.receive(room, until)), pin!(shared.wait_for_robot())).await;
+    let moved = first(pin!(link.transport().receive(room, until)), pin!(shared.wait_for_robot())).await;
     match moved {
         Some(Ok(Some(count))) => received::<L, P>(frame.get(..count).unwrap_or_default(), shared),
         Some(Ok(None)) | None => Ok(()),
