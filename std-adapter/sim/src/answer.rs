@@ -2,8 +2,9 @@
 
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
+use bcap_core::variant::{Encode, OwnedVariant};
 
-use crate::value::Value;
+use crate::value::owned;
 use crate::waits::Wait;
 
 /// The result of a call.
@@ -12,11 +13,11 @@ pub(crate) enum Answer {
     /// `S_OK` without a value.
     Done,
     /// `S_OK` with a value.
-    Value(Value),
+    Value(OwnedVariant),
     /// A code that refuses nothing: another success code than `S_OK`, or the failure of an event that was waited for.
     Code(HResult),
     /// A success code with a value.
-    Coded(HResult, Value),
+    Coded(HResult, OwnedVariant),
     /// The call has started something that takes time, and is answered when that ends.
     Until(Wait),
     /// The call is polled again at this time.
@@ -26,16 +27,21 @@ pub(crate) enum Answer {
 /// The result of a call, or the code with which it is refused.
 pub(crate) type Answered = Result<Answer, HResult>;
 
-impl From<Value> for Answer {
-    fn from(value: Value) -> Self {
+impl From<OwnedVariant> for Answer {
+    fn from(value: OwnedVariant) -> Self {
         Self::Value(value)
     }
 }
 
 impl Answer {
+    /// Makes `S_OK` with a value.
+    pub(crate) fn of(value: impl Encode) -> Answered {
+        owned(value).map(Self::Value)
+    }
+
     /// Makes an array of names.
-    pub(crate) fn names<T: Into<String>>(list: impl IntoIterator<Item = T>) -> Self {
-        Value::Texts(list.into_iter().map(Into::into).collect()).into()
+    pub(crate) fn names<T: Into<String>>(list: impl IntoIterator<Item = T>) -> Answered {
+        Self::of(list.into_iter().map(Into::into).collect::<Vec<String>>())
     }
 
     /// Makes `S_OK`, or `S_FALSE` for a call that had nothing to do.
@@ -46,7 +52,7 @@ impl Answer {
     /// Adds the EMPTY value that commands answer and other functions do not.
     pub(crate) fn of_command(self) -> Self {
         match self {
-            Self::Done => Value::Empty.into(),
+            Self::Done => OwnedVariant::EMPTY.into(),
             answer => answer,
         }
     }

@@ -23,7 +23,7 @@ use bcap_core::variant::Variant;
 
 use crate::answer::{Answer, Answered};
 use crate::table::Command;
-use crate::value::{Value, one_int};
+use crate::value::one_int;
 
 /// The name of the extension.
 pub(crate) const NAME: &str = "Comm";
@@ -49,14 +49,14 @@ pub(crate) const COMMANDS: &[Command<Run>] = &[
         comm.open.entry(line).or_default();
         Ok(Answer::Done)
     }),
-    command("State", |comm, line| Ok(Value::I4(if comm.open.contains_key(&line) { OPEN } else { CLOSED }).into())),
+    command("State", |comm, line| Answer::of(if comm.open.contains_key(&line) { OPEN } else { CLOSED })),
     command("count", |comm, line| {
         let bytes = comm.open.get(&line).map_or(0, waiting);
-        Ok(Value::I4(i32::try_from(bytes).unwrap_or(i32::MAX)).into())
+        Answer::of(i32::try_from(bytes).unwrap_or(i32::MAX))
     }),
     command("input", |comm, line| {
         let text = comm.opened(line)?.pop_front().ok_or(HResult::E_TIMEOUT)?;
-        Ok(Value::Text(text).into())
+        Answer::of(text)
     }),
     command("clear", |comm, line| {
         comm.opened(line)?.clear();

@@ -21,16 +21,16 @@ use bcap_core::bcap::FunctionId;
 use bcap_core::bcap::server::Request;
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
+use bcap_core::variant::OwnedVariant;
 
 use crate::answer::{Answer, Answered};
-use crate::value::{Value, keep};
+use crate::value::{ValueResult, keep};
 use crate::waits::Wait;
 
 /// The state of a command object.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct CommandObject {
-    /// Encoded; empty for EMPTY.
-    parameters: Vec<u8>,
+    parameters: OwnedVariant,
     /// Zero for no limit.
     timeout: Duration,
     progress: Progress,
@@ -45,50 +45,47 @@ enum Progress {
     NotYet,
     /// It runs until this event.
     Running(Wait),
-    /// With its result, encoded.
-    Done(Vec<u8>),
+    /// With its result.
+    Done(OwnedVariant),
     Failed(HResult),
 }
 
 impl CommandObject {
     /// Executes a function of the command object that only reads or sets its state.
     pub(crate) fn call(&mut self, request: &Request<'_>) -> Answered {
-        Ok(match request.function {
-            FunctionId::COMMAND_GET_TIMEOUT => {
-                Value::I4(i32::try_from(self.timeout.as_millis()).unwrap_or(i32::MAX)).into()
-            }
+        match request.function {
+            FunctionId::COMMAND_GET_TIMEOUT => Answer::of(i32::try_from(self.timeout.as_millis()).unwrap_or(i32::MAX)),
             FunctionId::COMMAND_PUT_TIMEOUT => {
                 let millis = u64::try_from(request.int(1)).map_err(|_| HResult::E_INVALIDARG)?;
                 self.timeout = Duration::from_millis(millis);
-                Answer::Done
+                Ok(Answer::Done)
             }
-            FunctionId::COMMAND_GET_STATE => Value::I4(match self.progress {
+            FunctionId::COMMAND_GET_STATE => Answer::of(match self.progress {
                 Progress::NotYet => 0,
                 Progress::Running(_) => 1,
                 Progress::Done(_) => 2,
                 Progress::Failed(_) => 3,
-            })
-            .into(),
-            FunctionId::COMMAND_GET_PARAMETERS => Value::Kept(self.parameters.clone()).into(),
+            }),
+            FunctionId::COMMAND_GET_PARAMETERS => Ok(self.parameters.clone().into()),
             FunctionId::COMMAND_PUT_PARAMETERS => {
                 self.parameters = keep(&request.value(1))?;
-                Answer::Done
+                Ok(Answer::Done)
             }
-            FunctionId::COMMAND_GET_RESULT => match &self.progress {
-                Progress::Done(result) => Value::Kept(result.clone()).into(),
+            FunctionId::COMMAND_GET_RESULT => Ok(match &self.progress {
+                Progress::Done(result) => result.clone().into(),
                 Progress::Failed(code) => Answer::Code(*code),
-                Progress::NotYet | Progress::Running(_) => Value::Empty.into(),
-            },
-            _ => return Err(HResult::E_NOTIMPL),
-        })
+                Progress::NotYet | Progress::Running(_) => OwnedVariant::EMPTY.into(),
+            }),
+            _ => Err(HResult::E_NOTIMPL),
+        }
     }
 
-    /// Starts an execution and returns its parameters, encoded.
+    /// Starts an execution and returns its parameters.
     ///
     /// # Errors
     ///
     /// `E_CAO_CMD_EXECUTE` while it runs.
-    pub(crate) fn begin(&mut self, now: Instant) -> Result<Vec<u8>, HResult> {
+    pub(crate) fn begin(&mut self, now: Instant) -> ValueResult {
         if self.running().is_some() {
             return Err(HResult::E_CAO_CMD_EXECUTE);
         }
@@ -118,9 +115,9 @@ impl CommandObject {
     pub(crate) fn record(&mut self, answered: &Answered) {
         self.progress = match answered {
             Ok(Answer::Until(wait)) => Progress::Running(*wait),
-            Ok(Answer::Value(value) | Answer::Coded(_, value)) => Progress::Done(value.encoded()),
+            Ok(Answer::Value(value) | Answer::Coded(_, value)) => Progress::Done(value.clone()),
             Ok(Answer::Code(code)) if code.is_err() => Progress::Failed(*code),
-            Ok(_) => Progress::Done(Vec::new()),
+            Ok(_) => Progress::Done(OwnedVariant::EMPTY),
             Err(code) => Progress::Failed(*code),
         };
     }
@@ -128,7 +125,7 @@ impl CommandObject {
     /// Records how a command has ended without a waiting call.
     pub(crate) fn end(&mut self, outcome: Result<(), HResult>) {
         self.progress = match outcome {
-            Ok(()) => Progress::Done(Vec::new()),
+            Ok(()) => Progress::Done(OwnedVariant::EMPTY),
             Err(code) => Progress::Failed(code),
         };
     }

@@ -48,7 +48,7 @@ use crate::answer::{Answer, Answered};
 use crate::context::Context;
 use crate::rules;
 use crate::table::Command;
-use crate::value::{Value, command_number, numbers, one_int, whole};
+use crate::value::{command_number, numbers, one_int, whole};
 use crate::waits::{Wait, Waits};
 
 /// The name of the extension.
@@ -138,7 +138,7 @@ pub(crate) const COMMANDS: &[Command<Run>] = &[
         hand.stop(HResult::E_ABORT, ctx.now, ctx.waits);
         Ok(Answer::Done)
     }),
-    command("CurPos", |hand, ctx, _| Ok(Value::R4(hand.position(ctx.now) as f32).into())),
+    command("CurPos", |hand, ctx, _| Answer::of(hand.position(ctx.now) as f32)),
     command("GetPoint", |_, _, param| match numbers(param)?[..] {
         [point, element] => element_of_point(whole(point)?, whole(element)?),
         _ => Err(HResult::E_INVALIDARG),
@@ -158,7 +158,7 @@ pub(crate) const COMMANDS: &[Command<Run>] = &[
 ];
 
 fn state(on: bool) -> Answered {
-    Ok(Value::I4(on.into()).into())
+    Answer::of(i32::from(on))
 }
 
 /// Returns where the fingers are at a point: the odd ones close, the even ones open.
@@ -171,15 +171,14 @@ fn element_of_point(point: i32, element: i32) -> Answered {
     if !POINTS.contains(&point) {
         return Err(HResult::E_INVALIDARG);
     }
-    Ok(match element {
-        0 => Value::I4(point % 2),
-        1 => Value::R4(place_of_point(point) as f32),
-        2 => Value::I4(100),
-        3 => Value::I4(50),
-        4 | 5 => Value::R4(0.0),
-        _ => return Err(HResult::E_INVALIDARG),
+    match element {
+        0 => Answer::of(point % 2),
+        1 => Answer::of(place_of_point(point) as f32),
+        2 => Answer::of(100),
+        3 => Answer::of(50),
+        4 | 5 => Answer::of(0.0_f32),
+        _ => Err(HResult::E_INVALIDARG),
     }
-    .into())
 }
 
 /// The fingers.

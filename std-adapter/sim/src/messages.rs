@@ -30,7 +30,6 @@ use bcap_core::time::Instant;
 use crate::answer::{Answer, Answered};
 use crate::config::Config;
 use crate::errors::description;
-use crate::value::Value;
 
 /// The largest number of messages that the controller keeps for a client.
 const WAITING: usize = 64;
@@ -117,23 +116,23 @@ impl Message {
 
     /// Executes a function of the message object.
     pub(crate) fn call(&self, config: &Config, function: FunctionId) -> Answered {
-        Ok(match (function, &self.content) {
+        match (function, &self.content) {
             (FunctionId::MESSAGE_GET_NUMBER | FunctionId::MESSAGE_GET_VALUE, Content::Error(code)) => {
-                Value::I4(code.0).into()
+                Answer::of(code.0)
             }
-            (FunctionId::MESSAGE_GET_NUMBER, Content::Text(_)) => Value::I4(0).into(),
-            (FunctionId::MESSAGE_GET_DESCRIPTION, Content::Error(code)) => Value::Text(description(*code)).into(),
+            (FunctionId::MESSAGE_GET_NUMBER, Content::Text(_)) => Answer::of(0),
+            (FunctionId::MESSAGE_GET_DESCRIPTION, Content::Error(code)) => Answer::of(description(*code)),
             (FunctionId::MESSAGE_GET_VALUE | FunctionId::MESSAGE_GET_DESCRIPTION, Content::Text(text)) => {
-                Value::from(text.as_str()).into()
+                Answer::of(text)
             }
-            (FunctionId::MESSAGE_GET_DATE_TIME, _) => Value::Date(config.date(self.at)?).into(),
-            (FunctionId::MESSAGE_GET_SERIAL_NUMBER, _) => Value::I4(self.serial).into(),
-            (FunctionId::MESSAGE_GET_SOURCE, _) if !self.source.is_empty() => Value::from(self.source.as_str()).into(),
-            (FunctionId::MESSAGE_GET_SOURCE, _) => Value::from(config.model.name.as_str()).into(),
-            (FunctionId::MESSAGE_GET_DESTINATION, _) => Value::from("").into(),
-            (FunctionId::MESSAGE_REPLY, _) => Answer::Code(HResult::S_FALSE),
-            (FunctionId::MESSAGE_CLEAR, _) => Answer::Done,
-            _ => return Err(HResult::E_NOTIMPL),
-        })
+            (FunctionId::MESSAGE_GET_DATE_TIME, _) => Answer::of(config.date(self.at)?),
+            (FunctionId::MESSAGE_GET_SERIAL_NUMBER, _) => Answer::of(self.serial),
+            (FunctionId::MESSAGE_GET_SOURCE, _) if !self.source.is_empty() => Answer::of(&self.source),
+            (FunctionId::MESSAGE_GET_SOURCE, _) => Answer::of(&config.model.name),
+            (FunctionId::MESSAGE_GET_DESTINATION, _) => Answer::of(""),
+            (FunctionId::MESSAGE_REPLY, _) => Ok(Answer::Code(HResult::S_FALSE)),
+            (FunctionId::MESSAGE_CLEAR, _) => Ok(Answer::Done),
+            _ => Err(HResult::E_NOTIMPL),
+        }
     }
 }

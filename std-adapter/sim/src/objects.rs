@@ -11,14 +11,14 @@ use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
-use bcap_core::variant::Variant;
+use bcap_core::variant::{OwnedVariant, Variant};
 
 use crate::answer::{Answer, Answered};
 use crate::comm;
 use crate::command_objects::CommandObject;
 use crate::hand;
 use crate::messages::Message;
-use crate::value::{Value, keep, one_int};
+use crate::value::{ValueResult, keep, one_int, owned};
 use crate::variables::{Family, Variables, is_wildcard};
 
 /// The longest name of an object, in bytes.
@@ -138,41 +138,41 @@ pub(crate) struct Entry {
     pub(crate) peer: PeerId,
     pub(crate) item: Item,
     pub(crate) name: String,
-    /// The value of PutTag, encoded.
-    tag: Option<Vec<u8>>,
-    /// The value of PutID, encoded; the index of a variable is in its [`VariableRef`].
-    id: Option<Vec<u8>>,
+    /// The value of PutTag.
+    tag: OwnedVariant,
+    /// The value of PutID; the index of a variable is in its [`VariableRef`].
+    id: OwnedVariant,
     /// When a variable was opened, or last read or written through this handle.
     pub(crate) stamp: Instant,
 }
 
 impl Entry {
     pub(crate) const fn new(peer: PeerId, item: Item, name: String, now: Instant) -> Self {
-        Self { peer, item, name, tag: None, id: None, stamp: now }
+        Self { peer, item, name, tag: OwnedVariant::EMPTY, id: OwnedVariant::EMPTY, stamp: now }
     }
 
     /// Executes a function that all objects have; `None` for another function.
     pub(crate) fn common(&mut self, request: &Request<'_>, variables: &Variables) -> Option<Answered> {
         Some(match CommonFunction::of(request.function)? {
-            CommonFunction::GetName => Ok(Value::from(self.name.as_str()).into()),
-            CommonFunction::GetHelp => Ok(Value::Text(self.help()).into()),
-            CommonFunction::GetAttribute => Ok(Value::I4(0).into()),
-            CommonFunction::GetTag => Ok(self.tag.clone().map_or(Value::Empty, Value::Kept).into()),
+            CommonFunction::GetName => Answer::of(&self.name),
+            CommonFunction::GetHelp => Answer::of(self.help()),
+            CommonFunction::GetAttribute => Answer::of(0),
+            CommonFunction::GetTag => Ok(self.tag.clone().into()),
             CommonFunction::PutTag => keep(&request.value(1)).map(|tag| {
-                self.tag = Some(tag);
+                self.tag = tag;
                 Answer::Done
             }),
-            CommonFunction::GetId => Ok(self.id().into()),
+            CommonFunction::GetId => self.id().map(Answer::Value),
             CommonFunction::PutId => self.put_id(&request.value(1), variables).map(|()| Answer::Done),
         })
     }
 
-    fn id(&self) -> Value {
+    fn id(&self) -> ValueResult {
         match self.item {
-            Item::Variable(VariableRef::User(_, n)) => Value::I4(n.cast_signed()),
-            Item::Variable(VariableRef::Wildcard(_, n)) => Value::I4(n.unwrap_or(0).cast_signed()),
-            Item::Variable(VariableRef::Definition(_, n)) => Value::I4(n.unwrap_or(0)),
-            _ => self.id.clone().map_or(Value::Empty, Value::Kept),
+            Item::Variable(VariableRef::User(_, n)) => owned(n.cast_signed()),
+            Item::Variable(VariableRef::Wildcard(_, n)) => owned(n.unwrap_or(0).cast_signed()),
+            Item::Variable(VariableRef::Definition(_, n)) => owned(n.unwrap_or(0)),
+            _ => Ok(self.id.clone()),
         }
     }
 
@@ -189,7 +189,7 @@ impl Entry {
             }
             // the index is part of the name
             Item::Variable(VariableRef::User(..)) => return Err(HResult::E_CAO_NOT_WRITABLE),
-            _ => self.id = Some(keep(id)?),
+            _ => self.id = keep(id)?,
         }
         Ok(())
     }

@@ -4,9 +4,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bcap_core::hresult::HResult;
-use bcap_core::variant::{Bstr, Variant};
+use bcap_core::variant::{Array, Element, FromVariant, OwnedVariant, VarType, Variant};
 
-use crate::value::{self, Value, kept, numbers_of_array, one_int, truth, whole};
+use crate::value::{ValueResult, number, numbers_of_array, one_int, owned, truth, whole};
 use crate::variables::{Family, Variables, parse_name};
 
 /// The program of a task. After its last step it begins again, or ends.
@@ -26,10 +26,10 @@ pub struct Program {
 
 /// The public variables of a program, for GetPublicValue and SetPublicValue of the controller.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct PublicValues(Vec<(String, Value)>);
+pub struct PublicValues(Vec<(String, OwnedVariant)>);
 
 impl PublicValues {
-    pub(crate) const fn new(list: Vec<(String, Value)>) -> Self {
+    pub(crate) const fn new(list: Vec<(String, OwnedVariant)>) -> Self {
         Self(list)
     }
 
@@ -38,14 +38,15 @@ impl PublicValues {
     }
 
     /// Returns a variable, or an element of an array.
-    pub(crate) fn get(&self, name: &str, index: Option<usize>) -> Result<Value, HResult> {
+    pub(crate) fn get(&self, name: &str, index: Option<usize>) -> ValueResult {
         let value = &self.0[self.place(name)?].1;
-        let Some(n) = index else { return Ok(value.clone()) };
-        match value {
-            Value::I4s(items) => items.get(n).copied().map(Value::I4).ok_or(HResult::DISP_E_BADINDEX),
-            Value::R8s(items) => items.get(n).copied().map(Value::R8).ok_or(HResult::DISP_E_BADINDEX),
-            Value::Texts(items) => items.get(n).cloned().map(Value::Text).ok_or(HResult::DISP_E_BADINDEX),
-            _ => Err(HResult::E_INVALIDARG),
+        match (value.as_variant(), index) {
+            (_, None) => Ok(value.clone()),
+            // a pose is one value
+            (Variant::Array(array), Some(n)) if array.element() != VarType::R4 => {
+                array.get(n).map(OwnedVariant::from).ok_or(HResult::DISP_E_BADINDEX)
+            }
+            (_, Some(_)) => Err(HResult::E_INVALIDARG),
         }
     }
 
@@ -53,35 +54,47 @@ impl PublicValues {
     pub(crate) fn put(&mut self, name: &str, index: Option<usize>, given: &Variant<'_>) -> Result<(), HResult> {
         let place = self.place(name)?;
         let present = &mut self.0[place].1;
-        match (present, index) {
-            (Value::I4s(items), Some(n)) => *items.get_mut(n).ok_or(HResult::DISP_E_BADINDEX)? = one_int(given)?,
-            (Value::R8s(items), Some(n)) => *items.get_mut(n).ok_or(HResult::DISP_E_BADINDEX)? = one(given)?,
-            (Value::Texts(items), Some(n)) => *items.get_mut(n).ok_or(HResult::DISP_E_BADINDEX)? = text(given)?,
-            (_, Some(_)) => return Err(HResult::E_INVALIDARG),
-            (Value::I4(item), None) => *item = one_int(given)?,
-            (Value::R8(item), None) => *item = one(given)?,
-            (Value::Bool(item), None) => *item = truth(given)?,
-            (Value::Text(item), None) => *item = text(given)?,
-            (Value::I4s(items), None) => {
-                let given: Result<Vec<_>, _> = numbers_of_array(given)?.into_iter().map(whole).collect();
-                *items = given.ok().filter(|given| given.len() == items.len()).ok_or(HResult::E_INVALIDARG)?;
+        *present = match (present.as_variant(), index) {
+            (Variant::Array(array), Some(n)) => match array.element() {
+                VarType::I4 => with_element(array, n, one_int(given)?),
+                VarType::R8 => with_element(array, n, one(given)?),
+                VarType::BSTR => with_element(array, n, text(given)?),
+                _ => Err(HResult::E_INVALIDARG),
+            },
+            (_, Some(_)) => Err(HResult::E_INVALIDARG),
+            (Variant::I4(_), None) => owned(one_int(given)?),
+            (Variant::R8(_), None) => owned(one(given)?),
+            (Variant::Bool(_), None) => owned(truth(given)?),
+            (Variant::Bstr(_), None) => owned(text(given)?),
+            (Variant::Array(array), None) if array.element() != VarType::BSTR => {
+                let numbers = numbers_of_array(given)?;
+                if numbers.len() != array.len() {
+                    return Err(HResult::E_INVALIDARG);
+                }
+                match array.element() {
+                    VarType::I4 => {
+                        let whole: Result<Vec<_>, _> = numbers.into_iter().map(whole).collect();
+                        owned(whole.map_err(|_| HResult::E_INVALIDARG)?)
+                    }
+                    VarType::R4 => owned(numbers.into_iter().map(|number| number as f32).collect::<Vec<_>>()),
+                    _ => owned(numbers),
+                }
             }
-            (Value::R8s(items), None) => {
-                let given = numbers_of_array(given)?;
-                *items = Some(given).filter(|given| given.len() == items.len()).ok_or(HResult::E_INVALIDARG)?;
-            }
-            (Value::R4s(items), None) => {
-                let given: Vec<_> = numbers_of_array(given)?.into_iter().map(|number| number as f32).collect();
-                *items = Some(given).filter(|given| given.len() == items.len()).ok_or(HResult::E_INVALIDARG)?;
-            }
-            _ => return Err(HResult::E_INVALIDARG),
-        }
+            _ => Err(HResult::E_INVALIDARG),
+        }?;
         Ok(())
     }
 }
 
+/// Copies an array with another value of an element.
+fn with_element<'a, T: FromVariant<'a> + Element>(array: Array<'a>, n: usize, element: T) -> ValueResult {
+    let mut items: Vec<T> = Variant::Array(array).convert().map_err(|_| HResult::E_INVALIDARGTYPE)?;
+    *items.get_mut(n).ok_or(HResult::DISP_E_BADINDEX)? = element;
+    owned(items)
+}
+
 fn one(given: &Variant<'_>) -> Result<f64, HResult> {
-    value::number(&given.flatten()).ok_or(HResult::E_INVALIDARGTYPE)
+    number(&given.flatten()).ok_or(HResult::E_INVALIDARGTYPE)
 }
 
 fn text(value: &Variant<'_>) -> Result<String, HResult> {
@@ -160,7 +173,7 @@ impl Assignment {
     ///
     /// The errors of Variable_PutValue.
     pub(crate) fn write(&self, variables: &mut Variables) -> Result<(), HResult> {
-        variables.put(self.family, self.index, &kept(&self.value.value().encoded()))
+        variables.put(self.family, self.index, &self.value.value()?.as_variant())
     }
 
     /// Adds the value to the variable.
@@ -169,12 +182,12 @@ impl Assignment {
     ///
     /// The errors of Variable_PutValue.
     pub(crate) fn add(&self, variables: &mut Variables) -> Result<(), HResult> {
-        let present = number(&variables.get(self.family, self.index)?);
+        let present = number(&variables.get(self.family, self.index)?.as_variant());
         let (Some(present), Constant::Number(more)) = (present, &self.value) else {
             return Err(HResult::E_INVALIDARGTYPE);
         };
-        let sum = Constant::Number(present + more).value();
-        variables.put(self.family, self.index, &kept(&sum.encoded()))
+        let sum = Constant::Number(present + more).value()?;
+        variables.put(self.family, self.index, &sum.as_variant())
     }
 
     /// Tells whether the variable has the value.
@@ -184,17 +197,16 @@ impl Assignment {
     /// `DISP_E_BADINDEX` for a variable that does not exist.
     pub(crate) fn holds(&self, variables: &Variables) -> Result<bool, HResult> {
         let present = variables.get(self.family, self.index)?;
-        Ok(match (&self.value, &present) {
-            (Constant::Bool(wanted), Value::Bool(on)) => wanted == on,
+        Ok(match (&self.value, present.as_variant()) {
+            (Constant::Bool(wanted), Variant::Bool(on)) => *wanted == on,
             // a variable F holds the nearest R4
-            (Constant::Number(wanted), Value::R4(n)) => *wanted as f32 == *n,
-            (Constant::Number(wanted), Value::Bool(on)) => (*wanted != 0.0) == *on,
-            (Constant::Number(wanted), other) => number(other) == Some(*wanted),
-            (Constant::Text(wanted), Value::Bstr(bytes)) => {
-                Bstr::from_utf16le(bytes).is_some_and(|text| text.to_string() == *wanted)
-            }
-            (Constant::Numbers(wanted), Value::R4s(numbers)) => {
-                wanted.len() == numbers.len() && wanted.iter().zip(numbers).all(|(a, b)| *a as f32 == *b)
+            (Constant::Number(wanted), Variant::R4(n)) => *wanted as f32 == n,
+            (Constant::Number(wanted), Variant::Bool(on)) => (*wanted != 0.0) == on,
+            (Constant::Number(wanted), other) => number(&other) == Some(*wanted),
+            (Constant::Text(wanted), Variant::Bstr(text)) => text.to_string() == *wanted,
+            (Constant::Numbers(wanted), Variant::Array(array)) => {
+                let nearest: Vec<_> = wanted.iter().map(|number| *number as f32).collect();
+                array.items::<f32>().is_some_and(|items| items.iter().eq(nearest))
             }
             _ => false,
         })
@@ -202,27 +214,15 @@ impl Assignment {
 }
 
 impl Constant {
-    fn value(&self) -> Value {
+    fn value(&self) -> ValueResult {
         match self {
-            Self::Bool(on) => Value::Bool(*on),
+            Self::Bool(on) => owned(*on),
             Self::Number(n) if n.fract() == 0.0 && (f64::from(i32::MIN)..=f64::from(i32::MAX)).contains(n) => {
-                Value::I4(*n as i32)
+                owned(*n as i32)
             }
-            Self::Number(n) => Value::R8(*n),
-            Self::Text(text) => Value::Text(text.clone()),
-            Self::Numbers(numbers) => Value::R8s(numbers.clone()),
+            Self::Number(n) => owned(*n),
+            Self::Text(text) => owned(text),
+            Self::Numbers(numbers) => owned(numbers),
         }
-    }
-}
-
-/// Returns the number of a value of a variable.
-fn number(value: &Value) -> Option<f64> {
-    match value {
-        Value::I2(n) => Some((*n).into()),
-        Value::I4(n) => Some((*n).into()),
-        Value::Ui1(n) => Some((*n).into()),
-        Value::R4(n) => Some((*n).into()),
-        Value::R8(n) => Some(*n),
-        _ => None,
     }
 }

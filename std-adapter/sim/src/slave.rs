@@ -78,7 +78,7 @@ use crate::pose::Pose;
 use crate::robot::{Percent, Robot};
 use crate::rules;
 use crate::stream::{Offered, SlaveMode, Stream};
-use crate::value::{Value, one_int};
+use crate::value::{ValueResult, one_int};
 use crate::waits::{Wait, Waits};
 use format::{Formats, Order, State};
 
@@ -144,7 +144,7 @@ impl Slave {
             Offered::Withheld => Ok(Answer::Until(Wait::Stored)),
             stored => {
                 order.write(&ctx.config.model.slave_io, ctx.variables);
-                let value = self.answer(robot, ctx, &order);
+                let value = self.answer(robot, ctx, &order)?;
                 let code = if stored == Offered::Full { HResult::S_BUF_FULL } else { HResult::S_OK };
                 Ok(Answer::Coded(code, value))
             }
@@ -155,7 +155,7 @@ impl Slave {
     pub(crate) fn stored(&self, robot: &Robot, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
         let order = self.order(ctx, param)?;
         order.write(&ctx.config.model.slave_io, ctx.variables);
-        Ok(self.answer(robot, ctx, &order).into())
+        self.answer(robot, ctx, &order).map(Answer::Value)
     }
 
     fn order(&self, ctx: &Context<'_>, param: &Variant<'_>) -> Result<Order, HResult> {
@@ -168,7 +168,7 @@ impl Slave {
         self.formats.get(&peer).copied().unwrap_or_default()
     }
 
-    fn answer(&self, robot: &Robot, ctx: &Context<'_>, order: &Order) -> Value {
+    fn answer(&self, robot: &Robot, ctx: &Context<'_>, order: &Order) -> ValueResult {
         let current = robot.stream().map_or([0.0; 8], Stream::current);
         let state =
             State { micros: ctx.now.as_micros(), axes: robot.axes(ctx.now), coordinates: robot.coordinates(), current };

@@ -1,100 +1,29 @@
-//! Owned values, as the controller keeps and answers them; and the readers of parameters.
+//! Values of answers, and the readers of parameters.
+//!
+//! The controller keeps and answers every value as an [`OwnedVariant`]: one encoding, made once, which the reply copies.
 
-use bcap_core::error::EncodeError;
-use bcap_core::handler::ReplyValue;
 use bcap_core::hresult::HResult;
-use bcap_core::limits::{Limits, MAX_DEPTH, Strictness};
-use bcap_core::variant::{Bstr, Encode, OleDate, Variant, Writer};
+use bcap_core::variant::{Encode, OwnedVariant, Variant};
 
-/// A value that owns its data; it is encoded as the VARTYPE of its name.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Value {
-    Empty,
-    I2(i16),
-    I4(i32),
-    Ui1(u8),
-    R4(f32),
-    R8(f64),
-    Bool(bool),
-    Date(OleDate),
-    Text(String),
-    /// A client's string, as its UTF-16LE bytes, so that invalid UTF-16 is not lost.
-    Bstr(Vec<u8>),
-    Ui1s(Vec<u8>),
-    I4s(Vec<i32>),
-    R4s(Vec<f32>),
-    R8s(Vec<f64>),
-    Texts(Vec<String>),
-    /// An array of VARIANT.
-    List(Vec<Value>),
-    /// A client's value of any type, as [`keep`] encoded it.
-    Kept(Vec<u8>),
-}
+/// A value, or the code with which its call is refused.
+pub(crate) type ValueResult = Result<OwnedVariant, HResult>;
 
-impl Encode for Value {
-    fn encode(&self, out: &mut Writer<'_>) -> Result<(), EncodeError> {
-        match self {
-            Self::Empty => ().encode(out),
-            Self::I2(n) => n.encode(out),
-            Self::I4(n) => n.encode(out),
-            Self::Ui1(n) => n.encode(out),
-            Self::R4(n) => n.encode(out),
-            Self::R8(n) => n.encode(out),
-            Self::Bool(b) => b.encode(out),
-            Self::Date(date) => date.encode(out),
-            Self::Text(text) => text.as_str().encode(out),
-            Self::Bstr(bytes) => Bstr::from_utf16le(bytes).unwrap_or_default().encode(out),
-            Self::Ui1s(items) => items.as_slice().encode(out),
-            Self::I4s(items) => items.as_slice().encode(out),
-            Self::R4s(items) => items.as_slice().encode(out),
-            Self::R8s(items) => items.as_slice().encode(out),
-            Self::Texts(items) => items.iter().map(String::as_str).collect::<Vec<_>>().as_slice().encode(out),
-            Self::List(items) => items.iter().map(|i| i as &dyn Encode).collect::<Vec<_>>().as_slice().encode(out),
-            Self::Kept(bytes) => kept(bytes).encode(out),
-        }
-    }
-}
-
-impl Value {
-    /// Returns its encoding; empty when it cannot be sent.
-    pub(crate) fn encoded(&self) -> Vec<u8> {
-        let mut size = 256;
-        while size <= 16 << 20 {
-            let mut buffer = vec![0; size];
-            let mut copy = ReplyValue::new(&mut buffer);
-            if copy.set(self as &dyn Encode).is_ok() {
-                return copy.as_bytes().to_vec();
-            }
-            size *= 4;
-        }
-        Vec::new()
-    }
-}
-
-impl From<&str> for Value {
-    fn from(text: &str) -> Self {
-        Self::Text(text.to_owned())
-    }
+/// Encodes a value; the VARTYPE is that of its Rust type.
+///
+/// # Errors
+///
+/// `E_TOO_MUCH_DATA` when no frame can carry the value.
+pub(crate) fn owned(value: impl Encode) -> ValueResult {
+    OwnedVariant::new(&value).map_err(|_| HResult::E_TOO_MUCH_DATA)
 }
 
 /// The largest encoding of a tag, an ID or the parameters of a command, in bytes. Every object may have them.
 const KEPT_MAX: usize = 4096;
 
-/// Encodes a client's value of any type.
-pub(crate) fn keep(value: &Variant<'_>) -> Result<Vec<u8>, HResult> {
-    let mut buffer = [0; KEPT_MAX];
-    let mut copy = ReplyValue::new(&mut buffer);
-    match copy.set(value) {
-        Ok(()) => Ok(copy.as_bytes().to_vec()),
-        Err(EncodeError::Full) => Err(HResult::E_OUTOFMEMORY),
-        Err(_) => Err(HResult::E_INVALIDARGTYPE),
-    }
-}
-
-/// Views a value that [`keep`] has encoded.
-pub(crate) fn kept(bytes: &[u8]) -> Variant<'_> {
-    let limits = Limits { depth: MAX_DEPTH, ..Limits::STREAM };
-    Variant::decode(bytes, &limits, Strictness::Strict).unwrap_or(Variant::Empty)
+/// Copies a client's value of any type.
+pub(crate) fn keep(value: &Variant<'_>) -> ValueResult {
+    let copy = OwnedVariant::new(value).map_err(|_| HResult::E_INVALIDARGTYPE)?;
+    if copy.as_bytes().len() <= KEPT_MAX { Ok(copy) } else { Err(HResult::E_OUTOFMEMORY) }
 }
 
 /// The largest array and the largest text that a command accepts as numbers: reading them delays all other calls.
@@ -210,9 +139,15 @@ mod tests {
     fn kept_values_come_back_whole() {
         let long = "x".repeat(1000);
         let value = VariantBuf::<4096>::new(&(1, long.as_str(), [1.5_f64])).unwrap();
-        let bytes = keep(&value.as_variant()).unwrap();
-        assert_eq!(bytes, value.as_bytes());
-        assert_eq!(VariantBuf::<4096>::new(&Value::Kept(bytes)).unwrap(), value);
+        assert_eq!(keep(&value.as_variant()).unwrap().as_bytes(), value.as_bytes());
+    }
+
+    #[test]
+    fn a_value_above_4096_bytes_is_not_kept() {
+        let bytes = |count: usize| owned(vec![7_u8; count]).unwrap();
+        let largest = bytes(KEPT_MAX - 6);
+        assert_eq!(keep(&largest.as_variant()), Ok(largest.clone()));
+        assert_eq!(keep(&bytes(KEPT_MAX - 5).as_variant()), Err(HResult::E_OUTOFMEMORY));
     }
 
     #[test]

@@ -23,9 +23,9 @@
 
 use bcap_core::hresult::HResult;
 use bcap_core::rac::VariableKind as Kind;
-use bcap_core::variant::Variant;
+use bcap_core::variant::{Bstr, Variant};
 
-use crate::value::{Value, number, whole};
+use crate::value::{ValueResult, number, numbers_of_array, owned, whole};
 
 /// The number of variables of each kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -257,23 +257,23 @@ impl Variables {
         if end <= len { Ok(index) } else { Err(HResult::DISP_E_BADINDEX) }
     }
 
-    pub(crate) fn get(&self, family: Family, index: u32) -> Result<Value, HResult> {
+    pub(crate) fn get(&self, family: Family, index: u32) -> ValueResult {
         let n = self.check(family, index)?;
-        Ok(match family {
-            Family::Plain(Kind::I) => Value::I4(self.i[n]),
-            Family::Plain(Kind::F) => Value::R4(self.f[n]),
-            Family::Plain(Kind::D) => Value::R8(self.d[n]),
-            Family::Plain(Kind::V) => Value::R4s(self.v[n].to_vec()),
-            Family::Plain(Kind::P) => Value::R4s(self.p[n].to_vec()),
-            Family::Plain(Kind::J) => Value::R4s(self.j[n].to_vec()),
-            Family::Plain(Kind::T) => Value::R4s(self.t[n].to_vec()),
-            Family::Plain(Kind::S) => Value::Bstr(self.s[n].clone()),
-            Family::Plain(Kind::Io) => Value::Bool(self.io[n]),
-            Family::Byte => Value::Ui1(self.bits(n, 8) as u8),
-            Family::Word => Value::I2((self.bits(n, 16) as u16).cast_signed()),
-            Family::Dword => Value::I4(self.bits(n, 32).cast_signed()),
-            Family::Float => Value::R4(f32::from_bits(self.bits(n, 32))),
-        })
+        match family {
+            Family::Plain(Kind::I) => owned(self.i[n]),
+            Family::Plain(Kind::F) => owned(self.f[n]),
+            Family::Plain(Kind::D) => owned(self.d[n]),
+            Family::Plain(Kind::V) => owned(self.v[n]),
+            Family::Plain(Kind::P) => owned(self.p[n]),
+            Family::Plain(Kind::J) => owned(self.j[n]),
+            Family::Plain(Kind::T) => owned(self.t[n]),
+            Family::Plain(Kind::S) => Ok(Variant::Bstr(Bstr::from_utf16le(&self.s[n]).unwrap_or_default()).into()),
+            Family::Plain(Kind::Io) => owned(self.io[n]),
+            Family::Byte => owned(self.bits(n, 8) as u8),
+            Family::Word => owned((self.bits(n, 16) as u16).cast_signed()),
+            Family::Dword => owned(self.bits(n, 32).cast_signed()),
+            Family::Float => owned(f32::from_bits(self.bits(n, 32))),
+        }
     }
 
     pub(crate) fn put(&mut self, family: Family, index: u32, value: &Variant<'_>) -> Result<(), HResult> {
@@ -307,10 +307,7 @@ impl Variables {
 
     /// Returns the numbers of a P, J or T variable.
     pub(crate) fn pose(&self, kind: Kind, index: u32) -> Result<Vec<f64>, HResult> {
-        match self.get(Family::Plain(kind), index)? {
-            Value::R4s(numbers) => Ok(numbers.into_iter().map(f64::from).collect()),
-            _ => Err(HResult::E_INVALIDARG),
-        }
+        numbers_of_array(&self.get(Family::Plain(kind), index)?.as_variant())
     }
 
     /// Reads a number in text, or the I, F or D variable that the text names.
@@ -319,10 +316,9 @@ impl Variables {
             return Ok(number);
         }
         let (family, index) = parse_name(text).ok_or(HResult::E_INVALIDARG)?;
-        match self.get(family, index.ok_or(HResult::E_INVALIDARG)?)? {
-            Value::I4(n) if family == Family::Plain(Kind::I) => Ok(n.into()),
-            Value::R4(n) if family == Family::Plain(Kind::F) => Ok(n.into()),
-            Value::R8(n) => Ok(n),
+        let value = self.get(family, index.ok_or(HResult::E_INVALIDARG)?)?;
+        match family {
+            Family::Plain(Kind::I | Kind::F | Kind::D) => number(&value.as_variant()).ok_or(HResult::E_INVALIDARG),
             _ => Err(HResult::E_INVALIDARG),
         }
     }
@@ -439,16 +435,16 @@ mod tests {
     fn views_share_the_bits_of_io() {
         let mut vars = Variables::new(&Sizes::default());
         vars.put(Family::Word, 16, &Variant::I4(-2)).unwrap();
-        assert_eq!(vars.get(Family::Word, 16), Ok(Value::I2(-2)));
-        assert_eq!(vars.get(Family::Byte, 16), Ok(Value::Ui1(0xfe)));
-        assert_eq!(vars.get(Family::Plain(Kind::Io), 16), Ok(Value::Bool(false)));
-        assert_eq!(vars.get(Family::Plain(Kind::Io), 31), Ok(Value::Bool(true)));
+        assert_eq!(vars.get(Family::Word, 16), owned(-2_i16));
+        assert_eq!(vars.get(Family::Byte, 16), owned(0xfe_u8));
+        assert_eq!(vars.get(Family::Plain(Kind::Io), 16), owned(false));
+        assert_eq!(vars.get(Family::Plain(Kind::Io), 31), owned(true));
         vars.put(Family::Word, 16, &Variant::I4(0x8001)).unwrap();
-        assert_eq!(vars.get(Family::Dword, 12), Ok(Value::I4(0x8001 << 4)));
+        assert_eq!(vars.get(Family::Dword, 12), owned(0x8001 << 4));
         assert_eq!(vars.put(Family::Word, 16, &Variant::I4(0x1_0000)), Err(HResult::DISP_E_OVERFLOW));
         vars.put(Family::Float, 64, &Variant::R4(-1.5)).unwrap();
-        assert_eq!(vars.get(Family::Float, 64), Ok(Value::R4(-1.5)));
-        assert_eq!(vars.get(Family::Dword, 64), Ok(Value::I4((-1.5_f32).to_bits().cast_signed())));
+        assert_eq!(vars.get(Family::Float, 64), owned(-1.5_f32));
+        assert_eq!(vars.get(Family::Dword, 64), owned((-1.5_f32).to_bits().cast_signed()));
         assert_eq!(vars.get(Family::Dword, 481), Err(HResult::DISP_E_BADINDEX));
         assert!(vars.get(Family::Dword, 480).is_ok());
     }

@@ -24,7 +24,7 @@ use crate::areas::{ENABLED, IO, SIDES};
 use crate::context::Context;
 use crate::pose::{Pose, vector};
 use crate::rules;
-use crate::value::{Value, numbers_of_array, one_int, truth};
+use crate::value::{numbers_of_array, one_int, truth};
 
 /// Executes SetAreaDef.
 pub(super) fn define(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
@@ -63,17 +63,17 @@ pub(super) fn enable(arm: &mut Arm, ctx: &mut Context<'_>, enabled: Option<bool>
 
 /// Executes GetAreaDef.
 pub(super) fn definition(arm: &mut Arm, _: &mut Context<'_>, param: &Variant<'_>) -> Answered {
-    Ok(Value::R8s(arm.areas.get(one_int(param)?)?.to_vec()).into())
+    Answer::of(arm.areas.get(one_int(param)?)?)
 }
 
 /// Executes AreaSize.
 pub(super) fn size(arm: &mut Arm, _: &mut Context<'_>, param: &Variant<'_>) -> Answered {
-    Ok(Value::R8s(arm.areas.get(one_int(param)?)?[SIDES..SIDES + 3].to_vec()).into())
+    Answer::of(arm.areas.get(one_int(param)?)?[SIDES..SIDES + 3].to_vec())
 }
 
 /// Executes GetAreaEnabled.
 pub(super) fn is_enabled(arm: &mut Arm, _: &mut Context<'_>, param: &Variant<'_>) -> Answered {
-    Ok(Value::Bool(arm.areas.get(one_int(param)?)?[ENABLED] != 0.0).into())
+    Answer::of(arm.areas.get(one_int(param)?)?[ENABLED] != 0.0)
 }
 
 fn item<'v>(array: Array<'v>, n: usize) -> Variant<'v> {

@@ -17,7 +17,7 @@ use crate::objects::DefinitionKind;
 use crate::robot::{Percent, percent, tool, work};
 use crate::rules;
 use crate::table::Command;
-use crate::value::Value;
+use crate::value::{ValueResult, owned};
 use crate::waits::Wait;
 
 /// The interpolation of Robot_Move along the points of a path.
@@ -71,11 +71,11 @@ impl Arm {
     }
 
     /// Returns the numbers of a definition.
-    pub(crate) fn numbers(&self, kind: DefinitionKind, number: i32) -> Result<Value, HResult> {
+    pub(crate) fn numbers(&self, kind: DefinitionKind, number: i32) -> ValueResult {
         match kind {
             DefinitionKind::Tool => poses::numbers_of(self, Definition::Tool, number),
             DefinitionKind::Work => poses::numbers_of(self, Definition::Work, number),
-            DefinitionKind::Area => self.areas.get(number).map(|area| Value::R8s(area.to_vec())),
+            DefinitionKind::Area => owned(self.areas.get(number)?),
         }
     }
 
@@ -122,7 +122,7 @@ impl Arm {
 
     fn run(&mut self, handler: Handler, ctx: &mut Context<'_>, request: &Request<'_>) -> Answered {
         match handler {
-            Handler::Read(reading) => Ok(reading(self, ctx).into()),
+            Handler::Read(reading) => reading(self, ctx).map(Answer::Value),
             Handler::Execute(execute) => execute(self, ctx, &request.value(2)),
         }
     }

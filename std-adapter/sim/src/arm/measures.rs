@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use bcap_core::hresult::HResult;
-use bcap_core::variant::Variant;
+use bcap_core::variant::{Bstr, Encode, Variant};
 
 use super::Arm;
 use crate::answer::{Answer, Answered};
@@ -13,7 +13,7 @@ use crate::path::{LINE_SPEED, TURN_SPEED};
 use crate::pose::vector;
 use crate::robot::Load;
 use crate::rules;
-use crate::value::{Value, numbers, one_int, whole};
+use crate::value::{numbers, one_int, whole};
 
 /// The time over which a speed is measured.
 const SPEED_TIME: Duration = Duration::from_millis(1);
@@ -25,18 +25,19 @@ pub(super) fn log_record(arm: &Arm, param: &Variant<'_>) -> Answered {
     let mut items = Vec::new();
     for angle in measured(point.axes) {
         // commanded position, position, current, load
-        items.extend([angle, angle, 0.0, 0.0].map(Value::R8));
+        items.extend([angle, angle, 0.0, 0.0].map(Variant::R8));
     }
     // the counter wraps as a counter of 32 bits does
     let millis = (point.at.as_micros() / 1000) as i32;
-    items.extend([Value::I4(0), Value::I4(0), Value::from(""), Value::I4(0), Value::I4(millis)]);
-    items.extend([Value::I4(point.tool), Value::I4(point.work)]);
-    Ok(Value::List(items).into())
+    let name = Variant::Bstr(Bstr::default());
+    items.extend([Variant::I4(0), Variant::I4(0), name, Variant::I4(0), Variant::I4(millis)]);
+    items.extend([point.tool, point.work].map(Variant::I4));
+    Answer::of(items)
 }
 
 /// Executes GetSrvData.
 pub(super) fn servo_data(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
-    Ok(Value::R8s(measured(axes_data(arm, ctx, one_int(param)?)?)).into())
+    Answer::of(measured(axes_data(arm, ctx, one_int(param)?)?))
 }
 
 /// Executes GetAllSrvData: eight arrays, of which a public program names \[2\], the joints, \[4\], speeds in revolutions per
@@ -44,12 +45,10 @@ pub(super) fn servo_data(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'
 /// decision; such an answer fits a datagram.
 pub(super) fn all_servo_data(arm: &mut Arm, ctx: &mut Context<'_>, _: &Variant<'_>) -> Answered {
     let speeds = axes_data(arm, ctx, 1)?.map(|speed| speed / 6.0);
-    let arrays = (0..8).map(|n| match n {
-        2 => arm.robot.axes(ctx.now),
-        4 => speeds,
-        _ => [0.0; 8],
-    });
-    Ok(Value::List(arrays.map(|array| Value::R4s(array.map(|n| n as f32).to_vec())).collect()).into())
+    let mut arrays = [[0.0_f32; 8]; 8];
+    arrays[2] = arm.robot.axes(ctx.now).map(|angle| angle as f32);
+    arrays[4] = speeds.map(|speed| speed as f32);
+    Answer::of(arrays.each_ref().map(|array| array as &dyn Encode))
 }
 
 /// The deviation of a joint while the motor is on, in GetSrvData 2: a public program takes 0 for a motor that is off.
@@ -62,7 +61,7 @@ pub(super) fn axis_data(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_
         return Err(HResult::E_INVALIDARG);
     };
     let data = axes_data(arm, ctx, number)?;
-    Ok(Value::R4(data[axis.unsigned_abs() as usize - 1] as f32).into())
+    Answer::of(data[axis.unsigned_abs() as usize - 1] as f32)
 }
 
 /// Returns the servo data of a number. The arm follows its commands exactly, and has no mass.
@@ -115,7 +114,7 @@ fn percentage(speed: f64, full: f64) -> Answered {
     if !speed.is_finite() {
         return Err(HResult::E_INVALIDARG);
     }
-    Ok(Value::R4((speed / full * 100.0) as f32).into())
+    Answer::of((speed / full * 100.0) as f32)
 }
 
 /// Executes SetHandIO: `[first, value, count]`.
@@ -133,7 +132,7 @@ pub(super) fn set_hand_io(_: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_
 pub(super) fn hand_io(_: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
     let [first, count] = numbers(param)?[..] else { return Err(HResult::E_INVALIDARG) };
     let bits = io_range(ctx, first, count)?.rev().fold(0, |bits, n| bits << 1 | i32::from(ctx.variables.io(n)));
-    Ok(Value::I4(bits).into())
+    Answer::of(bits)
 }
 
 /// Checks a range of at most 32 IO.

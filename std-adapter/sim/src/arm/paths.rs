@@ -18,7 +18,7 @@ use crate::kinematics::measured;
 use crate::paths::{POINTS_MAX, PathPoint, place};
 use crate::pose::Pose;
 use crate::rules;
-use crate::value::{Value, numbers, one_int, whole};
+use crate::value::{numbers, one_int, whole};
 
 /// Executes AddPathPoint.
 pub(super) fn add(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
@@ -49,11 +49,11 @@ pub(super) fn point(arm: &mut Arm, _: &mut Context<'_>, param: &Variant<'_>) -> 
     let points = arm.paths.path(whole(path)?)?;
     let PathPoint { frame, fig } = place(whole(point)?).and_then(|n| points.get(n)).ok_or(HResult::DISP_E_BADINDEX)?;
     let [x, y, z, rx, ry, rz] = frame.to_xyz_rpy();
-    Ok(Value::R8s(measured([x, y, z, rx, ry, rz, *fig])).into())
+    Answer::of(measured([x, y, z, rx, ry, rz, *fig]))
 }
 
 /// Executes GetPathPointCount.
 pub(super) fn count(arm: &mut Arm, _: &mut Context<'_>, param: &Variant<'_>) -> Answered {
     let points = arm.paths.path(one_int(param)?)?.len();
-    Ok(Value::I4(i32::try_from(points).unwrap_or(i32::MAX)).into())
+    Answer::of(i32::try_from(points).unwrap_or(i32::MAX))
 }

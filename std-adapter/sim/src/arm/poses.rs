@@ -13,7 +13,7 @@ use crate::kinematics::{Frame, OutOfReach, angle, measured, pose_numbers};
 use crate::pose::Pose;
 use crate::robot::{Robot, tool, work};
 use crate::rules;
-use crate::value::{Value, one_int, whole};
+use crate::value::{ValueResult, one_int, owned, whole};
 
 /// Converts a pose to another kind; of several postures, takes the nearest to the robot's.
 pub(super) fn convert(arm: &Arm, ctx: &Context<'_>, from: Kind, to: Kind, param: &Variant<'_>) -> Answered {
@@ -21,13 +21,12 @@ pub(super) fn convert(arm: &Arm, ctx: &Context<'_>, from: Kind, to: Kind, param:
     let pose = Pose::parse_as(from, param, ctx.variables)?;
     let coordinates = arm.robot.coordinates();
     let joints = coordinates.flange(pose).joints(&coordinates.arm, &near).map_err(OutOfReach::of_conversion)?;
-    Ok(Value::R8s(match (to, pose) {
+    Answer::of(match (to, pose) {
         (Kind::P, Pose::Frame(frame, _)) => pose_numbers(&frame, coordinates.arm.figure(&joints)),
         (Kind::P, Pose::Joints(_)) => coordinates.position(&joints),
         (Kind::T, _) => coordinates.trans(&joints),
         _ => angle(&joints),
     })
-    .into())
 }
 
 /// Executes Dev or DevH: a pose moved and turned by an offset in work or tool coordinates.
@@ -40,7 +39,7 @@ pub(super) fn deviation(arm: &Arm, ctx: &Context<'_>, param: &Variant<'_>, of_fl
     let Pose::Frame(offset, _) = pose_of(&offset, ctx)? else { return Err(HResult::E_INVALIDARG) };
     let moved = if of_flange { pose.times(&offset) } else { pose.displaced(&offset) };
     let [x, y, z, rx, ry, rz] = moved.to_xyz_rpy();
-    Ok(Value::R8s(measured([x, y, z, rx, ry, rz, fig.map_or(-1.0, f64::from)])).into())
+    Answer::of(measured([x, y, z, rx, ry, rz, fig.map_or(-1.0, f64::from)]))
 }
 
 /// Executes OutRange: 0, the bits of the axes that would leave their ranges, -1 out of reach, or -2 singular.
@@ -62,14 +61,13 @@ pub(super) fn out_range(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_
         _ => (*param, robot.coordinates()),
     };
     let pose = coordinates.flange(pose_of(&pose, ctx)?);
-    Ok(Value::I4(match pose.joints(&coordinates.arm, &near) {
+    Answer::of(match pose.joints(&coordinates.arm, &near) {
         Ok(joints) if matches!(pose, Pose::Frame(..)) && coordinates.arm.is_singular(&joints) => -2,
         Ok(_) => 0,
         Err(OutOfReach::Limits(axes)) => axes.into(),
         Err(OutOfReach::Unreachable) => -1,
         Err(OutOfReach::Singular) => -2,
     })
-    .into())
 }
 
 /// Executes ConvertPosWork: `[pose, from, to]`, the same place in other work coordinates.
@@ -84,13 +82,13 @@ pub(super) fn convert_work(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant
     let [from, to] = [work(from)?, work(to)?].map(|number| arm.robot.works.get(number));
     let Pose::Frame(frame, fig) = pose_of(&item(0), ctx)? else { return Err(HResult::E_INVALIDARG) };
     let [x, y, z, rx, ry, rz] = to.inverse().times(&from.times(&frame)).to_xyz_rpy();
-    Ok(Value::R8s(measured([x, y, z, rx, ry, rz, fig.map_or(-1.0, f64::from)])).into())
+    Answer::of(measured([x, y, z, rx, ry, rz, fig.map_or(-1.0, f64::from)]))
 }
 
 /// Executes CheckVirtualFence: 0, because there are no fences.
 pub(super) fn check_fence(_: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
     pose_of(param, ctx)?;
-    Ok(Value::I4(0).into())
+    Answer::of(0)
 }
 
 /// The definitions that a command or a variable concerns.
@@ -125,18 +123,18 @@ pub(super) fn definition(arm: &Arm, of: Definition, param: &Variant<'_>) -> Answ
 }
 
 /// Returns the numbers of a definition.
-pub(super) fn numbers_of(arm: &Arm, of: Definition, number: i32) -> Result<Value, HResult> {
+pub(super) fn numbers_of(arm: &Arm, of: Definition, number: i32) -> ValueResult {
     let (definitions, number) = (of.of(&arm.robot), of.number(number)?);
     let mut numbers = measured(definitions.get(number).to_xyz_rpy());
     if of != Definition::Tool {
         numbers.push(definitions.attribute(number).into());
     }
-    Ok(Value::R8s(numbers))
+    owned(numbers)
 }
 
 /// Executes WorkAttribute.
 pub(super) fn attribute(arm: &mut Arm, _: &mut Context<'_>, param: &Variant<'_>) -> Answered {
-    Ok(Value::I4(arm.robot.works.attribute(work(one_int(param)?)?)).into())
+    Answer::of(arm.robot.works.attribute(work(one_int(param)?)?))
 }
 
 /// Executes SetToolDef, SetWorkDef or SetBaseDef: `[number, pose]`, the last two perhaps with the attribute.
@@ -194,19 +192,19 @@ pub(super) fn product(_: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -
         return Err(HResult::E_INVALIDARG);
     };
     let ((first, fig), (second, _)) = (transform(&first, ctx)?, transform(&second, ctx)?);
-    Ok(trans_numbers(&first.times(&second), fig).into())
+    trans_numbers(&first.times(&second), fig)
 }
 
 /// Executes TInv.
 pub(super) fn inverse(_: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
     let (frame, fig) = transform(param, ctx)?;
-    Ok(trans_numbers(&frame.inverse(), fig).into())
+    trans_numbers(&frame.inverse(), fig)
 }
 
 /// Executes TNorm: reading a transform makes its vectors units at right angles.
 pub(super) fn normalised(_: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
     let (frame, fig) = transform(param, ctx)?;
-    Ok(trans_numbers(&frame, fig).into())
+    trans_numbers(&frame, fig)
 }
 
 fn transform(value: &Variant<'_>, ctx: &Context<'_>) -> Result<(Frame, Option<u8>), HResult> {
@@ -216,10 +214,10 @@ fn transform(value: &Variant<'_>, ctx: &Context<'_>) -> Result<(Frame, Option<u8
     }
 }
 
-fn trans_numbers(frame: &Frame, fig: Option<u8>) -> Value {
+fn trans_numbers(frame: &Frame, fig: Option<u8>) -> Answered {
     let mut numbers = measured(frame.to_trans());
     numbers.push(fig.map_or(-1.0, f64::from));
-    Value::R8s(numbers)
+    Answer::of(numbers)
 }
 
 /// Tells whether the first element of an array is a pose itself, not the numbers of one.

@@ -16,7 +16,7 @@ use crate::robot::{Percent, percent};
 use crate::rules;
 use crate::slave;
 use crate::table::Command;
-use crate::value::{Value, numbers, one_int, whole};
+use crate::value::{numbers, one_int, owned, whole};
 use crate::waits::Wait;
 
 /// Executes a command.
@@ -174,7 +174,7 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
         .accepts("nothing, the group, or [group, mode]: group 0 or -1, mode 0 (commands) or 1 (motion)"),
     command("slvChangeMode", |arm, ctx, param| slave::change_mode(&mut arm.robot, ctx, param))
         .accepts("one number: 0, 0x001 to 0x003, 0x101 to 0x103, 0x201 to 0x203"),
-    read("slvGetMode", |arm, _| Value::I4(slave::mode(&arm.robot))),
+    read("slvGetMode", |arm, _| owned(slave::mode(&arm.robot))),
     command("slvMove", |arm, ctx, param| arm.slave.do_move(&mut arm.robot, ctx, param))
         .resumes(Handler::Execute(|arm, ctx, param| arm.slave.stored(&arm.robot, ctx, param)))
         .accepts(
@@ -189,7 +189,7 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     command("ManualResetPreparation", |arm, ctx, _| arm.preparation.prepare_reset(ctx.config))
     .of(has_preparation),
     command("MotionPreparation", |arm, ctx, _| arm.preparation.prepare_motion(ctx)).of(has_preparation),
-    read("GetMotionPreparationState", |arm, _| Value::Bool(arm.preparation.is_motion_ready()))
+    read("GetMotionPreparationState", |arm, _| owned(arm.preparation.is_motion_ready()))
         .of(has_preparation),
     command("AutoCal", |arm, ctx, _| arm.preparation.calibrate(ctx)).of(has_preparation),
     command("ClearLog", |arm, ctx, _| {
@@ -198,13 +198,13 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     }),
     command("StartLog", |arm, _, _| arm.trace.start().map(|()| Answer::Done)),
     command("StopLog", |arm, _, _| arm.trace.stop().map(|()| Answer::Done)),
-    read("GetCtrlLogMaxTime", |arm, _| Value::I4(arm.trace.length())),
+    read("GetCtrlLogMaxTime", |arm, _| owned(arm.trace.length())),
     command("SetCtrlLogMaxTime", |arm, _, param| arm.trace.set_length(one_int(param)?).map(|()| Answer::Done))
         .accepts("one number: 10 to 240 s"),
-    read("GetCtrlLogInterval", |arm, _| Value::I4(arm.trace.interval())),
+    read("GetCtrlLogInterval", |arm, _| owned(arm.trace.interval())),
     command("SetCtrlLogInterval", |arm, _, param| arm.trace.set_interval(one_int(param)?).map(|()| Answer::Done))
         .accepts("one number: 8 to 32 ms"),
-    read("GetLogCount", |arm, _| Value::I4(i32::try_from(arm.trace.len()).unwrap_or(i32::MAX))),
+    read("GetLogCount", |arm, _| owned(i32::try_from(arm.trace.len()).unwrap_or(i32::MAX))),
     command("GetLogRecord", |arm, _, param| measures::log_record(arm, param))
         .accepts("one number: the index, from 0 to below GetLogCount"),
     command("GetAllSrvData", measures::all_servo_data),
@@ -277,8 +277,8 @@ fn give_arm(arm: &mut Arm, ctx: &mut Context<'_>, _: &Variant<'_>) -> Answered {
 
 fn arm_state(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
     let wanted = if param.is_empty() { -1 } else { one_int(param)? };
-    let owned = arm.robot.group_of(ctx.peer).is_some_and(|group| [-1, group].contains(&wanted));
-    Ok(Value::I4(owned.into()).into())
+    let is_owner = arm.robot.group_of(ctx.peer).is_some_and(|group| [-1, group].contains(&wanted));
+    Answer::of(i32::from(is_owner))
 }
 
 /// Reads `[group, mode]`. Both, or only the mode, may be absent.
@@ -301,11 +301,10 @@ fn motion_skip(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Ans
 }
 
 fn motion_complete(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
-    Ok(Value::Bool(match group_and_mode(param, 1)? {
+    Answer::of(match group_and_mode(param, 1)? {
         0 => arm.robot.commands_are_complete(ctx.now),
         _ => !arm.robot.is_moving(),
     })
-    .into())
 }
 
 /// Executes Motor, also for the controller.
@@ -319,14 +318,13 @@ pub(crate) fn motor(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -
 }
 
 fn robot_info(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
-    Ok(match one_int(param)? {
-        0 => Value::I4(0),
-        1 => readings::robot_type(arm, ctx),
+    match one_int(param)? {
+        0 => Answer::of(0),
+        1 => readings::robot_type(arm, ctx).map(Answer::Value),
         // a new arm: the distances since delivery are not counted
-        2 => Value::R8s(vec![0.0; 8]),
-        _ => return Err(HResult::E_INVALIDARG),
+        2 => Answer::of([0.0; 8]),
+        _ => Err(HResult::E_INVALIDARG),
     }
-    .into())
 }
 
 fn external_speed(arm: &mut Arm, _: &mut Context<'_>, param: &Variant<'_>) -> Answered {

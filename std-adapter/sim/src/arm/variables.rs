@@ -10,7 +10,7 @@ use crate::context::Context;
 use crate::robot::{Percent, Settings, percent, tool, work};
 use crate::rules;
 use crate::table::Property;
-use crate::value::{TRUTH, Value, number, one_int, truth};
+use crate::value::{TRUTH, number, one_int, owned, truth};
 
 type Write = fn(&mut Arm, &mut Context<'_>, &Variant<'_>) -> Answered;
 
@@ -32,10 +32,10 @@ pub(crate) const VARIABLES: &[Property<Reading, Write>] = &[
     read("@DEST_POSITION", readings::target_position),
     read("@DEST_ANGLE", readings::target_angle),
     read("@DEST_TRANS", readings::target_trans),
-    read("@SERVO_ON", |arm, _| Value::Bool(arm.robot.motor_is_on())).and_write(put_servo_on, TRUTH),
-    read("@BUSY_STATUS", |arm, _| Value::Bool(arm.robot.is_moving())),
-    read("@TYPE_NAME", |_, ctx| Value::from(ctx.config.robot_type.as_str())),
-    read("@TYPE", |_, _| Value::I4(0)),
+    read("@SERVO_ON", |arm, _| owned(arm.robot.motor_is_on())).and_write(put_servo_on, TRUTH),
+    read("@BUSY_STATUS", |arm, _| owned(arm.robot.is_moving())),
+    read("@TYPE_NAME", |_, ctx| owned(&ctx.config.robot_type)),
+    read("@TYPE", |_, _| owned(0)),
     read("@CURRENT_TOOL", readings::tool).and_write(put_tool, TOOL),
     read("@CURRENT_WORK", readings::work).and_write(put_work, WORK),
     read("@SPEED", readings::speed)

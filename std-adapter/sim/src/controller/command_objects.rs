@@ -10,7 +10,6 @@ use crate::answer::{Answer, Answered};
 use crate::command_objects::CommandObject;
 use crate::objects::Item;
 use crate::table::Command;
-use crate::value::kept;
 use crate::waits::Wait;
 
 impl Controller {
@@ -49,7 +48,7 @@ impl Controller {
         let name = self.objects.get(peer, handle, Object::Command)?.name.clone();
         let now = self.common.now;
         let parameters = self.command_mut(peer, handle)?.begin(now)?;
-        let mut answered = self.run(peer, &name, &kept(&parameters));
+        let mut answered = self.run(peer, &name, &parameters.as_variant());
         if let Ok(Answer::Until(wait)) = answered {
             self.common.waits.begin(peer, wait);
             self.arm.advance(now, &mut self.common.waits);

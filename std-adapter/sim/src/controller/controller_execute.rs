@@ -47,19 +47,19 @@ use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
 use bcap_core::rac::VariableKind as Kind;
 use bcap_core::time::Instant;
-use bcap_core::variant::Variant;
+use bcap_core::variant::{Encode, Variant};
 
 use super::{Common, Controller};
 use crate::answer::{Answer, Answered};
 use crate::arm::robot_execute::{MOTOR, motor};
 use crate::config::{Config, Token};
-use crate::errors::{Occurrence, description};
+use crate::errors::{ErrorEntry, Occurrence, description};
 use crate::model::Functions;
 use crate::operations::Operation;
 use crate::rules;
 use crate::table::Command;
 use crate::tasks::{Task, Tasks};
-use crate::value::{Value, numbers, one_int};
+use crate::value::{numbers, one_int};
 use crate::waits::Wait;
 
 type Run = fn(&mut Controller, PeerId, &Variant<'_>) -> Answered;
@@ -79,29 +79,28 @@ const fn has_safe_torque_off(functions: Functions) -> bool {
 /// The commands, in the order of Controller_GetCommandNames.
 pub(super) const COMMANDS: &[Command<Run>] = &[
     command("ClearError", |controller, peer, _| controller.clear_error(peer)),
-    command("GetErrorDescription", |controller, _, param| Ok(Value::Text(controller.describe(code_of(param)?)).into()))
+    command("GetErrorDescription", |controller, _, param| Answer::of(controller.describe(code_of(param)?)))
         .accepts("one code: I4, UI4, ERROR or another integer"),
-    command("GetCurErrorCount", |controller, _, _| Ok(count(controller.common.errors.present().len()).into())),
+    command("GetCurErrorCount", |controller, _, _| count(controller.common.errors.present().len())),
     command("GetCurErrorInfo", |controller, _, param| {
         let entry = controller.common.errors.present().get(index(param)?).ok_or(HResult::DISP_E_BADINDEX)?;
-        Ok(error_info(&controller.common.config, entry)?.into())
+        error_info(&controller.common.config, entry)
     })
     .accepts("one number: the index, from 0 to below GetCurErrorCount"),
-    command("GetErrorLogCount", |controller, _, _| Ok(count(controller.common.errors.log().len()).into())),
+    command("GetErrorLogCount", |controller, _, _| count(controller.common.errors.log().len())),
     command("GetErrorLog", |controller, _, param| {
         let entry = controller.common.errors.log().get(index(param)?).ok_or(HResult::DISP_E_BADINDEX)?;
-        Ok(log_entry(&controller.common.config, entry)?.into())
+        log_entry(&controller.common.config, entry)
     })
     .accepts("one number: the index, from 0 to below GetErrorLogCount"),
-    command("GetOprLogCount", |controller, _, _| Ok(count(controller.common.operations.log().len()).into())),
+    command("GetOprLogCount", |controller, _, _| count(controller.common.operations.log().len())),
     command("GetOprLog", |controller, _, param| {
         let entry = controller.common.operations.log().get(index(param)?).ok_or(HResult::DISP_E_BADINDEX)?;
-        Ok(operation(&controller.common.config, entry)?.into())
+        operation(&controller.common.config, entry)
     })
     .accepts("one number: the index, from 0 to below GetOprLogCount"),
-    command("SysState", |controller, _, _| Ok(Value::I4(controller.system_state()).into())),
-    command("SysInfo", |controller, _, param| controller.system_info(one_int(param)?).map(Answer::Value))
-        .accepts("one number, 0 to 16"),
+    command("SysState", |controller, _, _| Answer::of(controller.system_state())),
+    command("SysInfo", |controller, _, param| controller.system_info(one_int(param)?)).accepts("one number, 0 to 16"),
     command("Motor", |controller, peer, param| motor(&mut controller.arm, &mut controller.common.context(peer), param))
         .accepts(MOTOR),
     command("KillAll", |controller, _, param| controller.stop_all(param, Tasks::kill)).accepts(SYNC),
@@ -132,7 +131,7 @@ pub(super) const COMMANDS: &[Command<Run>] = &[
         Ok(Answer::Done)
     })
     .accepts("[value, task, variable] or [value, task, variable, index]: a value of the type of the variable"),
-    command("StoState", |controller, _, _| Ok(Value::Bool(controller.arm.preparation().is_torque_off()).into()))
+    command("StoState", |controller, _, _| Answer::of(controller.arm.preparation().is_torque_off()))
         .of(has_safe_torque_off),
     command("ManualReset", manual_reset).of(has_safe_torque_off),
     command("ResetStoState", manual_reset).of(has_safe_torque_off),
@@ -165,15 +164,15 @@ pub(super) const COMMANDS: &[Command<Run>] = &[
     })
     .of(has_hand)
     .accepts("[power, on]: 0 to 100 percent, BOOL or a number"),
-    command("HandHoldState", |_, _, _| Ok(Value::Bool(false).into())).of(has_hand),
+    command("HandHoldState", |_, _, _| Answer::of(false)).of(has_hand),
     command("HandStop", |controller, _, _| {
         let now = controller.common.now;
         let stopped = controller.arm.hand_mut().stop(HResult::E_ABORT, now, &mut controller.common.waits);
         Ok(Answer::done_if(stopped))
     })
     .of(has_hand),
-    command("HandCurPos", |controller, _, _| Ok(Value::R8(controller.hand_position()).into())).of(has_hand),
-    command("HandCurLoad", |_, _, _| Ok(Value::R8(0.0).into())).of(has_hand),
+    command("HandCurPos", |controller, _, _| Answer::of(controller.hand_position())).of(has_hand),
+    command("HandCurLoad", |_, _, _| Answer::of(0.0)).of(has_hand),
     Command::missing("SetAutoMode"),
 ];
 
@@ -251,25 +250,25 @@ impl Controller {
     }
 
     /// Returns a fact about the controller. Minutes are those since it was switched on; the times of programs are not counted.
-    fn system_info(&self, number: i32) -> Result<Value, HResult> {
+    fn system_info(&self, number: i32) -> Answered {
         let Common { config, panel, now, .. } = &self.common;
         let minutes = i32::try_from(now.as_micros() / 60_000_000).unwrap_or(i32::MAX);
         let kinds = [Kind::I, Kind::F, Kind::D, Kind::V, Kind::P, Kind::J, Kind::T, Kind::S];
-        Ok(match number {
-            0 => Value::from(config.serial_number.as_str()),
+        match number {
+            0 => Answer::of(&config.serial_number),
             // no network card
-            1 => Value::from("00:00:00:00:00:00"),
-            3 => Value::I4s(kinds.map(|kind| config.sizes.of(kind).into()).to_vec()),
+            1 => Answer::of("00:00:00:00:00:00"),
+            3 => Answer::of(kinds.map(|kind| i32::from(config.sizes.of(kind)))),
             // maintainer
-            5 => Value::I4(3000),
-            8 | 10 | 12 => Value::I4(minutes),
-            14 => Value::I4(self.arm.robot().motor_starts()),
+            5 => Answer::of(3000),
+            8 | 10 | 12 => Answer::of(minutes),
+            14 => Answer::of(self.arm.robot().motor_starts()),
             // -1 when the date of the encoders' battery has passed
-            15 => Value::I4(if panel.battery_low { -1 } else { 0 }),
+            15 => Answer::of(if panel.battery_low { -1 } else { 0 }),
             // no pendant, an unknown processor, no supervisory tasks, no panel
-            2 | 4 | 6 | 7 | 9 | 11 | 13 | 16 => Value::I4(0),
-            _ => return Err(HResult::E_INVALIDARG),
-        })
+            2 | 4 | 6 | 7 | 9 | 11 | 13 | 16 => Answer::of(0),
+            _ => Err(HResult::E_INVALIDARG),
+        }
     }
 
     /// Describes a code, with the last call that it refused.
@@ -312,38 +311,38 @@ fn manual_reset(controller: &mut Controller, peer: PeerId, _: &Variant<'_>) -> A
     controller.arm.preparation_mut().manual_reset(&mut controller.common.context(peer))
 }
 
-fn count(n: usize) -> Value {
-    Value::I4(i32::try_from(n).unwrap_or(i32::MAX))
+fn count(n: usize) -> Answered {
+    Answer::of(i32::try_from(n).unwrap_or(i32::MAX))
 }
 
 /// Returns the 15 places of an entry of the error log.
-fn log_entry(config: &Config, entry: &Occurrence) -> Result<Value, HResult> {
-    let code = entry.error.code;
-    let mut items = vec![Value::I4(code.0)];
-    items.extend(civil_time(config, entry.error.at)?);
+fn log_entry(config: &Config, entry: &Occurrence) -> Answered {
+    let (code, time) = (entry.error.code, civil_time(config, entry.error.at)?);
     let (program, line) = place_of(entry);
-    items.extend([Value::from(program), Value::I4(line), Value::Text(description(code)), Value::I4(code.0)]);
-    items.push(Value::I4(entry.origin as i32));
-    Ok(Value::List(items))
+    let mut items: Vec<&dyn Encode> = vec![&code.0];
+    items.extend(time.each_ref().map(|part| part as &dyn Encode));
+    let (message, origin) = (description(code), entry.origin as i32);
+    items.extend([&program as &dyn Encode, &line, &message, &code.0, &origin]);
+    Answer::of(items)
 }
 
 /// Returns the 12 places of an entry of the log of operations.
-fn operation(config: &Config, entry: &Operation) -> Result<Value, HResult> {
-    let mut items = vec![Value::I4(0)];
-    items.extend(civil_time(config, entry.at)?);
-    items.extend([Value::I4(UNKNOWN_CLIENT), Value::from(entry.text.as_str())]);
-    Ok(Value::List(items))
+fn operation(config: &Config, entry: &Operation) -> Answered {
+    let [year, month, weekday, day, hour, minute, second, milli, tick] = civil_time(config, entry.at)?;
+    let items: [&dyn Encode; 12] =
+        [&0, &year, &month, &weekday, &day, &hour, &minute, &second, &milli, &tick, &UNKNOWN_CLIENT, &entry.text];
+    Answer::of(items)
 }
 
 /// Returns year, month, day of the week (0 Sunday), day, hour, minute, second, millisecond and tick of a time.
-fn civil_time(config: &Config, at: Instant) -> Result<[Value; 9], HResult> {
+fn civil_time(config: &Config, at: Instant) -> Result<[i32; 9], HResult> {
     let time = config.date(at)?.to_civil().ok_or(HResult::DISP_E_OVERFLOW)?;
     let weekday = config.weekday(at);
     let [month, day, hour] = [time.month, time.day, time.hour].map(i32::from);
     let [minute, second, milli] = [time.minute.into(), time.second.into(), time.millisecond.into()];
     // the tick wraps as a counter of 32 bits does
     let tick = (at.as_micros() / 1000) as i32;
-    Ok([time.year.into(), month, weekday, day, hour, minute, second, milli, tick].map(Value::I4))
+    Ok([time.year.into(), month, weekday, day, hour, minute, second, milli, tick])
 }
 
 /// Reads whether a command answers after its effect.
@@ -400,12 +399,10 @@ fn index(param: &Variant<'_>) -> Result<usize, HResult> {
     usize::try_from(one_int(param)?).map_err(|_| HResult::DISP_E_BADINDEX)
 }
 
-fn error_info(config: &Config, entry: &Occurrence) -> Result<Value, HResult> {
+fn error_info(config: &Config, entry: &Occurrence) -> Answered {
+    let ErrorEntry { code, at } = entry.error;
     let (program, line) = place_of(entry);
-    let (code, message) = (entry.error.code, Value::Text(description(entry.error.code)));
-    let (number, program) = (Value::I4, Value::from(program));
-    let places = [number(code.0), message, number(code.0), number(line), program, number(line), number(0)];
-    Ok(Value::List([&places[..], &[Value::Date(config.date(entry.error.at)?)]].concat()))
+    Answer::of((code.0, description(code), code.0, line, program, line, 0, config.date(at)?))
 }
 
 #[cfg(test)]

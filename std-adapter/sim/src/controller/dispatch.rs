@@ -6,7 +6,7 @@ use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::rac;
 use bcap_core::time::Instant;
-use bcap_core::variant::{Encode, Variant};
+use bcap_core::variant::{OwnedVariant, Variant};
 
 use super::variable::{accepted_value, names_of};
 use super::{Controller, controller_execute};
@@ -25,7 +25,6 @@ use crate::rules;
 use crate::scenario::CallPlan;
 use crate::table::Command;
 use crate::tasks;
-use crate::value::{Value, kept};
 use crate::variables::{Family, wildcard_names};
 use crate::waits::Wait;
 
@@ -101,7 +100,7 @@ impl Controller {
         match self.scenario.step(peer, self.common.now) {
             CallPlan::Wait(at) => Outcome::Wait(at),
             CallPlan::Answer(code, value) => {
-                let fits = value.is_empty() || reply.set(&kept(&value)).is_ok();
+                let fits = value.is_none_or(|value| reply.set(&value).is_ok());
                 Outcome::Done(if fits { code } else { HResult::E_TOO_MUCH_DATA })
             }
             step => {
@@ -283,7 +282,7 @@ impl Controller {
     /// Opens an object and answers its handle.
     pub(super) fn open(&mut self, peer: PeerId, item: Item, name: String) -> Answered {
         let entry = Entry::new(peer, item, name, self.common.now);
-        Ok(Value::I4(self.objects.open(entry, self.common.config.max_objects)?).into())
+        Answer::of(self.objects.open(entry, self.common.config.max_objects)?)
     }
 
     fn call_controller(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
@@ -292,14 +291,14 @@ impl Controller {
             FunctionId::CONTROLLER_EXECUTE => self.run(peer, &name(), &request.value(2)),
             FunctionId::CONTROLLER_GET_VARIABLE => self.open_variable(peer, Owner::Controller, &name()),
             FunctionId::CONTROLLER_GET_VARIABLE_NAMES => {
-                Ok(Answer::names(names_of(Owner::Controller).into_iter().map(str::to_owned).chain(wildcard_names())))
+                Answer::names(names_of(Owner::Controller).into_iter().map(str::to_owned).chain(wildcard_names()))
             }
             FunctionId::CONTROLLER_GET_ROBOT => match option(&request.text(2).to_string(), "ID") {
                 // there is one arm, and it may have any name
                 None | Some("0") => self.open(peer, Item::Robot, name()),
                 Some(_) => Err(HResult::E_CAO_OBJECT_NOTFOUND),
             },
-            FunctionId::CONTROLLER_GET_ROBOT_NAMES => Ok(Answer::names([self.common.config.arm_name.as_str()])),
+            FunctionId::CONTROLLER_GET_ROBOT_NAMES => Answer::names([self.common.config.arm_name.as_str()]),
             FunctionId::CONTROLLER_GET_TASK => {
                 let n = self.tasks.position(name().trim()).ok_or(HResult::E_CAO_OBJECT_NOTFOUND)?;
                 let name = self.tasks.get(n)?.name().to_owned();
@@ -308,7 +307,7 @@ impl Controller {
                 }
                 self.open(peer, Item::Task(n), name)
             }
-            FunctionId::CONTROLLER_GET_TASK_NAMES => Ok(Answer::names(self.tasks.iter().map(tasks::Task::name))),
+            FunctionId::CONTROLLER_GET_TASK_NAMES => Answer::names(self.tasks.iter().map(tasks::Task::name)),
             FunctionId::CONTROLLER_GET_FILE | FunctionId::CONTROLLER_GET_FILE_NAMES => {
                 let progress = self.files.call(&self.common.context(peer), "", request)?;
                 self.file_progress(peer, request, progress)
@@ -318,10 +317,10 @@ impl Controller {
                 let extension = Extension::ALL.into_iter().find(is_named).ok_or(HResult::E_CAO_OBJECT_NOTFOUND)?;
                 self.open(peer, Item::Extension(extension), extension.name().to_owned())
             }
-            FunctionId::CONTROLLER_GET_EXTENSION_NAMES => Ok(Answer::names(Extension::ALL.map(Extension::name))),
+            FunctionId::CONTROLLER_GET_EXTENSION_NAMES => Answer::names(Extension::ALL.map(Extension::name)),
             FunctionId::CONTROLLER_GET_COMMAND => self.open_command(peer, &name()),
             FunctionId::CONTROLLER_GET_COMMAND_NAMES => {
-                Ok(Answer::names(controller_execute::names(self.common.config.model.functions)))
+                Answer::names(controller_execute::names(self.common.config.model.functions))
             }
             FunctionId::CONTROLLER_GET_MESSAGE => self.open_message(peer),
             _ => Err(HResult::E_NOTIMPL),
@@ -337,7 +336,7 @@ impl Controller {
     fn call_robot(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
         match request.function {
             FunctionId::ROBOT_GET_VARIABLE => self.open_variable(peer, Owner::Robot, &request.text(1).to_string()),
-            FunctionId::ROBOT_GET_VARIABLE_NAMES => Ok(Answer::names(names_of(Owner::Robot))),
+            FunctionId::ROBOT_GET_VARIABLE_NAMES => Answer::names(names_of(Owner::Robot)),
             FunctionId::ROBOT_HALT if self.is_arm_of_task() => Err(ARM_OF_TASK),
             _ => self.arm.call(&mut self.common.context(peer), request),
         }
@@ -362,7 +361,7 @@ impl Controller {
                     }),
                 }
             }
-            FunctionId::EXTENSION_GET_VARIABLE_NAMES => Ok(Answer::names::<String>([])),
+            FunctionId::EXTENSION_GET_VARIABLE_NAMES => Answer::names::<String>([]),
             FunctionId::EXTENSION_GET_VARIABLE => Err(HResult::E_CAO_OBJECT_NOTFOUND),
             _ => Err(HResult::E_NOTIMPL),
         }
@@ -371,7 +370,7 @@ impl Controller {
     fn call_task(&mut self, peer: PeerId, n: usize, request: &Request<'_>) -> Answered {
         match request.function {
             FunctionId::TASK_GET_VARIABLE => self.open_variable(peer, Owner::Task(n), &request.text(1).to_string()),
-            FunctionId::TASK_GET_VARIABLE_NAMES => Ok(Answer::names(names_of(Owner::Task(n)))),
+            FunctionId::TASK_GET_VARIABLE_NAMES => Answer::names(names_of(Owner::Task(n))),
             _ => {
                 let answered = self.tasks.get_mut(n)?.call(&mut self.common.context(peer), request);
                 self.free_arm_of_tasks();
@@ -388,7 +387,7 @@ impl Controller {
         let place = self.tasks.position(task).or_else(|| self.tasks.position(last));
         let task = self.tasks.get_mut(place.ok_or(HResult::E_CAO_OBJECT_NOTFOUND)?)?;
         task.start_for(&mut self.common.context(peer), 1)?;
-        Ok(Value::from(task.name()).into())
+        Answer::of(task.name())
     }
 
     fn open_message(&mut self, peer: PeerId) -> Answered {
@@ -477,8 +476,8 @@ fn is_crc(request: &Request<'_>) -> bool {
 }
 
 /// Encodes a value into `reply`.
-fn set_reply(reply: &mut ReplyValue<'_>, value: &Value) -> HResult {
-    match reply.set(value as &dyn Encode) {
+fn set_reply(reply: &mut ReplyValue<'_>, value: &OwnedVariant) -> HResult {
+    match reply.set(value) {
         Ok(()) => HResult::S_OK,
         Err(_) => HResult::E_TOO_MUCH_DATA,
     }

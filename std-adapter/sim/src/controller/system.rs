@@ -18,9 +18,9 @@ use crate::answer::{Answer, Answered};
 use crate::errors::description;
 use crate::table::Property;
 use crate::tasks::Task;
-use crate::value::{TRUTH, Value, one_int, truth};
+use crate::value::{TRUTH, ValueResult, one_int, owned, truth};
 
-type Read = fn(&Controller) -> Result<Value, HResult>;
+type Read = fn(&Controller) -> ValueResult;
 type Write = fn(&mut Controller, PeerId, &Variant<'_>) -> Answered;
 
 const fn read(name: &'static str, get: Read) -> Property<Read, Write> {
@@ -29,50 +29,47 @@ const fn read(name: &'static str, get: Read) -> Property<Read, Write> {
 
 /// The variables, in the order of Controller_GetVariableNames.
 pub(super) const VARIABLES: &[Property<Read, Write>] = &[
-    read("@MODE", |controller| Ok(Value::I4(controller.mode() as i32))),
-    read("@LOCK", |controller| Ok(Value::Bool(controller.locked))).and_write(put_lock, TRUTH),
+    read("@MODE", |controller| owned(controller.mode() as i32)),
+    read("@LOCK", |controller| owned(controller.locked)).and_write(put_lock, TRUTH),
     // the count of milliseconds wraps as a 32-bit counter does
-    read("@TIME", |controller| Ok(Value::I4((controller.common.now.as_micros() / 1000) as i32))),
-    read("@CURRENT_TIME", |controller| Ok(Value::Date(controller.config().date(controller.common.now)?))),
-    read("@BUSY_STATUS", |controller| {
-        Ok(Value::Bool(controller.is_moving() || controller.tasks.iter().any(Task::is_running)))
-    }),
-    read("@TSR_BUSY_STATUS", |_| Ok(Value::Bool(false))),
-    read("@NORMAL_STATUS", |controller| Ok(Value::Bool(code(controller).is_ok()))),
-    read("@ERROR_CODE", |controller| Ok(Value::I4(code(controller).0)))
-        .and_write(put_error_code, "0, which clears the errors"),
-    read("@ERROR_CODE_HEX", |controller| Ok(Value::Text(format!("{:08X}", code(controller).to_u32())))),
+    read("@TIME", |controller| owned((controller.common.now.as_micros() / 1000) as i32)),
+    read("@CURRENT_TIME", |controller| owned(controller.config().date(controller.common.now)?)),
+    read("@BUSY_STATUS", |controller| owned(controller.is_moving() || controller.tasks.iter().any(Task::is_running))),
+    read("@TSR_BUSY_STATUS", |_| owned(false)),
+    read("@NORMAL_STATUS", |controller| owned(code(controller).is_ok())),
+    read("@ERROR_CODE", |controller| owned(code(controller).0)).and_write(put_error_code, "0, which clears the errors"),
+    read("@ERROR_CODE_HEX", |controller| owned(format!("{:08X}", code(controller).to_u32()))),
     read("@ERROR_DESCRIPTION", |controller| {
         let code = code(controller);
-        Ok(if code.is_ok() { Value::from("") } else { Value::Text(description(code)) })
+        if code.is_ok() { owned("") } else { owned(description(code)) }
     }),
-    read("@EMERGENCY_STOP", |controller| Ok(Value::Bool(controller.emergency_stopped()))),
-    read("@DEADMAN_SW", |_| Ok(Value::Bool(false))),
-    read("@AUTO_ENABLE", |_| Ok(Value::Bool(true))),
-    read("@PROTECTIVE_STOP", |controller| Ok(Value::Bool(controller.common.panel.protective_stop))),
-    read("@MAKER_NAME", |_| Ok(Value::from("DENSO CORPORATION"))),
-    read("@TYPE", |controller| Ok(Value::from(controller.config().model.controller_type.as_str()))),
-    read("@VERSION", |controller| Ok(Value::from(controller.config().version.as_str()))),
-    read("@FIRMWARE", |_| Ok(Value::from("bcap-sim"))),
-    read("@SERIAL_NO", |controller| Ok(Value::from(controller.config().serial_number.as_str()))),
-    read("@IO_ALLOC_MODE", |_| Ok(Value::I4(0))),
-    read("@VAR_I_LEN", |controller| Ok(size(controller, Kind::I)))
+    read("@EMERGENCY_STOP", |controller| owned(controller.emergency_stopped())),
+    read("@DEADMAN_SW", |_| owned(false)),
+    read("@AUTO_ENABLE", |_| owned(true)),
+    read("@PROTECTIVE_STOP", |controller| owned(controller.common.panel.protective_stop)),
+    read("@MAKER_NAME", |_| owned("DENSO CORPORATION")),
+    read("@TYPE", |controller| owned(&controller.config().model.controller_type)),
+    read("@VERSION", |controller| owned(&controller.config().version)),
+    read("@FIRMWARE", |_| owned("bcap-sim")),
+    read("@SERIAL_NO", |controller| owned(&controller.config().serial_number)),
+    read("@IO_ALLOC_MODE", |_| owned(0)),
+    read("@VAR_I_LEN", |controller| size(controller, Kind::I))
         .and_write(|controller, _, value| put_size(controller, Kind::I, value), SIZE),
-    read("@VAR_F_LEN", |controller| Ok(size(controller, Kind::F)))
+    read("@VAR_F_LEN", |controller| size(controller, Kind::F))
         .and_write(|controller, _, value| put_size(controller, Kind::F, value), SIZE),
-    read("@VAR_D_LEN", |controller| Ok(size(controller, Kind::D)))
+    read("@VAR_D_LEN", |controller| size(controller, Kind::D))
         .and_write(|controller, _, value| put_size(controller, Kind::D, value), SIZE),
-    read("@VAR_V_LEN", |controller| Ok(size(controller, Kind::V)))
+    read("@VAR_V_LEN", |controller| size(controller, Kind::V))
         .and_write(|controller, _, value| put_size(controller, Kind::V, value), SIZE),
-    read("@VAR_P_LEN", |controller| Ok(size(controller, Kind::P)))
+    read("@VAR_P_LEN", |controller| size(controller, Kind::P))
         .and_write(|controller, _, value| put_size(controller, Kind::P, value), SIZE),
-    read("@VAR_J_LEN", |controller| Ok(size(controller, Kind::J)))
+    read("@VAR_J_LEN", |controller| size(controller, Kind::J))
         .and_write(|controller, _, value| put_size(controller, Kind::J, value), SIZE),
-    read("@VAR_T_LEN", |controller| Ok(size(controller, Kind::T)))
+    read("@VAR_T_LEN", |controller| size(controller, Kind::T))
         .and_write(|controller, _, value| put_size(controller, Kind::T, value), SIZE),
-    read("@VAR_S_LEN", |controller| Ok(size(controller, Kind::S)))
+    read("@VAR_S_LEN", |controller| size(controller, Kind::S))
         .and_write(|controller, _, value| put_size(controller, Kind::S, value), SIZE),
-    read("@VAR_IO_LEN", |controller| Ok(size(controller, Kind::Io))),
+    read("@VAR_IO_LEN", |controller| size(controller, Kind::Io)),
 ];
 
 /// The largest number of variables of a kind.
@@ -88,8 +85,8 @@ fn put_size(controller: &mut Controller, kind: Kind, value: &Variant<'_>) -> Ans
     Ok(Answer::Done)
 }
 
-fn size(controller: &Controller, kind: Kind) -> Value {
-    Value::I4(controller.config().sizes.of(kind).into())
+fn size(controller: &Controller, kind: Kind) -> ValueResult {
+    owned(i32::from(controller.config().sizes.of(kind)))
 }
 
 /// Returns the code of the latest error.

@@ -12,7 +12,7 @@ use crate::arm;
 use crate::objects::{DefinitionKind, Entry, Item, Owner, VariableRef};
 use crate::table::Property;
 use crate::tasks;
-use crate::value::{Value, numbers_of_array};
+use crate::value::{ValueResult, numbers_of_array, owned};
 use crate::variables::{self, Family, parse_name};
 
 impl Controller {
@@ -41,24 +41,24 @@ impl Controller {
         match request.function {
             FunctionId::VARIABLE_GET_VALUE => self.get(peer, target).map(Answer::Value),
             FunctionId::VARIABLE_PUT_VALUE => self.put(peer, target, &request.value(1)),
-            FunctionId::VARIABLE_GET_DATE_TIME => Ok(Value::Date(config.date(stamp)?).into()),
-            FunctionId::VARIABLE_GET_MICROSECOND => Ok(Value::I4(config.microsecond(stamp)).into()),
+            FunctionId::VARIABLE_GET_DATE_TIME => Answer::of(config.date(stamp)?),
+            FunctionId::VARIABLE_GET_MICROSECOND => Answer::of(config.microsecond(stamp)),
             _ => Err(HResult::E_NOTIMPL),
         }
     }
 
-    fn get(&mut self, peer: PeerId, target: VariableRef) -> Result<Value, HResult> {
+    fn get(&mut self, peer: PeerId, target: VariableRef) -> ValueResult {
         match target {
             VariableRef::User(family, n) => self.common.variables.get(family, n),
             VariableRef::Wildcard(family, n) => self.common.variables.get(family, n.unwrap_or(0)),
-            VariableRef::Crc(crc) => Ok(Value::I4(crc)),
+            VariableRef::Crc(crc) => owned(crc),
             VariableRef::Definition(kind, number) => self.arm.numbers(kind, number.unwrap_or(0)),
             VariableRef::System(Owner::Controller, n) => property(system::VARIABLES, n)?.getter()?(self),
             VariableRef::System(Owner::Robot, n) => {
-                Ok(property(arm::variables::VARIABLES, n)?.getter()?(&self.arm, &self.common.context(peer)))
+                property(arm::variables::VARIABLES, n)?.getter()?(&self.arm, &self.common.context(peer))
             }
             VariableRef::System(Owner::Task(task), n) => {
-                Ok(property(tasks::VARIABLES, n)?.getter()?(self.tasks.get(task)?))
+                property(tasks::VARIABLES, n)?.getter()?(self.tasks.get(task)?)
             }
         }
     }

@@ -7,10 +7,10 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
-use bcap_core::variant::{OleDate, Variant};
+use bcap_core::variant::{OleDate, OwnedVariant, Variant};
 
 use crate::options::option;
-use crate::value::Value;
+use crate::value::{ValueResult, owned};
 
 /// The largest file that is read, written or copied, in bytes: the largest that a frame can carry.
 const LARGEST: u64 = 16 << 20;
@@ -32,7 +32,7 @@ const FOLDER: i32 = 16;
 #[derive(Debug)]
 pub(crate) enum Done {
     Nothing,
-    Value(Value),
+    Value(OwnedVariant),
     /// The call opens the variable `@CRC` with this value.
     Crc(i32),
     /// The call opens the file with this name from the root.
@@ -141,39 +141,36 @@ impl Work {
     /// Carries out a function without arguments.
     fn other(&self, function: FunctionId, path: &Path, metadata: &Metadata) -> Result<Done, HResult> {
         let date = |time: io::Result<SystemTime>| date(time.or_else(|_| metadata.modified()));
-        Ok(Done::Value(match function {
-            FunctionId::FILE_GET_VARIABLE_NAMES => Value::Texts(vec![CRC.to_owned()]),
+        let value = match function {
+            FunctionId::FILE_GET_VARIABLE_NAMES => owned([CRC]),
             FunctionId::FILE_GET_VARIABLE if metadata.len() > LARGEST => return Err(HResult::E_TOO_MUCH_DATA),
             FunctionId::FILE_GET_VARIABLE => {
                 return Ok(Done::Crc(crc32(&fs::read(path).map_err(failed)?).cast_signed()));
             }
-            FunctionId::FILE_GET_VALUE => read(path)?,
+            FunctionId::FILE_GET_VALUE => read(path),
             FunctionId::FILE_DELETE => {
                 self.writable?;
                 let deleted = if metadata.is_dir() { fs::remove_dir(path) } else { fs::remove_file(path) };
                 deleted.map_err(failed)?;
                 return Ok(Done::Nothing);
             }
-            FunctionId::FILE_GET_DATE_CREATED => date(metadata.created())?,
-            FunctionId::FILE_GET_DATE_LAST_ACCESSED => date(metadata.accessed())?,
-            FunctionId::FILE_GET_DATE_LAST_MODIFIED => date(metadata.modified())?,
+            FunctionId::FILE_GET_DATE_CREATED => date(metadata.created()),
+            FunctionId::FILE_GET_DATE_LAST_ACCESSED => date(metadata.accessed()),
+            FunctionId::FILE_GET_DATE_LAST_MODIFIED => date(metadata.modified()),
             FunctionId::FILE_GET_PATH => {
-                Value::Text(self.base.rsplit_once('\\').map_or("\\".into(), |(folder, _)| format!("\\{folder}\\")))
+                owned(self.base.rsplit_once('\\').map_or("\\".to_owned(), |(folder, _)| format!("\\{folder}\\")))
             }
             FunctionId::FILE_GET_ATTRIBUTE => {
                 let bits = [(READ_ONLY, metadata.permissions().readonly()), (FOLDER, metadata.is_dir())];
-                Value::I4(bits.iter().filter(|(_, on)| *on).map(|(bit, _)| bit).sum())
+                owned(bits.iter().filter(|(_, on)| *on).map(|(bit, _)| bit).sum::<i32>())
             }
-            FunctionId::FILE_GET_SIZE if metadata.is_dir() => Value::I4(0),
-            FunctionId::FILE_GET_SIZE => {
-                Value::I4(i32::try_from(metadata.len()).map_err(|_| HResult::DISP_E_OVERFLOW)?)
-            }
-            FunctionId::FILE_GET_TYPE if metadata.is_dir() => Value::from("Folder"),
-            FunctionId::FILE_GET_TYPE => {
-                Value::Text(path.extension().unwrap_or_default().to_string_lossy().into_owned())
-            }
-            _ => return Err(HResult::E_NOTIMPL),
-        }))
+            FunctionId::FILE_GET_SIZE if metadata.is_dir() => owned(0),
+            FunctionId::FILE_GET_SIZE => owned(i32::try_from(metadata.len()).map_err(|_| HResult::DISP_E_OVERFLOW)?),
+            FunctionId::FILE_GET_TYPE if metadata.is_dir() => owned("Folder"),
+            FunctionId::FILE_GET_TYPE => owned(&*path.extension().unwrap_or_default().to_string_lossy()),
+            _ => Err(HResult::E_NOTIMPL),
+        };
+        value.map(Done::Value)
     }
 
     /// Finds the target of a copy or a move, which must not exist yet.
@@ -273,7 +270,7 @@ fn list(folder: &Path) -> Result<Done, HResult> {
         names.push(format!("{}{end}", entry.file_name().to_string_lossy()));
     }
     names.sort();
-    Ok(Done::Value(Value::Texts(names)))
+    owned(names).map(Done::Value)
 }
 
 /// Opens a regular file. If a FIFO has replaced it meanwhile, does not wait for its other end.
@@ -305,8 +302,8 @@ fn read_bytes(path: &Path) -> Result<Vec<u8>, HResult> {
     if bytes.len() as u64 > LARGEST { Err(HResult::E_TOO_MUCH_DATA) } else { Ok(bytes) }
 }
 
-fn read(path: &Path) -> Result<Value, HResult> {
-    Ok(String::from_utf8(read_bytes(path)?).map_or_else(|error| Value::Ui1s(error.into_bytes()), Value::Text))
+fn read(path: &Path) -> ValueResult {
+    String::from_utf8(read_bytes(path)?).map_or_else(|error| owned(error.into_bytes()), owned)
 }
 
 fn write(path: &Path, bytes: &[u8]) -> Result<(), HResult> {
@@ -322,10 +319,10 @@ fn copy(path: &Path, target: &Path) -> Result<(), HResult> {
     create(target).and_then(|mut file| file.write_all(&bytes)).map_err(failed)
 }
 
-fn date(time: io::Result<SystemTime>) -> Result<Value, HResult> {
+fn date(time: io::Result<SystemTime>) -> ValueResult {
     let since = time.map_err(failed)?.duration_since(UNIX_EPOCH).map_err(|_| HResult::DISP_E_OVERFLOW)?;
     let millis = i64::try_from(since.as_millis()).map_err(|_| HResult::DISP_E_OVERFLOW)?;
-    OleDate::from_unix_millis(millis).map(Value::Date).ok_or(HResult::DISP_E_OVERFLOW)
+    owned(OleDate::from_unix_millis(millis).ok_or(HResult::DISP_E_OVERFLOW)?)
 }
 
 /// Returns the code for an error of the file system.

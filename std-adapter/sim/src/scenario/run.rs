@@ -8,6 +8,7 @@ use bcap_core::bcap::server::Request;
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
+use bcap_core::variant::OwnedVariant;
 
 use super::{Delivery, Effect, Scenario, ScenarioFault, Trigger, Which, WireFault};
 use crate::function::command_of;
@@ -43,7 +44,7 @@ struct CallFault {
     /// The link was lost when the call came: it is neither executed nor answered.
     lost: bool,
     /// The delayed answer.
-    answer: Option<(HResult, Vec<u8>)>,
+    answer: Option<(HResult, Option<OwnedVariant>)>,
     /// The answer was made; [`deliver`](Running::deliver) applies the fault.
     answered: bool,
 }
@@ -152,7 +153,7 @@ impl Running {
         if fault.lost {
             return match self.is_link_lost(now) {
                 true => CallPlan::Wait(self.lost_until),
-                false => self.answer(peer, HResult::E_TIMEOUT, Vec::new()),
+                false => self.answer(peer, HResult::E_TIMEOUT, None),
             };
         }
         match (&fault.answer, fault.refused) {
@@ -171,7 +172,7 @@ impl Running {
         self.calls.get(&peer).map_or(Instant::ZERO, |fault| fault.until)
     }
 
-    fn answer(&mut self, peer: PeerId, code: HResult, value: Vec<u8>) -> CallPlan {
+    fn answer(&mut self, peer: PeerId, code: HResult, value: Option<OwnedVariant>) -> CallPlan {
         self.answered(peer);
         CallPlan::Answer(code, value)
     }
@@ -192,7 +193,7 @@ impl Running {
         }
         // Service_Stop has dropped the fault: it is executed again at that time, which changes nothing
         if let Some(fault) = self.calls.get_mut(&peer) {
-            fault.answer = Some((code, reply.as_bytes().to_vec()));
+            fault.answer = Some((code, reply.get().map(OwnedVariant::from)));
         }
         reply.clear();
         Outcome::Wait(time)
@@ -248,8 +249,8 @@ impl Running {
 pub(crate) enum CallPlan {
     /// Poll it again at this time.
     Wait(Instant),
-    /// Answer it with this code and this encoded value.
-    Answer(HResult, Vec<u8>),
+    /// Answer it with this code and this value.
+    Answer(HResult, Option<OwnedVariant>),
     /// Refuse it with this code.
     Refuse(HResult),
     Execute,

@@ -8,7 +8,7 @@ use serde::Deserialize;
 use super::ScenarioError;
 use super::section::read_code;
 use crate::program::{Assignment, Constant, Program, PublicValues, Step};
-use crate::value::Value;
+use crate::value::{ValueResult, owned};
 
 /// The largest number of steps of a program.
 const STEPS_MAX: usize = 10_000;
@@ -49,19 +49,19 @@ enum PoseEntry {
 }
 
 impl PublicEntry {
-    fn read(self) -> Value {
+    fn read(self) -> ValueResult {
         match self {
-            Self::Bool(on) => Value::Bool(on),
-            Self::Integer(n) => Value::I4(n),
-            Self::Number(n) => Value::R8(n),
-            Self::Text(text) => Value::Text(text),
-            Self::Integers(items) => Value::I4s(items),
-            Self::Numbers(items) => Value::R8s(items),
-            Self::Texts(items) => Value::Texts(items),
-            Self::Pose(PoseEntry::V(items)) => Value::R4s(items.to_vec()),
-            Self::Pose(PoseEntry::P(items)) => Value::R4s(items.to_vec()),
-            Self::Pose(PoseEntry::J(items)) => Value::R4s(items.to_vec()),
-            Self::Pose(PoseEntry::T(items)) => Value::R4s(items.to_vec()),
+            Self::Bool(on) => owned(on),
+            Self::Integer(n) => owned(n),
+            Self::Number(n) => owned(n),
+            Self::Text(text) => owned(text),
+            Self::Integers(items) => owned(items),
+            Self::Numbers(items) => owned(items),
+            Self::Texts(items) => owned(items),
+            Self::Pose(PoseEntry::V(items)) => owned(items),
+            Self::Pose(PoseEntry::P(items)) => owned(items),
+            Self::Pose(PoseEntry::J(items)) => owned(items),
+            Self::Pose(PoseEntry::T(items)) => owned(items),
         }
     }
 }
@@ -129,7 +129,11 @@ impl TaskEntry {
         let steps = self.steps.into_iter().enumerate();
         let steps = steps.map(|(n, step)| step.read().map_err(|problem| wrong(n + 1, problem)));
         let steps = steps.collect::<Result<Vec<_>, _>>()?.into();
-        let public = PublicValues::new(self.public.into_iter().map(|(name, value)| (name, value.read())).collect());
+        let public = self.public.into_iter().map(|(variable, value)| match value.read() {
+            Ok(value) => Ok((variable, value)),
+            Err(_) => Err(wrong(0, format!("the value of {variable:?} is too large"))),
+        });
+        let public = PublicValues::new(public.collect::<Result<_, _>>()?);
         Ok(Program { steps, line: Duration::from_millis(self.line_ms), start: self.start, public, name })
     }
 }

@@ -17,7 +17,7 @@ use bcap_core::variant::{Array, VarType, Variant};
 use crate::coordinates::Coordinates;
 use crate::kinematics::{Axes, measured, six};
 use crate::model::{SlaveFormats, SlaveIo, SlaveIoPart};
-use crate::value::{Value, numbers, numbers_of_array, one_int, whole};
+use crate::value::{ValueResult, numbers, numbers_of_array, one_int, owned, whole};
 use crate::variables::Variables;
 
 const TIME: i32 = 0x0010;
@@ -115,28 +115,29 @@ impl Formats {
     }
 
     /// Makes the answer of slvMove.
-    pub(super) fn answer(self, state: &State, order: &Order, map: &SlaveIo, io: &Variables) -> Value {
+    pub(super) fn answer(self, state: &State, order: &Order, map: &SlaveIo, io: &Variables) -> ValueResult {
         let has = |part: i32| self.receive & part != 0;
         let mut items = Vec::new();
         if has(TIME) {
             let micros = state.micros;
             // it wraps as a 32-bit counter does
-            items.push(Value::I4(if self.micros { micros as i32 } else { (micros / 1000) as i32 }));
+            items.push(owned(if self.micros { micros as i32 } else { (micros / 1000) as i32 })?);
         }
-        items.push(Value::R8s(self.pose(&state.axes, &state.coordinates)));
+        items.push(owned(self.pose(&state.axes, &state.coordinates))?);
         if has(MINI) {
-            items.push(Value::I4(read_bits(io, &map.mini)));
+            items.push(owned(read_bits(io, &map.mini))?);
         }
         if let Some((offset, size)) = order.read_user {
-            items.push(Value::Ui1s((0..size).map(|n| read_byte(io, offset + n * 8)).collect()));
+            let bytes: Vec<_> = (0..size).map(|n| read_byte(io, offset + n * 8)).collect();
+            items.push(owned(bytes)?);
         }
         if has(HAND) {
-            items.push(Value::I4(read_bits(io, &map.hand)));
+            items.push(owned(read_bits(io, &map.hand))?);
         }
         if has(CURRENT) {
-            items.push(Value::R8s(state.current.to_vec()));
+            items.push(owned(state.current)?);
         }
-        if items.len() == 1 { items.remove(0) } else { Value::List(items) }
+        if items.len() == 1 { Ok(items.remove(0)) } else { owned(items) }
     }
 
     fn pose(self, axes: &Axes, coordinates: &Coordinates) -> Vec<f64> {

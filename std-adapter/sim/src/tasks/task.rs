@@ -16,14 +16,14 @@ use crate::function::command_of;
 use crate::program::{Program, PublicValues};
 use crate::rules;
 use crate::table::Command;
-use crate::value::{Value, one_int};
+use crate::value::{ValueResult, one_int, owned};
 
 type Run = fn(&mut Task, &Variant<'_>) -> Answered;
 
 /// The commands of Task_Execute.
 pub(crate) const COMMANDS: &[Command<Run>] = &[
-    Command::new("GetStatus", |task, _| Ok(task.status_value().into())),
-    Command::new("GetThreadPriority", |task, _| Ok(Value::I4(task.priority).into())),
+    Command::new("GetStatus", |task, _| task.status_value().map(Answer::Value)),
+    Command::new("GetThreadPriority", |task, _| Answer::of(task.priority)),
     Command::new("SetThreadPriority", Task::set_priority as Run).accepts("nothing, which is 0, or one number, -2 to 2"),
 ];
 
@@ -141,8 +141,8 @@ impl Task {
         self.cycles
     }
 
-    pub(super) fn status_value(&self) -> Value {
-        Value::I4(self.status as i32)
+    pub(super) fn status_value(&self) -> ValueResult {
+        owned(self.status as i32)
     }
 
     /// Returns the cycle time; for a program, of its last cycle.
@@ -173,7 +173,7 @@ impl Task {
             FunctionId::TASK_START => self.start_for(ctx, request.int(1)),
             FunctionId::TASK_STOP => self.stop_for(ctx, request.int(1)).map(Answer::done_if),
             FunctionId::TASK_DELETE => self.delete_for(ctx),
-            FunctionId::TASK_GET_FILE_NAME => Ok(Value::Text(format!("{}.pcs", self.name)).into()),
+            FunctionId::TASK_GET_FILE_NAME => Answer::of(format!("{}.pcs", self.name)),
             _ => Err(HResult::E_NOTIMPL),
         }
     }

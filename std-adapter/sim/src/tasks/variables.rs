@@ -8,9 +8,9 @@ use super::task::Task;
 use crate::answer::{Answer, Answered};
 use crate::context::Context;
 use crate::table::Property;
-use crate::value::{Value, one_int};
+use crate::value::{ValueResult, one_int, owned};
 
-type Read = fn(&Task) -> Value;
+type Read = fn(&Task) -> ValueResult;
 type Write = fn(&mut Task, &mut Context<'_>, &Variant<'_>) -> Answered;
 
 const fn read(name: &'static str, get: Read) -> Property<Read, Write> {
@@ -27,7 +27,7 @@ pub(crate) const VARIABLES: &[Property<Read, Write>] = &[
     read("@STATUS_DETAILS", Task::status_value),
     Property::unsupported("@PRIORITY"),
     // the line, and the file: file objects have no ID
-    read("@LINE_NO", |task| Value::I4s(vec![task.line(), 0])),
+    read("@LINE_NO", |task| owned([task.line(), 0])),
     read("@CYCLE_TIME", |task| millis(task.cycle_time())),
     read("@ELAPSED_TIME", |task| millis(task.elapsed)),
     write(
@@ -45,6 +45,6 @@ pub(crate) const VARIABLES: &[Property<Read, Write>] = &[
     ),
 ];
 
-fn millis(time: Duration) -> Value {
-    Value::I4(i32::try_from(time.as_millis()).unwrap_or(i32::MAX))
+fn millis(time: Duration) -> ValueResult {
+    owned(i32::try_from(time.as_millis()).unwrap_or(i32::MAX))
 }
