@@ -14,10 +14,13 @@ use crate::wire::{Reader, Writer};
 /// The size up to which a buffer grows, in bytes. Frames of 16 MiB are the largest that peers accept.
 const MAX: usize = 32 * 1024 * 1024;
 
+/// The size of values that are encoded on the stack first, in bytes.
+const SMALL: usize = 64;
+
 /// A value of any size that owns its bytes. Needs the feature `alloc`.
 ///
-/// It contains the canonical, validated encoding, and [`as_variant`](Self::as_variant) views it. A value made of a
-/// [`Variant`] takes one allocation; EMPTY takes none.
+/// It contains the canonical, validated encoding, and [`as_variant`](Self::as_variant) views it. A value of up to
+/// 64 bytes, and one made of a [`Variant`], takes one allocation; EMPTY takes none.
 ///
 /// With the feature `serde` it is serialised together with its VARTYPE: `{"I4":7}`, `{"BSTR":"P1"}`,
 /// `{"ARRAY":{"R4":[1.5,2.0]}}`, `"EMPTY"`. Hence it comes back as the same value. CY is the count of ten-thousandths, DATE
@@ -50,7 +53,7 @@ impl OwnedVariant {
     ///
     /// [`EncodeError::Full`] when its encoding is over 32 MiB; other [`EncodeError`]s as `value` returns them.
     pub fn new<T: Encode + ?Sized>(value: &T) -> Result<Self, EncodeError> {
-        Self::build(64, |error| *error == EncodeError::Full, |out| value.encode(out))
+        Self::build(SMALL, |error| *error == EncodeError::Full, |out| value.encode(out))
     }
 
     /// Validates `bytes` as exactly one value and keeps a canonical copy.
@@ -110,17 +113,29 @@ impl OwnedVariant {
         is_full: impl Fn(&E) -> bool,
         mut write: impl FnMut(&mut Writer<'_>) -> Result<(), E>,
     ) -> Result<Self, E> {
+        // most values are small: they take one allocation, of their length
+        let mut small = [0; SMALL];
+        let mut large = Vec::new();
         let mut size = size;
         loop {
-            let mut bytes = vec![0; size];
-            let mut out = Writer::new(&mut bytes);
+            let is_small = size <= SMALL;
+            if !is_small {
+                large = vec![0; size];
+            }
+            let mut out = Writer::new(if is_small { &mut small } else { &mut large });
             match write(&mut out) {
-                Err(error) if is_full(&error) && size < MAX => size = size.saturating_mul(4).min(MAX),
+                Err(error) if is_full(&error) && size < MAX => size = size.max(SMALL).saturating_mul(4).min(MAX),
                 Err(error) => return Err(error),
                 Ok(()) => {
                     let len = out.len();
-                    bytes.truncate(len);
-                    bytes.shrink_to_fit();
+                    let bytes = match small.get(..len) {
+                        Some(bytes) if is_small => bytes.to_vec(),
+                        _ => {
+                            large.truncate(len);
+                            large.shrink_to_fit();
+                            large
+                        }
+                    };
                     // a tree that is deeper than any decoder accepts is not a validated value
                     let deepest = Limits { depth: MAX_DEPTH, ..Limits::STREAM };
                     return match check(&mut Reader::new(&bytes), &deepest, Strictness::Lenient) {
@@ -236,7 +251,7 @@ mod tests {
             let text = "x".repeat(len);
             let value = owned(text.as_str());
             assert_eq!(value.convert::<String>().unwrap(), text);
-            assert_eq!(value.as_bytes().len(), 10 + 2 * len);
+            assert_eq!((value.bytes.len(), value.bytes.capacity()), (10 + 2 * len, 10 + 2 * len));
             assert_eq!(OwnedVariant::from(value.as_variant()), value);
         }
     }
