@@ -24,14 +24,18 @@ fn judged(link: Link, sessions: usize, client: impl FnOnce(SocketAddr) + Send + 
     report
 }
 
-/// A program with our client: every kind of provocation meets a reading call.
+/// A program with our client: every kind of provocation meets a reading call. After the end of its connection it connects again.
 fn program(address: &str) -> Result<(), Error> {
     let mut cell = Controller::connect(address, &Settings::rc8())?;
-    for index in 0..20 {
+    for _ in 0..20 {
         match cell.read::<i32>("I1") {
-            Ok(_) => {}
-            // the provocation
-            Err(error) => assert!(error.to_string().contains("E_FAIL"), "{index}: {error}"),
+            // the provocations
+            Ok(_) | Err(Error::Refused { code: HResult::E_FAIL, .. } | Error::NoReply { .. }) => {}
+            Err(Error::NotConnected { .. }) => {
+                drop(cell);
+                return program(address);
+            }
+            Err(error) => return Err(error),
         }
     }
     cell.write("I2", 5)?;
@@ -49,10 +53,7 @@ fn assert_all_pass(report: &Report, skipped: &[&str]) {
 
 #[test]
 fn our_client_passes_over_tcp() {
-    let report = judged(Link::Tcp, 2, |address| {
-        program(&format!("tcp:{address}")).unwrap();
-        program(&format!("tcp:{address}")).unwrap();
-    });
+    let report = judged(Link::Tcp, 2, |address| program(&format!("tcp:{address}")).unwrap());
     assert_all_pass(
         &report,
         &[
@@ -69,7 +70,16 @@ fn our_client_passes_over_tcp() {
 #[test]
 fn our_client_passes_over_udp() {
     let report = judged(Link::Udp, 1, |address| program(&format!("udp:{address}")).unwrap());
-    assert_all_pass(&report, &["client/reserved-0", "client/reply-in-pieces", "client/two-replies-in-a-segment"]);
+    assert_all_pass(
+        &report,
+        &[
+            "client/reserved-0",
+            "client/reply-in-pieces",
+            "client/two-replies-in-a-segment",
+            "client/keep-alive-and-a-part",
+            "client/close-noticed",
+        ],
+    );
 }
 
 #[test]
@@ -80,18 +90,30 @@ fn there_are_cases_for_clients() {
 /// A small client with a fault.
 struct Small {
     wire: Wire,
+    link: Link,
     serial: u16,
     fault: &'static str,
+    /// How long an attempt may take. Over UDP the client then sends the call again, over TCP it goes on with its next call.
+    attempt: Duration,
 }
 
 impl Small {
+    /// Connects a client whose attempts take longer than any pause of the judge.
+    fn connect(address: SocketAddr, link: Link, fault: &'static str) -> Self {
+        let wire = Wire::connect(link, address, Duration::from_secs(5)).unwrap();
+        let serial = if fault == "serial-not-0" { 0 } else { 1 };
+        Self { wire, link, serial, fault, attempt: Duration::from_millis(1500) }
+    }
+
     fn is(&self, fault: &str) -> bool {
         self.fault == fault
     }
 
-    fn send(&mut self, function: F, args: &[Value]) -> u16 {
+    /// Sends a call; `first` is the serial of its first attempt.
+    fn send(&mut self, function: F, args: &[Value], first: Option<u16>) -> u16 {
         let serial = self.serial;
-        let reserved = if self.is("reserved-0") { serial } else { 0 };
+        let marker = if self.link == Link::Udp { first.unwrap_or(serial) } else { 0 };
+        let reserved = if self.is("reserved-0") { serial } else { marker };
         let frame = TestFrame { serial, reserved, code: function.0, args: args.to_vec() };
         let mut bytes = frame.to_wire(false);
         if self.is("valid-frames") && function == F::VARIABLE_GET_VALUE {
@@ -104,33 +126,47 @@ impl Small {
         serial
     }
 
-    /// Receives a reply; `None` when the client gives up.
-    fn reply(&mut self, serial: u16) -> Option<(HResult, Option<Value>)> {
+    /// Receives the reply to an attempt since this one; `None` when the client gives up.
+    fn reply(&mut self, serial: u16) -> Result<(HResult, Option<Value>), Received> {
         // this fault is that a part of a reply is taken for all of it
-        let limit = Duration::from_millis(if self.is("reply-in-pieces") { 1 } else { 5000 });
+        let limit = if self.is("reply-in-pieces") { Duration::from_millis(1) } else { self.attempt };
         loop {
             let bytes = match self.wire.receive(limit) {
                 Received::Packet(bytes) => bytes,
                 Received::Silence if self.is("reply-in-pieces") => continue,
-                Received::Silence | Received::Closed => return None,
+                end => return Err(end),
             };
-            let reply = TCP.decode_packet(&bytes)?;
+            let Some(reply) = TCP.decode_packet(&bytes) else { return Err(Received::Closed) };
             let code = HResult(reply.code);
-            let takes_serial = reply.serial == serial || self.is("other-serial-ignored");
+            if code == HResult::S_EXECUTING && self.is("keep-alive-and-a-part") {
+                // the rest of the segment is lost
+                let _ = self.wire.receive(Duration::from_millis(1));
+            }
+            let takes_serial = (serial..self.serial.max(serial + 1)).contains(&reply.serial)
+                || self.is("other-serial-ignored")
+                || self.is("late-reply-dropped");
             let takes_code = code != HResult::S_EXECUTING || self.is("waits-while-executing");
             if takes_serial && takes_code {
-                return Some((code, reply.args.into_iter().next()));
+                return Ok((code, reply.args.into_iter().next()));
             }
         }
     }
 
+    /// Makes a call, and returns its value; `None` when the client gives up.
     fn call(&mut self, function: F, args: &[Value]) -> Option<Value> {
-        let serial = self.send(function, args);
-        let (code, value) = self.reply(serial)?;
-        if self.is("refusal-survived") && code == HResult::E_FAIL {
-            return None;
+        let first = self.send(function, args, None);
+        loop {
+            return match self.reply(first) {
+                Ok((HResult::E_FAIL, _)) if self.is("refusal-survived") => None,
+                Ok((_, value)) => Some(value.unwrap_or(Value::Empty)),
+                Err(Received::Silence) if self.link == Link::Udp => {
+                    self.send(function, args, Some(first));
+                    continue;
+                }
+                Err(Received::Silence) => Some(Value::Empty),
+                Err(_) => self.is("close-noticed").then_some(Value::Empty),
+            };
         }
-        Some(value.unwrap_or(Value::Empty))
     }
 
     /// A session with one variable; `None` when the client gives up.
@@ -160,7 +196,7 @@ impl Small {
                 _ => variable.clone(),
             };
             if self.is("one-at-a-time") {
-                let first = self.send(F::VARIABLE_GET_VALUE, std::slice::from_ref(&handle));
+                let first = self.send(F::VARIABLE_GET_VALUE, std::slice::from_ref(&handle), None);
                 self.call(F::CONTROLLER_GET_NAME, std::slice::from_ref(&controller));
                 let _ = first;
             } else {
@@ -181,18 +217,59 @@ impl Small {
     }
 }
 
-/// Runs the small client with a fault.
-fn small(fault: &'static str) -> Report {
-    judged(Link::Tcp, 1, move |address| {
-        let wire = Wire::connect(Link::Tcp, address, Duration::from_secs(5)).unwrap();
-        let serial = if fault == "serial-not-0" { 0 } else { 1 };
-        let _ = Small { wire, serial, fault }.session();
+/// Runs the small client with a fault in this number of sessions.
+fn small(fault: &'static str, sessions: usize) -> Report {
+    judged(Link::Tcp, sessions, move |address| {
+        for _ in 0..sessions {
+            let _ = Small::connect(address, Link::Tcp, fault).session();
+        }
     })
+}
+
+fn failures(report: &Report) -> Vec<&str> {
+    report.failures().collect()
+}
+
+/// Some retries come while the judge waits, others cross its reply.
+#[test]
+fn a_client_that_retries_early_is_right() {
+    for attempt in [10, 50, 100] {
+        let report = judged(Link::Udp, 1, move |address| {
+            let small = Small::connect(address, Link::Udp, "");
+            let done = Small { attempt: Duration::from_millis(attempt), ..small }.session();
+            assert_eq!(done, Some(()));
+        });
+        assert_eq!(failures(&report), [""; 0], "{attempt} ms: {:?}", report.results);
+        let passed = |name: &str| report.results.iter().any(|r| r.name == name && r.verdict == Verdict::Pass);
+        for case in ["other-serial-ignored", "foreign-datagram-ignored", "retry-after-loss", "late-reply-dropped"] {
+            assert!(passed(&format!("client/{case}")), "{attempt} ms: {case}: {:?}", report.results);
+        }
+    }
+}
+
+/// A request that comes before the reply is one fault: the request is answered later, and the rest of the session is right.
+#[test]
+fn a_request_before_the_reply_is_the_only_failure() {
+    let report = small("waits-while-executing", 1);
+    let caused = ["client/one-at-a-time", "client/waits-while-executing", "client/keep-alive-and-a-part"];
+    assert_eq!(failures(&report), caused, "{:?}", report.results);
+}
+
+#[test]
+fn faults_after_which_a_client_may_connect_again_are_caught() {
+    let report = small("", 2);
+    assert_eq!(failures(&report), [""; 0], "{:?}", report.results);
+    for case in ["keep-alive-and-a-part", "late-reply-dropped", "close-noticed"] {
+        let result = report.results.iter().find(|result| result.name.ends_with(case)).unwrap();
+        assert_eq!(result.verdict, Verdict::Pass, "{}", result.text());
+        let report = small(case, 2);
+        assert!(failures(&report).contains(&result.name.as_str()), "{case}: {:?}", failures(&report));
+    }
 }
 
 #[test]
 fn every_fault_of_a_client_is_caught_by_its_case() {
-    assert_eq!(small("").failures().collect::<Vec<_>>(), [""; 0]);
+    assert_eq!(failures(&small("", 1)), [""; 0]);
     let faults = [
         "valid-frames",
         "serial-not-0",
@@ -216,8 +293,7 @@ fn every_fault_of_a_client_is_caught_by_its_case() {
         "refusal-survived",
     ];
     for fault in faults {
-        let report = small(fault);
-        let case = format!("client/{fault}");
-        assert!(report.failures().any(|name| name == case), "{fault}: {:?}", report.failures().collect::<Vec<_>>());
+        let (report, case) = (small(fault, 1), format!("client/{fault}"));
+        assert!(failures(&report).contains(&&*case), "{fault}: {:?}", failures(&report));
     }
 }

@@ -168,6 +168,18 @@ impl Wire {
         other.send_to(bytes, *peer).map(drop)
     }
 
+    /// Ends the sent direction of a stream, and keeps the other one.
+    ///
+    /// # Errors
+    ///
+    /// When the connection has ended.
+    pub fn finish(&self) -> io::Result<()> {
+        match &self.socket {
+            Socket::Stream(stream) => stream.shutdown(Shutdown::Write),
+            Socket::Datagrams(_) | Socket::Shared(..) => Ok(()),
+        }
+    }
+
     /// Tells whether the peer took no more bytes within the time limit.
     #[must_use]
     pub const fn is_stuck(&self) -> bool {

@@ -1,5 +1,6 @@
 //! Serves clients with a virtual controller, and judges them.
 
+use std::collections::VecDeque;
 use std::io;
 use std::net::SocketAddr;
 use std::time::{Duration, Instant as Clock};
@@ -15,7 +16,7 @@ use bcap_testkit::frame::{TestFrame, field};
 use bcap_testkit::wire::{Link, Listener, Received, Wire};
 
 use super::rules::Rules;
-use crate::reply::{describe, oracle, reason};
+use crate::reply::{describe, oracle, reason, request_text};
 use crate::report::Report;
 
 /// An unusual way to answer; each is used once, in this order.
@@ -27,8 +28,11 @@ enum Provocation {
     TwoInOne,
     Twice,
     Refusal,
+    Part,
     Loss,
     Foreign,
+    Late,
+    Close,
 }
 
 impl Provocation {
@@ -41,9 +45,17 @@ impl Provocation {
             Self::TwoInOne => "two-replies-in-a-segment",
             Self::Twice => "reply-twice",
             Self::Refusal => "refusal-survived",
+            Self::Part => "keep-alive-and-a-part",
             Self::Loss => "retry-after-loss",
             Self::Foreign => "foreign-datagram-ignored",
+            Self::Late => "late-reply-dropped",
+            Self::Close => "close-noticed",
         }
+    }
+
+    /// Tells whether the client may end its connection, so that only a later session can show whether it works on.
+    const fn may_end_the_session(self, link: Link) -> bool {
+        matches!((self, link), (Self::Close, _) | (Self::Late, Link::Tcp))
     }
 }
 
@@ -54,6 +66,9 @@ const OVER_TCP: &[Provocation] = &[
     Provocation::TwoInOne,
     Provocation::Twice,
     Provocation::Refusal,
+    Provocation::Part,
+    Provocation::Late,
+    Provocation::Close,
 ];
 const OVER_UDP: &[Provocation] = &[
     Provocation::Executing,
@@ -62,10 +77,14 @@ const OVER_UDP: &[Provocation] = &[
     Provocation::Refusal,
     Provocation::Loss,
     Provocation::Foreign,
+    Provocation::Late,
 ];
 
 /// How long a client must not send while it waits for a reply.
 const WAIT: Duration = Duration::from_millis(120);
+
+/// How long a client may take to send a call again, to give it up, or to notice the end of its connection.
+const CLIENT_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// A controller that judges its clients.
 ///
@@ -99,6 +118,16 @@ struct Play {
     left: Vec<Provocation>,
     /// The case that the next request decides.
     pending: Option<&'static str>,
+    /// The last request that is no retransmission.
+    last: Option<TestFrame>,
+    /// Requests that arrived before the reply to the last one.
+    early: VecDeque<Vec<u8>>,
+    /// A late reply to an earlier call, which is sent before the next reply.
+    late: Option<Vec<u8>>,
+    /// Whether another session follows.
+    has_next: bool,
+    /// Whether the client was given a reason to end its session early.
+    is_excused: bool,
 }
 
 impl ClientJudge {
@@ -139,8 +168,14 @@ impl ClientJudge {
             began: Clock::now(),
             left: provocations.iter().rev().copied().collect(),
             pending: None,
+            last: None,
+            early: VecDeque::new(),
+            late: None,
+            has_next: false,
+            is_excused: false,
         };
         for number in 0..sessions {
+            play.has_next = number + 1 < sessions;
             let Some(mut socket) = self.listener.accept(limit)? else { break };
             let peer = PeerId(u32::try_from(number).unwrap_or(u32::MAX));
             play.session = Session::new(config, vec![0; 1024], vec![0; 1024]);
@@ -158,7 +193,9 @@ impl Play {
     /// Serves one session, to its end.
     fn serve(&mut self, socket: &mut Wire, peer: PeerId, limit: Duration) {
         self.rules.begin();
-        while let Received::Packet(bytes) = socket.receive(limit) {
+        (self.last, self.late, self.is_excused) = (None, None, false);
+        self.early.clear();
+        while let Some(bytes) = self.next(socket, limit) {
             let Some(frame) = oracle(self.link).decode_packet(&bytes) else {
                 self.rules.judge("valid-frames", false, "a valid frame", reason(&bytes));
                 break;
@@ -172,23 +209,47 @@ impl Play {
         if let Some(case) = self.pending.take() {
             self.rules.judge(case, false, "another request", "the end of the session");
         }
-        self.rules.end();
+        if !self.is_excused {
+            self.rules.end();
+        }
         let now = self.now();
         self.session.close(&mut self.controller, peer, now);
     }
 
+    /// Returns the next request; `None` at the end of the session.
+    fn next(&mut self, socket: &mut Wire, limit: Duration) -> Option<Vec<u8>> {
+        match self.early.pop_front() {
+            Some(bytes) => Some(bytes),
+            None if self.is_excused => None,
+            None => match socket.receive(limit) {
+                Received::Packet(bytes) => Some(bytes),
+                Received::Silence | Received::Closed => None,
+            },
+        }
+    }
+
     /// Judges and answers a request.
     fn request(&mut self, socket: &mut Wire, peer: PeerId, bytes: &[u8], frame: &TestFrame) -> io::Result<()> {
+        if self.is_retry(frame) {
+            // it has crossed the reply
+            return self.retry(socket, peer, bytes, frame)?.map_or(Ok(()), |reply| socket.send(&reply));
+        }
         let text = describe(bytes);
         self.rules.log.push(format!("<- {text}"));
         self.rules.request(frame, bytes.len(), &text);
+        self.last = Some(frame.clone());
         if let Some(case) = self.pending.take() {
             self.rules.judge(case, true, "", "");
         }
-        let Some(reply) = self.execute(socket, peer, bytes)? else { return Ok(()) };
+        let Some(mut reply) = self.execute(socket, peer, bytes)? else { return Ok(()) };
+        if let Some(late) = self.late.take() {
+            socket.send(&late)?;
+            self.waits(socket, peer, Provocation::Late.case(), &mut reply)?;
+            self.rules.judge(Provocation::Late.case(), true, "", "");
+        }
         let is_read = FunctionId(frame.code) == FunctionId::VARIABLE_GET_VALUE;
-        match if is_read { self.left.pop() } else { None } {
-            Some(provocation) => self.provoke(provocation, socket, peer, bytes, &reply)?,
+        match if is_read { self.provocation() } else { None } {
+            Some(provocation) => self.provoke(provocation, socket, peer, &mut reply)?,
             None => socket.send(&reply)?,
         }
         if let Some(reply) = oracle(self.link).decode_packet(&reply) {
@@ -196,6 +257,40 @@ impl Play {
             self.rules.reply(frame, &reply);
         }
         Ok(())
+    }
+
+    /// Returns the next provocation that is possible in this session.
+    fn provocation(&mut self) -> Option<Provocation> {
+        let next = *self.left.last()?;
+        if next.may_end_the_session(self.link) && !self.has_next { None } else { self.left.pop() }
+    }
+
+    /// Tells whether a request is a retransmission of the last one: its reserved field has the serial of the first attempt.
+    fn is_retry(&self, frame: &TestFrame) -> bool {
+        let is_of = |last: &TestFrame| frame.reserved == last.serial && frame.serial != last.serial;
+        self.link.repeats() && self.last.as_ref().is_some_and(is_of)
+    }
+
+    /// Judges a retransmission of the last request, and returns the reply to it.
+    fn retry(
+        &mut self,
+        socket: &mut Wire,
+        peer: PeerId,
+        bytes: &[u8],
+        again: &TestFrame,
+    ) -> io::Result<Option<Vec<u8>>> {
+        let text = describe(bytes);
+        self.rules.log.push(format!("<- {text}, again"));
+        let Some(first) = self.last.clone() else { return Ok(None) };
+        self.rules.judge("retry-after-loss", true, "", "");
+        let next = self.rules.next_serial();
+        self.rules.judge("retry-has-a-new-serial", again.serial == next, &format!("the serial {next}"), &text);
+        self.rules.judge("marker", again.reserved == first.serial, &format!("{}", first.serial), &text);
+        let is_same = first.code == again.code && first.args == again.args;
+        let expected = request_text(first.serial, FunctionId(first.code), &first.args);
+        self.rules.judge("retry-is-the-same-call", is_same, &expected, &text);
+        self.rules.retried(again.serial);
+        self.execute(socket, peer, bytes)
     }
 
     /// Executes a request, and returns the reply. Keep-alives of the session are sent at once.
@@ -228,17 +323,32 @@ impl Play {
         }
     }
 
-    /// The client must send nothing for a while.
-    fn waits(&mut self, socket: &mut Wire, case: &'static str) {
-        let came = match socket.receive(WAIT) {
-            Received::Silence => return,
-            Received::Packet(bytes) => {
-                self.rules.judge("one-at-a-time", false, "silence until the reply", describe(&bytes));
-                describe(&bytes)
+    /// The client must send nothing for a while, except a retransmission; then `reply` becomes the reply to that one.
+    fn waits(&mut self, socket: &mut Wire, peer: PeerId, case: &'static str, reply: &mut Vec<u8>) -> io::Result<()> {
+        let until = Clock::now() + WAIT;
+        let came = loop {
+            let bytes = match socket.receive(until.saturating_duration_since(Clock::now())) {
+                Received::Silence => return Ok(()),
+                Received::Closed => break "the end of the connection".into(),
+                Received::Packet(bytes) => bytes,
+            };
+            match oracle(self.link).decode_packet(&bytes).filter(|frame| self.is_retry(frame)) {
+                Some(again) => {
+                    if let Some(latest) = self.retry(socket, peer, &bytes, &again)? {
+                        *reply = latest;
+                    }
+                }
+                None => {
+                    let text = describe(&bytes);
+                    self.rules.judge("one-at-a-time", false, "silence until the reply", text.clone());
+                    // it is served after the reply, so that the client fails for this alone
+                    self.early.push_back(bytes);
+                    break text;
+                }
             }
-            Received::Closed => "the end of the connection".into(),
         };
         self.rules.judge(case, false, "silence until the reply", came);
+        Ok(())
     }
 
     fn provoke(
@@ -246,50 +356,58 @@ impl Play {
         provocation: Provocation,
         socket: &mut Wire,
         peer: PeerId,
-        request: &[u8],
-        reply: &[u8],
+        reply: &mut Vec<u8>,
     ) -> io::Result<()> {
         let serial = field::serial(reply).unwrap_or(0);
-        let stale = coded(serial.wrapping_sub(1), HResult::E_FAIL);
+        let (executing, stale) = (coded(serial, HResult::S_EXECUTING), coded(serial.wrapping_sub(1), HResult::E_FAIL));
         let case = provocation.case();
         // the next request decides, even when the client ends the connection at once
         self.pending = Some(case);
         match provocation {
             Provocation::Executing => {
                 for _ in 0..3 {
-                    socket.send(&coded(serial, HResult::S_EXECUTING))?;
-                    self.waits(socket, case);
+                    socket.send(&executing)?;
+                    self.waits(socket, peer, case, reply)?;
                 }
                 self.rules.judge("one-at-a-time", true, "", "");
                 socket.send(reply)
             }
             Provocation::OtherSerial => {
                 socket.send(&stale)?;
-                self.waits(socket, case);
+                self.waits(socket, peer, case, reply)?;
                 socket.send(reply)
             }
             Provocation::Pieces => reply.iter().try_for_each(|byte| {
                 std::thread::sleep(Duration::from_millis(2));
                 socket.send(&[*byte])
             }),
-            Provocation::TwoInOne => socket.send(&[&stale, reply].concat()),
+            Provocation::TwoInOne => socket.send(&[&stale, reply.as_slice()].concat()),
             Provocation::Twice => {
                 socket.send(reply)?;
                 socket.send(reply)
             }
             Provocation::Refusal => socket.send(&coded(serial, HResult::E_FAIL)),
-            Provocation::Loss => self.lose(socket, peer, request),
+            Provocation::Part => {
+                let (part, rest) = reply.split_at(reply.len() / 2);
+                let (part, rest) = ([&executing, part].concat(), rest.to_vec());
+                socket.send(&part)?;
+                self.waits(socket, peer, case, reply)?;
+                socket.send(&rest)
+            }
+            Provocation::Loss => self.lose(socket, peer),
             Provocation::Foreign => {
                 socket.send_from_elsewhere(&coded(serial, HResult::E_FAIL))?;
-                self.waits(socket, case);
+                self.waits(socket, peer, case, reply)?;
                 socket.send(reply)
             }
+            Provocation::Late => self.delay(socket, peer, reply),
+            Provocation::Close => self.close(socket),
         }
     }
 
     /// Sends no reply, and judges the retry.
-    fn lose(&mut self, socket: &mut Wire, peer: PeerId, request: &[u8]) -> io::Result<()> {
-        let retry = match socket.receive(Duration::from_secs(10)) {
+    fn lose(&mut self, socket: &mut Wire, peer: PeerId) -> io::Result<()> {
+        let retry = match socket.receive(CLIENT_TIMEOUT) {
             Received::Packet(bytes) => bytes,
             other => {
                 let came = if other == Received::Closed { "the end of the connection" } else { "no retry" };
@@ -297,22 +415,48 @@ impl Play {
                 return Ok(());
             }
         };
-        let text = describe(&retry);
-        self.rules.log.push(format!("<- {text}, after a lost reply"));
-        let oracle = oracle(self.link);
-        let (Some(first), Some(again)) = (oracle.decode_packet(request), oracle.decode_packet(&retry)) else {
-            return Ok(());
+        let Some(again) = oracle(self.link).decode_packet(&retry) else { return Ok(()) };
+        self.retry(socket, peer, &retry, &again)?.map_or(Ok(()), |reply| socket.send(&reply))
+    }
+
+    /// Sends no reply until the client gives up the attempt; the late one comes before the reply to its next call.
+    fn delay(&mut self, socket: &mut Wire, peer: PeerId, reply: &[u8]) -> io::Result<()> {
+        // without a late reply there is nothing to decide
+        self.pending = None;
+        let next = match socket.receive(CLIENT_TIMEOUT) {
+            Received::Packet(bytes) => bytes,
+            // the client waits longer than this
+            Received::Silence => return socket.send(reply),
+            Received::Closed => {
+                self.is_excused = true;
+                return Ok(());
+            }
         };
-        self.rules.judge("retry-after-loss", true, "", "");
-        let next = first.serial.checked_add(1).unwrap_or(1);
-        self.rules.judge("retry-has-a-new-serial", again.serial == next, &format!("the serial {next}"), &text);
-        self.rules.judge("marker", again.reserved == first.serial, &format!("{}", first.serial), &text);
-        let is_same = first.code == again.code && first.args == again.args;
-        self.rules.judge("retry-is-the-same-call", is_same, &describe(request), &text);
-        self.rules.retried(again.serial);
-        if let Some(reply) = self.execute(socket, peer, &retry)? {
-            socket.send(&reply)?;
+        match oracle(self.link).decode_packet(&next).filter(|frame| self.is_retry(frame)) {
+            // over UDP the reply to the first attempt is as good as that to the second
+            Some(again) => {
+                self.late = self.retry(socket, peer, &next, &again)?;
+                socket.send(reply)
+            }
+            None => {
+                self.early.push_back(next);
+                self.late = Some(reply.to_vec());
+                Ok(())
+            }
         }
+    }
+
+    /// Ends the connection instead of a reply. The client must end it too, and send nothing more.
+    fn close(&mut self, socket: &mut Wire) -> io::Result<()> {
+        (self.pending, self.is_excused) = (None, true);
+        socket.finish()?;
+        let came = match socket.receive(CLIENT_TIMEOUT) {
+            Received::Closed => None,
+            Received::Packet(bytes) => Some(describe(&bytes)),
+            Received::Silence => Some(format!("an open connection after {} s", CLIENT_TIMEOUT.as_secs())),
+        };
+        let expected = "the end of the client's connection";
+        self.rules.judge(Provocation::Close.case(), came.is_none(), expected, came.unwrap_or_default());
         Ok(())
     }
 }

@@ -54,6 +54,21 @@ const CASES: &[(&str, &str, &str)] = &[
     ),
     ("reply-twice", "b-CAP specification, sections 4.1.1 to 4.1.5", "a repeated reply is dropped"),
     ("refusal-survived", "RAC specification, Table 2-2", "an error of a call does not end the session"),
+    (
+        "keep-alive-and-a-part",
+        "b-CAP specification, Table 4-1",
+        "S_EXECUTING and the first part of the reply may arrive in one segment",
+    ),
+    (
+        "late-reply-dropped",
+        "b-CAP specification, sections 4.1.1 to 4.1.5",
+        "a reply that arrives after the client's time limit is not the reply to its next call",
+    ),
+    (
+        "close-noticed",
+        "b-CAP specification, section 4.1.4",
+        "a client whose connection ends during a call ends it too, and sends nothing more on it",
+    ),
     ("retry-after-loss", "b-CAP specification, Table 6-1", "a call without a reply is sent again"),
     ("retry-has-a-new-serial", "b-CAP specification, Table 6-1", "a retry has a new serial"),
     (
@@ -107,8 +122,8 @@ impl Rules {
         let function = FunctionId(frame.code);
         self.judge("valid-frames", true, "", "");
         self.judge("serial-not-0", frame.serial != 0, "a serial of 1 to 65535", text);
-        if let Some(last) = self.serial {
-            let next = last.checked_add(1).unwrap_or(1);
+        if self.serial.is_some() {
+            let next = self.next_serial();
             self.judge("serials-ascend", frame.serial == next, &format!("the serial {next}"), text);
         }
         self.serial = Some(frame.serial);
@@ -191,6 +206,11 @@ impl Rules {
         {
             self.open.remove(handle);
         }
+    }
+
+    /// Returns the serial that follows the last one.
+    pub(super) fn next_serial(&self) -> u16 {
+        self.serial.and_then(|serial| serial.checked_add(1)).unwrap_or(1)
     }
 
     /// Continues the serials after a retry.
