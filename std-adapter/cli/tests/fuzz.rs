@@ -256,16 +256,39 @@ fn planted_bugs_are_found() {
         // a busy machine must not look like a device that hangs, except where the fuzzer waits for bytes that do not come
         let waits = kind == "hang" || bug == Bug::LengthIsOffByOne;
         let timeout = if waits { "1500" } else { "20000" };
-        let found =
-            first_finding(bug, &["--runs", "400", "--duration", "10min", "--restart", "5s", "--timeout", timeout]);
+        let found = first_finding(bug, &["--runs", "400", "--duration", "10min", "--wait", "5s", "--timeout", timeout]);
         let found = found.unwrap_or_else(|| panic!("{bug:?} is not found"));
         assert_eq!(found["kind"], kind, "{bug:?}: {found}");
     }
 }
 
 #[test]
+fn a_device_that_has_crashed_is_started_by_the_command_a_limited_number_of_times() {
+    let file = Path::new(env!("CARGO_TARGET_TMPDIR")).join("fuzz-restart");
+    let touch = format!("touch '{}'", file.display());
+    let found = |restart: &[&str]| {
+        let _ = std::fs::remove_file(&file);
+        let device = Planted::start_by_file(Bug::LongStringCrashes, file.clone());
+        let limits = ["--runs", "400", "--duration", "10min", "--timeout", "20000", "--findings", "1", "--json"];
+        let run = fuzz(&device, "restarted", &[&limits, restart].concat());
+        assert_eq!(run.code, 1, "{run:?}");
+        let (findings, _) = lines(&run);
+        let [finding] = &findings[..] else { panic!("{run:?}") };
+        assert_eq!(finding["kind"], "crash", "{finding}");
+        (finding["repeatable"].as_bool().unwrap(), finding["steps"].as_u64().unwrap(), run.err)
+    };
+    let (is_repeatable, steps, _) = found(&["--restart", &touch, "--wait", "20s"]);
+    assert_eq!((is_repeatable, steps), (true, 1));
+    // the first restart is after the finding; the repetition of its steps needs the second one
+    for restarts in [&["--restart", &touch, "--restarts", "1", "--wait", "100ms"][..], &["--wait", "100ms"]] {
+        let (is_repeatable, _, note) = found(restarts);
+        assert!(!is_repeatable && note.contains("the device has not answered for 100 ms, so the run ends"), "{note}");
+    }
+}
+
+#[test]
 fn a_device_that_repeats_an_old_reply_does_not_keep_the_fuzzer() {
-    let limits = ["--runs", "20", "--duration", "10min", "--restart", "5s", "--timeout", "1500"];
+    let limits = ["--runs", "20", "--duration", "10min", "--wait", "5s", "--timeout", "1500"];
     let found = first_finding(Bug::OldReplyRepeats, &limits).unwrap();
     assert_eq!(found["kind"], "wrong-reply", "{found}");
 }

@@ -29,7 +29,11 @@ pub struct Options {
     /// The time limit of each reply, and of connecting.
     pub timeout: Duration,
     /// How long a run waits for a device that accepts no connections after a case, such as after a crash.
-    pub restart: Duration,
+    pub wait: Duration,
+    /// The command that starts such a device again, in a shell.
+    pub restart: Option<String>,
+    /// How often the command may run.
+    pub restarts: u32,
     /// How long the device must be silent before a case takes it for silent.
     pub quiet: Duration,
     /// The provider of Controller_Connect.
@@ -55,7 +59,9 @@ impl Options {
             groups: Vec::new(),
             cases: Vec::new(),
             timeout: Duration::from_secs(3),
-            restart: Duration::from_secs(30),
+            wait: Duration::from_secs(30),
+            restart: None,
+            restarts: 100,
             quiet: Duration::from_millis(250),
             provider: "CaoProv.DENSO.VRC".into(),
             machine: "localhost".into(),

@@ -48,6 +48,7 @@ pub use client::{ClientJudge, client_cases};
 pub use device::{Options, Target};
 pub use report::{CaseResult, Report, Verdict};
 
+use bcap_testkit::restart::Restarter;
 use bcap_testkit::wire::Wire;
 use bench::{Bench, REFUSAL_PAUSE, REFUSALS, Stop};
 use language::Model;
@@ -65,6 +66,7 @@ pub fn run(options: &Options, mut each: impl FnMut(&CaseResult), ended: impl Fn(
     let mut report = Report::default();
     // the next case restores values that this one could not restore
     let mut speed = None;
+    let mut restarter = options.restart.as_deref().map(|command| Restarter::new(command, options.restarts));
     let model = OnceCell::new();
     for case in cases() {
         let name = case.name();
@@ -81,7 +83,7 @@ pub fn run(options: &Options, mut each: impl FnMut(&CaseResult), ended: impl Fn(
             // no failure of this case: the device may have crashed in an earlier one
             let earlier = report.results.iter().rfind(|result| result.verdict != Verdict::Skip);
             report.crashes.extend(earlier.map(|result| result.name.clone()));
-            if report.crashes.is_empty() || !returns(options, &ended) {
+            if report.crashes.is_empty() || !returns(options, restarter.as_mut(), &ended) {
                 report.unreachable = true;
                 break;
             }
@@ -97,10 +99,14 @@ pub fn run(options: &Options, mut each: impl FnMut(&CaseResult), ended: impl Fn(
     report
 }
 
-/// Waits until the device accepts connections again; `false` if it does not in time.
-fn returns(options: &Options, ended: &dyn Fn() -> bool) -> bool {
+/// Waits until the device accepts connections again, and starts it if there is a command; `false` if it does not in time, or the
+/// command may not run any more.
+fn returns(options: &Options, restarter: Option<&mut Restarter>, ended: &dyn Fn() -> bool) -> bool {
     let Some((link, address)) = options.target.bcap else { return false };
-    let until = Instant::now() + options.restart;
+    if restarter.is_some_and(|restarter| !restarter.run().unwrap_or(false)) {
+        return false;
+    }
+    let until = Instant::now() + options.wait;
     while !ended() {
         if Wire::connect(link, address, options.timeout).is_ok() {
             return true;

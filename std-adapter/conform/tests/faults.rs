@@ -440,8 +440,8 @@ fn a_device_that_loses_its_slots_fails() {
 }
 
 /// Serves a controller through connections that end, as those of a crash do, when a request has the wrong end 0x05. The port is
-/// closed then, for a time if the device restarts.
-fn crashing(robot: SocketAddr, restarts: bool) -> SocketAddr {
+/// closed then, until `restarts` returns true.
+fn crashing(robot: SocketAddr, restarts: impl Fn() -> bool + Send + 'static) -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();
     thread::spawn(move || {
@@ -457,10 +457,7 @@ fn crashing(robot: SocketAddr, restarts: bool) -> SocketAddr {
             }
             ends.iter().for_each(|end| drop(end.shutdown(Shutdown::Both)));
             drop(life);
-            if restarts {
-                thread::sleep(std::time::Duration::from_millis(500));
-                listener = Some(bound(address));
-            }
+            listener = restarts().then(|| bound(address));
         }
     });
     address
@@ -497,7 +494,10 @@ fn copy(mut from: TcpStream, mut to: TcpStream, device: SocketAddr, crashed: Opt
 #[test]
 fn a_device_that_crashes_and_restarts_has_no_false_failures() {
     let served = rc8(100.0);
-    let device = crashing(served.tcp, true);
+    let device = crashing(served.tcp, || {
+        thread::sleep(std::time::Duration::from_millis(500));
+        true
+    });
     let target = bcap_conform::Target { bcap: Some((Link::Tcp, device)), rac: None };
     let report = run(&Options { groups: vec![Group::Frames], ..Options::new(target) }, |_| {}, || false);
     assert_eq!(report.crashes, ["frames/wrong-end"], "{:?}", report.failures().collect::<Vec<_>>());
@@ -510,10 +510,37 @@ fn a_device_that_crashes_and_restarts_has_no_false_failures() {
 #[test]
 fn a_device_that_crashes_for_good_ends_the_run() {
     let served = rc8(100.0);
-    let device = crashing(served.tcp, false);
+    let device = crashing(served.tcp, || false);
     let target = bcap_conform::Target { bcap: Some((Link::Tcp, device)), rac: None };
-    let restart = std::time::Duration::from_millis(100);
-    let report = run(&Options { restart, groups: vec![Group::Frames], ..Options::new(target) }, |_| {}, || false);
+    let wait = std::time::Duration::from_millis(100);
+    let report = run(&Options { wait, groups: vec![Group::Frames], ..Options::new(target) }, |_| {}, || false);
     assert_eq!((report.crashes, report.unreachable), (vec!["frames/wrong-end".to_owned()], true));
     assert_eq!(report.results.last().map(|result| result.name.as_str()), Some("frames/wrong-end"));
+}
+
+#[test]
+fn a_device_that_crashes_is_started_by_the_command_a_limited_number_of_times() {
+    let served = rc8(100.0);
+    let file = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("conform-restart");
+    let _ = std::fs::remove_file(&file);
+    let report = |restarts| {
+        let waited = file.clone();
+        let device = crashing(served.tcp, move || {
+            while std::fs::remove_file(&waited).is_err() {
+                thread::sleep(std::time::Duration::from_millis(5));
+            }
+            true
+        });
+        let target = bcap_conform::Target { bcap: Some((Link::Tcp, device)), rac: None };
+        let restart = Some(format!("touch '{}'", file.display()));
+        run(&Options { restart, restarts, groups: vec![Group::Frames], ..Options::new(target) }, |_| {}, || false)
+    };
+    let started = report(1);
+    assert_eq!((started.crashes, started.unreachable), (vec!["frames/wrong-end".to_owned()], false));
+    let failed = started.results.iter().filter(|result| result.verdict == Verdict::Fail);
+    assert_eq!(failed.map(|result| result.name.as_str()).collect::<Vec<_>>(), ["frames/wrong-end"]);
+    let frames = bcap_conform::cases().iter().filter(|case| case.group() == Group::Frames).count();
+    assert_eq!(started.results.len(), frames);
+    let ended = report(0);
+    assert_eq!((ended.crashes, ended.unreachable), (vec!["frames/wrong-end".to_owned()], true));
 }

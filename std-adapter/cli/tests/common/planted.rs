@@ -4,6 +4,7 @@
 use std::collections::HashMap;
 use std::io::{self, Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream, UdpSocket};
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread;
@@ -95,6 +96,8 @@ struct Device {
     has_crashed: AtomicBool,
     is_over: AtomicBool,
     leaked: AtomicUsize,
+    /// The file that starts a crashed device again; without one it starts after a time.
+    starts_by: Option<PathBuf>,
     streams: Mutex<Vec<TcpStream>>,
     calls: Mutex<Vec<FunctionId>>,
     /// The functions of frames that begin in one datagram and end in the next one.
@@ -115,6 +118,15 @@ enum Outcome {
 
 impl Planted {
     pub(crate) fn start(bug: Bug) -> Self {
+        Self::with(bug, None)
+    }
+
+    /// A crashed device stays away until this file exists, which it removes.
+    pub(crate) fn start_by_file(bug: Bug, file: PathBuf) -> Self {
+        Self::with(bug, Some(file))
+    }
+
+    fn with(bug: Bug, starts_by: Option<PathBuf>) -> Self {
         let listeners = [(); 2].map(|()| TcpListener::bind("127.0.0.1:0").unwrap());
         let ports = listeners.each_ref().map(|listener| listener.local_addr().unwrap());
         let device = Arc::new(Device {
@@ -123,6 +135,7 @@ impl Planted {
             has_crashed: AtomicBool::new(false),
             is_over: AtomicBool::new(false),
             leaked: AtomicUsize::new(0),
+            starts_by,
             streams: Mutex::default(),
             calls: Mutex::default(),
             joined: Mutex::default(),
@@ -178,7 +191,7 @@ impl Device {
             if self.has_crashed.load(Ordering::SeqCst) && !is_rac {
                 drop(stream);
                 drop(listener);
-                thread::sleep(RESTART);
+                self.awaits_the_start();
                 listener = loop {
                     // the port may still be in use by connections that are closing
                     if let Ok(listener) = TcpListener::bind(self.ports[0]) {
@@ -196,6 +209,14 @@ impl Device {
             self.streams.lock().unwrap().push(stream.try_clone().unwrap());
             let device = Arc::clone(&self);
             thread::spawn(move || if is_rac { device.serve_rac(stream) } else { device.serve(stream) });
+        }
+    }
+
+    /// Waits until a crashed device starts again.
+    fn awaits_the_start(&self) {
+        let Some(file) = &self.starts_by else { return thread::sleep(RESTART) };
+        while !self.is_over.load(Ordering::SeqCst) && std::fs::remove_file(file).is_err() {
+            thread::sleep(Duration::from_millis(2));
         }
     }
 

@@ -18,6 +18,7 @@ use super::session::Session;
 use crate::frame::{TestFrame, field};
 use crate::judge::{self, Fault, TCP};
 use crate::oracle::Verdict;
+use crate::restart::Restarter;
 use crate::step::{Argument, Call, Delivery, Step};
 use crate::value::Value;
 use crate::wire::{Link, Received, Recorder};
@@ -52,6 +53,8 @@ pub struct Device<'a> {
     pub reconnect: Duration,
     /// The least time between two packets.
     pub interval: Duration,
+    /// Starts the device again.
+    pub restarter: Option<Restarter>,
     next: Instant,
     packets: u64,
     is_ended: &'a dyn Fn() -> bool,
@@ -99,7 +102,8 @@ impl<'d> Device<'d> {
     ) -> Self {
         let (reconnect, interval) = (Duration::ZERO, Duration::ZERO);
         let (next, packets) = (Instant::now(), 0);
-        Self { bcap, link, rac: None, gate, timeout, reconnect, interval, next, packets, is_ended }
+        let (rac, restarter) = (None, None);
+        Self { bcap, link, rac, gate, timeout, reconnect, interval, restarter, next, packets, is_ended }
     }
 
     /// Fuzzes RAC too.

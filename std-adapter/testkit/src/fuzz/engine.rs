@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use arbitrary::Unstructured;
 
 use super::device::Device;
-use super::finding::Finding;
+use super::finding::{Finding, Kind};
 use super::minimise::minimise;
 use super::save::Files;
 use super::{Error, Record};
@@ -56,7 +56,7 @@ pub struct Plan {
     /// The most different findings.
     pub findings: u64,
     /// How long a device that does not answer after a finding may take to restart.
-    pub restart: Duration,
+    pub wait: Duration,
     /// The folder for findings.
     pub out: PathBuf,
 }
@@ -80,7 +80,7 @@ pub fn fuzz<E: From<Error>>(
         sessions += 1;
         let steps = steps(plan, session, device.has_rac());
         let Some(finding) = device.run(&steps, None)? else { continue };
-        let answers = recover(device, plan.restart)?;
+        let answers = recover(device, plan.wait)?;
         if found.iter().any(|known| known.is_same(&finding)) && answers {
             continue;
         }
@@ -88,7 +88,7 @@ pub fn fuzz<E: From<Error>>(
         let saved = keep(device, plan, record, Found { finding, session, after, steps, answers }, found.len() + 1)?;
         each(&saved)?;
         found.push(saved.finding);
-        let answers = recover(device, plan.restart)?;
+        let answers = recover(device, plan.wait)?;
         if !answers || found.len() as u64 >= plan.findings {
             return Ok((sessions, answers));
         }
@@ -111,14 +111,19 @@ fn steps(plan: &Plan, session: u64, has_rac: bool) -> Vec<Step> {
     steps.unwrap_or_default()
 }
 
-/// Waits until the device answers again; returns whether it does.
+/// Waits until the device answers again, and starts it once if that can be done; returns whether it answers.
 fn recover(device: &mut Device<'_>, limit: Duration) -> Result<bool, Error> {
-    let until = Instant::now() + limit;
+    let mut until = Instant::now() + limit;
+    let mut may_start = true;
     loop {
-        if device.probe(None)?.is_none() {
-            return Ok(true);
-        }
-        if Instant::now() >= until {
+        let Some(found) = device.probe(None)? else { return Ok(true) };
+        let is_over = Instant::now() >= until;
+        // a device that accepts connections may still come back by itself
+        let starts = may_start && (is_over || found.kind == Kind::Crash);
+        may_start &= !starts;
+        if starts && device.restarter.as_mut().is_some_and(|restarter| restarter.run().unwrap_or(false)) {
+            until = Instant::now() + limit;
+        } else if is_over {
             return Ok(false);
         }
         device.sleep(LOOK)?;
@@ -157,7 +162,7 @@ fn keep(device: &mut Device<'_>, plan: &Plan, record: Record<'_>, found: Found, 
             return Ok(None);
         }
         let found = device.run(steps, None)?;
-        let answers = recover(device, plan.restart)?;
+        let answers = recover(device, plan.wait)?;
         Ok(answers.then(|| found.is_some_and(|found| found.is_same(&finding))))
     };
     let steps = match fails(&steps)? {

@@ -4,11 +4,11 @@ use std::io;
 use std::net::SocketAddr;
 use std::time::Duration;
 
-use bcap_capture::duration;
 use bcap_conform::{Case, CaseResult, ClientJudge, Group, Level, Link, Options, Report, Target, Verdict};
 use bcap_std::{NetworkAddress, Protocol, blocking};
 use clap::{Args, ValueEnum};
 
+use crate::commands::judge::Recovery;
 use crate::commands::robot_ports::host;
 use crate::failure::Failure;
 use crate::interrupt::{Interrupt, State};
@@ -28,8 +28,8 @@ use crate::session::connect::not_connected;
 /// The group `seen` has answers of real controllers that no specification has. A device of the same model that answers otherwise
 /// differs, and does not fail.
 ///
-/// A device that accepts no connection after a case, such as after a crash, is waited for, and the case is named. Without the
-/// device the run ends.
+/// A device that accepts no connection after a case, such as after a crash, is started with --restart and waited for, and the
+/// case is named. Without the device the run ends.
 ///
 /// The exit code is 0 if no case failed, otherwise 1; 3 if the device accepts no connections. Ctrl-C ends the run after the
 /// present case; with --level motion it halts the robot first, and the case restores what it changed.
@@ -88,9 +88,8 @@ pub(crate) struct Conform {
     #[arg(long, value_name = "N", default_value_t = 1, requires = "listen")]
     pub(crate) sessions: usize,
 
-    /// Waits this time for a device that accepts no connection after a case
-    #[arg(long, value_name = "TIME", value_parser = duration::parse, default_value = "30s")]
-    pub(crate) wait: Duration,
+    #[command(flatten)]
+    pub(crate) recovery: Recovery,
 
     /// The address of RAC [default: the host of --robot and port 5006]
     #[arg(long, value_name = "HOST[:PORT]")]
@@ -227,7 +226,9 @@ fn options(args: &Conform, link: &LinkArgs) -> Result<Options, Failure> {
         groups: args.group.clone(),
         cases: args.case.clone(),
         timeout: link.timeout(),
-        restart: args.wait,
+        wait: args.recovery.wait,
+        restart: args.recovery.restart.clone(),
+        restarts: args.recovery.restarts,
         provider: link.provider().into(),
         machine: link.machine().into(),
         option: link.option().into(),
@@ -272,7 +273,7 @@ fn finish(args: &Conform, json: bool, report: &Report, planned: usize) -> Result
         let message = format!("the device accepts no connection after {after} of {planned} cases{last}");
         return Err(Failure::Connection {
             message,
-            hint: "start the device again; --wait allows more time for that".into(),
+            hint: "start the device again; --restart runs a command for that, and --wait allows more time".into(),
         });
     }
     if let Some(first) = report.crashes.first() {

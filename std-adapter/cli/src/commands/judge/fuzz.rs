@@ -11,11 +11,13 @@ use bcap_gateway::AllowBuf;
 use bcap_std::Protocol;
 use bcap_testkit::fuzz::{self, Device, Error, Finding, Gate, Plan, Range, Saved};
 use bcap_testkit::grammar::Grammar;
+use bcap_testkit::restart::Restarter;
 use bcap_testkit::step::Step;
 use bcap_testkit::wire::{self, Link, Tape};
 use clap::Args;
 use serde::Serialize;
 
+use crate::commands::judge::Recovery;
 use crate::commands::robot_ports::{self, RobotPorts};
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
@@ -88,9 +90,8 @@ pub(crate) struct Fuzz {
     #[arg(long)]
     pub(crate) with_motion: bool,
 
-    /// How long a device that does not answer after a finding may take to restart
-    #[arg(long, value_name = "TIME", value_parser = duration::parse, default_value = "30s")]
-    pub(crate) restart: Duration,
+    #[command(flatten)]
+    pub(crate) recovery: Recovery,
 
     /// The robot's address for RAC [default: the host of --robot and port 5006]
     #[arg(long, value_name = "HOST[:PORT]")]
@@ -147,6 +148,8 @@ fn device<'a>(args: &Fuzz, link: &LinkArgs, is_ended: &'a dyn Fn() -> bool) -> R
     };
     let gate = Gate::new(args.with_writes.iter().map(range).collect(), args.with_motion);
     let mut device = Device::new(bcap, over, gate, link.timeout(), is_ended);
+    let Recovery { restart, restarts, .. } = &args.recovery;
+    device.restarter = restart.as_deref().map(|command| Restarter::new(command, *restarts));
     device.reconnect = args.reconnect.unwrap_or_default();
     device.interval = Duration::from_secs(1).checked_div(args.rate).unwrap_or_default();
     match device.with_rac(robot.rac) {
@@ -170,7 +173,7 @@ fn run(device: &mut Device<'_>, args: &Fuzz, link: &LinkArgs, json: bool) -> Res
         until: began + args.duration,
         sessions: args.runs.unwrap_or(u64::MAX),
         findings: args.findings,
-        restart: args.restart,
+        wait: args.recovery.wait,
         out: args.out.clone(),
     };
     let mut count = 0;
@@ -180,7 +183,7 @@ fn run(device: &mut Device<'_>, args: &Fuzz, link: &LinkArgs, json: bool) -> Res
     });
     let (sessions, answers) = result?;
     if !answers {
-        note(&format!("the device has not answered for {} ms, so the run ends", args.restart.as_millis()));
+        note(&format!("the device has not answered for {} ms, so the run ends", args.recovery.wait.as_millis()));
     }
     let ms = began.elapsed().as_millis();
     let totals = Totals { seed: args.seed, sessions, packets: device.packets(), findings: count, ms };
