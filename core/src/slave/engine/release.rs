@@ -1,0 +1,78 @@
+//! The end of a stream: Slave Mode, the motion, the motor and the arm are released in this order.
+
+use super::{Engine, Health, Phase};
+use crate::hresult::HResult;
+use crate::slave::fault::{Cause, Released};
+use crate::slave::request::Step;
+
+impl<const N: usize> Engine<N> {
+    pub(super) fn leave(&mut self) {
+        self.phase = Phase::Leaving;
+        self.step = Step::Leave;
+    }
+
+    /// Moves to the next step of the end, or ends.
+    pub(super) fn release(&mut self, after: Option<Step>) {
+        const ORDER: [Step; 4] = [Step::Leave, Step::Halt, Step::MotorOff, Step::GiveArm];
+        let done =
+            after.and_then(|step| ORDER.iter().position(|other| *other == step)).map_or(0, |at| at.saturating_add(1));
+        let next = ORDER.into_iter().skip(done).find(|step| self.is_unreleased(*step));
+        // the calls of the end would end the stream of another client
+        let is_foreign =
+            !self.may_be_in_mode && self.fault.as_ref().is_some_and(|fault| fault.released == Released::No);
+        match next.filter(|_| self.motion != Health::Lost && !is_foreign) {
+            Some(step) => (self.phase, self.step) = (Phase::Leaving, step),
+            None => self.end_release(),
+        }
+    }
+
+    /// Tells whether a step of the end has something to undo.
+    const fn is_unreleased(&self, step: Step) -> bool {
+        match step {
+            Step::Leave => self.gives_up && self.may_be_in_mode,
+            // after a stop the robot is at rest
+            Step::Halt => self.gives_up && self.may_move,
+            Step::MotorOff => self.has_motor && self.config.motor_off,
+            _ => self.has_arm,
+        }
+    }
+
+    fn end_release(&mut self) {
+        match self.unreleased.take() {
+            None => self.phase = Phase::Finished,
+            // the fault that ended the stream says more
+            Some(_) if self.gives_up => self.phase = Phase::Faulted,
+            Some((step, cause)) => {
+                self.step = step;
+                self.fail(cause);
+            }
+        }
+    }
+
+    /// Goes on after a step of the end that failed: the steps after it are more urgent than its reason.
+    pub(super) fn keep_unreleased(&mut self, cause: Cause) {
+        self.unreleased.get_or_insert((self.step, cause));
+        self.release(Some(self.step));
+    }
+
+    pub(super) fn handle_leave(&mut self, code: HResult) {
+        let is_off = self.gives_up && self.step == Step::Leave && code == HResult::E_SLVMODE_OFF;
+        if code.is_err() && !is_off {
+            return match self.step {
+                Step::Leave if !self.gives_up => self.fail(Cause::Refused(code)),
+                _ => self.keep_unreleased(Cause::Refused(code)),
+            };
+        }
+        match self.step {
+            Step::Leave => {
+                self.may_be_in_mode = false;
+                // a stop leaves Slave Mode at rest
+                self.may_move &= self.gives_up;
+            }
+            Step::Halt => self.may_move = false,
+            Step::MotorOff => self.has_motor = false,
+            _ => self.has_arm = false,
+        }
+        self.release(Some(self.step));
+    }
+}
