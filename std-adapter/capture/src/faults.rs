@@ -56,7 +56,7 @@ impl FromStr for Delay {
 
 /// The faults to inject.
 #[derive(Clone, Debug, Default)]
-pub struct Plan {
+pub struct FaultPlan {
     /// The frames to drop.
     pub drop: Vec<Share>,
     /// The frames to delay.
@@ -65,7 +65,7 @@ pub struct Plan {
     pub corrupt: Vec<Share>,
 }
 
-impl Plan {
+impl FaultPlan {
     /// Returns whether every frame passes unchanged.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
@@ -89,7 +89,7 @@ pub struct Verdict {
 /// The faults of one connection: decides for each frame, and remembers which call a reply belongs to.
 #[derive(Debug)]
 pub struct Faults {
-    plan: Plan,
+    plan: FaultPlan,
     random: fastrand::Rng,
     is_rac: bool,
     calls: HashMap<u16, CallName>,
@@ -99,7 +99,7 @@ pub struct Faults {
 impl Faults {
     /// The faults of a connection, which a seed repeats for the same frames.
     #[must_use]
-    pub fn new(plan: Plan, seed: u64, is_rac: bool) -> Self {
+    pub fn new(plan: FaultPlan, seed: u64, is_rac: bool) -> Self {
         let random = fastrand::Rng::with_seed(seed);
         Self { plan, random, is_rac, calls: HashMap::new(), lines: VecDeque::new() }
     }
@@ -220,8 +220,8 @@ mod tests {
         }
     }
 
-    fn plan(drop: &str) -> Plan {
-        Plan { drop: vec![drop.parse().unwrap()], ..Plan::default() }
+    fn plan(drop: &str) -> FaultPlan {
+        FaultPlan { drop: vec![drop.parse().unwrap()], ..FaultPlan::default() }
     }
 
     #[test]
@@ -234,7 +234,7 @@ mod tests {
         assert!(!faults.judge(Role::Request, b"GET:RC8:1:I:\r").is_dropped);
         assert!(!faults.judge(Role::Response, b"0,3,5\r").is_dropped);
 
-        let plan = Plan { delay: vec!["5:PUT".parse().unwrap()], ..Plan::default() };
+        let plan = FaultPlan { delay: vec!["5:PUT".parse().unwrap()], ..FaultPlan::default() };
         let mut faults = Faults::new(plan, 1, true);
         assert_eq!(faults.judge(Role::Request, b"PUT:RC8:1:I:3,5\r").note, "fault: delayed by 5 ms the request of PUT");
         assert_eq!(faults.judge(Role::Response, b"0\r").note, "fault: delayed by 5 ms the reply of PUT");

@@ -45,7 +45,7 @@ use tokio::net::{TcpListener, UdpSocket};
 use tokio::time::sleep;
 
 use self::shared::Shared;
-use crate::faults::Plan;
+use crate::faults::FaultPlan;
 use crate::record::Recording;
 
 /// The time between two checks whether the file can still be written.
@@ -82,7 +82,7 @@ pub struct Proxy {
     listeners: Listeners,
     robot: Robot,
     connect_timeout: Duration,
-    faults: Plan,
+    faults: FaultPlan,
     seed: u64,
     shows_listener: bool,
 }
@@ -91,7 +91,7 @@ impl Proxy {
     /// A proxy without faults.
     #[must_use]
     pub fn new(listeners: Listeners, robot: Robot) -> Self {
-        let faults = Plan::default();
+        let faults = FaultPlan::default();
         Self { listeners, robot, connect_timeout: CONNECT, faults, seed: 0, shows_listener: false }
     }
 
@@ -103,7 +103,7 @@ impl Proxy {
 
     /// Injects faults, which a seed repeats for the same traffic.
     #[must_use]
-    pub fn faults(self, faults: Plan, seed: u64) -> Self {
+    pub fn faults(self, faults: FaultPlan, seed: u64) -> Self {
         Self { faults, seed, ..self }
     }
 

@@ -139,7 +139,7 @@ mod areas;
 mod call;
 mod measures;
 mod moves;
-mod paths;
+mod path_points;
 mod poses;
 mod readings;
 pub(crate) mod robot_execute;
@@ -159,7 +159,7 @@ use crate::hand::Hand;
 use crate::kinematics::six;
 use crate::levels::Effects;
 use crate::model::Functions;
-use crate::paths::Paths;
+use crate::path_points::PathPoints;
 use crate::preparation::Preparation;
 use crate::robot::{Robot, Servo};
 use crate::rules;
@@ -176,7 +176,7 @@ pub(crate) struct Arm {
     slave: Slave,
     trace: Trace,
     areas: Areas,
-    paths: Paths,
+    paths: PathPoints,
 }
 
 impl Arm {
@@ -188,7 +188,7 @@ impl Arm {
             slave: Slave::default(),
             trace: Trace::default(),
             areas: Areas::new(),
-            paths: Paths::new(),
+            paths: PathPoints::new(),
         }
     }
 

@@ -161,8 +161,8 @@ pub struct Config {
     pub extended_axes: u8,
     /// The folder with the controller's files. Without one, the functions of files answer `E_NOTIMPL`.
     pub files: Option<PathBuf>,
-    /// Runs the work with these files.
-    pub file_work: Executor,
+    /// Runs the jobs that access these files.
+    pub file_executor: Executor,
     /// Receives the reason of each refused argument, and each tolerated text.
     pub observer: Observer,
     /// Receives the trajectory of the arm.
@@ -212,7 +212,7 @@ impl Config {
             slave: SlaveConfig { formats: model.formats, ..SlaveConfig::default() },
             extended_axes: model.extended_axes,
             files: None,
-            file_work: Executor::default(),
+            file_executor: Executor::default(),
             observer: Observer::default(),
             recorder: Recorder::default(),
             tasks: ["Pro1", "Pro2", "Pro3"].map(str::to_owned).to_vec(),

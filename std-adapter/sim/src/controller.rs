@@ -29,7 +29,7 @@ use crate::levels::Effects;
 use crate::messages::Messages;
 use crate::objects::Objects;
 use crate::operations::Operations;
-use crate::scenario::{Delivery, Effect, Running, Scenario, Setup};
+use crate::scenario::{Delivery, Effect, Playback, Scenario, Setup};
 use crate::slave::{self, Limits, SlaveCounters, SlaveCycle};
 use crate::tasks::{self, TaskStatus, Tasks};
 use crate::trace::TracePoint;
@@ -46,7 +46,7 @@ const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// times give the same answers. A time before one already seen counts as that one.
 #[derive(Clone, Debug)]
 pub struct Controller {
-    common: Common,
+    shared: Shared,
     /// `@LOCK`.
     locked: bool,
     /// The clients that have called Service_Start.
@@ -58,12 +58,12 @@ pub struct Controller {
     files: Files,
     messages: Messages,
     refusals: Refusals,
-    scenario: Running,
+    scenario: Playback,
 }
 
 /// The state that the [`Context`] of a call shows to the parts.
 #[derive(Clone, Debug)]
-struct Common {
+struct Shared {
     config: Config,
     panel: Panel,
     /// The addresses of the clients, as far as they are known.
@@ -75,7 +75,7 @@ struct Common {
     operations: Operations,
 }
 
-impl Common {
+impl Shared {
     fn context(&mut self, peer: PeerId) -> Context<'_> {
         Context {
             peer,
@@ -105,8 +105,8 @@ impl Controller {
             files: Files::default(),
             messages: Messages::default(),
             refusals: Refusals::default(),
-            scenario: Running::default(),
-            common: Common {
+            scenario: Playback::default(),
+            shared: Shared {
                 panel: Panel::new(config.mode, config.token),
                 addresses: BTreeMap::new(),
                 now: Instant::ZERO,
@@ -121,10 +121,10 @@ impl Controller {
 
     /// Advances the controller to `now`: motions, Slave Mode and tasks continue, the motor comes on.
     pub fn advance(&mut self, now: Instant) {
-        let now = self.common.now.max(now);
+        let now = self.shared.now.max(now);
         while let Some((at, effect)) = self.scenario.next_effect(now) {
             self.run_programs(at);
-            self.pass(self.common.now.max(at));
+            self.pass(self.shared.now.max(at));
             self.apply(effect);
         }
         self.run_programs(now);
@@ -134,9 +134,9 @@ impl Controller {
     /// Advances the controller to a time before which the scenario has no fault, except at cycles of Slave Mode, and no
     /// program a step.
     fn pass(&mut self, now: Instant) {
-        while let Some(at) = self.arm.next_point(&self.common.config, now) {
-            self.pass_to(self.common.now.max(at));
-            self.arm.take_point(&self.common.config, at);
+        while let Some(at) = self.arm.next_point(&self.shared.config, now) {
+            self.pass_to(self.shared.now.max(at));
+            self.arm.take_point(&self.shared.config, at);
         }
         self.pass_to(now);
     }
@@ -144,18 +144,18 @@ impl Controller {
     /// Advances the controller to `now`. No point of the trace lies before that time.
     fn pass_to(&mut self, now: Instant) {
         self.pass_slave_cycles(now);
-        self.common.now = now;
+        self.shared.now = now;
         self.tasks.advance(now);
         if !self.tasks.iter().any(tasks::Task::is_running) {
-            self.common.waits.end(Wait::Tasks, HResult::S_OK);
+            self.shared.waits.end(Wait::Tasks, HResult::S_OK);
         }
-        self.arm.advance(now, &mut self.common.waits);
+        self.arm.advance(now, &mut self.shared.waits);
         self.report_stops();
     }
 
     /// Enters the errors of the clients whose motions were stopped.
     fn report_stops(&mut self) {
-        while let Some((at, mover)) = self.common.waits.next_stopped(self.common.now) {
+        while let Some((at, mover)) = self.shared.waits.next_stopped(self.shared.now) {
             if !self.is_task(mover) {
                 self.enter(HResult::E_MOTION_STOPPED, at, Origin::Client, None);
             }
@@ -167,11 +167,11 @@ impl Controller {
         while let Some(present) = self.arm.present_cycle() {
             let quiet = self.scenario.quiet_cycles(present);
             let Some((cycle, at)) = self.arm.next_cycle(until, quiet) else { break };
-            self.common.now = self.common.now.max(at);
+            self.shared.now = self.shared.now.max(at);
             for effect in self.scenario.at_cycle(cycle) {
                 self.apply(effect);
             }
-            let Common { config, now, waits, .. } = &mut self.common;
+            let Shared { config, now, waits, .. } = &mut self.shared;
             if let Err(code) = self.arm.cycle(config, *now, waits) {
                 self.raise(code);
             }
@@ -183,13 +183,13 @@ impl Controller {
         match effect {
             Effect::Error(code) => self.raise(code),
             Effect::EmergencyStop(pressed) => self.press_emergency_stop(pressed),
-            Effect::LinkLoss(time) => self.scenario.lose_link(time, self.common.now),
+            Effect::LinkLoss(time) => self.scenario.lose_link(time, self.shared.now),
             Effect::Mode(mode) => self.turn_mode_switch(mode),
             Effect::Token(token) => self.set_token(token),
             Effect::Permission(permission) => self.set_permission(permission),
             Effect::Motor(true) => self.turn_motor_on(),
-            Effect::Motor(false) => self.arm.turn_off(HResult::E_MOTOR_OFF, self.common.now, &mut self.common.waits),
-            Effect::Message(text) => self.messages.post_text(&text, "", self.common.now),
+            Effect::Motor(false) => self.arm.turn_off(HResult::E_MOTOR_OFF, self.shared.now, &mut self.shared.waits),
+            Effect::Message(text) => self.messages.post_text(&text, "", self.shared.now),
             Effect::Comm { line, text } => self.comm.receive(line, &text),
             Effect::Refuse(_) | Effect::Delay(_) | Effect::Wire(_) => {}
         }
@@ -203,7 +203,7 @@ impl Controller {
             let place = self.tasks.define(program.clone());
             if let (Some(mode), Ok(task)) = (program.start, self.tasks.get_mut(place)) {
                 // a program that was just defined can start
-                let _ = task.start(mode, self.common.now);
+                let _ = task.start(mode, self.shared.now);
             }
         }
         self.free_arm_of_tasks();
@@ -216,7 +216,7 @@ impl Controller {
             self.press_emergency_stop(pressed);
         }
         setup.errors.iter().for_each(|code| self.raise(*code));
-        let Common { now, waits, config, .. } = &mut self.common;
+        let Shared { now, waits, config, .. } = &mut self.shared;
         if setup.torque_off {
             self.arm.preparation_mut().emergency_stop(config.model.functions);
             self.arm.turn_off(HResult::E_MOTOR_OFF, *now, waits);
@@ -241,11 +241,11 @@ impl Controller {
         if let Some(permission) = setup.permission {
             self.set_permission(permission);
         }
-        let panel = &mut self.common.panel;
+        let panel = &mut self.shared.panel;
         panel.battery_low = setup.battery_low.unwrap_or(panel.battery_low);
         panel.warning = setup.warning.unwrap_or(panel.warning);
         panel.protective_stop = setup.protective_stop.unwrap_or(panel.protective_stop);
-        setup.apply(&mut self.common.config);
+        setup.apply(&mut self.shared.config);
     }
 
     /// Applies the scenario's fault to the bytes of a reply, and says whether to send them.
@@ -264,7 +264,7 @@ impl Controller {
     /// assert_eq!(controller.deliver(PeerId(1), &mut frame), Delivery::Send);
     /// ```
     pub fn deliver(&mut self, peer: PeerId, frame: &mut [u8]) -> Delivery {
-        self.scenario.deliver(peer, frame, self.common.now)
+        self.scenario.deliver(peer, frame, self.shared.now)
     }
 
     /// Presses or releases the emergency stop.
@@ -277,17 +277,17 @@ impl Controller {
     }
 
     fn press_emergency_stop(&mut self, pressed: bool) {
-        if pressed != self.common.panel.emergency_stop {
+        if pressed != self.shared.panel.emergency_stop {
             self.record_operation(if pressed { "emergency stop pressed" } else { "emergency stop released" });
         }
-        if pressed && !self.common.panel.emergency_stop {
+        if pressed && !self.shared.panel.emergency_stop {
             self.end_slave_mode();
-            let Common { config, now, waits, .. } = &mut self.common;
+            let Shared { config, now, waits, .. } = &mut self.shared;
             self.arm.emergency_stop(config.model.functions, *now, waits);
             self.tasks.kill(*now);
             self.free_arm_of_tasks();
         }
-        self.common.panel.emergency_stop = pressed;
+        self.shared.panel.emergency_stop = pressed;
     }
 
     /// Ends Slave Mode, if it is on, by the error of a stop from outside.
@@ -309,10 +309,10 @@ impl Controller {
             Mode::TeachCheck => "teach check mode",
             Mode::Auto => "auto mode",
         });
-        self.common.panel.mode = mode;
+        self.shared.panel.mode = mode;
         if mode != Mode::Auto {
             self.end_slave_mode();
-            let Common { config, now, waits, .. } = &mut self.common;
+            let Shared { config, now, waits, .. } = &mut self.shared;
             self.arm.halt(config, *now, waits);
             self.tasks.suspend(*now);
         }
@@ -326,22 +326,22 @@ impl Controller {
             Token::Client(_) => "executable token: one client",
             Token::Address(_) => "executable token: one address",
         });
-        self.common.panel.token = token;
+        self.shared.panel.token = token;
     }
 
     fn record_operation(&mut self, operation: &str) {
-        self.common.operations.record(operation, self.common.now);
+        self.shared.operations.record(operation, self.shared.now);
     }
 
     /// Sets the communication permission.
     pub fn set_permission(&mut self, permission: Permission) {
-        self.common.config.permission = permission;
+        self.shared.config.permission = permission;
     }
 
     /// Starts to switch the motor on, unless the emergency stop, an error or a missing preparation prevents it.
     fn turn_motor_on(&mut self) {
-        if !self.common.panel.emergency_stop && self.common.errors.code().is_ok() {
-            self.arm.turn_on(self.common.now.saturating_add(self.common.config.motor_on_delay));
+        if !self.shared.panel.emergency_stop && self.shared.errors.code().is_ok() {
+            self.arm.turn_on(self.shared.now.saturating_add(self.shared.config.motor_on_delay));
         }
     }
 
@@ -352,26 +352,26 @@ impl Controller {
     }
 
     fn raise(&mut self, code: HResult) {
-        self.enter(code, self.common.now, Origin::Controller, None);
+        self.enter(code, self.shared.now, Origin::Controller, None);
     }
 
     /// Clears the errors, as a person does at the teach pendant.
     pub fn clear_errors(&mut self, now: Instant) {
         self.advance(now);
-        self.common.errors.clear();
+        self.shared.errors.clear();
         self.record_operation("errors cleared");
     }
 
     /// Makes the refusal of a client's call an error, if its code is one of the controller.
     fn refuse(&mut self, code: HResult) {
         if code.level().is_some() {
-            self.enter(code, self.common.now, Origin::Client, None);
+            self.enter(code, self.shared.now, Origin::Client, None);
         }
     }
 
     /// Enters an error into the lists, and stops what its level says. `place` is the line of a task at which it occurred.
     fn enter(&mut self, code: HResult, at: Instant, origin: Origin, place: Option<SourceLine>) {
-        let Common { now, waits, errors, .. } = &mut self.common;
+        let Shared { now, waits, errors, .. } = &mut self.shared;
         let source = place.as_ref().map_or(String::new(), |place| place.program.clone());
         if errors.enter(Occurrence { error: ErrorEntry { code, at }, origin, place }) {
             self.messages.post_error(code, &source, *now);
@@ -384,12 +384,12 @@ impl Controller {
 
     /// Records the address of a client, for [`Token::Address`]. A server calls it when the client connects.
     pub fn connected(&mut self, peer: PeerId, address: IpAddr) {
-        self.common.addresses.insert(peer, address.to_canonical());
+        self.shared.addresses.insert(peer, address.to_canonical());
     }
 
     /// Drops a client's part of the state: its objects are released, its motion halts, its arm authority is free.
     fn forget(&mut self, peer: PeerId) {
-        let Common { config, now, waits, .. } = &mut self.common;
+        let Shared { config, now, waits, .. } = &mut self.shared;
         self.objects.release_all(peer);
         self.sessions.remove(&peer);
         waits.forget(peer);
@@ -401,8 +401,8 @@ impl Controller {
 
     /// Returns when to poll a call that waits for an event.
     fn poll_time(&self, wait: Wait) -> Instant {
-        let soon = self.common.now.saturating_add(POLL_INTERVAL);
-        self.arm.end_of(wait, self.common.now).map_or(soon, |end| end.min(soon))
+        let soon = self.shared.now.saturating_add(POLL_INTERVAL);
+        self.arm.end_of(wait, self.shared.now).map_or(soon, |end| end.min(soon))
     }
 
     /// Reads a user variable into an encoding of at most `N` bytes.
@@ -411,7 +411,7 @@ impl Controller {
     ///
     /// `DISP_E_BADINDEX` for a variable that does not exist, `E_TOO_MUCH_DATA` for a value that does not fit.
     pub fn variable<const N: usize>(&self, kind: Kind, index: u32) -> Result<VariantBuf<N>, HResult> {
-        let value = self.common.variables.get(Family::Plain(kind), index)?;
+        let value = self.shared.variables.get(Family::Plain(kind), index)?;
         VariantBuf::new(&value).map_err(|_| HResult::E_TOO_MUCH_DATA)
     }
 
@@ -421,43 +421,43 @@ impl Controller {
     ///
     /// The errors of Variable_PutValue.
     pub fn set_variable(&mut self, kind: Kind, index: u32, value: &Variant<'_>) -> Result<(), HResult> {
-        self.common.variables.put(Family::Plain(kind), index, value)
+        self.shared.variables.put(Family::Plain(kind), index, value)
     }
 
     /// Returns the settings.
     #[must_use]
     pub const fn config(&self) -> &Config {
-        &self.common.config
+        &self.shared.config
     }
 
     /// Returns the mode.
     #[must_use]
     pub const fn mode(&self) -> Mode {
-        self.common.panel.mode
+        self.shared.panel.mode
     }
 
     /// Tells whether the emergency stop is pressed.
     #[must_use]
     pub const fn emergency_stopped(&self) -> bool {
-        self.common.panel.emergency_stop
+        self.shared.panel.emergency_stop
     }
 
     /// Returns the position of the robot at the present time: J1 to J6.
     #[must_use]
     pub fn joints(&self) -> Joints {
-        self.arm.robot().joints(self.common.now)
+        self.arm.robot().joints(self.shared.now)
     }
 
     /// Returns the position of the robot at the present time with the extended axes: J1 to J8.
     #[must_use]
     pub fn axes(&self) -> [f64; 8] {
-        self.arm.robot().axes(self.common.now)
+        self.arm.robot().axes(self.shared.now)
     }
 
     /// Returns where the arm is at the present time: the axes and the tool centre point.
     #[must_use]
     pub fn point(&self) -> TracePoint {
-        self.arm.point(self.common.now)
+        self.arm.point(self.shared.now)
     }
 
     /// Tells whether a motion is running or held, or an axis moves in Slave Mode.
@@ -481,7 +481,7 @@ impl Controller {
     /// Returns the distance between the fingers of the hand at the present time, in mm.
     #[must_use]
     pub fn hand_position(&self) -> f64 {
-        self.arm.hand().position(self.common.now)
+        self.arm.hand().position(self.shared.now)
     }
 
     /// Returns the number of slvGetMode; 0 while Slave Mode is off.
@@ -493,7 +493,7 @@ impl Controller {
     /// Returns the limits of Slave Mode, if it is entered now.
     #[must_use]
     pub fn slave_limits(&self) -> Limits {
-        self.arm.slave_limits(&self.common.config)
+        self.arm.slave_limits(&self.shared.config)
     }
 
     /// Returns what Slave Mode has done.
@@ -521,12 +521,12 @@ impl Controller {
 
     /// Iterates over the present errors in reverse order.
     pub fn errors(&self) -> impl Iterator<Item = ErrorEntry> {
-        self.common.errors.present().iter().map(|occurrence| occurrence.error)
+        self.shared.errors.present().iter().map(|occurrence| occurrence.error)
     }
 
     /// Iterates over the log of errors and refused calls in reverse order.
     pub fn error_log(&self) -> impl Iterator<Item = ErrorEntry> {
-        self.common.errors.log().iter().map(|occurrence| occurrence.error)
+        self.shared.errors.log().iter().map(|occurrence| occurrence.error)
     }
 
     /// Returns the number of open objects.

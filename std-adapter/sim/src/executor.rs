@@ -1,12 +1,12 @@
-//! The executor of work that may block.
+//! The executor of jobs that may block.
 
 use std::fmt;
 use std::sync::Arc;
 
-/// A piece of file work.
+/// A file job.
 pub type Job = Box<dyn FnOnce() + Send>;
 
-/// Runs file work, within the call or on another thread.
+/// Runs file jobs, within the call or on another thread.
 ///
 /// # Examples
 ///
@@ -19,8 +19,8 @@ pub type Job = Box<dyn FnOnce() + Send>;
 /// let (jobs, queue) = mpsc::sync_channel::<Job>(64);
 /// thread::spawn(move || queue.into_iter().for_each(|job| job()));
 /// // a full queue drops the job
-/// let file_work = Executor::new(move |job| drop(jobs.try_send(job)));
-/// let config = Config { files: Some("/srv/robot".into()), file_work, ..Config::default() };
+/// let file_executor = Executor::new(move |job| drop(jobs.try_send(job)));
+/// let config = Config { files: Some("/srv/robot".into()), file_executor, ..Config::default() };
 /// ```
 #[derive(Clone)]
 pub struct Executor(Arc<dyn Fn(Job) + Send + Sync>);

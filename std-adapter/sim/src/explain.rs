@@ -17,7 +17,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::variant::Variant;
 
 use crate::codes::WRONG_ARGUMENT;
-use crate::function::executes;
+use crate::command_name::executes;
 
 /// The codes of refused arguments.
 const CODES: [HResult; 7] = [

@@ -31,11 +31,11 @@
 //!
 //! # Blocking
 //!
-//! A file system may block: a network drive, a full disk. So the model hands file work to an [`Executor`], and the call
-//! waits for its end. The default executor does the work at once, within the call; a server should provide an executor
-//! with its own thread. If the executor drops the work, the call answers `E_BUSY_PROC`.
+//! A file system may block: a network drive, a full disk. So the model hands a file job to an [`Executor`], and the call
+//! waits for its end. The default executor does the job at once, within the call; a server should provide an executor
+//! with its own thread. If the executor drops the job, the call answers `E_BUSY_PROC`.
 
-mod work;
+mod job;
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -48,34 +48,34 @@ use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 
 use crate::context::Context;
-use work::{FileOperation, Work, contents};
+use job::{FileJob, FileOperation, contents};
 
-pub(crate) use work::{CRC, Done};
+pub(crate) use job::{CRC, JobResult};
 
 pub use crate::executor::{Executor, Job};
 
-/// The interval at which a waiting call checks its file work.
+/// The interval at which a waiting call checks its file job.
 const LOOK: Duration = Duration::from_millis(2);
 
-/// The progress of file work.
+/// The progress of a file job.
 #[derive(Debug)]
-pub(crate) enum WorkProgress {
+pub(crate) enum JobProgress {
     /// Not finished: the call is polled again at this time.
     Pending(Instant),
-    Done(Done),
+    Done(JobResult),
 }
 
-/// Receives the result of file work.
-type Slot = Arc<Mutex<Option<Result<Done, HResult>>>>;
+/// Receives the result of a file job.
+type Slot = Arc<Mutex<Option<Result<JobResult, HResult>>>>;
 
-/// The file work that clients wait for.
+/// The file jobs that clients wait for.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Files {
     pending: BTreeMap<PeerId, Slot>,
 }
 
 impl Files {
-    /// Drops the result that a client waits for. The work itself continues.
+    /// Drops the result that a client waits for. The job itself continues.
     pub(crate) fn forget(&mut self, peer: PeerId) {
         self.pending.remove(&peer);
     }
@@ -85,11 +85,11 @@ impl Files {
 struct Promise(Option<Slot>);
 
 impl Promise {
-    fn keep(mut self, result: Result<Done, HResult>) {
+    fn keep(mut self, result: Result<JobResult, HResult>) {
         self.put(result);
     }
 
-    fn put(&mut self, result: Result<Done, HResult>) {
+    fn put(&mut self, result: Result<JobResult, HResult>) {
         if let Some(slot) = self.0.take() {
             *slot.lock().unwrap_or_else(PoisonError::into_inner) = Some(result);
         }
@@ -109,7 +109,7 @@ impl Files {
         ctx: &Context<'_>,
         base: &str,
         request: &Request<'_>,
-    ) -> Result<WorkProgress, HResult> {
+    ) -> Result<JobProgress, HResult> {
         let text = |n: usize| request.text(n).to_string();
         let operation = match request.function {
             FunctionId::CONTROLLER_GET_FILE | FunctionId::FILE_GET_FILE => {
@@ -122,21 +122,21 @@ impl Files {
             function => FileOperation::Other(function),
         };
         let root = ctx.config.files.clone().ok_or(HResult::E_NOTIMPL)?;
-        let work = Work { root, base: base.to_owned(), operation, writable: ctx.may_write() };
+        let job = FileJob { root, base: base.to_owned(), operation, writable: ctx.may_write() };
         let slot = Slot::default();
         let promise = Promise(Some(Arc::clone(&slot)));
         self.pending.insert(ctx.peer, slot);
-        ctx.config.file_work.run(Box::new(move || promise.keep(work.perform())));
+        ctx.config.file_executor.run(Box::new(move || promise.keep(job.perform())));
         self.resume(ctx.peer, ctx.now)
     }
 
-    /// Takes the result of the work that a client waits for.
-    pub(crate) fn resume(&mut self, peer: PeerId, now: Instant) -> Result<WorkProgress, HResult> {
+    /// Takes the result of the job that a client waits for.
+    pub(crate) fn resume(&mut self, peer: PeerId, now: Instant) -> Result<JobProgress, HResult> {
         let slot = self.pending.get(&peer).ok_or(HResult::E_ABORT)?;
         let Some(done) = slot.lock().unwrap_or_else(PoisonError::into_inner).take() else {
-            return Ok(WorkProgress::Pending(now.saturating_add(LOOK)));
+            return Ok(JobProgress::Pending(now.saturating_add(LOOK)));
         };
         self.forget(peer);
-        done.map(WorkProgress::Done)
+        done.map(JobProgress::Done)
     }
 }

@@ -17,7 +17,7 @@ use bcap_core::hresult::HResult;
 
 /// The effect of an error on the tasks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Programs {
+pub(crate) enum TaskStop {
     Continue,
     Suspend,
     Reset,
@@ -31,16 +31,16 @@ pub(crate) struct Effects {
     /// Motions and Slave Mode stop at once.
     pub(crate) stops: bool,
     pub(crate) motor_off: bool,
-    pub(crate) tasks: Programs,
+    pub(crate) tasks: TaskStop,
     /// ClearError does not remove it.
     pub(crate) lasts: bool,
 }
 
 const NOTICE: Effects =
-    Effects { is_present: false, stops: false, motor_off: false, tasks: Programs::Continue, lasts: false };
+    Effects { is_present: false, stops: false, motor_off: false, tasks: TaskStop::Continue, lasts: false };
 const REFUSAL: Effects = Effects { is_present: true, ..NOTICE };
-const STOP: Effects = Effects { stops: true, tasks: Programs::Suspend, ..REFUSAL };
-const ERROR: Effects = Effects { motor_off: true, tasks: Programs::Reset, ..STOP };
+const STOP: Effects = Effects { stops: true, tasks: TaskStop::Suspend, ..REFUSAL };
+const ERROR: Effects = Effects { motor_off: true, tasks: TaskStop::Reset, ..STOP };
 const FAULT: Effects = Effects { lasts: true, ..ERROR };
 
 /// The effects of the levels 0 to 5.

@@ -213,7 +213,7 @@ pub(crate) enum FormatName {
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct File {
+struct ModelFile {
     name: Spanned<String>,
     #[serde(rename = "type")]
     controller_type: Option<Spanned<String>>,
@@ -295,12 +295,12 @@ impl Model {
     ///
     /// A [`ModelError`] that names the line.
     pub fn parse(text: &str) -> Result<Self, ModelError> {
-        let file: File = toml::from_str(text)?;
+        let file: ModelFile = toml::from_str(text)?;
         file.read().map_err(|wrong| located(text, wrong))
     }
 }
 
-impl File {
+impl ModelFile {
     fn read(self) -> Result<Model, Wrong> {
         let SizesEntry { i, f, d, v, p, j, t, s, io } = self.variables;
         let (geometry, home, extended_axes) = ArmEntry::read(&self.arm)?;

@@ -28,7 +28,7 @@ const FIRST: i32 = 2;
 
 /// The object that a system variable belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Owner {
+pub(crate) enum Parent {
     Controller,
     Robot,
     /// The task at this place of the list.
@@ -43,7 +43,7 @@ pub(crate) enum VariableRef {
     /// All user variables of a family; PutID chooses one, at first it is 0.
     Wildcard(Family, Option<u32>),
     /// A system variable, by its place in the table of its owner.
-    System(Owner, usize),
+    System(Parent, usize),
     /// The checksum of a file, as it was when the variable was opened.
     Crc(i32),
     /// A definition of the robot; PutID chooses the number of a wildcard.
@@ -134,7 +134,7 @@ impl Item {
 
 /// An open object.
 #[derive(Clone, Debug)]
-pub(crate) struct Entry {
+pub(crate) struct OpenObject {
     pub(crate) peer: PeerId,
     pub(crate) item: Item,
     pub(crate) name: String,
@@ -146,7 +146,7 @@ pub(crate) struct Entry {
     pub(crate) stamp: Instant,
 }
 
-impl Entry {
+impl OpenObject {
     pub(crate) const fn new(peer: PeerId, item: Item, name: String, now: Instant) -> Self {
         Self { peer, item, name, tag: OwnedVariant::EMPTY, id: OwnedVariant::EMPTY, stamp: now }
     }
@@ -252,7 +252,7 @@ impl CommonFunction {
 /// the calls of the others.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Objects {
-    open: BTreeMap<i32, Entry>,
+    open: BTreeMap<i32, OpenObject>,
     /// The handles of each client; a client without handles has no entry.
     by_peer: BTreeMap<PeerId, BTreeSet<i32>>,
     /// How often each object is open that is to be open once.
@@ -270,7 +270,7 @@ enum Single {
 }
 
 impl Single {
-    fn of(entry: &Entry) -> Option<Self> {
+    fn of(entry: &OpenObject) -> Option<Self> {
         match entry.item {
             Item::Controller => Some(Self::controller(&entry.name)),
             Item::Task(task) => Some(Self::Task(entry.peer, task)),
@@ -289,7 +289,7 @@ impl Objects {
     /// # Errors
     ///
     /// `E_OUTOFMEMORY` for a name that is too long, `E_MAX_OBJECT` if the client has `limit` objects already.
-    pub(crate) fn open(&mut self, entry: Entry, limit: usize) -> Result<i32, HResult> {
+    pub(crate) fn open(&mut self, entry: OpenObject, limit: usize) -> Result<i32, HResult> {
         if entry.name.len() > NAME_MAX {
             return Err(HResult::E_OUTOFMEMORY);
         }
@@ -325,12 +325,12 @@ impl Objects {
         self.single.contains_key(&Single::Task(peer, task))
     }
 
-    pub(crate) fn get(&self, peer: PeerId, handle: i32, object: Object) -> Result<&Entry, HResult> {
+    pub(crate) fn get(&self, peer: PeerId, handle: i32, object: Object) -> Result<&OpenObject, HResult> {
         let entry = self.open.get(&handle).filter(|e| e.peer == peer && e.item.object() == object);
         entry.ok_or(HResult::E_HANDLE)
     }
 
-    pub(crate) fn get_mut(&mut self, peer: PeerId, handle: i32, object: Object) -> Result<&mut Entry, HResult> {
+    pub(crate) fn get_mut(&mut self, peer: PeerId, handle: i32, object: Object) -> Result<&mut OpenObject, HResult> {
         let entry = self.open.get_mut(&handle).filter(|e| e.peer == peer && e.item.object() == object);
         entry.ok_or(HResult::E_HANDLE)
     }
@@ -408,8 +408,8 @@ mod tests {
         }
     }
 
-    fn entry(peer: u32) -> Entry {
-        Entry::new(PeerId(peer), Item::Robot, String::new(), Instant::ZERO)
+    fn entry(peer: u32) -> OpenObject {
+        OpenObject::new(PeerId(peer), Item::Robot, String::new(), Instant::ZERO)
     }
 
     #[test]
@@ -441,9 +441,9 @@ mod tests {
 
     /// The same in the simplest way: a list of client and handle.
     #[derive(Default)]
-    struct Model(Vec<(u32, i32)>);
+    struct ObjectList(Vec<(u32, i32)>);
 
-    impl Model {
+    impl ObjectList {
         fn open(&mut self, objects: &mut Objects, peer: u32, limit: usize) {
             let count = self.0.iter().filter(|(owner, _)| *owner == peer).count();
             match objects.open(entry(peer), limit) {
@@ -486,7 +486,7 @@ mod tests {
         const LIMIT: usize = 7;
         let mut random = fastrand::Rng::with_seed(11);
         for _ in 0..200 {
-            let (mut objects, mut model) = (Objects::default(), Model::default());
+            let (mut objects, mut model) = (Objects::default(), ObjectList::default());
             // handles near the end of their range, too
             objects.last = if random.bool() { i32::MAX - 9 } else { 0 };
             for _ in 0..100 {

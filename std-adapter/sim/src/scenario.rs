@@ -113,11 +113,11 @@
 //! that does not do so never sees `"drop"`, `"wrong_serial"`, `"corrupt"` and `"disconnect"`. During a link loss, calls
 //! are neither executed nor answered in any case.
 
-mod file;
-mod run;
-mod section;
+mod parse;
+mod parse_setup;
+mod parse_task;
+mod playback;
 mod setup;
-mod task;
 
 use std::time::Duration;
 
@@ -128,7 +128,7 @@ use serde::Deserialize;
 use crate::config::{Mode, Permission, Token};
 use crate::program::Program;
 
-pub(crate) use run::{CallPlan, Running};
+pub(crate) use playback::{CallPlan, Playback};
 pub use setup::Setup;
 
 /// A list of faults.
@@ -180,8 +180,8 @@ pub struct ScenarioFault {
 pub enum Trigger {
     /// At calls.
     Call {
-        /// Which of the counted calls.
-        which: Which,
+        /// Selects among the counted calls.
+        filter: CallFilter,
         /// The function or the command that counts; `None` counts all calls.
         of: Option<String>,
     },
@@ -193,7 +193,7 @@ pub enum Trigger {
 
 /// The calls at which a fault happens, counted from 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Which {
+pub enum CallFilter {
     /// From the first to the last.
     Range(u64, u64),
     /// Every n-th.

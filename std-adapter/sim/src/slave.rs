@@ -80,7 +80,7 @@ use crate::rules;
 use crate::stream::{Offered, SlaveMode, Stream};
 use crate::value::{ValueResult, one_int};
 use crate::waits::{Wait, Waits};
-use format::{Formats, Order, State};
+use format::{Formats, RobotState, SlvMove};
 
 pub use crate::config::{SlaveConfig, SpeedSetting};
 pub use crate::model::SlaveFormats;
@@ -158,7 +158,7 @@ impl Slave {
         self.answer(robot, ctx, &order).map(Answer::Value)
     }
 
-    fn order(&self, ctx: &Context<'_>, param: &Variant<'_>) -> Result<Order, HResult> {
+    fn order(&self, ctx: &Context<'_>, param: &Variant<'_>) -> Result<SlvMove, HResult> {
         let order = self.formats(ctx.peer).read(&param.flatten())?;
         order.check(&ctx.config.model.slave_io, ctx.variables)?;
         Ok(order)
@@ -168,10 +168,14 @@ impl Slave {
         self.formats.get(&peer).copied().unwrap_or_default()
     }
 
-    fn answer(&self, robot: &Robot, ctx: &Context<'_>, order: &Order) -> ValueResult {
+    fn answer(&self, robot: &Robot, ctx: &Context<'_>, order: &SlvMove) -> ValueResult {
         let current = robot.stream().map_or([0.0; 8], Stream::current);
-        let state =
-            State { micros: ctx.now.as_micros(), axes: robot.axes(ctx.now), coordinates: robot.coordinates(), current };
+        let state = RobotState {
+            micros: ctx.now.as_micros(),
+            axes: robot.axes(ctx.now),
+            coordinates: robot.coordinates(),
+            current,
+        };
         self.formats(ctx.peer).answer(&state, order, &ctx.config.model.slave_io, ctx.variables)
     }
 

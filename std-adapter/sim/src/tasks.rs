@@ -34,7 +34,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 
 use crate::config::Config;
-use crate::levels::Programs;
+use crate::levels::TaskStop;
 use crate::program::Program;
 
 pub(crate) use task::Task;
@@ -89,11 +89,11 @@ impl Tasks {
     }
 
     /// Stops the tasks because of an error, as its effects say.
-    pub(crate) fn fail(&mut self, effect: Programs, now: Instant) {
+    pub(crate) fn fail(&mut self, effect: TaskStop, now: Instant) {
         match effect {
-            Programs::Continue => {}
-            Programs::Suspend => self.suspend(now),
-            Programs::Reset => self.kill(now),
+            TaskStop::Continue => {}
+            TaskStop::Suspend => self.suspend(now),
+            TaskStop::Reset => self.kill(now),
         }
     }
 

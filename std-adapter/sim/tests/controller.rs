@@ -7,7 +7,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 use bcap_core::variant::{OleDate, Variant};
 use bcap_sim::codes::MANUAL_MODE;
-use bcap_sim::{Bit, Config, Mode, Profile, Scenario, TaskStatus, Token};
+use bcap_sim::{Config, Mode, Profile, Scenario, SysStateBit, TaskStatus, Token};
 
 use crate::common::{Client, Value, World, code, ok, value};
 
@@ -132,19 +132,31 @@ fn state(world: &mut World, client: Client) -> Vec<u32> {
 fn sys_state_tells_each_thing_by_its_bit() {
     let mut world = World::new();
     let client = world.client(1);
-    let quiet = [Bit::Initialized, Bit::Auto, Bit::TokenOutside, Bit::AutoEnable, Bit::Calibrated];
+    let quiet = [
+        SysStateBit::Initialized,
+        SysStateBit::Auto,
+        SysStateBit::TokenOutside,
+        SysStateBit::AutoEnable,
+        SysStateBit::Calibrated,
+    ];
     let mut expected = quiet.map(|bit| bit as u32).to_vec();
     assert_eq!(state(&mut world, client), expected);
 
     world.robot(client, "Motor", 1);
-    expected.push(Bit::ServoOn as u32);
+    expected.push(SysStateBit::ServoOn as u32);
     expected.sort_unstable();
     assert_eq!(state(&mut world, client), expected);
 
     world.sim.emergency_stop(true, world.now);
     world.sim.set_mode(Mode::TeachCheck, world.now);
     world.sim.set_token(Token::TeachPendant);
-    let stopped = [Bit::Initialized, Bit::EmergencyStop, Bit::AutoEnable, Bit::Calibrated, Bit::Manual];
+    let stopped = [
+        SysStateBit::Initialized,
+        SysStateBit::EmergencyStop,
+        SysStateBit::AutoEnable,
+        SysStateBit::Calibrated,
+        SysStateBit::Manual,
+    ];
     assert_eq!(state(&mut world, client), stopped.map(|bit| bit as u32));
     assert_eq!(world.get(client, "@MODE"), ok(&2));
     assert_eq!(world.execute(client, "SysInfo", 0), ok("VIRTUAL"));
@@ -160,7 +172,7 @@ fn a_scenario_sets_the_warnings_of_sys_state() {
     let text = "[controller]\nbattery_low = true\nwarning = true\nprotective_stop = true";
     world.sim.play(Scenario::parse(text).unwrap());
     let set: Vec<_> = state(&mut world, client).into_iter().filter(|bit| !before.contains(bit)).collect();
-    assert_eq!(set, [Bit::Battery, Bit::Warning, Bit::ProtectiveStop].map(|bit| bit as u32));
+    assert_eq!(set, [SysStateBit::Battery, SysStateBit::Warning, SysStateBit::ProtectiveStop].map(|bit| bit as u32));
     assert_eq!(world.execute(client, "SysInfo", 15), ok(&-1));
     assert_eq!(world.get(client, "@PROTECTIVE_STOP"), ok(&true));
 }
@@ -171,11 +183,11 @@ fn sys_state_tells_that_the_robot_brakes_for_halt() {
     let client = world.mover(1);
     world.call(client.peer, call::robot_move(client.robot, 1, "J(90,45,90,0,45,0)", "NEXT"));
     world.pass(200);
-    assert!(!state(&mut world, client).contains(&(Bit::Stopping as u32)));
+    assert!(!state(&mut world, client).contains(&(SysStateBit::Stopping as u32)));
     world.begin(client.peer, &call::robot_halt(client.robot, ""));
-    assert!(state(&mut world, client).contains(&(Bit::Stopping as u32)));
+    assert!(state(&mut world, client).contains(&(SysStateBit::Stopping as u32)));
     world.pass(2000);
-    assert!(!state(&mut world, client).contains(&(Bit::Stopping as u32)));
+    assert!(!state(&mut world, client).contains(&(SysStateBit::Stopping as u32)));
 }
 
 #[test]
@@ -197,14 +209,14 @@ fn a_task_runs_on_the_given_clock() {
     assert_eq!(get(&mut world, "@ELAPSED_TIME"), ok(&50));
     assert_eq!(get(&mut world, "@PRIORITY"), code(HResult::E_ACCESSDENIED));
     assert_eq!(world.get(client, "@BUSY_STATUS"), ok(&true));
-    assert!(state(&mut world, client).contains(&(Bit::Running as u32)));
-    assert!(!state(&mut world, client).contains(&(Bit::CycleComplete as u32)));
+    assert!(state(&mut world, client).contains(&(SysStateBit::Running as u32)));
+    assert!(!state(&mut world, client).contains(&(SysStateBit::CycleComplete as u32)));
     let again = call::task_start(task, 2, "");
     assert_eq!(world.call(client.peer, again), code(HResult::E_CAO_CMD_EXECUTE));
     world.pass(150);
     assert_eq!(world.call(client.peer, &status), ok(&2));
     assert_eq!(world.sim.task("Pro1"), Some((TaskStatus::Ready, 1)));
-    assert!(state(&mut world, client).contains(&(Bit::CycleComplete as u32)));
+    assert!(state(&mut world, client).contains(&(SysStateBit::CycleComplete as u32)));
     assert_eq!(world.call(client.peer, call::task_stop(task, 0, "")), code(HResult::S_FALSE));
     assert_eq!(world.call(client.peer, call::task_start(task, 5, "")), code(HResult::E_INVALIDARG));
     assert_eq!(world.call(client.peer, call::task_stop(task, 5, "")), code(HResult::E_INVALIDARG));
@@ -228,14 +240,14 @@ fn a_task_stops_as_it_is_told() {
         let task = world.task(client, "Pro2");
         world.call(client.peer, call::task_start(task, 2, ""));
         world.pass(2550);
-        assert!(!state(&mut world, client).contains(&(Bit::ContinueStart as u32)));
+        assert!(!state(&mut world, client).contains(&(SysStateBit::ContinueStart as u32)));
         assert_eq!(world.call(client.peer, call::task_stop(task, mode, "")), code(HResult::S_OK));
         world.pass(1);
         assert_eq!(world.sim.task("Pro2").map(|t| t.0), Some(soon), "mode {mode}");
         world.pass(2000);
         assert_eq!(world.sim.task("Pro2").map(|t| t.0), Some(late), "mode {mode}");
         let stopped = matches!(late, TaskStatus::Suspended | TaskStatus::StepStop);
-        assert_eq!(state(&mut world, client).contains(&(Bit::ContinueStart as u32)), stopped, "mode {mode}");
+        assert_eq!(state(&mut world, client).contains(&(SysStateBit::ContinueStart as u32)), stopped, "mode {mode}");
         assert_eq!(world.sim.task("Pro1"), Some((TaskStatus::Ready, 0)));
     }
 }

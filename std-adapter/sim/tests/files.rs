@@ -249,8 +249,8 @@ fn queued() -> (Rig, Queue) {
     let queue = Queue::default();
     let jobs = Arc::clone(&queue);
     let folder = Rig::new().folder;
-    let file_work = Executor::new(move |job| jobs.lock().unwrap().push(job));
-    let mut world = World::with(Config { files: Some(folder.path().into()), file_work, ..Config::default() });
+    let file_executor = Executor::new(move |job| jobs.lock().unwrap().push(job));
+    let mut world = World::with(Config { files: Some(folder.path().into()), file_executor, ..Config::default() });
     let client = world.client(1);
     (Rig { world, client, folder }, queue)
 }

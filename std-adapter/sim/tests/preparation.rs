@@ -3,7 +3,7 @@
 use bcap_core::bcap::call;
 use bcap_core::hresult::HResult;
 use bcap_sim::codes::{EMERGENCY_STOP, RESET_IN_EMERGENCY_STOP};
-use bcap_sim::{Bit, Config, Profile, Scenario, Token};
+use bcap_sim::{Config, Profile, Scenario, SysStateBit, Token};
 
 use crate::common::{Client, World, code, ok};
 
@@ -15,7 +15,7 @@ fn cobotta() -> (World, Client) {
 
 fn calibrated(world: &mut World, client: Client) -> bool {
     let (_, state) = world.execute(client, "SysState", ());
-    state.as_variant().as_i32().unwrap() & 1 << Bit::Calibrated as u32 != 0
+    state.as_variant().as_i32().unwrap() & 1 << SysStateBit::Calibrated as u32 != 0
 }
 
 #[test]

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use crate::faults::{Faults, Plan};
+use crate::faults::{FaultPlan, Faults};
 use crate::record::{Recorder, Recording};
 
 /// The most clients over UDP, and the most connections of each TCP port: each needs a socket to the robot and memory.
@@ -15,7 +15,7 @@ pub(super) const CLIENTS: usize = 256;
 pub(super) struct Shared {
     pub(super) recorder: Recorder,
     pub(super) connect_timeout: Duration,
-    plan: Arc<Plan>,
+    plan: Arc<FaultPlan>,
     seed: u64,
     /// The number of connections so far.
     count: Arc<AtomicU64>,
@@ -28,7 +28,7 @@ impl Shared {
     pub(super) fn new(
         recording: &Recording,
         connect_timeout: Duration,
-        faults: Plan,
+        faults: FaultPlan,
         seed: u64,
         shows_listener: bool,
     ) -> Self {

@@ -5,14 +5,14 @@ use bcap_core::bcap::server::Request;
 use bcap_core::hresult::HResult;
 use bcap_core::variant::Variant;
 
-use super::poses::{self, Definition};
+use super::poses::{self, FrameKind};
 use super::robot_execute::{COMMANDS, Handler};
 use super::{Arm, moves};
 use crate::answer::{Answer, Answered};
 use crate::codes::CHANGE_IN_MOTION;
+use crate::command_name::command_of;
 use crate::context::Context;
 use crate::drive::Drive;
-use crate::function::command_of;
 use crate::objects::DefinitionKind;
 use crate::robot::{Percent, percent, tool, work};
 use crate::rules;
@@ -73,8 +73,8 @@ impl Arm {
     /// Returns the numbers of a definition.
     pub(crate) fn numbers(&self, kind: DefinitionKind, number: i32) -> ValueResult {
         match kind {
-            DefinitionKind::Tool => poses::numbers_of(self, Definition::Tool, number),
-            DefinitionKind::Work => poses::numbers_of(self, Definition::Work, number),
+            DefinitionKind::Tool => poses::numbers_of(self, FrameKind::Tool, number),
+            DefinitionKind::Work => poses::numbers_of(self, FrameKind::Work, number),
             DefinitionKind::Area => owned(self.areas.get(number)?),
         }
     }
@@ -88,8 +88,8 @@ impl Arm {
         given: &[f64],
     ) -> Answered {
         match kind {
-            DefinitionKind::Tool => poses::put_numbers(self, ctx, Definition::Tool, number, given),
-            DefinitionKind::Work => poses::put_numbers(self, ctx, Definition::Work, number, given),
+            DefinitionKind::Tool => poses::put_numbers(self, ctx, FrameKind::Tool, number, given),
+            DefinitionKind::Work => poses::put_numbers(self, ctx, FrameKind::Work, number, given),
             DefinitionKind::Area => {
                 self.robot.may(ctx, &rules::SETTING)?;
                 self.areas.set(number, given).map(|()| Answer::Done)

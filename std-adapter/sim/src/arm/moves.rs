@@ -11,7 +11,7 @@ use crate::drive::Drive;
 use crate::kinematics::{Frame, cross, unit};
 use crate::options::{Pass, options, pass_of_text, split_outside_brackets};
 use crate::path::Blocked;
-use crate::paths::Paths;
+use crate::path_points::PathPoints;
 use crate::pose::{Pose, Target, length_and_pass, three_vectors, vector, vector_and_pass};
 use crate::robot::{Percent, Robot, percent};
 use crate::route::Route;
@@ -93,7 +93,7 @@ pub(super) fn depart(robot: &mut Robot, ctx: &mut Context<'_>, param: &Variant<'
 /// Executes Robot_Move 4: through the points of a path.
 pub(super) fn follow(
     robot: &mut Robot,
-    paths: &Paths,
+    paths: &PathPoints,
     ctx: &mut Context<'_>,
     path: &Variant<'_>,
     option: &str,

@@ -93,13 +93,13 @@ pub(super) fn check_fence(_: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_
 
 /// The definitions that a command or a variable concerns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Definition {
+pub(crate) enum FrameKind {
     Tool,
     Work,
     Base,
 }
 
-impl Definition {
+impl FrameKind {
     fn of(self, robot: &Robot) -> &Definitions {
         match self {
             Self::Tool => &robot.tools,
@@ -118,15 +118,15 @@ impl Definition {
 }
 
 /// Executes GetToolDef, GetWorkDef or GetBaseDef: the last two have the attribute as seventh number.
-pub(super) fn definition(arm: &Arm, of: Definition, param: &Variant<'_>) -> Answered {
+pub(super) fn definition(arm: &Arm, of: FrameKind, param: &Variant<'_>) -> Answered {
     numbers_of(arm, of, one_int(param)?).map(Answer::Value)
 }
 
 /// Returns the numbers of a definition.
-pub(super) fn numbers_of(arm: &Arm, of: Definition, number: i32) -> ValueResult {
+pub(super) fn numbers_of(arm: &Arm, of: FrameKind, number: i32) -> ValueResult {
     let (definitions, number) = (of.of(&arm.robot), of.number(number)?);
     let mut numbers = measured(definitions.get(number).to_xyz_rpy());
-    if of != Definition::Tool {
+    if of != FrameKind::Tool {
         numbers.push(definitions.attribute(number).into());
     }
     owned(numbers)
@@ -138,13 +138,13 @@ pub(super) fn attribute(arm: &mut Arm, _: &mut Context<'_>, param: &Variant<'_>)
 }
 
 /// Executes SetToolDef, SetWorkDef or SetBaseDef: `[number, pose]`, the last two perhaps with the attribute.
-pub(super) fn define(arm: &mut Arm, ctx: &mut Context<'_>, of: Definition, param: &Variant<'_>) -> Answered {
+pub(super) fn define(arm: &mut Arm, ctx: &mut Context<'_>, of: FrameKind, param: &Variant<'_>) -> Answered {
     let Variant::Array(array) = param.flatten() else { return Err(HResult::E_INVALIDARGTYPE) };
     let (Some(number), Some(pose), 2 | 3) = (array.get(0), array.get(1), array.len()) else {
         return Err(HResult::E_INVALIDARG);
     };
     let attribute = array.get(2).map_or(Ok(0), |attribute| one_int(&attribute))?;
-    if attribute != 0 && (attribute != 1 || of == Definition::Tool) {
+    if attribute != 0 && (attribute != 1 || of == FrameKind::Tool) {
         return Err(HResult::E_INVALIDARG);
     }
     let Pose::Frame(frame, _) = pose_of(&pose, ctx)? else { return Err(HResult::E_INVALIDARG) };
@@ -152,16 +152,10 @@ pub(super) fn define(arm: &mut Arm, ctx: &mut Context<'_>, of: Definition, param
 }
 
 /// Writes the numbers of a definition.
-pub(super) fn put_numbers(
-    arm: &mut Arm,
-    ctx: &mut Context<'_>,
-    of: Definition,
-    number: i32,
-    given: &[f64],
-) -> Answered {
+pub(super) fn put_numbers(arm: &mut Arm, ctx: &mut Context<'_>, of: FrameKind, number: i32, given: &[f64]) -> Answered {
     let (frame, attribute) = match (of, given) {
         (_, frame) if frame.len() == 6 => (frame, 0),
-        (Definition::Work | Definition::Base, [frame @ .., attribute @ (0.0 | 1.0)]) => (frame, whole(*attribute)?),
+        (FrameKind::Work | FrameKind::Base, [frame @ .., attribute @ (0.0 | 1.0)]) => (frame, whole(*attribute)?),
         _ => return Err(HResult::E_INVALIDARG),
     };
     let Pose::Frame(frame, _) = Pose::new(Kind::P, frame)? else { return Err(HResult::E_INVALIDARG) };
@@ -171,16 +165,16 @@ pub(super) fn put_numbers(
 fn set_definition(
     arm: &mut Arm,
     ctx: &mut Context<'_>,
-    of: Definition,
+    of: FrameKind,
     number: i32,
     (frame, attribute): (Frame, i32),
 ) -> Answered {
     arm.robot.may(ctx, &rules::DEFINITION)?;
     let number = of.number(number)?;
     let definitions = match of {
-        Definition::Tool => &mut arm.robot.tools,
-        Definition::Work => &mut arm.robot.works,
-        Definition::Base => &mut arm.robot.bases,
+        FrameKind::Tool => &mut arm.robot.tools,
+        FrameKind::Work => &mut arm.robot.works,
+        FrameKind::Base => &mut arm.robot.bases,
     };
     if definitions.set(number, frame, attribute) { Ok(Answer::Done) } else { Err(HResult::E_INVALIDARG) }
 }

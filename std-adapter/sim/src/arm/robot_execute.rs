@@ -4,9 +4,9 @@ use bcap_core::hresult::HResult;
 use bcap_core::rac::VariableKind as Kind;
 use bcap_core::variant::Variant;
 
-use super::poses::Definition;
+use super::poses::FrameKind;
 use super::readings::{self, Reading};
-use super::{Arm, areas, measures, moves, paths, poses, settings};
+use super::{Arm, areas, measures, moves, path_points, poses, settings};
 use crate::answer::{Answer, Answered};
 use crate::codes::{OTHER_GROUP, UNDEFINED_GROUP, WRONG_KEEP};
 use crate::context::Context;
@@ -110,13 +110,13 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     command("DPS", measures::turn_percent).accepts("degrees per second, or [axis, degrees per second]: axis 1 to 8"),
     command("OutRange", poses::out_range)
         .accepts("a pose, or [pose, tool, work]: the pose as text or with its type, tool -1 to 63, work -1 to 7"),
-    command("GetToolDef", |arm, _, param| poses::definition(arm, Definition::Tool, param)).accepts(TOOL),
-    command("GetWorkDef", |arm, _, param| poses::definition(arm, Definition::Work, param)).accepts(WORK),
-    command("SetToolDef", |arm, ctx, param| poses::define(arm, ctx, Definition::Tool, param)).accepts(DEFINE),
-    command("SetWorkDef", |arm, ctx, param| poses::define(arm, ctx, Definition::Work, param)).accepts(DEFINE_WORK),
+    command("GetToolDef", |arm, _, param| poses::definition(arm, FrameKind::Tool, param)).accepts(TOOL),
+    command("GetWorkDef", |arm, _, param| poses::definition(arm, FrameKind::Work, param)).accepts(WORK),
+    command("SetToolDef", |arm, ctx, param| poses::define(arm, ctx, FrameKind::Tool, param)).accepts(DEFINE),
+    command("SetWorkDef", |arm, ctx, param| poses::define(arm, ctx, FrameKind::Work, param)).accepts(DEFINE_WORK),
     command("WorkAttribute", poses::attribute).accepts(WORK),
-    command("GetBaseDef", |arm, _, param| poses::definition(arm, Definition::Base, param)).accepts(WORK),
-    command("SetBaseDef", |arm, ctx, param| poses::define(arm, ctx, Definition::Base, param)).accepts(DEFINE_WORK),
+    command("GetBaseDef", |arm, _, param| poses::definition(arm, FrameKind::Base, param)).accepts(WORK),
+    command("SetBaseDef", |arm, ctx, param| poses::define(arm, ctx, FrameKind::Base, param)).accepts(DEFINE_WORK),
     command("GetAreaDef", areas::definition).accepts(AREA),
     command("SetAreaDef", areas::define).accepts(
         "[area, P, V, IO, variable, detection] or [area, numbers]: area 0 to 31; 11 to 34 numbers",
@@ -127,11 +127,11 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
         .accepts("[area, enabled]: area 0 to 31, BOOL"),
     command("SetArea", |arm, ctx, param| areas::enable(arm, ctx, Some(true), param)).accepts(AREA),
     command("ResetArea", |arm, ctx, param| areas::enable(arm, ctx, Some(false), param)).accepts(AREA),
-    command("AddPathPoint", paths::add).accepts("[path, pose]: path 1 to 20"),
-    command("ClrPathPoint", paths::clear).accepts(PATH),
-    command("LoadPathPoint", paths::clear).accepts(PATH),
-    command("GetPathPoint", paths::point).accepts("[path, point]: path 1 to 20, point from 1"),
-    command("GetPathPointCount", paths::count).accepts(PATH),
+    command("AddPathPoint", path_points::add).accepts("[path, pose]: path 1 to 20"),
+    command("ClrPathPoint", path_points::clear).accepts(PATH),
+    command("LoadPathPoint", path_points::clear).accepts(PATH),
+    command("GetPathPoint", path_points::point).accepts("[path, point]: path 1 to 20, point from 1"),
+    command("GetPathPointCount", path_points::count).accepts(PATH),
     command("CrtMotionAllow", settings::crt_motion_allow).accepts("[on, mm] or [on, mm, degrees]; 0 alone is off"),
     command("EncMotionAllow", settings::enc_motion_allow).accepts("[on, value] or [on, value, mode]: mode 0 degrees or mm, 1 pulses; 0 alone is off"),
     command("EncMotionAllowJnt", settings::enc_motion_allow_jnt).accepts("[on, axis, value] or [on, axis, value, mode]: axis 1 to 8; [0, axis] is off"),
@@ -361,7 +361,7 @@ mod tests {
         let sources = [
             include_str!("../arm.rs"),
             include_str!("areas.rs"),
-            include_str!("paths.rs"),
+            include_str!("path_points.rs"),
             include_str!("settings.rs"),
             include_str!("../slave.rs"),
             include_str!("../preparation.rs"),

@@ -14,7 +14,7 @@ use crate::waits::Wait;
 
 impl Controller {
     pub(super) fn open_command(&mut self, peer: PeerId, name: &str) -> Answered {
-        let functions = self.common.config.model.functions;
+        let functions = self.shared.config.model.functions;
         let command = Command::find(controller_execute::COMMANDS, name).filter(|command| command.exists(functions));
         let name = command.ok_or(HResult::E_CAO_OBJECT_NOTFOUND)?.name;
         self.open(peer, Item::Command(CommandObject::default()), name.to_owned())
@@ -31,7 +31,7 @@ impl Controller {
         let handle = request.handle();
         let running = self.command_mut(peer, handle)?.running();
         // it may have ended while no call waited for it
-        if let Some(outcome) = running.and_then(|wait| self.arm.outcome(wait, self.common.now)) {
+        if let Some(outcome) = running.and_then(|wait| self.arm.outcome(wait, self.shared.now)) {
             self.command_mut(peer, handle)?.end(outcome);
         }
         match request.function {
@@ -46,12 +46,12 @@ impl Controller {
             return Err(HResult::E_INVALIDARG);
         }
         let name = self.objects.get(peer, handle, Object::Command)?.name.clone();
-        let now = self.common.now;
+        let now = self.shared.now;
         let parameters = self.command_mut(peer, handle)?.begin(now)?;
         let mut answered = self.run(peer, &name, &parameters.as_variant());
         if let Ok(Answer::Until(wait)) = answered {
-            self.common.waits.begin(peer, wait);
-            self.arm.advance(now, &mut self.common.waits);
+            self.shared.waits.begin(peer, wait);
+            self.arm.advance(now, &mut self.shared.waits);
             answered = self.poll(peer).map(Answer::of_command);
         }
         let answer = self.record(peer, handle, answered)?;
@@ -59,18 +59,18 @@ impl Controller {
             return Ok(answer);
         }
         if let Answer::Poll(_) = answer {
-            self.common.waits.forget(peer);
+            self.shared.waits.forget(peer);
         }
         Ok(Answer::Done)
     }
 
     /// Continues an execution, up to the timeout of its command.
     pub(super) fn resume_command(&mut self, peer: PeerId, handle: i32) -> Answered {
-        let now = self.common.now;
+        let now = self.shared.now;
         let is_overdue = self.command_mut(peer, handle)?.is_overdue(now);
-        if is_overdue && !matches!(self.common.waits.get(peer), Some(Wait::Over(_))) {
+        if is_overdue && !matches!(self.shared.waits.get(peer), Some(Wait::Over(_))) {
             // the command itself continues
-            self.common.waits.forget(peer);
+            self.shared.waits.forget(peer);
             return Err(HResult::E_TIMEOUT);
         }
         let answered = self.poll(peer).map(Answer::of_command);
@@ -93,7 +93,7 @@ impl Controller {
 
     fn cancel_command(&mut self, peer: PeerId, handle: i32) -> Answered {
         let Some(wait) = self.command_mut(peer, handle)?.running() else { return Ok(Answer::Code(HResult::S_FALSE)) };
-        self.arm.cancel(wait, self.common.now, &mut self.common.waits);
+        self.arm.cancel(wait, self.shared.now, &mut self.shared.waits);
         self.command_mut(peer, handle)?.end(Err(HResult::E_CANCEL));
         Ok(Answer::Done)
     }

@@ -9,7 +9,7 @@
 //! | GetErrorLog                        | I4 index            | an array of VARIANT, see below                   |
 //! | GetOprLogCount                     | -                   | I4                                               |
 //! | GetOprLog                          | I4 index            | an array of VARIANT, see below                   |
-//! | SysState                           | -                   | I4 of bits, see [`Bit`]                          |
+//! | SysState                           | -                   | I4 of bits, see [`SysStateBit`]                          |
 //! | SysInfo                            | I4: 0, 1            | BSTR: the serial number; a MAC address           |
 //! |                                    | I4: 3               | I4\[8\]: the numbers of I F D V P J T S variables |
 //! |                                    | I4: 8, 10, 12       | I4: minutes since the controller was switched on |
@@ -49,7 +49,7 @@ use bcap_core::rac::VariableKind as Kind;
 use bcap_core::time::Instant;
 use bcap_core::variant::{Encode, Variant};
 
-use super::{Common, Controller};
+use super::{Controller, Shared};
 use crate::answer::{Answer, Answered};
 use crate::arm::robot_execute::{MOTOR, motor};
 use crate::config::{Config, Token};
@@ -81,34 +81,34 @@ pub(super) const COMMANDS: &[Command<Run>] = &[
     command("ClearError", |controller, peer, _| controller.clear_error(peer)),
     command("GetErrorDescription", |controller, _, param| Answer::of(controller.describe(code_of(param)?)))
         .accepts("one code: I4, UI4, ERROR or another integer"),
-    command("GetCurErrorCount", |controller, _, _| count(controller.common.errors.present().len())),
+    command("GetCurErrorCount", |controller, _, _| count(controller.shared.errors.present().len())),
     command("GetCurErrorInfo", |controller, _, param| {
-        let entry = controller.common.errors.present().get(index(param)?).ok_or(HResult::DISP_E_BADINDEX)?;
-        error_info(&controller.common.config, entry)
+        let entry = controller.shared.errors.present().get(index(param)?).ok_or(HResult::DISP_E_BADINDEX)?;
+        error_info(&controller.shared.config, entry)
     })
     .accepts("one number: the index, from 0 to below GetCurErrorCount"),
-    command("GetErrorLogCount", |controller, _, _| count(controller.common.errors.log().len())),
+    command("GetErrorLogCount", |controller, _, _| count(controller.shared.errors.log().len())),
     command("GetErrorLog", |controller, _, param| {
-        let entry = controller.common.errors.log().get(index(param)?).ok_or(HResult::DISP_E_BADINDEX)?;
-        log_entry(&controller.common.config, entry)
+        let entry = controller.shared.errors.log().get(index(param)?).ok_or(HResult::DISP_E_BADINDEX)?;
+        log_entry(&controller.shared.config, entry)
     })
     .accepts("one number: the index, from 0 to below GetErrorLogCount"),
-    command("GetOprLogCount", |controller, _, _| count(controller.common.operations.log().len())),
+    command("GetOprLogCount", |controller, _, _| count(controller.shared.operations.log().len())),
     command("GetOprLog", |controller, _, param| {
-        let entry = controller.common.operations.log().get(index(param)?).ok_or(HResult::DISP_E_BADINDEX)?;
-        operation(&controller.common.config, entry)
+        let entry = controller.shared.operations.log().get(index(param)?).ok_or(HResult::DISP_E_BADINDEX)?;
+        operation(&controller.shared.config, entry)
     })
     .accepts("one number: the index, from 0 to below GetOprLogCount"),
     command("SysState", |controller, _, _| Answer::of(controller.system_state())),
     command("SysInfo", |controller, _, param| controller.system_info(one_int(param)?)).accepts("one number, 0 to 16"),
-    command("Motor", |controller, peer, param| motor(&mut controller.arm, &mut controller.common.context(peer), param))
+    command("Motor", |controller, peer, param| motor(&mut controller.arm, &mut controller.shared.context(peer), param))
         .accepts(MOTOR),
     command("KillAll", |controller, _, param| controller.stop_all(param, Tasks::kill)).accepts(SYNC),
     command("SuspendAll", |controller, _, param| controller.stop_all(param, Tasks::suspend)).accepts(SYNC),
     command("StepStopAll", |controller, _, param| controller.stop_all(param, Tasks::step_stop)).accepts(SYNC),
     command("ContinueStartAll", |controller, peer, _| {
-        controller.common.context(peer).may(&rules::START_TASK)?;
-        controller.tasks.continue_start(controller.common.now);
+        controller.shared.context(peer).may(&rules::START_TASK)?;
+        controller.tasks.continue_start(controller.shared.now);
         controller.record_operation("all tasks continued");
         Ok(Answer::Done)
     }),
@@ -124,7 +124,7 @@ pub(super) const COMMANDS: &[Command<Run>] = &[
     .accepts("[task, variable] or [task, variable, index]"),
     command("SetPublicValue", |controller, peer, param| {
         let (task, name, index) = public_value(param, 1)?;
-        controller.common.context(peer).may_write()?;
+        controller.shared.context(peer).may_write()?;
         let task = controller.tasks.position(&task).ok_or(HResult::E_CAO_OBJECT_NOTFOUND)?;
         let value = element(param, 0).unwrap_or(Variant::Empty);
         controller.tasks.get_mut(task)?.public_mut().put(&name, index, &value)?;
@@ -136,38 +136,38 @@ pub(super) const COMMANDS: &[Command<Run>] = &[
     command("ManualReset", manual_reset).of(has_safe_torque_off),
     command("ResetStoState", manual_reset).of(has_safe_torque_off),
     command("ManualResetPreparation", |controller, _, _| {
-        controller.arm.preparation_mut().prepare_reset(&controller.common.config)
+        controller.arm.preparation_mut().prepare_reset(&controller.shared.config)
     })
     .of(|functions| functions.preparation),
     command("HandMoveA", |controller, peer, param| {
-        controller.arm.hand_mut().move_absolute(&mut controller.common.context(peer), param)
+        controller.arm.hand_mut().move_absolute(&mut controller.shared.context(peer), param)
     })
     .of(has_hand)
     .accepts("[place, speed], perhaps with \"Next\": 0 to 30 mm, 1 to 100 percent"),
     command("HandMoveR", |controller, peer, param| {
-        controller.arm.hand_mut().move_relative(&mut controller.common.context(peer), param)
+        controller.arm.hand_mut().move_relative(&mut controller.shared.context(peer), param)
     })
     .of(has_hand)
     .accepts("[way, speed]: in mm and within 0 to 30 mm, 1 to 100 percent"),
     command("HandMoveH", |controller, peer, param| {
-        controller.arm.hand_mut().grip(&mut controller.common.context(peer), param)
+        controller.arm.hand_mut().grip(&mut controller.shared.context(peer), param)
     })
     .of(has_hand)
     .accepts("[force, close], perhaps with \"Next\": 6 to 20 N, BOOL or a number"),
     command("HandMoveAH", |controller, peer, param| {
-        controller.arm.hand_mut().move_and_grip(&mut controller.common.context(peer), param)
+        controller.arm.hand_mut().move_and_grip(&mut controller.shared.context(peer), param)
     })
     .of(has_hand)
     .accepts("[place, speed, force]: 0 to 30 mm, 1 to 100 percent, 6 to 20 N"),
     command("HandMoveVH", |controller, peer, param| {
-        controller.arm.hand_mut().suck(&mut controller.common.context(peer), param)
+        controller.arm.hand_mut().suck(&mut controller.shared.context(peer), param)
     })
     .of(has_hand)
     .accepts("[power, on]: 0 to 100 percent, BOOL or a number"),
     command("HandHoldState", |_, _, _| Answer::of(false)).of(has_hand),
     command("HandStop", |controller, _, _| {
-        let now = controller.common.now;
-        let stopped = controller.arm.hand_mut().stop(HResult::E_ABORT, now, &mut controller.common.waits);
+        let now = controller.shared.now;
+        let stopped = controller.arm.hand_mut().stop(HResult::E_ABORT, now, &mut controller.shared.waits);
         Ok(Answer::done_if(stopped))
     })
     .of(has_hand),
@@ -189,7 +189,7 @@ pub(super) fn names(functions: Functions) -> impl Iterator<Item = &'static str> 
 /// The bits of SysState, by their numbers. Other bits are never set: 16 (program start reset) and 24 (command
 /// processing complete), because no source says when, and the reserved bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Bit {
+pub enum SysStateBit {
     /// A task is running.
     Running = 0,
     /// An error is present.
@@ -231,15 +231,15 @@ pub enum Bit {
 impl Controller {
     /// Removes the errors, also in emergency stop. An error of level 5 cannot be removed, and is the answer.
     pub(super) fn clear_error(&mut self, peer: PeerId) -> Answered {
-        self.arm.preparation().check_manual_reset(&self.common.context(peer))?;
-        self.clear_errors(self.common.now);
-        Ok(self.common.errors.lasting().map_or(Answer::Done, Answer::Code))
+        self.arm.preparation().check_manual_reset(&self.shared.context(peer))?;
+        self.clear_errors(self.shared.now);
+        Ok(self.shared.errors.lasting().map_or(Answer::Done, Answer::Code))
     }
 
     /// Stops all tasks, and waits until tasks and robot rest if `param` says so.
     fn stop_all(&mut self, param: &Variant<'_>, stop: fn(&mut Tasks, Instant)) -> Answered {
         let waits = synchronous(param)?;
-        stop(&mut self.tasks, self.common.now);
+        stop(&mut self.tasks, self.shared.now);
         self.free_arm_of_tasks();
         self.record_operation("all tasks stopped");
         Ok(match (waits, self.tasks.iter().any(Task::is_running), self.is_moving()) {
@@ -251,7 +251,7 @@ impl Controller {
 
     /// Returns a fact about the controller. Minutes are those since it was switched on; the times of programs are not counted.
     fn system_info(&self, number: i32) -> Answered {
-        let Common { config, panel, now, .. } = &self.common;
+        let Shared { config, panel, now, .. } = &self.shared;
         let minutes = i32::try_from(now.as_micros() / 60_000_000).unwrap_or(i32::MAX);
         let kinds = [Kind::I, Kind::F, Kind::D, Kind::V, Kind::P, Kind::J, Kind::T, Kind::S];
         match number {
@@ -281,34 +281,34 @@ impl Controller {
 
     /// Returns the bits of SysState.
     fn system_state(&self) -> i32 {
-        let panel = self.common.panel;
+        let panel = self.shared.panel;
         let running = self.tasks.iter().any(Task::is_running);
         let bits = [
-            (Bit::Running as u32, running),
-            (Bit::Error as u32, self.common.errors.code().is_err()),
-            (Bit::ServoOn as u32, self.motor_is_on()),
-            (Bit::Initialized as u32, true),
-            (Bit::Auto as u32, panel.is_auto()),
-            (Bit::TokenOutside as u32, panel.token != Token::TeachPendant),
-            (Bit::Battery as u32, panel.battery_low),
-            (Bit::Warning as u32, panel.warning),
-            (Bit::ContinueStart as u32, self.tasks.iter().any(Task::can_continue)),
-            (Bit::EmergencyStop as u32, panel.emergency_stop),
-            (Bit::AutoEnable as u32, true),
-            (Bit::ProtectiveStop as u32, panel.protective_stop),
-            (Bit::Stopping as u32, self.arm.robot().is_halting()),
-            (Bit::Calibrated as u32, self.arm.preparation().is_calibrated()),
-            (Bit::Manual as u32, !panel.is_auto()),
-            (Bit::CycleComplete as u32, self.tasks.iter().any(Task::has_completed)),
-            (Bit::Moving as u32, self.is_moving()),
-            (Bit::EncoderMoving as u32, self.is_moving()),
+            (SysStateBit::Running as u32, running),
+            (SysStateBit::Error as u32, self.shared.errors.code().is_err()),
+            (SysStateBit::ServoOn as u32, self.motor_is_on()),
+            (SysStateBit::Initialized as u32, true),
+            (SysStateBit::Auto as u32, panel.is_auto()),
+            (SysStateBit::TokenOutside as u32, panel.token != Token::TeachPendant),
+            (SysStateBit::Battery as u32, panel.battery_low),
+            (SysStateBit::Warning as u32, panel.warning),
+            (SysStateBit::ContinueStart as u32, self.tasks.iter().any(Task::can_continue)),
+            (SysStateBit::EmergencyStop as u32, panel.emergency_stop),
+            (SysStateBit::AutoEnable as u32, true),
+            (SysStateBit::ProtectiveStop as u32, panel.protective_stop),
+            (SysStateBit::Stopping as u32, self.arm.robot().is_halting()),
+            (SysStateBit::Calibrated as u32, self.arm.preparation().is_calibrated()),
+            (SysStateBit::Manual as u32, !panel.is_auto()),
+            (SysStateBit::CycleComplete as u32, self.tasks.iter().any(Task::has_completed)),
+            (SysStateBit::Moving as u32, self.is_moving()),
+            (SysStateBit::EncoderMoving as u32, self.is_moving()),
         ];
         bits.iter().filter(|(_, on)| *on).fold(0, |state, (bit, _)| state | 1 << bit)
     }
 }
 
 fn manual_reset(controller: &mut Controller, peer: PeerId, _: &Variant<'_>) -> Answered {
-    controller.arm.preparation_mut().manual_reset(&mut controller.common.context(peer))
+    controller.arm.preparation_mut().manual_reset(&mut controller.shared.context(peer))
 }
 
 fn count(n: usize) -> Answered {

@@ -14,12 +14,12 @@ use crate::answer::{Answer, Answered};
 use crate::arm;
 use crate::codes::{ARM_OF_TASK, WRONG_ARGUMENT};
 use crate::comm;
+use crate::command_name::{command_of, executes};
 use crate::config::Permission;
 use crate::explain::is_of_argument;
-use crate::files::{CRC, Done, WorkProgress};
-use crate::function::{command_of, executes};
+use crate::files::{CRC, JobProgress, JobResult};
 use crate::hand;
-use crate::objects::{Entry, Extension, Item, Owner, VariableRef};
+use crate::objects::{Extension, Item, OpenObject, Parent, VariableRef};
 use crate::options::{check as check_options, has_option, option};
 use crate::rules;
 use crate::scenario::CallPlan;
@@ -31,21 +31,21 @@ use crate::waits::Wait;
 impl Handler for Controller {
     fn call(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
         self.advance(now);
-        for effect in self.scenario.begin_call(peer, request, self.common.now) {
+        for effect in self.scenario.begin_call(peer, request, self.shared.now) {
             self.apply(effect);
         }
-        self.serve(peer, request, Turn::First, reply)
+        self.serve(peer, request, CallPhase::Start, reply)
     }
 
     fn resume(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
         self.advance(now);
-        self.serve(peer, request, Turn::Later, reply)
+        self.serve(peer, request, CallPhase::Resume, reply)
     }
 
     /// A motion that a call waited for continues; only its end is not reported.
     fn abandoned(&mut self, peer: PeerId, now: Instant) {
         self.advance(now);
-        self.common.waits.forget(peer);
+        self.shared.waits.forget(peer);
         self.scenario.forget(peer);
         self.files.forget(peer);
         self.arm.abandon(peer);
@@ -53,12 +53,12 @@ impl Handler for Controller {
 
     /// Stores why the server has refused a request, for GetErrorDescription.
     fn refused(&mut self, _: PeerId, request: &Request<'_>, code: HResult, _: Instant) {
-        self.refusals.record_signature(request, code, &self.common.config.observer);
+        self.refusals.record_signature(request, code, &self.shared.config.observer);
     }
 
     fn left(&mut self, peer: PeerId, now: Instant) {
         self.advance(now);
-        self.common.addresses.remove(&peer);
+        self.shared.addresses.remove(&peer);
         self.forget(peer);
     }
 }
@@ -68,36 +68,36 @@ impl rac::server::Handler for Controller {
     fn call(&mut self, peer: PeerId, request: &rac::Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
         self.advance(now);
         reply.clear();
-        if self.scenario.is_link_lost(self.common.now) {
+        if self.scenario.is_link_lost(self.shared.now) {
             // nor is the answer delivered
             return Outcome::Done(HResult::E_TIMEOUT);
         }
         let rac::Variable { kind, index } = request.variable();
         let result = match request.value() {
-            None if self.common.config.permission == Permission::None => Err(HResult::E_ACCESSDENIED),
-            None => self.common.variables.get(Family::Plain(kind), index).map(|value| set_reply(reply, &value)),
+            None if self.shared.config.permission == Permission::None => Err(HResult::E_ACCESSDENIED),
+            None => self.shared.variables.get(Family::Plain(kind), index).map(|value| set_reply(reply, &value)),
             Some(value) => self.put_user(peer, Family::Plain(kind), index, &value).map(|()| HResult::S_OK),
         };
         Outcome::Done(result.unwrap_or_else(|refused| refused))
     }
 
     fn left(&mut self, peer: PeerId, _: Instant) {
-        self.common.addresses.remove(&peer);
+        self.shared.addresses.remove(&peer);
     }
 }
 
 /// Whether the server calls the handler for the first time for a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Turn {
-    First,
-    Later,
+enum CallPhase {
+    Start,
+    Resume,
 }
 
 impl Controller {
     /// Executes a request, or continues one that waits, as the scenario says.
-    fn serve(&mut self, peer: PeerId, request: &Request<'_>, turn: Turn, reply: &mut ReplyValue<'_>) -> Outcome {
+    fn serve(&mut self, peer: PeerId, request: &Request<'_>, phase: CallPhase, reply: &mut ReplyValue<'_>) -> Outcome {
         reply.clear();
-        match self.scenario.step(peer, self.common.now) {
+        match self.scenario.call_plan(peer, self.shared.now) {
             CallPlan::Wait(at) => Outcome::Wait(at),
             CallPlan::Answer(code, value) => {
                 let fits = value.is_none_or(|value| reply.set(&value).is_ok());
@@ -111,16 +111,22 @@ impl Controller {
                         self.refuse(code);
                         Outcome::Done(code)
                     }
-                    _ => self.execute(peer, request, turn, reply),
+                    _ => self.execute(peer, request, phase, reply),
                 };
-                self.scenario.end_call(peer, outcome, time, reply, self.common.now)
+                self.scenario.end_call(peer, outcome, time, reply, self.shared.now)
             }
         }
     }
 
     /// Executes a request, or continues one that waits, whatever the scenario says.
-    fn execute(&mut self, peer: PeerId, request: &Request<'_>, turn: Turn, reply: &mut ReplyValue<'_>) -> Outcome {
-        match self.dispatch(peer, request, turn) {
+    fn execute(
+        &mut self,
+        peer: PeerId,
+        request: &Request<'_>,
+        phase: CallPhase,
+        reply: &mut ReplyValue<'_>,
+    ) -> Outcome {
+        match self.dispatch(peer, request, phase) {
             Ok(Answer::Done) => Outcome::Done(HResult::S_OK),
             Ok(Answer::Value(value)) => Outcome::Done(set_reply(reply, &value)),
             Ok(Answer::Code(code)) => Outcome::Done(code),
@@ -133,18 +139,18 @@ impl Controller {
             Err(code) => {
                 let code = code_of_motion(request, code);
                 let accepted = self.accepted(peer, request);
-                self.refusals.record(request, accepted, code, &self.common.config.observer);
+                self.refusals.record(request, accepted, code, &self.shared.config.observer);
                 self.refuse(code);
                 Outcome::Done(code)
             }
         }
     }
 
-    fn dispatch(&mut self, peer: PeerId, request: &Request<'_>, turn: Turn) -> Answered {
+    fn dispatch(&mut self, peer: PeerId, request: &Request<'_>, phase: CallPhase) -> Answered {
         let Some(signature) = request.function.signature() else { return Err(HResult::E_INVALIDARG) };
         match request.function {
             FunctionId::SERVICE_START => {
-                check_options(&self.common.config, request)?;
+                check_options(&self.shared.config, request)?;
                 self.sessions.insert(peer);
                 return Ok(Answer::Done);
             }
@@ -157,37 +163,37 @@ impl Controller {
             FunctionId::CONTROLLER_CONNECT => return self.connect(peer, request),
             _ => {}
         }
-        self.call_object(peer, request, turn, signature.object)
+        self.call_object(peer, request, phase, signature.object)
     }
 
     /// Executes a function of an object, or continues one that waits.
-    fn call_object(&mut self, peer: PeerId, request: &Request<'_>, turn: Turn, object: Object) -> Answered {
+    fn call_object(&mut self, peer: PeerId, request: &Request<'_>, phase: CallPhase, object: Object) -> Answered {
         let handle = request.handle();
         self.objects.get(peer, handle, object)?;
-        if turn == Turn::First {
+        if phase == CallPhase::Start {
             self.check_permission(request, object)?;
             self.check_slave_mode(request)?;
         }
         let entry = self.objects.get_mut(peer, handle, object)?;
-        if let Some(answered) = entry.common(request, &self.common.variables) {
+        if let Some(answered) = entry.common(request, &self.shared.variables) {
             return answered;
         }
         if request.function.releases().is_some() {
             self.objects.release(peer, handle, object)?;
             return Ok(Answer::Done);
         }
-        if turn == Turn::First {
-            check_options(&self.common.config, request)?;
+        if phase == CallPhase::Start {
+            check_options(&self.shared.config, request)?;
         }
-        let answer = match turn {
-            Turn::Later => self.continue_call(peer, request, object)?,
-            Turn::First => match self.start(peer, request, object)? {
+        let answer = match phase {
+            CallPhase::Resume => self.continue_call(peer, request, object)?,
+            CallPhase::Start => match self.start(peer, request, object)? {
                 Answer::Until(wait) => self.wait_for(peer, request, wait)?,
                 answer => answer,
             },
         };
         if let FunctionId::VARIABLE_GET_VALUE | FunctionId::VARIABLE_PUT_VALUE = request.function {
-            self.objects.get_mut(peer, handle, object)?.stamp = self.common.now;
+            self.objects.get_mut(peer, handle, object)?.stamp = self.shared.now;
         }
         Ok(if executes(request.function) { answer.of_command() } else { answer })
     }
@@ -211,7 +217,7 @@ impl Controller {
                 self.call_extension(peer, extension, request)
             }
             Item::Command(_) => self.call_command(peer, request),
-            Item::Message(message) => message.call(&self.common.config, request.function),
+            Item::Message(message) => message.call(&self.shared.config, request.function),
             Item::File if request.function == FunctionId::FILE_RUN => {
                 let name = entry.name.clone();
                 self.run_file(peer, &name)
@@ -222,7 +228,7 @@ impl Controller {
             // files have no commands
             Item::File if request.function == FunctionId::FILE_EXECUTE => Err(HResult::E_INVALID_CMD_NAME),
             Item::File => {
-                let progress = self.files.call(&self.common.context(peer), &entry.name, request)?;
+                let progress = self.files.call(&self.shared.context(peer), &entry.name, request)?;
                 self.file_progress(peer, request, progress)
             }
         }
@@ -232,12 +238,12 @@ impl Controller {
     fn continue_call(&mut self, peer: PeerId, request: &Request<'_>, object: Object) -> Answered {
         match (object, request.function) {
             (Object::File, _) | (_, FunctionId::CONTROLLER_GET_FILE | FunctionId::CONTROLLER_GET_FILE_NAMES) => {
-                let progress = self.files.resume(peer, self.common.now)?;
+                let progress = self.files.resume(peer, self.shared.now)?;
                 self.file_progress(peer, request, progress)
             }
             (Object::Command, _) => self.resume_command(peer, request.handle()),
             _ => match self.poll(peer)? {
-                Answer::Done if object == Object::Robot => self.arm.resumed(&mut self.common.context(peer), request),
+                Answer::Done if object == Object::Robot => self.arm.resumed(&mut self.shared.context(peer), request),
                 answer => Ok(answer),
             },
         }
@@ -245,17 +251,17 @@ impl Controller {
 
     /// Waits for an event, which may have occurred already.
     fn wait_for(&mut self, peer: PeerId, request: &Request<'_>, wait: Wait) -> Answered {
-        self.common.waits.begin(peer, wait);
-        self.arm.advance(self.common.now, &mut self.common.waits);
+        self.shared.waits.begin(peer, wait);
+        self.arm.advance(self.shared.now, &mut self.shared.waits);
         let object = request.function.signature().map_or(Object::Service, |signature| signature.object);
         self.continue_call(peer, request, object)
     }
 
     /// Returns the result of the event that a client waits for.
     pub(super) fn poll(&mut self, peer: PeerId) -> Answered {
-        match self.common.waits.get(peer) {
+        match self.shared.waits.get(peer) {
             Some(Wait::Over(result)) => {
-                self.common.waits.forget(peer);
+                self.shared.waits.forget(peer);
                 // its error was entered when the event occurred
                 Ok(if result == HResult::S_OK { Answer::Done } else { Answer::Code(result) })
             }
@@ -266,8 +272,8 @@ impl Controller {
 
     fn connect(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
         let has_server = option(&request.text(3).to_string(), "Server").is_some();
-        self.common.config.check_provider(&request.text(1).to_string(), has_server)?;
-        check_options(&self.common.config, request)?;
+        self.shared.config.check_provider(&request.text(1).to_string(), has_server)?;
+        check_options(&self.shared.config, request)?;
         let silent =
             option(&request.text(3).to_string(), "@EventDisable").is_some_and(|v| v.eq_ignore_ascii_case("true"));
         let wanted = request.text(0).to_string();
@@ -281,24 +287,24 @@ impl Controller {
 
     /// Opens an object and answers its handle.
     pub(super) fn open(&mut self, peer: PeerId, item: Item, name: String) -> Answered {
-        let entry = Entry::new(peer, item, name, self.common.now);
-        Answer::of(self.objects.open(entry, self.common.config.max_objects)?)
+        let entry = OpenObject::new(peer, item, name, self.shared.now);
+        Answer::of(self.objects.open(entry, self.shared.config.max_objects)?)
     }
 
     fn call_controller(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
         let name = || request.text(1).to_string();
         match request.function {
             FunctionId::CONTROLLER_EXECUTE => self.run(peer, &name(), &request.value(2)),
-            FunctionId::CONTROLLER_GET_VARIABLE => self.open_variable(peer, Owner::Controller, &name()),
+            FunctionId::CONTROLLER_GET_VARIABLE => self.open_variable(peer, Parent::Controller, &name()),
             FunctionId::CONTROLLER_GET_VARIABLE_NAMES => {
-                Answer::names(names_of(Owner::Controller).into_iter().map(str::to_owned).chain(wildcard_names()))
+                Answer::names(names_of(Parent::Controller).into_iter().map(str::to_owned).chain(wildcard_names()))
             }
             FunctionId::CONTROLLER_GET_ROBOT => match option(&request.text(2).to_string(), "ID") {
                 // there is one arm, and it may have any name
                 None | Some("0") => self.open(peer, Item::Robot, name()),
                 Some(_) => Err(HResult::E_CAO_OBJECT_NOTFOUND),
             },
-            FunctionId::CONTROLLER_GET_ROBOT_NAMES => Answer::names([self.common.config.arm_name.as_str()]),
+            FunctionId::CONTROLLER_GET_ROBOT_NAMES => Answer::names([self.shared.config.arm_name.as_str()]),
             FunctionId::CONTROLLER_GET_TASK => {
                 let n = self.tasks.position(name().trim()).ok_or(HResult::E_CAO_OBJECT_NOTFOUND)?;
                 let name = self.tasks.get(n)?.name().to_owned();
@@ -309,7 +315,7 @@ impl Controller {
             }
             FunctionId::CONTROLLER_GET_TASK_NAMES => Answer::names(self.tasks.iter().map(tasks::Task::name)),
             FunctionId::CONTROLLER_GET_FILE | FunctionId::CONTROLLER_GET_FILE_NAMES => {
-                let progress = self.files.call(&self.common.context(peer), "", request)?;
+                let progress = self.files.call(&self.shared.context(peer), "", request)?;
                 self.file_progress(peer, request, progress)
             }
             FunctionId::CONTROLLER_GET_EXTENSION => {
@@ -320,7 +326,7 @@ impl Controller {
             FunctionId::CONTROLLER_GET_EXTENSION_NAMES => Answer::names(Extension::ALL.map(Extension::name)),
             FunctionId::CONTROLLER_GET_COMMAND => self.open_command(peer, &name()),
             FunctionId::CONTROLLER_GET_COMMAND_NAMES => {
-                Answer::names(controller_execute::names(self.common.config.model.functions))
+                Answer::names(controller_execute::names(self.shared.config.model.functions))
             }
             FunctionId::CONTROLLER_GET_MESSAGE => self.open_message(peer),
             _ => Err(HResult::E_NOTIMPL),
@@ -329,27 +335,27 @@ impl Controller {
 
     /// Executes a command of Controller_Execute.
     pub(super) fn run(&mut self, peer: PeerId, name: &str, param: &Variant<'_>) -> Answered {
-        let run = Command::handler(controller_execute::COMMANDS, name, self.common.config.model.functions)?;
+        let run = Command::handler(controller_execute::COMMANDS, name, self.shared.config.model.functions)?;
         run(self, peer, param).map(Answer::of_command)
     }
 
     fn call_robot(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
         match request.function {
-            FunctionId::ROBOT_GET_VARIABLE => self.open_variable(peer, Owner::Robot, &request.text(1).to_string()),
-            FunctionId::ROBOT_GET_VARIABLE_NAMES => Answer::names(names_of(Owner::Robot)),
+            FunctionId::ROBOT_GET_VARIABLE => self.open_variable(peer, Parent::Robot, &request.text(1).to_string()),
+            FunctionId::ROBOT_GET_VARIABLE_NAMES => Answer::names(names_of(Parent::Robot)),
             FunctionId::ROBOT_HALT if self.is_arm_of_task() => Err(ARM_OF_TASK),
-            _ => self.arm.call(&mut self.common.context(peer), request),
+            _ => self.arm.call(&mut self.shared.context(peer), request),
         }
     }
 
     fn call_extension(&mut self, peer: PeerId, extension: Extension, request: &Request<'_>) -> Answered {
         match request.function {
             FunctionId::EXTENSION_EXECUTE => {
-                let (name, functions) = (request.text(1).to_string(), self.common.config.model.functions);
+                let (name, functions) = (request.text(1).to_string(), self.shared.config.model.functions);
                 match extension {
                     Extension::Hand => {
                         let run = Command::handler(hand::COMMANDS, &name, functions)?;
-                        run(self.arm.hand_mut(), &mut self.common.context(peer), &request.value(2))
+                        run(self.arm.hand_mut(), &mut self.shared.context(peer), &request.value(2))
                     }
                     Extension::Comm => {
                         let run = Command::handler(comm::COMMANDS, &name, functions)?;
@@ -369,10 +375,10 @@ impl Controller {
 
     fn call_task(&mut self, peer: PeerId, n: usize, request: &Request<'_>) -> Answered {
         match request.function {
-            FunctionId::TASK_GET_VARIABLE => self.open_variable(peer, Owner::Task(n), &request.text(1).to_string()),
-            FunctionId::TASK_GET_VARIABLE_NAMES => Answer::names(names_of(Owner::Task(n))),
+            FunctionId::TASK_GET_VARIABLE => self.open_variable(peer, Parent::Task(n), &request.text(1).to_string()),
+            FunctionId::TASK_GET_VARIABLE_NAMES => Answer::names(names_of(Parent::Task(n))),
             _ => {
-                let answered = self.tasks.get_mut(n)?.call(&mut self.common.context(peer), request);
+                let answered = self.tasks.get_mut(n)?.call(&mut self.shared.context(peer), request);
                 self.free_arm_of_tasks();
                 answered
             }
@@ -386,7 +392,7 @@ impl Controller {
         let last = task.rsplit('/').next().unwrap_or(task);
         let place = self.tasks.position(task).or_else(|| self.tasks.position(last));
         let task = self.tasks.get_mut(place.ok_or(HResult::E_CAO_OBJECT_NOTFOUND)?)?;
-        task.start_for(&mut self.common.context(peer), 1)?;
+        task.start_for(&mut self.shared.context(peer), 1)?;
         Answer::of(task.name())
     }
 
@@ -397,16 +403,16 @@ impl Controller {
         Ok(opened)
     }
 
-    fn file_progress(&mut self, peer: PeerId, request: &Request<'_>, progress: WorkProgress) -> Answered {
+    fn file_progress(&mut self, peer: PeerId, request: &Request<'_>, progress: JobProgress) -> Answered {
         Ok(match progress {
-            WorkProgress::Pending(at) => Answer::Poll(at),
-            WorkProgress::Done(Done::Nothing) => Answer::Done,
-            WorkProgress::Done(Done::Value(value)) => value.into(),
-            WorkProgress::Done(Done::Crc(crc)) => {
+            JobProgress::Pending(at) => Answer::Poll(at),
+            JobProgress::Done(JobResult::Nothing) => Answer::Done,
+            JobProgress::Done(JobResult::Value(value)) => value.into(),
+            JobProgress::Done(JobResult::Crc(crc)) => {
                 return self.open(peer, Item::Variable(VariableRef::Crc(crc)), CRC.to_owned());
             }
-            WorkProgress::Done(Done::Open(name)) => return self.open(peer, Item::File, name),
-            WorkProgress::Done(Done::Moved(name)) => {
+            JobProgress::Done(JobResult::Open(name)) => return self.open(peer, Item::File, name),
+            JobProgress::Done(JobResult::Moved(name)) => {
                 self.objects.rename(peer, request.handle(), name)?;
                 Answer::Done
             }
@@ -418,7 +424,7 @@ impl Controller {
     /// [`Context::may_write`]: crate::context::Context::may_write
     fn check_permission(&self, request: &Request<'_>, object: Object) -> Result<(), HResult> {
         let function = request.function;
-        let permission = self.common.config.permission;
+        let permission = self.shared.config.permission;
         if permission == Permission::ReadWrite || function == FunctionId::ROBOT_HALT {
             return Ok(());
         }

@@ -7,7 +7,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 use bcap_core::variant::VariantBuf;
 
-use super::{Common, Controller};
+use super::{Controller, Shared};
 use crate::answer::Answer;
 use crate::config::{Token, peer_of_task};
 use crate::errors::{Errors, Origin, SourceLine};
@@ -38,7 +38,7 @@ impl Controller {
     /// Executes the steps that continue by `now`.
     pub(super) fn run_programs(&mut self, now: Instant) {
         while let Some((at, place)) = self.tasks.deadline().filter(|(at, _)| *at <= now) {
-            self.pass(self.common.now.max(at));
+            self.pass(self.shared.now.max(at));
             // an error may have stopped the task meanwhile
             if self.tasks.deadline() == Some((at, place)) {
                 self.take_turn(place, now);
@@ -50,7 +50,7 @@ impl Controller {
     /// Begins or ends the present step of a task. Until the next step of another task, or `until`, variables do not change.
     fn take_turn(&mut self, place: usize, until: Instant) {
         let Some(turn) = self.tasks.get(place).ok().and_then(Task::turn) else { return };
-        let now = self.common.now;
+        let now = self.shared.now;
         let next = match turn.step() {
             Some(step) if turn.begins => self.begin_step(place, step),
             Some(step) => self.check_step(place, step),
@@ -90,7 +90,7 @@ impl Controller {
     ///
     /// The error of the controller that the step causes.
     fn begin_step(&mut self, place: usize, step: &Step) -> Result<Next, HResult> {
-        let variables = &mut self.common.variables;
+        let variables = &mut self.shared.variables;
         match step {
             Step::Set(list) => list.iter().try_for_each(|item| item.write(variables))?,
             Step::Add(list) => list.iter().try_for_each(|item| item.add(variables))?,
@@ -102,7 +102,7 @@ impl Controller {
             Step::Error(code) => {
                 self.raise_in_task(*code, place);
                 // a task that is not reset stops, and continues after it
-                let now = self.common.now;
+                let now = self.shared.now;
                 if let Ok(task) = self.tasks.get_mut(place) {
                     task.suspend(now);
                     if task.can_continue() {
@@ -113,7 +113,7 @@ impl Controller {
             }
             Step::Message(text) => {
                 let source = self.tasks.get(place)?.name().to_owned();
-                self.messages.post_text(text, &source, self.common.now);
+                self.messages.post_text(text, &source, self.shared.now);
             }
         }
         Ok(Next::Takes(Duration::ZERO))
@@ -121,14 +121,14 @@ impl Controller {
 
     fn begin_motion(&mut self, place: usize, interpolation: i32, pose: &str, option: &str) -> Result<Next, HResult> {
         let peer = peer_of_task(place);
-        let mut ctx = self.common.context(peer);
+        let mut ctx = self.shared.context(peer);
         // the executable token concerns clients, and an error that concerns tasks has stopped this one
         let no_errors = Errors::default();
         (ctx.panel.token, ctx.errors) = (Token::Any, &no_errors);
         let pose = VariantBuf::<POSE_MAX>::new(pose).map_err(|_| HResult::E_ARGSIZEOVER)?;
         match self.arm.move_for_task(&mut ctx, interpolation, &pose.as_variant(), option) {
             Ok(Answer::Until(wait)) => {
-                self.common.waits.begin(peer, wait);
+                self.shared.waits.begin(peer, wait);
                 Ok(Next::Motion(wait))
             }
             Ok(_) => Ok(Next::Takes(Duration::ZERO)),
@@ -147,15 +147,15 @@ impl Controller {
             Step::WaitFor(list) => {
                 let mut open = false;
                 for item in list {
-                    open |= !item.holds(&self.common.variables)?;
+                    open |= !item.holds(&self.shared.variables)?;
                 }
                 Ok(if open { Next::Poll } else { Next::Over })
             }
             Step::Move { .. } => {
                 let peer = peer_of_task(place);
-                match self.common.waits.get(peer) {
+                match self.shared.waits.get(peer) {
                     Some(Wait::Over(result)) => {
-                        self.common.waits.forget(peer);
+                        self.shared.waits.forget(peer);
                         Ok(if result == HResult::S_OK { Next::Over } else { Next::Halted })
                     }
                     Some(wait) => Ok(Next::Motion(wait)),
@@ -170,12 +170,12 @@ impl Controller {
     fn fail_in_task(&mut self, place: usize, code: HResult) {
         self.raise_in_task(code, place);
         if let Ok(task) = self.tasks.get_mut(place) {
-            task.suspend(self.common.now);
+            task.suspend(self.shared.now);
         }
     }
 
     fn raise_in_task(&mut self, code: HResult, place: usize) {
-        self.enter(code, self.common.now, Origin::Task, self.place_of(place));
+        self.enter(code, self.shared.now, Origin::Task, self.place_of(place));
     }
 
     fn place_of(&self, place: usize) -> Option<SourceLine> {
@@ -197,7 +197,7 @@ impl Controller {
     pub(super) fn free_arm_of_tasks(&mut self) {
         for place in 0..self.tasks.len() {
             let (peer, Ok(task)) = (peer_of_task(place), self.tasks.get(place)) else { continue };
-            let Common { config, now, waits, .. } = &mut self.common;
+            let Shared { config, now, waits, .. } = &mut self.shared;
             if !task.is_running() && self.arm.robot().mover() == Some(peer) {
                 self.arm.halt(config, *now, waits);
             }

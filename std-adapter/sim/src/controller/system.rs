@@ -32,8 +32,8 @@ pub(super) const VARIABLES: &[Property<Read, Write>] = &[
     read("@MODE", |controller| owned(controller.mode() as i32)),
     read("@LOCK", |controller| owned(controller.locked)).and_write(put_lock, TRUTH),
     // the count of milliseconds wraps as a 32-bit counter does
-    read("@TIME", |controller| owned((controller.common.now.as_micros() / 1000) as i32)),
-    read("@CURRENT_TIME", |controller| owned(controller.config().date(controller.common.now)?)),
+    read("@TIME", |controller| owned((controller.shared.now.as_micros() / 1000) as i32)),
+    read("@CURRENT_TIME", |controller| owned(controller.config().date(controller.shared.now)?)),
     read("@BUSY_STATUS", |controller| owned(controller.is_moving() || controller.tasks.iter().any(Task::is_running))),
     read("@TSR_BUSY_STATUS", |_| owned(false)),
     read("@NORMAL_STATUS", |controller| owned(code(controller).is_ok())),
@@ -46,7 +46,7 @@ pub(super) const VARIABLES: &[Property<Read, Write>] = &[
     read("@EMERGENCY_STOP", |controller| owned(controller.emergency_stopped())),
     read("@DEADMAN_SW", |_| owned(false)),
     read("@AUTO_ENABLE", |_| owned(true)),
-    read("@PROTECTIVE_STOP", |controller| owned(controller.common.panel.protective_stop)),
+    read("@PROTECTIVE_STOP", |controller| owned(controller.shared.panel.protective_stop)),
     read("@MAKER_NAME", |_| owned("DENSO CORPORATION")),
     read("@TYPE", |controller| owned(&controller.config().model.controller_type)),
     read("@VERSION", |controller| owned(&controller.config().version)),
@@ -80,8 +80,8 @@ const SIZE: &str = "one number, 1 to 32766";
 fn put_size(controller: &mut Controller, kind: Kind, value: &Variant<'_>) -> Answered {
     let count =
         u16::try_from(one_int(value)?).ok().filter(|n| (1..=SIZE_MAX).contains(n)).ok_or(HResult::E_INVALIDARG)?;
-    *controller.common.config.sizes.of_mut(kind) = count;
-    controller.common.variables.resize(kind, count);
+    *controller.shared.config.sizes.of_mut(kind) = count;
+    controller.shared.variables.resize(kind, count);
     Ok(Answer::Done)
 }
 
@@ -91,7 +91,7 @@ fn size(controller: &Controller, kind: Kind) -> ValueResult {
 
 /// Returns the code of the latest error.
 fn code(controller: &Controller) -> HResult {
-    controller.common.errors.code()
+    controller.shared.errors.code()
 }
 
 fn put_lock(controller: &mut Controller, _: PeerId, value: &Variant<'_>) -> Answered {

@@ -9,7 +9,7 @@ use bcap_core::variant::Variant;
 use super::{Controller, system};
 use crate::answer::{Answer, Answered};
 use crate::arm;
-use crate::objects::{DefinitionKind, Entry, Item, Owner, VariableRef};
+use crate::objects::{DefinitionKind, Item, OpenObject, Parent, VariableRef};
 use crate::table::Property;
 use crate::tasks;
 use crate::value::{ValueResult, numbers_of_array, owned};
@@ -17,15 +17,15 @@ use crate::variables::{self, Family, parse_name};
 
 impl Controller {
     /// Opens a variable of an object by its name.
-    pub(super) fn open_variable(&mut self, peer: PeerId, owner: Owner, name: &str) -> Answered {
+    pub(super) fn open_variable(&mut self, peer: PeerId, owner: Parent, name: &str) -> Answered {
         let target = match (find_variable(owner, name), parse_name(name), owner) {
             (Some(n), _, _) => VariableRef::System(owner, n),
-            (None, Some((family, Some(index))), Owner::Controller) => {
-                self.common.variables.check(family, index)?;
+            (None, Some((family, Some(index))), Parent::Controller) => {
+                self.shared.variables.check(family, index)?;
                 VariableRef::User(family, index)
             }
-            (None, Some((family, None)), Owner::Controller) => VariableRef::Wildcard(family, None),
-            (None, _, Owner::Robot) => {
+            (None, Some((family, None)), Parent::Controller) => VariableRef::Wildcard(family, None),
+            (None, _, Parent::Robot) => {
                 let (kind, number) = DefinitionKind::parse(name).ok_or(HResult::E_CAO_OBJECT_NOTFOUND)?;
                 number.map_or(Ok(()), |number| self.arm.numbers(kind, number).map(drop))?;
                 VariableRef::Definition(kind, number)
@@ -37,7 +37,7 @@ impl Controller {
 
     pub(super) fn call_variable(&mut self, peer: PeerId, target: VariableRef, request: &Request<'_>) -> Answered {
         let stamp = self.objects.get(peer, request.handle(), Object::Variable)?.stamp;
-        let config = &self.common.config;
+        let config = &self.shared.config;
         match request.function {
             FunctionId::VARIABLE_GET_VALUE => self.get(peer, target).map(Answer::Value),
             FunctionId::VARIABLE_PUT_VALUE => self.put(peer, target, &request.value(1)),
@@ -49,15 +49,15 @@ impl Controller {
 
     fn get(&mut self, peer: PeerId, target: VariableRef) -> ValueResult {
         match target {
-            VariableRef::User(family, n) => self.common.variables.get(family, n),
-            VariableRef::Wildcard(family, n) => self.common.variables.get(family, n.unwrap_or(0)),
+            VariableRef::User(family, n) => self.shared.variables.get(family, n),
+            VariableRef::Wildcard(family, n) => self.shared.variables.get(family, n.unwrap_or(0)),
             VariableRef::Crc(crc) => owned(crc),
             VariableRef::Definition(kind, number) => self.arm.numbers(kind, number.unwrap_or(0)),
-            VariableRef::System(Owner::Controller, n) => property(system::VARIABLES, n)?.getter()?(self),
-            VariableRef::System(Owner::Robot, n) => {
-                property(arm::variables::VARIABLES, n)?.getter()?(&self.arm, &self.common.context(peer))
+            VariableRef::System(Parent::Controller, n) => property(system::VARIABLES, n)?.getter()?(self),
+            VariableRef::System(Parent::Robot, n) => {
+                property(arm::variables::VARIABLES, n)?.getter()?(&self.arm, &self.shared.context(peer))
             }
-            VariableRef::System(Owner::Task(task), n) => {
+            VariableRef::System(Parent::Task(task), n) => {
                 property(tasks::VARIABLES, n)?.getter()?(self.tasks.get(task)?)
             }
         }
@@ -70,19 +70,19 @@ impl Controller {
                 return self.put_user(peer, family, n.unwrap_or(0), value).map(|()| Answer::Done);
             }
             VariableRef::Definition(kind, number) => {
-                let mut ctx = self.common.context(peer);
+                let mut ctx = self.shared.context(peer);
                 ctx.may_write()?;
                 return self.arm.put_numbers(&mut ctx, kind, number.unwrap_or(0), &numbers_of_array(value)?);
             }
             VariableRef::Crc(_) => return Err(HResult::E_CAO_NOT_WRITABLE),
             VariableRef::System(owner, n) => (owner, n),
         };
-        let mut ctx = self.common.context(peer);
+        let mut ctx = self.shared.context(peer);
         ctx.may_write()?;
         match owner {
-            Owner::Controller => property(system::VARIABLES, n)?.setter()?(self, peer, value),
-            Owner::Robot => property(arm::variables::VARIABLES, n)?.setter()?(&mut self.arm, &mut ctx, value),
-            Owner::Task(task) => {
+            Parent::Controller => property(system::VARIABLES, n)?.setter()?(self, peer, value),
+            Parent::Robot => property(arm::variables::VARIABLES, n)?.setter()?(&mut self.arm, &mut ctx, value),
+            Parent::Task(task) => {
                 let answered = property(tasks::VARIABLES, n)?.setter()?(self.tasks.get_mut(task)?, &mut ctx, value);
                 self.free_arm_of_tasks();
                 answered
@@ -97,14 +97,14 @@ impl Controller {
         n: u32,
         value: &Variant<'_>,
     ) -> Result<(), HResult> {
-        let ctx = self.common.context(peer);
+        let ctx = self.shared.context(peer);
         ctx.may_write()?;
         ctx.variables.put(family, n, value)
     }
 }
 
 /// Describes the values that Variable_PutValue accepts.
-pub(super) fn accepted_value(entry: &Entry) -> Option<&'static str> {
+pub(super) fn accepted_value(entry: &OpenObject) -> Option<&'static str> {
     match entry.item {
         Item::Variable(VariableRef::User(family, _) | VariableRef::Wildcard(family, _)) => {
             Some(variables::accepted(family))
@@ -113,9 +113,9 @@ pub(super) fn accepted_value(entry: &Entry) -> Option<&'static str> {
             Some("an array of 6 numbers of a tool, 6 or 7 of a work, 11 to 34 of an area")
         }
         Item::Variable(VariableRef::System(owner, n)) => match owner {
-            Owner::Controller => system::VARIABLES.get(n)?.accepts,
-            Owner::Robot => arm::variables::VARIABLES.get(n)?.accepts,
-            Owner::Task(_) => tasks::VARIABLES.get(n)?.accepts,
+            Parent::Controller => system::VARIABLES.get(n)?.accepts,
+            Parent::Robot => arm::variables::VARIABLES.get(n)?.accepts,
+            Parent::Task(_) => tasks::VARIABLES.get(n)?.accepts,
         },
         _ => None,
     }
@@ -127,22 +127,22 @@ fn property<G, P>(table: &'static [Property<G, P>], n: usize) -> Result<&'static
 }
 
 /// Finds a system variable in the table of its owner.
-fn find_variable(owner: Owner, name: &str) -> Option<usize> {
+fn find_variable(owner: Parent, name: &str) -> Option<usize> {
     match owner {
-        Owner::Controller => Property::position(system::VARIABLES, name),
-        Owner::Robot => Property::position(arm::variables::VARIABLES, name),
-        Owner::Task(_) => Property::position(tasks::VARIABLES, name),
+        Parent::Controller => Property::position(system::VARIABLES, name),
+        Parent::Robot => Property::position(arm::variables::VARIABLES, name),
+        Parent::Task(_) => Property::position(tasks::VARIABLES, name),
     }
 }
 
 /// Returns the names of the system variables of an owner.
-pub(super) fn names_of(owner: Owner) -> Vec<&'static str> {
+pub(super) fn names_of(owner: Parent) -> Vec<&'static str> {
     match owner {
-        Owner::Controller => system::VARIABLES.iter().map(|property| property.name).collect(),
-        Owner::Robot => {
+        Parent::Controller => system::VARIABLES.iter().map(|property| property.name).collect(),
+        Parent::Robot => {
             let definitions = ["Tool*", "Work*", "Area*"];
             arm::variables::VARIABLES.iter().map(|property| property.name).chain(definitions).collect()
         }
-        Owner::Task(_) => tasks::VARIABLES.iter().map(|property| property.name).collect(),
+        Parent::Task(_) => tasks::VARIABLES.iter().map(|property| property.name).collect(),
     }
 }

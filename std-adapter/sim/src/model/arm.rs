@@ -97,19 +97,19 @@ impl ArmModel {
     ///
     /// A [`ModelError`] that names the line.
     pub fn parse(text: &str) -> Result<Self, ModelError> {
-        let file: File = toml::from_str(text)?;
+        let file: ArmFile = toml::from_str(text)?;
         file.read().map_err(|wrong| located(text, wrong))
     }
 }
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct File {
+struct ArmFile {
     robot_type: Spanned<String>,
     arm: Spanned<ArmEntry>,
 }
 
-impl File {
+impl ArmFile {
     fn read(self) -> Result<ArmModel, Wrong> {
         let (geometry, home, extended_axes) = ArmEntry::read(&self.arm)?;
         Ok(ArmModel { robot_type: text("robot_type", self.robot_type)?, geometry, home, extended_axes })

@@ -78,8 +78,8 @@ impl Formats {
     }
 
     /// Reads the parameter of slvMove.
-    pub(super) fn read(self, param: &Variant<'_>) -> Result<Order, HResult> {
-        let mut order = Order::default();
+    pub(super) fn read(self, param: &Variant<'_>) -> Result<SlvMove, HResult> {
+        let mut order = SlvMove::default();
         let (sends, receives) = (self.send, self.receive & USER != 0);
         if sends == 0 && !receives {
             order.pose = numbers_of_array(param)?;
@@ -115,7 +115,7 @@ impl Formats {
     }
 
     /// Makes the answer of slvMove.
-    pub(super) fn answer(self, state: &State, order: &Order, map: &SlaveIo, io: &Variables) -> ValueResult {
+    pub(super) fn answer(self, state: &RobotState, order: &SlvMove, map: &SlaveIo, io: &Variables) -> ValueResult {
         let has = |part: i32| self.receive & part != 0;
         let mut items = Vec::new();
         if has(TIME) {
@@ -153,7 +153,7 @@ impl Formats {
 }
 
 /// The state of the robot in the answer of slvMove.
-pub(super) struct State {
+pub(super) struct RobotState {
     pub(super) micros: u64,
     pub(super) axes: Axes,
     pub(super) coordinates: Coordinates,
@@ -162,7 +162,7 @@ pub(super) struct State {
 
 /// The parameter of slvMove.
 #[derive(Debug, Default, PartialEq)]
-pub(super) struct Order {
+pub(super) struct SlvMove {
     pub(super) pose: Vec<f64>,
     mini: Option<i32>,
     /// The first IO, and eight IO in each byte.
@@ -172,7 +172,7 @@ pub(super) struct Order {
     hand: Option<i32>,
 }
 
-impl Order {
+impl SlvMove {
     /// Checks that its user IO are user IO, and exist.
     pub(super) fn check(&self, map: &SlaveIo, io: &Variables) -> Result<(), HResult> {
         let written = self.user.as_ref().map(|(offset, data)| (*offset, data.len()));

@@ -10,7 +10,7 @@ use std::sync::mpsc::{SyncSender, sync_channel};
 use std::thread::{self, JoinHandle};
 
 use bcap_capture::decode::{Format, Live};
-use bcap_capture::faults::{Delay, Plan, Share};
+use bcap_capture::faults::{Delay, FaultPlan, Share};
 use bcap_capture::proxy::{Listeners, Robot};
 use bcap_capture::record::Recording;
 use bcap_terminal::signal;
@@ -86,7 +86,7 @@ const LINES: usize = 4096;
 /// Runs `bcap proxy` until a signal ends it.
 pub(crate) fn proxy(args: &Proxy, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let robot = robot_ports::resolve(&args.robot, link)?;
-    let faults = Plan { drop: args.drop.clone(), delay: args.delay.clone(), corrupt: args.corrupt.clone() };
+    let faults = FaultPlan { drop: args.drop.clone(), delay: args.delay.clone(), corrupt: args.corrupt.clone() };
     let seed = args.seed.unwrap_or_else(|| fastrand::u64(..));
     let runtime = runtime()?;
     runtime.block_on(async {

@@ -73,7 +73,7 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
         if !files.is_dir() {
             return Err(Failure::Input(format!("--files {}: the folder does not exist", files.display())));
         }
-        let mut config = Config { files: Some(files.to_owned()), file_work: file_worker()?, ..config(model) };
+        let mut config = Config { files: Some(files.to_owned()), file_executor: file_worker()?, ..config(model) };
         (config.mode, config.token) = (args.mode, args.token);
         config.lenient = args.lenient;
         if args.explain || args.lenient {

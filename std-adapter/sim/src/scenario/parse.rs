@@ -5,15 +5,15 @@ use std::time::Duration;
 use bcap_core::time::Instant;
 use serde::Deserialize;
 
-use super::section::{ModeName, PermissionName, SetupEntry, TokenName, read_code};
-use super::task::TaskEntry;
-use super::{Effect, Scenario, ScenarioError, ScenarioFault, Trigger, Which, WireFault};
+use super::parse_setup::{ModeName, PermissionName, SetupEntry, TokenName, read_code};
+use super::parse_task::TaskEntry;
+use super::{CallFilter, Effect, Scenario, ScenarioError, ScenarioFault, Trigger, WireFault};
 use crate::comm;
 use crate::config::Config;
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
-struct File {
+struct ScenarioFile {
     #[serde(default)]
     seed: u64,
     #[serde(default)]
@@ -95,7 +95,7 @@ impl Scenario {
     ///
     /// A [`ScenarioError`] that says where the text is wrong.
     pub fn parse(text: &str) -> Result<Self, ScenarioError> {
-        let file: File = toml::from_str(text)?;
+        let file: ScenarioFile = toml::from_str(text)?;
         let faults = file
             .fault
             .into_iter()
@@ -123,10 +123,10 @@ impl WhenEntry {
         if self.to.is_some() && self.call.is_none() {
             return Err("`to` is the end of a range that `call` begins");
         }
-        let which = match (self.call, self.every, self.chance, self.cycle, self.at_ms) {
-            (Some(call), None, None, None, None) => Which::Range(call, self.to.unwrap_or(call)),
-            (None, Some(every), None, None, None) => Which::Every(every),
-            (None, None, Some(chance), None, None) => Which::Chance(chance),
+        let filter = match (self.call, self.every, self.chance, self.cycle, self.at_ms) {
+            (Some(call), None, None, None, None) => CallFilter::Range(call, self.to.unwrap_or(call)),
+            (None, Some(every), None, None, None) => CallFilter::Every(every),
+            (None, None, Some(chance), None, None) => CallFilter::Chance(chance),
             (None, None, None, Some(_), None) | (None, None, None, None, Some(_)) if self.of.is_some() => {
                 return Err("`of` says what calls are counted; it goes with call, every or chance");
             }
@@ -137,11 +137,13 @@ impl WhenEntry {
             }
             _ => return Err("`when` needs exactly one of call, every, chance, cycle and at_ms"),
         };
-        match which {
-            Which::Range(from, to) if from == 0 || to < from => Err("calls are counted from 1, and `to` is not before"),
-            Which::Every(0) => Err("`every` is 1 or more"),
-            Which::Chance(p) if !(0.0..=1.0).contains(&p) => Err("`chance` is 0 to 1"),
-            which => Ok(Trigger::Call { which, of: self.of }),
+        match filter {
+            CallFilter::Range(from, to) if from == 0 || to < from => {
+                Err("calls are counted from 1, and `to` is not before")
+            }
+            CallFilter::Every(0) => Err("`every` is 1 or more"),
+            CallFilter::Chance(p) if !(0.0..=1.0).contains(&p) => Err("`chance` is 0 to 1"),
+            filter => Ok(Trigger::Call { filter, of: self.of }),
         }
     }
 }

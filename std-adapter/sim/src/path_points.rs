@@ -1,4 +1,4 @@
-//! The paths: lists of points.
+//! The points of the 20 paths that clients define.
 
 use bcap_core::hresult::HResult;
 
@@ -15,21 +15,21 @@ pub(crate) struct PathPoint {
     pub(crate) fig: f64,
 }
 
-/// The paths.
+/// The points of all paths.
 #[derive(Clone, Debug)]
-pub(crate) struct Paths(Vec<Vec<PathPoint>>);
+pub(crate) struct PathPoints(Vec<Vec<PathPoint>>);
 
-impl Paths {
+impl PathPoints {
     pub(crate) fn new() -> Self {
         Self(vec![Vec::new(); PATHS])
     }
 
     pub(crate) fn path(&self, path: i32) -> Result<&Vec<PathPoint>, HResult> {
-        place(path).and_then(|n| self.0.get(n)).ok_or(HResult::E_INVALIDARG)
+        position(path).and_then(|n| self.0.get(n)).ok_or(HResult::E_INVALIDARG)
     }
 
     pub(crate) fn path_mut(&mut self, path: i32) -> Result<&mut Vec<PathPoint>, HResult> {
-        place(path).and_then(|n| self.0.get_mut(n)).ok_or(HResult::E_INVALIDARG)
+        position(path).and_then(|n| self.0.get_mut(n)).ok_or(HResult::E_INVALIDARG)
     }
 
     /// Returns the points of a path, in work coordinates.
@@ -38,7 +38,7 @@ impl Paths {
     }
 }
 
-/// Returns the place of a path or a point, whose numbers begin with 1.
-pub(crate) fn place(number: i32) -> Option<usize> {
+/// Returns the position in its list of a path or a point, whose numbers begin with 1.
+pub(crate) fn position(number: i32) -> Option<usize> {
     usize::try_from(number.checked_sub(1)?).ok()
 }

@@ -1,4 +1,4 @@
-//! The work in the file system, which needs nothing of the controller.
+//! A job in the file system, which needs nothing of the controller.
 
 use std::fs::{self, File, Metadata, OpenOptions};
 use std::io::{self, Read, Write};
@@ -28,9 +28,9 @@ pub(crate) const CRC: &str = "@CRC";
 const READ_ONLY: i32 = 1;
 const FOLDER: i32 = 16;
 
-/// The result of file work.
+/// The result of a file job.
 #[derive(Debug)]
-pub(crate) enum Done {
+pub(crate) enum JobResult {
     Nothing,
     Value(OwnedVariant),
     /// The call opens the variable `@CRC` with this value.
@@ -41,8 +41,8 @@ pub(crate) enum Done {
     Moved(String),
 }
 
-/// A piece of file work with its inputs.
-pub(super) struct Work {
+/// A file job with its inputs.
+pub(super) struct FileJob {
     /// The folder with the controller's files.
     pub(super) root: PathBuf,
     /// The name from the root of the file or folder of the call.
@@ -81,8 +81,8 @@ pub(super) fn contents(value: &Variant<'_>) -> Result<Vec<u8>, HResult> {
     }
 }
 
-impl Work {
-    pub(super) fn perform(self) -> Result<Done, HResult> {
+impl FileJob {
+    pub(super) fn perform(self) -> Result<JobResult, HResult> {
         let place = self.place(&self.base, "")?;
         let path = place.path();
         match &self.operation {
@@ -95,25 +95,25 @@ impl Work {
             FileOperation::Write(ref contents) => {
                 self.writable?;
                 write(&path, contents.as_ref().map_err(|refused| *refused)?)?;
-                Ok(Done::Nothing)
+                Ok(JobResult::Nothing)
             }
             FileOperation::Copy(ref target) => {
                 copy(&path, &self.target(target)?.path())?;
-                Ok(Done::Nothing)
+                Ok(JobResult::Nothing)
             }
             FileOperation::Move(ref target) => {
                 let target = self.target(target)?;
                 fs::rename(&path, target.path()).map_err(failed)?;
-                Ok(Done::Moved(target.name()))
+                Ok(JobResult::Moved(target.name()))
             }
             FileOperation::Other(function) => self.other(function, &path, &metadata),
-            FileOperation::Open { .. } | FileOperation::List => Ok(Done::Nothing),
+            FileOperation::Open { .. } | FileOperation::List => Ok(JobResult::Nothing),
         }
     }
 
     /// Opens a file or folder; the options `@Create=1` and `@Create=2` make one that does not exist, and with 2 it is an error if it
     /// exists.
-    fn open(&self, name: &str, options: &str) -> Result<Done, HResult> {
+    fn open(&self, name: &str, options: &str) -> Result<JobResult, HResult> {
         let place = self.place(&self.base, name)?;
         if place.parts.is_empty() {
             // no client may move or delete the root
@@ -135,24 +135,24 @@ impl Work {
                 made.map_err(failed)?;
             }
         }
-        Ok(Done::Open(place.name()))
+        Ok(JobResult::Open(place.name()))
     }
 
     /// Carries out a function without arguments.
-    fn other(&self, function: FunctionId, path: &Path, metadata: &Metadata) -> Result<Done, HResult> {
+    fn other(&self, function: FunctionId, path: &Path, metadata: &Metadata) -> Result<JobResult, HResult> {
         let date = |time: io::Result<SystemTime>| date(time.or_else(|_| metadata.modified()));
         let value = match function {
             FunctionId::FILE_GET_VARIABLE_NAMES => owned([CRC]),
             FunctionId::FILE_GET_VARIABLE if metadata.len() > LARGEST => return Err(HResult::E_TOO_MUCH_DATA),
             FunctionId::FILE_GET_VARIABLE => {
-                return Ok(Done::Crc(crc32(&fs::read(path).map_err(failed)?).cast_signed()));
+                return Ok(JobResult::Crc(crc32(&fs::read(path).map_err(failed)?).cast_signed()));
             }
             FunctionId::FILE_GET_VALUE => read(path),
             FunctionId::FILE_DELETE => {
                 self.writable?;
                 let deleted = if metadata.is_dir() { fs::remove_dir(path) } else { fs::remove_file(path) };
                 deleted.map_err(failed)?;
-                return Ok(Done::Nothing);
+                return Ok(JobResult::Nothing);
             }
             FunctionId::FILE_GET_DATE_CREATED => date(metadata.created()),
             FunctionId::FILE_GET_DATE_LAST_ACCESSED => date(metadata.accessed()),
@@ -170,7 +170,7 @@ impl Work {
             FunctionId::FILE_GET_TYPE => owned(&*path.extension().unwrap_or_default().to_string_lossy()),
             _ => Err(HResult::E_NOTIMPL),
         };
-        value.map(Done::Value)
+        value.map(JobResult::Value)
     }
 
     /// Finds the target of a copy or a move, which must not exist yet.
@@ -255,7 +255,7 @@ fn known(metadata: Metadata) -> Result<Metadata, HResult> {
     if metadata.is_file() || metadata.is_dir() { Ok(metadata) } else { Err(HResult::E_ACCESSDENIED) }
 }
 
-fn list(folder: &Path) -> Result<Done, HResult> {
+fn list(folder: &Path) -> Result<JobResult, HResult> {
     let mut names = Vec::new();
     for entry in fs::read_dir(folder).map_err(failed)? {
         let entry = entry.map_err(failed)?;
@@ -270,7 +270,7 @@ fn list(folder: &Path) -> Result<Done, HResult> {
         names.push(format!("{}{end}", entry.file_name().to_string_lossy()));
     }
     names.sort();
-    owned(names).map(Done::Value)
+    owned(names).map(JobResult::Value)
 }
 
 /// Opens a regular file. If a FIFO has replaced it meanwhile, does not wait for its other end.

@@ -6,7 +6,7 @@ use std::time::Duration;
 use serde::Deserialize;
 
 use super::ScenarioError;
-use super::section::read_code;
+use super::parse_setup::read_code;
 use crate::program::{Assignment, Constant, Program, PublicValues, Step};
 use crate::value::{ValueResult, owned};
 

@@ -10,12 +10,12 @@ use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 use bcap_core::variant::OwnedVariant;
 
-use super::{Delivery, Effect, Scenario, ScenarioFault, Trigger, Which, WireFault};
-use crate::function::command_of;
+use super::{CallFilter, Delivery, Effect, Scenario, ScenarioFault, Trigger, WireFault};
+use crate::command_name::command_of;
 
 /// A scenario being played.
 #[derive(Clone, Debug)]
-pub(crate) struct Running {
+pub(crate) struct Playback {
     faults: Vec<Armed>,
     chance: fastrand::Rng,
     /// When the link works again.
@@ -45,17 +45,17 @@ struct CallFault {
     lost: bool,
     /// The delayed answer.
     answer: Option<(HResult, Option<OwnedVariant>)>,
-    /// The answer was made; [`deliver`](Running::deliver) applies the fault.
+    /// The answer was made; [`deliver`](Playback::deliver) applies the fault.
     answered: bool,
 }
 
-impl Default for Running {
+impl Default for Playback {
     fn default() -> Self {
         Self::new(Scenario::default())
     }
 }
 
-impl Running {
+impl Playback {
     fn new(scenario: Scenario) -> Self {
         let armed = |fault| Armed { fault, calls: 0, over: false };
         Self {
@@ -112,15 +112,15 @@ impl Running {
     fn at_call(&mut self, request: &Request<'_>) -> Vec<Effect> {
         let mut effects = Vec::new();
         for armed in &mut self.faults {
-            let Trigger::Call { which, of } = &armed.fault.when else { continue };
+            let Trigger::Call { filter, of } = &armed.fault.when else { continue };
             if of.as_ref().is_some_and(|of| !is_of(request, of)) {
                 continue;
             }
             armed.calls += 1;
-            let happens = match *which {
-                Which::Range(from, to) => (from..=to).contains(&armed.calls),
-                Which::Every(n) => armed.calls.is_multiple_of(n),
-                Which::Chance(p) => self.chance.f64() < p,
+            let happens = match *filter {
+                CallFilter::Range(from, to) => (from..=to).contains(&armed.calls),
+                CallFilter::Every(n) => armed.calls.is_multiple_of(n),
+                CallFilter::Chance(p) => self.chance.f64() < p,
             };
             if happens {
                 effects.push(armed.fault.then.clone());
@@ -148,7 +148,7 @@ impl Running {
     }
 
     /// Returns the treatment of a call that is new or waits.
-    pub(crate) fn step(&mut self, peer: PeerId, now: Instant) -> CallPlan {
+    pub(crate) fn call_plan(&mut self, peer: PeerId, now: Instant) -> CallPlan {
         let Some(fault) = self.calls.get(&peer) else { return CallPlan::Execute };
         if fault.lost {
             return match self.is_link_lost(now) {

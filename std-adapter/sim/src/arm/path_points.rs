@@ -15,7 +15,7 @@ use super::Arm;
 use crate::answer::{Answer, Answered};
 use crate::context::Context;
 use crate::kinematics::measured;
-use crate::paths::{POINTS_MAX, PathPoint, place};
+use crate::path_points::{POINTS_MAX, PathPoint, position};
 use crate::pose::Pose;
 use crate::rules;
 use crate::value::{numbers, one_int, whole};
@@ -47,7 +47,8 @@ pub(super) fn clear(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -
 pub(super) fn point(arm: &mut Arm, _: &mut Context<'_>, param: &Variant<'_>) -> Answered {
     let [path, point] = numbers(param)?[..] else { return Err(HResult::E_INVALIDARG) };
     let points = arm.paths.path(whole(path)?)?;
-    let PathPoint { frame, fig } = place(whole(point)?).and_then(|n| points.get(n)).ok_or(HResult::DISP_E_BADINDEX)?;
+    let PathPoint { frame, fig } =
+        position(whole(point)?).and_then(|n| points.get(n)).ok_or(HResult::DISP_E_BADINDEX)?;
     let [x, y, z, rx, ry, rz] = frame.to_xyz_rpy();
     Answer::of(measured([x, y, z, rx, ry, rz, *fig]))
 }
