@@ -215,10 +215,12 @@ fn the_controllers_files_are_those_of_a_folder() {
     fs::write(folder.join("a.pcs"), "Sub Main").unwrap();
     let sim = Sim::start(&["--files", folder.to_str().unwrap()]);
     assert_eq!(sim.tcp(&["call", "ControllerGetFileNames", "controller", "8,"]).out, "a.pcs\n");
-    // without --files the controller has an empty folder
+    // without --files the controller has a source file for each task
     let sim = Sim::start(&[]);
     let run = sim.tcp(&["call", "ControllerGetFileNames", "controller", "8,"]);
-    assert_eq!((run.code, run.out.as_str()), (0, "BSTR[]\n"), "{run:?}");
+    assert_eq!((run.code, run.out.as_str()), (0, "Pro1.pcs,Pro2.pcs,Pro3.pcs\n"), "{run:?}");
+    let run = sim.tcp(&["call", "FileGetValue", "file:Pro2.pcs"]);
+    assert_eq!(run.out, r#""'!TITLE \"Pro2\"\r\nSub Main\r\nEnd Sub\r\n""#.to_owned() + "\n");
     let run = bcap(&["sim", "--files", "no/such/folder"]);
     assert!(run.code == 2 && run.err.contains("--files no/such/folder: the folder does not exist"), "{run:?}");
 }

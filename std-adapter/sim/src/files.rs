@@ -53,6 +53,7 @@ use job::{FileJob, FileOperation, contents};
 pub(crate) use job::{CRC, JobResult};
 
 pub use crate::executor::{Executor, Job};
+pub use job::write_sources;
 
 /// The interval at which a waiting call checks its file job.
 const LOOK: Duration = Duration::from_millis(2);

@@ -7,7 +7,7 @@ use bcap_core::bcap::call::{self, FileHandle};
 use bcap_core::handler::Outcome;
 use bcap_core::hresult::HResult;
 use bcap_core::variant::{OleDate, Variant};
-use bcap_sim::files::{Executor, Job};
+use bcap_sim::files::{Executor, Job, write_sources};
 use bcap_sim::{Config, Permission};
 use tempfile::TempDir;
 
@@ -323,4 +323,15 @@ fn a_file_runs_as_its_task() {
     assert_eq!(world.call(client.peer, call::file_get_variable(file, "Size", "")).0, HResult::E_CAO_OBJECT_NOTFOUND);
     world.pass(5000);
     assert_eq!(world.sim.task("Pro2"), Some((bcap_sim::TaskStatus::Ready, 1)));
+}
+
+#[test]
+fn each_task_has_a_source_file_below_the_folder() {
+    let mut rig = Rig::new();
+    write_sources(rig.folder.path(), ["Pro1", "a", "Sub/Serve", "../out", "b?"]).unwrap();
+    assert_eq!(rig.names(), ok(&["Pro1.pcs", "Sub\\", "a.pcs"]));
+    let file = rig.open("Sub\\Serve.pcs");
+    assert_eq!(rig.call(call::file_get_value(file)), ok(&"'!TITLE \"Sub/Serve\"\r\nSub Main\r\nEnd Sub\r\n"));
+    assert_eq!(rig.on_disk("a.pcs").as_deref(), Some("Sub Main\n"), "a file that exists stays");
+    assert!(!rig.folder.path().with_file_name("out.pcs").exists());
 }

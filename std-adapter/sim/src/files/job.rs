@@ -192,6 +192,29 @@ impl FileJob {
     }
 }
 
+/// Writes a source file for each task into `folder`, `Pro1.pcs` for the task `Pro1`: a project on a controller has one.
+///
+/// It keeps files that exist, and skips tasks whose names are no path below `folder`.
+///
+/// # Errors
+///
+/// An error of the file system.
+pub fn write_sources<'t>(folder: &Path, tasks: impl IntoIterator<Item = &'t str>) -> io::Result<()> {
+    for task in tasks {
+        let Ok(source) = RootedPath::new(folder, "", &format!("{task}.pcs")) else { continue };
+        let path = source.path();
+        if let Some(parent) = path.parent() {
+            fs::create_dir_all(parent)?;
+        }
+        match create(&path) {
+            Ok(mut file) => write!(file, "'!TITLE \"{task}\"\r\nSub Main\r\nEnd Sub\r\n")?,
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(())
+}
+
 /// The root folder, and a path below it.
 struct RootedPath {
     root: PathBuf,

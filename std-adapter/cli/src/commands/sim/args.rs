@@ -132,7 +132,8 @@ pub(crate) struct Sim {
     #[arg(long, conflicts_with = "replay")]
     pub(crate) screen: bool,
 
-    /// The folder of the controller's files; clients see its regular files and folders [default: an empty temporary folder]
+    /// The folder of the controller's files; clients see its regular files and folders [default: a temporary
+    /// folder with a source file for each task]
     #[arg(long, value_name = "DIR")]
     pub(crate) files: Option<PathBuf>,
 

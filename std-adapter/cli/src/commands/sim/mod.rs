@@ -19,7 +19,7 @@ use bcap_capture::proxy::Robot;
 use bcap_core::hresult::HResult;
 use bcap_core::{bcap, rac};
 use bcap_sim::explain::Observer;
-use bcap_sim::files::{Executor, Job};
+use bcap_sim::files::{Executor, Job, write_sources};
 use bcap_sim::scenario::Effect;
 use bcap_sim::{ArmModel, Config, Controller, Model, Scenario, Token};
 use bcap_std::SerialLine;
@@ -104,6 +104,9 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
                 return Err(no_addresses("the token of the scenario"));
             }
             controller.play(scenario);
+        }
+        if args.files.is_none() {
+            write_sources(temporary.path(), controller.tasks().map(|(name, ..)| name))?;
         }
         #[cfg(feature = "screens")]
         if let Some(refused) = refused {
