@@ -41,7 +41,7 @@ impl Link {
 }
 
 /// Records the bytes of one connection, until it is dropped.
-pub trait Tape: fmt::Debug {
+pub trait Tape: fmt::Debug + Send {
     /// Records bytes that the client (`is_request`) or the server has sent.
     fn bytes(&self, is_request: bool, bytes: &[u8]);
 }
@@ -119,6 +119,25 @@ impl Wire {
         Ok(Self::new(Socket::Stream(stream(address, limit)?), Framing::Lines))
     }
 
+    /// Takes a connected stream.
+    ///
+    /// # Errors
+    ///
+    /// When the stream has ended.
+    pub fn of_stream(stream: TcpStream, limit: Duration) -> io::Result<Self> {
+        set_up(&stream, limit)?;
+        Ok(Self::new(Socket::Stream(stream), Framing::Frames(Link::Tcp)))
+    }
+
+    /// Returns the stream, if the link has one.
+    #[must_use]
+    pub const fn stream(&self) -> Option<&TcpStream> {
+        match &self.socket {
+            Socket::Stream(stream) => Some(stream),
+            Socket::Datagrams(_) | Socket::Shared(..) => None,
+        }
+    }
+
     fn new(socket: Socket, framing: Framing) -> Self {
         Self { socket, framing, received: Vec::new(), tape: None, is_stuck: false, has_received: false }
     }
@@ -174,10 +193,7 @@ impl Wire {
     ///
     /// When the connection has ended.
     pub fn finish(&self) -> io::Result<()> {
-        match &self.socket {
-            Socket::Stream(stream) => stream.shutdown(Shutdown::Write),
-            Socket::Datagrams(_) | Socket::Shared(..) => Ok(()),
-        }
+        self.stream().map_or(Ok(()), |stream| stream.shutdown(Shutdown::Write))
     }
 
     /// Tells whether the peer took no more bytes within the time limit.
@@ -195,7 +211,7 @@ impl Wire {
     /// Receives a packet within `limit`.
     pub fn receive(&mut self, limit: Duration) -> Received {
         let until = Instant::now() + limit;
-        let mut buffer = vec![0; 1 << 16];
+        let mut buffer = Vec::new();
         loop {
             if let Some(length) = self.packet_length() {
                 let rest = self.received.split_off(length);
@@ -205,6 +221,7 @@ impl Wire {
             if left.is_zero() || self.is_stuck {
                 return self.end(Received::Silence);
             }
+            buffer.resize(1 << 16, 0);
             match self.read(&mut buffer, left) {
                 Ok(Some(count)) if self.framing == Framing::Frames(Link::Udp) => {
                     self.record(&buffer[..count]);
@@ -270,9 +287,8 @@ impl Wire {
 
     /// Closes the connection, and waits until the peer has closed it too: a small device then has room for the next one.
     pub fn close(mut self, limit: Duration) {
-        let Socket::Stream(stream) = &self.socket else { return };
         // a peer that has closed the connection already is no error
-        if stream.shutdown(Shutdown::Write).is_err() {
+        if self.stream().is_none() || self.finish().is_err() {
             return;
         }
         let until = Instant::now() + limit;
@@ -337,8 +353,7 @@ impl Listener {
             match listener.accept() {
                 Ok((stream, _)) => {
                     stream.set_nonblocking(false)?;
-                    set_up(&stream, limit)?;
-                    return Ok(Some(Wire::new(Socket::Stream(stream), Framing::Frames(Link::Tcp))));
+                    return Wire::of_stream(stream, limit).map(Some);
                 }
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock && Instant::now() < until => {
                     std::thread::sleep(LOOK);

@@ -24,7 +24,6 @@ use self::keep_alives::a_flood_of_keep_alives_costs_little;
 use self::objects::objects_of_others_do_not_slow_opening;
 use self::slots::idle_connections_of_one_address_leave_slots_to_others;
 use crate::Case;
-use crate::datagrams::Peer;
 use crate::target::{Target, limits};
 use crate::wire::{Raw, bytes};
 
@@ -88,13 +87,13 @@ fn a_handler_that_panics_over_udp(_: &mut Target) {
         None
     });
     let served = Served::of(panicking, limits());
-    let (mut one, mut other) = (Peer::to(served.udp), Peer::to(served.udp));
+    let (mut one, mut other) = (Raw::datagrams(served.udp), Raw::datagrams(served.udp));
     let (first, second) = (one.begin(), other.begin());
     for _ in 0..3 {
         let panic = vec![Value::I4(first), Value::text("panic"), Value::Empty];
-        assert_eq!(one.call(FunctionId::CONTROLLER_EXECUTE, panic).code, HResult::E_UNEXPECTED.0);
+        assert_eq!(one.ask(FunctionId::CONTROLLER_EXECUTE, panic).code, HResult::E_UNEXPECTED.0);
         for (peer, handle) in [(&mut one, first), (&mut other, second)] {
-            assert_eq!(peer.call(FunctionId::CONTROLLER_GET_NAME, vec![Value::I4(handle)]).code, 0);
+            assert_eq!(peer.ask(FunctionId::CONTROLLER_GET_NAME, vec![Value::I4(handle)]).code, 0);
         }
         Raw::connect(served.tcp).begin();
     }

@@ -1,9 +1,6 @@
 //! Datagrams that are not valid requests, and UDP peers with forged or reused addresses.
 
-use std::net::{SocketAddr, UdpSocket};
-use std::time::Duration;
-
-use bcap_core::bcap::{Decoder, FunctionId};
+use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
 use bcap_testkit::frame::TestFrame;
 use bcap_testkit::network::Random;
@@ -12,7 +9,9 @@ use bcap_testkit::vectors::frames;
 
 use crate::Case;
 use crate::target::{Target, limits};
-use crate::wire::{SERIAL, UNKNOWN_TYPES, argument, broken_values, bytes, frame, nested, reply_frame, request, value};
+use crate::wire::{
+    Raw, SERIAL, UNKNOWN_TYPES, argument, broken_values, bytes, frame, nested, reply_frame, request, value,
+};
 
 pub(crate) const CASES: &[Case] = crate::cases! {
     datagrams:
@@ -36,72 +35,8 @@ pub(crate) const CASES: &[Case] = crate::cases! {
         a_peer_that_ends_its_service_leaves_nothing
 };
 
-/// A socket that sends arbitrary datagrams to the server.
-pub(crate) struct Peer {
-    socket: UdpSocket,
-    server: SocketAddr,
-    serial: u16,
-}
-
-impl Peer {
-    pub(crate) fn new(target: &Target) -> Self {
-        Self::to(target.udp)
-    }
-
-    pub(crate) fn to(server: SocketAddr) -> Self {
-        let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
-        // only a bound for a case that fails
-        socket.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
-        Self { socket, server, serial: 1 }
-    }
-
-    /// Makes the next call use the serial after this one.
-    pub(crate) const fn set_serial(&mut self, serial: u16) {
-        self.serial = serial;
-    }
-
-    pub(crate) fn send(&self, bytes: &[u8]) {
-        // a frame that is larger than a datagram is not even sent
-        let _ = self.socket.send_to(bytes, self.server);
-    }
-
-    pub(crate) fn reply(&self) -> TestFrame {
-        let mut buffer = [0; 2048];
-        let (count, from) = self.socket.recv_from(&mut buffer).expect("the server answers");
-        assert_eq!(from, self.server);
-        TestFrame::read(&Decoder::UDP.decode_datagram(&buffer[..count]).expect("replies are frames"))
-    }
-
-    /// Asserts that the bytes sent before get no answer: the answer to a call comes first.
-    fn hears_nothing(&mut self) {
-        let code = self.call(FunctionId(138), vec![]).code;
-        assert_eq!(code, HResult::E_INVALIDARG.0);
-    }
-
-    /// Makes a call with a new serial.
-    pub(crate) fn call(&mut self, function: FunctionId, args: Vec<Value>) -> TestFrame {
-        self.serial += 1;
-        let request = TestFrame { serial: self.serial, reserved: self.serial, ..request(function, args) };
-        self.send(&request.to_wire(false));
-        let reply = self.reply();
-        assert_eq!((reply.serial, reply.reserved), (self.serial, 0));
-        reply
-    }
-
-    pub(crate) fn begin(&mut self) -> i32 {
-        assert_eq!(self.call(FunctionId::SERVICE_START, vec![]).code, 0);
-        let connect = self.call(FunctionId::CONTROLLER_CONNECT, vec![Value::text(""); 4]);
-        let [Value::I4(handle)] = connect.args[..] else { panic!("a handle: {connect:?}") };
-        handle
-    }
-
-    pub(crate) fn end(&mut self) {
-        assert_eq!(self.call(FunctionId::SERVICE_STOP, vec![]).code, 0);
-    }
-}
-
 fn datagrams_below_a_header(target: &mut Target) {
-    let mut peer = Peer::new(target);
+    let mut peer = Raw::datagrams(target.udp);
     for length in 0..16 {
         peer.send(&[1; 16][..length]);
         peer.send(&[0; 16][..length]);
@@ -111,7 +46,7 @@ fn datagrams_below_a_header(target: &mut Target) {
 }
 
 fn datagrams_with_broken_values(target: &mut Target) {
-    let mut peer = Peer::new(target);
+    let mut peer = Raw::datagrams(target.udp);
     let unknown = UNKNOWN_TYPES.iter().map(|vartype| ("unknown type", value(*vartype, 1, &[0; 4])));
     let deep = [9, 16, 17, 70].map(|levels| ("nesting", nested(levels)));
     // only a known peer is told; garbage makes no peers
@@ -125,7 +60,7 @@ fn datagrams_with_broken_values(target: &mut Target) {
     }
     peer.end();
     // and an unknown one is not
-    let mut stranger = Peer::new(target);
+    let mut stranger = Raw::datagrams(target.udp);
     for (_, value) in broken_values() {
         stranger.send(&frame(SERIAL, FunctionId::SERVICE_START.0, 1, &argument(&value)));
     }
@@ -133,7 +68,7 @@ fn datagrams_with_broken_values(target: &mut Target) {
 }
 
 fn datagrams_with_a_wrong_end_or_length(target: &mut Target) {
-    let mut peer = Peer::new(target);
+    let mut peer = Raw::datagrams(target.udp);
     let good = bytes(FunctionId::SERVICE_START, vec![]);
     for (at, wrong) in [(0, 2), (15, 5), (1, 15), (1, 17), (1, 0), (4, 0xff), (13, 1), (14, 0xff)] {
         let mut bad = good.clone();
@@ -144,7 +79,7 @@ fn datagrams_with_a_wrong_end_or_length(target: &mut Target) {
 }
 
 fn datagrams_over_the_limit(target: &mut Target) {
-    let mut peer = Peer::new(target);
+    let mut peer = Raw::datagrams(target.udp);
     for length in [505, 506, 600, 1000, 1500, 10_000, 60_000, 65_507] {
         let value = Value::Array(17, vec![Value::Ui1(1); length - 16 - 4 - 6]);
         let long = frame(SERIAL, FunctionId::SERVICE_START.0, 1, &argument(&value.to_wire()));
@@ -156,7 +91,7 @@ fn datagrams_over_the_limit(target: &mut Target) {
 }
 
 fn several_frames_in_one_datagram(target: &mut Target) {
-    let mut peer = Peer::new(target);
+    let mut peer = Raw::datagrams(target.udp);
     peer.send(&bytes(FunctionId::SERVICE_START, vec![]).repeat(2));
     let start = bytes(FunctionId::SERVICE_START, vec![]);
     // nor is a frame put together from two
@@ -167,7 +102,7 @@ fn several_frames_in_one_datagram(target: &mut Target) {
 
 /// A reply differs from a request only by its code, which is not a function; two servers must not answer each other.
 fn replies_in_place_of_requests(target: &mut Target) {
-    let mut peer = Peer::new(target);
+    let mut peer = Raw::datagrams(target.udp);
     for (serial, code) in (100..).zip([HResult::S_OK, HResult::S_EXECUTING, HResult::E_FAIL, HResult::E_INVALIDARG]) {
         peer.send(&reply_frame(serial, code, vec![]));
         assert_eq!(peer.reply().code, HResult::E_INVALIDARG.0);
@@ -177,7 +112,7 @@ fn replies_in_place_of_requests(target: &mut Target) {
 }
 
 fn every_beginning_of_every_frame(target: &mut Target) {
-    let mut peer = Peer::new(target);
+    let mut peer = Raw::datagrams(target.udp);
     peer.serial = 60_000;
     for vector in frames() {
         peer.hears_nothing();
@@ -194,7 +129,7 @@ fn every_beginning_of_every_frame(target: &mut Target) {
 fn random_datagrams(target: &mut Target) {
     let mut random = Random(11);
     for _ in 0..20 {
-        let peer = Peer::new(target);
+        let mut peer = Raw::datagrams(target.udp);
         for _ in 0..100 {
             let mut bytes: Vec<u8> = (0..random.below(600)).map(|_| random.number() as u8).collect();
             if let Some(first) = bytes.first_mut() {
@@ -206,9 +141,9 @@ fn random_datagrams(target: &mut Target) {
 }
 
 fn a_flood_of_datagrams(target: &mut Target) {
-    let peers: Vec<Peer> = (0..8).map(|_| Peer::new(target)).collect();
+    let mut peers: Vec<Raw> = (0..8).map(|_| Raw::datagrams(target.udp)).collect();
     for round in 0..2000_u16 {
-        for peer in &peers {
+        for peer in &mut peers {
             peer.send(&[1, 0, 0]);
             peer.send(&frame(round, 138, 0, &[]));
         }
@@ -220,7 +155,7 @@ fn a_flood_of_datagrams(target: &mut Target) {
 
 /// The same serial for another function is another call, and not a repetition of the first.
 fn one_serial_for_two_functions(target: &mut Target) {
-    let mut peer = Peer::new(target);
+    let mut peer = Raw::datagrams(target.udp);
     let controller = peer.begin();
     for (function, code) in
         [(FunctionId::CONTROLLER_GET_NAME, 0), (FunctionId::CONTROLLER_GET_TAG, HResult::E_NOTIMPL.0)]
@@ -235,7 +170,7 @@ fn one_serial_for_two_functions(target: &mut Target) {
 
 /// A first request of serial 0 is executed and not taken for one that was answered before.
 fn a_serial_of_zero(target: &mut Target) {
-    let mut peer = Peer::new(target);
+    let mut peer = Raw::datagrams(target.udp);
     let open = target.open();
     peer.send(&frame(0, FunctionId::SERVICE_START.0, 0, &[]));
     let reply = peer.reply();
@@ -245,7 +180,7 @@ fn a_serial_of_zero(target: &mut Target) {
 }
 
 fn a_repeated_request_runs_once(target: &mut Target) {
-    let mut peer = Peer::new(target);
+    let mut peer = Raw::datagrams(target.udp);
     let controller = peer.begin();
     let open = target.open();
     let args = vec![Value::I4(controller), Value::text("V"), Value::text("")];
@@ -267,26 +202,26 @@ fn a_repeated_request_runs_once(target: &mut Target) {
 
 /// A client that restarts on the same port, with the same serials, gets answers to its own calls and inherits nothing.
 fn a_new_client_behind_a_known_address(target: &mut Target) {
-    let mut peer = Peer::new(target);
+    let mut peer = Raw::datagrams(target.udp);
     let before = target.open();
     let first = peer.begin();
     let marker = 2;
     // its first attempt may be a copy of the old client's; its second call had the serial of another call
-    let start = request(FunctionId::SERVICE_START, vec![]);
+    let start = request(FunctionId::SERVICE_START, vec![Value::text("")]);
     peer.send(&TestFrame { serial: marker, reserved: marker, ..start.clone() }.to_wire(false));
     peer.send(&TestFrame { serial: marker + 1, reserved: marker, ..start }.to_wire(false));
     let reply = peer.reply();
     assert_eq!((reply.serial, reply.code), (marker + 1, 0));
-    let connect = peer.call(FunctionId::CONTROLLER_CONNECT, vec![Value::text(""); 4]);
+    let connect = peer.ask(FunctionId::CONTROLLER_CONNECT, vec![Value::text(""); 4]);
     assert_ne!(connect.args, [Value::I4(first)], "a handle of its own");
     assert_eq!(target.open(), before + 2, "what the first one had is released");
-    assert_eq!(peer.call(FunctionId::CONTROLLER_GET_NAME, vec![Value::I4(first)]).code, HResult::E_HANDLE.0);
+    assert_eq!(peer.ask(FunctionId::CONTROLLER_GET_NAME, vec![Value::I4(first)]).code, HResult::E_HANDLE.0);
     peer.end();
 }
 
 /// A forged call from the address of a client, before its session and in it, costs the client nothing.
 fn a_forged_call_does_not_lock_out_a_client(target: &mut Target) {
-    let mut peer = Peer::new(target);
+    let mut peer = Raw::datagrams(target.udp);
     let forged = request(FunctionId::CONTROLLER_GET_NAME, vec![Value::I4(3)]);
     let forged = TestFrame { serial: 57, reserved: 57, ..forged }.to_wire(false);
     peer.send(&forged);
@@ -307,9 +242,9 @@ fn a_forged_call_does_not_lock_out_a_client(target: &mut Target) {
 }
 
 fn a_long_call_does_not_block_other_peers(target: &mut Target) {
-    let mut slow = Peer::new(target);
-    assert_eq!(slow.call(FunctionId::SERVICE_START, vec![Value::text("InvokeTimeout=3000")]).code, 0);
-    let connect = slow.call(FunctionId::CONTROLLER_CONNECT, vec![Value::text(""); 4]);
+    let mut slow = Raw::datagrams(target.udp);
+    assert_eq!(slow.ask(FunctionId::SERVICE_START, vec![Value::text("InvokeTimeout=3000")]).code, 0);
+    let connect = slow.ask(FunctionId::CONTROLLER_CONNECT, vec![Value::text(""); 4]);
     let args = vec![connect.args[0].clone(), Value::text("sleep"), Value::I4(3_600_000)];
     let request = TestFrame { serial: 50, ..request(FunctionId::CONTROLLER_EXECUTE, args) };
     slow.send(&request.to_wire(false));
@@ -317,7 +252,7 @@ fn a_long_call_does_not_block_other_peers(target: &mut Target) {
     slow.send(&[1; 20]);
     slow.send(&[]);
     target.serves_others();
-    let mut other = Peer::new(target);
+    let mut other = Raw::datagrams(target.udp);
     other.begin();
     other.end();
     let mut reply = slow.reply();
@@ -331,19 +266,19 @@ fn a_long_call_does_not_block_other_peers(target: &mut Target) {
 
 /// The client gets an error reply instead of running into its timeouts.
 fn a_reply_that_no_datagram_holds(target: &mut Target) {
-    let mut peer = Peer::new(target);
+    let mut peer = Raw::datagrams(target.udp);
     let controller = peer.begin();
     let text = "x".repeat(190);
     let args = vec![Value::I4(controller), Value::text("echo"), Value::text(&text)];
-    assert_eq!(peer.call(FunctionId::CONTROLLER_EXECUTE, args).code, 0);
+    assert_eq!(peer.ask(FunctionId::CONTROLLER_EXECUTE, args).code, 0);
     // a string of 229 characters is the longest that a reply of 488 bytes can have
     let (name, put) = (vec![Value::I4(controller), Value::text("V"), Value::text("")], FunctionId::VARIABLE_PUT_VALUE);
-    let variable = peer.call(FunctionId::CONTROLLER_GET_VARIABLE, name).args[0].clone();
+    let variable = peer.ask(FunctionId::CONTROLLER_GET_VARIABLE, name).args[0].clone();
     // and a request with 230 is the longest datagram, 504 bytes
     for (length, expected) in [(229, 0), (230, HResult::E_TOO_MUCH_DATA.0)] {
-        let put = peer.call(put, vec![variable.clone(), Value::text(&"x".repeat(length))]);
+        let put = peer.ask(put, vec![variable.clone(), Value::text(&"x".repeat(length))]);
         assert_eq!(put.code, 0, "{length}");
-        let get = peer.call(FunctionId::VARIABLE_GET_VALUE, vec![variable.clone()]);
+        let get = peer.ask(FunctionId::VARIABLE_GET_VALUE, vec![variable.clone()]);
         assert_eq!(get.code, expected, "{length}");
     }
     peer.end();
@@ -354,8 +289,8 @@ fn more_peers_than_slots(target: &mut Target) {
     let mut inside = Vec::new();
     let mut turned_away = 0;
     for _ in 0..3 * limits().udp_peers {
-        let mut peer = Peer::new(target);
-        let code = peer.call(FunctionId::SERVICE_START, vec![]).code;
+        let mut peer = Raw::datagrams(target.udp);
+        let code = peer.ask(FunctionId::SERVICE_START, vec![]).code;
         if code == 0 {
             inside.push(peer);
         } else {
@@ -366,7 +301,7 @@ fn more_peers_than_slots(target: &mut Target) {
     // one place is the bystander's
     assert_eq!((inside.len(), turned_away), (limits().udp_peers - 1, 2 * limits().udp_peers + 1));
     for peer in &mut inside {
-        assert_eq!(peer.call(FunctionId::SERVICE_START, vec![]).code, 0, "who is in stays in");
+        assert_eq!(peer.ask(FunctionId::SERVICE_START, vec![]).code, 0, "who is in stays in");
     }
     // who ends his service makes room for others at once
     for peer in &mut inside {
@@ -376,12 +311,12 @@ fn more_peers_than_slots(target: &mut Target) {
 }
 
 fn a_peer_that_ends_its_service_leaves_nothing(target: &mut Target) {
-    let mut peer = Peer::new(target);
+    let mut peer = Raw::datagrams(target.udp);
     let before = target.open();
     let controller = peer.begin();
     for _ in 0..5 {
         let args = vec![Value::I4(controller), Value::text("V"), Value::text("")];
-        assert_eq!(peer.call(FunctionId::CONTROLLER_GET_VARIABLE, args).code, 0);
+        assert_eq!(peer.ask(FunctionId::CONTROLLER_GET_VARIABLE, args).code, 0);
     }
     assert_eq!(target.open(), before + 7);
     peer.end();

@@ -1,15 +1,15 @@
 //! Invalid lines of RAC, and lines whose values do not fit their type: the server answers every line and reads the next.
 
-use std::io::{Read, Write};
-use std::net::TcpStream;
-use std::time::Duration;
+use std::io::Write;
 
 use bcap_core::hresult::HResult;
 use bcap_core::variant::VariantBuf;
 use bcap_testkit::network::Random;
+use bcap_testkit::wire::{Received, Wire};
 
 use crate::Case;
 use crate::target::{Target, limits};
+use crate::wire::LIMIT;
 
 pub(crate) const CASES: &[Case] = crate::cases! {
     lines:
@@ -36,33 +36,24 @@ pub(crate) const CASES: &[Case] = crate::cases! {
 };
 
 /// A connection that sends lines.
-struct Lines(TcpStream);
+struct Lines(Wire);
 
 impl Lines {
     fn connect(target: &Target) -> Self {
-        let stream = TcpStream::connect(target.rac).unwrap();
-        stream.set_nodelay(true).unwrap();
-        stream.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
-        Self(stream)
+        Self(Wire::connect_rac(target.rac, LIMIT).unwrap())
     }
 
     fn send(&mut self, bytes: &[u8]) {
         // the server may have closed before it has read all
-        let _ = self.0.write_all(bytes);
+        let _ = self.0.send(bytes);
     }
 
-    /// Reads an answer; `None` when the server has closed.
+    /// Receives an answer; `None` when the server has closed.
     fn answer(&mut self) -> Option<String> {
-        let mut answer = Vec::new();
-        let mut byte = [0];
-        loop {
-            match self.0.read(&mut byte) {
-                Ok(0) => return None,
-                Ok(_) if byte == *b"\r" => return Some(String::from_utf8(answer).unwrap()),
-                Ok(_) => answer.extend(byte),
-                Err(error) if error.kind() == std::io::ErrorKind::ConnectionReset => return None,
-                Err(error) => panic!("{error}"),
-            }
+        match self.0.receive(LIMIT) {
+            Received::Packet(line) => Some(String::from_utf8(line.strip_suffix(b"\r")?.to_vec()).unwrap()),
+            Received::Closed => None,
+            Received::Silence => panic!("every line is answered"),
         }
     }
 
@@ -109,7 +100,7 @@ fn lines_over_256_bytes(target: &mut Target) {
 /// A line that never ends is answered once, and costs a line of memory; its connection ends when its time is over.
 fn a_line_that_never_ends(target: &mut Target) {
     let mut lines = Lines::connect(target);
-    let mut writer = lines.0.try_clone().unwrap();
+    let mut writer = lines.0.stream().unwrap().try_clone().unwrap();
     let sending = std::thread::spawn(move || {
         let mut sent = 0_u64;
         while sent < 64 << 20 && writer.write_all(&[b'x'; 4096]).is_ok() {

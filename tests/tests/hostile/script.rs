@@ -6,11 +6,12 @@ use std::time::Duration;
 
 use bcap_core::bcap::call::{self, VariableHandle};
 use bcap_core::bcap::client::{ClientError, Config, Timing};
-use bcap_core::bcap::{Decoder, Progress};
 use bcap_core::hresult::HResult;
 use bcap_core::io::CallError;
 use bcap_core::variant::Variant;
 use bcap_std::{Options, asynch, blocking};
+use bcap_testkit::judge::TCP;
+use bcap_testkit::oracle::Verdict;
 use bcap_testkit::value::Value;
 
 use crate::target::TIMEOUT;
@@ -57,7 +58,7 @@ impl Connection {
         let mut bytes = Vec::new();
         let mut byte = [0];
         loop {
-            if let Ok(Progress::Complete(frame, _)) = Decoder::TCP.decode(&bytes) {
+            if let Verdict::Frame(frame, _) = TCP.decode(&bytes) {
                 return frame.serial;
             }
             match self.0.read(&mut byte) {

@@ -1,14 +1,15 @@
 //! Invalid frames, and a connection that sends them.
 
-use std::io::{ErrorKind, Read, Write};
-use std::net::{Shutdown, SocketAddr, TcpStream};
+use std::io::ErrorKind;
+use std::net::{SocketAddr, TcpStream};
 use std::time::Duration;
 
-use bcap_core::bcap::{Decoder, FunctionId, Progress};
+use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
-use bcap_core::limits::Limits;
 use bcap_testkit::frame::TestFrame;
+use bcap_testkit::judge::TCP;
 use bcap_testkit::value::Value;
+use bcap_testkit::wire::{Link, Received, Wire};
 
 /// The serial of requests that are made here.
 pub(crate) const SERIAL: u16 = 9;
@@ -93,55 +94,73 @@ pub(crate) fn broken_values() -> Vec<(&'static str, Vec<u8>)> {
 pub(crate) const UNKNOWN_TYPES: &[u16] =
     &[9, 13, 14, 16, 22, 23, 24, 36, 0x1003, 0x2009, 0x200d, 0x200e, 0x2010, 0x2018, 0x4003, 0x400c, 0x6003, 0xffff];
 
-/// A connection that sends and reads raw bytes.
+/// Bounds a case that fails: nothing here waits so long.
+pub(crate) const LIMIT: Duration = Duration::from_secs(30);
+
+/// A client that sends and receives raw bytes.
 #[derive(Debug)]
 pub(crate) struct Raw {
-    stream: TcpStream,
-    received: Vec<u8>,
+    wire: Wire,
+    link: Link,
+    /// The serial of the last request of [`Raw::ask`].
+    pub(crate) serial: u16,
 }
 
 impl Raw {
+    /// Connects over TCP.
     pub(crate) fn connect(address: SocketAddr) -> Self {
-        Self::new(TcpStream::connect(address).unwrap())
+        Self { wire: Wire::connect(Link::Tcp, address, LIMIT).unwrap(), link: Link::Tcp, serial: 1 }
+    }
+
+    /// Opens a port for datagrams.
+    pub(crate) fn datagrams(address: SocketAddr) -> Self {
+        Self { wire: Wire::connect(Link::Udp, address, LIMIT).unwrap(), link: Link::Udp, serial: 1 }
     }
 
     /// Takes a connected stream.
     pub(crate) fn new(stream: TcpStream) -> Self {
-        stream.set_nodelay(true).unwrap();
-        // only bounds for a case that fails: nothing here waits so long
-        stream.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
-        stream.set_write_timeout(Some(Duration::from_secs(30))).unwrap();
-        Self { stream, received: Vec::new() }
+        Self { wire: Wire::of_stream(stream, LIMIT).unwrap(), link: Link::Tcp, serial: 1 }
     }
 
     pub(crate) const fn stream(&self) -> &TcpStream {
-        &self.stream
+        self.wire.stream().expect("a connection over TCP")
     }
 
-    /// Sends bytes; the server may have closed before it has read all of them.
+    /// Sends bytes; the server may have closed before it has read all of them. A frame that is larger than a datagram is not sent.
     pub(crate) fn send(&mut self, bytes: &[u8]) {
-        match self.stream.write_all(bytes) {
-            Err(error) if !is_closed(error.kind()) => panic!("{error}"),
+        match self.wire.send(bytes) {
+            Err(error) if self.link == Link::Tcp && !is_closed(error.kind()) => panic!("{error}"),
             _ => {}
         }
     }
 
     /// Says that nothing more will come.
     pub(crate) fn finish(&mut self) {
-        let _ = self.stream.shutdown(Shutdown::Write);
+        let _ = self.wire.finish();
     }
 
     /// Goes away with a reset, so that the server cannot send any more either.
     pub(crate) fn reset(self) {
-        socket2::SockRef::from(&self.stream).set_linger(Some(Duration::ZERO)).unwrap();
+        socket2::SockRef::from(self.stream()).set_linger(Some(Duration::ZERO)).unwrap();
     }
 
-    /// Reads the next reply.
+    /// Receives the next reply; `None` when the server has closed.
+    pub(crate) fn next_reply(&mut self) -> Option<TestFrame> {
+        match self.wire.receive(LIMIT) {
+            Received::Packet(bytes) => {
+                Some(TCP.decode_packet(&bytes).unwrap_or_else(|| panic!("{bytes:02x?} is no reply")))
+            }
+            Received::Closed => None,
+            Received::Silence => panic!("the server answers"),
+        }
+    }
+
+    /// Receives the next reply.
     pub(crate) fn reply(&mut self) -> TestFrame {
-        self.next().expect("the server answers")
+        self.next_reply().expect("the server answers")
     }
 
-    /// Sends a request and reads its reply.
+    /// Sends a request and receives its reply.
     pub(crate) fn call(&mut self, request: &TestFrame) -> TestFrame {
         self.send(&request.to_wire(false));
         let reply = self.reply();
@@ -149,59 +168,43 @@ impl Raw {
         reply
     }
 
-    /// Reads the next reply; `None` when the server has closed.
-    pub(crate) fn next_reply(&mut self) -> Option<TestFrame> {
-        self.next()
+    /// Makes a call with the next serial.
+    pub(crate) fn ask(&mut self, function: FunctionId, args: Vec<Value>) -> TestFrame {
+        self.serial += 1;
+        let reserved = if self.link.repeats() { self.serial } else { 0 };
+        self.call(&TestFrame { serial: self.serial, reserved, ..request(function, args) })
     }
 
-    /// Reads all replies until the server closes.
+    /// Receives all replies until the server closes.
     pub(crate) fn replies(&mut self) -> Vec<TestFrame> {
-        std::iter::from_fn(|| self.next()).collect()
+        std::iter::from_fn(|| self.next_reply()).collect()
     }
 
-    /// Reads bytes until the server closes.
+    /// Receives bytes until the server closes.
     pub(crate) fn rest(&mut self) -> Vec<u8> {
-        while self.read() {}
-        std::mem::take(&mut self.received)
+        let mut rest = Vec::new();
+        while let Received::Packet(bytes) = self.wire.receive(LIMIT) {
+            rest.extend(bytes);
+        }
+        rest
     }
 
     /// Begins a session and returns the handle of the controller.
     pub(crate) fn begin(&mut self) -> i32 {
-        let start = self.call(&request(FunctionId::SERVICE_START, vec![Value::text("")]));
-        assert_eq!(start.code, 0);
-        let names = vec![Value::text(""); 4];
-        let connect = self.call(&request(FunctionId::CONTROLLER_CONNECT, names));
+        assert_eq!(self.ask(FunctionId::SERVICE_START, vec![Value::text("")]).code, 0);
+        let connect = self.ask(FunctionId::CONTROLLER_CONNECT, vec![Value::text(""); 4]);
         let [Value::I4(handle)] = connect.args[..] else { panic!("a handle: {connect:?}") };
         handle
     }
 
-    /// Reads the next reply; `None` when the server has closed.
-    fn next(&mut self) -> Option<TestFrame> {
-        let decoder = Decoder { limits: Limits { frame: u32::MAX, ..Limits::STREAM }, ..Decoder::TCP };
-        loop {
-            if let Progress::Complete(frame, used) = decoder.decode(&self.received).expect("replies are frames") {
-                let reply = TestFrame::read(&frame);
-                self.received.drain(..used);
-                return Some(reply);
-            }
-            if !self.read() {
-                assert!(self.received.is_empty(), "the server has closed in the middle of a reply");
-                return None;
-            }
-        }
+    /// Ends a session.
+    pub(crate) fn end(&mut self) {
+        assert_eq!(self.ask(FunctionId::SERVICE_STOP, vec![]).code, 0);
     }
 
-    fn read(&mut self) -> bool {
-        let mut buffer = [0; 4096];
-        match self.stream.read(&mut buffer) {
-            Ok(count) => {
-                self.received.extend(&buffer[..count]);
-                count > 0
-            }
-            // bytes that the server has not read turn its close into a reset
-            Err(error) if is_closed(error.kind()) => false,
-            Err(error) => panic!("{error}"),
-        }
+    /// Asserts that the bytes sent before get no answer: the answer to a call comes first.
+    pub(crate) fn hears_nothing(&mut self) {
+        assert_eq!(self.ask(FunctionId(138), vec![]).code, HResult::E_INVALIDARG.0);
     }
 }
 

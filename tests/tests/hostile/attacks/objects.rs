@@ -1,12 +1,12 @@
 //! Clients that open as many objects as they may.
 
+use bcap_core::bcap::FunctionId;
 use bcap_core::bcap::server::{Config, Session};
-use bcap_core::bcap::{Decoder, FunctionId};
 use bcap_core::endpoint::{Endpoint, Serve};
 use bcap_core::handler::PeerId;
 use bcap_core::time::Instant;
 use bcap_sim::{Controller, Profile};
-use bcap_testkit::frame::TestFrame;
+use bcap_testkit::judge::TCP;
 use bcap_testkit::value::Value;
 use bcap_tests::process::thread_time;
 use bcap_tests::tools;
@@ -27,7 +27,7 @@ pub(super) fn objects_of_others_do_not_slow_opening(_: &mut Target) {
             line.receive_buffer()[..bytes.len()].copy_from_slice(&bytes);
             line.received(bytes.len());
             while line.run(&mut controller, peer, Instant::ZERO).is_some() {}
-            let reply = TestFrame::read(&Decoder::TCP.decode_datagram(line.transmit()).unwrap());
+            let reply = TCP.decode_packet(line.transmit()).unwrap();
             line.transmitted(usize::MAX);
             assert_eq!(reply.code, 0, "{function:?}");
             reply
