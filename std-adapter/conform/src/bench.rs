@@ -13,7 +13,7 @@ use bcap_testkit::wire::{Link, Wire};
 
 use crate::device::{Options, Refusals};
 use crate::language::{Arg, Model, Setup, Slot, Want};
-use crate::reply::{Came, Reply, hex, oracle, request_text};
+use crate::reply::{Came, hex, oracle, request_text};
 
 /// Why a case ends early.
 #[derive(Clone, Debug)]
@@ -37,7 +37,7 @@ pub(crate) struct Sent {
     pub(crate) args: Vec<Value>,
     pub(crate) marker: u16,
     pub(crate) serial: u16,
-    pub(crate) reply: Option<Reply>,
+    pub(crate) reply: Option<TestFrame>,
 }
 
 /// How often a call or a case is repeated when the device ended its connection without any reply: a small device may have no slot
@@ -162,7 +162,7 @@ impl<'a> Bench<'a> {
     /// Returns the model of the device, by the type of its robot and the provider.
     pub(crate) fn model(&mut self) -> Option<Model> {
         self.setup(Setup::Robot).ok()?;
-        let reply = self.robot_command("GetRobotTypeName", "0,").ok().filter(|reply| reply.code.is_ok())?;
+        let reply = self.robot_command("GetRobotTypeName", "0,").ok().filter(|reply| reply.result().is_ok())?;
         let Some(Value::Bstr(units)) = reply.value() else { return None };
         Some(match String::from_utf16_lossy(units) {
             name if name.starts_with("CVRB") => Model::CobottaPro,
@@ -181,12 +181,12 @@ impl<'a> Bench<'a> {
 
     /// Takes the arm and switches the motor on, after the preparation of a COBOTTA.
     pub(crate) fn take_arm(&mut self, speed: &'static str) -> Result<(), Stop> {
-        let refused = self.robot_command("ManualResetPreparation", "0,")?.code;
+        let refused = self.robot_command("ManualResetPreparation", "0,")?.result();
         if refused.is_ok() {
             self.robot_command("MotionPreparation", "0,")?;
         }
         let taken = self.robot_command("TakeArm", "8195,0,0")?;
-        if taken.code.is_err() {
+        if taken.result().is_err() {
             return skip(format!("TakeArm: {}", taken.text()));
         }
         self.armed = true;
@@ -198,11 +198,11 @@ impl<'a> Bench<'a> {
         }
         // slow, whatever the program of the robot has set before
         let slow = self.robot_command("ExtSpeed", speed)?;
-        if slow.code.is_err() {
+        if slow.result().is_err() {
             return skip(format!("ExtSpeed: {}", slow.text()));
         }
         let motor = self.robot_command("Motor", "8195,1,0")?;
-        if motor.code.is_err() { skip(format!("Motor on: {}", motor.text())) } else { Ok(()) }
+        if motor.result().is_err() { skip(format!("Motor on: {}", motor.text())) } else { Ok(()) }
     }
 
     /// Returns the external speed, acceleration and deceleration; `None` if the controller does not tell them.
@@ -211,7 +211,7 @@ impl<'a> Bench<'a> {
         for (place, command) in speed.iter_mut().zip(["CurExtSpd", "CurExtAcc", "CurExtDec"]) {
             let reply = self.robot_command(command, "0,")?;
             match reply.value().and_then(Value::as_f64) {
-                Some(percent) if reply.code.is_ok() => *place = percent,
+                Some(percent) if reply.result().is_ok() => *place = percent,
                 _ => return Ok(None),
             }
         }
@@ -219,7 +219,7 @@ impl<'a> Bench<'a> {
     }
 
     /// Calls Robot_Execute.
-    pub(crate) fn robot_command(&mut self, command: &'static str, value: &'static str) -> Result<Reply, Stop> {
+    pub(crate) fn robot_command(&mut self, command: &'static str, value: &'static str) -> Result<TestFrame, Stop> {
         self.call(FunctionId::ROBOT_EXECUTE, &[Arg::H(Slot::Robot), Arg::S(command), Arg::V(value)])
     }
 
@@ -243,8 +243,8 @@ impl<'a> Bench<'a> {
         };
         // the same value: a device that allows no writing refuses it
         let reply = self.exchange(FunctionId::VARIABLE_PUT_VALUE, vec![variable, value.clone()])?;
-        if reply.code == HResult::E_ACCESSDENIED {
-            return skip(format!("{name} cannot be written: {}", reply.code));
+        if reply.result() == HResult::E_ACCESSDENIED {
+            return skip(format!("{name} cannot be written: {}", reply.result()));
         }
         self.saved.push((name, value));
         Ok(())
@@ -336,7 +336,7 @@ impl<'a> Bench<'a> {
         match came {
             Came::Reply(ref reply) => {
                 (self.answered, self.has_reply) = (true, true);
-                self.caused.extend(reply.code.level().is_some_and(|level| level > 0).then_some(reply.code));
+                self.caused.extend(reply.result().level().is_some_and(|level| level > 0).then_some(reply.result()));
             }
             Came::Closed => self.refused |= !self.answered,
             Came::Invalid(_) | Came::Nothing => {}
@@ -365,7 +365,7 @@ impl<'a> Bench<'a> {
     }
 
     /// Makes a call, and returns its reply whatever its code.
-    pub(crate) fn call(&mut self, function: FunctionId, args: &[Arg]) -> Result<Reply, Stop> {
+    pub(crate) fn call(&mut self, function: FunctionId, args: &[Arg]) -> Result<TestFrame, Stop> {
         let args = args.iter().map(|arg| self.argument(arg)).collect::<Result<Vec<_>, _>>()?;
         self.exchange(function, args)
     }
@@ -374,12 +374,12 @@ impl<'a> Bench<'a> {
     ///
     /// The first call of a connection is repeated on a new one while the device has no slot: it ends the connection without a reply,
     /// or answers E_MAX_CONNECT.
-    pub(crate) fn exchange(&mut self, function: FunctionId, args: Vec<Value>) -> Result<Reply, Stop> {
+    pub(crate) fn exchange(&mut self, function: FunctionId, args: Vec<Value>) -> Result<TestFrame, Stop> {
         loop {
             let is_first = self.is_fresh;
             self.refused = false;
             let outcome = self.exchange_once(function, args.clone());
-            let has_slot = outcome.as_ref().map_or(!self.refused, |reply| reply.code != HResult::E_MAX_CONNECT);
+            let has_slot = outcome.as_ref().map_or(!self.refused, |reply| reply.result() != HResult::E_MAX_CONNECT);
             if has_slot && outcome.is_ok() {
                 self.repeats = 0;
             }
@@ -397,7 +397,7 @@ impl<'a> Bench<'a> {
         }
     }
 
-    fn exchange_once(&mut self, function: FunctionId, args: Vec<Value>) -> Result<Reply, Stop> {
+    fn exchange_once(&mut self, function: FunctionId, args: Vec<Value>) -> Result<TestFrame, Stop> {
         let (serial, bytes) = self.request(function, &args);
         self.send(&bytes, &request_text(serial, function, &args))?;
         let task = self.handles[Slot::Task as usize];
@@ -408,8 +408,8 @@ impl<'a> Bench<'a> {
         let reply = self.reply(function, serial)?;
         match function {
             // a faulty device may have started it nevertheless
-            FunctionId::TASK_START if reply.code.is_err() && !is_of_task => self.task_started = false,
-            FunctionId::TASK_STOP if reply.code.is_ok() => self.task_started = false,
+            FunctionId::TASK_START if reply.result().is_err() && !is_of_task => self.task_started = false,
+            FunctionId::TASK_STOP if reply.result().is_ok() => self.task_started = false,
             _ => {}
         }
         if let Some(last) = &mut self.last {
@@ -419,7 +419,7 @@ impl<'a> Bench<'a> {
     }
 
     /// Receives the reply with this serial; keep-alives are checked and skipped.
-    pub(crate) fn reply(&mut self, function: FunctionId, serial: u16) -> Result<Reply, Stop> {
+    pub(crate) fn reply(&mut self, function: FunctionId, serial: u16) -> Result<TestFrame, Stop> {
         // a device that keeps a call alive must still answer it
         let until = Instant::now() + self.options.timeout.saturating_mul(4);
         loop {
@@ -428,7 +428,7 @@ impl<'a> Bench<'a> {
                 return fail(format!("a reply to {function} with the serial {serial}"), came.text());
             };
             self.check_reply(function, serial, &reply)?;
-            if reply.code != HResult::S_EXECUTING {
+            if reply.result() != HResult::S_EXECUTING {
                 return Ok(reply);
             }
             if Instant::now() > until {
@@ -438,7 +438,7 @@ impl<'a> Bench<'a> {
     }
 
     /// Checks what holds for every reply (b-CAP specification, sections 4.1.1 to 4.1.5).
-    fn check_reply(&self, function: FunctionId, serial: u16, reply: &Reply) -> Result<(), Stop> {
+    fn check_reply(&self, function: FunctionId, serial: u16, reply: &TestFrame) -> Result<(), Stop> {
         let expected = |what: &str| format!("the reply to {function} {what}");
         if reply.serial != serial {
             return fail(expected(&format!("has the serial {serial} of its request")), reply.text());
@@ -452,18 +452,18 @@ impl<'a> Bench<'a> {
         let result = function.signature().map(|signature| signature.result);
         match (result, reply.value()) {
             (_, None) | (None, _) => Ok(()),
-            (_, Some(_)) if reply.code == HResult::S_EXECUTING => {
+            (_, Some(_)) if reply.result() == HResult::S_EXECUTING => {
                 fail("S_EXECUTING has no value (b-CAP specification, Table 4-1)", reply.text())
             }
             (Some(Kind::Nothing), Some(value)) if *value != Value::Empty => {
                 fail(expected("has no value"), reply.text())
             }
-            (Some(Kind::Handle(_) | Kind::Int), Some(value)) if reply.code.is_ok() => match value {
+            (Some(Kind::Handle(_) | Kind::Int), Some(value)) if reply.result().is_ok() => match value {
                 Value::I4(_) | Value::Ui4(_) => Ok(()),
                 Value::Empty if function == FunctionId::SERVICE_START => Ok(()),
                 _ => fail(expected("is an I4"), reply.text()),
             },
-            (Some(Kind::Text), Some(value)) if reply.code.is_ok() && !matches!(value, Value::Bstr(_)) => {
+            (Some(Kind::Text), Some(value)) if reply.result().is_ok() && !matches!(value, Value::Bstr(_)) => {
                 fail(expected("is a BSTR"), reply.text())
             }
             _ => Ok(()),
@@ -485,7 +485,7 @@ impl<'a> Bench<'a> {
         })
     }
 
-    pub(crate) fn keep(&mut self, slot: Slot, reply: &Reply) -> Result<(), Stop> {
+    pub(crate) fn keep(&mut self, slot: Slot, reply: &TestFrame) -> Result<(), Stop> {
         let handle = match reply.value() {
             Some(Value::I4(handle)) => *handle,
             Some(Value::Ui4(handle)) => handle.cast_signed(),
@@ -504,14 +504,14 @@ impl<'a> Bench<'a> {
     }
 
     /// Makes a call and checks its reply; skips the case if the device does not have the function.
-    pub(crate) fn want(&mut self, function: FunctionId, args: &[Arg], want: Want) -> Result<Reply, Stop> {
+    pub(crate) fn want(&mut self, function: FunctionId, args: &[Arg], want: Want) -> Result<TestFrame, Stop> {
         let reply = self.call(function, args)?;
         self.check(function, &reply, want, Refusals::Skip)?;
         Ok(reply)
     }
 
     /// Makes a call that every device has, and checks its reply.
-    pub(crate) fn must(&mut self, function: FunctionId, args: &[Arg], want: Want) -> Result<Reply, Stop> {
+    pub(crate) fn must(&mut self, function: FunctionId, args: &[Arg], want: Want) -> Result<TestFrame, Stop> {
         let reply = self.call(function, args)?;
         self.check(function, &reply, want, Refusals::Fail)?;
         Ok(reply)
@@ -527,7 +527,7 @@ impl<'a> Bench<'a> {
     pub(crate) fn check(
         &self,
         function: FunctionId,
-        reply: &Reply,
+        reply: &TestFrame,
         want: Want,
         refusals: Refusals,
     ) -> Result<(), Stop> {
@@ -536,10 +536,10 @@ impl<'a> Bench<'a> {
         let opens = function.opens().is_some();
         // a device may lack an object or a function, but not refuse one that it has
         if refusals == Refusals::Skip
-            && (is_missing[..2].contains(&reply.code) || wants_success && opens && reply.code == is_missing[2])
-            && !matches!(want, Want::Code(codes) if codes.contains(&reply.code))
+            && (is_missing[..2].contains(&reply.result()) || wants_success && opens && reply.result() == is_missing[2])
+            && !matches!(want, Want::Code(codes) if codes.contains(&reply.result()))
         {
-            return skip(format!("the device does not have it: {function} answered {}", reply.code));
+            return skip(format!("the device does not have it: {function} answered {}", reply.result()));
         }
         match matches(want, reply) {
             true => Ok(()),
@@ -562,9 +562,9 @@ pub(crate) fn value_of(text: &str) -> Result<Value, Stop> {
 }
 
 /// Tells whether a reply meets the condition of a case.
-fn matches(want: Want, reply: &Reply) -> bool {
+fn matches(want: Want, reply: &TestFrame) -> bool {
     let value = reply.value();
-    let is_ok = reply.code.is_ok();
+    let is_ok = reply.result().is_ok();
     match want {
         Want::Ok => is_ok,
         Want::NoValue => is_ok && value.is_none_or(|value| *value == Value::Empty),
@@ -574,8 +574,8 @@ fn matches(want: Want, reply: &Reply) -> bool {
                 && matches!(value, Some(Value::Array(found, items)) if *found == element && (count == 0 || items.len() == count))
         }
         Want::Value(text) => is_ok && value_of(text).is_ok_and(|wanted| value == Some(&wanted)),
-        Want::Code(codes) => codes.contains(&reply.code),
-        Want::Refused => reply.code.is_err(),
+        Want::Code(codes) => codes.contains(&reply.result()),
+        Want::Refused => reply.result().is_err(),
     }
 }
 
@@ -587,7 +587,7 @@ pub(crate) fn want_text(want: Want) -> String {
         Want::Array(element, 0) => format!("success with an array of {}", VarType(element)),
         Want::Array(element, count) => format!("success with {count} elements of {}", VarType(element)),
         Want::Value(text) => match value_of(text) {
-            Ok(value) => format!("success with {}", crate::reply::short(&value)),
+            Ok(value) => format!("success with {}", value.short()),
             Err(_) => text.into(),
         },
         Want::Code(codes) => codes.iter().map(ToString::to_string).collect::<Vec<_>>().join(" or "),

@@ -39,9 +39,9 @@ impl Bench<'_> {
     fn judge(&mut self, reaction: Reaction, serial: u16, came: &Came) -> Result<(), Stop> {
         let is_udp = self.link == Link::Udp;
         match (reaction, came) {
-            (Reaction::Served, Came::Reply(reply)) if reply.serial == serial && reply.code.is_ok() => Ok(()),
+            (Reaction::Served, Came::Reply(reply)) if reply.serial == serial && reply.result().is_ok() => Ok(()),
             (Reaction::Served, came) => fail(format!("success with the serial {serial}"), came.text()),
-            (Reaction::Ends | Reaction::Resync, Came::Reply(reply)) if reply.code.is_ok() => {
+            (Reaction::Ends | Reaction::Resync, Came::Reply(reply)) if reply.result().is_ok() => {
                 match reply.serial == serial {
                     true => Ok(()),
                     false => fail(
@@ -50,7 +50,7 @@ impl Bench<'_> {
                     ),
                 }
             }
-            (_, Came::Reply(reply)) if reply.code.is_err() => self.ends(reply.code),
+            (_, Came::Reply(reply)) if reply.result().is_err() => self.ends(reply.result()),
             (_, Came::Closed) => Ok(()),
             (_, Came::Nothing) if is_udp => Ok(()),
             (_, came) => fail("an error, or the end of the connection", came.text()),

@@ -3,47 +3,17 @@
 use std::fmt::Write as _;
 
 use bcap_core::bcap::{Decoder, FunctionId};
-use bcap_core::hresult::HResult;
-use bcap_core::limits::{Limits, MAX_DEPTH, Strictness, UDP_RECEIVE_MAX};
-use bcap_core::variant::Variant;
+use bcap_core::limits::{Strictness, UDP_RECEIVE_MAX};
 use bcap_testkit::frame::TestFrame;
 use bcap_testkit::judge::TCP;
 use bcap_testkit::oracle::Oracle;
 use bcap_testkit::value::Value;
 use bcap_testkit::wire::{Link, Received};
 
-/// A received reply.
-#[derive(Clone, Debug)]
-pub(crate) struct Reply {
-    pub(crate) serial: u16,
-    pub(crate) reserved: u16,
-    pub(crate) code: HResult,
-    pub(crate) args: Vec<Value>,
-}
-
-impl Reply {
-    pub(crate) fn value(&self) -> Option<&Value> {
-        self.args.first()
-    }
-
-    /// Returns the reply in one line, such as `#4 0x00000000 (S_OK): I4(3)`.
-    pub(crate) fn text(&self) -> String {
-        let mut out = format!("#{} {}", self.serial, self.code);
-        for (index, value) in self.args.iter().enumerate() {
-            // writing to a string cannot fail
-            let _ = write!(out, "{} {}", if index == 0 { ":" } else { "," }, short(value));
-        }
-        if self.reserved != 0 {
-            let _ = write!(out, " (reserved field {})", self.reserved);
-        }
-        out
-    }
-}
-
 /// The result of a receive with a time limit.
 #[derive(Clone, Debug)]
 pub(crate) enum Came {
-    Reply(Reply),
+    Reply(TestFrame),
     /// Bytes that are not a frame.
     Invalid(String),
     Closed,
@@ -62,9 +32,7 @@ impl Came {
             return Self::Invalid(format!("a datagram of {} bytes; the maximum is {UDP_RECEIVE_MAX}", bytes.len()));
         }
         match oracle(link).decode_packet(&bytes) {
-            Some(TestFrame { serial, reserved, code, args }) => {
-                Self::Reply(Reply { serial, reserved, code: HResult(code), args })
-            }
+            Some(reply) => Self::Reply(reply),
             None => Self::Invalid(format!("{} ({})", reason(&bytes), hex(&bytes))),
         }
     }
@@ -92,19 +60,6 @@ pub(crate) fn reason(bytes: &[u8]) -> String {
     }
 }
 
-/// Words a value, at most 160 letters of it.
-pub(crate) fn short(value: &Value) -> String {
-    let (wire, deepest) = (value.to_wire(), Limits { depth: MAX_DEPTH, ..Limits::STREAM });
-    let text = match Variant::decode(&wire, &deepest, Strictness::Strict) {
-        Ok(value) => format!("{value:?}"),
-        Err(_) => format!("{value:?}"),
-    };
-    match text.char_indices().nth(160) {
-        Some((at, _)) => format!("{}... ({} characters)", &text[..at], text.chars().count()),
-        None => text,
-    }
-}
-
 /// Returns bytes as hexadecimal digits, at most 64 of them.
 pub(crate) fn hex(bytes: &[u8]) -> String {
     let mut out: String = bytes.iter().take(64).map(|byte| format!("{byte:02x}")).collect();
@@ -120,7 +75,7 @@ pub(crate) fn request_text(serial: u16, function: FunctionId, args: &[Value]) ->
     for (index, value) in args.iter().enumerate() {
         let separator = if index > 0 { ", " } else { "" };
         let name = function.argument_names().get(index).map(|name| format!("{name}: ")).unwrap_or_default();
-        let _ = write!(out, "{separator}{name}{}", short(value));
+        let _ = write!(out, "{separator}{name}{}", value.short());
     }
     out.push(')');
     out

@@ -4,11 +4,12 @@ use std::time::{Duration, Instant};
 
 use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
+use bcap_testkit::frame::TestFrame;
 use bcap_testkit::value::Value;
 
 use crate::bench::{Bench, Stop, fail};
 use crate::language::{Arg, Setup, Slot, Want};
-use crate::reply::{Came, Reply, request_text};
+use crate::reply::{Came, request_text};
 
 /// The longest turn of an axis at the slow speed of cases.
 const TURN: Duration = Duration::from_secs(60);
@@ -68,7 +69,7 @@ impl<'a> Bench<'a> {
         });
     }
 
-    fn controller_command(&mut self, command: &str, value: Value) -> Result<Reply, Stop> {
+    fn controller_command(&mut self, command: &str, value: Value) -> Result<TestFrame, Stop> {
         let handle = self.argument(&Arg::H(Slot::Controller))?;
         self.exchange(FunctionId::CONTROLLER_EXECUTE, vec![handle, Value::text(command), value])
     }
@@ -176,8 +177,8 @@ impl<'a> Bench<'a> {
         loop {
             let left = until.saturating_duration_since(Instant::now());
             match self.receive_within(left) {
-                Came::Reply(reply) if reply.serial == serial && reply.code != HResult::S_EXECUTING => {
-                    return Some(reply.code);
+                Came::Reply(reply) if reply.serial == serial && reply.result() != HResult::S_EXECUTING => {
+                    return Some(reply.result());
                 }
                 Came::Closed | Came::Nothing => return None,
                 _ if left.is_zero() => return None,

@@ -1,6 +1,7 @@
 //! An owned frame for tests, with an encoder that shares no code with the core.
 
 use bcap_core::bcap::Frame;
+use bcap_core::hresult::HResult;
 
 use crate::value::Value;
 
@@ -80,6 +81,27 @@ impl TestFrame {
         }
         wire.push(4);
         wire
+    }
+
+    /// Returns the HRESULT of a reply.
+    #[must_use]
+    pub const fn result(&self) -> HResult {
+        HResult(self.code)
+    }
+
+    /// Returns the value of a reply.
+    #[must_use]
+    pub fn value(&self) -> Option<&Value> {
+        self.args.first()
+    }
+
+    /// Returns a reply in one line, such as `#4 0x00000000 (S_OK): I4(3)`.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let args = self.args.iter().map(Value::short).collect::<Vec<_>>().join(", ");
+        let separator = if self.args.is_empty() { "" } else { ": " };
+        let reserved = if self.reserved == 0 { String::new() } else { format!(" (reserved field {})", self.reserved) };
+        format!("#{} {}{separator}{args}{reserved}", self.serial, self.result())
     }
 
     /// Copies a value that the core decoded, through its public accessors.

@@ -2,7 +2,7 @@
 
 use bcap_core::error::EncodeError;
 use bcap_core::hresult::HResult;
-use bcap_core::limits::{Limits, Strictness};
+use bcap_core::limits::{Limits, MAX_DEPTH, Strictness};
 use bcap_core::variant::{Bstr, Currency, Encode, Null, OleDate, Variant, Writer};
 
 /// A value. Floats are stored as bits, so that values are equal if their bytes are equal.
@@ -49,6 +49,20 @@ impl Value {
     #[must_use]
     pub fn text(text: &str) -> Self {
         Self::Bstr(text.encode_utf16().collect())
+    }
+
+    /// Words the value, at most 160 letters of it; the core words it, but judges nothing.
+    #[must_use]
+    pub fn short(&self) -> String {
+        let (wire, deepest) = (self.to_wire(), Limits { depth: MAX_DEPTH, ..Limits::STREAM });
+        let text = match Variant::decode(&wire, &deepest, Strictness::Strict) {
+            Ok(value) => format!("{value:?}"),
+            Err(_) => format!("{self:?}"),
+        };
+        match text.char_indices().nth(160) {
+            Some((at, _)) => format!("{}... ({} characters)", &text[..at], text.chars().count()),
+            None => text,
+        }
     }
 
     /// Returns a float or an integer as a number.

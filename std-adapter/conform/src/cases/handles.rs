@@ -46,7 +46,7 @@ fn twenty_different(bench: &mut Bench<'_>) -> Result<(), Stop> {
     let mut seen = HashSet::new();
     for _ in 0..20 {
         let reply = bench.call(F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")])?;
-        if [HResult::E_MAX_OBJECT, HResult::E_OUTOFMEMORY].contains(&reply.code) {
+        if [HResult::E_MAX_OBJECT, HResult::E_OUTOFMEMORY].contains(&reply.result()) {
             return skip(format!("the device has room for {} variables; their handles differ", seen.len()));
         }
         bench.check(F::CONTROLLER_GET_VARIABLE, &reply, Want::Ok, Refusals::Skip)?;
@@ -70,7 +70,7 @@ fn limit(bench: &mut Bench<'_>) -> Result<(), Stop> {
     bench.open(B, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")])?;
     for _ in 0..1100 {
         let reply = bench.call(F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")])?;
-        match reply.code {
+        match reply.result() {
             code if code.is_ok() => {}
             HResult::E_MAX_OBJECT | HResult::E_OUTOFMEMORY => break,
             _ => return fail("success, E_MAX_OBJECT or E_OUTOFMEMORY", reply.text()),

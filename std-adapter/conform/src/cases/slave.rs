@@ -2,13 +2,14 @@
 
 use bcap_core::bcap::FunctionId as F;
 use bcap_core::hresult::HResult;
+use bcap_testkit::frame::TestFrame;
 use bcap_testkit::value::Value;
 
 use crate::bench::{Bench, Stop, fail, skip};
 use crate::case::Arg::{H, S, V};
 use crate::case::{Run, Slot, Want};
 use crate::device::Refusals;
-use crate::reply::{Reply, request_text};
+use crate::reply::request_text;
 
 const R: Slot = Slot::Robot;
 /// The cases of `slave.cases` that are functions.
@@ -45,7 +46,7 @@ pub(super) const FUNCTIONS: &[(&str, Run)] = &[
 /// Sends a pose, whose reply has the values of a receive format.
 fn received(bench: &mut Bench<'_>, format: &'static str, want: Want) -> Result<(), Stop> {
     let set = bench.robot_command("slvRecvFormat", format)?;
-    if matches!(want, Want::Array(12, _)) && set.code == HResult::E_INVALIDARG {
+    if matches!(want, Want::Array(12, _)) && set.result() == HResult::E_INVALIDARG {
         return skip("the device does not have this IO");
     }
     bench.check(F::ROBOT_EXECUTE, &set, Want::NoValue, Refusals::Skip)?;
@@ -67,7 +68,7 @@ fn pose(bench: &mut Bench<'_>, kind: char) -> Result<Value, Stop> {
         _ => "CurJnt",
     };
     let reply = other.robot_command(command, "0,")?;
-    if reply.code.is_err() {
+    if reply.result().is_err() {
         return skip(format!("{command}: {}", reply.text()));
     }
     match reply.args.into_iter().next() {
@@ -76,20 +77,20 @@ fn pose(bench: &mut Bench<'_>, kind: char) -> Result<Value, Stop> {
     }
 }
 
-fn execute(bench: &mut Bench<'_>, command: &str, value: Value) -> Result<Reply, Stop> {
+fn execute(bench: &mut Bench<'_>, command: &str, value: Value) -> Result<TestFrame, Stop> {
     let handle = bench.argument(&H(R))?;
     bench.exchange(F::ROBOT_EXECUTE, vec![handle, Value::text(command), value])
 }
 
-fn slv_move(bench: &mut Bench<'_>, pose: &Value) -> Result<Reply, Stop> {
+fn slv_move(bench: &mut Bench<'_>, pose: &Value) -> Result<TestFrame, Stop> {
     execute(bench, "slvMove", pose.clone())
 }
 
 /// Enters Slave Mode, or skips the case if the controller has no licence for it.
 fn change(bench: &mut Bench<'_>, mode: i32) -> Result<(), Stop> {
     let reply = execute(bench, "slvChangeMode", Value::I4(mode))?;
-    match reply.code {
-        HResult::E_NO_LICENSE | HResult::E_CAO_PROV_NO_LICENSE => skip(format!("Slave Mode: {}", reply.code)),
+    match reply.result() {
+        HResult::E_NO_LICENSE | HResult::E_CAO_PROV_NO_LICENSE => skip(format!("Slave Mode: {}", reply.result())),
         _ => bench.check(F::ROBOT_EXECUTE, &reply, Want::NoValue, Refusals::Skip),
     }
 }
@@ -123,7 +124,7 @@ fn burst(bench: &mut Bench<'_>, number: i32, count: usize) -> Result<Vec<HResult
     let serials: Vec<u16> = (0..count).map(|_| bench.next_serial()).collect();
     let bytes: Vec<u8> = serials.iter().flat_map(|serial| bench.encode(*serial, 0, F::ROBOT_EXECUTE, &args)).collect();
     bench.send(&bytes, &format!("{count} x {}", request_text(serials[0], F::ROBOT_EXECUTE, &args)))?;
-    let codes = serials.iter().map(|serial| bench.reply(F::ROBOT_EXECUTE, *serial).map(|reply| reply.code));
+    let codes = serials.iter().map(|serial| bench.reply(F::ROBOT_EXECUTE, *serial).map(|reply| reply.result()));
     let codes = codes.collect::<Result<Vec<_>, _>>()?;
     change(bench, 0)?;
     Ok(codes)
@@ -179,7 +180,7 @@ fn move_outside(bench: &mut Bench<'_>) -> Result<(), Stop> {
 
 fn enter_without_arm(bench: &mut Bench<'_>) -> Result<(), Stop> {
     let entered = bench.robot_command("slvChangeMode", "3,514");
-    if !matches!(&entered, Ok(reply) if reply.code.is_err()) {
+    if !matches!(&entered, Ok(reply) if reply.result().is_err()) {
         // immediately, even if the reply is wrong
         let args = [H(R), S("slvChangeMode"), V("3,0")].map(|arg| bench.argument(&arg));
         let args = args.into_iter().collect::<Result<Vec<_>, _>>()?;

@@ -22,8 +22,8 @@ fn start_and_stop(bench: &mut Bench<'_>) -> Result<(), Stop> {
         return skip("the task runs already");
     }
     let started = bench.call(F::TASK_START, &[H(T), I(2), S("")])?;
-    if started.code.is_err() {
-        return skip(format!("Task_Start: {}", started.code));
+    if started.result().is_err() {
+        return skip(format!("Task_Start: {}", started.result()));
     }
     let running = bench.call(F::VARIABLE_GET_VALUE, &[H(A)])?;
     // immediately, even if the reply above is wrong
@@ -31,13 +31,13 @@ fn start_and_stop(bench: &mut Bench<'_>) -> Result<(), Stop> {
     // a short program may have ended already, because mode 2 runs one cycle (b-CAP specification, section 4.2.2)
     let is_running = running.value() == Some(&RUNNING);
     let is_over = running.value() == before.value();
-    if !(is_running || is_over) || running.code.is_err() {
+    if !(is_running || is_over) || running.result().is_err() {
         return fail(
             "the status 3 (running) after Task_Start, or that before it after a short program",
             running.text(),
         );
     }
-    if stopped.code.is_err() {
+    if stopped.result().is_err() {
         return fail("success of Task_Stop", stopped.text());
     }
     let after = bench.must(F::VARIABLE_GET_VALUE, &[H(A)], Want::Type(3))?;

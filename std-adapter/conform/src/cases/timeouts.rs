@@ -34,7 +34,7 @@ fn paused(bench: &mut Bench<'_>, at: usize) -> Result<(), Stop> {
     }
     bench.send(&bytes[at..], "the rest")?;
     let reply = bench.reply(F::SERVICE_START, serial)?;
-    if reply.code.is_ok() { Ok(()) } else { fail("success", reply.text()) }
+    if reply.result().is_ok() { Ok(()) } else { fail("success", reply.text()) }
 }
 
 fn pause_between(bench: &mut Bench<'_>) -> Result<(), Stop> {
@@ -53,7 +53,9 @@ fn no_keep_alive(bench: &mut Bench<'_>) -> Result<(), Stop> {
     let (serial, bytes) = bench.request(F::SERVICE_START, &[Value::text("WDT=400")]);
     bench.send(&bytes, "Service_Start(WDT=400)")?;
     match bench.receive() {
-        Came::Reply(reply) if reply.serial == serial && reply.code.is_ok() && reply.code != HResult::S_EXECUTING => {
+        Came::Reply(reply)
+            if reply.serial == serial && reply.result().is_ok() && reply.result() != HResult::S_EXECUTING =>
+        {
             Ok(())
         }
         came => fail("the reply itself", came.text()),
@@ -91,7 +93,7 @@ fn present_angle(bench: &mut Bench<'_>) -> Result<Value, Stop> {
         _ => None,
     };
     match angle {
-        Some(angle) if reply.code.is_ok() => value_of(&format!("8204,(8197,6,{angle})")),
+        Some(angle) if reply.result().is_ok() => value_of(&format!("8204,(8197,6,{angle})")),
         _ => skip(format!("CurJnt: {}", reply.text())),
     }
 }
@@ -123,11 +125,11 @@ fn count_keep_alives(bench: &mut Bench<'_>, serial: u16) -> Result<(usize, HResu
     loop {
         match bench.receive_within(until.saturating_duration_since(Instant::now())) {
             Came::Reply(reply) if reply.serial != serial => return fail(format!("the serial {serial}"), reply.text()),
-            Came::Reply(reply) if reply.code == HResult::S_EXECUTING && reply.args.is_empty() => count += 1,
-            Came::Reply(reply) if reply.code == HResult::S_EXECUTING => {
+            Came::Reply(reply) if reply.result() == HResult::S_EXECUTING && reply.args.is_empty() => count += 1,
+            Came::Reply(reply) if reply.result() == HResult::S_EXECUTING => {
                 return fail("S_EXECUTING without a value", reply.text());
             }
-            Came::Reply(reply) => return Ok((count, reply.code)),
+            Came::Reply(reply) => return Ok((count, reply.result())),
             came => return fail("S_EXECUTING or the reply", came.text()),
         }
     }

@@ -37,7 +37,7 @@ fn same_serial_other_function(bench: &mut Bench<'_>) -> Result<(), Stop> {
     send(bench, serial, last, F::VARIABLE_GET_VALUE, &[H(A)])?;
     let reply = bench.reply(F::VARIABLE_GET_VALUE, serial)?;
     match reply.value() {
-        Some(value) if reply.code.is_ok() && *value != Value::I4(bench.handle(A)) => Ok(()),
+        Some(value) if reply.result().is_ok() && *value != Value::I4(bench.handle(A)) => Ok(()),
         _ => fail("the value of I1, not the reply of the call before", reply.text()),
     }
 }
@@ -51,7 +51,7 @@ fn late_copy(bench: &mut Bench<'_>) -> Result<(), Stop> {
     send(bench, old, old, F::VARIABLE_RELEASE, &[H(A)])?;
     match bench.receive_within(bench.options.quiet) {
         Came::Nothing => {}
-        Came::Reply(reply) if reply.code == HResult::S_OK => {}
+        Came::Reply(reply) if reply.result() == HResult::S_OK => {}
         came => return fail("silence, or the old reply", came.text()),
     }
     bench.must(F::VARIABLE_GET_VALUE, &[H(B)], Want::Ok).map(drop)

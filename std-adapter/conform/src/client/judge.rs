@@ -253,7 +253,7 @@ impl Play {
             None => socket.send(&reply)?,
         }
         if let Some(reply) = oracle(self.link).decode_packet(&reply) {
-            self.rules.log.push(format!("-> #{} {}", reply.serial, HResult(reply.code)));
+            self.rules.log.push(format!("-> {}", reply.text()));
             self.rules.reply(frame, &reply);
         }
         Ok(())
