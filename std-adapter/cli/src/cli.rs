@@ -28,6 +28,8 @@ use crate::commands::profile::ProfileArgs;
 use crate::commands::report::ReportArgs;
 use crate::commands::robot::errors::Errors;
 use crate::commands::robot::halt::HaltArgs;
+use crate::commands::robot::jog::{Jog, Teach};
+use crate::commands::robot::log::Log;
 use crate::commands::robot::motion::MoveArgs;
 use crate::commands::robot::recover::Recover;
 use crate::commands::robot::task::Task;
@@ -82,8 +84,11 @@ pub(crate) enum Command {
     Call(Call),
     Exec(Exec),
     Move(MoveArgs),
+    Jog(Jog),
+    Teach(Teach),
     Task(Task),
     Errors(Errors),
+    Log(Log),
     Recover(Recover),
     Shell(Shell),
     Run(Run),
@@ -153,7 +158,8 @@ A script has one command a line. # begins a comment, words with blanks stand bet
   set x = 3               sets a variable of the script
   put I1 $x
   sleep 100ms             waits
-  wait I1 = 5 2s          waits until the controller's variable has the value; the time is optional
+  wait I1 = 5 --within 2s waits until the controller's variable has the value; `wait IO130` waits until it is true
+  repeat 3 run part.bcap  runs a command, here another script, several times
   expect I1 = 5           fails unless it has the value; also != < <= > >=
   exec robot TakeArm 0 1  the arm stays taken until GiveArm or the end
   move P1 --line --speed 10

@@ -26,7 +26,7 @@ use crate::commands::judge::{conform, fuzz};
 #[cfg(feature = "screens")]
 use crate::commands::monitor;
 use crate::commands::packets::{decode, proxy, raw, replay};
-use crate::commands::robot::{errors, halt, motion, recover, task};
+use crate::commands::robot::{errors, halt, jog, log, motion, recover, task};
 use crate::commands::variables::{get, names, put, rac, watch};
 use crate::commands::{board, doctor, explain, files, gateway, profile, report, sim, slave};
 use crate::failure::Failure;
@@ -105,8 +105,11 @@ pub(crate) fn verb(command: &Command, session: &mut Session, json: bool) -> Resu
         Command::Call(args) => call::call(args, session, json),
         Command::Exec(args) => exec::exec(args, session, json),
         Command::Move(args) => motion::motion(args, session, json),
+        Command::Jog(args) => jog::jog(args, session, json),
+        Command::Teach(args) => jog::teach(args, session, json),
         Command::Task(args) => task::task(args, session, json),
         Command::Errors(args) => errors::errors(args, session, json),
+        Command::Log(args) => log::log(args, session, json),
         Command::Recover(args) => recover::recover(args, session, json),
         Command::Shell(_) => shell::shell(session, verb, json),
         Command::Run(args) => script::run(args, session, verb, check, json),
@@ -140,6 +143,8 @@ fn check(command: &Command) -> Result<(), Failure> {
         Command::Call(args) => call::check(args),
         Command::Exec(args) => exec::check(args),
         Command::Move(args) => motion::check(args),
+        Command::Jog(args) => jog::check_jog(args),
+        Command::Teach(args) => jog::check_teach(args),
         Command::Recover(args) => recover::check(args),
         Command::Rac(args) => rac::check(args),
         _ => Ok(()),

@@ -21,6 +21,8 @@ mod files;
 mod fuzz;
 mod gateway;
 mod help;
+#[cfg(unix)]
+mod jog;
 mod manual;
 #[cfg(unix)]
 mod mcap;

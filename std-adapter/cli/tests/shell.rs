@@ -3,6 +3,8 @@
 use std::io::{BufRead, BufReader, Write};
 use std::process::Stdio;
 
+use serde_json::Value;
+
 use crate::common;
 use crate::common::virtual_robot::{Virtual, signal};
 use crate::common::{Run, bcap, bcap_with};
@@ -202,7 +204,7 @@ fn scripts_that_run_themselves_and_incomplete_commands_are_errors() {
     std::fs::write(file.path(), format!("run {name}\n")).unwrap();
     let run = robot.run(&["run", &name.to_string()]);
     assert!(run.code == 2 && run.err.contains("more than 16 scripts run each other"), "{run:?}");
-    let run = robot.script("task\nput I1 1\n");
+    let run = robot.script("task start\nput I1 1\n");
     assert!(run.code == 2 && run.err.contains("-:1: "), "{run:?}");
     assert_eq!(robot.run(&["get", "I1"]).out, "I1 = 0\n");
 }
@@ -353,6 +355,61 @@ fn tasks_are_started_and_stopped() {
     assert_eq!(robot.run(&["task", "stop", "Pro1", "--now"]).code, 0);
     assert_ne!(robot.run(&["task", "status", "Pro1", "--json"]).out, "{\"name\":\"Pro1\",\"status\":\"running\"}\n");
     assert_eq!(robot.run(&["task", "start", "Pro1"]).code, 2);
+    assert_eq!(robot.run(&["task", "start", "Pro1", "Pro2", "--forever"]).code, 0);
+    let list = robot.run(&["task"]);
+    assert!(list.out.starts_with("Pro1             running           line "), "{list:?}");
+    let lines: Vec<Value> = robot.run(&["task", "--json"]).out.lines().map(|line| line.parse().unwrap()).collect();
+    let of = |name: &str| lines.iter().find(|line| line["name"] == name).unwrap();
+    assert_eq!((&of("Pro1")["status"], &of("Pro2")["status"]), (&"running".into(), &"running".into()));
+    assert!(of("Pro1")["line"].as_f64().is_some() && of("Pro1")["cycle_ms"].as_f64().is_some(), "{list:?}");
+    let run = robot.run(&["task", "start", "Pro3", "NoSuch", "--forever"]);
+    assert!(run.code == 1 && run.err.contains("started before: Pro3"), "{run:?}");
+}
+
+#[test]
+fn the_logs_are_a_table() {
+    let robot = Virtual::start(&[]);
+    let lines = "exec robot TakeArm 0 1\nexec robot Motor 1 0\nexec robot Motor 0 0\nmove 'J(999,45,90,0,45,0)'\n";
+    assert_eq!(robot.script(lines).code, 1);
+    let errors = robot.run(&["log", "--errors"]).out;
+    let operations = robot.run(&["log", "--operations"]).out;
+    assert!(errors.lines().all(|line| line[23..].starts_with(" errors ") && line.contains("0x8")), "{errors}");
+    assert!(operations.contains(" operations ") && !operations.contains(" errors "), "{operations}");
+    let both = robot.run(&["log"]).out;
+    assert_eq!(both.lines().count(), errors.lines().count() + operations.lines().count());
+    let times: Vec<&str> = both.lines().map(|line| &line[..23]).collect();
+    assert!(times.is_sorted() && times[0].starts_with("20"), "{both}");
+    assert_eq!(robot.run(&["log", "--last", "1"]).out.lines().count(), 1);
+    let line: Value = robot.run(&["log", "--errors", "--last", "1", "--json"]).out.parse().unwrap();
+    assert!(line["log"] == "errors" && line["code"].as_i64().unwrap() < 0, "{line}");
+}
+
+#[test]
+fn a_command_of_a_script_is_repeated() {
+    let robot = Virtual::start(&[]);
+    let folder = tempfile::tempdir().unwrap();
+    let (part, whole) = (folder.path().join("part.bcap"), folder.path().join("whole.bcap"));
+    std::fs::write(&part, "get I1\n").unwrap();
+    let part = part.to_str().unwrap();
+    let lines =
+        format!("repeat 2 run {part}\nrepeat 0 get I2\nset x = I3\nrepeat 3 get $x\nput IO128 on\nwait IO128\n");
+    std::fs::write(&whole, &lines).unwrap();
+    let whole = whole.to_str().unwrap();
+    assert_eq!(robot.run(&["run", whole, "--check"]).out, format!("{whole}: 6 lines are valid\n"));
+    let run = robot.run(&["run", whole]);
+    assert_eq!((run.out.as_str(), run.err.as_str()), ("I1 = 0\nI1 = 0\nI3 = 0\nI3 = 0\nI3 = 0\nIO128 = true\n", ""));
+    for (line, code, text) in [
+        ("repeat 2 repeat 2 get I1", 2, "does not repeat `repeat`"),
+        ("repeat 2 nonsense", 2, "nonsense"),
+        ("repeat 2", 2, "required"),
+        ("wait I1 =", 2, "required"),
+        ("wait I1 == 3 --within 20ms", 4, "waited 20ms for I1 == 3, found 0"),
+        ("wait IO129 --within 1ms", 4, "for IO129 = true, found false"),
+        ("repeat 3 expect I1 = 1", 1, "expected I1 = 1, found 0"),
+    ] {
+        let run = robot.script(line);
+        assert!(run.code == code && run.err.contains(text), "{line}: {run:?}");
+    }
 }
 
 /// A shell without a terminal reads its lines without knowing of signals, so Ctrl-C must reach the session by another way.

@@ -54,13 +54,24 @@ enum LineCommand {
         #[arg(value_parser = duration::parse)]
         time: Duration,
     },
-    /// Waits until a variable of the controller has a value: wait I1 = 5 2s; without a time a minute
+    /// Runs a command several times: repeat 3 move P1; `repeat 3 run FILE` repeats lines
+    Repeat {
+        /// How often
+        count: u32,
+        /// The command
+        #[arg(required = true, num_args = 1.., trailing_var_arg = true, allow_hyphen_values = true)]
+        words: Vec<String>,
+    },
+    /// Waits until a variable of the controller has a value: wait I1 = 5 --within 2s; without a time a minute
     Wait {
         #[command(flatten)]
         condition: Condition,
         /// The longest time to wait, such as 500ms or 2s
         #[arg(value_parser = duration::parse, default_value = "60s")]
         timeout: Duration,
+        /// The same
+        #[arg(long, value_name = "TIME", value_parser = duration::parse, conflicts_with = "timeout")]
+        within: Option<Duration>,
     },
     /// Fails unless a variable of the controller has a value: expect I1 = 5
     Expect {
@@ -87,10 +98,10 @@ struct Condition {
     /// The variable, as for `get`
     name: String,
     /// = != < <= > >=
-    #[arg(value_parser = ["=", "==", "!=", "<", "<=", ">", ">="])]
+    #[arg(value_parser = ["=", "==", "!=", "<", "<=", ">", ">="], default_value = "=", requires = "value")]
     relation: String,
-    /// The value, as for `put`
-    #[arg(allow_hyphen_values = true)]
+    /// The value, as for `put`; without it, true
+    #[arg(allow_hyphen_values = true, default_value = "true")]
     value: String,
 }
 
@@ -132,8 +143,11 @@ impl Checker {
 
     /// Checks a line: its command, its arguments, and the variables of the script that it uses.
     pub(crate) fn line(&mut self, line: &str) -> Result<Checked, Failure> {
-        let Some(words) = words_of(line, &self.variables)? else { return Ok(Checked::Continue) };
-        match Line::try_parse_from(&words) {
+        words_of(line, &self.variables)?.map_or(Ok(Checked::Continue), |words| self.words(&words))
+    }
+
+    fn words(&mut self, words: &[String]) -> Result<Checked, Failure> {
+        match Line::try_parse_from(words) {
             Ok(line) => self.command(line.command),
             Err(error) if is_help(&error) => Ok(Checked::Continue),
             Err(error) => Err(invalid(&error)),
@@ -148,6 +162,7 @@ impl Checker {
                 command => (self.check)(&command)?,
             },
             LineCommand::Set { name, value } => set(&mut self.variables, &name, &value)?,
+            LineCommand::Repeat { words, .. } => return repeated(&words).and_then(|()| self.words(&words)),
             LineCommand::Wait { condition, .. } | LineCommand::Expect { condition } => {
                 ObjectPath::variable(&condition.name)?;
             }
@@ -194,11 +209,20 @@ impl Runner {
 
     /// Runs a line. After an interruption the robot is halted and the arm given back.
     pub(crate) fn run(&mut self, line: &str, session: &mut Session) -> Result<Flow, Failure> {
-        let Some(words) = words_of(line, &self.variables)? else { return Ok(Flow::Continue) };
-        let line = match Line::try_parse_from(&words) {
+        words_of(line, &self.variables)?.map_or(Ok(Flow::Continue), |words| self.run_words(&words, session))
+    }
+
+    fn run_words(&mut self, words: &[String], session: &mut Session) -> Result<Flow, Failure> {
+        let line = match Line::try_parse_from(words) {
             Ok(line) => line,
             Err(error) => return explained(&error).map(|()| Flow::Continue),
         };
+        if let LineCommand::Repeat { count, words } = &line.command {
+            repeated(words)?;
+            let flow =
+                (0..*count).map(|_| self.run_words(words, session)).find(|flow| !matches!(flow, Ok(Flow::Continue)));
+            return flow.unwrap_or(Ok(Flow::Continue));
+        }
         session.restart_budget();
         if let LineCommand::Verb(command) = &line.command
             && may_take_arm(command)
@@ -241,12 +265,16 @@ impl Runner {
             LineCommand::Verb(command) => (self.verb)(command, session, json)?,
             LineCommand::Set { name, value } => set(&mut self.variables, name, value)?,
             LineCommand::Sleep { time } => self.interrupt.sleep(*time)?,
-            LineCommand::Wait { condition, timeout } => self.wait(condition, *timeout, session)?,
+            LineCommand::Wait { condition, timeout, within } => {
+                self.wait(condition, within.unwrap_or(*timeout), session)?;
+            }
             LineCommand::Expect { condition } => expect(condition, session)?,
             LineCommand::Connect => session.reconnect()?,
             LineCommand::Disconnect => session.close(),
             LineCommand::Help { topic } => help(topic.as_deref())?,
             LineCommand::Exit => return Ok(Flow::Exit),
+            // its command runs line by line
+            LineCommand::Repeat { .. } => {}
         }
         Ok(Flow::Continue)
     }
@@ -262,7 +290,7 @@ impl Runner {
             if left.is_zero() {
                 return Err(Failure::Timeout {
                     message: format!("waited {timeout:?} for {condition}, found {found}"),
-                    hint: "allow more time with `wait NAME = VALUE TIMEOUT`".into(),
+                    hint: "allow more time with --within".into(),
                 });
             }
             self.interrupt.sleep(INTERVAL.min(left))?;
@@ -290,6 +318,16 @@ fn set(variables: &mut HashMap<String, String>, name: &str, value: &[String]) ->
     }
     variables.insert(name.to_owned(), value);
     Ok(())
+}
+
+/// Refuses a command that repeats another one more than once: its depth has no limit.
+fn repeated(words: &[String]) -> Result<(), Failure> {
+    match words.first() {
+        Some(word) if word == "repeat" => {
+            Err(Failure::Input("`repeat` does not repeat `repeat`; write a script".into()))
+        }
+        _ => Ok(()),
+    }
 }
 
 fn no_shell() -> Failure {
@@ -346,7 +384,7 @@ fn expect(condition: &Condition, session: &mut Session) -> Result<(), Failure> {
 /// Returns whether a command may take the arm or move the robot.
 fn may_take_arm(command: &Command) -> bool {
     match command {
-        Command::Move(_) => true,
+        Command::Move(_) | Command::Jog(_) => true,
         Command::Exec(Exec { command, .. }) => command.eq_ignore_ascii_case("TakeArm"),
         Command::Call(Call { function: Some(name), help: false, .. }) => {
             FunctionId::parse(name) == Some(FunctionId::ROBOT_EXECUTE)

@@ -124,7 +124,7 @@ fn clear(session: &mut Session) -> Result<(), Failure> {
 }
 
 /// Executes a command of the controller, unless it would end a stream.
-fn checked(
+pub(crate) fn checked(
     session: &mut Session,
     check: &mut StreamCheck,
     command: &str,

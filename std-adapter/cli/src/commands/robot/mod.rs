@@ -1,9 +1,11 @@
-//! The robot and the state of its controller: `bcap move`, `bcap halt`, `bcap task`, `bcap errors` and
-//! `bcap recover`.
+//! The robot and the state of its controller: `bcap move`, `bcap jog`, `bcap teach`, `bcap halt`, `bcap task`, `bcap errors`,
+//! `bcap log` and `bcap recover`.
 
 mod destination;
 pub(crate) mod errors;
 pub(crate) mod halt;
+pub(crate) mod jog;
+pub(crate) mod log;
 pub(crate) mod messages;
 pub(crate) mod motion;
 pub(crate) mod recover;

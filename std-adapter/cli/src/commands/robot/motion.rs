@@ -11,6 +11,7 @@ use bcap_std::{Move, ObjectPath};
 use clap::Args;
 
 use crate::commands::robot::destination;
+use crate::commands::robot::jog::Axis;
 use crate::commands::robot::silence::Silence;
 use crate::failure::Failure;
 use crate::interrupt::{Interrupt, State};
@@ -48,6 +49,25 @@ pub(crate) struct MoveArgs {
     #[arg(long)]
     pub(crate) line: bool,
 
+    /// Waits for the end of the motion, which is the default
+    #[arg(long, overrides_with = "no_wait")]
+    pub(crate) wait: bool,
+
+    /// Returns when the motion has begun. It needs the arm of the session, so only the shell and scripts have it
+    #[arg(long)]
+    pub(crate) no_wait: bool,
+
+    #[command(flatten)]
+    pub(crate) how: MotionArgs,
+
+    /// One step of an axis instead of the destination.
+    #[arg(skip)]
+    pub(crate) step: Option<(Axis, f64)>,
+}
+
+/// The conditions of a motion.
+#[derive(Clone, Debug, Args)]
+pub(crate) struct MotionArgs {
     /// The speed, in percent of the speed that the arm is set to
     #[arg(long, value_name = "PERCENT", default_value_t = 10.0)]
     pub(crate) speed: f64,
@@ -68,14 +88,6 @@ pub(crate) struct MoveArgs {
     #[arg(long)]
     pub(crate) prepare: bool,
 
-    /// Waits for the end of the motion, which is the default
-    #[arg(long, overrides_with = "no_wait")]
-    pub(crate) wait: bool,
-
-    /// Returns when the motion has begun. It needs the arm of the session, so only the shell and scripts have it
-    #[arg(long)]
-    pub(crate) no_wait: bool,
-
     /// Moves a real robot without asking for confirmation
     #[arg(long)]
     pub(crate) yes: bool,
@@ -84,15 +96,7 @@ pub(crate) struct MoveArgs {
 /// Runs `bcap move`.
 pub(crate) fn motion(args: &MoveArgs, session: &mut Session, json: bool) -> Result<(), Failure> {
     check(args)?;
-    // a signal at the question prevents the motion
-    session.handle_signals()?;
-    session.begin()?;
-    let way = if args.line { "along a line " } else { "" };
-    let what = format!("{} moves {way}to {} at {} % of its speed", session.link().target()?, args.to, args.speed);
-    let warning = if args.prepare { "The robot will move, also for its preparation." } else { "The robot will move." };
-    let question = Question { what: &what, warning, refused: "the robot was not moved" };
-    question.confirm(session, args.yes)?;
-    if !go(args, session)? {
+    if !confirmed(args, session)? {
         return Ok(());
     }
     let (key, text) = if args.no_wait { ("started", "on the way to") } else { ("arrived", "at") };
@@ -101,12 +105,33 @@ pub(crate) fn motion(args: &MoveArgs, session: &mut Session, json: bool) -> Resu
     Ok(if json { print_json(&format!("{{\"{key}\":{name}}}")) } else { print_line(&format!("{text} {to}")) }?)
 }
 
+/// Moves the robot after the question. Returns as [`go`].
+pub(crate) fn confirmed(args: &MoveArgs, session: &mut Session) -> Result<bool, Failure> {
+    check_speed(args.how.speed)?;
+    // a signal at the question prevents the motion
+    session.handle_signals()?;
+    session.begin()?;
+    let way = if args.line { "along a line " } else { "" };
+    let what = format!("{} moves {way}to {} at {} % of its speed", session.link().target()?, args.to, args.how.speed);
+    let warning =
+        if args.how.prepare { "The robot will move, also for its preparation." } else { "The robot will move." };
+    let question = Question { what: &what, warning, refused: "the robot was not moved" };
+    question.confirm(session, args.how.yes)?;
+    go(args, session)
+}
+
 /// Checks the arguments before the first call.
 pub(crate) fn check(args: &MoveArgs) -> Result<(), Failure> {
-    if !(args.speed > 0.0 && args.speed <= 100.0) {
-        return Err(Failure::Input(format!("--speed {}: write a speed above 0 and up to 100", args.speed)));
-    }
+    check_speed(args.how.speed)?;
     destination::check(&args.to).map_err(Failure::Input)
+}
+
+/// Checks the speed of a motion.
+pub(crate) fn check_speed(speed: f64) -> Result<(), Failure> {
+    if speed > 0.0 && speed <= 100.0 {
+        return Ok(());
+    }
+    Err(Failure::Input(format!("--speed {speed}: write a speed above 0 and up to 100")))
 }
 
 /// Moves the robot. Returns whether it is where it should be; `false` after an interruption that the line of the shell or the
@@ -131,7 +156,7 @@ pub(crate) fn go(args: &MoveArgs, session: &mut Session) -> Result<bool, Failure
     let ready = if interrupt.is_interrupted() { Ok(()) } else { prepared(args, session, &interrupt, had_arm) };
     let ended = match ready {
         // the preparation was stopped
-        Err(_) if args.prepare && interrupt.is_interrupted() && session.is_open() => Ok(None),
+        Err(_) if args.how.prepare && interrupt.is_interrupted() && session.is_open() => Ok(None),
         Ok(()) if interrupt.is_interrupted() => Ok(None),
         Ok(()) => moved(args, session).map(Some),
         Err(failure) => Err(failure),
@@ -157,13 +182,13 @@ fn prepared(args: &MoveArgs, session: &mut Session, interrupt: &Interrupt, had_a
         // a motor that was on before stays on
         let on = controller.robot()?.read::<bool>("@SERVO_ON");
         let go_on = |_, _| if interrupt.is_interrupted() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
-        let mut arm = if args.prepare { controller.make_ready(None, go_on)? } else { controller.arm()? };
+        let mut arm = if args.how.prepare { controller.make_ready(None, go_on)? } else { controller.arm()? };
         let prepared = (|| {
             if !matches!(on, Ok(true)) {
                 arm.motor_on()?;
             }
-            args.tool.map_or(Ok(()), |tool| arm.select_tool(tool))?;
-            args.work.map_or(Ok(()), |work| arm.select_work(work))
+            args.how.tool.map_or(Ok(()), |tool| arm.select_tool(tool))?;
+            args.how.work.map_or(Ok(()), |work| arm.select_work(work))
         })();
         if prepared.is_ok() || had_arm {
             arm.keep();
@@ -187,11 +212,11 @@ fn moved(args: &MoveArgs, session: &mut Session) -> Result<Motion, Failure> {
     if args.no_wait {
         return started(args, session).map(|()| Motion::Arrived);
     }
-    let motion = commanded(args);
+    let motion = commanded(args, session)?;
     let silence = Silence::watch(session)?;
     let ended = session.with(|controller| {
         let mut arm = controller.arm()?;
-        let ended = arm.move_to(&motion, args.within);
+        let ended = arm.move_to(&motion, args.how.within);
         arm.keep();
         ended
     });
@@ -200,17 +225,21 @@ fn moved(args: &MoveArgs, session: &mut Session) -> Result<Motion, Failure> {
     ended
 }
 
-fn commanded(args: &MoveArgs) -> Move {
+fn commanded(args: &MoveArgs, session: &mut Session) -> Result<Move, Failure> {
     let to = args.to.as_str();
-    let motion = if args.line { Move::line(to) } else { Move::joint(to) };
-    motion.speed_percent(args.speed)
+    let motion = match args.step {
+        Some((axis, by)) => axis.motion(by, session)?,
+        None if args.line => Move::line(to),
+        None => Move::joint(to),
+    };
+    Ok(motion.speed_percent(args.how.speed))
 }
 
 /// Starts a motion without waiting for its end.
 fn started(args: &MoveArgs, session: &mut Session) -> Result<(), Failure> {
     let robot = session.object(&"robot".parse::<ObjectPath>()?)?;
     let interpolation = if args.line { 2 } else { 1 };
-    let option = format!("NEXT,SPEED={}", args.speed);
+    let option = format!("NEXT,SPEED={}", args.how.speed);
     let arguments = [integer(robot)?, integer(interpolation)?, text(&format!("@E {}", args.to))?, text(&option)?];
     session.call("robot", FunctionId::ROBOT_MOVE, &arguments).map(drop)
 }
@@ -222,9 +251,10 @@ fn concluded(args: &MoveArgs, ended: Option<Motion>) -> Result<bool, Failure> {
         None => Ok(false),
         Some(Motion::Arrived) => Ok(true),
         Some(Motion::Failed(code)) => unfit(format!("not at {to}: the controller has the error {code}"), Some(code)),
-        Some(Motion::TimedOut) => {
-            unfit(format!("not at {to}: it took more than {:?} (--within), so the robot was halted", args.within), None)
-        }
+        Some(Motion::TimedOut) => unfit(
+            format!("not at {to}: it took more than {:?} (--within), so the robot was halted", args.how.within),
+            None,
+        ),
         Some(Motion::Halted) => Err(Failure::Unfit {
             message: format!("not at {to}: the robot was halted"),
             code: None,

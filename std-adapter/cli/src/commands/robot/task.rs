@@ -1,34 +1,39 @@
 //! `bcap task`: starts and stops tasks.
 
-use bcap_core::bcap::FunctionId;
-use bcap_std::{TaskStart, TaskStatus, TaskStop};
+use bcap_core::bcap::{FunctionId, Object};
+use bcap_core::variant::Variant;
+use bcap_std::{ObjectPath, TaskStart, TaskStatus, TaskStop};
 use clap::{Args, Subcommand};
 
 use crate::failure::Failure;
-use crate::output::{print_json, print_line};
+use crate::output::{note, print_json, print_line};
 use crate::session::Session;
 use crate::session::slave_mode::spare;
+use crate::session::variables::{get_one, list};
 
-/// Starts or stops a task, or prints its status
+/// Lists the tasks, starts or stops some, or prints the status of one
 ///
-/// A program that `task start` has started runs on when the command ends.
+/// Without a subcommand a line has the name, the state, the line of the program and the time of its last cycle; `-` is what the
+/// controller does not say. A program that `task start` has started runs on when the command ends.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
+  bcap task
   bcap task start Pro1 --once
   bcap task status Pro1
   bcap task stop Pro1")]
 pub(crate) struct Task {
     #[command(subcommand)]
-    pub(crate) command: TaskCommand,
+    pub(crate) command: Option<TaskCommand>,
 }
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum TaskCommand {
-    /// Starts a task
+    /// Starts tasks, one after the other; the first refusal ends that
     Start {
-        /// The task
-        name: String,
+        /// The tasks
+        #[arg(required = true)]
+        names: Vec<String>,
         #[command(flatten)]
         cycles: Cycles,
     },
@@ -86,14 +91,22 @@ pub(crate) struct When {
 
 /// Runs `bcap task`.
 pub(crate) fn task(args: &Task, session: &mut Session, json: bool) -> Result<(), Failure> {
-    match &args.command {
-        TaskCommand::Start { name, cycles } => {
+    let Some(command) = &args.command else { return list_tasks(session, json) };
+    match command {
+        TaskCommand::Start { names, cycles } => {
             let mode = match (cycles.once, cycles.step) {
                 (true, _) => TaskStart::OneCycle,
                 (_, true) => TaskStart::OneStep,
                 _ => TaskStart::Continuous,
             };
-            session.with(|controller| controller.task(name)?.start(mode))
+            for (done, name) in names.iter().enumerate() {
+                let started = session.with(|controller| controller.task(name)?.start(mode));
+                started.inspect_err(|_| match names.get(..done) {
+                    None | Some([]) => {}
+                    Some(done) => note(&format!("started before: {}", done.join(", "))),
+                })?;
+            }
+            Ok(())
         }
         TaskCommand::Stop { name, when } => {
             let mode = match when {
@@ -117,6 +130,37 @@ pub(crate) fn task(args: &Task, session: &mut Session, json: bool) -> Result<(),
             }?)
         }
     }
+}
+
+/// Lists the tasks with their states.
+fn list_tasks(session: &mut Session, json: bool) -> Result<(), Failure> {
+    spare(session, FunctionId::CONTROLLER_GET_TASK_NAMES, None)?;
+    for name in list(session, &ObjectPath::controller(), FunctionId::CONTROLLER_GET_TASK_NAMES)? {
+        spare(session, FunctionId::TASK_EXECUTE, Some("GetStatus"))?;
+        let status = status_text(session.with(|controller| controller.task(&name)?.status())?);
+        let [line, cycle] = ["@LINE_NO", "@CYCLE_TIME"].map(|variable| {
+            let path = ObjectPath::controller().join(Object::Task, name.as_str()).join(Object::Variable, variable);
+            match get_one(session, &path) {
+                Ok(value) => Ok(first_number(value.as_variant())),
+                Err(failure) if failure.leaves_the_session_alive() => Ok(None),
+                Err(failure) => Err(failure),
+            }
+        });
+        let (line, cycle) = (line?, cycle?);
+        if json {
+            let task = serde_json::json!({ "name": name, "status": status, "line": line, "cycle_ms": cycle });
+            print_json(&task.to_string())?;
+        } else {
+            let shown = |number: Option<f64>| number.map_or_else(|| "-".into(), |number| number.to_string());
+            print_line(&format!("{name:16} {status:17} line {:5} cycle {} ms", shown(line), shown(cycle)))?;
+        }
+    }
+    Ok(())
+}
+
+/// Returns a number, or the first one of an array, such as the line of `@LINE_NO`.
+fn first_number(value: Variant<'_>) -> Option<f64> {
+    value.as_array().and_then(|array| array.iter().next()).unwrap_or(value).as_f64()
 }
 
 /// Returns the name of a status.

@@ -16,7 +16,7 @@ use bcap_stream::poses::Poses;
 use bcap_stream::sample::CYCLE;
 use stream::stream;
 
-use crate::commands::robot::motion::{self, MoveArgs};
+use crate::commands::robot::motion::{self, MotionArgs, MoveArgs};
 use crate::commands::slave::args::{Cosine, Play, Slave, SlaveCommand, StreamArgs};
 use crate::failure::Failure;
 use crate::interrupt::{Interrupt, State};
@@ -137,14 +137,10 @@ fn approach(to: String, percent: f64, link: &LinkArgs) -> Result<(), Failure> {
     let motion = MoveArgs {
         to,
         line: false,
-        speed: percent,
-        tool: None,
-        work: None,
-        within: APPROACH,
-        prepare: false,
         wait: true,
         no_wait: false,
-        yes: true,
+        how: MotionArgs { speed: percent, tool: None, work: None, within: APPROACH, prepare: false, yes: true },
+        step: None,
     };
     let mut session = Session::new(link);
     if motion::go(&motion, &mut session)? { Ok(()) } else { Err(Failure::Interrupted("interrupted".into())) }

@@ -1,0 +1,127 @@
+//! `bcap jog` and `bcap teach`.
+
+use bcap_sim::{Config, Profile};
+use serde_json::Value;
+
+use crate::common::robot::Robot;
+use crate::common::virtual_robot::{Virtual, signal};
+
+/// Reads an array of numbers of the robot.
+fn numbers(robot: &Virtual, name: &str) -> Vec<f64> {
+    let line: Value = serde_json::from_str(&robot.run(&["get", "--json", name]).out).unwrap();
+    line["v"].as_array().unwrap().iter().map(|number| number.as_f64().unwrap()).collect()
+}
+
+/// Asserts that two positions differ in one number.
+#[track_caller]
+fn assert_step(before: &[f64], after: &[f64], place: usize, by: f64) {
+    for (at, (before, after)) in before.iter().zip(after).enumerate() {
+        let expected = if at == place { before + by } else { *before };
+        // an angle of -180 degrees is one of 180 degrees
+        let off = (after - expected).abs() % 360.0;
+        assert!(off.min(360.0 - off) < 0.01, "{at}: {after} instead of {expected}");
+    }
+}
+
+#[test]
+fn a_step_moves_one_axis_and_gives_the_arm_back() {
+    let robot = Virtual::start(&[]);
+    let before = numbers(&robot, "robot/@CURRENT_ANGLE");
+    let run = robot.run(&["jog", "J1", "+5"]);
+    assert_eq!((run.out.as_str(), run.err.as_str(), run.code), ("J1 = 5.000\n", "", 0));
+    assert_step(&before, &numbers(&robot, "robot/@CURRENT_ANGLE"), 0, 5.0);
+    robot.assert_at_rest_with_free_arm();
+    for (axis, place, by) in [("Z", 2, -10.0), ("x", 0, 2.5), ("RZ", 5, 1.0)] {
+        let before = numbers(&robot, "robot/@CURRENT_POSITION");
+        let run = robot.run(&["jog", axis, &by.to_string(), "--json"]);
+        assert_eq!((run.err.as_str(), run.code), ("", 0), "{axis}");
+        let after = numbers(&robot, "robot/@CURRENT_POSITION");
+        assert_step(&before, &after, place, by);
+        let line: Value = serde_json::from_str(&run.out).unwrap();
+        assert_eq!((&line["axis"], &line["position"]), (&axis.to_uppercase().into(), &after[place].into()));
+    }
+    robot.assert_at_rest_with_free_arm();
+}
+
+#[test]
+fn a_step_along_z_is_the_same_with_another_tool() {
+    let robot = Virtual::start(&[]);
+    let before = numbers(&robot, "robot/@CURRENT_POSITION");
+    let run = robot.run(&["jog", "Z", "-10", "--tool", "1"]);
+    assert_eq!((run.err.as_str(), run.code), ("", 0));
+    assert_eq!(robot.run(&["get", "robot/@CURRENT_TOOL"]).out, "robot/@CURRENT_TOOL = 1\n");
+    assert_step(&before, &numbers(&robot, "robot/@CURRENT_POSITION"), 2, -10.0);
+}
+
+#[test]
+fn an_invalid_step_moves_nothing() {
+    let robot = Virtual::start(&[]);
+    let before = numbers(&robot, "robot/@CURRENT_ANGLE");
+    for (args, code, text) in [
+        (&["jog", "J9", "5"][..], 2, "write J1 to J8, X, Y, Z, RX, RY or RZ"),
+        (&["jog", "J1", "0"], 2, "write a step in mm or degrees"),
+        (&["jog", "J1", "nan"], 2, "write a step in mm or degrees"),
+        (&["jog", "J1", "5", "--speed", "101"], 2, "write a speed above 0 and up to 100"),
+        (&["jog", "J1", "999"], 1, "0x8"),
+    ] {
+        let run = robot.run(args);
+        assert!(run.code == code && run.err.contains(text) && run.out.is_empty(), "{args:?}: {run:?}");
+    }
+    assert_eq!(numbers(&robot, "robot/@CURRENT_ANGLE"), before);
+    let lines =
+        "exec robot TakeArm 0 1\nexec robot Motor 1 0\nmove 'J(60,45,90,0,45,0)' --speed 1 --no-wait\njog J2 -5\n";
+    robot.run(&["errors", "--clear"]);
+    let run = robot.script(lines);
+    assert!(run.code == 1 && run.err.contains("-:4: the robot moves"), "{run:?}");
+    robot.assert_at_rest_with_free_arm();
+}
+
+#[test]
+fn a_step_of_a_real_robot_needs_an_answer() {
+    let robot = Robot::with(Config { serial_number: "1234567".into(), ..Config::new(Profile::Rc8) });
+    let run = robot.run(&["jog", "J1", "5"]);
+    let question = "moves to the end of the step J1 +5 at 10 % of its speed: cannot ask for confirmation";
+    assert!(run.code == 2 && run.err.contains(question) && run.err.contains("give --yes"), "{run:?}");
+    assert!(robot.served.application().joints()[0].abs() < 0.001);
+    assert_eq!(robot.run(&["jog", "J1", "5", "--yes"]).out, "J1 = 5.000\n");
+}
+
+#[test]
+fn ctrl_c_halts_a_step() {
+    let robot = Virtual::start(&[]);
+    let child = robot.spawn(&["jog", "J1", "120", "--speed", "1"]);
+    robot.wait_for_motion();
+    signal("-INT", &child);
+    let output = child.wait_with_output().unwrap();
+    assert_eq!((output.status.code(), output.stdout.as_slice()), (Some(130), &b""[..]), "{output:?}");
+    assert!(numbers(&robot, "robot/@CURRENT_ANGLE")[0] < 119.0);
+    robot.assert_at_rest_with_free_arm();
+}
+
+#[test]
+fn teaching_writes_the_present_position() {
+    let robot = Virtual::start(&[]);
+    assert_eq!(robot.run(&["jog", "J1", "5"]).code, 0);
+    assert_eq!(robot.run(&["put", "P5", "1,2,3,4,5,6,7"]).code, 0);
+    let run = robot.run(&["teach", "P5", "--joints", "J3"]);
+    let lines: Vec<&str> = run.out.lines().collect();
+    assert!(lines[0].starts_with("P5 = ") && lines[0].ends_with(" (tool 0, work 0); it was 1,2,3,4,5,6,7"), "{run:?}");
+    assert!(lines[1].starts_with("J3 = 5,45,90,0,45,0,0,0 (tool 0, work 0); it was 0,"), "{run:?}");
+    assert_step(&numbers(&robot, "robot/@CURRENT_POSITION"), &numbers(&robot, "P5"), 0, 0.0);
+    assert_step(&numbers(&robot, "robot/@CURRENT_ANGLE"), &numbers(&robot, "J3"), 0, 0.0);
+    for (args, text) in [
+        (&["teach", "J5"][..], "J5 is not a variable of type P"),
+        (&["teach", "--joints", "P3"], "P3 is not a variable of type J"),
+        (&["teach", "I1"], "I1 is not a variable of type P"),
+        (&["teach"], "required"),
+    ] {
+        let run = robot.run(args);
+        assert!(run.code == 2 && run.err.contains(text), "{args:?}: {run:?}");
+    }
+    let taught = numbers(&robot, "P5");
+    let lines =
+        "exec robot TakeArm 0 1\nexec robot Motor 1 0\nmove 'J(60,45,90,0,45,0)' --speed 1 --no-wait\nteach P5\n";
+    let run = robot.script(lines);
+    assert!(run.code == 1 && run.err.contains("-:4: the robot moves"), "{run:?}");
+    assert_eq!(numbers(&robot, "P5"), taught);
+}
