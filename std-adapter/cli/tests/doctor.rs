@@ -309,6 +309,6 @@ fn status_names_the_first_cause_and_why_the_robot_is_not_ready() {
     let run = sim.bcap(&["status", "--json"]);
     assert_eq!(run.code, 0, "{run:?}");
     let (found, detail) = result(&run, "errors");
-    assert!(found == "failed" && detail.starts_with("2, first cause 0x84204043"), "{detail}");
+    assert!(found == "failed" && detail.starts_with("2, the first cause is 0x84204043"), "{detail}");
     assert_eq!(result(&run, "ready").0, "failed", "{}", run.out);
 }

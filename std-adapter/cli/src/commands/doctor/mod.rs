@@ -27,7 +27,7 @@ use bcap_core::bcap::{FunctionId, StreamState};
 use bcap_core::hresult::HResult;
 use bcap_core::procedure::SysState;
 use bcap_core::variant::{Encode, Variant};
-use bcap_std::{ObjectPath, Protocol};
+use bcap_std::{Examination, ObjectPath, Protocol};
 use clap::Args;
 
 use self::report::{Finding, Report};
@@ -287,17 +287,25 @@ impl Examined<'_> {
         if let Some(why) = self.skip(FunctionId::CONTROLLER_EXECUTE, "SysState")? {
             return self.streaming(report, &why);
         }
-        let state = self.controller("SysState", &())?;
-        let Some(bits) = state.int() else {
-            let refused = format!("SysState is refused with {}", state.code);
-            report.note("mode", Finding::failed(refused, "check that the controller has finished starting"))?;
+        let state = self.session.with(|controller| controller.robot()?.examine())?;
+        let Some(bits) = state.state else {
+            // a stream may have begun since
+            if let Some(why) = self.skip(FunctionId::CONTROLLER_EXECUTE, "SysState")? {
+                return self.streaming(report, &why);
+            }
+            report.note(
+                "mode",
+                Finding::failed("SysState is refused", "check that the controller has finished starting"),
+            )?;
             let rest = CHECKS.into_iter().skip(4);
             return rest.into_iter().try_for_each(|check| report.note(check, Finding::skipped("it needs SysState")));
         };
-        let state = SysState(bits);
-        let (auto, outside, stopped) = (state.is_auto(), state.has_outside_token(), state.is_emergency_stopped());
-        let errors = self.errors(stopped)?;
-        let emergency = self.emergency_stop(stopped)?;
+        let (auto, outside, stopped) = (bits.is_auto(), bits.has_outside_token(), bits.is_emergency_stopped());
+        let errors = match stopped {
+            true => Finding::skipped("the emergency stop causes errors"),
+            false => errors(bits, &state),
+        };
+        let emergency = emergency_stop(bits, state.torque_off);
         let ready = auto && outside && !errors.has_failed() && !emergency.has_failed() && !stopped;
         let (token, arm) = if ready { self.take_arm()? } else { (None, Finding::skipped("it needs all of the above")) };
         let ready = ready && token.is_none();
@@ -307,7 +315,7 @@ impl Examined<'_> {
         report.note("errors", errors)?;
         report.note("emergency stop", emergency)?;
         report.note("arm", arm)?;
-        report.note("motor", motor(state.motor_is_on(), ready))?;
+        report.note("motor", motor(bits.motor_is_on(), ready))?;
         let (licence, formats) =
             if ready { self.slave_mode()? } else { both("it needs all of the above but the motor") };
         report.note("licence", licence)?;
@@ -338,57 +346,6 @@ impl Examined<'_> {
         self.clear_own(code)?;
         answers.push(("slvChangeMode", code));
         Ok((licence(&answers), formats))
-    }
-
-    /// Checks for errors; the errors of an emergency stop belong to that check.
-    fn errors(&mut self, stopped: bool) -> Result<Finding, Failure> {
-        if stopped {
-            return Ok(Finding::skipped("the emergency stop causes errors"));
-        }
-        if let Some(why) = self.skip(FunctionId::CONTROLLER_EXECUTE, "GetCurErrorCount")? {
-            return Ok(Finding::Skipped(why));
-        }
-        let counted = self.controller("GetCurErrorCount", &())?;
-        let count = match counted.int() {
-            Some(0) => return Ok(Finding::Passed("none".into())),
-            Some(count) => count,
-            None => {
-                let refused = format!("GetCurErrorCount is refused with {}", counted.code);
-                return Ok(Finding::failed(refused, "check the errors on the teach pendant"));
-            }
-        };
-        // the last entry is the oldest error, which is the first cause
-        if let Some(why) = self.skip(FunctionId::CONTROLLER_EXECUTE, "GetCurErrorInfo")? {
-            return Ok(Finding::Skipped(why));
-        }
-        let first = self.error(count - 1)?;
-        let hint = first.as_ref().and_then(|(code, _)| hint_of(*code));
-        let hint = hint.map(|hint| format!("{hint} (`bcap recover`)"));
-        let what =
-            first.map(|(code, text)| format!(", the first cause is {}", described(code, &text.unwrap_or_default())));
-        Ok(Finding::failed(
-            format!("{count}{}", what.unwrap_or_default()),
-            hint.unwrap_or_else(|| "fix its cause, then `bcap recover`".into()),
-        ))
-    }
-
-    fn emergency_stop(&mut self, stopped: bool) -> Result<Finding, Failure> {
-        if stopped {
-            let hint = "make sure that the robot endangers no person, release the stop, then \
-                        `bcap recover`";
-            return Ok(Finding::failed("pressed", hint));
-        }
-        // an RC8 does not have this command
-        let torque_off = self.controller("StoState", &())?;
-        let off = torque_off.value.as_ref().filter(|_| torque_off.code.is_ok()).map(|value| value.as_variant());
-        Ok(match off {
-            Some(Variant::Bool(true)) => {
-                let hint = "restore the torque with `bcap recover`";
-                Finding::failed("released, but the torque is still off", hint)
-            }
-            Some(Variant::Bool(false)) => Finding::Passed("released, the torque is not off".into()),
-            _ => Finding::Passed(format!("released; the torque is unknown, StoState returns {}", torque_off.code)),
-        })
     }
 
     /// Takes and releases the arm; also returns a finding about the token, if TakeArm is refused for it.
@@ -524,6 +481,30 @@ fn mode(auto: bool) -> Finding {
         "Manual or teach check",
         "switch the controller to Auto: clients can move the robot only in this mode",
     )
+}
+
+fn errors(bits: SysState, state: &Examination) -> Finding {
+    let Some(first) = state.errors().first() else {
+        return match bits.has_error() {
+            false => Finding::Passed("none".into()),
+            true => Finding::failed("the controller does not list them", "check the errors on the teach pendant"),
+        };
+    };
+    let hint = hint_of(*first)
+        .map_or_else(|| "`bcap errors` shows all; remove the first cause".into(), |hint| hint.to_string());
+    let what = format!("{}, the first cause is {}", state.error_count, described(*first, ""));
+    Finding::failed(what, format!("{hint} (`bcap recover`)"))
+}
+
+fn emergency_stop(bits: SysState, torque_off: Option<bool>) -> Finding {
+    match (bits.is_emergency_stopped(), bits.is_protectively_stopped(), torque_off) {
+        (true, ..) => {
+            Finding::failed("pressed", "make sure that no person is in danger, release it, then `bcap recover`")
+        }
+        (_, true, _) => Finding::failed("protective stop", "close the guard, then `bcap recover`"),
+        (.., Some(true)) => Finding::failed("released, but the torque is still off", "`bcap recover` restores it"),
+        _ => Finding::Passed("released".into()),
+    }
 }
 
 fn token_finding(outside: bool) -> Finding {

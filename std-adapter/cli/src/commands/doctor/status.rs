@@ -8,8 +8,7 @@ use bcap_std::{Examination, ObjectPath, TaskStatus};
 use clap::Args;
 
 use super::report::{Finding, Report};
-use super::{PERMISSION, mode, plain, token_finding, variable};
-use crate::commands::robot::errors::described;
+use super::{PERMISSION, emergency_stop, errors, mode, plain, token_finding, variable};
 use crate::failure::Failure;
 use crate::session::Session;
 use crate::session::slave_mode::StreamCheck;
@@ -42,7 +41,7 @@ pub(crate) fn status(session: &mut Session, json: bool) -> Result<(), Failure> {
     report.note("permission", Finding::skipped(PERMISSION))?;
     let safety = of_state(&state, |state| token_finding(state.has_outside_token()));
     report.note("token", safety)?;
-    report.note("errors", errors(&state))?;
+    report.note("errors", of_state(&state, |bits| errors(bits, &state)))?;
     report.note("emergency stop", of_state(&state, |bits| emergency_stop(bits, state.torque_off)))?;
     report.note("motor", motor(servo.as_deref()))?;
     report.note("arm", arm(&state))?;
@@ -60,30 +59,6 @@ fn of_state(state: &Examination, finding: impl FnOnce(SysState) -> Finding) -> F
         (Some(bits), _) => finding(bits),
         (None, StreamState::Runs) => Finding::skipped("a stream of Slave Mode runs, and the question would end it"),
         (None, _) => Finding::skipped("the controller does not say it"),
-    }
-}
-
-fn errors(state: &Examination) -> Finding {
-    of_state(state, |_| match (state.error_count, state.errors().first()) {
-        (0, _) => Finding::Passed("none".into()),
-        (count, first) => {
-            let first = first.map(|code| format!(", first cause {}", described(*code, ""))).unwrap_or_default();
-            Finding::failed(
-                format!("{count}{first}"),
-                "`bcap errors` shows all; remove the first cause, then `bcap recover`",
-            )
-        }
-    })
-}
-
-fn emergency_stop(bits: SysState, torque_off: Option<bool>) -> Finding {
-    match (bits.is_emergency_stopped(), bits.is_protectively_stopped(), torque_off) {
-        (true, ..) => {
-            Finding::failed("pressed", "make sure that no person is in danger, release it, then `bcap recover`")
-        }
-        (_, true, _) => Finding::failed("protective stop", "close the guard, then `bcap recover`"),
-        (.., Some(true)) => Finding::failed("released, but the torque is still off", "`bcap recover` restores it"),
-        _ => Finding::Passed("released".into()),
     }
 }
 
