@@ -24,6 +24,11 @@ pub(crate) fn print(line: &str, json: bool) -> io::Result<()> {
     if json { print_json(line) } else { print_line(line) }
 }
 
+/// Prints a result: the object with `--json`, otherwise the line.
+pub(crate) fn print_result(json: bool, object: &serde_json::Value, line: &str) -> io::Result<()> {
+    if json { print_json(&object.to_string()) } else { print_line(line) }
+}
+
 /// Prints text as it is, with an end of line: nothing of it may come from outside.
 pub(crate) fn print_raw(text: &str) -> io::Result<()> {
     let mut out = io::stdout().lock();

@@ -8,7 +8,7 @@ use bcap_core::bcap::FunctionId;
 use clap::Args;
 
 use crate::failure::{Failure, of_file};
-use crate::output::{print_json, print_line};
+use crate::output::{print_json, print_line, print_result};
 use crate::session::remote_files::Item;
 use crate::session::slave_mode::spare;
 use crate::session::{Session, remote_files};
@@ -247,10 +247,7 @@ impl Copying<'_> {
     }
 
     fn print(&self, from: &str, to: &str) -> Result<(), Failure> {
-        if self.json {
-            return Ok(print_json(&serde_json::json!({ "from": from, "to": to }).to_string())?);
-        }
-        Ok(print_line(&format!("{from} -> {to}"))?)
+        Ok(print_result(self.json, &serde_json::json!({ "from": from, "to": to }), &format!("{from} -> {to}"))?)
     }
 }
 

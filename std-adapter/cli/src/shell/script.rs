@@ -9,7 +9,7 @@ use std::time::Duration;
 use crate::cli::Run;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
-use crate::output::{print_json, print_line};
+use crate::output::print_result;
 use crate::session::Session;
 use crate::shell::line::{Check, Checked, Checker, Flow, Runner, Verb};
 
@@ -104,11 +104,7 @@ fn check_lines(name: &str, lines: &[String], check: Check, depth: u8) -> Result<
 
 /// Prints the result of `--check`.
 fn checked(name: &str, lines: usize, json: bool) -> Result<(), Failure> {
-    Ok(if json {
-        print_json(&format!("{{\"lines\":{lines}}}"))
-    } else {
-        print_line(&format!("{name}: {lines} lines are valid"))
-    }?)
+    Ok(print_result(json, &serde_json::json!({ "lines": lines }), &format!("{name}: {lines} lines are valid"))?)
 }
 
 /// Runs lines until the last one, `exit`, an error or a signal.

@@ -28,7 +28,7 @@ use bcap_backup::replaced::Replaced;
 use super::controller;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
-use crate::output::{print_json, print_line};
+use crate::output::{print_json, print_line, print_result};
 use crate::session::confirm::Question;
 use crate::session::variables::{get_one, read};
 use crate::session::{Session, remote_files};
@@ -144,11 +144,7 @@ fn status(dir: &Path, json: bool) -> Result<(), Failure> {
     let uncertain = past.uncertain.iter().map(|name| (name, "may be written"));
     let rest = past.rest.iter().map(|name| (name, "not written"));
     for (name, state) in written.chain(uncertain).chain(rest) {
-        if json {
-            print_json(&json!({ "name": name, "state": state }).to_string())?;
-        } else {
-            print_line(&format!("{name}: {state}"))?;
-        }
+        print_result(json, &json!({ "name": name, "state": state }), &format!("{name}: {state}"))?;
     }
     if past.is_complete() {
         return summary(&past, json);
@@ -162,9 +158,6 @@ fn status(dir: &Path, json: bool) -> Result<(), Failure> {
 
 /// Prints how many writes of a restore are made.
 fn summary(past: &Past, json: bool) -> Result<(), Failure> {
-    if !json {
-        return Ok(print_line(&past.summary())?);
-    }
     let line = json!({
         "robot": past.robot,
         "end": past.end,
@@ -172,12 +165,12 @@ fn summary(past: &Past, json: bool) -> Result<(), Failure> {
         "uncertain": past.uncertain,
         "not_written": past.rest.len(),
     });
-    Ok(print_json(&line.to_string())?)
+    Ok(print_result(json, &line, &past.summary())?)
 }
 
 /// Prints a remark.
 fn note(text: &str, json: bool) -> Result<(), Failure> {
-    Ok(if json { print_json(&json!({ "note": text }).to_string()) } else { print_line(text) }?)
+    Ok(print_result(json, &json!({ "note": text }), text)?)
 }
 
 /// Checks that nothing else changes the controller now, as far as it tells.

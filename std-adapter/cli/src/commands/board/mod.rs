@@ -141,20 +141,15 @@ fn replace(port: &mut Port, settings: &str, json: bool) -> Result<(), Failure> {
 /// Sends a request and prints it with its answer.
 fn request(port: &mut Port, request: &str, json: bool) -> Result<(), Failure> {
     let answer = port.ask(request, |_| Ok(()))?;
-    if json {
-        output::print_json(&serde_json::json!({ "request": request, "answer": answer.0 }).to_string())?;
-    } else {
-        output::print_line(&format!("{request}: {}", answer.0))?;
-    }
+    let object = serde_json::json!({ "request": request, "answer": answer.0 });
+    output::print_result(json, &object, &format!("{request}: {}", answer.0))?;
     answer.accepted(request, SETTINGS_REMAIN)
 }
 
 /// Prints the settings of the board in the format of `@FILE`, and where they are stored.
 fn show(port: &mut Port, json: bool) -> Result<(), Failure> {
-    let answer = port.ask("show", |setting| match json {
-        true => output::print_json(&serde_json::json!({ "setting": setting }).to_string()),
-        false => output::print_line(setting),
-    })?;
+    let print = |setting: &str| output::print_result(json, &serde_json::json!({ "setting": setting }), setting);
+    let answer = port.ask("show", print)?;
     let Answer(text) = &answer;
     match text.as_str() {
         "ok flash" => output::note("these settings are in the flash of the board"),

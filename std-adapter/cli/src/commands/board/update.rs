@@ -75,11 +75,7 @@ pub(super) fn status(args: &Status, link: &LinkArgs, json: bool) -> Result<(), F
     let mut port = Port::open(&args.port, args.baud, link.timeout())?;
     let answer = ask(&mut port, "status")?;
     let status = answer.0.strip_prefix("ok ").unwrap_or(&answer.0);
-    match json {
-        true => output::print_json(&json!({ "status": status }).to_string())?,
-        false => output::print_line(status)?,
-    }
-    Ok(())
+    Ok(output::print_result(json, &json!({ "status": status }), status)?)
 }
 
 /// Sends an image to a board, and restarts it.

@@ -26,12 +26,12 @@ use std::time::{Duration, Instant};
 use bcap_core::bcap::{FunctionId, StreamState};
 use bcap_core::hresult::HResult;
 use bcap_core::procedure::SysState;
-use bcap_core::variant::{Encode, Variant};
+use bcap_core::variant::Encode;
 use bcap_std::{Examination, ObjectPath, Protocol};
 use clap::Args;
 
 use self::report::{Finding, Report};
-use crate::commands::robot::errors::described;
+use crate::commands::robot::errors::{described, present};
 use crate::failure::{Failure, hint_of};
 use crate::link::LinkArgs;
 use crate::session::Session;
@@ -368,29 +368,18 @@ impl Examined<'_> {
 
     /// Clears the error that a refusal of this command has left, if it is the only one.
     fn clear_own(&mut self, refusal: HResult) -> Result<(), Failure> {
-        if refusal.level().is_none() || self.skip(FunctionId::CONTROLLER_EXECUTE, "GetCurErrorCount")?.is_some() {
+        if refusal.level().is_none() {
             return Ok(());
         }
-        let count = self.controller("GetCurErrorCount", &())?.int().unwrap_or_default();
-        let is_own = count == 1 && self.error(0)?.is_some_and(|(code, _)| code == refusal);
+        let is_own = match present(self.session, &mut self.stream) {
+            Err(failure) if !failure.leaves_the_session_alive() => return Err(failure),
+            present => present.is_ok_and(|errors| matches!(errors.as_slice(), [(code, _)] if *code == refusal)),
+        };
         if is_own && self.controller("ClearError", &())?.code == HResult::E_MANUAL_RESET_UNPREPARED {
             self.robot("ManualResetPreparation", &())?;
             self.controller("ClearError", &())?;
         }
         Ok(())
-    }
-
-    /// Reads a present error: its code and its text.
-    fn error(&mut self, index: i32) -> Result<Option<(HResult, Option<String>)>, Failure> {
-        let info = self.controller("GetCurErrorInfo", &index)?;
-        Ok(info.value.as_ref().and_then(|value| {
-            let mut elements = value.as_variant().as_array()?.iter();
-            let code = match elements.next()? {
-                Variant::Error(code) => code,
-                number => HResult::from_u32(u32::try_from(number.as_i64()? & 0xffff_ffff).ok()?),
-            };
-            Some((code, elements.next().and_then(|text| text.as_bstr().map(|text| text.to_string()))))
-        }))
     }
 
     /// Sets all formats, the default ones last; adds the refusals of the formats that Slave Mode needs to `answers`.

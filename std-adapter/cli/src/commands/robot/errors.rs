@@ -66,7 +66,6 @@ pub(crate) fn list(session: &mut Session, json: bool) -> Result<(), Failure> {
 
 /// Reads the present errors of the controller with their texts, the first cause first. Fails with [`Failure::Unfit`] while a stream
 /// runs.
-#[cfg(feature = "screens")]
 pub(crate) fn present(session: &mut Session, check: &mut StreamCheck) -> Result<Vec<(HResult, String)>, Failure> {
     (0..count(session, check)?).rev().map(|index| error(session, check, index)).collect()
 }

@@ -9,10 +9,11 @@ use bcap_core::position::Position;
 use bcap_core::rac::{Variable, VariableKind};
 use bcap_std::{Move, ObjectPath};
 use clap::Args;
+use serde_json::json;
 
 use crate::commands::robot::motion::{self, MotionArgs, MoveArgs};
 use crate::failure::Failure;
-use crate::output::{print_json, print_line};
+use crate::output::print_result;
 use crate::session::Session;
 use crate::session::slave_mode::spare;
 use crate::session::variables::get_one;
@@ -149,11 +150,8 @@ pub(crate) fn jog(args: &Jog, session: &mut Session, json: bool) -> Result<(), F
         return Ok(());
     }
     let rests = axis.read(session)?;
-    Ok(if json {
-        print_json(&serde_json::json!({ "axis": axis.to_string(), "position": rests }).to_string())
-    } else {
-        print_line(&format!("{axis} = {rests:.3}"))
-    }?)
+    let object = json!({ "axis": axis.to_string(), "position": rests });
+    Ok(print_result(json, &object, &format!("{axis} = {rests:.3}"))?)
 }
 
 /// Checks the arguments before the first call.
@@ -181,12 +179,9 @@ pub(crate) fn teach(args: &Teach, session: &mut Session, json: bool) -> Result<(
         let variable = session.object(&path)?;
         session.call(name, FunctionId::VARIABLE_PUT_VALUE, &[integer(variable)?, now])?;
         let (before, now) = (data::format(before.as_variant()), data::format(get_one(session, &path)?.as_variant()));
-        if json {
-            let line = serde_json::json!({ "name": name, "old": before, "new": now, "tool": tool, "work": work });
-            print_json(&line.to_string())?;
-        } else {
-            print_line(&format!("{name} = {now} (tool {tool}, work {work}); it was {before}"))?;
-        }
+        let object = json!({ "name": name, "old": before, "new": now, "tool": tool, "work": work });
+        let line = format!("{name} = {now} (tool {tool}, work {work}); it was {before}");
+        print_result(json, &object, &line)?;
     }
     Ok(())
 }

@@ -7,7 +7,7 @@ use clap::Args;
 
 use crate::commands::robot::errors::{checked, described};
 use crate::failure::Failure;
-use crate::output::{print_json, print_line};
+use crate::output::print_result;
 use crate::session::Session;
 use crate::session::slave_mode::StreamCheck;
 
@@ -112,15 +112,12 @@ impl Entry {
     fn print(&self, json: bool) -> Result<(), Failure> {
         let Self { time, code, client, text, program, line, .. } = self;
         let log = if self.is_error { "errors" } else { "operations" };
-        if json {
-            let line = serde_json::json!({
-                "log": log, "time": time, "client": client, "code": code, "text": text, "program": program, "line": line
-            });
-            return Ok(print_json(&line.to_string())?);
-        }
+        let object = serde_json::json!({
+            "log": log, "time": time, "client": client, "code": code, "text": text, "program": program, "line": line
+        });
         let what = if *code == 0 { text.clone() } else { described(HResult(*code), text) };
         let place = if program.is_empty() { String::new() } else { format!(" ({program}, line {line})") };
-        Ok(print_line(&format!("{time:23} {log:10} {client:7} {what}{place}"))?)
+        Ok(print_result(json, &object, &format!("{time:23} {log:10} {client:7} {what}{place}"))?)
     }
 }
 

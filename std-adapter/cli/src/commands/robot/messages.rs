@@ -7,7 +7,7 @@ use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::hresult::HResult;
 
 use crate::failure::Failure;
-use crate::output::{print_json, print_line};
+use crate::output::print_result;
 use crate::session::Session;
 use crate::session::slave_mode::StreamCheck;
 use crate::values::integer;
@@ -33,12 +33,8 @@ pub(crate) fn follow(time: Option<Duration>, session: &mut Session, json: bool) 
 fn fetch(session: &mut Session, check: &mut StreamCheck, json: bool) -> Result<(), Failure> {
     while let Some(message) = next_message(session, check)? {
         let Message { number, source, time, text } = &message;
-        if json {
-            let line = serde_json::json!({ "number": number, "source": source, "time": time, "text": text });
-            print_json(&line.to_string())?;
-        } else {
-            print_line(&message.to_string())?;
-        }
+        let object = serde_json::json!({ "number": number, "source": source, "time": time, "text": text });
+        print_result(json, &object, &message.to_string())?;
     }
     Ok(())
 }

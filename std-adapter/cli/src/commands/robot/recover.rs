@@ -8,11 +8,12 @@ use bcap_core::hresult::HResult;
 use bcap_std::blocking::Arm;
 use bcap_std::{Examination, Obstacle, RecoveryConfig, RecoveryStep};
 use clap::Args;
+use serde_json::json;
 
 use crate::commands::robot::errors;
 use crate::failure::Failure;
 use crate::interrupt::{Interrupt, State};
-use crate::output::{print_json, print_line};
+use crate::output::{print_json, print_line, print_result};
 use crate::session::Session;
 use crate::session::confirm::Question;
 use crate::values::{Value, integer, text};
@@ -109,7 +110,7 @@ fn show(state: &Examination, steps: &[RecoveryStep], json: bool) -> io::Result<(
     let is_needed = !state.is_ready() && obstacles.is_empty();
     let plan: Vec<&str> = steps.iter().filter(|_| is_needed).map(|step| step.name()).collect();
     if json {
-        return print_json(&serde_json::json!({ "plan": plan, "obstacles": obstacles }).to_string());
+        return print_json(&json!({ "plan": plan, "obstacles": obstacles }).to_string());
     }
     obstacles.iter().try_for_each(|obstacle| print_line(&format!("first    {obstacle}")))?;
     if is_needed { print_line(&format!("plan     {}", plan.join(", "))) } else { Ok(()) }
@@ -162,16 +163,14 @@ fn perform(session: &mut Session, config: RecoveryConfig, interrupt: &Interrupt,
 }
 
 fn report(step: RecoveryStep, result: Result<(), HResult>, json: bool) -> io::Result<()> {
-    match (result, json) {
-        (Ok(()), true) => print_json(&serde_json::json!({ "step": step.name(), "result": "done" }).to_string()),
-        (Ok(()), false) => print_line(&format!("done     {step}")),
-        (Err(code), true) => {
-            let line = serde_json::json!({
-                "step": step.name(), "result": "left out", "code": code.0, "hresult": code.name()
-            });
-            print_json(&line.to_string())
-        }
-        (Err(code), false) => print_line(&format!("left out {step}: the controller does not have it ({code})")),
+    let name = step.name();
+    match result {
+        Ok(()) => print_result(json, &json!({ "step": name, "result": "done" }), &format!("done     {step}")),
+        Err(code) => print_result(
+            json,
+            &json!({ "step": name, "result": "left out", "code": code.0, "hresult": code.name() }),
+            &format!("left out {step}: the controller does not have it ({code})"),
+        ),
     }
 }
 
@@ -190,9 +189,5 @@ fn give(session: &mut Session, keeps_motor: bool) -> Result<(), Failure> {
 fn conclude(motor: bool, json: bool) -> Result<(), Failure> {
     let line =
         if motor { "recovered: no errors, the motor is on" } else { "recovered: no errors, the motor is off again" };
-    Ok(if json {
-        print_json(&serde_json::json!({ "recovered": true, "motor": motor }).to_string())
-    } else {
-        print_line(line)
-    }?)
+    Ok(print_result(json, &json!({ "recovered": true, "motor": motor }), line)?)
 }

@@ -4,9 +4,10 @@ use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::variant::Variant;
 use bcap_std::{ObjectPath, TaskStart, TaskStatus, TaskStop};
 use clap::{Args, Subcommand};
+use serde_json::json;
 
 use crate::failure::Failure;
-use crate::output::{note, print_json, print_line};
+use crate::output::{note, print_result};
 use crate::session::Session;
 use crate::session::slave_mode::spare;
 use crate::session::variables::{get_one, list};
@@ -122,12 +123,7 @@ pub(crate) fn task(args: &Task, session: &mut Session, json: bool) -> Result<(),
             spare(session, FunctionId::CONTROLLER_GET_TASK, None)?;
             let status = session.with(|controller| controller.task(name)?.status())?;
             let status = status_text(status);
-            let line = &format!("{name} {status}");
-            Ok(if json {
-                print_json(&serde_json::json!({ "name": name, "status": status }).to_string())
-            } else {
-                print_line(line)
-            }?)
+            Ok(print_result(json, &json!({ "name": name, "status": status }), &format!("{name} {status}"))?)
         }
     }
 }
@@ -147,13 +143,10 @@ fn list_tasks(session: &mut Session, json: bool) -> Result<(), Failure> {
             }
         });
         let (line, cycle) = (line?, cycle?);
-        if json {
-            let task = serde_json::json!({ "name": name, "status": status, "line": line, "cycle_ms": cycle });
-            print_json(&task.to_string())?;
-        } else {
-            let shown = |number: Option<f64>| number.map_or_else(|| "-".into(), |number| number.to_string());
-            print_line(&format!("{name:16} {status:17} line {:5} cycle {} ms", shown(line), shown(cycle)))?;
-        }
+        let task = json!({ "name": name, "status": status, "line": line, "cycle_ms": cycle });
+        let shown = |number: Option<f64>| number.map_or_else(|| "-".into(), |number| number.to_string());
+        let row = format!("{name:16} {status:17} line {:5} cycle {} ms", shown(line), shown(cycle));
+        print_result(json, &task, &row)?;
     }
     Ok(())
 }

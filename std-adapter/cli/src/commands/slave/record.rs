@@ -15,7 +15,7 @@ use crate::commands::slave::args::Record;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::link::LinkArgs;
-use crate::output::{print_json, print_line};
+use crate::output::print_result;
 use crate::session::{Session, with_session};
 use crate::values::{Value, integer, text};
 
@@ -39,10 +39,8 @@ pub(crate) fn record(args: &Record, link: &LinkArgs, json: bool) -> Result<(), F
         session.restart_budget();
         recorded
     })?;
-    if json {
-        return Ok(print_json(&format!("{{\"poses\":{lines}}}"))?);
-    }
-    Ok(print_line(&format!("{lines} poses in {}", args.file.display()))?)
+    let line = format!("{lines} poses in {}", args.file.display());
+    Ok(print_result(json, &serde_json::json!({ "poses": lines }), &line)?)
 }
 
 /// Records poses until the time is over or a signal arrives, and returns their number.

@@ -6,7 +6,7 @@ use bcap_std::ObjectPath;
 use clap::Args;
 
 use crate::failure::Failure;
-use crate::output::{print_json, print_line};
+use crate::output::print_result;
 use crate::session::Session;
 use crate::session::slave_mode::spare;
 use crate::session::variables::list;
@@ -115,11 +115,6 @@ impl Lists<'_> {
 }
 
 fn print_name(path: &ObjectPath, json: bool) -> Result<(), Failure> {
-    if json {
-        let kind = path.object().name().to_ascii_lowercase();
-        print_json(&serde_json::json!({ "kind": kind, "name": path.to_string() }).to_string())?;
-    } else {
-        print_line(&path.to_string())?;
-    }
-    Ok(())
+    let (kind, name) = (path.object().name().to_ascii_lowercase(), path.to_string());
+    Ok(print_result(json, &serde_json::json!({ "kind": kind, "name": name }), &name)?)
 }
