@@ -354,7 +354,7 @@ fn wrong_files_and_options_are_errors() {
     assert!(error(&["no/such/file.pcapng"]).contains("cannot read no/such/file.pcapng: "));
     assert!(error(&["--stats", "0110"]).contains("need a capture: FILE.pcap, FILE.pcapng or FILE.cap"));
     let capture = save("none.pcap", &Capture::new());
-    assert!(error(&[&capture, "--com"]).contains("--variant and --com do not apply to a capture"));
+    assert!(error(&[&capture, "--com"]).contains("--variant, --com and --rac do not apply to a capture"));
     assert!(error(&[&capture, "--function", "Jump"]).contains("no function is named \"Jump\""));
     assert!(error(&[&capture, "--error", "E_JUMP"]).contains("no result code is named \"E_JUMP\""));
 }

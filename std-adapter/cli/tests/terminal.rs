@@ -76,7 +76,7 @@ fn tab_completes_and_the_history_is_kept() {
     terminal.wait_for("RC8 auto ok>");
     // a command, a function, a command of a robot, a variable of a robot
     for (typed, completed) in [
-        ("mess", "> messages"),
+        ("prof", "> profile"),
         ("call robot_mo", "> call Robot_Move"),
         ("exec controller ClearE", "> exec controller ClearError"),
         ("get robot/@SERVO", "> get robot/@SERVO_ON"),
