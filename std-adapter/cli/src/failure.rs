@@ -284,6 +284,11 @@ impl Failure {
         report::error(self, &Vec::from_iter(hint.into_iter().chain(more)));
     }
 
+    /// Returns a failure without a code, with a remedy.
+    pub(crate) fn unfit(message: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self::Unfit { message: message.into(), code: None, hint: Some(hint.into()) }
+    }
+
     /// Returns the failure as a line of JSON; `None` if its parts have been printed already.
     fn to_json(&self, name: Option<&str>) -> Option<String> {
         let mut line =

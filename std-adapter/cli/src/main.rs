@@ -94,7 +94,7 @@ pub(crate) fn verb(command: &Command, session: &mut Session, json: bool) -> Resu
         Command::Watch(args) => watch::watch(args, session, json),
         #[cfg(feature = "screens")]
         Command::Monitor(args) => monitor::monitor(args, session, json),
-        Command::Names(_) => names::names(session, json),
+        Command::Names(args) => names::names(args, session, json),
         Command::Ls(args) => files::ls(args, session, json),
         Command::Cp(args) => files::cp(args, session, json),
         Command::Dump(args) => dump::dump(args, session, json),

@@ -87,6 +87,32 @@ fn a_step_of_a_real_robot_needs_an_answer() {
 }
 
 #[test]
+fn an_rc9_needs_no_provider() {
+    let robot = Virtual::start(&["--model", "rc9"]);
+    assert_eq!(robot.run(&["get", "I1"]).out, "I1 = 0\n");
+    let run = robot.run(&["jog", "J1", "+5"]);
+    assert_eq!((run.out.as_str(), run.err.as_str(), run.code), ("J1 = 5.000\n", "", 0));
+    let run = robot.run(&["halt"]);
+    assert_eq!((run.out.as_str(), run.code), ("nothing was moving\n", 0));
+    let run = robot.run(&["get", "I1", "--provider", "CaoProv.DENSO.VRC"]);
+    assert!(run.code == 1 && run.err.contains("Controller_Connect: the controller refused"), "{run:?}");
+    let child = robot.spawn(&["jog", "J1", "120", "--speed", "1"]);
+    robot.wait_for_motion();
+    signal("-INT", &child);
+    assert_eq!(child.wait_with_output().unwrap().status.code(), Some(130));
+    robot.wait_for_rest();
+}
+
+#[test]
+fn the_names_are_those_with_a_text() {
+    let robot = Virtual::start(&[]);
+    let [all, some] = [&["names"][..], &["names", "PRO1"]].map(|args| robot.run(args).out);
+    assert!(some.lines().all(|line| line.contains("Pro1")) && some.contains("task:Pro1\n"), "{some}");
+    assert!(all.lines().count() > some.lines().count() && some.lines().all(|line| all.contains(line)), "{all}");
+    assert_eq!(robot.run(&["names", "NoSuchName"]).out, "");
+}
+
+#[test]
 fn ctrl_c_halts_a_step() {
     let robot = Virtual::start(&[]);
     let child = robot.spawn(&["jog", "J1", "120", "--speed", "1"]);

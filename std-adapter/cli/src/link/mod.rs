@@ -41,7 +41,10 @@ pub(crate) struct LinkArgs {
     #[arg(long, global = true, hide_short_help = true, value_name = "MS", env = "BCAP_TIMEOUT", value_parser = duration::parse)]
     timeout: Option<Duration>,
 
-    /// The provider to connect to; an RC9 or a COBOTTA PRO has CaoProv.DENSO.VRC9 [default: CaoProv.DENSO.VRC]
+    /// The provider to connect to [default: CaoProv.DENSO.VRC, and CaoProv.DENSO.VRC9 if the controller refuses it]
+    ///
+    /// An RC9 or a COBOTTA PRO has CaoProv.DENSO.VRC9. `slave play`, `slave cosine`, `gateway`, `conform` and `fuzz` try only
+    /// one.
     #[arg(long, global = true, hide_short_help = true, value_name = "NAME", env = "BCAP_PROVIDER")]
     provider: Option<String>,
 
@@ -135,6 +138,16 @@ impl LinkArgs {
     /// Returns the same options for the controller at another address.
     pub(crate) fn at(&self, address: &str) -> Self {
         Self { robot: Some(address.to_owned()), ..self.clone() }
+    }
+
+    /// Returns whether no provider was given.
+    pub(crate) fn has_default_provider(&self) -> bool {
+        self.provider.as_ref().is_none_or(String::is_empty)
+    }
+
+    /// Returns the same options with a provider.
+    pub(crate) fn with_provider(&self, provider: &str) -> Self {
+        Self { provider: Some(provider.to_owned()), ..self.clone() }
     }
 
     /// Returns the options for a virtual controller of this process, with the same time limits.

@@ -91,6 +91,12 @@ pub(crate) fn with_session<T>(
     body(&mut session)
 }
 
+/// Returns the settings of the library for a provider.
+fn settings(link: &LinkArgs) -> Settings {
+    let is_rc9 = link.provider().eq_ignore_ascii_case(Model::Rc9.provider());
+    Settings::new(if is_rc9 { Model::Rc9 } else { Model::Rc8 }).connect_option(link.option())
+}
+
 impl Session {
     /// Returns a session that connects when it is first used.
     pub(crate) fn new(link: &LinkArgs) -> Self {
@@ -174,9 +180,7 @@ impl Session {
         self.check_signal()?;
         let (target, budget) = (self.link.target()?, Budget::start(&self.link));
         let interrupt = if self.is_stopper { None } else { Some(Interrupt::of_session()?) };
-        let is_rc9 = self.link.provider().eq_ignore_ascii_case(Model::Rc9.provider());
-        let settings = Settings::new(if is_rc9 { Model::Rc9 } else { Model::Rc8 }).connect_option(self.link.option());
-        let controller = open(&target, &budget, &self.packets)?.recover_at(target.clone(), settings);
+        let controller = open(&target, &budget, &self.packets)?.recover_at(target.clone(), settings(&self.link));
         if let Some(interrupt) = interrupt {
             interrupt.raise(State::Calling);
         }
@@ -308,15 +312,48 @@ impl Session {
     /// Returns the handle of the controller; calls Controller_Connect first if necessary.
     pub(crate) fn controller(&mut self) -> Result<i32, Failure> {
         if !self.opened()?.controller.is_connected() {
-            let (function, link) = (FunctionId::CONTROLLER_CONNECT, self.link.clone());
-            let arguments = [text("")?, text(&self.provider)?, text(link.machine())?, text(link.option())?];
-            let (_, reply) = self.call("", function, &arguments)?;
+            let function = FunctionId::CONTROLLER_CONNECT;
+            let reply = match self.connect_provider() {
+                Err(refused @ Failure::Refused { .. }) if self.link.has_default_provider() => {
+                    self.connect_as_rc9(refused)?
+                }
+                connected => connected?,
+            };
             if !self.opened()?.controller.is_connected() {
                 let reason = format!("the reply carries {} instead of a handle", describe(reply.as_ref()));
                 return Err(self.ended(Error::Reply { function, object: String::new(), reason }));
             }
         }
         Ok(self.opened()?.controller.handle().0)
+    }
+
+    /// Calls Controller_Connect, and returns its reply.
+    fn connect_provider(&mut self) -> Result<Option<Value>, Failure> {
+        let link = self.link.clone();
+        let arguments = [text("")?, text(&self.provider)?, text(link.machine())?, text(link.option())?];
+        self.call("", FunctionId::CONTROLLER_CONNECT, &arguments).map(|(_, reply)| reply)
+    }
+
+    /// Connects with the provider of an RC9, because the controller has refused the default one, which an RC8 has.
+    fn connect_as_rc9(&mut self, refused: Failure) -> Result<Option<Value>, Failure> {
+        let link = self.link.clone();
+        self.use_link(link.with_provider(Model::Rc9.provider()));
+        let connected = self.connect_provider();
+        if matches!(connected, Err(Failure::Refused { .. })) {
+            self.use_link(link);
+            return Err(refused);
+        }
+        connected
+    }
+
+    /// Connects with other arguments from now on, also after a lost connection.
+    fn use_link(&mut self, link: LinkArgs) {
+        link.provider().clone_into(&mut self.provider);
+        self.open = self.open.take().map(|Open { controller, target, budget }| {
+            let controller = controller.recover_at(target.clone(), settings(&link));
+            Open { controller, target, budget }
+        });
+        self.link = link;
     }
 
     /// Opens all objects of a path, and returns the handle of the last one. Each path is opened once.

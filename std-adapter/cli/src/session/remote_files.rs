@@ -134,11 +134,10 @@ pub(crate) fn write(session: &mut Session, path: &str, bytes: &[u8]) -> Result<(
         if content(session, path, handle)? == bytes {
             return Ok(());
         }
-        Err(Failure::Unfit {
-            message: format!("/{path}: the controller returns another content than was written"),
-            code: None,
-            hint: Some("the controller may convert text; compare the file with `bcap cp`".into()),
-        })
+        Err(Failure::unfit(
+            format!("/{path}: the controller returns another content than was written"),
+            "the controller may convert text; compare the file with `bcap cp`",
+        ))
     })
 }
 

@@ -204,14 +204,10 @@ impl Wildcard {
     fn check_again(&self, session: &mut Session, indices: Range<u32>) -> Result<(), Failure> {
         for index in indices {
             if self.only != Some(by_name(session, self.kind, index)?) {
-                return Err(Failure::Unfit {
-                    message: format!(
-                        "{0}{index} has another value through {0}*: PutID has no effect",
-                        self.kind.name()
-                    ),
-                    code: None,
-                    hint: Some("stop the programs of the controller, and dump to another folder".into()),
-                });
+                return Err(Failure::unfit(
+                    format!("{0}{index} has another value through {0}*: PutID has no effect", self.kind.name()),
+                    "stop the programs of the controller, and dump to another folder",
+                ));
             }
         }
         Ok(())

@@ -60,11 +60,10 @@ pub(crate) fn diff(args: &Diff, session: &mut Session, json: bool) -> Result<(),
     match omitted {
         _ if !variables.is_empty() || !files.is_empty() => Err(Failure::Different),
         0 => Ok(()),
-        _ => Err(Failure::NotCompared(Box::new(Failure::Unfit {
-            message: format!("there is no difference in what could be compared, and {omitted} parts could not"),
-            code: None,
-            hint: Some("over UDP, use TCP instead".into()),
-        }))),
+        _ => Err(Failure::NotCompared(Box::new(Failure::unfit(
+            format!("there is no difference in what could be compared, and {omitted} parts could not"),
+            "over UDP, use TCP instead",
+        )))),
     }
 }
 

@@ -49,11 +49,10 @@ pub(crate) fn dump(args: &Dump, session: &mut Session, json: bool) -> Result<(),
     print_summary(&shown, &contents, json)?;
     match contents.refused() + contents.omitted.len() {
         0 => Ok(()),
-        missing => Err(Failure::Unfit {
-            message: format!("{shown}: the controller refused {missing} parts, which the backup does not have"),
-            code: None,
-            hint: Some(missing_parts(&contents)),
-        }),
+        missing => Err(Failure::unfit(
+            format!("{shown}: the controller refused {missing} parts, which the backup does not have"),
+            missing_parts(&contents),
+        )),
     }
 }
 

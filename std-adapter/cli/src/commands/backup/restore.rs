@@ -149,11 +149,7 @@ fn status(dir: &Path, json: bool) -> Result<(), Failure> {
     if past.is_complete() {
         return summary(&past, json);
     }
-    Err(Failure::Unfit {
-        message: past.summary(),
-        code: None,
-        hint: Some(format!("`bcap restore {}` compares again and writes the rest", dir.display())),
-    })
+    Err(Failure::unfit(past.summary(), format!("`bcap restore {}` compares again and writes the rest", dir.display())))
 }
 
 /// Prints how many writes of a restore are made.
@@ -312,7 +308,7 @@ fn check_still_clear(session: &mut Session) -> Result<(), Failure> {
 }
 
 fn stopped(message: String) -> Failure {
-    Failure::Unfit { message, code: None, hint: Some("nothing more was written".into()) }
+    Failure::unfit(message, "nothing more was written")
 }
 
 /// Returns the failure of a restore that has written nothing.

@@ -30,11 +30,7 @@ impl Answer {
     pub(super) fn accepted(&self, request: &str, hint: &str) -> Result<(), Failure> {
         match self.0.strip_prefix("error ") {
             None => Ok(()),
-            Some(reason) => Err(Failure::Unfit {
-                message: format!("the board refused \"{request}\": {reason}"),
-                code: None,
-                hint: Some(hint.into()),
-            }),
+            Some(reason) => Err(Failure::unfit(format!("the board refused \"{request}\": {reason}"), hint)),
         }
     }
 }

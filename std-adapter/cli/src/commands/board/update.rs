@@ -147,7 +147,7 @@ fn send(port: &mut Port, image: &[u8]) -> Result<u32, Failure> {
             attempts += 1;
             if attempts == ATTEMPTS {
                 let message = format!("block {number} failed {ATTEMPTS} times: {reason}");
-                return Err(Failure::Unfit { message, code: None, hint: Some(IMAGE_REMAINS.into()) });
+                return Err(Failure::unfit(message, IMAGE_REMAINS));
             }
             repeated += 1;
         }
@@ -162,11 +162,10 @@ fn ask(port: &mut Port, request: &str) -> Result<Answer, Failure> {
     let answer = port.ask(request, |_| Ok(()))?;
     // an image older than updates, or one without them
     if answer.0.starts_with("error unknown request") {
-        return Err(Failure::Unfit {
-            message: "the board cannot be updated: its image was built without updates".into(),
-            code: None,
-            hint: Some("flash the boot loader and an image with updates once, as the README of the board says".into()),
-        });
+        return Err(Failure::unfit(
+            "the board cannot be updated: its image was built without updates",
+            "flash the boot loader and an image with updates once, as the README of the board says",
+        ));
     }
     answer.accepted(request, IMAGE_REMAINS)?;
     Ok(answer)

@@ -108,7 +108,8 @@ fn over(protocol: Protocol, args: &Doctor, link: &LinkArgs) -> Result<LinkArgs, 
         Protocol::Udp => args.udp_port,
     };
     target.port = port.unwrap_or(target.port);
-    Ok(link.at(&target.to_string()))
+    // the checks try each provider
+    Ok(link.at(&target.to_string()).with_provider(link.provider()))
 }
 
 /// Starts a session over a protocol; `None` if that fails.

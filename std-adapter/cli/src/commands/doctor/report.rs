@@ -82,7 +82,7 @@ impl Report {
             Finding::Untested(answer) => (format!("{check}: could not be tested: {answer}"), UNTESTED_HINT.into()),
             Finding::Passed(_) | Finding::Skipped(_) => return Ok(()),
         };
-        self.first.get_or_insert(Failure::Unfit { message, code: None, hint: Some(hint) });
+        self.first.get_or_insert(Failure::unfit(message, hint));
         Ok(())
     }
 

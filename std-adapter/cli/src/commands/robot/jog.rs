@@ -127,11 +127,7 @@ fn require_rest(session: &mut Session) -> Result<(), Failure> {
     if !session.with(|controller| controller.robot()?.read::<bool>("@BUSY_STATUS"))? {
         return Ok(());
     }
-    Err(Failure::Unfit {
-        message: "the robot moves".into(),
-        code: None,
-        hint: Some("wait until it rests, or halt it with `bcap halt`".into()),
-    })
+    Err(Failure::unfit("the robot moves", "wait until it rests, or halt it with `bcap halt`"))
 }
 
 /// Runs `bcap jog`.

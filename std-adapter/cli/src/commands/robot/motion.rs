@@ -255,14 +255,10 @@ fn concluded(args: &MoveArgs, ended: Option<Motion>) -> Result<bool, Failure> {
             format!("not at {to}: it took more than {:?} (--within), so the robot was halted", args.how.within),
             None,
         ),
-        Some(Motion::Halted) => Err(Failure::Unfit {
-            message: format!("not at {to}: the robot was halted"),
-            code: None,
-            hint: Some(
-                "if that has left an error (`bcap errors`), clear it before the next motion: `bcap errors --clear`"
-                    .into(),
-            ),
-        }),
+        Some(Motion::Halted) => Err(Failure::unfit(
+            format!("not at {to}: the robot was halted"),
+            "if that has left an error (`bcap errors`), clear it before the next motion: `bcap errors --clear`",
+        )),
         Some(_) => unfit(format!("the robot rests, and whether it is at {to} is unknown: read its position"), None),
     }
 }

@@ -325,19 +325,15 @@ impl Outcome<'_> {
                 code: Some(HResult::E_SLVMODE_ON),
                 hint: Some(AFTER_STREAM.into()),
             },
-            Cause::NotAtStart { .. } => Failure::Unfit {
+            Cause::NotAtStart { .. } => Failure::unfit(
                 message,
-                code: None,
-                hint: Some(
-                    match self.target {
-                        Address::Serial(_) => {
-                            "move the robot to the first pose before the stream, for example with `bcap move`"
-                        }
-                        _ => "give --approach to move the robot to the first pose before the stream",
+                match self.target {
+                    Address::Serial(_) => {
+                        "move the robot to the first pose before the stream, for example with `bcap move`"
                     }
-                    .into(),
-                ),
-            },
+                    _ => "give --approach to move the robot to the first pose before the stream",
+                },
+            ),
             _ => Failure::Unfit { message, code: fault.code(), hint: None },
         }
     }

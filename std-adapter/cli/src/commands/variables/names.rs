@@ -20,8 +20,13 @@ use crate::session::variables::list;
 #[command(after_help = "\
 Examples:
   bcap names
+  bcap names robot
   bcap names --json --robot tcp:192.168.0.1")]
-pub(crate) struct Names {}
+pub(crate) struct Names {
+    /// Only names that contain this text; case does not matter
+    #[arg(value_name = "TEXT", default_value = "", hide_default_value = true)]
+    pub(crate) filter: String,
+}
 
 /// The functions that list names, with the kind of the listed objects.
 const LISTS: [(Object, FunctionId); 6] = [
@@ -34,9 +39,9 @@ const LISTS: [(Object, FunctionId); 6] = [
 ];
 
 /// Runs `bcap names`.
-pub(crate) fn names(session: &mut Session, json: bool) -> Result<(), Failure> {
+pub(crate) fn names(args: &Names, session: &mut Session, json: bool) -> Result<(), Failure> {
     spare(session, FunctionId::CONTROLLER_GET_VARIABLE_NAMES, None)?;
-    let mut lists = Lists { session, json, total: 0, missing: 0, refused: 0 };
+    let mut lists = Lists { session, filter: args.filter.to_lowercase(), json, total: 0, missing: 0, refused: 0 };
     let controller = ObjectPath::controller();
     for (object, function) in LISTS {
         for path in lists.print(&controller, object, function)? {
@@ -73,6 +78,8 @@ pub(crate) fn all_names(session: &mut Session) -> Option<Vec<String>> {
 /// controller does not implement.
 struct Lists<'a> {
     session: &'a mut Session,
+    /// Only names with this text are printed.
+    filter: String,
     json: bool,
     total: usize,
     /// The number of lists that the controller does not implement.
@@ -98,7 +105,8 @@ impl Lists<'_> {
             names => names?,
         };
         let paths: Vec<ObjectPath> = names.into_iter().map(|name| owner.clone().join(object, name)).collect();
-        paths.iter().try_for_each(|path| print_name(path, self.json))?;
+        let mut found = paths.iter().filter(|path| path.to_string().to_lowercase().contains(&self.filter));
+        found.try_for_each(|path| print_name(path, self.json))?;
         Ok(paths)
     }
 
