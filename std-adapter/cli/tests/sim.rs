@@ -149,7 +149,7 @@ fn the_help_names_all_that_is_not_simulated() {
 #[test]
 fn a_lenient_controller_names_what_it_tolerates() {
     let strict = Sim::start(&["--model", "rc9"]);
-    let run = strict.tcp(&["get", "I1"]);
+    let run = strict.tcp(&["get", "I1", "--provider", "CaoProv.DENSO.VRC"]);
     assert!(run.code == 1 && run.err.contains("E_CAO_PROV_INVALID"), "{run:?}");
     let mut sim = Sim(Running::sim(&["--model", "rc9", "--lenient"]).into());
     assert_eq!(sim.tcp(&["get", "I1"]).code, 0);
