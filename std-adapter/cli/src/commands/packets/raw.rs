@@ -22,7 +22,8 @@ use crate::session::connect::{broken, not_connected};
 
 /// Sends packets as they are written, and shows each reply
 ///
-/// It starts no service and changes no byte: serial numbers, handles and errors are the writer's. PACKET is hexadecimal
+/// It opens a separate connection, in the shell and in scripts too, so the handles of their session are not valid in it. It starts
+/// no service and changes no byte: serial numbers, handles and errors are the writer's. PACKET is hexadecimal
 /// digits, as for `bcap decode`, or JSON, as for `bcap decode --reverse`; one PACKET may hold several frames of hexadecimal digits.
 /// Without PACKET, or with `-`, each line of the standard input is one. After each packet the command waits for its reply, at
 /// most for --timeout. Keep-alives (S_EXECUTING) are shown; without --timeout each of them allows another 3 s.
