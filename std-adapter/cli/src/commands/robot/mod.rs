@@ -1,6 +1,7 @@
 //! The robot and the state of its controller: `bcap move`, `bcap jog`, `bcap teach`, `bcap halt`, `bcap task`, `bcap errors`,
 //! `bcap log` and `bcap recover`.
 
+mod axis;
 mod destination;
 pub(crate) mod errors;
 pub(crate) mod halt;

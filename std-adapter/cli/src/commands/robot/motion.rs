@@ -10,8 +10,8 @@ use bcap_core::procedure::Motion;
 use bcap_std::{Move, ObjectPath};
 use clap::Args;
 
+use crate::commands::robot::axis::Axis;
 use crate::commands::robot::destination;
-use crate::commands::robot::jog::Axis;
 use crate::commands::robot::silence::Silence;
 use crate::failure::Failure;
 use crate::interrupt::{Interrupt, State};
