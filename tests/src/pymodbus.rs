@@ -17,6 +17,8 @@ for line in sys.stdin:
     response = eval(line)
     if response.isError():
         print("exception", response.exception_code)
+    elif "information" in line:
+        print(response.information)
     elif "coils(" in line and "read" in line:
         print(response.bits)
     elif "read" in line:

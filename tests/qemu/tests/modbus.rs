@@ -42,7 +42,9 @@ fn an_independent_client_of_modbus_reads_and_writes_variables() {
         ("client.read_coils(0, count=8)", "[False, True, False, True, False, False, False, False]"),
         ("client.write_coil(8, True)", "exception 2"),
         ("client.read_holding_registers(0, count=1)", "exception 2"),
-        ("client.mask_write_register(address=100, and_mask=0, or_mask=0)", "exception 1"),
+        ("client.mask_write_register(address=100, and_mask=0x04, or_mask=0x10)", "ok"),
+        ("client.readwrite_registers(read_address=100, read_count=3, write_address=102, values=[1])", "[20, 65535, 1]"),
+        ("client.read_device_information(object_id=0)", "{0: b'bcap', 1: b'bcap-gateway', 2: b'0.1.0'}"),
     ];
     pymodbus.check(&format!("127.0.0.1:{port}"), &exchanges);
     // RAC and Modbus read the same variables

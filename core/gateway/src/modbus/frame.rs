@@ -10,6 +10,9 @@
 //!   6        address u16, value u16                  the same
 //!  15        first u16, count u16, bytes u8, coils   first u16, count u16
 //!  16        first u16, count u16, bytes u8, registers  first u16, count u16
+//!  22        address u16, and u16, or u16           the same
+//!  23        first u16, count u16 to read (1 to 125), as 16 to write (1 to 121)  as 3
+//!  43        14 u8, code u8 (1 to 4), object u8     14 u8, code u8, level u8, 0 u8, 0 u8, count u8, objects
 //!  + 0x80                                            exception u8
 //! ```
 //!
@@ -98,6 +101,15 @@ impl Command {
     }
 }
 
+/// A valid request: one command, or two of them, one after the other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Work<'a> {
+    pub(super) command: Command,
+    /// The coils or registers that the command writes.
+    pub(super) bytes: &'a [u8],
+    pub(super) then: Option<Command>,
+}
+
 /// Returns the length of the frame at the start of `bytes`, if it is known; `Err` if the bytes are not Modbus TCP.
 pub(super) fn length(bytes: &[u8]) -> Result<Option<usize>, ()> {
     let [_, _, protocol @ .., high, low] = bytes.first_chunk::<UNCOUNTED>().map_or(&[0; UNCOUNTED], |head| head);
@@ -112,9 +124,10 @@ pub(super) fn length(bytes: &[u8]) -> Result<Option<usize>, ()> {
     if (HEADER.saturating_add(1)..=FRAME).contains(&length) { Ok(Some(length)) } else { Err(()) }
 }
 
-/// Parses a function with its data; the bytes are the coils or registers to write.
-pub(super) fn parse(function: &[u8]) -> Result<(Command, &[u8]), Exception> {
+/// Parses a function with its data.
+pub(super) fn parse(function: &[u8]) -> Result<Work<'_>, Exception> {
     use Table::{Coils, Registers};
+    let mut then = None;
     let (command, bytes, most) = match function {
         [1 | 2, a, b, c, d] => (command(Coils, false, [*a, *b], [*c, *d]), &[][..], 2000),
         [3 | 4, a, b, c, d] => (command(Registers, false, [*a, *b], [*c, *d]), &[][..], 125),
@@ -123,16 +136,46 @@ pub(super) fn parse(function: &[u8]) -> Result<(Command, &[u8]), Exception> {
         [15, a, b, c, d, count, bytes @ ..] if usize::from(*count) == bytes.len() => {
             (command(Coils, true, [*a, *b], [*c, *d]), bytes, 1968)
         }
-        [16, a, b, c, d, count, bytes @ ..] if usize::from(*count) == bytes.len() => {
-            (command(Registers, true, [*a, *b], [*c, *d]), bytes, 123)
+        [16, write @ ..] => registers(write, 123).ok_or(Exception::IllegalDataValue)?,
+        [22, a, b, masks @ ..] if masks.len() == 4 => {
+            then = Some(command(Registers, true, [*a, *b], [0, 1]));
+            (command(Registers, false, [*a, *b], [0, 1]), &[][..], 1)
         }
-        [1..=6 | 15 | 16, ..] => return Err(Exception::IllegalDataValue),
+        [23, a, b, c, d, write @ ..] => {
+            then = Some(command(Registers, false, [*a, *b], [*c, *d])).filter(|read| (1..=125).contains(&read.count));
+            then.and(registers(write, 121)).ok_or(Exception::IllegalDataValue)?
+        }
+        [1..=6 | 15 | 22 | 23, ..] => return Err(Exception::IllegalDataValue),
         _ => return Err(Exception::IllegalFunction),
     };
     if !(1..=most).contains(&command.count) || command.is_write && command.bytes() != bytes.len() {
         return Err(Exception::IllegalDataValue);
     }
-    Ok((command, bytes))
+    Ok(Work { command, bytes, then })
+}
+
+/// Parses registers to write, of which there may be `most`.
+fn registers(data: &[u8], most: u16) -> Option<(Command, &[u8], u16)> {
+    let [a, b, c, d, count, bytes @ ..] = data else { return None };
+    (usize::from(*count) == bytes.len()).then(|| (command(Table::Registers, true, [*a, *b], [*c, *d]), bytes, most))
+}
+
+/// Returns the objects of the device identification that a request asks for: how many there are, and each with its number.
+/// `None` is another function.
+pub(super) fn identification(
+    function: &[u8],
+) -> Result<Option<impl Iterator<Item = (u8, &'static str)> + Clone + use<>>, Exception> {
+    const OBJECTS: [&str; 3] = ["bcap", env!("CARGO_PKG_NAME"), env!("CARGO_PKG_VERSION")];
+    let [43, rest @ ..] = function else { return Ok(None) };
+    let (first, most) = match rest {
+        // a stream begins anew with an object that there is not
+        [14, 1..=3, object] => (if *object < 3 { *object } else { 0 }, 3),
+        [14, 4, object @ 0..3] => (*object, 1),
+        [14, 4, _] => return Err(Exception::IllegalDataAddress),
+        [14, ..] => return Err(Exception::IllegalDataValue),
+        _ => return Err(Exception::IllegalFunction),
+    };
+    Ok(Some((0..).zip(OBJECTS).skip(first.into()).take(most)))
 }
 
 const fn command(table: Table, is_write: bool, first: [u8; 2], count: [u8; 2]) -> Command {
@@ -180,7 +223,7 @@ mod tests {
     fn counts_and_sizes_are_checked() {
         let read = |function, count: u16| {
             let [a, b] = count.to_be_bytes();
-            parse(&[function, 0, 7, a, b]).map(|(command, _)| command.count)
+            parse(&[function, 0, 7, a, b]).map(|work| work.command.count)
         };
         for (function, most) in [(1, 2000), (2, 2000), (3, 125), (4, 125)] {
             assert_eq!(read(function, most), Ok(most));
@@ -188,14 +231,14 @@ mod tests {
             assert_eq!(read(function, 0), Err(Exception::IllegalDataValue));
         }
         let registers = [[16, 0, 7, 0, 123, 246].as_slice(), &[0; 246]].concat();
-        assert_eq!(parse(&registers).map(|(command, bytes)| (command.count, bytes.len())), Ok((123, 246)));
+        assert_eq!(parse(&registers).map(|work| (work.command.count, work.bytes.len())), Ok((123, 246)));
         let coils = [[15, 0, 7, 0x07, 0xb0, 246].as_slice(), &[0; 246]].concat();
-        assert_eq!(parse(&coils).map(|(command, bytes)| (command.count, bytes.len())), Ok((1968, 246)));
+        assert_eq!(parse(&coils).map(|work| (work.command.count, work.bytes.len())), Ok((1968, 246)));
     }
 
     #[test]
     fn requests_that_contradict_themselves_are_refused() {
-        let invalid: [&[u8]; 10] = [
+        let invalid: [&[u8]; 12] = [
             &[3],
             &[3, 0, 7, 0],
             &[3, 0, 7, 0, 1, 0],
@@ -207,11 +250,13 @@ mod tests {
             &[16, 0, 0, 0, 2, 2, 0, 0],
             &[15, 0, 0, 0, 9, 1, 0],
             &[15, 0, 0, 0, 0, 0],
+            &[22, 0, 0],
+            &[23],
         ];
         for function in invalid {
             assert_eq!(parse(function), Err(Exception::IllegalDataValue), "{function:?}");
         }
-        for function in [&[][..], &[0, 0], &[7], &[22, 0, 0], &[23], &[43, 14], &[0x83, 2]] {
+        for function in [&[][..], &[0, 0], &[7], &[24, 0, 0], &[43, 14], &[0x83, 2]] {
             assert_eq!(parse(function), Err(Exception::IllegalFunction), "{function:?}");
         }
     }

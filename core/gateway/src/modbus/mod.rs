@@ -13,8 +13,9 @@
 //! * **Reads** may begin and end within a variable. Each variable is read at its own time.
 //! * **Writes** must cover variables completely. If a rule refuses one of the variables of a request, none is written. If the
 //!   robot or the rate refuses one, those before it have been written.
-//! * **Functions** 1 to 6, 15 and 16. Input registers are the holding registers, discrete inputs are the coils. Every unit
-//!   identifier is accepted.
+//! * **Functions** 1 to 6, 15, 16, 22, 23 and 43 (device identification, which needs no line). Input registers are the holding
+//!   registers, discrete inputs are the coils. Every unit identifier is accepted. Function 22 is a GET and a PUT: a change
+//!   between the two is overwritten.
 //! * **Refusals** are [`Exception`]s. For a request without a variable, the front sends the invalid line `MODBUS:3:100:2`, with
 //!   function, first address and count, so that a gateway logs and counts it.
 //! * **Bytes that are not Modbus TCP** end the connection ([`Front::is_broken`]).
@@ -46,7 +47,7 @@ mod words;
 
 use heapless::Vec;
 
-use self::frame::{Command, FRAME, HEADER};
+use self::frame::{Command, FRAME, HEADER, Work};
 use self::map::{Place, find};
 use bcap_core::error::TextError;
 use bcap_core::rac::{MAX_LINE, Request, Response};
@@ -86,7 +87,11 @@ struct Running {
     length: usize,
     /// `None` if it is invalid.
     command: Option<Command>,
-    /// The number of registers or coils that are done.
+    /// The command after it.
+    then: Option<Command>,
+    /// The register that function 22 writes.
+    masked: [u8; 2],
+    /// The number of registers or coils of the command that are done.
     done: u16,
     /// The response after the reply to the present line, whatever that reply is.
     refusal: Option<Exception>,
@@ -203,19 +208,27 @@ impl<'a> Front<'a> {
             }
         };
         let function = self.request.get(HEADER..length).unwrap_or_default();
-        let checked = frame::parse(function).and_then(|(command, bytes)| {
+        let checked = match frame::identification(function) {
+            Ok(Some(objects)) => return self.identify(length, objects),
+            Ok(None) => frame::parse(function),
+            Err(exception) => Err(exception),
+        };
+        let checked = checked.and_then(|Work { command, bytes, then }| {
             check(self.map, command)?;
-            Ok((command, refused(self.map, command, bytes, permits)?))
+            then.map_or(Ok(()), |then| check(self.map, then))?;
+            Ok((command, then, refused(self.map, command, bytes, permits)?))
         });
-        let mut running = Running { length, command: None, done: 0, refusal: None, is_forbidden: false };
+        let (then, masked, done) = Default::default();
+        let mut running = Running { length, command: None, then, masked, done, refusal: None, is_forbidden: false };
         match checked {
-            Ok((command, refused)) => {
-                running.command = Some(command);
+            Ok((command, then, refused)) => {
+                (running.command, running.then) = (Some(command), then);
                 if let Some(at) = refused {
                     // only the line that the rules refuse, so that the gateway logs it
                     (running.done, running.is_forbidden) = (at, true);
                 }
-                self.prepare(command, function.first().copied().unwrap_or_default());
+                let shown = then.filter(|then| !then.is_write).unwrap_or(command);
+                self.prepare(shown, function.first().copied().unwrap_or_default());
             }
             Err(exception) => running.refusal = Some(exception),
         }
@@ -261,7 +274,8 @@ impl<'a> Front<'a> {
         let mut memory = [0; MAX_LINE];
         let mut out = Writer::new(&mut memory);
         let written = match (running.command, frame::parse(function)) {
-            (Some(command), Ok((_, bytes))) => {
+            (Some(command), Ok(Work { bytes, .. })) => {
+                let bytes = if function.first() == Some(&22) { &running.masked } else { bytes };
                 with_request(self.map, command, bytes, running.done, |_, request| request.write_line(&mut out).is_ok())
             }
             _ => None,
@@ -299,7 +313,17 @@ impl<'a> Front<'a> {
                 self.running = Some(running);
                 self.put_line(running);
             }
-            Ok(None) => self.finish(running.length),
+            Ok(None) => match running.then.take() {
+                Some(then) => {
+                    if then.is_write {
+                        running.masked = self.mask(running.length);
+                    }
+                    (running.command, running.done) = (Some(then), 0);
+                    self.running = Some(running);
+                    self.put_line(running);
+                }
+                None => self.finish(running.length),
+            },
             Err(exception) => {
                 let function = self.request.get(HEADER).copied().unwrap_or_default();
                 self.head(function | 0x80);
@@ -307,6 +331,31 @@ impl<'a> Front<'a> {
                 self.finish(running.length);
             }
         }
+    }
+
+    /// Applies the masks of function 22 to the register in the response to its read, and makes the response to the function.
+    fn mask(&mut self, length: usize) -> [u8; 2] {
+        let register = self.response.get(HEADER.saturating_add(2)..).and_then(|data| data.first_chunk()).copied();
+        let [high, low]: [u8; 2] = register.unwrap_or_default();
+        let function = self.request.get(HEADER..length).and_then(|function| function.first_chunk()).copied();
+        let [function, a, b, and_high, and_low, or_high, or_low]: [u8; 7] = function.unwrap_or_default();
+        self.head(function);
+        append(&mut self.response, &[a, b, and_high, and_low, or_high, or_low]);
+        [high & and_high | or_high & !and_high, low & and_low | or_low & !and_low]
+    }
+
+    /// Answers a request for the identification of this device.
+    fn identify(&mut self, length: usize, objects: impl Iterator<Item = (u8, &'static str)> + Clone) {
+        let code = self.request.get(HEADER.saturating_add(2)).copied().unwrap_or_default();
+        self.head(43);
+        // basic identification, as a stream and by object; nothing follows
+        let count = u8::try_from(objects.clone().count()).unwrap_or(u8::MAX);
+        append(&mut self.response, &[14, code, 0x81, 0, 0, count]);
+        for (number, text) in objects {
+            append(&mut self.response, &[number, u8::try_from(text.len()).unwrap_or(u8::MAX)]);
+            append(&mut self.response, text.as_bytes());
+        }
+        self.finish(length);
     }
 
     /// Stores the value of a variable in the response to a read. Returns the number of registers or coils that are done;

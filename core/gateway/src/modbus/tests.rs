@@ -172,7 +172,7 @@ fn requests_without_variables_are_refused_and_become_a_line_for_the_log() {
         (&[6, 0, 100, 0, 1], Exception::IllegalDataAddress),
         (&[16, 0, 101, 0, 2, 4, 0, 0, 0, 0], Exception::IllegalDataAddress),
         (&[3, 0, 100, 0, 126], Exception::IllegalDataValue),
-        (&[22, 0, 100, 0, 0, 0, 0], Exception::IllegalFunction),
+        (&[24, 0, 100, 0, 0, 0, 0], Exception::IllegalFunction),
         (&[43], Exception::IllegalFunction),
     ] {
         assert_eq!(bench.ask(function), [function[0] | 0x80, exception.code()], "{function:?}");
@@ -270,4 +270,58 @@ fn any_bytes_are_safe() {
         let response = bench.exchange(&framed(1, 1, &function), usize::MAX);
         assert!((9..=260).contains(&response.len()), "{function:?}");
     }
+}
+
+#[test]
+fn a_mask_changes_bits_of_a_register() {
+    let mut bench = bench(&["100=I/10:i16", "101=I/11"], &[]);
+    bench.set("I", 10, "3,18");
+    // the example of the specification: 0x12 with the masks 0xf2 and 0x25
+    let request = [22, 0, 100, 0x00, 0xf2, 0x00, 0x25];
+    assert_eq!(bench.ask(&request), request);
+    assert_eq!(bench.lines, ["GET:RC8:10:I:", "PUT:RC8:10:I:3,23"]);
+    assert_eq!(bench.ask(&[22, 0, 101, 0, 0, 0, 0]), [22 | 0x80, 2], "a half of a variable");
+    assert_eq!(bench.ask(&[22, 0, 100, 0, 0, 0]), [22 | 0x80, 3]);
+    bench.protected.push(Variable::new(bcap_core::rac::VariableKind::I, 10));
+    assert_eq!(bench.ask(&request), [22 | 0x80, 2]);
+    assert_eq!(bench.values.values().next().unwrap(), "3,23", "nothing was written");
+}
+
+#[test]
+fn registers_are_written_and_then_read_in_one_request() {
+    let mut bench = bench(&["100=I/10-11:i16", "102=I/12-13:i16"], &[]);
+    for index in 10..14 {
+        bench.set("I", index, "3,7");
+    }
+    let request = [23, 0, 101, 0, 2, 0, 100, 0, 2, 4, 0, 1, 0, 2];
+    assert_eq!(bench.ask(&request), [23, 4, 0, 2, 0, 7]);
+    let puts = ["PUT:RC8:10:I:3,1", "PUT:RC8:11:I:3,2"];
+    assert_eq!(bench.lines, [&puts[..], &["GET:RC8:11:I:", "GET:RC8:12:I:"]].concat());
+    bench.lines.clear();
+    for (request, exception) in [
+        ([23, 0, 103, 0, 2, 0, 100, 0, 1, 2, 0, 9, 0, 0], 3),
+        ([23, 0, 103, 0, 2, 0, 100, 0, 2, 4, 0, 9, 0, 9], 2),
+        ([23, 0, 103, 0, 0, 0, 100, 0, 2, 4, 0, 9, 0, 9], 3),
+    ] {
+        assert_eq!(bench.ask(&request), [23 | 0x80, exception], "{request:?}");
+    }
+    assert!(bench.lines.iter().all(|line| line.starts_with("MODBUS:23:")), "{:?}", bench.lines);
+}
+
+#[test]
+fn the_device_identifies_itself() {
+    let mut bench = bench(&[], &[]);
+    let version = env!("CARGO_PKG_VERSION");
+    let object = |number: u8, text: &str| [&[number, u8::try_from(text.len()).unwrap()], text.as_bytes()].concat();
+    let all = [object(0, "bcap"), object(1, "bcap-gateway"), object(2, version)];
+    for code in [1, 2, 3] {
+        let head = [43, 14, code, 0x81, 0, 0, 3];
+        assert_eq!(bench.ask(&[43, 14, code, 0]), [&head[..], &all.concat()].concat());
+    }
+    assert_eq!(bench.ask(&[43, 14, 4, 1]), [&[43, 14, 4, 0x81, 0, 0, 1], &all[1][..]].concat());
+    assert_eq!(bench.ask(&[43, 14, 1, 9])[6], 3, "a stream begins anew");
+    for (request, exception) in [(&[43, 14, 4, 3][..], 2), (&[43, 14, 5, 0], 3), (&[43, 14], 3), (&[43, 13, 0], 1)] {
+        assert_eq!(bench.ask(request), [43 | 0x80, exception], "{request:?}");
+    }
+    assert_eq!(bench.lines.len(), 4, "the refused ones, for the log: {:?}", bench.lines);
 }
