@@ -279,6 +279,7 @@ fn costly_streams_end() {
     let tree = trees(&saved(&capture, &folder));
     assert!(tree.contains("VARIANTs are nested too deeply"), "nesting");
     assert!(tree.contains("1048576 elements in all"), "a large array");
+    assert!(tree.contains("50000 elements in all, of which not all are examined"), "many values");
     assert!(tree.contains("an array of 4294967295 EMPTY does not fit"), "a count without data");
 }
 

@@ -120,6 +120,7 @@ local udp_stream = Field.new("udp.stream")
 -- Limits of what is shown. Every loop is also bounded by the bytes of its frame.
 local MOST_ELEMENTS = 256 -- elements of an array
 local MOST_ITEMS = 4096 -- items of a frame's tree
+local MOST_VALUES = 20000 -- values of a frame that are examined
 local LONGEST_TEXT = 160 -- bytes of a value in a line
 local LONGEST_LABEL = 230 -- bytes of a line of the tree; Wireshark cuts at 239, also inside a character
 
@@ -258,7 +259,9 @@ end
 --
 -- A node has `at` and `next` (its bytes), `text`, `value` (a number or a string, if it is one), `field` (of a scalar),
 -- `data` (where its data begin), and of an array `items`, the first MOST_ELEMENTS elements. A node with `bad` is not
--- complete: it says what is wrong.
+-- complete: it says what is wrong. An array with `cut` has more elements than are examined, and ends where its argument does.
+
+local unexamined -- how many more values of the frame are examined
 
 local readers = {
     I2 = function(range) return "int", range:le_int() end,
@@ -338,7 +341,11 @@ local function parse_array(tvb, node, stop, kind, depth)
         if i > MOST_ELEMENTS and kind.bytes then
             at = node.data + node.count * kind.bytes
             break
+        elseif unexamined == 0 then
+            at, node.cut = stop, true
+            break
         end
+        unexamined = unexamined - 1
         local item = parse_element(tvb, at, stop, kind, depth)
         at = item.next
         if i <= MOST_ELEMENTS then
@@ -347,8 +354,8 @@ local function parse_array(tvb, node, stop, kind, depth)
         if i <= 20 then
             texts[i] = item.text
         end
-        if item.bad then
-            node.bad = item.bad
+        if item.bad or item.cut then
+            node.bad, node.cut = item.bad, item.cut
             break
         end
     end
@@ -380,6 +387,7 @@ parse = function(tvb, at, stop, depth)
     end
     local data = parse_element(tvb, at + 6, stop, kind, depth)
     node.next, node.field, node.value, node.bad, node.data = data.next, data.field, data.value, data.bad, data.data
+    node.cut = data.cut
     if kind.name == "BSTR" or kind.bytes == 0 then
         node.text = data.text
     elseif kind.name == "VARIANT" then
@@ -434,7 +442,8 @@ local function add_elements(ctx, tree, node, labels)
         end
     end
     if node.count > #node.items and node.is_array and not node.bad then
-        tree:add(ctx.tvb(node.at, 6), string.format("... %.0f elements in all", node.count))
+        local rest = node.cut and string.format(", of which not all are examined: the frame has more than %d values", MOST_VALUES)
+        tree:add(ctx.tvb(node.at, 6), string.format("... %.0f elements in all%s", node.count, rest or ""))
     end
 end
 
@@ -603,6 +612,7 @@ local function parse_arguments(tvb, frame)
 end
 
 local function parse_frame(tvb)
+    unexamined = MOST_VALUES
     local frame = { length = tvb:len(), serial = tvb(5, 2):le_uint(), reserved = tvb(7, 2):le_uint(),
         code = tvb(9, 4):le_uint(), count = tvb(13, 2):le_uint(), arguments = {} }
     if tvb(frame.length - 1, 1):uint() ~= EOT then
