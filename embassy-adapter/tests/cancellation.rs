@@ -4,10 +4,6 @@
 //! The functions are listed at the end, and the list is compared with the sources. `tests/tests/cancellation` does the
 //! same for the core and bcap-std.
 
-#[path = "../../tests/src/async_functions.rs"]
-#[allow(unreachable_pub, reason = "it is a module of the library of bcap-tests, too")]
-mod async_functions;
-
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::future::poll_fn;
@@ -16,7 +12,6 @@ use std::pin::pin;
 use std::task::Poll;
 
 use crate::common::{address, between};
-use async_functions::Coverage::{self, Exempt, Swept, Through};
 use bcap_core::bcap::call::{self, ControllerHandle};
 use bcap_core::bcap::client::{Config, Timing};
 use bcap_core::bcap::server::{Handler, Request, Session};
@@ -34,6 +29,7 @@ use bcap_embassy::net::{Connection, NetError, Options, TcpTransport, Transport, 
 use bcap_embassy::server::{Limits, Listener, SharedHandler, UdpPeer, UdpServer};
 use bcap_gateway::modbus::{self, Entry};
 use bcap_gateway::{Allow, Gateway, Memory, Rules};
+use bcap_test_support::async_functions::Coverage::{self, Exempt, Swept, Through};
 use embassy_futures::join::join;
 use embassy_futures::select::{Either, Either3, select, select3};
 use embassy_net::Stack;
@@ -753,7 +749,7 @@ fn bcap_embassy_and_the_driver_of_a_gateway_survive_a_drop_at_every_await_point(
     let points = POINTS.take();
     for (sources, functions) in [("src", FUNCTIONS), ("../core/gateway/src", DRIVER)] {
         let sources = Path::new(env!("CARGO_MANIFEST_DIR")).join(sources);
-        if let Err(wrong) = async_functions::check(&sources, functions, &points) {
+        if let Err(wrong) = bcap_test_support::async_functions::check(&sources, functions, &points) {
             panic!("{wrong}\n{points:?}");
         }
     }

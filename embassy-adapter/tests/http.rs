@@ -3,9 +3,9 @@
 use std::fmt::Write;
 
 use crate::common::{address, between};
-use crate::frames;
 use bcap_embassy::http::{Content, HttpListener};
 use bcap_embassy::net::{Backlog, Options};
+use bcap_test_support::frames;
 use embassy_futures::join::join;
 use embassy_futures::select::{Either, select};
 use embassy_net::Stack;

@@ -12,9 +12,6 @@
 #[cfg(all(feature = "http", feature = "modbus", feature = "serial"))]
 mod cancellation;
 mod common;
-#[cfg(feature = "http")]
-#[path = "../board/src/lease/frames.rs"]
-mod frames;
 #[cfg(feature = "gateway")]
 mod gateway;
 #[cfg(feature = "http")]

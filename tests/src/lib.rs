@@ -25,7 +25,6 @@
 //! | [`async_functions`] | the async functions of a crate, read from its sources                          |
 
 pub mod allocation;
-pub mod async_functions;
 pub mod background;
 #[cfg(unix)]
 pub mod cable;
@@ -40,8 +39,6 @@ pub mod process;
 pub mod proxy;
 #[cfg(unix)]
 pub mod pty;
-pub mod pymodbus;
-pub mod python;
 pub mod real_time;
 pub mod serial;
 pub mod served;
@@ -49,6 +46,8 @@ pub mod simulated;
 pub mod slowed;
 pub mod stepped;
 pub mod tools;
+
+pub use bcap_test_support::{async_functions, pymodbus, python};
 
 /// The examples of the README are compiled.
 #[cfg(doctest)]

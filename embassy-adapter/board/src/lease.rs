@@ -224,8 +224,4 @@ fn address(bytes: &[u8], at: usize) -> Option<Ipv4Addr> {
 }
 
 #[cfg(test)]
-mod answer;
-#[cfg(test)]
-mod frames;
-#[cfg(test)]
 mod tests;

@@ -15,14 +15,14 @@ use std::net::{Ipv4Addr, UdpSocket};
 use std::time::{Duration, Instant};
 
 use bcap_qemu::Board;
+use bcap_test_support::dhcp::{Answer, GOOD};
+use bcap_test_support::frames::{packet, syn};
 use fastrand::Rng;
 use smoltcp::iface::SocketHandle;
 use smoltcp::phy::ChecksumCapabilities;
 use smoltcp::socket::tcp;
 use smoltcp::wire::{DhcpMessageType, DhcpPacket, DhcpRepr, Icmpv4Packet, Icmpv4Repr, IpProtocol};
 
-use crate::answer::{Answer, GOOD};
-use crate::frames::{packet, syn};
 use crate::wire::{BOARD, HOST, Wire, World};
 
 const MAC: [u8; 6] = [2, 0, 0, 0, 0, 0x15];

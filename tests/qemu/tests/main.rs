@@ -1,9 +1,6 @@
 //! The tests of this package, as one program. `cargo test -p bcap-qemu NAME::` runs those of one module.
 
 #[cfg(unix)]
-#[path = "../../../embassy-adapter/board/src/lease/answer.rs"]
-mod answer;
-#[cfg(unix)]
 mod console;
 #[cfg(unix)]
 mod dhcp;
@@ -11,9 +8,6 @@ mod dhcp;
 mod faults;
 #[cfg(unix)]
 mod flood;
-#[cfg(unix)]
-#[path = "../../../embassy-adapter/board/src/lease/frames.rs"]
-mod frames;
 #[cfg(unix)]
 mod gateway;
 #[cfg(unix)]
@@ -23,11 +17,6 @@ mod hostile;
 mod line;
 #[cfg(unix)]
 mod modbus;
-// without a dependency on the crate of these files, which would double the build
-#[path = "../../src/pymodbus.rs"]
-pub mod pymodbus;
-#[path = "../../src/python.rs"]
-pub mod python;
 #[cfg(unix)]
 mod serial;
 #[cfg(unix)]

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use bcap_qemu::{Board, Sim, bcap, free_port, run};
 
-use crate::pymodbus::Pymodbus;
+use bcap_test_support::pymodbus::Pymodbus;
 
 #[test]
 fn an_independent_client_of_modbus_reads_and_writes_variables() {

@@ -1,9 +1,5 @@
 //! The gateway of `bcap-embassy`, on two embassy-net stacks that a simulated cable connects.
 
-#[allow(dead_code, reason = "tests of the adapter use the rest")]
-#[path = "../../../embassy-adapter/tests/common/mod.rs"]
-mod common;
-
 use std::cell::RefCell;
 use std::net::Ipv4Addr;
 
@@ -13,13 +9,13 @@ use bcap_embassy::net::Options;
 use bcap_embassy::serial;
 use bcap_gateway::modbus;
 use bcap_gateway::{Config, Gateway, Memory};
+use bcap_test_support::stacks::between_addresses;
 use embassy_futures::select::{Either, Either3, select, select3};
 use embassy_net::tcp::TcpSocket;
 use embassy_net::{Ipv4Cidr, Stack};
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embassy_time::{Duration, with_timeout};
 
-use self::common::between_addresses;
 use super::{Protocol, Run, map};
 
 type Shared<'m> = SharedGateway<'m, NoopRawMutex, 2>;

@@ -36,9 +36,10 @@ const CRATES: [(&str, &str); 15] = [
 const RECURSIVE_TYPES: [(&str, [&str; 2]); 1] = [("bcap-core", ["variant/array.rs", "variant/mod.rs"])];
 
 /// Packages whose dependencies alone are checked.
-const PACKAGES: [(&str, &str); 4] = [
+const PACKAGES: [(&str, &str); 5] = [
     ("bcap-fuzz", "fuzz"),
     ("bcap-qemu", "tests/qemu"),
+    ("bcap-test-support", "tests/support"),
     ("bcap-testkit", "std-adapter/testkit"),
     ("bcap-tests", "tests"),
 ];

@@ -4,6 +4,8 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::vec;
 use std::vec::Vec;
 
+use bcap_test_support::dhcp::{Answer, GOOD};
+use bcap_test_support::frames::syn;
 use proptest::prelude::*;
 use smoltcp::iface::{self, Interface, SocketSet};
 use smoltcp::phy::{DeviceCapabilities, Medium};
@@ -11,8 +13,6 @@ use smoltcp::socket::{dhcpv4, tcp};
 use smoltcp::time::Instant;
 use smoltcp::wire::{DhcpMessageType, DhcpPacket, DhcpRepr, EthernetAddress, IpCidr, UdpPacket};
 
-use super::answer::{Answer, GOOD};
-use super::frames::syn;
 use super::*;
 use crate::Settings;
 use crate::host::is_host_in;

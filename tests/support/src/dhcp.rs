@@ -1,30 +1,35 @@
-//! Answers of DHCP servers; tests of other packages use this file, too.
+//! Answers of DHCP servers.
 
 use std::net::Ipv4Addr;
-use std::vec::Vec;
 
 use smoltcp::phy::ChecksumCapabilities;
 use smoltcp::wire::{
     DhcpMessageType, DhcpOption, DhcpPacket, DhcpRepr, EthernetAddress, IpProtocol, UdpPacket, UdpRepr,
 };
 
-use super::frames::packet;
+use crate::frames::packet;
 
 /// The answer of a server to a request of the board.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Answer {
-    pub(crate) kind: DhcpMessageType,
-    pub(crate) transaction: u32,
-    pub(crate) server: Ipv4Addr,
-    pub(crate) address: Ipv4Addr,
-    pub(crate) mask: Ipv4Addr,
-    pub(crate) router: Option<Ipv4Addr>,
+pub struct Answer {
+    /// Whether it offers, confirms or refuses.
+    pub kind: DhcpMessageType,
+    /// The transaction of the request.
+    pub transaction: u32,
+    /// The server.
+    pub server: Ipv4Addr,
+    /// The address that the board gets.
+    pub address: Ipv4Addr,
+    /// The mask of its network.
+    pub mask: Ipv4Addr,
+    /// The router of its network.
+    pub router: Option<Ipv4Addr>,
     /// The seconds of the lease, and until it has to be renewed.
-    pub(crate) times: [Option<u32>; 3],
+    pub times: [Option<u32>; 3],
 }
 
 /// A valid lease.
-pub(crate) const GOOD: Answer = Answer {
+pub const GOOD: Answer = Answer {
     kind: DhcpMessageType::Ack,
     transaction: 7,
     server: Ipv4Addr::new(10, 0, 2, 2),
@@ -36,7 +41,7 @@ pub(crate) const GOOD: Answer = Answer {
 
 impl Answer {
     /// Makes the frame, with the checksum of UDP.
-    pub(crate) fn frame(&self, mac: [u8; 6]) -> Vec<u8> {
+    pub fn frame(&self, mac: [u8; 6]) -> Vec<u8> {
         let Self { kind, transaction, server, address, mask, router, times: [lease, renew, rebind] } = *self;
         let none = Ipv4Addr::UNSPECIFIED;
         // smoltcp writes only the time of the lease

@@ -1,8 +1,6 @@
-//! Frames for a board, as tests send them; tests of other packages use this file, too.
+//! Frames for a board, as tests send them.
 
 use std::net::Ipv4Addr;
-use std::vec;
-use std::vec::Vec;
 
 use smoltcp::phy::ChecksumCapabilities;
 use smoltcp::wire::{
@@ -16,10 +14,10 @@ const ETHERNET: usize = 14;
 const SENDER: EthernetAddress = EthernetAddress([2, 0, 0, 0, 0, 0xfe]);
 
 /// The head of a packet: the MAC address of the board, the sender's address, the destination, the protocol.
-pub(crate) type Head = ([u8; 6], Ipv4Addr, Ipv4Addr, IpProtocol);
+pub type Head = ([u8; 6], Ipv4Addr, Ipv4Addr, IpProtocol);
 
 /// Makes a frame whose payload of `len` bytes is written by `write`.
-pub(crate) fn packet((mac, from, to, protocol): Head, len: usize, write: impl FnOnce(&mut [u8])) -> Vec<u8> {
+pub fn packet((mac, from, to, protocol): Head, len: usize, write: impl FnOnce(&mut [u8])) -> Vec<u8> {
     let ip = Ipv4Repr { src_addr: from, dst_addr: to, next_header: protocol, payload_len: len, hop_limit: 64 };
     let ethernet = EthernetRepr { src_addr: SENDER, dst_addr: EthernetAddress(mac), ethertype: EthernetProtocol::Ipv4 };
     let mut frame = vec![0; ETHERNET + ip.buffer_len() + len];
@@ -30,7 +28,7 @@ pub(crate) fn packet((mac, from, to, protocol): Head, len: usize, write: impl Fn
 }
 
 /// Makes the frame that begins a connection to a port.
-pub(crate) fn syn(mac: [u8; 6], from: Ipv4Addr, to: Ipv4Addr, [source, port]: [u16; 2]) -> Vec<u8> {
+pub fn syn(mac: [u8; 6], from: Ipv4Addr, to: Ipv4Addr, [source, port]: [u16; 2]) -> Vec<u8> {
     let tcp = TcpRepr {
         src_port: source,
         dst_port: port,

@@ -1,0 +1,20 @@
+//! Support code that tests of several crates share, and that depends on none of them.
+//!
+//! | module              | contents                                                       | feature  |
+//! |---------------------|----------------------------------------------------------------|----------|
+//! | [`async_functions`] | the async functions of a crate, read from its sources          |          |
+//! | [`pymodbus`]        | a client of Modbus of another make                             |          |
+//! | [`python`]          | packages of PyPI that tests run                                |          |
+//! | `dhcp`              | answers of DHCP servers                                        | `frames` |
+//! | `frames`            | frames for a board                                             | `frames` |
+//! | `stacks`            | two stacks of embassy-net that a cable in memory connects      | `stacks` |
+
+pub mod async_functions;
+#[cfg(feature = "frames")]
+pub mod dhcp;
+#[cfg(feature = "frames")]
+pub mod frames;
+pub mod pymodbus;
+pub mod python;
+#[cfg(feature = "stacks")]
+pub mod stacks;
