@@ -41,6 +41,10 @@ pub mod serial;
 #[cfg(feature = "server")]
 pub mod server;
 
+// with its logger the tests link with `--all-features`
+#[cfg(all(test, feature = "defmt"))]
+use bcap_test_support as _;
+
 /// The examples of the crate's page.
 #[cfg(all(doctest, feature = "embassy-net"))]
 #[doc = include_str!("../README.md")]

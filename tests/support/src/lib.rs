@@ -7,6 +7,7 @@
 //! | [`python`]          | packages of PyPI that tests run                                |          |
 //! | `dhcp`              | answers of DHCP servers                                        | `frames` |
 //! | `frames`            | frames for a board                                             | `frames` |
+//! | `logger`            | a logger of defmt, without which its programs do not link      | `defmt`  |
 //! | `stacks`            | two stacks of embassy-net that a cable in memory connects      | `stacks` |
 
 pub mod async_functions;
@@ -14,6 +15,8 @@ pub mod async_functions;
 pub mod dhcp;
 #[cfg(feature = "frames")]
 pub mod frames;
+#[cfg(feature = "defmt")]
+mod logger;
 pub mod pymodbus;
 pub mod python;
 #[cfg(feature = "stacks")]
