@@ -9,13 +9,14 @@ use bcap_core::bcap::server::{Config, Handler, Session};
 use bcap_core::endpoint::Endpoint;
 use bcap_core::handler::PeerId;
 use bcap_core::limits::SERIAL_MAX;
+use bcap_core::peers::datagrams::SharedState as _;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::sync::watch;
 use tokio::time::{sleep, timeout};
 use tokio_serial::{ClearBuffer, SerialPort, SerialStream};
 
 use super::limits::Limits;
-use super::shared::{Changes, ServerState, Tapped};
+use super::shared::{Changes, ServerState};
 use super::stream::sleep_until;
 use crate::clock::now;
 use crate::line::SerialLine;
@@ -153,14 +154,9 @@ impl<H: Handler + Send + 'static> Connection<H> {
     async fn send(&mut self) -> io::Result<()> {
         let bytes = self.session.transmit();
         let count = bytes.len();
-        let replacement = match self.shared.tapped(self.peer, bytes) {
-            // a line has no connection to close
-            None => Some(Vec::new()),
-            Some(Tapped::Replaced(replacement)) => Some(replacement),
-            Some(Tapped::Untouched) => None,
-        };
-        let bytes = replacement.as_deref().unwrap_or(bytes);
-        timeout(self.limits.send, self.stream.write_all(bytes)).await??;
+        // a line has no connection to close
+        let tapped = self.shared.tapped(self.peer, bytes).unwrap_or_default();
+        timeout(self.limits.send, self.stream.write_all(&tapped)).await??;
         self.session.transmitted(count);
         Ok(())
     }

@@ -4,6 +4,7 @@
 //! and a task receives it through its [`Changes`].
 
 use std::any::Any;
+use std::borrow::Cow;
 use std::cmp::Ordering::{Equal, Greater, Less};
 use std::net::{IpAddr, SocketAddr};
 use std::ops::ControlFlow;
@@ -16,7 +17,7 @@ use bcap_core::bcap::server as bcap;
 use bcap_core::endpoint::{Serve, ServerEndpoint};
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
-use bcap_core::peers::datagrams::{SharedState, UdpSession};
+use bcap_core::peers::datagrams::SharedState;
 use bcap_core::rac::{Request as RacRequest, server as rac};
 use bcap_core::time::Instant;
 use tokio::sync::Notify;
@@ -88,12 +89,13 @@ impl<H> ServerState<H> {
         }
     }
 
-    /// Passes bytes through the tap before they are sent; `None` if the connection must be closed.
-    pub(super) fn tapped(&self, peer: PeerId, bytes: &[u8]) -> Option<Tapped> {
-        let Some(tap) = self.tap.get() else { return Some(Tapped::Untouched) };
+    /// Passes bytes through the tap before they are sent, and returns them, or its own bytes; `None` if the connection must be
+    /// closed.
+    pub(super) fn tapped<'b>(&self, peer: PeerId, bytes: &'b [u8]) -> Option<Cow<'b, [u8]>> {
+        let Some(tap) = self.tap.get() else { return Some(bytes.into()) };
         let mut bytes = bytes.to_vec();
         match self.handler().with_handler(peer, |handler| tap(handler, peer, &mut bytes))? {
-            ControlFlow::Continue(()) => Some(Tapped::Replaced(bytes)),
+            ControlFlow::Continue(()) => Some(bytes.into()),
             ControlFlow::Break(()) => None,
         }
     }
@@ -101,20 +103,6 @@ impl<H> ServerState<H> {
     /// Returns the handler for a session. The lock is taken for each call only, so decoding a large request holds no lock.
     pub(super) fn handler(&self) -> Locking<'_, H> {
         Locking(&self.handler)
-    }
-
-    /// Performs one step of a session, and notifies waiting tasks; `false` if there is nothing to do.
-    pub(super) fn step<M: ServeLocked<H>>(&self, session: &mut M, peer: PeerId, now: Instant) -> bool {
-        let Some(event) = session.run(&mut self.handler(), peer, now) else { return false };
-        tracing::trace!(peer = peer.0, ?event);
-        self.notify_change();
-        true
-    }
-
-    /// Ends a session: releases the objects of its peer.
-    pub(super) fn close<M: ServeLocked<H>>(&self, session: &mut M, peer: PeerId, now: Instant) {
-        session.close(&mut self.handler(), peer, now);
-        self.notify_change();
     }
 
     /// Notifies waiting tasks that something may have changed.
@@ -159,8 +147,7 @@ impl<H> ServerState<H> {
     }
 }
 
-/// The peers of UDP.
-impl<H: bcap::Handler + Send, const OBJECTS: usize> SharedState<UdpSession<OBJECTS>> for ServerState<H> {
+impl<H, S: ServeLocked<H>> SharedState<S> for ServerState<H> {
     type Address = SocketAddr;
 
     fn is_same_host(one: SocketAddr, other: SocketAddr) -> bool {
@@ -173,12 +160,18 @@ impl<H: bcap::Handler + Send, const OBJECTS: usize> SharedState<UdpSession<OBJEC
         peer
     }
 
-    fn step(&self, session: &mut UdpSession<OBJECTS>, peer: PeerId, now: Instant) -> bool {
-        self.step(session, peer, now)
+    /// Performs one step of a session, and notifies waiting tasks.
+    fn step(&self, session: &mut S, peer: PeerId, now: Instant) -> bool {
+        let Some(event) = session.run(&mut self.handler(), peer, now) else { return false };
+        tracing::trace!(peer = peer.0, ?event);
+        self.notify_change();
+        true
     }
 
-    fn close(&self, session: &mut UdpSession<OBJECTS>, peer: PeerId, now: Instant) {
-        self.close(session, peer, now);
+    /// Ends a session: releases the objects of its peer.
+    fn close(&self, session: &mut S, peer: PeerId, now: Instant) {
+        session.close(&mut self.handler(), peer, now);
+        self.notify_change();
     }
 }
 
@@ -266,15 +259,6 @@ impl<H: rac::Handler> rac::Handler for Locking<'_, H> {
     fn left(&mut self, peer: PeerId, now: Instant) {
         self.with_handler(peer, |handler| handler.left(peer, now));
     }
-}
-
-/// The bytes to send after the tap.
-#[derive(Debug)]
-pub(super) enum Tapped {
-    /// The original bytes.
-    Untouched,
-    /// These bytes instead.
-    Replaced(Vec<u8>),
 }
 
 /// A task's subscription to changes.

@@ -1,11 +1,13 @@
 //! One TCP connection: moves bytes between its socket and a session of the core, for either protocol.
 
+use std::borrow::Cow;
 use std::io;
 use std::pin::{Pin, pin};
 use std::sync::Arc;
 use std::time::Duration;
 
 use bcap_core::handler::PeerId;
+use bcap_core::peers::datagrams::SharedState as _;
 use bcap_core::peers::{Exceeded, StreamTimes};
 use bcap_core::time::Instant;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
@@ -15,7 +17,7 @@ use tokio::time::timeout;
 
 use super::activity::Activity;
 use super::limits::Limits;
-use super::shared::{Changes, ServeLocked, ServerState, Tapped};
+use super::shared::{Changes, ServeLocked, ServerState};
 use crate::clock::{now, until};
 use crate::connect::STREAM_ROOM;
 
@@ -246,7 +248,7 @@ impl<H: Send + 'static> Connection<H> {
         let bytes = session.transmit();
         match self.shared.tapped(self.peer, bytes) {
             None => return Ok(Some("the tap closes it")),
-            Some(Tapped::Replaced(replacement)) => {
+            Some(Cow::Owned(replacement)) => {
                 let count = bytes.len();
                 session.transmitted(count);
                 let mut rest = &replacement[..];
@@ -263,7 +265,7 @@ impl<H: Send + 'static> Connection<H> {
                 }
                 return Ok(None);
             }
-            Some(Tapped::Untouched) => {}
+            Some(Cow::Borrowed(_)) => {}
         }
         let bytes = &bytes[..bytes.len().min(TURN)];
         let count = match self.stream.try_write(bytes) {

@@ -16,7 +16,7 @@ use tokio::net::UdpSocket;
 use tokio::sync::watch;
 
 use super::limits::Limits;
-use super::shared::{Changes, ServerState, Tapped};
+use super::shared::{Changes, ServerState};
 use crate::clock::{now, until};
 
 /// The maximum number of open handles of one peer.
@@ -90,10 +90,10 @@ impl<H: Handler + Send + 'static> Peers<H> {
             let progressed = peer.step(&*self.shared, now());
             let bytes = peer.transmit();
             if !bytes.is_empty() {
-                let tapped = self.shared.tapped(peer.id(), bytes).unwrap_or(Tapped::Replaced(Vec::new()));
-                let bytes = if let Tapped::Replaced(replacement) = &tapped { replacement } else { bytes };
-                if !bytes.is_empty()
-                    && let Err(error) = self.socket.send_to(bytes, peer.address()).await
+                // a datagram has no connection to close
+                let tapped = self.shared.tapped(peer.id(), bytes).unwrap_or_default();
+                if !tapped.is_empty()
+                    && let Err(error) = self.socket.send_to(&tapped, peer.address()).await
                 {
                     tracing::debug!(address = %peer.address(), %error, "UDP send");
                 }
