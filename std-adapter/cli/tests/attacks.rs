@@ -141,7 +141,7 @@ fn names_and_values_of_a_controller_do_not_act_on_the_terminal() {
     let robot = ["--robot", robot.as_str()];
     let put = bcap(&[&["put", "S1", hostile], &robot[..]].concat());
     assert_eq!(put.code, 0, "{put:?}");
-    for args in [&["get", "S1"][..], &["names", "files"], &["get", hostile], &["put", "I1", hostile]] {
+    for args in [&["get", "S1"][..], &["names"], &["get", hostile], &["put", "I1", hostile]] {
         for json in [&[][..], &["--json"]] {
             let run = bcap(&[args, &robot[..], json].concat());
             let text = run.out + &run.err;

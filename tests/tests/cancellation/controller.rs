@@ -8,6 +8,7 @@ use std::task::{Context, Poll, Waker};
 use std::time::Duration;
 
 use bcap_core::bcap::call;
+use bcap_core::hresult::HResult;
 use bcap_core::variant::OwnedVariant;
 use bcap_sim::{Config, Controller as Simulated, Profile};
 use bcap_std::asynch::{Arm, Controller, Stopper};
@@ -70,6 +71,11 @@ impl Rig {
                 let mut sim = self.sim.application();
                 sim.advance(bcap_std::now());
                 if sim.arm_owner().is_none() && !sim.is_moving() && !sim.motor_is_on() {
+                    // a motion that the drop has halted is an error of the controller, which its user clears
+                    let errors: Vec<_> = sim.errors().map(|error| error.code).collect();
+                    let is_halted = |code: &HResult| *code == HResult::E_MOTION_STOPPED;
+                    assert!(errors.iter().all(is_halted), "{name} after {turns} turns: {errors:?}");
+                    sim.clear_errors(bcap_std::now());
                     return;
                 }
             }
