@@ -5,41 +5,26 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, CommandFactory as _, Parser, Subcommand};
 
-use crate::commands::backup::diff::Diff;
-use crate::commands::backup::dump::Dump;
-use crate::commands::backup::restore::Restore;
+use crate::commands::backup::{diff::Diff, dump::Dump, restore::Restore};
 use crate::commands::board::Board;
-use crate::commands::calls::call::Call;
-use crate::commands::calls::exec::Exec;
-use crate::commands::doctor::Doctor;
-use crate::commands::doctor::status::Status;
+use crate::commands::calls::{call::Call, exec::Exec};
+use crate::commands::doctor::{Doctor, scan::Scan, status::Status};
 use crate::commands::explain::Explain;
 use crate::commands::files::{Cp, Ls};
 use crate::commands::gateway::Gateway;
-use crate::commands::judge::conform::Conform;
-use crate::commands::judge::fuzz::Fuzz;
+use crate::commands::judge::{conform::Conform, fuzz::Fuzz};
 #[cfg(feature = "screens")]
 use crate::commands::monitor::Monitor;
-use crate::commands::packets::decode::Decode;
-use crate::commands::packets::proxy::Proxy;
-use crate::commands::packets::raw::Raw;
-use crate::commands::packets::replay::Replay;
+use crate::commands::packets::{decode::Decode, proxy::Proxy, raw::Raw, replay::Replay};
 use crate::commands::profile::ProfileArgs;
 use crate::commands::report::ReportArgs;
-use crate::commands::robot::errors::Errors;
-use crate::commands::robot::halt::HaltArgs;
 use crate::commands::robot::jog::{Jog, Teach};
-use crate::commands::robot::log::Log;
-use crate::commands::robot::motion::MoveArgs;
-use crate::commands::robot::recover::Recover;
-use crate::commands::robot::task::Task;
+use crate::commands::robot::{
+    errors::Errors, halt::HaltArgs, log::Log, motion::MoveArgs, recover::Recover, task::Task,
+};
 use crate::commands::sim::args::Sim;
 use crate::commands::slave::args::Slave;
-use crate::commands::variables::get::Get;
-use crate::commands::variables::names::Names;
-use crate::commands::variables::put::Put;
-use crate::commands::variables::rac::Rac;
-use crate::commands::variables::watch::Watch;
+use crate::commands::variables::{get::Get, names::Names, put::Put, rac::Rac, watch::Watch};
 use crate::failure::Failure;
 use crate::link::LinkArgs;
 use crate::output::print_raw;
@@ -81,6 +66,7 @@ pub(crate) enum Command {
     Diff(Diff),
     Restore(Restore),
     Profile(ProfileArgs),
+    Scan(Scan),
     Call(Call),
     Exec(Exec),
     Move(MoveArgs),

@@ -55,33 +55,9 @@ pub(crate) enum Failure {
         /// The number of all variables.
         total: usize,
     },
-    /// Some replies differ from the recorded ones; each has been reported.
-    #[error("{different} of {total} replies differ from the recorded ones")]
-    RepliesDiffer {
-        /// The number of replies that differ.
-        different: usize,
-        /// The number of compared replies.
-        total: usize,
-    },
-    /// Some cases of `bcap conform` failed; each has been reported.
-    #[error("{failed} of {total} cases failed")]
-    CasesFailed {
-        /// The number of failed cases.
-        failed: usize,
-        /// The number of all cases.
-        total: usize,
-    },
-    /// A fuzzer has found faults; each has been reported.
-    #[error("{0} findings")]
-    Findings(usize),
-    /// Some lists of names were refused; each has been reported.
-    #[error("{refused} of {total} lists of names were refused; the output is not complete")]
-    ListsRefused {
-        /// The number of refused lists.
-        refused: usize,
-        /// The number of all lists.
-        total: usize,
-    },
+    /// Replies that differ, failed cases, findings or refused lists; each has been reported.
+    #[error("{0}")]
+    Reported(String),
     /// The connection failed, or the peer sent an invalid or unexpected reply.
     #[error("{message}")]
     Connection {
@@ -191,10 +167,7 @@ impl Failure {
         match self {
             Self::Refused { .. }
             | Self::SomeRefused { .. }
-            | Self::RepliesDiffer { .. }
-            | Self::CasesFailed { .. }
-            | Self::Findings(_)
-            | Self::ListsRefused { .. }
+            | Self::Reported(_)
             | Self::Unfit { .. }
             | Self::Different => 1,
             Self::Input(_) | Self::Item(_) | Self::BadLines(_) | Self::Stdio(_) => 2,
@@ -228,17 +201,7 @@ impl Failure {
             }
             Self::Unfit { code, hint, .. } => hint.as_deref().map(Cow::from).or_else(|| code.and_then(of)),
             Self::Script { failure, .. } | Self::NotCompared(failure) => failure.hint(),
-            Self::Input(_)
-            | Self::Item(_)
-            | Self::BadLines(_)
-            | Self::SomeRefused { .. }
-            | Self::RepliesDiffer { .. }
-            | Self::CasesFailed { .. }
-            | Self::Findings(_)
-            | Self::ListsRefused { .. }
-            | Self::Different
-            | Self::Interrupted(_)
-            | Self::Stdio(_) => None,
+            _ => None,
         }
     }
 
@@ -294,14 +257,7 @@ impl Failure {
         let mut line =
             Line { name, error: escape::cut(self), offset: None, code: None, hresult: None, hint: self.hint() };
         match self {
-            Self::BadLines(_)
-            | Self::SomeRefused { .. }
-            | Self::RepliesDiffer { .. }
-            | Self::CasesFailed { .. }
-            | Self::Findings(_)
-            | Self::ListsRefused { .. } => {
-                return None;
-            }
+            Self::BadLines(_) | Self::SomeRefused { .. } | Self::Reported(_) => return None,
             Self::Item(item) => line.offset = Some(item.offset),
             Self::Refused { code, .. } | Self::Unfit { code: Some(code), .. } => {
                 (line.code, line.hresult) = (Some(code.0), code.name());
@@ -311,14 +267,7 @@ impl Failure {
                     (line.code, line.hresult) = (Some(code.0), code.name());
                 }
             }
-            Self::Input(_)
-            | Self::Connection { .. }
-            | Self::Unexpected { .. }
-            | Self::Timeout { .. }
-            | Self::Unfit { .. }
-            | Self::Different
-            | Self::Interrupted(_)
-            | Self::Stdio(_) => {}
+            _ => {}
         }
         serde_json::to_string(&line).ok()
     }

@@ -288,6 +288,11 @@ impl Interrupt {
         self.received().is_some()
     }
 
+    /// Fails with this message if a signal arrived since the beginning of the line.
+    pub(crate) fn check(&self, message: &str) -> Result<(), Failure> {
+        if self.is_interrupted() { Err(Failure::Interrupted(message.into())) } else { Ok(()) }
+    }
+
     /// Returns whether a signal forbids further calls of a session: its command does not look for signals.
     pub(crate) fn forbids_calls(&self) -> bool {
         let status = self.status();

@@ -101,6 +101,7 @@ pub(crate) fn verb(command: &Command, session: &mut Session, json: bool) -> Resu
         Command::Diff(args) => diff::diff(args, session, json),
         Command::Restore(args) => restore::restore(args, session, json),
         Command::Profile(args) => profile::profile(args, json),
+        Command::Scan(args) => doctor::scan::scan(args, link, json),
         Command::Call(args) if args.is_help() => cli::print_help("call"),
         Command::Call(args) => call::call(args, session, json),
         Command::Exec(args) => exec::exec(args, session, json),

@@ -3,6 +3,7 @@
 use std::io::{self, Write};
 
 use bcap_terminal::escape;
+use serde::Serialize;
 
 /// Prints one line for people.
 pub(crate) fn print_line(line: &str) -> io::Result<()> {
@@ -25,8 +26,9 @@ pub(crate) fn print(line: &str, json: bool) -> io::Result<()> {
 }
 
 /// Prints a result: the object with `--json`, otherwise the line.
-pub(crate) fn print_result(json: bool, object: &serde_json::Value, line: &str) -> io::Result<()> {
-    if json { print_json(&object.to_string()) } else { print_line(line) }
+pub(crate) fn print_result(json: bool, object: &impl Serialize, line: &str) -> io::Result<()> {
+    // serializing strings and numbers cannot fail
+    if json { print_json(&serde_json::to_string(object).unwrap_or_default()) } else { print_line(line) }
 }
 
 /// Prints text as it is, with an end of line: nothing of it may come from outside.

@@ -48,6 +48,7 @@ mod replay;
 #[cfg(unix)]
 mod report;
 #[cfg(unix)]
+mod scan;
 mod screens;
 #[cfg(unix)]
 mod serial;

@@ -1,11 +1,11 @@
 //! `bcap profile`: lists and shows profiles.
 
 use clap::{Args, Subcommand};
-use serde_json::json;
+use serde_json::{Value, json};
 
 use crate::failure::Failure;
 use crate::link::profiles::{Profile, Profiles};
-use crate::output::{print_json, print_line};
+use crate::output::{print_json, print_line, print_result};
 
 /// Lists and shows profiles: connections to controllers under a name
 ///
@@ -54,15 +54,13 @@ pub(crate) fn profile(args: &ProfileArgs, json: bool) -> Result<(), Failure> {
 }
 
 fn list(name: &str, profile: &Profile, json: bool) -> Result<(), Failure> {
-    if json {
-        return Ok(print_json(&line(name, profile))?);
-    }
-    Ok(print_line(&format!("{name}: {}", profile.address().unwrap_or("no address")))?)
+    let shown = format!("{name}: {}", profile.address().unwrap_or("no address"));
+    Ok(print_result(json, &object(name, profile), &shown)?)
 }
 
 fn show(name: &str, profile: &Profile, json: bool) -> Result<(), Failure> {
     if json {
-        return Ok(print_json(&line(name, profile))?);
+        return Ok(print_json(&object(name, profile).to_string())?);
     }
     print_line(&format!("[profile.{name}]"))?;
     for (key, value) in [
@@ -80,7 +78,7 @@ fn show(name: &str, profile: &Profile, json: bool) -> Result<(), Failure> {
     Ok(())
 }
 
-fn line(name: &str, profile: &Profile) -> String {
+fn object(name: &str, profile: &Profile) -> Value {
     let millis = profile.timeout().map(|timeout| u64::try_from(timeout.as_millis()).unwrap_or(u64::MAX));
     json!({
         "name": name,
@@ -91,5 +89,4 @@ fn line(name: &str, profile: &Profile) -> String {
         "rac_port": profile.rac_port,
         "timeout_ms": millis,
     })
-    .to_string()
 }

@@ -34,7 +34,7 @@ pub(crate) struct LinkArgs {
     /// The time limit of the whole command, in ms or with a unit (2s) [default: 3 s for each answer or keep-alive]
     ///
     /// It covers connecting, all calls with their keep-alives, and the end of the session. `watch` and `slave record` apply
-    /// it to each round; `doctor` to each link, and then to all other checks together; `slave play`, `slave cosine`,
+    /// it to each round; `doctor` to each link, and then to all other checks together; `scan` to each port; `slave play`, `slave cosine`,
     /// `gateway`, `replay` and `fuzz` to each answer; `proxy` to connecting; `shell` and `run` to each line. A motion of `move` has
     /// --within instead. Without this option a controller can keep a call alive for 10 s in `halt`, and any other for
     /// 180 s. Over UDP the attempts (--attempts) share the time.
@@ -194,7 +194,12 @@ impl LinkArgs {
 
     /// Limits the whole command even if the user gave no limit.
     pub(crate) fn limited(&self) -> Self {
-        Self { timeout: Some(self.timeout()), ..self.clone() }
+        self.within(DEFAULT_TIMEOUT)
+    }
+
+    /// Limits the whole command to this time unless the user gave a limit.
+    pub(crate) fn within(&self, limit: Duration) -> Self {
+        Self { timeout: self.timeout.or(Some(limit)), ..self.clone() }
     }
 
     /// Limits the whole command, for a halt: to the default limit at least, because Robot_Halt returns when the robot rests.

@@ -7,6 +7,7 @@ use bcap_core::variant::Variant;
 
 use crate::failure::Failure;
 use crate::session::Session;
+use crate::session::variables::all_strings;
 use crate::values::{Value, integer, text};
 
 /// The deepest folder that is read.
@@ -50,7 +51,8 @@ pub(crate) fn list(session: &mut Session, folder: &str) -> Result<Vec<Item>, Fai
         })?
     };
     let mut items = Vec::new();
-    for name in strings(names.as_ref())? {
+    let variant = names.as_ref().map_or(Variant::Empty, Value::as_variant);
+    for name in all_strings(variant).ok_or_else(|| unexpected("", names.as_ref()))? {
         let (own, is_folder) = name.strip_suffix(['\\', '/']).map_or((name.as_str(), false), |own| (own, true));
         let path = if folder.is_empty() { own.to_owned() } else { format!("{folder}/{own}") };
         items.push(Item { path, is_folder, is_unsafe: is_unsafe(own) });
@@ -214,15 +216,6 @@ fn content(session: &mut Session, path: &str, handle: i32) -> Result<Vec<u8>, Fa
     bytes.ok_or_else(|| unexpected(path, value.as_ref()))
 }
 
-fn strings(list: Option<&Value>) -> Result<Vec<String>, Failure> {
-    let names = match list.map(Value::as_variant) {
-        None | Some(Variant::Empty | Variant::Null) => Some(Vec::new()),
-        Some(Variant::Array(array)) => array.iter().map(|name| Some(name.as_bstr()?.to_string())).collect(),
-        Some(_) => None,
-    };
-    names.ok_or_else(|| unexpected("", list))
-}
-
 fn unexpected(path: &str, value: Option<&Value>) -> Failure {
     Failure::Unexpected {
         message: format!("/{path}: the reply carries {}", describe(value)),
@@ -259,27 +252,19 @@ pub(crate) fn last(path: &str) -> &str {
 /// Returns whether a name matches a pattern, where `*` is any text and `?` any character; case does not matter.
 fn matches(pattern: &str, name: &str) -> bool {
     let lower = |text: &str| text.chars().flat_map(char::to_lowercase).collect::<Vec<_>>();
-    let (pattern, name) = (lower(pattern), lower(name));
-    let (mut p, mut n) = (0, 0);
-    // where to go on if the last `*` takes one more character
-    let mut again = None;
-    while n < name.len() {
-        match pattern.get(p) {
-            Some('*') => {
-                again = Some((p, n));
-                p += 1;
+    let name = lower(name);
+    // the lengths of the beginnings of the name that the pattern up to here matches
+    let mut lengths = vec![0];
+    for c in lower(pattern) {
+        lengths = match c {
+            '*' => lengths.first().map_or(0..0, |first| *first..name.len() + 1).collect(),
+            c => {
+                let fits = |length: &usize| name.get(*length).is_some_and(|own| c == '?' || c == *own);
+                lengths.into_iter().filter(fits).map(|length| length + 1).collect()
             }
-            Some(c) if *c == '?' || *c == name[n] => (p, n) = (p + 1, n + 1),
-            _ => match again {
-                Some((star, from)) => {
-                    again = Some((star, from + 1));
-                    (p, n) = (star + 1, from + 1);
-                }
-                None => return false,
-            },
-        }
+        };
     }
-    pattern[p..].iter().all(|c| *c == '*')
+    lengths.last() == Some(&name.len())
 }
 
 #[cfg(test)]

@@ -56,7 +56,7 @@ pub(crate) fn list(session: &mut Session, owner: &ObjectPath, function: Function
 }
 
 /// Returns the strings of a list; `None` if an element is not a string.
-fn all_strings(list: Variant<'_>) -> Option<Vec<String>> {
+pub(crate) fn all_strings(list: Variant<'_>) -> Option<Vec<String>> {
     match list {
         Variant::Empty | Variant::Null => Some(Vec::new()),
         list => list.as_array()?.iter().map(|name| name.as_bstr().map(|name| name.to_string())).collect(),

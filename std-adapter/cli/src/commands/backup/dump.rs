@@ -11,7 +11,7 @@ use serde_json::json;
 use super::controller;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
-use crate::output::{print_json, print_line};
+use crate::output::{print_line, print_result};
 use crate::session::Session;
 use bcap_backup::contents::{Contents, Omission, UserVariable};
 use bcap_backup::folder::Folder;
@@ -59,22 +59,13 @@ pub(crate) fn dump(args: &Dump, session: &mut Session, json: bool) -> Result<(),
 fn print_summary(shown: &str, contents: &Contents, json: bool) -> Result<(), Failure> {
     let Contents { about, variables, system, files, .. } = contents;
     let [variables, system, files] = [variables.len(), system.len(), files.len()];
-    if json {
-        let line = json!({
-            "dir": shown,
-            "variables": variables,
-            "system": system,
-            "files": files,
-            "refused": contents.refused(),
-            "omitted": contents.omitted,
-            "controller": about,
-        });
-        return Ok(print_json(&line.to_string())?);
-    }
-    Ok(print_line(&format!(
-        "{shown}: {variables} variables, {system} system variables and {files} files of {}",
-        about.describe()
-    ))?)
+    let object = json!({
+        "dir": shown, "variables": variables, "system": system, "files": files, "refused": contents.refused(),
+        "omitted": contents.omitted, "controller": about
+    });
+    let of = about.describe();
+    let line = format!("{shown}: {variables} variables, {system} system variables and {files} files of {of}");
+    Ok(print_result(json, &object, &line)?)
 }
 
 fn missing_parts(contents: &Contents) -> String {
@@ -151,8 +142,5 @@ fn show(progress: &mut Progress, part: &str, done: u64, count: u64) {
 
 /// Ends the dump after a signal.
 fn check_signal(interrupt: &Interrupt, shown: &str) -> Result<(), Failure> {
-    if interrupt.is_interrupted() {
-        return Err(Failure::Interrupted(format!("interrupted; run `bcap dump {shown}` again to go on")));
-    }
-    Ok(())
+    interrupt.check(&format!("interrupted; run `bcap dump {shown}` again to go on"))
 }

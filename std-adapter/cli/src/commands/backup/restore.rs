@@ -284,10 +284,7 @@ impl Writing<'_> {
 
     /// Ends the restore between two writes after a signal.
     fn check_signal(&self) -> Result<(), Failure> {
-        if self.interrupt.is_interrupted() {
-            return Err(Failure::Interrupted("interrupted between two writes".into()));
-        }
-        Ok(())
+        self.interrupt.check("interrupted between two writes")
     }
 }
 

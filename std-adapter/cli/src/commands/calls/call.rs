@@ -202,25 +202,17 @@ fn unknown(function: &str) -> Failure {
 
 /// Returns the failure of a refused call: missing arguments and a motion without the arm have special hints.
 fn refused(session: &Session, function: FunctionId, given: usize, code: HResult) -> Failure {
+    let refused = Failure::Refused { doing: usage(function), code };
     let missing = function.argument_names().get(given..).unwrap_or_default().join(", ");
-    if !missing.is_empty() {
-        return Failure::Unfit {
-            message: Failure::Refused { doing: usage(function), code }.to_string(),
-            code: Some(code),
-            hint: Some(format!("arguments are missing: {missing}; `bcap call {function} --help` describes them")),
-        };
-    }
     let moves = [FunctionId::ROBOT_MOVE, FunctionId::ROBOT_DRIVE, FunctionId::ROBOT_ROTATE, FunctionId::ROBOT_GO_HOME];
-    if !moves.contains(&function) || session.has_arm() {
-        return Failure::Refused { doing: usage(function), code };
-    }
-    Failure::Unfit {
-        message: Failure::Refused { doing: usage(function), code }.to_string(),
-        code: Some(code),
-        hint: Some(
-            "this session has not taken the arm, which a motion needs: `bcap move P1` takes it, moves and gives it back; in \
-             `bcap shell` and `bcap run` it stays taken after `exec robot TakeArm 0 1`"
-                .into(),
-        ),
-    }
+    let hint = if !missing.is_empty() {
+        format!("arguments are missing: {missing}; `bcap call {function} --help` describes them")
+    } else if moves.contains(&function) && !session.has_arm() {
+        "this session has not taken the arm, which a motion needs: `bcap move P1` takes it, moves and gives it back; in \
+         `bcap shell` and `bcap run` it stays taken after `exec robot TakeArm 0 1`"
+            .into()
+    } else {
+        return refused;
+    };
+    Failure::Unfit { message: refused.to_string(), code: Some(code), hint: Some(hint) }
 }

@@ -3,8 +3,9 @@
 use std::io;
 
 use bcap_core::bcap::{Command, FunctionId, Properties};
+use serde_json::json;
 
-use crate::output::{print_block, print_json, print_line};
+use crate::output::{print_block, print_result};
 
 /// Prints the help of a function.
 pub(crate) fn function(function: FunctionId) -> io::Result<()> {
@@ -17,14 +18,9 @@ pub(crate) fn function(function: FunctionId) -> io::Result<()> {
 pub(crate) fn list(json: bool) -> io::Result<()> {
     FunctionId::all().try_for_each(|function| {
         let summary = function.help().next().unwrap_or_default();
-        if json {
-            let (name, arguments) = (function.to_string(), function.argument_names());
-            let line = serde_json::json!({
-                "number": function.0, "name": name, "arguments": arguments, "summary": summary
-            });
-            return print_json(&line.to_string());
-        }
-        print_line(&format!("{:>3} {}: {summary}", function.0, usage(function)))
+        let (name, arguments) = (function.to_string(), function.argument_names());
+        let object = json!({ "number": function.0, "name": name, "arguments": arguments, "summary": summary });
+        print_result(json, &object, &format!("{:>3} {}: {summary}", function.0, usage(function)))
     })
 }
 
@@ -42,14 +38,9 @@ pub(crate) fn effects(json: bool) -> io::Result<()> {
 
 fn print_effects(name: &str, properties: Properties, source: Option<&str>, json: bool) -> io::Result<()> {
     let (effect, in_slave_mode) = (properties.effect.name(), properties.in_slave_mode.name());
-    if json {
-        let line = serde_json::json!({
-            "name": name, "effect": effect, "in_slave_mode": in_slave_mode, "source": source
-        });
-        return print_json(&line.to_string());
-    }
+    let object = json!({ "name": name, "effect": effect, "in_slave_mode": in_slave_mode, "source": source });
     let source = source.map(|source| format!("  {source}")).unwrap_or_default();
-    print_line(format!("{name:<44} {effect:<8} {in_slave_mode:<8}{source}").trim_end())
+    print_result(json, &object, format!("{name:<44} {effect:<8} {in_slave_mode:<8}{source}").trim_end())
 }
 
 /// Returns the signature of a function: `Robot_Speed(robot, axis, speed)`.

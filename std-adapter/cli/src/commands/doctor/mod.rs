@@ -19,6 +19,7 @@
 //! slvChangeMode are cleared at once, but only if the controller had no error before, and has no other one now.
 
 mod report;
+pub(crate) mod scan;
 pub(crate) mod status;
 
 use std::time::{Duration, Instant};

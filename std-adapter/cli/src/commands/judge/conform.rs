@@ -14,7 +14,7 @@ use crate::failure::Failure;
 use crate::interrupt::{Interrupt, State};
 use crate::link::{LinkArgs, address};
 use crate::listen::taken;
-use crate::output::{print_block, print_json, print_line};
+use crate::output::{print_block, print_json, print_line, print_result};
 use crate::session::Session;
 use crate::session::connect::not_connected;
 
@@ -241,13 +241,9 @@ fn options(args: &Conform, link: &LinkArgs) -> Result<Options, Failure> {
 /// Prints a case of the list.
 fn list(case: &Case, json: bool) -> io::Result<()> {
     let level = format!("{:?}", case.level()).to_lowercase();
-    if json {
-        let line = serde_json::json!({
-            "name": case.name(), "level": level, "source": case.source(), "rule": case.rule()
-        });
-        return print_json(&line.to_string());
-    }
-    print_line(&format!("{} ({level}): {} [{}]", case.name(), case.rule(), case.source()))
+    let (name, source, rule) = (case.name(), case.source(), case.rule());
+    let object = serde_json::json!({ "name": name, "level": level, "source": source, "rule": rule });
+    print_result(json, &object, &format!("{name} ({level}): {rule} [{source}]"))
 }
 
 fn print(result: &CaseResult, json: bool) -> io::Result<()> {
@@ -286,6 +282,6 @@ fn finish(args: &Conform, json: bool, report: &Report, planned: usize) -> Result
     }
     match report.count(Verdict::Fail) {
         0 => Ok(()),
-        failed => Err(Failure::CasesFailed { failed, total: report.results.len() }),
+        failed => Err(Failure::Reported(format!("{failed} of {} cases failed", report.results.len()))),
     }
 }

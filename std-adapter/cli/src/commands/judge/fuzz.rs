@@ -22,7 +22,7 @@ use crate::commands::robot_ports::{self, RobotPorts};
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::link::LinkArgs;
-use crate::output::{note, print_block, print_json, print_line};
+use crate::output::{note, print_block, print_json, print_line, print_result};
 
 /// Fuzzes a device that you may break: sends valid, nearly valid and hostile sessions, and saves what goes wrong
 ///
@@ -187,14 +187,10 @@ fn run(device: &mut Device<'_>, args: &Fuzz, link: &LinkArgs, json: bool) -> Res
     }
     let ms = began.elapsed().as_millis();
     let totals = Totals { seed: args.seed, sessions, packets: device.packets(), findings: count, ms };
-    if json {
-        // serializing numbers cannot fail
-        print_json(&serde_json::to_string(&totals).unwrap_or_default())?;
-    } else {
-        let Totals { seed, sessions, packets, findings, ms } = totals;
-        print_line(&format!("seed {seed}: {sessions} sessions, {packets} packets, {findings} findings in {ms} ms"))?;
-    }
-    if count == 0 { Ok(()) } else { Err(Failure::Findings(count)) }
+    let Totals { seed, sessions, packets, findings, ms } = &totals;
+    let line = format!("seed {seed}: {sessions} sessions, {packets} packets, {findings} findings in {ms} ms");
+    print_result(json, &totals, &line)?;
+    if count == 0 { Ok(()) } else { Err(Failure::Reported(format!("{count} findings"))) }
 }
 
 /// Runs the steps of a file once.
@@ -208,17 +204,9 @@ fn run_again(device: &mut Device<'_>, steps: &[Step], link: &LinkArgs, json: boo
     let recorder = recording.as_ref().map(|recording| Records(recording.recorder().clone()));
     let found = device.run(steps, recorder.as_ref().map(|recorder| recorder as &dyn wire::Recorder));
     recording.map_or(Ok(()), Recording::finish)?;
-    let shown = match found? {
-        None => return Ok(print_line("no finding")?),
-        Some(finding) => finding,
-    };
-    if json {
-        // serializing strings cannot fail
-        print_json(&serde_json::to_string(&Shown::of(&shown)).unwrap_or_default())?;
-    } else {
-        print_line(&shown.to_string())?;
-    }
-    Err(Failure::Findings(1))
+    let Some(finding) = found? else { return Ok(print_line("no finding")?) };
+    print_result(json, &Shown::of(&finding), &finding.to_string())?;
+    Err(Failure::Reported("1 findings".into()))
 }
 
 impl From<Error> for Failure {

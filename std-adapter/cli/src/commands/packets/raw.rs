@@ -88,16 +88,11 @@ pub(crate) fn raw(args: &Raw, session: &mut Session, json: bool) -> Result<(), F
 /// Parses the packets of the command line or of the lines of the standard input.
 fn packets(words: &[String], role: Role) -> Result<Vec<Vec<u8>>, Failure> {
     let lines;
-    let words = match words {
-        [] => {
-            lines = io::stdin().lock().lines().collect::<Result<Vec<_>, _>>()?;
-            &lines
-        }
-        [dash] if dash == "-" => {
-            lines = io::stdin().lock().lines().collect::<Result<Vec<_>, _>>()?;
-            &lines
-        }
-        words => words,
+    let words = if words.is_empty() || words == ["-"] {
+        lines = io::stdin().lock().lines().collect::<Result<Vec<_>, _>>()?;
+        &lines
+    } else {
+        words
     };
     let mut packets = Vec::new();
     for word in words.iter().filter(|word| !word.trim().is_empty()) {
@@ -301,7 +296,7 @@ impl Talk {
     }
 
     fn check(&self) -> Result<(), Failure> {
-        if self.interrupt.is_interrupted() { Err(Failure::Interrupted("interrupted".into())) } else { Ok(()) }
+        self.interrupt.check("interrupted")
     }
 
     /// Prints a packet: with its bytes, or as `bcap decode --json` does.

@@ -14,7 +14,7 @@ use crate::commands::robot_ports::{self, RobotPorts};
 use crate::failure::Failure;
 use crate::interrupt::{Interrupt, State};
 use crate::link::LinkArgs;
-use crate::output::{print_block, print_json, print_line};
+use crate::output::{print_block, print_json, print_result};
 use crate::session::traffic;
 
 /// Makes the calls of a capture again, and compares the replies
@@ -77,10 +77,8 @@ pub(crate) fn replay(args: &Replay, link: &LinkArgs, json: bool) -> Result<(), F
     let done = made(&plan, &robot, &options, json);
     interrupt.enter(State::Stepping);
     interrupt.dismiss();
-    if interrupt.is_interrupted() {
-        let left = if plan.is_harmless() { "" } else { ": its effects on the robot were ended" };
-        return Err(Failure::Interrupted(format!("interrupted{left}")));
-    }
+    let left = if plan.is_harmless() { "" } else { ": its effects on the robot were ended" };
+    interrupt.check(&format!("interrupted{left}"))?;
     done
 }
 
@@ -91,14 +89,12 @@ fn made(plan: &Plan, robot: &Robot, options: &Options, json: bool) -> Result<(),
         true => print_block(&outcome.to_string()),
         false => Ok(()),
     })?;
-    if json {
-        // serializing numbers cannot fail
-        print_json(&serde_json::to_string(&totals).unwrap_or_default())?;
-    } else {
-        print_line(&totals.to_string())?;
-    }
+    print_result(json, &totals, &totals.to_string())?;
     match totals.differences {
         0 => Ok(()),
-        different => Err(Failure::RepliesDiffer { different, total: totals.compared }),
+        different => {
+            let total = totals.compared;
+            Err(Failure::Reported(format!("{different} of {total} replies differ from the recorded ones")))
+        }
     }
 }

@@ -66,7 +66,6 @@ pub(crate) fn jog(args: &Jog, session: &mut Session, json: bool) -> Result<(), F
     let args = MoveArgs {
         to: format!("the end of the step {axis} {by:+}"),
         line: matches!(axis, Axis::Coordinate(_)),
-        wait: true,
         no_wait: false,
         how: how.clone(),
         step: Some((*axis, *by)),

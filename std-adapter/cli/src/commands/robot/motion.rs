@@ -15,7 +15,7 @@ use crate::commands::robot::destination;
 use crate::commands::robot::silence::Silence;
 use crate::failure::Failure;
 use crate::interrupt::{Interrupt, State};
-use crate::output::{print_json, print_line};
+use crate::output::print_result;
 use crate::session::Session;
 use crate::session::confirm::Question;
 use crate::session::slave_mode::spare;
@@ -48,10 +48,6 @@ pub(crate) struct MoveArgs {
     /// Moves the tool along a line; without it all joints move at the same time
     #[arg(long)]
     pub(crate) line: bool,
-
-    /// Waits for the end of the motion, which is the default
-    #[arg(long, overrides_with = "no_wait")]
-    pub(crate) wait: bool,
 
     /// Returns when the motion has begun. It needs the arm of the session, so only the shell and scripts have it
     #[arg(long)]
@@ -101,8 +97,7 @@ pub(crate) fn motion(args: &MoveArgs, session: &mut Session, json: bool) -> Resu
     }
     let (key, text) = if args.no_wait { ("started", "on the way to") } else { ("arrived", "at") };
     let to = &args.to;
-    let name = serde_json::Value::from(to.as_str());
-    Ok(if json { print_json(&format!("{{\"{key}\":{name}}}")) } else { print_line(&format!("{text} {to}")) }?)
+    Ok(print_result(json, &serde_json::json!({ key: to }), &format!("{text} {to}"))?)
 }
 
 /// Moves the robot after the question. Returns as [`go`].

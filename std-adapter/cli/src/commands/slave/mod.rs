@@ -123,11 +123,9 @@ fn run(
     }
     // from now on a signal stops the stream; an earlier one prevents it
     interrupt.enter(State::Streaming);
-    let streamed = if interrupt.is_interrupted() {
-        Err(Failure::Interrupted("interrupted: nothing was streamed".into()))
-    } else {
-        stream(course, format, args, link, json, interrupt)
-    };
+    let streamed = interrupt
+        .check("interrupted: nothing was streamed")
+        .and_then(|()| stream(course, format, args, link, json, interrupt));
     interrupt.enter(State::Stepping);
     streamed
 }
@@ -137,7 +135,6 @@ fn approach(to: String, percent: f64, link: &LinkArgs) -> Result<(), Failure> {
     let motion = MoveArgs {
         to,
         line: false,
-        wait: true,
         no_wait: false,
         how: MotionArgs { speed: percent, tool: None, work: None, within: APPROACH, prepare: false, yes: true },
         step: None,
@@ -182,8 +179,6 @@ fn confirm(what: &str, session: &mut Session, yes: bool) -> Result<Interrupt, Fa
     let interrupt = session.handle_signals()?;
     let question = Question { what, warning: "The robot will move.", refused: "the robot was not moved" };
     question.confirm(session, yes)?;
-    if interrupt.is_interrupted() {
-        return Err(Failure::Interrupted("interrupted: the robot was not moved".into()));
-    }
+    interrupt.check("interrupted: the robot was not moved")?;
     Ok(interrupt)
 }

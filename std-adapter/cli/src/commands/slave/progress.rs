@@ -32,24 +32,16 @@ impl Monitor {
             .spawn(move || monitor(&link, &shared, &interrupt, &ended, cycles))?;
         Ok(Self { status, done: Some(done), thread: Some(thread) })
     }
+}
 
+impl Drop for Monitor {
     /// Clears the progress from the terminal and ends the thread.
-    pub(crate) fn end(mut self) {
-        self.join();
-    }
-
-    fn join(&mut self) {
+    fn drop(&mut self) {
         drop(self.done.take());
         if let Some(thread) = self.thread.take() {
             // a panic of the thread has printed its message
             let _ = thread.join();
         }
-    }
-}
-
-impl Drop for Monitor {
-    fn drop(&mut self) {
-        self.join();
     }
 }
 

@@ -131,7 +131,7 @@ impl Job<'_> {
             // the fault is reported below; what is left on the robot is ended next
             let _ = run_watched(&mut motion, watch.as_mut(), engine.give_up());
         }
-        monitor.end();
+        drop(monitor);
         let stats = engine.stats().clone();
         player.times.follow(&stats);
         end_left(engine.effects(), fault.as_ref(), watch.as_mut().zip(watching));

@@ -117,7 +117,9 @@ impl Lists<'_> {
             Self { refused: 0, .. } => {
                 Err(Failure::Refused { doing: "the lists of names".into(), code: HResult::E_NOTIMPL })
             }
-            Self { refused, total, .. } => Err(Failure::ListsRefused { refused, total }),
+            Self { refused, total, .. } => Err(Failure::Reported(format!(
+                "{refused} of {total} lists of names were refused; the output is not complete"
+            ))),
         }
     }
 }

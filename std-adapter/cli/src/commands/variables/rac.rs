@@ -86,6 +86,11 @@ fn put(args: &RacPut, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     Ok(print(&shown(&args.name, &value, json), json)?)
 }
 
+/// Reads a variable, to find out whether a server answers.
+pub(crate) fn probe(link: &LinkArgs) -> Result<Value, Failure> {
+    RacLink::open(link)?.get(Variable { kind: VariableKind::I, index: 1 })
+}
+
 /// Returns the variable and the value to write.
 fn value_of(args: &RacPut) -> Result<(Variable, Value), Failure> {
     let variable = variable(&args.name)?;
