@@ -10,7 +10,7 @@ use crate::commands::board::Board;
 use crate::commands::calls::{call::Call, exec::Exec};
 use crate::commands::doctor::{Doctor, scan::Scan, status::Status};
 use crate::commands::explain::Explain;
-use crate::commands::files::{Cp, Ls};
+use crate::commands::files::{Cp, Ls, Rm};
 use crate::commands::gateway::Gateway;
 use crate::commands::judge::{conform::Conform, fuzz::Fuzz};
 #[cfg(feature = "screens")]
@@ -62,6 +62,7 @@ pub(crate) enum Command {
     Names(Names),
     Ls(Ls),
     Cp(Cp),
+    Rm(Rm),
     Dump(Dump),
     Diff(Diff),
     Restore(Restore),

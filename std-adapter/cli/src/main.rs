@@ -97,6 +97,7 @@ pub(crate) fn verb(command: &Command, session: &mut Session, json: bool) -> Resu
         Command::Names(args) => names::names(args, session, json),
         Command::Ls(args) => files::ls(args, session, json),
         Command::Cp(args) => files::cp(args, session, json),
+        Command::Rm(args) => files::rm(args, session, json),
         Command::Dump(args) => dump::dump(args, session, json),
         Command::Diff(args) => diff::diff(args, session, json),
         Command::Restore(args) => restore::restore(args, session, json),

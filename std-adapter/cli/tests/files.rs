@@ -7,6 +7,7 @@ use crate::common::fake::{Fake, usual, value};
 use crate::common::robot::Robot;
 use crate::common::{Run, bcap, command};
 use bcap_core::bcap::FunctionId;
+use bcap_core::hresult::HResult;
 use bcap_sim::{Config, Profile};
 
 /// A robot with files, and a folder of this machine in which the command runs.
@@ -128,6 +129,56 @@ fn nothing_is_overwritten_without_force() {
         cell.refused(&[&["cp"], &sides[..]].concat(), "write robot:/NAME");
     }
     assert_eq!(cell.run(&["cp", "robot:/a"]).code, 2);
+}
+
+#[test]
+fn rm_deletes_files_and_nothing_else() {
+    let cell = Cell::start();
+    assert_eq!(
+        cell.done(&["rm", "robot:/Pro*", "robot:/Pro1.pcs", "--json"]),
+        "{\"deleted\":\"robot:/Pro1.pcs\"}\n{\"deleted\":\"robot:/Pro2.PCS\"}\n"
+    );
+    assert_eq!(cell.done(&["rm", "robot:/Sub/Pro1.pcs"]), "robot:/Sub/Pro1.pcs is deleted\n");
+    for (path, message) in [
+        ("a.txt", "a.txt: write robot:/NAME"),
+        ("robot:/Sub", "/Sub/ is not deleted: write the names of files"),
+        ("robot:/*", "/Sub/ is not deleted"),
+        ("robot:/", "is not deleted"),
+        ("robot:/absent", "robot:/absent: the controller has no such file"),
+    ] {
+        // the first path is right, and is kept as well
+        cell.refused(&["rm", "--yes", "robot:/a.txt", path], message);
+    }
+    assert_eq!(cell.done(&["ls", "--recursive"]), "/Sub/Deep/bytes.dat\n/a.txt\n");
+}
+
+#[test]
+fn rm_asks_about_a_real_controller_and_reports_only_what_is_gone() {
+    let fake = |remains: bool| {
+        let mut is_deleted = false;
+        let files = std::sync::Mutex::new(move |request: &bcap_core::bcap::Frame<'_>| match request.function() {
+            FunctionId::CONTROLLER_GET_FILE_NAMES => value(vec!["a.pcs".to_owned()]),
+            FunctionId::CONTROLLER_GET_FILE if is_deleted && !remains => HResult::E_CAO_OBJECT_NOTFOUND.into(),
+            FunctionId::CONTROLLER_GET_FILE => value(5),
+            FunctionId::FILE_DELETE => {
+                is_deleted = true;
+                HResult::S_OK.into()
+            }
+            _ => usual(request),
+        });
+        Fake::tcp(move |request| files.lock().unwrap()(request))
+    };
+    let deletes = |fake: &Fake| fake.seen().iter().filter(|call| call.starts_with("FileDelete")).count();
+    let asked = fake(false);
+    let run = bcap(&["rm", "robot:/a.pcs", "--robot", &asked.address]);
+    let question = format!("{} deletes 1 files: robot:/a.pcs: cannot ask for confirmation", asked.address);
+    assert!(run.code == 2 && run.err.contains(&question), "{run:?}");
+    assert_eq!(deletes(&asked), 0);
+    let run = bcap(&["rm", "--yes", "robot:/a.pcs", "--robot", &asked.address]);
+    assert_eq!((run.out.as_str(), run.code, deletes(&asked)), ("robot:/a.pcs is deleted\n", 0, 1), "{run:?}");
+    let kept = fake(true);
+    let run = bcap(&["rm", "--yes", "robot:/a.pcs", "--robot", &kept.address]);
+    assert!(run.code == 1 && run.out.is_empty() && run.err.contains("still has the file"), "{run:?}");
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! `bcap ls` and `bcap cp`: the files of a controller.
+//! `bcap ls`, `bcap cp` and `bcap rm`: the files of a controller.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -9,6 +9,7 @@ use clap::Args;
 
 use crate::failure::{Failure, of_file};
 use crate::output::{print_json, print_line, print_result};
+use crate::session::confirm::Question;
 use crate::session::remote_files::Item;
 use crate::session::slave_mode::spare;
 use crate::session::{Session, remote_files};
@@ -69,14 +70,83 @@ pub(crate) struct Cp {
     pub(crate) recursive: bool,
 }
 
+/// Deletes files of the controller
+///
+/// A path may have the wildcards * and ?; quote them. Folders are not deleted. All files are found first, and a real controller is
+/// changed only after a question, or with --yes; without a terminal the question cannot be asked, so --yes is needed.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap rm robot:/Pro2.pcs
+  bcap rm --yes 'robot:/*.bak'")]
+pub(crate) struct Rm {
+    /// The files, such as robot:/Pro2.pcs
+    #[arg(value_name = "ROBOT_FILE", required = true)]
+    pub(crate) paths: Vec<String>,
+
+    /// Deletes without asking for confirmation
+    #[arg(long)]
+    pub(crate) yes: bool,
+}
+
+/// Runs `bcap rm`.
+pub(crate) fn rm(args: &Rm, session: &mut Session, json: bool) -> Result<(), Failure> {
+    // the session of the shell stays open during the question, and a lost one stays lost
+    let is_own = !session.is_open() && !session.is_lost();
+    let found = to_delete(&args.paths, session);
+    if is_own {
+        session.close();
+    }
+    let files = found?;
+    let shown: Vec<String> = files.iter().map(|path| format!("robot:/{path}")).collect();
+    let what = format!("{} deletes {} files: {}", session.link().target()?, files.len(), shown.join(", "));
+    let question = Question { what: &what, warning: "Nothing restores them.", refused: "nothing was deleted" };
+    question.confirm(session, args.yes)?;
+    session.begin()?;
+    spare(session, FunctionId::FILE_DELETE, None)?;
+    for (path, shown) in files.iter().zip(shown) {
+        remote_files::delete(session, path)?;
+        print_result(json, &serde_json::json!({ "deleted": shown }), &format!("{shown} is deleted"))?;
+    }
+    Ok(())
+}
+
+/// Returns the files that `bcap rm` deletes.
+fn to_delete(paths: &[String], session: &mut Session) -> Result<BTreeSet<String>, Failure> {
+    let patterns = paths.iter().map(|path| match Place::parse(path) {
+        Place::Remote(pattern) => Ok(pattern),
+        Place::Local(_) => {
+            Err(Failure::Input(format!("{path}: write robot:/NAME; only files of the controller are deleted")))
+        }
+    });
+    let files = found(session, &patterns.collect::<Result<Vec<_>, _>>()?)?;
+    match files.iter().find(|item| item.is_folder || item.is_unsafe) {
+        Some(item) => Err(Failure::Input(format!("{} is not deleted: write the names of files", item.shown()))),
+        None => Ok(files.into_iter().map(|item| item.path).collect()),
+    }
+}
+
+/// Returns what matches each path of the controller; a path without a match is an error.
+fn found(session: &mut Session, patterns: &[String]) -> Result<Vec<Item>, Failure> {
+    session.begin()?;
+    spare(session, FunctionId::CONTROLLER_GET_FILE_NAMES, None)?;
+    let mut found = Vec::new();
+    for pattern in patterns {
+        let items = remote_files::find(session, pattern)?;
+        if items.is_empty() {
+            return Err(not_found(pattern));
+        }
+        found.extend(items);
+    }
+    Ok(found)
+}
+
 /// Runs `bcap ls`.
 pub(crate) fn ls(args: &Ls, session: &mut Session, json: bool) -> Result<(), Failure> {
     let path = match Place::parse(&args.path) {
         Place::Remote(path) => path,
         Place::Local(path) => remote_files::normal(&path.to_string_lossy()),
     };
-    session.begin()?;
-    spare(session, FunctionId::CONTROLLER_GET_FILE_NAMES, None)?;
     for item in listed(session, &path, args.recursive)? {
         let size = if args.long && !item.is_folder && !item.is_unsafe {
             Some(remote_files::size(session, &item.path)?)
@@ -90,10 +160,7 @@ pub(crate) fn ls(args: &Ls, session: &mut Session, json: bool) -> Result<(), Fai
 
 /// Returns the content of a folder, or what matches a path with wildcards.
 fn listed(session: &mut Session, path: &str, recursive: bool) -> Result<Vec<Item>, Failure> {
-    let found = remote_files::find(session, path)?;
-    if found.is_empty() {
-        return Err(not_found(path));
-    }
+    let found = found(session, &[path.to_owned()])?;
     let with_wildcards = path.contains(['*', '?']);
     let mut items = Vec::new();
     for item in found {
@@ -167,16 +234,7 @@ struct Copying<'a> {
 
 impl Copying<'_> {
     fn download(&mut self, patterns: &[String], to: &Path, into: bool) -> Result<(), Failure> {
-        self.session.begin()?;
-        spare(self.session, FunctionId::CONTROLLER_GET_FILE_NAMES, None)?;
-        let mut found = Vec::new();
-        for pattern in patterns {
-            let items = remote_files::find(self.session, pattern)?;
-            if items.is_empty() {
-                return Err(not_found(pattern));
-            }
-            found.extend(items);
-        }
+        let found = found(self.session, patterns)?;
         let into = into || to.is_dir() || found.len() > 1;
         let mut copies: Vec<(String, PathBuf)> = Vec::new();
         let (mut skipped, found): (Vec<_>, Vec<_>) = found.into_iter().partition(|item| item.is_unsafe);

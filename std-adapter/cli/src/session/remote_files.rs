@@ -143,6 +143,20 @@ pub(crate) fn write(session: &mut Session, path: &str, bytes: &[u8]) -> Result<(
     })
 }
 
+/// Deletes a file, and asks whether it still exists.
+pub(crate) fn delete(session: &mut Session, path: &str) -> Result<(), Failure> {
+    with_file(session, path, Kind::File, |session, handle| {
+        session.call(&format!("/{path}"), FunctionId::FILE_DELETE, &[integer(handle)?, text("")?]).map(drop)
+    })?;
+    if exists(session, path)? {
+        return Err(Failure::unfit(
+            format!("/{path}: the controller still has the file"),
+            "list the files with `bcap ls`",
+        ));
+    }
+    Ok(())
+}
+
 /// Makes the folders above a file, if they do not exist.
 pub(crate) fn make_folders(session: &mut Session, path: &str) -> Result<(), Failure> {
     for (end, _) in path.match_indices('/') {

@@ -176,7 +176,7 @@ impl Checker {
 /// Runs lines, one after the other, over one session.
 pub(crate) struct Runner {
     variables: HashMap<String, String>,
-    interrupt: Interrupt,
+    pub(crate) interrupt: Interrupt,
     verb: Verb,
     json: bool,
 }
@@ -185,26 +185,6 @@ impl Runner {
     pub(crate) fn new(interrupt: Interrupt, verb: Verb, json: bool) -> Self {
         interrupt.set_going_on();
         Self { variables: HashMap::new(), interrupt, verb, json }
-    }
-
-    /// Forgets the signals before the next line.
-    pub(crate) fn begin(&self) {
-        self.interrupt.begin();
-    }
-
-    /// Returns whether a signal has arrived since the last line began.
-    pub(crate) fn is_interrupted(&self) -> bool {
-        self.interrupt.is_interrupted()
-    }
-
-    /// Suspends the process if SIGTSTP has ended the line.
-    pub(crate) fn suspend_if_requested(&self) {
-        let _ = self.interrupt.suspend_if_requested();
-    }
-
-    /// Returns whether a signal has ended the command.
-    pub(crate) fn is_ended(&self) -> bool {
-        self.interrupt.is_ended()
     }
 
     /// Runs a line. After an interruption the robot is halted and the arm given back.
@@ -259,9 +239,7 @@ impl Runner {
     fn command(&mut self, line: &Line, session: &mut Session) -> Result<Flow, Failure> {
         let json = self.json || line.json;
         match &line.command {
-            LineCommand::Verb(command) if matches!(**command, Command::Shell(_)) => {
-                return Err(no_shell());
-            }
+            LineCommand::Verb(command) if matches!(**command, Command::Shell(_)) => return Err(no_shell()),
             LineCommand::Verb(command) => (self.verb)(command, session, json)?,
             LineCommand::Set { name, value } => set(&mut self.variables, name, value)?,
             LineCommand::Sleep { time } => self.interrupt.sleep(*time)?,
@@ -372,13 +350,8 @@ fn number(value: Variant<'_>) -> Option<f64> {
 }
 
 fn expect(condition: &Condition, session: &mut Session) -> Result<(), Failure> {
-    match condition.check(session)? {
-        Ok(()) => Ok(()),
-        Err(found) => {
-            let message = format!("expected {condition}, found {found}");
-            Err(Failure::Unfit { message, code: None, hint: None })
-        }
-    }
+    let message = |found| format!("expected {condition}, found {found}");
+    condition.check(session)?.map_err(|found| Failure::Unfit { message: message(found), code: None, hint: None })
 }
 
 /// Returns whether a command may take the arm or move the robot.

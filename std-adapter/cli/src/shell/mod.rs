@@ -98,10 +98,10 @@ fn read_lines(
     loop {
         let prompt = format!("{}> ", prompt(&mut locked(shared)));
         // Ctrl-C after the end of the last line, while the state for the prompt was read
-        if runner.is_interrupted() {
+        if runner.interrupt.is_interrupted() {
             report(stop(&mut locked(shared)), json);
-            runner.suspend_if_requested();
-            runner.begin();
+            runner.interrupt.suspend_if_requested();
+            runner.interrupt.begin();
         }
         let line = match editor.readline(&prompt) {
             Ok(line) => line,
@@ -117,7 +117,7 @@ fn read_lines(
         }
         // a line that cannot be kept is run all the same
         let _ = editor.add_history_entry(&line);
-        runner.begin();
+        runner.interrupt.begin();
         let (done, is_open) = {
             let mut session = locked(shared);
             let done = runner.run(&line, &mut session);
@@ -133,8 +133,8 @@ fn read_lines(
                 }
             }
         }
-        runner.suspend_if_requested();
-        if runner.is_ended() {
+        runner.interrupt.suspend_if_requested();
+        if runner.interrupt.is_ended() {
             return Err(Failure::Interrupted("ended by a signal; the arm was given back".into()));
         }
     }

@@ -120,7 +120,7 @@ fn run_each(
         if line != Err(RecvTimeoutError::Timeout) {
             number = number.saturating_add(1);
         }
-        if runner.is_interrupted() {
+        if runner.interrupt.is_interrupted() {
             session.give_arm()?;
             return Err(Failure::Interrupted(format!("{name}:{number}: interrupted before this line")));
         }

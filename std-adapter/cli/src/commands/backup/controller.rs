@@ -24,63 +24,15 @@ use bcap_backup::contents::{About, Contents, Omission, Part, UserVariable};
 use bcap_capture::value::named::Entry;
 
 /// The usual system variables, for a controller that does not list its own, or not over UDP.
-const CONTROLLER: [&str; 29] = [
-    "@MODE",
-    "@LOCK",
-    "@TIME",
-    "@CURRENT_TIME",
-    "@BUSY_STATUS",
-    "@TSR_BUSY_STATUS",
-    "@NORMAL_STATUS",
-    "@ERROR_CODE",
-    "@ERROR_CODE_HEX",
-    "@ERROR_DESCRIPTION",
-    "@EMERGENCY_STOP",
-    "@DEADMAN_SW",
-    "@AUTO_ENABLE",
-    "@PROTECTIVE_STOP",
-    "@MAKER_NAME",
-    "@TYPE",
-    "@VERSION",
-    "@FIRMWARE",
-    "@SERIAL_NO",
-    "@IO_ALLOC_MODE",
-    "@VAR_I_LEN",
-    "@VAR_F_LEN",
-    "@VAR_D_LEN",
-    "@VAR_V_LEN",
-    "@VAR_P_LEN",
-    "@VAR_J_LEN",
-    "@VAR_T_LEN",
-    "@VAR_S_LEN",
-    "@VAR_IO_LEN",
-];
-const ROBOT: [&str; 24] = [
-    "@CURRENT_POSITION",
-    "@CURRENT_ANGLE",
-    "@CURRENT_TRANS",
-    "@DEST_POSITION",
-    "@DEST_ANGLE",
-    "@DEST_TRANS",
-    "@SERVO_ON",
-    "@BUSY_STATUS",
-    "@TYPE_NAME",
-    "@TYPE",
-    "@CURRENT_TOOL",
-    "@CURRENT_WORK",
-    "@SPEED",
-    "@ACCEL",
-    "@DECEL",
-    "@JSPEED",
-    "@JACCEL",
-    "@JDECEL",
-    "@HIGH_CURRENT_POSITION",
-    "@HIGH_CURRENT_ANGLE",
-    "@HIGH_CURRENT_TRANS",
-    "@EXTSPEED",
-    "@EXTACCEL",
-    "@EXTDECEL",
-];
+const CONTROLLER: &str = "\
+    @MODE @LOCK @TIME @CURRENT_TIME @BUSY_STATUS @TSR_BUSY_STATUS @NORMAL_STATUS @ERROR_CODE @ERROR_CODE_HEX \
+    @ERROR_DESCRIPTION @EMERGENCY_STOP @DEADMAN_SW @AUTO_ENABLE @PROTECTIVE_STOP @MAKER_NAME @TYPE @VERSION \
+    @FIRMWARE @SERIAL_NO @IO_ALLOC_MODE @VAR_I_LEN @VAR_F_LEN @VAR_D_LEN @VAR_V_LEN @VAR_P_LEN @VAR_J_LEN \
+    @VAR_T_LEN @VAR_S_LEN @VAR_IO_LEN";
+const ROBOT: &str = "\
+    @CURRENT_POSITION @CURRENT_ANGLE @CURRENT_TRANS @DEST_POSITION @DEST_ANGLE @DEST_TRANS @SERVO_ON @BUSY_STATUS \
+    @TYPE_NAME @TYPE @CURRENT_TOOL @CURRENT_WORK @SPEED @ACCEL @DECEL @JSPEED @JACCEL @JDECEL \
+    @HIGH_CURRENT_POSITION @HIGH_CURRENT_ANGLE @HIGH_CURRENT_TRANS @EXTSPEED @EXTACCEL @EXTDECEL";
 
 /// Reads type, version and serial number: the first step of each command, which fails while a stream of Slave Mode runs.
 pub(super) fn about(session: &mut Session) -> Result<About, Failure> {
@@ -264,16 +216,16 @@ pub(super) fn system_names(session: &mut Session, omitted: &mut Vec<Omission>) -
     use FunctionId as F;
     let controller = ObjectPath::controller();
     let mut names = BTreeSet::new();
-    let mut add = |owner: &ObjectPath, listed: Option<Vec<String>>, usual: &[&str]| {
-        let usual = || usual.iter().map(|name| (*name).to_owned()).collect();
+    let mut add = |owner: &ObjectPath, listed: Option<Vec<String>>, usual: &str| {
+        let usual = || usual.split_whitespace().map(str::to_owned).collect();
         let own = listed.unwrap_or_else(usual).into_iter().filter(|name| !is_user_variable(name));
         names.extend(own.map(|name| owner.clone().join(Object::Variable, name).to_string()));
     };
     let listed = listed(session, &controller, F::CONTROLLER_GET_VARIABLE_NAMES)?;
-    add(&controller, listed, &CONTROLLER);
+    add(&controller, listed, CONTROLLER);
     let owners = [
-        (Object::Robot, F::CONTROLLER_GET_ROBOT_NAMES, F::ROBOT_GET_VARIABLE_NAMES, &ROBOT[..]),
-        (Object::Task, F::CONTROLLER_GET_TASK_NAMES, F::TASK_GET_VARIABLE_NAMES, &["@STATUS", "@PRIORITY"]),
+        (Object::Robot, F::CONTROLLER_GET_ROBOT_NAMES, F::ROBOT_GET_VARIABLE_NAMES, ROBOT),
+        (Object::Task, F::CONTROLLER_GET_TASK_NAMES, F::TASK_GET_VARIABLE_NAMES, "@STATUS @PRIORITY"),
     ];
     for (object, list_owners, list_variables, usual) in owners {
         let owners = match list(session, &controller, list_owners) {

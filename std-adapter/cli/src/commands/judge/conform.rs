@@ -5,18 +5,17 @@ use std::net::SocketAddr;
 use std::time::Duration;
 
 use bcap_conform::{Case, CaseResult, ClientJudge, Group, Level, Link, Options, Report, Target, Verdict};
-use bcap_std::{NetworkAddress, Protocol, blocking};
+use bcap_std::Protocol;
 use clap::{Args, ValueEnum};
 
 use crate::commands::judge::Recovery;
-use crate::commands::robot_ports::host;
+use crate::commands::robot_ports::{self, RobotPorts};
 use crate::failure::Failure;
 use crate::interrupt::{Interrupt, State};
-use crate::link::{LinkArgs, address};
+use crate::link::LinkArgs;
 use crate::listen::taken;
 use crate::output::{print_block, print_json, print_line, print_result};
 use crate::session::Session;
-use crate::session::connect::not_connected;
 
 /// Judges a controller, a gateway or another server by the cases of the specifications and by answers of real controllers, or a
 /// client
@@ -205,18 +204,13 @@ fn chosen(args: &Conform) -> Result<Vec<&'static Case>, Failure> {
 
 fn options(args: &Conform, link: &LinkArgs) -> Result<Options, Failure> {
     let bcap = link.untraced()?.network_target()?;
-    let rac = args.robot_rac.clone().unwrap_or_else(|| host(&bcap));
-    let rac = address::rac(Some(&rac), None, link.rac_port())?;
-    let resolve = |address: &NetworkAddress| {
-        let found = blocking::resolve(address, Some(link.timeout()))
-            .map_err(|error| not_connected(&error, &bcap_std::Address::Network(address.clone())))?;
-        found.first().copied().ok_or_else(|| Failure::Input(format!("{address} has no address")))
-    };
+    let robot = robot_ports::resolve(&RobotPorts { robot_udp: None, robot_rac: args.robot_rac.clone() }, link)?;
     let over = match bcap.protocol {
         Protocol::Tcp => Link::Tcp,
         Protocol::Udp => Link::Udp,
     };
-    let target = Target { bcap: Some((over, resolve(&bcap)?)), rac: Some(resolve(&rac)?) };
+    // the same host and port over both protocols
+    let target = Target { bcap: Some((over, robot.udp)), rac: robot.rac.first().copied() };
     Ok(Options {
         level: match args.level {
             LevelArg::Read => Level::Read,

@@ -44,14 +44,11 @@ fn play(args: &Play, session: &mut Session, json: bool) -> Result<(), Failure> {
     let poses =
         Poses::read(&args.file, args.stream.pose, args.stream.format.extended, args.hz).map_err(Failure::Input)?;
     let format = checked_format(&args.stream, poses.kind, link)?;
-    poses
-        .check_outputs(args.stream.format.send_format)
-        .map_err(|problem| Failure::Input(format!("{}: {problem}", args.file.display())))?;
+    let invalid = |problem: String| Failure::Input(format!("{}: {problem}", args.file.display()));
+    poses.check_outputs(args.stream.format.send_format).map_err(invalid)?;
     let outputs = poses.each_outputs(CYCLE);
     let course = Course::Poses { poses: poses.each_cycle(CYCLE), outputs, loops: args.loops };
-    course
-        .check(&stream::limits(&args.stream))
-        .map_err(|problem| Failure::Input(format!("{}: {problem}", args.file.display())))?;
+    course.check(&stream::limits(&args.stream)).map_err(invalid)?;
     let approach = match args.approach.zip(poses.first()) {
         Some((percent, first)) => Some((start_text(&first)?, percent)),
         None => None,
