@@ -71,6 +71,27 @@ fn values_are_written_with_the_type_of_their_variable() {
 }
 
 #[test]
+fn raw_lines_are_sent_as_they_are() {
+    let (address, seen) = server(|line| if line.contains("\u{e9}") { "-2147024809,\u{1b}[31m\r\n" } else { "0,3,7\r" });
+    let run = bcap(&["rac", "raw", "\u{e9} :", "GET:RC8:1:I:", "--robot", &address]);
+    assert_eq!((run.out.as_str(), run.err.as_str(), run.code), ("-2147024809,\\u{1b}[31m\n0,3,7\n", "", 0));
+    assert_eq!(*seen.lock().unwrap(), ["\u{e9} :\r", "GET:RC8:1:I:\r"]);
+    let run = bcap(&["rac", "raw", "--json", "x", "--robot", &address]);
+    assert_eq!(run.out, "{\"answer\":\"0,3,7\",\"line\":\"x\"}\n");
+    for line in ["", "a\rb", "a\n"] {
+        let run = bcap(&["rac", "raw", "x", line, "--robot", &address]);
+        assert!(run.code == 2 && run.out.is_empty() && run.err.contains("is not one line"), "{run:?}");
+    }
+    assert_eq!(seen.lock().unwrap().len(), 3);
+    let silent = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    assert_eq!(bcap(&["rac", "raw", "x", "--robot", &silent.to_string()]).code, 3);
+    let silent = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = silent.local_addr().unwrap().to_string();
+    let run = bcap(&["rac", "raw", "x", "--timeout", "50", "--robot", &address]);
+    assert!(run.code == 4 && run.err.contains("did not answer x within"), "{run:?}");
+}
+
+#[test]
 fn failures_have_their_exit_codes() {
     let (address, _) = server(|_| "-2147024809\r");
     let run = bcap(&["rac", "get", "I1", "--robot", &address]);

@@ -15,7 +15,7 @@ use bcap_testkit::restart::Restarter;
 use bcap_testkit::step::Step;
 use bcap_testkit::wire::{self, Link, Tape};
 use clap::Args;
-use serde::Serialize;
+use serde_json::{Value, json};
 
 use crate::commands::judge::Recovery;
 use crate::commands::robot_ports::{self, RobotPorts};
@@ -185,10 +185,9 @@ fn run(device: &mut Device<'_>, args: &Fuzz, link: &LinkArgs, json: bool) -> Res
     if !answers {
         note(&format!("the device has not answered for {} ms, so the run ends", args.recovery.wait.as_millis()));
     }
-    let ms = began.elapsed().as_millis();
-    let totals = Totals { seed: args.seed, sessions, packets: device.packets(), findings: count, ms };
-    let Totals { seed, sessions, packets, findings, ms } = &totals;
-    let line = format!("seed {seed}: {sessions} sessions, {packets} packets, {findings} findings in {ms} ms");
+    let (seed, packets, ms) = (args.seed, device.packets(), millis(began.elapsed()));
+    let totals = json!({ "seed": seed, "sessions": sessions, "packets": packets, "findings": count, "ms": ms });
+    let line = format!("seed {seed}: {sessions} sessions, {packets} packets, {count} findings in {ms} ms");
     print_result(json, &totals, &line)?;
     if count == 0 { Ok(()) } else { Err(Failure::Reported(format!("{count} findings"))) }
 }
@@ -205,7 +204,7 @@ fn run_again(device: &mut Device<'_>, steps: &[Step], link: &LinkArgs, json: boo
     let found = device.run(steps, recorder.as_ref().map(|recorder| recorder as &dyn wire::Recorder));
     recording.map_or(Ok(()), Recording::finish)?;
     let Some(finding) = found? else { return Ok(print_line("no finding")?) };
-    print_result(json, &Shown::of(&finding), &finding.to_string())?;
+    print_result(json, &object(&finding), &finding.to_string())?;
     Err(Failure::Reported("1 findings".into()))
 }
 
@@ -279,53 +278,23 @@ fn text(saved: &Saved) -> String {
     )
 }
 
-/// A finding as a line of JSON.
-#[derive(Serialize)]
-struct Shown<'a> {
-    kind: &'static str,
-    subject: &'a str,
-    detail: &'a str,
-}
-
-impl<'a> Shown<'a> {
-    fn of(finding: &'a Finding) -> Self {
-        Self { kind: finding.kind.name(), subject: &finding.subject, detail: &finding.detail }
-    }
-}
-
-#[derive(Serialize)]
-struct SavedLine<'a> {
-    #[serde(flatten)]
-    finding: Shown<'a>,
-    session: u64,
-    after_ms: u128,
-    repeatable: bool,
-    steps: usize,
-    file: String,
-    capture: Option<String>,
+/// A finding as JSON.
+fn object(finding: &Finding) -> Value {
+    json!({ "kind": finding.kind.name(), "subject": finding.subject, "detail": finding.detail })
 }
 
 fn line(saved: &Saved) -> String {
     let capture = Some(&saved.files.capture).filter(|path| path.exists());
-    let line = SavedLine {
-        finding: Shown::of(&saved.finding),
-        session: saved.session,
-        after_ms: saved.after.as_millis(),
-        repeatable: saved.is_repeatable,
-        steps: saved.steps,
-        file: saved.files.steps.display().to_string(),
-        capture: capture.map(|path| path.display().to_string()),
-    };
-    // serializing strings and numbers cannot fail
-    serde_json::to_string(&line).unwrap_or_default()
+    let mut line = object(&saved.finding);
+    line["session"] = saved.session.into();
+    line["after_ms"] = millis(saved.after).into();
+    line["repeatable"] = saved.is_repeatable.into();
+    line["steps"] = saved.steps.into();
+    line["file"] = saved.files.steps.display().to_string().into();
+    line["capture"] = capture.map(|path| path.display().to_string()).into();
+    line.to_string()
 }
 
-/// The numbers at the end.
-#[derive(Serialize)]
-struct Totals {
-    seed: u64,
-    sessions: u64,
-    packets: u64,
-    findings: usize,
-    ms: u128,
+fn millis(time: Duration) -> u64 {
+    u64::try_from(time.as_millis()).unwrap_or(u64::MAX)
 }

@@ -1,18 +1,20 @@
-//! `bcap rac`: variables over RAC, the text protocol.
+//! `bcap rac`: variables and lines over RAC, the text protocol.
 
+use std::io;
 use std::net::SocketAddr;
+use std::time::Duration;
 
 use bcap_capture::trace::{Traced, Wire};
-use bcap_core::rac::client::{ClientError, Config};
-use bcap_core::rac::{MAX_VALUE, Variable, VariableKind};
-use bcap_std::blocking::{self, RacConnection};
+use bcap_core::rac::client::{ClientError, Config, Timeout};
+use bcap_core::rac::{LineFramer, MAX_LINE, MAX_VALUE, Variable, VariableKind};
+use bcap_std::blocking::{self, RacConnection, Transport};
 use bcap_std::{Address, Options, RacError};
 use clap::{Args, Subcommand};
 
 use crate::commands::variables::get::{Get, print_each};
 use crate::failure::Failure;
 use crate::link::LinkArgs;
-use crate::output::print;
+use crate::output::{print, print_result};
 use crate::session::budget::Budget;
 use crate::session::connect::{broken, connect, exhausted};
 use crate::session::selection::{Selection, expand_offline};
@@ -29,7 +31,8 @@ use bcap_capture::value::named::shown;
 #[command(after_help = "\
 Examples:
   bcap rac --robot 192.168.0.1 get I1 P10
-  bcap rac --robot 192.168.0.1:5006 put S1 'hello, world'")]
+  bcap rac --robot 192.168.0.1:5006 put S1 'hello, world'
+  bcap rac raw GET:RC8:1:I: PUT:RC8:1:I:3,5")]
 pub(crate) struct Rac {
     #[command(subcommand)]
     pub(crate) command: RacCommand,
@@ -41,6 +44,12 @@ pub(crate) enum RacCommand {
     Get(Get),
     /// Writes a variable
     Put(RacPut),
+    /// Sends lines as they are written, each with a CR, and prints the answer to each; the exit code is 0 for any answer
+    Raw {
+        /// The lines
+        #[arg(value_name = "LINE", required = true)]
+        lines: Vec<String>,
+    },
 }
 
 #[derive(Debug, Args)]
@@ -57,11 +66,12 @@ pub(crate) struct RacPut {
     pub(crate) typed: bool,
 }
 
-/// Runs `bcap rac get` or `bcap rac put`.
+/// Runs `bcap rac`.
 pub(crate) fn rac(args: &Rac, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     match &args.command {
         RacCommand::Get(args) => get(args, link, json),
         RacCommand::Put(args) => put(args, link, json),
+        RacCommand::Raw { lines } => raw(lines, link, json),
     }
 }
 
@@ -70,6 +80,7 @@ pub(crate) fn check(args: &Rac) -> Result<(), Failure> {
     match &args.command {
         RacCommand::Get(args) => Selection::parse_each(&args.names).map(drop),
         RacCommand::Put(args) => value_of(args).map(drop),
+        RacCommand::Raw { lines } => check_lines(lines),
     }
 }
 
@@ -84,6 +95,51 @@ fn put(args: &RacPut, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let (variable, value) = value_of(args)?;
     RacLink::open(link)?.put(variable, &value)?;
     Ok(print(&shown(&args.name, &value, json), json)?)
+}
+
+fn raw(lines: &[String], link: &LinkArgs, json: bool) -> Result<(), Failure> {
+    check_lines(lines)?;
+    let RacLink { client, target, budget } = RacLink::open(link)?;
+    let mut transport = client.into_parts().0;
+    let mut framer = Box::new(LineFramer::<MAX_LINE>::new());
+    for line in lines {
+        let answer = exchange(line, &mut transport, &mut framer, budget.share(1));
+        let answer = answer.map_err(|error| failed(error, line, &target, &budget))?;
+        print_result(json, &serde_json::json!({ "line": line, "answer": answer }), &answer)?;
+    }
+    Ok(())
+}
+
+/// Refuses lines that are none or several on the wire, whose answers could not be told apart.
+fn check_lines(lines: &[String]) -> Result<(), Failure> {
+    let wrong = lines.iter().find(|line| line.is_empty() || line.contains(['\r', '\n']));
+    wrong
+        .map_or(Ok(()), |line| Err(Failure::Input(format!("{line:?} is not one line: write its text without its end"))))
+}
+
+/// Sends a line, and returns the answer.
+fn exchange(
+    line: &str,
+    transport: &mut impl Transport<Error = io::Error>,
+    framer: &mut LineFramer<MAX_LINE>,
+    limit: Duration,
+) -> Result<String, RacError> {
+    let until = transport.now() + limit;
+    let late = || RacError::Client(ClientError::Timeout(Timeout::Reply));
+    let request = format!("{line}\r");
+    let mut rest = request.as_bytes();
+    while !rest.is_empty() {
+        let sent = transport.send(rest, until).map_err(RacError::Io)?.ok_or_else(late)?;
+        rest = rest.get(sent..).unwrap_or_default();
+    }
+    // the head of an answer over the limit is shown as well
+    while framer.poll().is_none() {
+        match transport.receive(framer.receive_buffer(), until).map_err(RacError::Io)?.ok_or_else(late)? {
+            0 => return Err(RacError::Disconnected),
+            count => framer.received(count),
+        }
+    }
+    Ok(String::from_utf8_lossy(framer.line()).trim_matches('\n').to_owned())
 }
 
 /// Reads a variable, to find out whether a server answers.
