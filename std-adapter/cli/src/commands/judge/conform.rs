@@ -13,7 +13,7 @@ use crate::commands::robot_ports::{self, RobotPorts};
 use crate::failure::Failure;
 use crate::interrupt::{Interrupt, State};
 use crate::link::LinkArgs;
-use crate::listen::taken;
+use crate::listen::{self, taken};
 use crate::output::{print_block, print_json, print_line, print_result};
 use crate::session::Session;
 
@@ -80,8 +80,8 @@ pub(crate) struct Conform {
     /// It prints `ready bcap=tcp:IP:PORT`, serves --sessions, and prints the results. It waits at most --timeout (60 s by default) for
     /// a client, and as long for each request. Some calls of Variable_GetValue are answered in unusual ways, so a client under
     /// test should make ten of them.
-    #[arg(long, value_name = "ADDRESS", value_parser = listen, conflicts_with_all = ["level", "group", "case", "list"])]
-    pub(crate) listen: Option<(Link, SocketAddr)>,
+    #[arg(long, value_name = "ADDRESS", value_parser = listen::address, conflicts_with_all = ["level", "group", "case", "list"])]
+    pub(crate) listen: Option<(Protocol, SocketAddr)>,
 
     /// The number of sessions of clients that --listen serves, one after the other
     #[arg(long, value_name = "N", default_value_t = 1, requires = "listen")]
@@ -112,20 +112,18 @@ fn group(text: &str) -> Result<Group, String> {
     found.ok_or_else(|| format!("no group is named {text:?}; the groups are {}", names()))
 }
 
-fn listen(text: &str) -> Result<(Link, SocketAddr), String> {
-    let (link, address) = match text.split_once(':') {
-        Some(("tcp", rest)) => (Link::Tcp, rest),
-        Some(("udp", rest)) => (Link::Udp, rest),
-        _ => (Link::Tcp, text),
-    };
-    let address = address.parse().map_err(|error| format!("{error}: write [tcp:|udp:]IP:PORT"))?;
-    Ok((link, address))
+/// Returns the link of b-CAP over a protocol.
+const fn over(protocol: Protocol) -> Link {
+    match protocol {
+        Protocol::Tcp => Link::Tcp,
+        Protocol::Udp => Link::Udp,
+    }
 }
 
 /// Runs `bcap conform`.
 pub(crate) fn conform(args: &Conform, link: &LinkArgs, json: bool) -> Result<(), Failure> {
-    if let Some((over, address)) = args.listen {
-        return judge_clients(args, over, address, link.limit().unwrap_or(CLIENT_LIMIT), json);
+    if let Some((protocol, address)) = args.listen {
+        return judge_clients(args, protocol, address, link.limit().unwrap_or(CLIENT_LIMIT), json);
     }
     let chosen = chosen(args)?;
     if args.list {
@@ -162,13 +160,15 @@ pub(crate) fn conform(args: &Conform, link: &LinkArgs, json: bool) -> Result<(),
 const CLIENT_LIMIT: Duration = Duration::from_secs(60);
 
 /// Plays a controller, and judges its clients.
-fn judge_clients(args: &Conform, over: Link, address: SocketAddr, limit: Duration, json: bool) -> Result<(), Failure> {
-    let judge = ClientJudge::bind(over, address).map_err(|error| taken("--listen", address, &error))?;
-    let protocol = match over {
-        Link::Udp => "udp",
-        Link::Tcp | Link::Serial => "tcp",
-    };
-    let ready = format!("{protocol}:{}", judge.address()?);
+fn judge_clients(
+    args: &Conform,
+    protocol: Protocol,
+    address: SocketAddr,
+    limit: Duration,
+    json: bool,
+) -> Result<(), Failure> {
+    let judge = ClientJudge::bind(over(protocol), address).map_err(|error| taken("--listen", address, &error))?;
+    let ready = format!("{}:{}", if protocol == Protocol::Udp { "udp" } else { "tcp" }, judge.address()?);
     if json {
         print_json(&serde_json::json!({ "ready": ready }).to_string())?;
     } else if !args.junit {
@@ -205,12 +205,8 @@ fn chosen(args: &Conform) -> Result<Vec<&'static Case>, Failure> {
 fn options(args: &Conform, link: &LinkArgs) -> Result<Options, Failure> {
     let bcap = link.untraced()?.network_target()?;
     let robot = robot_ports::resolve(&RobotPorts { robot_udp: None, robot_rac: args.robot_rac.clone() }, link)?;
-    let over = match bcap.protocol {
-        Protocol::Tcp => Link::Tcp,
-        Protocol::Udp => Link::Udp,
-    };
     // the same host and port over both protocols
-    let target = Target { bcap: Some((over, robot.udp)), rac: robot.rac.first().copied() };
+    let target = Target { bcap: Some((over(bcap.protocol), robot.udp)), rac: robot.rac.first().copied() };
     Ok(Options {
         level: match args.level {
             LevelArg::Read => Level::Read,

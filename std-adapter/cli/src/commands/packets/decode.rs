@@ -92,7 +92,7 @@ pub(crate) struct Decode {
 }
 
 /// The parts of a capture to show.
-#[derive(Debug, Args)]
+#[derive(Debug, Default, PartialEq, Args)]
 #[command(next_help_heading = "Captures")]
 pub(crate) struct CaptureArgs {
     /// Only calls of this function: a name or a number of `bcap call --list`, or GET or PUT of RAC
@@ -127,14 +127,8 @@ pub(crate) struct CaptureArgs {
 
 impl CaptureArgs {
     /// Returns whether any option was given.
-    pub(crate) const fn is_used(&self) -> bool {
-        self.function.is_some()
-            || self.object.is_some()
-            || self.error.is_some()
-            || self.from.is_some()
-            || self.until.is_some()
-            || self.csv
-            || self.stats
+    pub(crate) fn is_used(&self) -> bool {
+        *self != Self::default()
     }
 }
 

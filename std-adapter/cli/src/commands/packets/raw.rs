@@ -14,7 +14,7 @@ use clap::Args;
 use crate::failure::{Failure, item_to_json};
 use crate::interrupt::Interrupt;
 use crate::link::LinkArgs;
-use crate::listen::taken;
+use crate::listen::{self, taken};
 use crate::output::{print_block, print_json, print_line};
 use crate::session::Session;
 use crate::session::budget::Budget;
@@ -48,8 +48,8 @@ pub(crate) struct Raw {
 
     /// Waits for a client at tcp:ADDRESS:PORT or udp:ADDRESS:PORT instead of connecting; port 0 takes a free one. Prints
     /// `ready` and the address
-    #[arg(long, value_name = "ADDRESS")]
-    pub(crate) listen: Option<String>,
+    #[arg(long, value_name = "ADDRESS", value_parser = listen::address)]
+    pub(crate) listen: Option<(Protocol, SocketAddr)>,
 
     /// Prints only the reply to the last packet of each round
     #[arg(long)]
@@ -71,7 +71,7 @@ pub(crate) fn raw(args: &Raw, session: &mut Session, json: bool) -> Result<(), F
     let interrupt = session.handle_signals()?;
     let link = session.link();
     let peer = match &args.listen {
-        Some(address) => Peer::listen(address, &interrupt)?,
+        Some((protocol, local)) => Peer::listen(*protocol, *local, &interrupt)?,
         None => Peer::connect(link)?,
     };
     let mut talk = Talk { peer, received: Vec::new(), interrupt, budget: Budget::start(link), json };
@@ -144,8 +144,7 @@ impl Peer {
     }
 
     /// Listens, and waits for a TCP client.
-    fn listen(text: &str, interrupt: &Interrupt) -> Result<Self, Failure> {
-        let (protocol, local) = listening(text)?;
+    fn listen(protocol: Protocol, local: SocketAddr, interrupt: &Interrupt) -> Result<Self, Failure> {
         let failed = |error| taken("--listen", local, &error);
         match protocol {
             Protocol::Udp => {
@@ -210,19 +209,6 @@ impl Peer {
             }
         }
     }
-}
-
-/// Parses the address of `--listen`.
-fn listening(text: &str) -> Result<(Protocol, SocketAddr), Failure> {
-    let (protocol, address) = match text.split_once(':') {
-        Some(("tcp", address)) => (Protocol::Tcp, address),
-        Some(("udp", address)) => (Protocol::Udp, address),
-        _ => (Protocol::Tcp, text),
-    };
-    let address = address.parse();
-    let wrong =
-        |_| Failure::Input(format!("--listen {text}: write tcp:IP:PORT or udp:IP:PORT, such as tcp:127.0.0.1:5007"));
-    address.map(|address| (protocol, address)).map_err(wrong)
 }
 
 /// The exchange of packets with the other end.
