@@ -318,7 +318,9 @@ impl Publisher {
         if self.shows_state() {
             self.push(self.node_state(true));
         }
-        if !self.waits_for_host() {
+        if self.waits_for_host() {
+            self.start_reading();
+        } else {
             self.begin().await;
         }
     }
@@ -341,6 +343,7 @@ impl Publisher {
         }
         // readings from before are historical
         self.drain().await;
+        self.start_reading();
         (self.stale, self.repeat_at) = (false, Instant::now() + REPEAT);
         if let Some(connection) = &mut self.link {
             connection.rise();

@@ -92,15 +92,20 @@ impl Publisher {
         shared.next_id.fetch_max(now.saturating_mul(1000), Ordering::Relaxed);
         standby.beaten(Instant::now());
         let instance = standby.instance().to_owned();
-        if !*shared.reads.borrow() {
-            // the latest values of an earlier time as the active process
-            let unsent = self.take_unsent();
-            self.backlog.push(unsent);
-            self.cells.iter_mut().for_each(|cell| cell.latest.fill(None));
-        }
-        shared.reads.send_replace(true);
         shared.metrics.active.store(true, Ordering::Relaxed);
         (shared.report)(&Event::Active { instance });
+    }
+
+    /// Lets the scans read, if they do not yet.
+    pub(super) fn start_reading(&mut self) {
+        if *self.shared.reads.borrow() {
+            return;
+        }
+        // the latest values of an earlier time as the active process
+        let unsent = self.take_unsent();
+        self.backlog.push(unsent);
+        self.cells.iter_mut().for_each(|cell| cell.latest.fill(None));
+        self.shared.reads.send_replace(true);
     }
 
     /// A watcher has received the state of the node, or its death.

@@ -209,11 +209,15 @@ impl Subscriber {
 
     /// Waits for a message that a function accepts, and returns its result.
     pub(crate) async fn find<T>(&mut self, mut accept: impl FnMut(&Publish) -> Option<T>) -> T {
-        loop {
-            if let Some(found) = accept(&self.next().await) {
-                return found;
+        // other messages may go on for ever
+        let found = async {
+            loop {
+                if let Some(found) = accept(&self.next().await) {
+                    return found;
+                }
             }
-        }
+        };
+        timeout(LIMIT * 4, found).await.expect("the message did not arrive in time")
     }
 
     /// Waits for a message on a topic whose JSON a function accepts.
