@@ -479,7 +479,7 @@ async fn clients_of_modbus_share_the_rules_and_the_variables() {
     assert_eq!(client.response().await, [3, 4, 0xff, 0xff, 0xff, 0xfe]);
     assert_eq!(client.response().await, [4, 2, 0, 9]);
     assert_eq!(client.ask(&[3, 0, 99, 0, 1]).await, [0x83, 2], "an address without a variable");
-    assert_eq!(client.ask(&[22, 0, 0]).await, [0x96, 1], "a function that is not supported");
+    assert_eq!(client.ask(&[24, 0, 0]).await, [0x98, 1], "a function that is not supported");
     let lines = ["PUT:RC8:1:I:3,70000", "PUT:RC8:2:I:3,-2", "GET:RC8:2:I:", "GET:RC8:95:I:", "MODBUS:3:99:1"];
     let address = client.address;
     for expected in lines {
