@@ -1,7 +1,8 @@
 //! A log of events: one JSON object a line, each with its time in UTC.
 //!
 //! A thread writes the lines. A reader that does not read, and a full disk, cost lines, which are counted, and never delay
-//! the program. An event `dropped` has their number as soon as there is room again.
+//! the program. An event `dropped` has their number as soon as there is room again. Characters that act on a terminal are
+//! escaped.
 
 use std::io::{self, Write};
 use std::sync::atomic::{AtomicU64, Ordering};

@@ -160,15 +160,15 @@ fn registers(data: &[u8], most: u16) -> Option<(Command, &[u8], u16)> {
     (usize::from(*count) == bytes.len()).then(|| (command(Table::Registers, true, [*a, *b], [*c, *d]), bytes, most))
 }
 
-/// Returns the objects of the device identification that a request asks for: how many there are, and each with its number.
-/// `None` is another function.
+/// Returns the objects of the device identification that a request asks for, each with its number; `None` for another
+/// function.
 pub(super) fn identification(
     function: &[u8],
 ) -> Result<Option<impl Iterator<Item = (u8, &'static str)> + Clone + use<>>, Exception> {
     const OBJECTS: [&str; 3] = ["bcap", env!("CARGO_PKG_NAME"), env!("CARGO_PKG_VERSION")];
     let [43, rest @ ..] = function else { return Ok(None) };
     let (first, most) = match rest {
-        // a stream begins anew with an object that there is not
+        // a stream begins at the first object if there is no object with this number
         [14, 1..=3, object] => (if *object < 3 { *object } else { 0 }, 3),
         [14, 4, object @ 0..3] => (*object, 1),
         [14, 4, _] => return Err(Exception::IllegalDataAddress),

@@ -319,7 +319,7 @@ fn the_device_identifies_itself() {
         assert_eq!(bench.ask(&[43, 14, code, 0]), [&head[..], &all.concat()].concat());
     }
     assert_eq!(bench.ask(&[43, 14, 4, 1]), [&[43, 14, 4, 0x81, 0, 0, 1], &all[1][..]].concat());
-    assert_eq!(bench.ask(&[43, 14, 1, 9])[6], 3, "a stream begins anew");
+    assert_eq!(bench.ask(&[43, 14, 1, 9])[6], 3, "a stream begins at the first object");
     for (request, exception) in [(&[43, 14, 4, 3][..], 2), (&[43, 14, 5, 0], 3), (&[43, 14], 3), (&[43, 13, 0], 1)] {
         assert_eq!(bench.ask(request), [43 | 0x80, exception], "{request:?}");
     }

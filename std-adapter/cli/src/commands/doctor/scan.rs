@@ -20,9 +20,9 @@ use crate::session::variables::short_type;
 
 /// Finds controllers on hosts and in networks
 ///
-/// It asks each address over b-CAP (TCP and UDP) and RAC, at most 50 addresses at a time and one port of each after the other. A
-/// line has the model, the version, the type of the robot, and the ports that answer. It only reads variables, never takes the arm, and
-/// asks nothing that would end a stream of Slave Mode. --timeout applies to each port [default: 1 s].
+/// It asks each address over b-CAP (TCP and UDP) and RAC: at most 50 addresses at a time, and one port after the other. A line
+/// has the model, the version, the type of the robot, and the ports that answer. It only reads variables, never takes the arm,
+/// and asks nothing that would end a stream of Slave Mode. --timeout applies to each port [default: 1 s].
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

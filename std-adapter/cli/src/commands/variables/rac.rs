@@ -110,7 +110,7 @@ fn raw(lines: &[String], link: &LinkArgs, json: bool) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Refuses lines that are none or several on the wire, whose answers could not be told apart.
+/// Refuses an empty line, and a line break inside one: then the answers do not match the lines.
 fn check_lines(lines: &[String]) -> Result<(), Failure> {
     let wrong = lines.iter().find(|line| line.is_empty() || line.contains(['\r', '\n']));
     wrong
