@@ -8,11 +8,14 @@
 //! Both directions need the first 64 bits of such a quotient, and whether the quotient has further bits. A product is
 //! computed completely; a division yields as many bits per step as a 64-bit integer has room for.
 //!
-//! | numbers read                                       | by                                | instructions |
-//! |----------------------------------------------------|-----------------------------------|--------------|
-//! | whole, below 2^64: most numbers of robots          | a shift                           | 30           |
-//! | up to 19 digits, at most 27 of them fraction       | a few divisions of 64-bit integers | 150          |
-//! | all others, as 1e300                               | integers of 2112 bits             | up to 40,000 |
+//! | numbers                                            | by                                 | to read       | to write     |
+//! |----------------------------------------------------|------------------------------------|---------------|--------------|
+//! | whole, below 2^64: most numbers of robots          | shifts                             | 30            | 60           |
+//! | on a host, up to 15 digits, at most 12 of them fraction | a division in the floating-point unit | 100     | 300          |
+//! | up to 19 digits, at most 27 of them fraction       | a division of 64-bit integers      | 1,000         | 1,200, 2,000 |
+//! | all others, as 1e300                               | integers of 2112 bits              | up to 40,000  |              |
+//!
+//! The last two columns are instructions on x86-64; of the numbers written, R4 and R8.
 //!
 //! **Reading**: the quotient is rounded to 24 or 53 bits, right for any digits, ties included.
 //!
@@ -107,7 +110,65 @@ impl Format {
         if cfg!(not(target_os = "none")) && exponent == 0 && count <= 19 && number >> self.precision() == 0 {
             return Some(self.of_whole(number));
         }
+        #[cfg(not(target_os = "none"))]
+        if count <= 19
+            && let Some(bits) = self.by_hardware(number, exponent)
+        {
+            return Some(bits);
+        }
         self.nearest(decimal)
+    }
+
+    /// Returns `number * 10^exponent` by one division in the floating-point unit, if both of its numbers are exact there.
+    #[cfg(not(target_os = "none"))]
+    #[expect(clippy::as_conversions, clippy::cast_precision_loss, clippy::cast_possible_truncation, reason = "checked")]
+    fn by_hardware(self, number: u64, exponent: i32) -> Option<u64> {
+        const POWERS: [f64; 23] = [
+            1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16, 1e17, 1e18,
+            1e19, 1e20, 1e21, 1e22,
+        ];
+        let power = POWERS.get(to_usize(u32::try_from(exponent.checked_neg()?).ok()?))?;
+        if number >> Self::Double.precision() != 0 {
+            return None;
+        }
+        let double = number as f64 / power;
+        match self {
+            Self::Double => Some(double.to_bits()),
+            // halfway between two singles it depends on what the double has lost
+            Self::Single if double.to_bits() & 0x1fff_ffff == 0x1000_0000 => None,
+            Self::Single => Some(u64::from((double as f32).to_bits())),
+        }
+    }
+
+    /// Returns what [`shortest`](Self::shortest) does, for most numbers of robots, by the floating-point unit.
+    #[cfg(not(target_os = "none"))]
+    #[expect(clippy::as_conversions, clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "it is whole")]
+    fn shortest_by_hardware(self, bits: u64) -> Option<(u64, i32)> {
+        /// A larger sum has no fraction.
+        const ROUND: f64 = (1_u64 << 52) as f64;
+        // With more digits two decimals can be read as the same float. Twelve places times a single are exact, so the nearer one is
+        // found, except at a power of two, whose neighbours are not at the same distance.
+        let (number, most) = match self {
+            Self::Single => (f64::from(f32::from_bits(low(bits))), if bits & 0x7f_ffff == 0 { 1e6 } else { 1e15 }),
+            Self::Double => (f64::from_bits(bits), 1e15),
+        };
+        // from 2^23 on singles are whole, and their last digits may be zeros
+        if number >= 8_388_608.0 {
+            return None;
+        }
+        let mut power = 1.0;
+        for places in 1..=12 {
+            power *= 10.0;
+            let digits = number * power + ROUND - ROUND;
+            if digits >= most {
+                break;
+            }
+            let exponent = 0_i32.wrapping_sub(places);
+            if self.by_hardware(digits as u64, exponent) == Some(bits) {
+                return Some((digits as u64, exponent));
+            }
+        }
+        None
     }
 
     #[cfg_attr(not(target_os = "none"), cold)]
@@ -166,10 +227,19 @@ impl Format {
         (significand.trailing_zeros() >= shift).then_some(significand >> shift)
     }
 
-    /// Returns the fewest digits that read back as the float, and their exponent; of bits without a sign, not 0.
+    /// Returns the fewest digits that read back as the float, and their exponent; of bits without a sign, not whole.
     ///
     /// The last digit is not 0.
-    pub(super) fn shortest(self, bits: u64) -> (u64, i32) {
+    pub(super) fn digits(self, bits: u64) -> (u64, i32) {
+        #[cfg(not(target_os = "none"))]
+        if let Some(found) = self.shortest_by_hardware(bits) {
+            return found;
+        }
+        self.shortest(bits)
+    }
+
+    /// As [`digits`](Self::digits), by integers; of any float but 0.
+    fn shortest(self, bits: u64) -> (u64, i32) {
         let (significand, exponent) = self.parts(bits);
         let length = 64_u32.wrapping_sub(significand.leading_zeros());
         // more than ten integers between the bounds, all below 2^64:
@@ -309,9 +379,12 @@ fn divide(number: u64, divisor: u64) -> Quotient {
     }
 }
 
-/// Returns a tenth of a number and the last digit, by 32-bit divisions, which boards have.
+/// Returns a tenth of a number and the last digit, on a board by the 32-bit divisions that it has.
 #[cfg_attr(target_os = "none", inline(never))]
 pub(super) fn divide_by_10(number: u64) -> (u64, u32) {
+    if cfg!(target_pointer_width = "64") {
+        return (number / 10, low(number % 10));
+    }
     let (above, below) = (low(number >> 32), low(number));
     let middle = (above % 10) << 16 | below >> 16;
     let last = (middle % 10) << 16 | below & 0xffff;
@@ -449,7 +522,12 @@ mod tests {
         if decimal.count == 0 {
             return (None, None);
         }
-        (Format::Single.of_decimal(&decimal), Format::Double.of_decimal(&decimal))
+        let read = |format: Format| {
+            let bits = format.of_decimal(&decimal);
+            assert_eq!(bits, format.nearest(&decimal), "a host and a board differ");
+            bits
+        };
+        (read(Format::Single), read(Format::Double))
     }
 
     /// Checks against the standard library. Its 0 and infinity correspond to "out of range" here.
@@ -553,6 +631,11 @@ mod tests {
         let behind = i32::try_from(digits.len()).unwrap() - 1;
         let mut theirs = (digits.parse::<u64>().unwrap(), exponent.parse::<i32>().unwrap() - behind);
         let ours = format.shortest(bits);
+        assert!(
+            format.whole(bits).is_some() || format.digits(bits) == ours,
+            "{bits:#x}: host {:?}, board {ours:?}",
+            format.digits(bits)
+        );
         if ours != theirs {
             let exact = format!("{number:.800e}").split_once('e').unwrap().0.replace('.', "");
             let tie = exact.trim_end_matches('0').strip_suffix('5').filter(|front| front.len() == digits.len());

@@ -172,7 +172,7 @@ fn print_float(bits: u64, format: Format, out: &mut Writer<'_>) -> Printed {
     if let Some(whole) = format.whole(magnitude) {
         return put_integer(false, whole, out);
     }
-    let (number, exponent) = format.shortest(magnitude);
+    let (number, exponent) = format.digits(magnitude);
     let mut buffer = [0; MAX_INTEGER];
     put_decimal(decimal_digits(number, &mut buffer), exponent, out)
 }

@@ -28,6 +28,8 @@ struct Bench {
     strings: Vec<u8>,
     mixed_strings: Vec<u8>,
     text_pose: VariantBuf<64>,
+    text_fractions: VariantBuf<64>,
+    text_doubles: VariantBuf<128>,
     slv_move: PreparedMove,
     slv_pose: Pose,
     client: Client<[u8; 512]>,
@@ -44,6 +46,10 @@ struct Case {
 
 /// A position with its figure, as RAC carries it.
 const TEXT_POSE: &[u8] = b"8196,1,2,3,4,5,6,-1";
+/// One as a robot sends it.
+const TEXT_FRACTIONS: &[u8] = b"8196,350.25,-12.5,410.123,179.998,-0.523,90.75,5";
+/// The same as R8.
+const TEXT_DOUBLES: &[u8] = b"8197,350.25,-12.5,410.123,179.998,-0.523,90.75,5";
 
 /// The first case is the empty one.
 const CASES: &[Case] = &[
@@ -54,8 +60,11 @@ const CASES: &[Case] = &[
     Case { name: "decode slvMove request, 8 doubles", bar: Some(550), run: decode_slv_move },
     Case { name: "decode slvMove reply, 4 elements", bar: Some(819), run: decode_slv_reply },
     Case { name: "decode 100 strings, array of BSTR", bar: Some(3_246), run: decode_strings },
-    Case { name: "parse text 8196,1,2,3,4,5,6,-1", bar: Some(1_438), run: parse_pose },
-    Case { name: "print text 8196,1,2,3,4,5,6,-1", bar: Some(1_573), run: print_pose },
+    Case { name: "parse text 8196,1,2,3,4,5,6,-1", bar: Some(1_434), run: parse_pose },
+    Case { name: "print text 8196,1,2,3,4,5,6,-1", bar: Some(1_506), run: print_pose },
+    Case { name: "parse text 8196,350.25,-12.5,410.123,...", bar: Some(2_038), run: parse_fractions },
+    Case { name: "print text 8196,350.25,-12.5,410.123,...", bar: Some(3_415), run: print_fractions },
+    Case { name: "print text 8197,350.25,-12.5,410.123,...", bar: Some(3_573), run: print_doubles },
     Case { name: "decode 100 strings, array of VARIANT", bar: None, run: decode_mixed_strings },
     Case { name: "a cycle of the engine, its reply decoded", bar: None, run: engine_cycle },
     Case { name: "start and abandon that call in a client", bar: None, run: start_slv_move },
@@ -104,6 +113,8 @@ impl Bench {
             strings: frame(0, &[&text.as_slice()]),
             mixed_strings: frame(0, &[&dynamic.as_slice()]),
             text_pose: VariantBuf::parse_text(TEXT_POSE).expect("it is a pose"),
+            text_fractions: VariantBuf::parse_text(TEXT_FRACTIONS).expect("it is a pose"),
+            text_doubles: VariantBuf::parse_text(TEXT_DOUBLES).expect("it is a pose"),
             slv_move: PreparedMove::new(RobotHandle(3), &format).expect("256 bytes hold it"),
             slv_pose: Pose::j(pose),
             client: Client::new(client::Config::TCP, [0; 512], [0; 512]),
@@ -254,6 +265,21 @@ fn parse_pose(_: &mut Bench) {
 #[inline(never)]
 fn print_pose(bench: &mut Bench) {
     black_box(black_box(&bench.text_pose).as_variant().to_text(&mut bench.buffer).is_ok());
+}
+
+#[inline(never)]
+fn parse_fractions(_: &mut Bench) {
+    black_box(VariantBuf::<64>::parse_text(black_box(TEXT_FRACTIONS)).is_ok());
+}
+
+#[inline(never)]
+fn print_fractions(bench: &mut Bench) {
+    black_box(black_box(&bench.text_fractions).as_variant().to_text(&mut bench.buffer).is_ok());
+}
+
+#[inline(never)]
+fn print_doubles(bench: &mut Bench) {
+    black_box(black_box(&bench.text_doubles).as_variant().to_text(&mut bench.buffer).is_ok());
 }
 
 #[inline(never)]
