@@ -39,7 +39,7 @@ use socket2::{SockRef, Socket};
 
 pub use self::borrowed::ControllerRef;
 pub use self::controller::Controller;
-pub use self::moving::Moving;
+pub use self::moving::{KeptMotion, Moving};
 pub use self::objects::{File, Scan, Task};
 pub use self::resolve::resolve;
 pub use self::robot::{Arm, Robot};

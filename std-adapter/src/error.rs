@@ -51,8 +51,8 @@ pub enum Error {
     /// The session in which the arm was taken was lost, and with it the arm.
     #[error("the arm was lost with the connection; look where the robot is, and take the arm again")]
     ArmLost,
-    /// A scan was used with another controller than its own. The call was not sent.
-    #[error("this scan belongs to another session; open it with Controller::scan of this one")]
+    /// A scan or a kept motion was used with another controller than its own. No call was sent.
+    #[error("this scan or motion belongs to another session; use it with the controller that it is from")]
     OtherSession,
     /// The path of a variable is invalid. No call was made.
     #[error(transparent)]
@@ -215,7 +215,10 @@ mod tests {
             ),
             (Error::ArmTaken, "the arm is taken already over this session; give it back before it is taken again"),
             (Error::ArmLost, "the arm was lost with the connection; look where the robot is, and take the arm again"),
-            (Error::OtherSession, "this scan belongs to another session; open it with Controller::scan of this one"),
+            (
+                Error::OtherSession,
+                "this scan or motion belongs to another session; use it with the controller that it is from",
+            ),
             (Error::NotConnected { reason: "no route".into() }, "not connected: no route"),
             (Error::Closed, "the controller was closed"),
             (

@@ -692,3 +692,21 @@ fn no_halted_queue_is_reported_as_arrived() {
     }
     outcomes.assert_stopped();
 }
+
+#[test]
+fn a_kept_motion_goes_on_and_belongs_to_its_session() {
+    let network = Network::new(Config::new(Profile::Rc8));
+    let mut cell = Controller::over(network.connect(), &Settings::rc8()).unwrap();
+    let mut other = Controller::over(network.connect(), &Settings::rc8()).unwrap();
+    let mut arm = ready(&mut cell);
+    let kept = arm.start(&to(30.0), LIMIT).unwrap().keep();
+    arm.keep();
+    assert_eq!(cell.resume(kept).unwrap().wait().unwrap(), Motion::Arrived);
+    let mut arm = cell.arm().unwrap();
+    let kept = arm.start(&to(0.0), LIMIT).unwrap().keep();
+    arm.keep();
+    assert!(matches!(other.resume(kept), Err(Error::OtherSession)));
+    // the end of the session halts it
+    drop(cell);
+    assert!(!other.robot().unwrap().read::<bool>("@SERVO_ON").unwrap());
+}

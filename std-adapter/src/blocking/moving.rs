@@ -30,7 +30,23 @@ pub struct Moving<'a> {
     pub(super) queue: MotionQueue,
 }
 
+/// Motions under way, from [`Moving::keep`]; [`Controller::resume`](super::Controller::resume) takes them.
+#[derive(Debug)]
+#[must_use = "only the end of the session halts the robot"]
+pub struct KeptMotion {
+    pub(super) session: u64,
+    pub(super) queue: MotionQueue,
+}
+
 impl Moving<'_> {
+    /// Ends the use of this object without halting the robot, for programs that cannot keep a borrow, such as bindings to
+    /// other languages. The motions go on; the end of the session halts them.
+    pub fn keep(self) -> KeptMotion {
+        let kept = KeptMotion { session: self.session.id, queue: self.queue };
+        std::mem::forget(self);
+        kept
+    }
+
     /// Lets a motion follow, and returns when it has begun.
     ///
     /// The controller gets it at once, while the motion before is under way. With [`Pass::Near`](crate::Pass::Near) or

@@ -14,10 +14,11 @@ use graph::Arrows;
 use source::Source;
 
 /// The crates whose files are read, and their folders.
-const CRATES: [(&str, &str); 15] = [
+const CRATES: [(&str, &str); 16] = [
     ("bcap-core", "core"),
     ("bcap-gateway", "core/gateway"),
     ("bcap-std", "std-adapter"),
+    ("bcap-c", "std-adapter/c"),
     ("bcap-sim", "std-adapter/sim"),
     ("bcap-capture", "std-adapter/capture"),
     ("bcap-backup", "std-adapter/backup"),

@@ -14,7 +14,7 @@ use super::Controller;
 use crate::address::Address;
 use crate::blocking::robot::Arm;
 use crate::blocking::socket::{ready, wrap};
-use crate::blocking::{Connection, Transport};
+use crate::blocking::{Connection, KeptMotion, Moving, Transport};
 use crate::error::Error;
 use crate::path::ObjectPath;
 use crate::session::Session;
@@ -104,6 +104,18 @@ impl Controller {
         let taken = self.session.has_arm();
         let robot = self.robot()?;
         if taken { Ok(Arm::new(robot)) } else { robot.take_arm() }
+    }
+
+    /// Returns motions that were [kept](Moving::keep), to wait for their end or to halt them.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::OtherSession`] for motions of another controller.
+    pub fn resume(&mut self, motion: KeptMotion) -> Result<Moving<'_>, Error> {
+        if motion.session != self.session.id {
+            return Err(Error::OtherSession);
+        }
+        Ok(Moving { session: &mut self.session, queue: motion.queue })
     }
 
     /// As [`Robot::recover`](crate::blocking::Robot::recover) or, without a configuration, [`Robot::prepare`](crate::blocking::Robot::prepare),

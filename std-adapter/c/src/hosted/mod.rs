@@ -1,0 +1,139 @@
+//! The hosted client: `bcap-std` behind handles.
+//!
+//! A failed function leaves its text for `bcap_message`, on its thread. No panic leaves a function.
+
+mod arm;
+mod controller;
+mod log;
+mod stream;
+mod streaming;
+mod table;
+
+use std::cell::{Cell, RefCell};
+use std::ffi::c_char;
+use std::fmt::Display;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use bcap_std::Error;
+use bcap_std::blocking::{Arm, Controller};
+use bcap_std::core::limits::{Limits, Strictness};
+use bcap_std::core::variant::{OwnedVariant, Variant};
+
+use crate::explain::bcap_status_text;
+use crate::memory::{TextBuffer, caller, copy, put, slice};
+use crate::status::{self, *};
+use crate::value::bcap_value;
+
+thread_local! {
+    static MESSAGE: RefCell<String> = const { RefCell::new(String::new()) };
+    /// Whether the log callback runs on this thread.
+    static IN_CALLBACK: Cell<bool> = const { Cell::new(false) };
+}
+
+/// A failed function: its status, and a text if there is more to say than the status does.
+#[derive(Debug)]
+pub(crate) struct Failure {
+    status: Status,
+    message: Option<String>,
+}
+
+impl Failure {
+    pub(crate) fn new(status: Status, message: impl Display) -> Self {
+        Self { status, message: Some(message.to_string()) }
+    }
+}
+
+impl From<Status> for Failure {
+    fn from(status: Status) -> Self {
+        Self { status, message: None }
+    }
+}
+
+impl From<Error> for Failure {
+    fn from(error: Error) -> Self {
+        let status = match &error {
+            Error::Address(_) | Error::NoAddress | Error::NoSecondSession => BCAP_E_ADDRESS,
+            Error::Connect(_) => BCAP_E_CONNECT,
+            Error::Path(_) => BCAP_E_PATH,
+            Error::ArmTaken => BCAP_E_BUSY,
+            Error::ArmLost => BCAP_E_ARM,
+            Error::NotConnected { .. } | Error::Closed => BCAP_E_CLOSED,
+            Error::StreamConfig(_) | Error::Stream(_) => BCAP_E_STREAM,
+            Error::NotHalted(_) => BCAP_E_NOT_HALTED,
+            Error::NotRecovered(_) => BCAP_E_RECOVERY,
+            Error::Argument(error) => status::encode(*error),
+            Error::Refused { code, .. } => code.0,
+            Error::NoReply { .. } if error.is_lost() => BCAP_E_LOST,
+            Error::NoReply { .. } => BCAP_E_TIMEOUT,
+            Error::Reply { .. } => BCAP_E_TYPE,
+            Error::Value { source, .. } => status::convert(*source),
+            _ => BCAP_E_FAILED,
+        };
+        Self::new(status, error)
+    }
+}
+
+/// Runs the body of a hosted function, and returns its status. A panic becomes a status.
+fn enter(body: impl FnOnce() -> Result<(), Failure>) -> Status {
+    let ended = catch_unwind(AssertUnwindSafe(|| if in_callback() { Err(BCAP_E_REENTRANT.into()) } else { body() }));
+    let failure = match ended {
+        Ok(Ok(())) => return BCAP_OK,
+        Ok(Err(failure)) => failure,
+        Err(payload) => {
+            let text = payload.downcast_ref::<String>().map(String::as_str);
+            let text = text.or_else(|| payload.downcast_ref::<&str>().copied());
+            Failure::new(BCAP_E_PANIC, format_args!("the library panicked: {}", text.unwrap_or("without a message")))
+        }
+    };
+    // a thread that ends has no message any more
+    let _ = MESSAGE.try_with(|message| *message.borrow_mut() = failure.message.unwrap_or_default());
+    let _ = STATUS.try_with(|last| last.set(failure.status));
+    failure.status
+}
+
+thread_local! {
+    /// The status of the last failed function, for its text if it has no message.
+    static STATUS: Cell<Status> = const { Cell::new(BCAP_OK) };
+}
+
+fn in_callback() -> bool {
+    IN_CALLBACK.try_with(Cell::get).unwrap_or(false)
+}
+
+/// Writes the text of the last hosted function that failed on this thread: what was wrong, where, and what to do. It is shortened to
+/// `size` bytes with NUL. Returns the length of the whole text, as `snprintf` does; 0 if none failed.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn bcap_message(buffer: *mut c_char, size: usize) -> usize {
+    let message = MESSAGE.try_with(|message| message.borrow().clone()).unwrap_or_default();
+    let status = STATUS.try_with(Cell::get).unwrap_or(BCAP_OK);
+    if message.is_empty() && status != BCAP_OK {
+        return caller!(bcap_status_text(status, buffer, size));
+    }
+    let mut out = caller!(TextBuffer::new(buffer, size));
+    out.push(&message);
+    out.finish()
+}
+
+/// Stores a value in memory of the caller. Without a pointer for the value nothing is stored.
+///
+/// # Safety
+///
+/// As for [`copy`] and [`put`].
+unsafe fn store(found: &OwnedVariant, memory: *mut u8, size: usize, value: *mut bcap_value) -> Result<(), Failure> {
+    if value.is_null() {
+        return Ok(());
+    }
+    caller!(copy(found.as_bytes(), memory, size))?;
+    let bytes = caller!(slice(memory.cast_const(), found.as_bytes().len()))?;
+    let stored = Variant::decode(bytes, &Limits::STREAM, Strictness::Strict).map_err(|_| BCAP_E_VALUE)?;
+    let view = bcap_value::received(stored, memory, size)?;
+    Ok(caller!(put(value, view))?)
+}
+
+/// Returns the arm if it is taken.
+fn taken(controller: &mut Controller) -> Result<Arm<'_>, Failure> {
+    if !controller.has_arm() {
+        return Err(BCAP_E_ARM.into());
+    }
+    Ok(controller.arm()?)
+}

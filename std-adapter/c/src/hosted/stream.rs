@@ -1,0 +1,142 @@
+//! Streams of Slave Mode whose loop the caller owns.
+
+use std::time::Duration;
+
+use bcap_std::core::slave::{
+    AxisLimits, Format, Mode, Next, Pose, PoseType, ReceiveFormat, ReceivePose, SlaveMode, Stats,
+};
+
+use super::controller::bcap_controller;
+use super::streaming::{JOINTS, Outcome, Stream};
+use super::{Failure, enter, table, taken};
+use crate::memory::{caller, copy, get, put, slice};
+use crate::status::{BCAP_E_CLOSED, BCAP_E_NO_STREAM, BCAP_E_RANGE, BCAP_E_STREAM, bcap_status};
+
+/// How poses are streamed. Fields that are 0 have the default that is stated.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct bcap_stream_options {
+    /// The maximum speed of each joint in degrees or mm per second; 0 is 30. A pose beyond it is not sent, and the robot stops.
+    pub speed: f64,
+    /// The maximum acceleration of each joint, per second squared; 0 is 300.
+    pub acceleration: f64,
+    /// How long the program may take for a pose, in ms; 0 is 100. After that the robot stops in an orderly way.
+    pub late_ms: u32,
+    /// The mode of Slave Mode: 1 paces by the clock of this computer; 0 and 2 by the buffer of the controller.
+    pub mode: i32,
+}
+
+/// The counts of a stream.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct bcap_stream_stats {
+    /// Poses that the controller stored.
+    pub cycles: u32,
+    /// Poses that were sent late.
+    pub late: u32,
+    /// How often the controller's buffer was empty while the robot moved.
+    pub underflows: u32,
+}
+
+/// Ends the stream of a cell: its controller returns to the cell.
+fn end(cell: &mut table::Cell, end: impl FnOnce(Stream) -> Outcome) -> Result<Stats, Failure> {
+    let (controller, ended) = end(cell.stream.take().ok_or(BCAP_E_NO_STREAM)?);
+    controller.map_or(Err(Failure::from(BCAP_E_CLOSED)), |controller| {
+        cell.put_back(controller);
+        ended
+    })
+}
+
+/// Waits for the next cycle; if the stream has ended instead, returns why.
+fn next_cycle(cell: &mut table::Cell) -> Result<[f64; JOINTS], Failure> {
+    let stream = cell.stream.as_ref().ok_or(BCAP_E_NO_STREAM)?;
+    match stream.next_cycle() {
+        Some(joints) => Ok(joints),
+        None => {
+            end(cell, Stream::join)?;
+            Err(Failure::new(BCAP_E_STREAM, "Slave Mode: the stream has ended"))
+        }
+    }
+}
+
+fn format(mode: i32) -> Result<Format, Failure> {
+    let mode = match mode {
+        0 => Mode::Mode0,
+        1 => Mode::Mode1,
+        2 => Mode::Mode2,
+        _ => return Err(Failure::new(BCAP_E_RANGE, format_args!("mode {mode} is invalid; pass 0, 1 or 2"))),
+    };
+    Ok(Format::new(SlaveMode { mode, pose: PoseType::J }, ReceiveFormat::pose(ReceivePose::J)))
+}
+
+/// Returns a field, or its default if it is 0.
+fn or(value: f64, default: f64, name: &str) -> Result<f64, Failure> {
+    match value {
+        0.0 => Ok(default),
+        value if value > 0.0 && value.is_finite() => Ok(value),
+        value => Err(Failure::new(
+            BCAP_E_RANGE,
+            format_args!("{name} is {value}; pass a positive number, or 0 for {default}"),
+        )),
+    }
+}
+
+/// Starts a stream of joints (8 numbers, in degrees or mm), and returns the joints at its start. The arm must be taken and the motor on.
+/// Until `bcap_stream_finish` other functions of this controller return `BCAP_E_STREAMING`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn bcap_stream_start(
+    controller: bcap_controller,
+    options: *const bcap_stream_options,
+    joints: *mut f64,
+) -> bcap_status {
+    enter(|| {
+        let options = caller!(get(options))?;
+        let (speed, acceleration) =
+            (or(options.speed, 30.0, "speed")?, or(options.acceleration, 300.0, "acceleration")?);
+        let limits = AxisLimits::uniform(speed, acceleration);
+        let late = Duration::from_millis(if options.late_ms == 0 { 100 } else { options.late_ms.into() });
+        let format = format(options.mode)?;
+        let start = table::with(controller.id, |cell| {
+            taken(cell.at_rest()?)?.keep();
+            let controller = cell.take_controller().ok_or(BCAP_E_CLOSED)?;
+            cell.stream = Some(Stream::start(controller, format, limits, late));
+            next_cycle(cell)
+        })?;
+        Ok(caller!(copy(&start, joints, JOINTS))?)
+    })
+}
+
+/// Sends the joints of the next cycle, and waits for the cycle after it, 8 ms later. `actual` gets the joints that the controller
+/// reports; it may be null. Another status than `BCAP_OK` ends the stream: the robot stops, and does not follow further poses.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn bcap_stream_step(
+    controller: bcap_controller,
+    joints: *const f64,
+    actual: *mut f64,
+) -> bcap_status {
+    enter(|| {
+        let joints: [f64; JOINTS] = caller!(slice(joints, JOINTS))?.try_into().map_err(|_| BCAP_E_RANGE)?;
+        let found = table::with(controller.id, |cell| {
+            let stream = cell.stream.as_ref().ok_or(BCAP_E_NO_STREAM)?;
+            stream.give(Next::Pose(Pose::j(joints)));
+            next_cycle(cell)
+        })?;
+        if actual.is_null() {
+            return Ok(());
+        }
+        Ok(caller!(copy(&found, actual, JOINTS))?)
+    })
+}
+
+/// Ends the stream: the robot comes to rest at the last pose, and Slave Mode is left. `stats` may be null.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn bcap_stream_finish(controller: bcap_controller, stats: *mut bcap_stream_stats) -> bcap_status {
+    enter(|| {
+        let counts = table::with(controller.id, |cell| end(cell, Stream::finish))?;
+        if stats.is_null() {
+            return Ok(());
+        }
+        let Stats { cycles, late, underflows, .. } = counts;
+        Ok(caller!(put(stats, bcap_stream_stats { cycles, late, underflows }))?)
+    })
+}
