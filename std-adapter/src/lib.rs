@@ -98,7 +98,7 @@ pub use connect::{ConnectError, Options};
 pub use error::Error;
 pub use line::{Parity, SerialLine, StopBits};
 pub use main_error::MainError;
-pub use moves::{Destination, Interpolation, Move, Pass, Plane};
+pub use moves::{Destination, DestinationError, Interpolation, Move, Pass, Plane};
 pub use path::{ObjectPath, ObjectPathError};
 pub use reply::OwnedReply;
 pub use session::{Recovery, TimedReading};

@@ -1,5 +1,7 @@
 //! Motions as a robot is told them.
 
+mod destination;
+
 use std::fmt::{self, Write as _};
 
 use bcap_core::bcap::call::VariableHandle;
@@ -7,6 +9,8 @@ use bcap_core::error::EncodeError;
 use bcap_core::position::{Joints, Position, Transform};
 use bcap_core::procedure::{MotionStart, Target};
 use bcap_core::variant::{Encode, Writer};
+
+pub use self::destination::DestinationError;
 
 /// Where a motion ends.
 #[derive(Clone, Debug, PartialEq)]

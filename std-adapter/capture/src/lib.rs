@@ -10,6 +10,7 @@
 //! | [`trace`]     | shows each packet of a client's transport as text                                |
 //! | [`dissect`]   | a frame field by field, with offsets and bytes                                   |
 //! | [`frame`]     | frames as lines of JSON and of text; [`json`] for their values, [`hex`] for bytes |
+//! | [`facts`]     | the meaning of a result code, its cause and the remedy                          |
 //! | [`mcap`]      | time series as files for Foxglove and PlotJuggler                                |
 //! | [`wireshark`] | the dissector for Wireshark, one Lua file                                        |
 //!
@@ -25,6 +26,7 @@ pub mod decode;
 pub mod dissect;
 pub mod duration;
 mod error;
+mod facts;
 pub mod faults;
 pub mod frame;
 pub mod hex;
@@ -42,4 +44,5 @@ pub mod wireshark;
 
 pub use self::call_name::CallName;
 pub use self::error::{ConvertError, Error};
+pub use self::facts::facts;
 pub use self::role::Role;

@@ -78,6 +78,7 @@ pub(crate) enum Command {
     Log(Log),
     Recover(Recover),
     Shell(Shell),
+    #[command(visible_alias = "include")]
     Run(Run),
     Raw(Raw),
     Rac(Rac),
@@ -120,8 +121,8 @@ impl Command {
 ///
 /// Every command of `bcap` works without the word `bcap`, and all of them use one session: the arm stays taken, handles stay
 /// open. The prompt shows model, mode, errors, and whether this session has the arm and the motor is on. Tab completes
-/// commands, functions and the names that the controller lists. Also: `help [COMMAND|FUNCTION]`, `connect`, `exit`, and
-/// what scripts have (`bcap run --help`).
+/// commands, functions and the names that the controller lists. New messages of the controller come before the prompt. Also:
+/// `help [COMMAND|FUNCTION]`, `connect`, `exit`, and what scripts have (`bcap run --help`).
 ///
 /// Ctrl-C halts the robot if this session has the arm, over a second connection, and gives the arm back. The end of the
 /// shell does the same.
@@ -146,7 +147,9 @@ A script has one command a line. # begins a comment, words with blanks stand bet
   put I1 $x
   sleep 100ms             waits
   wait I1 = 5 --within 2s waits until the controller's variable has the value; `wait IO130` waits until it is true
-  repeat 3 run part.bcap  runs a command, here another script, several times
+  repeat 3 run part.bcap  runs a command, here the lines of another script with the same variables, several times
+  while I1 < 5 run F      runs a command while the controller's variable has the value
+  if IO130 = true put I1 7
   expect I1 = 5           fails unless it has the value; also != < <= > >=
   exec robot TakeArm 0 1  the arm stays taken until GiveArm or the end
   move P1 --line --speed 10

@@ -7,6 +7,7 @@
 mod cli;
 mod commands;
 mod failure;
+mod input;
 mod interrupt;
 mod link;
 mod listen;

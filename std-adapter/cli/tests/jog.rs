@@ -1,9 +1,12 @@
 //! `bcap jog` and `bcap teach`.
 
+use std::process::Command;
+
 use bcap_sim::{Config, Profile};
 use serde_json::Value;
 
 use crate::common::robot::Robot;
+use crate::common::tmux::Terminal;
 use crate::common::virtual_robot::{Virtual, signal};
 
 /// Reads an array of numbers of the robot.
@@ -150,4 +153,86 @@ fn teaching_writes_the_present_position() {
     let run = robot.script(lines);
     assert!(run.code == 1 && run.err.contains("-:4: the robot moves"), "{run:?}");
     assert_eq!(numbers(&robot, "P5"), taught);
+}
+
+/// Starts `bcap jog` in a terminal that keeps its last lines.
+fn jog_by_keys(robot: &Virtual, args: &str, folder: &tempfile::TempDir) -> Option<Terminal> {
+    let terminal = Terminal::run((80, 24), &["sh"], folder.path())?;
+    let program = env!("CARGO_BIN_EXE_bcap");
+    terminal.enter(&format!("PS1='ready> '; {program} jog {args} --robot {}; echo code $?", robot.tcp));
+    terminal.wait_for("step 1 mm or degrees");
+    Some(terminal)
+}
+
+#[test]
+fn a_key_makes_a_step_and_a_repeated_key_repeats_it() {
+    let robot = Virtual::start(&[]);
+    let folder = tempfile::tempdir().unwrap();
+    let Some(terminal) = jog_by_keys(&robot, "--speed 100", &folder) else { return };
+    terminal.wait_for("> J1 =     0.000");
+    terminal.keys(&["Right"]);
+    terminal.wait_for("> J1 =     1.000");
+    terminal.keys(&["]", "Left"]);
+    terminal.wait_for("> J1 =    -4.000");
+    terminal.keys(&["Down", "["]);
+    terminal.wait_for("> J2 =    45.000");
+    // a key that is held: the step repeats, and ends with the key
+    let mut joint = 45.0;
+    while joint < 49.5 {
+        terminal.keys(&["Right"]);
+        joint = numbers(&robot, "robot/@CURRENT_ANGLE")[1];
+    }
+    robot.wait_for_rest();
+    let rests = numbers(&robot, "robot/@CURRENT_ANGLE");
+    assert!((rests[1] - rests[1].round()).abs() < 0.01 && rests[1] < 53.0, "{rests:?}");
+    terminal.wait_for(&format!("> J2 = {:9.3}", rests[1]));
+    // along an axis
+    let before = numbers(&robot, "robot/@CURRENT_POSITION");
+    terminal.keys(&["Down", "Down", "Down", "Down", "Down", "Down", "Down", "Down", "Down", "Left"]);
+    terminal.wait_for(&format!("> Z  = {:9.3}", before[2] - 1.0));
+    assert_step(&before, &numbers(&robot, "robot/@CURRENT_POSITION"), 2, -1.0);
+    terminal.keys(&["q"]);
+    terminal.wait_for("code 0");
+    robot.assert_at_rest_with_free_arm();
+}
+
+#[test]
+fn escape_and_a_lost_terminal_halt_a_step() {
+    for end in ["Escape", "C-c", "-TERM", "closed"] {
+        let robot = Virtual::start(&[]);
+        let folder = tempfile::tempdir().unwrap();
+        let Some(terminal) = jog_by_keys(&robot, "--speed 1", &folder) else { return };
+        terminal.keys(&["]", "]", "Right"]);
+        terminal.wait_for("J1 moves by +10; Esc HALTS");
+        robot.wait_for_motion();
+        match end {
+            "closed" => drop(terminal),
+            "-TERM" => {
+                let kill = format!("kill -TERM $(pgrep -P {})", terminal.variable("pane_pid"));
+                assert!(Command::new("sh").args(["-c", &kill]).status().unwrap().success());
+                terminal.wait_for("code 130");
+            }
+            key => {
+                terminal.keys(&[key]);
+                terminal.wait_for("note: the robot was halted, and the arm given back");
+                terminal.wait_for("code 0");
+            }
+        }
+        robot.wait_for_rest();
+        while robot.run(&["exec", "robot", "TakeArm", "0", "1"]).code != 0 {
+            robot.run(&["errors", "--clear"]);
+        }
+        assert!(numbers(&robot, "robot/@CURRENT_ANGLE")[0] < 9.9, "{end}");
+        robot.assert_at_rest_with_free_arm();
+    }
+}
+
+#[test]
+fn keys_need_a_terminal() {
+    let robot = Virtual::start(&[]);
+    let run = robot.run(&["jog"]);
+    assert!(run.code == 2 && run.err.contains("a live screen needs a terminal"), "{run:?}");
+    let run = robot.run(&["jog", "--json"]);
+    assert!(run.code == 2 && run.err.contains("a live screen has no JSON"), "{run:?}");
+    assert_eq!(robot.run(&["jog", "J1"]).code, 2);
 }

@@ -46,7 +46,9 @@ fn option_environment_profile_default_in_this_order() {
     ));
     let connected = |fake: &Fake| fake.seen().iter().find(|call| call.starts_with("ControllerConnect")).cloned();
     let connect = |provider: &str, option: &str| {
-        Some(format!("ControllerConnect(\"\", \"{provider}\", \"localhost\", \"{option}\")"))
+        // the machine of an RC9 is its address
+        let machine = if provider.ends_with("VRC9") { "127.0.0.1" } else { "localhost" };
+        Some(format!("ControllerConnect(\"\", \"{provider}\", \"{machine}\", \"{option}\")"))
     };
     let run = home.run(&["get", "I1", "--profile", "cell"], &[]);
     assert_eq!((run.out.as_str(), run.code), ("I1 = 1\n", 0), "{run:?}");
@@ -150,4 +152,37 @@ fn profiles_are_listed_and_shown() {
     fs::remove_file(&empty.file).unwrap();
     let run = empty.run(&["get", "I1", "--profile", "x"], &[]);
     assert!(run.code == 2 && run.err.contains("write [profile.x] there"), "{run:?}");
+}
+
+#[test]
+fn the_name_of_a_model_is_a_provider_and_a_profile_remembers_it() {
+    let fake = fake();
+    for (name, provider) in [("RC9", "VRC9"), ("cobotta-pro", "VRC9"), ("rc8", "VRC"), ("cobotta", "VRC")] {
+        assert_eq!(
+            bare(&["get", "I1", "--robot", &fake.address, "--provider", name]).output().unwrap().status.code(),
+            Some(0)
+        );
+        let connect = fake.seen().into_iter().rfind(|call| call.starts_with("ControllerConnect")).unwrap();
+        assert!(connect.contains(&format!("\"CaoProv.DENSO.{provider}\"")), "{name}: {connect}");
+    }
+    let rc9 = Robot::with(bcap_sim::Config::new(bcap_sim::Profile::Rc9));
+    let text = format!("# the cells\n[profile.cell]\naddress = \"{}\"\n[profile.b]\n", rc9.tcp);
+    let home = Home::with(&text);
+    let run = home.run(&["get", "I1", "--profile", "cell"], &[]);
+    assert_eq!((run.out.as_str(), run.code), ("I1 = 0\n", 0), "{run:?}");
+    assert!(run.err.contains("note: the profile cell connects to CaoProv.DENSO.VRC9"), "{run:?}");
+    let line = "[profile.cell]\nprovider = \"CaoProv.DENSO.VRC9\"\n";
+    assert_eq!(fs::read_to_string(&home.file).unwrap(), text.replace("[profile.cell]\n", line));
+    let run = home.run(&["get", "I1", "--profile", "cell"], &[]);
+    assert_eq!((run.out.as_str(), run.err.as_str()), ("I1 = 0\n", ""));
+    // a profile that is written in another way stays as it is, and so does that of another address
+    let text = format!("profile.cell = {{ address = \"{}\" }}\n", rc9.tcp);
+    let home = Home::with(&text);
+    let run = home.run(&["get", "I1", "--profile", "cell"], &[]);
+    assert!(
+        run.code == 0 && run.err.contains("note: write provider = \"CaoProv.DENSO.VRC9\" in the profile cell"),
+        "{run:?}"
+    );
+    assert_eq!(home.run(&["get", "I1", "--profile", "cell", "--robot", &rc9.tcp], &[]).err, "");
+    assert_eq!(fs::read_to_string(&home.file).unwrap(), text);
 }

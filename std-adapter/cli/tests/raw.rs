@@ -101,3 +101,44 @@ fn ctrl_c_ends_the_loop_and_the_wait_for_a_client() {
         assert!(run.code == 130 && run.err.contains("interrupted"), "{run:?}");
     }
 }
+
+/// The Tester's user connects, sends, reads the handle, and sends the next packet with it.
+#[test]
+fn a_packet_has_the_handle_of_an_earlier_reply() {
+    let robot = Virtual::start(&[]);
+    assert_eq!(robot.run(&["put", "I1", "42"]).code, 0);
+    let mut child = command(&["raw", "--json", "--robot", &robot.tcp])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let (mut input, mut out) = (child.stdin.take().unwrap(), BufReader::new(child.stdout.take().unwrap()));
+    // the bytes of a Variable_GetValue without its handle
+    let get = "01 1e 00 00 00 04 00 00 00 65 00 00 00 01 00 0a 00 00 00 03 00 01 00 00 00 $3 04";
+    for (line, reply) in [
+        (START, r#""name":"S_OK","args":[]"#),
+        (
+            r#"{"serial":2,"name":"ControllerConnect","args":[{"vt":8,"v":""},{"vt":8,"v":"CaoProv.DENSO.VRC"},{"vt":8,"v":""},{"vt":8,"v":""}]}"#,
+            r#""name":"S_OK","args":[{"vt":3,"#,
+        ),
+        (
+            r#"{"serial":3,"name":"ControllerGetVariable","args":[{"vt":3,"v":$2},{"vt":8,"v":"I1"},{"vt":8,"v":""}]}"#,
+            r#""name":"S_OK","args":[{"vt":3,"#,
+        ),
+        (get, r#""name":"S_OK","args":[{"vt":3,"v":42}]"#),
+    ] {
+        writeln!(input, "{line}").unwrap();
+        // each reply arrives before the next line is written
+        let [mut request, mut answer] = [String::new(), String::new()];
+        out.read_line(&mut request).unwrap();
+        out.read_line(&mut answer).unwrap();
+        assert!(answer.contains(reply), "{line}: {answer}");
+    }
+    writeln!(input, r#"{{"serial":5,"name":"VariableGetValue","args":[{{"vt":3,"v":$1}}]}}"#).unwrap();
+    drop(input);
+    let run: Run = child.wait_with_output().unwrap().into();
+    assert!(run.code == 2 && run.err.contains("$1: reply 1 has no value"), "{run:?}");
+    let run = bcap(&["raw", START, r#"{"name":"ServiceStop","x":$9}"#, "--robot", &robot.tcp]);
+    assert!(run.code == 2 && run.out.is_empty(), "{run:?}");
+}

@@ -157,7 +157,7 @@ fn a_signal_ends_a_script_that_waits_for_its_next_line() {
         robot.wait_for_motion();
         signal(name, &child);
         let run: Run = child.wait_with_output().unwrap().into();
-        assert!(run.code == 130 && run.err.contains("-:3: interrupted before this line"), "{name}: {run:?}");
+        assert!(run.code == 130 && run.err.contains("-:4: interrupted before this line"), "{name}: {run:?}");
         drop(stdin);
         robot.assert_at_rest_with_free_arm();
     }
@@ -340,10 +340,12 @@ fn errors_and_messages_are_shown_and_cleared() {
     assert_eq!((run.out.as_str(), run.code), ("no errors\n", 0));
     let shell = bcap_with(
         &["shell", "--robot", &robot.tcp],
-        b"exec robot TakeArm 0 1\nexec robot Motor 1 0\nerrors\nerrors --follow --for 1ms\nerrors --clear\nerrors\nexit\nget I1\n",
+        b"exec robot TakeArm 0 1\nexec robot Motor 1 0\nerrors\nerrors --clear\nerrors\nexit\nget I1\n",
     );
     assert_eq!(shell.out.matches("0x84201486 (E_").count(), 1, "{shell:?}");
-    assert!(shell.out.contains(" RC8 0x84201486: "), "{shell:?}");
+    // the message of the controller comes before the next prompt
+    assert_eq!(shell.err.matches(" RC8 0x84201486: ").count(), 1, "{shell:?}");
+    assert!(shell.err.contains("note: DATE("), "{shell:?}");
     assert!(shell.out.ends_with("no errors\n"), "{shell:?}");
 }
 
@@ -399,7 +401,7 @@ fn a_command_of_a_script_is_repeated() {
     let run = robot.run(&["run", whole]);
     assert_eq!((run.out.as_str(), run.err.as_str()), ("I1 = 0\nI1 = 0\nI3 = 0\nI3 = 0\nI3 = 0\nIO128 = true\n", ""));
     for (line, code, text) in [
-        ("repeat 2 repeat 2 get I1", 2, "does not repeat `repeat`"),
+        ("repeat 2 repeat 2 get I1", 2, "a line has one of repeat, while and if"),
         ("repeat 2 nonsense", 2, "nonsense"),
         ("repeat 2", 2, "required"),
         ("wait I1 =", 2, "required"),
@@ -444,4 +446,43 @@ fn commands_on_files_and_backups_use_the_session_of_the_shell() {
     let run = bcap_with(&["run", "-", "--trace=headers", "--robot", &robot.tcp], lines.as_bytes());
     assert!(run.out.contains("/a.txt") && run.code < 2, "{run:?}");
     assert_eq!(run.err.matches(" Service_Start, ").count(), 1, "{}", run.err.lines().take(20).collect::<String>());
+}
+
+#[test]
+fn conditions_guard_and_repeat_a_command() {
+    let robot = Virtual::start(&[]);
+    let folder = tempfile::tempdir().unwrap();
+    let part = folder.path().join("part.bcap");
+    std::fs::write(&part, "put I2 $next\nset seen = $next\nput I1 3\n").unwrap();
+    let lines = format!(
+        "set next = 7\nif I1 = 0 include {}\nget I2\nput I3 $seen\nwhile I1 != 0 put I1 0\nif I1 > 0 put I4 1\nget I1 I3 I4\n",
+        part.display()
+    );
+    let whole = folder.path().join("whole.bcap");
+    std::fs::write(&whole, lines).unwrap();
+    let run = robot.run(&["run", whole.to_str().unwrap()]);
+    assert_eq!((run.err.as_str(), run.code), ("", 0));
+    let out = "I2 = 7\nI1 = 3\nI2 = 7\nI3 = 7\nI1 = 0\nI1 = 0\nI3 = 7\nI4 = 0\n";
+    assert_eq!(run.out, out);
+    for (line, text) in [
+        ("if I1 put I1 1", "write a condition of three words"),
+        ("while I1 = 1", "required"),
+        ("if I1 = 0 if I2 = 0 put I1 1", "a line has one of repeat, while and if"),
+        ("repeat 2 while I1 = 0 put I1 1", "a line has one of repeat, while and if"),
+        ("if I1 = 0 pt I1 1", "unrecognized subcommand"),
+    ] {
+        let run = robot.script(line);
+        assert!(run.code == 2 && run.err.contains(text), "{line}: {run:?}");
+        std::fs::write(&whole, format!("put I1 5\n{line}\n")).unwrap();
+        let run = robot.run(&["run", whole.to_str().unwrap()]);
+        assert!(run.code == 2 && run.out.is_empty() && run.err.contains("whole.bcap:2: "), "{line}: {run:?}");
+    }
+    // a signal ends a loop
+    let mut child = robot.spawn(&["run", "-"]);
+    std::io::Write::write_all(child.stdin.as_mut().unwrap(), b"while I1 = 0 get I5\n").unwrap();
+    let mut out = std::io::BufReader::new(child.stdout.take().unwrap());
+    std::io::BufRead::read_line(&mut out, &mut String::new()).unwrap();
+    crate::common::virtual_robot::signal("-INT", &child);
+    std::io::copy(&mut out, &mut std::io::sink()).unwrap();
+    assert_eq!(child.wait().unwrap().code(), Some(130));
 }

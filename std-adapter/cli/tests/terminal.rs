@@ -20,9 +20,10 @@ fn ctrl_c_in_the_shell_halts_the_robot_and_gives_the_arm_back() {
         terminal.enter("move 'J(90, 45, 90, 0, 45, 0)' --speed 1");
         robot.wait_for_motion();
         terminal.keys(&["C-c"]);
-        terminal.wait_for(
-            "error: interrupted: the robot was halted, and the arm was given back\nRC8 auto error 0x83500076>",
-        );
+        terminal.wait_for("error: interrupted: the robot was halted, and the arm was given back");
+        // the message of the controller comes before the prompt
+        terminal.wait_for("RC8 0x83500076: E_MOTION_STOPPED");
+        terminal.wait_for("RC8 auto error 0x83500076>");
         robot.assert_at_rest_with_free_arm();
         // an empty screen, so that the prompts below are not found in the lines above
         terminal.keys(&["C-l"]);
@@ -51,9 +52,10 @@ fn ctrl_c_halts_the_motion_to_the_start_of_a_stream_in_the_shell() {
         terminal.enter(&format!("slave cosine --from '{to}' --speed 1 --yes"));
         robot.wait_for_motion();
         terminal.keys(&["C-c"]);
-        terminal.wait_for(
-            "error: interrupted: the robot was halted, and the arm was given back\nRC8 auto error 0x83500076>",
-        );
+        terminal.wait_for("error: interrupted: the robot was halted, and the arm was given back");
+        // the message of the controller comes before the prompt
+        terminal.wait_for("RC8 0x83500076: E_MOTION_STOPPED");
+        terminal.wait_for("RC8 auto error 0x83500076>");
         robot.assert_at_rest_with_free_arm();
         // a prompt without the error, and an empty screen, so that the next round does not find the text of this one
         terminal.keys(&["Enter"]);

@@ -44,11 +44,25 @@ fn the_watchdog_is_shorter_than_an_attempt() {
 /// A server without replies gets each attempt: their number is at least 1 and at most 7, and they share the time limit.
 #[test]
 fn attempts_are_clamped_and_share_the_time() {
-    for (attempts, sent) in [("0", 1), ("1", 1), ("3", 3), ("7", 7), ("100", 7)] {
+    for (attempts, sent) in [("-3", 1), ("0", 1), ("1", 1), ("3", 3), ("7", 7), ("100", 7)] {
         let silent = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
         let address = format!("udp:{}", silent.local_addr().unwrap());
         let run = bcap(&["get", "I1", "--robot", &address, "--timeout", "1400", "--attempts", attempts]);
         assert!(run.code == 4 && run.err.contains("1400 ms"), "{run:?}");
+        silent.set_nonblocking(true).unwrap();
+        let mut datagram = [0; 1024];
+        let received = std::iter::from_fn(|| silent.recv(&mut datagram).ok()).count();
+        assert_eq!(received, sent, "{attempts}");
+    }
+}
+
+#[test]
+fn the_time_of_an_attempt_gives_that_of_an_answer() {
+    for (attempts, sent, limit) in [("3", 3, "450 ms"), ("-3", 1, "150 ms")] {
+        let silent = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+        let address = format!("udp:{}", silent.local_addr().unwrap());
+        let run = bcap(&["get", "I1", "--robot", &address, "--attempt-timeout", "150", "--attempts", attempts]);
+        assert!(run.code == 4 && run.err.contains(limit), "{run:?}");
         silent.set_nonblocking(true).unwrap();
         let mut datagram = [0; 1024];
         let received = std::iter::from_fn(|| silent.recv(&mut datagram).ok()).count();

@@ -17,7 +17,7 @@ use crate::output::{print_json, print_line, print_result};
 The file:
   [profile.cell1]
   address = \"tcp:192.168.0.1\"
-  model = \"rc9\"                # rc8, rc9 or cobotta; or provider = \"CaoProv.DENSO.VRC9\"
+  model = \"rc9\"                # as for --provider, which is the other name of this key
   option = \"\"
   rac_port = 5006
   timeout = \"3s\"
@@ -59,34 +59,25 @@ fn list(name: &str, profile: &Profile, json: bool) -> Result<(), Failure> {
 }
 
 fn show(name: &str, profile: &Profile, json: bool) -> Result<(), Failure> {
+    let object = object(name, profile);
     if json {
-        return Ok(print_json(&object(name, profile).to_string())?);
+        return Ok(print_json(&object.to_string())?);
     }
     print_line(&format!("[profile.{name}]"))?;
-    for (key, value) in [
-        ("address", profile.address().map(|address| format!("{address:?}"))),
-        ("provider", profile.provider().map(|provider| format!("{provider:?}"))),
-        ("machine", profile.machine.as_ref().map(|machine| format!("{machine:?}"))),
-        ("option", profile.option.as_ref().map(|option| format!("{option:?}"))),
-        ("rac_port", profile.rac_port.map(|port| port.to_string())),
-        ("timeout", profile.timeout().map(|timeout| format!("\"{}ms\"", timeout.as_millis()))),
-    ] {
-        if let Some(value) = value {
+    for key in ["address", "provider", "machine", "option", "rac_port"] {
+        // text and numbers of JSON are also those of TOML
+        if let Some(value) = object.get(key).filter(|value| !value.is_null()) {
             print_line(&format!("{key} = {value}"))?;
         }
     }
-    Ok(())
+    let timeout = object["timeout_ms"].as_u64();
+    Ok(timeout.map_or(Ok(()), |ms| print_line(&format!("timeout = \"{ms}ms\"")))?)
 }
 
 fn object(name: &str, profile: &Profile) -> Value {
-    let millis = profile.timeout().map(|timeout| u64::try_from(timeout.as_millis()).unwrap_or(u64::MAX));
     json!({
-        "name": name,
-        "address": profile.address(),
-        "provider": profile.provider(),
-        "machine": profile.machine,
-        "option": profile.option,
-        "rac_port": profile.rac_port,
-        "timeout_ms": millis,
+        "name": name, "address": profile.address(), "provider": profile.provider(), "machine": profile.machine,
+        "option": profile.option, "rac_port": profile.rac_port,
+        "timeout_ms": profile.timeout().and_then(|timeout| u64::try_from(timeout.as_millis()).ok()),
     })
 }

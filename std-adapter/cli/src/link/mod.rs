@@ -8,12 +8,12 @@ use std::time::Duration;
 
 use bcap_capture::duration;
 use bcap_capture::trace::Level;
-use bcap_std::{Address, NetworkAddress, Protocol};
+use bcap_std::{Address, Model, NetworkAddress, Protocol};
 use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 
 use crate::failure::Failure;
-use crate::link::profiles::Profiles;
+use crate::link::profiles::{Profiles, provider_of};
 
 /// The default time limit for an answer.
 const DEFAULT_TIMEOUT: Duration = Duration::from_secs(3);
@@ -41,15 +41,15 @@ pub(crate) struct LinkArgs {
     #[arg(long, global = true, hide_short_help = true, value_name = "MS", env = "BCAP_TIMEOUT", value_parser = duration::parse)]
     timeout: Option<Duration>,
 
-    /// The provider to connect to [default: CaoProv.DENSO.VRC, and CaoProv.DENSO.VRC9 if the controller refuses it]
+    /// The provider to connect to: its name, or rc8, rc9, cobotta or cobotta-pro [default: CaoProv.DENSO.VRC, and
+    /// CaoProv.DENSO.VRC9 if the controller refuses it]
     ///
-    /// An RC9 or a COBOTTA PRO has CaoProv.DENSO.VRC9. `slave play`, `slave cosine`, `gateway`, `conform` and `fuzz` try only
-    /// one.
+    /// A profile remembers the second. `gateway` starts without its robot, and `fuzz` sends nothing but its sessions, so both try
+    /// only one.
     #[arg(long, global = true, hide_short_help = true, value_name = "NAME", env = "BCAP_PROVIDER")]
     provider: Option<String>,
 
-    /// The machine name of Controller_Connect; for an RC9 the specification asks for the address of the controller
-    /// [default: localhost]
+    /// The machine name of Controller_Connect [default: localhost; the host of --robot for CaoProv.DENSO.VRC9]
     #[arg(long, global = true, hide_short_help = true, value_name = "NAME", env = "BCAP_MACHINE")]
     machine: Option<String>,
 
@@ -59,8 +59,20 @@ pub(crate) struct LinkArgs {
 
     /// The attempts of a call over UDP, 1 to 7; other numbers become the nearest. They share the time limit of an answer,
     /// at least 100 ms each, so that the controller's keep-alives arrive before an attempt ends
-    #[arg(long, global = true, hide_short_help = true, value_name = "N", env = "BCAP_ATTEMPTS", default_value_t = 5)]
-    pub(crate) attempts: u32,
+    #[arg(
+        long,
+        global = true,
+        hide_short_help = true,
+        value_name = "N",
+        env = "BCAP_ATTEMPTS",
+        default_value_t = 5,
+        allow_negative_numbers = true
+    )]
+    pub(crate) attempts: i64,
+
+    /// The time limit of each attempt, in place of --timeout: an answer may then take this time, times --attempts
+    #[arg(long, global = true, hide_short_help = true, value_name = "MS", value_parser = duration::parse)]
+    attempt_timeout: Option<Duration>,
 
     /// The port of RAC, for an address without a port for RAC [default: 5006]
     #[arg(long, global = true, hide_short_help = true, value_name = "PORT", env = "BCAP_RAC_PORT")]
@@ -122,12 +134,23 @@ impl LinkArgs {
 
     /// Returns the provider to connect to.
     pub(crate) fn provider(&self) -> &str {
-        self.provider.as_deref().filter(|name| !name.is_empty()).unwrap_or("CaoProv.DENSO.VRC")
+        self.provider.as_deref().filter(|name| !name.is_empty()).map_or("CaoProv.DENSO.VRC", provider_of)
+    }
+
+    /// Returns the profile, if its address is used.
+    pub(crate) fn profile(&self) -> Option<&str> {
+        let has_address = self.robot.is_none() && address::in_environment().is_none();
+        self.profile.as_deref().filter(|name| has_address && !name.is_empty())
     }
 
     /// Returns the machine name of Controller_Connect.
-    pub(crate) fn machine(&self) -> &str {
-        self.machine.as_deref().filter(|name| !name.is_empty()).unwrap_or("localhost")
+    pub(crate) fn machine(&self) -> String {
+        match (self.machine.as_deref().filter(|name| !name.is_empty()), self.target()) {
+            (Some(name), _) => name.to_owned(),
+            // b-CAP specification for RC9, Table 6-1
+            (None, Ok(Address::Network(target))) if self.provider() == Model::Rc9.provider() => target.host,
+            _ => "localhost".to_owned(),
+        }
     }
 
     /// Returns the option of Controller_Connect.
@@ -184,12 +207,13 @@ impl LinkArgs {
 
     /// Returns the time limit for connecting, and for each answer or keep-alive.
     pub(crate) fn timeout(&self) -> Duration {
-        self.timeout.unwrap_or(DEFAULT_TIMEOUT)
+        let all = self.attempt_timeout.map(|each| each * u32::from(self.wanted_attempts()));
+        all.or(self.timeout).unwrap_or(DEFAULT_TIMEOUT)
     }
 
     /// Returns the time limit of the whole command; `None` if the user gave none.
     pub(crate) const fn limit(&self) -> Option<Duration> {
-        self.timeout
+        if self.attempt_timeout.is_some() { None } else { self.timeout }
     }
 
     /// Limits the whole command even if the user gave no limit.
@@ -199,19 +223,22 @@ impl LinkArgs {
 
     /// Limits the whole command to this time unless the user gave a limit.
     pub(crate) fn within(&self, limit: Duration) -> Self {
-        Self { timeout: self.timeout.or(Some(limit)), ..self.clone() }
+        Self { timeout: self.timeout.or(Some(limit)), attempt_timeout: None, ..self.clone() }
     }
 
     /// Limits the whole command, for a halt: to the default limit at least, because Robot_Halt returns when the robot rests.
     pub(crate) fn for_halt(&self) -> Self {
-        Self { timeout: Some(self.timeout().max(DEFAULT_TIMEOUT)), ..self.clone() }
+        Self { timeout: Some(self.timeout().max(DEFAULT_TIMEOUT)), attempt_timeout: None, ..self.clone() }
     }
 
     /// Returns the attempts of a call over UDP (b-CAP specification, Table 6-1).
     pub(crate) fn attempts(&self) -> u8 {
-        let most = u8::try_from(self.attempts.clamp(1, 7)).unwrap_or(7);
         let room = self.timeout().as_millis() / SHORTEST_ATTEMPT.as_millis();
-        most.min(u8::try_from(room).unwrap_or(u8::MAX)).max(1)
+        self.wanted_attempts().min(u8::try_from(room).unwrap_or(u8::MAX)).max(1)
+    }
+
+    fn wanted_attempts(&self) -> u8 {
+        u8::try_from(self.attempts.clamp(1, 7)).unwrap_or(7)
     }
 
     /// Refuses `--trace` for a command whose connections it cannot see.

@@ -3,7 +3,7 @@
 //! ```toml
 //! [profile.cell1]
 //! address = "tcp:192.168.0.1"
-//! model = "rc9"                # rc8, rc9 or cobotta; or provider = "CaoProv.DENSO.VRC9"
+//! model = "rc9"                # as for --provider
 //! machine = "localhost"         # the machine and the option of Controller_Connect
 //! option = ""
 //! rac_port = 5006
@@ -15,11 +15,12 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 use std::{env, fs, io};
 
+use bcap_backup::local_files;
 use bcap_capture::duration;
 use bcap_std::Model;
 use serde::Deserialize;
 
-use crate::failure::Failure;
+use crate::failure::{Failure, of_file};
 use crate::link::address;
 
 /// The connection to a controller.
@@ -27,8 +28,8 @@ use crate::link::address;
 #[serde(deny_unknown_fields)]
 pub(crate) struct Profile {
     address: Option<Address>,
+    #[serde(alias = "model")]
     provider: Option<Provider>,
-    model: Option<ModelName>,
     pub(crate) machine: Option<String>,
     pub(crate) option: Option<String>,
     pub(crate) rac_port: Option<u16>,
@@ -41,10 +42,9 @@ impl Profile {
         self.address.as_ref().map(|address| address.0.as_str())
     }
 
-    /// Returns the provider, or else the provider of the model.
+    /// Returns the provider.
     pub(crate) fn provider(&self) -> Option<&str> {
-        let own = self.provider.as_ref().map(|provider| provider.0.as_str());
-        own.or_else(|| self.model.map(|model| model.0.provider()))
+        self.provider.as_ref().map(|provider| provider.0.as_str())
     }
 
     pub(crate) fn timeout(&self) -> Option<Duration> {
@@ -74,27 +74,9 @@ impl TryFrom<String> for Provider {
     type Error = String;
 
     fn try_from(name: String) -> Result<Self, String> {
-        if name.is_empty() {
-            Err("the provider is empty; leave it out, or write its name".into())
-        } else {
-            Ok(Self(name))
-        }
-    }
-}
-
-#[derive(Clone, Copy, Debug, Deserialize)]
-#[serde(try_from = "String")]
-struct ModelName(Model);
-
-impl TryFrom<String> for ModelName {
-    type Error = String;
-
-    fn try_from(name: String) -> Result<Self, String> {
-        match name.to_ascii_lowercase().as_str() {
-            "rc8" => Ok(Self(Model::Rc8)),
-            "rc9" => Ok(Self(Model::Rc9)),
-            "cobotta" => Ok(Self(Model::Cobotta)),
-            _ => Err(format!("{name}: the model is unknown; write rc8, rc9 or cobotta")),
+        match provider_of(&name) {
+            provider if provider.contains('.') => Ok(Self(provider.into())),
+            _ => Err(format!("{name}: write a model (rc8, rc9, cobotta, cobotta-pro) or the name of a provider")),
         }
     }
 }
@@ -108,6 +90,15 @@ impl TryFrom<String> for Timeout {
 
     fn try_from(text: String) -> Result<Self, String> {
         duration::parse(&text).map(Self).map_err(|error| format!("{text}: {error}"))
+    }
+}
+
+/// Returns the provider of a model, or the name of a provider as it is.
+pub(crate) fn provider_of(name: &str) -> &str {
+    match name.to_ascii_lowercase().as_str() {
+        "rc8" | "rc8a" | "cobotta" => Model::Rc8.provider(),
+        "rc9" | "cobotta-pro" => Model::Rc9.provider(),
+        _ => name,
     }
 }
 
@@ -154,6 +145,19 @@ impl Profiles {
     }
 }
 
+/// Adds the provider of the controller to a profile without one, so that the next command asks for it at once.
+pub(crate) fn remember(name: &str, provider: &str) -> Result<(), Failure> {
+    let path = Profiles::read()?.path;
+    let text = fs::read_to_string(&path).map_err(of_file(&path))?;
+    let header = format!("[profile.{name}]\n");
+    let new = text.replacen(&header, &format!("{header}provider = {provider:?}\n"), 1);
+    // a profile may be written in another way
+    if parse(&new, &path)?.get(name).is_none_or(|profile| profile.provider.is_none()) {
+        return Err(Failure::Input(format!("{} does not have the line {}", path.display(), header.trim_end())));
+    }
+    local_files::write(&path, new.as_bytes(), true).map_err(Failure::from)
+}
+
 /// Returns the file, `$XDG_CONFIG_HOME/bcap/config.toml` or `~/.config/bcap/config.toml`.
 fn path() -> Option<PathBuf> {
     let folder = |name: &str| env::var_os(name).filter(|folder| !folder.is_empty()).map(PathBuf::from);
@@ -171,12 +175,6 @@ fn parse(text: &str, path: &Path) -> Result<BTreeMap<String, Profile>, Failure> 
     };
     let content: Content =
         toml::from_str(text).map_err(|error| wrong(error.span().map_or(0, |span| span.start), error.message()))?;
-    for (name, profile) in &content.profile {
-        if profile.model.is_some() && profile.provider.is_some() {
-            let at = text.find(&format!("[profile.{name}]")).unwrap_or_default();
-            return Err(wrong(at, &format!("the profile {name} has a model and a provider; leave one out")));
-        }
-    }
     Ok(content.profile)
 }
 
@@ -189,11 +187,12 @@ mod tests {
         for (text, expected) in [
             ("[profile.a]\naddress = \"http://x\"", "config.toml, line 2: http://x: write tcp:HOST"),
             ("[profile.a]\n\nadress = \"x\"", "config.toml, line 3: unknown field `adress`"),
-            ("[profile.a]\nmodel = \"rc7\"", "config.toml, line 2: rc7: the model is unknown"),
+            ("[profile.a]\nmodel = \"rc7\"", "config.toml, line 2: rc7: write a model (rc8, rc9, cobotta"),
+            ("[profile.a]\nprovider = \"\"", "config.toml, line 2: : write a model"),
             ("[profile.a]\nrac_port = 70000", "config.toml, line 2: "),
             ("[profile.a]\ntimeout = \"3h\"", "config.toml, line 2: 3h: write a time"),
             ("\n[profile.a\n", "config.toml, line 2: "),
-            ("\n[profile.a]\nmodel = \"rc8\"\nprovider = \"x\"", "config.toml, line 2: the profile a has a model and"),
+            ("[profile.a]\nmodel = \"rc8\"\nprovider = \"x.y\"", "config.toml, line 3: duplicate field `provider`"),
         ] {
             let Err(Failure::Input(message)) = parse(text, Path::new("config.toml")) else { panic!("{text}") };
             assert!(message.starts_with(expected), "{message}");
@@ -203,9 +202,9 @@ mod tests {
     #[test]
     fn a_profile_has_the_provider_of_its_model() {
         let profiles =
-            parse("[profile.a]\nmodel = \"RC9\"\ntimeout = \"2s\"\n[profile.b]\nprovider = \"x\"", Path::new(""));
+            parse("[profile.a]\nmodel = \"RC9\"\ntimeout = \"2s\"\n[profile.b]\nprovider = \"x.y\"", Path::new(""));
         let profiles = profiles.unwrap();
         assert_eq!(profiles["a"].provider(), Some("CaoProv.DENSO.VRC9"));
-        assert_eq!((profiles["a"].timeout(), profiles["b"].provider()), (Some(Duration::from_secs(2)), Some("x")));
+        assert_eq!((profiles["a"].timeout(), profiles["b"].provider()), (Some(Duration::from_secs(2)), Some("x.y")));
     }
 }

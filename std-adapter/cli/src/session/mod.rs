@@ -25,7 +25,7 @@ use bcap_std::{Address, Error, Model, ObjectPath, Settings};
 
 use crate::failure::Failure;
 use crate::interrupt::{Interrupt, State};
-use crate::link::LinkArgs;
+use crate::link::{LinkArgs, profiles};
 use crate::output::note;
 use crate::session::budget::Budget;
 use crate::session::connect::{failure, open};
@@ -51,6 +51,8 @@ pub(crate) struct Session {
     pub(crate) packets: Packets,
     /// The scripts that run each other now.
     pub(crate) scripts: u8,
+    /// The variables of the shell or of the scripts.
+    pub(crate) variables: HashMap<String, String>,
 }
 
 /// An open connection.
@@ -110,6 +112,7 @@ impl Session {
             is_stopper: false,
             packets: packets(link.trace),
             scripts: 0,
+            variables: HashMap::new(),
         }
     }
 
@@ -330,7 +333,7 @@ impl Session {
     /// Calls Controller_Connect, and returns its reply.
     fn connect_provider(&mut self) -> Result<Option<Value>, Failure> {
         let link = self.link.clone();
-        let arguments = [text("")?, text(&self.provider)?, text(link.machine())?, text(link.option())?];
+        let arguments = [text("")?, text(&self.provider)?, text(&link.machine())?, text(link.option())?];
         self.call("", FunctionId::CONTROLLER_CONNECT, &arguments).map(|(_, reply)| reply)
     }
 
@@ -343,7 +346,22 @@ impl Session {
             self.use_link(link);
             return Err(refused);
         }
+        if let (Ok(_), Some(name)) = (&connected, link.profile()) {
+            match profiles::remember(name, &self.provider) {
+                Ok(()) => note(&format!("the profile {name} connects to {}", self.provider)),
+                Err(failure) => note(&format!("write provider = {:?} in the profile {name}: {failure}", self.provider)),
+            }
+        }
         connected
+    }
+
+    /// Returns the options with the provider that the controller accepts, for a command that connects by other means.
+    pub(crate) fn settled(link: &LinkArgs) -> Result<LinkArgs, Failure> {
+        let mut session = Self::new(link);
+        if link.has_default_provider() {
+            session.controller()?;
+        }
+        Ok(session.link.clone())
     }
 
     /// Connects with other arguments from now on, also after a lost connection.

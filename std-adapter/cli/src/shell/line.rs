@@ -62,6 +62,18 @@ enum LineCommand {
         #[arg(required = true, num_args = 1.., trailing_var_arg = true, allow_hyphen_values = true)]
         words: Vec<String>,
     },
+    /// Runs a command while a variable of the controller has a value: while I1 < 5 run part.bcap
+    While {
+        /// The condition, with its three words, and the command
+        #[arg(value_name = "CONDITION COMMAND", num_args = 4.., trailing_var_arg = true, allow_hyphen_values = true)]
+        words: Vec<String>,
+    },
+    /// Runs a command if a variable of the controller has a value: if IO130 = true put I1 5
+    If {
+        /// The condition, with its three words, and the command
+        #[arg(value_name = "CONDITION COMMAND", num_args = 4.., trailing_var_arg = true, allow_hyphen_values = true)]
+        words: Vec<String>,
+    },
     /// Waits until a variable of the controller has a value: wait I1 = 5 --within 2s; without a time a minute
     Wait {
         #[command(flatten)]
@@ -92,13 +104,15 @@ enum LineCommand {
     Exit,
 }
 
+const RELATIONS: [&str; 7] = ["=", "==", "!=", "<", "<=", ">", ">="];
+
 /// The condition for a variable.
 #[derive(Debug, clap::Args)]
 struct Condition {
     /// The variable, as for `get`
     name: String,
     /// = != < <= > >=
-    #[arg(value_parser = ["=", "==", "!=", "<", "<=", ">", ">="], default_value = "=", requires = "value")]
+    #[arg(value_parser = RELATIONS, default_value = "=", requires = "value")]
     relation: String,
     /// The value, as for `put`; without it, true
     #[arg(allow_hyphen_values = true, default_value = "true")]
@@ -137,8 +151,8 @@ pub(crate) struct Checker {
 }
 
 impl Checker {
-    pub(crate) fn new(check: Check) -> Self {
-        Self { variables: HashMap::new(), check }
+    pub(crate) fn new(variables: HashMap<String, String>, check: Check) -> Self {
+        Self { variables, check }
     }
 
     /// Checks a line: its command, its arguments, and the variables of the script that it uses.
@@ -163,6 +177,11 @@ impl Checker {
             },
             LineCommand::Set { name, value } => set(&mut self.variables, &name, &value)?,
             LineCommand::Repeat { words, .. } => return repeated(&words).and_then(|()| self.words(&words)),
+            LineCommand::While { words } | LineCommand::If { words } => {
+                let (condition, words) = guarded(&words)?;
+                ObjectPath::variable(&condition.name)?;
+                return self.words(words);
+            }
             LineCommand::Wait { condition, .. } | LineCommand::Expect { condition } => {
                 ObjectPath::variable(&condition.name)?;
             }
@@ -175,7 +194,6 @@ impl Checker {
 
 /// Runs lines, one after the other, over one session.
 pub(crate) struct Runner {
-    variables: HashMap<String, String>,
     pub(crate) interrupt: Interrupt,
     verb: Verb,
     json: bool,
@@ -184,24 +202,40 @@ pub(crate) struct Runner {
 impl Runner {
     pub(crate) fn new(interrupt: Interrupt, verb: Verb, json: bool) -> Self {
         interrupt.set_going_on();
-        Self { variables: HashMap::new(), interrupt, verb, json }
+        Self { interrupt, verb, json }
     }
 
     /// Runs a line. After an interruption the robot is halted and the arm given back.
-    pub(crate) fn run(&mut self, line: &str, session: &mut Session) -> Result<Flow, Failure> {
-        words_of(line, &self.variables)?.map_or(Ok(Flow::Continue), |words| self.run_words(&words, session))
+    pub(crate) fn run(&self, line: &str, session: &mut Session) -> Result<Flow, Failure> {
+        words_of(line, &session.variables)?.map_or(Ok(Flow::Continue), |words| self.run_words(&words, session))
     }
 
-    fn run_words(&mut self, words: &[String], session: &mut Session) -> Result<Flow, Failure> {
+    fn run_words(&self, words: &[String], session: &mut Session) -> Result<Flow, Failure> {
         let line = match Line::try_parse_from(words) {
             Ok(line) => line,
             Err(error) => return explained(&error).map(|()| Flow::Continue),
         };
-        if let LineCommand::Repeat { count, words } = &line.command {
-            repeated(words)?;
-            let flow =
-                (0..*count).map(|_| self.run_words(words, session)).find(|flow| !matches!(flow, Ok(Flow::Continue)));
-            return flow.unwrap_or(Ok(Flow::Continue));
+        match &line.command {
+            LineCommand::Repeat { count, words } => {
+                repeated(words)?;
+                let mut flows = (0..*count).map(|_| self.run_words(words, session));
+                return flows.find(|flow| !matches!(flow, Ok(Flow::Continue))).unwrap_or(Ok(Flow::Continue));
+            }
+            LineCommand::While { words } => {
+                let (condition, words) = guarded(words)?;
+                while self.holds(&condition, session)? {
+                    if self.run_words(words, session)? == Flow::Exit {
+                        return Ok(Flow::Exit);
+                    }
+                }
+                return Ok(Flow::Continue);
+            }
+            LineCommand::If { words } => {
+                let (condition, words) = guarded(words)?;
+                let holds = self.holds(&condition, session)?;
+                return if holds { self.run_words(words, session) } else { Ok(Flow::Continue) };
+            }
+            _ => {}
         }
         session.restart_budget();
         if let LineCommand::Verb(command) = &line.command
@@ -236,12 +270,21 @@ impl Runner {
         }
     }
 
-    fn command(&mut self, line: &Line, session: &mut Session) -> Result<Flow, Failure> {
+    /// Returns whether a condition holds.
+    fn holds(&self, condition: &Condition, session: &mut Session) -> Result<bool, Failure> {
+        session.restart_budget();
+        let had_arm = session.has_arm();
+        let checked = condition.check(session);
+        let holds = checked.as_ref().is_ok_and(Result::is_ok);
+        self.conclude(checked.map(|_| Flow::Continue), had_arm, session).map(|_| holds)
+    }
+
+    fn command(&self, line: &Line, session: &mut Session) -> Result<Flow, Failure> {
         let json = self.json || line.json;
         match &line.command {
             LineCommand::Verb(command) if matches!(**command, Command::Shell(_)) => return Err(no_shell()),
             LineCommand::Verb(command) => (self.verb)(command, session, json)?,
-            LineCommand::Set { name, value } => set(&mut self.variables, name, value)?,
+            LineCommand::Set { name, value } => set(&mut session.variables, name, value)?,
             LineCommand::Sleep { time } => self.interrupt.sleep(*time)?,
             LineCommand::Wait { condition, timeout, within } => {
                 self.wait(condition, within.unwrap_or(*timeout), session)?;
@@ -252,7 +295,7 @@ impl Runner {
             LineCommand::Help { topic } => help(topic.as_deref())?,
             LineCommand::Exit => return Ok(Flow::Exit),
             // its command runs line by line
-            LineCommand::Repeat { .. } => {}
+            LineCommand::Repeat { .. } | LineCommand::While { .. } | LineCommand::If { .. } => {}
         }
         Ok(Flow::Continue)
     }
@@ -298,13 +341,24 @@ fn set(variables: &mut HashMap<String, String>, name: &str, value: &[String]) ->
     Ok(())
 }
 
-/// Refuses a command that repeats another one more than once: its depth has no limit.
+/// Refuses a command that runs a command that runs another one: its depth has no limit.
 fn repeated(words: &[String]) -> Result<(), Failure> {
     match words.first() {
-        Some(word) if word == "repeat" => {
-            Err(Failure::Input("`repeat` does not repeat `repeat`; write a script".into()))
+        Some(word) if ["repeat", "while", "if"].contains(&word.as_str()) => {
+            Err(Failure::Input(format!("a line has one of repeat, while and if; write a script for {word}")))
         }
         _ => Ok(()),
+    }
+}
+
+/// Splits the words of `while` and `if` into the condition and the command.
+fn guarded(words: &[String]) -> Result<(Condition, &[String]), Failure> {
+    match words {
+        [name, relation, value, command @ ..] if RELATIONS.contains(&relation.as_str()) => {
+            let [name, relation, value] = [name, relation, value].map(String::to_owned);
+            repeated(command).map(|()| (Condition { name, relation, value }, command))
+        }
+        _ => Err(Failure::Input("write a condition of three words, such as IO130 = true, and a command".into())),
     }
 }
 

@@ -17,11 +17,13 @@ use rustyline::error::ReadlineError;
 use rustyline::history::FileHistory;
 use rustyline::{Config, Context, Editor};
 
+use crate::commands::robot::messages::next_message;
 use crate::commands::variables::names::all_names;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::{note, print_line};
 use crate::session::Session;
+use crate::session::slave_mode::StreamCheck;
 use crate::session::variables::{get_one, short_type, state_words};
 use crate::shell::line::{Flow, Runner, Verb};
 use crate::shell::terminal::Terminal;
@@ -67,7 +69,7 @@ pub(crate) fn shell(session: &mut Session, verb: Verb, json: bool) -> Result<(),
         let _ = editor.load_history(file);
     }
     connect(&shared, json)?;
-    let ended = read_lines(&mut editor, &shared, &mut Runner::new(interrupt, verb, json), json);
+    let ended = read_lines(&mut editor, &shared, &Runner::new(interrupt, verb, json), json);
     if let Some(file) = &history {
         // a shell without a place for its history works as well
         let _ = file.parent().map(std::fs::create_dir_all);
@@ -92,11 +94,12 @@ fn connect(shared: &Shared, json: bool) -> Result<(), Failure> {
 fn read_lines(
     editor: &mut Editor<Names, FileHistory>,
     shared: &Shared,
-    runner: &mut Runner,
+    runner: &Runner,
     json: bool,
 ) -> Result<(), Failure> {
+    let mut inbox = Some(StreamCheck::default());
     loop {
-        let prompt = format!("{}> ", prompt(&mut locked(shared)));
+        let prompt = format!("{}> ", prompt(&mut locked(shared), &mut inbox));
         // Ctrl-C after the end of the last line, while the state for the prompt was read
         if runner.interrupt.is_interrupted() {
             report(stop(&mut locked(shared)), json);
@@ -162,9 +165,19 @@ fn locked(shared: &Shared) -> MutexGuard<'_, Session> {
     shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Returns the state for the prompt. Its packets are not traced, because the user did not cause them.
-fn prompt(session: &mut Session) -> String {
+/// Prints the new messages of the controller, and returns the state for the prompt. The packets are not traced, because the user did
+/// not cause them. `inbox` becomes `None` when the controller refuses messages: each refusal may be an entry of its log.
+fn prompt(session: &mut Session, inbox: &mut Option<StreamCheck>) -> String {
     session.packets.set_paused(true);
+    while let Some(check) = inbox.as_mut().filter(|_| session.is_open()) {
+        session.restart_budget();
+        match next_message(session, check) {
+            Ok(Some(message)) => note(&message.to_string()),
+            Err(Failure::Refused { .. }) => *inbox = None,
+            // also while a stream runs
+            Ok(None) | Err(_) => break,
+        }
+    }
     let state = state(session);
     session.packets.set_paused(false);
     state

@@ -2,12 +2,10 @@
 
 use std::fs::File;
 use std::io::{self, BufRead, BufReader};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, channel, sync_channel};
-use std::thread;
-use std::time::Duration;
 
 use crate::cli::Run;
 use crate::failure::Failure;
+use crate::input::Lines;
 use crate::interrupt::Interrupt;
 use crate::output::print_result;
 use crate::session::Session;
@@ -15,9 +13,6 @@ use crate::shell::line::{Check, Checked, Checker, Flow, Runner, Verb};
 
 /// How deep scripts that run scripts may be nested.
 const DEPTH: u8 = 16;
-
-/// How often a script that waits for its next line looks for a signal.
-const LOOK: Duration = Duration::from_millis(20);
 
 /// Runs `bcap run`.
 pub(crate) fn run(args: &Run, session: &mut Session, verb: Verb, check: Check, json: bool) -> Result<(), Failure> {
@@ -38,45 +33,35 @@ fn too_deep(args: &Run) -> Failure {
 fn run_lines(args: &Run, session: &mut Session, verb: Verb, check: Check, json: bool) -> Result<(), Failure> {
     let interrupt = session.handle_signals()?;
     let (name, lines) = open(args)?;
-    let mut lines = read_on_thread(lines)?;
+    let mut lines = Lines::read(lines)?;
     if args.check || name != "-" {
         let all = collect(&name, &lines, &interrupt)?;
-        check_lines(&name, &all, check, session.scripts)?;
+        check_lines(&name, &all, &mut Checker::new(session.variables.clone(), check), session.scripts)?;
         if args.check {
             return checked(&name, all.len(), json);
         }
-        let (sender, receiver) = channel();
-        // the receiver exists
-        all.into_iter().for_each(|line| drop(sender.send(Ok(line))));
-        lines = receiver;
+        lines = Lines::of(all);
     }
-    run_each(&name, &lines, session, Runner::new(interrupt, verb, json))
+    run_each(&name, &lines, session, &Runner::new(interrupt, verb, json))
 }
 
 /// Reads all lines; a signal ends that with an error.
-fn collect(
-    name: &str,
-    lines: &Receiver<Result<String, String>>,
-    interrupt: &Interrupt,
-) -> Result<Vec<String>, Failure> {
+fn collect(name: &str, lines: &Lines, interrupt: &Interrupt) -> Result<Vec<String>, Failure> {
     let mut all = Vec::new();
     loop {
-        match lines.recv_timeout(LOOK) {
-            Ok(line) => {
-                all.push(line.map_err(|error| Failure::Input(format!("{name}:{}: {error}", all.len() + 1)))?);
-            }
-            Err(RecvTimeoutError::Timeout) if interrupt.is_interrupted() => {
+        match lines.next(interrupt) {
+            Ok(Some(line)) => all.push(line),
+            Ok(None) => return Ok(all),
+            Err(Failure::Interrupted(_)) => {
                 return Err(Failure::Interrupted(format!("{name}: interrupted before its first line")));
             }
-            Err(RecvTimeoutError::Timeout) => {}
-            Err(RecvTimeoutError::Disconnected) => return Ok(all),
+            Err(error) => return Err(Failure::Input(format!("{name}:{}: {error}", all.len() + 1))),
         }
     }
 }
 
 /// Checks the lines of a script, and of the scripts that it runs.
-fn check_lines(name: &str, lines: &[String], check: Check, depth: u8) -> Result<(), Failure> {
-    let mut checker = Checker::new(check);
+fn check_lines(name: &str, lines: &[String], checker: &mut Checker, depth: u8) -> Result<(), Failure> {
     for (line, number) in lines.iter().zip(1_u32..) {
         let checked = checker.line(line).and_then(|checked| match checked {
             // the standard input is read when the line runs
@@ -86,7 +71,7 @@ fn check_lines(name: &str, lines: &[String], check: Check, depth: u8) -> Result<
                 let (name, lines) = open(&args)?;
                 let lines = lines.lines().collect::<Result<Vec<_>, _>>();
                 let lines = lines.map_err(|error| Failure::Input(format!("{name}: {error}")))?;
-                check_lines(&name, &lines, check, depth + 1).map(|()| Flow::Continue)
+                check_lines(&name, &lines, checker, depth + 1).map(|()| Flow::Continue)
             }
             Checked::Continue => Ok(Flow::Continue),
             Checked::Exit => Ok(Flow::Exit),
@@ -108,47 +93,25 @@ fn checked(name: &str, lines: usize, json: bool) -> Result<(), Failure> {
 }
 
 /// Runs lines until the last one, `exit`, an error or a signal.
-fn run_each(
-    name: &str,
-    lines: &Receiver<Result<String, String>>,
-    session: &mut Session,
-    mut runner: Runner,
-) -> Result<(), Failure> {
-    let mut number = 0_u32;
-    loop {
-        let line = lines.recv_timeout(LOOK);
-        if line != Err(RecvTimeoutError::Timeout) {
-            number = number.saturating_add(1);
-        }
-        if runner.interrupt.is_interrupted() {
-            session.give_arm()?;
-            return Err(Failure::Interrupted(format!("{name}:{number}: interrupted before this line")));
-        }
+fn run_each(name: &str, lines: &Lines, session: &mut Session, runner: &Runner) -> Result<(), Failure> {
+    for number in 1_u32.. {
         let place = format!("{name}:{number}");
-        let line = match line {
-            Ok(line) => line.map_err(|error| Failure::Input(format!("{place}: {error}")))?,
-            Err(RecvTimeoutError::Timeout) => continue,
-            Err(RecvTimeoutError::Disconnected) => return Ok(()),
+        let line = match lines.next(&runner.interrupt) {
+            Ok(Some(line)) => line,
+            Ok(None) => break,
+            Err(Failure::Interrupted(_)) => {
+                session.give_arm()?;
+                return Err(Failure::Interrupted(format!("{place}: interrupted before this line")));
+            }
+            Err(error) => return Err(Failure::Input(format!("{place}: {error}"))),
         };
         match runner.run(&line, session) {
             Ok(Flow::Continue) => {}
-            Ok(Flow::Exit) => return Ok(()),
+            Ok(Flow::Exit) => break,
             Err(failure) => return Err(Failure::Script { place, failure: Box::new(failure) }),
         }
     }
-}
-
-/// Reads lines on a separate thread, so that a signal is handled while the command waits for a line.
-fn read_on_thread(lines: Box<dyn BufRead + Send>) -> io::Result<Receiver<Result<String, String>>> {
-    let (sender, receiver) = sync_channel(0);
-    thread::Builder::new().name("script".into()).spawn(move || {
-        for line in lines.lines() {
-            if sender.send(line.map_err(|error| error.to_string())).is_err() {
-                return;
-            }
-        }
-    })?;
-    Ok(receiver)
+    Ok(())
 }
 
 fn open(args: &Run) -> Result<(String, Box<dyn BufRead + Send>), Failure> {

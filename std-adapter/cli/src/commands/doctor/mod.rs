@@ -174,7 +174,7 @@ fn provider(session: &mut Session, link: &LinkArgs, report: &mut Report) -> Resu
                 let kind = if kind.is_empty() || kind == family { String::new() } else { format!(", it is a {kind}") };
                 report.note(
                     "provider",
-                    if provider == requested {
+                    if provider == requested || link.has_default_provider() {
                         Finding::Passed(format!("{provider} ({family}){kind}"))
                     } else {
                         Finding::failed(

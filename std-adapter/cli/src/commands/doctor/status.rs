@@ -34,31 +34,39 @@ pub(crate) fn status(session: &mut Session, json: bool) -> Result<(), Failure> {
     let (kind, version, number) = (read("@TYPE")?, read("@VERSION")?.unwrap_or_default(), read("@MODE")?);
     let (servo, speed) = (read("robot/@SERVO_ON")?, read("robot/@EXTSPEED")?);
     let position = read("robot/@CURRENT_POSITION")?;
-    let state = session.with(|controller| controller.robot()?.examine())?;
+    let state = match session.with(|controller| controller.robot()?.examine()) {
+        // a controller without a robot, or whose robot is not ready, has the other lines
+        Err(refused @ Failure::Refused { .. }) => Err(refused.to_string()),
+        state => Ok(state?),
+    };
     let kind = short_type(&kind.unwrap_or_default());
     report.note("controller", Finding::Passed(format!("{kind} {version}")))?;
     report.note("mode", number.map_or_else(|| Finding::skipped("unknown"), |number| mode(number == "3")))?;
     report.note("permission", Finding::skipped(PERMISSION))?;
-    let safety = of_state(&state, |state| token_finding(state.has_outside_token()));
-    report.note("token", safety)?;
-    report.note("errors", of_state(&state, |bits| errors(bits, &state)))?;
-    report.note("emergency stop", of_state(&state, |bits| emergency_stop(bits, state.torque_off)))?;
+    report.note("token", of_state(&state, |bits, _| token_finding(bits.has_outside_token())))?;
+    report.note("errors", of_state(&state, errors))?;
+    report.note("emergency stop", of_state(&state, |bits, state| emergency_stop(bits, state.torque_off)))?;
     report.note("motor", motor(servo.as_deref()))?;
-    report.note("arm", arm(&state))?;
+    report.note("arm", state.as_ref().map_or_else(|_| Finding::skipped("there is no robot"), arm))?;
     let known = |value: Option<String>, unit| value.map_or_else(|| "unknown".into(), |value| format!("{value}{unit}"));
     report.note("speed", Finding::Passed(format!("{}; `bcap move --speed` changes it", known(speed, " %"))))?;
     report
         .note("position", Finding::Passed(format!("{}; X,Y,Z in mm, RX,RY,RZ in degrees, FIG", known(position, ""))))?;
     report.note("tasks", tasks(session)?)?;
-    report.note("ready", ready(&state, servo.as_deref()))
+    let missing =
+        |why: &String| Finding::failed(why.as_str(), "`bcap names robot` lists the robots, `bcap errors` the errors");
+    report.note("ready", state.as_ref().map_or_else(missing, |state| ready(state, servo.as_deref())))
 }
 
 /// Returns a finding about the state; skipped if it is unknown, such as during a stream.
-fn of_state(state: &Examination, finding: impl FnOnce(SysState) -> Finding) -> Finding {
-    match (state.state, state.stream) {
-        (Some(bits), _) => finding(bits),
-        (None, StreamState::Runs) => Finding::skipped("a stream of Slave Mode runs, and the question would end it"),
-        (None, _) => Finding::skipped("the controller does not say it"),
+fn of_state(state: &Result<Examination, String>, finding: impl FnOnce(SysState, &Examination) -> Finding) -> Finding {
+    match state.as_ref().map(|state| (state, state.state, state.stream)) {
+        Ok((state, Some(bits), _)) => finding(bits, state),
+        Ok((_, None, StreamState::Runs)) => {
+            Finding::skipped("a stream of Slave Mode runs, and the question would end it")
+        }
+        Ok(_) => Finding::skipped("the controller does not say it"),
+        Err(why) => Finding::skipped(why),
     }
 }
 

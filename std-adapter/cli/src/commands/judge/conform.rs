@@ -132,6 +132,8 @@ pub(crate) fn conform(args: &Conform, link: &LinkArgs, json: bool) -> Result<(),
     if args.level == LevelArg::Motion && !args.yes_the_robot_may_move {
         return Err(Failure::Input("--level motion moves the robot: add --yes-the-robot-may-move".into()));
     }
+    // a device that answers no session is judged all the same
+    let link = &Session::settled(link).unwrap_or_else(|_| link.clone());
     let options = options(args, link)?;
     let interrupt = Interrupt::install(|_| {})?;
     let moves = args.level == LevelArg::Motion && chosen.iter().any(|case| case.level() == Level::Motion);
@@ -220,7 +222,7 @@ fn options(args: &Conform, link: &LinkArgs) -> Result<Options, Failure> {
         restart: args.recovery.restart.clone(),
         restarts: args.recovery.restarts,
         provider: link.provider().into(),
-        machine: link.machine().into(),
+        machine: link.machine(),
         option: link.option().into(),
         task: args.task.clone(),
         scratch: args.scratch,

@@ -3,7 +3,7 @@
 //! With `-` every line of the standard input gives exactly one line of output, in order. A line that cannot be converted
 //! gives `{"error":"...","offset":n}`. The other lines are still converted, and the exit code is then 2.
 
-use std::io::{self, BufRead, Write};
+use std::io::{self, BufRead, Read as _, Write};
 
 use bcap_capture::ConvertError;
 use bcap_terminal::escape;
@@ -91,29 +91,14 @@ fn each_line(
 /// Reads a line without its end into `line`: `None` at the end of the input, `Some(false)` if the line is too long.
 fn read_line(input: &mut impl BufRead, line: &mut Vec<u8>) -> io::Result<Option<bool>> {
     line.clear();
-    let (mut any, mut whole) = (false, true);
-    loop {
-        let buffer = match input.fill_buf() {
-            Ok(buffer) => buffer,
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
-            Err(error) => return Err(error),
-        };
-        if buffer.is_empty() {
-            return Ok(any.then_some(whole));
-        }
-        any = true;
-        let end = buffer.iter().position(|byte| *byte == b'\n');
-        let part = &buffer[..end.unwrap_or(buffer.len())];
-        whole &= line.len() + part.len() <= MAX_LINE;
-        if whole {
-            line.extend_from_slice(part);
-        }
-        let used = part.len() + usize::from(end.is_some());
-        input.consume(used);
-        if end.is_some() {
-            return Ok(Some(whole));
-        }
+    // a character more than the longest line: the end of the line
+    let read = input.by_ref().take(MAX_LINE as u64 + 1).read_until(b'\n', line)?;
+    if line.pop_if(|last| *last == b'\n').is_none() && read > MAX_LINE {
+        // the rest of the line is skipped
+        input.skip_until(b'\n')?;
+        return Ok(Some(false));
     }
+    Ok((read > 0).then_some(true))
 }
 
 #[cfg(test)]

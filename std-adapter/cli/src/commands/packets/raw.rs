@@ -1,32 +1,39 @@
 //! `bcap raw`: sends packets as they are written, and shows each reply.
 
-use std::io::{self, BufRead, Read, Write};
-use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
+use std::io::{self, BufReader};
+use std::net::{SocketAddr, TcpListener, UdpSocket};
 use std::time::Duration;
 
 use bcap_capture::trace::{self, Level, Wire};
+use bcap_capture::value::to_json;
 use bcap_capture::{Role, frame, hex};
-use bcap_core::bcap::Decoder;
+use bcap_core::bcap::{Decoder, Frame};
 use bcap_core::hresult::HResult;
-use bcap_std::{Address, Protocol, blocking};
+use bcap_core::variant::Variant;
+use bcap_std::Protocol;
+use bcap_std::blocking::{self, TcpTransport, Transport};
 use clap::Args;
 
 use crate::failure::{Failure, item_to_json};
+use crate::input::Lines;
 use crate::interrupt::Interrupt;
 use crate::link::LinkArgs;
 use crate::listen::{self, taken};
 use crate::output::{print_block, print_json, print_line};
 use crate::session::Session;
 use crate::session::budget::Budget;
-use crate::session::connect::{broken, not_connected};
+use crate::session::connect::connect;
 
 /// Sends packets as they are written, and shows each reply
 ///
 /// It opens a separate connection, in the shell and in scripts too, so the handles of their session are not valid in it. It starts
 /// no service and changes no byte: serial numbers, handles and errors are the writer's. PACKET is hexadecimal
 /// digits, as for `bcap decode`, or JSON, as for `bcap decode --reverse`; one PACKET may hold several frames of hexadecimal digits.
-/// Without PACKET, or with `-`, each line of the standard input is one. After each packet the command waits for its reply, at
-/// most for --timeout. Keep-alives (S_EXECUTING) are shown; without --timeout each of them allows another 3 s.
+/// Without PACKET, or with `-`, each line of the standard input is one, sent as soon as it is there. After each packet the command
+/// waits for its reply, at most for --timeout. Keep-alives (S_EXECUTING) are shown; without --timeout each of them allows another
+/// 3 s.
+///
+/// In a PACKET $2 is the value of the reply to packet 2, such as a handle: as JSON has it, or its I4 as four bytes.
 ///
 /// It undoes nothing at its end, not even after Ctrl-C: an arm that a packet takes stays taken, a motor stays on, a robot goes on
 /// moving. `bcap halt`, `bcap call` and `bcap exec` end safely.
@@ -65,148 +72,174 @@ const DATAGRAM: usize = 65_535;
 
 /// Runs `bcap raw`.
 pub(crate) fn raw(args: &Raw, session: &mut Session, json: bool) -> Result<(), Failure> {
-    let listens = args.listen.is_some();
-    let own = if listens { Role::Response } else { Role::Request };
-    let packets = packets(&args.packets, own)?;
     let interrupt = session.handle_signals()?;
+    let lines = (args.packets.is_empty() || args.packets == ["-"]).then(|| Lines::read(BufReader::new(io::stdin())));
+    let lines = lines.transpose()?;
+    // otherwise the input is read to its end, to know its last line, and to repeat it
+    let is_live = args.listen.is_none() && !args.last && args.rounds == 1;
+    let mut words = if lines.is_some() { Vec::new() } else { args.packets.clone() };
+    while let Some(line) =
+        lines.as_ref().filter(|_| !is_live || words.is_empty()).map_or(Ok(None), |l| l.next(&interrupt))?
+    {
+        words.extend(Some(line).filter(|line| !line.trim().is_empty()));
+    }
+    if words.is_empty() {
+        return Err(Failure::Input("there is no packet to send".into()));
+    }
+    let role = if args.listen.is_some() { Role::Response } else { Role::Request };
+    words.iter().try_for_each(|word| packets(&filled(word, None)?, role).map(drop))?;
     let link = session.link();
     let peer = match &args.listen {
         Some((protocol, local)) => Peer::listen(*protocol, *local, &interrupt)?,
         None => Peer::connect(link)?,
     };
-    let mut talk = Talk { peer, received: Vec::new(), interrupt, budget: Budget::start(link), json };
+    let (received, replies) = (Vec::new(), Vec::new());
+    let mut talk = Talk { peer, role, received, replies, interrupt, budget: Budget::start(link), json };
     for _ in 0..args.rounds {
-        for (index, packet) in packets.iter().enumerate() {
-            talk.check()?;
-            let shows = !args.last || index + 1 == packets.len();
-            if listens { talk.answer(packet, shows)? } else { talk.ask(index + 1, packet, shows)? }
+        talk.replies.clear();
+        for (index, word) in words.iter().enumerate() {
+            talk.word(word, !args.last, index + 1 == words.len())?;
+        }
+    }
+    while let Some(line) = lines.as_ref().map_or(Ok(None), |lines| lines.next(&talk.interrupt))? {
+        if !line.trim().is_empty() {
+            talk.word(&line, true, true)?;
         }
     }
     Ok(())
 }
 
-/// Parses the packets of the command line or of the lines of the standard input.
-fn packets(words: &[String], role: Role) -> Result<Vec<Vec<u8>>, Failure> {
-    let lines;
-    let words = if words.is_empty() || words == ["-"] {
-        lines = io::stdin().lock().lines().collect::<Result<Vec<_>, _>>()?;
-        &lines
-    } else {
-        words
-    };
-    let mut packets = Vec::new();
-    for word in words.iter().filter(|word| !word.trim().is_empty()) {
-        if word.trim_start().starts_with('{') {
-            packets.push(frame::from_json(word, role, false).map_err(Failure::Item)?);
-        } else {
-            let mut rest = hex::parse(word.as_bytes()).map_err(Failure::Item)?;
-            // bytes that are not a frame are sent as they are
-            while let Some(length) = trace::packet_length(&rest, Wire::Stream).filter(|length| *length < rest.len()) {
-                let after = rest.split_off(length);
-                packets.push(std::mem::replace(&mut rest, after));
-            }
-            packets.push(rest);
+/// Replaces `$N` by the value of the reply to packet N, or by a zero before there are replies.
+fn filled(text: &str, replies: Option<&[Option<String>]>) -> Result<String, Failure> {
+    let mut parts = text.split('$');
+    let mut filled = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        let digits = part.len() - part.trim_start_matches(|c: char| c.is_ascii_digit()).len();
+        let (number, rest) = part.split_at(digits);
+        let Ok(number) = number.parse::<usize>() else {
+            filled += &format!("${part}");
+            continue;
+        };
+        let value = match (number.checked_sub(1), replies) {
+            (Some(_), None) => Some("0"),
+            (Some(at), Some(replies)) => replies.get(at).and_then(Option::as_deref),
+            (None, _) => None,
+        };
+        let value = value.ok_or_else(|| Failure::Input(format!("${number}: reply {number} has no value")))?;
+        let is_json = text.trim_start().starts_with('{');
+        match (is_json, value.parse::<i32>()) {
+            (true, _) => filled += value,
+            (false, Ok(handle)) => filled += &hex::spaced(&handle.to_le_bytes()),
+            (false, Err(_)) => return Err(Failure::Input(format!("${number}: {value} is not an I4"))),
         }
+        filled += rest;
     }
-    if packets.is_empty() { Err(Failure::Input("there is no packet to send".into())) } else { Ok(packets) }
+    Ok(filled)
+}
+
+/// Returns the `v` of a value in JSON.
+fn data_of(value: Variant<'_>) -> String {
+    let json = serde_json::from_str(&to_json(value));
+    json.map_or_else(|_| String::new(), |json: serde_json::Value| json["v"].to_string())
+}
+
+/// Parses a PACKET: one of JSON, or several of hexadecimal digits.
+fn packets(word: &str, role: Role) -> Result<Vec<Vec<u8>>, Failure> {
+    if word.trim_start().starts_with('{') {
+        return Ok(vec![frame::from_json(word, role, false).map_err(Failure::Item)?]);
+    }
+    let mut packets = Vec::new();
+    let mut rest = hex::parse(word.as_bytes()).map_err(Failure::Item)?;
+    // bytes that are not a frame are sent as they are
+    while let Some(length) = trace::packet_length(&rest, Wire::Stream).filter(|length| *length < rest.len()) {
+        let after = rest.split_off(length);
+        packets.push(std::mem::replace(&mut rest, after));
+    }
+    packets.push(rest);
+    Ok(packets)
 }
 
 /// The other end.
 enum Peer {
-    Tcp(TcpStream),
-    Udp(UdpSocket),
+    Connected(Box<dyn Transport<Error = io::Error>>, Wire),
     /// A socket that listens; the client is known from its first datagram on.
     UdpServer(UdpSocket, Option<SocketAddr>),
 }
 
 impl Peer {
     fn connect(link: &LinkArgs) -> Result<Self, Failure> {
-        let (server, budget) = (link.network_target()?, Budget::start(link));
-        let target = Address::Network(server.clone());
-        let addresses = blocking::resolve(&server, budget.left()).map_err(|error| not_connected(&error, &target))?;
-        let failed = |error| broken(&error, &target);
-        let mut last = io::Error::from(io::ErrorKind::NotFound);
-        for address in addresses {
-            let peer = match server.protocol {
-                Protocol::Tcp => TcpStream::connect_timeout(&address, link.timeout())
-                    .and_then(|stream| stream.set_nodelay(true).map(|()| Self::Tcp(stream))),
-                Protocol::Udp => {
-                    let any = if address.is_ipv4() { "0.0.0.0:0" } else { "[::]:0" };
-                    UdpSocket::bind(any).and_then(|socket| socket.connect(address).map(|()| Self::Udp(socket)))
-                }
-            };
-            match peer {
-                Ok(peer) => return peer.with_steps().map_err(failed),
-                Err(error) => last = error,
+        let server = link.network_target()?;
+        connect(&server, &Budget::start(link), |peer, options| match server.protocol {
+            Protocol::Tcp => {
+                let transport = blocking::connect_tcp(peer, options)?.into_parts().0;
+                Ok(Self::Connected(Box::new(transport), Wire::Stream))
             }
-        }
-        Err(failed(last))
+            Protocol::Udp => {
+                let transport = blocking::connect_udp(peer, options)?.into_parts().0;
+                Ok(Self::Connected(Box::new(transport), Wire::Datagrams))
+            }
+        })
     }
 
     /// Listens, and waits for a TCP client.
     fn listen(protocol: Protocol, local: SocketAddr, interrupt: &Interrupt) -> Result<Self, Failure> {
         let failed = |error| taken("--listen", local, &error);
-        match protocol {
-            Protocol::Udp => {
-                let socket = UdpSocket::bind(local).map_err(failed)?;
-                print_line(&format!("ready udp:{}", socket.local_addr().map_err(failed)?))?;
-                Self::UdpServer(socket, None).with_steps().map_err(failed)
-            }
-            Protocol::Tcp => {
-                let listener = TcpListener::bind(local).map_err(failed)?;
-                print_line(&format!("ready tcp:{}", listener.local_addr().map_err(failed)?))?;
-                listener.set_nonblocking(true).map_err(failed)?;
-                loop {
-                    match listener.accept() {
-                        Ok((stream, _)) => {
-                            stream.set_nonblocking(false).map_err(failed)?;
-                            return Self::Tcp(stream).with_steps().map_err(failed);
-                        }
-                        Err(error) if error.kind() == io::ErrorKind::WouldBlock => interrupt.sleep(STEP)?,
-                        Err(error) => return Err(failed(error)),
-                    }
+        if protocol == Protocol::Udp {
+            let socket = UdpSocket::bind(local).map_err(failed)?;
+            print_line(&format!("ready udp:{}", socket.local_addr().map_err(failed)?))?;
+            // signals are noticed between two waits
+            socket.set_read_timeout(Some(STEP)).map_err(failed)?;
+            return Ok(Self::UdpServer(socket, None));
+        }
+        let listener = TcpListener::bind(local).map_err(failed)?;
+        print_line(&format!("ready tcp:{}", listener.local_addr().map_err(failed)?))?;
+        listener.set_nonblocking(true).map_err(failed)?;
+        loop {
+            match listener.accept() {
+                Ok((stream, _)) => {
+                    stream.set_nonblocking(false).map_err(failed)?;
+                    return Ok(Self::Connected(Box::new(TcpTransport::new(stream)), Wire::Stream));
                 }
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => interrupt.sleep(STEP)?,
+                Err(error) => return Err(failed(error)),
             }
         }
-    }
-
-    /// Limits each wait, so that signals are noticed.
-    fn with_steps(self) -> io::Result<Self> {
-        match &self {
-            Self::Tcp(stream) => {
-                stream.set_read_timeout(Some(STEP)).and_then(|()| stream.set_write_timeout(Some(SEND)))
-            }
-            Self::Udp(socket) | Self::UdpServer(socket, _) => socket.set_read_timeout(Some(STEP)),
-        }?;
-        Ok(self)
     }
 
     const fn wire(&self) -> Wire {
         match self {
-            Self::Tcp(_) => Wire::Stream,
-            Self::Udp(_) | Self::UdpServer(..) => Wire::Datagrams,
+            Self::Connected(_, wire) => *wire,
+            Self::UdpServer(..) => Wire::Datagrams,
         }
     }
 
     fn send(&mut self, packet: &[u8]) -> io::Result<()> {
+        let (until, mut rest) = (bcap_std::now() + SEND, packet);
         match self {
-            Self::Tcp(stream) => stream.write_all(packet),
-            Self::Udp(socket) => socket.send(packet).map(drop),
+            Self::Connected(transport, _) => {
+                while !rest.is_empty() {
+                    let sent = transport.send(rest, until)?.ok_or(io::ErrorKind::TimedOut)?;
+                    rest = rest.get(sent..).unwrap_or_default();
+                }
+                Ok(())
+            }
             Self::UdpServer(socket, Some(client)) => socket.send_to(packet, *client).map(drop),
             Self::UdpServer(_, None) => Ok(()),
         }
     }
 
-    /// Receives bytes; 0 at the end of a TCP connection.
-    fn receive(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+    /// Receives bytes; 0 at the end of a TCP connection, `None` after a moment without any.
+    fn receive(&mut self, buffer: &mut [u8]) -> io::Result<Option<usize>> {
         match self {
-            Self::Tcp(stream) => stream.read(buffer),
-            Self::Udp(socket) => socket.recv(buffer),
-            Self::UdpServer(socket, client) => {
-                let (length, from) = socket.recv_from(buffer)?;
-                *client = Some(from);
-                Ok(length)
-            }
+            Self::Connected(transport, _) => transport.receive(buffer, bcap_std::now() + STEP),
+            Self::UdpServer(socket, client) => match socket.recv_from(buffer) {
+                Ok((length, from)) => {
+                    *client = Some(from);
+                    Ok(Some(length))
+                }
+                Err(error) if is_timeout(&error) => Ok(None),
+                Err(error) => Err(error),
+            },
         }
     }
 }
@@ -214,16 +247,31 @@ impl Peer {
 /// The exchange of packets with the other end.
 struct Talk {
     peer: Peer,
+    /// What this end sends.
+    role: Role,
     /// Received bytes that are not a packet yet.
     received: Vec<u8>,
     interrupt: Interrupt,
     budget: Budget,
     json: bool,
+    /// The value of each reply, as JSON.
+    replies: Vec<Option<String>>,
 }
 
 impl Talk {
+    /// Sends the packets of a word, and shows all, or the last one if `is_last`.
+    fn word(&mut self, word: &str, shows_all: bool, is_last: bool) -> Result<(), Failure> {
+        let packets = packets(&filled(word, Some(&self.replies))?, self.role)?;
+        for (index, packet) in packets.iter().enumerate() {
+            self.check()?;
+            let shows = shows_all || is_last && index + 1 == packets.len();
+            if self.role == Role::Response { self.answer(packet, shows)? } else { self.ask(packet, shows)? }
+        }
+        Ok(())
+    }
+
     /// Sends a packet and waits for its reply.
-    fn ask(&mut self, number: usize, packet: &[u8], shows: bool) -> Result<(), Failure> {
+    fn ask(&mut self, packet: &[u8], shows: bool) -> Result<(), Failure> {
         self.show(Role::Request, packet, shows)?;
         self.budget.restart();
         self.peer.send(packet).map_err(lost)?;
@@ -231,15 +279,17 @@ impl Talk {
         loop {
             let limit = self.budget.left().unwrap_or(self.budget.answer());
             let Some(reply) = self.receive(Some(limit))? else {
-                let limit = self.budget.answer().as_millis();
+                let (number, limit) = (self.replies.len() + 1, self.budget.answer().as_millis());
                 return Err(Failure::Timeout {
                     message: format!("no reply to packet {number} within {limit} ms{only}"),
                     hint: "a server drops packets that are not frames; allow more time with --timeout".into(),
                 });
             };
             self.show(Role::Response, &reply, shows)?;
-            let code = Decoder::TCP.decode_datagram(&reply).map(|frame| frame.hresult());
-            if code != Ok(HResult::S_EXECUTING) {
+            let frame = Decoder::TCP.decode_datagram(&reply);
+            if frame.as_ref().map(Frame::hresult) != Ok(HResult::S_EXECUTING) {
+                let value = frame.ok().and_then(|frame| frame.args.get(0));
+                self.replies.push(value.map(data_of));
                 return Ok(());
             }
             only = ", only keep-alives (S_EXECUTING)";
@@ -271,11 +321,11 @@ impl Talk {
                 return Ok(Some(std::mem::replace(&mut self.received, rest)));
             }
             match self.peer.receive(&mut buffer) {
-                Ok(0) if self.peer.wire() == Wire::Stream => {
+                Ok(None) => {}
+                Ok(Some(0)) if self.peer.wire() == Wire::Stream => {
                     return Err(lost(io::ErrorKind::ConnectionAborted.into()));
                 }
-                Ok(length) => self.received.extend_from_slice(buffer.get(..length).unwrap_or_default()),
-                Err(error) if is_timeout(&error) => {}
+                Ok(Some(length)) => self.received.extend_from_slice(buffer.get(..length).unwrap_or_default()),
                 Err(error) => return Err(lost(error)),
             }
         }

@@ -13,11 +13,12 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use bcap_capture::duration;
+use bcap_sim::Profile;
 use bcap_std::Model;
 use clap::Args;
 
 use self::survey::{Limits, Survey};
-use crate::commands::sim::args::ModelSource;
+use crate::commands::sim::args::{self, Source};
 use crate::commands::sim::local::LocalController;
 use crate::commands::sim::read_model;
 use crate::failure::Failure;
@@ -47,8 +48,8 @@ pub(crate) struct ReportArgs {
     file: Option<PathBuf>,
 
     /// The virtual controller to compare with, as for `bcap sim` [default: rc8, or rc9 with the provider CaoProv.DENSO.VRC9]
-    #[arg(long, value_name = "MODEL|FILE.toml")]
-    model: Option<ModelSource>,
+    #[arg(long, value_name = "MODEL|FILE.toml", value_parser = args::model)]
+    model: Option<Source<Profile>>,
 
     /// Ends the survey after this time
     #[arg(long, value_name = "TIME", default_value = "5min", value_parser = duration::parse)]
@@ -68,7 +69,7 @@ pub(crate) fn report(args: &ReportArgs, session: &mut Session, json: bool) -> Re
     let is_rc9 = session.provider.eq_ignore_ascii_case(Model::Rc9.provider());
     let source = match &args.model {
         Some(source) => source.clone(),
-        None => (if is_rc9 { "rc9" } else { "rc8" }).parse().map_err(Failure::Input)?,
+        None => Source::BuiltIn(if is_rc9 { Profile::Rc9 } else { Profile::Rc8 }),
     };
     if let Some(path) = args.file.as_deref().filter(|path| path.exists()) {
         return Err(Failure::Input(format!("{} exists; name a new file", path.display())));
@@ -102,7 +103,7 @@ fn write(path: &Path, text: &str) -> io::Result<()> {
 }
 
 /// Makes the same calls once to a virtual controller in this process.
-fn survey_virtual(session: &Session, source: &ModelSource) -> Result<Survey, Failure> {
+fn survey_virtual(session: &Session, source: &Source<Profile>) -> Result<Survey, Failure> {
     let model = read_model(source)?;
     let link = session.link();
     let provider = model.provider.clone();

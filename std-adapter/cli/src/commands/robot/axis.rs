@@ -55,17 +55,20 @@ impl Axis {
         }
     }
 
+    /// Reads where the robot is on each axis.
+    pub(crate) fn read_all(session: &mut Session) -> Result<Vec<(Self, f64)>, Failure> {
+        session.with(|controller| {
+            let mut robot = controller.robot()?;
+            let (joints, position) = (robot.joints()?.degrees, robot.position()?.to_array());
+            let coordinates = (0..COORDINATES.len()).map(Self::Coordinate).zip(position);
+            Ok((1..).map(Self::Joint).zip(joints).chain(coordinates).collect())
+        })
+    }
+
     /// Reads where the robot is on this axis.
     pub(crate) fn read(self, session: &mut Session) -> Result<f64, Failure> {
-        let numbers = session.with(|controller| match self {
-            Self::Joint(_) => Ok(controller.robot()?.joints()?.degrees.to_vec()),
-            Self::Coordinate(_) => Ok(controller.robot()?.position()?.to_array().to_vec()),
-        })?;
-        let place = match self {
-            Self::Joint(joint) => usize::from(joint).saturating_sub(1),
-            Self::Coordinate(place) => place,
-        };
-        Ok(numbers.get(place).copied().unwrap_or(f64::NAN))
+        let all = Self::read_all(session)?;
+        Ok(all.iter().find(|(axis, _)| *axis == self).map_or(f64::NAN, |(_, position)| *position))
     }
 }
 

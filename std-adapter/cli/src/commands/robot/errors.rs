@@ -18,8 +18,8 @@ use bcap_capture::value::data;
 
 /// Lists the errors of the controller, the first cause first, with their meanings and remedies; clears them; follows messages
 ///
-/// A controller keeps messages for each session from its start on, so --follow prints those that arrive while it waits; in the
-/// shell it also prints those since the last time.
+/// A controller keeps messages for each session from its start on, so --follow prints those that arrive while it waits. The shell
+/// prints new ones before its prompt.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

@@ -1,4 +1,4 @@
-//! `bcap jog` and `bcap teach`: moves the robot by one step, and stores where it is.
+//! `bcap jog` and `bcap teach`: moves the robot by steps, and stores where it is.
 
 use bcap_capture::value::data;
 use bcap_core::bcap::FunctionId;
@@ -8,7 +8,9 @@ use clap::Args;
 use serde_json::json;
 
 use crate::commands::robot::axis::{Axis, require_rest};
-use crate::commands::robot::motion::{self, MotionArgs, MoveArgs};
+#[cfg(feature = "screens")]
+use crate::commands::robot::keys::by_keys;
+use crate::commands::robot::motion::{self, MotionArgs};
 use crate::failure::Failure;
 use crate::output::print_result;
 use crate::session::Session;
@@ -16,26 +18,31 @@ use crate::session::slave_mode::spare;
 use crate::session::variables::get_one;
 use crate::values::integer;
 
-/// Moves the robot by one step of a joint or along an axis, and prints where it rests then
+/// Moves the robot by one step of a joint or along an axis, and prints where it rests then; without AXIS by the keys of a screen
 ///
 /// It does what `bcap move` does, with the same question and limits: it takes the arm, switches the motor on, moves, switches the
 /// motor off and gives the arm back. Ctrl-C halts the robot. The robot must rest before.
+///
+/// On the screen Up and Down select the axis, Left and Right move it by a step, [ and ] change the step: 0.1, 1, 5 or 10. A step
+/// repeats while its key repeats. Keys that arrive during a step are dropped, so that no motion follows a released key. Esc, Space,
+/// h, q and Ctrl-C halt the robot and end the command.
 ///
 /// X, Y and Z are the axes of the work coordinates, along which the tool centre point moves in a line; RX, RY and RZ change
 /// its angles around them. They are not the axes of the tool.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
+  bcap jog
   bcap jog J1 +5
   bcap jog Z -10 --tool 1")]
 pub(crate) struct Jog {
     /// J1 to J8, X, Y, Z, RX, RY or RZ
-    #[arg(value_name = "AXIS")]
-    pub(crate) axis: Axis,
+    #[arg(value_name = "AXIS", requires = "by")]
+    pub(crate) axis: Option<Axis>,
 
     /// The step, in mm or degrees
     #[arg(value_name = "STEP", allow_negative_numbers = true)]
-    pub(crate) by: f64,
+    pub(crate) by: Option<f64>,
 
     #[command(flatten)]
     pub(crate) how: MotionArgs,
@@ -62,15 +69,8 @@ pub(crate) struct Teach {
 /// Runs `bcap jog`.
 pub(crate) fn jog(args: &Jog, session: &mut Session, json: bool) -> Result<(), Failure> {
     check_jog(args)?;
-    let Jog { axis, by, how } = args;
-    let args = MoveArgs {
-        to: format!("the end of the step {axis} {by:+}"),
-        line: matches!(axis, Axis::Coordinate(_)),
-        no_wait: false,
-        how: how.clone(),
-        step: Some((*axis, *by)),
-    };
-    if !motion::confirmed(&args, session)? {
+    let Some((axis, by)) = args.axis.zip(args.by) else { return by_keys(&args.how, session, json) };
+    if !motion::confirmed(&motion::step(axis, by, &args.how), session)? {
         return Ok(());
     }
     let rests = axis.read(session)?;
@@ -78,13 +78,20 @@ pub(crate) fn jog(args: &Jog, session: &mut Session, json: bool) -> Result<(), F
     Ok(print_result(json, &object, &format!("{axis} = {rests:.3}"))?)
 }
 
+#[cfg(not(feature = "screens"))]
+fn by_keys(_: &MotionArgs, _: &mut Session, _: bool) -> Result<(), Failure> {
+    Err(Failure::Input("this program has no screens; write an axis and a step, such as J1 +5".into()))
+}
+
 /// Checks the arguments before the first call.
 pub(crate) fn check_jog(args: &Jog) -> Result<(), Failure> {
     motion::check_speed(args.how.speed)?;
-    if args.by.is_finite() && args.by != 0.0 {
-        return Ok(());
+    match args.by {
+        Some(by) if !by.is_finite() || by == 0.0 => {
+            Err(Failure::Input(format!("{by}: write a step in mm or degrees, such as +5 or -0.1")))
+        }
+        _ => Ok(()),
     }
-    Err(Failure::Input(format!("{}: write a step in mm or degrees, such as +5 or -0.1", args.by)))
 }
 
 /// Runs `bcap teach`.

@@ -2,10 +2,11 @@
 //! `bcap log` and `bcap recover`.
 
 mod axis;
-mod destination;
 pub(crate) mod errors;
 pub(crate) mod halt;
 pub(crate) mod jog;
+#[cfg(feature = "screens")]
+mod keys;
 pub(crate) mod log;
 pub(crate) mod messages;
 pub(crate) mod motion;

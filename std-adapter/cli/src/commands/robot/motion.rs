@@ -7,11 +7,10 @@ use bcap_capture::duration;
 use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
 use bcap_core::procedure::Motion;
-use bcap_std::{Move, ObjectPath};
+use bcap_std::{Destination, Move, ObjectPath};
 use clap::Args;
 
 use crate::commands::robot::axis::Axis;
-use crate::commands::robot::destination;
 use crate::commands::robot::silence::Silence;
 use crate::failure::Failure;
 use crate::interrupt::{Interrupt, State};
@@ -102,23 +101,37 @@ pub(crate) fn motion(args: &MoveArgs, session: &mut Session, json: bool) -> Resu
 
 /// Moves the robot after the question. Returns as [`go`].
 pub(crate) fn confirmed(args: &MoveArgs, session: &mut Session) -> Result<bool, Failure> {
-    check_speed(args.how.speed)?;
+    let way = if args.line { "along a line " } else { "" };
+    ask(&format!("moves {way}to {}", args.to), &args.how, session)?;
+    go(args, session)
+}
+
+/// Returns the motion by a step.
+pub(crate) fn step(axis: Axis, by: f64, how: &MotionArgs) -> MoveArgs {
+    MoveArgs {
+        to: format!("the end of the step {axis} {by:+}"),
+        line: matches!(axis, Axis::Coordinate(_)),
+        no_wait: false,
+        how: how.clone(),
+        step: Some((axis, by)),
+    }
+}
+
+/// Asks before the robot moves.
+pub(crate) fn ask(what: &str, how: &MotionArgs, session: &mut Session) -> Result<(), Failure> {
+    check_speed(how.speed)?;
     // a signal at the question prevents the motion
     session.handle_signals()?;
     session.begin()?;
-    let way = if args.line { "along a line " } else { "" };
-    let what = format!("{} moves {way}to {} at {} % of its speed", session.link().target()?, args.to, args.how.speed);
-    let warning =
-        if args.how.prepare { "The robot will move, also for its preparation." } else { "The robot will move." };
-    let question = Question { what: &what, warning, refused: "the robot was not moved" };
-    question.confirm(session, args.how.yes)?;
-    go(args, session)
+    let what = format!("{} {what} at {} % of its speed", session.link().target()?, how.speed);
+    let warning = if how.prepare { "The robot will move, also for its preparation." } else { "The robot will move." };
+    Question { what: &what, warning, refused: "the robot was not moved" }.confirm(session, how.yes)
 }
 
 /// Checks the arguments before the first call.
 pub(crate) fn check(args: &MoveArgs) -> Result<(), Failure> {
     check_speed(args.how.speed)?;
-    destination::check(&args.to).map_err(Failure::Input)
+    args.to.parse::<Destination>().map(drop).map_err(|error| Failure::Input(error.to_string()))
 }
 
 /// Checks the speed of a motion.
@@ -132,14 +145,25 @@ pub(crate) fn check_speed(speed: f64) -> Result<(), Failure> {
 /// Moves the robot. Returns whether it is where it should be; `false` after an interruption that the line of the shell or the
 /// script reports.
 pub(crate) fn go(args: &MoveArgs, session: &mut Session) -> Result<bool, Failure> {
-    let had_arm = session.has_arm();
-    if args.no_wait && !had_arm {
+    if args.no_wait && !session.has_arm() {
         return Err(Failure::Input(
             "--no-wait needs the arm of this session, which would otherwise be given back while the robot moves; in \
              `bcap shell` or `bcap run` write `exec robot TakeArm 0 1` first"
                 .into(),
         ));
     }
+    let ended = with_arm(&args.how, session, |session| moved(args, session))?;
+    concluded(args, ended)
+}
+
+/// Takes the arm with the motor on for `body`, and then gives the arm back with the motor off. An arm that this session has
+/// already stays taken. `None` after an interruption that the line of the shell or the script reports.
+pub(crate) fn with_arm<T>(
+    how: &MotionArgs,
+    session: &mut Session,
+    body: impl FnOnce(&mut Session) -> Result<T, Failure>,
+) -> Result<Option<T>, Failure> {
+    let had_arm = session.has_arm();
     let interrupt = session.handle_signals()?;
     if !had_arm {
         // another client's stream
@@ -148,16 +172,16 @@ pub(crate) fn go(args: &MoveArgs, session: &mut Session) -> Result<bool, Failure
     session.prepare_halt(&interrupt)?;
     interrupt.enter(State::Moving);
     // a signal from now on halts the robot, an earlier one prevents the motion
-    let ready = if interrupt.is_interrupted() { Ok(()) } else { prepared(args, session, &interrupt, had_arm) };
+    let ready = if interrupt.is_interrupted() { Ok(()) } else { prepared(how, session, &interrupt, had_arm) };
     let ended = match ready {
         // the preparation was stopped
-        Err(_) if args.how.prepare && interrupt.is_interrupted() && session.is_open() => Ok(None),
+        Err(_) if how.prepare && interrupt.is_interrupted() && session.is_open() => Ok(None),
         Ok(()) if interrupt.is_interrupted() => Ok(None),
-        Ok(()) => moved(args, session).map(Some),
+        Ok(()) => body(session).map(Some),
         Err(failure) => Err(failure),
     };
     if had_arm {
-        return ended.and_then(|ended| concluded(args, ended));
+        return ended;
     }
     // halts the robot if the connection was lost: the controller gives the arm back only when it notices that
     session.abandon();
@@ -168,22 +192,22 @@ pub(crate) fn go(args: &MoveArgs, session: &mut Session) -> Result<bool, Failure
     }
     // an error of the motion is more useful than an error of giving the arm back
     let ended = ended?;
-    given.and_then(|()| concluded(args, ended))
+    given.map(|()| ended)
 }
 
 /// Takes the arm, prepares the motion if wanted, and switches the motor on.
-fn prepared(args: &MoveArgs, session: &mut Session, interrupt: &Interrupt, had_arm: bool) -> Result<(), Failure> {
+fn prepared(how: &MotionArgs, session: &mut Session, interrupt: &Interrupt, had_arm: bool) -> Result<(), Failure> {
     let prepared = session.with(|controller| {
         // a motor that was on before stays on
         let on = controller.robot()?.read::<bool>("@SERVO_ON");
         let go_on = |_, _| if interrupt.is_interrupted() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
-        let mut arm = if args.how.prepare { controller.make_ready(None, go_on)? } else { controller.arm()? };
+        let mut arm = if how.prepare { controller.make_ready(None, go_on)? } else { controller.arm()? };
         let prepared = (|| {
             if !matches!(on, Ok(true)) {
                 arm.motor_on()?;
             }
-            args.how.tool.map_or(Ok(()), |tool| arm.select_tool(tool))?;
-            args.how.work.map_or(Ok(()), |work| arm.select_work(work))
+            how.tool.map_or(Ok(()), |tool| arm.select_tool(tool))?;
+            how.work.map_or(Ok(()), |work| arm.select_work(work))
         })();
         if prepared.is_ok() || had_arm {
             arm.keep();
@@ -200,7 +224,7 @@ fn prepared(args: &MoveArgs, session: &mut Session, interrupt: &Interrupt, had_a
     })
 }
 
-/// Moves; `None` after the start of a motion that is not waited for.
+/// Moves, and returns the end of the motion; its start, if it is not waited for.
 fn moved(args: &MoveArgs, session: &mut Session) -> Result<Motion, Failure> {
     // the motion has its own time limit
     session.suspend_budget();

@@ -2,7 +2,6 @@
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
-use std::str::FromStr;
 
 use bcap_sim::{ArmProfile, Mode, Profile, Token};
 use bcap_std::{Address, SerialLine};
@@ -65,8 +64,8 @@ pub(crate) struct Sim {
     pub(crate) no_network: bool,
 
     /// The controller to simulate: rc8, rc8a, rc9, cobotta, cobotta-pro, or a file like those that --print-model prints
-    #[arg(long, value_name = "MODEL|FILE.toml", default_value = "rc8")]
-    pub(crate) model: ModelSource,
+    #[arg(long, value_name = "MODEL|FILE.toml", default_value = "rc8", value_parser = model)]
+    pub(crate) model: Source<Profile>,
 
     /// Prints the file of the model, to copy and change, and exits
     #[arg(long)]
@@ -74,8 +73,8 @@ pub(crate) struct Sim {
 
     /// The arm, instead of the model's arm: vs060, vs087, hsr065 (four axes), or a file like those that --print-arm
     /// prints
-    #[arg(long, value_name = "ARM|FILE.toml")]
-    pub(crate) arm: Option<ArmSource>,
+    #[arg(long, value_name = "ARM|FILE.toml", value_parser = arm)]
+    pub(crate) arm: Option<Source<ArmProfile>>,
 
     /// Prints the file of the arm, to copy and change, and exits
     #[arg(long, requires = "arm")]
@@ -161,50 +160,37 @@ fn serial_line(text: &str) -> Result<SerialLine, String> {
     }
 }
 
-/// Where the model of a controller comes from.
+/// Where a model or an arm comes from.
 #[derive(Clone, Debug)]
-pub(crate) enum ModelSource {
-    BuiltIn(Profile),
+pub(crate) enum Source<T> {
+    BuiltIn(T),
     File(PathBuf),
 }
 
-impl FromStr for ModelSource {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        Ok(Self::BuiltIn(match text.to_ascii_lowercase().as_str() {
-            "rc8" => Profile::Rc8,
-            "rc8a" => Profile::Rc8a,
-            "rc9" => Profile::Rc9,
-            "cobotta" => Profile::Cobotta,
-            "cobotta-pro" => Profile::CobottaPro,
-            name if name.ends_with(".toml") => return Ok(Self::File(text.into())),
-            _ => return Err("it is rc8, rc8a, rc9, cobotta, cobotta-pro, or a file whose name ends with .toml".into()),
-        }))
-    }
-}
-
-/// Where an arm comes from.
-#[derive(Clone, Debug)]
-pub(crate) enum ArmSource {
-    BuiltIn(ArmProfile),
-    File(PathBuf),
-}
-
-impl FromStr for ArmSource {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
+impl<T: Copy> Source<T> {
+    /// Finds a built-in one by its name, or takes the text as the name of a file.
+    fn find(text: &str, all: &[(&str, T)]) -> Result<Self, String> {
         let name = text.to_ascii_lowercase();
-        match ArmProfile::ALL.into_iter().find(|arm| arm.name() == name) {
-            Some(arm) => Ok(Self::BuiltIn(arm)),
+        match all.iter().find(|(known, _)| *known == name) {
+            Some((_, found)) => Ok(Self::BuiltIn(*found)),
             None if name.ends_with(".toml") => Ok(Self::File(text.into())),
             None => {
-                let names = ArmProfile::ALL.map(ArmProfile::name).join(", ");
-                Err(format!("it is {names}, or a file whose name ends with .toml"))
+                let names: Vec<&str> = all.iter().map(|(known, _)| *known).collect();
+                Err(format!("it is {}, or a file whose name ends with .toml", names.join(", ")))
             }
         }
     }
+}
+
+/// Parses a model.
+pub(crate) fn model(text: &str) -> Result<Source<Profile>, String> {
+    const NAMES: [&str; 5] = ["rc8", "rc8a", "rc9", "cobotta", "cobotta-pro"];
+    let all: Vec<_> = NAMES.into_iter().zip(Profile::ALL).collect();
+    Source::find(text, &all)
+}
+
+fn arm(text: &str) -> Result<Source<ArmProfile>, String> {
+    Source::find(text, &ArmProfile::ALL.map(|arm| (arm.name(), arm)))
 }
 
 /// Parses an operation mode.

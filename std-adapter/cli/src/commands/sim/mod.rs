@@ -21,7 +21,7 @@ use bcap_core::{bcap, rac};
 use bcap_sim::explain::Observer;
 use bcap_sim::files::{Executor, Job, write_sources};
 use bcap_sim::scenario::Effect;
-use bcap_sim::{ArmModel, Config, Controller, Model, Scenario, Token};
+use bcap_sim::{ArmModel, ArmProfile, Config, Controller, Model, Profile, Scenario, Token};
 use bcap_std::SerialLine;
 use bcap_std::server::{LineEvent, Server};
 use bcap_terminal::{escape, signal};
@@ -29,7 +29,7 @@ use delivery::deliver;
 use tokio::sync::oneshot;
 
 use crate::commands::packets::proxy::Front;
-use crate::commands::sim::args::{ArmSource, ModelSource, Sim};
+use crate::commands::sim::args::{Sim, Source};
 use crate::commands::sim::trajectory::Trajectory;
 use crate::failure::Failure;
 use crate::listen::{runtime, taken};
@@ -255,10 +255,10 @@ async fn recorded<H: Serves>(
 }
 
 /// Reads a model, from its file if it is not built in.
-pub(crate) fn read_model(source: &ModelSource) -> Result<Model, Failure> {
+pub(crate) fn read_model(source: &Source<Profile>) -> Result<Model, Failure> {
     let path = match source {
-        ModelSource::BuiltIn(profile) => return Ok(profile.model().clone()),
-        ModelSource::File(path) => path,
+        Source::BuiltIn(profile) => return Ok(profile.model().clone()),
+        Source::File(path) => path,
     };
     let text = read_text("model", path)?;
     Model::parse(&text).map_err(|error| Failure::Input(format!("{} is not a valid model: {error}", path.display())))
@@ -275,10 +275,10 @@ fn read_text(what: &str, path: &Path) -> Result<String, Failure> {
 }
 
 /// Reads an arm, from its file if it is not built in; returns it with its text.
-fn read_arm(source: &ArmSource) -> Result<(ArmModel, String), Failure> {
+fn read_arm(source: &Source<ArmProfile>) -> Result<(ArmModel, String), Failure> {
     let path = match source {
-        ArmSource::BuiltIn(arm) => return Ok((arm.arm().clone(), arm.text().to_owned())),
-        ArmSource::File(path) => path,
+        Source::BuiltIn(arm) => return Ok((arm.arm().clone(), arm.text().to_owned())),
+        Source::File(path) => path,
     };
     let text = read_text("arm", path)?;
     let arm = ArmModel::parse(&text)
@@ -287,10 +287,10 @@ fn read_arm(source: &ArmSource) -> Result<(ArmModel, String), Failure> {
 }
 
 /// Prints the file of a model.
-fn print_model(source: &ModelSource) -> Result<(), Failure> {
+fn print_model(source: &Source<Profile>) -> Result<(), Failure> {
     let text = match source {
-        ModelSource::BuiltIn(profile) => profile.text().into(),
-        ModelSource::File(path) => read_text("model", path)?,
+        Source::BuiltIn(profile) => profile.text().into(),
+        Source::File(path) => read_text("model", path)?,
     };
     Ok(print_block(text.trim_end())?)
 }

@@ -115,6 +115,7 @@ fn run(
     json: bool,
     interrupt: &Interrupt,
 ) -> Result<(), Failure> {
+    let link = &Session::settled(link)?;
     if let Some((to, percent)) = start {
         approach(to, percent, link)?;
     }

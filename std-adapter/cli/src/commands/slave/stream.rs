@@ -97,11 +97,9 @@ impl Job<'_> {
         // a serial line carries one session
         let has_second = !matches!(self.target, Address::Serial(_));
         let mut watch = has_second.then(&connect).transpose()?;
-        let provider = Provider {
-            machine: self.link.machine(),
-            option: self.link.option(),
-            ..Provider::new(self.link.provider())
-        };
+        let machine = self.link.machine();
+        let provider =
+            Provider { machine: &machine, option: self.link.option(), ..Provider::new(self.link.provider()) };
         let opened = |error: RunError| self.not_opened(&error);
         let handles = motion.run(open_robot(provider, None)).map_err(opened)?;
         let watching = watch.as_mut().map(|watch| watch.run(open_robot(provider, None)));

@@ -1,4 +1,4 @@
-//! The destination of `bcap move`: what cannot be one is refused before the first call.
+//! The text of a destination: what cannot be one is refused before the first call.
 //!
 //! ```text
 //!   P1  J[2]  T3                                     a variable of a pose
@@ -11,12 +11,32 @@
 //! FIG is a whole number; the extended joints are 7 and 8, each once. The text is ASCII, because it is sent as it is.
 
 use std::ops::RangeInclusive;
+use std::str::FromStr;
+
+use thiserror::Error;
+
+use super::Destination;
 
 /// The forms of a destination, for errors.
 const EXPECTED: &str = "write a variable such as P1, J2 or T3, or a value such as J(0, 45, 90, 0, 45, 0)";
 
+/// A text that is not the destination of a motion: what is wrong, and what to write.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("{0}")]
+pub struct DestinationError(String);
+
+/// Checks a text of the controller's language, such as `P1` or `J(0, 45, 90, 0, 45, 0)`, and keeps it as it is.
+impl FromStr for Destination {
+    type Err = DestinationError;
+
+    fn from_str(text: &str) -> Result<Self, DestinationError> {
+        check(text).map_err(DestinationError)?;
+        Ok(Self::Text(text.to_owned()))
+    }
+}
+
 /// Checks the text of a destination.
-pub(crate) fn check(text: &str) -> Result<(), String> {
+fn check(text: &str) -> Result<(), String> {
     if let Some(wrong) = text.chars().find(|c| !(' '..='~').contains(c)) {
         return Err(format!("{text:?}: {wrong:?} is no part of a destination: {EXPECTED}"));
     }
