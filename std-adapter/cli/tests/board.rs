@@ -82,7 +82,7 @@ impl Board {
         let partitions =
             Partitions { active: 12_288..22_528, other: 22_528..34_816, state: 34_816..38_912, history: 4096..8192 };
         let updater = Updater::start(slots.flash(), partitions, &RUNNING, &"power-on").unwrap();
-        Self::run(Console::new(slots, IMAGE).with_updates(Some(updater)), damage)
+        Self::run(Console::new(slots, b"").with_updates(Some(updater)), damage)
     }
 
     fn run(mut console: Console<'static, Flash<4, 2048>>, damage: fn(usize, &mut u8)) -> Self {
@@ -234,6 +234,18 @@ fn a_board_is_restarted_after_its_update() {
 }
 
 #[test]
+fn an_update_that_would_lose_settings_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let new = image(&folder, &NEW, 1000);
+    let run = Board::start().bcap("update", &[&new]);
+    assert!(run.code == 1 && run.err.contains("the settings of the board are those of its image"), "{run:?}");
+    let board = Board::with_updates(|_, _| {});
+    assert_eq!(board.configure(&["robot=192.168.0.1:5007"]).code, 0);
+    let run = board.bcap("update", &[&new, "--no-restart"]);
+    assert_eq!(run.code, 0, "settings in the flash remain: {run:?}");
+}
+
+#[test]
 fn an_image_that_does_not_fit_the_board_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let board = Board::with_updates(|_, _| {});
@@ -260,6 +272,6 @@ fn an_image_that_does_not_fit_the_board_is_refused() {
     assert_eq!(board.received.load(Ordering::Relaxed), sent, "bytes that the board received");
 
     let board = Board::start();
-    let run = board.bcap("update", &[&image(&folder, &NEW, 1000)]);
+    let run = board.bcap("update", &[&image(&folder, &NEW, 1000), "--force"]);
     assert!(run.code == 1 && run.err.contains("this image has no partition for updates"), "{run:?}");
 }

@@ -52,7 +52,8 @@ fn bcap_updates_a_board_and_a_served_request_confirms_it() {
     line::join(line, board.connect());
     assert!(board_command(&["status", &device]).ends_with(" 0.1.0 confirmed\n"));
     board.serve();
-    let out = board_command(&["update", &device, new.to_str().unwrap()]);
+    // both images have settings
+    let out = board_command(&["update", "--force", &device, new.to_str().unwrap()]);
     assert!(out.contains(" 0.2.0: ") && out.ends_with(" bytes received and checked\n"), "{out}");
     // nothing confirms it but a request; the gateway looks for one each second
     sleep(Duration::from_secs(2));

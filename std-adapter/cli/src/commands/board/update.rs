@@ -45,6 +45,10 @@ pub(crate) struct Update {
     /// Leaves the earlier image running until the next start of the board
     #[arg(long)]
     pub(crate) no_restart: bool,
+
+    /// Sends the image although settings that only the earlier image has are lost
+    #[arg(long)]
+    pub(crate) force: bool,
 }
 
 /// Prints the version of a board, and whether its last update was confirmed or rolled back
@@ -84,6 +88,9 @@ pub(super) fn update(args: &Update, link: &LinkArgs, json: bool) -> Result<(), F
     let (image, identity) = read(&args.image)?;
     let crc = Crc32::new().and(&image).value();
     let mut port = Port::open(&args.port, args.baud, link.timeout())?;
+    if !args.force {
+        check_settings(&mut port)?;
+    }
     let (board, version) = (identity.board(), identity.version());
     ask(&mut port, &format!("update {board} {version} {} {crc:08x}", image.len()))?;
     let repeated = send(&mut port, &image)?;
@@ -109,6 +116,22 @@ pub(super) fn update(args: &Update, link: &LinkArgs, json: bool) -> Result<(), F
         });
     }
     Ok(())
+}
+
+/// Fails if the settings of the board are a part of its image, which the update replaces.
+fn check_settings(port: &mut Port) -> Result<(), Failure> {
+    let mut count = 0_u32;
+    let answer = port.ask("show", |_| {
+        count += 1;
+        Ok(())
+    })?;
+    if count == 0 || answer.0 != "ok image" {
+        return Ok(());
+    }
+    Err(Failure::unfit(
+        "the settings of the board are those of its image, which the new one replaces",
+        "store them in the flash first: `bcap board configure PORT` prints them, and with @FILE it stores them; or use --force",
+    ))
 }
 
 /// Reads an image and the board that it is for.
