@@ -21,6 +21,7 @@ format:
     cargo fmt --all
     cargo fmt --all --manifest-path tests/no-panic/Cargo.toml
     cargo fmt --manifest-path fuzz/Cargo.toml
+    cargo fmt --manifest-path std-adapter/python/Cargo.toml
     cargo fmt --manifest-path embassy-adapter/firmware/Cargo.toml
     cargo fmt --manifest-path embassy-adapter/firmware/sizes/Cargo.toml
 

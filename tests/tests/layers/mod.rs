@@ -37,8 +37,9 @@ const CRATES: [(&str, &str); 16] = [
 const RECURSIVE_TYPES: [(&str, [&str; 2]); 1] = [("bcap-core", ["variant/array.rs", "variant/mod.rs"])];
 
 /// Packages whose dependencies alone are checked.
-const PACKAGES: [(&str, &str); 5] = [
+const PACKAGES: [(&str, &str); 6] = [
     ("bcap-fuzz", "fuzz"),
+    ("bcap-python", "std-adapter/python"),
     ("bcap-qemu", "tests/qemu"),
     ("bcap-test-support", "tests/support"),
     ("bcap-testkit", "std-adapter/testkit"),

@@ -1,0 +1,179 @@
+//! Values of b-CAP as objects of Python.
+//!
+//! | VARIANT                    | from Python                                    | to Python            |
+//! |----------------------------|------------------------------------------------|----------------------|
+//! | EMPTY, NULL                | `None`, an empty list                          | `None`               |
+//! | BOOL                       | `bool`                                         | `bool`               |
+//! | I4; I8                     | `int`; one that I4 cannot contain              | `int`, as all integers |
+//! | R8; R4                     | `float`; `ctypes.c_float`                      | `float`              |
+//! | BSTR                       | `str`                                          | `str`                |
+//! | DATE                       | `datetime`, in local time                      | `datetime`           |
+//! | UI1[]                      | `bytes`, `bytearray`                           | `bytes`              |
+//! | array of one type          | a sequence of that type, such as numpy's arrays | `list`              |
+//! | VARIANT[]                  | a sequence of several types                    | `list`               |
+
+use bcap_std::core::variant::{CivilTime, Encode, OwnedVariant, VarType, Variant};
+use pyo3::exceptions::{PyTypeError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::{PyBool, PyByteArray, PyBytes, PyFloat, PyInt, PyList, PyString};
+
+/// A value that was read.
+pub(crate) struct Value(pub(crate) OwnedVariant);
+
+impl<'py> IntoPyObject<'py> for Value {
+    type Target = PyAny;
+    type Output = Bound<'py, PyAny>;
+    type Error = PyErr;
+
+    fn into_pyobject(self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        to_python(py, &self.0.as_variant())
+    }
+}
+
+/// Returns the object for a value.
+pub(crate) fn to_python<'py>(py: Python<'py>, value: &Variant<'_>) -> PyResult<Bound<'py, PyAny>> {
+    Ok(match value {
+        Variant::Empty | Variant::Null => py.None().into_bound(py),
+        Variant::I2(number) => number.into_pyobject(py)?.into_any(),
+        Variant::I4(number) => number.into_pyobject(py)?.into_any(),
+        Variant::I8(number) => number.into_pyobject(py)?.into_any(),
+        Variant::Ui1(number) => number.into_pyobject(py)?.into_any(),
+        Variant::Ui2(number) => number.into_pyobject(py)?.into_any(),
+        Variant::Ui4(number) => number.into_pyobject(py)?.into_any(),
+        Variant::Ui8(number) => number.into_pyobject(py)?.into_any(),
+        Variant::R4(number) => number.into_pyobject(py)?.into_any(),
+        Variant::R8(number) => number.into_pyobject(py)?.into_any(),
+        Variant::Cy(amount) => amount.raw().into_pyobject(py)?.into_any(),
+        Variant::Error(code) => code.0.into_pyobject(py)?.into_any(),
+        Variant::Bool(truth) => PyBool::new(py, *truth).to_owned().into_any(),
+        Variant::Bstr(text) => text.to_string().into_pyobject(py)?.into_any(),
+        Variant::Date(date) => match date.to_civil() {
+            Some(time) => civil(py, time)?,
+            None => date.raw().into_pyobject(py)?.into_any(),
+        },
+        Variant::Nested(inner) => to_python(py, &inner.value())?,
+        Variant::Array(array) => {
+            if let Some(bytes) = array.items::<u8>() {
+                return Ok(PyBytes::new(py, &bytes.iter().collect::<Vec<_>>()).into_any());
+            }
+            let elements = array.iter().map(|element| to_python(py, &element)).collect::<PyResult<Vec<_>>>()?;
+            PyList::new(py, elements)?.into_any()
+        }
+        Variant::Opaque(value) => PyBytes::new(py, value.bytes).into_any(),
+        other => format!("{other:?}").into_pyobject(py)?.into_any(),
+    })
+}
+
+fn civil<'py>(py: Python<'py>, time: CivilTime) -> PyResult<Bound<'py, PyAny>> {
+    let CivilTime { year, month, day, hour, minute, second, millisecond } = time;
+    let class = py.import("datetime")?.getattr("datetime")?;
+    class.call1((year, month, day, hour, minute, second, u32::from(millisecond) * 1000))
+}
+
+/// Returns the value of an object.
+///
+/// # Errors
+///
+/// `TypeError` for an object without a VARIANT, `OverflowError` for a number that fits none.
+pub(crate) fn from_python(object: &Bound<'_, PyAny>) -> PyResult<OwnedVariant> {
+    if let Some(value) = scalar(object)? {
+        return Ok(value);
+    }
+    // numpy's arrays and numbers, and those of the module `array`
+    if let Ok(plain) = object.call_method0("tolist") {
+        return from_python(&plain);
+    }
+    let items = object.try_iter().map_err(|_| unsupported(object))?;
+    let items = items.map(|item| from_python(&item?)).collect::<PyResult<Vec<_>>>()?;
+    sequence(&items)
+}
+
+/// Returns the value of an object that is not a sequence.
+fn scalar(object: &Bound<'_, PyAny>) -> PyResult<Option<OwnedVariant>> {
+    Ok(Some(if object.is_none() {
+        OwnedVariant::EMPTY
+    } else if let Ok(truth) = object.cast::<PyBool>() {
+        encoded(&truth.is_true())?
+    } else if object.is_instance_of::<PyInt>() {
+        match object.extract::<i32>() {
+            Ok(number) => encoded(&number)?,
+            Err(_) => encoded(&object.extract::<i64>()?)?,
+        }
+    } else if object.is_instance_of::<PyFloat>() {
+        encoded(&object.extract::<f64>()?)?
+    } else if object.is_instance_of::<PyString>() {
+        encoded(object.extract::<String>()?.as_str())?
+    } else if object.is_instance_of::<PyBytes>() || object.is_instance_of::<PyByteArray>() {
+        encoded(&object.extract::<Vec<u8>>()?)?
+    } else if object.hasattr("timestamp")? && object.hasattr("microsecond")? {
+        encoded(&from_datetime(object)?)?
+    } else if object.get_type().getattr("__module__")?.eq("ctypes")? && object.hasattr("value")? {
+        from_ctypes(object)?
+    } else {
+        return Ok(None);
+    }))
+}
+
+fn unsupported(object: &Bound<'_, PyAny>) -> PyErr {
+    let name = object.get_type().to_string();
+    PyTypeError::new_err(format!(
+        "a value of {name} cannot be sent; use None, bool, int, float, str, bytes, datetime, or a sequence of them"
+    ))
+}
+
+/// Encodes an array of one type, or of VARIANTs.
+fn sequence(items: &[OwnedVariant]) -> PyResult<OwnedVariant> {
+    let variants = encoded(items)?;
+    let Some(first) = items.first() else { return Ok(OwnedVariant::EMPTY) };
+    let only = |types: &[VarType]| items.iter().all(|item| types.contains(&item.as_variant().vartype()));
+    macro_rules! array_of {
+        ($($type:ident $element:ty;)*) => {
+            match first.as_variant().vartype() {
+                $(VarType::$type if only(&[VarType::$type]) => variants.convert::<Vec<$element>>().map(|all| encoded(&all)),)*
+                _ if only(&[VarType::I4, VarType::I8, VarType::R8]) => variants.convert::<Vec<f64>>().map(|all| encoded(&all)),
+                _ => return Ok(variants),
+            }
+        };
+    }
+    let array = array_of! {
+        I2 i16; I4 i32; I8 i64; UI1 u8; UI2 u16; UI4 u32; UI8 u64; R4 f32; R8 f64; BOOL bool; BSTR String; DATE CivilTime;
+    };
+    array.unwrap_or(Ok(variants))
+}
+
+/// Returns the value of an instance of a class of `ctypes`, which chooses the type.
+fn from_ctypes(object: &Bound<'_, PyAny>) -> PyResult<OwnedVariant> {
+    let value = object.getattr("value")?;
+    match &*object.get_type().getattr("__name__")?.extract::<String>()? {
+        "c_bool" => encoded(&value.extract::<bool>()?),
+        "c_ubyte" => encoded(&value.extract::<u8>()?),
+        "c_short" => encoded(&value.extract::<i16>()?),
+        "c_ushort" => encoded(&value.extract::<u16>()?),
+        "c_int" => encoded(&value.extract::<i32>()?),
+        "c_uint" => encoded(&value.extract::<u32>()?),
+        "c_long" | "c_longlong" => encoded(&value.extract::<i64>()?),
+        "c_ulong" | "c_ulonglong" => encoded(&value.extract::<u64>()?),
+        "c_float" => encoded(&value.extract::<f32>()?),
+        "c_double" => encoded(&value.extract::<f64>()?),
+        "c_wchar_p" => encoded(value.extract::<String>()?.as_str()),
+        _ => Err(unsupported(object)),
+    }
+}
+
+/// Returns the time of a `datetime`: its fields, in the time zone of the controller.
+fn from_datetime(object: &Bound<'_, PyAny>) -> PyResult<CivilTime> {
+    let field = |name: &str| object.getattr(name);
+    Ok(CivilTime {
+        year: field("year")?.extract()?,
+        month: field("month")?.extract()?,
+        day: field("day")?.extract()?,
+        hour: field("hour")?.extract()?,
+        minute: field("minute")?.extract()?,
+        second: field("second")?.extract()?,
+        millisecond: field("microsecond")?.extract::<u32>().map(|micros| (micros / 1000) as u16)?,
+    })
+}
+
+fn encoded<T: Encode + ?Sized>(value: &T) -> PyResult<OwnedVariant> {
+    OwnedVariant::new(value).map_err(|error| PyValueError::new_err(format!("the value cannot be sent: {error}")))
+}

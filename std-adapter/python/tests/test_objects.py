@@ -1,0 +1,243 @@
+"""Variables, motions, streams, tasks, files and errors, against the virtual controller."""
+
+import math
+import threading
+from datetime import datetime
+from pathlib import Path
+from typing import List
+
+import numpy
+import pytest
+from conftest import at_rest, eventually
+
+import bcap
+
+HOME = bcap.J(0, 45, 90, 0, 45, 0)
+ASIDE = bcap.J(30, 45, 90, 0, 45, 0)
+
+
+def test_variables_have_pythons_types(cell: bcap.Controller) -> None:
+    cell["I1"] = 5
+    cell["F2"] = 1.5
+    cell["S3"] = "häß"
+    cell["IO128"] = True
+    cell["P4"] = (400.0, 0, 300.0, 180.0, 0, 180.0, 5)
+    assert (cell["I1"], cell["F2"], cell["S3"], cell["IO128"]) == (5, 1.5, "häß", True)
+    assert cell["P4"] == [400.0, 0.0, 300.0, 180.0, 0.0, 180.0, 5.0]
+    assert cell.read_all("I1", "S3") == [5, "häß"]
+    assert isinstance(cell["@CURRENT_TIME"], datetime)
+    assert cell["robot/@SERVO_ON"] is False
+
+
+def test_numpy_is_accepted_and_returned_if_wanted(sim: bcap.Sim) -> None:
+    with bcap.Controller(sim, numpy=True) as cell:
+        cell["P1"] = numpy.array([400, 0, 300, 180, 0, 180, 5], dtype=numpy.float32)
+        cell["I1"] = numpy.int64(7)
+        cell["F1"] = numpy.float64(2.5)
+        position = cell["P1"]
+        assert isinstance(position, numpy.ndarray) and position.tolist() == [400, 0, 300, 180, 0, 180, 5]
+        assert (cell["I1"], cell["F1"]) == (7, 2.5)
+
+
+def test_a_refusal_has_code_meaning_and_remedy(cell: bcap.Controller) -> None:
+    with pytest.raises(bcap.ControllerError) as refused:
+        cell["NO_SUCH_VARIABLE"]
+    error = refused.value
+    assert (error.code, error.name) == (0x80000204, "E_CAO_OBJECT_NOTFOUND")
+    assert error.meaning == "There is no such object." and error.remedy and error.remedy in str(error)
+
+
+def test_arguments_are_checked(cell: bcap.Controller, sim: bcap.Sim) -> None:
+    with pytest.raises(TypeError, match="a value of <class 'object'> cannot be sent"):
+        cell["I1"] = object()
+    with pytest.raises(ValueError, match='unknown model "rc10"; known are rc8, rc8a'):
+        bcap.Controller(sim, model="rc10")
+    with pytest.raises(bcap.InvalidArgument, match="robot: write tcp:HOST"):
+        bcap.Controller("robot")
+    with pytest.raises(bcap.NotConnected):
+        bcap.Controller("tcp:127.0.0.1:1")
+    with pytest.raises(OverflowError):
+        cell["I1"] = 2**70
+    with cell.take_arm() as arm:
+        with pytest.raises(TypeError, match="a destination is P"):
+            arm.move([1.0, 2.0])  # type: ignore[arg-type]
+        with pytest.raises(ValueError, match="P does not have 2 numbers"):
+            arm.move(bcap.P(1, 2))
+
+
+def test_a_motion_arrives_and_the_arm_is_given_back(cell: bcap.Controller, sim: bcap.Sim) -> None:
+    with cell.take_arm() as arm:
+        arm.motor_on()
+        arm.move(ASIDE, speed=100)
+        assert sim.arm_taken and sim.motor_on and sim.joints[0] == pytest.approx(30)
+        arm.move(bcap.J(28, 45, 90, 0, 45, 0), bcap.J(26, 45, 90, 0, 45, 0), passing="near")
+        assert cell.joints()[0] == pytest.approx(26)
+    assert at_rest(sim)
+
+
+def test_every_motion(memory: bcap.Sim) -> None:
+    with bcap.Controller(memory) as cell, cell.take_arm() as arm:
+        cell["P1"] = [400, 0, 300, 180, 0, 180, 5]
+        arm.motor_on()
+        arm.move("P1", line=True, speed=50, acceleration=50, deceleration=50)
+        assert cell.position()[:3] == pytest.approx([400, 0, 300], abs=0.01)
+        arm.depart(20)
+        assert cell.position()[2] == pytest.approx(320, abs=0.01)
+        arm.approach("P1", 50, line=True)
+        assert cell.position()[2] == pytest.approx(350, abs=0.01)
+        arm.move(bcap.P(400, 50, 300, 180, 0, 180, 5), via=bcap.P(420, 25, 320, 180, 0, 180, 5))
+        assert cell.position()[1] == pytest.approx(50, abs=0.01)
+        before = cell.joints()
+        arm.drive({1: 5.0, 6: -3.0}, relative=True)
+        assert cell.joints()[0] == pytest.approx(before[0] + 5) and cell.joints()[5] == pytest.approx(before[5] - 3)
+        arm.drive({1: 0.0})
+        assert cell.joints()[0] == pytest.approx(0, abs=0.001)
+
+
+def test_a_motion_without_the_motor_is_refused(cell: bcap.Controller) -> None:
+    with cell.take_arm() as arm, pytest.raises(bcap.Error) as refused:
+        arm.move(ASIDE)
+    assert refused.value.code
+
+
+def test_a_stopper_halts_and_the_motion_says_so(cell: bcap.Controller, sim: bcap.Sim) -> None:
+    stopper = cell.stopper()
+
+    def stop() -> None:
+        assert eventually(lambda: sim.moving)
+        assert stopper.halt() == "halted"
+
+    with cell.take_arm() as arm:
+        arm.motor_on()
+        thread = threading.Thread(target=stop)
+        thread.start()
+        with pytest.raises((bcap.Halted, bcap.MotionFailed)):
+            arm.move(ASIDE, speed=1)
+        thread.join()
+    assert at_rest(sim) and stopper.halt() == "nothing moved"
+
+
+def test_the_time_limit_halts(cell: bcap.Controller, sim: bcap.Sim) -> None:
+    with cell.take_arm() as arm:
+        arm.motor_on()
+        with pytest.raises(bcap.MotionTimeout):
+            arm.move(ASIDE, speed=1, timeout=0.2)
+        assert not sim.moving
+
+
+def test_the_end_of_the_block_ends_the_motion_of_another_thread(cell: bcap.Controller, sim: bcap.Sim) -> None:
+    errors: List[bcap.Error] = []
+
+    def move() -> None:
+        try:
+            arm.move(ASIDE, speed=1)
+        except bcap.Error as error:
+            errors.append(error)
+
+    with cell.take_arm() as arm:
+        arm.motor_on()
+        thread = threading.Thread(target=move)
+        thread.start()
+        assert eventually(lambda: sim.moving)
+        # other calls go on meanwhile
+        cell["I1"] = 3
+    thread.join()
+    assert at_rest(sim) and len(errors) == 1
+    with pytest.raises(bcap.NotConnected):
+        arm.motor_on()
+
+
+def test_changes_of_variables(cell: bcap.Controller) -> None:
+    cell["I1"] = 1
+    changes = cell.watch(["I1", "NONE"], interval=0.01)
+    first = next(changes)
+    assert first == ("I1", 1)
+    with pytest.raises(bcap.ControllerError):
+        next(changes)
+    cell["I1"] = 2
+    assert next(changes) == bcap.Change("I1", 2)
+
+
+def test_waiting_for_a_value(cell: bcap.Controller) -> None:
+    with pytest.raises(bcap.NotMet, match="its last value was"):
+        cell.wait_for("I1", 9, timeout=0.05)
+    threading.Timer(0.05, lambda: cell.write("I1", 9)).start()
+    assert cell.wait_for("I1", 9, timeout=10) == 9
+
+
+@pytest.mark.parametrize("mode", [0, 1, 2])
+def test_the_caller_owns_the_loop_of_slave_mode(memory: bcap.Sim, mode: int) -> None:
+    with bcap.Controller(memory) as cell, cell.take_arm() as arm:
+        arm.motor_on()
+        with arm.slave_mode(mode=mode, max_speed=100, max_acceleration=800) as stream:
+            start = stream.cycle.start
+            for number in range(125):
+                joints = list(start)
+                joints[0] += 2 * (1 - math.cos(number / 125 * math.pi))
+                cycle = stream.step(numpy.array(joints))
+            assert cycle.number == 125 and 0 < cycle.pose[0] <= 4.1
+        assert stream.statistics["cycles"] >= 125 and stream.statistics["underflows"] == 0
+        assert cell.joints()[0] == pytest.approx(4, abs=0.05) and not memory.slave_mode
+
+
+def test_a_stream_refuses_a_pose_beyond_the_limits(memory: bcap.Sim) -> None:
+    with bcap.Controller(memory) as cell, cell.take_arm() as arm:
+        arm.motor_on()
+        with pytest.raises(bcap.StreamError), arm.slave_mode(max_speed=10, max_acceleration=800) as stream:
+            joints = list(stream.cycle.start)
+            joints[0] += 5
+            stream.step(joints)
+            stream.step(joints)
+        assert cell.joints()[0] == pytest.approx(0, abs=0.1)
+
+
+def test_a_stream_without_poses_stops(cell: bcap.Controller, sim: bcap.Sim) -> None:
+    with cell.take_arm() as arm:
+        arm.motor_on()
+        with pytest.raises(bcap.StreamError, match="no pose came in time"):
+            with arm.slave_mode(patience=0.05) as stream:
+                assert eventually(lambda: not sim.slave_mode)
+                stream.step(stream.cycle.start)
+    assert at_rest(sim)
+
+
+def test_errors_and_recovery(cell: bcap.Controller, sim: bcap.Sim) -> None:
+    sim.emergency_stop()
+    state = cell.examine()
+    assert any("emergency stop" in obstacle for obstacle in state.obstacles)
+    with pytest.raises(bcap.NotRecovered, match="emergency stop"):
+        cell.recover(alone=True)
+    sim.emergency_stop(False)
+    with cell.recover(alone=True) as arm:
+        assert sim.motor_on
+        arm.move(ASIDE, speed=100)
+    assert cell.examine() == bcap.State([], []) and at_rest(sim)
+
+
+def test_a_cobotta_is_prepared(sim: bcap.Sim) -> None:
+    with bcap.sim("cobotta", in_memory=True) as cobotta, bcap.Controller(cobotta) as cell:
+        with cell.take_arm() as arm, pytest.raises(bcap.ControllerError) as unprepared:
+            arm.motor_on()
+        assert unprepared.value.remedy
+        cell.execute("ManualResetPreparation")
+        cell.execute("ClearError")
+        with cell.prepare() as arm:
+            arm.motor_on()
+
+
+def test_tasks_and_files(tmp_path: Path) -> None:
+    (tmp_path / "new.txt").touch()
+    scenario = '[[task]]\nname = "Pro1"\nsteps = [{ wait_ms = 100000 }]\n'
+    with bcap.sim(scenario=scenario, files=str(tmp_path), in_memory=True) as sim, bcap.Controller(sim) as cell:
+        assert cell.task_status("Pro1") == "ready"
+        cell.start_task("Pro1")
+        assert cell.task_status("Pro1") == "running"
+        cell.stop_task("Pro1", "initialize")
+        assert cell.task_status("Pro1") == "ready"
+        cell.write_file("new.txt", "line 1\n")
+        assert cell.read_file("new.txt") == "line 1\n"
+
+
+def test_commands(cell: bcap.Controller) -> None:
+    assert cell.execute("ClearError") is None
+    assert cell.execute_robot("CurTool") == 0
