@@ -11,6 +11,7 @@
 
 mod arm;
 mod call;
+mod client;
 mod controller;
 mod error;
 mod runtime;
@@ -27,6 +28,8 @@ mod _bcap {
     use crate::arm::Arm;
     #[pymodule_export]
     use crate::call::{Call, Started};
+    #[pymodule_export]
+    use crate::client::Client;
     #[pymodule_export]
     use crate::controller::{Controller, Stopper, Watch, connect};
     #[pymodule_export]

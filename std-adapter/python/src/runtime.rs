@@ -15,7 +15,7 @@ use tokio::runtime::{Builder, Handle, Runtime};
 static RUNTIME: Mutex<Option<(u32, Runtime)>> = Mutex::new(None);
 
 /// How long Python's signals wait at most.
-const SIGNALS: Duration = Duration::from_millis(20);
+pub(crate) const SIGNALS: Duration = Duration::from_millis(20);
 
 /// Locks a mutex; no code that holds one leaves its value half changed.
 pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {

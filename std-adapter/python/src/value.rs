@@ -11,6 +11,8 @@
 //! | UI1[]                      | `bytes`, `bytearray`                           | `bytes`              |
 //! | array of one type          | a sequence of that type, such as numpy's arrays | `list`              |
 //! | VARIANT[]                  | a sequence of several types                    | `list`               |
+//!
+//! A sequence of `int` and `float` is an array of R8, or of VARIANT for scripts of the maker's client.
 
 use bcap_std::core::variant::{CivilTime, Encode, OwnedVariant, VarType, Variant};
 use pyo3::exceptions::{PyTypeError, PyValueError};
@@ -71,21 +73,26 @@ fn civil<'py>(py: Python<'py>, time: CivilTime) -> PyResult<Bound<'py, PyAny>> {
 }
 
 /// Returns the value of an object.
+pub(crate) fn from_python(object: &Bound<'_, PyAny>) -> PyResult<OwnedVariant> {
+    value_of(object, true)
+}
+
+/// Returns the value of an object; `joins` tells whether `int` and `float` in a sequence become R8.
 ///
 /// # Errors
 ///
 /// `TypeError` for an object without a VARIANT, `OverflowError` for a number that fits none.
-pub(crate) fn from_python(object: &Bound<'_, PyAny>) -> PyResult<OwnedVariant> {
+pub(crate) fn value_of(object: &Bound<'_, PyAny>, joins: bool) -> PyResult<OwnedVariant> {
     if let Some(value) = scalar(object)? {
         return Ok(value);
     }
     // numpy's arrays and numbers, and those of the module `array`
     if let Ok(plain) = object.call_method0("tolist") {
-        return from_python(&plain);
+        return value_of(&plain, joins);
     }
     let items = object.try_iter().map_err(|_| unsupported(object))?;
-    let items = items.map(|item| from_python(&item?)).collect::<PyResult<Vec<_>>>()?;
-    sequence(&items)
+    let items = items.map(|item| value_of(&item?, joins)).collect::<PyResult<Vec<_>>>()?;
+    sequence(&items, joins)
 }
 
 /// Returns the value of an object that is not a sequence.
@@ -122,7 +129,7 @@ fn unsupported(object: &Bound<'_, PyAny>) -> PyErr {
 }
 
 /// Encodes an array of one type, or of VARIANTs.
-fn sequence(items: &[OwnedVariant]) -> PyResult<OwnedVariant> {
+fn sequence(items: &[OwnedVariant], joins: bool) -> PyResult<OwnedVariant> {
     let variants = encoded(items)?;
     let Some(first) = items.first() else { return Ok(OwnedVariant::EMPTY) };
     let only = |types: &[VarType]| items.iter().all(|item| types.contains(&item.as_variant().vartype()));
@@ -130,7 +137,7 @@ fn sequence(items: &[OwnedVariant]) -> PyResult<OwnedVariant> {
         ($($type:ident $element:ty;)*) => {
             match first.as_variant().vartype() {
                 $(VarType::$type if only(&[VarType::$type]) => variants.convert::<Vec<$element>>().map(|all| encoded(&all)),)*
-                _ if only(&[VarType::I4, VarType::I8, VarType::R8]) => variants.convert::<Vec<f64>>().map(|all| encoded(&all)),
+                _ if joins && only(&[VarType::I4, VarType::I8, VarType::R8]) => variants.convert::<Vec<f64>>().map(|all| encoded(&all)),
                 _ => return Ok(variants),
             }
         };
