@@ -1,10 +1,11 @@
 //! `bcap proxy` and `--write`: recordings, output, and faults.
 
-use std::collections::HashSet;
+use std::collections::{HashSet, VecDeque};
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream, UdpSocket};
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::time::Duration;
 
 use crate::common::recorded;
 use crate::common::running::Running;
@@ -290,26 +291,48 @@ fn a_proxy_closes_the_socket_of_a_client_that_has_stopped_its_service() {
     }
     assert_eq!(descriptors(), before + 3);
     while descriptors() > before {
-        std::thread::sleep(std::time::Duration::from_millis(50));
+        std::thread::sleep(Duration::from_millis(50));
     }
 }
 
 #[test]
-fn a_proxy_over_tcp_closes_more_connections_than_it_serves() {
+fn a_proxy_over_tcp_gives_a_new_connection_the_slot_of_the_oldest_idle_one() {
     let robot = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = robot.local_addr().unwrap().to_string();
     let proxy = Running::start(&["proxy", "--listen", "127.0.0.1:0", "--robot", &address]);
-    let connections: Vec<_> =
+    let mut connections: VecDeque<_> =
         (0..CLIENTS).map(|_| (TcpStream::connect(&proxy.bcap).unwrap(), robot.accept().unwrap().0)).collect();
     let mut spare = TcpStream::connect(&proxy.bcap).unwrap();
-    assert_eq!(spare.read(&mut [0; 16]).unwrap(), 0, "the proxy closes it");
+    assert_eq!(spare.read(&mut [0; 16]).unwrap(), 0, "the proxy closes it: all others were active in the last 10 s");
+    // the first one waits for a reply, and all but the second one have sent a part of a request
+    for (number, (client, server)) in connections.iter_mut().enumerate() {
+        let request: &[u8] = if number == 0 { &STOP } else { b"x" };
+        if number != 1 {
+            client.write_all(request).unwrap();
+            server.read_exact(&mut vec![0; request.len()]).unwrap();
+        }
+    }
+    // after 10 s a new connection is served
+    robot.set_nonblocking(true).unwrap();
+    let _served = loop {
+        let mut spare = TcpStream::connect(&proxy.bcap).unwrap();
+        spare.set_read_timeout(Some(Duration::from_millis(100))).unwrap();
+        match (spare.read(&mut [0; 16]), robot.accept()) {
+            (Err(_), Ok(server)) => break (spare, server),
+            _ => std::thread::sleep(Duration::from_millis(50)),
+        }
+    };
+    let (mut waiting, mut evicted) = (connections.pop_front().unwrap(), connections.pop_front().unwrap());
+    assert_eq!(evicted.0.read(&mut [0; 16]).unwrap(), 0, "it was idle for the longest time");
+    waiting.1.write_all(b"y").unwrap();
+    waiting.0.read_exact(&mut [0; 1]).unwrap();
     for (mut client, mut server) in connections {
         client.write_all(b"x").unwrap();
         server.read_exact(&mut [0; 1]).unwrap();
     }
     let printed = proxy.interrupt();
-    let notes: Vec<_> = printed.out.lines().filter(|line| line.contains("256 connections")).collect();
-    assert_eq!(notes.len(), 1, "{}", printed.out);
+    let notes = |text: &str| printed.out.lines().filter(|line| line.contains(text)).count();
+    assert_eq!((notes("256 connections"), notes("another needs its slot")), (1, 1), "{}", printed.out);
 }
 
 #[test]

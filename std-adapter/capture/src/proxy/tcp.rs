@@ -1,14 +1,20 @@
 //! TCP connections: a task for each direction.
 
+use std::collections::HashMap;
 use std::io;
 use std::net::SocketAddr;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use bcap_core::bcap::EOT;
+use bcap_core::peers::{Admission, Holder, SlotState, Slots};
+use bcap_core::time::Instant;
+use bcap_std::now;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
 use tokio::net::{TcpListener, TcpStream};
-use tokio::task::JoinSet;
+use tokio::sync::Notify;
+use tokio::task::{Id, JoinError, JoinSet};
 use tokio::time::{sleep, timeout};
 
 use super::shared::{CLIENTS, Shared};
@@ -22,20 +28,32 @@ const BUFFER: usize = 64 << 10;
 /// The time to wait when a connection cannot be accepted, such as without a free file descriptor.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 
+/// The slots for connections.
+const SLOTS: Slots = Slots { total: CLIENTS, per_host: CLIENTS, evict_after: Some(Duration::from_secs(10)) };
+
+/// How long a connection that waits for a reply keeps its slot: its end would stop a motion.
+const CALL: Duration = Duration::from_secs(600);
+
 /// Accepts connections, and forwards each until it ends.
 pub(super) async fn listen(listener: TcpListener, robot: Arc<[SocketAddr]>, is_rac: bool, shared: Shared) {
     // dropped with this future, which ends the connections
     let mut connections = JoinSet::new();
+    let mut holders = HashMap::new();
     let mut is_full = false;
     loop {
         let accepted = tokio::select! {
             accepted = listener.accept() => accepted,
-            Some(_) = connections.join_next() => continue,
+            Some(ended) = connections.join_next_with_id() => {
+                free(&mut holders, ended);
+                continue;
+            }
         };
         // those that have ended do not count
-        while connections.try_join_next().is_some() {}
+        while let Some(ended) = connections.try_join_next_with_id() {
+            free(&mut holders, ended);
+        }
         match accepted {
-            Ok((stream, client)) if connections.len() >= CLIENTS => {
+            Ok((stream, client)) if !has_slot(&mut holders) => {
                 drop(stream);
                 // one note until a slot is free, even if a client connects again and again
                 if !std::mem::replace(&mut is_full, true) {
@@ -45,14 +63,74 @@ pub(super) async fn listen(listener: TcpListener, robot: Arc<[SocketAddr]>, is_r
             }
             Ok((stream, client)) => {
                 is_full = false;
-                drop(connections.spawn(connection(stream, client, Arc::clone(&robot), is_rac, shared.clone())))
+                let activity = Arc::new(Activity::new(is_rac));
+                let task = connection(stream, client, Arc::clone(&robot), Arc::clone(&activity), shared.clone());
+                holders.insert(connections.spawn(task).id(), activity);
             }
             Err(_) => sleep(ACCEPT_PAUSE).await,
         }
     }
 }
 
-async fn connection(stream: TcpStream, client: SocketAddr, robot: Arc<[SocketAddr]>, is_rac: bool, shared: Shared) {
+/// Frees the slot of a connection that has ended.
+fn free(holders: &mut HashMap<Id, Arc<Activity>>, ended: Result<(Id, ()), JoinError>) {
+    holders.remove(&ended.map_or_else(|error| error.id(), |(id, ())| id));
+}
+
+/// Tells whether there is a slot for a new connection, and ends the connection that loses it.
+fn has_slot(holders: &mut HashMap<Id, Arc<Activity>>) -> bool {
+    let now = now();
+    let taken = holders.iter().map(|(&key, held)| Holder { key, is_same_host: false, state: held.state(now) });
+    match SLOTS.admit(taken, now) {
+        Admission::Free => true,
+        Admission::Instead(id) => {
+            if let Some(activity) = holders.remove(&id) {
+                activity.evicted.notify_one();
+            }
+            true
+        }
+        Admission::Refused => false,
+    }
+}
+
+/// When the last bytes of a connection passed, and the signal that evicts it.
+struct Activity {
+    is_rac: bool,
+    last: Mutex<Last>,
+    evicted: Notify,
+}
+
+#[derive(Clone, Copy)]
+struct Last {
+    at: Instant,
+    /// Whether they are the end of a request, so the robot has to reply.
+    is_request: bool,
+}
+
+impl Activity {
+    fn new(is_rac: bool) -> Self {
+        Self { is_rac, last: Mutex::new(Last { at: now(), is_request: false }), evicted: Notify::new() }
+    }
+
+    fn passed(&self, sender: Role, bytes: &[u8]) {
+        let end = if self.is_rac { b'\r' } else { EOT };
+        let last = Last { at: now(), is_request: sender == Role::Request && bytes.last() == Some(&end) };
+        *self.last.lock().unwrap_or_else(PoisonError::into_inner) = last;
+    }
+
+    fn state(&self, now: Instant) -> SlotState {
+        let last = *self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        if last.is_request && now.saturating_since(last.at) < CALL { SlotState::Busy } else { SlotState::Idle(last.at) }
+    }
+}
+
+async fn connection(
+    stream: TcpStream,
+    client: SocketAddr,
+    robot: Arc<[SocketAddr]>,
+    activity: Arc<Activity>,
+    shared: Shared,
+) {
     let recorder = &shared.recorder;
     let first = robot.first().copied().unwrap_or(client);
     let server = match timeout(shared.connect_timeout, TcpStream::connect(&*robot)).await {
@@ -65,15 +143,30 @@ async fn connection(stream: TcpStream, client: SocketAddr, robot: Arc<[SocketAdd
     recorder.opened(ends);
     // an error shows in the first read
     let _ = (stream.set_nodelay(true), server.set_nodelay(true));
-    let faults = shared.faults(is_rac).map(|faults| Arc::new(Mutex::new(faults)));
-    let direction =
-        |sender, from, to| Direction { sender, from, to, ends, recorder: recorder.clone(), faults: faults.clone() };
+    let faults = shared.faults(activity.is_rac).map(|faults| Arc::new(Mutex::new(faults)));
+    let direction = |sender, from, to| Direction {
+        sender,
+        from,
+        to,
+        ends,
+        recorder: recorder.clone(),
+        faults: faults.clone(),
+        activity: Arc::clone(&activity),
+    };
     let ((from_client, to_client), (from_server, to_server)) = (stream.into_split(), server.into_split());
-    // an error in one direction ends both
-    let _ = tokio::try_join!(
-        direction(Role::Request, from_client, to_server).forward(),
-        direction(Role::Response, from_server, to_client).forward(),
-    );
+    let both = async {
+        tokio::try_join!(
+            direction(Role::Request, from_client, to_server).forward(),
+            direction(Role::Response, from_server, to_client).forward(),
+        )
+    };
+    tokio::select! {
+        // an error in one direction ends both
+        _ = both => {}
+        () = activity.evicted.notified() => {
+            recorder.note(ends, "closed an idle connection: another needs its slot".into());
+        }
+    }
     recorder.closed(ends);
 }
 
@@ -89,6 +182,7 @@ struct Direction {
     ends: Ends,
     recorder: Recorder,
     faults: Option<Arc<Mutex<Faults>>>,
+    activity: Arc<Activity>,
 }
 
 impl Direction {
@@ -100,6 +194,7 @@ impl Direction {
             let count = self.from.read(&mut buffer).await?;
             let at = self.recorder.now();
             let bytes = buffer.get(..count).unwrap_or_default();
+            self.activity.passed(self.sender, bytes);
             if count == 0 {
                 self.send(at, &partial, None).await?;
                 return self.to.shutdown().await;
