@@ -24,6 +24,9 @@ const SILENCE: Duration = Duration::from_secs(600);
 /// The same after the reply to Service_Stop, which the client requests again if it is lost.
 const STOPPED: Duration = Duration::from_secs(5);
 
+/// The same for a client that the robot has never answered.
+const UNANSWERED: Duration = Duration::from_secs(30);
+
 /// The slots for clients.
 const SLOTS: Slots = Slots { total: CLIENTS, per_host: CLIENTS, evict_after: Some(Duration::from_secs(10)) };
 
@@ -133,10 +136,12 @@ async fn open(here: &Arc<UdpSocket>, from: SocketAddr, robot: SocketAddr, shared
 /// Forwards the robot's datagrams to a client, until the service has stopped or the robot is silent.
 async fn forward_replies(client: Client, clients: Clients) {
     let mut buffer = vec![0; DATAGRAM];
+    let mut silence = UNANSWERED;
     loop {
-        let limit = if *lock(&client.state) == SlotState::Over { STOPPED } else { SILENCE };
+        let limit = if *lock(&client.state) == SlotState::Over { STOPPED } else { silence };
         match timeout(limit, client.robot.recv(&mut buffer)).await {
             Ok(Ok(count)) => {
+                silence = SILENCE;
                 let at = client.recorder.now();
                 client.forward(Role::Response, at, buffer.get(..count).unwrap_or_default()).await;
             }

@@ -34,7 +34,7 @@ use crate::output::{print_json, print_line};
 ///
 /// It serves 256 clients over UDP, 256 TCP connections of b-CAP and 256 of RAC. Datagrams of further clients are dropped, and
 /// further connections are closed, with a note. The slot of a client over UDP is free 5 seconds after its Service_Stop, or when
-/// the robot has not answered it for 10 minutes; a new client can take it when this client has sent nothing for 10 seconds.
+/// the robot has not answered it for 10 minutes, or at all in 30 seconds; a new client can take it when this client has sent nothing for 10 seconds.
 /// A new TCP connection gets the slot of the one that has been idle longest, for at least 10 seconds. A connection that waits for
 /// a reply keeps its slot for 10 minutes.
 #[derive(Debug, Args)]
