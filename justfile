@@ -133,6 +133,12 @@ lossy calls="100000":
 soak seconds="60":
     cargo bench -p bcap-tests --bench soak -- --seconds {{seconds}}
 
+# The programs sim, proxy, gateway and fleet, each with good and hostile clients, for 20 minutes: memory, descriptors, output, kept calls.
+[group('long tests')]
+soak-programs seconds="1200":
+    cargo build --release -p bcap-cli -p bcap-fleet
+    BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo bench -p bcap-tests --bench soak -- --programs --seconds {{seconds}}
+
 # A fleet whose broker, robots and network keep failing, with 50 commands for each failure: what arrived, was dropped and was executed.
 [group('long tests')]
 chaos failures="200":

@@ -15,15 +15,22 @@
 //! connections use 1 % of a processor, when the numbers of handles, tasks or files at the end differ from those at the
 //! start, or when memory has grown by 10 MiB since the first line of the table. Other load on the machine distorts the
 //! figures.
+//!
+//! With `--programs` the servers are the programs `bcap` of the environment variable `BCAP` and `bcap-fleet` next to it; see
+//! the module `programs`.
 
 mod misbehaviour;
+mod programs;
 mod server;
 mod work;
 
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
+
+use tokio::task::JoinSet;
 
 use crate::server::{SERVE, Server, State};
 
@@ -46,6 +53,10 @@ const GROWTH: u64 = 10 << 20;
 pub(crate) struct Plan {
     /// Calls that the well-behaved have made.
     pub(crate) calls: AtomicU64,
+    /// Sessions of the well-behaved that have failed.
+    pub(crate) failures: AtomicU64,
+    /// The pause of a well-behaved client after each pair of calls.
+    pub(crate) pace: Duration,
     /// The count of invalid actions.
     pub(crate) misbehaviour: AtomicU64,
     /// Whether the others are to misbehave now.
@@ -59,6 +70,7 @@ pub(crate) struct Plan {
 struct Wishes {
     time: Duration,
     clients: usize,
+    is_of_programs: bool,
 }
 
 fn main() -> ExitCode {
@@ -68,25 +80,49 @@ fn main() -> ExitCode {
         return ExitCode::SUCCESS;
     }
     let Some(wishes) = wishes(&arguments) else {
-        eprintln!("usage: soak [--seconds SECONDS] [--clients CLIENTS]");
+        eprintln!("usage: soak [--seconds SECONDS] [--clients CLIENTS] [--programs]");
         return ExitCode::from(2);
     };
     let mut verdict = Verdict(true);
-    soak(wishes, &mut verdict);
+    match std::env::var_os("BCAP").filter(|_| wishes.is_of_programs) {
+        Some(bcap) => programs::soak(bcap.as_ref(), wishes, &mut verdict),
+        None if wishes.is_of_programs => verdict.check(false, "BCAP names the command"),
+        None => soak(wishes, &mut verdict),
+    }
     if verdict.0 { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
 
 fn wishes(arguments: &[String]) -> Option<Wishes> {
-    let mut wishes = Wishes { time: Duration::from_secs(60), clients: 200 };
+    let mut wishes = Wishes { time: Duration::from_secs(60), clients: 200, is_of_programs: false };
     let mut words = arguments.iter().filter(|word| *word != "--bench");
     while let Some(word) = words.next() {
         match word.as_str() {
             "--seconds" => wishes.time = Duration::from_secs(words.next()?.parse().ok()?),
             "--clients" => wishes.clients = words.next()?.parse().ok().filter(|clients| *clients >= 2)?,
+            "--programs" => wishes.is_of_programs = true,
             _ => return None,
         }
     }
     Some(wishes)
+}
+
+/// Runs so many clients in a separate thread, which ends when all clients have ended.
+pub(crate) fn run_clients<F: Future<Output = ()> + Send + 'static>(
+    clients: usize,
+    client: impl Fn(usize) -> F + Send + 'static,
+) -> JoinHandle<()> {
+    std::thread::spawn(move || {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
+        runtime.block_on(async {
+            let mut tasks = JoinSet::new();
+            for number in 0..clients {
+                tasks.spawn(client(number));
+            }
+            while let Some(ended) = tasks.join_next().await {
+                ended.expect("a client does not panic");
+            }
+        });
+    })
 }
 
 /// Whether all is as it should be.
@@ -106,7 +142,7 @@ fn soak(wishes: Wishes, verdict: &mut Verdict) {
 
     let plan = Arc::<Plan>::default();
     let half = wishes.clients / 2;
-    let good = work::start(server.addresses(), half, Arc::clone(&plan));
+    let good = work::start(server.addresses(), 0..half, Arc::clone(&plan));
     let bad = misbehaviour::start(server.addresses(), wishes.clients - half, Arc::clone(&plan));
     // one-time allocations happen before the measurement
     let _ = Window::of(&plan, &server, ALONE);
@@ -122,6 +158,8 @@ fn soak(wishes: Wishes, verdict: &mut Verdict) {
     plan.is_over.store(true, Ordering::Relaxed);
     good.join().expect("the well-behaved have been served");
     bad.join().expect("the others have found their end");
+    let failures = plan.failures.load(Ordering::Relaxed);
+    verdict.check(failures == 0, &format!("{failures} sessions of well-behaved clients have failed"));
     judge(wishes, &rows, &begin, &server.settled(&begin), verdict);
 }
 

@@ -13,11 +13,11 @@ use bcap_testkit::value::Value;
 use socket2::SockRef;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpStream, UdpSocket};
-use tokio::task::JoinSet;
 use tokio::time::{sleep, timeout};
 
-use crate::Plan;
 use crate::server::Addresses;
+use crate::work::PROVIDER;
+use crate::{Plan, run_clients};
 
 /// The average pause of a client between two violations.
 const PACE: Duration = Duration::from_millis(100);
@@ -73,16 +73,7 @@ impl Messages {
 
 /// Starts clients in a separate thread, which ends when all clients have ended.
 pub(crate) fn start(server: Addresses, clients: usize, plan: Arc<Plan>) -> JoinHandle<()> {
-    std::thread::spawn(move || {
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
-        runtime.block_on(async {
-            let mut tasks = JoinSet::new();
-            for seed in 0..clients {
-                tasks.spawn(client(server, Random(seed as u64), Arc::clone(&plan)));
-            }
-            while tasks.join_next().await.is_some() {}
-        });
-    })
+    run_clients(clients, move |seed| client(server, Random(seed as u64), Arc::clone(&plan)))
 }
 
 async fn client(server: Addresses, mut random: Random, plan: Arc<Plan>) {
@@ -212,7 +203,7 @@ fn begin() -> Vec<u8> {
 }
 
 fn connect() -> Vec<u8> {
-    request(FunctionId::CONTROLLER_CONNECT, vec![Value::text(""); 4])
+    request(FunctionId::CONTROLLER_CONNECT, ["", PROVIDER, "", ""].map(Value::text).into())
 }
 
 /// A request with an argument that is no value.
