@@ -15,6 +15,7 @@ mod conversation;
 pub mod csv;
 mod file;
 mod filter;
+mod fragments;
 mod line;
 mod live;
 mod packet;

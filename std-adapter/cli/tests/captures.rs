@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use crate::common::capture::{BCAP, Capture, Flow, From, RAC, bstr, i4, list, numbered, segment, wrapped};
+use crate::common::capture::{BCAP, Capture, Flow, From, RAC, bstr, fragments, i4, list, numbered, segment, wrapped};
 use crate::common::recorded;
 use crate::common::{Run, bcap};
 use bcap_fuzz::{TARGETS, corpus};
@@ -148,6 +148,27 @@ fn attempts_over_udp_and_keep_alives_belong_to_one_call() {
     assert_eq!((&call["code"], &call["hresult"]), (&(-2_147_024_890_i64).into(), &"E_HANDLE".into()));
     assert_eq!(bcap(&["decode", &path, "--error", "any"]).out.lines().count(), 2);
     assert_eq!(bcap(&["decode", &path, "--error", "0x80070057"]).out, "");
+}
+
+#[test]
+fn fragments_of_ip_packets_are_reassembled() {
+    let (mut capture, flow) = (Capture::new(), Flow::new(1, BCAP));
+    let name = "x".repeat(1000);
+    let open = numbered(5, 5, GET_VARIABLE, &[i4(2), bstr(&name), bstr("")]);
+    let mut packets = fragments(&flow, From::Client, &open, 512);
+    assert_eq!(packets.len(), 5);
+    packets.reverse();
+    packets.iter().for_each(|packet| capture.packet(packet));
+    capture.udp(&flow, From::Server, &numbered(5, 0, 0, &[i4(3)]));
+    // one fragment of three is missing
+    let read = [numbered(6, 6, GET_VALUE, &[i4(3)]), vec![0; 1000]].concat();
+    fragments(&flow, From::Client, &read, 512).iter().skip(1).for_each(|packet| capture.packet(packet));
+    let lines = decoded("fragments.pcap", &capture);
+    // the time of a note is the one of the first fragment
+    let note = "capture: note: skipped fragments of IP packets that are incomplete, or of IPv6: 2";
+    let opened = "udp1 #5 Controller_GetVariable(controller: I4(2), name: a VT_BSTR of 2010 bytes, option: \"\") -> ";
+    assert_eq!((lines.len(), lines[0].as_str()), (3, note));
+    assert_eq!(lines[2], format!("{opened}S_OK I4(3) = {name}"));
 }
 
 /// Headers of a link layer in front of IP: the link type and the bytes.

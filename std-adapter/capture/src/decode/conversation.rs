@@ -9,8 +9,9 @@ use bcap_core::rac;
 
 use super::call::{Event, Link, Note};
 use super::file::Packet;
+use super::fragments::Fragments;
 use super::line::Lines;
-use super::packet::{Segment, Skipped, Tcp, segment};
+use super::packet::{Segment, Skipped, Tcp, reassembled, segment};
 use super::session::{Found, Session};
 use super::stream::{Half, Piece};
 use crate::role::Role;
@@ -62,8 +63,12 @@ pub(crate) struct Conversations {
     /// The number of conversations so far.
     count: usize,
     events: Vec<Event>,
+    fragments: Fragments,
+    /// Fragments that cannot be used.
+    unusable: usize,
+    /// The time of the first fragment.
+    fragmented: Option<u64>,
     /// Packets that were skipped, with the time of the first one.
-    fragments: Option<(u64, u64)>,
     links: BTreeMap<i32, (u64, u64)>,
 }
 
@@ -74,7 +79,9 @@ impl Conversations {
             by_ends: HashMap::new(),
             count: 0,
             events: Vec::new(),
-            fragments: None,
+            fragments: Fragments::default(),
+            unusable: 0,
+            fragmented: None,
             links: BTreeMap::new(),
         }
     }
@@ -83,7 +90,17 @@ impl Conversations {
     pub(crate) fn packet(&mut self, packet: Packet<'_>) {
         match segment(&packet) {
             Ok(segment) => self.segment(&segment),
-            Err(Skipped::Fragment) => self.fragments.get_or_insert((packet.at, 0)).1 += 1,
+            Err(Skipped::Fragment(fragment)) => {
+                self.fragmented.get_or_insert(packet.at);
+                let payload = self.fragments.add(&fragment, packet.at).unwrap_or_default();
+                if let Ok(segment) = reassembled(packet.at, fragment.key, &payload) {
+                    self.segment(&segment);
+                }
+            }
+            Err(Skipped::Unusable) => {
+                self.fragmented.get_or_insert(packet.at);
+                self.unusable += 1;
+            }
             Err(Skipped::Link(link)) => self.links.entry(link).or_insert((packet.at, 0)).1 += 1,
             Err(Skipped::Other) => {}
         }
@@ -121,8 +138,9 @@ impl Conversations {
         open.sort_by_key(|conversation| conversation.number);
         open.iter_mut().for_each(|conversation| conversation.end(&mut self.events));
         let mut note = |at, text| self.events.push(Event::Note(Note { at, link: "capture".into(), text }));
-        if let Some((at, count)) = self.fragments {
-            note(at, format!("skipped fragments of IP packets, which are not reassembled: {count}"));
+        let skipped = self.fragments.incomplete() + self.unusable;
+        if let Some(at) = self.fragmented.filter(|_| skipped > 0) {
+            note(at, format!("skipped fragments of IP packets that are incomplete, or of IPv6: {skipped}"));
         }
         for (link, (at, count)) in &self.links {
             note(*at, format!("skipped packets of link type {link}, which is not supported: {count}"));

@@ -2,10 +2,11 @@
 
 use std::net::{IpAddr, SocketAddr};
 
-use etherparse::{EtherType, LaxNetSlice, LaxSlicedPacket, TransportSlice};
+use etherparse::{EtherType, IpNumber, LaxNetSlice, LaxSlicedPacket, TcpSlice, TransportSlice, UdpSlice};
 use pcap_parser::Linktype;
 
 use super::file::Packet;
+use super::fragments::{Fragment, Key};
 
 /// A TCP segment or a UDP datagram.
 #[derive(Clone, Copy, Debug)]
@@ -37,31 +38,53 @@ impl Tcp {
 
 /// Why a packet has no segment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Skipped {
+pub(crate) enum Skipped<'a> {
     /// The link type is unknown.
     Link(i32),
-    /// A fragment of an IP packet.
-    Fragment,
+    /// A fragment of an IPv4 packet.
+    Fragment(Fragment<'a>),
+    /// A fragment of an IPv6 packet, or of which the capture has only a part.
+    Unusable,
     /// Another protocol, or a packet that is cut off inside its headers.
     Other,
 }
 
 /// Parses the headers of a packet.
-pub(crate) fn segment<'a>(packet: &Packet<'a>) -> Result<Segment<'a>, Skipped> {
+pub(crate) fn segment<'a>(packet: &Packet<'a>) -> Result<Segment<'a>, Skipped<'a>> {
     let sliced = sliced(packet.link, packet.bytes)?;
-    let (from, to, fragmented) = match &sliced.net {
-        Some(LaxNetSlice::Ipv4(ip)) => {
-            let header = ip.header();
-            (IpAddr::V4(header.source_addr()), IpAddr::V4(header.destination_addr()), ip.payload().fragmented)
+    let (from, to) = match &sliced.net {
+        Some(LaxNetSlice::Ipv4(ip)) if ip.payload().fragmented => {
+            return Err(Fragment::new(ip).map_or(Skipped::Unusable, Skipped::Fragment));
         }
+        Some(LaxNetSlice::Ipv4(ip)) => {
+            (IpAddr::V4(ip.header().source_addr()), IpAddr::V4(ip.header().destination_addr()))
+        }
+        Some(LaxNetSlice::Ipv6(ip)) if ip.payload().fragmented => return Err(Skipped::Unusable),
         Some(LaxNetSlice::Ipv6(ip)) => {
-            let header = ip.header();
-            (IpAddr::V6(header.source_addr()), IpAddr::V6(header.destination_addr()), ip.payload().fragmented)
+            (IpAddr::V6(ip.header().source_addr()), IpAddr::V6(ip.header().destination_addr()))
         }
         Some(LaxNetSlice::Arp(_)) | None => return Err(Skipped::Other),
     };
-    let (ports, tcp, payload) = match &sliced.transport {
-        _ if fragmented => return Err(Skipped::Fragment),
+    of_transport(packet.at, from, to, sliced.transport.as_ref())
+}
+
+/// Parses the payload of a packet that was reassembled.
+pub(crate) fn reassembled(at: u64, key: Key, payload: &[u8]) -> Result<Segment<'_>, Skipped<'_>> {
+    let transport = match key.protocol {
+        IpNumber::TCP => TcpSlice::from_slice(payload).ok().map(TransportSlice::Tcp),
+        IpNumber::UDP => UdpSlice::from_slice(payload).ok().map(TransportSlice::Udp),
+        _ => None,
+    };
+    of_transport(at, key.from.into(), key.to.into(), transport.as_ref())
+}
+
+fn of_transport<'a>(
+    at: u64,
+    from: IpAddr,
+    to: IpAddr,
+    transport: Option<&TransportSlice<'a>>,
+) -> Result<Segment<'a>, Skipped<'a>> {
+    let (ports, tcp, payload) = match transport {
         Some(TransportSlice::Tcp(tcp)) => {
             let fields = Tcp {
                 sequence: tcp.sequence_number(),
@@ -73,11 +96,11 @@ pub(crate) fn segment<'a>(packet: &Packet<'a>) -> Result<Segment<'a>, Skipped> {
         Some(TransportSlice::Udp(udp)) => ((udp.source_port(), udp.destination_port()), None, udp.payload()),
         _ => return Err(Skipped::Other),
     };
-    Ok(Segment { at: packet.at, from: SocketAddr::new(from, ports.0), to: SocketAddr::new(to, ports.1), tcp, payload })
+    Ok(Segment { at, from: SocketAddr::new(from, ports.0), to: SocketAddr::new(to, ports.1), tcp, payload })
 }
 
 /// Finds the IP header after the header of the link layer.
-fn sliced(link: Linktype, bytes: &[u8]) -> Result<LaxSlicedPacket<'_>, Skipped> {
+fn sliced(link: Linktype, bytes: &[u8]) -> Result<LaxSlicedPacket<'_>, Skipped<'_>> {
     const RAW_OF_BSD: i32 = 12;
     const RAW_OF_OPENBSD: i32 = 14;
     const LOOP: Linktype = Linktype(108);

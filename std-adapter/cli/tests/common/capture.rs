@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use bcap_fuzz::corpus::Inputs;
-use etherparse::PacketBuilder;
+use etherparse::{Ipv4Header, PacketBuilder};
 
 /// The port of b-CAP.
 pub(crate) const BCAP: u16 = 5007;
@@ -103,13 +103,7 @@ impl Capture {
 
     /// Adds a datagram.
     pub(crate) fn udp(&mut self, flow: &Flow, from: From, payload: &[u8]) {
-        let builder = match from {
-            From::Client => PacketBuilder::ipv4(flow.client, SERVER, 64).udp(CLIENT_PORT, flow.port),
-            From::Server => PacketBuilder::ipv4(SERVER, flow.client, 64).udp(flow.port, CLIENT_PORT),
-        };
-        let mut packet = Vec::new();
-        builder.write(&mut packet, payload).unwrap();
-        self.packet(&packet);
+        self.packet(&datagram(flow, from, payload));
     }
 
     pub(crate) fn save(&self, path: &Path) {
@@ -131,6 +125,36 @@ pub(crate) fn segment(flow: &Flow, from: From, payload: &[u8]) -> Vec<u8> {
     let mut packet = Vec::new();
     builder.write(&mut packet, payload).unwrap();
     packet
+}
+
+/// A datagram in an IPv4 packet.
+fn datagram(flow: &Flow, from: From, payload: &[u8]) -> Vec<u8> {
+    let builder = match from {
+        From::Client => PacketBuilder::ipv4(flow.client, SERVER, 64).udp(CLIENT_PORT, flow.port),
+        From::Server => PacketBuilder::ipv4(SERVER, flow.client, 64).udp(flow.port, CLIENT_PORT),
+    };
+    let mut packet = Vec::new();
+    builder.write(&mut packet, payload).unwrap();
+    packet
+}
+
+/// The IPv4 packets of a datagram in fragments of so many bytes, a multiple of 8.
+pub(crate) fn fragments(flow: &Flow, from: From, payload: &[u8], size: usize) -> Vec<Vec<u8>> {
+    let packet = datagram(flow, from, payload);
+    let (header, rest) = Ipv4Header::from_slice(&packet).unwrap();
+    let count = rest.len().div_ceil(size);
+    let fragment = |(number, part): (usize, &[u8])| {
+        let mut header = header.clone();
+        (header.dont_fragment, header.more_fragments) = (false, number + 1 < count);
+        header.fragment_offset = u16::try_from(number * size / 8).unwrap().try_into().unwrap();
+        header.set_payload_len(part.len()).unwrap();
+        header.header_checksum = header.calc_header_checksum();
+        let mut bytes = Vec::new();
+        header.write(&mut bytes).unwrap();
+        bytes.extend(part);
+        bytes
+    };
+    rest.chunks(size).enumerate().map(fragment).collect()
 }
 
 /// Bytes from hexadecimal digits.
