@@ -45,6 +45,9 @@ pub(crate) struct Sent {
 pub(crate) const REFUSALS: usize = 5;
 pub(crate) const REFUSAL_PAUSE: Duration = Duration::from_millis(100);
 
+/// How often a device over UDP is asked whether it answers: a network may lose datagrams.
+const PROBES: usize = 3;
+
 /// The external speed, acceleration and deceleration of cases, in percent.
 const SLOW: &str = "8196,10,10,10";
 
@@ -80,8 +83,12 @@ pub(crate) struct Bench<'a> {
     pub(crate) refused: bool,
     /// Whether a first call got no reply although it was repeated.
     has_no_slot: bool,
-    /// Whether the device did not accept the first connection of the case.
+    /// Whether the device did not accept the first connection of the case, or over UDP does not answer.
     pub(crate) unreachable: bool,
+    /// Whether the port of RAC did not accept the first connection of the case.
+    pub(crate) has_no_line: bool,
+    /// Whether it has accepted a connection of the case.
+    pub(crate) has_line: bool,
     /// Whether any reply has arrived in this case.
     pub(crate) has_reply: bool,
     /// How often a first call or the case was repeated since the last reply from a device that has a slot.
@@ -116,10 +123,26 @@ impl<'a> Bench<'a> {
             refused: false,
             has_no_slot: false,
             unreachable: false,
+            has_no_line: false,
+            has_line: false,
             has_reply: false,
             repeats: 0,
             log,
         }
+    }
+
+    /// Tells whether a device over UDP answers a new client. Over TCP the connection tells it.
+    pub(crate) fn answers(options: &'a Options, link: Link) -> bool {
+        let answers = |_| {
+            let mut bench = Self::new(options, link);
+            let (serial, bytes) = bench.request(FunctionId::SERVICE_START, &[Value::text("")]);
+            let sent = bench.connect().and_then(|()| bench.send(&bytes, &format!("#{serial} Service_Start")));
+            // also one that answers wrongly
+            let came = sent.is_ok().then(|| bench.receive());
+            bench.close();
+            matches!(came, Some(Came::Reply(_) | Came::Invalid(_)))
+        };
+        link != Link::Udp || (0..PROBES).any(answers)
     }
 
     pub(crate) fn setup(&mut self, setup: Setup) -> Result<(), Stop> {

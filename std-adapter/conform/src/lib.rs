@@ -79,11 +79,13 @@ pub fn run(options: &Options, mut each: impl FnMut(&CaseResult), ended: impl Fn(
             break;
         }
         let (mut result, mut unreachable) = judge(case, options, &model, &ended, &mut speed);
-        if unreachable {
+        // a device without RAC has not stopped
+        let is_tried = |result: &CaseResult| result.group == Some(Group::Rac) && result.verdict != Verdict::Skip;
+        if unreachable && (case.group != Group::Rac || report.results.iter().any(is_tried)) {
             // no failure of this case: the device may have crashed in an earlier one
             let earlier = report.results.iter().rfind(|result| result.verdict != Verdict::Skip);
             report.crashes.extend(earlier.map(|result| result.name.clone()));
-            if report.crashes.is_empty() || !returns(options, restarter.as_mut(), &ended) {
+            if report.crashes.is_empty() || !returns(case, options, restarter.as_mut(), &ended) {
                 report.unreachable = true;
                 break;
             }
@@ -99,16 +101,21 @@ pub fn run(options: &Options, mut each: impl FnMut(&CaseResult), ended: impl Fn(
     report
 }
 
-/// Waits until the device accepts connections again, and starts it if there is a command; `false` if it does not in time, or the
-/// command may not run any more.
-fn returns(options: &Options, restarter: Option<&mut Restarter>, ended: &dyn Fn() -> bool) -> bool {
-    let Some((link, address)) = options.target.bcap else { return false };
+/// Waits until a case reaches the device again, and starts it if there is a command; `false` if it does not in time, or the command
+/// may not run any more.
+fn returns(case: &Case, options: &Options, restarter: Option<&mut Restarter>, ended: &dyn Fn() -> bool) -> bool {
     if restarter.is_some_and(|restarter| !restarter.run().unwrap_or(false)) {
         return false;
     }
+    let reaches = || match (case.group, options.target.rac, options.target.bcap) {
+        (Group::Rac, Some(address), _) => Wire::connect_rac(address, options.timeout).is_ok(),
+        (_, _, Some((Link::Udp, _))) => Bench::answers(options, Link::Udp),
+        (_, _, Some((link, address))) => Wire::connect(link, address, options.timeout).is_ok(),
+        (_, _, None) => false,
+    };
     let until = Instant::now() + options.wait;
     while !ended() {
-        if Wire::connect(link, address, options.timeout).is_ok() {
+        if reaches() {
             return true;
         }
         if Instant::now() >= until {
@@ -155,7 +162,7 @@ fn of_another_model(case: &Case, device: Option<Model>) -> Option<String> {
     (!case.models.contains(&device)).then(|| format!("seen on {models}; the device is an {device}"))
 }
 
-/// Runs a case; also tells whether the device did not accept its connection.
+/// Runs a case; also tells whether the device did not accept its connection, or over UDP does not answer.
 fn judge<'a>(
     case: &Case,
     options: &'a Options,
@@ -176,6 +183,10 @@ fn judge<'a>(
         .or_else(|| (case.group == Group::Seen).then(|| of_another_model(case, model())).flatten());
     let mut outcome = match inapplicable {
         Some(reason) => Err(Stop::Skip(reason)),
+        None if case.group != Group::Rac && !Bench::answers(options, link) => {
+            bench.unreachable = true;
+            bench::fail("the device answers Service_Start", "nothing")
+        }
         None => bench.run(case),
     };
     while matches!(outcome, Err(Stop::Fail { .. })) && may_run_again(case, &bench) {
@@ -213,7 +224,8 @@ fn judge<'a>(
         milliseconds: u64::try_from(began.elapsed().as_millis()).unwrap_or(u64::MAX),
     };
     // a case of RAC that cannot use b-CAP is skipped
-    let unreachable = bench.unreachable && matches!(result.verdict, Verdict::Fail | Verdict::Differs);
+    let is_lost = if case.group == Group::Rac { bench.has_no_line } else { bench.unreachable };
+    let unreachable = is_lost && result.verdict != Verdict::Pass;
     (result, unreachable)
 }
 

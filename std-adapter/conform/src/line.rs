@@ -14,8 +14,15 @@ use crate::language::LineWant;
 pub(crate) fn connect(bench: &mut Bench<'_>) -> Result<Wire, Stop> {
     let Some(address) = bench.options.target.rac else { return skip("the address of RAC is not given") };
     match Wire::connect_rac(address, bench.options.timeout) {
-        Ok(wire) => Ok(wire),
-        Err(error) => skip(format!("no connection to RAC at {address}: {error}")),
+        Ok(wire) => {
+            bench.has_line = true;
+            Ok(wire)
+        }
+        Err(error) if bench.has_line => fail(format!("{address} accepts the connection"), error.to_string()),
+        Err(error) => {
+            bench.has_no_line = true;
+            skip(format!("no connection to RAC at {address}: {error}"))
+        }
     }
 }
 

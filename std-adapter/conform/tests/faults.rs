@@ -1,11 +1,12 @@
 //! Broken devices: every planted fault is caught by the case that is named with it.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 use std::io::{Read as _, Write as _};
-use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
+use std::time::Duration;
 
 use crate::common::relay;
 use crate::common::relay::{Hooks, Relay};
@@ -468,7 +469,7 @@ fn bound(address: SocketAddr) -> TcpListener {
     loop {
         match TcpListener::bind(address) {
             Ok(listener) => return listener,
-            Err(_) => thread::sleep(std::time::Duration::from_millis(5)),
+            Err(_) => thread::sleep(Duration::from_millis(5)),
         }
     }
 }
@@ -495,7 +496,7 @@ fn copy(mut from: TcpStream, mut to: TcpStream, device: SocketAddr, crashed: Opt
 fn a_device_that_crashes_and_restarts_has_no_false_failures() {
     let served = rc8(100.0);
     let device = crashing(served.tcp, || {
-        thread::sleep(std::time::Duration::from_millis(500));
+        thread::sleep(Duration::from_millis(500));
         true
     });
     let target = bcap_conform::Target { bcap: Some((Link::Tcp, device)), rac: None };
@@ -512,7 +513,7 @@ fn a_device_that_crashes_for_good_ends_the_run() {
     let served = rc8(100.0);
     let device = crashing(served.tcp, || false);
     let target = bcap_conform::Target { bcap: Some((Link::Tcp, device)), rac: None };
-    let wait = std::time::Duration::from_millis(100);
+    let wait = Duration::from_millis(100);
     let report = run(&Options { wait, groups: vec![Group::Frames], ..Options::new(target) }, |_| {}, || false);
     assert_eq!((report.crashes, report.unreachable), (vec!["frames/wrong-end".to_owned()], true));
     assert_eq!(report.results.last().map(|result| result.name.as_str()), Some("frames/wrong-end"));
@@ -527,7 +528,7 @@ fn a_device_that_crashes_is_started_by_the_command_a_limited_number_of_times() {
         let waited = file.clone();
         let device = crashing(served.tcp, move || {
             while std::fs::remove_file(&waited).is_err() {
-                thread::sleep(std::time::Duration::from_millis(5));
+                thread::sleep(Duration::from_millis(5));
             }
             true
         });
@@ -543,4 +544,87 @@ fn a_device_that_crashes_is_started_by_the_command_a_limited_number_of_times() {
     assert_eq!(started.results.len(), frames);
     let ended = report(0);
     assert_eq!((ended.crashes, ended.unreachable), (vec!["frames/wrong-end".to_owned()], true));
+}
+
+/// Serves a controller over UDP until a request has the wrong end 0x05; then nothing is answered, until `restarts` returns true.
+fn crashing_over_udp(robot: SocketAddr, restarts: impl Fn() -> bool + Send + 'static) -> SocketAddr {
+    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let address = socket.local_addr().unwrap();
+    thread::spawn(move || {
+        let (mut clients, mut bytes) = (HashMap::new(), [0; 65_535]);
+        while let Ok((count, client)) = socket.recv_from(&mut bytes) {
+            if count >= 16 && bytes[count - 1] == 5 {
+                clients.clear();
+                if !restarts() {
+                    return;
+                }
+                continue;
+            }
+            let server = clients.entry(client).or_insert_with(|| {
+                let server = UdpSocket::bind("127.0.0.1:0").unwrap();
+                server.connect(robot).unwrap();
+                let (from, here) = (server.try_clone().unwrap(), socket.try_clone().unwrap());
+                thread::spawn(move || {
+                    let mut bytes = [0; 65_535];
+                    while let Ok(count) = from.recv(&mut bytes) {
+                        let _ = here.send_to(&bytes[..count], client);
+                    }
+                });
+                server
+            });
+            let _ = server.send(&bytes[..count]);
+        }
+    });
+    address
+}
+
+#[test]
+fn a_device_over_udp_that_stops_answering_is_named_and_started_again() {
+    let served = rc8(100.0);
+    let file = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("conform-restart-udp");
+    let _ = std::fs::remove_file(&file);
+    for restarts in [1, 0] {
+        let waited = file.clone();
+        let device = crashing_over_udp(served.udp, move || {
+            while std::fs::remove_file(&waited).is_err() {
+                thread::sleep(Duration::from_millis(5));
+            }
+            true
+        });
+        let target = bcap_conform::Target { bcap: Some((Link::Udp, device)), rac: None };
+        let restart = Some(format!("touch '{}'", file.display()));
+        let options = Options { restart, restarts, groups: vec![Group::Frames], ..Options::new(target) };
+        let report = run(&Options { timeout: Duration::from_secs(1), ..options }, |_| {}, || false);
+        assert_eq!(report.failures().collect::<Vec<_>>(), ["frames/wrong-end"]);
+        assert_eq!((report.crashes, report.unreachable), (vec!["frames/wrong-end".to_owned()], restarts == 0));
+        let frames = bcap_conform::cases().iter().filter(|case| case.group() == Group::Frames).count();
+        assert_eq!(report.results.len() == frames, restarts == 1);
+    }
+}
+
+#[test]
+fn a_device_that_crashes_in_a_case_of_rac_is_named() {
+    let served = rc8(100.0);
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    thread::spawn(move || {
+        for client in listener.incoming().map(Result::unwrap) {
+            let mut line = [0; 4096];
+            let count = client.peek(&mut line).unwrap_or_default();
+            if line[..count].starts_with(b"SET") {
+                return;
+            }
+            let server = TcpStream::connect(served.rac).unwrap();
+            copy(server.try_clone().unwrap(), client.try_clone().unwrap(), address, None);
+            copy(client, server, address, None);
+        }
+    });
+    let target = bcap_conform::Target { bcap: Some((Link::Tcp, served.tcp)), rac: Some(address) };
+    let wait = Duration::from_millis(100);
+    let report = run(&Options { wait, groups: vec![Group::Rac], ..Options::new(target) }, |_| {}, || false);
+    assert_eq!((report.crashes, report.unreachable), (vec!["rac/unknown-command".to_owned()], true));
+    // a device without RAC skips the cases
+    let target = bcap_conform::Target { bcap: Some((Link::Tcp, served.tcp)), rac: Some(address) };
+    let report = run(&Options { wait, groups: vec![Group::Rac], ..Options::new(target) }, |_| {}, || false);
+    assert_eq!((report.crashes.len(), report.unreachable, report.failures().count()), (0, false, 0));
 }
