@@ -56,6 +56,12 @@ fairness:
 loopback:
     cargo bench -p bcap-tests --bench loopback
 
+# A read of a variable with the C library and in Rust: calls a second, processor time and instructions.
+[group('measure')]
+c-speed:
+    cargo build --release -p bcap-cli
+    std-adapter/c/speed "${CARGO_TARGET_DIR:-$PWD/target}/release/bcap"
+
 # What `bcap proxy` adds to a round trip.
 [group('measure')]
 proxy:

@@ -4,8 +4,8 @@ use std::ffi::c_char;
 
 use bcap_std::blocking::Controller;
 use bcap_std::core::bcap::FunctionId;
-use bcap_std::core::variant::{FromVariant, OwnedVariant};
-use bcap_std::{Error, Model, ObjectPath, Settings};
+use bcap_std::core::variant::{ConvertError, FromVariant, OwnedVariant, Variant};
+use bcap_std::{Model, ObjectPath, Settings};
 
 use super::{Failure, enter, store, table};
 use crate::memory::{TextBuffer, caller, copy, put, read_text, slice};
@@ -72,6 +72,18 @@ fn read<T: for<'v> FromVariant<'v>>(controller: bcap_controller, name: &str) -> 
     table::with(controller.id, |cell| Ok(cell.controller()?.read(name)?))
 }
 
+/// An integer, or a truth value as one.
+struct Integer(i64);
+
+impl FromVariant<'_> for Integer {
+    fn from_variant(value: Variant<'_>) -> Result<Self, ConvertError> {
+        match value {
+            Variant::Bool(truth) => Ok(Self(truth.into())),
+            number => number.convert().map(Self),
+        }
+    }
+}
+
 /// Reads a variable, such as `I1`, `IO128`, `robot/@SERVO_ON` or `task:Pro1/@STATUS`, as an integer or a truth value.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_read_integer(
@@ -81,9 +93,7 @@ pub unsafe extern "C" fn bcap_read_integer(
 ) -> bcap_status {
     enter(|| {
         let name = caller!(read_text(name))?;
-        let found: OwnedVariant = read(controller, name)?;
-        let found = found.convert::<bool>().map(i64::from).or_else(|_| found.convert());
-        let found = found.map_err(|source| Error::Value { object: name.to_owned(), source })?;
+        let Integer(found) = read(controller, name)?;
         Ok(caller!(put(integer, found))?)
     })
 }
