@@ -9,10 +9,10 @@ use std::thread;
 use std::time::Duration;
 
 use bcap_std::blocking::Controller;
-use bcap_std::{Error, Joints, Motion, Move, Settings};
+use bcap_std::{Error, Joints, MainError, Motion, Move, Settings};
 
-fn main() -> Result<(), Error> {
-    run(&std::env::args().nth(1).unwrap_or_else(|| "tcp:127.0.0.1".into()))
+fn main() -> Result<(), MainError> {
+    Ok(run(&std::env::args().nth(1).unwrap_or_else(|| "tcp:127.0.0.1".into()))?)
 }
 
 /// Runs the example with the controller at `address`.

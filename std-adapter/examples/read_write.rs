@@ -6,10 +6,10 @@
 //! ```
 
 use bcap_std::blocking::Controller;
-use bcap_std::{Error, Position, Settings};
+use bcap_std::{Error, MainError, Position, Settings};
 
-fn main() -> Result<(), Error> {
-    run(&std::env::args().nth(1).unwrap_or_else(|| "tcp:127.0.0.1".into()))
+fn main() -> Result<(), MainError> {
+    Ok(run(&std::env::args().nth(1).unwrap_or_else(|| "tcp:127.0.0.1".into()))?)
 }
 
 /// Runs the example with the controller at `address`.

@@ -6,13 +6,13 @@
 //! ```
 
 use bcap_std::asynch::{Controller, State};
-use bcap_std::{AddressError, Settings};
+use bcap_std::{AddressError, MainError, Settings};
 use tokio::task::JoinSet;
 
 #[tokio::main(flavor = "current_thread")]
-async fn main() -> Result<(), AddressError> {
+async fn main() -> Result<(), MainError> {
     let addresses: Vec<_> = std::env::args().skip(1).collect();
-    run(&addresses, std::future::pending()).await
+    Ok(run(&addresses, std::future::pending()).await?)
 }
 
 /// Watches the controllers at `addresses` until `end` is ready.

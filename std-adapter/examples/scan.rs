@@ -8,11 +8,11 @@
 use std::time::Duration;
 
 use bcap_std::asynch::{Controller, Reading};
-use bcap_std::{Error, Settings};
+use bcap_std::{Error, MainError, Settings};
 
 #[tokio::main(flavor = "current_thread")]
-async fn main() -> Result<(), Error> {
-    run(&std::env::args().nth(1).unwrap_or_else(|| "tcp:127.0.0.1".into()), usize::MAX).await
+async fn main() -> Result<(), MainError> {
+    Ok(run(&std::env::args().nth(1).unwrap_or_else(|| "tcp:127.0.0.1".into()), usize::MAX).await?)
 }
 
 /// Prints `count` changes of the controller at `address`.

@@ -9,10 +9,10 @@ use bcap_std::blocking::Controller;
 use bcap_std::core::slave::{
     AxisLimits, Cycle, Format, Mode, Next, Pose, PoseType, ReceiveFormat, ReceivePose, SlaveMode,
 };
-use bcap_std::{Error, Settings};
+use bcap_std::{Error, MainError, Settings};
 
-fn main() -> Result<(), Error> {
-    run(&std::env::args().nth(1).unwrap_or_else(|| "udp:127.0.0.1".into()), 1000)
+fn main() -> Result<(), MainError> {
+    Ok(run(&std::env::args().nth(1).unwrap_or_else(|| "udp:127.0.0.1".into()), 1000)?)
 }
 
 /// Streams one swing of so many cycles of 8 ms to the controller at `address`.

@@ -9,7 +9,7 @@ use std::time::Duration;
 use bcap_sim::memory::Network;
 use bcap_sim::{Config, Profile};
 use bcap_std::blocking::Controller;
-use bcap_std::{Error, Joints, Motion, Move, Settings};
+use bcap_std::{Error, Joints, MainError, Motion, Move, Settings};
 
 /// The program: it moves slowly, and counts the motions.
 fn program(cell: &mut Controller) -> Result<Motion, Error> {
@@ -25,8 +25,8 @@ fn program(cell: &mut Controller) -> Result<Motion, Error> {
     Ok(motion)
 }
 
-fn main() -> Result<(), Error> {
-    run()
+fn main() -> Result<(), MainError> {
+    Ok(run()?)
 }
 
 /// The test.

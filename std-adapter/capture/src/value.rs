@@ -2,6 +2,7 @@
 
 pub mod data;
 pub mod named;
+pub mod selection;
 
 use bcap_core::error::TextError;
 use bcap_core::variant::{OwnedVariant, Variant};

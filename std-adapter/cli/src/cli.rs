@@ -1,6 +1,7 @@
 //! The command line: all commands, and the arguments of those that work on the command line itself. A shell and a script
 //! run any command, so their code is above this file.
 
+use std::io::{self, IsTerminal as _};
 use std::path::{Path, PathBuf};
 
 use clap::{Args, CommandFactory as _, Parser, Subcommand};
@@ -24,7 +25,7 @@ use crate::commands::robot::{
 };
 use crate::commands::sim::args::Sim;
 use crate::commands::slave::args::Slave;
-use crate::commands::variables::{get::Get, names::Names, put::Put, rac::Rac, watch::Watch};
+use crate::commands::variables::{get::Get, io::Io, names::Names, put::Put, rac::Rac, watch::Watch};
 use crate::failure::Failure;
 use crate::link::LinkArgs;
 use crate::output::print_raw;
@@ -57,6 +58,7 @@ pub(crate) enum Command {
     Get(Get),
     Put(Put),
     Watch(Watch),
+    Io(Io),
     #[cfg(feature = "screens")]
     Monitor(Monitor),
     Names(Names),
@@ -200,6 +202,8 @@ pub(crate) enum Output {
 /// Hides the options of the connection in the help of the commands that do not connect; for others `bcap help connection` has
 /// them.
 pub(crate) fn with_groups(command: clap::Command) -> clap::Command {
+    // other readers than a terminal, such as `less`, wrap lines themselves
+    let command = if io::stdout().is_terminal() { command } else { command.term_width(0) };
     const LOCAL: [&str; 6] = ["profile", "board", "sim", "decode", "explain", "generate"];
     let is_of_connection = |option: &clap::Arg| option.get_help_heading() == Some("Connection");
     let options: Vec<_> = command.get_arguments().filter(|option| is_of_connection(option)).cloned().collect();

@@ -18,9 +18,10 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use bcap_capture::ConvertError;
+use bcap_capture::value::selection::SelectionError;
 use bcap_core::error::EncodeError;
 use bcap_core::hresult::HResult;
-use bcap_std::ObjectPathError;
+use bcap_std::{DestinationError, ObjectPathError};
 use bcap_terminal::{escape, report};
 use serde::Serialize;
 use thiserror::Error;
@@ -149,18 +150,18 @@ impl From<bcap_backup::Error> for Failure {
     }
 }
 
-impl From<ObjectPathError> for Failure {
-    fn from(error: ObjectPathError) -> Self {
-        Self::Input(error.to_string())
-    }
+/// Errors of the user's input, such as a value that is too large to encode.
+macro_rules! input {
+    ($($error:ty)*) => {$(
+        impl From<$error> for Failure {
+            fn from(error: $error) -> Self {
+                Self::Input(error.to_string())
+            }
+        }
+    )*};
 }
 
-/// A value of the user is too large to encode.
-impl From<EncodeError> for Failure {
-    fn from(error: EncodeError) -> Self {
-        Self::Input(error.to_string())
-    }
-}
+input! { DestinationError EncodeError ObjectPathError SelectionError }
 
 impl Failure {
     fn code(&self) -> u8 {

@@ -28,13 +28,13 @@ use crate::commands::judge::{conform, fuzz};
 use crate::commands::monitor;
 use crate::commands::packets::{decode, proxy, raw, replay};
 use crate::commands::robot::{errors, halt, jog, log, motion, recover, task};
-use crate::commands::variables::{get, names, put, rac, watch};
+use crate::commands::variables::{get, io, names, put, rac, watch};
 use crate::commands::{board, doctor, explain, files, gateway, profile, report, sim, slave};
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
-use crate::session::selection::Selection;
 use crate::session::{Session, traffic};
 use crate::shell::script;
+use bcap_capture::value::selection::Selection;
 
 fn main() -> ExitCode {
     let cli: Cli = parse_or_exit(cli::with_groups);
@@ -93,6 +93,7 @@ pub(crate) fn verb(command: &Command, session: &mut Session, json: bool) -> Resu
         Command::Get(args) => get::get(args, session, json),
         Command::Put(args) => put::put(args, session, json),
         Command::Watch(args) => watch::watch(args, session, json),
+        Command::Io(args) => io::io(args, session, json),
         #[cfg(feature = "screens")]
         Command::Monitor(args) => monitor::monitor(args, session, json),
         Command::Names(args) => names::names(args, session, json),
@@ -139,9 +140,9 @@ pub(crate) fn verb(command: &Command, session: &mut Session, json: bool) -> Resu
 /// Checks the arguments of a command of a script before the script makes a call.
 fn check(command: &Command) -> Result<(), Failure> {
     match command {
-        Command::Get(get::Get { names }) | Command::Watch(watch::Watch { names, .. }) => {
-            Selection::parse_each(names).map(drop)
-        }
+        Command::Get(get::Get { names })
+        | Command::Io(io::Io { names, .. })
+        | Command::Watch(watch::Watch { names, .. }) => Ok(Selection::parse_each(names).map(drop)?),
         Command::Put(args) => put::check(args),
         Command::Call(args) => call::check(args),
         Command::Exec(args) => exec::check(args),

@@ -22,6 +22,8 @@ mod fuzz;
 mod gateway;
 mod help;
 #[cfg(unix)]
+mod jobs;
+#[cfg(unix)]
 mod jog;
 mod manual;
 #[cfg(unix)]

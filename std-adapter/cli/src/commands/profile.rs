@@ -54,7 +54,7 @@ pub(crate) fn profile(args: &ProfileArgs, json: bool) -> Result<(), Failure> {
 }
 
 fn list(name: &str, profile: &Profile, json: bool) -> Result<(), Failure> {
-    let shown = format!("{name}: {}", profile.address().unwrap_or("no address"));
+    let shown = format!("{name}: {}", profile.address.as_deref().unwrap_or("no address"));
     Ok(print_result(json, &object(name, profile), &shown)?)
 }
 
@@ -76,8 +76,8 @@ fn show(name: &str, profile: &Profile, json: bool) -> Result<(), Failure> {
 
 fn object(name: &str, profile: &Profile) -> Value {
     json!({
-        "name": name, "address": profile.address(), "provider": profile.provider(), "machine": profile.machine,
+        "name": name, "address": profile.address, "provider": profile.provider, "machine": profile.machine,
         "option": profile.option, "rac_port": profile.rac_port,
-        "timeout_ms": profile.timeout().and_then(|timeout| u64::try_from(timeout.as_millis()).ok()),
+        "timeout_ms": profile.timeout.and_then(|timeout| u64::try_from(timeout.as_millis()).ok()),
     })
 }

@@ -109,12 +109,12 @@ impl LinkArgs {
         let profiles = Profiles::read()?;
         let (profile, link) = (profiles.find(name)?, self.clone());
         Ok(Self {
-            timeout: link.timeout.or(profile.timeout()),
-            provider: link.provider.or_else(|| profile.provider().map(str::to_owned)),
+            timeout: link.timeout.or(profile.timeout),
+            provider: link.provider.or_else(|| profile.provider.clone()),
             machine: link.machine.or_else(|| profile.machine.clone()),
             option: link.option.or_else(|| profile.option.clone()),
             rac_port: link.rac_port.or(profile.rac_port),
-            profile_address: profile.address().map(str::to_owned),
+            profile_address: profile.address.clone(),
             ..link
         })
     }

@@ -18,7 +18,8 @@ use std::{env, fs, io};
 use bcap_backup::local_files;
 use bcap_capture::duration;
 use bcap_std::Model;
-use serde::Deserialize;
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer};
 
 use crate::failure::{Failure, of_file};
 use crate::link::address;
@@ -27,70 +28,41 @@ use crate::link::address;
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Profile {
-    address: Option<Address>,
-    #[serde(alias = "model")]
-    provider: Option<Provider>,
+    /// As it is written.
+    #[serde(default, deserialize_with = "address")]
+    pub(crate) address: Option<String>,
+    #[serde(default, alias = "model", deserialize_with = "provider")]
+    pub(crate) provider: Option<String>,
     pub(crate) machine: Option<String>,
     pub(crate) option: Option<String>,
     pub(crate) rac_port: Option<u16>,
-    timeout: Option<Timeout>,
+    #[serde(default, deserialize_with = "timeout")]
+    pub(crate) timeout: Option<Duration>,
 }
 
-impl Profile {
-    /// Returns the address as it is written.
-    pub(crate) fn address(&self) -> Option<&str> {
-        self.address.as_ref().map(|address| address.0.as_str())
-    }
-
-    /// Returns the provider.
-    pub(crate) fn provider(&self) -> Option<&str> {
-        self.provider.as_ref().map(|provider| provider.0.as_str())
-    }
-
-    pub(crate) fn timeout(&self) -> Option<Duration> {
-        self.timeout.map(|timeout| timeout.0)
-    }
+/// Reads a text that must fit.
+fn checked<'de, D: Deserializer<'de>, T>(
+    text: D,
+    check: impl FnOnce(&str) -> Result<T, String>,
+) -> Result<Option<T>, D::Error> {
+    check(&String::deserialize(text)?).map(Some).map_err(D::Error::custom)
 }
 
-/// The checked address of a controller.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(try_from = "String")]
-struct Address(String);
-
-impl TryFrom<String> for Address {
-    type Error = String;
-
-    fn try_from(text: String) -> Result<Self, String> {
-        address::bcap(Some(&text), None).map_err(|failure| failure.to_string())?;
-        Ok(Self(text))
-    }
+fn address<'de, D: Deserializer<'de>>(text: D) -> Result<Option<String>, D::Error> {
+    checked(text, |text| {
+        address::bcap(Some(text), None).map(|_| text.to_owned()).map_err(|failure| failure.to_string())
+    })
 }
 
-#[derive(Clone, Debug, Deserialize)]
-#[serde(try_from = "String")]
-struct Provider(String);
-
-impl TryFrom<String> for Provider {
-    type Error = String;
-
-    fn try_from(name: String) -> Result<Self, String> {
-        match provider_of(&name) {
-            provider if provider.contains('.') => Ok(Self(provider.into())),
-            _ => Err(format!("{name}: write a model (rc8, rc9, cobotta, cobotta-pro) or the name of a provider")),
-        }
-    }
+fn timeout<'de, D: Deserializer<'de>>(text: D) -> Result<Option<Duration>, D::Error> {
+    checked(text, |text| duration::parse(text).map_err(|error| format!("{text}: {error}")))
 }
 
-#[derive(Clone, Copy, Debug, Deserialize)]
-#[serde(try_from = "String")]
-struct Timeout(Duration);
-
-impl TryFrom<String> for Timeout {
-    type Error = String;
-
-    fn try_from(text: String) -> Result<Self, String> {
-        duration::parse(&text).map(Self).map_err(|error| format!("{text}: {error}"))
-    }
+fn provider<'de, D: Deserializer<'de>>(name: D) -> Result<Option<String>, D::Error> {
+    checked(name, |name| match provider_of(name) {
+        provider if provider.contains('.') => Ok(provider.to_owned()),
+        _ => Err(format!("{name}: write a model (rc8, rc9, cobotta, cobotta-pro) or the name of a provider")),
+    })
 }
 
 /// Returns the provider of a model, or the name of a provider as it is.
@@ -204,7 +176,10 @@ mod tests {
         let profiles =
             parse("[profile.a]\nmodel = \"RC9\"\ntimeout = \"2s\"\n[profile.b]\nprovider = \"x.y\"", Path::new(""));
         let profiles = profiles.unwrap();
-        assert_eq!(profiles["a"].provider(), Some("CaoProv.DENSO.VRC9"));
-        assert_eq!((profiles["a"].timeout(), profiles["b"].provider()), (Some(Duration::from_secs(2)), Some("x.y")));
+        assert_eq!(profiles["a"].provider.as_deref(), Some("CaoProv.DENSO.VRC9"));
+        assert_eq!(
+            (profiles["a"].timeout, profiles["b"].provider.as_deref()),
+            (Some(Duration::from_secs(2)), Some("x.y"))
+        );
     }
 }

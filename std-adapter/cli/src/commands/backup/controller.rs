@@ -15,13 +15,13 @@ use bcap_core::rac::VariableKind;
 use bcap_std::ObjectPath;
 
 use crate::failure::Failure;
-use crate::session::selection::is_user_variable;
 use crate::session::slave_mode::spare;
 use crate::session::variables::{get_one, list, read, short_type};
 use crate::session::{Session, remote_files, selection};
 use crate::values::{Value, integer};
 use bcap_backup::contents::{About, Contents, Omission, Part, UserVariable};
 use bcap_capture::value::named::Entry;
+use bcap_capture::value::selection::is_user_variable;
 
 /// The usual system variables, for a controller that does not list its own, or not over UDP.
 const CONTROLLER: &str = "\

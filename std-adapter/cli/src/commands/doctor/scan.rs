@@ -72,7 +72,7 @@ fn targets(words: &[String]) -> Result<Vec<NetworkAddress>, Failure> {
     let mut targets = Vec::new();
     if words.is_empty() {
         let profiles = Profiles::read()?;
-        for text in profiles.by_name.values().filter_map(|profile| profile.address()) {
+        for text in profiles.by_name.values().filter_map(|profile| profile.address.as_deref()) {
             if let Address::Network(target) = address::bcap(Some(text), None)? {
                 targets.push(target);
             }

@@ -23,8 +23,9 @@ use crate::interrupt::Interrupt;
 use crate::link::LinkArgs;
 use crate::output::note;
 use crate::session::Session;
-use crate::session::selection::{Selection, expand};
+use crate::session::selection::expand;
 use crate::session::variables::paths;
+use bcap_capture::value::selection::Selection;
 
 /// Shows variables, the robot, tasks, errors, messages and packets live in the terminal
 ///
@@ -55,6 +56,10 @@ pub(crate) struct Monitor {
     /// The time from one reading to the next, in ms or with a unit (100ms, 2s)
     #[arg(long, value_name = "MS", default_value = "200", value_parser = duration::parse)]
     pub(crate) interval: Duration,
+
+    /// Shows each function and object once instead of the variables: count, rate, time since, last reply; `o` switches
+    #[arg(long)]
+    pub(crate) packets: bool,
 }
 
 /// The longest time from one drawing to the next.
@@ -95,7 +100,7 @@ pub(crate) fn monitor(args: &Monitor, session: &mut Session, json: bool) -> Resu
     reader.connect()?;
     reader.names = expand(&mut reader.session, &selections)?;
     paths(&reader.names)?;
-    let state = State::new(link.target()?.to_string());
+    let state = State::new(link.target()?.to_string(), args.packets);
     let mut screen = LiveScreen { state, interrupt, link, updates, update, packet, requests, halts: Vec::new() };
     let reading = thread::Builder::new().name("reader".into()).spawn(move || reader.run())?;
     let ended = screen.run(&reading);

@@ -8,13 +8,10 @@ use bcap_core::variant::Variant;
 use bcap_std::ObjectPath;
 use bcap_terminal::screen::{KeyCode, KeyEvent, KeyModifiers, Line, Mark, Panel, Part, Screen};
 
-use crate::commands::screen::{CallLog, numbered, robot_lines};
+use crate::commands::screen::{CallLog, MARKED, numbered, robot_lines};
 use crate::failure::Failure;
 use crate::values::Value;
 use bcap_capture::value::data;
-
-/// How long a change is marked.
-const MARKED: Duration = Duration::from_secs(2);
 
 /// The values of a sparkline that are kept.
 const HISTORY: usize = 60;
@@ -27,15 +24,17 @@ const KEYS: &str = "q quit  h HALT  w write  ? keys  Tab panel  Enter details  /
 /// All keys; the help of the command has them, too.
 pub(crate) const ALL_KEYS: &str = "\
   q, Ctrl-C            quits
-  h, H, Ctrl-X         halts the robot at once; Ctrl-X also while a value is typed
+  h, H, Ctrl-X         halts the robot at once; Ctrl-X also at a question
   w                    writes a variable: NAME=VALUE, then y; Esc cancels
-  u                    writes the value that the last write replaced; asks, too
+  u                    writes what the last write replaced; asks, too
   Tab                  moves to the next panel
   Up, Down, Home, End  selects a line of the panel
-  Enter                shows the whole line; an error with its meaning and remedy
-  /                    shows the variables whose names have a text; Esc ends that
-  s                    sorts the variables by their last change, or as given
-  a                    shows all packets, or only those of calls whose reply has changed
+  Enter                shows the whole line; of an error the remedy
+  /                    shows names that have a text; Esc ends that
+  Space                marks a variable: it moves to the top
+  o                    shows each function and object once: count, rate
+  s                    sorts the variables by last change, or as given
+  a                    shows all packets, or only changed replies
   p                    pauses the packets
   ?                    shows the keys";
 
@@ -66,6 +65,8 @@ pub(crate) struct State {
     /// The text that the names of the variables must have.
     filter: String,
     sorts_by_change: bool,
+    /// Whether the calls by object are shown in place of the variables.
+    shows_calls: bool,
     robot: Robot,
     tasks: Vec<(String, String)>,
     /// In one line, and with the meaning and the remedy; the first cause first.
@@ -82,13 +83,14 @@ pub(crate) struct State {
 }
 
 /// A variable and its last values.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct Variable {
     name: String,
     text: String,
     value: Option<Value>,
     changed: Option<Duration>,
     history: Vec<f64>,
+    is_marked: bool,
 }
 
 /// The content of the robot's panel. Values that the controller does not have are missing.
@@ -164,8 +166,8 @@ pub(crate) enum Action {
 }
 
 impl State {
-    pub(crate) fn new(address: String) -> Self {
-        Self { address, lost: Some("connecting".into()), ..Self::default() }
+    pub(crate) fn new(address: String, shows_calls: bool) -> Self {
+        Self { address, lost: Some("connecting".into()), shows_calls, ..Self::default() }
     }
 
     /// Sets the time since the start.
@@ -203,7 +205,7 @@ impl State {
     fn connected(&mut self, names: Vec<String>) {
         self.lost = None;
         if !names.iter().eq(self.variables.iter().map(|variable| &variable.name)) {
-            let new = |name| Variable { name, text: String::new(), value: None, changed: None, history: Vec::new() };
+            let new = |name| Variable { name, ..Variable::default() };
             self.variables = names.into_iter().map(new).collect();
             self.selected = 0;
         }
@@ -263,14 +265,19 @@ impl State {
             KeyCode::Char('h' | 'H') => return Some(self.halt()),
             _ if was_open => {}
             KeyCode::Char('w') => {
-                let name = self.shown().nth(self.selected).filter(|_| self.focus == Focus::Variables);
-                self.input = Input::Editing(name.map(|variable| format!("{}=", variable.name)).unwrap_or_default());
+                self.input = Input::Editing(self.selected_name().map(|name| name + "=").unwrap_or_default());
             }
             KeyCode::Char('u') => match &self.undo {
                 Some((name, value)) => return Some(Action::Check(name.clone(), value.clone())),
                 None => self.notice = Line::new("nothing was written"),
             },
             KeyCode::Char('/') => (self.focus, self.selected, self.input) = (Focus::Variables, 0, Input::Filtering),
+            KeyCode::Char(' ') => {
+                let name = self.selected_name();
+                let selected = self.variables.iter_mut().filter(|variable| Some(&variable.name) == name.as_ref());
+                selected.for_each(|variable| variable.is_marked = !variable.is_marked);
+            }
+            KeyCode::Char('o') => (self.shows_calls, self.selected) = (!self.shows_calls, 0),
             KeyCode::Char('s') => self.sorts_by_change = !self.sorts_by_change,
             KeyCode::Char('?') => self.overlay = Some(whole("keys", ALL_KEYS.lines())),
             KeyCode::Enter => self.overlay = self.details(),
@@ -300,6 +307,12 @@ impl State {
         }
         self.input = Input::Filtering;
         None
+    }
+
+    /// Returns the name of the selected variable.
+    fn selected_name(&self) -> Option<String> {
+        let is_shown = self.focus == Focus::Variables && !self.shows_calls;
+        self.shown().nth(self.selected).filter(|_| is_shown).map(|variable| variable.name.clone())
     }
 
     /// Returns the panel with the selection.
@@ -413,10 +426,14 @@ impl State {
         if self.sorts_by_change {
             shown.sort_by_key(|variable| std::cmp::Reverse(variable.changed));
         }
+        shown.sort_by_key(|variable| !variable.is_marked);
         shown.into_iter()
     }
 
     fn variables_panel(&self) -> Panel {
+        if self.shows_calls {
+            return self.log.table(self.now);
+        }
         let line = |variable: &Variable| {
             let is_marked = variable.changed.is_some_and(|at| self.now < at + MARKED);
             Line {
@@ -427,7 +444,8 @@ impl State {
         };
         let filter = if self.filter.is_empty() { String::new() } else { format!(" with {}", self.filter) };
         let order = if self.sorts_by_change { ", latest change first" } else { "" };
-        Panel::new(format!("variables{filter}{order}"), self.shown().map(line).collect())
+        let marked = if self.variables.iter().any(|variable| variable.is_marked) { ", marked ones first" } else { "" };
+        Panel::new(format!("variables{filter}{order}{marked}"), self.shown().map(line).collect())
     }
 
     fn footer(&self) -> (Line, String) {
@@ -509,7 +527,7 @@ mod tests {
     }
 
     fn state() -> State {
-        let mut state = State::new("tcp:robot".into());
+        let mut state = State::new("tcp:robot".into(), false);
         state.apply(Update::Connected(vec!["I1".into(), "IO128".into()]));
         state.apply(Update::Value(0, value(3)));
         state
@@ -641,6 +659,37 @@ mod tests {
     }
 
     #[test]
+    fn marked_variables_are_first_and_calls_are_shown_once() {
+        let mut state = state();
+        state.key(KeyCode::Down.into());
+        typed(&mut state, " ");
+        assert_eq!(
+            (text(&state.screen()), state.screen().values.title.as_str()),
+            (vec!["IO128 = ".into(), "I1 = 3".into()], "variables, marked ones first")
+        );
+        state.key(KeyCode::Home.into());
+        typed(&mut state, " ");
+        assert_eq!(text(&state.screen())[0], "I1 = 3");
+        let packet = |state: &mut State, role, text: &str| state.apply(Update::Packet(role, text.into()));
+        packet(&mut state, Role::Request, "#1 Controller_GetVariable(controller: I4(1), name: \"I1\", option: \"\")");
+        packet(&mut state, Role::Response, "#1 0x00000000 (S_OK): I4(6)");
+        for (second, value) in [(1, 7), (2, 7), (3, 8)] {
+            state.set_time(Duration::from_secs(second));
+            packet(&mut state, Role::Request, "#2 Variable_GetValue(variable: I4(6))");
+            packet(&mut state, Role::Response, &format!("#2 0x00000000 (S_OK): I4({value})"));
+        }
+        state.set_time(Duration::from_millis(3500));
+        typed(&mut state, "o");
+        let lines = state.screen().values.lines;
+        let shown: Vec<_> = lines.iter().map(|line| (line.name.as_str(), line.text.as_str(), line.mark)).collect();
+        let get = "Variable_GetValue I1";
+        assert_eq!(shown, [(get, "     3    1.0/s   0.5 s  I4(8)", Mark::Changed)]);
+        // nothing is selected to be written
+        typed(&mut state, "w");
+        assert_eq!(state.screen().notice.text, "write NAME=VALUE: _");
+    }
+
+    #[test]
     fn a_halt_is_not_asked_for() {
         let mut state = state();
         assert!(matches!(typed(&mut state, "h"), Some(Action::Halt)));
@@ -663,7 +712,7 @@ mod tests {
             state.key(key.into());
             assert_eq!(state.screen().values.view, Part::Around(selected));
         }
-        let mut empty = State::new(String::new());
+        let mut empty = State::new(String::new(), false);
         empty.key(KeyCode::Down.into());
         assert_eq!(empty.screen().values.view, Part::Around(0));
     }

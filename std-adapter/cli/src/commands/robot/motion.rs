@@ -131,7 +131,7 @@ pub(crate) fn ask(what: &str, how: &MotionArgs, session: &mut Session) -> Result
 /// Checks the arguments before the first call.
 pub(crate) fn check(args: &MoveArgs) -> Result<(), Failure> {
     check_speed(args.how.speed)?;
-    args.to.parse::<Destination>().map(drop).map_err(|error| Failure::Input(error.to_string()))
+    Ok(args.to.parse::<Destination>().map(drop)?)
 }
 
 /// Checks the speed of a motion.

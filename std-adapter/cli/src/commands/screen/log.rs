@@ -2,17 +2,20 @@
 //!
 //! The reply comes first, because a narrow terminal cuts the end.
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::hash::{BuildHasher as _, RandomState};
 use std::time::Duration;
 
 use bcap_capture::Role;
 use bcap_core::hresult::HResult;
 use bcap_terminal::escape;
-use bcap_terminal::screen::{KeyCode, Line, Panel, Part};
+use bcap_terminal::screen::{KeyCode, Line, Mark, Panel, Part};
 
 /// The lines that are kept.
 const KEPT: usize = 500;
+
+/// How long a change is marked.
+pub(crate) const MARKED: Duration = Duration::from_secs(2);
 
 /// The calls whose last reply is remembered.
 const REMEMBERED: usize = 4096;
@@ -25,9 +28,23 @@ pub(crate) struct CallLog {
     pending: Option<String>,
     /// The hash of the last reply of each call, by the hash of the call: values can be large.
     replies: HashMap<u64, u64>,
+    /// The calls by function and object or command.
+    calls: BTreeMap<String, Call>,
+    /// The names of the objects, by handle as in the text of a packet.
+    names: HashMap<String, String>,
     hasher: RandomState,
     shows_all: bool,
     is_paused: bool,
+}
+
+/// The calls of a function for an object.
+#[derive(Debug)]
+struct Call {
+    count: u64,
+    first: Duration,
+    last: Duration,
+    changed: Option<Duration>,
+    reply: String,
 }
 
 impl CallLog {
@@ -57,9 +74,12 @@ impl CallLog {
 
     /// Adds a call and its reply: `0x00000000 (S_OK): I4(1)`.
     pub(crate) fn call(&mut self, number: &str, call: &str, reply: &str, at: Duration) {
-        if self.replies.len() >= REMEMBERED {
+        if self.replies.len() >= REMEMBERED || self.calls.len() >= REMEMBERED || self.names.len() >= REMEMBERED {
             self.replies.clear();
+            self.calls.clear();
+            self.names.clear();
         }
+        self.count(call, reply.strip_prefix("0x00000000 (S_OK): ").unwrap_or(reply), at);
         let (key, hash) = (self.hasher.hash_one(call), self.hasher.hash_one(reply));
         let is_same = self.replies.insert(key, hash) == Some(hash);
         if self.is_paused || is_same && !self.shows_all {
@@ -76,6 +96,38 @@ impl CallLog {
             escape::cut(&reply),
             escape::cut(&call)
         ));
+    }
+
+    /// Counts a call by its function, and its command or the name of its object.
+    fn count(&mut self, call: &str, reply: &str, at: Duration) {
+        let (function, arguments) = call.split_once('(').unwrap_or((call, ""));
+        let handle = |text: &str| text.split([',', ')']).next().unwrap_or_default().to_owned();
+        let text = arguments.split('"').nth(1);
+        if let Some(name) = text.filter(|_| function.contains("_Get") && reply.starts_with("I4(")) {
+            // the object is shown with its other calls
+            self.names.insert(handle(reply), name.to_owned());
+            return;
+        }
+        let object = arguments.split_once(": ").and_then(|(_, value)| self.names.get(&handle(value)));
+        let subject = text.or(object.map(String::as_str)).unwrap_or_default();
+        let new = || Call { count: 0, first: at, last: at, changed: None, reply: reply.to_owned() };
+        let call = self.calls.entry(format!("{function} {subject}")).or_insert_with(new);
+        (call.count, call.last) = (call.count + 1, at);
+        if call.reply != reply {
+            (call.changed, call.reply) = (Some(at), reply.to_owned());
+        }
+    }
+
+    /// Returns each function and object once, with the count, the rate, the time since the last call, and its reply.
+    pub(crate) fn table(&self, now: Duration) -> Panel {
+        let line = |(name, call): (&String, &Call)| {
+            let age = now.saturating_sub(call.last).as_secs_f64();
+            let rate = call.count.saturating_sub(1) as f64 / (call.last - call.first).as_secs_f64().max(0.001);
+            let is_marked = call.changed.is_some_and(|at| now < at + MARKED);
+            let text = format!("{:6} {rate:6.1}/s {age:5.1} s  {}", call.count, escape::cut(&call.reply));
+            Line { mark: if is_marked { Mark::Changed } else { Mark::Plain }, ..Line::named(name, text) }
+        };
+        Panel::new("calls: count, rate, time since, reply", self.calls.iter().map(line).collect())
     }
 
     fn lines(&self) -> Vec<Line> {

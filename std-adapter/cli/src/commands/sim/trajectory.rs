@@ -30,7 +30,13 @@ const SCHEMA: Schema = Schema {
 
 /// A file of a trajectory.
 #[derive(Clone)]
-pub(crate) struct Trajectory(Arc<Mutex<Format>>);
+pub(crate) struct Trajectory(Arc<Mutex<Output>>);
+
+/// The file, and the first failure, after which nothing is written.
+struct Output {
+    format: Format,
+    failed: Option<io::Error>,
+}
 
 enum Format {
     Csv(Lines<File>),
@@ -42,8 +48,6 @@ struct Points<W: Write> {
     series: mcap::Log<W>,
     /// The wall clock at the controller's time 0, in microseconds since 1970.
     origin: u64,
-    /// The first failure; nothing is written after it.
-    failed: Option<io::Error>,
 }
 
 /// The lines that are written to `out`.
@@ -53,8 +57,6 @@ struct Lines<W: Write> {
     last: Option<TracePoint>,
     /// The lines that are not in the file yet.
     waiting: u32,
-    /// The first failure; nothing is written after it.
-    failed: Option<io::Error>,
 }
 
 impl Trajectory {
@@ -68,55 +70,56 @@ impl Trajectory {
         } else {
             Format::Csv(Lines::new(File::create(path).map_err(failed)?).map_err(failed)?)
         };
-        Ok(Self(Arc::new(Mutex::new(format))))
+        Ok(Self(Arc::new(Mutex::new(Output { format, failed: None }))))
     }
 
     /// Returns the recorder that writes this file.
     pub(crate) fn recorder(&self) -> Recorder {
         let file = self.clone();
-        Recorder::new(move |point| match &mut *file.lock() {
-            Format::Csv(lines) => lines.add(point),
-            Format::Mcap(points) => points.add(point),
-        })
+        Recorder::new(move |point| file.lock().add(point))
     }
 
     /// Writes the rest, and tells the first failure.
     pub(crate) fn end(&self) -> io::Result<()> {
-        match &mut *self.lock() {
-            Format::Csv(lines) => lines.end(),
-            Format::Mcap(points) => points.end(),
+        let Output { format, failed } = &mut *self.lock();
+        match (failed.take(), format) {
+            (Some(error), _) => Err(error),
+            (None, Format::Csv(lines)) => lines.out.flush(),
+            (None, Format::Mcap(points)) => points.series.end(),
         }
     }
 
-    fn lock(&self) -> MutexGuard<'_, Format> {
+    fn lock(&self) -> MutexGuard<'_, Output> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Output {
+    fn add(&mut self, point: &TracePoint) {
+        if self.failed.is_none() {
+            self.failed = match &mut self.format {
+                Format::Csv(lines) => lines.add(point),
+                Format::Mcap(points) => points.add(point),
+            }
+            .err();
+        }
     }
 }
 
 impl<W: Write> Points<W> {
     fn new(out: W, origin_ms: i64) -> io::Result<Self> {
         let origin = u64::try_from(origin_ms).unwrap_or(0).saturating_mul(1000);
-        Ok(Self { series: mcap::Log::new(out)?, origin, failed: None })
+        Ok(Self { series: mcap::Log::new(out)?, origin })
     }
 
-    fn add(&mut self, point: &TracePoint) {
-        if self.failed.is_some() {
-            return;
-        }
+    fn add(&mut self, point: &TracePoint) -> io::Result<()> {
         let at = self.origin.saturating_add(point.at.as_micros()).saturating_mul(1000);
         let joints: serde_json::Map<String, Value> =
             (1..).zip(point.axes).map(|(n, joint)| (format!("J{n}"), rounded(joint).into())).collect();
         let [x, y, z, rx, ry, rz] = point.position.map(rounded);
         let position = json!({ "X": x, "Y": y, "Z": z, "RX": rx, "RY": ry, "RZ": rz });
         let message = json!({ "joints": joints, "position": position, "tool": point.tool, "work": point.work });
-        self.failed = self.series.push("/arm", SCHEMA, at, &message).err();
-    }
-
-    fn end(&mut self) -> io::Result<()> {
-        match self.failed.take() {
-            Some(error) => Err(error),
-            None => self.series.end(),
-        }
+        self.series.push("/arm", SCHEMA, at, &message)
     }
 }
 
@@ -130,36 +133,20 @@ impl<W: Write> Lines<W> {
         let mut out = BufWriter::new(file);
         writeln!(out, "{HEAD}")?;
         out.flush()?;
-        Ok(Self { out, last: None, waiting: 0, failed: None })
+        Ok(Self { out, last: None, waiting: 0 })
     }
 
-    fn add(&mut self, point: &TracePoint) {
-        let rests = self.last.replace(*point).is_some_and(|last| last.axes == point.axes);
-        self.waiting += 1;
-        let mut result = self.write(point);
-        if rests || self.waiting >= LINES {
-            result = result.and_then(|()| self.out.flush());
-            self.waiting = 0;
-        }
-        if let (Err(error), None) = (result, &self.failed) {
-            self.failed = Some(error);
-        }
-    }
-
-    fn write(&mut self, point: &TracePoint) -> io::Result<()> {
-        if self.failed.is_some() {
-            return Ok(());
-        }
+    fn add(&mut self, point: &TracePoint) -> io::Result<()> {
         write!(self.out, "{:.6}", point.at.as_micros() as f64 / 1e6)?;
         point.axes.iter().chain(&point.position).try_for_each(|n| write!(self.out, ",{}", rounded(*n)))?;
-        writeln!(self.out, ",{},{}", point.tool, point.work)
-    }
-
-    fn end(&mut self) -> io::Result<()> {
-        match self.failed.take() {
-            Some(error) => Err(error),
-            None => self.out.flush(),
+        writeln!(self.out, ",{},{}", point.tool, point.work)?;
+        let rests = self.last.replace(*point).is_some_and(|last| last.axes == point.axes);
+        self.waiting += 1;
+        if !rests && self.waiting < LINES {
+            return Ok(());
         }
+        self.waiting = 0;
+        self.out.flush()
     }
 }
 
@@ -173,8 +160,8 @@ mod tests {
         let mut lines = Lines::new(Vec::new()).unwrap();
         let axes = [0.1, -0.0, 90.0, 1e-9, 45.0, -30.123_456_7, 0.0, 0.0];
         let position = [364.16, 0.0, 278.5355, 180.0, 0.0, -180.0];
-        lines.add(&TracePoint { at: Instant::from_micros(8_500), axes, position, tool: 1, work: 2 });
-        lines.end().unwrap();
+        lines.add(&TracePoint { at: Instant::from_micros(8_500), axes, position, tool: 1, work: 2 }).unwrap();
+        lines.out.flush().unwrap();
         let text = String::from_utf8(lines.out.into_inner().unwrap()).unwrap();
         let line = "0.008500,0.1,0,90,0,45,-30.123457,0,0,364.16,0,278.5355,180,0,-180,1,2";
         assert_eq!(text, format!("{HEAD}\n{line}\n"));
@@ -186,8 +173,8 @@ mod tests {
         let mut points = Points::new(&mut bytes, 1_700_000_000_123).unwrap();
         let axes = [0.1, -0.0, 90.0, 1e-9, 45.0, -30.123_456_7, 0.0, 0.0];
         let position = [364.16, 0.0, 278.5355, 180.0, 0.0, -180.0];
-        points.add(&TracePoint { at: Instant::from_micros(8_500), axes, position, tool: 1, work: 2 });
-        points.end().unwrap();
+        points.add(&TracePoint { at: Instant::from_micros(8_500), axes, position, tool: 1, work: 2 }).unwrap();
+        points.series.end().unwrap();
         drop(points);
         let messages: Vec<_> = ::mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap).collect();
         let [message] = messages.as_slice() else { panic!("{} messages", messages.len()) };
@@ -207,21 +194,15 @@ mod tests {
 
     #[test]
     fn the_first_failure_is_told() {
-        struct Full;
-        impl Write for Full {
-            fn write(&mut self, _: &[u8]) -> io::Result<usize> {
-                Err(io::ErrorKind::StorageFull.into())
-            }
-            fn flush(&mut self) -> io::Result<()> {
-                Ok(())
-            }
-        }
-        let mut lines = Lines { out: BufWriter::new(Full), last: None, waiting: 0, failed: None };
+        // a device that is always full
+        let Ok(full) = File::options().write(true).open("/dev/full") else { return };
+        let lines = Lines { out: BufWriter::new(full), last: None, waiting: 0 };
+        let format = Format::Csv(lines);
+        let trajectory = Trajectory(Arc::new(Mutex::new(Output { format, failed: None })));
         for n in 0..300 {
-            let point =
-                TracePoint { at: Instant::from_millis(n), axes: [n as f64; 8], position: [0.0; 6], tool: 0, work: 0 };
-            lines.add(&point);
+            let (at, axes) = (Instant::from_millis(n), [n as f64; 8]);
+            trajectory.lock().add(&TracePoint { at, axes, position: [0.0; 6], tool: 0, work: 0 });
         }
-        assert_eq!(lines.end().unwrap_err().kind(), io::ErrorKind::StorageFull);
+        assert_eq!(trajectory.end().unwrap_err().kind(), io::ErrorKind::StorageFull);
     }
 }

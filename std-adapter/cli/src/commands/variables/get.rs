@@ -6,10 +6,11 @@ use clap::Args;
 use crate::failure::Failure;
 use crate::output::print;
 use crate::session::Session;
-use crate::session::selection::{Selection, expand};
+use crate::session::selection::expand;
 use crate::session::variables::{get_one, paths};
 use crate::values::{Value, text};
 use bcap_capture::value::named::shown;
+use bcap_capture::value::selection::Selection;
 
 /// The names that the b-CAP Tester calls `$LAST_SEND_PACKET$` and `$LAST_RECEIVE_PACKET$`. They stay as they are.
 pub(crate) const LAST_PACKETS: [&str; 2] = ["$LAST_SEND_PACKET$", "$LAST_RECEIVE_PACKET$"];

@@ -13,11 +13,12 @@ use clap::Args;
 use crate::failure::Failure;
 use crate::output::print;
 use crate::session::Session;
-use crate::session::selection::{Selection, expand};
+use crate::session::selection::expand;
 use crate::session::variables::read;
 use crate::values::{Value, integer};
 use bcap_capture::value::data;
 use bcap_capture::value::named::{self, Entry, Named, shown};
+use bcap_capture::value::selection::Selection;
 
 /// Writes variables
 ///

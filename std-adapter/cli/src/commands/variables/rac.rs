@@ -17,11 +17,12 @@ use crate::link::LinkArgs;
 use crate::output::{print, print_result};
 use crate::session::budget::Budget;
 use crate::session::connect::{broken, connect, exhausted};
-use crate::session::selection::{Selection, expand_offline};
+use crate::session::selection::expand_offline;
 use crate::session::traffic::{TapedTcp, packets, taped_rac};
 use crate::values::Value;
 use bcap_capture::value::data;
 use bcap_capture::value::named::shown;
+use bcap_capture::value::selection::Selection;
 
 /// Reads and writes variables over RAC, the text protocol
 ///
@@ -78,7 +79,7 @@ pub(crate) fn rac(args: &Rac, link: &LinkArgs, json: bool) -> Result<(), Failure
 /// Checks the arguments before the first call.
 pub(crate) fn check(args: &Rac) -> Result<(), Failure> {
     match &args.command {
-        RacCommand::Get(args) => Selection::parse_each(&args.names).map(drop),
+        RacCommand::Get(args) => Ok(Selection::parse_each(&args.names).map(drop)?),
         RacCommand::Put(args) => value_of(args).map(drop),
         RacCommand::Raw { lines } => check_lines(lines),
     }

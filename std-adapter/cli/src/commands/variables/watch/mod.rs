@@ -17,10 +17,11 @@ use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::print;
 use crate::session::Session;
-use crate::session::selection::{Selection, expand};
+use crate::session::selection::expand;
 use crate::session::variables::{get_one, paths, read};
 use crate::values::Value;
 use bcap_capture::value::named::shown;
+use bcap_capture::value::selection::Selection;
 
 /// Reads variables periodically
 ///
