@@ -275,7 +275,12 @@ release version execute="":
 debian:
     std-adapter/cli/packaging/debian
 
-# Installs that package in an empty root, or in a Debian system in the directory `root`, and uses it there.
+# The same files as an RPM package; needs rpmbuild.
+[group('release')]
+rpm:
+    std-adapter/cli/packaging/rpm
+
+# Installs the Debian package in an empty root, or in a Debian system in the directory `root`, and uses it there.
 [group('release')]
 debian-test root="":
     std-adapter/cli/packaging/debian-test {{root}}
