@@ -140,7 +140,8 @@ impl Transport for Interruptible {
             }
             if let Some(Err(raised)) = Python::try_attach(|py| py.check_signals()) {
                 *lock(&self.raised) = Some(raised);
-                return Err(io::ErrorKind::ConnectionAborted.into());
+                // not a kind that says that the controller has closed the connection: its session goes on until the drop
+                return Err(io::Error::other("a signal has interrupted the call"));
             }
         }
     }
