@@ -164,7 +164,7 @@ mod tests {
             ("[profile.a]\nrac_port = 70000", "config.toml, line 2: "),
             ("[profile.a]\ntimeout = \"3h\"", "config.toml, line 2: 3h: write a time"),
             ("\n[profile.a\n", "config.toml, line 2: "),
-            ("[profile.a]\nmodel = \"rc8\"\nprovider = \"x.y\"", "config.toml, line 3: duplicate field `provider`"),
+            ("[profile.a]\nmodel = \"rc8\"\nprovider = \"x.y\"", "config.toml, line 1: duplicate field `provider`"),
         ] {
             let Err(Failure::Input(message)) = parse(text, Path::new("config.toml")) else { panic!("{text}") };
             assert!(message.starts_with(expected), "{message}");
