@@ -3,7 +3,7 @@
 //! | module         | contents                                                                      |
 //! |----------------|-------------------------------------------------------------------------------|
 //! | [`poses`]      | files of poses, and the interpolation to one pose for each cycle              |
-//! | [`format`]     | texts of the formats of slvMove and of its replies                            |
+//! | [`mod@format`] | texts of the formats of slvMove and of its replies                            |
 //! | [`outputs`]    | the outputs that a pose sets: MiniIO, user IO and HandIO                      |
 //! | [`player`]     | the trajectory of a stream, which records the replies                         |
 //! | [`status`]     | the progress of a stream, which another thread shows and stops                |
