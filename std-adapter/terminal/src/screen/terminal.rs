@@ -2,6 +2,8 @@
 
 use std::env;
 use std::io::{self, IsTerminal as _, Stdout, stdout};
+#[cfg(unix)]
+use std::os::fd::AsFd;
 use std::panic;
 use std::time::Duration;
 
@@ -74,8 +76,10 @@ impl Terminal {
     ///
     /// When the terminal is gone, such as after a lost ssh connection.
     pub fn keys(&self, time: Duration) -> io::Result<Vec<KeyEvent>> {
-        wait(time)?;
         let mut keys = Vec::new();
+        if !has_input(time)? {
+            return Ok(keys);
+        }
         while event::poll(Duration::ZERO)? {
             match event::read()? {
                 Event::Key(key) if key.kind != KeyEventKind::Release => keys.push(key),
@@ -86,26 +90,33 @@ impl Terminal {
     }
 }
 
-/// Waits for input. crossterm would read a terminal that is gone without end.
 #[cfg(unix)]
-fn wait(time: Duration) -> io::Result<()> {
+fn has_input(time: Duration) -> io::Result<bool> {
+    has_bytes(io::stdin(), time)
+}
+
+/// Waits for bytes. crossterm would read a terminal that is gone without end, so it is asked only when there are some: not after a
+/// signal has ended the wait, because that is the signal of a terminal that is gone.
+#[cfg(unix)]
+fn has_bytes(input: impl AsFd, time: Duration) -> io::Result<bool> {
     use rustix::event::{PollFd, PollFlags, Timespec, poll};
-    let input = io::stdin();
     let mut inputs = [PollFd::new(&input, PollFlags::IN)];
     let time = Timespec::try_from(time).map_err(io::Error::other)?;
     match poll(&mut inputs, Some(&time)) {
-        Ok(_) | Err(rustix::io::Errno::INTR) => {}
+        Ok(_) => {}
+        Err(rustix::io::Errno::INTR) => return Ok(false),
         Err(error) => return Err(error.into()),
     }
-    if inputs[0].revents().intersects(PollFlags::HUP | PollFlags::ERR | PollFlags::NVAL) {
+    let found = inputs[0].revents();
+    if found.intersects(PollFlags::HUP | PollFlags::ERR | PollFlags::NVAL) {
         return Err(io::Error::new(io::ErrorKind::UnexpectedEof, "the terminal is gone"));
     }
-    Ok(())
+    Ok(found.contains(PollFlags::IN))
 }
 
 #[cfg(not(unix))]
-fn wait(time: Duration) -> io::Result<()> {
-    event::poll(time).map(drop)
+fn has_input(time: Duration) -> io::Result<bool> {
+    event::poll(time)
 }
 
 fn restore() -> io::Result<()> {
@@ -126,4 +137,21 @@ fn look() -> Look {
     let locale = set("LC_ALL").or_else(|| set("LC_CTYPE")).or_else(|| set("LANG")).unwrap_or_default().to_lowercase();
     let unicode = !cfg!(unix) || locale.contains("utf-8") || locale.contains("utf8");
     Look { colour: set("NO_COLOR").is_none(), unicode }
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_terminal_that_is_gone_is_an_error_and_never_asked_for_keys() {
+        use std::io::Write as _;
+        let (input, mut keyboard) = std::os::unix::net::UnixStream::pair().unwrap();
+        assert!(!has_bytes(&input, Duration::ZERO).unwrap());
+        keyboard.write_all(b"q").unwrap();
+        assert!(has_bytes(&input, Duration::ZERO).unwrap());
+        drop(keyboard);
+        // even with a key that was pressed before
+        assert_eq!(has_bytes(&input, Duration::ZERO).unwrap_err().kind(), io::ErrorKind::UnexpectedEof);
+    }
 }
