@@ -116,7 +116,8 @@ impl Drop for Dump {
 /// Starts tcpdump and waits until it captures; `None`, after [`tools::missing`], if it cannot.
 fn tcpdump(file: &Path, ports: [u16; 3]) -> Option<Dump> {
     let [tcp, udp, rac] = ports;
-    let filter = format!("port {tcp} or port {udp} or port {rac}");
+    // with the protocols: another test may have a TCP server on the number of the UDP port
+    let filter = format!("tcp port {tcp} or udp port {udp} or tcp port {rac}");
     // in immediate mode the kernel reserves the snap length for each packet: with the defaults it has room for 8
     let mut child = Command::new(tools::find("tcpdump")?)
         .args(["-i", "lo", "-U", "--immediate-mode", "--snapshot-length", "4096", "--buffer-size", "32768"])
