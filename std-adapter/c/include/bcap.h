@@ -370,7 +370,7 @@ typedef struct {
     // The maximum acceleration of each joint, per second squared; 0 is 300.
     double acceleration;
     // How long the program may take for a pose, in ms; 0 is 100. After that the robot stops in an orderly way.
-    uint32_t late_ms;
+    uint32_t pose_timeout_ms;
     // The mode of Slave Mode: 1 paces by the clock of this computer; 0 and 2 by the buffer of the controller.
     int32_t mode;
 } bcap_stream_options;
@@ -459,7 +459,7 @@ bcap_status bcap_client_start(bcap_client *client,
                               size_t count,
                               uint64_t now_us);
 
-// Returns the bytes to send: one datagram, or the rest of a frame. `count` is 0 when there are none.
+// Returns the bytes to send: one datagram, or the rest of a frame. `count` is 0 if nothing is to be sent.
 bcap_status bcap_client_transmit(bcap_client *client, const uint8_t **bytes, size_t *count);
 
 // Records that the link has taken `count` bytes of `bcap_client_transmit`.

@@ -210,7 +210,7 @@ pub unsafe extern "C" fn bcap_client_start(
     })
 }
 
-/// Returns the bytes to send: one datagram, or the rest of a frame. `count` is 0 when there are none.
+/// Returns the bytes to send: one datagram, or the rest of a frame. `count` is 0 if nothing is to be sent.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_client_transmit(
     client: *mut bcap_client,

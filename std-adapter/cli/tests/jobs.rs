@@ -59,7 +59,7 @@ fn each_job_is_done_at_the_first_try() {
     let io = ["io", "IO128-IO143", "--labels", grid.to_str().unwrap()];
     jobs.run("IO as a grid", &rc8, &io, 0, "IO128    * . * * * * * *");
     jobs.run("IO with labels", &rc8, &io, 0, "IO130    * gripper is open");
-    jobs.run("IO that is none", &rc8, &["io", "I1"], 2, "I1 is no IO");
+    jobs.run("a name that is not an IO", &rc8, &["io", "I1"], 2, "I1 is no IO");
     // six errors, the first cause first
     for code in [0x8420_1482, 0x8150_1003, 0x8150_1025, 0x8320_4232, 0x8420_4041, 0x8150_1004] {
         rc8.served.application().inject_error(bcap_core::hresult::HResult::from_u32(code), bcap_std::now());

@@ -321,7 +321,7 @@ class Arm:
         kind: str = "J",
         max_speed: Optional[float] = None,
         max_acceleration: Optional[float] = None,
-        patience: float = 1.0,
+        pose_timeout: float = 1.0,
     ) -> SlaveStream:
         """Begins a stream of poses, one every 8 ms, whose loop is the caller's. The motor must be on.
 
@@ -329,10 +329,10 @@ class Arm:
         :param kind: "J" for 8 joints, "P" for 7 numbers, "T" for 10 numbers
         :param max_speed: a pose that needs a higher speed of an axis is not sent, in degrees or mm per second
         :param max_acceleration: the same, per second squared; it also limits how the robot stops
-        :param patience: how long the robot may wait for a pose, in seconds; then it stops
+        :param pose_timeout: how long the robot may wait for a pose, in seconds; then it stops
         """
         config = {
-            "mode": mode, "kind": kind, "max_speed": max_speed, "max_acceleration": max_acceleration, "patience": patience
+            "mode": mode, "kind": kind, "max_speed": max_speed, "max_acceleration": max_acceleration, "pose_timeout": pose_timeout
         }  # fmt: skip
         return SlaveStream(self._arm.stream(config).wait())
 

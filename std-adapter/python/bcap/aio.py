@@ -292,11 +292,11 @@ class Arm:
         kind: str = "J",
         max_speed: Optional[float] = None,
         max_acceleration: Optional[float] = None,
-        patience: float = 1.0,
+        pose_timeout: float = 1.0,
     ) -> _Opening[SlaveStream]:
         """Begins a stream of poses, one every 8 ms: `async with arm.slave_mode() as stream`."""
         config = {
-            "mode": mode, "kind": kind, "max_speed": max_speed, "max_acceleration": max_acceleration, "patience": patience
+            "mode": mode, "kind": kind, "max_speed": max_speed, "max_acceleration": max_acceleration, "pose_timeout": pose_timeout
         }  # fmt: skip
         return _opening(lambda: self._arm.stream(config), SlaveStream)
 

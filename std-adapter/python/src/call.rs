@@ -56,7 +56,7 @@ impl Call {
         finish(py, runtime::wait(py, self.take()?)?)
     }
 
-    /// Runs the call in the background; `done` gets its value and its exception, one of which is None.
+    /// Runs the call in the background, then calls `done(value, None)` or `done(None, exception)`.
     fn start(&self, done: Py<PyAny>) -> PyResult<Started> {
         let pending = self.take()?;
         let (wanted, unwanted) = oneshot::channel::<()>();

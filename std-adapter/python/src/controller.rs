@@ -55,7 +55,7 @@ pub(crate) fn seconds(number: f64) -> PyResult<Duration> {
     Duration::try_from_secs_f64(number).map_err(|_| PyValueError::new_err(format!("invalid time: {number} s")))
 }
 
-/// The refusal of a word that is none of a list.
+/// Returns the exception for a word that is not in a list.
 pub(crate) fn unknown(what: &str, word: &str, known: &str) -> PyErr {
     PyValueError::new_err(format!("unknown {what} {word:?}; known are {known}"))
 }

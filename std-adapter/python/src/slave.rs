@@ -6,8 +6,8 @@
 //!      └───── Wanted ────────┴──────── reply ◄─────────┘
 //! ```
 //!
-//! The engine asks [`Source`] for each pose. It waits for the caller there, but not longer than the patience; then it stops the
-//! robot in an orderly way.
+//! The engine asks [`Source`] for each pose. It waits for the pose of the caller until a timeout; then it stops the
+//! robot with a ramp.
 
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
@@ -36,7 +36,7 @@ pub(crate) struct StreamConfig {
     kind: String,
     max_speed: Option<f64>,
     max_acceleration: Option<f64>,
-    patience: f64,
+    pose_timeout: f64,
 }
 
 /// A stream of Slave Mode. Dropping it stops the robot.
@@ -81,8 +81,8 @@ impl Stream {
         let limits = AxisLimits::uniform(speed.unwrap_or(f64::INFINITY), acceleration.unwrap_or(f64::INFINITY));
         let (poses, receiver) = mpsc::channel();
         let (sender, mut wanted) = watch::channel(None);
-        let patience = seconds(config.patience)?;
-        let source = Source { poses: receiver, wanted: sender, received: Vec::new(), patience };
+        let pose_timeout = seconds(config.pose_timeout)?;
+        let source = Source { poses: receiver, wanted: sender, received: Vec::new(), pose_timeout };
         let streaming = arm.run(move |arm| Box::pin(arm.stream(format, limits, source)));
         let runtime = runtime()?;
         Ok(Call::new(async move {
@@ -141,7 +141,7 @@ struct Source {
     poses: mpsc::Receiver<Next>,
     wanted: watch::Sender<Option<Wanted>>,
     received: Vec<f64>,
-    patience: Duration,
+    pose_timeout: Duration,
 }
 
 impl Trajectory for Source {
@@ -150,7 +150,7 @@ impl Trajectory for Source {
         let start = cycle.start.numbers().to_vec();
         self.wanted.send_replace(Some(Wanted { number: cycle.number, start, received }));
         // the other tasks of the runtime go on
-        block_in_place(|| self.poses.recv_timeout(self.patience)).unwrap_or(Next::Stop)
+        block_in_place(|| self.poses.recv_timeout(self.pose_timeout)).unwrap_or(Next::Stop)
     }
 
     fn moved(&mut self, reply: &MoveReply<'_>, _now: Instant) {

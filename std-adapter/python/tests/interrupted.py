@@ -100,7 +100,7 @@ def dropped() -> None:
     cell = bcap.Controller(ADDRESS)
     arm = cell.take_arm()
     arm.motor_on()
-    node = Node(arm, arm.slave_mode(patience=60), None if DELAY < 0.2 else cell)
+    node = Node(arm, arm.slave_mode(pose_timeout=60), None if DELAY < 0.2 else cell)
     time.sleep(DELAY / 10)
     del arm, node
     gc.collect()

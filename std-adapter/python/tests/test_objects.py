@@ -195,7 +195,7 @@ def test_a_stream_without_poses_stops(cell: bcap.Controller, sim: bcap.Sim) -> N
     with cell.take_arm() as arm:
         arm.motor_on()
         with pytest.raises(bcap.StreamError, match="no pose came in time"):
-            with arm.slave_mode(patience=0.05) as stream:
+            with arm.slave_mode(pose_timeout=0.05) as stream:
                 assert eventually(lambda: not sim.slave_mode)
                 stream.step(stream.cycle.start)
     assert at_rest(sim)

@@ -21,7 +21,7 @@ pub struct bcap_stream_options {
     /// The maximum acceleration of each joint, per second squared; 0 is 300.
     pub acceleration: f64,
     /// How long the program may take for a pose, in ms; 0 is 100. After that the robot stops in an orderly way.
-    pub late_ms: u32,
+    pub pose_timeout_ms: u32,
     /// The mode of Slave Mode: 1 paces by the clock of this computer; 0 and 2 by the buffer of the controller.
     pub mode: i32,
 }
@@ -94,7 +94,8 @@ pub unsafe extern "C" fn bcap_stream_start(
         let (speed, acceleration) =
             (or(options.speed, 30.0, "speed")?, or(options.acceleration, 300.0, "acceleration")?);
         let limits = AxisLimits::uniform(speed, acceleration);
-        let late = Duration::from_millis(if options.late_ms == 0 { 100 } else { options.late_ms.into() });
+        let late =
+            Duration::from_millis(if options.pose_timeout_ms == 0 { 100 } else { options.pose_timeout_ms.into() });
         let format = format(options.mode)?;
         let start = table::with(controller.id, |cell| {
             taken(cell.at_rest()?)?.keep();
