@@ -1,6 +1,8 @@
 //! The command line: all commands, and the arguments of those that work on the command line itself. A shell and a script
 //! run any command, so their code is above this file.
 
+mod pages;
+
 use std::io::{self, IsTerminal as _};
 use std::path::{Path, PathBuf};
 
@@ -193,6 +195,13 @@ pub(crate) enum Output {
         #[arg(value_name = "DIR")]
         directory: PathBuf,
     },
+    /// Writes the pages of the book, one for each command, and prints a list of them
+    #[command(hide = true)]
+    Pages {
+        /// The directory; it is made if it does not exist
+        #[arg(value_name = "DIR")]
+        directory: PathBuf,
+    },
     /// Prints a dissector for Wireshark, one Lua file
     ///
     /// It decodes b-CAP over TCP and UDP, and RAC. docs/wireshark.md describes its fields and filters.
@@ -236,6 +245,13 @@ pub(crate) fn generate(args: &Generate) -> Result<(), Failure> {
             Ok(print_raw(String::from_utf8_lossy(&script).trim_end())?)
         }
         Output::Man { directory } => man(directory),
+        Output::Pages { directory } => {
+            // as in the help, other options of the connection have one page
+            let mut cli = with_groups(Cli::command().disable_help_subcommand(true));
+            cli.build();
+            let failed = |error| Failure::Input(format!("cannot write pages to {}: {error}", directory.display()));
+            Ok(print_raw(pages::write(&mut cli, directory).map_err(failed)?.trim_end())?)
+        }
         // it has no text from outside
         Output::Wireshark => Ok(print_raw(bcap_capture::wireshark::script().trim_end())?),
     }
