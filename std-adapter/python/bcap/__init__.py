@@ -377,7 +377,7 @@ class SlaveStream:
         wanted = self._stream.step(list(pose)).wait()
         if wanted is None:
             self.finish()
-            raise StreamError("the stream has ended: no pose came in time, and the robot was stopped")
+            raise StreamError("the stream has ended")
         self._cycle = _values.cycle(wanted)
         return self._cycle
 

@@ -2,7 +2,7 @@ from typing import Any, Callable, Generic, List, Optional, Sequence, Tuple, Type
 
 _T = TypeVar("_T", covariant=True)
 _Code = Tuple[int, Optional[str], Optional[str], Optional[str]]
-_Cycle = dict[str, Any]
+_Cycle = Tuple[int, List[float], List[float]]
 
 class Call(Generic[_T]):
     def wait(self) -> _T: ...

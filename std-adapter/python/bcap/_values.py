@@ -134,7 +134,7 @@ def change(taken: Optional[Tuple[str, Any, Optional[BaseException]]], convert: C
     return Change(name, convert(value))
 
 
-def cycle(wanted: Optional[Dict[str, Any]]) -> Cycle:
+def cycle(wanted: Optional[Tuple[int, Sequence[float], Sequence[float]]]) -> Cycle:
     """Returns the cycle that is wanted."""
-    wanted = wanted or {"number": 0, "start": (), "received": ()}
-    return Cycle(wanted["number"], tuple(wanted["start"]), tuple(wanted["received"]))
+    number, start, pose = wanted or (0, (), ())
+    return Cycle(number, tuple(start), tuple(pose))

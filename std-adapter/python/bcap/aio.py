@@ -325,7 +325,7 @@ class SlaveStream:
         wanted = await _run(self._stream.step(list(pose)))
         if wanted is None:
             await self.finish()
-            raise StreamError("the stream has ended: no pose came in time, and the robot was stopped")
+            raise StreamError("the stream has ended")
         self._cycle = _values.cycle(wanted)
         return self._cycle
 

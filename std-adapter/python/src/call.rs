@@ -4,6 +4,7 @@ use std::pin::Pin;
 use std::sync::Mutex;
 
 use bcap_std::Error;
+use bcap_stream::steps::StepError;
 use pyo3::IntoPyObjectExt;
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
@@ -15,7 +16,7 @@ use crate::runtime::{self, lock};
 /// The value of a call, which becomes an object of Python under the GIL.
 type Value = Box<dyn FnOnce(Python<'_>) -> PyResult<Py<PyAny>> + Send>;
 
-type Result = std::result::Result<Value, Error>;
+type Result = std::result::Result<Value, StepError>;
 
 type Pending = Pin<Box<dyn Future<Output = Result> + Send>>;
 
@@ -34,6 +35,14 @@ pub(crate) struct Started {
 impl Call {
     /// Makes a call of a future. Dropping the future cancels it.
     pub(crate) fn new<T>(future: impl Future<Output = std::result::Result<T, Error>> + Send + 'static) -> Self
+    where
+        T: for<'py> IntoPyObject<'py> + Send + 'static,
+    {
+        Self::of_stream(async { Ok(future.await?) })
+    }
+
+    /// Makes a call of a future, which may also fail as a stream does.
+    pub(crate) fn of_stream<T>(future: impl Future<Output = std::result::Result<T, StepError>> + Send + 'static) -> Self
     where
         T: for<'py> IntoPyObject<'py> + Send + 'static,
     {
@@ -91,6 +100,7 @@ impl Started {
 fn finish(py: Python<'_>, result: Result) -> PyResult<Py<PyAny>> {
     match result {
         Ok(convert) => convert(py),
-        Err(failure) => Err(error::raise(py, &failure)),
+        Err(StepError::Failed(failure)) => Err(error::raise(py, &failure)),
+        Err(other) => Err(error::exception(py, "StreamError", other.to_string(), None)),
     }
 }

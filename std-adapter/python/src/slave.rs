@@ -1,16 +1,12 @@
 //! Streams of Slave Mode whose loop the caller owns.
 //!
 //! ```text
-//!  step(pose) ── poses ──► Source ──► the engine ──► slvMove
-//!      ▲                     │ moved                   │
-//!      └───── Wanted ────────┴──────── reply ◄─────────┘
+//!  step(pose) ─► PoseSender ─► the trajectory of `bcap_stream::steps` ─► the engine ─► slvMove
+//!      ▲                                     │
+//!      └───────────── wanted ◄───────────────┘
 //! ```
-//!
-//! The engine asks [`Source`] for each pose. It waits for the pose of the caller until a timeout; then it stops the
-//! robot with a ramp.
 
-use std::sync::{Arc, mpsc};
-use std::time::Duration;
+use std::sync::Arc;
 
 use bcap_std::Error;
 use bcap_std::core::slave::{
@@ -18,6 +14,7 @@ use bcap_std::core::slave::{
     Trajectory,
 };
 use bcap_std::core::time::Instant;
+use bcap_stream::steps::{PoseSender, Step, StepError, given};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use tokio::sync::{Mutex, watch};
@@ -43,8 +40,8 @@ pub(crate) struct StreamConfig {
 #[pyclass(frozen)]
 pub(crate) struct Stream {
     kind: PoseType,
-    poses: mpsc::Sender<Next>,
-    wanted: watch::Receiver<Option<Wanted>>,
+    poses: PoseSender,
+    wanted: watch::Receiver<Option<Step>>,
     /// One step at a time.
     turn: Arc<Mutex<()>>,
     task: Arc<Mutex<Option<Streaming>>>,
@@ -52,14 +49,6 @@ pub(crate) struct Stream {
 
 /// The task of a stream.
 type Streaming = JoinHandle<Result<Stats, Error>>;
-
-/// The pose that the engine waits for: its number, and the pose that the robot had at the reply to the one before.
-#[derive(Clone, IntoPyObject)]
-pub(crate) struct Wanted {
-    number: u32,
-    start: Vec<f64>,
-    received: Vec<f64>,
-}
 
 impl Stream {
     /// Begins a stream, and waits until the first pose is wanted.
@@ -79,16 +68,15 @@ impl Stream {
         let format = Format::new(SlaveMode { mode, pose: kind }, ReceiveFormat::pose(receive));
         let (speed, acceleration) = (config.max_speed, config.max_acceleration);
         let limits = AxisLimits::uniform(speed.unwrap_or(f64::INFINITY), acceleration.unwrap_or(f64::INFINITY));
-        let (poses, receiver) = mpsc::channel();
         let (sender, mut wanted) = watch::channel(None);
         let pose_timeout = seconds(config.pose_timeout)?;
-        let source = Source { poses: receiver, wanted: sender, received: Vec::new(), pose_timeout };
-        let streaming = arm.run(move |arm| Box::pin(arm.stream(format, limits, source)));
+        let (poses, trajectory) = given(pose_timeout, move |step| drop(sender.send_replace(Some(step))));
+        let streaming = arm.run(move |arm| Box::pin(arm.stream(format, limits, Blocking(trajectory))));
         let runtime = runtime()?;
-        Ok(Call::new(async move {
+        Ok(Call::of_stream(async move {
             let task = runtime.spawn(streaming);
             if wanted.wait_for(Option::is_some).await.is_err() {
-                return ended(task).await.and(Err(Error::Closed));
+                return ended(&poses, task).await.and(Err(Error::Closed.into()));
             }
             let task = Arc::new(Mutex::new(Some(task)));
             Ok(Self { kind, poses, wanted, turn: Arc::default(), task })
@@ -97,15 +85,15 @@ impl Stream {
 }
 
 /// Returns the statistics of a stream that has ended.
-async fn ended(task: Streaming) -> Result<Stats, Error> {
-    task.await.unwrap_or(Err(Error::Closed))
+async fn ended(poses: &PoseSender, task: Streaming) -> Result<Stats, StepError> {
+    poses.judge(task.await.unwrap_or(Err(Error::Closed)))
 }
 
 #[pymethods]
 impl Stream {
-    /// Returns the pose that is wanted now.
-    fn wanted(&self) -> Option<Wanted> {
-        self.wanted.borrow().clone()
+    /// Returns the cycle that is wanted now: its number, the start of the stream, and the pose in the last reply.
+    fn wanted(&self) -> Option<(u32, Vec<f64>, Vec<f64>)> {
+        self.wanted.borrow().clone().map(cycle)
     }
 
     /// Sends a pose, and waits until the next one is wanted; None if the stream has ended before.
@@ -118,42 +106,37 @@ impl Stream {
             let _turn = turn.lock().await;
             let number = wanted.borrow_and_update().as_ref().map(|wanted| wanted.number);
             // when the stream has ended, `wanted` says so
-            let _ = poses.send(Next::Pose(pose));
+            poses.send(Next::Pose(pose));
             let next = wanted.wait_for(|wanted| wanted.as_ref().map(|wanted| wanted.number) > number).await;
-            Ok(next.ok().and_then(|wanted| wanted.clone()))
+            Ok(next.ok().and_then(|wanted| wanted.clone()).map(cycle))
         }))
     }
 
     /// Ends the stream: after the last pose, or at once with a ramp. Returns the statistics.
     fn finish(&self, stop: bool) -> Call {
         let (poses, task) = (self.poses.clone(), Arc::clone(&self.task));
-        Call::new(async move {
-            let _ = poses.send(if stop { Next::Stop } else { Next::Finish });
+        Call::of_stream(async move {
+            poses.send(if stop { Next::Stop } else { Next::Finish });
             let task = task.lock().await.take().ok_or(Error::Closed)?;
-            let Stats { cycles, late, refused, underflows, .. } = ended(task).await?;
+            let Stats { cycles, late, refused, underflows, .. } = ended(&poses, task).await?;
             Ok([("cycles", cycles), ("late", late), ("refused", refused), ("underflows", underflows)])
         })
     }
 }
 
-/// The trajectory of the engine: the poses of the caller.
-struct Source {
-    poses: mpsc::Receiver<Next>,
-    wanted: watch::Sender<Option<Wanted>>,
-    received: Vec<f64>,
-    pose_timeout: Duration,
+fn cycle(Step { number, start, actual }: Step) -> (u32, Vec<f64>, Vec<f64>) {
+    (number, start, actual)
 }
 
-impl Trajectory for Source {
+/// A trajectory that blocks. The other tasks of the runtime go on.
+struct Blocking<T>(T);
+
+impl<T: Trajectory> Trajectory for Blocking<T> {
     fn next(&mut self, cycle: &Cycle<'_>) -> Next {
-        let received = if self.received.is_empty() { cycle.start.numbers().to_vec() } else { self.received.clone() };
-        let start = cycle.start.numbers().to_vec();
-        self.wanted.send_replace(Some(Wanted { number: cycle.number, start, received }));
-        // the other tasks of the runtime go on
-        block_in_place(|| self.poses.recv_timeout(self.pose_timeout)).unwrap_or(Next::Stop)
+        block_in_place(|| self.0.next(cycle))
     }
 
-    fn moved(&mut self, reply: &MoveReply<'_>, _now: Instant) {
-        self.received = reply.pose().iter().collect();
+    fn moved(&mut self, reply: &MoveReply<'_>, now: Instant) {
+        self.0.moved(reply, now);
     }
 }

@@ -86,33 +86,29 @@ fn outcome(motion: Motion) -> Result<(), Failure> {
 /// Takes the arm of the robot, so that this session can move it.
 #[unsafe(no_mangle)]
 pub extern "C" fn bcap_take_arm(controller: bcap_controller) -> bcap_status {
-    enter(|| table::with(controller.id, |cell| Ok(cell.at_rest()?.robot()?.take_arm().map(Arm::keep)?)))
+    table::on(controller.id, |cell| Ok(cell.at_rest()?.robot()?.take_arm().map(Arm::keep)?))
 }
 
 /// Halts a motion that is under way, switches the motor off if this session has switched it on, and gives the arm back.
 #[unsafe(no_mangle)]
 pub extern "C" fn bcap_give_arm(controller: bcap_controller) -> bcap_status {
-    enter(|| {
-        table::with(controller.id, |cell| {
-            let arm = taken(cell.controller()?)?;
-            let ended = arm.give();
-            cell.motion = None;
-            Ok(ended?)
-        })
+    table::on(controller.id, |cell| {
+        let ended = taken(cell.controller()?)?.give();
+        cell.motion = None;
+        Ok(ended?)
     })
 }
 
 /// Switches the motor on or off, and waits until it is.
 #[unsafe(no_mangle)]
 pub extern "C" fn bcap_motor(controller: bcap_controller, on: bool) -> bcap_status {
-    let switch = |arm: &mut Arm<'_>| Ok(if on { arm.motor_on() } else { arm.motor_off() }?);
-    enter(|| table::with(controller.id, |cell| with_arm(cell, switch)))
+    table::on(controller.id, |cell| with_arm(cell, |arm| Ok(if on { arm.motor_on() } else { arm.motor_off() }?)))
 }
 
 /// Sets the external speed in percent of the maximum, which scales the speed of motions.
 #[unsafe(no_mangle)]
 pub extern "C" fn bcap_set_speed(controller: bcap_controller, percent: f64) -> bcap_status {
-    enter(|| table::with(controller.id, |cell| with_arm(cell, |arm| Ok(arm.set_speed(percent)?))))
+    table::on(controller.id, |cell| with_arm(cell, |arm| Ok(arm.set_speed(percent)?)))
 }
 
 /// Moves, and waits until the motion ends, at most `limit_ms`; the robot is halted then. `BCAP_OK` says that the robot rests at the
@@ -123,9 +119,9 @@ pub unsafe extern "C" fn bcap_move(
     motion_: *const bcap_motion,
     limit_ms: u32,
 ) -> bcap_status {
-    enter(|| {
+    table::on(controller.id, |cell| {
         let (motion, limit) = (caller!(motion(motion_))?, Duration::from_millis(limit_ms.into()));
-        table::with(controller.id, |cell| with_arm(cell, |arm| outcome(arm.move_to(&motion, limit)?)))
+        with_arm(cell, |arm| outcome(arm.move_to(&motion, limit)?))
     })
 }
 
@@ -137,33 +133,22 @@ pub unsafe extern "C" fn bcap_start(
     motion_: *const bcap_motion,
     limit_ms: u32,
 ) -> bcap_status {
-    enter(|| {
+    table::on(controller.id, |cell| {
         let (motion, limit) = (caller!(motion(motion_))?, Duration::from_millis(limit_ms.into()));
-        table::with(controller.id, |cell| {
-            let kept = cell.motion.take();
-            let controller = cell.controller()?;
-            cell.motion = Some(match kept {
-                Some(kept) => controller.resume(kept)?.then(&motion)?.keep(),
-                None => {
-                    let mut arm = taken(controller)?;
-                    let started = arm.start(&motion, limit).map(Moving::keep);
-                    arm.keep();
-                    started?
-                }
-            });
-            Ok(())
-        })
+        cell.motion = Some(match cell.motion.take() {
+            Some(kept) => cell.controller()?.resume(kept)?.then(&motion)?.keep(),
+            None => with_arm(cell, |arm| Ok(arm.start(&motion, limit).map(Moving::keep)?))?,
+        });
+        Ok(())
     })
 }
 
 /// Waits until the motions of `bcap_start` end; the status is the outcome, as for `bcap_move`.
 #[unsafe(no_mangle)]
 pub extern "C" fn bcap_wait(controller: bcap_controller) -> bcap_status {
-    enter(|| {
-        table::with(controller.id, |cell| {
-            let kept = cell.motion.take().ok_or(BCAP_E_NO_MOTION)?;
-            outcome(cell.controller()?.resume(kept)?.wait()?)
-        })
+    table::on(controller.id, |cell| {
+        let kept = cell.motion.take().ok_or(BCAP_E_NO_MOTION)?;
+        outcome(cell.controller()?.resume(kept)?.wait()?)
     })
 }
 
@@ -171,16 +156,12 @@ pub extern "C" fn bcap_wait(controller: bcap_controller) -> bcap_status {
 /// another thread waits for a motion, use `bcap_stopper_halt`.
 #[unsafe(no_mangle)]
 pub extern "C" fn bcap_halt(controller: bcap_controller) -> bcap_status {
-    enter(|| {
-        table::with(controller.id, |cell| {
-            let kept = cell.motion.take();
-            let controller = cell.controller()?;
-            let halted = match kept {
-                Some(kept) => controller.resume(kept)?.halt(),
-                None => controller.robot()?.halt(),
-            };
-            Ok(halted.map(drop)?)
-        })
+    table::on(controller.id, |cell| {
+        let halted = match cell.motion.take() {
+            Some(kept) => cell.controller()?.resume(kept)?.halt(),
+            None => cell.controller()?.robot()?.halt(),
+        };
+        Ok(halted.map(drop)?)
     })
 }
 
@@ -188,23 +169,21 @@ pub extern "C" fn bcap_halt(controller: bcap_controller) -> bcap_status {
 /// a person must have looked at the robot. `is_alone` says that no other client uses the robot.
 #[unsafe(no_mangle)]
 pub extern "C" fn bcap_recover(controller: bcap_controller, is_alone: bool) -> bcap_status {
-    enter(|| {
-        table::with(controller.id, |cell| {
-            let controller = cell.at_rest()?;
-            if controller.has_arm() {
-                controller.arm()?.give()?;
-            }
-            let config = RecoveryConfig { is_alone, ..RecoveryConfig::default() };
-            Ok(controller.robot()?.recover(config).map(Arm::keep)?)
-        })
+    table::on(controller.id, |cell| {
+        let controller = cell.at_rest()?;
+        if controller.has_arm() {
+            controller.arm()?.give()?;
+        }
+        let config = RecoveryConfig { is_alone, ..RecoveryConfig::default() };
+        Ok(controller.robot()?.recover(config).map(Arm::keep)?)
     })
 }
 
 /// Reads the joints in degrees or mm; joints that the robot does not have are 0.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_joints(controller: bcap_controller, joints: *mut f64) -> bcap_status {
-    enter(|| {
-        let found = table::with(controller.id, |cell| Ok(cell.controller()?.robot()?.joints()?))?;
+    table::on(controller.id, |cell| {
+        let found = cell.controller()?.robot()?.joints()?;
         Ok(caller!(copy(&found.degrees, joints, found.degrees.len()))?)
     })
 }

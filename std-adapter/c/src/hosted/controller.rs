@@ -9,7 +9,7 @@ use bcap_std::{Model, ObjectPath, Settings};
 
 use super::{Failure, enter, store, table};
 use crate::memory::{TextBuffer, caller, copy, put, read_text, slice};
-use crate::status::{self, BCAP_E_PATH, BCAP_E_RANGE, bcap_status};
+use crate::status::{self, BCAP_E_PATH, BCAP_E_RANGE, Status, bcap_status};
 use crate::value::bcap_value;
 
 /// The model of a controller, which decides its provider.
@@ -31,16 +31,12 @@ pub struct bcap_controller {
 
 /// Returns the settings of a model.
 fn settings(model: bcap_model) -> Result<Settings, Failure> {
+    let invalid = || format!("{model} is no model; pass BCAP_RC8, BCAP_RC9 or BCAP_COBOTTA");
     Ok(Settings::new(match model {
         BCAP_RC8 => Model::Rc8,
         BCAP_RC9 => Model::Rc9,
         BCAP_COBOTTA => Model::Cobotta,
-        _ => {
-            return Err(Failure::new(
-                BCAP_E_RANGE,
-                format_args!("{model} is no model; pass BCAP_RC8, BCAP_RC9 or BCAP_COBOTTA"),
-            ));
-        }
+        _ => return Err(Failure::new(BCAP_E_RANGE, invalid())),
     }))
 }
 
@@ -68,8 +64,13 @@ pub extern "C" fn bcap_close(controller: bcap_controller) -> bcap_status {
     enter(|| table::close_controller(controller.id))
 }
 
-fn read<T: for<'v> FromVariant<'v>>(controller: bcap_controller, name: &str) -> Result<T, Failure> {
-    table::with(controller.id, |cell| Ok(cell.controller()?.read(name)?))
+/// Reads a variable, and stores it.
+fn read<T: for<'v> FromVariant<'v>>(
+    controller: bcap_controller,
+    name: Result<&str, Status>,
+    store: impl FnOnce(T) -> Result<(), Failure>,
+) -> bcap_status {
+    table::on(controller.id, |cell| store(cell.controller()?.read(name?)?))
 }
 
 /// An integer, or a truth value as one.
@@ -91,11 +92,7 @@ pub unsafe extern "C" fn bcap_read_integer(
     name: *const c_char,
     integer: *mut i64,
 ) -> bcap_status {
-    enter(|| {
-        let name = caller!(read_text(name))?;
-        let Integer(found) = read(controller, name)?;
-        Ok(caller!(put(integer, found))?)
-    })
+    read(controller, caller!(read_text(name)), |Integer(found)| Ok(caller!(put(integer, found))?))
 }
 
 /// Reads a variable as a number.
@@ -105,11 +102,7 @@ pub unsafe extern "C" fn bcap_read_number(
     name: *const c_char,
     number: *mut f64,
 ) -> bcap_status {
-    enter(|| {
-        let name = caller!(read_text(name))?;
-        let found = read(controller, name)?;
-        Ok(caller!(put(number, found))?)
-    })
+    read(controller, caller!(read_text(name)), |found| Ok(caller!(put(number, found))?))
 }
 
 /// Reads a variable as text of UTF-8 into `buffer`, with NUL. Text that does not fit is cut, and the result is `BCAP_E_SHORT`.
@@ -120,9 +113,7 @@ pub unsafe extern "C" fn bcap_read_text(
     buffer: *mut c_char,
     size: usize,
 ) -> bcap_status {
-    enter(|| {
-        let name = caller!(read_text(name))?;
-        let found: String = read(controller, name)?;
+    read(controller, caller!(read_text(name)), |found: String| {
         let mut out = caller!(TextBuffer::new(buffer, size));
         out.push(&found);
         Ok(out.finish_whole()?)
@@ -138,9 +129,7 @@ pub unsafe extern "C" fn bcap_read_numbers(
     capacity: usize,
     count: *mut usize,
 ) -> bcap_status {
-    enter(|| {
-        let name = caller!(read_text(name))?;
-        let found: Vec<f64> = read(controller, name)?;
+    read(controller, caller!(read_text(name)), |found: Vec<f64>| {
         caller!(copy(&found, numbers, capacity))?;
         Ok(caller!(put(count, found.len()))?)
     })
@@ -155,11 +144,7 @@ pub unsafe extern "C" fn bcap_read(
     size: usize,
     value: *mut bcap_value,
 ) -> bcap_status {
-    enter(|| {
-        let name = caller!(read_text(name))?;
-        let found = read(controller, name)?;
-        caller!(store(&found, memory, size, value))
-    })
+    read(controller, caller!(read_text(name)), |found| caller!(store(&found, memory, size, value)))
 }
 
 /// Writes a variable: `bcap_write(cell, "I1", bcap_i4(5))`. After `BCAP_E_TIMEOUT` and `BCAP_E_LOST` it may have been written.
@@ -169,10 +154,9 @@ pub unsafe extern "C" fn bcap_write(
     name: *const c_char,
     value: bcap_value,
 ) -> bcap_status {
-    enter(|| {
-        let name = caller!(read_text(name))?;
+    table::on(controller.id, |cell| {
         let value = OwnedVariant::new(&value).map_err(status::encode)?;
-        table::with(controller.id, |cell| Ok(cell.controller()?.write(name, value)?))
+        Ok(cell.controller()?.write(caller!(read_text(name))?, value)?)
     })
 }
 
@@ -180,9 +164,9 @@ pub unsafe extern "C" fn bcap_write(
 /// session, or by a call such as `BCAP_FN_TASK_RELEASE`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_open(controller: bcap_controller, path: *const c_char, handle: *mut i32) -> bcap_status {
-    enter(|| {
+    table::on(controller.id, |cell| {
         let path: ObjectPath = caller!(read_text(path))?.parse().map_err(|error| Failure::new(BCAP_E_PATH, error))?;
-        let opened = table::with(controller.id, |cell| Ok(cell.controller()?.open(&path)?))?;
+        let opened = cell.controller()?.open(&path)?;
         Ok(caller!(put(handle, opened))?)
     })
 }
@@ -199,14 +183,25 @@ pub unsafe extern "C" fn bcap_call(
     size: usize,
     value: *mut bcap_value,
 ) -> bcap_status {
-    enter(|| {
+    table::on(controller.id, |cell| {
         let arguments = caller!(slice(arguments, count))?;
         let arguments: Result<Vec<_>, _> = arguments.iter().map(OwnedVariant::new).collect();
         let arguments = arguments.map_err(status::encode)?;
-        let (_, found) = table::with(controller.id, |cell| {
-            Ok(cell.controller()?.call_any("the call", FunctionId(function), &arguments)?)
-        })?;
+        let (_, found) = cell.controller()?.call_any("the call", FunctionId(function), &arguments)?;
         caller!(store(&found.unwrap_or_default(), memory, size, value))
+    })
+}
+
+/// Executes a command, and stores its value.
+fn execute(
+    controller: bcap_controller,
+    parameter: bcap_value,
+    run: impl FnOnce(&mut Controller, OwnedVariant) -> Result<OwnedVariant, Failure>,
+    store: impl FnOnce(OwnedVariant) -> Result<(), Failure>,
+) -> bcap_status {
+    table::on(controller.id, |cell| {
+        let parameter = OwnedVariant::new(&parameter).map_err(status::encode)?;
+        store(run(cell.controller()?, parameter)?)
     })
 }
 
@@ -220,13 +215,12 @@ pub unsafe extern "C" fn bcap_execute(
     size: usize,
     value: *mut bcap_value,
 ) -> bcap_status {
-    enter(|| {
-        let command = caller!(read_text(command))?;
-        let parameter = OwnedVariant::new(&parameter).map_err(status::encode)?;
-        let found: OwnedVariant =
-            table::with(controller.id, |cell| Ok(cell.controller()?.execute(command, parameter)?))?;
-        caller!(store(&found, memory, size, value))
-    })
+    execute(
+        controller,
+        parameter,
+        |cell, parameter| Ok(cell.execute(caller!(read_text(command))?, parameter)?),
+        |found| caller!(store(&found, memory, size, value)),
+    )
 }
 
 /// Executes a command of the robot with a parameter, such as `CurJnt` with `bcap_empty()`. As `bcap_call` otherwise.
@@ -239,11 +233,10 @@ pub unsafe extern "C" fn bcap_execute_robot(
     size: usize,
     value: *mut bcap_value,
 ) -> bcap_status {
-    enter(|| {
-        let command = caller!(read_text(command))?;
-        let parameter = OwnedVariant::new(&parameter).map_err(status::encode)?;
-        let found: OwnedVariant =
-            table::with(controller.id, |cell| Ok(cell.controller()?.robot()?.execute(command, parameter)?))?;
-        caller!(store(&found, memory, size, value))
-    })
+    execute(
+        controller,
+        parameter,
+        |cell, parameter| Ok(cell.robot()?.execute(caller!(read_text(command))?, parameter)?),
+        |found| caller!(store(&found, memory, size, value)),
+    )
 }

@@ -6,7 +6,6 @@ mod arm;
 mod controller;
 mod log;
 mod stream;
-mod streaming;
 mod table;
 
 use std::cell::{Cell, RefCell};

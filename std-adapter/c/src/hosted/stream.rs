@@ -6,11 +6,15 @@ use bcap_std::core::slave::{
     AxisLimits, Format, Mode, Next, Pose, PoseType, ReceiveFormat, ReceivePose, SlaveMode, Stats,
 };
 
+use bcap_stream::steps::{StepError, Steps};
+
 use super::controller::bcap_controller;
-use super::streaming::{JOINTS, Outcome, Stream};
-use super::{Failure, enter, table, taken};
+use super::{Failure, table, taken};
 use crate::memory::{caller, copy, get, put, slice};
-use crate::status::{BCAP_E_CLOSED, BCAP_E_NO_STREAM, BCAP_E_RANGE, BCAP_E_STREAM, bcap_status};
+use crate::status::{BCAP_E_CLOSED, BCAP_E_NO_STREAM, BCAP_E_PANIC, BCAP_E_RANGE, BCAP_E_STREAM, bcap_status};
+
+/// The number of joints of a pose.
+const JOINTS: usize = 8;
 
 /// How poses are streamed. Fields that are 0 have the default that is stated.
 #[repr(C)]
@@ -38,25 +42,31 @@ pub struct bcap_stream_stats {
     pub underflows: u32,
 }
 
-/// Ends the stream of a cell: its controller returns to the cell.
-fn end(cell: &mut table::Cell, end: impl FnOnce(Stream) -> Outcome) -> Result<Stats, Failure> {
-    let (controller, ended) = end(cell.stream.take().ok_or(BCAP_E_NO_STREAM)?);
-    controller.map_or(Err(Failure::from(BCAP_E_CLOSED)), |controller| {
-        cell.put_back(controller);
-        ended
-    })
-}
-
-/// Waits for the next cycle; if the stream has ended instead, returns why.
-fn next_cycle(cell: &mut table::Cell) -> Result<[f64; JOINTS], Failure> {
-    let stream = cell.stream.as_ref().ok_or(BCAP_E_NO_STREAM)?;
-    match stream.next_cycle() {
-        Some(joints) => Ok(joints),
-        None => {
-            end(cell, Stream::join)?;
-            Err(Failure::new(BCAP_E_STREAM, "Slave Mode: the stream has ended"))
+impl From<StepError> for Failure {
+    fn from(error: StepError) -> Self {
+        match error {
+            StepError::Failed(error) => error.into(),
+            StepError::Panicked => Self::new(BCAP_E_PANIC, error),
+            error => Self::new(BCAP_E_STREAM, error),
         }
     }
+}
+
+/// Ends the stream of a cell, whose controller returns to the cell.
+fn end(cell: &mut table::Cell, last: Next) -> Result<Stats, Failure> {
+    let (controller, ended) = cell.stream.take().ok_or(BCAP_E_NO_STREAM)?.end(last);
+    cell.controller = controller;
+    Ok(ended?)
+}
+
+/// Waits for the next cycle, and returns the joints that the controller reports; if the stream has ended instead, returns why.
+fn next_cycle(cell: &mut table::Cell) -> Result<Vec<f64>, Failure> {
+    let wanted = cell.stream.as_ref().ok_or(BCAP_E_NO_STREAM)?.wanted();
+    if let Some(step) = wanted {
+        return Ok(step.actual);
+    }
+    end(cell, Next::Stop)?;
+    Err(Failure::new(BCAP_E_STREAM, "Slave Mode: the stream has ended"))
 }
 
 fn format(mode: i32) -> Result<Format, Failure> {
@@ -89,7 +99,7 @@ pub unsafe extern "C" fn bcap_stream_start(
     options: *const bcap_stream_options,
     joints: *mut f64,
 ) -> bcap_status {
-    enter(|| {
+    table::on(controller.id, |cell| {
         let options = caller!(get(options))?;
         let (speed, acceleration) =
             (or(options.speed, 30.0, "speed")?, or(options.acceleration, 300.0, "acceleration")?);
@@ -97,13 +107,10 @@ pub unsafe extern "C" fn bcap_stream_start(
         let late =
             Duration::from_millis(if options.pose_timeout_ms == 0 { 100 } else { options.pose_timeout_ms.into() });
         let format = format(options.mode)?;
-        let start = table::with(controller.id, |cell| {
-            taken(cell.at_rest()?)?.keep();
-            let controller = cell.take_controller().ok_or(BCAP_E_CLOSED)?;
-            cell.stream = Some(Stream::start(controller, format, limits, late));
-            next_cycle(cell)
-        })?;
-        Ok(caller!(copy(&start, joints, JOINTS))?)
+        taken(cell.at_rest()?)?.keep();
+        let controller = cell.controller.take().ok_or(BCAP_E_CLOSED)?;
+        cell.stream = Some(Steps::start(controller, format, limits, late));
+        Ok(caller!(copy(&next_cycle(cell)?, joints, JOINTS))?)
     })
 }
 
@@ -115,13 +122,10 @@ pub unsafe extern "C" fn bcap_stream_step(
     joints: *const f64,
     actual: *mut f64,
 ) -> bcap_status {
-    enter(|| {
+    table::on(controller.id, |cell| {
         let joints: [f64; JOINTS] = caller!(slice(joints, JOINTS))?.try_into().map_err(|_| BCAP_E_RANGE)?;
-        let found = table::with(controller.id, |cell| {
-            let stream = cell.stream.as_ref().ok_or(BCAP_E_NO_STREAM)?;
-            stream.give(Next::Pose(Pose::j(joints)));
-            next_cycle(cell)
-        })?;
+        cell.stream.as_ref().ok_or(BCAP_E_NO_STREAM)?.send(Next::Pose(Pose::j(joints)));
+        let found = next_cycle(cell)?;
         if actual.is_null() {
             return Ok(());
         }
@@ -132,12 +136,11 @@ pub unsafe extern "C" fn bcap_stream_step(
 /// Ends the stream: the robot comes to rest at the last pose, and Slave Mode is left. `stats` may be null.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_stream_finish(controller: bcap_controller, stats: *mut bcap_stream_stats) -> bcap_status {
-    enter(|| {
-        let counts = table::with(controller.id, |cell| end(cell, Stream::finish))?;
+    table::on(controller.id, |cell| {
+        let Stats { cycles, late, underflows, .. } = end(cell, Next::Finish)?;
         if stats.is_null() {
             return Ok(());
         }
-        let Stats { cycles, late, underflows, .. } = counts;
         Ok(caller!(put(stats, bcap_stream_stats { cycles, late, underflows }))?)
     })
 }

@@ -5,18 +5,19 @@ use std::sync::{Arc, Mutex, MutexGuard, Once, PoisonError, TryLockError};
 
 use bcap_std::Settings;
 use bcap_std::blocking::{Controller, KeptMotion, Stopper};
+use bcap_std::core::slave::Next;
+use bcap_stream::steps::Steps;
 
 use super::Failure;
-use super::streaming::Stream;
-use crate::status::{BCAP_E_BUSY, BCAP_E_CLOSED, BCAP_E_HANDLE, BCAP_E_PANIC, BCAP_E_STREAMING};
+use crate::status::{BCAP_E_BUSY, BCAP_E_CLOSED, BCAP_E_HANDLE, BCAP_E_PANIC, BCAP_E_STREAMING, Status};
 
 /// A controller of a program, and what is under way on it.
 pub(super) struct Cell {
     /// `None` after a panic, and while a stream has it.
-    controller: Option<Controller>,
+    pub(super) controller: Option<Controller>,
     /// A motion that `bcap_start` has started, until its end was waited for.
     pub(super) motion: Option<KeptMotion>,
-    pub(super) stream: Option<Stream>,
+    pub(super) stream: Option<Steps>,
 }
 
 impl Cell {
@@ -34,14 +35,6 @@ impl Cell {
             return Err(Failure::new(BCAP_E_BUSY, "a motion is under way; call bcap_wait or bcap_halt first"));
         }
         self.controller()
-    }
-
-    pub(super) fn take_controller(&mut self) -> Option<Controller> {
-        self.controller.take()
-    }
-
-    pub(super) fn put_back(&mut self, controller: Controller) {
-        self.controller = Some(controller);
     }
 }
 
@@ -100,6 +93,11 @@ pub(super) fn add_stopper(stopper: Stopper) -> Result<u64, Failure> {
     insert(Object::Stopper(stopper))
 }
 
+/// Runs the body of a function on a controller, after those of other threads, and returns its status.
+pub(super) fn on(id: u64, body: impl FnOnce(&mut Cell) -> Result<(), Failure>) -> Status {
+    super::enter(|| with(id, body))
+}
+
 /// Runs calls on a controller, after those of other threads.
 pub(super) fn with<T>(id: u64, calls: impl FnOnce(&mut Cell) -> Result<T, Failure>) -> Result<T, Failure> {
     let Object::Controller { cell, .. } = find(id, false)? else { return Err(BCAP_E_HANDLE.into()) };
@@ -134,8 +132,8 @@ pub(super) fn close_controller(id: u64) -> Result<(), Failure> {
 
 fn end(cell: &mut Cell) -> Result<(), Failure> {
     if let Some(stream) = cell.stream.take() {
-        let (controller, _) = stream.stop();
-        cell.controller = controller;
+        // the end of the session matters, not the outcome of the stream
+        (cell.controller, _) = stream.end(Next::Stop);
     }
     cell.motion = None;
     Ok(cell.controller.take().map_or(Ok(()), Controller::close)?)
