@@ -290,6 +290,36 @@ struct Line<'a> {
     hint: Option<Cow<'a, str>>,
 }
 
+/// The hint for a command that would end a stream.
+pub(crate) const AFTER_STREAM: &str =
+    "wait for the end of the stream; `bcap get @ERROR_CODE` reads the latest error and does not end it";
+
+impl bcap_live::calls::Failure for Failure {
+    fn code(&self) -> Option<HResult> {
+        if let Self::Refused { code, .. } = self { Some(*code) } else { None }
+    }
+
+    fn is_lost(&self) -> bool {
+        !self.leaves_the_session_alive()
+    }
+
+    fn skipped(message: String) -> Self {
+        Self::Unfit { message, code: Some(HResult::E_SLVMODE_ON), hint: Some(AFTER_STREAM.into()) }
+    }
+
+    fn is_skipped(&self) -> bool {
+        matches!(self, Self::Unfit { .. })
+    }
+
+    fn unexpected(message: String) -> Self {
+        Self::Unexpected { message, hint: "use `bcap call` to see the reply: it prints any value".into() }
+    }
+
+    fn invalid(message: String) -> Self {
+        Self::Input(message)
+    }
+}
+
 /// Returns the hint of a code, with the commands of `bcap` in place of the functions of the protocol.
 pub(crate) fn hint_of(code: HResult) -> Option<String> {
     const COMMANDS: [(&str, &str); 3] = [

@@ -14,7 +14,7 @@ use graph::Arrows;
 use source::Source;
 
 /// The crates whose files are read, and their folders.
-const CRATES: [(&str, &str); 16] = [
+const CRATES: [(&str, &str); 17] = [
     ("bcap-core", "core"),
     ("bcap-gateway", "core/gateway"),
     ("bcap-std", "std-adapter"),
@@ -26,6 +26,7 @@ const CRATES: [(&str, &str); 16] = [
     ("bcap-service", "std-adapter/service"),
     ("bcap-conform", "std-adapter/conform"),
     ("bcap-fleet", "std-adapter/fleet"),
+    ("bcap-live", "std-adapter/live"),
     ("bcap-cli", "std-adapter/cli"),
     ("bcap-terminal", "std-adapter/terminal"),
     ("bcap-embassy", "embassy-adapter"),

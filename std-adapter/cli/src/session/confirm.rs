@@ -6,15 +6,12 @@
 use std::io::{self, BufRead, IsTerminal, Write};
 use std::time::Duration;
 
-use bcap_core::variant::OwnedVariant;
+use bcap_live::variables::is_virtual;
 use bcap_terminal::escape;
 
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::session::Session;
-
-/// The variables that identify a virtual controller, with their values.
-const VIRTUAL: [(&str, &str); 2] = [("@FIRMWARE", "bcap-sim"), ("@SERIAL_NO", "VIRTUAL")];
 
 /// How often a question looks for a signal.
 const LOOK: Duration = Duration::from_millis(50);
@@ -119,19 +116,5 @@ fn has_line() -> io::Result<bool> {
 /// Reading the line waits for it.
 #[cfg(not(unix))]
 fn has_line() -> io::Result<bool> {
-    Ok(true)
-}
-
-/// Returns whether the controller says beyond doubt that it is a virtual one.
-fn is_virtual(session: &mut Session) -> Result<bool, Failure> {
-    for (name, expected) in VIRTUAL {
-        let value = session.with(|controller| controller.read::<OwnedVariant>(name));
-        let is_expected = |value: &OwnedVariant| value.as_variant().as_bstr().is_some_and(|text| text == *expected);
-        match value {
-            Ok(value) if is_expected(&value) => {}
-            Err(failure) if !failure.leaves_the_session_alive() => return Err(failure),
-            Ok(_) | Err(_) => return Ok(false),
-        }
-    }
     Ok(true)
 }

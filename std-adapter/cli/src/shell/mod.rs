@@ -10,6 +10,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::{env, process};
 
 use bcap_core::bcap::FunctionId;
+use bcap_live::messages::next_message;
 use bcap_std::ObjectPath;
 use bcap_terminal::signal::{self, Signal};
 use rustyline::completion::{Completer, FilenameCompleter};
@@ -17,7 +18,6 @@ use rustyline::error::ReadlineError;
 use rustyline::history::FileHistory;
 use rustyline::{Config, Context, Editor};
 
-use crate::commands::robot::messages::next_message;
 use crate::commands::variables::names::all_names;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;

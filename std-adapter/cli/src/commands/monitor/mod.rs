@@ -12,9 +12,10 @@ use std::time::{Duration, Instant};
 
 use bcap_capture::trace::Level;
 use bcap_capture::{Role, duration};
+use bcap_live::model;
 use bcap_terminal::screen::{Terminal, require};
 use clap::Args;
-use reader::{Reader, Request};
+use reader::{Reader, Request, ScreenLink};
 use state::{ALL_KEYS, Action, HALTED, State, Update, not_halted};
 
 use crate::commands::robot::halt::halt_now;
@@ -93,8 +94,7 @@ pub(crate) fn monitor(args: &Monitor, session: &mut Session, json: bool) -> Resu
         interrupt: interrupt.clone(),
         names: Vec::new(),
         interval: args.interval,
-        updates: updates.clone(),
-        requests: request,
+        screen: ScreenLink { updates: updates.clone(), requests: request },
     };
     // a wrong address or selection is an error; only a connection that was open before is tried again
     reader.connect()?;
@@ -153,7 +153,7 @@ impl LiveScreen {
             // the outcomes of the others are drawn below
             self.halts.retain(|halt| !halt.is_finished());
             while let Ok((role, text)) = self.packet.try_recv() {
-                self.state.apply(Update::Packet(role, text));
+                self.state.apply(Update::Live(model::Update::Packet(role, text)));
             }
             while let Ok(update) = self.update.try_recv() {
                 self.state.apply(update);

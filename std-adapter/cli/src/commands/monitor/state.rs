@@ -1,23 +1,17 @@
 //! The state of `bcap monitor`, and the effects of its keys. The state reads neither the clock nor the terminal.
 
-use std::collections::VecDeque;
+use std::collections::BTreeSet;
 use std::time::Duration;
 
-use bcap_capture::Role;
-use bcap_core::variant::Variant;
-use bcap_std::ObjectPath;
+use bcap_core::hresult::HResult;
+use bcap_live::errors::{described, short};
+use bcap_live::model::{self, Model, Robot, Variable};
+use bcap_live::write::Write;
 use bcap_terminal::screen::{KeyCode, KeyEvent, KeyModifiers, Line, Mark, Panel, Part, Screen};
 
-use crate::commands::screen::{CallLog, MARKED, numbered, robot_lines};
-use crate::failure::Failure;
-use crate::values::Value;
+use crate::commands::screen::{calls_panel, log_key, log_panel, numbered, robot_lines};
+use crate::failure::{Failure, hint_of};
 use bcap_capture::value::data;
-
-/// The values of a sparkline that are kept.
-const HISTORY: usize = 60;
-
-/// The messages that are kept.
-const MESSAGES: usize = 200;
 
 const KEYS: &str = "q quit  h HALT  w write  ? keys  Tab panel  Enter details  / filter  s sort";
 
@@ -53,12 +47,9 @@ enum Focus {
 #[derive(Debug, Default)]
 pub(crate) struct State {
     address: String,
-    /// Why there is no connection.
-    lost: Option<String>,
-    /// The words of the controller's state.
-    words: Vec<String>,
-    has_error: bool,
-    variables: Vec<Variable>,
+    model: Model,
+    /// The names of the variables that the user has marked.
+    marked: BTreeSet<String>,
     focus: Focus,
     /// The selected line of the panel.
     selected: usize,
@@ -67,48 +58,12 @@ pub(crate) struct State {
     sorts_by_change: bool,
     /// Whether the calls by object are shown in place of the variables.
     shows_calls: bool,
-    robot: Robot,
-    tasks: Vec<(String, String)>,
-    /// In one line, and with the meaning and the remedy; the first cause first.
-    errors: Vec<(String, String)>,
-    messages: VecDeque<String>,
-    log: CallLog,
     input: Input,
     notice: Line,
     /// A long text in place of the panels.
     overlay: Option<Panel>,
     /// The name and the value that the last write replaced.
     undo: Option<(String, String)>,
-    now: Duration,
-}
-
-/// A variable and its last values.
-#[derive(Debug, Default)]
-struct Variable {
-    name: String,
-    text: String,
-    value: Option<Value>,
-    changed: Option<Duration>,
-    history: Vec<f64>,
-    is_marked: bool,
-}
-
-/// The content of the robot's panel. Values that the controller does not have are missing.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Robot {
-    pub(crate) joints: Vec<f64>,
-    pub(crate) position: Vec<f64>,
-    pub(crate) tool: Option<String>,
-    pub(crate) work: Option<String>,
-    pub(crate) speed: Option<String>,
-}
-
-/// A value to write, which has been checked.
-#[derive(Clone, Debug)]
-pub(crate) struct Write {
-    pub(crate) path: ObjectPath,
-    pub(crate) value: Value,
-    pub(crate) before: Value,
 }
 
 /// The text that the user is typing.
@@ -127,19 +82,8 @@ enum Input {
 /// A result of the reader.
 #[derive(Debug)]
 pub(crate) enum Update {
-    /// The connection is open, and these are the variables.
-    Connected(Vec<String>),
-    /// The connection is lost.
-    Lost(String),
-    /// A variable was read, or refused.
-    Value(usize, Result<Value, String>),
-    /// The words of the controller's state, and whether it has an error.
-    State(Vec<String>, bool),
-    Robot(Robot),
-    Tasks(Vec<(String, String)>),
-    Errors(Vec<(String, String)>),
-    Message(String),
-    Packet(Role, String),
+    /// The controller was read.
+    Live(model::Update),
     /// A value that was typed was checked.
     Checked(Result<Box<Write>, String>),
     /// The outcome of a write, or a remark.
@@ -167,30 +111,23 @@ pub(crate) enum Action {
 
 impl State {
     pub(crate) fn new(address: String, shows_calls: bool) -> Self {
-        Self { address, lost: Some("connecting".into()), shows_calls, ..Self::default() }
+        Self { address, shows_calls, ..Self::default() }
     }
 
     /// Sets the time since the start.
     pub(crate) fn set_time(&mut self, now: Duration) {
-        self.now = now;
+        self.model.now = now;
     }
 
     pub(crate) fn apply(&mut self, update: Update) {
         match update {
-            Update::Connected(names) => self.connected(names),
-            Update::Lost(why) => self.lost = Some(why),
-            Update::Value(n, value) => self.value(n, value),
-            Update::State(words, has_error) => (self.words, self.has_error) = (words, has_error),
-            Update::Robot(robot) => self.robot = robot,
-            Update::Tasks(tasks) => self.tasks = tasks,
-            Update::Errors(errors) => self.errors = errors,
-            Update::Message(text) => {
-                if self.messages.len() >= MESSAGES {
-                    self.messages.pop_front();
+            Update::Live(update) => {
+                let count = self.model.variables.len();
+                self.model.apply(update);
+                if self.model.variables.len() != count {
+                    self.selected = 0;
                 }
-                self.messages.push_back(text);
             }
-            Update::Packet(role, text) => self.log.packet(role, &text, self.now),
             Update::Checked(Ok(write)) if matches!(self.input, Input::None) => self.input = Input::Asking(write),
             // a `y` that the user types now is no answer
             Update::Checked(Ok(write)) => self.notice = Line::alarm(format!("{} was not written", write.path)),
@@ -199,38 +136,6 @@ impl State {
             Update::Halted(Ok(())) => self.notice = Line::new(HALTED),
             Update::Halted(Err(failure)) => self.notice = Line::alarm(not_halted(&failure)),
         }
-    }
-
-    /// The connection is open. Variables that were shown before keep their history.
-    fn connected(&mut self, names: Vec<String>) {
-        self.lost = None;
-        if !names.iter().eq(self.variables.iter().map(|variable| &variable.name)) {
-            let new = |name| Variable { name, ..Variable::default() };
-            self.variables = names.into_iter().map(new).collect();
-            self.selected = 0;
-        }
-    }
-
-    fn value(&mut self, n: usize, value: Result<Value, String>) {
-        let Some(variable) = self.variables.get_mut(n) else { return };
-        let value = match value {
-            Ok(value) => value,
-            Err(why) => {
-                (variable.text, variable.value) = (why, None);
-                return;
-            }
-        };
-        if variable.value.as_ref().is_some_and(|before| *before != value) {
-            variable.changed = Some(self.now);
-        }
-        variable.text = data::format(value.as_variant());
-        if let Some(number) = number(value.as_variant()) {
-            if variable.history.len() >= HISTORY {
-                variable.history.remove(0);
-            }
-            variable.history.push(number);
-        }
-        variable.value = Some(value);
     }
 
     /// Handles a key.
@@ -273,9 +178,11 @@ impl State {
             },
             KeyCode::Char('/') => (self.focus, self.selected, self.input) = (Focus::Variables, 0, Input::Filtering),
             KeyCode::Char(' ') => {
-                let name = self.selected_name();
-                let selected = self.variables.iter_mut().filter(|variable| Some(&variable.name) == name.as_ref());
-                selected.for_each(|variable| variable.is_marked = !variable.is_marked);
+                if let Some(name) = self.selected_name()
+                    && !self.marked.remove(&name)
+                {
+                    self.marked.insert(name);
+                }
             }
             KeyCode::Char('o') => (self.shows_calls, self.selected) = (!self.shows_calls, 0),
             KeyCode::Char('s') => self.sorts_by_change = !self.sorts_by_change,
@@ -287,7 +194,7 @@ impl State {
             KeyCode::Down => self.selected = (self.selected + 1).min(last),
             KeyCode::Home => self.selected = 0,
             KeyCode::End => self.selected = last,
-            key => self.log.key(key),
+            key => log_key(&mut self.model.log, key),
         }
         None
     }
@@ -322,7 +229,7 @@ impl State {
             Focus::Tasks => self.tasks_panel(),
             Focus::Errors => self.errors_panel(),
             Focus::Messages => self.messages_panel(),
-            Focus::Packets => self.log.panel("packets"),
+            Focus::Packets => log_panel(&self.model.log, "packets"),
         }
     }
 
@@ -330,8 +237,9 @@ impl State {
     fn details(&self) -> Option<Panel> {
         let panel = self.focused();
         let line = panel.lines.get(self.selected)?;
-        let text = match self.errors.get(self.selected) {
-            Some((_, details)) if self.focus == Focus::Errors => details.clone(),
+        let error = self.model.errors.as_ref().ok().and_then(|errors| errors.get(self.selected));
+        let text = match error {
+            Some((code, text)) if self.focus == Focus::Errors => explained(*code, text),
             _ if line.name.is_empty() => line.text.clone(),
             _ => format!("{} = {}", line.name, line.text),
         };
@@ -371,21 +279,21 @@ impl State {
 
     /// Returns the present content.
     pub(crate) fn screen(&self) -> Screen {
-        let state = match &self.lost {
+        let state = match &self.model.lost {
             Some(why) => format!("NOT CONNECTED: {why}"),
-            None => self.words.join(" "),
+            None => self.model.words.join(" "),
         };
         let (notice, keys) = self.footer();
         let mut screen = Screen {
             title: format!("bcap monitor {}", self.address),
             state,
-            alarm: self.lost.is_some() || self.has_error,
+            alarm: self.model.lost.is_some() || self.model.has_error,
             values: self.variables_panel(),
-            robot: self.robot.panel(),
+            robot: robot_panel(&self.model.robot),
             tasks: self.tasks_panel(),
             errors: self.errors_panel(),
             messages: self.messages_panel(),
-            log: self.log.panel("packets"),
+            log: log_panel(&self.model.log, "packets"),
             notice,
             keys,
             overlay: self.overlay.clone(),
@@ -403,48 +311,54 @@ impl State {
 
     fn tasks_panel(&self) -> Panel {
         let line = |(name, status): &(String, String)| Line::new(format!("{name:16} {status}"));
-        Panel::new("tasks", self.tasks.iter().map(line).collect())
+        Panel::new("tasks", self.model.tasks.iter().map(line).collect())
     }
 
     fn errors_panel(&self) -> Panel {
-        let title = match self.errors.len() {
+        let errors = match &self.model.errors {
+            Ok(errors) => errors,
+            Err(skipped) => return Panel::new("errors", vec![Line::new(skipped)]),
+        };
+        let title = match errors.len() {
             0 | 1 => "errors".into(),
             count => format!("{count} errors, first cause first"),
         };
-        let none = self.errors.is_empty() && !self.has_error && !self.words.is_empty();
-        let lines = self.errors.iter().map(|(line, _)| Line::new(line)).chain(none.then(|| Line::new("no errors")));
-        Panel::new(title, lines.collect())
+        let none = errors.is_empty() && !self.model.has_error && !self.model.words.is_empty();
+        let lines = errors.iter().map(|(code, text)| Line::new(short(*code, text)));
+        Panel::new(title, lines.chain(none.then(|| Line::new("no errors"))).collect())
     }
 
     fn messages_panel(&self) -> Panel {
-        Panel::new("messages, latest first", self.messages.iter().rev().map(Line::new).collect())
+        Panel::new("messages, latest first", self.model.messages.iter().rev().map(Line::new).collect())
     }
 
     /// Returns the variables that the filter shows, in their order.
     fn shown(&self) -> impl Iterator<Item = &Variable> {
-        let mut shown: Vec<_> = self.variables.iter().filter(|variable| variable.name.contains(&self.filter)).collect();
+        let mut shown: Vec<_> =
+            self.model.variables.iter().filter(|variable| variable.name.contains(&self.filter)).collect();
         if self.sorts_by_change {
             shown.sort_by_key(|variable| std::cmp::Reverse(variable.changed));
         }
-        shown.sort_by_key(|variable| !variable.is_marked);
+        shown.sort_by_key(|variable| !self.marked.contains(&variable.name));
         shown.into_iter()
     }
 
     fn variables_panel(&self) -> Panel {
         if self.shows_calls {
-            return self.log.table(self.now);
+            return calls_panel(&self.model.log, self.model.now);
         }
-        let line = |variable: &Variable| {
-            let is_marked = variable.changed.is_some_and(|at| self.now < at + MARKED);
-            Line {
-                history: variable.history.clone(),
-                mark: if is_marked { Mark::Changed } else { Mark::Plain },
-                ..Line::named(&variable.name, &variable.text)
-            }
+        let line = |variable: &Variable| Line {
+            history: variable.history.clone(),
+            mark: if variable.has_changed(self.model.now) { Mark::Changed } else { Mark::Plain },
+            ..Line::named(&variable.name, &variable.text)
         };
         let filter = if self.filter.is_empty() { String::new() } else { format!(" with {}", self.filter) };
         let order = if self.sorts_by_change { ", latest change first" } else { "" };
-        let marked = if self.variables.iter().any(|variable| variable.is_marked) { ", marked ones first" } else { "" };
+        let marked = if self.model.variables.iter().any(|variable| self.marked.contains(&variable.name)) {
+            ", marked ones first"
+        } else {
+            ""
+        };
         Panel::new(format!("variables{filter}{order}{marked}"), self.shown().map(line).collect())
     }
 
@@ -489,33 +403,34 @@ fn whole<'a>(title: &str, lines: impl IntoIterator<Item = &'a str>) -> Panel {
     Panel::new(title, lines.into_iter().map(Line::new).collect()).showing(Part::Wrapped)
 }
 
-impl Robot {
-    fn panel(&self) -> Panel {
-        let mut lines = robot_lines(&self.joints, &self.position);
-        let figure = self.position.get(6).map(ToString::to_string);
-        let line = numbered(&[
-            ("FIG", figure),
-            ("tool", self.tool.clone()),
-            ("work", self.work.clone()),
-            ("ext speed", self.speed.as_ref().map(|speed| format!("{speed} %"))),
-        ]);
-        if !line.is_empty() {
-            lines.push(Line::new(line));
-        }
-        Panel::new("robot, degrees and mm", lines)
+fn robot_panel(robot: &Robot) -> Panel {
+    let mut lines = robot_lines(&robot.joints, &robot.position);
+    let figure = robot.position.get(6).map(ToString::to_string);
+    let line = numbered(&[
+        ("FIG", figure),
+        ("tool", robot.tool.clone()),
+        ("work", robot.work.clone()),
+        ("ext speed", robot.speed.as_ref().map(|speed| format!("{speed} %"))),
+    ]);
+    if !line.is_empty() {
+        lines.push(Line::new(line));
     }
+    Panel::new("robot, degrees and mm", lines)
 }
 
-/// Returns the number of a scalar, for a sparkline.
-fn number(value: Variant<'_>) -> Option<f64> {
-    match value {
-        Variant::Bool(on) => Some(f64::from(u8::from(on))),
-        value => value.as_f64(),
-    }
+/// Formats an error with its meaning, its text, and what to do.
+fn explained(code: HResult, text: &str) -> String {
+    let hint = hint_of(code).map(|hint| format!(" Hint: {hint}")).unwrap_or_default();
+    format!("{}{hint}", described(code, text))
 }
 
 #[cfg(test)]
 mod tests {
+    use bcap_capture::Role;
+    use bcap_core::variant::OwnedVariant as Value;
+    use bcap_live::model::Update as Live;
+    use bcap_std::ObjectPath;
+
     use super::*;
 
     fn text(screen: &Screen) -> Vec<String> {
@@ -528,8 +443,8 @@ mod tests {
 
     fn state() -> State {
         let mut state = State::new("tcp:robot".into(), false);
-        state.apply(Update::Connected(vec!["I1".into(), "IO128".into()]));
-        state.apply(Update::Value(0, value(3)));
+        state.apply(Update::Live(Live::Connected(vec!["I1".into(), "IO128".into()])));
+        state.apply(Update::Live(Live::Value(0, value(3))));
         state
     }
 
@@ -542,9 +457,9 @@ mod tests {
         let mut state = state();
         assert_eq!(state.screen().values.lines[0].mark, Mark::Plain);
         state.set_time(Duration::from_secs(5));
-        state.apply(Update::Value(0, value(4)));
-        state.apply(Update::Value(1, Ok(Value::new(&true).unwrap())));
-        state.apply(Update::Value(9, value(4)));
+        state.apply(Update::Live(Live::Value(0, value(4))));
+        state.apply(Update::Live(Live::Value(1, Ok(Value::new(&true).unwrap()))));
+        state.apply(Update::Live(Live::Value(9, value(4))));
         let screen = state.screen();
         assert_eq!(text(&screen), ["I1 = 4", "IO128 = true"]);
         let marks = screen.values.lines.iter().map(|line| (line.mark, line.history.clone())).collect::<Vec<_>>();
@@ -557,11 +472,11 @@ mod tests {
     #[test]
     fn a_lost_connection_is_shown_and_values_stay() {
         let mut state = state();
-        state.apply(Update::Lost("the cable is broken".into()));
+        state.apply(Update::Live(Live::Lost("the cable is broken".into())));
         let screen = state.screen();
         assert_eq!((screen.state.as_str(), screen.alarm), ("NOT CONNECTED: the cable is broken", true));
-        state.apply(Update::Connected(vec!["I1".into(), "IO128".into()]));
-        state.apply(Update::State(vec!["RC8".into(), "auto".into()], false));
+        state.apply(Update::Live(Live::Connected(vec!["I1".into(), "IO128".into()])));
+        state.apply(Update::Live(Live::State(vec!["RC8".into(), "auto".into()], false)));
         let screen = state.screen();
         assert_eq!((screen.state.as_str(), screen.alarm), ("RC8 auto", false));
         assert_eq!(screen.values.lines[0].history, [3.0]);
@@ -616,8 +531,8 @@ mod tests {
     #[test]
     fn six_errors_are_one_line_each_and_enter_explains_one() {
         let mut state = state();
-        let error = |n: u8| (format!("error {n}"), format!("error {n}: its meaning. Hint: its remedy"));
-        state.apply(Update::Errors((1..=6).map(error).collect()));
+        let error = |n: u8| (HResult::E_MOTOR_OFF, format!("error {n}"));
+        state.apply(Update::Live(Live::Errors(Ok((1..=6).map(error).collect()))));
         assert_eq!(state.screen().errors.title, "6 errors, first cause first");
         assert_eq!((state.screen().errors.lines.len(), state.screen().errors.view), (6, Part::First));
         for key in [KeyCode::Tab, KeyCode::Tab, KeyCode::Down, KeyCode::Enter] {
@@ -626,7 +541,10 @@ mod tests {
         let screen = state.screen();
         assert_eq!((screen.errors.view, screen.values.view), (Part::Around(1), Part::First));
         let overlay = screen.overlay.unwrap();
-        assert_eq!(overlay.lines, [Line::new("error 2: its meaning. Hint: its remedy")]);
+        let meaning = HResult::E_MOTOR_OFF.meaning().unwrap();
+        let hint = hint_of(HResult::E_MOTOR_OFF).unwrap();
+        let expected = format!("{} {meaning} The controller says: error 2 Hint: {hint}", HResult::E_MOTOR_OFF);
+        assert_eq!(overlay.lines, [Line::new(expected)]);
         // the details do not hide the halt, and any other key closes them
         assert!(matches!(typed(&mut state, "H"), Some(Action::Halt)));
         state.key(KeyCode::Enter.into());
@@ -640,8 +558,8 @@ mod tests {
     fn the_filter_and_the_order_choose_the_variable_that_is_written() {
         let mut state = state();
         state.set_time(Duration::from_secs(1));
-        state.apply(Update::Value(1, value(1)));
-        state.apply(Update::Value(1, value(2)));
+        state.apply(Update::Live(Live::Value(1, value(1))));
+        state.apply(Update::Live(Live::Value(1, value(2))));
         typed(&mut state, "s");
         assert_eq!(text(&state.screen()), ["IO128 = 2", "I1 = 3"]);
         typed(&mut state, "/1h");
@@ -670,7 +588,7 @@ mod tests {
         state.key(KeyCode::Home.into());
         typed(&mut state, " ");
         assert_eq!(text(&state.screen())[0], "I1 = 3");
-        let packet = |state: &mut State, role, text: &str| state.apply(Update::Packet(role, text.into()));
+        let packet = |state: &mut State, role, text: &str| state.apply(Update::Live(Live::Packet(role, text.into())));
         packet(&mut state, Role::Request, "#1 Controller_GetVariable(controller: I4(1), name: \"I1\", option: \"\")");
         packet(&mut state, Role::Response, "#1 0x00000000 (S_OK): I4(6)");
         for (second, value) in [(1, 7), (2, 7), (3, 8)] {

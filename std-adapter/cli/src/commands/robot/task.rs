@@ -2,7 +2,8 @@
 
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::variant::Variant;
-use bcap_std::{ObjectPath, TaskStart, TaskStatus, TaskStop};
+use bcap_live::reader::status_text;
+use bcap_std::{ObjectPath, TaskStart, TaskStop};
 use clap::{Args, Subcommand};
 use serde_json::json;
 
@@ -154,16 +155,4 @@ fn list_tasks(session: &mut Session, json: bool) -> Result<(), Failure> {
 /// Returns a number, or the first one of an array, such as the line of `@LINE_NO`.
 fn first_number(value: Variant<'_>) -> Option<f64> {
     value.as_array().and_then(|array| array.iter().next()).unwrap_or(value).as_f64()
-}
-
-/// Returns the name of a status.
-pub(crate) fn status_text(status: TaskStatus) -> String {
-    match status {
-        TaskStatus::None => "none".into(),
-        TaskStatus::Suspended => "suspended".into(),
-        TaskStatus::Ready => "ready".into(),
-        TaskStatus::Running => "running".into(),
-        TaskStatus::StoppedAtStep => "stopped at a step".into(),
-        other => format!("{other:?}"),
-    }
 }

@@ -3,5 +3,5 @@
 mod log;
 mod robot;
 
-pub(crate) use log::{CallLog, MARKED};
+pub(crate) use log::{calls_panel, log_key, log_panel};
 pub(crate) use robot::{numbered, robot_lines};

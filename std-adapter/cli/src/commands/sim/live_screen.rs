@@ -12,6 +12,7 @@ use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::rac::{Request as RacRequest, server as rac};
 use bcap_core::time::Instant;
+use bcap_live::log::CallLog;
 use bcap_sim::explain::Observer;
 use bcap_sim::{Controller, Mode};
 use bcap_std::server::Server;
@@ -19,7 +20,7 @@ use bcap_terminal::escape;
 use bcap_terminal::screen::{KeyCode, Line, Panel, Part, Screen};
 
 use super::delivery::deliver;
-use crate::commands::screen::{CallLog, numbered, robot_lines};
+use crate::commands::screen::{log_key, log_panel, numbered, robot_lines};
 
 /// The refused and tolerated arguments that are kept.
 const KEPT: usize = 200;
@@ -157,7 +158,7 @@ impl Watched {
                 self.refused.lines().iter().rev().map(Line::new).collect(),
             )
             .showing(Part::Wrapped),
-            log: self.log.panel("calls"),
+            log: log_panel(&self.log, "calls"),
             notice: Line::new(addresses),
             keys: KEYS.into(),
             overlay: None,
@@ -255,7 +256,7 @@ pub(super) fn shown(addresses: &str, watched: &Shared) -> impl FnMut(&[KeyCode])
     let (addresses, watched) = (addresses.to_owned(), Arc::clone(watched));
     move |keys| {
         let mut watched = watched.lock().unwrap_or_else(PoisonError::into_inner);
-        keys.iter().for_each(|key| watched.log.key(*key));
+        keys.iter().for_each(|key| log_key(&mut watched.log, *key));
         watched.screen(&addresses, bcap_std::now())
     }
 }

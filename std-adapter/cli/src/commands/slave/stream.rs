@@ -23,12 +23,11 @@ use bcap_stream::status::StreamStatus;
 
 use super::progress::Monitor;
 use crate::commands::slave::args::StreamArgs;
-use crate::failure::Failure;
+use crate::failure::{AFTER_STREAM, Failure};
 use crate::interrupt::Interrupt;
 use crate::link::LinkArgs;
 use crate::output::{note, print_block, print_json};
 use crate::session::connect::{failed, not_connected, unrecorded};
-use crate::session::slave_mode::AFTER_STREAM;
 use crate::session::traffic::taped;
 
 /// The attempts of a call over UDP and serial lines, which share the time limit.

@@ -1,0 +1,113 @@
+//! The present errors of a controller. While a stream of Slave Mode runs, nothing is sent that would end it.
+
+use bcap_core::bcap::{FunctionId, StreamState};
+use bcap_core::hresult::HResult;
+use bcap_core::variant::{Encode, OwnedVariant, Variant};
+
+use bcap_capture::value::data;
+
+use crate::calls::{Calls, execute};
+use crate::stream::StreamCheck;
+
+/// Reads the present errors with their texts, the first cause first.
+///
+/// # Errors
+///
+/// [`Failure::skipped`](crate::calls::Failure::skipped) while a stream runs, or the error of a call.
+pub fn present<C: Calls>(calls: &mut C, check: &mut StreamCheck) -> Result<Vec<(HResult, String)>, C::Error> {
+    // the last one is the first cause
+    (0..count(calls, check)?).rev().map(|index| error(calls, check, index)).collect()
+}
+
+/// Reads the number of present errors.
+///
+/// # Errors
+///
+/// As [`present`].
+pub fn count<C: Calls>(calls: &mut C, check: &mut StreamCheck) -> Result<i32, C::Error> {
+    let count = checked(calls, check, "GetCurErrorCount", &())?;
+    Ok(count.as_variant().as_i32().unwrap_or(0).max(0))
+}
+
+/// Reads a present error and its text.
+///
+/// # Errors
+///
+/// As [`present`].
+pub fn error<C: Calls>(calls: &mut C, check: &mut StreamCheck, index: i32) -> Result<(HResult, String), C::Error> {
+    let info = checked(calls, check, "GetCurErrorInfo", &index)?;
+    let elements: Vec<Variant<'_>> = info.as_variant().as_array().map(|info| info.iter().collect()).unwrap_or_default();
+    let code = elements.first().and_then(|code| code.as_i32()).map(HResult);
+    let message = elements.get(1).map(|message| data::format(*message)).unwrap_or_default();
+    Ok((code.unwrap_or_default(), message))
+}
+
+/// Clears the errors.
+///
+/// # Errors
+///
+/// As [`present`].
+pub fn clear<C: Calls>(calls: &mut C) -> Result<(), C::Error> {
+    let mut check = StreamCheck::default();
+    // any other answer lets the user clear: a controller with errors may refuse slvGetMode
+    if check.ask(calls)? == StreamState::Runs {
+        check.require(calls, FunctionId::CONTROLLER_EXECUTE, Some("ClearError"))?;
+    }
+    execute(calls, "ClearError", &()).map(drop)
+}
+
+/// Executes a command of the controller, unless it would end a stream.
+///
+/// # Errors
+///
+/// As [`present`].
+pub fn checked<C: Calls>(
+    calls: &mut C,
+    check: &mut StreamCheck,
+    command: &str,
+    parameter: &impl Encode,
+) -> Result<OwnedVariant, C::Error> {
+    check.require(calls, FunctionId::CONTROLLER_EXECUTE, Some(command))?;
+    execute(calls, command, parameter)
+}
+
+/// Formats an error: its code, its meaning, and the controller's own text if that says something else.
+#[must_use]
+pub fn described(code: HResult, text: &str) -> String {
+    let own = own(code, text);
+    match code.meaning() {
+        Some(meaning) if own.is_empty() => format!("{code} {meaning}"),
+        Some(meaning) if !own.contains(meaning) => format!("{code} {meaning} The controller says: {own}"),
+        _ => format!("{code} {own}"),
+    }
+}
+
+/// Formats an error in one line.
+#[must_use]
+pub fn short(code: HResult, text: &str) -> String {
+    let own = own(code, text);
+    format!("{:#010X} {}", code.to_u32(), if own.is_empty() { code.meaning().unwrap_or_default() } else { own })
+}
+
+/// Returns the controller's own text; some controllers begin it with the name of the code.
+#[must_use]
+pub fn own(code: HResult, text: &str) -> &str {
+    code.name().and_then(|name| text.strip_prefix(name)?.strip_prefix(": ")).unwrap_or(text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_has_its_meaning_once_and_then_the_text_of_the_controller() {
+        let (code, meaning) = (HResult::E_MOTOR_OFF, HResult::E_MOTOR_OFF.meaning().unwrap());
+        for same in ["", meaning, &format!("E_MOTOR_OFF: {meaning}")] {
+            assert_eq!(described(code, same), format!("{code} {meaning}"));
+        }
+        assert_eq!(described(code, "Motor is off."), format!("{code} {meaning} The controller says: Motor is off."));
+        let unknown = HResult::from_u32(0x8550_F001);
+        assert!(described(unknown, "New fault.").ends_with("published meaning. The controller says: New fault."));
+        assert_eq!(described(HResult(-1), "text"), "0xffffffff text");
+    }
+}

@@ -1,0 +1,12 @@
+#![doc = include_str!("../README.md")]
+
+pub mod calls;
+pub mod errors;
+pub mod link;
+pub mod log;
+pub mod messages;
+pub mod model;
+pub mod reader;
+pub mod stream;
+pub mod variables;
+pub mod write;

@@ -1,0 +1,278 @@
+//! A session with a controller for programs that only show it, and the session that halts its robot.
+
+use std::collections::HashMap;
+use std::time::Duration;
+
+use bcap_capture::trace::{Packets, Wire};
+use bcap_core::bcap::client::Timing;
+use bcap_core::bcap::{FunctionId, Object};
+use bcap_core::error::EncodeError;
+use bcap_core::hresult::HResult;
+use bcap_core::variant::OwnedVariant;
+use bcap_std::blocking::{self, Connection, Controller, Halted, Transport};
+use bcap_std::{
+    Address, AddressError, ConnectError, Examination, Model, ObjectPath, ObjectPathError, Options, Protocol, TaskStatus,
+};
+
+use crate::calls::{self, Calls, needs_reconnect};
+
+/// The time limit of each call, and of connecting. A controller that is switched off is seen within this time.
+const LIMIT: Duration = Duration::from_secs(3);
+
+/// The time limit of each call of a halt, with its keep-alives: a robot needs time to come to rest.
+const HALT_LIMIT: Duration = Duration::from_secs(10);
+
+/// Where a controller is, and the arguments of Controller_Connect.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Access {
+    /// The address. A serial line carries one session, so it has no second one for a halt.
+    pub address: Address,
+    /// The provider; `None` for the one of an RC8, or of an RC9 if the controller refuses that.
+    pub provider: Option<String>,
+    /// The machine that the provider runs on, seen from the controller; `None` for its default.
+    pub machine: Option<String>,
+    /// The option of Controller_Connect.
+    pub option: String,
+}
+
+impl Access {
+    /// Returns the machine of Controller_Connect (b-CAP specification for RC9, Table 6-1).
+    fn machine(&self, provider: &str) -> &str {
+        match (&self.machine, &self.address) {
+            (Some(machine), _) => machine,
+            (None, Address::Network(server)) if provider == Model::Rc9.provider() => &server.host,
+            _ => "localhost",
+        }
+    }
+}
+
+/// Why a call of a [`Link`] failed.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// The library's error.
+    #[error(transparent)]
+    Call(#[from] bcap_std::Error),
+    /// The call was not made, because it would end a stream of Slave Mode.
+    #[error("{0}")]
+    Skipped(String),
+    /// The reply does not fit the call.
+    #[error("{0}")]
+    Unexpected(String),
+    /// The input of the user is invalid.
+    #[error("{0}")]
+    Invalid(String),
+}
+
+impl From<EncodeError> for Error {
+    fn from(error: EncodeError) -> Self {
+        Self::Call(error.into())
+    }
+}
+
+impl From<ObjectPathError> for Error {
+    fn from(error: ObjectPathError) -> Self {
+        Self::Invalid(error.to_string())
+    }
+}
+
+impl From<ConnectError> for Error {
+    fn from(error: ConnectError) -> Self {
+        Self::Call(error.into())
+    }
+}
+
+impl From<AddressError> for Error {
+    fn from(error: AddressError) -> Self {
+        Self::Call(error.into())
+    }
+}
+
+impl calls::Failure for Error {
+    fn code(&self) -> Option<HResult> {
+        match self {
+            Self::Call(bcap_std::Error::Refused { code, .. }) => Some(*code),
+            _ => None,
+        }
+    }
+
+    fn is_lost(&self) -> bool {
+        // after a missing reply too: the controller may have ended the session meanwhile
+        matches!(self, Self::Call(bcap_std::Error::NoReply { .. } | bcap_std::Error::NotConnected { .. }))
+    }
+
+    fn skipped(message: String) -> Self {
+        Self::Skipped(message)
+    }
+
+    fn is_skipped(&self) -> bool {
+        matches!(self, Self::Skipped(_))
+    }
+
+    fn unexpected(message: String) -> Self {
+        Self::Unexpected(message)
+    }
+
+    fn invalid(message: String) -> Self {
+        Self::Invalid(message)
+    }
+}
+
+/// A session with a controller, whose packets are shown.
+#[derive(Debug)]
+pub struct Link {
+    controller: Controller,
+    /// The objects that stay open for the next use, by path.
+    objects: HashMap<String, i32>,
+}
+
+impl Link {
+    /// Connects to a controller, and starts a session; `packets` sees its bytes.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`] for a failed connection or a refused call; for a serial line.
+    pub fn connect(access: &Access, packets: &Packets) -> Result<Self, Error> {
+        let mut controller = open(&access.address, packets)?;
+        let timing = controller.timing();
+        controller.set_timing(Timing { deadline: LIMIT, keep_alive: LIMIT, ..timing });
+        controller.call_any("", FunctionId::SERVICE_START, &[OwnedVariant::new("WDT=400")?])?;
+        let connect = |controller: &mut Controller, provider: &str| {
+            let texts = ["", provider, access.machine(provider), &access.option];
+            let arguments = texts.into_iter().map(OwnedVariant::new).collect::<Result<Vec<_>, _>>()?;
+            controller.call_any("", FunctionId::CONTROLLER_CONNECT, &arguments)
+        };
+        match &access.provider {
+            Some(provider) => connect(&mut controller, provider)?,
+            None => match connect(&mut controller, Model::Rc8.provider()) {
+                Err(refused @ bcap_std::Error::Refused { .. }) => {
+                    connect(&mut controller, Model::Rc9.provider()).map_err(|_| refused)?
+                }
+                connected => connected?,
+            },
+        };
+        if !controller.is_connected() {
+            return Err(Error::Unexpected("Controller_Connect: the reply carries no handle".into()));
+        }
+        Ok(Self { controller, objects: HashMap::new() })
+    }
+
+    /// Reads the state of the robot. It sends nothing that would end a stream of Slave Mode.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`].
+    pub fn examine(&mut self) -> Result<Examination, Error> {
+        Ok(self.controller.robot()?.examine()?)
+    }
+}
+
+impl Calls for Link {
+    type Error = Error;
+
+    fn object(&mut self, path: &ObjectPath) -> Result<i32, Error> {
+        if path.object() == Object::Controller {
+            return Ok(self.controller.handle().0);
+        }
+        let name = path.to_string();
+        if let Some(handle) = self.objects.get(&name) {
+            return Ok(*handle);
+        }
+        let handle = self.controller.open(path)?;
+        self.objects.insert(name, handle);
+        Ok(handle)
+    }
+
+    fn call(
+        &mut self,
+        subject: &str,
+        function: FunctionId,
+        arguments: &[OwnedVariant],
+    ) -> Result<(HResult, Option<OwnedVariant>), Error> {
+        Ok(self.controller.call_any(subject, function, arguments)?)
+    }
+
+    fn release(&mut self, object: Object, handle: i32) -> Result<(), Error> {
+        self.objects.retain(|_, open| *open != handle);
+        Ok(self.controller.release(object, handle)?)
+    }
+
+    fn task_status(&mut self, name: &str) -> Result<TaskStatus, Error> {
+        Ok(self.controller.task(name)?.status()?)
+    }
+}
+
+/// Connects without starting a session.
+fn open(address: &Address, packets: &Packets) -> Result<Controller, Error> {
+    let options = Options::default().timeout(LIMIT);
+    let Address::Network(server) = address else { return Err(bcap_std::Error::NoSecondSession.into()) };
+    let peer = (server.host.as_str(), server.port);
+    Ok(match server.protocol {
+        Protocol::Tcp => tapped(blocking::connect_tcp(peer, &options)?, packets, Wire::Stream),
+        Protocol::Udp => tapped(blocking::connect_udp(peer, &options)?, packets, Wire::Datagrams),
+    })
+}
+
+fn tapped<X>(connection: Connection<X, Vec<u8>>, packets: &Packets, wire: Wire) -> Controller
+where
+    X: Transport<Error = std::io::Error> + Send + 'static,
+{
+    let (transport, client) = connection.into_parts();
+    Controller::unopened(Connection::new(packets.tap(transport, wire), client))
+}
+
+/// Halts the robot over a session that is open before it is needed. It is not an emergency stop.
+#[derive(Debug)]
+pub struct Stopper {
+    access: Access,
+    link: Option<Link>,
+}
+
+impl Stopper {
+    /// Returns a stopper without a session.
+    #[must_use]
+    pub const fn new(access: Access) -> Self {
+        Self { access, link: None }
+    }
+
+    /// Drops the session, because the controller may have started again.
+    pub fn renew(&mut self) {
+        self.link = None;
+    }
+
+    /// Opens the session and the robot, unless that has been done.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; a halt then opens them.
+    pub fn prepare(&mut self) -> Result<(), Error> {
+        if self.link.is_none() {
+            let mut link = Link::connect(&self.access, &Packets::new())?;
+            let timing = link.controller.timing();
+            link.controller.set_timing(Timing { deadline: HALT_LIMIT, keep_alive: HALT_LIMIT, ..timing });
+            link.controller.robot()?;
+            self.link = Some(link);
+        }
+        Ok(())
+    }
+
+    /// Halts the robot, and waits until it rests. If the session was lost, it opens a new one once.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]: the robot may still move.
+    pub fn halt(&mut self) -> Result<Halted, Error> {
+        match self.attempt() {
+            Err(error) if needs_reconnect(&error) => {
+                self.link = None;
+                self.attempt()
+            }
+            halted => halted,
+        }
+    }
+
+    fn attempt(&mut self) -> Result<Halted, Error> {
+        self.prepare()?;
+        let Some(link) = &mut self.link else { return Err(Error::Unexpected("there is no session".into())) };
+        Ok(link.controller.robot()?.halt()?)
+    }
+}

@@ -1,0 +1,275 @@
+//! Reads the state of a controller in rounds.
+
+use std::mem;
+use std::time::{Duration, Instant};
+
+use bcap_core::bcap::FunctionId;
+use bcap_core::variant::OwnedVariant;
+use bcap_std::{ObjectPath, TaskStatus};
+
+use crate::calls::{Calls, Failure, needs_reconnect};
+use crate::errors;
+use crate::messages::next_message;
+use crate::model::{Robot, Update};
+use crate::stream::StreamCheck;
+use crate::variables::{list, short_type, shown, state_words, value};
+
+/// How often tasks, messages, the tool, the work and the speed are read.
+pub const SLOW: Duration = Duration::from_secs(1);
+
+/// The tasks whose states are read.
+const TASKS: usize = 64;
+
+/// What a round does with its results, and between its calls.
+pub trait Rounds<C: Calls> {
+    /// Takes a result.
+    fn tell(&mut self, update: Update);
+
+    /// Called before each call, so that an order of a user over a slow line does not wait for the end of the round.
+    ///
+    /// # Errors
+    ///
+    /// The loss of the session, which ends the round.
+    fn poll(&mut self, calls: &mut C) -> Result<(), C::Error> {
+        let _ = calls;
+        Ok(())
+    }
+}
+
+impl<C: Calls, F: FnMut(Update)> Rounds<C> for F {
+    fn tell(&mut self, update: Update) {
+        self(update);
+    }
+}
+
+/// The reads of a session.
+#[derive(Debug)]
+pub struct Reader {
+    variables: Vec<ObjectPath>,
+    /// `None` until their names are read.
+    tasks: Option<Vec<String>>,
+    kind: Option<String>,
+    /// Whether the controller has messages.
+    messages: bool,
+    /// Whether the messages were skipped the last time.
+    skipped_messages: bool,
+    /// Whether the list of errors is read again: there was an error, or reading it was skipped.
+    had_error: bool,
+    stream: StreamCheck,
+    slow: Instant,
+    selection: Selection,
+}
+
+/// The selected tool and work coordinates, and the speed.
+#[derive(Clone, Debug, Default)]
+struct Selection {
+    tool: Option<String>,
+    work: Option<String>,
+    speed: Option<String>,
+}
+
+impl Reader {
+    /// Determines what to read over a new session.
+    ///
+    /// # Errors
+    ///
+    /// An invalid name, or the loss of the session.
+    pub fn start<C: Calls>(calls: &mut C, names: &[String]) -> Result<Self, C::Error> {
+        let kind = alive(value(calls, &ObjectPath::variable("@TYPE")?))?.map(|kind| short_type(&shown(&kind)));
+        let mut reader = Self {
+            variables: Vec::new(),
+            tasks: None,
+            kind,
+            messages: true,
+            skipped_messages: false,
+            stream: StreamCheck::default(),
+            had_error: true,
+            slow: Instant::now(),
+            selection: Selection::default(),
+        };
+        reader.variables = paths::<C>(names)?;
+        Ok(reader)
+    }
+
+    /// Reads other variables from now on.
+    ///
+    /// # Errors
+    ///
+    /// An invalid name.
+    pub fn select<C: Calls>(&mut self, names: &[String]) -> Result<(), C::Error> {
+        self.variables = paths::<C>(names)?;
+        Ok(())
+    }
+}
+
+fn paths<C: Calls>(names: &[String]) -> Result<Vec<ObjectPath>, C::Error> {
+    names.iter().map(|name| Ok(ObjectPath::variable(name)?)).collect()
+}
+
+/// Reads everything once.
+///
+/// # Errors
+///
+/// The loss of the session: it must be opened again.
+pub fn round<C: Calls>(reader: &mut Reader, calls: &mut C, rounds: &mut impl Rounds<C>) -> Result<(), C::Error> {
+    Round { reader, calls, rounds }.read()
+}
+
+/// A round.
+struct Round<'a, C, R> {
+    reader: &'a mut Reader,
+    calls: &'a mut C,
+    rounds: &'a mut R,
+}
+
+impl<C: Calls, R: Rounds<C>> Round<'_, C, R> {
+    fn read(&mut self) -> Result<(), C::Error> {
+        for n in 0..self.reader.variables.len() {
+            self.poll()?;
+            let Some(path) = self.reader.variables.get(n) else { break };
+            let read = value(self.calls, path).map(Ok).or_else(|failure| match failure.code() {
+                _ if needs_reconnect(&failure) => Err(failure),
+                Some(code) => Ok(Err(code.to_string())),
+                None => Ok(Err(failure.to_string())),
+            });
+            self.rounds.tell(Update::Value(n, read?));
+        }
+        let is_slow = Instant::now() >= self.reader.slow;
+        if is_slow {
+            self.reader.slow = Instant::now() + SLOW;
+            self.reader.selection = Selection {
+                tool: self.text("robot/@CURRENT_TOOL")?,
+                work: self.text("robot/@CURRENT_WORK")?,
+                speed: self.text("robot/@EXTSPEED")?,
+            };
+        }
+        let Selection { tool, work, speed } = self.reader.selection.clone();
+        let joints = self.numbers("robot/@CURRENT_ANGLE")?;
+        let position = self.numbers("robot/@CURRENT_POSITION")?;
+        self.rounds.tell(Update::Robot(Robot { joints, position, tool, work, speed }));
+        self.state()?;
+        if is_slow {
+            self.tasks()?;
+            self.messages()?;
+        }
+        Ok(())
+    }
+
+    /// Reads the words of the state: `RC8 auto ok motor moving`; and the errors, if there are any.
+    fn state(&mut self) -> Result<(), C::Error> {
+        let (mode, code) = (self.text("@MODE")?, self.text("@ERROR_CODE")?);
+        let has_error = code.as_ref().is_some_and(|code| code != "0");
+        let mut words = state_words(self.reader.kind.clone(), mode, code.as_deref());
+        for (name, word) in [("robot/@SERVO_ON", "motor"), ("robot/@BUSY_STATUS", "moving")] {
+            if self.text(name)?.as_deref() == Some("true") {
+                words.push(word.into());
+            }
+        }
+        self.rounds.tell(Update::State(words, has_error));
+        if has_error || self.reader.had_error {
+            self.poll()?;
+            let errors = match errors::present(self.calls, &mut self.reader.stream) {
+                Err(failure) if failure.is_skipped() => Err(failure.to_string()),
+                present => Ok(alive(present)?.unwrap_or_default()),
+            };
+            self.reader.had_error = has_error || errors.is_err();
+            self.rounds.tell(Update::Errors(errors));
+        }
+        Ok(())
+    }
+
+    /// Reads the names of the tasks once, and their states.
+    fn tasks(&mut self) -> Result<(), C::Error> {
+        let mut tasks = Vec::new();
+        if self.reader.tasks.is_none() {
+            let function = FunctionId::CONTROLLER_GET_TASK_NAMES;
+            if let Some(why) = self.reader.stream.skip(self.calls, function, None)? {
+                self.rounds.tell(Update::Tasks(vec![(why, String::new())]));
+                return Ok(());
+            }
+            let names = alive(list(self.calls, &ObjectPath::controller(), function))?;
+            let mut names = names.unwrap_or_default();
+            names.truncate(TASKS);
+            self.reader.tasks = Some(names);
+        }
+        for name in self.reader.tasks.clone().unwrap_or_default() {
+            self.poll()?;
+            self.calls.restart_limit();
+            let skipped = self.reader.stream.skip(self.calls, FunctionId::TASK_EXECUTE, Some("GetStatus"))?;
+            let status = if skipped.is_some() {
+                "skipped: a stream of Slave Mode runs".into()
+            } else {
+                alive(self.calls.task_status(&name))?.map_or_else(|| "unknown".into(), status_text)
+            };
+            tasks.push((name, status));
+        }
+        self.rounds.tell(Update::Tasks(tasks));
+        Ok(())
+    }
+
+    fn messages(&mut self) -> Result<(), C::Error> {
+        while self.reader.messages {
+            self.poll()?;
+            self.calls.restart_limit();
+            let message = next_message(self.calls, &mut self.reader.stream);
+            let is_skipped = message.as_ref().is_err_and(Failure::is_skipped);
+            let was_skipped = mem::replace(&mut self.reader.skipped_messages, is_skipped);
+            match message {
+                Ok(Some(message)) => self.rounds.tell(Update::Message(message.short())),
+                Ok(None) => return Ok(()),
+                Err(failure) if is_skipped => {
+                    if !was_skipped {
+                        self.rounds.tell(Update::Message(failure.to_string()));
+                    }
+                    return Ok(());
+                }
+                Err(failure) if needs_reconnect(&failure) => return Err(failure),
+                Err(_) => self.reader.messages = false,
+            }
+        }
+        Ok(())
+    }
+
+    fn poll(&mut self) -> Result<(), C::Error> {
+        self.rounds.poll(self.calls)
+    }
+
+    /// Reads a variable; `None` if the controller does not have it.
+    fn known(&mut self, name: &str) -> Result<Option<OwnedVariant>, C::Error> {
+        self.poll()?;
+        alive(value(self.calls, &ObjectPath::variable(name)?))
+    }
+
+    fn text(&mut self, name: &str) -> Result<Option<String>, C::Error> {
+        Ok(self.known(name)?.as_ref().map(shown))
+    }
+
+    /// Reads an array of numbers; empty if the controller does not have it.
+    fn numbers(&mut self, name: &str) -> Result<Vec<f64>, C::Error> {
+        let value = self.known(name)?.unwrap_or_default();
+        let array = value.as_variant().as_array();
+        Ok(array.map(|array| array.iter().filter_map(|number| number.as_f64()).collect()).unwrap_or_default())
+    }
+}
+
+/// Returns `None` if the controller refuses or answers with an unexpected value. Fails when the session is lost.
+fn alive<T, F: Failure>(result: Result<T, F>) -> Result<Option<T>, F> {
+    match result {
+        Ok(value) => Ok(Some(value)),
+        Err(failure) if needs_reconnect(&failure) => Err(failure),
+        Err(_) => Ok(None),
+    }
+}
+
+/// Returns the name of a status.
+#[must_use]
+pub fn status_text(status: TaskStatus) -> String {
+    match status {
+        TaskStatus::None => "none".into(),
+        TaskStatus::Suspended => "suspended".into(),
+        TaskStatus::Ready => "ready".into(),
+        TaskStatus::Running => "running".into(),
+        TaskStatus::StoppedAtStep => "stopped at a step".into(),
+        other => format!("{other:?}"),
+    }
+}

@@ -1,0 +1,85 @@
+//! The check before a call that would end a stream of Slave Mode.
+//!
+//! On a real controller a call that Slave Mode refuses ends Slave Mode, even when another client sends it. So a program
+//! that only reads asks for the mode first, and skips what Slave Mode refuses. A stream may begin between the question
+//! and the call; only its end could prevent that.
+
+use bcap_core::bcap::{FunctionId, StreamState};
+use bcap_core::hresult::HResult;
+use bcap_core::variant::OwnedVariant;
+use bcap_std::ObjectPath;
+
+use crate::calls::{Calls, Failure};
+
+/// Checks calls before they are sent.
+#[derive(Debug, Default)]
+pub struct StreamCheck {
+    /// Whether the controller has said that it has no Slave Mode. It is not asked again: a refusal may be an entry in its log.
+    is_absent: bool,
+}
+
+impl StreamCheck {
+    /// Asks the controller whether a stream of Slave Mode runs.
+    ///
+    /// # Errors
+    ///
+    /// The loss of the session.
+    pub fn ask<C: Calls>(&mut self, calls: &mut C) -> Result<StreamState, C::Error> {
+        if self.is_absent {
+            return Ok(StreamState::Absent);
+        }
+        let robot = match calls.object(&"robot".parse::<ObjectPath>()?) {
+            Ok(robot) => robot,
+            Err(failure) => return refused(failure).map(|code| StreamState::from_reply(code, None)),
+        };
+        let arguments = [OwnedVariant::new(&robot)?, OwnedVariant::new(StreamState::COMMAND)?, OwnedVariant::default()];
+        let (code, value) = match calls.call(StreamState::COMMAND, FunctionId::ROBOT_EXECUTE, &arguments) {
+            // the session has ended
+            Err(failure) if failure.code() == Some(HResult::E_HANDLE) => return Err(failure),
+            Err(failure) => (refused(failure)?, None),
+            Ok(reply) => reply,
+        };
+        let state = StreamState::from_reply(code, value.and_then(|value| value.as_variant().as_i32()));
+        self.is_absent = state == StreamState::Absent;
+        Ok(state)
+    }
+
+    /// Returns why a call must not be sent; `None` if it may. Calls that Slave Mode allows need no question.
+    ///
+    /// # Errors
+    ///
+    /// The loss of the session.
+    pub fn skip<C: Calls>(
+        &mut self,
+        calls: &mut C,
+        function: FunctionId,
+        command: Option<&str>,
+    ) -> Result<Option<String>, C::Error> {
+        let properties = function.properties(command, None);
+        if properties.in_slave_mode.is_allowed() {
+            return Ok(None);
+        }
+        let state = self.ask(calls)?;
+        let name = command.map_or_else(|| function.to_string(), str::to_owned);
+        Ok(state.skip(&name, properties).map(|skipped| format!("skipped: {skipped}")))
+    }
+
+    /// Fails if a call must not be sent.
+    ///
+    /// # Errors
+    ///
+    /// [`Failure::skipped`], or the loss of the session.
+    pub fn require<C: Calls>(
+        &mut self,
+        calls: &mut C,
+        function: FunctionId,
+        command: Option<&str>,
+    ) -> Result<(), C::Error> {
+        self.skip(calls, function, command)?.map_or(Ok(()), |message| Err(C::Error::skipped(message)))
+    }
+}
+
+/// Returns the code of a refusal; fails for other errors.
+fn refused<F: Failure>(failure: F) -> Result<HResult, F> {
+    failure.code().filter(|_| !failure.is_lost()).ok_or(failure)
+}
