@@ -54,6 +54,18 @@ pub enum Action {
     Restart,
 }
 
+/// The settings that `show` sends in parts, so that an answer needs little memory.
+#[derive(Debug)]
+struct Shown {
+    /// Whether they are in the memory of the new ones; otherwise they are those of the image.
+    is_flash: bool,
+    next: usize,
+    end: usize,
+}
+
+/// The most bytes of a setting that are sent at once.
+const PART: usize = 256;
+
 /// The board's side of the protocol.
 #[derive(Debug)]
 pub struct Console<'a, F> {
@@ -66,6 +78,8 @@ pub struct Console<'a, F> {
     /// The settings that the host sends.
     new: [u8; TEXT],
     len: usize,
+    /// The settings that are being sent.
+    shown: Option<Shown>,
     #[cfg(feature = "update")]
     updater: Option<Updater>,
 }
@@ -81,6 +95,7 @@ impl<'a, F: NorFlash> Console<'a, F> {
             is_too_long: false,
             new: [0; TEXT],
             len: 0,
+            shown: None,
             #[cfg(feature = "update")]
             updater: None,
         }
@@ -92,10 +107,20 @@ impl<'a, F: NorFlash> Console<'a, F> {
     ///
     /// An error of `port`.
     pub fn receive<W: Write>(&mut self, byte: u8, port: &mut W) -> Result<Option<Action>, W::Error> {
+        let action = self.receive_byte(byte, port)?;
+        while self.shown.is_some() {
+            self.show_more(port)?;
+        }
+        Ok(action)
+    }
+
+    /// As [`receive`](Self::receive), but writes only the first part of the answer: [`show_more`](Self::show_more) writes the next one.
+    pub(crate) fn receive_byte<W: Write>(&mut self, byte: u8, port: &mut W) -> Result<Option<Action>, W::Error> {
         if !matches!(byte, b'\r' | b'\n') {
             self.is_too_long |= self.request.push(byte).is_err();
             return Ok(None);
         }
+        self.shown = None;
         let request = core::mem::take(&mut self.request);
         if core::mem::take(&mut self.is_too_long) {
             answer(port, format_args!("error the request is longer than {LINE} bytes"))?;
@@ -150,21 +175,41 @@ impl<'a, F: NorFlash> Console<'a, F> {
         Ok(action)
     }
 
-    /// Sends the settings. It reads them into the memory of the new ones, which are lost.
+    /// Begins to send the settings. It reads them into the memory of the new ones, which are lost.
     fn show<W: Write>(&mut self, port: &mut W) -> Result<(), W::Error> {
         self.len = 0;
-        let (text, place) = match self.slots.read(&mut self.new) {
-            Ok(Some(text)) => (text, "flash"),
-            Ok(None) => (self.image, "image"),
+        let (text, is_flash) = match self.slots.read(&mut self.new) {
+            Ok(Some(text)) => (text, true),
+            Ok(None) => (self.image, false),
             Err(error) => return answer(port, format_args!("error {error}")),
         };
-        let text = text.split(|byte| *byte == 0).next().unwrap_or_default();
-        for line in text.split(|byte| *byte == b'\n').filter(|line| !line.is_empty()) {
-            port.write_all(b"setting ")?;
-            port.write_all(line)?;
-            port.write_all(b"\n")?;
+        let end = text.iter().position(|byte| *byte == 0).unwrap_or(text.len());
+        self.shown = Some(Shown { is_flash, next: 0, end });
+        self.show_more(port)
+    }
+
+    /// Sends a part of the settings, or the end of the answer; nothing if no settings are being sent.
+    pub(crate) fn show_more<W: Write>(&mut self, port: &mut W) -> Result<(), W::Error> {
+        let Some(Shown { is_flash, next, end }) = &mut self.shown else { return Ok(()) };
+        let text = if *is_flash { &self.new } else { self.image }.get(..*end).unwrap_or_default();
+        let starts_line = *next == 0 || text.get(*next - 1) == Some(&b'\n');
+        while starts_line && text.get(*next) == Some(&b'\n') {
+            *next += 1;
         }
-        answer(port, format_args!("ok {place}"))
+        let Some(rest) = text.get(*next..).filter(|rest| !rest.is_empty()) else {
+            let place = if *is_flash { "flash" } else { "image" };
+            self.shown = None;
+            return answer(port, format_args!("ok {place}"));
+        };
+        if starts_line {
+            port.write_all(b"setting ")?;
+        }
+        let line = rest.iter().position(|byte| *byte == b'\n').map_or(rest.len(), |len| len + 1);
+        let part = rest.get(..line.min(PART)).unwrap_or_default();
+        *next += part.len();
+        let is_last = *next == *end && !part.ends_with(b"\n");
+        port.write_all(part)?;
+        if is_last { port.write_all(b"\n") } else { Ok(()) }
     }
 
     /// Adds a line to the new settings.

@@ -1,18 +1,19 @@
-//! The tasks of a gateway board: RAC for four PLCs, b-CAP to the robot, the address, the log and the watchdog.
+//! The tasks of a gateway board: RAC for PLCs, b-CAP to the robot, the address, the log and the watchdog.
 //!
 //! ```text
-//!  PLCs ─► port 5006, 4 slots ────┐
+//!  PLCs ─► port 5006, a slot each ┐
 //!                                 ├─► Gateway: rules, handles, counters ─► robot, over TCP or UDP
 //!  settings in the flash ─────────┘        │
 //!                                          └─► log, a status line every 10 s
 //! ```
 //!
-//! The feature `modbus` adds listeners for two clients of Modbus TCP, `health` a page of the state and messages of syslog. The settings
+//! The feature `modbus` adds listeners for Modbus TCP, `health` a page of the state and messages of syslog. The settings
 //! switch them on.
 //!
 //! An image makes an embassy-net [`Stack`] with [`SOCKETS`] sockets, calls [`start`], runs the stack in one task, and
 //! [`watch`] in another.
 
+use core::pin::pin;
 use core::sync::atomic::{AtomicBool, Ordering};
 
 use bcap_core::bcap::client::{self, Timing};
@@ -31,29 +32,38 @@ use embassy_time::{Duration, Timer};
 use static_cell::{ConstStaticCell, StaticCell};
 
 use crate::led::State;
-pub use crate::parts::{Board, SESSIONS};
+pub use crate::parts::Board;
 #[cfg(feature = "modbus")]
-use crate::parts::{MODBUS_BACKLOG, MODBUS_TASK, SPARE_TASK};
+use crate::parts::{AFTER_PLCS, MODBUS_BACKLOG, SPARE_TASK};
 use crate::parts::{
-    NETWORK, PAGES, PLC, PLC_BACKLOG, PLC_BUFFER, PLC_BUFFERS, Parts, ROBOT, ROBOT_BUFFER, ROBOT_BUFFERS, STATUS,
+    LISTENERS, NETWORK, PLC, PLC_BACKLOG, PLC_BUFFER, PLC_BUFFERS, Parts, ROBOT, ROBOT_BUFFER, ROBOT_BUFFERS, STATUS,
 };
 use crate::record::Cause;
+#[cfg(feature = "health")]
+use crate::sizes::PAGES;
+use crate::sizes::{HANDLES, PLCS};
 use crate::watchdog::{self, Task, watched};
 use crate::{RuleMemory, Settings, Transport, address, network, report};
 
-/// Listeners. One of them answers PLCs without a slot.
-const LISTENERS: usize = SESSIONS + 1;
-/// The capacity of the LRU cache of handles.
-const HANDLES: usize = 64;
-// the tasks after the PLCs have fixed numbers
-const _: () = assert!(LISTENERS == 5);
 /// Listeners of Modbus. The last one refuses clients; the clients of the others share the slots with the PLCs.
-const MODBUS: usize = if cfg!(feature = "modbus") { 3 } else { 0 };
+#[cfg(feature = "modbus")]
+const MODBUS: usize = crate::sizes::MODBUS + 1;
+#[cfg(not(feature = "modbus"))]
+const MODBUS: usize = 0;
+/// The size of each buffer of a Modbus socket, in bytes: a frame has 260 at most.
+#[cfg(feature = "modbus")]
+const MODBUS_BUFFER: usize = 320;
+/// The same for the listener that refuses clients.
+#[cfg(feature = "modbus")]
+const SPARE_BUFFER: usize = 96;
 /// How long a frame of Modbus may take from its first byte to its last; clients send it at once.
 #[cfg(feature = "modbus")]
 const MODBUS_RECEIVE: core::time::Duration = core::time::Duration::from_secs(5);
 /// The sockets of the page and of syslog.
-const HEALTH: usize = if cfg!(feature = "health") { PAGES + 1 } else { 0 };
+#[cfg(feature = "health")]
+const HEALTH: usize = PAGES + 1;
+#[cfg(not(feature = "health"))]
+const HEALTH: usize = 0;
 /// The sockets of the network stack: the listeners, Modbus, the page and syslog, the robot, DHCP.
 pub const SOCKETS: usize = LISTENERS + MODBUS + HEALTH + 2;
 
@@ -98,7 +108,7 @@ pub fn start(
 
 /// Runs the network stack under the watchdog.
 pub async fn run_network<F: Future>(runner: F) -> F::Output {
-    watched(NETWORK, runner).await
+    watched(NETWORK, pin!(runner)).await
 }
 
 /// Calls `feed` each second while the tasks run, the gateway meets its deadlines and the Ethernet controller works.
@@ -139,7 +149,7 @@ fn has_robot(board: &Board) -> bool {
 /// Creates the gateway from the settings.
 #[inline(never)]
 fn make(settings: &'static Settings<'static>) -> &'static Board {
-    static MEMORY: ConstStaticCell<Memory<SESSIONS, HANDLES>> = ConstStaticCell::new(Memory::new());
+    static MEMORY: ConstStaticCell<Memory<PLCS, HANDLES>> = ConstStaticCell::new(Memory::new());
     static RULES: StaticCell<RuleMemory<'static>> = StaticCell::new();
     static BOARD: StaticCell<Board> = StaticCell::new();
 
@@ -173,7 +183,7 @@ async fn serve(
 ) -> ! {
     let [rx, tx] = memory;
     let mut listener = Listener::with_options(stack, rac::PORT, rx, tx, options(settings, &PLC_BACKLOG));
-    watched(task, listener.run(board, &limits(settings))).await
+    watched(task, pin!(listener.run(board, &limits(settings)))).await
 }
 
 /// Starts the tasks that serve Modbus, if the settings have a port for it.
@@ -184,40 +194,44 @@ fn start_modbus(
     settings: &'static Settings<'static>,
     board: &'static Board,
 ) -> Result<(), SpawnError> {
-    static MEMORY: ConstStaticCell<[[[u8; PLC_BUFFER]; 2]; MODBUS]> =
-        ConstStaticCell::new([[[0; PLC_BUFFER]; 2]; MODBUS]);
+    static MEMORY: ConstStaticCell<[[[u8; MODBUS_BUFFER]; 2]; MODBUS - 1]> =
+        ConstStaticCell::new([[[0; MODBUS_BUFFER]; 2]; MODBUS - 1]);
+    static SPARE: ConstStaticCell<[[u8; SPARE_BUFFER]; 2]> = ConstStaticCell::new([[0; SPARE_BUFFER]; 2]);
+    // not arguments of the tasks, because a task has a second copy of each argument
+    static PLACES: [StaticCell<ModbusListener<'static>>; MODBUS] = [const { StaticCell::new() }; MODBUS];
     let Some(port) = settings.modbus else { return Ok(()) };
-    let [serving @ .., spare] = MEMORY.take();
-    let listener = |[rx, tx]: &'static mut [[u8; PLC_BUFFER]; 2]| {
-        ModbusListener::new(stack, port, settings.modbus_map(), [rx, tx], options(settings, &MODBUS_BACKLOG))
+    let listener = |memory: [&'static mut [u8]; 2]| {
+        ModbusListener::new(stack, port, settings.modbus_map(), memory, options(settings, &MODBUS_BACKLOG))
     };
-    // the network passes a connection to the first listener that is free, so the spare one comes last
-    for (number, memory) in (MODBUS_TASK..).zip(serving) {
-        spawner.spawn(serve_modbus(listener(memory), settings, board, Task::new(number))?);
+    let [places @ .., spare] = &PLACES;
+    // the network passes a connection to the first listener that is free, so the spare one is made last
+    for ((number, place), [rx, tx]) in (AFTER_PLCS..).zip(places).zip(MEMORY.take()) {
+        spawner.spawn(serve_modbus(place.init(listener([rx, tx])), settings, board, Task::new(number))?);
     }
-    spawner.spawn(refuse_modbus(listener(spare), board)?);
+    let [rx, tx] = SPARE.take();
+    spawner.spawn(refuse_modbus(spare.init(listener([rx, tx])), board)?);
     Ok(())
 }
 
 /// Refuses Modbus clients above the maximum number.
 #[cfg(feature = "modbus")]
 #[embassy_executor::task]
-async fn refuse_modbus(mut listener: ModbusListener<'static>, board: &'static Board) -> ! {
-    watched(SPARE_TASK, listener.refuse(board)).await
+async fn refuse_modbus(listener: &'static mut ModbusListener<'static>, board: &'static Board) -> ! {
+    watched(SPARE_TASK, pin!(listener.refuse(board))).await
 }
 
 /// Serves clients of Modbus, one after another.
 #[cfg(feature = "modbus")]
 #[embassy_executor::task(pool_size = MODBUS - 1)]
 async fn serve_modbus(
-    mut listener: ModbusListener<'static>,
+    listener: &'static mut ModbusListener<'static>,
     settings: &'static Settings<'static>,
     board: &'static Board,
     task: Task,
 ) -> ! {
     // the spare listener makes no room, so a silent client must not stay
     let limits = Limits { receive: MODBUS_RECEIVE, idle: settings.idle.or(Some(settings.evict)), ..limits(settings) };
-    watched(task, listener.run(board, &limits)).await
+    watched(task, pin!(listener.run(board, &limits))).await
 }
 
 /// Returns the time limits of a PLC's session.
@@ -240,10 +254,12 @@ async fn run_robot_link(
     board: &'static Board,
     dhcp_again: Duration,
 ) {
-    static MEMORY: ConstStaticCell<[[u8; ROBOT_BUFFER]; 3]> = ConstStaticCell::new([[0; ROBOT_BUFFER]; 3]);
+    static MEMORY: ConstStaticCell<[[u8; ROBOT_BUFFER]; 2]> = ConstStaticCell::new([[0; ROBOT_BUFFER]; 2]);
+    static PART_MEMORY: ConstStaticCell<[u8; 512]> = ConstStaticCell::new([0; 512]);
     // not a `ConstStaticCell`: the values are not all zero, and would lie in the flash as well
     static META: StaticCell<[[PacketMetadata; 2]; 2]> = StaticCell::new();
-    let ([rx, tx, frame], [rx_meta, tx_meta]) = (MEMORY.take(), META.init_with(|| [[PacketMetadata::EMPTY; 2]; 2]));
+    let ([rx, tx], frame, [rx_meta, tx_meta]) =
+        (MEMORY.take(), PART_MEMORY.take(), META.init_with(|| [[PacketMetadata::EMPTY; 2]; 2]));
     let address = settings.robot.address;
     let run = async {
         match settings.robot.transport {
@@ -268,7 +284,7 @@ async fn run_robot_link(
         address::find(stack, settings).await;
         select(run, address::improve(stack, settings, dhcp_again, || has_robot(board))).await;
     };
-    watched(ROBOT, work).await
+    watched(ROBOT, pin!(work)).await
 }
 
 /// Logs the state of the board every 10 s.
@@ -283,5 +299,5 @@ async fn log_status(board: &'static Board, parts: Parts) -> ! {
             crate::page::left_out();
         }
     };
-    watched(STATUS, work).await
+    watched(STATUS, pin!(work)).await
 }

@@ -13,6 +13,9 @@ use core::time::Duration;
 use bcap_core::time::micros;
 use bcap_gateway::{Counters, Tally};
 
+/// The most bytes of a page; a test makes the longest one.
+pub const LONGEST: usize = 2368;
+
 /// The version that runs, and what became of the last update ([`update::Status`](crate::update::Status)).
 #[derive(Clone, Copy)]
 pub struct Update<'a> {
@@ -256,6 +259,32 @@ mod tests {
             "\n",
         ];
         assert_eq!(written(None, |health, out| health.write_json(out)), expected.concat());
+    }
+
+    #[test]
+    fn the_longest_page_fits() {
+        // a name has at most 32 bytes, a version 20, and the reason is a part of a record of 160
+        let (name, version, text) = ("n".repeat(32), "1".repeat(20), "<".repeat(100));
+        let update = Update { board: &name, version: &version, phase: &"rolled back", last: &version, reason: &text };
+        let counters = Counters { refused: u32::MAX, connected: u32::MAX, ..Counters::default() };
+        let health = Health {
+            image: "gateway",
+            version: &version,
+            update: Some(update),
+            uptime: Duration::from_secs(u32::MAX.into()),
+            last_reset: &text,
+            robot_is_up: false,
+            sessions: (7, 7),
+            counters: &counters,
+            memory: &[("robot receive buffer", 100_000, 100_000); 6],
+            board: &[("a counter of this board", u32::MAX); 8],
+        };
+        let (mut page, mut json) = (String::new(), String::new());
+        health.write_page(&mut page).unwrap();
+        health.write_json(&mut json).unwrap();
+        // the counts and the six times of requests are zero here, and have up to ten digits
+        let longest = page.len().max(json.len()) + 8 * 9;
+        assert!((LONGEST / 2..=LONGEST).contains(&longest), "{longest}");
     }
 
     #[test]

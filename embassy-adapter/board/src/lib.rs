@@ -18,6 +18,7 @@
 //! | `led`        |            | the patterns of an LED; its task with `embassy`                               |
 //! | `health`, `syslog` | `health` | the page of the state, and the format of messages                         |
 //! | `page`       | `embassy` and `health` | their tasks                                                       |
+//! | `sizes`      | `embassy`  | the sizes of the memory, which variables of the build change                 |
 //! | `parts`      | `embassy`  | the shared state of the tasks, and board-specific data                        |
 //! | `config`     | `embassy`  | reads the settings at the start                                               |
 //! | `memory`     | `embassy`  | the block of settings in the image itself                                     |
@@ -124,6 +125,8 @@ pub mod report;
 pub mod ring;
 mod rules;
 mod settings;
+#[cfg(any(feature = "embassy", feature = "log"))]
+pub mod sizes;
 pub mod slots;
 #[cfg(all(feature = "cortex-m", target_arch = "arm"))]
 pub mod stack;

@@ -13,9 +13,10 @@ use critical_section::{Mutex, RestoreState};
 use embassy_sync::waitqueue::AtomicWaker;
 
 use crate::ring::{Frame, Ring};
+use crate::sizes::size;
 
 /// The size of the buffer, in bytes.
-pub const SIZE: usize = 4096;
+pub const SIZE: usize = size(option_env!("BCAP_BOARD_LOG"), 2048, 512, 65536);
 
 static RING: Ring<SIZE> = Ring::new();
 static READER: AtomicWaker = AtomicWaker::new();

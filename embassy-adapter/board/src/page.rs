@@ -3,6 +3,7 @@
 use core::cell::{Cell, RefCell};
 use core::fmt::{self, Write};
 use core::net::SocketAddrV4;
+use core::pin::pin;
 use core::sync::atomic::{AtomicBool, Ordering};
 use core::time::Duration;
 
@@ -21,33 +22,32 @@ use heapless::{String, Vec};
 use static_cell::ConstStaticCell;
 
 use crate::Settings;
-use crate::health::Health;
 #[cfg(feature = "update")]
 use crate::health::Update;
+use crate::health::{Health, LONGEST};
 use crate::limiter::Limiter;
 use crate::parts::{
-    Board, PAGE_BACKLOG, PAGE_TASK, PAGES, PLC_BUFFER, PLC_BUFFERS, Parts, ROBOT_BUFFER, ROBOT_BUFFERS, SYSLOG_TASK,
+    Board, PAGE_BACKLOG, PAGE_TASK, PLC_BUFFER, PLC_BUFFERS, Parts, ROBOT_BUFFER, ROBOT_BUFFERS, SYSLOG_TASK,
 };
+use crate::sizes::{MESSAGES, PAGES};
 use crate::syslog::{Message, Severity};
 use crate::watchdog::{Task, watched};
 
 /// The name of the image in messages and on the page.
 const IMAGE: &str = "gateway";
 
-/// The size of the longest page.
-const PAGE: usize = 3072;
+/// The memory of a page: the head of its response, and the longest page.
+const PAGE: usize = 192 + LONGEST;
 
 /// The most counters of a board that the page shows.
 const COUNTERS: usize = 8;
 
-/// The messages that wait for the network; further ones are lost and counted.
-const WAITING: usize = 16;
 /// The longest text of a message, and the longest message. Longer ones are cut.
 const TEXT: usize = 192;
 const MESSAGE: usize = TEXT + 96;
 
 /// The memory of a listener of the page: its buffers, and a page.
-type PageMemory = ([[u8; 1024]; 2], [u8; PAGE]);
+type PageMemory = ([u8; 256], [u8; 512], [u8; PAGE]);
 
 /// A message that waits.
 struct Waiting {
@@ -56,7 +56,7 @@ struct Waiting {
     text: String<TEXT>,
 }
 
-static MESSAGES: Channel<CriticalSectionRawMutex, Waiting, WAITING> = Channel::new();
+static QUEUE: Channel<CriticalSectionRawMutex, Waiting, MESSAGES> = Channel::new();
 static IS_ON: AtomicBool = AtomicBool::new(false);
 // not an atomic integer, because some processors have no atomic addition
 static LOST: Mutex<CriticalSectionRawMutex, Cell<u32>> = Mutex::new(Cell::new(0));
@@ -70,10 +70,11 @@ pub(crate) fn start(
     board: &'static Board,
     parts: Parts,
 ) -> Result<(), SpawnError> {
-    static MEMORY: ConstStaticCell<[PageMemory; PAGES]> = ConstStaticCell::new([([[0; 1024]; 2], [0; PAGE]); PAGES]);
+    static MEMORY: ConstStaticCell<[PageMemory; PAGES]> =
+        ConstStaticCell::new([([0; 256], [0; 512], [0; PAGE]); PAGES]);
     if let Some(port) = settings.health {
         let options = Options { backlog: Some(&PAGE_BACKLOG), ..Options::default() };
-        for (number, ([rx, tx], page)) in (PAGE_TASK..).zip(MEMORY.take()) {
+        for (number, (rx, tx, page)) in (PAGE_TASK..).zip(MEMORY.take()) {
             let listener = HttpListener::new(stack, port, [rx, tx], page, options);
             spawner.spawn(serve(listener, board, parts, Task::new(number))?);
         }
@@ -95,13 +96,13 @@ async fn serve(mut listener: HttpListener<'static>, board: &'static Board, parts
         board.view(|gateway| gateway.config().rules.admits(address)).unwrap_or_default()
     };
     let answer = |path: &str, page: &mut dyn Write| answer(board, &parts, path, page);
-    watched(task, listener.run(admits, answer)).await
+    watched(task, pin!(listener.run(admits, answer))).await
 }
 
 /// Sends messages of syslog.
 #[embassy_executor::task]
 async fn send(stack: Stack<'static>, collector: SocketAddrV4, host: Option<&'static str>) -> ! {
-    watched(SYSLOG_TASK, send_messages(stack, collector, host)).await
+    watched(SYSLOG_TASK, pin!(send_messages(stack, collector, host))).await
 }
 
 /// Queues the message about a report of the gateway, if there is one: at most one a second for each client and reason.
@@ -150,7 +151,7 @@ fn queue(severity: Severity, id: &'static str, text: fmt::Arguments<'_>) {
         let mut waiting = Waiting { severity, id, text: String::new() };
         // a longer text is cut
         let _ = write!(Cut(&mut waiting.text), "{text}");
-        if MESSAGES.try_send(waiting).is_err() {
+        if QUEUE.try_send(waiting).is_err() {
             lose();
         }
     }
@@ -170,7 +171,7 @@ async fn send_messages(stack: Stack<'_>, collector: SocketAddrV4, host: Option<&
         stack.wait_config_up().await;
         // port 0 takes a free one
         let _ = socket.bind(0);
-        let Waiting { severity, id, text } = MESSAGES.receive().await;
+        let Waiting { severity, id, text } = QUEUE.receive().await;
         let mut datagram = String::<MESSAGE>::new();
         let _ = write!(Cut(&mut datagram), "{}", Message { severity, host, app: IMAGE, id, text: &text });
         if socket.send_to(datagram.as_bytes(), collector).await.is_err() {

@@ -5,32 +5,44 @@ use bcap_embassy::net::{Backlog, Usage};
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 
 use crate::record::Cause;
+#[cfg(feature = "modbus")]
+use crate::sizes::MODBUS;
+#[cfg(feature = "health")]
+use crate::sizes::PAGES;
+use crate::sizes::PLCS;
 use crate::watchdog::Task;
 
-/// The PLCs that are served at once.
-pub const SESSIONS: usize = 4;
-/// Listeners of the page, so that one can close while the other answers.
-pub(crate) const PAGES: usize = 2;
 /// The tasks that the watchdog watches; the PLCs' tasks have the numbers from `PLC` on.
 pub(crate) const NETWORK: Task = Task::new(0);
 pub(crate) const ROBOT: Task = Task::new(1);
 pub(crate) const STATUS: Task = Task::new(2);
 pub(crate) const PLC: u32 = 3;
-// after the numbers of the listeners
+/// Listeners of RAC. One of them answers PLCs without a slot.
+pub(crate) const LISTENERS: usize = PLCS + 1;
+/// The first number after the listeners of RAC, and after those of Modbus.
+pub(crate) const AFTER_PLCS: u32 = PLC + LISTENERS as u32;
 #[cfg(feature = "modbus")]
-pub(crate) const MODBUS_TASK: u32 = PLC + 5;
+pub(crate) const SPARE_TASK: Task = Task::new(AFTER_PLCS + MODBUS as u32);
 #[cfg(feature = "modbus")]
-pub(crate) const SPARE_TASK: Task = Task::new(PLC + 7);
+const AFTER_MODBUS: u32 = AFTER_PLCS + MODBUS as u32 + 1;
+#[cfg(not(feature = "modbus"))]
+const AFTER_MODBUS: u32 = AFTER_PLCS;
 #[cfg(feature = "health")]
-pub(crate) const SYSLOG_TASK: Task = Task::new(PLC + 8);
+pub(crate) const SYSLOG_TASK: Task = Task::new(AFTER_MODBUS);
 #[cfg(feature = "health")]
-pub(crate) const PAGE_TASK: u32 = PLC + 9;
+pub(crate) const PAGE_TASK: u32 = AFTER_MODBUS + 1;
+#[cfg(feature = "health")]
+const TASKS: u32 = PAGE_TASK + PAGES as u32;
+#[cfg(not(feature = "health"))]
+const TASKS: u32 = AFTER_MODBUS;
+const _: () = assert!(TASKS <= 32, "the watchdog watches 32 tasks: use fewer listeners");
+
 /// The gateway that the tasks share.
-pub type Board = SharedGateway<'static, NoopRawMutex, SESSIONS>;
+pub type Board = SharedGateway<'static, NoopRawMutex, PLCS>;
 
 /// The buffers of the PLCs' sockets and of the robot's TCP socket, and their size in bytes.
 pub(crate) static PLC_BUFFERS: Usage = Usage::new();
-pub(crate) const PLC_BUFFER: usize = 512;
+pub(crate) const PLC_BUFFER: usize = 256;
 pub(crate) static ROBOT_BUFFERS: Usage = Usage::new();
 pub(crate) const ROBOT_BUFFER: usize = 1024;
 

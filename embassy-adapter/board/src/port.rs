@@ -16,8 +16,8 @@ use crate::{log, memory};
 #[cfg(feature = "update")]
 use crate::{trial, update::Updates};
 
-/// The most bytes of an answer: more than all settings with the word before each.
-const ANSWER: usize = 4096;
+/// The most bytes of an answer, or of a part of the settings: more than a request, which errors quote.
+const ANSWER: usize = 896;
 /// How long an update on a board may take to serve its first request.
 pub const TRIAL: Duration = Duration::from_secs(600);
 
@@ -33,9 +33,13 @@ impl embedded_io::ErrorType for Answer {
 }
 
 impl embedded_io::Write for Answer {
-    /// Takes all bytes. Bytes that do not fit are lost; no answer is that long.
+    /// Takes all bytes. An answer that does not fit, because it escapes a request, is cut; it keeps its line feed.
     fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
-        let _ = self.0.extend_from_slice(bytes);
+        let room = self.0.capacity() - self.0.len();
+        let _ = self.0.extend_from_slice(bytes.get(..room).unwrap_or(bytes));
+        if let (true, Some(last), b"\n") = (self.0.is_full(), self.0.last_mut(), bytes) {
+            *last = b'\n';
+        }
         Ok(bytes.len())
     }
 
@@ -83,13 +87,20 @@ pub async fn serve<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
         for byte in bytes.iter().take(count) {
             answer.0.clear();
             // other tasks of the port borrow it between two bytes only
-            let Ok(action) = console.borrow_mut().receive(*byte, answer);
-            // in parts, because some UARTs refuse more than their buffer has room for
-            for part in answer.0.chunks(PART) {
-                sender.write_all(part).await?;
-            }
-            if !answer.0.is_empty() {
-                sender.flush().await?;
+            let Ok(action) = console.borrow_mut().receive_byte(*byte, answer);
+            loop {
+                // in parts, because some UARTs refuse more than their buffer has room for
+                for part in answer.0.chunks(PART) {
+                    sender.write_all(part).await?;
+                }
+                if answer.0.is_empty() {
+                    break;
+                }
+                answer.0.clear();
+                let Ok(()) = console.borrow_mut().show_more(answer);
+                if answer.0.is_empty() {
+                    sender.flush().await?;
+                }
             }
             if let Some(action) = action {
                 return Ok(action);
@@ -120,7 +131,7 @@ pub async fn run<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
     log: impl Write,
     restart: fn() -> !,
 ) {
-    run_console(console(slots), receiver, sender, log, restart).await;
+    run_console(|| console(slots), receiver, sender, log, restart).await;
 }
 
 /// As [`run`], and receives updates, if the image has partitions for them.
@@ -133,17 +144,18 @@ pub async fn run_with_updates<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
     log: impl Write,
     restart: fn() -> !,
 ) {
-    run_console(console_with_updates(slots, updates), receiver, sender, log, restart).await;
+    run_console(|| console_with_updates(slots, updates), receiver, sender, log, restart).await;
 }
 
+/// `make` makes the console here, because an async function has a second copy of each argument.
 async fn run_console<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
-    console: Console<'static, F>,
+    make: impl FnOnce() -> Console<'static, F>,
     mut receiver: R,
     mut sender: W,
     mut log: impl Write,
     restart: fn() -> !,
 ) {
-    let (console, answer) = (RefCell::new(console), answer());
+    let (console, answer) = (RefCell::new(make()), answer());
     let serve = async {
         loop {
             // after a line error the request is invalid, and the host repeats it

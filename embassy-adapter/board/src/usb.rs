@@ -27,7 +27,7 @@ const PACKET: u16 = 64;
 
 /// Serves both ports; calls `restart` when the host asks for it. Call it once.
 pub async fn run<D: Driver<'static>, F: NorFlash>(driver: D, slots: Slots<F>, restart: fn() -> !) {
-    run_console(driver, port::console(slots), restart).await;
+    run_console(driver, || port::console(slots), restart).await;
 }
 
 /// As [`run`], and receives updates, if the image has partitions for them.
@@ -38,10 +38,15 @@ pub async fn run_with_updates<D: Driver<'static>, F: NorFlash>(
     updates: Option<Updates>,
     restart: fn() -> !,
 ) {
-    run_console(driver, port::console_with_updates(slots, updates), restart).await;
+    run_console(driver, || port::console_with_updates(slots, updates), restart).await;
 }
 
-async fn run_console<D: Driver<'static>, F: NorFlash>(driver: D, console: Console<'static, F>, restart: fn() -> !) {
+/// `make` makes the console here, because an async function has a second copy of each argument.
+async fn run_console<D: Driver<'static>, F: NorFlash>(
+    driver: D,
+    make: impl FnOnce() -> Console<'static, F>,
+    restart: fn() -> !,
+) {
     static BUFFERS: ConstStaticCell<([u8; 256], [u8; 64], [u8; 64])> =
         ConstStaticCell::new(([0; 256], [0; 64], [0; 64]));
     static STATES: StaticCell<[State<'static>; 2]> = StaticCell::new();
@@ -58,7 +63,7 @@ async fn run_console<D: Driver<'static>, F: NorFlash>(driver: D, console: Consol
     let mut sender = Packets::<_, { PACKET as usize }>::new(sender);
     let mut log = Packets::<_, { PACKET as usize }>::new(log);
     let mut receiver = receiver.into_buffered(PACKET_MEMORY.take());
-    let (console, answer) = (RefCell::new(console), port::answer());
+    let (console, answer) = (RefCell::new(make()), port::answer());
 
     let serve = async {
         loop {

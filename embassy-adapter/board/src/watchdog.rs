@@ -9,7 +9,7 @@
 //! closure that feeds it.
 
 use core::cell::Cell;
-use core::pin::pin;
+use core::pin::Pin;
 
 use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
@@ -44,9 +44,10 @@ impl Task {
 }
 
 /// Runs `work` and reports the task's progress.
-pub async fn watched<F: Future>(task: Task, work: F) -> F::Output {
+///
+/// The caller pins it, because an async function has a second copy of each argument.
+pub async fn watched<F: Future>(task: Task, mut work: Pin<&mut F>) -> F::Output {
     update(|reports| reports.registered |= task.0);
-    let mut work = pin!(work);
     loop {
         update(|reports| reports.alive |= task.0);
         if let Ok(done) = with_timeout(PULSE, work.as_mut()).await {

@@ -103,6 +103,20 @@ fn settings_beyond_the_memory_are_refused() {
 }
 
 #[test]
+fn a_setting_is_shown_complete_however_long_it_is() {
+    for len in [240, 247, 248, 249, 255, 256, 257, 480] {
+        let (mut board, line) = (board(), format!("provider={}", "x".repeat(len)));
+        send(&mut board, format!("new\nadd {line}\nadd put=I\n").as_bytes());
+        let saved = crc(&format!("{line}\nput=I\n"));
+        assert_eq!(send(&mut board, format!("save {saved}\n").as_bytes()), "ok\n");
+        assert_eq!(send(&mut board, b"show\n"), format!("setting {line}\nsetting put=I\nok flash\n"), "{len}");
+    }
+    // a line without a line feed, and empty lines
+    let mut board = Console::new(Slots::new(Flash::new(4096), 0..4096).unwrap(), b"\n\nput=I\n\nput=F");
+    assert_eq!(send(&mut board, b"show\n"), "setting put=I\nsetting put=F\nok image\n");
+}
+
+#[test]
 fn a_restart_is_an_action_after_its_answer() {
     let mut port = Port::default();
     let mut board = board();

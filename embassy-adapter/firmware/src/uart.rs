@@ -57,7 +57,7 @@ pub(crate) fn transmit() {
 }
 
 /// Sends some of the buffered bytes to a port, in the interrupt of its transmitter.
-pub(crate) fn transmit_to(port: Block, irq: Irq, ring: &Ring<4096>) {
+pub(crate) fn transmit_to<const SIZE: usize>(port: Block, irq: Irq, ring: &Ring<SIZE>) {
     port.write::<{ register::INT_CLEAR }>(TX_INTERRUPT);
     for _ in 0..BURST {
         if port.read::<{ register::STATE }>() & TX_FULL != 0 {
@@ -78,7 +78,7 @@ pub fn flush() {
 }
 
 /// Sends the buffered bytes to a port by polling.
-pub(crate) fn flush_to(port: Block, ring: &Ring<4096>) {
+pub(crate) fn flush_to<const SIZE: usize>(port: Block, ring: &Ring<SIZE>) {
     critical_section::with(|_| {
         while !ring.is_empty() {
             let is_free = || port.read::<{ register::STATE }>() & TX_FULL == 0;

@@ -7,7 +7,7 @@
 use std::{env, process};
 
 use crate::line::{connect, join};
-use bcap_qemu::{Board, Sim, bcap, run};
+use bcap_qemu::{Board, Sim, bcap, free_port, run};
 use serialport::{SerialPort, TTYPort};
 
 const PROVIDER: &str = "provider=CaoProv.DENSO.VRC";
@@ -18,7 +18,9 @@ fn settings_are_used_after_a_restart_until_they_are_removed() {
     let (line, host) = TTYPort::pair().unwrap();
     let sim = Sim::start(&bcap, "127.0.0.1:0");
     let socket = env::temp_dir().join(format!("bcap-console-{}", process::id()));
-    let options = ["--faults", "--console", socket.to_str().unwrap()];
+    // the image with all features must fit the board, too
+    let [health, modbus] = [free_port(), free_port()].map(|port| port.to_string());
+    let options = ["--faults", "--health", &health, "--modbus", &modbus, "--console", socket.to_str().unwrap()];
     let mut board = Board::start(&sim.bcap, &options, &[PROVIDER]).up();
     join(line, connect(&mut board, &socket));
     let device = host.name().unwrap();

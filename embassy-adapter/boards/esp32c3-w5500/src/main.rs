@@ -57,7 +57,7 @@ async fn main(spawner: Spawner) {
 
 async fn start(spawner: Spawner, p: Peripherals) -> Option<()> {
     static RESOURCES: StaticCell<StackResources<{ gateway::SOCKETS }>> = StaticCell::new();
-    static WIZNET: StaticCell<embassy_net_wiznet::State<4, 4>> = StaticCell::new();
+    static WIZNET: StaticCell<embassy_net_wiznet::State<2, 1>> = StaticCell::new();
 
     let mut watchdog = Rtc::new(p.RTC_TIMER).rwdt;
     watchdog.set_timeout(RwdtStage::Stage0, Duration::from_secs(8));

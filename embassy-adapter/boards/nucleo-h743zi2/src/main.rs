@@ -59,7 +59,7 @@ extern "C" fn program() -> ! {
 #[inline(never)]
 fn start(spawner: Spawner, p: Peripherals) -> Option<()> {
     static RESOURCES: StaticCell<StackResources<{ gateway::SOCKETS }>> = StaticCell::new();
-    static PACKETS: ConstStaticCell<PacketQueue<4, 4>> = ConstStaticCell::new(PacketQueue::new());
+    static PACKETS: ConstStaticCell<PacketQueue<2, 4>> = ConstStaticCell::new(PacketQueue::new());
     static UARTS: ConstStaticCell<[[u8; 256]; 4]> = ConstStaticCell::new([[0; 256]; 4]);
 
     let mut watchdog = IndependentWatchdog::new(p.IWDG1, WATCHDOG_MICROS);

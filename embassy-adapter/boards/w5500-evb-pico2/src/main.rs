@@ -71,7 +71,7 @@ async fn start(spawner: Spawner, parts: Peripherals) {
 
 async fn run(spawner: Spawner, p: Peripherals) -> Option<()> {
     static RESOURCES: StaticCell<StackResources<{ gateway::SOCKETS }>> = StaticCell::new();
-    static WIZNET: StaticCell<embassy_net_wiznet::State<4, 4>> = StaticCell::new();
+    static WIZNET: StaticCell<embassy_net_wiznet::State<2, 1>> = StaticCell::new();
 
     let mut watchdog = Watchdog::new(p.WATCHDOG);
     watchdog.start(WATCHDOG_TIME);

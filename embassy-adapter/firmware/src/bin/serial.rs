@@ -5,6 +5,8 @@
 #![no_std]
 #![no_main]
 
+use core::pin::pin;
+
 use bcap_board::watchdog::{self, Task, watched};
 use bcap_board::{RuleMemory, Settings, report, stack};
 use bcap_core::bcap::client;
@@ -67,7 +69,7 @@ fn make(settings: &'static Settings<'static>) -> &'static Board {
 async fn keep_robot(board: &'static Board) -> ! {
     static FRAME: ConstStaticCell<[u8; 512]> = ConstStaticCell::new([0; 512]);
     let mut robot = SerialRobot::new(Line::second());
-    watched(Task::new(0), run_robot(&mut robot, FRAME.take(), board)).await
+    watched(Task::new(0), pin!(run_robot(&mut robot, FRAME.take(), board))).await
 }
 
 /// Serves the PLC, one session after another: a session ends when the PLC sends half a line.
@@ -79,7 +81,7 @@ async fn serve_plc(board: &'static Board) -> ! {
             let _ = serve(&mut line, Front::Rac, None, board, &Limits::default()).await;
         }
     };
-    watched(Task::new(1), work).await
+    watched(Task::new(1), pin!(work)).await
 }
 
 /// Feeds the watchdog while the tasks run.
