@@ -284,6 +284,20 @@ fn costly_streams_end() {
 }
 
 #[test]
+fn a_frame_of_1_200_000_values_has_a_bounded_tree() {
+    if !has_tshark() {
+        return;
+    }
+    let mut capture = Capture::new();
+    let values = array(12, 1_200_000, &i4(7).repeat(1_200_000));
+    capture.tcp(&mut Flow::new(1, BCAP), From::Client, &numbered(1, 0, 102, &[i4(3), values]));
+    let folder = tempfile::tempdir().unwrap();
+    let tree = trees(&saved(&capture, &folder));
+    assert!(tree.contains("1200000 elements in all, of which not all are examined"), "the rest is said");
+    assert!(tree.lines().count() < 25_000, "{} lines", tree.lines().count());
+}
+
+#[test]
 fn no_input_of_a_corpus_gives_a_lua_error() {
     if !has_tshark() {
         return;

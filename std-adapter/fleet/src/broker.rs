@@ -1,6 +1,9 @@
 //! One connection to the broker. It is made anew after a loss, so that nothing is sent again without the publisher knowing.
 
-use rumqttc::{AsyncClient, Event, LastWill, MqttOptions, default_socket_connect};
+use std::io;
+
+use rumqttc::{AsyncClient, Event, LastWill, MqttOptions, NetworkOptions, default_socket_connect};
+use tokio::net::TcpStream;
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 
@@ -58,9 +61,8 @@ impl Broker {
         match &broker.tls {
             Some(tls) => connect_with_tls(&mut options, &broker.host, tls)?,
             None => {
-                options.set_socket_connector(async |address, network| {
-                    Ok(Shortened::new(default_socket_connect(address, network).await?))
-                });
+                options
+                    .set_socket_connector(async |address, network| Ok(Shortened::new(socket(address, network).await?)));
             }
         }
         options.validate().map_err(|error| Error::Config(format!("[broker]: {error}")))?;
@@ -104,6 +106,13 @@ impl Broker {
         });
         Link { client, events: receiver, task }
     }
+}
+
+/// Connects a socket that sends at once. With Nagle's algorithm the answer to a command would wait until the broker's kernel has
+/// acknowledged the PUBACK before it, which takes up to 40 ms.
+async fn socket(address: String, mut network: NetworkOptions) -> io::Result<TcpStream> {
+    network.set_tcp_nodelay(true);
+    default_socket_connect(address, network).await
 }
 
 fn password(broker: &config::Broker) -> Result<String, Error> {
@@ -173,9 +182,22 @@ fn connect_with_tls(options: &mut MqttOptions, host: &str, tls: &config::Tls) ->
     options.set_socket_connector(move |address, network| {
         let (connector, name) = (connector.clone(), name.clone());
         async move {
-            let stream = default_socket_connect(address, network).await?;
+            let stream = socket(address, network).await?;
             Ok(Shortened::new(connector.connect(name, stream).await?))
         }
     });
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn the_socket_to_the_broker_sends_at_once() {
+        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap().to_string();
+        let stream = socket(address, NetworkOptions::new()).await.unwrap();
+        assert!(stream.nodelay().unwrap());
+    }
 }

@@ -159,6 +159,13 @@ mod tests {
         assert_eq!(named("task/I1").unwrap(), [("task/I1".into(), Source::Task("I1".into()), None)]);
         assert_eq!(named("@CURRENT_TIME").unwrap()[0].2, None);
         assert!(named("I3-1").is_err() && named("I 1").is_err() && named("").is_err() && named("I0-99999").is_err());
-        assert!(named("P/5").is_err(), "a command could not name it");
+    }
+
+    #[test]
+    fn a_name_that_no_command_could_write_is_refused_at_start() {
+        for name in ["P/5", "I/1", "robot/P/5", "task/a/b", "I1/", "/I1", "I+1", "I#"] {
+            let error = named(name).unwrap_err();
+            assert!(error.starts_with(&format!("{name:?}: expected a variable (I1, ")), "{error}");
+        }
     }
 }

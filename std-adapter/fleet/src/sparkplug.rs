@@ -292,6 +292,7 @@ impl Sparkplug {
         let metrics = (0..).zip(values(point, reading.value.as_ref(), kind.unwrap_or(DataType::String)));
         let metrics = metrics.map(|(part, metric)| Metric {
             name: None,
+            datatype: None,
             alias: Some(alias + part),
             timestamp: Some(reading.time),
             is_historical: reading.historical.then_some(true),

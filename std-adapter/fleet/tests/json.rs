@@ -12,6 +12,7 @@ use bcap_std::{Settings, TaskStart};
 use bcap_tests::mosquitto::Mosquitto;
 use bcap_tests::proxy::Relay;
 use serde_json::json;
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
 
 /// Returns a configuration with the controllers `cell1`, `cell2`, ...
@@ -61,23 +62,67 @@ async fn values_and_states_of_several_robots_arrive() {
     let pose = late.json("bcap/plant/cell2/pose", |json| json["quality"] == "good").await;
     assert_eq!(pose["value"].as_array().unwrap().len(), 7);
 
-    let address = fleet.metrics.unwrap();
-    // more idle connections than it serves
-    let mut idle = Vec::new();
-    for _ in 0..40 {
-        idle.push(TcpStream::connect(address).await.unwrap());
-    }
-    assert!(http(address, "GET /healthz").await.starts_with("HTTP/1.1 200 OK\r\n"));
-    drop(idle);
-    let head = http(address, "HEAD /metrics?name=x").await;
-    assert!(head.starts_with("HTTP/1.1 200 OK\r\n") && head.ends_with("\r\n\r\n"), "{head}");
-    let text = http(address, "GET /metrics?name=x").await;
-    assert!(text.contains("\nbcap_build_info{version=") && text.ends_with("# EOF\n"), "{text}");
-    assert!(http(address, "POST /metrics").await.contains("\r\nAllow: GET, HEAD\r\n"));
     assert!(fleet.metric("bcap_controller_up{controller=\"cell2\"}").await == 1);
     assert!(fleet.metric("bcap_published_total").await > 0);
     fleet.stop().await;
     host.json("bcap/plant/edge1/state", |json| json["state"] == "offline").await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn metrics_answer_queries_and_head_and_idle_connections_lock_nobody_out() {
+    let robot = Robot::start().await;
+    // no broker listens on port 1
+    let fleet = Running::start(&config(1, "", &[&robot], FAST)).await;
+    let address = fleet.metrics.unwrap();
+    // a connection without a header ends after a second
+    let mut slow = TcpStream::connect(address).await.unwrap();
+    slow.write_all(b"GET /metrics HTTP/1.1\r\n").await.unwrap();
+    let mut answer = Vec::new();
+    slow.read_to_end(&mut answer).await.unwrap();
+    assert_eq!(answer, b"", "half a header has no answer");
+    // more idle connections than it serves: a new one ends the oldest
+    let mut idle = Vec::new();
+    for _ in 0..145 {
+        idle.push(TcpStream::connect(address).await.unwrap());
+    }
+    assert!(http(address, "GET /healthz").await.starts_with("HTTP/1.1 503 "));
+    assert_eq!(idle[0].read(&mut [0]).await.unwrap_or_default(), 0, "the oldest one");
+    drop(idle);
+    let head = http(address, "HEAD /metrics?x=1").await;
+    assert!(head.starts_with("HTTP/1.1 200 OK\r\n") && head.ends_with("\r\n\r\n"), "{head}");
+    let text = http(address, "GET /metrics?x=1").await;
+    assert!(text.contains("\nbcap_build_info{version=") && text.ends_with("# EOF\n"), "{text}");
+    assert!(http(address, "GET /metric").await.starts_with("HTTP/1.1 404 "));
+    assert!(http(address, "POST /metrics").await.contains("\r\nAllow: GET, HEAD\r\n"));
+    fleet.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_command_that_may_end_a_stream_of_slave_mode_is_refused() {
+    let Some(broker) = Mosquitto::open() else { return };
+    let robot = Robot::start().await;
+    let (to, from) = ("bcap/plant/cell1/command", "bcap/plant/cell1/answer");
+    let mut host = Subscriber::start(broker.port, "bcap/plant/cell1/+").await;
+    let rules = "[commands]\nallow = [\"I/10\"]\nlongest_seconds = 1";
+    let publish = "[[controller.publish]]\nnames = [\"I1\"]\ninterval_ms = 10";
+    let fleet = Running::start(&config(broker.port, rules, &[&robot], publish)).await;
+    host.json("bcap/plant/cell1/I1", |json| json["quality"] == "good").await;
+    let other = Controller::connect(&format!("tcp:{}", robot.address), &Settings::rc8()).await.unwrap();
+    let mut arm = other.robot().await.unwrap().take_arm().await.unwrap();
+    arm.motor_on().await.unwrap();
+    // no pose is sent, so that a busy machine does not end it
+    arm.robot().execute::<()>("slvChangeMode", 0x202).await.unwrap();
+    host.publish(to, command("a", "I10", 7, now_ms() + 1000)).await;
+    let answer = host.json(from, |_| true).await;
+    assert_eq!(answer["result"], "refused", "{answer}");
+    let reason = "skipped: a stream of Slave Mode runs, and Variable_PutValue may end it";
+    assert!(answer["reason"].as_str().unwrap().contains(reason), "{answer}");
+    assert_eq!((robot.get(10), robot.controller.lock().unwrap().slave_mode()), (0, 0x202));
+    arm.robot().execute::<()>("slvChangeMode", 0).await.unwrap();
+    host.publish(to, command("b", "I10", 7, now_ms() + 1000)).await;
+    assert_eq!(host.json(from, |_| true).await, json!({"id": "b", "result": "done"}));
+    assert_eq!(robot.get(10), 7);
+    fleet.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

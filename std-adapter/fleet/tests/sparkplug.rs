@@ -61,7 +61,8 @@ pub(crate) struct Metric {
     pub(crate) is_null: bool,
     /// Of any type.
     pub(crate) value: Option<Field>,
-    pub(crate) properties: Vec<(String, Field)>,
+    /// The key, type and value of each property.
+    pub(crate) properties: Vec<(String, u64, Field)>,
 }
 
 #[derive(Debug)]
@@ -104,12 +105,15 @@ fn metric(data: &[u8]) -> Metric {
             7 => metric.is_null = number(&field) == 1,
             9 => {
                 let set = fields(&bytes(field));
-                let keys = set.iter().filter(|(tag, _)| *tag == 1).map(|(_, key)| text(key));
-                let values = set.iter().filter(|(tag, _)| *tag == 2).map(|(_, value)| {
+                let of = |kind| set.iter().filter(move |(tag, _)| *tag == kind).map(|(_, field)| field);
+                assert_eq!(of(1).count(), of(2).count(), "as many keys as values");
+                let values = of(2).map(|value| {
                     let value = fields(&bytes(value.clone()));
-                    value.into_iter().find(|(tag, _)| *tag >= 3).unwrap().1
+                    let find = |is: fn(u64) -> bool| value.iter().find(|(tag, _)| is(*tag)).unwrap().1.clone();
+                    (number(&find(|tag| tag == 1)), find(|tag| tag >= 3))
                 });
-                metric.properties = keys.zip(values).collect();
+                metric.properties =
+                    of(1).map(text).zip(values).map(|(key, (kind, value))| (key, kind, value)).collect();
             }
             10..=15 => metric.value = Some(field),
             _ => panic!("unexpected field {tag}"),
@@ -180,7 +184,7 @@ pub(crate) fn named<'a>(payload: &'a Payload, name: &str) -> &'a Metric {
 }
 
 fn property(metric: &Metric, key: &str) -> Option<Field> {
-    metric.properties.iter().find(|(name, _)| name == key).map(|(_, value)| value.clone())
+    metric.properties.iter().find(|(name, ..)| name == key).map(|(.., value)| value.clone())
 }
 
 pub(crate) fn config(port: u16, more: &str, robots: &[&Robot]) -> String {
@@ -220,7 +224,7 @@ fn write(name: &str, time: u64, datatype: u8, tag: u8, value: u64) -> Vec<u8> {
 }
 
 /// Reads an MQTT packet: its first byte, and the bytes after its length.
-async fn packet(stream: &mut TcpStream) -> (u8, Vec<u8>) {
+pub(crate) async fn packet(stream: &mut TcpStream) -> (u8, Vec<u8>) {
     let kind = stream.read_u8().await.unwrap();
     let mut length = 0;
     for shift in (0..).step_by(7) {
