@@ -6,7 +6,7 @@ use bcap_core::variant::Variant;
 const CLIENTS: [&str; 9] = ["unknown", "system", "pendant", "IO", "PC", "task", "COM2", "COM3", "COM4"];
 
 /// An entry of a log of the controller. The fields are in the order in which entries are sorted.
-#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct LogEntry {
     /// The time on the controller's clock, such as `2026-02-27 09:05:07.042`.
     pub time: String,

@@ -7,6 +7,7 @@ use std::io::{self, IsTerminal as _};
 use std::path::{Path, PathBuf};
 
 use clap::{Args, CommandFactory as _, Parser, Subcommand};
+use clap_complete::env::Shells;
 
 use crate::commands::backup::{diff::Diff, dump::Dump, restore::Restore};
 use crate::commands::board::Board;
@@ -184,7 +185,7 @@ pub(crate) struct Generate {
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Output {
-    /// Prints a completion script for a shell
+    /// Prints a completion script for a shell, which calls bcap for each Tab
     Completions {
         /// The shell
         shell: clap_complete::Shell,
@@ -241,7 +242,9 @@ pub(crate) fn generate(args: &Generate) -> Result<(), Failure> {
     match &args.output {
         Output::Completions { shell } => {
             let mut script = Vec::new();
-            clap_complete::generate(*shell, &mut Cli::command(), "bcap", &mut script);
+            if let Some(shell) = Shells::builtins().completer(&shell.to_string()) {
+                shell.write_registration("COMPLETE", "bcap", "bcap", "bcap", &mut script)?;
+            }
             Ok(print_raw(String::from_utf8_lossy(&script).trim_end())?)
         }
         Output::Man { directory } => man(directory),

@@ -6,6 +6,7 @@
 
 mod cli;
 mod commands;
+mod completion;
 mod failure;
 mod input;
 mod interrupt;
@@ -37,6 +38,7 @@ use crate::shell::script;
 use bcap_capture::value::selection::Selection;
 
 fn main() -> ExitCode {
+    completion::answer();
     let cli: Cli = parse_or_exit(cli::with_groups);
     let code = match recorded(&cli) {
         Ok(()) => ExitCode::SUCCESS,

@@ -3,9 +3,11 @@
 use std::fs;
 use std::path::Path;
 
+use crate::common::fake::{Fake, usual, value};
 use crate::common::virtual_robot::Virtual;
 use crate::common::{Run, bcap};
-use bcap_core::bcap::call;
+use bcap_core::bcap::{FunctionId, call};
+use bcap_core::hresult::HResult;
 use bcap_core::procedure::{Provider, open_robot};
 use bcap_std::{Options, blocking};
 use serde_json::Value;
@@ -300,6 +302,28 @@ fn status_shows_the_state_and_the_command_that_changes_it() {
     );
     // it left the arm free, and no error
     assert_eq!(sim.bcap(&["errors"]).out, "no errors\n");
+}
+
+#[test]
+fn status_of_a_controller_without_a_robot_has_the_other_lines() {
+    let fake = Fake::tcp(|request| match request.function() {
+        FunctionId::CONTROLLER_GET_ROBOT => HResult::E_ACCESSDENIED.into(),
+        FunctionId::CONTROLLER_GET_ROBOT_NAMES => value(vec!["Arm".to_owned()]),
+        FunctionId::VARIABLE_GET_VALUE => value("RC8"),
+        FunctionId::CONTROLLER_GET_TASK_NAMES => value(vec!["Pro1".to_owned()]),
+        _ => usual(request),
+    });
+    let run = bcap(&["status", "--robot", &fake.address]);
+    assert_eq!((run.code, run.err.as_str()), (0, ""), "{run:?}");
+    for text in [
+        "controller     RC8",
+        "arm            the controller gives no robot",
+        "FAILED ready          the first robot: Controller_GetRobot: ",
+        "`bcap names robot`",
+    ] {
+        assert!(run.out.contains(text), "{text}: {}", run.out);
+    }
+    assert_eq!(run.out.matches("E_ACCESSDENIED").count(), 2, "only with its cause: {}", run.out);
 }
 
 #[test]

@@ -138,6 +138,31 @@ fn teaching_writes_the_present_position() {
     assert!(lines[1].starts_with("J3 = 5,45,90,0,45,0,0,0 (tool 0, work 0); it was 0,"), "{run:?}");
     assert_step(&numbers(&robot, "robot/@CURRENT_POSITION"), &numbers(&robot, "P5"), 0, 0.0);
     assert_step(&numbers(&robot, "robot/@CURRENT_ANGLE"), &numbers(&robot, "J3"), 0, 0.0);
+    // a label replaces that of the variable in the file, and leaves the other lines
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("cell.labels");
+    let labels = file.to_str().unwrap();
+    assert_eq!(robot.run(&["teach", "P5", "--label", "above the tray", "--labels", labels]).code, 0);
+    std::fs::write(&file, std::fs::read_to_string(&file).unwrap() + "\nIO130 = gripper is open\np6=x\n").unwrap();
+    for (name, label) in [("p5", "in the tray"), ("P6", "out = 3")] {
+        assert_eq!(robot.run(&["teach", name, "--label", label, "--labels", labels]).code, 0);
+    }
+    let expected = "P5 = in the tray\n\nIO130 = gripper is open\nP6 = out = 3\n";
+    assert_eq!(std::fs::read_to_string(&file).unwrap(), expected);
+    let taught = numbers(&robot, "P5");
+    assert_eq!(robot.run(&["jog", "J1", "5"]).code, 0);
+    std::fs::write(&file, "no label").unwrap();
+    for (args, text) in [
+        (&["teach", "P5", "--label", "x", "--labels", labels][..], "cell.labels, line 1: write IO130 = LABEL"),
+        (&["teach", "P5", "--label", "x", "--labels", "/"], "/"),
+        (&["teach", "P5", "--label", "x\ny", "--labels", "y"], "one line"),
+        (&["teach", "P5", "--label", "x"], "--labels"),
+    ] {
+        let run = robot.run(args);
+        assert!(run.code == 2 && run.err.contains(text), "{args:?}: {run:?}");
+    }
+    assert_eq!(numbers(&robot, "P5"), taught, "a label that cannot be kept changes no position");
+    assert_eq!(robot.run(&["teach", "P5"]).code, 0);
     for (args, text) in [
         (&["teach", "J5"][..], "J5 is not a variable of type P"),
         (&["teach", "--joints", "P3"], "P3 is not a variable of type J"),

@@ -11,6 +11,7 @@ mod book;
 mod captures;
 mod codec;
 mod common;
+mod completion;
 #[cfg(unix)]
 mod conform;
 mod doctor;

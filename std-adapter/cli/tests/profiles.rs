@@ -80,13 +80,13 @@ fn option_environment_profile_default_in_this_order() {
 fn a_timeout_of_the_profile_or_the_environment_applies() {
     let silent = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let address = format!("tcp:{}", silent.local_addr().unwrap());
-    let home = Home::with(&format!("[profile.cell]\naddress = \"{address}\"\ntimeout = \"60ms\"\n"));
+    let home = Home::with(&format!("[profile.cell]\naddress = \"{address}\"\ntimeout = \"600ms\"\n"));
     let run = home.run(&["get", "I1", "--profile", "cell"], &[]);
-    assert!(run.code == 4 && run.err.contains("time limit of 60 ms"), "{run:?}");
-    let run = home.run(&["get", "I1", "--profile", "cell"], &[("BCAP_TIMEOUT", "50")]);
-    assert!(run.code == 4 && run.err.contains("time limit of 50 ms"), "{run:?}");
-    let run = home.run(&["get", "I1", "--profile", "cell", "--timeout", "40"], &[("BCAP_TIMEOUT", "50")]);
-    assert!(run.code == 4 && run.err.contains("time limit of 40 ms"), "{run:?}");
+    assert!(run.code == 4 && run.err.contains("time limit of 600 ms"), "{run:?}");
+    let run = home.run(&["get", "I1", "--profile", "cell"], &[("BCAP_TIMEOUT", "500")]);
+    assert!(run.code == 4 && run.err.contains("time limit of 500 ms"), "{run:?}");
+    let run = home.run(&["get", "I1", "--profile", "cell", "--timeout", "400"], &[("BCAP_TIMEOUT", "500")]);
+    assert!(run.code == 4 && run.err.contains("time limit of 400 ms"), "{run:?}");
     let run = home.run(&["get", "I1", "--robot", &address], &[("BCAP_TIMEOUT", "soon")]);
     assert!(run.code == 2 && run.err.contains("soon"), "{run:?}");
 }

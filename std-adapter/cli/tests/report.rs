@@ -36,6 +36,18 @@ fn a_report_names_what_differs_from_the_virtual_controller() {
 }
 
 #[test]
+fn an_rc9_is_compared_with_one() {
+    let sim = Virtual::start(&["--model", "rc9"]);
+    let run = sim.run(&["report", "--rounds", "1", "--json"]);
+    assert_eq!(run.code, 0, "{run:?}");
+    let lines = run.out.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+    let differs = |line: &Value| line["virtual"].as_str().is_some_and(|text| !text.is_empty());
+    let different: Vec<_> = lines.filter(differs).map(|line| line["call"].clone()).collect();
+    // only the virtual controller of `bcap sim` has files
+    assert_eq!(different, ["names controller Controller_GetFileNames"]);
+}
+
+#[test]
 fn a_report_is_a_new_file_without_values() {
     let sim = Virtual::start(&[]);
     let folder = tempfile::tempdir().unwrap();

@@ -7,6 +7,7 @@ use serde_json::{Value, json};
 
 use crate::common::fake::{Fake, usual, value};
 use crate::common::robot::Robot;
+use crate::common::tmux::Terminal;
 use crate::common::{Run, bcap, command};
 
 /// A network of two hosts on this machine that no other process uses.
@@ -75,6 +76,26 @@ fn without_targets_the_profiles_are_asked() {
     let found = scan();
     assert_eq!((found.out.lines().count(), found.err.as_str(), found.code), (1, "", 0), "{found:?}");
     assert!(found.out.starts_with("127.0.0.1  RC8  "), "{found:?}");
+}
+
+#[test]
+fn the_networks_of_this_machine_are_asked_after_a_question() {
+    let robot = Robot::start();
+    let folder = tempfile::tempdir().unwrap();
+    fs::create_dir(folder.path().join("bcap")).unwrap();
+    fs::write(folder.path().join("bcap/config.toml"), format!("[profile.a]\naddress = \"{}\"\n", robot.tcp)).unwrap();
+    let Some(terminal) = Terminal::run((120, 24), &["sh"], folder.path()) else { return };
+    let settings = folder.path().display();
+    terminal.enter(&format!("XDG_CONFIG_HOME={settings} {} scan; echo code $?", env!("CARGO_BIN_EXE_bcap")));
+    // a machine without a network has no question
+    let screen =
+        terminal.wait_until("a question or an answer", |screen| screen.contains("[y/N]") || screen.contains("code 0"));
+    if screen.contains("[y/N]") {
+        assert!(screen.contains("/24") || screen.contains("/2"), "{screen}");
+        terminal.enter("n");
+    }
+    let screen = terminal.wait_for("code 0");
+    assert!(screen.contains("127.0.0.1  RC8  "), "{screen}");
 }
 
 #[test]

@@ -1,5 +1,5 @@
-//! The recordings in `docs/screens`: the terminal of `bcap shell`, `bcap monitor`, `bcap sim --screen` and `bcap-fleet --screen`,
-//! as text. It needs tmux, and Mosquitto for the fleet.
+//! The recordings in `docs/screens`: the terminal of `bcap shell`, `bcap monitor`, `bcap jog`, `bcap sim --screen` and
+//! `bcap-fleet --screen`, as text. It needs tmux, and Mosquitto for the fleet.
 //!
 //! `BLESS=1 cargo test -p bcap-cli screens::` writes them. The test compares what does not change from run to run: numbers,
 //! sparklines and blanks are left out.
@@ -13,6 +13,8 @@ use crate::common::{bare, bcap, fleet_program};
 use bcap_tests::mosquitto::Mosquitto;
 
 const SIZES: [(u16, u16); 2] = [(80, 24), (200, 50)];
+/// With a size between them.
+const THREE: [(u16, u16); 3] = [(100, 30), SIZES[0], SIZES[1]];
 
 /// Compares a screen with its recording, or writes it.
 #[track_caller]
@@ -49,7 +51,7 @@ fn stable(screen: &str) -> String {
 
 #[test]
 fn the_monitor() {
-    for size in SIZES {
+    for size in THREE {
         let folder = tempfile::tempdir().unwrap();
         let scenario = folder.path().join("scenario.toml");
         let message = "[[fault]]\nwhen = { call = 30, of = \"Variable_GetValue\" }\nthen = { message = \"the feeder is empty\" }\n";
@@ -75,6 +77,18 @@ fn the_monitor() {
         recorded("monitor", size, &screen);
         terminal.keys(&["q"]);
     }
+}
+
+#[test]
+fn the_keys_of_jog() {
+    let robot = Virtual::start(&[]);
+    let folder = tempfile::tempdir().unwrap();
+    let Some(terminal) = Terminal::start(SIZES[0], &["jog", "--robot", &robot.tcp], folder.path()) else { return };
+    terminal.wait_for("> J1 =     0.000");
+    terminal.keys(&["Right"]);
+    let screen = terminal.wait_for("> J1 =     1.000");
+    recorded("jog", SIZES[0], &screen);
+    terminal.keys(&["q"]);
 }
 
 #[test]
@@ -146,7 +160,7 @@ fn the_fleet() {
 
 #[test]
 fn the_virtual_controller() {
-    for size in SIZES {
+    for size in THREE {
         let folder = tempfile::tempdir().unwrap();
         let free = ["--bcap", "127.0.0.1:0", "--udp", "127.0.0.1:0", "--rac", "127.0.0.1:0"];
         let Some(terminal) = Terminal::run(size, &["sh"], folder.path()) else { return };

@@ -3,11 +3,13 @@
 use std::io::{BufRead, BufReader, Write};
 use std::process::Stdio;
 
+use bcap_core::hresult::HResult;
 use serde_json::Value;
 
 use crate::common;
+use crate::common::robot::Robot;
 use crate::common::virtual_robot::{Virtual, signal};
-use crate::common::{Run, bcap, bcap_with};
+use crate::common::{Run, bcap, bcap_with, command};
 
 /// A motion that takes more than ten seconds.
 const SLOW: [&str; 4] = ["move", "J(90, 45, 90, 0, 45, 0)", "--speed", "1"];
@@ -384,6 +386,27 @@ fn the_logs_are_a_table() {
     assert_eq!(robot.run(&["log", "--last", "1"]).out.lines().count(), 1);
     let line: Value = robot.run(&["log", "--errors", "--last", "1", "--json"]).out.parse().unwrap();
     assert!(line["log"] == "errors" && line["code"].as_i64().unwrap() < 0, "{line}");
+}
+
+#[test]
+fn a_log_is_followed() {
+    let robot = Robot::start();
+    let error = |code| robot.served.application().inject_error(HResult::from_u32(code), bcap_std::now());
+    error(0x8420_1482);
+    let mut follow =
+        command(&["log", "--errors", "--follow", "--robot", &robot.tcp]).stdout(Stdio::piped()).spawn().unwrap();
+    let mut lines = BufReader::new(follow.stdout.take().unwrap()).lines().map(Result::unwrap);
+    assert!(lines.next().unwrap().contains("0x84201482"));
+    error(0x8150_1003);
+    assert!(lines.next().unwrap().contains("0x81501003"));
+    error(0x8150_1004);
+    error(0x8150_1025);
+    let two = [lines.next().unwrap(), lines.next().unwrap()].join("\n");
+    assert!(two.contains("0x81501004") && two.contains("0x81501025"), "{two}");
+    signal("-INT", &follow);
+    assert_eq!((follow.wait().unwrap().code(), lines.next()), (Some(0), None));
+    let ended = robot.run(&["log", "--last", "1", "--follow", "--for", "10ms"]);
+    assert_eq!((ended.code, ended.out.lines().count()), (0, 1), "{ended:?}");
 }
 
 #[test]

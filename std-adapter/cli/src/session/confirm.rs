@@ -63,7 +63,8 @@ impl Question<'_> {
         answered
     }
 
-    fn ask(&self) -> Result<(), Failure> {
+    /// Asks on the terminal, and returns if the user agrees.
+    pub(crate) fn ask(&self) -> Result<(), Failure> {
         let Self { what, warning, refused } = self;
         let input = io::stdin();
         if !input.is_terminal() {

@@ -13,7 +13,7 @@ pub(crate) mod traffic;
 pub(crate) mod variables;
 
 use std::collections::HashMap;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use bcap_capture::trace::Packets;
 use bcap_capture::value::describe;
@@ -412,6 +412,25 @@ impl Session {
         };
         self.interrupt = Some(interrupt.clone());
         Ok(interrupt)
+    }
+
+    /// Does a step of the command again and again, until a signal or the end of the time. Each step has the command's time limit.
+    pub(crate) fn repeat(
+        &mut self,
+        interval: Duration,
+        time: Option<Duration>,
+        mut step: impl FnMut(&mut Self) -> Result<(), Failure>,
+    ) -> Result<(), Failure> {
+        let interrupt = self.handle_signals()?;
+        let began = Instant::now();
+        loop {
+            self.restart_budget();
+            step(self)?;
+            let left = time.map_or(interval, |time| time.saturating_sub(began.elapsed()));
+            if left.is_zero() || interrupt.sleep(interval.min(left)).is_err() {
+                return Ok(());
+            }
+        }
     }
 
     /// Refuses a call after a signal, if the command does not look for signals itself.

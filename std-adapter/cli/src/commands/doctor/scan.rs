@@ -1,11 +1,14 @@
 //! `bcap scan`: finds controllers.
 
+use std::collections::BTreeSet;
+use std::io::{self, IsTerminal};
 use std::net::Ipv4Addr;
 use std::thread;
 use std::time::Duration;
 
 use bcap_std::{Address, NetworkAddress, Protocol};
 use clap::Args;
+use if_addrs::{IfAddr, Interface};
 
 use super::{plain, variable};
 use crate::commands::robot_ports::host;
@@ -16,9 +19,13 @@ use crate::link::profiles::Profiles;
 use crate::link::{LinkArgs, address};
 use crate::output::print_result;
 use crate::session::Session;
+use crate::session::confirm::Question;
 use crate::session::variables::short_type;
 
 /// Finds controllers on hosts and in networks
+///
+/// Without an argument it asks the addresses of the profiles, and on a terminal, after a question, those of the networks of this
+/// machine: of a network with more than 1,024 addresses the 256 around the machine's own.
 ///
 /// It asks each address over b-CAP (TCP and UDP) and RAC: at most 50 addresses at a time, and one port after the other. A line
 /// has the model, the version, the type of the robot, and the ports that answer. It only reads variables, never takes the arm,
@@ -30,7 +37,7 @@ Examples:
   bcap scan 192.168.0.0/24
   bcap scan 192.168.0.1 cell2.local:5007 --json")]
 pub(crate) struct Scan {
-    /// Hosts (HOST[:PORT]) or networks (192.168.0.0/24), together at most 1,024 addresses [default: those of the profiles]
+    /// Hosts (HOST[:PORT]) or networks (192.168.0.0/24), together at most 1,024 addresses [default: those of the profiles and, after a question, of the networks of this machine]
     #[arg(value_name = "HOST|NETWORK")]
     pub(crate) targets: Vec<String>,
 }
@@ -70,6 +77,7 @@ pub(crate) fn scan(args: &Scan, link: &LinkArgs, json: bool) -> Result<(), Failu
 /// Returns the addresses to ask.
 fn targets(words: &[String]) -> Result<Vec<NetworkAddress>, Failure> {
     let mut targets = Vec::new();
+    let mut found = Vec::new();
     if words.is_empty() {
         let profiles = Profiles::read()?;
         for text in profiles.by_name.values().filter_map(|profile| profile.address.as_deref()) {
@@ -77,18 +85,47 @@ fn targets(words: &[String]) -> Result<Vec<NetworkAddress>, Failure> {
                 targets.push(target);
             }
         }
-        if targets.is_empty() {
+        found = agreed_networks()?;
+        if targets.is_empty() && found.is_empty() {
             let path = profiles.path.display();
             return Err(Failure::Input(format!("{path} has no network address; write one, such as 192.168.0.0/24")));
         }
     }
-    for word in words {
+    for word in words.iter().chain(&found) {
         targets.extend(expand(word)?);
     }
     if targets.len() > MOST {
         return Err(Failure::Input(format!("{} addresses are too many: a scan has at most {MOST}", targets.len())));
     }
     Ok(targets)
+}
+
+/// Returns the networks of this machine, if the user agrees on a terminal that they are asked.
+fn agreed_networks() -> Result<Vec<String>, Failure> {
+    let networks: BTreeSet<String> = match if_addrs::get_if_addrs() {
+        Ok(interfaces) if io::stdin().is_terminal() => interfaces.iter().filter_map(network_of).collect(),
+        _ => return Ok(Vec::new()),
+    };
+    let networks = Vec::from_iter(networks);
+    let what = format!("asks each address of {} over b-CAP and RAC", networks.join(", "));
+    let (warning, refused) = ("Other machines can notice that.", "only the profiles are asked");
+    if networks.is_empty() {
+        return Ok(networks);
+    }
+    match (Question { what: &what, warning, refused }).ask() {
+        Ok(()) => Ok(networks),
+        Err(Failure::Input(_)) => Ok(Vec::new()),
+        Err(failure) => Err(failure),
+    }
+}
+
+/// Returns the network of an interface, as `expand` reads it.
+fn network_of(interface: &Interface) -> Option<String> {
+    let IfAddr::V4(address) = &interface.addr else { return None };
+    let is_host = address.is_loopback() || address.is_link_local() || address.prefixlen > 30;
+    let bits = if address.prefixlen < 22 { 24 } else { address.prefixlen };
+    let base = Ipv4Addr::from_bits(address.ip.to_bits() & (u32::MAX << (32 - u32::from(bits).min(31))));
+    (!is_host).then(|| format!("{base}/{bits}"))
 }
 
 /// Returns the addresses of a network, or the address of a host.

@@ -26,6 +26,9 @@ Examples:
   bcap status --json")]
 pub(crate) struct Status {}
 
+/// Why a line is left out whose question only a robot answers.
+const NO_ROBOT: &str = "the controller gives no robot; the last line has the reason";
+
 /// Runs `bcap status`.
 pub(crate) fn status(session: &mut Session, json: bool) -> Result<(), Failure> {
     session.begin()?;
@@ -47,7 +50,7 @@ pub(crate) fn status(session: &mut Session, json: bool) -> Result<(), Failure> {
     report.note("errors", of_state(&state, errors))?;
     report.note("emergency stop", of_state(&state, |bits, state| emergency_stop(bits, state.torque_off)))?;
     report.note("motor", motor(servo.as_deref()))?;
-    report.note("arm", state.as_ref().map_or_else(|_| Finding::skipped("there is no robot"), arm))?;
+    report.note("arm", state.as_ref().map_or_else(|_| Finding::skipped(NO_ROBOT), arm))?;
     let known = |value: Option<String>, unit| value.map_or_else(|| "unknown".into(), |value| format!("{value}{unit}"));
     report.note("speed", Finding::Passed(format!("{}; `bcap move --speed` changes it", known(speed, " %"))))?;
     report
@@ -66,7 +69,7 @@ fn of_state(state: &Result<Examination, String>, finding: impl FnOnce(SysState, 
             Finding::skipped("a stream of Slave Mode runs, and the question would end it")
         }
         Ok(_) => Finding::skipped("the controller does not say it"),
-        Err(why) => Finding::skipped(why),
+        Err(_) => Finding::skipped(NO_ROBOT),
     }
 }
 

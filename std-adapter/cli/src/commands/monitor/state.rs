@@ -17,7 +17,7 @@ const KEYS: &str = "q quit  h HALT  w write  ? keys  Tab panel  Enter details  /
 
 /// All keys; the help of the command has them, too.
 pub(crate) const ALL_KEYS: &str = "\
-  q, Ctrl-C            quits
+\x20 q, Ctrl-C            quits
   h, H, Ctrl-X         halts the robot at once; Ctrl-X also at a question
   w                    writes a variable: NAME=VALUE, then y; Esc cancels
   u                    writes what the last write replaced; asks, too

@@ -47,7 +47,7 @@ pub(crate) struct ReportArgs {
     #[arg(value_name = "FILE")]
     file: Option<PathBuf>,
 
-    /// The virtual controller to compare with, as for `bcap sim` [default: rc8, or rc9 with the provider CaoProv.DENSO.VRC9]
+    /// The virtual controller to compare with, as for `bcap sim` [default: rc8, or rc9 if the controller has its provider]
     #[arg(long, value_name = "MODEL|FILE.toml", value_parser = args::model)]
     model: Option<Source<Profile>>,
 
@@ -66,14 +66,13 @@ pub(crate) struct ReportArgs {
 
 /// Runs `bcap report`.
 pub(crate) fn report(args: &ReportArgs, session: &mut Session, json: bool) -> Result<(), Failure> {
-    let is_rc9 = session.provider.eq_ignore_ascii_case(Model::Rc9.provider());
-    let source = match &args.model {
-        Some(source) => source.clone(),
-        None => Source::BuiltIn(if is_rc9 { Profile::Rc9 } else { Profile::Rc8 }),
-    };
     if let Some(path) = args.file.as_deref().filter(|path| path.exists()) {
         return Err(Failure::Input(format!("{} exists; name a new file", path.display())));
     }
+    let source = match &args.model {
+        Some(source) => source.clone(),
+        None => Source::BuiltIn(model(session)?),
+    };
     // first, because an interrupted command makes no more calls
     let virtual_one = survey_virtual(session, &source)?;
     let limits = Limits { rounds: args.rounds, within: args.within, pause: PAUSE };
@@ -93,6 +92,14 @@ pub(crate) fn report(args: &ReportArgs, session: &mut Session, json: bool) -> Re
         print_block(text.trim_end())?;
     }
     ended
+}
+
+/// Returns the model of the provider that the controller accepts.
+fn model(session: &mut Session) -> Result<Profile, Failure> {
+    session.controller()?;
+    session.close();
+    let is_rc9 = session.provider.eq_ignore_ascii_case(Model::Rc9.provider());
+    Ok(if is_rc9 { Profile::Rc9 } else { Profile::Rc8 })
 }
 
 /// Writes a file that does not exist.

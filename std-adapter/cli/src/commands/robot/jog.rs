@@ -1,5 +1,7 @@
 //! `bcap jog` and `bcap teach`: moves the robot by steps, and stores where it is.
 
+use std::path::PathBuf;
+
 use bcap_capture::value::data;
 use bcap_core::bcap::FunctionId;
 use bcap_core::rac::{Variable, VariableKind};
@@ -11,6 +13,7 @@ use crate::commands::robot::axis::{Axis, require_rest};
 #[cfg(feature = "screens")]
 use crate::commands::robot::keys::by_keys;
 use crate::commands::robot::motion::{self, MotionArgs};
+use crate::commands::variables::labels;
 use crate::failure::Failure;
 use crate::output::print_result;
 use crate::session::Session;
@@ -55,7 +58,7 @@ pub(crate) struct Jog {
 #[command(after_help = "\
 Examples:
   bcap teach P5
-  bcap teach P5 --joints J3")]
+  bcap teach P5 --joints J3 --label 'above the tray' --labels cell1.labels")]
 pub(crate) struct Teach {
     /// The variable of type P
     #[arg(value_name = "P", required_unless_present = "joints")]
@@ -64,6 +67,14 @@ pub(crate) struct Teach {
     /// The variable of type J for the joints
     #[arg(long, value_name = "J")]
     pub(crate) joints: Option<String>,
+
+    /// What the position is, for the file of labels
+    #[arg(long, value_name = "TEXT", requires = "labels")]
+    pub(crate) label: Option<String>,
+
+    /// The file of labels, as for `bcap io`; it is made if it does not exist
+    #[arg(long, value_name = "FILE", requires = "label")]
+    pub(crate) labels: Option<PathBuf>,
 }
 
 /// Runs `bcap jog`.
@@ -110,15 +121,26 @@ pub(crate) fn teach(args: &Teach, session: &mut Session, json: bool) -> Result<(
         let variable = session.object(&path)?;
         session.call(name, FunctionId::VARIABLE_PUT_VALUE, &[integer(variable)?, now])?;
         let (before, now) = (data::format(before.as_variant()), data::format(get_one(session, &path)?.as_variant()));
-        let object = json!({ "name": name, "old": before, "new": now, "tool": tool, "work": work });
+        let object =
+            json!({ "name": name, "old": before, "new": now, "tool": tool, "work": work, "label": args.label });
         let line = format!("{name} = {now} (tool {tool}, work {work}); it was {before}");
         print_result(json, &object, &line)?;
+        if let Some((label, file)) = args.label.as_ref().zip(args.labels.as_ref()) {
+            labels::write(file, &name.to_uppercase(), label)?;
+        }
     }
     Ok(())
 }
 
 /// Checks the arguments before the first call.
 pub(crate) fn check_teach(args: &Teach) -> Result<(), Failure> {
+    if args.label.as_ref().is_some_and(|label| label.contains('\n')) {
+        return Err(Failure::Input("write the label as one line".into()));
+    }
+    // a file that cannot be used is found before the position is written
+    if let Some(file) = args.labels.as_ref().filter(|file| file.exists()) {
+        labels::read(file)?;
+    }
     for (name, kind) in [(&args.position, VariableKind::P), (&args.joints, VariableKind::J)] {
         let Some(name) = name else { continue };
         if !name.parse::<Variable>().is_ok_and(|variable| variable.kind == kind) {

@@ -1,6 +1,6 @@
 //! `bcap errors --follow`: the messages of the controller. While a stream of Slave Mode runs, nothing is sent that would end it.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use bcap_live::messages::{Message, next_message};
 
@@ -11,18 +11,8 @@ use crate::session::slave_mode::StreamCheck;
 
 /// Prints the messages of the controller as they arrive, until a signal or the end of the time.
 pub(crate) fn follow(time: Option<Duration>, session: &mut Session, json: bool) -> Result<(), Failure> {
-    const INTERVAL: Duration = Duration::from_millis(50);
     let mut check = StreamCheck::default();
-    let interrupt = session.handle_signals()?;
-    let began = Instant::now();
-    loop {
-        session.restart_budget();
-        fetch(session, &mut check, json)?;
-        let left = time.map_or(INTERVAL, |time| time.saturating_sub(began.elapsed()));
-        if left.is_zero() || interrupt.sleep(INTERVAL.min(left)).is_err() {
-            return Ok(());
-        }
-    }
+    session.repeat(Duration::from_millis(50), time, |session| fetch(session, &mut check, json))
 }
 
 /// Prints the messages that the controller has.

@@ -1,13 +1,12 @@
 //! `bcap io`: inputs and outputs as a grid.
 
-use std::collections::HashMap;
-use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use bcap_core::variant::Variant;
 use clap::Args;
 
-use crate::failure::{Failure, of_file};
+use crate::commands::variables::labels;
+use crate::failure::Failure;
 use crate::output::{print_line, print_result};
 use crate::session::Session;
 use crate::session::selection::expand;
@@ -34,7 +33,7 @@ pub(crate) struct Io {
 
 /// Runs `bcap io`.
 pub(crate) fn io(args: &Io, session: &mut Session, json: bool) -> Result<(), Failure> {
-    let labels = args.labels.as_deref().map(labels).transpose()?.unwrap_or_default();
+    let labels = args.labels.as_deref().map(labels::read).transpose()?.unwrap_or_default();
     let names = expand(session, &Selection::parse_each(&args.names)?)?;
     let mut labelled = Vec::new();
     for names in names.chunks(8) {
@@ -55,15 +54,4 @@ pub(crate) fn io(args: &Io, session: &mut Session, json: bool) -> Result<(), Fai
         }
     }
     Ok(labelled.iter().filter(|_| !json).try_for_each(|line| print_line(line))?)
-}
-
-/// Reads a file of labels.
-fn labels(path: &Path) -> Result<HashMap<String, String>, Failure> {
-    let text = fs::read_to_string(path).map_err(of_file(path))?;
-    let lines = (1..).zip(text.lines()).filter(|(_, line)| !line.trim().is_empty());
-    let label = |(number, line): (u32, &str)| match line.split_once('=') {
-        Some((name, label)) => Ok((name.trim().to_uppercase(), label.trim().to_owned())),
-        None => Err(Failure::Input(format!("{}, line {number}: write IO130 = LABEL", path.display()))),
-    };
-    lines.map(label).collect()
 }

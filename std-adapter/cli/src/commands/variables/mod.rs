@@ -2,6 +2,7 @@
 
 pub(crate) mod get;
 pub(crate) mod io;
+pub(crate) mod labels;
 pub(crate) mod names;
 pub(crate) mod put;
 pub(crate) mod rac;
