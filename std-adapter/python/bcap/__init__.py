@@ -16,7 +16,7 @@ Lengths are in mm, angles in degrees, times in seconds, speeds in percent.
 
 Ctrl-C, an exception, sys.exit, SIGTERM and the end of the interpreter halt the robot, switch the motor off and give the arm back.
 A process that is killed (SIGKILL) or calls os._exit does not; then only the controller can stop the robot. This is not an emergency
-stop. Objects may be used by several threads. A forked process is refused.
+stop. Objects may be used by several threads. In a forked process the objects of its parent are refused.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class Controller:
         numpy: bool = False,
     ) -> None:
         self._convert = _values.converter(numpy)
-        self._cell = _connect(address, model, robot, timeout).wait()
+        self._cell = _connect(address, model, robot, timeout, True).wait()
 
     def __getitem__(self, name: str) -> Any:
         """Reads a variable, as read() does."""
@@ -198,11 +198,11 @@ class Controller:
 
 
 def _connect(
-    address: Union[str, Sim], model: Optional[str], robot: Optional[str], timeout: float
+    address: Union[str, Sim], model: Optional[str], robot: Optional[str], timeout: float, driven: bool
 ) -> _bcap.Call[_bcap.Controller]:
     if isinstance(address, Sim):
-        return _bcap.connect(address.address or "", model or address.model, robot, timeout, address._sim)
-    return _bcap.connect(address, model or "rc8", robot, timeout, None)
+        return _bcap.connect(address.address or "", model or address.model, robot, timeout, address._sim, driven)
+    return _bcap.connect(address, model or "rc8", robot, timeout, None, driven)
 
 
 class _Watch(Iterator[Change]):
@@ -299,7 +299,8 @@ class Arm:
     ) -> None:
         """Turns axes, 1 to 8, to a value in degrees or mm, or by it: drive({1: 10.0}, relative=True)."""
         way = "drive-by" if relative else "drive-to"
-        self._arm.motions([_values.step(way, axes=list(axes.items()), speed=speed)], timeout).wait()
+        motion = _values.step(way, axes=list(axes.items()), speed=speed)
+        self._arm.motions([motion], timeout).wait()
 
     def rotate(
         self,

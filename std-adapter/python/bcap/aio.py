@@ -9,206 +9,124 @@
 Cancelling a motion halts the robot. Calls of one controller are made one after another, also while the robot moves; many controllers
 need no threads. What opens an object is awaited (`cell = await bcap.aio.Controller(...)`) or used with `async with`.
 """
+# written by tests/write_aio.py from __init__.py
 
 from __future__ import annotations
 
-import asyncio
 import weakref
 from types import TracebackType
-from typing import (
-    Any,
-    AsyncIterator,
-    Awaitable,
-    Callable,
-    Dict,
-    Generator,
-    Generic,
-    Iterable,
-    List,
-    Mapping,
-    Optional,
-    Sequence,
-    Type,
-    TypeVar,
-    Union,
-)
+from typing import Any, Dict, Iterable, List, Mapping, Optional, Sequence, Type, Union
 
-from . import Sim, _bcap, _connect, _signals, _values
-from ._values import Change, Cycle, Destination, ErrorInfo, J, P, Passing, State
+from . import _bcap, _signals, _values
+from ._awaiting import Opening, Session, opening, run
+from ._values import Cycle, Destination, ErrorInfo, J, P, Passing, State
 from .errors import StreamError
 
 __all__ = ["Arm", "Controller", "SlaveStream", "Stopper"]
 
-_R = TypeVar("_R")
-_N = TypeVar("_N")
 
-
-async def _run(call: _bcap.Call[_R]) -> _R:
-    """Runs a call. If the task is cancelled, so is the call."""
-    loop = asyncio.get_running_loop()
-    future: asyncio.Future[_R] = loop.create_future()
-
-    def settle(value: Any, error: Optional[BaseException]) -> None:
-        if future.done():
-            return
-        if error is None:
-            future.set_result(value)
-        else:
-            future.set_exception(error)
-
-    started = call.start(lambda value, error: loop.call_soon_threadsafe(settle, value, error))
-    try:
-        return await future
-    finally:
-        started.cancel()
-
-
-class _Opening(Generic[_R]):
-    """An object that is opened when it is awaited or entered."""
-
-    def __init__(self, opening: Callable[[], Awaitable[_R]]) -> None:
-        self._opening = opening
-        self._opened: Any = None
-
-    def __await__(self) -> Generator[Any, None, _R]:
-        return self._opening().__await__()
-
-    async def __aenter__(self) -> _R:
-        self._opened = await self._opening()
-        opened: _R = await self._opened.__aenter__()
-        return opened
-
-    async def __aexit__(self, *raised: Any) -> None:
-        await self._opened.__aexit__(*raised)
-
-
-def _opening(call: Callable[[], _bcap.Call[_N]], made: Callable[[_N], _R]) -> _Opening[_R]:
-    async def run() -> _R:
-        return made(await _run(call()))
-
-    return _Opening(run)
-
-
-class Controller:
-    """A session with a controller, as bcap.Controller. It connects when it is awaited or entered."""
-
-    def __init__(
-        self,
-        address: Union[str, Sim],
-        model: Optional[str] = None,
-        *,
-        robot: Optional[str] = None,
-        timeout: float = 5.0,
-        numpy: bool = False,
-    ) -> None:
-        self._convert = _values.converter(numpy)
-        self._connecting = _connect(address, model, robot, timeout)
-        self._opened: Optional[_bcap.Controller] = None
-
-    @property
-    def _cell(self) -> _bcap.Controller:
-        if self._opened is None:
-            raise RuntimeError("the controller is not connected: await it, or use `async with`")
-        return self._opened
-
-    def __await__(self) -> Generator[Any, None, Controller]:
-        return self.__aenter__().__await__()
-
-    async def __aenter__(self) -> Controller:
-        if self._opened is None:
-            self._opened = await _run(self._connecting)
-        return self
-
-    async def __aexit__(self, *raised: Any) -> None:
-        await self.close()
+class Controller(Session):
+    """As bcap.Controller."""
 
     async def read(self, name: str) -> Any:
-        """Reads a variable."""
-        return self._convert(await _run(self._cell.read(name)))
+        """Reads a variable: "I1", "P5", "IO128", "@MODE", "robot/@SERVO_ON", "task:Pro1/@STATUS".
+
+        :returns: int, float, bool, str, bytes, datetime, None, or a list of them; P is [X, Y, Z, RX, RY, RZ, figure]
+        """
+        return self._convert(await run(self._cell.read(name)))
 
     async def read_all(self, *names: str) -> List[Any]:
-        """Reads several variables in one turn."""
-        return [self._convert(value) for value in await _run(self._cell.read_all(names))]
+        """Reads several variables in one turn, and returns their values."""
+        return [self._convert(value) for value in await run(self._cell.read_all(names))]
 
     async def write(self, name: str, value: Any) -> None:
-        """Writes a variable."""
-        await _run(self._cell.write(name, value))
+        """Writes a variable. A sequence of numbers, such as a numpy array, is an array of R8; int is I4.
+
+        :raises NoReply: the value may have been written
+        """
+        await run(self._cell.write(name, value))
 
     async def wait_for(self, name: str, value: Any, timeout: float) -> Any:
-        """Reads a variable every 10 ms until it has a value, for `timeout` seconds."""
-        return await _run(self._cell.wait_for(name, value, timeout))
+        """Reads a variable every 10 ms until it has a value.
 
-    async def watch(self, names: Sequence[str], interval: float = 0.1) -> AsyncIterator[Change]:
-        """Reads variables every `interval` seconds, and iterates over their changes. A failed reading ends it."""
-        watch = self._cell.watch([names] if isinstance(names, str) else names, interval)
-        while (change := _values.change(await _run(watch.next()), self._convert)) is not None:
-            yield change
+        :raises NotMet: after `timeout` seconds
+        """
+        return await run(self._cell.wait_for(name, value, timeout))
 
     async def execute(self, command: str, parameter: Any = None) -> Any:
-        """Executes a command of the controller."""
-        return self._convert(await _run(self._cell.execute(command, parameter)))
+        """Executes a command of the controller, such as "ClearError", and returns its value."""
+        return self._convert(await run(self._cell.execute(command, parameter)))
 
     async def execute_robot(self, command: str, parameter: Any = None) -> Any:
-        """Executes a command of the robot. Cancelling it does not stop a motion; use Arm.move()."""
-        return self._convert(await _run(self._cell.execute_robot(command, parameter)))
+        """Executes a command of the robot, such as "CurTool", and returns its value. Use Arm.move() for motions."""
+        return self._convert(await run(self._cell.execute_robot(command, parameter)))
 
     async def joints(self) -> J:
         """Reads the joints, in degrees."""
-        return J(await _run(self._cell.joints()))
+        return J(await run(self._cell.joints()))
 
     async def position(self) -> P:
         """Reads the position of the tool, in mm and degrees."""
-        return P(await _run(self._cell.position()))
+        return P(await run(self._cell.position()))
 
     async def examine(self) -> State:
-        """Reads what is wrong. It changes nothing."""
-        errors, obstacles = await _run(self._cell.examine())
+        """Reads what is wrong: the present errors, and what a person must do first. It changes nothing."""
+        errors, obstacles = await run(self._cell.examine())
         return State([ErrorInfo(*error) for error in errors], obstacles)
 
-    def take_arm(self) -> _Opening[Arm]:
-        """Takes the arm: `async with cell.take_arm() as arm`."""
-        return _opening(lambda: self._cell.take_arm(), Arm)
+    def take_arm(self) -> Opening[Arm]:
+        """Takes the arm, so that this program can move the robot.
 
-    def recover(self, *, alone: bool = False, speed: Optional[float] = None) -> _Opening[Arm]:
-        """Clears the errors, takes the arm and switches the motor on. **The arm of a COBOTTA can move.**"""
-        return _opening(lambda: self._cell.recover(alone, speed), Arm)
+        :raises ControllerError: another client or a task owns the arm
+        """
+        return opening(lambda: self._cell.take_arm(), Arm)
 
-    def prepare(self) -> _Opening[Arm]:
+    def recover(self, *, alone: bool = False, speed: Optional[float] = None) -> Opening[Arm]:
+        """Clears the errors, takes the arm and switches the motor on. **The arm of a COBOTTA can move.**
+
+        A person must have looked at the robot. `alone` says that no other client uses it; without it the errors stay if the
+        controller does not say who owns the arm. `speed` sets the external speed in percent.
+
+        :raises NotRecovered: with what to do; the arm is not taken
+        """
+        return opening(lambda: self._cell.recover(alone, speed), Arm)
+
+    def prepare(self) -> Opening[Arm]:
         """Takes the arm, and prepares the motion of a COBOTTA. **The arm can move.**"""
-        return _opening(lambda: self._cell.prepare(), Arm)
+        return opening(lambda: self._cell.prepare(), Arm)
 
     async def stopper(self) -> Stopper:
-        """Opens a second connection, over which the robot can be halted at any time."""
-        return Stopper(await _run(self._cell.stopper()))
+        """Opens a second connection, over which any thread can halt the robot at any time."""
+        return Stopper(await run(self._cell.stopper()))
 
     async def read_file(self, name: str) -> Union[str, bytes]:
-        """Reads a file of the controller."""
-        content: Union[str, bytes] = await _run(self._cell.read_file(name))
+        """Reads a file of the controller. A path has backslashes between its parts."""
+        content: Union[str, bytes] = await run(self._cell.read_file(name))
         return content
 
     async def write_file(self, name: str, content: Union[str, bytes]) -> None:
         """Replaces the content of a file of the controller."""
-        await _run(self._cell.write_file(name, content))
+        await run(self._cell.write_file(name, content))
 
     async def start_task(self, name: str, mode: str = "once") -> None:
-        """Starts a task: "once", "continuous" or "step"."""
-        await _run(self._cell.start_task(name, mode))
+        """Starts a task: "once", "continuous" or "step". Its program may move the robot."""
+        await run(self._cell.start_task(name, mode))
 
     async def stop_task(self, name: str, mode: str = "default") -> None:
-        """Stops a task: "default", "now", "step", "cycle" or "initialize"."""
-        await _run(self._cell.stop_task(name, mode))
+        """Stops a task: "default", "now", after this "step" or "cycle", or "initialize", to begin anew at the next start."""
+        await run(self._cell.stop_task(name, mode))
 
     async def task_status(self, name: str) -> str:
-        """Returns the status of a task."""
-        return await _run(self._cell.task_status(name))
+        """Returns "none", "suspended", "ready", "running", "stopped at a step" or "unknown"."""
+        return await run(self._cell.task_status(name))
 
     async def close(self) -> None:
         """Gives the arm back, releases all objects and ends the session."""
-        await _run(self._cell.close())
+        await run(self._cell.close())
 
 
 class Arm:
-    """The arm of a robot, which this program has taken, as bcap.Arm."""
+    """As bcap.Arm."""
 
     def __init__(self, arm: _bcap.Arm) -> None:
         self._arm = arm
@@ -216,31 +134,25 @@ class Arm:
         self._given = weakref.finalize(self, _signals.arm_given)
         self._given.atexit = False
 
-    async def __aenter__(self) -> Arm:
-        return self
-
-    async def __aexit__(self, *raised: Any) -> None:
-        await self.give()
-
     async def motor_on(self) -> None:
         """Switches the motor on, and waits until it is."""
-        await _run(self._arm.motor(True))
+        await run(self._arm.motor(True))
 
     async def motor_off(self) -> None:
         """Switches the motor off, and waits until it is."""
-        await _run(self._arm.motor(False))
+        await run(self._arm.motor(False))
 
     async def set_speed(self, percent: float) -> None:
         """Sets the external speed, in percent of the maximum."""
-        await _run(self._arm.set_speed(percent))
+        await run(self._arm.set_speed(percent))
 
     async def select_tool(self, number: int) -> None:
-        """Selects a tool; 0 is the flange."""
-        await _run(self._arm.select_tool(number))
+        """Selects a tool, the point that positions are about; 0 is the flange."""
+        await run(self._arm.select_tool(number))
 
     async def select_work(self, number: int) -> None:
-        """Selects work coordinates; 0 is the base of the robot."""
-        await _run(self._arm.select_work(number))
+        """Selects work coordinates, in which positions are; 0 is the base of the robot."""
+        await run(self._arm.select_work(number))
 
     async def move(
         self,
@@ -253,37 +165,60 @@ class Arm:
         passing: Passing = "exact",
         timeout: float = 60.0,
     ) -> None:
-        """Moves, and returns when the robot rests at the last destination. Cancelling it halts the robot."""
+        """Moves to a destination, or through several without a stop, and returns when the robot rests at the last one.
+
+        :param destinations: "P1", "J(0, 45, 90)", or P, J or T
+        :param line: whether the tool moves along a line; otherwise all joints move at the same time
+        :param via: the tool moves along an arc through this place
+        :param speed: in percent of the speed that the arm is set to; also acceleration and deceleration
+        :param passing: how exactly a destination is reached, for several all but the last: "exact", "commanded", "near", or a
+            distance in mm
+        :param timeout: of all motions in seconds; then the robot is halted
+        :raises MotionError: the robot rests elsewhere: Halted, MotionFailed, MotionTimeout, OutcomeUnknown
+        :raises NoReply: **the robot may be moving**
+        """
         motions = _values.path(
             destinations, line, passing, via=via, speed=speed, acceleration=acceleration, deceleration=deceleration
         )
-        await _run(self._arm.motions(motions, timeout))
+        await run(self._arm.motions(motions, timeout))
 
     async def approach(
         self, destination: Destination, mm: float, *, line: bool = False, speed: Optional[float] = None, timeout: float = 60.0
     ) -> None:
         """Moves to the place that is `mm` before a destination, against the direction of the tool."""
         way = "approach line" if line else "approach joint"
-        await _run(self._arm.motions([_values.step(way, destination, amount=mm, speed=speed)], timeout))
+        await run(self._arm.motions([_values.step(way, destination, amount=mm, speed=speed)], timeout))
 
     async def depart(self, mm: float, *, line: bool = True, speed: Optional[float] = None, timeout: float = 60.0) -> None:
         """Moves back by `mm`, against the direction of the tool."""
         way = "depart line" if line else "depart joint"
-        await _run(self._arm.motions([_values.step(way, amount=mm, speed=speed)], timeout))
+        await run(self._arm.motions([_values.step(way, amount=mm, speed=speed)], timeout))
 
     async def drive(
-        self, axes: Mapping[int, float], *, relative: bool = False, speed: Optional[float] = None, timeout: float = 60.0
+        self,
+        axes: Mapping[int, float],
+        *,
+        relative: bool = False,
+        speed: Optional[float] = None,
+        timeout: float = 60.0,
     ) -> None:
-        """Turns axes, 1 to 8, to a value in degrees or mm, or by it."""
+        """Turns axes, 1 to 8, to a value in degrees or mm, or by it: drive({1: 10.0}, relative=True)."""
         way = "drive-by" if relative else "drive-to"
-        await _run(self._arm.motions([_values.step(way, axes=list(axes.items()), speed=speed)], timeout))
+        motion = _values.step(way, axes=list(axes.items()), speed=speed)
+        await run(self._arm.motions([motion], timeout))
 
     async def rotate(
-        self, plane: str, degrees: float, centre: Sequence[float], *, speed: Optional[float] = None, timeout: float = 60.0
+        self,
+        plane: str,
+        degrees: float,
+        centre: Sequence[float],
+        *,
+        speed: Optional[float] = None,
+        timeout: float = 60.0,
     ) -> None:
-        """Moves the tool along a circle in the plane "xy", "yz" or "zx" about a point (X, Y, Z in mm)."""
+        """Moves the tool along a circle in the plane "xy", "yz" or "zx" about a point (X, Y, Z in mm); the tool turns with it."""
         motion = _values.step("rotate", amount=degrees, plane=plane, centre=[float(c) for c in centre], speed=speed)
-        await _run(self._arm.motions([motion], timeout))
+        await run(self._arm.motions([motion], timeout))
 
     def slave_mode(
         self,
@@ -293,21 +228,34 @@ class Arm:
         max_speed: Optional[float] = None,
         max_acceleration: Optional[float] = None,
         pose_timeout: float = 1.0,
-    ) -> _Opening[SlaveStream]:
-        """Begins a stream of poses, one every 8 ms: `async with arm.slave_mode() as stream`."""
+    ) -> Opening[SlaveStream]:
+        """Begins a stream of poses, one every 8 ms, whose loop is the caller's. The motor must be on.
+
+        :param mode: 0 buffers 24 ms of poses, 1 only the latest, 2 answers when the pose is used, and sets the pace
+        :param kind: "J" for 8 joints, "P" for 7 numbers, "T" for 10 numbers
+        :param max_speed: a pose that needs a higher speed of an axis is not sent, in degrees or mm per second
+        :param max_acceleration: the same, per second squared; it also limits how the robot stops
+        :param pose_timeout: how long the robot may wait for a pose, in seconds; then it stops
+        """
         config = {
             "mode": mode, "kind": kind, "max_speed": max_speed, "max_acceleration": max_acceleration, "pose_timeout": pose_timeout
         }  # fmt: skip
-        return _opening(lambda: self._arm.stream(config), SlaveStream)
+        return opening(lambda: self._arm.stream(config), SlaveStream)
 
     async def give(self) -> None:
-        """Halts a motion, switches the motor off and gives the arm back, as the end of the block does."""
-        await _run(self._arm.give())
+        """Halts a motion of another thread, switches the motor off and gives the arm back, as the end of the block does."""
+        await run(self._arm.give())
         self._given()
+
+    async def __aenter__(self) -> Arm:
+        return self
+
+    async def __aexit__(self, *raised: Any) -> None:
+        await self.give()
 
 
 class SlaveStream:
-    """A stream of Slave Mode, as bcap.SlaveStream."""
+    """As bcap.SlaveStream."""
 
     def __init__(self, stream: _bcap.Stream) -> None:
         self._stream = stream
@@ -321,8 +269,11 @@ class SlaveStream:
         return self._cycle
 
     async def step(self, pose: Iterable[float]) -> Cycle:
-        """Sends the pose of this cycle, and waits until the next one is wanted."""
-        wanted = await _run(self._stream.step(list(pose)))
+        """Sends the pose of this cycle, and waits until the next one is wanted.
+
+        :raises StreamError: the stream has ended: a pose beyond the limits, no pose in time, or an error of the controller
+        """
+        wanted = await run(self._stream.step(list(pose)))
         if wanted is None:
             await self.finish()
             raise StreamError("the stream has ended")
@@ -331,26 +282,32 @@ class SlaveStream:
 
     async def finish(self) -> None:
         """Ends the stream, and waits until the robot rests at the last pose."""
-        self.statistics = dict(await _run(self._stream.finish(False)))
+        await self._finish(False)
 
     async def stop(self) -> None:
         """Ends the stream early: the robot slows down along its present direction."""
-        self.statistics = dict(await _run(self._stream.finish(True)))
+        await self._finish(True)
+
+    async def _finish(self, stop: bool) -> None:
+        self.statistics = dict(await run(self._stream.finish(stop)))
 
     async def __aenter__(self) -> SlaveStream:
         return self
 
     async def __aexit__(self, kind: Optional[Type[BaseException]], error: Any, trace: Optional[TracebackType]) -> None:
         if not self.statistics and not isinstance(error, StreamError):
-            await (self.finish() if kind is None else self.stop())
+            await self._finish(kind is not None)
 
 
 class Stopper:
-    """Halts the robot, even while another call waits. It is not an emergency stop."""
+    """As bcap.Stopper."""
 
     def __init__(self, stopper: _bcap.Stopper) -> None:
         self._stopper = stopper
 
     async def halt(self) -> str:
-        """Halts the robot, and waits until it rests."""
-        return await _run(self._stopper.halt())
+        """Halts the robot, and waits until it rests: "halted", "nothing moved", or "tasks stopped" if a task moved it.
+
+        :raises NotHalted: **the robot still moves**
+        """
+        return await run(self._stopper.halt())

@@ -11,11 +11,13 @@ use tokio::sync::{Mutex, watch};
 use crate::call::Call;
 use crate::controller::{seconds, unknown};
 use crate::error;
+use crate::runtime::Home;
 use crate::slave::{Stream, StreamConfig};
 
 /// The arm of a robot, which this session has taken. Dropping it halts the robot, and gives the arm back.
 #[pyclass(frozen)]
 pub(crate) struct Arm {
+    pub(crate) home: Arc<Home>,
     /// `None` after it was given back.
     arm: Arc<Mutex<Option<asynch::Arm>>>,
     /// Whether it is being given back, which ends a motion of another thread.
@@ -26,8 +28,8 @@ pub(crate) struct Arm {
 type Working<'a, T> = Pin<Box<dyn Future<Output = Result<T, Error>> + Send + 'a>>;
 
 impl Arm {
-    pub(crate) fn new(arm: asynch::Arm) -> Self {
-        Self { arm: Arc::new(Mutex::new(Some(arm))), given: watch::Sender::new(false) }
+    pub(crate) fn new(home: Arc<Home>, arm: asynch::Arm) -> Self {
+        Self { home, arm: Arc::new(Mutex::new(Some(arm))), given: watch::Sender::new(false) }
     }
 
     /// Runs a function of the arm until the arm is given back.
@@ -57,20 +59,21 @@ impl Arm {
 impl Arm {
     fn motor(&self, on: bool) -> Call {
         Call::new(
+            &self.home,
             self.run(move |arm| Box::pin(async move { if on { arm.motor_on().await } else { arm.motor_off().await } })),
         )
     }
 
     fn set_speed(&self, percent: f64) -> Call {
-        Call::new(self.run(move |arm| Box::pin(arm.set_speed(percent))))
+        Call::new(&self.home, self.run(move |arm| Box::pin(arm.set_speed(percent))))
     }
 
     fn select_tool(&self, number: u8) -> Call {
-        Call::new(self.run(move |arm| Box::pin(arm.select_tool(number))))
+        Call::new(&self.home, self.run(move |arm| Box::pin(arm.select_tool(number))))
     }
 
     fn select_work(&self, number: u8) -> Call {
-        Call::new(self.run(move |arm| Box::pin(arm.select_work(number))))
+        Call::new(&self.home, self.run(move |arm| Box::pin(arm.select_work(number))))
     }
 
     /// Makes motions without a stop between them, and waits for the end of the last one.
@@ -78,15 +81,18 @@ impl Arm {
         let limit = seconds(timeout)?;
         let mut motions = motions.into_iter().map(Step::motion).collect::<PyResult<Vec<_>>>()?.into_iter();
         let first = motions.next().ok_or_else(|| PyValueError::new_err("a motion needs a destination"))?;
-        Ok(Call::new(self.run(move |arm| {
-            Box::pin(async move {
-                let mut moving = arm.start(&first, limit).await?;
-                for motion in motions {
-                    moving = moving.then(&motion).await?;
-                }
-                moving.wait().await.map(Ended)
-            })
-        })))
+        Ok(Call::new(
+            &self.home,
+            self.run(move |arm| {
+                Box::pin(async move {
+                    let mut moving = arm.start(&first, limit).await?;
+                    for motion in motions {
+                        moving = moving.then(&motion).await?;
+                    }
+                    moving.wait().await.map(Ended)
+                })
+            }),
+        ))
     }
 
     /// Begins a stream of Slave Mode.
@@ -97,7 +103,7 @@ impl Arm {
     /// Halts a motion, and gives the arm back.
     fn give(&self) -> Call {
         let (arm, given) = (Arc::clone(&self.arm), self.given.clone());
-        Call::new(async move {
+        Call::new(&self.home, async move {
             given.send_replace(true);
             match arm.lock().await.take() {
                 Some(arm) => arm.give().await,

@@ -1,7 +1,6 @@
 //! Calls, which Python runs or awaits.
 
-use std::pin::Pin;
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 
 use bcap_std::Error;
 use bcap_stream::steps::StepError;
@@ -11,18 +10,19 @@ use pyo3::prelude::*;
 use tokio::sync::oneshot;
 
 use crate::error;
-use crate::runtime::{self, lock};
+use crate::runtime::{Home, Work, lock};
 
 /// The value of a call, which becomes an object of Python under the GIL.
 type Value = Box<dyn FnOnce(Python<'_>) -> PyResult<Py<PyAny>> + Send>;
 
 type Result = std::result::Result<Value, StepError>;
 
-type Pending = Pin<Box<dyn Future<Output = Result> + Send>>;
+type Pending = Work<Result>;
 
 /// A call that has not begun. It runs once.
 #[pyclass(frozen)]
 pub(crate) struct Call {
+    home: Arc<Home>,
     pending: Mutex<Option<Pending>>,
 }
 
@@ -34,15 +34,21 @@ pub(crate) struct Started {
 
 impl Call {
     /// Makes a call of a future. Dropping the future cancels it.
-    pub(crate) fn new<T>(future: impl Future<Output = std::result::Result<T, Error>> + Send + 'static) -> Self
+    pub(crate) fn new<T>(
+        home: &Arc<Home>,
+        future: impl Future<Output = std::result::Result<T, Error>> + Send + 'static,
+    ) -> Self
     where
         T: for<'py> IntoPyObject<'py> + Send + 'static,
     {
-        Self::of_stream(async { Ok(future.await?) })
+        Self::of_stream(home, async { Ok(future.await?) })
     }
 
     /// Makes a call of a future, which may also fail as a stream does.
-    pub(crate) fn of_stream<T>(future: impl Future<Output = std::result::Result<T, StepError>> + Send + 'static) -> Self
+    pub(crate) fn of_stream<T>(
+        home: &Arc<Home>,
+        future: impl Future<Output = std::result::Result<T, StepError>> + Send + 'static,
+    ) -> Self
     where
         T: for<'py> IntoPyObject<'py> + Send + 'static,
     {
@@ -50,7 +56,7 @@ impl Call {
             let value = future.await?;
             Ok(Box::new(move |py: Python<'_>| value.into_py_any(py)) as Value)
         });
-        Self { pending: Mutex::new(Some(pending)) }
+        Self { home: Arc::clone(home), pending: Mutex::new(Some(pending)) }
     }
 
     fn take(&self) -> PyResult<Pending> {
@@ -62,14 +68,14 @@ impl Call {
 impl Call {
     /// Runs the call on this thread, and returns its result. A signal whose handler raises cancels it.
     fn wait(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
-        finish(py, runtime::wait(py, self.take()?)?)
+        finish(py, self.home.wait(py, self.take()?)?)
     }
 
     /// Runs the call in the background, then calls `done(value, None)` or `done(None, exception)`.
     fn start(&self, done: Py<PyAny>) -> PyResult<Started> {
         let pending = self.take()?;
         let (wanted, unwanted) = oneshot::channel::<()>();
-        runtime::runtime()?.spawn(async move {
+        self.home.handle()?.spawn(async move {
             let result = tokio::select! {
                 biased;
                 _ = unwanted => return,

@@ -16,19 +16,21 @@ use tokio::sync::Mutex;
 use crate::arm::Arm;
 use crate::call::Call;
 use crate::error;
+use crate::runtime::Home;
 use crate::sim::{Sim, find_model};
 use crate::value::{Value, from_python};
 
 /// A session with a controller.
 #[pyclass(frozen)]
 pub(crate) struct Controller {
+    home: Arc<Home>,
     cell: asynch::Controller,
     /// A second session of the virtual controller in memory, which has no address.
     network: Option<Network>,
     settings: Settings,
 }
 
-/// Connects to a controller at an address, or to a virtual one in memory.
+/// Connects to a controller at an address, or to a virtual one in memory. `driven` says that the threads that make its calls run it.
 #[pyfunction]
 pub(crate) fn connect(
     address: String,
@@ -36,17 +38,19 @@ pub(crate) fn connect(
     robot: Option<String>,
     timeout: f64,
     sim: Option<&Bound<'_, Sim>>,
+    driven: bool,
 ) -> PyResult<Call> {
     let (_, _, model) = find_model(model)?;
     let mut settings = Settings::new(model).options(Options::default().connect_timeout(seconds(timeout)?));
     settings.robot = robot;
     let network = sim.and_then(|sim| sim.get().network()).cloned();
-    Ok(Call::new(async move {
+    let home = if driven { Home::driven()? } else { Home::shared()? };
+    Ok(Call::new(&Arc::clone(&home), async move {
         let cell = match &network {
             Some(network) => asynch::Controller::over(network.connect(), &settings).await?,
             None => asynch::Controller::connect(&address, &settings).await?,
         };
-        Ok(Controller { cell, network, settings })
+        Ok(Controller { home, cell, network, settings })
     }))
 }
 
@@ -73,7 +77,7 @@ impl Controller {
         F: Future<Output = Result<T, Error>> + Send + 'static,
     {
         let cell = self.cell.clone();
-        Call::new(async move { work(cell.robot().await?).await })
+        Call::new(&self.home, async move { work(cell.robot().await?).await })
     }
 }
 
@@ -81,13 +85,13 @@ impl Controller {
 impl Controller {
     fn read(&self, name: String) -> Call {
         let cell = self.cell.clone();
-        Call::new(async move { cell.read::<OwnedVariant>(&name).await.map(Value) })
+        Call::new(&self.home, async move { cell.read::<OwnedVariant>(&name).await.map(Value) })
     }
 
     /// Reads several variables in one turn.
     fn read_all(&self, names: Vec<String>) -> Call {
         let cell = self.cell.clone();
-        Call::new(async move {
+        Call::new(&self.home, async move {
             let names: Vec<_> = names.iter().map(String::as_str).collect();
             let mut values = Vec::with_capacity(names.len());
             for (_, value) in cell.read_each(&names).await? {
@@ -99,26 +103,29 @@ impl Controller {
 
     fn write(&self, name: String, value: &Bound<'_, PyAny>) -> PyResult<Call> {
         let (cell, value) = (self.cell.clone(), from_python(value)?);
-        Ok(Call::new(async move { cell.write(&name, value).await }))
+        Ok(Call::new(&self.home, async move { cell.write(&name, value).await }))
     }
 
     /// Reads a variable until it has a value.
     fn wait_for(&self, name: String, value: &Bound<'_, PyAny>, timeout: f64) -> PyResult<Call> {
         let (cell, wanted, limit) = (self.cell.clone(), from_python(value)?, seconds(timeout)?);
-        Ok(Call::new(
-            async move { cell.read_until(&name, |value: &OwnedVariant| *value == wanted, limit).await.map(Value) },
-        ))
+        Ok(Call::new(&self.home, async move {
+            cell.read_until(&name, |value: &OwnedVariant| *value == wanted, limit).await.map(Value)
+        }))
     }
 
     fn watch(&self, names: Vec<String>, interval: f64) -> PyResult<Watch> {
         let names: Vec<_> = names.iter().map(String::as_str).collect();
-        let changes = self.cell.subscribe(&names, seconds(interval)?);
-        Ok(Watch { changes: Arc::new(Mutex::new(changes)) })
+        let interval = seconds(interval)?;
+        // it starts a task
+        let _context = self.home.handle()?.enter();
+        let changes = self.cell.subscribe(&names, interval);
+        Ok(Watch { home: Arc::clone(&self.home), changes: Arc::new(Mutex::new(changes)) })
     }
 
     fn execute(&self, command: String, parameter: &Bound<'_, PyAny>) -> PyResult<Call> {
         let (cell, parameter) = (self.cell.clone(), from_python(parameter)?);
-        Ok(Call::new(async move { cell.execute::<OwnedVariant>(&command, parameter).await.map(Value) }))
+        Ok(Call::new(&self.home, async move { cell.execute::<OwnedVariant>(&command, parameter).await.map(Value) }))
     }
 
     fn execute_robot(&self, command: String, parameter: &Bound<'_, PyAny>) -> PyResult<Call> {
@@ -144,37 +151,41 @@ impl Controller {
     }
 
     fn take_arm(&self) -> Call {
-        self.with_robot(|robot| async move { robot.take_arm().await.map(Arm::new) })
+        let home = Arc::clone(&self.home);
+        self.with_robot(|robot| async move { robot.take_arm().await.map(|arm| Arm::new(home, arm)) })
     }
 
     fn recover(&self, alone: bool, speed: Option<f64>) -> Call {
-        let config = RecoveryConfig { is_alone: alone, speed };
-        self.with_robot(move |robot| async move { robot.recover(config).await.map(Arm::new) })
+        let (home, config) = (Arc::clone(&self.home), RecoveryConfig { is_alone: alone, speed });
+        self.with_robot(move |robot| async move { robot.recover(config).await.map(|arm| Arm::new(home, arm)) })
     }
 
     fn prepare(&self) -> Call {
-        self.with_robot(|robot| async move { robot.prepare().await.map(Arm::new) })
+        let home = Arc::clone(&self.home);
+        self.with_robot(|robot| async move { robot.prepare().await.map(|arm| Arm::new(home, arm)) })
     }
 
-    fn stopper(&self) -> Call {
+    /// Opens a second session, which runs on a thread, so that nothing delays it.
+    fn stopper(&self) -> PyResult<Call> {
+        let home = Home::shared()?;
         let (cell, network, settings) = (self.cell.clone(), self.network.clone(), self.settings.clone());
-        Call::new(async move {
+        Ok(Call::new(&Arc::clone(&home), async move {
             let stopper = match network {
                 Some(network) => asynch::Stopper::over(network.connect(), &settings).await?,
                 None => cell.stopper().await?,
             };
-            Ok(Stopper { stopper })
-        })
+            Ok(Stopper { home, stopper })
+        }))
     }
 
     fn read_file(&self, name: &str) -> Call {
         let file = self.cell.file(name);
-        Call::new(async move { file.read::<OwnedVariant>().await.map(Value) })
+        Call::new(&self.home, async move { file.read::<OwnedVariant>().await.map(Value) })
     }
 
     fn write_file(&self, name: &str, content: &Bound<'_, PyAny>) -> PyResult<Call> {
         let (file, content) = (self.cell.file(name), from_python(content)?);
-        Ok(Call::new(async move { file.write(content).await }))
+        Ok(Call::new(&self.home, async move { file.write(content).await }))
     }
 
     fn start_task(&self, name: String, mode: &str) -> PyResult<Call> {
@@ -185,7 +196,7 @@ impl Controller {
             _ => return Err(unknown("mode", mode, "once, continuous, step")),
         };
         let cell = self.cell.clone();
-        Ok(Call::new(async move { cell.task(&name).await?.start(mode).await }))
+        Ok(Call::new(&self.home, async move { cell.task(&name).await?.start(mode).await }))
     }
 
     fn stop_task(&self, name: String, mode: &str) -> PyResult<Call> {
@@ -198,12 +209,12 @@ impl Controller {
             _ => return Err(unknown("mode", mode, "default, now, step, cycle, initialize")),
         };
         let cell = self.cell.clone();
-        Ok(Call::new(async move { cell.task(&name).await?.stop(mode).await }))
+        Ok(Call::new(&self.home, async move { cell.task(&name).await?.stop(mode).await }))
     }
 
     fn task_status(&self, name: String) -> Call {
         let cell = self.cell.clone();
-        Call::new(async move {
+        Call::new(&self.home, async move {
             Ok(match cell.task(&name).await?.status().await? {
                 TaskStatus::None => "none",
                 TaskStatus::Suspended => "suspended",
@@ -217,7 +228,7 @@ impl Controller {
 
     fn close(&self) -> Call {
         let cell = self.cell.clone();
-        Call::new(async move {
+        Call::new(&self.home, async move {
             match cell.close().await {
                 // it was closed before
                 Err(Error::Closed) => Ok(()),
@@ -230,6 +241,7 @@ impl Controller {
 /// Halts the robot from any thread, over a separate connection.
 #[pyclass(frozen)]
 pub(crate) struct Stopper {
+    home: Arc<Home>,
     stopper: asynch::Stopper,
 }
 
@@ -237,7 +249,7 @@ pub(crate) struct Stopper {
 impl Stopper {
     fn halt(&self) -> Call {
         let stopper = self.stopper.clone();
-        Call::new(async move {
+        Call::new(&self.home, async move {
             Ok(match stopper.halt().await? {
                 Halted::Halted => "halted",
                 Halted::NothingMoved => "nothing moved",
@@ -251,6 +263,7 @@ impl Stopper {
 /// The changes of variables.
 #[pyclass(frozen)]
 pub(crate) struct Watch {
+    home: Arc<Home>,
     changes: Arc<Mutex<asynch::Subscription>>,
 }
 
@@ -259,7 +272,7 @@ impl Watch {
     /// Returns the next change: its name, and its value or its exception; None at the end.
     fn next(&self) -> Call {
         let changes = Arc::clone(&self.changes);
-        Call::new(async move { Ok(changes.lock().await.next().await.map(Change)) })
+        Call::new(&self.home, async move { Ok(changes.lock().await.next().await.map(Change)) })
     }
 }
 

@@ -17,13 +17,14 @@ use bcap_std::core::time::Instant;
 use bcap_stream::steps::{PoseSender, Step, StepError, given};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+use tokio::runtime::{Handle, RuntimeFlavor};
 use tokio::sync::{Mutex, watch};
 use tokio::task::{JoinHandle, block_in_place};
 
 use crate::arm::Arm;
 use crate::call::Call;
 use crate::controller::{seconds, unknown};
-use crate::runtime::runtime;
+use crate::runtime::Home;
 
 /// The settings of a stream, as a dictionary.
 #[derive(FromPyObject)]
@@ -39,6 +40,7 @@ pub(crate) struct StreamConfig {
 /// A stream of Slave Mode. Dropping it stops the robot.
 #[pyclass(frozen)]
 pub(crate) struct Stream {
+    home: Arc<Home>,
     kind: PoseType,
     poses: PoseSender,
     wanted: watch::Receiver<Option<Step>>,
@@ -72,14 +74,18 @@ impl Stream {
         let pose_timeout = seconds(config.pose_timeout)?;
         let (poses, trajectory) = given(pose_timeout, move |step| drop(sender.send_replace(Some(step))));
         let streaming = arm.run(move |arm| Box::pin(arm.stream(format, limits, Blocking(trajectory))));
-        let runtime = runtime()?;
-        Ok(Call::of_stream(async move {
-            let task = runtime.spawn(streaming);
+        let (home, runtime) = (Arc::clone(&arm.home), arm.home.handle()?.clone());
+        let blocks = home.streams();
+        Ok(Call::of_stream(&arm.home, async move {
+            let task = runtime.spawn(async move {
+                let _blocks = blocks;
+                streaming.await
+            });
             if wanted.wait_for(Option::is_some).await.is_err() {
                 return ended(&poses, task).await.and(Err(Error::Closed.into()));
             }
             let task = Arc::new(Mutex::new(Some(task)));
-            Ok(Self { kind, poses, wanted, turn: Arc::default(), task })
+            Ok(Self { home, kind, poses, wanted, turn: Arc::default(), task })
         }))
     }
 }
@@ -102,7 +108,7 @@ impl Stream {
             PyValueError::new_err(format!("a pose {:?} does not have {} numbers", self.kind, pose.len()))
         })?;
         let (poses, mut wanted, turn) = (self.poses.clone(), self.wanted.clone(), Arc::clone(&self.turn));
-        Ok(Call::new(async move {
+        Ok(Call::new(&self.home, async move {
             let _turn = turn.lock().await;
             let number = wanted.borrow_and_update().as_ref().map(|wanted| wanted.number);
             // when the stream has ended, `wanted` says so
@@ -115,7 +121,7 @@ impl Stream {
     /// Ends the stream: after the last pose, or at once with a ramp. Returns the statistics.
     fn finish(&self, stop: bool) -> Call {
         let (poses, task) = (self.poses.clone(), Arc::clone(&self.task));
-        Call::of_stream(async move {
+        Call::of_stream(&self.home, async move {
             poses.send(if stop { Next::Stop } else { Next::Finish });
             let task = task.lock().await.take().ok_or(Error::Closed)?;
             let Stats { cycles, late, refused, underflows, .. } = ended(&poses, task).await?;
@@ -128,12 +134,15 @@ fn cycle(Step { number, start, actual }: Step) -> (u32, Vec<f64>, Vec<f64>) {
     (number, start, actual)
 }
 
-/// A trajectory that blocks. The other tasks of the runtime go on.
+/// A trajectory that blocks. The other tasks of the shared runtime go on; those of a session wait for the end of its stream.
 struct Blocking<T>(T);
 
 impl<T: Trajectory> Trajectory for Blocking<T> {
     fn next(&mut self, cycle: &Cycle<'_>) -> Next {
-        block_in_place(|| self.0.next(cycle))
+        match Handle::current().runtime_flavor() {
+            RuntimeFlavor::MultiThread => block_in_place(|| self.0.next(cycle)),
+            _ => self.0.next(cycle),
+        }
     }
 
     fn moved(&mut self, reply: &MoveReply<'_>, now: Instant) {

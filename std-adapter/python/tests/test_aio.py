@@ -4,6 +4,7 @@ import asyncio
 import math
 
 import pytest
+import write_aio
 from conftest import at_rest, eventually
 
 import bcap
@@ -99,3 +100,7 @@ def test_errors_are_raised_where_they_are_awaited(sim: bcap.Sim) -> None:
                 await cell.read("NONE")
 
     asyncio.run(main())
+
+
+def test_the_objects_are_written_from_those_of_bcap() -> None:
+    assert (write_aio.PACKAGE / "aio.py").read_text() == write_aio.written(), "write it again: python tests/write_aio.py"

@@ -1,6 +1,7 @@
 """The programs of docs/python.md, against the virtual controller."""
 
 import re
+import threading
 from pathlib import Path
 
 import pytest
@@ -19,6 +20,10 @@ def test_a_program_of_the_book(
     # a busy machine does not keep the cycle of Slave Mode
     address = memory if "slave_mode" in program else str(sim.address)
     exec(compile(program, f"docs/python.md, program {number + 1}", "exec"), {"__name__": "program", "address": address})
+    # the halt of another thread looks at the robot until it rests
+    for thread in threading.enumerate():
+        if isinstance(thread, threading.Timer):
+            thread.join(30)
     printed = capsys.readouterr().out
     assert ["5 parts", "stopped at J(", "{'cycles': 25", "[1, 1, 1, 1, 1, 1, 1, 1, 1, 1]", ""][number] in printed
     assert not (sim.arm_taken or sim.motor_on or sim.moving)

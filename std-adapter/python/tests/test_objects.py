@@ -1,6 +1,8 @@
 """Variables, motions, streams, tasks, files and errors, against the virtual controller."""
 
 import math
+import subprocess
+import sysconfig
 import threading
 from datetime import datetime
 from pathlib import Path
@@ -241,3 +243,22 @@ def test_tasks_and_files(tmp_path: Path) -> None:
 def test_commands(cell: bcap.Controller) -> None:
     assert cell.execute("ClearError") is None
     assert cell.execute_robot("CurTool") == 0
+
+
+def test_the_command_comes_with_the_package(cell: bcap.Controller, sim: bcap.Sim) -> None:
+    cell["I1"] = 4711
+    command = [str(Path(sysconfig.get_path("scripts"), "bcap")), "get", "--robot", str(sim.address), "I1"]
+    assert "4711" in subprocess.run(command, capture_output=True, text=True, check=True).stdout
+
+
+def test_a_session_goes_on_between_calls(sim: bcap.Sim) -> None:
+    with bcap.Controller(sim) as cell, bcap.Controller(sim) as other:
+        changes = cell.watch("I1", interval=0.01)
+        assert next(changes) == bcap.Change("I1", 0)
+        arm = cell.take_arm()
+        arm.motor_on()
+        other["I1"] = 5
+        del arm
+        # no call of this session is made: its keeper gives the arm back, and reads the variable
+        assert eventually(lambda: at_rest(sim))
+        assert next(changes) == bcap.Change("I1", 5)
