@@ -1,26 +1,36 @@
-/* Reads I1 many times, and prints the calls a second and the processor time of each: calls ADDRESS COUNT */
+/* Makes a call many times, and prints the processor time of each: calls ADDRESS COUNT read|write|pose|joints */
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 #include <time.h>
 
 #include "bcap.h"
 
-static double seconds(clockid_t clock) {
-    struct timespec now;
-    clock_gettime(clock, &now);
-    return (double)now.tv_sec + (double)now.tv_nsec / 1e9;
+static bcap_status call(bcap_controller cell, char operation) {
+    double numbers[8];
+    size_t count;
+    int64_t integer;
+    switch (operation) {
+    case 'w': return bcap_write(cell, "I1", bcap_i4(5));
+    case 'p': return bcap_read_numbers(cell, "P1", numbers, 8, &count);
+    case 'j': return bcap_joints(cell, numbers);
+    default: return bcap_read_integer(cell, "I1", &integer);
+    }
 }
 
 int main(int argc, char **argv) {
     bcap_controller cell;
-    int64_t value;
-    const long count = argc > 2 ? atol(argv[2]) : 10000;
-    bcap_status status = bcap_connect(argc > 1 ? argv[1] : "tcp:127.0.0.1", BCAP_RC8, &cell);
-    const double began = seconds(CLOCK_MONOTONIC), used = seconds(CLOCK_PROCESS_CPUTIME_ID);
-    for (long call = 0; call < count && status == BCAP_OK; call++)
-        status = bcap_read_integer(cell, "I1", &value);
-    printf("C:    %.0f calls/s, %.2f us of processor time each\n", (double)count / (seconds(CLOCK_MONOTONIC) - began),
-           (seconds(CLOCK_PROCESS_CPUTIME_ID) - used) * 1e6 / (double)count);
+    struct timespec began, ended;
+    if (argc < 4)
+        return 2;
+    const long count = atol(argv[2]);
+    bcap_status status = bcap_connect(argv[1], BCAP_RC8, &cell);
+    clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &began);
+    for (long made = 0; made < count && status == BCAP_OK; made++)
+        status = call(cell, *argv[3]);
+    clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &ended);
+    const double seconds = (double)(ended.tv_sec - began.tv_sec) + (double)(ended.tv_nsec - began.tv_nsec) / 1e9;
+    printf("%.2f\n", seconds * 1e6 / (double)count);
     bcap_close(cell);
     return status != BCAP_OK;
 }

@@ -1,9 +1,7 @@
 //! As `calls.c`, in Rust.
 
-use std::time::Instant;
-
 use bcap_std::blocking::Controller;
-use bcap_std::{MainError, Settings};
+use bcap_std::{Error, MainError, Settings};
 
 /// Returns the processor time of this process in seconds.
 fn processor_time() -> Option<f64> {
@@ -11,17 +9,25 @@ fn processor_time() -> Option<f64> {
     Some(stat.split(' ').next()?.parse::<f64>().ok()? / 1e9)
 }
 
+fn call(cell: &mut Controller, operation: &str) -> Result<(), Error> {
+    match operation {
+        "write" => cell.write("I1", 5),
+        "pose" => cell.read::<Vec<f64>>("P1").map(|pose| drop(std::hint::black_box(pose))),
+        "joints" => cell.robot()?.joints().map(|joints| drop(std::hint::black_box(joints))),
+        _ => cell.read::<i64>("I1").map(|value| drop(std::hint::black_box(value))),
+    }
+}
+
 fn main() -> Result<(), MainError> {
     let mut arguments = std::env::args().skip(1);
     let address = arguments.next().unwrap_or_else(|| "tcp:127.0.0.1".into());
     let count: u32 = arguments.next().map_or(Ok(10_000), |count| count.parse())?;
+    let operation = arguments.next().unwrap_or_default();
     let mut cell = Controller::connect(&address, &Settings::rc8())?;
-    let (began, used) = (Instant::now(), processor_time().unwrap_or(0.0));
+    let used = processor_time().unwrap_or(0.0);
     for _ in 0..count {
-        std::hint::black_box(cell.read::<i64>("I1")?);
+        call(&mut cell, &operation)?;
     }
-    let (seconds, used) = (began.elapsed().as_secs_f64(), processor_time().unwrap_or(0.0) - used);
-    let count = f64::from(count);
-    println!("Rust: {:.0} calls/s, {:.2} us of processor time each", count / seconds, used * 1e6 / count);
+    println!("{:.2}", (processor_time().unwrap_or(0.0) - used) * 1e6 / f64::from(count));
     Ok(())
 }

@@ -9,12 +9,9 @@
 use std::sync::Arc;
 
 use bcap_std::Error;
-use bcap_std::core::slave::{
-    AxisLimits, Cycle, Format, Mode, MoveReply, Next, Pose, PoseType, ReceiveFormat, ReceivePose, SlaveMode, Stats,
-    Trajectory,
-};
+use bcap_std::core::slave::{AxisLimits, Cycle, MoveReply, Next, Pose, PoseType, Stats, Trajectory};
 use bcap_std::core::time::Instant;
-use bcap_stream::steps::{PoseSender, Step, StepError, given};
+use bcap_stream::steps::{PoseSender, Step, StepError, format, given};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use tokio::runtime::{Handle, RuntimeFlavor};
@@ -55,19 +52,14 @@ type Streaming = JoinHandle<Result<Stats, Error>>;
 impl Stream {
     /// Begins a stream, and waits until the first pose is wanted.
     pub(crate) fn begin(arm: &Arm, config: StreamConfig) -> PyResult<Call> {
-        let (kind, receive) = match &*config.kind {
-            "J" => (PoseType::J, ReceivePose::J),
-            "P" => (PoseType::P, ReceivePose::P),
-            "T" => (PoseType::T, ReceivePose::T),
+        let kind = match &*config.kind {
+            "J" => PoseType::J,
+            "P" => PoseType::P,
+            "T" => PoseType::T,
             other => return Err(unknown("kind of pose", other, "J, P, T")),
         };
-        let mode = match config.mode {
-            0 => Mode::Mode0,
-            1 => Mode::Mode1,
-            2 => Mode::Mode2,
-            other => return Err(PyValueError::new_err(format!("mode {other} does not exist; 0 to 2 do"))),
-        };
-        let format = Format::new(SlaveMode { mode, pose: kind }, ReceiveFormat::pose(receive));
+        let invalid = || PyValueError::new_err(format!("mode {} does not exist; 0 to 2 do", config.mode));
+        let format = format(config.mode.into(), kind).ok_or_else(invalid)?;
         let (speed, acceleration) = (config.max_speed, config.max_acceleration);
         let limits = AxisLimits::uniform(speed.unwrap_or(f64::INFINITY), acceleration.unwrap_or(f64::INFINITY));
         let (sender, mut wanted) = watch::channel(None);

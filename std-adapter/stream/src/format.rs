@@ -3,6 +3,7 @@
 use bcap_core::slave::{ExtendedAxes, PoseType, ReceiveFormat, ReceivePose, SendFormat, SendIo, TimeUnit, UserIo};
 
 use crate::outputs::parse_bits;
+use crate::steps::reply_pose;
 
 /// The parts of a reply.
 #[derive(Clone, Copy, Debug)]
@@ -22,11 +23,7 @@ impl ReceiveParts {
     /// Returns the format of a reply to a stream of this type.
     #[must_use]
     pub fn format(self, stream: PoseType) -> ReceiveFormat {
-        let pose = self.pose.unwrap_or(match stream {
-            PoseType::P => ReceivePose::P,
-            PoseType::J => ReceivePose::J,
-            PoseType::T => ReceivePose::T,
-        });
+        let pose = self.pose.unwrap_or(reply_pose(stream));
         ReceiveFormat { pose, ..self.format }
     }
 

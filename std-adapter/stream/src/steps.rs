@@ -16,10 +16,30 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-use bcap_core::slave::{AxisLimits, Cycle, Format, MoveReply, Next, Stats, Trajectory};
+use bcap_core::slave::{
+    AxisLimits, Cycle, Format, Mode, MoveReply, Next, PoseType, ReceiveFormat, ReceivePose, SlaveMode, Stats,
+    Trajectory,
+};
 use bcap_core::time::Instant;
 use bcap_std::Error;
 use bcap_std::blocking::Controller;
+
+/// Returns the format of a stream in mode 0, 1 or 2, whose replies have poses of the same type; `None` for another number.
+#[must_use]
+pub fn format(mode: i32, pose: PoseType) -> Option<Format> {
+    let code = SlaveMode { mode: Mode::Mode0, pose }.code() | mode.checked_mul(0x100)?;
+    let slave_mode = SlaveMode::from_code(code)?;
+    Some(Format::new(slave_mode, ReceiveFormat::pose(reply_pose(pose))))
+}
+
+/// Returns the part of a reply that has the same type as the poses.
+pub(crate) const fn reply_pose(pose: PoseType) -> ReceivePose {
+    match pose {
+        PoseType::P => ReceivePose::P,
+        PoseType::J => ReceivePose::J,
+        PoseType::T => ReceivePose::T,
+    }
+}
 
 /// The cycle that waits for a pose of the caller.
 #[derive(Clone, Debug, PartialEq)]
@@ -164,7 +184,7 @@ impl Steps {
 
 #[cfg(test)]
 mod tests {
-    use bcap_core::slave::{Mode, Pose, PoseType, ReceiveFormat, ReceivePose, SlaveMode};
+    use bcap_core::slave::Pose;
     use bcap_sim::memory::Network;
     use bcap_sim::{Config, Profile};
     use bcap_std::Settings;
@@ -179,9 +199,7 @@ mod tests {
         let mut arm = cell.robot().unwrap().take_arm().unwrap();
         arm.motor_on().unwrap();
         arm.keep();
-        let mode = SlaveMode { mode: Mode::Mode2, pose: PoseType::J };
-        let format = Format::new(mode, ReceiveFormat::pose(ReceivePose::J));
-        Steps::start(cell, format, AxisLimits::uniform(100.0, 800.0), pose_timeout)
+        Steps::start(cell, format(2, PoseType::J).unwrap(), AxisLimits::uniform(100.0, 800.0), pose_timeout)
     }
 
     fn joints(first: f64, step: &Step) -> Next {
@@ -192,6 +210,14 @@ mod tests {
 
     fn network() -> Network {
         Network::new(Config::new(Profile::Rc8))
+    }
+
+    #[test]
+    fn a_format_has_its_mode_and_the_same_type_in_replies() {
+        let expected =
+            Format::new(SlaveMode { mode: Mode::Mode1, pose: PoseType::T }, ReceiveFormat::pose(ReceivePose::T));
+        assert_eq!(format(1, PoseType::T), Some(expected));
+        assert_eq!([-1, 3, i32::MAX].map(|mode| format(mode, PoseType::J)), [None; 3]);
     }
 
     #[test]

@@ -2,11 +2,9 @@
 
 use std::time::Duration;
 
-use bcap_std::core::slave::{
-    AxisLimits, Format, Mode, Next, Pose, PoseType, ReceiveFormat, ReceivePose, SlaveMode, Stats,
-};
+use bcap_std::core::slave::{AxisLimits, Next, Pose, PoseType, Stats};
 
-use bcap_stream::steps::{StepError, Steps};
+use bcap_stream::steps::{StepError, Steps, format};
 
 use super::controller::bcap_controller;
 use super::{Failure, table, taken};
@@ -69,25 +67,15 @@ fn next_cycle(cell: &mut table::Cell) -> Result<Vec<f64>, Failure> {
     Err(Failure::new(BCAP_E_STREAM, "Slave Mode: the stream has ended"))
 }
 
-fn format(mode: i32) -> Result<Format, Failure> {
-    let mode = match mode {
-        0 => Mode::Mode0,
-        1 => Mode::Mode1,
-        2 => Mode::Mode2,
-        _ => return Err(Failure::new(BCAP_E_RANGE, format_args!("mode {mode} is invalid; pass 0, 1 or 2"))),
-    };
-    Ok(Format::new(SlaveMode { mode, pose: PoseType::J }, ReceiveFormat::pose(ReceivePose::J)))
-}
-
 /// Returns a field, or its default if it is 0.
 fn or(value: f64, default: f64, name: &str) -> Result<f64, Failure> {
     match value {
         0.0 => Ok(default),
         value if value > 0.0 && value.is_finite() => Ok(value),
-        value => Err(Failure::new(
-            BCAP_E_RANGE,
-            format_args!("{name} is {value}; pass a positive number, or 0 for {default}"),
-        )),
+        value => {
+            let text = format_args!("{name} is {value}; pass a positive number, or 0 for {default}");
+            Err(Failure::new(BCAP_E_RANGE, text))
+        }
     }
 }
 
@@ -101,12 +89,11 @@ pub unsafe extern "C" fn bcap_stream_start(
 ) -> bcap_status {
     table::on(controller.id, |cell| {
         let options = caller!(get(options))?;
-        let (speed, acceleration) =
-            (or(options.speed, 30.0, "speed")?, or(options.acceleration, 300.0, "acceleration")?);
-        let limits = AxisLimits::uniform(speed, acceleration);
-        let late =
-            Duration::from_millis(if options.pose_timeout_ms == 0 { 100 } else { options.pose_timeout_ms.into() });
-        let format = format(options.mode)?;
+        let acceleration = or(options.acceleration, 300.0, "acceleration")?;
+        let limits = AxisLimits::uniform(or(options.speed, 30.0, "speed")?, acceleration);
+        let late = Duration::from_millis(or(options.pose_timeout_ms.into(), 100.0, "pose_timeout_ms")? as u64);
+        let invalid = || Failure::new(BCAP_E_RANGE, format_args!("mode {} is invalid; pass 0, 1 or 2", options.mode));
+        let format = format(options.mode, PoseType::J).ok_or_else(invalid)?;
         taken(cell.at_rest()?)?.keep();
         let controller = cell.controller.take().ok_or(BCAP_E_CLOSED)?;
         cell.stream = Some(Steps::start(controller, format, limits, late));
