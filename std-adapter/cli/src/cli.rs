@@ -171,7 +171,7 @@ pub(crate) struct Run {
     pub(crate) check: bool,
 }
 
-/// Generates the completion script of a shell, manual pages, or a dissector for Wireshark
+/// Generates the completion script of a shell, pages of the commands, or a dissector for Wireshark
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -196,8 +196,7 @@ pub(crate) enum Output {
         #[arg(value_name = "DIR")]
         directory: PathBuf,
     },
-    /// Writes the pages of the book, one for each command, and prints a list of them
-    #[command(hide = true)]
+    /// Writes a page of Markdown for each command, as the book has them, and prints a list of them
     Pages {
         /// The directory; it is made if it does not exist
         #[arg(value_name = "DIR")]

@@ -49,5 +49,6 @@ fn the_book_gets_a_page_for_each_command() {
     for text in ["`--mode <MODE>`\n: How", "Values: `0`, `1`, `2`.", "Default: `2`."] {
         assert!(play.contains(text), "{text}: {play}");
     }
+    assert!(page("get.md").contains("; [`bcap help connection`](connection.md) has"), "{}", page("get.md"));
     assert!(page("get.md").contains("\n  bcap get I1\n") && page("connection.md").contains("\n`--provider "));
 }

@@ -327,7 +327,7 @@ fn options_of_a_virtual_controller_conflict_with_a_capture_to_play_back() {
         &["--model", "rc8"][..],
         &["--mode", "auto"],
         &["--token", "any"],
-        &["--robot-type", "VS050A3"],
+        &["--robot-type", "VS060A3"],
         &["--no-slave-licence"],
         &["--record", "motion.csv"],
         &["--print-model"],

@@ -265,7 +265,7 @@ fn a_fifo_is_no_model_arm_or_scenario() {
 #[test]
 fn the_robot_type_can_be_set() {
     let type_of = |more: &[&str]| Sim::start(more).tcp(&["get", "robot/@TYPE_NAME", "@VERSION"]).out;
-    assert_eq!(type_of(&[]), "robot/@TYPE_NAME = VS050A3\n@VERSION = 2.8.0\n");
+    assert_eq!(type_of(&[]), "robot/@TYPE_NAME = VS060A3\n@VERSION = 2.8.0\n");
     assert_eq!(type_of(&["--model", "cobotta"]), "robot/@TYPE_NAME = CVR038A1\n@VERSION = 2.8.0\n");
     assert_eq!(type_of(&["--robot-type", "HS035"]), "robot/@TYPE_NAME = HS035\n@VERSION = 2.8.0\n");
     let text = "[controller]\nrobot_type = 'VM060'\naxes = 7\narm_name = 'Left'\nversion = '1.2.3'\n";
@@ -344,7 +344,7 @@ fn a_printed_model_is_changed_and_loaded() {
     let file = folder.path().join("cell7.toml");
     let printed = bcap(&["sim", "--model", "rc9", "--print-model"]);
     assert_eq!(printed.code, 0);
-    let changed = printed.out.replace("VS050A3", "VM060A1").replace("i = 100", "i = 7").replace("\"RC9\"", "\"CELL7\"");
+    let changed = printed.out.replace("VS060A3", "VM060A1").replace("i = 100", "i = 7").replace("\"RC9\"", "\"CELL7\"");
     assert_ne!(changed, printed.out);
     fs::write(&file, &changed).unwrap();
     let sim = Sim::start(&["--model", file.to_str().unwrap()]);

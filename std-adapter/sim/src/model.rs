@@ -98,7 +98,7 @@ impl Profile {
 /// ```
 /// use bcap_sim::{Config, Model, Profile};
 ///
-/// let text = Profile::Rc9.text().replace("VS050A3", "VM060A1");
+/// let text = Profile::Rc9.text().replace("VS060A3", "VM060A1");
 /// let config = Config::of(Model::parse(&text)?);
 /// assert_eq!(config.robot_type, "VM060A1");
 /// # Ok::<(), bcap_sim::model::ModelError>(())

@@ -371,8 +371,8 @@ fn what_is_no_scenario_says_where_and_why() {
 #[test]
 fn each_model_has_a_type_of_robot_and_a_version_that_drivers_accept() {
     for (profile, robot_type, version) in [
-        (Profile::Rc8, "VS050A3", "2.8.0"),
-        (Profile::Rc9, "VS050A3", "1.4.0"),
+        (Profile::Rc8, "VS060A3", "2.8.0"),
+        (Profile::Rc9, "VS060A3", "1.4.0"),
         (Profile::Cobotta, "CVR038A1", "2.8.0"),
     ] {
         let mut world = World::with(Config::new(profile));

@@ -81,5 +81,5 @@ fn prose(text: &str) -> String {
         }
         _ => part.to_owned(),
     });
-    parts.collect::<Vec<_>>().join("`")
+    parts.collect::<Vec<_>>().join("`").replace("`bcap help connection`", "[`bcap help connection`](connection.md)")
 }

@@ -80,7 +80,7 @@ pub(crate) struct Sim {
     #[arg(long, requires = "arm")]
     pub(crate) print_arm: bool,
 
-    /// The type of the robot, which drivers read as @TYPE_NAME [default: VS050A3; CVR038A1 for a COBOTTA]
+    /// The type of the robot, which drivers read as @TYPE_NAME [default: VS060A3; CVR038A1 for a COBOTTA]
     ///
     /// The type does not change the lengths, ranges and speeds of the arm. A scenario sets name, axes and version.
     #[arg(long, value_name = "TYPE")]
