@@ -249,9 +249,7 @@ fn each_function_and_object_is_shown_once() {
     let Some(terminal) = monitor((200, 50), &args, &folder) else { return };
     terminal.wait_for("Variable_GetValue I1");
     assert_eq!(robot.run(&["put", "I1", "5"]).code, 0);
-    let screen = terminal.wait_until("I4(5) of I1", |screen| {
-        screen.lines().any(|line| line.contains("Variable_GetValue I1") && line.contains(" s  I4(5)"))
-    });
+    let screen = terminal.wait_until("I4(5) of I1", |screen| screen.contains(" s  Variable_GetValue I1 = I4(5) "));
     assert_eq!(screen.matches("Variable_GetValue I1 ").count(), 1, "{screen}");
     terminal.keys(&["o"]);
     terminal.wait_for("I1 = 5");

@@ -18,7 +18,13 @@ const THREE: [(u16, u16); 3] = [(100, 30), SIZES[0], SIZES[1]];
 
 /// Compares a screen with its recording, or writes it.
 #[track_caller]
-fn recorded(name: &str, (width, height): (u16, u16), screen: &str) {
+fn recorded(name: &str, size: (u16, u16), screen: &str) {
+    recorded_rows(usize::MAX, name, size, screen);
+}
+
+/// As `recorded`, but compares only the first rows.
+#[track_caller]
+fn recorded_rows(rows: usize, name: &str, (width, height): (u16, u16), screen: &str) {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../../docs/screens/{name}-{width}x{height}.txt"));
     if std::env::var_os("BLESS").is_some() {
         fs::create_dir_all(path.parent().unwrap()).unwrap();
@@ -27,7 +33,9 @@ fn recorded(name: &str, (width, height): (u16, u16), screen: &str) {
     let recording = fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
     assert_eq!(screen.lines().count(), usize::from(height), "{screen}");
     let hint = "BLESS=1 records it again";
-    assert_eq!(stable(screen), stable(&recording), "{hint}:\n{screen}");
+    let [shown, recording] =
+        [screen, &recording].map(|text| stable(text).lines().take(rows).collect::<Vec<_>>().join("\n"));
+    assert_eq!(shown, recording, "{hint}:\n{screen}");
 }
 
 /// Returns a screen without what changes from run to run.
@@ -77,6 +85,25 @@ fn the_monitor() {
         recorded("monitor", size, &screen);
         terminal.keys(&["q"]);
     }
+}
+
+#[test]
+fn the_calls_by_object() {
+    let robot = Virtual::start(&[]);
+    let folder = tempfile::tempdir().unwrap();
+    let args = ["monitor", "I1", "P1", "--packets", "--interval", "50", "--robot", &robot.tcp];
+    let Some(terminal) = Terminal::start(SIZES[0], &args, folder.path()) else { return };
+    terminal.wait_for("Variable_GetValue @BUSY_STATUS = BOOL(false)");
+    terminal.keys(&["End"]);
+    terminal.wait_for("Variable_GetValue P1 = ");
+    terminal.keys(&["End"]);
+    terminal
+        .wait_until("the selection", |screen| screen.lines().any(|line| line.contains('>') && line.contains(" P1 = ")));
+    assert_eq!(robot.run(&["put", "I1", "12"]).code, 0);
+    let screen = terminal.wait_until("the value", |screen| screen.contains("I1 = I4(12)") && !screen.contains('*'));
+    // the order of the last packets is not the same in each run
+    recorded_rows(18, "packets", SIZES[0], &screen);
+    terminal.keys(&["q"]);
 }
 
 #[test]

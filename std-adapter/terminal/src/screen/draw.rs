@@ -99,7 +99,8 @@ pub(super) fn draw(screen: &Screen, look: Look, frame: &mut Frame<'_>) {
 fn panels(screen: &Screen, look: Look, area: Rect, buffer: &mut Buffer) {
     let [top, middle, log] =
         Layout::vertical([Constraint::Fill(11), Constraint::Fill(5), Constraint::Fill(5)]).areas(area);
-    let [values, right] = Layout::horizontal([Constraint::Fill(1), Constraint::Length(ROBOT)]).areas(top);
+    let right = if screen.robot.title.is_empty() { 0 } else { ROBOT };
+    let [values, right] = Layout::horizontal([Constraint::Fill(1), Constraint::Length(right)]).areas(top);
     let robot = u16::try_from(screen.robot.lines.len()).unwrap_or(u16::MAX).clamp(5, 6) + 2;
     let [robot, tasks] = Layout::vertical([Constraint::Length(robot), Constraint::Fill(1)]).areas(right);
     let [errors, messages] = Layout::horizontal([Constraint::Fill(1), Constraint::Fill(1)]).areas(middle);
@@ -111,7 +112,10 @@ fn panels(screen: &Screen, look: Look, area: Rect, buffer: &mut Buffer) {
         (&screen.messages, messages),
         (&screen.log, log),
     ] {
-        panel(part, look, area, buffer);
+        // borders need two
+        if area.height > 2 && area.width > 2 {
+            panel(part, look, area, buffer);
+        }
     }
 }
 

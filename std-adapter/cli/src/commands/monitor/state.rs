@@ -306,6 +306,10 @@ impl State {
             Focus::Packets => &mut screen.log,
         };
         focused.view = Part::Around(self.selected);
+        // a call is a long line
+        if self.shows_calls {
+            screen.robot = Panel::default();
+        }
         screen
     }
 
@@ -599,9 +603,8 @@ mod tests {
         state.set_time(Duration::from_millis(3500));
         typed(&mut state, "o");
         let lines = state.screen().values.lines;
-        let shown: Vec<_> = lines.iter().map(|line| (line.name.as_str(), line.text.as_str(), line.mark)).collect();
-        let get = "Variable_GetValue I1";
-        assert_eq!(shown, [(get, "     3    1.0/s   0.5 s  I4(8)", Mark::Changed)]);
+        let shown: Vec<_> = lines.iter().map(|line| (line.text.as_str(), line.mark)).collect();
+        assert_eq!(shown, [("     3    1.0/s   0.5 s  Variable_GetValue I1 = I4(8)", Mark::Changed)]);
         // nothing is selected to be written
         typed(&mut state, "w");
         assert_eq!(state.screen().notice.text, "write NAME=VALUE: _");

@@ -13,10 +13,16 @@ pub(crate) fn calls_panel(log: &CallLog, now: Duration) -> Panel {
     let line = |(name, call): (&str, &Call)| {
         let age = now.saturating_sub(call.last).as_secs_f64();
         let is_marked = call.changed.is_some_and(|at| now < at + bcap_live::log::MARKED);
-        let text = format!("{:6} {:6.1}/s {age:5.1} s  {}", call.count, call.rate(), escape::cut(&call.reply));
-        Line { mark: if is_marked { Mark::Changed } else { Mark::Plain }, ..Line::named(name, text) }
+        let text = format!(
+            "{:6} {:6.1}/s {age:5.1} s  {} = {}",
+            call.count,
+            call.rate(),
+            name.trim_end(),
+            escape::cut(&call.reply)
+        );
+        Line { mark: if is_marked { Mark::Changed } else { Mark::Plain }, ..Line::new(text) }
     };
-    Panel::new("calls: count, rate, time since, reply", log.calls().map(line).collect())
+    Panel::new("calls: count, rate, time since the last one, reply", log.calls().map(line).collect())
 }
 
 /// Returns the lines as a panel.
