@@ -1,5 +1,7 @@
 //! As `calls.c`, in Rust.
 
+use std::hint::black_box;
+
 use bcap_std::blocking::Controller;
 use bcap_std::{Error, MainError, Settings};
 
@@ -11,11 +13,12 @@ fn processor_time() -> Option<f64> {
 
 fn call(cell: &mut Controller, operation: &str) -> Result<(), Error> {
     match operation {
-        "write" => cell.write("I1", 5),
-        "pose" => cell.read::<Vec<f64>>("P1").map(|pose| drop(std::hint::black_box(pose))),
-        "joints" => cell.robot()?.joints().map(|joints| drop(std::hint::black_box(joints))),
-        _ => cell.read::<i64>("I1").map(|value| drop(std::hint::black_box(value))),
+        "write" => return cell.write("I1", 5),
+        "pose" => _ = black_box(cell.read::<Vec<f64>>("P1")?),
+        "joints" => _ = black_box(cell.robot()?.joints()?),
+        _ => _ = black_box(cell.read::<i64>("I1")?),
     }
+    Ok(())
 }
 
 fn main() -> Result<(), MainError> {
