@@ -29,6 +29,8 @@ use crate::commands::robot::{
 use crate::commands::sim::args::Sim;
 use crate::commands::slave::args::Slave;
 use crate::commands::variables::{get::Get, io::Io, names::Names, put::Put, rac::Rac, watch::Watch};
+#[cfg(feature = "web")]
+use crate::commands::web::Web;
 use crate::failure::Failure;
 use crate::link::LinkArgs;
 use crate::output::print_raw;
@@ -64,6 +66,8 @@ pub(crate) enum Command {
     Io(Io),
     #[cfg(feature = "screens")]
     Monitor(Monitor),
+    #[cfg(feature = "web")]
+    Web(Web),
     Names(Names),
     Ls(Ls),
     Cp(Cp),

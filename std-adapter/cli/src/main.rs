@@ -98,6 +98,8 @@ pub(crate) fn verb(command: &Command, session: &mut Session, json: bool) -> Resu
         Command::Io(args) => io::io(args, session, json),
         #[cfg(feature = "screens")]
         Command::Monitor(args) => monitor::monitor(args, session, json),
+        #[cfg(feature = "web")]
+        Command::Web(args) => commands::web::web(args, link),
         Command::Names(args) => names::names(args, session, json),
         Command::Ls(args) => files::ls(args, session, json),
         Command::Cp(args) => files::cp(args, session, json),

@@ -68,4 +68,6 @@ mod terminal;
 #[cfg(unix)]
 mod tester;
 mod text;
+#[cfg(all(unix, feature = "web"))]
+mod web;
 mod wireshark;

@@ -14,7 +14,7 @@ use graph::Arrows;
 use source::Source;
 
 /// The crates whose files are read, and their folders.
-const CRATES: [(&str, &str); 17] = [
+const CRATES: [(&str, &str); 18] = [
     ("bcap-core", "core"),
     ("bcap-gateway", "core/gateway"),
     ("bcap-std", "std-adapter"),
@@ -28,6 +28,7 @@ const CRATES: [(&str, &str); 17] = [
     ("bcap-fleet", "std-adapter/fleet"),
     ("bcap-live", "std-adapter/live"),
     ("bcap-cli", "std-adapter/cli"),
+    ("bcap-web", "std-adapter/web"),
     ("bcap-terminal", "std-adapter/terminal"),
     ("bcap-embassy", "embassy-adapter"),
     ("bcap-board", "embassy-adapter/board"),

@@ -20,3 +20,5 @@ mod screen;
 pub(crate) mod sim;
 pub(crate) mod slave;
 pub(crate) mod variables;
+#[cfg(feature = "web")]
+pub(crate) mod web;

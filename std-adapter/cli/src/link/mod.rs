@@ -132,6 +132,27 @@ impl LinkArgs {
         }
     }
 
+    /// Returns the options with the values of a profile, which has an address.
+    #[cfg(feature = "web")]
+    pub(crate) fn for_profile(&self, name: &str) -> Result<Self, Failure> {
+        let Some(address) = Profiles::read()?.find(name)?.address.clone() else {
+            let remedy = "write address = \"tcp:HOST\" there";
+            return Err(Failure::Input(format!("the profile {name} has no address; {remedy}")));
+        };
+        Self { profile: Some(name.to_owned()), ..self.at(&address) }.with_profile()
+    }
+
+    /// Returns where the controller is, for a program that connects by itself.
+    #[cfg(feature = "web")]
+    pub(crate) fn access(&self) -> Result<bcap_live::link::Access, Failure> {
+        Ok(bcap_live::link::Access {
+            address: self.target()?,
+            provider: (!self.has_default_provider()).then(|| self.provider().to_owned()),
+            machine: self.machine.clone().filter(|name| !name.is_empty()),
+            option: self.option().to_owned(),
+        })
+    }
+
     /// Returns the provider to connect to.
     pub(crate) fn provider(&self) -> &str {
         self.provider.as_deref().filter(|name| !name.is_empty()).map_or("CaoProv.DENSO.VRC", provider_of)

@@ -1,0 +1,92 @@
+//! `bcap web`: a page for a browser of this computer.
+
+use std::io::Write as _;
+use std::net::SocketAddr;
+use std::process::{Command, Stdio};
+
+use bcap_terminal::signal;
+use bcap_web::{Config, Server};
+use clap::Args;
+use tempfile::NamedTempFile;
+
+use crate::failure::Failure;
+use crate::link::LinkArgs;
+use crate::listen::{runtime, taken};
+use crate::output::{note, print_line};
+
+/// Serves a page that shows controllers in a browser: their state, variables and alarms, and HALT
+///
+/// It prints the address of the page with its token; anyone who has it may use the page. Only this computer can open it. The page
+/// reads, and never takes the arm; while another client streams in Slave Mode it sends nothing that would end the stream. With
+/// --allow-write a user who has taken the control of a robot, under a name, writes variables and clears errors, and each action
+/// is confirmed and printed as a line. HALT works always, over a separate connection. It is not an emergency stop.
+///
+/// Without PROFILE it shows the controller of --robot or --profile. A lost connection is shown, and tried again every second. A
+/// signal ends it.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap web
+  bcap web --open --robot tcp:192.168.0.1
+  bcap web press welder --allow-write")]
+pub(crate) struct Web {
+    /// The profiles to show, one tile each
+    #[arg(value_name = "PROFILE")]
+    pub(crate) profiles: Vec<String>,
+
+    /// The address to listen on, of this computer only; port 0 takes a free one
+    #[arg(long, value_name = "IP:PORT", default_value = "127.0.0.1:8011")]
+    pub(crate) listen: SocketAddr,
+
+    /// Lets pages write variables and clear errors
+    #[arg(long)]
+    pub(crate) allow_write: bool,
+
+    /// Opens the page in the browser
+    #[arg(long)]
+    pub(crate) open: bool,
+}
+
+/// Runs `bcap web` until a signal ends it.
+pub(crate) fn web(args: &Web, link: &LinkArgs) -> Result<(), Failure> {
+    if link.untraced()?.write.is_some() {
+        return Err(Failure::Input("`web` records nothing; leave --write out, and use `bcap proxy --write`".into()));
+    }
+    let robots = if args.profiles.is_empty() {
+        let name =
+            link.profile().map_or_else(|| link.target().map(|target| target.to_string()), |name| Ok(name.into()));
+        vec![(name?, link.access()?)]
+    } else {
+        let access = |name: &String| Ok((name.clone(), link.for_profile(name)?.access()?));
+        args.profiles.iter().map(access).collect::<Result<_, Failure>>()?
+    };
+    let config = Config { listen: args.listen, robots, allow_write: args.allow_write };
+    runtime()?.block_on(async {
+        let ended = signal::wait()?;
+        // an error of the output ends nothing: a page may be needed for a halt
+        let audit = |line: &str| drop(print_line(line));
+        let server = Server::bind(config, audit).await.map_err(|error| match error {
+            bcap_web::Error::Io(error) => taken("--listen", args.listen, &error),
+            error => Failure::Input(error.to_string()),
+        })?;
+        print_line(&server.url())?;
+        let page = if args.open { open(&server.url()) } else { None };
+        server.run(ended).await;
+        drop(page);
+        Ok(())
+    })
+}
+
+/// Opens the page in the browser. The address is in a file that only this user can read: others see the arguments of a program.
+fn open(url: &str) -> Option<NamedTempFile> {
+    let write = || {
+        let mut file = tempfile::Builder::new().prefix("bcap-").suffix(".html").tempfile()?;
+        write!(file, "<!doctype html><meta http-equiv=\"refresh\" content=\"0;url={url}\">")?;
+        file.flush()?;
+        let program = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
+        let mut command = if cfg!(windows) { Command::new("explorer") } else { Command::new(program) };
+        command.arg(file.path()).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn()?;
+        Ok::<_, std::io::Error>(file)
+    };
+    write().map_err(|error| note(&format!("no browser was opened: {error}; open the address above"))).ok()
+}

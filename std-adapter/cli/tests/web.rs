@@ -1,0 +1,93 @@
+//! `bcap web` as a process; the page itself is tested in `std-adapter/web`.
+
+use std::fs;
+use std::io::{BufRead as _, BufReader, Read as _, Write as _};
+use std::net::TcpStream;
+use std::process::{Child, Command, Stdio};
+
+use crate::common::{bare, bcap};
+
+/// A running `bcap web`.
+struct Web {
+    process: Child,
+    lines: BufReader<std::process::ChildStdout>,
+    url: String,
+}
+
+impl Web {
+    fn start(mut command: Command) -> Self {
+        let mut process = command.stdout(Stdio::piped()).spawn().unwrap();
+        let mut lines = BufReader::new(process.stdout.take().unwrap());
+        let mut url = String::new();
+        lines.read_line(&mut url).unwrap();
+        Self { process, lines, url: url.trim().to_owned() }
+    }
+
+    /// Sends a request, and returns the response.
+    fn request(&self, first: &str) -> String {
+        let (host, token) = self.url.strip_prefix("http://").unwrap().split_once("/#token=").unwrap();
+        let mut stream = TcpStream::connect(host).unwrap();
+        write!(
+            stream,
+            "{first} HTTP/1.1\r\nhost: {host}\r\norigin: http://{host}\r\nx-bcap-token: {token}\r\ncontent-length: 0\r\n\
+             connection: close\r\n\r\n"
+        )
+        .unwrap();
+        let mut response = String::new();
+        stream.read_to_string(&mut response).unwrap();
+        response
+    }
+
+    /// Ends it as Ctrl-C does, and returns its last lines and its exit code.
+    fn end(mut self) -> (String, Option<i32>) {
+        let id = self.process.id().to_string();
+        assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
+        let mut rest = String::new();
+        self.lines.read_to_string(&mut rest).unwrap();
+        (rest, self.process.wait().unwrap().code())
+    }
+}
+
+impl Drop for Web {
+    fn drop(&mut self) {
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+/// The profiles are the tiles; a halt of a controller that is not there fails, and is a line of the output.
+#[test]
+fn it_prints_its_address_serves_the_profiles_and_ends() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::create_dir(folder.path().join("bcap")).unwrap();
+    let text = "[profile.press]\naddress = \"tcp:127.0.0.1:1\"\n[profile.welder]\nmodel = \"rc9\"\n";
+    fs::write(folder.path().join("bcap/config.toml"), text).unwrap();
+    let with = |args: &[&str]| {
+        let mut command = bare(args);
+        command.env("XDG_CONFIG_HOME", folder.path());
+        command
+    };
+    let web = Web::start(with(&["web", "press", "--listen", "127.0.0.1:0"]));
+    assert!(web.url.starts_with("http://127.0.0.1:") && web.url.len() > 70, "{}", web.url);
+    assert!(web.request("GET /").contains("<title>bcap</title>"));
+    let halted = web.request("POST /halt/0");
+    assert!(halted.contains("NOT HALTED, use the emergency stop: "), "{halted}");
+    let (rest, code) = web.end();
+    assert!(rest.contains(" press: a page: HALT: NOT HALTED, use the emergency stop: "), "{rest}");
+    assert_eq!(code, Some(0));
+    let missing = with(&["web", "welder"]).output().unwrap();
+    let error = String::from_utf8(missing.stderr).unwrap();
+    assert!(missing.status.code() == Some(2) && error.contains("the profile welder has no address"), "{error}");
+}
+
+#[test]
+fn other_computers_serial_lines_and_recordings_are_refused() {
+    for (args, error) in [
+        (&["--listen", "0.0.0.0:0"][..], "0.0.0.0:0 can be reached by other computers, which needs TLS and a password"),
+        (&["--robot", "serial:/dev/ttyUSB0"], "a serial line carries one session, so HALT would have no connection"),
+        (&["--trace"], "this command has no --trace"),
+    ] {
+        let run = bcap(&[&["web"], args].concat());
+        assert!(run.code == 2 && run.err.contains(error), "{run:?}");
+    }
+}

@@ -1,0 +1,55 @@
+// Elements of the page. Text is set as text: what a controller sends is never markup.
+
+/** Makes an element; `properties` are set on it, `children` are elements or text. */
+export function make(tag, properties = {}, ...children) {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(properties)) {
+    if (name.includes("-") || name === "for" || name === "role" || name === "colspan") element.setAttribute(name, value);
+    else element[name] = value;
+  }
+  element.append(...children);
+  return element;
+}
+
+/** Sets the text of an element, only if it differs, so that a selection of the user stays. */
+export function setText(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+/** Returns the element with an id. */
+export const byId = (id) => document.getElementById(id);
+
+/** Shows the outcome of an action. */
+export function notify(text, isBad = false) {
+  const notice = byId("notice");
+  notice.textContent = text;
+  notice.className = isBad ? "bad" : "";
+}
+
+/** Asks the user; the question names the robot. Resolves to whether the user agreed. */
+export function ask(title, tile, text, yes) {
+  const dialog = byId("question");
+  if (dialog.open) return Promise.resolve(false);
+  const kind = kindOf(tile);
+  dialog.className = kind.name;
+  byId("question-title").textContent = title;
+  byId("question-robot").textContent = `${tile.name} (${tile.address}), ${kind.text}`;
+  byId("question-text").textContent = text;
+  byId("question-yes").textContent = yes;
+  dialog.returnValue = "no";
+  dialog.showModal();
+  return new Promise((resolve) => {
+    dialog.addEventListener("close", () => resolve(dialog.returnValue === "yes"), { once: true });
+  });
+}
+
+/** Returns whether a controller is real, as a class name and as text. An unknown one counts as real. */
+export function kindOf(tile) {
+  return tile.virtual ? { name: "virtual", text: "virtual controller" } : { name: "real", text: "real controller" };
+}
+
+/** The symbols of the levels: the state is not told by the colour alone. */
+const SYMBOLS = { good: "●", busy: "▶", bad: "▲", unknown: "?" };
+
+/** Returns the state of a robot with its symbol. */
+export const stateText = (tile) => `${SYMBOLS[tile.level]} ${tile.state}`;

@@ -1,0 +1,154 @@
+// The frame of the page: the robot, its state, HALT, the control, and the screens.
+
+import { alarms } from "./alarms.js";
+import { cell } from "./cell.js";
+import { byId, kindOf, make, notify, setText, stateText } from "./dom.js";
+import { connect, halt, on, order } from "./net.js";
+import { packets } from "./packets.js";
+import { variables } from "./variables.js";
+
+const SCREENS = [cell, variables, alarms, packets];
+
+/** What the screens share. */
+const page = {
+  tiles: [],
+  robot: 0,
+  mayWrite: false,
+  /** The tile of the robot, or one without content. */
+  get tile() {
+    return this.tiles[this.robot] ?? { name: "", address: "", level: "unknown", state: "connecting", words: [], reasons: [] };
+  },
+  /** Whether this page has the control. */
+  get hasControl() {
+    return this.tile.mine === true;
+  },
+  select(robot) {
+    this.robot = robot;
+    show(screen);
+  },
+  haltRobot,
+};
+
+let screen = SCREENS[0];
+
+async function haltRobot(robot) {
+  const name = page.tiles[robot]?.name ?? "the robot";
+  notify(`${name}: halting …`);
+  const { ok, text } = await halt(robot);
+  notify(`${name}: ${text}`, !ok);
+}
+
+function show(next) {
+  screen = next;
+  for (const button of byId("screens").children) {
+    if (button.dataset.id === screen.id) button.setAttribute("aria-current", "page");
+    else button.removeAttribute("aria-current");
+  }
+  document.title = `${page.tile.name} ${screen.title}`.trim();
+  byId("main").replaceChildren();
+  screen.open(byId("main"), page);
+  order("show", { robot: page.robot, screen: screen.id }).catch(() => {});
+  drawFrame();
+}
+
+function drawFrame() {
+  const tile = page.tile;
+  const kind = kindOf(tile);
+  document.body.className = kind.name;
+  const known = tile.virtual !== undefined && tile.virtual !== null;
+  setText(byId("kind"), known ? kind.text : "controller unknown, treated as real");
+  setText(byId("state"), stateText(tile));
+  byId("state").className = `state ${tile.level}`;
+  setText(byId("halt-robot"), tile.name);
+  drawRobots();
+  drawControl(tile);
+}
+
+function drawRobots() {
+  const robots = byId("robots");
+  if (robots.options.length !== page.tiles.length) {
+    robots.replaceChildren(...page.tiles.map((tile) => make("option", { value: tile.robot }, tile.name)));
+  }
+  robots.value = String(page.robot);
+}
+
+function drawControl(tile) {
+  const place = byId("control");
+  const key = `${page.mayWrite} ${page.robot} ${page.hasControl} ${tile.holder}`;
+  if (place.dataset.key === key) return;
+  place.dataset.key = key;
+  if (!page.mayWrite) {
+    place.replaceChildren(make("span", { className: "quiet" }, "read-only"));
+  } else if (page.hasControl) {
+    place.replaceChildren(
+      make("span", {}, `control: ${tile.holder ?? ""} (this page)`),
+      make("button", { type: "button", id: "release", onclick: release }, "Release"),
+    );
+  } else if (tile.holder) {
+    place.replaceChildren(make("span", {}, `control: ${tile.holder}`));
+  } else {
+    const name = make("input", { id: "name", value: localStorage.getItem("name") ?? "", maxLength: 40, "aria-label": "Your name", placeholder: "your name" });
+    const take = make("button", { type: "submit", id: "take" }, "Take control");
+    const form = make("form", { onsubmit: (event) => { event.preventDefault(); takeControl(name.value); } }, name, take);
+    place.replaceChildren(form);
+  }
+}
+
+async function takeControl(name) {
+  try {
+    await order("take", { robot: page.robot, name });
+    localStorage.setItem("name", name);
+    notify(`${page.tile.name}: this page has the control`);
+  } catch (error) {
+    notify(error.message, true);
+  }
+}
+
+async function release() {
+  await order("release", { robot: page.robot }).catch((error) => notify(error.message, true));
+}
+
+function stale(why) {
+  const line = byId("stale");
+  line.hidden = why === null;
+  if (why !== null) setText(line, why);
+  document.documentElement.classList.toggle("stale", why !== null);
+}
+
+function isTyping(event) {
+  return event.target.closest?.("input, select, textarea") !== null;
+}
+
+byId("halt").onclick = () => haltRobot(page.robot);
+byId("robots").onchange = (event) => page.select(Number(event.target.value));
+document.addEventListener("keydown", (event) => {
+  if (event.key.toLowerCase() === "h" && !event.ctrlKey && !event.altKey && !event.metaKey && !isTyping(event)) haltRobot(page.robot);
+});
+byId("screens").replaceChildren(
+  ...SCREENS.map((known) => {
+    const button = make("button", { type: "button", onclick: () => show(known) }, known.title);
+    button.dataset.id = known.id;
+    return button;
+  }),
+);
+
+on("hello", (message) => {
+  page.mayWrite = message.write;
+  show(screen);
+});
+on("closed", () => stale("NOT CONNECTED to bcap web: the values are old. HALT may not work. It is tried again every second."));
+on("stale", () => stale("bcap web does not answer: the values are old. HALT may not work."));
+on("open", () => stale(null));
+on("tick", () => stale(null));
+on("refused", (message) => notify(message.error, true));
+on("tiles", (message) => {
+  const isFirst = page.tiles.length === 0;
+  page.tiles = message.v;
+  drawFrame();
+  if (isFirst) show(screen);
+  else screen.tiles?.(page);
+});
+for (const known of SCREENS) on(known.section, (message) => known === screen && message.robot === page.robot && known.draw(message.v, page));
+
+show(screen);
+connect();

@@ -1,0 +1,86 @@
+// The connection to `bcap web`: live sections, orders with answers, and HALT, which has a connection of its own.
+
+const token = takeToken();
+const handlers = new Map();
+const pending = new Map();
+let socket = null;
+let lastId = 0;
+let lastMessage = 0;
+
+/** Takes the token from the address of the page, and hides it there. A reload in this tab finds it again. */
+function takeToken() {
+  const given = new URLSearchParams(location.hash.slice(1)).get("token");
+  if (given) {
+    sessionStorage.setItem("token", given);
+    history.replaceState(null, "", location.pathname);
+  }
+  return sessionStorage.getItem("token") ?? "";
+}
+
+/** Calls `handler` with each message of a kind. `open`, `closed` and `stale` are the states of the connection. */
+export function on(kind, handler) {
+  handlers.set(kind, handler);
+}
+
+function emit(kind, message) {
+  handlers.get(kind)?.(message);
+}
+
+/** Opens the connection, and again whenever it is lost. */
+export function connect() {
+  socket = new WebSocket(`ws://${location.host}/live`, ["bcap.live", `token.${token}`]);
+  socket.onopen = () => {
+    lastMessage = Date.now();
+    emit("open");
+  };
+  socket.onmessage = (event) => {
+    lastMessage = Date.now();
+    const message = JSON.parse(event.data);
+    if (message.t === "answer") answered(message);
+    else emit(message.t, message);
+  };
+  socket.onclose = () => {
+    for (const { reject } of pending.values()) reject(new Error("the connection to bcap web is lost"));
+    pending.clear();
+    emit("closed");
+    setTimeout(connect, 1000);
+  };
+}
+
+// the server sends something every second
+setInterval(() => {
+  if (socket?.readyState === WebSocket.OPEN && Date.now() - lastMessage > 3000) emit("stale");
+}, 500);
+
+function answered(message) {
+  const waiting = pending.get(message.id);
+  pending.delete(message.id);
+  if (message.error !== undefined) {
+    if (waiting) waiting.reject(new Error(message.error));
+    else emit("refused", message);
+  } else waiting?.resolve(message.ok);
+}
+
+/** Sends an order, and returns its answer. */
+export function order(what, fields) {
+  return new Promise((resolve, reject) => {
+    if (socket?.readyState !== WebSocket.OPEN) {
+      reject(new Error("there is no connection to bcap web; nothing was done"));
+      return;
+    }
+    lastId += 1;
+    pending.set(lastId, { resolve, reject });
+    socket.send(JSON.stringify({ id: lastId, do: what, ...fields }));
+  });
+}
+
+/** Halts a robot. It does not use the connection above, which may hang. */
+export async function halt(robot) {
+  try {
+    const response = await fetch(`/halt/${robot}`, { method: "POST", headers: { "x-bcap-token": token }, cache: "no-store" });
+    if (!response.ok) return { ok: false, text: `NOT HALTED, use the emergency stop: ${await response.text()}` };
+    return await response.json();
+  } catch (error) {
+    return { ok: false, text: `NOT HALTED, use the emergency stop: ${error.message}` };
+  }
+}

@@ -1,0 +1,127 @@
+#![doc = include_str!("../README.md")]
+
+mod assets;
+mod audit;
+mod control;
+mod guard;
+mod halt;
+mod robot;
+mod serve;
+mod socket;
+mod view;
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
+
+use bcap_live::link::Access;
+use bcap_std::Address;
+use tokio::net::TcpListener;
+use tokio::sync::Semaphore;
+
+use crate::audit::Audit;
+use crate::guard::Guard;
+use crate::robot::Robot;
+
+/// The most robots of a page.
+const ROBOTS: usize = 32;
+
+/// The most open pages.
+const PAGES: usize = 16;
+
+/// What a server serves.
+#[derive(Debug)]
+pub struct Config {
+    /// The address to listen on, of this computer only.
+    pub listen: SocketAddr,
+    /// The robots, with the names that the page shows.
+    pub robots: Vec<(String, Access)>,
+    /// Whether a page may write variables and clear errors.
+    pub allow_write: bool,
+}
+
+/// Why a server does not start.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// Other computers could reach the address.
+    #[error("{0} can be reached by other computers, which needs TLS and a password; listen on 127.0.0.1")]
+    NotLocal(SocketAddr),
+    /// HALT needs a second connection.
+    #[error("{0}: a serial line carries one session, so HALT would have no connection; use TCP or UDP")]
+    Serial(String),
+    /// There are no robots, or too many.
+    #[error("{0} robots; a page shows 1 to {ROBOTS}")]
+    Robots(usize),
+    /// The system has no random numbers.
+    #[error("cannot draw a token: {0}")]
+    Random(getrandom::Error),
+    /// The address is in use, or a thread cannot be started.
+    #[error(transparent)]
+    Io(#[from] std::io::Error),
+}
+
+/// The state that all connections share.
+#[derive(Debug)]
+struct App {
+    guard: Guard,
+    robots: Vec<Arc<Robot>>,
+    allow_write: bool,
+    audit: Audit,
+    clients: AtomicU64,
+    pages: Arc<Semaphore>,
+}
+
+/// A server of the page.
+#[derive(Debug)]
+pub struct Server {
+    listener: TcpListener,
+    address: SocketAddr,
+    app: Arc<App>,
+}
+
+impl Server {
+    /// Listens, and begins to read the robots. `audit` gets a line for each action of a user.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; nothing runs then.
+    pub async fn bind(config: Config, audit: impl Fn(&str) + Send + Sync + 'static) -> Result<Self, Error> {
+        let Config { listen, robots, allow_write } = config;
+        if !listen.ip().is_loopback() {
+            return Err(Error::NotLocal(listen));
+        }
+        if !(1..=ROBOTS).contains(&robots.len()) {
+            return Err(Error::Robots(robots.len()));
+        }
+        if let Some((name, _)) = robots.iter().find(|(_, access)| matches!(access.address, Address::Serial(_))) {
+            return Err(Error::Serial(name.clone()));
+        }
+        let listener = TcpListener::bind(listen).await?;
+        let address = listener.local_addr()?;
+        let app = App {
+            guard: Guard::new(address).map_err(Error::Random)?,
+            robots: robots.into_iter().map(|(name, access)| Robot::start(name, access)).collect::<Result<_, _>>()?,
+            allow_write,
+            audit: Audit::new(audit),
+            clients: AtomicU64::new(1),
+            pages: Arc::new(Semaphore::new(PAGES)),
+        };
+        Ok(Self { listener, address, app: Arc::new(app) })
+    }
+
+    /// Returns the address of the page, with the token. Anyone who has it may use the page.
+    #[must_use]
+    pub fn url(&self) -> String {
+        // after `#`, the token is in no request, and so in no log
+        format!("http://{}/#token={}", self.address, self.app.guard.token())
+    }
+
+    /// Serves until `shutdown` completes.
+    pub async fn run(self, shutdown: impl Future<Output = ()>) {
+        tokio::select! {
+            () = serve::accept(&self.listener, &self.app) => {}
+            () = shutdown => {}
+        }
+    }
+}

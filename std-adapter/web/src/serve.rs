@@ -1,0 +1,134 @@
+//! Accepts connections, and answers their requests.
+
+use std::collections::VecDeque;
+use std::future::ready;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use axum::Router;
+use axum::extract::ws::WebSocketUpgrade;
+use axum::extract::{DefaultBodyLimit, Path, Request, State};
+use axum::http::header::SEC_WEBSOCKET_PROTOCOL;
+use axum::http::{HeaderMap, StatusCode};
+use axum::middleware::{Next, from_fn_with_state, map_response};
+use axum::response::{IntoResponse as _, Response};
+use axum::routing::{any, get, post};
+use hyper::server::conn::http1;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::service::TowerToHyperService;
+use serde_json::json;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::task::AbortHandle;
+
+use crate::App;
+use crate::assets::{FILES, file, with_headers};
+use crate::guard::{Refused, only};
+use crate::socket;
+
+/// The most connections that are not pages. A further one ends the oldest, so that idle ones do not keep a halt out.
+const CONNECTIONS: usize = 128;
+
+/// The longest time for the headers of a request, and for an idle connection.
+const HEADERS: Duration = Duration::from_secs(10);
+
+/// The largest headers of a request.
+const HEADER_SIZE: usize = 16 << 10;
+
+/// The largest order of a page.
+const ORDER_SIZE: usize = 64 << 10;
+
+/// The protocol of the WebSocket; a page offers the token as a second one, because scripts cannot set its headers.
+const PROTOCOL: &str = "bcap.live";
+
+/// The header with the token of a halt.
+const TOKEN: &str = "x-bcap-token";
+
+/// Accepts connections. It does not end.
+pub(crate) async fn accept(listener: &TcpListener, app: &Arc<App>) {
+    let (router, mut open) = (router(app), VecDeque::<AbortHandle>::new());
+    loop {
+        let (stream, _) = match listener.accept().await {
+            Ok(accepted) => accepted,
+            // a peer that is gone, or no file descriptors left for a moment
+            Err(_) => {
+                tokio::time::sleep(Duration::from_millis(50)).await;
+                continue;
+            }
+        };
+        open.retain(|connection| !connection.is_finished());
+        if open.len() >= CONNECTIONS
+            && let Some(oldest) = open.pop_front()
+        {
+            oldest.abort();
+        }
+        open.push_back(tokio::spawn(connection(stream, router.clone())).abort_handle());
+    }
+}
+
+async fn connection(stream: TcpStream, router: Router) {
+    // a halt must not wait for other bytes
+    let _ = stream.set_nodelay(true);
+    let mut http = http1::Builder::new();
+    http.timer(TokioTimer::new()).header_read_timeout(HEADERS).max_buf_size(HEADER_SIZE);
+    let served = http.serve_connection(TokioIo::new(stream), TowerToHyperService::new(router)).with_upgrades();
+    // an error of a connection is the peer's
+    let _ = served.await;
+}
+
+fn router(app: &Arc<App>) -> Router {
+    let files = FILES.into_iter().fold(Router::new(), |router, (path, kind, content)| {
+        router.route(path, get(move || ready(file(kind, content))))
+    });
+    files
+        .route("/live", any(live))
+        .route("/halt/{robot}", post(halt))
+        .layer(DefaultBodyLimit::max(0))
+        .layer(from_fn_with_state(Arc::clone(app), check_host))
+        .layer(map_response(with_headers))
+        .with_state(Arc::clone(app))
+}
+
+/// Answers every request for another host with an error, also one for a file.
+async fn check_host(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
+    match app.guard.check_host(request.headers()) {
+        Ok(()) => next.run(request).await,
+        Err(refused) => refused.into_response(),
+    }
+}
+
+/// Opens the WebSocket of a page.
+async fn live(State(app): State<Arc<App>>, headers: HeaderMap, upgrade: WebSocketUpgrade) -> Result<Response, Refused> {
+    app.guard.check_origin(&headers)?;
+    let offered = only(&headers, SEC_WEBSOCKET_PROTOCOL.as_str()).unwrap_or_default();
+    let token = offered.split(',').find_map(|protocol| protocol.trim().strip_prefix("token."));
+    app.guard.check_token(token)?;
+    let permit = Arc::clone(&app.pages).try_acquire_owned();
+    let permit = permit.map_err(|_| (StatusCode::SERVICE_UNAVAILABLE, "too many pages are open; close one"))?;
+    let client = app.clients.fetch_add(1, Ordering::Relaxed);
+    let upgrade = upgrade.protocols([PROTOCOL]).max_message_size(ORDER_SIZE).max_frame_size(ORDER_SIZE);
+    Ok(upgrade.on_upgrade(move |socket| async move {
+        socket::serve(app, client, socket).await;
+        drop(permit);
+    }))
+}
+
+/// Halts a robot. It needs no control, no `--allow-write`, and no open page.
+async fn halt(State(app): State<Arc<App>>, Path(robot): Path<usize>, headers: HeaderMap) -> Result<Response, Refused> {
+    app.guard.check_origin(&headers)?;
+    app.guard.check_token(only(&headers, TOKEN))?;
+    let robot = app.robots.get(robot).cloned().ok_or((StatusCode::NOT_FOUND, "there is no such robot"))?;
+    // a page that is closed meanwhile must not keep the halt from its line of the audit
+    let halting = tokio::spawn(async move {
+        let outcome = robot.halter.halt().await;
+        let what = outcome.as_deref().map_or_else(|_| "HALT".to_owned(), |outcome| format!("HALT, {outcome}"));
+        app.audit.write("a page", &robot.name, &what, &outcome);
+        outcome
+    });
+    let (ok, text) = match halting.await {
+        Ok(Ok(text)) => (true, text),
+        Ok(Err(text)) => (false, text),
+        Err(_) => (false, "NOT HALTED, use the emergency stop: the task that halts has panicked".into()),
+    };
+    Ok(json!({ "ok": ok, "text": text }).to_string().into_response())
+}

@@ -1,0 +1,184 @@
+//! The state of the robots as JSON, in sections: a page gets those of its screen, each when it has changed.
+
+use bcap_core::bcap::StreamState;
+use bcap_core::hresult::HResult;
+use bcap_live::errors::own;
+use bcap_live::log::Entry;
+use bcap_live::model::Variable;
+use bcap_std::Examination;
+use bcap_terminal::escape;
+use serde_json::{Value, json};
+
+use crate::control::Client;
+use crate::robot::{Live, Robot};
+
+/// Cuts a text of the controller, and escapes characters that act on the text around them.
+pub(crate) fn safe(text: &str) -> String {
+    escape::line(&escape::cut(&text))
+}
+
+/// Writes a hint as a sentence.
+fn sentence(text: &str) -> String {
+    let mut letters = text.chars();
+    let Some(first) = letters.next() else { return String::new() };
+    let end = if text.ends_with('.') { "" } else { "." };
+    format!("{}{}{end}", first.to_uppercase(), letters.as_str())
+}
+
+/// Returns the tile of a robot for a page.
+pub(crate) fn tile(number: usize, robot: &Robot, client: Client) -> Value {
+    let (holder, mine) = (robot.control.holder(), robot.control.name_of(client).is_some());
+    let live = robot.live();
+    let condition = Condition::of(&live);
+    json!({
+        "robot": number,
+        "name": safe(&robot.name),
+        "address": safe(&robot.address),
+        "virtual": live.is_virtual,
+        "holder": holder,
+        "mine": mine,
+        "level": condition.level,
+        "state": condition.state,
+        "words": live.model.words.iter().map(|word| safe(word)).collect::<Vec<_>>(),
+        "reasons": condition.reasons,
+        "errors": live.model.errors.as_ref().map_or(0, Vec::len),
+        "speed": live.model.robot.speed.as_deref().map(safe),
+        "tool": live.model.robot.tool.as_deref().map(safe),
+        "work": live.model.robot.work.as_deref().map(safe),
+        "joints": live.model.robot.joints,
+        "position": live.model.robot.position,
+        "tasks": live.model.tasks.iter().map(|(name, state)| [safe(name), safe(state)]).collect::<Vec<_>>(),
+    })
+}
+
+/// The state of a robot at a glance.
+struct Condition {
+    /// `good`, `busy`, `bad` or `unknown`, for the colour.
+    level: &'static str,
+    state: &'static str,
+    /// Why it is not ready, each with its remedy.
+    reasons: Vec<[String; 2]>,
+}
+
+impl Condition {
+    const fn new(level: &'static str, state: &'static str, reasons: Vec<[String; 2]>) -> Self {
+        Self { level, state, reasons }
+    }
+
+    fn of(live: &Live) -> Self {
+        if let Some(why) = &live.model.lost {
+            let remedy = "It is tried again every second. Check that the controller is on, the cable, and the address.";
+            return Self::new("unknown", "not connected", vec![[safe(why), remedy.into()]]);
+        }
+        let Some(examination) = &live.examination else {
+            let why = live.unknown.as_deref().unwrap_or("it is being read").to_owned();
+            return Self::new("unknown", "unknown", vec![[safe(&why), String::new()]]);
+        };
+        if examination.stream == StreamState::Runs {
+            let remedy = "Nothing is sent that would end the stream. HALT stops the robot.".into();
+            return Self::new("busy", "streaming", vec![["another client streams in Slave Mode".into(), remedy]]);
+        }
+        let moves = examination.state.is_some_and(|state| state.is_moving());
+        let mut reasons = reasons(examination);
+        if moves {
+            return Self::new("busy", "moving", reasons);
+        }
+        if examination.error_count > 0 || live.model.has_error {
+            return Self::new("bad", "error", reasons);
+        }
+        if !reasons.is_empty() {
+            return Self::new("bad", "not ready", reasons);
+        }
+        if examination.state.is_some_and(|state| state.motor_is_on()) {
+            return Self::new("good", "ready", reasons);
+        }
+        reasons.push(["the motor is off".into(), "The program that moves the robot switches it on.".into()]);
+        Self::new("good", "ready, motor off", reasons)
+    }
+}
+
+fn reasons(examination: &Examination) -> Vec<[String; 2]> {
+    let obstacles = examination.obstacles().map(|obstacle| {
+        let text = obstacle.to_string();
+        let (what, remedy) = text.split_once(": ").unwrap_or((&text, ""));
+        [safe(what), sentence(&safe(remedy))]
+    });
+    let errors = examination.errors().iter().map(|code| {
+        let meaning = code.meaning().unwrap_or("an error without a published meaning");
+        [format!("{code} {meaning}"), code.hint().map(|hint| sentence(&hint.to_string())).unwrap_or_default()]
+    });
+    // an error that only a person can remove is an obstacle too
+    let mut reasons: Vec<[String; 2]> = Vec::new();
+    for reason in errors.chain(obstacles.filter(|[what, _]| !what.starts_with("the error "))) {
+        if !reasons.contains(&reason) {
+            reasons.push(reason);
+        }
+    }
+    reasons
+}
+
+/// Returns the variables of a page: name, text, whether it changed a moment ago, whether it has a value, number.
+pub(crate) fn variables(client: Client, robot: &Robot) -> Value {
+    let live = robot.live();
+    let names = live.names.get(&client).map(Vec::as_slice).unwrap_or_default();
+    let row = |variable: &Variable| {
+        let number = variable.value.as_ref().and(variable.history.last());
+        json!([
+            safe(&variable.name),
+            safe(&variable.text),
+            variable.has_changed(live.model.now),
+            variable.value.is_some(),
+            number
+        ])
+    };
+    // both are sorted lists of at most some thousand names
+    let find = |name: &String| live.model.variables.iter().find(|variable| variable.name == *name);
+    Value::Array(names.iter().filter_map(find).map(row).collect())
+}
+
+/// Returns the alarms: the present errors with their meanings and remedies, the first cause first, and the messages.
+pub(crate) fn alarms(robot: &Robot) -> Value {
+    let live = robot.live();
+    let (errors, skipped) = match &live.model.errors {
+        Ok(errors) => (errors.as_slice(), None),
+        Err(why) => (&[][..], Some(safe(why))),
+    };
+    let steps: Vec<_> = live.examination.iter().flat_map(|state| state.steps(false)).map(|step| step.name()).collect();
+    let is_ready = live.examination.as_ref().is_some_and(Examination::is_ready);
+    json!({
+        "errors": errors.iter().map(|(code, text)| error(*code, text)).collect::<Vec<_>>(),
+        "skipped": skipped,
+        "steps": if is_ready { Vec::new() } else { steps },
+        "obstacles": live.examination.iter().flat_map(Examination::obstacles).map(|obstacle| sentence(&obstacle.to_string())).collect::<Vec<_>>(),
+        "messages": live.model.messages.iter().rev().map(|message| safe(message)).collect::<Vec<_>>(),
+    })
+}
+
+fn error(code: HResult, text: &str) -> Value {
+    json!({
+        "code": format!("{:#010X}", code.to_u32()),
+        "name": code.name(),
+        "text": safe(own(code, text)),
+        "meaning": code.meaning(),
+        "cause": code.cause(),
+        "remedy": code.hint().map(|hint| sentence(&hint.to_string())),
+        "level": code.level(),
+    })
+}
+
+/// The most packets of a message; the others are counted.
+const PACKETS: u64 = 200;
+
+/// Returns the packets after the first `seen`, how many of them are left out, and how many there are.
+pub(crate) fn packets(robot: &Robot, seen: u64) -> (Value, u64) {
+    let live = robot.live();
+    let log = &live.model.log;
+    let new = log.total().saturating_sub(seen).min(PACKETS);
+    let row =
+        |entry: &Entry| json!([entry.at.as_secs_f64(), safe(&entry.number), safe(&entry.call), safe(&entry.reply)]);
+    let kept = log.entries().rev().take(usize::try_from(new).unwrap_or(usize::MAX));
+    let mut rows: Vec<_> = kept.map(row).collect();
+    rows.reverse();
+    let left_out = log.total().saturating_sub(seen) - rows.len() as u64;
+    (json!({ "rows": rows, "left_out": left_out }), log.total())
+}

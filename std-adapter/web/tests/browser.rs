@@ -1,0 +1,222 @@
+//! The page in a real browser: the main job of each screen, and the safety rules that the page itself keeps.
+
+use std::path::Path;
+use std::process::Command;
+
+use bcap_core::hresult::HResult;
+use bcap_core::rac::VariableKind;
+use bcap_core::variant::{OwnedVariant, Variant};
+use bcap_std::{Move, Settings, blocking};
+
+use crate::chromium::Browser;
+use crate::support::{LIMIT, Sim, Web};
+
+const I: VariableKind = VariableKind::I;
+
+/// Opens the page of a server, and waits until it shows the state of its robot.
+fn opened(web: &Web) -> Option<Browser> {
+    let mut browser = Browser::start()?;
+    browser.open(web.url());
+    browser.until_text("#state", "ready, motor off");
+    Some(browser)
+}
+
+fn value(sim: &Sim, kind: VariableKind, index: u32) -> OwnedVariant {
+    OwnedVariant::from(sim.lock().variable::<64>(kind, index).unwrap().as_variant())
+}
+
+fn is(sim: &Sim, number: i32) -> bool {
+    value(sim, I, 1).as_variant() == Variant::I4(number)
+}
+
+#[test]
+fn a_user_writes_undoes_clears_and_halts() {
+    let sim = Sim::start();
+    let web = Web::start(&[("press", sim.address())], true);
+    let Some(mut browser) = opened(&web) else { return };
+    let text = |id: &str| format!("document.getElementById('{id}').textContent");
+    assert_eq!(browser.eval("location.href"), format!("http://{}/", web.host()), "the token is not shown");
+    assert_eq!(browser.eval(&text("kind")), "virtual controller");
+    assert_eq!(browser.eval("document.body.className"), "virtual");
+    browser.click("[data-id=variables]");
+    browser.enter("#names", "I1 IO128");
+    browser.until_text("tbody tr th", "I1");
+    browser.until("document.querySelector('tbody button').disabled");
+    browser.enter("#name", "Anna");
+    browser.until_text("#control", "control: Anna (this page)");
+    // Escape refuses, and Cancel has the focus
+    browser.click("tbody button");
+    browser.enter(".edit", "5");
+    browser.until("document.getElementById('question').open");
+    let robot = format!("press (tcp:{}), virtual controller", sim.address());
+    assert_eq!(browser.eval(&text("question-robot")), robot);
+    assert_eq!(browser.eval(&text("question-text")), "I1: 0 → 5");
+    assert_eq!(browser.eval("document.activeElement.id"), "question-no");
+    browser.key("Escape");
+    browser.until_text("#notice", "nothing was written");
+    assert!(is(&sim, 0));
+    browser.click("tbody button");
+    browser.enter(".edit", "5");
+    browser.click("#question-yes");
+    browser.until_text("#notice", "press: I1 = 5 is written");
+    assert!(is(&sim, 5));
+    browser.click(".writes button");
+    browser.until_text("#question-text", "I1: 5 → 0");
+    browser.click("#question-yes");
+    browser.until_text("#notice", "press: I1 = 0 is written");
+    assert!(is(&sim, 0));
+    browser.click(".lamp");
+    browser.until_text("#question-text", "IO128: false → true");
+    browser.click("#question-yes");
+    browser.until_text(".lamp.on .value", "on");
+    assert_eq!(value(&sim, VariableKind::Io, 128).as_variant(), Variant::Bool(true));
+    alarms(&sim, &mut browser);
+    halt_by_key(&sim, &mut browser);
+    // a reload frees the control
+    browser.call("Page.reload", serde_json::json!({}));
+    browser.until("document.getElementById('take') !== null");
+    assert_eq!(browser.problems, [""; 0]);
+    assert_eq!(web.lines().iter().filter(|line| line.contains("Anna: writes")).count(), 3);
+}
+
+/// The errors are explained and cleared, after a question.
+fn alarms(sim: &Sim, browser: &mut Browser) {
+    sim.lock().inject_error(HResult::from_u32(0x8350_0076), bcap_std::now());
+    browser.until_text("#state", "error");
+    browser.click("[data-id=alarms]");
+    browser.until_text(".errors h3", "0x83500076");
+    browser.until_text(".errors .first", "first cause");
+    browser.until_text(".errors", "Remedy: ");
+    browser.click("#clear");
+    browser.until_text("#question-text", "Nothing is started");
+    browser.click("#question-yes");
+    browser.until_text(".alarms h2", "No errors");
+    let sim = sim.lock();
+    assert_eq!((sim.errors().count(), sim.motor_is_on()), (0, false));
+}
+
+/// The key h halts, except in a field of text.
+fn halt_by_key(sim: &Sim, browser: &mut Browser) {
+    let mut cell = blocking::Controller::connect(&format!("tcp:{}", sim.address()), &Settings::rc8()).unwrap();
+    let mut arm = cell.robot().unwrap().take_arm().unwrap();
+    arm.motor_on().unwrap();
+    let _motion = arm.start(&Move::joint("J(90,45,90,0,45,0)").speed_percent(1.0), LIMIT).unwrap().keep();
+    sim.until("the robot moves", bcap_sim::Controller::is_moving);
+    browser.until_text("#state", "moving");
+    browser.click("[data-id=variables]");
+    browser.click("#search");
+    browser.key("h");
+    browser.until("document.getElementById('search').value === 'h'");
+    assert!(sim.lock().is_moving(), "a letter of a field halts nothing");
+    browser.eval("document.activeElement.blur()");
+    browser.key("h");
+    browser.until_text("#notice", "press: halted, the robot rests");
+    assert!(!sim.lock().is_moving());
+    arm.motor_off().unwrap();
+    arm.give().unwrap();
+    sim.lock().clear_errors(bcap_std::now());
+}
+
+#[test]
+fn hostile_texts_stay_text_and_lost_connections_are_shown() {
+    let sim = Sim::start();
+    let hostile =
+        "<img src=x onerror=window.owned=1><script>window.owned=2</script>\u{202e}".to_owned() + &"A".repeat(1 << 20);
+    let hostile_value = OwnedVariant::new(hostile.as_str()).unwrap();
+    sim.lock().set_variable(VariableKind::S, 1, &hostile_value.as_variant()).unwrap();
+    let address = sim.address();
+    let web = Web::start(&[("<b>press</b>", address), ("welder", address)], false);
+    let Some(mut browser) = opened(&web) else { return };
+    browser.until_text(".tile h2", "<b>press</b>");
+    assert_eq!(browser.eval("document.querySelectorAll('.tile').length"), 2);
+    assert_eq!(browser.eval("document.getElementById('control').textContent"), "read-only");
+    browser.click("[data-id=variables]");
+    browser.enter("#names", "S1");
+    browser.until_text("tbody .value", "<img src=x");
+    let found = browser.eval("[document.querySelectorAll('img, b, main script').length, String(window.owned), document.body.scrollWidth <= innerWidth]");
+    assert_eq!(found, serde_json::json!([0, "undefined", true]));
+    // an attacker who could add a script to the page could still not run it
+    let script = "(() => { const s = document.createElement('script'); s.textContent = 'window.owned = 3'; document.body.append(s); return String(window.owned); })()";
+    assert_eq!(browser.eval(script), "undefined");
+    assert!(
+        browser.problems.iter().all(|problem| problem.contains("Content Security Policy")),
+        "{:?}",
+        browser.problems
+    );
+    assert_eq!(browser.problems.len(), 1, "{:?}", browser.problems);
+    browser.problems.clear();
+    // three pages at once, and a page that is loaded again in every state
+    let pages = [browser.open_page(), browser.open_page()];
+    for page in &pages {
+        browser.turn_to(page);
+        browser.open(web.url());
+        browser.until_text("#state", "ready, motor off");
+    }
+    for (change, state) in [(true, "not ready"), (false, "ready, motor off")] {
+        sim.lock().emergency_stop(change, bcap_std::now());
+        if !change {
+            sim.lock().clear_errors(bcap_std::now());
+        }
+        for page in &pages {
+            browser.turn_to(page);
+            browser.call("Page.reload", serde_json::json!({}));
+            browser.until(&format!(
+                "/{}|error/.test(document.getElementById('state')?.textContent)",
+                if change { state } else { "ready, motor off" }
+            ));
+        }
+    }
+    drop(sim);
+    browser.until_text("#state", "not connected");
+    let sim = Sim::at(address);
+    browser.until_text("#state", "ready, motor off");
+    drop((sim, web));
+    browser.until("!document.getElementById('stale').hidden");
+    browser.until_text("#stale", "NOT CONNECTED");
+    browser.click("#halt");
+    browser.until_text("#notice.bad", "NOT HALTED, use the emergency stop");
+}
+
+/// The contrast of each visible text to what is behind it, as WCAG 2 defines it; and that the page has names and an order for a
+/// keyboard. Returns what is wrong.
+const AUDIT: &str = include_str!("audit.js");
+
+#[test]
+fn each_screen_is_legible_and_works_with_a_keyboard() {
+    let sim = Sim::start();
+    for code in [0x8350_0076, 0x8350_0178] {
+        sim.lock().inject_error(HResult::from_u32(code), bcap_std::now());
+    }
+    let web = Web::start(&[("press", sim.address())], true);
+    let Some(mut browser) = Browser::start() else { return };
+    browser.open(web.url());
+    browser.until_text("#state", "error");
+    browser.key("Tab");
+    assert_eq!(browser.eval("document.activeElement.id"), "halt", "HALT is the first");
+    browser.enter("#name", "Anna");
+    let folder = std::env::var_os("BCAP_WEB_PICTURES");
+    for screen in ["cell", "variables", "alarms", "packets"] {
+        browser.click(&format!("[data-id={screen}]"));
+        browser.until("document.querySelector('.tile, .spark polyline, .errors li, .packets td') !== null");
+        for scheme in ["light", "dark"] {
+            for size in [(1280, 800), (768, 1024)] {
+                browser.look(size, scheme);
+                assert_eq!(browser.eval(AUDIT), serde_json::json!([]), "{screen} {scheme} {size:?}");
+                if let Some(folder) = &folder {
+                    let name = format!("web-{screen}-{}x{}-{scheme}.webp", size.0, size.1);
+                    save(&Path::new(folder).join(name), &browser.picture());
+                }
+            }
+        }
+    }
+    assert_eq!(browser.problems, [""; 0]);
+}
+
+/// Writes base64 to a file.
+fn save(path: &Path, base64: &str) {
+    let text = path.with_extension("base64");
+    std::fs::write(&text, base64).unwrap();
+    let decoded = Command::new("base64").arg("-d").arg(&text).output().unwrap();
+    std::fs::write(path, decoded.stdout).unwrap();
+    std::fs::remove_file(text).unwrap();
+}

@@ -1,0 +1,7 @@
+//! Tests of the page against a virtual controller of this process.
+
+mod browser;
+mod chromium;
+mod pages;
+mod safety;
+mod support;

@@ -1,0 +1,400 @@
+//! Tests that try to break the safety rules of the page, without a browser.
+
+use std::time::{Duration, Instant};
+
+use bcap_core::hresult::HResult;
+use bcap_core::rac::VariableKind;
+use bcap_core::variant::Variant;
+use bcap_live::link::Access;
+use bcap_std::blocking::{Arm, Controller};
+use bcap_std::{Move, Settings};
+use bcap_web::{Config, Server};
+use serde_json::json;
+
+use crate::support::{LIMIT, Relay, Sim, Web, access, idle, until};
+
+const I: VariableKind = VariableKind::I;
+const S: VariableKind = VariableKind::S;
+
+fn server(sim: &Sim, allow_write: bool) -> Web {
+    Web::start(&[("press", sim.address())], allow_write)
+}
+
+/// Connects another client, which moves the robot or streams.
+fn other(sim: &Sim) -> Controller {
+    Controller::connect(&format!("tcp:{}", sim.address()), &Settings::rc8()).unwrap()
+}
+
+fn with_motor(cell: &mut Controller) -> Arm<'_> {
+    let mut arm = cell.robot().unwrap().take_arm().unwrap();
+    arm.motor_on().unwrap();
+    arm
+}
+
+/// Starts a motion that lasts longer than the test.
+fn start_moving(sim: &Sim, cell: &mut Controller) {
+    let mut arm = with_motor(cell);
+    let _motion = arm.start(&Move::joint("J(90,45,90,0,45,0)").speed_percent(1.0), LIMIT).unwrap().keep();
+    arm.keep();
+    sim.until("the robot moves", bcap_sim::Controller::is_moving);
+}
+
+#[test]
+fn requests_of_other_pages_and_hosts_are_refused() {
+    let sim = Sim::start();
+    let web = server(&sim, true);
+    let (host, token) = (web.host(), web.token());
+    let (origin, wrong) = (format!("http://{host}"), format!("{}x", &token[1..]));
+    let local = format!("localhost:{}", host.split_once(':').unwrap().1);
+    let protocol = format!("bcap.live, token.{token}");
+    let upgrade = |host: &str, origin: Option<&str>, protocol: &str| {
+        let mut headers = vec![
+            ("host", host),
+            ("upgrade", "websocket"),
+            ("sec-websocket-version", "13"),
+            ("sec-websocket-key", "dGhlIHNhbXBsZSBub25jZQ=="),
+            ("sec-websocket-protocol", protocol),
+        ];
+        headers.extend(origin.map(|origin| ("origin", origin)));
+        // `connection: close` of the helper comes after this one
+        headers.push(("connection", "upgrade"));
+        web.status("GET /live", &headers)
+    };
+    assert_eq!(upgrade(host, None, &protocol), 403, "without an origin");
+    assert_eq!(upgrade(host, Some("http://evil.example"), &protocol), 403, "another site");
+    assert_eq!(upgrade(host, Some("null"), &protocol), 403, "a page of a file or a sandbox");
+    assert_eq!(upgrade(host, Some(&format!("https://{host}")), &protocol), 403, "another scheme");
+    assert_eq!(upgrade(&local, Some(&origin), &protocol), 403, "localhost is another origin than 127.0.0.1");
+    assert_eq!(upgrade("evil.example", Some("http://evil.example"), &protocol), 421, "DNS rebinding");
+    assert_eq!(upgrade(host, Some(&origin), "bcap.live"), 401, "no token");
+    assert_eq!(upgrade(host, Some(&origin), &format!("bcap.live, token.{wrong}")), 401, "a wrong token");
+    assert_eq!(upgrade(host, Some(&origin), &format!("bcap.live, token.{}", &token[1..])), 401, "a shorter token");
+
+    let halt = |method: &str, headers: &[(&str, &str)]| web.status(&format!("{method} /halt/0"), headers);
+    let good = [("host", host), ("origin", &origin), ("x-bcap-token", token)];
+    for method in ["GET", "HEAD", "PUT", "DELETE", "OPTIONS"] {
+        assert_eq!(halt(method, &good), 405, "{method} halts nothing");
+    }
+    assert_eq!(halt("POST", &[good[0], good[1]]), 401);
+    assert_eq!(halt("POST", &[good[0], good[1], ("x-bcap-token", &wrong)]), 401);
+    assert_eq!(halt("POST", &[good[0], good[2]]), 403);
+    assert_eq!(halt("POST", &[good[0], ("origin", "http://evil.example"), good[2]]), 403);
+    assert_eq!(halt("POST", &[("host", "evil.example"), ("origin", "http://evil.example"), good[2]]), 421);
+    // the first wins in some programs, the last in others
+    assert_eq!(halt("POST", &[good[0], ("origin", "http://evil.example"), good[1], good[2]]), 403);
+    assert_eq!(halt("POST", &[good[0], good[1], ("x-bcap-token", &wrong), good[2]]), 401);
+    assert_eq!(web.lines(), [""; 0], "nothing was halted");
+    assert_eq!(halt("POST", &good), 200);
+    assert_eq!(web.status("POST /halt/1", &good), 404);
+    assert_eq!(web.status("GET /", &[("host", &local)]), 200, "localhost is a name of this computer");
+    assert_eq!(web.status("GET /", &[("host", "evil.example")]), 421);
+    assert_eq!(web.status("GET /", &[]), 421, "no host");
+    assert_eq!(web.status("GET /", &[("host", host), ("host", host)]), 421, "two hosts");
+    assert_eq!(web.status("POST /", &good), 405);
+    assert_eq!(web.status("GET /../Cargo.toml", &[("host", host)]), 404);
+}
+
+#[test]
+fn every_response_keeps_other_pages_and_hosts_out() {
+    let sim = Sim::start();
+    let web = server(&sim, false);
+    for first in ["GET /", "GET /main.js", "GET /style.css", "GET /icon.svg", "GET /nothing", "POST /halt/0"] {
+        let (head, body) = web.request(first, &[("host", web.host())]);
+        for header in [
+            "content-security-policy: default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; ",
+            "x-content-type-options: nosniff",
+            "x-frame-options: deny",
+            "referrer-policy: no-referrer",
+            "cross-origin-resource-policy: same-origin",
+            "cache-control: no-store",
+        ] {
+            assert!(head.contains(header), "{first}: {header} is not in {head}");
+        }
+        assert!(!head.contains("set-cookie") && !head.contains("access-control"), "{head}");
+        // the page works without another host, and its files have no secret
+        assert!(!body.contains("https://") && !body.contains(web.token()), "{first}");
+    }
+    assert!(web.url().len() > 60 && web.token().len() == 48, "192 bits");
+    assert_ne!(web.token(), server(&sim, false).token());
+}
+
+#[test]
+fn a_read_only_server_changes_nothing() {
+    let sim = Sim::start();
+    sim.lock().inject_error(HResult::from_u32(0x8350_0076), bcap_std::now());
+    let web = server(&sim, false);
+    let mut page = web.page();
+    page.until_state("error");
+    for (order, fields) in [
+        ("take", json!({ "robot": 0, "name": "Anna" })),
+        ("check", json!({ "robot": 0, "name": "I1", "text": "5" })),
+        ("write", json!({ "robot": 0, "name": "I1" })),
+        ("clear", json!({ "robot": 0 })),
+    ] {
+        let refused = page.order(order, fields).unwrap_err();
+        assert_eq!(refused, "this server is read-only; start it with --allow-write", "{order}");
+    }
+    assert_eq!(sim.lock().errors().count(), 1);
+    assert_eq!(sim.lock().variable::<16>(I, 1).unwrap().as_variant(), Variant::I4(0));
+}
+
+#[test]
+fn one_page_at_a_time_writes_what_it_has_checked() {
+    let sim = Sim::start();
+    let web = server(&sim, true);
+    let (mut anna, mut bob) = (web.page(), web.page());
+    anna.until_state("ready, motor off");
+    let value = |sim: &Sim| sim.lock().variable::<16>(I, 1).unwrap().as_variant().as_i32().unwrap();
+    let check = json!({ "robot": 0, "name": "I1", "text": "5" });
+    let write = json!({ "robot": 0, "name": "I1" });
+    assert_eq!(anna.order("check", check.clone()).unwrap_err(), "take the control first");
+    anna.order("take", json!({ "robot": 0, "name": "Anna" })).unwrap();
+    for (order, fields) in
+        [("take", json!({ "robot": 0, "name": "Bob" })), ("check", check.clone()), ("write", write.clone())]
+    {
+        assert_eq!(bob.order(order, fields).unwrap_err(), "Anna has the control; ask for its release", "{order}");
+    }
+    assert_eq!(bob.until("tiles", |tiles| tiles[0]["holder"] == "Anna")[0]["name"], "press");
+    assert_eq!(anna.order("write", write.clone()).unwrap_err(), "check the value first");
+    assert_eq!(anna.order("check", check.clone()), Ok(json!({ "name": "I1", "old": "0", "new": "5" })));
+    // what was checked is for this variable, and once
+    assert_eq!(anna.order("write", json!({ "robot": 0, "name": "I2" })).unwrap_err(), "check the value first");
+    anna.order("write", write.clone()).unwrap();
+    assert_eq!(value(&sim), 5);
+    assert_eq!(anna.order("write", write.clone()).unwrap_err(), "check the value first");
+    // a value that another client has changed since the user saw it stays
+    anna.order("check", json!({ "robot": 0, "name": "I1", "text": "7" })).unwrap();
+    sim.lock().set_variable(I, 1, &Variant::I4(6)).unwrap();
+    let changed = anna.order("write", write.clone()).unwrap_err();
+    assert_eq!(changed, "I1 has changed meanwhile from 5 to 6; nothing was written");
+    assert!(anna.order("check", json!({ "robot": 0, "name": "I1", "text": "3,14" })).is_err());
+    assert_eq!(value(&sim), 6);
+    // the loss of the page frees the control
+    drop(anna);
+    bob.until("tiles", |tiles| tiles[0]["holder"].is_null());
+    bob.order("take", json!({ "robot": 0, "name": "Bob" })).unwrap();
+    bob.order("release", json!({ "robot": 0 })).unwrap();
+    let lines = web.lines();
+    let expected = [
+        "press: Anna: takes the control: done",
+        "press: Bob: takes the control: Anna has the control; ask for its release",
+        "press: Anna: writes I1: 0 -> 5: done",
+        "press: Anna: writes I1: 5 -> 7: I1 has changed meanwhile from 5 to 6; nothing was written",
+        "press: Anna: the page is closed, the control is free: done",
+        "press: Bob: takes the control: done",
+        "press: Bob: releases the control: done",
+    ];
+    assert_eq!(lines, expected);
+}
+
+#[test]
+fn errors_are_cleared_and_nothing_else_is_started() {
+    let sim = Sim::start();
+    sim.lock().inject_error(HResult::from_u32(0x8350_0076), bcap_std::now());
+    let web = server(&sim, true);
+    let mut page = web.page();
+    page.order("show", json!({ "robot": 0, "screen": "alarms" })).unwrap();
+    let alarms = page.until("alarms", |alarms| alarms["errors"][0]["code"] == "0x83500076");
+    assert!(alarms["steps"].as_array().unwrap().contains(&json!("ClearError")), "{alarms}");
+    assert!(alarms["errors"][0]["meaning"].as_str().unwrap().len() > 10, "{alarms}");
+    page.order("take", json!({ "robot": 0, "name": "Anna" })).unwrap();
+    page.order("clear", json!({ "robot": 0 })).unwrap();
+    page.until("alarms", |alarms| alarms["errors"] == json!([]));
+    let sim = sim.lock();
+    assert_eq!((sim.errors().count(), sim.motor_is_on(), sim.arm_owner()), (0, false, None));
+}
+
+#[test]
+fn sizes_rates_and_connections_are_limited() {
+    let sim = Sim::start();
+    let web = server(&sim, false);
+    let mut page = web.page();
+    page.until_state("ready, motor off");
+    for _ in 0..100 {
+        page.send("show", json!({ "robot": 0, "screen": "cell" }));
+    }
+    let refused = (0..100).filter(|_| {
+        loop {
+            let message = page.receive().unwrap();
+            if message["t"] == "answer" {
+                break message["error"] == "too many orders; wait a moment";
+            }
+        }
+    });
+    assert!(refused.count() >= 40, "a burst of 40, and 20 a second");
+    let names: Vec<String> = (0..2000).map(|n| format!("I{n}")).collect();
+    std::thread::sleep(Duration::from_millis(200));
+    let error = page.order("select", json!({ "robot": 0, "names": names })).unwrap_err();
+    assert_eq!(error, "2000 variables; a page shows at most 1000");
+    assert!(page.order("select", json!({ "robot": 7, "names": [] })).is_err());
+    drop(page);
+    let mut page = web.page();
+    for invalid in ["", "[]", "{\"id\":1}", "{\"id\":1,\"do\":\"move\"}", "{\"id\":-1,\"do\":\"clear\",\"robot\":0}"] {
+        page.socket.send(tokio_tungstenite::tungstenite::Message::text(invalid)).unwrap();
+        loop {
+            let message = page.receive().unwrap();
+            if message["t"] == "answer" {
+                assert_eq!(message["error"], "this is not an order", "{invalid}");
+                break;
+            }
+        }
+    }
+    // an order that is too large closes the page, and nothing else
+    let large = "x".repeat(70_000);
+    let _ = page.socket.send(tokio_tungstenite::tungstenite::Message::text(large));
+    until("the page is closed", || page.receive().is_none());
+    let header = "x".repeat(20_000);
+    assert_eq!(web.status("GET /", &[("host", web.host()), ("x", &header)]), 431);
+    let mut pages = Vec::new();
+    // the end of the pages above takes a moment
+    until("16 pages are open", || {
+        pages.extend(web.try_page().ok());
+        pages.len() == 16
+    });
+    assert_eq!(web.try_page().err(), Some(503), "one page too many");
+    // connections that send nothing lock nobody out, and end no page
+    let held: Vec<_> = (0..300).map(|_| idle(&web)).collect();
+    assert_eq!(web.halt(0)["ok"], true);
+    assert!(pages.iter_mut().all(|page| page.order("show", json!({ "robot": 0, "screen": "cell" })).is_ok()));
+    drop(held);
+}
+
+#[test]
+fn texts_of_a_controller_are_cut_and_escaped() {
+    let sim = Sim::start();
+    let hostile = "<img src=x onerror=alert(1)>\u{202e}\u{1b}[2J\n".to_owned() + &"A".repeat(1 << 20);
+    sim.lock().set_variable(S, 1, &OwnedText::of(&hostile)).unwrap();
+    let web = Web::start(&[("<b>\u{202e}press", sim.address())], false);
+    let mut page = web.page();
+    let tiles = page.until_state("ready, motor off");
+    assert_eq!(tiles[0]["name"], "<b>\\u{202e}press");
+    page.order("select", json!({ "robot": 0, "names": ["S1"] })).unwrap();
+    page.order("show", json!({ "robot": 0, "screen": "variables" })).unwrap();
+    let rows = page.until("variables", |rows| rows[0][3] == true);
+    let text = rows[0][1].as_str().unwrap();
+    assert!(text.contains("<img src=x onerror=alert(1)>\\u{202e}\\u{1b}[2J\\n"), "{text}");
+    assert!(text.len() < 1200 && text.ends_with("more characters)"), "{} bytes", text.len());
+    page.order("show", json!({ "robot": 0, "screen": "packets" })).unwrap();
+    let packets = page.until("packets", |packets| packets["rows"].to_string().contains("onerror"));
+    assert!(packets.to_string().len() < 500_000 && !packets.to_string().contains('\u{202e}'));
+}
+
+#[test]
+fn a_halt_works_while_the_other_connections_hang() {
+    let sim = Sim::start();
+    let relay = Relay::start(sim.address());
+    let web = Web::start(&[("press", relay.address)], false);
+    let mut page = web.page();
+    page.until_state("ready, motor off");
+    let mut cell = other(&sim);
+    start_moving(&sim, &mut cell);
+    page.until_state("moving");
+    // the connection that reads
+    relay.freeze(0);
+    let began = Instant::now();
+    let halted = web.halt(0);
+    assert_eq!(halted, json!({ "ok": true, "text": "halted, the robot rests" }));
+    assert!(!sim.lock().is_moving());
+    assert!(began.elapsed() < Duration::from_secs(10), "{:?}", began.elapsed());
+    let lost = page.until_state("not connected");
+    assert!(lost[0]["reasons"][0][1].as_str().unwrap().contains("tried again every second"), "{lost}");
+    page.until("tiles", |tiles| tiles[0]["state"] != "not connected");
+    assert_eq!(web.halt(0)["text"], "the robot was at rest; nothing was moving");
+    let lines = web.lines();
+    assert_eq!(
+        lines,
+        [
+            "press: a page: HALT, halted, the robot rests: done",
+            "press: a page: HALT, the robot was at rest; nothing was moving: done"
+        ]
+    );
+}
+
+#[test]
+fn a_halt_that_fails_says_so() {
+    let sim = Sim::start();
+    let web = server(&sim, false);
+    web.page().until_state("ready, motor off");
+    drop(sim);
+    let halted = web.halt(0);
+    assert_eq!(halted["ok"], false);
+    assert!(halted["text"].as_str().unwrap().starts_with("NOT HALTED, use the emergency stop: "), "{halted}");
+}
+
+#[test]
+fn a_controller_that_starts_again_is_read_and_halted_again() {
+    let sim = Sim::start();
+    let address = sim.address();
+    let web = server(&sim, false);
+    let mut page = web.page();
+    page.until_state("ready, motor off");
+    drop(sim);
+    page.until_state("not connected");
+    let sim = Sim::at(address);
+    page.until_state("ready, motor off");
+    let mut cell = other(&sim);
+    start_moving(&sim, &mut cell);
+    assert_eq!(web.halt(0)["text"], "halted, the robot rests");
+    assert!(!sim.lock().is_moving());
+}
+
+#[test]
+fn a_stream_of_another_client_goes_on() {
+    let sim = Sim::start();
+    let web = server(&sim, true);
+    let mut page = web.page();
+    page.order("select", json!({ "robot": 0, "names": ["I1-I3"] })).unwrap();
+    page.order("take", json!({ "robot": 0, "name": "Anna" })).unwrap();
+    let mut cell = other(&sim);
+    let mut arm = with_motor(&mut cell);
+    // this stream sends no pose, so that a busy machine does not end it
+    arm.robot().execute::<()>("slvChangeMode", 0x202).unwrap();
+    let tile = page.until_state("streaming");
+    assert_eq!(tile[0]["reasons"][0][0], "another client streams in Slave Mode");
+    for screen in ["cell", "variables", "alarms", "packets"] {
+        page.order("show", json!({ "robot": 0, "screen": screen })).unwrap();
+        // two slow rounds
+        let end = Instant::now() + Duration::from_millis(2200);
+        while Instant::now() < end {
+            page.receive().unwrap();
+        }
+        assert_eq!(sim.lock().slave_mode(), 0x202, "{screen}");
+    }
+    page.order("check", json!({ "robot": 0, "name": "I1", "text": "5" })).unwrap();
+    let refused = page.order("write", json!({ "robot": 0, "name": "I1" })).unwrap_err();
+    assert!(refused.contains("Variable_PutValue may end it"), "{refused}");
+    let refused = page.order("clear", json!({ "robot": 0 })).unwrap_err();
+    assert!(refused.contains("ClearError would end it"), "{refused}");
+    assert_eq!(sim.lock().slave_mode(), 0x202);
+    // a person may end it
+    assert_eq!(web.halt(0)["ok"], true);
+    assert_eq!(sim.lock().slave_mode(), 0);
+}
+
+#[tokio::test]
+async fn other_computers_and_serial_lines_are_refused() {
+    let bind = async |listen: &str, robots: Vec<(String, Access)>| {
+        let config = Config { listen: listen.parse().unwrap(), robots, allow_write: false };
+        Server::bind(config, |_| {}).await.unwrap_err().to_string()
+    };
+    let robot = || vec![("press".to_owned(), access("127.0.0.1:5007".parse().unwrap()))];
+    for listen in ["0.0.0.0:0", "192.168.0.1:0", "[::]:0"] {
+        let refused = bind(listen, robot()).await;
+        assert!(refused.ends_with("needs TLS and a password; listen on 127.0.0.1"), "{refused}");
+    }
+    let mut serial = robot();
+    serial[0].1.address = "serial:/dev/ttyUSB0".parse().unwrap();
+    assert!(bind("127.0.0.1:0", serial).await.contains("HALT would have no connection"));
+    assert_eq!(bind("127.0.0.1:0", Vec::new()).await, "0 robots; a page shows 1 to 32");
+}
+
+/// A text as a value.
+struct OwnedText;
+
+impl OwnedText {
+    fn of(text: &str) -> Variant<'static> {
+        let value: &'static bcap_core::variant::OwnedVariant =
+            Box::leak(Box::new(bcap_core::variant::OwnedVariant::new(text).unwrap()));
+        value.as_variant()
+    }
+}
