@@ -1,13 +1,15 @@
 // The frame of the page: the robot, its state, HALT, the control, and the screens.
 
 import { alarms } from "./alarms.js";
+import { arm } from "./arm.js";
 import { cell } from "./cell.js";
 import { byId, kindOf, make, notify, setText, stateText } from "./dom.js";
 import { connect, halt, on, order } from "./net.js";
 import { packets } from "./packets.js";
+import { plots } from "./plots.js";
 import { variables } from "./variables.js";
 
-const SCREENS = [cell, variables, alarms, packets];
+const SCREENS = [cell, variables, alarms, arm, plots, packets];
 
 /** What the screens share. */
 const page = {
@@ -144,6 +146,7 @@ on("refused", (message) => notify(message.error, true));
 on("tiles", (message) => {
   const isFirst = page.tiles.length === 0;
   page.tiles = message.v;
+  arm.remember(page);
   drawFrame();
   if (isFirst) show(screen);
   else screen.tiles?.(page);

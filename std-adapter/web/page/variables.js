@@ -6,7 +6,7 @@ import { order } from "./net.js";
 /** The values of a sparkline. */
 const HISTORY = 60;
 
-const state = { page: null, parts: null, rows: new Map(), histories: new Map(), filter: "", writes: [] };
+const state = { page: null, parts: null, rows: new Map(), histories: new Map(), filter: "", writes: [], missing: null };
 
 /** The key under which the browser keeps the selection of a robot. */
 const key = (page) => `names ${page.tile.address}`;
@@ -43,7 +43,9 @@ export const variables = {
     }
     filterRows();
   },
-  tiles() {
+  tiles(page) {
+    // the controller was not connected
+    if (state.missing && page.tile.level !== "unknown") select(state.missing);
     for (const row of state.rows.values()) row.update();
   },
 };
@@ -51,6 +53,7 @@ export const variables = {
 async function select(text) {
   const { page } = state;
   const names = text.split(/[\s,]+/).filter((name) => name !== "");
+  state.missing = page.tile.level === "unknown" ? text : null;
   try {
     await order("select", { robot: page.robot, names });
     localStorage.setItem(key(page), text);

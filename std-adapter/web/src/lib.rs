@@ -1,5 +1,7 @@
 #![doc = include_str!("../README.md")]
 
+mod app;
+mod arm;
 mod assets;
 mod audit;
 mod control;
@@ -19,6 +21,7 @@ use bcap_std::Address;
 use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
 
+use crate::app::App;
 use crate::audit::Audit;
 use crate::guard::Guard;
 use crate::robot::Robot;
@@ -59,17 +62,6 @@ pub enum Error {
     /// The address is in use, or a thread cannot be started.
     #[error(transparent)]
     Io(#[from] std::io::Error),
-}
-
-/// The state that all connections share.
-#[derive(Debug)]
-struct App {
-    guard: Guard,
-    robots: Vec<Arc<Robot>>,
-    allow_write: bool,
-    audit: Audit,
-    clients: AtomicU64,
-    pages: Arc<Semaphore>,
 }
 
 /// A server of the page.

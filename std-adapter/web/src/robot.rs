@@ -11,8 +11,8 @@ use bcap_live::calls::{Failure as _, needs_reconnect};
 use bcap_live::link::{Access, Error, Link};
 use bcap_live::model::{Model, Update};
 use bcap_live::reader::{self, Reader, Rounds};
-use bcap_live::variables::is_virtual;
-use bcap_std::Examination;
+use bcap_live::variables::{get_one, is_virtual};
+use bcap_std::{Examination, ObjectPath};
 use tokio::sync::oneshot;
 
 use crate::control::{Client, Control};
@@ -48,6 +48,8 @@ pub(crate) struct Live {
     pub(crate) unknown: Option<String>,
     /// Whether the controller says that it is a virtual one; `None` until it was asked.
     pub(crate) is_virtual: Option<bool>,
+    /// `@TYPE_NAME` of the robot, if the controller has it.
+    pub(crate) type_name: Option<String>,
     /// The variables of each page.
     pub(crate) names: BTreeMap<Client, Vec<String>>,
 }
@@ -165,9 +167,16 @@ impl Thread {
         });
         let mut link = Link::connect(&self.access, &packets)?;
         let found = is_virtual(&mut link)?;
+        let type_name = match get_one(&mut link, &ObjectPath::variable("robot/@TYPE_NAME")?) {
+            Ok(name) => name.as_variant().as_bstr().map(|name| name.to_string()),
+            Err(error) if needs_reconnect(&error) => return Err(error),
+            Err(_) => None,
+        };
         let mut reader = Reader::start(&mut link, &[])?;
         let Some(robot) = self.robot.upgrade() else { return Ok(()) };
-        robot.live().is_virtual = Some(found);
+        let mut live = robot.live();
+        (live.is_virtual, live.type_name) = (Some(found), type_name);
+        drop(live);
         robot.halter.prepare();
         drop(robot);
         let (mut next, mut slow) = (Instant::now(), Instant::now());

@@ -21,7 +21,7 @@ use serde_json::json;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::AbortHandle;
 
-use crate::App;
+use crate::app::App;
 use crate::assets::{FILES, file, with_headers};
 use crate::guard::{Refused, only};
 use crate::socket;

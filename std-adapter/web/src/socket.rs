@@ -13,7 +13,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 use tokio::time::{Instant, MissedTickBehavior, interval, interval_at, timeout};
 
-use crate::App;
+use crate::app::App;
 use crate::control::Client;
 use crate::guard::Bucket;
 use crate::robot::Robot;
@@ -39,6 +39,8 @@ enum Screen {
     Cell,
     Variables,
     Alarms,
+    Arm,
+    Plots,
     Packets,
 }
 
@@ -164,6 +166,8 @@ impl Page {
                 Screen::Cell => {}
                 Screen::Variables => sections.push(("variables", view::variables(self.client, robot))),
                 Screen::Alarms => sections.push(("alarms", view::alarms(robot))),
+                Screen::Arm => sections.push(("arm", view::arm(robot))),
+                Screen::Plots => sections.push(("plots", view::variables(self.client, robot))),
                 Screen::Packets => {
                     let (packets, total) = view::packets(robot, self.packets);
                     if total != self.packets {

@@ -9,6 +9,7 @@ use bcap_std::Examination;
 use bcap_terminal::escape;
 use serde_json::{Value, json};
 
+use crate::arm;
 use crate::control::Client;
 use crate::robot::{Live, Robot};
 
@@ -164,6 +165,12 @@ fn error(code: HResult, text: &str) -> Value {
         "remedy": code.hint().map(|hint| sentence(&hint.to_string())),
         "level": code.level(),
     })
+}
+
+/// Returns the type and the dimensions of an arm.
+pub(crate) fn arm(robot: &Robot) -> Value {
+    let type_name = robot.live().type_name.clone().unwrap_or_default();
+    json!({ "type": safe(&type_name), "links": arm::dimensions(&type_name) })
 }
 
 /// The most packets of a message; the others are counted.

@@ -6,7 +6,7 @@ use std::process::Command;
 use bcap_core::hresult::HResult;
 use bcap_core::rac::VariableKind;
 use bcap_core::variant::{OwnedVariant, Variant};
-use bcap_std::{Move, Settings, blocking};
+use bcap_std::{Motion, Move, Settings, blocking};
 
 use crate::chromium::Browser;
 use crate::support::{LIMIT, Sim, Web};
@@ -168,13 +168,56 @@ fn hostile_texts_stay_text_and_lost_connections_are_shown() {
     }
     drop(sim);
     browser.until_text("#state", "not connected");
+    // a selection that no controller could answer is made when one is there
+    browser.click("[data-id=variables]");
+    browser.enter("#names", "I1");
+    browser.until_text("#notice.bad", "there is no connection to the controller");
     let sim = Sim::at(address);
     browser.until_text("#state", "ready, motor off");
+    browser.until_text("tbody th", "I1");
     drop((sim, web));
     browser.until("!document.getElementById('stale').hidden");
     browser.until_text("#stale", "NOT CONNECTED");
     browser.click("#halt");
     browser.until_text("#notice.bad", "NOT HALTED, use the emergency stop");
+}
+
+/// The drawing ends where the controller says that the flange is; a motion leaves a path, and is plotted and saved.
+#[test]
+fn the_arm_is_drawn_and_its_numbers_are_plotted() {
+    let sim = Sim::start();
+    let web = Web::start(&[("press", sim.address())], false);
+    let Some(mut browser) = opened(&web) else { return };
+    browser.click("[data-id=arm]");
+    let arm = &bcap_sim::Profile::Rc8.model().robot_type;
+    browser.until_text(".views + p", &format!("Drawn with the dimensions of the model file of {arm}."));
+    let distance = "(() => { const flange = document.querySelector('.view').querySelectorAll('.joints circle');
+        const [x, y] = ['cx', 'cy'].map((name) => Number([...flange].at(-1).getAttribute(name)));
+        const r = Number([...flange].at(-1).getAttribute('r'));
+        const [, left, up] = document.querySelector('.cross').getAttribute('d').match(/M([-\\d.e]+) ([-\\d.e]+)h/);
+        return Math.hypot(x - Number(left) - 2 * r, y - Number(up)) < 0.1; })()";
+    browser.until(distance);
+    browser.click("[data-id=plots]");
+    browser.until_text(".legend", "J1 0.000");
+    let mut cell = blocking::Controller::connect(&format!("tcp:{}", sim.address()), &Settings::rc8()).unwrap();
+    let mut arm = cell.robot().unwrap().take_arm().unwrap();
+    arm.motor_on().unwrap();
+    let motion = arm.move_to(&Move::joint("J(30,45,90,0,45,0)").speed_percent(100.0), LIMIT).unwrap();
+    assert_eq!(motion, Motion::Arrived);
+    browser.until_text(".legend", "J1 30.000");
+    browser.click("#hold");
+    browser.until_text("#hold", "Go on");
+    let saved = "(async () => { let saved; URL.createObjectURL = (blob) => { saved = blob; return ''; };
+        document.getElementById('csv').click(); return saved.text(); })()";
+    let csv = browser.eval(saved);
+    let mut lines = csv.as_str().unwrap().lines();
+    assert_eq!(lines.next(), Some("time,\"J1\",\"J2\",\"J3\""));
+    let rows: Vec<&str> = lines.collect();
+    assert!(rows.len() > 3 && rows[0].ends_with("Z,0,45,90") && rows.last().unwrap().ends_with("Z,30,45,90"), "{csv}");
+    browser.click("[data-id=arm]");
+    browser.until("document.querySelector('.path').points.numberOfItems > 2");
+    browser.until(distance);
+    assert_eq!(browser.problems, [""; 0]);
 }
 
 /// The contrast of each visible text to what is behind it, as WCAG 2 defines it; and that the page has names and an order for a
@@ -195,9 +238,9 @@ fn each_screen_is_legible_and_works_with_a_keyboard() {
     assert_eq!(browser.eval("document.activeElement.id"), "halt", "HALT is the first");
     browser.enter("#name", "Anna");
     let folder = std::env::var_os("BCAP_WEB_PICTURES");
-    for screen in ["cell", "variables", "alarms", "packets"] {
+    for screen in ["cell", "variables", "alarms", "arm", "plots", "packets"] {
         browser.click(&format!("[data-id={screen}]"));
-        browser.until("document.querySelector('.tile, .spark polyline, .errors li, .packets td') !== null");
+        browser.until("document.querySelector('.tile, .spark polyline, .errors li, .joints circle, .choices input, .packets td') !== null");
         for scheme in ["light", "dark"] {
             for size in [(1280, 800), (768, 1024)] {
                 browser.look(size, scheme);

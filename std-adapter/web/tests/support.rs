@@ -141,9 +141,9 @@ impl Web {
         let mut stream = TcpStream::connect(self.host()).unwrap();
         stream.set_read_timeout(Some(LIMIT)).unwrap();
         let headers: String = headers.iter().map(|(name, value)| format!("{name}: {value}\r\n")).collect();
-        write!(stream, "{first} HTTP/1.1\r\n{headers}connection: close\r\n\r\n").unwrap();
+        // the server may close a refused connection before all bytes are sent or received
+        let _ = stream.write_all(format!("{first} HTTP/1.1\r\n{headers}connection: close\r\n\r\n").as_bytes());
         let mut response = Vec::new();
-        // the server may close a refused connection with unread bytes
         let _ = stream.read_to_end(&mut response);
         let response = String::from_utf8_lossy(&response).into_owned();
         let (head, body) = response.split_once("\r\n\r\n").unwrap_or((&response, ""));
