@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex};
+use std::thread;
 use std::time::Duration;
 
 use crate::common::{assert_restored, options, provider, rc8, report, state};
@@ -32,43 +33,24 @@ fn passes(profile: Profile, link: Link, absent: &[&str]) {
 }
 
 #[test]
-fn the_rc8_passes_over_tcp() {
-    passes(Profile::Rc8, Link::Tcp, &[]);
-}
-
-#[test]
-fn the_rc8_passes_over_udp() {
-    passes(Profile::Rc8, Link::Udp, &[]);
-}
-
-#[test]
-fn the_rc9_passes_over_tcp() {
-    passes(Profile::Rc9, Link::Tcp, &[]);
-}
-
-#[test]
-fn the_rc9_passes_over_udp() {
-    passes(Profile::Rc9, Link::Udp, &[]);
-}
-
-#[test]
-fn the_cobotta_passes_over_tcp() {
-    passes(Profile::Cobotta, Link::Tcp, &["slave/receive-hand-io"]);
-}
-
-#[test]
-fn the_cobotta_passes_over_udp() {
-    passes(Profile::Cobotta, Link::Udp, &["slave/receive-hand-io"]);
-}
-
-#[test]
-fn the_rc8a_passes_over_tcp() {
-    passes(Profile::Rc8a, Link::Tcp, &[]);
-}
-
-#[test]
-fn the_cobotta_pro_passes_over_tcp() {
-    passes(Profile::CobottaPro, Link::Tcp, &[]);
+fn the_virtual_controllers_pass_over_tcp_and_udp() {
+    let all = [
+        (Profile::Rc8, Link::Tcp, &[][..]),
+        (Profile::Rc8, Link::Udp, &[]),
+        (Profile::Rc8a, Link::Tcp, &[]),
+        (Profile::Rc9, Link::Tcp, &[]),
+        (Profile::Rc9, Link::Udp, &[]),
+        (Profile::Cobotta, Link::Tcp, &["slave/receive-hand-io"]),
+        (Profile::Cobotta, Link::Udp, &["slave/receive-hand-io"]),
+        (Profile::CobottaPro, Link::Tcp, &[]),
+    ];
+    // each waits most of the time
+    thread::scope(|scope| {
+        for (profile, link, absent) in all {
+            let name = format!("{profile:?} over {link:?}");
+            thread::Builder::new().name(name).spawn_scoped(scope, move || passes(profile, link, absent)).unwrap();
+        }
+    });
 }
 
 /// Each answer that was seen names its observations, which the tests of the virtual controller play.
