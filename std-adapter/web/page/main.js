@@ -124,7 +124,7 @@ function isTyping(event) {
 byId("halt").onclick = () => haltRobot(page.robot);
 byId("robots").onchange = (event) => page.select(Number(event.target.value));
 document.addEventListener("keydown", (event) => {
-  if (event.key.toLowerCase() === "h" && !event.ctrlKey && !event.altKey && !event.metaKey && !isTyping(event)) haltRobot(page.robot);
+  if (event.key.toLowerCase() === "h" && !event.repeat && !event.ctrlKey && !event.altKey && !event.metaKey && !isTyping(event)) haltRobot(page.robot);
 });
 byId("screens").replaceChildren(
   ...SCREENS.map((known) => {

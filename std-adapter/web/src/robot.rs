@@ -215,7 +215,7 @@ impl Thread {
 }
 
 impl Robot {
-    /// Returns the variables that a page shows.
+    /// Returns the variables that a page shows, in the order of their names.
     fn wanted(&self) -> Vec<String> {
         let live = self.live();
         let names: BTreeSet<&String> = live.names.values().flatten().collect();

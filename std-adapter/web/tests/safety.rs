@@ -11,7 +11,7 @@ use bcap_std::{Move, Settings};
 use bcap_web::{Config, Server};
 use serde_json::json;
 
-use crate::support::{LIMIT, Relay, Sim, Web, access, idle, until};
+use crate::support::{LIMIT, Page, Relay, Sim, Web, access, idle, until};
 
 const I: VariableKind = VariableKind::I;
 const S: VariableKind = VariableKind::S;
@@ -259,6 +259,33 @@ fn sizes_rates_and_connections_are_limited() {
     assert_eq!(web.halt(0)["ok"], true);
     assert!(pages.iter_mut().all(|page| page.order("show", json!({ "robot": 0, "screen": "cell" })).is_ok()));
     drop(held);
+}
+
+/// Each page gets its own variables, in its order, and they are read once for all pages.
+#[test]
+fn pages_show_different_variables() {
+    let sim = Sim::start();
+    let web = server(&sim, false);
+    let (mut anna, mut bob) = (web.page(), web.page());
+    anna.until_state("ready, motor off");
+    for n in [2, 10, 30] {
+        sim.lock().set_variable(I, n, &Variant::I4(i32::try_from(n).unwrap() * 100)).unwrap();
+    }
+    assert_eq!(anna.order("select", json!({ "robot": 0, "names": ["I9-I11", "I2"] })), Ok(json!(4)));
+    assert_eq!(bob.order("select", json!({ "robot": 0, "names": ["I30", "I2", "NO_SUCH"] })), Ok(json!(3)));
+    let shown = |page: &mut Page, last: &str| {
+        page.order("show", json!({ "robot": 0, "screen": "variables" })).unwrap();
+        let rows = page.until("variables", |rows| {
+            rows.as_array().and_then(|rows| rows.last()).is_some_and(|row| row[0] == last && row[1] != "")
+        });
+        rows.as_array()
+            .unwrap()
+            .iter()
+            .map(|row| format!("{} {}", row[0].as_str().unwrap(), row[4]))
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(shown(&mut anna, "I2"), ["I9 0.0", "I10 1000.0", "I11 0.0", "I2 200.0"]);
+    assert_eq!(shown(&mut bob, "NO_SUCH"), ["I30 3000.0", "I2 200.0", "NO_SUCH null"]);
 }
 
 #[test]
