@@ -1,5 +1,6 @@
 //! A virtual controller, a server of the page, and a page without a browser.
 
+use std::collections::HashMap;
 use std::io::{self, Read as _, Write as _};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -180,7 +181,7 @@ impl Web {
                 if let MaybeTlsStream::Plain(stream) = socket.get_ref() {
                     stream.set_read_timeout(Some(LIMIT)).unwrap();
                 }
-                Ok(Page { socket, last: 0 })
+                Ok(Page { socket, last: 0, sections: HashMap::new() })
             }
             Err(tokio_tungstenite::tungstenite::Error::Http(response)) => Err(response.status().as_u16()),
             Err(error) => panic!("{error}"),
@@ -198,6 +199,8 @@ impl Web {
 pub(crate) struct Page {
     pub(crate) socket: WebSocket<MaybeTlsStream<TcpStream>>,
     last: u64,
+    /// The last content of each section: one that has not changed is not sent again.
+    sections: HashMap<String, Value>,
 }
 
 impl Page {
@@ -205,28 +208,31 @@ impl Page {
     pub(crate) fn receive(&mut self) -> Option<Value> {
         loop {
             match self.socket.read() {
-                Ok(Message::Text(text)) => return Some(serde_json::from_str(&text).unwrap()),
+                Ok(Message::Text(text)) => {
+                    let message: Value = serde_json::from_str(&text).unwrap();
+                    if let (Some(kind), Some(content)) = (message["t"].as_str(), message.get("v")) {
+                        self.sections.insert(kind.to_owned(), content.clone());
+                    }
+                    return Some(message);
+                }
                 Ok(Message::Close(_)) | Err(_) => return None,
                 Ok(_) => {}
             }
         }
     }
 
-    /// Receives until a section of a kind meets a condition.
+    /// Receives until the last content of a section meets a condition.
     #[track_caller]
     pub(crate) fn until(&mut self, kind: &str, condition: impl Fn(&Value) -> bool) -> Value {
         let end = Instant::now() + LIMIT;
-        let mut last = Value::Null;
-        while Instant::now() < end {
-            let message = self.receive().unwrap_or_else(|| panic!("the page is closed; the last {kind} is {last}"));
-            if message["t"] == kind {
-                last = message["v"].clone();
-                if condition(&last) {
-                    return last;
-                }
+        loop {
+            let last = self.sections.get(kind).cloned().unwrap_or_default();
+            if condition(&last) {
+                return last;
             }
+            assert!(Instant::now() < end, "the last {kind} is {last}");
+            self.receive().unwrap_or_else(|| panic!("the page is closed; the last {kind} is {last}"));
         }
-        panic!("the last {kind} is {last}");
     }
 
     /// Waits until the first robot has a state.
