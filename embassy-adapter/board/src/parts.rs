@@ -19,7 +19,7 @@ pub(crate) const STATUS: Task = Task::new(2);
 pub(crate) const PLC: u32 = 3;
 /// Listeners of RAC. One of them answers PLCs without a slot.
 pub(crate) const LISTENERS: usize = PLCS + 1;
-/// The first number after the listeners of RAC, and after those of Modbus.
+/// The first number after the listeners of RAC, and after the ones of Modbus.
 pub(crate) const AFTER_PLCS: u32 = PLC + LISTENERS as u32;
 #[cfg(feature = "modbus")]
 pub(crate) const SPARE_TASK: Task = Task::new(AFTER_PLCS + MODBUS as u32);

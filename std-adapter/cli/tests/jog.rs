@@ -138,7 +138,7 @@ fn teaching_writes_the_present_position() {
     assert!(lines[1].starts_with("J3 = 5,45,90,0,45,0,0,0 (tool 0, work 0); it was 0,"), "{run:?}");
     assert_step(&numbers(&robot, "robot/@CURRENT_POSITION"), &numbers(&robot, "P5"), 0, 0.0);
     assert_step(&numbers(&robot, "robot/@CURRENT_ANGLE"), &numbers(&robot, "J3"), 0, 0.0);
-    // a label replaces that of the variable in the file, and leaves the other lines
+    // a label replaces the earlier one of the variable, and leaves the other lines
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("cell.labels");
     let labels = file.to_str().unwrap();

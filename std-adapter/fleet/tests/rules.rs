@@ -1,7 +1,7 @@
 //! The rules of the Sparkplug TCK (specification 3.0) by their ids: those that hold here, those that other tests show, those that
 //! the node does not hold in full, and those that cannot be tested with it. The test prints the numbers.
 //!
-//! The ids are those of a published compatibility matrix of the specification. A small broker records the packets of a fleet, with
+//! The ids are taken from a published compatibility matrix of the specification. A small broker records the packets of a fleet, with
 //! the flags that a real broker does not pass on.
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};

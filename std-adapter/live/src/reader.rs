@@ -20,7 +20,7 @@ pub const SLOW: Duration = Duration::from_secs(1);
 /// The tasks whose states are read.
 const TASKS: usize = 64;
 
-/// What a round does with its results, and between its calls.
+/// Takes the results of a round, and acts between its calls.
 pub trait Rounds<C: Calls> {
     /// Takes a result.
     fn tell(&mut self, update: Update);

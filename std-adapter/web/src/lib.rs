@@ -32,7 +32,7 @@ const ROBOTS: usize = 32;
 /// The most open pages.
 const PAGES: usize = 16;
 
-/// What a server serves.
+/// The robots of a server, and the rights of its pages.
 #[derive(Debug)]
 pub struct Config {
     /// The address to listen on, of this computer only.

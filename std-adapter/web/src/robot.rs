@@ -38,7 +38,7 @@ pub(crate) struct Robot {
     orders: Sender<Order>,
 }
 
-/// What was read.
+/// The values that were read.
 #[derive(Debug, Default)]
 pub(crate) struct Live {
     pub(crate) model: Model,

@@ -31,7 +31,7 @@ const SEND: Duration = Duration::from_secs(10);
 /// The most variables of a page.
 const VARIABLES: usize = 1000;
 
-/// What a page shows.
+/// The screens of a page.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 enum Screen {

@@ -24,8 +24,8 @@ use crate::session::variables::short_type;
 
 /// Finds controllers on hosts and in networks
 ///
-/// Without an argument it asks the addresses of the profiles, and on a terminal, after a question, those of the networks of this
-/// machine: of a network with more than 1,024 addresses the 256 around the machine's own.
+/// Without an argument it asks the addresses of the profiles, and on a terminal, after a question, each address in the networks of
+/// this machine: of a network with more than 1,024 addresses the 256 around the machine's own.
 ///
 /// It asks each address over b-CAP (TCP and UDP) and RAC: at most 50 addresses at a time, and one port after the other. A line
 /// has the model, the version, the type of the robot, and the ports that answer. It only reads variables, never takes the arm,

@@ -68,7 +68,7 @@ pub(crate) struct Teach {
     #[arg(long, value_name = "J")]
     pub(crate) joints: Option<String>,
 
-    /// What the position is, for the file of labels
+    /// The label of the position, for the file of labels
     #[arg(long, value_name = "TEXT", requires = "labels")]
     pub(crate) label: Option<String>,
 
