@@ -22,8 +22,12 @@
 //! |------------------|------------------------------------------------------------------|-------------------|
 //! | `status`         | tells its name, its version and what became of the last update   | `ok BOARD VERSION PHASE` |
 //! | `update BOARD VERSION LENGTH CRC32` | begins to receive an image of `LENGTH` bytes, if it is for this board | `ok` |
+//! | `sign SHA512 SIGNATURE` | checks the signature of the image, in hexadecimal; before the first block ([`signature`](crate::signature)) | `ok` |
 //! | `block NUMBER CRC32 HEX` | writes 128 bytes; the CRC-32 covers the number (u32, little-endian), too | `ok NUMBER` |
 //! | `install`        | checks the CRC-32 of the image in the flash; the next start swaps it in | `ok`       |
+//!
+//! A board with a key needs `sign`, and takes an older image only if the word `older` follows the CRC-32 of `update`. These requests
+//! are also accepted over TCP ([`remote`](crate::remote)), except for `older`; `restart` is, after `install`.
 //!
 //! Blocks have the numbers 0, 1, 2 and so on; the last one of an image can have fewer bytes. After an error, or without an answer,
 //! the host sends the block again.
@@ -38,6 +42,8 @@ use crate::Settings;
 use crate::answer::{answer, result};
 use crate::crc::Crc32;
 use crate::slots::{Slots, TEXT};
+#[cfg(all(feature = "update", feature = "port"))]
+use crate::update::Phase;
 #[cfg(feature = "update")]
 use crate::update::Updater;
 
@@ -169,7 +175,7 @@ impl<'a, F: NorFlash> Console<'a, F> {
                 answer(port, format_args!("ok"))?;
             }
             #[cfg(feature = "update")]
-            "status" | "update" | "block" | "install" => self.update(verb, argument, port)?,
+            "status" | "update" | "sign" | "block" | "install" => self.update(verb, argument, port)?,
             _ => answer(port, format_args!("error unknown request \"{}\"", verb.escape_debug()))?,
         }
         Ok(action)
@@ -255,6 +261,36 @@ impl<F: NorFlash> Console<'_, F> {
     /// Returns the part for updates, if the board has one, and the flash.
     pub fn updater(&mut self) -> Option<(&mut Updater, &mut F)> {
         Some((self.updater.as_mut()?, self.slots.flash()))
+    }
+
+    /// Does a request of a host on the network, and returns whether to restart.
+    #[cfg(feature = "port")]
+    pub(crate) fn perform_remote<W: Write>(&mut self, request: &[u8], port: &mut W) -> Result<bool, W::Error> {
+        let request = str::from_utf8(request).unwrap_or_default();
+        let (verb, argument) = request.split_once(' ').unwrap_or((request, ""));
+        match verb {
+            "hello" => answer(port, format_args!("{HELLO}"))?,
+            "update" if argument.ends_with(" older") => {
+                answer(port, format_args!("error an older image is received over the serial port only"))?;
+            }
+            // a board whose settings are lost would not be reached again
+            "update" if !self.slots.read(&mut self.new).is_ok_and(|stored| stored.is_some()) => {
+                answer(
+                    port,
+                    format_args!(
+                        "error the settings of the board are not in its flash, so an update would replace them"
+                    ),
+                )?;
+            }
+            "status" | "update" | "sign" | "block" | "install" => self.update(verb, argument, port)?,
+            "restart" if self.updater.as_ref().is_some_and(|updater| updater.phase() == Phase::Installed) => {
+                answer(port, format_args!("ok"))?;
+                return Ok(true);
+            }
+            "restart" => answer(port, format_args!("error no update was installed, so the board does not restart"))?,
+            _ => answer(port, format_args!("error unknown request"))?,
+        }
+        Ok(false)
     }
 
     fn update<W: Write>(&mut self, verb: &str, argument: &str, port: &mut W) -> Result<(), W::Error> {

@@ -64,8 +64,10 @@ const MODBUS_RECEIVE: core::time::Duration = core::time::Duration::from_secs(5);
 const HEALTH: usize = PAGES + 1;
 #[cfg(not(feature = "health"))]
 const HEALTH: usize = 0;
-/// The sockets of the network stack: the listeners, Modbus, the page and syslog, the robot, DHCP.
-pub const SOCKETS: usize = LISTENERS + MODBUS + HEALTH + 2;
+/// The socket of updates.
+const UPDATES: usize = if cfg!(feature = "update") { 1 } else { 0 };
+/// The sockets of the network stack: the listeners, Modbus, the page and syslog, updates, the robot, DHCP.
+pub const SOCKETS: usize = LISTENERS + MODBUS + HEALTH + UPDATES + 2;
 
 /// How far the gateway may overrun its deadline; a longer overrun means that its tasks hang.
 const MAX_OVERRUN: core::time::Duration = core::time::Duration::from_secs(2);
@@ -101,6 +103,8 @@ pub fn start(
     start_modbus(spawner, stack, settings, board)?;
     #[cfg(feature = "health")]
     crate::page::start(spawner, stack, settings, board, parts)?;
+    #[cfg(all(feature = "update", feature = "port"))]
+    crate::remote::start(spawner, stack, settings)?;
     spawner.spawn(log_status(board, parts)?);
     HAS_ERROR.store(settings.has_invalid_line() || parts.last_reset.is_fault(), Ordering::Relaxed);
     Ok(board)

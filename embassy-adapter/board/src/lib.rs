@@ -25,6 +25,8 @@
 //! | `log`        | `log`      | defmt's logger, into a ring buffer                                            |
 //! | `port`       | `port`     | the console and the log over any serial port                                  |
 //! | `update`     | `update`   | updates of the image, over embassy-boot                                       |
+//! | `remote`     | `update` and `port` | updates over TCP                                                     |
+//! | `signature`  | `signature` | signatures of images, seen from a host and from the board                    |
 //! | `usb`        | `usb`      | the console and the log as two serial ports over USB                          |
 //! | `stack`, `fault` | `cortex-m` | the stack with its guard, and the handler of faults; on ARM only          |
 //!
@@ -71,6 +73,7 @@
 //! | `coil`     | `ADDRESS=IO[/FIRST[-LAST]]`: coils from this address on; can be repeated | none |
 //! | `health`   | the port of a read-only page of the board's state, usually 80; for images with the feature `health` | no page |
 //! | `syslog`   | `ADDRESS[:PORT]`: where refusals and changes of the state are sent, usually to port 514; for images with the feature `health` | not sent |
+//! | `update`   | `ADDRESS[/PREFIX]`: hosts that may send signed updates to TCP port 5010; can be repeated up to four times; for images with the feature `update` and a key | none, and the port is closed |
 //! | `echo`     | the port of an echo server, to compare round trips; for images with the feature `echo` | no echo server |
 //!
 //! A key of a feature that the image does not have is invalid, as an unknown one is. Two services cannot have one port.
@@ -120,11 +123,15 @@ pub mod parts;
 #[cfg(feature = "port")]
 pub mod port;
 pub mod record;
+#[cfg(all(feature = "update", feature = "port"))]
+pub mod remote;
 #[cfg(feature = "embassy")]
 pub mod report;
 pub mod ring;
 mod rules;
 mod settings;
+#[cfg(feature = "signature")]
+pub mod signature;
 #[cfg(any(feature = "embassy", feature = "log"))]
 pub mod sizes;
 pub mod slots;
@@ -144,6 +151,8 @@ pub mod watchdog;
 
 pub use self::error::{InvalidLine, SettingError};
 pub use self::rules::RuleMemory;
+#[cfg(feature = "signature")]
+pub use self::settings::UPDATE_PORT;
 pub use self::settings::{Robot, Settings, Transport};
 
 /// The eight letters at the start of the block.

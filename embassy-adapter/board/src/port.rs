@@ -172,11 +172,11 @@ async fn run_console<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
     join3(serve, send_log, judge(&console, TRIAL, restart)).await;
 }
 
-/// Confirms an update on trial when the gateway has served a request; without one in the time `trial`, calls `restart`. Returns when
-/// no update is on trial.
+/// Confirms an update on trial when the gateway has served a request; without one in the time `trial`, calls `restart`. It also performs
+/// the requests of hosts on the network, in an image with updates.
 pub async fn judge<F: NorFlash>(console: &RefCell<Console<'_, F>>, trial: Duration, restart: fn() -> !) {
     #[cfg(feature = "update")]
-    trial::judge(console, trial, restart).await;
+    embassy_futures::join::join(trial::judge(console, trial, restart), crate::remote::attend(console, restart)).await;
     #[cfg(not(feature = "update"))]
     let _ = (console, trial, restart);
 }

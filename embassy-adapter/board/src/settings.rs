@@ -59,10 +59,19 @@ pub struct Settings<'a> {
     pub modbus: Option<u16>,
     #[cfg(feature = "modbus")]
     modbus_map: ModbusMap,
+    #[cfg(feature = "signature")]
+    updaters: heapless::Vec<Network, UPDATERS>,
     convert: bool,
     rate: Rate,
     lists: List,
 }
+
+/// The TCP port of updates.
+#[cfg(feature = "signature")]
+pub const UPDATE_PORT: u16 = 5010;
+/// The most networks of hosts that may send updates.
+#[cfg(feature = "signature")]
+const UPDATERS: usize = 4;
 
 /// The address of the robot controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -110,6 +119,8 @@ impl Default for Settings<'_> {
             modbus: None,
             #[cfg(feature = "modbus")]
             modbus_map: ModbusMap::default(),
+            #[cfg(feature = "signature")]
+            updaters: heapless::Vec::new(),
             convert: false,
             rate: Rate::UNLIMITED,
             lists: List::default(),
@@ -222,12 +233,33 @@ impl<'a> Settings<'a> {
             "register" => self.modbus_map.add(Entry::registers(text)?)?,
             #[cfg(feature = "modbus")]
             "coil" => self.modbus_map.add(Entry::coils(text)?)?,
+            #[cfg(feature = "signature")]
+            "update" => self.allow_updates(text)?,
             _ => match key.strip_prefix("put@") {
                 Some(clients) => self.lists.allow_put(Network::parse(clients).ok_or(SettingError::Clients)?, text)?,
                 None => return Err(SettingError::Key),
             },
         }
         Ok(())
+    }
+
+    /// Returns whether any host may send updates over the network.
+    #[cfg(feature = "signature")]
+    #[must_use]
+    pub fn has_updaters(&self) -> bool {
+        !self.updaters.is_empty()
+    }
+
+    /// Returns whether this host may send updates over the network.
+    #[cfg(feature = "signature")]
+    #[must_use]
+    pub fn may_update(&self, host: Ipv4Addr) -> bool {
+        self.updaters.iter().any(|network| network.contains(Some(host)))
+    }
+
+    #[cfg(feature = "signature")]
+    fn allow_updates(&mut self, text: &str) -> Result<(), SettingError> {
+        self.updaters.push(valid(Network::parse(text))?).map_err(|_| SettingError::Value)
     }
 
     /// Returns whether an address can be another machine's: it is neither the board's nor the broadcast of its network.
@@ -256,6 +288,8 @@ impl<'a> Settings<'a> {
         let port = valid(port(text))?;
         let services = [
             ("rac", Some(rac::PORT)),
+            #[cfg(feature = "signature")]
+            ("update", Some(UPDATE_PORT)),
             ("echo", self.echo),
             #[cfg(feature = "health")]
             ("health", self.health),
@@ -413,6 +447,20 @@ mod tests {
         for tcp in ["robot=10.0.2.2:1", "robot=tcp:10.0.2.2:1"] {
             assert_eq!(read(tcp).robot.transport, Transport::Tcp);
         }
+    }
+
+    #[cfg(feature = "signature")]
+    #[test]
+    fn only_the_hosts_of_the_settings_may_send_updates() {
+        let settings = read("update=10.0.0.7\nupdate=192.168.0.0/24");
+        for (host, may) in [([10, 0, 0, 7], true), ([192, 168, 0, 200], true), ([10, 0, 0, 8], false), ([0; 4], false)]
+        {
+            assert_eq!(settings.may_update(host.into()), may, "{host:?}");
+        }
+        assert!(settings.has_updaters() && !read("put=I").has_updaters(), "off without a setting");
+        let many = "update=10.0.0.7\n".repeat(UPDATERS + 1);
+        assert!(Settings::check(many.as_bytes()).is_err() && Settings::check(b"update=yes").is_err());
+        assert!(Settings::check(b"modbus=5010").is_err(), "the port of updates");
     }
 
     #[cfg(feature = "health")]

@@ -40,6 +40,7 @@ pub(crate) fn has_served() {
 pub(crate) fn console<F: NorFlash>(mut slots: Slots<F>, updates: Option<Updates>) -> Console<'static, F> {
     let updater = updates.and_then(|(partitions, identity)| {
         let started = Updater::start(slots.flash(), partitions, identity, &LAST_RESET.lock(Cell::get));
+        let started = started.map(|updater| updater.with_key(crate::signature::KEY));
         let status = started.and_then(|updater| Ok((updater.status(slots.flash())?, updater)));
         match status {
             Ok((status, updater)) => {

@@ -6,13 +6,15 @@ use std::io::{self, Write as _};
 
 use bcap_board::crc::Crc32;
 use bcap_board::identity::{BLOCK, Identity};
+use bcap_board::signature::{Manifest, public_of};
 use bcap_board::slots::{Slots, TEXT};
-use bcap_board::update::{Partitions, Phase, StateFlash, UpdateError, Updater};
+use bcap_board::update::{Partitions, Phase, StateFlash, UpdateError, Updater, check_pending};
 use bcap_testkit::flash::{Flash, FlashError};
 use embassy_boot::{BootLoader, BootLoaderConfig};
 use embassy_embedded_hal::flash::partition::BlockingPartition;
 use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
+use embedded_storage::nor_flash::NorFlash;
 
 static OLD: Identity = Identity::new("test-board", "0.1.0");
 static NEW: Identity = Identity::new("test-board", "0.2.0");
@@ -23,6 +25,9 @@ const SETTINGS: &[u8] = b"put=I/0-99\n";
 const IMAGE: u32 = 1024;
 const SLOTS: u32 = 4096;
 
+/// The secret key of a board that takes signed images only.
+const SECRET: [u8; 32] = [7; 32];
+
 type Result<T> = std::result::Result<T, UpdateError<FlashError>>;
 
 /// The boot loader would be at the start.
@@ -31,7 +36,9 @@ fn partitions(sector: u32) -> Partitions {
     let other = active.end..active.end + IMAGE + sector;
     let state = other.end..other.end + 2 * sector;
     let history = state.end.next_multiple_of(4096)..state.end.next_multiple_of(4096) + SLOTS;
-    Partitions { active, other, state, history }
+    // after the settings
+    let signature = history.end + SLOTS..history.end + SLOTS + sector;
+    Partitions { active, other, state, history, signature }
 }
 
 /// An image of `len` bytes.
@@ -50,22 +57,23 @@ struct Board<const WRITE: usize, const ERASE: usize> {
     flash: Flash<WRITE, ERASE>,
     /// Why it was last reset, which the test decides.
     last_reset: &'static str,
+    /// The secret key of the only images that the board takes, if it has a key.
+    secret: Option<[u8; 32]>,
 }
 
 impl<const WRITE: usize, const ERASE: usize> Board<WRITE, ERASE> {
     /// Makes a board with the old image and settings.
     fn new() -> Self {
         let partitions = partitions(u32::try_from(ERASE).unwrap());
-        let mut flash = Flash::new(usize::try_from(partitions.history.end + SLOTS).unwrap());
+        let mut flash = Flash::new(usize::try_from(partitions.signature.end).unwrap());
         {
-            use embedded_storage::nor_flash::NorFlash as _;
             flash.erase(partitions.active.start, partitions.active.end).unwrap();
             flash.write(partitions.active.start, &image(&OLD, 700)).unwrap();
         }
         let flash = flash.with_erased_at_once(ERASE / 8);
         let mut slots = Slots::new(flash, partitions.history.end..partitions.history.end + SLOTS).unwrap();
         slots.write(SETTINGS).unwrap();
-        Self { flash: slots.release(), last_reset: "power-on" }
+        Self { flash: slots.release(), last_reset: "power-on", secret: None }
     }
 
     fn partitions() -> Partitions {
@@ -74,6 +82,10 @@ impl<const WRITE: usize, const ERASE: usize> Board<WRITE, ERASE> {
 
     /// Runs the boot loader.
     fn boot(&mut self) -> std::result::Result<(), embassy_boot::BootError> {
+        if let Some(secret) = &self.secret {
+            check_pending(&mut self.flash, &Self::partitions(), "test-board", &public_of(secret))
+                .map_err(|_| embassy_boot::BootError::BadMagic)?;
+        }
         let Partitions { active, other, state, .. } = Self::partitions();
         let flash = Mutex::<NoopRawMutex, _>::new(RefCell::new(&mut self.flash));
         let part = |range: &std::ops::Range<u32>| BlockingPartition::new(&flash, range.start, range.end - range.start);
@@ -94,14 +106,19 @@ impl<const WRITE: usize, const ERASE: usize> Board<WRITE, ERASE> {
     /// Starts the image in the active partition.
     fn start(&mut self) -> Result<Updater> {
         let identity = self.identity();
-        Updater::start(&mut self.flash, Self::partitions(), identity, &self.last_reset)
+        let updater = Updater::start(&mut self.flash, Self::partitions(), identity, &self.last_reset)?;
+        Ok(updater.with_key(self.secret.as_ref().map(public_of)))
     }
 
     /// Receives an image and installs it.
     fn install(&mut self, updater: &mut Updater, identity: &Identity, len: usize) -> Result<()> {
         let image = image(identity, len);
         let crc = Crc32::new().and(&image).value();
-        updater.begin("test-board", identity.version(), u32::try_from(len).unwrap(), crc)?;
+        updater.begin("test-board", identity.version(), u32::try_from(len).unwrap(), crc, true)?;
+        if let Some(secret) = &self.secret {
+            let manifest = Manifest::of(&image, identity).unwrap();
+            updater.sign(&manifest.digest, &manifest.sign(secret))?;
+        }
         for (number, data) in (0..).zip(image.chunks(BLOCK)) {
             updater.block(&mut self.flash, number, block_crc(number, data), data)?;
         }
@@ -183,8 +200,9 @@ fn cut_everywhere<const W: usize, const E: usize>(
     0
 }
 
-fn power_cuts<const W: usize, const E: usize>(noise: u32) -> u32 {
+fn power_cuts<const W: usize, const E: usize>(noise: u32, secret: Option<[u8; 32]>) -> u32 {
     let mut board = Board::<W, E>::new();
+    board.secret = secret;
     board.flash = board.flash.with_noise(noise);
     let mut cuts = cut_everywhere(&board, confirmed, |mut board| recover(&mut board));
     let (mut number, mut second) = (0_u32, 0);
@@ -214,9 +232,14 @@ fn rolled_back_again<const W: usize, const E: usize>(board: &mut Board<W, E>) ->
 
 #[test]
 fn a_power_cut_leaves_a_complete_image_and_the_settings() {
-    let cuts = [power_cuts::<1, 256>(0), power_cuts::<4, 512>(1)];
+    let cuts = [power_cuts::<1, 256>(0, None), power_cuts::<4, 512>(1, Some(SECRET))];
     // not `println`, which the tests of cargo show of failures only
-    let _ = writeln!(io::stderr(), "updates: {} power cuts, all recovered", cuts.iter().sum::<u32>());
+    let _ = writeln!(
+        io::stderr(),
+        "updates: {} power cuts, {} of them with signed images, all recovered",
+        cuts[0] + cuts[1],
+        cuts[1]
+    );
     assert!(cuts.iter().all(|cuts| *cuts > 10_000), "{cuts:?}");
 }
 
@@ -229,13 +252,13 @@ fn an_update_is_confirmed() {
     board.install(&mut updater, &NEW, 1000).unwrap();
     let status = updater.status(&mut board.flash).unwrap().to_string();
     assert_eq!(status, "test-board 0.1.0 runs; a restart swaps in 0.2.0");
-    assert_eq!(updater.begin::<()>("test-board", "0.2.0", 9, 0), Err(UpdateError::Busy));
+    assert_eq!(updater.begin::<()>("test-board", "0.2.0", 9, 0, false), Err(UpdateError::Busy));
     // no update was on trial, so nothing is confirmed
     updater.confirm(&mut board.flash).unwrap();
     board.boot().unwrap();
     assert_eq!(board.status(), "test-board 0.2.0 on trial");
     let mut updater = board.start().unwrap();
-    assert_eq!(updater.begin::<()>("test-board", "0.2.0", 9, 0), Err(UpdateError::Busy));
+    assert_eq!(updater.begin::<()>("test-board", "0.2.0", 9, 0, false), Err(UpdateError::Busy));
     updater.confirm(&mut board.flash).unwrap();
     for _ in 0..3 {
         board.boot().unwrap();
@@ -264,16 +287,16 @@ fn an_image_that_does_not_fit_is_refused_before_anything_is_erased() {
     let mut board = Board::<1, 256>::new();
     let mut updater = board.start().unwrap();
     let before = board.flash.done();
-    let refused = updater.begin::<()>("other-board", "0.2.0", 9, 0);
+    let refused = updater.begin::<()>("other-board", "0.2.0", 9, 0, false);
     assert_eq!(
         refused.clone().map_err(|error| error.to_string()).unwrap_err(),
         "the image is for another board: this is a test-board"
     );
-    assert_eq!(updater.begin::<()>("test-board", "0.2.0", IMAGE + 1, 0), Err(UpdateError::Size { most: IMAGE }));
-    assert_eq!(updater.begin::<()>("test-board", "0.2.0", 0, 0), Err(UpdateError::Size { most: IMAGE }));
+    assert_eq!(updater.begin::<()>("test-board", "0.2.0", IMAGE + 1, 0, false), Err(UpdateError::Size { most: IMAGE }));
+    assert_eq!(updater.begin::<()>("test-board", "0.2.0", 0, 0, false), Err(UpdateError::Size { most: IMAGE }));
     assert_eq!(updater.block(&mut board.flash, 0, 0, &[]), Err(UpdateError::NotBegun));
     assert_eq!(updater.install(&mut board.flash), Err(UpdateError::NotBegun));
-    updater.begin::<()>("test-board", "0.2.0", IMAGE, 0).unwrap();
+    updater.begin::<()>("test-board", "0.2.0", IMAGE, 0, false).unwrap();
     assert_eq!(board.flash.done(), before, "bytes written or erased");
 }
 
@@ -283,7 +306,7 @@ fn damaged_lost_and_repeated_blocks_leave_the_image_complete() {
     let mut updater = board.start().unwrap();
     let image = image(&NEW, 1000);
     let crc = Crc32::new().and(&image).value();
-    updater.begin::<()>("test-board", "0.2.0", 1000, crc).unwrap();
+    updater.begin::<()>("test-board", "0.2.0", 1000, crc, false).unwrap();
     for (number, data) in (0..).zip(image.chunks(BLOCK)) {
         let good = block_crc(number, data);
         let flash = &mut board.flash;
@@ -307,7 +330,7 @@ fn damaged_lost_and_repeated_blocks_leave_the_image_complete() {
 fn an_image_with_another_crc_is_not_installed() {
     let mut board = Board::<1, 256>::new();
     let mut updater = board.start().unwrap();
-    updater.begin::<()>("test-board", "0.2.0", 3, 7).unwrap();
+    updater.begin::<()>("test-board", "0.2.0", 3, 7, false).unwrap();
     updater.block(&mut board.flash, 0, block_crc(0, b"abc"), b"abc").unwrap();
     assert_eq!(updater.install(&mut board.flash), Err(UpdateError::Crc));
     board.boot().unwrap();
@@ -320,7 +343,7 @@ fn an_image_without_a_vector_table_is_not_installed() {
     let mut updater = board.start().unwrap();
     for start in [&b"UF2\nWQ]\x9e"[..], b"\x00\x20\x04\x20\xb4\x01\x01\x10", b"\x00\x20\x04"] {
         let crc = Crc32::new().and(start).value();
-        updater.begin::<()>("test-board", "0.2.0", u32::try_from(start.len()).unwrap(), crc).unwrap();
+        updater.begin::<()>("test-board", "0.2.0", u32::try_from(start.len()).unwrap(), crc, false).unwrap();
         updater.block(&mut board.flash, 0, block_crc(0, start), start).unwrap();
         assert_eq!(updater.install(&mut board.flash), Err(UpdateError::NoVectors), "{start:?}");
     }
@@ -354,12 +377,146 @@ fn a_second_roll_back_has_its_own_reason() {
     let mut updater = into_trial(&mut board).unwrap();
     assert_eq!(updater.status(&mut board.flash).unwrap().to_string(), "test-board 0.2.0 on trial");
     // a block that is received on trial would overwrite the earlier image
-    assert_eq!(updater.begin::<()>("test-board", "0.3.0", 9, 0), Err(UpdateError::Busy));
+    assert_eq!(updater.begin::<()>("test-board", "0.3.0", 9, 0, false), Err(UpdateError::Busy));
     board.last_reset = "a panic";
     board.boot().unwrap();
     for _ in 0..2 {
         assert_eq!(board.status(), "test-board 0.1.0 confirmed; 0.2.0 was rolled back: a panic");
         board.last_reset = "power-on";
         board.boot().unwrap();
+    }
+}
+
+/// A board with a key, and its updater.
+fn signed_board() -> (Board<1, 256>, Updater) {
+    let mut board = Board::<1, 256>::new();
+    board.secret = Some(SECRET);
+    let updater = board.start().unwrap();
+    (board, updater)
+}
+
+/// Sends an image in an update that says this about it, and installs it.
+fn send(board: &mut Board<1, 256>, updater: &mut Updater, sent: &Sent<'_>) -> Result<()> {
+    let Sent { board: name, version, image, manifest, secret } = *sent;
+    let crc = Crc32::new().and(image).value();
+    updater.begin(name, version, u32::try_from(image.len()).unwrap(), crc, false)?;
+    if let Some(secret) = secret {
+        updater.sign(&manifest.digest, &manifest.sign(&secret))?;
+    }
+    for (number, data) in (0..).zip(image.chunks(BLOCK)) {
+        updater.block(&mut board.flash, number, block_crc(number, data), data)?;
+    }
+    updater.install(&mut board.flash)
+}
+
+/// An update as a host sends it.
+#[derive(Clone, Copy)]
+struct Sent<'a> {
+    board: &'a str,
+    version: &'a str,
+    image: &'a [u8],
+    manifest: Manifest<'a>,
+    secret: Option<[u8; 32]>,
+}
+
+#[test]
+fn a_board_with_a_key_refuses_every_image_but_the_signed_one() {
+    let new = image(&NEW, 1000);
+    let manifest = Manifest::of(&new, &NEW).unwrap();
+    let good = Sent { board: "test-board", version: "0.2.0", image: &new, manifest, secret: Some(SECRET) };
+    let (mut flipped, mut vectors) = (new.clone(), new.clone());
+    flipped[500] ^= 1;
+    vectors[4] ^= 1;
+    let (long, cut) = (vec![0x55; 1025], &new[..999]);
+    let no_vectors = Manifest::of(&vectors, &NEW).unwrap();
+    let older = Manifest { version: "0.0.9", ..manifest };
+    let signature = Err(UpdateError::Signature);
+    let refusals: [(&str, Sent<'_>, Result<()>); 13] = [
+        ("no signature", Sent { secret: None, ..good }, Err(UpdateError::Unsigned)),
+        ("another key", Sent { secret: Some([8; 32]), ..good }, signature.clone()),
+        ("a flipped bit", Sent { image: &flipped, ..good }, signature.clone()),
+        (
+            "signed for another board",
+            Sent { manifest: Manifest { board: "other", ..manifest }, ..good },
+            signature.clone(),
+        ),
+        ("for another board", Sent { board: "other", ..good }, Err(UpdateError::OtherBoard { board: "test-board" })),
+        (
+            "an older version",
+            Sent { version: "0.0.9", manifest: older, ..good },
+            Err(UpdateError::Older { running: "0.1.0" }),
+        ),
+        ("an older version under a newer name", Sent { manifest: older, ..good }, signature.clone()),
+        ("another version", Sent { version: "0.3.0", ..good }, signature.clone()),
+        ("a version that is none", Sent { version: "new", ..good }, Err(UpdateError::Older { running: "0.1.0" })),
+        ("cut", Sent { image: cut, ..good }, signature.clone()),
+        ("too long", Sent { image: &long, ..good }, Err(UpdateError::Size { most: IMAGE })),
+        ("empty", Sent { image: &[], ..good }, Err(UpdateError::Size { most: IMAGE })),
+        ("no vectors", Sent { image: &vectors, manifest: no_vectors, ..good }, Err(UpdateError::NoVectors)),
+    ];
+    let (mut board, mut updater) = signed_board();
+    for (what, sent, refusal) in refusals {
+        assert_eq!(send(&mut board, &mut updater, &sent), refusal, "{what}");
+        assert_eq!(updater.phase(), Phase::Confirmed, "{what}");
+        board.boot().unwrap();
+        assert_eq!(board.status(), "test-board 0.1.0 confirmed", "{what}");
+    }
+    // before its signature is checked nothing is erased, and a signature belongs to one update
+    let before = board.flash.done();
+    updater.begin::<()>("test-board", "0.2.0", 1000, 0, false).unwrap();
+    assert_eq!(
+        updater.block(&mut board.flash, 0, block_crc(0, &new[..BLOCK]), &new[..BLOCK]),
+        Err(UpdateError::Unsigned)
+    );
+    assert_eq!(board.flash.done(), before, "bytes written or erased");
+    send(&mut board, &mut updater, &good).unwrap();
+    board.boot().unwrap();
+    assert_eq!(board.status(), "test-board 0.2.0 on trial");
+}
+
+#[test]
+fn an_older_image_is_taken_when_told() {
+    let (mut board, mut updater) = signed_board();
+    let old = image(&OLD, 700);
+    let manifest = Manifest { version: "0.0.9", ..Manifest::of(&old, &OLD).unwrap() };
+    updater.begin::<()>("test-board", "0.0.9", 700, Crc32::new().and(&old).value(), true).unwrap();
+    updater.sign::<()>(&manifest.digest, &manifest.sign(&SECRET)).unwrap();
+    for (number, data) in (0..).zip(old.chunks(BLOCK)) {
+        updater.block(&mut board.flash, number, block_crc(number, data), data).unwrap();
+    }
+    updater.install(&mut board.flash).unwrap();
+    let mut unsigned = Board::<1, 256>::new();
+    let mut updater = unsigned.start().unwrap();
+    updater.begin::<()>("test-board", "0.0.9", 700, 0, false).unwrap();
+    assert_eq!(updater.sign::<()>(&manifest.digest, &manifest.sign(&SECRET)), Err(UpdateError::NoKey));
+    unsigned.install(&mut updater, &NEW, 1000).unwrap();
+}
+
+#[test]
+fn the_boot_loader_gives_up_an_image_that_is_not_the_signed_one() {
+    let parts = Board::<1, 256>::partitions();
+    // a byte of the vectors and one at the end of the image, the key in the boot loader, the record of the signature
+    for (what, at) in [
+        ("a byte of the vectors", Some(parts.other.start + 1)),
+        ("a byte at the end", Some(parts.other.start + 998)),
+        ("the record", Some(parts.signature.start + 40)),
+        ("the key", None),
+    ] {
+        let (mut board, mut updater) = signed_board();
+        board.install(&mut updater, &NEW, 1000).unwrap();
+        match at {
+            // clears bits, as flash does
+            Some(at) => NorFlash::write(&mut board.flash, at, &[0]).unwrap(),
+            None => board.secret = Some([8; 32]),
+        }
+        for _ in 0..2 {
+            board.boot().unwrap();
+            let why = "test-board 0.1.0 confirmed; 0.2.0 was rolled back: the boot loader found no valid signature";
+            assert_eq!(board.status(), why, "{what}");
+        }
+        // and takes the next one
+        board.secret = Some(SECRET);
+        into_trial(&mut board).unwrap();
+        assert_eq!(board.identity(), &NEW, "{what}");
     }
 }

@@ -5,7 +5,8 @@ use core::cell::RefCell;
 use core::ops::Range;
 
 use bcap_board::identity::Identity;
-use bcap_board::update::{Partitions, StateFlash, Updates};
+use bcap_board::signature::KEY;
+use bcap_board::update::{Partitions, StateFlash, Updates, check_pending};
 use cortex_m::peripheral::SCB;
 use embassy_boot::{BootError, BootLoader, BootLoaderConfig, State};
 use embassy_embedded_hal::flash::partition::BlockingPartition;
@@ -13,7 +14,7 @@ use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 
 use crate::board::FLASH;
-use crate::flash::layout::{ACTIVE, HISTORY, OTHER, SECTOR, STATE};
+use crate::flash::layout::{ACTIVE, HISTORY, OTHER, SECTOR, SIGNATURE, STATE};
 use crate::flash::start_of_loader;
 
 const BOARD: &str = if cfg!(feature = "mps2-an385") { "mps2-an385" } else { "mps2-an386" };
@@ -22,8 +23,11 @@ static IDENTITY: Identity = Identity::new(BOARD, env!("CARGO_PKG_VERSION"));
 /// Returns the partitions and the identity of the image.
 #[must_use]
 pub const fn updates() -> Updates {
-    (Partitions { active: ACTIVE, other: OTHER, state: STATE, history: HISTORY }, &IDENTITY)
+    (PARTITIONS, &IDENTITY)
 }
+
+const PARTITIONS: Partitions =
+    Partitions { active: ACTIVE, other: OTHER, state: STATE, history: HISTORY, signature: SIGNATURE };
 
 /// Swaps an update in, and back if it was not confirmed.
 ///
@@ -31,7 +35,12 @@ pub const fn updates() -> Updates {
 ///
 /// The flash has failed; the next start goes on.
 pub fn prepare() -> Result<State, BootError> {
-    let flash = Mutex::<NoopRawMutex, _>::new(RefCell::new(start_of_loader()));
+    let mut flash = start_of_loader();
+    if let Some(key) = KEY {
+        // a refused image is given up; the flash of this board does not fail
+        check_pending(&mut flash, &PARTITIONS, BOARD, &key).map_err(|_| BootError::BadMagic)?;
+    }
+    let flash = Mutex::<NoopRawMutex, _>::new(RefCell::new(flash));
     let part = |range: &Range<u32>| BlockingPartition::new(&flash, range.start, range.end - range.start);
     // the offsets of the state count from the start of the flash
     let state = StateFlash::new(part(&(0..OTHER.end)), STATE)?;

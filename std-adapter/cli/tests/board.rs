@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::io::{self, ErrorKind, Read, Write};
+use std::net::{TcpListener, TcpStream};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::thread::{self, JoinHandle};
@@ -9,6 +10,7 @@ use std::thread::{self, JoinHandle};
 use crate::common::{Run, bcap};
 use bcap_board::console::{Action, Console};
 use bcap_board::identity::Identity;
+use bcap_board::signature::PublicKey;
 use bcap_board::slots::Slots;
 use bcap_board::update::{Partitions, Updater};
 use bcap_testkit::flash::Flash;
@@ -78,11 +80,21 @@ impl Board {
 
     /// Starts a board with partitions for updates; `damage` gets the number of each received byte and the byte.
     fn with_updates(damage: fn(usize, &mut u8)) -> Self {
+        Self::run(Self::console_with_updates(None), damage)
+    }
+
+    /// Makes the console of a board that receives updates, only signed ones if it has a key.
+    fn console_with_updates(key: Option<PublicKey>) -> Console<'static, Flash<4, 2048>> {
         let mut slots = Slots::new(Flash::new(40_960), 0..4096).unwrap();
-        let partitions =
-            Partitions { active: 12_288..22_528, other: 22_528..34_816, state: 34_816..38_912, history: 4096..8192 };
-        let updater = Updater::start(slots.flash(), partitions, &RUNNING, &"power-on").unwrap();
-        Self::run(Console::new(slots, b"").with_updates(Some(updater)), damage)
+        let partitions = Partitions {
+            active: 12_288..22_528,
+            other: 22_528..34_816,
+            state: 34_816..38_912,
+            history: 4096..8192,
+            signature: 8192..10_240,
+        };
+        let updater = Updater::start(slots.flash(), partitions, &RUNNING, &"power-on").unwrap().with_key(key);
+        Console::new(slots, b"").with_updates(Some(updater))
     }
 
     fn run(mut console: Console<'static, Flash<4, 2048>>, damage: fn(usize, &mut u8)) -> Self {
@@ -274,4 +286,93 @@ fn an_image_that_does_not_fit_the_board_is_refused() {
     let board = Board::start();
     let run = board.bcap("update", &[&image(&folder, &NEW, 1000), "--force"]);
     assert!(run.code == 1 && run.err.contains("this image has no partition for updates"), "{run:?}");
+}
+
+/// The board's end of a connection; a board has another program for it, with the same protocol.
+struct Connection(TcpStream);
+
+impl embedded_io::ErrorType for Connection {
+    type Error = io::Error;
+}
+
+impl embedded_io::Read for Connection {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        self.0.read(buffer)
+    }
+}
+
+impl embedded_io::Write for Connection {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// Makes a key, and returns the path of its file and the public key.
+fn key(folder: &tempfile::TempDir, name: &str) -> (String, PublicKey) {
+    let path = folder.path().join(name).to_str().unwrap().to_owned();
+    let run = bcap(&["board", "key", &path]);
+    assert_eq!(run.code, 0, "{run:?}");
+    let digits = run.out.trim().as_bytes().as_chunks::<2>().0.to_vec();
+    let bytes = digits.iter().map(|pair| u8::from_str_radix(str::from_utf8(pair).unwrap(), 16).unwrap());
+    (path, PublicKey(bytes.collect::<Vec<_>>().try_into().unwrap()))
+}
+
+#[test]
+fn a_key_is_made_once_and_read_by_its_owner_only() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = tempfile::tempdir().unwrap();
+    let (path, public) = key(&folder, "plant.key");
+    assert_eq!(fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
+    assert_eq!(bcap(&["board", "key", "--show", &path]).out, format!("{public}\n"));
+    let run = bcap(&["board", "key", &path]);
+    assert!(run.code == 2 && run.err.contains("exists"), "{run:?}");
+    assert_ne!(key(&folder, "other.key").1, public);
+    fs::write(&path, "not a key").unwrap();
+    let run = bcap(&["board", "key", "--show", &path]);
+    assert!(run.code == 2 && run.err.contains("not a key of `bcap board key`"), "{run:?}");
+}
+
+#[test]
+fn a_board_with_a_key_takes_signed_images_over_tcp() {
+    let folder = tempfile::tempdir().unwrap();
+    let ((plant, public), (other, _)) = (key(&folder, "plant.key"), key(&folder, "other.key"));
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = format!("tcp:{}", listener.local_addr().unwrap());
+    let board = thread::spawn(move || {
+        let mut console = Board::console_with_updates(Some(public));
+        loop {
+            if let Ok(Some(action)) = console.run(&mut Connection(listener.accept().unwrap().0)) {
+                return action;
+            }
+        }
+    });
+    let new = image(&folder, &NEW, 10_000);
+    let update = |options: &[&str]| bcap(&[&["board", "update", &port, &new, "--timeout", "20000"], options].concat());
+    let run = update(&[]);
+    assert!(run.code == 1 && run.err.contains("this board takes signed images only"), "{run:?}");
+    let run = update(&["--key", &other]);
+    assert!(run.code == 1 && run.err.contains("the signature is not by the key of this board"), "{run:?}");
+    let run = update(&["--key", "/no/such/file"]);
+    assert!(run.code == 2 && run.err.contains("/no/such/file: No such file"), "{run:?}");
+    // an older one needs --older
+    let old = image(&folder, &Identity::new("test-board", "0.0.9"), 1000);
+    let run = update(&["--key", &plant, "--no-restart"]);
+    assert!(run.code == 1 && run.err.contains("the image is older than 0.1.0, which runs"), "{run:?}");
+    assert_eq!(old, new, "the same file");
+    image(&folder, &NEW, 10_000);
+    // signed on another computer
+    let run = bcap(&["board", "sign", &new, "--key", &plant]);
+    assert_eq!(run.out, format!("{new}.sig: test-board 0.2.0 signed\n"), "{run:?}");
+    let signature = format!("{new}.sig");
+    let run = update(&["--signature", &signature]);
+    assert_eq!((run.out.as_str(), run.code), ("test-board 0.2.0: 10000 bytes received and checked\n", 0), "{run:?}");
+    assert_eq!(board.join().unwrap(), Action::Restart);
+    // the signature of another image is found before anything is sent
+    image(&folder, &NEW, 10_001);
+    let run = update(&["--signature", &signature]);
+    assert!(run.code == 2 && run.err.contains("the signature is for another image"), "{run:?}");
 }

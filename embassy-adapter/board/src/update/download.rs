@@ -6,8 +6,11 @@ use embedded_storage::nor_flash::NorFlash;
 use heapless::String;
 
 use super::error::UpdateError;
+use super::record::{self, Signed};
+use super::updater::Partitions;
 use crate::crc::Crc32;
 use crate::identity::{BLOCK, VERSION};
+use crate::signature::{Manifest, PublicKey, SIGNATURE};
 use crate::vectors;
 
 #[derive(Debug)]
@@ -15,17 +18,51 @@ pub(super) struct Download {
     version: String<VERSION>,
     len: u32,
     crc: u32,
+    /// The digest and the signature of the image, which are valid together.
+    signed: Option<([u8; SIGNATURE], [u8; SIGNATURE])>,
     /// The number of the expected block.
     expected: u32,
 }
 
 impl Download {
     pub(super) const fn new(version: String<VERSION>, len: u32, crc: u32) -> Self {
-        Self { version, len, crc, expected: 0 }
+        Self { version, len, crc, signed: None, expected: 0 }
     }
 
     pub(super) const fn version(&self) -> &String<VERSION> {
         &self.version
+    }
+
+    /// Records the signature, if it is by this key.
+    pub(super) fn sign<E>(
+        &mut self,
+        board: &str,
+        key: &PublicKey,
+        digest: &[u8; SIGNATURE],
+        signature: &[u8; SIGNATURE],
+    ) -> Result<(), UpdateError<E>> {
+        let manifest = Manifest { board, version: &self.version, len: self.len, digest: *digest };
+        self.signed = key.accepts(&manifest, signature).then_some((*digest, *signature));
+        if self.signed.is_some() { Ok(()) } else { Err(UpdateError::Signature) }
+    }
+
+    pub(super) const fn is_signed(&self) -> bool {
+        self.signed.is_some()
+    }
+
+    /// Checks the digest of the received image, and keeps the signature for the boot loader.
+    pub(super) fn keep_signature<F: NorFlash>(
+        &self,
+        flash: &mut F,
+        partitions: &Partitions,
+    ) -> Result<(), UpdateError<F::Error>> {
+        let Some((digest, signature)) = self.signed else { return Err(UpdateError::Unsigned) };
+        if record::digest(flash, partitions.other.start, self.len).map_err(UpdateError::Flash)? != digest {
+            return Err(UpdateError::Signature);
+        }
+        let mut version = [0; VERSION];
+        version.iter_mut().zip(self.version.bytes()).for_each(|(to, from)| *to = from);
+        Signed { len: self.len, version, signature }.write(flash, partitions.signature.start)
     }
 
     /// Writes a block; before the first one of a sector, erases that.

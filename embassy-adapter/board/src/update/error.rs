@@ -37,6 +37,17 @@ pub enum UpdateError<E> {
     },
     /// The flash does not have the image: its CRC-32 is another one.
     Crc,
+    /// The image is older than the one that runs.
+    Older {
+        /// The version that runs.
+        running: &'static str,
+    },
+    /// The board takes signed images only.
+    Unsigned,
+    /// The signature is not that of the image, or not by the key in this board.
+    Signature,
+    /// The image that runs has no key.
+    NoKey,
     /// The image does not start with a vector table.
     NoVectors,
     /// The flash does not contain the written bytes.
@@ -60,6 +71,10 @@ impl<E: fmt::Debug> fmt::Display for UpdateError<E> {
             Self::Sequence { expected } => write!(f, "expected block {expected}"),
             Self::Incomplete { expected } => write!(f, "the image is incomplete: block {expected} is missing"),
             Self::Crc => f.write_str("the CRC-32 of the image in the flash is another one"),
+            Self::Older { running } => write!(f, "the image is older than {running}, which runs"),
+            Self::Unsigned => f.write_str("this board takes signed images only"),
+            Self::Signature => f.write_str("the signature is not by the key of this board, or is for another image"),
+            Self::NoKey => f.write_str("this board was built without a key, so it cannot check a signature"),
             Self::NoVectors => f.write_str("the image does not start with a vector table"),
             Self::NotWritten => f.write_str("the flash does not have what was written"),
             Self::Partitions => f.write_str("the partitions for updates do not fit the flash"),

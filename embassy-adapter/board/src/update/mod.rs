@@ -7,11 +7,15 @@
 //!                                           └── any reset ─► the boot loader swaps back: rolled back
 //! ```
 //!
+//! With a key in the image ([`signature`](crate::signature)) only signed images are received, and none that is older. The boot loader
+//! checks the signature again before the swap ([`check_pending`]).
+//!
 //! A power cut at any moment leaves the earlier image or the new one in the active partition, complete. The other partition is
 //! erased and written while the gateway runs, a sector at a time.
 
 mod download;
 mod error;
+mod record;
 mod request;
 #[cfg(all(feature = "embassy", feature = "health"))]
 pub(crate) mod shown;
@@ -20,6 +24,7 @@ mod status;
 mod updater;
 
 pub use self::error::UpdateError;
+pub use self::record::check_pending;
 pub(crate) use self::request::perform;
 pub use self::state::{StateError, StateFlash};
 pub use self::status::{Phase, Status};

@@ -21,6 +21,10 @@ use crate::crc::Crc32;
 /// The header's size: a multiple of the units of common flash memories.
 const HEADER: usize = 32;
 const MAGIC: &[u8; 8] = b"BCAPBOOT";
+/// embassy-boot's state of an update that waits for its swap.
+const SWAP: u8 = 0xf0;
+/// A state that embassy-boot takes for "start the image": the boot loader has refused an update.
+const REFUSED: u8 = 0x3c;
 
 /// Why the state cannot be read or changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -109,6 +113,27 @@ impl<F: NorFlash> StateFlash<F> {
     /// Returns the number of the state, which each change increments, and which wraps; `None` before the first one.
     pub(super) fn sequence(&self) -> Option<u32> {
         self.bank.map(|bank| bank.sequence)
+    }
+
+    /// Tells whether an update waits whose swap has not begun.
+    pub(super) fn is_pending(&mut self) -> Result<bool, StateError<F::Error>> {
+        let Some(bank) = self.bank.filter(|bank| bank.state == SWAP) else { return Ok(false) };
+        let mut words = [0; HEADER];
+        let word = words.get_mut(..F::WRITE_SIZE.max(F::READ_SIZE)).ok_or(StateError::Range)?;
+        // the first two words are the state, and the validity of the progress
+        let first = bank.start + length(HEADER) + 2 * length(F::WRITE_SIZE);
+        self.flash.read(first, word).map_err(StateError::Flash)?;
+        Ok(word.iter().take(F::WRITE_SIZE).any(|byte| *byte == 0xff))
+    }
+
+    /// Gives up the update that waits.
+    pub(super) fn refuse(&mut self) -> Result<(), StateError<F::Error>> {
+        self.commit(REFUSED)
+    }
+
+    /// Tells whether the boot loader has refused the last update.
+    pub(super) fn is_refused(&self) -> bool {
+        self.bank.is_some_and(|bank| bank.state == REFUSED)
     }
 
     /// Starts a new state: writes it with its header into the bank that is not in use.

@@ -12,6 +12,7 @@ use super::error::UpdateError;
 use super::state::StateFlash;
 use super::status::{self, Phase, Status};
 use crate::identity::{BLOCK, Identity};
+use crate::signature::{PublicKey, SIGNATURE, is_older};
 
 /// The largest unit in which a flash is written, in bytes.
 const UNIT: usize = 32;
@@ -28,6 +29,8 @@ pub struct Partitions {
     pub state: Range<u32>,
     /// The last update and why it was rolled back, for [`Slots`](crate::slots::Slots).
     pub history: Range<u32>,
+    /// A sector for the signature of the received image.
+    pub signature: Range<u32>,
 }
 
 /// The partitions and the identity of an image with updates.
@@ -41,6 +44,8 @@ pub struct Updater {
     partitions: Partitions,
     identity: &'static Identity,
     phase: Phase,
+    /// Checks images, if the board takes signed ones only.
+    key: Option<PublicKey>,
     download: Option<Download>,
 }
 
@@ -58,25 +63,42 @@ impl Updater {
     ) -> Result<Self, UpdateError<F::Error>> {
         let len = |range: &Range<u32>| range.end.checked_sub(range.start).ok_or(UpdateError::Partitions);
         let sector = u32::try_from(F::ERASE_SIZE).map_err(|_| UpdateError::Partitions)?;
-        let Partitions { active, other, .. } = &partitions;
-        let is_aligned = [active.start, active.end, other.start, other.end].iter().all(|at| at.is_multiple_of(sector));
+        let Partitions { active, other, signature, .. } = &partitions;
+        let edges = [active.start, active.end, other.start, other.end, signature.start, signature.end];
+        let is_aligned = edges.iter().all(|at| at.is_multiple_of(sector));
         let has_units = BLOCK.is_multiple_of(F::WRITE_SIZE) && BLOCK.is_multiple_of(F::READ_SIZE);
         let has_blocks = F::ERASE_SIZE.is_multiple_of(BLOCK);
-        let is_inside = usize::try_from(active.end.max(other.end)).is_ok_and(|end| end <= flash.capacity());
-        if !(is_aligned && has_units && has_blocks && is_inside) || len(other)? < len(active)? + sector {
+        let is_inside =
+            usize::try_from(active.end.max(other.end).max(signature.end)).is_ok_and(|end| end <= flash.capacity());
+        if !(is_aligned && has_units && has_blocks && is_inside)
+            || len(other)? < len(active)? + sector
+            || len(signature)? < sector
+        {
             return Err(UpdateError::Partitions);
         }
-        let mut updater = Self { partitions, identity, phase: Phase::Confirmed, download: None };
+        let mut updater = Self { partitions, identity, phase: Phase::Confirmed, key: None, download: None };
         updater.phase = match updater.boot_state(flash)? {
             State::Swap => Phase::OnTrial,
             State::Revert => Phase::RolledBack,
             State::Boot | State::DfuDetach => Phase::Confirmed,
         };
+        let state = StateFlash::new(&mut *flash, updater.partitions.state.clone())?;
+        let (sequence, is_refused) = (state.sequence().unwrap_or_default(), state.is_refused());
+        if is_refused {
+            updater.phase = Phase::RolledBack;
+        }
         if updater.phase == Phase::RolledBack {
-            let sequence = StateFlash::new(&mut *flash, updater.partitions.state.clone())?.sequence();
-            status::keep_reason(flash, &updater.partitions.history, sequence.unwrap_or_default(), last_reset)?;
+            let reason: &dyn fmt::Display =
+                if is_refused { &"the boot loader found no valid signature" } else { last_reset };
+            status::keep_reason(flash, &updater.partitions.history, sequence, reason)?;
         }
         Ok(updater)
+    }
+
+    /// Takes only images that are signed with this key, if there is one.
+    #[must_use]
+    pub fn with_key(self, key: Option<PublicKey>) -> Self {
+        Self { key, ..self }
     }
 
     /// Tells what became of the last update.
@@ -98,15 +120,27 @@ impl Updater {
         })
     }
 
-    /// Begins to receive an image of `len` bytes with this CRC-32. Nothing is erased yet.
+    /// Begins to receive an image of `len` bytes with this CRC-32. Nothing is erased yet. A board with a key takes an older image only if
+    /// it `may_be_older`.
     ///
     /// # Errors
     ///
-    /// [`UpdateError::OtherBoard`], [`UpdateError::Size`] or [`UpdateError::Busy`]; earlier blocks remain.
-    pub fn begin<E>(&mut self, board: &str, version: &str, len: u32, crc: u32) -> Result<(), UpdateError<E>> {
+    /// [`UpdateError::OtherBoard`], [`UpdateError::Older`], [`UpdateError::Size`] or [`UpdateError::Busy`]; earlier blocks remain.
+    pub fn begin<E>(
+        &mut self,
+        board: &str,
+        version: &str,
+        len: u32,
+        crc: u32,
+        may_be_older: bool,
+    ) -> Result<(), UpdateError<E>> {
         let most = self.partitions.active.end - self.partitions.active.start;
         if board != self.identity.board() {
             return Err(UpdateError::OtherBoard { board: self.identity.board() });
+        }
+        let running = self.identity.version();
+        if self.key.is_some() && !may_be_older && is_older(version, running) {
+            return Err(UpdateError::Older { running });
         }
         if len == 0 || len > most {
             return Err(UpdateError::Size { most });
@@ -118,6 +152,17 @@ impl Updater {
         let version = String::try_from(version).unwrap_or_default();
         self.download = Some(Download::new(version, len, crc));
         Ok(())
+    }
+
+    /// Takes the SHA-512 and the signature of the image that was begun, before its first block.
+    ///
+    /// # Errors
+    ///
+    /// [`UpdateError::NotBegun`], [`UpdateError::NoKey`] or [`UpdateError::Signature`].
+    pub fn sign<E>(&mut self, digest: &[u8; SIGNATURE], signature: &[u8; SIGNATURE]) -> Result<(), UpdateError<E>> {
+        let download = self.download.as_mut().ok_or(UpdateError::NotBegun)?;
+        let key = self.key.ok_or(UpdateError::NoKey)?;
+        download.sign(self.identity.board(), &key, digest, signature)
     }
 
     /// Writes a block of [`BLOCK`] bytes, the last one of an image with fewer; blocks have the numbers 0, 1, 2 and so on.
@@ -135,6 +180,9 @@ impl Updater {
         data: &[u8],
     ) -> Result<(), UpdateError<F::Error>> {
         let download = self.download.as_mut().ok_or(UpdateError::NotBegun)?;
+        if self.key.is_some() && !download.is_signed() {
+            return Err(UpdateError::Unsigned);
+        }
         download.block(flash, &self.partitions.other, number, crc, data)
     }
 
@@ -146,6 +194,9 @@ impl Updater {
     pub fn install<F: NorFlash>(&mut self, flash: &mut F) -> Result<(), UpdateError<F::Error>> {
         let download = self.download.as_ref().ok_or(UpdateError::NotBegun)?;
         download.check(flash, &self.partitions.other)?;
+        if self.key.is_some() {
+            download.keep_signature(flash, &self.partitions)?;
+        }
         let version = download.version().clone();
         status::record_version(flash, &self.partitions.history, &version)?;
         self.change_state(flash, |state| state.mark_updated())?;

@@ -8,4 +8,5 @@ pub(crate) const PARTITIONS: Partitions = Partitions {
     other: 0x10_0000..0x1f_1000,
     state: 0x00_8000..0x00_a000,
     history: 0x00_a000..0x00_c000,
+    signature: 0x00_c000..0x00_d000,
 };

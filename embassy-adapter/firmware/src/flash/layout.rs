@@ -13,6 +13,8 @@ pub(crate) const SETTINGS: Range<u32> = 0x00_0000..0x00_2000;
 pub(crate) const STATE: Range<u32> = 0x00_2000..0x00_4000;
 /// The last update and why it was rolled back, in two slots.
 pub(crate) const HISTORY: Range<u32> = 0x00_4000..0x00_6000;
+/// The signature of the received image.
+pub(crate) const SIGNATURE: Range<u32> = 0x00_6000..0x00_7000;
 /// The image that runs.
 pub(crate) const ACTIVE: Range<u32> = 0x01_0000..0x05_0000;
 /// The image that is received, later the earlier one; a sector larger.

@@ -1,6 +1,7 @@
-//! `bcap board`: the settings and the image of a board over a serial line, in the protocol of [`bcap_board::console`].
+//! `bcap board`: the settings and the image of a board over a serial line, its image also over TCP, in the protocol of [`bcap_board::console`].
 
 mod elf;
+mod key;
 mod port;
 pub(crate) mod update;
 
@@ -12,13 +13,14 @@ use bcap_board::crc::Crc32;
 use bcap_board::slots::TEXT;
 use clap::{Args, Subcommand};
 
+use self::key::{Key, Sign};
 use self::port::{Answer, Port};
 use self::update::{Status, Update};
 use crate::failure::Failure;
 use crate::link::LinkArgs;
 use crate::output;
 
-/// Changes the settings and the image of a gateway board over a serial line
+/// Changes the settings and the image of a gateway board
 #[derive(Debug, Args)]
 pub(crate) struct Board {
     #[command(subcommand)]
@@ -30,6 +32,8 @@ pub(crate) enum BoardCommand {
     Configure(Configure),
     Update(Update),
     Status(Status),
+    Key(Key),
+    Sign(Sign),
 }
 
 /// Replaces all settings of a board, or prints them
@@ -81,6 +85,8 @@ pub(crate) fn board(args: &Board, link: &LinkArgs, json: bool) -> Result<(), Fai
         BoardCommand::Configure(args) => configure(args, link, json),
         BoardCommand::Update(args) => update::update(args, link, json),
         BoardCommand::Status(args) => update::status(args, link, json),
+        BoardCommand::Key(args) => key::key(args, json),
+        BoardCommand::Sign(args) => key::sign(args, json),
     }
 }
 

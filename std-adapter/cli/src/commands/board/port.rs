@@ -1,10 +1,11 @@
-//! The serial port to a board: requests and answers are lines.
+//! The serial port or the TCP connection to a board: requests and answers are lines.
 
 use std::io::{self, ErrorKind, Read, Write};
+use std::net::{TcpStream, ToSocketAddrs};
 use std::time::{Duration, Instant};
 
+use bcap_board::UPDATE_PORT;
 use bcap_board::console::HELLO;
-use serialport::SerialPort;
 
 use crate::failure::Failure;
 
@@ -13,9 +14,15 @@ const LOOK: Duration = Duration::from_millis(20);
 /// The longest line that a board sends; more bytes belong to something else.
 const MAX_LINE: usize = 4096;
 
+/// A serial port or a TCP connection.
+trait Stream: Read + Write {}
+
+impl<T: Read + Write + ?Sized> Stream for T {}
+
 /// An open port with a board at its other end.
 pub(super) struct Port {
-    port: Box<dyn SerialPort>,
+    port: Box<dyn Stream>,
+    is_network: bool,
     name: String,
     timeout: Duration,
     /// Received bytes without a line end.
@@ -38,13 +45,24 @@ impl Answer {
 impl Port {
     /// Opens a port, and checks that a board speaks the protocol there; each answer must arrive within `timeout`.
     pub(super) fn open(name: &str, baud: u32, timeout: Duration) -> Result<Self, Failure> {
-        let port = serialport::new(name, baud).timeout(LOOK).open().map_err(|error| Failure::Connection {
-            message: format!("cannot open {name}: {error}"),
-            hint: "check the name and the permissions of the device, and that no other program uses it".into(),
-        })?;
-        let mut port = Self { port, name: name.into(), timeout, received: Vec::new() };
+        let port: Box<dyn Stream> = match name.strip_prefix("tcp:") {
+            Some(host) => Box::new(connect(host, timeout)?),
+            None => {
+                Box::new(serialport::new(name, baud).timeout(LOOK).open().map_err(|error| Failure::Connection {
+                    message: format!("cannot open {name}: {error}"),
+                    hint: "check the name and the permissions of the device, and that no other program uses it".into(),
+                })?)
+            }
+        };
+        let is_network = name.starts_with("tcp:");
+        let mut port = Self { port, is_network, name: name.into(), timeout, received: Vec::new() };
         port.skip_answers()?;
         Ok(port)
+    }
+
+    /// Tells whether the board is reached over the network.
+    pub(super) const fn is_network(&self) -> bool {
+        self.is_network
     }
 
     /// Skips the answers to earlier requests, even of an earlier program, and the log of a board.
@@ -119,8 +137,11 @@ impl Port {
             }
             let mut buffer = [0; 256];
             match self.port.read(&mut buffer) {
+                Ok(0) if self.is_network => return Err(self.broken(&ErrorKind::ConnectionReset.into())),
                 Ok(count) => self.received.extend_from_slice(buffer.get(..count).unwrap_or_default()),
-                Err(error) if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted) => {}
+                Err(error)
+                    if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted) => {
+                }
                 Err(error) => return Err(self.broken(&error)),
             }
         }
@@ -129,7 +150,28 @@ impl Port {
     fn broken(&self, error: &io::Error) -> Failure {
         Failure::Connection {
             message: format!("{}: {error}", self.name),
-            hint: "check the cable; the board has its earlier settings and image, or the new ones".into(),
+            hint: match self.is_network {
+                true => NETWORK_HINT.into(),
+                false => "check the cable; the board has its earlier settings and image, or the new ones".into(),
+            },
         }
     }
+}
+
+const NETWORK_HINT: &str = "the board takes updates over the network if its image has a key and its setting update= has this host; it has \
+     its earlier image, or the new one";
+
+/// Connects to a board; `host` is HOST[:PORT].
+fn connect(host: &str, timeout: Duration) -> Result<TcpStream, Failure> {
+    let address = if host.contains(':') { host.to_owned() } else { format!("{host}:{UPDATE_PORT}") };
+    let failed = |error: io::Error| Failure::Connection {
+        message: format!("cannot connect to tcp:{address}: {error}"),
+        hint: NETWORK_HINT.into(),
+    };
+    let mut addresses = address.to_socket_addrs().map_err(failed)?;
+    let first = addresses.next().ok_or_else(|| failed(ErrorKind::AddrNotAvailable.into()))?;
+    let stream = TcpStream::connect_timeout(&first, timeout).map_err(failed)?;
+    let prepared = stream.set_read_timeout(Some(LOOK)).and_then(|()| stream.set_write_timeout(Some(timeout)));
+    prepared.and_then(|()| stream.set_nodelay(true)).map_err(failed)?;
+    Ok(stream)
 }

@@ -10,6 +10,7 @@ use clap::Args;
 use serde_json::json;
 
 use super::elf;
+use super::key::{Signature, manifest};
 use super::port::{Answer, Port};
 use crate::failure::Failure;
 use crate::link::LinkArgs;
@@ -24,14 +25,18 @@ use crate::output;
 ///
 /// An image for another board is refused before anything is erased. Lost and damaged blocks are sent again.
 ///
+/// A board whose image has a key (`bcap board key`) takes signed images only: use --key or --signature. Over the network, tcp:HOST, it
+/// takes them from the hosts of its setting update=ADDRESS.
+///
 /// --timeout limits each answer.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   bcap board update /dev/ttyACM0 target/thumbv6m-none-eabi/release/w5500-evb-pico+updates
-  bcap board update /dev/ttyACM0 gateway.bin --no-restart")]
+  bcap board update /dev/ttyACM0 gateway.bin --no-restart
+  bcap board update tcp:192.168.0.9 w5500-evb-pico+updates --key plant.key")]
 pub(crate) struct Update {
-    /// The serial port, such as /dev/ttyACM0 or COM3
+    /// The serial port, such as /dev/ttyACM0 or COM3, or tcp:HOST[:PORT]
     pub(crate) port: String,
 
     /// The image: an ELF file, or a binary that starts with its vector table
@@ -49,6 +54,18 @@ pub(crate) struct Update {
     /// Sends the image although settings that only the earlier image has are lost
     #[arg(long)]
     pub(crate) force: bool,
+
+    /// Signs the image with the secret key in this file
+    #[arg(long, value_name = "FILE", conflicts_with = "signature")]
+    pub(crate) key: Option<String>,
+
+    /// Sends the signature in this file, which `bcap board sign` wrote
+    #[arg(long, value_name = "FILE")]
+    pub(crate) signature: Option<String>,
+
+    /// Lets a board with a key take an image that is older than its own; over a serial port only
+    #[arg(long)]
+    pub(crate) older: bool,
 }
 
 /// Prints the version of a board, and whether its last update was confirmed or rolled back
@@ -59,7 +76,7 @@ pub(crate) struct Update {
 Example:
   bcap board status /dev/ttyACM0")]
 pub(crate) struct Status {
-    /// The serial port, such as /dev/ttyACM0 or COM3
+    /// The serial port, such as /dev/ttyACM0 or COM3, or tcp:HOST[:PORT]
     pub(crate) port: String,
 
     /// The rate of the serial line, in bits a second; a USB port ignores it
@@ -87,12 +104,23 @@ pub(super) fn update(args: &Update, link: &LinkArgs, json: bool) -> Result<(), F
     // the image is checked before the port is opened
     let (image, identity) = read(&args.image)?;
     let crc = Crc32::new().and(&image).value();
+    let manifest = manifest(&args.image, &image, &identity)?;
+    let signature = match (&args.key, &args.signature) {
+        (Some(key), _) => Some(Signature::by_key(&manifest, key)?),
+        (None, Some(file)) => Some(Signature::of_file(&manifest, file)?),
+        (None, None) => None,
+    };
     let mut port = Port::open(&args.port, args.baud, link.timeout())?;
-    if !args.force {
+    // over the network the board itself checks that
+    if !args.force && !port.is_network() {
         check_settings(&mut port)?;
     }
     let (board, version) = (identity.board(), identity.version());
-    ask(&mut port, &format!("update {board} {version} {} {crc:08x}", image.len()))?;
+    let older = if args.older { " older" } else { "" };
+    ask(&mut port, &format!("update {board} {version} {} {crc:08x}{older}", image.len()))?;
+    if let Some(signature) = signature {
+        ask(&mut port, &format!("sign {}", signature.text()))?;
+    }
     let repeated = send(&mut port, &image)?;
     // answers to blocks that were sent twice
     port.skip_answers()?;
@@ -135,7 +163,7 @@ fn check_settings(port: &mut Port) -> Result<(), Failure> {
 }
 
 /// Reads an image and the board that it is for.
-fn read(path: &str) -> Result<(Vec<u8>, Identity), Failure> {
+pub(super) fn read(path: &str) -> Result<(Vec<u8>, Identity), Failure> {
     let invalid = |reason: &str| Failure::Input(format!("{path}: {reason}"));
     let file = fs::read(path).map_err(|error| invalid(&error.to_string()))?;
     if file.starts_with(UF2) {
