@@ -10,7 +10,8 @@ use core::cell::RefCell;
 use core::ops::Range;
 use core::panic::PanicInfo;
 
-use bcap_board::update::StateFlash;
+use bcap_board::signature::KEY;
+use bcap_board::update::{StateFlash, check_pending};
 use cortex_m::peripheral::SCB;
 use embassy_boot_rp::{BootLoader, BootLoaderConfig, WatchdogFlash};
 use embassy_embedded_hal::flash::partition::BlockingPartition;
@@ -18,7 +19,7 @@ use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embassy_time::Duration;
 
-use self::partitions::PARTITIONS;
+use self::partitions::{BOARD, PARTITIONS};
 
 const FLASH_SIZE: usize = 2 * 1024 * 1024;
 /// Where the processor sees the flash.
@@ -34,7 +35,11 @@ fn panic(_: &PanicInfo<'_>) -> ! {
 #[cortex_m_rt::entry]
 fn main() -> ! {
     let p = embassy_rp::init(Default::default());
-    let flash = WatchdogFlash::<FLASH_SIZE>::start(p.FLASH, p.WATCHDOG, WATCHDOG_TIME);
+    let mut flash = WatchdogFlash::<FLASH_SIZE>::start(p.FLASH, p.WATCHDOG, WATCHDOG_TIME);
+    // an update without a valid signature is given up; the flash is tried again
+    if KEY.is_some_and(|key| check_pending(&mut flash, &PARTITIONS, BOARD, &key).is_err()) {
+        SCB::sys_reset()
+    }
     let flash = Mutex::<NoopRawMutex, _>::new(RefCell::new(flash));
     let part = |range: &Range<u32>| BlockingPartition::new(&flash, range.start, range.end - range.start);
     // the offsets of the state count from the start of the flash

@@ -13,9 +13,8 @@ use embassy_rp::usb::Driver;
 use crate::BoardFlash;
 
 #[cfg(feature = "updates")]
-// the name of the hardware, because a project made from this image has another name
 static IDENTITY: bcap_board::identity::Identity =
-    bcap_board::identity::Identity::new("w5500-evb-pico", env!("CARGO_PKG_VERSION"));
+    bcap_board::identity::Identity::new(partitions::BOARD, env!("CARGO_PKG_VERSION"));
 
 pub(crate) async fn serve(driver: Driver<'static, USB>, slots: Slots<BoardFlash>) {
     #[cfg(feature = "updates")]

@@ -2,6 +2,9 @@
 
 use bcap_board::update::Partitions;
 
+/// The name of the hardware, because a project made from this image has another name.
+pub(crate) const BOARD: &str = "w5500-evb-pico";
+
 pub(crate) const PARTITIONS: Partitions = Partitions {
     active: 0x01_0000..0x10_0000,
     // a sector larger

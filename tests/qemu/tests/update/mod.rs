@@ -16,16 +16,17 @@ mod layout;
 mod rig;
 
 use std::io::{self, Write};
+use std::path::Path;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use bcap_board::identity::{self, BLOCK, Identity};
 use bcap_board::image;
-use bcap_qemu::{bcap, run};
+use bcap_qemu::{Plc, bcap, run};
 use serialport::{SerialPort, TTYPort};
 
 use self::layout::control;
-use self::rig::{Contents, Cut, Rig, flatten, wait};
+use self::rig::{Contents, Cut, Rig, flatten, replace_received, wait};
 use crate::line;
 
 const A: &str = "0.1.0 confirmed";
@@ -53,7 +54,7 @@ fn bcap_updates_a_board_and_a_served_request_confirms_it() {
     assert!(board_command(&["status", &device]).ends_with(" 0.1.0 confirmed\n"));
     board.serve();
     // both images have settings
-    let out = board_command(&["update", "--force", &device, new.to_str().unwrap()]);
+    let out = board_command(&["update", "--force", &device, new.to_str().unwrap(), "--key", &rig.key()]);
     assert!(out.contains(" 0.2.0: ") && out.ends_with(" bytes received and checked\n"), "{out}");
     // nothing confirms it but a request; the gateway looks for one each second
     sleep(Duration::from_secs(2));
@@ -71,6 +72,73 @@ fn bcap_updates_a_board_and_a_served_request_confirms_it() {
 }
 
 #[test]
+fn bcap_updates_a_board_over_the_network() {
+    let bcap = bcap();
+    let (line, host) = TTYPort::pair().unwrap();
+    let rig = Rig::new(&bcap);
+    let (new, old) = (rig.file("new.elf", &rig.version("0.2.0")), rig.file("old.elf", &rig.version("0.0.9")));
+    let (device, key) = (host.name().unwrap(), rig.key());
+    let command = |words: &[&str]| run(&bcap, &[&["board"], words, &["--timeout", "20000"]].concat());
+    let update = |image: &Path, key: &str| command(&["update", &rig.network, image.to_str().unwrap(), "--key", key]);
+    let refused = |image: &Path, key: &str, why: &str| {
+        let done = update(image, key);
+        assert!(!done.ok && done.err.contains(why), "{why}: {done:?}");
+    };
+    let mut board = rig.start();
+    line::join(line, board.connect());
+    board.serve();
+    // without the setting the port is closed, and then only for other hosts than this one
+    let closed = "the board takes updates over the network if its image has a key";
+    refused(&new, &key, closed);
+    let settings = command(&["configure", &device]).out;
+    let configure = |allowed: &str| {
+        let lines: Vec<&str> = settings.lines().chain([allowed]).collect();
+        let done = command(&[&["configure", &device], &lines[..], &["--restart"]].concat());
+        assert!(done.ok, "{done:?}");
+        wait("the board is not up again", || rig_answers(&rig));
+    };
+    configure("update=10.0.2.99");
+    refused(&new, &key, closed);
+    configure("update=10.0.2.0/24");
+    let other_key = rig.file("other.key", "08".repeat(32).as_bytes());
+    refused(&new, other_key.to_str().unwrap(), "the signature is not by the key of this board");
+    refused(&old, &key, "the image is older than 0.1.0, which runs");
+    let done = update(&new, &key);
+    assert!(
+        done.ok && done.out.contains(" 0.2.0: ") && done.out.ends_with(" bytes received and checked\n"),
+        "{done:?}"
+    );
+    // the status is asked over both ways; the console of `board` belongs to the serial line
+    let until = |port: &str, expected: &str| {
+        wait("the status does not change", || command(&["status", port]).out.ends_with(expected).then_some(()));
+    };
+    until(&device, " 0.2.0 on trial\n");
+    board.serve();
+    until(&rig.network, " 0.2.0 confirmed\n");
+    check_model(&rig);
+}
+
+/// Tells whether the board answers a request over the network.
+fn rig_answers(rig: &Rig) -> Option<()> {
+    let mut plc = Plc::try_connect(&rig.rac, Duration::from_millis(300)).ok()?;
+    plc.try_ask("GET:RC8:1:I:\r").ok().map(drop)
+}
+
+#[test]
+fn the_boot_loader_refuses_an_image_that_is_not_the_signed_one() {
+    let rig = Rig::new(&bcap());
+    let image = flatten(&rig.version("0.2.0"));
+    let mut flash = installed(&rig, &rig.contents(), &image);
+    // a flipped bit in the middle of the received image
+    flash[layout::OTHER.start as usize + image.len() / 2] ^= 1;
+    rig.restore(&flash);
+    let mut board = rig.start();
+    assert_eq!(board.status(), "0.1.0 confirmed; 0.2.0 was rolled back: the boot loader found no valid signature");
+    board.serve();
+    repeat(&mut board, &image);
+}
+
+#[test]
 fn an_image_that_serves_nothing_is_rolled_back_and_the_status_tells_why() {
     let bcap = bcap();
     let rig = Rig::new(&bcap);
@@ -78,8 +146,8 @@ fn an_image_that_serves_nothing_is_rolled_back_and_the_status_tells_why() {
     let installed = installed(&rig, &rig.contents(), &flatten(&good));
     let rolled_back = |elf: &[u8], end: &dyn Fn(&mut rig::Board<'_>), why: &str| {
         // one download for all of them: the boot loader takes the image that is there
-        let (mut flash, image, start) = (installed.clone(), flatten(elf), layout::OTHER.start as usize);
-        flash[start..start + image.len()].copy_from_slice(&image);
+        let mut flash = installed.clone();
+        replace_received(&mut flash, &flatten(elf));
         rig.restore(&flash);
         let mut board = rig.start();
         end(&mut board);

@@ -15,14 +15,18 @@ use bcap_board::console::HELLO;
 use bcap_board::crc::Crc32;
 use bcap_board::identity::{self, BLOCK, Identity};
 use bcap_board::image;
+use bcap_board::signature::{Manifest, public_of};
 use bcap_qemu::{Plc, Sim, TIMEOUT, free_port, signal};
 
-use crate::update::layout::{ACTIVE, CONTROL, OTHER, SECTOR, control};
+use crate::update::layout::{ACTIVE, CONTROL, OTHER, SECTOR, SIGNATURE, control};
 
 /// The wait between two looks at the flash or the board.
 const LOOK: Duration = Duration::from_millis(2);
 /// The words of the model that count operations of the flash.
 const OPERATIONS: [usize; 2] = [control::ERASED, control::WRITTEN];
+
+/// The secret key of the images.
+pub(crate) const SECRET: [u8; 32] = [7; 32];
 
 /// The contents of the flash, as far as it is used.
 pub(crate) type Contents = Vec<u8>;
@@ -39,6 +43,8 @@ pub(crate) struct Rig {
     folder: PathBuf,
     flash: File,
     pub(crate) rac: String,
+    /// The address of its port for updates, for `bcap board`.
+    pub(crate) network: String,
     pub(crate) sim: Sim,
     /// The ELF file of the image in the flash.
     pub(crate) elf: Vec<u8>,
@@ -53,6 +59,7 @@ impl Rig {
         fs::create_dir_all(&folder).unwrap();
         let sim = Sim::start(bcap, "127.0.0.1:0");
         let firmware = PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../embassy-adapter/firmware"));
+        let update = free_port().to_string();
         let (rac, flash, socket) = (free_port().to_string(), folder.join("flash"), folder.join("console"));
         let board = std::env::var("BOARD").unwrap_or_else(|_| "mps2-an386".into());
         let run = |last: &str| {
@@ -65,11 +72,14 @@ impl Rig {
                 &sim.bcap,
                 "--rac",
                 &rac,
+                "--update",
+                &update,
                 "--flash",
                 flash,
                 "--console",
                 socket,
             ]);
+            command.env("BCAP_BOARD_KEY", public_of(&SECRET).to_string());
             // without DHCP, so that it is up at once
             command.args(["--set", "dhcp=no", "--set", "provider=CaoProv.DENSO.VRC", last, "gateway"]);
             let output = command.stderr(Stdio::inherit()).output().unwrap();
@@ -83,7 +93,16 @@ impl Rig {
         settings.truncate(ACTIVE.end as usize);
         image::write(&mut elf, image::text(&settings).unwrap()).unwrap();
         let flash = OpenOptions::new().read(true).write(true).open(flash).unwrap();
-        Self { firmware: firmware.clone(), command, folder, flash, rac: format!("127.0.0.1:{rac}"), sim, elf }
+        Self {
+            firmware: firmware.clone(),
+            command,
+            folder,
+            flash,
+            rac: format!("127.0.0.1:{rac}"),
+            network: format!("tcp:127.0.0.1:{update}"),
+            sim,
+            elf,
+        }
     }
 
     /// Returns the image as an ELF file with another version.
@@ -104,6 +123,11 @@ impl Rig {
         let path = self.folder.join(name);
         fs::write(&path, contents).unwrap();
         path
+    }
+
+    /// Writes the file of the secret key, and returns its path.
+    pub(crate) fn key(&self) -> String {
+        self.file("plant.key", digits(&SECRET).as_bytes()).to_str().unwrap().to_owned()
     }
 
     /// Returns the contents of the flash.
@@ -234,10 +258,11 @@ impl Board<'_> {
         let identity = identity::find(image).unwrap();
         let (len, crc) = (image.len(), Crc32::new().and(image).value());
         self.ask(&format!("update {} {} {len} {crc:08x}", identity.board(), identity.version()))?;
+        let manifest = Manifest::of(image, &identity).unwrap();
+        self.ask(&format!("sign {} {}", digits(&manifest.digest), digits(&manifest.sign(&SECRET))))?;
         for (number, data) in (0_u32..).zip(image.chunks(BLOCK)) {
             let crc = Crc32::new().and(&number.to_le_bytes()).and(data).value();
-            let digits: String = data.iter().map(|byte| format!("{byte:02x}")).collect();
-            self.ask(&format!("block {number} {crc:08x} {digits}"))?;
+            self.ask(&format!("block {number} {crc:08x} {}", digits(data)))?;
         }
         self.ask("install")
     }
@@ -313,6 +338,24 @@ impl Drop for Board<'_> {
             let _ = self.child.wait();
         }
     }
+}
+
+/// Puts an image where a received one is, with its signature.
+pub(crate) fn replace_received(flash: &mut Contents, image: &[u8]) {
+    let identity = identity::find(image).unwrap();
+    let mut version = [0; 20];
+    version[..identity.version().len()].copy_from_slice(identity.version().as_bytes());
+    let len = u32::try_from(image.len()).unwrap().to_le_bytes();
+    let signature = Manifest::of(image, &identity).unwrap().sign(&SECRET);
+    let record = [&b"BCAPSIGN"[..], &len, &version, &signature].concat();
+    let crc = Crc32::new().and(&record).value().to_le_bytes();
+    for (at, bytes) in [(OTHER.start, image), (SIGNATURE.start, &[&record[..], &crc].concat())] {
+        flash[at as usize..at as usize + bytes.len()].copy_from_slice(bytes);
+    }
+}
+
+fn digits(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// Waits for a value.
