@@ -30,6 +30,9 @@ pub const KEY: Option<PublicKey> = match option_env!("BCAP_BOARD_KEY") {
     None => None,
 };
 
+/// Whether signatures can be checked: an image without a key has no code for it, on a board.
+pub(crate) const CAN_CHECK: bool = KEY.is_some() || !cfg!(target_os = "none");
+
 /// The key that images are checked with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PublicKey(pub [u8; KEY_SIZE]);
@@ -51,7 +54,9 @@ impl PublicKey {
     #[must_use]
     pub fn accepts(&self, manifest: &Manifest<'_>, signature: &[u8; SIGNATURE]) -> bool {
         let signature = Ed25519::from_bytes(signature);
-        VerifyingKey::from_bytes(&self.0).is_ok_and(|key| key.verify_strict(&manifest.message(), &signature).is_ok())
+        CAN_CHECK
+            && VerifyingKey::from_bytes(&self.0)
+                .is_ok_and(|key| key.verify_strict(&manifest.message(), &signature).is_ok())
     }
 }
 

@@ -13,7 +13,7 @@ use super::state::StateFlash;
 use super::updater::Partitions;
 use crate::crc::Crc32;
 use crate::identity::{BLOCK, VERSION};
-use crate::signature::{Digest, Manifest, PublicKey, SIGNATURE, Sha512};
+use crate::signature::{CAN_CHECK, Digest, Manifest, PublicKey, SIGNATURE, Sha512};
 
 const MAGIC: &[u8; 8] = b"BCAPSIGN";
 const CONTENT: usize = MAGIC.len() + 4 + VERSION + SIGNATURE;
@@ -76,6 +76,9 @@ impl Signed {
 
 /// Returns the SHA-512 of an image in the flash.
 pub(super) fn digest<F: NorFlash>(flash: &mut F, start: u32, len: u32) -> Result<[u8; SIGNATURE], F::Error> {
+    if !CAN_CHECK {
+        return Ok([0; SIGNATURE]);
+    }
     let (mut hash, mut block) = (Sha512::new(), [0; BLOCK]);
     let mut left = usize::try_from(len).unwrap_or(usize::MAX);
     for at in (start..start.saturating_add(len)).step_by(BLOCK) {

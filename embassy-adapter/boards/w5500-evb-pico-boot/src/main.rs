@@ -43,7 +43,7 @@ fn main() -> ! {
     let flash = Mutex::<NoopRawMutex, _>::new(RefCell::new(flash));
     let part = |range: &Range<u32>| BlockingPartition::new(&flash, range.start, range.end - range.start);
     // the offsets of the state count from the start of the flash
-    let Ok(state) = StateFlash::new(part(&(0..PARTITIONS.other.end)), PARTITIONS.state) else { SCB::sys_reset() };
+    let Ok(state) = StateFlash::new(part(&(0..PARTITIONS.state.end)), PARTITIONS.state) else { SCB::sys_reset() };
     let config = BootLoaderConfig { active: part(&PARTITIONS.active), dfu: part(&PARTITIONS.other), state };
     let loader = BootLoader::<4096>::prepare(config);
     start(loader)

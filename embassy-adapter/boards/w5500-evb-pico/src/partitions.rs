@@ -9,7 +9,7 @@ pub(crate) const PARTITIONS: Partitions = Partitions {
     active: 0x01_0000..0x10_0000,
     // a sector larger
     other: 0x10_0000..0x1f_1000,
-    state: 0x00_8000..0x00_a000,
-    history: 0x00_a000..0x00_c000,
-    signature: 0x00_c000..0x00_d000,
+    state: 0x1f_1000..0x1f_3000,
+    history: 0x1f_3000..0x1f_5000,
+    signature: 0x1f_5000..0x1f_6000,
 };
