@@ -6,8 +6,8 @@ use embedded_storage::nor_flash::NorFlash;
 use heapless::String;
 
 use super::error::UpdateError;
+use super::partitions::Partitions;
 use super::record::{self, Signed};
-use super::updater::Partitions;
 use crate::crc::Crc32;
 use crate::identity::{BLOCK, VERSION};
 use crate::signature::{Manifest, PublicKey, SIGNATURE};

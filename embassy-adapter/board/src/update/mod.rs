@@ -15,6 +15,7 @@
 
 mod download;
 mod error;
+mod partitions;
 mod record;
 mod request;
 #[cfg(all(feature = "embassy", feature = "health"))]
@@ -24,8 +25,9 @@ mod status;
 mod updater;
 
 pub use self::error::UpdateError;
+pub use self::partitions::Partitions;
 pub use self::record::check_pending;
 pub(crate) use self::request::perform;
 pub use self::state::{StateError, StateFlash};
 pub use self::status::{Phase, Status};
-pub use self::updater::{Partitions, Updater, Updates};
+pub use self::updater::{Updater, Updates};

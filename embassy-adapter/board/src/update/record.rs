@@ -9,8 +9,8 @@ use core::str;
 use embedded_storage::nor_flash::NorFlash;
 
 use super::error::UpdateError;
+use super::partitions::Partitions;
 use super::state::StateFlash;
-use super::updater::Partitions;
 use crate::crc::Crc32;
 use crate::identity::{BLOCK, VERSION};
 use crate::signature::{CAN_CHECK, Digest, Manifest, PublicKey, SIGNATURE, Sha512};

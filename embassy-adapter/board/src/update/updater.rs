@@ -9,6 +9,7 @@ use heapless::String;
 
 use super::download::Download;
 use super::error::UpdateError;
+use super::partitions::Partitions;
 use super::state::StateFlash;
 use super::status::{self, Phase, Status};
 use crate::identity::{BLOCK, Identity};
@@ -16,22 +17,6 @@ use crate::signature::{PublicKey, SIGNATURE, is_older};
 
 /// The largest unit in which a flash is written, in bytes.
 const UNIT: usize = 32;
-
-/// Where the parts of an update are: ranges of offsets in the flash, of whole sectors.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Partitions {
-    /// The image that runs.
-    pub active: Range<u32>,
-    /// The partition of the received image, and after the swap of the previous one; a sector larger than `active`, for
-    /// the swap.
-    pub other: Range<u32>,
-    /// The state of the boot loader, for [`StateFlash`].
-    pub state: Range<u32>,
-    /// The last update and why it was rolled back, for [`Slots`](crate::slots::Slots).
-    pub history: Range<u32>,
-    /// A sector for the signature of the received image.
-    pub signature: Range<u32>,
-}
 
 /// The partitions and the identity of an image with updates.
 pub type Updates = (Partitions, &'static Identity);

@@ -7,7 +7,7 @@ use bcap_board::signature::{KEY_SIZE, Manifest, SIGNATURE, public_of};
 use clap::Args;
 use serde_json::json;
 
-use super::update::read;
+use super::image::read;
 use crate::failure::Failure;
 use crate::output;
 

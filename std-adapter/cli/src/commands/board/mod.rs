@@ -1,6 +1,7 @@
 //! `bcap board`: the settings and the image of a board over a serial line, its image also over TCP, in the protocol of [`bcap_board::console`].
 
 mod elf;
+mod image;
 mod key;
 mod port;
 pub(crate) mod update;

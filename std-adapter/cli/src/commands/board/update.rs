@@ -1,15 +1,12 @@
 //! `bcap board update` and `bcap board status`.
 
-use std::fs;
-
 use bcap_board::crc::Crc32;
-use bcap_board::identity::{self, BLOCK, Identity};
-use bcap_board::vectors;
+use bcap_board::identity::BLOCK;
 use bcap_terminal::progress::{Progress, bar};
 use clap::Args;
 use serde_json::json;
 
-use super::elf;
+use super::image::read;
 use super::key::{Signature, manifest};
 use super::port::{Answer, Port};
 use crate::failure::Failure;
@@ -86,8 +83,6 @@ pub(crate) struct Status {
 
 /// How often a block is sent before the command gives up.
 const ATTEMPTS: u32 = 5;
-/// The first bytes of a UF2 file.
-const UF2: &[u8] = b"UF2\n";
 /// The hint after a refused update.
 const IMAGE_REMAINS: &str = "the board runs its earlier image";
 
@@ -160,30 +155,6 @@ fn check_settings(port: &mut Port) -> Result<(), Failure> {
         "the settings of the board are those of its image, which the new one replaces",
         "store them in the flash first: `bcap board configure PORT` prints them, and with @FILE it stores them; or use --force",
     ))
-}
-
-/// Reads an image and the board that it is for.
-pub(super) fn read(path: &str) -> Result<(Vec<u8>, Identity), Failure> {
-    let invalid = |reason: &str| Failure::Input(format!("{path}: {reason}"));
-    let file = fs::read(path).map_err(|error| invalid(&error.to_string()))?;
-    if file.starts_with(UF2) {
-        return Err(invalid("a UF2 file is for the boot ROM: send the ELF file it was made from"));
-    }
-    let image = match elf::is_elf(&file) {
-        true => {
-            elf::flatten(&file).ok_or_else(|| invalid("the ELF file is damaged, or is not for a board with 32 bits"))?
-        }
-        false => file,
-    };
-    let identity = identity::find(&image).ok_or_else(|| {
-        invalid("the image does not tell its board, so it was not built for updates (--features updates)")
-    })?;
-    if !vectors::is_table(&image) {
-        return Err(invalid(
-            "the image does not start with a vector table: send the ELF file, or a binary without a boot loader",
-        ));
-    }
-    Ok((image, identity))
 }
 
 /// Sends the image in blocks; returns how many were sent again.
