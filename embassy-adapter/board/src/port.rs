@@ -147,6 +147,12 @@ pub async fn run_with_updates<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
     run_console(|| console_with_updates(slots, updates), receiver, sender, log, restart).await;
 }
 
+/// Makes a console. Not inlined: its temporaries, of 2.8 KB each, would be in the frame of each poll of the task.
+#[inline(never)]
+pub(crate) fn cell<F: NorFlash>(make: impl FnOnce() -> Console<'static, F>) -> RefCell<Console<'static, F>> {
+    RefCell::new(make())
+}
+
 /// `make` makes the console here, because an async function has a second copy of each argument.
 async fn run_console<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
     make: impl FnOnce() -> Console<'static, F>,
@@ -155,7 +161,7 @@ async fn run_console<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
     mut log: impl Write,
     restart: fn() -> !,
 ) {
-    let (console, answer) = (RefCell::new(make()), answer());
+    let (console, answer) = (cell(make), answer());
     let serve = async {
         loop {
             // after a line error the request is invalid, and the host repeats it

@@ -1,7 +1,5 @@
 //! The console and the log as two serial ports (CDC ACM) over USB; on Linux `/dev/ttyACM0` and `/dev/ttyACM1`.
 
-use core::cell::RefCell;
-
 use embassy_futures::join::join4;
 use embassy_time::{Duration, with_timeout};
 use embassy_usb::class::cdc_acm::{CdcAcmClass, State};
@@ -63,7 +61,7 @@ async fn run_console<D: Driver<'static>, F: NorFlash>(
     let mut sender = Packets::<_, { PACKET as usize }>::new(sender);
     let mut log = Packets::<_, { PACKET as usize }>::new(log);
     let mut receiver = receiver.into_buffered(PACKET_MEMORY.take());
-    let (console, answer) = (RefCell::new(make()), port::answer());
+    let (console, answer) = (port::cell(make), port::answer());
 
     let serve = async {
         loop {
