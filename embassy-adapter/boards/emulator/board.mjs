@@ -74,7 +74,7 @@ function connect(rp2040, w5500) {
 
 export class Board {
   /** `frame` receives each Ethernet frame that the board sends, `serial` the number of a serial port and bytes from it. */
-  constructor({ RP2040, USBCDC, ConsoleLogger, LogLevel }, image, { frame, serial }) {
+  constructor({ RP2040, USBCDC, ConsoleLogger, LogLevel }, images, { frame, serial }) {
     this.resets = 0;
     this.w5500 = new W5500(frame, (level) => this.rp2040.gpio[INT].setInputValue(level));
     this.start = () => {
@@ -88,7 +88,7 @@ export class Board {
         this.rp2040.sram.set(before.sram);
         this.resets++;
       } else {
-        load(this.rp2040, image);
+        images.forEach((image) => load(this.rp2040, image));
       }
       complete(this.rp2040, () => (this.isResetting = true));
       this.w5500.reset();

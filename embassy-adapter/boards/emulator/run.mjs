@@ -1,8 +1,9 @@
 // Runs an image for WIZnet's W5500-EVB-Pico:
 //
-//   node run.mjs IMAGE RAC CONSOLE >LOG
+//   node run.mjs IMAGE[,IMAGE] RAC[,UPDATE] CONSOLE >LOG
 //
-// RAC is a local TCP port that is forwarded to port 5006 of the board. CONSOLE is a Unix socket for the console of the board. LOG
+// The flash has one image, or a boot loader and an image. RAC and UPDATE are local TCP ports that are forwarded to the ports 5006 and
+// 5010 of the board. CONSOLE is a Unix socket for the console of the board. LOG
 // gets the bytes of the log. rp2040js is searched in the directory $RP2040JS. QEMU, which runs no machine, is the network: it has a
 // DHCP server, and this computer has the address 10.0.2.2 in it.
 
@@ -12,7 +13,8 @@ import { createServer } from 'node:net';
 import { Board } from './board.mjs';
 
 const rp2040js = createRequire(`${process.env.RP2040JS}/`)('rp2040js');
-const [image, rac, consolePath] = process.argv.slice(2);
+const [images, ports, consolePath] = process.argv.slice(2);
+const [rac, update] = ports.split(',');
 const LOG = 1;
 /** The longest time between looks at the sockets. */
 const SLICE_NANOS = 5e6;
@@ -21,7 +23,7 @@ const LAG_NANOS = 50e6;
 
 let network = null;
 let terminal = null;
-const board = new Board(rp2040js, image, {
+const board = new Board(rp2040js, images.split(','), {
   frame: (frame) => {
     const length = Buffer.alloc(4);
     length.writeUInt32BE(frame.length);
@@ -48,7 +50,7 @@ function startNetwork(port) {
   const hub = (id, netdev) => ['-netdev', `hubport,id=${id},hubid=0,netdev=${netdev}`];
   const qemu = spawn('qemu-system-arm', [
     ...['-M', 'none', '-display', 'none', '-monitor', 'none', '-serial', 'none'],
-    ...['-netdev', `user,id=user,hostfwd=tcp:127.0.0.1:${rac}-:5006`, ...hub('a', 'user')],
+    ...['-netdev', `user,id=user,hostfwd=tcp:127.0.0.1:${rac}-:5006${update ? `,hostfwd=tcp:127.0.0.1:${update}-:5010` : ''}`, ...hub('a', 'user')],
     ...['-netdev', `socket,id=frames,connect=127.0.0.1:${port}`, ...hub('b', 'frames')],
   ]);
   qemu.on('exit', (code) => {
