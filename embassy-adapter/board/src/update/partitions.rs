@@ -10,7 +10,7 @@ pub struct Partitions {
     /// The partition of the received image, and after the swap of the previous one; a sector larger than `active`, for
     /// the swap.
     pub other: Range<u32>,
-    /// The state of the boot loader, for [`StateFlash`].
+    /// The state of the boot loader, for [`StateFlash`](super::StateFlash).
     pub state: Range<u32>,
     /// The last update and why it was rolled back, for [`Slots`](crate::slots::Slots).
     pub history: Range<u32>,
