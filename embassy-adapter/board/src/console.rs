@@ -63,7 +63,7 @@ pub enum Action {
 /// The settings that `show` sends in parts, so that an answer needs little memory.
 #[derive(Debug)]
 struct Shown {
-    /// Whether they are in the memory of the new ones; otherwise they are those of the image.
+    /// Whether they are in the memory of the new ones; otherwise they come from the image.
     is_flash: bool,
     next: usize,
     end: usize,

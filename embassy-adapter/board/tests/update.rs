@@ -448,7 +448,7 @@ fn a_board_with_a_key_refuses_every_image_but_the_signed_one() {
         ),
         ("an older version under a newer name", Sent { manifest: older, ..good }, signature.clone()),
         ("another version", Sent { version: "0.3.0", ..good }, signature.clone()),
-        ("a version that is none", Sent { version: "new", ..good }, Err(UpdateError::Older { running: "0.1.0" })),
+        ("a version without numbers", Sent { version: "new", ..good }, Err(UpdateError::Older { running: "0.1.0" })),
         ("cut", Sent { image: cut, ..good }, signature.clone()),
         ("too long", Sent { image: &long, ..good }, Err(UpdateError::Size { most: IMAGE })),
         ("empty", Sent { image: &[], ..good }, Err(UpdateError::Size { most: IMAGE })),

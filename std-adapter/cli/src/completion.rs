@@ -61,7 +61,7 @@ fn tasks() -> Vec<CompletionCandidate> {
     names().iter().filter_map(|name| name.strip_prefix("task:")).map(CompletionCandidate::new).collect()
 }
 
-/// Returns the names that the controller of the line lists, without the reasons why there are none.
+/// Returns the names that the controller of the line lists; none if it does not answer in time.
 fn names() -> Vec<String> {
     let link = || {
         // the words of the line follow --

@@ -126,7 +126,7 @@ fn cycle(Step { number, start, actual }: Step) -> (u32, Vec<f64>, Vec<f64>) {
     (number, start, actual)
 }
 
-/// A trajectory that blocks. The other tasks of the shared runtime go on; those of a session wait for the end of its stream.
+/// A trajectory that blocks. The other tasks of the shared runtime go on; the tasks of a session wait for the end of its stream.
 struct Blocking<T>(T);
 
 impl<T: Trajectory> Trajectory for Blocking<T> {

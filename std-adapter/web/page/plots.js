@@ -24,7 +24,7 @@ export const plots = {
     state.page = page;
     state.cursor = null;
     const canvas = make("canvas", { className: "plot", tabIndex: 0, role: "img", "aria-label": "Plot of the chosen numbers over time" });
-    const choices = make("fieldset", { className: "choices" }, make("legend", {}, "Numbers; those of variables are the ones that the screen of variables shows"));
+    const choices = make("fieldset", { className: "choices" }, make("legend", {}, "Numbers; variables are chosen on their screen"));
     const pause = make("button", { type: "button", id: "hold", onclick: () => { state.isPaused = !state.isPaused; draw(); } });
     const zoom = make("select", { id: "window", "aria-label": "Window", onchange: () => { state.window = Number(zoom.value); draw(); } }, ...WINDOWS.map((seconds) => make("option", { value: seconds }, `${seconds} s`)));
     const save = make("button", { type: "button", id: "csv", onclick: exportCsv }, "Save as CSV");

@@ -25,7 +25,7 @@ const INTERVAL: Duration = Duration::from_millis(200);
 const SLOW: Duration = Duration::from_secs(1);
 
 /// The longest time that an order waits. An older one is refused: the user may have turned to something else.
-const PATIENCE: Duration = Duration::from_secs(2);
+const LONGEST_WAIT: Duration = Duration::from_secs(2);
 
 /// A robot of the page.
 #[derive(Debug)]
@@ -54,7 +54,7 @@ pub(crate) struct Live {
     pub(crate) names: BTreeMap<Client, Vec<String>>,
 }
 
-/// Answers the user, with the session or with why there is none. Fails when the session is lost.
+/// Carries out an order, or answers why there is no session. Fails when the session is lost.
 type Work = dyn FnOnce(Result<&mut Link, &'static str>) -> Result<(), Error> + Send;
 
 /// An order of a user.
@@ -244,7 +244,7 @@ impl Rounds<Link> for Round<'_> {
 
 /// Carries out an order, unless it has waited too long.
 fn carry_out(order: Order, link: &mut Link) -> Result<(), Error> {
-    if order.since.elapsed() > PATIENCE {
+    if order.since.elapsed() > LONGEST_WAIT {
         return (order.work)(Err("the controller was busy for too long; nothing was done"));
     }
     (order.work)(Ok(link))

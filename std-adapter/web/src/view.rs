@@ -1,4 +1,4 @@
-//! The state of the robots as JSON, in sections: a page gets those of its screen, each when it has changed.
+//! The state of the robots as JSON, in sections: a page gets the sections of its screen, each when it has changed.
 
 use bcap_core::bcap::StreamState;
 use bcap_core::hresult::HResult;

@@ -44,7 +44,7 @@ pub enum UpdateError<E> {
     },
     /// The board takes signed images only.
     Unsigned,
-    /// The signature is not that of the image, or not by the key in this board.
+    /// The signature does not belong to the image, or was not made with the key of this board.
     Signature,
     /// The image that runs has no key.
     NoKey,

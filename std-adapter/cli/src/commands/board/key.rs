@@ -13,7 +13,7 @@ use crate::output;
 
 /// Makes a key pair for signed updates
 ///
-/// The secret key is written into a new file, which only its owner can read. Keep it off the network: whoever has it can install any
+/// The secret key is written into a new file, which only its owner can read. Keep it off the network: with it, anyone can install any
 /// image. The public key is printed; build it into the image and its boot loader with the variable BCAP_BOARD_KEY. The board then
 /// takes only images that are signed with the secret key.
 #[derive(Debug, Args)]

@@ -37,7 +37,7 @@ Examples:
   bcap scan 192.168.0.0/24
   bcap scan 192.168.0.1 cell2.local:5007 --json")]
 pub(crate) struct Scan {
-    /// Hosts (HOST[:PORT]) or networks (192.168.0.0/24), together at most 1,024 addresses [default: those of the profiles and, after a question, of the networks of this machine]
+    /// Hosts (HOST[:PORT]) or networks (192.168.0.0/24), together at most 1,024 addresses [default: the addresses of the profiles and, after a question, of the networks of this machine]
     #[arg(value_name = "HOST|NETWORK")]
     pub(crate) targets: Vec<String>,
 }

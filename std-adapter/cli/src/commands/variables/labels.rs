@@ -20,7 +20,7 @@ pub(crate) fn read(path: &Path) -> Result<HashMap<String, String>, Failure> {
     lines.map(label).collect()
 }
 
-/// Writes the label of a variable in place of its earlier one; the other lines stay as they are. Makes the file if there is none.
+/// Sets the label of a variable. The other lines stay as they are; the file is made if it does not exist.
 pub(crate) fn write(path: &Path, name: &str, label: &str) -> Result<(), Failure> {
     let text = match fs::read_to_string(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => String::new(),
