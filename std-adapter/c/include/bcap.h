@@ -14,7 +14,7 @@
  *   BCAP_E_POINTER. Buffers of one call do not overlap.
  * - Text is UTF-8 and ends with NUL.
  * - A struct bcap_client is used by one thread at a time. Handles of the hosted functions may be shared by threads. A handle that
- *   was closed returns BCAP_E_HANDLE, also if its slot is used again.
+ *   was closed returns BCAP_E_HANDLE.
  * - Only BCAP_OK is a success: BCAP_E_... is an error of this library, and a negative status is the HRESULT of the controller.
  */
 
@@ -502,47 +502,47 @@ size_t bcap_message(char *buffer,
                     size_t size);
 
 // Takes the arm of the robot, so that this session can move it.
-bcap_status bcap_take_arm(bcap_controller controller);
+bcap_status bcap_take_arm(bcap_controller cell);
 
 // Halts a motion that is under way, switches the motor off if this session has switched it on, and gives the arm back.
-bcap_status bcap_give_arm(bcap_controller controller);
+bcap_status bcap_give_arm(bcap_controller cell);
 
 // Switches the motor on or off, and waits until it is.
-bcap_status bcap_motor(bcap_controller controller, bool on);
+bcap_status bcap_motor(bcap_controller cell, bool on);
 
 // Sets the external speed in percent of the maximum, which scales the speed of motions.
-bcap_status bcap_set_speed(bcap_controller controller, double percent);
+bcap_status bcap_set_speed(bcap_controller cell, double percent);
 
 // Moves, and waits until the motion ends, at most `limit_ms`; the robot is halted then. `BCAP_OK` says that the robot rests at the
 // destination. Any other status says how the motion ended: see `bcap_status_text` and `bcap_message`.
-bcap_status bcap_move(bcap_controller controller,
+bcap_status bcap_move(bcap_controller cell,
                       const bcap_motion *motion_,
                       uint32_t limit_ms);
 
 // Starts a motion, and returns when it has begun. Variables can be read and written until `bcap_wait` or `bcap_halt` ends it. If a
 // motion is under way, this one follows it. `limit_ms` of the first one is the time limit of all.
-bcap_status bcap_start(bcap_controller controller,
+bcap_status bcap_start(bcap_controller cell,
                        const bcap_motion *motion_,
                        uint32_t limit_ms);
 
 // Waits until the motions of `bcap_start` end; the status is the outcome, as for `bcap_move`.
-bcap_status bcap_wait(bcap_controller controller);
+bcap_status bcap_wait(bcap_controller cell);
 
 // Halts the robot, also without the arm, and waits until it rests. After another status than `BCAP_OK` it may still move. While
 // another thread waits for a motion, use `bcap_stopper_halt`.
-bcap_status bcap_halt(bcap_controller controller);
+bcap_status bcap_halt(bcap_controller cell);
 
 // Recovers the robot after an error: clears the errors, takes the arm and switches the motor on. **The arm of a COBOTTA can move**, so
 // a person must have looked at the robot. `is_alone` says that no other client uses the robot.
-bcap_status bcap_recover(bcap_controller controller,
+bcap_status bcap_recover(bcap_controller cell,
                          bool is_alone);
 
 // Reads the joints in degrees or mm; joints that the robot does not have are 0.
-bcap_status bcap_joints(bcap_controller controller, double *joints);
+bcap_status bcap_joints(bcap_controller cell, double *joints);
 
 // Opens a second connection, over which any thread can halt the robot at any time. Open it before the first motion. It is not an
 // emergency stop: it needs the network, this computer and the controller.
-bcap_status bcap_stopper_open(bcap_controller controller,
+bcap_status bcap_stopper_open(bcap_controller cell,
                               bcap_stopper *stopper);
 
 // Halts the robot, and waits until it rests. After another status than `BCAP_OK` it may still move.
@@ -559,50 +559,50 @@ bcap_status bcap_connect(const char *address,
                          bcap_controller *controller);
 
 // Halts a motion, gives the arm back, releases all objects and disconnects. The handle is invalid then, also after a failure.
-bcap_status bcap_close(bcap_controller controller);
+bcap_status bcap_close(bcap_controller cell);
 
 // Reads a variable, such as `I1`, `IO128`, `robot/@SERVO_ON` or `task:Pro1/@STATUS`, as an integer or a truth value.
-bcap_status bcap_read_integer(bcap_controller controller,
+bcap_status bcap_read_integer(bcap_controller cell,
                               const char *name,
                               int64_t *integer);
 
 // Reads a variable as a number.
-bcap_status bcap_read_number(bcap_controller controller, const char *name, double *number);
+bcap_status bcap_read_number(bcap_controller cell, const char *name, double *number);
 
 // Reads a variable as text of UTF-8 into `buffer`, with NUL. Text that does not fit is cut, and the result is `BCAP_E_SHORT`.
-bcap_status bcap_read_text(bcap_controller controller,
+bcap_status bcap_read_text(bcap_controller cell,
                            const char *name,
                            char *buffer,
                            size_t size);
 
 // Reads a variable as numbers: P has 7, V 3, J 8, T 10. `numbers` has room for `capacity` of them, and `count` gets their number.
-bcap_status bcap_read_numbers(bcap_controller controller,
+bcap_status bcap_read_numbers(bcap_controller cell,
                               const char *name,
                               double *numbers,
                               size_t capacity,
                               size_t *count);
 
 // Reads a variable of any type into `memory`; `value` points into it.
-bcap_status bcap_read(bcap_controller controller,
+bcap_status bcap_read(bcap_controller cell,
                       const char *name,
                       uint8_t *memory,
                       size_t size,
                       bcap_value *value);
 
 // Writes a variable: `bcap_write(cell, "I1", bcap_i4(5))`. After `BCAP_E_TIMEOUT` and `BCAP_E_LOST` it may have been written.
-bcap_status bcap_write(bcap_controller controller,
+bcap_status bcap_write(bcap_controller cell,
                        const char *name,
                        bcap_value value);
 
 // Opens an object, such as `robot`, `task:Pro1` or `file:a.pcs`, and returns its handle for `bcap_call`. It is released with the
 // session, or by a call such as `BCAP_FN_TASK_RELEASE`.
-bcap_status bcap_open(bcap_controller controller,
+bcap_status bcap_open(bcap_controller cell,
                       const char *path,
                       int32_t *handle);
 
 // Makes any of the 137 calls, and stores the value of the reply in `memory`, unless `value` is null. A call that moves the robot
 // returns when the motion has ended. If the value does not fit (`BCAP_E_SHORT`), the controller has executed the call.
-bcap_status bcap_call(bcap_controller controller,
+bcap_status bcap_call(bcap_controller cell,
                       int32_t function,
                       const bcap_value *arguments,
                       size_t count,
@@ -611,7 +611,7 @@ bcap_status bcap_call(bcap_controller controller,
                       bcap_value *value);
 
 // Executes a command of the controller with a parameter, such as `ClearError` with `bcap_empty()`. As `bcap_call` otherwise.
-bcap_status bcap_execute(bcap_controller controller,
+bcap_status bcap_execute(bcap_controller cell,
                          const char *command,
                          bcap_value parameter,
                          uint8_t *memory,
@@ -619,7 +619,7 @@ bcap_status bcap_execute(bcap_controller controller,
                          bcap_value *value);
 
 // Executes a command of the robot with a parameter, such as `CurJnt` with `bcap_empty()`. As `bcap_call` otherwise.
-bcap_status bcap_execute_robot(bcap_controller controller,
+bcap_status bcap_execute_robot(bcap_controller cell,
                                const char *command,
                                bcap_value parameter,
                                uint8_t *memory,
@@ -633,18 +633,18 @@ bcap_status bcap_set_log(bcap_log callback,
 
 // Starts a stream of joints (8 numbers, in degrees or mm), and returns the joints at its start. The arm must be taken and the motor on.
 // Until `bcap_stream_finish` other functions of this controller return `BCAP_E_STREAMING`.
-bcap_status bcap_stream_start(bcap_controller controller,
+bcap_status bcap_stream_start(bcap_controller cell,
                               const bcap_stream_options *options,
                               double *joints);
 
 // Sends the joints of the next cycle, and waits for the cycle after it, 8 ms later. `actual` gets the joints that the controller
 // reports; it may be null. Another status than `BCAP_OK` ends the stream: the robot stops, and does not follow further poses.
-bcap_status bcap_stream_step(bcap_controller controller,
+bcap_status bcap_stream_step(bcap_controller cell,
                              const double *joints,
                              double *actual);
 
 // Ends the stream: the robot comes to rest at the last pose, and Slave Mode is left. `stats` may be null.
-bcap_status bcap_stream_finish(bcap_controller controller, bcap_stream_stats *stats);
+bcap_status bcap_stream_finish(bcap_controller cell, bcap_stream_stats *stats);
 
 // Writes the line that reads a variable, such as `I10`: `GET:RC8:10:I:` and CR. 256 bytes hold any line. `length` gets its length; it
 // does not end with NUL.

@@ -11,10 +11,8 @@ use bcap_core::error::EncodeError;
 use bcap_core::time::Instant;
 
 use crate::entry::guard;
-use crate::memory::{Memory, caller, is_usable, put, slice};
-use crate::status::{
-    BCAP_E_HANDLE, BCAP_E_NO_REPLY, BCAP_E_POINTER, BCAP_E_RANGE, BCAP_OK, Fault, Status, bcap_status,
-};
+use crate::memory::{Memory, caller, check, put, slice};
+use crate::status::{self, *};
 use crate::value::bcap_value;
 
 /// The link of a client.
@@ -79,20 +77,8 @@ const _: () = assert!(align_of::<Inner>() <= align_of::<bcap_client>());
 /// # Safety
 ///
 /// `client` is null, or valid for reads and writes, and no other function uses it during `'a`.
-unsafe fn open<'a>(client: *mut bcap_client) -> Result<&'a mut Client<Memory>, Status> {
-    // SAFETY: as the caller promises
-    unsafe { open_inner(client) }.map(|inner| &mut inner.client)
-}
-
-/// As [`open`], for the whole content.
-///
-/// # Safety
-///
-/// As for [`open`].
-unsafe fn open_inner<'a>(client: *mut bcap_client) -> Result<&'a mut Inner, Status> {
-    if !is_usable(client) {
-        return Err(BCAP_E_POINTER);
-    }
+unsafe fn open<'a>(client: *mut bcap_client) -> Result<&'a mut Inner, Status> {
+    check(client)?;
     // SAFETY: it is not null and aligned; the first word is an integer, whatever the memory contains
     if unsafe { client.cast::<usize>().read() } != client.addr() ^ MAGIC {
         return Err(BCAP_E_HANDLE);
@@ -124,14 +110,15 @@ pub unsafe extern "C" fn bcap_client_init(
             BCAP_LINK_SERIAL => Config::SERIAL,
             _ => return Err(BCAP_E_RANGE),
         };
-        let parts = [(client.addr(), size_of::<bcap_client>()), (tx.addr(), tx_size), (rx.addr(), rx_size)];
-        let [own, tx_part, rx_part] = parts;
-        if !is_usable(client) || overlap(own, tx_part) || overlap(own, rx_part) || overlap(tx_part, rx_part) {
+        check(client)?;
+        let own = (client.addr(), size_of::<bcap_client>());
+        let (tx_part, rx_part) = ((tx.addr(), tx_size), (rx.addr(), rx_size));
+        if overlap(own, tx_part) || overlap(own, rx_part) || overlap(tx_part, rx_part) {
             return Err(BCAP_E_POINTER);
         }
         let (tx, rx_memory) = (caller!(Memory::new(tx, tx_size))?, caller!(Memory::new(rx, rx_size))?);
-        let client_state = Client::new(config, tx, rx_memory);
-        let inner = Inner { mark: client.addr() ^ MAGIC, rx, rx_size, client: client_state };
+        let state = Client::new(config, tx, rx_memory);
+        let inner = Inner { mark: client.addr() ^ MAGIC, rx, rx_size, client: state };
         caller!(put(client.cast::<MaybeUninit<Inner>>(), MaybeUninit::new(inner)))
     })
 }
@@ -148,7 +135,7 @@ pub unsafe extern "C" fn bcap_client_deinit(client: *mut bcap_client) -> bcap_st
 /// Prepares for a new connection: forgets the call in flight and all received bytes.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_client_reset(client: *mut bcap_client) -> bcap_status {
-    guard(|| caller!(open(client)).map(|client| client.reset()))
+    guard(|| caller!(open(client)).map(|inner| inner.client.reset()))
 }
 
 /// Sets the time limits of further calls: how long an attempt waits, the number of attempts on a link that loses frames, and how long a
@@ -161,18 +148,16 @@ pub unsafe extern "C" fn bcap_client_set_timing(
     deadline_ms: u32,
 ) -> bcap_status {
     guard(|| {
-        let client = caller!(open(client))?;
-        let (attempt_timeout, deadline) =
-            (Duration::from_millis(attempt_ms.into()), Duration::from_millis(deadline_ms.into()));
-        client.set_timing(Timing { attempt_timeout, attempts: attempts.max(1), deadline, keep_alive: deadline });
-        Ok(())
+        let [attempt_timeout, deadline] = [attempt_ms, deadline_ms].map(|ms| Duration::from_millis(ms.into()));
+        let timing = Timing { attempt_timeout, attempts: attempts.max(1), deadline, keep_alive: deadline };
+        caller!(open(client)).map(|inner| inner.client.set_timing(timing))
     })
 }
 
 /// Sets the serial of the next call. Over UDP begin with a random one, so that replies to an earlier client are recognised.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_client_set_serial(client: *mut bcap_client, serial: u16) -> bcap_status {
-    guard(|| caller!(open(client)).map(|client| client.set_next_serial(serial)))
+    guard(|| caller!(open(client)).map(|inner| inner.client.set_next_serial(serial)))
 }
 
 /// A call of any function.
@@ -204,9 +189,9 @@ pub unsafe extern "C" fn bcap_client_start(
     now_us: u64,
 ) -> bcap_status {
     guard(|| {
-        let client = caller!(open(client))?;
+        let client = &mut caller!(open(client))?.client;
         let call = AnyCall { function, arguments: caller!(slice(arguments, count))? };
-        client.start(&call, client.timing(), Instant::from_micros(now_us)).map_err(|error| Fault::from(error).0)
+        client.start(&call, client.timing(), Instant::from_micros(now_us)).map_err(status::client)
     })
 }
 
@@ -218,7 +203,7 @@ pub unsafe extern "C" fn bcap_client_transmit(
     count: *mut usize,
 ) -> bcap_status {
     guard(|| {
-        let unsent = caller!(open(client))?.transmit();
+        let unsent = caller!(open(client))?.client.transmit();
         caller!(put(bytes, unsent.as_ptr()))?;
         caller!(put(count, unsent.len()))
     })
@@ -228,12 +213,9 @@ pub unsafe extern "C" fn bcap_client_transmit(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_client_transmitted(client: *mut bcap_client, count: usize) -> bcap_status {
     guard(|| {
-        let client = caller!(open(client))?;
-        if count > client.transmit().len() {
-            return Err(BCAP_E_RANGE);
-        }
-        client.transmitted(count);
-        Ok(())
+        let client = &mut caller!(open(client))?.client;
+        let is_unsent = count <= client.transmit().len();
+        is_unsent.then(|| client.transmitted(count)).ok_or(BCAP_E_RANGE)
     })
 }
 
@@ -245,7 +227,7 @@ pub unsafe extern "C" fn bcap_client_receive_buffer(
     size: *mut usize,
 ) -> bcap_status {
     guard(|| {
-        let room = caller!(open(client))?.receive_buffer();
+        let room = caller!(open(client))?.client.receive_buffer();
         caller!(put(bytes, room.as_mut_ptr()))?;
         caller!(put(size, room.len()))
     })
@@ -255,12 +237,9 @@ pub unsafe extern "C" fn bcap_client_receive_buffer(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_client_received(client: *mut bcap_client, count: usize) -> bcap_status {
     guard(|| {
-        let client = caller!(open(client))?;
-        if count > client.receive_buffer().len() {
-            return Err(BCAP_E_RANGE);
-        }
-        client.received(count);
-        Ok(())
+        let client = &mut caller!(open(client))?.client;
+        let has_room = count <= client.receive_buffer().len();
+        has_room.then(|| client.received(count)).ok_or(BCAP_E_RANGE)
     })
 }
 
@@ -272,13 +251,13 @@ pub unsafe extern "C" fn bcap_client_poll(
     event: *mut bcap_event,
 ) -> bcap_status {
     guard(|| {
-        let client = caller!(open(client))?;
+        let client = &mut caller!(open(client))?.client;
         let now = Instant::from_micros(now_us);
         let found = client.poll_event(now).or_else(|| client.handle_timeout(now));
         let (kind, status) = match found {
             None => (BCAP_EVENT_NONE, BCAP_OK),
             Some(Event::Replied(result)) => (BCAP_EVENT_REPLIED, if result.is_err() { result.0 } else { BCAP_OK }),
-            Some(Event::Failed(error)) => (BCAP_EVENT_FAILED, Fault::from(error).0),
+            Some(Event::Failed(error)) => (BCAP_EVENT_FAILED, status::client(error)),
             Some(Event::Executing) => (BCAP_EVENT_EXECUTING, BCAP_OK),
             Some(Event::Retried { .. }) => (BCAP_EVENT_RETRIED, BCAP_OK),
             Some(_) => (BCAP_EVENT_DROPPED, BCAP_OK),
@@ -291,7 +270,7 @@ pub unsafe extern "C" fn bcap_client_poll(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_client_deadline(client: *mut bcap_client, at_us: *mut u64) -> bcap_status {
     guard(|| {
-        let deadline = caller!(open(client))?.poll_timeout().unwrap_or(Instant::FAR_FUTURE);
+        let deadline = caller!(open(client))?.client.poll_timeout().unwrap_or(Instant::FAR_FUTURE);
         caller!(put(at_us, deadline.as_micros()))
     })
 }
@@ -301,7 +280,7 @@ pub unsafe extern "C" fn bcap_client_deadline(client: *mut bcap_client, at_us: *
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_client_value(client: *mut bcap_client, value: *mut bcap_value) -> bcap_status {
     guard(|| {
-        let inner = caller!(open_inner(client))?;
+        let inner = caller!(open(client))?;
         let frame = inner.client.reply().ok_or(BCAP_E_NO_REPLY)?;
         let view = |found| bcap_value::received(found, inner.rx, inner.rx_size);
         let found = frame.value().map_or(Ok(bcap_value::EMPTY), view)?;
@@ -312,5 +291,5 @@ pub unsafe extern "C" fn bcap_client_value(client: *mut bcap_client, value: *mut
 /// Abandons the call in flight. Its reply is then dropped; the controller may execute it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_client_abandon(client: *mut bcap_client) -> bcap_status {
-    guard(|| caller!(open(client)).map(|client| client.abandon()))
+    guard(|| caller!(open(client)).map(|inner| inner.client.abandon()))
 }

@@ -10,9 +10,9 @@ use crate::status::{BCAP_E_POINTER, BCAP_E_SHORT, BCAP_E_TEXT, Status};
 /// The largest object that C can have.
 const MAX: usize = isize::MAX.unsigned_abs();
 
-/// Tells whether a pointer can be used: it is neither null nor misaligned.
-pub(crate) fn is_usable<T>(pointer: *const T) -> bool {
-    !pointer.is_null() && pointer.is_aligned()
+/// Refuses a pointer that is null or misaligned.
+pub(crate) fn check<T>(pointer: *const T) -> Result<(), Status> {
+    if pointer.is_null() || !pointer.is_aligned() { Err(BCAP_E_POINTER) } else { Ok(()) }
 }
 
 /// Stores a result.
@@ -21,9 +21,7 @@ pub(crate) fn is_usable<T>(pointer: *const T) -> bool {
 ///
 /// `to` is null, or valid for a write.
 pub(crate) unsafe fn put<T>(to: *mut T, value: T) -> Result<(), Status> {
-    if !is_usable(to) {
-        return Err(BCAP_E_POINTER);
-    }
+    check(to)?;
     // SAFETY: it is not null and aligned; the caller promises the rest
     unsafe { to.write(value) };
     Ok(())
@@ -35,9 +33,7 @@ pub(crate) unsafe fn put<T>(to: *mut T, value: T) -> Result<(), Status> {
 ///
 /// `from` is null, or points to an initialised `T`.
 pub(crate) unsafe fn get<T: Copy>(from: *const T) -> Result<T, Status> {
-    if !is_usable(from) {
-        return Err(BCAP_E_POINTER);
-    }
+    check(from)?;
     // SAFETY: it is not null and aligned; the caller promises the rest
     Ok(unsafe { from.read() })
 }
@@ -51,7 +47,8 @@ pub(crate) unsafe fn slice<'a, T>(from: *const T, count: usize) -> Result<&'a [T
     if count == 0 {
         return Ok(&[]);
     }
-    if !is_usable(from) || count.checked_mul(size_of::<T>()).is_none_or(|size| size > MAX) {
+    check(from)?;
+    if count.checked_mul(size_of::<T>()).is_none_or(|size| size > MAX) {
         return Err(BCAP_E_POINTER);
     }
     // SAFETY: it is not null, aligned and not too large; the caller promises the rest
@@ -64,9 +61,7 @@ pub(crate) unsafe fn slice<'a, T>(from: *const T, count: usize) -> Result<&'a [T
 ///
 /// `from` is null, or points to a string that nothing changes during `'a`.
 pub(crate) unsafe fn read_text<'a>(from: *const c_char) -> Result<&'a str, Status> {
-    if from.is_null() {
-        return Err(BCAP_E_POINTER);
-    }
+    check(from)?;
     // SAFETY: it is not null; the caller promises the rest
     unsafe { CStr::from_ptr(from) }.to_str().map_err(|_| BCAP_E_TEXT)
 }
@@ -83,9 +78,7 @@ pub(crate) unsafe fn copy<T: Copy>(from: &[T], to: *mut T, capacity: usize) -> R
     if from.is_empty() {
         return Ok(());
     }
-    if !is_usable(to) {
-        return Err(BCAP_E_POINTER);
-    }
+    check(to)?;
     // SAFETY: `to` is not null, aligned, and has room; the elements are `Copy`, and a caller's buffer is no memory of this library
     unsafe { to.copy_from(from.as_ptr(), from.len()) };
     Ok(())
@@ -111,16 +104,15 @@ impl TextBuffer {
     /// Appends text as far as there is room for whole characters and NUL.
     pub(crate) fn push(&mut self, text: &str) {
         for character in text.chars() {
-            let mut bytes = [0; 4];
-            let bytes = character.encode_utf8(&mut bytes).as_bytes();
-            let end = self.len.saturating_add(bytes.len());
-            if end < self.size {
-                for (index, byte) in (self.len..end).zip(bytes) {
-                    self.set(index, *byte);
-                }
-                self.written = end;
+            let start = self.len;
+            self.len = start.saturating_add(character.len_utf8());
+            if self.len < self.size {
+                let mut bytes = [0; 4];
+                (start..)
+                    .zip(character.encode_utf8(&mut bytes).bytes())
+                    .for_each(|(index, byte)| self.set(index, byte));
+                self.written = self.len;
             }
-            self.len = end;
         }
     }
 

@@ -2,15 +2,14 @@
 
 use core::ffi::c_char;
 
-use bcap_core::limits::{Limits, Strictness};
 use bcap_core::rac::{Request, Response, Variable};
 use bcap_core::storage::Storage;
-use bcap_core::variant::{Encode, Variant, Writer};
+use bcap_core::variant::{Encode, Writer};
 
 use crate::entry::guard;
 use crate::memory::{Memory, caller, copy, get, put, read_text, slice};
-use crate::status::{self, BCAP_E_PATH, BCAP_E_VALUE, Status, bcap_status};
-use crate::value::bcap_value;
+use crate::status::{self, BCAP_E_PATH, BCAP_E_TEXT, Status, bcap_status};
+use crate::value::{bcap_value, decode};
 
 /// The largest line, with its CR.
 const LINE: usize = bcap_core::rac::MAX_LINE;
@@ -43,9 +42,7 @@ pub unsafe extern "C" fn bcap_rac_put(
         let mut memory = [0; 2 * LINE];
         let mut out = Writer::new(&mut memory);
         caller!(get(value))?.encode(&mut out).map_err(status::encode)?;
-        let value = Variant::decode(out.as_bytes(), &Limits::STREAM, Strictness::Strict);
-        let value = value.map_err(|_| BCAP_E_VALUE)?;
-        let request = Request::Put(caller!(variable(name))?, value);
+        let request = Request::Put(caller!(variable(name))?, decode(out.as_bytes())?);
         caller!(write(&request, line, size, length))
     })
 }
@@ -63,7 +60,7 @@ pub unsafe extern "C" fn bcap_rac_reply(
     guard(|| {
         let line = caller!(slice(line.cast::<u8>(), length))?;
         let mut storage = caller!(Memory::new(memory, size))?;
-        let response = Response::parse(line, storage.bytes_mut()).map_err(status::text)?;
+        let response = Response::parse(line, storage.bytes_mut()).map_err(|_| BCAP_E_TEXT)?;
         let view = |found| bcap_value::received(found, memory, size);
         caller!(put(value, response.value.map_or(Ok(bcap_value::EMPTY), view)?))?;
         if response.result.is_err() { Err(response.result.0) } else { Ok(()) }
@@ -87,7 +84,7 @@ unsafe fn variable(name: *const c_char) -> Result<Variable, Status> {
 unsafe fn write(request: &Request<'_>, line: *mut c_char, size: usize, length: *mut usize) -> Result<(), Status> {
     let mut memory = [0; LINE];
     let mut out = Writer::new(&mut memory);
-    request.write_line(&mut out).map_err(status::text)?;
+    request.write_line(&mut out).map_err(|_| BCAP_E_TEXT)?;
     caller!(copy(out.as_bytes(), line.cast(), size))?;
     caller!(put(length, out.len()))
 }

@@ -1,7 +1,7 @@
 //! The status that functions return: 0, a positive code of this library, or the negative code of a controller.
 
 use bcap_core::bcap::client::{ClientError, Timeout};
-use bcap_core::error::{EncodeError, TextError};
+use bcap_core::error::EncodeError;
 use bcap_core::variant::{ConvertError, ConvertErrorKind};
 
 /// The result of a function: `BCAP_OK`, a positive code `BCAP_E_...` of this library, or the negative HRESULT of the controller.
@@ -59,29 +59,19 @@ codes! {
     BCAP_E_FAILED = 32, "the call failed; bcap_message says why";
 }
 
-impl From<Fault> for Status {
-    fn from(fault: Fault) -> Self {
-        fault.0
-    }
-}
-
-/// The status of an error.
-pub(crate) struct Fault(pub(crate) Status);
-
-impl From<ClientError> for Fault {
-    fn from(error: ClientError) -> Self {
-        Self(match error {
-            ClientError::Encode(error) => encode(error),
-            ClientError::TooLarge { .. } => BCAP_E_TOO_LARGE,
-            ClientError::Busy => BCAP_E_BUSY,
-            ClientError::Timeout(Timeout::Attempt | Timeout::Deadline | Timeout::KeepAlive) => BCAP_E_TIMEOUT,
-            ClientError::Malformed(_) => BCAP_E_MALFORMED,
-            ClientError::Flooded => BCAP_E_FLOODED,
-            ClientError::ReplyTooLarge { .. } => BCAP_E_REPLY_TOO_LARGE,
-            ClientError::Reply(_) => BCAP_E_TYPE,
-            ClientError::Closed => BCAP_E_CLOSED,
-            _ => BCAP_E_FAILED,
-        })
+/// Returns the status of a call that was not sent, or has no reply.
+pub(crate) fn client(error: ClientError) -> Status {
+    match error {
+        ClientError::Encode(error) => encode(error),
+        ClientError::TooLarge { .. } => BCAP_E_TOO_LARGE,
+        ClientError::Busy => BCAP_E_BUSY,
+        ClientError::Timeout(Timeout::Attempt | Timeout::Deadline | Timeout::KeepAlive) => BCAP_E_TIMEOUT,
+        ClientError::Malformed(_) => BCAP_E_MALFORMED,
+        ClientError::Flooded => BCAP_E_FLOODED,
+        ClientError::ReplyTooLarge { .. } => BCAP_E_REPLY_TOO_LARGE,
+        ClientError::Reply(_) => BCAP_E_TYPE,
+        ClientError::Closed => BCAP_E_CLOSED,
+        _ => BCAP_E_FAILED,
     }
 }
 
@@ -91,11 +81,6 @@ pub(crate) fn encode(error: EncodeError) -> Status {
         EncodeError::Full => BCAP_E_SHORT,
         _ => BCAP_E_VALUE,
     }
-}
-
-/// Returns the status of a line of RAC that cannot be written or read.
-pub(crate) fn text(_: TextError) -> Status {
-    BCAP_E_TEXT
 }
 
 /// Returns the status of a value that has another type.

@@ -17,11 +17,11 @@ use core::ffi::{c_char, c_void};
 use bcap_core::error::EncodeError;
 use bcap_core::hresult::HResult;
 use bcap_core::limits::{Limits, Strictness};
-use bcap_core::variant::{Bstr, Currency, Encode, FromVariant, OleDate, VarType, Variant, Writer};
+use bcap_core::variant::{Bstr, ConvertError, Currency, Encode, FromVariant, OleDate, VarType, Variant, Writer};
 
 use crate::entry::guard;
-use crate::memory::{TextBuffer, caller, get, is_usable, put, read_text, slice};
-use crate::status::{BCAP_E_RANGE, BCAP_E_SHORT, BCAP_E_TEXT, BCAP_E_TYPE, BCAP_E_VALUE, Status, bcap_status, convert};
+use crate::memory::{TextBuffer, caller, get, put, read_text, slice};
+use crate::status::*;
 
 const SCALAR: u16 = 0;
 const TEXT: u16 = 1;
@@ -115,18 +115,11 @@ impl bcap_value {
         f64::from_bits(self.integer().cast_unsigned())
     }
 
-    /// Returns the bytes of a text or an array.
-    fn bytes(&self) -> Result<&[u8], Status> {
+    /// Returns the `size` bytes of a text or an array, or the `count` values of a list.
+    fn content<T>(&self, len: usize) -> Result<&[T], Status> {
         // SAFETY: C initialises the whole union: all forms with a pointer come from a function that stored it
-        let pointer: *const u8 = unsafe { self.data.pointer }.cast();
-        caller!(slice(pointer, self.size))
-    }
-
-    fn list(&self) -> Result<&[Self], Status> {
-        // SAFETY: as above
-        let pointer: *const Self = unsafe { self.data.pointer }.cast();
-        let count = usize::try_from(self.count).map_err(|_| BCAP_E_VALUE)?;
-        caller!(slice(pointer, count))
+        let pointer: *const T = unsafe { self.data.pointer }.cast();
+        caller!(slice(pointer, len))
     }
 
     fn vartype(&self) -> VarType {
@@ -137,8 +130,8 @@ impl bcap_value {
     fn variant(&self) -> Result<Variant<'_>, Status> {
         match self.form {
             SCALAR => scalar(self.vartype(), self.integer(), self.number()),
-            WIRE_TEXT => Bstr::from_utf16le(self.bytes()?).map(Variant::Bstr).ok_or(BCAP_E_VALUE),
-            WIRE_ARRAY => Variant::decode(self.bytes()?, &Limits::STREAM, Strictness::Strict).map_err(|_| BCAP_E_VALUE),
+            WIRE_TEXT => Bstr::from_utf16le(self.content(self.size)?).map(Variant::Bstr).ok_or(BCAP_E_VALUE),
+            WIRE_ARRAY => decode(self.content(self.size)?),
             _ => Err(BCAP_E_VALUE),
         }
     }
@@ -149,28 +142,25 @@ impl bcap_value {
     }
 
     fn encode_at(&self, depth: u8, out: &mut Writer<'_>) -> Result<(), EncodeError> {
-        let unsendable = |_: Status| EncodeError::Unsendable(self.r#type);
+        let unsendable = |_| EncodeError::Unsendable(self.r#type);
+        if matches!(self.form, ARRAY | LIST) {
+            out.put(self.r#type.to_le_bytes())?;
+            out.put(self.count.to_le_bytes())?;
+        }
         match self.form {
-            TEXT => core::str::from_utf8(self.bytes().map_err(unsendable)?)
-                .map_err(|_| EncodeError::Unsendable(self.r#type))?
-                .encode(out),
-            ARRAY => {
-                let bytes = self.bytes().map_err(unsendable)?;
-                self.encode_head(out)?;
-                out.put_slice(bytes)
+            TEXT => {
+                let bytes = self.content(self.size);
+                let text = bytes.and_then(|bytes| core::str::from_utf8(bytes).map_err(|_| BCAP_E_TEXT));
+                text.map_err(unsendable)?.encode(out)
             }
+            ARRAY => out.put_slice(self.content(self.size).map_err(unsendable)?),
             LIST => {
                 let depth = depth.checked_sub(1).ok_or(EncodeError::TooDeep)?;
-                self.encode_head(out)?;
-                self.list().map_err(unsendable)?.iter().try_for_each(|value| value.encode_at(depth, out))
+                let values: &[Self] = self.content(self.count as usize).map_err(unsendable)?;
+                values.iter().try_for_each(|value| value.encode_at(depth, out))
             }
             _ => self.variant().map_err(unsendable)?.encode(out),
         }
-    }
-
-    fn encode_head(&self, out: &mut Writer<'_>) -> Result<(), EncodeError> {
-        out.put(self.r#type.to_le_bytes())?;
-        out.put(self.count.to_le_bytes())
     }
 
     /// Writes text to a buffer of C.
@@ -194,6 +184,20 @@ impl bcap_value {
             caller!(put(buffer.wrapping_add(index), number))?;
         }
         Ok(array.len())
+    }
+}
+
+/// Validates bytes of the caller.
+pub(crate) fn decode(bytes: &[u8]) -> Result<Variant<'_>, Status> {
+    Variant::decode(bytes, &Limits::STREAM, Strictness::Strict).map_err(|_| BCAP_E_VALUE)
+}
+
+/// An integer, or a truth value as one.
+pub(crate) struct Integer(pub(crate) i64);
+
+impl FromVariant<'_> for Integer {
+    fn from_variant(value: Variant<'_>) -> Result<Self, ConvertError> {
+        if let Variant::Bool(truth) = value { Ok(Self(truth.into())) } else { value.convert().map(Self) }
     }
 }
 
@@ -289,17 +293,18 @@ pub unsafe extern "C" fn bcap_array(r#type: u16, elements: *const c_void, count:
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_list(values: *const bcap_value, count: usize) -> bcap_value {
     let vartype = VarType::VARIANT.array_of();
-    let Ok(count) = u32::try_from(count) else {
-        return bcap_value::scalar(vartype, bcap_data { integer: 0 });
-    };
-    bcap_value { r#type: vartype.0, form: LIST, count, size: 0, data: bcap_data { pointer: values.cast() } }
+    let data = bcap_data { pointer: values.cast() };
+    match u32::try_from(count) {
+        Ok(count) => bcap_value { r#type: vartype.0, form: LIST, count, size: 0, data },
+        Err(_) => bcap_value::scalar(vartype, bcap_data { integer: 0 }),
+    }
 }
 
 /// Reads a value as an integer: any number that has no fraction, or a truth value.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_value_integer(value: *const bcap_value, integer: *mut i64) -> bcap_status {
     guard(|| {
-        let found = caller!(get(value))?.convert()?;
+        let Integer(found) = caller!(get(value))?.convert()?;
         caller!(put(integer, found))
     })
 }
@@ -329,7 +334,7 @@ pub unsafe extern "C" fn bcap_value_numbers(
 ) -> bcap_status {
     guard(|| {
         let written = caller!(get(value))?.write_numbers(numbers, capacity)?;
-        if is_usable(count) { caller!(put(count, written)) } else { Ok(()) }
+        if count.is_null() { Ok(()) } else { caller!(put(count, written)) }
     })
 }
 
@@ -344,7 +349,7 @@ pub unsafe extern "C" fn bcap_value_element(
         let value = caller!(get(value))?;
         let Variant::Array(array) = value.variant()? else { return Err(BCAP_E_TYPE) };
         let found = array.get(index).ok_or(BCAP_E_RANGE)?;
-        let bytes = value.bytes()?;
+        let bytes: &[u8] = value.content(value.size)?;
         let found = bcap_value::received(found, bytes.as_ptr(), bytes.len())?;
         caller!(put(element, found))
     })

@@ -1,4 +1,4 @@
-/* Tests of the hosted client against the virtual controller: hosted ADDRESS */
+/* Tests of the hosted client against the virtual controller: hosted ADDRESS [slow|leave|left] */
 #include <pthread.h>
 #include <stdatomic.h>
 #include <time.h>
@@ -7,6 +7,8 @@
 #include "check.h"
 
 static const char *address;
+/* Under valgrind the program can be too slow for the cycle of Slave Mode. */
+static bool is_slow;
 
 static bcap_controller connected(void) {
     bcap_controller cell;
@@ -250,6 +252,8 @@ static void streams(void) {
         STATUS(BCAP_E_NO_STREAM, bcap_stream_finish(cell, NULL));
         OK(bcap_recover(cell, true));
         OK(bcap_move(cell, &near, 30000));
+        if (is_slow && attempt == 3)
+            break;
         OK(bcap_stream_start(cell, &options, joints));
     }
     OK(bcap_read_integer(cell, "I1", &integer));
@@ -301,9 +305,9 @@ static void misuse(void) {
     int64_t integer;
     bcap_controller cell, closed = connected(), none = {0}, wild = {UINT64_MAX};
     OK(bcap_close(closed));
-    /* its slot is used again, by another generation */
+    /* each handle has a new generation */
     cell = connected();
-    CHECK((uint32_t)cell.id == (uint32_t)closed.id && cell.id != closed.id);
+    CHECK(cell.id > closed.id);
     bcap_controller invalid[] = {closed, none, wild};
     bcap_stopper stopper = {cell.id};
     for (int index = 0; index < 3; index++) {
@@ -393,6 +397,7 @@ int main(int argc, char **argv) {
         left();
         return 0;
     }
+    is_slow = argc > 2 && strcmp(argv[2], "slow") == 0;
     OK(bcap_set_log(logger, BCAP_LOG_DEBUG, &warned));
     variables();
     misuse();

@@ -230,6 +230,10 @@ static void arguments(void) {
     double back;
     OK(bcap_value_number(&number, &back));
     CHECK(back == 0.25);
+    const bcap_value truth = bcap_bool(true);
+    int64_t one;
+    OK(bcap_value_integer(&truth, &one));
+    CHECK(one == 1);
 
     STATUS(BCAP_E_VALUE, refused(bcap_text(NULL)));
     STATUS(BCAP_E_VALUE, refused(bcap_text("\xff")));

@@ -85,14 +85,14 @@ fn outcome(motion: Motion) -> Result<(), Failure> {
 
 /// Takes the arm of the robot, so that this session can move it.
 #[unsafe(no_mangle)]
-pub extern "C" fn bcap_take_arm(controller: bcap_controller) -> bcap_status {
-    table::on(controller.id, |cell| Ok(cell.at_rest()?.robot()?.take_arm().map(Arm::keep)?))
+pub extern "C" fn bcap_take_arm(cell: bcap_controller) -> bcap_status {
+    table::on(cell.id, |cell| Ok(cell.at_rest()?.robot()?.take_arm().map(Arm::keep)?))
 }
 
 /// Halts a motion that is under way, switches the motor off if this session has switched it on, and gives the arm back.
 #[unsafe(no_mangle)]
-pub extern "C" fn bcap_give_arm(controller: bcap_controller) -> bcap_status {
-    table::on(controller.id, |cell| {
+pub extern "C" fn bcap_give_arm(cell: bcap_controller) -> bcap_status {
+    table::on(cell.id, |cell| {
         let ended = taken(cell.controller()?)?.give();
         cell.motion = None;
         Ok(ended?)
@@ -101,25 +101,21 @@ pub extern "C" fn bcap_give_arm(controller: bcap_controller) -> bcap_status {
 
 /// Switches the motor on or off, and waits until it is.
 #[unsafe(no_mangle)]
-pub extern "C" fn bcap_motor(controller: bcap_controller, on: bool) -> bcap_status {
-    table::on(controller.id, |cell| with_arm(cell, |arm| Ok(if on { arm.motor_on() } else { arm.motor_off() }?)))
+pub extern "C" fn bcap_motor(cell: bcap_controller, on: bool) -> bcap_status {
+    table::on(cell.id, |cell| with_arm(cell, |arm| Ok(if on { arm.motor_on() } else { arm.motor_off() }?)))
 }
 
 /// Sets the external speed in percent of the maximum, which scales the speed of motions.
 #[unsafe(no_mangle)]
-pub extern "C" fn bcap_set_speed(controller: bcap_controller, percent: f64) -> bcap_status {
-    table::on(controller.id, |cell| with_arm(cell, |arm| Ok(arm.set_speed(percent)?)))
+pub extern "C" fn bcap_set_speed(cell: bcap_controller, percent: f64) -> bcap_status {
+    table::on(cell.id, |cell| with_arm(cell, |arm| Ok(arm.set_speed(percent)?)))
 }
 
 /// Moves, and waits until the motion ends, at most `limit_ms`; the robot is halted then. `BCAP_OK` says that the robot rests at the
 /// destination. Any other status says how the motion ended: see `bcap_status_text` and `bcap_message`.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn bcap_move(
-    controller: bcap_controller,
-    motion_: *const bcap_motion,
-    limit_ms: u32,
-) -> bcap_status {
-    table::on(controller.id, |cell| {
+pub unsafe extern "C" fn bcap_move(cell: bcap_controller, motion_: *const bcap_motion, limit_ms: u32) -> bcap_status {
+    table::on(cell.id, |cell| {
         let (motion, limit) = (caller!(motion(motion_))?, Duration::from_millis(limit_ms.into()));
         with_arm(cell, |arm| outcome(arm.move_to(&motion, limit)?))
     })
@@ -128,12 +124,8 @@ pub unsafe extern "C" fn bcap_move(
 /// Starts a motion, and returns when it has begun. Variables can be read and written until `bcap_wait` or `bcap_halt` ends it. If a
 /// motion is under way, this one follows it. `limit_ms` of the first one is the time limit of all.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn bcap_start(
-    controller: bcap_controller,
-    motion_: *const bcap_motion,
-    limit_ms: u32,
-) -> bcap_status {
-    table::on(controller.id, |cell| {
+pub unsafe extern "C" fn bcap_start(cell: bcap_controller, motion_: *const bcap_motion, limit_ms: u32) -> bcap_status {
+    table::on(cell.id, |cell| {
         let (motion, limit) = (caller!(motion(motion_))?, Duration::from_millis(limit_ms.into()));
         cell.motion = Some(match cell.motion.take() {
             Some(kept) => cell.controller()?.resume(kept)?.then(&motion)?.keep(),
@@ -145,8 +137,8 @@ pub unsafe extern "C" fn bcap_start(
 
 /// Waits until the motions of `bcap_start` end; the status is the outcome, as for `bcap_move`.
 #[unsafe(no_mangle)]
-pub extern "C" fn bcap_wait(controller: bcap_controller) -> bcap_status {
-    table::on(controller.id, |cell| {
+pub extern "C" fn bcap_wait(cell: bcap_controller) -> bcap_status {
+    table::on(cell.id, |cell| {
         let kept = cell.motion.take().ok_or(BCAP_E_NO_MOTION)?;
         outcome(cell.controller()?.resume(kept)?.wait()?)
     })
@@ -155,8 +147,8 @@ pub extern "C" fn bcap_wait(controller: bcap_controller) -> bcap_status {
 /// Halts the robot, also without the arm, and waits until it rests. After another status than `BCAP_OK` it may still move. While
 /// another thread waits for a motion, use `bcap_stopper_halt`.
 #[unsafe(no_mangle)]
-pub extern "C" fn bcap_halt(controller: bcap_controller) -> bcap_status {
-    table::on(controller.id, |cell| {
+pub extern "C" fn bcap_halt(cell: bcap_controller) -> bcap_status {
+    table::on(cell.id, |cell| {
         let halted = match cell.motion.take() {
             Some(kept) => cell.controller()?.resume(kept)?.halt(),
             None => cell.controller()?.robot()?.halt(),
@@ -168,8 +160,8 @@ pub extern "C" fn bcap_halt(controller: bcap_controller) -> bcap_status {
 /// Recovers the robot after an error: clears the errors, takes the arm and switches the motor on. **The arm of a COBOTTA can move**, so
 /// a person must have looked at the robot. `is_alone` says that no other client uses the robot.
 #[unsafe(no_mangle)]
-pub extern "C" fn bcap_recover(controller: bcap_controller, is_alone: bool) -> bcap_status {
-    table::on(controller.id, |cell| {
+pub extern "C" fn bcap_recover(cell: bcap_controller, is_alone: bool) -> bcap_status {
+    table::on(cell.id, |cell| {
         let controller = cell.at_rest()?;
         if controller.has_arm() {
             controller.arm()?.give()?;
@@ -181,8 +173,8 @@ pub extern "C" fn bcap_recover(controller: bcap_controller, is_alone: bool) -> b
 
 /// Reads the joints in degrees or mm; joints that the robot does not have are 0.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn bcap_joints(controller: bcap_controller, joints: *mut f64) -> bcap_status {
-    table::on(controller.id, |cell| {
+pub unsafe extern "C" fn bcap_joints(cell: bcap_controller, joints: *mut f64) -> bcap_status {
+    table::on(cell.id, |cell| {
         let found = cell.controller()?.robot()?.joints()?;
         Ok(caller!(copy(&found.degrees, joints, found.degrees.len()))?)
     })
@@ -191,12 +183,11 @@ pub unsafe extern "C" fn bcap_joints(controller: bcap_controller, joints: *mut f
 /// Opens a second connection, over which any thread can halt the robot at any time. Open it before the first motion. It is not an
 /// emergency stop: it needs the network, this computer and the controller.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn bcap_stopper_open(controller: bcap_controller, stopper: *mut bcap_stopper) -> bcap_status {
+pub unsafe extern "C" fn bcap_stopper_open(cell: bcap_controller, stopper: *mut bcap_stopper) -> bcap_status {
     enter(|| {
         caller!(put(stopper, bcap_stopper { id: 0 }))?;
-        let opened = table::with(controller.id, |cell| Ok(cell.controller()?.stopper()?))?;
-        let id = table::add_stopper(opened)?;
-        Ok(caller!(put(stopper, bcap_stopper { id }))?)
+        let opened = table::with(cell.id, |cell| Ok(cell.controller()?.stopper()?))?;
+        Ok(caller!(put(stopper, bcap_stopper { id: table::add_stopper(opened) }))?)
     })
 }
 

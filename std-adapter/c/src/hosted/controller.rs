@@ -4,13 +4,13 @@ use std::ffi::c_char;
 
 use bcap_std::blocking::Controller;
 use bcap_std::core::bcap::FunctionId;
-use bcap_std::core::variant::{ConvertError, FromVariant, OwnedVariant, Variant};
+use bcap_std::core::variant::{FromVariant, OwnedVariant};
 use bcap_std::{Model, ObjectPath, Settings};
 
 use super::{Failure, enter, store, table};
 use crate::memory::{TextBuffer, caller, copy, put, read_text, slice};
 use crate::status::{self, BCAP_E_PATH, BCAP_E_RANGE, Status, bcap_status};
-use crate::value::bcap_value;
+use crate::value::{Integer, bcap_value};
 
 /// The model of a controller, which decides its provider.
 pub type bcap_model = i32;
@@ -53,67 +53,51 @@ pub unsafe extern "C" fn bcap_connect(
         // so that a caller that ignores the result has an invalid handle
         caller!(put(controller, bcap_controller { id: 0 }))?;
         let (address, settings) = (caller!(read_text(address))?, settings(model)?);
-        let id = table::add_controller(Controller::connect(address, &settings)?, address, settings)?;
+        let id = table::add_controller(Controller::connect(address, &settings)?, address, settings);
         Ok(caller!(put(controller, bcap_controller { id }))?)
     })
 }
 
 /// Halts a motion, gives the arm back, releases all objects and disconnects. The handle is invalid then, also after a failure.
 #[unsafe(no_mangle)]
-pub extern "C" fn bcap_close(controller: bcap_controller) -> bcap_status {
-    enter(|| table::close_controller(controller.id))
+pub extern "C" fn bcap_close(cell: bcap_controller) -> bcap_status {
+    enter(|| table::close_controller(cell.id))
 }
 
 /// Reads a variable, and stores it.
 fn read<T: for<'v> FromVariant<'v>>(
-    controller: bcap_controller,
+    cell: bcap_controller,
     name: Result<&str, Status>,
     store: impl FnOnce(T) -> Result<(), Failure>,
 ) -> bcap_status {
-    table::on(controller.id, |cell| store(cell.controller()?.read(name?)?))
-}
-
-/// An integer, or a truth value as one.
-struct Integer(i64);
-
-impl FromVariant<'_> for Integer {
-    fn from_variant(value: Variant<'_>) -> Result<Self, ConvertError> {
-        match value {
-            Variant::Bool(truth) => Ok(Self(truth.into())),
-            number => number.convert().map(Self),
-        }
-    }
+    table::on(cell.id, |cell| store(cell.controller()?.read(name?)?))
 }
 
 /// Reads a variable, such as `I1`, `IO128`, `robot/@SERVO_ON` or `task:Pro1/@STATUS`, as an integer or a truth value.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_read_integer(
-    controller: bcap_controller,
+    cell: bcap_controller,
     name: *const c_char,
     integer: *mut i64,
 ) -> bcap_status {
-    read(controller, caller!(read_text(name)), |Integer(found)| Ok(caller!(put(integer, found))?))
+    read(cell, caller!(read_text(name)), |Integer(found)| Ok(caller!(put(integer, found))?))
 }
 
 /// Reads a variable as a number.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn bcap_read_number(
-    controller: bcap_controller,
-    name: *const c_char,
-    number: *mut f64,
-) -> bcap_status {
-    read(controller, caller!(read_text(name)), |found| Ok(caller!(put(number, found))?))
+pub unsafe extern "C" fn bcap_read_number(cell: bcap_controller, name: *const c_char, number: *mut f64) -> bcap_status {
+    read(cell, caller!(read_text(name)), |found| Ok(caller!(put(number, found))?))
 }
 
 /// Reads a variable as text of UTF-8 into `buffer`, with NUL. Text that does not fit is cut, and the result is `BCAP_E_SHORT`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_read_text(
-    controller: bcap_controller,
+    cell: bcap_controller,
     name: *const c_char,
     buffer: *mut c_char,
     size: usize,
 ) -> bcap_status {
-    read(controller, caller!(read_text(name)), |found: String| {
+    read(cell, caller!(read_text(name)), |found: String| {
         let mut out = caller!(TextBuffer::new(buffer, size));
         out.push(&found);
         Ok(out.finish_whole()?)
@@ -123,13 +107,13 @@ pub unsafe extern "C" fn bcap_read_text(
 /// Reads a variable as numbers: P has 7, V 3, J 8, T 10. `numbers` has room for `capacity` of them, and `count` gets their number.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_read_numbers(
-    controller: bcap_controller,
+    cell: bcap_controller,
     name: *const c_char,
     numbers: *mut f64,
     capacity: usize,
     count: *mut usize,
 ) -> bcap_status {
-    read(controller, caller!(read_text(name)), |found: Vec<f64>| {
+    read(cell, caller!(read_text(name)), |found: Vec<f64>| {
         caller!(copy(&found, numbers, capacity))?;
         Ok(caller!(put(count, found.len()))?)
     })
@@ -138,23 +122,19 @@ pub unsafe extern "C" fn bcap_read_numbers(
 /// Reads a variable of any type into `memory`; `value` points into it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_read(
-    controller: bcap_controller,
+    cell: bcap_controller,
     name: *const c_char,
     memory: *mut u8,
     size: usize,
     value: *mut bcap_value,
 ) -> bcap_status {
-    read(controller, caller!(read_text(name)), |found| caller!(store(&found, memory, size, value)))
+    read(cell, caller!(read_text(name)), |found| caller!(store(&found, memory, size, value)))
 }
 
 /// Writes a variable: `bcap_write(cell, "I1", bcap_i4(5))`. After `BCAP_E_TIMEOUT` and `BCAP_E_LOST` it may have been written.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn bcap_write(
-    controller: bcap_controller,
-    name: *const c_char,
-    value: bcap_value,
-) -> bcap_status {
-    table::on(controller.id, |cell| {
+pub unsafe extern "C" fn bcap_write(cell: bcap_controller, name: *const c_char, value: bcap_value) -> bcap_status {
+    table::on(cell.id, |cell| {
         let value = OwnedVariant::new(&value).map_err(status::encode)?;
         Ok(cell.controller()?.write(caller!(read_text(name))?, value)?)
     })
@@ -163,8 +143,8 @@ pub unsafe extern "C" fn bcap_write(
 /// Opens an object, such as `robot`, `task:Pro1` or `file:a.pcs`, and returns its handle for `bcap_call`. It is released with the
 /// session, or by a call such as `BCAP_FN_TASK_RELEASE`.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn bcap_open(controller: bcap_controller, path: *const c_char, handle: *mut i32) -> bcap_status {
-    table::on(controller.id, |cell| {
+pub unsafe extern "C" fn bcap_open(cell: bcap_controller, path: *const c_char, handle: *mut i32) -> bcap_status {
+    table::on(cell.id, |cell| {
         let path: ObjectPath = caller!(read_text(path))?.parse().map_err(|error| Failure::new(BCAP_E_PATH, error))?;
         let opened = cell.controller()?.open(&path)?;
         Ok(caller!(put(handle, opened))?)
@@ -175,7 +155,7 @@ pub unsafe extern "C" fn bcap_open(controller: bcap_controller, path: *const c_c
 /// returns when the motion has ended. If the value does not fit (`BCAP_E_SHORT`), the controller has executed the call.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_call(
-    controller: bcap_controller,
+    cell: bcap_controller,
     function: i32,
     arguments: *const bcap_value,
     count: usize,
@@ -183,7 +163,7 @@ pub unsafe extern "C" fn bcap_call(
     size: usize,
     value: *mut bcap_value,
 ) -> bcap_status {
-    table::on(controller.id, |cell| {
+    table::on(cell.id, |cell| {
         let arguments = caller!(slice(arguments, count))?;
         let arguments: Result<Vec<_>, _> = arguments.iter().map(OwnedVariant::new).collect();
         let arguments = arguments.map_err(status::encode)?;
@@ -192,51 +172,36 @@ pub unsafe extern "C" fn bcap_call(
     })
 }
 
-/// Executes a command, and stores its value.
-fn execute(
-    controller: bcap_controller,
-    parameter: bcap_value,
-    run: impl FnOnce(&mut Controller, OwnedVariant) -> Result<OwnedVariant, Failure>,
-    store: impl FnOnce(OwnedVariant) -> Result<(), Failure>,
-) -> bcap_status {
-    table::on(controller.id, |cell| {
-        let parameter = OwnedVariant::new(&parameter).map_err(status::encode)?;
-        store(run(cell.controller()?, parameter)?)
-    })
-}
-
 /// Executes a command of the controller with a parameter, such as `ClearError` with `bcap_empty()`. As `bcap_call` otherwise.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_execute(
-    controller: bcap_controller,
+    cell: bcap_controller,
     command: *const c_char,
     parameter: bcap_value,
     memory: *mut u8,
     size: usize,
     value: *mut bcap_value,
 ) -> bcap_status {
-    execute(
-        controller,
-        parameter,
-        |cell, parameter| Ok(cell.execute(caller!(read_text(command))?, parameter)?),
-        |found| caller!(store(&found, memory, size, value)),
-    )
+    table::on(cell.id, |cell| {
+        let parameter = OwnedVariant::new(&parameter).map_err(status::encode)?;
+        let found: OwnedVariant = cell.controller()?.execute(caller!(read_text(command))?, parameter)?;
+        caller!(store(&found, memory, size, value))
+    })
 }
 
 /// Executes a command of the robot with a parameter, such as `CurJnt` with `bcap_empty()`. As `bcap_call` otherwise.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_execute_robot(
-    controller: bcap_controller,
+    cell: bcap_controller,
     command: *const c_char,
     parameter: bcap_value,
     memory: *mut u8,
     size: usize,
     value: *mut bcap_value,
 ) -> bcap_status {
-    execute(
-        controller,
-        parameter,
-        |cell, parameter| Ok(cell.robot()?.execute(caller!(read_text(command))?, parameter)?),
-        |found| caller!(store(&found, memory, size, value)),
-    )
+    table::on(cell.id, |cell| {
+        let parameter = OwnedVariant::new(&parameter).map_err(status::encode)?;
+        let found: OwnedVariant = cell.controller()?.robot()?.execute(caller!(read_text(command))?, parameter)?;
+        caller!(store(&found, memory, size, value))
+    })
 }

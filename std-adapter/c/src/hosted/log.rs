@@ -1,10 +1,10 @@
 //! The log: events of the libraries go to a callback.
 
 use std::ffi::{CString, c_char, c_void};
-use std::fmt::{self, Write as _};
+use std::fmt::{Debug, Write as _};
 use std::sync::{Once, PoisonError, RwLock};
 
-use tracing::field::{Field, Visit};
+use tracing::field::Field;
 use tracing::span::{Attributes, Id, Record};
 use tracing::{Event, Level, Metadata, Subscriber};
 
@@ -71,9 +71,16 @@ impl Subscriber for Log {
         let sink = SINK.read().unwrap_or_else(PoisonError::into_inner);
         let level = number(*event.metadata().level());
         let Some(sink) = sink.filter(|sink| level <= sink.level) else { return };
-        let mut text = Text(String::new());
-        event.record(&mut text);
-        let Ok(text) = CString::new(text.0.replace('\0', " ")) else { return };
+        // the message, then `name=value`
+        let (mut message, mut fields) = (String::new(), String::new());
+        event.record(&mut |field: &Field, value: &dyn Debug| {
+            // a String takes all text
+            let _ = match field.name() {
+                "message" => write!(message, "{value:?}"),
+                name => write!(fields, " {name}={value:?}"),
+            };
+        });
+        let Ok(text) = CString::new((message + &fields).replace('\0', " ")) else { return };
         let _ = IN_CALLBACK.try_with(|running| running.set(true));
         // SAFETY: the caller of `bcap_set_log` promises that it can be called until another callback is set, which needs the lock
         unsafe { (sink.callback)(level, text.as_ptr(), sink.user) };
@@ -88,20 +95,4 @@ impl Subscriber for Log {
     fn record_follows_from(&self, _: &Id, _: &Id) {}
     fn enter(&self, _: &Id) {}
     fn exit(&self, _: &Id) {}
-}
-
-/// Collects the fields of an event: the message, then `name=value`.
-struct Text(String);
-
-impl Visit for Text {
-    fn record_debug(&mut self, field: &Field, value: &dyn fmt::Debug) {
-        let written = match field.name() {
-            "message" => {
-                let rest = std::mem::take(&mut self.0);
-                write!(self.0, "{value:?}{rest}")
-            }
-            name => write!(self.0, " {name}={value:?}"),
-        };
-        debug_assert!(written.is_ok(), "a String takes all text");
-    }
 }

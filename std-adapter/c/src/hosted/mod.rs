@@ -15,22 +15,22 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use bcap_std::Error;
 use bcap_std::blocking::{Arm, Controller};
-use bcap_std::core::limits::{Limits, Strictness};
-use bcap_std::core::variant::{OwnedVariant, Variant};
+use bcap_std::core::variant::OwnedVariant;
 
 use crate::explain::bcap_status_text;
 use crate::memory::{TextBuffer, caller, copy, put, slice};
 use crate::status::{self, *};
-use crate::value::bcap_value;
+use crate::value::{bcap_value, decode};
 
 thread_local! {
-    static MESSAGE: RefCell<String> = const { RefCell::new(String::new()) };
+    /// The last failure, for `bcap_message`.
+    static LAST: RefCell<Failure> = const { RefCell::new(Failure { status: BCAP_OK, message: None }) };
     /// Whether the log callback runs on this thread.
     static IN_CALLBACK: Cell<bool> = const { Cell::new(false) };
 }
 
 /// A failed function: its status, and a text if there is more to say than the status does.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Failure {
     status: Status,
     message: Option<String>,
@@ -74,7 +74,8 @@ impl From<Error> for Failure {
 
 /// Runs the body of a hosted function, and returns its status. A panic becomes a status.
 fn enter(body: impl FnOnce() -> Result<(), Failure>) -> Status {
-    let ended = catch_unwind(AssertUnwindSafe(|| if in_callback() { Err(BCAP_E_REENTRANT.into()) } else { body() }));
+    let is_reentrant = IN_CALLBACK.try_with(Cell::get).unwrap_or(false);
+    let ended = catch_unwind(AssertUnwindSafe(|| if is_reentrant { Err(BCAP_E_REENTRANT.into()) } else { body() }));
     let failure = match ended {
         Ok(Ok(())) => return BCAP_OK,
         Ok(Err(failure)) => failure,
@@ -84,32 +85,22 @@ fn enter(body: impl FnOnce() -> Result<(), Failure>) -> Status {
             Failure::new(BCAP_E_PANIC, format_args!("the library panicked: {}", text.unwrap_or("without a message")))
         }
     };
+    let status = failure.status;
     // a thread that ends has no message any more
-    let _ = MESSAGE.try_with(|message| *message.borrow_mut() = failure.message.unwrap_or_default());
-    let _ = STATUS.try_with(|last| last.set(failure.status));
-    failure.status
-}
-
-thread_local! {
-    /// The status of the last failed function, for its text if it has no message.
-    static STATUS: Cell<Status> = const { Cell::new(BCAP_OK) };
-}
-
-fn in_callback() -> bool {
-    IN_CALLBACK.try_with(Cell::get).unwrap_or(false)
+    let _ = LAST.try_with(|last| last.replace(failure));
+    status
 }
 
 /// Writes the text of the last hosted function that failed on this thread: what was wrong, where, and what to do. It is shortened to
 /// `size` bytes with NUL. Returns the length of the whole text, as `snprintf` does; 0 if none failed.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_message(buffer: *mut c_char, size: usize) -> usize {
-    let message = MESSAGE.try_with(|message| message.borrow().clone()).unwrap_or_default();
-    let status = STATUS.try_with(Cell::get).unwrap_or(BCAP_OK);
-    if message.is_empty() && status != BCAP_OK {
-        return caller!(bcap_status_text(status, buffer, size));
+    let last = LAST.try_with(|last| last.borrow().clone()).unwrap_or(BCAP_OK.into());
+    if last.message.is_none() && last.status != BCAP_OK {
+        return caller!(bcap_status_text(last.status, buffer, size));
     }
     let mut out = caller!(TextBuffer::new(buffer, size));
-    out.push(&message);
+    out.push(last.message.as_deref().unwrap_or_default());
     out.finish()
 }
 
@@ -124,8 +115,7 @@ unsafe fn store(found: &OwnedVariant, memory: *mut u8, size: usize, value: *mut 
     }
     caller!(copy(found.as_bytes(), memory, size))?;
     let bytes = caller!(slice(memory.cast_const(), found.as_bytes().len()))?;
-    let stored = Variant::decode(bytes, &Limits::STREAM, Strictness::Strict).map_err(|_| BCAP_E_VALUE)?;
-    let view = bcap_value::received(stored, memory, size)?;
+    let view = bcap_value::received(decode(bytes)?, memory, size)?;
     Ok(caller!(put(value, view))?)
 }
 

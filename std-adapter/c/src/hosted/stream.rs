@@ -83,11 +83,11 @@ fn or(value: f64, default: f64, name: &str) -> Result<f64, Failure> {
 /// Until `bcap_stream_finish` other functions of this controller return `BCAP_E_STREAMING`.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_stream_start(
-    controller: bcap_controller,
+    cell: bcap_controller,
     options: *const bcap_stream_options,
     joints: *mut f64,
 ) -> bcap_status {
-    table::on(controller.id, |cell| {
+    table::on(cell.id, |cell| {
         let options = caller!(get(options))?;
         let acceleration = or(options.acceleration, 300.0, "acceleration")?;
         let limits = AxisLimits::uniform(or(options.speed, 30.0, "speed")?, acceleration);
@@ -104,12 +104,8 @@ pub unsafe extern "C" fn bcap_stream_start(
 /// Sends the joints of the next cycle, and waits for the cycle after it, 8 ms later. `actual` gets the joints that the controller
 /// reports; it may be null. Another status than `BCAP_OK` ends the stream: the robot stops, and does not follow further poses.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn bcap_stream_step(
-    controller: bcap_controller,
-    joints: *const f64,
-    actual: *mut f64,
-) -> bcap_status {
-    table::on(controller.id, |cell| {
+pub unsafe extern "C" fn bcap_stream_step(cell: bcap_controller, joints: *const f64, actual: *mut f64) -> bcap_status {
+    table::on(cell.id, |cell| {
         let joints: [f64; JOINTS] = caller!(slice(joints, JOINTS))?.try_into().map_err(|_| BCAP_E_RANGE)?;
         cell.stream.as_ref().ok_or(BCAP_E_NO_STREAM)?.send(Next::Pose(Pose::j(joints)));
         let found = next_cycle(cell)?;
@@ -122,8 +118,8 @@ pub unsafe extern "C" fn bcap_stream_step(
 
 /// Ends the stream: the robot comes to rest at the last pose, and Slave Mode is left. `stats` may be null.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn bcap_stream_finish(controller: bcap_controller, stats: *mut bcap_stream_stats) -> bcap_status {
-    table::on(controller.id, |cell| {
+pub unsafe extern "C" fn bcap_stream_finish(cell: bcap_controller, stats: *mut bcap_stream_stats) -> bcap_status {
+    table::on(cell.id, |cell| {
         let Stats { cycles, late, underflows, .. } = end(cell, Next::Finish)?;
         if stats.is_null() {
             return Ok(());

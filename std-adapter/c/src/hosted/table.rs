@@ -1,5 +1,6 @@
-//! The handles: a slot and a generation, so that a closed handle is recognised when its slot is used again.
+//! The handles, and what is under way on their controllers.
 
+use std::collections::BTreeMap;
 use std::ffi::c_int;
 use std::sync::{Arc, Mutex, MutexGuard, Once, PoisonError, TryLockError};
 
@@ -41,55 +42,51 @@ impl Cell {
 /// The object of a handle.
 #[derive(Clone)]
 enum Object {
-    Controller { cell: Arc<Mutex<Cell>>, address: Arc<(String, Settings)> },
+    Controller(Arc<Shared>),
     Stopper(Stopper),
 }
 
-struct Slot {
-    /// Never 0, so that a handle of zeros is invalid.
-    generation: u32,
-    object: Option<Object>,
+/// A controller, and how to connect again while a call has it.
+struct Shared {
+    cell: Mutex<Cell>,
+    address: String,
+    settings: Settings,
 }
 
-static SLOTS: Mutex<Vec<Slot>> = Mutex::new(Vec::new());
+/// The generation of the latest handle, and the objects of those that are open. Each handle has a new generation, so that one that
+/// was closed is never valid again; 0 is invalid.
+static OBJECTS: Mutex<(u64, BTreeMap<u64, Object>)> = Mutex::new((0, BTreeMap::new()));
 
-fn slots() -> MutexGuard<'static, Vec<Slot>> {
-    SLOTS.lock().unwrap_or_else(PoisonError::into_inner)
+fn objects() -> MutexGuard<'static, (u64, BTreeMap<u64, Object>)> {
+    OBJECTS.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Returns the number of a slot's handle.
-fn handle(index: usize, generation: u32) -> Option<u64> {
-    Some(u64::from(generation) << 32 | u64::from(u32::try_from(index).ok()?))
-}
-
-fn insert(object: Object) -> Result<u64, Failure> {
-    let mut slots = slots();
-    let index = slots.iter().position(|slot| slot.object.is_none()).unwrap_or(slots.len());
-    if index == slots.len() {
-        slots.push(Slot { generation: 0, object: None });
-    }
-    let slot = slots.get_mut(index).ok_or(BCAP_E_HANDLE)?;
-    slot.generation = slot.generation.wrapping_add(1).max(1);
-    slot.object = Some(object);
-    Ok(handle(index, slot.generation).ok_or(BCAP_E_HANDLE)?)
+fn insert(object: Object) -> u64 {
+    let (generation, objects) = &mut *objects();
+    *generation += 1;
+    objects.insert(*generation, object);
+    *generation
 }
 
 /// Returns the object of a handle, or with `take` removes it.
 fn find(id: u64, take: bool) -> Result<Object, Failure> {
-    let mut slots = slots();
-    let index = usize::try_from(id & u64::from(u32::MAX)).map_err(|_| BCAP_E_HANDLE)?;
-    let slot = slots.get_mut(index).filter(|slot| handle(index, slot.generation) == Some(id)).ok_or(BCAP_E_HANDLE)?;
-    let object = if take { slot.object.take() } else { slot.object.clone() };
-    Ok(object.ok_or(BCAP_E_HANDLE)?)
+    let (_, objects) = &mut *objects();
+    let found = if take { objects.remove(&id) } else { objects.get(&id).cloned() };
+    Ok(found.ok_or(BCAP_E_HANDLE)?)
 }
 
-pub(super) fn add_controller(controller: Controller, address: &str, settings: Settings) -> Result<u64, Failure> {
+fn controller(id: u64) -> Result<Arc<Shared>, Failure> {
+    let Object::Controller(shared) = find(id, false)? else { return Err(BCAP_E_HANDLE.into()) };
+    Ok(shared)
+}
+
+pub(super) fn add_controller(controller: Controller, address: &str, settings: Settings) -> u64 {
     end_at_exit();
-    let cell = Cell { controller: Some(controller), motion: None, stream: None };
-    insert(Object::Controller { cell: Arc::new(Mutex::new(cell)), address: Arc::new((address.to_owned(), settings)) })
+    let cell = Mutex::new(Cell { controller: Some(controller), motion: None, stream: None });
+    insert(Object::Controller(Arc::new(Shared { cell, address: address.to_owned(), settings })))
 }
 
-pub(super) fn add_stopper(stopper: Stopper) -> Result<u64, Failure> {
+pub(super) fn add_stopper(stopper: Stopper) -> u64 {
     insert(Object::Stopper(stopper))
 }
 
@@ -100,9 +97,9 @@ pub(super) fn on(id: u64, body: impl FnOnce(&mut Cell) -> Result<(), Failure>) -
 
 /// Runs calls on a controller, after those of other threads.
 pub(super) fn with<T>(id: u64, calls: impl FnOnce(&mut Cell) -> Result<T, Failure>) -> Result<T, Failure> {
-    let Object::Controller { cell, .. } = find(id, false)? else { return Err(BCAP_E_HANDLE.into()) };
+    let shared = controller(id)?;
     // after a panic its object must not be used; its drop halts the robot
-    let mut cell = cell.lock().map_err(|poisoned| {
+    let mut cell = shared.cell.lock().map_err(|poisoned| {
         let mut cell = poisoned.into_inner();
         (cell.stream, cell.controller) = (None, None);
         BCAP_E_PANIC
@@ -111,10 +108,8 @@ pub(super) fn with<T>(id: u64, calls: impl FnOnce(&mut Cell) -> Result<T, Failur
 }
 
 pub(super) fn stopper(id: u64) -> Result<Stopper, Failure> {
-    match find(id, false)? {
-        Object::Stopper(stopper) => Ok(stopper),
-        Object::Controller { .. } => Err(BCAP_E_HANDLE.into()),
-    }
+    let Object::Stopper(stopper) = find(id, false)? else { return Err(BCAP_E_HANDLE.into()) };
+    Ok(stopper)
 }
 
 /// Closes a stopper.
@@ -125,9 +120,10 @@ pub(super) fn close_stopper(id: u64) -> Result<(), Failure> {
 
 /// Ends a stream and a motion, gives the arm back, and closes a controller. The handle is invalid at once, also if that fails.
 pub(super) fn close_controller(id: u64) -> Result<(), Failure> {
-    let Object::Controller { .. } = find(id, false)? else { return Err(BCAP_E_HANDLE.into()) };
-    let Object::Controller { cell, .. } = find(id, true)? else { return Ok(()) };
-    end(&mut cell.lock().unwrap_or_else(PoisonError::into_inner))
+    let shared = controller(id)?;
+    // only one of several threads closes it
+    find(id, true)?;
+    end(&mut shared.cell.lock().unwrap_or_else(PoisonError::into_inner))
 }
 
 fn end(cell: &mut Cell) -> Result<(), Failure> {
@@ -149,8 +145,8 @@ fn end_at_exit() {
 
     extern "C" fn close_all() {
         super::enter(|| {
-            let objects: Vec<_> = slots().iter_mut().filter_map(|slot| slot.object.take()).collect();
-            objects.into_iter().for_each(close_at_exit);
+            let objects = std::mem::take(&mut objects().1);
+            objects.into_values().for_each(close_at_exit);
             Ok(())
         });
     }
@@ -163,22 +159,20 @@ fn end_at_exit() {
 }
 
 fn close_at_exit(object: Object) {
-    let Object::Controller { cell, address } = object else { return };
-    let locked = match cell.try_lock() {
+    let Object::Controller(shared) = object else { return };
+    let mut cell = match shared.cell.try_lock() {
         Err(TryLockError::WouldBlock) => {
             // a call of another thread waits for a motion, which a halt ends
-            let (address, settings) = &*address;
-            let halted = Stopper::connect(address, settings).and_then(|stopper| stopper.halt());
+            let halted = Stopper::connect(&shared.address, &shared.settings).and_then(|stopper| stopper.halt());
             if let Err(error) = halted {
                 tracing::warn!(%error, "the program ends during a motion, and the robot was not halted");
                 return;
             }
-            cell.lock().unwrap_or_else(PoisonError::into_inner)
+            shared.cell.lock().unwrap_or_else(PoisonError::into_inner)
         }
         Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
         Ok(cell) => cell,
     };
-    let mut cell = locked;
     if let Err(failure) = end(&mut cell) {
         tracing::warn!(?failure, "the program ends, and a controller was not closed");
     }
