@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import weakref
 from typing import TYPE_CHECKING, Any, AsyncIterator, Awaitable, Callable, Generator, Generic, Optional, Sequence, TypeVar, Union
 
 from . import Sim, _bcap, _connect, _values
@@ -15,20 +17,34 @@ _R = TypeVar("_R")
 _N = TypeVar("_N")
 
 
-async def run(call: _bcap.Call[_R]) -> _R:
-    """Runs a call. If the task is cancelled, so is the call."""
-    loop = asyncio.get_running_loop()
-    future: asyncio.Future[_R] = loop.create_future()
+_inboxes: weakref.WeakKeyDictionary[asyncio.AbstractEventLoop, _bcap.Inbox] = weakref.WeakKeyDictionary()
 
-    def settle(value: Any, error: Optional[BaseException]) -> None:
+
+def _inbox(loop: asyncio.AbstractEventLoop) -> _bcap.Inbox:
+    """Returns the inbox of an event loop, which reads it."""
+    inbox = _inboxes.get(loop)
+    if inbox is None:
+        inbox = _inboxes[loop] = _bcap.Inbox()
+        os.set_blocking(inbox.fileno(), False)
+        loop.add_reader(inbox.fileno(), _settle, inbox)
+    return inbox
+
+
+def _settle(inbox: _bcap.Inbox) -> None:
+    for future, value, error in inbox.take():
         if future.done():
-            return
+            continue
         if error is None:
             future.set_result(value)
         else:
             future.set_exception(error)
 
-    started = call.start(lambda value, error: loop.call_soon_threadsafe(settle, value, error))
+
+async def run(call: _bcap.Call[_R]) -> _R:
+    """Runs a call. If the task is cancelled, so is the call."""
+    loop = asyncio.get_running_loop()
+    future: asyncio.Future[_R] = loop.create_future()
+    started = call.start(_inbox(loop), future)
     try:
         return await future
     finally:

@@ -1,7 +1,7 @@
 from typing import Any, Callable, Generic, List, Optional, Sequence, Tuple, TypeVar, final
 
 __all__ = [
-    "Arm", "Call", "Client", "Controller", "Sim", "Started", "Stopper", "Stream", "Watch", "connect", "end",
+    "Arm", "Call", "Client", "Controller", "Inbox", "Sim", "Started", "Stopper", "Stream", "Watch", "connect", "end",
 ]  # fmt: skip
 
 _T = TypeVar("_T", covariant=True)
@@ -11,7 +11,13 @@ _Cycle = Tuple[int, List[float], List[float]]
 @final
 class Call(Generic[_T]):
     def wait(self) -> _T: ...
-    def start(self, done: Callable[[Any, Optional[BaseException]], object]) -> Started: ...
+    def start(self, inbox: Inbox, future: Any) -> Started: ...
+
+@final
+class Inbox:
+    def __new__(cls) -> Inbox: ...
+    def fileno(self) -> int: ...
+    def take(self) -> List[Tuple[Any, Any, Optional[BaseException]]]: ...
 
 @final
 class Started:

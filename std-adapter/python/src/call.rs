@@ -1,5 +1,8 @@
 //! Calls, which Python runs or awaits.
 
+use std::io::{self, PipeReader, PipeWriter, Read, Write};
+use std::mem;
+use std::os::fd::{AsRawFd, RawFd};
 use std::sync::{Arc, Mutex};
 
 use bcap_std::Error;
@@ -71,27 +74,70 @@ impl Call {
         finish(py, self.home.wait(py, self.take()?)?)
     }
 
-    /// Runs the call in the background, then calls `done(value, None)` or `done(None, exception)`.
-    fn start(&self, done: Py<PyAny>) -> PyResult<Started> {
-        let pending = self.take()?;
+    /// Runs the call in the background. Then the inbox has its result for the future.
+    fn start(&self, inbox: &Inbox, future: Py<PyAny>) -> PyResult<Started> {
+        let (pending, queue) = (self.take()?, Arc::clone(&inbox.queue));
         let (wanted, unwanted) = oneshot::channel::<()>();
         self.home.handle()?.spawn(async move {
-            let result = tokio::select! {
+            tokio::select! {
                 biased;
-                _ = unwanted => return,
-                result = pending => result,
-            };
-            // without an interpreter there is no caller
-            let _ = Python::try_attach(|py| {
-                let (value, error) = match finish(py, result) {
-                    Ok(value) => (Some(value), None),
-                    Err(error) => (None, Some(error)),
-                };
-                // the event loop has ended
-                let _ = done.call1(py, (value, error));
-            });
+                _ = unwanted => {}
+                result = pending => queue.push(future, result),
+            }
         });
         Ok(Started { wanted: Mutex::new(Some(wanted)) })
+    }
+}
+
+/// The results for the futures of an event loop. A byte in its pipe wakes the loop, so that the thread of tokio needs no GIL.
+#[pyclass(frozen)]
+pub(crate) struct Inbox {
+    queue: Arc<Queue>,
+    woken: PipeReader,
+}
+
+/// A future, and its value or exception.
+type Settled = (Py<PyAny>, Option<Py<PyAny>>, Option<PyErr>);
+
+struct Queue {
+    ended: Mutex<Vec<(Py<PyAny>, Result)>>,
+    wake: PipeWriter,
+}
+
+impl Queue {
+    fn push(&self, future: Py<PyAny>, result: Result) {
+        let mut ended = lock(&self.ended);
+        ended.push((future, result));
+        if ended.len() == 1 {
+            // there is room: the loop takes the byte before it empties the queue. Without a reader the loop has ended.
+            let _ = (&self.wake).write(&[0]);
+        }
+    }
+}
+
+#[pymethods]
+impl Inbox {
+    #[new]
+    fn new() -> PyResult<Self> {
+        let (woken, wake) = io::pipe()?;
+        Ok(Self { queue: Arc::new(Queue { ended: Mutex::default(), wake }), woken })
+    }
+
+    /// Returns the descriptor that can be read when there are results.
+    fn fileno(&self) -> RawFd {
+        self.woken.as_raw_fd()
+    }
+
+    /// Takes the results: futures with a value, or with an exception.
+    fn take(&self, py: Python<'_>) -> Vec<Settled> {
+        // it is not blocking, and there may be nothing
+        let _ = (&self.woken).read(&mut [0; 16]);
+        let ended = mem::take(&mut *lock(&self.queue.ended));
+        let settled = ended.into_iter().map(|(future, result)| match finish(py, result) {
+            Ok(value) => (future, Some(value), None),
+            Err(error) => (future, None, Some(error)),
+        });
+        settled.collect()
     }
 }
 

@@ -3,6 +3,7 @@
 //! ```text
 //!  bcap          methods that block ──► Call.wait  ──► a future of `bcap_std::asynch` ─► its task, on the calling thread
 //!  bcap.aio      coroutines ──────────► Call.start ──► a future of `bcap_std::asynch` ─► its task, on a thread of tokio
+//!                event loop ◄────────── Inbox ◄─────── its result
 //!  bcap.compat   BCAPClient ──────────► Client.call ─► `bcap_std::blocking`, on the calling thread
 //! ```
 //!
@@ -27,7 +28,7 @@ mod _bcap {
     #[pymodule_export]
     use crate::arm::Arm;
     #[pymodule_export]
-    use crate::call::{Call, Started};
+    use crate::call::{Call, Inbox, Started};
     #[pymodule_export]
     use crate::client::Client;
     #[pymodule_export]
