@@ -56,11 +56,17 @@ fairness:
 loopback:
     cargo bench -p bcap-tests --bench loopback
 
-# A read of a variable with the C library and in Rust: calls a second, processor time and instructions.
+# The clients for Python, C and Rust, and one in pure Python, make the same calls by turns: calls a second, processor time, instructions.
 [group('measure')]
-c-speed:
-    cargo build --release -p bcap-cli
-    std-adapter/c/speed "${CARGO_TARGET_DIR:-$PWD/target}/release/bcap"
+speed rounds="15":
+    #!/usr/bin/env bash
+    set -euo pipefail
+    target=${CARGO_TARGET_DIR:-$PWD/target}/speed
+    cargo build --quiet --locked --release --lib --example calls --manifest-path std-adapter/c/Cargo.toml --target-dir "$target"
+    cc -O2 -I std-adapter/c/include std-adapter/c/examples/calls.c "$target/release/libbcap.a" -lpthread -ldl -lm -o "$target/calls"
+    python3 -m venv "$target/venv"
+    CARGO_TARGET_DIR=$target "$target/venv/bin/pip" install --quiet --disable-pip-version-check ./std-adapter/python
+    "$target/venv/bin/python" std-adapter/python/tests/speed.py {{rounds}} "C library=$target/calls" "Rust=$target/release/examples/calls"
 
 # What `bcap proxy` adds to a round trip.
 [group('measure')]
