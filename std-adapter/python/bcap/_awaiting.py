@@ -5,9 +5,9 @@ from __future__ import annotations
 import asyncio
 import os
 import weakref
-from typing import TYPE_CHECKING, Any, AsyncIterator, Awaitable, Callable, Generator, Generic, Optional, Sequence, TypeVar, Union
+from typing import TYPE_CHECKING, Any, AsyncIterator, Awaitable, Callable, Generator, Generic, Optional, Sequence, TypeVar
 
-from . import Sim, _bcap, _connect, _values
+from . import _bcap, _values
 from ._values import Change
 
 if TYPE_CHECKING:
@@ -82,18 +82,9 @@ def opening(call: Callable[[], _bcap.Call[_N]], made: Callable[[_N], _R]) -> Ope
 class Session:
     """A session with a controller, as bcap.Controller. It connects when it is awaited or entered."""
 
-    def __init__(
-        self,
-        address: Union[str, Sim],
-        model: Optional[str] = None,
-        *,
-        robot: Optional[str] = None,
-        timeout: float = 5.0,
-        numpy: bool = False,
-    ) -> None:
-        self._convert = _values.converter(numpy)
-        self._connecting = _connect(address, model, robot, timeout, False)
-        self._opened: Optional[_bcap.Controller] = None
+    _convert: _values.Converter
+    _connecting: _bcap.Call[_bcap.Controller]
+    _opened: Optional[_bcap.Controller] = None
 
     @property
     def _cell(self) -> _bcap.Controller:

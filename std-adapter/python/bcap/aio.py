@@ -17,7 +17,7 @@ import weakref
 from types import TracebackType
 from typing import Any, Dict, Iterable, List, Mapping, Optional, Sequence, Type, Union
 
-from . import _bcap, _signals, _values
+from . import Sim, _bcap, _connect, _signals, _values
 from ._awaiting import Opening, Session, opening, run
 from ._values import Cycle, Destination, ErrorInfo, J, P, Passing, State
 from .errors import StreamError
@@ -27,6 +27,18 @@ __all__ = ["Arm", "Controller", "SlaveStream", "Stopper"]
 
 class Controller(Session):
     """As bcap.Controller."""
+
+    def __init__(
+        self,
+        address: Union[str, Sim],
+        model: Optional[str] = None,
+        *,
+        robot: Optional[str] = None,
+        timeout: float = 5.0,
+        numpy: bool = False,
+    ) -> None:
+        self._convert = _values.converter(numpy)
+        self._connecting = _connect(address, model, robot, timeout, False)
 
     async def read(self, name: str) -> Any:
         """Reads a variable: "I1", "P5", "IO128", "@MODE", "robot/@SERVO_ON", "task:Pro1/@STATUS".

@@ -1,4 +1,4 @@
-"""Fixtures: a virtual controller on a port, and one in memory, each with a session."""
+"""Fixtures: a virtual controller on a port, and a session with it. The package has one in memory: bcap_sim."""
 
 import time
 from typing import Callable, Iterator
@@ -18,13 +18,6 @@ def sim() -> Iterator[bcap.Sim]:
 def cell(sim: bcap.Sim) -> Iterator[bcap.Controller]:
     with bcap.Controller(sim) as cell:
         yield cell
-
-
-@pytest.fixture
-def memory() -> Iterator[bcap.Sim]:
-    """On a virtual clock: a motion takes no time."""
-    with bcap.sim(in_memory=True) as sim:
-        yield sim
 
 
 def eventually(condition: Callable[[], bool], within: float = 10.0) -> bool:

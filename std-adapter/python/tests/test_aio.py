@@ -75,9 +75,9 @@ def test_changes(sim: bcap.Sim) -> None:
     asyncio.run(main())
 
 
-def test_slave_mode(memory: bcap.Sim) -> None:
+def test_slave_mode(bcap_sim: bcap.Sim) -> None:
     async def main() -> None:
-        async with bcap.aio.Controller(memory) as cell, cell.take_arm() as arm:
+        async with bcap.aio.Controller(bcap_sim) as cell, cell.take_arm() as arm:
             await arm.motor_on()
             async with arm.slave_mode(max_speed=100, max_acceleration=800) as stream:
                 for number in range(100):

@@ -14,12 +14,12 @@ PROGRAMS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 @pytest.mark.parametrize("number", range(6))
 def test_a_program_of_the_book(
-    number: int, sim: bcap.Sim, memory: bcap.Sim, capsys: pytest.CaptureFixture[str]
+    number: int, sim: bcap.Sim, bcap_sim: bcap.Sim, capsys: pytest.CaptureFixture[str]
 ) -> None:
     program = PROGRAMS[number].replace('"tcp:192.168.0.1"', "address")
     program = program.replace('"192.168.0.1", 5007', '"127.0.0.1", ' + str(sim.address).rsplit(":", 1)[1])
     # a busy machine does not keep the cycle of Slave Mode
-    address = memory if "slave_mode" in program else str(sim.address)
+    address = bcap_sim if "slave_mode" in program else str(sim.address)
     exec(compile(program, f"docs/python.md, program {number + 1}", "exec"), {"__name__": "program", "address": address})
     # the halt of another thread looks at the robot until it rests
     for thread in threading.enumerate():

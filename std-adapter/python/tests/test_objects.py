@@ -77,8 +77,8 @@ def test_a_motion_arrives_and_the_arm_is_given_back(cell: bcap.Controller, sim: 
     assert at_rest(sim)
 
 
-def test_every_motion(memory: bcap.Sim) -> None:
-    with bcap.Controller(memory) as cell, cell.take_arm() as arm:
+def test_every_motion(bcap_sim: bcap.Sim) -> None:
+    with bcap.Controller(bcap_sim) as cell, cell.take_arm() as arm:
         cell["P1"] = [400, 0, 300, 180, 0, 180, 5]
         arm.motor_on()
         arm.move("P1", line=True, speed=50, acceleration=50, deceleration=50)
@@ -168,8 +168,8 @@ def test_waiting_for_a_value(cell: bcap.Controller) -> None:
 
 
 @pytest.mark.parametrize("mode", [0, 1, 2])
-def test_the_caller_owns_the_loop_of_slave_mode(memory: bcap.Sim, mode: int) -> None:
-    with bcap.Controller(memory) as cell, cell.take_arm() as arm:
+def test_the_caller_owns_the_loop_of_slave_mode(bcap_sim: bcap.Sim, mode: int) -> None:
+    with bcap.Controller(bcap_sim) as cell, cell.take_arm() as arm:
         arm.motor_on()
         with arm.slave_mode(mode=mode, max_speed=100, max_acceleration=800) as stream:
             start = stream.cycle.start
@@ -179,11 +179,11 @@ def test_the_caller_owns_the_loop_of_slave_mode(memory: bcap.Sim, mode: int) -> 
                 cycle = stream.step(numpy.array(joints))
             assert cycle.number == 125 and 0 < cycle.pose[0] <= 4.1
         assert stream.statistics["cycles"] >= 125 and stream.statistics["underflows"] == 0
-        assert cell.joints()[0] == pytest.approx(4, abs=0.05) and not memory.slave_mode
+        assert cell.joints()[0] == pytest.approx(4, abs=0.05) and not bcap_sim.slave_mode
 
 
-def test_a_stream_refuses_a_pose_beyond_the_limits(memory: bcap.Sim) -> None:
-    with bcap.Controller(memory) as cell, cell.take_arm() as arm:
+def test_a_stream_refuses_a_pose_beyond_the_limits(bcap_sim: bcap.Sim) -> None:
+    with bcap.Controller(bcap_sim) as cell, cell.take_arm() as arm:
         arm.motor_on()
         with pytest.raises(bcap.StreamError), arm.slave_mode(max_speed=10, max_acceleration=800) as stream:
             joints = list(stream.cycle.start)

@@ -27,7 +27,7 @@ import weakref
 from types import TracebackType
 from typing import Any, Dict, Iterable, List, Mapping, Optional, Sequence, Type, Union
 
-from . import _bcap, _signals, _values
+from . import Sim, _bcap, _connect, _signals, _values
 from ._awaiting import Opening, Session, opening, run
 from ._values import Cycle, Destination, ErrorInfo, J, P, Passing, State
 from .errors import StreamError
@@ -36,7 +36,7 @@ __all__ = ["Arm", "Controller", "SlaveStream", "Stopper"]
 '''
 
 #: what Session has, or asyncio does not
-LEFT_OUT = {"Controller": {"__init__", "__getitem__", "__setitem__", "__enter__", "__exit__", "watch"}}
+LEFT_OUT = {"Controller": {"__getitem__", "__setitem__", "__enter__", "__exit__", "watch"}}
 
 #: a call with two levels of parentheses in its arguments
 CALL = re.compile(r"(self\.\w+\.\w+\((?:[^()]|\((?:[^()]|\([^()]*\))*\))*\))\.wait\(\)")
@@ -48,6 +48,8 @@ def method(source: str) -> str:
     if OPENS.search(source):
         source = re.sub(r"\) -> (\w+):", r") -> Opening[\1]:", source, count=1)
         return OPENS.sub(r"return opening(lambda: \2, \1)", source)
+    # the connection begins in a coroutine
+    source = re.sub(r"self\._cell = (_connect\(.*), True\)\.wait\(\)", r"self._connecting = \1, False)", source)
     awaiting = CALL.sub(r"await run(\1)", source)
     assert ".wait()" not in awaiting, f"a call that write_aio.py does not see:\n{awaiting}"
     awaiting = re.sub(r"(self\.(?:_?finish|give)\()", r"await \1", awaiting)
