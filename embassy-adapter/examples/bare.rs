@@ -1,18 +1,19 @@
-//! b-CAP clients over TCP and UDP and a RAC server in one polling loop, on smoltcp without embassy.
+//! b-CAP clients over TCP and UDP, a RAC server and a b-CAP server over UDP in one polling loop, on smoltcp without embassy.
 #![no_std]
 
 use bcap_core::bcap::Client;
 use bcap_core::bcap::call::{self, VariableHandle};
 use bcap_core::bcap::client::Event;
+use bcap_core::bcap::server;
 use bcap_core::rac::server::{Config, Handler, Session};
 use bcap_core::time::Instant;
-use bcap_embassy::bare::{self, LinkError, TcpServer};
+use bcap_embassy::bare::{self, LinkError, TcpServer, UdpServer};
 use smoltcp::iface::{Interface, SocketHandle, SocketSet};
 use smoltcp::phy::Device;
 use smoltcp::socket::{tcp, udp};
 use smoltcp::wire::IpEndpoint;
 
-/// The sockets of the board; the first is connected to the robot, the second is bound.
+/// The sockets of the board; the first is connected to the robot, those for UDP are bound.
 #[derive(Debug)]
 pub struct Sockets<'m> {
     /// All sockets.
@@ -23,6 +24,8 @@ pub struct Sockets<'m> {
     pub robot_udp: SocketHandle,
     /// The TCP socket for a RAC client.
     pub rac: SocketHandle,
+    /// The UDP socket for b-CAP clients.
+    pub bcap: SocketHandle,
 }
 
 /// The clients and the server.
@@ -34,6 +37,8 @@ pub struct Board {
     pub udp: Client<[u8; 505]>,
     /// The server.
     pub rac: TcpServer<Session<[u8; 64]>>,
+    /// The server of b-CAP for two clients.
+    pub bcap: UdpServer<2, 16>,
 }
 
 /// Does all work that is possible without waiting; call it when a frame arrives and when a timer expires.
@@ -47,7 +52,7 @@ pub fn poll<D: Device>(
     interface: &mut Interface,
     device: &mut D,
     robot: IpEndpoint,
-    handler: &mut impl Handler,
+    handler: &mut (impl Handler + server::Handler),
     now: Instant,
 ) -> Result<(), LinkError> {
     interface.poll(bare::to_smoltcp(now), device, &mut sockets.set);
@@ -64,6 +69,7 @@ pub fn poll<D: Device>(
     }
     let socket = sockets.set.get_mut::<tcp::Socket<'_>>(sockets.rac);
     board.rac.poll(socket, || Session::new(Config::TCP, [0; 64]), handler, now);
+    board.bcap.poll(sockets.set.get_mut(sockets.bcap), handler, now);
     interface.poll(bare::to_smoltcp(now), device, &mut sockets.set);
     Ok(())
 }

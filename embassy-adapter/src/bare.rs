@@ -1,7 +1,7 @@
 //! Clients and servers for smoltcp without embassy: the loop that polls the interface polls them too; nothing is async.
 //!
 //! ```text
-//!   loop { interface.poll ─► poll_tcp, poll_udp, TcpServer::poll ─► interface.poll ─► sleep }
+//!   loop { interface.poll ─► poll_tcp, poll_udp, TcpServer::poll, UdpServer::poll ─► interface.poll ─► sleep }
 //! ```
 //!
 //! The client is the core's [`Client`], the server runs the core's sessions. The functions here move their bytes to and
@@ -46,11 +46,17 @@
 //! }
 //! ```
 
+use core::cell::{Cell, RefCell};
 use core::fmt;
+use core::time::Duration;
 
 use bcap_core::bcap::Client;
 use bcap_core::bcap::client::Event;
+use bcap_core::bcap::server::{Config, Handler};
 use bcap_core::handler::PeerId;
+use bcap_core::limits::UDP_RECEIVE_MAX;
+use bcap_core::peers::datagrams::{self, Peer, Received, SharedState, UdpSession};
+use bcap_core::peers::{REFUSAL, Slots, refusal};
 use bcap_core::storage::Storage;
 use bcap_core::time::Instant;
 use smoltcp::socket::tcp::{self, RecvError};
@@ -64,6 +70,9 @@ pub use bcap_core::endpoint::Serve;
 const KEEP_ALIVE: smoltcp::time::Duration = smoltcp::time::Duration::from_secs(5);
 /// The time without an acknowledgement, of data or of a keep-alive, after which the connection is reset.
 const TIMEOUT: smoltcp::time::Duration = smoltcp::time::Duration::from_secs(15);
+
+/// How long a peer over UDP with a service must be silent before another one may take its slot.
+const UDP_IDLE: Duration = Duration::from_secs(10);
 
 /// Why a connection can no longer be used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -251,6 +260,141 @@ impl<S> TcpServer<S> {
         S: Serve<H>,
     {
         self.session.as_ref().and_then(Endpoint::poll_timeout)
+    }
+}
+
+/// A peer over UDP with its session: about 1.6 KiB, and 8 bytes for each of its `OBJECTS`.
+pub type UdpPeer<const OBJECTS: usize> = Peer<IpEndpoint, OBJECTS>;
+
+/// A server of b-CAP on one UDP socket, for up to `PEERS` peers with up to `OBJECTS` handles each.
+///
+/// A peer that was silent for 10 s, or has no service, makes room for another one. Datagrams that are not b-CAP take no
+/// slot and get no answer.
+///
+/// # Examples
+///
+/// ```
+/// use bcap_core::bcap::server::Handler;
+/// use bcap_core::time::Instant;
+/// use bcap_embassy::bare::UdpServer;
+/// use smoltcp::socket::udp;
+///
+/// fn serve(server: &mut UdpServer<2, 16>, socket: &mut udp::Socket<'_>, handler: &mut impl Handler, now: Instant) {
+///     if !socket.is_open() {
+///         let _ = socket.bind(5007);
+///     }
+///     server.poll(socket, handler, now);
+/// }
+/// ```
+#[derive(Debug)]
+pub struct UdpServer<const PEERS: usize, const OBJECTS: usize> {
+    peers: [Option<UdpPeer<OBJECTS>>; PEERS],
+    last: u32,
+    stride: u32,
+}
+
+impl<const PEERS: usize, const OBJECTS: usize> UdpServer<PEERS, OBJECTS> {
+    const SLOTS: Slots = Slots { total: PEERS, per_host: usize::MAX, evict_after: Some(UDP_IDLE) };
+
+    /// Creates the server `index`, counted from 0, of `count` servers that share a handler, as [`TcpServer::new`].
+    #[must_use]
+    pub const fn new(index: u32, count: u32) -> Self {
+        Self { peers: [const { None }; PEERS], last: index, stride: count }
+    }
+
+    /// Does all work that is possible without waiting; the caller binds the socket.
+    ///
+    /// Call it after each poll of the interface, and when [`poll_timeout`](Self::poll_timeout) is reached.
+    pub fn poll<H: Handler + ?Sized>(&mut self, socket: &mut udp::Socket<'_>, handler: &mut H, now: Instant) {
+        let Self { peers, last, stride } = self;
+        let shared = Shared { handler: RefCell::new(handler), last: Cell::new(*last), stride: *stride };
+        run_peers(peers, socket, &shared, now);
+        // without room for answers, requests wait in the socket
+        while socket.can_recv() && socket.can_send() {
+            receive_datagram(peers, socket, (&Self::SLOTS, &shared), now);
+            run_peers(peers, socket, &shared, now);
+        }
+        *last = shared.last.get();
+    }
+
+    /// Returns when [`poll`](Self::poll) must be called if no datagram arrives before.
+    #[must_use]
+    pub fn poll_timeout(&self) -> Option<Instant> {
+        self.peers.iter().flatten().filter_map(Peer::poll_timeout).min()
+    }
+}
+
+/// The handler, and the numbers of the peers, during a poll.
+struct Shared<'h, H: ?Sized> {
+    handler: RefCell<&'h mut H>,
+    last: Cell<u32>,
+    stride: u32,
+}
+
+impl<H: Handler + ?Sized, const OBJECTS: usize> SharedState<UdpSession<OBJECTS>> for Shared<'_, H> {
+    type Address = IpEndpoint;
+
+    fn is_same_host(one: IpEndpoint, other: IpEndpoint) -> bool {
+        one.addr == other.addr
+    }
+
+    fn connect(&self, _: IpEndpoint) -> PeerId {
+        self.last.set(self.last.get().wrapping_add(self.stride));
+        PeerId(self.last.get())
+    }
+
+    fn step(&self, session: &mut UdpSession<OBJECTS>, peer: PeerId, now: Instant) -> bool {
+        // a handler has no access to the server, so it is not borrowed twice
+        self.handler.try_borrow_mut().is_ok_and(|mut handler| session.run(&mut **handler, peer, now).is_some())
+    }
+
+    fn close(&self, session: &mut UdpSession<OBJECTS>, peer: PeerId, now: Instant) {
+        if let Ok(mut handler) = self.handler.try_borrow_mut() {
+            session.close(&mut **handler, peer, now);
+        }
+    }
+}
+
+/// Runs all sessions and sends their replies; a reply without room in the socket waits.
+fn run_peers<H: Handler + ?Sized, const OBJECTS: usize>(
+    peers: &mut [Option<UdpPeer<OBJECTS>>],
+    socket: &mut udp::Socket<'_>,
+    shared: &Shared<'_, H>,
+    now: Instant,
+) {
+    for peer in peers.iter_mut().flatten() {
+        loop {
+            let progressed = peer.step(shared, now);
+            if !peer.transmit().is_empty() {
+                match socket.send_slice(peer.transmit(), peer.address()) {
+                    Err(udp::SendError::BufferFull) if socket.send_queue() > 0 => break,
+                    // a reply that cannot be sent at all is lost; its peer repeats the request
+                    Ok(()) | Err(_) => peer.transmitted(),
+                }
+            }
+            if !progressed {
+                break;
+            }
+        }
+    }
+}
+
+/// Passes a datagram to the session of its peer, or refuses a new peer.
+fn receive_datagram<H: Handler + ?Sized, const OBJECTS: usize>(
+    peers: &mut [Option<UdpPeer<OBJECTS>>],
+    socket: &mut udp::Socket<'_>,
+    (slots, shared): (&Slots, &Shared<'_, H>),
+    now: Instant,
+) {
+    let Ok((bytes, from)) = socket.recv() else { return };
+    if bytes.len() > UDP_RECEIVE_MAX {
+        return;
+    }
+    if let Received::Refused(serial) =
+        datagrams::receive(peers, (bytes, from.endpoint), (slots, Config::UDP), shared, now)
+    {
+        // a lost reply is retransmitted on request
+        let _ = socket.send_slice(refusal(serial, &mut [0; REFUSAL]), from.endpoint);
     }
 }
 

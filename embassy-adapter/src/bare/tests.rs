@@ -1,6 +1,7 @@
 extern crate std;
 
 use std::vec;
+use std::vec::Vec;
 
 use bcap_core::bcap::call::{self, VariableHandle};
 use bcap_core::bcap::client::{ClientError, Config, Timeout, Timing};
@@ -214,4 +215,106 @@ fn udp_calls_are_retried_and_other_senders_ignored() {
     });
     assert_eq!(end, Some(Event::Failed(ClientError::Timeout(Timeout::Attempt))));
     assert_eq!(requests, 2);
+}
+
+/// Clients over UDP and their server on a loopback network.
+struct Datagrams {
+    net: Net,
+    server: UdpServer<2, 8>,
+    socket: SocketHandle,
+    handler: Answer,
+}
+
+impl Datagrams {
+    fn new() -> Self {
+        let mut net = Net::new();
+        let socket = net.udp(5007);
+        Self { net, server: UdpServer::new(1, 3), socket, handler: Answer::default() }
+    }
+
+    fn client(&mut self, port: u16) -> (Client<[u8; 488], [u8; 505]>, SocketHandle) {
+        (Client::new(Config::UDP, [0; 488], [0; 505]), self.net.udp(port))
+    }
+
+    fn step(&mut self) {
+        self.net.step();
+        let socket = self.net.sockets.get_mut(self.socket);
+        self.server.poll(socket, &mut self.handler, self.net.now);
+    }
+
+    fn call<C: call::Call>(
+        &mut self,
+        (client, socket): &mut (Client<[u8; 488], [u8; 505]>, SocketHandle),
+        call: C,
+    ) -> Event {
+        client.start(&call, client.timing(), self.net.now).unwrap();
+        for _ in 0..10_000 {
+            self.step();
+            let socket = self.net.sockets.get_mut(*socket);
+            if let Some(event) = poll_udp(client, socket, IpEndpoint::new(HOST, 5007), self.net.now).unwrap() {
+                return event;
+            }
+        }
+        panic!("no event within 10 s");
+    }
+}
+
+#[test]
+fn udp_server_has_a_session_for_each_peer_and_refuses_one_too_many() {
+    let mut bench = Datagrams::new();
+    let mut clients = [40_000, 40_001, 40_002].map(|port| bench.client(port));
+    let [first, second, third] = &mut clients;
+    let ok = Event::Replied(HResult::S_OK);
+    // not b-CAP: no answer, and no slot
+    let stranger = bench.net.udp(40_003);
+    let socket = bench.net.sockets.get_mut::<udp::Socket<'_>>(stranger);
+    socket.send_slice(b"no frame", IpEndpoint::new(HOST, 5007)).unwrap();
+    socket.send_slice(&[1; 600], IpEndpoint::new(HOST, 5007)).unwrap();
+    for client in [&mut *first, &mut *second] {
+        assert_eq!(bench.call(client, call::service_start("")), ok);
+        assert_eq!(bench.call(client, call::controller_connect("", "", "", "")), ok);
+    }
+    assert!(!bench.net.sockets.get_mut::<udp::Socket<'_>>(stranger).can_recv());
+    assert_eq!(bench.call(third, call::service_start("")), Event::Replied(HResult::E_MAX_CONNECT));
+    // handles belong to their peer
+    let get = call::controller_get_variable(call::ControllerHandle(1), "I1", "");
+    assert_eq!(bench.call(first, get), ok);
+    assert_eq!(bench.call(first, call::variable_get_value(VariableHandle(1))), ok);
+    assert_eq!(first.0.reply().and_then(|reply| reply.value()), Some(Variant::I4(42)));
+    assert_eq!(bench.call(second, call::variable_get_value(VariableHandle(1))), Event::Replied(HResult::E_HANDLE));
+    assert_eq!(bench.handler.left, 0);
+    // a silent peer makes room
+    bench.net.now = bench.net.now + UDP_IDLE;
+    assert_eq!(bench.call(second, call::variable_get_value(VariableHandle(1))), Event::Replied(HResult::E_HANDLE));
+    assert_eq!(bench.call(third, call::service_start("")), ok);
+    assert_eq!(bench.handler.left, 1);
+    assert_eq!(bench.server.last, 1 + 3 * 3, "the numbers of three peers");
+}
+
+#[test]
+fn udp_server_leaves_requests_in_the_socket_until_there_is_room_for_replies() {
+    let mut bench = Datagrams::new();
+    let (mut client, handle) = bench.client(40_000);
+    client.start(&call::service_start(""), client.timing(), bench.net.now).unwrap();
+    let socket = bench.net.sockets.get_mut(handle);
+    assert_eq!(poll_udp(&mut client, socket, IpEndpoint::new(HOST, 5007), bench.net.now), Ok(None));
+    for _ in 0..4 {
+        bench.net.step();
+    }
+    let server = bench.net.sockets.get_mut::<udp::Socket<'_>>(bench.socket);
+    while server.can_send() {
+        server.send_slice(b"x", IpEndpoint::new(HOST, 40_000)).unwrap();
+    }
+    bench.server.poll(server, &mut bench.handler, bench.net.now);
+    assert!(server.can_recv(), "the request waits");
+    let mut found = Vec::new();
+    for _ in 0..20 {
+        bench.step();
+        while let Ok((reply, _)) = bench.net.sockets.get_mut::<udp::Socket<'_>>(handle).recv() {
+            found.push(reply.to_vec());
+        }
+    }
+    let reply = found.pop().unwrap();
+    assert_eq!((found, reply.len()), (vec![b"x".to_vec(); 4], 16));
+    assert_eq!(reply[9..13], HResult::S_OK.0.to_le_bytes());
 }
