@@ -398,6 +398,57 @@ fn a_client_of_modbus_of_another_make_reads_and_writes_variables() {
     assert_eq!(gateway.rac(&["get", "F1"]).out, "F1 = 1.5\n");
 }
 
+/// The settings of the page about fieldbuses, as options of `bcap gateway`.
+fn fieldbus_options() -> Vec<String> {
+    let page = include_str!("../../../docs/fieldbus.md");
+    let (_, settings) = page.split_once("<!-- book: settings -->\n```text\n").unwrap();
+    let (settings, _) = settings.split_once("```").unwrap();
+    let option = |line: &str| {
+        let (key, value) = line.split_once('=').unwrap();
+        match key {
+            "modbus" => ["--modbus".to_owned(), "127.0.0.1:0".to_owned()],
+            "put" => ["--allow-put".to_owned(), value.to_owned()],
+            _ => [format!("--{key}"), value.to_owned()],
+        }
+    };
+    assert!(bcap_board::Settings::check(settings.as_bytes()).is_ok(), "a board takes them, too");
+    settings.lines().flat_map(option).collect()
+}
+
+#[test]
+fn a_converter_of_a_fieldbus_exchanges_the_blocks_of_the_page() {
+    let pymodbus = match Pymodbus::find(Path::new(env!("CARGO_TARGET_TMPDIR"))) {
+        Ok(pymodbus) => pymodbus,
+        Err(why) => return tools::missing(&why),
+    };
+    let sim = self::sim("127.0.0.1:0");
+    for (variable, value) in [("I10", "-7"), ("I14", "4"), ("F10", "1.5"), ("IO129", "true")] {
+        let run = bcap(&["put", "--robot", &format!("tcp:{}", sim.address("bcap")), variable, value]);
+        assert_eq!(run.code, 0, "{run:?}");
+    }
+    let options = fieldbus_options();
+    let gateway = up(&sim.address("bcap"), &options.iter().map(String::as_str).collect::<Vec<_>>());
+    let cycle = [
+        ("client.read_holding_registers(100, count=5)", "[65529, 0, 0, 0, 4]"),
+        ("client.read_holding_registers(110, count=4)", "[16320, 0, 0, 0]"),
+        ("client.read_coils(0, count=8)", "[False, True, False, False, False, False, False, False]"),
+        ("client.write_registers(200, [1000, 2, 3, 1])", "ok"),
+    ];
+    let more = [
+        // a value out of its range: no variable of the request is written
+        ("client.write_registers(200, [5, 5, 1001, 2])", "exception 3"),
+        ("client.read_holding_registers(200, count=4)", "[1000, 2, 3, 1]"),
+        // the PLC stops
+        ("client.write_registers(200, [0, 0, 0, 0])", "ok"),
+        ("client.write_registers(100, [1, 1, 1, 1, 1])", "exception 2"),
+        // a block with a gap
+        ("client.read_holding_registers(100, count=14)", "exception 2"),
+    ];
+    let exchanges: Vec<_> = cycle.iter().cycle().take(40).chain(&more).copied().collect();
+    pymodbus.check(&gateway.address("modbus"), &exchanges);
+    assert_eq!(gateway.rac(&["get", "I20"]).out, "I20 = 0\n");
+}
+
 #[test]
 fn modbus_without_a_valid_map_is_refused() {
     for (args, error) in [
