@@ -1,6 +1,13 @@
 //! The board's address on embassy-net: by DHCP, or the configured one.
 
+use core::cell::Cell;
+use core::future::poll_fn;
+use core::task::Poll;
+
 use embassy_net::{Config, ConfigV4, DhcpConfig, Ipv4Cidr, Stack, StaticConfigV4};
+use embassy_sync::blocking_mutex::Mutex;
+use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
+use embassy_sync::waitqueue::AtomicWaker;
 use embassy_time::{Duration, Timer, with_timeout};
 
 use crate::Settings;
@@ -10,6 +17,19 @@ const DHCP_TIME: Duration = Duration::from_secs(5);
 
 /// The pause after which [`improve`] asks again.
 pub const DHCP_AGAIN: Duration = Duration::from_secs(60);
+
+/// The address that was found last, for the console.
+static FOUND: Mutex<CriticalSectionRawMutex, Cell<Option<Ipv4Cidr>>> = Mutex::new(Cell::new(None));
+static CONSOLE: AtomicWaker = AtomicWaker::new();
+
+/// Waits until the board has another address than `known`. One console at a time can wait.
+pub(crate) async fn changed(known: Option<Ipv4Cidr>) -> Ipv4Cidr {
+    poll_fn(|context| {
+        CONSOLE.register(context.waker());
+        FOUND.lock(Cell::get).filter(|found| Some(*found) != known).map_or(Poll::Pending, Poll::Ready)
+    })
+    .await
+}
 
 /// Returns the configuration to create the network stack with.
 #[must_use]
@@ -34,6 +54,8 @@ pub async fn find(stack: Stack<'_>, settings: &Settings<'_>) {
     }
     if let Some(found) = stack.config_v4() {
         defmt::info!("address {}", found.address);
+        FOUND.lock(|cell| cell.set(Some(found.address)));
+        CONSOLE.wake();
     }
 }
 

@@ -43,7 +43,7 @@ use crate::record::Cause;
 use crate::sizes::PAGES;
 use crate::sizes::{HANDLES, PLCS};
 use crate::watchdog::{self, Task, watched};
-use crate::{RuleMemory, Settings, Transport, address, network, report};
+use crate::{RuleMemory, Settings, Transport, address, datagrams, network, report};
 
 /// Listeners of Modbus. The last one refuses clients; the clients of the others share the slots with the PLCs.
 #[cfg(feature = "modbus")]
@@ -59,15 +59,15 @@ const SPARE_BUFFER: usize = 96;
 /// How long a frame of Modbus may take from its first byte to its last; clients send it at once.
 #[cfg(feature = "modbus")]
 const MODBUS_RECEIVE: core::time::Duration = core::time::Duration::from_secs(5);
-/// The sockets of the page and of syslog.
+/// The sockets of the page.
 #[cfg(feature = "health")]
-const HEALTH: usize = PAGES + 1;
+const HEALTH: usize = PAGES;
 #[cfg(not(feature = "health"))]
 const HEALTH: usize = 0;
 /// The socket of updates.
 const UPDATES: usize = if cfg!(feature = "update") { 1 } else { 0 };
-/// The sockets of the network stack: the listeners, Modbus, the page and syslog, updates, the robot, DHCP.
-pub const SOCKETS: usize = LISTENERS + MODBUS + HEALTH + UPDATES + 2;
+/// The sockets of the network stack: the listeners, Modbus, the page, updates, the robot, DHCP, datagrams.
+pub const SOCKETS: usize = LISTENERS + MODBUS + HEALTH + UPDATES + 3;
 
 /// How far the gateway may overrun its deadline; a longer overrun means that its tasks hang.
 const MAX_OVERRUN: core::time::Duration = core::time::Duration::from_secs(2);
@@ -101,6 +101,7 @@ pub fn start(
     }
     #[cfg(feature = "modbus")]
     start_modbus(spawner, stack, settings, board)?;
+    datagrams::start(spawner, stack, settings, &parts)?;
     #[cfg(feature = "health")]
     crate::page::start(spawner, stack, settings, board, parts)?;
     #[cfg(all(feature = "update", feature = "port"))]

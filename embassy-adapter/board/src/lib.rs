@@ -7,6 +7,7 @@
 //! | [`identity`] |            | the board and the version of an image, seen from a host                       |
 //! | [`slots`]    |            | the settings in flash                                                         |
 //! | [`console`]  |            | changes the settings over a serial line                                       |
+//! | [`find`]     |            | the request and the answer of `bcap board find`                               |
 //! | [`mac`]      |            | a MAC address from the id of a chip                                           |
 //! | [`record`]   |            | the cause of the last reset, kept over the reset                              |
 //! | [`ring`], [`limiter`] |   | the buffer and the limits of a log                                            |
@@ -59,6 +60,7 @@
 //! | `gateway`  | the default gateway, used with `address` | none                 |
 //! | `mac`      | `02:00:00:bc:a9:03`: the MAC address | derived from the chip's id |
 //! | `hostname` | the name sent with DHCP: at most 32 letters, digits and hyphens | none |
+//! | `find`     | `yes`, `no`: answer `bcap board find` on UDP port 5011 | `yes` |
 //! | `get`      | `KIND[/FIRST[-LAST]]`: what PLCs may read; can be repeated | everything |
 //! | `put`      | `KIND[/FIRST[-LAST]][=MIN..MAX[,MIN..MAX]...]`: what PLCs may write, and the accepted values; can be repeated | nothing |
 //! | `put@CLIENT` | as `put`, for the clients of a network only: `put@192.168.0.7=I/0-99`, `put@192.168.0.0/24=F` | |
@@ -91,9 +93,12 @@ mod answer;
 pub mod config;
 pub mod console;
 pub mod crc;
+#[cfg(feature = "embassy")]
+mod datagrams;
 mod error;
 #[cfg(all(feature = "cortex-m", target_arch = "arm"))]
 pub mod fault;
+pub mod find;
 #[cfg(feature = "embassy")]
 pub mod gateway;
 #[cfg(feature = "health")]

@@ -1,4 +1,4 @@
-//! A MAC address for a board that has none in hardware.
+//! MAC addresses: for a board that has none in hardware, and as text.
 
 /// The offset basis and the prime of the hash FNV-1a with 64 bits.
 const OFFSET_BASIS: u64 = 0xcbf2_9ce4_8422_2325;
@@ -24,6 +24,17 @@ pub fn from_unique_id(id: &[u8]) -> [u8; 6] {
     // the highest bits are the best mixed ones, so they take part in the lowest 48
     let [a, b, c, d, e, f, ..] = (hash ^ hash >> 48).to_le_bytes();
     [a & !MULTICAST | LOCALLY_ADMINISTERED, b, c, d, e, f]
+}
+
+/// Parses an address such as `02:00:00:bc:a9:03`.
+pub(crate) fn parse(value: &str) -> Option<[u8; 6]> {
+    let mut mac = [0; 6];
+    let mut parts = value.split(':');
+    for byte in &mut mac {
+        *byte = parts.next().filter(|part| part.len() == 2).and_then(|part| u8::from_str_radix(part, 16).ok())?;
+    }
+    // a multicast address or the zero address cannot be a board's address
+    (parts.next().is_none() && mac[0] & 1 == 0 && mac != [0; 6]).then_some(mac)
 }
 
 #[cfg(test)]

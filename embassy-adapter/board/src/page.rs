@@ -13,7 +13,7 @@ use bcap_embassy::http::{Content, HttpListener};
 use bcap_embassy::net::Options;
 use bcap_gateway::{Event, Gateway};
 use embassy_executor::{SpawnError, Spawner};
-use embassy_net::udp::{PacketMetadata, UdpSocket};
+use embassy_net::udp::UdpSocket;
 use embassy_net::{IpAddress, IpEndpoint, Stack};
 use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
@@ -22,13 +22,12 @@ use heapless::{String, Vec};
 use static_cell::ConstStaticCell;
 
 use crate::Settings;
+use crate::find::Text;
 #[cfg(feature = "update")]
 use crate::health::Update;
 use crate::health::{Health, LONGEST};
 use crate::limiter::Limiter;
-use crate::parts::{
-    Board, PAGE_BACKLOG, PAGE_TASK, PLC_BUFFER, PLC_BUFFERS, Parts, ROBOT_BUFFER, ROBOT_BUFFERS, SYSLOG_TASK,
-};
+use crate::parts::{Board, PAGE_BACKLOG, PAGE_TASK, PLC_BUFFER, PLC_BUFFERS, Parts, ROBOT_BUFFER, ROBOT_BUFFERS};
 use crate::sizes::{MESSAGES, PAGES};
 use crate::syslog::{Message, Severity};
 use crate::watchdog::{Task, watched};
@@ -44,7 +43,7 @@ const COUNTERS: usize = 8;
 
 /// The longest text of a message, and the longest message. Longer ones are cut.
 const TEXT: usize = 192;
-const MESSAGE: usize = TEXT + 96;
+pub(crate) const MESSAGE: usize = TEXT + 96;
 
 /// The memory of a listener of the page: its buffers, and a page.
 type PageMemory = ([u8; 256], [u8; 512], [u8; PAGE]);
@@ -79,11 +78,10 @@ pub(crate) fn start(
             spawner.spawn(serve(listener, board, parts, Task::new(number))?);
         }
     }
-    if let Some(collector) = settings.syslog {
+    if settings.syslog.is_some() {
         IS_ON.store(true, Ordering::Relaxed);
         let severity = if parts.last_reset.is_fault() { Severity::Error } else { Severity::Notice };
         queue(severity, "start", format_args!("last reset: {}", parts.last_reset));
-        spawner.spawn(send(stack, collector, settings.hostname)?);
     }
     Ok(())
 }
@@ -97,12 +95,6 @@ async fn serve(mut listener: HttpListener<'static>, board: &'static Board, parts
     };
     let answer = |path: &str, page: &mut dyn Write| answer(board, &parts, path, page);
     watched(task, pin!(listener.run(admits, answer))).await
-}
-
-/// Sends messages of syslog.
-#[embassy_executor::task]
-async fn send(stack: Stack<'static>, collector: SocketAddrV4, host: Option<&'static str>) -> ! {
-    watched(SYSLOG_TASK, pin!(send_messages(stack, collector, host))).await
 }
 
 /// Queues the message about a report of the gateway, if there is one: at most one a second for each client and reason.
@@ -162,28 +154,30 @@ fn lose() {
     LOST.lock(|lost| lost.set(lost.get().saturating_add(1)));
 }
 
-/// Sends the messages to the collector.
-async fn send_messages(stack: Stack<'_>, collector: SocketAddrV4, host: Option<&str>) -> ! {
-    let (mut metas, mut buffers) = ([[PacketMetadata::EMPTY; 4]; 2], ([0; 1], [0; 2 * MESSAGE]));
-    let ([rx_meta, tx_meta], (rx, tx)) = (&mut metas, &mut buffers);
-    let mut socket = UdpSocket::new(stack, rx_meta, rx, tx_meta, tx);
-    loop {
-        stack.wait_config_up().await;
-        // port 0 takes a free one
-        let _ = socket.bind(0);
-        let Waiting { severity, id, text } = QUEUE.receive().await;
-        let mut datagram = String::<MESSAGE>::new();
-        let _ = write!(Cut(&mut datagram), "{}", Message { severity, host, app: IMAGE, id, text: &text });
-        if socket.send_to(datagram.as_bytes(), collector).await.is_err() {
-            lose();
-        }
+/// Waits for a message.
+pub(crate) async fn wait() {
+    QUEUE.ready_to_receive().await;
+}
+
+/// Sends the oldest message to the collector, if there is one.
+pub(crate) async fn send(socket: &mut UdpSocket<'_>, collector: SocketAddrV4, host: Option<&str>) {
+    let Ok(Waiting { severity, id, text }) = QUEUE.try_receive() else { return };
+    let message = Message { severity, host, app: IMAGE, id, text: &text };
+    let write = |out: &mut [u8]| {
+        let mut out = Text::new(out);
+        // there is room for the longest one
+        let _ = write!(out, "{message}");
+        (out.len, ())
+    };
+    if socket.send_to_with(MESSAGE, collector, write).await.is_err() {
+        lose();
     }
 }
 
 /// Writes what fits.
-struct Cut<'a, const N: usize>(&'a mut String<N>);
+struct Cut<'a>(&'a mut String<TEXT>);
 
-impl<const N: usize> Write for Cut<'_, N> {
+impl Write for Cut<'_> {
     fn write_str(&mut self, text: &str) -> fmt::Result {
         text.chars().try_for_each(|c| self.0.push(c).map_err(|_| fmt::Error))
     }

@@ -16,7 +16,8 @@ use crate::watchdog::Task;
 pub(crate) const NETWORK: Task = Task::new(0);
 pub(crate) const ROBOT: Task = Task::new(1);
 pub(crate) const STATUS: Task = Task::new(2);
-pub(crate) const PLC: u32 = 3;
+pub(crate) const DATAGRAMS: Task = Task::new(3);
+pub(crate) const PLC: u32 = 4;
 /// Listeners of RAC. One of them answers PLCs without a slot.
 pub(crate) const LISTENERS: usize = PLCS + 1;
 /// The first number after the listeners of RAC, and after the ones of Modbus.
@@ -28,9 +29,7 @@ const AFTER_MODBUS: u32 = AFTER_PLCS + MODBUS as u32 + 1;
 #[cfg(not(feature = "modbus"))]
 const AFTER_MODBUS: u32 = AFTER_PLCS;
 #[cfg(feature = "health")]
-pub(crate) const SYSLOG_TASK: Task = Task::new(AFTER_MODBUS);
-#[cfg(feature = "health")]
-pub(crate) const PAGE_TASK: u32 = AFTER_MODBUS + 1;
+pub(crate) const PAGE_TASK: u32 = AFTER_MODBUS;
 #[cfg(feature = "health")]
 const TASKS: u32 = PAGE_TASK + PAGES as u32;
 #[cfg(not(feature = "health"))]
@@ -56,6 +55,8 @@ pub(crate) static PAGE_BACKLOG: Backlog = Backlog::new();
 /// Board-specific data for the status line and the page.
 #[derive(Clone, Copy)]
 pub struct Parts {
+    /// The name of the board or the project, for `bcap board find`.
+    pub name: &'static str,
     /// The cause of the last reset.
     pub last_reset: Cause,
     /// Writes the counters of the Ethernet controller.
@@ -71,13 +72,14 @@ pub struct Parts {
 }
 
 impl Parts {
-    /// Logs the cause of the last reset, and returns the parts of a board that has no separate counters.
+    /// Logs the cause of the last reset, and returns the parts of a board of this name that has no separate counters.
     #[must_use]
-    pub fn after(last_reset: Cause) -> Self {
+    pub fn after(last_reset: Cause, name: &'static str) -> Self {
         defmt::info!("last reset: {}", defmt::Display2Format(&last_reset));
         #[cfg(feature = "update")]
         crate::trial::set_last_reset(last_reset);
         Self {
+            name,
             last_reset,
             frames: |_| {},
             counters: |_| {},

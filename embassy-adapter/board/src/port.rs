@@ -2,17 +2,21 @@
 
 use core::cell::RefCell;
 use core::convert::Infallible;
+use core::fmt::Write as _;
 
+use bcap_core::rac;
 use embassy_futures::join::join3;
+use embassy_futures::select::{Either, select};
+use embassy_net::Ipv4Cidr;
 use embassy_time::Duration;
 use embedded_io_async::{Read, Write};
 use embedded_storage::nor_flash::NorFlash;
-use heapless::Vec;
+use heapless::{String, Vec};
 use static_cell::ConstStaticCell;
 
 use crate::console::{Action, Console};
 use crate::slots::Slots;
-use crate::{log, memory};
+use crate::{address, log, memory};
 #[cfg(feature = "update")]
 use crate::{trial, update::Updates};
 
@@ -70,7 +74,7 @@ pub fn console_with_updates<F: NorFlash>(slots: Slots<F>, updates: Option<Update
     trial::console(slots, updates)
 }
 
-/// Serves a host that changes the settings, until it asks for a restart.
+/// Serves a host that changes the settings, until it asks for a restart. A line tells the address once the board has one.
 ///
 /// # Errors
 ///
@@ -81,9 +85,16 @@ pub async fn serve<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
     receiver: &mut R,
     sender: &mut W,
 ) -> Result<Action, R::Error> {
-    let mut bytes = [0; PART];
+    let (mut bytes, mut told) = ([0; PART], None);
     loop {
-        let count = receiver.read(&mut bytes).await?;
+        let count = match select(receiver.read(&mut bytes), address::changed(told)).await {
+            Either::First(count) => count?,
+            Either::Second(found) => {
+                told = Some(found);
+                tell(found, sender).await?;
+                continue;
+            }
+        };
         for byte in bytes.iter().take(count) {
             answer.0.clear();
             // other tasks of the port borrow it between two bytes only
@@ -107,6 +118,15 @@ pub async fn serve<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
             }
         }
     }
+}
+
+/// Tells a person at a terminal the address. Hosts skip the line, because it is not an answer.
+async fn tell<W: Write>(found: Ipv4Cidr, sender: &mut W) -> Result<(), W::Error> {
+    let mut line = String::<PART>::new();
+    // there is room for the longest one
+    let _ = write!(line, "address {found}, RAC on port {}\r\n", rac::PORT);
+    sender.write_all(line.as_bytes()).await?;
+    sender.flush().await
 }
 
 /// Sends the log to a port.

@@ -10,6 +10,7 @@ use bcap_gateway::modbus::Entry;
 use bcap_gateway::{Network, Rate, Rules};
 
 use crate::host::{Own, is_host, is_host_in, is_other};
+use crate::mac;
 #[cfg(feature = "modbus")]
 use crate::modbus_map::ModbusMap;
 use crate::rules::{List, RuleMemory};
@@ -40,6 +41,8 @@ pub struct Settings<'a> {
     pub mac: Option<[u8; 6]>,
     /// The name sent with DHCP; at most 32 characters.
     pub hostname: Option<&'a str>,
+    /// Whether the board answers [`find`](crate::find).
+    pub find: bool,
     /// The port of the echo server, if there is one.
     pub echo: Option<u16>,
     /// The idle time after which a PLC's connection is closed; `None` means never.
@@ -107,6 +110,7 @@ impl Default for Settings<'_> {
             gateway: None,
             mac: None,
             hostname: None,
+            find: true,
             echo: None,
             idle: None,
             evict: Duration::from_secs(10),
@@ -210,8 +214,9 @@ impl<'a> Settings<'a> {
             "dhcp" => self.dhcp = valid(yes(text))?,
             "address" => self.address = Some(valid(network(text).filter(|own| self.are_others(*own)))?),
             "gateway" => self.gateway = Some(valid(host(text).filter(|gateway| self.is_other(*gateway)))?),
-            "mac" => self.mac = Some(valid(mac(text))?),
+            "mac" => self.mac = Some(valid(mac::parse(text))?),
             "hostname" => self.hostname = Some(valid(hostname(text))?),
+            "find" => self.find = valid(yes(text))?,
             "get" => self.lists.allow_get(text)?,
             "put" => self.lists.allow_put(Network::ANY, text)?,
             "allow" => self.lists.allow_clients(valid(Network::parse(text))?)?,
@@ -360,16 +365,6 @@ fn yes(value: &str) -> Option<bool> {
     }
 }
 
-fn mac(value: &str) -> Option<[u8; 6]> {
-    let mut mac = [0; 6];
-    let mut parts = value.split(':');
-    for byte in &mut mac {
-        *byte = parts.next().filter(|part| part.len() == 2).and_then(|part| u8::from_str_radix(part, 16).ok())?;
-    }
-    // a multicast address or the zero address cannot be a board's address
-    (parts.next().is_none() && mac[0] & 1 == 0 && mac != [0; 6]).then_some(mac)
-}
-
 /// Accepts a host name without dots (RFC 1123) that fits the 32 bytes that embassy-net sends.
 fn hostname(value: &str) -> Option<&str> {
     let is_name = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'-';
@@ -419,7 +414,7 @@ mod tests {
     fn every_key_is_parsed() {
         let settings = read(
             "robot=udp:192.168.0.1:5008\nprovider=P\nmachine=m\noption=Server=10.6.235.60\nservice=\nvariable=P7\n\
-             dhcp=no\naddress=192.168.0.9/16\ngateway=192.168.0.254\nmac=02:00:00:BC:a9:7f\nhostname=cell-7\necho=7\nconvert=yes\n\
+             dhcp=no\naddress=192.168.0.9/16\ngateway=192.168.0.254\nmac=02:00:00:BC:a9:7f\nhostname=cell-7\nfind=no\necho=7\nconvert=yes\n\
              rate=50/10\nidle=60\nevict=3600\nkeepalive=1\n",
         );
         let expected = Settings {
@@ -434,6 +429,7 @@ mod tests {
             gateway: Some(Ipv4Addr::new(192, 168, 0, 254)),
             mac: Some([2, 0, 0, 0xbc, 0xa9, 0x7f]),
             hostname: Some("cell-7"),
+            find: false,
             echo: Some(7),
             idle: Some(Duration::from_secs(60)),
             evict: Duration::from_secs(3600),
@@ -562,6 +558,7 @@ mod tests {
             "hostname=a-name-of-33-characters-is-refused",
             "dhcp=maybe",
             "convert=",
+            "find=no ",
             "rate=x",
             "rate=5/0",
             "echo=0",

@@ -7,6 +7,8 @@ mod dhcp;
 #[cfg(unix)]
 mod faults;
 #[cfg(unix)]
+mod find;
+#[cfg(unix)]
 mod flood;
 #[cfg(unix)]
 mod gateway;

@@ -1,0 +1,122 @@
+//! Tests how the gateway board in QEMU answers `bcap board find`, also with hostile hosts on its network.
+
+use std::net::Ipv4Addr;
+use std::time::{Duration, Instant};
+
+use bcap_board::find::{Found, PORT, REQUEST, request};
+use bcap_qemu::{Board, Sim, TIMEOUT, bcap, free_port, run};
+use bcap_test_support::frames::packet;
+use smoltcp::phy::ChecksumCapabilities;
+use smoltcp::wire::{IpProtocol, UdpPacket, UdpRepr};
+
+use crate::wire::{BOARD, HOST, Wire, World};
+
+const MAC: [u8; 6] = [2, 0, 0, 0, 0, 0x15];
+const BROADCAST: Ipv4Addr = Ipv4Addr::new(10, 0, 2, 255);
+const NUMBER: [u8; 8] = *b"a number";
+/// The source port of the requests.
+const HOST_PORT: u16 = 40_000;
+/// Offsets in a frame: the destination, the ports, and the payload.
+const DESTINATION: usize = 30;
+const PORTS: usize = 34;
+const PAYLOAD: usize = 42;
+
+#[test]
+fn the_command_finds_the_board() {
+    let bcap = bcap();
+    let sim = Sim::start(&bcap, "127.0.0.1:0");
+    let port = free_port().to_string();
+    let settings = ["provider=CaoProv.DENSO.VRC", "hostname=cell-7", "mac=02:00:00:00:00:15"];
+    let _board = Board::start(&sim.bcap, &["--find", &port], &settings).up();
+    let found = run(&bcap, &["board", "find", &format!("127.0.0.1:{port}"), "--timeout", "20000"]);
+    let line = "10.0.2.15:5006  02:00:00:00:00:15  gateway 0.1.0  cell-7\n";
+    assert_eq!((found.out.as_str(), found.ok), (line, true), "{found:?}");
+}
+
+/// Sends a request in a frame.
+fn ask(world: &World, from: Ipv4Addr, to: Ipv4Addr, payload: &[u8]) {
+    let mac = if to == BROADCAST { [0xff; 6] } else { MAC };
+    let udp = UdpRepr { src_port: HOST_PORT, dst_port: PORT };
+    let write = |bytes: &mut [u8]| {
+        let mut datagram = UdpPacket::new_unchecked(bytes);
+        let copy = |room: &mut [u8]| room.copy_from_slice(payload);
+        udp.emit(&mut datagram, &from.into(), &to.into(), payload.len(), copy, &ChecksumCapabilities::default());
+    };
+    // until QEMU is up no process receives the frames
+    let _ = world.wire.link.send(&packet((mac, from, to, IpProtocol::Udp), 8 + payload.len(), write));
+}
+
+/// Runs for a time, and returns the datagrams from the board's port: their destinations and payloads.
+fn answers(world: &mut World, board: &mut Board, time: Duration) -> Vec<(Ipv4Addr, Vec<u8>)> {
+    let (end, mut found) = (Instant::now() + time, Vec::new());
+    while Instant::now() < end {
+        assert!(board.is_running(), "the board has ended or was reset: {}", board.log());
+        world.wire.receive();
+        for frame in &world.wire.arrived {
+            if frame.len() > PAYLOAD && frame[23] == 17 && frame[PORTS..][..2] == PORT.to_be_bytes() {
+                let to = <[u8; 4]>::try_from(&frame[DESTINATION..PORTS]).unwrap();
+                found.push((to.into(), frame[PAYLOAD..].to_vec()));
+            }
+        }
+        world.poll();
+    }
+    found
+}
+
+#[test]
+fn only_hosts_of_its_network_get_answers_and_a_flood_gets_few() {
+    let (wire, netdev) = Wire::open(1);
+    let settings = ["dhcp=no", "hostname=cell-7", "mac=02:00:00:00:00:15"];
+    let mut board = Board::start("10.0.2.2:5007", &["--netdev", &netdev], &settings);
+    let mut world = World::new(wire, 0, 1);
+    // the board may have to be built first
+    let since = Instant::now();
+    let (to, answer) = loop {
+        assert!(since.elapsed() < 10 * TIMEOUT, "no answer: {}", board.log());
+        ask(&world, HOST, BROADCAST, &request(NUMBER));
+        let found = answers(&mut world, &mut board, Duration::from_millis(200));
+        if let Some(found) = found.into_iter().next() {
+            break found;
+        }
+    };
+    let expected =
+        Found { name: "cell-7", board: "gateway", version: "0.1.0", address: (BOARD, 24), port: 5006, mac: MAC };
+    assert_eq!((to, Found::read(&answer, NUMBER)), (HOST, Some(expected)));
+    assert!(answer.len() < REQUEST, "{} bytes", answer.len());
+
+    // other networks, groups, the board itself, no host; requests that an answer would amplify
+    let others = [
+        [172, 16, 0, 7],
+        [10, 0, 3, 2],
+        [224, 0, 0, 1],
+        [255; 4],
+        [10, 0, 2, 255],
+        [10, 0, 2, 0],
+        [0; 4],
+        [127, 0, 0, 1],
+    ];
+    for from in others.map(Ipv4Addr::from).into_iter().chain([BOARD]) {
+        for to in [BOARD, BROADCAST] {
+            ask(&world, from, to, &request(NUMBER));
+        }
+    }
+    for payload in [&request(NUMBER)[..REQUEST - 1], &[], &[0; 1400], &answer] {
+        ask(&world, HOST, BOARD, payload);
+    }
+    assert_eq!(answers(&mut world, &mut board, Duration::from_secs(2)), []);
+
+    let since = Instant::now();
+    let (mut sent, mut count) = (0, 0);
+    while since.elapsed() < Duration::from_secs(3) {
+        for _ in 0..10 {
+            ask(&world, HOST, BOARD, &request(NUMBER));
+            sent += 1;
+        }
+        count += answers(&mut world, &mut board, Duration::from_millis(5)).len();
+    }
+    count += answers(&mut world, &mut board, Duration::from_millis(200)).len();
+    let most = since.elapsed().as_millis() / 50 + 1;
+    assert!(sent > 100 && count > 0 && (count as u128) <= most, "{count} answers to {sent} requests, at most {most}");
+    ask(&world, HOST, BOARD, &request(NUMBER));
+    assert_eq!(answers(&mut world, &mut board, Duration::from_secs(1)).len(), 1, "it answers again");
+}
