@@ -25,9 +25,27 @@ const SYSRESETREQ = 4;
 const READ_UNIQUE_ID = 0x4b;
 const UNIQUE_ID = [0xe4, 0x62, 0x0c, 0x11, 0x5a, 0x01, 0x23, 0x45];
 
-/** Copies the loadable segments of an ELF file into the flash. */
+/** Copies the blocks of a UF2 file into the flash, as the boot ROM does: it takes only those for its chip. */
+function loadUf2(rp2040, uf2) {
+  for (let block = 0; block < uf2.length; block += 512) {
+    const [first, second, flags, address, size, number, count, family] = Array.from({ length: 8 }, (_, at) => uf2.readUInt32LE(block + 4 * at));
+    if (first !== 0x0a324655 || second !== 0x9e5d5157 || uf2.readUInt32LE(block + 508) !== 0x0ab16f30 || family !== 0xe48bff56) {
+      throw new Error(`block ${block / 512} is not for this board`);
+    }
+    if (flags !== 0x2000 || size !== 256 || number !== block / 512 || count !== uf2.length / 512) {
+      throw new Error(`block ${block / 512} has wrong fields`);
+    }
+    rp2040.flash.set(uf2.subarray(block + 32, block + 32 + size), address - FLASH);
+  }
+}
+
+/** Copies a UF2 file, or the loadable segments of an ELF file, into the flash. */
 function load(rp2040, file) {
   const elf = readFileSync(file);
+  if (elf.toString('latin1', 0, 4) === 'UF2\n') {
+    loadUf2(rp2040, elf);
+    return;
+  }
   const [table, size, count] = [elf.readUInt32LE(28), elf.readUInt16LE(42), elf.readUInt16LE(44)];
   for (let header = table; header < table + size * count; header += size) {
     const [offset, address, length] = [4, 12, 16].map((field) => elf.readUInt32LE(header + field));

@@ -1,11 +1,11 @@
 // Runs an image for WIZnet's W5500-EVB-Pico:
 //
-//   node run.mjs IMAGE[,IMAGE] RAC[,UPDATE] CONSOLE >LOG
+//   node run.mjs IMAGE[,IMAGE] RAC,UPDATE,FIND CONSOLE >LOG
 //
-// The flash has one image, or a boot loader and an image. RAC and UPDATE are local TCP ports that are forwarded to the ports 5006 and
-// 5010 of the board. CONSOLE is a Unix socket for the console of the board. LOG
-// gets the bytes of the log. rp2040js is searched in the directory $RP2040JS. QEMU, which runs no machine, is the network: it has a
-// DHCP server, and this computer has the address 10.0.2.2 in it.
+// The flash has one image, or a boot loader and an image; each is an ELF or UF2 file. RAC and UPDATE are local TCP ports that are forwarded
+// to the ports 5006 and 5010 of the board, and FIND is a UDP port that is forwarded to 5011. CONSOLE is a Unix socket for the console of
+// the board. LOG gets the bytes of the log. rp2040js is searched in the directory $RP2040JS. QEMU, which runs no machine, is the network: it has a
+// DHCP server, and this computer has the address 192.168.0.1 in it, where an image without settings expects its robot.
 
 import { spawn } from 'node:child_process';
 import { createRequire } from 'node:module';
@@ -14,7 +14,7 @@ import { Board } from './board.mjs';
 
 const rp2040js = createRequire(`${process.env.RP2040JS}/`)('rp2040js');
 const [images, ports, consolePath] = process.argv.slice(2);
-const [rac, update] = ports.split(',');
+const [rac, update, find] = ports.split(',');
 const LOG = 1;
 /** The longest time between looks at the sockets. */
 const SLICE_NANOS = 5e6;
@@ -23,13 +23,15 @@ const LAG_NANOS = 50e6;
 
 let network = null;
 let terminal = null;
+/** The bytes of the console before the first terminal. */
+const early = [];
 const board = new Board(rp2040js, images.split(','), {
   frame: (frame) => {
     const length = Buffer.alloc(4);
     length.writeUInt32BE(frame.length);
     network?.write(Buffer.concat([length, frame]));
   },
-  serial: (port, bytes) => (port === LOG ? process.stdout.write(bytes) : terminal?.write(bytes)),
+  serial: (port, bytes) => (port === LOG ? process.stdout.write(bytes) : terminal ? terminal.write(bytes) : early.push(Buffer.from(bytes))),
 });
 
 /** QEMU's sockets have the length of each frame before it, in four bytes. */
@@ -50,7 +52,7 @@ function startNetwork(port) {
   const hub = (id, netdev) => ['-netdev', `hubport,id=${id},hubid=0,netdev=${netdev}`];
   const qemu = spawn('qemu-system-arm', [
     ...['-M', 'none', '-display', 'none', '-monitor', 'none', '-serial', 'none'],
-    ...['-netdev', `user,id=user,hostfwd=tcp:127.0.0.1:${rac}-:5006${update ? `,hostfwd=tcp:127.0.0.1:${update}-:5010` : ''}`, ...hub('a', 'user')],
+    ...['-netdev', `user,id=user,net=192.168.0.0/24,host=192.168.0.1,dhcpstart=192.168.0.15,hostfwd=tcp:127.0.0.1:${rac}-:5006,hostfwd=tcp:127.0.0.1:${update}-:5010,hostfwd=udp:127.0.0.1:${find}-:5011`, ...hub('a', 'user')],
     ...['-netdev', `socket,id=frames,connect=127.0.0.1:${port}`, ...hub('b', 'frames')],
   ]);
   qemu.on('exit', (code) => {
@@ -68,6 +70,7 @@ function startNetwork(port) {
 const frames = createServer(readFrames).listen(0, '127.0.0.1', () => startNetwork(frames.address().port));
 createServer((socket) => {
   terminal = socket;
+  socket.write(Buffer.concat(early.splice(0)));
   socket.on('data', (data) => board.usb.send(data)).on('error', () => {});
 }).listen(consolePath);
 

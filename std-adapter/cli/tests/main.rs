@@ -6,6 +6,7 @@ mod attacks;
 mod backup;
 #[cfg(unix)]
 mod board;
+mod board_install;
 #[cfg(unix)]
 mod book;
 mod captures;

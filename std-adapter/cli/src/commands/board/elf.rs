@@ -10,8 +10,13 @@ pub(super) fn is_elf(file: &[u8]) -> bool {
     file.starts_with(b"\x7fELF")
 }
 
-/// Returns the segments of a little-endian ELF file with 32 bits as one binary; gaps are `ff`, as in erased flash.
-pub(super) fn flatten(file: &[u8]) -> Option<Vec<u8>> {
+/// Tells whether an ELF file is for RISC-V.
+pub(super) fn is_riscv(file: &[u8]) -> bool {
+    half(file, 18) == Some(243)
+}
+
+/// Returns the segments of a little-endian ELF file with 32 bits as one binary, and its address; gaps are `ff`, as in erased flash.
+pub(super) fn flatten(file: &[u8]) -> Option<(u32, Vec<u8>)> {
     // 32 bits, little-endian
     if file.get(4..6)? != [1, 1] {
         return None;
@@ -28,18 +33,28 @@ pub(super) fn flatten(file: &[u8]) -> Option<Vec<u8>> {
             segments.insert(address?, file.get(offset..offset.checked_add(len)?)?);
         }
     }
-    let (first, _) = segments.first_key_value()?;
-    let first = *first;
+    joined(segments)
+}
+
+/// Joins several binaries into one.
+pub(super) fn join(parts: Vec<(u32, Vec<u8>)>) -> Option<(u32, Vec<u8>)> {
+    let count = parts.len();
+    let parts: BTreeMap<_, _> = parts.into_iter().collect();
+    (parts.len() == count).then(|| joined(parts))?
+}
+
+fn joined(parts: BTreeMap<u32, impl AsRef<[u8]>>) -> Option<(u32, Vec<u8>)> {
+    let first = *parts.first_key_value()?.0;
     let mut image = Vec::new();
-    for (address, bytes) in segments {
+    for (address, bytes) in parts {
         let at = usize::try_from(Some(address - first).filter(|at| *at < MOST)?).ok()?;
         if at < image.len() {
             return None;
         }
         image.resize(at, 0xff);
-        image.extend_from_slice(bytes);
+        image.extend_from_slice(bytes.as_ref());
     }
-    Some(image)
+    Some((first, image))
 }
 
 fn word(bytes: &[u8], at: usize) -> Option<u32> {
@@ -77,7 +92,13 @@ mod tests {
     fn loaded_segments_are_put_at_their_addresses() {
         let file = file(&[(1, 0x1001_0008, b"second"), (1, 0x1001_0000, b"first"), (1, 9, b""), (6, 0, b"no segment")]);
         assert!(is_elf(&file));
-        assert_eq!(flatten(&file).unwrap(), b"first\xff\xff\xffsecond");
+        let flat = (0x1001_0000, b"first\xff\xff\xffsecond".to_vec());
+        assert_eq!(flatten(&file).unwrap(), flat);
+        assert!(!is_riscv(&file));
+        let joined = join(vec![flat.clone(), (0x1000_fffe, b"x".to_vec())]).unwrap();
+        assert_eq!(joined, (0x1000_fffe, b"x\xfffirst\xff\xff\xffsecond".to_vec()));
+        assert_eq!(join(vec![flat.clone(), flat.clone()]), None, "twice the same");
+        assert_eq!(join(vec![flat, (0x1000_fffe, b"xyz".to_vec())]), None, "overlap");
     }
 
     #[test]

@@ -20,7 +20,8 @@ pub(super) fn read(path: &str) -> Result<(Vec<u8>, Identity), Failure> {
     }
     let image = match elf::is_elf(&file) {
         true => {
-            elf::flatten(&file).ok_or_else(|| invalid("the ELF file is damaged, or is not for a board with 32 bits"))?
+            let flat = elf::flatten(&file).map(|(_, image)| image);
+            flat.ok_or_else(|| invalid("the ELF file is damaged, or is not for a board with 32 bits"))?
         }
         false => file,
     };

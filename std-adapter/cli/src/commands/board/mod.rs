@@ -1,9 +1,13 @@
-//! `bcap board`: the settings and the image of a board over a serial line, its image also over TCP, in the protocol of [`bcap_board::console`].
+//! `bcap board`: the settings and the image of a board over a serial line, its image also over TCP, in the protocol of
+//! [`bcap_board::console`]; its first image over a drive; its address.
 
 mod elf;
+mod find;
+mod flash;
 mod image;
 mod key;
 mod port;
+mod uf2;
 pub(crate) mod update;
 
 use std::fs;
@@ -14,6 +18,8 @@ use bcap_board::crc::Crc32;
 use bcap_board::slots::TEXT;
 use clap::{Args, Subcommand};
 
+use self::find::Find;
+use self::flash::{Convert, Flash};
 use self::key::{Key, Sign};
 use self::port::{Answer, Port};
 use self::update::{Status, Update};
@@ -21,7 +27,7 @@ use crate::failure::Failure;
 use crate::link::LinkArgs;
 use crate::output;
 
-/// Changes the settings and the image of a gateway board
+/// Finds gateway boards, and changes their settings and images
 #[derive(Debug, Args)]
 pub(crate) struct Board {
     #[command(subcommand)]
@@ -30,7 +36,10 @@ pub(crate) struct Board {
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum BoardCommand {
+    Find(Find),
     Configure(Configure),
+    Flash(Flash),
+    Convert(Convert),
     Update(Update),
     Status(Status),
     Key(Key),
@@ -83,7 +92,10 @@ const SETTINGS_REMAIN: &str = "the settings of the board are unchanged";
 
 pub(crate) fn board(args: &Board, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     match &args.command {
+        BoardCommand::Find(args) => find::find(args, link, json),
         BoardCommand::Configure(args) => configure(args, link, json),
+        BoardCommand::Flash(args) => flash::flash(args, link, json),
+        BoardCommand::Convert(args) => flash::convert(args, json),
         BoardCommand::Update(args) => update::update(args, link, json),
         BoardCommand::Status(args) => update::status(args, link, json),
         BoardCommand::Key(args) => key::key(args, json),
