@@ -1,12 +1,18 @@
 //! The board's address on embassy-net: by DHCP, or the configured one.
 
+#[cfg(feature = "port")]
 use core::cell::Cell;
+#[cfg(feature = "port")]
 use core::future::poll_fn;
+#[cfg(feature = "port")]
 use core::task::Poll;
 
 use embassy_net::{Config, ConfigV4, DhcpConfig, Ipv4Cidr, Stack, StaticConfigV4};
+#[cfg(feature = "port")]
 use embassy_sync::blocking_mutex::Mutex;
+#[cfg(feature = "port")]
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
+#[cfg(feature = "port")]
 use embassy_sync::waitqueue::AtomicWaker;
 use embassy_time::{Duration, Timer, with_timeout};
 
@@ -19,10 +25,13 @@ const DHCP_TIME: Duration = Duration::from_secs(5);
 pub const DHCP_AGAIN: Duration = Duration::from_secs(60);
 
 /// The address that was found last, for the console.
+#[cfg(feature = "port")]
 static FOUND: Mutex<CriticalSectionRawMutex, Cell<Option<Ipv4Cidr>>> = Mutex::new(Cell::new(None));
+#[cfg(feature = "port")]
 static CONSOLE: AtomicWaker = AtomicWaker::new();
 
 /// Waits until the board has another address than `known`. One console at a time can wait.
+#[cfg(feature = "port")]
 pub(crate) async fn changed(known: Option<Ipv4Cidr>) -> Ipv4Cidr {
     poll_fn(|context| {
         CONSOLE.register(context.waker());
@@ -54,8 +63,11 @@ pub async fn find(stack: Stack<'_>, settings: &Settings<'_>) {
     }
     if let Some(found) = stack.config_v4() {
         defmt::info!("address {}", found.address);
-        FOUND.lock(|cell| cell.set(Some(found.address)));
-        CONSOLE.wake();
+        #[cfg(feature = "port")]
+        {
+            FOUND.lock(|cell| cell.set(Some(found.address)));
+            CONSOLE.wake();
+        }
     }
 }
 
