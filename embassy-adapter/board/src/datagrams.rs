@@ -2,7 +2,9 @@
 //!
 //! One socket, because each one takes memory.
 
+use core::future::poll_fn;
 use core::net::Ipv4Addr;
+use core::task::Context;
 
 use bcap_core::rac;
 use embassy_executor::{SpawnError, Spawner};
@@ -13,6 +15,7 @@ use static_cell::{ConstStaticCell, StaticCell};
 
 use crate::Settings;
 use crate::find::{Found, PORT, REQUEST, number};
+use crate::identity::NAME;
 #[cfg(feature = "health")]
 use crate::page;
 use crate::parts::{DATAGRAMS, Parts};
@@ -60,13 +63,13 @@ async fn run(stack: Stack<'_>, mut socket: UdpSocket<'_>, settings: &Settings<'_
         socket.wait_recv_ready().await;
         #[cfg(feature = "health")]
         if let Some(collector) = settings.syslog {
-            page::send(&mut socket, collector, settings.hostname).await;
+            page::send(&socket, collector, settings.hostname).await;
         }
         if socket.may_recv() {
             let asked = socket.recv_from_with(|datagram, meta| Some((number(datagram)?, meta))).await;
             if let Some((number, meta)) = asked.filter(|_| settings.find && Instant::now() >= next_answer) {
                 next_answer = Instant::now().saturating_add(PAUSE);
-                answer(stack, &mut socket, (number, meta), settings, name).await;
+                answer(stack, &socket, (number, meta), settings, name).await;
             }
         }
     }
@@ -75,7 +78,7 @@ async fn run(stack: Stack<'_>, mut socket: UdpSocket<'_>, settings: &Settings<'_
 /// Answers a host of the board's own network.
 async fn answer(
     stack: Stack<'_>,
-    socket: &mut UdpSocket<'_>,
+    socket: &UdpSocket<'_>,
     (number, meta): ([u8; 8], UdpMetadata),
     settings: &Settings<'_>,
     name: &str,
@@ -88,10 +91,17 @@ async fn answer(
     }
     let name_of_host = settings.hostname.unwrap_or_default();
     let version = env!("CARGO_PKG_VERSION");
+    // a project can have a longer name than a board
+    let name = name.get(..name.len().min(NAME)).unwrap_or_default();
     let found = Found { name: name_of_host, board: name, version, address: own, port: rac::PORT, mac: mac.0 };
     // to the endpoint alone: the request may have been sent to the broadcast address, which is no source
-    let sent = socket.send_to_with(REQUEST, meta.endpoint, |out| (found.write(number, out).unwrap_or_default(), ()));
-    let _ = sent.await;
+    let send = |context: &mut Context<'_>| {
+        let mut out = [0; REQUEST];
+        let len = found.write(number, &mut out).unwrap_or_default();
+        // not `send_to_with`: smoltcp 0.13.1 then finds no room in an empty buffer that was used before
+        socket.poll_send_to(out.get(..len).unwrap_or_default(), meta.endpoint, context)
+    };
+    let _ = poll_fn(send).await;
 }
 
 /// Returns whether a host is another one of the board's network.

@@ -2,9 +2,11 @@
 
 use core::cell::{Cell, RefCell};
 use core::fmt::{self, Write};
+use core::future::poll_fn;
 use core::net::SocketAddrV4;
 use core::pin::pin;
 use core::sync::atomic::{AtomicBool, Ordering};
+use core::task::Context;
 use core::time::Duration;
 
 use bcap_embassy::clock::now;
@@ -160,16 +162,19 @@ pub(crate) async fn wait() {
 }
 
 /// Sends the oldest message to the collector, if there is one.
-pub(crate) async fn send(socket: &mut UdpSocket<'_>, collector: SocketAddrV4, host: Option<&str>) {
+pub(crate) async fn send(socket: &UdpSocket<'_>, collector: SocketAddrV4, host: Option<&str>) {
     let Ok(Waiting { severity, id, text }) = QUEUE.try_receive() else { return };
     let message = Message { severity, host, app: IMAGE, id, text: &text };
-    let write = |out: &mut [u8]| {
-        let mut out = Text::new(out);
+    let send = |context: &mut Context<'_>| {
+        let mut buffer = [0; MESSAGE];
+        let mut out = Text::new(&mut buffer);
         // there is room for the longest one
         let _ = write!(out, "{message}");
-        (out.len, ())
+        let len = out.len;
+        // not `send_to_with`: smoltcp 0.13.1 then finds no room in an empty buffer that was used before
+        socket.poll_send_to(buffer.get(..len).unwrap_or_default(), collector, context)
     };
-    if socket.send_to_with(MESSAGE, collector, write).await.is_err() {
+    if poll_fn(send).await.is_err() {
         lose();
     }
 }
