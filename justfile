@@ -58,7 +58,7 @@ loopback:
 
 # The clients for Python, C and Rust, and one in pure Python, make the same calls by turns: calls a second, processor time, instructions.
 [group('measure')]
-speed rounds="15":
+speed rounds="100":
     #!/usr/bin/env bash
     set -euo pipefail
     target=${CARGO_TARGET_DIR:-$PWD/target}/speed

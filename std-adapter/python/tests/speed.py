@@ -3,12 +3,12 @@
     speed.py ROUNDS [NAME=PROGRAM]...    with the clients of other languages, such as C=std-adapter/c/examples/calls
 
 Each client is a process with an open session to one virtual controller. In each round every client makes every call, one client after
-another, so that other load of the machine meets all of them. The figures are medians of the rounds: calls a second, and the processor
-time of a call, user and system, of the client alone. The package must be an optimised one: pip install ./std-adapter/python
+another and for a few milliseconds, so that other load of the machine meets all of them, and most of the time none. The figures are
+medians of the rounds: calls a second, and the processor time of a call, user and system, of the client alone. A ratio is the median
+of the ratios in each round. The package must be an optimised one: pip install ./std-adapter/python
 """
 
 import asyncio
-import resource
 import select
 import shutil
 import socket
@@ -28,7 +28,7 @@ from bcap.compat import bcapclient
 CALLS = {"read": "read I1", "write": "write I1", "pose": "read P1", "joints": "joints"}
 PYTHON = ["pure Python", "BCAPClient", "Controller", "aio.Controller"]
 #: calls of a client in a round
-COUNT = 500
+COUNT = 50
 
 
 class PurePython:
@@ -102,8 +102,7 @@ def bcap_client(host: str, port: int) -> List[Callable[[], object]]:
 
 def used() -> Tuple[float, float]:
     """Returns the processor time of this process and the time, in microseconds."""
-    own = resource.getrusage(resource.RUSAGE_SELF)
-    return (own.ru_utime + own.ru_stime) * 1e6, time.perf_counter() * 1e6
+    return time.process_time() * 1e6, time.perf_counter() * 1e6
 
 
 def answer(began: Tuple[float, float], count: int) -> None:
@@ -112,9 +111,12 @@ def answer(began: Tuple[float, float], count: int) -> None:
 
 
 def work(calls: Dict[str, Callable[[], object]]) -> None:
-    """Makes the calls of each line of stdin, such as "read 500", and prints what each took."""
+    """Makes the calls of each line of stdin, such as "read 50", and prints what each took. The first ones fill the caches."""
     for line in sys.stdin:
-        call, count, began = calls[line.split()[0]], int(line.split()[1]), used()
+        call, count = calls[line.split()[0]], int(line.split()[1])
+        for _ in range(count // 5):
+            call()
+        began = used()
         for _ in range(count):
             call()
         answer(began, count)
@@ -127,7 +129,10 @@ async def work_awaited(address: str) -> None:
         ]  # fmt: skip
         calls = dict(zip(CALLS, made))
         for line in sys.stdin:
-            call, count, began = calls[line.split()[0]], int(line.split()[1]), used()
+            call, count = calls[line.split()[0]], int(line.split()[1])
+            for _ in range(count // 5):
+                await call()
+            began = used()
             for _ in range(count):
                 await call()
             answer(began, count)
@@ -179,7 +184,7 @@ def instructions(program: str, call: str, address: str) -> int:
         command = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null", program, address]
         ran = subprocess.run(command, input=f"{call} {count}\n", capture_output=True, text=True, check=True)
         collected.append(int(ran.stderr.split("Collected : ")[1].split()[0]))
-    return (collected[1] - collected[0]) // 500
+    return (collected[1] - collected[0]) // 600
 
 
 def main() -> None:
@@ -196,19 +201,16 @@ def main() -> None:
         clients = [Client(name, [sys.executable, __file__, "worker", name, address]) for name in PYTHON]
         clients += [Client(name, [program, address]) for name, program in others.items()]
         with_frames = [client for client in clients if client.name in ("pure Python", "Rust")]
-        for client in clients:
-            client.make("read", COUNT)
-            client.rounds["read"].clear()
         for _ in range(rounds):
             for call in CALLS:
                 for client in clients:
                     client.make(call, COUNT)
             for client in with_frames:
-                client.make("frame", 20 * COUNT)
+                client.make("frame", 100 * COUNT)
         print("| client | calls a second | ratio | " + " | ".join(CALLS.values()) + " | ratio |\n|---" + "|---" * 7 + "|")
         for client in clients:
             print(client.row(clients[0]))
-        frames = ", ".join(f"{client.name} {client.processor('frame'):.2f} us" for client in with_frames)
+        frames = ", ".join(f"{client.name} {client.processor('frame'):.3f} us" for client in with_frames)
         print(f"a request and a reply without a socket: {frames}")
         if shutil.which("valgrind"):
             for call in CALLS if others else ():
