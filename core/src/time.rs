@@ -94,6 +94,16 @@ impl<F: Fn() -> Instant> Clock for F {
     }
 }
 
+/// Returns the earlier of two times, either of which may be missing.
+#[inline]
+#[must_use]
+pub fn earliest(one: Option<Instant>, other: Option<Instant>) -> Option<Instant> {
+    match (one, other) {
+        (Some(one), Some(other)) => Some(one.min(other)),
+        (one, other) => one.or(other),
+    }
+}
+
 /// A clock from a timer that counts microseconds in 32 bits and wraps.
 ///
 /// Ask it at least once in 71 minutes, the time of a wrap; a waiting call does. A timer that an interrupt or another processor asks,
@@ -161,6 +171,14 @@ mod tests {
         assert!(clock.now() < deadline);
         count.set(4);
         assert_eq!(clock.now(), deadline);
+    }
+
+    #[test]
+    fn a_missing_time_is_later_than_any_other() {
+        let times = [None, Some(Instant::ZERO), Some(Instant::FAR_FUTURE)];
+        for (one, other) in times.iter().flat_map(|one| times.iter().map(move |other| (*one, *other))) {
+            assert_eq!(earliest(one, other), [one, other].into_iter().flatten().min(), "{one:?} {other:?}");
+        }
     }
 
     #[test]

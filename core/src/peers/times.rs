@@ -3,7 +3,7 @@
 use core::time::Duration;
 
 use crate::endpoint::ServerEndpoint;
-use crate::time::Instant;
+use crate::time::{Instant, earliest};
 
 /// The time limits of a session on a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -76,7 +76,7 @@ impl StreamTimes {
         if idle.is_some_and(|until| now >= until) {
             return Err(Exceeded::Idle);
         }
-        Ok([session.poll_timeout(), partial, idle].into_iter().flatten().min())
+        Ok(earliest(session.poll_timeout(), earliest(partial, idle)))
     }
 }
 

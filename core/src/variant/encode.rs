@@ -126,19 +126,45 @@ impl Element for &str {
         let start = out.len();
         out.put(to_u32(len).to_le_bytes())?;
         // names and commands are ASCII: one unit for each byte
-        if let Ok(slot) = out.reserve(len) {
-            let mut seen = 0;
-            for (unit, byte) in slot.as_chunks_mut().0.iter_mut().zip(self.bytes()) {
-                *unit = [byte, 0];
-                seen |= byte;
-            }
-            if seen.is_ascii() {
-                return Ok(());
-            }
+        if let Ok(slot) = out.reserve(len)
+            && widen_ascii(self.as_bytes(), slot)
+        {
+            return Ok(());
         }
         out.truncate(start);
         out.length_prefixed(&|out| self.encode_utf16().try_for_each(|unit| out.put(unit.to_le_bytes())))
     }
+}
+
+/// Writes a unit for each byte into a slot of twice their length; returns whether all bytes are ASCII.
+fn widen_ascii(bytes: &[u8], slot: &mut [u8]) -> bool {
+    // a command such as slvMove in two steps that overlap; a board does without for its flash
+    #[cfg(not(target_os = "none"))]
+    if bytes.len() <= 8
+        && let (Some(first), Some(last)) = (bytes.first_chunk(), bytes.last_chunk())
+        && let Some(units) = slot.first_chunk_mut()
+    {
+        *units = four_units(first);
+        if let Some(units) = slot.last_chunk_mut() {
+            *units = four_units(last);
+        }
+        return (u32::from_le_bytes(*first) | u32::from_le_bytes(*last)) & 0x8080_8080 == 0;
+    }
+    let mut seen = 0;
+    for (unit, byte) in slot.as_chunks_mut().0.iter_mut().zip(bytes) {
+        *unit = [*byte, 0];
+        seen |= byte;
+    }
+    seen.is_ascii()
+}
+
+/// Puts a zero after each of four bytes.
+#[cfg(not(target_os = "none"))]
+#[inline]
+fn four_units(bytes: &[u8; 4]) -> [u8; 8] {
+    let units = u64::from(u32::from_le_bytes(*bytes));
+    let units = (units | units << 16) & 0x0000_ffff_0000_ffff;
+    ((units | units << 8) & 0x00ff_00ff_00ff_00ff).to_le_bytes()
 }
 
 impl Encode for str {
@@ -314,7 +340,15 @@ fn put_scalar(value: &Variant<'_>, out: &mut Writer<'_>) -> Result<(), EncodeErr
 /// Appends the lower bytes of `bits`, at most 8.
 #[cfg_attr(not(target_os = "none"), inline(always))]
 pub(super) fn put_bits(bits: u64, width: u8, out: &mut Writer<'_>) -> Result<(), EncodeError> {
-    for (slot, byte) in out.reserve(usize::from(width))?.iter_mut().zip(bits.to_le_bytes()) {
+    let bytes = bits.to_le_bytes();
+    // the loop is shorter on a board, and slower
+    #[cfg(not(target_os = "none"))]
+    match (width, bytes) {
+        (4, [a, b, c, d, ..]) => return out.put([a, b, c, d]),
+        (8, _) => return out.put(bytes),
+        _ => {}
+    }
+    for (slot, byte) in out.reserve(usize::from(width))?.iter_mut().zip(bytes) {
         *slot = byte;
     }
     Ok(())

@@ -121,13 +121,20 @@ impl Format {
 
     /// Returns `number * 10^exponent` by one division in the floating-point unit, if both of its numbers are exact there.
     #[cfg(not(target_os = "none"))]
-    #[expect(clippy::as_conversions, clippy::cast_precision_loss, clippy::cast_possible_truncation, reason = "checked")]
     fn by_hardware(self, number: u64, exponent: i32) -> Option<u64> {
+        self.of_short_decimal(number, to_usize(u32::try_from(exponent.checked_neg()?).ok()?))
+    }
+
+    /// Returns `number / 10^places` by one division in the floating-point unit, if both of its numbers are exact there.
+    #[cfg(not(target_os = "none"))]
+    #[expect(clippy::as_conversions, clippy::cast_precision_loss, clippy::cast_possible_truncation, reason = "checked")]
+    #[inline(always)]
+    pub(super) fn of_short_decimal(self, number: u64, places: usize) -> Option<u64> {
         const POWERS: [f64; 23] = [
             1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16, 1e17, 1e18,
             1e19, 1e20, 1e21, 1e22,
         ];
-        let power = POWERS.get(to_usize(u32::try_from(exponent.checked_neg()?).ok()?))?;
+        let power = POWERS.get(places)?;
         if number >> Self::Double.precision() != 0 {
             return None;
         }
@@ -219,12 +226,30 @@ impl Format {
 impl Format {
     /// Returns the magnitude of a whole number whose digits are the shortest as they are, of bits without a sign.
     pub(super) fn whole(self, bits: u64) -> Option<u64> {
+        #[cfg(not(target_os = "none"))]
+        if let Some(small) = self.whole_by_hardware(bits) {
+            return small;
+        }
         if bits == 0 {
             return Some(0);
         }
         let (significand, exponent) = self.parts(bits);
         let shift = u32::try_from(exponent.checked_neg()?).ok().filter(|shift| *shift < self.precision())?;
         (significand.trailing_zeros() >= shift).then_some(significand >> shift)
+    }
+
+    /// Returns what [`whole`](Self::whole) does by a conversion in the floating-point unit; `None` from 2^20 on.
+    #[cfg(not(target_os = "none"))]
+    #[expect(clippy::as_conversions, clippy::cast_possible_truncation, reason = "checked")]
+    #[inline(always)]
+    fn whole_by_hardware(self, bits: u64) -> Option<Option<u64>> {
+        let number = match self {
+            Self::Single => f64::from(f32::from_bits(low(bits))),
+            Self::Double => f64::from_bits(bits),
+        };
+        let whole = number as i32;
+        let is_whole = f64::from(whole).to_bits() == number.to_bits();
+        (whole < 1 << 20).then(|| is_whole.then(|| u64::from(whole.cast_unsigned())))
     }
 
     /// Returns the fewest digits that read back as the float, and their exponent; of bits without a sign, not whole.

@@ -143,12 +143,51 @@ fn float(text: &[u8], format: Format) -> Parsed<'_, u64> {
     let (rest, magnitude) = match unsigned {
         [b'i' | b'I', b'n' | b'N', b'f' | b'F', rest @ ..] => (rest, Some(format.infinity())),
         [b'n' | b'N', b'a' | b'A', b'n' | b'N', rest @ ..] => (rest, Some(format.nan())),
-        _ => decimal(unsigned).map(|(rest, number)| (rest, format.of_decimal(&number)))?,
+        _ => decimal_bits(unsigned, format)?,
     };
     match magnitude {
         Some(bits) => Ok((rest, if negative { bits | format.sign() } else { bits })),
         None => fault(TextErrorKind::OutOfRange, text),
     }
+}
+
+/// The bits of a [`decimal`]; `None` if it is out of range
+#[cfg_attr(not(target_os = "none"), inline(always))]
+fn decimal_bits(text: &[u8], format: Format) -> Parsed<'_, Option<u64>> {
+    #[cfg(not(target_os = "none"))]
+    if let Some((rest, bits)) = short_decimal(text, format) {
+        return Ok((rest, Some(bits)));
+    }
+    decimal(text).map(|(rest, number)| (rest, format.of_decimal(&number)))
+}
+
+/// A [`decimal`] of at most 15 digits without exponent, as almost all numbers of robots are; its bits. `None` for any other text.
+#[cfg(not(target_os = "none"))]
+#[inline(always)]
+fn short_decimal(text: &[u8], format: Format) -> Option<(&[u8], u64)> {
+    let (mut rest, mut number) = add_short_digits(text, 0);
+    let (mut count, mut places) = (text.len().wrapping_sub(rest.len()), 0);
+    if let [b'.', fraction @ ..] = rest {
+        (rest, number) = add_short_digits(fraction, number);
+        places = fraction.len().wrapping_sub(rest.len());
+        count = count.wrapping_add(places);
+    }
+    if !matches!(count, 1..=15) || matches!(rest, [b'e' | b'E', ..]) {
+        return None;
+    }
+    Some((rest, format.of_short_decimal(number, places)?))
+}
+
+/// `[ digits ]`, appended to a number, which wraps after 19 digits.
+#[cfg(not(target_os = "none"))]
+#[inline(always)]
+fn add_short_digits(text: &[u8], mut number: u64) -> (&[u8], u64) {
+    let mut rest = text;
+    while let [digit @ b'0'..=b'9', after @ ..] = rest {
+        number = number.wrapping_mul(10).wrapping_add(u64::from(digit & 0x0f));
+        rest = after;
+    }
+    (rest, number)
 }
 
 /// `decimal = mantissa [ "e" exponent ]`
