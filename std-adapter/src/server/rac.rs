@@ -24,9 +24,9 @@ pub(super) async fn listen<H: Handler + Send + 'static>(
     limits: Limits,
     stopped: watch::Receiver<()>,
 ) -> io::Result<()> {
-    accept(listener, limits, stopped.clone(), refuse, |stream, activity| {
+    accept(listener, limits, stopped, refuse, |stream, activity| {
         let session = Session::<Vec<u8>>::new(Config::TCP, Vec::new());
-        stream::serve(stream, session, shared.next_peer(), Arc::clone(&shared), limits, activity, stopped.clone())
+        stream::serve(stream, session, shared.next_peer(), Arc::clone(&shared), limits, activity)
     })
     .await
 }

@@ -2,20 +2,18 @@
 
 use std::borrow::Cow;
 use std::io;
-use std::pin::{Pin, pin};
 use std::sync::Arc;
 use std::time::Duration;
 
 use bcap_core::handler::PeerId;
 use bcap_core::peers::datagrams::SharedState as _;
 use bcap_core::peers::{Exceeded, StreamTimes};
-use bcap_core::time::Instant;
+use bcap_core::time::{Instant, earliest};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
-use tokio::sync::watch;
 use tokio::time::timeout;
 
-use super::activity::Activity;
+use super::activity::{Activity, Registered};
 use super::limits::Limits;
 use super::shared::{Changes, ServeLocked, ServerState};
 use crate::clock::{now, until};
@@ -44,16 +42,11 @@ pub(super) async fn serve<H: Send + 'static, M: ServeLocked<H> + 'static>(
     shared: Arc<ServerState<H>>,
     limits: Limits,
     activity: Arc<Activity>,
-    mut stopped: watch::Receiver<()>,
 ) {
     // a connection that is closed already has no address, and makes no call
     if let Ok(address) = stream.peer_addr() {
         shared.connected(peer, address.ip());
     }
-    // these wait for the whole connection: a separate wait for each request would register and remove a waker
-    let mut stopped = pin!(stopped.changed());
-    let idle = Arc::clone(&activity);
-    let mut evicted = pin!(idle.evicted());
     let changes = shared.changes();
     let mut session = Box::new(session);
     let mut connection = Connection {
@@ -63,12 +56,13 @@ pub(super) async fn serve<H: Send + 'static, M: ServeLocked<H> + 'static>(
         changes,
         limits,
         activity,
+        registered: Registered::default(),
         times: StreamTimes::new(now()),
         time: now(),
         moved: 0,
     };
     loop {
-        match connection.run(&mut *session, stopped.as_mut(), evicted.as_mut()).await {
+        match connection.run(&mut *session).await {
             Ok(Pause::LargeRequest) => match connection.run_elsewhere(session).await {
                 Some(back) => session = back,
                 // the runtime is shutting down
@@ -94,8 +88,9 @@ struct Connection<H> {
     changes: Changes<H>,
     limits: Limits,
     activity: Arc<Activity>,
+    registered: Registered,
     times: StreamTimes,
-    /// The time after the last wait, send or request.
+    /// The time after the last wait or request.
     time: Instant,
     /// The used part of the turn, in bytes.
     moved: usize,
@@ -111,14 +106,9 @@ enum Pause {
 
 impl<H: Send + 'static> Connection<H> {
     /// Moves bytes until a large request has arrived or the connection must end.
-    async fn run<M: ServeLocked<H>>(
-        &mut self,
-        session: &mut M,
-        mut stopped: Pin<&mut impl Future>,
-        mut evicted: Pin<&mut impl Future>,
-    ) -> io::Result<Pause> {
+    async fn run<M: ServeLocked<H>>(&mut self, session: &mut M) -> io::Result<Pause> {
         loop {
-            if self.end_turn(stopped.as_mut()).await {
+            if self.moved >= TURN && self.end_turn().await {
                 return Ok(Pause::Ended(STOPPED));
             }
             if session.next_request() >= TURN {
@@ -127,10 +117,9 @@ impl<H: Send + 'static> Connection<H> {
             self.run_session(session);
             if !session.transmit().is_empty() {
                 self.activity.set(None);
-                if let Some(reason) = self.send(session, stopped.as_mut()).await? {
+                if let Some(reason) = self.send(session).await? {
                     return Ok(Pause::Ended(reason));
                 }
-                self.time = now();
                 self.times.moved(self.time);
                 continue;
             }
@@ -138,50 +127,39 @@ impl<H: Send + 'static> Connection<H> {
                 let _ = self.stream.shutdown().await;
                 return Ok(Pause::Ended("the peer sent no valid frame"));
             }
-            if let Some(reason) = self.wait(session, stopped.as_mut(), evicted.as_mut()).await? {
+            if let Some(reason) = self.wait(session).await? {
                 return Ok(Pause::Ended(reason));
             }
         }
     }
 
-    /// Yields to other tasks when this one has used its turn; returns whether the server stops.
-    async fn end_turn(&mut self, stopped: Pin<&mut impl Future>) -> bool {
-        if self.moved < TURN {
-            return false;
-        }
+    /// Yields to other tasks, because this one has used its turn; returns whether the server stops.
+    async fn end_turn(&mut self) -> bool {
         self.moved = 0;
-        let stops = tokio::select! {
-            biased;
-            _ = stopped => true,
-            () = tokio::task::yield_now() => false,
-        };
+        tokio::task::yield_now().await;
         self.time = now();
-        stops
+        self.activity.is_stopped()
     }
 
     /// Waits until bytes arrive, a deadline passes or something changes; returns the reason if the connection must end.
-    async fn wait<M: ServeLocked<H>>(
-        &mut self,
-        session: &mut M,
-        stopped: Pin<&mut impl Future>,
-        evicted: Pin<&mut impl Future>,
-    ) -> io::Result<Option<&'static str>> {
+    async fn wait<M: ServeLocked<H>>(&mut self, session: &mut M) -> io::Result<Option<&'static str>> {
         let deadline = match self.times.deadline(session, self.limits.times(), self.time) {
             Ok(deadline) => deadline,
             Err(Exceeded::Receive) => return Ok(Some("a request took too long to arrive")),
             Err(Exceeded::Idle) => return Ok(Some("the peer was silent for too long")),
         };
         let kept_until = self.memory_kept_until(session);
-        let deadline = [deadline, kept_until].into_iter().flatten().min();
+        let deadline = earliest(deadline, kept_until);
         let is_idle = !session.is_running();
         self.activity.set(is_idle.then_some(self.times.last_active()));
         let room = session.receive_buffer();
         let is_full = room.is_empty();
         let room = room.split_at_mut(room.len().min(TURN)).0;
+        let waits_for_change = self.changes.waiting() > 0;
         let (mut reader, writer) = self.stream.split();
         tokio::select! {
-            // The read comes first: while requests arrive, the other branches need not be polled. `end_turn` checks `stopped`
-            // for a peer whose requests never pause.
+            // The read comes first: while requests arrive, the other branches need not be polled. `end_turn` checks whether the
+            // server stops for a peer whose requests never pause.
             biased;
             count = reader.read(room), if !is_full => match count? {
                 0 => return Ok(Some("the peer closed it")),
@@ -192,7 +170,11 @@ impl<H: Send + 'static> Connection<H> {
                     session.received(count);
                 }
             },
-            () = sleep_until(deadline) => {
+            // a connection whose call has just begun is not evicted: that would stop a motion
+            evicted = self.activity.ended(&mut self.registered, is_idle) => {
+                return Ok(Some(if evicted { "another connection needs its slot" } else { STOPPED }));
+            }
+            () = sleep_until(deadline), if deadline.is_some() => {
                 self.time = now();
                 if kept_until.is_some_and(|until| until <= self.time) {
                     session.shrink(STREAM_ROOM);
@@ -202,10 +184,7 @@ impl<H: Send + 'static> Connection<H> {
                 closed?;
                 return Ok(Some("the peer closed it before all of its bytes were read"));
             }
-            () = self.changes.next() => self.time = now(),
-            // a connection whose call has just begun is not evicted: that would stop a motion
-            _ = evicted, if is_idle => return Ok(Some("another connection needs its slot")),
-            _ = stopped => return Ok(Some(STOPPED)),
+            () = self.changes.next(), if waits_for_change => self.time = now(),
         }
         Ok(None)
     }
@@ -240,11 +219,7 @@ impl<H: Send + 'static> Connection<H> {
     }
 
     /// Sends pending bytes; returns the reason if the connection must end.
-    async fn send<M: ServeLocked<H>>(
-        &mut self,
-        session: &mut M,
-        mut stopped: Pin<&mut impl Future>,
-    ) -> io::Result<Option<&'static str>> {
+    async fn send<M: ServeLocked<H>>(&mut self, session: &mut M) -> io::Result<Option<&'static str>> {
         let bytes = session.transmit();
         match self.shared.tapped(self.peer, bytes) {
             None => return Ok(Some("the tap closes it")),
@@ -254,12 +229,12 @@ impl<H: Send + 'static> Connection<H> {
                 let mut rest = &replacement[..];
                 while !rest.is_empty() {
                     let part = &rest[..rest.len().min(TURN)];
-                    match within(self.limits.send, self.stream.write(part), stopped.as_mut()).await? {
+                    match self.write(part).await? {
                         Ok(written) => rest = rest.get(written..).unwrap_or_default(),
                         Err(reason) => return Ok(Some(reason)),
                     }
                     self.moved += part.len();
-                    if self.end_turn(stopped.as_mut()).await {
+                    if self.moved >= TURN && self.end_turn().await {
                         return Ok(Some(STOPPED));
                     }
                 }
@@ -269,17 +244,28 @@ impl<H: Send + 'static> Connection<H> {
         }
         let bytes = &bytes[..bytes.len().min(TURN)];
         let count = match self.stream.try_write(bytes) {
-            Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
-                match within(self.limits.send, self.stream.write(bytes), stopped).await? {
-                    Ok(count) => count,
-                    Err(reason) => return Ok(Some(reason)),
-                }
-            }
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => match self.write(bytes).await? {
+                Ok(count) => count,
+                Err(reason) => return Ok(Some(reason)),
+            },
             written => written?,
         };
         session.transmitted(count);
         self.moved += count;
         Ok(None)
+    }
+
+    /// Writes bytes as soon as there is room; returns the reason if there is none within the limit.
+    async fn write(&mut self, bytes: &[u8]) -> io::Result<Result<usize, &'static str>> {
+        let written = tokio::select! {
+            written = timeout(self.limits.send, self.stream.write(bytes)) => match written {
+                Ok(written) => written.map(Ok),
+                Err(_) => Ok(Err("the peer does not read")),
+            },
+            _ = self.activity.ended(&mut self.registered, false) => Ok(Err(STOPPED)),
+        };
+        self.time = now();
+        written
     }
 
     /// Returns when unused memory must be released; `None` if the session is busy or has no unused memory.
@@ -294,21 +280,6 @@ pub(super) async fn sleep_until(deadline: Option<Instant>) {
     match deadline {
         Some(at) => tokio::time::sleep(until(at)).await,
         None => std::future::pending().await,
-    }
-}
-
-/// Waits for a write; returns the reason if it does not end within `limit`.
-async fn within<T>(
-    limit: Duration,
-    written: impl Future<Output = io::Result<T>>,
-    stopped: Pin<&mut impl Future>,
-) -> io::Result<Result<T, &'static str>> {
-    tokio::select! {
-        written = timeout(limit, written) => match written {
-            Ok(written) => written.map(Ok),
-            Err(_) => Ok(Err("the peer does not read")),
-        },
-        _ = stopped => Ok(Err(STOPPED)),
     }
 }
 

@@ -42,11 +42,11 @@ pub(super) async fn listen<H: Handler + Send + 'static>(
     limits: Limits,
     stopped: watch::Receiver<()>,
 ) -> io::Result<()> {
-    accept(listener, limits, stopped.clone(), refuse, |stream, activity| {
+    accept(listener, limits, stopped, refuse, |stream, activity| {
         let mut config = Config { invoke_timeout_max: limits.call, ..Config::TCP };
         config.limits.frame = limits.frame;
         let session = StreamSession::new(config, pool.buffer(), pool.buffer());
-        stream::serve(stream, session, shared.next_peer(), Arc::clone(&shared), limits, activity, stopped.clone())
+        stream::serve(stream, session, shared.next_peer(), Arc::clone(&shared), limits, activity)
     })
     .await
 }
@@ -94,6 +94,7 @@ where
         }
     }
     refused.abort_all();
+    served.stop();
     while served.tasks.join_next().await.is_some() {}
     Ok(())
 }
@@ -102,14 +103,15 @@ where
 struct Served {
     slots: Slots,
     tasks: JoinSet<()>,
-    /// The holders of slots by their tasks. An evicted task holds no slot, even before it ends.
+    /// The connections by their tasks. An evicted one holds no slot, even before it ends.
     holders: HashMap<Id, (IpAddr, Arc<Activity>)>,
 }
 
 impl Served {
     /// Finds a slot for a connection, and evicts the connection that loses it; `None` if there is no slot.
     fn admit(&mut self, address: IpAddr) -> Option<Arc<Activity>> {
-        let taken = self.holders.iter().map(|(id, (holder, activity))| Holder {
+        let holders = self.holders.iter().filter(|(_, (_, activity))| !activity.is_evicted());
+        let taken = holders.map(|(id, (holder, activity))| Holder {
             key: *id,
             is_same_host: is_same_host(*holder, address),
             state: activity.state(),
@@ -117,7 +119,7 @@ impl Served {
         match self.slots.admit(taken, now()) {
             Admission::Free => {}
             Admission::Instead(id) => {
-                if let Some((address, activity)) = self.holders.remove(&id) {
+                if let Some((address, activity)) = self.holders.get(&id) {
                     tracing::info!(%address, "an idle connection is evicted: another needs its slot");
                     activity.evict();
                 }
@@ -130,6 +132,11 @@ impl Served {
     fn spawn(&mut self, address: IpAddr, activity: &Arc<Activity>, task: impl Future<Output = ()> + Send + 'static) {
         let id = self.tasks.spawn(task).id();
         self.holders.insert(id, (address, Arc::clone(activity)));
+    }
+
+    /// Ends all connections: the server stops.
+    fn stop(&self) {
+        self.holders.values().for_each(|(_, activity)| activity.stop());
     }
 
     /// Waits until a connection has ended, and frees its slot.
