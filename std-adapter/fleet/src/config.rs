@@ -255,6 +255,12 @@ impl Config {
         let mut names = HashSet::from([self.node.clone()]);
         for (number, cell) in (1..).zip(&mut self.controllers) {
             let place = |error| format!("[[controller]] number {number}, {error}");
+            if self.format == Format::Sparkplug && cell.publish.iter().any(Publish::is_joined) {
+                return Err(place(format!(
+                    "{}: joined needs format = \"json\"; Sparkplug joins readings anyway",
+                    cell.name
+                )));
+            }
             if !names.insert(cell.name.clone()) {
                 return Err(place(format!("name {:?}: another controller or the node has this name", cell.name)));
             }
@@ -374,6 +380,11 @@ mod tests {
             (publish("names = [\"I1\"]\ninterval_ms = 0"), "interval_ms"),
             (publish("names = [\"I1\"]\ndead_band = -1.0"), "dead_band"),
             (publish("names = [\"robot/#\"]"), "robot/#"),
+            (publish("names = [\"values\"]"), "values"),
+            (
+                format!("format = \"sparkplug\"\n{}", publish("names = [\"I1\"]\njoined = true")),
+                "joined needs format = \"json\"",
+            ),
         ] {
             let error = Config::parse(&text).unwrap_err().to_string();
             assert!(error.contains(word), "{text}: {error}");

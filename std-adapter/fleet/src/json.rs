@@ -8,11 +8,13 @@
 //! | `bcap/GROUP/NAME/VARIABLE`  | `{"value":5,"quality":"good","time":T,"id":N}`                   | yes      |
 //! | the same                    | the same with `"historical":true`: the broker was disconnected   | no       |
 //! | the same                    | the same with `"repeated":true`: sent before, for a broker that has lost it | yes |
+//! | `bcap/GROUP/NAME/values`    | a list of such objects, each with `"name":"VARIABLE"`, of the points with `joined` | no |
 //! | `bcap/GROUP/NAME/command`   | a command to this node, see [`command`](crate::command)          |          |
 //! | `bcap/GROUP/NAME/answer`    | its answer                                                       | no       |
 //!
 //! `T` is in milliseconds since 1970. `N` is different for each reading of a node, and increases.
 
+use std::collections::VecDeque;
 use std::sync::atomic::Ordering;
 
 use rumqttc::QoS;
@@ -25,6 +27,13 @@ use crate::message::Message;
 use crate::queue::State;
 use crate::reading::{Quality, Reading, Value};
 use crate::shorten::LARGEST;
+
+/// The topic of the readings that share a message.
+const VALUES: &str = "values";
+
+/// The most readings of one message, and the bytes after which another message begins.
+const JOINED: usize = 100;
+const JOINED_BYTES: usize = 32 * 1024;
 
 /// The encoder. It has no state: each message is complete.
 pub(crate) struct Json;
@@ -46,8 +55,9 @@ impl Encoder for Json {
 
     /// The retained values become the newest.
     fn repeat(&mut self, outbox: &mut Outbox<'_>) {
-        let readings = outbox.cells.iter().flat_map(|cell| cell.latest.iter().flatten());
-        outbox.messages.extend(readings.map(|reading| repeated(outbox.config, reading)));
+        for reading in outbox.cells.iter().flat_map(|cell| cell.latest.iter().flatten()) {
+            publish(outbox.config, outbox.messages, reading, true);
+        }
     }
 
     /// The points of a disconnected controller that this process has not read are unknown. The broker may have good values of an
@@ -60,19 +70,19 @@ impl Encoder for Json {
         for (point, latest) in outbox.cells[state.cell].latest.iter().enumerate() {
             if latest.is_none() {
                 let id = outbox.next_id.fetch_add(1, Ordering::Relaxed);
-                outbox.messages.push_back(unknown(outbox.config, state, point, id));
+                publish(outbox.config, outbox.messages, &unknown(state, point, id), false);
             }
         }
     }
 
     fn reading(&mut self, outbox: &mut Outbox<'_>, reading: Reading) -> Option<Reading> {
         outbox.cells[reading.cell].latest[reading.point] = Some(reading.clone());
-        outbox.push(self::reading(outbox.config, reading));
+        add(outbox, reading);
         None
     }
 
     fn historical(&mut self, outbox: &mut Outbox<'_>, reading: Reading, _: bool) {
-        outbox.push(self::reading(outbox.config, reading));
+        add(outbox, reading);
     }
 
     fn decode(&self, config: &Config, topic: &str, payload: &[u8], _: u64) -> Decoded {
@@ -105,6 +115,9 @@ fn id(payload: &[u8]) -> String {
 
 #[derive(Serialize)]
 struct Shown<'a> {
+    /// The variable, in a list.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    name: Option<&'a str>,
     /// `null` if unknown, or a number that JSON does not have.
     value: Option<&'a Value>,
     quality: Quality,
@@ -154,35 +167,62 @@ fn state(config: &Config, state: &State) -> Message {
     retained(topic(config, &config.controllers[state.cell].name, "state"), &shown)
 }
 
-/// Returns the message for a reading.
-fn reading(config: &Config, reading: Reading) -> Message {
-    // an old value must not replace a newer one
-    let retain = !reading.historical;
-    let message = shown(config, &reading, false);
-    Message { readings: vec![reading], retain, ..message }
-}
-
-/// Returns the message that repeats the latest reading of a point.
-fn repeated(config: &Config, reading: &Reading) -> Message {
-    shown(config, reading, true)
-}
-
-/// Returns the message that says that a point of a disconnected controller is unknown.
-fn unknown(config: &Config, state: &State, point: usize, id: u64) -> Message {
+/// Returns the reading that says that a point of a disconnected controller is unknown.
+const fn unknown(state: &State, point: usize, id: u64) -> Reading {
     let (cell, time) = (state.cell, state.time);
-    shown(config, &Reading { cell, point, time, id, value: None, quality: Quality::Bad, historical: false }, false)
+    Reading { cell, point, time, id, value: None, quality: Quality::Bad, historical: false }
 }
 
-fn shown(config: &Config, reading: &Reading, repeated: bool) -> Message {
+/// Adds a reading, which is sent again if the broker does not acknowledge it.
+fn add(outbox: &mut Outbox<'_>, reading: Reading) {
+    if let Some(message) = publish(outbox.config, outbox.messages, &reading, false) {
+        message.readings.push(reading);
+    }
+}
+
+/// Adds a reading to the messages: to the last one if both are in the list of the same controller. Returns its message.
+fn publish<'m>(
+    config: &Config,
+    messages: &'m mut VecDeque<Message>,
+    reading: &Reading,
+    repeated: bool,
+) -> Option<&'m mut Message> {
     let cell = &config.controllers[reading.cell];
+    let point = &cell.points[reading.point];
     let Reading { quality, time, id, .. } = *reading;
     let historical = reading.historical && !repeated;
-    let shown = Shown { value: reading.value.as_ref(), quality, time, id, historical, repeated };
-    retained(topic(config, &cell.name, &cell.points[reading.point].name), &shown)
+    let name = point.joined.then_some(point.name.as_str());
+    let shown = Shown { name, value: reading.value.as_ref(), quality, time, id, historical, repeated };
+    if point.joined {
+        join(messages, topic(config, &cell.name, VALUES), &shown);
+    } else {
+        // an old value must not replace a newer one
+        let message = retained(topic(config, &cell.name, &point.name), &shown);
+        messages.push_back(Message { retain: !historical, ..message });
+    }
+    messages.back_mut()
+}
+
+/// Adds a reading to the list at the end of the messages, or begins a list. It is not retained: it has the values that changed.
+fn join(messages: &mut VecDeque<Message>, topic: String, shown: &Shown<'_>) {
+    let last = messages.back_mut().filter(|last| last.topic == topic && last.payload.len() < JOINED_BYTES);
+    match last.filter(|last| last.readings.len() < JOINED) {
+        Some(last) => {
+            // the end of the list
+            last.payload.pop();
+            last.payload.push(b',');
+            last.payload.extend(json(shown));
+            last.payload.push(b']');
+        }
+        None => messages.push_back(Message { retain: false, ..retained(topic, &[shown]) }),
+    }
 }
 
 fn retained(topic: String, shown: &impl Serialize) -> Message {
+    Message { topic, payload: json(shown), qos: QoS::AtLeastOnce, retain: true, readings: Vec::new() }
+}
+
+fn json(shown: &impl Serialize) -> Vec<u8> {
     // numbers, texts and lists of them are always JSON
-    let payload = serde_json::to_vec(shown).unwrap_or_default();
-    Message { topic, payload, qos: QoS::AtLeastOnce, retain: true, readings: Vec::new() }
+    serde_json::to_vec(shown).unwrap_or_default()
 }

@@ -18,9 +18,16 @@ pub(crate) struct Publish {
     /// Whether equal readings are left out.
     #[serde(default = "yes")]
     on_change: bool,
+    /// Whether readings of the same scan share a message of JSON.
+    #[serde(default)]
+    joined: bool,
 }
 
 impl Publish {
+    pub(crate) const fn is_joined(&self) -> bool {
+        self.joined
+    }
+
     const fn interval(&self) -> Duration {
         Duration::from_millis(self.interval_ms)
     }
@@ -45,6 +52,7 @@ pub(crate) struct Point {
     pub(crate) interval: Duration,
     pub(crate) dead_band: f64,
     pub(crate) on_change: bool,
+    pub(crate) joined: bool,
 }
 
 /// The source of a reading.
@@ -91,8 +99,8 @@ pub(crate) fn points(publish: &Publish) -> Result<Vec<Point>, String> {
     let mut points = Vec::new();
     for text in &publish.names {
         for (name, source, kind) in named(text)? {
-            let Publish { dead_band, on_change, .. } = *publish;
-            points.push(Point { name, source, kind, interval: publish.interval(), dead_band, on_change });
+            let Publish { dead_band, on_change, joined, .. } = *publish;
+            points.push(Point { name, source, kind, interval: publish.interval(), dead_band, on_change, joined });
         }
     }
     Ok(points)
@@ -106,7 +114,7 @@ fn named(text: &str) -> Result<Vec<(String, Source, Option<VariableKind>)>, Stri
         "joints" => return one("joints", Source::Joints, Some(VariableKind::J)),
         "mode" => return one("mode", Source::Controller("@MODE".into()), None),
         "tasks" => return one("tasks", Source::Tasks, None),
-        "state" | "command" | "answer" => {
+        "state" | "command" | "answer" | "values" => {
             return Err(format!("{text:?} is a topic of its own; it cannot be a variable"));
         }
         "error" => return one("error", Source::Controller("@ERROR_CODE".into()), None),

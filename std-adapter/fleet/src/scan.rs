@@ -432,8 +432,15 @@ mod tests {
 
     fn points(sources: impl IntoIterator<Item = Source>) -> Vec<Point> {
         let interval = Duration::from_millis(100);
-        let point =
-            |source| Point { name: String::new(), source, kind: None, interval, on_change: true, dead_band: 0.0 };
+        let point = |source| Point {
+            name: String::new(),
+            source,
+            kind: None,
+            interval,
+            on_change: true,
+            dead_band: 0.0,
+            joined: false,
+        };
         sources.into_iter().map(point).collect()
     }
 

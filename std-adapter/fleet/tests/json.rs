@@ -183,6 +183,53 @@ async fn a_retained_message_of_5_mb_on_a_command_topic_stops_nothing() {
     fleet.stop().await;
 }
 
+/// Returns the readings of the next list that has a variable with a value.
+async fn next_list(host: &mut Subscriber, name: &str, value: &serde_json::Value) -> Vec<serde_json::Value> {
+    let has = |list: &serde_json::Value| {
+        list.as_array().is_some_and(|list| list.iter().any(|entry| entry["name"] == name && entry["value"] == *value))
+    };
+    let list = host.json("bcap/plant/cell1/values", has).await;
+    list.as_array().cloned().unwrap_or_default()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn joined_readings_of_a_scan_share_a_message() {
+    let Some(broker) = Mosquitto::open() else { return };
+    let mut robot = Robot::start().await;
+    (1..=20).for_each(|index| robot.set(index, 100 + index.cast_signed()));
+    let mut host = Subscriber::start(broker.port, "bcap/plant/cell1/+").await;
+    let publish = "[[controller.publish]]\nnames = [\"I1-20\"]\ninterval_ms = 50\njoined = true\n\
+        [[controller.publish]]\nnames = [\"I21\"]\ninterval_ms = 50";
+    let fleet = Running::start(&config(broker.port, "", &[&robot], publish)).await;
+    let list = next_list(&mut host, "I20", &json!(120)).await;
+    for index in 1..=20 {
+        let entry = list.iter().find(|entry| entry["name"] == format!("I{index}"));
+        let entry = entry.unwrap_or_else(|| panic!("I{index} is not in {list:?}"));
+        assert!(entry["value"] == 100 + index && entry["quality"] == "good", "{entry}");
+        assert!(entry["time"].is_u64() && entry["id"].is_u64(), "{entry}");
+    }
+
+    // only readings that changed are in a list
+    robot.set(7, -7);
+    let list = next_list(&mut host, "I7", &json!(-7)).await;
+    assert_eq!(list.len(), 1, "{list:?}");
+
+    // a lost connection makes all of them bad
+    robot.kill().await;
+    next_list(&mut host, "I7", &json!(null)).await;
+    robot.restart().await;
+    next_list(&mut host, "I7", &json!(-7)).await;
+
+    // other points have a retained topic, and a list has none
+    let mut late = Subscriber::start(broker.port, "bcap/plant/cell1/+").await;
+    late.find(|publish| {
+        assert!(publish.topic != "bcap/plant/cell1/values" || !publish.retain, "a list is not retained");
+        (publish.topic == "bcap/plant/cell1/I21" && publish.retain).then_some(())
+    })
+    .await;
+    fleet.stop().await;
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_robot_that_stops_responding_costs_one_timeout() {
     let Some(broker) = Mosquitto::open() else { return };

@@ -67,7 +67,7 @@ fn run(load: Load) -> Result<(), Failure> {
     }
     let Load { controllers, values, hz, .. } = load;
     println!("{controllers} controllers, {values} values each, {hz} Hz: {} values/s", controllers * values * hz);
-    for format in ["sparkplug", "json"] {
+    for format in ["sparkplug", "json", "json, joined"] {
         measure(format, load)?;
     }
     Ok(())
@@ -151,6 +151,7 @@ fn alone(port: u16, subscriber: &Subscriber, broker: &Process, seen: &Seen) -> R
 }
 
 fn config(format: &str, port: u16, ports: &[u16], load: Load) -> String {
+    let (format, joined) = format.split_once(", ").map_or((format, false), |(format, _)| (format, true));
     let mut text = format!(
         "group = \"plant\"\nnode = \"edge1\"\nformat = \"{format}\"\n[broker]\nhost = \"127.0.0.1\"\nport = {port}\n\
          [metrics]\nport = 0\n"
@@ -159,7 +160,7 @@ fn config(format: &str, port: u16, ports: &[u16], load: Load) -> String {
         let _ = write!(
             text,
             "[[controller]]\nname = \"cell{number}\"\naddress = \"tcp:127.0.0.1:{port}\"\n[[controller.publish]]\n\
-             names = [\"I1-{}\"]\ninterval_ms = {}\n",
+             names = [\"I1-{}\"]\ninterval_ms = {}\njoined = {joined}\n",
             load.values,
             1000 / load.hz
         );

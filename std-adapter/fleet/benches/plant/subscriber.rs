@@ -69,10 +69,16 @@ impl Counts {
                     self.value(value.cast_signed(), time);
                 }
             }
-        } else if let Ok(Reading { value: Some(value), time }) = serde_json::from_slice(&message.payload) {
-            self.value(value, time);
         } else {
-            return;
+            let one = serde_json::from_slice(&message.payload).map(|reading| vec![reading]);
+            let Ok(readings) = one.or_else(|_| serde_json::from_slice::<Vec<Reading>>(&message.payload)) else {
+                return;
+            };
+            for Reading { value, time } in readings {
+                if let Some(value) = value {
+                    self.value(value, time);
+                }
+            }
         }
         self.sample.insert(message.topic.clone(), message);
     }
@@ -147,7 +153,7 @@ pub(crate) fn flood(port: u16, sample: &[Message], time: Duration) -> Result<(),
     for (number, batch) in (0..100_u16).cycle().zip(sample.chunks(BATCH)) {
         let mut bytes = Vec::new();
         for (message, id) in batch.iter().zip(1 + number * 500..) {
-            let retain = !message.topic.starts_with(SPARKPLUG);
+            let retain = !message.topic.starts_with(SPARKPLUG) && !message.topic.ends_with("/values");
             bytes.extend(mqtt::publish(&Message { qos: 1, retain, ..message.clone() }, id)?);
         }
         batches.push((bytes, batch.len()));
