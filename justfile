@@ -51,6 +51,21 @@ objects:
 fairness:
     cargo bench -p bcap-tests --bench fairness
 
+# Instructions of the codec, the client and the server, by callgrind, against bars.
+[group('measure')]
+instructions:
+    bash .ci/run instructions
+
+# Flame graphs of a read and of a request on the server, as in docs/performance.md.
+[group('measure')]
+flame folder="target/flame":
+    mkdir -p {{folder}}
+    cargo build --profile bench -p bcap-instructions
+    BCAP_CALLGRIND={{folder}} "${CARGO_TARGET_DIR:-$PWD/target}/release/client"
+    BCAP_CALLGRIND={{folder}} "${CARGO_TARGET_DIR:-$PWD/target}/release/server"
+    tests/instructions/flame --root client::main --title "a read, blocking client" {{folder}}/client-0-500.out {{folder}}/client-0-2500.out >{{folder}}/client.svg
+    tests/instructions/flame --root server::main --title "a request, server" {{folder}}/server-1-500.out {{folder}}/server-1-2500.out >{{folder}}/server.svg
+
 # Round trips over loopback compared with a bare ping-pong, and a server with 100 connections.
 [group('measure')]
 loopback:
@@ -211,7 +226,7 @@ sanitizers:
     RUSTFLAGS=-Zsanitizer=thread CARGO_TARGET_DIR=target/tsan \
         cargo +nightly test -Zbuild-std -p bcap-std --all-features --lib --tests --target x86_64-unknown-linux-gnu
 
-# Requests through the gateway board in QEMU, compared with a bare echo on it; `bash .ci/run firmware` installs the tools.
+# Instructions and times of requests through the gateway board in QEMU, compared with a bare echo on it; `bash .ci/run firmware` installs the tools.
 [group('board in QEMU')]
 board:
     cargo build --release -p bcap-cli

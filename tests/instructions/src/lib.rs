@@ -9,8 +9,11 @@
 //! cargo run --profile bench -p bcap-instructions --bin client
 //! cargo run --profile bench -p bcap-instructions --bin server
 //! ```
+//!
+//! With the variable `BCAP_CALLGRIND`, the profiles are kept in that folder as `PROGRAM-CASE-REPETITIONS.out`; `flame` draws them.
 
 use std::error::Error;
+use std::path::PathBuf;
 use std::process::Command;
 
 /// The arguments with which callgrind runs a program again: a case, the repetitions, and what else the case needs.
@@ -47,9 +50,18 @@ pub fn count(case: usize, few: u64, many: u64, more: &[String]) -> Result<u64, B
 
 /// Runs this program under callgrind and returns the instructions that it counted.
 fn callgrind(case: usize, times: u64, more: &[String]) -> Result<u64, Box<dyn Error>> {
+    let program = std::env::current_exe()?;
+    let profile = std::env::var_os("BCAP_CALLGRIND").map_or_else(
+        || "/dev/null".into(),
+        |folder| {
+            let name = program.file_name().unwrap_or_default().to_string_lossy();
+            PathBuf::from(folder).join(format!("{name}-{case}-{times}.out"))
+        },
+    );
     let output = Command::new("valgrind")
-        .args(["--tool=callgrind", "--callgrind-out-file=/dev/null"])
-        .arg(std::env::current_exe()?)
+        .arg("--tool=callgrind")
+        .arg(format!("--callgrind-out-file={}", profile.display()))
+        .arg(program)
         .args([case.to_string(), times.to_string()])
         .args(more)
         .output()
