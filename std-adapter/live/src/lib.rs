@@ -1,7 +1,9 @@
 #![doc = include_str!("../README.md")]
 
+pub mod axis;
 pub mod calls;
 pub mod errors;
+pub mod jog;
 pub mod link;
 pub mod log;
 pub mod messages;

@@ -11,7 +11,8 @@ use bcap_core::hresult::HResult;
 use bcap_core::variant::OwnedVariant;
 use bcap_std::blocking::{self, Connection, Controller, Halted, Transport};
 use bcap_std::{
-    Address, AddressError, ConnectError, Examination, Model, ObjectPath, ObjectPathError, Options, Protocol, TaskStatus,
+    Address, AddressError, ConnectError, Examination, Model, ObjectPath, ObjectPathError, Options, Protocol, Settings,
+    TaskStatus,
 };
 
 use crate::calls::{self, Calls, needs_reconnect};
@@ -154,6 +155,21 @@ impl Link {
             return Err(Error::Unexpected("Controller_Connect: the reply carries no handle".into()));
         }
         Ok(Self { controller, objects: HashMap::new() })
+    }
+
+    /// Connects for a program that moves the robot. If the connection is lost while the session has the arm, the drop of the
+    /// controller connects once more, to halt the robot, switch the motor off and give the arm back.
+    ///
+    /// # Errors
+    ///
+    /// As [`connect`](Self::connect).
+    pub fn for_motion(access: &Access) -> Result<Controller, Error> {
+        let mut controller = Self::connect(access, &Packets::new())?.controller;
+        let timing = controller.timing();
+        controller.set_timing(Timing { deadline: HALT_LIMIT, keep_alive: HALT_LIMIT, ..timing });
+        let is_rc9 = access.provider.as_deref() == Some(Model::Rc9.provider());
+        let settings = Settings::new(if is_rc9 { Model::Rc9 } else { Model::Rc8 }).connect_option(&access.option);
+        Ok(controller.recover_at(access.address.clone(), settings))
     }
 
     /// Reads the state of the robot. It sends nothing that would end a stream of Slave Mode.

@@ -32,6 +32,20 @@ pub fn check<C: Calls>(calls: &mut C, name: &str, text: &str) -> Result<Write, C
     Ok(Write { path, value, before })
 }
 
+/// Returns the position of the resting robot for a variable of type P.
+///
+/// # Errors
+///
+/// [`Failure::invalid`] while the robot moves, or the error of a call.
+pub fn check_position<C: Calls>(calls: &mut C, name: &str) -> Result<Write, C::Error> {
+    let moves = value(calls, &ObjectPath::variable("robot/@BUSY_STATUS")?)?;
+    if shown(&moves) != "false" {
+        return Err(C::Error::invalid("the robot moves; wait until it rests".into()));
+    }
+    let position = value(calls, &ObjectPath::variable("robot/@CURRENT_POSITION")?)?;
+    check(calls, name, &shown(&position))
+}
+
 impl Write {
     /// Writes the value, unless that would end a stream of Slave Mode.
     ///

@@ -4,18 +4,20 @@ import { alarms } from "./alarms.js";
 import { arm } from "./arm.js";
 import { cell } from "./cell.js";
 import { byId, kindOf, make, notify, setText, stateText } from "./dom.js";
+import { jog } from "./jog.js";
 import { connect, halt, on, order } from "./net.js";
 import { packets } from "./packets.js";
 import { plots } from "./plots.js";
 import { variables } from "./variables.js";
 
-const SCREENS = [cell, variables, alarms, arm, plots, packets];
+const SCREENS = [cell, variables, alarms, arm, jog, plots, packets];
 
 /** What the screens share. */
 const page = {
   tiles: [],
   robot: 0,
   mayWrite: false,
+  mayMove: false,
   /** The tile of the robot, or one without content. */
   get tile() {
     return this.tiles[this.robot] ?? { name: "", address: "", level: "unknown", state: "connecting", words: [], reasons: [] };
@@ -41,6 +43,7 @@ async function haltRobot(robot) {
 }
 
 function show(next) {
+  if (screen === jog) jog.leave("the screen was left");
   screen = next;
   for (const button of byId("screens").children) {
     if (button.dataset.id === screen.id) button.setAttribute("aria-current", "page");
@@ -76,10 +79,11 @@ function drawRobots() {
 
 function drawControl(tile) {
   const place = byId("control");
-  const key = `${page.mayWrite} ${page.robot} ${page.hasControl} ${tile.holder}`;
+  const mayControl = page.mayWrite || page.mayMove;
+  const key = `${mayControl} ${page.robot} ${page.hasControl} ${tile.holder}`;
   if (place.dataset.key === key) return;
   place.dataset.key = key;
-  if (!page.mayWrite) {
+  if (!mayControl) {
     place.replaceChildren(make("span", { className: "quiet" }, "read-only"));
   } else if (page.hasControl) {
     place.replaceChildren(
@@ -136,12 +140,14 @@ byId("screens").replaceChildren(
 
 on("hello", (message) => {
   page.mayWrite = message.write;
+  page.mayMove = message.motion;
   show(screen);
 });
 on("closed", () => stale("NOT CONNECTED to bcap web: the values are old. HALT may not work. It is tried again every second."));
 on("stale", () => stale("bcap web does not answer: the values are old. HALT may not work."));
 on("open", () => stale(null));
 on("tick", () => stale(null));
+on("pulse", (message) => jog.pulse(message.n));
 on("refused", (message) => notify(message.error, true));
 on("tiles", (message) => {
   const isFirst = page.tiles.length === 0;

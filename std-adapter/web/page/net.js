@@ -74,6 +74,11 @@ export function order(what, fields) {
   });
 }
 
+/** Sends a heartbeat for a pulse. It has no answer. */
+export function beat(number) {
+  if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify({ beat: number }));
+}
+
 /** Halts a robot. It does not use the connection above, which may hang. */
 export async function halt(robot) {
   try {

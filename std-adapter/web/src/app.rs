@@ -15,6 +15,7 @@ pub(crate) struct App {
     pub(crate) guard: Guard,
     pub(crate) robots: Vec<Arc<Robot>>,
     pub(crate) allow_write: bool,
+    pub(crate) allow_motion: bool,
     pub(crate) audit: Audit,
     /// The number of the next page.
     pub(crate) clients: AtomicU64,

@@ -1,15 +1,50 @@
 //! The dimensions of arms, from the model files of the virtual controller.
 
+use bcap_live::axis::Axis;
+use bcap_live::jog::{FASTEST, FASTEST_MM};
 use bcap_sim::kinematics::{Geometry, Links};
 use bcap_sim::{ArmProfile, Profile};
 use serde_json::{Value, json};
 
 /// Returns the dimensions of an arm by its `@TYPE_NAME`, in mm; `None` for one without a model file.
 pub(crate) fn dimensions(type_name: &str) -> Option<Value> {
+    Some(links(&geometry(type_name)?))
+}
+
+fn geometry(type_name: &str) -> Option<Geometry> {
     let models = Profile::ALL.iter().map(|profile| profile.model()).map(|model| (&model.robot_type, model.geometry));
     let arms = ArmProfile::ALL.iter().map(|profile| profile.arm()).map(|arm| (&arm.robot_type, arm.geometry));
     let (_, geometry) = models.chain(arms).find(|(known, _)| is_of(series(known), type_name))?;
-    Some(links(&geometry))
+    Some(geometry)
+}
+
+/// The longest tool, in mm. A longer one moves faster than the speed that is computed; a jog measures it, and halts.
+const TOOL: f64 = 500.0;
+
+/// The speed for an arm without a model file, in percent: 1 % of 720 degrees/s at 2 m is 250 mm/s.
+const SLOWEST: f64 = 1.0;
+
+/// Returns the speed for an axis, in percent, at which no point of the arm or its tool moves faster than a jog may.
+pub(crate) fn percent(type_name: &str, axis: Axis) -> f64 {
+    let Some(geometry) = geometry(type_name) else { return SLOWEST };
+    let (reach, slide) = match geometry.links {
+        Links::Vertical(arm) => {
+            let lengths = [arm.d1, arm.a1, arm.a2, arm.a3, arm.d4, arm.b4, arm.b6, arm.d6];
+            (lengths.iter().map(|length| length.abs()).sum::<f64>(), None)
+        }
+        // the third axis moves in mm
+        Links::Horizontal(arm) => (arm.d1.abs() + arm.a1.abs() + arm.a2.abs(), Some(2)),
+        _ => return SLOWEST,
+    };
+    let fastest = |axis: usize| match geometry.speeds.get(axis).copied().unwrap_or(f64::INFINITY) {
+        speed if Some(axis) == slide => speed,
+        speed => speed.to_radians() * (reach + TOOL),
+    };
+    let speed = match axis {
+        Axis::Joint(joint) => fastest(usize::from(joint) - 1),
+        Axis::Coordinate(_) => (0..6).map(fastest).fold(0.0, f64::max),
+    };
+    (FASTEST_MM / speed * 100.0).min(FASTEST)
 }
 
 /// Returns the part of a type name that tells the lengths: the options of an arm follow a dash.
@@ -36,6 +71,16 @@ fn links(geometry: &Geometry) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_jog_is_slower_than_its_limit() {
+        // J1 of the default arm: 375 degrees/s at 930 + 500 mm
+        let joint = percent("VS060A3-AV6", Axis::Joint(1));
+        assert!((joint - 2.67).abs() < 0.01, "{joint}");
+        let line = percent("VS060A3-AV6", Axis::Coordinate(0));
+        assert!(line < joint && line > 1.0, "{line}");
+        assert_eq!(percent("unknown", Axis::Coordinate(0)), SLOWEST);
+    }
 
     #[test]
     fn an_arm_has_the_lengths_of_its_model_file() {

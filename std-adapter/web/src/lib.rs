@@ -7,6 +7,7 @@ mod audit;
 mod control;
 mod guard;
 mod halt;
+mod jog;
 mod robot;
 mod serve;
 mod socket;
@@ -41,6 +42,8 @@ pub struct Config {
     pub robots: Vec<(String, Access)>,
     /// Whether a page may write variables and clear errors.
     pub allow_write: bool,
+    /// Whether a page may move a robot by steps while a button is held.
+    pub allow_motion: bool,
 }
 
 /// Why a server does not start.
@@ -79,7 +82,7 @@ impl Server {
     ///
     /// An [`Error`]; nothing runs then.
     pub async fn bind(config: Config, audit: impl Fn(&str) + Send + Sync + 'static) -> Result<Self, Error> {
-        let Config { listen, robots, allow_write } = config;
+        let Config { listen, robots, allow_write, allow_motion } = config;
         if !listen.ip().is_loopback() {
             return Err(Error::NotLocal(listen));
         }
@@ -95,6 +98,7 @@ impl Server {
             guard: Guard::new(address).map_err(Error::Random)?,
             robots: robots.into_iter().map(|(name, access)| Robot::start(name, access)).collect::<Result<_, _>>()?,
             allow_write,
+            allow_motion,
             audit: Audit::new(audit),
             clients: AtomicU64::new(1),
             pages: Arc::new(Semaphore::new(PAGES)),

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use bcap_capture::trace::{Level, Packets};
 use bcap_live::calls::{Failure as _, needs_reconnect};
+use bcap_live::jog::Grip;
 use bcap_live::link::{Access, Error, Link};
 use bcap_live::model::{Model, Update};
 use bcap_live::reader::{self, Reader, Rounds};
@@ -34,6 +35,9 @@ pub(crate) struct Robot {
     pub(crate) address: String,
     pub(crate) control: Control,
     pub(crate) halter: Halter,
+    pub(crate) access: Access,
+    /// The last hold of the robot for a jog.
+    grip: Mutex<Option<Arc<Grip>>>,
     live: Mutex<Live>,
     orders: Sender<Order>,
 }
@@ -74,6 +78,8 @@ impl Robot {
             address,
             control: Control::default(),
             halter,
+            access: access.clone(),
+            grip: Mutex::default(),
             live: Mutex::new(Live::default()),
             orders,
         });
@@ -85,6 +91,18 @@ impl Robot {
     pub(crate) fn live(&self) -> MutexGuard<'_, Live> {
         // a panic of another thread leaves values that were read
         self.live.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Returns the last hold of the robot for a jog.
+    pub(crate) fn grip(&self) -> MutexGuard<'_, Option<Arc<Grip>>> {
+        self.grip.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Ends a jog, if there is one.
+    pub(crate) fn end_jog(&self, why: &str) {
+        if let Some(grip) = &*self.grip() {
+            grip.end(why);
+        }
     }
 
     /// Carries out an order over the session. The error is for the user.

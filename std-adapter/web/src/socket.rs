@@ -1,21 +1,23 @@
 //! The WebSocket of a page: its orders, and the sections that it shows.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, VecDeque};
 use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
 
 use axum::extract::ws::{Message, WebSocket};
 use bcap_capture::value::selection::Selection;
+use bcap_live::jog::Grip;
 use bcap_live::variables::{expand, shown};
-use bcap_live::write::{Write, check};
+use bcap_live::write::{Write, check, check_position};
 use serde::Deserialize;
 use serde_json::{Value, json};
-use tokio::time::{Instant, MissedTickBehavior, interval, interval_at, timeout};
+use tokio::time::{Instant, Interval, MissedTickBehavior, interval, interval_at, timeout};
 
 use crate::app::App;
 use crate::control::Client;
 use crate::guard::Bucket;
+use crate::jog;
 use crate::robot::Robot;
 use crate::view;
 
@@ -27,6 +29,15 @@ const ALIVE: Duration = Duration::from_secs(1);
 
 /// The longest time for a message to a page. A page that does not take it is closed.
 const SEND: Duration = Duration::from_secs(10);
+
+/// How often a page that holds a robot gets a pulse, to which it answers with a heartbeat.
+const PULSE: Duration = Duration::from_millis(40);
+
+/// The pulses whose heartbeats count.
+const PULSES: usize = 8;
+
+/// The most orders that wait while one is carried out.
+const WAITING: usize = 32;
 
 /// The most variables of a page.
 const VARIABLES: usize = 1000;
@@ -42,6 +53,7 @@ enum Screen {
     Arm,
     Plots,
     Packets,
+    Jog,
 }
 
 /// An order of a page.
@@ -58,10 +70,111 @@ enum Order {
     Release { robot: usize },
     /// Checks a value for a variable.
     Check { robot: usize, name: String, text: String },
+    /// Checks the position of the resting robot for a variable of type P.
+    Teach { robot: usize, name: String },
     /// Writes the value that was checked last.
     Write { robot: usize, name: String },
     /// Clears the errors.
     Clear { robot: usize },
+    /// Begins a jog of the robot with this name, for which the user has agreed.
+    Grip { robot: usize, name: String },
+    /// A button is held: the robot moves by steps.
+    Press { robot: usize, axis: String, by: f64, percent: f64 },
+    /// The button is lifted.
+    Lift { robot: usize },
+    /// Ends the jog.
+    Drop { robot: usize, why: String },
+}
+
+/// The answer of a page to a pulse: it is open, visible, and its scripts run. It has no answer.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Beat {
+    beat: u64,
+}
+
+/// The WebSocket of a page, and the heartbeats of its jog.
+struct Line {
+    socket: WebSocket,
+    /// Orders that arrived while another one was carried out.
+    waiting: VecDeque<String>,
+    grip: Option<Arc<Grip>>,
+    pulse: Interval,
+    /// The number of the last pulse.
+    last: u64,
+    /// When the last pulses were sent, the latest last.
+    sent: VecDeque<std::time::Instant>,
+}
+
+impl Line {
+    fn new(socket: WebSocket) -> Self {
+        let mut pulse = interval(PULSE);
+        pulse.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        Self { socket, waiting: VecDeque::new(), grip: None, pulse, last: 0, sent: VecDeque::new() }
+    }
+
+    async fn send(&mut self, text: String) -> Option<()> {
+        timeout(SEND, self.socket.send(Message::Text(text.into()))).await.ok()?.ok()
+    }
+
+    /// Waits for the next order. Sends pulses and records heartbeats meanwhile. `None` is the end of the page.
+    async fn order(&mut self) -> Option<String> {
+        if let Some(text) = self.waiting.pop_front() {
+            return Some(text);
+        }
+        loop {
+            if let Some(text) = self.next().await? {
+                return Some(text);
+            }
+        }
+    }
+
+    /// Takes orders while another one is carried out. Ends only at the end of the page.
+    async fn hold(&mut self) -> Option<()> {
+        loop {
+            if let Some(text) = self.next().await? {
+                // a page waits for its answers
+                if self.waiting.len() >= WAITING {
+                    return None;
+                }
+                self.waiting.push_back(text);
+            }
+        }
+    }
+
+    /// Sends a pulse, or receives an order or a heartbeat.
+    async fn next(&mut self) -> Option<Option<String>> {
+        tokio::select! {
+            _ = self.pulse.tick(), if self.grip.is_some() => {
+                self.last += 1;
+                self.sent.push_back(std::time::Instant::now());
+                if self.sent.len() > PULSES {
+                    self.sent.pop_front();
+                }
+                self.send(json!({ "t": "pulse", "n": self.last }).to_string()).await?;
+                Some(None)
+            }
+            message = self.socket.recv() => match message {
+                Some(Ok(Message::Text(text))) => match serde_json::from_str::<Beat>(&text) {
+                    Ok(Beat { beat }) => {
+                        self.beat(beat);
+                        Some(None)
+                    }
+                    Err(_) => Some(Some(text.as_str().to_owned())),
+                },
+                Some(Ok(Message::Ping(_) | Message::Pong(_))) => Some(None),
+                _ => None,
+            },
+        }
+    }
+
+    /// Records a heartbeat. It counts from the time of its pulse, so that heartbeats that were held up on the way are old.
+    fn beat(&self, number: u64) {
+        let Some(age) = self.last.checked_sub(number).and_then(|age| usize::try_from(age).ok()) else { return };
+        if let (Some(grip), Some(sent)) = (&self.grip, self.sent.iter().rev().nth(age)) {
+            grip.beat(*sent);
+        }
+    }
 }
 
 /// A page.
@@ -76,11 +189,14 @@ pub(crate) struct Page {
     packets: u64,
     /// The value that was checked last, and the robot that it is for.
     checked: Option<(usize, Box<Write>)>,
+    /// The jog of this page, and its robot.
+    grip: Option<(usize, Arc<Grip>)>,
 }
 
 impl Drop for Page {
     /// The loss of a page frees what it holds.
     fn drop(&mut self) {
+        self.end_jog("the page is closed");
         for robot in &self.app.robots {
             robot.live().names.remove(&self.client);
             if let Some(name) = robot.control.name_of(self.client) {
@@ -92,48 +208,48 @@ impl Drop for Page {
 }
 
 /// Serves a page until it is closed.
-pub(crate) async fn serve(app: Arc<App>, client: Client, mut socket: WebSocket) {
-    let mut page =
-        Page { app, client, robot: 0, screen: Screen::Cell, sent: HashMap::new(), packets: 0, checked: None };
-    let hello = json!({ "t": "hello", "write": page.app.allow_write, "version": env!("CARGO_PKG_VERSION") });
-    if send(&mut socket, hello.to_string()).await.is_none() {
-        return;
-    }
+pub(crate) async fn serve(app: Arc<App>, client: Client, socket: WebSocket) {
+    let hello = json!({ "t": "hello", "write": app.allow_write, "motion": app.allow_motion, "version": env!("CARGO_PKG_VERSION") });
+    let mut page = Page {
+        app,
+        client,
+        robot: 0,
+        screen: Screen::Cell,
+        sent: HashMap::new(),
+        packets: 0,
+        checked: None,
+        grip: None,
+    };
+    // the page is dropped first, so that its loss ends a jog at once
+    let mut line = Line::new(socket);
+    let _ = serve_page(&mut page, &mut line, hello.to_string()).await;
+}
+
+async fn serve_page(page: &mut Page, line: &mut Line, hello: String) -> Option<()> {
+    line.send(hello).await?;
     let mut ticks = interval(TICK);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut alive = interval(ALIVE);
     let mut bucket = Bucket::new();
     loop {
+        line.grip = page.grip.as_ref().map(|(_, grip)| Arc::clone(grip));
         tokio::select! {
             _ = ticks.tick() => {
                 for text in page.changed() {
-                    if send(&mut socket, text).await.is_none() {
-                        return;
-                    }
+                    line.send(text).await?;
                 }
             }
-            _ = alive.tick() => if send(&mut socket, tick()).await.is_none() {
-                return;
-            },
-            message = socket.recv() => {
-                let text = match message {
-                    Some(Ok(Message::Text(text))) => text,
-                    Some(Ok(Message::Ping(_) | Message::Pong(_))) => continue,
-                    _ => return,
-                };
-                if answer(&mut page, &mut socket, &text, bucket.take()).await.is_none() {
-                    return;
-                }
-            }
+            _ = alive.tick() => line.send(tick()).await?,
+            text = line.order() => answer(page, line, &text?, bucket.take()).await?,
         }
     }
 }
 
 /// Carries out an order if the page has not given too many, and sends the answer.
-async fn answer(page: &mut Page, socket: &mut WebSocket, text: &str, is_allowed: bool) -> Option<()> {
+async fn answer(page: &mut Page, line: &mut Line, text: &str, is_allowed: bool) -> Option<()> {
     if !is_allowed {
         // the number of the order is not read
-        return send(socket, json!({ "t": "answer", "error": "too many orders; wait a moment" }).to_string()).await;
+        return line.send(json!({ "t": "answer", "error": "too many orders; wait a moment" }).to_string()).await;
     }
     let mut order = pin!(page.order(text));
     let mut alive = interval_at(Instant::now() + ALIVE, ALIVE);
@@ -141,18 +257,15 @@ async fn answer(page: &mut Page, socket: &mut WebSocket, text: &str, is_allowed:
         tokio::select! {
             answer = &mut order => break answer,
             // a controller may need seconds
-            _ = alive.tick() => send(socket, tick()).await?,
+            _ = alive.tick() => line.send(tick()).await?,
+            ended = line.hold() => ended?,
         }
     };
-    send(socket, answer.to_string()).await
+    line.send(answer.to_string()).await
 }
 
 fn tick() -> String {
     json!({ "t": "tick" }).to_string()
-}
-
-async fn send(socket: &mut WebSocket, text: String) -> Option<()> {
-    timeout(SEND, socket.send(Message::Text(text.into()))).await.ok()?.ok()
 }
 
 impl Page {
@@ -167,6 +280,7 @@ impl Page {
                 Screen::Variables => sections.push(("variables", view::variables(self.client, robot))),
                 Screen::Alarms => sections.push(("alarms", view::alarms(robot))),
                 Screen::Arm => sections.push(("arm", view::arm(robot))),
+                Screen::Jog => sections.push(("jog", view::jog(robot))),
                 Screen::Plots => sections.push(("plots", view::variables(self.client, robot))),
                 Screen::Packets => {
                     let (packets, total) = view::packets(robot, self.packets);
@@ -205,13 +319,16 @@ impl Page {
         match order {
             Order::Show { robot, screen } => {
                 self.robot(robot)?;
+                self.end_jog("the screen was left");
                 (self.robot, self.screen, self.packets) = (robot, screen, 0);
                 self.sent.clear();
                 Ok(Value::Null)
             }
             Order::Select { robot, names } => self.select(robot, names).await,
             Order::Take { robot, name } => {
-                self.writes()?;
+                if !self.app.allow_motion {
+                    self.writes()?;
+                }
                 let taken = self.robot(robot)?.control.take(self.client, &name);
                 self.app.audit.write(&view::safe(&name), &self.robot(robot)?.name, "takes the control", &taken);
                 taken.map(|()| Value::Null)
@@ -219,29 +336,81 @@ impl Page {
             Order::Release { robot } => {
                 let robot = self.robot(robot)?;
                 if let Some(name) = robot.control.name_of(self.client) {
+                    self.end_jog("the control was released");
                     robot.control.release(self.client);
                     self.app.audit.write::<()>(&name, &robot.name, "releases the control", &Ok(()));
                 }
                 Ok(Value::Null)
             }
             Order::Check { robot, name, text } => {
-                self.holder(robot)?;
+                self.writer(robot)?;
                 let write = self.robot(robot)?.order(move |link| check(link, &name, &text)).await?;
-                let answer = json!({
-                    "name": view::safe(&write.path.to_string()),
-                    "old": view::safe(&shown(&write.before)),
-                    "new": view::safe(&shown(&write.value)),
-                });
-                self.checked = Some((robot, Box::new(write)));
-                Ok(answer)
+                Ok(self.checked(robot, write))
+            }
+            Order::Teach { robot, name } => {
+                self.writer(robot)?;
+                let write = self.robot(robot)?.order(move |link| check_position(link, &name)).await?;
+                Ok(self.checked(robot, write))
             }
             Order::Write { robot, name } => self.write(robot, &name).await,
             Order::Clear { robot } => {
-                let (who, robot) = (self.holder(robot)?, self.robot(robot)?);
+                let (who, robot) = (self.writer(robot)?, self.robot(robot)?);
                 let cleared = robot.order(bcap_live::errors::clear).await;
                 self.app.audit.write(&who, &robot.name, "clears the errors", &cleared);
                 cleared.map(|()| Value::Null)
             }
+            Order::Grip { robot, name } => self.take_grip(robot, &name),
+            Order::Press { robot, axis, by, percent } => {
+                self.mover(robot)?;
+                let press = jog::press(&*self.robot(robot)?, &axis, by, percent)?;
+                self.grip(robot)?.press(press).map(|()| Value::Null)
+            }
+            Order::Lift { robot } => {
+                let steps = self.grip(robot)?.lift();
+                let who = self.mover(robot)?;
+                self.app.audit.write::<()>(
+                    &who,
+                    &self.robot(robot)?.name,
+                    &format!("jogged by {steps} steps"),
+                    &Ok(()),
+                );
+                Ok(json!(steps))
+            }
+            Order::Drop { robot, why } => {
+                self.grip(robot)?.end(&view::safe(&why));
+                Ok(Value::Null)
+            }
+        }
+    }
+
+    /// Keeps a value that was checked, and shows it with the old one.
+    fn checked(&mut self, robot: usize, write: Write) -> Value {
+        let [name, old, new] =
+            [write.path.to_string(), shown(&write.before), shown(&write.value)].map(|text| view::safe(&text));
+        self.checked = Some((robot, Box::new(write)));
+        json!({ "name": name, "old": old, "new": new })
+    }
+
+    /// Begins a jog.
+    fn take_grip(&mut self, number: usize, name: &str) -> Result<Value, String> {
+        let (who, robot) = (self.mover(number)?, self.robot(number)?);
+        if view::safe(&robot.name) != name {
+            return Err(format!("{name} is not the name of this robot; nothing was done"));
+        }
+        self.end_jog("another jog begins");
+        self.grip = Some((number, jog::start(&self.app, &robot, who)?));
+        Ok(Value::Null)
+    }
+
+    /// Returns the jog of this page.
+    fn grip(&self, number: usize) -> Result<&Grip, String> {
+        let grip = self.grip.as_ref().filter(|(robot, _)| *robot == number).map(|(_, grip)| &**grip);
+        grip.ok_or_else(|| "the jog has ended; begin it again".into())
+    }
+
+    fn end_jog(&mut self, why: &str) {
+        if let Some((_, grip)) = self.grip.take() {
+            grip.end(why);
         }
     }
 
@@ -257,9 +426,22 @@ impl Page {
         Err("this server is read-only; start it with --allow-write".into())
     }
 
+    /// Returns the name of this page's user, who has the control of a robot, and may write.
+    fn writer(&self, robot: usize) -> Result<String, String> {
+        self.writes()?;
+        self.holder(robot)
+    }
+
+    /// Returns the name of this page's user, who has the control of a robot, and may move it.
+    fn mover(&self, robot: usize) -> Result<String, String> {
+        if !self.app.allow_motion {
+            return Err("this server moves nothing; start it with --allow-motion".into());
+        }
+        self.holder(robot)
+    }
+
     /// Returns the name of this page's user, who has the control of a robot.
     fn holder(&self, robot: usize) -> Result<String, String> {
-        self.writes()?;
         let control = &self.robot(robot)?.control;
         control.name_of(self.client).ok_or_else(|| match control.holder() {
             Some(name) => format!("{name} has the control; ask for its release"),
@@ -284,7 +466,7 @@ impl Page {
 
     /// Writes the value that was checked, if the variable still has the value that the user has seen.
     async fn write(&mut self, number: usize, name: &str) -> Result<Value, String> {
-        let (who, robot) = (self.holder(number)?, self.robot(number)?);
+        let (who, robot) = (self.writer(number)?, self.robot(number)?);
         let is_for = |(robot, write): &(usize, Box<Write>)| *robot == number && write.path.to_string() == name;
         let (_, write) = self.checked.take_if(|checked| is_for(checked)).ok_or("check the value first")?;
         let what = format!("writes {name}: {} -> {}", shown(&write.before), shown(&write.value));

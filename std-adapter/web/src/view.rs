@@ -2,7 +2,9 @@
 
 use bcap_core::bcap::StreamState;
 use bcap_core::hresult::HResult;
+use bcap_live::axis::Axis;
 use bcap_live::errors::own;
+use bcap_live::jog::{FASTEST, LONGEST, Phase};
 use bcap_live::log::Entry;
 use bcap_live::model::Variable;
 use bcap_std::Examination;
@@ -174,6 +176,32 @@ fn error(code: HResult, text: &str) -> Value {
 pub(crate) fn arm(robot: &Robot) -> Value {
     let type_name = robot.live().type_name.clone().unwrap_or_default();
     json!({ "type": safe(&type_name), "links": arm::dimensions(&type_name) })
+}
+
+/// Returns the state of a jog, and the highest speed of each axis in percent.
+pub(crate) fn jog(robot: &Robot) -> Value {
+    let grip = robot.grip().clone();
+    let phase = match grip.as_ref().map(|grip| grip.phase()) {
+        None | Some(Phase::Ended) => "off",
+        Some(Phase::Starting) => "starting",
+        Some(Phase::Ready) => "ready",
+        Some(Phase::Moving) => "moving",
+    };
+    let outcome = grip.as_ref().and_then(|grip| grip.outcome());
+    let live = robot.live();
+    let type_name = live.type_name.as_deref().unwrap_or_default();
+    let joints = live.model.robot.joints.len().min(8);
+    let axes = (1u8..).map(Axis::Joint).take(joints).chain((0..6).map(Axis::Coordinate));
+    let axes: Vec<_> = axes.map(|axis| json!([axis.to_string(), arm::percent(type_name, axis)])).collect();
+    json!({
+        "phase": phase,
+        "ends": grip.as_ref().and_then(|grip| grip.ends()).map(|why| safe(&why)),
+        "failed": outcome.as_ref().is_some_and(Result::is_err),
+        "outcome": outcome.map(|outcome| safe(&outcome.map_or_else(|why| why, str::to_owned))),
+        "axes": axes,
+        "longest": LONGEST,
+        "fastest": FASTEST,
+    })
 }
 
 /// The most packets of a message; the others are counted.

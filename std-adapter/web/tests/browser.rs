@@ -220,6 +220,51 @@ fn the_arm_is_drawn_and_its_numbers_are_plotted() {
     assert_eq!(browser.problems, [""; 0]);
 }
 
+/// A button is held by the mouse and by a key; a lifted one moves nothing. A hidden tab, a lost focus and a second finger end it.
+#[test]
+fn a_button_is_held_and_what_takes_the_page_away_ends_the_jog() {
+    let sim = Sim::start();
+    let web = Web::moving(&[("press", sim.address())]);
+    let Some(mut browser) = opened(&web) else { return };
+    browser.enter("#name", "Anna");
+    browser.until_text("#control", "control: Anna (this page)");
+    browser.click("[data-id=jog]");
+    let begin = |browser: &mut Browser| {
+        sim.lock().clear_errors(bcap_std::now());
+        browser.until_text("#state", "ready");
+        browser.click("#jog-begin");
+        browser.until_text("#question-robot", "press (tcp:");
+        assert!(sim.lock().arm_owner().is_none(), "before the answer nothing is taken");
+        browser.click("#question-yes");
+        // a busy machine may lose the heartbeat, which is no fault of the page
+        browser.until("/ready|ended/.test(document.getElementById('jog-phase').textContent)");
+    };
+    let rests = || sim.until("it rests, and the arm is free", |sim| !sim.is_moving() && sim.arm_owner().is_none());
+    let ends = [
+        "dispatchEvent(new Event('blur'))",
+        "Object.defineProperty(document, 'hidden', { value: true, configurable: true }); document.dispatchEvent(new Event('visibilitychange')); delete document.hidden",
+        "document.body.dispatchEvent(new PointerEvent('pointerdown', { pointerId: 7, bubbles: true }))",
+        "document.querySelector('[data-id=cell]').click(); document.querySelector('[data-id=jog]').click()",
+    ];
+    let mut moved = 0;
+    for end in ends {
+        begin(&mut browser);
+        let before = sim.lock().axes();
+        browser.hold(".axis:nth-child(1) button:nth-of-type(2)");
+        let until = std::time::Instant::now() + LIMIT;
+        while sim.lock().axes() == before && sim.lock().arm_owner().is_some() {
+            assert!(std::time::Instant::now() < until, "the robot moves, or the jog has ended");
+            std::thread::sleep(std::time::Duration::from_millis(5));
+        }
+        moved += usize::from(sim.lock().axes() != before);
+        browser.eval(&format!("{end}; 0"));
+        rests();
+        browser.lift();
+    }
+    assert!(moved > 0, "no attempt has moved the robot");
+    assert_eq!(browser.problems, [""; 0]);
+}
+
 /// The contrast of each visible text to what is behind it, as WCAG 2 defines it; and that the page has names and an order for a
 /// keyboard. Returns what is wrong.
 const AUDIT: &str = include_str!("audit.js");
@@ -238,9 +283,9 @@ fn each_screen_is_legible_and_works_with_a_keyboard() {
     assert_eq!(browser.eval("document.activeElement.id"), "halt", "HALT is the first");
     browser.enter("#name", "Anna");
     let folder = std::env::var_os("BCAP_WEB_PICTURES");
-    for screen in ["cell", "variables", "alarms", "arm", "plots", "packets"] {
+    for screen in ["cell", "variables", "alarms", "arm", "jog", "plots", "packets"] {
         browser.click(&format!("[data-id={screen}]"));
-        browser.until("document.querySelector('.tile, .spark polyline, .errors li, .joints circle, .choices input, .packets td') !== null");
+        browser.until("document.querySelector('.tile, .spark polyline, .errors li, .joints circle, .axis, .choices input, .packets td') !== null");
         for scheme in ["light", "dark"] {
             for size in [(1280, 800), (768, 1024)] {
                 browser.look(size, scheme);

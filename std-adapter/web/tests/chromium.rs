@@ -19,6 +19,8 @@ pub(crate) struct Browser {
     socket: WebSocket<MaybeTlsStream<TcpStream>>,
     session: String,
     last: u64,
+    /// Where the mouse was pressed last.
+    place: Value,
     /// Exceptions of scripts, and errors that the browser reports, such as violations of the Content-Security-Policy.
     pub(crate) problems: Vec<String>,
 }
@@ -58,8 +60,15 @@ impl Browser {
             address.is_some()
         });
         let socket = websocket(&address.unwrap());
-        let mut browser =
-            Self { process, _profile: profile, socket, session: String::new(), last: 0, problems: Vec::new() };
+        let mut browser = Self {
+            process,
+            _profile: profile,
+            socket,
+            session: String::new(),
+            last: 0,
+            place: Value::Null,
+            problems: Vec::new(),
+        };
         if let MaybeTlsStream::Plain(stream) = browser.socket.get_ref() {
             stream.set_read_timeout(Some(LIMIT)).unwrap();
         }
@@ -156,16 +165,31 @@ impl Browser {
     /// Clicks an element with the mouse, as a person does: it must be visible and enabled.
     #[track_caller]
     pub(crate) fn click(&mut self, selector: &str) {
+        self.hold(selector);
+        self.lift();
+    }
+
+    /// Presses the mouse on an element, which must be visible and enabled.
+    #[track_caller]
+    pub(crate) fn hold(&mut self, selector: &str) {
         let element = format!("document.querySelector({})", json!(selector));
         self.until(&format!("{element} !== null && !{element}.disabled && {element}.checkVisibility()"));
-        let place = self.eval(&format!(
+        self.place = self.eval(&format!(
             "(() => {{ {element}.scrollIntoView({{ block: 'center' }}); const r = {element}.getBoundingClientRect();
                 return [r.x + r.width / 2, r.y + r.height / 2]; }})()"
         ));
-        for kind in ["mousePressed", "mouseReleased"] {
-            let params = json!({ "type": kind, "x": place[0], "y": place[1], "button": "left", "clickCount": 1 });
-            self.call("Input.dispatchMouseEvent", params);
-        }
+        self.mouse("mousePressed");
+    }
+
+    /// Lifts the mouse where it was pressed.
+    pub(crate) fn lift(&mut self) {
+        self.mouse("mouseReleased");
+    }
+
+    fn mouse(&mut self, kind: &str) {
+        let [x, y] = [&self.place[0], &self.place[1]];
+        let params = json!({ "type": kind, "x": x, "y": y, "button": "left", "clickCount": 1 });
+        self.call("Input.dispatchMouseEvent", params);
     }
 
     /// Replaces the text of a field, and presses Enter.

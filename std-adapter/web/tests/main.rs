@@ -2,6 +2,7 @@
 
 mod browser;
 mod chromium;
+mod jog;
 mod pages;
 mod safety;
 mod support;

@@ -63,7 +63,17 @@ impl Sim {
     }
 
     pub(crate) fn at(address: SocketAddr) -> Self {
-        let controller = Arc::new(Mutex::new(Controller::new(SimConfig::new(Profile::Rc8))));
+        Self::with(address, SimConfig::new(Profile::Rc8))
+    }
+
+    /// Starts one whose motor comes on at once.
+    pub(crate) fn quick() -> Self {
+        let config = SimConfig { motor_on_delay: Duration::ZERO, ..SimConfig::new(Profile::Rc8) };
+        Self::with("127.0.0.1:0".parse().unwrap(), config)
+    }
+
+    fn with(address: SocketAddr, config: SimConfig) -> Self {
+        let controller = Arc::new(Mutex::new(Controller::new(config)));
         let shared = Arc::clone(&controller);
         let server = Running::start(async move |stopped, sender| {
             let server = SimServer::with_shared(shared).bcap_tcp(address).await?;
@@ -110,8 +120,18 @@ pub(crate) struct Web {
 
 impl Web {
     pub(crate) fn start(robots: &[(&str, SocketAddr)], allow_write: bool) -> Self {
+        Self::with(&|config| config.allow_motion = false, robots, allow_write)
+    }
+
+    /// Starts a server whose pages may also move robots.
+    pub(crate) fn moving(robots: &[(&str, SocketAddr)]) -> Self {
+        Self::with(&|_| {}, robots, true)
+    }
+
+    fn with(change: &dyn Fn(&mut Config), robots: &[(&str, SocketAddr)], allow_write: bool) -> Self {
         let robots = robots.iter().map(|(name, address)| ((*name).to_owned(), access(*address))).collect();
-        let config = Config { listen: "127.0.0.1:0".parse().unwrap(), robots, allow_write };
+        let mut config = Config { listen: "127.0.0.1:0".parse().unwrap(), robots, allow_write, allow_motion: true };
+        change(&mut config);
         let audit = Arc::new(Mutex::new(Vec::new()));
         let lines = Arc::clone(&audit);
         let server = Running::start(async move |stopped, sender| {
@@ -181,7 +201,7 @@ impl Web {
                 if let MaybeTlsStream::Plain(stream) = socket.get_ref() {
                     stream.set_read_timeout(Some(LIMIT)).unwrap();
                 }
-                Ok(Page { socket, last: 0, sections: HashMap::new() })
+                Ok(Page { socket, last: 0, sections: HashMap::new(), beats: true })
             }
             Err(tokio_tungstenite::tungstenite::Error::Http(response)) => Err(response.status().as_u16()),
             Err(error) => panic!("{error}"),
@@ -201,6 +221,8 @@ pub(crate) struct Page {
     last: u64,
     /// The last content of each section: one that has not changed is not sent again.
     sections: HashMap<String, Value>,
+    /// Whether it answers pulses.
+    pub(crate) beats: bool,
 }
 
 impl Page {
@@ -210,6 +232,9 @@ impl Page {
             match self.socket.read() {
                 Ok(Message::Text(text)) => {
                     let message: Value = serde_json::from_str(&text).unwrap();
+                    if message["t"] == "pulse" && self.beats {
+                        self.beat(message["n"].as_u64().unwrap());
+                    }
                     if let (Some(kind), Some(content)) = (message["t"].as_str(), message.get("v")) {
                         self.sections.insert(kind.to_owned(), content.clone());
                     }
@@ -219,6 +244,12 @@ impl Page {
                 Ok(_) => {}
             }
         }
+    }
+
+    /// Sends a heartbeat.
+    pub(crate) fn beat(&mut self, number: u64) {
+        // the server may have closed the page
+        let _ = self.socket.send(Message::text(json!({ "beat": number }).to_string()));
     }
 
     /// Receives until the last content of a section meets a condition.

@@ -17,9 +17,10 @@ use crate::output::{note, print_line};
 /// Serves a page that shows controllers in a browser: their state, variables and alarms, and HALT
 ///
 /// It prints the address of the page with its token; anyone who has it may use the page. Only this computer can open it. The page
-/// reads, and never takes the arm; while another client streams in Slave Mode it sends nothing that would end the stream. With
-/// --allow-write a user who has taken the control of a robot, under a name, writes variables and clears errors, and each action
-/// is confirmed and printed as a line. HALT works always, over a separate connection. It is not an emergency stop.
+/// reads; while another client streams in Slave Mode it sends nothing that would end the stream. With --allow-write a user who has
+/// taken the control of a robot, under a name, writes variables and clears errors, and each action is confirmed and printed as a
+/// line. With --allow-motion the same user moves the robot by short steps while a button is held. HALT works always, over a
+/// separate connection. It is not an emergency stop.
 ///
 /// Without PROFILE it shows the controller of --robot or --profile. A lost connection is shown, and tried again every second. A
 /// signal ends it.
@@ -28,7 +29,8 @@ use crate::output::{note, print_line};
 Examples:
   bcap web
   bcap web --open --robot tcp:192.168.0.1
-  bcap web press welder --allow-write")]
+  bcap web press welder --allow-write
+  bcap web press --allow-write --allow-motion")]
 pub(crate) struct Web {
     /// The profiles to show, one tile each
     #[arg(value_name = "PROFILE")]
@@ -41,6 +43,10 @@ pub(crate) struct Web {
     /// Lets pages write variables and clear errors
     #[arg(long)]
     pub(crate) allow_write: bool,
+
+    /// Lets pages move a robot by steps while a button is held
+    #[arg(long)]
+    pub(crate) allow_motion: bool,
 
     /// Opens the page in the browser
     #[arg(long)]
@@ -60,7 +66,7 @@ pub(crate) fn web(args: &Web, link: &LinkArgs) -> Result<(), Failure> {
         let access = |name: &String| Ok((name.clone(), link.for_profile(name)?.access()?));
         args.profiles.iter().map(access).collect::<Result<_, Failure>>()?
     };
-    let config = Config { listen: args.listen, robots, allow_write: args.allow_write };
+    let config = Config { listen: args.listen, robots, allow_write: args.allow_write, allow_motion: args.allow_motion };
     runtime()?.block_on(async {
         let ended = signal::wait()?;
         // an error of the output ends nothing: a page may be needed for a halt

@@ -5,11 +5,12 @@ use std::path::PathBuf;
 use bcap_capture::value::data;
 use bcap_core::bcap::FunctionId;
 use bcap_core::rac::{Variable, VariableKind};
+use bcap_live::axis::Axis;
 use bcap_std::ObjectPath;
 use clap::Args;
 use serde_json::json;
 
-use crate::commands::robot::axis::{Axis, require_rest};
+use crate::commands::robot::axis::{self, require_rest};
 #[cfg(feature = "screens")]
 use crate::commands::robot::keys::by_keys;
 use crate::commands::robot::motion::{self, MotionArgs};
@@ -84,7 +85,7 @@ pub(crate) fn jog(args: &Jog, session: &mut Session, json: bool) -> Result<(), F
     if !motion::confirmed(&motion::step(axis, by, &args.how), session)? {
         return Ok(());
     }
-    let rests = axis.read(session)?;
+    let rests = axis::read(axis, session)?;
     let object = json!({ "axis": axis.to_string(), "position": rests });
     Ok(print_result(json, &object, &format!("{axis} = {rests:.3}"))?)
 }

@@ -6,9 +6,10 @@
 use std::thread;
 use std::time::Duration;
 
+use bcap_live::axis::Axis;
 use bcap_terminal::screen::{KeyCode, KeyEvent, KeyModifiers, Line, Panel, Part, Screen, Terminal, require};
 
-use crate::commands::robot::axis::Axis;
+use crate::commands::robot::axis;
 use crate::commands::robot::motion::{self, MotionArgs};
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
@@ -65,7 +66,7 @@ impl Keys<'_> {
         let mut terminal = Terminal::open()?;
         while !self.ends && !self.interrupt.is_interrupted() {
             session.restart_budget();
-            self.axes = Axis::read_all(session)?;
+            self.axes = axis::read_all(session)?;
             terminal.draw(&self.screen())?;
             // keys of a slow link arrive together: only the last one counts
             let by = terminal.keys(FRAME)?.into_iter().filter_map(|key| self.key(key)).last();

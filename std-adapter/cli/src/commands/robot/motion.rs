@@ -7,10 +7,11 @@ use bcap_capture::duration;
 use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
 use bcap_core::procedure::Motion;
+use bcap_live::axis::Axis;
 use bcap_std::{Destination, Move, ObjectPath};
 use clap::Args;
 
-use crate::commands::robot::axis::Axis;
+use crate::commands::robot::axis;
 use crate::commands::robot::silence::Silence;
 use crate::failure::Failure;
 use crate::interrupt::{Interrupt, State};
@@ -247,7 +248,7 @@ fn moved(args: &MoveArgs, session: &mut Session) -> Result<Motion, Failure> {
 fn commanded(args: &MoveArgs, session: &mut Session) -> Result<Move, Failure> {
     let to = args.to.as_str();
     let motion = match args.step {
-        Some((axis, by)) => axis.motion(by, session)?,
+        Some((axis, by)) => axis::step(axis, by, session)?,
         None if args.line => Move::line(to),
         None => Move::joint(to),
     };
