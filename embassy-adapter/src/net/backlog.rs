@@ -14,7 +14,7 @@ const LISTENERS: usize = 8;
 /// ([`Options::backlog`](super::Options::backlog)).
 ///
 /// A client is unfinished during its handshake, and on a page also until it has its page. When the last free listener gets a client,
-/// the oldest other unfinished one is given up. Each listener needs an own socket; a backlog counts the first eight of them.
+/// the oldest other unfinished one is given up. Each listener needs its own socket; a backlog counts the first eight of them.
 pub struct Backlog(Mutex<CriticalSectionRawMutex, RefCell<State>>);
 
 struct State {

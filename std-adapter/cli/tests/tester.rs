@@ -45,28 +45,34 @@ fn the_watchdog_is_shorter_than_an_attempt() {
 #[test]
 fn attempts_are_clamped_and_share_the_time() {
     for (attempts, sent) in [("-3", 1), ("0", 1), ("1", 1), ("3", 3), ("7", 7), ("100", 7)] {
+        assert_attempts(&["--timeout", "1400", "--attempts", attempts], sent, "1400 ms");
+    }
+}
+
+/// Checks how often a server without replies is asked. On a busy machine an attempt can be so late that the time limit is over
+/// before the last one, so fewer are repeated; more are a failure.
+#[track_caller]
+fn assert_attempts(options: &[&str], expected: usize, limit: &str) {
+    let mut received = 0;
+    for _ in 0..10 {
         let silent = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
         let address = format!("udp:{}", silent.local_addr().unwrap());
-        let run = bcap(&["get", "I1", "--robot", &address, "--timeout", "1400", "--attempts", attempts]);
-        assert!(run.code == 4 && run.err.contains("1400 ms"), "{run:?}");
+        let run = bcap(&[&["get", "I1", "--robot", &address], options].concat());
+        assert!(run.code == 4 && run.err.contains(limit), "{run:?}");
         silent.set_nonblocking(true).unwrap();
         let mut datagram = [0; 1024];
-        let received = std::iter::from_fn(|| silent.recv(&mut datagram).ok()).count();
-        assert_eq!(received, sent, "{attempts}");
+        received = std::iter::from_fn(|| silent.recv(&mut datagram).ok()).count();
+        if received >= expected {
+            break;
+        }
     }
+    assert_eq!(received, expected, "{options:?}");
 }
 
 #[test]
 fn the_time_of_an_attempt_gives_that_of_an_answer() {
     for (attempts, sent, limit) in [("3", 3, "450 ms"), ("-3", 1, "150 ms")] {
-        let silent = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
-        let address = format!("udp:{}", silent.local_addr().unwrap());
-        let run = bcap(&["get", "I1", "--robot", &address, "--attempt-timeout", "150", "--attempts", attempts]);
-        assert!(run.code == 4 && run.err.contains(limit), "{run:?}");
-        silent.set_nonblocking(true).unwrap();
-        let mut datagram = [0; 1024];
-        let received = std::iter::from_fn(|| silent.recv(&mut datagram).ok()).count();
-        assert_eq!(received, sent, "{attempts}");
+        assert_attempts(&["--attempt-timeout", "150", "--attempts", attempts], sent, limit);
     }
 }
 
