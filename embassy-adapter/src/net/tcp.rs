@@ -13,6 +13,8 @@ use bcap_core::time::Instant;
 #[cfg(feature = "server")]
 use embassy_futures::select::select;
 #[cfg(feature = "server")]
+use embassy_net::IpAddress;
+#[cfg(feature = "server")]
 use embassy_net::tcp::State;
 use embassy_net::tcp::{ConnectError, TcpSocket};
 use embassy_net::{IpEndpoint, Stack};
@@ -126,18 +128,26 @@ impl<'s> TcpTransport<'s> {
             self.listen(port)?;
             self.leaves(State::Listen).await;
             if let Some(place) = &place {
-                place.begin();
+                place.begin(self.peer_address());
             }
             let handshake = select(self.leaves(State::SynReceived), evicted(place.as_ref()));
             let _ = with_timeout(self.options.connect_timeout, handshake).await;
             // a reset by the peer makes it listen again
             if !matches!(self.socket.state(), State::Listen | State::SynReceived | State::Closed) {
                 self.set_up();
+                if let Some(place) = &place {
+                    place.connected(self.peer_address());
+                }
                 return Ok(place);
             }
             // not a reset of the transport: the peer may not exist, and the listener would wait for it
             self.socket.abort();
         }
+    }
+
+    #[cfg(feature = "server")]
+    fn peer_address(&self) -> Option<IpAddress> {
+        self.socket.remote_endpoint().map(|peer| peer.addr)
     }
 
     /// Starts to listen.
