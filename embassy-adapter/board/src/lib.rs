@@ -29,6 +29,7 @@
 //! | `remote`     | `update` and `port` | updates over TCP                                                     |
 //! | `signature`  | `signature` | signatures of images, seen from a host and from the board                    |
 //! | `usb`        | `usb`      | the console and the log as two serial ports over USB                          |
+//! | `w5500`      | `w5500`    | a driver of the Ethernet controller W5500                                     |
 //! | `stack`, `fault` | `cortex-m` | the stack with its guard, and the handler of faults; on ARM only          |
 //!
 //! An image needs no `unsafe` for these. The crate itself has unsafe code in `memory`, `log`, `stack` and `fault` only; each
@@ -151,6 +152,8 @@ pub mod update;
 #[cfg(feature = "usb")]
 pub mod usb;
 pub mod vectors;
+#[cfg(any(feature = "w5500", test))]
+pub mod w5500;
 #[cfg(feature = "embassy")]
 pub mod watchdog;
 

@@ -4,12 +4,14 @@
 //
 // The flash has one image, or a boot loader and an image; each is an ELF or UF2 file. RAC and UPDATE are local TCP ports that are forwarded
 // to the ports 5006 and 5010 of the board, and FIND is a UDP port that is forwarded to 5011. CONSOLE is a Unix socket for the console of
-// the board. LOG gets the bytes of the log. rp2040js is searched in the directory $RP2040JS. QEMU, which runs no machine, is the network: it has a
-// DHCP server, and this computer has the address 192.168.0.1 in it, where an image without settings expects its robot.
+// the board. LOG gets the bytes of the log. Lines of the standard input are faults: `fill` fills the memory of the W5500 with broadcasts,
+// `damage` stores a frame in it whose length is damaged. rp2040js is searched in the directory $RP2040JS. QEMU, which runs no machine, is
+// the network: it has a DHCP server, and this computer has the address 192.168.0.1 in it, where an image without settings expects its robot.
 
 import { spawn } from 'node:child_process';
 import { createRequire } from 'node:module';
 import { createServer } from 'node:net';
+import { createInterface } from 'node:readline';
 import { Board } from './board.mjs';
 
 const rp2040js = createRequire(`${process.env.RP2040JS}/`)('rp2040js');
@@ -73,6 +75,15 @@ createServer((socket) => {
   socket.write(Buffer.concat(early.splice(0)));
   socket.on('data', (data) => board.usb.send(data)).on('error', () => {});
 }).listen(consolePath);
+
+const broadcast = Buffer.alloc(60, 0xff);
+createInterface({ input: process.stdin }).on('line', (fault) => {
+  if (fault === 'fill') {
+    while (board.w5500.receive(broadcast));
+  } else if (fault === 'damage') {
+    board.w5500.receive(broadcast, 0);
+  }
+});
 
 const now = () => Number(process.hrtime.bigint());
 let start = now();

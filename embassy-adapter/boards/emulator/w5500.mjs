@@ -1,4 +1,4 @@
-// A model of WIZnet's W5500 with one socket in MACRAW mode, as embassy-net-wiznet uses it. Frames that do not fit are dropped.
+// A model of WIZnet's W5500 with one socket in MACRAW mode. Frames that do not fit are dropped.
 // Names and numbers of registers are those of the data sheet.
 
 const BUFFER = 16 * 1024;
@@ -21,6 +21,7 @@ const VERSIONR = 0x39;
 const SN_MR = 0x00;
 const SN_CR = 0x01;
 const SN_IR = 0x02;
+const SN_SR = 0x03;
 const SN_TX_FSR = 0x20;
 const SN_TX_RD = 0x22;
 const SN_TX_WR = 0x24;
@@ -29,9 +30,10 @@ const SN_RX_RD = 0x28;
 const SN_IMR = 0x2c;
 
 const OPEN = 0x01;
+const CLOSE = 0x10;
 const SEND = 0x20;
-const RECV = 0x40;
 const MACRAW = 0x04;
+const SOCK_MACRAW = 0x42;
 const MAC_FILTER = 0x80;
 const RECEIVED = 0x04;
 
@@ -97,18 +99,21 @@ export class W5500 {
   }
 
   isReadOnly(block, address) {
-    return (block === COMMON && address === VERSIONR) || (block === SOCKET && address >= SN_TX_FSR && address < SN_TX_WR);
+    const isStatus = address === SN_SR || (address >= SN_TX_FSR && address < SN_TX_WR);
+    return (block === COMMON && address === VERSIONR) || (block === SOCKET && isStatus);
   }
 
   command(command) {
     if (command === OPEN) {
       this.isOpen = (this.socket[SN_MR] & 0x0f) === MACRAW;
+      this.received = 0;
+      [SN_TX_RD, SN_TX_WR, SN_RX_RD].forEach((pointer) => this.socket.writeUInt16BE(0, pointer));
+    } else if (command === CLOSE) {
+      this.isOpen = false;
     } else if (command === SEND && this.isOpen) {
       this.sendFrame();
-    } else if (command === RECV) {
-      // the interrupt is set again while frames are left; the data sheet does not say that, so it is an assumption
-      this.announce();
     }
+    this.socket[SN_SR] = this.isOpen ? SOCK_MACRAW : 0;
     this.update();
   }
 
@@ -123,19 +128,20 @@ export class W5500 {
     this.send(frame);
   }
 
-  /** A frame from the network. */
-  receive(frame) {
-    const length = frame.length + 2;
-    if (!this.isOpen || !this.accepts(frame) || this.unread() + length > BUFFER) {
-      return;
+  /** A frame from the network, with the length before it that the chip stores. Returns whether it is kept. */
+  receive(frame, length = frame.length + 2) {
+    if (!this.isOpen || !this.accepts(frame) || this.unread() + frame.length + 2 > BUFFER) {
+      return false;
     }
     const stored = Buffer.concat([Buffer.from([length >> 8, length & 0xff]), frame]);
     for (const byte of stored) {
       this.blocks[RX_BUFFER][this.received % BUFFER] = byte;
       this.received = (this.received + 1) & 0xffff;
     }
-    this.announce();
+    // one interrupt for all frames until it is cleared; the data sheet does not say that frames that are left set it again
+    this.socket[SN_IR] |= RECEIVED;
     this.update();
+    return true;
   }
 
   accepts(frame) {
@@ -145,12 +151,6 @@ export class W5500 {
 
   unread() {
     return (this.received - this.socket.readUInt16BE(SN_RX_RD)) & 0xffff;
-  }
-
-  announce() {
-    if (this.unread() > 0) {
-      this.socket[SN_IR] |= RECEIVED;
-    }
   }
 
   /** Updates what follows from other registers. Frames are sent at once, so the transmit buffer is always free. */

@@ -8,11 +8,10 @@ use core::panic::PanicInfo;
 use bcap_board::gateway::{self, Board};
 use bcap_board::parts::Parts;
 use bcap_board::slots::Slots;
-use bcap_board::{address, config, led, mac, memory, network, port};
+use bcap_board::{address, config, led, mac, memory, network, port, w5500};
 use embassy_executor::Spawner;
 use embassy_futures::join::join;
 use embassy_net::{Stack, StackResources};
-use embassy_net_wiznet::chip::W5500;
 use embassy_time::Delay;
 use embedded_hal_bus::spi::ExclusiveDevice;
 use esp_hal::Async;
@@ -36,8 +35,8 @@ esp_bootloader_esp_idf::esp_app_desc!();
 const SETTINGS: core::ops::Range<u32> = 0x9000..0xb000;
 
 type Bus = ExclusiveDevice<Spi<'static, Async>, Output<'static>, Delay>;
-type Wiznet = embassy_net_wiznet::Runner<'static, W5500, Bus, Input<'static>, Output<'static>>;
-type Net = network::Runner<embassy_net_wiznet::Device<'static>>;
+type Ethernet = w5500::Runner<'static, Bus, Input<'static>, Output<'static>>;
+type Net = network::Runner<w5500::Device<'static>>;
 
 #[panic_handler]
 fn panic(info: &PanicInfo<'_>) -> ! {
@@ -57,7 +56,7 @@ async fn main(spawner: Spawner) {
 
 async fn start(spawner: Spawner, p: Peripherals) -> Option<()> {
     static RESOURCES: StaticCell<StackResources<{ gateway::SOCKETS }>> = StaticCell::new();
-    static WIZNET: StaticCell<embassy_net_wiznet::State<2, 1>> = StaticCell::new();
+    static FRAMES: StaticCell<w5500::State<2, 1>> = StaticCell::new();
 
     let mut watchdog = Rtc::new(p.RTC_TIMER).rwdt;
     watchdog.set_timeout(RwdtStage::Stage0, Duration::from_secs(8));
@@ -76,13 +75,13 @@ async fn start(spawner: Spawner, p: Peripherals) -> Option<()> {
     let interrupt = Input::new(p.GPIO3, InputConfig::default().with_pull(Pull::Up));
     let reset = Output::new(p.GPIO4, Level::High, OutputConfig::default());
     let address = settings.mac.unwrap_or_else(|| mac::from_unique_id(efuse::base_mac_address().as_bytes()));
-    let state = WIZNET.init_with(embassy_net_wiznet::State::new);
-    let (device, wiznet) = embassy_net_wiznet::new(address, state, bus, interrupt, reset).await.ok()?;
+    let frames = FRAMES.init_with(w5500::State::new);
+    let (device, ethernet) = w5500::new(address, frames, bus, interrupt, reset).await.ok()?;
     let (resources, random) = (RESOURCES.init_with(StackResources::new), Rng::new());
     let seed = u64::from(random.random()) << 32 | u64::from(random.random());
     let (net, runner) = network::start(device, settings, resources, seed);
 
-    spawner.spawn(run_network(wiznet, runner).ok()?);
+    spawner.spawn(run_network(ethernet, runner).ok()?);
     let board = gateway::start(spawner, net, settings, parts, address::DHCP_AGAIN).ok()?;
     let led = Output::new(p.GPIO5, Level::Low, OutputConfig::default());
     spawner.spawn(watch(board, watchdog, led, net).ok()?);
@@ -101,8 +100,8 @@ async fn serve(
 }
 
 #[embassy_executor::task]
-async fn run_network(wiznet: Wiznet, mut stack: Net) {
-    gateway::run_network(join(wiznet.run(), stack.run())).await;
+async fn run_network(ethernet: Ethernet, mut stack: Net) {
+    gateway::run_network(join(ethernet.run(), stack.run())).await;
 }
 
 #[embassy_executor::task]

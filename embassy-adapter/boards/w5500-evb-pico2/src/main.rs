@@ -8,12 +8,11 @@ use core::panic::PanicInfo;
 use bcap_board::gateway::{self, Board};
 use bcap_board::parts::Parts;
 use bcap_board::slots::Slots;
-use bcap_board::{address, config, fault, led, mac, memory, network, stack, usb};
+use bcap_board::{address, config, fault, led, mac, memory, network, stack, usb, w5500};
 use cortex_m::peripheral::SCB;
 use embassy_executor::{Executor, Spawner};
 use embassy_futures::join::join;
 use embassy_net::{Stack, StackResources};
-use embassy_net_wiznet::chip::W5500;
 use embassy_rp::clocks::RoscRng;
 use embassy_rp::flash::{Blocking, Flash};
 use embassy_rp::gpio::{Input, Level, Output, Pull};
@@ -38,8 +37,8 @@ const WATCHDOG_TIME: Duration = Duration::from_secs(8);
 
 type BoardFlash = Flash<'static, FLASH, Blocking, FLASH_SIZE>;
 type Bus = ExclusiveDevice<Spi<'static, SPI0, Async>, Output<'static>, Delay>;
-type Wiznet = embassy_net_wiznet::Runner<'static, W5500, Bus, Input<'static>, Output<'static>>;
-type Net = network::Runner<embassy_net_wiznet::Device<'static>>;
+type Ethernet = w5500::Runner<'static, Bus, Input<'static>, Output<'static>>;
+type Net = network::Runner<w5500::Device<'static>>;
 
 #[panic_handler]
 fn panic(info: &PanicInfo<'_>) -> ! {
@@ -71,7 +70,7 @@ async fn start(spawner: Spawner, parts: Peripherals) {
 
 async fn run(spawner: Spawner, p: Peripherals) -> Option<()> {
     static RESOURCES: StaticCell<StackResources<{ gateway::SOCKETS }>> = StaticCell::new();
-    static WIZNET: StaticCell<embassy_net_wiznet::State<2, 1>> = StaticCell::new();
+    static FRAMES: StaticCell<w5500::State<2, 1>> = StaticCell::new();
 
     let mut watchdog = Watchdog::new(p.WATCHDOG);
     watchdog.start(WATCHDOG_TIME);
@@ -88,12 +87,12 @@ async fn run(spawner: Spawner, p: Peripherals) -> Option<()> {
     let bus = ExclusiveDevice::new(spi, Output::new(p.PIN_17, Level::High), Delay).ok()?;
     let (interrupt, reset) = (Input::new(p.PIN_21, Pull::Up), Output::new(p.PIN_20, Level::High));
     let address = settings.mac.unwrap_or_else(|| mac::from_unique_id(&id));
-    let state = WIZNET.init_with(embassy_net_wiznet::State::new);
-    let (device, wiznet) = embassy_net_wiznet::new(address, state, bus, interrupt, reset).await.ok()?;
+    let frames = FRAMES.init_with(w5500::State::new);
+    let (device, ethernet) = w5500::new(address, frames, bus, interrupt, reset).await.ok()?;
     let resources = RESOURCES.init_with(StackResources::new);
     let (net, runner) = network::start(device, settings, resources, RoscRng.next_u64());
 
-    spawner.spawn(run_network(wiznet, runner).ok()?);
+    spawner.spawn(run_network(ethernet, runner).ok()?);
     let board = gateway::start(spawner, net, settings, parts, address::DHCP_AGAIN).ok()?;
     spawner.spawn(watch(board, watchdog, Output::new(p.PIN_25, Level::Low), net).ok()?);
     stack::repaint();
@@ -106,8 +105,8 @@ async fn serve_usb(driver: Driver<'static, USB>, slots: Slots<BoardFlash>) {
 }
 
 #[embassy_executor::task]
-async fn run_network(wiznet: Wiznet, mut stack: Net) {
-    gateway::run_network(join(wiznet.run(), stack.run())).await;
+async fn run_network(ethernet: Ethernet, mut stack: Net) {
+    gateway::run_network(join(ethernet.run(), stack.run())).await;
 }
 
 #[embassy_executor::task]
