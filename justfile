@@ -245,11 +245,11 @@ board-soak minutes="60" seed="1":
     SOAK_SECONDS=$(({{minutes}} * 60)) SOAK_SEED={{seed}} BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" \
         cargo test -p bcap-qemu --features qemu soak::
 
-# The gateway board in QEMU with invalid leases, half-open connections, slow clients of its page, pings and random frames: an hour, or `just board-hostile 1`.
+# The gateway board in QEMU with invalid leases, floods, slow clients, random frames and bytes, cuts of the link and a robot that is killed: an hour, or `just board-hostile 1`.
 [group('board in QEMU')]
 board-hostile minutes="60" seed="1":
     cargo build --release -p bcap-cli
-    HOSTILE_SECONDS=$(({{minutes}} * 60)) HOSTILE_SEED={{seed}} BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" \
+    HOSTILE_BARS=yes HOSTILE_SECONDS=$(({{minutes}} * 60)) HOSTILE_SEED={{seed}} BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" \
         cargo test -p bcap-qemu --features qemu hostile::
 
 # A client that sends refused PUTs to the gateway board in QEMU as fast as it can, next to a well-behaved PLC: ten minutes, or `just board-flood 1`.

@@ -8,6 +8,7 @@
 use std::fs::{self, File};
 use std::io::{self, BufRead, BufReader, Read, Write};
 use std::net::{TcpListener, TcpStream};
+use std::os::unix::net::UnixStream;
 use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
 use std::process::{Child, ChildStdin, Command, Stdio};
@@ -204,6 +205,36 @@ impl Drop for Board {
             let _ = writeln!(io::stderr(), "the board's log: {}", self.log());
         }
         let _ = fs::remove_file(&self.log);
+    }
+}
+
+/// QEMU's monitor.
+#[derive(Debug)]
+pub struct Monitor(UnixStream);
+
+impl Monitor {
+    /// Waits for the prompt of a monitor.
+    pub fn new(stream: UnixStream) -> Self {
+        let mut monitor = Self(stream);
+        monitor.until_prompt();
+        monitor
+    }
+
+    /// Performs a command.
+    pub fn command(&mut self, line: &str) {
+        self.0.write_all(format!("{line}\n").as_bytes()).unwrap();
+        let said = self.until_prompt();
+        assert!(!said.contains("Error") && !said.contains("not found"), "{line}: {said}");
+    }
+
+    fn until_prompt(&mut self) -> String {
+        let mut said = Vec::new();
+        let mut byte = [0];
+        while !said.ends_with(b"(qemu) ") {
+            self.0.read_exact(&mut byte).unwrap();
+            said.push(byte[0]);
+        }
+        String::from_utf8_lossy(&said).into_owned()
     }
 }
 

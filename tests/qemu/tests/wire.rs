@@ -87,6 +87,8 @@ pub(crate) struct World {
     pub(crate) sockets: SocketSet<'static>,
     pub(crate) robot: Robot,
     servers: Vec<(SocketHandle, TcpServer<RobotSession>)>,
+    /// Whether the program of the robot has been killed: its connections are reset, and new ones are refused.
+    pub(crate) robot_is_down: bool,
     pub(crate) plcs: Vec<Plc>,
     rng: Rng,
 }
@@ -109,7 +111,17 @@ impl World {
         // a connection that the board has given up may not have ended here yet
         let servers = (0..3).map(|index| (socket(), TcpServer::new(5007, index, 3))).collect();
         let robot = Robot { wrong: 0, requests: 0 };
-        Self { begin: Instant::now(), wire, interface, sockets, robot, servers, plcs, rng: Rng::with_seed(seed) }
+        Self {
+            begin: Instant::now(),
+            wire,
+            interface,
+            sockets,
+            robot,
+            servers,
+            robot_is_down: false,
+            plcs,
+            rng: Rng::with_seed(seed),
+        }
     }
 
     /// Runs until `done`, at most for `limit`; the board must run throughout.
@@ -129,7 +141,13 @@ impl World {
         self.interface.poll(bare::to_smoltcp(now), &mut self.wire, &mut self.sockets);
         for (handle, server) in &mut self.servers {
             let make = || Session::new(Config::TCP, [0; 1024], [0; 1024]);
-            server.poll(self.sockets.get_mut(*handle), make, &mut self.robot, now);
+            let socket = self.sockets.get_mut::<tcp::Socket<'_>>(*handle);
+            if self.robot_is_down {
+                socket.abort();
+            }
+            if !self.robot_is_down || server.is_connected() {
+                server.poll(socket, make, &mut self.robot, now);
+            }
         }
         for plc in &mut self.plcs {
             plc.go_on(self.sockets.get_mut(plc.socket), &mut self.interface, &mut self.rng);
@@ -142,7 +160,16 @@ impl World {
         self.robot.requests = 0;
         for plc in &mut self.plcs {
             (plc.requests, plc.answers, plc.errors, plc.lost, plc.longest) = (0, 0, 0, 0, Duration::ZERO);
+            plc.times.clear();
         }
+    }
+
+    /// Returns a percentile of the times of right answers to the PLCs that keep their connection.
+    pub(crate) fn percentile(&self, percent: usize) -> Duration {
+        let steady = self.plcs.iter().filter(|plc| !plc.reconnects);
+        let mut micros: Vec<u32> = steady.flat_map(|plc| &plc.times).copied().collect();
+        micros.sort_unstable();
+        Duration::from_micros(micros.get(micros.len() * percent / 100).copied().unwrap_or_default().into())
     }
 
     pub(crate) fn report(&self) -> String {
@@ -175,6 +202,9 @@ pub(crate) struct Plc {
     pub(crate) errors: u32,
     lost: u32,
     longest: Duration,
+    /// The times of right answers, in microseconds, except for those during a failure.
+    times: Vec<u32>,
+    pub(crate) has_failure: bool,
 }
 
 impl Plc {
@@ -191,6 +221,8 @@ impl Plc {
             errors: 0,
             lost: 0,
             longest: Duration::ZERO,
+            times: Vec::new(),
+            has_failure: false,
         }
     }
 
@@ -226,10 +258,16 @@ impl Plc {
 
     fn check(&mut self, answer: &str) {
         let Some((number, put, since)) = self.waiting.take() else { panic!("an answer without a request: {answer:?}") };
-        self.longest = self.longest.max(since.elapsed());
+        let time = since.elapsed();
+        self.longest = self.longest.max(time);
         let right = if put { "0".to_owned() } else { format!("0,3,{}", value_of(number)) };
         match i32::from_str(answer) {
-            _ if answer == right => self.answers += 1,
+            _ if answer == right => {
+                self.answers += 1;
+                if !self.has_failure {
+                    self.times.push(u32::try_from(time.as_micros()).unwrap());
+                }
+            }
             Ok(code) if HResult(code).is_err() => self.errors += 1,
             _ => panic!("the answer for I{number}, {right:?}, is {answer:?}"),
         }

@@ -1,14 +1,13 @@
 //! Failures of the robot and of the link, one at a time.
 
 use std::fmt;
-use std::io::{Read, Write};
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use bcap_qemu::{Board, Sim};
+use bcap_qemu::{Board, Monitor, Sim};
 use fastrand::Rng;
 
 use super::Shared;
@@ -29,7 +28,7 @@ pub(super) struct Chaos {
     bcap: PathBuf,
     /// The robot; `None` while it is restarted.
     sim: Option<Sim>,
-    monitor: UnixStream,
+    monitor: Monitor,
     rng: Rng,
     /// One of each kind in random order, so that also a short test has all.
     next: Vec<Failure>,
@@ -42,8 +41,8 @@ pub(super) struct Chaos {
 impl Chaos {
     /// Connects to QEMU's monitor at this socket.
     pub(super) fn new(bcap: PathBuf, sim: Sim, socket: &Path, rng: Rng) -> Self {
-        let monitor = UnixStream::connect(socket).unwrap();
-        let mut chaos = Self {
+        let monitor = Monitor::new(UnixStream::connect(socket).unwrap());
+        Self {
             bcap,
             sim: Some(sim),
             monitor,
@@ -53,9 +52,7 @@ impl Chaos {
             stopped: 0,
             cut: 0,
             longest: Duration::ZERO,
-        };
-        chaos.until_prompt();
-        chaos
+        }
     }
 
     /// Causes a failure after some time, and waits until every PLC has been served after it.
@@ -101,28 +98,11 @@ impl Chaos {
 
     fn cut_link(&mut self, shared: &Shared) {
         shared.links.fetch_add(1, Ordering::Relaxed);
-        self.command("set_link n0 off");
+        self.monitor.command("set_link n0 off");
         self.pause(50..6000);
-        self.command("set_link n0 on");
+        self.monitor.command("set_link n0 on");
         shared.links.fetch_add(1, Ordering::Relaxed);
         self.cut += 1;
-    }
-
-    /// Performs a command of QEMU's monitor.
-    fn command(&mut self, line: &str) {
-        self.monitor.write_all(format!("{line}\n").as_bytes()).unwrap();
-        let said = self.until_prompt();
-        assert!(!said.contains("Error") && !said.contains("not found"), "{line}: {said}");
-    }
-
-    fn until_prompt(&mut self) -> String {
-        let mut said = Vec::new();
-        let mut byte = [0];
-        while !said.ends_with(b"(qemu) ") {
-            self.monitor.read_exact(&mut byte).unwrap();
-            said.push(byte[0]);
-        }
-        String::from_utf8_lossy(&said).into_owned()
     }
 
     fn pause(&mut self, millis: std::ops::Range<u64>) {

@@ -6,8 +6,9 @@
 //! ```
 //!
 //! A and B are the same image with different versions. A cut happens in an erase of a sector or in a write of a page. By default the
-//! power is cut in a sample of these operations. `UPDATE_CUTS=all` cuts it in each one of a swap, a confirmation and a roll-back, and of
-//! the download and installation of a short image; of the download of the whole image in each seventeenth, about two in each sector.
+//! power is cut in a sample of these operations; `UPDATE_CUTS=500` makes the sample of the swap and the roll-back that large.
+//! `UPDATE_CUTS=all` cuts it in each one of a swap, a confirmation and a roll-back, and of the download and installation of a short image;
+//! of the download of the whole image in each seventeenth, about two in each sector. The images are signed.
 
 // the sizes and the words of the flash, which the image has, too
 #[allow(dead_code, reason = "the images use the rest")]
@@ -392,6 +393,7 @@ fn cuts(operations: std::ops::Range<u32>, count: u32) -> Vec<u32> {
     if cut_all() {
         return operations.collect();
     }
+    let count = std::env::var("UPDATE_CUTS").map_or(count, |cuts| cuts.parse::<u32>().unwrap().div_ceil(2));
     let step = (operations.len() as u32 / count).max(1);
     let first = operations.start + fastrand::u32(0..step);
     (first..operations.end).step_by(step as usize).collect()
