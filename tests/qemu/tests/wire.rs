@@ -160,14 +160,19 @@ impl World {
         self.robot.requests = 0;
         for plc in &mut self.plcs {
             (plc.requests, plc.answers, plc.errors, plc.lost, plc.longest) = (0, 0, 0, 0, Duration::ZERO);
-            plc.times.clear();
+            plc.times = Default::default();
         }
     }
 
+    /// Keeps the times of answers for a phase from now on, or does not keep them.
+    pub(crate) fn enter(&mut self, phase: Option<Phase>) {
+        self.plcs.iter_mut().for_each(|plc| plc.phase = phase);
+    }
+
     /// Returns a percentile of the times of right answers to the PLCs that keep their connection.
-    pub(crate) fn percentile(&self, percent: usize) -> Duration {
+    pub(crate) fn percentile(&self, phase: Phase, percent: usize) -> Duration {
         let steady = self.plcs.iter().filter(|plc| !plc.reconnects);
-        let mut micros: Vec<u32> = steady.flat_map(|plc| &plc.times).copied().collect();
+        let mut micros: Vec<u32> = steady.flat_map(|plc| &plc.times[phase as usize]).copied().collect();
         micros.sort_unstable();
         Duration::from_micros(micros.get(micros.len() * percent / 100).copied().unwrap_or_default().into())
     }
@@ -188,6 +193,13 @@ impl World {
     }
 }
 
+/// A phase of a test whose times are compared with another one.
+#[derive(Clone, Copy)]
+pub(crate) enum Phase {
+    Calm,
+    Attack,
+}
+
 /// A PLC: one request after the other, over one connection after the other.
 pub(crate) struct Plc {
     socket: SocketHandle,
@@ -202,9 +214,10 @@ pub(crate) struct Plc {
     pub(crate) errors: u32,
     lost: u32,
     longest: Duration,
-    /// The times of right answers, in microseconds, except for those during a failure.
-    times: Vec<u32>,
-    pub(crate) has_failure: bool,
+    /// The times of right answers, in microseconds, in each phase.
+    times: [Vec<u32>; 2],
+    /// The phase whose times are kept, if any.
+    pub(crate) phase: Option<Phase>,
 }
 
 impl Plc {
@@ -221,8 +234,8 @@ impl Plc {
             errors: 0,
             lost: 0,
             longest: Duration::ZERO,
-            times: Vec::new(),
-            has_failure: false,
+            times: Default::default(),
+            phase: None,
         }
     }
 
@@ -264,8 +277,8 @@ impl Plc {
         match i32::from_str(answer) {
             _ if answer == right => {
                 self.answers += 1;
-                if !self.has_failure {
-                    self.times.push(u32::try_from(time.as_micros()).unwrap());
+                if let Some(phase) = self.phase {
+                    self.times[phase as usize].push(u32::try_from(time.as_micros()).unwrap());
                 }
             }
             Ok(code) if HResult(code).is_err() => self.errors += 1,

@@ -13,7 +13,7 @@ use bcap_qemu::{Board, Monitor};
 use fastrand::Rng;
 
 use crate::line;
-use crate::wire::World;
+use crate::wire::{Phase, World};
 
 /// The pause between two failures, and how long one lasts, in milliseconds.
 const PAUSE: std::ops::Range<u64> = 2000..10_000;
@@ -129,12 +129,18 @@ impl Failures {
             }
             _ => {}
         }
-        let has_failure = !matches!(self.state, State::None { .. });
-        world.plcs.iter_mut().for_each(|plc| plc.has_failure = has_failure);
+        world.enter(if let State::None { .. } = self.state { Some(Phase::Attack) } else { None });
+    }
+
+    /// Ends the failure, if there is one, until the attack goes on.
+    pub(super) fn stop(&mut self, world: &mut World) {
+        self.end(world);
+        self.state = State::None { until: Instant::now() + Duration::from_millis(PAUSE.end) };
+        world.enter(None);
     }
 
     /// Ends the failure, if there is one.
-    pub(super) fn end(&mut self, world: &mut World) {
+    fn end(&mut self, world: &mut World) {
         match self.state {
             State::RobotKilled { .. } => world.robot_is_down = false,
             State::LinkCut { .. } => self.monitor.command("set_link n0 on"),
