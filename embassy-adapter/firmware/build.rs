@@ -14,6 +14,8 @@ const FLASH: u32 = 256 * 1024;
 const RAM: u32 = 96 * 1024;
 /// The parts of the memory that the stacks of the program and of the exception handlers use.
 const STACK: u32 = 12 * 1024;
+/// The same for an image with updates: the check of a signature takes 8 KiB more.
+const UPDATE_STACK: u32 = 20 * 1024;
 const HANDLER_STACK: u32 = 2 * 1024;
 /// The end of the memory, with the cause of the last reset: at the same address in the boot loader and in all its images.
 const RECORD: u32 = 32;
@@ -30,8 +32,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let folder = PathBuf::from(env::var("OUT_DIR")?);
     for image in ["bare", "boot", "gateway", "node", "serial", "slave"] {
         let layout = match has_updates && image == "gateway" {
-            true => memory(EXTERNAL + layout::ACTIVE.start, partition, ram),
-            false => memory(flash, FLASH, ram),
+            true => memory(EXTERNAL + layout::ACTIVE.start, partition, ram, UPDATE_STACK),
+            false => memory(flash, FLASH, ram, STACK),
         };
         let folder = folder.join(image);
         fs::create_dir_all(&folder)?;
@@ -48,8 +50,8 @@ fn main() -> Result<(), Box<dyn Error>> {
 }
 
 /// Returns the linker script of an image whose code is at `flash`.
-fn memory(flash: u32, flash_len: u32, ram: u32) -> String {
-    let handlers = ram + STACK;
+fn memory(flash: u32, flash_len: u32, ram: u32, stack: u32) -> String {
+    let handlers = ram + stack;
     let data = handlers + HANDLER_STACK;
     let record = ram + RAM - RECORD;
     let data_len = record - data;
@@ -59,7 +61,7 @@ fn memory(flash: u32, flash_len: u32, ram: u32) -> String {
         "MEMORY
 {{
   FLASH : ORIGIN = {flash:#010x}, LENGTH = {flash_len}
-  STACK : ORIGIN = {ram:#010x}, LENGTH = {STACK}
+  STACK : ORIGIN = {ram:#010x}, LENGTH = {stack}
   HANDLERS : ORIGIN = {handlers:#010x}, LENGTH = {HANDLER_STACK}
   RAM : ORIGIN = {data:#010x}, LENGTH = {data_len}
   RECORD : ORIGIN = {record:#010x}, LENGTH = {RECORD}
