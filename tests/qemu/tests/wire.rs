@@ -164,6 +164,18 @@ impl World {
         }
     }
 
+    /// Describes the PLCs without an answer since they had these.
+    pub(crate) fn unserved(&self, answers: &[u32]) -> String {
+        let unserved = self.plcs.iter().zip(answers).filter(|(plc, before)| plc.answers <= **before);
+        let describe = |plc: &Plc| {
+            let socket = self.sockets.get::<tcp::Socket<'_>>(plc.socket);
+            let Plc { requests, errors, lost, .. } = plc;
+            let port = socket.local_endpoint().map_or(0, |endpoint| endpoint.port);
+            format!("{:?} at {port}, {requests} requests, {errors} errors, {lost} lost; ", socket.state())
+        };
+        unserved.map(|(plc, _)| describe(plc)).collect()
+    }
+
     /// Keeps the times of answers for a phase from now on, or does not keep them.
     pub(crate) fn enter(&mut self, phase: Option<Phase>) {
         self.plcs.iter_mut().for_each(|plc| plc.phase = phase);

@@ -1,7 +1,7 @@
 //! Failures of everything next to the board: the robot is killed, the link is cut, its serial port gets random bytes, its clock wraps.
 
 use std::fmt;
-use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
+use std::io::{self, BufRead, BufReader, ErrorKind, Read, Write};
 use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
 use std::thread::sleep;
@@ -18,6 +18,8 @@ use crate::wire::{Phase, World};
 /// The pause between two failures, and how long one lasts, in milliseconds.
 const PAUSE: std::ops::Range<u64> = 2000..10_000;
 const LENGTH: std::ops::Range<u64> = 200..3000;
+/// A PLC that is not served for so long after a failure is shown, once.
+const LATE: Duration = Duration::from_secs(8);
 /// Random bytes that are sent to the serial port at once.
 const GARBAGE: usize = 64;
 /// Beginnings of requests that change nothing in a board that is not restarted.
@@ -122,6 +124,10 @@ impl Failures {
             State::RobotKilled { until } | State::LinkCut { until } if *until <= now => self.end(world),
             State::Recovery { since, answers } => {
                 let served = world.plcs.iter().zip(answers).all(|(plc, before)| plc.answers > *before);
+                if since.elapsed() >= LATE && self.longest < LATE {
+                    let states = world.unserved(answers);
+                    let _ = writeln!(io::stderr(), "hostile network: not served {LATE:?} after a failure: {states}");
+                }
                 self.longest = self.longest.max(since.elapsed());
                 if served {
                     self.state = State::None { until: now + Duration::from_millis(self.rng.u64(PAUSE)) };
