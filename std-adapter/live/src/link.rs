@@ -12,10 +12,12 @@ use bcap_core::variant::OwnedVariant;
 use bcap_std::blocking::{self, Connection, Controller, Halted, Transport};
 use bcap_std::{
     Address, AddressError, ConnectError, Examination, Model, ObjectPath, ObjectPathError, Options, Protocol, Settings,
-    TaskStatus,
+    TaskStart, TaskStatus, TaskStop,
 };
 
 use crate::calls::{self, Calls, needs_reconnect};
+use crate::stream::StreamCheck;
+use crate::variables::get_one;
 
 /// The time limit of each call, and of connecting. A controller that is switched off is seen within this time.
 const LIMIT: Duration = Duration::from_secs(3);
@@ -170,6 +172,44 @@ impl Link {
         let is_rc9 = access.provider.as_deref() == Some(Model::Rc9.provider());
         let settings = Settings::new(if is_rc9 { Model::Rc9 } else { Model::Rc8 }).connect_option(&access.option);
         Ok(controller.recover_at(access.address.clone(), settings))
+    }
+
+    /// Starts a task, unless that would end a stream of Slave Mode.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`].
+    pub fn start_task(&mut self, name: &str, mode: TaskStart) -> Result<(), Error> {
+        StreamCheck::default().require(self, FunctionId::TASK_START, None)?;
+        Ok(self.controller.task(name)?.start(mode)?)
+    }
+
+    /// Stops a task, unless that would end a stream of Slave Mode: HALT stops such a stream.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`].
+    pub fn stop_task(&mut self, name: &str, mode: TaskStop) -> Result<(), Error> {
+        StreamCheck::default().require(self, FunctionId::TASK_STOP, None)?;
+        Ok(self.controller.task(name)?.stop(mode)?)
+    }
+
+    /// Reads the line of a program that a task is at; `None` if the controller does not say it.
+    ///
+    /// # Errors
+    ///
+    /// The loss of the session.
+    pub fn task_line(&mut self, name: &str) -> Result<Option<f64>, Error> {
+        StreamCheck::default().require(self, FunctionId::CONTROLLER_GET_TASK, None)?;
+        let path = ObjectPath::controller().join(Object::Task, name).join(Object::Variable, "@LINE_NO");
+        match get_one(self, &path) {
+            Err(error) if needs_reconnect(&error) => Err(error),
+            Err(_) => Ok(None),
+            Ok(value) => {
+                let value = value.as_variant();
+                Ok(value.as_array().and_then(|array| array.iter().next()).unwrap_or(value).as_f64())
+            }
+        }
     }
 
     /// Reads the state of the robot. It sends nothing that would end a stream of Slave Mode.

@@ -16,6 +16,7 @@ const STEPS = {
 let place = null;
 let current = null;
 let drawn = "";
+let log = {};
 
 export const alarms = {
   id: "alarms",
@@ -24,21 +25,25 @@ export const alarms = {
   open(main, page) {
     current = page;
     drawn = "";
+    if (log.robot !== page.robot) log = {};
     place = make("div", { className: "alarms" }, make("p", { className: "quiet" }, "reading …"));
     main.append(place);
   },
   draw(content, page) {
     current = page;
     drawn = content;
-    place.replaceChildren(errors(content), recovery(content), messages(content));
+    place.replaceChildren(errors(content), recovery(content), messages(content), history());
     this.tiles();
   },
   tiles() {
-    const button = place?.querySelector("#clear");
-    if (!button || drawn === "") return;
-    button.hidden = !current.mayWrite;
-    button.disabled = !current.hasControl || drawn.errors.length === 0;
-    button.title = current.hasControl ? "" : "take the control first";
+    if (!place || drawn === "") return;
+    const title = current.hasControl ? "" : "take the control first";
+    for (const button of place.querySelectorAll("#clear, .recover")) {
+      const isClear = button.id === "clear";
+      button.hidden = isClear ? !current.mayWrite : !current.mayMove;
+      button.disabled = !current.hasControl || (isClear && drawn.errors.length === 0);
+      button.title = title;
+    }
   },
 };
 
@@ -62,6 +67,12 @@ function error(content, n) {
 
 function recovery(content) {
   const section = make("section", {}, make("h2", {}, "Recovery"));
+  const run = content.recovery;
+  if (run?.outcome) section.append(make("p", { className: run.failed ? "state bad" : "state good" }, `The last recovery: ${run.outcome}`));
+  if (run && !run.outcome) {
+    section.append(...stepByStep(run));
+    return section;
+  }
   if (content.obstacles.length > 0) {
     section.append(make("p", {}, "First, a person or another program must do this:"), make("ul", {}, ...content.obstacles.map((text) => make("li", {}, text))));
   }
@@ -69,13 +80,60 @@ function recovery(content) {
     section.append(
       make("p", {}, `${content.obstacles.length > 0 ? "Then the" : "The"} steps of this model and this state, in this order:`),
       make("ol", {}, ...content.steps.map((step) => make("li", {}, STEPS[step] ?? step))),
-      make("p", { className: "quiet" }, "This page clears errors. `bcap recover` makes the other steps, which can switch the motor on."),
-      make("button", { type: "button", id: "clear", onclick: clear }, "Clear the errors"),
+      make("p", { className: "quiet" }, "Clearing starts nothing. A recovery makes one step for each press of a button; in the end the motor is as before, and the arm is free."),
+      make("div", { className: "row" },
+        make("button", { type: "button", id: "clear", onclick: clear }, "Clear the errors"),
+        make("button", { type: "button", id: "recover", className: "recover", onclick: begin }, "Recover step by step")),
     );
   } else if (content.obstacles.length === 0) {
     section.append(make("p", {}, "Nothing to recover."));
   }
   return section;
+}
+
+/** The steps of a recovery under way: what was made, and a button for the next one alone. */
+function stepByStep(run) {
+  const made = new Map(run.done);
+  const item = (step) => {
+    const text = STEPS[step] ?? step;
+    if (made.has(step)) return make("li", {}, `✔ ${text}${made.get(step) ? `: ${made.get(step)}` : ""}`);
+    if (step !== run.next) return make("li", { className: "quiet" }, text);
+    const button = make("button", { type: "button", className: "recover", onclick: () => makeStep(step, text) }, step);
+    return make("li", {}, ...(run.busy ? ["… "] : [button, " "]), text);
+  };
+  const stop = make("button", { type: "button", id: "stop-recovery", className: "recover", onclick: () => order("stop", { robot: current.robot }).catch((error) => notify(error.message, true)) }, "End the recovery");
+  return [make("ol", { className: "steps" }, ...run.plan.map(item)), stop];
+}
+
+async function begin() {
+  const { robot, tile } = current;
+  const text = "No other program uses the robot, and no person is near it. The plan is made; each step has its own button.";
+  if (!(await ask("Recover step by step", tile, text, `Recover ${tile.name}`))) return;
+  await order("recover", { robot, name: tile.name }).catch((error) => notify(`no recovery: ${error.message}`, true));
+}
+
+async function makeStep(step, text) {
+  const { robot, tile } = current;
+  if (!(await ask("A step of the recovery", tile, text, step))) return;
+  await order("step", { robot, step }).catch((error) => notify(`not made: ${error.message}`, true));
+}
+
+/** The logs of the controller, which are read on request: each entry is a call. */
+function history() {
+  const rows = (log.rows ?? []).map((cells) => make("tr", {}, ...cells.map((cell) => make("td", {}, cell))));
+  const head = make("thead", {}, make("tr", {}, ...["Time of the controller", "Log", "Client", "Entry", "Place"].map((name) => make("th", { scope: "col" }, name))));
+  const table = log.rows ? [make("div", { className: "scroll" }, make("table", { className: "log" }, head, make("tbody", {}, ...rows)))] : [];
+  return make("section", {}, make("h2", {}, "History"), make("button", { type: "button", id: "log", onclick: readLog }, "Read the controller's log"), ...table);
+}
+
+async function readLog() {
+  try {
+    const { robot } = current;
+    log = { robot, rows: await order("log", { robot }) };
+    alarms.draw(drawn, current);
+  } catch (error) {
+    notify(`the log is not read: ${error.message}`, true);
+  }
 }
 
 async function clear() {

@@ -6,11 +6,12 @@ import { cell } from "./cell.js";
 import { byId, kindOf, make, notify, setText, stateText } from "./dom.js";
 import { jog } from "./jog.js";
 import { connect, halt, on, order } from "./net.js";
+import { tasks } from "./tasks.js";
 import { packets } from "./packets.js";
 import { plots } from "./plots.js";
 import { variables } from "./variables.js";
 
-const SCREENS = [cell, variables, alarms, arm, jog, plots, packets];
+const SCREENS = [cell, variables, alarms, arm, tasks, jog, plots, packets];
 
 /** What the screens share. */
 const page = {

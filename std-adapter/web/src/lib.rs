@@ -8,9 +8,12 @@ mod control;
 mod guard;
 mod halt;
 mod jog;
+mod line;
+mod recover;
 mod robot;
 mod serve;
 mod socket;
+mod tasks;
 mod view;
 
 use std::net::SocketAddr;

@@ -12,6 +12,7 @@ use bcap_live::jog::Grip;
 use bcap_live::link::{Access, Error, Link};
 use bcap_live::model::{Model, Update};
 use bcap_live::reader::{self, Reader, Rounds};
+use bcap_live::recovery::Recovery;
 use bcap_live::variables::{get_one, is_virtual};
 use bcap_std::{Examination, ObjectPath};
 use tokio::sync::oneshot;
@@ -38,6 +39,8 @@ pub(crate) struct Robot {
     pub(crate) access: Access,
     /// The last hold of the robot for a jog.
     grip: Mutex<Option<Arc<Grip>>>,
+    /// The last recovery.
+    recovery: Mutex<Option<Arc<Recovery>>>,
     live: Mutex<Live>,
     orders: Sender<Order>,
 }
@@ -80,6 +83,7 @@ impl Robot {
             halter,
             access: access.clone(),
             grip: Mutex::default(),
+            recovery: Mutex::default(),
             live: Mutex::new(Live::default()),
             orders,
         });
@@ -98,8 +102,16 @@ impl Robot {
         self.grip.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Ends a jog, if there is one.
-    pub(crate) fn end_jog(&self, why: &str) {
+    /// Returns the last recovery.
+    pub(crate) fn recovery(&self) -> MutexGuard<'_, Option<Arc<Recovery>>> {
+        self.recovery.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Ends a jog and a recovery, if there is one.
+    pub(crate) fn end_motion(&self, why: &str) {
+        if let Some(recovery) = &*self.recovery() {
+            recovery.end(why);
+        }
         if let Some(grip) = &*self.grip() {
             grip.end(why);
         }

@@ -118,7 +118,7 @@ async fn halt(State(app): State<Arc<App>>, Path(robot): Path<usize>, headers: He
     app.guard.check_origin(&headers)?;
     app.guard.check_token(only(&headers, TOKEN))?;
     let robot = app.robots.get(robot).cloned().ok_or((StatusCode::NOT_FOUND, "there is no such robot"))?;
-    robot.end_jog("HALT was pressed");
+    robot.end_motion("HALT was pressed");
     // a page that is closed meanwhile must not keep the halt from its line of the audit
     let halting = tokio::spawn(async move {
         let outcome = robot.halter.halt().await;

@@ -1,24 +1,28 @@
 //! The WebSocket of a page: its orders, and the sections that it shows.
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::HashMap;
 use std::pin::pin;
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::extract::ws::{Message, WebSocket};
+use axum::extract::ws::WebSocket;
 use bcap_capture::value::selection::Selection;
 use bcap_live::jog::Grip;
+use bcap_live::recovery::Recovery;
 use bcap_live::variables::{expand, shown};
 use bcap_live::write::{Write, check, check_position};
 use serde::Deserialize;
 use serde_json::{Value, json};
-use tokio::time::{Instant, Interval, MissedTickBehavior, interval, interval_at, timeout};
+use tokio::time::{Instant, MissedTickBehavior, interval, interval_at};
 
 use crate::app::App;
 use crate::control::Client;
 use crate::guard::Bucket;
 use crate::jog;
+use crate::line::Line;
+use crate::recover;
 use crate::robot::Robot;
+use crate::tasks;
 use crate::view;
 
 /// How often a page gets what has changed.
@@ -26,18 +30,6 @@ const TICK: Duration = Duration::from_millis(200);
 
 /// How often a page gets a message even if nothing has changed: without one it shows that its values are old.
 const ALIVE: Duration = Duration::from_secs(1);
-
-/// The longest time for a message to a page. A page that does not take it is closed.
-const SEND: Duration = Duration::from_secs(10);
-
-/// How often a page that holds a robot gets a pulse, to which it answers with a heartbeat.
-const PULSE: Duration = Duration::from_millis(40);
-
-/// The pulses whose heartbeats count.
-const PULSES: usize = 8;
-
-/// The most orders that wait while one is carried out.
-const WAITING: usize = 32;
 
 /// The most variables of a page.
 const VARIABLES: usize = 1000;
@@ -54,6 +46,7 @@ enum Screen {
     Plots,
     Packets,
     Jog,
+    Tasks,
 }
 
 /// An order of a page.
@@ -84,97 +77,22 @@ enum Order {
     Lift { robot: usize },
     /// Ends the jog.
     Drop { robot: usize, why: String },
-}
-
-/// The answer of a page to a pulse: it is open, visible, and its scripts run. It has no answer.
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Beat {
-    beat: u64,
-}
-
-/// The WebSocket of a page, and the heartbeats of its jog.
-struct Line {
-    socket: WebSocket,
-    /// Orders that arrived while another one was carried out.
-    waiting: VecDeque<String>,
-    grip: Option<Arc<Grip>>,
-    pulse: Interval,
-    /// The number of the last pulse.
-    last: u64,
-    /// When the last pulses were sent, the latest last.
-    sent: VecDeque<std::time::Instant>,
-}
-
-impl Line {
-    fn new(socket: WebSocket) -> Self {
-        let mut pulse = interval(PULSE);
-        pulse.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        Self { socket, waiting: VecDeque::new(), grip: None, pulse, last: 0, sent: VecDeque::new() }
-    }
-
-    async fn send(&mut self, text: String) -> Option<()> {
-        timeout(SEND, self.socket.send(Message::Text(text.into()))).await.ok()?.ok()
-    }
-
-    /// Waits for the next order. Sends pulses and records heartbeats meanwhile. `None` is the end of the page.
-    async fn order(&mut self) -> Option<String> {
-        if let Some(text) = self.waiting.pop_front() {
-            return Some(text);
-        }
-        loop {
-            if let Some(text) = self.next().await? {
-                return Some(text);
-            }
-        }
-    }
-
-    /// Takes orders while another one is carried out. Ends only at the end of the page.
-    async fn hold(&mut self) -> Option<()> {
-        loop {
-            if let Some(text) = self.next().await? {
-                // a page waits for its answers
-                if self.waiting.len() >= WAITING {
-                    return None;
-                }
-                self.waiting.push_back(text);
-            }
-        }
-    }
-
-    /// Sends a pulse, or receives an order or a heartbeat.
-    async fn next(&mut self) -> Option<Option<String>> {
-        tokio::select! {
-            _ = self.pulse.tick(), if self.grip.is_some() => {
-                self.last += 1;
-                self.sent.push_back(std::time::Instant::now());
-                if self.sent.len() > PULSES {
-                    self.sent.pop_front();
-                }
-                self.send(json!({ "t": "pulse", "n": self.last }).to_string()).await?;
-                Some(None)
-            }
-            message = self.socket.recv() => match message {
-                Some(Ok(Message::Text(text))) => match serde_json::from_str::<Beat>(&text) {
-                    Ok(Beat { beat }) => {
-                        self.beat(beat);
-                        Some(None)
-                    }
-                    Err(_) => Some(Some(text.as_str().to_owned())),
-                },
-                Some(Ok(Message::Ping(_) | Message::Pong(_))) => Some(None),
-                _ => None,
-            },
-        }
-    }
-
-    /// Records a heartbeat. It counts from the time of its pulse, so that heartbeats that were held up on the way are old.
-    fn beat(&self, number: u64) {
-        let Some(age) = self.last.checked_sub(number).and_then(|age| usize::try_from(age).ok()) else { return };
-        if let (Some(grip), Some(sent)) = (&self.grip, self.sent.iter().rev().nth(age)) {
-            grip.beat(*sent);
-        }
-    }
+    /// Begins a recovery of the robot with this name, and plans its steps.
+    Recover { robot: usize, name: String },
+    /// Makes the next step of the recovery.
+    Step { robot: usize, step: String },
+    /// Ends the recovery.
+    Stop { robot: usize },
+    /// Reads the logs of the controller.
+    Log { robot: usize },
+    /// Starts or stops a task.
+    Task { robot: usize, name: String, what: tasks::What },
+    /// Reads the line of a task.
+    Line { robot: usize, name: String },
+    /// Lists a folder of the controller.
+    Files { robot: usize, folder: String },
+    /// Reads a file of the controller.
+    View { robot: usize, path: String },
 }
 
 /// A page.
@@ -191,12 +109,14 @@ pub(crate) struct Page {
     checked: Option<(usize, Box<Write>)>,
     /// The jog of this page, and its robot.
     grip: Option<(usize, Arc<Grip>)>,
+    /// The recovery of this page, and its robot.
+    recovery: Option<(usize, Arc<Recovery>)>,
 }
 
 impl Drop for Page {
     /// The loss of a page frees what it holds.
     fn drop(&mut self) {
-        self.end_jog("the page is closed");
+        self.end_motion("the page is closed");
         for robot in &self.app.robots {
             robot.live().names.remove(&self.client);
             if let Some(name) = robot.control.name_of(self.client) {
@@ -219,6 +139,7 @@ pub(crate) async fn serve(app: Arc<App>, client: Client, socket: WebSocket) {
         packets: 0,
         checked: None,
         grip: None,
+        recovery: None,
     };
     // the page is dropped first, so that its loss ends a jog at once
     let mut line = Line::new(socket);
@@ -278,8 +199,9 @@ impl Page {
             match self.screen {
                 Screen::Cell => {}
                 Screen::Variables => sections.push(("variables", view::variables(self.client, robot))),
-                Screen::Alarms => sections.push(("alarms", view::alarms(robot))),
+                Screen::Alarms => sections.push(("alarms", view::alarms(robot, recover::section(robot)))),
                 Screen::Arm => sections.push(("arm", view::arm(robot))),
+                Screen::Tasks => sections.push(("tasks", tasks::section(robot))),
                 Screen::Jog => sections.push(("jog", view::jog(robot))),
                 Screen::Plots => sections.push(("plots", view::variables(self.client, robot))),
                 Screen::Packets => {
@@ -319,29 +241,14 @@ impl Page {
         match order {
             Order::Show { robot, screen } => {
                 self.robot(robot)?;
-                self.end_jog("the screen was left");
+                self.end_motion("the screen was left");
                 (self.robot, self.screen, self.packets) = (robot, screen, 0);
                 self.sent.clear();
                 Ok(Value::Null)
             }
             Order::Select { robot, names } => self.select(robot, names).await,
-            Order::Take { robot, name } => {
-                if !self.app.allow_motion {
-                    self.writes()?;
-                }
-                let taken = self.robot(robot)?.control.take(self.client, &name);
-                self.app.audit.write(&view::safe(&name), &self.robot(robot)?.name, "takes the control", &taken);
-                taken.map(|()| Value::Null)
-            }
-            Order::Release { robot } => {
-                let robot = self.robot(robot)?;
-                if let Some(name) = robot.control.name_of(self.client) {
-                    self.end_jog("the control was released");
-                    robot.control.release(self.client);
-                    self.app.audit.write::<()>(&name, &robot.name, "releases the control", &Ok(()));
-                }
-                Ok(Value::Null)
-            }
+            Order::Take { robot, name } => self.take(robot, &name),
+            Order::Release { robot } => self.release(robot),
             Order::Check { robot, name, text } => {
                 self.writer(robot)?;
                 let write = self.robot(robot)?.order(move |link| check(link, &name, &text)).await?;
@@ -365,17 +272,20 @@ impl Page {
                 let press = jog::press(&*self.robot(robot)?, &axis, by, percent)?;
                 self.grip(robot)?.press(press).map(|()| Value::Null)
             }
-            Order::Lift { robot } => {
-                let steps = self.grip(robot)?.lift();
-                let who = self.mover(robot)?;
-                self.app.audit.write::<()>(
-                    &who,
-                    &self.robot(robot)?.name,
-                    &format!("jogged by {steps} steps"),
-                    &Ok(()),
-                );
-                Ok(json!(steps))
+            Order::Lift { robot } => self.lift(robot),
+            Order::Recover { robot, name } => self.begin_recovery(robot, &name),
+            Order::Step { robot, step } => self.agree(robot, &step),
+            Order::Stop { robot } => {
+                self.recovery(robot)?.end("the user ended it");
+                Ok(Value::Null)
             }
+            Order::Log { robot } => self.robot(robot)?.order(recover::log).await,
+            Order::Task { robot, name, what } => self.task(robot, name, what).await,
+            Order::Line { robot, name } => {
+                Ok(json!(self.robot(robot)?.order(move |link| link.task_line(&name)).await?))
+            }
+            Order::Files { robot, folder } => self.robot(robot)?.order(move |link| tasks::list(link, &folder)).await,
+            Order::View { robot, path } => self.robot(robot)?.order(move |link| tasks::text(link, &path)).await,
             Order::Drop { robot, why } => {
                 self.grip(robot)?.end(&view::safe(&why));
                 Ok(Value::Null)
@@ -391,13 +301,85 @@ impl Page {
         json!({ "name": name, "old": old, "new": new })
     }
 
+    /// Takes the control of a robot.
+    fn take(&self, robot: usize, name: &str) -> Result<Value, String> {
+        if !self.app.allow_motion {
+            self.writes()?;
+        }
+        let taken = self.robot(robot)?.control.take(self.client, name);
+        self.app.audit.write(&view::safe(name), &self.robot(robot)?.name, "takes the control", &taken);
+        taken.map(|()| Value::Null)
+    }
+
+    /// Releases the control of a robot, and ends what this page moves.
+    fn release(&mut self, robot: usize) -> Result<Value, String> {
+        let robot = self.robot(robot)?;
+        if let Some(name) = robot.control.name_of(self.client) {
+            self.end_motion("the control was released");
+            robot.control.release(self.client);
+            self.app.audit.write::<()>(&name, &robot.name, "releases the control", &Ok(()));
+        }
+        Ok(Value::Null)
+    }
+
+    /// Starts or stops a task. A start may move the robot.
+    async fn task(&self, robot: usize, name: String, what: tasks::What) -> Result<Value, String> {
+        let who = if what.is_start() { self.mover(robot)? } else { self.holder(robot)? };
+        let robot = self.robot(robot)?;
+        let doing = format!("{what} {}", view::safe(&name));
+        let done = robot.order(move |link| what.perform(link, &name)).await;
+        self.app.audit.write(&who, &robot.name, &doing, &done);
+        done.map(|()| Value::Null)
+    }
+
+    /// Ends a press of a button.
+    fn lift(&self, robot: usize) -> Result<Value, String> {
+        let steps = self.grip(robot)?.lift();
+        let (who, what) = (self.mover(robot)?, format!("jogged by {steps} steps"));
+        self.app.audit.write::<()>(&who, &self.robot(robot)?.name, &what, &Ok(()));
+        Ok(json!(steps))
+    }
+
+    /// Makes the next step of the recovery.
+    fn agree(&self, robot: usize, step: &str) -> Result<Value, String> {
+        let who = self.mover(robot)?;
+        let agreed = self.recovery(robot)?.agree(step);
+        self.app.audit.write(&who, &self.robot(robot)?.name, &format!("agrees to {}", view::safe(step)), &agreed);
+        agreed.map(|()| Value::Null)
+    }
+
+    /// Begins a recovery.
+    fn begin_recovery(&mut self, number: usize, name: &str) -> Result<Value, String> {
+        let (who, robot) = (self.mover(number)?, self.robot(number)?);
+        if view::safe(&robot.name) != name {
+            return Err(format!("{name} is not the name of this robot; nothing was done"));
+        }
+        self.end_motion("a recovery begins");
+        self.recovery = Some((number, recover::start(&self.app, &robot, who)?));
+        Ok(Value::Null)
+    }
+
+    /// Returns the recovery of this page.
+    fn recovery(&self, number: usize) -> Result<&Recovery, String> {
+        let recovery = self.recovery.as_ref().filter(|(robot, _)| *robot == number).map(|(_, found)| &**found);
+        recovery.ok_or_else(|| "there is no recovery of this page; begin one".into())
+    }
+
+    /// Ends what this page moves.
+    fn end_motion(&mut self, why: &str) {
+        self.end_jog(why);
+        if let Some((_, recovery)) = self.recovery.take() {
+            recovery.end(why);
+        }
+    }
+
     /// Begins a jog.
     fn take_grip(&mut self, number: usize, name: &str) -> Result<Value, String> {
         let (who, robot) = (self.mover(number)?, self.robot(number)?);
         if view::safe(&robot.name) != name {
             return Err(format!("{name} is not the name of this robot; nothing was done"));
         }
-        self.end_jog("another jog begins");
+        self.end_motion("a jog begins");
         self.grip = Some((number, jog::start(&self.app, &robot, who)?));
         Ok(Value::Null)
     }

@@ -143,7 +143,7 @@ pub(crate) fn variables(client: Client, robot: &Robot) -> Value {
 }
 
 /// Returns the alarms: the present errors with their meanings and remedies, the first cause first, and the messages.
-pub(crate) fn alarms(robot: &Robot) -> Value {
+pub(crate) fn alarms(robot: &Robot, recovery: Value) -> Value {
     let live = robot.live();
     let (errors, skipped) = match &live.model.errors {
         Ok(errors) => (errors.as_slice(), None),
@@ -154,6 +154,7 @@ pub(crate) fn alarms(robot: &Robot) -> Value {
     json!({
         "errors": errors.iter().map(|(code, text)| error(*code, text)).collect::<Vec<_>>(),
         "skipped": skipped,
+        "recovery": recovery,
         "steps": if is_ready { Vec::new() } else { steps },
         "obstacles": live.examination.iter().flat_map(Examination::obstacles).map(|obstacle| sentence(&obstacle.to_string())).collect::<Vec<_>>(),
         "messages": live.model.messages.iter().rev().map(|message| safe(message)).collect::<Vec<_>>(),

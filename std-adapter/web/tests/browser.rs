@@ -231,13 +231,13 @@ fn a_button_is_held_and_what_takes_the_page_away_ends_the_jog() {
     browser.click("[data-id=jog]");
     let begin = |browser: &mut Browser| {
         sim.lock().clear_errors(bcap_std::now());
-        browser.until_text("#state", "ready");
+        browser.until_text("#state", "ready, motor off");
         browser.click("#jog-begin");
         browser.until_text("#question-robot", "press (tcp:");
         assert!(sim.lock().arm_owner().is_none(), "before the answer nothing is taken");
+        browser.eval("document.getElementById('notice').textContent = ''");
         browser.click("#question-yes");
-        // a busy machine may lose the heartbeat, which is no fault of the page
-        browser.until("/ready|ended/.test(document.getElementById('jog-phase').textContent)");
+        browser.until("/ready:/.test(document.getElementById('jog-phase').textContent) || /ended:|no jog:/.test(document.getElementById('notice').textContent)");
     };
     let rests = || sim.until("it rests, and the arm is free", |sim| !sim.is_moving() && sim.arm_owner().is_none());
     let ends = [
@@ -249,8 +249,13 @@ fn a_button_is_held_and_what_takes_the_page_away_ends_the_jog() {
     let mut moved = 0;
     for end in ends {
         begin(&mut browser);
+        // a busy machine may lose the heartbeat, which is no fault of the page
+        let button = ".axis:nth-child(1) button:nth-of-type(2)";
+        if browser.eval(&format!("document.querySelector('{button}').disabled")) == true {
+            continue;
+        }
         let before = sim.lock().axes();
-        browser.hold(".axis:nth-child(1) button:nth-of-type(2)");
+        browser.press(button);
         let until = std::time::Instant::now() + LIMIT;
         while sim.lock().axes() == before && sim.lock().arm_owner().is_some() {
             assert!(std::time::Instant::now() < until, "the robot moves, or the jog has ended");
@@ -261,7 +266,7 @@ fn a_button_is_held_and_what_takes_the_page_away_ends_the_jog() {
         rests();
         browser.lift();
     }
-    assert!(moved > 0, "no attempt has moved the robot");
+    assert!(moved > 0, "each attempt has lost its heartbeat");
     assert_eq!(browser.problems, [""; 0]);
 }
 
@@ -283,9 +288,9 @@ fn each_screen_is_legible_and_works_with_a_keyboard() {
     assert_eq!(browser.eval("document.activeElement.id"), "halt", "HALT is the first");
     browser.enter("#name", "Anna");
     let folder = std::env::var_os("BCAP_WEB_PICTURES");
-    for screen in ["cell", "variables", "alarms", "arm", "jog", "plots", "packets"] {
+    for screen in ["cell", "variables", "alarms", "arm", "tasks", "jog", "plots", "packets"] {
         browser.click(&format!("[data-id={screen}]"));
-        browser.until("document.querySelector('.tile, .spark polyline, .errors li, .joints circle, .axis, .choices input, .packets td') !== null");
+        browser.until("document.querySelector('.tile, .spark polyline, .errors li, .joints circle, .axis, #task, .choices input, .packets td') !== null");
         for scheme in ["light", "dark"] {
             for size in [(1280, 800), (768, 1024)] {
                 browser.look(size, scheme);

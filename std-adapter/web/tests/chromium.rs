@@ -174,6 +174,12 @@ impl Browser {
     pub(crate) fn hold(&mut self, selector: &str) {
         let element = format!("document.querySelector({})", json!(selector));
         self.until(&format!("{element} !== null && !{element}.disabled && {element}.checkVisibility()"));
+        self.press(selector);
+    }
+
+    /// Presses the mouse on an element.
+    pub(crate) fn press(&mut self, selector: &str) {
+        let element = format!("document.querySelector({})", json!(selector));
         self.place = self.eval(&format!(
             "(() => {{ {element}.scrollIntoView({{ block: 'center' }}); const r = {element}.getBoundingClientRect();
                 return [r.x + r.width / 2, r.y + r.height / 2]; }})()"

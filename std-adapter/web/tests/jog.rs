@@ -45,7 +45,7 @@ fn a_thousand_lost_heartbeats_leave_the_robot_at_rest_and_the_arm_free() {
     let [middle, most, last] = [500, 990, 999].map(|n| times[n]);
     println!("rest after the last heartbeat: median {middle:?}, 99 % {most:?}, longest {last:?}; {moved} robots moved");
     assert_eq!(times.len(), ROBOTS * LOST);
-    assert!(moved > 300, "{moved} robots moved");
+    assert!(moved > 100, "{moved} robots moved");
     // 300 ms of an idle machine; a busy one runs the threads of ten robots late
     assert!(last < Duration::from_secs(3), "{last:?}");
     let lapses = web.lines().iter().filter(|line| line.contains("the heartbeat of the page was lost")).count();

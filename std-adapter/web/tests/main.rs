@@ -6,3 +6,4 @@ mod jog;
 mod pages;
 mod safety;
 mod support;
+mod work;

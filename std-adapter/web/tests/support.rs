@@ -72,6 +72,12 @@ impl Sim {
         Self::with("127.0.0.1:0".parse().unwrap(), config)
     }
 
+    /// Starts one with a folder of files.
+    pub(crate) fn with_files(folder: &std::path::Path) -> Self {
+        let config = SimConfig { files: Some(folder.to_owned()), ..SimConfig::new(Profile::Rc8) };
+        Self::with("127.0.0.1:0".parse().unwrap(), config)
+    }
+
     fn with(address: SocketAddr, config: SimConfig) -> Self {
         let controller = Arc::new(Mutex::new(Controller::new(config)));
         let shared = Arc::clone(&controller);

@@ -4,8 +4,8 @@ use std::time::Duration;
 
 use bcap_capture::duration;
 use bcap_core::hresult::HResult;
-pub(crate) use bcap_live::errors::{checked, described, present};
 use bcap_live::errors::{count, error};
+pub(crate) use bcap_live::errors::{described, present};
 use clap::Args;
 
 use crate::commands::robot::messages;

@@ -1,19 +1,17 @@
 //! `bcap log`: the logs of the controller, one line for each entry.
 
-use std::collections::HashSet;
 use std::time::Duration;
 
 use bcap_capture::LogEntry;
 use bcap_capture::duration;
-use bcap_capture::value::data;
 use bcap_core::hresult::HResult;
+use bcap_live::history;
 use clap::Args;
 
-use crate::commands::robot::errors::{checked, described};
+use crate::commands::robot::errors::described;
 use crate::failure::Failure;
 use crate::output::print_result;
 use crate::session::Session;
-use crate::session::slave_mode::StreamCheck;
 
 /// Lists the logs of errors and operations of the controller, the latest entry last
 ///
@@ -53,10 +51,10 @@ pub(crate) struct Log {
 pub(crate) fn log(args: &Log, session: &mut Session, json: bool) -> Result<(), Failure> {
     let mut logs = Vec::new();
     if !args.operations {
-        logs.push(LogOf::errors());
+        logs.push(history::Log::errors());
     }
     if !args.errors {
-        logs.push(LogOf::operations());
+        logs.push(history::Log::operations());
     }
     let entries = new_entries(&mut logs, session)?;
     let skipped = entries.len().saturating_sub(args.last.unwrap_or(usize::MAX));
@@ -71,58 +69,13 @@ pub(crate) fn log(args: &Log, session: &mut Session, json: bool) -> Result<(), F
 }
 
 /// Returns the entries that were not seen, the latest one last.
-fn new_entries(logs: &mut [LogOf], session: &mut Session) -> Result<Vec<LogEntry>, Failure> {
+fn new_entries(logs: &mut [history::Log], session: &mut Session) -> Result<Vec<LogEntry>, Failure> {
     let mut entries = Vec::new();
     for log in logs {
-        log.read(session, &mut entries)?;
+        log.read(session, usize::MAX, &mut entries)?;
     }
     entries.sort();
     Ok(entries)
-}
-
-/// A log of the controller.
-struct LogOf {
-    is_error: bool,
-    count: &'static str,
-    get: &'static str,
-    seen: HashSet<LogEntry>,
-}
-
-impl LogOf {
-    fn errors() -> Self {
-        Self { is_error: true, count: "GetErrorLogCount", get: "GetErrorLog", seen: HashSet::new() }
-    }
-
-    fn operations() -> Self {
-        Self { is_error: false, count: "GetOprLogCount", get: "GetOprLog", seen: HashSet::new() }
-    }
-
-    /// Adds the entries that were not seen. No source says which end of a log is the latest one, so it reads from both up to a
-    /// seen entry.
-    fn read(&mut self, session: &mut Session, entries: &mut Vec<LogEntry>) -> Result<(), Failure> {
-        let mut check = StreamCheck::default();
-        let count = checked(session, &mut check, self.count, &())?.as_variant().as_i32().unwrap_or(0);
-        let mut added = Vec::new();
-        let mut left = 0..count;
-        for from_the_end in [false, true] {
-            while let Some(index) = if from_the_end { left.next_back() } else { left.next() } {
-                let value = checked(session, &mut check, self.get, &index)?;
-                let unknown = || LogEntry {
-                    is_error: self.is_error,
-                    text: data::format(value.as_variant()),
-                    ..LogEntry::default()
-                };
-                let entry = LogEntry::parse(self.is_error, value.as_variant()).unwrap_or_else(unknown);
-                if self.seen.contains(&entry) {
-                    break;
-                }
-                added.push(entry);
-            }
-        }
-        self.seen.extend(added.iter().cloned());
-        entries.append(&mut added);
-        Ok(())
-    }
 }
 
 /// Prints an entry.

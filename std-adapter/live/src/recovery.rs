@@ -1,0 +1,165 @@
+//! A recovery of a robot that a person makes step by step: each step waits for the person.
+
+use std::ops::ControlFlow;
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use bcap_core::hresult::HResult;
+use bcap_core::procedure::{RecoveryConfig, RecoveryStep};
+
+use crate::link::{Access, Error, Link};
+
+/// The longest time from one step to the next.
+pub const IDLE: Duration = Duration::from_secs(120);
+
+/// What a page and the thread of a recovery share. It ends once.
+#[derive(Debug, Default)]
+pub struct Recovery {
+    state: Mutex<State>,
+    changed: Condvar,
+}
+
+/// The state of a recovery.
+#[derive(Clone, Debug, Default)]
+pub struct State {
+    /// The steps of this model and state, in their order.
+    pub plan: Vec<RecoveryStep>,
+    /// The steps that were made, with the code of one that the controller does not have.
+    pub done: Vec<(RecoveryStep, Result<(), HResult>)>,
+    /// The step that the person has agreed to last.
+    agreed: Option<RecoveryStep>,
+    /// Why it ends.
+    end: Option<String>,
+    /// How it has ended.
+    pub outcome: Option<Result<&'static str, String>>,
+}
+
+impl State {
+    /// Returns the next step; `None` after the last one.
+    #[must_use]
+    pub fn next(&self) -> Option<RecoveryStep> {
+        self.plan.iter().copied().find(|step| !self.is_done(*step))
+    }
+
+    fn is_done(&self, step: RecoveryStep) -> bool {
+        self.done.iter().any(|(done, _)| *done == step)
+    }
+
+    /// Returns whether the step that the person has agreed to has not been made.
+    #[must_use]
+    pub fn is_busy(&self) -> bool {
+        self.agreed.is_some_and(|agreed| !self.is_done(agreed))
+    }
+}
+
+impl Recovery {
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Returns the state.
+    #[must_use]
+    pub fn state(&self) -> State {
+        self.lock().clone()
+    }
+
+    /// Agrees to the next step, by its name.
+    ///
+    /// # Errors
+    ///
+    /// A text if this is not the next step, or the one before is not made.
+    pub fn agree(&self, name: &str) -> Result<(), String> {
+        let mut state = self.lock();
+        match state.next().filter(|step| step.name() == name) {
+            _ if state.outcome.is_some() || state.end.is_some() => Err("the recovery has ended; begin it again".into()),
+            _ if state.is_busy() => Err("the step before is not made yet; wait a moment".into()),
+            None => Err(format!("{name} is not the next step; nothing was done")),
+            Some(step) => {
+                state.agreed = Some(step);
+                self.changed.notify_all();
+                Ok(())
+            }
+        }
+    }
+
+    /// Ends the recovery after the step under way. What it has switched on is switched off.
+    pub fn end(&self, why: &str) {
+        self.lock().end.get_or_insert_with(|| why.to_owned());
+        self.changed.notify_all();
+    }
+
+    /// Waits until the person agrees to the next step. Breaks at the end.
+    fn wait(&self) -> ControlFlow<()> {
+        let mut state = self.lock();
+        let until = Instant::now() + IDLE;
+        loop {
+            if state.end.is_some() {
+                return ControlFlow::Break(());
+            }
+            if state.is_busy() || state.next().is_none() {
+                return ControlFlow::Continue(());
+            }
+            let left = until.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                state.end = Some(format!("no step was made for {} s", IDLE.as_secs()));
+            }
+            state = self.changed.wait_timeout(state, left).unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+
+    fn made(&self, step: RecoveryStep, result: Result<(), HResult>) -> ControlFlow<()> {
+        self.lock().done.push((step, result));
+        self.wait()
+    }
+}
+
+/// Recovers a robot over a new session, a step for each [agreement](Recovery::agree). In the end the motor that was switched on
+/// is off again, and the arm is free.
+pub fn run(access: &Access, recovery: &Recovery) {
+    let outcome = perform(access, recovery).map_err(|error| error.to_string());
+    let mut state = recovery.lock();
+    state.outcome = Some(match (outcome, state.end.take()) {
+        (_, Some(why)) => Err(format!("ended: {why}; errors that were cleared stay cleared")),
+        (outcome, None) => outcome,
+    });
+}
+
+fn perform(access: &Access, recovery: &Recovery) -> Result<&'static str, Error> {
+    let mut controller = Link::for_motion(access)?;
+    let state = controller.robot()?.examine()?;
+    if let Some(obstacle) = state.obstacles().next() {
+        return Err(Error::Invalid(obstacle.to_string()));
+    }
+    if state.is_ready() {
+        return Ok("nothing to recover");
+    }
+    recovery.lock().plan = state.steps(false).collect();
+    if recovery.wait().is_break() {
+        return Ok("nothing was changed");
+    }
+    // the person has agreed that no other program uses the robot
+    let config = RecoveryConfig { is_alone: true, speed: None };
+    let arm = controller.make_ready(Some(config), |step, result| recovery.made(step, result))?;
+    arm.give()?;
+    Ok("recovered: no errors; the motor is as before, and the arm is free")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_step_is_made_after_the_agreement_to_it() {
+        let recovery = Recovery::default();
+        recovery.lock().plan = vec![RecoveryStep::ClearError, RecoveryStep::TakeArm, RecoveryStep::Motor];
+        assert_eq!(recovery.agree("Motor"), Err("Motor is not the next step; nothing was done".into()));
+        recovery.agree("ClearError").unwrap();
+        assert!(recovery.agree("ClearError").unwrap_err().contains("wait a moment"));
+        // the controller is asked who owns the arm before its errors are cleared
+        assert_eq!(recovery.made(RecoveryStep::TakeArm, Ok(())), ControlFlow::Continue(()));
+        recovery.end("HALT was pressed");
+        assert_eq!(recovery.made(RecoveryStep::ClearError, Ok(())), ControlFlow::Break(()));
+        assert_eq!(recovery.state().next(), Some(RecoveryStep::Motor));
+        assert!(recovery.agree("Motor").unwrap_err().contains("has ended"));
+    }
+}

@@ -1,0 +1,113 @@
+// The screen of tasks and files: the states of the tasks, their lines, start and stop; and a view of a program.
+
+import { ask, make, notify, setText } from "./dom.js";
+import { order } from "./net.js";
+
+const START = { once: "Run once", step: "One step", forever: "Run again and again" };
+const STOP = { stop: "Stop", cycle: "Stop after the cycle", reset: "Stop and reset" };
+
+const state = { page: null, parts: null, rows: [], lines: new Map(), folder: "", marked: null, asked: false };
+
+export const tasks = {
+  id: "tasks",
+  title: "Tasks and files",
+  section: "tasks",
+  open(main, page) {
+    const parts = {
+      body: make("tbody"),
+      chosen: make("select", { id: "task", "aria-label": "Task" }),
+      actions: make("div", { className: "row" }),
+      files: make("ul", { className: "files" }),
+      title: make("h2", {}, "Files"),
+      text: make("ol", { className: "program", tabIndex: 0, "aria-label": "Text of the file" }),
+    };
+    Object.assign(state, { page, parts, rows: [], folder: "", asked: false });
+    const head = make("thead", {}, make("tr", {}, ...["Task", "State", "Line"].map((name) => make("th", { scope: "col" }, name))));
+    const button = ([what, text]) => {
+      const element = make("button", { type: "button", onclick: () => act(what, text) }, text);
+      element.dataset.what = what;
+      return element;
+    };
+    parts.actions.append(parts.chosen, ...[...Object.entries(START), ...Object.entries(STOP)].map(button));
+    main.append(make("div", { className: "scroll" }, make("table", {}, head, parts.body)), parts.actions, parts.title, parts.files, parts.text);
+    list("");
+    this.tiles(page);
+  },
+  draw(rows, page) {
+    Object.assign(state, { page, rows });
+    const { body, chosen } = state.parts;
+    if (chosen.options.length !== rows.length) {
+      chosen.replaceChildren(...rows.filter(([, , isPlain]) => isPlain).map(([name]) => make("option", { value: name }, name)));
+    }
+    body.replaceChildren(...rows.map(([name, status]) => make("tr", { className: status === "running" ? "changed" : "" }, make("th", { scope: "row" }, name), make("td", {}, status), make("td", { className: "value" }, lineOf(name)))));
+    readLines();
+    this.tiles(page);
+  },
+  tiles(page) {
+    for (const button of state.parts?.actions.querySelectorAll("button") ?? []) {
+      const isAllowed = button.dataset.what in START ? page.mayMove : page.mayMove || page.mayWrite;
+      button.disabled = !isAllowed || !page.hasControl || state.parts.chosen.options.length === 0;
+      button.title = isAllowed ? (page.hasControl ? "" : "take the control first") : "start bcap web with --allow-motion";
+    }
+  },
+};
+
+const lineOf = (name) => String(state.lines.get(`${state.page.robot} ${name}`) ?? "");
+
+/** Reads the lines of the running tasks, one after the other: each is a call of the controller. */
+async function readLines() {
+  if (state.asked) return;
+  state.asked = true;
+  const { robot } = state.page;
+  for (const [name, status, isPlain] of state.rows) {
+    if (!isPlain || (status !== "running" && status !== "stopped at a step")) continue;
+    const line = await order("line", { robot, name }).catch(() => null);
+    state.lines.set(`${robot} ${name}`, line ?? "");
+  }
+  // the state is read each second
+  setTimeout(() => { state.asked = false; }, 1000);
+}
+
+async function act(what, text) {
+  const { robot, tile } = state.page;
+  const name = state.parts.chosen.value;
+  const warning = what in START ? " The program can move the robot." : "";
+  if (!(await ask(text, tile, `${name}: ${text.toLowerCase()}.${warning}`, `${text}: ${name}`))) return;
+  try {
+    await order("task", { robot, name, what });
+    notify(`${tile.name}: ${name}: ${text.toLowerCase()} is done`);
+  } catch (error) {
+    notify(`not done: ${error.message}`, true);
+  }
+}
+
+async function list(folder) {
+  const { robot } = state.page;
+  const { files, title } = state.parts;
+  try {
+    const { rows, left_out: leftOut } = await order("files", { robot, folder });
+    if (robot !== state.page.robot) return;
+    state.folder = folder;
+    setText(title, `Files of /${folder}`);
+    const open = (name, isFolder) => () => (isFolder ? list(join(folder, name)) : view(join(folder, name)));
+    const up = folder === "" ? [] : [make("li", {}, make("button", { type: "button", onclick: () => list(folder.split("/").slice(0, -1).join("/")) }, "up"))];
+    const entries = rows.map(([name, isFolder, isPlain]) => make("li", {}, make("button", { type: "button", disabled: !isPlain, onclick: open(name, isFolder) }, isFolder ? `${name}/` : name)));
+    files.replaceChildren(...up, ...entries, ...(leftOut > 0 ? [make("li", {}, `${leftOut} more are left out`)] : []));
+  } catch (error) {
+    setText(title, `Files: not read: ${error.message}`);
+  }
+}
+
+const join = (folder, name) => (folder === "" ? name : `${folder}/${name}`);
+
+async function view(path) {
+  const { robot } = state.page;
+  const { text, title } = state.parts;
+  try {
+    const { lines, left_out: leftOut } = await order("view", { robot, path });
+    setText(title, `/${path}`);
+    text.replaceChildren(...lines.map((line) => make("li", {}, line)), ...(leftOut > 0 ? [make("li", {}, `${leftOut} more lines are left out`)] : []));
+  } catch (error) {
+    notify(`/${path} is not read: ${error.message}`, true);
+  }
+}
