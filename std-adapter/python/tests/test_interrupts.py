@@ -44,10 +44,11 @@ def interrupted(kind: str, delay: float) -> Tuple[bool, bool]:
             released = eventually(lambda: at_rest(sim), 5)
         moved = abs(sim.joints[0]) > 0.001
         if released:
-            with bcap.Controller(sim) as second:
-                assert second["robot/@SERVO_ON"] is False
-                second.execute("ClearError")
-                second.take_arm().give()
+            # it is dropped, not closed: on a busy machine the close can exceed its deadline
+            second = bcap.Controller(sim)
+            assert second["robot/@SERVO_ON"] is False
+            second.execute("ClearError")
+            second.take_arm().give()
         return released, moved
 
 
@@ -57,8 +58,7 @@ def test_200_random_interrupts_release_the_robot() -> None:
     shares.update(compat=15, cycle=10)
     cases = [(kind, random_delay.uniform(0, 1.0)) for kind, share in shares.items() for _ in range(share)]
     assert len(cases) == 200
-    # the programs wait most of the time
-    with ThreadPoolExecutor(16) as pool:
+    with ThreadPoolExecutor(8) as pool:
         ended = list(pool.map(lambda case: interrupted(*case), cases))
     left = [case for case, (released, _) in zip(cases, ended) if not released]
     assert left == []
