@@ -281,6 +281,8 @@ impl Board<'_> {
         self.send(&format!("{request}\n"));
         loop {
             match self.line() {
+                // the board tells it when it gets one
+                Some(line) if line.starts_with("address ") => {}
                 Some(answer) => {
                     assert!(answer.starts_with("ok"), "{request:.40}: {answer}");
                     return Ok(());
