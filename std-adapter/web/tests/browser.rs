@@ -280,7 +280,7 @@ fn each_screen_is_legible_and_works_with_a_keyboard() {
     for code in [0x8350_0076, 0x8350_0178] {
         sim.lock().inject_error(HResult::from_u32(code), bcap_std::now());
     }
-    let web = Web::start(&[("press", sim.address())], true);
+    let web = Web::moving(&[("press", sim.address())]);
     let Some(mut browser) = Browser::start() else { return };
     browser.open(web.url());
     browser.until_text("#state", "error");

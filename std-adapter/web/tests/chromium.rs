@@ -234,7 +234,7 @@ impl Browser {
 
     /// Returns a picture as base64 of WebP.
     pub(crate) fn picture(&mut self) -> String {
-        self.call("Page.captureScreenshot", json!({ "format": "webp", "quality": 80 }))["data"]
+        self.call("Page.captureScreenshot", json!({ "format": "webp", "quality": 28 }))["data"]
             .as_str()
             .unwrap()
             .to_owned()
