@@ -2,6 +2,7 @@
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{ErrorKind, Read, Write};
+use std::net::TcpListener;
 use std::os::unix::fs::FileExt;
 use std::os::unix::net::UnixStream;
 use std::os::unix::process::CommandExt;
@@ -167,6 +168,10 @@ impl Rig {
 
     /// Switches the board on.
     pub(crate) fn start(&self) -> Board<'_> {
+        // QEMU was killed, and on a busy machine it may still have its ports
+        for address in [&*self.rac, self.network.trim_start_matches("tcp:")] {
+            wait("the ports are not free", || TcpListener::bind(address).ok());
+        }
         let _ = fs::remove_file(self.folder.join("console"));
         let log = File::create(self.folder.join("log")).unwrap();
         let mut command = Command::new(&self.command[0]);
