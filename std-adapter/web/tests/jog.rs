@@ -385,6 +385,33 @@ fn a_jog_whose_connection_hangs_is_halted_over_another_one() {
     });
 }
 
+/// The controller ends during a step: nothing is claimed that was not seen. The next jog works when it is there again.
+#[test]
+fn a_controller_that_starts_again_during_a_jog_is_not_called_at_rest() {
+    retried(|| {
+        let mut jogging = Jogging::begin();
+        jogging.press()?;
+        let Jogging { sim, web, mut page } = jogging;
+        let address = sim.address();
+        drop(sim);
+        let ended = page.until("jog", |jog| jog["outcome"] != json!(null));
+        if ended["failed"] == false {
+            // the heartbeat was lost, and the step ended, before the controller did
+            return None;
+        }
+        let outcome = ended["outcome"].as_str().unwrap();
+        assert!(outcome.starts_with("IT IS UNKNOWN whether the robot rests and the arm is free: "), "{outcome}");
+        assert!(web.lines().iter().any(|line| line.ends_with(outcome)), "{:?}", web.lines());
+        let sim = Sim::at(address);
+        page.until_state("ready, motor off");
+        page.order("grip", json!({ "robot": 0, "name": "press" })).unwrap();
+        sim.until("the arm is taken", |sim| sim.arm_owner().is_some());
+        page.order("drop", json!({ "robot": 0, "why": "it was seen" })).unwrap();
+        sim.until("the arm is free", |sim| sim.arm_owner().is_none());
+        Some(())
+    });
+}
+
 #[test]
 fn a_stream_of_another_client_is_not_ended_by_a_jog() {
     let sim = Sim::start();
