@@ -68,7 +68,7 @@ impl Press {
     }
 }
 
-/// What the jog thread is doing.
+/// The activity of the jog thread.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Phase {
     /// It takes the arm, and switches the motor on.

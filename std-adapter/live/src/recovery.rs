@@ -12,7 +12,7 @@ use crate::link::{Access, Error, Link};
 /// The longest time from one step to the next.
 pub const IDLE: Duration = Duration::from_secs(120);
 
-/// What a page and the thread of a recovery share. It ends once.
+/// The state that a page and the thread of a recovery share. It ends once.
 #[derive(Debug, Default)]
 pub struct Recovery {
     state: Mutex<State>,

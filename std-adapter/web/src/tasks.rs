@@ -18,7 +18,7 @@ const LINES: usize = 5000;
 /// The most names of a folder that a page shows.
 const NAMES: usize = 1000;
 
-/// What to do with a task.
+/// An order for a task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum What {

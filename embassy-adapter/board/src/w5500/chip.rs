@@ -79,7 +79,7 @@ pub enum Error<E> {
     Stuck,
 }
 
-/// What was found in the chip.
+/// A finding in the chip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Received {
     /// A frame of this length.
