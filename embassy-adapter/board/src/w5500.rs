@@ -7,7 +7,7 @@
 //! ```
 //!
 //! * An interrupt stands for any number of frames, so frames are read until the chip has none. A tick looks for frames, too, in case
-//!   that an interrupt was lost.
+//!   an interrupt was lost.
 //! * A length that no frame can have means that the position in the chip's memory is unknown. The socket is then opened again, which
 //!   drops the frames in it.
 //! * A tick also reads the link, and initialises a chip that has lost its registers, as after a dip of its supply.

@@ -401,7 +401,7 @@ fn a_client_of_modbus_of_another_make_reads_and_writes_variables() {
 /// The settings of the page about fieldbuses, as options of `bcap gateway`.
 fn fieldbus_options() -> Vec<String> {
     let page = include_str!("../../../docs/fieldbus.md");
-    let (_, settings) = page.split_once("<!-- book: settings -->\n```text\n").unwrap();
+    let (_, settings) = page.split_once("\n```text\n").unwrap();
     let (settings, _) = settings.split_once("```").unwrap();
     let option = |line: &str| {
         let (key, value) = line.split_once('=').unwrap();
