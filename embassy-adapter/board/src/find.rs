@@ -30,7 +30,8 @@ const HEAD: usize = ASK.len() + 8;
 /// use bcap_board::find::{Found, REQUEST, number, request};
 ///
 /// let asked = request(*b"a number");
-/// let board = Found { board: "w5500-evb-pico", version: "0.1.0", address: ([192, 168, 0, 9].into(), 24), ..Found::default() };
+/// let (address, mac) = (([192, 168, 0, 9].into(), 24), [2, 0, 0, 0xbc, 0xa9, 3]);
+/// let board = Found { board: "w5500-evb-pico", version: "0.1.0", address, mac, ..Found::default() };
 /// let mut answer = [0; REQUEST];
 /// let len = board.write(number(&asked).unwrap(), &mut answer).unwrap();
 /// assert_eq!(Found::read(&answer[..len], *b"a number"), Some(board));
