@@ -70,7 +70,7 @@ pub fn request(number: [u8; 8]) -> [u8; REQUEST] {
     request
 }
 
-/// Returns the number of a request; `None` if a datagram is none.
+/// Returns the number of a request; `None` for any other datagram.
 #[must_use]
 pub fn number(datagram: &[u8]) -> Option<[u8; 8]> {
     let rest = datagram.strip_prefix(ASK).filter(|_| datagram.len() == REQUEST)?;

@@ -255,7 +255,7 @@ impl<H: Send + 'static> Connection<H> {
         Ok(None)
     }
 
-    /// Writes bytes as soon as there is room; returns the reason if there is none within the limit.
+    /// Writes bytes as soon as the socket takes some; returns the reason why the connection must end, such as the time limit.
     async fn write(&mut self, bytes: &[u8]) -> io::Result<Result<usize, &'static str>> {
         let written = tokio::select! {
             written = timeout(self.limits.send, self.stream.write(bytes)) => match written {

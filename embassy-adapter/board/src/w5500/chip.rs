@@ -138,7 +138,7 @@ impl<S: SpiDevice> Chip<S> {
         Ok(self.read_byte(PHYCFGR).await? & LINK_UP != 0)
     }
 
-    /// Reads a received frame; clears the interrupt if there is none.
+    /// Reads a received frame. Clears the interrupt if the chip has no frame.
     pub(super) async fn receive(&mut self, frame: &mut [u8]) -> Result<Received, Error<S::Error>> {
         let (mut size, mut from) = self.received().await?;
         if size == 0 {
