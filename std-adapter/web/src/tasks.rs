@@ -2,8 +2,10 @@
 
 use std::fmt;
 
+use bcap_core::bcap::FunctionId;
 use bcap_live::files;
 use bcap_live::link::{Error, Link};
+use bcap_live::stream::StreamCheck;
 use bcap_std::{TaskStart, TaskStop};
 use bcap_terminal::escape;
 use serde::Deserialize;
@@ -77,6 +79,7 @@ pub(crate) fn section(robot: &Robot) -> Value {
 
 /// Lists a folder.
 pub(crate) fn list(link: &mut Link, folder: &str) -> Result<Value, Error> {
+    StreamCheck::default().require(link, FunctionId::CONTROLLER_GET_FILE_NAMES, None)?;
     let entries = files::list(link, folder)?;
     let rows: Vec<_> = entries
         .iter()
@@ -88,6 +91,7 @@ pub(crate) fn list(link: &mut Link, folder: &str) -> Result<Value, Error> {
 
 /// Reads a file as lines.
 pub(crate) fn text(link: &mut Link, path: &str) -> Result<Value, Error> {
+    StreamCheck::default().require(link, FunctionId::CONTROLLER_GET_FILE, None)?;
     let text = files::text(link, path)?;
     let mut lines = text.lines();
     let shown: Vec<_> = lines.by_ref().take(LINES).map(|line| escape::line(&escape::cut(&line))).collect();

@@ -1,13 +1,14 @@
 //! The files of a controller. A path has `/` between its parts here, and `\` on the wire.
 
 use bcap_capture::value::describe;
-use bcap_core::bcap::{FunctionId, Object};
+use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
-use bcap_core::variant::Variant;
+use bcap_live::calls::Failure as _;
+pub(crate) use bcap_live::files::read;
+use bcap_live::files::{self, Kind, content, with_file};
 
 use crate::failure::Failure;
 use crate::session::Session;
-use crate::session::variables::all_strings;
 use crate::values::{Value, integer, text};
 
 /// The deepest folder that is read.
@@ -41,22 +42,11 @@ pub(crate) fn normal(path: &str) -> String {
 
 /// Lists a folder in the order of its names; the root is the empty path.
 pub(crate) fn list(session: &mut Session, folder: &str) -> Result<Vec<Item>, Failure> {
-    let names = if folder.is_empty() {
-        let controller = integer(session.controller()?)?;
-        session.call("/", FunctionId::CONTROLLER_GET_FILE_NAMES, &[controller, text("")?])?.1
-    } else {
-        let subject = format!("/{folder}");
-        with_file(session, folder, Kind::Folder, |session, handle| {
-            Ok(session.call(&subject, FunctionId::FILE_GET_FILE_NAMES, &[integer(handle)?, text("")?])?.1)
-        })?
+    let item = |(own, is_folder): (String, bool)| {
+        let is_unsafe = is_unsafe(&own);
+        Item { path: if folder.is_empty() { own } else { format!("{folder}/{own}") }, is_folder, is_unsafe }
     };
-    let mut items = Vec::new();
-    let variant = names.as_ref().map_or(Variant::Empty, Value::as_variant);
-    for name in all_strings(variant).ok_or_else(|| unexpected("", names.as_ref()))? {
-        let (own, is_folder) = name.strip_suffix(['\\', '/']).map_or((name.as_str(), false), |own| (own, true));
-        let path = if folder.is_empty() { own.to_owned() } else { format!("{folder}/{own}") };
-        items.push(Item { path, is_folder, is_unsafe: is_unsafe(own) });
-    }
+    let mut items: Vec<_> = files::list(session, folder)?.into_iter().map(item).collect();
     items.sort();
     Ok(items)
 }
@@ -121,11 +111,6 @@ pub(crate) fn find(session: &mut Session, pattern: &str) -> Result<Vec<Item>, Fa
     Ok(found)
 }
 
-/// Reads a file: a BSTR as UTF-8, or the bytes of a UI1 array.
-pub(crate) fn read(session: &mut Session, path: &str) -> Result<Vec<u8>, Failure> {
-    with_file(session, path, Kind::File, |session, handle| content(session, path, handle))
-}
-
 /// Writes a file, which is made if it does not exist, and reads it back.
 ///
 /// UTF-8 is sent as BSTR, other bytes as UI1 array.
@@ -177,64 +162,10 @@ pub(crate) fn exists(session: &mut Session, path: &str) -> Result<bool, Failure>
 pub(crate) fn size(session: &mut Session, path: &str) -> Result<i64, Failure> {
     with_file(session, path, Kind::File, |session, handle| {
         let (_, size) = session.call(&format!("/{path}"), FunctionId::FILE_GET_SIZE, &[integer(handle)?])?;
-        size.as_ref().and_then(|size| size.as_variant().as_i64()).ok_or_else(|| unexpected(path, size.as_ref()))
+        size.as_ref()
+            .and_then(|size| size.as_variant().as_i64())
+            .ok_or_else(|| Failure::unexpected(format!("/{path}: the reply carries {}", describe(size.as_ref()))))
     })
-}
-
-/// The object to open.
-#[derive(Clone, Copy)]
-enum Kind {
-    File,
-    NewFile,
-    Folder,
-    NewFolder,
-}
-
-/// Opens a file or folder, and releases it afterwards.
-fn with_file<T>(
-    session: &mut Session,
-    path: &str,
-    kind: Kind,
-    body: impl FnOnce(&mut Session, i32) -> Result<T, Failure>,
-) -> Result<T, Failure> {
-    let mut name = path.replace('/', "\\");
-    if matches!(kind, Kind::Folder | Kind::NewFolder) {
-        name.push('\\');
-    }
-    let option = if matches!(kind, Kind::NewFile | Kind::NewFolder) { "@Create=1" } else { "" };
-    let arguments = [integer(session.controller()?)?, text(&name)?, text(option)?];
-    let (_, value) = session.call(&format!("/{path}"), FunctionId::CONTROLLER_GET_FILE, &arguments)?;
-    let handle = value.as_ref().and_then(handle_of).ok_or_else(|| unexpected(path, value.as_ref()))?;
-    let done = body(session, handle);
-    let released = session.release(Object::File, handle);
-    // an error of the work is more useful than an error of the release
-    let done = done?;
-    released.map(|()| done)
-}
-
-fn handle_of(value: &Value) -> Option<i32> {
-    match value.as_variant() {
-        Variant::Ui4(handle) => Some(handle.cast_signed()),
-        value => value.as_i32(),
-    }
-}
-
-fn content(session: &mut Session, path: &str, handle: i32) -> Result<Vec<u8>, Failure> {
-    let (_, value) = session.call(&format!("/{path}"), FunctionId::FILE_GET_VALUE, &[integer(handle)?])?;
-    let bytes = match value.as_ref().map(Value::as_variant) {
-        None | Some(Variant::Empty | Variant::Null) => Some(Vec::new()),
-        Some(Variant::Bstr(text)) => text.chars().collect::<Result<String, _>>().ok().map(String::into_bytes),
-        Some(Variant::Array(array)) => array.items::<u8>().map(|bytes| bytes.iter().collect()),
-        Some(_) => None,
-    };
-    bytes.ok_or_else(|| unexpected(path, value.as_ref()))
-}
-
-fn unexpected(path: &str, value: Option<&Value>) -> Failure {
-    Failure::Unexpected {
-        message: format!("/{path}: the reply carries {}", describe(value)),
-        hint: "use `bcap call` to see the reply: it prints any value".into(),
-    }
 }
 
 /// Tells whether the name of a file could leave its folder on this machine.

@@ -3,7 +3,7 @@
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::hresult::HResult;
 use bcap_live::calls::Calls;
-pub(crate) use bcap_live::variables::{all_strings, get_one, list, read, short_type, state_words};
+pub(crate) use bcap_live::variables::{get_one, list, read, short_type, state_words};
 use bcap_std::{ObjectPath, TaskStatus};
 
 use crate::failure::Failure;
