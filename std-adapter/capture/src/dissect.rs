@@ -17,9 +17,12 @@ use std::fmt::Write as _;
 use std::ops::Range;
 
 use bcap_core::bcap::header::field;
-use bcap_core::bcap::{Frame, HEADER_LEN};
+use bcap_core::bcap::{Decoder, Frame, HEADER_LEN};
+use bcap_core::error::DecodeError;
+use bcap_core::limits::Strictness;
 
 use crate::hex;
+use crate::json::LIMITS;
 use crate::role::Role;
 
 /// The bytes in a row; a longer field continues in the next row.
@@ -41,6 +44,19 @@ pub fn dissect(bytes: &[u8], frame: &Frame<'_>, role: Role, crc: bool) -> String
         }
     }
     out
+}
+
+/// A field of a frame: its bytes and its text.
+pub type Field = (Range<usize>, String);
+
+/// Returns the fields of a frame without CRC, which cover all of its bytes.
+///
+/// # Errors
+///
+/// A fault of the frame.
+pub fn fields_of(bytes: &[u8], role: Role) -> Result<Vec<Field>, DecodeError> {
+    let decoder = Decoder { limits: LIMITS, strictness: Strictness::Strict, crc: false };
+    Ok(fields(bytes, &decoder.decode_datagram(bytes)?, role, false))
 }
 
 /// Writes a strictly decoded frame without CRC in few rows: its header, then its arguments, each with its bytes.
@@ -82,8 +98,6 @@ fn table(bytes: &[u8], fields: &[Field], width: usize) -> String {
     }
     lines.join("\n")
 }
-
-type Field = (Range<usize>, String);
 
 fn fields(bytes: &[u8], frame: &Frame<'_>, role: Role, crc: bool) -> Vec<Field> {
     let code = match (role, frame.function().name()) {

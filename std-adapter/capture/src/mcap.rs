@@ -48,6 +48,10 @@ pub struct Schema {
     pub json: &'static str,
 }
 
+/// The schema of a number: `{"value":5}`.
+pub const NUMBER: Schema =
+    Schema { name: "bcap.Number", json: r#"{"type":"object","properties":{"value":{"type":"number"}}}"# };
+
 /// A file of time series that is being written.
 #[derive(Debug)]
 pub struct Log<W: Write> {
@@ -215,6 +219,12 @@ impl<W: Write> Log<W> {
         let crc = crc32(&summary).to_le_bytes();
         self.write(&[&summary, &crc[..], MAGIC].concat())?;
         self.out.flush()
+    }
+
+    /// Returns the output.
+    #[must_use]
+    pub fn into_inner(self) -> W {
+        self.out
     }
 
     fn statistics(&self) -> Vec<u8> {

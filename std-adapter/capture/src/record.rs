@@ -202,8 +202,29 @@ fn not_written(path: &Path, source: io::Error) -> Error {
     Error::Write { path: path.to_owned(), source }
 }
 
+/// Writes the bytes of one connection as a pcapng file: the times in nanoseconds since 1970, and the senders.
+///
+/// # Errors
+///
+/// When `out` does not accept them.
+pub fn write<'a>(
+    out: impl io::Write,
+    ends: Ends,
+    sent: impl IntoIterator<Item = (u64, Role, &'a [u8])>,
+) -> io::Result<()> {
+    let mut tape = Tape::new(Some(Writer::new(out)?), |_| {});
+    for (at, sender, bytes) in sent {
+        tape.bytes(at, ends, sender, bytes, None)?;
+    }
+    tape.flush()
+}
+
 /// Turns entries into packets until the end.
-fn run(entries: &Receiver<Entry>, budget: &Budget, mut tape: Tape<impl FnMut(Recorded<'_>)>) -> io::Result<()> {
+fn run(
+    entries: &Receiver<Entry>,
+    budget: &Budget,
+    mut tape: Tape<impl io::Write, impl FnMut(Recorded<'_>)>,
+) -> io::Result<()> {
     loop {
         let entry = match entries.try_recv() {
             Ok(entry) => entry,

@@ -75,16 +75,22 @@ pub enum Wire {
 /// A function that receives packets as text.
 type Show = dyn Fn(Role, &str) + Send + Sync;
 
-/// Receives packets as text.
+/// A function that receives the bytes of packets.
+type Take = dyn Fn(Role, Wire, &[u8]) + Send + Sync;
+
+/// Receives packets.
 #[derive(Clone)]
-struct Watcher {
-    level: Level,
-    show: Arc<Show>,
+enum Watcher {
+    Text(Level, Arc<Show>),
+    Bytes(Arc<Take>),
 }
 
 impl fmt::Debug for Watcher {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Watcher").field("level", &self.level).finish_non_exhaustive()
+        match self {
+            Self::Text(level, _) => f.debug_tuple("Text").field(level).finish_non_exhaustive(),
+            Self::Bytes(_) => f.write_str("Bytes"),
+        }
     }
 }
 
@@ -114,7 +120,12 @@ impl Packets {
 
     /// Shows each packet of later connections to `show`, on the thread that sends or receives it.
     pub fn watch(&mut self, level: Level, show: impl Fn(Role, &str) + Send + Sync + 'static) {
-        self.watchers.push(Watcher { level, show: Arc::new(show) });
+        self.watchers.push(Watcher::Text(level, Arc::new(show)));
+    }
+
+    /// Passes the bytes of each packet of later connections to `take`, on the thread that sends or receives it.
+    pub fn watch_bytes(&mut self, take: impl Fn(Role, Wire, &[u8]) + Send + Sync + 'static) {
+        self.watchers.push(Watcher::Bytes(Arc::new(take)));
     }
 
     /// Wraps a transport.
@@ -164,8 +175,11 @@ impl Packets {
         slot.clear();
         slot.extend_from_slice(bytes);
         drop(last);
-        for Watcher { level, show } in &self.watchers {
-            show(role, &shown(role, wire, bytes, *level));
+        for watcher in &self.watchers {
+            match watcher {
+                Watcher::Text(level, show) => show(role, &shown(role, wire, bytes, *level)),
+                Watcher::Bytes(take) => take(role, wire, bytes),
+            }
         }
     }
 }

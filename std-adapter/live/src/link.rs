@@ -3,13 +3,14 @@
 use std::collections::HashMap;
 use std::time::Duration;
 
+use bcap_capture::record::{Ends, HasEnds};
 use bcap_capture::trace::{Packets, Wire};
 use bcap_core::bcap::client::Timing;
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::error::EncodeError;
 use bcap_core::hresult::HResult;
 use bcap_core::variant::OwnedVariant;
-use bcap_std::blocking::{self, Connection, Controller, Halted, Transport};
+use bcap_std::blocking::{self, Connection, Controller, Halted};
 use bcap_std::{
     Address, AddressError, ConnectError, Examination, Model, ObjectPath, ObjectPathError, Options, Protocol, Settings,
     TaskStart, TaskStatus, TaskStop,
@@ -24,6 +25,9 @@ const LIMIT: Duration = Duration::from_secs(3);
 
 /// The time limit of each call of a halt, with its keep-alives: a robot needs time to come to rest.
 const HALT_LIMIT: Duration = Duration::from_secs(10);
+
+/// The time limit of each call of any function, with its keep-alives: a motion ends within it.
+const CALL_LIMIT: Duration = Duration::from_secs(60);
 
 /// Where a controller is, and the arguments of Controller_Connect.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -124,6 +128,7 @@ impl calls::Failure for Error {
 #[derive(Debug)]
 pub struct Link {
     controller: Controller,
+    ends: Option<Ends>,
     /// The objects that stay open for the next use, by path.
     objects: HashMap<String, i32>,
 }
@@ -135,7 +140,7 @@ impl Link {
     ///
     /// An [`Error`] for a failed connection or a refused call; for a serial line.
     pub fn connect(access: &Access, packets: &Packets) -> Result<Self, Error> {
-        let mut controller = open(&access.address, packets)?;
+        let (mut controller, ends) = open(&access.address, packets)?;
         let timing = controller.timing();
         controller.set_timing(Timing { deadline: LIMIT, keep_alive: LIMIT, ..timing });
         controller.call_any("", FunctionId::SERVICE_START, &[OwnedVariant::new("WDT=400")?])?;
@@ -156,7 +161,7 @@ impl Link {
         if !controller.is_connected() {
             return Err(Error::Unexpected("Controller_Connect: the reply carries no handle".into()));
         }
-        Ok(Self { controller, objects: HashMap::new() })
+        Ok(Self { controller, ends, objects: HashMap::new() })
     }
 
     /// Connects for a program that moves the robot. If the connection is lost while the session has the arm, the drop of the
@@ -166,12 +171,31 @@ impl Link {
     ///
     /// As [`connect`](Self::connect).
     pub fn for_motion(access: &Access) -> Result<Controller, Error> {
-        let mut controller = Self::connect(access, &Packets::new())?.controller;
-        let timing = controller.timing();
-        controller.set_timing(Timing { deadline: HALT_LIMIT, keep_alive: HALT_LIMIT, ..timing });
+        Ok(Self::connect(access, &Packets::new())?.recovering(access, HALT_LIMIT).controller)
+    }
+
+    /// Connects for a program whose user makes any calls. Its drop halts and frees the arm as for
+    /// [`for_motion`](Self::for_motion).
+    ///
+    /// # Errors
+    ///
+    /// As [`connect`](Self::connect).
+    pub fn for_calls(access: &Access, packets: &Packets) -> Result<Self, Error> {
+        Ok(Self::connect(access, packets)?.recovering(access, CALL_LIMIT))
+    }
+
+    fn recovering(mut self, access: &Access, limit: Duration) -> Self {
+        let timing = self.controller.timing();
+        self.controller.set_timing(Timing { deadline: limit, keep_alive: limit, ..timing });
         let is_rc9 = access.provider.as_deref() == Some(Model::Rc9.provider());
         let settings = Settings::new(if is_rc9 { Model::Rc9 } else { Model::Rc8 }).connect_option(&access.option);
-        Ok(controller.recover_at(access.address.clone(), settings))
+        Self { controller: self.controller.recover_at(access.address.clone(), settings), ..self }
+    }
+
+    /// Returns the ends of the connection.
+    #[must_use]
+    pub const fn ends(&self) -> Option<Ends> {
+        self.ends
     }
 
     /// Starts a task, unless that would end a stream of Slave Mode.
@@ -258,7 +282,7 @@ impl Calls for Link {
 }
 
 /// Connects without starting a session.
-fn open(address: &Address, packets: &Packets) -> Result<Controller, Error> {
+fn open(address: &Address, packets: &Packets) -> Result<(Controller, Option<Ends>), Error> {
     let options = Options::default().timeout(LIMIT);
     let Address::Network(server) = address else { return Err(bcap_std::Error::NoSecondSession.into()) };
     let peer = (server.host.as_str(), server.port);
@@ -268,12 +292,13 @@ fn open(address: &Address, packets: &Packets) -> Result<Controller, Error> {
     })
 }
 
-fn tapped<X>(connection: Connection<X, Vec<u8>>, packets: &Packets, wire: Wire) -> Controller
+fn tapped<X>(connection: Connection<X, Vec<u8>>, packets: &Packets, wire: Wire) -> (Controller, Option<Ends>)
 where
-    X: Transport<Error = std::io::Error> + Send + 'static,
+    X: HasEnds + Send + 'static,
 {
     let (transport, client) = connection.into_parts();
-    Controller::unopened(Connection::new(packets.tap(transport, wire), client))
+    let ends = transport.ends();
+    (Controller::unopened(Connection::new(packets.tap(transport, wire), client)), ends)
 }
 
 /// Halts the robot over a session that is open before it is needed. It is not an emergency stop.

@@ -9,9 +9,10 @@ import { connect, halt, on, order } from "./net.js";
 import { tasks } from "./tasks.js";
 import { packets } from "./packets.js";
 import { plots } from "./plots.js";
+import { raw } from "./raw.js";
 import { variables } from "./variables.js";
 
-const SCREENS = [cell, variables, alarms, arm, tasks, jog, plots, packets];
+const SCREENS = [cell, variables, alarms, arm, tasks, jog, plots, packets, raw];
 
 /** What the screens share. */
 const page = {

@@ -79,6 +79,20 @@ export function beat(number) {
   if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify({ beat: number }));
 }
 
+/** Gets a file from the server, and saves it. */
+export async function save(path, name, body) {
+  const response = await fetch(path, { method: "POST", headers: { "x-bcap-token": token }, body, cache: "no-store" });
+  if (!response.ok) throw new Error(await response.text());
+  saveBlob(await response.blob(), name);
+}
+
+/** Saves a file. */
+export function saveBlob(blob, name) {
+  const href = URL.createObjectURL(blob);
+  Object.assign(document.createElement("a"), { href, download: name }).click();
+  URL.revokeObjectURL(href);
+}
+
 /** Halts a robot. It does not use the connection above, which may hang. */
 export async function halt(robot) {
   try {

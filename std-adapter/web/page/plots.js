@@ -1,6 +1,7 @@
-// The screen of plots: any numbers over time, with a pause, a cursor, a zoom, and an export to CSV.
+// The screen of plots: any numbers over time, with a pause, a cursor, a zoom, and an export to CSV and MCAP.
 
-import { make, setText } from "./dom.js";
+import { make, notify, setText } from "./dom.js";
+import { save, saveBlob } from "./net.js";
 
 /** The time from one sample to the next, and the samples that are kept: ten minutes. */
 const STEP_MS = 200;
@@ -27,7 +28,8 @@ export const plots = {
     const choices = make("fieldset", { className: "choices" }, make("legend", {}, "Numbers; variables are chosen on their screen"));
     const pause = make("button", { type: "button", id: "hold", onclick: () => { state.isPaused = !state.isPaused; draw(); } });
     const zoom = make("select", { id: "window", "aria-label": "Window", onchange: () => { state.window = Number(zoom.value); draw(); } }, ...WINDOWS.map((seconds) => make("option", { value: seconds }, `${seconds} s`)));
-    const save = make("button", { type: "button", id: "csv", onclick: exportCsv }, "Save as CSV");
+    const csv = make("button", { type: "button", id: "csv", onclick: exportCsv }, "Save as CSV");
+    const mcap = make("button", { type: "button", id: "mcap", onclick: exportMcap }, "Save as MCAP");
     const legend = make("ul", { className: "legend" });
     zoom.value = String(state.window);
     state.parts = { canvas, choices, pause, legend, zoom };
@@ -35,7 +37,7 @@ export const plots = {
     canvas.onpointerleave = () => { state.cursor = null; draw(); };
     canvas.onkeydown = moveCursor;
     canvas.onwheel = (event) => { event.preventDefault(); step(Math.sign(event.deltaY)); };
-    main.append(make("div", { className: "row" }, pause, zoom, save), canvas, legend, choices);
+    main.append(make("div", { className: "row" }, pause, zoom, csv, mcap), canvas, legend, choices);
     drawChoices();
     // also when the window has another size
     new ResizeObserver(draw).observe(canvas);
@@ -191,7 +193,11 @@ function exportCsv() {
   const quoted = (text) => `"${text.replaceAll('"', '""')}"`;
   const head = ["time", ...series.map(([name]) => quoted(name))].join();
   const lines = times.map((time) => [new Date(time).toISOString(), ...columns.map((column) => column.get(time) ?? "")].join());
-  const file = URL.createObjectURL(new Blob([[head, ...lines, ""].join("\n")], { type: "text/csv" }));
-  make("a", { href: file, download: "bcap.csv" }).click();
-  URL.revokeObjectURL(file);
+  saveBlob(new Blob([[head, ...lines, ""].join("\n")], { type: "text/csv" }), "bcap.csv");
+}
+
+/** Saves the chosen numbers for Foxglove and PlotJuggler: a topic for each. */
+async function exportMcap() {
+  const series = chosen().map(([name, samples]) => ({ name, samples }));
+  await save("/mcap", "bcap.mcap", JSON.stringify(series)).catch((error) => notify(`not saved: ${error.message}`, true));
 }

@@ -8,6 +8,9 @@ use std::net::SocketAddr;
 use axum::http::header::{HOST, ORIGIN};
 use axum::http::{HeaderMap, StatusCode};
 
+/// The header with the token of a request.
+pub(crate) const TOKEN: &str = "x-bcap-token";
+
 /// The token and the names of this server.
 #[derive(Debug)]
 pub(crate) struct Guard {

@@ -34,11 +34,24 @@ impl Halter {
 
     /// Halts the robot. Returns the outcome, which is certain, or why the robot may still move.
     pub(crate) async fn halt(&self) -> Result<String, String> {
-        let (sender, outcome) = oneshot::channel();
-        let ended = || "NOT HALTED, use the emergency stop: the thread that halts has ended".to_owned();
-        self.0.send(Order::Halt(sender)).map_err(|_| ended())?;
-        outcome.await.map_err(|_| ended())?
+        self.begin().await.unwrap_or_else(|_| ended())
     }
+
+    /// Halts the robot as [`halt`](Self::halt) does, and blocks the thread meanwhile.
+    pub(crate) fn halt_now(&self) -> Result<String, String> {
+        self.begin().blocking_recv().unwrap_or_else(|_| ended())
+    }
+
+    fn begin(&self) -> oneshot::Receiver<Result<String, String>> {
+        let (sender, outcome) = oneshot::channel();
+        // without a receiver the thread has panicked, and the outcome has no sender
+        let _ = self.0.send(Order::Halt(sender));
+        outcome
+    }
+}
+
+fn ended() -> Result<String, String> {
+    Err("NOT HALTED, use the emergency stop: the thread that halts has ended".into())
 }
 
 fn run(access: Access, orders: &Receiver<Order>) {

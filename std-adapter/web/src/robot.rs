@@ -1,12 +1,12 @@
 //! A robot of the page: the thread that reads it, and what it has read.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use bcap_capture::trace::{Level, Packets};
+use bcap_capture::trace::{Level, Packets, shown};
 use bcap_live::calls::{Failure as _, needs_reconnect};
 use bcap_live::jog::Grip;
 use bcap_live::link::{Access, Error, Link};
@@ -19,9 +19,13 @@ use tokio::sync::oneshot;
 
 use crate::control::{Client, Control};
 use crate::halt::Halter;
+use crate::tape::Tape;
 
 /// The time from one reading to the next.
 const INTERVAL: Duration = Duration::from_millis(200);
+
+/// The joints that the arm was commanded to.
+pub(crate) const TARGET: &str = "robot/@DEST_ANGLE";
 
 /// How often the state is examined, and a lost connection is tried again.
 const SLOW: Duration = Duration::from_secs(1);
@@ -59,6 +63,10 @@ pub(crate) struct Live {
     pub(crate) type_name: Option<String>,
     /// The variables of each page.
     pub(crate) names: BTreeMap<Client, Vec<String>>,
+    /// The pages that show the arm.
+    pub(crate) arms: HashSet<Client>,
+    /// The last packets.
+    pub(crate) tape: Tape,
 }
 
 /// Carries out an order, or answers why there is no session. Fails when the session is lost.
@@ -189,12 +197,17 @@ impl Thread {
     fn read_until_lost(&mut self) -> Result<(), Error> {
         let (mut packets, robot) = (Packets::new(), self.robot.clone());
         let began = self.began;
-        packets.watch(Level::Values, move |role, text| {
+        packets.watch_bytes(move |role, wire, bytes| {
             let Some(robot) = robot.upgrade() else { return };
+            let text = shown(role, wire, bytes, Level::Values);
             let mut live = robot.live();
+            live.tape.push(role, bytes);
             live.model.now = began.elapsed();
-            live.model.apply(Update::Packet(role, text.to_owned()));
+            live.model.apply(Update::Packet(role, text));
         });
+        let Some(robot) = self.robot.upgrade() else { return Ok(()) };
+        robot.live().tape.opens();
+        drop(robot);
         let mut link = Link::connect(&self.access, &packets)?;
         let found = is_virtual(&mut link)?;
         let type_name = match get_one(&mut link, &ObjectPath::variable("robot/@TYPE_NAME")?) {
@@ -206,6 +219,7 @@ impl Thread {
         let Some(robot) = self.robot.upgrade() else { return Ok(()) };
         let mut live = robot.live();
         (live.is_virtual, live.type_name) = (Some(found), type_name);
+        live.tape.connected(link.ends());
         drop(live);
         robot.halter.prepare();
         drop(robot);
@@ -248,8 +262,11 @@ impl Robot {
     /// Returns the variables that a page shows, in the order of their names.
     fn wanted(&self) -> Vec<String> {
         let live = self.live();
-        let names: BTreeSet<&String> = live.names.values().flatten().collect();
-        names.into_iter().cloned().collect()
+        let mut names: BTreeSet<&str> = live.names.values().flatten().map(String::as_str).collect();
+        if !live.arms.is_empty() {
+            names.insert(TARGET);
+        }
+        names.into_iter().map(str::to_owned).collect()
     }
 }
 

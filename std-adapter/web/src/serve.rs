@@ -23,8 +23,8 @@ use tokio::task::AbortHandle;
 
 use crate::app::App;
 use crate::assets::{FILES, file, with_headers};
-use crate::guard::{Refused, only};
-use crate::socket;
+use crate::guard::{Refused, TOKEN, only};
+use crate::{save, socket};
 
 /// The most connections that are not pages. A further one ends the oldest, so that idle ones do not keep a halt out.
 const CONNECTIONS: usize = 128;
@@ -40,9 +40,6 @@ const ORDER_SIZE: usize = 64 << 10;
 
 /// The protocol of the WebSocket; a page offers the token as a second one, because scripts cannot set its headers.
 const PROTOCOL: &str = "bcap.live";
-
-/// The header with the token of a halt.
-const TOKEN: &str = "x-bcap-token";
 
 /// Accepts connections. It does not end.
 pub(crate) async fn accept(listener: &TcpListener, app: &Arc<App>) {
@@ -83,6 +80,7 @@ fn router(app: &Arc<App>) -> Router {
     files
         .route("/live", any(live))
         .route("/halt/{robot}", post(halt))
+        .merge(save::routes())
         .layer(DefaultBodyLimit::max(0))
         .layer(from_fn_with_state(Arc::clone(app), check_host))
         .layer(map_response(with_headers))

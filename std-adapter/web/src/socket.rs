@@ -20,6 +20,7 @@ use crate::control::Client;
 use crate::guard::Bucket;
 use crate::jog;
 use crate::line::Line;
+use crate::raw::{self, Desk, Request};
 use crate::recover;
 use crate::robot::Robot;
 use crate::tasks;
@@ -47,6 +48,7 @@ enum Screen {
     Packets,
     Jog,
     Tasks,
+    Raw,
 }
 
 /// An order of a page.
@@ -93,11 +95,21 @@ enum Order {
     Files { robot: usize, folder: String },
     /// Reads a file of the controller.
     View { robot: usize, path: String },
+    /// Returns the function table.
+    Functions {},
+    /// Makes a call of a robot with this name.
+    Call { robot: usize, name: String, function: String, arguments: Vec<String> },
+    /// Makes the call of a packet in hexadecimal.
+    Bytes { robot: usize, name: String, packet: String },
+    /// Returns the packets of a call.
+    Packet { robot: usize, serial: u16 },
+    /// Returns the calls by function and object.
+    Calls { robot: usize },
 }
 
 /// A page.
 pub(crate) struct Page {
-    app: Arc<App>,
+    pub(crate) app: Arc<App>,
     client: Client,
     robot: usize,
     screen: Screen,
@@ -111,6 +123,8 @@ pub(crate) struct Page {
     grip: Option<(usize, Arc<Grip>)>,
     /// The recovery of this page, and its robot.
     recovery: Option<(usize, Arc<Recovery>)>,
+    /// The session for the calls of the user.
+    pub(crate) desk: Option<Arc<Desk>>,
 }
 
 impl Drop for Page {
@@ -119,6 +133,7 @@ impl Drop for Page {
         self.end_motion("the page is closed");
         for robot in &self.app.robots {
             robot.live().names.remove(&self.client);
+            robot.live().arms.remove(&self.client);
             if let Some(name) = robot.control.name_of(self.client) {
                 robot.control.release(self.client);
                 self.app.audit.write::<()>(&name, &robot.name, "the page is closed, the control is free", &Ok(()));
@@ -140,6 +155,7 @@ pub(crate) async fn serve(app: Arc<App>, client: Client, socket: WebSocket) {
         checked: None,
         grip: None,
         recovery: None,
+        desk: None,
     };
     // the page is dropped first, so that its loss ends a jog at once
     let mut line = Line::new(socket);
@@ -197,7 +213,7 @@ impl Page {
         let mut sections = vec![("tiles", Value::Array(tiles))];
         if let Some(robot) = self.app.robots.get(self.robot) {
             match self.screen {
-                Screen::Cell => {}
+                Screen::Cell | Screen::Raw => {}
                 Screen::Variables => sections.push(("variables", view::variables(self.client, robot))),
                 Screen::Alarms => sections.push(("alarms", view::alarms(robot, recover::section(robot)))),
                 Screen::Arm => sections.push(("arm", view::arm(robot))),
@@ -239,13 +255,7 @@ impl Page {
 
     async fn carry_out(&mut self, order: Order) -> Result<Value, String> {
         match order {
-            Order::Show { robot, screen } => {
-                self.robot(robot)?;
-                self.end_motion("the screen was left");
-                (self.robot, self.screen, self.packets) = (robot, screen, 0);
-                self.sent.clear();
-                Ok(Value::Null)
-            }
+            Order::Show { robot, screen } => self.show(robot, screen),
             Order::Select { robot, names } => self.select(robot, names).await,
             Order::Take { robot, name } => self.take(robot, &name),
             Order::Release { robot } => self.release(robot),
@@ -286,11 +296,32 @@ impl Page {
             }
             Order::Files { robot, folder } => self.robot(robot)?.order(move |link| tasks::list(link, &folder)).await,
             Order::View { robot, path } => self.robot(robot)?.order(move |link| tasks::text(link, &path)).await,
+            Order::Functions {} => Ok(raw::functions()),
+            Order::Call { robot, name, function, arguments } => {
+                self.call(robot, &name, Request::parse(&function, &arguments)?).await
+            }
+            Order::Bytes { robot, name, packet } => self.call(robot, &name, Request::decode(&packet)?).await,
+            Order::Packet { robot, serial } => Ok(self.robot(robot)?.live().tape.call(serial).into()),
+            Order::Calls { robot } => Ok(view::calls(&*self.robot(robot)?)),
             Order::Drop { robot, why } => {
                 self.grip(robot)?.end(&view::safe(&why));
                 Ok(Value::Null)
             }
         }
+    }
+
+    fn show(&mut self, number: usize, screen: Screen) -> Result<Value, String> {
+        let robot = self.robot(number)?;
+        self.end_motion("the screen was left");
+        for robot in &self.app.robots {
+            robot.live().arms.remove(&self.client);
+        }
+        if screen == Screen::Arm {
+            robot.live().arms.insert(self.client);
+        }
+        (self.robot, self.screen, self.packets) = (number, screen, 0);
+        self.sent.clear();
+        Ok(Value::Null)
     }
 
     /// Keeps a value that was checked, and shows it with the old one.
@@ -371,6 +402,9 @@ impl Page {
         if let Some((_, recovery)) = self.recovery.take() {
             recovery.end(why);
         }
+        if let Some(desk) = self.desk.take() {
+            desk.end(&self.app);
+        }
     }
 
     /// Begins a jog.
@@ -396,7 +430,7 @@ impl Page {
         }
     }
 
-    fn robot(&self, number: usize) -> Result<Arc<Robot>, String> {
+    pub(crate) fn robot(&self, number: usize) -> Result<Arc<Robot>, String> {
         self.app.robots.get(number).cloned().ok_or_else(|| "there is no such robot".into())
     }
 
@@ -409,13 +443,13 @@ impl Page {
     }
 
     /// Returns the name of this page's user, who has the control of a robot, and may write.
-    fn writer(&self, robot: usize) -> Result<String, String> {
+    pub(crate) fn writer(&self, robot: usize) -> Result<String, String> {
         self.writes()?;
         self.holder(robot)
     }
 
     /// Returns the name of this page's user, who has the control of a robot, and may move it.
-    fn mover(&self, robot: usize) -> Result<String, String> {
+    pub(crate) fn mover(&self, robot: usize) -> Result<String, String> {
         if !self.app.allow_motion {
             return Err("this server moves nothing; start it with --allow-motion".into());
         }

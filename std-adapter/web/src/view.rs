@@ -1,5 +1,7 @@
 //! The state of the robots as JSON, in sections: a page gets the sections of its screen, each when it has changed.
 
+use std::time::Duration;
+
 use bcap_core::bcap::StreamState;
 use bcap_core::hresult::HResult;
 use bcap_live::axis::Axis;
@@ -8,17 +10,12 @@ use bcap_live::jog::{FASTEST, LONGEST, Phase};
 use bcap_live::log::Entry;
 use bcap_live::model::Variable;
 use bcap_std::Examination;
-use bcap_terminal::escape;
 use serde_json::{Value, json};
 
 use crate::arm;
 use crate::control::Client;
-use crate::robot::{Live, Robot};
-
-/// Cuts a text of the controller, and escapes characters that act on the text around them.
-pub(crate) fn safe(text: &str) -> String {
-    escape::line(&escape::cut(&text))
-}
+use crate::robot::{Live, Robot, TARGET};
+pub(crate) use crate::text::safe;
 
 /// Writes a hint as a sentence.
 fn sentence(text: &str) -> String {
@@ -161,7 +158,8 @@ pub(crate) fn alarms(robot: &Robot, recovery: Value) -> Value {
     })
 }
 
-fn error(code: HResult, text: &str) -> Value {
+/// Returns a result code with its meaning and remedy.
+pub(crate) fn error(code: HResult, text: &str) -> Value {
     json!({
         "code": format!("{:#010X}", code.to_u32()),
         "name": code.name(),
@@ -173,10 +171,14 @@ fn error(code: HResult, text: &str) -> Value {
     })
 }
 
-/// Returns the type and the dimensions of an arm.
+/// Returns the type and the dimensions of an arm, and where it was commanded to.
 pub(crate) fn arm(robot: &Robot) -> Value {
-    let type_name = robot.live().type_name.clone().unwrap_or_default();
-    json!({ "type": safe(&type_name), "links": arm::dimensions(&type_name) })
+    let live = robot.live();
+    let type_name = live.type_name.clone().unwrap_or_default();
+    let target = live.model.variables.iter().find(|variable| variable.name == TARGET);
+    let target = target.and_then(|variable| variable.value.as_ref()?.as_variant().as_array());
+    let commanded: Option<Vec<_>> = target.map(|joints| joints.iter().filter_map(|joint| joint.as_f64()).collect());
+    json!({ "type": safe(&type_name), "links": arm::dimensions(&type_name), "commanded": commanded })
 }
 
 /// Returns the state of a jog, and the highest speed of each axis in percent.
@@ -203,6 +205,14 @@ pub(crate) fn jog(robot: &Robot) -> Value {
         "longest": LONGEST,
         "fastest": FASTEST,
     })
+}
+
+/// Returns each function and object once: the count, the calls per second, the time since the last call, and its reply.
+pub(crate) fn calls(robot: &Robot) -> Value {
+    let live = robot.live();
+    let age = |last: Duration| live.model.now.saturating_sub(last).as_secs_f64();
+    let rows = live.model.log.calls();
+    rows.map(|(name, call)| json!([safe(name), call.count, call.rate(), age(call.last), safe(&call.reply)])).collect()
 }
 
 /// The most packets of a message; the others are counted.

@@ -14,7 +14,7 @@ use crate::support::{LIMIT, Sim, Web};
 const I: VariableKind = VariableKind::I;
 
 /// Opens the page of a server, and waits until it shows the state of its robot.
-fn opened(web: &Web) -> Option<Browser> {
+pub(crate) fn opened(web: &Web) -> Option<Browser> {
     let mut browser = Browser::start()?;
     browser.open(web.url());
     browser.until_text("#state", "ready, motor off");
@@ -288,9 +288,9 @@ fn each_screen_is_legible_and_works_with_a_keyboard() {
     assert_eq!(browser.eval("document.activeElement.id"), "halt", "HALT is the first");
     browser.enter("#name", "Anna");
     let folder = std::env::var_os("BCAP_WEB_PICTURES");
-    for screen in ["cell", "variables", "alarms", "arm", "tasks", "jog", "plots", "packets"] {
+    for screen in ["cell", "variables", "alarms", "arm", "tasks", "jog", "plots", "packets", "raw"] {
         browser.click(&format!("[data-id={screen}]"));
-        browser.until("document.querySelector('.tile, .spark polyline, .errors li, .joints circle, .axis, #task, .choices input, .packets td') !== null");
+        browser.until("document.querySelector('.tile, .spark polyline, .errors li, .joints circle, .axis, #task, .choices input, .packets td, #usage:not(:empty)') !== null");
         for scheme in ["light", "dark"] {
             for size in [(1280, 800), (768, 1024)] {
                 browser.look(size, scheme);

@@ -4,6 +4,8 @@ mod browser;
 mod chromium;
 mod jog;
 mod pages;
+mod raw;
 mod safety;
+mod screens;
 mod support;
 mod work;

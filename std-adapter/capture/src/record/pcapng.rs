@@ -20,15 +20,22 @@ const TIME_RESOLUTION: u16 = 9;
 
 /// Writes a file.
 #[derive(Debug)]
-pub(super) struct Writer {
-    file: BufWriter<File>,
+pub(super) struct Writer<W> {
+    file: W,
     block: Vec<u8>,
 }
 
-impl Writer {
+impl Writer<BufWriter<File>> {
     /// Creates the file, or empties it, and writes its head.
     pub(super) fn create(path: &Path) -> io::Result<Self> {
-        let mut writer = Self { file: BufWriter::new(File::create(path)?), block: Vec::new() };
+        Self::new(BufWriter::new(File::create(path)?))
+    }
+}
+
+impl<W: Write> Writer<W> {
+    /// Writes the head of a file.
+    pub(super) fn new(file: W) -> io::Result<Self> {
+        let mut writer = Self { file, block: Vec::new() };
         // the byte order, version 1.0, a section of unknown length
         let mut section = 0x1a2b_3c4d_u32.to_le_bytes().to_vec();
         section.extend([1, 0, 0, 0]);

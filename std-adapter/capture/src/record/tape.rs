@@ -1,7 +1,7 @@
 //! The packets of all connections, in the order in which their bytes were recorded.
 
 use std::collections::HashMap;
-use std::io;
+use std::io::{self, Write};
 
 use super::ends::{Ends, Recorded};
 use super::packets::Flow;
@@ -9,16 +9,16 @@ use super::pcapng::Writer;
 use crate::role::Role;
 
 /// Makes packets, and passes them to the file and to the command.
-pub(super) struct Tape<F> {
-    file: Option<Writer>,
+pub(super) struct Tape<W, F> {
+    file: Option<Writer<W>>,
     each: F,
     flows: HashMap<Ends, Flow>,
     /// The number of flows so far.
     count: u32,
 }
 
-impl<F: FnMut(Recorded<'_>)> Tape<F> {
-    pub(super) fn new(file: Option<Writer>, each: F) -> Self {
+impl<W: Write, F: FnMut(Recorded<'_>)> Tape<W, F> {
+    pub(super) fn new(file: Option<Writer<W>>, each: F) -> Self {
         Self { file, each, flows: HashMap::new(), count: 0 }
     }
 

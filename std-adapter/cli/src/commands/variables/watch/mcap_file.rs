@@ -5,7 +5,7 @@ use std::io::BufWriter;
 use std::path::Path;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use bcap_capture::mcap::{self, Schema};
+use bcap_capture::mcap::{self, NUMBER, Schema};
 use bcap_core::variant::Variant;
 use serde_json::{Value as Json, json};
 
@@ -13,8 +13,6 @@ use crate::failure::{Failure, of_file};
 use crate::values::Value;
 use bcap_capture::value::data;
 
-const NUMBER: Schema =
-    Schema { name: "bcap.Number", json: r#"{"type":"object","properties":{"value":{"type":"number"}}}"# };
 const BOOL: Schema =
     Schema { name: "bcap.Bool", json: r#"{"type":"object","properties":{"value":{"type":"boolean"}}}"# };
 const TEXT: Schema =

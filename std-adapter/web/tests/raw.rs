@@ -1,0 +1,183 @@
+//! Calls of any function, without a browser: what the table of effects allows, and what the end of the screen leaves.
+
+use bcap_core::bcap::{Effect, FunctionId};
+use bcap_core::rac::VariableKind;
+use bcap_core::variant::Variant;
+use bcap_std::{Settings, blocking};
+use serde_json::{Value, json};
+
+use crate::support::{Page, Sim, Web};
+
+const CONTROL: &str = "take the control first";
+const WRITE: &str = "this server is read-only; start it with --allow-write";
+const MOTION: &str = "this server moves nothing; start it with --allow-motion";
+
+#[track_caller]
+fn call(page: &mut Page, function: &str, arguments: &[&str]) -> Result<Value, String> {
+    page.order("call", json!({ "robot": 0, "name": "press", "function": function, "arguments": arguments }))
+}
+
+fn opened(web: &Web) -> Page {
+    let mut page = web.page();
+    page.until_state("ready, motor off");
+    page.order("show", json!({ "robot": 0, "screen": "raw" })).unwrap();
+    page
+}
+
+fn with_control(web: &Web) -> Page {
+    let mut page = opened(web);
+    page.order("take", json!({ "robot": 0, "name": "Anna" })).unwrap();
+    page
+}
+
+fn is(sim: &Sim, number: i32) -> bool {
+    sim.lock().variable::<64>(VariableKind::I, 1).unwrap().as_variant() == Variant::I4(number)
+}
+
+#[test]
+fn each_function_that_writes_or_moves_is_refused_by_a_read_only_server() {
+    let sim = Sim::start();
+    let web = Web::start(&[("press", sim.address())], false);
+    let table = opened(&web).order("functions", json!({})).unwrap();
+    let rows = table.as_array().unwrap();
+    assert_eq!(
+        (rows.len(), &rows[100]["name"], &rows[100]["effect"]),
+        (137, &json!("Variable_GetValue"), &json!("reads"))
+    );
+    assert_eq!(rows[71]["arguments"][1], json!(["interpolation", "I4"]));
+    let strong: Vec<FunctionId> = FunctionId::all().filter(|function| !function.effect().is_harmless()).collect();
+    // each page has a burst of 40 orders
+    for functions in strong.chunks(30) {
+        let mut page = opened(&web);
+        for function in functions {
+            // without arguments a command or an option is unknown, which counts as the strongest
+            let refused = call(&mut page, &function.to_string(), &[]).unwrap_err();
+            let expected = if function.effect() == Effect::Writes { WRITE } else { MOTION };
+            assert_eq!(refused, expected, "{function}");
+        }
+    }
+    assert!(strong.len() > 40, "{}", strong.len());
+    assert_eq!(web.lines(), [""; 0], "nothing was tried");
+}
+
+#[test]
+fn a_call_has_its_reply_and_its_bytes() {
+    let sim = Sim::start();
+    let web = Web::start(&[("press", sim.address())], false);
+    let mut page = opened(&web);
+    let reply = call(&mut page, "101", &["variable:I1"]).unwrap();
+    assert_eq!((&reply["code"], &reply["name"], &reply["value"]), (&json!("0x00000000"), &json!("S_OK"), &json!("0")));
+    assert_eq!(reply["typed"], "3,0");
+    let [request, received] = [&reply["packets"][0], &reply["packets"][1]];
+    assert_eq!(request["fields"][4][2], "function 101 Variable_GetValue");
+    assert_eq!(received["fields"][4][2], "HRESULT 0x00000000 (S_OK)");
+    let refused = call(&mut page, "Variable_GetValue", &["3,999"]).unwrap();
+    assert_eq!((&refused["ok"], &refused["name"]), (&json!(false), &json!("E_HANDLE")));
+    assert!(refused["meaning"].as_str().is_some_and(|meaning| meaning.contains("handle")), "{refused}");
+    // a handle of an earlier reply is a number; the refusal above has not ended the session
+    let opened = call(&mut page, "Controller_GetVariable", &["controller", "8,I1", "8,"]).unwrap();
+    let handle: u8 = opened["value"].as_str().unwrap().parse().unwrap();
+    assert_eq!(call(&mut page, "Variable_GetValue", &[&format!("3,{handle}")]).unwrap()["value"], "0");
+    let packet =
+        |function: &str| format!("01 1e000000 0900 0000 {function} 0100 0a000000 0300 01000000 {handle:02x}000000 04");
+    let bytes = |packet: &str| json!({ "robot": 0, "name": "press", "packet": packet });
+    assert_eq!(page.order("bytes", bytes(&packet("65000000"))).unwrap()["typed"], "3,0");
+    assert_eq!(page.order("bytes", bytes(&packet("48000000"))).unwrap_err(), MOTION, "Robot_Move");
+    let cut = page.order("bytes", bytes("01 1e 00")).unwrap_err();
+    assert!(cut.starts_with("the packet is refused: ") && cut.contains("`bcap raw`"), "{cut}");
+    for (function, argument, part) in [
+        ("Variable_Read", "variable:I1", "there is no function Variable_Read"),
+        ("Variable_GetValue", "robot", "robot is not a variable, which Variable_GetValue takes here"),
+        ("Variable_GetValue", "5", "a comma is missing"),
+    ] {
+        let refused = call(&mut page, function, &[argument]).unwrap_err();
+        assert!(refused.contains(part), "{refused}");
+    }
+    // the end of the service ends the session, and the next call opens another one
+    assert_eq!(call(&mut page, "Service_Stop", &[]).unwrap()["ok"], true);
+    assert_eq!(call(&mut page, "Robot_GetName", &["robot"]).unwrap()["ok"], true);
+}
+
+#[test]
+fn a_writing_call_needs_the_right_the_control_and_the_name() {
+    let sim = Sim::start();
+    let web = Web::start(&[("press", sim.address())], true);
+    let put = ["variable:I1", "3,5"];
+    assert_eq!(call(&mut opened(&web), "Variable_PutValue", &put).unwrap_err(), CONTROL);
+    let mut page = with_control(&web);
+    let other = json!({ "robot": 0, "name": "welder", "function": "Variable_PutValue", "arguments": put });
+    assert_eq!(page.order("call", other).unwrap_err(), "welder is not the name of this robot; nothing was done");
+    let take = ["robot", "8,TakeArm", "8195,0,1"];
+    assert_eq!(call(&mut page, "Robot_Execute", &take).unwrap_err(), MOTION);
+    assert_eq!(call(&mut page, "Robot_Execute", &["robot", "8,no such command", "0,"]).unwrap_err(), MOTION);
+    assert!(is(&sim, 0));
+    assert_eq!(call(&mut page, "Variable_PutValue", &put).unwrap()["ok"], true);
+    assert!(is(&sim, 5));
+    let refused = call(&mut page, "Variable_PutValue", &["3,999", "3,5"]).unwrap();
+    assert_eq!(refused["ok"], false);
+    let lines = web.lines();
+    assert!(lines.contains(&"press: Anna: calls Variable_PutValue(I1, I4(5)): done".to_owned()), "{lines:?}");
+    assert!(lines.iter().any(|line| line.contains("I4(999), I4(5)): 0x80070006 (E_HANDLE)")), "{lines:?}");
+}
+
+/// Takes the arm, and starts a motion that lasts longer than the test.
+fn start_moving(sim: &Sim, page: &mut Page) {
+    for (command, parameter) in [("TakeArm", "8195,0,1"), ("Motor", "8195,1,0")] {
+        let made = call(page, "Robot_Execute", &["robot", &format!("8,{command}"), parameter]).unwrap();
+        assert_eq!(made["ok"], true, "{made}");
+    }
+    let arguments = ["robot", "3,1", "8,@E J(90, 45, 90, 0, 45, 0)", "8,SPEED=1"];
+    page.send("call", json!({ "robot": 0, "name": "press", "function": "Robot_Move", "arguments": arguments }));
+    sim.until("the robot moves", bcap_sim::Controller::is_moving);
+}
+
+fn rests(sim: &Sim) {
+    let is_at_rest = |sim: &bcap_sim::Controller| !sim.is_moving() && sim.arm_owner().is_none() && !sim.motor_is_on();
+    sim.until("the robot rests, its motor is off, and the arm is free", is_at_rest);
+}
+
+#[test]
+fn the_end_of_the_screen_halts_a_call_that_moves_and_frees_the_arm() {
+    let sim = Sim::quick();
+    let web = Web::moving(&[("press", sim.address())]);
+    assert_eq!(call(&mut opened(&web), "Robot_Execute", &["robot", "8,TakeArm", "8195,0,1"]).unwrap_err(), CONTROL);
+    let mut page = with_control(&web);
+    start_moving(&sim, &mut page);
+    drop(page);
+    rests(&sim);
+    crate::support::until("the halt has its line of the audit", || {
+        web.lines().iter().any(|line| line.contains("was left during a call that moves: HALT: done"))
+    });
+    // without a motion the arm is given back, too
+    sim.lock().clear_errors(bcap_std::now());
+    let mut page = with_control(&web);
+    let taken = call(&mut page, "Robot_Execute", &["robot", "8,TakeArm", "8195,0,1"]).unwrap();
+    assert_eq!(taken["ok"], true, "{taken}");
+    assert!(sim.lock().arm_owner().is_some());
+    page.order("show", json!({ "robot": 0, "screen": "cell" })).unwrap();
+    rests(&sim);
+}
+
+#[test]
+fn a_stream_of_another_client_is_not_ended_by_a_call() {
+    let sim = Sim::start();
+    let web = Web::moving(&[("press", sim.address())]);
+    let mut page = with_control(&web);
+    let mut cell = blocking::Controller::connect(&format!("tcp:{}", sim.address()), &Settings::rc8()).unwrap();
+    let mut arm = cell.robot().unwrap().take_arm().unwrap();
+    arm.motor_on().unwrap();
+    arm.robot().execute::<()>("slvChangeMode", 0x202).unwrap();
+    assert_eq!(call(&mut page, "Variable_GetValue", &["variable:I1"]).unwrap()["value"], "0");
+    for (function, arguments) in [
+        ("Controller_Execute", &["controller", "8,SysState", "0,"][..]),
+        ("Controller_GetTaskNames", &["controller", "8,"]),
+        ("Variable_PutValue", &["variable:I1", "3,5"]),
+        ("Robot_Speed", &["robot", "3,0", "4,50"]),
+        ("Task_GetName", &["task:Pro1"]),
+    ] {
+        let skipped = call(&mut page, function, arguments).unwrap_err();
+        assert!(skipped.contains("a stream of Slave Mode runs"), "{function}: {skipped}");
+    }
+    assert_eq!(sim.lock().slave_mode(), 0x202);
+    assert!(is(&sim, 0));
+}
