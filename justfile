@@ -279,10 +279,10 @@ release version execute="":
     last=$(git describe --tags --abbrev=0 --match 'v*' 2>/dev/null || true)
     if [ -n "$last" ]; then
         cargo semver-checks --version >/dev/null 2>&1 || cargo install --locked cargo-semver-checks@0.49.0
-        cargo semver-checks --baseline-rev "$last" -p bcap-core -p bcap-gateway -p bcap-sim -p bcap-std -p bcap-capture -p bcap-backup -p bcap-stream -p bcap-service -p bcap-live -p bcap-web -p bcap-conform -p bcap-embassy -p bcap-board -p bcap-testkit -p bcap-terminal -p bcap-fleet
+        cargo semver-checks --baseline-rev "$last" -p bcap-core -p bcap-gateway -p bcap-sim -p bcap-std -p bcap-capture -p bcap-backup -p bcap-stream -p bcap-service -p bcap-live -p bcap-provision -p bcap-web -p bcap-conform -p bcap-embassy -p bcap-board -p bcap-testkit -p bcap-terminal -p bcap-fleet
     fi
     bash .ci/run packages
-    packages=(-p bcap-core -p bcap-gateway -p bcap-sim -p bcap-std -p bcap-capture -p bcap-backup -p bcap-stream -p bcap-service -p bcap-live -p bcap-web -p bcap-conform -p bcap-embassy -p bcap-board -p bcap-testkit -p bcap-terminal -p bcap-fleet -p bcap-cli)
+    packages=(-p bcap-core -p bcap-gateway -p bcap-sim -p bcap-std -p bcap-capture -p bcap-backup -p bcap-stream -p bcap-service -p bcap-live -p bcap-provision -p bcap-web -p bcap-conform -p bcap-embassy -p bcap-board -p bcap-testkit -p bcap-terminal -p bcap-fleet -p bcap-cli)
     case "{{execute}}" in
         --execute)
             cargo publish --locked --no-verify "${packages[@]}"

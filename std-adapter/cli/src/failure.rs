@@ -141,6 +141,17 @@ pub(crate) fn of_file(path: &Path) -> impl Fn(io::Error) -> Failure {
     move |error| Failure::Input(format!("{}: {error}", path.display()))
 }
 
+impl From<bcap_provision::Error> for Failure {
+    fn from(error: bcap_provision::Error) -> Self {
+        match error {
+            bcap_provision::Error::Refused { message, hint } => Self::unfit(message, hint),
+            bcap_provision::Error::Connection { message, hint } => Self::Connection { message, hint },
+            bcap_provision::Error::Timeout { message, hint } => Self::Timeout { message, hint },
+            error => Self::Input(error.to_string()),
+        }
+    }
+}
+
 impl From<bcap_backup::Error> for Failure {
     fn from(error: bcap_backup::Error) -> Self {
         match error {

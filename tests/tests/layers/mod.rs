@@ -14,7 +14,7 @@ use graph::Arrows;
 use source::Source;
 
 /// The crates whose files are read, and their folders.
-const CRATES: [(&str, &str); 18] = [
+const CRATES: [(&str, &str); 19] = [
     ("bcap-core", "core"),
     ("bcap-gateway", "core/gateway"),
     ("bcap-std", "std-adapter"),
@@ -27,6 +27,7 @@ const CRATES: [(&str, &str); 18] = [
     ("bcap-conform", "std-adapter/conform"),
     ("bcap-fleet", "std-adapter/fleet"),
     ("bcap-live", "std-adapter/live"),
+    ("bcap-provision", "std-adapter/provision"),
     ("bcap-cli", "std-adapter/cli"),
     ("bcap-web", "std-adapter/web"),
     ("bcap-terminal", "std-adapter/terminal"),

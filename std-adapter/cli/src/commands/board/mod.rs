@@ -1,27 +1,16 @@
-//! `bcap board`: the settings and the image of a board over a serial line, its image also over TCP, in the protocol of
-//! [`bcap_board::console`]; its first image over a drive; its address.
+//! `bcap board`: the settings, the images and the addresses of gateway boards, by [`bcap_provision`].
 
-mod elf;
 mod find;
 mod flash;
-mod image;
 mod key;
-mod port;
-mod uf2;
 pub(crate) mod update;
 
-use std::fs;
-
-use bcap_board::Settings;
-use bcap_board::console::LINE;
-use bcap_board::crc::Crc32;
-use bcap_board::slots::TEXT;
+use bcap_provision::{Answer, Console, settings};
 use clap::{Args, Subcommand};
 
 use self::find::Find;
 use self::flash::{Convert, Flash};
 use self::key::{Key, Sign};
-use self::port::{Answer, Port};
 use self::update::{Status, Update};
 use crate::failure::Failure;
 use crate::link::LinkArgs;
@@ -87,16 +76,13 @@ pub(crate) struct Configure {
     pub(crate) restart: bool,
 }
 
-/// The hint after a refused change of the settings.
-const SETTINGS_REMAIN: &str = "the settings of the board are unchanged";
-
 pub(crate) fn board(args: &Board, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     match &args.command {
         BoardCommand::Find(args) => find::find(args, link, json),
         BoardCommand::Configure(args) => configure(args, link, json),
         BoardCommand::Flash(args) => flash::flash(args, link, json),
         BoardCommand::Convert(args) => flash::convert(args, json),
-        BoardCommand::Update(args) => update::update(args, link, json),
+        BoardCommand::Update(args) => update::send(args, link, json),
         BoardCommand::Status(args) => update::status(args, link, json),
         BoardCommand::Key(args) => key::key(args, json),
         BoardCommand::Sign(args) => key::sign(args, json),
@@ -105,75 +91,35 @@ pub(crate) fn board(args: &Board, link: &LinkArgs, json: bool) -> Result<(), Fai
 
 fn configure(args: &Configure, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     // the settings are checked before the port is opened
-    let settings = read(&args.settings)?;
-    let mut port = Port::open(&args.port, args.baud, link.timeout())?;
+    let settings = settings::read(&args.settings)?;
+    let mut console = Console::open(&args.port, args.baud, link.timeout())?;
+    let accepted = |request: &str, answer: &Answer| {
+        let object = serde_json::json!({ "request": request, "answer": answer.text });
+        output::print_result(json, &object, &format!("{request}: {}", answer.text)).map_err(Failure::from)
+    };
     if args.factory {
-        request(&mut port, "factory", json)?;
+        accepted("factory", &settings::request(&mut console, "factory")?)?;
     } else if !args.settings.is_empty() {
-        replace(&mut port, &settings, json)?;
+        settings::replace(&mut console, &settings, accepted)?;
     } else if !args.restart {
-        show(&mut port, json)?;
+        show(&mut console, json)?;
     }
     if args.restart {
-        request(&mut port, "restart", json)?;
+        accepted("restart", &settings::request(&mut console, "restart")?)?;
     }
     Ok(())
 }
 
-/// Reads and checks the settings of the command line; each ends with a line feed.
-fn read(arguments: &[String]) -> Result<String, Failure> {
-    let mut settings = String::new();
-    let mut add = |line: &str| settings.extend([line, "\n"]);
-    for argument in arguments {
-        match argument.strip_prefix('@') {
-            Some(path) => {
-                let text = fs::read_to_string(path).map_err(|error| Failure::Input(format!("{path}: {error}")))?;
-                Settings::lines_of_file(&text).for_each(&mut add);
-            }
-            None => add(argument),
-        }
-    }
-    Settings::check(settings.as_bytes()).map_err(|error| Failure::Input(error.to_string()))?;
-    let most = LINE - "add ".len();
-    if let Some(line) = settings.lines().find(|line| line.len() > most || line.is_empty()) {
-        return Err(Failure::Input(format!(
-            "a setting has 1 to {most} bytes, but this has {}: \"{line}\"",
-            line.len()
-        )));
-    }
-    if settings.len() > TEXT {
-        return Err(Failure::Input(format!("the settings take {} bytes of {TEXT}", settings.len())));
-    }
-    Ok(settings)
-}
-
-/// Replaces the settings of the board. They change with the last request, so an earlier failure changes nothing.
-fn replace(port: &mut Port, settings: &str, json: bool) -> Result<(), Failure> {
-    port.ask("new", |_| Ok(()))?.accepted("new", SETTINGS_REMAIN)?;
-    for line in settings.lines() {
-        request(port, &format!("add {line}"), json)?;
-    }
-    let crc = Crc32::new().and(settings.as_bytes()).value();
-    request(port, &format!("save {crc:08x}"), json)
-}
-
-/// Sends a request and prints it with its answer.
-fn request(port: &mut Port, request: &str, json: bool) -> Result<(), Failure> {
-    let answer = port.ask(request, |_| Ok(()))?;
-    let object = serde_json::json!({ "request": request, "answer": answer.0 });
-    output::print_result(json, &object, &format!("{request}: {}", answer.0))?;
-    answer.accepted(request, SETTINGS_REMAIN)
-}
-
 /// Prints the settings of the board in the format of `@FILE`, and where they are stored.
-fn show(port: &mut Port, json: bool) -> Result<(), Failure> {
-    let print = |setting: &str| output::print_result(json, &serde_json::json!({ "setting": setting }), setting);
-    let answer = port.ask("show", print)?;
-    let Answer(text) = &answer;
-    match text.as_str() {
+fn show(console: &mut Console, json: bool) -> Result<(), Failure> {
+    let answer = settings::request(console, "show")?;
+    for setting in &answer.settings {
+        output::print_result(json, &serde_json::json!({ "setting": setting }), setting)?;
+    }
+    match answer.text.as_str() {
         "ok flash" => output::note("these settings are in the flash of the board"),
         "ok image" => output::note("these settings are those of the image; the flash has none"),
         _ => {}
     }
-    answer.accepted("show", SETTINGS_REMAIN)
+    Ok(())
 }

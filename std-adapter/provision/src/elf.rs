@@ -6,17 +6,21 @@ use std::collections::BTreeMap;
 const MOST: u32 = 64 << 20;
 
 /// Tells whether a file is ELF.
-pub(super) fn is_elf(file: &[u8]) -> bool {
+#[must_use]
+pub fn is_elf(file: &[u8]) -> bool {
     file.starts_with(b"\x7fELF")
 }
 
 /// Tells whether an ELF file is for RISC-V.
-pub(super) fn is_riscv(file: &[u8]) -> bool {
+#[must_use]
+pub fn is_riscv(file: &[u8]) -> bool {
     half(file, 18) == Some(243)
 }
 
-/// Returns the segments of a little-endian ELF file with 32 bits as one binary, and its address; gaps are `ff`, as in erased flash.
-pub(super) fn flatten(file: &[u8]) -> Option<(u32, Vec<u8>)> {
+/// Returns the segments of a little-endian ELF file with 32 bits as one binary, and its address; gaps are `ff`, as in erased flash. `None`
+/// if the file is damaged, or another kind of ELF.
+#[must_use]
+pub fn flatten(file: &[u8]) -> Option<(u32, Vec<u8>)> {
     // 32 bits, little-endian
     if file.get(4..6)? != [1, 1] {
         return None;
@@ -36,8 +40,9 @@ pub(super) fn flatten(file: &[u8]) -> Option<(u32, Vec<u8>)> {
     joined(segments)
 }
 
-/// Joins several binaries into one.
-pub(super) fn join(parts: Vec<(u32, Vec<u8>)>) -> Option<(u32, Vec<u8>)> {
+/// Joins several binaries with their addresses into one. `None` if they overlap, are far apart, or have the same address.
+#[must_use]
+pub fn join(parts: Vec<(u32, Vec<u8>)>) -> Option<(u32, Vec<u8>)> {
     let count = parts.len();
     let parts: BTreeMap<_, _> = parts.into_iter().collect();
     (parts.len() == count).then(|| joined(parts))?

@@ -1,19 +1,24 @@
-//! Reads the file of an image.
+//! The images that a board takes as updates.
 
 use std::fs;
+use std::path::Path;
 
 use bcap_board::identity::{self, Identity};
 use bcap_board::vectors;
 
-use super::elf;
-use crate::failure::Failure;
+use crate::elf;
+use crate::error::Error;
 
 /// The first bytes of a UF2 file.
 const UF2: &[u8] = b"UF2\n";
 
-/// Reads an image and the board that it is for.
-pub(super) fn read(path: &str) -> Result<(Vec<u8>, Identity), Failure> {
-    let invalid = |reason: &str| Failure::Input(format!("{path}: {reason}"));
+/// Reads an image, which is an ELF file or a binary, and the board that it is for.
+///
+/// # Errors
+///
+/// [`Error::Invalid`] if the file cannot be read, is damaged, or is no image for updates.
+pub fn read(path: &Path) -> Result<(Vec<u8>, Identity), Error> {
+    let invalid = |reason: &str| Error::at(path, reason);
     let file = fs::read(path).map_err(|error| invalid(&error.to_string()))?;
     if file.starts_with(UF2) {
         return Err(invalid("a UF2 file is for the boot ROM: send the ELF file it was made from"));

@@ -26,8 +26,11 @@ const PICOBIN_RANGE: usize = 4096;
 
 /// A chip with a boot ROM that takes UF2 files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Chip {
+#[non_exhaustive]
+pub enum Chip {
+    /// Two Cortex-M0+.
     Rp2040,
+    /// Two Cortex-M33, or two RISC-V cores.
     Rp2350,
 }
 
@@ -44,14 +47,17 @@ impl Chip {
     }
 
     /// The `Board-ID` in `INFO_UF2.TXT` of the drive.
-    pub(super) const fn board_id(self) -> &'static str {
+    #[must_use]
+    pub const fn board_id(self) -> &'static str {
         match self {
             Self::Rp2040 => "RPI-RP2",
             Self::Rp2350 => "RP2350",
         }
     }
 
-    pub(super) const fn name(self) -> &'static str {
+    /// The name of the chip.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
         match self {
             Self::Rp2040 => "RP2040",
             Self::Rp2350 => "RP2350",
@@ -70,15 +76,22 @@ impl Chip {
 }
 
 /// Contents of the flash, and the chip that they are for.
-#[derive(Debug, PartialEq, Eq)]
-pub(super) struct Image {
-    pub(super) chip: Chip,
-    pub(super) bytes: Vec<u8>,
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Image {
+    /// The chip whose boot ROM starts the image.
+    pub chip: Chip,
+    /// The flash, from its first byte on.
+    pub bytes: Vec<u8>,
 }
 
 impl Image {
     /// Checks that the boot ROM of a chip starts these bytes from the address of the flash.
-    pub(super) fn new(start: u32, bytes: Vec<u8>) -> Result<Self, String> {
+    ///
+    /// # Errors
+    ///
+    /// The reason, if none does.
+    pub fn new(start: u32, bytes: Vec<u8>) -> Result<Self, String> {
         if start != FLASH || bytes.len() > FLASH_SIZE {
             return Err(format!(
                 "the image is for the addresses from {start:#010x} on, but the boot ROM starts the flash at {FLASH:#010x}: an image \
@@ -96,7 +109,8 @@ impl Image {
     }
 
     /// Returns the file.
-    pub(super) fn to_file(&self) -> Vec<u8> {
+    #[must_use]
+    pub fn to_file(&self) -> Vec<u8> {
         let count = self.bytes.len().div_ceil(PAGE);
         let number = |value: usize| u32::try_from(value).unwrap_or(u32::MAX);
         let mut file = Vec::with_capacity(count * BLOCK);
@@ -115,8 +129,12 @@ impl Image {
         file
     }
 
-    /// Reads a file; each block must be as `to_file` writes it.
-    pub(super) fn of_file(file: &[u8]) -> Result<Self, String> {
+    /// Reads a file; each block must be as [`to_file`](Self::to_file) writes it.
+    ///
+    /// # Errors
+    ///
+    /// The reason, with the number of the block.
+    pub fn of_file(file: &[u8]) -> Result<Self, String> {
         let (blocks, rest) = file.as_chunks::<BLOCK>();
         if blocks.is_empty() || !rest.is_empty() {
             return Err(format!("a UF2 file has blocks of {BLOCK} bytes, but this has {} bytes", file.len()));
