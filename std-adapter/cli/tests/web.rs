@@ -80,6 +80,27 @@ fn it_prints_its_address_serves_the_profiles_and_ends() {
     assert!(missing.status.code() == Some(2) && error.contains("the profile welder has no address"), "{error}");
 }
 
+/// The line `ready` has the address of the page. Pages and other clients see the same controller.
+#[test]
+fn a_virtual_controller_serves_its_page_and_its_panel() {
+    let any = "127.0.0.1:0";
+    let mut web = Web::start(bare(&["sim", "--bcap", any, "--udp", any, "--rac", any, "--web", any]));
+    let line = std::mem::take(&mut web.url);
+    let (ready, url) = line.split_once(" web=").unwrap();
+    let address = ready.split(' ').find_map(|word| word.strip_prefix("bcap=")).unwrap();
+    web.url = url.to_owned();
+    assert!(web.request("GET /panel.js").contains("Emergency stop"));
+    let put = bcap(&["--robot", &format!("tcp:{address}"), "put", "I1=5"]);
+    assert_eq!(put.code, 0, "{put:?}");
+    let halted = web.request("POST /halt/0");
+    assert!(halted.contains("the robot was at rest"), "{halted}");
+    let (rest, code) = web.end();
+    assert!(rest.contains(" virtual RC8: a page: HALT, the robot was at rest; nothing was moving: done"), "{rest}");
+    assert_eq!(code, Some(0));
+    let both = bcap(&["sim", "--web", any, "--replay", "x.pcapng"]);
+    assert!(both.code == 2 && both.err.contains("cannot be used with"), "{both:?}");
+}
+
 #[test]
 fn other_computers_serial_lines_and_recordings_are_refused() {
     for (args, error) in [

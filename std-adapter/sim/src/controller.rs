@@ -210,8 +210,8 @@ impl Controller {
         self.scenario.play(scenario);
     }
 
-    /// Sets the state that a scenario begins with.
-    fn set_up(&mut self, setup: &Setup) {
+    /// Sets the state of the section `[controller]` of a scenario. The faults of the scenario that plays stay.
+    pub fn set_up(&mut self, setup: &Setup) {
         if let Some(pressed) = setup.emergency_stop {
             self.press_emergency_stop(pressed);
         }

@@ -90,6 +90,7 @@ pub mod motion;
 mod objects;
 mod operations;
 mod options;
+pub mod pace;
 mod path;
 mod path_points;
 pub mod pose;

@@ -8,11 +8,12 @@ import { jog } from "./jog.js";
 import { connect, halt, on, order } from "./net.js";
 import { tasks } from "./tasks.js";
 import { packets } from "./packets.js";
+import { panel } from "./panel.js";
 import { plots } from "./plots.js";
 import { raw } from "./raw.js";
 import { variables } from "./variables.js";
 
-const SCREENS = [cell, variables, alarms, arm, tasks, jog, plots, packets, raw];
+const SCREENS = [cell, variables, alarms, arm, tasks, jog, plots, packets, raw, panel];
 
 /** What the screens share. */
 const page = {
@@ -143,6 +144,7 @@ byId("screens").replaceChildren(
 on("hello", (message) => {
   page.mayWrite = message.write;
   page.mayMove = message.motion;
+  for (const button of byId("screens").children) button.hidden = SCREENS.find(({ id }) => id === button.dataset.id).isOffered?.(message) === false;
   show(screen);
 });
 on("closed", () => stale("NOT CONNECTED to bcap web: the values are old. HALT may not work. It is tried again every second."));

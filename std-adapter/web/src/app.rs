@@ -7,6 +7,7 @@ use tokio::sync::Semaphore;
 
 use crate::audit::Audit;
 use crate::guard::Guard;
+use crate::panel::Panel;
 use crate::robot::Robot;
 
 /// The state that all connections share.
@@ -16,6 +17,8 @@ pub(crate) struct App {
     pub(crate) robots: Vec<Arc<Robot>>,
     pub(crate) allow_write: bool,
     pub(crate) allow_motion: bool,
+    /// The panel of the first robot, if that is a virtual controller of this process.
+    pub(crate) panel: Option<Panel>,
     pub(crate) audit: Audit,
     /// The number of the next page.
     pub(crate) clients: AtomicU64,

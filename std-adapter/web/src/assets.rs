@@ -9,7 +9,7 @@ const CSS: &str = "text/css; charset=utf-8";
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
 /// The path, the type and the content of each file.
-pub(crate) const FILES: [(&str, &str, &str); 16] = [
+pub(crate) const FILES: [(&str, &str, &str); 17] = [
     ("/", HTML, include_str!("../page/index.html")),
     ("/style.css", CSS, include_str!("../page/style.css")),
     ("/icon.svg", "image/svg+xml", include_str!("../page/icon.svg")),
@@ -26,6 +26,7 @@ pub(crate) const FILES: [(&str, &str, &str); 16] = [
     ("/packets.js", SCRIPT, include_str!("../page/packets.js")),
     ("/bytes.js", SCRIPT, include_str!("../page/bytes.js")),
     ("/raw.js", SCRIPT, include_str!("../page/raw.js")),
+    ("/panel.js", SCRIPT, include_str!("../page/panel.js")),
 ];
 
 /// The headers of every response.

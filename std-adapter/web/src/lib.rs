@@ -11,6 +11,7 @@ mod halt;
 mod jog;
 mod line;
 mod raw;
+mod panel;
 mod recover;
 mod robot;
 mod save;
@@ -22,10 +23,11 @@ mod text;
 mod view;
 
 use std::net::SocketAddr;
-use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
+use std::sync::{Arc, Mutex};
 
 use bcap_live::link::Access;
+use bcap_sim::pace::Paced;
 use bcap_std::Address;
 use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
@@ -33,6 +35,7 @@ use tokio::sync::Semaphore;
 use crate::app::App;
 use crate::audit::Audit;
 use crate::guard::Guard;
+use crate::panel::Panel;
 use crate::robot::Robot;
 
 /// The most robots of a page.
@@ -52,6 +55,16 @@ pub struct Config {
     pub allow_write: bool,
     /// Whether a page may move a robot by steps while a button is held.
     pub allow_motion: bool,
+    /// The virtual controller, if the only robot is one of this process: the page has its panel.
+    pub panel: Option<Arc<Mutex<Paced>>>,
+}
+
+impl Config {
+    /// Returns the configuration of a server that only reads.
+    #[must_use]
+    pub const fn new(listen: SocketAddr, robots: Vec<(String, Access)>) -> Self {
+        Self { listen, robots, allow_write: false, allow_motion: false, panel: None }
+    }
 }
 
 /// Why a server does not start.
@@ -90,7 +103,7 @@ impl Server {
     ///
     /// An [`Error`]; nothing runs then.
     pub async fn bind(config: Config, audit: impl Fn(&str) + Send + Sync + 'static) -> Result<Self, Error> {
-        let Config { listen, robots, allow_write, allow_motion } = config;
+        let Config { listen, robots, allow_write, allow_motion, panel } = config;
         if !listen.ip().is_loopback() {
             return Err(Error::NotLocal(listen));
         }
@@ -107,6 +120,7 @@ impl Server {
             robots: robots.into_iter().map(|(name, access)| Robot::start(name, access)).collect::<Result<_, _>>()?,
             allow_write,
             allow_motion,
+            panel: panel.map(Panel::new),
             audit: Audit::new(audit),
             clients: AtomicU64::new(1),
             pages: Arc::new(Semaphore::new(PAGES)),

@@ -21,6 +21,7 @@ use crate::guard::Bucket;
 use crate::jog;
 use crate::line::Line;
 use crate::raw::{self, Desk, Request};
+use crate::panel::Panel;
 use crate::recover;
 use crate::robot::Robot;
 use crate::tasks;
@@ -49,6 +50,7 @@ enum Screen {
     Jog,
     Tasks,
     Raw,
+    Panel,
 }
 
 /// An order of a page.
@@ -105,6 +107,10 @@ enum Order {
     Packet { robot: usize, serial: u16 },
     /// Returns the calls by function and object.
     Calls { robot: usize },
+    /// Plays a scenario on the virtual controller.
+    Play { robot: usize, text: String },
+    /// Changes the time factor of the virtual controller.
+    Pace { robot: usize, factor: f64 },
 }
 
 /// A page.
@@ -144,7 +150,7 @@ impl Drop for Page {
 
 /// Serves a page until it is closed.
 pub(crate) async fn serve(app: Arc<App>, client: Client, socket: WebSocket) {
-    let hello = json!({ "t": "hello", "write": app.allow_write, "motion": app.allow_motion, "version": env!("CARGO_PKG_VERSION") });
+    let hello = json!({ "t": "hello", "write": app.allow_write, "motion": app.allow_motion, "panel": app.panel.is_some(), "version": env!("CARGO_PKG_VERSION") });
     let mut page = Page {
         app,
         client,
@@ -219,6 +225,7 @@ impl Page {
                 Screen::Arm => sections.push(("arm", view::arm(robot))),
                 Screen::Tasks => sections.push(("tasks", tasks::section(robot))),
                 Screen::Jog => sections.push(("jog", view::jog(robot))),
+                Screen::Panel => sections.extend(self.app.panel.as_ref().map(|panel| ("panel", panel.section()))),
                 Screen::Plots => sections.push(("plots", view::variables(self.client, robot))),
                 Screen::Packets => {
                     let (packets, total) = view::packets(robot, self.packets);
@@ -303,6 +310,13 @@ impl Page {
             Order::Bytes { robot, name, packet } => self.call(robot, &name, Request::decode(&packet)?).await,
             Order::Packet { robot, serial } => Ok(self.robot(robot)?.live().tape.call(serial).into()),
             Order::Calls { robot } => Ok(view::calls(&*self.robot(robot)?)),
+            Order::Play { robot, text } => {
+                let what = format!("plays the scenario: {}", text.trim());
+                self.on_panel(robot, &what, |panel| panel.play(&text))
+            }
+            Order::Pace { robot, factor } => {
+                self.on_panel(robot, &format!("sets the time factor to {factor}"), |panel| panel.pace(factor))
+            }
             Order::Drop { robot, why } => {
                 self.grip(robot)?.end(&view::safe(&why));
                 Ok(Value::Null)
@@ -361,6 +375,20 @@ impl Page {
         let done = robot.order(move |link| what.perform(link, &name)).await;
         self.app.audit.write(&who, &robot.name, &doing, &done);
         done.map(|()| Value::Null)
+    }
+
+    /// Changes the virtual controller. Its user needs the control, as for a real one.
+    fn on_panel(
+        &self,
+        robot: usize,
+        what: &str,
+        change: impl FnOnce(&Panel) -> Result<Value, String>,
+    ) -> Result<Value, String> {
+        let panel = self.app.panel.as_ref().ok_or("this server has no virtual controller; start `bcap sim --web`")?;
+        let who = self.holder(robot)?;
+        let changed = change(panel);
+        self.app.audit.write(&who, &self.robot(robot)?.name, what, &changed);
+        changed
     }
 
     /// Ends a press of a button.

@@ -5,6 +5,7 @@ mod chromium;
 mod jog;
 mod pages;
 mod raw;
+mod panel;
 mod safety;
 mod screens;
 mod support;

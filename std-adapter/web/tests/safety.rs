@@ -403,8 +403,7 @@ fn a_stream_of_another_client_goes_on() {
 #[tokio::test]
 async fn other_computers_and_serial_lines_are_refused() {
     let bind = async |listen: &str, robots: Vec<(String, Access)>| {
-        let config = Config { listen: listen.parse().unwrap(), robots, allow_write: false, allow_motion: false };
-        Server::bind(config, |_| {}).await.unwrap_err().to_string()
+        Server::bind(Config::new(listen.parse().unwrap(), robots), |_| {}).await.unwrap_err().to_string()
     };
     let robot = || vec![("press".to_owned(), access("127.0.0.1:5007".parse().unwrap()))];
     for listen in ["0.0.0.0:0", "192.168.0.1:0", "[::]:0"] {

@@ -3,12 +3,15 @@
 use std::collections::HashMap;
 use std::io::{self, Read as _, Write as _};
 use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, mpsc};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use bcap_live::link::Access;
+use bcap_sim::pace::Paced;
+use bcap_sim::scenario::Delivery;
 use bcap_sim::{Config as SimConfig, Controller, Profile};
 use bcap_std::server::Server as SimServer;
 use bcap_web::{Config, Server};
@@ -104,6 +107,24 @@ impl Sim {
     }
 }
 
+/// Serves a virtual controller with a time factor, and applies the faults of its scenario to answers.
+pub(crate) fn serve_paced(paced: &Arc<Mutex<Paced>>) -> Running<SocketAddr> {
+    let paced = Arc::clone(paced);
+    let deliver = |paced: &mut Paced, peer, bytes: &mut Vec<u8>| match paced.controller().deliver(peer, bytes) {
+        Delivery::Send => ControlFlow::Continue(()),
+        Delivery::Drop => {
+            bytes.clear();
+            ControlFlow::Continue(())
+        }
+        Delivery::Disconnect => ControlFlow::Break(()),
+    };
+    Running::start(async move |stopped, sender| {
+        let server = SimServer::with_shared(paced).tap(deliver).bcap_tcp("127.0.0.1:0").await?;
+        sender.send(server.addresses().bcap_tcp[0]).unwrap();
+        server.run(async { drop(stopped.await) }).await
+    })
+}
+
 /// Waits until a condition holds.
 #[track_caller]
 pub(crate) fn until(what: &str, mut condition: impl FnMut() -> bool) {
@@ -134,9 +155,10 @@ impl Web {
         Self::with(&|_| {}, robots, true)
     }
 
-    fn with(change: &dyn Fn(&mut Config), robots: &[(&str, SocketAddr)], allow_write: bool) -> Self {
+    pub(crate) fn with(change: &dyn Fn(&mut Config), robots: &[(&str, SocketAddr)], allow_write: bool) -> Self {
         let robots = robots.iter().map(|(name, address)| ((*name).to_owned(), access(*address))).collect();
-        let mut config = Config { listen: "127.0.0.1:0".parse().unwrap(), robots, allow_write, allow_motion: true };
+        let mut config = Config::new("127.0.0.1:0".parse().unwrap(), robots);
+        (config.allow_write, config.allow_motion) = (allow_write, true);
         change(&mut config);
         let audit = Arc::new(Mutex::new(Vec::new()));
         let lines = Arc::clone(&audit);

@@ -66,20 +66,27 @@ pub(crate) fn web(args: &Web, link: &LinkArgs) -> Result<(), Failure> {
         let access = |name: &String| Ok((name.clone(), link.for_profile(name)?.access()?));
         args.profiles.iter().map(access).collect::<Result<_, Failure>>()?
     };
-    let config = Config { listen: args.listen, robots, allow_write: args.allow_write, allow_motion: args.allow_motion };
+    let config =
+        Config { allow_write: args.allow_write, allow_motion: args.allow_motion, ..Config::new(args.listen, robots) };
     runtime()?.block_on(async {
         let ended = signal::wait()?;
-        // an error of the output ends nothing: a page may be needed for a halt
-        let audit = |line: &str| drop(print_line(line));
-        let server = Server::bind(config, audit).await.map_err(|error| match error {
-            bcap_web::Error::Io(error) => taken("--listen", args.listen, &error),
-            error => Failure::Input(error.to_string()),
-        })?;
+        let server = bind(config, "--listen").await?;
         print_line(&server.url())?;
         let page = if args.open { open(&server.url()) } else { None };
         server.run(ended).await;
         drop(page);
         Ok(())
+    })
+}
+
+/// Listens for pages, and prints their actions; `option` is the argument with the address.
+pub(crate) async fn bind(config: Config, option: &str) -> Result<Server, Failure> {
+    let listen = config.listen;
+    // an error of the output ends nothing: a page may be needed for a halt
+    let audit = |line: &str| drop(print_line(line));
+    Server::bind(config, audit).await.map_err(|error| match error {
+        bcap_web::Error::Io(error) => taken(option, listen, &error),
+        error => Failure::Input(error.to_string()),
     })
 }
 

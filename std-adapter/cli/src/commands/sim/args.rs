@@ -31,6 +31,7 @@ Examples:
   bcap sim --record motion.csv
   bcap sim --record motion.mcap
   bcap sim --screen
+  bcap sim --web
   bcap sim --model rc9 --print-model
   bcap sim --model cell7.toml
   bcap sim --model rc9 --arm vs060
@@ -130,6 +131,16 @@ pub(crate) struct Sim {
     #[cfg(feature = "screens")]
     #[arg(long, conflicts_with = "replay")]
     pub(crate) screen: bool,
+
+    /// Serves the page of `bcap web` for this controller, with a panel: scenarios, faults of the link, the time factor
+    ///
+    /// The line `ready` ends with its address, `web=http://IP:PORT/#token=TOKEN`. The page may write and move, because nothing real
+    /// moves; each action is a line of the output. [default address: 127.0.0.1:8011]
+    #[cfg(feature = "web")]
+    #[arg(long, value_name = "IP:PORT", num_args = 0..=1, default_missing_value = "127.0.0.1:8011")]
+    #[arg(conflicts_with_all = ["replay", "no_network"])]
+    #[cfg_attr(feature = "screens", arg(conflicts_with = "screen"))]
+    pub(crate) web: Option<SocketAddr>,
 
     /// The folder of the controller's files; clients see its regular files and folders [default: a temporary
     /// folder with a source file for each task]

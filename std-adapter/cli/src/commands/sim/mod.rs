@@ -6,6 +6,8 @@ mod delivery;
 mod live_screen;
 pub(crate) mod local;
 mod trajectory;
+#[cfg(feature = "web")]
+mod web_panel;
 
 use std::io::{self, Write as _};
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
@@ -64,8 +66,8 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
         // install the signal handlers before the `ready` line: a reader of that line may send a signal at once
         let ended = signal::wait()?;
         if let Some(capture) = &args.replay {
-            return serve(Server::new(Playback::read(capture, print_unknown)?), args, rac, file, ended, print_line)
-                .await;
+            let server = Server::new(Playback::read(capture, print_unknown)?);
+            return serve(server, args, rac, file, ended, async |line| Ok(print_line(line)?)).await;
         }
         // dropped, and thereby deleted, after the controller has ended
         let temporary = tempfile::tempdir()?;
@@ -113,8 +115,13 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
             on_screen(live_screen::Watched::shared(controller, refused), args, rac, file, ended).await?;
             return Ok(trajectory.map_or(Ok(()), |trajectory| trajectory.end())?);
         }
+        #[cfg(feature = "web")]
+        if let Some(listen) = args.web {
+            web_panel::serve_with_page(controller, listen, args, rac, file, ended).await?;
+            return Ok(trajectory.map_or(Ok(()), |trajectory| trajectory.end())?);
+        }
         let server = Server::new(controller).tap(deliver).on_connect(Controller::connected);
-        serve(server, args, rac, file, ended, print_line).await?;
+        serve(server, args, rac, file, ended, async |line| Ok(print_line(line)?)).await?;
         Ok(trajectory.map_or(Ok(()), |trajectory| trajectory.end())?)
     })
 }
@@ -157,7 +164,7 @@ async fn on_screen(
             _ = quits => {}
         }
     };
-    let served = serve(live_screen::Watched::server(&watched), args, rac, file, ended, |line| {
+    let served = serve(live_screen::Watched::server(&watched), args, rac, file, ended, async |line| {
         let addresses = line.strip_prefix("ready ").unwrap_or(line);
         live = Some(bcap_terminal::screen::Live::open(quit, live_screen::shown(addresses, &watched))?);
         Ok(())
@@ -176,7 +183,7 @@ async fn serve<H: Serves>(
     rac: Option<SocketAddr>,
     file: Option<&Path>,
     ended: impl Future<Output = ()>,
-    ready: impl FnOnce(&str) -> io::Result<()>,
+    ready: impl AsyncFnOnce(&str) -> Result<(), Failure>,
 ) -> Result<(), Failure> {
     if let Some(file) = file {
         if !args.serial.is_empty() {
@@ -195,7 +202,7 @@ async fn serve<H: Serves>(
         (server, listening.to_string())
     };
     let (server, lines) = open_lines(server, &args.serial)?;
-    ready(&format!("{listening}{lines}"))?;
+    ready(&format!("{listening}{lines}")).await?;
     Ok(server.run(ended).await?)
 }
 
@@ -235,12 +242,12 @@ async fn recorded<H: Serves>(
     server: Server<H>,
     front: Front,
     ended: impl Future<Output = ()>,
-    ready: impl FnOnce(&str) -> io::Result<()>,
+    ready: impl AsyncFnOnce(&str) -> Result<(), Failure>,
 ) -> Result<(), Failure> {
     let any = SocketAddr::from(([127, 0, 0, 1], 0));
     let (server, Listening { bcap, udp, rac }) =
         bind(server, &Listening { bcap: any, udp: any, rac: Some(any) }).await?;
-    ready(&front.ready()?)?;
+    ready(&front.ready()?).await?;
     let (stop, stopped) = oneshot::channel::<()>();
     let robot = Robot { tcp: vec![bcap], udp, rac: rac.into_iter().collect() };
     let front = async {
