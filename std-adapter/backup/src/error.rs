@@ -31,6 +31,12 @@ impl Error {
     }
 }
 
+impl From<Error> for bcap_live::link::Error {
+    fn from(error: Error) -> Self {
+        Self::Unexpected(error.to_string())
+    }
+}
+
 /// Returns the error of a file operation.
 pub(crate) fn failed(path: &Path) -> impl Fn(io::Error) -> Error {
     move |error| Error::at(path, error)

@@ -4,6 +4,9 @@
 //! |-----------------|---------------------------------------------------------------------------|
 //! | [`contents`]    | the variables and files of a controller, in memory                        |
 //! | [`folder`]      | a backup in a folder, also one that is being written                      |
+//! | [`controller`]  | reads a controller                                                        |
+//! | [`dump`]        | saves a controller in a folder                                            |
+//! | [`restore`]     | plans and writes a backup                                                 |
 //! | [`compare`]     | the differences of two backups                                            |
 //! | [`plan`]        | the writes of a restore, if all of them can be made                       |
 //! | [`journal`]     | the writes of a restore so far, which survive the end of the process      |
@@ -16,11 +19,14 @@
 
 pub mod compare;
 pub mod contents;
+pub mod controller;
+pub mod dump;
 mod error;
 pub mod folder;
 pub mod journal;
 pub mod local_files;
 pub mod plan;
 pub mod replaced;
+pub mod restore;
 
 pub use self::error::Error;

@@ -329,6 +329,27 @@ impl bcap_live::calls::Failure for Failure {
     fn invalid(message: String) -> Self {
         Self::Input(message)
     }
+
+    fn unfit(message: String) -> Self {
+        Self::Unfit { message, code: None, hint: None }
+    }
+
+    fn with_hint(mut self, text: &str) -> Self {
+        match &mut self {
+            Self::Unfit { hint, .. } => *hint = Some(text.into()),
+            Self::Unexpected { hint, .. } => text.clone_into(hint),
+            _ => {}
+        }
+        self
+    }
+
+    fn omission(&self) -> Option<String> {
+        match self {
+            Self::Refused { doing, code } => Some(format!("{doing}: {code}")),
+            Self::Unexpected { message, .. } => Some(message.clone()),
+            _ => None,
+        }
+    }
 }
 
 /// Returns the hint of a code, with the commands of `bcap` in place of the functions of the protocol.

@@ -69,6 +69,16 @@ pub trait Failure: fmt::Display + From<EncodeError> + From<ObjectPathError> {
 
     /// Makes the error of an invalid input of the user.
     fn invalid(message: String) -> Self;
+
+    /// Makes the error of a controller whose state does not fit the work.
+    fn unfit(message: String) -> Self;
+
+    /// Adds the remedy.
+    #[must_use]
+    fn with_hint(self, hint: &str) -> Self;
+
+    /// Returns why the controller did not give something, if the session can go on without it: a refusal, or an unexpected reply.
+    fn omission(&self) -> Option<String>;
 }
 
 /// Returns whether the session must be opened again: the connection is lost, or the controller no longer knows a handle

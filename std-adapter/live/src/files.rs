@@ -5,6 +5,7 @@
 
 use bcap_capture::value::describe;
 use bcap_core::bcap::{FunctionId, Object};
+use bcap_core::hresult::HResult;
 use bcap_core::variant::{OwnedVariant, Variant};
 use bcap_std::ObjectPath;
 
@@ -118,4 +119,162 @@ pub fn with_file<C: Calls, T>(
 
 fn unexpected<F: Failure>(path: &str, value: Option<&OwnedVariant>) -> F {
     F::unexpected(format!("/{path}: the reply carries {}", describe(value)))
+}
+
+/// The deepest folder that is read.
+const DEPTH: usize = 32;
+
+/// The most folders that are read, so that a controller cannot list new ones for ever.
+const FOLDERS: usize = 10_000;
+
+/// A file or folder.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Item {
+    /// From the root, without a `/` at its beginning and end.
+    pub path: String,
+    /// Whether it is a folder.
+    pub is_folder: bool,
+    /// Whether its name could leave its folder on this machine. It is shown, and neither opened nor copied.
+    pub is_unsafe: bool,
+}
+
+impl Item {
+    /// Returns the path for people; an unsafe one is quoted and escaped.
+    #[must_use]
+    pub fn shown(&self) -> String {
+        let path = format!("/{}{}", self.path, if self.is_folder { "/" } else { "" });
+        if self.is_unsafe { format!("{path:?}") } else { path }
+    }
+}
+
+/// Lists a folder in the order of its names; the root is the empty path.
+///
+/// # Errors
+///
+/// The error of a call.
+pub fn items<C: Calls>(calls: &mut C, folder: &str) -> Result<Vec<Item>, C::Error> {
+    let item = |(own, is_folder): (String, bool)| {
+        let is_unsafe = is_unsafe(&own);
+        Item { path: if folder.is_empty() { own } else { format!("{folder}/{own}") }, is_folder, is_unsafe }
+    };
+    let mut items: Vec<_> = list(calls, folder)?.into_iter().map(item).collect();
+    items.sort();
+    Ok(items)
+}
+
+/// Lists all files of a folder and of the folders below it, without the folders whose names are safe.
+///
+/// `skip` gets the path of a folder that cannot be listed, with the reason; an error ends the walk.
+///
+/// # Errors
+///
+/// The error of a call.
+pub fn walk<C: Calls>(
+    calls: &mut C,
+    folder: &str,
+    mut skip: impl FnMut(String, C::Error) -> Result<(), C::Error>,
+) -> Result<Vec<Item>, C::Error> {
+    let mut files = Vec::new();
+    let mut folders = vec![folder.to_owned()];
+    let mut read = 0;
+    while let Some(folder) = folders.pop() {
+        read += 1;
+        if read > FOLDERS {
+            // the folders that are left are not known by name
+            skip(String::new(), too_many(&folder))?;
+            break;
+        }
+        let is_too_deep = folder.split('/').count() > DEPTH;
+        match if is_too_deep { Err(too_many(&folder)) } else { items(calls, &folder) } {
+            Err(failure) => skip(folder, failure)?,
+            Ok(items) => {
+                for item in items {
+                    if item.is_folder && !item.is_unsafe { folders.push(item.path) } else { files.push(item) }
+                }
+            }
+        }
+    }
+    files.sort();
+    Ok(files)
+}
+
+fn too_many<F: Failure>(folder: &str) -> F {
+    let message = format!("/{folder}: there are more than {DEPTH} folders in one another, or {FOLDERS} in all");
+    F::unexpected(message).with_hint("copy single folders with `bcap cp`")
+}
+
+/// Writes a file, which is made if it does not exist, and reads it back.
+///
+/// UTF-8 is sent as BSTR, other bytes as UI1 array.
+///
+/// # Errors
+///
+/// The error of a call; [`Failure::unfit`] if the controller returns another content.
+pub fn write<C: Calls>(calls: &mut C, path: &str, bytes: &[u8]) -> Result<(), C::Error> {
+    with_file(calls, path, Kind::NewFile, |calls, handle| {
+        let value = std::str::from_utf8(bytes).map_or_else(|_| OwnedVariant::new(bytes), OwnedVariant::new)?;
+        calls.call(&format!("/{path}"), FunctionId::FILE_PUT_VALUE, &[OwnedVariant::new(&handle)?, value])?;
+        if content(calls, path, handle)? == bytes {
+            return Ok(());
+        }
+        let message = format!("/{path}: the controller returns another content than was written");
+        Err(C::Error::unfit(message).with_hint("the controller may convert text; compare the file with `bcap cp`"))
+    })
+}
+
+/// Makes the folders above a file, if they do not exist.
+///
+/// # Errors
+///
+/// The error of a call.
+pub fn make_folders<C: Calls>(calls: &mut C, path: &str) -> Result<(), C::Error> {
+    for (end, _) in path.match_indices('/') {
+        with_file(calls, &path[..end], Kind::NewFolder, |_, _| Ok(()))?;
+    }
+    Ok(())
+}
+
+/// Returns whether a file or folder exists.
+///
+/// # Errors
+///
+/// The error of a call.
+pub fn exists<C: Calls>(calls: &mut C, path: &str) -> Result<bool, C::Error> {
+    match with_file(calls, path, Kind::File, |_, _| Ok(())) {
+        Err(refused) if refused.code() == Some(HResult::E_CAO_OBJECT_NOTFOUND) => Ok(false),
+        opened => opened.map(|()| true),
+    }
+}
+
+/// Tells whether the name of a file could leave its folder on this machine.
+fn is_unsafe(name: &str) -> bool {
+    name.is_empty() || name == "." || name == ".." || name.contains(|c: char| c.is_control() || "/\\:".contains(c))
+}
+
+/// The error for items that were not copied because of their names.
+#[must_use]
+pub fn unsafe_names<F: Failure>(items: &[Item]) -> F {
+    let shown = items.iter().take(SHOWN).map(Item::shown).collect::<Vec<_>>().join(", ");
+    let more = match items.len().saturating_sub(SHOWN) {
+        0 => String::new(),
+        more => format!(" and {more} more"),
+    };
+    F::unexpected(format!("the controller lists files with unsafe names, which were not copied: {shown}{more}"))
+        .with_hint("rename these files on the controller")
+}
+
+/// The most names that an error shows.
+const SHOWN: usize = 5;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_stay_in_their_folder() {
+        for name in ["", ".", "..", "a/b", "a\\b", "C:", "a\nb"] {
+            assert!(is_unsafe(name), "{name:?}");
+        }
+        assert!(!is_unsafe("Pro 1.pcs"));
+    }
 }

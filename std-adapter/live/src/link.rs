@@ -122,6 +122,24 @@ impl calls::Failure for Error {
     fn invalid(message: String) -> Self {
         Self::Invalid(message)
     }
+
+    fn unfit(message: String) -> Self {
+        Self::Unexpected(message)
+    }
+
+    fn with_hint(self, hint: &str) -> Self {
+        match self {
+            Self::Unexpected(message) => Self::Unexpected(format!("{message}; {hint}")),
+            error => error,
+        }
+    }
+
+    fn omission(&self) -> Option<String> {
+        match self {
+            Self::Call(bcap_std::Error::Refused { .. }) | Self::Unexpected(_) => Some(self.to_string()),
+            _ => None,
+        }
+    }
 }
 
 /// A session with a controller, whose packets are shown.

@@ -1,7 +1,7 @@
 //! The variables that the user selects: the controller says how many there are of a kind.
 
 use bcap_capture::value::selection::{Selection, names_of};
-pub(crate) use bcap_live::variables::{count, expand};
+pub(crate) use bcap_live::variables::expand;
 
 use crate::failure::Failure;
 

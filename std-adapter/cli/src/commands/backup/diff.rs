@@ -8,9 +8,8 @@ use serde_json::json;
 
 use bcap_backup::compare::{self, Difference, entry_text};
 use bcap_backup::contents::{Contents, Part};
-use bcap_backup::folder;
+use bcap_backup::{controller, folder};
 
-use super::controller;
 use crate::failure::Failure;
 use crate::output::print;
 use crate::session::{Session, with_session};
@@ -90,11 +89,15 @@ fn read(word: &str, session: &mut Session) -> Result<Contents, Failure> {
     match word.split_once(':') {
         Some((robot, "")) if robot.eq_ignore_ascii_case("robot") => {
             session.begin()?;
-            controller::contents(session)
+            contents(session)
         }
-        Some((scheme, _)) if is_address(scheme) => with_session(&session.link().at(word), controller::contents),
+        Some((scheme, _)) if is_address(scheme) => with_session(&session.link().at(word), contents),
         _ => Ok(folder::load(Path::new(word))?),
     }
+}
+
+fn contents(session: &mut Session) -> Result<Contents, Failure> {
+    controller::contents(session, |_, _| Ok(()))
 }
 
 fn variable_line(Difference { name, a, b }: &Difference<String, &Entry>) -> String {

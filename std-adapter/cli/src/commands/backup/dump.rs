@@ -1,20 +1,18 @@
 //! `bcap dump`: saves a controller in a folder.
 
-use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use bcap_core::rac::VariableKind;
 use bcap_terminal::progress::{Progress, bar};
 use clap::Args;
 use serde_json::json;
 
-use super::controller;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::{print_line, print_result};
 use crate::session::Session;
-use bcap_backup::contents::{Contents, Omission, UserVariable};
+use bcap_backup::contents::Contents;
 use bcap_backup::folder::Folder;
+use bcap_backup::{controller, dump};
 
 /// Saves all variables and files of the controller in a folder
 ///
@@ -44,8 +42,12 @@ pub(crate) fn dump(args: &Dump, session: &mut Session, json: bool) -> Result<(),
     if folder.is_resumed && !json {
         print_line(&format!("{shown}: the interrupted dump goes on"))?;
     }
-    let progress = Progress::default();
-    let contents = Dumping { session, folder: &folder, interrupt: &interrupt, shown: &shown, progress }.run()?;
+    let mut progress = Progress::default();
+    let contents = dump::dump(session, &folder, |_, at| {
+        check_signal(&interrupt, &shown)?;
+        show(&mut progress, at.part, at.done as u64, at.count as u64);
+        Ok(())
+    })?;
     print_summary(&shown, &contents, json)?;
     match contents.refused() + contents.omitted.len() {
         0 => Ok(()),
@@ -72,68 +74,6 @@ fn missing_parts(contents: &Contents) -> String {
     let first =
         contents.omitted.first().map(|first| format!("the first of them is {}; ", first.reason)).unwrap_or_default();
     format!("{first}lines with \"refused\" and \"omitted\" in backup.json have their codes; over UDP, use TCP instead")
-}
-
-struct Dumping<'a> {
-    session: &'a mut Session,
-    folder: &'a Folder,
-    interrupt: &'a Interrupt,
-    shown: &'a str,
-    progress: Progress,
-}
-
-impl Dumping<'_> {
-    fn run(mut self) -> Result<Contents, Failure> {
-        let mut omitted = Vec::new();
-        for kind in VariableKind::ALL {
-            self.kind(kind, &mut omitted)?;
-        }
-        self.system(&mut omitted)?;
-        self.files(&mut omitted)?;
-        Ok(self.folder.finish(omitted)?)
-    }
-
-    /// Saves the variables of a kind, from the first one that an earlier dump did not save.
-    fn kind(&mut self, kind: VariableKind, omitted: &mut Vec<Omission>) -> Result<(), Failure> {
-        let Some(count) = controller::count(self.session, kind, omitted)? else { return Ok(()) };
-        let Some((mut part, done)) = self.folder.part(kind)? else { return Ok(()) };
-        let Self { session, interrupt, shown, progress, .. } = self;
-        controller::variables(session, kind, done..count, |index, entry| {
-            check_signal(interrupt, shown)?;
-            show(progress, kind.name(), index.into(), count.into());
-            Ok(part.push(UserVariable::new(kind, index).name(), entry)?)
-        })?;
-        Ok(part.finish()?)
-    }
-
-    fn system(&mut self, omitted: &mut Vec<Omission>) -> Result<(), Failure> {
-        let names = controller::system_names(self.session, omitted)?;
-        let (count, mut system) = (names.len(), BTreeMap::new());
-        for (name, done) in names.into_iter().zip(0..) {
-            check_signal(self.interrupt, self.shown)?;
-            show(&mut self.progress, "@", done, count as u64);
-            if let Some(entry) = controller::system(self.session, &name)? {
-                system.insert(name, entry);
-            }
-        }
-        Ok(self.folder.write_system(&system)?)
-    }
-
-    fn files(&mut self, omitted: &mut Vec<Omission>) -> Result<(), Failure> {
-        let paths = controller::files(self.session, omitted)?;
-        let count = paths.len();
-        for (path, done) in paths.into_iter().zip(0..) {
-            check_signal(self.interrupt, self.shown)?;
-            show(&mut self.progress, "file", done, count as u64);
-            if self.folder.has_file(&path) {
-                continue;
-            }
-            if let Some(bytes) = controller::file(self.session, &path, omitted)? {
-                self.folder.write_file(&path, &bytes)?;
-            }
-        }
-        Ok(())
-    }
 }
 
 fn show(progress: &mut Progress, part: &str, done: u64, count: u64) {

@@ -2,7 +2,6 @@
 //!
 //! `docs/backup.md` describes the format of a folder and the guarantees.
 
-mod controller;
 pub(crate) mod diff;
 pub(crate) mod dump;
 pub(crate) mod restore;

@@ -1,39 +1,24 @@
 //! `bcap restore`: writes a backup back to the controller.
 //!
-//! ```text
-//!  plan (first session) ─► confirm ─► write (second session), for each variable:
-//!                                     read, is it still as planned? ─► journal ─► write ─► read back ─► journal
-//! ```
-//!
-//! A file is checked in the same way, and the one that it replaces is saved in the folder before the write.
-//!
 //! The user may read the plan for hours, so the command's own session does not stay open meanwhile, and each value and file is
 //! checked again.
 
 use std::path::{Path, PathBuf};
 
-use bcap_capture::value::to_json;
-use bcap_core::bcap::{FunctionId, Object};
-use bcap_std::ObjectPath;
 use clap::Args;
 use serde_json::json;
 
-use bcap_backup::compare::entry_text;
-use bcap_backup::contents::{About, Contents};
+use bcap_backup::contents::Contents;
 use bcap_backup::folder;
 use bcap_backup::journal::{Journal, Past};
-use bcap_backup::plan::{Change, FileChange, Plan};
+use bcap_backup::plan::Plan;
 use bcap_backup::replaced::Replaced;
+use bcap_backup::restore::{self, Options};
 
-use super::controller;
 use crate::failure::Failure;
-use crate::interrupt::Interrupt;
 use crate::output::{print_json, print_line, print_result};
+use crate::session::Session;
 use crate::session::confirm::Question;
-use crate::session::variables::{get_one, read};
-use crate::session::{Session, remote_files};
-use crate::values::{Value, integer};
-use bcap_capture::value::named::Entry;
 
 /// Writes a backup back to the controller
 ///
@@ -121,7 +106,9 @@ pub(crate) fn restore(args: &Restore, session: &mut Session, json: bool) -> Resu
     // the question may have taken long
     session.restart_budget();
     let written = session.begin().and_then(|()| {
-        Writing { session, journal: &mut journal, replaced: &replaced, interrupt: &interrupt }.run(&plan)
+        restore::write(session, &plan, &mut journal, &replaced, |_, _| {
+            interrupt.check("interrupted between two writes")
+        })
     });
     conclude(&args.dir, &mut journal, written, json)
 }
@@ -129,10 +116,8 @@ pub(crate) fn restore(args: &Restore, session: &mut Session, json: bool) -> Resu
 /// Compares the backup with the controller.
 fn planned(args: &Restore, backup: &Contents, session: &mut Session) -> Result<Plan, Failure> {
     session.begin()?;
-    check_state(session)?;
-    let controller = controller::contents(session)?;
-    check_controller(args, &backup.about, &controller.about)?;
-    Ok(Plan::new(backup, &controller, args.io)?)
+    let options = Options { io: args.io, other_controller: args.other_controller };
+    restore::plan(session, backup, options, |_, _| Ok(()))
 }
 
 /// Prints the writes of the last restore.
@@ -169,36 +154,6 @@ fn note(text: &str, json: bool) -> Result<(), Failure> {
     Ok(print_result(json, &json!({ "note": text }), text)?)
 }
 
-/// Checks that nothing else changes the controller now, as far as it tells.
-fn check_state(session: &mut Session) -> Result<(), Failure> {
-    for (name, fitting, wrong) in [
-        ("@BUSY_STATUS", Value::new(&false)?, "the controller is busy: stop its tasks and the robot first"),
-        ("@NORMAL_STATUS", Value::new(&true)?, "the controller has an error: clear it first"),
-        ("@EMERGENCY_STOP", Value::new(&false)?, "the emergency stop is pressed: release it first"),
-    ] {
-        match get_one(session, &ObjectPath::variable(name)?) {
-            Ok(value) if value == fitting => {}
-            Ok(value) => return Err(unfit(format!("{wrong} ({name} is {})", entry_text(Some(&Entry::Value(value)))))),
-            Err(Failure::Refused { doing, code }) => {
-                return Err(unfit(format!("the state of the controller is not known: {doing}: {code}")));
-            }
-            Err(failure) => return Err(failure),
-        }
-    }
-    Ok(())
-}
-
-fn check_controller(args: &Restore, backup: &About, controller: &About) -> Result<(), Failure> {
-    if args.other_controller || backup.is_same_controller(controller) {
-        return Ok(());
-    }
-    Err(unfit(format!(
-        "the backup is of {}, and this is {}; give --other-controller if that is intended",
-        backup.describe(),
-        controller.describe()
-    )))
-}
-
 /// Prints the plan.
 fn show(plan: &Plan, most: usize, json: bool) -> Result<(), Failure> {
     if json {
@@ -220,95 +175,4 @@ fn conclude(dir: &Path, journal: &mut Journal, written: Result<(), Failure>, jso
         summary(&past, json)?;
     }
     written
-}
-
-/// A restore under way.
-struct Writing<'a> {
-    session: &'a mut Session,
-    journal: &'a mut Journal,
-    replaced: &'a Replaced,
-    interrupt: &'a Interrupt,
-}
-
-impl Writing<'_> {
-    fn run(&mut self, plan: &Plan) -> Result<(), Failure> {
-        let mut kind = None;
-        for change in &plan.variables {
-            let own = change.name.trim_end_matches(|c: char| c.is_ascii_digit());
-            if kind.replace(own) != Some(own) {
-                // a task may have been started since
-                check_still_clear(self.session)?;
-            }
-            self.variable(change)?;
-        }
-        for file in &plan.files {
-            check_still_clear(self.session)?;
-            self.file(file)?;
-        }
-        Ok(())
-    }
-
-    fn variable(&mut self, change: &Change) -> Result<(), Failure> {
-        let Change { name, was, value } = change;
-        self.check_signal()?;
-        let path = ObjectPath::variable(name)?;
-        let variable = self.session.object(&path)?;
-        let now = read(self.session, &path, variable)?;
-        if now != *was {
-            let [now, was] = [now, was.clone()].map(|value| entry_text(Some(&Entry::Value(value))));
-            return Err(stopped(format!("{name} is {now} now and was {was} in the plan: another program writes it")));
-        }
-        self.journal.writing(name, &to_json(was.as_variant()), &to_json(value.as_variant()))?;
-        self.session.call(name, FunctionId::VARIABLE_PUT_VALUE, &[integer(variable)?, value.clone()])?;
-        let now = read(self.session, &path, variable)?;
-        if now != *value {
-            let [now, value] = [now, value.clone()].map(|value| entry_text(Some(&Entry::Value(value))));
-            return Err(stopped(format!("{name} is {now} after {value} was written")));
-        }
-        self.journal.written(name)?;
-        self.session.release(Object::Variable, variable)
-    }
-
-    fn file(&mut self, file: &FileChange) -> Result<(), Failure> {
-        self.check_signal()?;
-        let name = format!("file:{}", file.path);
-        if content_now(self.session, file)? != file.was {
-            return Err(stopped(format!("{name} has changed since the plan: another program writes it")));
-        }
-        let saved = file.was.as_ref().map(|was| self.replaced.save(&file.path, was)).transpose()?;
-        self.journal.writing(&name, &file.was_json(saved.as_deref()), &file.value_json())?;
-        remote_files::make_folders(self.session, &file.path)?;
-        remote_files::write(self.session, &file.path, &file.bytes)?;
-        Ok(self.journal.written(&name)?)
-    }
-
-    /// Ends the restore between two writes after a signal.
-    fn check_signal(&self) -> Result<(), Failure> {
-        self.interrupt.check("interrupted between two writes")
-    }
-}
-
-/// Reads a file before it is written; `None` if it does not exist.
-fn content_now(session: &mut Session, file: &FileChange) -> Result<Option<Vec<u8>>, Failure> {
-    if file.was.is_none() && !remote_files::exists(session, &file.path)? {
-        return Ok(None);
-    }
-    remote_files::read(session, &file.path).map(Some)
-}
-
-/// Checks the state in the middle of a restore, where something may have been written.
-fn check_still_clear(session: &mut Session) -> Result<(), Failure> {
-    check_state(session).map_err(|failure| match failure {
-        Failure::Unfit { message, .. } => stopped(message.trim_end_matches(". Nothing was written").to_owned()),
-        failure => failure,
-    })
-}
-
-fn stopped(message: String) -> Failure {
-    Failure::unfit(message, "nothing more was written")
-}
-
-/// Returns the failure of a restore that has written nothing.
-fn unfit(message: String) -> Failure {
-    bcap_backup::Error::unfit(message).into()
 }

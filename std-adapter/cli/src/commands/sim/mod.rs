@@ -117,7 +117,12 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
         }
         #[cfg(feature = "web")]
         if let Some(listen) = args.web {
-            web_panel::serve_with_page(controller, listen, args, rac, file, ended).await?;
+            let shared = web_panel::shared(controller);
+            serve(web_panel::server(&shared), args, rac, file, ended, async |line| {
+                let url = web_panel::start(line, listen, shared).await?;
+                Ok(print_line(&format!("{line} web={url}"))?)
+            })
+            .await?;
             return Ok(trajectory.map_or(Ok(()), |trajectory| trajectory.end())?);
         }
         let server = Server::new(controller).tap(deliver).on_connect(Controller::connected);

@@ -3,8 +3,7 @@
 use std::future::pending;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::ops::ControlFlow;
-use std::path::Path;
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use bcap_core::handler::PeerId;
 use bcap_live::link::Access;
@@ -13,49 +12,32 @@ use bcap_sim::pace::Paced;
 use bcap_std::server::Server;
 use bcap_web::Config;
 
-use super::args::Sim;
 use super::delivery;
 use crate::commands::web;
 use crate::failure::Failure;
-use crate::output::print_line;
 
-/// Serves the controller and the page, until `ended`.
-pub(super) async fn serve_with_page(
-    controller: Controller,
-    listen: SocketAddr,
-    args: &Sim,
-    rac: Option<SocketAddr>,
-    file: Option<&Path>,
-    ended: impl Future<Output = ()>,
-) -> Result<(), Failure> {
-    let (name, provider) = (controller.config().model.name.clone(), controller.config().model.provider.clone());
-    let shared = Arc::new(Mutex::new(Paced::new(controller)));
-    let server = Server::with_shared(Arc::clone(&shared)).tap(deliver).on_connect(connected);
-    super::serve(server, args, rac, file, ended, async |line| {
-        let address = address_of(line).ok_or_else(|| Failure::Input(format!("no address for the page: {line}")))?;
-        let access = Access {
-            address: format!("tcp:{address}").parse().map_err(bcap_std::Error::from).map_err(failed)?,
-            provider: Some(provider),
-            machine: None,
-            option: String::new(),
-        };
-        let config = Config {
-            allow_write: true,
-            allow_motion: true,
-            panel: Some(shared),
-            ..Config::new(listen, vec![(format!("virtual {name}"), access)])
-        };
-        let page = web::bind(config, "--web").await?;
-        print_line(&format!("{line} web={}", page.url()))?;
-        // it ends with the runtime
-        tokio::spawn(page.run(pending()));
-        Ok(())
-    })
-    .await
+/// Makes the controller that the server and the page share.
+pub(super) fn shared(controller: Controller) -> Arc<Mutex<Paced>> {
+    Arc::new(Mutex::new(Paced::new(controller)))
 }
 
-fn failed(error: bcap_std::Error) -> Failure {
-    Failure::Input(error.to_string())
+/// Makes the server.
+pub(super) fn server(shared: &Arc<Mutex<Paced>>) -> Server<Paced> {
+    Server::with_shared(Arc::clone(shared)).tap(deliver).on_connect(connected)
+}
+
+/// Starts the page, which ends with the runtime, and returns its address. `ready` is the line with the addresses of the controller.
+pub(super) async fn start(ready: &str, listen: SocketAddr, shared: Arc<Mutex<Paced>>) -> Result<String, Failure> {
+    let model = shared.lock().unwrap_or_else(PoisonError::into_inner).controller().config().model.clone();
+    let address = address_of(ready).ok_or_else(|| Failure::Input(format!("no address for the page: {ready}")))?;
+    let address = format!("tcp:{address}").parse().map_err(|error| Failure::Input(format!("{address}: {error}")))?;
+    let access = Access { address, provider: Some(model.provider), machine: None, option: String::new() };
+    let robots = vec![(format!("virtual {}", model.name), access)];
+    let config = Config { allow_write: true, allow_motion: true, panel: Some(shared), ..Config::new(listen, robots) };
+    let page = web::bind(config, "--web").await?;
+    let url = page.url();
+    tokio::spawn(page.run(pending()));
+    Ok(url)
 }
 
 /// Returns the address of b-CAP over TCP that the line `ready` has, as a client of this computer reaches it.

@@ -14,14 +14,15 @@ use bcap_core::hresult::HResult;
 use bcap_core::rac::VariableKind;
 use bcap_std::ObjectPath;
 
-use crate::failure::Failure;
-use crate::session::slave_mode::spare;
-use crate::session::variables::{get_one, list, read, short_type};
-use crate::session::{Session, remote_files, selection};
-use crate::values::{Value, integer};
-use bcap_backup::contents::{About, Contents, Omission, Part, UserVariable};
 use bcap_capture::value::named::Entry;
 use bcap_capture::value::selection::is_user_variable;
+use bcap_core::variant::OwnedVariant as Value;
+use bcap_live::calls::{Calls, Failure};
+use bcap_live::files as remote_files;
+use bcap_live::stream::StreamCheck;
+use bcap_live::variables::{self as selection, get_one, list, read, short_type};
+
+use crate::contents::{About, Contents, Omission, Part, UserVariable};
 
 /// The usual system variables, for a controller that does not list its own, or not over UDP.
 const CONTROLLER: &str = "\
@@ -35,34 +36,62 @@ const ROBOT: &str = "\
     @HIGH_CURRENT_POSITION @HIGH_CURRENT_ANGLE @HIGH_CURRENT_TRANS @EXTSPEED @EXTACCEL @EXTDECEL";
 
 /// Reads type, version and serial number: the first step of each command, which fails while a stream of Slave Mode runs.
-pub(super) fn about(session: &mut Session) -> Result<About, Failure> {
-    spare(session, FunctionId::CONTROLLER_GET_VARIABLE_NAMES, None)?;
+///
+/// # Errors
+///
+/// The error of a call that is more than a refusal.
+pub fn about<C: Calls>(session: &mut C) -> Result<About, C::Error> {
+    StreamCheck::default().require(session, FunctionId::CONTROLLER_GET_VARIABLE_NAMES, None)?;
     let mut text = |name: &str| match entry(get_one(session, &ObjectPath::variable(name)?))? {
         Entry::Value(value) => {
             let number = || value.convert::<i64>().map(|number| number.to_string());
             Ok(value.convert::<String>().or_else(|_| number()).unwrap_or_default().trim().to_owned())
         }
-        Entry::Refused(_) => Ok::<_, Failure>(String::new()),
+        Entry::Refused(_) => Ok::<_, C::Error>(String::new()),
     };
     Ok(About { kind: short_type(&text("@TYPE")?), version: text("@VERSION")?, serial: text("@SERIAL_NO")? })
 }
 
-/// Reads everything.
-pub(super) fn contents(session: &mut Session) -> Result<Contents, Failure> {
+/// How far a dump or a restore is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Progress<'a> {
+    /// What is read or written: a kind of variables, `@` for system variables, or `file`.
+    pub part: &'a str,
+    /// How many of this part are done.
+    pub done: usize,
+    /// How many there are.
+    pub count: usize,
+}
+
+/// Reads everything. `watch` gets the progress before each item; its error ends the work.
+///
+/// # Errors
+///
+/// The error of a call that is more than a refusal.
+pub fn contents<C: Calls>(
+    session: &mut C,
+    mut watch: impl FnMut(&mut C, Progress<'_>) -> Result<(), C::Error>,
+) -> Result<Contents, C::Error> {
     let mut contents = Contents { about: about(session)?, ..Contents::default() };
     for kind in VariableKind::ALL {
         let Some(count) = count(session, kind, &mut contents.omitted)? else { continue };
-        variables(session, kind, 0..count, |index, entry| {
+        variables(session, kind, 0..count, |session, index, entry| {
             contents.variables.insert(UserVariable::new(kind, index), entry);
-            Ok(())
+            watch(session, Progress { part: kind.name(), done: index as usize, count: count as usize })
         })?;
     }
-    for name in system_names(session, &mut contents.omitted)? {
+    let names = system_names(session, &mut contents.omitted)?;
+    let count = names.len();
+    for (done, name) in names.into_iter().enumerate() {
+        watch(session, Progress { part: "@", done, count })?;
         if let Some(entry) = system(session, &name)? {
             contents.system.insert(name, entry);
         }
     }
-    for path in files(session, &mut contents.omitted)? {
+    let paths = files(session, &mut contents.omitted)?;
+    let count = paths.len();
+    for (done, path) in paths.into_iter().enumerate() {
+        watch(session, Progress { part: "file", done, count })?;
         if let Some(bytes) = file(session, &path, &mut contents.omitted)? {
             contents.files.insert(path, bytes);
         }
@@ -71,21 +100,29 @@ pub(super) fn contents(session: &mut Session) -> Result<Contents, Failure> {
 }
 
 /// Reads the number of variables of a kind; `None` after a refusal.
-pub(super) fn count(
-    session: &mut Session,
+///
+/// # Errors
+///
+/// The error of a call that is more than a refusal.
+pub fn count<C: Calls>(
+    session: &mut C,
     kind: VariableKind,
     omitted: &mut Vec<Omission>,
-) -> Result<Option<u32>, Failure> {
+) -> Result<Option<u32>, C::Error> {
     unless_omitted(selection::count(session, kind), Part::Variables(kind), omitted)
 }
 
 /// Reads variables of a kind, in order.
-pub(super) fn variables(
-    session: &mut Session,
+///
+/// # Errors
+///
+/// The error of a call that is more than a refusal.
+pub fn variables<C: Calls>(
+    session: &mut C,
     kind: VariableKind,
     indices: Range<u32>,
-    mut each: impl FnMut(u32, Entry) -> Result<(), Failure>,
-) -> Result<(), Failure> {
+    mut each: impl FnMut(&mut C, u32, Entry) -> Result<(), C::Error>,
+) -> Result<(), C::Error> {
     let mut wildcard = Wildcard::open(session, kind, &indices)?;
     for index in indices.clone() {
         let value = match &mut wildcard {
@@ -102,7 +139,7 @@ pub(super) fn variables(
                 by_name(session, kind, index)?
             }
         };
-        each(index, value)?;
+        each(session, index, value)?;
     }
     wildcard.map_or(Ok(()), |wildcard| wildcard.close(session))
 }
@@ -117,12 +154,12 @@ struct Wildcard {
 
 impl Wildcard {
     /// Opens `I*`, if the controller has it and reads samples through it as by their names.
-    fn open(session: &mut Session, kind: VariableKind, indices: &Range<u32>) -> Result<Option<Self>, Failure> {
+    fn open<C: Calls>(session: &mut C, kind: VariableKind, indices: &Range<u32>) -> Result<Option<Self>, C::Error> {
         if indices.is_empty() {
             return Ok(None);
         }
         let handle = match session.object(&ObjectPath::variable(&format!("{}*", kind.name()))?) {
-            Err(Failure::Refused { .. }) => return Ok(None),
+            Err(refused) if refused.code().is_some() => return Ok(None),
             opened => opened?,
         };
         let mut wildcard = Self { kind, handle, only: None };
@@ -141,7 +178,7 @@ impl Wildcard {
     }
 
     /// Reads a variable; `None` if the handle returns another value than the name does.
-    fn read(&mut self, session: &mut Session, index: u32) -> Result<Option<Entry>, Failure> {
+    fn read<C: Calls>(&mut self, session: &mut C, index: u32) -> Result<Option<Entry>, C::Error> {
         let value = entry(by_id(session, self.kind, self.handle, index))?;
         if self.only.as_ref().is_some_and(|only| *only != value) {
             if value != by_name(session, self.kind, index)? {
@@ -153,19 +190,19 @@ impl Wildcard {
     }
 
     /// Compares by name the values that were read before the handle was found to be wrong.
-    fn check_again(&self, session: &mut Session, indices: Range<u32>) -> Result<(), Failure> {
+    fn check_again<C: Calls>(&self, session: &mut C, indices: Range<u32>) -> Result<(), C::Error> {
         for index in indices {
             if self.only != Some(by_name(session, self.kind, index)?) {
-                return Err(Failure::unfit(
-                    format!("{0}{index} has another value through {0}*: PutID has no effect", self.kind.name()),
-                    "stop the programs of the controller, and dump to another folder",
-                ));
+                let name = self.kind.name();
+                let message = format!("{name}{index} has another value through {name}*: PutID has no effect");
+                let hint = "stop the programs of the controller, and dump to another folder";
+                return Err(C::Error::unfit(message).with_hint(hint));
             }
         }
         Ok(())
     }
 
-    fn close(self, session: &mut Session) -> Result<(), Failure> {
+    fn close<C: Calls>(self, session: &mut C) -> Result<(), C::Error> {
         session.release(Object::Variable, self.handle)
     }
 }
@@ -178,32 +215,35 @@ fn samples(indices: &Range<u32>) -> impl Iterator<Item = u32> + use<> {
     once(last).chain(indices.clone().step_by(distance).filter(move |index| *index != last))
 }
 
-fn by_id(session: &mut Session, kind: VariableKind, handle: i32, index: u32) -> Result<Value, Failure> {
+fn by_id<C: Calls>(session: &mut C, kind: VariableKind, handle: i32, index: u32) -> Result<Value, C::Error> {
     // an index is at most 16 bits wide
-    let id = integer(i32::try_from(index).unwrap_or(i32::MAX))?;
-    session.call(kind.name(), FunctionId::VARIABLE_PUT_ID, &[integer(handle)?, id])?;
-    let (_, value) = session.call(kind.name(), FunctionId::VARIABLE_GET_VALUE, &[integer(handle)?])?;
+    let id = Value::new(&i32::try_from(index).unwrap_or(i32::MAX))?;
+    session.call(kind.name(), FunctionId::VARIABLE_PUT_ID, &[Value::new(&handle)?, id])?;
+    let (_, value) = session.call(kind.name(), FunctionId::VARIABLE_GET_VALUE, &[Value::new(&handle)?])?;
     Ok(value.unwrap_or_default())
 }
 
-fn by_name(session: &mut Session, kind: VariableKind, index: u32) -> Result<Entry, Failure> {
+fn by_name<C: Calls>(session: &mut C, kind: VariableKind, index: u32) -> Result<Entry, C::Error> {
     entry(get_one(session, &ObjectPath::variable(&UserVariable::new(kind, index).name())?))
 }
 
 /// Turns a refusal into an entry.
-fn entry(value: Result<Value, Failure>) -> Result<Entry, Failure> {
+fn entry<F: Failure>(value: Result<Value, F>) -> Result<Entry, F> {
     match value {
         Ok(value) => Ok(Entry::Value(value)),
-        Err(Failure::Refused { code, .. }) => Ok(Entry::Refused(code)),
-        Err(failure) => Err(failure),
+        Err(failure) => failure.code().map(Entry::Refused).ok_or(failure),
     }
 }
 
 /// Reads a system variable; `None` if it does not exist.
-pub(super) fn system(session: &mut Session, name: &str) -> Result<Option<Entry>, Failure> {
+///
+/// # Errors
+///
+/// The error of a call that is more than a refusal.
+pub fn system<C: Calls>(session: &mut C, name: &str) -> Result<Option<Entry>, C::Error> {
     let path = ObjectPath::variable(name)?;
     let variable = match session.object(&path) {
-        Err(Failure::Refused { .. }) => return Ok(None),
+        Err(refused) if refused.code().is_some() => return Ok(None),
         opened => opened?,
     };
     let value = entry(read(session, &path, variable))?;
@@ -212,7 +252,11 @@ pub(super) fn system(session: &mut Session, name: &str) -> Result<Option<Entry>,
 }
 
 /// Returns the names of all system variables: of the controller, of its robots and of its tasks.
-pub(super) fn system_names(session: &mut Session, omitted: &mut Vec<Omission>) -> Result<BTreeSet<String>, Failure> {
+///
+/// # Errors
+///
+/// The error of a call that is more than a refusal.
+pub fn system_names<C: Calls>(session: &mut C, omitted: &mut Vec<Omission>) -> Result<BTreeSet<String>, C::Error> {
     use FunctionId as F;
     let controller = ObjectPath::controller();
     let mut names = BTreeSet::new();
@@ -230,7 +274,7 @@ pub(super) fn system_names(session: &mut Session, omitted: &mut Vec<Omission>) -
     for (object, list_owners, list_variables, usual) in owners {
         let owners = match list(session, &controller, list_owners) {
             // a controller that does not implement the list has no such objects
-            Err(Failure::Refused { code: HResult::E_NOTIMPL, .. }) => Vec::new(),
+            Err(refused) if refused.code() == Some(HResult::E_NOTIMPL) => Vec::new(),
             owners => unless_omitted(owners, Part::System, omitted)?.unwrap_or_default(),
         };
         for name in owners {
@@ -243,24 +287,32 @@ pub(super) fn system_names(session: &mut Session, omitted: &mut Vec<Omission>) -
 }
 
 /// Lists the variables of an object; `None` after a refusal, also because the list does not fit a datagram.
-fn listed(session: &mut Session, owner: &ObjectPath, function: FunctionId) -> Result<Option<Vec<String>>, Failure> {
+fn listed<C: Calls>(
+    session: &mut C,
+    owner: &ObjectPath,
+    function: FunctionId,
+) -> Result<Option<Vec<String>>, C::Error> {
     match list(session, owner, function) {
-        Err(Failure::Refused { .. } | Failure::Unexpected { .. }) => Ok(None),
+        Err(failure) if failure.omission().is_some() => Ok(None),
         names => names.map(Some),
     }
 }
 
 /// Returns the paths of all files. A folder that cannot be listed does not hide the others.
-pub(super) fn files(session: &mut Session, omitted: &mut Vec<Omission>) -> Result<Vec<String>, Failure> {
-    let items = remote_files::walk(session, "", |path, failure| match failure {
+///
+/// # Errors
+///
+/// The error of a call that is more than a refusal.
+pub fn files<C: Calls>(session: &mut C, omitted: &mut Vec<Omission>) -> Result<Vec<String>, C::Error> {
+    let items = remote_files::walk(session, "", |path, failure: C::Error| match failure.code() {
         // a controller that does not implement the list has no files
-        Failure::Refused { code: HResult::E_NOTIMPL, .. } if path.is_empty() => Ok(()),
-        failure => omit(failure, Part::Files(path), omitted),
+        Some(HResult::E_NOTIMPL) if path.is_empty() => Ok(()),
+        _ => omit(failure, Part::Files(path), omitted),
     })?;
     let mut files = Vec::new();
     for item in items {
         if item.is_unsafe {
-            let failure = remote_files::unsafe_names(std::slice::from_ref(&item));
+            let failure: C::Error = remote_files::unsafe_names(std::slice::from_ref(&item));
             // with `/` at its beginning it is not the path of another file
             omit(failure, Part::Files(format!("/{}", item.path)), omitted)?;
         } else {
@@ -271,15 +323,19 @@ pub(super) fn files(session: &mut Session, omitted: &mut Vec<Omission>) -> Resul
 }
 
 /// Reads a file; `None` if that is not possible.
-pub(super) fn file(session: &mut Session, path: &str, omitted: &mut Vec<Omission>) -> Result<Option<Vec<u8>>, Failure> {
+///
+/// # Errors
+///
+/// The error of a call that is more than a refusal.
+pub fn file<C: Calls>(session: &mut C, path: &str, omitted: &mut Vec<Omission>) -> Result<Option<Vec<u8>>, C::Error> {
     unless_omitted(remote_files::read(session, path), Part::Files(path.to_owned()), omitted)
 }
 
-fn unless_omitted<T>(
-    result: Result<T, Failure>,
+fn unless_omitted<T, F: Failure>(
+    result: Result<T, F>,
     part: Part,
     omitted: &mut Vec<Omission>,
-) -> Result<Option<T>, Failure> {
+) -> Result<Option<T>, F> {
     match result {
         Err(failure) => omit(failure, part, omitted).map(|()| None),
         Ok(value) => Ok(Some(value)),
@@ -287,12 +343,8 @@ fn unless_omitted<T>(
 }
 
 /// Adds a part to the list of omissions; returns the failure if the session cannot go on after it.
-fn omit(failure: Failure, part: Part, omitted: &mut Vec<Omission>) -> Result<(), Failure> {
-    let reason = match failure {
-        Failure::Refused { doing, code } => format!("{doing}: {code}"),
-        Failure::Unexpected { message, .. } => message,
-        failure => return Err(failure),
-    };
+fn omit<F: Failure>(failure: F, part: Part, omitted: &mut Vec<Omission>) -> Result<(), F> {
+    let Some(reason) = failure.omission() else { return Err(failure) };
     omitted.push(Omission { part, reason });
     Ok(())
 }
