@@ -13,5 +13,6 @@ pub mod model;
 pub mod reader;
 pub mod recovery;
 pub mod stream;
+pub mod survey;
 pub mod variables;
 pub mod write;

@@ -11,6 +11,7 @@
 //! | [`received`]   | the replies of a stream as a CSV file                                         |
 //! | [`report`]     | the statistics of a stream as JSON and as text                                |
 //! | [`plot`]       | poses, differences and cycle times as SVG                                     |
+//! | [`trajectory`] | the trajectory of an arm as an MCAP or CSV file                               |
 //! | [`line_speed`] | whether a serial line is fast enough                                          |
 //!
 //! Without the feature `files` there is only [`steps`].
@@ -40,3 +41,5 @@ pub mod sample;
 #[cfg(feature = "files")]
 pub mod status;
 pub mod steps;
+#[cfg(feature = "files")]
+pub mod trajectory;

@@ -5,7 +5,6 @@ mod delivery;
 #[cfg(feature = "screens")]
 mod live_screen;
 pub(crate) mod local;
-mod trajectory;
 #[cfg(feature = "web")]
 mod web_panel;
 
@@ -23,16 +22,17 @@ use bcap_core::{bcap, rac};
 use bcap_sim::explain::Observer;
 use bcap_sim::files::{Executor, Job, write_sources};
 use bcap_sim::scenario::Effect;
+use bcap_sim::trace::{Recorder, TracePoint};
 use bcap_sim::{ArmModel, ArmProfile, Config, Controller, Model, Profile, Scenario, Token};
 use bcap_std::SerialLine;
 use bcap_std::server::{LineEvent, Server};
+use bcap_stream::trajectory::{Point, Trajectory};
 use bcap_terminal::{escape, signal};
 use delivery::deliver;
 use tokio::sync::oneshot;
 
 use crate::commands::packets::proxy::Front;
 use crate::commands::sim::args::{Sim, Source};
-use crate::commands::sim::trajectory::Trajectory;
 use crate::failure::Failure;
 use crate::listen::{runtime, taken};
 use crate::output::{note, print_block, print_line};
@@ -94,11 +94,7 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
             config.robot_type.clone_from(robot_type);
         }
         config.slave.licensed = !args.no_slave_licence;
-        let create = |path| Trajectory::create(path, config.wall_clock_origin_ms);
-        let trajectory = args.record.as_deref().map(create).transpose()?;
-        if let Some(trajectory) = &trajectory {
-            config.recorder = trajectory.recorder();
-        }
+        let trajectory = args.record.as_deref().map(|path| record(path, &mut config)).transpose()?;
         let mut controller = Controller::new(config);
         if let Some(path) = &args.scenario {
             let scenario = read_scenario(path, controller.config())?;
@@ -315,6 +311,18 @@ fn file_worker() -> io::Result<Executor> {
     thread::Builder::new().name("files".into()).spawn(move || queue.into_iter().for_each(|job| job()))?;
     // a job that does not fit the queue is dropped, which answers its call with E_BUSY_PROC
     Ok(Executor::new(move |job| drop(jobs.try_send(job))))
+}
+
+/// Has the controller write the trajectory of its arm into a file.
+fn record(path: &Path, config: &mut Config) -> Result<Trajectory, Failure> {
+    let trajectory = Trajectory::create(path, config.wall_clock_origin_ms)
+        .map_err(|error| Failure::Input(format!("--record {}: {error}", path.display())))?;
+    let file = trajectory.clone();
+    config.recorder = Recorder::new(move |point| {
+        let TracePoint { at, axes, position, tool, work } = *point;
+        file.add(&Point { at, axes, position, tool, work });
+    });
+    Ok(trajectory)
 }
 
 /// Starts a thread that prints tolerated faults and, with `refusals`, why arguments are refused. It drops lines when

@@ -1,4 +1,6 @@
-//! The calls of a report, and how a controller answers them.
+//! How a controller answers some 100 calls that only read, and the report about that.
+
+pub mod report;
 
 use std::thread;
 use std::time::{Duration, Instant};
@@ -6,48 +8,54 @@ use std::time::{Duration, Instant};
 use bcap_capture::times::Times;
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::hresult::HResult;
+use bcap_core::variant::OwnedVariant;
 use bcap_std::ObjectPath;
 
-use crate::failure::Failure;
-use crate::session::Session;
-use crate::session::slave_mode::StreamCheck;
-use crate::values::{Value, integer, text};
+use crate::calls::{Calls, Failure};
+use crate::stream::StreamCheck;
 
 /// A line for each call: `OBJECT CALL [NUMBER]`.
-const CALLS: &str = include_str!("calls.txt");
+const CALLS: &str = include_str!("survey/calls.txt");
 
 /// The size of a survey.
-#[derive(Clone, Copy)]
-pub(super) struct Limits {
-    pub(super) rounds: u32,
-    pub(super) within: Duration,
-    pub(super) pause: Duration,
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    /// How often each call is made.
+    pub rounds: u32,
+    /// The longest time of all calls.
+    pub within: Duration,
+    /// The time between two calls.
+    pub pause: Duration,
 }
 
 /// An answer to a call.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) enum Answer {
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Answer {
     /// The layout of the value, such as `R8[8]`.
     Value(String),
+    /// The controller refused the call.
     Refused(HResult),
     /// The call was not made, for this reason.
     Skipped(String),
 }
 
 /// A call with its answer.
-pub(super) struct Row {
+#[derive(Debug)]
+#[non_exhaustive]
+pub struct Row {
     /// The object and the call, as in the list.
-    pub(super) name: String,
+    pub name: String,
     /// The first answer. Later ones may differ, because the controller works meanwhile.
-    pub(super) answer: Answer,
+    pub answer: Answer,
     /// The layouts of later answers that differ from the first.
-    pub(super) others: Vec<String>,
+    pub others: Vec<String>,
     /// The first value.
-    pub(super) value: Option<Value>,
+    pub value: Option<OwnedVariant>,
     /// The round trips.
-    pub(super) times: Times,
+    pub times: Times,
     /// How often the call was made.
-    pub(super) count: u32,
+    pub count: u32,
 }
 
 impl Row {
@@ -56,7 +64,7 @@ impl Row {
         Self { name: name.into(), answer, others: Vec::new(), value: None, times: Times::new(), count: 0 }
     }
 
-    fn add(&mut self, answer: Answer, value: Option<Value>, time: Duration) {
+    fn add(&mut self, answer: Answer, value: Option<OwnedVariant>, time: Duration) {
         self.times.record(u64::try_from(time.as_micros()).unwrap_or(u64::MAX));
         self.count += 1;
         if self.count == 1 {
@@ -81,46 +89,58 @@ impl Row {
 }
 
 /// The answers of a controller.
-pub(super) struct Survey {
-    pub(super) rows: Vec<Row>,
+#[derive(Debug)]
+#[non_exhaustive]
+pub struct Survey {
+    /// The calls, in the order in which they are made.
+    pub rows: Vec<Row>,
     /// Why not all calls were made in all rounds.
-    pub(super) ended: Option<String>,
+    pub ended: Option<String>,
+}
+
+impl Default for Survey {
+    /// Returns the calls without answers.
+    fn default() -> Self {
+        let rows = CALLS.lines().filter(|line| !line.is_empty() && !line.starts_with('#')).map(Row::new).collect();
+        Self { rows, ended: None }
+    }
 }
 
 impl Survey {
-    /// Makes the calls in rounds. A failure is returned with the answers until then.
-    pub(super) fn run(session: &mut Session, limits: Limits) -> Result<(Self, Result<(), Failure>), Failure> {
-        session.connect()?;
-        session.controller()?;
-        let rows = CALLS.lines().filter(|line| !line.is_empty() && !line.starts_with('#')).map(Row::new).collect();
-        let mut survey = Self { rows, ended: None };
-        let result = survey.rounds(session, limits);
+    /// Makes the calls in rounds; while a stream of Slave Mode runs, those that could end it are skipped. A controller keeps a refusal
+    /// as an error that stops the commands of other clients, so the first such refusal ends the survey.
+    ///
+    /// # Errors
+    ///
+    /// The loss of the session. The answers until then remain.
+    pub fn run<C: Calls>(&mut self, session: &mut C, limits: Limits) -> Result<(), C::Error> {
+        let result = self.rounds(session, limits);
         if let Err(failure) = &result {
-            survey.ended = Some(failure.to_string());
+            self.ended = Some(failure.to_string());
         }
-        Ok((survey, result))
+        result
     }
 
-    fn rounds(&mut self, session: &mut Session, limits: Limits) -> Result<(), Failure> {
+    fn rounds<C: Calls>(&mut self, session: &mut C, limits: Limits) -> Result<(), C::Error> {
         let (began, mut check) = (Instant::now(), StreamCheck::default());
         for round in 0..limits.rounds {
             for index in 0..self.rows.len() {
                 if began.elapsed() >= limits.within {
-                    self.ended = Some(format!("the time of --within was over in round {}", round + 1));
+                    self.ended = Some(format!("the time was over in round {}", round + 1));
                     return Ok(());
                 }
                 let row = &mut self.rows[index];
                 if !row.is_open() {
                     continue;
                 }
-                let call = Call::parse(&row.name)?;
+                let call = Call::parse(&row.name).map_err(C::Error::invalid)?;
                 if let Some(why) = call.skip(session, &mut check)? {
                     if row.count == 0 {
                         row.answer = Answer::Skipped(why);
                     }
                     continue;
                 }
-                session.restart_budget();
+                session.restart_limit();
                 let (answer, value, time) = call.make(session)?;
                 let stays = matches!(answer, Answer::Refused(code) if code.level().is_some_and(|level| level > 0));
                 row.add(answer, value, time);
@@ -138,7 +158,7 @@ impl Survey {
     }
 
     /// Returns the value of a call, as text.
-    pub(super) fn value(&self, name: &str) -> Option<String> {
+    pub fn value(&self, name: &str) -> Option<String> {
         let row = self.rows.iter().find(|row| row.name == name)?;
         row.value.as_ref().map(|value| bcap_capture::value::data::format(value.as_variant()))
     }
@@ -158,17 +178,17 @@ enum Call {
 }
 
 impl Call {
-    fn parse(line: &str) -> Result<Self, Failure> {
-        let invalid = || Failure::Input(format!("calls.txt: {line:?} is invalid"));
+    fn parse(line: &str) -> Result<Self, String> {
+        let invalid = || format!("calls.txt: {line:?} is invalid");
+        let path = |text: &str| text.parse::<ObjectPath>().map_err(|_| invalid());
+        let variable = |text: &str| ObjectPath::variable(text).map_err(|_| invalid());
         let words: Vec<&str> = line.split_whitespace().collect();
         Ok(match words.as_slice() {
-            ["unknown", path] => {
-                Self::Open(if path.starts_with('@') { ObjectPath::variable(path)? } else { path.parse()? })
-            }
-            ["variable", path] => Self::Read(ObjectPath::variable(path)?),
-            ["names", owner, function] => Self::Names(owner.parse()?, FunctionId::parse(function).ok_or_else(invalid)?),
-            [path, command, number @ ..] => Self::Execute {
-                path: path.parse()?,
+            ["unknown", name] => Self::Open(if name.starts_with('@') { variable(name)? } else { path(name)? }),
+            ["variable", name] => Self::Read(variable(name)?),
+            ["names", owner, function] => Self::Names(path(owner)?, FunctionId::parse(function).ok_or_else(invalid)?),
+            [owner, command, number @ ..] => Self::Execute {
+                path: path(owner)?,
                 command: (*command).to_owned(),
                 number: number.first().map(|number| number.parse().map_err(|_| invalid())).transpose()?,
             },
@@ -191,42 +211,52 @@ impl Call {
     }
 
     /// Returns why the call must not be made now; `None` if it may.
-    fn skip(&self, session: &mut Session, check: &mut StreamCheck) -> Result<Option<String>, Failure> {
+    fn skip<C: Calls>(&self, session: &mut C, check: &mut StreamCheck) -> Result<Option<String>, C::Error> {
         let (function, command) = self.function();
         check.skip(session, function, command)
     }
 
     /// Makes the call; returns the answer, the value and the time of the round trip.
-    fn make(&self, session: &mut Session) -> Result<(Answer, Option<Value>, Duration), Failure> {
+    fn make<C: Calls>(&self, session: &mut C) -> Result<(Answer, Option<OwnedVariant>, Duration), C::Error> {
         let (function, command) = self.function();
         let (Self::Open(path) | Self::Read(path) | Self::Names(path, _) | Self::Execute { path, .. }) = self;
         let began = Instant::now();
         // an object stays open for the next round
-        let handle = match session.object(path) {
+        let handle = match answered(session.object(path))? {
             Ok(handle) => handle,
-            Err(Failure::Refused { code, .. }) => return Ok((Answer::Refused(code), None, began.elapsed())),
-            Err(failure) => return Err(failure),
+            Err(code) => return Ok((Answer::Refused(code), None, began.elapsed())),
         };
         if matches!(self, Self::Open(_)) {
             return Ok((Answer::Value("an object".into()), None, began.elapsed()));
         }
-        let mut arguments = vec![integer(handle)?];
+        let mut arguments = vec![OwnedVariant::new(&handle)?];
         match self {
-            Self::Names(..) => arguments.push(text("")?),
+            Self::Names(..) => arguments.push(OwnedVariant::new("")?),
             Self::Execute { number, .. } => {
-                arguments.push(text(command.unwrap_or_default())?);
-                arguments.push(number.map_or_else(|| Ok(Value::default()), integer)?);
+                arguments.push(OwnedVariant::new(command.unwrap_or_default())?);
+                arguments
+                    .push(number.map_or_else(|| Ok(OwnedVariant::default()), |number| OwnedVariant::new(&number))?);
             }
             Self::Open(_) | Self::Read(_) => {}
         }
         let began = Instant::now();
-        let (code, value) = session.call_for_code(function, &arguments)?;
+        let answer = answered(session.call("", function, &arguments))?;
         let took = began.elapsed();
-        if code.is_err() {
-            return Ok((Answer::Refused(code), None, took));
-        }
-        let value = value.unwrap_or_default();
-        Ok((Answer::Value(value.as_variant().shape().to_string()), Some(value), took))
+        Ok(match answer {
+            Ok((_, value)) => {
+                let value = value.unwrap_or_default();
+                (Answer::Value(value.as_variant().shape().to_string()), Some(value), took)
+            }
+            Err(code) => (Answer::Refused(code), None, took),
+        })
+    }
+}
+
+/// Returns the reply or the code of a refusal; fails for other errors.
+fn answered<T, F: Failure>(reply: Result<T, F>) -> Result<Result<T, HResult>, F> {
+    match reply {
+        Ok(reply) => Ok(Ok(reply)),
+        Err(failure) => failure.code().filter(|_| !failure.is_lost()).map(Err).ok_or(failure),
     }
 }
 

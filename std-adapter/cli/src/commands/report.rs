@@ -4,20 +4,17 @@
 //! only read. A controller keeps a refusal as an error that stops the commands of other clients, so the first such refusal
 //! ends the survey, and the report says so.
 
-mod survey;
-mod text;
-
 use std::fs::File;
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use bcap_capture::duration;
+use bcap_live::survey::{Limits, Survey, report as text};
 use bcap_sim::Profile;
 use bcap_std::Model;
 use clap::Args;
 
-use self::survey::{Limits, Survey};
 use crate::commands::sim::args::{self, Source};
 use crate::commands::sim::local::LocalController;
 use crate::commands::sim::read_model;
@@ -76,7 +73,10 @@ pub(crate) fn report(args: &ReportArgs, session: &mut Session, json: bool) -> Re
     // first, because an interrupted command makes no more calls
     let virtual_one = survey_virtual(session, &source)?;
     let limits = Limits { rounds: args.rounds, within: args.within, pause: PAUSE };
-    let (survey, ended) = Survey::run(session, limits)?;
+    session.connect()?;
+    session.controller()?;
+    let mut survey = Survey::default();
+    let ended = survey.run(session, limits);
     let text = if json {
         text::json(&survey, &virtual_one, args.values)
     } else {
@@ -116,10 +116,9 @@ fn survey_virtual(session: &Session, source: &Source<Profile>) -> Result<Survey,
     let provider = model.provider.clone();
     let local = LocalController::start(model)?;
     let mut session = Session::new(&link.for_virtual(&format!("tcp:{}", local.listening.bcap), &provider));
-    let surveyed =
-        Survey::run(&mut session, Limits { rounds: 1, within: Duration::from_secs(60), pause: Duration::ZERO });
+    let mut survey = Survey::default();
+    let ended = survey.run(&mut session, Limits { rounds: 1, within: Duration::from_secs(60), pause: Duration::ZERO });
     drop(session);
-    let (survey, ended) = surveyed?;
     local.stop()?;
     ended.map(|()| survey)
 }

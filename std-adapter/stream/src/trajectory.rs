@@ -1,4 +1,4 @@
-//! The file of `bcap sim --record`: the trajectory of the arm, as MCAP if the name ends with `.mcap`, otherwise as CSV.
+//! A file of the trajectory of an arm, as MCAP if the name ends with `.mcap`, otherwise as CSV.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
@@ -6,10 +6,8 @@ use std::path::Path;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use bcap_capture::mcap::{self, Schema};
-use bcap_sim::trace::{Recorder, TracePoint};
+use bcap_core::time::Instant;
 use serde_json::{Value, json};
-
-use crate::failure::Failure;
 
 const HEAD: &str = "time_s,J1,J2,J3,J4,J5,J6,J7,J8,X,Y,Z,RX,RY,RZ,tool,work";
 
@@ -28,22 +26,40 @@ const SCHEMA: Schema = Schema {
         "tool":{"type":"integer"},"work":{"type":"integer"}}}"#,
 };
 
-/// A file of a trajectory.
-#[derive(Clone)]
-pub(crate) struct Trajectory(Arc<Mutex<Output>>);
+/// A point of a trajectory: joints in degrees or mm, and the position of the tool in mm and degrees.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Point {
+    /// The controller's time.
+    pub at: Instant,
+    /// The joints; those that the robot does not have are 0.
+    pub axes: [f64; 8],
+    /// X, Y, Z, RX, RY and RZ in the work coordinates.
+    pub position: [f64; 6],
+    /// The tool.
+    pub tool: i32,
+    /// The work coordinates.
+    pub work: i32,
+}
+
+/// A file of a trajectory, which several threads may use.
+#[derive(Clone, Debug)]
+pub struct Trajectory(Arc<Mutex<Output>>);
 
 /// The file, and the first failure, after which nothing is written.
+#[derive(Debug)]
 struct Output {
     format: Format,
     failed: Option<io::Error>,
 }
 
+#[derive(Debug)]
 enum Format {
     Csv(Lines<File>),
     Mcap(Box<Points<BufWriter<File>>>),
 }
 
 /// The messages of an MCAP file.
+#[derive(Debug)]
 struct Points<W: Write> {
     series: mcap::Log<W>,
     /// The wall clock at the controller's time 0, in microseconds since 1970.
@@ -54,33 +70,39 @@ struct Points<W: Write> {
 #[derive(Debug)]
 struct Lines<W: Write> {
     out: BufWriter<W>,
-    last: Option<TracePoint>,
+    last: Option<Point>,
     /// The lines that are not in the file yet.
     waiting: u32,
 }
 
 impl Trajectory {
     /// Creates the file, in place of one that exists. `origin_ms` is the wall clock at the controller's time 0.
-    pub(crate) fn create(path: &Path, origin_ms: i64) -> Result<Self, Failure> {
-        let failed = |error: io::Error| Failure::Input(format!("--record {}: {error}", path.display()));
+    ///
+    /// # Errors
+    ///
+    /// When the file cannot be written.
+    pub fn create(path: &Path, origin_ms: i64) -> io::Result<Self> {
         let is_mcap = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"));
         let format = if is_mcap {
-            let out = BufWriter::new(File::create(path).map_err(failed)?);
-            Format::Mcap(Box::new(Points::new(out, origin_ms).map_err(failed)?))
+            let out = BufWriter::new(File::create(path)?);
+            Format::Mcap(Box::new(Points::new(out, origin_ms)?))
         } else {
-            Format::Csv(Lines::new(File::create(path).map_err(failed)?).map_err(failed)?)
+            Format::Csv(Lines::new(File::create(path)?)?)
         };
         Ok(Self(Arc::new(Mutex::new(Output { format, failed: None }))))
     }
 
-    /// Returns the recorder that writes this file.
-    pub(crate) fn recorder(&self) -> Recorder {
-        let file = self.clone();
-        Recorder::new(move |point| file.lock().add(point))
+    /// Writes a point, unless an earlier one failed.
+    pub fn add(&self, point: &Point) {
+        self.lock().add(point);
     }
 
-    /// Writes the rest, and tells the first failure.
-    pub(crate) fn end(&self) -> io::Result<()> {
+    /// Writes the rest.
+    ///
+    /// # Errors
+    ///
+    /// The first failure since the beginning.
+    pub fn end(&self) -> io::Result<()> {
         let Output { format, failed } = &mut *self.lock();
         match (failed.take(), format) {
             (Some(error), _) => Err(error),
@@ -95,7 +117,7 @@ impl Trajectory {
 }
 
 impl Output {
-    fn add(&mut self, point: &TracePoint) {
+    fn add(&mut self, point: &Point) {
         if self.failed.is_none() {
             self.failed = match &mut self.format {
                 Format::Csv(lines) => lines.add(point),
@@ -112,7 +134,7 @@ impl<W: Write> Points<W> {
         Ok(Self { series: mcap::Log::new(out)?, origin })
     }
 
-    fn add(&mut self, point: &TracePoint) -> io::Result<()> {
+    fn add(&mut self, point: &Point) -> io::Result<()> {
         let at = self.origin.saturating_add(point.at.as_micros()).saturating_mul(1000);
         let joints: serde_json::Map<String, Value> =
             (1..).zip(point.axes).map(|(n, joint)| (format!("J{n}"), rounded(joint).into())).collect();
@@ -136,7 +158,7 @@ impl<W: Write> Lines<W> {
         Ok(Self { out, last: None, waiting: 0 })
     }
 
-    fn add(&mut self, point: &TracePoint) -> io::Result<()> {
+    fn add(&mut self, point: &Point) -> io::Result<()> {
         write!(self.out, "{:.6}", point.at.as_micros() as f64 / 1e6)?;
         point.axes.iter().chain(&point.position).try_for_each(|n| write!(self.out, ",{}", rounded(*n)))?;
         writeln!(self.out, ",{},{}", point.tool, point.work)?;
@@ -153,14 +175,13 @@ impl<W: Write> Lines<W> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use bcap_core::time::Instant;
 
     #[test]
     fn a_point_is_a_line_of_numbers() {
         let mut lines = Lines::new(Vec::new()).unwrap();
         let axes = [0.1, -0.0, 90.0, 1e-9, 45.0, -30.123_456_7, 0.0, 0.0];
         let position = [364.16, 0.0, 278.5355, 180.0, 0.0, -180.0];
-        lines.add(&TracePoint { at: Instant::from_micros(8_500), axes, position, tool: 1, work: 2 }).unwrap();
+        lines.add(&Point { at: Instant::from_micros(8_500), axes, position, tool: 1, work: 2 }).unwrap();
         lines.out.flush().unwrap();
         let text = String::from_utf8(lines.out.into_inner().unwrap()).unwrap();
         let line = "0.008500,0.1,0,90,0,45,-30.123457,0,0,364.16,0,278.5355,180,0,-180,1,2";
@@ -173,7 +194,7 @@ mod tests {
         let mut points = Points::new(&mut bytes, 1_700_000_000_123).unwrap();
         let axes = [0.1, -0.0, 90.0, 1e-9, 45.0, -30.123_456_7, 0.0, 0.0];
         let position = [364.16, 0.0, 278.5355, 180.0, 0.0, -180.0];
-        points.add(&TracePoint { at: Instant::from_micros(8_500), axes, position, tool: 1, work: 2 }).unwrap();
+        points.add(&Point { at: Instant::from_micros(8_500), axes, position, tool: 1, work: 2 }).unwrap();
         points.series.end().unwrap();
         drop(points);
         let messages: Vec<_> = ::mcap::MessageStream::new(&bytes).unwrap().map(Result::unwrap).collect();
@@ -201,7 +222,7 @@ mod tests {
         let trajectory = Trajectory(Arc::new(Mutex::new(Output { format, failed: None })));
         for n in 0..300 {
             let (at, axes) = (Instant::from_millis(n), [n as f64; 8]);
-            trajectory.lock().add(&TracePoint { at, axes, position: [0.0; 6], tool: 0, work: 0 });
+            trajectory.lock().add(&Point { at, axes, position: [0.0; 6], tool: 0, work: 0 });
         }
         assert_eq!(trajectory.end().unwrap_err().kind(), io::ErrorKind::StorageFull);
     }

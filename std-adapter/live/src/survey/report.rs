@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use serde_json::json;
 
-use crate::commands::report::survey::{Answer, Row, Survey};
+use super::{Answer, Row, Survey};
 
 /// The version of this format, for the programs that read it.
 const FORMAT: u32 = 1;
@@ -17,8 +17,9 @@ const INTRODUCTION: &str = "\
 # Read this file before you send it. It has no host name, address or serial number; values are in it only with --values,
 # except the three below. The last column is the answer of the virtual controller, where it differs.";
 
-/// Returns the report as a table.
-pub(super) fn table(survey: &Survey, other: &Survey, provider: &str, values: bool) -> String {
+/// Returns the report as a table: the answers of a controller whose provider is `provider`, next to those of a virtual one.
+#[must_use]
+pub fn table(survey: &Survey, other: &Survey, provider: &str, values: bool) -> String {
     let mut out = format!("bcap report, format {FORMAT}\n{INTRODUCTION}\n\n");
     let mut head = |name: &str, value: &str| {
         // writing to a string cannot fail
@@ -52,7 +53,8 @@ pub(super) fn table(survey: &Survey, other: &Survey, provider: &str, values: boo
 }
 
 /// Returns the report as a line of JSON for each call.
-pub(super) fn json(survey: &Survey, other: &Survey, values: bool) -> String {
+#[must_use]
+pub fn json(survey: &Survey, other: &Survey, values: bool) -> String {
     let mut out = String::new();
     for (row, other) in rows(survey, other) {
         let [call, answer, _, _, _, virtual_one] = cells(row, other);
