@@ -26,13 +26,22 @@ export const alarms = {
     current = page;
     drawn = "";
     if (log.robot !== page.robot) log = {};
-    place = make("div", { className: "alarms" }, make("p", { className: "quiet" }, "reading …"));
+    place = make("div", { className: "alarms" }, ...Object.keys(SECTIONS).map((id) => make("div", { className: id })));
+    place.firstChild.append(make("p", { className: "quiet" }, "reading …"));
     main.append(place);
+    drawLog();
   },
   draw(content, page) {
     current = page;
     drawn = content;
-    place.replaceChildren(errors(content), recovery(content), messages(content), history());
+    // a button that has not changed stays, so that a press of it is not lost
+    for (const part of place.children) {
+      const [draw, of] = SECTIONS[part.className];
+      const key = JSON.stringify(of.map((name) => content[name]));
+      if (!draw || part.dataset.key === key) continue;
+      part.dataset.key = key;
+      part.replaceChildren(draw(content));
+    }
     this.tiles();
   },
   tiles() {
@@ -126,11 +135,18 @@ function history() {
   return make("section", {}, make("h2", {}, "History"), make("button", { type: "button", id: "log", onclick: readLog }, "Read the controller's log"), ...table);
 }
 
+/** The sections in their order, and what they show; the last one is drawn on request. */
+const SECTIONS = { present: [errors, ["errors", "skipped"]], plan: [recovery, ["recovery", "obstacles", "steps"]], notices: [messages, ["messages"]], past: [null, []] };
+
+function drawLog() {
+  place.lastChild.replaceChildren(history());
+}
+
 async function readLog() {
   try {
     const { robot } = current;
     log = { robot, rows: await order("log", { robot }) };
-    alarms.draw(drawn, current);
+    drawLog();
   } catch (error) {
     notify(`the log is not read: ${error.message}`, true);
   }

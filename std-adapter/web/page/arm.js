@@ -1,7 +1,8 @@
-// The screen of the arm: a side view and a top view, drawn from the joints with the dimensions of the model file, and the path
-// of the last minute, which is what the controller reports.
+// The screen of the arm: in three dimensions, from the side and from the top, drawn from the joints with the dimensions of the
+// model file; where the controller has commanded it to; and the path of the last minute, which is what the controller reports.
 
 import { make, setText } from "./dom.js";
+import { newSpace } from "./space.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 
@@ -21,8 +22,9 @@ export const arm = {
     state.arm = null;
     const views = ["side", "top"].map(newView);
     const note = make("p", { className: "quiet" }, "reading …");
-    state.parts = { views, note };
-    main.append(make("div", { className: "views" }, ...views.map(({ figure }) => figure)), note);
+    const space = newSpace();
+    state.parts = { views, note, space };
+    main.append(make("div", { className: "views" }, space.figure, ...views.map(({ figure }) => figure)), note);
     this.tiles(page);
   },
   draw(content, page) {
@@ -47,8 +49,11 @@ export const arm = {
     const isDrawn = known.links !== null && joints.length >= 4;
     const chain = isDrawn ? chainOf(known.links, joints) : [];
     const path = (state.paths.get(page.robot) ?? []).map(([, ...point]) => point);
-    for (const view of parts.views) drawView(view, chain, path, position);
-    setText(parts.note, noteOf(known, isDrawn, chain, position, tool));
+    const commanded = isDrawn && known.commanded?.length >= 4 ? chainOf(known.links, known.commanded) : [];
+    for (const view of parts.views) drawView(view, chain, commanded, path, position);
+    parts.space.draw(chain, commanded, path, position);
+    const target = commanded.length > 0 ? " The dashed line is where the controller has commanded it to." : "";
+    setText(parts.note, noteOf(known, isDrawn, chain, position, tool) + target);
   },
 };
 
@@ -109,6 +114,7 @@ function newView(name) {
     floor: svg("line", { class: "floor" }),
     path: svg("polyline", { class: "path" }),
     chain: svg("polyline", { class: "chain" }),
+    target: svg("polyline", { class: "target" }),
     joints: svg("g", { class: "joints" }),
     cross: svg("path", { class: "cross" }),
   };
@@ -120,7 +126,7 @@ function newView(name) {
 /** Projects a point; the vertical axis of a picture points down. */
 const project = (name, [x, y, z]) => (name === "side" ? [x, -z] : [x, -y]);
 
-function drawView(view, chain, path, position) {
+function drawView(view, chain, commanded, path, position) {
   const { name, picture, parts } = view;
   const points = chain.map((point) => project(name, point));
   const line = path.map((point) => project(name, point));
@@ -132,6 +138,7 @@ function drawView(view, chain, path, position) {
   const text = (list) => list.map(([x, y]) => `${x.toFixed(1)},${y.toFixed(1)}`).join(" ");
   parts.path.setAttribute("points", text(line));
   parts.chain.setAttribute("points", text(points));
+  parts.target.setAttribute("points", text(commanded.map((point) => project(name, point))));
   parts.floor.setAttribute("x1", -size);
   parts.floor.setAttribute("x2", size);
   const radius = size / 50;

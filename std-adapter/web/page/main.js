@@ -11,7 +11,7 @@ import { packets } from "./packets.js";
 import { panel } from "./panel.js";
 import { plots } from "./plots.js";
 import { raw } from "./raw.js";
-import { variables } from "./variables.js";
+import { setLabels, variables } from "./variables.js";
 
 const SCREENS = [cell, variables, alarms, arm, tasks, jog, plots, packets, raw, panel];
 
@@ -145,6 +145,7 @@ on("hello", (message) => {
   page.mayWrite = message.write;
   page.mayMove = message.motion;
   for (const button of byId("screens").children) button.hidden = SCREENS.find(({ id }) => id === button.dataset.id).isOffered?.(message) === false;
+  setLabels(message.labels);
   show(screen);
 });
 on("closed", () => stale("NOT CONNECTED to bcap web: the values are old. HALT may not work. It is tried again every second."));

@@ -6,6 +6,21 @@ import { order } from "./net.js";
 /** The values of a sparkline. */
 const HISTORY = 60;
 
+/** The units of the numbers of a kind; a label such as `pressure [bar]` has its unit at its end. */
+const UNITS = [[/^P\d+$/i, "mm, °"], [/^J\d+$/i, "°"], [/^T\d+$/i, "mm"], [/_ANGLE$/i, "°"], [/_POSITION$/i, "mm, °"], [/SPEED$/i, "%"]];
+
+/** The labels of the file that `bcap web --labels` has read, by names in upper case. */
+const labels = new Map();
+
+export const setLabels = (known) => Object.entries(known).forEach(([name, label]) => labels.set(name, label));
+
+/** Returns the label of a variable: that of this browser, or of the file. */
+const labelOf = (key, name) => localStorage.getItem(key) ?? labels.get(name.toUpperCase()) ?? "";
+
+function unitOf(name, label) {
+  return /\[([^\]]+)\]\s*$/.exec(label)?.[1] ?? UNITS.find(([kind]) => kind.test(name))?.[1] ?? "";
+}
+
 const state = { page: null, parts: null, rows: new Map(), histories: new Map(), filter: "", writes: [], missing: null };
 
 /** The key under which the browser keeps the selection of a robot. */
@@ -21,7 +36,7 @@ export const variables = {
     const search = make("input", { id: "search", type: "search", value: state.filter, placeholder: "search", "aria-label": "Search names and values", oninput: () => { state.filter = search.value; filterRows(); } });
     const grid = make("div", { className: "io", role: "group", "aria-label": "I/O" });
     const body = make("tbody");
-    const head = make("thead", {}, make("tr", {}, ...["Name", "Label", "Value", "Last values", ""].map((text) => make("th", { scope: "col" }, text))));
+    const head = make("thead", {}, make("tr", {}, ...["Name", "Label", "Value", "Unit", "Last values", ""].map((text) => make("th", { scope: "col" }, text))));
     const writes = make("section", { className: "writes" });
     main.append(form, search, grid, make("div", { className: "scroll" }, make("table", {}, head, body)), writes);
     Object.assign(state, { page, parts: { grid, body, writes }, rows: new Map() });
@@ -40,6 +55,12 @@ export const variables = {
         row.element.remove();
         state.rows.delete(name);
       }
+    }
+    // the rows are in the order of the selection
+    const bodies = [state.parts.grid, state.parts.body];
+    for (const body of bodies) {
+      const wanted = rows.map(([name]) => state.rows.get(name).element).filter((element) => element.parentElement === body);
+      if (wanted.some((element, n) => body.children[n] !== element)) body.append(...wanted);
     }
     filterRows();
   },
@@ -81,8 +102,9 @@ function drawRow([name, text, hasChanged, isRead, number]) {
 /** A lamp of the I/O grid; the control makes it a button. */
 function newLamp(name) {
   const value = make("span", { className: "value" });
-  const element = make("button", { type: "button", className: "lamp" }, make("span", { className: "name" }, name), value);
-  const row = { name, element, value };
+  const label = make("span", { className: "about" }, labelOf(`label ${state.page.tile.address} ${name}`, name));
+  const element = make("button", { type: "button", className: "lamp" }, make("span", { className: "name" }, name), value, label);
+  const row = { name, element, value, label };
   element.onclick = () => write(row, row.text === "true" ? "false" : "true");
   row.update = () => {
     element.disabled = !state.page.hasControl || !row.isRead;
@@ -93,15 +115,18 @@ function newLamp(name) {
 }
 
 function newRow(name) {
-  const labels = `label ${state.page.tile.address} ${name}`;
-  const label = make("input", { className: "label", value: localStorage.getItem(labels) ?? "", placeholder: "—", "aria-label": `Label of ${name}`, onchange: () => localStorage.setItem(labels, label.value) });
+  const key = `label ${state.page.tile.address} ${name}`;
+  const unit = make("td", { className: "unit" });
+  const drawUnit = () => setText(unit, unitOf(name, label.value));
+  const label = make("input", { className: "label", value: labelOf(key, name), placeholder: "—", "aria-label": `Label of ${name}`, onchange: () => { localStorage.setItem(key, label.value); drawUnit(); } });
+  drawUnit();
   const value = make("td", { className: "value" });
   const line = document.createElementNS("http://www.w3.org/2000/svg", "svg");
   line.setAttribute("class", "spark");
   line.setAttribute("viewBox", "0 0 60 16");
   line.setAttribute("aria-hidden", "true");
   const button = make("button", { type: "button" }, "Write");
-  const element = make("tr", {}, make("th", { scope: "row" }, name), make("td", {}, label), value, make("td", {}, line), make("td", {}, button));
+  const element = make("tr", {}, make("th", { scope: "row" }, name), make("td", {}, label), value, unit, make("td", {}, line), make("td", {}, button));
   const row = { name, element, value, line, label };
   button.onclick = () => edit(row);
   row.update = () => {
@@ -138,7 +163,7 @@ function drawLine(svg, history) {
 function filterRows() {
   const wanted = state.filter.toLowerCase();
   for (const row of state.rows.values()) {
-    const text = `${row.name} ${row.label?.value ?? ""} ${row.text}`.toLowerCase();
+    const text = `${row.name} ${row.label.value ?? row.label.textContent} ${row.text}`.toLowerCase();
     row.element.hidden = !text.includes(wanted);
   }
 }

@@ -1,5 +1,6 @@
 //! The state that all connections share.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 
@@ -19,6 +20,8 @@ pub(crate) struct App {
     pub(crate) allow_motion: bool,
     /// The panel of the first robot, if that is a virtual controller of this process.
     pub(crate) panel: Option<Panel>,
+    /// The labels of the variables, by names in upper case.
+    pub(crate) labels: BTreeMap<String, String>,
     pub(crate) audit: Audit,
     /// The number of the next page.
     pub(crate) clients: AtomicU64,

@@ -9,7 +9,7 @@ const CSS: &str = "text/css; charset=utf-8";
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
 /// The path, the type and the content of each file.
-pub(crate) const FILES: [(&str, &str, &str); 17] = [
+pub(crate) const FILES: &[(&str, &str, &str)] = &[
     ("/", HTML, include_str!("../page/index.html")),
     ("/style.css", CSS, include_str!("../page/style.css")),
     ("/icon.svg", "image/svg+xml", include_str!("../page/icon.svg")),
@@ -20,6 +20,7 @@ pub(crate) const FILES: [(&str, &str, &str); 17] = [
     ("/variables.js", SCRIPT, include_str!("../page/variables.js")),
     ("/alarms.js", SCRIPT, include_str!("../page/alarms.js")),
     ("/arm.js", SCRIPT, include_str!("../page/arm.js")),
+    ("/space.js", SCRIPT, include_str!("../page/space.js")),
     ("/jog.js", SCRIPT, include_str!("../page/jog.js")),
     ("/tasks.js", SCRIPT, include_str!("../page/tasks.js")),
     ("/plots.js", SCRIPT, include_str!("../page/plots.js")),

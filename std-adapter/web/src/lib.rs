@@ -22,6 +22,7 @@ mod tasks;
 mod text;
 mod view;
 
+use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex};
@@ -55,6 +56,8 @@ pub struct Config {
     pub allow_write: bool,
     /// Whether a page may move a robot by steps while a button is held.
     pub allow_motion: bool,
+    /// The labels of variables, by names in upper case; a unit may be at the end: `pressure [bar]`.
+    pub labels: BTreeMap<String, String>,
     /// The virtual controller, if the only robot is one of this process: the page has its panel.
     pub panel: Option<Arc<Mutex<Paced>>>,
 }
@@ -63,7 +66,7 @@ impl Config {
     /// Returns the configuration of a server that only reads.
     #[must_use]
     pub const fn new(listen: SocketAddr, robots: Vec<(String, Access)>) -> Self {
-        Self { listen, robots, allow_write: false, allow_motion: false, panel: None }
+        Self { listen, robots, allow_write: false, allow_motion: false, labels: BTreeMap::new(), panel: None }
     }
 }
 
@@ -103,7 +106,7 @@ impl Server {
     ///
     /// An [`Error`]; nothing runs then.
     pub async fn bind(config: Config, audit: impl Fn(&str) + Send + Sync + 'static) -> Result<Self, Error> {
-        let Config { listen, robots, allow_write, allow_motion, panel } = config;
+        let Config { listen, robots, allow_write, allow_motion, labels, panel } = config;
         if !listen.ip().is_loopback() {
             return Err(Error::NotLocal(listen));
         }
@@ -120,6 +123,7 @@ impl Server {
             robots: robots.into_iter().map(|(name, access)| Robot::start(name, access)).collect::<Result<_, _>>()?,
             allow_write,
             allow_motion,
+            labels,
             panel: panel.map(Panel::new),
             audit: Audit::new(audit),
             clients: AtomicU64::new(1),

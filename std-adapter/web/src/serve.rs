@@ -74,7 +74,7 @@ async fn connection(stream: TcpStream, router: Router) {
 }
 
 fn router(app: &Arc<App>) -> Router {
-    let files = FILES.into_iter().fold(Router::new(), |router, (path, kind, content)| {
+    let files = FILES.iter().fold(Router::new(), |router, &(path, kind, content)| {
         router.route(path, get(move || ready(file(kind, content))))
     });
     files

@@ -12,7 +12,7 @@ use bcap_live::recovery::Recovery;
 use bcap_live::variables::{expand, shown};
 use bcap_live::write::{Write, check, check_position};
 use serde::Deserialize;
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 use tokio::time::{Instant, MissedTickBehavior, interval, interval_at};
 
 use crate::app::App;
@@ -150,7 +150,9 @@ impl Drop for Page {
 
 /// Serves a page until it is closed.
 pub(crate) async fn serve(app: Arc<App>, client: Client, socket: WebSocket) {
-    let hello = json!({ "t": "hello", "write": app.allow_write, "motion": app.allow_motion, "panel": app.panel.is_some(), "version": env!("CARGO_PKG_VERSION") });
+    let labels: Map<_, _> =
+        app.labels.iter().map(|(name, label)| (view::safe(name), view::safe(label).into())).collect();
+    let hello = json!({ "t": "hello", "labels": labels, "write": app.allow_write, "motion": app.allow_motion, "panel": app.panel.is_some(), "version": env!("CARGO_PKG_VERSION") });
     let mut page = Page {
         app,
         client,

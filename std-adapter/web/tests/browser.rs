@@ -291,6 +291,16 @@ fn each_screen_is_legible_and_works_with_a_keyboard() {
     for screen in ["cell", "variables", "alarms", "arm", "tasks", "jog", "plots", "packets", "raw"] {
         browser.click(&format!("[data-id={screen}]"));
         browser.until("document.querySelector('.tile, .spark polyline, .errors li, .joints circle, .axis, #task, .choices input, .packets td, #usage:not(:empty)') !== null");
+        // the bytes of a packet are legible, too
+        let opens = match screen {
+            "packets" => Some(".packets .serial"),
+            "raw" => Some("#call"),
+            _ => None,
+        };
+        if let Some(selector) = opens {
+            browser.click(selector);
+            browser.click(".packet .field:nth-child(3)");
+        }
         for scheme in ["light", "dark"] {
             for size in [(1280, 800), (768, 1024)] {
                 browser.look(size, scheme);

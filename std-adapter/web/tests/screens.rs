@@ -1,12 +1,15 @@
-//! The screens of packets and raw calls in a real browser, and the files that a page saves.
+//! The main job of the screens in a real browser, and the files that a page saves.
 
 use bcap_capture::decode::{Event, events};
+use bcap_core::hresult::HResult;
 use bcap_core::limits::Strictness;
+use bcap_core::rac::VariableKind;
+use bcap_std::{Move, Settings, blocking};
 use serde_json::json;
 
 use crate::browser::opened;
 use crate::chromium::Browser;
-use crate::support::{Sim, Web};
+use crate::support::{LIMIT, Sim, Web};
 
 const MARKED: &str = "[...document.querySelectorAll('.byte.marked')].map((byte) => byte.textContent).join(' ')";
 const PRESSED: &str =
@@ -111,7 +114,11 @@ fn a_raw_call_is_filled_in_called_repeated_and_used_again() {
     browser.click("#call");
     browser.click("#question-yes");
     browser.until_text(".reply h2", "● 0x00000000 S_OK");
-    assert_eq!(sim.lock().variable::<64>(bcap_core::rac::VariableKind::I, 1).unwrap().as_variant().as_i32(), Some(5));
+    let is_written = |sim: &bcap_sim::Controller| {
+        sim.variable::<64>(VariableKind::I, 1).is_ok_and(|value| value.as_variant().as_i32() == Some(5))
+    };
+    sim.until("I1 is 5", is_written);
+    browser.until_text(".answer div", "Took");
     // an earlier call is used again, three times
     browser.enter("#function", "101");
     browser.enter("#argument-0", "variable:I1");
@@ -178,4 +185,118 @@ fn a_file_needs_the_token_and_the_origin() {
         assert_eq!(web.status(&format!("GET {path}"), &[host, token, origin]), 405, "{path}");
     }
     assert_eq!(web.status("POST /mcap", &[host, token, origin, length]), 400);
+}
+
+/// Two robots: the tile of the one that is stopped says why and what to do; its alarms have the first cause first, and the log.
+#[test]
+fn a_cell_of_two_says_why_one_is_not_ready() {
+    let [press, welder] = [Sim::start(), Sim::start()];
+    let web = Web::start(&[("press", press.address()), ("welder", welder.address())], false);
+    let Some(mut browser) = opened(&web) else { return };
+    let level = |n: u32| format!(".tile:nth-child({n}) .state");
+    browser.until_text(&level(2), "● ready, motor off");
+    welder.lock().emergency_stop(true, bcap_std::now());
+    browser.until_text(&level(2), "▲");
+    browser.until_text(".tile:nth-child(2) .reasons strong", "emergency stop");
+    browser.until_text(".tile:nth-child(2) .reasons span", "and release it");
+    browser.until_text(&level(1), "● ready, motor off");
+    for code in [0x8350_0076, 0x8350_0178] {
+        welder.lock().inject_error(HResult::from_u32(code), bcap_std::now());
+    }
+    browser.click(".tile:nth-child(2) button:not(.halt)");
+    browser.until_text("#halt-robot", "welder");
+    browser.click("[data-id=alarms]");
+    browser.until("document.querySelectorAll('.errors li').length >= 2");
+    browser.until_text(".errors li:first-child .first", "first cause");
+    assert_eq!(browser.eval("document.querySelectorAll('.first').length"), 1);
+    for part in ["Meaning: ", "Cause: ", "Remedy: "] {
+        browser.until_text(".errors li", part);
+    }
+    browser.click("#log");
+    browser.until_text(".log tbody", "0x83500178");
+    assert_eq!(browser.eval("document.querySelectorAll('.log tbody tr:first-child td').length"), 5);
+    assert_eq!(browser.problems, [""; 0]);
+}
+
+/// A label and its unit are those of the file, until the browser has others; a search finds them; an output has its label.
+#[test]
+fn variables_have_labels_units_and_a_search() {
+    let sim = Sim::start();
+    let labels = [("I1", "good parts"), ("F1", "pressure [bar]"), ("IO128", "<b>gripper</b>")];
+    let labels = labels.map(|(name, label)| (name.to_owned(), label.to_owned()));
+    let web = Web::with(&|config| config.labels = labels.clone().into(), &[("press", sim.address())], false);
+    let Some(mut browser) = opened(&web) else { return };
+    browser.click("[data-id=variables]");
+    browser.enter("#names", "I1 F1 P1 IO128");
+    browser.until("document.querySelectorAll('tbody tr').length === 3");
+    let row = "[...document.querySelectorAll('tbody tr')].map((row) => [row.querySelector('th').textContent,
+        row.querySelector('.label').value, row.querySelector('.unit').textContent])";
+    assert_eq!(
+        browser.eval(row),
+        json!([["I1", "good parts", ""], ["F1", "pressure [bar]", "bar"], ["P1", "", "mm, °"]])
+    );
+    browser.until_text(".lamp .about", "<b>gripper</b>");
+    assert_eq!(browser.eval("document.querySelectorAll('.lamp b').length"), 0);
+    browser.enter("tbody tr:nth-child(1) .label", "waste [kg]");
+    browser.until_text("tbody tr:nth-child(1) .unit", "kg");
+    browser.call("Page.reload", json!({}));
+    browser.until("document.querySelector('[data-id=variables]') !== null");
+    browser.click("[data-id=variables]");
+    browser.until_text("tbody tr:nth-child(1) .unit", "kg");
+    let shown = "[...document.querySelectorAll('tbody tr:not([hidden]) th, .lamp:not([hidden]) .name')].map((name) => name.textContent).join()";
+    for (search, found) in [("waste", "I1"), ("gripper", "IO128"), ("bar", "F1")] {
+        browser.enter("#search", search);
+        assert_eq!(browser.eval(shown), found);
+    }
+    assert_eq!(browser.problems, [""; 0]);
+}
+
+/// The arm is drawn where the controller reports it, also after a turn by keys and by the pointer, and the target is drawn.
+#[test]
+fn the_arm_is_drawn_in_three_dimensions() {
+    let sim = Sim::quick();
+    let web = Web::start(&[("press", sim.address())], false);
+    let Some(mut browser) = opened(&web) else { return };
+    browser.click("[data-id=arm]");
+    let data = "document.querySelector('.space').dataset";
+    browser.until(&format!("{data}.flange !== undefined && {data}.flange !== ''"));
+    // the flange is at the reported position, and at the target of a robot that rests
+    let fits = format!("{data}.flange === {data}.position && {data}.flange === {data}.commanded");
+    browser.until(&fits);
+    let place = |browser: &mut Browser| browser.eval(&format!("{data}.flange")).as_str().unwrap().to_owned();
+    let drawn = "(() => { const canvas = document.querySelector('.space'); const [x, y] = canvas.dataset.flange.split(' ').map(Number);
+        const pixels = canvas.getContext('2d').getImageData((x - 6) * devicePixelRatio, (y - 6) * devicePixelRatio, 12, 12).data;
+        return pixels.some((value, n) => n % 4 === 3 && value > 0); })()";
+    let mut places = vec![place(&mut browser)];
+    browser.eval("document.querySelector('.space').focus()");
+    for key in ["ArrowLeft", "ArrowDown", "+"] {
+        browser.eval(&format!(
+            "document.querySelector('.space').dispatchEvent(new KeyboardEvent('keydown', {{ key: '{key}' }}))"
+        ));
+        assert_eq!(browser.eval(&fits), true, "{key}");
+        assert_eq!(browser.eval(drawn), true, "{key}");
+        places.push(place(&mut browser));
+    }
+    browser.press(".space");
+    let to = "(() => { const r = document.querySelector('.space').getBoundingClientRect(); return [r.x + 40, r.y + 60]; })()";
+    let to = browser.eval(to);
+    browser.call(
+        "Input.dispatchMouseEvent",
+        json!({ "type": "mouseMoved", "x": to[0], "y": to[1], "button": "left", "buttons": 1 }),
+    );
+    browser.lift();
+    places.push(place(&mut browser));
+    places.dedup();
+    assert_eq!(places.len(), 5, "each turn shows another side: {places:?}");
+    browser.eval("document.querySelector('.space').dispatchEvent(new KeyboardEvent('keydown', { key: 'Home' }))");
+    assert_eq!(place(&mut browser), places[0]);
+    // during a motion the target is elsewhere, and the path grows
+    let mut cell = blocking::Controller::connect(&format!("tcp:{}", sim.address()), &Settings::rc8()).unwrap();
+    let mut arm = cell.robot().unwrap().take_arm().unwrap();
+    arm.motor_on().unwrap();
+    let moving = arm.start(&Move::joint("J(60,45,90,0,45,0)").speed_percent(5.0), LIMIT).unwrap();
+    browser.until(&format!("{data}.commanded !== {data}.flange && Number({data}.path) > 2"));
+    browser.until_text(".views + p", "The dashed line is where the controller has commanded it to.");
+    drop(moving);
+    assert_eq!(browser.problems, [""; 0]);
 }

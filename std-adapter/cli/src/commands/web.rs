@@ -2,6 +2,7 @@
 
 use std::io::Write as _;
 use std::net::SocketAddr;
+use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
 use bcap_terminal::signal;
@@ -9,6 +10,7 @@ use bcap_web::{Config, Server};
 use clap::Args;
 use tempfile::NamedTempFile;
 
+use crate::commands::variables::labels;
 use crate::failure::Failure;
 use crate::link::LinkArgs;
 use crate::listen::{runtime, taken};
@@ -48,6 +50,10 @@ pub(crate) struct Web {
     #[arg(long)]
     pub(crate) allow_motion: bool,
 
+    /// The file of labels, as for `bcap io`; a unit may be at the end: `F1 = pressure [bar]`
+    #[arg(long, value_name = "FILE")]
+    pub(crate) labels: Option<PathBuf>,
+
     /// Opens the page in the browser
     #[arg(long)]
     pub(crate) open: bool,
@@ -66,8 +72,9 @@ pub(crate) fn web(args: &Web, link: &LinkArgs) -> Result<(), Failure> {
         let access = |name: &String| Ok((name.clone(), link.for_profile(name)?.access()?));
         args.profiles.iter().map(access).collect::<Result<_, Failure>>()?
     };
-    let config =
-        Config { allow_write: args.allow_write, allow_motion: args.allow_motion, ..Config::new(args.listen, robots) };
+    let labels = args.labels.as_deref().map(labels::read).transpose()?.unwrap_or_default().into_iter().collect();
+    let rights = Config::new(args.listen, robots);
+    let config = Config { allow_write: args.allow_write, allow_motion: args.allow_motion, labels, ..rights };
     runtime()?.block_on(async {
         let ended = signal::wait()?;
         let server = bind(config, "--listen").await?;
