@@ -1,5 +1,6 @@
 //! Networks of clients, by IPv4 address.
 
+use core::fmt;
 use core::net::Ipv4Addr;
 
 /// A network of clients: an address and the length of its prefix.
@@ -52,6 +53,13 @@ impl Network {
 impl Default for Network {
     fn default() -> Self {
         Self::ANY
+    }
+}
+
+/// Writes the network as [`parse`](Network::parse) takes it.
+impl fmt::Display for Network {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.address, self.prefix)
     }
 }
 

@@ -1,4 +1,4 @@
-//! The UDP socket of a board: it answers [`find`](crate::find), and sends messages of syslog.
+//! The UDP socket of a board: it answers [`find`](crate::find), sends messages of syslog, and asks for the time.
 //!
 //! One socket, because each one takes memory.
 
@@ -7,26 +7,42 @@ use core::net::Ipv4Addr;
 use core::task::Context;
 
 use bcap_core::rac;
+use bcap_gateway::Network;
 use embassy_executor::{SpawnError, Spawner};
+#[cfg(feature = "health")]
+use embassy_futures::select::{Either3, select3};
 use embassy_net::udp::{PacketMetadata, UdpMetadata, UdpSocket};
 use embassy_net::{HardwareAddress, IpAddress, IpEndpoint, Stack};
+#[cfg(feature = "health")]
+use embassy_time::Timer;
 use embassy_time::{Duration, Instant};
 use static_cell::{ConstStaticCell, StaticCell};
 
 use crate::Settings;
 use crate::find::{Found, PORT, REQUEST, number};
+use crate::host::{is_host, is_other};
 use crate::identity::NAME;
 #[cfg(feature = "health")]
-use crate::page;
+use crate::messages;
+#[cfg(feature = "health")]
+use crate::network;
 use crate::parts::{DATAGRAMS, Parts};
+#[cfg(feature = "health")]
+use crate::sntp::{self, Refused};
 use crate::watchdog::watched;
 
 /// The pause between two answers. Requests in it are dropped; a host repeats them.
 const PAUSE: Duration = Duration::from_millis(50);
 
+/// The pauses between requests for the time: without an answer, and after one.
+#[cfg(feature = "health")]
+const RETRY: Duration = Duration::from_secs(64);
+#[cfg(feature = "health")]
+const RENEWAL: Duration = Duration::from_secs(1024);
+
 /// The memory of the socket: a request, and a message of syslog or an answer.
 #[cfg(feature = "health")]
-const SENT: usize = page::MESSAGE;
+const SENT: usize = messages::MESSAGE;
 #[cfg(not(feature = "health"))]
 const SENT: usize = REQUEST;
 
@@ -53,23 +69,96 @@ async fn serve(stack: Stack<'static>, settings: &'static Settings<'static>, name
 
 async fn run(stack: Stack<'_>, mut socket: UdpSocket<'_>, settings: &Settings<'_>, name: &str) -> ! {
     let mut next_answer = Instant::MIN;
+    #[cfg(feature = "health")]
+    let mut clock = Clock::default();
     loop {
         stack.wait_config_up().await;
         // fails if it is bound already
         let _ = socket.bind(PORT);
         #[cfg(feature = "health")]
-        embassy_futures::select::select(socket.wait_recv_ready(), page::wait()).await;
+        serve_others(&socket, settings, &mut clock).await;
         #[cfg(not(feature = "health"))]
         socket.wait_recv_ready().await;
-        #[cfg(feature = "health")]
-        if let Some(collector) = settings.syslog {
-            page::send(&socket, collector, settings.hostname).await;
+        if !socket.may_recv() {
+            continue;
         }
-        if socket.may_recv() {
-            let asked = socket.recv_from_with(|datagram, meta| Some((number(datagram)?, meta))).await;
-            if let Some((number, meta)) = asked.filter(|_| settings.find && Instant::now() >= next_answer) {
-                next_answer = Instant::now().saturating_add(PAUSE);
-                answer(stack, &socket, (number, meta), settings, name).await;
+        let receive = |datagram: &[u8], meta: UdpMetadata| {
+            #[cfg(feature = "health")]
+            clock.receive(datagram, meta.endpoint, settings);
+            Some((number(datagram)?, meta))
+        };
+        let asked = socket.recv_from_with(receive).await;
+        if let Some((number, meta)) = asked.filter(|_| settings.find && Instant::now() >= next_answer) {
+            next_answer = Instant::now().saturating_add(PAUSE);
+            answer(stack, &socket, (number, meta), settings, name).await;
+        }
+    }
+}
+
+/// Waits for a datagram, and sends a message or a request for the time before that.
+#[cfg(feature = "health")]
+async fn serve_others(socket: &UdpSocket<'_>, settings: &Settings<'_>, clock: &mut Clock) {
+    let message = async {
+        match settings.syslog {
+            Some(_) => messages::wait().await,
+            None => core::future::pending().await,
+        }
+    };
+    let time = async {
+        match settings.ntp {
+            Some(_) => Timer::at(clock.next.unwrap_or(Instant::MIN)).await,
+            None => core::future::pending().await,
+        }
+    };
+    match select3(socket.wait_recv_ready(), message, time).await {
+        Either3::First(()) => {}
+        Either3::Second(()) => {
+            if let Some(collector) = settings.syslog {
+                messages::send(socket, collector, settings.hostname).await;
+            }
+        }
+        Either3::Third(()) => {
+            if let Some(server) = settings.ntp {
+                let _ = socket.send_to(&clock.ask(), server).await;
+            }
+        }
+    }
+}
+
+/// The requests for the time: one each 17 minutes, and one a minute as long as there is no answer.
+#[cfg(feature = "health")]
+#[derive(Default)]
+struct Clock {
+    next: Option<Instant>,
+    /// The number of the request that was not answered yet.
+    number: Option<[u8; 8]>,
+    /// The refusal that was last logged.
+    told: Option<Refused>,
+}
+
+#[cfg(feature = "health")]
+impl Clock {
+    fn ask(&mut self) -> [u8; sntp::SIZE] {
+        let number = network::random().to_be_bytes();
+        (self.number, self.next) = (Some(number), Some(Instant::now().saturating_add(RETRY)));
+        sntp::request(number)
+    }
+
+    /// Takes the time of the configured server; each request has one answer.
+    fn receive(&mut self, datagram: &[u8], from: IpEndpoint, settings: &Settings<'_>) {
+        let (Some(number), Some(server)) = (self.number, settings.ntp) else { return };
+        if from != IpEndpoint::from(server) {
+            return;
+        }
+        match sntp::read(datagram, number) {
+            Ok(utc) => {
+                messages::set_clock(utc);
+                *self = Self { next: Some(Instant::now().saturating_add(RENEWAL)), number: None, told: None };
+            }
+            Err(refused) => {
+                if self.told.replace(refused) != Some(refused) {
+                    defmt::warn!("SNTP: refused an answer: {=str}", refused.text());
+                }
             }
         }
     }
@@ -106,7 +195,6 @@ async fn answer(
 
 /// Returns whether a host is another one of the board's network.
 fn may_ask(own: (Ipv4Addr, u8), host: Ipv4Addr) -> bool {
-    let (address, prefix) = own;
-    let mask = u32::MAX.checked_shl(32 - u32::from(prefix)).unwrap_or_default();
-    crate::host::is_host(host) && crate::host::is_other(own, host) && (address.to_bits() ^ host.to_bits()) & mask == 0
+    let is_near = Network::new(own.0, own.1).is_some_and(|network| network.contains(Some(host)));
+    is_near && is_host(host) && is_other(own, host)
 }

@@ -103,6 +103,8 @@ pub fn start(
     start_modbus(spawner, stack, settings, board)?;
     datagrams::start(spawner, stack, settings, &parts)?;
     #[cfg(feature = "health")]
+    crate::messages::start(&parts);
+    #[cfg(feature = "health")]
     crate::page::start(spawner, stack, settings, board, parts)?;
     #[cfg(all(feature = "update", feature = "port"))]
     crate::remote::start(spawner, stack, settings)?;
@@ -301,7 +303,7 @@ async fn log_status(board: &'static Board, parts: Parts) -> ! {
             board.view(|gateway| report::status(gateway, &parts));
             report::left_out();
             #[cfg(feature = "health")]
-            crate::page::left_out();
+            crate::messages::left_out();
         }
     };
     watched(STATUS, pin!(work)).await

@@ -3,9 +3,11 @@
 //! ```text
 //!  /             a page for people, which reloads itself every 5 s
 //!  /health.json  the same for programs
+//!  /rules        what PLCs may read and write
+//!  /log          the last messages
 //! ```
 //!
-//! Both are read-only. They show no settings, because any client that can reach the port can read them.
+//! All are read-only. They show no other settings, because any client that can reach the port can read them.
 
 use core::fmt::{self, Write};
 use core::time::Duration;
@@ -134,7 +136,7 @@ impl Health<'_> {
         for (name, count) in self.board {
             row(out, name, count)?;
         }
-        out.write_str("</table><p><a href=health.json>JSON</a>\n")
+        out.write_str("</table><p><a href=health.json>JSON</a> <a href=rules>Rules</a> <a href=log>Log</a>\n")
     }
 }
 
@@ -179,7 +181,7 @@ impl fmt::Display for Json<'_> {
 }
 
 /// A text inside HTML.
-struct Html<'a>(&'a dyn fmt::Display);
+pub(crate) struct Html<'a>(pub(crate) &'a dyn fmt::Display);
 
 impl fmt::Display for Html<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

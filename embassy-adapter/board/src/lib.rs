@@ -17,8 +17,8 @@
 //! | `network`    | `embassy`  | embassy-net, which gets checked leases only; finds a silent Ethernet controller |
 //! | `watchdog`   | `embassy`  | feeds a watchdog while all tasks run                                          |
 //! | `led`        |            | the patterns of an LED; its task with `embassy`                               |
-//! | `health`, `syslog` | `health` | the page of the state, and the format of messages                         |
-//! | `page`       | `embassy` and `health` | their tasks                                                       |
+//! | `health`, `syslog`, `sntp` | `health` | the page of the state, the format of messages, the time                |
+//! | `page`       | `embassy` and `health` | the pages                                                         |
 //! | `sizes`      | `embassy`  | the sizes of the memory, which variables of the build change                 |
 //! | `parts`      | `embassy`  | the shared state of the tasks, and board-specific data                        |
 //! | `config`     | `embassy`  | reads the settings at the start                                               |
@@ -76,6 +76,7 @@
 //! | `coil`     | `ADDRESS=IO[/FIRST[-LAST]]`: coils from this address on; can be repeated | none |
 //! | `health`   | the port of a read-only page of the board's state, usually 80; for images with the feature `health` | no page |
 //! | `syslog`   | `ADDRESS[:PORT]`: where refusals and changes of the state are sent, usually to port 514; for images with the feature `health` | not sent |
+//! | `ntp`      | `ADDRESS[:PORT]`: a server of SNTP, usually at port 123, for the time in syslog and on the page; for images with the feature `health` | no time |
 //! | `update`   | `ADDRESS[/PREFIX]`: hosts that may send signed updates to TCP port 5010; can be repeated up to four times; for images with the feature `update` and a key | none, and the port is closed |
 //! | `echo`     | the port of an echo server, to compare round trips; for images with the feature `echo` | no echo server |
 //!
@@ -97,6 +98,8 @@ pub mod crc;
 #[cfg(feature = "embassy")]
 mod datagrams;
 mod error;
+#[cfg(all(feature = "health", any(feature = "embassy", test)))]
+mod events;
 #[cfg(all(feature = "cortex-m", target_arch = "arm"))]
 pub mod fault;
 pub mod find;
@@ -116,6 +119,8 @@ pub mod log;
 pub mod mac;
 #[cfg(any(feature = "cortex-m", feature = "embassy"))]
 pub mod memory;
+#[cfg(all(feature = "embassy", feature = "health"))]
+mod messages;
 #[cfg(feature = "modbus")]
 mod modbus_map;
 #[cfg(feature = "embassy")]
@@ -141,6 +146,8 @@ pub mod signature;
 #[cfg(any(feature = "embassy", feature = "log"))]
 pub mod sizes;
 pub mod slots;
+#[cfg(feature = "health")]
+pub mod sntp;
 #[cfg(all(feature = "cortex-m", target_arch = "arm"))]
 pub mod stack;
 #[cfg(feature = "health")]

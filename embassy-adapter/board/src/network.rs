@@ -38,6 +38,21 @@ struct Life {
 static LIFE: Mutex<CriticalSectionRawMutex, Cell<Life>> =
     Mutex::new(Cell::new(Life { has_received: false, silent_since: None }));
 
+/// The state of [`random`].
+static RANDOM: Mutex<CriticalSectionRawMutex, Cell<u64>> = Mutex::new(Cell::new(0));
+
+/// Returns a number that a host cannot guess if the seed of the board is random: splitmix64, with the time in it.
+#[cfg(feature = "health")]
+pub(crate) fn random() -> u64 {
+    let state = RANDOM.lock(|state| {
+        state.set((state.get() ^ Instant::now().as_ticks()).wrapping_add(0x9e37_79b9_7f4a_7c15));
+        state.get()
+    });
+    let mixed = (state ^ state >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let mixed = (mixed ^ mixed >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+    mixed ^ mixed >> 31
+}
+
 /// Makes the network stack of a board, with the address of the settings or of a DHCP server. Call it once.
 ///
 /// Not inlined, because the network stack is built on the call stack.
@@ -49,6 +64,7 @@ pub fn start<D: Driver, const SOCKETS: usize>(
     seed: u64,
 ) -> (Stack<'static>, Runner<D>) {
     let driver = Checked { driver, settings, next_offer: Instant::MIN, told: None };
+    RANDOM.lock(|state| state.set(!seed));
     embassy_net::new(driver, address::config(settings), resources, seed)
 }
 

@@ -76,7 +76,7 @@ impl defmt::Format for Times<'_> {
 /// Logs refusals, failures, and the connections of clients and of the robot.
 pub fn log(report: &Report<'_>) {
     #[cfg(feature = "health")]
-    crate::page::report(report);
+    crate::messages::report(report);
     match *report {
         Report::Connected { client } => limited(client, "connected", |left_out| {
             defmt::info!("{}: connected{}", Client(client), left_out);

@@ -57,6 +57,9 @@ pub struct Settings<'a> {
     /// Where messages of syslog are sent, if anywhere.
     #[cfg(feature = "health")]
     pub syslog: Option<SocketAddrV4>,
+    /// The server of SNTP, if there is one.
+    #[cfg(feature = "health")]
+    pub ntp: Option<SocketAddrV4>,
     /// The port of Modbus TCP, if PLCs may use it.
     #[cfg(feature = "modbus")]
     pub modbus: Option<u16>,
@@ -119,6 +122,8 @@ impl Default for Settings<'_> {
             health: None,
             #[cfg(feature = "health")]
             syslog: None,
+            #[cfg(feature = "health")]
+            ntp: None,
             #[cfg(feature = "modbus")]
             modbus: None,
             #[cfg(feature = "modbus")]
@@ -230,8 +235,10 @@ impl<'a> Settings<'a> {
             "health" => self.health = Some(self.port(key, text)?),
             #[cfg(feature = "health")]
             "syslog" => {
-                self.syslog = Some(valid(collector(text).filter(|collector| self.is_other(*collector.ip())))?);
+                self.syslog = Some(valid(server(text, crate::syslog::PORT).filter(|to| self.is_other(*to.ip())))?);
             }
+            #[cfg(feature = "health")]
+            "ntp" => self.ntp = Some(valid(server(text, crate::sntp::PORT).filter(|to| self.is_other(*to.ip())))?),
             #[cfg(feature = "modbus")]
             "modbus" => self.modbus = Some(self.port(key, text)?),
             #[cfg(feature = "modbus")]
@@ -281,10 +288,10 @@ impl<'a> Settings<'a> {
     /// Returns whether the machines that are set already are others if the board has this address.
     fn are_others(&self, own: Own) -> bool {
         #[cfg(feature = "health")]
-        let collector = self.syslog.as_ref().map(|address| *address.ip());
+        let [collector, clock] = [self.syslog, self.ntp].map(|server| server.map(|address| *address.ip()));
         #[cfg(not(feature = "health"))]
-        let collector = None;
-        let mut others = [Some(*self.robot.address.ip()), self.gateway, collector].into_iter().flatten();
+        let (collector, clock) = (None, None);
+        let mut others = [Some(*self.robot.address.ip()), self.gateway, collector, clock].into_iter().flatten();
         others.all(|other| is_other(own, other))
     }
 
@@ -322,10 +329,10 @@ fn port(value: &str) -> Option<u16> {
 }
 
 #[cfg(feature = "health")]
-fn collector(value: &str) -> Option<SocketAddrV4> {
+fn server(value: &str, usual: u16) -> Option<SocketAddrV4> {
     let (address, number) = match value.split_once(':') {
         Some((address, number)) => (address, port(number)?),
-        None => (value, crate::syslog::PORT),
+        None => (value, usual),
     };
     Some(SocketAddrV4::new(host(address)?, number))
 }
@@ -465,6 +472,8 @@ mod tests {
         let address = Ipv4Addr::new(10, 0, 2, 2);
         assert_eq!(read("health=80\nsyslog=10.0.2.2").syslog, Some(SocketAddrV4::new(address, 514)));
         assert_eq!(read("syslog=10.0.2.2:5140").syslog, Some(SocketAddrV4::new(address, 5140)));
+        assert_eq!(read("ntp=10.0.2.2").ntp, Some(SocketAddrV4::new(address, 123)));
+        assert_eq!(read("ntp=10.0.2.2:1123").ntp, Some(SocketAddrV4::new(address, 1123)));
         assert_eq!(read("health=80").health, Some(80));
         assert_eq!((Settings::default().health, Settings::default().syslog), (None, None), "off without a setting");
     }
@@ -500,6 +509,8 @@ mod tests {
             "gateway=HOST",
             #[cfg(feature = "health")]
             "syslog=HOST",
+            #[cfg(feature = "health")]
+            "ntp=HOST",
         ];
         for (own, host, is_valid) in [
             ("192.168.0.7/24", "192.168.0.8", true),
@@ -576,6 +587,10 @@ mod tests {
             "syslog=10.0.2.2:0",
             #[cfg(feature = "health")]
             "syslog=224.0.0.1",
+            #[cfg(feature = "health")]
+            "ntp=pool.ntp.org",
+            #[cfg(feature = "health")]
+            "ntp=255.255.255.255",
             #[cfg(feature = "modbus")]
             "modbus=0",
             #[cfg(feature = "modbus")]

@@ -8,13 +8,15 @@
 //!   │      │ │      │       └ no process
 //!   │      │ │      └ the image
 //!   │      │ └ the name of the board in its settings, or `-`
-//!   │      └ no time: the board has no calendar, so the collector writes the time of arrival
+//!   │      └ the time, if a server of SNTP has told it; otherwise the collector writes the time of arrival
 //!   └ the facility local0 and the severity
 //! ```
 //!
 //! UDP can lose messages.
 
 use core::fmt;
+
+use crate::sntp::Utc;
 
 /// The UDP port of syslog (RFC 5426).
 pub const PORT: u16 = 514;
@@ -34,7 +36,17 @@ pub enum Severity {
 }
 
 impl Severity {
-    const fn code(self) -> u8 {
+    /// Returns the severity with a code.
+    #[cfg(feature = "embassy")]
+    pub(crate) const fn of_code(code: u8) -> Self {
+        match code {
+            3 => Self::Error,
+            4 => Self::Warning,
+            _ => Self::Notice,
+        }
+    }
+
+    pub(crate) const fn code(self) -> u8 {
         match self {
             Self::Error => 3,
             Self::Warning => 4,
@@ -48,6 +60,8 @@ impl Severity {
 pub struct Message<'a> {
     /// How severe it is.
     pub severity: Severity,
+    /// The time of the event; `None` if the board does not know it.
+    pub time: Option<Utc>,
     /// The name of the board; `None` if it has none.
     pub host: Option<&'a str>,
     /// The name of the image.
@@ -67,8 +81,13 @@ impl fmt::Debug for Message<'_> {
 /// Writes the datagram.
 impl fmt::Display for Message<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { severity, host, app, id, text } = *self;
-        write!(f, "<{}>1 - {} {app} - {id} - ", LOCAL0 | severity.code(), host.unwrap_or("-"))?;
+        let Self { severity, time, host, app, id, text } = *self;
+        write!(f, "<{}>1 ", LOCAL0 | severity.code())?;
+        match time {
+            Some(time) => time.fmt(f)?,
+            None => f.write_str("-")?,
+        }
+        write!(f, " {} {app} - {id} - ", host.unwrap_or("-"))?;
         fmt::Write::write_fmt(&mut Printable(f), format_args!("{text}"))
     }
 }
@@ -92,6 +111,7 @@ mod tests {
     fn a_message_is_that_of_rfc_5424() {
         let message = Message {
             severity: Severity::Warning,
+            time: None,
             host: Some("cell-7"),
             app: "gateway",
             id: "refused",
@@ -104,6 +124,8 @@ mod tests {
         );
         let start = Message { severity: Severity::Notice, host: None, id: "start", text: &"", ..message };
         assert_eq!(start.to_string(), "<133>1 - - gateway - start - ");
+        let timed = Message { time: Some(Utc(1_795_707_700_500_000)), ..start };
+        assert_eq!(timed.to_string(), "<133>1 2026-11-26T15:41:40.500Z - gateway - start - ");
         assert_eq!(Message { severity: Severity::Error, ..start }.to_string(), "<131>1 - - gateway - start - ");
     }
 }

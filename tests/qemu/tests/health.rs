@@ -1,4 +1,4 @@
-//! Tests the page of the gateway board's state in QEMU, and its messages of syslog.
+//! Tests the pages of the gateway board in QEMU, its messages of syslog, and its time from a server of SNTP.
 
 use std::io::{Read, Write};
 use std::net::{TcpStream, UdpSocket};
@@ -36,6 +36,52 @@ fn number(json: &str, key: &str) -> u64 {
     digits.parse().unwrap_or_else(|_| panic!("{key} in {json}"))
 }
 
+/// Starts a server of SNTP on this machine, whose first answers must be refused, and returns its port.
+fn time_server() -> u16 {
+    let server = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let port = server.local_addr().unwrap().port();
+    std::thread::spawn(move || {
+        let mut request = [0; 128];
+        while let Ok((count, board)) = server.recv_from(&mut request) {
+            assert_eq!((count, request[0]), (48, 0x23), "a request of version 4");
+            let mut good = [0; 48];
+            (good[0], good[1]) = (0x24, 2);
+            good[24..32].copy_from_slice(&request[40..48]);
+            // 2026-11-26T15:41:40Z
+            good[40..44].copy_from_slice(&4_004_696_500_u32.to_be_bytes());
+            // not synchronised, a client, stratum 0, another request, another time of 2027 in each
+            for (at, byte) in [(0, 0xe4), (0, 0x23), (1, 0), (24, good[24] ^ 1)] {
+                let mut bad = good;
+                bad[40..44].copy_from_slice(&4_036_232_500_u32.to_be_bytes());
+                bad[at] = byte;
+                server.send_to(&bad, board).unwrap();
+            }
+            server.send_to(&good[..47], board).unwrap();
+            server.send_to(&good, board).unwrap();
+            // to a request that was answered
+            server
+                .send_to(
+                    &{
+                        let mut late = good;
+                        late[40..44].copy_from_slice(&4_036_232_500_u32.to_be_bytes());
+                        late
+                    },
+                    board,
+                )
+                .unwrap();
+        }
+    });
+    port
+}
+
+/// Returns a message without its time, and whether it has one: of the right day.
+fn without_time(message: &str) -> (String, bool) {
+    let mut words = message.splitn(3, ' ');
+    let [first, time, rest] = std::array::from_fn(|_| words.next().unwrap());
+    assert!(time == "-" || time.starts_with("2026-11-26T15:") && time.ends_with('Z') && time.len() == 24, "{message}");
+    (format!("{first} - {rest}"), time != "-")
+}
+
 #[test]
 fn the_page_shows_the_state_and_syslog_tells_refusals_and_changes() {
     let bcap = bcap();
@@ -44,14 +90,15 @@ fn the_page_shows_the_state_and_syslog_tells_refusals_and_changes() {
     let sim = Sim::start(&bcap, "127.0.0.1:0");
     let port = free_port();
     let syslog = format!("syslog=10.0.2.2:{}", collector.local_addr().unwrap().port());
-    let settings = ["provider=CaoProv.DENSO.VRC", "hostname=cell-7", &syslog];
+    let ntp = format!("ntp=10.0.2.2:{}", time_server());
+    let settings = ["provider=CaoProv.DENSO.VRC", "hostname=cell-7", "put=F/1=-0.5..2", &syslog, &ntp];
     // the image of the test of Modbus, so that one build serves both
     let modbus = free_port().to_string();
     let mut board = Board::start(&sim.bcap, &["--health", &port.to_string(), "--modbus", &modbus], &settings).up();
     let message = || {
         let mut datagram = [0; 1024];
         let count = collector.recv(&mut datagram).unwrap();
-        String::from_utf8_lossy(&datagram[..count]).into_owned()
+        without_time(&String::from_utf8_lossy(&datagram[..count])).0
     };
     assert_eq!(message(), "<133>1 - cell-7 gateway - start - last reset: power-on");
     // the board may have asked the robot before it was there
@@ -60,7 +107,7 @@ fn the_page_shows_the_state_and_syslog_tells_refusals_and_changes() {
     assert!(!run(&bcap, &["rac", "put", "I5", "7", "--robot", &board.rac]).ok);
     let refused = message();
     assert!(refused.starts_with("<132>1 - cell-7 gateway - refused - 10.0.2.2:"), "{refused}");
-    assert!(refused.ends_with(": the gateway is read-only: PUT:RC8:5:I:3,7"), "{refused}");
+    assert!(refused.ends_with(": PUT:RC8:5:I:3,7"), "{refused}");
 
     let (head, json) = get(port, "GET /health.json");
     assert!(head.starts_with("HTTP/1.1 200 OK\r\n") && head.contains("application/json"), "{head}");
@@ -86,9 +133,16 @@ fn the_page_shows_the_state_and_syslog_tells_refusals_and_changes() {
     assert!(page.contains("<tr><td>robot<td>up<tr>") && page.contains("<tr><td>last reset<td>power-on<tr>"), "{page}");
     assert!(get(port, "PUT /").0.starts_with("HTTP/1.1 405 "));
     assert!(get(port, "GET /settings").0.starts_with("HTTP/1.1 404 "));
+    let rules = get(port, "GET /rules").1;
+    assert!(rules.contains("<tr><td>PUT<td>F/1-1<td>-0.5..2 <td>"), "{rules}");
+    let log = get(port, "GET /log").1;
+    assert!(log.contains("<td>refused<td>10.0.2.2:") && log.contains("PUT:RC8:5:I:3,7"), "{log}");
 
     sim.end("-KILL");
-    let down = message();
+    let mut datagram = [0; 1024];
+    let count = collector.recv(&mut datagram).unwrap();
+    let (down, has_time) = without_time(&String::from_utf8_lossy(&datagram[..count]));
+    assert!(has_time, "the clock was set by then");
     assert!(down.starts_with("<132>1 - cell-7 gateway - robot-down - "), "{down}");
     assert!(get(port, "GET /health.json").1.contains("\"state\":\"down\""));
     assert!(board.is_running(), "{}", board.log());
