@@ -49,26 +49,21 @@ fn time_server() -> u16 {
             good[24..32].copy_from_slice(&request[40..48]);
             // 2026-11-26T15:41:40Z
             good[40..44].copy_from_slice(&4_004_696_500_u32.to_be_bytes());
-            // not synchronised, a client, stratum 0, another request, another time of 2027 in each
-            for (at, byte) in [(0, 0xe4), (0, 0x23), (1, 0), (24, good[24] ^ 1)] {
-                let mut bad = good;
-                bad[40..44].copy_from_slice(&4_036_232_500_u32.to_be_bytes());
-                bad[at] = byte;
-                server.send_to(&bad, board).unwrap();
+            let late = |time: u32, (at, byte): (usize, u8)| {
+                let mut answer = good;
+                answer[40..44].copy_from_slice(&time.to_be_bytes());
+                answer[at] = byte;
+                answer
+            };
+            // in 2027 would be wrong: not synchronised, a client, stratum 0, another request
+            let wrong = [(0, 0xe4), (0, 0x23), (1, 0), (24, good[24] ^ 1)].map(|change| late(4_036_232_500, change));
+            let again = late(4_036_232_500, (0, good[0]));
+            let all = wrong.iter().map(|answer| &answer[..]).chain([&good[..47], &good, &again]);
+            for answer in all {
+                server.send_to(answer, board).unwrap();
+                // the board has room for one datagram
+                std::thread::sleep(std::time::Duration::from_millis(100));
             }
-            server.send_to(&good[..47], board).unwrap();
-            server.send_to(&good, board).unwrap();
-            // to a request that was answered
-            server
-                .send_to(
-                    &{
-                        let mut late = good;
-                        late[40..44].copy_from_slice(&4_036_232_500_u32.to_be_bytes());
-                        late
-                    },
-                    board,
-                )
-                .unwrap();
         }
     });
     port
@@ -135,7 +130,16 @@ fn the_page_shows_the_state_and_syslog_tells_refusals_and_changes() {
     assert!(get(port, "GET /settings").0.starts_with("HTTP/1.1 404 "));
     let rules = get(port, "GET /rules").1;
     assert!(rules.contains("<tr><td>PUT<td>F/1-1<td>-0.5..2 <td>"), "{rules}");
-    let log = get(port, "GET /log").1;
+    let since = Instant::now();
+    let log = loop {
+        let log = get(port, "GET /log").1;
+        // the times of earlier messages are known as well then
+        if log.contains("<tr><td>2026-11-26T15:4") {
+            break log;
+        }
+        assert!(since.elapsed() < TIMEOUT, "the clock is not set: {log} {}", board.log());
+    };
+    assert!(!log.contains("2027-"), "{log}");
     assert!(log.contains("<td>refused<td>10.0.2.2:") && log.contains("PUT:RC8:5:I:3,7"), "{log}");
 
     sim.end("-KILL");
