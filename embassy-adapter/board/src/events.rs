@@ -80,11 +80,15 @@ impl<const N: usize> Events<N> {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use core::fmt::Write;
     use std::vec::Vec;
 
+    use super::*;
+
     fn event(at: u64) -> Event {
-        Event { at, severity: 5, id: Some("id"), text: String::new() }
+        let mut text = String::new();
+        write!(text, "text {at}").unwrap();
+        Event { at, severity: 5, id: Some("id"), text }
     }
 
     fn shown(events: &Events<4>) -> Vec<u64> {
@@ -99,7 +103,8 @@ mod tests {
             events.push(event(at));
         }
         assert_eq!(shown(&events), [3, 2, 1]);
-        assert_eq!(events.take().map(|event| event.at), Some(1));
+        let first = events.take().unwrap();
+        assert_eq!((first.at, first.severity, &*first.text), (1, 5, "text 1"));
         for at in 4..=6 {
             events.push(event(at));
         }

@@ -25,6 +25,7 @@ use bcap_embassy::gateway::{Limits, Listener, SharedGateway, TcpRobot, run_robot
 use bcap_embassy::net::{Backlog, Options, UdpTransport};
 use bcap_gateway::{Config, Gateway, Memory};
 use embassy_executor::{SpawnError, Spawner};
+use embassy_futures::join::join;
 use embassy_futures::select::select;
 use embassy_net::Stack;
 use embassy_net::udp::{PacketMetadata, UdpSocket};
@@ -291,7 +292,7 @@ async fn run_robot_link(
         address::find(stack, settings).await;
         select(run, address::improve(stack, settings, dhcp_again, || has_robot(board))).await;
     };
-    watched(ROBOT, pin!(work)).await
+    join(watched(ROBOT, pin!(work)), network::follow(stack)).await;
 }
 
 /// Logs the state of the board every 10 s.

@@ -1,19 +1,22 @@
-//! embassy-net over the driver of a board: it gets checked leases only, and a controller that stays silent is found.
+//! embassy-net over the driver of a board: it gets checked leases and packets of real neighbors only, and a controller that stays silent
+//! is found.
 //!
 //! ```text
-//!  driver ─► Checked: drops invalid leases of DHCP, counts as a sign of life ─► embassy-net
+//!  driver ─► Checked: drops invalid leases of DHCP and packets of invented neighbors, counts as a sign of life ─► embassy-net
 //! ```
 
 use core::cell::Cell;
 use core::task::Context;
 
-use embassy_net::driver::{Capabilities, Driver, HardwareAddress, LinkState, RxToken};
+use embassy_net::driver::{Capabilities, Driver, HardwareAddress, LinkState, RxToken, TxToken};
 use embassy_net::{Stack, StackResources};
 use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
-use embassy_time::{Duration, Instant};
+use embassy_time::{Duration, Instant, Timer};
 
+use crate::host::Own;
 use crate::lease::{Lease, Refused, check};
+use crate::neighbors::{FRAME, Neighbors};
 use crate::{Settings, address};
 
 /// The time without a frame, while the link is up, after which the Ethernet controller counts as dead, if it has received frames
@@ -23,6 +26,9 @@ pub const SILENCE: Duration = Duration::from_secs(300);
 /// The pause between two offers that the network stack gets. A server that refuses what it has offered would otherwise be asked
 /// again without a pause; after an offer that is dropped, the stack asks after 10 s.
 const OFFER_PAUSE: Duration = Duration::from_secs(1);
+
+/// The pause between two looks at the board's address.
+const FOLLOW_PAUSE: Duration = Duration::from_millis(250);
 
 /// The network stack of a board, which one task must run.
 pub type Runner<D> = embassy_net::Runner<'static, Checked<D>>;
@@ -53,6 +59,9 @@ pub(crate) fn random() -> u64 {
     mixed ^ mixed >> 31
 }
 
+/// The board's address, for [`Neighbors`].
+static OWN: Mutex<CriticalSectionRawMutex, Cell<Option<Own>>> = Mutex::new(Cell::new(None));
+
 /// Makes the network stack of a board, with the address of the settings or of a DHCP server. Call it once.
 ///
 /// Not inlined, because the network stack is built on the call stack.
@@ -63,7 +72,8 @@ pub fn start<D: Driver, const SOCKETS: usize>(
     resources: &'static mut StackResources<SOCKETS>,
     seed: u64,
 ) -> (Stack<'static>, Runner<D>) {
-    let driver = Checked { driver, settings, next_offer: Instant::MIN, told: None };
+    let filter = Filter { settings, next_offer: Instant::MIN, told: None, neighbors: Neighbors::default() };
+    let driver = Checked { driver, filter };
     RANDOM.lock(|state| state.set(!seed));
     embassy_net::new(driver, address::config(settings), resources, seed)
 }
@@ -75,13 +85,28 @@ pub fn is_dead(silence: Duration) -> bool {
     has_received && silent_since.is_some_and(|since| since.elapsed() > silence)
 }
 
+/// Tells the driver the board's address, for ever: the stack calls the driver while it is borrowed.
+pub(crate) async fn follow(stack: Stack<'_>) -> ! {
+    loop {
+        let own = stack.config_v4().map(|config| (config.address.address(), config.address.prefix_len()));
+        OWN.lock(|cell| cell.set(own));
+        Timer::after(FOLLOW_PAUSE).await;
+    }
+}
+
 /// A driver whose frames are checked before the network stack gets them.
 pub struct Checked<D> {
     driver: D,
+    filter: Filter,
+}
+
+/// Decides which frames the network stack gets.
+struct Filter {
     settings: &'static Settings<'static>,
     next_offer: Instant,
     /// The refusal that was last logged.
     told: Option<Refused>,
+    neighbors: Neighbors,
 }
 
 impl<D> core::fmt::Debug for Checked<D> {
@@ -102,10 +127,20 @@ impl<D: Driver> Driver for Checked<D> {
 
     fn receive(&mut self, cx: &mut Context<'_>) -> Option<(Self::RxToken<'_>, Self::TxToken<'_>)> {
         let HardwareAddress::Ethernet(mac) = self.driver.hardware_address() else { return None };
-        let Self { driver, settings, next_offer, told } = self;
+        let Self { driver, filter } = self;
+        if let Some(own) = OWN.lock(Cell::get) {
+            if let Some(request) = filter.neighbors.request(own, mac)
+                && let Some(room) = driver.transmit(cx)
+            {
+                room.consume(FRAME, |frame| frame.iter_mut().zip(request).for_each(|(to, from)| *to = from));
+            }
+            if let Some(reply) = filter.neighbors.reply(own, mac) {
+                return driver.transmit(cx).map(|room| (CheckedFrame(Inner::Reply(reply)), room));
+            }
+        }
         let (frame, room) = driver.receive(cx)?;
         LIFE.lock(|life| life.set(Life { has_received: true, silent_since: Some(Instant::now()) }));
-        Some((CheckedFrame { frame, mac, settings, next_offer, told }, room))
+        Some((CheckedFrame(Inner::Received { frame, mac, filter }), room))
     }
 
     fn transmit(&mut self, cx: &mut Context<'_>) -> Option<Self::TxToken<'_>> {
@@ -136,12 +171,22 @@ impl<D: Driver> Driver for Checked<D> {
 
 /// A received frame that is checked before the network stack gets it.
 #[derive(Debug)]
-pub struct CheckedFrame<'a, T> {
-    frame: T,
-    mac: [u8; 6],
-    settings: &'static Settings<'static>,
-    next_offer: &'a mut Instant,
-    told: &'a mut Option<Refused>,
+pub struct CheckedFrame<'a, T>(Inner<'a, T>);
+
+enum Inner<'a, T> {
+    Received {
+        frame: T,
+        mac: [u8; 6],
+        filter: &'a mut Filter,
+    },
+    /// An ARP reply of a known neighbor.
+    Reply([u8; FRAME]),
+}
+
+impl<T> core::fmt::Debug for Inner<'_, T> {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str(if let Self::Reply(_) = self { "Reply" } else { "Received" })
+    }
 }
 
 impl<T: RxToken> RxToken for CheckedFrame<'_, T> {
@@ -149,40 +194,43 @@ impl<T: RxToken> RxToken for CheckedFrame<'_, T> {
     where
         F: FnOnce(&mut [u8]) -> R,
     {
-        let Self { frame, mac, settings, next_offer, told } = self;
-        frame.consume(|frame| match may_pass(frame, mac, settings, next_offer, told) {
-            true => take(frame),
-            // the network stack skips an empty frame
-            false => take(&mut []),
-        })
+        match self.0 {
+            Inner::Received { frame, mac, filter } => frame.consume(|frame| match filter.may_pass(frame, mac) {
+                true => take(frame),
+                // the network stack skips an empty frame
+                false => take(&mut []),
+            }),
+            Inner::Reply(mut reply) => take(&mut reply),
+        }
     }
 }
 
-/// Tells whether the network stack may have a frame; logs a refused lease, unless it is the last one again.
-fn may_pass(
-    frame: &mut [u8],
-    mac: [u8; 6],
-    settings: &Settings<'_>,
-    next_offer: &mut Instant,
-    told: &mut Option<Refused>,
-) -> bool {
-    match check(frame, mac, |own| settings.accepts(own)) {
-        Ok(Some(Lease { is_offer: true })) => {
-            let now = Instant::now();
-            let is_early = now < *next_offer;
-            if !is_early {
-                *next_offer = now.saturating_add(OFFER_PAUSE);
-            }
-            !is_early
+impl Filter {
+    /// Tells whether the network stack may have a frame; logs a refused lease, unless it is the last one again.
+    fn may_pass(&mut self, frame: &mut [u8], mac: [u8; 6]) -> bool {
+        // wraps, as the neighbors expect
+        let now = Instant::now().as_millis() as u32;
+        if !OWN.lock(Cell::get).is_none_or(|own| self.neighbors.may_pass(frame, own, mac, now)) {
+            return false;
         }
-        Ok(_) => true,
-        Err(refused) => {
-            if *told != Some(refused) {
-                *told = Some(refused);
-                let Refused { server, address, reason } = refused;
-                defmt::warn!("DHCP: refused {} from {}: {=str}", address, server, reason.text());
+        match check(frame, mac, |own| self.settings.accepts(own)) {
+            Ok(Some(Lease { is_offer: true })) => {
+                let now = Instant::now();
+                let is_early = now < self.next_offer;
+                if !is_early {
+                    self.next_offer = now.saturating_add(OFFER_PAUSE);
+                }
+                !is_early
             }
-            false
+            Ok(_) => true,
+            Err(refused) => {
+                if self.told != Some(refused) {
+                    self.told = Some(refused);
+                    let Refused { server, address, reason } = refused;
+                    defmt::warn!("DHCP: refused {} from {}: {=str}", address, server, reason.text());
+                }
+                false
+            }
         }
     }
 }
