@@ -12,7 +12,6 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use bcap_board::console::HELLO;
 use bcap_board::crc::Crc32;
 use bcap_board::identity::{self, BLOCK, Identity};
 use bcap_board::image;
@@ -179,7 +178,7 @@ impl Rig {
         // a process group, so that one signal ends QEMU, too
         let mut child = command.process_group(0).spawn().unwrap();
         let keys = child.stdin.take().unwrap();
-        Board { rig: self, child, keys, console: None, received: Vec::new() }
+        Board { rig: self, child, keys, console: None, received: Vec::new(), skips: 0 }
     }
 }
 
@@ -196,6 +195,8 @@ pub(crate) struct Board<'a> {
     keys: ChildStdin,
     console: Option<UnixStream>,
     received: Vec<u8>,
+    /// The number of the last request that the board does not know.
+    skips: u32,
 }
 
 impl Board<'_> {
@@ -307,17 +308,23 @@ impl Board<'_> {
         self.console.as_mut().unwrap().write_all(request.as_bytes()).unwrap();
     }
 
-    /// Skips the answers to repeated requests.
+    /// Skips the answers to repeated requests, which may arrive late or be damaged: requests while the board is down can fill its buffer.
+    ///
+    /// The answer to a request that was never sent before follows all of them.
     fn skip_answers(&mut self) {
-        self.send("hello\n");
-        wait("no answer to hello", || {
-            let line = self.line();
-            if line.is_none() {
-                // requests while the board was down can fill its buffer
-                self.send("hello\n");
+        let since = Instant::now();
+        loop {
+            self.skips += 1;
+            let expected = format!("error unknown request \"skip{}\"", self.skips);
+            self.send(&format!("\nskip{}\n", self.skips));
+            let asked = Instant::now();
+            while asked.elapsed() < Duration::from_millis(100) {
+                if self.line().is_some_and(|line| line == expected) {
+                    return;
+                }
             }
-            line.filter(|line| line == HELLO)
-        });
+            assert!(since.elapsed() < TIMEOUT, "no answer to skip{}", self.skips);
+        }
     }
 
     /// Returns the next line of an answer, if it arrives soon.
