@@ -1,22 +1,21 @@
-//! embassy-net over the driver of a board: it gets checked leases and packets of real neighbors only, and a controller that stays silent
+//! embassy-net over the driver of a board: it gets checked leases and packets with a way back only, and a controller that stays silent
 //! is found.
 //!
 //! ```text
-//!  driver ─► Checked: drops invalid leases of DHCP and packets of invented neighbors, counts as a sign of life ─► embassy-net
+//!  driver ─► Checked: drops invalid leases of DHCP and packets without a way back, counts as a sign of life ─► embassy-net
 //! ```
 
 use core::cell::Cell;
 use core::task::Context;
 
 use embassy_net::driver::{Capabilities, Driver, HardwareAddress, LinkState, RxToken, TxToken};
-use embassy_net::{Stack, StackResources};
+use embassy_net::{Stack, StackResources, StaticConfigV4};
 use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_time::{Duration, Instant, Timer};
 
-use crate::host::Own;
 use crate::lease::{Lease, Refused, check};
-use crate::neighbors::{FRAME, Neighbors};
+use crate::neighbors::{FRAME, Neighbors, Route};
 use crate::{Settings, address};
 
 /// The time without a frame, while the link is up, after which the Ethernet controller counts as dead, if it has received frames
@@ -59,8 +58,8 @@ pub(crate) fn random() -> u64 {
     mixed ^ mixed >> 31
 }
 
-/// The board's address, for [`Neighbors`].
-static OWN: Mutex<CriticalSectionRawMutex, Cell<Option<Own>>> = Mutex::new(Cell::new(None));
+/// The board's place in its network, once it has an address.
+static ROUTE: Mutex<CriticalSectionRawMutex, Cell<Option<Route>>> = Mutex::new(Cell::new(None));
 
 /// Makes the network stack of a board, with the address of the settings or of a DHCP server. Call it once.
 ///
@@ -85,11 +84,14 @@ pub fn is_dead(silence: Duration) -> bool {
     has_received && silent_since.is_some_and(|since| since.elapsed() > silence)
 }
 
-/// Tells the driver the board's address, for ever: the stack calls the driver while it is borrowed.
+/// Tells the driver the board's address and router, for ever: the stack calls the driver while it is borrowed.
 pub(crate) async fn follow(stack: Stack<'_>) -> ! {
     loop {
-        let own = stack.config_v4().map(|config| (config.address.address(), config.address.prefix_len()));
-        OWN.lock(|cell| cell.set(own));
+        let route = stack.config_v4().map(|StaticConfigV4 { address, gateway: router, .. }| {
+            let own = (address.address(), address.prefix_len());
+            Route { own, router }
+        });
+        ROUTE.lock(|cell| cell.set(route));
         Timer::after(FOLLOW_PAUSE).await;
     }
 }
@@ -128,7 +130,7 @@ impl<D: Driver> Driver for Checked<D> {
     fn receive(&mut self, cx: &mut Context<'_>) -> Option<(Self::RxToken<'_>, Self::TxToken<'_>)> {
         let HardwareAddress::Ethernet(mac) = self.driver.hardware_address() else { return None };
         let Self { driver, filter } = self;
-        if let Some(own) = OWN.lock(Cell::get) {
+        if let Some(Route { own, .. }) = ROUTE.lock(Cell::get) {
             if let Some(request) = filter.neighbors.request(own, mac)
                 && let Some(room) = driver.transmit(cx)
             {
@@ -210,7 +212,7 @@ impl Filter {
     fn may_pass(&mut self, frame: &mut [u8], mac: [u8; 6]) -> bool {
         // wraps, as the neighbors expect
         let now = Instant::now().as_millis() as u32;
-        if !OWN.lock(Cell::get).is_none_or(|own| self.neighbors.may_pass(frame, own, mac, now)) {
+        if !ROUTE.lock(Cell::get).is_none_or(|route| self.neighbors.may_pass(frame, route, mac, now)) {
             return false;
         }
         match check(frame, mac, |own| self.settings.accepts(own)) {

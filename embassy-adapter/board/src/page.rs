@@ -29,7 +29,7 @@ const PAGE: usize = 192 + LONGEST;
 const COUNTERS: usize = 8;
 
 /// The memory of a listener of the page: its buffers, and a page.
-type PageMemory = ([u8; 256], [u8; 512], [u8; PAGE]);
+type PageMemory = ([u8; 256], [u8; 320], [u8; PAGE]);
 
 /// Starts the pages, if the settings ask for them.
 pub(crate) fn start(
@@ -40,7 +40,7 @@ pub(crate) fn start(
     parts: Parts,
 ) -> Result<(), SpawnError> {
     static MEMORY: ConstStaticCell<[PageMemory; PAGES]> =
-        ConstStaticCell::new([([0; 256], [0; 512], [0; PAGE]); PAGES]);
+        ConstStaticCell::new([([0; 256], [0; 320], [0; PAGE]); PAGES]);
     if let Some(port) = settings.health {
         let options = Options { backlog: Some(&PAGE_BACKLOG), ..Options::default() };
         for (number, (rx, tx, page)) in (PAGE_TASK..).zip(MEMORY.take()) {

@@ -4,8 +4,8 @@ use std::net::Ipv4Addr;
 
 use smoltcp::phy::ChecksumCapabilities;
 use smoltcp::wire::{
-    EthernetAddress, EthernetFrame, EthernetProtocol, EthernetRepr, IpProtocol, Ipv4Packet, Ipv4Repr, TcpControl,
-    TcpPacket, TcpRepr, TcpSeqNumber,
+    ArpOperation, ArpPacket, ArpRepr, EthernetAddress, EthernetFrame, EthernetProtocol, EthernetRepr, IpProtocol,
+    Ipv4Packet, Ipv4Repr, TcpControl, TcpPacket, TcpRepr, TcpSeqNumber,
 };
 
 /// The header of Ethernet.
@@ -48,4 +48,20 @@ pub fn syn(mac: [u8; 6], from: Ipv4Addr, to: Ipv4Addr, [source, port]: [u16; 2])
         tcp.emit(&mut packet, &from.into(), &to.into(), &ChecksumCapabilities::default());
     };
     packet((mac, from, to, IpProtocol::Tcp), tcp.buffer_len(), write)
+}
+
+/// Makes the ARP reply of a machine that has this address, to the board.
+pub fn arp_reply(mac: [u8; 6], board: Ipv4Addr, address: Ipv4Addr) -> Vec<u8> {
+    let ethernet = EthernetRepr { src_addr: SENDER, dst_addr: EthernetAddress(mac), ethertype: EthernetProtocol::Arp };
+    let reply = ArpRepr::EthernetIpv4 {
+        operation: ArpOperation::Reply,
+        source_hardware_addr: SENDER,
+        source_protocol_addr: address,
+        target_hardware_addr: EthernetAddress(mac),
+        target_protocol_addr: board,
+    };
+    let mut frame = vec![0; ETHERNET + reply.buffer_len()];
+    ethernet.emit(&mut EthernetFrame::new_unchecked(&mut frame[..]));
+    reply.emit(&mut ArpPacket::new_unchecked(&mut frame[ETHERNET..]));
+    frame
 }

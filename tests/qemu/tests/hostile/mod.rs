@@ -26,17 +26,21 @@ use std::time::{Duration, Instant};
 use bcap_embassy::bare;
 use bcap_qemu::Board;
 use bcap_test_support::dhcp::{Answer, GOOD};
-use bcap_test_support::frames::{packet, syn};
+use bcap_test_support::frames::{arp_reply, packet, syn};
 use fastrand::Rng;
 use smoltcp::iface::SocketHandle;
 use smoltcp::phy::ChecksumCapabilities;
 use smoltcp::socket::tcp;
-use smoltcp::wire::{DhcpMessageType, DhcpPacket, DhcpRepr, Icmpv4Packet, Icmpv4Repr, IpProtocol};
+use smoltcp::wire::{
+    ArpOperation, ArpPacket, DhcpMessageType, DhcpPacket, DhcpRepr, Icmpv4Packet, Icmpv4Repr, IpProtocol,
+};
 
 use self::failures::{Failures, Sockets};
 use crate::wire::{BOARD, HOST, Phase, Wire, World};
 
 const MAC: [u8; 6] = [2, 0, 0, 0, 0, 0x15];
+/// The last bytes of the addresses that answer ARP requests, and never finish a handshake.
+const ATTACKERS: std::ops::Range<u8> = 3..7;
 /// The header of Ethernet, and those up to a message of ICMP and of DHCP.
 const ETHERNET: usize = 14;
 const ICMP: usize = ETHERNET + 20;
@@ -59,9 +63,7 @@ fn a_hostile_network_resets_nothing_and_keeps_no_plc_out() {
     let setting = |name: &str, usual: u64| std::env::var(name).map_or(usual, |text| text.parse().unwrap());
     let length = Duration::from_secs(setting("HOSTILE_SECONDS", 10));
     let seed = setting("HOSTILE_SEED", 1);
-    let rounds = u32::try_from(length.as_secs() / ROUND).unwrap().max(1);
-    let round = length / rounds;
-    let calm = (round / 10).max(Duration::from_secs(3));
+    let plan = Plan::of(length);
     let (wire, netdev) = Wire::open(seed);
     let limit = (2 * length.as_secs() + 900).to_string();
     let sockets = Sockets::new();
@@ -74,45 +76,42 @@ fn a_hostile_network_resets_nothing_and_keeps_no_plc_out() {
     let mut attack = Attack::new(&mut world, seed);
 
     // the board may have to be built first
-    attack.run(&mut world, &mut board, Duration::from_secs(600), |world| world.plcs.iter().all(|plc| plc.answers > 0));
-    // a jump of the clock ends leases and connections
-    let wrap = (calm + round) * (rounds / 2) + round / 2;
-    attack.failures = Some(sockets.connect(&mut board, wrap, Rng::with_seed(seed)));
-    let mut served_again = attack.until_served(&mut world, &mut board);
-    world.forget();
-    attack.found = Found::default();
-    for number in 1..=rounds {
-        world.enter(Some(Phase::Calm));
-        attack.run_for(&mut world, &mut board, calm);
-        attack.is_on = true;
-        attack.run_for(&mut world, &mut board, round);
-        attack.stop(&mut world);
-        // not `eprintln`, which the tests of cargo show of failures only
-        let _ = writeln!(io::stderr(), "hostile network, seed {seed}, {:?}: {}", round * number, attack.report(&world));
-        served_again = served_again.max(attack.until_served(&mut world, &mut board));
-    }
-    let Attack { found, uptime, failures: Some(failures), .. } = &mut attack else {
-        unreachable!("they are set above")
-    };
-    failures.console_answers();
-    let _ = writeln!(
-        io::stderr(),
-        "hostile network: all PLCs served again {served_again:.1?} after it; the clock of the board is at {uptime} s"
-    );
-
-    assert_eq!(world.robot.wrong, 0, "values at the robot that no PLC wrote");
-    assert!(world.plcs.iter().all(|plc| plc.answers > 0), "{}", world.report());
-    assert!(found.pongs > 0 && found.pages > 0, "{found:?}");
-    assert!(*uptime > u64::from(u32::MAX) / 1_000_000, "the clock did not wrap: {uptime} s");
-    // a renewal each 10 s, what follows the attack, and some for each cut of the link
-    assert!(u64::from(found.requests) <= length.as_secs() / 4 + 10 + 8 * u64::from(failures.cut), "{found:?}");
-    assert!(length < HOUR || found.frames >= FRAMES, "{found:?}");
+    let is_up = |world: &World| world.plcs.iter().all(|plc| plc.answers > 0);
+    attack.run(&mut world, &mut board, Duration::from_secs(600), is_up).unwrap();
+    attack.failures = Some(sockets.connect(&mut board, plan.wrap(), Rng::with_seed(seed)));
+    let ended = attack.rounds(&mut world, &mut board, &plan);
+    let mut missed = attack.missed(&world, length);
     if std::env::var_os("HOSTILE_BARS").is_some() {
-        let [calm, attacked] = [Phase::Calm, Phase::Attack].map(|phase| world.percentile(phase, 99));
-        assert!(attacked <= 2 * calm, "p99 {attacked:?} under attack, {calm:?} without");
-        let longest = failures.longest.max(served_again);
-        assert!(longest <= SERVED_AGAIN, "all PLCs served again after {longest:?}");
+        missed.extend(attack.missed_bars(&world));
     }
+    say(&attack.summary(&world, ended.is_ok()));
+    assert!(ended.is_ok() && missed.is_empty(), "{ended:?}; {missed:?}");
+}
+
+/// The rounds of an attack.
+struct Plan {
+    rounds: u32,
+    /// How long the PLCs are calm before each round, and how long the round takes.
+    calm: Duration,
+    round: Duration,
+}
+
+impl Plan {
+    fn of(length: Duration) -> Self {
+        let rounds = u32::try_from(length.as_secs() / ROUND).unwrap().max(1);
+        let round = length / rounds;
+        Self { rounds, calm: (round / 10).max(Duration::from_secs(3)), round }
+    }
+
+    /// Returns when the clock of the board wraps: in the middle of the attack. A jump of the clock ends leases and connections.
+    fn wrap(&self) -> Duration {
+        (self.calm + self.round) * (self.rounds / 2) + self.round / 2
+    }
+}
+
+/// Prints a line; not with `eprintln`, which the tests of cargo show of failures only.
+fn say(line: &str) {
+    let _ = writeln!(io::stderr(), "hostile network: {line}");
 }
 
 /// What was sent to the board and received from it during the attack.
@@ -143,6 +142,8 @@ struct Attack {
     failures: Option<Failures>,
     /// The uptime on the page that was read last, in seconds.
     uptime: u64,
+    /// The longest time until all PLCs were served after a round.
+    served_again: Duration,
     found: Found,
 }
 
@@ -159,16 +160,27 @@ impl Attack {
             next_port: 30_000,
             failures: None,
             uptime: 0,
+            served_again: Duration::ZERO,
             found: Found::default(),
         }
     }
 
     /// Runs until `done`, at most for `limit`; the board must run throughout.
-    fn run(&mut self, world: &mut World, board: &mut Board, limit: Duration, done: impl Fn(&World) -> bool) {
+    fn run(
+        &mut self,
+        world: &mut World,
+        board: &mut Board,
+        limit: Duration,
+        done: impl Fn(&World) -> bool,
+    ) -> Result<(), String> {
         let since = Instant::now();
         while !done(world) {
-            assert!(board.is_running(), "the board has ended or was reset: {}", board.log());
-            assert!(since.elapsed() < limit, "nothing goes on: {}; {}", world.report(), board.log());
+            if !board.is_running() {
+                return Err(format!("the board has ended or was reset: {}", board.log()));
+            }
+            if since.elapsed() >= limit {
+                return Err(format!("nothing goes on: {}; {}", world.report(), board.log()));
+            }
             world.wire.receive();
             for frame in &world.wire.arrived {
                 self.answer(frame);
@@ -178,11 +190,73 @@ impl Attack {
             }
             world.poll();
         }
+        Ok(())
     }
 
-    fn run_for(&mut self, world: &mut World, board: &mut Board, length: Duration) {
+    fn run_for(&mut self, world: &mut World, board: &mut Board, length: Duration) -> Result<(), String> {
         let end = Instant::now() + length;
-        self.run(world, board, 2 * length + RECOVERY, |_| Instant::now() >= end);
+        self.run(world, board, 2 * length + RECOVERY, |_| Instant::now() >= end)
+    }
+
+    /// Attacks in rounds, and lets the PLCs be calm before each.
+    fn rounds(&mut self, world: &mut World, board: &mut Board, plan: &Plan) -> Result<(), String> {
+        self.until_served(world, board)?;
+        world.forget();
+        (self.found, self.served_again) = (Found::default(), Duration::ZERO);
+        for number in 1..=plan.rounds {
+            world.enter(Some(Phase::Calm));
+            self.run_for(world, board, plan.calm)?;
+            self.is_on = true;
+            self.run_for(world, board, plan.round)?;
+            self.stop(world);
+            say(&format!("{:?}: {}", plan.round * number, self.report(world)));
+            self.until_served(world, board)?;
+        }
+        self.failures.as_mut().map_or(Ok(()), Failures::console_answers)
+    }
+
+    /// Returns what the attack must not show on any machine.
+    fn missed(&self, world: &World, length: Duration) -> Vec<String> {
+        let Self { found, uptime, .. } = self;
+        // a renewal each 10 s, what follows the attack, and some for each cut of the link
+        let cut = self.failures.as_ref().map_or(0, |failures| failures.cut);
+        let requests = length.as_secs() / 4 + 10 + 8 * u64::from(cut);
+        let checks = [
+            (world.robot.wrong == 0, "values at the robot that no PLC wrote".to_owned()),
+            (world.plcs.iter().all(|plc| plc.answers > 0), format!("a PLC without answers: {}", world.report())),
+            (found.pongs > 0 && found.pages > 0, format!("{found:?}")),
+            (*uptime > u64::from(u32::MAX) / 1_000_000, format!("the clock did not wrap: {uptime} s")),
+            (u64::from(found.requests) <= requests, format!("too many requests of DHCP: {found:?}")),
+            (length < HOUR || found.frames >= FRAMES, format!("too few frames: {found:?}")),
+        ];
+        checks.into_iter().filter_map(|(is_met, what)| (!is_met).then_some(what)).collect()
+    }
+
+    /// Returns the bars that are missed; a busy machine misses them, too.
+    fn missed_bars(&self, world: &World) -> Vec<String> {
+        let [calm, attacked] = [Phase::Calm, Phase::Attack].map(|phase| world.percentile(phase, 99));
+        let late = self.longest();
+        let p99 = (attacked > 2 * calm).then(|| format!("p99 {attacked:?} under attack, {calm:?} without"));
+        p99.into_iter().chain((late > SERVED_AGAIN).then(|| format!("all PLCs served again after {late:?}"))).collect()
+    }
+
+    /// Returns the longest time until all PLCs were served after a failure or a round.
+    fn longest(&self) -> Duration {
+        self.failures.as_ref().map_or(Duration::ZERO, |failures| failures.longest).max(self.served_again)
+    }
+
+    fn summary(&self, world: &World, has_ended: bool) -> String {
+        let answers: u32 = world.plcs.iter().map(|plc| plc.answers).sum();
+        let [calm, attacked] = [Phase::Calm, Phase::Attack].map(|phase| world.percentile(phase, 99));
+        // a PLC ends the test when it gets a wrong answer
+        let resets = if has_ended { "0 resets" } else { "ended early" };
+        format!(
+            "{resets}, {} wrong of {answers} answers, p99 {calm:.1?} calm and {attacked:.1?} attacked, served again after at most {:.1?}; \
+             the clock of the board is at {} s",
+            world.robot.wrong,
+            self.longest(),
+            self.uptime
+        )
     }
 
     /// Ends the attack and its failure.
@@ -193,14 +267,15 @@ impl Attack {
         }
     }
 
-    /// Runs until each PLC has 20 more answers, and returns how long that took.
-    fn until_served(&mut self, world: &mut World, board: &mut Board) -> Duration {
+    /// Runs until each PLC has 20 more answers.
+    fn until_served(&mut self, world: &mut World, board: &mut Board) -> Result<(), String> {
         let before: Vec<u32> = world.plcs.iter().map(|plc| plc.answers).collect();
         let since = Instant::now();
         self.run(world, board, RECOVERY, |world| {
             world.plcs.iter().zip(&before).all(|(plc, before)| plc.answers >= before + 20)
-        });
-        since.elapsed()
+        })?;
+        self.served_again = self.served_again.max(since.elapsed());
+        Ok(())
     }
 
     fn report(&self, world: &World) -> String {
@@ -218,8 +293,11 @@ impl Attack {
         let _ = self.link.send(frame);
     }
 
-    /// Answers a request of DHCP with invalid leases and a valid one, and counts pongs.
+    /// Answers a request of DHCP with invalid leases and a valid one, and ARP requests for attackers; counts pongs.
     fn answer(&mut self, frame: &[u8]) {
+        if let Some(asked) = asked_for(frame) {
+            self.send(&arp_reply(MAC, BOARD, asked));
+        }
         let protocol = frame.get(ETHERNET + 9).map(|protocol| IpProtocol::from(*protocol));
         if protocol == Some(IpProtocol::Icmp) {
             let reply = Icmpv4Packet::new_checked(&frame[ICMP..]).unwrap();
@@ -259,9 +337,10 @@ impl Attack {
             }
         }
         if half_open {
-            // from the network of the board, and from others
+            // from unused addresses of the board's network and of another one, and from machines
             let host = self.rng.u8(20..250);
-            let from = [Ipv4Addr::new(10, 0, 2, host), Ipv4Addr::new(172, 16, 0, host)][self.rng.usize(..2)];
+            let [unused, far] = [[10, 0, 2, host], [172, 16, 0, host]].map(Ipv4Addr::from);
+            let from = [unused, far, Ipv4Addr::new(10, 0, 2, self.rng.u8(ATTACKERS))][self.rng.usize(..3)];
             let ports = [self.rng.u16(1024..), 5006];
             self.send(&syn(MAC, from, BOARD, ports));
             self.found.half_open += 1;
@@ -322,6 +401,16 @@ impl Attack {
             socket.connect(world.interface.context(), (BOARD, 80), self.next_port).unwrap();
         }
     }
+}
+
+/// Returns the attacker that an ARP request asks for.
+fn asked_for(frame: &[u8]) -> Option<Ipv4Addr> {
+    let message = frame.get(ETHERNET..).filter(|_| frame.get(12..14) == Some(&[8, 6]))?;
+    let message =
+        ArpPacket::new_checked(message).ok().filter(|message| message.operation() == ArpOperation::Request)?;
+    let asked = Ipv4Addr::from(*message.target_protocol_addr().first_chunk()?);
+    let [network @ .., host] = asked.octets();
+    (network == [10, 0, 2] && ATTACKERS.contains(&host)).then_some(asked)
 }
 
 /// Reads the uptime on a page.
