@@ -61,6 +61,8 @@
 //! | `gateway`  | the default gateway, used with `address` | none                 |
 //! | `mac`      | `02:00:00:bc:a9:03`: the MAC address | derived from the chip's id |
 //! | `hostname` | the name sent with DHCP: at most 32 letters, digits and hyphens | none |
+//! | `ssid`     | the name of the Wi-Fi network; for images with the feature `wifi` | none |
+//! | `passphrase` | its passphrase of WPA2, of 8 to 63 characters; empty for an open network | empty |
 //! | `find`     | `yes`, `no`: answer `bcap board find` on UDP port 5011 | `yes` |
 //! | `get`      | `KIND[/FIRST[-LAST]]`: what PLCs may read; can be repeated | everything |
 //! | `put`      | `KIND[/FIRST[-LAST]][=MIN..MAX[,MIN..MAX]...]`: what PLCs may write, and the accepted values; can be repeated | nothing |

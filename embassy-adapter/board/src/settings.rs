@@ -41,6 +41,12 @@ pub struct Settings<'a> {
     pub mac: Option<[u8; 6]>,
     /// The name sent with DHCP; at most 32 characters.
     pub hostname: Option<&'a str>,
+    /// The Wi-Fi network, if there is one.
+    #[cfg(feature = "wifi")]
+    pub ssid: Option<&'a str>,
+    /// Its passphrase; empty for an open network.
+    #[cfg(feature = "wifi")]
+    pub passphrase: &'a str,
     /// Whether the board answers [`find`](crate::find).
     pub find: bool,
     /// The port of the echo server, if there is one.
@@ -113,6 +119,10 @@ impl Default for Settings<'_> {
             gateway: None,
             mac: None,
             hostname: None,
+            #[cfg(feature = "wifi")]
+            ssid: None,
+            #[cfg(feature = "wifi")]
+            passphrase: "",
             find: true,
             echo: None,
             idle: None,
@@ -221,6 +231,10 @@ impl<'a> Settings<'a> {
             "gateway" => self.gateway = Some(valid(host(text).filter(|gateway| self.is_other(*gateway)))?),
             "mac" => self.mac = Some(valid(mac::parse(text))?),
             "hostname" => self.hostname = Some(valid(hostname(text))?),
+            #[cfg(feature = "wifi")]
+            "ssid" => self.ssid = Some(valid(Some(text).filter(|text| (1..=32).contains(&text.len())))?),
+            #[cfg(feature = "wifi")]
+            "passphrase" => self.passphrase = valid(Some(text).filter(|text| matches!(text.len(), 0 | 8..=63)))?,
             "find" => self.find = valid(yes(text))?,
             "get" => self.lists.allow_get(text)?,
             "put" => self.lists.allow_put(Network::ANY, text)?,
@@ -449,6 +463,19 @@ mod tests {
         assert_eq!(read("rate=5").rate, Rate { per_second: 5, burst: 5 });
         for tcp in ["robot=10.0.2.2:1", "robot=tcp:10.0.2.2:1"] {
             assert_eq!(read(tcp).robot.transport, Transport::Tcp);
+        }
+    }
+
+    #[cfg(feature = "wifi")]
+    #[test]
+    fn a_wifi_network_has_a_name_and_a_passphrase_as_802_11_allows() {
+        let settings = read("ssid=cell 7\npassphrase=a passphrase\n");
+        assert_eq!((settings.ssid, settings.passphrase), (Some("cell 7"), "a passphrase"));
+        assert_eq!(read("passphrase=").passphrase, "");
+        let long = "x".repeat(64);
+        let too_long = [std::format!("ssid={}", &long[..33]), std::format!("passphrase={long}")];
+        for line in ["ssid=", "passphrase=1234567", &too_long[0], &too_long[1]] {
+            assert_eq!(Settings::check(line.as_bytes()).unwrap_err().error, SettingError::Value, "{line}");
         }
     }
 
