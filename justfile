@@ -113,6 +113,17 @@ fleet controllers="500" values="20" hz="5" seconds="10":
 takeover count="20":
     TAKEOVERS={{count}} cargo test --release -p bcap-fleet --test all standby::processes_that_are -- --nocapture
 
+# `bcap web` with 1,000 variables at 5 Hz, 10,000 packets/s, in three browsers: processor time, memory, frames a second, what is left out.
+[group('measure')]
+web-load minutes="2":
+    cargo build --release -p bcap-cli
+    MINUTES={{minutes}} BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo test -p bcap-web --test all load:: -- --ignored --nocapture
+
+# 1,000 heartbeats of a jog lost at random moments: how soon the robot rests, and whether the arm is free.
+[group('measure')]
+web-heartbeats robots="2":
+    ROBOTS={{robots}} cargo test --release -p bcap-web --test all jog::a_thousand -- --nocapture
+
 # Random programs of motions with each arm: no axis exceeds its speed or leaves its range.
 [group('long tests')]
 programs count="10000":

@@ -107,6 +107,8 @@ fn other_computers_serial_lines_and_recordings_are_refused() {
         (&["--listen", "0.0.0.0:0"][..], "0.0.0.0:0 can be reached by other computers, which needs TLS and a password"),
         (&["--robot", "serial:/dev/ttyUSB0"], "a serial line carries one session, so HALT would have no connection"),
         (&["--trace"], "this command has no --trace"),
+        (&["--certificate", "cert.pem"], "the following required arguments were not provided"),
+        (&["--certificate", "c.pem", "--key", "k.pem", "--password-file", "/no/such"], "/no/such: No such file"),
     ] {
         let run = bcap(&[&["web"], args].concat());
         assert!(run.code == 2 && run.err.contains(error), "{run:?}");

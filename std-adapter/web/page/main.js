@@ -2,9 +2,11 @@
 
 import { alarms } from "./alarms.js";
 import { arm } from "./arm.js";
+import { backup } from "./backup.js";
 import { cell } from "./cell.js";
 import { byId, kindOf, make, notify, setText, stateText } from "./dom.js";
 import { jog } from "./jog.js";
+import { login } from "./login.js";
 import { connect, halt, on, order } from "./net.js";
 import { tasks } from "./tasks.js";
 import { packets } from "./packets.js";
@@ -13,7 +15,7 @@ import { plots } from "./plots.js";
 import { raw } from "./raw.js";
 import { setLabels, variables } from "./variables.js";
 
-const SCREENS = [cell, variables, alarms, arm, tasks, jog, plots, packets, raw, panel];
+const SCREENS = [cell, variables, alarms, arm, tasks, jog, plots, packets, raw, backup, panel];
 
 /** What the screens share. */
 const page = {
@@ -147,6 +149,10 @@ on("hello", (message) => {
   for (const button of byId("screens").children) button.hidden = SCREENS.find(({ id }) => id === button.dataset.id).isOffered?.(message) === false;
   setLabels(message.labels);
   show(screen);
+});
+on("login", () => {
+  stale("Log in to see values. HALT does not work before.");
+  login(connect);
 });
 on("closed", () => stale("NOT CONNECTED to bcap web: the values are old. HALT may not work. It is tried again every second."));
 on("stale", () => stale("bcap web does not answer: the values are old. HALT may not work."));

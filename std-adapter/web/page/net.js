@@ -28,8 +28,10 @@ function emit(kind, message) {
 
 /** Opens the connection, and again whenever it is lost. */
 export function connect() {
-  socket = new WebSocket(`ws://${location.host}/live`, ["bcap.live", `token.${token}`]);
+  let wasOpen = false;
+  socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`, ["bcap.live", `token.${token}`]);
   socket.onopen = () => {
+    wasOpen = true;
     lastMessage = Date.now();
     emit("open");
   };
@@ -43,8 +45,26 @@ export function connect() {
     for (const { reject } of pending.values()) reject(new Error("the connection to bcap web is lost"));
     pending.clear();
     emit("closed");
-    setTimeout(connect, 1000);
+    if (wasOpen) setTimeout(connect, 1000);
+    else openLater();
   };
+}
+
+/** Tries again, or asks for the password if the server needs one. */
+async function openLater() {
+  const response = await fetch("/session", { cache: "no-store" }).catch(() => null);
+  if (response?.status === 401) emit("login");
+  else setTimeout(connect, 1000);
+}
+
+/** Logs in. Returns why not, or `null`. */
+export async function logIn(password) {
+  try {
+    const response = await fetch("/login", { method: "POST", body: password, cache: "no-store" });
+    return response.ok ? null : await response.text();
+  } catch (error) {
+    return `bcap web does not answer: ${error.message}`;
+  }
 }
 
 // the server sends something every second

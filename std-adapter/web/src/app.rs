@@ -1,6 +1,7 @@
 //! The state that all connections share.
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 
@@ -22,6 +23,8 @@ pub(crate) struct App {
     pub(crate) panel: Option<Panel>,
     /// The labels of the variables, by names in upper case.
     pub(crate) labels: BTreeMap<String, String>,
+    /// The folder of the backups.
+    pub(crate) backups: Option<PathBuf>,
     pub(crate) audit: Audit,
     /// The number of the next page.
     pub(crate) clients: AtomicU64,

@@ -28,6 +28,8 @@ pub(crate) const FILES: &[(&str, &str, &str)] = &[
     ("/bytes.js", SCRIPT, include_str!("../page/bytes.js")),
     ("/raw.js", SCRIPT, include_str!("../page/raw.js")),
     ("/panel.js", SCRIPT, include_str!("../page/panel.js")),
+    ("/backup.js", SCRIPT, include_str!("../page/backup.js")),
+    ("/login.js", SCRIPT, include_str!("../page/login.js")),
 ];
 
 /// The headers of every response.

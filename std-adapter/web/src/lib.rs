@@ -4,26 +4,33 @@ mod app;
 mod arm;
 mod assets;
 mod audit;
+mod backup;
 mod call;
 mod control;
 mod guard;
 mod halt;
+mod job;
 mod jog;
 mod line;
+mod login;
 mod panel;
 mod raw;
 mod recover;
+mod restore;
 mod robot;
 mod save;
+mod secret;
 mod serve;
 mod socket;
 mod tape;
 mod tasks;
 mod text;
+mod tls;
 mod view;
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
+use std::path::PathBuf;
 use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex};
 
@@ -36,8 +43,10 @@ use tokio::sync::Semaphore;
 use crate::app::App;
 use crate::audit::Audit;
 use crate::guard::Guard;
+use crate::login::SHORTEST;
 use crate::panel::Panel;
 use crate::robot::Robot;
+use crate::tls::Acceptor;
 
 /// The most robots of a page.
 const ROBOTS: usize = 32;
@@ -48,7 +57,7 @@ const PAGES: usize = 16;
 /// The robots of a server, and the rights of its pages.
 #[derive(Debug)]
 pub struct Config {
-    /// The address to listen on, of this computer only.
+    /// The address to listen on; of this computer only, without `remote`.
     pub listen: SocketAddr,
     /// The robots, with the names that the page shows.
     pub robots: Vec<(String, Access)>,
@@ -60,13 +69,59 @@ pub struct Config {
     pub labels: BTreeMap<String, String>,
     /// The virtual controller, if the only robot is one of this process: the page has its panel.
     pub panel: Option<Arc<Mutex<Paced>>>,
+    /// The folder of the backups; without one there are none.
+    pub backups: Option<PathBuf>,
+    /// What a server needs that other computers can reach.
+    pub remote: Option<Remote>,
+}
+
+/// TLS and a password, for a server that other computers can reach.
+pub struct Remote {
+    /// The certificate and its chain, in PEM.
+    pub certificate: PathBuf,
+    /// The private key of the certificate, in PEM.
+    pub key: PathBuf,
+    /// The password, of at least 12 characters.
+    pub password: String,
+    /// The names with which browsers reach this server, as the certificate has them.
+    pub names: Vec<String>,
+}
+
+impl std::fmt::Debug for Remote {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Remote").field("names", &self.names).finish_non_exhaustive()
+    }
 }
 
 impl Config {
     /// Returns the configuration of a server that only reads.
     #[must_use]
     pub const fn new(listen: SocketAddr, robots: Vec<(String, Access)>) -> Self {
-        Self { listen, robots, allow_write: false, allow_motion: false, labels: BTreeMap::new(), panel: None }
+        let labels = BTreeMap::new();
+        Self {
+            listen,
+            robots,
+            allow_write: false,
+            allow_motion: false,
+            labels,
+            panel: None,
+            backups: None,
+            remote: None,
+        }
+    }
+}
+
+impl Remote {
+    /// Reads the certificate, and checks the rest.
+    fn acceptor(&self, listen: SocketAddr) -> Result<Acceptor, Error> {
+        let length = self.password.chars().count();
+        if length < SHORTEST {
+            return Err(Error::Password(length));
+        }
+        if listen.ip().is_unspecified() && self.names.is_empty() {
+            return Err(Error::NoName(listen));
+        }
+        Acceptor::new(&self.certificate, &self.key).map_err(Error::Tls)
     }
 }
 
@@ -75,8 +130,22 @@ impl Config {
 #[non_exhaustive]
 pub enum Error {
     /// Other computers could reach the address.
-    #[error("{0} can be reached by other computers, which needs TLS and a password; listen on 127.0.0.1")]
+    #[error(
+        "{0} can be reached by other computers, which needs TLS and a password: give --certificate, --key and \
+         --password-file, or listen on 127.0.0.1"
+    )]
     NotLocal(SocketAddr),
+    /// The password is too short.
+    #[error("the password has {0} characters; it needs at least {SHORTEST}")]
+    Password(usize),
+    /// A server on all addresses has no name.
+    #[error(
+        "{0} is every address of this computer: give --name with the name in the certificate, or listen on one address"
+    )]
+    NoName(SocketAddr),
+    /// The certificate or the key cannot be used, or there is no TLS in this program.
+    #[error("TLS: {0}")]
+    Tls(String),
     /// HALT needs a second connection.
     #[error("{0}: a serial line carries one session, so HALT would have no connection; use TCP or UDP")]
     Serial(String),
@@ -95,7 +164,7 @@ pub enum Error {
 #[derive(Debug)]
 pub struct Server {
     listener: TcpListener,
-    address: SocketAddr,
+    tls: Option<Acceptor>,
     app: Arc<App>,
 }
 
@@ -106,10 +175,12 @@ impl Server {
     ///
     /// An [`Error`]; nothing runs then.
     pub async fn bind(config: Config, audit: impl Fn(&str) + Send + Sync + 'static) -> Result<Self, Error> {
-        let Config { listen, robots, allow_write, allow_motion, labels, panel } = config;
-        if !listen.ip().is_loopback() {
-            return Err(Error::NotLocal(listen));
-        }
+        let Config { listen, robots, allow_write, allow_motion, labels, panel, backups, remote } = config;
+        let tls = match &remote {
+            None if !listen.ip().is_loopback() => return Err(Error::NotLocal(listen)),
+            None => None,
+            Some(remote) => Some(remote.acceptor(listen)?),
+        };
         if !(1..=ROBOTS).contains(&robots.len()) {
             return Err(Error::Robots(robots.len()));
         }
@@ -119,30 +190,34 @@ impl Server {
         let listener = TcpListener::bind(listen).await?;
         let address = listener.local_addr()?;
         let app = App {
-            guard: Guard::new(address).map_err(Error::Random)?,
+            guard: match remote {
+                Some(Remote { names, password, .. }) => Guard::remote(address, &names, password),
+                None => Guard::new(address),
+            }
+            .map_err(Error::Random)?,
             robots: robots.into_iter().map(|(name, access)| Robot::start(name, access)).collect::<Result<_, _>>()?,
             allow_write,
             allow_motion,
             labels,
             panel: panel.map(Panel::new),
+            backups,
             audit: Audit::new(audit),
             clients: AtomicU64::new(1),
             pages: Arc::new(Semaphore::new(PAGES)),
         };
-        Ok(Self { listener, address, app: Arc::new(app) })
+        Ok(Self { listener, tls, app: Arc::new(app) })
     }
 
-    /// Returns the address of the page, with the token. Anyone who has it may use the page.
+    /// Returns the address of the page. It has the token of a server without a password; anyone who has it may use the page.
     #[must_use]
     pub fn url(&self) -> String {
-        // after `#`, the token is in no request, and so in no log
-        format!("http://{}/#token={}", self.address, self.app.guard.token())
+        self.app.guard.url()
     }
 
     /// Serves until `shutdown` completes.
     pub async fn run(self, shutdown: impl Future<Output = ()>) {
         tokio::select! {
-            () = serve::accept(&self.listener, &self.app) => {}
+            () = serve::accept(&self.listener, &self.app, self.tls.as_ref()) => {}
             () = shutdown => {}
         }
     }

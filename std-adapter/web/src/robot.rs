@@ -19,6 +19,7 @@ use tokio::sync::oneshot;
 
 use crate::control::{Client, Control};
 use crate::halt::Halter;
+use crate::job::Job;
 use crate::tape::Tape;
 
 /// The time from one reading to the next.
@@ -45,6 +46,8 @@ pub(crate) struct Robot {
     grip: Mutex<Option<Arc<Grip>>>,
     /// The last recovery.
     recovery: Mutex<Option<Arc<Recovery>>>,
+    /// The last work on backups.
+    backup: Mutex<Option<Arc<Job>>>,
     live: Mutex<Live>,
     orders: Sender<Order>,
 }
@@ -92,6 +95,7 @@ impl Robot {
             access: access.clone(),
             grip: Mutex::default(),
             recovery: Mutex::default(),
+            backup: Mutex::default(),
             live: Mutex::new(Live::default()),
             orders,
         });
@@ -108,6 +112,11 @@ impl Robot {
     /// Returns the last hold of the robot for a jog.
     pub(crate) fn grip(&self) -> MutexGuard<'_, Option<Arc<Grip>>> {
         self.grip.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Returns the last work on backups.
+    pub(crate) fn backup(&self) -> MutexGuard<'_, Option<Arc<Job>>> {
+        self.backup.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Returns the last recovery.

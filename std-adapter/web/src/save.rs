@@ -54,7 +54,7 @@ async fn series(State(app): State<Arc<App>>, headers: HeaderMap, body: Bytes) ->
 
 fn check(app: &App, headers: &HeaderMap) -> Result<(), Refused> {
     app.guard.check_origin(headers)?;
-    app.guard.check_token(only(headers, TOKEN))
+    app.guard.check_user(headers, only(headers, TOKEN))
 }
 
 fn saved(file: std::io::Result<Vec<u8>>) -> Result<Response, Refused> {

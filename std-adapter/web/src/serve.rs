@@ -2,28 +2,32 @@
 
 use std::collections::VecDeque;
 use std::future::ready;
+use std::net::IpAddr;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use axum::Router;
+use axum::body::Bytes;
 use axum::extract::ws::WebSocketUpgrade;
 use axum::extract::{DefaultBodyLimit, Path, Request, State};
-use axum::http::header::SEC_WEBSOCKET_PROTOCOL;
-use axum::http::{HeaderMap, StatusCode};
+use axum::http::header::{SEC_WEBSOCKET_PROTOCOL, SET_COOKIE};
+use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::middleware::{Next, from_fn_with_state, map_response};
 use axum::response::{IntoResponse as _, Response};
 use axum::routing::{any, get, post};
+use axum::{Extension, Router};
 use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use serde_json::json;
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::AbortHandle;
 
 use crate::app::App;
 use crate::assets::{FILES, file, with_headers};
 use crate::guard::{Refused, TOKEN, only};
+use crate::tls::Acceptor;
 use crate::{save, socket};
 
 /// The most connections that are not pages. A further one ends the oldest, so that idle ones do not keep a halt out.
@@ -38,14 +42,17 @@ const HEADER_SIZE: usize = 16 << 10;
 /// The largest order of a page.
 const ORDER_SIZE: usize = 64 << 10;
 
+/// The longest password.
+const PASSWORD_SIZE: usize = 1 << 10;
+
 /// The protocol of the WebSocket; a page offers the token as a second one, because scripts cannot set its headers.
 const PROTOCOL: &str = "bcap.live";
 
 /// Accepts connections. It does not end.
-pub(crate) async fn accept(listener: &TcpListener, app: &Arc<App>) {
+pub(crate) async fn accept(listener: &TcpListener, app: &Arc<App>, tls: Option<&Acceptor>) {
     let (router, mut open) = (router(app), VecDeque::<AbortHandle>::new());
     loop {
-        let (stream, _) = match listener.accept().await {
+        let (stream, peer) = match listener.accept().await {
             Ok(accepted) => accepted,
             // a peer that is gone, or no file descriptors left for a moment
             Err(_) => {
@@ -59,13 +66,29 @@ pub(crate) async fn accept(listener: &TcpListener, app: &Arc<App>) {
         {
             oldest.abort();
         }
-        open.push_back(tokio::spawn(connection(stream, router.clone())).abort_handle());
+        let (router, tls) = (router.clone().layer(Extension(Peer(peer.ip()))), tls.cloned());
+        open.push_back(tokio::spawn(connection(stream, router, tls)).abort_handle());
     }
 }
 
-async fn connection(stream: TcpStream, router: Router) {
+/// The address of a client.
+#[derive(Clone, Copy, Debug)]
+struct Peer(IpAddr);
+
+async fn connection(stream: TcpStream, router: Router, tls: Option<Acceptor>) {
     // a halt must not wait for other bytes
     let _ = stream.set_nodelay(true);
+    match tls {
+        None => serve(stream, router).await,
+        Some(tls) => {
+            if let Some(stream) = tls.accept(stream).await {
+                serve(stream, router).await;
+            }
+        }
+    }
+}
+
+async fn serve<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(stream: S, router: Router) {
     let mut http = http1::Builder::new();
     http.timer(TokioTimer::new()).header_read_timeout(HEADERS).max_buf_size(HEADER_SIZE);
     let served = http.serve_connection(TokioIo::new(stream), TowerToHyperService::new(router)).with_upgrades();
@@ -80,6 +103,8 @@ fn router(app: &Arc<App>) -> Router {
     files
         .route("/live", any(live))
         .route("/halt/{robot}", post(halt))
+        .route("/session", get(session))
+        .route("/login", post(log_in).layer(DefaultBodyLimit::max(PASSWORD_SIZE)))
         .merge(save::routes())
         .layer(DefaultBodyLimit::max(0))
         .layer(from_fn_with_state(Arc::clone(app), check_host))
@@ -95,12 +120,36 @@ async fn check_host(State(app): State<Arc<App>>, request: Request, next: Next) -
     }
 }
 
+/// Tells a page whether it must log in.
+async fn session(State(app): State<Arc<App>>, headers: HeaderMap) -> Result<StatusCode, Refused> {
+    match app.guard.login() {
+        Some(login) => login.check(&headers).map(|()| StatusCode::NO_CONTENT),
+        None => Ok(StatusCode::NO_CONTENT),
+    }
+}
+
+/// Logs a user in, who gets a cookie.
+async fn log_in(
+    State(app): State<Arc<App>>,
+    Extension(Peer(host)): Extension<Peer>,
+    headers: HeaderMap,
+    password: Bytes,
+) -> Result<Response, Refused> {
+    app.guard.check_origin(&headers)?;
+    let login = app.guard.login().ok_or((StatusCode::NOT_FOUND, "this server has no password"))?;
+    let cookie = login.log_in(host, &password);
+    let outcome = cookie.as_ref().map(drop).map_err(|(_, why)| (*why).to_owned());
+    app.audit.write(&host.to_string(), "server", "logs in", &outcome);
+    let cookie = HeaderValue::try_from(cookie?).map_err(|_| (StatusCode::INTERNAL_SERVER_ERROR, "no cookie"))?;
+    Ok(([(SET_COOKIE, cookie)], StatusCode::NO_CONTENT).into_response())
+}
+
 /// Opens the WebSocket of a page.
 async fn live(State(app): State<Arc<App>>, headers: HeaderMap, upgrade: WebSocketUpgrade) -> Result<Response, Refused> {
     app.guard.check_origin(&headers)?;
     let offered = only(&headers, SEC_WEBSOCKET_PROTOCOL.as_str()).unwrap_or_default();
     let token = offered.split(',').find_map(|protocol| protocol.trim().strip_prefix("token."));
-    app.guard.check_token(token)?;
+    app.guard.check_user(&headers, token)?;
     let permit = Arc::clone(&app.pages).try_acquire_owned();
     let permit = permit.map_err(|_| (StatusCode::SERVICE_UNAVAILABLE, "too many pages are open; close one"))?;
     let client = app.clients.fetch_add(1, Ordering::Relaxed);
@@ -114,7 +163,7 @@ async fn live(State(app): State<Arc<App>>, headers: HeaderMap, upgrade: WebSocke
 /// Halts a robot. It needs no control, no `--allow-write`, and no open page.
 async fn halt(State(app): State<Arc<App>>, Path(robot): Path<usize>, headers: HeaderMap) -> Result<Response, Refused> {
     app.guard.check_origin(&headers)?;
-    app.guard.check_token(only(&headers, TOKEN))?;
+    app.guard.check_user(&headers, only(&headers, TOKEN))?;
     let robot = app.robots.get(robot).cloned().ok_or((StatusCode::NOT_FOUND, "there is no such robot"))?;
     robot.end_motion("HALT was pressed");
     // a page that is closed meanwhile must not keep the halt from its line of the audit

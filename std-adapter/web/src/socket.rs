@@ -16,8 +16,10 @@ use serde_json::{Map, Value, json};
 use tokio::time::{Instant, MissedTickBehavior, interval, interval_at};
 
 use crate::app::App;
+use crate::backup;
 use crate::control::Client;
 use crate::guard::Bucket;
+use crate::job::Work;
 use crate::jog;
 use crate::line::Line;
 use crate::panel::Panel;
@@ -51,6 +53,7 @@ enum Screen {
     Tasks,
     Raw,
     Panel,
+    Backup,
 }
 
 /// An order of a page.
@@ -107,6 +110,14 @@ enum Order {
     Packet { robot: usize, serial: u16 },
     /// Returns the calls by function and object.
     Calls { robot: usize },
+    /// Lists the backups of this server.
+    Backups {},
+    /// Begins a dump, a comparison, or the plan of a restore.
+    Work { robot: usize, work: Work },
+    /// Ends it.
+    Unwork { robot: usize },
+    /// Restores the backup that was planned, on the robot with this name.
+    Restore { robot: usize, name: String, folder: String },
     /// Plays a scenario on the virtual controller.
     Play { robot: usize, text: String },
     /// Changes the time factor of the virtual controller.
@@ -139,6 +150,7 @@ impl Drop for Page {
         self.end_motion("the page is closed");
         for robot in &self.app.robots {
             robot.live().names.remove(&self.client);
+            self.end_restore(robot, "the page is closed");
             robot.live().arms.remove(&self.client);
             if let Some(name) = robot.control.name_of(self.client) {
                 robot.control.release(self.client);
@@ -227,6 +239,7 @@ impl Page {
                 Screen::Arm => sections.push(("arm", view::arm(robot))),
                 Screen::Tasks => sections.push(("tasks", tasks::section(robot))),
                 Screen::Jog => sections.push(("jog", view::jog(robot))),
+                Screen::Backup => sections.push(("backup", backup::section(robot, self.client))),
                 Screen::Panel => sections.extend(self.app.panel.as_ref().map(|panel| ("panel", panel.section()))),
                 Screen::Plots => sections.push(("plots", view::variables(self.client, robot))),
                 Screen::Packets => {
@@ -312,6 +325,10 @@ impl Page {
             Order::Bytes { robot, name, packet } => self.call(robot, &name, Request::decode(&packet)?).await,
             Order::Packet { robot, serial } => Ok(self.robot(robot)?.live().tape.call(serial).into()),
             Order::Calls { robot } => Ok(view::calls(&*self.robot(robot)?)),
+            Order::Backups {} => backup::list(&self.app),
+            Order::Work { robot, work } => self.work(robot, work),
+            Order::Unwork { robot } => self.end_work(robot),
+            Order::Restore { robot, name, folder } => self.restore(robot, &name, folder),
             Order::Play { robot, text } => {
                 let what = format!("plays the scenario: {}", text.trim());
                 self.on_panel(robot, &what, |panel| panel.play(&text))
@@ -363,6 +380,7 @@ impl Page {
         let robot = self.robot(robot)?;
         if let Some(name) = robot.control.name_of(self.client) {
             self.end_motion("the control was released");
+            self.end_restore(&robot, "the control was released");
             robot.control.release(self.client);
             self.app.audit.write::<()>(&name, &robot.name, "releases the control", &Ok(()));
         }
@@ -424,6 +442,18 @@ impl Page {
     fn recovery(&self, number: usize) -> Result<&Recovery, String> {
         let recovery = self.recovery.as_ref().filter(|(robot, _)| *robot == number).map(|(_, found)| &**found);
         recovery.ok_or_else(|| "there is no recovery of this page; begin one".into())
+    }
+
+    /// Ends a restore of this page.
+    fn end_restore(&self, robot: &Robot, why: &str) {
+        if let Some(job) = &*robot.backup() {
+            job.end_restore(self.client, why);
+        }
+    }
+
+    /// Returns the number of this page.
+    pub(crate) const fn client(&self) -> Client {
+        self.client
     }
 
     /// Ends what this page moves.

@@ -35,11 +35,17 @@ impl Drop for Browser {
 impl Browser {
     /// Starts a browser; `None` without one, which a test may skip only outside of CI.
     pub(crate) fn start() -> Option<Self> {
+        Self::with(&[])
+    }
+
+    /// Starts a browser with further arguments.
+    pub(crate) fn with(args: &[&str]) -> Option<Self> {
         let profile = tempfile::tempdir().unwrap();
         let process = Command::new("chromium")
             .args(["--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--no-first-run"])
             .args(["--disable-background-networking", "--disable-extensions", "--remote-debugging-port=0"])
             .arg(format!("--user-data-dir={}", profile.path().display()))
+            .args(args)
             .arg("about:blank")
             .stdout(Stdio::null())
             .stderr(Stdio::null())

@@ -1,11 +1,15 @@
 //! Tests of the page against a virtual controller of this process.
 
+mod backup;
 mod browser;
 mod chromium;
 mod jog;
+mod load;
 mod pages;
 mod panel;
 mod raw;
+#[cfg(feature = "tls")]
+mod remote;
 mod safety;
 mod screens;
 mod support;

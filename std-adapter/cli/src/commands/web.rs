@@ -6,19 +6,20 @@ use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
 use bcap_terminal::signal;
-use bcap_web::{Config, Server};
+use bcap_web::{Config, Remote, Server};
 use clap::Args;
 use tempfile::NamedTempFile;
 
 use crate::commands::variables::labels;
-use crate::failure::Failure;
+use crate::failure::{Failure, of_file};
 use crate::link::LinkArgs;
 use crate::listen::{runtime, taken};
 use crate::output::{note, print_line};
 
 /// Serves a page that shows controllers in a browser: their state, variables and alarms, and HALT
 ///
-/// It prints the address of the page with its token; anyone who has it may use the page. Only this computer can open it. The page
+/// It prints the address of the page with its token; anyone who has it may use the page. Only this computer can open it, unless
+/// there are a certificate and a password: then a user logs in with the password, over TLS. The page
 /// reads; while another client streams in Slave Mode it sends nothing that would end the stream. With --allow-write a user who has
 /// taken the control of a robot, under a name, writes variables and clears errors, and each action is confirmed and printed as a
 /// line. With --allow-motion the same user moves the robot by short steps while a button is held. HALT works always, over a
@@ -32,13 +33,16 @@ Examples:
   bcap web
   bcap web --open --robot tcp:192.168.0.1
   bcap web press welder --allow-write
-  bcap web press --allow-write --allow-motion")]
+  bcap web press --allow-write --allow-motion
+  bcap web press --allow-write --backups backups
+  bcap web --listen 192.168.0.9:8011 --certificate cert.pem --key key.pem --password-file password --name cell9.example")]
 pub(crate) struct Web {
     /// The profiles to show, one tile each
     #[arg(value_name = "PROFILE")]
     pub(crate) profiles: Vec<String>,
 
-    /// The address to listen on, of this computer only; port 0 takes a free one
+    /// The address to listen on; port 0 takes a free one. One that other computers can reach needs --certificate, --key and
+    /// --password-file
     #[arg(long, value_name = "IP:PORT", default_value = "127.0.0.1:8011")]
     pub(crate) listen: SocketAddr,
 
@@ -53,6 +57,26 @@ pub(crate) struct Web {
     /// The file of labels, as for `bcap io`; a unit may be at the end: `F1 = pressure [bar]`
     #[arg(long, value_name = "FILE")]
     pub(crate) labels: Option<PathBuf>,
+
+    /// The folder of backups, which the page dumps and, with --allow-write, restores
+    #[arg(long, value_name = "DIR")]
+    pub(crate) backups: Option<PathBuf>,
+
+    /// The certificate of this server and its chain, in PEM
+    #[arg(long, value_name = "FILE.pem", requires_all = ["key", "password_file"])]
+    pub(crate) certificate: Option<PathBuf>,
+
+    /// The private key of the certificate, in PEM
+    #[arg(long, value_name = "FILE.pem", requires = "certificate")]
+    pub(crate) key: Option<PathBuf>,
+
+    /// A file with the password of the page, of at least 12 characters
+    #[arg(long, value_name = "FILE", requires = "certificate")]
+    pub(crate) password_file: Option<PathBuf>,
+
+    /// A name of this server in its certificate, as browsers use it; may be given several times
+    #[arg(long = "name", value_name = "HOST", requires = "certificate")]
+    pub(crate) names: Vec<String>,
 
     /// Opens the page in the browser
     #[arg(long)]
@@ -73,8 +97,14 @@ pub(crate) fn web(args: &Web, link: &LinkArgs) -> Result<(), Failure> {
         args.profiles.iter().map(access).collect::<Result<_, Failure>>()?
     };
     let labels = args.labels.as_deref().map(labels::read).transpose()?.unwrap_or_default().into_iter().collect();
-    let rights = Config::new(args.listen, robots);
-    let config = Config { allow_write: args.allow_write, allow_motion: args.allow_motion, labels, ..rights };
+    let config = Config {
+        allow_write: args.allow_write,
+        allow_motion: args.allow_motion,
+        labels,
+        backups: args.backups.clone(),
+        remote: remote(args)?,
+        ..Config::new(args.listen, robots)
+    };
     runtime()?.block_on(async {
         let ended = signal::wait()?;
         let server = bind(config, "--listen").await?;
@@ -84,6 +114,20 @@ pub(crate) fn web(args: &Web, link: &LinkArgs) -> Result<(), Failure> {
         drop(page);
         Ok(())
     })
+}
+
+/// Returns the certificate and the password, if they are given.
+fn remote(args: &Web) -> Result<Option<Remote>, Failure> {
+    let (Some(certificate), Some(key), Some(file)) = (&args.certificate, &args.key, &args.password_file) else {
+        return Ok(None);
+    };
+    let password = std::fs::read_to_string(file).map_err(of_file(file))?;
+    Ok(Some(Remote {
+        certificate: certificate.clone(),
+        key: key.clone(),
+        password: password.trim_end_matches(['\r', '\n']).to_owned(),
+        names: args.names.clone(),
+    }))
 }
 
 /// Listens for pages, and prints their actions; `option` is the argument with the address.

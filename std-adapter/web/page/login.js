@@ -1,0 +1,28 @@
+// The password of a server that other computers can reach.
+
+import { make } from "./dom.js";
+import { logIn } from "./net.js";
+
+let dialog = null;
+
+/** Asks for the password, and calls `done` after the login. */
+export function login(done) {
+  if (dialog?.open) return;
+  const password = make("input", { type: "password", id: "password", autocomplete: "current-password", required: true });
+  const why = make("p", { role: "alert", id: "login-why" });
+  const onsubmit = async (event) => {
+    event.preventDefault();
+    why.textContent = (await logIn(password.value)) ?? "";
+    password.value = "";
+    if (why.textContent !== "") return;
+    dialog.close();
+    dialog.remove();
+    done();
+  };
+  const form = make("form", { onsubmit }, make("label", { for: "password" }, "Password"), password, make("button", { type: "submit", id: "log-in", className: "primary" }, "Log in"));
+  dialog = make("dialog", { "aria-labelledby": "login-title" }, make("h2", { id: "login-title" }, `Log in to ${location.host}`), form, why);
+  // there is nothing to see without the password
+  dialog.addEventListener("cancel", (event) => event.preventDefault());
+  document.body.append(dialog);
+  dialog.showModal();
+}

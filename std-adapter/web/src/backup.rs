@@ -1,0 +1,212 @@
+//! Backups of a robot's controller: dump, difference, the plan of a restore and the restore, each in a thread over its own session.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::thread;
+use std::time::Instant;
+
+use bcap_backup::compare::{self, entry_text};
+use bcap_backup::controller::{self, Progress};
+use bcap_backup::folder::{self, Folder};
+use bcap_backup::journal::{Journal, Past};
+use bcap_backup::plan::Plan;
+use bcap_backup::replaced::Replaced;
+use bcap_backup::restore::{self, Options};
+use bcap_backup::{contents::Contents, dump};
+use bcap_capture::trace::Packets;
+use bcap_live::link::{Error, Link};
+use serde_json::{Value, json};
+
+use crate::app::App;
+use crate::control::Client;
+use crate::job::{Job, Work};
+use crate::robot::Robot;
+use crate::text::safe;
+
+/// The most folders that a page shows.
+const FOLDERS: usize = 200;
+
+/// Returns the folder of a backup. A name cannot leave the folder of the backups.
+fn path_of(app: &App, name: &str) -> Result<PathBuf, String> {
+    let backups = app.backups.as_ref().ok_or("this server keeps no backups; start it with --backups DIR")?;
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
+    if name.is_empty() || name.len() > 64 || name.starts_with('.') || !name.chars().all(is_plain) {
+        return Err(format!(
+            "{name:?}: a name has letters, digits, `-`, `_` and `.`, at most 64, and begins with no `.`"
+        ));
+    }
+    Ok(backups.join(name))
+}
+
+/// Lists the folders with backups.
+pub(crate) fn list(app: &App) -> Result<Value, String> {
+    let backups = app.backups.as_ref().ok_or("this server keeps no backups; start it with --backups DIR")?;
+    let entries = match std::fs::read_dir(backups) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(json!([])),
+        entries => entries.map_err(|error| format!("{}: {error}", backups.display()))?,
+    };
+    let names =
+        entries.filter_map(|entry| Some((entry.as_ref().ok()?.path(), entry.ok()?.file_name().into_string().ok()?)));
+    let mut rows: Vec<_> =
+        names.filter(|(path, name)| path_of(app, name).is_ok() && path.join("backup.json").exists()).collect();
+    rows.sort();
+    let row = |(path, name): &(PathBuf, String)| {
+        let past = Past::read(path).ok().flatten().filter(|past| !past.is_complete());
+        json!([name, past.map(|past| safe(&past.summary()))])
+    };
+    Ok(rows.iter().take(FOLDERS).map(row).collect())
+}
+
+/// Begins a job.
+pub(crate) fn start(
+    app: &Arc<App>,
+    robot: &Arc<Robot>,
+    client: Client,
+    who: String,
+    work: Work,
+) -> Result<Value, String> {
+    let (Work::Dump { folder } | Work::Diff { folder, .. } | Work::Plan { folder, .. } | Work::Restore { folder }) =
+        &work;
+    let path = path_of(app, folder)?;
+    let with = match &work {
+        Work::Diff { with: Some(with), .. } => Some(path_of(app, with)?),
+        _ => None,
+    };
+    let mut last = robot.backup();
+    if last.as_ref().is_some_and(|last| last.is_running()) {
+        return Err("the last work on backups of this robot has not ended; end it, or wait".into());
+    }
+    let plan = match &work {
+        Work::Restore { folder } => {
+            Some(last.as_ref().and_then(|last| planned(last, client, folder)).ok_or("plan the restore first")?)
+        }
+        _ => None,
+    };
+    let job = Arc::new(Job::new(client, work));
+    let (app, of, own) = (Arc::clone(app), Arc::clone(robot), Arc::clone(&job));
+    let run = move || {
+        let outcome = perform(&own, &of, &path, with.as_deref(), plan).map_err(|error| error.to_string());
+        let what = match &own.work {
+            Work::Dump { folder } => format!("dumps to {folder}"),
+            Work::Diff { folder, with } => {
+                format!("compares {folder} with {}", with.as_deref().unwrap_or("the controller"))
+            }
+            Work::Plan { folder, .. } => format!("plans to restore {folder}"),
+            Work::Restore { folder } => format!("restores {folder}"),
+        };
+        app.audit.write(&who, &of.name, &what, &outcome);
+        own.lock().outcome = Some(outcome);
+    };
+    thread::Builder::new()
+        .name("backup".into())
+        .spawn(run)
+        .map_err(|error| format!("a thread cannot be started: {error}; nothing was done"))?;
+    *last = Some(job);
+    Ok(Value::Null)
+}
+
+/// Takes the plan that the same page has made for the same folder.
+fn planned(last: &Job, client: Client, wanted: &str) -> Option<Plan> {
+    match &last.work {
+        Work::Plan { folder, .. } if last.client == client && folder == wanted => last.lock().plan.take(),
+        _ => None,
+    }
+}
+
+fn perform(job: &Job, robot: &Robot, path: &Path, with: Option<&Path>, plan: Option<Plan>) -> Result<String, Error> {
+    let mut asked = Instant::now();
+    let watch = |link: &mut Link, at: Progress<'_>| job.watch(link, at, &mut asked);
+    let connect = || Link::connect(&robot.access, &Packets::new());
+    match (&job.work, plan) {
+        (Work::Dump { .. }, _) => {
+            let mut link = connect()?;
+            let folder = Folder::begin(path, controller::about(&mut link)?)?;
+            let contents = dump::dump(&mut link, &folder, watch)?;
+            job.lock().notes =
+                contents.omitted.iter().map(|part| format!("not saved: {}", safe(&part.reason))).collect();
+            let Contents { variables, system, files, .. } = &contents;
+            let [variables, system, files] = [variables.len(), system.len(), files.len()];
+            Ok(format!(
+                "saved: {variables} variables, {system} system variables, {files} files; {} refused",
+                contents.refused()
+            ))
+        }
+        (Work::Diff { .. }, _) => {
+            let saved = folder::load(path)?;
+            let other = match with {
+                Some(with) => folder::load(with)?,
+                None => {
+                    let mut link = connect()?;
+                    controller::contents(&mut link, watch)?
+                }
+            };
+            let lines = difference_lines(&saved, &other);
+            job.show(&lines);
+            Ok(if lines.is_empty() { "no differences".into() } else { format!("{} differences", lines.len()) })
+        }
+        (Work::Plan { io, .. }, _) => {
+            let backup = folder::load(path)?;
+            let options = Options { io: *io, other_controller: false };
+            let plan = restore::plan(&mut connect()?, &backup, options, watch)?;
+            job.show(&plan.lines());
+            let mut state = job.lock();
+            state.notes = plan.notes.iter().map(|note| safe(note)).collect();
+            let count = plan.names().len();
+            (state.can_restore, state.plan) = (count > 0, Some(plan));
+            Ok(if count == 0 {
+                "nothing to write: the controller has the values of the backup".into()
+            } else {
+                format!("{count} writes are planned")
+            })
+        }
+        (Work::Restore { .. }, Some(plan)) => {
+            let mut link = connect()?;
+            let mut journal = Journal::begin(path, &robot.address, &plan.names())?;
+            let written = restore::write(&mut link, &plan, &mut journal, &Replaced::new(path), watch);
+            journal.end(&written.as_ref().err().map_or("complete".into(), ToString::to_string))?;
+            let past = Past::read(path)?.map(|past| past.summary()).unwrap_or_default();
+            written
+                .map_err(|error| Error::Unexpected(format!("{error}; {past}; plan it again to write the rest")))
+                .map(|()| past)
+        }
+        (Work::Restore { .. }, None) => Err(Error::Invalid("plan the restore first".into())),
+    }
+}
+
+/// Returns a line for each difference, first the value of the saved one.
+fn difference_lines(a: &Contents, b: &Contents) -> Vec<String> {
+    let variables = compare::variables(a, b, false);
+    let variables =
+        variables.iter().map(|found| format!("{}: {} -> {}", found.name, entry_text(found.a), entry_text(found.b)));
+    let size =
+        |bytes: Option<&Vec<u8>>| bytes.map_or("does not exist".to_owned(), |bytes| format!("{} bytes", bytes.len()));
+    let files = compare::files(a, b);
+    let files = files.iter().map(|found| format!("file:{}: {} -> {}", found.name, size(found.a), size(found.b)));
+    variables.chain(files).collect()
+}
+
+/// Returns the last job of a robot.
+pub(crate) fn section(robot: &Robot, client: Client) -> Value {
+    let Some(job) = robot.backup().clone() else { return Value::Null };
+    let state = job.lock();
+    let (name, folder) = match &job.work {
+        Work::Dump { folder } => ("dump", folder),
+        Work::Diff { folder, .. } => ("diff", folder),
+        Work::Plan { folder, .. } => ("plan", folder),
+        Work::Restore { folder } => ("restore", folder),
+    };
+    json!({
+        "work": name,
+        "folder": folder,
+        "part": state.part,
+        "done": state.done,
+        "count": state.count,
+        "lines": state.lines,
+        "left_out": state.left_out,
+        "notes": state.notes,
+        "can_restore": state.can_restore && state.plan.is_some() && job.client == client,
+        "running": state.outcome.is_none(),
+        "failed": state.outcome.as_ref().is_some_and(Result::is_err),
+        "outcome": state.outcome.as_ref().map(|outcome| safe(match outcome { Ok(text) | Err(text) => text })),
+    })
+}

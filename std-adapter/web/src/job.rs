@@ -1,0 +1,116 @@
+//! A job of the screen of backups: its progress, its end, and its outcome.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use bcap_backup::controller::Progress;
+use bcap_backup::plan::Plan;
+use bcap_core::bcap::StreamState;
+use bcap_live::link::{Error, Link};
+use bcap_live::stream::StreamCheck;
+use serde::Deserialize;
+
+use crate::control::Client;
+use crate::text::safe;
+
+/// The most lines of a plan or a difference that a page shows; the others are counted.
+const LINES: usize = 500;
+
+/// How often a job asks whether a stream of Slave Mode runs.
+const ASK: Duration = Duration::from_secs(1);
+
+/// What a job does.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase", tag = "work", deny_unknown_fields)]
+pub(crate) enum Work {
+    /// Saves the controller in a folder.
+    Dump { folder: String },
+    /// Compares a folder with another one, or with the controller.
+    Diff { folder: String, with: Option<String> },
+    /// Plans a restore.
+    Plan { folder: String, io: bool },
+    /// Writes the plan that this page has made last.
+    Restore { folder: String },
+}
+
+/// A job, and what a page shows of it.
+#[derive(Debug)]
+pub(crate) struct Job {
+    pub(crate) client: Client,
+    pub(crate) work: Work,
+    state: Mutex<State>,
+}
+
+/// The progress and the outcome of a job.
+#[derive(Default)]
+pub(crate) struct State {
+    pub(crate) part: String,
+    pub(crate) done: usize,
+    pub(crate) count: usize,
+    pub(crate) lines: Vec<String>,
+    pub(crate) left_out: usize,
+    pub(crate) notes: Vec<String>,
+    /// The plan that a restore may take, once.
+    pub(crate) plan: Option<Plan>,
+    pub(crate) can_restore: bool,
+    end: Option<String>,
+    pub(crate) outcome: Option<Result<String, String>>,
+}
+
+impl std::fmt::Debug for State {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("State").field("part", &self.part).field("done", &self.done).finish_non_exhaustive()
+    }
+}
+
+impl Job {
+    pub(crate) fn new(client: Client, work: Work) -> Self {
+        Self { client, work, state: Mutex::default() }
+    }
+
+    pub(crate) fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Ends the job between two calls. An ended dump or restore can go on.
+    pub(crate) fn end(&self, why: &str) {
+        self.lock().end.get_or_insert_with(|| why.to_owned());
+    }
+
+    /// Ends a restore of a page that was lost or has released the control.
+    pub(crate) fn end_restore(&self, client: Client, why: &str) {
+        if self.client == client && matches!(self.work, Work::Restore { .. }) {
+            self.end(why);
+        }
+    }
+
+    /// Returns whether the job has not ended.
+    pub(crate) fn is_running(&self) -> bool {
+        self.lock().outcome.is_none()
+    }
+
+    /// Records the progress. Fails at the end, and while a stream runs.
+    pub(crate) fn watch(&self, link: &mut Link, at: Progress<'_>, asked: &mut Instant) -> Result<(), Error> {
+        let mut state = self.lock();
+        (state.done, state.count) = (at.done, at.count);
+        at.part.clone_into(&mut state.part);
+        if let Some(why) = &state.end {
+            return Err(Error::Invalid(format!("ended: {why}")));
+        }
+        drop(state);
+        if asked.elapsed() > ASK {
+            *asked = Instant::now();
+            if StreamCheck::default().ask(link)? == StreamState::Runs {
+                return Err(Error::Skipped("ended: another client streams in Slave Mode".into()));
+            }
+        }
+        Ok(())
+    }
+
+    /// Shows lines of a difference or a plan.
+    pub(crate) fn show(&self, lines: &[String]) {
+        let mut state = self.lock();
+        state.lines = lines.iter().take(LINES).map(|line| safe(line)).collect();
+        state.left_out = lines.len().saturating_sub(LINES);
+    }
+}

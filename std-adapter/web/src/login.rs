@@ -1,0 +1,126 @@
+//! The users of a server that other computers can reach: a password, a limit of attempts, and the cookie of a session.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::net::IpAddr;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use axum::http::header::COOKIE;
+use axum::http::{HeaderMap, StatusCode};
+use tokio::time::Instant;
+
+use crate::secret::{Bucket, Refused, is_same, only, secret};
+
+/// The name of the cookie. With this prefix a browser takes it over TLS only, for this host only.
+const NAME: &str = "__Host-bcap";
+
+/// The lifetime of a session.
+const LIFETIME: Duration = Duration::from_secs(12 * 3600);
+
+/// The most sessions. A further one ends the oldest.
+const SESSIONS: usize = 64;
+
+/// The most hosts whose attempts are counted one by one. Further hosts share one count.
+const HOSTS: usize = 1024;
+
+/// The shortest password, in characters.
+pub(crate) const SHORTEST: usize = 12;
+
+/// A password, and the sessions of its users.
+pub(crate) struct Login {
+    password: String,
+    sessions: Mutex<VecDeque<(String, Instant)>>,
+    attempts: Mutex<BTreeMap<Option<IpAddr>, Bucket>>,
+}
+
+impl std::fmt::Debug for Login {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Login")
+    }
+}
+
+impl Login {
+    pub(crate) const fn new(password: String) -> Self {
+        Self { password, sessions: Mutex::new(VecDeque::new()), attempts: Mutex::new(BTreeMap::new()) }
+    }
+
+    fn sessions(&self) -> MutexGuard<'_, VecDeque<(String, Instant)>> {
+        let mut sessions = self.sessions.lock().unwrap_or_else(PoisonError::into_inner);
+        sessions.retain(|(_, since)| since.elapsed() < LIFETIME);
+        sessions
+    }
+
+    /// Begins a session, and returns its cookie. A host may try 5 times, and then every 10 seconds.
+    pub(crate) fn log_in(&self, host: IpAddr, password: &[u8]) -> Result<String, Refused> {
+        if !self.may_try(host) {
+            return Err((StatusCode::TOO_MANY_REQUESTS, "too many attempts; wait a minute"));
+        }
+        if !is_same(password, self.password.as_bytes()) {
+            return Err((StatusCode::UNAUTHORIZED, "the password is wrong"));
+        }
+        let id = secret().map_err(|_| (StatusCode::INTERNAL_SERVER_ERROR, "the system has no random numbers"))?;
+        let cookie = format!("{NAME}={id}; Path=/; Secure; HttpOnly; SameSite=Strict; Max-Age={}", LIFETIME.as_secs());
+        let mut sessions = self.sessions();
+        if sessions.len() >= SESSIONS {
+            sessions.pop_front();
+        }
+        sessions.push_back((id, Instant::now()));
+        Ok(cookie)
+    }
+
+    fn may_try(&self, host: IpAddr) -> bool {
+        let mut attempts = self.attempts.lock().unwrap_or_else(PoisonError::into_inner);
+        // one subscriber has 2^64 addresses of IPv6
+        let host = match host {
+            IpAddr::V6(host) => IpAddr::V6((u128::from(host) >> 64 << 64).into()),
+            host => host,
+        };
+        let is_known = attempts.len() < HOSTS || attempts.contains_key(&Some(host));
+        attempts.entry(is_known.then_some(host)).or_insert_with(|| Bucket::with(5.0, 0.1)).take()
+    }
+
+    /// Refuses a request without the cookie of a session.
+    pub(crate) fn check(&self, headers: &HeaderMap) -> Result<(), Refused> {
+        let cookies = only(headers, COOKIE.as_str()).unwrap_or_default().split(';');
+        let mut ids = cookies.filter_map(|cookie| cookie.trim().strip_prefix(NAME)?.strip_prefix('='));
+        let sessions = self.sessions();
+        let is_known = |id: &str| sessions.iter().any(|(known, _)| is_same(id.as_bytes(), known.as_bytes()));
+        if ids.any(is_known) {
+            return Ok(());
+        }
+        Err((StatusCode::UNAUTHORIZED, "log in first: open the page again"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::Ipv4Addr;
+
+    use super::*;
+
+    fn headers(cookie: &str) -> HeaderMap {
+        let id = cookie.split(';').next().unwrap();
+        HeaderMap::from_iter([(COOKIE, format!("other=1; {id}").parse().unwrap())])
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn attempts_are_limited_and_sessions_end() {
+        let login = Login::new("correct horse battery".into());
+        let host = |last| IpAddr::V4(Ipv4Addr::new(192, 168, 0, last));
+        let status =
+            |host, password: &str| login.log_in(host, password.as_bytes()).map_err(|(status, _)| status.as_u16());
+        let cookie = status(host(1), "correct horse battery").unwrap();
+        assert!(cookie.ends_with("; Path=/; Secure; HttpOnly; SameSite=Strict; Max-Age=43200"), "{cookie}");
+        assert_eq!(login.check(&headers(&cookie)), Ok(()));
+        assert_eq!(login.check(&headers("__Host-bcap=")).map_err(|(status, _)| status.as_u16()), Err(401));
+        for _ in 0..4 {
+            assert_eq!(status(host(1), "correct horse batterz"), Err(401));
+        }
+        assert_eq!(status(host(1), "correct horse battery"), Err(429), "also with the right one");
+        assert!(status(host(2), "correct horse battery").is_ok(), "another host is not locked out");
+        tokio::time::advance(Duration::from_secs(10)).await;
+        assert!(status(host(1), "correct horse battery").is_ok());
+        tokio::time::advance(LIFETIME).await;
+        assert!(login.check(&headers(&cookie)).is_err());
+    }
+}

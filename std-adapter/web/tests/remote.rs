@@ -1,0 +1,201 @@
+//! A server that other computers can reach: TLS, the password, the cookie, the names.
+
+use std::io::{Read as _, Write as _};
+use std::net::TcpStream;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use bcap_web::{Config, Remote, Server};
+use serde_json::json;
+use tempfile::TempDir;
+use tokio_rustls::rustls::crypto::ring::default_provider;
+use tokio_rustls::rustls::pki_types::pem::PemObject as _;
+use tokio_rustls::rustls::pki_types::{CertificateDer, ServerName};
+use tokio_rustls::rustls::{ClientConfig, ClientConnection, RootCertStore, StreamOwned};
+
+use crate::chromium::Browser;
+use crate::support::{LIMIT, Sim, Web, access};
+
+const PASSWORD: &str = "correct horse battery";
+
+/// A server at all addresses of this computer, with the name localhost.
+struct Cell {
+    _sim: Sim,
+    web: Web,
+    host: String,
+    files: TempDir,
+}
+
+impl Cell {
+    fn start() -> Self {
+        let (sim, files) = (Sim::start(), certificate());
+        let folder = files.path().to_owned();
+        let remote = move |config: &mut Config| {
+            config.listen = "0.0.0.0:0".parse().unwrap();
+            config.remote = Some(remote(&folder, PASSWORD, &["localhost"]));
+        };
+        let web = Web::with(&remote, &[("press", sim.address())], true);
+        let host = web.url().strip_prefix("https://").unwrap().trim_end_matches('/').to_owned();
+        Self { _sim: sim, web, host, files }
+    }
+
+    /// Sends a request over TLS, and returns the response.
+    fn request(&self, first: &str, headers: &[(&str, &str)], body: &str) -> String {
+        let mut roots = RootCertStore::empty();
+        roots.add(CertificateDer::from_pem_file(self.files.path().join("cert.pem")).unwrap()).unwrap();
+        let config = ClientConfig::builder_with_provider(Arc::new(default_provider()))
+            .with_safe_default_protocol_versions()
+            .unwrap()
+            .with_root_certificates(roots)
+            .with_no_client_auth();
+        let name = ServerName::try_from("localhost").unwrap();
+        let stream = TcpStream::connect(("127.0.0.1", self.port())).unwrap();
+        stream.set_read_timeout(Some(LIMIT)).unwrap();
+        let mut stream = StreamOwned::new(ClientConnection::new(Arc::new(config), name).unwrap(), stream);
+        let headers: String = headers.iter().map(|(name, value)| format!("{name}: {value}\r\n")).collect();
+        let length = body.len();
+        let _ =
+            write!(stream, "{first} HTTP/1.1\r\n{headers}content-length: {length}\r\nconnection: close\r\n\r\n{body}");
+        let mut response = Vec::new();
+        // the server may close without a farewell of TLS
+        let _ = stream.read_to_end(&mut response);
+        String::from_utf8_lossy(&response).into_owned()
+    }
+
+    fn port(&self) -> u16 {
+        self.host.rsplit(':').next().unwrap().parse().unwrap()
+    }
+
+    /// Sends a request of the page itself.
+    fn own(&self, first: &str, further: &[(&str, &str)], body: &str) -> String {
+        let origin = format!("https://{}", self.host);
+        self.request(first, &[&[("host", self.host.as_str()), ("origin", &origin)], further].concat(), body)
+    }
+
+    /// Logs in, and returns the cookie.
+    fn log_in(&self) -> String {
+        let response = self.own("POST /login", &[], PASSWORD);
+        assert_eq!(status(&response), "204", "{response}");
+        response.split("set-cookie: ").nth(1).unwrap().lines().next().unwrap().to_owned()
+    }
+}
+
+/// Makes a certificate of localhost, and its key.
+fn certificate() -> TempDir {
+    let files = tempfile::tempdir().unwrap();
+    let made = rcgen::generate_simple_self_signed(["localhost".to_owned()]).unwrap();
+    std::fs::write(files.path().join("cert.pem"), made.cert.pem()).unwrap();
+    std::fs::write(files.path().join("key.pem"), made.signing_key.serialize_pem()).unwrap();
+    files
+}
+
+fn remote(folder: &std::path::Path, password: &str, names: &[&str]) -> Remote {
+    Remote {
+        certificate: folder.join("cert.pem"),
+        key: folder.join("key.pem"),
+        password: password.into(),
+        names: names.iter().map(|name| (*name).to_owned()).collect(),
+    }
+}
+
+fn status(response: &str) -> &str {
+    response.split(' ').nth(1).unwrap_or(response)
+}
+
+const UPGRADE: [(&str, &str); 5] = [
+    ("connection", "upgrade"),
+    ("upgrade", "websocket"),
+    ("sec-websocket-version", "13"),
+    ("sec-websocket-key", "dGhlIHNhbXBsZSBub25jZQ=="),
+    ("sec-websocket-protocol", "bcap.live, token.0123456789"),
+];
+
+#[test]
+fn a_user_needs_tls_the_password_the_cookie_and_the_name() {
+    let cell = Cell::start();
+    assert!(!cell.web.url().contains("token"), "{}", cell.web.url());
+    assert_eq!(status(&cell.own("GET /session", &[], "")), "401");
+    assert_eq!(status(&cell.own("POST /halt/0", &[], "")), "401");
+    assert_eq!(status(&cell.own("GET /live", &UPGRADE, "")), "401", "a token does not suffice");
+    let cookie = cell.log_in();
+    for part in ["__Host-bcap=", "; Path=/", "; Secure", "; HttpOnly", "; SameSite=Strict"] {
+        assert!(cookie.contains(part), "{cookie}");
+    }
+    let cookie = ("cookie", cookie.split(';').next().unwrap());
+    assert_eq!(status(&cell.own("GET /session", &[cookie], "")), "204");
+    let halted = cell.own("POST /halt/0", &[cookie], "");
+    assert!(status(&halted) == "200" && halted.contains("the robot was at rest"), "{halted}");
+    // the cookie of the user's browser does not help the page of another site, nor a name that is bound to this address
+    let other = [("host", cell.host.as_str()), ("origin", "https://evil.example"), cookie];
+    assert_eq!(status(&cell.request("POST /halt/0", &other, "")), "403");
+    let plain = format!("http://{}", cell.host);
+    assert_eq!(status(&cell.request("POST /halt/0", &[other[0], ("origin", &plain), cookie], "")), "403");
+    let rebound = format!("evil.example:{}", cell.port());
+    assert_eq!(status(&cell.request("GET /", &[("host", &rebound)], "")), "421");
+    assert_eq!(status(&cell.request("GET /", &[("host", "127.0.0.1")], "")), "421");
+    for wrong in ["__Host-bcap=", "__Host-bcap=0000", "bcap=1"] {
+        assert_eq!(status(&cell.own("GET /session", &[("cookie", wrong)], "")), "401", "{wrong}");
+    }
+    let lines = cell.web.lines();
+    assert!(lines.contains(&"server: 127.0.0.1: logs in: done".to_owned()), "{lines:?}");
+}
+
+#[test]
+fn attempts_are_limited_and_plain_http_gets_nothing() {
+    let cell = Cell::start();
+    assert_eq!(status(&cell.own("GET /login", &[], "")), "405", "no login by GET");
+    let other = [("host", cell.host.as_str()), ("origin", "https://evil.example")];
+    assert_eq!(status(&cell.request("POST /login", &other, PASSWORD)), "403");
+    assert_eq!(status(&cell.own("POST /login", &[], &"x".repeat(2000))), "413");
+    for _ in 0..5 {
+        assert_eq!(status(&cell.own("POST /login", &[], "wrong")), "401");
+    }
+    let refused = cell.own("POST /login", &[], PASSWORD);
+    assert!(status(&refused) == "429" && refused.contains("too many attempts; wait a minute"), "{refused}");
+    let mut plain = TcpStream::connect(("127.0.0.1", cell.port())).unwrap();
+    plain.set_read_timeout(Some(LIMIT)).unwrap();
+    write!(plain, "GET / HTTP/1.1\r\nhost: {}\r\n\r\n", cell.host).unwrap();
+    let mut bytes = Vec::new();
+    let _ = plain.read_to_end(&mut bytes);
+    assert!(!bytes.windows(5).any(|part| part == b"HTTP/"), "an alert of TLS at most");
+}
+
+#[tokio::test]
+async fn a_server_without_all_of_it_does_not_start() {
+    let files = certificate();
+    let robot = || vec![("press".to_owned(), access("127.0.0.1:1".parse().unwrap()))];
+    let bind = async |remote: Remote| {
+        let config = Config { remote: Some(remote), ..Config::new("0.0.0.0:0".parse().unwrap(), robot()) };
+        Server::bind(config, |_| {}).await.unwrap_err().to_string()
+    };
+    let short = bind(remote(files.path(), "short", &["localhost"])).await;
+    assert_eq!(short, "the password has 5 characters; it needs at least 12");
+    let nameless = bind(remote(files.path(), PASSWORD, &[])).await;
+    assert!(nameless.contains("give --name with the name in the certificate"), "{nameless}");
+    let mut no_key = remote(files.path(), PASSWORD, &["localhost"]);
+    no_key.key = PathBuf::from("/no/such/key.pem");
+    let no_key = bind(no_key).await;
+    assert!(no_key.starts_with("TLS: /no/such/key.pem: "), "{no_key}");
+    let mut swapped = remote(files.path(), PASSWORD, &["localhost"]);
+    std::mem::swap(&mut swapped.certificate, &mut swapped.key);
+    let swapped = bind(swapped).await;
+    assert!(swapped.contains("key.pem: there is no certificate in PEM"), "{swapped}");
+}
+
+/// A person logs in, works and reloads the page.
+#[test]
+fn a_browser_logs_in_and_stays_logged_in() {
+    let cell = Cell::start();
+    let Some(mut browser) = Browser::with(&["--ignore-certificate-errors"]) else { return };
+    browser.open(cell.web.url());
+    browser.until("document.getElementById('password') !== null");
+    browser.enter("#password", "wrong");
+    browser.until_text("#login-why", "the password is wrong");
+    browser.enter("#password", PASSWORD);
+    browser.until_text("#state", "ready, motor off");
+    assert_eq!(browser.eval("document.cookie"), "", "scripts do not see the cookie");
+    browser.call("Page.reload", json!({}));
+    browser.until_text("#state", "ready, motor off");
+    browser.click("#halt");
+    browser.until_text("#notice", "press: the robot was at rest");
+}
