@@ -55,6 +55,19 @@ impl Drop for Web {
     }
 }
 
+/// A file of labels with a wrong line is refused before anything is opened.
+#[test]
+fn a_wrong_line_of_the_labels_is_named() {
+    let file = tempfile::NamedTempFile::new().unwrap();
+    fs::write(file.path(), "F1 = pressure [bar]\nIO128 gripper\n").unwrap();
+    let labels = file.path().to_str().unwrap();
+    let run =
+        bare(&["web", "--listen", "127.0.0.1:0", "--robot", "tcp:127.0.0.1:1", "--labels", labels]).output().unwrap();
+    assert_eq!(run.status.code(), Some(2), "{run:?}");
+    let error = String::from_utf8(run.stderr).unwrap();
+    assert!(error.contains("line 2: write IO130 = LABEL"), "{error}");
+}
+
 /// The profiles are the tiles; a halt of a controller that is not there fails, and is a line of the output.
 #[test]
 fn it_prints_its_address_serves_the_profiles_and_ends() {

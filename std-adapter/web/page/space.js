@@ -7,6 +7,9 @@ const START = { yaw: -40, pitch: 22, zoom: 1 };
 /** The distance of the eye, in reaches of the arm. */
 const DISTANCE = 3.5;
 
+/** Whether the page is dark. */
+const scheme = matchMedia("(prefers-color-scheme: dark)");
+
 const limit = (value, low, high) => Math.max(low, Math.min(high, value));
 
 /** Makes a view. `draw` gets the points of the arm, those of the commanded arm, the path, and the reported position, in mm. */
@@ -35,6 +38,8 @@ export function newSpace() {
     act();
   };
   new ResizeObserver(() => render(view)).observe(canvas);
+  // a robot at rest is not drawn again by itself
+  scheme.onchange = () => render(view);
   const figure = make("figure", {}, make("figcaption", {}, "3D: drag or arrow keys turn it, the wheel, + and − change its size, Home resets it"), canvas);
   const draw = (chain, commanded, path, position) => {
     view.scene = { chain, commanded, path, position };
@@ -58,7 +63,7 @@ function resize(view, factor) {
 function camera({ yaw, pitch, zoom, reach }, width, height) {
   const [y, p] = [yaw, pitch].map((degrees) => (degrees * Math.PI) / 180);
   const distance = DISTANCE * reach;
-  const size = (Math.min(width, height) / (2.3 * reach)) * zoom;
+  const size = (Math.min(width, height) / (1.9 * reach)) * zoom;
   return ([px, py, pz]) => {
     const right = px * Math.cos(y) - py * Math.sin(y);
     const away = px * Math.sin(y) + py * Math.cos(y);
@@ -106,10 +111,11 @@ function polyline(pen, points, colour, width, dash) {
 
 /** The floor as a grid, and the axes of the base with their names. */
 function drawFloor(pen, place, reach, { text, line, fontFamily }) {
+  const edge = 0.8 * reach;
   for (let n = -4; n <= 4; n += 1) {
-    const at = (n * reach) / 4;
-    polyline(pen, [[at, -reach, 0], [at, reach, 0]].map(place), line, 1, []);
-    polyline(pen, [[-reach, at, 0], [reach, at, 0]].map(place), line, 1, []);
+    const at = (n * edge) / 4;
+    polyline(pen, [[at, -edge, 0], [at, edge, 0]].map(place), line, 1, []);
+    polyline(pen, [[-edge, at, 0], [edge, at, 0]].map(place), line, 1, []);
   }
   pen.fillStyle = text;
   pen.font = `12px ${fontFamily}`;

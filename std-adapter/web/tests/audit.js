@@ -27,7 +27,7 @@
     const contrast = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
     if (contrast < 4.5) wrong.push(`contrast ${contrast.toFixed(2)}: ${texts.currentNode.data}`);
   }
-  for (const control of document.querySelectorAll("button, input, select")) {
+  for (const control of document.querySelectorAll("button, input, select, textarea")) {
     const name = control.getAttribute("aria-label") ?? (control.labels?.[0]?.textContent || control.textContent);
     if (control.checkVisibility() && name.trim() === "") wrong.push(`no name: ${control.outerHTML}`);
     if (control.tabIndex !== 0) wrong.push(`not in the order of Tab: ${control.outerHTML}`);

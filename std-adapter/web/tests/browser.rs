@@ -287,10 +287,9 @@ fn each_screen_is_legible_and_works_with_a_keyboard() {
     browser.key("Tab");
     assert_eq!(browser.eval("document.activeElement.id"), "halt", "HALT is the first");
     browser.enter("#name", "Anna");
-    let folder = std::env::var_os("BCAP_WEB_PICTURES");
-    for screen in ["cell", "variables", "alarms", "arm", "tasks", "jog", "plots", "packets", "raw"] {
+    for screen in ["cell", "variables", "alarms", "arm", "tasks", "jog", "plots", "packets", "raw", "backup"] {
         browser.click(&format!("[data-id={screen}]"));
-        browser.until("document.querySelector('.tile, .spark polyline, .errors li, .joints circle, .axis, #task, .choices input, .packets td, #usage:not(:empty)') !== null");
+        browser.until("document.querySelector('.tile, .spark polyline, .errors li, .joints circle, .axis, #task, .choices input, .packets td, #usage:not(:empty), #backup-name') !== null");
         // the bytes of a packet are legible, too
         let opens = match screen {
             "packets" => Some(".packets .serial"),
@@ -300,19 +299,32 @@ fn each_screen_is_legible_and_works_with_a_keyboard() {
         if let Some(selector) = opens {
             browser.click(selector);
             browser.click(".packet .field:nth-child(3)");
+            browser.eval("scrollTo(0, 0)");
         }
-        for scheme in ["light", "dark"] {
-            for size in [(1280, 800), (768, 1024)] {
-                browser.look(size, scheme);
-                assert_eq!(browser.eval(AUDIT), serde_json::json!([]), "{screen} {scheme} {size:?}");
-                if let Some(folder) = &folder {
-                    let name = format!("web-{screen}-{}x{}-{scheme}.webp", size.0, size.1);
-                    save(&Path::new(folder).join(name), &browser.picture());
-                }
+        look(&mut browser, screen);
+    }
+    // the panel is a screen of a virtual controller only
+    let cell = crate::panel::Cell::start();
+    browser.open(cell.web.url());
+    browser.click("[data-id=panel]");
+    browser.until("document.getElementById('scenario') !== null");
+    look(&mut browser, "panel");
+    assert_eq!(browser.problems, [""; 0]);
+}
+
+/// Audits a screen in both sizes and themes, and saves its pictures if they are wanted.
+fn look(browser: &mut Browser, screen: &str) {
+    let folder = std::env::var_os("BCAP_WEB_PICTURES");
+    for scheme in ["light", "dark"] {
+        for size in [(1280, 800), (768, 1024)] {
+            browser.look(size, scheme);
+            assert_eq!(browser.eval(AUDIT), serde_json::json!([]), "{screen} {scheme} {size:?}");
+            if let Some(folder) = &folder {
+                let name = format!("web-{screen}-{}x{}-{scheme}.webp", size.0, size.1);
+                save(&Path::new(folder).join(name), &browser.picture());
             }
         }
     }
-    assert_eq!(browser.problems, [""; 0]);
 }
 
 /// Writes base64 to a file.

@@ -10,14 +10,14 @@ use crate::chromium::Browser;
 use crate::support::{Page, Running, Web, serve_paced};
 
 /// A virtual controller with a page, as `bcap sim --web` serves both.
-struct Cell {
-    web: Web,
+pub(crate) struct Cell {
+    pub(crate) web: Web,
     paced: Arc<Mutex<Paced>>,
     _server: Running<std::net::SocketAddr>,
 }
 
 impl Cell {
-    fn start() -> Self {
+    pub(crate) fn start() -> Self {
         let paced = Arc::new(Mutex::new(Paced::new(Controller::new(Config::new(Profile::Rc8)))));
         let server = serve_paced(&paced);
         let panel = Arc::clone(&paced);

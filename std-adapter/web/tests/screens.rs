@@ -4,6 +4,7 @@ use bcap_capture::decode::{Event, events};
 use bcap_core::hresult::HResult;
 use bcap_core::limits::Strictness;
 use bcap_core::rac::VariableKind;
+use bcap_core::variant::OwnedVariant;
 use bcap_std::{Move, Settings, blocking};
 use serde_json::json;
 
@@ -136,6 +137,19 @@ fn a_raw_call_is_filled_in_called_repeated_and_used_again() {
     browser.enter("#argument-0", "999");
     browser.until_text(".reply h2", "1 of 3: ▲ 0x80070006 E_HANDLE");
     browser.until_text(".answer", "Meaning");
+    // text of the controller stays text
+    let hostile = OwnedVariant::new("<img src=x onerror=window.owned=1>").unwrap();
+    sim.lock().set_variable(VariableKind::S, 1, &hostile.as_variant()).unwrap();
+    browser.enter("#argument-0", "variable:S1");
+    browser.until_text(".answer", "<img src=x");
+    browser.until(
+        "[...document.querySelectorAll('.reply .field')].some((field) => field.textContent.includes('<img src=x'))",
+    );
+    assert_eq!(
+        browser.eval("[document.querySelectorAll('img').length, String(window.owned)]"),
+        json!([0, "undefined"])
+    );
+    browser.until_text(".reply h2", "3 of 3: ●");
     // a long loop is stopped
     browser.enter("#times", "1000");
     browser.enter("#argument-0", "variable:I1");
@@ -150,13 +164,26 @@ fn a_raw_call_is_filled_in_called_repeated_and_used_again() {
     assert_eq!(browser.problems, [""; 0]);
 }
 
+/// The wheel changes the window, the keys move the cursor, and the numbers are saved for Foxglove and PlotJuggler.
 #[test]
-fn numbers_are_saved_for_foxglove() {
+fn numbers_are_zoomed_measured_and_saved() {
     let sim = Sim::start();
     let web = Web::start(&[("press", sim.address())], false);
     let Some(mut browser) = opened(&web) else { return };
     browser.click("[data-id=plots]");
     browser.until_text(".legend", "J2 45.000");
+    let window = "document.getElementById('window').value";
+    assert_eq!(browser.eval(window), "60");
+    for (delta, seconds) in [(-1, "30"), (1, "60"), (1, "120")] {
+        let wheel =
+            format!("document.querySelector('.plot').dispatchEvent(new WheelEvent('wheel', {{ deltaY: {delta} }}))");
+        browser.eval(&wheel);
+        assert_eq!(browser.eval(window), seconds);
+    }
+    browser.eval("document.querySelector('.plot').focus()");
+    browser
+        .call("Input.dispatchKeyEvent", json!({ "type": "keyDown", "key": "ArrowLeft", "windowsVirtualKeyCode": 37 }));
+    browser.until("/^J1 .* at -6[0-9][.][0-9] s$/.test(document.querySelector('.legend li').textContent)");
     let file = bytes(&saved(&mut browser, "#mcap"));
     let magic = b"\x89MCAP0\r\n";
     assert!(file.starts_with(magic) && file.ends_with(magic));
@@ -298,5 +325,81 @@ fn the_arm_is_drawn_in_three_dimensions() {
     browser.until(&format!("{data}.commanded !== {data}.flange && Number({data}.path) > 2"));
     browser.until_text(".views + p", "The dashed line is where the controller has commanded it to.");
     drop(moving);
+    assert_eq!(browser.problems, [""; 0]);
+}
+
+/// Answers the question of the page with yes.
+fn agree(browser: &mut Browser, text: &str) {
+    browser.until_text("#question-text", text);
+    browser.click("#question-yes");
+    browser.until("!document.getElementById('question').open");
+}
+
+/// A task is started and stopped after a question, and a program is text.
+#[test]
+fn a_task_is_started_and_stopped_and_a_program_is_shown() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("Pick.pcs"), "Sub Main\n<script>window.owned = 1</script>\nEnd Sub\n").unwrap();
+    let sim = Sim::with_files(folder.path());
+    let name = sim.lock().tasks().next().map(|(name, ..)| name.to_owned()).unwrap();
+    let web = Web::moving(&[("press", sim.address())]);
+    let Some(mut browser) = opened(&web) else { return };
+    browser.click("[data-id=tasks]");
+    browser.until_text("tbody tr th", &name);
+    browser.until("document.querySelector('[data-what=forever]').disabled");
+    browser.enter("#name", "Anna");
+    browser.click("[data-what=forever]");
+    agree(&mut browser, &format!("{name}: run again and again. The program can move the robot."));
+    browser.until_text("#notice", &format!("press: {name}: run again and again is done"));
+    browser.until_text("tbody tr.changed td", "running");
+    browser.click("[data-what=stop]");
+    agree(&mut browser, &format!("{name}: stop."));
+    browser.until("document.querySelector('tbody tr.changed') === null");
+    browser.until_text(".files", "Pick.pcs");
+    browser.eval(
+        "[...document.querySelectorAll('.files button')].find((button) => button.textContent === 'Pick.pcs').click()",
+    );
+    browser.until("document.querySelectorAll('.program li').length === 3");
+    browser.until_text(".program li:nth-child(2)", "<script>window.owned = 1</script>");
+    assert_eq!(
+        browser.eval("[document.querySelectorAll('main script').length, String(window.owned)]"),
+        json!([0, "undefined"])
+    );
+    assert_eq!(browser.problems, [""; 0]);
+}
+
+/// Each step of a recovery has its own button and its own question.
+#[test]
+fn a_recovery_is_made_button_by_button() {
+    let sim = Sim::start();
+    sim.lock().inject_error(HResult::from_u32(0x8350_0076), bcap_std::now());
+    let web = Web::moving(&[("press", sim.address())]);
+    let Some(mut browser) = Browser::start() else { return };
+    browser.open(web.url());
+    browser.until_text("#state", "error");
+    browser.enter("#name", "Anna");
+    browser.click("[data-id=alarms]");
+    browser.click("#recover");
+    agree(&mut browser, "No other program uses the robot");
+    let mut made = Vec::new();
+    loop {
+        browser.until("document.querySelector('.steps button') !== null || /recovered/.test(document.querySelector('.alarms').textContent)");
+        let step = browser.eval("document.querySelector('.steps button')?.textContent");
+        let Some(step) = step.as_str().map(str::to_owned) else { break };
+        if made.is_empty() {
+            assert_eq!(sim.lock().errors().count(), 1, "nothing is done before the first agreement");
+        }
+        browser.click(".steps button");
+        agree(&mut browser, &step);
+        browser.until(&format!("document.querySelector('.steps button')?.textContent !== '{step}'"));
+        made.push(step);
+    }
+    assert_eq!(
+        (made.first().map(String::as_str), made.last().map(String::as_str)),
+        (Some("ClearError"), Some("Motor"))
+    );
+    browser.until_text(".alarms", "recovered: no errors; the motor is as before, and the arm is free");
+    let sim = sim.lock();
+    assert_eq!((sim.errors().count(), sim.motor_is_on(), sim.arm_owner()), (0, false, None));
     assert_eq!(browser.problems, [""; 0]);
 }
