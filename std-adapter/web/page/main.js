@@ -13,9 +13,10 @@ import { packets } from "./packets.js";
 import { panel } from "./panel.js";
 import { plots } from "./plots.js";
 import { raw } from "./raw.js";
+import { session } from "./session.js";
 import { setLabels, variables } from "./variables.js";
 
-const SCREENS = [cell, variables, alarms, arm, tasks, jog, plots, packets, raw, backup, panel];
+const SCREENS = [cell, variables, alarms, arm, tasks, jog, plots, packets, raw, backup, session, panel];
 
 /** What the screens share. */
 const page = {

@@ -29,6 +29,7 @@ pub(crate) const FILES: &[(&str, &str, &str)] = &[
     ("/raw.js", SCRIPT, include_str!("../page/raw.js")),
     ("/panel.js", SCRIPT, include_str!("../page/panel.js")),
     ("/backup.js", SCRIPT, include_str!("../page/backup.js")),
+    ("/session.js", SCRIPT, include_str!("../page/session.js")),
     ("/login.js", SCRIPT, include_str!("../page/login.js")),
 ];
 

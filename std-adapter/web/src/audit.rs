@@ -1,13 +1,22 @@
 //! A line for each action of a user.
 
+use std::collections::VecDeque;
 use std::fmt;
+use std::sync::{Mutex, PoisonError};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use bcap_core::variant::OleDate;
 use bcap_terminal::escape;
 
+/// The lines that a page shows.
+const KEPT: usize = 100;
+
 /// Takes the lines.
-pub(crate) struct Audit(Box<dyn Fn(&str) + Send + Sync>);
+pub(crate) struct Audit {
+    line: Box<dyn Fn(&str) + Send + Sync>,
+    /// The last lines, the latest last.
+    last: Mutex<VecDeque<String>>,
+}
 
 impl fmt::Debug for Audit {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -17,7 +26,7 @@ impl fmt::Debug for Audit {
 
 impl Audit {
     pub(crate) fn new(line: impl Fn(&str) + Send + Sync + 'static) -> Self {
-        Self(Box::new(line))
+        Self { line: Box::new(line), last: Mutex::default() }
     }
 
     /// Writes a line: when, who, at which robot, what, and the outcome.
@@ -27,6 +36,17 @@ impl Audit {
         let date =
             i64::try_from(since.as_millis()).ok().and_then(OleDate::from_unix_millis).and_then(OleDate::to_civil);
         let time = date.map(|date| format!("{date}Z ")).unwrap_or_default();
-        (self.0)(&escape::line(&escape::cut(&format!("{time}{robot}: {who}: {what}: {outcome}"))));
+        let line = escape::line(&escape::cut(&format!("{time}{robot}: {who}: {what}: {outcome}")));
+        (self.line)(&line);
+        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        if last.len() >= KEPT {
+            last.pop_front();
+        }
+        last.push_back(line);
+    }
+
+    /// Returns the last lines, the latest first.
+    pub(crate) fn last(&self) -> Vec<String> {
+        self.last.lock().unwrap_or_else(PoisonError::into_inner).iter().rev().cloned().collect()
     }
 }

@@ -19,7 +19,7 @@ impl Control {
 
     /// Takes the control. Only its release, or the loss of the holder's page, frees it for another one.
     pub(crate) fn take(&self, client: Client, name: &str) -> Result<(), String> {
-        let name: String = name.trim().chars().filter(|c| !bcap_terminal::escape::acts(*c)).take(LONGEST).collect();
+        let name = cleaned(name);
         if name.is_empty() {
             return Err("write your name, so that others see who has the control".into());
         }
@@ -46,6 +46,11 @@ impl Control {
     pub(crate) fn name_of(&self, client: Client) -> Option<String> {
         self.with(|holder| holder.as_ref().filter(|(other, _)| *other == client).map(|(_, name)| name.clone()))
     }
+}
+
+/// Returns a name that cannot hide what is next to it: without characters that act on it, and not long.
+pub(crate) fn cleaned(name: &str) -> String {
+    name.trim().chars().filter(|c| !bcap_terminal::escape::acts(*c)).take(LONGEST).collect()
 }
 
 #[cfg(test)]

@@ -17,7 +17,7 @@ use tokio::time::{Instant, MissedTickBehavior, interval, interval_at};
 
 use crate::app::App;
 use crate::backup;
-use crate::control::Client;
+use crate::control::{Client, cleaned};
 use crate::guard::Bucket;
 use crate::job::Work;
 use crate::jog;
@@ -54,6 +54,7 @@ enum Screen {
     Raw,
     Panel,
     Backup,
+    Session,
 }
 
 /// An order of a page.
@@ -240,6 +241,7 @@ impl Page {
                 Screen::Tasks => sections.push(("tasks", tasks::section(robot))),
                 Screen::Jog => sections.push(("jog", view::jog(robot))),
                 Screen::Backup => sections.push(("backup", backup::section(robot, self.client))),
+                Screen::Session => sections.push(("session", view::session(&self.app))),
                 Screen::Panel => sections.extend(self.app.panel.as_ref().map(|panel| ("panel", panel.section()))),
                 Screen::Plots => sections.push(("plots", view::variables(self.client, robot))),
                 Screen::Packets => {
@@ -371,7 +373,7 @@ impl Page {
             self.writes()?;
         }
         let taken = self.robot(robot)?.control.take(self.client, name);
-        self.app.audit.write(&view::safe(name), &self.robot(robot)?.name, "takes the control", &taken);
+        self.app.audit.write(&cleaned(name), &self.robot(robot)?.name, "takes the control", &taken);
         taken.map(|()| Value::Null)
     }
 

@@ -12,6 +12,7 @@ use bcap_live::model::Variable;
 use bcap_std::Examination;
 use serde_json::{Value, json};
 
+use crate::app::App;
 use crate::arm;
 use crate::control::Client;
 use crate::robot::{Live, Robot, TARGET};
@@ -137,6 +138,20 @@ pub(crate) fn variables(client: Client, robot: &Robot) -> Value {
         live.model.variables.get(found)
     };
     Value::Array(names.iter().filter_map(find).map(row).collect())
+}
+
+/// Returns what the server allows, its robots, and the last actions.
+pub(crate) fn session(app: &App) -> Value {
+    let robots: Vec<_> = app.robots.iter().map(|robot| json!([safe(&robot.name), safe(&robot.address)])).collect();
+    json!({
+        "write": app.allow_write,
+        "motion": app.allow_motion,
+        "login": app.guard.login().is_some(),
+        "backups": app.backups.is_some(),
+        "labels": app.labels.len(),
+        "robots": robots,
+        "audit": app.audit.last(),
+    })
 }
 
 /// Returns the alarms: the present errors with their meanings and remedies, the first cause first, and the messages.

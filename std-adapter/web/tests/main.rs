@@ -3,6 +3,7 @@
 mod backup;
 mod browser;
 mod chromium;
+mod firefox;
 mod jog;
 mod load;
 mod pages;
@@ -12,5 +13,6 @@ mod raw;
 mod remote;
 mod safety;
 mod screens;
+mod states;
 mod support;
 mod work;
