@@ -7,7 +7,7 @@ import { cell } from "./cell.js";
 import { byId, kindOf, make, notify, setText, stateText } from "./dom.js";
 import { jog } from "./jog.js";
 import { login } from "./login.js";
-import { connect, halt, on, order } from "./net.js";
+import { beat, connect, halt, on, order } from "./net.js";
 import { tasks } from "./tasks.js";
 import { packets } from "./packets.js";
 import { panel } from "./panel.js";
@@ -159,7 +159,7 @@ on("closed", () => stale("NOT CONNECTED to bcap web: the values are old. HALT ma
 on("stale", () => stale("bcap web does not answer: the values are old. HALT may not work."));
 on("open", () => stale(null));
 on("tick", () => stale(null));
-on("pulse", (message) => jog.pulse(message.n));
+on("pulse", (message) => (screen === raw ? beat(message.n) : jog.pulse(message.n)));
 on("refused", (message) => notify(message.error, true));
 on("tiles", (message) => {
   const isFirst = page.tiles.length === 0;

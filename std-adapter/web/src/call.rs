@@ -3,9 +3,10 @@
 use std::sync::Arc;
 
 use bcap_core::bcap::Effect;
+use bcap_live::request::Request;
 use serde_json::Value;
 
-use crate::raw::{Desk, Request};
+use crate::raw::Desk;
 use crate::socket::Page;
 use crate::text::safe;
 

@@ -22,7 +22,6 @@ mod save;
 mod secret;
 mod serve;
 mod socket;
-mod tape;
 mod tasks;
 mod text;
 mod tls;

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use axum::extract::ws::{Message, WebSocket};
 use bcap_live::jog::Grip;
@@ -18,6 +18,9 @@ const PULSE: Duration = Duration::from_millis(40);
 
 /// The pulses whose heartbeats count.
 const PULSES: usize = 8;
+
+/// The longest time without a heartbeat for a page that may make calls that move.
+const LOST: Duration = Duration::from_secs(2);
 
 /// The most orders that wait while one is carried out.
 const WAITING: usize = 32;
@@ -35,18 +38,30 @@ pub(crate) struct Line {
     /// Orders that arrived while another one was carried out.
     waiting: VecDeque<String>,
     pub(crate) grip: Option<Arc<Grip>>,
+    /// The time of the last pulse with a heartbeat, if the page must send them without a jog.
+    watched: Option<Instant>,
     pulse: Interval,
     /// The number of the last pulse.
     last: u64,
     /// When the last pulses were sent, the latest last.
-    sent: VecDeque<std::time::Instant>,
+    sent: VecDeque<Instant>,
 }
 
 impl Line {
     pub(crate) fn new(socket: WebSocket) -> Self {
         let mut pulse = interval(PULSE);
         pulse.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        Self { socket, waiting: VecDeque::new(), grip: None, pulse, last: 0, sent: VecDeque::new() }
+        Self { socket, waiting: VecDeque::new(), grip: None, watched: None, pulse, last: 0, sent: VecDeque::new() }
+    }
+
+    /// Sets whether the page must send heartbeats without a jog.
+    pub(crate) fn watch(&mut self, is_watched: bool) {
+        self.watched = is_watched.then(|| self.watched.unwrap_or_else(Instant::now));
+    }
+
+    /// Returns whether a page that must send heartbeats has sent none for too long.
+    pub(crate) fn is_lost(&self) -> bool {
+        self.watched.is_some_and(|last| last.elapsed() > LOST)
     }
 
     pub(crate) async fn send(&mut self, text: String) -> Option<()> {
@@ -79,9 +94,9 @@ impl Line {
     /// Sends a pulse, or receives an order or a heartbeat.
     async fn next(&mut self) -> Option<Option<String>> {
         tokio::select! {
-            _ = self.pulse.tick(), if self.grip.is_some() => {
+            _ = self.pulse.tick(), if self.grip.is_some() || self.watched.is_some() => {
                 self.last += 1;
-                self.sent.push_back(std::time::Instant::now());
+                self.sent.push_back(Instant::now());
                 if self.sent.len() > PULSES {
                     self.sent.pop_front();
                 }
@@ -103,9 +118,13 @@ impl Line {
     }
 
     /// Records a heartbeat. It counts from the time of its pulse, so that heartbeats that were held up on the way are old.
-    fn beat(&self, number: u64) {
+    fn beat(&mut self, number: u64) {
         let Some(age) = self.last.checked_sub(number).and_then(|age| usize::try_from(age).ok()) else { return };
-        if let (Some(grip), Some(sent)) = (&self.grip, self.sent.iter().rev().nth(age)) {
+        let Some(sent) = self.sent.iter().rev().nth(age) else { return };
+        if let Some(last) = &mut self.watched {
+            *last = *sent;
+        }
+        if let Some(grip) = &self.grip {
             grip.beat(*sent);
         }
     }

@@ -4,30 +4,25 @@
 //! nothing, one that writes needs `allow_write` and the control, one that moves needs `allow_motion` and the control. A call that
 //! would end a stream of Slave Mode is not sent. The session ends with the screen, which halts the robot and gives the arm back.
 
-use std::fmt;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Instant;
 
+use bcap_capture::Role;
 use bcap_capture::trace::Packets;
 use bcap_capture::value::{data, to_text};
-use bcap_capture::{Role, hex, json::LIMITS};
-use bcap_core::bcap::{Decoder, Effect, FunctionId, Kind};
+use bcap_core::bcap::{Effect, FunctionId, Kind};
 use bcap_core::hresult::HResult;
-use bcap_core::limits::Strictness;
-use bcap_core::variant::OwnedVariant;
-use bcap_live::calls::{Calls as _, Failure as _};
-use bcap_live::link::{Error, Link};
-use bcap_live::stream::StreamCheck;
-use bcap_std::ObjectPath;
+use bcap_live::calls::Failure as _;
+use bcap_live::link::Link;
+use bcap_live::request::Request;
 use serde_json::{Value, json};
 
 use crate::app::App;
 use crate::robot::Robot;
-use crate::tape::dissected;
 use crate::text::safe;
-use crate::view;
+use crate::view::{self, dissected};
 
 /// Returns the function table: what a form needs.
 pub(crate) fn functions() -> Value {
@@ -60,108 +55,6 @@ const fn kind_name(kind: Kind) -> &'static str {
         Kind::Text => "BSTR",
         Kind::Any | Kind::Nothing | Kind::Maybe => "VARIANT",
     }
-}
-
-/// An argument of a call.
-#[derive(Debug)]
-enum Argument {
-    Value(OwnedVariant),
-    /// The handle of this object, which is opened first.
-    Object(ObjectPath),
-}
-
-/// A call of a user.
-#[derive(Debug)]
-pub(crate) struct Request {
-    function: FunctionId,
-    arguments: Vec<Argument>,
-}
-
-/// Writes `Variable_GetValue(variable:I1)`.
-impl fmt::Display for Request {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}(", self.function)?;
-        for (n, argument) in self.arguments.iter().enumerate() {
-            let separator = if n > 0 { ", " } else { "" };
-            match argument {
-                Argument::Value(value) => write!(f, "{separator}{:?}", value.as_variant())?,
-                Argument::Object(path) => write!(f, "{separator}{path}")?,
-            }
-        }
-        f.write_str(")")
-    }
-}
-
-impl Request {
-    /// Parses the fields of a form: `TYPE,DATA`, or the name of an object.
-    pub(crate) fn parse(function: &str, arguments: &[String]) -> Result<Self, String> {
-        let function = FunctionId::parse(function).ok_or_else(|| format!("there is no function {function}"))?;
-        let kinds = function.signature().map(|signature| signature.arguments).unwrap_or_default();
-        let parse = |(n, text): (usize, &String)| match kinds.get(n) {
-            Some(Kind::Handle(object)) if ObjectPath::is_path(text) => {
-                let path: ObjectPath = text.parse().map_err(|error| format!("{text}: {error}"))?;
-                if path.object() == *object {
-                    return Ok(Argument::Object(path));
-                }
-                Err(format!("{text} is not a {}, which {function} takes here", object.name().to_ascii_lowercase()))
-            }
-            _ => data::from_typed_input(text).map(Argument::Value),
-        };
-        let arguments = arguments.iter().enumerate().map(parse).collect::<Result<_, _>>()?;
-        Ok(Self { function, arguments })
-    }
-
-    /// Decodes a packet in hexadecimal. The session sets its serial number.
-    pub(crate) fn decode(packet: &str) -> Result<Self, String> {
-        let bytes = hex::parse(packet.as_bytes()).map_err(|error| error.to_string())?;
-        let decoder = Decoder { limits: LIMITS, strictness: Strictness::Strict, crc: false };
-        let frame = decoder.decode_datagram(&bytes).map_err(|error| {
-            format!("the packet is refused: {error}; `bcap raw` also sends packets that are not valid")
-        })?;
-        let value = |value| OwnedVariant::new(&value).map(Argument::Value).map_err(|error| error.to_string());
-        Ok(Self { function: frame.function(), arguments: frame.args.iter().map(value).collect::<Result<_, _>>()? })
-    }
-
-    /// Returns an argument if it is a text.
-    fn text(&self, n: usize) -> Option<String> {
-        let Argument::Value(value) = self.arguments.get(n)? else { return None };
-        value.as_variant().as_bstr().map(|text| text.to_string())
-    }
-
-    pub(crate) fn effect(&self) -> Effect {
-        self.function.properties(self.text(1).as_deref(), self.text(2).as_deref()).effect
-    }
-
-    /// Makes the call, unless it would end a stream. A refusal is a reply.
-    fn perform(&self, link: &mut Link) -> Result<(HResult, Option<OwnedVariant>), Error> {
-        let mut check = StreamCheck::default();
-        let mut values = Vec::new();
-        for argument in &self.arguments {
-            values.push(match argument {
-                Argument::Value(value) => value.clone(),
-                Argument::Object(path) => {
-                    require_open(link, &mut check, path.clone())?;
-                    OwnedVariant::new(&link.object(path)?)?
-                }
-            });
-        }
-        check.require(link, self.function, self.text(1).as_deref())?;
-        match link.call("", self.function, &values) {
-            Err(error) if error.code().is_some() && !error.is_lost() => Ok((error.code().unwrap_or_default(), None)),
-            made => made,
-        }
-    }
-}
-
-/// Fails if the functions that open an object would end a stream.
-fn require_open(link: &mut Link, check: &mut StreamCheck, mut path: ObjectPath) -> Result<(), Error> {
-    while let Some((owner, _)) = path.split_last() {
-        if let Some(function) = path.object().opened_from(owner.object()) {
-            check.require(link, function, None)?;
-        }
-        path = owner;
-    }
-    Ok(())
 }
 
 /// The session of a page for the calls of its user.

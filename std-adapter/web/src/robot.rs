@@ -13,6 +13,7 @@ use bcap_live::link::{Access, Error, Link};
 use bcap_live::model::{Model, Update};
 use bcap_live::reader::{self, Reader, Rounds};
 use bcap_live::recovery::Recovery;
+use bcap_live::tape::Tape;
 use bcap_live::variables::{get_one, is_virtual};
 use bcap_std::{Examination, ObjectPath};
 use tokio::sync::oneshot;
@@ -20,7 +21,6 @@ use tokio::sync::oneshot;
 use crate::control::{Client, Control};
 use crate::halt::Halter;
 use crate::job::Job;
-use crate::tape::Tape;
 
 /// The time from one reading to the next.
 const INTERVAL: Duration = Duration::from_millis(200);

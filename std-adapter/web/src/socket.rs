@@ -9,6 +9,7 @@ use axum::extract::ws::WebSocket;
 use bcap_capture::value::selection::Selection;
 use bcap_live::jog::Grip;
 use bcap_live::recovery::Recovery;
+use bcap_live::request::Request;
 use bcap_live::variables::{expand, shown};
 use bcap_live::write::{Write, check, check_position};
 use serde::Deserialize;
@@ -23,7 +24,7 @@ use crate::job::Work;
 use crate::jog;
 use crate::line::Line;
 use crate::panel::Panel;
-use crate::raw::{self, Desk, Request};
+use crate::raw::{self, Desk};
 use crate::recover;
 use crate::robot::Robot;
 use crate::tasks;
@@ -191,13 +192,14 @@ async fn serve_page(page: &mut Page, line: &mut Line, hello: String) -> Option<(
     let mut bucket = Bucket::new();
     loop {
         line.grip = page.grip.as_ref().map(|(_, grip)| Arc::clone(grip));
+        line.watch(page.screen == Screen::Raw && page.mover(page.robot).is_ok());
         tokio::select! {
             _ = ticks.tick() => {
                 for text in page.changed() {
                     line.send(text).await?;
                 }
             }
-            _ = alive.tick() => line.send(tick()).await?,
+            _ = alive.tick() => alive_at(line).await?,
             text = line.order() => answer(page, line, &text?, bucket.take()).await?,
         }
     }
@@ -215,15 +217,19 @@ async fn answer(page: &mut Page, line: &mut Line, text: &str, is_allowed: bool) 
         tokio::select! {
             answer = &mut order => break answer,
             // a controller may need seconds
-            _ = alive.tick() => line.send(tick()).await?,
+            _ = alive.tick() => alive_at(line).await?,
             ended = line.hold() => ended?,
         }
     };
     line.send(answer.to_string()).await
 }
 
-fn tick() -> String {
-    json!({ "t": "tick" }).to_string()
+/// Shows a page that the server is alive; ends one that must send heartbeats and does not.
+async fn alive_at(line: &mut Line) -> Option<()> {
+    if line.is_lost() {
+        return None;
+    }
+    line.send(json!({ "t": "tick" }).to_string()).await
 }
 
 impl Page {
@@ -325,7 +331,7 @@ impl Page {
                 self.call(robot, &name, Request::parse(&function, &arguments)?).await
             }
             Order::Bytes { robot, name, packet } => self.call(robot, &name, Request::decode(&packet)?).await,
-            Order::Packet { robot, serial } => Ok(self.robot(robot)?.live().tape.call(serial).into()),
+            Order::Packet { robot, serial } => Ok(view::packet(&*self.robot(robot)?, serial)),
             Order::Calls { robot } => Ok(view::calls(&*self.robot(robot)?)),
             Order::Backups {} => backup::list(&self.app),
             Order::Work { robot, work } => self.work(robot, work),

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use bcap_capture::{Role, dissect, hex};
 use bcap_core::bcap::StreamState;
 use bcap_core::hresult::HResult;
 use bcap_live::axis::Axis;
@@ -220,6 +221,27 @@ pub(crate) fn jog(robot: &Robot) -> Value {
         "longest": LONGEST,
         "fastest": FASTEST,
     })
+}
+
+/// The most bytes and fields of a packet that a page shows.
+const SHOWN: usize = 4096;
+const FIELDS: usize = 500;
+
+/// Returns the last call with a serial number, packet by packet.
+pub(crate) fn packet(robot: &Robot, serial: u16) -> Value {
+    robot.live().tape.call(serial).into_iter().map(|(role, bytes)| dissected(role, bytes)).collect()
+}
+
+/// Returns a packet with its fields: the offset, the length and the text of each.
+pub(crate) fn dissected(role: Role, bytes: &[u8]) -> Value {
+    let fields: Value = match dissect::fields_of(bytes, role) {
+        Ok(fields) => {
+            fields.into_iter().take(FIELDS).map(|(at, text)| json!([at.start, at.len(), safe(&text)])).collect()
+        }
+        Err(error) => json!([[0, bytes.len(), safe(&format!("not a frame: {error}"))]]),
+    };
+    let shown = bytes.get(..SHOWN).unwrap_or(bytes);
+    json!({ "request": role == Role::Request, "size": bytes.len(), "bytes": hex::spaced(shown), "fields": fields })
 }
 
 /// Returns each function and object once: the count, the calls per second, the time since the last call, and its reply.

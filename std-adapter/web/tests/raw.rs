@@ -158,9 +158,23 @@ fn the_end_of_the_screen_halts_a_call_that_moves_and_frees_the_arm() {
     rests(&sim);
 }
 
+/// A computer that is lost keeps its connection open, and answers nothing.
+#[test]
+fn a_call_that_moves_ends_when_the_page_answers_no_pulse() {
+    let sim = Sim::quick();
+    let web = Web::moving(&[("press", sim.address())]);
+    let mut page = with_control(&web);
+    page.beats = false;
+    start_moving(&sim, &mut page);
+    rests(&sim);
+    crate::support::until("the control is free", || {
+        web.page().order("take", json!({ "robot": 0, "name": "Bob" })).is_ok()
+    });
+}
+
 #[test]
 fn a_stream_of_another_client_is_not_ended_by_a_call() {
-    let sim = Sim::start();
+    let sim = Sim::quick();
     let web = Web::moving(&[("press", sim.address())]);
     let mut page = with_control(&web);
     let mut cell = blocking::Controller::connect(&format!("tcp:{}", sim.address()), &Settings::rc8()).unwrap();

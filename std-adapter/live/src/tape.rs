@@ -1,23 +1,16 @@
-//! The last packets of a robot's session, with their bytes.
+//! The last packets of a session, with their bytes.
 
 use std::collections::VecDeque;
 use std::io;
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use bcap_capture::Role;
 use bcap_capture::record::{self, Ends};
-use bcap_capture::{Role, dissect, hex};
 use bcap_core::bcap::header::field;
-use serde_json::{Value, json};
-
-use crate::text::safe;
 
 /// The most bytes that are kept, and the most packets.
 const BYTES: usize = 4 << 20;
 const PACKETS: usize = 20_000;
-
-/// The most bytes and fields of a packet that a page shows.
-const SHOWN: usize = 4096;
-const FIELDS: usize = 500;
 
 /// A packet, at nanoseconds since 1970.
 #[derive(Debug)]
@@ -35,7 +28,7 @@ impl Packet {
 
 /// The last packets. Packets of an earlier connection are kept until there is another one.
 #[derive(Debug, Default)]
-pub(crate) struct Tape {
+pub struct Tape {
     packets: VecDeque<Packet>,
     size: usize,
     /// How many packets at the front are of an earlier connection.
@@ -45,12 +38,12 @@ pub(crate) struct Tape {
 
 impl Tape {
     /// A connection is being opened.
-    pub(crate) fn opens(&mut self) {
+    pub fn opens(&mut self) {
         self.older = self.packets.len();
     }
 
     /// The connection is open.
-    pub(crate) fn connected(&mut self, ends: Option<Ends>) {
+    pub fn connected(&mut self, ends: Option<Ends>) {
         self.ends = ends;
         for _ in 0..self.older {
             self.drop_first();
@@ -58,7 +51,8 @@ impl Tape {
         self.older = 0;
     }
 
-    pub(crate) fn push(&mut self, role: Role, bytes: &[u8]) {
+    /// Adds a packet, and drops the oldest ones above 4 MiB and above 20,000 packets.
+    pub fn push(&mut self, role: Role, bytes: &[u8]) {
         let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let at = u64::try_from(since.as_nanos()).unwrap_or(u64::MAX);
         self.packets.push_back(Packet { at, role, bytes: bytes.to_vec() });
@@ -73,11 +67,12 @@ impl Tape {
         self.size -= self.packets.pop_front().map_or(0, |packet| packet.bytes.len());
     }
 
-    /// Returns the last request with a serial number and its replies, field by field.
-    pub(crate) fn call(&self, serial: u16) -> Vec<Value> {
+    /// Returns the last request with a serial number and its replies.
+    #[must_use]
+    pub fn call(&self, serial: u16) -> Vec<(Role, &[u8])> {
         let mut found = Vec::new();
         for packet in self.packets.iter().rev().filter(|packet| packet.serial() == Some(serial)) {
-            found.push(dissected(packet.role, &packet.bytes));
+            found.push((packet.role, packet.bytes.as_slice()));
             if packet.role == Role::Request {
                 break;
             }
@@ -87,23 +82,16 @@ impl Tape {
     }
 
     /// Returns the packets of the present connection, or of the last one, as a pcapng file; `None` before the first connection.
-    pub(crate) fn pcapng(&self) -> Option<io::Result<Vec<u8>>> {
+    ///
+    /// # Errors
+    ///
+    /// A packet that is too long for the format.
+    #[must_use]
+    pub fn pcapng(&self) -> Option<io::Result<Vec<u8>>> {
         let (ends, mut file) = (self.ends?, Vec::new());
         let packets = self.packets.iter().map(|packet| (packet.at, packet.role, packet.bytes.as_slice()));
         Some(record::write(&mut file, ends, packets).map(|()| file))
     }
-}
-
-/// Returns a packet with its fields: the offset, the length and the text of each.
-pub(crate) fn dissected(role: Role, bytes: &[u8]) -> Value {
-    let fields: Value = match dissect::fields_of(bytes, role) {
-        Ok(fields) => {
-            fields.into_iter().take(FIELDS).map(|(at, text)| json!([at.start, at.len(), safe(&text)])).collect()
-        }
-        Err(error) => json!([[0, bytes.len(), safe(&format!("not a frame: {error}"))]]),
-    };
-    let shown = bytes.get(..SHOWN).unwrap_or(bytes);
-    json!({ "request": role == Role::Request, "size": bytes.len(), "bytes": hex::spaced(shown), "fields": fields })
 }
 
 #[cfg(test)]
@@ -114,16 +102,15 @@ mod tests {
     const GET: &[u8] = b"\x01\x1e\0\0\0\x04\0\0\0\x65\0\0\0\x01\0\x0a\0\0\0\x03\0\x01\0\0\0\x03\0\0\0\x04";
 
     #[test]
-    fn the_last_call_with_a_serial_has_its_fields() {
+    fn the_last_call_with_a_serial_has_its_replies() {
         let mut tape = Tape::default();
         tape.push(Role::Request, b"older");
         tape.push(Role::Request, GET);
-        let calls = tape.call(4);
-        assert_eq!((calls.len(), &calls[0]["size"]), (1, &json!(30)));
-        assert_eq!(calls[0]["fields"][2], json!([5, 2, "serial 4"]));
-        assert_eq!(calls[0]["fields"][7], json!([19, 10, "handle: I4(3)".replace("handle", "variable")]));
-        assert_eq!(tape.call(5), [Value::Null; 0]);
-        assert_eq!(dissected(Role::Request, b"abc")["fields"][0][1], 3);
+        tape.push(Role::Response, GET);
+        tape.push(Role::Request, GET);
+        tape.push(Role::Response, GET);
+        assert_eq!(tape.call(4), [(Role::Request, GET), (Role::Response, GET)]);
+        assert_eq!(tape.call(5), []);
     }
 
     #[test]
