@@ -30,11 +30,14 @@ fn main() -> Result<(), Box<dyn Error>> {
     let has_updates = env::var_os("CARGO_FEATURE_UPDATE").is_some();
     let partition = layout::ACTIVE.end - layout::ACTIVE.start;
     let folder = PathBuf::from(env::var("OUT_DIR")?);
-    for image in ["bare", "boot", "gateway", "node", "serial", "slave"] {
+    for image in ["bare", "boot", "gateway", "node", "rtic", "serial", "slave"] {
         let layout = match has_updates && image == "gateway" {
             true => memory(EXTERNAL + layout::ACTIVE.start, partition, ram, UPDATE_STACK),
             false => memory(flash, FLASH, ram, STACK),
         };
+        // RTIC has one stack
+        let main = if image == "rtic" { "STACK" } else { "HANDLERS" };
+        let layout = format!("{layout}_stack_start = ORIGIN({main}) + LENGTH({main});\n");
         let folder = folder.join(image);
         fs::create_dir_all(&folder)?;
         fs::write(folder.join("memory.x"), layout)?;
@@ -66,7 +69,6 @@ fn memory(flash: u32, flash_len: u32, ram: u32, stack: u32) -> String {
   RAM : ORIGIN = {data:#010x}, LENGTH = {data_len}
   RECORD : ORIGIN = {record:#010x}, LENGTH = {RECORD}
 }}
-_stack_start = ORIGIN(HANDLERS) + LENGTH(HANDLERS);
 _stack_end = ORIGIN(HANDLERS);
 _program_stack_start = ORIGIN(STACK) + LENGTH(STACK);
 _program_stack_end = ORIGIN(STACK);

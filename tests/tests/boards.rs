@@ -27,7 +27,7 @@ fn no_project_is_made_for_a_board_that_does_not_exist() {
         let (code, error) = run("new", &[board, project.to_str().unwrap()]);
         let expected = format!(
             "new: there is no board {board}; the boards are: w5500-evb-pico w5500-evb-pico2 nucleo-h743zi2 nucleo-h563zi nucleo-f429zi \
-             esp32c3-w5500\n"
+             esp32c3-w5500 esp32c6-wifi\n"
         );
         assert_eq!((code, error), (Some(2), expected));
     }

@@ -16,6 +16,7 @@
 //! | [`net`]      | embassy-net on the board                                                          |
 //! | `echo`       | an echo server, with the feature `echo`                                           |
 //! | [`node`]     | the board as a controller: uptime, counters and some memory                       |
+//! | `pac`        | the facts about the processor that RTIC needs, with the feature `rtic`            |
 //! | [`watchdog`] | the registers of the watchdog                                                     |
 //! | [`fault`]    | reports and resets after a panic or a fault                                       |
 //!
@@ -41,6 +42,8 @@ pub mod lines;
 mod mmio;
 pub mod net;
 pub mod node;
+#[cfg(feature = "rtic")]
+pub mod pac;
 #[cfg(feature = "faults")]
 pub mod provoke;
 pub mod uart;
