@@ -34,7 +34,7 @@ use std::time::Duration;
 
 pub use bcap_core::io::blocking::{Connection, RacConnection, Transport};
 use bcap_core::rac;
-use bcap_core::time::{Instant, micros};
+use bcap_core::time::Instant;
 use socket2::{SockRef, Socket};
 
 pub use self::borrowed::ControllerRef;
@@ -46,7 +46,7 @@ pub use self::robot::{Arm, Robot};
 #[cfg(feature = "serial")]
 pub use self::serial::{SerialClient, SerialTransport, connect_serial};
 pub use self::stopper::Stopper;
-use crate::clock::{now, until};
+use crate::clock::{RecentClock, until};
 use crate::connect::{self, ConnectError, Options};
 pub use crate::session::Halted;
 
@@ -98,7 +98,7 @@ impl TcpTransport {
     /// Wraps a connected stream.
     #[must_use]
     pub const fn new(stream: TcpStream) -> Self {
-        Self { stream, timeouts: Timeouts::NONE }
+        Self { stream, timeouts: Timeouts::new() }
     }
 
     /// Returns the stream.
@@ -119,7 +119,7 @@ impl UdpTransport {
     /// Wraps a connected socket.
     #[must_use]
     pub const fn new(socket: UdpSocket) -> Self {
-        Self { socket, timeouts: Timeouts::NONE }
+        Self { socket, timeouts: Timeouts::new() }
     }
 
     /// Returns the socket.
@@ -134,10 +134,13 @@ impl UdpTransport {
 struct Timeouts {
     read: u64,
     write: u64,
+    clock: RecentClock,
 }
 
 impl Timeouts {
-    const NONE: Self = Self { read: 0, write: 0 };
+    const fn new() -> Self {
+        Self { read: 0, write: 0, clock: RecentClock::new() }
+    }
 
     /// Sends bytes until a deadline with `write`, which waits for room.
     fn send(
@@ -152,7 +155,7 @@ impl Timeouts {
             return Ok(Some(count));
         }
         loop {
-            if !set_timeout(&mut self.write, until, |time| socket.set_write_timeout(time))? {
+            if !set_timeout(&mut self.write, self.clock.micros_until(until), |time| socket.set_write_timeout(time))? {
                 return Ok(None);
             }
             if let Some(result) = classified(write(bytes)) {
@@ -169,8 +172,11 @@ impl Timeouts {
         until: Instant,
         read: impl Fn(&mut [u8]) -> io::Result<usize>,
     ) -> io::Result<Option<usize>> {
+        if until == Instant::ZERO {
+            return receive_now(socket, buffer);
+        }
         loop {
-            if !set_timeout(&mut self.read, until, |time| socket.set_read_timeout(time))? {
+            if !set_timeout(&mut self.read, self.clock.micros_until(until), |time| socket.set_read_timeout(time))? {
                 return receive_now(socket, buffer);
             }
             if let Some(result) = classified(read(buffer)) {
@@ -180,16 +186,15 @@ impl Timeouts {
     }
 }
 
-/// Sets a socket's timeout so that an operation ends at `deadline`; returns `false` if the deadline has passed.
+/// Sets a socket's timeout so that an operation ends after `wanted` microseconds; returns `false` if no time is left.
 ///
 /// A timeout that is at most an eighth too long is not changed, so repeated calls with equal timeouts need no system call
 /// for it. An operation may therefore end that much after its deadline.
 fn set_timeout(
     current: &mut u64,
-    deadline: Instant,
+    wanted: u64,
     set: impl FnOnce(Option<Duration>) -> io::Result<()>,
 ) -> io::Result<bool> {
-    let wanted = micros(until(deadline));
     if wanted == 0 {
         return Ok(false);
     }
@@ -206,24 +211,32 @@ fn set_timeout(
 /// Receives bytes that have arrived, without waiting.
 fn receive_now(socket: &Socket, buffer: &mut [u8]) -> io::Result<Option<usize>> {
     loop {
-        if let Some(result) = classified(try_receive(socket, buffer)) {
+        if let Some(result) = try_receive(socket, buffer) {
             return result;
         }
     }
 }
 
+/// Receives bytes, classified. Before each call nothing has arrived, which therefore makes no `io::Error`.
 #[cfg(target_os = "linux")]
-fn try_receive(socket: &Socket, buffer: &mut [u8]) -> io::Result<usize> {
+fn try_receive(socket: &Socket, buffer: &mut [u8]) -> Option<io::Result<Option<usize>>> {
+    use rustix::io::Errno;
     use rustix::net::{RecvFlags, recv};
-    Ok(recv(socket, buffer, RecvFlags::DONTWAIT)?.0)
+    match recv(socket, buffer, RecvFlags::DONTWAIT) {
+        Ok((count, _)) => Some(Ok(Some(count))),
+        Err(Errno::AGAIN) => Some(Ok(None)),
+        Err(error) => classified(Err(error.into())),
+    }
 }
 
 #[cfg(not(target_os = "linux"))]
-fn try_receive(mut socket: &Socket, buffer: &mut [u8]) -> io::Result<usize> {
-    socket.set_nonblocking(true)?;
-    let received = io::Read::read(&mut socket, buffer);
-    socket.set_nonblocking(false)?;
-    received
+fn try_receive(mut socket: &Socket, buffer: &mut [u8]) -> Option<io::Result<Option<usize>>> {
+    let received = socket.set_nonblocking(true).and_then(|()| {
+        let received = io::Read::read(&mut socket, buffer);
+        socket.set_nonblocking(false)?;
+        received
+    });
+    classified(received)
 }
 
 /// Sends bytes without waiting.
@@ -255,7 +268,7 @@ impl Transport for TcpTransport {
     type Error = io::Error;
 
     fn now(&self) -> Instant {
-        now()
+        self.timeouts.clock.now()
     }
 
     fn send(&mut self, bytes: &[u8], until: Instant) -> io::Result<Option<usize>> {
@@ -277,7 +290,7 @@ impl Transport for UdpTransport {
     type Error = io::Error;
 
     fn now(&self) -> Instant {
-        now()
+        self.timeouts.clock.now()
     }
 
     fn send(&mut self, bytes: &[u8], until: Instant) -> io::Result<Option<usize>> {

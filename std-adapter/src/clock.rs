@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use bcap_core::time::Instant;
+use bcap_core::time::{Instant, micros};
 
 /// The monotonic time of the first use; 0 before it.
 static ORIGIN: AtomicU64 = AtomicU64::new(0);
@@ -42,6 +42,36 @@ fn monotonic() -> u64 {
 fn monotonic() -> u64 {
     static ORIGIN: std::sync::OnceLock<std::time::Instant> = std::sync::OnceLock::new();
     bcap_core::time::micros(ORIGIN.get_or_init(std::time::Instant::now).elapsed())
+}
+
+/// The clock of a transport that remembers its last reading for the wait that follows, so that a call reads the clock once: when it
+/// starts.
+#[derive(Debug)]
+pub(crate) struct RecentClock {
+    /// The last reading in microseconds; 0 without one.
+    recent: AtomicU64,
+}
+
+impl RecentClock {
+    pub(crate) const fn new() -> Self {
+        Self { recent: AtomicU64::new(0) }
+    }
+
+    /// Reads the clock, and remembers the time.
+    pub(crate) fn now(&self) -> Instant {
+        let now = now();
+        self.recent.store(now.as_micros(), Ordering::Relaxed);
+        now
+    }
+
+    /// Returns the microseconds until `at`, from the remembered time. It forgets that time, because the caller waits next; without one
+    /// it reads the clock.
+    pub(crate) fn micros_until(&mut self, at: Instant) -> u64 {
+        match std::mem::take(self.recent.get_mut()) {
+            0 => micros(until(at)),
+            recent => at.as_micros().saturating_sub(recent),
+        }
+    }
 }
 
 /// Returns the duration until `at`; zero if `at` has passed. It does not read the clock for [`Instant::ZERO`].

@@ -9,6 +9,7 @@ mod ending;
 mod halt;
 mod limit;
 mod names;
+mod paths;
 mod recovery;
 #[cfg(feature = "tokio")]
 mod steps;
@@ -46,6 +47,7 @@ pub(crate) use self::any::RuntimeCall;
 use self::arm::ArmState;
 pub(crate) use self::arm::Left;
 pub use self::arm::Recovery;
+use self::paths::Paths;
 pub use self::variables::TimedReading;
 #[cfg(feature = "tokio")]
 pub(crate) use self::variables::{POLL, meets};
@@ -73,12 +75,21 @@ struct Objects {
     robot: Option<RobotHandle>,
     /// The handles of variables, by their owner and by name.
     variables: HashMap<(Object, i32), HashMap<String, VariableHandle>>,
+    /// The handles of the controller's variables by their paths, which repeated reads use. Cleared whenever a handle is forgotten.
+    paths: Paths,
     /// The handles of other objects, by the handle of their owner and by name.
     others: HashMap<(Object, i32, String), i32>,
     /// All open objects, in the order in which they were opened, from the service on.
     opened: Vec<(Object, i32)>,
     /// The open variables that switch the motor.
     motor_switches: Vec<VariableHandle>,
+}
+
+impl Objects {
+    /// Returns the handle of a variable that was used before by this path.
+    fn known(&mut self, owner: Object, path: &str) -> Option<VariableHandle> {
+        if owner == Object::Controller { self.paths.get(path) } else { None }
+    }
 }
 
 /// Whether the link of a session works.
@@ -190,11 +201,16 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     }
 
     /// Records whether the link works, after a call with this error.
+    #[inline]
     fn observe(&mut self, error: Option<&CallError>) {
-        let Some(error) = error.filter(|error| !matches!(error, CallError::Refused(_))) else {
-            self.link.silent_since = None;
-            return;
-        };
+        match error {
+            None | Some(CallError::Refused(_)) => self.link.silent_since = None,
+            Some(error) => self.observe_failure(error),
+        }
+    }
+
+    #[cold]
+    fn observe_failure(&mut self, error: &CallError) {
         let now = self.connection.transport().now();
         self.link.silent_since.get_or_insert(now);
         if !error.is_recoverable() {
@@ -272,13 +288,19 @@ impl<X: Transport<Error = io::Error>> Session<X> {
 
     /// Reads a variable of the controller, or of one of its objects by a path, or of the robot.
     pub(crate) async fn read<T: for<'a> FromVariant<'a>>(&mut self, owner: Object, name: &str) -> Result<T, Error> {
-        let variable = self.variable(owner, name).await?;
+        let variable = match self.objects.known(owner, name) {
+            Some(known) => known,
+            None => self.variable(owner, name).await?,
+        };
         self.value(name, call::variable_get_value(variable)).await
     }
 
     /// Writes a variable of the controller, or of one of its objects by a path, or of the robot.
     pub(crate) async fn write(&mut self, owner: Object, name: &str, value: impl Encode) -> Result<(), Error> {
-        let variable = self.variable(owner, name).await?;
+        let variable = match self.objects.known(owner, name) {
+            Some(known) => known,
+            None => self.variable(owner, name).await?,
+        };
         if is_motor_switch(name) {
             self.arm.motor |= OwnedVariant::new(&value)?.as_variant().as_bool() != Some(false);
         }
@@ -286,13 +308,24 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     }
 
     /// Returns the handle of a variable, and opens it when it is first used.
-    pub(crate) async fn variable(&mut self, owner: Object, name: &str) -> Result<VariableHandle, Error> {
-        let (owner, handle, name) = self.owner_of(owner, name).await?;
-        if let Some(known) = self.objects.variables.get(&(owner, handle)).and_then(|names| names.get(&*name)) {
-            return Ok(*known);
+    pub(crate) async fn variable(&mut self, owner: Object, path: &str) -> Result<VariableHandle, Error> {
+        if let Some(known) = self.objects.known(owner, path) {
+            return Ok(known);
         }
-        let variable = VariableHandle(self.open(owner, handle, PathStep::variable(&name)).await?);
-        self.objects.variables.entry((owner, handle)).or_default().insert(name.into_owned(), variable);
+        let is_path = owner == Object::Controller;
+        let (owner, handle, name) = self.owner_of(owner, path).await?;
+        let known = self.objects.variables.get(&(owner, handle)).and_then(|names| names.get(&*name));
+        let variable = match known {
+            Some(known) => *known,
+            None => {
+                let variable = VariableHandle(self.open(owner, handle, PathStep::variable(&name)).await?);
+                self.objects.variables.entry((owner, handle)).or_default().insert(name.into_owned(), variable);
+                variable
+            }
+        };
+        if is_path {
+            self.objects.paths.add(path, variable);
+        }
         Ok(variable)
     }
 

@@ -85,6 +85,23 @@ fn a_handle_of_an_ended_service_is_not_that_of_another_task() {
 }
 
 #[test]
+fn a_variable_is_opened_again_after_its_service_has_ended() {
+    let sim = simulated();
+    let mut tool = tool(&sim);
+    connect(&mut tool);
+    tool.write("I1", 5).unwrap();
+    tool.write("I2", 6).unwrap();
+    for _ in 0..2 {
+        assert_eq!((tool.read::<i32>("I1").unwrap(), tool.read::<i32>("I2").unwrap()), (5, 6));
+    }
+    tool.call_any("", FunctionId::SERVICE_STOP, &[]).unwrap();
+    connect(&mut tool);
+    // in the other order, so that the controller gives the old handles to the other variables
+    assert_eq!((tool.read::<i32>("I2").unwrap(), tool.read::<i32>("I1").unwrap()), (6, 5));
+    tool.close().unwrap();
+}
+
+#[test]
 fn nothing_is_sent_after_the_deadline() {
     let sim = simulated();
     let sends = Arc::new(AtomicUsize::new(0));

@@ -110,7 +110,7 @@ fn value<'a, T>(
     expected: &'static str,
     read: impl FnOnce(&Variant<'a>) -> Option<T>,
 ) -> Result<T, ReplyError> {
-    let found = args.get(0);
+    let found = args.first();
     found.as_ref().and_then(read).ok_or(ReplyError { expected, found: found.map(|v| v.vartype()) })
 }
 
@@ -171,7 +171,7 @@ impl Reply for Any {
     type Value<'a> = Variant<'a>;
 
     fn read(args: Args<'_>) -> Result<Variant<'_>, ReplyError> {
-        Ok(args.get(0).unwrap_or(Variant::Empty))
+        Ok(args.first().unwrap_or(Variant::Empty))
     }
 }
 
@@ -183,7 +183,7 @@ impl Reply for Maybe {
     type Value<'a> = Option<Variant<'a>>;
 
     fn read(args: Args<'_>) -> Result<Option<Variant<'_>>, ReplyError> {
-        Ok(args.get(0))
+        Ok(args.first())
     }
 }
 

@@ -362,7 +362,12 @@ impl<T: Storage, R: Storage> Client<T, R> {
     /// [`ClientError::Busy`] while a call is in flight or part of an abandoned one is unsent, [`ClientError::Closed`]
     /// after the session ended, [`ClientError::TooLarge`] for a frame above the limit of the link or the buffer.
     pub fn start<C: Call + ?Sized>(&mut self, call: &C, timing: Timing, now: Instant) -> Result<(), ClientError> {
-        self.start_any(call.prepared(), call.function(), &|frame| call.arguments(frame), &timing, now)
+        self.start_any(call.prepared(), call.function(), &|frame| call.arguments(frame), Some(&timing), now)
+    }
+
+    /// Starts a call with [`Config::timing`], of which it makes no copy.
+    pub(crate) fn start_as_configured<C: Call + ?Sized>(&mut self, call: &C, now: Instant) -> Result<(), ClientError> {
+        self.start_any(call.prepared(), call.function(), &|frame| call.arguments(frame), None, now)
     }
 
     /// Starts a call of any type. It is not generic over the call, so an image contains one copy of it.
@@ -371,7 +376,7 @@ impl<T: Storage, R: Storage> Client<T, R> {
         prepared: Option<&[u8]>,
         function: FunctionId,
         arguments: Arguments<'_>,
-        timing: &Timing,
+        timing: Option<&Timing>,
         now: Instant,
     ) -> Result<(), ClientError> {
         self.state.check_idle()?;
@@ -400,12 +405,18 @@ impl<T: Storage, R: Storage> Client<T, R> {
 
     /// Returns the next event of the received bytes; `None` when more bytes are needed.
     pub fn poll_event(&mut self, now: Instant) -> Option<Event> {
+        self.next_event(&|| now)
+    }
+
+    /// As [`poll_event`](Self::poll_event), but reads the clock only for an event that depends on the time. The reply that ends a call
+    /// does not.
+    pub(crate) fn next_event(&mut self, now: &dyn Fn() -> Instant) -> Option<Event> {
         if self.state.closed {
             return None;
         }
         let polled = self.inbox.poll(&mut self.rx);
         if polled.is_none() && self.state.link == Link::Serial && self.inbox.take_received() {
-            self.state.watch_frame(self.inbox.is_partial(), now);
+            self.state.watch_frame(self.inbox.is_partial(), now());
         }
         Some(match polled? {
             Received::Frame(frame) => {
@@ -632,7 +643,8 @@ impl State {
         }
     }
 
-    fn begin(&mut self, serial: u16, len: usize, timing: &Timing, now: Instant) {
+    fn begin(&mut self, serial: u16, len: usize, timing: Option<&Timing>, now: Instant) {
+        let timing = timing.unwrap_or(&self.timing);
         let attempt_timeout = limit(timing.attempt_timeout);
         self.outbox = Outbox::new(len);
         self.was_sent = false;
@@ -661,12 +673,12 @@ impl State {
         serial
     }
 
-    fn handle_frame(&mut self, header: &Header, is_early: bool, now: Instant) -> Event {
+    fn handle_frame(&mut self, header: &Header, is_early: bool, now: &dyn Fn() -> Instant) -> Event {
         let (serial, result) = (header.serial, HResult(header.code));
         let is_answer = !is_early && self.is_awaited(serial) && (result.is_err() || self.is_sent());
         // over UDP any host can send stale replies, so those do not end the session
         let is_useless = if is_answer { result == HResult::S_EXECUTING } else { self.link == Link::Stream };
-        if is_useless && self.flood.is_over(now) {
+        if is_useless && self.flood.is_over(now()) {
             return self.close(ClientError::Flooded);
         }
         if !is_answer {
@@ -676,7 +688,7 @@ impl State {
             return Event::Stale { serial };
         }
         if result == HResult::S_EXECUTING {
-            self.keep_alive(now);
+            self.keep_alive(now());
             return Event::Executing;
         }
         self.end_call(Some(serial));
@@ -704,9 +716,12 @@ impl State {
 
     /// Tells whether an attempt of the call in flight was sent with this serial, at least in part.
     fn is_awaited(&self, serial: u16) -> bool {
-        let sent = self.call.map(|call| (call.first, call.sent)).filter(|(_, sent)| *sent != 0);
+        let Some(InFlight { first, sent, .. }) = self.call else { return false };
+        if serial == sent {
+            return sent != 0;
+        }
         // the range of a call may include an older serial that its attempts skipped
-        sent.is_some_and(|(first, sent)| within(serial, first, sent)) && !self.unanswered.contains(serial)
+        within(serial, first, sent) && sent != 0 && !self.unanswered.contains(serial)
     }
 
     /// Tells whether an attempt of the call in flight was sent completely.

@@ -223,9 +223,10 @@ impl Decoder {
     #[inline]
     fn check_args<'a>(&self, count: u16, body: &'a [u8]) -> Result<&'a [u8], DecodeError> {
         let mut reader = Reader::new(body);
-        for number in 1..=count {
+        for index in 0..count {
             if let Err(error) = check_argument(&mut reader, &self.limits, self.strictness) {
-                return Err(error.at(HEADER_LEN.wrapping_add(body.len()), Layer::Argument(number)));
+                let layer = Layer::Argument(index.wrapping_add(1));
+                return Err(error.at(HEADER_LEN.wrapping_add(body.len()), layer));
             }
         }
         let unused = reader.left();
@@ -244,18 +245,18 @@ fn check_argument<'a>(
     limits: &Limits,
     strictness: Strictness,
 ) -> Result<&'a [u8], variant::CheckError> {
-    let at = *r;
-    let Some(declared) = r.u32() else { return Err(truncated(at, 4, at)) };
+    let Some(declared) = r.u32() else { return Err(truncated(*r, 4, 0)) };
     if strictness == Strictness::Lenient {
         return check_lenient(declared, r, limits);
     }
-    let Some(value) = r.slice(to_usize(declared)) else { return Err(truncated(*r, declared, at)) };
+    let Some(value) = r.slice(to_usize(declared)) else { return Err(truncated(*r, declared, 4)) };
     let mut inner = Reader::new(value);
     match variant::check(&mut inner, limits, strictness) {
         Ok(()) if inner.left() == 0 => Ok(value),
         Ok(()) => {
             let used = to_u32(value.len().wrapping_sub(inner.left()));
-            Err(variant::CheckError { kind: DecodeErrorKind::ArgumentLength { declared, used }, left: at.left() })
+            let left = r.left().wrapping_add(value.len()).wrapping_add(4);
+            Err(variant::CheckError { kind: DecodeErrorKind::ArgumentLength { declared, used }, left })
         }
         // the error's position counts from the end of the argument; more bytes may follow that
         Err(error) => Err(variant::CheckError { left: error.left.wrapping_add(r.left()), ..error }),
@@ -277,10 +278,14 @@ fn check_lenient<'a>(declared: u32, r: &mut Reader<'a>, limits: &Limits) -> Resu
     Ok(value.get(..value.len().wrapping_sub(r.left())).unwrap_or_default())
 }
 
-/// Returns the error for `needed` missing bytes in `r`, at the start of the argument.
+/// Returns the error for `needed` missing bytes in `r`, at the start of the argument, which is `read` bytes before them.
 #[cold]
-fn truncated(r: Reader<'_>, needed: u32, at: Reader<'_>) -> variant::CheckError {
-    variant::CheckError { kind: DecodeErrorKind::Truncated { needed, left: to_u32(r.left()) }, left: at.left() }
+fn truncated(r: Reader<'_>, needed: u32, read: usize) -> variant::CheckError {
+    let left = r.left();
+    variant::CheckError {
+        kind: DecodeErrorKind::Truncated { needed, left: to_u32(left) },
+        left: left.wrapping_add(read),
+    }
 }
 
 /// Splits the CRC off the end of `body` and compares it.
@@ -354,6 +359,12 @@ impl<'a> Args<'a> {
     #[must_use]
     pub fn get(self, index: usize) -> Option<Variant<'a>> {
         self.iter().nth(index)
+    }
+
+    /// Returns the first argument.
+    #[cfg_attr(not(target_os = "none"), inline)]
+    pub(crate) fn first(self) -> Option<Variant<'a>> {
+        self.iter().next()
     }
 
     /// Iterates over the arguments.
@@ -450,8 +461,9 @@ impl<'a> Frame<'a> {
 
     /// Returns the value of a reply.
     #[must_use]
+    #[cfg_attr(not(target_os = "none"), inline)]
     pub fn value(&self) -> Option<Variant<'a>> {
-        self.args.get(0)
+        self.args.first()
     }
 }
 

@@ -138,15 +138,15 @@ impl Inbox {
             self.next = self.len;
         }
         let memory = buffer.bytes_mut();
-        if let Some(received) = memory.get_mut(..self.len)
-            && self.next > 0
-        {
-            shift_down(received, self.next);
+        if self.next > 0 {
+            if let Some(received) = memory.get_mut(..self.len) {
+                shift_down(received, self.next);
+            }
+            self.len = self.len.saturating_sub(self.next);
+            self.early = self.early.saturating_sub(self.next);
+            self.next = 0;
         }
-        self.len = self.len.saturating_sub(self.next);
-        self.early = self.early.saturating_sub(self.next);
-        self.next = 0;
-        buffer.bytes_mut().get_mut(self.len..).unwrap_or_default()
+        memory.get_mut(self.len..).unwrap_or_default()
     }
 
     /// Returns the free part of the buffer, and drops the frames that were read, except this one.

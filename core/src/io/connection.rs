@@ -76,8 +76,7 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
     pub $($async)? fn call<C: Call>(&mut self, call: C) -> Result<<C::Reply as Reply>::Value<'_>, CallError<X::Error>> {
         // not through `call_with`, whose future would hold the call twice and its timing
         clear(&mut self.transport, &mut self.client)$($await)*?;
-        let timing = self.client.timing();
-        self.client.start(&call, timing, self.transport.now())?;
+        self.client.start_as_configured(&call, self.transport.now())?;
         wait(&mut self.transport, &mut self.client)$($await)*?;
         Ok(self.client.value::<C::Reply>()?)
     }
@@ -96,8 +95,7 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
     )?
     pub $($async)? fn exchange<C: Call>(&mut self, call: C) -> Result<(), CallError<X::Error>> {
         clear(&mut self.transport, &mut self.client)$($await)*?;
-        let timing = self.client.timing();
-        self.client.start(&call, timing, self.transport.now())?;
+        self.client.start_as_configured(&call, self.transport.now())?;
         wait(&mut self.transport, &mut self.client)$($await)*
     }
 
@@ -362,7 +360,7 @@ $($async)? fn clear<X: Transport, M: Machine>(transport: &mut X, client: &mut M)
         if count.is_none() {
             break;
         }
-        if let Some(end @ Err(_)) = moved(client, Direction::Receive, count, Instant::FAR_FUTURE, transport.now()) {
+        if let Some(end @ Err(_)) = moved(client, Direction::Receive, count, Instant::FAR_FUTURE, &|| transport.now()) {
             return end;
         }
     }
@@ -380,7 +378,7 @@ $($async)? fn wait<X: Transport, M: Machine>(transport: &mut X, client: &mut M) 
         if direction == Direction::Send && sent(client, count) {
             continue;
         }
-        if let Some(end) = moved(client, direction, count, until, transport.now()) {
+        if let Some(end) = moved(client, direction, count, until, &|| transport.now()) {
             return end;
         }
     }

@@ -219,8 +219,8 @@ trait Machine: Endpoint {
     fn flush_timeout(&self) -> core::time::Duration;
     fn is_over(&self) -> bool;
     fn give_up(&mut self);
-    /// Handles received bytes.
-    fn poll(&mut self, now: Instant) -> Option<Step<Self::Error>>;
+    /// Handles received bytes, and reads the clock only if it must.
+    fn poll(&mut self, now: &dyn Fn() -> Instant) -> Option<Step<Self::Error>>;
     /// Handles a timeout.
     fn time_out(&mut self, now: Instant) -> Option<Step<Self::Error>>;
 }
@@ -274,7 +274,7 @@ fn moved<M: Machine, E>(
     direction: Direction,
     count: Option<usize>,
     until: Instant,
-    now: Instant,
+    now: &dyn Fn() -> Instant,
 ) -> Option<Result<(), CallError<E, M::Error>>> {
     match (direction, count) {
         (Direction::Send, _) | (_, None) => {}
@@ -286,6 +286,7 @@ fn moved<M: Machine, E>(
             return Some(end);
         }
     }
+    let now = now();
     // after the events, so that a reply that arrived in time counts
     if count.is_some() && now < until {
         return None;
@@ -315,8 +316,8 @@ impl<T: Storage, R: Storage> Machine for bcap::Client<T, R> {
         self.abandon();
     }
 
-    fn poll(&mut self, now: Instant) -> Option<Step<Self::Error>> {
-        self.poll_event(now).map(Step::from)
+    fn poll(&mut self, now: &dyn Fn() -> Instant) -> Option<Step<Self::Error>> {
+        self.next_event(now).map(Step::from)
     }
 
     fn time_out(&mut self, now: Instant) -> Option<Step<Self::Error>> {
@@ -346,8 +347,8 @@ impl<V: Storage> Machine for rac::Client<V> {
         self.abandon();
     }
 
-    fn poll(&mut self, now: Instant) -> Option<Step<Self::Error>> {
-        self.poll_event(now).map(Step::from)
+    fn poll(&mut self, now: &dyn Fn() -> Instant) -> Option<Step<Self::Error>> {
+        self.poll_event(now()).map(Step::from)
     }
 
     fn time_out(&mut self, now: Instant) -> Option<Step<Self::Error>> {

@@ -144,6 +144,7 @@ pub struct Elements<'a> {
 impl<'a> Iterator for Elements<'a> {
     type Item = Variant<'a>;
 
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     fn next(&mut self) -> Option<Variant<'a>> {
         self.left = self.left.checked_sub(1)?;
         Some(Variant::read_element(self.element, &mut self.reader))

@@ -22,7 +22,7 @@
 use core::fmt;
 use core::iter::Enumerate;
 
-use super::{Array, Bstr, CivilTime, Currency, Elements, OleDate, VarType, Variant};
+use super::{Array, Bstr, CivilTime, Currency, Elements, OleDate, SHORT_CUTS, VarType, Variant};
 use crate::hresult::HResult;
 use crate::num::{exact_f32, exact_f64_of_i64, exact_f64_of_u64, exact_i64, exact_u64, to_f32, to_u32};
 
@@ -279,26 +279,35 @@ fn number<T>(
     read.map_err(|kind| ConvertError::new(kind, wanted, &value))
 }
 
+/// `$same` is the VARTYPE of `$type`: its value is returned by the inlined part of the function.
 macro_rules! from_numbers {
-    ($($type:ty, $wanted:literal, $read:ident;)*) => {$(
+    ($($type:ty, $same:ident, $wanted:literal, $read:ident;)*) => {$(
         impl<'a> FromVariant<'a> for $type {
+            #[cfg_attr(not(target_os = "none"), inline)]
             fn from_variant(value: Variant<'a>) -> Result<Self, ConvertError> {
-                number(&value, $wanted, Number::$read)
+                #[cfg_attr(not(target_os = "none"), inline(never))]
+                fn other(value: &Variant<'_>) -> Result<$type, ConvertError> {
+                    number(value, $wanted, Number::$read)
+                }
+                match value {
+                    Variant::$same(number) if SHORT_CUTS => Ok(number),
+                    value => other(&value),
+                }
             }
         }
     )*};
 }
 
 from_numbers! {
-    u8, "u8 (0 to 255)", to_integer;
-    i16, "i16 (-32768 to 32767)", to_integer;
-    u16, "u16 (0 to 65535)", to_integer;
-    i32, "i32 (-2147483648 to 2147483647)", to_integer;
-    u32, "u32 (0 to 4294967295)", to_integer;
-    i64, "i64 (-2^63 to 2^63 - 1)", to_integer;
-    u64, "u64 (0 to 2^64 - 1)", to_integer;
-    f32, "f32", to_f32;
-    f64, "f64", to_f64;
+    u8, Ui1, "u8 (0 to 255)", to_integer;
+    i16, I2, "i16 (-32768 to 32767)", to_integer;
+    u16, Ui2, "u16 (0 to 65535)", to_integer;
+    i32, I4, "i32 (-2147483648 to 2147483647)", to_integer;
+    u32, Ui4, "u32 (0 to 4294967295)", to_integer;
+    i64, I8, "i64 (-2^63 to 2^63 - 1)", to_integer;
+    u64, Ui8, "u64 (0 to 2^64 - 1)", to_integer;
+    f32, R4, "f32", to_f32;
+    f64, R8, "f64", to_f64;
 }
 
 impl<'a> FromVariant<'a> for bool {

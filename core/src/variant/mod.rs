@@ -82,6 +82,12 @@ use crate::wire::Reader;
 /// Limit for the elements of an array of EMPTY or NULL, which have no data, so that any count would be possible.
 pub const MAX_EMPTY_ELEMENTS: u32 = 256;
 
+/// Whether the most frequent types have short cuts. An image for a board has none: they would take 300 bytes of flash.
+const SHORT_CUTS: bool = cfg!(not(target_os = "none"));
+
+/// The first byte of the encoding of an I4.
+const I4: u8 = VarType::I4.0.to_le_bytes()[0];
+
 /// Bytes of the type and count at the start of a value.
 const HEAD: usize = 6;
 
@@ -114,6 +120,14 @@ macro_rules! vartypes {
         const LAYOUTS: [Layout; 22] = {
             let mut table = [Layout::Unknown; 22];
             $(table[$value] = $layout;)*
+            table
+        };
+
+        /// Bytes of one element, by element type; 0 for a type that is not a number.
+        // a table of its own, because a match on the layout is a jump table
+        const WIDTHS: [u8; 22] = {
+            let mut table = [0; 22];
+            $(if let Layout::Fixed(width) = $layout { table[$value] = width; })*
             table
         };
     };
@@ -206,6 +220,16 @@ impl VarType {
     /// Iterates over the types of scalars, ascending.
     pub fn scalars() -> impl Iterator<Item = Self> + Clone {
         (0_u16..).take(LAYOUTS.len()).map(Self).filter(|vartype| vartype.is_known())
+    }
+
+    /// Returns the bytes of one element if it is a number, otherwise 0.
+    #[inline]
+    fn width(self) -> u8 {
+        match self.layout() {
+            Layout::Fixed(width) if !SHORT_CUTS => width,
+            _ if !SHORT_CUTS => 0,
+            _ => WIDTHS.get(usize::from(self.element().0)).copied().unwrap_or(0),
+        }
     }
 
     fn layout(self) -> Layout {
@@ -335,15 +359,29 @@ impl<'a> Variant<'a> {
     }
 
     /// Views a value that [`check`] accepted.
+    // the most frequent number without a call; a board has one copy of this function
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     pub(crate) fn from_checked(bytes: &'a [u8]) -> Self {
+        match bytes.first_chunk() {
+            Some(&[I4, 0, _, _, _, _, a, b, c, d]) if SHORT_CUTS => Self::I4(i32::from_le_bytes([a, b, c, d])),
+            _ => Self::from_checked_of_any_type(bytes),
+        }
+    }
+
+    #[cfg_attr(not(target_os = "none"), inline(never))]
+    fn from_checked_of_any_type(bytes: &'a [u8]) -> Self {
         let mut r = Reader::new(bytes);
         let Some((vartype, count)) = head(&mut r) else { return Self::Empty };
+        if SHORT_CUTS && vartype == VarType::BSTR {
+            return Self::read_bstr(&mut r);
+        }
         match vartype.layout() {
             // only possible for an argument of a lenient frame
             Layout::Unknown => Self::Opaque(Opaque { vartype, bytes: bytes.get(2..).unwrap_or_default() }),
             _ if vartype.is_array() => Self::Array(Array::from_checked(vartype.element(), count, r.rest())),
             Layout::Variant => Self::Nested(Nested(r.rest())),
-            Layout::Fixed(_) | Layout::Bstr => Self::read_data(vartype, &mut r),
+            // a copy, so that the compiler can keep the reader of the others in registers
+            Layout::Fixed(_) | Layout::Bstr => Self::read_data(vartype, &mut { r }),
         }
     }
 
@@ -363,7 +401,20 @@ impl<'a> Variant<'a> {
     }
 
     /// Splits the data of an array's first element off, and views it.
+    // the most frequent number without a call; a board has one copy of this function
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     fn read_element(element: VarType, r: &mut Reader<'a>) -> Self {
+        match r.rest().split_first_chunk() {
+            Some((&[I4, 0, _, _, _, _, a, b, c, d], rest)) if SHORT_CUTS && element == VarType::VARIANT => {
+                *r = Reader::new(rest);
+                Self::I4(i32::from_le_bytes([a, b, c, d]))
+            }
+            _ => Self::read_element_of_any_type(element, r),
+        }
+    }
+
+    #[cfg_attr(not(target_os = "none"), inline(never))]
+    fn read_element_of_any_type(element: VarType, r: &mut Reader<'a>) -> Self {
         if element == VarType::VARIANT { Self::read(r) } else { Self::read_data(element, r) }
     }
 
@@ -375,18 +426,28 @@ impl<'a> Variant<'a> {
         match vartype {
             VarType::I4 => return Self::I4(r.array().map_or(0, i32::from_le_bytes)),
             VarType::R4 => return Self::R4(r.array().map_or(0.0, f32::from_le_bytes)),
+            VarType::R8 if SHORT_CUTS => return Self::R8(r.array().map_or(0.0, f64::from_le_bytes)),
+            VarType::BSTR if SHORT_CUTS => return Self::read_bstr(r),
             _ => {}
         }
+        Self::read_number(vartype, r)
+    }
+
+    fn read_bstr(r: &mut Reader<'a>) -> Self {
+        Self::Bstr(Bstr::truncated(crate::wire::length_prefixed(r).unwrap_or_default()))
+    }
+
+    #[cfg_attr(not(target_os = "none"), inline(never))]
+    fn read_number(vartype: VarType, r: &mut Reader<'a>) -> Self {
         // all other numbers as 8 bytes: a copy of this code for each type would be large
         let bytes = match vartype.layout() {
             Layout::Fixed(width) => next(width, r),
-            _ => return Self::Bstr(Bstr::truncated(crate::wire::length_prefixed(r).unwrap_or_default())),
+            _ => return Self::read_bstr(r),
         };
         let [a, b, c, d, ..] = bytes;
         match vartype {
             VarType::NULL => Self::Null,
             VarType::I2 => Self::I2(i16::from_le_bytes([a, b])),
-            VarType::R8 => Self::R8(f64::from_le_bytes(bytes)),
             VarType::CY => Self::Cy(Currency::from_wire(bytes)),
             VarType::DATE => Self::Date(OleDate::from_wire(bytes)),
             VarType::ERROR => Self::Error(HResult::from_wire([a, b, c, d])),
@@ -396,6 +457,7 @@ impl<'a> Variant<'a> {
             VarType::UI4 => Self::Ui4(u32::from_le_bytes([a, b, c, d])),
             VarType::I8 => Self::I8(i64::from_le_bytes(bytes)),
             VarType::UI8 => Self::Ui8(u64::from_le_bytes(bytes)),
+            VarType::R8 => Self::R8(f64::from_le_bytes(bytes)),
             _ => Self::Empty,
         }
     }
@@ -460,8 +522,16 @@ impl<'a> Variant<'a> {
     pub fn as_i32(&self) -> Option<i32> {
         match *self {
             Self::I4(n) => Some(n),
+            other if SHORT_CUTS => other.narrowed(),
             _ => i32::try_from(self.as_i64()?).ok(),
         }
+    }
+
+    /// Returns the number of an integer type other than I4.
+    // by value, so that the compiler can keep an I4 in a register
+    #[cfg_attr(not(target_os = "none"), inline(never))]
+    fn narrowed(self) -> Option<i32> {
+        i32::try_from(self.as_i64()?).ok()
     }
 
     /// Returns the number of R4, R8, or an integer of at most 32 bits; all of them convert exactly.
@@ -605,7 +675,10 @@ pub(crate) fn check(r: &mut Reader<'_>, limits: &Limits, strictness: Strictness)
 }
 
 #[inline(never)]
-fn check_inner(r: &mut Reader<'_>, count: u32, limits: &Limits, strictness: Strictness) -> Result<(), CheckError> {
+fn check_inner(inner: &mut Reader<'_>, count: u32, limits: &Limits, strictness: Strictness) -> Result<(), CheckError> {
+    // elsewhere than on a board a copy, which the compiler keeps in registers
+    let mut copy = *inner;
+    let r = if SHORT_CUTS { &mut copy } else { &mut *inner };
     let max = limits.depth.min(MAX_DEPTH);
     if max == 0 {
         return Err(CheckError { kind: DecodeErrorKind::TooDeep(max), left: r.left() });
@@ -618,6 +691,8 @@ fn check_inner(r: &mut Reader<'_>, count: u32, limits: &Limits, strictness: Stri
         if here == 0 {
             depth = depth.wrapping_sub(1);
             if depth == 0 {
+                let rest = *r;
+                *inner = rest;
                 return Ok(());
             }
             here = outer.get(usize::from(depth)).copied().unwrap_or(0);
@@ -625,8 +700,8 @@ fn check_inner(r: &mut Reader<'_>, count: u32, limits: &Limits, strictness: Stri
         }
         here = here.wrapping_sub(1);
         let at = r.left();
-        let inner = check_one(r, strictness)?;
-        if inner > 0 {
+        let within = check_one(r, strictness)?;
+        if within > 0 {
             if depth >= max {
                 return Err(CheckError { kind: DecodeErrorKind::TooDeep(max), left: at });
             }
@@ -634,7 +709,7 @@ fn check_inner(r: &mut Reader<'_>, count: u32, limits: &Limits, strictness: Stri
                 *slot = here;
             }
             depth = depth.wrapping_add(1);
-            here = inner;
+            here = within;
         }
     }
 }
@@ -642,43 +717,46 @@ fn check_inner(r: &mut Reader<'_>, count: u32, limits: &Limits, strictness: Stri
 /// Steps over one value up to its nested values, and returns their number.
 // a board has one copy of this function; elsewhere a call would be slower
 #[cfg_attr(target_os = "none", inline(never))]
-#[cfg_attr(not(target_os = "none"), inline)]
+#[cfg_attr(not(target_os = "none"), inline(always))]
 fn check_one(r: &mut Reader<'_>, strictness: Strictness) -> Result<u32, CheckError> {
     let Some((vartype, mut count)) = head(r) else { return Err(truncated(r, HEAD)) };
-    let layout = vartype.layout();
     let scalar = !vartype.is_array();
     if scalar {
-        if count != 1 && strictness == Strictness::Strict && layout != Layout::Unknown {
+        if count != 1 && strictness == Strictness::Strict && vartype.is_known() {
             return Err(CheckError { kind: DecodeErrorKind::ScalarCount(count), left: r.left().wrapping_add(4) });
         }
         count = 1;
     }
-    match layout {
-        Layout::Fixed(width) => {
-            // at most 8 times 4 G, which fits; a sum above `usize::MAX` is above the bytes that are left, too
-            let needed = usize::try_from(u64::from(width).wrapping_mul(u64::from(count))).unwrap_or(usize::MAX);
-            let data = r.slice(needed);
-            if data.is_some() && (width > 0 || count <= MAX_EMPTY_ELEMENTS) {
-                return Ok(0);
-            }
-            Err(if scalar { truncated(r, needed) } else { too_many(r, count) })
+    let width = vartype.width();
+    if width > 0 {
+        // at most 8 times 4 G, which fits; a sum above `usize::MAX` is above the bytes that are left, too
+        let needed = usize::try_from(u64::from(width).wrapping_mul(u64::from(count))).unwrap_or(usize::MAX);
+        return match r.slice(needed) {
+            Some(_) => Ok(0),
+            None => Err(if scalar { truncated(r, needed) } else { too_many(r, count) }),
+        };
+    }
+    // before the match, which is a jump table
+    if vartype.layout() == Layout::Bstr {
+        // a string has at least its length field
+        if !scalar && to_usize(count) > r.left() >> 2 {
+            return Err(too_many(r, count));
         }
-        Layout::Bstr => {
-            // a string has at least its length field
-            if !scalar && to_usize(count) > r.left() >> 2 {
-                return Err(too_many(r, count));
-            }
-            for _ in 0..count {
-                check_bstr(r, strictness)?;
-            }
-            Ok(0)
+        for _ in 0..count {
+            check_bstr(r, strictness)?;
         }
+        return Ok(0);
+    }
+    match vartype.layout() {
+        // those without data, EMPTY and NULL
+        Layout::Fixed(_) if count > MAX_EMPTY_ELEMENTS => Err(too_many(r, count)),
+        Layout::Fixed(_) => Ok(0),
         // a value has at least its head
         Layout::Variant if !scalar && u64::from(count).wrapping_mul(6) > u64::from(to_u32(r.left())) => {
             Err(too_many(r, count))
         }
         Layout::Variant => Ok(count),
-        Layout::Unknown => {
+        Layout::Bstr | Layout::Unknown => {
             Err(CheckError { kind: DecodeErrorKind::UnknownType(vartype.0), left: r.left().wrapping_add(HEAD) })
         }
     }
@@ -732,11 +810,14 @@ fn skip_elements(element: VarType, count: u32, r: &mut Reader<'_>) -> Option<()>
 /// Steps over the data of elements up to their nested values, and returns the number of these.
 #[inline]
 fn skip_level(element: VarType, count: u32, r: &mut Reader<'_>) -> Option<u32> {
+    let width = element.width();
+    if width > 0 {
+        let len = usize::try_from(u64::from(width).wrapping_mul(u64::from(count))).ok()?;
+        return r.slice(len).map(|_| 0);
+    }
     match element.layout() {
-        Layout::Fixed(width) => {
-            let len = usize::try_from(u64::from(width).wrapping_mul(u64::from(count))).ok()?;
-            r.slice(len).map(|_| 0)
-        }
+        // EMPTY and NULL
+        Layout::Fixed(_) => Some(0),
         Layout::Bstr => {
             for _ in 0..count {
                 crate::wire::length_prefixed(r)?;

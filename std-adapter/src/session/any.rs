@@ -179,6 +179,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         if takes && function == FunctionId::ROBOT_EXECUTE {
             // its effect is undone over the robot that has it
             self.objects.robot = arguments.first().and_then(handle).map(RobotHandle).or(self.objects.robot);
+            self.objects.paths.clear();
         }
         self.arm.begin(effect);
     }
@@ -258,6 +259,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     /// Removes an object that the controller has released.
     fn forget(&mut self, object: Object, handle: i32) {
         self.objects.opened.retain(|opened| *opened != (object, handle));
+        self.objects.paths.clear();
         match object {
             Object::Variable => {
                 self.objects.variables.values_mut().for_each(|names| names.retain(|_, variable| variable.0 != handle));
@@ -281,6 +283,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     fn forget_handles(&mut self) {
         self.objects.robot = None;
         self.objects.variables.clear();
+        self.objects.paths.clear();
         self.objects.others.clear();
     }
 }
