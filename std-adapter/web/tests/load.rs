@@ -60,7 +60,11 @@ fn heap(browser: &mut Browser) -> u64 {
 fn a_thousand_variables_and_their_packets_in_three_browsers() {
     let minutes: f64 = std::env::var("MINUTES").map_or(2.0, |minutes| minutes.parse().unwrap());
     let any = "127.0.0.1:0";
-    let sim = Program::start(&["sim", "--bcap", any, "--udp", any, "--rac", any]);
+    let folder = tempfile::tempdir().unwrap();
+    let scenario = folder.path().join("changes.toml");
+    std::fs::write(&scenario, changes()).unwrap();
+    let scenario = scenario.to_str().unwrap();
+    let sim = Program::start(&["sim", "--bcap", any, "--udp", any, "--rac", any, "--scenario", scenario]);
     let address = sim.first.split(' ').find_map(|word| word.strip_prefix("bcap=")).unwrap();
     let web = Program::start(&["web", "--listen", any, "--robot", &format!("tcp:{address}")]);
     let screens = ["variables", "plots", "packets"];
@@ -71,8 +75,9 @@ fn a_thousand_variables_and_their_packets_in_three_browsers() {
         browser.until_text("#state", "ready, motor off");
         browser.call("Performance.enable", json!({}));
         browser.click("[data-id=variables]");
-        browser.enter("#names", "I0-I499 F0-F499");
-        browser.until("document.querySelectorAll('tbody tr').length === 1000");
+        browser.enter("#names", NAMES);
+        // the IO are lamps
+        browser.until("document.querySelectorAll('tbody tr, .lamp').length >= 1000");
         browser.click(&format!("[data-id={screen}]"));
         browser.eval(COUNT);
     }
@@ -95,6 +100,7 @@ fn a_thousand_variables_and_their_packets_in_three_browsers() {
         after.1,
         samples.iter().max().unwrap()
     );
+    println!("packets/s: {:.0}", packets(&mut browsers[2]));
     for ((browser, screen), (count, memory)) in browsers.iter_mut().zip(screens).zip(first) {
         let rate = (frames(browser) - count) / time.as_secs_f64();
         println!(
@@ -104,6 +110,35 @@ fn a_thousand_variables_and_their_packets_in_three_browsers() {
         );
         assert_eq!(browser.problems, [""; 0], "{screen}");
     }
+}
+
+/// The names of the variables: 100 of each kind, and 200 IO.
+const NAMES: &str = "I0-I99 F0-F99 D0-D99 V0-V99 P0-P99 J0-J99 T0-T99 S0-S99 IO128-IO327";
+
+/// Returns a scenario whose task changes all of them five times a second.
+fn changes() -> String {
+    let each = |count: usize, text: &dyn Fn(usize) -> String| (0..count).map(text).collect::<Vec<_>>().join(", ");
+    let add = each(100, &|n| format!("I{n} = 1, F{n} = 0.5, D{n} = 0.25"));
+    let set = |value: i32| {
+        let array = |count: usize| format!("[{}]", each(count, &|_| format!("{value}.5")));
+        let [v, p, j, t] = [3, 7, 8, 10].map(array);
+        let arrays = each(100, &|n| format!("V{n} = {v}, P{n} = {p}, J{n} = {j}, T{n} = {t}, S{n} = \"part {value}\""));
+        let bits = each(200, &|n| format!("IO{} = {}", n + 128, value == 1));
+        format!("{{ add = {{ {add} }} }}, {{ set = {{ {arrays}, {bits} }} }}")
+    };
+    let (one, other) = (set(1), set(2));
+    format!("[[task]]\nname = \"Changes\"\nstart = 2\nline_ms = 100\nsteps = [{one}, {other}]\n")
+}
+
+/// Returns the packets of a second, by the page's list of calls by object: each call has a request and a reply.
+fn packets(browser: &mut Browser) -> f64 {
+    browser.eval(
+        "[...document.querySelectorAll('main button')].find((button) => button.textContent === 'By object').click()",
+    );
+    browser.until("document.querySelectorAll('.by-object tr').length > 10");
+    thread::sleep(Duration::from_secs(3));
+    let rate = "[...document.querySelectorAll('.by-object tr td:nth-child(3)')].reduce((sum, cell) => sum + Number(cell.textContent), 0)";
+    2.0 * browser.eval(rate).as_f64().unwrap()
 }
 
 /// Returns what a page tells about what it does not show.
