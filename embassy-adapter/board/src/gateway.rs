@@ -96,7 +96,7 @@ pub fn start(
     let robot = settings.robot;
     defmt::info!("gateway to {}, provider {=str}", defmt::Debug2Format(&robot), settings.provider);
     let board = make(settings);
-    spawner.spawn(run_robot_link(stack, settings, board, dhcp_again)?);
+    spawner.spawn(run_robot_link(stack, settings, board, parts.name, dhcp_again)?);
     for (number, memory) in (PLC..).zip(SOCKET_MEMORY.take()) {
         spawner.spawn(serve(stack, memory, settings, board, Task::new(number))?);
     }
@@ -260,6 +260,7 @@ async fn run_robot_link(
     stack: Stack<'static>,
     settings: &'static Settings<'static>,
     board: &'static Board,
+    name: &'static str,
     dhcp_again: Duration,
 ) {
     static MEMORY: ConstStaticCell<[[u8; ROBOT_BUFFER]; 2]> = ConstStaticCell::new([[0; ROBOT_BUFFER]; 2]);
@@ -292,7 +293,7 @@ async fn run_robot_link(
         address::find(stack, settings).await;
         select(run, address::improve(stack, settings, dhcp_again, || has_robot(board))).await;
     };
-    join(watched(ROBOT, pin!(work)), network::follow(stack)).await;
+    join(watched(ROBOT, pin!(work)), network::follow(stack, name)).await;
 }
 
 /// Logs the state of the board every 10 s.

@@ -63,7 +63,7 @@
 //! | `hostname` | the name sent with DHCP: at most 32 letters, digits and hyphens | none |
 //! | `ssid`     | the name of the Wi-Fi network; for images with the feature `wifi` | none |
 //! | `passphrase` | its passphrase of WPA2, of 8 to 63 characters; empty for an open network | empty |
-//! | `find`     | `yes`, `no`: answer `bcap board find` on UDP port 5011 | `yes` |
+//! | `find`     | `yes`, `no`: answer `bcap board find` on UDP port 5011, and send LLDP frames to the switch | `yes` |
 //! | `get`      | `KIND[/FIRST[-LAST]]`: what PLCs may read; can be repeated | everything |
 //! | `put`      | `KIND[/FIRST[-LAST]][=MIN..MAX[,MIN..MAX]...]`: what PLCs may write, and the accepted values; can be repeated | nothing |
 //! | `put@CLIENT` | as `put`, for the clients of a network only: `put@192.168.0.7=I/0-99`, `put@192.168.0.0/24=F` | |
@@ -116,6 +116,8 @@ pub mod image;
 mod lease;
 pub mod led;
 pub mod limiter;
+#[cfg(any(feature = "embassy", test))]
+mod lldp;
 #[cfg(feature = "log")]
 pub mod log;
 pub mod mac;

@@ -15,6 +15,7 @@ use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_time::{Duration, Instant, Timer};
 
 use crate::lease::{Lease, Refused, check};
+use crate::lldp;
 use crate::neighbors::{FRAME, Neighbors, Route};
 use crate::{Settings, address};
 
@@ -25,6 +26,9 @@ pub const SILENCE: Duration = Duration::from_secs(300);
 /// The pause between two offers that the network stack gets. A server that refuses what it has offered would otherwise be asked
 /// again without a pause; after an offer that is dropped, the stack asks after 10 s.
 const OFFER_PAUSE: Duration = Duration::from_secs(1);
+
+/// The pause between two frames of LLDP; one is sent when the network stack runs next.
+const LLDP_PAUSE: Duration = Duration::from_secs(30);
 
 /// The pause between two looks at the board's address.
 const FOLLOW_PAUSE: Duration = Duration::from_millis(250);
@@ -60,6 +64,8 @@ pub(crate) fn random() -> u64 {
 
 /// The board's place in its network, once it has an address.
 static ROUTE: Mutex<CriticalSectionRawMutex, Cell<Option<Route>>> = Mutex::new(Cell::new(None));
+/// The name of the board, for LLDP.
+static NAME: Mutex<CriticalSectionRawMutex, Cell<&str>> = Mutex::new(Cell::new(""));
 
 /// Makes the network stack of a board, with the address of the settings or of a DHCP server. Call it once.
 ///
@@ -72,7 +78,7 @@ pub fn start<D: Driver, const SOCKETS: usize>(
     seed: u64,
 ) -> (Stack<'static>, Runner<D>) {
     let filter = Filter { settings, next_offer: Instant::MIN, told: None, neighbors: Neighbors::default() };
-    let driver = Checked { driver, filter };
+    let driver = Checked { driver, filter, next_lldp: Instant::MIN };
     RANDOM.lock(|state| state.set(!seed));
     embassy_net::new(driver, address::config(settings), resources, seed)
 }
@@ -84,8 +90,9 @@ pub fn is_dead(silence: Duration) -> bool {
     has_received && silent_since.is_some_and(|since| since.elapsed() > silence)
 }
 
-/// Tells the driver the board's address and router, for ever: the stack calls the driver while it is borrowed.
-pub(crate) async fn follow(stack: Stack<'_>) -> ! {
+/// Tells the driver the board's name, address and router, for ever: the stack calls the driver while it is borrowed.
+pub(crate) async fn follow(stack: Stack<'_>, name: &'static str) -> ! {
+    NAME.lock(|cell| cell.set(name));
     loop {
         let route = stack.config_v4().map(|StaticConfigV4 { address, gateway: router, .. }| {
             let own = (address.address(), address.prefix_len());
@@ -100,6 +107,7 @@ pub(crate) async fn follow(stack: Stack<'_>) -> ! {
 pub struct Checked<D> {
     driver: D,
     filter: Filter,
+    next_lldp: Instant,
 }
 
 /// Decides which frames the network stack gets.
@@ -129,8 +137,19 @@ impl<D: Driver> Driver for Checked<D> {
 
     fn receive(&mut self, cx: &mut Context<'_>) -> Option<(Self::RxToken<'_>, Self::TxToken<'_>)> {
         let HardwareAddress::Ethernet(mac) = self.driver.hardware_address() else { return None };
-        let Self { driver, filter } = self;
+        let Self { driver, filter, next_lldp } = self;
         if let Some(Route { own, .. }) = ROUTE.lock(Cell::get) {
+            let settings = filter.settings;
+            if settings.find
+                && Instant::now() >= *next_lldp
+                && let Some(room) = driver.transmit(cx)
+            {
+                *next_lldp = Instant::now().saturating_add(LLDP_PAUSE);
+                let description = [NAME.lock(Cell::get), " ", env!("CARGO_PKG_VERSION")];
+                let mut frame = [0; lldp::FRAME];
+                let len = lldp::write(mac, own.0, settings.hostname.unwrap_or_default(), description, &mut frame);
+                room.consume(len, |room| room.iter_mut().zip(frame).for_each(|(to, from)| *to = from));
+            }
             if let Some(request) = filter.neighbors.request(own, mac)
                 && let Some(room) = driver.transmit(cx)
             {

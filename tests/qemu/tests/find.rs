@@ -120,3 +120,32 @@ fn only_hosts_of_its_network_get_answers_and_a_flood_gets_few() {
     ask(&world, HOST, BOARD, &request(NUMBER));
     assert_eq!(answers(&mut world, &mut board, Duration::from_secs(1)).len(), 1, "it answers again");
 }
+
+#[test]
+fn the_board_tells_its_switch_what_it_is() {
+    let (wire, netdev) = Wire::open(1);
+    let settings = ["dhcp=no", "hostname=cell-7", "mac=02:00:00:00:00:15"];
+    let mut board = Board::start("10.0.2.2:5007", &["--netdev", &netdev], &settings);
+    let mut world = World::new(wire, 1, 1);
+    // the board may have to be built first
+    let since = Instant::now();
+    let frame = loop {
+        assert!(board.is_running() && since.elapsed() < 10 * TIMEOUT, "no frame of LLDP: {}", board.log());
+        world.wire.receive();
+        if let Some(frame) = world.wire.arrived.iter().find(|frame| frame[12..14] == [0x88, 0xcc]) {
+            break frame.clone();
+        }
+        world.poll();
+    };
+    let expected: [&[u8]; 8] = [
+        &[0x01, 0x80, 0xc2, 0, 0, 0x0e],
+        &MAC,
+        &[0x88, 0xcc, 2, 7, 4, 2, 0, 0, 0, 0, 0x15, 4, 7, 3, 2, 0, 0, 0, 0, 0x15, 6, 2, 0, 120, 10, 6],
+        b"cell-7",
+        &[12, 13],
+        b"gateway 0.1.0",
+        &[16, 12, 5, 1, 10, 0, 2, 15, 1, 0, 0, 0, 0, 0],
+        &[0, 0],
+    ];
+    assert_eq!(frame, expected.concat());
+}
