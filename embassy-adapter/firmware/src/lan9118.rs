@@ -169,6 +169,21 @@ impl Frames {
     pub const fn new() -> Self {
         Self { received: [0; MAX_FRAME], to_send: [0; MAX_FRAME] }
     }
+
+    /// Reads a received frame of this many words; bytes of a frame that is too long are dropped.
+    fn read(&mut self, words: usize) {
+        let (whole, rest) = self.received.as_chunks_mut::<4>();
+        let more = words.saturating_sub(whole.len());
+        for word in whole.iter_mut().take(words) {
+            *word = ETHERNET.read::<{ register::RX_DATA }>().to_le_bytes();
+        }
+        for word in 0..more {
+            let bytes = ETHERNET.read::<{ register::RX_DATA }>().to_le_bytes();
+            for (to, from) in rest.iter_mut().skip(word * 4).zip(bytes) {
+                *to = from;
+            }
+        }
+    }
 }
 
 impl Default for Frames {
@@ -267,12 +282,7 @@ impl<'m> Lan9118<'m> {
             let status = ETHERNET.read::<{ register::RX_STATUS }>();
             let with_checksum = to_usize(status >> 16 & 0x3fff);
             let len = with_checksum.saturating_sub(CHECKSUM);
-            for word in 0..with_checksum.div_ceil(4) {
-                let bytes = ETHERNET.read::<{ register::RX_DATA }>().to_le_bytes();
-                for (to, from) in self.frames.received.iter_mut().skip(word * 4).zip(bytes) {
-                    *to = from;
-                }
-            }
+            self.frames.read(with_checksum.div_ceil(4));
             if status & RX_ERROR == 0 && (1..=MAX_FRAME).contains(&len) {
                 RECEIVED.fetch_add(1, Ordering::Relaxed);
                 return Some(len);
@@ -341,9 +351,13 @@ impl TxToken<'_> {
         let length = u32::try_from(frame.len()).unwrap_or_default();
         ETHERNET.write::<{ register::TX_DATA }>(TX_FIRST_AND_LAST | length);
         ETHERNET.write::<{ register::TX_DATA }>(length);
-        for chunk in frame.chunks(4) {
+        let (whole, rest) = frame.as_chunks::<4>();
+        for word in whole {
+            ETHERNET.write::<{ register::TX_DATA }>(u32::from_le_bytes(*word));
+        }
+        if !rest.is_empty() {
             let mut word = [0; 4];
-            for (to, from) in word.iter_mut().zip(chunk) {
+            for (to, from) in word.iter_mut().zip(rest) {
                 *to = *from;
             }
             ETHERNET.write::<{ register::TX_DATA }>(u32::from_le_bytes(word));
