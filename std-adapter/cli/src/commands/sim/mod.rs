@@ -21,6 +21,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::{bcap, rac};
 use bcap_sim::explain::Observer;
 use bcap_sim::files::{Executor, Job, write_sources};
+use bcap_sim::pace::Paced;
 use bcap_sim::scenario::Effect;
 use bcap_sim::trace::{Recorder, TracePoint};
 use bcap_sim::{ArmModel, ArmProfile, Config, Controller, Model, Profile, Scenario, Token};
@@ -28,7 +29,6 @@ use bcap_std::SerialLine;
 use bcap_std::server::{LineEvent, Server};
 use bcap_stream::trajectory::{Point, Trajectory};
 use bcap_terminal::{escape, signal};
-use delivery::deliver;
 use tokio::sync::oneshot;
 
 use crate::commands::packets::proxy::Front;
@@ -113,15 +113,15 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
         }
         #[cfg(feature = "web")]
         if let Some(listen) = args.web {
-            let shared = web_panel::shared(controller);
-            serve(web_panel::server(&shared), args, rac, file, ended, async |line| {
+            let shared = delivery::shared(controller);
+            serve(delivery::server(&shared), args, rac, file, ended, async |line| {
                 let url = web_panel::start(line, listen, shared).await?;
                 Ok(print_line(&format!("{line} web={url}"))?)
             })
             .await?;
             return Ok(trajectory.map_or(Ok(()), |trajectory| trajectory.end())?);
         }
-        let server = Server::new(controller).tap(deliver).on_connect(Controller::connected);
+        let server = delivery::server(&delivery::shared(controller));
         serve(server, args, rac, file, ended, async |line| Ok(print_line(line)?)).await?;
         Ok(trajectory.map_or(Ok(()), |trajectory| trajectory.end())?)
     })
@@ -350,11 +350,8 @@ pub(crate) struct Listening {
 }
 
 /// Binds the sockets of a controller; port 0 selects a free port.
-pub(crate) async fn listen(
-    controller: Controller,
-    wanted: &Listening,
-) -> Result<(Server<Controller>, Listening), Failure> {
-    bind(Server::new(controller).tap(deliver).on_connect(Controller::connected), wanted).await
+pub(crate) async fn listen(controller: Controller, wanted: &Listening) -> Result<(Server<Paced>, Listening), Failure> {
+    bind(delivery::server(&delivery::shared(controller)), wanted).await
 }
 
 async fn bind<H: Serves>(server: Server<H>, wanted: &Listening) -> Result<(Server<H>, Listening), Failure> {

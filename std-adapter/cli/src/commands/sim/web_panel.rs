@@ -2,29 +2,14 @@
 
 use std::future::pending;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
-use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use bcap_core::handler::PeerId;
 use bcap_live::link::Access;
-use bcap_sim::Controller;
 use bcap_sim::pace::Paced;
-use bcap_std::server::Server;
 use bcap_web::Config;
 
-use super::delivery;
 use crate::commands::web;
 use crate::failure::Failure;
-
-/// Makes the controller that the server and the page share.
-pub(super) fn shared(controller: Controller) -> Arc<Mutex<Paced>> {
-    Arc::new(Mutex::new(Paced::new(controller)))
-}
-
-/// Makes the server.
-pub(super) fn server(shared: &Arc<Mutex<Paced>>) -> Server<Paced> {
-    Server::with_shared(Arc::clone(shared)).tap(deliver).on_connect(connected)
-}
 
 /// Starts the page, which ends with the runtime, and returns its address. `ready` is the line with the addresses of the controller.
 pub(super) async fn start(ready: &str, listen: SocketAddr, shared: Arc<Mutex<Paced>>) -> Result<String, Failure> {
@@ -47,12 +32,4 @@ fn address_of(ready: &str) -> Option<SocketAddr> {
         address.set_ip(IpAddr::V4(Ipv4Addr::LOCALHOST));
     }
     Some(address)
-}
-
-fn deliver(paced: &mut Paced, peer: PeerId, bytes: &mut Vec<u8>) -> ControlFlow<()> {
-    delivery::deliver(paced.controller(), peer, bytes)
-}
-
-fn connected(paced: &mut Paced, peer: PeerId, address: IpAddr) {
-    paced.controller().connected(peer, address);
 }
