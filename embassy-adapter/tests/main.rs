@@ -1,4 +1,4 @@
-//! The tests of this package, as one program. `cargo test -p bcap-embassy NAME::` runs those of one module.
+//! The tests of this package, as one program. `cargo test -p bcap-embassy NAME::` runs one module.
 
 #![allow(
     clippy::expect_used,

@@ -1,4 +1,4 @@
-//! The tests of this package, as one program. `cargo test -p bcap-std NAME::` runs those of one module.
+//! The tests of this package, as one program. `cargo test -p bcap-std NAME::` runs one module.
 
 #[cfg(feature = "gateway")]
 mod gateway;

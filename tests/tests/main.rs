@@ -1,4 +1,4 @@
-//! The tests of this package, as one program. `cargo test -p bcap-tests NAME::` runs those of one module.
+//! The tests of this package, as one program. `cargo test -p bcap-tests NAME::` runs one module.
 
 mod async_controller;
 #[cfg(unix)]

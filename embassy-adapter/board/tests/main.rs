@@ -1,4 +1,4 @@
-//! The tests of this package, as one program. `cargo test -p bcap-board NAME::` runs those of one module.
+//! The tests of this package, as one program. `cargo test -p bcap-board NAME::` runs one module.
 
 mod configure;
 mod console;

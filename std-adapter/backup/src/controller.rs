@@ -55,7 +55,7 @@ pub fn about<C: Calls>(session: &mut C) -> Result<About, C::Error> {
 /// How far a dump or a restore is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Progress<'a> {
-    /// What is read or written: a kind of variables, `@` for system variables, or `file`.
+    /// The present part: a kind of variables, `@` for system variables, or `file`.
     pub part: &'a str,
     /// How many of this part are done.
     pub done: usize,

@@ -1,4 +1,4 @@
-//! The tests of this package, as one program. `cargo test -p bcap-cli NAME::` runs those of one module.
+//! The tests of this package, as one program. `cargo test -p bcap-cli NAME::` runs one module.
 
 mod arguments;
 #[cfg(target_os = "linux")]

@@ -1,4 +1,4 @@
-//! The tests of this package, as one program. `cargo test -p bcap-fleet NAME::` runs those of one module.
+//! The tests of this package, as one program. `cargo test -p bcap-fleet NAME::` runs one module.
 
 mod chaos;
 mod common;

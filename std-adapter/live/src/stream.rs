@@ -79,6 +79,15 @@ impl StreamCheck {
     }
 }
 
+/// Fails if a stream of Slave Mode runs that this call would end. For several calls use one [`StreamCheck`].
+///
+/// # Errors
+///
+/// [`Failure::skipped`], or the loss of the session.
+pub fn spare<C: Calls>(calls: &mut C, function: FunctionId, command: Option<&str>) -> Result<(), C::Error> {
+    StreamCheck::default().require(calls, function, command)
+}
+
 /// Returns the code of a refusal; fails for other errors.
 fn refused<F: Failure>(failure: F) -> Result<HResult, F> {
     failure.code().filter(|_| !failure.is_lost()).ok_or(failure)

@@ -97,7 +97,7 @@ impl Client {
         if self.process == process::id() {
             py.detach(|| drop(controller));
         } else {
-            // the connection is that of another process
+            // another process has opened the connection
             mem::forget(controller);
         }
     }

@@ -1,4 +1,4 @@
-//! The tests of this package, as one program. `cargo test -p bcap-sim NAME::` runs those of one module.
+//! The tests of this package, as one program. `cargo test -p bcap-sim NAME::` runs one module.
 
 mod common;
 mod conditions;

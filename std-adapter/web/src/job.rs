@@ -19,7 +19,7 @@ const LINES: usize = 500;
 /// How often a job asks whether a stream of Slave Mode runs.
 const ASK: Duration = Duration::from_secs(1);
 
-/// What a job does.
+/// The work of a job.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase", tag = "work", deny_unknown_fields)]
 pub(crate) enum Work {

@@ -70,7 +70,7 @@ pub struct Config {
     pub panel: Option<Arc<Mutex<Paced>>>,
     /// The folder of the backups; without one there are none.
     pub backups: Option<PathBuf>,
-    /// What a server needs that other computers can reach.
+    /// TLS and a password, without which no other computer can reach the server.
     pub remote: Option<Remote>,
 }
 

@@ -16,7 +16,7 @@ const LOST: usize = 1000;
 /// The heartbeats stop at random moments: while the arm is taken, while the motor comes on, during a step, between two steps.
 #[test]
 fn a_thousand_lost_heartbeats_leave_the_robot_at_rest_and_the_arm_free() {
-    // each has a page; an idle machine with few robots shows the times of the program, not those of the machine
+    // each has a page; an idle machine with few robots shows the program's times, not the machine's
     let robots: usize = std::env::var("ROBOTS").map_or(10, |robots| robots.parse().unwrap());
     let lost = LOST / robots;
     let sims: Vec<Sim> = (0..robots).map(|_| Sim::quick()).collect();

@@ -245,7 +245,7 @@ fn a_cell_of_two_says_why_one_is_not_ready() {
     assert_eq!(browser.problems, [""; 0]);
 }
 
-/// A label and its unit are those of the file, until the browser has others; a search finds them; an output has its label.
+/// The file gives a label and its unit, until the browser has others; a search finds them; an output has its label.
 #[test]
 fn variables_have_labels_units_and_a_search() {
     let sim = Sim::start();

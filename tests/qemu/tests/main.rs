@@ -1,4 +1,4 @@
-//! The tests of this package, as one program. `cargo test -p bcap-qemu NAME::` runs those of one module.
+//! The tests of this package, as one program. `cargo test -p bcap-qemu NAME::` runs one module.
 
 #[cfg(unix)]
 mod console;

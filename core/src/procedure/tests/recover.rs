@@ -14,7 +14,7 @@ const MOTOR: i32 = 1 << 2;
 /// An error of a path, which ClearError ends.
 const PATH: HResult = HResult::from_u32(0x8320_1501);
 
-/// The state of the controller, and its answers that differ from those of an idle RC8.
+/// The state of the controller, and its answers where an idle RC8 answers otherwise.
 #[derive(Clone, Debug)]
 struct Peer {
     mode: Answer,

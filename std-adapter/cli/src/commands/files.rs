@@ -11,9 +11,9 @@ use crate::failure::{Failure, of_file};
 use crate::output::{print_json, print_line, print_result};
 use crate::session::confirm::Question;
 use crate::session::remote_files::Item;
-use crate::session::slave_mode::spare;
 use crate::session::{Session, remote_files};
 use bcap_backup::local_files;
+use bcap_live::stream::spare;
 
 /// Lists files and folders of the controller
 ///

@@ -13,7 +13,7 @@ use crate::session::connect::not_connected;
 /// The addresses of a robot that is used over all protocols.
 #[derive(Debug, Args)]
 pub(crate) struct RobotPorts {
-    /// The robot's address for b-CAP over UDP [default: that of --robot]
+    /// The robot's address for b-CAP over UDP [default: as --robot]
     #[arg(long, value_name = "HOST[:PORT]")]
     pub(crate) robot_udp: Option<String>,
 

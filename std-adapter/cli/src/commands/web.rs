@@ -22,7 +22,7 @@ use crate::output::{note, print_line};
 /// there are a certificate and a password: then a user logs in with the password, over TLS. The page
 /// reads; while another client streams in Slave Mode it sends nothing that would end the stream. With --allow-write a user who has
 /// taken the control of a robot, under a name, writes variables and clears errors, and each action is confirmed and printed as a
-/// line. With --allow-motion the same user moves the robot by short steps while a button is held. HALT works always, over a
+/// line. With --allow-motion the same user moves the robot by short steps while a button is held. HALT always works, over a
 /// separate connection. It is not an emergency stop.
 ///
 /// Without PROFILE it shows the controller of --robot or --profile. A lost connection is shown, and tried again every second. A
@@ -121,13 +121,9 @@ fn remote(args: &Web) -> Result<Option<Remote>, Failure> {
     let (Some(certificate), Some(key), Some(file)) = (&args.certificate, &args.key, &args.password_file) else {
         return Ok(None);
     };
-    let password = std::fs::read_to_string(file).map_err(of_file(file))?;
-    Ok(Some(Remote {
-        certificate: certificate.clone(),
-        key: key.clone(),
-        password: password.trim_end_matches(['\r', '\n']).to_owned(),
-        names: args.names.clone(),
-    }))
+    let password = std::fs::read_to_string(file).map_err(of_file(file))?.trim_end_matches(['\r', '\n']).to_owned();
+    let (certificate, key, names) = (certificate.clone(), key.clone(), args.names.clone());
+    Ok(Some(Remote { certificate, key, password, names }))
 }
 
 /// Listens for pages, and prints their actions; `option` is the argument with the address.

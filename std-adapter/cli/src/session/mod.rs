@@ -8,7 +8,6 @@ pub(crate) mod confirm;
 pub(crate) mod connect;
 pub(crate) mod remote_files;
 pub(crate) mod selection;
-pub(crate) mod slave_mode;
 pub(crate) mod traffic;
 pub(crate) mod variables;
 

@@ -23,10 +23,10 @@ use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::{note, print_line};
 use crate::session::Session;
-use crate::session::slave_mode::StreamCheck;
 use crate::session::variables::{get_one, short_type, state_words};
 use crate::shell::line::{Flow, Runner, Verb};
 use crate::shell::terminal::Terminal;
+use bcap_live::stream::StreamCheck;
 
 /// The session of the shell, which a signal ends and the completion reads.
 type Shared = Arc<Mutex<Session>>;

@@ -37,9 +37,9 @@ use crate::failure::{Failure, hint_of};
 use crate::link::LinkArgs;
 use crate::session::Session;
 use crate::session::budget::Budget;
-use crate::session::slave_mode::StreamCheck;
 use crate::session::variables::{get_one, short_type};
 use crate::values::{Value, integer, text};
+use bcap_live::stream::StreamCheck;
 
 /// Checks what a program needs before it can move the robot, and says how to fix each failure
 ///

@@ -11,8 +11,8 @@ use super::report::{Finding, Report};
 use super::{PERMISSION, emergency_stop, errors, mode, plain, token_finding, variable};
 use crate::failure::Failure;
 use crate::session::Session;
-use crate::session::slave_mode::StreamCheck;
 use crate::session::variables::{list, short_type};
+use bcap_live::stream::StreamCheck;
 
 /// Shows the state of the controller and of the robot: what it is, what it does, and why it is not ready
 ///

@@ -12,7 +12,7 @@ use crate::commands::robot::messages;
 use crate::failure::{Failure, hint_of};
 use crate::output::{print_json, print_line};
 use crate::session::Session;
-use crate::session::slave_mode::StreamCheck;
+use bcap_live::stream::StreamCheck;
 
 /// Lists the errors of the controller, the first cause first, with their meanings and remedies; clears them; follows messages
 ///

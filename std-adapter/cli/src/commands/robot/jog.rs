@@ -18,9 +18,9 @@ use crate::commands::variables::labels;
 use crate::failure::Failure;
 use crate::output::print_result;
 use crate::session::Session;
-use crate::session::slave_mode::spare;
 use crate::session::variables::get_one;
 use crate::values::integer;
+use bcap_live::stream::spare;
 
 /// Moves the robot by one step of a joint or along an axis, and prints where it rests then; without AXIS by the keys of a screen
 ///

@@ -7,7 +7,7 @@ use bcap_live::messages::{Message, next_message};
 use crate::failure::Failure;
 use crate::output::print_result;
 use crate::session::Session;
-use crate::session::slave_mode::StreamCheck;
+use bcap_live::stream::StreamCheck;
 
 /// Prints the messages of the controller as they arrive, until a signal or the end of the time.
 pub(crate) fn follow(time: Option<Duration>, session: &mut Session, json: bool) -> Result<(), Failure> {

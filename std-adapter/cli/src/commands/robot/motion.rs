@@ -18,8 +18,8 @@ use crate::interrupt::{Interrupt, State};
 use crate::output::print_result;
 use crate::session::Session;
 use crate::session::confirm::Question;
-use crate::session::slave_mode::spare;
 use crate::values::{integer, text};
+use bcap_live::stream::spare;
 
 /// Moves the robot to a position, and waits until it rests there
 ///

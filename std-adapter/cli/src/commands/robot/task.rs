@@ -10,8 +10,8 @@ use serde_json::json;
 use crate::failure::Failure;
 use crate::output::{note, print_result};
 use crate::session::Session;
-use crate::session::slave_mode::spare;
 use crate::session::variables::{get_one, list};
+use bcap_live::stream::spare;
 
 /// Lists the tasks, starts or stops some, or prints the status of one
 ///

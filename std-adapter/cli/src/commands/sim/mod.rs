@@ -61,8 +61,7 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
     if args.screen {
         bcap_terminal::screen::require("leave --screen out").map_err(Failure::Input)?;
     }
-    let runtime = runtime()?;
-    runtime.block_on(async {
+    runtime()?.block_on(async {
         // install the signal handlers before the `ready` line: a reader of that line may send a signal at once
         let ended = signal::wait()?;
         if let Some(capture) = &args.replay {
@@ -111,18 +110,16 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
             on_screen(live_screen::Watched::shared(controller, refused), args, rac, file, ended).await?;
             return Ok(trajectory.map_or(Ok(()), |trajectory| trajectory.end())?);
         }
-        #[cfg(feature = "web")]
-        if let Some(listen) = args.web {
-            let shared = delivery::shared(controller);
-            serve(delivery::server(&shared), args, rac, file, ended, async |line| {
+        let shared = delivery::shared(controller);
+        serve(delivery::server(&shared), args, rac, file, ended, async |line| {
+            #[cfg(feature = "web")]
+            if let Some(listen) = args.web {
                 let url = web_panel::start(line, listen, shared).await?;
-                Ok(print_line(&format!("{line} web={url}"))?)
-            })
-            .await?;
-            return Ok(trajectory.map_or(Ok(()), |trajectory| trajectory.end())?);
-        }
-        let server = delivery::server(&delivery::shared(controller));
-        serve(server, args, rac, file, ended, async |line| Ok(print_line(line)?)).await?;
+                return Ok(print_line(&format!("{line} web={url}"))?);
+            }
+            Ok(print_line(line)?)
+        })
+        .await?;
         Ok(trajectory.map_or(Ok(()), |trajectory| trajectory.end())?)
     })
 }

@@ -8,8 +8,8 @@ use clap::Args;
 use crate::failure::Failure;
 use crate::output::print_result;
 use crate::session::Session;
-use crate::session::slave_mode::spare;
 use crate::session::variables::list;
+use bcap_live::stream::spare;
 
 /// Lists the variables, robots, tasks, files, extensions and commands of the controller
 ///
