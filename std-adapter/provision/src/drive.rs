@@ -88,7 +88,7 @@ pub fn check(drive: &Path, image: &Image) -> Result<PathBuf, Error> {
 ///
 /// # Errors
 ///
-/// [`Error::Refused`] if there is none, if there are several, or if it is one of another chip.
+/// [`Error::Refused`] if no drive is mounted, if several are, or if the drive belongs to another chip.
 pub fn find(image: &Image) -> Result<PathBuf, Error> {
     let found: Vec<PathBuf> = mounted().into_iter().filter(|folder| board_id(folder).is_ok()).collect();
     match found.as_slice() {

@@ -15,7 +15,7 @@ const TIMES: u32 = 3;
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Board {
-    /// The name of the setting `hostname`, or nothing.
+    /// The name of the setting `hostname`; empty without it.
     pub name: String,
     /// The kind of board, such as `w5500-evb-pico`.
     pub board: String,

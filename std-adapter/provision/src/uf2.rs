@@ -90,7 +90,7 @@ impl Image {
     ///
     /// # Errors
     ///
-    /// The reason, if none does.
+    /// The reason, if no boot ROM starts them.
     pub fn new(start: u32, bytes: Vec<u8>) -> Result<Self, String> {
         if start != FLASH || bytes.len() > FLASH_SIZE {
             return Err(format!(

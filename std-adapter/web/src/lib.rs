@@ -68,7 +68,7 @@ pub struct Config {
     pub labels: BTreeMap<String, String>,
     /// The virtual controller, if the only robot is one of this process: the page has its panel.
     pub panel: Option<Arc<Mutex<Paced>>>,
-    /// The folder of the backups; without one there are none.
+    /// The folder of the backups. Without it the page makes no backups.
     pub backups: Option<PathBuf>,
     /// TLS and a password, without which no other computer can reach the server.
     pub remote: Option<Remote>,

@@ -55,7 +55,7 @@ mod without {
 
     use tokio::net::TcpStream;
 
-    /// There is none: this program was built without TLS.
+    /// Never made: this program was built without TLS.
     #[derive(Clone)]
     pub(crate) enum Acceptor {}
 
