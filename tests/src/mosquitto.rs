@@ -117,17 +117,28 @@ impl Running {
     }
 
     fn end(mut self, signal: &str) {
-        // a process that has ended is no error
-        let _ = Command::new("kill").args([signal, &self.broker.id().to_string()]).status();
         // before the broker is reaped: its number could be given to another process
         let _ = (self.supervisor.kill(), self.supervisor.wait());
-        let _ = self.broker.wait();
+        // Mosquitto forgets a SIGTERM that arrives after it listens and before it serves
+        while matches!(self.broker.try_wait(), Ok(None)) {
+            let _ = Command::new("kill").args([signal, &self.broker.id().to_string()]).status();
+            thread::sleep(Duration::from_millis(10));
+        }
     }
 }
 
 #[cfg(all(test, target_os = "linux"))]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_broker_that_has_just_begun_to_listen_ends() {
+        for _ in 0..20 {
+            let Some(mut broker) = Mosquitto::open() else { return };
+            broker.stop();
+            assert!(broker.running.is_none());
+        }
+    }
 
     const CHILD: &str = "MOSQUITTO_CHILD";
 
