@@ -11,10 +11,12 @@ use bcap_core::time::Instant;
 use bcap_core::variant::{OwnedVariant, Variant};
 use bcap_sim::{Config, Controller, Profile};
 use bcap_std::blocking::{self, Connection, SerialTransport, Transport};
-use bcap_std::{Address, Joints, Options, Position, Transform};
+use bcap_std::{Address, Options};
 use bcap_testkit::network::Random;
 use bcap_tests::cable::{Cable, End, Quality};
 use bcap_tests::line_server::LineServer;
+
+use crate::serial_lines::values;
 
 const BAUD: u32 = 115_200;
 
@@ -153,26 +155,6 @@ impl Cell {
             self.robot.transport().frames - self.calls
         );
     }
-}
-
-/// A value of each of the nine kinds; `round` makes the values of the rounds differ.
-fn values(round: i16) -> [(&'static str, OwnedVariant); 9] {
-    let number = f32::from(round);
-    let far = f64::from(number);
-    let joints = Joints::new([far, 45.5, 90.0, 0.0, 45.0, -10.0]);
-    let position = Position::new([400.0 + far, 0.5, 300.0], [180.0, 0.0, 180.0]).figure(5);
-    let transform = Transform::new([400.0, far, 300.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]);
-    [
-        ("I1", OwnedVariant::new(&(i32::from(round) * -70_000)).unwrap()),
-        ("F2", OwnedVariant::new(&(number * 0.5)).unwrap()),
-        ("D3", OwnedVariant::new(&(far / 3.0)).unwrap()),
-        ("V4", OwnedVariant::new(&[number, -1.5, 2.25].as_slice()).unwrap()),
-        ("P5", OwnedVariant::new(&position).unwrap()),
-        ("J6", OwnedVariant::new(&joints).unwrap()),
-        ("T7", OwnedVariant::new(&transform).unwrap()),
-        ("S8", OwnedVariant::new(&format!("round {round}, {}", "é".repeat(60))[..]).unwrap()),
-        ("IO128", OwnedVariant::new(&(round % 2 == 0)).unwrap()),
-    ]
 }
 
 #[test]

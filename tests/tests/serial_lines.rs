@@ -23,7 +23,7 @@ fn settings() -> Settings {
 }
 
 /// A value of each of the nine kinds; `round` makes the values of the rounds differ.
-fn values(round: i16) -> [(&'static str, OwnedVariant); 9] {
+pub(crate) fn values(round: i16) -> [(&'static str, OwnedVariant); 9] {
     let number = f32::from(round);
     let far = f64::from(number);
     let joints = Joints::new([far, 45.5, 90.0, 0.0, 45.0, -10.0]);

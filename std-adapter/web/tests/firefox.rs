@@ -116,11 +116,17 @@ impl Firefox {
         self.call("input.performActions", json!({ "context": self.context, "actions": mouse }));
     }
 
-    /// Presses the mouse on an element, which must be visible and enabled.
+    /// Waits until an element is visible and enabled, and presses the mouse on it.
     #[track_caller]
     fn hold(&mut self, selector: &str) {
         let element = format!("document.querySelector({})", json!(selector));
         self.until(&format!("{element} !== null && !{element}.disabled && {element}.checkVisibility()"));
+        self.press(selector);
+    }
+
+    /// Presses the mouse where an element is.
+    fn press(&mut self, selector: &str) {
+        let element = format!("document.querySelector({})", json!(selector));
         let place = self.eval(&format!(
             "(() => {{ {element}.scrollIntoView({{ block: 'center' }}); const r = {element}.getBoundingClientRect();
                 return [Math.round(r.x + r.width / 2), Math.round(r.y + r.height / 2)]; }})()"
@@ -200,11 +206,7 @@ fn jog(sim: &Sim, web: &Web, firefox: &mut Firefox) {
         firefox.click("#question-yes");
         firefox.until("/ready:/.test(document.getElementById('jog-phase').textContent) || /ended:|no jog:/.test(document.getElementById('notice').textContent)");
         let before = sim.lock().axes();
-        let button = ".axis:nth-child(1) button:nth-of-type(2)";
-        if firefox.eval(&format!("document.querySelector({})?.disabled !== false", json!(button))) == true {
-            continue;
-        }
-        firefox.hold(button);
+        firefox.press(".axis:nth-child(1) button:nth-of-type(2)");
         until("the robot moves, or the jog has ended", || {
             let sim = sim.lock();
             sim.axes() != before || sim.arm_owner().is_none()

@@ -8,9 +8,10 @@
 //! * A command that ends with `&` is a server of `bcap`. It listens on free ports; the test translates addresses in both
 //!   directions, and does so for the address 192.168.0.1 of the virtual controller as well.
 //!
-//! A comment `<!-- book: ... -->` above a block directs the test: `sim OPTIONS` starts another virtual controller (`sim stepped`: one
-//! whose clock waits for its clients, so that a busy machine meets the deadlines of Slave Mode), `run COMMAND` runs a command that the reader does not see, `file NAME` writes the next block to a file, `needs PROGRAM` runs the next
-//! block only where PROGRAM is installed, and `skip REASON` does not run it.
+//! A comment `<!-- book: ... -->` above a block directs the test: `sim OPTIONS` starts another virtual controller, `run COMMAND` runs a
+//! command that the reader does not see, `file NAME` writes the next block to a file, `needs PROGRAM` runs the next block only where
+//! PROGRAM is installed, and `skip REASON` does not run it. The clock of the virtual controller of `sim stepped`, and of
+//! `sim stepped --scenario FILE`, waits for its clients, so that a busy machine meets the deadlines of Slave Mode.
 
 mod page;
 mod pattern;

@@ -10,7 +10,7 @@ use std::process::{Child, Command as Process, Stdio};
 use std::thread;
 use std::time::Duration;
 
-use bcap_sim::{Config, Controller, Profile};
+use bcap_sim::{Config, Controller, Profile, Scenario};
 use bcap_std::server::Limits;
 use bcap_tests::served::Served;
 use bcap_tests::stepped::Stepped;
@@ -74,9 +74,14 @@ impl World {
 
     /// Starts a virtual controller, which the pages know under the address [`ROBOT`].
     pub(crate) fn start_sim(&mut self, options: &str) {
-        if options == "stepped" {
+        if let Some(options) = options.strip_prefix("stepped") {
             let config = Config { motor_on_delay: Duration::from_millis(1), ..Config::new(Profile::Rc8) };
-            let sim = Served::of(Stepped::new(Controller::new(config)), Limits::default());
+            let mut controller = Controller::new(config);
+            if let Some(file) = options.strip_prefix(" --scenario ") {
+                let text = fs::read_to_string(self.folder.path().join(file)).unwrap();
+                controller.play(Scenario::parse(&text).unwrap());
+            }
+            let sim = Served::of(Stepped::new(controller), Limits::default());
             self.know(sim.tcp.to_string(), sim.udp.to_string(), None);
             self.stepped = Some(sim);
             return;
