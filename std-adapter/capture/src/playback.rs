@@ -1,13 +1,14 @@
 //! A server that answers as the server of a capture did.
 //!
-//! Each connection of a client replays the next connection of the capture. A request gets the reply of the next call of
-//! its connection with the same function and arguments; after the last one the search begins again at the first.
-//! Handles are the recorded ones.
+//! Each connection of a client replays the next connection of the capture that has its first request: a capture may begin amid
+//! others. A request gets the reply of the next call of its connection with the same function and arguments; after the last
+//! one the search begins again at the first. Handles are the recorded ones.
 
 use std::collections::HashMap;
 use std::fmt;
 use std::path::Path;
 
+use bcap_core::bcap::FunctionId;
 use bcap_core::bcap::server::{Handler, Request};
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
@@ -25,8 +26,8 @@ struct Links {
     calls: Vec<Vec<Call>>,
     /// The connection of each peer, and the position after its last answer.
     peers: HashMap<PeerId, (usize, usize)>,
-    /// The number of peers so far.
-    count: usize,
+    /// The connection after that of the last peer.
+    next: usize,
 }
 
 /// A server that plays a capture back.
@@ -44,13 +45,13 @@ impl fmt::Debug for Playback {
 
 impl Playback {
     /// Reads a capture. `unknown` gets each request that the capture does not have; such a request is refused with E_FAIL.
+    /// It also gets why the end of the file cannot be read, such as that of a recording whose program was killed.
     ///
     /// # Errors
     ///
     /// When the file cannot be read, or has no connection of b-CAP or RAC.
     pub fn read(file: &Path, unknown: impl FnMut(&str) + Send + 'static) -> Result<Self, Error> {
         let (events, read) = decode::events(file, Strictness::Lenient);
-        read?;
         let mut indices: HashMap<String, (bool, usize)> = HashMap::new();
         let mut playback = Self { bcap: Links::default(), rac: Links::default(), unknown: Box::new(unknown) };
         for event in events {
@@ -69,9 +70,25 @@ impl Playback {
             }
         }
         if indices.is_empty() {
+            read?;
             return Err(Error::invalid(file, "no call of b-CAP and no request of RAC"));
         }
+        if let Err(error) = read {
+            (playback.unknown)(&format!("the rest of {error}"));
+        }
         Ok(playback)
+    }
+
+    /// Returns the provider, the machine and the option of the first session of b-CAP, with which a client can open it again.
+    #[must_use]
+    pub fn session(&self) -> Option<[String; 3]> {
+        let opens = |call: &&Call| {
+            call.function == FunctionId::CONTROLLER_CONNECT.to_string()
+                && call.reply.as_ref().is_some_and(|reply| reply.code.is_ok())
+        };
+        let call = self.bcap.calls.iter().flatten().find(opens)?;
+        let text = |i: usize| Some(call.arguments.get(i)?.value.as_ref()?.as_variant().as_bstr()?.to_string());
+        Some([text(1)?, text(2)?, text(3)?])
     }
 
     const fn links(&mut self, is_rac: bool) -> &mut Links {
@@ -84,8 +101,10 @@ impl Links {
     fn next(&mut self, peer: PeerId, is_same: impl Fn(&Call) -> bool) -> Option<&Reply> {
         let connections = self.calls.len();
         let (link, at) = self.peers.entry(peer).or_insert_with(|| {
-            let link = self.count.checked_rem(connections).unwrap_or(0);
-            self.count += 1;
+            let mut links = (self.next..connections).chain(0..self.next.min(connections));
+            let has = |link: &usize| self.calls.get(*link).is_some_and(|calls| calls.iter().any(&is_same));
+            let link = links.clone().find(has).or_else(|| links.next()).unwrap_or(0);
+            self.next = link + 1;
             (link, 0)
         });
         let calls = self.calls.get(*link)?;

@@ -104,6 +104,12 @@ impl Recorder {
         self.clock.now()
     }
 
+    /// Returns how many bytes wait for the file, for a program that ends its recording rather than wait for a slow disk.
+    #[must_use]
+    pub fn queued(&self) -> usize {
+        self.budget.used()
+    }
+
     /// Records that a connection was opened.
     pub fn opened(&self, ends: Ends) {
         self.put(Entry::Opened { at: self.now(), ends });

@@ -4,7 +4,10 @@ use std::fs;
 use std::io::{BufRead as _, BufReader, Read as _, Write as _};
 use std::net::TcpStream;
 use std::process::{Child, Command, Stdio};
+use std::thread;
+use std::time::{Duration, Instant};
 
+use crate::common::running::Running;
 use crate::common::{bare, bcap};
 
 /// A running `bcap web`.
@@ -33,9 +36,10 @@ impl Web {
              connection: close\r\n\r\n"
         )
         .unwrap();
-        let mut response = String::new();
-        stream.read_to_string(&mut response).unwrap();
-        response
+        let mut response = Vec::new();
+        stream.read_to_end(&mut response).unwrap();
+        // a file of packets is no text
+        String::from_utf8_lossy(&response).into_owned()
     }
 
     /// Ends it as Ctrl-C does, and returns its last lines and its exit code.
@@ -110,8 +114,40 @@ fn a_virtual_controller_serves_its_page_and_its_panel() {
     let (rest, code) = web.end();
     assert!(rest.contains(" virtual RC8: a page: HALT, the robot was at rest; nothing was moving: done"), "{rest}");
     assert_eq!(code, Some(0));
-    let both = bcap(&["sim", "--web", any, "--replay", "x.pcapng"]);
-    assert!(both.code == 2 && both.err.contains("cannot be used with"), "{both:?}");
+}
+
+/// A page of a replay opens the recorded session again, with its provider and machine.
+#[test]
+fn a_replay_has_a_page() {
+    let (any, folder) = ("127.0.0.1:0", tempfile::tempdir().unwrap());
+    let capture = folder.path().join("session.pcapng");
+    let capture = capture.to_str().unwrap();
+    let page = |args: &[&str]| {
+        let mut web = Web::start(bare(&[&["sim", "--bcap", any, "--udp", any, "--web", any], args].concat()));
+        web.url = web.url.split_once(" web=").unwrap().1.to_owned();
+        // a file with the packets of its session
+        let end = Instant::now() + Duration::from_secs(30);
+        while !web.request("POST /packets/0").starts_with("HTTP/1.1 200") {
+            assert!(Instant::now() < end, "the page is not connected");
+            thread::sleep(Duration::from_millis(20));
+        }
+        web
+    };
+    assert_eq!(page(&["--model", "rc9", "--write", capture]).end().1, Some(0));
+    let web = page(&["--replay", capture]);
+    let halted = web.request("POST /halt/0");
+    assert!(halted.contains("NOT HALTED, use the emergency stop: "), "the capture has no halt: {halted}");
+    let (rest, code) = web.end();
+    assert!(rest.contains(" replay: a page: HALT: NOT HALTED") && code == Some(0), "{rest}");
+    // a capture without a session of b-CAP
+    let rac = folder.path().join("rac.pcapng");
+    let rac = rac.to_str().unwrap();
+    let sim = Running::sim(&["--write", rac]);
+    assert_eq!(bcap(&["rac", "get", "I1", "--robot", &sim.rac]).code, 0);
+    assert_eq!(sim.interrupt().code, 0);
+    let run = bare(&["sim", "--bcap", any, "--udp", any, "--web", any, "--replay", rac]).output().unwrap();
+    let error = String::from_utf8(run.stderr).unwrap();
+    assert!(error.contains("the capture has no Controller_Connect, which a page needs"), "{error}");
 }
 
 #[test]

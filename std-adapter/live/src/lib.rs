@@ -15,6 +15,7 @@ pub mod recovery;
 pub mod request;
 pub mod stream;
 pub mod survey;
+pub mod tap;
 pub mod tape;
 pub mod variables;
 pub mod write;

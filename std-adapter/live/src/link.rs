@@ -18,6 +18,7 @@ use bcap_std::{
 
 use crate::calls::{self, Calls, needs_reconnect};
 use crate::stream::StreamCheck;
+use crate::tap::Tap;
 use crate::variables::get_one;
 
 /// The time limit of each call, and of connecting. A controller that is switched off is seen within this time.
@@ -30,7 +31,7 @@ const HALT_LIMIT: Duration = Duration::from_secs(10);
 const CALL_LIMIT: Duration = Duration::from_secs(60);
 
 /// Where a controller is, and the arguments of Controller_Connect.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug)]
 pub struct Access {
     /// The address. A serial line carries one session, so it has no second one for a halt.
     pub address: Address,
@@ -40,6 +41,8 @@ pub struct Access {
     pub machine: Option<String>,
     /// The option of Controller_Connect.
     pub option: String,
+    /// Records the connections.
+    pub tap: Tap,
 }
 
 impl Access {
@@ -158,7 +161,7 @@ impl Link {
     ///
     /// An [`Error`] for a failed connection or a refused call; for a serial line.
     pub fn connect(access: &Access, packets: &Packets) -> Result<Self, Error> {
-        let (mut controller, ends) = open(&access.address, packets)?;
+        let (mut controller, ends) = open(access, packets)?;
         let timing = controller.timing();
         controller.set_timing(Timing { deadline: LIMIT, keep_alive: LIMIT, ..timing });
         controller.call_any("", FunctionId::SERVICE_START, &[OwnedVariant::new("WDT=400")?])?;
@@ -300,22 +303,26 @@ impl Calls for Link {
 }
 
 /// Connects without starting a session.
-fn open(address: &Address, packets: &Packets) -> Result<(Controller, Option<Ends>), Error> {
+fn open(access: &Access, packets: &Packets) -> Result<(Controller, Option<Ends>), Error> {
     let options = Options::default().timeout(LIMIT);
-    let Address::Network(server) = address else { return Err(bcap_std::Error::NoSecondSession.into()) };
+    let Address::Network(server) = &access.address else { return Err(bcap_std::Error::NoSecondSession.into()) };
     let peer = (server.host.as_str(), server.port);
     Ok(match server.protocol {
-        Protocol::Tcp => tapped(blocking::connect_tcp(peer, &options)?, packets, Wire::Stream),
-        Protocol::Udp => tapped(blocking::connect_udp(peer, &options)?, packets, Wire::Datagrams),
+        Protocol::Tcp => tapped(blocking::connect_tcp(peer, &options)?, packets, Wire::Stream, &access.tap),
+        Protocol::Udp => tapped(blocking::connect_udp(peer, &options)?, packets, Wire::Datagrams, &access.tap),
     })
 }
 
-fn tapped<X>(connection: Connection<X, Vec<u8>>, packets: &Packets, wire: Wire) -> (Controller, Option<Ends>)
+fn tapped<X>(connection: Connection<X, Vec<u8>>, packets: &Packets, wire: Wire, tap: &Tap) -> (Controller, Option<Ends>)
 where
     X: HasEnds + Send + 'static,
 {
     let (transport, client) = connection.into_parts();
-    let ends = transport.ends();
+    let (ends, mut packets) = (transport.ends(), packets.clone());
+    if let Some(ends) = ends {
+        let line = tap.clone().line(ends);
+        packets.watch_bytes(move |role, _, bytes| line.packet(role, bytes));
+    }
     (Controller::unopened(Connection::new(packets.tap(transport, wire), client)), ends)
 }
 

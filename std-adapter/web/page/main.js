@@ -160,6 +160,11 @@ on("stale", () => stale("bcap web does not answer: the values are old. HALT may 
 on("open", () => stale(null));
 on("tick", () => stale(null));
 on("pulse", (message) => (screen === raw ? beat(message.n) : jog.pulse(message.n)));
+on("replay", ({ v: [count, last] }) => {
+  const lacks = count === 0 ? "" : ` The recording lacks ${count} requests, which are refused with E_FAIL; the last one is ${last}.`;
+  byId("replay").hidden = false;
+  setText(byId("replay"), `REPLAY of a recording: the values are recorded ones, and no robot is connected.${lacks}`);
+});
 on("refused", (message) => notify(message.error, true));
 on("tiles", (message) => {
   const isFirst = page.tiles.length === 0;

@@ -67,6 +67,13 @@ export async function logIn(password) {
   }
 }
 
+/** Logs out: the server closes the pages of this session. */
+export async function logOut() {
+  const response = await fetch("/logout", { method: "POST", cache: "no-store" });
+  if (!response.ok) throw new Error(await response.text());
+  location.reload();
+}
+
 // the server sends something every second
 setInterval(() => {
   if (socket?.readyState === WebSocket.OPEN && Date.now() - lastMessage > 3000) emit("stale");

@@ -1,13 +1,12 @@
 //! The state that all connections share.
 
-use std::collections::BTreeMap;
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 
 use tokio::sync::Semaphore;
 
 use crate::audit::Audit;
+use crate::config::Config;
 use crate::guard::Guard;
 use crate::panel::Panel;
 use crate::robot::Robot;
@@ -17,17 +16,18 @@ use crate::robot::Robot;
 pub(crate) struct App {
     pub(crate) guard: Guard,
     pub(crate) robots: Vec<Arc<Robot>>,
-    pub(crate) allow_write: bool,
-    pub(crate) allow_motion: bool,
-    /// The panel of the first robot, if that is a virtual controller of this process.
-    pub(crate) panel: Option<Panel>,
-    /// The labels of the variables, by names in upper case.
-    pub(crate) labels: BTreeMap<String, String>,
-    /// The folder of the backups.
-    pub(crate) backups: Option<PathBuf>,
+    /// The configuration, without the robots and the password.
+    pub(crate) config: Config,
     pub(crate) audit: Audit,
     /// The number of the next page.
     pub(crate) clients: AtomicU64,
     /// The pages that may still be opened.
     pub(crate) pages: Arc<Semaphore>,
+}
+
+impl App {
+    /// Returns the panel, if the robot is a virtual controller of this process.
+    pub(crate) fn panel(&self) -> Option<Panel> {
+        self.config.panel.clone().map(Panel::new)
+    }
 }

@@ -3,10 +3,10 @@
 use std::collections::VecDeque;
 use std::fmt;
 use std::sync::{Mutex, PoisonError};
-use std::time::{SystemTime, UNIX_EPOCH};
 
-use bcap_core::variant::OleDate;
 use bcap_terminal::escape;
+
+use crate::text::now;
 
 /// The lines that a page shows.
 const KEPT: usize = 100;
@@ -32,10 +32,7 @@ impl Audit {
     /// Writes a line: when, who, at which robot, what, and the outcome.
     pub(crate) fn write<T>(&self, who: &str, robot: &str, what: &str, outcome: &Result<T, String>) {
         let outcome = outcome.as_ref().err().map_or("done", String::as_str);
-        let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        let date =
-            i64::try_from(since.as_millis()).ok().and_then(OleDate::from_unix_millis).and_then(OleDate::to_civil);
-        let time = date.map(|date| format!("{date}Z ")).unwrap_or_default();
+        let time = now().map(|date| format!("{date}Z ")).unwrap_or_default();
         let line = escape::line(&escape::cut(&format!("{time}{robot}: {who}: {what}: {outcome}")));
         (self.line)(&line);
         let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);

@@ -26,35 +26,43 @@ use crate::text::safe;
 /// The most folders that a page shows.
 const FOLDERS: usize = 200;
 
-/// Returns the folder of a backup. A name cannot leave the folder of the backups.
-fn path_of(app: &App, name: &str) -> Result<PathBuf, String> {
-    let backups = app.backups.as_ref().ok_or("this server keeps no backups; start it with --backups DIR")?;
+/// Returns the folder of the backups.
+fn backups(app: &App) -> Result<&Path, String> {
+    app.config.backups.as_deref().ok_or_else(|| "this server keeps no backups; start it with --backups DIR".into())
+}
+
+/// Returns the path of a file or a folder. A name cannot leave its folder.
+pub(crate) fn path_in(folder: &Path, name: &str) -> Result<PathBuf, String> {
     let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
     if name.is_empty() || name.len() > 64 || name.starts_with('.') || !name.chars().all(is_plain) {
         return Err(format!(
             "{name:?}: a name has letters, digits, `-`, `_` and `.`, at most 64, and begins with no `.`"
         ));
     }
-    Ok(backups.join(name))
+    Ok(folder.join(name))
+}
+
+/// Returns the names in a folder that a page may use, in their order; none if the folder does not exist.
+pub(crate) fn names_in(folder: &Path) -> Result<Vec<String>, String> {
+    let entries = match std::fs::read_dir(folder) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        entries => entries.map_err(|error| format!("{}: {error}", folder.display()))?,
+    };
+    let names = entries.filter_map(|entry| entry.ok()?.file_name().into_string().ok());
+    let mut names: Vec<_> = names.filter(|name| path_in(folder, name).is_ok()).collect();
+    names.sort();
+    Ok(names)
 }
 
 /// Lists the folders with backups.
 pub(crate) fn list(app: &App) -> Result<Value, String> {
-    let backups = app.backups.as_ref().ok_or("this server keeps no backups; start it with --backups DIR")?;
-    let entries = match std::fs::read_dir(backups) {
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(json!([])),
-        entries => entries.map_err(|error| format!("{}: {error}", backups.display()))?,
-    };
-    let names =
-        entries.filter_map(|entry| Some((entry.as_ref().ok()?.path(), entry.ok()?.file_name().into_string().ok()?)));
-    let mut rows: Vec<_> =
-        names.filter(|(path, name)| path_of(app, name).is_ok() && path.join("backup.json").exists()).collect();
-    rows.sort();
-    let row = |(path, name): &(PathBuf, String)| {
-        let past = Past::read(path).ok().flatten().filter(|past| !past.is_complete());
+    let backups = backups(app)?;
+    let row = |name: &String| {
+        let past = Past::read(&backups.join(name)).ok().flatten().filter(|past| !past.is_complete());
         json!([name, past.map(|past| safe(&past.summary()))])
     };
-    Ok(rows.iter().take(FOLDERS).map(row).collect())
+    let names = names_in(backups)?;
+    Ok(names.iter().filter(|name| backups.join(name).join("backup.json").exists()).take(FOLDERS).map(row).collect())
 }
 
 /// Begins a job.
@@ -67,9 +75,9 @@ pub(crate) fn start(
 ) -> Result<Value, String> {
     let (Work::Dump { folder } | Work::Diff { folder, .. } | Work::Plan { folder, .. } | Work::Restore { folder }) =
         &work;
-    let path = path_of(app, folder)?;
+    let path = path_in(backups(app)?, folder)?;
     let with = match &work {
-        Work::Diff { with: Some(with), .. } => Some(path_of(app, with)?),
+        Work::Diff { with: Some(with), .. } => Some(path_in(backups(app)?, with)?),
         _ => None,
     };
     let mut last = robot.backup();

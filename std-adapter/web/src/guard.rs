@@ -8,7 +8,7 @@ use std::net::SocketAddr;
 use axum::http::header::{HOST, ORIGIN};
 use axum::http::{HeaderMap, StatusCode};
 
-use crate::login::Login;
+use crate::login::{Login, Open};
 pub(crate) use crate::secret::{Bucket, Refused, only};
 use crate::secret::{is_same, secret};
 
@@ -83,12 +83,12 @@ impl Guard {
     }
 
     /// Refuses a request without the token; of a server with a password, a request without the cookie of a login.
-    pub(crate) fn check_user(&self, headers: &HeaderMap, token: Option<&str>) -> Result<(), Refused> {
+    pub(crate) fn check_user(&self, headers: &HeaderMap, token: Option<&str>) -> Result<Option<Open>, Refused> {
         if let Some(login) = &self.login {
-            return login.check(headers);
+            return login.check(headers).map(Some);
         }
         if token.is_some_and(|token| is_same(token.as_bytes(), self.token.as_bytes())) {
-            return Ok(());
+            return Ok(None);
         }
         Err((StatusCode::UNAUTHORIZED, "the token is missing or wrong; open the address that bcap web printed"))
     }

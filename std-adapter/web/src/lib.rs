@@ -6,6 +6,7 @@ mod assets;
 mod audit;
 mod backup;
 mod call;
+mod config;
 mod control;
 mod guard;
 mod halt;
@@ -15,6 +16,7 @@ mod line;
 mod login;
 mod panel;
 mod raw;
+mod record;
 mod recover;
 mod restore;
 mod robot;
@@ -27,23 +29,19 @@ mod text;
 mod tls;
 mod view;
 
-use std::collections::BTreeMap;
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
-use std::sync::{Arc, Mutex};
 
-use bcap_live::link::Access;
-use bcap_sim::pace::Paced;
 use bcap_std::Address;
 use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
 
 use crate::app::App;
 use crate::audit::Audit;
+pub use crate::config::{Config, Recordings, Remote, Replay};
 use crate::guard::Guard;
 use crate::login::SHORTEST;
-use crate::panel::Panel;
 use crate::robot::Robot;
 use crate::tls::Acceptor;
 
@@ -53,75 +51,16 @@ const ROBOTS: usize = 32;
 /// The most open pages.
 const PAGES: usize = 16;
 
-/// The robots of a server, and the rights of its pages.
-#[derive(Debug)]
-pub struct Config {
-    /// The address to listen on; of this computer only, without `remote`.
-    pub listen: SocketAddr,
-    /// The robots, with the names that the page shows.
-    pub robots: Vec<(String, Access)>,
-    /// Whether a page may write variables and clear errors.
-    pub allow_write: bool,
-    /// Whether a page may move a robot by steps while a button is held.
-    pub allow_motion: bool,
-    /// The labels of variables, by names in upper case; a unit may be at the end: `pressure [bar]`.
-    pub labels: BTreeMap<String, String>,
-    /// The virtual controller, if the only robot is one of this process: the page has its panel.
-    pub panel: Option<Arc<Mutex<Paced>>>,
-    /// The folder of the backups. Without it the page makes no backups.
-    pub backups: Option<PathBuf>,
-    /// TLS and a password, without which no other computer can reach the server.
-    pub remote: Option<Remote>,
-}
-
-/// TLS and a password, for a server that other computers can reach.
-pub struct Remote {
-    /// The certificate and its chain, in PEM.
-    pub certificate: PathBuf,
-    /// The private key of the certificate, in PEM.
-    pub key: PathBuf,
-    /// The password, of at least 12 characters.
-    pub password: String,
-    /// The names with which browsers reach this server, as the certificate has them.
-    pub names: Vec<String>,
-}
-
-impl std::fmt::Debug for Remote {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("Remote").field("names", &self.names).finish_non_exhaustive()
+/// Reads the certificate, and checks the rest.
+fn acceptor(remote: &Remote, listen: SocketAddr) -> Result<Acceptor, Error> {
+    let length = remote.password.chars().count();
+    if length < SHORTEST {
+        return Err(Error::Password(length));
     }
-}
-
-impl Config {
-    /// Returns the configuration of a server that only reads.
-    #[must_use]
-    pub const fn new(listen: SocketAddr, robots: Vec<(String, Access)>) -> Self {
-        let labels = BTreeMap::new();
-        Self {
-            listen,
-            robots,
-            allow_write: false,
-            allow_motion: false,
-            labels,
-            panel: None,
-            backups: None,
-            remote: None,
-        }
+    if listen.ip().is_unspecified() && remote.names.is_empty() {
+        return Err(Error::NoName(listen));
     }
-}
-
-impl Remote {
-    /// Reads the certificate, and checks the rest.
-    fn acceptor(&self, listen: SocketAddr) -> Result<Acceptor, Error> {
-        let length = self.password.chars().count();
-        if length < SHORTEST {
-            return Err(Error::Password(length));
-        }
-        if listen.ip().is_unspecified() && self.names.is_empty() {
-            return Err(Error::NoName(listen));
-        }
-        Acceptor::new(&self.certificate, &self.key).map_err(Error::Tls)
-    }
+    Acceptor::new(&remote.certificate, &remote.key).map_err(Error::Tls)
 }
 
 /// Why a server does not start.
@@ -173,12 +112,13 @@ impl Server {
     /// # Errors
     ///
     /// An [`Error`]; nothing runs then.
-    pub async fn bind(config: Config, audit: impl Fn(&str) + Send + Sync + 'static) -> Result<Self, Error> {
-        let Config { listen, robots, allow_write, allow_motion, labels, panel, backups, remote } = config;
+    pub async fn bind(mut config: Config, audit: impl Fn(&str) + Send + Sync + 'static) -> Result<Self, Error> {
+        let Config { listen, ref mut robots, ref mut remote, .. } = config;
+        let (robots, remote) = (std::mem::take(robots), remote.take());
         let tls = match &remote {
             None if !listen.ip().is_loopback() => return Err(Error::NotLocal(listen)),
             None => None,
-            Some(remote) => Some(remote.acceptor(listen)?),
+            Some(remote) => Some(acceptor(remote, listen)?),
         };
         if !(1..=ROBOTS).contains(&robots.len()) {
             return Err(Error::Robots(robots.len()));
@@ -195,11 +135,7 @@ impl Server {
             }
             .map_err(Error::Random)?,
             robots: robots.into_iter().map(|(name, access)| Robot::start(name, access)).collect::<Result<_, _>>()?,
-            allow_write,
-            allow_motion,
-            labels,
-            panel: panel.map(Panel::new),
-            backups,
+            config,
             audit: Audit::new(audit),
             clients: AtomicU64::new(1),
             pages: Arc::new(Semaphore::new(PAGES)),
@@ -219,5 +155,6 @@ impl Server {
             () = serve::accept(&self.listener, &self.app, self.tls.as_ref()) => {}
             () = shutdown => {}
         }
+        record::finish(self.app);
     }
 }

@@ -7,7 +7,8 @@ use std::time::Duration;
 
 use axum::http::header::COOKIE;
 use axum::http::{HeaderMap, StatusCode};
-use tokio::time::Instant;
+use tokio::sync::watch;
+use tokio::time::{Instant, timeout_at};
 
 use crate::secret::{Bucket, Refused, is_same, only, secret};
 
@@ -29,8 +30,30 @@ pub(crate) const SHORTEST: usize = 12;
 /// A password, and the sessions of its users.
 pub(crate) struct Login {
     password: String,
-    sessions: Mutex<VecDeque<(String, Instant)>>,
+    sessions: Mutex<VecDeque<Session>>,
     attempts: Mutex<BTreeMap<Option<IpAddr>, Bucket>>,
+}
+
+/// A session of a user. Its drop ends its pages.
+struct Session {
+    id: String,
+    since: Instant,
+    open: watch::Sender<()>,
+}
+
+/// The session of a request.
+#[derive(Debug)]
+pub(crate) struct Open {
+    since: Instant,
+    open: watch::Receiver<()>,
+}
+
+impl Open {
+    /// Waits for the end of the session.
+    pub(crate) async fn ended(mut self) {
+        // nothing is sent: the sender is dropped
+        let _ = timeout_at(self.since + LIFETIME, self.open.changed()).await;
+    }
 }
 
 impl std::fmt::Debug for Login {
@@ -44,9 +67,9 @@ impl Login {
         Self { password, sessions: Mutex::new(VecDeque::new()), attempts: Mutex::new(BTreeMap::new()) }
     }
 
-    fn sessions(&self) -> MutexGuard<'_, VecDeque<(String, Instant)>> {
+    fn sessions(&self) -> MutexGuard<'_, VecDeque<Session>> {
         let mut sessions = self.sessions.lock().unwrap_or_else(PoisonError::into_inner);
-        sessions.retain(|(_, since)| since.elapsed() < LIFETIME);
+        sessions.retain(|session| session.since.elapsed() < LIFETIME);
         sessions
     }
 
@@ -59,12 +82,12 @@ impl Login {
             return Err((StatusCode::UNAUTHORIZED, "the password is wrong"));
         }
         let id = secret().map_err(|_| (StatusCode::INTERNAL_SERVER_ERROR, "the system has no random numbers"))?;
-        let cookie = format!("{NAME}={id}; Path=/; Secure; HttpOnly; SameSite=Strict; Max-Age={}", LIFETIME.as_secs());
+        let cookie = cookie(&id, LIFETIME.as_secs());
         let mut sessions = self.sessions();
         if sessions.len() >= SESSIONS {
             sessions.pop_front();
         }
-        sessions.push_back((id, Instant::now()));
+        sessions.push_back(Session { id, since: Instant::now(), open: watch::Sender::new(()) });
         Ok(cookie)
     }
 
@@ -80,16 +103,31 @@ impl Login {
     }
 
     /// Refuses a request without the cookie of a session.
-    pub(crate) fn check(&self, headers: &HeaderMap) -> Result<(), Refused> {
-        let cookies = only(headers, COOKIE.as_str()).unwrap_or_default().split(';');
-        let mut ids = cookies.filter_map(|cookie| cookie.trim().strip_prefix(NAME)?.strip_prefix('='));
+    pub(crate) fn check(&self, headers: &HeaderMap) -> Result<Open, Refused> {
         let sessions = self.sessions();
-        let is_known = |id: &str| sessions.iter().any(|(known, _)| is_same(id.as_bytes(), known.as_bytes()));
-        if ids.any(is_known) {
-            return Ok(());
-        }
-        Err((StatusCode::UNAUTHORIZED, "log in first: open the page again"))
+        let session = find(&sessions, headers).and_then(|found| sessions.get(found)).ok_or(LOG_IN)?;
+        Ok(Open { since: session.since, open: session.open.subscribe() })
     }
+
+    /// Ends the session of a request, and returns the cookie that replaces its cookie.
+    pub(crate) fn log_out(&self, headers: &HeaderMap) -> Result<String, Refused> {
+        let mut sessions = self.sessions();
+        find(&sessions, headers).and_then(|found| sessions.remove(found)).ok_or(LOG_IN)?;
+        Ok(cookie("", 0))
+    }
+}
+
+const LOG_IN: Refused = (StatusCode::UNAUTHORIZED, "log in first: open the page again");
+
+fn cookie(id: &str, seconds: u64) -> String {
+    format!("{NAME}={id}; Path=/; Secure; HttpOnly; SameSite=Strict; Max-Age={seconds}")
+}
+
+/// Returns the place of the session whose cookie a request has.
+fn find(sessions: &VecDeque<Session>, headers: &HeaderMap) -> Option<usize> {
+    let cookies = only(headers, COOKIE.as_str()).unwrap_or_default().split(';');
+    let mut ids = cookies.filter_map(|cookie| cookie.trim().strip_prefix(NAME)?.strip_prefix('='));
+    ids.find_map(|id| sessions.iter().position(|session| is_same(id.as_bytes(), session.id.as_bytes())))
 }
 
 #[cfg(test)]
@@ -111,8 +149,8 @@ mod tests {
             |host, password: &str| login.log_in(host, password.as_bytes()).map_err(|(status, _)| status.as_u16());
         let cookie = status(host(1), "correct horse battery").unwrap();
         assert!(cookie.ends_with("; Path=/; Secure; HttpOnly; SameSite=Strict; Max-Age=43200"), "{cookie}");
-        assert_eq!(login.check(&headers(&cookie)), Ok(()));
-        assert_eq!(login.check(&headers("__Host-bcap=")).map_err(|(status, _)| status.as_u16()), Err(401));
+        let open = login.check(&headers(&cookie)).unwrap();
+        assert_eq!(login.check(&headers("__Host-bcap=")).map(drop).map_err(|(status, _)| status.as_u16()), Err(401));
         for _ in 0..4 {
             assert_eq!(status(host(1), "correct horse batterz"), Err(401));
         }
@@ -120,7 +158,10 @@ mod tests {
         assert!(status(host(2), "correct horse battery").is_ok(), "another host is not locked out");
         tokio::time::advance(Duration::from_secs(10)).await;
         assert!(status(host(1), "correct horse battery").is_ok());
-        tokio::time::advance(LIFETIME).await;
+        // the end of its time ends the pages of a session, too
+        let start = Instant::now();
+        open.ended().await;
+        assert_eq!(start.elapsed(), LIFETIME - Duration::from_secs(10));
         assert!(login.check(&headers(&cookie)).is_err());
     }
 }

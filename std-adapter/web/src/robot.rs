@@ -174,8 +174,10 @@ struct Thread {
 impl Thread {
     /// Reads until the robot is dropped. A lost connection is tried again.
     fn run(mut self) {
-        while let Some(error) = self.read_until_lost().err() {
+        loop {
+            let ended = self.read_until_lost();
             let Some(robot) = self.robot.upgrade() else { return };
+            let Err(error) = ended else { continue };
             let mut live = robot.live();
             live.model.apply(Update::Lost(error.to_string()));
             live.examination = None;
@@ -202,10 +204,11 @@ impl Thread {
         }
     }
 
-    /// Reads until the robot is dropped. Fails when the connection is lost.
+    /// Reads until the robot is dropped, or a recording starts, which must have the beginning of the session. Fails when the
+    /// connection is lost.
     fn read_until_lost(&mut self) -> Result<(), Error> {
         let (mut packets, robot) = (Packets::new(), self.robot.clone());
-        let began = self.began;
+        let (began, recordings) = (self.began, self.access.tap.count());
         packets.watch_bytes(move |role, wire, bytes| {
             let Some(robot) = robot.upgrade() else { return };
             let text = shown(role, wire, bytes, Level::Values);
@@ -233,7 +236,7 @@ impl Thread {
         robot.halter.prepare();
         drop(robot);
         let (mut next, mut slow) = (Instant::now(), Instant::now());
-        loop {
+        while self.access.tap.count() == recordings {
             let Some(robot) = self.robot.upgrade() else { return Ok(()) };
             let names = robot.wanted();
             reader.select::<Link>(&names)?;
@@ -253,6 +256,7 @@ impl Thread {
                 }
             }
         }
+        Ok(())
     }
 
     fn examine(&self, link: &mut Link, robot: &Robot) -> Result<(), Error> {

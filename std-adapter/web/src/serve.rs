@@ -1,7 +1,7 @@
 //! Accepts connections, and answers their requests.
 
 use std::collections::VecDeque;
-use std::future::ready;
+use std::future::{pending, ready};
 use std::net::IpAddr;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -105,6 +105,7 @@ fn router(app: &Arc<App>) -> Router {
         .route("/halt/{robot}", post(halt))
         .route("/session", get(session))
         .route("/login", post(log_in).layer(DefaultBodyLimit::max(PASSWORD_SIZE)))
+        .route("/logout", post(log_out))
         .merge(save::routes())
         .layer(DefaultBodyLimit::max(0))
         .layer(from_fn_with_state(Arc::clone(app), check_host))
@@ -123,7 +124,7 @@ async fn check_host(State(app): State<Arc<App>>, request: Request, next: Next) -
 /// Tells a page whether it must log in.
 async fn session(State(app): State<Arc<App>>, headers: HeaderMap) -> Result<StatusCode, Refused> {
     match app.guard.login() {
-        Some(login) => login.check(&headers).map(|()| StatusCode::NO_CONTENT),
+        Some(login) => login.check(&headers).map(|_| StatusCode::NO_CONTENT),
         None => Ok(StatusCode::NO_CONTENT),
     }
 }
@@ -136,10 +137,26 @@ async fn log_in(
     password: Bytes,
 ) -> Result<Response, Refused> {
     app.guard.check_origin(&headers)?;
-    let login = app.guard.login().ok_or((StatusCode::NOT_FOUND, "this server has no password"))?;
-    let cookie = login.log_in(host, &password);
+    let cookie = app.guard.login().ok_or(NO_PASSWORD)?.log_in(host, &password);
+    with_cookie(&app, host, "logs in", cookie)
+}
+
+const NO_PASSWORD: Refused = (StatusCode::NOT_FOUND, "this server has no password");
+
+/// Logs a user out. The pages of the session are closed, which frees what they hold.
+async fn log_out(
+    State(app): State<Arc<App>>,
+    Extension(Peer(host)): Extension<Peer>,
+    headers: HeaderMap,
+) -> Result<Response, Refused> {
+    app.guard.check_origin(&headers)?;
+    let cookie = app.guard.login().ok_or(NO_PASSWORD)?.log_out(&headers);
+    with_cookie(&app, host, "logs out", cookie)
+}
+
+fn with_cookie(app: &App, host: IpAddr, what: &str, cookie: Result<String, Refused>) -> Result<Response, Refused> {
     let outcome = cookie.as_ref().map(drop).map_err(|(_, why)| (*why).to_owned());
-    app.audit.write(&host.to_string(), "server", "logs in", &outcome);
+    app.audit.write(&host.to_string(), "server", what, &outcome);
     let cookie = HeaderValue::try_from(cookie?).map_err(|_| (StatusCode::INTERNAL_SERVER_ERROR, "no cookie"))?;
     Ok(([(SET_COOKIE, cookie)], StatusCode::NO_CONTENT).into_response())
 }
@@ -149,13 +166,23 @@ async fn live(State(app): State<Arc<App>>, headers: HeaderMap, upgrade: WebSocke
     app.guard.check_origin(&headers)?;
     let offered = only(&headers, SEC_WEBSOCKET_PROTOCOL.as_str()).unwrap_or_default();
     let token = offered.split(',').find_map(|protocol| protocol.trim().strip_prefix("token."));
-    app.guard.check_user(&headers, token)?;
+    let session = app.guard.check_user(&headers, token)?;
     let permit = Arc::clone(&app.pages).try_acquire_owned();
     let permit = permit.map_err(|_| (StatusCode::SERVICE_UNAVAILABLE, "too many pages are open; close one"))?;
     let client = app.clients.fetch_add(1, Ordering::Relaxed);
     let upgrade = upgrade.protocols([PROTOCOL]).max_message_size(ORDER_SIZE).max_frame_size(ORDER_SIZE);
     Ok(upgrade.on_upgrade(move |socket| async move {
-        socket::serve(app, client, socket).await;
+        let ended = async {
+            match session {
+                Some(session) => session.ended().await,
+                None => pending().await,
+            }
+        };
+        tokio::select! {
+            () = socket::serve(app, client, socket) => {}
+            // the page is dropped, as if it was closed
+            () = ended => {}
+        }
         drop(permit);
     }))
 }

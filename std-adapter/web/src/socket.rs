@@ -120,6 +120,10 @@ enum Order {
     Unwork { robot: usize },
     /// Restores the backup that was planned, on the robot with this name.
     Restore { robot: usize, name: String, folder: String },
+    /// Starts or ends the recordings.
+    Record { starts: bool },
+    /// Lists the recordings of this server.
+    Recordings {},
     /// Plays a scenario on the virtual controller.
     Play { robot: usize, text: String },
     /// Changes the time factor of the virtual controller.
@@ -165,8 +169,8 @@ impl Drop for Page {
 /// Serves a page until it is closed.
 pub(crate) async fn serve(app: Arc<App>, client: Client, socket: WebSocket) {
     let labels: Map<_, _> =
-        app.labels.iter().map(|(name, label)| (view::safe(name), view::safe(label).into())).collect();
-    let hello = json!({ "t": "hello", "labels": labels, "write": app.allow_write, "motion": app.allow_motion, "panel": app.panel.is_some(), "version": env!("CARGO_PKG_VERSION") });
+        app.config.labels.iter().map(|(name, label)| (view::safe(name), view::safe(label).into())).collect();
+    let hello = json!({ "t": "hello", "labels": labels, "write": app.config.allow_write, "motion": app.config.allow_motion, "panel": app.config.panel.is_some(), "version": env!("CARGO_PKG_VERSION") });
     let mut page = Page {
         app,
         client,
@@ -238,6 +242,7 @@ impl Page {
         let tiles =
             self.app.robots.iter().enumerate().map(|(number, robot)| view::tile(number, robot, self.client)).collect();
         let mut sections = vec![("tiles", Value::Array(tiles))];
+        sections.extend(self.app.config.replay.as_ref().map(|replay| ("replay", replay.section())));
         if let Some(robot) = self.app.robots.get(self.robot) {
             match self.screen {
                 Screen::Cell | Screen::Raw => {}
@@ -248,7 +253,7 @@ impl Page {
                 Screen::Jog => sections.push(("jog", view::jog(robot))),
                 Screen::Backup => sections.push(("backup", backup::section(robot, self.client))),
                 Screen::Session => sections.push(("session", view::session(&self.app))),
-                Screen::Panel => sections.extend(self.app.panel.as_ref().map(|panel| ("panel", panel.section()))),
+                Screen::Panel => sections.extend(self.app.panel().map(|panel| ("panel", panel.section()))),
                 Screen::Plots => sections.push(("plots", view::variables(self.client, robot))),
                 Screen::Packets => {
                     let (packets, total) = view::packets(robot, self.packets);
@@ -337,6 +342,8 @@ impl Page {
             Order::Work { robot, work } => self.work(robot, work),
             Order::Unwork { robot } => self.end_work(robot),
             Order::Restore { robot, name, folder } => self.restore(robot, &name, folder),
+            Order::Record { starts } => self.record(starts).await,
+            Order::Recordings {} => self.recordings().await,
             Order::Play { robot, text } => {
                 let what = format!("plays the scenario: {}", text.trim());
                 self.on_panel(robot, &what, |panel| panel.play(&text))
@@ -375,7 +382,7 @@ impl Page {
 
     /// Takes the control of a robot.
     fn take(&self, robot: usize, name: &str) -> Result<Value, String> {
-        if !self.app.allow_motion {
+        if !self.app.config.allow_motion {
             self.writes()?;
         }
         let taken = self.robot(robot)?.control.take(self.client, name);
@@ -412,9 +419,9 @@ impl Page {
         what: &str,
         change: impl FnOnce(&Panel) -> Result<Value, String>,
     ) -> Result<Value, String> {
-        let panel = self.app.panel.as_ref().ok_or("this server has no virtual controller; start `bcap sim --web`")?;
+        let panel = self.app.panel().ok_or("this server has no virtual controller; start `bcap sim --web`")?;
         let who = self.holder(robot)?;
-        let changed = change(panel);
+        let changed = change(&panel);
         self.app.audit.write(&who, &self.robot(robot)?.name, what, &changed);
         changed
     }
@@ -504,7 +511,7 @@ impl Page {
 
     /// Refuses orders that change something unless the server was started for them.
     fn writes(&self) -> Result<(), String> {
-        if self.app.allow_write {
+        if self.app.config.allow_write {
             return Ok(());
         }
         Err("this server is read-only; start it with --allow-write".into())
@@ -518,7 +525,7 @@ impl Page {
 
     /// Returns the name of this page's user, who has the control of a robot, and may move it.
     pub(crate) fn mover(&self, robot: usize) -> Result<String, String> {
-        if !self.app.allow_motion {
+        if !self.app.config.allow_motion {
             return Err("this server moves nothing; start it with --allow-motion".into());
         }
         self.holder(robot)

@@ -10,6 +10,7 @@ use bcap_live::errors::own;
 use bcap_live::jog::{FASTEST, LONGEST, Phase};
 use bcap_live::log::Entry;
 use bcap_live::model::Variable;
+use bcap_live::tap::Status;
 use bcap_std::Examination;
 use serde_json::{Value, json};
 
@@ -145,14 +146,25 @@ pub(crate) fn variables(client: Client, robot: &Robot) -> Value {
 pub(crate) fn session(app: &App) -> Value {
     let robots: Vec<_> = app.robots.iter().map(|robot| json!([safe(&robot.name), safe(&robot.address)])).collect();
     json!({
-        "write": app.allow_write,
-        "motion": app.allow_motion,
+        "write": app.config.allow_write,
+        "motion": app.config.allow_motion,
         "login": app.guard.login().is_some(),
-        "backups": app.backups.is_some(),
-        "labels": app.labels.len(),
+        "backups": app.config.backups.is_some(),
+        "labels": app.config.labels.len(),
+        "recordings": app.config.recordings.as_ref().map(|_| app.robots.iter().filter_map(|robot| recording(robot)).collect::<Vec<_>>()),
         "robots": robots,
         "audit": app.audit.last(),
     })
+}
+
+/// Returns the recording of a robot: its file, whether it runs, its size, its length in seconds, and why it ended early.
+fn recording(robot: &Robot) -> Option<Value> {
+    let (file, row) = match robot.access.tap.status() {
+        Status::Off => return None,
+        Status::Runs { file, size, length } => (file, json!([true, size, length.as_secs(), null])),
+        Status::Ended((file, outcome)) => (file, json!([false, 0, 0, outcome.err().map(|why| safe(&why))])),
+    };
+    Some(json!([safe(&robot.name), safe(&file.file_name()?.to_string_lossy()), row]))
 }
 
 /// Returns the alarms: the present errors with their meanings and remedies, the first cause first, and the messages.

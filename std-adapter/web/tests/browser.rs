@@ -280,16 +280,19 @@ fn each_screen_is_legible_and_works_with_a_keyboard() {
     for code in [0x8350_0076, 0x8350_0178] {
         sim.lock().inject_error(HResult::from_u32(code), bcap_std::now());
     }
-    let web = Web::moving(&[("press", sim.address())]);
+    let folder = tempfile::tempdir().unwrap();
+    let recordings = bcap_web::Recordings { folder: folder.path().to_owned(), limit: 1_000_000_000 };
+    let web = Web::with(&|config| config.recordings = Some(recordings.clone()), &[("press", sim.address())], true);
     let Some(mut browser) = Browser::start() else { return };
     browser.open(web.url());
     browser.until_text("#state", "error");
     browser.key("Tab");
     assert_eq!(browser.eval("document.activeElement.id"), "halt", "HALT is the first");
     browser.enter("#name", "Anna");
-    for screen in ["cell", "variables", "alarms", "arm", "tasks", "jog", "plots", "packets", "raw", "backup"] {
+    for screen in ["cell", "variables", "alarms", "arm", "tasks", "jog", "plots", "packets", "raw", "backup", "session"]
+    {
         browser.click(&format!("[data-id={screen}]"));
-        browser.until("document.querySelector('.tile, .spark polyline, .errors li, .joints circle, .axis, #task, .choices input, .packets td, #usage:not(:empty), #backup-name') !== null");
+        browser.until("document.querySelector('.tile, .spark polyline, .errors li, .joints circle, .axis, #task, .choices input, .packets td, #usage:not(:empty), #backup-name, #audit li') !== null");
         // the bytes of a packet are legible, too
         let opens = match screen {
             "packets" => Some(".packets .serial"),
@@ -300,6 +303,11 @@ fn each_screen_is_legible_and_works_with_a_keyboard() {
             browser.click(selector);
             browser.click(".packet .field:nth-child(3)");
             browser.eval("scrollTo(0, 0)");
+        }
+        if screen == "session" {
+            browser.click("#record");
+            browser.until_text("#recording li", "● press: records 2");
+            browser.until("document.querySelectorAll('#recordings tr').length === 1");
         }
         look(&mut browser, screen);
     }

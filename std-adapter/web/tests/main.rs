@@ -9,6 +9,7 @@ mod load;
 mod pages;
 mod panel;
 mod raw;
+mod record;
 #[cfg(feature = "tls")]
 mod remote;
 mod safety;

@@ -12,15 +12,20 @@ use tokio_rustls::rustls::crypto::ring::default_provider;
 use tokio_rustls::rustls::pki_types::pem::PemObject as _;
 use tokio_rustls::rustls::pki_types::{CertificateDer, ServerName};
 use tokio_rustls::rustls::{ClientConfig, ClientConnection, RootCertStore, StreamOwned};
+use tokio_tungstenite::tungstenite::client;
+use tokio_tungstenite::tungstenite::client::IntoClientRequest as _;
 
 use crate::chromium::Browser;
-use crate::support::{LIMIT, Sim, Web, access};
+use crate::support::{LIMIT, Page, Sim, Web, access, until};
 
 const PASSWORD: &str = "correct horse battery";
 
+/// A connection of a client.
+type Tls = StreamOwned<ClientConnection, TcpStream>;
+
 /// A server at all addresses of this computer, with the name localhost.
 struct Cell {
-    _sim: Sim,
+    sim: Sim,
     web: Web,
     host: String,
     files: TempDir,
@@ -36,11 +41,11 @@ impl Cell {
         };
         let web = Web::with(&remote, &[("press", sim.address())], true);
         let host = web.url().strip_prefix("https://").unwrap().trim_end_matches('/').to_owned();
-        Self { _sim: sim, web, host, files }
+        Self { sim, web, host, files }
     }
 
-    /// Sends a request over TLS, and returns the response.
-    fn request(&self, first: &str, headers: &[(&str, &str)], body: &str) -> String {
+    /// Connects over TLS.
+    fn connect(&self) -> Tls {
         let mut roots = RootCertStore::empty();
         roots.add(CertificateDer::from_pem_file(self.files.path().join("cert.pem")).unwrap()).unwrap();
         let config = ClientConfig::builder_with_provider(Arc::new(default_provider()))
@@ -51,7 +56,15 @@ impl Cell {
         let name = ServerName::try_from("localhost").unwrap();
         let stream = TcpStream::connect(("127.0.0.1", self.port())).unwrap();
         stream.set_read_timeout(Some(LIMIT)).unwrap();
-        let mut stream = StreamOwned::new(ClientConnection::new(Arc::new(config), name).unwrap(), stream);
+        StreamOwned::new(ClientConnection::new(Arc::new(config), name).unwrap(), stream)
+    }
+
+    /// Sends a request over TLS, and returns the response.
+    fn request(&self, first: &str, headers: &[(&str, &str)], body: &str) -> String {
+        Self::exchange(self.connect(), first, headers, body)
+    }
+
+    fn exchange(mut stream: Tls, first: &str, headers: &[(&str, &str)], body: &str) -> String {
         let headers: String = headers.iter().map(|(name, value)| format!("{name}: {value}\r\n")).collect();
         let length = body.len();
         // in one piece, so that the server has all of it before it closes the connection
@@ -72,6 +85,15 @@ impl Cell {
     fn own(&self, first: &str, further: &[(&str, &str)], body: &str) -> String {
         let origin = format!("https://{}", self.host);
         self.request(first, &[&[("host", self.host.as_str()), ("origin", &origin)], further].concat(), body)
+    }
+
+    /// Opens a page.
+    fn page(&self, cookie: &str) -> Page<Tls> {
+        let mut request = format!("wss://{}/live", self.host).into_client_request().unwrap();
+        for (name, value) in [("origin", &*format!("https://{}", self.host)), ("cookie", cookie), UPGRADE[4]] {
+            request.headers_mut().insert(name, value.parse().unwrap());
+        }
+        Page::new(client(request, self.connect()).unwrap().0)
     }
 
     /// Logs in, and returns the cookie.
@@ -142,6 +164,75 @@ fn a_user_needs_tls_the_password_the_cookie_and_the_name() {
     assert!(lines.contains(&"server: 127.0.0.1: logs in: done".to_owned()), "{lines:?}");
 }
 
+/// Jogs, logs out meanwhile, and returns why the jog has ended.
+fn jog_until_logout(cell: &Cell, cookie: &str) -> String {
+    let mut page = cell.page(cookie);
+    page.until_state("ready, motor off");
+    page.order("take", json!({ "robot": 0, "name": "Anna" })).unwrap();
+    page.order("show", json!({ "robot": 0, "screen": "jog" })).unwrap();
+    let mut stream = cell.connect();
+    stream.conn.complete_io(&mut stream.sock).unwrap();
+    page.order("grip", json!({ "robot": 0, "name": "press" })).unwrap();
+    page.until("jog", |jog| jog["phase"] == "ready" || jog["ends"].is_string());
+    page.send("press", json!({ "robot": 0, "axis": "J1", "by": 1.0, "percent": 1.0 }));
+    let response = std::thread::scope(|scope| {
+        let logout = scope.spawn(|| {
+            let origin = format!("https://{}", cell.host);
+            let headers = [("host", cell.host.as_str()), ("origin", &origin), ("cookie", cookie)];
+            Cell::exchange(stream, "POST /logout", &headers, "")
+        });
+        // the page answers its pulses until the server closes it
+        while page.receive().is_some() {}
+        logout.join().unwrap()
+    });
+    assert_eq!(status(&response), "204", "{response}");
+    assert!(response.contains("set-cookie: __Host-bcap=; Path=/;") && response.contains("Max-Age=0"), "{response}");
+    // a jog begins with a line, and ends with one
+    let jogs =
+        || cell.web.lines().into_iter().filter(|line| line.starts_with("press: Anna: t") && line.contains(" jog"));
+    until("the jog has ended", || jogs().count() % 2 == 0);
+    jogs().next_back().unwrap()
+}
+
+/// A logout ends what the pages of the session hold, for this session only.
+#[test]
+fn a_user_who_logs_out_holds_nothing() {
+    let cell = Cell::start();
+    let log_in = || cell.log_in().split(';').next().unwrap().to_owned();
+    let (mut anna, bob) = (log_in(), log_in());
+    let mut other = cell.page(&bob);
+    // another page, and a request without the session, log no user out
+    assert_eq!(status(&cell.own("GET /logout", &[("cookie", &anna)], "")), "405");
+    let evil = [("host", cell.host.as_str()), ("origin", "https://evil.example"), ("cookie", &anna)];
+    assert_eq!(status(&cell.request("POST /logout", &evil, "")), "403");
+    assert_eq!(status(&cell.own("POST /logout", &[], "")), "401");
+    assert_eq!(status(&cell.own("POST /logout", &[("cookie", "__Host-bcap=")], "")), "401");
+    assert_eq!(status(&cell.own("GET /session", &[("cookie", &anna)], "")), "204", "still logged in");
+    let expected = "press: Anna: the jog ends: the page is closed; the robot rests, and the arm is free: done";
+    let mut ended = jog_until_logout(&cell, &anna);
+    // a machine under load may lose a heartbeat before the logout
+    for _ in 0..2 {
+        if ended != expected {
+            anna = log_in();
+            ended = jog_until_logout(&cell, &anna);
+        }
+    }
+    assert_eq!(ended, expected);
+    other.until("tiles", |tiles| tiles[0]["holder"].is_null());
+    let lines = cell.web.lines();
+    assert!(lines.contains(&"press: Anna: the page is closed, the control is free: done".to_owned()), "{lines:?}");
+    assert!(!cell.sim.lock().is_moving() && !cell.sim.lock().motor_is_on());
+    // the old cookie opens nothing
+    let cookie = ("cookie", anna.as_str());
+    for first in ["GET /session", "POST /halt/0", "POST /logout", "POST /packets/0"] {
+        assert_eq!(status(&cell.own(first, &[cookie], "")), "401", "{first}");
+    }
+    assert_eq!(status(&cell.own("GET /live", &[&UPGRADE[..], &[cookie]].concat(), "")), "401");
+    // another user goes on
+    assert_eq!(status(&cell.own("GET /session", &[("cookie", &bob)], "")), "204");
+    assert_eq!(other.order("take", json!({ "robot": 0, "name": "Bob" })), Ok(json!(null)));
+}
+
 #[test]
 fn attempts_are_limited_and_plain_http_gets_nothing() {
     let cell = Cell::start();
@@ -201,4 +292,10 @@ fn a_browser_logs_in_and_stays_logged_in() {
     browser.until_text("#state", "ready, motor off");
     browser.click("#halt");
     browser.until_text("#notice", "press: the robot was at rest");
+    browser.click("[data-id=session]");
+    browser.until("!document.getElementById('log-out').hidden");
+    browser.click("#log-out");
+    browser.until("document.getElementById('password') !== null");
+    browser.enter("#password", PASSWORD);
+    browser.until_text("#state", "ready, motor off");
 }

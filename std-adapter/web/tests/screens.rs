@@ -17,7 +17,7 @@ const PRESSED: &str =
     "[...document.querySelectorAll('.field[aria-pressed=true]')].map((field) => field.children[1].textContent).join()";
 
 /// Clicks a button that saves a file, and returns its bytes in hexadecimal.
-fn saved(browser: &mut Browser, selector: &str) -> String {
+pub(crate) fn saved(browser: &mut Browser, selector: &str) -> String {
     let click = format!(
         "new Promise((resolve) => {{ URL.createObjectURL = (blob) => {{ blob.arrayBuffer().then((bytes) =>
             resolve([...new Uint8Array(bytes)].map((byte) => byte.toString(16).padStart(2, '0')).join(''))); return ''; }};
@@ -26,7 +26,7 @@ fn saved(browser: &mut Browser, selector: &str) -> String {
     browser.eval(&click).as_str().unwrap().to_owned()
 }
 
-fn bytes(hex: &str) -> Vec<u8> {
+pub(crate) fn bytes(hex: &str) -> Vec<u8> {
     bcap_capture::hex::parse(hex.as_bytes()).unwrap()
 }
 

@@ -10,6 +10,7 @@ use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use bcap_live::link::Access;
+use bcap_live::tap::Tap;
 use bcap_sim::pace::Paced;
 use bcap_sim::scenario::Delivery;
 use bcap_sim::{Config as SimConfig, Controller, Profile};
@@ -32,7 +33,7 @@ pub(crate) struct Running<T> {
 }
 
 impl<T: Send + 'static> Running<T> {
-    fn start<F: Future<Output = io::Result<()>>>(
+    pub(crate) fn start<F: Future<Output = io::Result<()>>>(
         open: impl FnOnce(oneshot::Receiver<()>, mpsc::Sender<T>) -> F + Send + 'static,
     ) -> Self {
         let (stop, stopped) = oneshot::channel();
@@ -136,7 +137,13 @@ pub(crate) fn until(what: &str, mut condition: impl FnMut() -> bool) {
 }
 
 pub(crate) fn access(address: SocketAddr) -> Access {
-    Access { address: format!("tcp:{address}").parse().unwrap(), provider: None, machine: None, option: String::new() }
+    Access {
+        address: format!("tcp:{address}").parse().unwrap(),
+        provider: None,
+        machine: None,
+        option: String::new(),
+        tap: Tap::default(),
+    }
 }
 
 /// A server of the page.
@@ -229,7 +236,7 @@ impl Web {
                 if let MaybeTlsStream::Plain(stream) = socket.get_ref() {
                     stream.set_read_timeout(Some(LIMIT)).unwrap();
                 }
-                Ok(Page { socket, last: 0, sections: HashMap::new(), beats: true })
+                Ok(Page::new(socket))
             }
             Err(tokio_tungstenite::tungstenite::Error::Http(response)) => Err(response.status().as_u16()),
             Err(error) => panic!("{error}"),
@@ -244,8 +251,8 @@ impl Web {
 }
 
 /// A page without a browser.
-pub(crate) struct Page {
-    pub(crate) socket: WebSocket<MaybeTlsStream<TcpStream>>,
+pub(crate) struct Page<S = MaybeTlsStream<TcpStream>> {
+    pub(crate) socket: WebSocket<S>,
     last: u64,
     /// The last content of each section: one that has not changed is not sent again.
     sections: HashMap<String, Value>,
@@ -253,7 +260,11 @@ pub(crate) struct Page {
     pub(crate) beats: bool,
 }
 
-impl Page {
+impl<S: io::Read + io::Write> Page<S> {
+    pub(crate) fn new(socket: WebSocket<S>) -> Self {
+        Self { socket, last: 0, sections: HashMap::new(), beats: true }
+    }
+
     /// Receives a message; `None` when the server has closed the page.
     pub(crate) fn receive(&mut self) -> Option<Value> {
         loop {

@@ -32,6 +32,11 @@ impl Budget {
         state.used = state.used.saturating_add(bytes);
     }
 
+    /// Returns the queued bytes.
+    pub(super) fn used(&self) -> usize {
+        self.state().used
+    }
+
     /// Releases bytes.
     pub(super) fn release(&self, bytes: usize) {
         let mut state = self.state();

@@ -6,8 +6,8 @@ use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
 use bcap_terminal::signal;
-use bcap_web::{Config, Remote, Server};
-use clap::Args;
+use bcap_web::{Config, Recordings, Remote, Server};
+use clap::{Args, value_parser};
 use tempfile::NamedTempFile;
 
 use crate::commands::variables::labels;
@@ -35,6 +35,7 @@ Examples:
   bcap web press welder --allow-write
   bcap web press --allow-write --allow-motion
   bcap web press --allow-write --backups backups
+  bcap web press --recordings recordings
   bcap web --listen 192.168.0.9:8011 --certificate cert.pem --key key.pem --password-file password --name cell9.example")]
 pub(crate) struct Web {
     /// The profiles to show, one tile each
@@ -62,6 +63,15 @@ pub(crate) struct Web {
     #[arg(long, value_name = "DIR")]
     pub(crate) backups: Option<PathBuf>,
 
+    /// The folder of recordings: the page records all packets to pcapng files there, which `bcap sim --replay FILE --web` shows
+    #[arg(long, value_name = "DIR")]
+    pub(crate) recordings: Option<PathBuf>,
+
+    /// The size at which a file of a recording ends, in MB
+    #[arg(long, value_name = "MB", default_value_t = 1000, value_parser = value_parser!(u32).range(1..))]
+    #[arg(requires = "recordings")]
+    pub(crate) recording_size: u32,
+
     /// The certificate of this server and its chain, in PEM
     #[arg(long, value_name = "FILE.pem", requires_all = ["key", "password_file"])]
     pub(crate) certificate: Option<PathBuf>,
@@ -86,7 +96,9 @@ pub(crate) struct Web {
 /// Runs `bcap web` until a signal ends it.
 pub(crate) fn web(args: &Web, link: &LinkArgs) -> Result<(), Failure> {
     if link.untraced()?.write.is_some() {
-        return Err(Failure::Input("`web` records nothing; leave --write out, and use `bcap proxy --write`".into()));
+        return Err(Failure::Input(
+            "`web` has no --write; give --recordings DIR, and start a recording on the page".into(),
+        ));
     }
     let robots = if args.profiles.is_empty() {
         let name =
@@ -102,6 +114,10 @@ pub(crate) fn web(args: &Web, link: &LinkArgs) -> Result<(), Failure> {
         allow_motion: args.allow_motion,
         labels,
         backups: args.backups.clone(),
+        recordings: args
+            .recordings
+            .clone()
+            .map(|folder| Recordings { folder, limit: u64::from(args.recording_size) * 1_000_000 }),
         remote: remote(args)?,
         ..Config::new(args.listen, robots)
     };

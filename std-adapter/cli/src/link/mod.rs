@@ -150,6 +150,7 @@ impl LinkArgs {
             provider: (!self.has_default_provider()).then(|| self.provider().to_owned()),
             machine: self.machine.clone().filter(|name| !name.is_empty()),
             option: self.option().to_owned(),
+            tap: bcap_live::tap::Tap::default(),
         })
     }
 

@@ -169,6 +169,11 @@ impl Front {
         ready(&self.listeners)
     }
 
+    /// Returns the address of b-CAP over TCP.
+    pub(crate) fn bcap(&self) -> io::Result<SocketAddr> {
+        self.listeners.bcap.local_addr()
+    }
+
     /// Forwards to the controller until `ended`, then closes the file.
     pub(crate) async fn serve(self, robot: Robot, ended: impl Future<Output = ()>) -> Result<(), Failure> {
         bcap_capture::proxy::Proxy::new(self.listeners, robot).show_listener().run(&self.recording, ended).await;

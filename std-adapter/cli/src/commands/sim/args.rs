@@ -28,6 +28,7 @@ Examples:
   bcap sim --scenario faults.toml
   bcap sim --token 192.168.0.5
   bcap sim --replay session.pcapng
+  bcap sim --replay session.pcapng --web
   bcap sim --record motion.csv
   bcap sim --record motion.mcap
   bcap sim --screen
@@ -135,10 +136,11 @@ pub(crate) struct Sim {
     /// Serves the page of `bcap web` for this controller, with a panel: scenarios, faults of the link, the time factor
     ///
     /// The line `ready` ends with its address, `web=http://IP:PORT/#token=TOKEN`. The page may write and move, because nothing real
-    /// moves; each action is a line of the output. [default address: 127.0.0.1:8011]
+    /// moves; each action is a line of the output. With --replay the page shows the recorded session, without a panel, and only
+    /// reads. [default address: 127.0.0.1:8011]
     #[cfg(feature = "web")]
     #[arg(long, value_name = "IP:PORT", num_args = 0..=1, default_missing_value = "127.0.0.1:8011")]
-    #[arg(conflicts_with_all = ["replay", "no_network"])]
+    #[arg(conflicts_with = "no_network")]
     #[cfg_attr(feature = "screens", arg(conflicts_with = "screen"))]
     pub(crate) web: Option<SocketAddr>,
 

@@ -65,8 +65,7 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
         // install the signal handlers before the `ready` line: a reader of that line may send a signal at once
         let ended = signal::wait()?;
         if let Some(capture) = &args.replay {
-            let server = Server::new(Playback::read(capture, print_unknown)?);
-            return serve(server, args, rac, file, ended, async |line| Ok(print_line(line)?)).await;
+            return replay(capture, args, rac, file, ended).await;
         }
         // dropped, and thereby deleted, after the controller has ended
         let temporary = tempfile::tempdir()?;
@@ -111,10 +110,10 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
             return Ok(trajectory.map_or(Ok(()), |trajectory| trajectory.end())?);
         }
         let shared = delivery::shared(controller);
-        serve(delivery::server(&shared), args, rac, file, ended, async |line| {
+        serve(delivery::server(&shared), args, rac, file, ended, async |line, _bcap| {
             #[cfg(feature = "web")]
             if let Some(listen) = args.web {
-                let url = web_panel::start(line, listen, shared).await?;
+                let url = web_panel::start(_bcap, listen, shared).await?;
                 return Ok(print_line(&format!("{line} web={url}"))?);
             }
             Ok(print_line(line)?)
@@ -122,6 +121,36 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
         .await?;
         Ok(trajectory.map_or(Ok(()), |trajectory| trajectory.end())?)
     })
+}
+
+/// Serves a capture, and its page.
+async fn replay(
+    capture: &Path,
+    args: &Sim,
+    rac: Option<SocketAddr>,
+    file: Option<&Path>,
+    ended: impl Future<Output = ()>,
+) -> Result<(), Failure> {
+    #[cfg(feature = "web")]
+    let lacking = bcap_web::Replay::default();
+    #[cfg(feature = "web")]
+    let shown = lacking.clone();
+    let playback = Playback::read(capture, move |request| {
+        print_unknown(request);
+        #[cfg(feature = "web")]
+        shown.lacks(request);
+    })?;
+    #[cfg(feature = "web")]
+    let session = playback.session();
+    serve(Server::new(playback), args, rac, file, ended, async |line, _bcap| {
+        #[cfg(feature = "web")]
+        if let Some(listen) = args.web {
+            let url = web_panel::replay(_bcap, listen, session, lacking).await?;
+            return Ok(print_line(&format!("{line} web={url}"))?);
+        }
+        Ok(print_line(line)?)
+    })
+    .await
 }
 
 /// Prints a request that the capture does not have.
@@ -162,7 +191,7 @@ async fn on_screen(
             _ = quits => {}
         }
     };
-    let served = serve(live_screen::Watched::server(&watched), args, rac, file, ended, async |line| {
+    let served = serve(live_screen::Watched::server(&watched), args, rac, file, ended, async |line, _| {
         let addresses = line.strip_prefix("ready ").unwrap_or(line);
         live = Some(bcap_terminal::screen::Live::open(quit, live_screen::shown(addresses, &watched))?);
         Ok(())
@@ -174,14 +203,14 @@ async fn on_screen(
 }
 
 /// Serves at the addresses of the command line until `ended`; the clients are recorded to `file`. `ready` gets the line with
-/// the addresses.
+/// the addresses, and the one for b-CAP over TCP.
 async fn serve<H: Serves>(
     server: Server<H>,
     args: &Sim,
     rac: Option<SocketAddr>,
     file: Option<&Path>,
     ended: impl Future<Output = ()>,
-    ready: impl AsyncFnOnce(&str) -> Result<(), Failure>,
+    ready: impl AsyncFnOnce(&str, SocketAddr) -> Result<(), Failure>,
 ) -> Result<(), Failure> {
     if let Some(file) = file {
         if !args.serial.is_empty() {
@@ -192,15 +221,15 @@ async fn serve<H: Serves>(
         }
         return recorded(server, Front::bind(args, rac, file).await?, ended, ready).await;
     }
-    let (server, listening) = if args.no_network {
-        (server, "ready".to_owned())
+    let (server, listening, bcap) = if args.no_network {
+        (server, "ready".to_owned(), args.bcap)
     } else {
         let wanted = Listening { bcap: args.bcap, udp: args.udp, rac };
         let (server, listening) = bind(server, &wanted).await?;
-        (server, listening.to_string())
+        (server, listening.to_string(), listening.bcap)
     };
     let (server, lines) = open_lines(server, &args.serial)?;
-    ready(&format!("{listening}{lines}")).await?;
+    ready(&format!("{listening}{lines}"), bcap).await?;
     Ok(server.run(ended).await?)
 }
 
@@ -240,12 +269,12 @@ async fn recorded<H: Serves>(
     server: Server<H>,
     front: Front,
     ended: impl Future<Output = ()>,
-    ready: impl AsyncFnOnce(&str) -> Result<(), Failure>,
+    ready: impl AsyncFnOnce(&str, SocketAddr) -> Result<(), Failure>,
 ) -> Result<(), Failure> {
     let any = SocketAddr::from(([127, 0, 0, 1], 0));
     let (server, Listening { bcap, udp, rac }) =
         bind(server, &Listening { bcap: any, udp: any, rac: Some(any) }).await?;
-    ready(&front.ready()?).await?;
+    ready(&front.ready()?, front.bcap()?).await?;
     let (stop, stopped) = oneshot::channel::<()>();
     let robot = Robot { tcp: vec![bcap], udp, rac: rac.into_iter().collect() };
     let front = async {

@@ -1,0 +1,101 @@
+//! Recordings of the sessions with the controllers: a file for each, in the folder of the recordings.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::mpsc::channel;
+use std::thread;
+use std::time::Duration;
+
+use bcap_live::tap::{Outcome, Status};
+use serde_json::{Value, json};
+use tokio::task::spawn_blocking;
+
+use crate::app::App;
+use crate::backup::{names_in, path_in};
+use crate::config::Recordings;
+use crate::socket::Page;
+use crate::text::now;
+
+/// The most recordings that a page shows.
+const FILES: usize = 200;
+
+/// The longest time for the last packets of the recordings.
+const FINISH: Duration = Duration::from_secs(2);
+
+impl Page {
+    /// Starts the recordings of all robots, or ends them. It is no order to a robot, so it needs no control.
+    pub(crate) async fn record(&self, starts: bool) -> Result<Value, String> {
+        let done = self.with_disk(if starts { start } else { stop }).await;
+        let what = if starts { "starts a recording" } else { "ends the recording" };
+        self.app.audit.write("a page", "server", what, &done);
+        done
+    }
+
+    /// Lists the recordings, the latest first.
+    pub(crate) async fn recordings(&self) -> Result<Value, String> {
+        self.with_disk(|_, settings| {
+            let names = names_in(&settings.folder)?;
+            Ok(names.iter().rev().filter_map(|name| row(&settings.folder, name)).take(FILES).collect())
+        })
+        .await
+    }
+
+    /// Does work that waits for the disk, which must not delay a halt.
+    async fn with_disk(
+        &self,
+        work: impl FnOnce(&App, &Recordings) -> Result<Value, String> + Send + 'static,
+    ) -> Result<Value, String> {
+        let app = Arc::clone(&self.app);
+        let run = move || work(&app, app.config.recordings.as_ref().ok_or(NONE)?);
+        spawn_blocking(run).await.unwrap_or_else(|_| Err("the recording panicked".into()))
+    }
+}
+
+const NONE: &str = "this server records nothing; start it with --recordings DIR";
+
+/// Starts a recording of each robot. The time names the files.
+fn start(app: &App, Recordings { folder, limit }: &Recordings) -> Result<Value, String> {
+    if app.robots.iter().any(|robot| matches!(robot.access.tap.status(), Status::Runs { .. })) {
+        return Err("a recording runs; end it first".into());
+    }
+    std::fs::create_dir_all(folder).map_err(|error| format!("cannot record to {}: {error}", folder.display()))?;
+    let time = now().map(|time| time.to_string().replace([':', '.'], "-")).unwrap_or_default();
+    for (number, robot) in (1..).zip(&app.robots) {
+        let started = robot.access.tap.start(&folder.join(format!("{time}-{number}.pcapng")), *limit);
+        if let Err(why) = started {
+            stop_all(app);
+            return Err(why);
+        }
+    }
+    Ok(Value::Null)
+}
+
+fn stop(app: &App, _: &Recordings) -> Result<Value, String> {
+    let ended = stop_all(app);
+    if ended.is_empty() {
+        return Err("no recording runs".into());
+    }
+    ended.into_iter().try_for_each(|(_, outcome)| outcome).map(|()| Value::Null)
+}
+
+/// Ends the recordings at the end of the server, which does not wait for a disk that hangs.
+pub(crate) fn finish(app: Arc<App>) {
+    let (done, ended) = channel();
+    // without the thread, or without this end of the channel, the recordings end with the process
+    let _ = thread::Builder::new().name("end of recordings".into()).spawn(move || drop(done.send(stop_all(&app))));
+    let _ = ended.recv_timeout(FINISH);
+}
+
+/// Ends the recordings of all robots.
+fn stop_all(app: &App) -> Vec<Outcome> {
+    app.robots.iter().filter_map(|robot| robot.access.tap.stop()).collect()
+}
+
+/// Returns the name, the size and the length of a recording in seconds.
+fn row(folder: &Path, name: &str) -> Option<Value> {
+    let file =
+        path_in(folder, name).ok()?.metadata().ok().filter(|file| file.is_file() && name.ends_with(".pcapng"))?;
+    let length =
+        file.modified().ok().zip(file.created().ok()).and_then(|(last, first)| last.duration_since(first).ok());
+    Some(json!([name, file.len(), length.map(|length| length.as_secs_f64())]))
+}
