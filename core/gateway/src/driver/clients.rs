@@ -93,6 +93,8 @@ async fn run_session<X: Transport, P: Platform>(
     chunk: &mut [u8],
 ) -> Result<Ended<X::Error>, X::Error> {
     let (mut limited, mut since) = (Limited::No, Instant::ZERO);
+    // whether an answer was sent since the task last waited
+    let mut had_turn = false;
     loop {
         shared.poll_for_client();
         let (next, limit) = match plan(shared, front, (peer, address), chunk) {
@@ -100,6 +102,12 @@ async fn run_session<X: Transport, P: Platform>(
             Err(ended) => return Ok(ended.map(|never| match *never {})),
         };
         if matches!(next, Next::Poll) {
+            continue;
+        }
+        // one line a turn, so a client that sends many lines at once does not slow the others
+        if had_turn && matches!(next, Next::Send(_)) {
+            had_turn = false;
+            yield_now().await;
             continue;
         }
         let now = transport.now();
@@ -119,6 +127,7 @@ async fn run_session<X: Transport, P: Platform>(
         match next {
             Next::Poll => {}
             Next::Send(count) => {
+                had_turn = true;
                 let answer = match front {
                     Front::Rac => chunk.get(..count).unwrap_or_default(),
                     Front::Modbus(front) => front.transmit(),
@@ -130,8 +139,6 @@ async fn run_session<X: Transport, P: Platform>(
                     });
                     limited = Limited::No;
                 }
-                // one line a turn, so a client that sends many lines at once does not slow the others
-                yield_now().await;
             }
             Next::Receive(room) => {
                 let room = chunk.get_mut(..room).unwrap_or_default();
@@ -159,7 +166,8 @@ async fn run_session<X: Transport, P: Platform>(
                             limited = Limited::No;
                         }
                     }
-                    None => {}
+                    // the task has waited: bytes that are there would have been received
+                    None => had_turn = false,
                 }
             }
         }

@@ -2,17 +2,24 @@
 
 extern crate std;
 
-use core::cell::RefCell;
+use core::cell::{Cell, RefCell};
+use core::convert::Infallible;
+use core::future::pending;
 use core::net::Ipv4Addr;
-use core::sync::atomic::{AtomicU64, Ordering};
+use core::pin::pin;
+use core::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use core::task::{Context, Waker};
 use core::time::Duration;
 use std::string::String;
+use std::sync::Arc;
+use std::task::Wake;
 use std::vec::Vec;
 
 use bcap_core::handler::PeerId;
+use bcap_core::io::asynch::Transport;
 use bcap_core::time::Instant;
 
-use super::{Client, Front, Limits, Lock, Platform, SharedGateway};
+use super::{Client, Front, Limits, Lock, Platform, SharedGateway, serve};
 use crate::modbus::{self, Entry};
 use crate::{Config, Gateway, Memory};
 
@@ -148,4 +155,64 @@ fn a_gateway_that_stops_opens_no_session() {
     shared.stop();
     assert!(shared.open((1, 0), &LIMITS).is_none());
     assert_eq!(std::format!("{shared:?}"), String::from("SharedGateway { .. }"));
+}
+
+/// The connection of a client that has sent some lines at once, and counts the answers.
+struct Lines<'a> {
+    lines: &'a [u8],
+    answers: &'a Cell<usize>,
+}
+
+impl Transport for Lines<'_> {
+    type Error = Infallible;
+
+    fn now(&self) -> Instant {
+        Bench::now()
+    }
+
+    async fn send(&mut self, bytes: &[u8], _: Instant) -> Result<Option<usize>, Infallible> {
+        self.answers.set(self.answers.get().checked_add(1).unwrap());
+        Ok(Some(bytes.len()))
+    }
+
+    async fn receive(&mut self, buffer: &mut [u8], _: Instant) -> Result<Option<usize>, Infallible> {
+        if self.lines.is_empty() {
+            return pending().await;
+        }
+        let (now, later) = self.lines.split_at(self.lines.len().min(buffer.len()));
+        buffer.get_mut(..now.len()).unwrap().copy_from_slice(now);
+        self.lines = later;
+        Ok(Some(now.len()))
+    }
+
+    async fn sleep_until(&mut self, _: Instant) {
+        pending().await
+    }
+}
+
+#[derive(Default)]
+struct Wakes(AtomicUsize);
+
+impl Wake for Wakes {
+    fn wake(self: Arc<Self>) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+#[test]
+fn a_client_of_several_lines_has_one_answer_a_turn_and_of_one_line_no_second_turn() {
+    for (lines, turns) in [(1, [(1, 0), (1, 0), (1, 0)]), (3, [(1, 1), (2, 2), (3, 2)])] {
+        let mut memory = Memory::<1, 4>::new();
+        let shared = SharedGateway::<Bench>::new(Gateway::new(Config::RC8, &mut memory), |_| {});
+        let (sent, answers) = ("GET:RC8:1:I:\r".repeat(lines), Cell::new(0));
+        let mut transport = Lines { lines: sent.as_bytes(), answers: &answers };
+        let mut session = pin!(serve::<_, _, 64>(&mut transport, Front::Rac, (1, 0), &shared, &LIMITS, |_| ()));
+        let wakes = Arc::new(Wakes::default());
+        let waker = Waker::from(Arc::clone(&wakes));
+        let found = [(); 3].map(|()| {
+            assert!(session.as_mut().poll(&mut Context::from_waker(&waker)).is_pending());
+            (answers.get(), wakes.0.load(Ordering::Relaxed))
+        });
+        assert_eq!(found, turns, "answers and wakes after each turn, {lines} lines");
+    }
 }
