@@ -71,6 +71,9 @@ pub struct Gateway<'m> {
     next_ticket: u32,
     /// An event from outside of `poll_event`.
     pending: Option<Event>,
+    /// The time until which `poll_event` has nothing to do; zero after bytes have moved or a connection has changed. Drivers poll
+    /// more often than there is something to do.
+    settled: Instant,
     counters: Counters,
 }
 
@@ -123,6 +126,7 @@ impl<'m> Gateway<'m> {
             next_peer: 1,
             next_ticket: 0,
             pending: None,
+            settled: Instant::ZERO,
             counters: Counters::default(),
         }
     }
@@ -163,6 +167,7 @@ impl Gateway<'_> {
     ///
     /// The address decides which rules apply to the client. The caller checks [`Rules::admits`](crate::rules::Rules::admits) before.
     pub fn open_from(&mut self, address: Option<Ipv4Addr>) -> Option<PeerId> {
+        self.settled = Instant::ZERO;
         let slot = self.slots.iter_mut().find(|slot| slot.peer.is_none())?;
         let peer = PeerId(self.next_peer);
         self.next_peer = self.next_peer.wrapping_add(1);
@@ -172,6 +177,7 @@ impl Gateway<'_> {
 
     /// Frees the slot of a client that disconnected. Its request in flight is executed nevertheless.
     pub fn close(&mut self, peer: PeerId) {
+        self.settled = Instant::ZERO;
         if let Some(slot) = self.slot_mut(peer) {
             slot.close();
         }
@@ -189,6 +195,7 @@ impl Gateway<'_> {
 
     /// Records that `count` bytes were put into [`receive_buffer`](Self::receive_buffer).
     pub fn received(&mut self, peer: PeerId, count: usize) {
+        self.settled = Instant::ZERO;
         if let Some(slot) = self.slot_mut(peer) {
             slot.session.received(count);
         }
@@ -204,6 +211,10 @@ impl Gateway<'_> {
     pub fn transmitted(&mut self, peer: PeerId, count: usize) {
         if let Some(slot) = self.slot_mut(peer) {
             slot.session.transmitted(count);
+            // the next line may have arrived
+            if slot.session.is_receiving() {
+                self.settled = Instant::ZERO;
+            }
         }
     }
 
@@ -249,6 +260,7 @@ impl Gateway<'_> {
 
     /// Records that the connection is open.
     pub fn robot_opened(&mut self, now: Instant) {
+        self.settled = Instant::ZERO;
         if self.link.state == State::Opening {
             self.link.state = State::Starting;
             self.client.reset();
@@ -263,6 +275,7 @@ impl Gateway<'_> {
 
     /// Records that the connection was closed by either side or could not be opened.
     pub fn robot_closed(&mut self, now: Instant) {
+        self.settled = Instant::ZERO;
         if self.robot_wanted() {
             self.pending = Some(self.fail_link(RobotError::Closed));
         }
@@ -282,6 +295,7 @@ impl Gateway<'_> {
 
     /// Records that `count` bytes were put into [`robot_receive_buffer`](Self::robot_receive_buffer).
     pub fn robot_received(&mut self, count: usize) {
+        self.settled = Instant::ZERO;
         self.client.received(count);
     }
 
@@ -293,6 +307,7 @@ impl Gateway<'_> {
 
     /// Records that the connection has taken `count` bytes of [`robot_transmit`](Self::robot_transmit).
     pub fn robot_transmitted(&mut self, count: usize) {
+        self.settled = Instant::ZERO;
         self.client.transmitted(count);
     }
 }
@@ -302,6 +317,13 @@ impl Gateway<'_> {
     /// Returns when [`poll_event`](Self::poll_event) must be called even if nothing else happens.
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Instant> {
+        match self.settled {
+            Instant::ZERO => self.next_deadline(),
+            until => Some(until).filter(|until| *until < Instant::FAR_FUTURE),
+        }
+    }
+
+    fn next_deadline(&self) -> Option<Instant> {
         let link = match self.link.state {
             State::Down { until } => Some(until),
             State::Up(_) if self.call.is_none() => Some(self.last_seen.saturating_add(self.config.heartbeat)),
@@ -316,8 +338,15 @@ impl Gateway<'_> {
     /// Call it until it returns `None`: after bytes were received or sent, after a connection was opened or closed, and
     /// at the time of [`poll_timeout`](Self::poll_timeout).
     pub fn poll_event(&mut self, now: Instant) -> Option<Event> {
+        if now < self.settled {
+            return None;
+        }
+        self.settled = Instant::ZERO;
         let event = self.pending.take().or_else(|| self.poll_robot(now)).or_else(|| self.poll_sessions(now));
         let event = event.or_else(|| self.begin(now));
+        if event.is_none() {
+            self.settled = self.next_deadline().unwrap_or(Instant::FAR_FUTURE);
+        }
         match event? {
             Event::Served { time, .. } => self.counters.served.add(time),
             Event::Failed { time, .. } => self.counters.failed.add(time),

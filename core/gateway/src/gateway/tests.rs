@@ -204,8 +204,15 @@ impl<'c> Bench<'c> {
         self.settle()
     }
 
+    /// Polls the gateway, and checks that it skips no step when it is settled.
     fn events(&mut self) -> Vec<Event> {
-        core::iter::from_fn(|| self.gateway.poll_event(self.now)).collect()
+        let events: Vec<_> = core::iter::from_fn(|| self.gateway.poll_event(self.now)).collect();
+        let settled = (self.gateway.settled, self.gateway.poll_timeout(), self.gateway.robot_transmit().to_vec());
+        self.gateway.settled = Instant::ZERO;
+        assert_eq!(self.gateway.poll_event(self.now), None, "a settled gateway had an event");
+        let again = (self.gateway.settled, self.gateway.poll_timeout(), self.gateway.robot_transmit().to_vec());
+        assert_eq!(settled, again, "a settled gateway had a step to do");
+        events
     }
 
     /// Moves bytes to the robot and back until none are left.
@@ -317,6 +324,31 @@ fn a_session_begins_as_configured_and_reads_with_one_handle() {
         bench.robot.calls(),
         ["ControllerGetVariable(I4(77), \"I10\", \"\")", "VariableGetValue(I4(1001))", "VariableGetValue(I4(1001))"]
     );
+}
+
+#[test]
+fn a_settled_gateway_waits_for_its_deadline_or_for_bytes() {
+    let (mut bench, plc) = Bench::with_client::<1, 4>(Config::RC8);
+    bench.robot.set("I1", &7_i32);
+    assert_eq!(bench.events(), []);
+    let heartbeat = bench.now + Config::RC8.heartbeat;
+    assert_eq!((bench.gateway.settled, bench.gateway.poll_timeout()), (heartbeat, Some(heartbeat)));
+
+    bench.send(plc, "GET:RC8:1:I:\r");
+    assert_eq!(bench.gateway.settled, Instant::ZERO, "bytes of a client");
+    assert_eq!(bench.settle().len(), 1);
+    assert!(bench.gateway.settled > bench.now);
+    assert_eq!(bench.take(plc), "0,3,7\r");
+    assert!(bench.gateway.settled > bench.now, "no further line has arrived");
+
+    bench.send(plc, "GET:RC8:1:I:\rGET:");
+    assert_eq!(bench.settle().len(), 1);
+    assert_eq!(bench.take(plc), "0,3,7\r");
+    assert_eq!(bench.gateway.settled, Instant::ZERO, "a part of the next line has arrived");
+
+    assert_eq!(bench.events(), []);
+    bench.gateway.robot_closed(bench.now);
+    assert_eq!(bench.gateway.settled, Instant::ZERO, "the end of the connection");
 }
 
 #[test]
