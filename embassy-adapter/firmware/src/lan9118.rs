@@ -277,7 +277,6 @@ impl<'m> Lan9118<'m> {
 
     /// Copies the next valid frame out of the controller and returns its length.
     fn take_frame(&mut self) -> Option<usize> {
-        DROPPED.fetch_add(ETHERNET.read::<{ register::RX_DROP }>(), Ordering::Relaxed);
         while frames_waiting() > 0 {
             let status = ETHERNET.read::<{ register::RX_STATUS }>();
             let with_checksum = to_usize(status >> 16 & 0x3fff);
@@ -299,7 +298,9 @@ impl<'m> Lan9118<'m> {
         }
         WAKER.register(waker);
         ETHERNET.write::<{ register::INT_STS }>(RX_STATUS_LEVEL);
-        // a frame that arrived before the flag was cleared raises no interrupt
+        // the interrupt of the frame before became pending again while it was masked
+        board::unpend(board::ETHERNET_IRQ);
+        // a frame that arrived before raises no interrupt
         let found = self.take_frame();
         board::unmask(board::ETHERNET_IRQ);
         found
@@ -419,6 +420,7 @@ impl Driver for Lan9118<'_> {
         if self.link.checked_at.is_none_or(|checked_at| now >= checked_at + LINK_INTERVAL) {
             self.link.checked_at = Some(now);
             self.link.up = is_link_up();
+            DROPPED.fetch_add(ETHERNET.read::<{ register::RX_DROP }>(), Ordering::Relaxed);
             self.check_silence(now);
         }
         // the controller signals no change of the link, so the driver wakes itself to poll it
