@@ -96,7 +96,7 @@ pub fn start(
     let robot = settings.robot;
     defmt::info!("gateway to {}, provider {=str}", defmt::Debug2Format(&robot), settings.provider);
     let board = make(settings);
-    spawner.spawn(run_robot_link(stack, settings, board, parts.name, dhcp_again)?);
+    spawner.spawn(run_robot_link(stack, settings, board, dhcp_again)?);
     for (number, memory) in (PLC..).zip(SOCKET_MEMORY.take()) {
         spawner.spawn(serve(stack, memory, settings, board, Task::new(number))?);
     }
@@ -109,7 +109,7 @@ pub fn start(
     crate::page::start(spawner, stack, settings, board, parts)?;
     #[cfg(all(feature = "update", feature = "port"))]
     crate::remote::start(spawner, stack, settings)?;
-    spawner.spawn(log_status(board, parts)?);
+    spawner.spawn(log_status(stack, board, parts)?);
     HAS_ERROR.store(settings.has_invalid_line() || parts.last_reset.is_fault(), Ordering::Relaxed);
     Ok(board)
 }
@@ -260,7 +260,6 @@ async fn run_robot_link(
     stack: Stack<'static>,
     settings: &'static Settings<'static>,
     board: &'static Board,
-    name: &'static str,
     dhcp_again: Duration,
 ) {
     static MEMORY: ConstStaticCell<[[u8; ROBOT_BUFFER]; 2]> = ConstStaticCell::new([[0; ROBOT_BUFFER]; 2]);
@@ -293,12 +292,12 @@ async fn run_robot_link(
         address::find(stack, settings).await;
         select(run, address::improve(stack, settings, dhcp_again, || has_robot(board))).await;
     };
-    join(watched(ROBOT, pin!(work)), network::follow(stack, name)).await;
+    watched(ROBOT, pin!(work)).await;
 }
 
-/// Logs the state of the board every 10 s.
+/// Logs the state of the board every 10 s, and follows its address: in this task, because it seldom runs.
 #[embassy_executor::task]
-async fn log_status(board: &'static Board, parts: Parts) -> ! {
+async fn log_status(stack: Stack<'static>, board: &'static Board, parts: Parts) -> ! {
     let work = async {
         loop {
             Timer::after_secs(10).await;
@@ -308,5 +307,5 @@ async fn log_status(board: &'static Board, parts: Parts) -> ! {
             crate::messages::left_out();
         }
     };
-    watched(STATUS, pin!(work)).await
+    join(watched(STATUS, pin!(work)), network::follow(stack, parts.name)).await.0
 }

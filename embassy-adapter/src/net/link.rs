@@ -1,9 +1,10 @@
 //! A wait that ends when the link goes down; shared by both transports.
 
+use core::future::poll_fn;
 use core::pin::pin;
+use core::task::{Context, Poll};
 
-use bcap_core::time::Instant;
-use embassy_time::{Duration, TimeoutError, with_deadline};
+use embassy_time::{Duration, Instant, Timer};
 
 use crate::clock::ticks;
 use crate::error::NetError;
@@ -20,19 +21,43 @@ const LINK_INTERVAL: Duration = Duration::from_millis(250);
 /// [`NetError::Down`] when the network goes down.
 pub(super) async fn wait<T>(
     stack: embassy_net::Stack<'_>,
-    until: Instant,
+    until: bcap_core::time::Instant,
     work: impl Future<Output = T>,
 ) -> Result<Option<T>, NetError> {
     let mut work = pin!(work);
-    let until = ticks(until);
-    loop {
-        let check = embassy_time::Instant::now().saturating_add(LINK_INTERVAL).min(until);
-        match with_deadline(check, work.as_mut()).await {
-            Ok(done) => return Ok(Some(done)),
-            Err(TimeoutError) if is_down(stack) => return Err(NetError::Down),
-            Err(TimeoutError) if embassy_time::Instant::now() >= until => return Ok(None),
-            Err(TimeoutError) => {}
+    let mut limit = Limit { until: ticks(until), check: Instant::MAX };
+    poll_fn(move |cx| match work.as_mut().poll(cx) {
+        Poll::Ready(done) => Poll::Ready(Ok(Some(done))),
+        // the clock is read and a timer set only now: often the work is done at once
+        Poll::Pending => limit.poll(stack, cx).map(|ended| ended.map(|()| None)),
+    })
+    .await
+}
+
+/// The end of a wait.
+struct Limit {
+    until: Instant,
+    /// The time of the next check of the link; `MAX` before the first poll.
+    check: Instant,
+}
+
+impl Limit {
+    /// Returns `Ok` at the time limit. Not generic, so an image contains one copy of it.
+    #[inline(never)]
+    fn poll(&mut self, stack: embassy_net::Stack<'_>, cx: &mut Context<'_>) -> Poll<Result<(), NetError>> {
+        let now = Instant::now();
+        let next = now.saturating_add(LINK_INTERVAL).min(self.until);
+        if now >= self.check.min(self.until) {
+            match is_down(stack) {
+                true => return Poll::Ready(Err(NetError::Down)),
+                false if now >= self.until => return Poll::Ready(Ok(())),
+                false => self.check = next,
+            }
         }
+        self.check = self.check.min(next);
+        // its first poll sets the time to wake this task, which stays set without the timer
+        let _ = pin!(Timer::at(self.check)).poll(cx);
+        Poll::Pending
     }
 }
 
