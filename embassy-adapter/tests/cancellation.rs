@@ -728,6 +728,7 @@ const DRIVER: &[(&str, Coverage)] = &[
     ("driver/clients.rs: run_session", Through("driver/clients.rs: serve")),
     ("driver/clients.rs: serve", Swept("gateway::Listener::run")),
     ("driver/notify.rs: first", Through("driver/clients.rs: serve")),
+    ("driver/notify.rs: unless", Through("driver/robot.rs: run_robot")),
     ("driver/notify.rs: yield_now", Through("driver/clients.rs: serve")),
     ("driver/robot.rs: RobotLink::open", DECLARED),
     ("driver/robot.rs: run_robot", Swept("run_robot")),

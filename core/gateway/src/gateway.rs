@@ -71,7 +71,7 @@ pub struct Gateway<'m> {
     next_ticket: u32,
     /// An event from outside of `poll_event`.
     pending: Option<Event>,
-    /// The time until which `poll_event` has nothing to do; zero after bytes have moved or a connection has changed. Drivers poll
+    /// The time until which `poll_event` has nothing to do; zero after bytes were received or a connection has changed. Drivers poll
     /// more often than there is something to do.
     settled: Instant,
     counters: Counters,
@@ -307,8 +307,11 @@ impl Gateway<'_> {
 
     /// Records that the connection has taken `count` bytes of [`robot_transmit`](Self::robot_transmit).
     pub fn robot_transmitted(&mut self, count: usize) {
-        self.settled = Instant::ZERO;
         self.client.transmitted(count);
+        // it moves deadlines, and is no step
+        if self.settled > Instant::ZERO {
+            self.settled = self.deadline();
+        }
     }
 }
 
@@ -317,20 +320,18 @@ impl Gateway<'_> {
     /// Returns when [`poll_event`](Self::poll_event) must be called even if nothing else happens.
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Instant> {
-        match self.settled {
-            Instant::ZERO => self.next_deadline(),
-            until => Some(until).filter(|until| *until < Instant::FAR_FUTURE),
-        }
+        let until = if self.settled > Instant::ZERO { self.settled } else { self.deadline() };
+        Some(until).filter(|until| *until < Instant::FAR_FUTURE)
     }
 
-    fn next_deadline(&self) -> Option<Instant> {
+    fn deadline(&self) -> Instant {
         let link = match self.link.state {
             State::Down { until } => Some(until),
             State::Up(_) if self.call.is_none() => Some(self.last_seen.saturating_add(self.config.heartbeat)),
             _ => self.client.poll_timeout(),
         };
         let sessions = self.slots.iter().filter(|slot| slot.peer.is_some()).filter_map(|s| s.session.poll_timeout());
-        link.into_iter().chain(sessions).min()
+        link.into_iter().chain(sessions).min().unwrap_or(Instant::FAR_FUTURE)
     }
 
     /// Performs the next step and returns its event; `None` when there is nothing to do.
@@ -345,7 +346,7 @@ impl Gateway<'_> {
         let event = self.pending.take().or_else(|| self.poll_robot(now)).or_else(|| self.poll_sessions(now));
         let event = event.or_else(|| self.begin(now));
         if event.is_none() {
-            self.settled = self.next_deadline().unwrap_or(Instant::FAR_FUTURE);
+            self.settled = self.deadline();
         }
         match event? {
             Event::Served { time, .. } => self.counters.served.add(time),

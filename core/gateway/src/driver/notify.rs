@@ -44,6 +44,18 @@ pub(super) async fn first<T>(
     .await
 }
 
+/// Waits for `end` or `work`, and polls `end` first: it costs less, and then often `work` need not be polled.
+pub(super) async fn unless<T>(
+    mut end: Pin<&mut impl Future<Output = ()>>,
+    mut work: Pin<&mut impl Future<Output = T>>,
+) -> Option<T> {
+    poll_fn(|cx| match end.as_mut().poll(cx) {
+        Poll::Ready(()) => Poll::Ready(None),
+        Poll::Pending => work.as_mut().poll(cx).map(Some),
+    })
+    .await
+}
+
 /// Lets the other tasks run.
 pub(super) async fn yield_now() {
     let mut yielded = false;

@@ -5,7 +5,7 @@ use core::pin::pin;
 use bcap_core::bcap;
 use bcap_core::io::asynch::Transport;
 
-use super::notify::first;
+use super::notify::unless;
 use super::{Platform, SharedGateway};
 
 /// A link to the robot, whose transport can be reopened.
@@ -62,8 +62,8 @@ pub async fn run_robot<L: RobotLink, P: Platform<Cause = L::Cause>>(
             }
             (true, true) => transfer(robot.link, frame, shared).await,
             (false, false) => {
-                first(pin!(robot.link.transport().sleep_until(shared.next_poll())), pin!(shared.wait_for_robot()))
-                    .await;
+                let sleep = robot.link.transport().sleep_until(shared.next_poll());
+                unless(pin!(shared.wait_for_robot()), pin!(sleep)).await;
                 Ok(())
             }
         };
@@ -120,7 +120,7 @@ async fn transfer<L: RobotLink, P: Platform>(
     let room = shared.with(|shared| shared.gateway.robot_receive_buffer().len()).unwrap_or_default();
     let len = room.min(frame.len());
     let room = frame.get_mut(..len).unwrap_or_default();
-    let moved = first(pin!(link.transport().receive(room, until)), pin!(shared.wait_for_robot())).await;
+    let moved = unless(pin!(shared.wait_for_robot()), pin!(link.transport().receive(room, until))).await;
     match moved {
         Some(Ok(Some(count))) => received::<L, P>(frame.get(..count).unwrap_or_default(), shared),
         Some(Ok(None)) | None => Ok(()),
