@@ -237,11 +237,21 @@ sanitizers:
     RUSTFLAGS=-Zsanitizer=thread CARGO_TARGET_DIR=target/tsan \
         cargo +nightly test -Zbuild-std -p bcap-std --all-features --lib --tests --target x86_64-unknown-linux-gnu
 
-# Instructions and times of requests through the gateway board in QEMU, compared with a bare echo on it; `bash .ci/run firmware` installs the tools.
+# Instructions, against bars, and times of requests through the gateway board in QEMU, compared with a bare echo on it; `bash .ci/run firmware` installs the tools.
 [group('board in QEMU')]
 board:
     cargo build --release -p bcap-cli
     BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo bench -p bcap-qemu --features qemu --bench gateway
+
+# Flame graph of a request through the gateway board in QEMU, as in docs/performance.md.
+[group('board in QEMU')]
+flame-board folder="target/flame":
+    mkdir -p {{folder}}
+    cargo build --release -p bcap-cli
+    BCAP_CALLGRIND=$(realpath {{folder}}) BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" \
+        cargo bench -p bcap-qemu --features qemu --bench gateway
+    c++filt <{{folder}}/board.out | sed -E 's/\[[0-9a-f]{8,16}\]//g; s/<embassy_executor::raw::TaskStorage<.*::__([a-z_]+)_task::.*>>::poll/task \1/' >{{folder}}/board.named
+    tests/instructions/flame --title "a request, gateway board" /dev/null {{folder}}/board.named >{{folder}}/board.svg
 
 # The gateway board in QEMU for a minute on a link that drops, repeats and delays frames; a seed decides which.
 [group('board in QEMU')]
