@@ -175,6 +175,7 @@ impl Drop for Line {
 
 #[cfg(test)]
 mod tests {
+    #[cfg(unix)]
     use std::io::Read as _;
     use std::net::SocketAddr;
 

@@ -3,6 +3,8 @@
 //! The times of calls are converted to the controller's clock, and the times until which calls wait are converted back. Time
 //! limits of clients and of the server stay in their own time.
 
+use core::time::Duration;
+
 use bcap_core::bcap::server as bcap;
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
@@ -13,6 +15,9 @@ use crate::controller::Controller;
 
 /// The accepted factors.
 const FACTORS: std::ops::RangeInclusive<f64> = 0.1..=10.0;
+
+/// The longest wait of a call until it is resumed, by the server's clock.
+const LONGEST_WAIT: Duration = Duration::from_millis(100);
 
 /// A controller with a time factor.
 ///
@@ -81,12 +86,13 @@ impl Paced {
         &mut self.controller
     }
 
-    /// Converts the time of a waiting call to the server's clock.
-    fn converted(&self, outcome: Outcome) -> Outcome {
+    /// Converts the time of a waiting call to the server's clock. A call is resumed early, because the factor may change.
+    fn converted(&self, outcome: Outcome, now: Instant) -> Outcome {
         match outcome {
             Outcome::Wait(time) if time != Instant::FAR_FUTURE => {
                 let (server, controller) = self.since;
-                Outcome::Wait(server.saturating_add(time.saturating_since(controller).div_f64(self.factor)))
+                let time = server.saturating_add(time.saturating_since(controller).div_f64(self.factor));
+                Outcome::Wait(time.min(now.saturating_add(LONGEST_WAIT)))
             }
             outcome => outcome,
         }
@@ -97,7 +103,7 @@ impl bcap::Handler for Paced {
     fn call(&mut self, peer: PeerId, request: &bcap::Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
         let (controller, time) = self.at(now);
         let outcome = bcap::Handler::call(controller, peer, request, reply, time);
-        self.converted(outcome)
+        self.converted(outcome, now)
     }
 
     fn resume(
@@ -109,7 +115,7 @@ impl bcap::Handler for Paced {
     ) -> Outcome {
         let (controller, time) = self.at(now);
         let outcome = bcap::Handler::resume(controller, peer, request, reply, time);
-        self.converted(outcome)
+        self.converted(outcome, now)
     }
 
     fn abandoned(&mut self, peer: PeerId, now: Instant) {
@@ -132,7 +138,7 @@ impl rac::Handler for Paced {
     fn call(&mut self, peer: PeerId, request: &RacRequest<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
         let (controller, time) = self.at(now);
         let outcome = rac::Handler::call(controller, peer, request, reply, time);
-        self.converted(outcome)
+        self.converted(outcome, now)
     }
 
     fn left(&mut self, peer: PeerId, now: Instant) {
@@ -152,11 +158,14 @@ mod tests {
         let at = Instant::from_millis;
         paced.set_factor(0.5, at(100)).unwrap();
         assert_eq!(paced.time(at(300)), at(200));
-        assert_eq!(paced.converted(Outcome::Wait(at(200))), Outcome::Wait(at(300)));
+        assert_eq!(paced.converted(Outcome::Wait(at(200)), at(250)), Outcome::Wait(at(300)));
+        // a call that waits for 2 s is resumed within 100 ms, when the factor may be another one
+        assert_eq!(paced.converted(Outcome::Wait(at(2200)), at(300)), Outcome::Wait(at(400)));
         paced.set_factor(10.0, at(300)).unwrap();
         assert_eq!(paced.time(at(400)), at(1200), "the clock does not jump");
-        assert_eq!(paced.converted(Outcome::Wait(at(1200))), Outcome::Wait(at(400)));
-        assert_eq!(paced.converted(Outcome::Wait(Instant::FAR_FUTURE)), Outcome::Wait(Instant::FAR_FUTURE));
+        assert_eq!(paced.converted(Outcome::Wait(at(1200)), at(350)), Outcome::Wait(at(400)));
+        assert_eq!(paced.converted(Outcome::Wait(at(2200)), at(400)), Outcome::Wait(at(500)), "not after 2100");
+        assert_eq!(paced.converted(Outcome::Wait(Instant::FAR_FUTURE), at(400)), Outcome::Wait(Instant::FAR_FUTURE));
         for factor in [0.0, -1.0, 11.0, f64::NAN] {
             assert!(paced.set_factor(factor, at(400)).is_err(), "{factor}");
         }

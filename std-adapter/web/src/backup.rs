@@ -19,7 +19,7 @@ use serde_json::{Value, json};
 
 use crate::app::App;
 use crate::control::Client;
-use crate::job::{Job, Work};
+use crate::job::{Job, Kind, Work};
 use crate::robot::Robot;
 use crate::text::safe;
 
@@ -73,20 +73,15 @@ pub(crate) fn start(
     who: String,
     work: Work,
 ) -> Result<Value, String> {
-    let (Work::Dump { folder } | Work::Diff { folder, .. } | Work::Plan { folder, .. } | Work::Restore { folder }) =
-        &work;
-    let path = path_in(backups(app)?, folder)?;
-    let with = match &work {
-        Work::Diff { with: Some(with), .. } => Some(path_in(backups(app)?, with)?),
-        _ => None,
-    };
+    let path = path_in(backups(app)?, &work.folder)?;
+    let with = work.with.as_deref().map(|with| path_in(backups(app)?, with)).transpose()?;
     let mut last = robot.backup();
     if last.as_ref().is_some_and(|last| last.is_running()) {
         return Err("the last work on backups of this robot has not ended; end it, or wait".into());
     }
-    let plan = match &work {
-        Work::Restore { folder } => {
-            Some(last.as_ref().and_then(|last| planned(last, client, folder)).ok_or("plan the restore first")?)
+    let plan = match work.kind {
+        Kind::Restore => {
+            Some(last.as_ref().and_then(|last| planned(last, client, &work)).ok_or("plan the restore first")?)
         }
         _ => None,
     };
@@ -94,13 +89,12 @@ pub(crate) fn start(
     let (app, of, own) = (Arc::clone(app), Arc::clone(robot), Arc::clone(&job));
     let run = move || {
         let outcome = perform(&own, &of, &path, with.as_deref(), plan).map_err(|error| error.to_string());
-        let what = match &own.work {
-            Work::Dump { folder } => format!("dumps to {folder}"),
-            Work::Diff { folder, with } => {
-                format!("compares {folder} with {}", with.as_deref().unwrap_or("the controller"))
-            }
-            Work::Plan { folder, .. } => format!("plans to restore {folder}"),
-            Work::Restore { folder } => format!("restores {folder}"),
+        let Work { kind, folder, with, .. } = &own.work;
+        let what = match kind {
+            Kind::Dump => format!("dumps to {folder}"),
+            Kind::Diff => format!("compares {folder} with {}", with.as_deref().unwrap_or("the controller")),
+            Kind::Plan => format!("plans to restore {folder}"),
+            Kind::Restore => format!("restores {folder}"),
         };
         app.audit.write(&who, &of.name, &what, &outcome);
         own.lock().outcome = Some(outcome);
@@ -114,19 +108,17 @@ pub(crate) fn start(
 }
 
 /// Takes the plan that the same page has made for the same folder.
-fn planned(last: &Job, client: Client, wanted: &str) -> Option<Plan> {
-    match &last.work {
-        Work::Plan { folder, .. } if last.client == client && folder == wanted => last.lock().plan.take(),
-        _ => None,
-    }
+fn planned(last: &Job, client: Client, wanted: &Work) -> Option<Plan> {
+    let is_wanted = last.work.kind == Kind::Plan && last.client == client && last.work.folder == wanted.folder;
+    if is_wanted { last.lock().plan.take() } else { None }
 }
 
 fn perform(job: &Job, robot: &Robot, path: &Path, with: Option<&Path>, plan: Option<Plan>) -> Result<String, Error> {
     let mut asked = Instant::now();
     let watch = |link: &mut Link, at: Progress<'_>| job.watch(link, at, &mut asked);
     let connect = || Link::connect(&robot.access, &Packets::new());
-    match (&job.work, plan) {
-        (Work::Dump { .. }, _) => {
+    match (job.work.kind, plan) {
+        (Kind::Dump, _) => {
             let mut link = connect()?;
             let folder = Folder::begin(path, controller::about(&mut link)?)?;
             let contents = dump::dump(&mut link, &folder, watch)?;
@@ -139,7 +131,7 @@ fn perform(job: &Job, robot: &Robot, path: &Path, with: Option<&Path>, plan: Opt
                 contents.refused()
             ))
         }
-        (Work::Diff { .. }, _) => {
+        (Kind::Diff, _) => {
             let saved = folder::load(path)?;
             let other = match with {
                 Some(with) => folder::load(with)?,
@@ -152,9 +144,9 @@ fn perform(job: &Job, robot: &Robot, path: &Path, with: Option<&Path>, plan: Opt
             job.show(&lines);
             Ok(if lines.is_empty() { "no differences".into() } else { format!("{} differences", lines.len()) })
         }
-        (Work::Plan { io, .. }, _) => {
+        (Kind::Plan, _) => {
             let backup = folder::load(path)?;
-            let options = Options { io: *io, other_controller: false };
+            let options = Options { io: job.work.io, other_controller: false };
             let plan = restore::plan(&mut connect()?, &backup, options, watch)?;
             job.show(&plan.lines());
             let mut state = job.lock();
@@ -167,7 +159,7 @@ fn perform(job: &Job, robot: &Robot, path: &Path, with: Option<&Path>, plan: Opt
                 format!("{count} writes are planned")
             })
         }
-        (Work::Restore { .. }, Some(plan)) => {
+        (Kind::Restore, Some(plan)) => {
             let mut link = connect()?;
             let mut journal = Journal::begin(path, &robot.address, &plan.names())?;
             let written = restore::write(&mut link, &plan, &mut journal, &Replaced::new(path), watch);
@@ -177,7 +169,7 @@ fn perform(job: &Job, robot: &Robot, path: &Path, with: Option<&Path>, plan: Opt
                 .map_err(|error| Error::Unexpected(format!("{error}; {past}; plan it again to write the rest")))
                 .map(|()| past)
         }
-        (Work::Restore { .. }, None) => Err(Error::Invalid("plan the restore first".into())),
+        (Kind::Restore, None) => Err(Error::Invalid("plan the restore first".into())),
     }
 }
 
@@ -197,15 +189,9 @@ fn difference_lines(a: &Contents, b: &Contents) -> Vec<String> {
 pub(crate) fn section(robot: &Robot, client: Client) -> Value {
     let Some(job) = robot.backup().clone() else { return Value::Null };
     let state = job.lock();
-    let (name, folder) = match &job.work {
-        Work::Dump { folder } => ("dump", folder),
-        Work::Diff { folder, .. } => ("diff", folder),
-        Work::Plan { folder, .. } => ("plan", folder),
-        Work::Restore { folder } => ("restore", folder),
-    };
     json!({
-        "work": name,
-        "folder": folder,
+        "work": job.work.kind,
+        "folder": job.work.folder,
         "part": state.part,
         "done": state.done,
         "count": state.count,

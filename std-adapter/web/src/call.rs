@@ -8,20 +8,16 @@ use serde_json::Value;
 
 use crate::raw::Desk;
 use crate::socket::Page;
-use crate::text::safe;
 
 impl Page {
     /// Makes a call of the user, if its effect is allowed. `name` is the robot's name in the question.
     pub(crate) async fn call(&mut self, number: usize, name: &str, request: Request) -> Result<Value, String> {
-        let robot = self.robot(number)?;
         let who = match request.effect() {
             Effect::Session | Effect::Reads => None,
             Effect::Writes => Some(self.writer(number)?),
             _ => Some(self.mover(number)?),
         };
-        if who.is_some() && safe(&robot.name) != name {
-            return Err(format!("{name} is not the name of this robot; nothing was done"));
-        }
+        let robot = if who.is_some() { self.named(number, name)? } else { self.robot(number)? };
         if self.desk.as_ref().is_some_and(|desk| desk.number != number)
             && let Some(desk) = self.desk.take()
         {

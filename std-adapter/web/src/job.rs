@@ -8,7 +8,7 @@ use bcap_backup::plan::Plan;
 use bcap_core::bcap::StreamState;
 use bcap_live::link::{Error, Link};
 use bcap_live::stream::StreamCheck;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use crate::control::Client;
 use crate::text::safe;
@@ -19,18 +19,32 @@ const LINES: usize = 500;
 /// How often a job asks whether a stream of Slave Mode runs.
 const ASK: Duration = Duration::from_secs(1);
 
+/// A kind of work.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum Kind {
+    /// Saves the controller in a folder.
+    Dump,
+    /// Compares a folder with another one, or with the controller.
+    Diff,
+    /// Plans a restore.
+    Plan,
+    /// Writes the plan that this page has made last.
+    Restore,
+}
+
 /// The work of a job.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "lowercase", tag = "work", deny_unknown_fields)]
-pub(crate) enum Work {
-    /// Saves the controller in a folder.
-    Dump { folder: String },
-    /// Compares a folder with another one, or with the controller.
-    Diff { folder: String, with: Option<String> },
-    /// Plans a restore.
-    Plan { folder: String, io: bool },
-    /// Writes the plan that this page has made last.
-    Restore { folder: String },
+#[serde(deny_unknown_fields)]
+pub(crate) struct Work {
+    #[serde(rename = "work")]
+    pub(crate) kind: Kind,
+    pub(crate) folder: String,
+    /// The folder to compare with; `None` for the controller.
+    pub(crate) with: Option<String>,
+    /// Whether a plan has the I/O.
+    #[serde(default)]
+    pub(crate) io: bool,
 }
 
 /// A job, and what a page shows of it.
@@ -79,7 +93,7 @@ impl Job {
 
     /// Ends a restore of a page that was lost or has released the control.
     pub(crate) fn end_restore(&self, client: Client, why: &str) {
-        if self.client == client && matches!(self.work, Work::Restore { .. }) {
+        if self.client == client && self.work.kind == Kind::Restore {
             self.end(why);
         }
     }

@@ -60,7 +60,7 @@ enum Screen {
 
 /// An order of a page.
 #[derive(Debug, Deserialize)]
-#[serde(tag = "do", rename_all = "lowercase", deny_unknown_fields)]
+#[serde(rename_all = "lowercase", deny_unknown_fields)]
 enum Order {
     /// Shows a screen of a robot.
     Show { robot: usize, screen: Screen },
@@ -277,9 +277,12 @@ impl Page {
 
     /// Carries out an order, and returns the answer.
     async fn order(&mut self, text: &str) -> Value {
-        let parsed = serde_json::from_str::<Value>(text).ok().and_then(|mut order| {
-            let number = order.as_object_mut()?.remove("id")?.as_u64()?;
-            Some((number, serde_json::from_value::<Order>(order).ok()?))
+        let parsed = serde_json::from_str::<Map<_, _>>(text).ok().and_then(|mut order| {
+            let number = order.remove("id")?.as_u64()?;
+            let Value::String(what) = order.remove("do")? else { return None };
+            // an internally tagged enum needs 250 KB of code
+            let order = Map::from_iter([(what, Value::Object(order))]);
+            Some((number, Order::deserialize(Value::Object(order)).ok()?))
         });
         let Some((number, order)) = parsed else { return json!({ "t": "answer", "error": "this is not an order" }) };
         match self.carry_out(order).await {
@@ -444,10 +447,7 @@ impl Page {
 
     /// Begins a recovery.
     fn begin_recovery(&mut self, number: usize, name: &str) -> Result<Value, String> {
-        let (who, robot) = (self.mover(number)?, self.robot(number)?);
-        if view::safe(&robot.name) != name {
-            return Err(format!("{name} is not the name of this robot; nothing was done"));
-        }
+        let (who, robot) = (self.mover(number)?, self.named(number, name)?);
         self.end_motion("a recovery begins");
         self.recovery = Some((number, recover::start(&self.app, &robot, who)?));
         Ok(Value::Null)
@@ -484,10 +484,7 @@ impl Page {
 
     /// Begins a jog.
     fn take_grip(&mut self, number: usize, name: &str) -> Result<Value, String> {
-        let (who, robot) = (self.mover(number)?, self.robot(number)?);
-        if view::safe(&robot.name) != name {
-            return Err(format!("{name} is not the name of this robot; nothing was done"));
-        }
+        let (who, robot) = (self.mover(number)?, self.named(number, name)?);
         self.end_motion("a jog begins");
         self.grip = Some((number, jog::start(&self.app, &robot, who)?));
         Ok(Value::Null)
@@ -507,6 +504,13 @@ impl Page {
 
     pub(crate) fn robot(&self, number: usize) -> Result<Arc<Robot>, String> {
         self.app.robots.get(number).cloned().ok_or_else(|| "there is no such robot".into())
+    }
+
+    /// Returns a robot whose name was in the question to the user.
+    pub(crate) fn named(&self, number: usize, name: &str) -> Result<Arc<Robot>, String> {
+        let robot = self.robot(number)?;
+        let is_named = view::safe(&robot.name) == name;
+        is_named.then_some(robot).ok_or_else(|| format!("{name} is not the name of this robot; nothing was done"))
     }
 
     /// Refuses orders that change something unless the server was started for them.
