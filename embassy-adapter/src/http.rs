@@ -1,7 +1,8 @@
-//! A small HTTP server for pages that only show something, such as the health of a board.
+//! A small HTTP server, for pages such as the health of a board.
 //!
-//! It answers GET and HEAD, one request a connection, from a buffer of the caller, and uses nothing of a request but its path.
-//! picoserve has routes, headers and request bodies; its MSRV (1.93) is above this crate's, and a page needs none of them.
+//! It answers one request a connection, from a buffer of the caller: GET and HEAD of pages ([`HttpListener::run`]), and POST for
+//! a [`Site`], which decides on a request by its head before the body is received.
+//! picoserve has routes and all headers; its MSRV (1.93) is above this crate's.
 //!
 //! # Examples
 //!
@@ -23,6 +24,8 @@
 //! }
 //! ```
 
+mod request;
+
 use core::fmt::{self, Write};
 use core::time::Duration;
 
@@ -32,11 +35,13 @@ use embassy_futures::select::{Either, select};
 use embassy_net::{IpEndpoint, Stack};
 use embassy_time::Timer;
 
+use self::request::head_len;
+pub use self::request::{Method, Request};
 use crate::net::{Options, TcpTransport, evicted};
 
 /// The memory for the head of a response in bytes, and for the path of a request.
 const RESPONSE_HEAD: usize = 192;
-const PATH: usize = 32;
+const PATH: usize = 23;
 
 /// How long a request may take from the connection to its end, and the response to be sent.
 const RECEIVE: Duration = Duration::from_secs(5);
@@ -68,6 +73,36 @@ impl Content {
     }
 }
 
+/// The pages of a server whose requests may have a body.
+pub trait Site<'s> {
+    /// A page, or the refusal of a request.
+    type Page;
+
+    /// Returns whether a client may connect.
+    fn admits(&self, client: Option<IpEndpoint>) -> bool;
+
+    /// Decides on a request by its head; the body is received only if the site wants it.
+    fn decide(&self, request: &Request<'_>) -> Decision<Self::Page>;
+
+    /// Takes a body: the first `len` bytes of the listener's memory, which it gives back.
+    ///
+    /// A listener whose future is dropped meanwhile has lost its memory, and answers no more requests.
+    fn take(&self, memory: &'s mut [u8], len: usize) -> impl Future<Output = (&'s mut [u8], Self::Page)>;
+
+    /// Writes a page; `None` means that there is no such page.
+    fn write(&self, page: Self::Page, out: &mut dyn Write) -> Option<(Status, Content)>;
+}
+
+/// A decision on the head of a request.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Decision<P> {
+    /// Answer with this page.
+    Answer(P),
+    /// Receive the body.
+    Receive,
+}
+
 /// A TCP listener that answers one request at a time.
 ///
 /// With several on one port and a [`Backlog`](crate::net::Backlog), the oldest unfinished request makes room for a new client.
@@ -86,7 +121,7 @@ impl<'s> HttpListener<'s> {
         Self { transport: TcpTransport::new(stack, rx, tx, options), port, page }
     }
 
-    /// Answers requests forever.
+    /// Answers GET and HEAD forever.
     ///
     /// `admits` tells whether a client may connect. `answer` writes the page of a path, without its query, and returns its type;
     /// `None` means that there is no such page.
@@ -95,100 +130,184 @@ impl<'s> HttpListener<'s> {
         admits: impl Fn(Option<IpEndpoint>) -> bool,
         answer: impl Fn(&str, &mut dyn Write) -> Option<Content>,
     ) -> ! {
+        self.run_site(&ReadOnly { admits, answer }).await
+    }
+
+    /// Answers the requests for a site forever.
+    pub async fn run_site(&mut self, site: &impl Site<'s>) -> ! {
         loop {
             let Ok(place) = self.transport.accept(self.port).await else {
                 Timer::after_millis(PAUSE_MS).await;
                 continue;
             };
-            if !admits(self.transport.socket().remote_endpoint()) {
+            let client = self.transport.socket().remote_endpoint();
+            if !site.admits(client) {
                 self.transport.reset().await;
                 continue;
             }
-            let request = async {
+            let received = select(receive(&mut self.transport, self.page, site, client), evicted(place.as_ref())).await;
+            let (page, has_body) = match received {
+                Either::First(Ok(Some(Received::Page { page, has_body }))) => (page, has_body),
+                Either::First(Ok(Some(Received::Body { len }))) => {
+                    // not within a `select`, which could drop the memory
+                    let (memory, page) = site.take(core::mem::take(&mut self.page), len).await;
+                    self.page = memory;
+                    (Ok(page), true)
+                }
                 // a client that sends nothing or does not read its page gets no other answer
-                let _ = serve(&mut self.transport, self.page, &answer).await;
+                Either::First(_) => {
+                    self.transport.close().await;
+                    continue;
+                }
+                Either::Second(()) => {
+                    self.transport.reset().await;
+                    continue;
+                }
+            };
+            let response = async {
+                let _ = respond(&mut self.transport, self.page, site, page, has_body).await;
                 self.transport.close().await;
             };
-            if let Either::Second(()) = select(request, evicted(place.as_ref())).await {
+            if let Either::Second(()) = select(response, evicted(place.as_ref())).await {
                 self.transport.reset().await;
             }
         }
     }
 }
 
-/// Reads a request and sends its response; `None` when the time is over. All memory belongs to the page, so that the
-/// future stays small.
-async fn serve<X: Transport>(
-    transport: &mut X,
-    page: &mut [u8],
-    answer: impl Fn(&str, &mut dyn Write) -> Option<Content>,
-) -> Result<Option<()>, X::Error> {
-    let until = transport.now().saturating_add(RECEIVE);
-    let Some(len) = receive(transport, page, until).await? else { return Ok(None) };
-    let (head_len, body_len) = respond(page, len, answer);
-    let (head, body) = page.split_at_mut_checked(RESPONSE_HEAD).unwrap_or_default();
-    let until = transport.now().saturating_add(SEND);
-    if send(transport, head.get(..head_len).unwrap_or_default(), until).await?.is_none() {
-        return Ok(None);
-    }
-    send(transport, body.get(..body_len).unwrap_or_default(), until).await
+/// Pages that only show something.
+struct ReadOnly<A, W> {
+    admits: A,
+    answer: W,
 }
 
-/// Writes the response to the request in the first `len` bytes over it. Returns the length of its head, and of the body that
-/// begins after [`RESPONSE_HEAD`].
-fn respond(page: &mut [u8], len: usize, answer: impl Fn(&str, &mut dyn Write) -> Option<Content>) -> (usize, usize) {
-    let mut path = [0; PATH];
-    let request = request(page.get(..len).unwrap_or_default()).map(|request| {
-        // the request is overwritten; a longer path has no page
-        let path = path.get_mut(..request.path.len()).map(|path| {
+impl<'s, A, W> Site<'s> for ReadOnly<A, W>
+where
+    A: Fn(Option<IpEndpoint>) -> bool,
+    W: Fn(&str, &mut dyn Write) -> Option<Content>,
+{
+    /// The path, whose request is overwritten; without one the method is not allowed.
+    type Page = Option<([u8; PATH], u8)>;
+
+    fn admits(&self, client: Option<IpEndpoint>) -> bool {
+        (self.admits)(client)
+    }
+
+    fn decide(&self, request: &Request<'_>) -> Decision<Self::Page> {
+        if request.method == Method::Post {
+            return Decision::Answer(None);
+        }
+        let mut path = [0; PATH];
+        // a longer path has no page, as an empty one
+        let len = path.get_mut(..request.path.len()).map_or(0, |path| {
             path.copy_from_slice(request.path.as_bytes());
-            &*path
+            u8::try_from(request.path.len()).unwrap_or_default()
         });
-        (path.and_then(|path| core::str::from_utf8(path).ok()), request.has_body)
-    });
-    let (head, body) = page.split_at_mut_checked(RESPONSE_HEAD).unwrap_or_default();
-    let mut body = Page { buffer: body, len: 0, is_full: false };
-    let (status, content, has_body) = match request {
-        Ok((path, has_body)) => match path.and_then(|path| answer(path, &mut body)) {
-            _ if body.is_full => (Status::InternalServerError, None, false),
-            Some(content) => (Status::Ok, Some(content), has_body),
-            None => (Status::NotFound, None, false),
-        },
-        Err(status) => (status, None, false),
+        Decision::Answer(Some((path, len)))
+    }
+
+    async fn take(&self, memory: &'s mut [u8], _: usize) -> (&'s mut [u8], Self::Page) {
+        (memory, None)
+    }
+
+    fn write(&self, page: Self::Page, out: &mut dyn Write) -> Option<(Status, Content)> {
+        let Some((path, len)) = page else { return Some((Status::MethodNotAllowed, Content::Text)) };
+        let path = core::str::from_utf8(path.get(..len.into())?).ok()?;
+        Some((Status::Ok, (self.answer)(path, out)?))
+    }
+}
+
+/// A received request.
+enum Received<P> {
+    Page {
+        page: Result<P, Status>,
+        /// Whether the response has a body: not after HEAD.
+        has_body: bool,
+    },
+    /// The first bytes of the memory are a body.
+    Body { len: usize },
+}
+
+/// Receives a request; `None` when the time is over. All memory belongs to the page, so that the future stays small.
+async fn receive<'s, X: Transport, S: Site<'s>>(
+    transport: &mut X,
+    memory: &mut [u8],
+    site: &S,
+    client: Option<IpEndpoint>,
+) -> Result<Option<Received<S::Page>>, X::Error> {
+    let until = transport.now().saturating_add(RECEIVE);
+    let Some(received) = receive_until(transport, memory, 0, until, |bytes| head_len(bytes).is_some()).await? else {
+        return Ok(None);
     };
-    let body_len = if content.is_some() { body.len } else { 0 };
+    let bytes = memory.get(..received).unwrap_or_default();
+    let request = match Request::parse(bytes, client) {
+        Ok(request) => request,
+        Err(status) => return Ok(Some(Received::Page { page: Err(status), has_body: false })),
+    };
+    let len = match site.decide(&request) {
+        Decision::Answer(page) => {
+            return Ok(Some(Received::Page { page: Ok(page), has_body: request.method != Method::Head }));
+        }
+        Decision::Receive => request.body_len(memory.len()),
+    };
+    let len = match len {
+        Ok(len) => len,
+        Err(status) => return Ok(Some(Received::Page { page: Err(status), has_body: false })),
+    };
+    // over the head, so that all memory is for the body
+    let head = head_len(bytes).unwrap_or_default();
+    memory.copy_within(head..received, 0);
+    let body = memory.get_mut(..len).unwrap_or_default();
+    let received = received.saturating_sub(head).min(len);
+    Ok(receive_until(transport, body, received, until, |_| false).await?.map(|len| Received::Body { len }))
+}
+
+/// Sends the response with a page, which is written over the request.
+async fn respond<'s, X: Transport, S: Site<'s>>(
+    transport: &mut X,
+    memory: &mut [u8],
+    site: &S,
+    page: Result<S::Page, Status>,
+    has_body: bool,
+) -> Result<Option<()>, X::Error> {
+    let (head, body) = memory.split_at_mut_checked(RESPONSE_HEAD).unwrap_or_default();
+    let mut body = Page { buffer: body, len: 0, is_full: false };
+    let (status, content) = match page.map(|page| site.write(page, &mut body)) {
+        _ if body.is_full => (Status::InternalServerError, None),
+        Ok(Some((status, content))) => (status, Some(content)),
+        Ok(None) => (Status::NotFound, None),
+        Err(status) => (status, None),
+    };
+    let len = if content.is_some() { body.len } else { 0 };
     let mut out = Page { buffer: head, len: 0, is_full: false };
     // there is room for every head
-    let _ = write_head(&mut out, status, content, body_len);
-    (out.len, if has_body { body_len } else { 0 })
+    let _ = write_head(&mut out, status, content.filter(|_| len > 0), len);
+    let head_len = out.len;
+    let until = transport.now().saturating_add(SEND);
+    if send(transport, head.get(..head_len).unwrap_or_default(), until).await?.is_none() || !has_body {
+        return Ok(None);
+    }
+    send(transport, body.buffer.get(..len).unwrap_or_default(), until).await
 }
 
-/// Receives the head of a request, up to the empty line or the size of the buffer, and returns the number of bytes; `None` when
-/// the time is over.
-async fn receive<X: Transport>(
+/// Receives bytes after the first `len` ones until they are complete or the memory is full, and returns their number; `None` when the
+/// time is over.
+async fn receive_until<X: Transport>(
     transport: &mut X,
-    buffer: &mut [u8],
+    memory: &mut [u8],
+    mut len: usize,
     until: Instant,
+    is_complete: impl Fn(&[u8]) -> bool,
 ) -> Result<Option<usize>, X::Error> {
-    let mut len: usize = 0;
     loop {
-        let room = buffer.get_mut(len..).unwrap_or_default();
-        if room.is_empty() {
+        if len >= memory.len() || is_complete(memory.get(..len).unwrap_or_default()) {
             return Ok(Some(len));
         }
-        match transport.receive(room, until).await? {
+        match transport.receive(memory.get_mut(len..).unwrap_or_default(), until).await? {
             Some(count @ 1..) => len = len.saturating_add(count),
             _ => return Ok(None),
         }
-        if is_complete(buffer.get(..len).unwrap_or_default()) {
-            return Ok(Some(len));
-        }
     }
-}
-
-/// Tells whether a head ends with its empty line.
-fn is_complete(head: &[u8]) -> bool {
-    head.windows(4).any(|end| end == b"\r\n\r\n")
 }
 
 async fn send<X: Transport>(transport: &mut X, mut bytes: &[u8], until: Instant) -> Result<Option<()>, X::Error> {
@@ -203,13 +322,37 @@ async fn send<X: Transport>(transport: &mut X, mut bytes: &[u8], until: Instant)
 
 /// The status of a response.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Status {
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum Status {
+    /// 200.
     Ok,
+    /// 400.
     BadRequest,
+    /// 401, for a password (`Basic`).
+    Unauthorized,
+    /// 403.
+    Forbidden,
+    /// 404.
     NotFound,
+    /// 405; only GET and HEAD are allowed.
     MethodNotAllowed,
+    /// 409.
+    Conflict,
+    /// 411.
+    LengthRequired,
+    /// 413.
+    ContentTooLarge,
+    /// 415.
+    UnsupportedMediaType,
+    /// 429.
+    TooManyRequests,
+    /// 431.
     HeaderTooLarge,
+    /// 500.
     InternalServerError,
+    /// 503.
+    ServiceUnavailable,
 }
 
 impl Status {
@@ -217,42 +360,19 @@ impl Status {
         match self {
             Self::Ok => "200 OK",
             Self::BadRequest => "400 Bad Request",
+            Self::Unauthorized => "401 Unauthorized\r\nWWW-Authenticate: Basic realm=\"board\"",
+            Self::Forbidden => "403 Forbidden",
             Self::NotFound => "404 Not Found",
             Self::MethodNotAllowed => "405 Method Not Allowed\r\nAllow: GET, HEAD",
+            Self::Conflict => "409 Conflict",
+            Self::LengthRequired => "411 Length Required",
+            Self::ContentTooLarge => "413 Content Too Large",
+            Self::UnsupportedMediaType => "415 Unsupported Media Type",
+            Self::TooManyRequests => "429 Too Many Requests",
             Self::HeaderTooLarge => "431 Request Header Fields Too Large",
             Self::InternalServerError => "500 Internal Server Error",
+            Self::ServiceUnavailable => "503 Service Unavailable",
         }
-    }
-}
-
-/// A valid request.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Request<'a> {
-    path: &'a str,
-    /// Whether the response has a body: not after HEAD.
-    has_body: bool,
-}
-
-/// Parses the head of a request.
-fn request(head: &[u8]) -> Result<Request<'_>, Status> {
-    let line = head.split(|byte| *byte == b'\r').next().unwrap_or_default();
-    let line = core::str::from_utf8(line).map_err(|_| Status::BadRequest)?;
-    let mut words = line.split(' ');
-    let (Some(method), Some(target), Some(version), None) = (words.next(), words.next(), words.next(), words.next())
-    else {
-        return Err(Status::BadRequest);
-    };
-    if !version.starts_with("HTTP/1.") || !target.starts_with('/') {
-        return Err(Status::BadRequest);
-    }
-    if !is_complete(head) {
-        return Err(Status::HeaderTooLarge);
-    }
-    let path = target.split('?').next().unwrap_or_default();
-    match method {
-        "GET" => Ok(Request { path, has_body: true }),
-        "HEAD" => Ok(Request { path, has_body: false }),
-        _ => Err(Status::MethodNotAllowed),
     }
 }
 
@@ -293,32 +413,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn requests_are_parsed_or_refused() {
-        let get = |path, has_body| Ok(Request { path, has_body });
-        for (head, expected) in [
-            ("GET / HTTP/1.1\r\n\r\n", get("/", true)),
-            ("GET /health.json?x=1 HTTP/1.0\r\nHost: a\r\n\r\n", get("/health.json", true)),
-            ("HEAD / HTTP/1.1\r\n\r\n", get("/", false)),
-            ("POST / HTTP/1.1\r\n\r\n", Err(Status::MethodNotAllowed)),
-            ("PUT /settings HTTP/1.1\r\n\r\n", Err(Status::MethodNotAllowed)),
-            ("GET / HTTP/1.1\r\nCookie: ...", Err(Status::HeaderTooLarge)),
-            ("GET / HTTP/2\r\n\r\n", Err(Status::BadRequest)),
-            ("GET  / HTTP/1.1\r\n\r\n", Err(Status::BadRequest)),
-            ("GET http://a/ HTTP/1.1\r\n\r\n", Err(Status::BadRequest)),
-            ("GET:RC8:1:I:\r\n\r\n", Err(Status::BadRequest)),
-            ("", Err(Status::BadRequest)),
-        ] {
-            assert_eq!(request(head.as_bytes()), expected, "{head:?}");
-        }
-        assert_eq!(request(b"GET /\xff HTTP/1.1\r\n\r\n"), Err(Status::BadRequest));
-    }
-
-    #[test]
     fn the_longest_head_fits_its_memory() {
         let statuses = [
             Status::Ok,
-            Status::BadRequest,
-            Status::NotFound,
+            Status::Unauthorized,
             Status::MethodNotAllowed,
             Status::HeaderTooLarge,
             Status::InternalServerError,

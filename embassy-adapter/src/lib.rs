@@ -6,7 +6,7 @@
 //! | `serial`   | `serial`      | clients over a serial line, with the CRC of serial frames                        |
 //! | `server`   | `server`      | servers of both protocols over any transport; with `embassy-net`, over TCP and UDP |
 //! | `gateway`  | `gateway`     | gateway from RAC clients to a b-CAP robot over any transport; with `embassy-net`, over TCP and UDP |
-//! | `http`     | `http`        | pages over HTTP, such as the health of a board                                    |
+//! | `http`     | `http`        | pages over HTTP, such as the health of a board and a form for its settings        |
 //! | `bare`     | `smoltcp`     | clients and servers for smoltcp without embassy, by polling                      |
 //!
 //! [`bcap_core`] implements the protocols. This crate moves their bytes and supplies the time. Guarantees:

@@ -3,13 +3,13 @@
 use std::fmt::Write;
 
 use crate::common::{address, between};
-use bcap_embassy::http::{Content, HttpListener};
+use bcap_embassy::http::{Content, Decision, HttpListener, Method, Request, Site, Status};
 use bcap_embassy::net::{Backlog, Options};
 use bcap_test_support::frames;
 use embassy_futures::join::join;
 use embassy_futures::select::{Either, select};
-use embassy_net::Stack;
 use embassy_net::tcp::TcpSocket;
+use embassy_net::{IpEndpoint, Stack};
 use embassy_time::{Duration, Timer, with_timeout};
 
 /// Sends bytes on a new connection and returns all that is sent back.
@@ -65,6 +65,7 @@ fn pages_are_read_and_nothing_else_is_possible() {
                 (&b"GET /too-long HTTP/1.1\r\n\r\n"[..], "500 Internal Server Error"),
                 (b"GET /other HTTP/1.1\r\n\r\n", "404 Not Found"),
                 (b"PUT / HTTP/1.1\r\n\r\n", "405 Method Not Allowed\r\nAllow: GET, HEAD"),
+                (b"POST / HTTP/1.1\r\nContent-Length: 0\r\n\r\n", "405 Method Not Allowed\r\nAllow: GET, HEAD"),
                 (b"GET:RC8:1:I:\r\n\r\n", "400 Bad Request"),
             ] {
                 assert_eq!(exchange(clients, request).await, response(status, "Content-Length: 0\r\n\r\n"));
@@ -160,5 +161,110 @@ fn the_oldest_unfinished_request_makes_room_for_a_new_client() {
             }
         };
         with_two_listeners(board, &BACKLOG, test).await;
+    });
+}
+
+/// A site that takes bodies from clients with the header `Authorization: yes`, and shows the last one.
+#[derive(Default)]
+struct Note(std::cell::RefCell<String>);
+
+impl<'s> Site<'s> for Note {
+    type Page = (Status, &'static str);
+
+    fn admits(&self, client: Option<IpEndpoint>) -> bool {
+        client.is_some()
+    }
+
+    fn decide(&self, request: &Request<'_>) -> Decision<Self::Page> {
+        match (request.method, request.authorization) {
+            (Method::Post, Some("yes")) if request.client.is_some() => Decision::Receive,
+            (Method::Post, _) => Decision::Answer((Status::Unauthorized, "no")),
+            _ => Decision::Answer((Status::Ok, "")),
+        }
+    }
+
+    async fn take(&self, memory: &'s mut [u8], len: usize) -> (&'s mut [u8], Self::Page) {
+        // as long as another task does
+        Timer::after_millis(20).await;
+        *self.0.borrow_mut() = std::str::from_utf8(&memory[..len]).unwrap().to_owned();
+        (memory, (Status::Ok, "taken: "))
+    }
+
+    fn write(&self, (status, text): Self::Page, out: &mut dyn Write) -> Option<(Status, Content)> {
+        let note = self.0.borrow();
+        let note = if status == Status::Ok { &note } else { "" };
+        write!(out, "{text}{note}").ok().map(|()| (status, Content::Text))
+    }
+}
+
+/// Runs a test of a client with a board that has one listener, with 1,000 bytes for a request.
+fn with_notes(test: impl AsyncFnOnce(Stack<'_>)) {
+    between(|_, clients, board| async move {
+        let ([mut rx, mut tx], mut page) = ([[0; 256]; 2], [0; 1000]);
+        let mut listener = HttpListener::new(board, 80, [&mut rx, &mut tx], &mut page, Options::default());
+        let site = Note::default();
+        let test = with_timeout(Duration::from_secs(60), test(clients));
+        let ended = select(listener.run_site(&site), test).await;
+        assert!(matches!(ended, Either::Second(Ok(()))), "it hangs");
+    });
+}
+
+fn post(body: &str) -> Vec<u8> {
+    format!("POST /n HTTP/1.1\r\nAuthorization: yes\r\nContent-Length: {}\r\n\r\n{body}", body.len()).into()
+}
+
+fn text(status: &str, body: &str) -> String {
+    response(
+        status,
+        &format!("Content-Type: text/plain; charset=utf-8\r\nContent-Length: {}\r\n\r\n{body}", body.len()),
+    )
+}
+
+#[test]
+fn a_body_is_received_if_the_site_wants_it_and_all_memory_is_for_it() {
+    with_notes(async |clients| {
+        // with its head in one segment, and in many
+        for len in [0, 1, 30, 250, 793] {
+            let body = "x".repeat(len);
+            assert_eq!(exchange(clients, &post(&body)).await, text("200 OK", &format!("taken: {body}")), "{len}");
+            let shown = if len > 0 { text("200 OK", &body) } else { response("200 OK", NO_BODY) };
+            assert_eq!(exchange(clients, GET).await, shown, "{len}");
+        }
+        // bytes after the body are not a part of it
+        let more = [&post("abc")[..], b"def"].concat();
+        assert!(exchange(clients, &more).await.ends_with("taken: abc"));
+        // the body fits, but not the page with it
+        assert_eq!(exchange(clients, &post(&"y".repeat(1000))).await, response("500 Internal Server Error", NO_BODY));
+        // refused by its head
+        let long = &post(&"y".repeat(1001))[..80];
+        assert_eq!(exchange(clients, long).await, response("413 Content Too Large", NO_BODY));
+        let without = "401 Unauthorized\r\nWWW-Authenticate: Basic realm=\"board\"";
+        assert_eq!(exchange(clients, b"POST /n HTTP/1.1\r\nContent-Length: 3\r\n\r\nabc").await, text(without, "no"));
+        for (length, status) in [
+            ("", "411 Length Required"),
+            ("Content-Length: x\r\n", "400 Bad Request"),
+            ("Content-Length: 1\r\nContent-Length: 1\r\n", "400 Bad Request"),
+            ("Transfer-Encoding: chunked\r\n", "411 Length Required"),
+        ] {
+            let request = format!("POST /n HTTP/1.1\r\nAuthorization: yes\r\n{length}\r\nabc");
+            assert_eq!(exchange(clients, request.as_bytes()).await, response(status, NO_BODY), "{length}");
+        }
+    });
+}
+
+const NO_BODY: &str = "Content-Length: 0\r\n\r\n";
+
+#[test]
+fn a_body_that_does_not_end_is_given_up() {
+    with_notes(async |clients| {
+        let [mut rx, mut tx] = [[0; 512]; 2];
+        let mut slow = TcpSocket::new(clients, &mut rx, &mut tx);
+        slow.connect((address(1), 80)).await.unwrap();
+        let request = post("abcdef");
+        slow.write(&request[..request.len() - 1]).await.unwrap();
+        // the next client waits until the time of this one is over
+        assert_eq!(exchange(clients, GET).await, response("200 OK", NO_BODY));
+        let mut byte = [0];
+        assert_eq!(slow.read(&mut byte).await, Ok(0), "closed without an answer");
     });
 }
