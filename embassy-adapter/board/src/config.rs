@@ -1,5 +1,10 @@
 //! The settings that an image starts with: those in its flash, otherwise those in the image.
 
+#[cfg(all(feature = "health", feature = "port"))]
+use core::cell::Cell;
+
+#[cfg(all(feature = "health", feature = "port"))]
+use embassy_sync::blocking_mutex::{Mutex, raw::CriticalSectionRawMutex};
 use embedded_storage::nor_flash::NorFlash;
 use static_cell::{ConstStaticCell, StaticCell};
 
@@ -23,9 +28,25 @@ pub fn load_image(invalid: fn(&[u8])) -> &'static Settings<'static> {
     parse(memory::image(), invalid)
 }
 
+/// The text of the settings that the board runs with.
+#[cfg(all(feature = "health", feature = "port"))]
+static RUNNING: Mutex<CriticalSectionRawMutex, Cell<&str>> = Mutex::new(Cell::new(""));
+
+/// Returns the text of the settings that the board runs with.
+#[cfg(all(feature = "health", feature = "port"))]
+pub(crate) fn running() -> &'static str {
+    RUNNING.lock(Cell::get)
+}
+
 #[inline(never)]
 fn parse(text: &'static [u8], invalid: fn(&[u8])) -> &'static Settings<'static> {
     static PLACE: StaticCell<Settings<'static>> = StaticCell::new();
+    #[cfg(all(feature = "health", feature = "port"))]
+    {
+        let end = text.iter().position(|byte| *byte == 0).unwrap_or(text.len());
+        let text = text.get(..end).and_then(|text| core::str::from_utf8(text).ok());
+        RUNNING.lock(|running| running.set(text.unwrap_or_default()));
+    }
     // `configure` tells the reason; here it would cost flash
     PLACE.init_with(|| Settings::read(text, |line, _| invalid(line)))
 }

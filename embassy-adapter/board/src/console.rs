@@ -38,19 +38,64 @@ use embedded_io::{Read, Write};
 use embedded_storage::nor_flash::NorFlash;
 use heapless::Vec;
 
-use crate::Settings;
+#[cfg(feature = "health")]
+use crate::SettingError;
 use crate::answer::{answer, result};
 use crate::crc::Crc32;
+#[cfg(feature = "health")]
+use crate::settings::is_secret;
 use crate::slots::{Slots, TEXT};
-#[cfg(all(feature = "update", feature = "port"))]
+#[cfg(all(feature = "update", any(feature = "health", feature = "port")))]
 use crate::update::Phase;
 #[cfg(feature = "update")]
 use crate::update::Updater;
+use crate::{InvalidLine, Settings};
 
 /// The most bytes of a request.
 pub const LINE: usize = 512;
 /// The answer to `hello`.
 pub const HELLO: &str = "ok bcap-board 1";
+
+/// Why settings from a page are not saved.
+#[cfg(feature = "health")]
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum NotSaved {
+    /// A line is invalid.
+    Line {
+        /// The number of the line, counted from 1.
+        number: usize,
+        /// The column, in bytes counted from 1.
+        column: usize,
+        /// The fault.
+        error: SettingError,
+    },
+    /// A line with this number is a secret one, which only the console sets.
+    Secret {
+        /// The number of the line, counted from 1.
+        number: usize,
+    },
+    /// All lines together are longer than [`TEXT`].
+    TooLong,
+    /// Hosts would reach the board in another way, and no line says that this is intended.
+    Reach,
+    /// The settings in the flash are not those that the board runs with.
+    Changed,
+    /// An update is on trial, which a restart would roll back.
+    OnTrial,
+    /// The flash failed; it has the earlier settings.
+    Flash,
+}
+
+/// The line of a page that says that hosts will reach the board in another way.
+#[cfg(feature = "health")]
+pub const REACH: &str = "reach=yes";
+
+/// Why a line is not a part of the new settings.
+enum NotAdded<'a> {
+    TooLong { end: usize },
+    Invalid(InvalidLine<'a>),
+}
 
 /// The task that a command leaves to the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -86,6 +131,8 @@ pub struct Console<'a, F> {
     len: usize,
     /// The settings that are being sent.
     shown: Option<Shown>,
+    /// Whether the flash has other settings than at the start.
+    is_changed: bool,
     #[cfg(feature = "update")]
     updater: Option<Updater>,
 }
@@ -102,6 +149,7 @@ impl<'a, F: NorFlash> Console<'a, F> {
             new: [0; TEXT],
             len: 0,
             shown: None,
+            is_changed: false,
             #[cfg(feature = "update")]
             updater: None,
         }
@@ -169,7 +217,10 @@ impl<'a, F: NorFlash> Console<'a, F> {
             }
             "add" => self.add(argument.as_bytes(), port)?,
             "save" => self.save(argument, port)?,
-            "factory" => result(port, self.slots.clear())?,
+            "factory" => {
+                self.is_changed = true;
+                result(port, self.slots.clear())?;
+            }
             "restart" => {
                 action = Some(Action::Restart);
                 answer(port, format_args!("ok"))?;
@@ -223,18 +274,33 @@ impl<'a, F: NorFlash> Console<'a, F> {
         if line.is_empty() {
             return answer(port, format_args!("error add needs KEY=VALUE"));
         }
-        let end = self.len + line.len() + 1;
-        let Some((last, room)) = self.new.get_mut(self.len..end).and_then(<[u8]>::split_last_mut) else {
-            return answer(port, format_args!("error the settings take {end} bytes of {TEXT}"));
-        };
-        room.copy_from_slice(line);
-        *last = b'\n';
+        match self.push([line, b""]) {
+            Err(NotAdded::TooLong { end }) => {
+                answer(port, format_args!("error the settings take {end} bytes of {TEXT}"))
+            }
+            Err(NotAdded::Invalid(error)) => answer(port, format_args!("error {error}")),
+            Ok(()) => answer(port, format_args!("ok")),
+        }
+    }
+
+    /// Adds a line of two parts to the new settings.
+    fn push(&mut self, parts: [&[u8]; 2]) -> Result<(), NotAdded<'_>> {
+        let mut end = self.len;
+        for part in parts.into_iter().chain([&b"\n"[..]]) {
+            let start = end;
+            end += part.len();
+            let Some(room) = self.new.get_mut(start..end) else {
+                let end = self.len + parts.map(<[u8]>::len).into_iter().sum::<usize>() + 1;
+                return Err(NotAdded::TooLong { end });
+            };
+            room.copy_from_slice(part);
+        }
         // all lines together, because the memory for rules is limited
         match Settings::check(self.new.get(..end).unwrap_or_default()) {
-            Err(error) => answer(port, format_args!("error {error}")),
+            Err(error) => Err(NotAdded::Invalid(error)),
             Ok(()) => {
                 self.len = end;
-                answer(port, format_args!("ok"))
+                Ok(())
             }
         }
     }
@@ -245,8 +311,58 @@ impl<'a, F: NorFlash> Console<'a, F> {
         if u32::from_str_radix(crc, 16) != Ok(found) {
             return answer(port, format_args!("error the settings have the CRC-32 {found:08x}"));
         }
+        self.is_changed = true;
         let written = self.slots.write(text);
         result(port, written)
+    }
+}
+
+#[cfg(feature = "health")]
+impl<F: NorFlash> Console<'_, F> {
+    /// Replaces the settings in the flash by the lines of a page, and keeps the secret ones of `running`, the settings that the board runs
+    /// with. Comments and empty lines are dropped.
+    ///
+    /// # Errors
+    ///
+    /// [`NotSaved`]; the flash then has the earlier settings.
+    pub fn replace(&mut self, page: &str, running: &Settings<'_>) -> Result<(), NotSaved> {
+        if self.is_changed {
+            return Err(NotSaved::Changed);
+        }
+        #[cfg(feature = "update")]
+        if self.updater.as_ref().is_some_and(|updater| updater.phase() == Phase::OnTrial) {
+            return Err(NotSaved::OnTrial);
+        }
+        (self.len, self.shown) = (0, None);
+        let mut may_change_reach = false;
+        for secret in running.secrets() {
+            self.push(secret.map(str::as_bytes)).map_err(|error| not_saved(error, 0))?;
+        }
+        for (number, line) in (1..).zip(page.lines()) {
+            match Settings::lines_of_file(line).next() {
+                None => {}
+                Some(REACH) => may_change_reach = true,
+                Some(line) if is_secret(line) => return Err(NotSaved::Secret { number }),
+                Some(line) => self.push([line.as_bytes(), b""]).map_err(|error| not_saved(error, number))?,
+            }
+        }
+        let text = self.new.get(..self.len).unwrap_or_default();
+        // all lines were checked
+        let is_reached_as_before = Settings::checked(text).is_ok_and(|new| new.is_reached_as(running));
+        if !may_change_reach && !is_reached_as_before {
+            return Err(NotSaved::Reach);
+        }
+        self.slots.write(text).map_err(|_| NotSaved::Flash)?;
+        self.is_changed = true;
+        Ok(())
+    }
+}
+
+#[cfg(feature = "health")]
+fn not_saved(error: NotAdded<'_>, number: usize) -> NotSaved {
+    match error {
+        NotAdded::TooLong { .. } => NotSaved::TooLong,
+        NotAdded::Invalid(line) => NotSaved::Line { number, column: line.column(), error: line.error },
     }
 }
 

@@ -5,9 +5,10 @@
 //!  /health.json  the same for programs
 //!  /rules        what PLCs may read and write
 //!  /log          the last messages
+//!  /settings     the settings, with a password only
 //! ```
 //!
-//! All are read-only. They show no other settings, because any client that can reach the port can read them.
+//! The others are read-only. They show no other settings, because any client that can reach the port can read them.
 
 use core::fmt::{self, Write};
 use core::time::Duration;
@@ -136,7 +137,7 @@ impl Health<'_> {
         for (name, count) in self.board {
             row(out, name, count)?;
         }
-        out.write_str("</table><p><a href=health.json>JSON</a> <a href=rules>Rules</a> <a href=log>Log</a>\n")
+        out.write_str("</table><p><a href=health.json>JSON</a> <a href=rules>Rules</a> <a href=log>Log</a> <a href=settings>Settings</a>\n")
     }
 }
 

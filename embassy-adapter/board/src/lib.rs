@@ -76,7 +76,8 @@
 //! | `modbus`   | the port of Modbus TCP, usually 502; for images with the feature `modbus` | no Modbus |
 //! | `register` | `ADDRESS=KIND[/FIRST[-LAST]][:FORMAT][:low]`: variables in holding registers from this address on ([`bcap_gateway::modbus::Entry`]); can be repeated | none |
 //! | `coil`     | `ADDRESS=IO[/FIRST[-LAST]]`: coils from this address on; can be repeated | none |
-//! | `health`   | the port of a read-only page of the board's state, usually 80; for images with the feature `health` | no page |
+//! | `health`   | the port of a page of the board's state, usually 80; for images with the feature `health` | no page |
+//! | `password` | 8 to 63 ASCII characters without blanks: the password of a page that changes the settings; only the console sets it; for images with the feature `health` and a console | none, and no page changes anything |
 //! | `syslog`   | `ADDRESS[:PORT]`: where refusals and changes of the state are sent, usually to port 514; for images with the feature `health` | not sent |
 //! | `ntp`      | `ADDRESS[:PORT]`: a server of SNTP, usually at port 123, for the time in syslog and on the page; for images with the feature `health` | no time |
 //! | `update`   | `ADDRESS[/PREFIX]`: hosts that may send signed updates to TCP port 5010; can be repeated up to four times; for images with the feature `update` and a key | none, and the port is closed |
@@ -90,6 +91,12 @@
 #[cfg(test)]
 extern crate std;
 
+#[cfg(feature = "health")]
+#[cfg_attr(
+    not(any(test, all(feature = "embassy", feature = "port"))),
+    expect(dead_code, reason = "only a board has the page")
+)]
+mod access;
 #[cfg(feature = "embassy")]
 pub mod address;
 mod answer;
@@ -146,7 +153,11 @@ pub mod remote;
 pub mod report;
 pub mod ring;
 mod rules;
+#[cfg(all(feature = "port", feature = "health"))]
+mod saving;
 mod settings;
+#[cfg(all(feature = "port", feature = "health"))]
+mod settings_page;
 #[cfg(feature = "signature")]
 pub mod signature;
 #[cfg(any(feature = "embassy", feature = "log"))]

@@ -31,7 +31,7 @@ pub(crate) const MESSAGE: usize = TEXT + 124;
 
 static EVENTS: Mutex<CriticalSectionRawMutex, RefCell<Events<MESSAGES>>> = Mutex::new(RefCell::new(Events::new()));
 static ADDED: Signal<CriticalSectionRawMutex, ()> = Signal::new();
-static LIMITER: Mutex<CriticalSectionRawMutex, RefCell<Limiter<16>>> = Mutex::new(RefCell::new(Limiter::new()));
+static LIMITER: Mutex<CriticalSectionRawMutex, RefCell<Limiter<8>>> = Mutex::new(RefCell::new(Limiter::new()));
 /// The time at which the board started, in microseconds since 1970; 0 as long as it is unknown.
 static STARTED: Mutex<CriticalSectionRawMutex, Cell<u64>> = Mutex::new(Cell::new(0));
 
@@ -82,6 +82,18 @@ pub(crate) fn report(report: &Report<'_>) {
         }
         _ => {}
     }
+}
+
+/// Adds the message that a client has sent a wrong password.
+#[cfg(feature = "port")]
+pub(crate) fn wrong_password(client: Option<SocketAddrV4>) {
+    limited(client, "password", format_args!("wrong password for the settings"));
+}
+
+/// Adds the message that a page has changed the settings.
+#[cfg(feature = "port")]
+pub(crate) fn saved() {
+    add(Severity::Notice, "settings", format_args!("saved over the page; the board restarts"));
 }
 
 fn limited(client: Option<SocketAddrV4>, id: &'static str, text: fmt::Arguments<'_>) {

@@ -1,17 +1,20 @@
-//! The pages of a board: its state ([`health`](crate::health)), the rules for PLCs, the last messages.
+//! The pages of a board: its state ([`health`](crate::health)), the rules for PLCs, the last messages, and the settings.
+//!
+//! The settings have a page only with a password, which only the console sets. A POST saves them as the console does, and restarts the
+//! board. It is refused without the password, from a page of another site, and while PLCs are connected.
 
 use core::fmt::{self, Write};
 use core::pin::pin;
 use core::time::Duration;
 
 use bcap_embassy::clock::now;
-use bcap_embassy::http::{Content, HttpListener};
+use bcap_embassy::http::{Content, Decision, HttpListener, Method, Request, Site, Status};
 use bcap_embassy::net::Options;
 use bcap_gateway::{Allow, Gateway};
 use embassy_executor::{SpawnError, Spawner};
 use embassy_net::{IpAddress, IpEndpoint, Stack};
 use heapless::Vec;
-use static_cell::ConstStaticCell;
+use static_cell::{ConstStaticCell, StaticCell};
 
 use crate::Settings;
 #[cfg(feature = "update")]
@@ -19,6 +22,8 @@ use crate::health::Update;
 use crate::health::{Health, Html, LONGEST};
 use crate::messages::{self, IMAGE};
 use crate::parts::{Board, PAGE_BACKLOG, PAGE_TASK, PLC_BUFFER, PLC_BUFFERS, Parts, ROBOT_BUFFER, ROBOT_BUFFERS};
+#[cfg(feature = "port")]
+use crate::settings_page::{self, Answer};
 use crate::sizes::PAGES;
 use crate::watchdog::{Task, watched};
 
@@ -41,29 +46,101 @@ pub(crate) fn start(
 ) -> Result<(), SpawnError> {
     static MEMORY: ConstStaticCell<[PageMemory; PAGES]> =
         ConstStaticCell::new([([0; 256], [0; 320], [0; PAGE]); PAGES]);
+    // not arguments of the tasks, because a task has a second copy of each argument
+    static PLACES: [StaticCell<HttpListener<'static>>; PAGES] = [const { StaticCell::new() }; PAGES];
+    static SITE: StaticCell<Pages> = StaticCell::new();
     if let Some(port) = settings.health {
+        let pages = SITE.init(Pages { stack, settings, board, parts });
         let options = Options { backlog: Some(&PAGE_BACKLOG), ..Options::default() };
-        for (number, (rx, tx, page)) in (PAGE_TASK..).zip(MEMORY.take()) {
-            let listener = HttpListener::new(stack, port, [rx, tx], page, options);
-            spawner.spawn(serve(listener, board, parts, Task::new(number))?);
+        for ((number, place), (rx, tx, page)) in (PAGE_TASK..).zip(&PLACES).zip(MEMORY.take()) {
+            let listener = place.init(HttpListener::new(stack, port, [rx, tx], page, options));
+            spawner.spawn(serve(listener, pages, Task::new(number))?);
         }
     }
     Ok(())
 }
 
-/// Shows the board's state to the clients that the rules admit.
+/// Serves the clients that the rules admit.
 #[embassy_executor::task(pool_size = PAGES)]
-async fn serve(mut listener: HttpListener<'static>, board: &'static Board, parts: Parts, task: Task) -> ! {
-    let admits = |client: Option<IpEndpoint>| {
-        let address = client.map(|IpEndpoint { addr: IpAddress::Ipv4(address), .. }| address);
-        board.view(|gateway| gateway.config().rules.admits(address)).unwrap_or_default()
-    };
-    let answer = |path: &str, page: &mut dyn Write| answer(board, &parts, path, page);
-    watched(task, pin!(listener.run(admits, answer))).await
+async fn serve(listener: &'static mut HttpListener<'static>, pages: &'static Pages, task: Task) -> ! {
+    watched(task, pin!(listener.run_site(pages))).await
 }
 
-/// Writes the page of a path.
-fn answer(board: &Board, parts: &Parts, path: &str, page: &mut dyn Write) -> Option<Content> {
+/// The pages of a board.
+struct Pages {
+    #[cfg_attr(not(feature = "port"), expect(dead_code, reason = "no page changes the settings"))]
+    stack: Stack<'static>,
+    #[cfg_attr(not(feature = "port"), expect(dead_code, reason = "no page changes the settings"))]
+    settings: &'static Settings<'static>,
+    board: &'static Board,
+    parts: Parts,
+}
+
+/// A page, or a refusal.
+enum Page {
+    State,
+    Json,
+    Rules,
+    Log,
+    #[cfg(feature = "port")]
+    Settings(Answer),
+    /// A method that has no use here.
+    Method,
+    None,
+}
+
+impl Site<'static> for Pages {
+    type Page = Page;
+
+    fn admits(&self, client: Option<IpEndpoint>) -> bool {
+        let address = client.map(|IpEndpoint { addr: IpAddress::Ipv4(address), .. }| address);
+        self.board.view(|gateway| gateway.config().rules.admits(address)).unwrap_or_default()
+    }
+
+    fn decide(&self, request: &Request<'_>) -> Decision<Page> {
+        let page = match request.path {
+            #[cfg(feature = "port")]
+            "/settings" | "/settings.txt" => match settings_page::decide(self.stack, self.settings, request) {
+                Decision::Answer(answer) => Page::Settings(answer),
+                Decision::Receive => return Decision::Receive,
+            },
+            _ if request.method == Method::Post => Page::Method,
+            "/" => Page::State,
+            "/health.json" => Page::Json,
+            "/rules" => Page::Rules,
+            "/log" => Page::Log,
+            _ => Page::None,
+        };
+        Decision::Answer(page)
+    }
+
+    #[cfg(feature = "port")]
+    async fn take(&self, memory: &'static mut [u8], len: usize) -> (&'static mut [u8], Page) {
+        let (memory, answer) = settings_page::save(memory, len, self.settings, self.board.sessions()).await;
+        (memory, Page::Settings(answer))
+    }
+
+    #[cfg(not(feature = "port"))]
+    async fn take(&self, memory: &'static mut [u8], _: usize) -> (&'static mut [u8], Page) {
+        (memory, Page::Method)
+    }
+
+    fn write(&self, page: Page, out: &mut dyn Write) -> Option<(Status, Content)> {
+        let (written, content) = match page {
+            Page::State | Page::Json => return write_state(self.board, &self.parts, &page, out),
+            Page::Rules => (self.board.view(|gateway| write_rules(gateway, out))?, Content::Html),
+            Page::Log => (write_log(out), Content::Html),
+            #[cfg(feature = "port")]
+            Page::Settings(answer) => return settings_page::write(answer, out),
+            Page::Method => return Some((Status::MethodNotAllowed, Content::Text)),
+            Page::None => return None,
+        };
+        written.ok().map(|()| (Status::Ok, content))
+    }
+}
+
+/// Writes the state.
+fn write_state(board: &Board, parts: &Parts, page: &Page, out: &mut dyn Write) -> Option<(Status, Content)> {
     let sessions = board.sessions();
     let ((used, size), (log, log_size)) = ((parts.stack)(), (parts.log)());
     let ((plc_in, plc_out), (robot_in, robot_out)) = (PLC_BUFFERS.most(), ROBOT_BUFFERS.most());
@@ -80,7 +157,12 @@ fn answer(board: &Board, parts: &Parts, path: &str, page: &mut dyn Write) -> Opt
     (parts.counters)(&mut |name, count| {
         let _ = counters.push((name, count));
     });
-    let own = [("log frames dropped", (parts.dropped)()), ("syslog messages lost", messages::lost())];
+    let own = [
+        #[cfg(feature = "port")]
+        ("wrong passwords", settings_page::wrong_passwords()),
+        ("log frames dropped", (parts.dropped)()),
+        ("syslog messages lost", messages::lost()),
+    ];
     counters.extend(own.into_iter().take(counters.capacity().saturating_sub(counters.len())));
     #[cfg(feature = "update")]
     let status = crate::update::shown::status();
@@ -104,12 +186,9 @@ fn answer(board: &Board, parts: &Parts, path: &str, page: &mut dyn Write) -> Opt
             memory: &memory,
             board: &counters,
         };
-        match path {
-            "/" => health.write_page(page).ok().map(|()| Content::Html),
-            "/health.json" => health.write_json(page).ok().map(|()| Content::Json),
-            "/rules" => write_rules(gateway, page).ok().map(|()| Content::Html),
-            "/log" => write_log(page).ok().map(|()| Content::Html),
-            _ => None,
+        match page {
+            Page::Json => health.write_json(out).ok().map(|()| (Status::Ok, Content::Json)),
+            _ => health.write_page(out).ok().map(|()| (Status::Ok, Content::Html)),
         }
     };
     board.view(answer).flatten()

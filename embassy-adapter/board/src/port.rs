@@ -199,10 +199,18 @@ async fn run_console<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
 }
 
 /// Confirms an update on trial when the gateway has served a request; without one in the time `trial`, calls `restart`. It also performs
-/// the requests of hosts on the network, in an image with updates.
+/// the requests of hosts on the network: updates, and settings from the page.
 pub async fn judge<F: NorFlash>(console: &RefCell<Console<'_, F>>, trial: Duration, restart: fn() -> !) {
     #[cfg(feature = "update")]
-    embassy_futures::join::join(trial::judge(console, trial, restart), crate::remote::attend(console, restart)).await;
+    let updates =
+        embassy_futures::join::join(trial::judge(console, trial, restart), crate::remote::attend(console, restart));
     #[cfg(not(feature = "update"))]
-    let _ = (console, trial, restart);
+    let updates = async { trial };
+    #[cfg(feature = "health")]
+    embassy_futures::join::join(updates, crate::saving::attend(console, restart)).await;
+    #[cfg(not(feature = "health"))]
+    {
+        let _ = (console, restart);
+        updates.await;
+    }
 }

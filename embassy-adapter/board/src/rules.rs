@@ -79,6 +79,12 @@ impl List {
         self.networks.push(network).map_err(|_| SettingError::TooManyNetworks)
     }
 
+    /// Returns the networks whose clients may connect.
+    #[cfg(feature = "health")]
+    pub(crate) fn networks(&self) -> &[Network] {
+        &self.networks
+    }
+
     fn push(&mut self, puts: bool, allow: &Allow<'_>) -> Result<(), SettingError> {
         let Allow { kind, first, last, values, clients } = *allow;
         let rule = Rule { puts, kind, first, last, bounds: (self.bounds.len(), values.len()), clients };

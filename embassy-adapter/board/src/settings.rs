@@ -60,6 +60,9 @@ pub struct Settings<'a> {
     /// The port of the page of the board's state, if there is one.
     #[cfg(feature = "health")]
     pub health: Option<u16>,
+    /// The password of the page of the settings; without one there is no such page.
+    #[cfg(feature = "health")]
+    pub password: Option<&'a str>,
     /// Where messages of syslog are sent, if anywhere.
     #[cfg(feature = "health")]
     pub syslog: Option<SocketAddrV4>,
@@ -131,6 +134,8 @@ impl Default for Settings<'_> {
             #[cfg(feature = "health")]
             health: None,
             #[cfg(feature = "health")]
+            password: None,
+            #[cfg(feature = "health")]
             syslog: None,
             #[cfg(feature = "health")]
             ntp: None,
@@ -181,13 +186,18 @@ impl<'a> Settings<'a> {
     ///
     /// The first [`InvalidLine`].
     pub fn check(text: &'a [u8]) -> Result<(), InvalidLine<'a>> {
+        Self::checked(text).map(|_| ())
+    }
+
+    /// Parses the text of a block without invalid lines.
+    pub(crate) fn checked(text: &'a [u8]) -> Result<Self, InvalidLine<'a>> {
         let mut lines = text.split(|byte| *byte == b'\n');
         let mut invalid =
             lines.find(|line| line.contains(&0)).map(|line| InvalidLine { line, error: SettingError::Nul });
-        let _ = Self::read(text, |line, error| {
+        let settings = Self::read(text, |line, error| {
             invalid.get_or_insert(InvalidLine { line, error });
         });
-        invalid.map_or(Ok(()), Err)
+        invalid.map_or(Ok(settings), Err)
     }
 
     /// Returns the settings in a file: its lines without comments, without spaces around them, and not empty.
@@ -207,6 +217,31 @@ impl<'a> Settings<'a> {
     #[must_use]
     pub fn rules<'r, 's: 'r>(&'s self, memory: &'r mut RuleMemory<'s>) -> Rules<'r> {
         self.lists.rules(memory, self.convert, self.rate)
+    }
+
+    /// Returns the lines that a page neither shows nor changes: each key with its `=`, and its value.
+    #[cfg(feature = "health")]
+    pub(crate) fn secrets(&self) -> impl Iterator<Item = [&'a str; 2]> {
+        #[cfg(feature = "wifi")]
+        let passphrase = Some(self.passphrase).filter(|text| !text.is_empty());
+        #[cfg(not(feature = "wifi"))]
+        let passphrase = None;
+        let secrets = [("password=", self.password), ("passphrase=", passphrase)];
+        secrets.into_iter().filter_map(|(key, value)| Some([key, value?]))
+    }
+
+    /// Returns whether hosts reach the pages of the board as they do with other settings.
+    #[cfg(feature = "health")]
+    pub(crate) fn is_reached_as(&self, other: &Settings<'_>) -> bool {
+        #[cfg(feature = "wifi")]
+        let is_same_network = self.ssid == other.ssid;
+        #[cfg(not(feature = "wifi"))]
+        let is_same_network = true;
+        let place = |settings: &Settings<'_>| (settings.dhcp, settings.address, settings.gateway, settings.mac);
+        is_same_network
+            && place(self) == place(other)
+            && self.health == other.health
+            && self.lists.networks() == other.lists.networks()
     }
 
     /// Returns the map from the registers and coils of Modbus to variables.
@@ -247,6 +282,8 @@ impl<'a> Settings<'a> {
             "echo" => self.echo = Some(self.port(key, text)?),
             #[cfg(feature = "health")]
             "health" => self.health = Some(self.port(key, text)?),
+            #[cfg(feature = "health")]
+            "password" => self.password = Some(valid(password(text))?),
             #[cfg(feature = "health")]
             "syslog" => {
                 self.syslog = Some(valid(server(text, crate::syslog::PORT).filter(|to| self.is_other(*to.ip())))?);
@@ -331,6 +368,19 @@ impl<'a> Settings<'a> {
 
 fn valid<T>(value: Option<T>) -> Result<T, SettingError> {
     value.ok_or(SettingError::Value)
+}
+
+/// Returns whether a line has a secret, also if the line is invalid: its key begins as `password` and `passphrase` do.
+#[cfg(feature = "health")]
+pub(crate) fn is_secret(line: &str) -> bool {
+    line.trim_start().get(..4).is_some_and(|start| start.eq_ignore_ascii_case("pass"))
+}
+
+/// Accepts a password without blanks, which a file of settings and a browser pass on unchanged.
+#[cfg(feature = "health")]
+fn password(value: &str) -> Option<&str> {
+    let is_long_enough = (crate::access::LEAST..=crate::access::MOST).contains(&value.len());
+    (is_long_enough && value.bytes().all(|byte| byte.is_ascii_graphic())).then_some(value)
 }
 
 /// Parses a time of 1 s to an hour.
@@ -505,6 +555,27 @@ mod tests {
         assert_eq!((Settings::default().health, Settings::default().syslog), (None, None), "off without a setting");
     }
 
+    #[cfg(feature = "health")]
+    #[test]
+    fn settings_tell_their_secrets_and_whether_hosts_reach_the_board_as_before() {
+        let first = read("health=80\npassword=12345678\nallow=10.0.0.0/8\nput=I");
+        assert_eq!(first.secrets().collect::<Vec<_>>(), [["password=", "12345678"]]);
+        assert_eq!(read("health=80").secrets().count(), 0);
+        for (text, expected) in [
+            ("put=F\nallow=10.0.0.0/8\nhealth=80\nhostname=a\nrobot=10.0.0.1:5007", true),
+            ("allow=10.0.0.0/8", false),
+            ("allow=10.0.0.0/8\nhealth=81", false),
+            ("allow=10.0.0.0/9\nhealth=80", false),
+            ("health=80", false),
+            ("allow=10.0.0.0/8\nhealth=80\ndhcp=no", false),
+            ("allow=10.0.0.0/8\nhealth=80\naddress=10.0.0.9/8", false),
+            ("allow=10.0.0.0/8\nhealth=80\ngateway=10.0.0.1", false),
+            ("allow=10.0.0.0/8\nhealth=80\nmac=02:00:00:bc:a9:03", false),
+        ] {
+            assert_eq!(read(text).is_reached_as(&first), expected, "{text}");
+        }
+    }
+
     #[test]
     fn a_comment_begins_at_a_line_or_after_a_blank() {
         let file = "# a board\nprovider=a#b\n  # indented\nmachine=m # the machine\noption=#1\n\nservice=\t#\n";
@@ -618,6 +689,14 @@ mod tests {
             "ntp=pool.ntp.org",
             #[cfg(feature = "health")]
             "ntp=255.255.255.255",
+            #[cfg(feature = "health")]
+            "password=",
+            #[cfg(feature = "health")]
+            "password=1234567",
+            #[cfg(feature = "health")]
+            "password=with a blank",
+            #[cfg(feature = "health")]
+            "password=1234567890123456789012345678901234567890123456789012345678901234",
             #[cfg(feature = "modbus")]
             "modbus=0",
             #[cfg(feature = "modbus")]

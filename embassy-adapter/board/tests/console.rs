@@ -5,6 +5,8 @@ use std::convert::Infallible;
 use bcap_board::console::{Action, Console, LINE};
 use bcap_board::crc::Crc32;
 use bcap_board::slots::{Slots, TEXT};
+#[cfg(feature = "health")]
+use bcap_board::{SettingError, Settings, console::NotSaved};
 use bcap_testkit::flash::Flash;
 
 const IMAGE: &[u8] = b"robot=192.168.0.1:5007\nput=I/0-9\n\0\0\0\0";
@@ -122,4 +124,70 @@ fn a_restart_is_an_action_after_its_answer() {
     let mut board = board();
     let last = b"restart\n".iter().map(|byte| board.receive(*byte, &mut port).unwrap()).last();
     assert_eq!((last, port.0), (Some(Some(Action::Restart)), b"ok\n".to_vec()));
+}
+
+#[cfg(feature = "health")]
+fn running(text: &str) -> Settings<'_> {
+    Settings::read(text.as_bytes(), |line, error| panic!("{}: {error}", line.escape_ascii()))
+}
+
+#[cfg(feature = "health")]
+#[test]
+fn a_page_replaces_the_settings_and_keeps_the_password() {
+    let mut board = board();
+    let text = "health=80\npassword=12345678\nput=I/0-9\nallow=10.0.0.0/8\n";
+    let page = "# line 3\r\n\r\nhealth=80 \r\nallow=10.0.0.0/8\r\nput=I/0-99=-10..10 # more\r\nhostname=cell-7";
+    assert_eq!(board.replace(page, &running(text)), Ok(()));
+    let shown = send(&mut board, b"show\n");
+    let expected = "setting password=12345678\nsetting health=80\nsetting allow=10.0.0.0/8\nsetting put=I/0-99=-10..10\n\
+                    setting hostname=cell-7\nok flash\n";
+    assert_eq!(shown, expected);
+    // the board runs with other settings until it restarts
+    assert_eq!(board.replace(page, &running(text)), Err(NotSaved::Changed));
+    assert_eq!(send(&mut board, b"show\n"), expected);
+}
+
+#[cfg(feature = "health")]
+#[test]
+fn settings_of_a_page_that_are_not_saved_change_nothing() {
+    let mut board = board();
+    let text = "health=80\npassword=12345678\n";
+    let line = |number, column, error| Err(NotSaved::Line { number, column, error });
+    let long = "provider=".to_owned() + &"x".repeat(TEXT / 2) + "\n";
+    for (page, expected) in [
+        ("health=80\n\nput=X", line(3, 5, SettingError::Rule(rule("X")))),
+        ("health=80\ncolour=red", line(2, 1, SettingError::Key)),
+        ("health=80\nhealth", line(2, 1, SettingError::Key)),
+        ("health=80\nmachine=a\0b", line(2, 10, SettingError::Nul)),
+        ("health=80\nmodbus=80", line(2, 8, SettingError::Port)),
+        ("health=80\npassword=abcdefgh", Err(NotSaved::Secret { number: 2 })),
+        ("health=80\n PASSWORD=abcdefgh", Err(NotSaved::Secret { number: 2 })),
+        ("passphrase=abcdefgh", Err(NotSaved::Secret { number: 1 })),
+        ("", Err(NotSaved::Reach)),
+        ("health=8080", Err(NotSaved::Reach)),
+        ("health=80\nallow=10.0.0.7", Err(NotSaved::Reach)),
+        ("health=80\nreach=no", line(2, 1, SettingError::Key)),
+        (&[&long[..], &long].concat(), Err(NotSaved::TooLong)),
+        (&"put=I\n".repeat(33), line(33, 1, SettingError::TooManyRules)),
+    ] {
+        assert_eq!(board.replace(page, &running(text)), expected, "{page:?}");
+        let shown = send(&mut board, b"show\n");
+        assert_eq!(shown, "setting robot=192.168.0.1:5007\nsetting put=I/0-9\nok image\n", "{page:?}");
+    }
+    // a host that changes the settings at the same time cannot save a mixture
+    assert_eq!(send(&mut board, b"new\nadd put=F\n"), "ok\nok\n");
+    assert_eq!(board.replace("put=X", &running(text)), line(1, 5, SettingError::Rule(rule("X"))));
+    let saved = send(&mut board, format!("save {}\n", crc("put=F\n")).as_bytes());
+    assert!(saved.starts_with("error the settings have the CRC-32 "), "{saved}");
+    // intended
+    assert_eq!(board.replace("reach=yes\nhealth=8080", &running(text)), Ok(()));
+    assert_eq!(send(&mut board, b"show\n"), "setting password=12345678\nsetting health=8080\nok flash\n");
+    assert_eq!(send(&mut board, b"factory\n"), "ok\n");
+    assert_eq!(board.replace("health=80", &running(text)), Err(NotSaved::Changed));
+}
+
+/// Returns the fault of an invalid rule.
+#[cfg(feature = "health")]
+fn rule(text: &str) -> bcap_gateway::RuleError {
+    bcap_gateway::AllowBuf::parse(text).unwrap_err()
 }
