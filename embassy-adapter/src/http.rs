@@ -25,6 +25,7 @@
 //! ```
 
 mod request;
+mod status;
 
 use core::fmt::{self, Write};
 use core::time::Duration;
@@ -37,6 +38,7 @@ use embassy_time::Timer;
 
 use self::request::head_len;
 pub use self::request::{Method, Request};
+pub use self::status::Status;
 use crate::net::{Options, TcpTransport, evicted};
 
 /// The memory for the head of a response in bytes, and for the path of a request.
@@ -318,62 +320,6 @@ async fn send<X: Transport>(transport: &mut X, mut bytes: &[u8], until: Instant)
         }
     }
     Ok(Some(()))
-}
-
-/// The status of a response.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[non_exhaustive]
-pub enum Status {
-    /// 200.
-    Ok,
-    /// 400.
-    BadRequest,
-    /// 401, for a password (`Basic`).
-    Unauthorized,
-    /// 403.
-    Forbidden,
-    /// 404.
-    NotFound,
-    /// 405; only GET and HEAD are allowed.
-    MethodNotAllowed,
-    /// 409.
-    Conflict,
-    /// 411.
-    LengthRequired,
-    /// 413.
-    ContentTooLarge,
-    /// 415.
-    UnsupportedMediaType,
-    /// 429.
-    TooManyRequests,
-    /// 431.
-    HeaderTooLarge,
-    /// 500.
-    InternalServerError,
-    /// 503.
-    ServiceUnavailable,
-}
-
-impl Status {
-    const fn line(self) -> &'static str {
-        match self {
-            Self::Ok => "200 OK",
-            Self::BadRequest => "400 Bad Request",
-            Self::Unauthorized => "401 Unauthorized\r\nWWW-Authenticate: Basic realm=\"board\"",
-            Self::Forbidden => "403 Forbidden",
-            Self::NotFound => "404 Not Found",
-            Self::MethodNotAllowed => "405 Method Not Allowed\r\nAllow: GET, HEAD",
-            Self::Conflict => "409 Conflict",
-            Self::LengthRequired => "411 Length Required",
-            Self::ContentTooLarge => "413 Content Too Large",
-            Self::UnsupportedMediaType => "415 Unsupported Media Type",
-            Self::TooManyRequests => "429 Too Many Requests",
-            Self::HeaderTooLarge => "431 Request Header Fields Too Large",
-            Self::InternalServerError => "500 Internal Server Error",
-            Self::ServiceUnavailable => "503 Service Unavailable",
-        }
-    }
 }
 
 fn write_head(out: &mut Page<'_>, status: Status, content: Option<Content>, len: usize) -> fmt::Result {

@@ -2,7 +2,7 @@
 
 use embassy_net::IpEndpoint;
 
-use super::Status;
+use super::status::Status;
 
 /// The method of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
