@@ -251,7 +251,7 @@ flame-board folder="target/flame":
     BCAP_CALLGRIND=$(realpath {{folder}}) BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" \
         cargo bench -p bcap-qemu --features qemu --bench gateway
     c++filt <{{folder}}/board.out | sed -E 's/\[[0-9a-f]{8,16}\]//g; s/<embassy_executor::raw::TaskStorage<.*::__([a-z_]+)_task::.*>>::poll/task \1/' >{{folder}}/board.named
-    tests/instructions/flame --title "a request, gateway board" /dev/null {{folder}}/board.named >{{folder}}/board.svg
+    tests/instructions/flame --root bcap_firmware::executor::run --title "a request, gateway board" /dev/null {{folder}}/board.named >{{folder}}/board.svg
 
 # The gateway board in QEMU for a minute on a link that drops, repeats and delays frames; a seed decides which.
 [group('board in QEMU')]

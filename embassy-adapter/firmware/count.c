@@ -71,7 +71,7 @@ struct block {
 static void pop(void)
 {
     depth--;
-    if (depth > 0)
+    if (recording && depth > 0)
         calls[stack[depth - 1].function][stack[depth].function] += shared[0] - stack[depth].since;
 }
 
@@ -110,16 +110,20 @@ static void executed(unsigned int cpu, void *data)
 {
     const struct block *block = data;
     (void)cpu;
-    if (shared[1] != 0) {
-        recording = true;
-        enter(block->function);
-        own[block->function] += block->instructions;
-    } else if (recording) {
-        recording = false;
+    if (shared[1] == 0 && recording) {
         while (depth > 0)
             pop();
+        recording = false;
         write_profile();
+    } else if (shared[1] != 0 && !recording) {
+        recording = true;
+        for (unsigned at = 0; at < depth; at++)
+            stack[at].since = shared[0];
     }
+    // also while nothing is recorded: the stack of a profile begins with the first function of the program
+    enter(block->function);
+    if (recording)
+        own[block->function] += block->instructions;
     shared[0] += block->instructions;
 }
 
