@@ -347,9 +347,7 @@ impl<F: NorFlash> Console<'_, F> {
             }
         }
         let text = self.new.get(..self.len).unwrap_or_default();
-        // all lines were checked
-        let is_reached_as_before = Settings::checked(text).is_ok_and(|new| new.is_reached_as(running));
-        if !may_change_reach && !is_reached_as_before {
+        if !may_change_reach && !running.is_reached_with(text) {
             return Err(NotSaved::Reach);
         }
         self.slots.write(text).map_err(|_| NotSaved::Flash)?;

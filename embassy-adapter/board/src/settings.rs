@@ -185,19 +185,15 @@ impl<'a> Settings<'a> {
     /// # Errors
     ///
     /// The first [`InvalidLine`].
+    #[inline(never)]
     pub fn check(text: &'a [u8]) -> Result<(), InvalidLine<'a>> {
-        Self::checked(text).map(|_| ())
-    }
-
-    /// Parses the text of a block without invalid lines.
-    pub(crate) fn checked(text: &'a [u8]) -> Result<Self, InvalidLine<'a>> {
         let mut lines = text.split(|byte| *byte == b'\n');
         let mut invalid =
             lines.find(|line| line.contains(&0)).map(|line| InvalidLine { line, error: SettingError::Nul });
-        let settings = Self::read(text, |line, error| {
+        let _ = Self::read(text, |line, error| {
             invalid.get_or_insert(InvalidLine { line, error });
         });
-        invalid.map_or(Ok(settings), Err)
+        invalid.map_or(Ok(()), Err)
     }
 
     /// Returns the settings in a file: its lines without comments, without spaces around them, and not empty.
@@ -230,9 +226,17 @@ impl<'a> Settings<'a> {
         secrets.into_iter().filter_map(|(key, value)| Some([key, value?]))
     }
 
-    /// Returns whether hosts reach the pages of the board as they do with other settings.
+    /// Returns whether hosts reach the pages of the board as they do with the settings in a text.
+    ///
+    /// Not inlined, as `check`: the settings take 2.5 KB of the stack meanwhile.
     #[cfg(feature = "health")]
-    pub(crate) fn is_reached_as(&self, other: &Settings<'_>) -> bool {
+    #[inline(never)]
+    pub(crate) fn is_reached_with(&self, text: &[u8]) -> bool {
+        self.is_reached_as(&Settings::read(text, |_, _| {}))
+    }
+
+    #[cfg(feature = "health")]
+    fn is_reached_as(&self, other: &Settings<'_>) -> bool {
         #[cfg(feature = "wifi")]
         let is_same_network = self.ssid == other.ssid;
         #[cfg(not(feature = "wifi"))]
