@@ -375,6 +375,10 @@ impl<'a> Variant<'a> {
         if SHORT_CUTS && vartype == VarType::BSTR {
             return Self::read_bstr(&mut r);
         }
+        // a pose
+        if SHORT_CUTS && vartype == const { VarType::R8.array_of() } {
+            return Self::Array(Array::from_checked(VarType::R8, count, r.rest()));
+        }
         match vartype.layout() {
             // only possible for an argument of a lenient frame
             Layout::Unknown => Self::Opaque(Opaque { vartype, bytes: bytes.get(2..).unwrap_or_default() }),
