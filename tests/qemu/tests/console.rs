@@ -174,6 +174,12 @@ fn a_page_changes_the_settings_with_the_password_that_the_console_sets() {
     ] {
         expect(&rig, &request, status, text);
     }
+    // the settings were parsed several times, on the stack of 12 KiB
+    let health = rig.request(&get("/health.json", &[HOST]));
+    let stack = health.split_once("\"stack\":{\"most\":").and_then(|(_, rest)| rest.split_once(',')).unwrap().0;
+    println!("stack of the board with a page of settings: {stack} bytes");
+    assert!(stack.parse::<u32>().unwrap() <= 11_776, "{stack} bytes of the stack were in use");
+
     // a PLC that is connected stays connected
     let mut plc = TcpStream::connect(&rig.board.rac).unwrap();
     plc.set_read_timeout(Some(TIMEOUT)).unwrap();
