@@ -161,7 +161,7 @@ fn a_lost_connection_is_shown_and_opened_again() {
     let robot = Virtual::start(&[]);
     let address = robot.tcp.clone();
     let folder = tempfile::tempdir().unwrap();
-    let args = format!("monitor I1 --interval 20 --timeout 500 --robot {address}");
+    let args = format!("monitor I1 --interval 20 --timeout 10000 --robot {address}");
     let Some(terminal) = monitor((80, 24), &args, &folder) else { return };
     terminal.wait_for("RC8 auto ok");
     drop(robot);

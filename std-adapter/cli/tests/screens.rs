@@ -65,7 +65,9 @@ fn the_monitor() {
         let message = "[[fault]]\nwhen = { call = 30, of = \"Variable_GetValue\" }\nthen = { message = \"the feeder is empty\" }\n";
         fs::write(&scenario, format!("[controller]\nerrors = [\"0x84201482\"]\n\n{message}")).unwrap();
         let robot = Virtual::start(&["--scenario", scenario.to_str().unwrap()]);
-        let args = ["monitor", "I1-I3", "F1", "S1", "IO128", "--interval", "50", "--robot", &robot.tcp];
+        // a session that a busy machine loses would be opened again, with other packets
+        let limits = ["--interval", "50", "--timeout", "20000"];
+        let args = [&["monitor", "I1-I3", "F1", "S1", "IO128", "--robot", &robot.tcp][..], &limits].concat();
         let Some(terminal) = Terminal::start(size, &args, folder.path()) else { return };
         terminal.wait_for("Pro1             ready");
         terminal.wait_for("the feeder is empty");

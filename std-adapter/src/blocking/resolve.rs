@@ -1,7 +1,7 @@
 //! Name resolution with a time limit.
 
 use std::io;
-use std::net::{SocketAddr, ToSocketAddrs};
+use std::net::{IpAddr, SocketAddr, ToSocketAddrs};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::thread;
 use std::time::Duration;
@@ -18,6 +18,10 @@ use crate::connect::ConnectError;
 ///
 /// [`ConnectError::Resolve`], also at the time limit.
 pub fn resolve(address: &NetworkAddress, limit: Option<Duration>) -> Result<Vec<SocketAddr>, ConnectError> {
+    // a busy machine may start the thread of the resolver too late
+    if let Ok(ip) = address.host.parse::<IpAddr>() {
+        return Ok(vec![(ip, address.port).into()]);
+    }
     let (sender, receiver) = mpsc::channel();
     let (host, port) = (address.host.clone(), address.port);
     // the system's resolver has no time limit, so it runs in its own thread
@@ -47,6 +51,10 @@ mod tests {
     fn addresses_of_ipv4_come_first() {
         let found = resolve(&NetworkAddress::parse_or_tcp("localhost", 7).unwrap(), None).unwrap();
         assert_eq!(found.first(), Some(&"127.0.0.1:7".parse().unwrap()));
+        for (ip, expected) in [("127.0.0.1", "127.0.0.1:7"), ("[::1]", "[::1]:7")] {
+            let found = resolve(&NetworkAddress::parse_or_tcp(ip, 7).unwrap(), Some(Duration::ZERO)).unwrap();
+            assert_eq!(found, [expected.parse().unwrap()], "without the resolver");
+        }
         let error = resolve(&NetworkAddress::parse_or_tcp("no-such-host.invalid", 7).unwrap(), None).unwrap_err();
         assert!(matches!(error, ConnectError::Resolve { name, .. } if name == "no-such-host.invalid"));
     }

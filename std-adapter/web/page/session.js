@@ -11,7 +11,7 @@ export const session = {
   section: "session",
   open(main) {
     const parts = {
-      settings: make("dl", { className: "numbers" }),
+      settings: make("dl", { className: "answer" }),
       logOut: make("button", { type: "button", id: "log-out", hidden: true, onclick: () => attempt(logOut) }, "Log out"),
       robots: make("ul"),
       record: make("button", { type: "button", id: "record", disabled: true, onclick: record }, "Start recording"),
