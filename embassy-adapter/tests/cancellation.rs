@@ -24,7 +24,7 @@ use bcap_core::rac::{self, VariableKind};
 use bcap_core::time::Instant;
 use bcap_embassy::clock::{EmbassyClock, now};
 use bcap_embassy::gateway::{self, RobotLink as _, TcpRobot, run_robot};
-use bcap_embassy::http::{Content, HttpListener};
+use bcap_embassy::http::{self, Content, Decision, HttpListener, Site, Status};
 use bcap_embassy::net::{Connection, NetError, Options, TcpTransport, Transport, UdpTransport};
 use bcap_embassy::server::{Limits, Listener, SharedHandler, UdpPeer, UdpServer};
 use bcap_gateway::modbus::{self, Entry};
@@ -32,9 +32,9 @@ use bcap_gateway::{Allow, Gateway, Memory, Rules};
 use bcap_test_support::async_functions::Coverage::{self, Exempt, Swept, Through};
 use embassy_futures::join::join;
 use embassy_futures::select::{Either, Either3, select, select3};
-use embassy_net::Stack;
 use embassy_net::tcp::TcpSocket;
 use embassy_net::udp::{PacketMetadata, UdpSocket};
+use embassy_net::{IpEndpoint, Stack};
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embassy_time::{Timer, with_timeout};
 
@@ -604,6 +604,29 @@ fn gateway() {
     });
 }
 
+/// A site that tells the length of a body.
+struct Length;
+
+impl<'s> Site<'s> for Length {
+    type Page = usize;
+
+    fn admits(&self, _: Option<IpEndpoint>) -> bool {
+        true
+    }
+
+    fn decide(&self, _: &http::Request<'_>) -> Decision<usize> {
+        Decision::Receive
+    }
+
+    async fn take(&self, memory: &'s mut [u8], len: usize) -> (&'s mut [u8], usize) {
+        (memory, len)
+    }
+
+    fn write(&self, len: usize, out: &mut dyn std::fmt::Write) -> Option<(Status, Content)> {
+        write!(out, "{len} bytes").ok().map(|()| (Status::Ok, Content::Text))
+    }
+}
+
 /// The listeners of Modbus and HTTP, dropped while a client asks, and begun again.
 fn fronts() {
     between(|_, clients, board| async move {
@@ -614,7 +637,7 @@ fn fronts() {
         let [modbus_rx, modbus_tx, http_rx, http_tx, page] = &mut buffers;
         let mut modbus =
             gateway::ModbusListener::new(board, modbus::PORT, &map, [modbus_rx, modbus_tx], Options::default());
-        let mut http = HttpListener::new(board, 80, [http_rx, http_tx], page, Options::default());
+        let mut pages = HttpListener::new(board, 80, [http_rx, http_tx], page, Options::default());
         let limits = gateway::Limits::default();
         let answer = |path: &str, page: &mut dyn std::fmt::Write| page.write_str(path).ok().map(|()| Content::Text);
         for polls in 1..=30_u8 {
@@ -628,10 +651,17 @@ fn fronts() {
 
             let get = format!("GET /{polls} HTTP/1.1\r\n\r\n");
             let end = format!("\r\n\r\n/{polls}");
-            let dropped = dropped_after(polls.into(), http.run(|_| true, answer));
+            let dropped = dropped_after(polls.into(), pages.run(|_| true, answer));
             let dropped = select(asked(clients, 80, get.as_bytes(), end.as_bytes()), dropped).await;
             count("HttpListener::run", &dropped);
-            alongside(http.run(|_| true, answer), asked(clients, 80, get.as_bytes(), end.as_bytes())).await;
+            alongside(pages.run(|_| true, answer), asked(clients, 80, get.as_bytes(), end.as_bytes())).await;
+
+            let post = format!("POST / HTTP/1.1\r\nContent-Length: {polls}\r\n\r\n{}", "x".repeat(polls.into()));
+            let end = format!("\r\n\r\n{polls} bytes");
+            let dropped = dropped_after(polls.into(), pages.run_site(&Length));
+            let dropped = select(asked(clients, 80, post.as_bytes(), end.as_bytes()), dropped).await;
+            count("HttpListener::run_site", &dropped);
+            alongside(pages.run_site(&Length), asked(clients, 80, post.as_bytes(), end.as_bytes())).await;
         }
     });
 }
@@ -695,10 +725,14 @@ const FUNCTIONS: &[(&str, Coverage)] = &[
     ("gateway/tcp.rs: UdpTransport::open", Exempt("it awaits nothing")),
     ("gateway/serial.rs: SerialRobot::open", Exempt("it awaits nothing")),
     ("http.rs: HttpListener::run", Swept("HttpListener::run")),
-    ("http.rs: receive", Through("http.rs: HttpListener::run")),
-    ("http.rs: send", Through("http.rs: HttpListener::run")),
-    ("http.rs: serve", Through("http.rs: HttpListener::run")),
-    ("net/backlog.rs: evicted", Through("http.rs: HttpListener::run")),
+    ("http.rs: HttpListener::run_site", Swept("HttpListener::run_site")),
+    ("http.rs: ReadOnly::take", Exempt("it awaits nothing")),
+    ("http.rs: Site::take", DECLARED),
+    ("http.rs: receive", Through("http.rs: HttpListener::run_site")),
+    ("http.rs: receive_until", Through("http.rs: receive")),
+    ("http.rs: respond", Through("http.rs: HttpListener::run_site")),
+    ("http.rs: send", Through("http.rs: respond")),
+    ("net/backlog.rs: evicted", Through("http.rs: HttpListener::run_site")),
     ("net/link.rs: wait", Through("net/tcp.rs: TcpTransport::receive")),
     ("net/tcp.rs: TcpTransport::accept", Through("server/tcp.rs: Listener::serve_one")),
     ("net/tcp.rs: TcpTransport::close", Swept("TcpTransport::close")),
