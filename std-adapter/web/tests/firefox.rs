@@ -206,6 +206,7 @@ fn jog(sim: &Sim, web: &Web, firefox: &mut Firefox) {
         firefox.click("#question-yes");
         firefox.until("/ready:/.test(document.getElementById('jog-phase').textContent) || /ended:|no jog:/.test(document.getElementById('notice').textContent)");
         let before = sim.lock().axes();
+        firefox.until("document.querySelector('.axis') !== null");
         firefox.press(".axis:nth-child(1) button:nth-of-type(2)");
         until("the robot moves, or the jog has ended", || {
             let sim = sim.lock();

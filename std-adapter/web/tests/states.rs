@@ -69,6 +69,8 @@ fn jog_and_reload(sim: &Sim, browser: &mut Browser) {
     browser.click("#jog-begin");
     browser.click("#question-yes");
     sim.until("the arm is taken", |sim| sim.arm_owner().is_some());
+    // the page may show the axes later than the arm is taken
+    browser.until("document.querySelector('.axis') !== null");
     browser.press(".axis:nth-child(1) button:nth-of-type(2)");
     begin_reload(browser);
     sim.until("the robot rests, and the arm is free", |sim| !sim.is_moving() && sim.arm_owner().is_none());
