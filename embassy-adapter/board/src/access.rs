@@ -149,7 +149,7 @@ fn is_password(sent: &[u8], password: &[u8]) -> bool {
         let [a, b] = [sent, password].map(|text| text.get(at).copied().unwrap_or_default());
         difference = black_box(difference | (a ^ b));
     }
-    // an empty password is none
+    // a board whose password is empty admits nobody
     difference == 0 && !password.is_empty()
 }
 

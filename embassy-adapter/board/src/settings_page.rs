@@ -25,7 +25,7 @@ use crate::{Settings, config, messages};
 
 static GUARD: Mutex<CriticalSectionRawMutex, Cell<Guard>> = Mutex::new(Cell::new(Guard::new()));
 
-/// The page, or why there is none.
+/// The answer to a request: a page, the result of a change, or a refusal.
 #[derive(Clone, Copy)]
 pub(crate) enum Answer {
     Form,

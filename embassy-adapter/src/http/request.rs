@@ -82,7 +82,7 @@ impl<'a> Request<'a> {
 
     /// Adds a header.
     fn add(&mut self, line: &'a [u8]) -> Result<(), Status> {
-        // a header with other bytes is none of these
+        // the names below are ASCII, so a line that is not UTF-8 is another header
         let Some((name, value)) = core::str::from_utf8(line).ok().and_then(|line| line.split_once(':')) else {
             return Ok(());
         };
