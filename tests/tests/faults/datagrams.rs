@@ -20,6 +20,8 @@ struct Calls {
     address: SocketAddr,
     options: Options,
     next: AtomicI32,
+    /// How long one call in ten takes, in milliseconds: longer than its first attempt.
+    slow: i32,
     /// By token: whether the call was reported as done.
     reported: Mutex<Vec<Option<bool>>>,
 }
@@ -41,8 +43,7 @@ impl Calls {
             if index >= self.reported.lock().unwrap().len() {
                 return true;
             }
-            // one in ten takes longer than its first attempt
-            let millis = if token % 10 == 0 { 120 } else { 0 };
+            let millis = if token % 10 == 0 { self.slow } else { 0 };
             let is_done = match client.call(call::controller_execute(controller, "token", [token, millis])).await {
                 Ok(value) => {
                     assert_eq!(value.as_i32(), Some(answer_to(token)), "the reply is this call's");
@@ -68,7 +69,8 @@ pub(crate) fn call_over_udp(server: Served, address: SocketAddr, calls: usize, a
     let udp = Config { timing, ..Config::UDP };
     let options = Options::default().udp(udp);
     let reported = Mutex::new(vec![None; calls]);
-    let all = Arc::new(Calls { address, options, next: AtomicI32::new(0), reported });
+    let slow = 2 * i32::try_from(attempt.as_millis()).unwrap();
+    let all = Arc::new(Calls { address, options, next: AtomicI32::new(0), slow, reported });
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     runtime.block_on(async {
         let mut tasks = tokio::task::JoinSet::new();
@@ -101,7 +103,8 @@ fn datagrams_are_lost_doubled_and_reordered_and_every_call_is_executed_once() {
     let faults = Faults { loss: 100, repeat: 100, delay: Duration::from_millis(50), ..Faults::default() };
     let proxy = UdpProxy::start(server.udp, faults, 20_261_121);
     let begun = Instant::now();
-    let (done, failed) = call_over_udp(server, proxy.address, calls, Duration::from_millis(60));
+    // several times the delay, because 100 clients, the server and the proxy may share a busy processor
+    let (done, failed) = call_over_udp(server, proxy.address, calls, Duration::from_millis(250));
     let time = begun.elapsed();
     let count = |count: &AtomicU64| count.load(Ordering::Relaxed);
     let counts = &proxy.counts;
@@ -113,7 +116,7 @@ fn datagrams_are_lost_doubled_and_reordered_and_every_call_is_executed_once() {
         time.as_secs_f64()
     );
     assert_eq!(done + failed, calls);
-    // five attempts; each is lost one time in five, and a third of the others are late
+    // five attempts; each is lost one time in five
     assert!(failed <= 5 + done / 100, "{failed} given up");
     assert!(lost > sent / 12 && repeated > sent / 15 && overtaken > 0);
 }
