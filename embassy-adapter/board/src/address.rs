@@ -21,7 +21,13 @@ use crate::Settings;
 /// How long to wait for DHCP, from the link on, before using the configured address.
 const DHCP_TIME: Duration = Duration::from_secs(5);
 
-/// The pause after which [`improve`] asks again.
+/// The pause before DHCP is asked again without an answer. With the 10 s of smoltcp, one lost frame would cost the address.
+const DHCP_RETRY: core::time::Duration = core::time::Duration::from_secs(2);
+
+/// The pause between two looks at the network stack.
+const LOOK: Duration = Duration::from_millis(250);
+
+/// The pause after which [`keep`] asks again.
 pub const DHCP_AGAIN: Duration = Duration::from_secs(60);
 
 /// The address that was found last, for the console.
@@ -53,13 +59,16 @@ pub(crate) fn config(settings: &Settings<'_>) -> Config {
 ///
 /// Without a configured address it waits for DHCP for ever.
 pub async fn find(stack: Stack<'_>, settings: &Settings<'_>) {
-    stack.wait_link_up().await;
-    if with_timeout(DHCP_TIME, stack.wait_config_up()).await.is_err() {
-        if let (true, Some(own)) = (settings.dhcp, own(settings)) {
+    loop {
+        until(|| stack.is_link_up()).await;
+        if with_timeout(DHCP_TIME, until(|| stack.is_config_up())).await.is_ok() {
+            break;
+        }
+        // a link that has gone meanwhile has not given DHCP its time
+        if let (true, true, Some(own)) = (stack.is_link_up(), settings.dhcp, own(settings)) {
             defmt::warn!("no DHCP server answers, using the configured address");
             stack.set_config_v4(ConfigV4::Static(own));
         }
-        stack.wait_config_up().await;
     }
     if let Some(found) = stack.config_v4() {
         defmt::info!("address {}", found.address);
@@ -71,23 +80,36 @@ pub async fn find(stack: Stack<'_>, settings: &Settings<'_>) {
     }
 }
 
-/// Retries DHCP after each pause while the board uses the configured address and `is_useful` returns false.
+/// Finds an address again when it is lost: the link was down, or the lease has ended and no server extends it.
 ///
-/// A switch and a DHCP server may start later than the board.
-pub async fn improve(stack: Stack<'_>, settings: &Settings<'_>, pause: Duration, is_useful: impl Fn() -> bool) -> ! {
+/// After each pause it asks DHCP again while the board uses the configured address and `is_useful` returns false. A switch
+/// and a DHCP server may start later than the board.
+pub async fn keep(stack: Stack<'_>, settings: &Settings<'_>, pause: Duration, is_useful: impl Fn() -> bool) -> ! {
     loop {
-        Timer::after(pause).await;
-        let has_own = stack.config_v4().is_some_and(|found| Some(&found) == own(settings).as_ref());
-        if settings.dhcp && has_own && !is_useful() {
+        if with_timeout(pause, until(|| !stack.is_config_up())).await.is_err() {
+            let has_own = stack.config_v4().is_some_and(|found| Some(&found) == own(settings).as_ref());
+            if !settings.dhcp || !has_own || is_useful() {
+                continue;
+            }
             stack.set_config_v4(ConfigV4::Dhcp(dhcp(settings)));
-            find(stack, settings).await;
         }
+        find(stack, settings).await;
+    }
+}
+
+/// Waits for a state of the network stack. It looks again after each [`LOOK`], because embassy-net wakes one task only: two that
+/// wait for its state would wake each other without an end.
+async fn until(is_reached: impl Fn() -> bool) {
+    while !is_reached() {
+        Timer::after(LOOK).await;
     }
 }
 
 /// Returns the configuration of DHCP, with the board's name.
 fn dhcp(settings: &Settings<'_>) -> DhcpConfig {
     let mut config = DhcpConfig::default();
+    let retry = &mut config.retry_config;
+    (retry.discover_timeout, retry.initial_request_timeout) = (DHCP_RETRY.into(), DHCP_RETRY.into());
     // the settings accept only names that fit
     config.hostname = settings.hostname.and_then(|name| name.try_into().ok());
     config

@@ -290,7 +290,7 @@ async fn run_robot_link(
     };
     let work = async {
         address::find(stack, settings).await;
-        select(run, address::improve(stack, settings, dhcp_again, || has_robot(board))).await;
+        select(run, address::keep(stack, settings, dhcp_again, || has_robot(board))).await;
     };
     watched(ROBOT, pin!(work)).await;
 }

@@ -24,7 +24,7 @@ use crate::{Settings, address};
 pub const SILENCE: Duration = Duration::from_secs(300);
 
 /// The pause between two offers that the network stack gets. A server that refuses what it has offered would otherwise be asked
-/// again without a pause; after an offer that is dropped, the stack asks after 10 s.
+/// again without a pause; after an offer that is dropped, the stack asks after 2 s.
 const OFFER_PAUSE: Duration = Duration::from_secs(1);
 
 /// The pause between two frames of LLDP; one is sent when the network stack runs next.

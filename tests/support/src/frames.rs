@@ -52,16 +52,25 @@ pub fn syn(mac: [u8; 6], from: Ipv4Addr, to: Ipv4Addr, [source, port]: [u16; 2])
 
 /// Makes the ARP reply of a machine that has this address, to the board.
 pub fn arp_reply(mac: [u8; 6], board: Ipv4Addr, address: Ipv4Addr) -> Vec<u8> {
+    arp(mac, ArpOperation::Reply, address, board)
+}
+
+/// Makes the ARP request of a machine that has the address `from`, for the board.
+pub fn arp_request(mac: [u8; 6], board: Ipv4Addr, from: Ipv4Addr) -> Vec<u8> {
+    arp(mac, ArpOperation::Request, from, board)
+}
+
+fn arp(mac: [u8; 6], operation: ArpOperation, from: Ipv4Addr, board: Ipv4Addr) -> Vec<u8> {
     let ethernet = EthernetRepr { src_addr: SENDER, dst_addr: EthernetAddress(mac), ethertype: EthernetProtocol::Arp };
-    let reply = ArpRepr::EthernetIpv4 {
-        operation: ArpOperation::Reply,
+    let arp = ArpRepr::EthernetIpv4 {
+        operation,
         source_hardware_addr: SENDER,
-        source_protocol_addr: address,
+        source_protocol_addr: from,
         target_hardware_addr: EthernetAddress(mac),
         target_protocol_addr: board,
     };
-    let mut frame = vec![0; ETHERNET + reply.buffer_len()];
+    let mut frame = vec![0; ETHERNET + arp.buffer_len()];
     ethernet.emit(&mut EthernetFrame::new_unchecked(&mut frame[..]));
-    reply.emit(&mut ArpPacket::new_unchecked(&mut frame[ETHERNET..]));
+    arp.emit(&mut ArpPacket::new_unchecked(&mut frame[ETHERNET..]));
     frame
 }
