@@ -41,8 +41,8 @@ pub(crate) struct Sent {
 }
 
 /// How often a call or a case is repeated when the device ended its connection without any reply: a small device may have no slot
-/// yet.
-pub(crate) const REFUSALS: usize = 5;
+/// yet. One in an emulator on a busy machine needs a second or two.
+pub(crate) const REFUSALS: usize = 20;
 pub(crate) const REFUSAL_PAUSE: Duration = Duration::from_millis(100);
 
 /// How often a device over UDP is asked whether it answers: a network may lose datagrams.
