@@ -97,13 +97,13 @@ impl Sources {
     /// Handles those signals that `wanted` accepts, by number and meaning.
     fn new(wanted: impl Fn(i32, Signal) -> bool) -> io::Result<Self> {
         use tokio::signal::unix::{SignalKind, signal};
-        let mut sources = Vec::new();
+        let (mut sources, ignored) = (Vec::new(), Ignored::read());
         for (raw, meaning) in handled().filter(|(raw, meaning)| wanted(*raw, *meaning)) {
             let kind = SignalKind::from_raw(raw);
             // SIGINT and SIGTERM always end a program; a handler of another one would end what `nohup` lets run, or a shell in
             // the background
             let is_required = [SignalKind::interrupt(), SignalKind::terminate()].contains(&kind);
-            if !is_required && is_ignored(raw) {
+            if !is_required && ignored.has(raw) {
                 continue;
             }
             match signal(kind) {
@@ -172,7 +172,7 @@ pub fn wait_without_hang_up() -> io::Result<(impl Future<Output = ()>, HangUp)> 
     use tokio::signal::unix::{SignalKind, signal};
     let hang_up = Raw::HUP.as_raw();
     let mut sources = Sources::new(|raw, meaning| meaning != Signal::Suspend && raw != hang_up)?;
-    let handled = if is_ignored(hang_up) { None } else { Some(signal(SignalKind::hangup())?) };
+    let handled = if Ignored::read().has(hang_up) { None } else { Some(signal(SignalKind::hangup())?) };
     let ended = async move {
         let _ = sources.next().await;
     };
@@ -206,19 +206,27 @@ impl HangUp {
     }
 }
 
-/// Returns whether this process ignores a signal. Only Linux tells.
+/// The signals that a process ignores: signal 1 is bit 0.
 #[cfg(unix)]
-fn is_ignored(signal: i32) -> bool {
-    std::fs::read_to_string("/proc/self/status").is_ok_and(|status| has_ignored(&status, signal))
-}
+struct Ignored(u64);
 
-/// Reads from the text of `/proc/PID/status` whether a signal is ignored: signal 1 is bit 0 of the hexadecimal set `SigIgn`.
 #[cfg(unix)]
-fn has_ignored(status: &str, signal: i32) -> bool {
-    let set = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
-    let bit = u32::try_from(signal - 1).ok().and_then(|shift| 1_u64.checked_shl(shift));
-    let set = set.and_then(|set| u64::from_str_radix(set.trim(), 16).ok());
-    set.zip(bit).is_some_and(|(set, bit)| set & bit != 0)
+impl Ignored {
+    /// Reads those of this process, once for all signals. Only Linux tells.
+    fn read() -> Self {
+        Self::parse(&std::fs::read_to_string("/proc/self/status").unwrap_or_default())
+    }
+
+    /// Reads the hexadecimal set `SigIgn` from the text of `/proc/PID/status`.
+    fn parse(status: &str) -> Self {
+        let set = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+        Self(set.and_then(|set| u64::from_str_radix(set.trim(), 16).ok()).unwrap_or_default())
+    }
+
+    fn has(&self, signal: i32) -> bool {
+        let bit = u32::try_from(signal - 1).ok().and_then(|shift| 1_u64.checked_shl(shift));
+        bit.is_some_and(|bit| self.0 & bit != 0)
+    }
 }
 
 /// Returns a future that completes on Ctrl-C.
@@ -239,9 +247,9 @@ mod tests {
 
     #[test]
     fn an_ignored_signal_is_a_bit_of_its_set() {
-        let status = "Name:\tbcap\nSigIgn:\t0000000000081001\nSigCgt:\t0000000000000000\n";
-        assert!(has_ignored(status, 1) && has_ignored(status, 20) && !has_ignored(status, 2));
-        assert!(!has_ignored("SigIgn:\t0000000000001000\nSigCgt:\t0000000000000001\n", 1));
-        assert!(!has_ignored("", 1));
+        let ignored = Ignored::parse("Name:\tbcap\nSigIgn:\t0000000000081001\nSigCgt:\t0000000000000000\n");
+        assert!(ignored.has(1) && ignored.has(20) && !ignored.has(2));
+        assert!(!Ignored::parse("SigIgn:\t0000000000001000\nSigCgt:\t0000000000000001\n").has(1));
+        assert!(!Ignored::parse("").has(1));
     }
 }
