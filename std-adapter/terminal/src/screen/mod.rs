@@ -9,7 +9,7 @@ mod parts;
 mod spark;
 mod terminal;
 
-pub use ratatui_crossterm::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
+pub use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 
 pub use self::live::Live;
 pub use self::parts::{Line, Mark, Panel, Part, Screen};

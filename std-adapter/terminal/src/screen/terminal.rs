@@ -7,13 +7,11 @@ use std::os::fd::AsFd;
 use std::panic;
 use std::time::Duration;
 
+use crossterm::event::{self, Event, KeyEvent, KeyEventKind};
+use crossterm::execute;
+use crossterm::terminal::{EnterAlternateScreen, LeaveAlternateScreen, disable_raw_mode, enable_raw_mode};
 use ratatui_core::terminal::Terminal as Drawing;
 use ratatui_crossterm::CrosstermBackend;
-use ratatui_crossterm::crossterm::event::{self, Event, KeyEvent, KeyEventKind};
-use ratatui_crossterm::crossterm::execute;
-use ratatui_crossterm::crossterm::terminal::{
-    EnterAlternateScreen, LeaveAlternateScreen, disable_raw_mode, enable_raw_mode,
-};
 
 use super::draw::{Look, draw};
 use super::parts::Screen;
@@ -76,18 +74,22 @@ impl Terminal {
     ///
     /// When the terminal is gone, such as after a lost ssh connection.
     pub fn keys(&self, time: Duration) -> io::Result<Vec<KeyEvent>> {
-        let mut keys = Vec::new();
-        if !has_input(time)? {
-            return Ok(keys);
-        }
-        while event::poll(Duration::ZERO)? {
-            match event::read()? {
-                Event::Key(key) if key.kind != KeyEventKind::Release => keys.push(key),
-                _ => {}
-            }
-        }
-        Ok(keys)
+        if has_input(time)? { pressed() } else { Ok(Vec::new()) }
     }
+}
+
+/// Returns the keys that were pressed.
+fn pressed() -> io::Result<Vec<KeyEvent>> {
+    // the end of the wait is the only way out of a terminal that was lost meanwhile, and without a wait nothing is read
+    const WAIT: Duration = Duration::from_millis(1);
+    let mut keys = Vec::new();
+    while event::poll(WAIT)? {
+        match event::read()? {
+            Event::Key(key) if key.kind != KeyEventKind::Release => keys.push(key),
+            _ => {}
+        }
+    }
+    Ok(keys)
 }
 
 #[cfg(unix)]
@@ -95,8 +97,7 @@ fn has_input(time: Duration) -> io::Result<bool> {
     has_bytes(io::stdin(), time)
 }
 
-/// Waits for bytes. crossterm would read a terminal that is gone without end, so it is asked only when there are some: not after a
-/// signal has ended the wait, because that is the signal of a terminal that is gone.
+/// Waits for bytes, because crossterm does not tell that a terminal is gone.
 #[cfg(unix)]
 fn has_bytes(input: impl AsFd, time: Duration) -> io::Result<bool> {
     use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -141,6 +142,15 @@ fn look() -> Look {
 
 #[cfg(all(test, unix))]
 mod tests {
+    use std::fs::File;
+    use std::process::{Command, Stdio};
+    use std::thread::sleep;
+    use std::time::Instant;
+
+    use crossterm::event::KeyCode;
+    use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+    use rustix::stdio::dup2_stdin;
+
     use super::*;
 
     #[test]
@@ -153,5 +163,47 @@ mod tests {
         drop(keyboard);
         // even with a key that was pressed before
         assert_eq!(has_bytes(&input, Duration::ZERO).unwrap_err().kind(), io::ErrorKind::UnexpectedEof);
+    }
+    #[test]
+    fn a_terminal_that_is_lost_while_keys_are_read_does_not_hold_the_program() {
+        // another process, because it replaces its standard input
+        let name = "screen::terminal::tests::a_process_whose_terminal_is_lost";
+        let mut process = Command::new(env::current_exe().unwrap());
+        let mut process = process.args(["--ignored", "--exact", name]).stdout(Stdio::null()).spawn().unwrap();
+        let since = Instant::now();
+        let status = loop {
+            match process.try_wait().unwrap() {
+                Some(status) => break status,
+                None if since.elapsed() > Duration::from_secs(60) => {
+                    process.kill().unwrap();
+                    panic!("it reads a terminal that is gone without end");
+                }
+                None => sleep(Duration::from_millis(10)),
+            }
+        };
+        assert!(status.success(), "{status}");
+    }
+
+    #[test]
+    #[ignore = "a part of the test above"]
+    fn a_process_whose_terminal_is_lost() {
+        let keyboard = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
+        grantpt(&keyboard).unwrap();
+        unlockpt(&keyboard).unwrap();
+        let name = ptsname(&keyboard, Vec::new()).unwrap();
+        let screen = File::options().read(true).write(true).open(name.to_str().unwrap()).unwrap();
+        dup2_stdin(&screen).unwrap();
+        drop(screen);
+        assert_eq!(pressed().unwrap(), []);
+        rustix::io::write(&keyboard, b"q\n").unwrap();
+        let key = loop {
+            if let [key, ..] = pressed().unwrap()[..] {
+                break key;
+            }
+        };
+        assert_eq!(key.code, KeyCode::Char('q'));
+        drop(keyboard);
+        // an error or nothing, but it returns
+        assert!(pressed().is_ok_and(|keys| keys.is_empty()) || pressed().is_err());
     }
 }
