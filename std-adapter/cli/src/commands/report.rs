@@ -73,7 +73,6 @@ pub(crate) fn report(args: &ReportArgs, session: &mut Session, json: bool) -> Re
     // first, because an interrupted command makes no more calls
     let virtual_one = survey_virtual(session, &source)?;
     let limits = Limits { rounds: args.rounds, within: args.within, pause: PAUSE };
-    session.connect()?;
     session.controller()?;
     let mut survey = Survey::default();
     let ended = survey.run(session, limits);
@@ -111,7 +110,7 @@ fn write(path: &Path, text: &str) -> io::Result<()> {
 
 /// Makes the same calls once to a virtual controller in this process.
 fn survey_virtual(session: &Session, source: &Source<Profile>) -> Result<Survey, Failure> {
-    let model = read_model(source)?;
+    let (model, _) = read_model(source)?;
     let link = session.link();
     let provider = model.provider.clone();
     let local = LocalController::start(model)?;
