@@ -116,15 +116,9 @@ pub(crate) enum Failure {
 }
 
 /// Returns the line of the output in place of an item that cannot be converted.
-pub(crate) fn item_to_json(error: &ConvertError) -> String {
-    #[derive(Serialize)]
-    struct Item {
-        error: String,
-        offset: usize,
-    }
-    let item = Item { error: escape::cut(error), offset: error.offset };
+pub(crate) fn item_to_json(error: ConvertError) -> String {
     // serializing a string and a number cannot fail
-    escape::json(&serde_json::to_string(&item).unwrap_or_default())
+    escape::json(&Failure::Item(error).to_json(None).unwrap_or_default())
 }
 
 impl From<bcap_capture::Error> for Failure {
@@ -266,22 +260,14 @@ impl Failure {
 
     /// Returns the failure as a line of JSON; `None` if its parts have been printed already.
     fn to_json(&self, name: Option<&str>) -> Option<String> {
-        let mut line =
-            Line { name, error: escape::cut(self), offset: None, code: None, hresult: None, hint: self.hint() };
-        match self {
+        let (offset, code) = match self {
             Self::BadLines(_) | Self::SomeRefused { .. } | Self::Reported(_) => return None,
-            Self::Item(item) => line.offset = Some(item.offset),
-            Self::Refused { code, .. } | Self::Unfit { code: Some(code), .. } => {
-                (line.code, line.hresult) = (Some(code.0), code.name());
-            }
-            Self::Script { failure, .. } | Self::NotCompared(failure) => {
-                if let Self::Refused { code, .. } | Self::Unfit { code: Some(code), .. } = failure.as_ref() {
-                    (line.code, line.hresult) = (Some(code.0), code.name());
-                }
-            }
-            _ => {}
-        }
-        serde_json::to_string(&line).ok()
+            Self::Item(item) => (Some(item.offset), None),
+            Self::Script { failure, .. } => (None, failure.result_code()),
+            _ => (None, self.result_code()),
+        };
+        let (error, hint, hresult) = (escape::cut(self), self.hint(), code.and_then(HResult::name));
+        serde_json::to_string(&Line { name, error, offset, code: code.map(|code| code.0), hresult, hint }).ok()
     }
 }
 

@@ -343,7 +343,7 @@ impl Talk {
         if self.json {
             let line = match Decoder::TCP.decode_datagram(packet) {
                 Ok(frame) => frame::to_json(&frame, role),
-                Err(error) => item_to_json(&error.into()),
+                Err(error) => item_to_json(error.into()),
             };
             return Ok(print_json(&line)?);
         }
