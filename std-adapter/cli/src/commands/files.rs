@@ -91,13 +91,7 @@ pub(crate) struct Rm {
 
 /// Runs `bcap rm`.
 pub(crate) fn rm(args: &Rm, session: &mut Session, json: bool) -> Result<(), Failure> {
-    // the session of the shell stays open during the question, and a lost one stays lost
-    let is_own = !session.is_open() && !session.is_lost();
-    let found = to_delete(&args.paths, session);
-    if is_own {
-        session.close();
-    }
-    let files = found?;
+    let files = session.before_question(|session| to_delete(&args.paths, session))?;
     let shown: Vec<String> = files.iter().map(|path| format!("robot:/{path}")).collect();
     let what = format!("{} deletes {} files: {}", session.link().target()?, files.len(), shown.join(", "));
     let question = Question { what: &what, warning: "Nothing restores them.", refused: "nothing was deleted" };

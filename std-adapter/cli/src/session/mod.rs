@@ -115,13 +115,6 @@ impl Session {
         }
     }
 
-    /// Connects without starting the service.
-    pub(crate) fn open(link: &LinkArgs) -> Result<Self, Failure> {
-        let mut session = Self::new(link);
-        session.open_connection()?;
-        Ok(session)
-    }
-
     /// Returns how the session connects.
     pub(crate) const fn link(&self) -> &LinkArgs {
         &self.link
@@ -140,8 +133,7 @@ impl Session {
     /// Ends the connection, and connects again.
     pub(crate) fn reconnect(&mut self) -> Result<(), Failure> {
         self.close();
-        let connected = self.connect().and_then(|()| self.controller());
-        connected.map(drop)
+        self.controller().map(drop)
     }
 
     /// Ends the session: gives the arm back, releases all objects and stops the service.
@@ -156,6 +148,20 @@ impl Session {
         if let Some(interrupt) = &self.interrupt {
             interrupt.dismiss();
         }
+    }
+
+    /// Runs `body` before a question to the user, who may think for hours: only a session that was open before stays open, and a
+    /// lost one stays lost.
+    pub(crate) fn before_question<T>(
+        &mut self,
+        body: impl FnOnce(&mut Self) -> Result<T, Failure>,
+    ) -> Result<T, Failure> {
+        let is_own = !self.is_open() && !self.lost;
+        let done = body(self);
+        if is_own {
+            self.close();
+        }
+        done
     }
 
     /// Allows time for the end of a session that has something to undo: it has a separate time limit, however long the command took.
@@ -469,15 +475,17 @@ impl Session {
             // the handle must exist before it is needed
             stopper.with(|controller| controller.robot().map(drop))?;
             let mut stopper = Stopper(stopper);
-            Ok(Some(Box::new(move || stopper.0.halt())))
+            Ok(Some(Box::new(move || {
+                if stopper.0.lost {
+                    stopper.0.reconnect()?;
+                }
+                stopper.0.halt()
+            })))
         })
     }
 
-    /// Halts the robot, and connects again first if the connection was lost.
-    fn halt(&mut self) -> Result<(), Failure> {
-        if self.lost {
-            self.reconnect()?;
-        }
+    /// Halts the robot over this session.
+    pub(crate) fn halt(&mut self) -> Result<(), Failure> {
         self.restart_budget();
         self.with(|controller| controller.robot()?.halt().map(drop))
     }

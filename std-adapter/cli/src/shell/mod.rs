@@ -148,8 +148,7 @@ fn stop(session: &mut Session) -> Result<(), Failure> {
     if !session.has_arm() {
         return Ok(());
     }
-    session.restart_budget();
-    session.with(|controller| controller.robot()?.halt().map(drop))?;
+    session.halt()?;
     session.give_arm()?;
     note("the robot was halted, and the arm was given back");
     Ok(())

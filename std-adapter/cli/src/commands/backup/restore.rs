@@ -74,13 +74,7 @@ pub(crate) fn restore(args: &Restore, session: &mut Session, json: bool) -> Resu
     if let Some(past) = Past::read(&args.dir)?.filter(|past| !past.is_complete()) {
         summary(&past, json)?;
     }
-    // the session of the shell stays open, and a lost one stays lost
-    let is_own = !session.is_open() && !session.is_lost();
-    let plan = planned(args, &backup, session);
-    if is_own {
-        session.close();
-    }
-    let plan = plan?;
+    let plan = session.before_question(|session| planned(args, &backup, session))?;
     show(&plan, if args.dry_run || json { usize::MAX } else { SHOWN }, json)?;
     if plan.is_empty() {
         return note("there is nothing to write: the controller has the values of the backup", json);

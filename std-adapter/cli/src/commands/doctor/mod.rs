@@ -120,12 +120,13 @@ fn reach(report: &mut Report, protocol: Protocol, args: &Doctor, link: &LinkArgs
         Protocol::Tcp => ("tcp", Budget::start(link)),
         Protocol::Udp => ("udp", Budget::start(link).answer_within(UDP_TIMEOUT)),
     };
-    let reached = Session::open(link).and_then(|mut session| {
+    let mut session = Session::new(link);
+    let reached = session.open_connection().and_then(|()| {
         session.set_budget(budget);
-        session.start(link).map(|()| session)
+        session.start(link)
     });
     match reached {
-        Ok(session) => {
+        Ok(()) => {
             let took = began.elapsed().as_secs_f64() * 1000.0;
             report
                 .note(check, Finding::Passed(format!("{} answers, Service_Start took {took:.1} ms", link.target()?)))?;

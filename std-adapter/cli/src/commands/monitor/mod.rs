@@ -97,7 +97,7 @@ pub(crate) fn monitor(args: &Monitor, session: &mut Session, json: bool) -> Resu
         screen: ScreenLink { updates: updates.clone(), requests: request },
     };
     // a wrong address or selection is an error; only a connection that was open before is tried again
-    reader.connect()?;
+    reader.session.controller()?;
     reader.names = expand(&mut reader.session, &selections)?;
     paths(&reader.names)?;
     let state = State::new(link.target()?.to_string(), args.packets);
