@@ -317,6 +317,17 @@ impl Session {
         }
     }
 
+    /// Executes a command of an object; returns the code, which may be an error, and the value.
+    pub(crate) fn execute(
+        &mut self,
+        function: FunctionId,
+        object: i32,
+        command: &str,
+        parameter: Value,
+    ) -> Result<(HResult, Option<Value>), Failure> {
+        self.call_for_code(function, &[integer(object)?, text(command)?, parameter])
+    }
+
     /// Returns the handle of the controller; calls Controller_Connect first if necessary.
     pub(crate) fn controller(&mut self) -> Result<i32, Failure> {
         if !self.opened()?.controller.is_connected() {

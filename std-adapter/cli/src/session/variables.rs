@@ -3,7 +3,7 @@
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::hresult::HResult;
 use bcap_live::calls::Calls;
-pub(crate) use bcap_live::variables::{get_one, list, read, short_type, state_words};
+pub(crate) use bcap_live::variables::{get_one, list, read, short_type, shown, state_words};
 use bcap_std::{ObjectPath, TaskStatus};
 
 use crate::failure::Failure;
@@ -19,7 +19,7 @@ impl Calls for Session {
     type Error = Failure;
 
     fn object(&mut self, path: &ObjectPath) -> Result<i32, Failure> {
-        if path.object() == Object::Controller { self.controller() } else { Self::object(self, path) }
+        Self::object(self, path)
     }
 
     fn call(

@@ -9,7 +9,7 @@ use clap::Args;
 use super::call::print_reply;
 use crate::failure::Failure;
 use crate::session::Session;
-use crate::values::{Value, integer, text};
+use crate::values::Value;
 use bcap_capture::value::data;
 
 /// Executes a command of the controller or a robot
@@ -42,8 +42,7 @@ pub(crate) fn exec(args: &Exec, session: &mut Session, json: bool) -> Result<(),
     let (path, function) = executed(args)?;
     let parameter = parameter(&args.arguments)?;
     let handle = session.object(&path)?;
-    let arguments = [integer(handle)?, text(&args.command)?, parameter];
-    let (code, value) = session.call_for_code(function, &arguments)?;
+    let (code, value) = session.execute(function, handle, &args.command, parameter)?;
     if code.is_err() {
         return Err(Failure::Refused { doing: format!("{path}: {}", args.command), code });
     }

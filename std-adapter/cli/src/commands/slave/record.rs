@@ -17,7 +17,7 @@ use crate::interrupt::Interrupt;
 use crate::link::LinkArgs;
 use crate::output::print_result;
 use crate::session::{Session, with_session};
-use crate::values::{Value, integer, text};
+use crate::values::Value;
 
 /// Runs `bcap slave record`.
 pub(crate) fn record(args: &Record, link: &LinkArgs, json: bool) -> Result<(), Failure> {
@@ -82,8 +82,7 @@ fn position(session: &mut Session, robot: i32, kind: PoseType) -> Result<Vec<f64
         PoseType::P => "CurPos",
         PoseType::T => "CurTrn",
     };
-    let arguments = [integer(robot)?, text(command)?, Value::new(&())?];
-    let (code, value) = session.call_for_code(FunctionId::ROBOT_EXECUTE, &arguments)?;
+    let (code, value) = session.execute(FunctionId::ROBOT_EXECUTE, robot, command, Value::default())?;
     if code.is_err() {
         return Err(Failure::Refused { doing: command.into(), code });
     }
