@@ -11,6 +11,7 @@ use clap::Args;
 use serde_json::json;
 
 use crate::commands::robot::errors;
+use crate::commands::robot::motion::check_speed;
 use crate::failure::Failure;
 use crate::interrupt::{Interrupt, State};
 use crate::output::{print_json, print_line, print_result};
@@ -54,12 +55,7 @@ pub(crate) struct Recover {
 
 /// Checks the arguments before the first call.
 pub(crate) fn check(args: &Recover) -> Result<(), Failure> {
-    match args.speed {
-        Some(speed) if !(speed > 0.0 && speed <= 100.0) => {
-            Err(Failure::Input(format!("--speed {speed}: write a speed above 0 and up to 100")))
-        }
-        _ => Ok(()),
-    }
+    args.speed.map_or(Ok(()), check_speed)
 }
 
 /// Runs `bcap recover`.

@@ -171,16 +171,8 @@ fn variable(name: &str) -> Result<Variable, Failure> {
 
 /// Returns an example value of a variable kind, which has a fixed type and number of elements.
 fn model(kind: VariableKind) -> Result<Value, Failure> {
-    Ok(match kind {
-        VariableKind::I => Value::new(&0_i32),
-        VariableKind::F => Value::new(&0_f32),
-        VariableKind::D => Value::new(&0_f64),
-        VariableKind::S => Value::new(""),
-        VariableKind::Io => Value::new(&false),
-        VariableKind::V | VariableKind::P | VariableKind::J | VariableKind::T => {
-            Value::new(vec![0_f32; kind.elements()].as_slice())
-        }
-    }?)
+    let zeros = vec!["0"; kind.elements()].join(",");
+    data::from_data(kind.vartype(), &zeros).map_err(|error| Failure::Input(error.to_string()))
 }
 
 /// A RAC connection that reports errors as a [`Failure`].
