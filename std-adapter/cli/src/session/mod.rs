@@ -19,6 +19,7 @@ use bcap_capture::value::describe;
 use bcap_core::bcap::client::Timing;
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::hresult::HResult;
+use bcap_core::variant::OwnedVariant as Value;
 use bcap_std::blocking::Controller;
 use bcap_std::{Address, Error, Model, ObjectPath, Settings};
 
@@ -29,7 +30,6 @@ use crate::output::note;
 use crate::session::budget::Budget;
 use crate::session::connect::{failure, open};
 use crate::session::traffic::packets;
-use crate::values::{Value, integer, text};
 
 /// A session, from Service_Start to Service_Stop. It connects when it is first used.
 pub(crate) struct Session {
@@ -236,7 +236,7 @@ impl Session {
 
     /// Starts the service, with keep-alives for long calls.
     pub(crate) fn start(&mut self, link: &LinkArgs) -> Result<(), Failure> {
-        self.call("", FunctionId::SERVICE_START, &[text(&link.start_option())?]).map(drop)
+        self.call("", FunctionId::SERVICE_START, &[Value::new(&link.start_option())?]).map(drop)
     }
 
     /// Restarts the time limit of the command.
@@ -325,7 +325,7 @@ impl Session {
         command: &str,
         parameter: Value,
     ) -> Result<(HResult, Option<Value>), Failure> {
-        self.call_for_code(function, &[integer(object)?, text(command)?, parameter])
+        self.call_for_code(function, &[Value::new(&object)?, Value::new(command)?, parameter])
     }
 
     /// Returns the handle of the controller; calls Controller_Connect first if necessary.
@@ -349,7 +349,8 @@ impl Session {
     /// Calls Controller_Connect, and returns its reply.
     fn connect_provider(&mut self) -> Result<Option<Value>, Failure> {
         let link = self.link.clone();
-        let arguments = [text("")?, text(&self.provider)?, text(&link.machine())?, text(link.option())?];
+        let arguments =
+            [Value::new("")?, Value::new(&self.provider)?, Value::new(&link.machine())?, Value::new(link.option())?];
         self.call("", FunctionId::CONTROLLER_CONNECT, &arguments).map(|(_, reply)| reply)
     }
 
@@ -411,7 +412,7 @@ impl Session {
     /// Opens an object of another object, and returns its handle.
     fn member(&mut self, owner: &ObjectPath, path: &ObjectPath, name: &str) -> Result<i32, Failure> {
         let function = path.object().opened_from(owner.object()).unwrap_or(FunctionId::CONTROLLER_GET_VARIABLE);
-        let arguments = [integer(self.object(owner)?)?, text(name)?, text("")?];
+        let arguments = [Value::new(&self.object(owner)?)?, Value::new(name)?, Value::new("")?];
         let (_, reply) = self.call(&path.to_string(), function, &arguments)?;
         let handle = reply.as_ref().and_then(|value| value.as_variant().as_i32());
         handle.ok_or_else(|| {

@@ -2,13 +2,13 @@
 
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::hresult::HResult;
+use bcap_core::variant::OwnedVariant as Value;
 use bcap_live::calls::Calls;
 pub(crate) use bcap_live::variables::{get_one, list, read, short_type, shown, state_words};
 use bcap_std::{ObjectPath, TaskStatus};
 
 use crate::failure::Failure;
 use crate::session::Session;
-use crate::values::Value;
 
 /// Parses the names of variables.
 pub(crate) fn paths(names: &[String]) -> Result<Vec<ObjectPath>, Failure> {

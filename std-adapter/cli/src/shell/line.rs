@@ -20,8 +20,8 @@ use crate::output::{print_line, print_raw};
 use crate::session::Session;
 use crate::session::variables::get_one;
 use crate::shell::words::{self, is_name};
-use crate::values::Value;
 use bcap_capture::value::data;
+use bcap_core::variant::OwnedVariant as Value;
 
 /// A command.
 #[derive(Debug, Parser)]

@@ -2,14 +2,13 @@
 
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::error::EncodeError;
-use bcap_core::variant::{VarType, Variant};
+use bcap_core::variant::{OwnedVariant as Value, VarType, Variant};
 use bcap_std::ObjectPath;
 use clap::Args;
 
 use super::call::print_reply;
 use crate::failure::Failure;
 use crate::session::Session;
-use crate::values::Value;
 use bcap_capture::value::data;
 
 /// Executes a command of the controller or a robot

@@ -27,7 +27,7 @@ use std::time::{Duration, Instant};
 use bcap_core::bcap::{FunctionId, StreamState};
 use bcap_core::hresult::HResult;
 use bcap_core::procedure::SysState;
-use bcap_core::variant::Encode;
+use bcap_core::variant::{Encode, OwnedVariant as Value};
 use bcap_std::{Examination, ObjectPath, Protocol};
 use clap::Args;
 
@@ -38,7 +38,6 @@ use crate::link::LinkArgs;
 use crate::session::Session;
 use crate::session::budget::Budget;
 use crate::session::variables::{get_one, short_type, shown};
-use crate::values::Value;
 use bcap_live::stream::StreamCheck;
 
 /// Checks what a program needs before it can move the robot, and says how to fix each failure

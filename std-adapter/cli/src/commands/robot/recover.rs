@@ -5,6 +5,7 @@ use std::ops::ControlFlow;
 
 use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
+use bcap_core::variant::OwnedVariant as Value;
 use bcap_std::blocking::Arm;
 use bcap_std::{Examination, Obstacle, RecoveryConfig, RecoveryStep};
 use clap::Args;
@@ -17,7 +18,6 @@ use crate::interrupt::{Interrupt, State};
 use crate::output::{print_json, print_line, print_result};
 use crate::session::Session;
 use crate::session::confirm::Question;
-use crate::values::{Value, integer, text};
 
 /// Recovers the robot after an error: shows the plan, asks, and reports each step
 ///
@@ -178,7 +178,7 @@ fn give(session: &mut Session, keeps_motor: bool) -> Result<(), Failure> {
         return session.give_arm();
     }
     let robot = session.object(&"robot".parse()?)?;
-    let arguments = [integer(robot)?, text("GiveArm")?, Value::default()];
+    let arguments = [Value::new(&robot)?, Value::new("GiveArm")?, Value::default()];
     session.call("GiveArm", FunctionId::ROBOT_EXECUTE, &arguments).map(drop)
 }
 

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use bcap_capture::value::describe;
 use bcap_core::bcap::FunctionId;
 use bcap_core::slave::PoseType;
+use bcap_core::variant::OwnedVariant as Value;
 use bcap_std::ObjectPath;
 use bcap_terminal::progress::Progress;
 
@@ -17,7 +18,6 @@ use crate::interrupt::Interrupt;
 use crate::link::LinkArgs;
 use crate::output::print_result;
 use crate::session::{Session, with_session};
-use crate::values::Value;
 
 /// Runs `bcap slave record`.
 pub(crate) fn record(args: &Record, link: &LinkArgs, json: bool) -> Result<(), Failure> {

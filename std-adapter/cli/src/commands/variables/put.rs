@@ -15,10 +15,10 @@ use crate::output::print;
 use crate::session::Session;
 use crate::session::selection::expand;
 use crate::session::variables::read;
-use crate::values::{Value, integer};
 use bcap_capture::value::data;
 use bcap_capture::value::named::{self, Entry, Named, shown};
 use bcap_capture::value::selection::Selection;
+use bcap_core::variant::OwnedVariant as Value;
 
 /// Writes variables
 ///
@@ -112,7 +112,7 @@ pub(crate) fn put(args: &Put, session: &mut Session, json: bool) -> Result<(), F
     for (n, group) in writes.chunks(GROUP).enumerate() {
         with_open(session, group, |session, open| {
             for (done, (write, (variable, value))) in (n * GROUP..).zip(group.iter().zip(open)) {
-                let arguments = [integer(*variable)?, value.clone()];
+                let arguments = [Value::new(variable)?, value.clone()];
                 let written = session.call(&write.name, FunctionId::VARIABLE_PUT_VALUE, &arguments);
                 written.map_err(|failure| after(failure, done, total))?;
                 print(&shown(&write.name, value, json), json)?;

@@ -19,10 +19,10 @@ use crate::session::budget::Budget;
 use crate::session::connect::{broken, connect, exhausted};
 use crate::session::selection::expand_offline;
 use crate::session::traffic::{TapedTcp, packets, taped_rac};
-use crate::values::Value;
 use bcap_capture::value::data;
 use bcap_capture::value::named::shown;
 use bcap_capture::value::selection::Selection;
+use bcap_core::variant::OwnedVariant as Value;
 
 /// Reads and writes variables over RAC, the text protocol
 ///

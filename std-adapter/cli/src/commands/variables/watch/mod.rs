@@ -19,9 +19,9 @@ use crate::output::print;
 use crate::session::Session;
 use crate::session::selection::expand;
 use crate::session::variables::{get_one, paths, read};
-use crate::values::Value;
 use bcap_capture::value::named::shown;
 use bcap_capture::value::selection::Selection;
+use bcap_core::variant::OwnedVariant as Value;
 
 /// Reads variables periodically
 ///
