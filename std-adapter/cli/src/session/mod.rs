@@ -279,15 +279,10 @@ impl Session {
         }
     }
 
-    /// Returns the library's controller after Controller_Connect.
-    pub(crate) fn connected(&mut self) -> Result<&mut Controller, Failure> {
-        self.controller()?;
-        Ok(&mut self.opened()?.controller)
-    }
-
     /// Uses the library's objects after Controller_Connect, and converts their error.
     pub(crate) fn with<T>(&mut self, body: impl FnOnce(&mut Controller) -> Result<T, Error>) -> Result<T, Failure> {
-        body(self.connected()?).map_err(|error| self.ended(error))
+        self.controller()?;
+        body(&mut self.opened()?.controller).map_err(|error| self.ended(error))
     }
 
     /// Calls a function; `subject` names its object in the error of a refused call.

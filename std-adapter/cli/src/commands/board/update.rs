@@ -113,13 +113,11 @@ pub(super) fn send(args: &Update, link: &LinkArgs, json: bool) -> Result<(), Fai
     }
     let (board, version) = (identity.board(), identity.version());
     let (bytes, restarted) = (image.len(), !args.no_restart);
-    if json {
-        let line =
-            json!({ "board": board, "version": version, "bytes": bytes, "repeated": repeated, "restarted": restarted });
-        output::print_json(&line.to_string())?;
-    } else {
-        let repeated = if repeated == 0 { String::new() } else { format!(", {repeated} blocks were sent again") };
-        output::print_line(&format!("{board} {version}: {bytes} bytes received and checked{repeated}"))?;
+    let object =
+        json!({ "board": board, "version": version, "bytes": bytes, "repeated": repeated, "restarted": restarted });
+    let again = if repeated == 0 { String::new() } else { format!(", {repeated} blocks were sent again") };
+    output::print_result(json, &object, &format!("{board} {version}: {bytes} bytes received and checked{again}"))?;
+    if !json {
         output::note(match restarted {
             true => {
                 "the board swaps the images and is on trial until it has served a request; ask it with bcap board status"

@@ -1,8 +1,6 @@
 //! `bcap sim --screen`: the virtual controller, its clients and their last calls, live in the terminal.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::net::IpAddr;
-use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -106,15 +104,9 @@ impl Watched {
 
     /// Makes the server.
     pub(super) fn server(shared: &Shared) -> Server<Self> {
-        Server::with_shared(Arc::clone(shared)).tap(Self::deliver).on_connect(Self::connected)
-    }
-
-    fn connected(&mut self, peer: PeerId, address: IpAddr) {
-        self.controller.connected(peer, address);
-    }
-
-    fn deliver(&mut self, peer: PeerId, bytes: &mut Vec<u8>) -> ControlFlow<()> {
-        deliver(&mut self.controller, peer, bytes)
+        Server::with_shared(Arc::clone(shared))
+            .tap(|watched, peer, bytes| deliver(&mut watched.controller, peer, bytes))
+            .on_connect(|watched, peer, address| watched.controller.connected(peer, address))
     }
 
     /// Records the beginning of a call of b-CAP.
