@@ -4,7 +4,7 @@ use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::hresult::HResult;
 use bcap_core::variant::OwnedVariant as Value;
 use bcap_live::calls::Calls;
-pub(crate) use bcap_live::variables::{get_one, list, read, short_type, shown, state_words};
+pub(crate) use bcap_live::variables::{expand, get_one, list, read, short_type, shown, state_words};
 use bcap_std::{ObjectPath, TaskStatus};
 
 use crate::failure::Failure;

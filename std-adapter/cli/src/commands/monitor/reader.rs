@@ -7,21 +7,12 @@ use bcap_capture::value::data;
 use bcap_live::calls::needs_reconnect;
 use bcap_live::model;
 use bcap_live::reader::{self, Rounds, SLOW};
-use bcap_live::write::{Write, check};
+use bcap_live::write::check;
 
-use super::state::Update;
+use super::state::{Request, Update};
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::session::Session;
-
-/// A request of the user.
-#[derive(Debug)]
-pub(crate) enum Request {
-    Check(String, String),
-    Write(Box<Write>),
-    /// Halts the robot over this session, where there is no other.
-    Halt,
-}
 
 /// Reads from the controller until the user quits.
 pub(crate) struct Reader {

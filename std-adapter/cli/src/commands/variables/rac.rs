@@ -17,11 +17,10 @@ use crate::link::LinkArgs;
 use crate::output::{print, print_result};
 use crate::session::budget::Budget;
 use crate::session::connect::{broken, connect, exhausted};
-use crate::session::selection::expand_offline;
 use crate::session::traffic::{TapedTcp, packets, taped_rac};
 use bcap_capture::value::data;
 use bcap_capture::value::named::shown;
-use bcap_capture::value::selection::Selection;
+use bcap_capture::value::selection::{Selection, names_of};
 use bcap_core::variant::OwnedVariant as Value;
 
 /// Reads and writes variables over RAC, the text protocol
@@ -86,7 +85,12 @@ pub(crate) fn check(args: &Rac) -> Result<(), Failure> {
 }
 
 fn get(args: &Get, link: &LinkArgs, json: bool) -> Result<(), Failure> {
-    let names = expand_offline(&Selection::parse_each(&args.names)?)?;
+    let names = names_of(&Selection::parse_each(&args.names)?, |kind| {
+        let name = kind.name();
+        Err(Failure::Input(format!(
+            "{name}*: RAC does not tell how many variables there are; write a range such as {name}1-{name}50"
+        )))
+    })?;
     let variables = names.iter().map(|name| variable(name)).collect::<Result<Vec<_>, _>>()?;
     let mut robot = RacLink::open(link)?;
     print_each(&names, &variables, json, |variable| robot.get(*variable))
