@@ -135,6 +135,11 @@ pub(crate) fn of_file(path: &Path) -> impl Fn(io::Error) -> Failure {
     move |error| Failure::Input(format!("{}: {error}", path.display()))
 }
 
+/// Returns the failure of a file operation, with the operation: `write`.
+pub(crate) fn cannot(doing: &str, path: &Path) -> impl Fn(io::Error) -> Failure {
+    move |error| Failure::Input(format!("cannot {doing} {}: {error}", path.display()))
+}
+
 impl From<bcap_provision::Error> for Failure {
     fn from(error: bcap_provision::Error) -> Self {
         match error {

@@ -18,7 +18,7 @@ use clap::Args;
 use crate::commands::sim::args::{self, Source};
 use crate::commands::sim::local::LocalController;
 use crate::commands::sim::read_model;
-use crate::failure::Failure;
+use crate::failure::{Failure, cannot};
 use crate::output::{note, print_block, print_json};
 use crate::session::Session;
 
@@ -82,8 +82,7 @@ pub(crate) fn report(args: &ReportArgs, session: &mut Session, json: bool) -> Re
         text::table(&survey, &virtual_one, &session.provider, args.values)
     };
     if let Some(path) = &args.file {
-        let failed = |error| Failure::Input(format!("cannot write {}: {error}", path.display()));
-        write(path, &text).map_err(failed)?;
+        write(path, &text).map_err(cannot("write", path))?;
         note(&format!("{} is written; read it before you send it (CONTRIBUTING.md says where)", path.display()));
     } else if json {
         print_json(text.trim_end())?;

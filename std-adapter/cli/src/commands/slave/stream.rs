@@ -23,7 +23,7 @@ use bcap_stream::status::StreamStatus;
 
 use super::progress::Monitor;
 use crate::commands::slave::args::StreamArgs;
-use crate::failure::{AFTER_STREAM, Failure};
+use crate::failure::{AFTER_STREAM, Failure, cannot};
 use crate::interrupt::Interrupt;
 use crate::link::LinkArgs;
 use crate::output::{note, print_block, print_json};
@@ -150,12 +150,10 @@ impl Job<'_> {
     fn report(&self, stats: &Stats, player: &Player) -> Result<(), Failure> {
         let report = Report::of(stats, &player.times).to_json();
         if let Some(path) = &self.args.report {
-            fs::write(path, format!("{report}\n"))
-                .map_err(|error| Failure::Input(format!("cannot write the report {}: {error}", path.display())))?;
+            fs::write(path, format!("{report}\n")).map_err(cannot("write the report", path))?;
         }
         if let Some(path) = &self.args.format.received {
-            let written = player.received.write(path);
-            written.map_err(|error| Failure::Input(format!("cannot write {}: {error}", path.display())))?;
+            player.received.write(path).map_err(cannot("write", path))?;
         }
         if let Some(path) = self.args.plot.as_ref().filter(|_| stats.cycles > 1) {
             plot(path, self.format.mode.pose, &player.samples).map_err(Failure::Input)?;

@@ -10,7 +10,7 @@ use bcap_core::bcap::{FunctionId, Object};
 use bcap_std::ObjectPath;
 use clap::Args;
 
-use crate::failure::Failure;
+use crate::failure::{Failure, cannot};
 use crate::output::print;
 use crate::session::Session;
 use crate::session::variables::{expand, read};
@@ -208,7 +208,7 @@ fn from_lines(path: &Path) -> Result<Vec<Write>, Failure> {
         named::read_lines(io::stdin().lock(), "the standard input").map_err(Failure::Input)?
     } else {
         let shown = path.display().to_string();
-        let file = File::open(path).map_err(|error| Failure::Input(format!("cannot read {shown}: {error}")))?;
+        let file = File::open(path).map_err(cannot("read", path))?;
         named::read_lines(BufReader::new(file), &shown).map_err(Failure::Input)?
     };
     let write = |line: Named| match line.entry {
