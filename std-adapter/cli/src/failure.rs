@@ -155,6 +155,9 @@ impl From<bcap_backup::Error> for Failure {
     fn from(error: bcap_backup::Error) -> Self {
         match error {
             bcap_backup::Error::Unfit(message) => Self::Unfit { message, code: None, hint: None },
+            error @ bcap_backup::Error::OtherController { .. } => {
+                Self::unfit(error.to_string(), "give --other-controller if that is intended")
+            }
             error => Self::Input(error.to_string()),
         }
     }
@@ -261,6 +264,14 @@ impl Failure {
     /// Returns a failure without a code, with a remedy.
     pub(crate) fn unfit(message: impl Into<String>, hint: impl Into<String>) -> Self {
         Self::Unfit { message: message.into(), code: None, hint: Some(hint.into()) }
+    }
+
+    /// Adds to the hint of a library how the command line does that.
+    pub(crate) fn hinting(mut self, how: &str) -> Self {
+        if let Self::Unfit { hint: Some(hint), .. } = &mut self {
+            hint.push_str(how);
+        }
+        self
     }
 
     /// Returns the failure as a line of JSON; `None` if its parts have been printed already.

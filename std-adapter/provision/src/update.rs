@@ -22,7 +22,8 @@ pub fn status(console: &mut Console) -> Result<String, Error> {
     Ok(text.strip_prefix("ok ").map_or_else(|| text.clone(), str::to_owned))
 }
 
-/// Checks that the settings of the board are not a part of its image, which an update replaces.
+/// Checks that the settings of the board are not a part of its image, which an update replaces. [`settings::replace`](crate::settings::replace) stores them in
+/// the flash.
 ///
 /// # Errors
 ///
@@ -34,7 +35,7 @@ pub fn check_settings(console: &mut Console) -> Result<(), Error> {
     }
     Err(Error::refused(
         "the settings of the board are those of its image, which the new one replaces",
-        "store them in the flash first: `bcap board configure PORT` prints them, and with @FILE it stores them; or use --force",
+        "store them in the flash first",
     ))
 }
 

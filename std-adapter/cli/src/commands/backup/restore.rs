@@ -150,16 +150,17 @@ fn note(text: &str, json: bool) -> Result<(), Failure> {
 
 /// Prints the plan.
 fn show(plan: &Plan, most: usize, json: bool) -> Result<(), Failure> {
+    let mut notes = plan.notes.iter().map(|note| note.replace("the option io", "--io"));
     if json {
         plan.json_lines().iter().try_for_each(|line| print_json(line))?;
-        return plan.notes.iter().try_for_each(|text| note(text, true));
+        return notes.try_for_each(|text| note(&text, true));
     }
     let lines = plan.lines();
     lines.iter().take(most).try_for_each(|line| print_line(line))?;
     if lines.len() > most {
         print_line(&format!("... and {} more, which --dry-run shows", lines.len() - most))?;
     }
-    plan.notes.iter().try_for_each(|text| note(&format!("note: {text}"), false))
+    notes.try_for_each(|text| note(&format!("note: {text}"), false))
 }
 
 /// Records and reports how the restore ended.

@@ -98,7 +98,8 @@ pub(super) fn send(args: &Update, link: &LinkArgs, json: bool) -> Result<(), Fai
     let mut console = Console::open(&args.port, args.baud, link.timeout())?;
     // over the network the board itself checks that
     if !args.force && !console.is_network() {
-        update::check_settings(&mut console)?;
+        let how = ": `bcap board configure PORT` prints them, and with @FILE it stores them; or use --force";
+        update::check_settings(&mut console).map_err(|error| Failure::from(error).hinting(how))?;
     }
     update::announce(&mut console, &image, &identity, signature.as_ref(), args.older)?;
     let mut progress = Progress::default();

@@ -45,7 +45,7 @@ fn play(args: &Play, session: &mut Session, json: bool) -> Result<(), Failure> {
         Poses::read(&args.file, args.stream.pose, args.stream.format.extended, args.hz).map_err(Failure::Input)?;
     let format = checked_format(&args.stream, poses.kind, link)?;
     let invalid = |problem: String| Failure::Input(format!("{}: {problem}", args.file.display()));
-    poses.check_outputs(args.stream.format.send_format).map_err(invalid)?;
+    args.stream.format.check_poses(&poses).map_err(invalid)?;
     let outputs = poses.each_outputs(CYCLE);
     let course = Course::Poses { poses: poses.each_cycle(CYCLE), outputs, loops: args.loops };
     course.check(&stream::limits(&args.stream)).map_err(invalid)?;
