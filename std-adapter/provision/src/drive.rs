@@ -8,14 +8,12 @@ use std::time::{Duration, Instant};
 
 use crate::elf;
 use crate::error::Error;
-use crate::uf2::Image;
+use crate::uf2::{self, Image};
 
 /// The file of a boot ROM's drive that tells the chip.
 const INFO: &str = "INFO_UF2.TXT";
 /// The longest such file that is read.
 const MOST_INFO: usize = 4096;
-/// The first bytes of a UF2 file.
-const UF2: &[u8] = b"UF2\n";
 /// The pause between two looks at the drive.
 const LOOK: Duration = Duration::from_millis(50);
 
@@ -27,7 +25,7 @@ const LOOK: Duration = Duration::from_millis(50);
 pub fn read(path: &Path) -> Result<Image, Error> {
     let invalid = |reason: String| Error::at(path, reason);
     let file = fs::read(path).map_err(|error| Error::at(path, error))?;
-    if file.starts_with(UF2) {
+    if uf2::is_uf2(&file) {
         return Image::of_file(&file).map_err(invalid);
     }
     if !elf::is_elf(&file) {

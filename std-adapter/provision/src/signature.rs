@@ -105,7 +105,8 @@ fn manifest<'a>(image: &[u8], identity: &'a Identity) -> Result<Manifest<'a>, Er
     Manifest::of(image, identity).ok_or_else(|| Error::Invalid("the image is too long".into()))
 }
 
-fn digits(bytes: &[u8]) -> String {
+/// Writes bytes in hexadecimal.
+pub(crate) fn digits(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
