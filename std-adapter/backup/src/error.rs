@@ -16,6 +16,15 @@ pub enum Error {
     /// The controller does not fit the backup, so nothing is written to it.
     #[error("{0}")]
     Unfit(String),
+    /// The controller is another one than that of the backup, or its serial number is unknown, so nothing is written to it.
+    /// [`Options::other_controller`](crate::restore::Options::other_controller) allows it.
+    #[error("the backup is of {backup}, and this is {controller}. Nothing was written")]
+    OtherController {
+        /// The controller of the backup.
+        backup: String,
+        /// This controller.
+        controller: String,
+    },
 }
 
 impl Error {

@@ -220,7 +220,7 @@ pub fn load(path: &Path) -> Result<Contents, Error> {
         return Err(wrong("there is no backup: backup.json is missing".into()));
     };
     if !manifest.complete {
-        return Err(wrong("the dump was interrupted; run `bcap dump` with this folder again to complete it".into()));
+        return Err(wrong("the dump was interrupted; dump into this folder again to complete it".into()));
     }
     let (about, omitted) = (manifest.controller, manifest.omitted);
     let contents = Contents { about, omitted, ..read_all(path)? };

@@ -106,7 +106,7 @@ impl Plan {
     fn add_notes(&mut self, backup: &Contents, controller: &Contents, [outputs, unread, extra]: [usize; 3]) {
         let system = variables(backup, controller, true).len() - variables(backup, controller, false).len();
         for (count, what) in [
-            (outputs, "IO differ; they switch outputs and are written only with --io"),
+            (outputs, "IO differ; they switch outputs and are written only with the option io"),
             (unread, "variables could not be read when the backup was made and stay"),
             (extra, "variables are not in the backup and stay"),
             (

@@ -37,7 +37,7 @@ pub struct Options {
 ///
 /// # Errors
 ///
-/// [`Error::Unfit`] if not everything can be written; the error of a call, or of `watch`.
+/// [`Error::Unfit`] if not everything can be written, [`Error::OtherController`]; the error of a call, or of `watch`.
 pub fn plan<C: Calls>(
     session: &mut C,
     backup: &Contents,
@@ -79,11 +79,7 @@ fn check_controller(options: Options, backup: &About, controller: &About) -> Res
     if options.other_controller || backup.is_same_controller(controller) {
         return Ok(());
     }
-    Err(Error::unfit(format!(
-        "the backup is of {}, and this is {}; give --other-controller if that is intended",
-        backup.describe(),
-        controller.describe()
-    )))
+    Err(Error::OtherController { backup: backup.describe(), controller: controller.describe() })
 }
 
 /// Writes a plan. `watch` gets the progress before each write; its error ends the restore between two writes.

@@ -31,7 +31,7 @@ use crate::commands::slave::args::Slave;
 use crate::commands::variables::{get::Get, io::Io, names::Names, put::Put, rac::Rac, watch::Watch};
 #[cfg(feature = "web")]
 use crate::commands::web::Web;
-use crate::failure::Failure;
+use crate::failure::{Failure, cannot};
 use crate::link::LinkArgs;
 use crate::output::print_raw;
 
@@ -255,8 +255,8 @@ pub(crate) fn generate(args: &Generate) -> Result<(), Failure> {
             // as in the help, other options of the connection have one page
             let mut cli = with_groups(Cli::command().disable_help_subcommand(true));
             cli.build();
-            let failed = |error| Failure::Input(format!("cannot write pages to {}: {error}", directory.display()));
-            Ok(print_raw(pages::write(&mut cli, directory).map_err(failed)?.trim_end())?)
+            let list = pages::write(&mut cli, directory).map_err(cannot("write pages to", directory))?;
+            Ok(print_raw(list.trim_end())?)
         }
         // it has no text from outside
         Output::Wireshark => Ok(print_raw(bcap_capture::wireshark::script().trim_end())?),
@@ -265,8 +265,8 @@ pub(crate) fn generate(args: &Generate) -> Result<(), Failure> {
 
 /// Writes `bcap.1` and a page for each command, such as `bcap-get.1`.
 fn man(directory: &Path) -> Result<(), Failure> {
-    let failed = |error| Failure::Input(format!("cannot write manual pages to {}: {error}", directory.display()));
-    std::fs::create_dir_all(directory).map_err(failed)?;
+    let failed = cannot("write manual pages to", directory);
+    std::fs::create_dir_all(directory).map_err(&failed)?;
     // `bcap help` needs no pages
     let mut command = Cli::command().disable_help_subcommand(true);
     // propagates the global options

@@ -25,10 +25,13 @@ pub(crate) fn answer() {
 
 /// Returns the command line with the completions of its arguments.
 fn command() -> Command {
-    #[cfg(feature = "screens")]
-    const VARIABLES: &[(&str, &str)] = &[("get", "names"), ("put", "name"), ("watch", "names"), ("monitor", "names")];
-    #[cfg(not(feature = "screens"))]
-    const VARIABLES: &[(&str, &str)] = &[("get", "names"), ("put", "name"), ("watch", "names")];
+    const VARIABLES: &[(&str, &str)] = &[
+        ("get", "names"),
+        ("put", "name"),
+        ("watch", "names"),
+        #[cfg(feature = "screens")]
+        ("monitor", "names"),
+    ];
     let of = |id: &'static str, candidates: fn() -> Vec<CompletionCandidate>| {
         // `mut_arg` would change the order of the arguments
         let add = move |argument: Arg| match argument.get_id() == id {

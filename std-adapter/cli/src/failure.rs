@@ -116,15 +116,9 @@ pub(crate) enum Failure {
 }
 
 /// Returns the line of the output in place of an item that cannot be converted.
-pub(crate) fn item_to_json(error: &ConvertError) -> String {
-    #[derive(Serialize)]
-    struct Item {
-        error: String,
-        offset: usize,
-    }
-    let item = Item { error: escape::cut(error), offset: error.offset };
+pub(crate) fn item_to_json(error: ConvertError) -> String {
     // serializing a string and a number cannot fail
-    escape::json(&serde_json::to_string(&item).unwrap_or_default())
+    escape::json(&Failure::Item(error).to_json(None).unwrap_or_default())
 }
 
 impl From<bcap_capture::Error> for Failure {
@@ -139,6 +133,11 @@ impl From<bcap_capture::Error> for Failure {
 /// Returns the failure of a file operation.
 pub(crate) fn of_file(path: &Path) -> impl Fn(io::Error) -> Failure {
     move |error| Failure::Input(format!("{}: {error}", path.display()))
+}
+
+/// Returns the failure of a file operation, with the operation: `write`.
+pub(crate) fn cannot(doing: &str, path: &Path) -> impl Fn(io::Error) -> Failure {
+    move |error| Failure::Input(format!("cannot {doing} {}: {error}", path.display()))
 }
 
 impl From<bcap_provision::Error> for Failure {
@@ -156,6 +155,9 @@ impl From<bcap_backup::Error> for Failure {
     fn from(error: bcap_backup::Error) -> Self {
         match error {
             bcap_backup::Error::Unfit(message) => Self::Unfit { message, code: None, hint: None },
+            error @ bcap_backup::Error::OtherController { .. } => {
+                Self::unfit(error.to_string(), "give --other-controller if that is intended")
+            }
             error => Self::Input(error.to_string()),
         }
     }
@@ -264,24 +266,24 @@ impl Failure {
         Self::Unfit { message: message.into(), code: None, hint: Some(hint.into()) }
     }
 
+    /// Adds to the hint of a library how the command line does that.
+    pub(crate) fn hinting(mut self, how: &str) -> Self {
+        if let Self::Unfit { hint: Some(hint), .. } = &mut self {
+            hint.push_str(how);
+        }
+        self
+    }
+
     /// Returns the failure as a line of JSON; `None` if its parts have been printed already.
     fn to_json(&self, name: Option<&str>) -> Option<String> {
-        let mut line =
-            Line { name, error: escape::cut(self), offset: None, code: None, hresult: None, hint: self.hint() };
-        match self {
+        let (offset, code) = match self {
             Self::BadLines(_) | Self::SomeRefused { .. } | Self::Reported(_) => return None,
-            Self::Item(item) => line.offset = Some(item.offset),
-            Self::Refused { code, .. } | Self::Unfit { code: Some(code), .. } => {
-                (line.code, line.hresult) = (Some(code.0), code.name());
-            }
-            Self::Script { failure, .. } | Self::NotCompared(failure) => {
-                if let Self::Refused { code, .. } | Self::Unfit { code: Some(code), .. } = failure.as_ref() {
-                    (line.code, line.hresult) = (Some(code.0), code.name());
-                }
-            }
-            _ => {}
-        }
-        serde_json::to_string(&line).ok()
+            Self::Item(item) => (Some(item.offset), None),
+            Self::Script { failure, .. } => (None, failure.result_code()),
+            _ => (None, self.result_code()),
+        };
+        let (error, hint, hresult) = (escape::cut(self), self.hint(), code.and_then(HResult::name));
+        serde_json::to_string(&Line { name, error, offset, code: code.map(|code| code.0), hresult, hint }).ok()
     }
 }
 

@@ -15,7 +15,6 @@ mod listen;
 mod output;
 mod session;
 mod shell;
-mod values;
 
 use std::process::ExitCode;
 

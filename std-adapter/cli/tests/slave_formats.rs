@@ -148,7 +148,10 @@ fn nothing_moves_with_formats_that_do_not_fit() {
         (&["cosine", "--recv-format", "user:129:1"], "cannot begin at port 129"),
         (&["cosine", "--mini-io", "0"], "--mini-io: slvMove does not carry it; add mini to --send-format"),
         (&["cosine", "--send-format", "mini", "--user-io", "1"], "--user-io: slvMove does not carry it"),
-        (&["cosine", "--send-format", "user:128:1", "--user-io", "0x100"], "--user-io: 0x100 does not fit the 8 bits"),
+        (
+            &["cosine", "--send-format", "user:128:1", "--user-io", "0x100"],
+            "--user-io: 0x100 does not fit the 8 bits of user:PORT:BYTES in --send-format",
+        ),
         (&["play", &hand], "column HAND: slvMove does not carry it; add hand to --send-format"),
         (&["play", &hand, "--send-format", "hand"], "column HAND: 0x100000000 does not fit the 32 bits of hand"),
         (&["cosine", "--speed", "20"], "--from"),

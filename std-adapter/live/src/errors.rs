@@ -78,7 +78,7 @@ pub fn described(code: HResult, text: &str) -> String {
     match code.meaning() {
         Some(meaning) if own.is_empty() => format!("{code} {meaning}"),
         Some(meaning) if !own.contains(meaning) => format!("{code} {meaning} The controller says: {own}"),
-        _ => format!("{code} {own}"),
+        _ => format!("{code} {own}").trim_end().to_owned(),
     }
 }
 
@@ -108,6 +108,6 @@ mod tests {
         assert_eq!(described(code, "Motor is off."), format!("{code} {meaning} The controller says: Motor is off."));
         let unknown = HResult::from_u32(0x8550_F001);
         assert!(described(unknown, "New fault.").ends_with("published meaning. The controller says: New fault."));
-        assert_eq!(described(HResult(-1), "text"), "0xffffffff text");
+        assert_eq!([described(HResult(-1), "text"), described(HResult(-1), "")], ["0xffffffff text", "0xffffffff"]);
     }
 }

@@ -8,14 +8,12 @@ use std::time::{Duration, Instant};
 
 use crate::elf;
 use crate::error::Error;
-use crate::uf2::Image;
+use crate::uf2::{self, Image};
 
 /// The file of a boot ROM's drive that tells the chip.
 const INFO: &str = "INFO_UF2.TXT";
 /// The longest such file that is read.
 const MOST_INFO: usize = 4096;
-/// The first bytes of a UF2 file.
-const UF2: &[u8] = b"UF2\n";
 /// The pause between two looks at the drive.
 const LOOK: Duration = Duration::from_millis(50);
 
@@ -27,7 +25,7 @@ const LOOK: Duration = Duration::from_millis(50);
 pub fn read(path: &Path) -> Result<Image, Error> {
     let invalid = |reason: String| Error::at(path, reason);
     let file = fs::read(path).map_err(|error| Error::at(path, error))?;
-    if file.starts_with(UF2) {
+    if uf2::is_uf2(&file) {
         return Image::of_file(&file).map_err(invalid);
     }
     if !elf::is_elf(&file) {
@@ -61,12 +59,12 @@ pub fn flatten(path: &Path) -> Result<(u32, Vec<u8>), Error> {
     })
 }
 
-/// Returns the drive if its chip is the one of the image.
+/// Checks that the chip of a drive is the one of the image.
 ///
 /// # Errors
 ///
 /// [`Error::Refused`] if the folder is no drive of a boot ROM, or one of another chip.
-pub fn check(drive: &Path, image: &Image) -> Result<PathBuf, Error> {
+pub fn check(drive: &Path, image: &Image) -> Result<(), Error> {
     let hint = "hold BOOTSEL while you plug in the USB cable, and give the folder where the drive is mounted";
     let board_id = board_id(drive).map_err(|error| {
         Error::refused(format!("{} is no drive of a boot ROM: {INFO}: {error}", drive.display()), hint)
@@ -81,27 +79,31 @@ pub fn check(drive: &Path, image: &Image) -> Result<PathBuf, Error> {
             "nothing was written; take the image for this board",
         ));
     }
-    Ok(drive.to_owned())
+    Ok(())
 }
 
-/// Finds the only mounted drive of a boot ROM for this image.
+/// Finds the only mounted drive of a boot ROM. It may be of any chip: [`check`] compares it with an image.
 ///
 /// # Errors
 ///
-/// [`Error::Refused`] if no drive is mounted, if several are, or if the drive belongs to another chip.
-pub fn find(image: &Image) -> Result<PathBuf, Error> {
+/// [`Error::Refused`] if no drive is mounted, or if several are.
+pub fn find() -> Result<PathBuf, Error> {
     let found: Vec<PathBuf> = mounted().into_iter().filter(|folder| board_id(folder).is_ok()).collect();
-    match found.as_slice() {
-        [drive] => check(drive, image),
+    only(&found)
+}
+
+fn only(drives: &[PathBuf]) -> Result<PathBuf, Error> {
+    match drives {
+        [drive] => Ok(drive.clone()),
         [] => Err(Error::refused(
             "no drive of a boot ROM is mounted",
-            "hold BOOTSEL while you plug in the USB cable; without a desktop mount the drive, and name its folder with --drive",
+            "hold BOOTSEL while you plug in the USB cable; without a desktop mount the drive, and name its folder",
         )),
         [_, _, ..] => {
-            let names: Vec<String> = found.iter().map(|drive| drive.display().to_string()).collect();
+            let names: Vec<String> = drives.iter().map(|drive| drive.display().to_string()).collect();
             Err(Error::refused(
                 format!("several boards are in boot mode: {}", names.join(", ")),
-                "choose one with --drive",
+                "choose one, and name its folder",
             ))
         }
     }
@@ -182,5 +184,19 @@ mod tests {
         let table = "/dev/sda2 / ext4 rw 0 0\n/dev/sdb1 /media/me/RPI-RP2 vfat rw,nosuid 0 0\nproc /proc proc rw 0 0\n\
                      /dev/sdc1 /media/a\\040b vfat rw 0 0\ndamaged\n";
         assert_eq!(of_table(table), [Path::new("/media/me/RPI-RP2"), Path::new("/media/a b")]);
+    }
+
+    #[test]
+    fn no_drive_and_several_are_refused() {
+        let found = |names: &[&str]| match only(&names.iter().map(PathBuf::from).collect::<Vec<_>>()) {
+            Ok(drive) => drive.display().to_string(),
+            Err(Error::Refused { message, hint }) => format!("{message}; {hint}"),
+            Err(error) => error.to_string(),
+        };
+        assert_eq!(found(&["/a"]), "/a");
+        assert_eq!(found(&["/a", "/b"]), "several boards are in boot mode: /a, /b; choose one, and name its folder");
+        let none = found(&[]);
+        assert!(none.starts_with("no drive of a boot ROM is mounted; hold BOOTSEL"), "{none}");
+        assert!(none.ends_with("mount the drive, and name its folder"), "{none}");
     }
 }

@@ -8,9 +8,7 @@ use bcap_board::vectors;
 
 use crate::elf;
 use crate::error::Error;
-
-/// The first bytes of a UF2 file.
-const UF2: &[u8] = b"UF2\n";
+use crate::uf2;
 
 /// Reads an image, which is an ELF file or a binary, and the board that it is for.
 ///
@@ -20,7 +18,7 @@ const UF2: &[u8] = b"UF2\n";
 pub fn read(path: &Path) -> Result<(Vec<u8>, Identity), Error> {
     let invalid = |reason: &str| Error::at(path, reason);
     let file = fs::read(path).map_err(|error| invalid(&error.to_string()))?;
-    if file.starts_with(UF2) {
+    if uf2::is_uf2(&file) {
         return Err(invalid("a UF2 file is for the boot ROM: send the ELF file it was made from"));
     }
     let image = match elf::is_elf(&file) {

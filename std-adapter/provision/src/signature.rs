@@ -47,7 +47,7 @@ impl Key {
     /// [`Error::Invalid`] if the file cannot be read, or has no key.
     pub fn read(path: &Path) -> Result<Self, Error> {
         let text = fs::read_to_string(path).map_err(|error| Error::at(path, error))?;
-        bytes(text.trim()).map(Self).ok_or_else(|| Error::at(path, "not a key of `bcap board key`"))
+        bytes(text.trim()).map(Self).ok_or_else(|| Error::at(path, "not a secret key, which is 64 hexadecimal digits"))
     }
 
     /// Returns the public key, which the image and the boot loader of the board have.
@@ -85,7 +85,7 @@ impl Signature {
         let parts =
             text.trim().split_once(' ').and_then(|(digest, signature)| Some((bytes(digest)?, bytes(signature)?)));
         let Some((digest, signature)) = parts else {
-            return Err(Error::at(path, "not a signature of `bcap board sign`"));
+            return Err(Error::at(path, "not a signature, which is two numbers of 128 hexadecimal digits"));
         };
         if digest != manifest(image, identity)?.digest {
             return Err(Error::at(path, "the signature is for another image"));
@@ -105,7 +105,8 @@ fn manifest<'a>(image: &[u8], identity: &'a Identity) -> Result<Manifest<'a>, Er
     Manifest::of(image, identity).ok_or_else(|| Error::Invalid("the image is too long".into()))
 }
 
-fn digits(bytes: &[u8]) -> String {
+/// Writes bytes in hexadecimal.
+pub(crate) fn digits(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 

@@ -24,6 +24,11 @@ const IS_NOT_FOR_FLASH: u32 = 1;
 const PICOBIN: u32 = 0xffff_ded3;
 const PICOBIN_RANGE: usize = 4096;
 
+/// Returns whether a file begins as a UF2 file does.
+pub(crate) fn is_uf2(file: &[u8]) -> bool {
+    file.starts_with(&START[0].to_le_bytes())
+}
+
 /// A chip with a boot ROM that takes UF2 files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]

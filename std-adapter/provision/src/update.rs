@@ -5,7 +5,7 @@ use bcap_board::identity::{BLOCK, Identity};
 
 use crate::console::{Answer, Console};
 use crate::error::Error;
-use crate::signature::Signature;
+use crate::signature::{Signature, digits};
 
 /// How often a block is sent before the update ends.
 const ATTEMPTS: u32 = 5;
@@ -23,6 +23,7 @@ pub fn status(console: &mut Console) -> Result<String, Error> {
 }
 
 /// Checks that the settings of the board are not a part of its image, which an update replaces.
+/// [`settings::replace`](crate::settings::replace) stores them in the flash.
 ///
 /// # Errors
 ///
@@ -34,7 +35,7 @@ pub fn check_settings(console: &mut Console) -> Result<(), Error> {
     }
     Err(Error::refused(
         "the settings of the board are those of its image, which the new one replaces",
-        "store them in the flash first: `bcap board configure PORT` prints them, and with @FILE it stores them; or use --force",
+        "store them in the flash first",
     ))
 }
 
@@ -68,8 +69,7 @@ pub fn send(console: &mut Console, image: &[u8], mut sent: impl FnMut(usize)) ->
     let mut repeated = 0;
     for (number, data) in (0..).zip(image.chunks(BLOCK)) {
         let crc = Crc32::new().and(&u32::to_le_bytes(number)).and(data).value();
-        let digits: String = data.iter().map(|byte| format!("{byte:02x}")).collect();
-        let request = format!("block {number} {crc:08x} {digits}");
+        let request = format!("block {number} {crc:08x} {}", digits(data));
         let mut attempts = 0;
         while let Some(reason) = console.send_block(&request, number)? {
             attempts += 1;

@@ -29,11 +29,13 @@ pub fn check(send: SendFormat, names: [&str; 3], values: [Option<u64>; 3]) -> Re
     for (((part, bits), name), value) in parts.into_iter().zip(names).zip(values) {
         let Some(value) = value else { continue };
         if bits == 0 {
-            return Err(format!("{name}: slvMove does not carry it; add {part} to --send-format, or leave {name} out"));
+            return Err(format!(
+                "{name}: slvMove does not carry it; add {part} to the send format, or leave {name} out"
+            ));
         }
         // a shift by 64 bits leaves nothing
         if value.checked_shr(bits).unwrap_or(0) != 0 {
-            return Err(format!("{name}: {value:#x} does not fit the {bits} bits of {part} in --send-format"));
+            return Err(format!("{name}: {value:#x} does not fit the {bits} bits of {part} in the send format"));
         }
     }
     Ok(())

@@ -44,16 +44,13 @@ fn read(text: &str) -> Result<HResult, Failure> {
     let digits = text.strip_prefix("0x").or_else(|| text.strip_prefix("0X"));
     HResult::from_name(text)
         .or_else(|| {
-            u32::from_str_radix(digits.unwrap_or(text), 16).ok().filter(|_| is_hex(text)).map(HResult::from_u32)
+            // eight digits, as the manuals write codes, need no prefix
+            let is_hex = digits.is_some() || text.len() == 8;
+            u32::from_str_radix(digits.unwrap_or(text), 16).ok().filter(|_| is_hex).map(HResult::from_u32)
         })
         .or_else(|| text.parse().ok().map(HResult))
         .or_else(|| text.parse().ok().map(HResult::from_u32))
         .ok_or_else(|| Failure::Input(unknown(text)))
-}
-
-/// Tells whether a number is hexadecimal: it has a prefix, or eight digits as the manuals write codes.
-fn is_hex(text: &str) -> bool {
-    text.len() == 8 || text.starts_with("0x") || text.starts_with("0X")
 }
 
 fn unknown(text: &str) -> String {

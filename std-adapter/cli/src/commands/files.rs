@@ -91,13 +91,7 @@ pub(crate) struct Rm {
 
 /// Runs `bcap rm`.
 pub(crate) fn rm(args: &Rm, session: &mut Session, json: bool) -> Result<(), Failure> {
-    // the session of the shell stays open during the question, and a lost one stays lost
-    let is_own = !session.is_open() && !session.is_lost();
-    let found = to_delete(&args.paths, session);
-    if is_own {
-        session.close();
-    }
-    let files = found?;
+    let files = session.before_question(|session| to_delete(&args.paths, session))?;
     let shown: Vec<String> = files.iter().map(|path| format!("robot:/{path}")).collect();
     let what = format!("{} deletes {} files: {}", session.link().target()?, files.len(), shown.join(", "));
     let question = Question { what: &what, warning: "Nothing restores them.", refused: "nothing was deleted" };
@@ -113,12 +107,8 @@ pub(crate) fn rm(args: &Rm, session: &mut Session, json: bool) -> Result<(), Fai
 
 /// Returns the files that `bcap rm` deletes.
 fn to_delete(paths: &[String], session: &mut Session) -> Result<BTreeSet<String>, Failure> {
-    let patterns = paths.iter().map(|path| match Place::parse(path) {
-        Place::Remote(pattern) => Ok(pattern),
-        Place::Local(_) => {
-            Err(Failure::Input(format!("{path}: write robot:/NAME; only files of the controller are deleted")))
-        }
-    });
+    let local = |path| Failure::Input(format!("{path}: write robot:/NAME; only files of the controller are deleted"));
+    let patterns = paths.iter().map(|path| Place::parse(path).remote().ok_or_else(|| local(path)));
     let files = found(session, &patterns.collect::<Result<Vec<_>, _>>()?)?;
     match files.iter().find(|item| item.is_folder || item.is_unsafe) {
         Some(item) => Err(Failure::Input(format!("{} is not deleted: write the names of files", item.shown()))),
@@ -198,20 +188,14 @@ pub(crate) fn cp(args: &Cp, session: &mut Session, json: bool) -> Result<(), Fai
     let into_folder = last.ends_with(['/', '\\']) || sources.len() > 1;
     match Place::parse(last) {
         Place::Local(to) => {
-            let patterns = sources.into_iter().map(|source| match source {
-                Place::Remote(pattern) => Ok(pattern),
-                Place::Local(_) => Err(one_side()),
-            });
+            let patterns = sources.into_iter().map(|source| source.remote().ok_or_else(one_side));
             copying.download(&patterns.collect::<Result<Vec<_>, _>>()?, &to, into_folder)
         }
         Place::Remote(to) if to.contains(['*', '?']) => {
             Err(Failure::Input(format!("robot:/{to}: DEST has no wildcards; write the name of a file or folder")))
         }
         Place::Remote(to) => {
-            let files = sources.into_iter().map(|source| match source {
-                Place::Local(file) => Ok(file),
-                Place::Remote(_) => Err(one_side()),
-            });
+            let files = sources.into_iter().map(|source| source.local().ok_or_else(one_side));
             copying.upload(&files.collect::<Result<Vec<_>, _>>()?, &to, into_folder || to.is_empty())
         }
     }
@@ -342,5 +326,13 @@ impl Place {
             Some((robot, path)) if robot.eq_ignore_ascii_case("robot") => Self::Remote(remote_files::normal(path)),
             _ => Self::Local(word.into()),
         }
+    }
+
+    fn local(self) -> Option<PathBuf> {
+        if let Self::Local(path) = self { Some(path) } else { None }
+    }
+
+    fn remote(self) -> Option<String> {
+        if let Self::Remote(path) = self { Some(path) } else { None }
     }
 }

@@ -19,12 +19,11 @@ use bcap_std::Protocol;
 use bcap_std::gateway::{Driver, Limits, Moved, Report, Traffic};
 use bcap_terminal::signal;
 use clap::Args;
-use tokio::net::TcpListener;
 use tokio::time::sleep;
 
 use crate::failure::Failure;
 use crate::link::LinkArgs;
-use crate::listen::{runtime, taken};
+use crate::listen::{runtime, tcp, tcp_if};
 use crate::output::{note, print_line};
 
 /// Lets PLCs that speak RAC or Modbus TCP read, and if rules allow it write, the variables of a robot that speaks b-CAP
@@ -157,13 +156,8 @@ pub(crate) fn gateway(args: &Gateway, link: &LinkArgs) -> Result<(), Failure> {
     let counters = runtime()?.block_on(async {
         // the signals first: a reader of the line may send one at once
         let ended = signal::wait()?;
-        let listener = TcpListener::bind(args.rac).await.map_err(|error| taken("--rac", args.rac, &error))?;
-        let modbus = match args.modbus {
-            Some(address) => {
-                Some(TcpListener::bind(address).await.map_err(|error| taken("--modbus", address, &error))?)
-            }
-            None => None,
-        };
+        let listener = tcp("--rac", args.rac).await?;
+        let modbus = tcp_if("--modbus", args.modbus).await?;
         let mut ready = format!("ready rac={}", listener.local_addr()?);
         if let Some(modbus) = &modbus {
             ready += &format!(" modbus={}", modbus.local_addr()?);

@@ -18,7 +18,7 @@ use clap::Args;
 use crate::commands::sim::args::{self, Source};
 use crate::commands::sim::local::LocalController;
 use crate::commands::sim::read_model;
-use crate::failure::Failure;
+use crate::failure::{Failure, cannot};
 use crate::output::{note, print_block, print_json};
 use crate::session::Session;
 
@@ -73,7 +73,6 @@ pub(crate) fn report(args: &ReportArgs, session: &mut Session, json: bool) -> Re
     // first, because an interrupted command makes no more calls
     let virtual_one = survey_virtual(session, &source)?;
     let limits = Limits { rounds: args.rounds, within: args.within, pause: PAUSE };
-    session.connect()?;
     session.controller()?;
     let mut survey = Survey::default();
     let ended = survey.run(session, limits);
@@ -83,8 +82,7 @@ pub(crate) fn report(args: &ReportArgs, session: &mut Session, json: bool) -> Re
         text::table(&survey, &virtual_one, &session.provider, args.values)
     };
     if let Some(path) = &args.file {
-        let failed = |error| Failure::Input(format!("cannot write {}: {error}", path.display()));
-        write(path, &text).map_err(failed)?;
+        write(path, &text).map_err(cannot("write", path))?;
         note(&format!("{} is written; read it before you send it (CONTRIBUTING.md says where)", path.display()));
     } else if json {
         print_json(text.trim_end())?;
@@ -111,7 +109,7 @@ fn write(path: &Path, text: &str) -> io::Result<()> {
 
 /// Makes the same calls once to a virtual controller in this process.
 fn survey_virtual(session: &Session, source: &Source<Profile>) -> Result<Survey, Failure> {
-    let model = read_model(source)?;
+    let (model, _) = read_model(source)?;
     let link = session.link();
     let provider = model.provider.clone();
     let local = LocalController::start(model)?;

@@ -25,11 +25,8 @@ pub(crate) struct RobotPorts {
 /// Resolves the addresses of the command line.
 pub(crate) fn resolve(args: &RobotPorts, link: &LinkArgs) -> Result<Robot, Failure> {
     let tcp = link.network_target()?;
-    let udp = match &args.robot_udp {
-        Some(text) => address::network(Some(text), None)?,
-        None => tcp.clone(),
-    };
-    let rac = address::rac(Some(args.robot_rac.as_deref().unwrap_or(&host(&tcp))), None, link.rac_port())?;
+    let udp = args.robot_udp.as_deref().map_or_else(|| Ok(tcp.clone()), |text| address::network(Some(text), None))?;
+    let rac = address::rac(Some(args.robot_rac.as_deref().unwrap_or(&host(&tcp))), None, link.rac_port)?;
     let resolve = |address: &NetworkAddress| {
         blocking::resolve(address, Some(link.timeout()))
             .map_err(|error| not_connected(&error, &Address::Network(address.clone())))

@@ -76,7 +76,7 @@ pub(crate) struct LinkArgs {
 
     /// The port of RAC, for an address without a port for RAC [default: 5006]
     #[arg(long, global = true, hide_short_help = true, value_name = "PORT", env = "BCAP_RAC_PORT")]
-    rac_port: Option<u16>,
+    pub(crate) rac_port: Option<u16>,
 
     /// A profile of ~/.config/bcap/config.toml, whose values apply where neither an option nor an environment variable is
     /// given
@@ -215,11 +215,6 @@ impl LinkArgs {
     /// Returns the controller's address for b-CAP, for a command that cannot use a serial line.
     pub(crate) fn network_target(&self) -> Result<NetworkAddress, Failure> {
         address::network(self.robot.as_deref(), self.profile_address.as_deref())
-    }
-
-    /// Returns the port of RAC that was given, if one was.
-    pub(crate) const fn rac_port(&self) -> Option<u16> {
-        self.rac_port
     }
 
     /// Returns the controller's address for RAC.

@@ -21,7 +21,7 @@ use bcap_std::Model;
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer};
 
-use crate::failure::{Failure, of_file};
+use crate::failure::{Failure, cannot, of_file};
 use crate::link::address;
 
 /// The connection to a controller.
@@ -97,7 +97,7 @@ impl Profiles {
         let by_name = match fs::read_to_string(&path) {
             Ok(text) => parse(&text, &path)?,
             Err(error) if error.kind() == io::ErrorKind::NotFound => BTreeMap::new(),
-            Err(error) => return Err(Failure::Input(format!("cannot read {}: {error}", path.display()))),
+            Err(error) => return Err(cannot("read", &path)(error)),
         };
         Ok(Self { path, by_name })
     }

@@ -37,13 +37,7 @@ impl Question<'_> {
         if yes {
             return Ok(());
         }
-        // the user may think for hours: only a session that was open before stays open meanwhile, and a lost one stays lost
-        let is_own = !session.is_open() && !session.is_lost();
-        let is_virtual = is_virtual(session);
-        if is_own {
-            session.close();
-        }
-        if is_virtual? {
+        if session.before_question(is_virtual)? {
             return Ok(());
         }
         let answered = self.ask();

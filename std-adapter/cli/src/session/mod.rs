@@ -7,7 +7,6 @@ pub(crate) mod budget;
 pub(crate) mod confirm;
 pub(crate) mod connect;
 pub(crate) mod remote_files;
-pub(crate) mod selection;
 pub(crate) mod traffic;
 pub(crate) mod variables;
 
@@ -19,6 +18,7 @@ use bcap_capture::value::describe;
 use bcap_core::bcap::client::Timing;
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::hresult::HResult;
+use bcap_core::variant::OwnedVariant as Value;
 use bcap_std::blocking::Controller;
 use bcap_std::{Address, Error, Model, ObjectPath, Settings};
 
@@ -29,7 +29,6 @@ use crate::output::note;
 use crate::session::budget::Budget;
 use crate::session::connect::{failure, open};
 use crate::session::traffic::packets;
-use crate::values::{Value, integer, text};
 
 /// A session, from Service_Start to Service_Stop. It connects when it is first used.
 pub(crate) struct Session {
@@ -115,13 +114,6 @@ impl Session {
         }
     }
 
-    /// Connects without starting the service.
-    pub(crate) fn open(link: &LinkArgs) -> Result<Self, Failure> {
-        let mut session = Self::new(link);
-        session.open_connection()?;
-        Ok(session)
-    }
-
     /// Returns how the session connects.
     pub(crate) const fn link(&self) -> &LinkArgs {
         &self.link
@@ -140,8 +132,7 @@ impl Session {
     /// Ends the connection, and connects again.
     pub(crate) fn reconnect(&mut self) -> Result<(), Failure> {
         self.close();
-        let connected = self.connect().and_then(|()| self.controller());
-        connected.map(drop)
+        self.controller().map(drop)
     }
 
     /// Ends the session: gives the arm back, releases all objects and stops the service.
@@ -156,6 +147,20 @@ impl Session {
         if let Some(interrupt) = &self.interrupt {
             interrupt.dismiss();
         }
+    }
+
+    /// Runs `body` before a question to the user, who may think for hours: only a session that was open before stays open, and a
+    /// lost one stays lost.
+    pub(crate) fn before_question<T>(
+        &mut self,
+        body: impl FnOnce(&mut Self) -> Result<T, Failure>,
+    ) -> Result<T, Failure> {
+        let is_own = !self.is_open() && !self.lost;
+        let done = body(self);
+        if is_own {
+            self.close();
+        }
+        done
     }
 
     /// Allows time for the end of a session that has something to undo: it has a separate time limit, however long the command took.
@@ -230,7 +235,7 @@ impl Session {
 
     /// Starts the service, with keep-alives for long calls.
     pub(crate) fn start(&mut self, link: &LinkArgs) -> Result<(), Failure> {
-        self.call("", FunctionId::SERVICE_START, &[text(&link.start_option())?]).map(drop)
+        self.call("", FunctionId::SERVICE_START, &[Value::new(&link.start_option())?]).map(drop)
     }
 
     /// Restarts the time limit of the command.
@@ -273,15 +278,10 @@ impl Session {
         }
     }
 
-    /// Returns the library's controller after Controller_Connect.
-    pub(crate) fn connected(&mut self) -> Result<&mut Controller, Failure> {
-        self.controller()?;
-        Ok(&mut self.opened()?.controller)
-    }
-
     /// Uses the library's objects after Controller_Connect, and converts their error.
     pub(crate) fn with<T>(&mut self, body: impl FnOnce(&mut Controller) -> Result<T, Error>) -> Result<T, Failure> {
-        body(self.connected()?).map_err(|error| self.ended(error))
+        self.controller()?;
+        body(&mut self.opened()?.controller).map_err(|error| self.ended(error))
     }
 
     /// Calls a function; `subject` names its object in the error of a refused call.
@@ -311,6 +311,17 @@ impl Session {
         }
     }
 
+    /// Executes a command of an object; returns the code, which may be an error, and the value.
+    pub(crate) fn execute(
+        &mut self,
+        function: FunctionId,
+        object: i32,
+        command: &str,
+        parameter: Value,
+    ) -> Result<(HResult, Option<Value>), Failure> {
+        self.call_for_code(function, &[Value::new(&object)?, Value::new(command)?, parameter])
+    }
+
     /// Returns the handle of the controller; calls Controller_Connect first if necessary.
     pub(crate) fn controller(&mut self) -> Result<i32, Failure> {
         if !self.opened()?.controller.is_connected() {
@@ -332,7 +343,8 @@ impl Session {
     /// Calls Controller_Connect, and returns its reply.
     fn connect_provider(&mut self) -> Result<Option<Value>, Failure> {
         let link = self.link.clone();
-        let arguments = [text("")?, text(&self.provider)?, text(&link.machine())?, text(link.option())?];
+        let arguments =
+            [Value::new("")?, Value::new(&self.provider)?, Value::new(&link.machine())?, Value::new(link.option())?];
         self.call("", FunctionId::CONTROLLER_CONNECT, &arguments).map(|(_, reply)| reply)
     }
 
@@ -394,7 +406,7 @@ impl Session {
     /// Opens an object of another object, and returns its handle.
     fn member(&mut self, owner: &ObjectPath, path: &ObjectPath, name: &str) -> Result<i32, Failure> {
         let function = path.object().opened_from(owner.object()).unwrap_or(FunctionId::CONTROLLER_GET_VARIABLE);
-        let arguments = [integer(self.object(owner)?)?, text(name)?, text("")?];
+        let arguments = [Value::new(&self.object(owner)?)?, Value::new(name)?, Value::new("")?];
         let (_, reply) = self.call(&path.to_string(), function, &arguments)?;
         let handle = reply.as_ref().and_then(|value| value.as_variant().as_i32());
         handle.ok_or_else(|| {
@@ -469,15 +481,17 @@ impl Session {
             // the handle must exist before it is needed
             stopper.with(|controller| controller.robot().map(drop))?;
             let mut stopper = Stopper(stopper);
-            Ok(Some(Box::new(move || stopper.0.halt())))
+            Ok(Some(Box::new(move || {
+                if stopper.0.lost {
+                    stopper.0.reconnect()?;
+                }
+                stopper.0.halt()
+            })))
         })
     }
 
-    /// Halts the robot, and connects again first if the connection was lost.
-    fn halt(&mut self) -> Result<(), Failure> {
-        if self.lost {
-            self.reconnect()?;
-        }
+    /// Halts the robot over this session.
+    pub(crate) fn halt(&mut self) -> Result<(), Failure> {
         self.restart_budget();
         self.with(|controller| controller.robot()?.halt().map(drop))
     }

@@ -2,13 +2,13 @@
 
 use bcap_capture::value::describe;
 use bcap_core::bcap::FunctionId;
+use bcap_core::variant::OwnedVariant as Value;
 use bcap_live::calls::Failure as _;
 pub(crate) use bcap_live::files::{Item, exists, items as list, make_folders, read, unsafe_names, walk, write};
 use bcap_live::files::{Kind, with_file};
 
 use crate::failure::Failure;
 use crate::session::Session;
-use crate::values::{integer, text};
 
 /// Returns the path of the user without empty parts.
 pub(crate) fn normal(path: &str) -> String {
@@ -41,7 +41,7 @@ pub(crate) fn find(session: &mut Session, pattern: &str) -> Result<Vec<Item>, Fa
 /// Deletes a file, and asks whether it still exists.
 pub(crate) fn delete(session: &mut Session, path: &str) -> Result<(), Failure> {
     with_file(session, path, Kind::File, |session, handle| {
-        session.call(&format!("/{path}"), FunctionId::FILE_DELETE, &[integer(handle)?, text("")?]).map(drop)
+        session.call(&format!("/{path}"), FunctionId::FILE_DELETE, &[Value::new(&handle)?, Value::new("")?]).map(drop)
     })?;
     if exists(session, path)? {
         return Err(Failure::unfit(
@@ -55,7 +55,7 @@ pub(crate) fn delete(session: &mut Session, path: &str) -> Result<(), Failure> {
 /// Returns the size of a file in bytes.
 pub(crate) fn size(session: &mut Session, path: &str) -> Result<i64, Failure> {
     with_file(session, path, Kind::File, |session, handle| {
-        let (_, size) = session.call(&format!("/{path}"), FunctionId::FILE_GET_SIZE, &[integer(handle)?])?;
+        let (_, size) = session.call(&format!("/{path}"), FunctionId::FILE_GET_SIZE, &[Value::new(&handle)?])?;
         size.as_ref()
             .and_then(|size| size.as_variant().as_i64())
             .ok_or_else(|| Failure::unexpected(format!("/{path}: the reply carries {}", describe(size.as_ref()))))

@@ -2,13 +2,13 @@
 
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::hresult::HResult;
+use bcap_core::variant::OwnedVariant as Value;
 use bcap_live::calls::Calls;
-pub(crate) use bcap_live::variables::{get_one, list, read, short_type, state_words};
+pub(crate) use bcap_live::variables::{expand, get_one, list, read, short_type, shown, state_words};
 use bcap_std::{ObjectPath, TaskStatus};
 
 use crate::failure::Failure;
 use crate::session::Session;
-use crate::values::Value;
 
 /// Parses the names of variables.
 pub(crate) fn paths(names: &[String]) -> Result<Vec<ObjectPath>, Failure> {
@@ -19,7 +19,7 @@ impl Calls for Session {
     type Error = Failure;
 
     fn object(&mut self, path: &ObjectPath) -> Result<i32, Failure> {
-        if path.object() == Object::Controller { self.controller() } else { Self::object(self, path) }
+        Self::object(self, path)
     }
 
     fn call(

@@ -5,7 +5,6 @@ use std::time::{Duration, Instant};
 
 use bcap_capture::duration;
 use bcap_core::bcap::FunctionId;
-use bcap_core::variant::Variant;
 use bcap_std::ObjectPath;
 use bcap_terminal::escape;
 use clap::error::ErrorKind;
@@ -21,8 +20,8 @@ use crate::output::{print_line, print_raw};
 use crate::session::Session;
 use crate::session::variables::get_one;
 use crate::shell::words::{self, is_name};
-use crate::values::Value;
 use bcap_capture::value::data;
+use bcap_core::variant::OwnedVariant as Value;
 
 /// A command.
 #[derive(Debug, Parser)]
@@ -384,7 +383,7 @@ impl Condition {
     fn holds(&self, found: &Value, wanted: &Value) -> Result<bool, Failure> {
         // values with the same text are equal
         let equal = || found == wanted || data::format(found.as_variant()) == data::format(wanted.as_variant());
-        let numbers = || match (number(found.as_variant()), number(wanted.as_variant())) {
+        let numbers = || match (found.as_variant().as_f64(), wanted.as_variant().as_f64()) {
             (Some(found), Some(wanted)) => Ok((found, wanted)),
             _ => Err(Failure::Input(format!("{}: only numbers can be compared with {}", self.name, self.relation))),
         };
@@ -397,10 +396,6 @@ impl Condition {
             _ => numbers().map(|(found, wanted)| found >= wanted)?,
         })
     }
-}
-
-fn number(value: Variant<'_>) -> Option<f64> {
-    value.as_f64().or_else(|| value.as_i32().map(f64::from))
 }
 
 fn expect(condition: &Condition, session: &mut Session) -> Result<(), Failure> {

@@ -49,7 +49,7 @@ pub(crate) fn shell(session: &mut Session, verb: Verb, json: bool) -> Result<(),
         }
         // while a line runs, the line itself ends; it has the session
         let Ok(mut session) = signalled.try_lock() else { return };
-        report(stop(&mut session), json);
+        stop(&mut session, json);
         if received == Signal::Suspend {
             let prompt = Terminal::saved();
             terminal.restore();
@@ -102,14 +102,14 @@ fn read_lines(
         let prompt = format!("{}> ", prompt(&mut locked(shared), &mut inbox));
         // Ctrl-C after the end of the last line, while the state for the prompt was read
         if runner.interrupt.is_interrupted() {
-            report(stop(&mut locked(shared)), json);
+            stop(&mut locked(shared), json);
             runner.interrupt.suspend_if_requested();
             runner.interrupt.begin();
         }
         let line = match editor.readline(&prompt) {
             Ok(line) => line,
             Err(ReadlineError::Interrupted) => {
-                report(stop(&mut locked(shared)), json);
+                stop(&mut locked(shared), json);
                 continue;
             }
             Err(ReadlineError::Eof) => return Ok(()),
@@ -144,20 +144,13 @@ fn read_lines(
 }
 
 /// Ctrl-C at the prompt: halts a motion that an earlier line has started, and gives the arm back.
-fn stop(session: &mut Session) -> Result<(), Failure> {
+fn stop(session: &mut Session, json: bool) {
     if !session.has_arm() {
-        return Ok(());
+        return;
     }
-    session.restart_budget();
-    session.with(|controller| controller.robot()?.halt().map(drop))?;
-    session.give_arm()?;
-    note("the robot was halted, and the arm was given back");
-    Ok(())
-}
-
-fn report(done: Result<(), Failure>, json: bool) {
-    if let Err(failure) = done {
-        failure.print(json, None);
+    match session.halt().and_then(|()| session.give_arm()) {
+        Ok(()) => note("the robot was halted, and the arm was given back"),
+        Err(failure) => failure.print(json, None),
     }
 }
 

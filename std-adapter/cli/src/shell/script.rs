@@ -63,28 +63,28 @@ fn collect(name: &str, lines: &Lines, interrupt: &Interrupt) -> Result<Vec<Strin
 /// Checks the lines of a script, and of the scripts that it runs.
 fn check_lines(name: &str, lines: &[String], checker: &mut Checker, depth: u8) -> Result<(), Failure> {
     for (line, number) in lines.iter().zip(1_u32..) {
-        let checked = checker.line(line).and_then(|checked| match checked {
-            // the standard input is read when the line runs
-            Checked::Script(args) if args.file.as_os_str() == "-" => Ok(Flow::Continue),
-            Checked::Script(args) if depth >= DEPTH => Err(too_deep(&args)),
-            Checked::Script(args) => {
-                let (name, lines) = open(&args)?;
-                let lines = lines.lines().collect::<Result<Vec<_>, _>>();
-                let lines = lines.map_err(|error| Failure::Input(format!("{name}: {error}")))?;
-                check_lines(&name, &lines, checker, depth + 1).map(|()| Flow::Continue)
-            }
-            Checked::Continue => Ok(Flow::Continue),
-            Checked::Exit => Ok(Flow::Exit),
-        });
-        match checked {
-            Ok(Flow::Continue) => {}
-            Ok(Flow::Exit) => return Ok(()),
-            Err(failure) => {
-                return Err(Failure::Script { place: format!("{name}:{number}"), failure: Box::new(failure) });
-            }
+        let failed = |failure| Failure::Script { place: format!("{name}:{number}"), failure: Box::new(failure) };
+        match checker.line(line).map_err(failed)? {
+            Checked::Script(args) => check_script(&args, checker, depth).map_err(failed)?,
+            Checked::Continue => {}
+            Checked::Exit => break,
         }
     }
     Ok(())
+}
+
+/// Checks the lines of a script that a script runs. The standard input is read when the line runs.
+fn check_script(args: &Run, checker: &mut Checker, depth: u8) -> Result<(), Failure> {
+    if args.file.as_os_str() == "-" {
+        return Ok(());
+    }
+    if depth >= DEPTH {
+        return Err(too_deep(args));
+    }
+    let (name, lines) = open(args)?;
+    let lines = lines.lines().collect::<Result<Vec<_>, _>>();
+    let lines = lines.map_err(|error| Failure::Input(format!("{name}: {error}")))?;
+    check_lines(&name, &lines, checker, depth + 1)
 }
 
 /// Prints the result of `--check`.

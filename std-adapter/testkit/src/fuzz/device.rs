@@ -317,7 +317,7 @@ impl Run<'_, '_> {
                     self.call(call, is_joined)?
                 }
                 Step::Bytes(bytes) => self.bytes(bytes)?,
-                Step::Line(line) => self.line(line)?,
+                Step::Line(lines) => self.retried(|run| &mut run.rac, |run| run.lines(lines))?,
                 Step::Reconnect => {
                     // the probe after the session sees a closed port too
                     let _ = self.wire.take().map(|wire| wire.close(&self.device.gate));
@@ -374,18 +374,26 @@ impl Run<'_, '_> {
         }
         let mut frames = std::mem::take(&mut self.joined);
         frames.push(frame);
+        self.retried(|run| &mut run.wire, |run| run.exchange(call, &frames))
+    }
+
+    /// Sends again while the device has no slot for a new connection.
+    fn retried(
+        &mut self,
+        wire: fn(&mut Self) -> &mut Option<Channel>,
+        mut send: impl FnMut(&mut Self) -> Result<Next, Error>,
+    ) -> Result<Next, Error> {
         let until = Instant::now() + self.device.reconnect;
         loop {
-            let is_new = self.wire.is_none();
-            let next = self.exchange(call, &frames)?;
-            // the device had no slot for the connection
+            let is_new = wire(self).is_none();
+            let next = send(self)?;
             let is_refused = is_new
-                && self.wire.as_ref().is_none_or(|wire| !wire.has_received())
+                && wire(self).as_ref().is_none_or(|wire| !wire.has_received())
                 && matches!(&next, Next::Found(found) if matches!(found.kind, Kind::Reset | Kind::Crash));
             if !is_refused || Instant::now() >= until {
                 return Ok(next);
             }
-            self.wire = None;
+            *wire(self) = None;
             self.device.sleep(SLOT)?;
         }
     }
@@ -553,23 +561,7 @@ impl Run<'_, '_> {
         Ok(if wire.close(&self.device.gate) { Next::Found(closed_port()) } else { next })
     }
 
-    /// Sends lines of RAC; a device may have no slot for their connection yet.
-    fn line(&mut self, lines: &[u8]) -> Result<Next, Error> {
-        let until = Instant::now() + self.device.reconnect;
-        loop {
-            let is_new = self.rac.is_none();
-            let next = self.lines(lines)?;
-            let is_refused = is_new
-                && self.rac.as_ref().is_none_or(|wire| !wire.has_received())
-                && matches!(&next, Next::Found(found) if matches!(found.kind, Kind::Reset | Kind::Crash));
-            if !is_refused || Instant::now() >= until {
-                return Ok(next);
-            }
-            self.rac = None;
-            self.device.sleep(SLOT)?;
-        }
-    }
-
+    /// Sends lines of RAC.
     fn lines(&mut self, lines: &[u8]) -> Result<Next, Error> {
         const SUBJECT: &str = "RAC";
         let Some(addresses) = self.device.rac.as_deref().filter(|_| self.device.gate.has_lines(lines)) else {

@@ -7,7 +7,6 @@ use clap::Args;
 use serde_json::json;
 
 use crate::failure::Failure;
-use crate::interrupt::Interrupt;
 use crate::output::{print_line, print_result};
 use crate::session::Session;
 use bcap_backup::contents::Contents;
@@ -44,8 +43,9 @@ pub(crate) fn dump(args: &Dump, session: &mut Session, json: bool) -> Result<(),
     }
     let mut progress = Progress::default();
     let contents = dump::dump(session, &folder, |_, at| {
-        check_signal(&interrupt, &shown)?;
-        show(&mut progress, at.part, at.done as u64, at.count as u64);
+        interrupt.check(&format!("interrupted; run `bcap dump {shown}` again to go on"))?;
+        let (part, done, count) = (at.part, at.done as u64, at.count as u64);
+        progress.show(|elapsed| format!("{part:4} {} {done}/{count} {elapsed}", bar(done, count)));
         Ok(())
     })?;
     print_summary(&shown, &contents, json)?;
@@ -74,13 +74,4 @@ fn missing_parts(contents: &Contents) -> String {
     let first =
         contents.omitted.first().map(|first| format!("the first of them is {}; ", first.reason)).unwrap_or_default();
     format!("{first}lines with \"refused\" and \"omitted\" in backup.json have their codes; over UDP, use TCP instead")
-}
-
-fn show(progress: &mut Progress, part: &str, done: u64, count: u64) {
-    progress.show(|elapsed| format!("{part:4} {} {done}/{count} {elapsed}", bar(done, count)));
-}
-
-/// Ends the dump after a signal.
-fn check_signal(interrupt: &Interrupt, shown: &str) -> Result<(), Failure> {
-    interrupt.check(&format!("interrupted; run `bcap dump {shown}` again to go on"))
 }

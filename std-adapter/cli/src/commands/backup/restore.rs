@@ -74,13 +74,7 @@ pub(crate) fn restore(args: &Restore, session: &mut Session, json: bool) -> Resu
     if let Some(past) = Past::read(&args.dir)?.filter(|past| !past.is_complete()) {
         summary(&past, json)?;
     }
-    // the session of the shell stays open, and a lost one stays lost
-    let is_own = !session.is_open() && !session.is_lost();
-    let plan = planned(args, &backup, session);
-    if is_own {
-        session.close();
-    }
-    let plan = plan?;
+    let plan = session.before_question(|session| planned(args, &backup, session))?;
     show(&plan, if args.dry_run || json { usize::MAX } else { SHOWN }, json)?;
     if plan.is_empty() {
         return note("there is nothing to write: the controller has the values of the backup", json);
@@ -156,16 +150,17 @@ fn note(text: &str, json: bool) -> Result<(), Failure> {
 
 /// Prints the plan.
 fn show(plan: &Plan, most: usize, json: bool) -> Result<(), Failure> {
+    let mut notes = plan.notes.iter().map(|note| note.replace("the option io", "--io"));
     if json {
         plan.json_lines().iter().try_for_each(|line| print_json(line))?;
-        return plan.notes.iter().try_for_each(|text| note(text, true));
+        return notes.try_for_each(|text| note(&text, true));
     }
     let lines = plan.lines();
     lines.iter().take(most).try_for_each(|line| print_line(line))?;
     if lines.len() > most {
         print_line(&format!("... and {} more, which --dry-run shows", lines.len() - most))?;
     }
-    plan.notes.iter().try_for_each(|text| note(&format!("note: {text}"), false))
+    notes.try_for_each(|text| note(&format!("note: {text}"), false))
 }
 
 /// Records and reports how the restore ended.

@@ -77,9 +77,10 @@ pub(super) fn flash(args: &Flash, link: &LinkArgs, json: bool) -> Result<(), Fai
     // the image is checked before a drive is searched
     let image = drive::read(&args.image)?;
     let folder = match &args.drive {
-        Some(folder) => drive::check(folder, &image)?,
-        None => drive::find(&image)?,
+        Some(folder) => folder.clone(),
+        None => drive::find().map_err(|error| Failure::from(error).hinting(" with --drive"))?,
     };
+    drive::check(&folder, &image)?;
     let file = image.to_file();
     let restarted = drive::write(&folder, &file, link.timeout())?;
     let (path, chip) = (folder.display(), image.chip.name());

@@ -98,7 +98,8 @@ pub(super) fn send(args: &Update, link: &LinkArgs, json: bool) -> Result<(), Fai
     let mut console = Console::open(&args.port, args.baud, link.timeout())?;
     // over the network the board itself checks that
     if !args.force && !console.is_network() {
-        update::check_settings(&mut console)?;
+        let how = ": `bcap board configure PORT` prints them, and with @FILE it stores them; or use --force";
+        update::check_settings(&mut console).map_err(|error| Failure::from(error).hinting(how))?;
     }
     update::announce(&mut console, &image, &identity, signature.as_ref(), args.older)?;
     let mut progress = Progress::default();
@@ -113,13 +114,11 @@ pub(super) fn send(args: &Update, link: &LinkArgs, json: bool) -> Result<(), Fai
     }
     let (board, version) = (identity.board(), identity.version());
     let (bytes, restarted) = (image.len(), !args.no_restart);
-    if json {
-        let line =
-            json!({ "board": board, "version": version, "bytes": bytes, "repeated": repeated, "restarted": restarted });
-        output::print_json(&line.to_string())?;
-    } else {
-        let repeated = if repeated == 0 { String::new() } else { format!(", {repeated} blocks were sent again") };
-        output::print_line(&format!("{board} {version}: {bytes} bytes received and checked{repeated}"))?;
+    let object =
+        json!({ "board": board, "version": version, "bytes": bytes, "repeated": repeated, "restarted": restarted });
+    let again = if repeated == 0 { String::new() } else { format!(", {repeated} blocks were sent again") };
+    output::print_result(json, &object, &format!("{board} {version}: {bytes} bytes received and checked{again}"))?;
+    if !json {
         output::note(match restarted {
             true => {
                 "the board swaps the images and is on trial until it has served a request; ask it with bcap board status"

@@ -3,7 +3,7 @@
 use bcap_capture::value::to_json;
 use bcap_core::bcap::{FunctionId, Kind};
 use bcap_core::hresult::HResult;
-use bcap_core::variant::{VarType, Variant};
+use bcap_core::variant::{OwnedVariant as Value, VarType, Variant};
 use bcap_std::ObjectPath;
 use clap::Args;
 
@@ -11,7 +11,6 @@ use crate::commands::calls::reference::{self, usage};
 use crate::failure::Failure;
 use crate::output::{print_json, print_line};
 use crate::session::Session;
-use crate::values::{Value, integer};
 use bcap_capture::value::data;
 
 /// Calls any of the 137 functions
@@ -109,7 +108,7 @@ fn call_in(session: &mut Session, function: FunctionId, arguments: &[Argument], 
         .iter()
         .map(|argument| match argument {
             Argument::Value(value) => Ok(value.clone()),
-            Argument::Object(path) => session.object(path).and_then(integer),
+            Argument::Object(path) => session.object(path).and_then(|handle| Ok(Value::new(&handle)?)),
         })
         .collect::<Result<Vec<_>, _>>()?;
     let (code, value) = session.call_for_code(function, &values)?;

@@ -2,14 +2,13 @@
 
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::error::EncodeError;
-use bcap_core::variant::{VarType, Variant};
+use bcap_core::variant::{OwnedVariant as Value, VarType, Variant};
 use bcap_std::ObjectPath;
 use clap::Args;
 
 use super::call::print_reply;
 use crate::failure::Failure;
 use crate::session::Session;
-use crate::values::{Value, integer, text};
 use bcap_capture::value::data;
 
 /// Executes a command of the controller or a robot
@@ -42,8 +41,7 @@ pub(crate) fn exec(args: &Exec, session: &mut Session, json: bool) -> Result<(),
     let (path, function) = executed(args)?;
     let parameter = parameter(&args.arguments)?;
     let handle = session.object(&path)?;
-    let arguments = [integer(handle)?, text(&args.command)?, parameter];
-    let (code, value) = session.call_for_code(function, &arguments)?;
+    let (code, value) = session.execute(function, handle, &args.command, parameter)?;
     if code.is_err() {
         return Err(Failure::Refused { doing: format!("{path}: {}", args.command), code });
     }

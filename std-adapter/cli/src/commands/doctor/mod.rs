@@ -27,7 +27,7 @@ use std::time::{Duration, Instant};
 use bcap_core::bcap::{FunctionId, StreamState};
 use bcap_core::hresult::HResult;
 use bcap_core::procedure::SysState;
-use bcap_core::variant::Encode;
+use bcap_core::variant::{Encode, OwnedVariant as Value};
 use bcap_std::{Examination, ObjectPath, Protocol};
 use clap::Args;
 
@@ -37,8 +37,7 @@ use crate::failure::{Failure, hint_of};
 use crate::link::LinkArgs;
 use crate::session::Session;
 use crate::session::budget::Budget;
-use crate::session::variables::{get_one, short_type};
-use crate::values::{Value, integer, text};
+use crate::session::variables::{get_one, short_type, shown};
 use bcap_live::stream::StreamCheck;
 
 /// Checks what a program needs before it can move the robot, and says how to fix each failure
@@ -120,12 +119,13 @@ fn reach(report: &mut Report, protocol: Protocol, args: &Doctor, link: &LinkArgs
         Protocol::Tcp => ("tcp", Budget::start(link)),
         Protocol::Udp => ("udp", Budget::start(link).answer_within(UDP_TIMEOUT)),
     };
-    let reached = Session::open(link).and_then(|mut session| {
+    let mut session = Session::new(link);
+    let reached = session.open_connection().and_then(|()| {
         session.set_budget(budget);
-        session.start(link).map(|()| session)
+        session.start(link)
     });
     match reached {
-        Ok(session) => {
+        Ok(()) => {
             let took = began.elapsed().as_secs_f64() * 1000.0;
             report
                 .note(check, Finding::Passed(format!("{} answers, Service_Start took {took:.1} ms", link.target()?)))?;
@@ -168,7 +168,7 @@ fn provider(session: &mut Session, link: &LinkArgs, report: &mut Report) -> Resu
         provider.clone_into(&mut session.provider);
         match session.controller() {
             Ok(controller) => {
-                let kind = variable(session, "@TYPE")?.map(|kind| short_type(&plain(&kind))).unwrap_or_default();
+                let kind = variable(session, "@TYPE")?.map(|kind| short_type(&shown(&kind))).unwrap_or_default();
                 let is_rc9 = provider.to_ascii_lowercase().ends_with("vrc9") || kind.eq_ignore_ascii_case("RC9");
                 let family = if is_rc9 { "RC9" } else { "RC8" };
                 let kind = if kind.is_empty() || kind == family { String::new() } else { format!(", it is a {kind}") };
@@ -198,8 +198,8 @@ fn version(session: &mut Session) -> Result<Finding, Failure> {
     let (version, serial) = (variable(session, "@VERSION")?, variable(session, "@SERIAL_NO")?);
     Ok(match version {
         Some(version) => {
-            let serial = serial.map(|serial| format!(", serial number {}", plain(&serial))).unwrap_or_default();
-            Finding::Passed(format!("{}{serial}", plain(&version)))
+            let serial = serial.map(|serial| format!(", serial number {}", shown(&serial))).unwrap_or_default();
+            Finding::Passed(format!("{}{serial}", shown(&version)))
         }
         None => Finding::failed(
             "@VERSION cannot be read",
@@ -216,10 +216,6 @@ fn variable(session: &mut Session, name: &str) -> Result<Option<Value>, Failure>
     }
 }
 
-fn plain(value: &Value) -> String {
-    bcap_capture::value::data::format(value.as_variant())
-}
-
 /// The controller and the robot that are examined.
 struct Examined<'a> {
     session: &'a mut Session,
@@ -228,37 +224,15 @@ struct Examined<'a> {
     robot: i32,
 }
 
-/// The answer to a command.
-struct Answer {
-    code: HResult,
-    value: Option<Value>,
-}
-
-impl Answer {
-    fn int(&self) -> Option<i32> {
-        self.value.as_ref().filter(|_| self.code.is_ok()).and_then(|value| value.as_variant().as_i32())
-    }
-}
-
 impl Examined<'_> {
-    fn controller(&mut self, command: &str, parameter: &dyn Encode) -> Result<Answer, Failure> {
-        self.execute(FunctionId::CONTROLLER_EXECUTE, self.controller, command, parameter)
+    /// Executes a command of the robot, and returns its code.
+    fn robot(&mut self, command: &str, parameter: &dyn Encode) -> Result<HResult, Failure> {
+        Ok(self.session.execute(FunctionId::ROBOT_EXECUTE, self.robot, command, Value::new(parameter)?)?.0)
     }
 
-    fn robot(&mut self, command: &str, parameter: &dyn Encode) -> Result<Answer, Failure> {
-        self.execute(FunctionId::ROBOT_EXECUTE, self.robot, command, parameter)
-    }
-
-    fn execute(
-        &mut self,
-        function: FunctionId,
-        handle: i32,
-        command: &str,
-        parameter: &dyn Encode,
-    ) -> Result<Answer, Failure> {
-        let arguments = [integer(handle)?, text(command)?, Value::new(parameter)?];
-        let (code, value) = self.session.call_for_code(function, &arguments)?;
-        Ok(Answer { code, value })
+    fn clear_error(&mut self) -> Result<HResult, Failure> {
+        let function = FunctionId::CONTROLLER_EXECUTE;
+        Ok(self.session.execute(function, self.controller, "ClearError", Value::default())?.0)
     }
 
     /// Returns why a command must not be executed now; `None` if it may.
@@ -326,11 +300,12 @@ impl Examined<'_> {
 
     /// Checks the licence and the formats of Slave Mode, unless a client is in Slave Mode.
     fn slave_mode(&mut self) -> Result<(Finding, Finding), Failure> {
-        let mode = self.robot("slvGetMode", &())?;
-        let mut answers = vec![("slvGetMode", mode.code)];
-        let Some(number) = mode.int() else {
-            let why = format!("slvGetMode returns no mode ({}), so a client may be in Slave Mode", mode.code);
-            return Ok(match mode.code {
+        let function = FunctionId::ROBOT_EXECUTE;
+        let (code, mode) = self.session.execute(function, self.robot, StreamState::COMMAND, Value::default())?;
+        let mut answers = vec![(StreamState::COMMAND, code)];
+        let Some(number) = mode.filter(|_| code.is_ok()).and_then(|mode| mode.as_variant().as_i32()) else {
+            let why = format!("slvGetMode returns no mode ({code}), so a client may be in Slave Mode");
+            return Ok(match code {
                 HResult::E_NO_LICENSE => (licence(&answers), Finding::skipped("it needs the licence")),
                 _ => (Finding::Untested(why.clone()), Finding::Untested(why)),
             });
@@ -340,7 +315,7 @@ impl Examined<'_> {
         }
         let formats = self.formats(&mut answers)?;
         // the controller refuses this without the arm, also with a licence
-        let code = self.robot("slvChangeMode", &0x202_i32)?.code;
+        let code = self.robot("slvChangeMode", &0x202_i32)?;
         if code.is_ok() {
             // a controller that accepts it is in Slave Mode now
             self.robot("slvChangeMode", &0_i32)?;
@@ -355,7 +330,7 @@ impl Examined<'_> {
         if let Some(why) = self.skip(FunctionId::ROBOT_EXECUTE, "TakeArm")? {
             return Ok((None, Finding::Skipped(why)));
         }
-        let taken = self.robot("TakeArm", &[0_i32, 1])?.code;
+        let taken = self.robot("TakeArm", &[0_i32, 1])?;
         if taken.is_ok() {
             self.robot("GiveArm", &())?;
             return Ok((None, Finding::Passed("free".into())));
@@ -377,9 +352,9 @@ impl Examined<'_> {
             Err(failure) if !failure.leaves_the_session_alive() => return Err(failure),
             present => present.is_ok_and(|errors| matches!(errors.as_slice(), [(code, _)] if *code == refusal)),
         };
-        if is_own && self.controller("ClearError", &())?.code == HResult::E_MANUAL_RESET_UNPREPARED {
+        if is_own && self.clear_error()? == HResult::E_MANUAL_RESET_UNPREPARED {
             self.robot("ManualResetPreparation", &())?;
-            self.controller("ClearError", &())?;
+            self.clear_error()?;
         }
         Ok(())
     }
@@ -404,9 +379,9 @@ impl Examined<'_> {
         {
             for (format, name) in formats {
                 let code = match command {
-                    "slvRecvFormat" => self.robot(command, &[*format, 0])?.code,
-                    _ => self.robot(command, format)?.code,
-                };
+                    "slvRecvFormat" => self.robot(command, &[*format, 0]),
+                    _ => self.robot(command, format),
+                }?;
                 let needed = *format <= 3;
                 if code.is_err() && needed {
                     answers.push((command, code));

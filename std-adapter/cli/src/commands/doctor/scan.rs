@@ -10,7 +10,7 @@ use bcap_std::{Address, NetworkAddress, Protocol};
 use clap::Args;
 use if_addrs::{IfAddr, Interface};
 
-use super::{plain, variable};
+use super::variable;
 use crate::commands::robot_ports::host;
 use crate::commands::variables::rac;
 use crate::failure::Failure;
@@ -20,7 +20,7 @@ use crate::link::{LinkArgs, address};
 use crate::output::print_result;
 use crate::session::Session;
 use crate::session::confirm::Question;
-use crate::session::variables::short_type;
+use crate::session::variables::{short_type, shown};
 
 /// Finds controllers on hosts and in networks
 ///
@@ -162,7 +162,7 @@ impl Found {
             let connected = session.connect();
             if connected.is_ok() && about[0].is_none() {
                 about = ["@TYPE", "@VERSION", "robot/@TYPE_NAME"]
-                    .map(|name| variable(&mut session, name).ok().flatten().map(|value| plain(&value)));
+                    .map(|name| variable(&mut session, name).ok().flatten().map(|value| shown(&value)));
             }
             (target.port, answers(&connected))
         });

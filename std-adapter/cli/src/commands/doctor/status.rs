@@ -8,10 +8,10 @@ use bcap_std::{Examination, ObjectPath, TaskStatus};
 use clap::Args;
 
 use super::report::{Finding, Report};
-use super::{PERMISSION, emergency_stop, errors, mode, plain, token_finding, variable};
+use super::{PERMISSION, emergency_stop, errors, mode, token_finding, variable};
 use crate::failure::Failure;
 use crate::session::Session;
-use crate::session::variables::{list, short_type};
+use crate::session::variables::{list, short_type, shown};
 use bcap_live::stream::StreamCheck;
 
 /// Shows the state of the controller and of the robot: what it is, what it does, and why it is not ready
@@ -33,7 +33,7 @@ const NO_ROBOT: &str = "the controller gives no robot; the last line has the rea
 pub(crate) fn status(session: &mut Session, json: bool) -> Result<(), Failure> {
     session.begin()?;
     let mut report = Report::new(json);
-    let mut read = |name: &str| Ok::<_, Failure>(variable(session, name)?.map(|value| plain(&value)));
+    let mut read = |name: &str| Ok::<_, Failure>(variable(session, name)?.map(|value| shown(&value)));
     let (kind, version, number) = (read("@TYPE")?, read("@VERSION")?.unwrap_or_default(), read("@MODE")?);
     let (servo, speed) = (read("robot/@SERVO_ON")?, read("robot/@EXTSPEED")?);
     let position = read("robot/@CURRENT_POSITION")?;

@@ -15,8 +15,8 @@ use bcap_capture::{Role, duration};
 use bcap_live::model;
 use bcap_terminal::screen::{Terminal, require};
 use clap::Args;
-use reader::{Reader, Request, ScreenLink};
-use state::{ALL_KEYS, Action, HALTED, State, Update, not_halted};
+use reader::{Reader, ScreenLink};
+use state::{ALL_KEYS, Action, HALTED, Request, State, Update, not_halted};
 
 use crate::commands::robot::halt::halt_now;
 use crate::failure::Failure;
@@ -24,8 +24,7 @@ use crate::interrupt::Interrupt;
 use crate::link::LinkArgs;
 use crate::output::note;
 use crate::session::Session;
-use crate::session::selection::expand;
-use crate::session::variables::paths;
+use crate::session::variables::{expand, paths};
 use bcap_capture::value::selection::Selection;
 
 /// Shows variables, the robot, tasks, errors, messages and packets live in the terminal
@@ -97,7 +96,7 @@ pub(crate) fn monitor(args: &Monitor, session: &mut Session, json: bool) -> Resu
         screen: ScreenLink { updates: updates.clone(), requests: request },
     };
     // a wrong address or selection is an error; only a connection that was open before is tried again
-    reader.connect()?;
+    reader.session.controller()?;
     reader.names = expand(&mut reader.session, &selections)?;
     paths(&reader.names)?;
     let state = State::new(link.target()?.to_string(), args.packets);
@@ -160,17 +159,12 @@ impl LiveScreen {
             }
             terminal.draw(&self.state.screen())?;
             for key in terminal.keys(FRAME)? {
-                let request = match self.state.key(key) {
-                    None => continue,
+                match self.state.key(key) {
+                    None => {}
                     Some(Action::Quit) => return Ok(()),
-                    Some(Action::Halt) => {
-                        self.halt()?;
-                        continue;
-                    }
-                    Some(Action::Check(name, text)) => Request::Check(name, text),
-                    Some(Action::Write(write)) => Request::Write(write),
-                };
-                self.request(request)?;
+                    Some(Action::Halt) => self.halt()?,
+                    Some(Action::Request(request)) => self.request(request)?,
+                }
             }
         }
         if self.interrupt.is_ended() { Err(Failure::Interrupted("ended by a signal".into())) } else { Ok(()) }

@@ -7,21 +7,12 @@ use bcap_capture::value::data;
 use bcap_live::calls::needs_reconnect;
 use bcap_live::model;
 use bcap_live::reader::{self, Rounds, SLOW};
-use bcap_live::write::{Write, check};
+use bcap_live::write::check;
 
-use super::state::Update;
+use super::state::{Request, Update};
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::session::Session;
-
-/// A request of the user.
-#[derive(Debug)]
-pub(crate) enum Request {
-    Check(String, String),
-    Write(Box<Write>),
-    /// Halts the robot over this session, where there is no other.
-    Halt,
-}
 
 /// Reads from the controller until the user quits.
 pub(crate) struct Reader {
@@ -40,11 +31,6 @@ pub(crate) struct ScreenLink {
 }
 
 impl Reader {
-    /// Opens the first connection.
-    pub(crate) fn connect(&mut self) -> Result<(), Failure> {
-        connect(&mut self.session)
-    }
-
     /// Reads until the other end of the requests is dropped. A lost connection is tried again.
     pub(crate) fn run(mut self) {
         loop {
@@ -62,7 +48,7 @@ impl Reader {
                     Some(Some(_)) => self.screen.send(Update::Done(Err("there is no connection".into()))),
                     Some(None) => {}
                 }
-                if self.connect().is_ok() {
+                if self.session.controller().is_ok() {
                     break;
                 }
                 self.session.close();
@@ -95,12 +81,6 @@ impl Reader {
             }
         }
     }
-}
-
-fn connect(session: &mut Session) -> Result<(), Failure> {
-    session.restart_budget();
-    session.connect()?;
-    session.controller().map(drop)
 }
 
 impl Rounds<Session> for ScreenLink {
@@ -151,11 +131,10 @@ impl ScreenLink {
                 }
             },
             Request::Halt => {
-                let mut halted = halt(session);
+                let mut halted = session.halt();
                 if halted.as_ref().is_err_and(|failure| failure.leaves_the_session_alive() && needs_reconnect(failure))
                 {
-                    session.close();
-                    halted = connect(session).and_then(|()| halt(session));
+                    halted = session.reconnect().and_then(|()| session.halt());
                 }
                 Update::Halted(halted)
             }
@@ -163,9 +142,4 @@ impl ScreenLink {
         self.send(update);
         Ok(())
     }
-}
-
-fn halt(session: &mut Session) -> Result<(), Failure> {
-    session.restart_budget();
-    session.with(|controller| controller.robot()?.halt().map(drop))
 }

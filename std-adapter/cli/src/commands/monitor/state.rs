@@ -104,9 +104,18 @@ pub(crate) fn not_halted(failure: &Failure) -> String {
 pub(crate) enum Action {
     Quit,
     Halt,
+    /// Asks the thread that talks to the controller.
+    Request(Request),
+}
+
+/// A request of the user to the controller.
+#[derive(Debug)]
+pub(crate) enum Request {
     /// Checks the value that was typed for a variable.
     Check(String, String),
     Write(Box<Write>),
+    /// Halts the robot over the session that reads, where there is no other.
+    Halt,
 }
 
 impl State {
@@ -173,7 +182,7 @@ impl State {
                 self.input = Input::Editing(self.selected_name().map(|name| name + "=").unwrap_or_default());
             }
             KeyCode::Char('u') => match &self.undo {
-                Some((name, value)) => return Some(Action::Check(name.clone(), value.clone())),
+                Some((name, value)) => return Some(check(name, value)),
                 None => self.notice = Line::new("nothing was written"),
             },
             KeyCode::Char('/') => (self.focus, self.selected, self.input) = (Focus::Variables, 0, Input::Filtering),
@@ -254,7 +263,7 @@ impl State {
             }
             KeyCode::Enter => match text.split_once('=') {
                 Some((name, value)) if !name.trim().is_empty() => {
-                    return Some(Action::Check(name.trim().into(), value.into()));
+                    return Some(check(name.trim(), value));
                 }
                 _ => self.notice = Line::alarm(format!("{text}: write NAME=VALUE, such as I1=5")),
             },
@@ -271,7 +280,7 @@ impl State {
     fn answer(&mut self, write: Box<Write>, key: KeyCode) -> Option<Action> {
         if matches!(key, KeyCode::Char('y' | 'Y')) {
             self.undo = Some((write.path.to_string(), data::format(write.before.as_variant())));
-            return Some(Action::Write(write));
+            return Some(Action::Request(Request::Write(write)));
         }
         self.notice = Line::new("nothing was written");
         None
@@ -401,6 +410,10 @@ impl Focus {
     }
 }
 
+fn check(name: &str, value: &str) -> Action {
+    Action::Request(Request::Check(name.into(), value.into()))
+}
+
 /// Returns a panel of whole lines.
 fn whole<'a>(title: &str, lines: impl IntoIterator<Item = &'a str>) -> Panel {
     let title = format!("{title}; any key closes this, h HALTS");
@@ -495,7 +508,9 @@ mod tests {
         // `q` and `h` are text here
         typed(&mut state, "qh");
         assert_eq!(state.screen().notice.text, "write NAME=VALUE: I1=5qh_");
-        let Some(Action::Check(name, data)) = state.key(KeyCode::Enter.into()) else { panic!("no check") };
+        let Some(Action::Request(Request::Check(name, data))) = state.key(KeyCode::Enter.into()) else {
+            panic!("no check")
+        };
         assert_eq!((name.as_str(), data.as_str()), ("I1", "5qh"));
         let [value, before] = [5, 3].map(|n| Value::new(&n).unwrap());
         let write = Box::new(Write { path: ObjectPath::variable("I1").unwrap(), value, before });
@@ -504,7 +519,7 @@ mod tests {
         assert!(typed(&mut state, "n").is_none());
         assert_eq!(state.screen().notice.text, "nothing was written");
         state.apply(Update::Checked(Ok(write)));
-        assert!(matches!(typed(&mut state, "y"), Some(Action::Write(_))));
+        assert!(matches!(typed(&mut state, "y"), Some(Action::Request(Request::Write(_)))));
         // a check that ends while the next value is typed asks nothing
         let [value, before] = [6, 5].map(|n| Value::new(&n).unwrap());
         typed(&mut state, "w");
@@ -528,7 +543,7 @@ mod tests {
         let write = Write { path: ObjectPath::variable("I1").unwrap(), value, before };
         state.apply(Update::Checked(Ok(Box::new(write))));
         typed(&mut state, "y");
-        let Some(Action::Check(name, text)) = typed(&mut state, "u") else { panic!("no check") };
+        let Some(Action::Request(Request::Check(name, text))) = typed(&mut state, "u") else { panic!("no check") };
         assert_eq!([name, text], ["I1", "3"]);
     }
 

@@ -11,7 +11,7 @@ use bcap_capture::value::{self, to_json};
 use bcap_capture::{ConvertError, Role, frame, hex};
 use bcap_core::bcap::Decoder;
 use bcap_core::limits::Strictness;
-use bcap_core::variant::Variant;
+use bcap_core::variant::{OwnedVariant as Value, Variant};
 use bcap_terminal::escape;
 use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
@@ -19,7 +19,6 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use crate::commands::packets::items::{Items, Source};
 use crate::failure::Failure;
 use crate::output::{print_json, print_line};
-use crate::values::Value;
 
 /// Decodes frames, values, or a capture of Wireshark or tcpdump; encodes with --reverse
 ///

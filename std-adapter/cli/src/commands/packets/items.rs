@@ -79,7 +79,7 @@ fn each_line(
         };
         let converted = converted.unwrap_or_else(|error| {
             bad += 1;
-            item_to_json(&error)
+            item_to_json(error)
         });
         out.write_all(converted.as_bytes())?;
         out.write_all(b"\n")?;

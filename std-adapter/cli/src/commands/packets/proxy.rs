@@ -21,7 +21,7 @@ use crate::commands::robot_ports::{self, RobotPorts};
 use crate::commands::sim::args::Sim;
 use crate::failure::Failure;
 use crate::link::LinkArgs;
-use crate::listen::{runtime, taken};
+use crate::listen::{Listening, runtime, taken, tcp, tcp_if};
 use crate::output::{print_json, print_line};
 
 /// Forwards b-CAP and RAC to a robot, prints the calls, and records every byte
@@ -97,7 +97,7 @@ pub(crate) fn proxy(args: &Proxy, link: &LinkArgs, json: bool) -> Result<(), Fai
         let listeners = bind(args).await?;
         let lines = (!args.quiet).then(|| Lines::start(json)).transpose()?;
         let recording = record(link.write.as_deref(), lines.as_ref().map(|lines| lines.queue.clone()), json)?;
-        print_line(&ready(&listeners)?)?;
+        print_line(&listening(&listeners)?.to_string())?;
         let proxy = bcap_capture::proxy::Proxy::new(listeners, robot);
         proxy.connect_timeout(link.timeout()).faults(faults, seed).run(&recording, ended).await;
         recording.finish()?;
@@ -156,22 +156,14 @@ impl Front {
         let listeners = Listeners {
             bcap: tcp("--bcap", args.bcap).await?,
             udp: UdpSocket::bind(args.udp).await.map_err(|error| taken("--udp", args.udp, &error))?,
-            rac: match rac {
-                Some(address) => Some(tcp("--rac", address).await?),
-                None => None,
-            },
+            rac: tcp_if("--rac", rac).await?,
         };
         Ok(Self { listeners, recording: Recording::start(Some(file), |_| {})? })
     }
 
-    /// Returns the line that names the addresses.
-    pub(crate) fn ready(&self) -> io::Result<String> {
-        ready(&self.listeners)
-    }
-
-    /// Returns the address of b-CAP over TCP.
-    pub(crate) fn bcap(&self) -> io::Result<SocketAddr> {
-        self.listeners.bcap.local_addr()
+    /// Returns the addresses.
+    pub(crate) fn listening(&self) -> io::Result<Listening> {
+        listening(&self.listeners)
     }
 
     /// Forwards to the controller until `ended`, then closes the file.
@@ -191,22 +183,10 @@ async fn bind(args: &Proxy) -> Result<Listeners, Failure> {
         udp => udp,
     };
     let udp = udp.map_err(|error| taken("--listen", bound, &error))?;
-    let rac = match args.listen_rac {
-        Some(address) => Some(tcp("--listen-rac", address).await?),
-        None => None,
-    };
-    Ok(Listeners { bcap, udp, rac })
+    Ok(Listeners { bcap, udp, rac: tcp_if("--listen-rac", args.listen_rac).await? })
 }
 
-async fn tcp(option: &str, address: SocketAddr) -> Result<TcpListener, Failure> {
-    TcpListener::bind(address).await.map_err(|error| taken(option, address, &error))
-}
-
-/// Returns the line that names the addresses.
-fn ready(listeners: &Listeners) -> io::Result<String> {
-    let mut ready = format!("ready bcap={} udp={}", listeners.bcap.local_addr()?, listeners.udp.local_addr()?);
-    if let Some(rac) = &listeners.rac {
-        ready += &format!(" rac={}", rac.local_addr()?);
-    }
-    Ok(ready)
+fn listening(listeners: &Listeners) -> io::Result<Listening> {
+    let rac = listeners.rac.as_ref().map(TcpListener::local_addr).transpose()?;
+    Ok(Listening { bcap: listeners.bcap.local_addr()?, udp: listeners.udp.local_addr()?, rac })
 }

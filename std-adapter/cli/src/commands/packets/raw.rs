@@ -263,7 +263,7 @@ impl Talk {
     fn word(&mut self, word: &str, shows_all: bool, is_last: bool) -> Result<(), Failure> {
         let packets = packets(&filled(word, Some(&self.replies))?, self.role)?;
         for (index, packet) in packets.iter().enumerate() {
-            self.check()?;
+            self.interrupt.check("interrupted")?;
             let shows = shows_all || is_last && index + 1 == packets.len();
             if self.role == Role::Response { self.answer(packet, shows)? } else { self.ask(packet, shows)? }
         }
@@ -312,7 +312,7 @@ impl Talk {
         let mut buffer = vec![0; DATAGRAM];
         loop {
             // first, because a peer can send packets without end
-            self.check()?;
+            self.interrupt.check("interrupted")?;
             if limit.is_some_and(|limit| began.elapsed() >= limit) {
                 return Ok(None);
             }
@@ -331,10 +331,6 @@ impl Talk {
         }
     }
 
-    fn check(&self) -> Result<(), Failure> {
-        self.interrupt.check("interrupted")
-    }
-
     /// Prints a packet: with its bytes, or as `bcap decode --json` does.
     fn show(&self, role: Role, packet: &[u8], shows: bool) -> Result<(), Failure> {
         if !shows {
@@ -343,7 +339,7 @@ impl Talk {
         if self.json {
             let line = match Decoder::TCP.decode_datagram(packet) {
                 Ok(frame) => frame::to_json(&frame, role),
-                Err(error) => item_to_json(&error.into()),
+                Err(error) => item_to_json(error.into()),
             };
             return Ok(print_json(&line)?);
         }

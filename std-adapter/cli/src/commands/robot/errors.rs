@@ -6,11 +6,11 @@ use bcap_capture::duration;
 use bcap_core::hresult::HResult;
 use bcap_live::errors::{count, error};
 pub(crate) use bcap_live::errors::{described, present};
+use bcap_live::messages::{Message, next_message};
 use clap::Args;
 
-use crate::commands::robot::messages;
 use crate::failure::{Failure, hint_of};
-use crate::output::{print_json, print_line};
+use crate::output::{print_json, print_line, print_result};
 use crate::session::Session;
 use bcap_live::stream::StreamCheck;
 
@@ -43,9 +43,22 @@ pub(crate) struct Errors {
 pub(crate) fn errors(args: &Errors, session: &mut Session, json: bool) -> Result<(), Failure> {
     match args {
         Errors { clear: true, .. } => bcap_live::errors::clear(session),
-        Errors { follow: true, time, .. } => messages::follow(*time, session, json),
+        Errors { follow: true, time, .. } => follow(*time, session, json),
         _ => list(session, json),
     }
+}
+
+/// Prints the messages of the controller as they arrive, until a signal or the end of the time.
+fn follow(time: Option<Duration>, session: &mut Session, json: bool) -> Result<(), Failure> {
+    let mut check = StreamCheck::default();
+    session.repeat(Duration::from_millis(50), time, |session| {
+        while let Some(message) = next_message(session, &mut check)? {
+            let Message { number, source, time, text } = &message;
+            let object = serde_json::json!({ "number": number, "source": source, "time": time, "text": text });
+            print_result(json, &object, &message.to_string())?;
+        }
+        Ok(())
+    })
 }
 
 /// Prints the present errors.

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use bcap_capture::value::data;
 use bcap_core::bcap::FunctionId;
 use bcap_core::rac::{Variable, VariableKind};
+use bcap_core::variant::OwnedVariant as Value;
 use bcap_live::axis::Axis;
 use bcap_std::ObjectPath;
 use clap::Args;
@@ -19,7 +20,6 @@ use crate::failure::Failure;
 use crate::output::print_result;
 use crate::session::Session;
 use crate::session::variables::get_one;
-use crate::values::integer;
 use bcap_live::stream::spare;
 
 /// Moves the robot by one step of a joint or along an axis, and prints where it rests then; without AXIS by the keys of a screen
@@ -120,7 +120,7 @@ pub(crate) fn teach(args: &Teach, session: &mut Session, json: bool) -> Result<(
         let before = get_one(session, &path)?;
         now = data::to_write(name, &data::format(now.as_variant()), before.as_variant()).map_err(Failure::Input)?;
         let variable = session.object(&path)?;
-        session.call(name, FunctionId::VARIABLE_PUT_VALUE, &[integer(variable)?, now])?;
+        session.call(name, FunctionId::VARIABLE_PUT_VALUE, &[Value::new(&variable)?, now])?;
         let (before, now) = (data::format(before.as_variant()), data::format(get_one(session, &path)?.as_variant()));
         let object =
             json!({ "name": name, "old": before, "new": now, "tool": tool, "work": work, "label": args.label });

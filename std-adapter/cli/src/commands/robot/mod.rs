@@ -8,7 +8,6 @@ pub(crate) mod jog;
 #[cfg(feature = "screens")]
 mod keys;
 pub(crate) mod log;
-pub(crate) mod messages;
 pub(crate) mod motion;
 pub(crate) mod recover;
 mod silence;

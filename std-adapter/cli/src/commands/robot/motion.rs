@@ -7,6 +7,7 @@ use bcap_capture::duration;
 use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
 use bcap_core::procedure::Motion;
+use bcap_core::variant::OwnedVariant as Value;
 use bcap_live::axis::Axis;
 use bcap_std::{Destination, Move, ObjectPath};
 use clap::Args;
@@ -18,7 +19,6 @@ use crate::interrupt::{Interrupt, State};
 use crate::output::print_result;
 use crate::session::Session;
 use crate::session::confirm::Question;
-use crate::values::{integer, text};
 use bcap_live::stream::spare;
 
 /// Moves the robot to a position, and waits until it rests there
@@ -258,9 +258,9 @@ fn commanded(args: &MoveArgs, session: &mut Session) -> Result<Move, Failure> {
 /// Starts a motion without waiting for its end.
 fn started(args: &MoveArgs, session: &mut Session) -> Result<(), Failure> {
     let robot = session.object(&"robot".parse::<ObjectPath>()?)?;
-    let interpolation = if args.line { 2 } else { 1 };
-    let option = format!("NEXT,SPEED={}", args.how.speed);
-    let arguments = [integer(robot)?, integer(interpolation)?, text(&format!("@E {}", args.to))?, text(&option)?];
+    let interpolation = if args.line { 2_i32 } else { 1 };
+    let (to, option) = (format!("@E {}", args.to), format!("NEXT,SPEED={}", args.how.speed));
+    let arguments = [Value::new(&robot)?, Value::new(&interpolation)?, Value::new(&to)?, Value::new(&option)?];
     session.call("robot", FunctionId::ROBOT_MOVE, &arguments).map(drop)
 }
 

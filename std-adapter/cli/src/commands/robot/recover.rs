@@ -5,18 +5,19 @@ use std::ops::ControlFlow;
 
 use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
+use bcap_core::variant::OwnedVariant as Value;
 use bcap_std::blocking::Arm;
 use bcap_std::{Examination, Obstacle, RecoveryConfig, RecoveryStep};
 use clap::Args;
 use serde_json::json;
 
 use crate::commands::robot::errors;
+use crate::commands::robot::motion::check_speed;
 use crate::failure::Failure;
 use crate::interrupt::{Interrupt, State};
 use crate::output::{print_json, print_line, print_result};
 use crate::session::Session;
 use crate::session::confirm::Question;
-use crate::values::{Value, integer, text};
 
 /// Recovers the robot after an error: shows the plan, asks, and reports each step
 ///
@@ -54,12 +55,7 @@ pub(crate) struct Recover {
 
 /// Checks the arguments before the first call.
 pub(crate) fn check(args: &Recover) -> Result<(), Failure> {
-    match args.speed {
-        Some(speed) if !(speed > 0.0 && speed <= 100.0) => {
-            Err(Failure::Input(format!("--speed {speed}: write a speed above 0 and up to 100")))
-        }
-        _ => Ok(()),
-    }
+    args.speed.map_or(Ok(()), check_speed)
 }
 
 /// Runs `bcap recover`.
@@ -182,7 +178,7 @@ fn give(session: &mut Session, keeps_motor: bool) -> Result<(), Failure> {
         return session.give_arm();
     }
     let robot = session.object(&"robot".parse()?)?;
-    let arguments = [integer(robot)?, text("GiveArm")?, Value::default()];
+    let arguments = [Value::new(&robot)?, Value::new("GiveArm")?, Value::default()];
     session.call("GiveArm", FunctionId::ROBOT_EXECUTE, &arguments).map(drop)
 }
 

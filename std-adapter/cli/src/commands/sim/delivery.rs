@@ -1,6 +1,5 @@
 //! The server of a virtual controller, and the effect of a scenario on the bytes of a reply.
 
-use std::net::IpAddr;
 use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex};
 
@@ -17,9 +16,9 @@ pub(super) fn shared(controller: Controller) -> Arc<Mutex<Paced>> {
 
 /// Makes the server. It is one type with and without a page, because each type is compiled for all protocols.
 pub(super) fn server(shared: &Arc<Mutex<Paced>>) -> Server<Paced> {
-    let tap = |paced: &mut Paced, peer, bytes: &mut Vec<u8>| deliver(paced.controller(), peer, bytes);
-    let connected = |paced: &mut Paced, peer, address: IpAddr| paced.controller().connected(peer, address);
-    Server::with_shared(Arc::clone(shared)).tap(tap).on_connect(connected)
+    Server::with_shared(Arc::clone(shared))
+        .tap(|paced, peer, bytes| deliver(paced.controller(), peer, bytes))
+        .on_connect(|paced, peer, address| paced.controller().connected(peer, address))
 }
 
 /// Applies the scenario to the bytes of a reply: sends them, drops them, or closes the connection.

@@ -1,8 +1,6 @@
 //! `bcap sim --screen`: the virtual controller, its clients and their last calls, live in the terminal.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::net::IpAddr;
-use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -12,9 +10,11 @@ use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::rac::{Request as RacRequest, server as rac};
 use bcap_core::time::Instant;
+use bcap_live::errors::described;
 use bcap_live::log::CallLog;
+use bcap_live::variables::state_words;
+use bcap_sim::Controller;
 use bcap_sim::explain::Observer;
-use bcap_sim::{Controller, Mode};
 use bcap_std::server::Server;
 use bcap_terminal::escape;
 use bcap_terminal::screen::{KeyCode, Line, Panel, Part, Screen};
@@ -104,15 +104,15 @@ impl Watched {
 
     /// Makes the server.
     pub(super) fn server(shared: &Shared) -> Server<Self> {
-        Server::with_shared(Arc::clone(shared)).tap(Self::deliver).on_connect(Self::connected)
+        Server::with_shared(Arc::clone(shared))
+            .tap(|watched, peer, bytes| deliver(&mut watched.controller, peer, bytes))
+            .on_connect(|watched, peer, address| watched.controller.connected(peer, address))
     }
 
-    fn connected(&mut self, peer: PeerId, address: IpAddr) {
-        self.controller.connected(peer, address);
-    }
-
-    fn deliver(&mut self, peer: PeerId, bytes: &mut Vec<u8>) -> ControlFlow<()> {
-        deliver(&mut self.controller, peer, bytes)
+    /// Records the beginning of a call of b-CAP.
+    fn begin_request(&mut self, peer: PeerId, request: &bcap::Request<'_>) {
+        let call = escape::cut(&to_call(request.function, request.args.iter()));
+        self.begin(peer, "b-CAP", request.function.to_string(), call);
     }
 
     /// Records the beginning of a call.
@@ -139,7 +139,7 @@ impl Watched {
         let speed = controller.is_moving().then(|| "moving".into());
         robot.push(Line::new(numbered(&[("tool", Some(tool)), ("work", Some(work)), ("arm", speed)])));
         let tasks = controller.tasks().map(|(name, status, cycles)| format!("{name:16} {status:?}, {cycles} cycles"));
-        let errors: Vec<Line> = controller.errors().map(|error| Line::new(meaning(error.code))).collect();
+        let errors: Vec<Line> = controller.errors().map(|error| Line::new(described(error.code, ""))).collect();
         let none = errors.is_empty().then(|| Line::new("no errors"));
         let client = |(peer, client): (&PeerId, &Client)| {
             let Client { protocol, calls, last, .. } = client;
@@ -167,16 +167,12 @@ impl Watched {
 
     fn state(&self) -> String {
         let controller = &self.controller;
-        let mode = match controller.mode() {
-            Mode::Manual => "manual",
-            Mode::TeachCheck => "teach-check",
-            Mode::Auto => "auto",
+        let (kind, mode) = (controller.config().model.name.clone(), controller.mode() as u8);
+        let code = match controller.errors().next() {
+            None if controller.emergency_stopped() => None,
+            error => Some(error.map_or(0, |error| error.code.0).to_string()),
         };
-        let mut words = vec![controller.config().model.name.clone(), mode.to_owned()];
-        match controller.errors().next() {
-            Some(error) => words.push(format!("error {:#010X}", error.code.to_u32())),
-            None => words.extend((!controller.emergency_stopped()).then(|| "ok".into())),
-        }
+        let mut words = state_words(Some(kind), Some(mode.to_string()), code.as_deref());
         words.extend(controller.emergency_stopped().then(|| "EMERGENCY STOP".into()));
         words.extend(controller.arm_owner().map(|peer| match self.clients.contains_key(&peer) {
             true => format!("arm: client {}", peer.0),
@@ -190,15 +186,9 @@ impl Watched {
     }
 }
 
-/// Formats an error with its meaning.
-fn meaning(code: HResult) -> String {
-    code.meaning().map_or_else(|| code.to_string(), |meaning| format!("{code} {meaning}"))
-}
-
 impl bcap::Handler for Watched {
     fn call(&mut self, peer: PeerId, request: &bcap::Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
-        let call = escape::cut(&to_call(request.function, request.args.iter()));
-        self.begin(peer, "b-CAP", request.function.to_string(), call);
+        self.begin_request(peer, request);
         let outcome = bcap::Handler::call(&mut self.controller, peer, request, reply, now);
         self.end(peer, outcome, reply, now);
         outcome
@@ -222,8 +212,7 @@ impl bcap::Handler for Watched {
     }
 
     fn refused(&mut self, peer: PeerId, request: &bcap::Request<'_>, code: HResult, now: Instant) {
-        let call = escape::cut(&to_call(request.function, request.args.iter()));
-        self.begin(peer, "b-CAP", request.function.to_string(), call);
+        self.begin_request(peer, request);
         bcap::Handler::refused(&mut self.controller, peer, request, code, now);
         self.end(peer, Outcome::Done(code), &ReplyValue::new(&mut []), now);
     }

@@ -7,9 +7,9 @@ use std::thread::{self, JoinHandle};
 use bcap_sim::{Controller, Model};
 use tokio::sync::oneshot;
 
-use crate::commands::sim::{self, Listening};
+use crate::commands::sim;
 use crate::failure::Failure;
-use crate::listen::runtime;
+use crate::listen::{Listening, runtime};
 
 /// The virtual controller in a thread of this process, on free ports of the loopback.
 pub(crate) struct LocalController {

@@ -34,7 +34,7 @@ use tokio::sync::oneshot;
 use crate::commands::packets::proxy::Front;
 use crate::commands::sim::args::{Sim, Source};
 use crate::failure::Failure;
-use crate::listen::{runtime, taken};
+use crate::listen::{Listening, runtime, taken};
 use crate::output::{note, print_block, print_line};
 
 /// The address for RAC, on a model that has it.
@@ -48,11 +48,11 @@ const EXPLANATIONS: usize = 64;
 
 /// Runs `bcap sim`, until a signal ends it; its clients are recorded to `file`.
 pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
-    let model = read_model(&args.model)?;
+    let (model, text) = read_model(&args.model)?;
     if args.print_model {
-        return print_model(&args.model);
+        return Ok(print_block(text.trim_end())?);
     }
-    let rac = args.rac.or_else(|| model.rac.then_some(RAC));
+    let serving = Serving { args, rac: args.rac.or_else(|| model.rac.then_some(RAC)), file };
     let arm = args.arm.as_ref().map(read_arm).transpose()?;
     if let (true, Some((_, text))) = (args.print_arm, &arm) {
         return Ok(print_block(text.trim_end())?);
@@ -65,7 +65,7 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
         // install the signal handlers before the `ready` line: a reader of that line may send a signal at once
         let ended = signal::wait()?;
         if let Some(capture) = &args.replay {
-            return replay(capture, args, rac, file, ended).await;
+            return replay(capture, serving, ended).await;
         }
         // dropped, and thereby deleted, after the controller has ended
         let temporary = tempfile::tempdir()?;
@@ -106,31 +106,33 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
         }
         #[cfg(feature = "screens")]
         if let Some(refused) = refused {
-            on_screen(live_screen::Watched::shared(controller, refused), args, rac, file, ended).await?;
+            let watched = live_screen::Watched::shared(controller, refused);
+            let served = Served::bind(live_screen::Watched::server(&watched), serving).await?;
+            on_screen(served, watched, ended).await?;
             return Ok(trajectory.map_or(Ok(()), |trajectory| trajectory.end())?);
         }
         let shared = delivery::shared(controller);
-        serve(delivery::server(&shared), args, rac, file, ended, async |line, _bcap| {
-            #[cfg(feature = "web")]
-            if let Some(listen) = args.web {
-                let url = web_panel::start(_bcap, listen, shared).await?;
-                return Ok(print_line(&format!("{line} web={url}"))?);
-            }
-            Ok(print_line(line)?)
-        })
-        .await?;
+        let served = Served::bind(delivery::server(&shared), serving).await?;
+        #[cfg(feature = "web")]
+        let served = served.with_page(args.web, |bcap, listen| web_panel::start(bcap, listen, shared)).await?;
+        print_line(&served.ready())?;
+        served.run(ended).await?;
         Ok(trajectory.map_or(Ok(()), |trajectory| trajectory.end())?)
     })
 }
 
-/// Serves a capture, and its page.
-async fn replay(
-    capture: &Path,
-    args: &Sim,
+/// How a controller serves.
+#[derive(Clone, Copy)]
+struct Serving<'a> {
+    args: &'a Sim,
+    /// The address for RAC; `None` without it.
     rac: Option<SocketAddr>,
-    file: Option<&Path>,
-    ended: impl Future<Output = ()>,
-) -> Result<(), Failure> {
+    /// The file to which the clients are recorded.
+    file: Option<&'a Path>,
+}
+
+/// Serves a capture, and its page.
+async fn replay(capture: &Path, serving: Serving<'_>, ended: impl Future<Output = ()>) -> Result<(), Failure> {
     #[cfg(feature = "web")]
     let lacking = bcap_web::Replay::default();
     #[cfg(feature = "web")]
@@ -142,15 +144,12 @@ async fn replay(
     })?;
     #[cfg(feature = "web")]
     let session = playback.session();
-    serve(Server::new(playback), args, rac, file, ended, async |line, _bcap| {
-        #[cfg(feature = "web")]
-        if let Some(listen) = args.web {
-            let url = web_panel::replay(_bcap, listen, session, lacking).await?;
-            return Ok(print_line(&format!("{line} web={url}"))?);
-        }
-        Ok(print_line(line)?)
-    })
-    .await
+    let served = Served::bind(Server::new(playback), serving).await?;
+    #[cfg(feature = "web")]
+    let served =
+        served.with_page(serving.args.web, |bcap, listen| web_panel::replay(bcap, listen, session, lacking)).await?;
+    print_line(&served.ready())?;
+    served.run(ended).await
 }
 
 /// Prints a request that the capture does not have.
@@ -177,13 +176,11 @@ fn no_addresses(place: &str) -> Failure {
 #[cfg(feature = "screens")]
 /// Serves, and shows the controller, until `ended` or until the user quits.
 async fn on_screen(
+    served: Served<live_screen::Watched>,
     watched: live_screen::Shared,
-    args: &Sim,
-    rac: Option<SocketAddr>,
-    file: Option<&Path>,
     ended: impl Future<Output = ()>,
 ) -> Result<(), Failure> {
-    let ((quit, quits), mut live) = (oneshot::channel::<()>(), None);
+    let (quit, quits) = oneshot::channel::<()>();
     let ended = async {
         tokio::select! {
             () = ended => {}
@@ -191,46 +188,87 @@ async fn on_screen(
             _ = quits => {}
         }
     };
-    let served = serve(live_screen::Watched::server(&watched), args, rac, file, ended, async |line, _| {
-        let addresses = line.strip_prefix("ready ").unwrap_or(line);
-        live = Some(bcap_terminal::screen::Live::open(quit, live_screen::shown(addresses, &watched))?);
-        Ok(())
-    })
-    .await;
-    let closed = live.map_or(Ok(()), bcap_terminal::screen::Live::close);
-    served?;
+    let ready = served.ready();
+    let addresses = ready.strip_prefix("ready ").unwrap_or(&ready);
+    let live = bcap_terminal::screen::Live::open(quit, live_screen::shown(addresses, &watched))?;
+    let done = served.run(ended).await;
+    let closed = live.close();
+    done?;
     Ok(closed?)
 }
 
-/// Serves at the addresses of the command line until `ended`; the clients are recorded to `file`. `ready` gets the line with
-/// the addresses, and the one for b-CAP over TCP.
-async fn serve<H: Serves>(
+/// A controller that listens at the addresses of the command line.
+struct Served<H> {
     server: Server<H>,
-    args: &Sim,
-    rac: Option<SocketAddr>,
-    file: Option<&Path>,
-    ended: impl Future<Output = ()>,
-    ready: impl AsyncFnOnce(&str, SocketAddr) -> Result<(), Failure>,
-) -> Result<(), Failure> {
-    if let Some(file) = file {
-        if !args.serial.is_empty() {
-            return Err(Failure::Input("a serial line has no packets to record; leave out --write or --serial".into()));
+    /// The addresses for clients; `None` with serial lines only.
+    network: Option<Listening>,
+    /// The front that records, and the addresses to which it forwards.
+    recorded: Option<(Front, Listening)>,
+    /// The serial lines and the page in the line `ready`, each after a blank.
+    words: String,
+}
+
+impl<H: Serves> Served<H> {
+    async fn bind(server: Server<H>, Serving { args, rac, file }: Serving<'_>) -> Result<Self, Failure> {
+        if let Some(file) = file {
+            if !args.serial.is_empty() {
+                let what = "a serial line has no packets to record; leave out --write or --serial";
+                return Err(Failure::Input(what.into()));
+            }
+            if matches!(args.token, Token::Address(_)) {
+                return Err(no_addresses("--token"));
+            }
+            let front = Front::bind(args, rac, file).await?;
+            let any = SocketAddr::from(([127, 0, 0, 1], 0));
+            let (server, inner) = bind(server, &Listening { bcap: any, udp: any, rac: Some(any) }).await?;
+            let network = Some(front.listening()?);
+            return Ok(Self { server, network, recorded: Some((front, inner)), words: String::new() });
         }
-        if matches!(args.token, Token::Address(_)) {
-            return Err(no_addresses("--token"));
-        }
-        return recorded(server, Front::bind(args, rac, file).await?, ended, ready).await;
+        let (server, network) = if args.no_network {
+            (server, None)
+        } else {
+            let (server, network) = bind(server, &Listening { bcap: args.bcap, udp: args.udp, rac }).await?;
+            (server, Some(network))
+        };
+        let (server, words) = open_lines(server, &args.serial)?;
+        Ok(Self { server, network, recorded: None, words })
     }
-    let (server, listening, bcap) = if args.no_network {
-        (server, "ready".to_owned(), args.bcap)
-    } else {
-        let wanted = Listening { bcap: args.bcap, udp: args.udp, rac };
-        let (server, listening) = bind(server, &wanted).await?;
-        (server, listening.to_string(), listening.bcap)
-    };
-    let (server, lines) = open_lines(server, &args.serial)?;
-    ready(&format!("{listening}{lines}"), bcap).await?;
-    Ok(server.run(ended).await?)
+
+    /// Returns the line `ready`.
+    fn ready(&self) -> String {
+        self.network.as_ref().map_or_else(|| "ready".into(), ToString::to_string) + &self.words
+    }
+
+    /// Starts a page for the controller at an address, which gets the address of b-CAP over TCP.
+    #[cfg(feature = "web")]
+    async fn with_page(
+        mut self,
+        listen: Option<SocketAddr>,
+        page: impl AsyncFnOnce(SocketAddr, SocketAddr) -> Result<String, Failure>,
+    ) -> Result<Self, Failure> {
+        if let Some((listen, network)) = listen.zip(self.network.as_ref()) {
+            self.words += &format!(" web={}", page(network.bcap, listen).await?);
+        }
+        Ok(self)
+    }
+
+    /// Serves until `ended`.
+    async fn run(self, ended: impl Future<Output = ()>) -> Result<(), Failure> {
+        let Some((front, Listening { bcap, udp, rac })) = self.recorded else {
+            return Ok(self.server.run(ended).await?);
+        };
+        let (stop, stopped) = oneshot::channel::<()>();
+        let robot = Robot { tcp: vec![bcap], udp, rac: rac.into_iter().collect() };
+        let front = async {
+            let written = front.serve(robot, ended).await;
+            drop(stop);
+            written
+        };
+        // the controller stops when the sender is dropped
+        let (written, served) = tokio::join!(front, self.server.run(async { drop(stopped.await) }));
+        served?;
+        written
+    }
 }
 
 /// Opens the serial lines; also returns their words for the `ready` line.
@@ -264,69 +302,45 @@ trait Serves: bcap::server::Handler + rac::server::Handler + Send + 'static {}
 
 impl<H: bcap::server::Handler + rac::server::Handler + Send + 'static> Serves for H {}
 
-/// Serves through a front that records, until `ended`.
-async fn recorded<H: Serves>(
-    server: Server<H>,
-    front: Front,
-    ended: impl Future<Output = ()>,
-    ready: impl AsyncFnOnce(&str, SocketAddr) -> Result<(), Failure>,
-) -> Result<(), Failure> {
-    let any = SocketAddr::from(([127, 0, 0, 1], 0));
-    let (server, Listening { bcap, udp, rac }) =
-        bind(server, &Listening { bcap: any, udp: any, rac: Some(any) }).await?;
-    ready(&front.ready()?, front.bcap()?).await?;
-    let (stop, stopped) = oneshot::channel::<()>();
-    let robot = Robot { tcp: vec![bcap], udp, rac: rac.into_iter().collect() };
-    let front = async {
-        let written = front.serve(robot, ended).await;
-        drop(stop);
-        written
-    };
-    // the controller stops when the sender is dropped
-    let (written, served) = tokio::join!(front, server.run(async { drop(stopped.await) }));
-    served?;
-    written
-}
-
-/// Reads a model, from its file if it is not built in.
-pub(crate) fn read_model(source: &Source<Profile>) -> Result<Model, Failure> {
-    let path = match source {
-        Source::BuiltIn(profile) => return Ok(profile.model().clone()),
-        Source::File(path) => path,
-    };
-    let text = read_text("model", path)?;
-    Model::parse(&text).map_err(|error| Failure::Input(format!("{} is not a valid model: {error}", path.display())))
-}
-
-/// Reads a file. A FIFO without a writer would block for ever.
-fn read_text(what: &str, path: &Path) -> Result<String, Failure> {
-    let regular = |metadata: fs::Metadata| match metadata.is_file() {
-        true => fs::read_to_string(path),
-        false => Err(io::Error::other("it is not a regular file")),
-    };
-    let failed = |error| Failure::Input(format!("cannot read the {what} {}: {error}", path.display()));
-    fs::metadata(path).and_then(regular).map_err(failed)
+/// Reads a model, from its file if it is not built in; returns it with its text.
+pub(crate) fn read_model(source: &Source<Profile>) -> Result<(Model, String), Failure> {
+    match source {
+        Source::BuiltIn(profile) => Ok((profile.model().clone(), profile.text().to_owned())),
+        Source::File(path) => read_file("model", path, Model::parse),
+    }
 }
 
 /// Reads an arm, from its file if it is not built in; returns it with its text.
 fn read_arm(source: &Source<ArmProfile>) -> Result<(ArmModel, String), Failure> {
-    let path = match source {
-        Source::BuiltIn(arm) => return Ok((arm.arm().clone(), arm.text().to_owned())),
-        Source::File(path) => path,
-    };
-    let text = read_text("arm", path)?;
-    let arm = ArmModel::parse(&text)
-        .map_err(|error| Failure::Input(format!("{} is not a valid arm: {error}", path.display())))?;
-    Ok((arm, text))
+    match source {
+        Source::BuiltIn(arm) => Ok((arm.arm().clone(), arm.text().to_owned())),
+        Source::File(path) => read_file("arm", path, ArmModel::parse),
+    }
 }
 
-/// Prints the file of a model.
-fn print_model(source: &Source<Profile>) -> Result<(), Failure> {
-    let text = match source {
-        Source::BuiltIn(profile) => profile.text().into(),
-        Source::File(path) => read_text("model", path)?,
+fn read_scenario(path: &Path, config: &Config) -> Result<Scenario, Failure> {
+    let parse = |text: &str| Scenario::parse(text).and_then(|scenario| scenario.check(config).map(|()| scenario));
+    Ok(read_file("scenario", path, parse)?.0)
+}
+
+/// Reads and parses a file; also returns its text.
+fn read_file<T, E: fmt::Display>(
+    what: &str,
+    path: &Path,
+    parse: impl FnOnce(&str) -> Result<T, E>,
+) -> Result<(T, String), Failure> {
+    // a FIFO without a writer would block for ever
+    let regular = |metadata: fs::Metadata| match metadata.is_file() {
+        true => fs::read_to_string(path),
+        false => Err(io::Error::other("it is not a regular file")),
     };
-    Ok(print_block(text.trim_end())?)
+    let shown = path.display();
+    let text = fs::metadata(path).and_then(regular);
+    let text = text.map_err(|error| Failure::Input(format!("cannot read the {what} {shown}: {error}")))?;
+    match parse(&text) {
+        Ok(parsed) => Ok((parsed, text)),
+        Err(error) => Err(Failure::Input(format!("{shown} is not a valid {what}: {error}"))),
+    }
 }
 
 /// Starts a thread for file jobs, so that a blocking file system does not delay other calls.
@@ -367,14 +381,6 @@ fn explainer(refusals: bool) -> io::Result<Observer> {
     }))
 }
 
-/// The addresses of a virtual controller.
-pub(crate) struct Listening {
-    pub(crate) bcap: SocketAddr,
-    pub(crate) udp: SocketAddr,
-    /// `None` without RAC.
-    pub(crate) rac: Option<SocketAddr>,
-}
-
 /// Binds the sockets of a controller; port 0 selects a free port.
 pub(crate) async fn listen(controller: Controller, wanted: &Listening) -> Result<(Server<Paced>, Listening), Failure> {
     bind(delivery::server(&delivery::shared(controller)), wanted).await
@@ -392,20 +398,6 @@ async fn bind<H: Serves>(server: Server<H>, wanted: &Listening) -> Result<(Serve
     match (first(&addresses.bcap_tcp), first(&addresses.bcap_udp), first(&addresses.rac_tcp)) {
         (Some(bcap), Some(udp), rac) => Ok((server, Listening { bcap, udp, rac })),
         _ => Err(Failure::Stdio(io::Error::other("a socket has no local address"))),
-    }
-}
-
-fn read_scenario(path: &Path, config: &Config) -> Result<Scenario, Failure> {
-    let text = read_text("scenario", path)?;
-    Scenario::parse(&text)
-        .and_then(|scenario| scenario.check(config).map(|()| scenario))
-        .map_err(|error| Failure::Input(format!("{} is not a valid scenario: {error}", path.display())))
-}
-
-impl fmt::Display for Listening {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "ready bcap={} udp={}", self.bcap, self.udp)?;
-        self.rac.map_or(Ok(()), |rac| write!(f, " rac={rac}"))
     }
 }
 

@@ -203,8 +203,7 @@ fn finite(text: &str) -> Result<f64, String> {
 }
 
 fn positive(text: &str) -> Result<f64, String> {
-    finite(text)?;
-    finite(text).ok().filter(|number| *number > 0.0).ok_or_else(|| "write a number above 0".into())
+    Some(finite(text)?).filter(|number| *number > 0.0).ok_or_else(|| "write a number above 0".into())
 }
 
 fn percent(text: &str) -> Result<f64, String> {

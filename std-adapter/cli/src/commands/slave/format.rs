@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use bcap_core::slave::{ExtendedAxes, Format, SendFormat, SlaveMode};
 use bcap_stream::format::{ReceiveParts, bits, extended, send_format};
 use bcap_stream::outputs::{self, OutputBits, parse_bits};
+use bcap_stream::poses::Poses;
 use clap::Args;
 
 /// The values that slvMove and its reply carry in addition to the pose (b-CAP specification, section 5.2).
@@ -57,7 +58,13 @@ impl FormatArgs {
     /// Checks the options of the outputs.
     pub(crate) fn check_options(&self) -> Result<(), String> {
         let OutputBits { mini, user, hand } = self.outputs();
-        outputs::check(self.send_format, ["--mini-io", "--user-io", "--hand-io"], [mini, user, hand])
+        let checked = outputs::check(self.send_format, ["--mini-io", "--user-io", "--hand-io"], [mini, user, hand]);
+        checked.map_err(with_option)
+    }
+
+    /// Checks that slvMove carries the outputs of a file.
+    pub(crate) fn check_poses(&self, poses: &Poses) -> Result<(), String> {
+        poses.check_outputs(self.send_format).map_err(with_option)
     }
 
     /// Returns the outputs of the command line.
@@ -65,4 +72,9 @@ impl FormatArgs {
         let [mini, hand] = [self.mini_io, self.hand_io].map(|bits| bits.map(|bits| bits.cast_unsigned().into()));
         OutputBits { mini, user: self.user_io, hand }
     }
+}
+
+/// Names the option of the command line in an error of the library.
+fn with_option(problem: String) -> String {
+    problem.replace("the send format", "--send-format")
 }

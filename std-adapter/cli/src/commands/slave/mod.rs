@@ -14,7 +14,7 @@ use bcap_stream::line_speed;
 use bcap_stream::player::Course;
 use bcap_stream::poses::Poses;
 use bcap_stream::sample::CYCLE;
-use stream::stream;
+use stream::Job;
 
 use crate::commands::robot::motion::{self, MotionArgs, MoveArgs};
 use crate::commands::slave::args::{Cosine, Play, Slave, SlaveCommand, StreamArgs};
@@ -45,7 +45,7 @@ fn play(args: &Play, session: &mut Session, json: bool) -> Result<(), Failure> {
         Poses::read(&args.file, args.stream.pose, args.stream.format.extended, args.hz).map_err(Failure::Input)?;
     let format = checked_format(&args.stream, poses.kind, link)?;
     let invalid = |problem: String| Failure::Input(format!("{}: {problem}", args.file.display()));
-    poses.check_outputs(args.stream.format.send_format).map_err(invalid)?;
+    args.stream.format.check_poses(&poses).map_err(invalid)?;
     let outputs = poses.each_outputs(CYCLE);
     let course = Course::Poses { poses: poses.each_cycle(CYCLE), outputs, loops: args.loops };
     course.check(&stream::limits(&args.stream)).map_err(invalid)?;
@@ -63,8 +63,8 @@ fn play(args: &Play, session: &mut Session, json: bool) -> Result<(), Failure> {
         f64::from(course.cycles()) * CYCLE,
         args.approach.map(|percent| format!(", and first moves there at {percent} %")).unwrap_or_default(),
     );
-    let interrupt = confirm(&what, session, args.stream.yes)?;
-    run(course, format, approach, &args.stream, link, json, &interrupt)
+    let (target, interrupt) = (&link.target()?, &confirm(&what, session, args.stream.yes)?);
+    run(course, approach, Job { format, args: &args.stream, link, json, target, interrupt })
 }
 
 fn cosine(args: &Cosine, session: &mut Session, json: bool) -> Result<(), Failure> {
@@ -90,8 +90,9 @@ fn cosine(args: &Cosine, session: &mut Session, json: bool) -> Result<(), Failur
         args.amplitude,
         args.seconds
     );
-    let interrupt = confirm(&what, session, args.stream.yes)?;
-    run(course, format, args.from.clone().map(|from| (from, args.speed)), &args.stream, link, json, &interrupt)
+    let (target, interrupt) = (&target, &confirm(&what, session, args.stream.yes)?);
+    let start = args.from.clone().map(|from| (from, args.speed));
+    run(course, start, Job { format, args: &args.stream, link, json, target, interrupt })
 }
 
 /// Refuses a motion to the start that nothing could halt: the line's only session waits for the end of the motion.
@@ -106,24 +107,15 @@ fn check_can_halt(option: &str, link: &LinkArgs) -> Result<(), Failure> {
 }
 
 /// Moves the robot to the start, if that is wanted, and streams.
-fn run(
-    course: Course,
-    format: Format,
-    start: Option<(String, f64)>,
-    args: &StreamArgs,
-    link: &LinkArgs,
-    json: bool,
-    interrupt: &Interrupt,
-) -> Result<(), Failure> {
-    let link = &Session::settled(link)?;
+fn run(course: Course, start: Option<(String, f64)>, job: Job<'_>) -> Result<(), Failure> {
+    let (link, interrupt) = (&Session::settled(job.link)?, job.interrupt);
     if let Some((to, percent)) = start {
         approach(to, percent, link)?;
     }
     // from now on a signal stops the stream; an earlier one prevents it
     interrupt.enter(State::Streaming);
-    let streamed = interrupt
-        .check("interrupted: nothing was streamed")
-        .and_then(|()| stream(course, format, args, link, json, interrupt));
+    let streamed =
+        interrupt.check("interrupted: nothing was streamed").and_then(|()| Job { link, ..job }.stream(course));
     interrupt.enter(State::Stepping);
     streamed
 }

@@ -2,22 +2,21 @@
 
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
-use std::path::Path;
 use std::time::{Duration, Instant};
 
 use bcap_capture::value::describe;
 use bcap_core::bcap::FunctionId;
 use bcap_core::slave::PoseType;
+use bcap_core::variant::OwnedVariant as Value;
 use bcap_std::ObjectPath;
 use bcap_terminal::progress::Progress;
 
 use crate::commands::slave::args::Record;
-use crate::failure::Failure;
+use crate::failure::{Failure, cannot};
 use crate::interrupt::Interrupt;
 use crate::link::LinkArgs;
 use crate::output::print_result;
 use crate::session::{Session, with_session};
-use crate::values::{Value, integer, text};
 
 /// Runs `bcap slave record`.
 pub(crate) fn record(args: &Record, link: &LinkArgs, json: bool) -> Result<(), Failure> {
@@ -27,8 +26,8 @@ pub(crate) fn record(args: &Record, link: &LinkArgs, json: bool) -> Result<(), F
         let robot = session.object(&"robot".parse::<ObjectPath>()?)?;
         // reads one pose first, so that an error does not overwrite an existing file
         position(session, robot, kind)?;
-        let cannot_write = |error| cannot_write(&args.file, &error);
-        let mut file = BufWriter::new(File::create(&args.file).map_err(cannot_write)?);
+        let cannot_write = cannot("write", &args.file);
+        let mut file = BufWriter::new(File::create(&args.file).map_err(&cannot_write)?);
         let recorded = match writeln!(file, "t,{}", kind.columns().join(",")) {
             Ok(()) => poses(session, robot, args, &mut file, &interrupt),
             Err(error) => Err(cannot_write(error)),
@@ -60,7 +59,7 @@ fn poses(
         let numbers = position(session, robot, args.pose)?;
         // the middle of the round trip
         let at = (before + start.elapsed()).as_secs_f64() / 2.0;
-        write(file, at, &numbers).map_err(|error| cannot_write(&args.file, &error))?;
+        write(file, at, &numbers).map_err(cannot("write", &args.file))?;
         lines += 1;
         progress.show(|_| format!("{lines} poses, {at:.1} s; Ctrl-C ends"));
         // relative to the start, so that a slow round does not delay the following ones
@@ -82,8 +81,7 @@ fn position(session: &mut Session, robot: i32, kind: PoseType) -> Result<Vec<f64
         PoseType::P => "CurPos",
         PoseType::T => "CurTrn",
     };
-    let arguments = [integer(robot)?, text(command)?, Value::new(&())?];
-    let (code, value) = session.call_for_code(FunctionId::ROBOT_EXECUTE, &arguments)?;
+    let (code, value) = session.execute(FunctionId::ROBOT_EXECUTE, robot, command, Value::default())?;
     if code.is_err() {
         return Err(Failure::Refused { doing: command.into(), code });
     }
@@ -99,8 +97,4 @@ fn write(file: &mut impl Write, at: f64, numbers: &[f64]) -> io::Result<()> {
     write!(file, "{at:.6}")?;
     numbers.iter().try_for_each(|number| write!(file, ",{number}"))?;
     writeln!(file)
-}
-
-fn cannot_write(path: &Path, error: &io::Error) -> Failure {
-    Failure::Input(format!("cannot write {}: {error}", path.display()))
 }

@@ -10,7 +10,7 @@ use bcap_core::procedure::{
     ArmOwner, Claim, Effects, Procedure, Provider, Reclaimed, StepCause, open_robot, reclaim, release_robot,
 };
 use bcap_core::slave::{
-    AxisLimits, Cause, Config, Engine, Failure as NoReply, Fault, Format, Handles, PoseType, Stats, StreamError,
+    AxisLimits, Cause, Config, Engine, Failure as NoReply, Fault, Format, Handles, Stats, StreamError,
 };
 use bcap_core::time::Instant;
 use bcap_std::blocking::{self, Transport as Wire};
@@ -23,7 +23,7 @@ use bcap_stream::status::StreamStatus;
 
 use super::progress::Monitor;
 use crate::commands::slave::args::StreamArgs;
-use crate::failure::{AFTER_STREAM, Failure};
+use crate::failure::{AFTER_STREAM, Failure, cannot};
 use crate::interrupt::Interrupt;
 use crate::link::LinkArgs;
 use crate::output::{note, print_block, print_json};
@@ -39,55 +39,46 @@ const MOVE_ROOM: usize = 512;
 /// The time limit for releasing the arm, the motor and the objects after the stream, even if the controller is silent.
 const END: Duration = Duration::from_secs(5);
 
-/// Streams a course and reports the result.
-pub(crate) fn stream(
-    course: Course,
-    format: Format,
-    args: &StreamArgs,
-    link: &LinkArgs,
-    json: bool,
-    interrupt: &Interrupt,
-) -> Result<(), Failure> {
-    let realtime = Realtime::default().fifo(args.fifo).lock_memory(args.lock_memory).core(args.core);
-    let target = link.target()?;
-    let mut options = Options::default().timeout(link.timeout());
-    for lossy in [&mut options.udp.timing, &mut options.serial.timing] {
-        lossy.attempts = LOSSY_ATTEMPTS;
-        lossy.attempt_timeout = (link.timeout() / u32::from(LOSSY_ATTEMPTS)).max(Duration::from_millis(1));
-    }
-    let job = Job { course, format, args, link, json, realtime, target: &target, interrupt };
-    match &target {
-        Address::Serial(line) => {
-            unrecorded(&target)?;
-            job.run(|| blocking::connect_serial(line, &options))
-        }
-        Address::Network(NetworkAddress { protocol: Protocol::Udp, host, port }) => {
-            job.run(|| blocking::connect_udp((host.as_str(), *port), &options).map(taped))
-        }
-        _ => {
-            let NetworkAddress { host, port, .. } = link.network_target()?;
-            job.run(|| blocking::connect_tcp((host.as_str(), port), &options).map(taped))
-        }
-    }
-}
-
 /// The parameters of a stream.
-struct Job<'a> {
-    course: Course,
-    format: Format,
-    args: &'a StreamArgs,
-    link: &'a LinkArgs,
-    json: bool,
-    realtime: Realtime,
-    target: &'a Address,
-    interrupt: &'a Interrupt,
+#[derive(Clone, Copy)]
+pub(crate) struct Job<'a> {
+    pub(crate) format: Format,
+    pub(crate) args: &'a StreamArgs,
+    pub(crate) link: &'a LinkArgs,
+    pub(crate) json: bool,
+    pub(crate) target: &'a Address,
+    pub(crate) interrupt: &'a Interrupt,
 }
 
 impl Job<'_> {
+    /// Streams a course and reports the result.
+    pub(crate) fn stream(self, course: Course) -> Result<(), Failure> {
+        let mut options = Options::default().timeout(self.link.timeout());
+        for lossy in [&mut options.udp.timing, &mut options.serial.timing] {
+            lossy.attempts = LOSSY_ATTEMPTS;
+            lossy.attempt_timeout = (self.link.timeout() / u32::from(LOSSY_ATTEMPTS)).max(Duration::from_millis(1));
+        }
+        match self.target {
+            Address::Serial(line) => {
+                unrecorded(self.target)?;
+                self.run(course, || blocking::connect_serial(line, &options))
+            }
+            Address::Network(NetworkAddress { protocol: Protocol::Udp, host, port }) => {
+                self.run(course, || blocking::connect_udp((host.as_str(), *port), &options).map(taped))
+            }
+            _ => {
+                let NetworkAddress { host, port, .. } = self.link.network_target()?;
+                self.run(course, || blocking::connect_tcp((host.as_str(), port), &options).map(taped))
+            }
+        }
+    }
+
     fn run<X: Wire<Error = io::Error>>(
         self,
+        course: Course,
         connect: impl Fn() -> Result<blocking::Connection<X, Vec<u8>>, ConnectError>,
     ) -> Result<(), Failure> {
+        let Self { format, args, .. } = self;
         let connect = || {
             let (transport, client) = connect().map_err(|error| not_connected(&error, self.target))?.into_parts();
             Ok::<_, Failure>(blocking::Connection::new(Limited { transport, end: None }, client))
@@ -104,13 +95,14 @@ impl Job<'_> {
         let watching = watch.as_mut().map(|watch| watch.run(open_robot(provider, None)));
         let watching = watching.transpose().map_err(opened)?;
         // a motor that was on before stays on
-        let stays_on = self.args.keep_motor || motor_is_on(&mut motion, handles.robot);
-        let config = Config { motor_off: !stays_on, ..self.config(handles, watching) };
+        let motor_off = !(args.keep_motor || motor_is_on(&mut motion, handles.robot));
+        let (start, limits) = (course.start(), limits(args));
+        let config = Config { watch: watching, start, limits, motor_off, ..Config::new(format, handles) };
         let mut engine = Engine::<MOVE_ROOM>::new(config).map_err(|error| Failure::Input(error.to_string()))?;
-        let Self { course, format, args, json, target, .. } = self;
         let monitor = Monitor::start(self.link, self.interrupt.clone(), course.cycles())?;
         // after all other threads have started, so that they do not inherit the real-time settings
-        self.realtime.apply().map_err(|error| Failure::Input(error.to_string()))?;
+        let realtime = Realtime::default().fifo(args.fifo).lock_memory(args.lock_memory).core(args.core);
+        realtime.apply().map_err(|error| Failure::Input(error.to_string()))?;
         let room = |wanted: bool| if wanted { course.cycles() as usize + 500 } else { 0 };
         let status = Arc::clone(&monitor.status);
         let (samples, replies) = (room(args.plot.is_some()), room(args.format.received.is_some()));
@@ -136,14 +128,9 @@ impl Job<'_> {
         if let Some((watch, handles)) = watch.as_mut().zip(watching) {
             let _ = watch.run(release_robot(handles));
         }
-        let job = Outcome { args, json, target };
-        let reported = job.report(&stats, format.mode.pose, &player);
-        job.end(ended, fault.as_ref(), &status)?;
+        let reported = self.report(&stats, &player);
+        self.end(ended, fault.as_ref(), &status)?;
         reported
-    }
-
-    fn config(&self, motion: Handles, watch: Option<Handles>) -> Config {
-        Config { watch, start: self.course.start(), limits: limits(self.args), ..Config::new(self.format, motion) }
     }
 
     /// Converts the error of opening a session.
@@ -156,6 +143,74 @@ impl Job<'_> {
                 message: format!("{doing}: {cause}"),
                 hint: format!("check that {} is a b-CAP server", self.target),
             },
+        }
+    }
+
+    /// Writes and prints the results.
+    fn report(&self, stats: &Stats, player: &Player) -> Result<(), Failure> {
+        let report = Report::of(stats, &player.times).to_json();
+        if let Some(path) = &self.args.report {
+            fs::write(path, format!("{report}\n")).map_err(cannot("write the report", path))?;
+        }
+        if let Some(path) = &self.args.format.received {
+            player.received.write(path).map_err(cannot("write", path))?;
+        }
+        if let Some(path) = self.args.plot.as_ref().filter(|_| stats.cycles > 1) {
+            plot(path, self.format.mode.pose, &player.samples).map_err(Failure::Input)?;
+        }
+        if self.json {
+            print_json(&report)?;
+        } else if stats.cycles > 0 {
+            print_block(&text(stats, &player.times))?;
+        }
+        Ok(())
+    }
+
+    fn end(&self, ended: Result<(), StreamError>, fault: Option<&Fault>, status: &StreamStatus) -> Result<(), Failure> {
+        match (ended, fault) {
+            _ if status.was_halted() => Err(Failure::Interrupted("interrupted twice: the robot was halted".into())),
+            (Ok(()), _) if status.is_stopped() => {
+                Err(Failure::Interrupted("interrupted: the robot has stopped and the arm is released".into()))
+            }
+            (Ok(()), _) => Ok(()),
+            (Err(StreamError::Fault { .. }), Some(fault)) => Err(self.fault(fault)),
+            (Err(error), _) => Err(Failure::Input(format!("{error}; the robot was stopped and the arm released"))),
+        }
+    }
+
+    /// Converts a fault of the stream.
+    fn fault(&self, fault: &Fault) -> Failure {
+        let mut message = fault.to_string();
+        if let Some(meaning) = fault.code().and_then(HResult::meaning).filter(|_| fault.errors().is_empty()) {
+            message += &format!(": {}", meaning.trim_end_matches('.'));
+        }
+        if fault.emergency_stop == Some(true) {
+            message += "; the emergency stop is pressed";
+        }
+        match fault.cause {
+            Cause::Failed(NoReply::Timeout) => Failure::Timeout {
+                message: format!("{}: {message}", self.target),
+                hint: "check the network and the controller with `bcap doctor`".into(),
+            },
+            Cause::Failed(_) => Failure::Connection {
+                message: format!("{}: {message}", self.target),
+                hint: "check the network and the controller with `bcap doctor`".into(),
+            },
+            Cause::Occupied(_) => Failure::Unfit {
+                message: format!("{message}; nothing was moved"),
+                code: Some(HResult::E_SLVMODE_ON),
+                hint: Some(AFTER_STREAM.into()),
+            },
+            Cause::NotAtStart { .. } => Failure::unfit(
+                message,
+                match self.target {
+                    Address::Serial(_) => {
+                        "move the robot to the first pose before the stream, for example with `bcap move`"
+                    }
+                    _ => "give --approach to move the robot to the first pose before the stream",
+                },
+            ),
+            _ => Failure::Unfit { message, code: fault.code(), hint: None },
         }
     }
 }
@@ -255,84 +310,6 @@ fn run_watched<X: Wire<Error = io::Error>, P: Procedure>(
     match watch {
         Some(watch) => motion.run_watched(watch, procedure),
         None => motion.run(procedure),
-    }
-}
-
-/// Reports a stream that has ended.
-struct Outcome<'a> {
-    args: &'a StreamArgs,
-    json: bool,
-    target: &'a Address,
-}
-
-impl Outcome<'_> {
-    fn report(&self, stats: &Stats, kind: PoseType, player: &Player) -> Result<(), Failure> {
-        let report = Report::of(stats, &player.times).to_json();
-        if let Some(path) = &self.args.report {
-            fs::write(path, format!("{report}\n"))
-                .map_err(|error| Failure::Input(format!("cannot write the report {}: {error}", path.display())))?;
-        }
-        if let Some(path) = &self.args.format.received {
-            let written = player.received.write(path);
-            written.map_err(|error| Failure::Input(format!("cannot write {}: {error}", path.display())))?;
-        }
-        if let Some(path) = self.args.plot.as_ref().filter(|_| stats.cycles > 1) {
-            plot(path, kind, &player.samples).map_err(Failure::Input)?;
-        }
-        if self.json {
-            print_json(&report)?;
-        } else if stats.cycles > 0 {
-            print_block(&text(stats, &player.times))?;
-        }
-        Ok(())
-    }
-
-    fn end(&self, ended: Result<(), StreamError>, fault: Option<&Fault>, status: &StreamStatus) -> Result<(), Failure> {
-        match (ended, fault) {
-            _ if status.was_halted() => Err(Failure::Interrupted("interrupted twice: the robot was halted".into())),
-            (Ok(()), _) if status.is_stopped() => {
-                Err(Failure::Interrupted("interrupted: the robot has stopped and the arm is released".into()))
-            }
-            (Ok(()), _) => Ok(()),
-            (Err(StreamError::Fault { .. }), Some(fault)) => Err(self.fault(fault)),
-            (Err(error), _) => Err(Failure::Input(format!("{error}; the robot was stopped and the arm released"))),
-        }
-    }
-
-    /// Converts a fault of the stream.
-    fn fault(&self, fault: &Fault) -> Failure {
-        let mut message = fault.to_string();
-        if let Some(meaning) = fault.code().and_then(HResult::meaning).filter(|_| fault.errors().is_empty()) {
-            message += &format!(": {}", meaning.trim_end_matches('.'));
-        }
-        if fault.emergency_stop == Some(true) {
-            message += "; the emergency stop is pressed";
-        }
-        match fault.cause {
-            Cause::Failed(NoReply::Timeout) => Failure::Timeout {
-                message: format!("{}: {message}", self.target),
-                hint: "check the network and the controller with `bcap doctor`".into(),
-            },
-            Cause::Failed(_) => Failure::Connection {
-                message: format!("{}: {message}", self.target),
-                hint: "check the network and the controller with `bcap doctor`".into(),
-            },
-            Cause::Occupied(_) => Failure::Unfit {
-                message: format!("{message}; nothing was moved"),
-                code: Some(HResult::E_SLVMODE_ON),
-                hint: Some(AFTER_STREAM.into()),
-            },
-            Cause::NotAtStart { .. } => Failure::unfit(
-                message,
-                match self.target {
-                    Address::Serial(_) => {
-                        "move the robot to the first pose before the stream, for example with `bcap move`"
-                    }
-                    _ => "give --approach to move the robot to the first pose before the stream",
-                },
-            ),
-            _ => Failure::Unfit { message, code: fault.code(), hint: None },
-        }
     }
 }
 

@@ -6,11 +6,10 @@ use clap::Args;
 use crate::failure::Failure;
 use crate::output::print;
 use crate::session::Session;
-use crate::session::selection::expand;
-use crate::session::variables::{get_one, paths};
-use crate::values::{Value, text};
+use crate::session::variables::{expand, get_one, paths};
 use bcap_capture::value::named::shown;
 use bcap_capture::value::selection::Selection;
+use bcap_core::variant::OwnedVariant as Value;
 
 /// The names that the b-CAP Tester calls `$LAST_SEND_PACKET$` and `$LAST_RECEIVE_PACKET$`. They stay as they are.
 pub(crate) const LAST_PACKETS: [&str; 2] = ["$LAST_SEND_PACKET$", "$LAST_RECEIVE_PACKET$"];
@@ -40,7 +39,7 @@ pub(crate) struct Get {
 pub(crate) fn get(args: &Get, session: &mut Session, json: bool) -> Result<(), Failure> {
     let names = expand(session, &Selection::parse_each(&args.names)?)?;
     print_each(&names, &paths(&names)?, json, |path| match last_packet(session, &path.to_string()) {
-        Some(bytes) => text(&hex::spaced(&bytes)),
+        Some(bytes) => Ok(Value::new(&hex::spaced(&bytes))?),
         None => get_one(session, path),
     })
 }

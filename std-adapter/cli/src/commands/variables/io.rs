@@ -9,8 +9,7 @@ use crate::commands::variables::labels;
 use crate::failure::Failure;
 use crate::output::{print_line, print_result};
 use crate::session::Session;
-use crate::session::selection::expand;
-use crate::session::variables::{get_one, paths};
+use crate::session::variables::{expand, get_one, paths};
 use bcap_capture::value::selection::Selection;
 
 /// Shows inputs and outputs, eight a line: * is on, . is off

@@ -105,8 +105,11 @@ impl Lists<'_> {
             names => names?,
         };
         let paths: Vec<ObjectPath> = names.into_iter().map(|name| owner.clone().join(object, name)).collect();
-        let mut found = paths.iter().filter(|path| path.to_string().to_lowercase().contains(&self.filter));
-        found.try_for_each(|path| print_name(path, self.json))?;
+        let kind = object.name().to_ascii_lowercase();
+        let names = paths.iter().map(ToString::to_string);
+        for name in names.filter(|name| name.to_lowercase().contains(&self.filter)) {
+            print_result(self.json, &serde_json::json!({ "kind": kind, "name": name }), &name)?;
+        }
         Ok(paths)
     }
 
@@ -122,9 +125,4 @@ impl Lists<'_> {
             ))),
         }
     }
-}
-
-fn print_name(path: &ObjectPath, json: bool) -> Result<(), Failure> {
-    let (kind, name) = (path.object().name().to_ascii_lowercase(), path.to_string());
-    Ok(print_result(json, &serde_json::json!({ "kind": kind, "name": name }), &name)?)
 }

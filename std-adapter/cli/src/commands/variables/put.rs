@@ -10,15 +10,14 @@ use bcap_core::bcap::{FunctionId, Object};
 use bcap_std::ObjectPath;
 use clap::Args;
 
-use crate::failure::Failure;
+use crate::failure::{Failure, cannot};
 use crate::output::print;
 use crate::session::Session;
-use crate::session::selection::expand;
-use crate::session::variables::read;
-use crate::values::{Value, integer};
+use crate::session::variables::{expand, read};
 use bcap_capture::value::data;
 use bcap_capture::value::named::{self, Entry, Named, shown};
 use bcap_capture::value::selection::Selection;
+use bcap_core::variant::OwnedVariant as Value;
 
 /// Writes variables
 ///
@@ -112,7 +111,7 @@ pub(crate) fn put(args: &Put, session: &mut Session, json: bool) -> Result<(), F
     for (n, group) in writes.chunks(GROUP).enumerate() {
         with_open(session, group, |session, open| {
             for (done, (write, (variable, value))) in (n * GROUP..).zip(group.iter().zip(open)) {
-                let arguments = [integer(*variable)?, value.clone()];
+                let arguments = [Value::new(variable)?, value.clone()];
                 let written = session.call(&write.name, FunctionId::VARIABLE_PUT_VALUE, &arguments);
                 written.map_err(|failure| after(failure, done, total))?;
                 print(&shown(&write.name, value, json), json)?;
@@ -209,7 +208,7 @@ fn from_lines(path: &Path) -> Result<Vec<Write>, Failure> {
         named::read_lines(io::stdin().lock(), "the standard input").map_err(Failure::Input)?
     } else {
         let shown = path.display().to_string();
-        let file = File::open(path).map_err(|error| Failure::Input(format!("cannot read {shown}: {error}")))?;
+        let file = File::open(path).map_err(cannot("read", path))?;
         named::read_lines(BufReader::new(file), &shown).map_err(Failure::Input)?
     };
     let write = |line: Named| match line.entry {

@@ -17,12 +17,11 @@ use crate::link::LinkArgs;
 use crate::output::{print, print_result};
 use crate::session::budget::Budget;
 use crate::session::connect::{broken, connect, exhausted};
-use crate::session::selection::expand_offline;
 use crate::session::traffic::{TapedTcp, packets, taped_rac};
-use crate::values::Value;
 use bcap_capture::value::data;
 use bcap_capture::value::named::shown;
-use bcap_capture::value::selection::Selection;
+use bcap_capture::value::selection::{Selection, names_of};
+use bcap_core::variant::OwnedVariant as Value;
 
 /// Reads and writes variables over RAC, the text protocol
 ///
@@ -86,7 +85,12 @@ pub(crate) fn check(args: &Rac) -> Result<(), Failure> {
 }
 
 fn get(args: &Get, link: &LinkArgs, json: bool) -> Result<(), Failure> {
-    let names = expand_offline(&Selection::parse_each(&args.names)?)?;
+    let names = names_of(&Selection::parse_each(&args.names)?, |kind| {
+        let name = kind.name();
+        Err(Failure::Input(format!(
+            "{name}*: RAC does not tell how many variables there are; write a range such as {name}1-{name}50"
+        )))
+    })?;
     let variables = names.iter().map(|name| variable(name)).collect::<Result<Vec<_>, _>>()?;
     let mut robot = RacLink::open(link)?;
     print_each(&names, &variables, json, |variable| robot.get(*variable))
@@ -171,16 +175,8 @@ fn variable(name: &str) -> Result<Variable, Failure> {
 
 /// Returns an example value of a variable kind, which has a fixed type and number of elements.
 fn model(kind: VariableKind) -> Result<Value, Failure> {
-    Ok(match kind {
-        VariableKind::I => Value::new(&0_i32),
-        VariableKind::F => Value::new(&0_f32),
-        VariableKind::D => Value::new(&0_f64),
-        VariableKind::S => Value::new(""),
-        VariableKind::Io => Value::new(&false),
-        VariableKind::V | VariableKind::P | VariableKind::J | VariableKind::T => {
-            Value::new(vec![0_f32; kind.elements()].as_slice())
-        }
-    }?)
+    let zeros = vec!["0"; kind.elements()].join(",");
+    data::from_data(kind.vartype(), &zeros).map_err(|error| Failure::Input(error.to_string()))
 }
 
 /// A RAC connection that reports errors as a [`Failure`].

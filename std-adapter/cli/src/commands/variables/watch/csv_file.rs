@@ -6,10 +6,9 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use bcap_capture::decode::csv;
-use bcap_core::variant::Variant;
+use bcap_core::variant::{OwnedVariant as Value, Variant};
 
 use crate::failure::{Failure, of_file};
-use crate::values::Value;
 use bcap_capture::value::data;
 
 /// A table under way; the first row decides its columns.

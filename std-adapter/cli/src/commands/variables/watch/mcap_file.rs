@@ -6,11 +6,10 @@ use std::path::Path;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use bcap_capture::mcap::{self, NUMBER, Schema};
-use bcap_core::variant::Variant;
+use bcap_core::variant::{OwnedVariant as Value, Variant};
 use serde_json::{Value as Json, json};
 
 use crate::failure::{Failure, of_file};
-use crate::values::Value;
 use bcap_capture::value::data;
 
 const BOOL: Schema =

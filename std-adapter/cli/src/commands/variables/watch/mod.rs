@@ -17,11 +17,10 @@ use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::print;
 use crate::session::Session;
-use crate::session::selection::expand;
-use crate::session::variables::{get_one, paths, read};
-use crate::values::Value;
+use crate::session::variables::{expand, get_one, paths, read};
 use bcap_capture::value::named::shown;
 use bcap_capture::value::selection::Selection;
+use bcap_core::variant::OwnedVariant as Value;
 
 /// Reads variables periodically
 ///
