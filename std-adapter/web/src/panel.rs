@@ -2,8 +2,8 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
+use bcap_sim::Scenario;
 use bcap_sim::pace::Paced;
-use bcap_sim::{Mode, Scenario};
 use serde_json::{Value, json};
 
 /// The virtual controller of this process.
@@ -30,11 +30,7 @@ impl Panel {
             let config = controller.config();
             json!({
                 "model": config.model.name,
-                "mode": match controller.mode() {
-                    Mode::Manual => "manual",
-                    Mode::TeachCheck => "teach_check",
-                    Mode::Auto => "auto",
-                },
+                "mode": controller.mode(),
                 "emergency_stop": controller.emergency_stopped(),
                 "motor": controller.motor_is_on(),
                 "errors": controller.errors().count(),
