@@ -12,7 +12,6 @@ use crate::panel::Panel;
 use crate::robot::Robot;
 
 /// The state that all connections share.
-#[derive(Debug)]
 pub(crate) struct App {
     pub(crate) guard: Guard,
     pub(crate) robots: Vec<Arc<Robot>>,

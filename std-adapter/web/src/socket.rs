@@ -19,7 +19,6 @@ use tokio::time::{Instant, MissedTickBehavior, interval, interval_at};
 use crate::app::App;
 use crate::backup;
 use crate::control::{Client, cleaned};
-use crate::guard::Bucket;
 use crate::job::Work;
 use crate::jog;
 use crate::line::Line;
@@ -27,6 +26,7 @@ use crate::panel::Panel;
 use crate::raw::{self, Desk};
 use crate::recover;
 use crate::robot::Robot;
+use crate::secret::Bucket;
 use crate::tasks;
 use crate::view;
 
@@ -193,7 +193,8 @@ async fn serve_page(page: &mut Page, line: &mut Line, hello: String) -> Option<(
     let mut ticks = interval(TICK);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut alive = interval(ALIVE);
-    let mut bucket = Bucket::new();
+    // 40 orders at once, and 20 each second
+    let mut bucket = Bucket::new(40, Duration::from_millis(50));
     loop {
         line.grip = page.grip.as_ref().map(|(_, grip)| Arc::clone(grip));
         line.watch(page.screen == Screen::Raw && page.mover(page.robot).is_ok());

@@ -148,7 +148,7 @@ pub(crate) fn session(app: &App) -> Value {
     json!({
         "write": app.config.allow_write,
         "motion": app.config.allow_motion,
-        "login": app.guard.login().is_some(),
+        "login": app.guard.login.is_some(),
         "backups": app.config.backups.is_some(),
         "labels": app.config.labels.len(),
         "recordings": app.config.recordings.as_ref().map(|_| app.robots.iter().filter_map(|robot| recording(robot)).collect::<Vec<_>>()),
