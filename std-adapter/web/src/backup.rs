@@ -150,7 +150,7 @@ fn perform(job: &Job, robot: &Robot, path: &Path, with: Option<&Path>, plan: Opt
             let plan = restore::plan(&mut connect()?, &backup, options, watch)?;
             job.show(&plan.lines());
             let mut state = job.lock();
-            state.notes = plan.notes.iter().map(|note| safe(note)).collect();
+            state.notes = plan.notes.iter().map(safe).collect();
             let count = plan.names().len();
             (state.can_restore, state.plan) = (count > 0, Some(plan));
             Ok(if count == 0 {

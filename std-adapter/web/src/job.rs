@@ -124,7 +124,7 @@ impl Job {
     /// Shows lines of a difference or a plan.
     pub(crate) fn show(&self, lines: &[String]) {
         let mut state = self.lock();
-        state.lines = lines.iter().take(LINES).map(|line| safe(line)).collect();
+        state.lines = lines.iter().take(LINES).map(safe).collect();
         state.left_out = lines.len().saturating_sub(LINES);
     }
 }

@@ -58,7 +58,6 @@ const fn kind_name(kind: Kind) -> &'static str {
 }
 
 /// The session of a page for the calls of its user.
-#[derive(Debug)]
 pub(crate) struct Desk {
     pub(crate) number: usize,
     robot: Arc<Robot>,

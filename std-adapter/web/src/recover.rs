@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 
 use crate::app::App;
 use crate::robot::Robot;
-use crate::view::safe;
+use crate::text::safe;
 
 /// The entries that are read from each end of a log: each is a call.
 const ENTRIES: usize = 50;

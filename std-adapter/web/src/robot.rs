@@ -35,7 +35,6 @@ const SLOW: Duration = Duration::from_secs(1);
 const LONGEST_WAIT: Duration = Duration::from_secs(2);
 
 /// A robot of the page.
-#[derive(Debug)]
 pub(crate) struct Robot {
     pub(crate) name: String,
     pub(crate) address: String,

@@ -28,6 +28,7 @@ use crate::recover;
 use crate::robot::Robot;
 use crate::secret::Bucket;
 use crate::tasks;
+use crate::text::safe;
 use crate::view;
 
 /// How often a page gets what has changed.
@@ -168,8 +169,7 @@ impl Drop for Page {
 
 /// Serves a page until it is closed.
 pub(crate) async fn serve(app: Arc<App>, client: Client, socket: WebSocket) {
-    let labels: Map<_, _> =
-        app.config.labels.iter().map(|(name, label)| (view::safe(name), view::safe(label).into())).collect();
+    let labels: Map<_, _> = app.config.labels.iter().map(|(name, label)| (safe(name), safe(label).into())).collect();
     let hello = json!({ "t": "hello", "labels": labels, "write": app.config.allow_write, "motion": app.config.allow_motion, "panel": app.config.panel.is_some(), "version": env!("CARGO_PKG_VERSION") });
     let mut page = Page {
         app,
@@ -288,7 +288,7 @@ impl Page {
         let Some((number, order)) = parsed else { return json!({ "t": "answer", "error": "this is not an order" }) };
         match self.carry_out(order).await {
             Ok(value) => json!({ "t": "answer", "id": number, "ok": value }),
-            Err(why) => json!({ "t": "answer", "id": number, "error": view::safe(&why) }),
+            Err(why) => json!({ "t": "answer", "id": number, "error": safe(&why) }),
         }
     }
 
@@ -356,7 +356,7 @@ impl Page {
                 self.on_panel(robot, &format!("sets the time factor to {factor}"), |panel| panel.pace(factor))
             }
             Order::Drop { robot, why } => {
-                self.grip(robot)?.end(&view::safe(&why));
+                self.grip(robot)?.end(&safe(&why));
                 Ok(Value::Null)
             }
         }
@@ -379,7 +379,7 @@ impl Page {
     /// Keeps a value that was checked, and shows it with the old one.
     fn checked(&mut self, robot: usize, write: Write) -> Value {
         let [name, old, new] =
-            [write.path.to_string(), shown(&write.before), shown(&write.value)].map(|text| view::safe(&text));
+            [write.path.to_string(), shown(&write.before), shown(&write.value)].map(|text| safe(&text));
         self.checked = Some((robot, Box::new(write)));
         json!({ "name": name, "old": old, "new": new })
     }
@@ -410,7 +410,7 @@ impl Page {
     async fn task(&self, robot: usize, name: String, what: tasks::What) -> Result<Value, String> {
         let who = if what.is_start() { self.mover(robot)? } else { self.holder(robot)? };
         let robot = self.robot(robot)?;
-        let doing = format!("{what} {}", view::safe(&name));
+        let doing = format!("{what} {}", safe(&name));
         let done = robot.order(move |link| what.perform(link, &name)).await;
         self.app.audit.write(&who, &robot.name, &doing, &done);
         done.map(|()| Value::Null)
@@ -442,7 +442,7 @@ impl Page {
     fn agree(&self, robot: usize, step: &str) -> Result<Value, String> {
         let who = self.mover(robot)?;
         let agreed = self.recovery(robot)?.agree(step);
-        self.app.audit.write(&who, &self.robot(robot)?.name, &format!("agrees to {}", view::safe(step)), &agreed);
+        self.app.audit.write(&who, &self.robot(robot)?.name, &format!("agrees to {}", safe(step)), &agreed);
         agreed.map(|()| Value::Null)
     }
 
@@ -510,7 +510,7 @@ impl Page {
     /// Returns a robot whose name was in the question to the user.
     pub(crate) fn named(&self, number: usize, name: &str) -> Result<Arc<Robot>, String> {
         let robot = self.robot(number)?;
-        let is_named = view::safe(&robot.name) == name;
+        let is_named = safe(&robot.name) == name;
         is_named.then_some(robot).ok_or_else(|| format!("{name} is not the name of this robot; nothing was done"))
     }
 

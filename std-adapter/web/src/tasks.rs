@@ -7,12 +7,11 @@ use bcap_live::files;
 use bcap_live::link::{Error, Link};
 use bcap_live::stream::StreamCheck;
 use bcap_std::{TaskStart, TaskStop};
-use bcap_terminal::escape;
 use serde::Deserialize;
 use serde_json::{Value, json};
 
 use crate::robot::Robot;
-use crate::view::safe;
+use crate::text::safe;
 
 /// The most lines of a file that a page shows.
 const LINES: usize = 5000;
@@ -94,6 +93,6 @@ pub(crate) fn text(link: &mut Link, path: &str) -> Result<Value, Error> {
     StreamCheck::default().require(link, FunctionId::CONTROLLER_GET_FILE, None)?;
     let text = files::text(link, path)?;
     let mut lines = text.lines();
-    let shown: Vec<_> = lines.by_ref().take(LINES).map(|line| escape::line(&escape::cut(&line))).collect();
+    let shown: Vec<_> = lines.by_ref().take(LINES).map(safe).collect();
     Ok(json!({ "lines": shown, "left_out": lines.count() }))
 }

@@ -18,7 +18,7 @@ use crate::app::App;
 use crate::arm;
 use crate::control::Client;
 use crate::robot::{Live, Robot, TARGET};
-pub(crate) use crate::text::safe;
+use crate::text::safe;
 
 /// Writes a hint as a sentence.
 fn sentence(text: &str) -> String {
@@ -42,7 +42,7 @@ pub(crate) fn tile(number: usize, robot: &Robot, client: Client) -> Value {
         "mine": mine,
         "level": condition.level,
         "state": condition.state,
-        "words": live.model.words.iter().map(|word| safe(word)).collect::<Vec<_>>(),
+        "words": live.model.words.iter().map(safe).collect::<Vec<_>>(),
         "reasons": condition.reasons,
         "errors": live.model.errors.as_ref().map_or(0, Vec::len),
         "speed": live.model.robot.speed.as_deref().map(safe),
@@ -182,7 +182,7 @@ pub(crate) fn alarms(robot: &Robot, recovery: Value) -> Value {
         "recovery": recovery,
         "steps": if is_ready { Vec::new() } else { steps },
         "obstacles": live.examination.iter().flat_map(Examination::obstacles).map(|obstacle| sentence(&obstacle.to_string())).collect::<Vec<_>>(),
-        "messages": live.model.messages.iter().rev().map(|message| safe(message)).collect::<Vec<_>>(),
+        "messages": live.model.messages.iter().rev().map(safe).collect::<Vec<_>>(),
     })
 }
 
