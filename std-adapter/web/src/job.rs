@@ -91,11 +91,9 @@ impl Job {
         self.lock().end.get_or_insert_with(|| why.to_owned());
     }
 
-    /// Ends a restore of a page that was lost or has released the control.
-    pub(crate) fn end_restore(&self, client: Client, why: &str) {
-        if self.client == client && self.work.kind == Kind::Restore {
-            self.end(why);
-        }
+    /// Returns whether the job is a restore of this page.
+    pub(crate) fn is_restore_of(&self, client: Client) -> bool {
+        self.client == client && self.work.kind == Kind::Restore
     }
 
     /// Returns whether the job has not ended.

@@ -13,7 +13,7 @@ impl Page {
             return Err("a restore needs the name of the robot; nothing was done".into());
         }
         let robot = self.robot(robot)?;
-        let who = robot.control.name_of(self.client()).unwrap_or_else(|| "a page".into());
+        let who = robot.control.user(self.client()).unwrap_or_else(|_| "a page".into());
         backup::start(&self.app, &robot, self.client(), who, work)
     }
 

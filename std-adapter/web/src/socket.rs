@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 use std::pin::pin;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use axum::extract::ws::WebSocket;
@@ -12,6 +12,7 @@ use bcap_live::recovery::Recovery;
 use bcap_live::request::Request;
 use bcap_live::variables::{expand, shown};
 use bcap_live::write::{Write, check, check_position};
+use bcap_sim::pace::Paced;
 use serde::Deserialize;
 use serde_json::{Map, Value, json};
 use tokio::time::{Instant, MissedTickBehavior, interval, interval_at};
@@ -22,7 +23,7 @@ use crate::control::{Client, cleaned};
 use crate::job::Work;
 use crate::jog;
 use crate::line::Line;
-use crate::panel::Panel;
+use crate::panel;
 use crate::raw::{self, Desk};
 use crate::recover;
 use crate::robot::Robot;
@@ -157,12 +158,8 @@ impl Drop for Page {
         self.end_motion("the page is closed");
         for robot in &self.app.robots {
             robot.live().names.remove(&self.client);
-            self.end_restore(robot, "the page is closed");
             robot.live().arms.remove(&self.client);
-            if let Some(name) = robot.control.name_of(self.client) {
-                robot.control.release(self.client);
-                self.app.audit.write::<()>(&name, &robot.name, "the page is closed, the control is free", &Ok(()));
-            }
+            self.free(robot, "the page is closed", "the page is closed, the control is free");
         }
     }
 }
@@ -254,7 +251,9 @@ impl Page {
                 Screen::Jog => sections.push(("jog", view::jog(robot))),
                 Screen::Backup => sections.push(("backup", backup::section(robot, self.client))),
                 Screen::Session => sections.push(("session", view::session(&self.app))),
-                Screen::Panel => sections.extend(self.app.panel().map(|panel| ("panel", panel.section()))),
+                Screen::Panel => {
+                    sections.extend(self.app.config.panel.as_deref().map(|found| ("panel", panel::section(found))))
+                }
                 Screen::Plots => sections.push(("plots", view::variables(self.client, robot))),
                 Screen::Packets => {
                     let (packets, total) = view::packets(robot, self.packets);
@@ -350,10 +349,10 @@ impl Page {
             Order::Recordings {} => self.recordings().await,
             Order::Play { robot, text } => {
                 let what = format!("plays the scenario: {}", text.trim());
-                self.on_panel(robot, &what, |panel| panel.play(&text))
+                self.on_panel(robot, &what, |found| panel::play(found, &text))
             }
             Order::Pace { robot, factor } => {
-                self.on_panel(robot, &format!("sets the time factor to {factor}"), |panel| panel.pace(factor))
+                self.on_panel(robot, &format!("sets the time factor to {factor}"), |found| panel::pace(found, factor))
             }
             Order::Drop { robot, why } => {
                 self.grip(robot)?.end(&safe(&why));
@@ -397,13 +396,23 @@ impl Page {
     /// Releases the control of a robot, and ends what this page moves.
     fn release(&mut self, robot: usize) -> Result<Value, String> {
         let robot = self.robot(robot)?;
-        if let Some(name) = robot.control.name_of(self.client) {
+        if robot.control.user(self.client).is_ok() {
             self.end_motion("the control was released");
-            self.end_restore(&robot, "the control was released");
-            robot.control.release(self.client);
-            self.app.audit.write::<()>(&name, &robot.name, "releases the control", &Ok(()));
+            self.free(&robot, "the control was released", "releases the control");
         }
         Ok(Value::Null)
+    }
+
+    /// Ends a restore of this page, and frees the control that it has.
+    fn free(&self, robot: &Robot, why: &str, what: &str) {
+        if let Some(job) = &*robot.backup()
+            && job.is_restore_of(self.client)
+        {
+            job.end(why);
+        }
+        if let Some(name) = robot.control.release(self.client) {
+            self.app.audit.write::<()>(&name, &robot.name, what, &Ok(()));
+        }
     }
 
     /// Starts or stops a task. A start may move the robot.
@@ -421,13 +430,14 @@ impl Page {
         &self,
         robot: usize,
         what: &str,
-        change: impl FnOnce(&Panel) -> Result<Value, String>,
+        change: impl FnOnce(&Mutex<Paced>) -> Result<(), String>,
     ) -> Result<Value, String> {
-        let panel = self.app.panel().ok_or("this server has no virtual controller; start `bcap sim --web`")?;
+        let panel =
+            self.app.config.panel.as_deref().ok_or("this server has no virtual controller; start `bcap sim --web`")?;
         let who = self.holder(robot)?;
-        let changed = change(&panel);
+        let changed = change(panel);
         self.app.audit.write(&who, &self.robot(robot)?.name, what, &changed);
-        changed
+        changed.map(|()| Value::Null)
     }
 
     /// Ends a press of a button.
@@ -458,13 +468,6 @@ impl Page {
     fn recovery(&self, number: usize) -> Result<&Recovery, String> {
         let recovery = self.recovery.as_ref().filter(|(robot, _)| *robot == number).map(|(_, found)| &**found);
         recovery.ok_or_else(|| "there is no recovery of this page; begin one".into())
-    }
-
-    /// Ends a restore of this page.
-    fn end_restore(&self, robot: &Robot, why: &str) {
-        if let Some(job) = &*robot.backup() {
-            job.end_restore(self.client, why);
-        }
     }
 
     /// Returns the number of this page.
@@ -538,11 +541,7 @@ impl Page {
 
     /// Returns the name of this page's user, who has the control of a robot.
     fn holder(&self, robot: usize) -> Result<String, String> {
-        let control = &self.robot(robot)?.control;
-        control.name_of(self.client).ok_or_else(|| match control.holder() {
-            Some(name) => format!("{name} has the control; ask for its release"),
-            None => "take the control first".into(),
-        })
+        self.robot(robot)?.control.user(self.client)
     }
 
     async fn select(&mut self, robot: usize, names: Vec<String>) -> Result<Value, String> {

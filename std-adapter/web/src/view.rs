@@ -30,7 +30,7 @@ fn sentence(text: &str) -> String {
 
 /// Returns the tile of a robot for a page.
 pub(crate) fn tile(number: usize, robot: &Robot, client: Client) -> Value {
-    let (holder, mine) = (robot.control.holder(), robot.control.name_of(client).is_some());
+    let (holder, mine) = (robot.control.holder(), robot.control.user(client).is_ok());
     let live = robot.live();
     let condition = Condition::of(&live);
     json!({
