@@ -22,6 +22,7 @@ use crate::control::Client;
 use crate::job::{Job, Kind, Work};
 use crate::robot::Robot;
 use crate::text::safe;
+use crate::threads::lock;
 
 /// The most folders that a page shows.
 const FOLDERS: usize = 200;
@@ -75,7 +76,7 @@ pub(crate) fn start(
 ) -> Result<Value, String> {
     let path = path_in(backups(app)?, &work.folder)?;
     let with = work.with.as_deref().map(|with| path_in(backups(app)?, with)).transpose()?;
-    let mut last = robot.backup();
+    let mut last = lock(&robot.backup);
     if last.as_ref().is_some_and(|last| last.is_running()) {
         return Err("the last work on backups of this robot has not ended; end it, or wait".into());
     }
@@ -161,7 +162,7 @@ fn perform(job: &Job, robot: &Robot, path: &Path, with: Option<&Path>, plan: Opt
         }
         (Kind::Restore, Some(plan)) => {
             let mut link = connect()?;
-            let mut journal = Journal::begin(path, &robot.address, &plan.names())?;
+            let mut journal = Journal::begin(path, &robot.access.address.to_string(), &plan.names())?;
             let written = restore::write(&mut link, &plan, &mut journal, &Replaced::new(path), watch);
             journal.end(&written.as_ref().err().map_or("complete".into(), ToString::to_string))?;
             let past = Past::read(path)?.map(|past| past.summary()).unwrap_or_default();
@@ -187,7 +188,7 @@ fn difference_lines(a: &Contents, b: &Contents) -> Vec<String> {
 
 /// Returns the last job of a robot.
 pub(crate) fn section(robot: &Robot, client: Client) -> Value {
-    let Some(job) = robot.backup().clone() else { return Value::Null };
+    let Some(job) = lock(&robot.backup).clone() else { return Value::Null };
     let state = job.lock();
     json!({
         "work": job.work.kind,

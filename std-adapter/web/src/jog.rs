@@ -11,6 +11,7 @@ use tokio::time::{Instant, sleep};
 use crate::app::App;
 use crate::arm;
 use crate::robot::Robot;
+use crate::threads::lock;
 
 /// How often the watch looks.
 const LOOK: Duration = Duration::from_millis(20);
@@ -21,7 +22,7 @@ const IN_TIME: Duration = Duration::from_millis(150);
 /// Begins a jog, which takes the arm.
 pub(crate) fn start(app: &Arc<App>, robot: &Arc<Robot>, who: String) -> Result<Arc<Grip>, String> {
     let grip = Arc::new(Grip::default());
-    let mut last = robot.grip();
+    let mut last = lock(&robot.grip);
     if last.as_ref().is_some_and(|last| last.phase() != Phase::Ended) {
         return Err("the last jog of this robot has not ended; wait a moment".into());
     }

@@ -14,13 +14,13 @@ use bcap_capture::trace::Packets;
 use bcap_capture::value::{data, to_text};
 use bcap_core::bcap::{Effect, FunctionId, Kind};
 use bcap_core::hresult::HResult;
-use bcap_live::calls::Failure as _;
+use bcap_live::calls::Failure;
 use bcap_live::link::Link;
 use bcap_live::request::Request;
 use serde_json::{Value, json};
 
 use crate::app::App;
-use crate::robot::Robot;
+use crate::robot::{Robot, reason};
 use crate::text::safe;
 use crate::view::{self, dissected};
 
@@ -91,13 +91,10 @@ impl Desk {
         let took = start.elapsed();
         self.moves.store(false, Ordering::SeqCst);
         let ends = matches!(request.function, FunctionId::SERVICE_STOP | FunctionId::CONTROLLER_DISCONNECT);
-        if !made.as_ref().is_err_and(bcap_live::calls::Failure::is_lost) && !ends {
+        if !made.as_ref().is_err_and(Failure::is_lost) && !ends {
             *link = Some(session);
         }
-        let (code, value) = made.map_err(|error| match error.is_lost() {
-            true => format!("it is unknown whether it was done: {error}"),
-            false => error.to_string(),
-        })?;
+        let (code, value) = made.map_err(|error| reason(&error))?;
         let mut reply = view::error(code, "");
         reply["ok"] = json!(!code.is_err());
         reply["value"] = json!(value.as_ref().map(|value| safe(&data::format(value.as_variant()))));

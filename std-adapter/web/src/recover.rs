@@ -14,6 +14,7 @@ use serde_json::{Value, json};
 use crate::app::App;
 use crate::robot::Robot;
 use crate::text::safe;
+use crate::threads::lock;
 
 /// The entries that are read from each end of a log: each is a call.
 const ENTRIES: usize = 50;
@@ -21,7 +22,7 @@ const ENTRIES: usize = 50;
 /// Begins a recovery. Nothing is changed before the user agrees to the first step.
 pub(crate) fn start(app: &Arc<App>, robot: &Arc<Robot>, who: String) -> Result<Arc<Recovery>, String> {
     let recovery = Arc::new(Recovery::default());
-    let mut last = robot.recovery();
+    let mut last = lock(&robot.recovery);
     if last.as_ref().is_some_and(|last| last.state().outcome.is_none()) {
         return Err("the last recovery of this robot has not ended; wait a moment".into());
     }
@@ -40,7 +41,7 @@ pub(crate) fn start(app: &Arc<App>, robot: &Arc<Robot>, who: String) -> Result<A
 
 /// Returns the last recovery of a robot.
 pub(crate) fn section(robot: &Robot) -> Value {
-    let Some(recovery) = robot.recovery().clone() else { return Value::Null };
+    let Some(recovery) = lock(&robot.recovery).clone() else { return Value::Null };
     let state = recovery.state();
     let result = |result: &Result<(), HResult>| result.err().map(|code| format!("left out: {code}"));
     json!({

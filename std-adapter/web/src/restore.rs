@@ -5,6 +5,7 @@ use serde_json::{Value, json};
 use crate::backup;
 use crate::job::{Kind, Work};
 use crate::socket::Page;
+use crate::threads::lock;
 
 impl Page {
     /// Begins a dump, a comparison, or the plan of a restore.
@@ -32,7 +33,7 @@ impl Page {
     /// Ends the work on backups of a robot between two calls.
     pub(crate) fn end_work(&self, number: usize) -> Result<Value, String> {
         let robot = self.robot(number)?;
-        if let Some(job) = &*robot.backup() {
+        if let Some(job) = &*lock(&robot.backup) {
             if job.client != self.client() && job.work.kind == Kind::Restore {
                 return Err("another page restores; it ends that, or releases the control".into());
             }

@@ -30,6 +30,7 @@ use crate::robot::Robot;
 use crate::secret::Bucket;
 use crate::tasks;
 use crate::text::safe;
+use crate::threads::lock;
 use crate::view;
 
 /// How often a page gets what has changed.
@@ -405,7 +406,7 @@ impl Page {
 
     /// Ends a restore of this page, and frees the control that it has.
     fn free(&self, robot: &Robot, why: &str, what: &str) {
-        if let Some(job) = &*robot.backup()
+        if let Some(job) = &*lock(&robot.backup)
             && job.is_restore_of(self.client)
         {
             job.end(why);
@@ -513,8 +514,8 @@ impl Page {
     /// Returns a robot whose name was in the question to the user.
     pub(crate) fn named(&self, number: usize, name: &str) -> Result<Arc<Robot>, String> {
         let robot = self.robot(number)?;
-        let is_named = safe(&robot.name) == name;
-        is_named.then_some(robot).ok_or_else(|| format!("{name} is not the name of this robot; nothing was done"))
+        robot.check_name(name)?;
+        Ok(robot)
     }
 
     /// Refuses orders that change something unless the server was started for them.

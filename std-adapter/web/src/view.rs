@@ -19,6 +19,7 @@ use crate::arm;
 use crate::control::Client;
 use crate::robot::{Live, Robot, TARGET};
 use crate::text::safe;
+use crate::threads::lock;
 
 /// Writes a hint as a sentence.
 fn sentence(text: &str) -> String {
@@ -36,7 +37,7 @@ pub(crate) fn tile(number: usize, robot: &Robot, client: Client) -> Value {
     json!({
         "robot": number,
         "name": safe(&robot.name),
-        "address": safe(&robot.address),
+        "address": safe(&robot.access.address),
         "virtual": live.is_virtual,
         "holder": holder,
         "mine": mine,
@@ -73,9 +74,10 @@ impl Condition {
             let remedy = "It is tried again every second. Check that the controller is on, the cable, and the address.";
             return Self::new("unknown", "not connected", vec![[safe(why), remedy.into()]]);
         }
-        let Some(examination) = &live.examination else {
-            let why = live.unknown.as_deref().unwrap_or("it is being read").to_owned();
-            return Self::new("unknown", "unknown", vec![[safe(&why), String::new()]]);
+        let examination = match &live.examination {
+            Some(Ok(examination)) => examination,
+            Some(Err(why)) => return Self::new("unknown", "unknown", vec![[safe(why), String::new()]]),
+            None => return Self::new("unknown", "unknown", vec![["it is being read".into(), String::new()]]),
         };
         if examination.stream == StreamState::Runs {
             let remedy = "Nothing is sent that would end the stream. HALT stops the robot.".into();
@@ -144,7 +146,8 @@ pub(crate) fn variables(client: Client, robot: &Robot) -> Value {
 
 /// Returns what the server allows, its robots, and the last actions.
 pub(crate) fn session(app: &App) -> Value {
-    let robots: Vec<_> = app.robots.iter().map(|robot| json!([safe(&robot.name), safe(&robot.address)])).collect();
+    let robots: Vec<_> =
+        app.robots.iter().map(|robot| json!([safe(&robot.name), safe(&robot.access.address)])).collect();
     json!({
         "write": app.config.allow_write,
         "motion": app.config.allow_motion,
@@ -174,14 +177,15 @@ pub(crate) fn alarms(robot: &Robot, recovery: Value) -> Value {
         Ok(errors) => (errors.as_slice(), None),
         Err(why) => (&[][..], Some(safe(why))),
     };
-    let steps: Vec<_> = live.examination.iter().flat_map(|state| state.steps(false)).map(|step| step.name()).collect();
-    let is_ready = live.examination.as_ref().is_some_and(Examination::is_ready);
+    let steps: Vec<_> =
+        live.examination.iter().flatten().flat_map(|state| state.steps(false)).map(|step| step.name()).collect();
+    let is_ready = live.examination.iter().flatten().any(Examination::is_ready);
     json!({
         "errors": errors.iter().map(|(code, text)| error(*code, text)).collect::<Vec<_>>(),
         "skipped": skipped,
         "recovery": recovery,
         "steps": if is_ready { Vec::new() } else { steps },
-        "obstacles": live.examination.iter().flat_map(Examination::obstacles).map(|obstacle| sentence(&obstacle.to_string())).collect::<Vec<_>>(),
+        "obstacles": live.examination.iter().flatten().flat_map(Examination::obstacles).map(|obstacle| sentence(&obstacle.to_string())).collect::<Vec<_>>(),
         "messages": live.model.messages.iter().rev().map(safe).collect::<Vec<_>>(),
     })
 }
@@ -211,7 +215,7 @@ pub(crate) fn arm(robot: &Robot) -> Value {
 
 /// Returns the state of a jog, and the highest speed of each axis in percent.
 pub(crate) fn jog(robot: &Robot) -> Value {
-    let grip = robot.grip().clone();
+    let grip = lock(&robot.grip).clone();
     let phase = match grip.as_ref().map(|grip| grip.phase()) {
         None | Some(Phase::Ended) => "off",
         Some(Phase::Starting) => "starting",
