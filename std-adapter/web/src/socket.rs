@@ -202,7 +202,7 @@ async fn serve_page(page: &mut Page, line: &mut Line, hello: String) -> Option<(
                     line.send(text).await?;
                 }
             }
-            _ = alive.tick() => alive_at(line).await?,
+            _ = alive.tick() => line.alive().await?,
             text = line.order() => answer(page, line, &text?, bucket.take()).await?,
         }
     }
@@ -220,19 +220,11 @@ async fn answer(page: &mut Page, line: &mut Line, text: &str, is_allowed: bool) 
         tokio::select! {
             answer = &mut order => break answer,
             // a controller may need seconds
-            _ = alive.tick() => alive_at(line).await?,
+            _ = alive.tick() => line.alive().await?,
             ended = line.hold() => ended?,
         }
     };
     line.send(answer.to_string()).await
-}
-
-/// Shows a page that the server is alive; ends one that must send heartbeats and does not.
-async fn alive_at(line: &mut Line) -> Option<()> {
-    if line.is_lost() {
-        return None;
-    }
-    line.send(json!({ "t": "tick" }).to_string()).await
 }
 
 impl Page {
