@@ -33,7 +33,7 @@ fn sentence(text: &str) -> String {
 pub(crate) fn tile(number: usize, robot: &Robot, client: Client) -> Value {
     let (holder, mine) = (robot.control.holder(), robot.control.user(client).is_ok());
     let live = robot.live();
-    let condition = Condition::of(&live);
+    let (level, state, reasons) = condition(&live);
     json!({
         "robot": number,
         "name": safe(&robot.name),
@@ -41,10 +41,10 @@ pub(crate) fn tile(number: usize, robot: &Robot, client: Client) -> Value {
         "virtual": live.is_virtual,
         "holder": holder,
         "mine": mine,
-        "level": condition.level,
-        "state": condition.state,
+        "level": level,
+        "state": state,
         "words": live.model.words.iter().map(safe).collect::<Vec<_>>(),
-        "reasons": condition.reasons,
+        "reasons": reasons,
         "errors": live.model.errors.as_ref().map_or(0, Vec::len),
         "speed": live.model.robot.speed.as_deref().map(safe),
         "tool": live.model.robot.tool.as_deref().map(safe),
@@ -55,51 +55,37 @@ pub(crate) fn tile(number: usize, robot: &Robot, client: Client) -> Value {
     })
 }
 
-/// The state of a robot at a glance.
-struct Condition {
-    /// `good`, `busy`, `bad` or `unknown`, for the colour.
-    level: &'static str,
-    state: &'static str,
-    /// Why it is not ready, each with its remedy.
-    reasons: Vec<[String; 2]>,
-}
-
-impl Condition {
-    const fn new(level: &'static str, state: &'static str, reasons: Vec<[String; 2]>) -> Self {
-        Self { level, state, reasons }
+/// Returns the state of a robot at a glance: `good`, `busy`, `bad` or `unknown` for the colour, the state in words, and why it
+/// is not ready, each with its remedy.
+fn condition(live: &Live) -> (&'static str, &'static str, Vec<[String; 2]>) {
+    if let Some(why) = &live.model.lost {
+        let remedy = "It is tried again every second. Check that the controller is on, the cable, and the address.";
+        return ("unknown", "not connected", vec![[safe(why), remedy.into()]]);
     }
-
-    fn of(live: &Live) -> Self {
-        if let Some(why) = &live.model.lost {
-            let remedy = "It is tried again every second. Check that the controller is on, the cable, and the address.";
-            return Self::new("unknown", "not connected", vec![[safe(why), remedy.into()]]);
-        }
-        let examination = match &live.examination {
-            Some(Ok(examination)) => examination,
-            Some(Err(why)) => return Self::new("unknown", "unknown", vec![[safe(why), String::new()]]),
-            None => return Self::new("unknown", "unknown", vec![["it is being read".into(), String::new()]]),
-        };
-        if examination.stream == StreamState::Runs {
-            let remedy = "Nothing is sent that would end the stream. HALT stops the robot.".into();
-            return Self::new("busy", "streaming", vec![["another client streams in Slave Mode".into(), remedy]]);
-        }
-        let moves = examination.state.is_some_and(|state| state.is_moving());
-        let mut reasons = reasons(examination);
-        if moves {
-            return Self::new("busy", "moving", reasons);
-        }
-        if examination.error_count > 0 || live.model.has_error {
-            return Self::new("bad", "error", reasons);
-        }
-        if !reasons.is_empty() {
-            return Self::new("bad", "not ready", reasons);
-        }
-        if examination.state.is_some_and(|state| state.motor_is_on()) {
-            return Self::new("good", "ready", reasons);
-        }
-        reasons.push(["the motor is off".into(), "The program that moves the robot switches it on.".into()]);
-        Self::new("good", "ready, motor off", reasons)
+    let examination = match &live.examination {
+        Some(Ok(examination)) => examination,
+        Some(Err(why)) => return ("unknown", "unknown", vec![[safe(why), String::new()]]),
+        None => return ("unknown", "unknown", vec![["it is being read".into(), String::new()]]),
+    };
+    if examination.stream == StreamState::Runs {
+        let remedy = "Nothing is sent that would end the stream. HALT stops the robot.".into();
+        return ("busy", "streaming", vec![["another client streams in Slave Mode".into(), remedy]]);
     }
+    let mut reasons = reasons(examination);
+    if examination.state.is_some_and(|state| state.is_moving()) {
+        return ("busy", "moving", reasons);
+    }
+    if examination.error_count > 0 || live.model.has_error {
+        return ("bad", "error", reasons);
+    }
+    if !reasons.is_empty() {
+        return ("bad", "not ready", reasons);
+    }
+    if examination.state.is_some_and(|state| state.motor_is_on()) {
+        return ("good", "ready", reasons);
+    }
+    reasons.push(["the motor is off".into(), "The program that moves the robot switches it on.".into()]);
+    ("good", "ready, motor off", reasons)
 }
 
 fn reasons(examination: &Examination) -> Vec<[String; 2]> {
@@ -146,8 +132,6 @@ pub(crate) fn variables(client: Client, robot: &Robot) -> Value {
 
 /// Returns what the server allows, its robots, and the last actions.
 pub(crate) fn session(app: &App) -> Value {
-    let robots: Vec<_> =
-        app.robots.iter().map(|robot| json!([safe(&robot.name), safe(&robot.access.address)])).collect();
     json!({
         "write": app.config.allow_write,
         "motion": app.config.allow_motion,
@@ -155,7 +139,7 @@ pub(crate) fn session(app: &App) -> Value {
         "backups": app.config.backups.is_some(),
         "labels": app.config.labels.len(),
         "recordings": app.config.recordings.as_ref().map(|_| app.robots.iter().filter_map(|robot| recording(robot)).collect::<Vec<_>>()),
-        "robots": robots,
+        "robots": app.robots.iter().map(|robot| [safe(&robot.name), safe(&robot.access.address)]).collect::<Vec<_>>(),
         "audit": app.audit.last(),
     })
 }
@@ -250,12 +234,9 @@ pub(crate) fn packet(robot: &Robot, serial: u16) -> Value {
 
 /// Returns a packet with its fields: the offset, the length and the text of each.
 pub(crate) fn dissected(role: Role, bytes: &[u8]) -> Value {
-    let fields: Value = match dissect::fields_of(bytes, role) {
-        Ok(fields) => {
-            fields.into_iter().take(FIELDS).map(|(at, text)| json!([at.start, at.len(), safe(&text)])).collect()
-        }
-        Err(error) => json!([[0, bytes.len(), safe(&format!("not a frame: {error}"))]]),
-    };
+    let invalid = |error| vec![(0..bytes.len(), format!("not a frame: {error}"))];
+    let fields = dissect::fields_of(bytes, role).unwrap_or_else(invalid);
+    let fields: Value = fields.iter().take(FIELDS).map(|(at, text)| json!([at.start, at.len(), safe(text)])).collect();
     let shown = bytes.get(..SHOWN).unwrap_or(bytes);
     json!({ "request": role == Role::Request, "size": bytes.len(), "bytes": hex::spaced(shown), "fields": fields })
 }
