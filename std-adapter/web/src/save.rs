@@ -17,7 +17,7 @@ use tokio::fs;
 use tokio_util::io::ReaderStream;
 
 use crate::app::App;
-use crate::backup::path_in;
+use crate::names::path_in;
 use crate::secret::Checked;
 
 /// The largest series of a page: ten numbers for ten minutes need 1 MB.

@@ -155,22 +155,33 @@ fn recording(robot: &Robot) -> Option<Value> {
 }
 
 /// Returns the alarms: the present errors with their meanings and remedies, the first cause first, and the messages.
-pub(crate) fn alarms(robot: &Robot, recovery: Value) -> Value {
-    let live = robot.live();
-    let (errors, skipped) = match &live.model.errors {
-        Ok(errors) => (errors.as_slice(), None),
-        Err(why) => (&[][..], Some(safe(why))),
-    };
-    let steps: Vec<_> =
-        live.examination.iter().flatten().flat_map(|state| state.steps(false)).map(|step| step.name()).collect();
-    let is_ready = live.examination.iter().flatten().any(Examination::is_ready);
+pub(crate) fn alarms(robot: &Robot) -> Value {
+    let (recovery, live) = (recovery(robot), robot.live());
+    let examination = live.examination.iter().flatten();
+    let steps = examination.clone().filter(|state| !state.is_ready()).flat_map(|state| state.steps(false));
+    let obstacles = examination.flat_map(Examination::obstacles);
     json!({
-        "errors": errors.iter().map(|(code, text)| error(*code, text)).collect::<Vec<_>>(),
-        "skipped": skipped,
+        "errors": live.model.errors.iter().flatten().map(|(code, text)| error(*code, text)).collect::<Vec<_>>(),
+        "skipped": live.model.errors.as_ref().err().map(safe),
         "recovery": recovery,
-        "steps": if is_ready { Vec::new() } else { steps },
-        "obstacles": live.examination.iter().flatten().flat_map(Examination::obstacles).map(|obstacle| sentence(&obstacle.to_string())).collect::<Vec<_>>(),
+        "steps": steps.map(|step| step.name()).collect::<Vec<_>>(),
+        "obstacles": obstacles.map(|obstacle| sentence(&obstacle.to_string())).collect::<Vec<_>>(),
         "messages": live.model.messages.iter().rev().map(safe).collect::<Vec<_>>(),
+    })
+}
+
+/// Returns the last recovery of a robot.
+fn recovery(robot: &Robot) -> Value {
+    let Some(recovery) = lock(&robot.recovery).clone() else { return Value::Null };
+    let state = recovery.state();
+    let result = |result: &Result<(), HResult>| result.err().map(|code| format!("left out: {code}"));
+    json!({
+        "plan": state.plan.iter().map(|step| step.name()).collect::<Vec<_>>(),
+        "done": state.done.iter().map(|(step, made)| json!([step.name(), result(made)])).collect::<Vec<_>>(),
+        "next": state.next().map(|step| step.name()),
+        "busy": state.is_busy(),
+        "failed": state.outcome.as_ref().is_some_and(Result::is_err),
+        "outcome": state.outcome.map(|outcome| safe(&outcome.map_or_else(|why| why, str::to_owned))),
     })
 }
 
@@ -195,6 +206,13 @@ pub(crate) fn arm(robot: &Robot) -> Value {
     let target = target.and_then(|variable| variable.value.as_ref()?.as_variant().as_array());
     let commanded: Option<Vec<_>> = target.map(|joints| joints.iter().filter_map(|joint| joint.as_f64()).collect());
     json!({ "type": safe(&type_name), "links": arm::dimensions(&type_name), "commanded": commanded })
+}
+
+/// Returns the tasks with their states.
+pub(crate) fn tasks(robot: &Robot) -> Value {
+    // an escaped name would be another task's, so such a task has no buttons
+    let row = |(name, state): &(String, String)| json!([safe(name), safe(state), safe(name) == *name]);
+    robot.live().model.tasks.iter().map(row).collect()
 }
 
 /// Returns the state of a jog, and the highest speed of each axis in percent.
@@ -252,16 +270,16 @@ pub(crate) fn calls(robot: &Robot) -> Value {
 /// The most packets of a message; the others are counted.
 const PACKETS: u64 = 200;
 
-/// Returns the packets after the first `seen`, how many of them are left out, and how many there are.
-pub(crate) fn packets(robot: &Robot, seen: u64) -> (Value, u64) {
+/// Returns the packets after the first `seen`, and how many of them are left out; `None` if there are no new ones.
+pub(crate) fn packets(robot: &Robot, seen: &mut u64) -> Option<Value> {
     let live = robot.live();
     let log = &live.model.log;
-    let new = log.total().saturating_sub(seen).min(PACKETS);
+    let new = log.total().checked_sub(*seen).filter(|new| *new > 0)?;
     let row =
         |entry: &Entry| json!([entry.at.as_secs_f64(), safe(&entry.number), safe(&entry.call), safe(&entry.reply)]);
-    let kept = log.entries().rev().take(usize::try_from(new).unwrap_or(usize::MAX));
+    let kept = log.entries().rev().take(usize::try_from(new.min(PACKETS)).unwrap_or(usize::MAX));
     let mut rows: Vec<_> = kept.map(row).collect();
     rows.reverse();
-    let left_out = log.total().saturating_sub(seen) - rows.len() as u64;
-    (json!({ "rows": rows, "left_out": left_out }), log.total())
+    *seen = log.total();
+    Some(json!({ "rows": rows, "left_out": new - rows.len() as u64 }))
 }
