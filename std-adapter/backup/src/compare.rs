@@ -1,6 +1,7 @@
 //! The differences of two backups.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
 
 use crate::contents::{Contents, Part};
 use bcap_capture::value::data;
@@ -15,6 +16,25 @@ pub struct Difference<N, T> {
     pub a: Option<T>,
     /// Its entry in the second one.
     pub b: Option<T>,
+}
+
+/// Writes `I5: 3 -> 7`.
+impl fmt::Display for Difference<String, &Entry> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {} -> {}", self.name, entry_text(self.a), entry_text(self.b))
+    }
+}
+
+/// Writes the sizes of a file, or which of the backups has it.
+impl fmt::Display for Difference<&String, &Vec<u8>> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "file:{}: ", self.name)?;
+        match (self.a, self.b) {
+            (Some(a), Some(b)) => write!(f, "{} bytes -> {} bytes, the content differs", a.len(), b.len()),
+            (Some(_), None) => f.write_str("only in the first"),
+            _ => f.write_str("only in the second"),
+        }
+    }
 }
 
 /// System variables that count time, and differ always.

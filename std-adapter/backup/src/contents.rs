@@ -144,6 +144,13 @@ impl Contents {
         self.omitted.iter().any(|omission| is_meant(&omission.part))
     }
 
+    /// Describes the sizes: `40 variables, 12 system variables and 3 files`.
+    #[must_use]
+    pub fn summary(&self) -> String {
+        let [variables, system, files] = [self.variables.len(), self.system.len(), self.files.len()];
+        format!("{variables} variables, {system} system variables and {files} files")
+    }
+
     /// Counts the user variables that could not be read. System variables that can only be written do not count.
     pub fn refused(&self) -> usize {
         self.variables.values().filter(|entry| matches!(entry, Entry::Refused(_))).count()

@@ -87,6 +87,19 @@ pub fn needs_reconnect(failure: &impl Failure) -> bool {
     failure.is_lost() || failure.code() == Some(HResult::E_HANDLE)
 }
 
+/// Returns `None` if the controller refuses or answers with an unexpected value.
+///
+/// # Errors
+///
+/// The loss of the session: it must be opened again.
+pub fn unless_refused<T, F: Failure>(result: Result<T, F>) -> Result<Option<T>, F> {
+    match result {
+        Ok(value) => Ok(Some(value)),
+        Err(failure) if needs_reconnect(&failure) => Err(failure),
+        Err(_) => Ok(None),
+    }
+}
+
 /// Executes a command of the controller.
 ///
 /// # Errors

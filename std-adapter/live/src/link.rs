@@ -16,7 +16,7 @@ use bcap_std::{
     TaskStart, TaskStatus, TaskStop,
 };
 
-use crate::calls::{self, Calls, needs_reconnect};
+use crate::calls::{self, Calls, needs_reconnect, unless_refused};
 use crate::stream::StreamCheck;
 use crate::tap::Tap;
 use crate::variables::get_one;
@@ -247,14 +247,10 @@ impl Link {
     pub fn task_line(&mut self, name: &str) -> Result<Option<f64>, Error> {
         StreamCheck::default().require(self, FunctionId::CONTROLLER_GET_TASK, None)?;
         let path = ObjectPath::controller().join(Object::Task, name).join(Object::Variable, "@LINE_NO");
-        match get_one(self, &path) {
-            Err(error) if needs_reconnect(&error) => Err(error),
-            Err(_) => Ok(None),
-            Ok(value) => {
-                let value = value.as_variant();
-                Ok(value.as_array().and_then(|array| array.iter().next()).unwrap_or(value).as_f64())
-            }
-        }
+        Ok(unless_refused(get_one(self, &path))?.and_then(|value| {
+            let value = value.as_variant();
+            value.as_array().and_then(|array| array.iter().next()).unwrap_or(value).as_f64()
+        }))
     }
 
     /// Reads the state of the robot. It sends nothing that would end a stream of Slave Mode.

@@ -7,7 +7,7 @@ use bcap_core::bcap::FunctionId;
 use bcap_core::variant::OwnedVariant;
 use bcap_std::{ObjectPath, TaskStatus};
 
-use crate::calls::{Calls, Failure, needs_reconnect};
+use crate::calls::{Calls, Failure, needs_reconnect, unless_refused};
 use crate::errors;
 use crate::messages::next_message;
 use crate::model::{Robot, Update};
@@ -75,7 +75,7 @@ impl Reader {
     ///
     /// An invalid name, or the loss of the session.
     pub fn start<C: Calls>(calls: &mut C, names: &[String]) -> Result<Self, C::Error> {
-        let kind = alive(value(calls, &ObjectPath::variable("@TYPE")?))?.map(|kind| short_type(&shown(&kind)));
+        let kind = unless_refused(value(calls, &ObjectPath::variable("@TYPE")?))?.map(|kind| short_type(&shown(&kind)));
         let mut reader = Self {
             variables: Vec::new(),
             tasks: None,
@@ -170,7 +170,7 @@ impl<C: Calls, R: Rounds<C>> Round<'_, C, R> {
             self.poll()?;
             let errors = match errors::present(self.calls, &mut self.reader.stream) {
                 Err(failure) if failure.is_skipped() => Err(failure.to_string()),
-                present => Ok(alive(present)?.unwrap_or_default()),
+                present => Ok(unless_refused(present)?.unwrap_or_default()),
             };
             self.reader.had_error = has_error || errors.is_err();
             self.rounds.tell(Update::Errors(errors));
@@ -187,7 +187,7 @@ impl<C: Calls, R: Rounds<C>> Round<'_, C, R> {
                 self.rounds.tell(Update::Tasks(vec![(why, String::new())]));
                 return Ok(());
             }
-            let names = alive(list(self.calls, &ObjectPath::controller(), function))?;
+            let names = unless_refused(list(self.calls, &ObjectPath::controller(), function))?;
             let mut names = names.unwrap_or_default();
             names.truncate(TASKS);
             self.reader.tasks = Some(names);
@@ -199,7 +199,7 @@ impl<C: Calls, R: Rounds<C>> Round<'_, C, R> {
             let status = if skipped.is_some() {
                 "skipped: a stream of Slave Mode runs".into()
             } else {
-                alive(self.calls.task_status(&name))?.map_or_else(|| "unknown".into(), status_text)
+                unless_refused(self.calls.task_status(&name))?.map_or_else(|| "unknown".into(), status_text)
             };
             tasks.push((name, status));
         }
@@ -237,7 +237,7 @@ impl<C: Calls, R: Rounds<C>> Round<'_, C, R> {
     /// Reads a variable; `None` if the controller does not have it.
     fn known(&mut self, name: &str) -> Result<Option<OwnedVariant>, C::Error> {
         self.poll()?;
-        alive(value(self.calls, &ObjectPath::variable(name)?))
+        unless_refused(value(self.calls, &ObjectPath::variable(name)?))
     }
 
     fn text(&mut self, name: &str) -> Result<Option<String>, C::Error> {
@@ -249,15 +249,6 @@ impl<C: Calls, R: Rounds<C>> Round<'_, C, R> {
         let value = self.known(name)?.unwrap_or_default();
         let array = value.as_variant().as_array();
         Ok(array.map(|array| array.iter().filter_map(|number| number.as_f64()).collect()).unwrap_or_default())
-    }
-}
-
-/// Returns `None` if the controller refuses or answers with an unexpected value. Fails when the session is lost.
-fn alive<T, F: Failure>(result: Result<T, F>) -> Result<Option<T>, F> {
-    match result {
-        Ok(value) => Ok(Some(value)),
-        Err(failure) if needs_reconnect(&failure) => Err(failure),
-        Err(_) => Ok(None),
     }
 }
 

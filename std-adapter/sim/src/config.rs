@@ -8,6 +8,7 @@ use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 use bcap_core::variant::OleDate;
+use serde::{Deserialize, Serialize};
 
 use crate::executor::Executor;
 use crate::explain::Observer;
@@ -16,8 +17,9 @@ use crate::model::{ArmModel, Model, Profile, SlaveFormats};
 use crate::trace::Recorder;
 use crate::variables::Sizes;
 
-/// The operation mode, with the numbers of `@MODE`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+/// The operation mode, with the numbers of `@MODE`. Serialized, it is a name: `manual`, `teach_check` or `auto`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Mode {
     /// Manual mode.
     Manual = 1,

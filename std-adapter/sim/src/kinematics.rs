@@ -52,6 +52,8 @@ mod horizontal;
 mod offset;
 mod vertical;
 
+use serde::Serialize;
+
 pub use self::frame::Joints;
 pub(crate) use self::frame::{Frame, OutOfReach, cross, dot, unit};
 pub use self::horizontal::Horizontal;
@@ -77,7 +79,8 @@ pub struct Geometry {
 }
 
 /// The kind of an arm, and its lengths.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(tag = "kind", rename_all = "lowercase")]
 #[non_exhaustive]
 pub enum Links {
     /// Six axes.

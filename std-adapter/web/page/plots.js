@@ -26,7 +26,7 @@ export const plots = {
     state.cursor = null;
     const canvas = make("canvas", { className: "plot", tabIndex: 0, role: "img", "aria-label": "Plot of the chosen numbers over time" });
     const choices = make("fieldset", { className: "choices" }, make("legend", {}, "Numbers; variables are chosen on their screen"));
-    const pause = make("button", { type: "button", id: "hold", onclick: () => { state.isPaused = !state.isPaused; draw(); } });
+    const pause = make("button", { type: "button", id: "hold", onclick: () => { state.isPaused = !state.isPaused; draw(); } }, pauseText());
     const zoom = make("select", { id: "window", "aria-label": "Window", onchange: () => { state.window = Number(zoom.value); draw(); } }, ...WINDOWS.map((seconds) => make("option", { value: seconds }, `${seconds} s`)));
     const csv = make("button", { type: "button", id: "csv", onclick: exportCsv }, "Save as CSV");
     const mcap = make("button", { type: "button", id: "mcap", onclick: exportMcap }, "Save as MCAP");
@@ -106,12 +106,14 @@ function chosen() {
   return ids.filter(([, samples]) => samples.length > 0);
 }
 
+const pauseText = () => (state.isPaused ? "Go on" : "Pause");
+
 /** The end of the window, which stands still during a pause. */
 let heldEnd = 0;
 
 function draw() {
   const { canvas, pause, legend } = state.parts;
-  setText(pause, state.isPaused ? "Go on" : "Pause");
+  setText(pause, pauseText());
   const [width, height, scale] = [canvas.clientWidth, canvas.clientHeight, devicePixelRatio];
   [canvas.width, canvas.height] = [width * scale, height * scale];
   const pen = canvas.getContext("2d");

@@ -8,11 +8,9 @@ use tokio::sync::Semaphore;
 use crate::audit::Audit;
 use crate::config::Config;
 use crate::guard::Guard;
-use crate::panel::Panel;
 use crate::robot::Robot;
 
 /// The state that all connections share.
-#[derive(Debug)]
 pub(crate) struct App {
     pub(crate) guard: Guard,
     pub(crate) robots: Vec<Arc<Robot>>,
@@ -23,11 +21,4 @@ pub(crate) struct App {
     pub(crate) clients: AtomicU64,
     /// The pages that may still be opened.
     pub(crate) pages: Arc<Semaphore>,
-}
-
-impl App {
-    /// Returns the panel, if the robot is a virtual controller of this process.
-    pub(crate) fn panel(&self) -> Option<Panel> {
-        self.config.panel.clone().map(Panel::new)
-    }
 }

@@ -8,13 +8,13 @@ use serde_json::{Value, json};
 
 /// Returns the dimensions of an arm by its `@TYPE_NAME`, in mm; `None` for one without a model file.
 pub(crate) fn dimensions(type_name: &str) -> Option<Value> {
-    Some(links(&geometry(type_name)?))
+    geometry(type_name).map(|geometry| json!(geometry.links))
 }
 
 fn geometry(type_name: &str) -> Option<Geometry> {
     let models = Profile::ALL.iter().map(|profile| profile.model()).map(|model| (&model.robot_type, model.geometry));
     let arms = ArmProfile::ALL.iter().map(|profile| profile.arm()).map(|arm| (&arm.robot_type, arm.geometry));
-    let (_, geometry) = models.chain(arms).find(|(known, _)| is_of(series(known), type_name))?;
+    let (_, geometry) = models.chain(arms).find(|(known, _)| is_of_series(type_name, known))?;
     Some(geometry)
 }
 
@@ -47,25 +47,10 @@ pub(crate) fn percent(type_name: &str, axis: Axis) -> f64 {
     (FASTEST_MM / speed * 100.0).min(FASTEST)
 }
 
-/// Returns the part of a type name that tells the lengths: the options of an arm follow a dash.
-fn series(type_name: &str) -> &str {
-    type_name.split(['-', ' ']).next().unwrap_or_default()
-}
-
-/// Returns whether an arm is of a series: a controller may add a letter and the options to its name.
-fn is_of(series: &str, type_name: &str) -> bool {
+/// Returns whether an arm has the lengths of a known one: the options of an arm follow a dash, and a controller may add a letter.
+fn is_of_series(type_name: &str, known: &str) -> bool {
+    let series = known.split(['-', ' ']).next().unwrap_or_default();
     type_name.strip_prefix(series).is_some_and(|rest| !rest.starts_with(|next: char| next.is_ascii_digit()))
-}
-
-fn links(geometry: &Geometry) -> Value {
-    match geometry.links {
-        Links::Vertical(arm) => json!({
-            "kind": "vertical", "d1": arm.d1, "a1": arm.a1, "a2": arm.a2, "a3": arm.a3, "d4": arm.d4, "b4": arm.b4,
-            "b6": arm.b6, "d6": arm.d6,
-        }),
-        Links::Horizontal(arm) => json!({ "kind": "horizontal", "d1": arm.d1, "a1": arm.a1, "a2": arm.a2 }),
-        _ => Value::Null,
-    }
 }
 
 #[cfg(test)]

@@ -1,42 +1,34 @@
 //! The files of the page, and the headers that keep other pages out.
 
-use axum::http::HeaderValue;
-use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE, HeaderName};
+use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Response};
 
-const HTML: &str = "text/html; charset=utf-8";
-const CSS: &str = "text/css; charset=utf-8";
-const SCRIPT: &str = "text/javascript; charset=utf-8";
+/// Includes files of the page by their names.
+macro_rules! files {
+    ($($name:literal)+) => { &[$(($name, include_str!(concat!("../page/", $name)))),+] };
+}
 
-/// The path, the type and the content of each file.
-pub(crate) const FILES: &[(&str, &str, &str)] = &[
-    ("/", HTML, include_str!("../page/index.html")),
-    ("/style.css", CSS, include_str!("../page/style.css")),
-    ("/icon.svg", "image/svg+xml", include_str!("../page/icon.svg")),
-    ("/main.js", SCRIPT, include_str!("../page/main.js")),
-    ("/net.js", SCRIPT, include_str!("../page/net.js")),
-    ("/dom.js", SCRIPT, include_str!("../page/dom.js")),
-    ("/cell.js", SCRIPT, include_str!("../page/cell.js")),
-    ("/variables.js", SCRIPT, include_str!("../page/variables.js")),
-    ("/alarms.js", SCRIPT, include_str!("../page/alarms.js")),
-    ("/arm.js", SCRIPT, include_str!("../page/arm.js")),
-    ("/space.js", SCRIPT, include_str!("../page/space.js")),
-    ("/jog.js", SCRIPT, include_str!("../page/jog.js")),
-    ("/tasks.js", SCRIPT, include_str!("../page/tasks.js")),
-    ("/plots.js", SCRIPT, include_str!("../page/plots.js")),
-    ("/packets.js", SCRIPT, include_str!("../page/packets.js")),
-    ("/bytes.js", SCRIPT, include_str!("../page/bytes.js")),
-    ("/raw.js", SCRIPT, include_str!("../page/raw.js")),
-    ("/panel.js", SCRIPT, include_str!("../page/panel.js")),
-    ("/backup.js", SCRIPT, include_str!("../page/backup.js")),
-    ("/session.js", SCRIPT, include_str!("../page/session.js")),
-    ("/login.js", SCRIPT, include_str!("../page/login.js")),
-];
+/// The names and the contents of the files.
+pub(crate) const FILES: &[(&str, &str)] = files! {
+    "index.html" "style.css" "icon.svg" "main.js" "net.js" "dom.js" "cell.js" "variables.js" "alarms.js" "arm.js" "space.js"
+    "jog.js" "tasks.js" "plots.js" "packets.js" "bytes.js" "raw.js" "panel.js" "backup.js" "session.js" "login.js"
+};
+
+/// Returns a file with its type.
+pub(crate) fn file(name: &'static str, content: &'static str) -> impl IntoResponse {
+    let kind = match name.rsplit('.').next() {
+        Some("html") => "text/html; charset=utf-8",
+        Some("css") => "text/css; charset=utf-8",
+        Some("svg") => "image/svg+xml",
+        _ => "text/javascript; charset=utf-8",
+    };
+    ([(CONTENT_TYPE, kind)], content)
+}
 
 /// The headers of every response.
 ///
 /// Scripts and styles only from this server, no frames, no plug-ins, no forms, no other host.
-const HEADERS: [(&str, &str); 7] = [
+const HEADERS: [(&str, &str); 8] = [
     (
         "content-security-policy",
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; base-uri 'none'; \
@@ -48,19 +40,11 @@ const HEADERS: [(&str, &str); 7] = [
     ("cross-origin-opener-policy", "same-origin"),
     ("cross-origin-resource-policy", "same-origin"),
     ("permissions-policy", "camera=(), microphone=(), geolocation=(), usb=(), serial=()"),
+    // another version of the command may listen here next
+    ("cache-control", "no-store"),
 ];
 
-/// Returns a file.
-pub(crate) fn file(kind: &'static str, content: &'static str) -> Response {
-    ([(CONTENT_TYPE, kind)], content).into_response()
-}
-
 /// Adds the headers of every response.
-pub(crate) async fn with_headers(mut response: Response) -> Response {
-    for (name, value) in HEADERS {
-        response.headers_mut().insert(HeaderName::from_static(name), HeaderValue::from_static(value));
-    }
-    // another version of the command may listen here next
-    response.headers_mut().insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
-    response
+pub(crate) async fn with_headers(response: Response) -> impl IntoResponse {
+    (HEADERS, response)
 }

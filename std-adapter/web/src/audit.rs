@@ -1,12 +1,10 @@
 //! A line for each action of a user.
 
 use std::collections::VecDeque;
-use std::fmt;
-use std::sync::{Mutex, PoisonError};
+use std::sync::Mutex;
 
-use bcap_terminal::escape;
-
-use crate::text::now;
+use crate::text::{now, safe};
+use crate::threads::lock;
 
 /// The lines that a page shows.
 const KEPT: usize = 100;
@@ -14,14 +12,8 @@ const KEPT: usize = 100;
 /// Takes the lines.
 pub(crate) struct Audit {
     line: Box<dyn Fn(&str) + Send + Sync>,
-    /// The last lines, the latest last.
+    /// The last lines, the latest first.
     last: Mutex<VecDeque<String>>,
-}
-
-impl fmt::Debug for Audit {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("Audit")
-    }
 }
 
 impl Audit {
@@ -33,17 +25,15 @@ impl Audit {
     pub(crate) fn write<T>(&self, who: &str, robot: &str, what: &str, outcome: &Result<T, String>) {
         let outcome = outcome.as_ref().err().map_or("done", String::as_str);
         let time = now().map(|date| format!("{date}Z ")).unwrap_or_default();
-        let line = escape::line(&escape::cut(&format!("{time}{robot}: {who}: {what}: {outcome}")));
+        let line = safe(&format!("{time}{robot}: {who}: {what}: {outcome}"));
         (self.line)(&line);
-        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
-        if last.len() >= KEPT {
-            last.pop_front();
-        }
-        last.push_back(line);
+        let mut last = lock(&self.last);
+        last.push_front(line);
+        last.truncate(KEPT);
     }
 
     /// Returns the last lines, the latest first.
     pub(crate) fn last(&self) -> Vec<String> {
-        self.last.lock().unwrap_or_else(PoisonError::into_inner).iter().rev().cloned().collect()
+        lock(&self.last).iter().cloned().collect()
     }
 }

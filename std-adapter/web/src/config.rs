@@ -3,13 +3,14 @@
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use bcap_live::link::Access;
 use bcap_sim::pace::Paced;
 use serde_json::{Value, json};
 
 use crate::text::safe;
+use crate::threads::lock;
 
 /// The robots of a server, and the rights of its pages.
 #[derive(Debug)]
@@ -50,20 +51,16 @@ pub struct Recordings {
 pub struct Replay(Arc<Mutex<(u64, String)>>);
 
 impl Replay {
-    fn lock(&self) -> MutexGuard<'_, (u64, String)> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Records a request that the capture lacks.
     pub fn lacks(&self, request: &str) {
-        let (count, last) = &mut *self.lock();
+        let (count, last) = &mut *lock(&self.0);
         *count += 1;
         request.clone_into(last);
     }
 
     /// Returns them for a page.
     pub(crate) fn section(&self) -> Value {
-        let (count, last) = &*self.lock();
+        let (count, last) = &*lock(&self.0);
         json!([count, safe(last)])
     }
 }
@@ -90,13 +87,12 @@ impl Config {
     /// Returns the configuration of a server that only reads.
     #[must_use]
     pub const fn new(listen: SocketAddr, robots: Vec<(String, Access)>) -> Self {
-        let labels = BTreeMap::new();
         Self {
             listen,
             robots,
             allow_write: false,
             allow_motion: false,
-            labels,
+            labels: BTreeMap::new(),
             panel: None,
             backups: None,
             recordings: None,

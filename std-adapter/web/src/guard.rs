@@ -8,15 +8,17 @@ use std::net::SocketAddr;
 use axum::http::header::{HOST, ORIGIN};
 use axum::http::{HeaderMap, StatusCode};
 
+use crate::config::Remote;
 use crate::login::{Login, Open};
-pub(crate) use crate::secret::{Bucket, Refused, only};
-use crate::secret::{is_same, secret};
+use crate::secret::{Refused, is_same, only, secret};
+
+const OTHER_HOST: Refused =
+    (StatusCode::MISDIRECTED_REQUEST, "this is not the host of the page; open the address that bcap web printed");
 
 /// The header with the token of a request.
 pub(crate) const TOKEN: &str = "x-bcap-token";
 
 /// The token and the names of this server.
-#[derive(Debug)]
 pub(crate) struct Guard {
     token: String,
     /// The names with which a request may reach this server.
@@ -24,26 +26,25 @@ pub(crate) struct Guard {
     /// The beginning of an origin.
     scheme: &'static str,
     /// The users of a server that other computers can reach. The token does not suffice there.
-    login: Option<Login>,
+    pub(crate) login: Option<Login>,
 }
 
 impl Guard {
-    /// Draws the token of a server.
-    pub(crate) fn new(address: SocketAddr) -> Result<Self, getrandom::Error> {
-        let hosts = vec![address.to_string(), format!("localhost:{}", address.port())];
-        Ok(Self { token: secret()?, hosts, scheme: "http://", login: None })
-    }
-
-    /// Makes the guard of a server with TLS and a password. The first name is the one of its address.
-    pub(crate) fn remote(address: SocketAddr, names: &[String], password: String) -> Result<Self, getrandom::Error> {
-        let mut hosts: Vec<_> = names.iter().map(|name| format!("{name}:{}", address.port())).collect();
-        if address.port() == 443 {
-            hosts.extend_from_slice(names);
+    /// Draws the token of a server. The first name of one with TLS and a password is the one of its address.
+    pub(crate) fn new(address: SocketAddr, remote: Option<Remote>) -> Result<Self, getrandom::Error> {
+        let (token, port) = (secret()?, address.port());
+        let Some(Remote { names, password, .. }) = remote else {
+            let hosts = vec![address.to_string(), format!("localhost:{port}")];
+            return Ok(Self { token, hosts, scheme: "http://", login: None });
+        };
+        let mut hosts: Vec<_> = names.iter().map(|name| format!("{name}:{port}")).collect();
+        if port == 443 {
+            hosts.extend(names);
         }
         if !address.ip().is_unspecified() {
             hosts.push(address.to_string());
         }
-        Ok(Self { token: secret()?, hosts, scheme: "https://", login: Some(Login::new(password)) })
+        Ok(Self { token, hosts, scheme: "https://", login: Some(Login::new(password)) })
     }
 
     /// Returns the address of the page. Without a login it has the token.
@@ -56,30 +57,19 @@ impl Guard {
         }
     }
 
-    pub(crate) const fn login(&self) -> Option<&Login> {
-        self.login.as_ref()
-    }
-
     /// Refuses a request for another host: a name of another site may have been bound to this address.
     pub(crate) fn check_host(&self, headers: &HeaderMap) -> Result<(), Refused> {
         let host = only(headers, HOST.as_str()).unwrap_or_default();
-        if self.hosts.iter().any(|known| known.eq_ignore_ascii_case(host)) {
-            return Ok(());
-        }
-        Err((
-            StatusCode::MISDIRECTED_REQUEST,
-            "this is not the host of the page; open the address that bcap web printed",
-        ))
+        let is_own = self.hosts.iter().any(|known| known.eq_ignore_ascii_case(host));
+        is_own.then_some(()).ok_or(OTHER_HOST)
     }
 
     /// Refuses a request of a page of another origin, and one without an origin.
     pub(crate) fn check_origin(&self, headers: &HeaderMap) -> Result<(), Refused> {
         let host = only(headers, ORIGIN.as_str()).and_then(|origin| origin.strip_prefix(self.scheme));
         // of the same host: a page of localhost is not one of 127.0.0.1
-        if host.is_some() && host == only(headers, HOST.as_str()) {
-            return Ok(());
-        }
-        Err((StatusCode::FORBIDDEN, "the request is not from a page of this server"))
+        let is_own = host.is_some() && host == only(headers, HOST.as_str());
+        is_own.then_some(()).ok_or((StatusCode::FORBIDDEN, "the request is not from a page of this server"))
     }
 
     /// Refuses a request without the token; of a server with a password, a request without the cookie of a login.

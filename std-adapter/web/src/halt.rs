@@ -1,22 +1,23 @@
 //! HALT: a thread and a connection for each robot that do nothing else, so that it waits for no other call.
 
+use std::iter::once;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread;
 
 use bcap_live::link::{Access, Stopper};
 use bcap_std::blocking::Halted;
-use bcap_terminal::escape;
 use tokio::sync::oneshot;
 
-/// An order to the thread.
-enum Order {
-    /// The controller may have started again: opens the connection anew.
-    Prepare,
-    Halt(oneshot::Sender<Result<String, String>>),
-}
+use crate::text::safe;
+
+/// The outcome of a halt, which is certain, or why the robot may still move.
+type Outcome = Result<String, String>;
+
+/// An order to the thread: a halt with the receiver of its outcome, or `None` to open the connection anew.
+type Order = Option<oneshot::Sender<Outcome>>;
 
 /// The thread that halts a robot.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub(crate) struct Halter(Sender<Order>);
 
 impl Halter {
@@ -26,65 +27,58 @@ impl Halter {
         Ok(Self(sender))
     }
 
-    /// Opens the connection, so that it is there when it is needed.
+    /// Opens the connection anew, so that it is there when it is needed: the controller may have started again.
     pub(crate) fn prepare(&self) {
         // without a receiver the thread has panicked, which a halt reports
-        let _ = self.0.send(Order::Prepare);
+        let _ = self.0.send(None);
     }
 
-    /// Halts the robot. Returns the outcome, which is certain, or why the robot may still move.
-    pub(crate) async fn halt(&self) -> Result<String, String> {
+    /// Halts the robot.
+    pub(crate) async fn halt(&self) -> Outcome {
         self.begin().await.unwrap_or_else(|_| ended())
     }
 
     /// Halts the robot as [`halt`](Self::halt) does, and blocks the thread meanwhile.
-    pub(crate) fn halt_now(&self) -> Result<String, String> {
+    pub(crate) fn halt_now(&self) -> Outcome {
         self.begin().blocking_recv().unwrap_or_else(|_| ended())
     }
 
-    fn begin(&self) -> oneshot::Receiver<Result<String, String>> {
+    fn begin(&self) -> oneshot::Receiver<Outcome> {
         let (sender, outcome) = oneshot::channel();
         // without a receiver the thread has panicked, and the outcome has no sender
-        let _ = self.0.send(Order::Halt(sender));
+        let _ = self.0.send(Some(sender));
         outcome
     }
 }
 
-fn ended() -> Result<String, String> {
+fn ended() -> Outcome {
     Err("NOT HALTED, use the emergency stop: the thread that halts has ended".into())
 }
 
 fn run(access: Access, orders: &Receiver<Order>) {
     let mut stopper = Stopper::new(access);
     while let Ok(first) = orders.recv() {
-        let mut waiting = Vec::new();
-        let mut is_renewed = false;
         // presses that came during the last halt get one outcome
-        for order in std::iter::once(first).chain(orders.try_iter()) {
-            match order {
-                Order::Prepare => is_renewed = true,
-                Order::Halt(reply) => waiting.push(reply),
-            }
-        }
-        if !waiting.is_empty() {
-            let outcome = halt(&mut stopper);
-            for reply in waiting {
-                // a page that is closed needs no outcome
-                let _ = reply.send(outcome.clone());
-            }
-        } else if is_renewed {
+        let presses: Vec<_> = once(first).chain(orders.try_iter()).flatten().collect();
+        if presses.is_empty() {
             stopper.renew();
             // a halt tries again, and reports why
             let _ = stopper.prepare();
+            continue;
+        }
+        let outcome = halt(&mut stopper);
+        for press in presses {
+            // a page that is closed needs no outcome
+            let _ = press.send(outcome.clone());
         }
     }
 }
 
-fn halt(stopper: &mut Stopper) -> Result<String, String> {
+fn halt(stopper: &mut Stopper) -> Outcome {
     match stopper.halt() {
         Ok(Halted::NothingMoved) => Ok("the robot was at rest; nothing was moving".into()),
         Ok(Halted::TasksStopped(tasks)) => Ok(format!("halted, the robot rests; {tasks}")),
         Ok(_) => Ok("halted, the robot rests".into()),
-        Err(error) => Err(format!("NOT HALTED, use the emergency stop: {}", escape::line(&escape::cut(&error)))),
+        Err(error) => Err(format!("NOT HALTED, use the emergency stop: {}", safe(&error))),
     }
 }

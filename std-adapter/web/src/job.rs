@@ -1,6 +1,6 @@
 //! A job of the screen of backups: its progress, its end, and its outcome.
 
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use bcap_backup::controller::Progress;
@@ -9,9 +9,11 @@ use bcap_core::bcap::StreamState;
 use bcap_live::link::{Error, Link};
 use bcap_live::stream::StreamCheck;
 use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
 
 use crate::control::Client;
 use crate::text::safe;
+use crate::threads::lock;
 
 /// The most lines of a plan or a difference that a page shows; the others are counted.
 const LINES: usize = 500;
@@ -48,11 +50,10 @@ pub(crate) struct Work {
 }
 
 /// A job, and what a page shows of it.
-#[derive(Debug)]
 pub(crate) struct Job {
     pub(crate) client: Client,
     pub(crate) work: Work,
-    state: Mutex<State>,
+    pub(crate) state: Mutex<State>,
 }
 
 /// The progress and the outcome of a job.
@@ -66,46 +67,24 @@ pub(crate) struct State {
     pub(crate) notes: Vec<String>,
     /// The plan that a restore may take, once.
     pub(crate) plan: Option<Plan>,
-    pub(crate) can_restore: bool,
     end: Option<String>,
     pub(crate) outcome: Option<Result<String, String>>,
 }
 
-impl std::fmt::Debug for State {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.debug_struct("State").field("part", &self.part).field("done", &self.done).finish_non_exhaustive()
-    }
-}
-
 impl Job {
-    pub(crate) fn new(client: Client, work: Work) -> Self {
-        Self { client, work, state: Mutex::default() }
-    }
-
-    pub(crate) fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     /// Ends the job between two calls. An ended dump or restore can go on.
     pub(crate) fn end(&self, why: &str) {
-        self.lock().end.get_or_insert_with(|| why.to_owned());
+        lock(&self.state).end.get_or_insert_with(|| why.to_owned());
     }
 
-    /// Ends a restore of a page that was lost or has released the control.
-    pub(crate) fn end_restore(&self, client: Client, why: &str) {
-        if self.client == client && self.work.kind == Kind::Restore {
-            self.end(why);
-        }
-    }
-
-    /// Returns whether the job has not ended.
-    pub(crate) fn is_running(&self) -> bool {
-        self.lock().outcome.is_none()
+    /// Returns whether the job is a restore of this page.
+    pub(crate) fn is_restore_of(&self, client: Client) -> bool {
+        self.client == client && self.work.kind == Kind::Restore
     }
 
     /// Records the progress. Fails at the end, and while a stream runs.
     pub(crate) fn watch(&self, link: &mut Link, at: Progress<'_>, asked: &mut Instant) -> Result<(), Error> {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         (state.done, state.count) = (at.done, at.count);
         at.part.clone_into(&mut state.part);
         if let Some(why) = &state.end {
@@ -121,10 +100,29 @@ impl Job {
         Ok(())
     }
 
+    /// Returns the job for a page.
+    pub(crate) fn section(&self, client: Client) -> Value {
+        let state = lock(&self.state);
+        json!({
+            "work": self.work.kind,
+            "folder": self.work.folder,
+            "part": state.part,
+            "done": state.done,
+            "count": state.count,
+            "lines": state.lines,
+            "left_out": state.left_out,
+            "notes": state.notes,
+            "can_restore": self.client == client && state.plan.as_ref().is_some_and(|plan| !plan.is_empty()),
+            "running": state.outcome.is_none(),
+            "failed": state.outcome.as_ref().is_some_and(Result::is_err),
+            "outcome": state.outcome.as_ref().map(|outcome| safe(match outcome { Ok(text) | Err(text) => text })),
+        })
+    }
+
     /// Shows lines of a difference or a plan.
     pub(crate) fn show(&self, lines: &[String]) {
-        let mut state = self.lock();
-        state.lines = lines.iter().take(LINES).map(|line| safe(line)).collect();
+        let mut state = lock(&self.state);
+        state.lines = lines.iter().take(LINES).map(safe).collect();
         state.left_out = lines.len().saturating_sub(LINES);
     }
 }

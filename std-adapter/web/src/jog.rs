@@ -1,16 +1,19 @@
-//! Jogging: the thread that moves a robot while a page holds it, and the watch over that thread.
+//! The jog of a page: the thread that moves a robot while the page holds it, and the watch over that thread.
 
 use std::sync::Arc;
-use std::thread;
 use std::time::Duration;
 
 use bcap_live::axis::Axis;
 use bcap_live::jog::{self, Grip, Phase, Press};
+use serde_json::Value;
 use tokio::time::{Instant, sleep};
 
 use crate::app::App;
 use crate::arm;
 use crate::robot::Robot;
+use crate::socket::{Answer, Page};
+use crate::text::safe;
+use crate::threads::{lock, spawn};
 
 /// How often the watch looks.
 const LOOK: Duration = Duration::from_millis(20);
@@ -18,21 +21,56 @@ const LOOK: Duration = Duration::from_millis(20);
 /// The time in which the jog thread halts a robot by itself. After it the connection of HALT halts the robot.
 const IN_TIME: Duration = Duration::from_millis(150);
 
-/// Begins a jog, which takes the arm.
-pub(crate) fn start(app: &Arc<App>, robot: &Arc<Robot>, who: String) -> Result<Arc<Grip>, String> {
-    let grip = Arc::new(Grip::default());
-    let mut last = robot.grip();
-    if last.as_ref().is_some_and(|last| last.phase() != Phase::Ended) {
-        return Err("the last jog of this robot has not ended; wait a moment".into());
+impl Page {
+    /// Begins a jog, which takes the arm. `name` is the robot's name in the question.
+    pub(crate) fn take_grip(&mut self, number: usize, name: &str) -> Answer {
+        let (who, robot) = self.mover(number)?;
+        robot.check_name(name)?;
+        self.end_motion("a jog begins");
+        let grip = Arc::new(Grip::default());
+        let mut last = lock(&robot.grip);
+        if last.as_ref().is_some_and(|last| last.phase() != Phase::Ended) {
+            return Err("the last jog of this robot has not ended; wait a moment".into());
+        }
+        let (access, held) = (robot.access.clone(), Arc::clone(&grip));
+        spawn("jog", move || jog::run(&access, &held))?;
+        *last = Some(Arc::clone(&grip));
+        drop(last);
+        self.grip = Some((number, Arc::clone(&grip)));
+        let begun = self.audited(&who, &robot, "takes the arm for a jog", Ok(()));
+        tokio::spawn(watch(Arc::clone(&self.app), robot, who, grip));
+        begun
     }
-    let (access, held) = (robot.access.clone(), Arc::clone(&grip));
-    let thread = thread::Builder::new().name("jog".into()).spawn(move || jog::run(&access, &held));
-    thread.map_err(|error| format!("a thread cannot be started: {error}; nothing was done"))?;
-    *last = Some(Arc::clone(&grip));
-    drop(last);
-    app.audit.write::<()>(&who, &robot.name, "takes the arm for a jog", &Ok(()));
-    tokio::spawn(watch(Arc::clone(app), Arc::clone(robot), who, Arc::clone(&grip)));
-    Ok(grip)
+
+    /// Returns the jog of this page.
+    fn grip(&self, number: usize) -> Result<&Grip, String> {
+        let grip = self.grip.as_ref().filter(|(robot, _)| *robot == number).map(|(_, grip)| &**grip);
+        grip.ok_or_else(|| "the jog has ended; begin it again".into())
+    }
+
+    /// Makes steps while a button is held, and limits their speed.
+    pub(crate) fn press(&self, number: usize, axis: &str, by: f64, percent: f64) -> Answer {
+        let (_, robot) = self.mover(number)?;
+        let axis: Axis = axis.parse().map_err(|why| format!("{axis}: {why}"))?;
+        let type_name = robot.live().type_name.clone().unwrap_or_default();
+        // the request itself must be in the range
+        Press::new(axis, by, percent)?;
+        let press = Press::new(axis, by, percent.min(arm::percent(&type_name, axis)))?;
+        self.grip(number)?.press(press).map(|()| Value::Null)
+    }
+
+    /// Ends a press of a button.
+    pub(crate) fn lift(&self, number: usize) -> Answer {
+        let steps = self.grip(number)?.lift();
+        let (who, robot) = self.mover(number)?;
+        self.audited(&who, &robot, &format!("jogged by {steps} steps"), Ok(steps))
+    }
+
+    /// Ends the jog.
+    pub(crate) fn drop_grip(&self, number: usize, why: &str) -> Answer {
+        self.grip(number)?.end(&safe(why));
+        Ok(Value::Null)
+    }
 }
 
 /// Halts the robot over the connection of HALT if the jog thread does not: its connection may hang.
@@ -54,13 +92,4 @@ async fn watch(app: Arc<App>, robot: Arc<Robot>, who: String, grip: Arc<Grip>) {
     let (why, outcome) = (grip.ends().unwrap_or_default(), grip.outcome().unwrap_or(Err("the jog panicked".into())));
     let what = format!("the jog ends: {why}; {}", outcome.as_deref().unwrap_or("then"));
     app.audit.write(&who, &robot.name, &what, &outcome);
-}
-
-/// Checks a step of a page, and limits its speed.
-pub(crate) fn press(robot: &Robot, axis: &str, by: f64, percent: f64) -> Result<Press, String> {
-    let axis: Axis = axis.parse().map_err(|why| format!("{axis}: {why}"))?;
-    let type_name = robot.live().type_name.clone().unwrap_or_default();
-    // the request itself must be in the range
-    Press::new(axis, by, percent)?;
-    Press::new(axis, by, percent.min(arm::percent(&type_name, axis)))
 }

@@ -14,11 +14,12 @@ mod job;
 mod jog;
 mod line;
 mod login;
+mod names;
+mod order;
 mod panel;
 mod raw;
 mod record;
 mod recover;
-mod restore;
 mod robot;
 mod save;
 mod secret;
@@ -26,6 +27,7 @@ mod serve;
 mod socket;
 mod tasks;
 mod text;
+mod threads;
 mod tls;
 mod view;
 
@@ -60,7 +62,7 @@ fn acceptor(remote: &Remote, listen: SocketAddr) -> Result<Acceptor, Error> {
     if listen.ip().is_unspecified() && remote.names.is_empty() {
         return Err(Error::NoName(listen));
     }
-    Acceptor::new(&remote.certificate, &remote.key).map_err(Error::Tls)
+    tls::acceptor(&remote.certificate, &remote.key).map_err(Error::Tls)
 }
 
 /// Why a server does not start.
@@ -99,11 +101,17 @@ pub enum Error {
 }
 
 /// A server of the page.
-#[derive(Debug)]
 pub struct Server {
     listener: TcpListener,
     tls: Option<Acceptor>,
     app: Arc<App>,
+}
+
+impl std::fmt::Debug for Server {
+    // without the token, the password and the sessions
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Server").field("listener", &self.listener).finish_non_exhaustive()
+    }
 }
 
 impl Server {
@@ -113,13 +121,11 @@ impl Server {
     ///
     /// An [`Error`]; nothing runs then.
     pub async fn bind(mut config: Config, audit: impl Fn(&str) + Send + Sync + 'static) -> Result<Self, Error> {
-        let Config { listen, ref mut robots, ref mut remote, .. } = config;
-        let (robots, remote) = (std::mem::take(robots), remote.take());
-        let tls = match &remote {
-            None if !listen.ip().is_loopback() => return Err(Error::NotLocal(listen)),
-            None => None,
-            Some(remote) => Some(acceptor(remote, listen)?),
-        };
+        let (listen, robots, remote) = (config.listen, std::mem::take(&mut config.robots), config.remote.take());
+        if remote.is_none() && !listen.ip().is_loopback() {
+            return Err(Error::NotLocal(listen));
+        }
+        let tls = remote.as_ref().map(|remote| acceptor(remote, listen)).transpose()?;
         if !(1..=ROBOTS).contains(&robots.len()) {
             return Err(Error::Robots(robots.len()));
         }
@@ -127,13 +133,8 @@ impl Server {
             return Err(Error::Serial(name.clone()));
         }
         let listener = TcpListener::bind(listen).await?;
-        let address = listener.local_addr()?;
         let app = App {
-            guard: match remote {
-                Some(Remote { names, password, .. }) => Guard::remote(address, &names, password),
-                None => Guard::new(address),
-            }
-            .map_err(Error::Random)?,
+            guard: Guard::new(listener.local_addr()?, remote).map_err(Error::Random)?,
             robots: robots.into_iter().map(|(name, access)| Robot::start(name, access)).collect::<Result<_, _>>()?,
             config,
             audit: Audit::new(audit),

@@ -26,7 +26,7 @@ const LOST: Duration = Duration::from_secs(2);
 const WAITING: usize = 32;
 
 /// The answer of a page to a pulse: it is open, visible, and its scripts run. It has no answer.
-#[derive(Debug, Deserialize)]
+#[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Beat {
     beat: u64,
@@ -43,7 +43,7 @@ pub(crate) struct Line {
     pulse: Interval,
     /// The number of the last pulse.
     last: u64,
-    /// When the last pulses were sent, the latest last.
+    /// When the last pulses were sent, the latest first.
     sent: VecDeque<Instant>,
 }
 
@@ -59,68 +59,62 @@ impl Line {
         self.watched = is_watched.then(|| self.watched.unwrap_or_else(Instant::now));
     }
 
-    /// Returns whether a page that must send heartbeats has sent none for too long.
-    pub(crate) fn is_lost(&self) -> bool {
-        self.watched.is_some_and(|last| last.elapsed() > LOST)
+    /// Shows a page that the server is alive; ends one that must send heartbeats and has sent none for too long.
+    pub(crate) async fn alive(&mut self) -> Option<()> {
+        if self.watched.is_some_and(|last| last.elapsed() > LOST) {
+            return None;
+        }
+        self.send(json!({ "t": "tick" }).to_string()).await
     }
 
     pub(crate) async fn send(&mut self, text: String) -> Option<()> {
         timeout(SEND, self.socket.send(Message::Text(text.into()))).await.ok()?.ok()
     }
 
-    /// Waits for the next order. Sends pulses and records heartbeats meanwhile. `None` is the end of the page.
+    /// Returns the next order; `None` at the end of the page.
     pub(crate) async fn order(&mut self) -> Option<String> {
-        if let Some(text) = self.waiting.pop_front() {
-            return Some(text);
-        }
-        loop {
-            if let Some(text) = self.next().await? {
-                return Some(text);
-            }
+        match self.waiting.pop_front() {
+            None => self.receive().await,
+            waiting => waiting,
         }
     }
 
     /// Takes orders while another one is carried out. Ends only at the end of the page.
     pub(crate) async fn hold(&mut self) -> Option<()> {
         while self.waiting.len() < WAITING {
-            if let Some(text) = self.next().await? {
-                self.waiting.push_back(text);
-            }
+            let text = self.receive().await?;
+            self.waiting.push_back(text);
         }
         // backpressure: a page that sends this much gets no pulse either, which ends its jog
         std::future::pending().await
     }
 
-    /// Sends a pulse, or receives an order or a heartbeat.
-    async fn next(&mut self) -> Option<Option<String>> {
-        tokio::select! {
-            _ = self.pulse.tick(), if self.grip.is_some() || self.watched.is_some() => {
-                self.last += 1;
-                self.sent.push_back(Instant::now());
-                if self.sent.len() > PULSES {
-                    self.sent.pop_front();
+    /// Receives the next order. Sends pulses and records heartbeats meanwhile.
+    async fn receive(&mut self) -> Option<String> {
+        loop {
+            tokio::select! {
+                _ = self.pulse.tick(), if self.grip.is_some() || self.watched.is_some() => {
+                    self.last += 1;
+                    self.sent.push_front(Instant::now());
+                    self.sent.truncate(PULSES);
+                    self.send(json!({ "t": "pulse", "n": self.last }).to_string()).await?;
                 }
-                self.send(json!({ "t": "pulse", "n": self.last }).to_string()).await?;
-                Some(None)
-            }
-            message = self.socket.recv() => match message {
-                Some(Ok(Message::Text(text))) => match serde_json::from_str::<Beat>(&text) {
-                    Ok(Beat { beat }) => {
-                        self.beat(beat);
-                        Some(None)
-                    }
-                    Err(_) => Some(Some(text.as_str().to_owned())),
+                message = self.socket.recv() => match message?.ok()? {
+                    Message::Text(text) => match serde_json::from_str(&text) {
+                        Ok(Beat { beat }) => self.beat(beat),
+                        Err(_) => return Some(text.as_str().to_owned()),
+                    },
+                    Message::Ping(_) | Message::Pong(_) => {}
+                    _ => return None,
                 },
-                Some(Ok(Message::Ping(_) | Message::Pong(_))) => Some(None),
-                _ => None,
-            },
+            }
         }
     }
 
     /// Records a heartbeat. It counts from the time of its pulse, so that heartbeats that were held up on the way are old.
     fn beat(&mut self, number: u64) {
         let Some(age) = self.last.checked_sub(number).and_then(|age| usize::try_from(age).ok()) else { return };
-        let Some(sent) = self.sent.iter().rev().nth(age) else { return };
+        let Some(sent) = self.sent.get(age) else { return };
         if let Some(last) = &mut self.watched {
             *last = *sent;
         }

@@ -1,8 +1,9 @@
 //! The users of a server that other computers can reach: a password, a limit of attempts, and the cookie of a session.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::future::pending;
 use std::net::IpAddr;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard};
 use std::time::Duration;
 
 use axum::http::header::COOKIE;
@@ -11,6 +12,7 @@ use tokio::sync::watch;
 use tokio::time::{Instant, timeout_at};
 
 use crate::secret::{Bucket, Refused, is_same, only, secret};
+use crate::threads::lock;
 
 /// The name of the cookie. With this prefix a browser takes it over TLS only, for this host only.
 const NAME: &str = "__Host-bcap";
@@ -42,23 +44,17 @@ struct Session {
 }
 
 /// The session of a request.
-#[derive(Debug)]
 pub(crate) struct Open {
     since: Instant,
     open: watch::Receiver<()>,
 }
 
 impl Open {
-    /// Waits for the end of the session.
-    pub(crate) async fn ended(mut self) {
+    /// Waits for the end of a session. Without a login there is none, and it does not end.
+    pub(crate) async fn ended(session: Option<Self>) {
+        let Some(Self { since, mut open }) = session else { return pending().await };
         // nothing is sent: the sender is dropped
-        let _ = timeout_at(self.since + LIFETIME, self.open.changed()).await;
-    }
-}
-
-impl std::fmt::Debug for Login {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("Login")
+        let _ = timeout_at(since + LIFETIME, open.changed()).await;
     }
 }
 
@@ -68,7 +64,7 @@ impl Login {
     }
 
     fn sessions(&self) -> MutexGuard<'_, VecDeque<Session>> {
-        let mut sessions = self.sessions.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut sessions = lock(&self.sessions);
         sessions.retain(|session| session.since.elapsed() < LIFETIME);
         sessions
     }
@@ -84,22 +80,20 @@ impl Login {
         let id = secret().map_err(|_| (StatusCode::INTERNAL_SERVER_ERROR, "the system has no random numbers"))?;
         let cookie = cookie(&id, LIFETIME.as_secs());
         let mut sessions = self.sessions();
-        if sessions.len() >= SESSIONS {
-            sessions.pop_front();
-        }
-        sessions.push_back(Session { id, since: Instant::now(), open: watch::Sender::new(()) });
+        sessions.push_front(Session { id, since: Instant::now(), open: watch::Sender::new(()) });
+        sessions.truncate(SESSIONS);
         Ok(cookie)
     }
 
     fn may_try(&self, host: IpAddr) -> bool {
-        let mut attempts = self.attempts.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut attempts = lock(&self.attempts);
         // one subscriber has 2^64 addresses of IPv6
         let host = match host {
             IpAddr::V6(host) => IpAddr::V6((u128::from(host) >> 64 << 64).into()),
             host => host,
         };
         let is_known = attempts.len() < HOSTS || attempts.contains_key(&Some(host));
-        attempts.entry(is_known.then_some(host)).or_insert_with(|| Bucket::with(5.0, 0.1)).take()
+        attempts.entry(is_known.then_some(host)).or_insert_with(|| Bucket::new(5, Duration::from_secs(10))).take()
     }
 
     /// Refuses a request without the cookie of a session.
@@ -160,7 +154,7 @@ mod tests {
         assert!(status(host(1), "correct horse battery").is_ok());
         // the end of its time ends the pages of a session, too
         let start = Instant::now();
-        open.ended().await;
+        Open::ended(Some(open)).await;
         assert_eq!(start.elapsed(), LIFETIME - Duration::from_secs(10));
         assert!(login.check(&headers(&cookie)).is_err());
     }

@@ -5,8 +5,7 @@
 //! would end a stream of Slave Mode is not sent. The session ends with the screen, which halts the robot and gives the arm back.
 
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::thread;
+use std::sync::{Arc, Mutex};
 use std::time::Instant;
 
 use bcap_capture::Role;
@@ -14,14 +13,16 @@ use bcap_capture::trace::Packets;
 use bcap_capture::value::{data, to_text};
 use bcap_core::bcap::{Effect, FunctionId, Kind};
 use bcap_core::hresult::HResult;
-use bcap_live::calls::Failure as _;
+use bcap_core::variant::OwnedVariant;
+use bcap_live::calls::Failure;
 use bcap_live::link::Link;
 use bcap_live::request::Request;
 use serde_json::{Value, json};
 
 use crate::app::App;
-use crate::robot::Robot;
+use crate::robot::{Robot, reason};
 use crate::text::safe;
+use crate::threads::{lock, spawn};
 use crate::view::{self, dissected};
 
 /// Returns the function table: what a form needs.
@@ -58,7 +59,6 @@ const fn kind_name(kind: Kind) -> &'static str {
 }
 
 /// The session of a page for the calls of its user.
-#[derive(Debug)]
 pub(crate) struct Desk {
     pub(crate) number: usize,
     robot: Arc<Robot>,
@@ -77,7 +77,7 @@ impl Desk {
 
     /// Makes a call, and opens the session for the first one.
     pub(crate) fn make(&self, request: &Request) -> Result<(HResult, Value), String> {
-        let mut link = self.link.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut link = lock(&self.link);
         self.moves.store(request.effect() == Effect::Moves, Ordering::SeqCst);
         if self.has_ended.load(Ordering::SeqCst) {
             return Err("the screen was left; nothing was done".into());
@@ -92,18 +92,15 @@ impl Desk {
         let took = start.elapsed();
         self.moves.store(false, Ordering::SeqCst);
         let ends = matches!(request.function, FunctionId::SERVICE_STOP | FunctionId::CONTROLLER_DISCONNECT);
-        if !made.as_ref().is_err_and(bcap_live::calls::Failure::is_lost) && !ends {
+        if !made.as_ref().is_err_and(Failure::is_lost) && !ends {
             *link = Some(session);
         }
-        let (code, value) = made.map_err(|error| match error.is_lost() {
-            true => format!("it is unknown whether it was done: {error}"),
-            false => error.to_string(),
-        })?;
+        let (code, value) = made.map_err(|error| reason(&error))?;
+        let value = value.as_ref().map(OwnedVariant::as_variant);
         let mut reply = view::error(code, "");
         reply["ok"] = json!(!code.is_err());
-        reply["value"] = json!(value.as_ref().map(|value| safe(&data::format(value.as_variant()))));
-        reply["typed"] =
-            json!(value.as_ref().and_then(|value| to_text(value.as_variant()).ok()).map(|text| safe(&text)));
+        reply["value"] = json!(value.map(|value| safe(&data::format(value))));
+        reply["typed"] = json!(value.and_then(|value| to_text(value).ok()).map(|text| safe(&text)));
         reply["ms"] = json!(took.as_secs_f64() * 1000.0);
         let (sent, received) = (self.packets.last_sent(), self.packets.last_received());
         reply["packets"] = json!([dissected(Role::Request, &sent), dissected(Role::Response, &received)]);
@@ -115,12 +112,12 @@ impl Desk {
         self.has_ended.store(true, Ordering::SeqCst);
         let (app, halts) = (Arc::clone(app), self.moves.load(Ordering::SeqCst));
         // without a thread the session ends here
-        let _ = thread::Builder::new().name("end of calls".into()).spawn(move || {
+        let _ = spawn("end of calls", move || {
             if halts {
                 let outcome = self.robot.halter.halt_now();
                 app.audit.write("a page", &self.robot.name, "was left during a call that moves: HALT", &outcome);
             }
-            drop(self.link.lock().unwrap_or_else(PoisonError::into_inner).take());
+            drop(lock(&self.link).take());
         });
     }
 }

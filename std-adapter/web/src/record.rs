@@ -3,7 +3,6 @@
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::mpsc::channel;
-use std::thread;
 use std::time::Duration;
 
 use bcap_live::tap::{Outcome, Status};
@@ -11,10 +10,11 @@ use serde_json::{Value, json};
 use tokio::task::spawn_blocking;
 
 use crate::app::App;
-use crate::backup::{names_in, path_in};
 use crate::config::Recordings;
-use crate::socket::Page;
+use crate::names::names_in;
+use crate::socket::{Answer, Page};
 use crate::text::now;
+use crate::threads::spawn;
 
 /// The most recordings that a page shows.
 const FILES: usize = 200;
@@ -24,7 +24,7 @@ const FINISH: Duration = Duration::from_secs(2);
 
 impl Page {
     /// Starts the recordings of all robots, or ends them. It is no order to a robot, so it needs no control.
-    pub(crate) async fn record(&self, starts: bool) -> Result<Value, String> {
+    pub(crate) async fn record(&self, starts: bool) -> Answer {
         let done = self.with_disk(if starts { start } else { stop }).await;
         let what = if starts { "starts a recording" } else { "ends the recording" };
         self.app.audit.write("a page", "server", what, &done);
@@ -32,7 +32,7 @@ impl Page {
     }
 
     /// Lists the recordings, the latest first.
-    pub(crate) async fn recordings(&self) -> Result<Value, String> {
+    pub(crate) async fn recordings(&self) -> Answer {
         self.with_disk(|_, settings| {
             let names = names_in(&settings.folder)?;
             Ok(names.iter().rev().filter_map(|name| row(&settings.folder, name)).take(FILES).collect())
@@ -41,10 +41,7 @@ impl Page {
     }
 
     /// Does work that waits for the disk, which must not delay a halt.
-    async fn with_disk(
-        &self,
-        work: impl FnOnce(&App, &Recordings) -> Result<Value, String> + Send + 'static,
-    ) -> Result<Value, String> {
+    async fn with_disk(&self, work: impl FnOnce(&App, &Recordings) -> Answer + Send + 'static) -> Answer {
         let app = Arc::clone(&self.app);
         let run = move || work(&app, app.config.recordings.as_ref().ok_or(NONE)?);
         spawn_blocking(run).await.unwrap_or_else(|_| Err("the recording panicked".into()))
@@ -54,23 +51,20 @@ impl Page {
 const NONE: &str = "this server records nothing; start it with --recordings DIR";
 
 /// Starts a recording of each robot. The time names the files.
-fn start(app: &App, Recordings { folder, limit }: &Recordings) -> Result<Value, String> {
+fn start(app: &App, Recordings { folder, limit }: &Recordings) -> Answer {
     if app.robots.iter().any(|robot| matches!(robot.access.tap.status(), Status::Runs { .. })) {
         return Err("a recording runs; end it first".into());
     }
     std::fs::create_dir_all(folder).map_err(|error| format!("cannot record to {}: {error}", folder.display()))?;
     let time = now().map(|time| time.to_string().replace([':', '.'], "-")).unwrap_or_default();
     for (number, robot) in (1..).zip(&app.robots) {
-        let started = robot.access.tap.start(&folder.join(format!("{time}-{number}.pcapng")), *limit);
-        if let Err(why) = started {
-            stop_all(app);
-            return Err(why);
-        }
+        let file = folder.join(format!("{time}-{number}.pcapng"));
+        robot.access.tap.start(&file, *limit).inspect_err(|_| drop(stop_all(app)))?;
     }
     Ok(Value::Null)
 }
 
-fn stop(app: &App, _: &Recordings) -> Result<Value, String> {
+fn stop(app: &App, _: &Recordings) -> Answer {
     let ended = stop_all(app);
     if ended.is_empty() {
         return Err("no recording runs".into());
@@ -82,7 +76,7 @@ fn stop(app: &App, _: &Recordings) -> Result<Value, String> {
 pub(crate) fn finish(app: Arc<App>) {
     let (done, ended) = channel();
     // without the thread, or without this end of the channel, the recordings end with the process
-    let _ = thread::Builder::new().name("end of recordings".into()).spawn(move || drop(done.send(stop_all(&app))));
+    let _ = spawn("end of recordings", move || drop(done.send(stop_all(&app))));
     let _ = ended.recv_timeout(FINISH);
 }
 
@@ -93,9 +87,7 @@ fn stop_all(app: &App) -> Vec<Outcome> {
 
 /// Returns the name, the size and the length of a recording in seconds.
 fn row(folder: &Path, name: &str) -> Option<Value> {
-    let file =
-        path_in(folder, name).ok()?.metadata().ok().filter(|file| file.is_file() && name.ends_with(".pcapng"))?;
-    let length =
-        file.modified().ok().zip(file.created().ok()).and_then(|(last, first)| last.duration_since(first).ok());
-    Some(json!([name, file.len(), length.map(|length| length.as_secs_f64())]))
+    let file = folder.join(name).metadata().ok().filter(|file| file.is_file() && name.ends_with(".pcapng"))?;
+    let length = || file.modified().ok()?.duration_since(file.created().ok()?).ok();
+    Some(json!([name, file.len(), length().map(|length| length.as_secs_f64())]))
 }

@@ -1,66 +1,76 @@
-//! Recoveries, step by step, and the logs of a controller.
+//! The recovery of a page, step by step, and the logs of a controller.
 
 use std::sync::Arc;
-use std::thread;
 
 use bcap_capture::LogEntry;
 use bcap_core::hresult::HResult;
 use bcap_live::errors::described;
 use bcap_live::history::Log;
-use bcap_live::link::{Error, Link};
+use bcap_live::link::Link;
 use bcap_live::recovery::{self, Recovery};
 use serde_json::{Value, json};
 
-use crate::app::App;
-use crate::robot::Robot;
-use crate::view::safe;
+use crate::socket::{Answer, Page};
+use crate::text::safe;
+use crate::threads::{lock, spawn};
 
 /// The entries that are read from each end of a log: each is a call.
 const ENTRIES: usize = 50;
 
-/// Begins a recovery. Nothing is changed before the user agrees to the first step.
-pub(crate) fn start(app: &Arc<App>, robot: &Arc<Robot>, who: String) -> Result<Arc<Recovery>, String> {
-    let recovery = Arc::new(Recovery::default());
-    let mut last = robot.recovery();
-    if last.as_ref().is_some_and(|last| last.state().outcome.is_none()) {
-        return Err("the last recovery of this robot has not ended; wait a moment".into());
+impl Page {
+    /// Begins a recovery. Nothing is changed before the user agrees to the first step. `name` is the robot's name in the question.
+    pub(crate) fn begin_recovery(&mut self, number: usize, name: &str) -> Answer {
+        let (who, robot) = self.mover(number)?;
+        robot.check_name(name)?;
+        self.end_motion("a recovery begins");
+        let recovery = Arc::new(Recovery::default());
+        let mut last = lock(&robot.recovery);
+        if last.as_ref().is_some_and(|last| last.state().outcome.is_none()) {
+            return Err("the last recovery of this robot has not ended; wait a moment".into());
+        }
+        let (app, of, held) = (Arc::clone(&self.app), Arc::clone(&robot), Arc::clone(&recovery));
+        spawn("recovery", move || {
+            recovery::run(&of.access, &held);
+            let state = held.state();
+            let made: Vec<_> = state.done.iter().map(|(step, _)| step.name()).collect();
+            let what = format!("the recovery ends after [{}]", made.join(", "));
+            app.audit.write(&who, &of.name, &what, &state.outcome.unwrap_or(Ok("")));
+        })?;
+        *last = Some(Arc::clone(&recovery));
+        self.recovery = Some((number, recovery));
+        Ok(Value::Null)
     }
-    let (app, of, held) = (Arc::clone(app), Arc::clone(robot), Arc::clone(&recovery));
-    let thread = thread::Builder::new().name("recovery".into()).spawn(move || {
-        recovery::run(&of.access, &held);
-        let state = held.state();
-        let made: Vec<_> = state.done.iter().map(|(step, _)| step.name()).collect();
-        let what = format!("the recovery ends after [{}]", made.join(", "));
-        app.audit.write(&who, &of.name, &what, &state.outcome.unwrap_or(Ok("")));
-    });
-    thread.map_err(|error| format!("a thread cannot be started: {error}; nothing was done"))?;
-    *last = Some(Arc::clone(&recovery));
-    Ok(recovery)
-}
 
-/// Returns the last recovery of a robot.
-pub(crate) fn section(robot: &Robot) -> Value {
-    let Some(recovery) = robot.recovery().clone() else { return Value::Null };
-    let state = recovery.state();
-    let result = |result: &Result<(), HResult>| result.err().map(|code| format!("left out: {code}"));
-    json!({
-        "plan": state.plan.iter().map(|step| step.name()).collect::<Vec<_>>(),
-        "done": state.done.iter().map(|(step, made)| json!([step.name(), result(made)])).collect::<Vec<_>>(),
-        "next": state.next().map(|step| step.name()),
-        "busy": state.is_busy(),
-        "failed": state.outcome.as_ref().is_some_and(Result::is_err),
-        "outcome": state.outcome.map(|outcome| safe(&outcome.map_or_else(|why| why, str::to_owned))),
-    })
-}
-
-/// Reads the logs of the controller, the latest entry first.
-pub(crate) fn log(link: &mut Link) -> Result<Value, Error> {
-    let mut entries = Vec::new();
-    for mut log in [Log::errors(), Log::operations()] {
-        log.read(link, ENTRIES, &mut entries)?;
+    /// Returns the recovery of this page.
+    fn recovery(&self, number: usize) -> Result<&Recovery, String> {
+        let recovery = self.recovery.as_ref().filter(|(robot, _)| *robot == number).map(|(_, found)| &**found);
+        recovery.ok_or_else(|| "there is no recovery of this page; begin one".into())
     }
-    entries.sort();
-    Ok(entries.iter().rev().map(entry).collect())
+
+    /// Makes the next step of the recovery.
+    pub(crate) fn agree(&self, number: usize, step: &str) -> Answer {
+        let (who, robot) = self.mover(number)?;
+        let agreed = self.recovery(number)?.agree(step);
+        self.audited(&who, &robot, &format!("agrees to {}", safe(step)), agreed)
+    }
+
+    /// Ends the recovery.
+    pub(crate) fn stop(&self, number: usize) -> Answer {
+        self.recovery(number)?.end("the user ended it");
+        Ok(Value::Null)
+    }
+
+    /// Reads the logs of the controller, the latest entry first.
+    pub(crate) async fn log(&self, number: usize) -> Answer {
+        let read = |link: &mut Link| {
+            let mut entries = Vec::new();
+            Log::errors().read(link, ENTRIES, &mut entries)?;
+            Log::operations().read(link, ENTRIES, &mut entries)?;
+            entries.sort();
+            Ok(entries.iter().rev().map(entry).collect())
+        };
+        self.robot(number)?.order(read).await
+    }
 }
 
 fn entry(entry: &LogEntry) -> Value {

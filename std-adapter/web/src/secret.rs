@@ -1,9 +1,16 @@
 //! Secrets, headers and rates: what the checks of requests need.
 
+use std::time::Duration;
+
 use axum::http::{HeaderMap, StatusCode};
+use axum::response::Response;
+use tokio::time::Instant;
 
 /// A refused request: the status and why.
 pub(crate) type Refused = (StatusCode, &'static str);
+
+/// The response to a request that was not refused.
+pub(crate) type Checked = Result<Response, Refused>;
 
 /// Returns the value of a header that a request has once.
 pub(crate) fn only<'a>(headers: &'a HeaderMap, name: &str) -> Option<&'a str> {
@@ -25,32 +32,26 @@ pub(crate) fn is_same(a: &[u8], b: &[u8]) -> bool {
 }
 
 /// A token bucket: a burst, and then a rate.
-#[derive(Debug)]
 pub(crate) struct Bucket {
-    burst: f64,
-    per_second: f64,
-    left: f64,
-    filled: tokio::time::Instant,
+    burst: u32,
+    interval: Duration,
+    /// When all tokens are back.
+    full_at: Instant,
 }
 
 impl Bucket {
-    /// Returns the bucket of the orders of a page.
-    pub(crate) fn new() -> Self {
-        Self::with(40.0, 20.0)
+    /// Returns a full bucket, which gets a token back after each interval.
+    pub(crate) fn new(burst: u32, interval: Duration) -> Self {
+        Self { burst, interval, full_at: Instant::now() }
     }
 
-    pub(crate) fn with(burst: f64, per_second: f64) -> Self {
-        Self { burst, per_second, left: burst, filled: tokio::time::Instant::now() }
-    }
-
-    /// Takes one, if one is left.
+    /// Takes a token, if one is left.
     pub(crate) fn take(&mut self) -> bool {
-        let now = tokio::time::Instant::now();
-        self.left = (self.left + (now - self.filled).as_secs_f64() * self.per_second).min(self.burst);
-        self.filled = now;
-        let is_left = self.left >= 1.0;
+        let now = Instant::now();
+        let full_at = self.full_at.max(now) + self.interval;
+        let is_left = full_at - now <= self.interval * self.burst;
         if is_left {
-            self.left -= 1.0;
+            self.full_at = full_at;
         }
         is_left
     }
@@ -58,15 +59,13 @@ impl Bucket {
 
 #[cfg(test)]
 mod tests {
-    use std::time::Duration;
-
     use axum::http::header::HOST;
 
     use super::*;
 
     #[tokio::test(start_paused = true)]
     async fn a_bucket_has_a_burst_and_a_rate() {
-        let mut bucket = Bucket::new();
+        let mut bucket = Bucket::new(40, Duration::from_millis(50));
         assert_eq!((0..100).filter(|_| bucket.take()).count(), 40);
         tokio::time::advance(Duration::from_secs(1)).await;
         assert_eq!((0..100).filter(|_| bucket.take()).count(), 20);

@@ -1,7 +1,7 @@
 //! Accepts connections, and answers their requests.
 
 use std::collections::VecDeque;
-use std::future::{pending, ready};
+use std::future::ready;
 use std::net::IpAddr;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -13,7 +13,7 @@ use axum::extract::{DefaultBodyLimit, Path, Request, State};
 use axum::http::header::{SEC_WEBSOCKET_PROTOCOL, SET_COOKIE};
 use axum::http::{HeaderMap, HeaderValue, StatusCode};
 use axum::middleware::{Next, from_fn_with_state, map_response};
-use axum::response::{IntoResponse as _, Response};
+use axum::response::IntoResponse as _;
 use axum::routing::{any, get, post};
 use axum::{Extension, Router};
 use hyper::server::conn::http1;
@@ -26,9 +26,11 @@ use tokio::task::AbortHandle;
 
 use crate::app::App;
 use crate::assets::{FILES, file, with_headers};
-use crate::guard::{Refused, TOKEN, only};
+use crate::guard::TOKEN;
+use crate::login::Open;
+use crate::secret::{Checked, Refused, only};
 use crate::tls::Acceptor;
-use crate::{save, socket};
+use crate::{save, socket, tls};
 
 /// The most connections that are not pages. A further one ends the oldest, so that idle ones do not keep a halt out.
 const CONNECTIONS: usize = 128;
@@ -52,13 +54,10 @@ const PROTOCOL: &str = "bcap.live";
 pub(crate) async fn accept(listener: &TcpListener, app: &Arc<App>, tls: Option<&Acceptor>) {
     let (router, mut open) = (router(app), VecDeque::<AbortHandle>::new());
     loop {
-        let (stream, peer) = match listener.accept().await {
-            Ok(accepted) => accepted,
+        let Ok((stream, peer)) = listener.accept().await else {
             // a peer that is gone, or no file descriptors left for a moment
-            Err(_) => {
-                tokio::time::sleep(Duration::from_millis(50)).await;
-                continue;
-            }
+            tokio::time::sleep(Duration::from_millis(50)).await;
+            continue;
         };
         open.retain(|connection| !connection.is_finished());
         if open.len() >= CONNECTIONS
@@ -66,25 +65,17 @@ pub(crate) async fn accept(listener: &TcpListener, app: &Arc<App>, tls: Option<&
         {
             oldest.abort();
         }
-        let (router, tls) = (router.clone().layer(Extension(Peer(peer.ip()))), tls.cloned());
+        let (router, tls) = (router.clone().layer(Extension(peer.ip())), tls.cloned());
         open.push_back(tokio::spawn(connection(stream, router, tls)).abort_handle());
     }
 }
 
-/// The address of a client.
-#[derive(Clone, Copy, Debug)]
-struct Peer(IpAddr);
-
 async fn connection(stream: TcpStream, router: Router, tls: Option<Acceptor>) {
     // a halt must not wait for other bytes
     let _ = stream.set_nodelay(true);
-    match tls {
-        None => serve(stream, router).await,
-        Some(tls) => {
-            if let Some(stream) = tls.accept(stream).await {
-                serve(stream, router).await;
-            }
-        }
+    let Some(tls) = tls else { return serve(stream, router).await };
+    if let Some(stream) = tls::accept(&tls, stream).await {
+        serve(stream, router).await;
     }
 }
 
@@ -97,16 +88,21 @@ async fn serve<S: AsyncRead + AsyncWrite + Unpin + Send + 'static>(stream: S, ro
 }
 
 fn router(app: &Arc<App>) -> Router {
-    let files = FILES.iter().fold(Router::new(), |router, &(path, kind, content)| {
-        router.route(path, get(move || ready(file(kind, content))))
+    let files = FILES.iter().fold(Router::new(), |router, &(name, content)| {
+        let path = if name == "index.html" { "/".into() } else { format!("/{name}") };
+        router.route(&path, get(move || ready(file(name, content))))
     });
-    files
+    // the token of a WebSocket is in another header
+    let of_users =
+        save::routes().route("/halt/{robot}", post(halt)).route_layer(from_fn_with_state(Arc::clone(app), check_user));
+    let of_this_origin = of_users
         .route("/live", any(live))
-        .route("/halt/{robot}", post(halt))
-        .route("/session", get(session))
         .route("/login", post(log_in).layer(DefaultBodyLimit::max(PASSWORD_SIZE)))
         .route("/logout", post(log_out))
-        .merge(save::routes())
+        .route_layer(from_fn_with_state(Arc::clone(app), check_origin));
+    files
+        .route("/session", get(session))
+        .merge(of_this_origin)
         .layer(DefaultBodyLimit::max(0))
         .layer(from_fn_with_state(Arc::clone(app), check_host))
         .layer(map_response(with_headers))
@@ -114,47 +110,44 @@ fn router(app: &Arc<App>) -> Router {
 }
 
 /// Answers every request for another host with an error, also one for a file.
-async fn check_host(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
-    match app.guard.check_host(request.headers()) {
-        Ok(()) => next.run(request).await,
-        Err(refused) => refused.into_response(),
-    }
+async fn check_host(State(app): State<Arc<App>>, request: Request, next: Next) -> Checked {
+    app.guard.check_host(request.headers())?;
+    Ok(next.run(request).await)
+}
+
+/// Answers requests of other pages with an error. A browser sends the origin with POST, and with a WebSocket.
+async fn check_origin(State(app): State<Arc<App>>, request: Request, next: Next) -> Checked {
+    app.guard.check_origin(request.headers())?;
+    Ok(next.run(request).await)
+}
+
+/// Answers requests without the token, or without a login, with an error.
+async fn check_user(State(app): State<Arc<App>>, request: Request, next: Next) -> Checked {
+    app.guard.check_user(request.headers(), only(request.headers(), TOKEN))?;
+    Ok(next.run(request).await)
 }
 
 /// Tells a page whether it must log in.
 async fn session(State(app): State<Arc<App>>, headers: HeaderMap) -> Result<StatusCode, Refused> {
-    match app.guard.login() {
-        Some(login) => login.check(&headers).map(|_| StatusCode::NO_CONTENT),
-        None => Ok(StatusCode::NO_CONTENT),
-    }
+    app.guard.login.as_ref().map(|login| login.check(&headers)).transpose()?;
+    Ok(StatusCode::NO_CONTENT)
 }
 
 /// Logs a user in, who gets a cookie.
-async fn log_in(
-    State(app): State<Arc<App>>,
-    Extension(Peer(host)): Extension<Peer>,
-    headers: HeaderMap,
-    password: Bytes,
-) -> Result<Response, Refused> {
-    app.guard.check_origin(&headers)?;
-    let cookie = app.guard.login().ok_or(NO_PASSWORD)?.log_in(host, &password);
+async fn log_in(State(app): State<Arc<App>>, Extension(host): Extension<IpAddr>, password: Bytes) -> Checked {
+    let cookie = app.guard.login.as_ref().ok_or(NO_PASSWORD)?.log_in(host, &password);
     with_cookie(&app, host, "logs in", cookie)
 }
 
 const NO_PASSWORD: Refused = (StatusCode::NOT_FOUND, "this server has no password");
 
 /// Logs a user out. The pages of the session are closed, which frees what they hold.
-async fn log_out(
-    State(app): State<Arc<App>>,
-    Extension(Peer(host)): Extension<Peer>,
-    headers: HeaderMap,
-) -> Result<Response, Refused> {
-    app.guard.check_origin(&headers)?;
-    let cookie = app.guard.login().ok_or(NO_PASSWORD)?.log_out(&headers);
+async fn log_out(State(app): State<Arc<App>>, Extension(host): Extension<IpAddr>, headers: HeaderMap) -> Checked {
+    let cookie = app.guard.login.as_ref().ok_or(NO_PASSWORD)?.log_out(&headers);
     with_cookie(&app, host, "logs out", cookie)
 }
 
-fn with_cookie(app: &App, host: IpAddr, what: &str, cookie: Result<String, Refused>) -> Result<Response, Refused> {
+fn with_cookie(app: &App, host: IpAddr, what: &str, cookie: Result<String, Refused>) -> Checked {
     let outcome = cookie.as_ref().map(drop).map_err(|(_, why)| (*why).to_owned());
     app.audit.write(&host.to_string(), "server", what, &outcome);
     let cookie = HeaderValue::try_from(cookie?).map_err(|_| (StatusCode::INTERNAL_SERVER_ERROR, "no cookie"))?;
@@ -162,8 +155,7 @@ fn with_cookie(app: &App, host: IpAddr, what: &str, cookie: Result<String, Refus
 }
 
 /// Opens the WebSocket of a page.
-async fn live(State(app): State<Arc<App>>, headers: HeaderMap, upgrade: WebSocketUpgrade) -> Result<Response, Refused> {
-    app.guard.check_origin(&headers)?;
+async fn live(State(app): State<Arc<App>>, headers: HeaderMap, upgrade: WebSocketUpgrade) -> Checked {
     let offered = only(&headers, SEC_WEBSOCKET_PROTOCOL.as_str()).unwrap_or_default();
     let token = offered.split(',').find_map(|protocol| protocol.trim().strip_prefix("token."));
     let session = app.guard.check_user(&headers, token)?;
@@ -172,25 +164,17 @@ async fn live(State(app): State<Arc<App>>, headers: HeaderMap, upgrade: WebSocke
     let client = app.clients.fetch_add(1, Ordering::Relaxed);
     let upgrade = upgrade.protocols([PROTOCOL]).max_message_size(ORDER_SIZE).max_frame_size(ORDER_SIZE);
     Ok(upgrade.on_upgrade(move |socket| async move {
-        let ended = async {
-            match session {
-                Some(session) => session.ended().await,
-                None => pending().await,
-            }
-        };
         tokio::select! {
             () = socket::serve(app, client, socket) => {}
             // the page is dropped, as if it was closed
-            () = ended => {}
+            () = Open::ended(session) => {}
         }
         drop(permit);
     }))
 }
 
 /// Halts a robot. It needs no control, no `--allow-write`, and no open page.
-async fn halt(State(app): State<Arc<App>>, Path(robot): Path<usize>, headers: HeaderMap) -> Result<Response, Refused> {
-    app.guard.check_origin(&headers)?;
-    app.guard.check_user(&headers, only(&headers, TOKEN))?;
+async fn halt(State(app): State<Arc<App>>, Path(robot): Path<usize>) -> Checked {
     let robot = app.robots.get(robot).cloned().ok_or((StatusCode::NOT_FOUND, "there is no such robot"))?;
     robot.end_motion("HALT was pressed");
     // a page that is closed meanwhile must not keep the halt from its line of the audit
@@ -200,10 +184,9 @@ async fn halt(State(app): State<Arc<App>>, Path(robot): Path<usize>, headers: He
         app.audit.write("a page", &robot.name, &what, &outcome);
         outcome
     });
-    let (ok, text) = match halting.await {
-        Ok(Ok(text)) => (true, text),
-        Ok(Err(text)) => (false, text),
-        Err(_) => (false, "NOT HALTED, use the emergency stop: the task that halts has panicked".into()),
-    };
-    Ok(json!({ "ok": ok, "text": text }).to_string().into_response())
+    let panicked = "NOT HALTED, use the emergency stop: the task that halts has panicked";
+    let outcome = halting.await.unwrap_or_else(|_| Err(panicked.into()));
+    let is_halted = outcome.is_ok();
+    let (Ok(text) | Err(text)) = outcome;
+    Ok(json!({ "ok": is_halted, "text": text }).to_string().into_response())
 }

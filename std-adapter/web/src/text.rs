@@ -1,12 +1,13 @@
 //! Text of a controller for a page, and the time.
 
+use std::fmt::Display;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use bcap_core::variant::{CivilTime, OleDate};
 use bcap_terminal::escape;
 
-/// Cuts a text of the controller, and escapes characters that act on the text around them.
-pub(crate) fn safe(text: &str) -> String {
+/// Cuts a text, such as one of the controller, and escapes characters that act on the text around them.
+pub(crate) fn safe(text: &(impl Display + ?Sized)) -> String {
     escape::line(&escape::cut(&text))
 }
 

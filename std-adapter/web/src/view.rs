@@ -18,7 +18,8 @@ use crate::app::App;
 use crate::arm;
 use crate::control::Client;
 use crate::robot::{Live, Robot, TARGET};
-pub(crate) use crate::text::safe;
+use crate::text::safe;
+use crate::threads::lock;
 
 /// Writes a hint as a sentence.
 fn sentence(text: &str) -> String {
@@ -30,20 +31,20 @@ fn sentence(text: &str) -> String {
 
 /// Returns the tile of a robot for a page.
 pub(crate) fn tile(number: usize, robot: &Robot, client: Client) -> Value {
-    let (holder, mine) = (robot.control.holder(), robot.control.name_of(client).is_some());
+    let (holder, mine) = (robot.control.holder(), robot.control.user(client).is_ok());
     let live = robot.live();
-    let condition = Condition::of(&live);
+    let (level, state, reasons) = condition(&live);
     json!({
         "robot": number,
         "name": safe(&robot.name),
-        "address": safe(&robot.address),
+        "address": safe(&robot.access.address),
         "virtual": live.is_virtual,
         "holder": holder,
         "mine": mine,
-        "level": condition.level,
-        "state": condition.state,
-        "words": live.model.words.iter().map(|word| safe(word)).collect::<Vec<_>>(),
-        "reasons": condition.reasons,
+        "level": level,
+        "state": state,
+        "words": live.model.words.iter().map(safe).collect::<Vec<_>>(),
+        "reasons": reasons,
         "errors": live.model.errors.as_ref().map_or(0, Vec::len),
         "speed": live.model.robot.speed.as_deref().map(safe),
         "tool": live.model.robot.tool.as_deref().map(safe),
@@ -54,50 +55,37 @@ pub(crate) fn tile(number: usize, robot: &Robot, client: Client) -> Value {
     })
 }
 
-/// The state of a robot at a glance.
-struct Condition {
-    /// `good`, `busy`, `bad` or `unknown`, for the colour.
-    level: &'static str,
-    state: &'static str,
-    /// Why it is not ready, each with its remedy.
-    reasons: Vec<[String; 2]>,
-}
-
-impl Condition {
-    const fn new(level: &'static str, state: &'static str, reasons: Vec<[String; 2]>) -> Self {
-        Self { level, state, reasons }
+/// Returns the state of a robot at a glance: `good`, `busy`, `bad` or `unknown` for the colour, the state in words, and why it
+/// is not ready, each with its remedy.
+fn condition(live: &Live) -> (&'static str, &'static str, Vec<[String; 2]>) {
+    if let Some(why) = &live.model.lost {
+        let remedy = "It is tried again every second. Check that the controller is on, the cable, and the address.";
+        return ("unknown", "not connected", vec![[safe(why), remedy.into()]]);
     }
-
-    fn of(live: &Live) -> Self {
-        if let Some(why) = &live.model.lost {
-            let remedy = "It is tried again every second. Check that the controller is on, the cable, and the address.";
-            return Self::new("unknown", "not connected", vec![[safe(why), remedy.into()]]);
-        }
-        let Some(examination) = &live.examination else {
-            let why = live.unknown.as_deref().unwrap_or("it is being read").to_owned();
-            return Self::new("unknown", "unknown", vec![[safe(&why), String::new()]]);
-        };
-        if examination.stream == StreamState::Runs {
-            let remedy = "Nothing is sent that would end the stream. HALT stops the robot.".into();
-            return Self::new("busy", "streaming", vec![["another client streams in Slave Mode".into(), remedy]]);
-        }
-        let moves = examination.state.is_some_and(|state| state.is_moving());
-        let mut reasons = reasons(examination);
-        if moves {
-            return Self::new("busy", "moving", reasons);
-        }
-        if examination.error_count > 0 || live.model.has_error {
-            return Self::new("bad", "error", reasons);
-        }
-        if !reasons.is_empty() {
-            return Self::new("bad", "not ready", reasons);
-        }
-        if examination.state.is_some_and(|state| state.motor_is_on()) {
-            return Self::new("good", "ready", reasons);
-        }
-        reasons.push(["the motor is off".into(), "The program that moves the robot switches it on.".into()]);
-        Self::new("good", "ready, motor off", reasons)
+    let examination = match &live.examination {
+        Some(Ok(examination)) => examination,
+        Some(Err(why)) => return ("unknown", "unknown", vec![[safe(why), String::new()]]),
+        None => return ("unknown", "unknown", vec![["it is being read".into(), String::new()]]),
+    };
+    if examination.stream == StreamState::Runs {
+        let remedy = "Nothing is sent that would end the stream. HALT stops the robot.".into();
+        return ("busy", "streaming", vec![["another client streams in Slave Mode".into(), remedy]]);
     }
+    let mut reasons = reasons(examination);
+    if examination.state.is_some_and(|state| state.is_moving()) {
+        return ("busy", "moving", reasons);
+    }
+    if examination.error_count > 0 || live.model.has_error {
+        return ("bad", "error", reasons);
+    }
+    if !reasons.is_empty() {
+        return ("bad", "not ready", reasons);
+    }
+    if examination.state.is_some_and(|state| state.motor_is_on()) {
+        return ("good", "ready", reasons);
+    }
+    reasons.push(["the motor is off".into(), "The program that moves the robot switches it on.".into()]);
+    ("good", "ready, motor off", reasons)
 }
 
 fn reasons(examination: &Examination) -> Vec<[String; 2]> {
@@ -144,15 +132,14 @@ pub(crate) fn variables(client: Client, robot: &Robot) -> Value {
 
 /// Returns what the server allows, its robots, and the last actions.
 pub(crate) fn session(app: &App) -> Value {
-    let robots: Vec<_> = app.robots.iter().map(|robot| json!([safe(&robot.name), safe(&robot.address)])).collect();
     json!({
         "write": app.config.allow_write,
         "motion": app.config.allow_motion,
-        "login": app.guard.login().is_some(),
+        "login": app.guard.login.is_some(),
         "backups": app.config.backups.is_some(),
         "labels": app.config.labels.len(),
         "recordings": app.config.recordings.as_ref().map(|_| app.robots.iter().filter_map(|robot| recording(robot)).collect::<Vec<_>>()),
-        "robots": robots,
+        "robots": app.robots.iter().map(|robot| [safe(&robot.name), safe(&robot.access.address)]).collect::<Vec<_>>(),
         "audit": app.audit.last(),
     })
 }
@@ -168,21 +155,33 @@ fn recording(robot: &Robot) -> Option<Value> {
 }
 
 /// Returns the alarms: the present errors with their meanings and remedies, the first cause first, and the messages.
-pub(crate) fn alarms(robot: &Robot, recovery: Value) -> Value {
-    let live = robot.live();
-    let (errors, skipped) = match &live.model.errors {
-        Ok(errors) => (errors.as_slice(), None),
-        Err(why) => (&[][..], Some(safe(why))),
-    };
-    let steps: Vec<_> = live.examination.iter().flat_map(|state| state.steps(false)).map(|step| step.name()).collect();
-    let is_ready = live.examination.as_ref().is_some_and(Examination::is_ready);
+pub(crate) fn alarms(robot: &Robot) -> Value {
+    let (recovery, live) = (recovery(robot), robot.live());
+    let examination = live.examination.iter().flatten();
+    let steps = examination.clone().filter(|state| !state.is_ready()).flat_map(|state| state.steps(false));
+    let obstacles = examination.flat_map(Examination::obstacles);
     json!({
-        "errors": errors.iter().map(|(code, text)| error(*code, text)).collect::<Vec<_>>(),
-        "skipped": skipped,
+        "errors": live.model.errors.iter().flatten().map(|(code, text)| error(*code, text)).collect::<Vec<_>>(),
+        "skipped": live.model.errors.as_ref().err().map(safe),
         "recovery": recovery,
-        "steps": if is_ready { Vec::new() } else { steps },
-        "obstacles": live.examination.iter().flat_map(Examination::obstacles).map(|obstacle| sentence(&obstacle.to_string())).collect::<Vec<_>>(),
-        "messages": live.model.messages.iter().rev().map(|message| safe(message)).collect::<Vec<_>>(),
+        "steps": steps.map(|step| step.name()).collect::<Vec<_>>(),
+        "obstacles": obstacles.map(|obstacle| sentence(&obstacle.to_string())).collect::<Vec<_>>(),
+        "messages": live.model.messages.iter().rev().map(safe).collect::<Vec<_>>(),
+    })
+}
+
+/// Returns the last recovery of a robot.
+fn recovery(robot: &Robot) -> Value {
+    let Some(recovery) = lock(&robot.recovery).clone() else { return Value::Null };
+    let state = recovery.state();
+    let result = |result: &Result<(), HResult>| result.err().map(|code| format!("left out: {code}"));
+    json!({
+        "plan": state.plan.iter().map(|step| step.name()).collect::<Vec<_>>(),
+        "done": state.done.iter().map(|(step, made)| json!([step.name(), result(made)])).collect::<Vec<_>>(),
+        "next": state.next().map(|step| step.name()),
+        "busy": state.is_busy(),
+        "failed": state.outcome.as_ref().is_some_and(Result::is_err),
+        "outcome": state.outcome.map(|outcome| safe(&outcome.map_or_else(|why| why, str::to_owned))),
     })
 }
 
@@ -209,9 +208,16 @@ pub(crate) fn arm(robot: &Robot) -> Value {
     json!({ "type": safe(&type_name), "links": arm::dimensions(&type_name), "commanded": commanded })
 }
 
+/// Returns the tasks with their states.
+pub(crate) fn tasks(robot: &Robot) -> Value {
+    // an escaped name would be another task's, so such a task has no buttons
+    let row = |(name, state): &(String, String)| json!([safe(name), safe(state), safe(name) == *name]);
+    robot.live().model.tasks.iter().map(row).collect()
+}
+
 /// Returns the state of a jog, and the highest speed of each axis in percent.
 pub(crate) fn jog(robot: &Robot) -> Value {
-    let grip = robot.grip().clone();
+    let grip = lock(&robot.grip).clone();
     let phase = match grip.as_ref().map(|grip| grip.phase()) {
         None | Some(Phase::Ended) => "off",
         Some(Phase::Starting) => "starting",
@@ -246,12 +252,9 @@ pub(crate) fn packet(robot: &Robot, serial: u16) -> Value {
 
 /// Returns a packet with its fields: the offset, the length and the text of each.
 pub(crate) fn dissected(role: Role, bytes: &[u8]) -> Value {
-    let fields: Value = match dissect::fields_of(bytes, role) {
-        Ok(fields) => {
-            fields.into_iter().take(FIELDS).map(|(at, text)| json!([at.start, at.len(), safe(&text)])).collect()
-        }
-        Err(error) => json!([[0, bytes.len(), safe(&format!("not a frame: {error}"))]]),
-    };
+    let invalid = |error| vec![(0..bytes.len(), format!("not a frame: {error}"))];
+    let fields = dissect::fields_of(bytes, role).unwrap_or_else(invalid);
+    let fields: Value = fields.iter().take(FIELDS).map(|(at, text)| json!([at.start, at.len(), safe(text)])).collect();
     let shown = bytes.get(..SHOWN).unwrap_or(bytes);
     json!({ "request": role == Role::Request, "size": bytes.len(), "bytes": hex::spaced(shown), "fields": fields })
 }
@@ -267,16 +270,16 @@ pub(crate) fn calls(robot: &Robot) -> Value {
 /// The most packets of a message; the others are counted.
 const PACKETS: u64 = 200;
 
-/// Returns the packets after the first `seen`, how many of them are left out, and how many there are.
-pub(crate) fn packets(robot: &Robot, seen: u64) -> (Value, u64) {
+/// Returns the packets after the first `seen`, and how many of them are left out; `None` if there are no new ones.
+pub(crate) fn packets(robot: &Robot, seen: &mut u64) -> Option<Value> {
     let live = robot.live();
     let log = &live.model.log;
-    let new = log.total().saturating_sub(seen).min(PACKETS);
+    let new = log.total().checked_sub(*seen).filter(|new| *new > 0)?;
     let row =
         |entry: &Entry| json!([entry.at.as_secs_f64(), safe(&entry.number), safe(&entry.call), safe(&entry.reply)]);
-    let kept = log.entries().rev().take(usize::try_from(new).unwrap_or(usize::MAX));
+    let kept = log.entries().rev().take(usize::try_from(new.min(PACKETS)).unwrap_or(usize::MAX));
     let mut rows: Vec<_> = kept.map(row).collect();
     rows.reverse();
-    let left_out = log.total().saturating_sub(seen) - rows.len() as u64;
-    (json!({ "rows": rows, "left_out": left_out }), log.total())
+    *seen = log.total();
+    Some(json!({ "rows": rows, "left_out": new - rows.len() as u64 }))
 }

@@ -405,7 +405,7 @@ fn a_controller_that_starts_again_during_a_jog_is_not_called_at_rest() {
         }
         let outcome = ended["outcome"].as_str().unwrap();
         assert!(outcome.starts_with("IT IS UNKNOWN whether the robot rests and the arm is free: "), "{outcome}");
-        assert!(web.lines().iter().any(|line| line.ends_with(outcome)), "{:?}", web.lines());
+        until("the outcome has its line of the audit", || web.lines().iter().any(|line| line.ends_with(outcome)));
         let sim = Sim::at(address);
         page.until_state("ready, motor off");
         page.order("grip", json!({ "robot": 0, "name": "press" })).unwrap();

@@ -1,5 +1,7 @@
 //! Arms of four axes (SCARA): two links in a horizontal plane, a vertical axis J3, and J4 that turns the flange about it.
 
+use serde::Serialize;
+
 use super::frame::{Frame, Joints, OutOfReach, SINGULAR, normal, rz_matrix};
 use super::vertical::LEFTY;
 
@@ -7,7 +9,7 @@ use super::vertical::LEFTY;
 const UPRIGHT: f64 = 1e-6;
 
 /// The lengths of an arm of four axes, in mm.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Horizontal {
     /// Base to the flange, with J3 at 0.
     pub d1: f64,

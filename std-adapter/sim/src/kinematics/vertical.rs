@@ -1,5 +1,7 @@
 //! Arms of six axes: four lengths in a vertical plane, a wrist, and offsets from the plane.
 
+use serde::Serialize;
+
 use super::frame::{Frame, Joints, Matrix, OutOfReach, SINGULAR, multiply, normal, ry_matrix, rz_matrix, transpose};
 
 pub(super) const LEFTY: u8 = 1;
@@ -7,7 +9,7 @@ const BELOW: u8 = 2;
 pub(super) const NONFLIP: u8 = 4;
 
 /// The lengths of an arm of six axes, in mm. The documentation of [`kinematics`](super) has a drawing.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Vertical {
     /// Base to the shoulder axis J2.
     pub d1: f64,

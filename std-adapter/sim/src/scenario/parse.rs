@@ -5,11 +5,11 @@ use std::time::Duration;
 use bcap_core::time::Instant;
 use serde::Deserialize;
 
-use super::parse_setup::{ModeName, PermissionName, SetupEntry, TokenName, read_code};
+use super::parse_setup::{PermissionName, SetupEntry, TokenName, read_code};
 use super::parse_task::TaskEntry;
 use super::{CallFilter, Effect, Scenario, ScenarioError, ScenarioFault, Trigger, WireFault};
 use crate::comm;
-use crate::config::Config;
+use crate::config::{Config, Mode};
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -55,7 +55,7 @@ enum ThenEntry {
     Error(String),
     EmergencyStop(bool),
     LinkLossMs(u64),
-    Mode(ModeName),
+    Mode(Mode),
     Token(TokenName),
     Permission(PermissionName),
     Motor(bool),
@@ -160,7 +160,7 @@ impl ThenEntry {
             Self::Disconnect => Effect::Wire(WireFault::Disconnect),
             Self::EmergencyStop(pressed) => Effect::EmergencyStop(pressed),
             Self::LinkLossMs(0) => Effect::LinkLoss(None),
-            Self::Mode(mode) => Effect::Mode(mode.into()),
+            Self::Mode(mode) => Effect::Mode(mode),
             Self::Token(token) => Effect::Token(token.into()),
             Self::Permission(permission) => Effect::Permission(permission.into()),
             Self::Motor(on) => Effect::Motor(on),

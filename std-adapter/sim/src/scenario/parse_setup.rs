@@ -10,7 +10,7 @@ use crate::model::{FormatName, SlaveFormats};
 #[derive(Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub(super) struct SetupEntry {
-    mode: Option<ModeName>,
+    mode: Option<Mode>,
     token: Option<TokenName>,
     permission: Option<PermissionName>,
     emergency_stop: Option<bool>,
@@ -60,14 +60,6 @@ impl AxesEntry {
 }
 
 #[derive(Clone, Copy, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub(super) enum ModeName {
-    Auto,
-    Manual,
-    TeachCheck,
-}
-
-#[derive(Clone, Copy, Deserialize)]
 #[serde(try_from = "String")]
 pub(super) struct TokenName(Token);
 
@@ -84,16 +76,6 @@ pub(super) enum PermissionName {
 enum ArmName {
     Free,
     Taken,
-}
-
-impl From<ModeName> for Mode {
-    fn from(name: ModeName) -> Self {
-        match name {
-            ModeName::Auto => Self::Auto,
-            ModeName::Manual => Self::Manual,
-            ModeName::TeachCheck => Self::TeachCheck,
-        }
-    }
 }
 
 impl TryFrom<String> for TokenName {
@@ -156,7 +138,7 @@ impl SetupEntry {
         let (slave_speed, slave_acceleration) = (self.slave_speed.read()?, self.slave_acceleration.read()?);
         let formats = self.formats.as_deref().map(SlaveFormats::of);
         Ok(Setup {
-            mode: self.mode.map(Mode::from),
+            mode: self.mode,
             token: self.token.map(Token::from),
             permission: self.permission.map(Permission::from),
             emergency_stop: self.emergency_stop,

@@ -6,7 +6,7 @@ use bcap_capture::value::to_json;
 use clap::Args;
 use serde_json::json;
 
-use bcap_backup::compare::{self, Difference, entry_text};
+use bcap_backup::compare::{self, Difference};
 use bcap_backup::contents::{Contents, Part};
 use bcap_backup::{controller, folder};
 
@@ -49,11 +49,11 @@ pub(crate) fn diff(args: &Diff, session: &mut Session, json: bool) -> Result<(),
     let (a, b) = (read(&args.a)?, read(&args.b)?);
     let variables = compare::variables(&a, &b, args.system);
     for difference in &variables {
-        print(&if json { variable_json(difference) } else { variable_line(difference) }, json)?;
+        print(&if json { variable_json(difference) } else { difference.to_string() }, json)?;
     }
     let files = compare::files(&a, &b);
     for difference in &files {
-        print(&if json { file_json(difference) } else { file_line(difference) }, json)?;
+        print(&if json { file_json(difference) } else { difference.to_string() }, json)?;
     }
     let omitted = print_omitted(&a, &b, args.system, json)?;
     match omitted {
@@ -100,10 +100,6 @@ fn contents(session: &mut Session) -> Result<Contents, Failure> {
     controller::contents(session, |_, _| Ok(()))
 }
 
-fn variable_line(Difference { name, a, b }: &Difference<String, &Entry>) -> String {
-    format!("{name}: {} -> {}", entry_text(*a), entry_text(*b))
-}
-
 fn variable_json(Difference { name, a, b }: &Difference<String, &Entry>) -> String {
     let side = |entry: &Option<&Entry>| match entry {
         Some(Entry::Value(value)) => to_json(value.as_variant()),
@@ -111,14 +107,6 @@ fn variable_json(Difference { name, a, b }: &Difference<String, &Entry>) -> Stri
         None => "null".into(),
     };
     format!("{{\"name\":{},\"a\":{},\"b\":{}}}", serde_json::Value::from(name.as_str()), side(a), side(b))
-}
-
-fn file_line(Difference { name, a, b }: &Difference<&String, &Vec<u8>>) -> String {
-    match (a, b) {
-        (Some(a), Some(b)) => format!("file:{name}: {} bytes -> {} bytes, the content differs", a.len(), b.len()),
-        (Some(_), None) => format!("file:{name}: only in the first"),
-        _ => format!("file:{name}: only in the second"),
-    }
 }
 
 fn file_json(Difference { name, a, b }: &Difference<&String, &Vec<u8>>) -> String {

@@ -59,14 +59,12 @@ pub(crate) fn dump(args: &Dump, session: &mut Session, json: bool) -> Result<(),
 }
 
 fn print_summary(shown: &str, contents: &Contents, json: bool) -> Result<(), Failure> {
-    let Contents { about, variables, system, files, .. } = contents;
-    let [variables, system, files] = [variables.len(), system.len(), files.len()];
+    let Contents { about, variables, system, files, omitted } = contents;
     let object = json!({
-        "dir": shown, "variables": variables, "system": system, "files": files, "refused": contents.refused(),
-        "omitted": contents.omitted, "controller": about
+        "dir": shown, "variables": variables.len(), "system": system.len(), "files": files.len(),
+        "refused": contents.refused(), "omitted": omitted, "controller": about
     });
-    let of = about.describe();
-    let line = format!("{shown}: {variables} variables, {system} system variables and {files} files of {of}");
+    let line = format!("{shown}: {} of {}", contents.summary(), about.describe());
     Ok(print_result(json, &object, &line)?)
 }
 

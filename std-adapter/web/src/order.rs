@@ -1,0 +1,126 @@
+//! The orders of a page, as JSON: `{"id":1,"do":"take","robot":0,"name":"Anna"}`.
+
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
+
+use crate::job::Work;
+
+/// The screens of a page.
+#[derive(Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum Screen {
+    Cell,
+    Variables,
+    Alarms,
+    Arm,
+    Plots,
+    Packets,
+    Jog,
+    Tasks,
+    Raw,
+    Panel,
+    Backup,
+    Session,
+}
+
+/// An order of a page.
+#[derive(Deserialize)]
+#[serde(rename_all = "lowercase", deny_unknown_fields)]
+pub(crate) enum Order {
+    /// Shows a screen of a robot.
+    Show { robot: usize, screen: Screen },
+    /// Selects the variables of a robot.
+    Select { robot: usize, names: Vec<String> },
+    /// Takes the control of a robot.
+    Take { robot: usize, name: String },
+    /// Releases the control of a robot.
+    Release { robot: usize },
+    /// Checks a value for a variable.
+    Check { robot: usize, name: String, text: String },
+    /// Checks the position of the resting robot for a variable of type P.
+    Teach { robot: usize, name: String },
+    /// Writes the value that was checked last.
+    Write { robot: usize, name: String },
+    /// Clears the errors.
+    Clear { robot: usize },
+    /// Begins a jog of the robot with this name, for which the user has agreed.
+    Grip { robot: usize, name: String },
+    /// A button is held: the robot moves by steps.
+    Press { robot: usize, axis: String, by: f64, percent: f64 },
+    /// The button is lifted.
+    Lift { robot: usize },
+    /// Ends the jog.
+    Drop { robot: usize, why: String },
+    /// Begins a recovery of the robot with this name, and plans its steps.
+    Recover { robot: usize, name: String },
+    /// Makes the next step of the recovery.
+    Step { robot: usize, step: String },
+    /// Ends the recovery.
+    Stop { robot: usize },
+    /// Reads the logs of the controller.
+    Log { robot: usize },
+    /// Starts or stops a task.
+    Task { robot: usize, name: String, what: What },
+    /// Reads the line of a task.
+    Line { robot: usize, name: String },
+    /// Lists a folder of the controller.
+    Files { robot: usize, folder: String },
+    /// Reads a file of the controller.
+    View { robot: usize, path: String },
+    /// Returns the function table.
+    Functions {},
+    /// Makes a call of a robot with this name.
+    Call { robot: usize, name: String, function: String, arguments: Vec<String> },
+    /// Makes the call of a packet in hexadecimal.
+    Bytes { robot: usize, name: String, packet: String },
+    /// Returns the packets of a call.
+    Packet { robot: usize, serial: u16 },
+    /// Returns the calls by function and object.
+    Calls { robot: usize },
+    /// Lists the backups of this server.
+    Backups {},
+    /// Begins a dump, a comparison, or the plan of a restore.
+    Work { robot: usize, work: Work },
+    /// Ends it.
+    Unwork { robot: usize },
+    /// Restores the backup that was planned, on the robot with this name.
+    Restore { robot: usize, name: String, folder: String },
+    /// Starts or ends the recordings.
+    Record { starts: bool },
+    /// Lists the recordings of this server.
+    Recordings {},
+    /// Plays a scenario on the virtual controller.
+    Play { robot: usize, text: String },
+    /// Changes the time factor of the virtual controller.
+    Pace { robot: usize, factor: f64 },
+}
+
+impl Order {
+    /// Parses an order with its number.
+    pub(crate) fn parse(text: &str) -> Option<(u64, Self)> {
+        let mut order: Map<_, _> = serde_json::from_str(text).ok()?;
+        let number = order.remove("id")?.as_u64()?;
+        let Value::String(what) = order.remove("do")? else { return None };
+        // an internally tagged enum needs 250 KB of code
+        let order = Map::from_iter([(what, Value::Object(order))]);
+        Some((number, Self::deserialize(Value::Object(order)).ok()?))
+    }
+}
+
+/// An order for a task.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum What {
+    /// Runs the program once.
+    Once,
+    /// Runs the program again and again.
+    Forever,
+    /// Runs one step of the program.
+    Step,
+    /// Stops at once.
+    Stop,
+    /// Stops after the present cycle.
+    Cycle,
+    /// Stops at once; the next start begins at the first line.
+    Reset,
+}
