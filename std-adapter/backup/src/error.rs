@@ -16,7 +16,7 @@ pub enum Error {
     /// The controller does not fit the backup, so nothing is written to it.
     #[error("{0}")]
     Unfit(String),
-    /// The controller is another one than that of the backup, or its serial number is unknown, so nothing is written to it.
+    /// The backup is of another controller, or a serial number is unknown, so nothing is written.
     /// [`Options::other_controller`](crate::restore::Options::other_controller) allows it.
     #[error("the backup is of {backup}, and this is {controller}. Nothing was written")]
     OtherController {

@@ -27,7 +27,7 @@ pub struct LogEntry {
 }
 
 impl LogEntry {
-    /// Reads an entry; `None` if it has another layout than that of the guide.
+    /// Reads an entry; `None` if its layout is not the one of the guide.
     #[must_use]
     pub fn parse(is_error: bool, entry: Variant<'_>) -> Option<Self> {
         let elements: Vec<Variant<'_>> = entry.as_array()?.iter().collect();

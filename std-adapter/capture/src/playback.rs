@@ -26,7 +26,7 @@ struct Links {
     calls: Vec<Vec<Call>>,
     /// The connection of each peer, and the position after its last answer.
     peers: HashMap<PeerId, (usize, usize)>,
-    /// The connection after that of the last peer.
+    /// The connection that the next peer gets.
     next: usize,
 }
 

@@ -8,7 +8,7 @@ use bcap_core::variant::{Encode, OwnedVariant, Variant};
 /// A value, or the code with which its call is refused.
 pub(crate) type ValueResult = Result<OwnedVariant, HResult>;
 
-/// Encodes a value; the VARTYPE is that of its Rust type.
+/// Encodes a value with the VARTYPE of its Rust type.
 ///
 /// # Errors
 ///

@@ -212,7 +212,7 @@ struct Ignored(u64);
 
 #[cfg(unix)]
 impl Ignored {
-    /// Reads those of this process, once for all signals. Only Linux tells.
+    /// Reads the set of this process, once for all signals. Only Linux tells.
     fn read() -> Self {
         Self::parse(&std::fs::read_to_string("/proc/self/status").unwrap_or_default())
     }
