@@ -42,8 +42,8 @@ pub(crate) struct Sent {
 
 /// How often a call or a case is repeated when the device ended its connection without any reply: a small device may have no slot
 /// yet. One in an emulator on a busy machine needs a second or two.
-pub(crate) const REFUSALS: usize = 20;
-pub(crate) const REFUSAL_PAUSE: Duration = Duration::from_millis(100);
+pub(crate) const REFUSALS: usize = 5;
+pub(crate) const REFUSAL_PAUSE: Duration = Duration::from_millis(400);
 
 /// How often a device over UDP is asked whether it answers: a network may lose datagrams.
 const PROBES: usize = 3;
