@@ -276,7 +276,8 @@ fn pages_show_different_variables() {
     let shown = |page: &mut Page, last: &str| {
         page.order("show", json!({ "robot": 0, "screen": "variables" })).unwrap();
         let rows = page.until("variables", |rows| {
-            rows.as_array().and_then(|rows| rows.last()).is_some_and(|row| row[0] == last && row[1] != "")
+            let rows = rows.as_array().filter(|rows| rows.last().is_some_and(|row| row[0] == last));
+            rows.is_some_and(|rows| rows.iter().all(|row| row[1] != ""))
         });
         rows.as_array()
             .unwrap()
