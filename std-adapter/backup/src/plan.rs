@@ -52,7 +52,9 @@ pub struct Plan {
     pub variables: Vec<Change>,
     /// The files, which are written after the variables.
     pub files: Vec<FileChange>,
-    /// The parts that stay unchanged, with the reason.
+    /// How many IO differ and stay, because they switch outputs and [`Options::io`](crate::restore::Options::io) is not set.
+    pub unwritten_io: usize,
+    /// The other parts that stay unchanged, with the reason.
     pub notes: Vec<String>,
 }
 
@@ -61,13 +63,13 @@ impl Plan {
     /// partial by plan.
     pub fn new(backup: &Contents, controller: &Contents, io: bool) -> Result<Self, Error> {
         check_known(backup, controller)?;
-        let mut plan = Self { variables: Vec::new(), files: Vec::new(), notes: Vec::new() };
-        let (mut misfits, mut unread, mut outputs, mut extra) = (Vec::new(), 0, 0, 0);
+        let mut plan = Self { variables: Vec::new(), files: Vec::new(), unwritten_io: 0, notes: Vec::new() };
+        let (mut misfits, mut unread, mut extra) = (Vec::new(), 0, 0);
         for Difference { name: variable, a, b } in differences(&backup.variables, &controller.variables) {
             let name = variable.name();
             match (a, b) {
                 (Some(Entry::Value(_)), Some(Entry::Value(_))) if variable.kind() == VariableKind::Io && !io => {
-                    outputs += 1;
+                    plan.unwritten_io += 1;
                 }
                 (Some(Entry::Value(value)), Some(Entry::Value(was))) if same_type(value, was) => {
                     plan.variables.push(Change { name, was: was.clone(), value: value.clone() });
@@ -88,7 +90,7 @@ impl Plan {
             )));
         }
         plan.add_files(backup, controller);
-        plan.add_notes(backup, controller, [outputs, unread, extra]);
+        plan.add_notes(backup, controller, [unread, extra]);
         Ok(plan)
     }
 
@@ -103,10 +105,9 @@ impl Plan {
         }
     }
 
-    fn add_notes(&mut self, backup: &Contents, controller: &Contents, [outputs, unread, extra]: [usize; 3]) {
+    fn add_notes(&mut self, backup: &Contents, controller: &Contents, [unread, extra]: [usize; 2]) {
         let system = variables(backup, controller, true).len() - variables(backup, controller, false).len();
         for (count, what) in [
-            (outputs, "IO differ; they switch outputs and are written only with the option io"),
             (unread, "variables could not be read when the backup was made and stay"),
             (extra, "variables are not in the backup and stay"),
             (

@@ -140,7 +140,8 @@ fn perform(job: &Job, robot: &Robot, path: &Path, with: Option<&Path>, plan: Opt
             let plan = restore::plan(&mut connect()?, &backup, options, watch)?;
             job.show(&plan.lines());
             let mut state = lock(&job.state);
-            state.notes = plan.notes.iter().map(safe).collect();
+            let outputs = (plan.unwritten_io > 0).then(|| format!("{} I/O differ and stay", plan.unwritten_io));
+            state.notes = outputs.iter().chain(&plan.notes).map(safe).collect();
             let count = plan.names().len();
             state.plan = Some(plan);
             Ok(if count == 0 {

@@ -150,10 +150,12 @@ fn note(text: &str, json: bool) -> Result<(), Failure> {
 
 /// Prints the plan.
 fn show(plan: &Plan, most: usize, json: bool) -> Result<(), Failure> {
-    let mut notes = plan.notes.iter().map(|note| note.replace("the option io", "--io"));
+    let outputs = (plan.unwritten_io > 0)
+        .then(|| format!("{} IO differ; they switch outputs and are written only with --io", plan.unwritten_io));
+    let mut notes = outputs.iter().chain(&plan.notes);
     if json {
         plan.json_lines().iter().try_for_each(|line| print_json(line))?;
-        return notes.try_for_each(|text| note(&text, true));
+        return notes.try_for_each(|text| note(text, true));
     }
     let lines = plan.lines();
     lines.iter().take(most).try_for_each(|line| print_line(line))?;
