@@ -65,7 +65,10 @@ pub async fn find(stack: Stack<'_>, settings: &Settings<'_>) {
             break;
         }
         // a link that has gone meanwhile has not given DHCP its time
-        if let (true, true, Some(own)) = (stack.is_link_up(), settings.dhcp, own(settings)) {
+        if stack.is_link_up()
+            && settings.dhcp
+            && let Some(own) = own(settings)
+        {
             defmt::warn!("no DHCP server answers, using the configured address");
             stack.set_config_v4(ConfigV4::Static(own));
         }

@@ -50,7 +50,7 @@ pub(crate) struct Open {
 }
 
 impl Open {
-    /// Waits for the end of a session. Without a login there is none, and it does not end.
+    /// Waits for the end of a session. Waits for ever on a server without a login.
     pub(crate) async fn ended(session: Option<Self>) {
         let Some(Self { since, mut open }) = session else { return pending().await };
         // nothing is sent: the sender is dropped

@@ -13,7 +13,7 @@ pub(crate) fn path_in(folder: &Path, name: &str) -> Result<PathBuf, String> {
     Ok(folder.join(name))
 }
 
-/// Returns the names in a folder, in their order; none if the folder does not exist.
+/// Returns the sorted names in a folder; an empty list if the folder does not exist.
 pub(crate) fn names_in(folder: &Path) -> Result<Vec<String>, String> {
     let entries = match std::fs::read_dir(folder) {
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
