@@ -283,13 +283,13 @@ impl Failure {
             _ => (None, self.result_code()),
         };
         let (error, hint, hresult) = (escape::cut(self), self.hint(), code.and_then(HResult::name));
-        serde_json::to_string(&Line { name, error, offset, code: code.map(|code| code.0), hresult, hint }).ok()
+        serde_json::to_string(&FailureLine { name, error, offset, code: code.map(|code| code.0), hresult, hint }).ok()
     }
 }
 
 /// A failure as a line of the output.
 #[derive(Serialize)]
-struct Line<'a> {
+struct FailureLine<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     name: Option<&'a str>,
     error: String,

@@ -52,7 +52,7 @@ struct Segment {
 
 /// A reading with names, which stay valid when the configuration changes.
 #[derive(Serialize, Deserialize)]
-struct Line {
+struct StoredReading {
     cell: String,
     point: String,
     time: u64,
@@ -125,7 +125,7 @@ impl Store {
         if self.open.is_none() || self.segments.back().is_some_and(|last| last.bytes >= self.segment) {
             self.begin()?;
         }
-        let mut line = serde_json::to_vec(&self.line(reading)).map_err(io::Error::from)?;
+        let mut line = serde_json::to_vec(&self.named(reading)).map_err(io::Error::from)?;
         line.push(b'\n');
         let (Some(file), Some(last)) = (&mut self.open, self.segments.back_mut()) else { return Ok(()) };
         if let Err(error) = file.write_all(&line) {
@@ -232,9 +232,9 @@ impl Store {
         self.directory.join(format!("{number:012}.jsonl"))
     }
 
-    fn line(&self, reading: &Reading) -> Line {
+    fn named(&self, reading: &Reading) -> StoredReading {
         let (cell, points) = &self.names[reading.cell];
-        Line {
+        StoredReading {
             cell: cell.clone(),
             point: points[reading.point].clone(),
             time: reading.time,
@@ -244,10 +244,10 @@ impl Store {
         }
     }
 
-    fn reading(&self, line: Line) -> Option<Reading> {
-        let cell = self.names.iter().position(|(name, _)| *name == line.cell)?;
-        let point = self.names[cell].1.iter().position(|name| *name == line.point)?;
-        let Line { time, id, value, quality, .. } = line;
+    fn reading(&self, stored: StoredReading) -> Option<Reading> {
+        let cell = self.names.iter().position(|(name, _)| *name == stored.cell)?;
+        let point = self.names[cell].1.iter().position(|name| *name == stored.point)?;
+        let StoredReading { time, id, value, quality, .. } = stored;
         Some(Reading { cell, point, time, id, value, quality, historical: true })
     }
 }
@@ -276,7 +276,7 @@ fn open(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
 }
 
 /// Reads the lines of a file; skips a line that a crash has truncated.
-fn read_lines(file: File) -> io::Result<Vec<Line>> {
+fn read_lines(file: File) -> io::Result<Vec<StoredReading>> {
     let mut lines = Vec::new();
     for line in BufReader::new(file).split(b'\n') {
         lines.extend(serde_json::from_slice(&line?).ok());

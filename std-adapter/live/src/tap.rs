@@ -118,8 +118,8 @@ impl Tap {
     }
 
     /// Returns the line of a connection.
-    pub(crate) const fn line(self, ends: Ends) -> Line {
-        Line { tap: self, ends }
+    pub(crate) const fn line(self, ends: Ends) -> TappedLink {
+        TappedLink { tap: self, ends }
     }
 }
 
@@ -147,12 +147,12 @@ impl State {
 
 /// A connection. Its drop records its end.
 #[derive(Debug)]
-pub(crate) struct Line {
+pub(crate) struct TappedLink {
     tap: Tap,
     ends: Ends,
 }
 
-impl Line {
+impl TappedLink {
     pub(crate) fn packet(&self, role: Role, bytes: &[u8]) {
         let mut state = self.tap.lock();
         state.check();
@@ -163,7 +163,7 @@ impl Line {
     }
 }
 
-impl Drop for Line {
+impl Drop for TappedLink {
     fn drop(&mut self) {
         let mut state = self.tap.lock();
         state.check();
@@ -181,7 +181,7 @@ mod tests {
 
     use super::*;
 
-    fn line(tap: &Tap) -> Line {
+    fn line(tap: &Tap) -> TappedLink {
         let end = |port| SocketAddr::from(([127, 0, 0, 1], port));
         tap.clone().line(Ends { is_tcp: true, client: end(1), server: end(2) })
     }

@@ -22,7 +22,7 @@ const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// An event with its time.
 #[derive(Serialize)]
-struct Line<'a, T> {
+struct Stamped<'a, T> {
     time: String,
     #[serde(flatten)]
     event: &'a T,
@@ -115,7 +115,7 @@ fn write(mut output: impl Write, lines: &Receiver<String>) {
 
 fn text(event: &impl Serialize) -> String {
     // strings and numbers have no way to fail
-    escape::json(&serde_json::to_string(&Line { time: utc(), event }).unwrap_or_default())
+    escape::json(&serde_json::to_string(&Stamped { time: utc(), event }).unwrap_or_default())
 }
 
 /// Returns the time of day in UTC, as `2026-11-21T08:05:00.000Z`.

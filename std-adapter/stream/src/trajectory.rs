@@ -54,7 +54,7 @@ struct Output {
 
 #[derive(Debug)]
 enum Format {
-    Csv(Lines<File>),
+    Csv(CsvFile<File>),
     Mcap(Box<Points<BufWriter<File>>>),
 }
 
@@ -68,7 +68,7 @@ struct Points<W: Write> {
 
 /// The lines that are written to `out`.
 #[derive(Debug)]
-struct Lines<W: Write> {
+struct CsvFile<W: Write> {
     out: BufWriter<W>,
     last: Option<Point>,
     /// The lines that are not in the file yet.
@@ -87,7 +87,7 @@ impl Trajectory {
             let out = BufWriter::new(File::create(path)?);
             Format::Mcap(Box::new(Points::new(out, origin_ms)?))
         } else {
-            Format::Csv(Lines::new(File::create(path)?)?)
+            Format::Csv(CsvFile::new(File::create(path)?)?)
         };
         Ok(Self(Arc::new(Mutex::new(Output { format, failed: None }))))
     }
@@ -150,7 +150,7 @@ fn rounded(n: f64) -> f64 {
     (n * 1e6).round() / 1e6 + 0.0
 }
 
-impl<W: Write> Lines<W> {
+impl<W: Write> CsvFile<W> {
     fn new(file: W) -> io::Result<Self> {
         let mut out = BufWriter::new(file);
         writeln!(out, "{HEAD}")?;
@@ -178,7 +178,7 @@ mod tests {
 
     #[test]
     fn a_point_is_a_line_of_numbers() {
-        let mut lines = Lines::new(Vec::new()).unwrap();
+        let mut lines = CsvFile::new(Vec::new()).unwrap();
         let axes = [0.1, -0.0, 90.0, 1e-9, 45.0, -30.123_456_7, 0.0, 0.0];
         let position = [364.16, 0.0, 278.5355, 180.0, 0.0, -180.0];
         lines.add(&Point { at: Instant::from_micros(8_500), axes, position, tool: 1, work: 2 }).unwrap();
@@ -217,7 +217,7 @@ mod tests {
     fn the_first_failure_is_told() {
         // a device that is always full
         let Ok(full) = File::options().write(true).open("/dev/full") else { return };
-        let lines = Lines { out: BufWriter::new(full), last: None, waiting: 0 };
+        let lines = CsvFile { out: BufWriter::new(full), last: None, waiting: 0 };
         let format = Format::Csv(lines);
         let trajectory = Trajectory(Arc::new(Mutex::new(Output { format, failed: None })));
         for n in 0..300 {

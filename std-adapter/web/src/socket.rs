@@ -18,8 +18,8 @@ use serde_json::{Map, Value, json};
 use tokio::time::{Instant, MissedTickBehavior, interval, interval_at};
 
 use crate::app::App;
+use crate::channel::Channel;
 use crate::control::{Client, cleaned};
-use crate::line::Line;
 use crate::order::{Order, Screen};
 use crate::raw::Desk;
 use crate::robot::Robot;
@@ -89,37 +89,37 @@ pub(crate) async fn serve(app: Arc<App>, client: Client, socket: WebSocket) {
         desk: None,
     };
     // the page is dropped first, so that its loss ends a jog at once
-    let mut line = Line::new(socket);
-    let _ = serve_page(&mut page, &mut line, hello.to_string()).await;
+    let mut channel = Channel::new(socket);
+    let _ = serve_page(&mut page, &mut channel, hello.to_string()).await;
 }
 
-async fn serve_page(page: &mut Page, line: &mut Line, hello: String) -> Option<()> {
-    line.send(hello).await?;
+async fn serve_page(page: &mut Page, channel: &mut Channel, hello: String) -> Option<()> {
+    channel.send(hello).await?;
     let mut ticks = interval(TICK);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut alive = interval(ALIVE);
     // 40 orders at once, and 20 each second
     let mut bucket = Bucket::new(40, Duration::from_millis(50));
     loop {
-        line.grip = page.grip.as_ref().map(|(_, grip)| Arc::clone(grip));
-        line.watch(page.screen == Screen::Raw && page.mover(page.robot).is_ok());
+        channel.grip = page.grip.as_ref().map(|(_, grip)| Arc::clone(grip));
+        channel.watch(page.screen == Screen::Raw && page.mover(page.robot).is_ok());
         tokio::select! {
             _ = ticks.tick() => {
                 for text in page.changed() {
-                    line.send(text).await?;
+                    channel.send(text).await?;
                 }
             }
-            _ = alive.tick() => line.alive().await?,
-            text = line.order() => answer(page, line, &text?, bucket.take()).await?,
+            _ = alive.tick() => channel.alive().await?,
+            text = channel.order() => answer(page, channel, &text?, bucket.take()).await?,
         }
     }
 }
 
 /// Carries out an order if the page has not given too many, and sends the answer.
-async fn answer(page: &mut Page, line: &mut Line, text: &str, is_allowed: bool) -> Option<()> {
+async fn answer(page: &mut Page, channel: &mut Channel, text: &str, is_allowed: bool) -> Option<()> {
     if !is_allowed {
         // the number of the order is not read
-        return line.send(json!({ "t": "answer", "error": "too many orders; wait a moment" }).to_string()).await;
+        return channel.send(json!({ "t": "answer", "error": "too many orders; wait a moment" }).to_string()).await;
     }
     let mut order = pin!(page.order(text));
     let mut alive = interval_at(Instant::now() + ALIVE, ALIVE);
@@ -127,11 +127,11 @@ async fn answer(page: &mut Page, line: &mut Line, text: &str, is_allowed: bool) 
         tokio::select! {
             answer = &mut order => break answer,
             // a controller may need seconds
-            _ = alive.tick() => line.alive().await?,
-            ended = line.hold() => ended?,
+            _ = alive.tick() => channel.alive().await?,
+            ended = channel.hold() => ended?,
         }
     };
-    line.send(answer.to_string()).await
+    channel.send(answer.to_string()).await
 }
 
 impl Page {

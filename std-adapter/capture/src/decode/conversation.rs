@@ -10,7 +10,7 @@ use bcap_core::rac;
 use super::call::{Event, Link, Note};
 use super::file::Packet;
 use super::fragments::Fragments;
-use super::line::Lines;
+use super::line::RacLines;
 use super::packet::{Segment, Skipped, Tcp, reassembled, segment};
 use super::session::{Found, Session};
 use super::stream::{Half, Piece};
@@ -22,7 +22,7 @@ enum Protocol {
     /// No packet with data so far, and no known port.
     Unknown,
     Bcap(Session),
-    Rac(Lines),
+    Rac(RacLines),
     Other,
 }
 
@@ -160,7 +160,7 @@ impl Conversation {
         };
         let (protocol, server) = match (server_at(bcap::PORT), server_at(rac::PORT)) {
             (Some(server), _) => (Protocol::Bcap(Session::new(name.clone(), strictness)), Some(server)),
-            (None, Some(server)) if is_tcp => (Protocol::Rac(Lines::new(name.clone())), Some(server)),
+            (None, Some(server)) if is_tcp => (Protocol::Rac(RacLines::new(name.clone())), Some(server)),
             _ => (Protocol::Unknown, None),
         };
         let opener = segment.tcp.filter(|tcp| tcp.syn).map(|tcp| usize::from(tcp.acknowledged.is_some()));
@@ -267,7 +267,7 @@ impl Conversation {
         (self.protocol, is_request) = match frame {
             Some(code) => (Protocol::Bcap(Session::new(self.name.clone(), self.strictness)), code.name().is_some()),
             None if self.is_tcp && (start == *b"GET:RC8:" || start == *b"PUT:RC8:") => {
-                (Protocol::Rac(Lines::new(self.name.clone())), true)
+                (Protocol::Rac(RacLines::new(self.name.clone())), true)
             }
             None => (Protocol::Other, false),
         };

@@ -11,7 +11,7 @@ use bcap_core::variant::OwnedVariant as Value;
 
 /// The lines of a connection.
 #[derive(Debug)]
-pub(crate) struct Lines {
+pub(crate) struct RacLines {
     link: String,
     /// Bytes of incomplete lines, from the client and from the server.
     partial: [Vec<u8>; 2],
@@ -21,7 +21,7 @@ pub(crate) struct Lines {
     count: u64,
 }
 
-impl Lines {
+impl RacLines {
     pub(crate) fn new(link: String) -> Self {
         Self { link, partial: Default::default(), pending: VecDeque::new(), count: 0 }
     }

@@ -122,7 +122,7 @@ pub(super) fn short(value: &Value) -> String {
 
 /// An event as a line of JSON.
 #[derive(Serialize)]
-struct Line<'a> {
+struct EventLine<'a> {
     /// Seconds since 1970; a string, because a float has too few digits for nanoseconds.
     time: String,
     link: &'a str,
@@ -180,7 +180,7 @@ fn to_json(event: &Event) -> String {
         Event::Call(call) => (&call.link, Fields::Call(call_fields(call))),
     };
     // serializing strings, numbers and values cannot fail
-    serde_json::to_string(&Line { time, link, event }).unwrap_or_default()
+    serde_json::to_string(&EventLine { time, link, event }).unwrap_or_default()
 }
 
 fn call_fields(call: &Call) -> CallFields<'_> {

@@ -23,10 +23,10 @@ use crate::shell::words::{self, is_name};
 use bcap_capture::value::data;
 use bcap_core::variant::OwnedVariant as Value;
 
-/// A command.
+/// A line with a command.
 #[derive(Debug, Parser)]
 #[command(name = "bcap", no_binary_name = true, disable_help_subcommand = true, disable_help_flag = false)]
-struct Line {
+struct CommandLine {
     /// Prints results as JSON, one object per line
     #[arg(long, global = true)]
     json: bool,
@@ -160,7 +160,7 @@ impl Checker {
     }
 
     fn words(&mut self, words: &[String]) -> Result<Checked, Failure> {
-        match Line::try_parse_from(words) {
+        match CommandLine::try_parse_from(words) {
             Ok(line) => self.command(line.command),
             Err(error) if is_help(&error) => Ok(Checked::Continue),
             Err(error) => Err(invalid(&error)),
@@ -210,7 +210,7 @@ impl Runner {
     }
 
     fn run_words(&self, words: &[String], session: &mut Session) -> Result<Flow, Failure> {
-        let line = match Line::try_parse_from(words) {
+        let line = match CommandLine::try_parse_from(words) {
             Ok(line) => line,
             Err(error) => return explained(&error).map(|()| Flow::Continue),
         };
@@ -278,7 +278,7 @@ impl Runner {
         self.conclude(checked.map(|_| Flow::Continue), had_arm, session).map(|_| holds)
     }
 
-    fn command(&self, line: &Line, session: &mut Session) -> Result<Flow, Failure> {
+    fn command(&self, line: &CommandLine, session: &mut Session) -> Result<Flow, Failure> {
         let json = self.json || line.json;
         match &line.command {
             LineCommand::Verb(command) if matches!(**command, Command::Shell(_)) => return Err(no_shell()),
@@ -437,7 +437,7 @@ fn invalid(error: &clap::Error) -> Failure {
 
 /// Returns the names and the summaries of all commands of a line.
 pub(crate) fn commands() -> Vec<(String, String)> {
-    let line = Line::command();
+    let line = CommandLine::command();
     let summary = |command: &clap::Command| command.get_about().map(ToString::to_string).unwrap_or_default();
     line.get_subcommands().map(|command| (command.get_name().to_owned(), summary(command))).collect()
 }
@@ -453,7 +453,7 @@ fn help(topic: Option<&str>) -> Result<(), Failure> {
     if let Some(function) = FunctionId::parse(topic) {
         return Ok(reference::function(function)?);
     }
-    let mut line = Line::command();
+    let mut line = CommandLine::command();
     line.build();
     match line.find_subcommand_mut(topic) {
         Some(command) => Ok(print_raw(command.render_long_help().to_string().trim_end())?),

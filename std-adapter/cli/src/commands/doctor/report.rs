@@ -55,7 +55,7 @@ pub(super) struct Report {
 }
 
 #[derive(Serialize)]
-struct Line<'a> {
+struct FindingLine<'a> {
     check: &'a str,
     result: &'a str,
     detail: &'a str,
@@ -76,7 +76,7 @@ impl Report {
             Finding::Skipped(why) => ("skipped", why.as_str(), None),
             Finding::Untested(answer) => ("untested", answer.as_str(), Some(UNTESTED_HINT)),
         };
-        self.print(&Line { check, result, detail, hint })?;
+        self.print(&FindingLine { check, result, detail, hint })?;
         let (message, hint) = match finding {
             Finding::Failed { detail, hint } => (format!("{check}: {detail}"), hint),
             Finding::Untested(answer) => (format!("{check}: could not be tested: {answer}"), UNTESTED_HINT.into()),
@@ -89,12 +89,12 @@ impl Report {
     /// Prints that the controller cannot be reached over a link.
     pub(super) fn unreachable(&mut self, check: &'static str, failure: Failure) -> Result<(), Failure> {
         let detail = failure.to_string();
-        self.print(&Line { check, result: "failed", detail: &detail, hint: failure.hint().as_deref() })?;
+        self.print(&FindingLine { check, result: "failed", detail: &detail, hint: failure.hint().as_deref() })?;
         self.first.get_or_insert(failure);
         Ok(())
     }
 
-    fn print(&self, line: &Line<'_>) -> Result<(), Failure> {
+    fn print(&self, line: &FindingLine<'_>) -> Result<(), Failure> {
         if self.json {
             return Ok(print_json(&serde_json::to_string(line).unwrap_or_default())?);
         }

@@ -95,14 +95,14 @@ pub(crate) fn proxy(args: &Proxy, link: &LinkArgs, json: bool) -> Result<(), Fai
         // the signals first: a reader of the line may send one at once
         let ended = signal::wait()?;
         let listeners = bind(args).await?;
-        let lines = (!args.quiet).then(|| Lines::start(json)).transpose()?;
-        let recording = record(link.write.as_deref(), lines.as_ref().map(|lines| lines.queue.clone()), json)?;
+        let printer = (!args.quiet).then(|| Printer::start(json)).transpose()?;
+        let recording = record(link.write.as_deref(), printer.as_ref().map(|printer| printer.queue.clone()), json)?;
         print_line(&listening(&listeners)?.to_string())?;
         let proxy = bcap_capture::proxy::Proxy::new(listeners, robot);
         proxy.connect_timeout(link.timeout()).faults(faults, seed).run(&recording, ended).await;
         recording.finish()?;
-        if let Some(lines) = lines {
-            lines.finish();
+        if let Some(printer) = printer {
+            printer.finish();
         }
         Ok(())
     })
@@ -122,12 +122,12 @@ fn record(file: Option<&Path>, lines: Option<SyncSender<String>>, json: bool) ->
 }
 
 /// A thread that prints lines.
-struct Lines {
+struct Printer {
     queue: SyncSender<String>,
     thread: JoinHandle<()>,
 }
 
-impl Lines {
+impl Printer {
     fn start(json: bool) -> io::Result<Self> {
         let (queue, lines) = sync_channel::<String>(LINES);
         let print = if json { print_json } else { print_line };

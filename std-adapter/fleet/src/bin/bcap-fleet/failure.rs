@@ -34,7 +34,7 @@ pub(crate) enum Failure {
 
 /// A failure as a line of the output.
 #[derive(Serialize)]
-struct Line<'a> {
+struct FailureLine<'a> {
     error: String,
     #[serde(skip_serializing_if = "Option::is_none")]
     hint: Option<&'a str>,
@@ -70,7 +70,7 @@ impl Failure {
         }
         if json {
             // an error of printing cannot be reported
-            let _ = print_json(&Line { error: escape::cut(self), hint: self.hint() });
+            let _ = print_json(&FailureLine { error: escape::cut(self), hint: self.hint() });
         }
         report::error(self, &Vec::from_iter(self.hint().map(|hint| ("hint", hint))));
         ExitCode::from(self.code())

@@ -33,7 +33,7 @@ struct Beat {
 }
 
 /// The WebSocket of a page, and the heartbeats of its jog.
-pub(crate) struct Line {
+pub(crate) struct Channel {
     socket: WebSocket,
     /// Orders that arrived while another one was carried out.
     waiting: VecDeque<String>,
@@ -47,7 +47,7 @@ pub(crate) struct Line {
     sent: VecDeque<Instant>,
 }
 
-impl Line {
+impl Channel {
     pub(crate) fn new(socket: WebSocket) -> Self {
         let mut pulse = interval(PULSE);
         pulse.set_missed_tick_behavior(MissedTickBehavior::Delay);
