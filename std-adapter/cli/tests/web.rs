@@ -30,6 +30,7 @@ impl Web {
     fn request(&self, first: &str) -> String {
         let (host, token) = self.url.strip_prefix("http://").unwrap().split_once("/#token=").unwrap();
         let mut stream = TcpStream::connect(host).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
         write!(
             stream,
             "{first} HTTP/1.1\r\nhost: {host}\r\norigin: http://{host}\r\nx-bcap-token: {token}\r\ncontent-length: 0\r\n\
@@ -57,6 +58,18 @@ impl Drop for Web {
         let _ = self.process.kill();
         let _ = self.process.wait();
     }
+}
+
+/// The pipe is full after some hundred lines; no line is lost.
+#[test]
+fn an_output_that_nobody_reads_delays_no_halt() {
+    let web = Web::start(bare(&["web", "--listen", "127.0.0.1:0", "--robot", "tcp:127.0.0.1:1"]));
+    for _ in 0..700 {
+        assert!(web.request("POST /halt/0").contains("NOT HALTED, use the emergency stop"));
+    }
+    let (lines, code) = web.end();
+    assert_eq!((lines.matches(": a page: HALT: NOT HALTED").count(), code), (700, Some(0)));
+    assert!(lines.len() > 70_000, "{} bytes fit into a pipe", lines.len());
 }
 
 /// A file of labels with a wrong line is refused before anything is opened.

@@ -13,6 +13,7 @@ use bcap_std::ObjectPath;
 
 use crate::calls::{Calls, Failure};
 use crate::stream::StreamCheck;
+use crate::write::is_system_variable;
 
 /// An argument of a call.
 #[derive(Debug)]
@@ -89,18 +90,31 @@ impl Request {
         value.as_variant().as_bstr().map(|text| text.to_string())
     }
 
-    /// Returns the effect, the strongest if a command or an option is unknown.
+    /// Returns the effect, the strongest if a command, an option or a variable is unknown.
     #[must_use]
     pub fn effect(&self) -> Effect {
+        let writes_system = || match self.arguments.first() {
+            Some(Argument::Object(path)) => is_system_variable(path),
+            // a handle may be any variable's
+            _ => true,
+        };
+        if self.function == FunctionId::VARIABLE_PUT_VALUE && writes_system() {
+            return Effect::Moves;
+        }
         self.function.properties(self.text(1).as_deref(), self.text(2).as_deref()).effect
     }
 
-    /// Makes the call, unless it would end a stream. A refusal is a reply.
+    /// Makes the call, unless it would end a stream. A refusal is a reply. `may` is asked directly before the call, after the
+    /// objects are open.
     ///
     /// # Errors
     ///
-    /// [`Failure::skipped`] while a stream runs, or the error of a call.
-    pub fn perform<C: Calls>(&self, calls: &mut C) -> Result<(HResult, Option<OwnedVariant>), C::Error> {
+    /// [`Failure::skipped`] while a stream runs, the error of `may`, or the error of a call.
+    pub fn perform<C: Calls>(
+        &self,
+        calls: &mut C,
+        may: impl FnOnce() -> Result<(), C::Error>,
+    ) -> Result<(HResult, Option<OwnedVariant>), C::Error> {
         let mut check = StreamCheck::default();
         let mut values = Vec::new();
         for argument in &self.arguments {
@@ -113,6 +127,7 @@ impl Request {
             });
         }
         check.require(calls, self.function, self.text(1).as_deref())?;
+        may()?;
         match calls.call("", self.function, &values) {
             Err(error) if error.code().is_some() && !error.is_lost() => Ok((error.code().unwrap_or_default(), None)),
             made => made,
@@ -152,6 +167,15 @@ mod tests {
         for option in ["8,@Create=1", "0,"] {
             assert_eq!(effect("Controller_GetFile", &["controller", "8,a.pcs", option]), Effect::Writes, "{option}");
         }
+    }
+
+    #[test]
+    fn a_system_variable_may_start_a_program_or_switch_the_motor() {
+        for variable in ["task:Pro1/variable:@START", "robot/variable:@SERVO_ON", "3,2"] {
+            assert_eq!(effect("Variable_PutValue", &[variable, "3,2"]), Effect::Moves, "{variable}");
+        }
+        assert_eq!(effect("Variable_PutValue", &["variable:I1", "3,2"]), Effect::Writes);
+        assert_eq!(effect("Variable_GetValue", &["robot/variable:@SERVO_ON"]), Effect::Reads);
     }
 
     #[test]

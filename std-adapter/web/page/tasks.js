@@ -74,7 +74,7 @@ async function act(what, text) {
   const warning = what in START ? " The program can move the robot." : "";
   if (!(await ask(text, tile, `${name}: ${text.toLowerCase()}.${warning}`, `${text}: ${name}`))) return;
   try {
-    await order("task", { robot, name, what });
+    await order("task", { robot, of: tile.name, name, what });
     notify(`${tile.name}: ${name}: ${text.toLowerCase()} is done`);
   } catch (error) {
     notify(`not done: ${error.message}`, true);

@@ -2,13 +2,22 @@
 
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
+use std::time::Duration;
 
-use tokio::sync::Semaphore;
+use tokio::sync::{Semaphore, watch};
+use tokio::time::{Instant, sleep};
 
 use crate::audit::Audit;
 use crate::config::Config;
 use crate::guard::Guard;
 use crate::robot::Robot;
+use crate::threads::spawn;
+
+/// The most pages.
+pub(crate) const PAGES: usize = 16;
+
+/// How often the end of the server looks whether its work is done.
+const LOOK: Duration = Duration::from_millis(10);
 
 /// The state that all connections share.
 pub(crate) struct App {
@@ -21,4 +30,34 @@ pub(crate) struct App {
     pub(crate) clients: AtomicU64,
     /// The pages that may still be opened.
     pub(crate) pages: Arc<Semaphore>,
+    /// Becomes true at the end of the server, which closes the pages.
+    pub(crate) ends: watch::Sender<bool>,
+    /// Held by each piece of work that the end of the server waits for.
+    pub(crate) work: Arc<()>,
+}
+
+/// The longest time that the end of the server waits for halts, for the arms to be given back, and for orders under way.
+const END: Duration = Duration::from_secs(10);
+
+impl App {
+    /// Starts a thread for an order of a user, which the end of the server waits for. The error is for the user.
+    pub(crate) fn spawn(&self, name: &str, work: impl FnOnce() + Send + 'static) -> Result<(), String> {
+        let held = Arc::clone(&self.work);
+        spawn(name, move || {
+            work();
+            drop(held);
+        })
+    }
+
+    /// Ends all that moves, and waits until the robots are halted and given back.
+    pub(crate) async fn end(&self) {
+        self.ends.send_replace(true);
+        for robot in &self.robots {
+            robot.end_motion("the server ends");
+        }
+        let until = Instant::now() + END;
+        while (self.pages.available_permits() < PAGES || Arc::strong_count(&self.work) > 1) && Instant::now() < until {
+            sleep(LOOK).await;
+        }
+    }
 }

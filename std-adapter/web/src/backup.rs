@@ -17,13 +17,14 @@ use bcap_backup::restore::{self, Options};
 use bcap_capture::trace::Packets;
 use bcap_live::link::{Error, Link};
 use serde_json::{Value, json};
+use tokio::task::spawn_blocking;
 
 use crate::job::{Job, Kind, Work};
 use crate::names::{names_in, path_in};
 use crate::robot::Robot;
 use crate::socket::{Answer, Page};
 use crate::text::safe;
-use crate::threads::{lock, spawn};
+use crate::threads::lock;
 
 /// The most folders that a page shows.
 const FOLDERS: usize = 200;
@@ -36,14 +37,18 @@ impl Page {
     }
 
     /// Lists the folders with backups.
-    pub(crate) fn backups(&self) -> Answer {
-        let folder = self.folder()?;
-        let row = |name: &String| {
-            let past = Past::read(&folder.join(name)).ok().flatten().filter(|past| !past.is_complete());
-            json!([name, past.map(|past| safe(&past.summary()))])
+    pub(crate) async fn backups(&self) -> Answer {
+        let folder = self.folder()?.to_owned();
+        let list = move || {
+            let row = |name: &String| {
+                let past = Past::read(&folder.join(name)).ok().flatten().filter(|past| !past.is_complete());
+                json!([name, past.map(|past| safe(&past.summary()))])
+            };
+            let is_backup = |name: &&String| folder.join(name).join("backup.json").exists();
+            Ok(names_in(&folder)?.iter().filter(is_backup).take(FOLDERS).map(row).collect())
         };
-        let names = names_in(folder)?;
-        Ok(names.iter().filter(|name| folder.join(name).join("backup.json").exists()).take(FOLDERS).map(row).collect())
+        // a disk that hangs must not delay a halt
+        spawn_blocking(list).await.unwrap_or_else(|_| Err("the list of backups panicked".into()))
     }
 
     /// Begins a dump, a comparison, or the plan of a restore.
@@ -93,7 +98,7 @@ impl Page {
         };
         let job = Arc::new(Job { client: self.client, work, state: Mutex::default() });
         let (app, of, own) = (Arc::clone(&self.app), Arc::clone(robot), Arc::clone(&job));
-        spawn("backup", move || {
+        self.app.spawn("backup", move || {
             let outcome = perform(&own, &of, &path, with.as_deref(), plan).map_err(|error| error.to_string());
             let Work { kind, folder, with, .. } = &own.work;
             let what = match kind {

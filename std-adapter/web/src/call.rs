@@ -7,10 +7,11 @@ use bcap_live::request::Request;
 
 use crate::raw::Desk;
 use crate::socket::{Answer, Page};
+use crate::threads::lock;
 
 impl Page {
     /// Makes a call of the user, if its effect is allowed. `name` is the robot's name in the question.
-    pub(crate) async fn call(&mut self, number: usize, name: &str, request: Request) -> Answer {
+    pub(crate) async fn call(&self, number: usize, name: &str, request: Request) -> Answer {
         let user = match request.effect() {
             Effect::Session | Effect::Reads => None,
             Effect::Writes => Some(self.writer(number)?),
@@ -20,20 +21,27 @@ impl Page {
         if user.is_some() {
             robot.check_name(name)?;
         }
-        if let Some(other) = self.desk.take_if(|desk| desk.number != number) {
-            other.end(&self.app);
-        }
-        let desk = Arc::clone(self.desk.get_or_insert_with(|| Arc::new(Desk::new(number, Arc::clone(&robot)))));
-        let what = format!("calls {request}");
-        let made = tokio::task::spawn_blocking(move || desk.make(&request)).await;
-        let made = made.unwrap_or_else(|_| Err("the call panicked; it is unknown whether it was done".into()));
-        if let Some((who, _)) = user {
-            let outcome = match &made {
-                Ok((code, _)) if code.is_err() => Err(code.to_string()),
-                made => made.as_ref().map(drop).map_err(Clone::clone),
-            };
-            self.app.audit.write(&who, &robot.name, &what, &outcome);
-        }
+        let desk = {
+            let mut held = lock(&self.held);
+            if let Some(other) = held.desk.take_if(|desk| desk.number != number) {
+                other.end(&self.app);
+            }
+            Arc::clone(held.desk.get_or_insert_with(|| Arc::new(Desk::new(number, Arc::clone(&robot)))))
+        };
+        let (app, permit) = (Arc::clone(&self.app), robot.permit());
+        // on a thread that goes on when the page is closed, so that its line of the audit is written
+        let made = tokio::task::spawn_blocking(move || {
+            let made = desk.make(&request, permit);
+            if let Some((who, _)) = user {
+                let outcome = match &made {
+                    Ok((code, _)) if code.is_err() => Err(code.to_string()),
+                    made => made.as_ref().map(drop).map_err(Clone::clone),
+                };
+                app.audit.write(&who, &robot.name, &format!("calls {request}"), &outcome);
+            }
+            made
+        });
+        let made = made.await.unwrap_or_else(|_| Err("the call panicked; it is unknown whether it was done".into()));
         made.map(|(_, reply)| reply)
     }
 }

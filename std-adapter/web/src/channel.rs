@@ -4,11 +4,18 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use axum::body::Bytes;
 use axum::extract::ws::{Message, WebSocket};
 use bcap_live::jog::Grip;
 use serde::Deserialize;
 use serde_json::json;
 use tokio::time::{Interval, MissedTickBehavior, interval, timeout};
+
+use crate::app::App;
+use crate::held::{self, Shared};
+use crate::order::Order;
+use crate::text::safe;
+use crate::threads::lock;
 
 /// The longest time for a message to a page. A page that does not take it is closed.
 const SEND: Duration = Duration::from_secs(10);
@@ -21,6 +28,9 @@ const PULSES: usize = 8;
 
 /// The longest time without a heartbeat for a page that may make calls that move.
 const LOST: Duration = Duration::from_secs(2);
+
+/// The longest time without any message from a page. Its browser answers a ping each second, also while the page is hidden.
+const SILENT: Duration = Duration::from_secs(10);
 
 /// The most orders that wait while one is carried out.
 const WAITING: usize = 32;
@@ -37,7 +47,10 @@ pub(crate) struct Channel {
     socket: WebSocket,
     /// Orders that arrived while another one was carried out.
     waiting: VecDeque<String>,
-    pub(crate) grip: Option<Arc<Grip>>,
+    app: Arc<App>,
+    held: Shared,
+    /// When the page was heard last.
+    heard: Instant,
     /// The time of the last pulse with a heartbeat, if the page must send them without a jog.
     watched: Option<Instant>,
     pulse: Interval,
@@ -48,10 +61,11 @@ pub(crate) struct Channel {
 }
 
 impl Channel {
-    pub(crate) fn new(socket: WebSocket) -> Self {
+    pub(crate) fn new(socket: WebSocket, app: Arc<App>, held: Shared) -> Self {
         let mut pulse = interval(PULSE);
         pulse.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        Self { socket, waiting: VecDeque::new(), grip: None, watched: None, pulse, last: 0, sent: VecDeque::new() }
+        let (waiting, sent, heard) = (VecDeque::new(), VecDeque::new(), Instant::now());
+        Self { socket, waiting, app, held, heard, watched: None, pulse, last: 0, sent }
     }
 
     /// Sets whether the page must send heartbeats without a jog.
@@ -59,11 +73,13 @@ impl Channel {
         self.watched = is_watched.then(|| self.watched.unwrap_or_else(Instant::now));
     }
 
-    /// Shows a page that the server is alive; ends one that must send heartbeats and has sent none for too long.
+    /// Shows a page that the server is alive; ends one that must send heartbeats and has sent none for too long, and one whose browser
+    /// does not answer.
     pub(crate) async fn alive(&mut self) -> Option<()> {
-        if self.watched.is_some_and(|last| last.elapsed() > LOST) {
+        if self.watched.is_some_and(|last| last.elapsed() > LOST) || self.heard.elapsed() > SILENT {
             return None;
         }
+        timeout(SEND, self.socket.send(Message::Ping(Bytes::new()))).await.ok()?.ok()?;
         self.send(json!({ "t": "tick" }).to_string()).await
     }
 
@@ -83,23 +99,39 @@ impl Channel {
     pub(crate) async fn hold(&mut self) -> Option<()> {
         while self.waiting.len() < WAITING {
             let text = self.receive().await?;
+            self.end_early(&text);
             self.waiting.push_back(text);
         }
-        // backpressure: a page that sends this much gets no pulse either, which ends its jog
+        // backpressure: a page that sends this much gets no pulse either, which ends its jog, and later the page
         std::future::pending().await
+    }
+
+    /// Ends what an order would end after the one under way, which may take a minute.
+    fn end_early(&self, text: &str) {
+        match Order::parse(text) {
+            Some((_, Order::Lift { .. })) => drop(self.grip().map(|grip| grip.lift())),
+            Some((_, Order::Drop { why, .. })) => drop(self.grip().map(|grip| grip.end(&safe(&why)))),
+            Some((_, Order::Release { .. })) => held::end(&self.held, &self.app, "the control was released"),
+            Some((_, Order::Show { .. })) => held::end(&self.held, &self.app, "the screen was left"),
+            _ => {}
+        }
+    }
+
+    fn grip(&self) -> Option<Arc<Grip>> {
+        lock(&self.held).grip.as_ref().map(|(_, grip)| Arc::clone(grip))
     }
 
     /// Receives the next order. Sends pulses and records heartbeats meanwhile.
     async fn receive(&mut self) -> Option<String> {
         loop {
             tokio::select! {
-                _ = self.pulse.tick(), if self.grip.is_some() || self.watched.is_some() => {
+                _ = self.pulse.tick(), if self.watched.is_some() || self.grip().is_some() => {
                     self.last += 1;
                     self.sent.push_front(Instant::now());
                     self.sent.truncate(PULSES);
                     self.send(json!({ "t": "pulse", "n": self.last }).to_string()).await?;
                 }
-                message = self.socket.recv() => match message?.ok()? {
+                message = self.socket.recv() => match message?.ok().inspect(|_| self.heard = Instant::now())? {
                     Message::Text(text) => match serde_json::from_str(&text) {
                         Ok(Beat { beat }) => self.beat(beat),
                         Err(_) => return Some(text.as_str().to_owned()),
@@ -118,7 +150,7 @@ impl Channel {
         if let Some(last) = &mut self.watched {
             *last = *sent;
         }
-        if let Some(grip) = &self.grip {
+        if let Some(grip) = self.grip() {
             grip.beat(*sent);
         }
     }

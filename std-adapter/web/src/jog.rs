@@ -13,7 +13,7 @@ use crate::arm;
 use crate::robot::Robot;
 use crate::socket::{Answer, Page};
 use crate::text::safe;
-use crate::threads::{lock, spawn};
+use crate::threads::lock;
 
 /// How often the watch looks.
 const LOOK: Duration = Duration::from_millis(20);
@@ -33,18 +33,18 @@ impl Page {
             return Err("the last jog of this robot has not ended; wait a moment".into());
         }
         let (access, held) = (robot.access.clone(), Arc::clone(&grip));
-        spawn("jog", move || jog::run(&access, &held))?;
+        self.app.spawn("jog", move || jog::run(&access, &held))?;
         *last = Some(Arc::clone(&grip));
         drop(last);
-        self.grip = Some((number, Arc::clone(&grip)));
+        lock(&self.held).grip = Some((number, Arc::clone(&grip)));
         let begun = self.audited(&who, &robot, "takes the arm for a jog", Ok(()));
         tokio::spawn(watch(Arc::clone(&self.app), robot, who, grip));
         begun
     }
 
     /// Returns the jog of this page.
-    fn grip(&self, number: usize) -> Result<&Grip, String> {
-        let grip = self.grip.as_ref().filter(|(robot, _)| *robot == number).map(|(_, grip)| &**grip);
+    fn grip(&self, number: usize) -> Result<Arc<Grip>, String> {
+        let grip = lock(&self.held).grip.clone().filter(|(robot, _)| *robot == number).map(|(_, grip)| grip);
         grip.ok_or_else(|| "the jog has ended; begin it again".into())
     }
 

@@ -11,6 +11,7 @@ mod config;
 mod control;
 mod guard;
 mod halt;
+mod held;
 mod job;
 mod jog;
 mod login;
@@ -37,9 +38,9 @@ use std::sync::atomic::AtomicU64;
 
 use bcap_std::Address;
 use tokio::net::TcpListener;
-use tokio::sync::Semaphore;
+use tokio::sync::{Semaphore, watch};
 
-use crate::app::App;
+use crate::app::{App, PAGES};
 use crate::audit::Audit;
 pub use crate::config::{Config, Recordings, Remote, Replay};
 use crate::guard::Guard;
@@ -49,9 +50,6 @@ use crate::tls::Acceptor;
 
 /// The most robots of a page.
 const ROBOTS: usize = 32;
-
-/// The most open pages.
-const PAGES: usize = 16;
 
 /// Reads the certificate, and checks the rest.
 fn acceptor(remote: &Remote, listen: SocketAddr) -> Result<Acceptor, Error> {
@@ -115,7 +113,8 @@ impl std::fmt::Debug for Server {
 }
 
 impl Server {
-    /// Listens, and begins to read the robots. `audit` gets a line for each action of a user.
+    /// Listens, and begins to read the robots. `audit` gets a line for each action of a user. It must not
+    /// wait, for example for a terminal: HALT would wait too.
     ///
     /// # Errors
     ///
@@ -140,6 +139,8 @@ impl Server {
             audit: Audit::new(audit),
             clients: AtomicU64::new(1),
             pages: Arc::new(Semaphore::new(PAGES)),
+            ends: watch::Sender::new(false),
+            work: Arc::default(),
         };
         Ok(Self { listener, tls, app: Arc::new(app) })
     }
@@ -150,12 +151,13 @@ impl Server {
         self.app.guard.url()
     }
 
-    /// Serves until `shutdown` completes.
+    /// Serves until `shutdown` completes. Then it halts what a page moves, and gives the arms back; it waits for that for 10 s.
     pub async fn run(self, shutdown: impl Future<Output = ()>) {
         tokio::select! {
             () = serve::accept(&self.listener, &self.app, self.tls.as_ref()) => {}
             () = shutdown => {}
         }
+        self.app.end().await;
         record::finish(self.app);
     }
 }

@@ -59,8 +59,8 @@ pub(crate) enum Order {
     Stop { robot: usize },
     /// Reads the logs of the controller.
     Log { robot: usize },
-    /// Starts or stops a task.
-    Task { robot: usize, name: String, what: What },
+    /// Starts or stops a task of the robot with the name `of`.
+    Task { robot: usize, of: String, name: String, what: What },
     /// Reads the line of a task.
     Line { robot: usize, name: String },
     /// Lists a folder of the controller.

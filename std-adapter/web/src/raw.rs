@@ -6,7 +6,8 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
-use std::time::Instant;
+use std::thread::sleep;
+use std::time::{Duration, Instant};
 
 use bcap_capture::Role;
 use bcap_capture::trace::Packets;
@@ -15,15 +16,19 @@ use bcap_core::bcap::{Effect, FunctionId, Kind};
 use bcap_core::hresult::HResult;
 use bcap_core::variant::OwnedVariant;
 use bcap_live::calls::Failure;
-use bcap_live::link::Link;
+use bcap_live::link::{Error, Link};
 use bcap_live::request::Request;
 use serde_json::{Value, json};
 
 use crate::app::App;
 use crate::robot::{Robot, reason};
 use crate::text::safe;
-use crate::threads::{lock, spawn};
+use crate::threads::lock;
 use crate::view::{self, dissected};
+
+/// How often a call that has not ended is halted, and the pause between two halts.
+const HALTS: u32 = 3;
+const AGAIN: Duration = Duration::from_millis(200);
 
 /// Returns the function table: what a form needs.
 pub(crate) fn functions() -> Value {
@@ -76,19 +81,21 @@ impl Desk {
     }
 
     /// Makes a call, and opens the session for the first one.
-    pub(crate) fn make(&self, request: &Request) -> Result<(HResult, Value), String> {
+    pub(crate) fn make(
+        &self,
+        request: &Request,
+        permit: impl FnOnce() -> Result<(), Error>,
+    ) -> Result<(HResult, Value), String> {
         let mut link = lock(&self.link);
         self.moves.store(request.effect() == Effect::Moves, Ordering::SeqCst);
-        if self.has_ended.load(Ordering::SeqCst) {
-            return Err("the screen was left; nothing was done".into());
-        }
+        self.check_open().map_err(|error| error.to_string())?;
         let session = match link.take() {
             Some(session) => Ok(session),
             None => Link::for_calls(&self.robot.access, &self.packets),
         };
         let mut session = session.map_err(|error| format!("nothing was done: {error}"))?;
         let start = Instant::now();
-        let made = request.perform(&mut session);
+        let made = request.perform(&mut session, || self.check_open().and_then(|()| permit()));
         let took = start.elapsed();
         self.moves.store(false, Ordering::SeqCst);
         let ends = matches!(request.function, FunctionId::SERVICE_STOP | FunctionId::CONTROLLER_DISCONNECT);
@@ -107,15 +114,25 @@ impl Desk {
         Ok((code, reply))
     }
 
+    fn check_open(&self) -> Result<(), Error> {
+        let has_ended = self.has_ended.load(Ordering::SeqCst);
+        (!has_ended).then_some(()).ok_or_else(|| Error::Skipped("the screen was left; nothing was done".into()))
+    }
+
     /// Ends the session. A call that moves is halted; the drop of the session halts the arm that it has, and gives it back.
     pub(crate) fn end(self: Arc<Self>, app: &Arc<App>) {
         self.has_ended.store(true, Ordering::SeqCst);
-        let (app, halts) = (Arc::clone(app), self.moves.load(Ordering::SeqCst));
+        let of = Arc::clone(app);
         // without a thread the session ends here
-        let _ = spawn("end of calls", move || {
-            if halts {
+        let _ = app.spawn("end of calls", move || {
+            // again while the call is under way: it may have been sent at this moment, and have come after the first halt
+            for _ in 0..HALTS {
+                if !self.moves.load(Ordering::SeqCst) {
+                    break;
+                }
                 let outcome = self.robot.halter.halt_now();
-                app.audit.write("a page", &self.robot.name, "was left during a call that moves: HALT", &outcome);
+                of.audit.write("a page", &self.robot.name, "was left during a call that moves: HALT", &outcome);
+                sleep(AGAIN);
             }
             drop(lock(&self.link).take());
         });

@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 
 use crate::socket::{Answer, Page};
 use crate::text::safe;
-use crate::threads::{lock, spawn};
+use crate::threads::lock;
 
 /// The entries that are read from each end of a log: each is a call.
 const ENTRIES: usize = 50;
@@ -29,7 +29,7 @@ impl Page {
             return Err("the last recovery of this robot has not ended; wait a moment".into());
         }
         let (app, of, held) = (Arc::clone(&self.app), Arc::clone(&robot), Arc::clone(&recovery));
-        spawn("recovery", move || {
+        self.app.spawn("recovery", move || {
             recovery::run(&of.access, &held);
             let state = held.state();
             let made: Vec<_> = state.done.iter().map(|(step, _)| step.name()).collect();
@@ -37,13 +37,13 @@ impl Page {
             app.audit.write(&who, &of.name, &what, &state.outcome.unwrap_or(Ok("")));
         })?;
         *last = Some(Arc::clone(&recovery));
-        self.recovery = Some((number, recovery));
+        lock(&self.held).recovery = Some((number, recovery));
         Ok(Value::Null)
     }
 
     /// Returns the recovery of this page.
-    fn recovery(&self, number: usize) -> Result<&Recovery, String> {
-        let recovery = self.recovery.as_ref().filter(|(robot, _)| *robot == number).map(|(_, found)| &**found);
+    fn recovery(&self, number: usize) -> Result<Arc<Recovery>, String> {
+        let recovery = lock(&self.held).recovery.clone().filter(|(robot, _)| *robot == number).map(|(_, found)| found);
         recovery.ok_or_else(|| "there is no recovery of this page; begin one".into())
     }
 

@@ -1,6 +1,7 @@
 //! A robot of the page: the thread that reads it, and what it has read.
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread;
@@ -48,6 +49,8 @@ pub(crate) struct Robot {
     pub(crate) recovery: Mutex<Option<Arc<Recovery>>>,
     /// The last work on backups.
     pub(crate) backup: Mutex<Option<Arc<Job>>>,
+    /// The number of halts, and of releases of the control.
+    revoked: Arc<AtomicU64>,
     live: Arc<Mutex<Live>>,
     /// Its drop ends the thread that reads.
     orders: Sender<Order>,
@@ -81,8 +84,8 @@ impl Robot {
         let (live, halter, began) = (Arc::<Mutex<Live>>::default(), Halter::start(access.clone())?, Instant::now());
         let thread = Thread { live: Arc::clone(&live), halter: halter.clone(), access: access.clone(), orders, began };
         thread::Builder::new().name("robot".into()).spawn(move || thread.run())?;
-        let (control, grip, recovery, backup) = Default::default();
-        Ok(Arc::new(Self { name, control, halter, access, grip, recovery, backup, live, orders: sender }))
+        let (control, grip, recovery, backup, revoked) = Default::default();
+        Ok(Arc::new(Self { name, control, halter, access, grip, recovery, backup, revoked, live, orders: sender }))
     }
 
     pub(crate) fn live(&self) -> MutexGuard<'_, Live> {
@@ -105,11 +108,25 @@ impl Robot {
         }
     }
 
-    /// Carries out an order over the session. The error is for the user.
-    pub(crate) async fn order<T: Send + 'static>(
+    /// Revokes the orders that are under way and change something: HALT was pressed, or the control was released.
+    pub(crate) fn revoke(&self) {
+        self.revoked.fetch_add(1, Ordering::SeqCst);
+    }
+
+    /// Returns a check that fails when the orders of now are revoked.
+    pub(crate) fn permit(&self) -> impl Fn() -> Result<(), Error> + Send + use<> {
+        let (revoked, now) = (Arc::clone(&self.revoked), self.revoked.load(Ordering::SeqCst));
+        move || {
+            let why = "HALT was pressed, or the control was released, before it began; nothing was done";
+            (revoked.load(Ordering::SeqCst) == now).then_some(()).ok_or_else(|| Error::Skipped(why.into()))
+        }
+    }
+
+    /// Carries out an order over the session, to which it goes at once. The error is for the user.
+    pub(crate) fn order<T: Send + 'static, W: FnOnce(&mut Link) -> Result<T, Error> + Send + 'static>(
         &self,
-        work: impl FnOnce(&mut Link) -> Result<T, Error> + Send + 'static,
-    ) -> Result<T, String> {
+        work: W,
+    ) -> impl Future<Output = Result<T, String>> + use<T, W> {
         let (sender, reply) = oneshot::channel();
         let since = Instant::now();
         let order = move |link: Option<&mut Link>| {
@@ -127,9 +144,9 @@ impl Robot {
             let _ = sender.send(answer);
             lost
         };
-        let ended = "the thread of this robot has ended; start bcap web again";
-        self.orders.send(Box::new(order)).map_err(|_| ended)?;
-        reply.await.map_err(|_| ended)?
+        // without a receiver the order is dropped, and its reply with it
+        let _ = self.orders.send(Box::new(order));
+        async { reply.await.map_err(|_| "the thread of this robot has ended; start bcap web again")? }
     }
 }
 

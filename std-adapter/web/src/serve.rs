@@ -162,12 +162,14 @@ async fn live(State(app): State<Arc<App>>, headers: HeaderMap, upgrade: WebSocke
     let permit = Arc::clone(&app.pages).try_acquire_owned();
     let permit = permit.map_err(|_| (StatusCode::SERVICE_UNAVAILABLE, "too many pages are open; close one"))?;
     let client = app.clients.fetch_add(1, Ordering::Relaxed);
+    let mut ends = app.ends.subscribe();
     let upgrade = upgrade.protocols([PROTOCOL]).max_message_size(ORDER_SIZE).max_frame_size(ORDER_SIZE);
     Ok(upgrade.on_upgrade(move |socket| async move {
         tokio::select! {
             () = socket::serve(app, client, socket) => {}
             // the page is dropped, as if it was closed
             () = Open::ended(session) => {}
+            _ = ends.wait_for(|ends| *ends) => {}
         }
         drop(permit);
     }))
@@ -176,12 +178,15 @@ async fn live(State(app): State<Arc<App>>, headers: HeaderMap, upgrade: WebSocke
 /// Halts a robot. It needs no control, no `--allow-write`, and no open page.
 async fn halt(State(app): State<Arc<App>>, Path(robot): Path<usize>) -> Checked {
     let robot = app.robots.get(robot).cloned().ok_or((StatusCode::NOT_FOUND, "there is no such robot"))?;
+    robot.revoke();
     robot.end_motion("HALT was pressed");
+    let held = Arc::clone(&app.work);
     // a page that is closed meanwhile must not keep the halt from its line of the audit
     let halting = tokio::spawn(async move {
         let outcome = robot.halter.halt().await;
         let what = outcome.as_deref().map_or_else(|_| "HALT".to_owned(), |outcome| format!("HALT, {outcome}"));
         app.audit.write("a page", &robot.name, &what, &outcome);
+        drop(held);
         outcome
     });
     let panicked = "NOT HALTED, use the emergency stop: the task that halts has panicked";

@@ -6,12 +6,10 @@ use std::time::Duration;
 
 use axum::extract::ws::WebSocket;
 use bcap_capture::value::selection::Selection;
-use bcap_live::jog::Grip;
 use bcap_live::link::{Error, Link};
-use bcap_live::recovery::Recovery;
 use bcap_live::request::Request;
 use bcap_live::variables::{expand, shown};
-use bcap_live::write::{Write, check, check_position};
+use bcap_live::write::{Write, check, check_position, is_system_variable};
 use bcap_sim::pace::Paced;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
@@ -20,8 +18,8 @@ use tokio::time::{Instant, MissedTickBehavior, interval, interval_at};
 use crate::app::App;
 use crate::channel::Channel;
 use crate::control::{Client, cleaned};
+use crate::held::{self, Shared};
 use crate::order::{Order, Screen};
-use crate::raw::Desk;
 use crate::robot::Robot;
 use crate::secret::Bucket;
 use crate::text::safe;
@@ -52,12 +50,7 @@ pub(crate) struct Page {
     packets: u64,
     /// The value that was checked last, and the robot that it is for.
     checked: Option<(usize, Box<Write>)>,
-    /// The jog of this page, and its robot.
-    pub(crate) grip: Option<(usize, Arc<Grip>)>,
-    /// The recovery of this page, and its robot.
-    pub(crate) recovery: Option<(usize, Arc<Recovery>)>,
-    /// The session for the calls of the user.
-    pub(crate) desk: Option<Arc<Desk>>,
+    pub(crate) held: Shared,
 }
 
 impl Drop for Page {
@@ -84,12 +77,10 @@ pub(crate) async fn serve(app: Arc<App>, client: Client, socket: WebSocket) {
         sent: Vec::new(),
         packets: 0,
         checked: None,
-        grip: None,
-        recovery: None,
-        desk: None,
+        held: Shared::default(),
     };
     // the page is dropped first, so that its loss ends a jog at once
-    let mut channel = Channel::new(socket);
+    let mut channel = Channel::new(socket, Arc::clone(&page.app), Arc::clone(&page.held));
     let _ = serve_page(&mut page, &mut channel, hello.to_string()).await;
 }
 
@@ -101,7 +92,6 @@ async fn serve_page(page: &mut Page, channel: &mut Channel, hello: String) -> Op
     // 40 orders at once, and 20 each second
     let mut bucket = Bucket::new(40, Duration::from_millis(50));
     loop {
-        channel.grip = page.grip.as_ref().map(|(_, grip)| Arc::clone(grip));
         channel.watch(page.screen == Screen::Raw && page.mover(page.robot).is_ok());
         tokio::select! {
             _ = ticks.tick() => {
@@ -118,8 +108,11 @@ async fn serve_page(page: &mut Page, channel: &mut Channel, hello: String) -> Op
 /// Carries out an order if the page has not given too many, and sends the answer.
 async fn answer(page: &mut Page, channel: &mut Channel, text: &str, is_allowed: bool) -> Option<()> {
     if !is_allowed {
-        // the number of the order is not read
-        return channel.send(json!({ "t": "answer", "error": "too many orders; wait a moment" }).to_string()).await;
+        // perhaps it was the end of a motion
+        page.end_motion("too many orders");
+        let id = Order::parse(text).map(|(number, _)| number);
+        let error = "too many orders; wait a moment";
+        return channel.send(json!({ "t": "answer", "id": id, "error": error }).to_string()).await;
     }
     let mut order = pin!(page.order(text));
     let mut alive = interval_at(Instant::now() + ALIVE, ALIVE);
@@ -188,8 +181,7 @@ impl Page {
             Order::Write { robot, name } => self.write(robot, &name).await,
             Order::Clear { robot } => {
                 let (who, robot) = self.writer(robot)?;
-                let cleared = robot.order(bcap_live::errors::clear).await;
-                self.audited(&who, &robot, "clears the errors", cleared)
+                self.change(who, &robot, "clears the errors".into(), bcap_live::errors::clear).await
             }
             Order::Grip { robot, name } => self.take_grip(robot, &name),
             Order::Press { robot, axis, by, percent } => self.press(robot, &axis, by, percent),
@@ -198,7 +190,7 @@ impl Page {
             Order::Step { robot, step } => self.agree(robot, &step),
             Order::Stop { robot } => self.stop(robot),
             Order::Log { robot } => self.log(robot).await,
-            Order::Task { robot, name, what } => self.task(robot, name, what).await,
+            Order::Task { robot, of, name, what } => self.task(robot, &of, name, what).await,
             Order::Line { robot, name } => self.line(robot, name).await,
             Order::Files { robot, folder } => self.files(robot, folder).await,
             Order::View { robot, path } => self.view(robot, path).await,
@@ -209,7 +201,7 @@ impl Page {
             Order::Bytes { robot, name, packet } => self.call(robot, &name, Request::decode(&packet)?).await,
             Order::Packet { robot, serial } => Ok(view::packet(&*self.robot(robot)?, serial)),
             Order::Calls { robot } => Ok(view::calls(&*self.robot(robot)?)),
-            Order::Backups {} => self.backups(),
+            Order::Backups {} => self.backups().await,
             Order::Work { robot, work } => self.work(robot, work),
             Order::Unwork { robot } => self.end_work(robot),
             Order::Restore { robot, name, folder } => self.restore(robot, &name, folder),
@@ -248,6 +240,11 @@ impl Page {
     ) -> Answer {
         let (_, robot) = self.writer(number)?;
         let write = robot.order(check).await?;
+        if is_system_variable(&write.path) {
+            return Err("a system variable may switch the motor or start a program: write it on the screen Raw calls, whose session \
+                        ends with the screen"
+                .into());
+        }
         let [old, new] = [&write.before, &write.value].map(|value| safe(&shown(value)));
         let answer = json!({ "name": safe(&write.path), "old": old, "new": new });
         self.checked = Some((number, Box::new(write)));
@@ -281,6 +278,7 @@ impl Page {
             job.end(why);
         }
         if let Some(name) = robot.control.release(self.client) {
+            robot.revoke();
             self.app.audit.write::<()>(&name, &robot.name, what, &Ok(()));
         }
     }
@@ -294,16 +292,8 @@ impl Page {
     }
 
     /// Ends what this page moves.
-    pub(crate) fn end_motion(&mut self, why: &str) {
-        if let Some((_, grip)) = self.grip.take() {
-            grip.end(why);
-        }
-        if let Some((_, recovery)) = self.recovery.take() {
-            recovery.end(why);
-        }
-        if let Some(desk) = self.desk.take() {
-            desk.end(&self.app);
-        }
+    pub(crate) fn end_motion(&self, why: &str) {
+        held::end(&self.held, &self.app, why);
     }
 
     pub(crate) fn robot(&self, number: usize) -> Result<Arc<Robot>, String> {
@@ -350,6 +340,36 @@ impl Page {
         outcome.map(|answer| json!(answer))
     }
 
+    /// Carries out an order that changes something. HALT, and the release of the control, revoke it until it begins.
+    pub(crate) fn change<T: Serialize + Send + 'static, W: FnOnce(&mut Link) -> Result<T, Error> + Send + 'static>(
+        &self,
+        who: String,
+        robot: &Arc<Robot>,
+        what: String,
+        work: W,
+    ) -> impl Future<Output = Answer> + use<T, W> {
+        let permit = robot.permit();
+        self.recorded(who, robot, what, robot.order(move |link| permit().and_then(|()| work(link))))
+    }
+
+    /// Waits for an order, and writes its line of the audit, also if the page is closed meanwhile.
+    pub(crate) fn recorded<T: Serialize, F: Future<Output = Result<T, String>> + Send + 'static>(
+        &self,
+        who: String,
+        robot: &Arc<Robot>,
+        what: String,
+        order: F,
+    ) -> impl Future<Output = Answer> + use<T, F> {
+        let (app, robot, work) = (Arc::clone(&self.app), Arc::clone(robot), Arc::clone(&self.app.work));
+        let task = tokio::spawn(async move {
+            let outcome = order.await;
+            app.audit.write(&who, &robot.name, &what, &outcome);
+            drop(work);
+            outcome.map(|answer| json!(answer))
+        });
+        async { task.await.unwrap_or_else(|_| Err("the order panicked; it is unknown whether it was done".into())) }
+    }
+
     async fn select(&mut self, robot: usize, names: Vec<String>) -> Answer {
         let robot = self.robot(robot)?;
         let selections = Selection::parse_each(&names).map_err(|error| error.to_string())?;
@@ -371,7 +391,6 @@ impl Page {
         let is_for = |(robot, write): &(usize, Box<Write>)| *robot == number && write.path.to_string() == name;
         let (_, write) = self.checked.take_if(|checked| is_for(checked)).ok_or("check the value first")?;
         let what = format!("writes {name}: {} -> {}", shown(&write.before), shown(&write.value));
-        let written = robot.order(move |link| write.perform_unless_changed(link)).await;
-        self.audited(&who, &robot, &what, written)
+        self.change(who, &robot, what, move |link| write.perform_unless_changed(link)).await
     }
 }

@@ -39,18 +39,22 @@ impl What {
 
 impl Page {
     /// Starts or stops a task.
-    pub(crate) async fn task(&self, number: usize, name: String, what: What) -> Answer {
+    pub(crate) async fn task(&self, number: usize, of: &str, name: String, what: What) -> Answer {
         let (change, words) = what.change();
         let (who, robot) = match change {
             Change::Start(_) => self.mover(number)?,
             Change::Stop(_) => self.holder(number)?,
         };
+        robot.check_name(of)?;
         let what = format!("{words} {}", safe(&name));
-        let change = move |link: &mut Link| match change {
-            Change::Start(mode) => link.start_task(&name, mode),
-            Change::Stop(mode) => link.stop_task(&name, mode),
-        };
-        self.audited(&who, &robot, &what, robot.order(change).await)
+        match change {
+            Change::Start(mode) => self.change(who, &robot, what, move |link| link.start_task(&name, mode)).await,
+            // no halt revokes a stop
+            Change::Stop(mode) => {
+                let stopped = robot.order(move |link| link.stop_task(&name, mode));
+                self.recorded(who, &robot, what, stopped).await
+            }
+        }
     }
 
     /// Reads the line of a task.

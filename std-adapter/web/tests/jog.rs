@@ -193,7 +193,12 @@ type End<'a> = (&'a str, &'a dyn Fn(&mut Jogging));
 
 #[test]
 fn each_end_halts_the_robot_and_frees_the_arm() {
-    let ends: [End<'_>; 6] = [
+    let ends: [End<'_>; 7] = [
+        ("too many orders", &|jogging| {
+            for _ in 0..60 {
+                jogging.page.send("calls", json!({ "robot": 0 }));
+            }
+        }),
         ("the tab was hidden", &|jogging| {
             drop(jogging.page.order("drop", json!({ "robot": 0, "why": "the tab was hidden" })));
         }),

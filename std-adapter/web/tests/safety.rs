@@ -21,7 +21,7 @@ fn server(sim: &Sim, allow_write: bool) -> Web {
 }
 
 /// Connects another client, which moves the robot or streams.
-fn other(sim: &Sim) -> Controller {
+pub(crate) fn other(sim: &Sim) -> Controller {
     Controller::connect(&format!("tcp:{}", sim.address()), &Settings::rc8()).unwrap()
 }
 
@@ -32,7 +32,7 @@ fn with_motor(cell: &mut Controller) -> Arm<'_> {
 }
 
 /// Starts a motion that lasts longer than the test.
-fn start_moving(sim: &Sim, cell: &mut Controller) {
+pub(crate) fn start_moving(sim: &Sim, cell: &mut Controller) {
     let mut arm = with_motor(cell);
     let _motion = arm.start(&Move::joint("J(90,45,90,0,45,0)").speed_percent(1.0), LIMIT).unwrap().keep();
     arm.keep();
@@ -185,6 +185,19 @@ fn one_page_at_a_time_writes_what_it_has_checked() {
         "press: Bob: releases the control: done",
     ];
     assert_eq!(lines, expected);
+}
+
+/// Its connection stays open, and nothing answers the pings.
+#[test]
+fn a_page_whose_computer_is_lost_frees_the_control() {
+    let sim = Sim::start();
+    let web = server(&sim, true);
+    let mut lost = web.page();
+    lost.until_state("ready, motor off");
+    lost.order("take", json!({ "robot": 0, "name": "Anna" })).unwrap();
+    assert!(web.page().order("take", json!({ "robot": 0, "name": "Bob" })).is_err());
+    until("the control is free", || web.lines().iter().any(|line| line.contains("Anna: the page is closed")));
+    assert!(web.page().order("take", json!({ "robot": 0, "name": "Bob" })).is_ok());
 }
 
 #[test]

@@ -339,6 +339,7 @@ impl<S: io::Read + io::Write> Page<S> {
 pub(crate) struct Relay {
     pub(crate) address: SocketAddr,
     frozen: Arc<AtomicUsize>,
+    count: Arc<AtomicUsize>,
 }
 
 impl Relay {
@@ -346,11 +347,13 @@ impl Relay {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let address = listener.local_addr().unwrap();
         let frozen = Arc::new(AtomicUsize::new(usize::MAX));
-        let shared = Arc::clone(&frozen);
+        let (shared, count) = (Arc::clone(&frozen), Arc::<AtomicUsize>::default());
+        let counted = Arc::clone(&count);
         // it ends with the process
         thread::spawn(move || {
             for (number, client) in listener.incoming().map_while(Result::ok).enumerate() {
                 let Ok(server) = TcpStream::connect(target) else { continue };
+                counted.store(number + 1, Ordering::SeqCst);
                 for (mut from, mut to) in [(client.try_clone().unwrap(), server.try_clone().unwrap()), (server, client)]
                 {
                     let frozen = Arc::clone(&shared);
@@ -369,7 +372,12 @@ impl Relay {
                 }
             }
         });
-        Self { address, frozen }
+        Self { address, frozen, count }
+    }
+
+    /// Returns the number of connections so far.
+    pub(crate) fn count(&self) -> usize {
+        self.count.load(Ordering::SeqCst)
     }
 
     /// Freezes a connection; the first has the number 0.

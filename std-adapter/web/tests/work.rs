@@ -92,13 +92,15 @@ fn tasks_start_with_the_right_to_move_and_files_are_shown() {
     let sim = Sim::start();
     let (name, _, _) =
         sim.lock().tasks().next().map(|(name, status, cycles)| (name.to_owned(), status, cycles)).unwrap();
-    let task = |what: &str| json!({ "robot": 0, "name": name, "what": what });
+    let task = |what: &str| json!({ "robot": 0, "of": "press", "name": name, "what": what });
     let writing = Web::start(&[("press", sim.address())], true);
     let mut page = with_control(&writing, "ready, motor off");
     assert_eq!(page.order("task", task("forever")).unwrap_err(), MOTION);
     let web = Web::moving(&[("press", sim.address())]);
     assert_eq!(web.page().order("task", task("forever")).unwrap_err(), "take the control first");
     let mut page = with_control(&web, "ready, motor off");
+    let other = json!({ "robot": 0, "of": "welder", "name": name, "what": "forever" });
+    assert_eq!(page.order("task", other).unwrap_err(), "welder is not the name of this robot; nothing was done");
     page.order("show", json!({ "robot": 0, "screen": "tasks" })).unwrap();
     page.order("task", task("forever")).unwrap();
     page.until("tasks", |rows| rows.to_string().contains("running"));
@@ -108,6 +110,38 @@ fn tasks_start_with_the_right_to_move_and_files_are_shown() {
         rows.as_array().is_some_and(|rows| !rows.is_empty()) && !rows.to_string().contains("running")
     });
     assert!(web.lines().contains(&format!("press: Anna: runs again and again {name}: done")), "{:?}", web.lines());
+}
+
+/// The connection that reads hangs, and has the order; HALT and the loss of the page come before it goes on.
+#[test]
+fn an_order_that_waits_is_not_carried_out_after_a_halt_or_without_the_control() {
+    for is_halted in [true, false] {
+        let sim = Sim::start();
+        let relay = crate::support::Relay::start(sim.address());
+        let web = Web::moving(&[("press", relay.address)]);
+        let mut page = with_control(&web, "ready, motor off");
+        relay.freeze(0);
+        // until a round of reading waits for its reply
+        std::thread::sleep(std::time::Duration::from_millis(500));
+        page.send("task", json!({ "robot": 0, "of": "press", "name": "Pro1", "what": "forever" }));
+        let mut page = Some(page);
+        if is_halted {
+            // the order is received first
+            std::thread::sleep(std::time::Duration::from_millis(200));
+            assert_eq!(web.halt(0)["ok"], true);
+        } else {
+            page = None;
+            crate::support::until("the control is free", || {
+                web.page().order("take", json!({ "robot": 0, "name": "Bob" })).is_ok()
+            });
+        }
+        relay.freeze(usize::MAX);
+        crate::support::until("the order has its line of the audit", || {
+            web.lines().iter().any(|line| line.contains("runs again and again") && line.contains("nothing was done"))
+        });
+        assert!(!sim.lock().tasks().any(|(_, status, _)| status == bcap_sim::TaskStatus::Running), "{is_halted}");
+        drop(page);
+    }
 }
 
 /// Files of a controller are text, whatever is in them.

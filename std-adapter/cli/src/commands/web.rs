@@ -14,7 +14,7 @@ use crate::commands::variables::labels;
 use crate::failure::{Failure, of_file};
 use crate::link::LinkArgs;
 use crate::listen::{runtime, taken};
-use crate::output::{note, print_line};
+use crate::output::{Printer, note, print_line};
 
 /// Serves a page that shows controllers in a browser: their state, variables and alarms, and HALT
 ///
@@ -123,11 +123,13 @@ pub(crate) fn web(args: &Web, link: &LinkArgs) -> Result<(), Failure> {
     };
     runtime()?.block_on(async {
         let ended = signal::wait()?;
-        let server = bind(config, "--listen").await?;
+        let printer = Printer::start(false)?;
+        let server = bind(config, "--listen", &printer).await?;
         print_line(&server.url())?;
         let page = if args.open { open(&server.url()) } else { None };
         server.run(ended).await;
         drop(page);
+        printer.finish();
         Ok(())
     })
 }
@@ -143,11 +145,9 @@ fn remote(args: &Web) -> Result<Option<Remote>, Failure> {
 }
 
 /// Listens for pages, and prints their actions; `option` is the argument with the address.
-pub(crate) async fn bind(config: Config, option: &str) -> Result<Server, Failure> {
-    let listen = config.listen;
-    // an error of the output ends nothing: a page may be needed for a halt
-    let audit = |line: &str| drop(print_line(line));
-    Server::bind(config, audit).await.map_err(|error| match error {
+pub(crate) async fn bind(config: Config, option: &str, printer: &Printer) -> Result<Server, Failure> {
+    let (listen, queue) = (config.listen, printer.queue());
+    Server::bind(config, move |line| queue.put(line.to_owned())).await.map_err(|error| match error {
         bcap_web::Error::Io(error) => taken(option, listen, &error),
         error => Failure::Input(error.to_string()),
     })

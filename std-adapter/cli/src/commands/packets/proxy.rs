@@ -6,8 +6,6 @@
 use std::io;
 use std::net::SocketAddr;
 use std::path::Path;
-use std::sync::mpsc::{SyncSender, sync_channel};
-use std::thread::{self, JoinHandle};
 
 use bcap_capture::decode::{Format, Live};
 use bcap_capture::faults::{Delay, FaultPlan, Share};
@@ -22,7 +20,7 @@ use crate::commands::sim::args::Sim;
 use crate::failure::Failure;
 use crate::link::LinkArgs;
 use crate::listen::{Listening, runtime, taken, tcp, tcp_if};
-use crate::output::{print_json, print_line};
+use crate::output::{PrintQueue, Printer, print_line};
 
 /// Forwards b-CAP and RAC to a robot, prints the calls, and records every byte
 ///
@@ -82,9 +80,6 @@ pub(crate) struct Proxy {
     pub(crate) seed: Option<u64>,
 }
 
-/// The most lines that wait for the terminal.
-const LINES: usize = 4096;
-
 /// Runs `bcap proxy` until a signal ends it.
 pub(crate) fn proxy(args: &Proxy, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let robot = robot_ports::resolve(&args.robot, link)?;
@@ -96,7 +91,7 @@ pub(crate) fn proxy(args: &Proxy, link: &LinkArgs, json: bool) -> Result<(), Fai
         let ended = signal::wait()?;
         let listeners = bind(args).await?;
         let printer = (!args.quiet).then(|| Printer::start(json)).transpose()?;
-        let recording = record(link.write.as_deref(), printer.as_ref().map(|printer| printer.queue.clone()), json)?;
+        let recording = record(link.write.as_deref(), printer.as_ref().map(Printer::queue), json)?;
         print_line(&listening(&listeners)?.to_string())?;
         let proxy = bcap_capture::proxy::Proxy::new(listeners, robot);
         proxy.connect_timeout(link.timeout()).faults(faults, seed).run(&recording, ended).await;
@@ -109,39 +104,16 @@ pub(crate) fn proxy(args: &Proxy, link: &LinkArgs, json: bool) -> Result<(), Fai
 }
 
 /// Starts the recording, with lines of the calls if there is a queue for them.
-fn record(file: Option<&Path>, lines: Option<SyncSender<String>>, json: bool) -> Result<Recording, Failure> {
+fn record(file: Option<&Path>, lines: Option<PrintQueue>, json: bool) -> Result<Recording, Failure> {
     let mut live = Live::new(if json { Format::Json } else { Format::Text });
     let recording = Recording::start(file, move |recorded| {
         let Some(queue) = &lines else { return };
         for line in live.lines(&recorded) {
-            // lines are dropped if the terminal does not read; the file is complete
-            let _ = queue.try_send(line);
+            // the file is complete, whatever the terminal takes
+            queue.put(line);
         }
     });
     Ok(recording?)
-}
-
-/// A thread that prints lines.
-struct Printer {
-    queue: SyncSender<String>,
-    thread: JoinHandle<()>,
-}
-
-impl Printer {
-    fn start(json: bool) -> io::Result<Self> {
-        let (queue, lines) = sync_channel::<String>(LINES);
-        let print = if json { print_json } else { print_line };
-        // a closed output does not end the proxy
-        let work = move || lines.iter().for_each(|line| drop(print(&line)));
-        Ok(Self { queue, thread: thread::Builder::new().name("lines".into()).spawn(work)? })
-    }
-
-    /// Prints the rest.
-    fn finish(self) {
-        drop(self.queue);
-        // nothing is left to do if it panicked
-        let _ = self.thread.join();
-    }
 }
 
 /// A recorded front of a virtual controller in this process, which listens on other addresses.

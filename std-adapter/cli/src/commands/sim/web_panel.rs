@@ -11,6 +11,7 @@ use bcap_web::{Config, Replay};
 
 use crate::commands::web;
 use crate::failure::Failure;
+use crate::output::Printer;
 
 /// Starts the page of a virtual controller at `bcap`, with its panel. It ends with the runtime. Returns its address.
 pub(super) async fn start(bcap: SocketAddr, listen: SocketAddr, shared: Arc<Mutex<Paced>>) -> Result<String, Failure> {
@@ -34,7 +35,8 @@ pub(super) async fn replay(
 }
 
 async fn serve(config: Config) -> Result<String, Failure> {
-    let page = web::bind(config, "--web").await?;
+    // its thread prints until the process ends
+    let page = web::bind(config, "--web", &Printer::start(false)?).await?;
     let url = page.url();
     tokio::spawn(page.run(pending()));
     Ok(url)
