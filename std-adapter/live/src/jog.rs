@@ -259,7 +259,14 @@ fn hold(controller: &mut Controller, grip: &Grip) -> Result<Result<&'static str,
     if grip.ends().is_some() {
         return Ok(Ok("nothing was moved, and the arm was not taken"));
     }
-    let mut arm = controller.robot()?.take_arm()?;
+    let mut arm = match controller.robot()?.take_arm() {
+        // without a reply the arm may have been taken
+        Err(error) if error.is_lost() => {
+            grip.end(&error.to_string());
+            return Ok(Err(error));
+        }
+        taken => taken?,
+    };
     let jogged = jog(&mut arm, grip);
     let rests = match &jogged {
         // a call failed, so it is not known whether the robot moves

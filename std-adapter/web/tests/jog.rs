@@ -1,14 +1,15 @@
 //! Tests that try to break the rules of a jog, without a browser.
 
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use bcap_sim::pace::Paced;
 use bcap_std::blocking::Controller;
 use bcap_std::{Move, Settings};
 use serde_json::json;
 
-use crate::support::{LIMIT, Page, Relay, Sim, Web, until};
+use crate::support::{LIMIT, Page, Relay, Sim, Web, serve_paced, until};
 
 /// The lost heartbeats of the test.
 const LOST: usize = 1000;
@@ -419,6 +420,24 @@ fn a_controller_that_starts_again_during_a_jog_is_not_called_at_rest() {
         sim.until("the arm is free", |sim| sim.arm_owner().is_none());
         Some(())
     });
+}
+
+/// The connection is lost while TakeArm is under way: the controller may have carried it out.
+#[test]
+fn an_arm_that_was_perhaps_taken_is_not_called_free() {
+    let mut controller = bcap_sim::Controller::new(bcap_sim::Config::new(bcap_sim::Profile::Rc8));
+    let scenario = "[[fault]]\nwhen = { call = 1, of = \"TakeArm\" }\nthen = \"disconnect\"\n";
+    controller.play(bcap_sim::Scenario::parse(scenario).unwrap());
+    let server = serve_paced(&Arc::new(Mutex::new(Paced::new(controller))));
+    let web = Web::moving(&[("press", server.value)]);
+    let mut page = web.page();
+    page.until_state("ready, motor off");
+    page.order("show", json!({ "robot": 0, "screen": "jog" })).unwrap();
+    page.order("take", json!({ "robot": 0, "name": "Anna" })).unwrap();
+    page.order("grip", json!({ "robot": 0, "name": "press" })).unwrap();
+    let ended = page.until("jog", |jog| jog["outcome"] != json!(null));
+    let outcome = ended["outcome"].as_str().unwrap();
+    assert!(outcome.starts_with("IT IS UNKNOWN whether the robot rests and the arm is free: "), "{outcome}");
 }
 
 #[test]
