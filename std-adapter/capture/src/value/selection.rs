@@ -1,5 +1,9 @@
 //! Names of variables as the user writes them: one variable, a range (`I1-I50`), or all variables of a kind (`I*`).
 
+use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
+use std::ops::Range;
+
 use bcap_core::rac::{Variable, VariableKind};
 use bcap_std::ObjectPath;
 use thiserror::Error;
@@ -51,29 +55,87 @@ impl Selection {
         ObjectPath::variable(word).map_err(|error| SelectionError(error.to_string()))?;
         Ok(Self::One(word.to_owned()))
     }
+}
 
-    /// Returns the names of the variables.
-    fn names<E>(&self, mut count: impl FnMut(VariableKind) -> Result<u32, E>) -> Result<Vec<String>, E> {
-        let (kind, indices) = match self {
-            Self::One(name) => return Ok(vec![name.clone()]),
-            Self::Range(kind, first, last) => (kind, *first..last.saturating_add(1)),
-            Self::All(kind) => (kind, 0..count(*kind)?),
-        };
-        Ok(indices.map(|index| format!("{}{index}", kind.name())).collect())
+/// The variables of a selection, before their names are built.
+enum Selected<'a> {
+    One(&'a str),
+    Indices(VariableKind, Range<u32>),
+}
+
+impl Selected<'_> {
+    fn len(&self) -> usize {
+        match self {
+            Self::One(_) => 1,
+            Self::Indices(_, indices) => indices.len(),
+        }
+    }
+
+    fn extend(self, names: &mut Vec<String>) {
+        match self {
+            Self::One(name) => names.push(name.to_owned()),
+            Self::Indices(kind, indices) => names.extend(indices.map(|index| format!("{}{index}", kind.name()))),
+        }
     }
 }
 
-/// Returns the names of all selected variables, in order; `count` tells how many variables a kind has.
+/// Returns the names of all selected variables, in order; `count` tells how many variables a kind has, and is called once for each
+/// kind.
 ///
 /// # Errors
 ///
 /// The error of `count`.
 pub fn names_of<E>(
     selections: &[Selection],
-    mut count: impl FnMut(VariableKind) -> Result<u32, E>,
+    count: impl FnMut(VariableKind) -> Result<u32, E>,
 ) -> Result<Vec<String>, E> {
-    let names = selections.iter().map(|selection| selection.names(&mut count)).collect::<Result<Vec<_>, _>>()?;
-    Ok(names.concat())
+    selected(selections, count).map(names)
+}
+
+/// Returns the names as [`names_of`] does if there are at most `limit`, and otherwise how many there are. It builds no name before
+/// that is known: a few words can select millions of variables.
+///
+/// # Errors
+///
+/// The error of `count`.
+pub fn names_within<E>(
+    selections: &[Selection],
+    limit: usize,
+    count: impl FnMut(VariableKind) -> Result<u32, E>,
+) -> Result<Result<Vec<String>, usize>, E> {
+    let selected = selected(selections, count)?;
+    let len = selected.iter().map(Selected::len).fold(0, usize::saturating_add);
+    Ok(if len > limit { Err(len) } else { Ok(names(selected)) })
+}
+
+fn selected<E>(
+    selections: &[Selection],
+    mut count: impl FnMut(VariableKind) -> Result<u32, E>,
+) -> Result<Vec<Selected<'_>>, E> {
+    let mut counts = BTreeMap::new();
+    let mut selected = Vec::with_capacity(selections.len());
+    for selection in selections {
+        selected.push(match selection {
+            Selection::One(name) => Selected::One(name),
+            Selection::Range(kind, first, last) => Selected::Indices(*kind, *first..last.saturating_add(1)),
+            Selection::All(kind) => {
+                let len = match counts.entry(*kind) {
+                    Entry::Occupied(known) => *known.get(),
+                    Entry::Vacant(unknown) => *unknown.insert(count(*kind)?),
+                };
+                Selected::Indices(*kind, 0..len)
+            }
+        });
+    }
+    Ok(selected)
+}
+
+fn names(selected: Vec<Selected<'_>>) -> Vec<String> {
+    let mut names = Vec::new();
+    for each in selected {
+        each.extend(&mut names);
+    }
+    names
 }
 
 /// Returns whether a name is a user variable or a wildcard, such as `I1`, `I*` and `IOB*`.
@@ -131,5 +193,29 @@ mod tests {
         let selections = Selection::parse_each(&["IO128-130".into(), "@MODE".into(), "I*".into()]).unwrap();
         let names = names_of(&selections, |_| Ok::<_, ()>(2)).unwrap();
         assert_eq!(names, ["IO128", "IO129", "IO130", "@MODE", "I0", "I1"]);
+    }
+
+    #[test]
+    fn a_limit_is_checked_before_names_are_built() {
+        let parse = |word: &str| Selection::parse(word).unwrap();
+        let within = |selections: &[Selection], limit| names_within(selections, limit, |_| Ok::<_, ()>(2)).unwrap();
+        let few = ["IO128-130", "@MODE", "I*"].map(parse);
+        assert_eq!(within(&few, 6).map(|names| names.len()), Ok(6));
+        assert_eq!(within(&few, 5), Err(6));
+        assert_eq!(within(&[], 0), Ok(Vec::new()));
+        // about 350 million names, which would take more than 10 GB
+        assert_eq!(within(&vec![parse("I0-I65535"); 5400], 1000), Err(5400 << 16));
+        let impossible = Selection::Range(VariableKind::I, 0, u32::MAX);
+        assert_eq!(within(&[impossible], 1000), Err(u32::MAX as usize));
+        // the controller is asked once for each kind, whatever the number of words
+        let mut asked = Vec::new();
+        let all = [vec![parse("I*"); 10_000], vec![parse("IO*"); 10_000]].concat();
+        let names = names_within(&all, 1000, |kind| {
+            asked.push(kind);
+            Ok::<_, ()>(1 << 16)
+        });
+        assert_eq!(names, Ok(Err(20_000 << 16)));
+        assert_eq!(asked, [VariableKind::I, VariableKind::Io]);
+        assert_eq!(names_within(&all, 1000, |_| Err(())), Err(()));
     }
 }
