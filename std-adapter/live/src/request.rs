@@ -13,7 +13,7 @@ use bcap_std::ObjectPath;
 
 use crate::calls::{Calls, Failure};
 use crate::stream::StreamCheck;
-use crate::write::is_system_variable;
+use crate::variables::is_system_variable;
 
 /// An argument of a call.
 #[derive(Debug)]

@@ -77,6 +77,13 @@ pub fn count<C: Calls>(calls: &mut C, kind: VariableKind) -> Result<u32, C::Erro
     })
 }
 
+/// Tells whether a variable is one of the system's, such as `@SERVO_ON` or `@START`, whose write may switch the motor or start a
+/// program.
+#[must_use]
+pub fn is_system_variable(path: &ObjectPath) -> bool {
+    path.split_last().and_then(|(_, name)| name).is_some_and(|name| name.starts_with('@'))
+}
+
 /// The variables that identify a virtual controller, with their values.
 const VIRTUAL: [(&str, &str); 2] = [("@FIRMWARE", "bcap-sim"), ("@SERIAL_NO", "VIRTUAL")];
 

@@ -20,13 +20,6 @@ pub struct Write {
     pub before: OwnedVariant,
 }
 
-/// Tells whether a variable is one of the system's, such as `@SERVO_ON` or `@START`, whose write may switch the motor or start a
-/// program.
-#[must_use]
-pub fn is_system_variable(path: &ObjectPath) -> bool {
-    path.split_last().and_then(|(_, name)| name).is_some_and(|name| name.starts_with('@'))
-}
-
 /// Converts text to the type of a variable, and reads its present value.
 ///
 /// # Errors

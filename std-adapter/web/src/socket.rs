@@ -5,11 +5,11 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use axum::extract::ws::WebSocket;
-use bcap_capture::value::selection::Selection;
+use bcap_capture::value::selection::{Selection, names_within};
 use bcap_live::link::{Error, Link};
 use bcap_live::request::Request;
-use bcap_live::variables::{expand, shown};
-use bcap_live::write::{Write, check, check_position, is_system_variable};
+use bcap_live::variables::{count, is_system_variable, shown};
+use bcap_live::write::{Write, check, check_position};
 use bcap_sim::pace::Paced;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
@@ -373,10 +373,8 @@ impl Page {
     async fn select(&mut self, robot: usize, names: Vec<String>) -> Answer {
         let robot = self.robot(robot)?;
         let selections = Selection::parse_each(&names).map_err(|error| error.to_string())?;
-        let names = robot.order(move |link| expand(link, &selections)).await?;
-        if names.len() > VARIABLES {
-            return Err(format!("{} variables; a page shows at most {VARIABLES}", names.len()));
-        }
+        let names = robot.order(move |link| names_within(&selections, VARIABLES, |kind| count(link, kind))).await?;
+        let names = names.map_err(|count| format!("{count} variables; a page shows at most {VARIABLES}"))?;
         for name in &names {
             bcap_std::ObjectPath::variable(name).map_err(|error| error.to_string())?;
         }

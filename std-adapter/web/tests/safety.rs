@@ -241,6 +241,9 @@ fn sizes_rates_and_connections_are_limited() {
     let names: Vec<String> = (0..2000).map(|n| format!("I{n}")).collect();
     let error = page.order("select", json!({ "robot": 0, "names": names })).unwrap_err();
     assert_eq!(error, "2000 variables; a page shows at most 1000");
+    // 5,000 ranges in one order, whose names would not fit into the memory
+    let error = page.order("select", json!({ "robot": 0, "names": vec!["I0-I65535"; 5000] })).unwrap_err();
+    assert_eq!(error, "327680000 variables; a page shows at most 1000");
     assert!(page.order("select", json!({ "robot": 7, "names": [] })).is_err());
     for invalid in ["", "[]", "{\"id\":1}", "{\"id\":1,\"do\":\"move\"}", "{\"id\":-1,\"do\":\"clear\",\"robot\":0}"] {
         page.socket.send(tokio_tungstenite::tungstenite::Message::text(invalid)).unwrap();
