@@ -87,8 +87,8 @@ impl Login {
 
     fn may_try(&self, host: IpAddr) -> bool {
         let mut attempts = lock(&self.attempts);
-        // one subscriber has 2^64 addresses of IPv6
-        let host = match host {
+        // a socket at [::] shows 192.168.0.1 as ::ffff:192.168.0.1; one subscriber has 2^64 addresses of IPv6
+        let host = match host.to_canonical() {
             IpAddr::V6(host) => IpAddr::V6((u128::from(host) >> 64 << 64).into()),
             host => host,
         };
@@ -157,5 +157,19 @@ mod tests {
         Open::ended(Some(open)).await;
         assert_eq!(start.elapsed(), LIFETIME - Duration::from_secs(10));
         assert!(login.check(&headers(&cookie)).is_err());
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_host_is_an_address_of_ipv4_or_a_network_of_ipv6() {
+        let login = Login::new("correct horse battery".into());
+        let may_try = |host: &str| login.may_try(host.parse().unwrap());
+        for host in ["::ffff:192.168.0.1", "2001:db8::1"] {
+            assert!((0..5).all(|_| may_try(host)), "{host}");
+            assert!(!may_try(host), "{host}");
+        }
+        assert!(may_try("::ffff:192.168.0.2"), "another host is not locked out");
+        assert!(!may_try("192.168.0.1"), "the same host");
+        assert!(!may_try("2001:db8::ffff:2"), "the same network");
+        assert!(may_try("2001:db8:0:1::1"), "another network");
     }
 }
