@@ -19,11 +19,12 @@ export function setText(element, text) {
 /** Returns the element with an id. */
 export const byId = (id) => document.getElementById(id);
 
-/** Shows the outcome of an action. */
+/** Shows the outcome of an action, also in an open dialog: the rest of the page is inert. */
 export function notify(text, isBad = false) {
-  const notice = byId("notice");
-  notice.textContent = text;
-  notice.className = isBad ? "bad" : "";
+  for (const notice of document.querySelectorAll("#notice, dialog[open] .notice")) {
+    notice.textContent = text;
+    notice.classList.toggle("bad", isBad);
+  }
 }
 
 /** Asks the user; the question names the robot. Resolves to whether the user agreed. */
@@ -36,6 +37,8 @@ export function ask(title, tile, text, yes) {
   byId("question-robot").textContent = `${tile.name} (${tile.address}), ${kind.text}`;
   byId("question-text").textContent = text;
   byId("question-yes").textContent = yes;
+  byId("question-halt-robot").textContent = tile.name;
+  Object.assign(byId("question-notice"), { textContent: "", className: "notice" });
   dialog.returnValue = "no";
   dialog.showModal();
   return new Promise((resolve) => {

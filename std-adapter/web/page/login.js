@@ -5,11 +5,11 @@ import { logIn } from "./net.js";
 
 let dialog = null;
 
-/** Asks for the password, and calls `done` after the login. */
-export function login(done) {
+/** Asks for the password, and calls `done` after the login. Its HALT says that it needs the login. */
+export function login(done, halt) {
   if (dialog?.open) return;
-  const password = make("input", { type: "password", id: "password", autocomplete: "current-password", required: true });
-  const why = make("p", { role: "alert", id: "login-why" });
+  const password = make("input", { type: "password", id: "password", autocomplete: "current-password", required: true, autofocus: true });
+  const why = make("p", { role: "alert", id: "login-why", className: "notice" });
   const onsubmit = async (event) => {
     event.preventDefault();
     why.textContent = (await logIn(password.value)) ?? "";
@@ -20,7 +20,8 @@ export function login(done) {
     done();
   };
   const form = make("form", { onsubmit }, make("label", { for: "password" }, "Password"), password, make("button", { type: "submit", id: "log-in", className: "primary" }, "Log in"));
-  dialog = make("dialog", { "aria-labelledby": "login-title" }, make("h2", { id: "login-title" }, `Log in to ${location.host}`), form, why);
+  const button = make("button", { type: "button", id: "login-halt", className: "halt", onclick: halt }, "HALT");
+  dialog = make("dialog", { "aria-labelledby": "login-title" }, button, make("h2", { id: "login-title" }, `Log in to ${location.host}`), form, why);
   // there is nothing to see without the password
   dialog.addEventListener("cancel", (event) => event.preventDefault());
   document.body.append(dialog);

@@ -131,7 +131,8 @@ function isTyping(event) {
   return event.target.closest?.("input, select, textarea") !== null;
 }
 
-byId("halt").onclick = () => haltRobot(page.robot);
+// a dialog has its own HALT, because the header is inert meanwhile
+for (const id of ["halt", "question-halt"]) byId(id).onclick = () => haltRobot(page.robot);
 byId("robots").onchange = (event) => page.select(Number(event.target.value));
 document.addEventListener("keydown", (event) => {
   if (event.key.toLowerCase() === "h" && !event.repeat && !event.ctrlKey && !event.altKey && !event.metaKey && !isTyping(event)) haltRobot(page.robot);
@@ -153,7 +154,7 @@ on("hello", (message) => {
 });
 on("login", () => {
   stale("Log in to see values. HALT does not work before.");
-  login(connect);
+  login(connect, () => haltRobot(page.robot));
 });
 on("closed", () => stale("NOT CONNECTED to bcap web: the values are old. HALT may not work. It is tried again every second."));
 on("stale", () => stale("bcap web does not answer: the values are old. HALT may not work."));

@@ -9,6 +9,7 @@ use bcap_core::variant::{OwnedVariant, Variant};
 use bcap_std::{Motion, Move, Settings, blocking};
 
 use crate::chromium::Browser;
+use crate::safety::{other, start_moving};
 use crate::support::{LIMIT, Sim, Web};
 
 const I: VariableKind = VariableKind::I;
@@ -115,6 +116,46 @@ fn halt_by_key(sim: &Sim, browser: &mut Browser) {
     arm.motor_off().unwrap();
     arm.give().unwrap();
     sim.lock().clear_errors(bcap_std::now());
+}
+
+/// A question makes the rest of the page inert. Its own HALT halts the robot, and does not answer the question.
+#[test]
+fn a_robot_is_halted_during_a_question() {
+    let sim = Sim::start();
+    let web = Web::start(&[("press", sim.address())], true);
+    let Some(mut browser) = opened(&web) else { return };
+    browser.click("[data-id=variables]");
+    browser.enter("#names", "I1");
+    browser.enter("#name", "Anna");
+    browser.until_text("#control", "control: Anna (this page)");
+    let mut cell = other(&sim);
+    start_moving(&sim, &mut cell);
+    browser.until_text("#state", "moving");
+    browser.click("tbody button");
+    browser.enter(".edit", "5");
+    browser.until("document.getElementById('question').open");
+    browser.press("#halt");
+    browser.lift();
+    assert!(sim.lock().is_moving(), "the header is inert");
+    browser.until_text("#question-halt", "HALTpress");
+    browser.click("#question-halt");
+    browser.until_text("#question-notice", "press: halted, the robot rests");
+    assert!(!sim.lock().is_moving());
+    assert_eq!(browser.eval("document.getElementById('question').open"), true);
+    for scheme in ["light", "dark"] {
+        browser.look((768, 1024), scheme);
+        assert_eq!(browser.eval(AUDIT), serde_json::json!([]), "{scheme}");
+    }
+    browser.click("#question-no");
+    browser.until_text("#notice", "nothing was written");
+    assert!(is(&sim, 0));
+    // the outcome is not shown in the next question
+    browser.click("tbody button");
+    browser.enter(".edit", "5");
+    browser.until("document.getElementById('question').open");
+    assert_eq!(browser.eval("document.getElementById('question-notice').textContent"), "");
+    assert_eq!(browser.problems, [""; 0]);
+    assert_eq!(web.lines().iter().filter(|line| line.contains("HALT")).count(), 1);
 }
 
 #[test]

@@ -283,6 +283,9 @@ fn a_browser_logs_in_and_stays_logged_in() {
     let Some(mut browser) = Browser::with(&["--ignore-certificate-errors"]) else { return };
     browser.open(cell.web.url());
     browser.until("document.getElementById('password') !== null");
+    assert_eq!(browser.eval("document.activeElement.id"), "password");
+    browser.click("#login-halt");
+    browser.until_text("#login-why", "NOT HALTED, use the emergency stop: log in first");
     browser.enter("#password", "wrong");
     browser.until_text("#login-why", "the password is wrong");
     browser.enter("#password", PASSWORD);
