@@ -44,8 +44,8 @@ let screen = SCREENS[0];
 async function haltRobot(robot) {
   const name = page.tiles[robot]?.name ?? "the robot";
   notify(`${name}: halting …`);
-  const { ok, text } = await halt(robot);
-  notify(`${name}: ${text}`, !ok);
+  const outcome = await halt(robot);
+  if (outcome !== null) notify(`${name}: ${outcome.text}`, !outcome.ok);
 }
 
 function show(next) {

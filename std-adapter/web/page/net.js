@@ -3,6 +3,8 @@
 const token = takeToken();
 const handlers = new Map();
 const pending = new Map();
+/** The pending HALT requests of each robot, in the order of the presses. */
+const halts = new Map();
 let socket = null;
 let lastId = 0;
 let lastMessage = 0;
@@ -120,13 +122,25 @@ export function saveBlob(blob, name) {
   URL.revokeObjectURL(href);
 }
 
-/** Halts a robot. It does not use the connection above, which may hang. */
+/**
+ * Halts a robot. It does not use the connection above, which may hang. Returns `null` if a later press has replaced the request.
+ *
+ * A browser opens six connections to a host, so a robot has two pending requests at most: the first and the last. The server
+ * carries on with an aborted one. The first is never aborted: on a slow network, quick presses would abort each before it arrives.
+ */
 export async function halt(robot) {
+  const requests = halts.get(robot) ?? new Set();
+  halts.set(robot, requests);
+  for (const replaced of [...requests].slice(1)) replaced.abort();
+  const request = new AbortController();
+  requests.add(request);
   try {
-    const response = await fetch(`/halt/${robot}`, { method: "POST", headers: { "x-bcap-token": token }, cache: "no-store" });
+    const response = await fetch(`/halt/${robot}`, { method: "POST", headers: { "x-bcap-token": token }, cache: "no-store", signal: request.signal });
     if (!response.ok) return { ok: false, text: `NOT HALTED, use the emergency stop: ${await response.text()}` };
     return await response.json();
   } catch (error) {
-    return { ok: false, text: `NOT HALTED, use the emergency stop: ${error.message}` };
+    return request.signal.aborted ? null : { ok: false, text: `NOT HALTED, use the emergency stop: ${error.message}` };
+  } finally {
+    requests.delete(request);
   }
 }

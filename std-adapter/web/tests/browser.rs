@@ -1,5 +1,6 @@
 //! The page in a real browser: the main job of each screen, and the safety rules that the page itself keeps.
 
+use std::net::TcpListener;
 use std::path::Path;
 use std::process::Command;
 
@@ -156,6 +157,31 @@ fn a_robot_is_halted_during_a_question() {
     assert_eq!(browser.eval("document.getElementById('question-notice').textContent"), "");
     assert_eq!(browser.problems, [""; 0]);
     assert_eq!(web.lines().iter().filter(|line| line.contains("HALT")).count(), 1);
+}
+
+/// A browser opens six connections to a host. Presses for a controller that does not answer leave some for other robots. The first
+/// stays, because quick presses must not keep HALT from the server.
+#[test]
+fn presses_for_a_silent_controller_do_not_pile_up() {
+    let sim = Sim::start();
+    // the system accepts connections, and nothing answers them
+    let silent = TcpListener::bind("127.0.0.1:0").unwrap();
+    let web = Web::start(&[("press", sim.address()), ("welder", silent.local_addr().unwrap())], false);
+    let Some(mut browser) = opened(&web) else { return };
+    browser.eval(
+        "(() => { const send = fetch; window.sent = [];
+            window.fetch = (...all) => { const n = sent.push('pending') - 1; const reply = send(...all);
+                reply.catch((error) => { sent[n] = error.name; }); return reply; }; })()",
+    );
+    for _ in 0..4 {
+        browser.click(".tile:nth-child(2) .halt");
+    }
+    assert_eq!(browser.eval("sent.join(' ')"), "pending AbortError AbortError pending");
+    browser.click(".tile:nth-child(1) .halt");
+    browser.until_text("#notice", "press: the robot was at rest");
+    assert_eq!(browser.problems, [""; 0]);
+    // refuses connections from here on, so that the halt ends
+    drop(silent);
 }
 
 #[test]
