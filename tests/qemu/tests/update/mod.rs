@@ -288,6 +288,8 @@ fn cut_download(rig: &Rig, original: &Contents, image: &[u8]) -> u32 {
         cuts += 1;
     }
     rig.cut_at(0);
+    // the board has started again after the last cut
+    assert_eq!(board.status(), A);
     repeat(&mut board, image);
     assert_eq!(rig.word(control::REFUSED), 0);
     cuts
