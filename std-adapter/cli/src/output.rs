@@ -80,11 +80,9 @@ impl Printer {
 
     /// Prints the rest, if the output takes it.
     pub(crate) fn finish(self) {
-        let until = Instant::now() + FINISH;
-        while self.queue.lines.try_send(None).is_err() && !self.thread.is_finished() && Instant::now() < until {
-            thread::sleep(Duration::from_millis(1));
-        }
+        let (until, mut is_sent) = (Instant::now() + FINISH, false);
         while !self.thread.is_finished() && Instant::now() < until {
+            is_sent = is_sent || self.queue.lines.try_send(None).is_ok();
             thread::sleep(Duration::from_millis(1));
         }
     }

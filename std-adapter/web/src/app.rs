@@ -11,12 +11,15 @@ use crate::audit::Audit;
 use crate::config::Config;
 use crate::guard::Guard;
 use crate::robot::Robot;
-use crate::threads::spawn;
+use crate::threads::{lock, spawn};
 
 /// The most pages.
 pub(crate) const PAGES: usize = 16;
 
-/// How often the end of the server looks whether its work is done.
+/// The longest time that the end of the server waits for halts, for the arms to be given back, and for orders under way.
+const END: Duration = Duration::from_secs(10);
+
+/// How often it looks whether they are done.
 const LOOK: Duration = Duration::from_millis(10);
 
 /// The state that all connections share.
@@ -36,9 +39,6 @@ pub(crate) struct App {
     pub(crate) work: Arc<()>,
 }
 
-/// The longest time that the end of the server waits for halts, for the arms to be given back, and for orders under way.
-const END: Duration = Duration::from_secs(10);
-
 impl App {
     /// Starts a thread for an order of a user, which the end of the server waits for. The error is for the user.
     pub(crate) fn spawn(&self, name: &str, work: impl FnOnce() + Send + 'static) -> Result<(), String> {
@@ -49,11 +49,14 @@ impl App {
         })
     }
 
-    /// Ends all that moves, and waits until the robots are halted and given back.
+    /// Ends all that moves, and the work on backups, and waits until the robots are halted and given back.
     pub(crate) async fn end(&self) {
         self.ends.send_replace(true);
         for robot in &self.robots {
             robot.end_motion("the server ends");
+            if let Some(job) = &*lock(&robot.backup) {
+                job.end("the server ends");
+            }
         }
         let until = Instant::now() + END;
         while (self.pages.available_permits() < PAGES || Arc::strong_count(&self.work) > 1) && Instant::now() < until {
