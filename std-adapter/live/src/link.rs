@@ -219,14 +219,21 @@ impl Link {
         self.ends
     }
 
-    /// Starts a task, unless that would end a stream of Slave Mode.
+    /// Starts a task, unless that would end a stream of Slave Mode. `may` is asked directly before the start.
     ///
     /// # Errors
     ///
-    /// An [`Error`].
-    pub fn start_task(&mut self, name: &str, mode: TaskStart) -> Result<(), Error> {
+    /// The error of `may`, or another [`Error`].
+    pub fn start_task(
+        &mut self,
+        name: &str,
+        mode: TaskStart,
+        may: impl FnOnce() -> Result<(), Error>,
+    ) -> Result<(), Error> {
         StreamCheck::default().require(self, FunctionId::TASK_START, None)?;
-        Ok(self.controller.task(name)?.start(mode)?)
+        let mut task = self.controller.task(name)?;
+        may()?;
+        Ok(task.start(mode)?)
     }
 
     /// Stops a task, unless that would end a stream of Slave Mode: HALT stops such a stream.

@@ -28,7 +28,7 @@ impl Page {
             }
             Arc::clone(held.desk.get_or_insert_with(|| Arc::new(Desk::new(number, Arc::clone(&robot)))))
         };
-        let (app, permit) = (Arc::clone(&self.app), robot.permit());
+        let (app, permit, work) = (Arc::clone(&self.app), robot.permit(), Arc::clone(&self.app.work));
         // on a thread that goes on when the page is closed, so that its line of the audit is written
         let made = tokio::task::spawn_blocking(move || {
             let made = desk.make(&request, permit);
@@ -39,6 +39,7 @@ impl Page {
                 };
                 app.audit.write(&who, &robot.name, &format!("calls {request}"), &outcome);
             }
+            drop(work);
             made
         });
         let made = made.await.unwrap_or_else(|_| Err("the call panicked; it is unknown whether it was done".into()));

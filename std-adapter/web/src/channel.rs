@@ -12,8 +12,10 @@ use serde_json::json;
 use tokio::time::{Interval, MissedTickBehavior, interval, timeout};
 
 use crate::app::App;
+use crate::control::Client;
 use crate::held::{self, Shared};
 use crate::order::Order;
+use crate::robot::LONGEST_WAIT;
 use crate::text::safe;
 use crate::threads::lock;
 
@@ -46,8 +48,11 @@ struct Beat {
 pub(crate) struct Channel {
     socket: WebSocket,
     /// Orders that arrived while another one was carried out.
-    waiting: VecDeque<String>,
+    waiting: VecDeque<Received>,
     app: Arc<App>,
+    client: Client,
+    /// How often an order has ended what the page moves, while another one was carried out.
+    ends: u64,
     held: Shared,
     /// When the page was heard last.
     heard: Instant,
@@ -60,12 +65,19 @@ pub(crate) struct Channel {
     sent: VecDeque<Instant>,
 }
 
+/// An order of a page, when it was received, and how often something was ended or revoked before.
+pub(crate) struct Received {
+    pub(crate) text: String,
+    since: Instant,
+    ends: u64,
+}
+
 impl Channel {
-    pub(crate) fn new(socket: WebSocket, app: Arc<App>, held: Shared) -> Self {
+    pub(crate) fn new(socket: WebSocket, app: Arc<App>, client: Client, held: Shared) -> Self {
         let mut pulse = interval(PULSE);
         pulse.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let (waiting, sent, heard) = (VecDeque::new(), VecDeque::new(), Instant::now());
-        Self { socket, waiting, app, held, heard, watched: None, pulse, last: 0, sent }
+        Self { socket, waiting, app, client, ends: 0, held, heard, watched: None, pulse, last: 0, sent }
     }
 
     /// Sets whether the page must send heartbeats without a jog.
@@ -88,11 +100,25 @@ impl Channel {
     }
 
     /// Returns the next order; `None` at the end of the page.
-    pub(crate) async fn order(&mut self) -> Option<String> {
+    pub(crate) async fn order(&mut self) -> Option<Received> {
         match self.waiting.pop_front() {
-            None => self.receive().await,
+            None => self.receive().await.map(|text| self.received(text)),
             waiting => waiting,
         }
+    }
+
+    fn received(&self, text: String) -> Received {
+        Received { text, since: Instant::now(), ends: self.count_ends() }
+    }
+
+    /// Returns how often something was ended or revoked so far.
+    fn count_ends(&self) -> u64 {
+        self.ends + self.app.robots.iter().map(|robot| robot.revoked()).sum::<u64>()
+    }
+
+    /// Returns whether an order has waited for too long, or something was ended or revoked since it was received.
+    pub(crate) fn is_late(&self, order: &Received) -> bool {
+        order.since.elapsed() > LONGEST_WAIT || order.ends != self.count_ends()
     }
 
     /// Takes orders while another one is carried out. Ends only at the end of the page.
@@ -100,21 +126,33 @@ impl Channel {
         while self.waiting.len() < WAITING {
             let text = self.receive().await?;
             self.end_early(&text);
-            self.waiting.push_back(text);
+            let received = self.received(text);
+            self.waiting.push_back(received);
         }
         // backpressure: a page that sends this much gets no pulse either, which ends its jog, and later the page
         std::future::pending().await
     }
 
     /// Ends what an order would end after the one under way, which may take a minute.
-    fn end_early(&self, text: &str) {
+    fn end_early(&mut self, text: &str) {
         match Order::parse(text) {
             Some((_, Order::Lift { .. })) => drop(self.grip().map(|grip| grip.lift())),
             Some((_, Order::Drop { why, .. })) => drop(self.grip().map(|grip| grip.end(&safe(&why)))),
-            Some((_, Order::Release { .. })) => held::end(&self.held, &self.app, "the control was released"),
-            Some((_, Order::Show { .. })) => held::end(&self.held, &self.app, "the screen was left"),
-            _ => {}
+            Some((_, Order::Release { robot })) => {
+                let robot = self.app.robots.get(robot).filter(|robot| robot.control.user(self.client).is_ok());
+                if let Some(robot) = robot {
+                    robot.revoke();
+                }
+                held::end(&self.held, &self.app, "the control was released");
+            }
+            Some((_, Order::Show { .. })) => {
+                held::end(&self.held, &self.app, "the screen was left");
+                // the page answers no pulse on another screen
+                self.watched = None;
+            }
+            _ => return,
         }
+        self.ends += 1;
     }
 
     fn grip(&self) -> Option<Arc<Grip>> {

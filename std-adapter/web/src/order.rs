@@ -96,6 +96,17 @@ pub(crate) enum Order {
 }
 
 impl Order {
+    /// Returns whether it may move a robot or change the controller, so that it must not come late.
+    pub(crate) const fn changes(&self) -> bool {
+        match self {
+            Self::Task { what, .. } => matches!(what, What::Once | What::Forever | What::Step),
+            Self::Write { .. } | Self::Clear { .. } | Self::Restore { .. } => true,
+            Self::Grip { .. } | Self::Press { .. } | Self::Recover { .. } | Self::Step { .. } => true,
+            Self::Call { .. } | Self::Bytes { .. } | Self::Play { .. } | Self::Pace { .. } => true,
+            _ => false,
+        }
+    }
+
     /// Parses an order with its number.
     pub(crate) fn parse(text: &str) -> Option<(u64, Self)> {
         let mut order: Map<_, _> = serde_json::from_str(text).ok()?;

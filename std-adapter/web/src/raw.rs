@@ -87,7 +87,6 @@ impl Desk {
         permit: impl FnOnce() -> Result<(), Error>,
     ) -> Result<(HResult, Value), String> {
         let mut link = lock(&self.link);
-        self.moves.store(request.effect() == Effect::Moves, Ordering::SeqCst);
         self.check_open().map_err(|error| error.to_string())?;
         let session = match link.take() {
             Some(session) => Ok(session),
@@ -95,7 +94,11 @@ impl Desk {
         };
         let mut session = session.map_err(|error| format!("nothing was done: {error}"))?;
         let start = Instant::now();
-        let made = request.perform(&mut session, || self.check_open().and_then(|()| permit()));
+        let made = request.perform(&mut session, || {
+            // before the check: an end after it sees that a call moves
+            self.moves.store(request.effect() == Effect::Moves, Ordering::SeqCst);
+            self.check_open().and_then(|()| permit())
+        });
         let took = start.elapsed();
         self.moves.store(false, Ordering::SeqCst);
         let ends = matches!(request.function, FunctionId::SERVICE_STOP | FunctionId::CONTROLLER_DISCONNECT);

@@ -35,7 +35,7 @@ pub(crate) const TARGET: &str = "robot/@DEST_ANGLE";
 const SLOW: Duration = Duration::from_secs(1);
 
 /// The longest time that an order waits. An older one is refused: the user may have turned to something else.
-const LONGEST_WAIT: Duration = Duration::from_secs(2);
+pub(crate) const LONGEST_WAIT: Duration = Duration::from_secs(2);
 
 /// A robot of the page.
 pub(crate) struct Robot {
@@ -113,9 +113,14 @@ impl Robot {
         self.revoked.fetch_add(1, Ordering::SeqCst);
     }
 
+    /// Returns how often it was revoked.
+    pub(crate) fn revoked(&self) -> u64 {
+        self.revoked.load(Ordering::SeqCst)
+    }
+
     /// Returns a check that fails when the orders of now are revoked.
     pub(crate) fn permit(&self) -> impl Fn() -> Result<(), Error> + Send + use<> {
-        let (revoked, now) = (Arc::clone(&self.revoked), self.revoked.load(Ordering::SeqCst));
+        let (revoked, now) = (Arc::clone(&self.revoked), self.revoked());
         move || {
             let why = "HALT was pressed, or the control was released, before it began; nothing was done";
             (revoked.load(Ordering::SeqCst) == now).then_some(()).ok_or_else(|| Error::Skipped(why.into()))

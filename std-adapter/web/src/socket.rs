@@ -16,7 +16,7 @@ use serde_json::{Map, Value, json};
 use tokio::time::{Instant, MissedTickBehavior, interval, interval_at};
 
 use crate::app::App;
-use crate::channel::Channel;
+use crate::channel::{Channel, Received};
 use crate::control::{Client, cleaned};
 use crate::held::{self, Shared};
 use crate::order::{Order, Screen};
@@ -80,7 +80,7 @@ pub(crate) async fn serve(app: Arc<App>, client: Client, socket: WebSocket) {
         held: Shared::default(),
     };
     // the page is dropped first, so that its loss ends a jog at once
-    let mut channel = Channel::new(socket, Arc::clone(&page.app), Arc::clone(&page.held));
+    let mut channel = Channel::new(socket, Arc::clone(&page.app), client, Arc::clone(&page.held));
     let _ = serve_page(&mut page, &mut channel, hello.to_string()).await;
 }
 
@@ -100,19 +100,26 @@ async fn serve_page(page: &mut Page, channel: &mut Channel, hello: String) -> Op
                 }
             }
             _ = alive.tick() => channel.alive().await?,
-            text = channel.order() => answer(page, channel, &text?, bucket.take()).await?,
+            order = channel.order() => answer(page, channel, &order?, bucket.take()).await?,
         }
     }
 }
 
 /// Carries out an order if the page has not given too many, and sends the answer.
-async fn answer(page: &mut Page, channel: &mut Channel, text: &str, is_allowed: bool) -> Option<()> {
+async fn answer(page: &mut Page, channel: &mut Channel, order: &Received, is_allowed: bool) -> Option<()> {
+    let text = &order.text;
+    let refused = |error: &str| {
+        let id = Order::parse(text).map(|(number, _)| number);
+        json!({ "t": "answer", "id": id, "error": error }).to_string()
+    };
     if !is_allowed {
         // perhaps it was the end of a motion
         page.end_motion("too many orders");
-        let id = Order::parse(text).map(|(number, _)| number);
-        let error = "too many orders; wait a moment";
-        return channel.send(json!({ "t": "answer", "id": id, "error": error }).to_string()).await;
+        return channel.send(refused("too many orders; wait a moment")).await;
+    }
+    if channel.is_late(order) && Order::parse(text).is_some_and(|(_, order)| order.changes()) {
+        let why = "HALT was pressed, something was ended, or too much time passed, before it began; nothing was done";
+        return channel.send(refused(why)).await;
     }
     let mut order = pin!(page.order(text));
     let mut alive = interval_at(Instant::now() + ALIVE, ALIVE);

@@ -48,7 +48,11 @@ impl Page {
         robot.check_name(of)?;
         let what = format!("{words} {}", safe(&name));
         match change {
-            Change::Start(mode) => self.change(who, &robot, what, move |link| link.start_task(&name, mode)).await,
+            Change::Start(mode) => {
+                let permit = robot.permit();
+                let started = robot.order(move |link| link.start_task(&name, mode, permit));
+                self.recorded(who, &robot, what, started).await
+            }
             // no halt revokes a stop
             Change::Stop(mode) => {
                 let stopped = robot.order(move |link| link.stop_task(&name, mode));

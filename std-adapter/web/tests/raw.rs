@@ -176,6 +176,39 @@ fn an_order_that_leaves_the_screen_does_not_wait_for_a_call_that_moves() {
     }
 }
 
+/// A second call waits behind the first one when HALT, or another screen, ends the first.
+#[test]
+fn a_call_that_waits_behind_another_one_is_not_made_after_the_end_of_that() {
+    for is_halted in [true, false] {
+        let sim = Sim::quick();
+        let web = Web::moving(&[("press", sim.address())]);
+        let mut page = with_control(&web);
+        start_moving(&sim, &mut page);
+        let arguments = ["robot", "8,ClearError", "0,"];
+        let waits = page
+            .send("call", json!({ "robot": 0, "name": "press", "function": "Robot_Execute", "arguments": arguments }));
+        // it is received first
+        std::thread::sleep(std::time::Duration::from_millis(200));
+        if is_halted {
+            assert_eq!(web.halt(0)["ok"], true);
+        } else {
+            page.send("show", json!({ "robot": 0, "screen": "cell" }));
+        }
+        let answer = loop {
+            let message = page.receive().expect("the page is open");
+            if message["t"] == "answer" && message["id"] == waits {
+                break message;
+            }
+        };
+        assert!(
+            answer["error"].as_str().is_some_and(|why| why.contains("before it began; nothing was done")),
+            "{answer}"
+        );
+        let lines = web.lines();
+        assert!(!lines.iter().any(|line| line.contains("ClearError")), "{lines:?}");
+    }
+}
+
 #[test]
 fn the_end_of_the_server_halts_and_frees_the_arm_before_it_returns() {
     let sim = Sim::quick();

@@ -112,10 +112,10 @@ fn tasks_start_with_the_right_to_move_and_files_are_shown() {
     assert!(web.lines().contains(&format!("press: Anna: runs again and again {name}: done")), "{:?}", web.lines());
 }
 
-/// The connection that reads hangs, and has the order; HALT and the loss of the page come before it goes on.
+/// The connection that reads hangs, and has the order; HALT, the release or the loss of the page come before it goes on.
 #[test]
 fn an_order_that_waits_is_not_carried_out_after_a_halt_or_without_the_control() {
-    for is_halted in [true, false] {
+    for end in ["halt", "release", "loss"] {
         let sim = Sim::start();
         let relay = crate::support::Relay::start(sim.address());
         let web = Web::moving(&[("press", relay.address)]);
@@ -127,24 +127,27 @@ fn an_order_that_waits_is_not_carried_out_after_a_halt_or_without_the_control() 
         // the order is received first
         std::thread::sleep(std::time::Duration::from_millis(300));
         let mut page = Some(page);
-        if is_halted {
-            assert_eq!(web.halt(0)["ok"], true);
-        } else {
-            page = None;
-            crate::support::until("the control is free", || {
-                web.page().order("take", json!({ "robot": 0, "name": "Bob" })).is_ok()
-            });
+        match (end, &mut page) {
+            ("halt", _) => assert_eq!(web.halt(0)["ok"], true),
+            ("release", Some(page)) => {
+                page.send("release", json!({ "robot": 0 }));
+                std::thread::sleep(std::time::Duration::from_millis(300));
+            }
+            _ => {
+                page = None;
+                crate::support::until("the control is free", || {
+                    web.page().order("take", json!({ "robot": 0, "name": "Bob" })).is_ok()
+                });
+            }
         }
         relay.freeze(usize::MAX);
         crate::support::until("the order has its line of the audit", || {
             web.lines().iter().any(|line| line.contains("runs again and again"))
         });
         let lines = web.lines();
-        assert!(
-            lines.iter().any(|line| line.contains("runs again and again") && line.contains("nothing was done")),
-            "{lines:?}"
-        );
-        assert!(!sim.lock().tasks().any(|(_, status, _)| status == bcap_sim::TaskStatus::Running), "{is_halted}");
+        let is_refused = |line: &String| line.contains("runs again and again") && line.contains("nothing was done");
+        assert!(lines.iter().any(is_refused), "{end}: {lines:?}");
+        assert!(!sim.lock().tasks().any(|(_, status, _)| status == bcap_sim::TaskStatus::Running), "{end}");
         drop(page);
     }
 }
