@@ -206,11 +206,14 @@ struct Served<H> {
     recorded: Option<(Front, Listening)>,
     /// The serial lines and the page in the line `ready`, each after a blank.
     words: String,
+    #[cfg(feature = "web")]
+    page: Option<web_panel::Page>,
 }
 
 impl<H: Serves> Served<H> {
     async fn bind(server: Server<H>, Serving { args, rac, file }: Serving<'_>) -> Result<Self, Failure> {
-        if let Some(file) = file {
+        let mut recorded = None;
+        let (server, network) = if let Some(file) = file {
             if !args.serial.is_empty() {
                 let what = "a serial line has no packets to record; leave out --write or --serial";
                 return Err(Failure::Input(what.into()));
@@ -221,17 +224,24 @@ impl<H: Serves> Served<H> {
             let front = Front::bind(args, rac, file).await?;
             let any = SocketAddr::from(([127, 0, 0, 1], 0));
             let (server, inner) = bind(server, &Listening { bcap: any, udp: any, rac: Some(any) }).await?;
-            let network = Some(front.listening()?);
-            return Ok(Self { server, network, recorded: Some((front, inner)), words: String::new() });
-        }
-        let (server, network) = if args.no_network {
+            let network = front.listening()?;
+            recorded = Some((front, inner));
+            (server, Some(network))
+        } else if args.no_network {
             (server, None)
         } else {
             let (server, network) = bind(server, &Listening { bcap: args.bcap, udp: args.udp, rac }).await?;
             (server, Some(network))
         };
         let (server, words) = open_lines(server, &args.serial)?;
-        Ok(Self { server, network, recorded: None, words })
+        Ok(Self {
+            server,
+            network,
+            recorded,
+            words,
+            #[cfg(feature = "web")]
+            page: None,
+        })
     }
 
     /// Returns the line `ready`.
@@ -244,16 +254,27 @@ impl<H: Serves> Served<H> {
     async fn with_page(
         mut self,
         listen: Option<SocketAddr>,
-        page: impl AsyncFnOnce(SocketAddr, SocketAddr) -> Result<String, Failure>,
+        page: impl AsyncFnOnce(SocketAddr, SocketAddr) -> Result<web_panel::Page, Failure>,
     ) -> Result<Self, Failure> {
         if let Some((listen, network)) = listen.zip(self.network.as_ref()) {
-            self.words += &format!(" web={}", page(network.bcap, listen).await?);
+            let page = page(network.bcap, listen).await?;
+            self.words += &format!(" web={}", page.url);
+            self.page = Some(page);
         }
         Ok(self)
     }
 
-    /// Serves until `ended`.
+    /// Serves until `ended`. The page ends before its controller does.
     async fn run(self, ended: impl Future<Output = ()>) -> Result<(), Failure> {
+        #[cfg(feature = "web")]
+        let page = self.page;
+        let ended = async {
+            ended.await;
+            #[cfg(feature = "web")]
+            if let Some(page) = page {
+                page.end().await;
+            }
+        };
         let Some((front, Listening { bcap, udp, rac })) = self.recorded else {
             return Ok(self.server.run(ended).await?);
         };

@@ -1,6 +1,5 @@
 //! `bcap sim --web`: the page of `bcap web` for the virtual controller or the replay of this process.
 
-use std::future::pending;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -8,13 +7,33 @@ use bcap_live::link::Access;
 use bcap_live::tap::Tap;
 use bcap_sim::pace::Paced;
 use bcap_web::{Config, Replay};
+use tokio::sync::oneshot;
+use tokio::task::JoinHandle;
 
 use crate::commands::web;
 use crate::failure::Failure;
 use crate::output::Printer;
 
-/// Starts the page of a virtual controller at `bcap`, with its panel. It ends with the runtime. Returns its address.
-pub(super) async fn start(bcap: SocketAddr, listen: SocketAddr, shared: Arc<Mutex<Paced>>) -> Result<String, Failure> {
+/// A page that is served.
+pub(super) struct Page {
+    pub(super) url: String,
+    stop: oneshot::Sender<()>,
+    served: JoinHandle<()>,
+    printer: Printer,
+}
+
+impl Page {
+    /// Ends the page, and prints its last lines.
+    pub(super) async fn end(self) {
+        drop(self.stop);
+        // a panic has been printed
+        let _ = self.served.await;
+        self.printer.finish();
+    }
+}
+
+/// Starts the page of a virtual controller at `bcap`, with its panel.
+pub(super) async fn start(bcap: SocketAddr, listen: SocketAddr, shared: Arc<Mutex<Paced>>) -> Result<Page, Failure> {
     let model = shared.lock().unwrap_or_else(PoisonError::into_inner).controller().config().model.clone();
     let access = access(bcap, model.provider, None, String::new())?;
     let robots = vec![(format!("virtual {}", model.name), access)];
@@ -27,19 +46,19 @@ pub(super) async fn replay(
     listen: SocketAddr,
     session: Option<[String; 3]>,
     replay: Replay,
-) -> Result<String, Failure> {
+) -> Result<Page, Failure> {
     let [provider, machine, option] =
         session.ok_or_else(|| Failure::Input("the capture has no Controller_Connect, which a page needs".into()))?;
     let robots = vec![("replay".to_owned(), access(bcap, provider, Some(machine), option)?)];
     serve(Config { replay: Some(replay), ..Config::new(listen, robots) }).await
 }
 
-async fn serve(config: Config) -> Result<String, Failure> {
-    // its thread prints until the process ends
-    let page = web::bind(config, "--web", &Printer::start(false)?).await?;
-    let url = page.url();
-    tokio::spawn(page.run(pending()));
-    Ok(url)
+async fn serve(config: Config) -> Result<Page, Failure> {
+    let printer = Printer::start(false)?;
+    let server = web::bind(config, "--web", &printer).await?;
+    let (url, (stop, stopped)) = (server.url(), oneshot::channel::<()>());
+    let served = tokio::spawn(server.run(async { drop(stopped.await) }));
+    Ok(Page { url, stop, served, printer })
 }
 
 /// Returns the access of a client of this computer.
