@@ -1,9 +1,11 @@
 //! Reads a controller.
 //!
-//! The variables of a kind are read through one handle of `I*`, whose PutID chooses the variable: two calls for each instead
-//! of three. A controller may accept PutID and ignore it. So the handle is trusted after two ids have returned different
-//! values that agree with those by name. While all values are equal, only samples are read by name. After the first
-//! disagreement every variable is opened by name.
+//! [`CheckedCalls`] asks whether a stream of Slave Mode runs before each call that Slave Mode does not allow.
+//!
+//! The variables of a kind are read through one handle of `I*`, whose PutID chooses the variable: on a controller without
+//! Slave Mode, two calls for each instead of three. A controller may accept PutID and ignore it. So the handle is trusted
+//! after two ids have returned different values that agree with those by name. While all values are equal, only samples are
+//! read by name. After the first disagreement every variable is opened by name.
 
 use std::collections::BTreeSet;
 use std::iter::once;
@@ -19,7 +21,7 @@ use bcap_capture::value::selection::is_user_variable;
 use bcap_core::variant::OwnedVariant as Value;
 use bcap_live::calls::{Calls, Failure};
 use bcap_live::files as remote_files;
-use bcap_live::stream::StreamCheck;
+use bcap_live::stream::{CheckedCalls, StreamCheck};
 use bcap_live::variables::{self as selection, get_one, list, read, short_type};
 
 use crate::contents::{About, Contents, Omission, Part, UserVariable};
@@ -55,7 +57,7 @@ pub fn about<C: Calls>(session: &mut C) -> Result<About, C::Error> {
 /// How far a dump or a restore is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Progress<'a> {
-    /// The present part: a kind of variables, `@` for system variables, or `file`.
+    /// The present part: a kind of variables, `@` for system variables, `file`, or `folder` while the files are listed.
     pub part: &'a str,
     /// How many of this part are done.
     pub done: usize,
@@ -63,35 +65,36 @@ pub struct Progress<'a> {
     pub count: usize,
 }
 
-/// Reads everything. `watch` gets the progress before each item; its error ends the work.
+/// Reads everything. `watch` gets the progress before each item, object and folder; its error ends the work.
 ///
 /// # Errors
 ///
 /// The error of a call that is more than a refusal.
 pub fn contents<C: Calls>(
     session: &mut C,
-    mut watch: impl FnMut(&mut C, Progress<'_>) -> Result<(), C::Error>,
+    mut watch: impl FnMut(Progress<'_>) -> Result<(), C::Error>,
 ) -> Result<Contents, C::Error> {
+    let session = &mut CheckedCalls::new(session);
     let mut contents = Contents { about: about(session)?, ..Contents::default() };
     for kind in VariableKind::ALL {
         let Some(count) = count(session, kind, &mut contents.omitted)? else { continue };
-        variables(session, kind, 0..count, |session, index, entry| {
+        variables(session, kind, 0..count, |index, entry| {
             contents.variables.insert(UserVariable::new(kind, index), entry);
-            watch(session, Progress { part: kind.name(), done: index as usize, count: count as usize })
+            watch(Progress { part: kind.name(), done: index as usize, count: count as usize })
         })?;
     }
-    let names = system_names(session, &mut contents.omitted)?;
+    let names = system_names(session, &mut watch, &mut contents.omitted)?;
     let count = names.len();
     for (done, name) in names.into_iter().enumerate() {
-        watch(session, Progress { part: "@", done, count })?;
+        watch(Progress { part: "@", done, count })?;
         if let Some(entry) = system(session, &name)? {
             contents.system.insert(name, entry);
         }
     }
-    let paths = files(session, &mut contents.omitted)?;
+    let paths = files(session, &mut watch, &mut contents.omitted)?;
     let count = paths.len();
     for (done, path) in paths.into_iter().enumerate() {
-        watch(session, Progress { part: "file", done, count })?;
+        watch(Progress { part: "file", done, count })?;
         if let Some(bytes) = file(session, &path, &mut contents.omitted)? {
             contents.files.insert(path, bytes);
         }
@@ -121,7 +124,7 @@ pub fn variables<C: Calls>(
     session: &mut C,
     kind: VariableKind,
     indices: Range<u32>,
-    mut each: impl FnMut(&mut C, u32, Entry) -> Result<(), C::Error>,
+    mut each: impl FnMut(u32, Entry) -> Result<(), C::Error>,
 ) -> Result<(), C::Error> {
     let mut wildcard = Wildcard::open(session, kind, &indices)?;
     for index in indices.clone() {
@@ -139,7 +142,7 @@ pub fn variables<C: Calls>(
                 by_name(session, kind, index)?
             }
         };
-        each(session, index, value)?;
+        each(index, value)?;
     }
     wildcard.map_or(Ok(()), |wildcard| wildcard.close(session))
 }
@@ -251,12 +254,17 @@ pub fn system<C: Calls>(session: &mut C, name: &str) -> Result<Option<Entry>, C:
     Ok(Some(value))
 }
 
-/// Returns the names of all system variables: of the controller, of its robots and of its tasks.
+/// Returns the names of all system variables: of the controller, of its robots and of its tasks. `watch` gets the progress before
+/// each robot and task; its error ends the work.
 ///
 /// # Errors
 ///
-/// The error of a call that is more than a refusal.
-pub fn system_names<C: Calls>(session: &mut C, omitted: &mut Vec<Omission>) -> Result<BTreeSet<String>, C::Error> {
+/// The error of a call that is more than a refusal, or of `watch`.
+pub fn system_names<C: Calls>(
+    session: &mut C,
+    mut watch: impl FnMut(Progress<'_>) -> Result<(), C::Error>,
+    omitted: &mut Vec<Omission>,
+) -> Result<BTreeSet<String>, C::Error> {
     use FunctionId as F;
     let controller = ObjectPath::controller();
     let mut names = BTreeSet::new();
@@ -277,7 +285,9 @@ pub fn system_names<C: Calls>(session: &mut C, omitted: &mut Vec<Omission>) -> R
             Err(refused) if refused.code() == Some(HResult::E_NOTIMPL) => Vec::new(),
             owners => unless_omitted(owners, Part::System, omitted)?.unwrap_or_default(),
         };
-        for name in owners {
+        let count = owners.len();
+        for (done, name) in owners.into_iter().enumerate() {
+            watch(Progress { part: "@", done, count })?;
             let owner = controller.clone().join(object, name);
             let listed = self::listed(session, &owner, list_variables)?;
             add(&owner, listed, usual);
@@ -298,13 +308,19 @@ fn listed<C: Calls>(
     }
 }
 
-/// Returns the paths of all files. A folder that cannot be listed does not hide the others.
+/// Returns the paths of all files. A folder that cannot be listed does not hide the others. `watch` gets the progress before each
+/// folder; its error ends the work.
 ///
 /// # Errors
 ///
-/// The error of a call that is more than a refusal.
-pub fn files<C: Calls>(session: &mut C, omitted: &mut Vec<Omission>) -> Result<Vec<String>, C::Error> {
-    let items = remote_files::walk(session, "", |path, failure: C::Error| match failure.code() {
+/// The error of a call that is more than a refusal, or of `watch`.
+pub fn files<C: Calls>(
+    session: &mut C,
+    mut watch: impl FnMut(Progress<'_>) -> Result<(), C::Error>,
+    omitted: &mut Vec<Omission>,
+) -> Result<Vec<String>, C::Error> {
+    let watch = |done, count| watch(Progress { part: "folder", done, count });
+    let items = remote_files::walk(session, "", watch, |path, failure: C::Error| match failure.code() {
         // a controller that does not implement the list has no files
         Some(HResult::E_NOTIMPL) if path.is_empty() => Ok(()),
         _ => omit(failure, Part::Files(path), omitted),
@@ -347,4 +363,82 @@ fn omit<F: Failure>(failure: F, part: Part, omitted: &mut Vec<Omission>) -> Resu
     let Some(reason) = failure.omission() else { return Err(failure) };
     omitted.push(Omission { part, reason });
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+    use std::rc::Rc;
+
+    use bcap_live::link::Error;
+    use bcap_std::TaskStatus;
+
+    use super::*;
+
+    /// A controller with one variable of each kind, and with folders and files. A call that would end its stream panics.
+    struct Fake(Rc<Cell<bool>>);
+
+    impl Calls for Fake {
+        type Error = Error;
+
+        fn object(&mut self, path: &ObjectPath) -> Result<i32, Error> {
+            assert!(!self.0.get() || !path.to_string().contains("task"), "opening {path} ends the stream");
+            Ok(1)
+        }
+
+        fn call(
+            &mut self,
+            subject: &str,
+            function: FunctionId,
+            arguments: &[Value],
+        ) -> Result<(HResult, Option<Value>), Error> {
+            use FunctionId as F;
+            let is_question = function == F::ROBOT_EXECUTE && arguments[1] == Value::new("slvGetMode")?;
+            let is_allowed = is_question || function.in_slave_mode().is_allowed();
+            assert!(is_allowed || !self.0.get(), "{function} of {subject} ends the stream");
+            let value = match function {
+                F::ROBOT_EXECUTE => Value::new(&if self.0.get() { 0x202 } else { 0 })?,
+                F::CONTROLLER_GET_FILE_NAMES | F::FILE_GET_FILE_NAMES if subject.len() < 6 => {
+                    Value::new(["a.pcs", "sub\\"].as_slice())?
+                }
+                F::CONTROLLER_GET_ROBOT_NAMES => Value::new(["Arm0"].as_slice())?,
+                F::CONTROLLER_GET_TASK_NAMES => Value::new(["Pro1"].as_slice())?,
+                F::CONTROLLER_GET_FILE | F::VARIABLE_GET_VALUE => Value::new(&1)?,
+                _ => Value::default(),
+            };
+            Ok((HResult::S_OK, Some(value)))
+        }
+
+        fn release(&mut self, _: Object, _: i32) -> Result<(), Error> {
+            Ok(())
+        }
+
+        fn task_status(&mut self, _: &str) -> Result<TaskStatus, Error> {
+            Err(Error::Invalid("not read".into()))
+        }
+    }
+
+    /// Reads everything; another client begins a stream at the progress with this number. Returns each progress.
+    fn read(begins: usize) -> (Vec<String>, Result<Contents, Error>) {
+        let (streams, mut seen) = (Rc::<Cell<bool>>::default(), Vec::new());
+        let read = contents(&mut Fake(Rc::clone(&streams)), |Progress { part, done, count }| {
+            streams.set(seen.len() >= begins);
+            seen.push(format!("{part} {done}/{count}"));
+            Ok(())
+        });
+        (seen, read)
+    }
+
+    #[test]
+    fn a_stream_that_begins_at_any_time_does_not_end() {
+        let (seen, all) = read(usize::MAX);
+        assert_eq!(all.unwrap().files.len(), 2);
+        for progress in ["I 0/1", "@ 0/1", "folder 0/1", "folder 2/3", "file 1/2"] {
+            assert!(seen.iter().any(|seen| seen == progress), "{progress}: {seen:?}");
+        }
+        for (begins, progress) in seen.iter().enumerate() {
+            let (_, read) = read(begins);
+            assert!(matches!(&read, Err(Error::Skipped(_))), "{progress}: {read:?}");
+        }
+    }
 }

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use bcap_core::rac::VariableKind;
 use bcap_live::calls::Calls;
+use bcap_live::stream::CheckedCalls;
 
 use crate::contents::{Contents, Omission, UserVariable};
 use crate::controller::{self, Progress};
@@ -11,7 +12,7 @@ use crate::error::Error;
 use crate::folder::Folder;
 
 /// Saves all variables and files, from the first one that an interrupted dump did not save. `watch` gets the progress before each
-/// item; its error ends the dump, which goes on later.
+/// item, object and folder; its error ends the dump, which goes on later.
 ///
 /// # Errors
 ///
@@ -19,12 +20,12 @@ use crate::folder::Folder;
 pub fn dump<C: Calls>(
     session: &mut C,
     folder: &Folder,
-    watch: impl FnMut(&mut C, Progress<'_>) -> Result<(), C::Error>,
+    watch: impl FnMut(Progress<'_>) -> Result<(), C::Error>,
 ) -> Result<Contents, C::Error>
 where
     C::Error: From<Error>,
 {
-    let mut dumping = Dumping { session, folder, watch };
+    let mut dumping = Dumping { session: &mut CheckedCalls::new(session), folder, watch };
     let mut omitted = Vec::new();
     for kind in VariableKind::ALL {
         dumping.kind(kind, &mut omitted)?;
@@ -40,7 +41,7 @@ struct Dumping<'a, C, W> {
     watch: W,
 }
 
-impl<C: Calls, W: FnMut(&mut C, Progress<'_>) -> Result<(), C::Error>> Dumping<'_, C, W>
+impl<C: Calls, W: FnMut(Progress<'_>) -> Result<(), C::Error>> Dumping<'_, C, W>
 where
     C::Error: From<Error>,
 {
@@ -48,18 +49,18 @@ where
     fn kind(&mut self, kind: VariableKind, omitted: &mut Vec<Omission>) -> Result<(), C::Error> {
         let Some(count) = controller::count(self.session, kind, omitted)? else { return Ok(()) };
         let Some((mut part, done)) = self.folder.part(kind)? else { return Ok(()) };
-        controller::variables(self.session, kind, done..count, |session, index, entry| {
-            (self.watch)(session, Progress { part: kind.name(), done: index as usize, count: count as usize })?;
+        controller::variables(self.session, kind, done..count, |index, entry| {
+            (self.watch)(Progress { part: kind.name(), done: index as usize, count: count as usize })?;
             Ok(part.push(UserVariable::new(kind, index).name(), entry)?)
         })?;
         Ok(part.finish()?)
     }
 
     fn system(&mut self, omitted: &mut Vec<Omission>) -> Result<(), C::Error> {
-        let names = controller::system_names(self.session, omitted)?;
+        let names = controller::system_names(self.session, &mut self.watch, omitted)?;
         let (count, mut system) = (names.len(), BTreeMap::new());
         for (done, name) in names.into_iter().enumerate() {
-            (self.watch)(self.session, Progress { part: "@", done, count })?;
+            (self.watch)(Progress { part: "@", done, count })?;
             if let Some(entry) = controller::system(self.session, &name)? {
                 system.insert(name, entry);
             }
@@ -68,10 +69,10 @@ where
     }
 
     fn files(&mut self, omitted: &mut Vec<Omission>) -> Result<(), C::Error> {
-        let paths = controller::files(self.session, omitted)?;
+        let paths = controller::files(self.session, &mut self.watch, omitted)?;
         let count = paths.len();
         for (done, path) in paths.into_iter().enumerate() {
-            (self.watch)(self.session, Progress { part: "file", done, count })?;
+            (self.watch)(Progress { part: "file", done, count })?;
             if self.folder.has_file(&path) {
                 continue;
             }

@@ -13,6 +13,7 @@ use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::variant::OwnedVariant as Value;
 use bcap_live::calls::{Calls, Failure as _};
 use bcap_live::files as remote_files;
+use bcap_live::stream::CheckedCalls;
 use bcap_live::variables::{get_one, read};
 use bcap_std::ObjectPath;
 
@@ -42,7 +43,7 @@ pub fn plan<C: Calls>(
     session: &mut C,
     backup: &Contents,
     options: Options,
-    watch: impl FnMut(&mut C, Progress<'_>) -> Result<(), C::Error>,
+    watch: impl FnMut(Progress<'_>) -> Result<(), C::Error>,
 ) -> Result<Plan, C::Error>
 where
     C::Error: From<Error>,
@@ -93,11 +94,12 @@ pub fn write<C: Calls>(
     plan: &Plan,
     journal: &mut Journal,
     replaced: &Replaced,
-    mut watch: impl FnMut(&mut C, Progress<'_>) -> Result<(), C::Error>,
+    mut watch: impl FnMut(Progress<'_>) -> Result<(), C::Error>,
 ) -> Result<(), C::Error>
 where
     C::Error: From<Error>,
 {
+    let session = &mut CheckedCalls::new(session);
     let count = plan.variables.len().saturating_add(plan.files.len());
     let mut kind = None;
     for (done, change) in plan.variables.iter().enumerate() {
@@ -106,12 +108,12 @@ where
             // a task may have been started since
             check_still_clear(session)?;
         }
-        watch(session, Progress { part: own, done, count })?;
+        watch(Progress { part: own, done, count })?;
         write_variable(session, change, journal)?;
     }
     for (done, file) in (plan.variables.len()..).zip(&plan.files) {
         check_still_clear(session)?;
-        watch(session, Progress { part: "file", done, count })?;
+        watch(Progress { part: "file", done, count })?;
         write_file(session, file, journal, replaced)?;
     }
     Ok(())

@@ -1,7 +1,7 @@
 //! The files of a controller. A path has `/` between its parts here, and `\` on the wire.
 //!
 //! These functions do not ask whether a stream of Slave Mode runs. A caller asks with a
-//! [`StreamCheck`](crate::stream::StreamCheck) before.
+//! [`StreamCheck`](crate::stream::StreamCheck) before, or hands over [`CheckedCalls`](crate::stream::CheckedCalls).
 
 use bcap_capture::value::describe;
 use bcap_core::bcap::{FunctionId, Object};
@@ -164,7 +164,8 @@ pub fn items<C: Calls>(calls: &mut C, folder: &str) -> Result<Vec<Item>, C::Erro
 
 /// Lists all files of a folder and of the folders below it, without the folders whose names are safe.
 ///
-/// `skip` gets the path of a folder that cannot be listed, with the reason; an error ends the walk.
+/// `watch` gets, before each folder, how many were listed and how many are known. `skip` gets the path of a folder that cannot
+/// be listed, with the reason. An error of one of them ends the walk.
 ///
 /// # Errors
 ///
@@ -172,13 +173,16 @@ pub fn items<C: Calls>(calls: &mut C, folder: &str) -> Result<Vec<Item>, C::Erro
 pub fn walk<C: Calls>(
     calls: &mut C,
     folder: &str,
+    mut watch: impl FnMut(usize, usize) -> Result<(), C::Error>,
     mut skip: impl FnMut(String, C::Error) -> Result<(), C::Error>,
 ) -> Result<Vec<Item>, C::Error> {
     let mut files = Vec::new();
     let mut folders = vec![folder.to_owned()];
-    let mut read = 0;
+    let mut read = 0_usize;
     while let Some(folder) = folders.pop() {
+        let before = read;
         read += 1;
+        watch(before, read.saturating_add(folders.len()))?;
         if read > FOLDERS {
             // the folders that are left are not known by name
             skip(String::new(), too_many(&folder))?;

@@ -121,7 +121,7 @@ impl Request {
             values.push(match argument {
                 Argument::Value(value) => value.clone(),
                 Argument::Object(path) => {
-                    require_open(calls, &mut check, path.clone())?;
+                    check.require_open(calls, path.clone())?;
                     OwnedVariant::new(&calls.object(path)?)?
                 }
             });
@@ -133,17 +133,6 @@ impl Request {
             made => made,
         }
     }
-}
-
-/// Fails if the functions that open an object would end a stream.
-fn require_open<C: Calls>(calls: &mut C, check: &mut StreamCheck, mut path: ObjectPath) -> Result<(), C::Error> {
-    while let Some((owner, _)) = path.split_last() {
-        if let Some(function) = path.object().opened_from(owner.object()) {
-            check.require(calls, function, None)?;
-        }
-        path = owner;
-    }
-    Ok(())
 }
 
 #[cfg(test)]

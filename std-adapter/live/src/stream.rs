@@ -4,10 +4,10 @@
 //! that only reads asks for the mode first, and skips what Slave Mode refuses. A stream may begin between the question
 //! and the call; only its end could prevent that.
 
-use bcap_core::bcap::{FunctionId, StreamState};
+use bcap_core::bcap::{FunctionId, Object, StreamState};
 use bcap_core::hresult::HResult;
 use bcap_core::variant::OwnedVariant;
-use bcap_std::ObjectPath;
+use bcap_std::{ObjectPath, TaskStatus};
 
 use crate::calls::{Calls, Failure};
 
@@ -76,6 +76,70 @@ impl StreamCheck {
         command: Option<&str>,
     ) -> Result<(), C::Error> {
         self.skip(calls, function, command)?.map_or(Ok(()), |message| Err(C::Error::skipped(message)))
+    }
+
+    /// Fails if a function that opens an object must not be called.
+    ///
+    /// # Errors
+    ///
+    /// As [`require`](Self::require).
+    pub fn require_open<C: Calls>(&mut self, calls: &mut C, mut path: ObjectPath) -> Result<(), C::Error> {
+        while let Some((owner, _)) = path.split_last() {
+            if let Some(function) = path.object().opened_from(owner.object()) {
+                self.require(calls, function, None)?;
+            }
+            path = owner;
+        }
+        Ok(())
+    }
+}
+
+/// A session whose calls fail with [`Failure::skipped`] where they would end a stream of Slave Mode. It asks before each call
+/// that Slave Mode does not allow.
+#[derive(Debug)]
+pub struct CheckedCalls<'a, C> {
+    calls: &'a mut C,
+    check: StreamCheck,
+}
+
+impl<'a, C> CheckedCalls<'a, C> {
+    /// Checks the calls of a session.
+    pub fn new(calls: &'a mut C) -> Self {
+        Self { calls, check: StreamCheck::default() }
+    }
+}
+
+impl<C: Calls> Calls for CheckedCalls<'_, C> {
+    type Error = C::Error;
+
+    fn object(&mut self, path: &ObjectPath) -> Result<i32, C::Error> {
+        self.check.require_open(self.calls, path.clone())?;
+        self.calls.object(path)
+    }
+
+    fn call(
+        &mut self,
+        subject: &str,
+        function: FunctionId,
+        arguments: &[OwnedVariant],
+    ) -> Result<(HResult, Option<OwnedVariant>), C::Error> {
+        let command = arguments.get(1).and_then(|command| command.as_variant().as_bstr());
+        let command = command.filter(|_| function.executes()).map(|command| command.to_string());
+        self.check.require(self.calls, function, command.as_deref())?;
+        self.calls.call(subject, function, arguments)
+    }
+
+    fn release(&mut self, object: Object, handle: i32) -> Result<(), C::Error> {
+        self.calls.release(object, handle)
+    }
+
+    fn task_status(&mut self, name: &str) -> Result<TaskStatus, C::Error> {
+        self.check.require(self.calls, FunctionId::CONTROLLER_GET_TASK, None)?;
+        self.calls.task_status(name)
+    }
+
+    fn restart_limit(&mut self) {
+        self.calls.restart_limit();
     }
 }
 

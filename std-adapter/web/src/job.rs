@@ -1,13 +1,10 @@
 //! A job of the screen of backups: its progress, its end, and its outcome.
 
 use std::sync::Mutex;
-use std::time::{Duration, Instant};
 
 use bcap_backup::controller::Progress;
 use bcap_backup::plan::Plan;
-use bcap_core::bcap::StreamState;
-use bcap_live::link::{Error, Link};
-use bcap_live::stream::StreamCheck;
+use bcap_live::link::Error;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
@@ -17,9 +14,6 @@ use crate::threads::lock;
 
 /// The most lines of a plan or a difference that a page shows; the others are counted.
 const LINES: usize = 500;
-
-/// How often a job asks whether a stream of Slave Mode runs.
-const ASK: Duration = Duration::from_secs(1);
 
 /// A kind of work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
@@ -82,22 +76,12 @@ impl Job {
         self.client == client && self.work.kind == Kind::Restore
     }
 
-    /// Records the progress. Fails at the end, and while a stream runs.
-    pub(crate) fn watch(&self, link: &mut Link, at: Progress<'_>, asked: &mut Instant) -> Result<(), Error> {
+    /// Records the progress. Fails at the end.
+    pub(crate) fn watch(&self, at: Progress<'_>) -> Result<(), Error> {
         let mut state = lock(&self.state);
         (state.done, state.count) = (at.done, at.count);
         at.part.clone_into(&mut state.part);
-        if let Some(why) = &state.end {
-            return Err(Error::Invalid(format!("ended: {why}")));
-        }
-        drop(state);
-        if asked.elapsed() > ASK {
-            *asked = Instant::now();
-            if StreamCheck::default().ask(link)? == StreamState::Runs {
-                return Err(Error::Skipped("ended: another client streams in Slave Mode".into()));
-            }
-        }
-        Ok(())
+        state.end.as_ref().map_or(Ok(()), |why| Err(Error::Invalid(format!("ended: {why}"))))
     }
 
     /// Returns the job for a page.

@@ -155,7 +155,9 @@ fn listed(session: &mut Session, path: &str, recursive: bool) -> Result<Vec<Item
     let mut items = Vec::new();
     for item in found {
         match (item.is_folder && !item.is_unsafe, recursive) {
-            (true, true) => items.extend(remote_files::walk(session, &item.path, |_, failure| Err(failure))?),
+            (true, true) => {
+                items.extend(remote_files::walk(session, &item.path, |_, _| Ok(()), |_, failure| Err(failure))?)
+            }
             (true, false) if !with_wildcards => items.extend(remote_files::list(session, &item.path)?),
             _ => items.push(item),
         }
@@ -230,7 +232,7 @@ impl Copying<'_> {
                 continue;
             }
             self.needs_recursive(&format!("robot:/{}", item.path))?;
-            for file in remote_files::walk(self.session, &item.path, |_, failure| Err(failure))? {
+            for file in remote_files::walk(self.session, &item.path, |_, _| Ok(()), |_, failure| Err(failure))? {
                 if file.is_unsafe {
                     skipped.push(file);
                     continue;

@@ -97,7 +97,7 @@ fn read(word: &str, session: &mut Session) -> Result<Contents, Failure> {
 }
 
 fn contents(session: &mut Session) -> Result<Contents, Failure> {
-    controller::contents(session, |_, _| Ok(()))
+    controller::contents(session, |_| Ok(()))
 }
 
 fn variable_json(Difference { name, a, b }: &Difference<String, &Entry>) -> String {

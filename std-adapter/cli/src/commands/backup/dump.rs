@@ -42,7 +42,7 @@ pub(crate) fn dump(args: &Dump, session: &mut Session, json: bool) -> Result<(),
         print_line(&format!("{shown}: the interrupted dump goes on"))?;
     }
     let mut progress = Progress::default();
-    let contents = dump::dump(session, &folder, |_, at| {
+    let contents = dump::dump(session, &folder, |at| {
         interrupt.check(&format!("interrupted; run `bcap dump {shown}` again to go on"))?;
         let (part, done, count) = (at.part, at.done as u64, at.count as u64);
         progress.show(|elapsed| format!("{part:4} {} {done}/{count} {elapsed}", bar(done, count)));

@@ -100,9 +100,7 @@ pub(crate) fn restore(args: &Restore, session: &mut Session, json: bool) -> Resu
     // the question may have taken long
     session.restart_budget();
     let written = session.begin().and_then(|()| {
-        restore::write(session, &plan, &mut journal, &replaced, |_, _| {
-            interrupt.check("interrupted between two writes")
-        })
+        restore::write(session, &plan, &mut journal, &replaced, |_| interrupt.check("interrupted between two writes"))
     });
     conclude(&args.dir, &mut journal, written, json)
 }
@@ -111,7 +109,7 @@ pub(crate) fn restore(args: &Restore, session: &mut Session, json: bool) -> Resu
 fn planned(args: &Restore, backup: &Contents, session: &mut Session) -> Result<Plan, Failure> {
     session.begin()?;
     let options = Options { io: args.io, other_controller: args.other_controller };
-    restore::plan(session, backup, options, |_, _| Ok(()))
+    restore::plan(session, backup, options, |_| Ok(()))
 }
 
 /// Prints the writes of the last restore.
