@@ -300,7 +300,9 @@ fn require_ready(controller: &mut Controller) -> Result<(), crate::link::Error> 
 }
 
 fn jog(arm: &mut Arm<'_>, grip: &Grip) -> Result<(), crate::link::Error> {
-    if !arm.robot().read::<bool>("@SERVO_ON")? {
+    let is_on = arm.robot().read::<bool>("@SERVO_ON")?;
+    // it may have ended during TakeArm
+    if grip.ends().is_none() && !is_on {
         arm.motor_on()?;
     }
     grip.set_phase(Phase::Ready);

@@ -114,7 +114,7 @@ impl Default for Model {
             variables: Vec::new(),
             robot: Robot::default(),
             tasks: Vec::new(),
-            errors: Ok(Vec::new()),
+            errors: Err("not read yet".into()),
             messages: VecDeque::new(),
             log: CallLog::default(),
             now: Duration::ZERO,
@@ -127,7 +127,9 @@ impl Model {
     pub fn apply(&mut self, update: Update) {
         match update {
             Update::Connected(names) => self.connected(names),
-            Update::Lost(why) => self.lost = Some(why),
+            Update::Lost(why) => {
+                (self.lost, self.errors) = (Some(why), Err("the connection is lost".into()));
+            }
             Update::Value(n, value) => self.value(n, value),
             Update::State(words, has_error) => (self.words, self.has_error) = (words, has_error),
             Update::Robot(robot) => self.robot = robot,
@@ -213,6 +215,15 @@ mod tests {
         model.now = Duration::from_secs(9);
         model.apply(Update::Value(0, value(5)));
         assert_eq!(model.variables[0].changed, Some(Duration::from_secs(1)));
+    }
+
+    #[test]
+    fn errors_are_known_while_they_are_read() {
+        let mut model = Model::default();
+        assert_eq!(model.errors, Err("not read yet".into()));
+        model.apply(Update::Errors(Ok(Vec::new())));
+        model.apply(Update::Lost("the cable is broken".into()));
+        assert_eq!(model.errors, Err("the connection is lost".into()));
     }
 
     #[test]

@@ -169,11 +169,12 @@ impl<C: Calls, R: Rounds<C>> Round<'_, C, R> {
         if has_error || self.reader.had_error {
             self.poll()?;
             let errors = match errors::present(self.calls, &mut self.reader.stream) {
-                Err(failure) if failure.is_skipped() => Err(failure.to_string()),
-                present => Ok(unless_refused(present)?.unwrap_or_default()),
+                Err(failure) if needs_reconnect(&failure) => return Err(failure),
+                errors => errors,
             };
-            self.reader.had_error = has_error || errors.is_err();
-            self.rounds.tell(Update::Errors(errors));
+            // a refusal is not repeated without an error: it may be an entry in the controller's log
+            self.reader.had_error = has_error || errors.as_ref().is_err_and(Failure::is_skipped);
+            self.rounds.tell(Update::Errors(errors.map_err(|failure| failure.to_string())));
         }
         Ok(())
     }

@@ -5,7 +5,8 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use bcap_core::hresult::HResult;
-use bcap_core::procedure::{RecoveryConfig, RecoveryStep};
+use bcap_core::procedure::{NotRecovered, RecoveryConfig, RecoveryStep, StepCause};
+use bcap_std::blocking::{Arm, Controller};
 
 use crate::link::{Access, Error, Link};
 
@@ -88,12 +89,22 @@ impl Recovery {
         self.changed.notify_all();
     }
 
+    /// Returns whether the step under way can move the robot by itself: MotionPreparation of a COBOTTA. [`end`](Self::end) does not
+    /// stop it, so after an end the caller halts the robot over another session while this is `true`.
+    #[must_use]
+    pub fn moves(&self) -> bool {
+        let state = self.lock();
+        state.outcome.is_none() && state.is_busy() && state.agreed == Some(RecoveryStep::MotionPreparation)
+    }
+
     /// Waits until the person agrees to the next step. Breaks at the end.
     fn wait(&self) -> ControlFlow<()> {
         let mut state = self.lock();
         let until = Instant::now() + IDLE;
         loop {
             if state.end.is_some() {
+                // a step that was agreed to is not made any more
+                state.agreed = None;
                 return ControlFlow::Break(());
             }
             if state.is_busy() || state.next().is_none() {
@@ -116,32 +127,56 @@ impl Recovery {
 /// Recovers a robot over a new session, a step for each [agreement](Recovery::agree). In the end the motor that was switched on
 /// is off again, and the arm is free.
 pub fn run(access: &Access, recovery: &Recovery) {
-    let outcome = perform(access, recovery).map_err(|error| error.to_string());
+    let outcome = perform(access, recovery).unwrap_or_else(|error| Err(error.to_string()));
     let mut state = recovery.lock();
     state.outcome = Some(match (outcome, state.end.take()) {
-        (_, Some(why)) => Err(format!("ended: {why}; errors that were cleared stay cleared")),
         (outcome, None) => outcome,
+        (Ok(_), Some(why)) => Err(format!("ended: {why}; errors that were cleared stay cleared")),
+        (Err(error), Some(why)) => Err(format!("ended: {why}; errors that were cleared stay cleared; {error}")),
     });
 }
 
-fn perform(access: &Access, recovery: &Recovery) -> Result<&'static str, Error> {
+/// Plans the steps, and makes them. Fails if nothing was changed; the inner error is what went wrong later.
+fn perform(access: &Access, recovery: &Recovery) -> Result<Result<&'static str, String>, Error> {
     let mut controller = Link::for_motion(access)?;
     let state = controller.robot()?.examine()?;
     if let Some(obstacle) = state.obstacles().next() {
         return Err(Error::Invalid(obstacle.to_string()));
     }
     if state.is_ready() {
-        return Ok("nothing to recover");
+        return Ok(Ok("nothing to recover"));
     }
     recovery.lock().plan = state.steps(false).collect();
     if recovery.wait().is_break() {
-        return Ok("nothing was changed");
+        return Ok(Ok("nothing was changed"));
     }
+    Ok(make(&mut controller, recovery))
+}
+
+/// Makes the steps, and gives the arm back.
+fn make(controller: &mut Controller, recovery: &Recovery) -> Result<&'static str, String> {
     // the person has agreed that no other program uses the robot
     let config = RecoveryConfig { is_alone: true, speed: None };
-    let arm = controller.make_ready(Some(config), |step, result| recovery.made(step, result))?;
-    arm.give()?;
-    Ok("recovered: no errors; the motor is as before, and the arm is free")
+    let made = match controller.make_ready(Some(config), |step, result| recovery.made(step, result)).map(Arm::keep) {
+        // between two steps, for the reason that the caller has
+        Err(bcap_std::Error::NotRecovered(ended)) if is_stopped(&ended) => Ok(()),
+        Err(error @ bcap_std::Error::NoReply { .. }) => {
+            Err(format!("IT IS UNKNOWN whether the step was made: {error}"))
+        }
+        made => made.map_err(|error| error.to_string()),
+    };
+    // after a lost connection the session still has it
+    let given = if controller.has_arm() { controller.arm().and_then(Arm::give) } else { Ok(()) };
+    let given = given.map_err(|error| format!("IT IS UNKNOWN whether the motor is off and the arm is free: {error}"));
+    match (made, given) {
+        (Ok(()), Ok(())) => Ok("recovered: no errors; the motor is as before, and the arm is free"),
+        (Err(error), Ok(())) | (Ok(()), Err(error)) => Err(error),
+        (Err(made), Err(given)) => Err(format!("{made}; {given}")),
+    }
+}
+
+fn is_stopped(ended: &NotRecovered) -> bool {
+    ended.obstacle.is_none() && ended.error.cause == StepCause::Stopped
 }
 
 #[cfg(test)]
@@ -161,5 +196,24 @@ mod tests {
         assert_eq!(recovery.made(RecoveryStep::ClearError, Ok(())), ControlFlow::Break(()));
         assert_eq!(recovery.state().next(), Some(RecoveryStep::Motor));
         assert!(recovery.agree("Motor").unwrap_err().contains("has ended"));
+    }
+
+    #[test]
+    fn the_robot_moves_only_during_its_preparation() {
+        let recovery = Recovery::default();
+        recovery.lock().plan = vec![RecoveryStep::MotionPreparation, RecoveryStep::Motor];
+        assert!(!recovery.moves(), "it waits for the person");
+        recovery.agree("MotionPreparation").unwrap();
+        assert_eq!(recovery.wait(), ControlFlow::Continue(()));
+        recovery.end("the page is closed");
+        assert!(recovery.moves(), "the end does not stop the step");
+        assert_eq!(recovery.made(RecoveryStep::MotionPreparation, Ok(())), ControlFlow::Break(()));
+        assert!(!recovery.moves());
+        let ended = Recovery::default();
+        ended.lock().plan = vec![RecoveryStep::MotionPreparation];
+        ended.agree("MotionPreparation").unwrap();
+        ended.end("the page is closed");
+        assert_eq!(ended.wait(), ControlFlow::Break(()));
+        assert!(!ended.moves(), "the step was not begun");
     }
 }

@@ -50,7 +50,7 @@ export const alarms = {
     for (const button of place.querySelectorAll("#clear, .recover")) {
       const isClear = button.id === "clear";
       button.hidden = isClear ? !current.mayWrite : !current.mayMove;
-      button.disabled = !current.hasControl || (isClear && drawn.errors.length === 0);
+      button.disabled = !current.hasControl || (isClear && drawn.errors.length === 0 && !drawn.skipped);
       button.title = title;
     }
   },
@@ -59,8 +59,9 @@ export const alarms = {
 function errors(content) {
   const count = content.errors.length;
   const titles = ["No errors", "1 error", `${count} errors, the first cause first`];
-  const section = make("section", {}, make("h2", {}, titles[Math.min(count, 2)]));
-  if (content.skipped) section.append(make("p", { className: "quiet" }, `not read: ${content.skipped}`));
+  const title = content.skipped ? "The errors are not known" : titles[Math.min(count, 2)];
+  const section = make("section", {}, make("h2", {}, title));
+  if (content.skipped) section.append(make("p", { className: "quiet" }, content.skipped));
   section.append(make("ol", { className: "errors" }, ...content.errors.map(error)));
   return section;
 }
@@ -89,6 +90,11 @@ function recovery(content) {
     section.append(
       make("p", {}, `${content.obstacles.length > 0 ? "Then the" : "The"} steps of this model and this state, in this order:`),
       make("ol", {}, ...content.steps.map((step) => make("li", {}, STEPS[step] ?? step))),
+    );
+  }
+  if (!content.known) section.append(make("p", {}, "The state of the robot is not known, so the steps are not known."));
+  if (content.steps.length > 0 || !content.known) {
+    section.append(
       make("p", { className: "quiet" }, "Clearing starts nothing. A recovery makes one step for each press of a button; in the end the motor is as before, and the arm is free."),
       make("div", { className: "row" },
         make("button", { type: "button", id: "clear", onclick: clear }, "Clear the errors"),
@@ -136,7 +142,7 @@ function history() {
 }
 
 /** The sections in their order, and what they show; the last one is drawn on request. */
-const SECTIONS = { present: [errors, ["errors", "skipped"]], plan: [recovery, ["recovery", "obstacles", "steps"]], notices: [messages, ["messages"]], past: [null, []] };
+const SECTIONS = { present: [errors, ["errors", "skipped"]], plan: [recovery, ["recovery", "known", "obstacles", "steps"]], notices: [messages, ["messages"]], past: [null, []] };
 
 function drawLog() {
   place.lastChild.replaceChildren(history());

@@ -1,5 +1,6 @@
 //! Tests of the page against a virtual controller of this process.
 
+mod alarms;
 mod backup;
 mod browser;
 mod chromium;

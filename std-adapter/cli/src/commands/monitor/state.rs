@@ -330,13 +330,13 @@ impl State {
     fn errors_panel(&self) -> Panel {
         let errors = match &self.model.errors {
             Ok(errors) => errors,
-            Err(skipped) => return Panel::new("errors", vec![Line::new(skipped)]),
+            Err(why) => return Panel::new("errors", vec![Line::new(why)]),
         };
         let title = match errors.len() {
             0 | 1 => "errors".into(),
             count => format!("{count} errors, first cause first"),
         };
-        let none = errors.is_empty() && !self.model.has_error && !self.model.words.is_empty();
+        let none = errors.is_empty() && !self.model.has_error;
         let lines = errors.iter().map(|(code, text)| Line::new(short(*code, text)));
         Panel::new(title, lines.chain(none.then(|| Line::new("no errors"))).collect())
     }
@@ -489,8 +489,11 @@ mod tests {
     #[test]
     fn a_lost_connection_is_shown_and_values_stay() {
         let mut state = state();
+        state.apply(Update::Live(Live::Errors(Ok(Vec::new()))));
+        assert_eq!(state.screen().errors.lines, [Line::new("no errors")]);
         state.apply(Update::Live(Live::Lost("the cable is broken".into())));
         let screen = state.screen();
+        assert_eq!(screen.errors.lines, [Line::new("the connection is lost")]);
         assert_eq!((screen.state.as_str(), screen.alarm), ("NOT CONNECTED: the cable is broken", true));
         state.apply(Update::Live(Live::Connected(vec!["I1".into(), "IO128".into()])));
         state.apply(Update::Live(Live::State(vec!["RC8".into(), "auto".into()], false)));
