@@ -64,15 +64,17 @@ impl Tap {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Starts a recording to a new file, of about `limit` bytes at most. It waits for the disk.
+    /// Starts a recording to a new file, of about `limit` bytes at most. It waits for the disk. Of several calls at the same time
+    /// one starts a recording.
     ///
     /// # Errors
     ///
     /// A text: a recording runs, or the file exists or cannot be written.
     pub fn start(&self, file: &Path, limit: u64) -> Result<(), String> {
         let cannot = |error: &dyn std::fmt::Display| format!("cannot record to {}: {error}", file.display());
+        let runs = || Err("a recording runs; end it first".into());
         if self.lock().running.is_some() {
-            return Err("a recording runs; end it first".into());
+            return runs();
         }
         drop(File::create_new(file).map_err(|error| cannot(&error))?);
         let size = Arc::new(AtomicU64::new(0));
@@ -84,6 +86,13 @@ impl Tap {
         };
         let recording = Recording::start(Some(file), count).map_err(|error| error.to_string())?;
         let mut state = self.lock();
+        if state.running.is_some() {
+            // not under the lock, which the calls wait for
+            drop(state);
+            let _ = recording.finish();
+            let _ = std::fs::remove_file(file);
+            return runs();
+        }
         state.count += 1;
         state.running = Some(Running { recording, file: file.to_owned(), since: Instant::now(), size, limit });
         Ok(())
@@ -211,6 +220,26 @@ mod tests {
         let taken = tap.start(&file, 1).unwrap_err();
         assert!(taken.starts_with(&format!("cannot record to {}: ", file.display())), "{taken}");
         assert_eq!((tap.count(), tap.stop()), (1, None));
+    }
+
+    #[test]
+    fn one_of_two_starts_at_the_same_time_succeeds() {
+        let folder = tempfile::tempdir().unwrap();
+        for round in 0..50 {
+            let (tap, both) = (Tap::default(), std::sync::Barrier::new(2));
+            let start = |name: &str| {
+                let file = folder.path().join(format!("{round}-{name}"));
+                both.wait();
+                (tap.start(&file, 1).is_ok(), file.exists())
+            };
+            let (a, b) = std::thread::scope(|scope| {
+                let other = scope.spawn(|| start("b"));
+                (start("a"), other.join().unwrap())
+            });
+            // the other file is removed
+            assert_eq!((a.0 ^ b.0, a, b), (true, (a.0, a.0), (b.0, b.0)));
+            assert!(tap.count() == 1 && tap.stop().is_some_and(|(_, outcome)| outcome.is_ok()));
+        }
     }
 
     /// Starts a recording to a FIFO, whose reader goes away at the end of `reads`.

@@ -4,7 +4,6 @@
 
 use std::path::Path;
 use std::sync::{Arc, Mutex};
-use std::time::Instant;
 
 use bcap_backup::compare;
 use bcap_backup::controller::{self, Progress};
@@ -17,14 +16,13 @@ use bcap_backup::restore::{self, Options};
 use bcap_capture::trace::Packets;
 use bcap_live::link::{Error, Link};
 use serde_json::{Value, json};
-use tokio::task::spawn_blocking;
 
 use crate::job::{Job, Kind, Work};
 use crate::names::{names_in, path_in};
 use crate::robot::Robot;
 use crate::socket::{Answer, Page};
 use crate::text::safe;
-use crate::threads::lock;
+use crate::threads::{lock, on_disk};
 
 /// The most folders that a page shows.
 const FOLDERS: usize = 200;
@@ -47,8 +45,7 @@ impl Page {
             let is_backup = |name: &&String| folder.join(name).join("backup.json").exists();
             Ok(names_in(&folder)?.iter().filter(is_backup).take(FOLDERS).map(row).collect())
         };
-        // a disk that hangs must not delay a halt
-        spawn_blocking(list).await.unwrap_or_else(|_| Err("the list of backups panicked".into()))
+        on_disk(list).await
     }
 
     /// Begins a dump, a comparison, or the plan of a restore.
@@ -70,14 +67,7 @@ impl Page {
 
     /// Ends the work on backups of a robot between two calls.
     pub(crate) fn end_work(&self, number: usize) -> Answer {
-        let robot = self.robot(number)?;
-        if let Some(job) = &*lock(&robot.backup) {
-            if job.client != self.client && job.work.kind == Kind::Restore {
-                return Err("another page restores; it ends that, or releases the control".into());
-            }
-            job.end("the user ended it");
-        }
-        Ok(Value::Null)
+        self.robot(number)?.end_work(self.client).map(|()| Value::Null)
     }
 
     fn begin(&self, robot: &Arc<Robot>, who: String, work: Work) -> Answer {
@@ -116,8 +106,7 @@ impl Page {
 }
 
 fn perform(job: &Job, robot: &Robot, path: &Path, with: Option<&Path>, plan: Option<Plan>) -> Result<String, Error> {
-    let mut asked = Instant::now();
-    let watch = |link: &mut Link, at: Progress<'_>| job.watch(link, at, &mut asked);
+    let watch = |at: Progress<'_>| job.watch(at);
     let connect = || Link::connect(&robot.access, &Packets::new());
     match (job.work.kind, plan) {
         (Kind::Dump, _) => {

@@ -5,16 +5,15 @@ use std::sync::Arc;
 use std::sync::mpsc::channel;
 use std::time::Duration;
 
-use bcap_live::tap::{Outcome, Status};
+use bcap_live::tap::{Outcome, Status, Tap};
 use serde_json::{Value, json};
-use tokio::task::spawn_blocking;
 
 use crate::app::App;
 use crate::config::Recordings;
 use crate::names::names_in;
 use crate::socket::{Answer, Page};
 use crate::text::now;
-use crate::threads::spawn;
+use crate::threads::{on_disk, spawn};
 
 /// The most recordings that a page shows.
 const FILES: usize = 200;
@@ -40,26 +39,30 @@ impl Page {
         .await
     }
 
-    /// Does work that waits for the disk, which must not delay a halt.
+    /// Does work that waits for the disk.
     async fn with_disk(&self, work: impl FnOnce(&App, &Recordings) -> Answer + Send + 'static) -> Answer {
         let app = Arc::clone(&self.app);
-        let run = move || work(&app, app.config.recordings.as_ref().ok_or(NONE)?);
-        spawn_blocking(run).await.unwrap_or_else(|_| Err("the recording panicked".into()))
+        on_disk(move || work(&app, app.config.recordings.as_ref().ok_or(NONE)?)).await
     }
 }
 
 const NONE: &str = "this server records nothing; start it with --recordings DIR";
 
-/// Starts a recording of each robot. The time names the files.
 fn start(app: &App, Recordings { folder, limit }: &Recordings) -> Answer {
     if app.robots.iter().any(|robot| matches!(robot.access.tap.status(), Status::Runs { .. })) {
         return Err("a recording runs; end it first".into());
     }
     std::fs::create_dir_all(folder).map_err(|error| format!("cannot record to {}: {error}", folder.display()))?;
+    start_each(app.robots.iter().map(|robot| &robot.access.tap), folder, *limit)
+}
+
+/// Starts a recording of each robot, or of none. The time names the files.
+fn start_each<'a>(taps: impl Iterator<Item = &'a Tap> + Clone, folder: &Path, limit: u64) -> Answer {
     let time = now().map(|time| time.to_string().replace([':', '.'], "-")).unwrap_or_default();
-    for (number, robot) in (1..).zip(&app.robots) {
-        let file = folder.join(format!("{time}-{number}.pcapng"));
-        robot.access.tap.start(&file, *limit).inspect_err(|_| drop(stop_all(app)))?;
+    for (number, tap) in (1..).zip(taps.clone()) {
+        // the other recordings are those of another page that starts them at the same time
+        let undo = || taps.clone().take(number - 1).for_each(|tap| drop(tap.stop()));
+        tap.start(&folder.join(format!("{time}-{number}.pcapng")), limit).inspect_err(|_| undo())?;
     }
     Ok(Value::Null)
 }
@@ -90,4 +93,20 @@ fn row(folder: &Path, name: &str) -> Option<Value> {
     let file = folder.join(name).metadata().ok().filter(|file| file.is_file() && name.ends_with(".pcapng"))?;
     let length = || file.modified().ok()?.duration_since(file.created().ok()?).ok();
     Some(json!([name, file.len(), length().map(|length| length.as_secs_f64())]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_start_that_fails_ends_no_recording_of_another_page() {
+        let (folder, taps) = (tempfile::tempdir().unwrap(), [Tap::default(), Tap::default(), Tap::default()]);
+        let of_another = folder.path().join("a");
+        taps[1].start(&of_another, u64::MAX).unwrap();
+        assert_eq!(start_each(taps.iter(), folder.path(), 1), Err("a recording runs; end it first".into()));
+        assert!(matches!(taps[0].status(), Status::Ended((_, Ok(())))));
+        assert!(matches!(taps[1].status(), Status::Runs { file, .. } if file == of_another));
+        assert_eq!(taps[2].status(), Status::Off);
+    }
 }

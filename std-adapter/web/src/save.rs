@@ -14,14 +14,22 @@ use bcap_capture::mcap::{Log, NUMBER};
 use serde::Deserialize;
 use serde_json::json;
 use tokio::fs;
+use tokio::sync::Semaphore;
+use tokio::task::spawn_blocking;
 use tokio_util::io::ReaderStream;
 
 use crate::app::App;
 use crate::names::path_in;
-use crate::secret::Checked;
+use crate::secret::{Checked, Refused};
 
 /// The largest series of a page: ten numbers for ten minutes need 1 MB.
 const SERIES: usize = 4 << 20;
+
+/// The most samples of a file, which limits it to some 50 MB. 66 numbers have as many in ten minutes.
+const SAMPLES: usize = 200_000;
+
+/// Makes one file at a time; a second request waits.
+static TURN: Semaphore = Semaphore::const_new(1);
 
 /// The size of a piece of a recording.
 const PIECE: usize = 64 << 10;
@@ -62,15 +70,25 @@ async fn recording(State(app): State<Arc<App>>, Path(name): Path<String>) -> Che
     Ok(([(CONTENT_TYPE, "application/octet-stream")], Body::from_stream(pieces)).into_response())
 }
 
+/// Makes a file of series. Another thread does it, because it must not delay a halt.
 async fn series(body: Bytes) -> Checked {
-    let series: Vec<Series> =
-        serde_json::from_slice(&body).map_err(|_| (StatusCode::BAD_REQUEST, "these are not series of numbers"))?;
-    saved(mcap(&series))
+    let turn = TURN.acquire().await;
+    let make = move || {
+        let _turn = turn;
+        let series: Vec<Series> =
+            serde_json::from_slice(&body).map_err(|_| (StatusCode::BAD_REQUEST, "these are not series of numbers"))?;
+        if series.iter().map(|series| series.samples.len()).sum::<usize>() > SAMPLES {
+            return Err((StatusCode::PAYLOAD_TOO_LARGE, "there are more than 200,000 samples; choose fewer series"));
+        }
+        saved(mcap(&series))
+    };
+    spawn_blocking(make).await.unwrap_or(Err(NOT_MADE))
 }
 
+const NOT_MADE: Refused = (StatusCode::INTERNAL_SERVER_ERROR, "the file cannot be made");
+
 fn saved(file: io::Result<Vec<u8>>) -> Checked {
-    let file = file.map_err(|_| (StatusCode::INTERNAL_SERVER_ERROR, "the file cannot be made"))?;
-    Ok(file.into_response())
+    Ok(file.map_err(|_| NOT_MADE)?.into_response())
 }
 
 /// Writes a topic for each series, in the order of time.

@@ -1,5 +1,6 @@
 //! Recordings of sessions, and their replay on the page.
 
+use std::io::{Read as _, Write as _};
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 
@@ -14,7 +15,7 @@ use serde_json::{Value, json};
 
 use crate::browser::opened;
 use crate::screens::{bytes, saved};
-use crate::support::{Page, Running, Sim, Web};
+use crate::support::{Page, Running, Sim, Web, idle};
 
 fn serve(sim: &Sim, folder: &Path, limit: u64) -> Web {
     let recordings = Recordings { folder: folder.to_owned(), limit };
@@ -169,6 +170,24 @@ fn a_recording_has_a_limit_and_its_folder_must_be_writable() {
     let web = Web::start(&[("press", sim.address())], true);
     let none = "this server records nothing; start it with --recordings DIR".to_owned();
     assert_eq!(record(&mut page(&web), true), Err(none));
+}
+
+/// The series of a page have a limit, so that the file that is made of them has one.
+#[test]
+fn series_with_too_many_samples_are_refused() {
+    let sim = Sim::start();
+    let web = Web::start(&[("press", sim.address())], false);
+    for (count, status) in [(200_000, "200"), (200_001, "413")] {
+        let body = format!(r#"[{{"name":"J1","samples":[{}[1,1]]}}]"#, "[1,1],".repeat(count - 1));
+        let (host, token, mut stream) = (web.host(), web.token(), idle(&web));
+        let length = body.len();
+        write!(stream, "POST /mcap HTTP/1.1\r\nhost: {host}\r\norigin: http://{host}\r\nx-bcap-token: {token}\r\n")
+            .unwrap();
+        write!(stream, "content-length: {length}\r\nconnection: close\r\n\r\n{body}").unwrap();
+        let mut response = Vec::new();
+        stream.read_to_end(&mut response).unwrap();
+        assert!(response.starts_with(format!("HTTP/1.1 {status} ").as_bytes()), "{count}");
+    }
 }
 
 /// Only a page of this server gets a recording, and nothing else of the computer.
