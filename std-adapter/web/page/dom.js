@@ -32,6 +32,7 @@ export function ask(title, tile, text, yes) {
   const dialog = byId("question");
   if (dialog.open) return Promise.resolve(false);
   const kind = kindOf(tile);
+  dialog.dataset.robot = tile.robot;
   dialog.className = kind.name;
   byId("question-title").textContent = title;
   byId("question-robot").textContent = `${tile.name} (${tile.address}), ${kind.text}`;
@@ -44,6 +45,12 @@ export function ask(title, tile, text, yes) {
   return new Promise((resolve) => {
     dialog.addEventListener("close", () => resolve(dialog.returnValue === "yes"), { once: true });
   });
+}
+
+/** Returns the robot of the open question; `null` without one. */
+export function askedOf() {
+  const { open, dataset } = byId("question");
+  return open ? Number(dataset.robot) : null;
 }
 
 /** Returns whether a controller is real, as a class name and as text. An unknown one counts as real. */

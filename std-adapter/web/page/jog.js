@@ -6,15 +6,20 @@ import { beat, order } from "./net.js";
 
 const STEPS = [0.1, 0.5, 1, 2, 5];
 
+/** The number of the last press. */
+let presses = 0;
+
 const state = {
   page: null,
   content: null,
   parts: null,
   /** Whether this page has begun a jog that has not ended. */
   isOn: false,
+  /** Whether the window has lost the focus since the user agreed to a jog. */
+  isLeft: false,
   /** The robot of that jog. */
   robot: 0,
-  /** The button that is held: its element, and the pointer or key that holds it. */
+  /** The button that is held: its element, the pointer or key that holds it, and the number of the press. */
   held: null,
   step: 1,
   percent: 10,
@@ -59,7 +64,7 @@ export const jog = {
   },
   /** Answers a pulse. A hidden page does not. */
   pulse(number) {
-    if (state.isOn && document.visibilityState === "visible") beat(number);
+    if (state.isOn && document.visibilityState === "visible") beat(number, state.held?.press ?? 0);
   },
   /** Ends the jog, because the page is left. */
   leave: drop,
@@ -86,6 +91,7 @@ function drawAxes(place, content, tile) {
   const names = content.axes.map(([name]) => name).join();
   if (place.dataset.names !== names) {
     place.dataset.names = names;
+    if (state.held) drop("its button is gone");
     place.replaceChildren(...content.axes.map(([name]) => axisRow(name)));
   }
   const joints = tile.joints ?? [];
@@ -107,6 +113,8 @@ function axisRow(name) {
     const element = make("button", { type: "button", className: "jog", "aria-label": `${name} ${sign < 0 ? "minus" : "plus"}` }, sign < 0 ? "−" : "+");
     element.onpointerdown = (event) => down(event, element, name, sign);
     element.onpointerup = (event) => up(event.pointerId);
+    // a button that is lifted while another one is down has no pointerup
+    element.onpointermove = (event) => !(event.buttons & 1) && up(event.pointerId);
     element.onpointercancel = () => state.held && drop("the pointer was lost");
     element.onlostpointercapture = (event) => state.held?.by === event.pointerId && drop("the pointer was lost");
     element.oncontextmenu = (event) => event.preventDefault();
@@ -138,10 +146,13 @@ function keyDown(event, button, axis, sign) {
 }
 
 function press(button, by, axis, sign) {
-  state.held = { button, by };
+  presses += 1;
+  const held = { button, by, press: presses };
+  state.held = held;
   button.classList.add("held");
-  order("press", { robot: state.page.robot, axis, by: sign * state.step, percent: state.percent }).catch((error) => {
-    release();
+  order("press", { robot: state.page.robot, axis, by: sign * state.step, percent: state.percent, press: presses }).catch((error) => {
+    // a later press may be held
+    if (state.held === held) release();
     notify(`not moved: ${error.message}`, true);
   });
 }
@@ -178,11 +189,12 @@ async function start() {
   const { robot, tile } = state.page;
   const text = "The arm is taken, the motor goes on, and the robot moves while you hold a button. Keep the emergency stop within reach, and everyone out of the reach of the robot.";
   if (!(await ask("Begin to jog", tile, text, `Jog ${tile.name}`))) return;
+  state.isLeft = false;
   try {
     await order("grip", { robot, name: tile.name });
     // the first pulse comes after the answer
     Object.assign(state, { isOn: true, robot });
-    if (document.hidden || state.page.robot !== robot) drop("the page was left");
+    if (document.hidden || state.isLeft || state.page.robot !== robot) drop("the page was left");
   } catch (error) {
     notify(`no jog: ${error.message}`, true);
   }
@@ -214,7 +226,10 @@ async function teach(name) {
 }
 
 document.addEventListener("visibilitychange", () => document.hidden && drop("the tab was hidden"));
-addEventListener("blur", () => drop("the window has lost the focus"));
+addEventListener("blur", () => {
+  state.isLeft = true;
+  drop("the window has lost the focus");
+});
 addEventListener("pagehide", () => drop("the page was left"));
 // a finger or a button that is not the one that is held
 addEventListener("pointerdown", (event) => {

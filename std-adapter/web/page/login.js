@@ -10,10 +10,14 @@ export function login(done, halt) {
   if (dialog?.open) return;
   const password = make("input", { type: "password", id: "password", autocomplete: "current-password", required: true, autofocus: true });
   const why = make("p", { role: "alert", id: "login-why", className: "notice" });
+  let isBusy = false;
   const onsubmit = async (event) => {
     event.preventDefault();
+    if (isBusy) return;
+    isBusy = true;
     why.textContent = (await logIn(password.value)) ?? "";
     password.value = "";
+    isBusy = false;
     if (why.textContent !== "") return;
     dialog.close();
     dialog.remove();

@@ -4,7 +4,7 @@ import { alarms } from "./alarms.js";
 import { arm } from "./arm.js";
 import { backup } from "./backup.js";
 import { cell } from "./cell.js";
-import { byId, kindOf, make, notify, setText, stateText } from "./dom.js";
+import { askedOf, byId, kindOf, make, notify, setText, stateText } from "./dom.js";
 import { jog } from "./jog.js";
 import { login } from "./login.js";
 import { beat, connect, halt, on, order } from "./net.js";
@@ -131,11 +131,14 @@ function isTyping(event) {
   return event.target.closest?.("input, select, textarea") !== null;
 }
 
+/** Halts the robot of an open question, whose name its HALT has, or the robot of the page. */
+const haltShown = () => haltRobot(askedOf() ?? page.robot);
+
 // a dialog has its own HALT, because the header is inert meanwhile
-for (const id of ["halt", "question-halt"]) byId(id).onclick = () => haltRobot(page.robot);
+for (const id of ["halt", "question-halt"]) byId(id).onclick = haltShown;
 byId("robots").onchange = (event) => page.select(Number(event.target.value));
 document.addEventListener("keydown", (event) => {
-  if (event.key.toLowerCase() === "h" && !event.repeat && !event.ctrlKey && !event.altKey && !event.metaKey && !isTyping(event)) haltRobot(page.robot);
+  if (event.key.toLowerCase() === "h" && !event.repeat && !event.ctrlKey && !event.altKey && !event.metaKey && !isTyping(event)) haltShown();
 });
 byId("screens").replaceChildren(
   ...SCREENS.map((known) => {
@@ -160,7 +163,7 @@ on("closed", () => stale("NOT CONNECTED to bcap web: the values are old. HALT ma
 on("stale", () => stale("bcap web does not answer: the values are old. HALT may not work."));
 on("open", () => stale(null));
 on("tick", () => stale(null));
-on("pulse", (message) => (screen === raw ? beat(message.n) : jog.pulse(message.n)));
+on("pulse", (message) => (screen === raw ? beat(message.n, 0) : jog.pulse(message.n)));
 on("replay", ({ v: [count, last] }) => {
   const lacks = count === 0 ? "" : ` The recording lacks ${count} requests, which are refused with E_FAIL; the last one is ${last}.`;
   byId("replay").hidden = false;

@@ -103,9 +103,9 @@ export function order(what, fields) {
   });
 }
 
-/** Sends a heartbeat for a pulse. It has no answer. */
-export function beat(number) {
-  if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify({ beat: number }));
+/** Sends a heartbeat for a pulse, with the number of the press whose button is held. It has no answer. */
+export function beat(number, held) {
+  if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify({ beat: number, held }));
 }
 
 /** Gets a file from the server, and saves it. */

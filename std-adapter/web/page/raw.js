@@ -181,6 +181,7 @@ async function callForm() {
   const values = state.fields.map(({ read }) => read());
   const text = `${chosen.name}(${values.join("; ")})`;
   const times = wanted();
+  const agreed = present();
   if (strength === "moves" && times > 1) {
     notify("a call that can move the robot is not repeated: set the times to 1", true);
     return;
@@ -190,7 +191,7 @@ async function callForm() {
     return;
   }
   keep({ name: chosen.name, values: state.fields.map(({ present }) => present()), text });
-  await repeat(times, () => order("call", { robot: page.robot, name: page.tile.name, function: chosen.name, arguments: values }));
+  await repeat(times, (n) => order("call", { agreed: { ...agreed, repeats: n > 0 }, function: chosen.name, arguments: values }));
 }
 
 async function sendPackets() {
@@ -201,28 +202,34 @@ async function sendPackets() {
     return;
   }
   const times = wanted();
+  const agreed = present();
   const text = packets.length === 1 ? "a packet" : `${packets.length} packets`;
   if (page.hasControl && !(await agree(page.mayMove ? "moves" : "writes", text, times))) {
     notify("nothing was done");
     return;
   }
-  await repeat(times * packets.length, (n) => order("bytes", { robot: page.robot, name: page.tile.name, packet: packets[n % packets.length] }));
+  await repeat(times * packets.length, (n) => order("bytes", { agreed: { ...agreed, repeats: n >= packets.length }, packet: packets[n % packets.length] }));
+}
+
+/** Returns the robot of a question: after a HALT, or on another screen, the server refuses the calls of that question. */
+function present() {
+  const { robot, name, revoked } = state.page.tile;
+  return { robot, name, revoked };
 }
 
 const wanted = () => Math.max(1, Math.min(100000, Math.trunc(Number(state.parts.times.value)) || 1));
 
 /** Makes calls one after the other until one is refused, Stop is pressed, or the screen is left. */
 async function repeat(times, make) {
-  const { parts, page } = state;
-  const { robot } = page;
+  const { parts } = state;
   const loop = {};
   state.loop = loop;
   parts.stop.disabled = false;
   drawEffect();
   try {
-    for (let n = 0; n < times && state.loop === loop && parts.reply.isConnected && page.robot === robot; n += 1) {
+    for (let n = 0; n < times; n += 1) {
       if (n > 0) await new Promise((resolve) => { setTimeout(resolve, Math.max(SHORTEST, Number(parts.interval.value) || 0)); });
-      if (state.loop !== loop) break;
+      if (state.loop !== loop || !parts.reply.isConnected) break;
       const reply = await make(n);
       drawReply(reply, times > 1 ? `${n + 1} of ${times}: ` : "");
       if (!reply.ok) break;

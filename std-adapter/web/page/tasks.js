@@ -36,8 +36,11 @@ export const tasks = {
   draw(rows, page) {
     Object.assign(state, { page, rows });
     const { body, chosen } = state.parts;
-    if (chosen.options.length !== rows.length) {
-      chosen.replaceChildren(...rows.filter(([, , isPlain]) => isPlain).map(([name]) => make("option", { value: name }, name)));
+    const names = rows.filter(([, , isPlain]) => isPlain).map(([name]) => name);
+    if (names.join() !== [...chosen.options].map(({ value }) => value).join()) {
+      const { value } = chosen;
+      chosen.replaceChildren(...names.map((name) => make("option", { value: name }, name)));
+      if (names.includes(value)) chosen.value = value;
     }
     body.replaceChildren(...rows.map(([name, status]) => make("tr", { className: status === "running" ? "changed" : "" }, make("th", { scope: "row" }, name), make("td", {}, status), make("td", { className: "value" }, lineOf(name)))));
     readLines();

@@ -5,13 +5,18 @@ use std::sync::Arc;
 use bcap_core::bcap::Effect;
 use bcap_live::request::Request;
 
+use crate::order::{Agreed, Screen};
 use crate::raw::Desk;
 use crate::socket::{Answer, Page};
 use crate::threads::lock;
 
 impl Page {
-    /// Makes a call of the user, if its effect is allowed. `name` is the robot's name in the question.
-    pub(crate) async fn call(&self, number: usize, name: &str, request: Request) -> Answer {
+    /// Makes a call of the user, if its effect is allowed.
+    pub(crate) async fn call(&self, agreed: Agreed, request: Request) -> Answer {
+        let Agreed { robot: number, name, revoked, repeats } = agreed;
+        if !self.shows(Screen::Raw, number) {
+            return Err("the screen was left; nothing was done".into());
+        }
         let user = match request.effect() {
             Effect::Session | Effect::Reads => None,
             Effect::Writes => Some(self.writer(number)?),
@@ -19,7 +24,15 @@ impl Page {
         };
         let robot = self.robot(number)?;
         if user.is_some() {
-            robot.check_name(name)?;
+            robot.check_name(&name)?;
+            if robot.revoked() != revoked {
+                return Err(
+                    "HALT was pressed, or the control was released, after the question; nothing was done".into()
+                );
+            }
+        }
+        if repeats && request.effect() == Effect::Moves {
+            return Err("a call that can move the robot is not repeated; nothing was done".into());
         }
         let desk = {
             let mut held = lock(&self.held);
@@ -28,10 +41,11 @@ impl Page {
             }
             Arc::clone(held.desk.get_or_insert_with(|| Arc::new(Desk::new(number, Arc::clone(&robot)))))
         };
-        let (app, permit, work) = (Arc::clone(&self.app), robot.permit(), Arc::clone(&self.app.work));
+        let (app, mut permit, work) = (Arc::clone(&self.app), robot.permit(), Arc::clone(&self.app.work));
         // on a thread that goes on when the page is closed, so that its line of the audit is written
         let made = tokio::task::spawn_blocking(move || {
-            let made = desk.make(&request, permit);
+            let made = desk.make(&request, &mut permit);
+            drop(permit);
             if let Some((who, _)) = user {
                 let outcome = match &made {
                     Ok((code, _)) if code.is_err() => Err(code.to_string()),

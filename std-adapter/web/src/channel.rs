@@ -42,6 +42,8 @@ const WAITING: usize = 32;
 #[serde(deny_unknown_fields)]
 struct Beat {
     beat: u64,
+    /// The number of the press whose button is held; 0 without one.
+    held: u64,
 }
 
 /// The WebSocket of a page, and the heartbeats of its jog.
@@ -138,6 +140,16 @@ impl Channel {
         match Order::parse(text) {
             Some((_, Order::Lift { .. })) => drop(self.grip().map(|grip| grip.lift())),
             Some((_, Order::Drop { why, .. })) => drop(self.grip().map(|grip| grip.end(&safe(&why)))),
+            Some((_, Order::Stop { .. })) => {
+                let recovery = lock(&self.held).recovery.clone();
+                if let Some((robot, recovery)) = recovery {
+                    held::end_recovery(&self.app, robot, recovery, "the user ended it");
+                }
+            }
+            Some((_, Order::Unwork { robot })) => {
+                // a refusal is the answer to the order
+                return drop(self.app.robots.get(robot).map(|robot| robot.end_work(self.client)));
+            }
             Some((_, Order::Release { robot })) => {
                 let robot = self.app.robots.get(robot).filter(|robot| robot.control.user(self.client).is_ok());
                 if let Some(robot) = robot {
@@ -171,7 +183,7 @@ impl Channel {
                 }
                 message = self.socket.recv() => match message?.ok().inspect(|_| self.heard = Instant::now())? {
                     Message::Text(text) => match serde_json::from_str(&text) {
-                        Ok(Beat { beat }) => self.beat(beat),
+                        Ok(beat) => self.beat(&beat),
                         Err(_) => return Some(text.as_str().to_owned()),
                     },
                     Message::Ping(_) | Message::Pong(_) => {}
@@ -181,15 +193,20 @@ impl Channel {
         }
     }
 
-    /// Records a heartbeat. It counts from the time of its pulse, so that heartbeats that were held up on the way are old.
-    fn beat(&mut self, number: u64) {
-        let Some(age) = self.last.checked_sub(number).and_then(|age| usize::try_from(age).ok()) else { return };
+    /// Records a heartbeat. It counts from the time of its pulse, so that heartbeats that were held up on the way are old. One that
+    /// does not know of the press lifts the button: perhaps the page has not noticed that it was lifted.
+    fn beat(&mut self, beat: &Beat) {
+        let Some(age) = self.last.checked_sub(beat.beat).and_then(|age| usize::try_from(age).ok()) else { return };
         let Some(sent) = self.sent.get(age) else { return };
         if let Some(last) = &mut self.watched {
             *last = *sent;
         }
-        if let Some(grip) = self.grip() {
+        let held = lock(&self.held);
+        if let Some((_, grip)) = &held.grip {
             grip.beat(*sent);
+            if beat.held != held.press {
+                grip.lift();
+            }
         }
     }
 }

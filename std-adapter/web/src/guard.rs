@@ -44,7 +44,7 @@ impl Guard {
         if !address.ip().is_unspecified() {
             hosts.push(address.to_string());
         }
-        Ok(Self { token, hosts, scheme: "https://", login: Some(Login::new(password)) })
+        Ok(Self { token, hosts, scheme: "https://", login: Some(Login::new(password, port)) })
     }
 
     /// Returns the address of the page. Without a login it has the token.

@@ -11,7 +11,10 @@ use tokio::sync::oneshot;
 use crate::text::safe;
 
 /// The outcome of a halt, which is certain, or why the robot may still move.
-type Outcome = Result<String, String>;
+pub(crate) type Outcome = Result<String, String>;
+
+/// The outcome of a halt that had nothing to stop.
+pub(crate) const AT_REST: &str = "the robot was at rest; nothing was moving";
 
 /// An order to the thread: a halt with the receiver of its outcome, or `None` to open the connection anew.
 type Order = Option<oneshot::Sender<Outcome>>;
@@ -76,7 +79,7 @@ fn run(access: Access, orders: &Receiver<Order>) {
 
 fn halt(stopper: &mut Stopper) -> Outcome {
     match stopper.halt() {
-        Ok(Halted::NothingMoved) => Ok("the robot was at rest; nothing was moving".into()),
+        Ok(Halted::NothingMoved) => Ok(AT_REST.into()),
         Ok(Halted::TasksStopped(tasks)) => Ok(format!("halted, the robot rests; {tasks}")),
         Ok(_) => Ok("halted, the robot rests".into()),
         Err(error) => Err(format!("NOT HALTED, use the emergency stop: {}", safe(&error))),

@@ -1,18 +1,27 @@
 //! What a page moves. It ends also while an order of the page is under way.
 
 use std::sync::{Arc, Mutex};
+use std::thread::sleep;
+use std::time::Duration;
 
 use bcap_live::jog::Grip;
 use bcap_live::recovery::Recovery;
 
 use crate::app::App;
 use crate::raw::Desk;
+use crate::robot::Robot;
 use crate::threads::lock;
+
+/// How often a call that has not ended is halted, and the pause between two halts.
+const HALTS: u32 = 3;
+const AGAIN: Duration = Duration::from_millis(200);
 
 /// What a page moves, each with its robot.
 #[derive(Default)]
 pub(crate) struct Held {
     pub(crate) grip: Option<(usize, Arc<Grip>)>,
+    /// The number of the last press of a button of the jog.
+    pub(crate) press: u64,
     pub(crate) recovery: Option<(usize, Arc<Recovery>)>,
     /// The session for the calls of the user.
     pub(crate) desk: Option<Arc<Desk>>,
@@ -23,14 +32,36 @@ pub(crate) type Shared = Arc<Mutex<Held>>;
 
 /// Ends all of it.
 pub(crate) fn end(held: &Shared, app: &Arc<App>, why: &str) {
-    let Held { grip, recovery, desk } = std::mem::take(&mut *lock(held));
+    let Held { grip, recovery, desk, .. } = std::mem::take(&mut *lock(held));
     if let Some((_, grip)) = grip {
         grip.end(why);
     }
-    if let Some((_, recovery)) = recovery {
-        recovery.end(why);
+    if let Some((robot, recovery)) = recovery {
+        end_recovery(app, robot, recovery, why);
     }
     if let Some(desk) = desk {
         desk.end(app);
+    }
+}
+
+/// Ends a recovery, and halts a step that moves.
+pub(crate) fn end_recovery(app: &Arc<App>, robot: usize, recovery: Arc<Recovery>, why: &str) {
+    recovery.end(why);
+    let Some(robot) = app.robots.get(robot).filter(|_| recovery.moves()).cloned() else { return };
+    let of = Arc::clone(app);
+    // without a thread the step ends as the controller ends it
+    let _ = app.spawn("end of a step", move || halt_while(&of, &robot, "a step that moves", || recovery.moves()));
+}
+
+/// Halts a robot whose page was left, again while its call is under way: it may have been sent at this moment, and have come after the
+/// first halt.
+pub(crate) fn halt_while(app: &App, robot: &Robot, what: &str, moves: impl Fn() -> bool) {
+    for _ in 0..HALTS {
+        if !moves() {
+            break;
+        }
+        let outcome = robot.halter.halt_now();
+        app.audit.write("a page", &robot.name, &format!("was left during {what}: HALT"), &outcome);
+        sleep(AGAIN);
     }
 }

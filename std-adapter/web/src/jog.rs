@@ -10,6 +10,7 @@ use tokio::time::{Instant, sleep};
 
 use crate::app::App;
 use crate::arm;
+use crate::halt::AT_REST;
 use crate::robot::Robot;
 use crate::socket::{Answer, Page};
 use crate::text::safe;
@@ -20,6 +21,9 @@ const LOOK: Duration = Duration::from_millis(20);
 
 /// The time in which the jog thread halts a robot by itself. After it the connection of HALT halts the robot.
 const IN_TIME: Duration = Duration::from_millis(150);
+
+/// The pause before the robot is halted again.
+const AGAIN: Duration = Duration::from_millis(200);
 
 impl Page {
     /// Begins a jog, which takes the arm. `name` is the robot's name in the question.
@@ -49,14 +53,16 @@ impl Page {
     }
 
     /// Makes steps while a button is held, and limits their speed.
-    pub(crate) fn press(&self, number: usize, axis: &str, by: f64, percent: f64) -> Answer {
+    pub(crate) fn press(&self, number: usize, axis: &str, by: f64, percent: f64, count: u64) -> Answer {
         let (_, robot) = self.mover(number)?;
         let axis: Axis = axis.parse().map_err(|why| format!("{axis}: {why}"))?;
         let type_name = robot.live().type_name.clone().unwrap_or_default();
         // the request itself must be in the range
         Press::new(axis, by, percent)?;
         let press = Press::new(axis, by, percent.min(arm::percent(&type_name, axis)))?;
-        self.grip(number)?.press(press).map(|()| Value::Null)
+        let grip = self.grip(number)?;
+        lock(&self.held).press = count;
+        grip.press(press).map(|()| Value::Null)
     }
 
     /// Ends a press of a button.
@@ -84,9 +90,11 @@ async fn watch(app: Arc<App>, robot: Arc<Robot>, who: String, grip: Arc<Grip>, w
         let since = *since.get_or_insert_with(Instant::now);
         // otherwise nothing of this jog moves, and a halt would stop tasks of others
         if grip.phase() == Phase::Moving && since.elapsed() > IN_TIME && !is_halted {
-            is_halted = true;
             let outcome = robot.halter.halt().await;
+            // a step that was sent before may begin after a halt
+            is_halted = outcome.as_deref().is_ok_and(|text| text != AT_REST);
             app.audit.write(&who, &robot.name, "the jog did not halt in time: HALT", &outcome);
+            sleep(AGAIN).await;
         }
     }
     let (why, outcome) = (grip.ends().unwrap_or_default(), grip.outcome().unwrap_or(Err("the jog panicked".into())));

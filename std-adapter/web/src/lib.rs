@@ -153,11 +153,15 @@ impl Server {
 
     /// Serves until `shutdown` completes. Then it halts what a page moves, and gives the arms back; it waits for that for 10 s.
     pub async fn run(self, shutdown: impl Future<Output = ()>) {
+        let ended = async {
+            shutdown.await;
+            self.app.end().await;
+        };
         tokio::select! {
+            // HALT works until the end
             () = serve::accept(&self.listener, &self.app, self.tls.as_ref()) => {}
-            () = shutdown => {}
+            () = ended => {}
         }
-        self.app.end().await;
         record::finish(self.app);
     }
 }

@@ -14,8 +14,9 @@ use tokio::time::{Instant, timeout_at};
 use crate::secret::{Bucket, Refused, is_same, only, secret};
 use crate::threads::lock;
 
-/// The name of the cookie. With this prefix a browser takes it over TLS only, for this host only.
-const NAME: &str = "__Host-bcap";
+/// The beginning of the name of the cookie. With it a browser takes the cookie over TLS only, for this host only. The port follows,
+/// because the servers of a host share its cookies.
+const NAME: &str = "__Host-bcap-";
 
 /// The lifetime of a session.
 const LIFETIME: Duration = Duration::from_secs(12 * 3600);
@@ -32,6 +33,8 @@ pub(crate) const SHORTEST: usize = 12;
 /// A password, and the sessions of its users.
 pub(crate) struct Login {
     password: String,
+    /// The name of the cookie.
+    name: String,
     sessions: Mutex<VecDeque<Session>>,
     attempts: Mutex<BTreeMap<Option<IpAddr>, Bucket>>,
 }
@@ -59,8 +62,8 @@ impl Open {
 }
 
 impl Login {
-    pub(crate) const fn new(password: String) -> Self {
-        Self { password, sessions: Mutex::new(VecDeque::new()), attempts: Mutex::new(BTreeMap::new()) }
+    pub(crate) fn new(password: String, port: u16) -> Self {
+        Self { password, name: format!("{NAME}{port}"), sessions: Mutex::default(), attempts: Mutex::default() }
     }
 
     fn sessions(&self) -> MutexGuard<'_, VecDeque<Session>> {
@@ -78,7 +81,7 @@ impl Login {
             return Err((StatusCode::UNAUTHORIZED, "the password is wrong"));
         }
         let id = secret().map_err(|_| (StatusCode::INTERNAL_SERVER_ERROR, "the system has no random numbers"))?;
-        let cookie = cookie(&id, LIFETIME.as_secs());
+        let cookie = self.cookie(&id, LIFETIME.as_secs());
         let mut sessions = self.sessions();
         sessions.push_front(Session { id, since: Instant::now(), open: watch::Sender::new(()) });
         sessions.truncate(SESSIONS);
@@ -99,30 +102,30 @@ impl Login {
     /// Refuses a request without the cookie of a session.
     pub(crate) fn check(&self, headers: &HeaderMap) -> Result<Open, Refused> {
         let sessions = self.sessions();
-        let session = find(&sessions, headers).and_then(|found| sessions.get(found)).ok_or(LOG_IN)?;
+        let session = self.find(&sessions, headers).and_then(|found| sessions.get(found)).ok_or(LOG_IN)?;
         Ok(Open { since: session.since, open: session.open.subscribe() })
     }
 
     /// Ends the session of a request, and returns the cookie that replaces its cookie.
     pub(crate) fn log_out(&self, headers: &HeaderMap) -> Result<String, Refused> {
         let mut sessions = self.sessions();
-        find(&sessions, headers).and_then(|found| sessions.remove(found)).ok_or(LOG_IN)?;
-        Ok(cookie("", 0))
+        self.find(&sessions, headers).and_then(|found| sessions.remove(found)).ok_or(LOG_IN)?;
+        Ok(self.cookie("", 0))
+    }
+
+    fn cookie(&self, id: &str, seconds: u64) -> String {
+        format!("{}={id}; Path=/; Secure; HttpOnly; SameSite=Strict; Max-Age={seconds}", self.name)
+    }
+
+    /// Returns the place of the session whose cookie a request has.
+    fn find(&self, sessions: &VecDeque<Session>, headers: &HeaderMap) -> Option<usize> {
+        let cookies = only(headers, COOKIE.as_str()).unwrap_or_default().split(';');
+        let mut ids = cookies.filter_map(|cookie| cookie.trim().strip_prefix(self.name.as_str())?.strip_prefix('='));
+        ids.find_map(|id| sessions.iter().position(|session| is_same(id.as_bytes(), session.id.as_bytes())))
     }
 }
 
 const LOG_IN: Refused = (StatusCode::UNAUTHORIZED, "log in first: open the page again");
-
-fn cookie(id: &str, seconds: u64) -> String {
-    format!("{NAME}={id}; Path=/; Secure; HttpOnly; SameSite=Strict; Max-Age={seconds}")
-}
-
-/// Returns the place of the session whose cookie a request has.
-fn find(sessions: &VecDeque<Session>, headers: &HeaderMap) -> Option<usize> {
-    let cookies = only(headers, COOKIE.as_str()).unwrap_or_default().split(';');
-    let mut ids = cookies.filter_map(|cookie| cookie.trim().strip_prefix(NAME)?.strip_prefix('='));
-    ids.find_map(|id| sessions.iter().position(|session| is_same(id.as_bytes(), session.id.as_bytes())))
-}
 
 #[cfg(test)]
 mod tests {
@@ -137,14 +140,17 @@ mod tests {
 
     #[tokio::test(start_paused = true)]
     async fn attempts_are_limited_and_sessions_end() {
-        let login = Login::new("correct horse battery".into());
+        let login = Login::new("correct horse battery".into(), 8011);
         let host = |last| IpAddr::V4(Ipv4Addr::new(192, 168, 0, last));
         let status =
             |host, password: &str| login.log_in(host, password.as_bytes()).map_err(|(status, _)| status.as_u16());
         let cookie = status(host(1), "correct horse battery").unwrap();
         assert!(cookie.ends_with("; Path=/; Secure; HttpOnly; SameSite=Strict; Max-Age=43200"), "{cookie}");
         let open = login.check(&headers(&cookie)).unwrap();
-        assert_eq!(login.check(&headers("__Host-bcap=")).map(drop).map_err(|(status, _)| status.as_u16()), Err(401));
+        assert_eq!(
+            login.check(&headers("__Host-bcap-8011=")).map(drop).map_err(|(status, _)| status.as_u16()),
+            Err(401)
+        );
         for _ in 0..4 {
             assert_eq!(status(host(1), "correct horse batterz"), Err(401));
         }
@@ -161,7 +167,7 @@ mod tests {
 
     #[tokio::test(start_paused = true)]
     async fn a_host_is_an_address_of_ipv4_or_a_network_of_ipv6() {
-        let login = Login::new("correct horse battery".into());
+        let login = Login::new("correct horse battery".into(), 8011);
         let may_try = |host: &str| login.may_try(host.parse().unwrap());
         for host in ["::ffff:192.168.0.1", "2001:db8::1"] {
             assert!((0..5).all(|_| may_try(host)), "{host}");

@@ -45,8 +45,8 @@ pub(crate) enum Order {
     Clear { robot: usize },
     /// Begins a jog of the robot with this name, for which the user has agreed.
     Grip { robot: usize, name: String },
-    /// A button is held: the robot moves by steps.
-    Press { robot: usize, axis: String, by: f64, percent: f64 },
+    /// A button is held: the robot moves by steps. `press` is the number of this press, which heartbeats repeat.
+    Press { robot: usize, axis: String, by: f64, percent: f64, press: u64 },
     /// The button is lifted.
     Lift { robot: usize },
     /// Ends the jog.
@@ -69,10 +69,10 @@ pub(crate) enum Order {
     View { robot: usize, path: String },
     /// Returns the function table.
     Functions {},
-    /// Makes a call of a robot with this name.
-    Call { robot: usize, name: String, function: String, arguments: Vec<String> },
+    /// Makes a call.
+    Call { agreed: Agreed, function: String, arguments: Vec<String> },
     /// Makes the call of a packet in hexadecimal.
-    Bytes { robot: usize, name: String, packet: String },
+    Bytes { agreed: Agreed, packet: String },
     /// Returns the packets of a call.
     Packet { robot: usize, serial: u16 },
     /// Returns the calls by function and object.
@@ -116,6 +116,19 @@ impl Order {
         let order = Map::from_iter([(what, Value::Object(order))]);
         Some((number, Self::deserialize(Value::Object(order)).ok()?))
     }
+}
+
+/// A call of the user, who was asked once for all calls of a loop.
+#[derive(Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Agreed {
+    pub(crate) robot: usize,
+    /// The name of the robot in the question.
+    pub(crate) name: String,
+    /// How often orders were revoked before the question, as the tile of the robot says.
+    pub(crate) revoked: u64,
+    /// Whether the loop has made this call before.
+    pub(crate) repeats: bool,
 }
 
 /// An order for a task.

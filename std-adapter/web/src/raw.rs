@@ -6,8 +6,7 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
-use std::thread::sleep;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use bcap_capture::Role;
 use bcap_capture::trace::Packets;
@@ -21,14 +20,11 @@ use bcap_live::request::Request;
 use serde_json::{Value, json};
 
 use crate::app::App;
-use crate::robot::{Robot, reason};
+use crate::held::halt_while;
+use crate::robot::{Permit, Robot, reason};
 use crate::text::safe;
 use crate::threads::lock;
 use crate::view::{self, dissected};
-
-/// How often a call that has not ended is halted, and the pause between two halts.
-const HALTS: u32 = 3;
-const AGAIN: Duration = Duration::from_millis(200);
 
 /// Returns the function table: what a form needs.
 pub(crate) fn functions() -> Value {
@@ -81,11 +77,7 @@ impl Desk {
     }
 
     /// Makes a call, and opens the session for the first one.
-    pub(crate) fn make(
-        &self,
-        request: &Request,
-        permit: impl FnOnce() -> Result<(), Error>,
-    ) -> Result<(HResult, Value), String> {
+    pub(crate) fn make(&self, request: &Request, permit: &mut Permit) -> Result<(HResult, Value), String> {
         let mut link = lock(&self.link);
         self.check_open().map_err(|error| error.to_string())?;
         let session = match link.take() {
@@ -97,7 +89,7 @@ impl Desk {
         let made = request.perform(&mut session, || {
             // before the check: an end after it sees that a call moves
             self.moves.store(request.effect() == Effect::Moves, Ordering::SeqCst);
-            self.check_open().and_then(|()| permit())
+            self.check_open().and_then(|()| permit.check())
         });
         let took = start.elapsed();
         self.moves.store(false, Ordering::SeqCst);
@@ -128,15 +120,7 @@ impl Desk {
         let of = Arc::clone(app);
         // without a thread the session ends here
         let _ = app.spawn("end of calls", move || {
-            // again while the call is under way: it may have been sent at this moment, and have come after the first halt
-            for _ in 0..HALTS {
-                if !self.moves.load(Ordering::SeqCst) {
-                    break;
-                }
-                let outcome = self.robot.halter.halt_now();
-                of.audit.write("a page", &self.robot.name, "was left during a call that moves: HALT", &outcome);
-                sleep(AGAIN);
-            }
+            halt_while(&of, &self.robot, "a call that moves", || self.moves.load(Ordering::SeqCst));
             drop(lock(&self.link).take());
         });
     }

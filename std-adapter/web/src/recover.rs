@@ -10,6 +10,7 @@ use bcap_live::link::Link;
 use bcap_live::recovery::{self, Recovery};
 use serde_json::{Value, json};
 
+use crate::held;
 use crate::socket::{Answer, Page};
 use crate::text::safe;
 use crate::threads::lock;
@@ -56,7 +57,7 @@ impl Page {
 
     /// Ends the recovery.
     pub(crate) fn stop(&self, number: usize) -> Answer {
-        self.recovery(number)?.end("the user ended it");
+        held::end_recovery(&self.app, number, self.recovery(number)?, "the user ended it");
         Ok(Value::Null)
     }
 

@@ -1,7 +1,7 @@
 //! A robot of the page: the thread that reads it, and what it has read.
 
 use std::collections::{BTreeMap, BTreeSet, HashSet};
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread;
@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use bcap_capture::trace::{Level, Packets, shown};
 use bcap_live::calls::{Failure as _, needs_reconnect, unless_refused};
-use bcap_live::jog::Grip;
+use bcap_live::jog::{Grip, Phase};
 use bcap_live::link::{Access, Error, Link};
 use bcap_live::model::{Model, Update};
 use bcap_live::reader::{self, Reader, Rounds};
@@ -20,8 +20,8 @@ use bcap_std::{Examination, ObjectPath};
 use tokio::sync::oneshot;
 
 use crate::control::{Client, Control};
-use crate::halt::Halter;
-use crate::job::Job;
+use crate::halt::{AT_REST, Halter, Outcome};
+use crate::job::{Job, Kind};
 use crate::text::safe;
 use crate::threads::lock;
 
@@ -37,6 +37,12 @@ const SLOW: Duration = Duration::from_secs(1);
 /// The longest time that an order waits. An older one is refused: the user may have turned to something else.
 pub(crate) const LONGEST_WAIT: Duration = Duration::from_secs(2);
 
+/// The pause before a robot is halted again, because something that began before the halt is still under way.
+const AGAIN: Duration = Duration::from_millis(50);
+
+/// The longest time for that.
+const LONGEST_HALT: Duration = Duration::from_secs(2);
+
 /// A robot of the page.
 pub(crate) struct Robot {
     pub(crate) name: String,
@@ -51,6 +57,8 @@ pub(crate) struct Robot {
     pub(crate) backup: Mutex<Option<Arc<Job>>>,
     /// The number of halts, and of releases of the control.
     revoked: Arc<AtomicU64>,
+    /// The number of permitted orders under way.
+    acting: Arc<AtomicUsize>,
     live: Arc<Mutex<Live>>,
     /// Its drop ends the thread that reads.
     orders: Sender<Order>,
@@ -62,6 +70,8 @@ pub(crate) struct Live {
     pub(crate) model: Model,
     /// The state of the robot, or why it is unknown; `None` while it is being read.
     pub(crate) examination: Option<Result<Examination, String>>,
+    /// When it was read.
+    pub(crate) examined: Option<Instant>,
     /// Whether the controller says that it is a virtual one; `None` until it was asked.
     pub(crate) is_virtual: Option<bool>,
     /// `@TYPE_NAME` of the robot, if the controller has it.
@@ -84,8 +94,20 @@ impl Robot {
         let (live, halter, began) = (Arc::<Mutex<Live>>::default(), Halter::start(access.clone())?, Instant::now());
         let thread = Thread { live: Arc::clone(&live), halter: halter.clone(), access: access.clone(), orders, began };
         thread::Builder::new().name("robot".into()).spawn(move || thread.run())?;
-        let (control, grip, recovery, backup, revoked) = Default::default();
-        Ok(Arc::new(Self { name, control, halter, access, grip, recovery, backup, revoked, live, orders: sender }))
+        let (control, grip, recovery, backup, revoked, acting) = Default::default();
+        Ok(Arc::new(Self {
+            name,
+            control,
+            halter,
+            access,
+            grip,
+            recovery,
+            backup,
+            revoked,
+            acting,
+            live,
+            orders: sender,
+        }))
     }
 
     pub(crate) fn live(&self) -> MutexGuard<'_, Live> {
@@ -108,6 +130,48 @@ impl Robot {
         }
     }
 
+    /// Halts the robot for a user who has pressed HALT, and ends what pages do with it. What began before may reach the controller
+    /// after the halt, so the robot is halted again until that has ended.
+    pub(crate) async fn halt(&self) -> Outcome {
+        self.revoke();
+        self.end_motion("HALT was pressed");
+        if let Some(job) = lock(&self.backup).as_ref().filter(|job| job.work.kind == Kind::Restore) {
+            job.end("HALT was pressed");
+        }
+        let (until, mut acts) = (Instant::now() + LONGEST_HALT, self.acts());
+        let mut outcome = self.halter.halt().await;
+        while acts && outcome.is_ok() {
+            if Instant::now() > until {
+                return outcome.and_then(|text| {
+                    Err(format!("{text}; but a call that was made before HALT is still under way, and may act: use the emergency stop"))
+                });
+            }
+            tokio::time::sleep(AGAIN).await;
+            acts = self.acts();
+            let again = self.halter.halt().await;
+            outcome = outcome.and_then(|first| again.map(|text| if text == AT_REST { first } else { text }));
+        }
+        outcome
+    }
+
+    /// Ends the work on backups for the user of a page, between two calls.
+    pub(crate) fn end_work(&self, client: Client) -> Result<(), String> {
+        if let Some(job) = &*lock(&self.backup) {
+            if job.client != client && job.work.kind == Kind::Restore {
+                return Err("another page restores; it ends that, or releases the control".into());
+            }
+            job.end("the user ended it");
+        }
+        Ok(())
+    }
+
+    /// Returns whether something that a page has begun may still reach the controller.
+    fn acts(&self) -> bool {
+        self.acting.load(Ordering::SeqCst) > 0
+            || lock(&self.grip).as_ref().is_some_and(|grip| grip.phase() != Phase::Ended)
+            || lock(&self.recovery).as_ref().is_some_and(|recovery| recovery.state().outcome.is_none())
+    }
+
     /// Revokes the orders that are under way and change something: HALT was pressed, or the control was released.
     pub(crate) fn revoke(&self) {
         self.revoked.fetch_add(1, Ordering::SeqCst);
@@ -118,13 +182,10 @@ impl Robot {
         self.revoked.load(Ordering::SeqCst)
     }
 
-    /// Returns a check that fails when the orders of now are revoked.
-    pub(crate) fn permit(&self) -> impl Fn() -> Result<(), Error> + Send + use<> {
-        let (revoked, now) = (Arc::clone(&self.revoked), self.revoked());
-        move || {
-            let why = "HALT was pressed, or the control was released, before it began; nothing was done";
-            (revoked.load(Ordering::SeqCst) == now).then_some(()).ok_or_else(|| Error::Skipped(why.into()))
-        }
+    /// Returns the permit of an order of now.
+    pub(crate) fn permit(&self) -> Permit {
+        let (revoked, acting) = (Arc::clone(&self.revoked), Arc::clone(&self.acting));
+        Permit { now: self.revoked(), revoked, acting, is_used: false }
     }
 
     /// Carries out an order over the session, to which it goes at once. The error is for the user.
@@ -152,6 +213,34 @@ impl Robot {
         // without a receiver the order is dropped, and its reply with it
         let _ = self.orders.send(Box::new(order));
         async { reply.await.map_err(|_| "the thread of this robot has ended; start bcap web again")? }
+    }
+}
+
+/// The permit of an order to change something, which a halt and a release revoke. It is kept until the order is done.
+pub(crate) struct Permit {
+    revoked: Arc<AtomicU64>,
+    now: u64,
+    acting: Arc<AtomicUsize>,
+    is_used: bool,
+}
+
+impl Permit {
+    /// Fails if it is revoked.
+    pub(crate) fn check(&mut self) -> Result<(), Error> {
+        // before the check: a halt after it waits for this order
+        if !std::mem::replace(&mut self.is_used, true) {
+            self.acting.fetch_add(1, Ordering::SeqCst);
+        }
+        let why = "HALT was pressed, or the control was released, before it began; nothing was done";
+        (self.revoked.load(Ordering::SeqCst) == self.now).then_some(()).ok_or_else(|| Error::Skipped(why.into()))
+    }
+}
+
+impl Drop for Permit {
+    fn drop(&mut self) {
+        if self.is_used {
+            self.acting.fetch_sub(1, Ordering::SeqCst);
+        }
     }
 }
 
@@ -255,7 +344,9 @@ impl Thread {
             Err(error) if needs_reconnect(&error) => return Err(error),
             examined => examined,
         };
-        lock(&self.live).examination = Some(examined.map_err(|error| error.to_string()));
+        let mut live = lock(&self.live);
+        live.examination = Some(examined.map_err(|error| error.to_string()));
+        live.examined = Some(Instant::now());
         Ok(())
     }
 }

@@ -144,12 +144,18 @@ const NO_PASSWORD: Refused = (StatusCode::NOT_FOUND, "this server has no passwor
 /// Logs a user out. The pages of the session are closed, which frees what they hold.
 async fn log_out(State(app): State<Arc<App>>, Extension(host): Extension<IpAddr>, headers: HeaderMap) -> Checked {
     let cookie = app.guard.login.as_ref().ok_or(NO_PASSWORD)?.log_out(&headers);
-    with_cookie(&app, host, "logs out", cookie)
+    with_cookie(&app, host, LOGS_OUT, cookie)
 }
 
+const LOGS_OUT: &str = "logs out";
+
 fn with_cookie(app: &App, host: IpAddr, what: &str, cookie: Result<String, Refused>) -> Checked {
-    let outcome = cookie.as_ref().map(drop).map_err(|(_, why)| (*why).to_owned());
-    app.audit.write(&host.to_string(), "server", what, &outcome);
+    // a stranger does not fill the audit: these have no session, or too many attempts
+    let is_quiet = matches!(&cookie, Err((status, _)) if *status != StatusCode::UNAUTHORIZED || what == LOGS_OUT);
+    if !is_quiet {
+        let outcome = cookie.as_ref().map(drop).map_err(|(_, why)| (*why).to_owned());
+        app.audit.write(&host.to_string(), "server", what, &outcome);
+    }
     let cookie = HeaderValue::try_from(cookie?).map_err(|_| (StatusCode::INTERNAL_SERVER_ERROR, "no cookie"))?;
     Ok(([(SET_COOKIE, cookie)], StatusCode::NO_CONTENT).into_response())
 }
@@ -178,12 +184,10 @@ async fn live(State(app): State<Arc<App>>, headers: HeaderMap, upgrade: WebSocke
 /// Halts a robot. It needs no control, no `--allow-write`, and no open page.
 async fn halt(State(app): State<Arc<App>>, Path(robot): Path<usize>) -> Checked {
     let robot = app.robots.get(robot).cloned().ok_or((StatusCode::NOT_FOUND, "there is no such robot"))?;
-    robot.revoke();
-    robot.end_motion("HALT was pressed");
     let held = Arc::clone(&app.work);
     // a page that is closed meanwhile must not keep the halt from its line of the audit
     let halting = tokio::spawn(async move {
-        let outcome = robot.halter.halt().await;
+        let outcome = robot.halt().await;
         let what = outcome.as_deref().map_or_else(|_| "HALT".to_owned(), |outcome| format!("HALT, {outcome}"));
         app.audit.write("a page", &robot.name, &what, &outcome);
         drop(held);

@@ -191,7 +191,7 @@ impl Page {
                 self.change(who, &robot, "clears the errors".into(), bcap_live::errors::clear).await
             }
             Order::Grip { robot, name } => self.take_grip(robot, &name),
-            Order::Press { robot, axis, by, percent } => self.press(robot, &axis, by, percent),
+            Order::Press { robot, axis, by, percent, press } => self.press(robot, &axis, by, percent, press),
             Order::Lift { robot } => self.lift(robot),
             Order::Recover { robot, name } => self.begin_recovery(robot, &name),
             Order::Step { robot, step } => self.agree(robot, &step),
@@ -202,10 +202,10 @@ impl Page {
             Order::Files { robot, folder } => self.files(robot, folder).await,
             Order::View { robot, path } => self.view(robot, path).await,
             Order::Functions {} => Ok(raw::functions()),
-            Order::Call { robot, name, function, arguments } => {
-                self.call(robot, &name, Request::parse(&function, &arguments)?).await
+            Order::Call { agreed, function, arguments } => {
+                self.call(agreed, Request::parse(&function, &arguments)?).await
             }
-            Order::Bytes { robot, name, packet } => self.call(robot, &name, Request::decode(&packet)?).await,
+            Order::Bytes { agreed, packet } => self.call(agreed, Request::decode(&packet)?).await,
             Order::Packet { robot, serial } => Ok(view::packet(&*self.robot(robot)?, serial)),
             Order::Calls { robot } => Ok(view::calls(&*self.robot(robot)?)),
             Order::Backups {} => self.backups().await,
@@ -303,6 +303,11 @@ impl Page {
         held::end(&self.held, &self.app, why);
     }
 
+    /// Returns whether this page shows a screen of a robot.
+    pub(crate) fn shows(&self, screen: Screen, robot: usize) -> bool {
+        self.screen == screen && self.robot == robot
+    }
+
     pub(crate) fn robot(&self, number: usize) -> Result<Arc<Robot>, String> {
         self.app.robots.get(number).cloned().ok_or_else(|| "there is no such robot".into())
     }
@@ -355,8 +360,14 @@ impl Page {
         what: String,
         work: W,
     ) -> impl Future<Output = Answer> + use<T, W> {
-        let permit = robot.permit();
-        self.recorded(who, robot, what, robot.order(move |link| permit().and_then(|()| work(link))))
+        let mut permit = robot.permit();
+        let order = robot.order(move |link| {
+            permit.check()?;
+            let done = work(link);
+            drop(permit);
+            done
+        });
+        self.recorded(who, robot, what, order)
     }
 
     /// Waits for an order, and writes its line of the audit, also if the page is closed meanwhile.

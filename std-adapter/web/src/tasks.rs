@@ -49,8 +49,8 @@ impl Page {
         let what = format!("{words} {}", safe(&name));
         match change {
             Change::Start(mode) => {
-                let permit = robot.permit();
-                let started = robot.order(move |link| link.start_task(&name, mode, permit));
+                let mut permit = robot.permit();
+                let started = robot.order(move |link| link.start_task(&name, mode, || permit.check()));
                 self.recorded(who, &robot, what, started).await
             }
             // no halt revokes a stop

@@ -21,6 +21,9 @@ use crate::robot::{Live, Robot, TARGET};
 use crate::text::safe;
 use crate::threads::lock;
 
+/// The age from which a state is not shown as the present one.
+const OLD: Duration = Duration::from_secs(3);
+
 /// Writes a hint as a sentence.
 fn sentence(text: &str) -> String {
     let mut letters = text.chars();
@@ -41,6 +44,7 @@ pub(crate) fn tile(number: usize, robot: &Robot, client: Client) -> Value {
         "virtual": live.is_virtual,
         "holder": holder,
         "mine": mine,
+        "revoked": robot.revoked(),
         "level": level,
         "state": state,
         "words": live.model.words.iter().map(safe).collect::<Vec<_>>(),
@@ -63,6 +67,10 @@ fn condition(live: &Live) -> (&'static str, &'static str, Vec<[String; 2]>) {
         return ("unknown", "not connected", vec![[safe(why), remedy.into()]]);
     }
     let examination = match &live.examination {
+        Some(_) if live.examined.is_none_or(|at| at.elapsed() > OLD) => {
+            let remedy = "An order takes long, or the pages show too many variables. HALT does not wait for that.";
+            return ("unknown", "unknown", vec![["the state was not read for 3 s".into(), remedy.into()]]);
+        }
         Some(Ok(examination)) => examination,
         Some(Err(why)) => return ("unknown", "unknown", vec![[safe(why), String::new()]]),
         None => return ("unknown", "unknown", vec![["it is being read".into(), String::new()]]),
@@ -164,6 +172,7 @@ pub(crate) fn alarms(robot: &Robot) -> Value {
         "errors": live.model.errors.iter().flatten().map(|(code, text)| error(*code, text)).collect::<Vec<_>>(),
         "skipped": live.model.errors.as_ref().err().map(safe),
         "recovery": recovery,
+        "known": matches!(live.examination, Some(Ok(_))),
         "steps": steps.map(|step| step.name()).collect::<Vec<_>>(),
         "obstacles": obstacles.map(|obstacle| sentence(&obstacle.to_string())).collect::<Vec<_>>(),
         "messages": live.model.messages.iter().rev().map(safe).collect::<Vec<_>>(),

@@ -1,5 +1,6 @@
 //! The screen of backups: dump, difference, plan, restore.
 
+use std::net::SocketAddr;
 use std::path::Path;
 
 use bcap_core::rac::VariableKind;
@@ -11,13 +12,13 @@ use serde_json::{Value, json};
 use crate::chromium::Browser;
 use crate::support::{Page, Sim, Web, until};
 
-fn serve(sim: &Sim, folder: &Path, allow_write: bool) -> Web {
+fn serve(address: SocketAddr, folder: &Path, allow_write: bool) -> Web {
     let folder = folder.to_owned();
     let backups = move |config: &mut bcap_web::Config| {
         config.allow_motion = false;
         config.backups = Some(folder.clone());
     };
-    Web::with(&backups, &[("press", sim.address())], allow_write)
+    Web::with(&backups, &[("press", address)], allow_write)
 }
 
 fn opened(web: &Web) -> Page {
@@ -48,7 +49,7 @@ fn value(sim: &Sim, index: u32) -> i32 {
 fn a_backup_is_made_compared_and_restored_by_the_page_that_planned_it() {
     let (sim, folder) = (Sim::start(), tempfile::tempdir().unwrap());
     sim.lock().set_variable(VariableKind::I, 5, &Variant::I4(7)).unwrap();
-    let web = serve(&sim, folder.path(), true);
+    let web = serve(sim.address(), folder.path(), true);
     let (mut anna, mut bob) = (opened(&web), opened(&web));
     assert_eq!(anna.order("backups", json!({})), Ok(json!([])));
     let dumped = work(&mut anna, json!({ "work": "dump", "folder": "monday" }));
@@ -89,7 +90,7 @@ fn a_backup_is_made_compared_and_restored_by_the_page_that_planned_it() {
 fn a_restore_that_stops_goes_on_with_the_next_plan() {
     let (sim, folder) = (Sim::start(), tempfile::tempdir().unwrap());
     let set = |index, number| sim.lock().set_variable(VariableKind::I, index, &Variant::I4(number)).unwrap();
-    let web = serve(&sim, folder.path(), true);
+    let web = serve(sim.address(), folder.path(), true);
     let mut page = opened(&web);
     work(&mut page, json!({ "work": "dump", "folder": "monday" }));
     for index in [1, 2, 3] {
@@ -115,10 +116,30 @@ fn a_restore_that_stops_goes_on_with_the_next_plan() {
     assert_eq!([1, 2, 3].map(|index| value(&sim, index)), [0, 0, 0]);
 }
 
+/// The connection of the restore, the fifth one, hangs until HALT was pressed.
+#[test]
+fn halt_ends_a_restore() {
+    let (sim, folder) = (Sim::start(), tempfile::tempdir().unwrap());
+    let relay = crate::support::Relay::start(sim.address());
+    let web = serve(relay.address, folder.path(), true);
+    let mut page = opened(&web);
+    work(&mut page, json!({ "work": "dump", "folder": "monday" }));
+    sim.lock().set_variable(VariableKind::I, 1, &Variant::I4(9)).unwrap();
+    page.order("take", json!({ "robot": 0, "name": "Anna" })).unwrap();
+    work(&mut page, json!({ "work": "plan", "folder": "monday", "io": false }));
+    relay.freeze(relay.count());
+    page.order("restore", json!({ "robot": 0, "name": "press", "folder": "monday" })).unwrap();
+    assert_eq!(web.halt(0)["ok"], true);
+    relay.freeze(usize::MAX);
+    let stopped = ended(&mut page, &json!("restore"));
+    assert!(stopped["outcome"].as_str().unwrap().contains("ended: HALT was pressed"), "{stopped}");
+    assert_eq!(value(&sim, 1), 9);
+}
+
 #[test]
 fn names_stay_in_the_folder_and_a_read_only_server_restores_nothing() {
     let (sim, folder) = (Sim::start(), tempfile::tempdir().unwrap());
-    let web = serve(&sim, folder.path(), false);
+    let web = serve(sim.address(), folder.path(), false);
     let mut page = opened(&web);
     for name in ["", ".", "..", "../etc", "a/b", "a\\b", ".hidden", "C:", "\u{202e}x", &"x".repeat(65)] {
         let refused =
@@ -137,22 +158,42 @@ fn names_stay_in_the_folder_and_a_read_only_server_restores_nothing() {
 #[test]
 fn a_dump_does_not_end_a_stream_of_another_client() {
     let (sim, folder) = (Sim::start(), tempfile::tempdir().unwrap());
-    let web = serve(&sim, folder.path(), false);
+    let web = serve(sim.address(), folder.path(), false);
     let mut page = opened(&web);
     let mut cell = Controller::connect(&format!("tcp:{}", sim.address()), &Settings::rc8()).unwrap();
     let mut arm = cell.robot().unwrap().take_arm().unwrap();
     arm.motor_on().unwrap();
-    arm.robot().execute::<()>("slvChangeMode", 0x202).unwrap();
+    crate::support::stream(&sim, &mut arm, &mut page);
     let refused = work(&mut page, json!({ "work": "dump", "folder": "monday" }));
     assert_eq!(refused["failed"], true, "{refused}");
     assert_eq!(sim.lock().slave_mode(), 0x202);
     until("the connection of the dump is closed", || sim.lock().slave_mode() == 0x202);
 }
 
+/// Orders that wait for the disk have a time limit.
+#[cfg(unix)]
+#[test]
+fn a_disk_that_hangs_does_not_keep_the_page_from_its_next_order() {
+    let (sim, folder) = (Sim::start(), tempfile::tempdir().unwrap());
+    let web = serve(sim.address(), folder.path(), true);
+    let mut page = opened(&web);
+    page.order("take", json!({ "robot": 0, "name": "Anna" })).unwrap();
+    let (monday, journal) = (folder.path().join("monday"), folder.path().join("monday/restore.jsonl"));
+    std::fs::create_dir(&monday).unwrap();
+    std::fs::write(monday.join("backup.json"), "").unwrap();
+    // nothing writes to the FIFO, so its reader waits
+    assert!(std::process::Command::new("mkfifo").arg(&journal).status().unwrap().success());
+    let refused = page.order("backups", json!({})).unwrap_err();
+    assert_eq!(refused, "the disk has not answered for 5 s; it may still do this later");
+    page.order("release", json!({ "robot": 0 })).unwrap();
+    page.until("tiles", |tiles| tiles[0]["holder"].is_null());
+    drop(std::fs::File::options().write(true).open(&journal).unwrap());
+}
+
 #[test]
 fn the_screen_restores_after_a_question_with_the_name() {
     let (sim, folder) = (Sim::start(), tempfile::tempdir().unwrap());
-    let web = serve(&sim, folder.path(), true);
+    let web = serve(sim.address(), folder.path(), true);
     let Some(mut browser) = Browser::start() else { return };
     browser.open(web.url());
     browser.until_text("#state", "ready, motor off");

@@ -14,7 +14,18 @@ const MOTION: &str = "this server moves nothing; start it with --allow-motion";
 
 #[track_caller]
 fn call(page: &mut Page, function: &str, arguments: &[&str]) -> Result<Value, String> {
-    page.order("call", json!({ "robot": 0, "name": "press", "function": function, "arguments": arguments }))
+    let fields = fields(page, function, arguments);
+    page.order("call", fields)
+}
+
+/// Returns a call for which the user has agreed now.
+fn fields(page: &mut Page, function: &str, arguments: &[&str]) -> Value {
+    json!({ "agreed": agreed(page, "press"), "function": function, "arguments": arguments })
+}
+
+fn agreed(page: &mut Page, name: &str) -> Value {
+    let tiles = page.until("tiles", Value::is_array);
+    json!({ "robot": 0, "name": name, "revoked": tiles[0]["revoked"], "repeats": false })
 }
 
 fn opened(web: &Web) -> Page {
@@ -81,7 +92,8 @@ fn a_call_has_its_reply_and_its_bytes() {
     assert_eq!(call(&mut page, "Variable_GetValue", &[&format!("3,{handle}")]).unwrap()["value"], "0");
     let packet =
         |function: &str| format!("01 1e000000 0900 0000 {function} 0100 0a000000 0300 01000000 {handle:02x}000000 04");
-    let bytes = |packet: &str| json!({ "robot": 0, "name": "press", "packet": packet });
+    let agreed = agreed(&mut page, "press");
+    let bytes = |packet: &str| json!({ "agreed": agreed, "packet": packet });
     assert_eq!(page.order("bytes", bytes(&packet("65000000"))).unwrap()["typed"], "3,0");
     assert_eq!(page.order("bytes", bytes(&packet("48000000"))).unwrap_err(), MOTION, "Robot_Move");
     let cut = page.order("bytes", bytes("01 1e 00")).unwrap_err();
@@ -106,7 +118,7 @@ fn a_writing_call_needs_the_right_the_control_and_the_name() {
     let put = ["variable:I1", "3,5"];
     assert_eq!(call(&mut opened(&web), "Variable_PutValue", &put).unwrap_err(), CONTROL);
     let mut page = with_control(&web);
-    let other = json!({ "robot": 0, "name": "welder", "function": "Variable_PutValue", "arguments": put });
+    let other = json!({ "agreed": agreed(&mut page, "welder"), "function": "Variable_PutValue", "arguments": put });
     assert_eq!(page.order("call", other).unwrap_err(), "welder is not the name of this robot; nothing was done");
     let take = ["robot", "8,TakeArm", "8195,0,1"];
     assert_eq!(call(&mut page, "Robot_Execute", &take).unwrap_err(), MOTION);
@@ -128,7 +140,8 @@ fn start_moving(sim: &Sim, page: &mut Page) {
         assert_eq!(made["ok"], true, "{made}");
     }
     let arguments = ["robot", "3,1", "8,@E J(90, 45, 90, 0, 45, 0)", "8,SPEED=1"];
-    page.send("call", json!({ "robot": 0, "name": "press", "function": "Robot_Move", "arguments": arguments }));
+    let fields = fields(page, "Robot_Move", &arguments);
+    page.send("call", fields);
     sim.until("the robot moves", bcap_sim::Controller::is_moving);
 }
 
@@ -155,6 +168,59 @@ fn a_system_variable_needs_the_right_to_move() {
     assert!(sim.lock().motor_is_on());
     page.order("show", json!({ "robot": 0, "screen": "cell" })).unwrap();
     rests(&sim);
+}
+
+/// A loop was agreed to once, for one robot on the screen of raw calls. HALT ends it, and what moves is not repeated.
+#[test]
+fn a_loop_ends_with_halt_and_with_its_screen_and_repeats_no_motion() {
+    let sim = Sim::start();
+    let web = Web::moving(&[("press", sim.address()), ("welder", sim.address())]);
+    let mut page = with_control(&web);
+    let put = ["variable:I1", "3,5"];
+    let mut first = fields(&mut page, "Variable_PutValue", &put);
+    first["agreed"]["repeats"] = json!(true);
+    assert_eq!(page.order("call", first.clone()).unwrap()["ok"], true);
+    let mut moves = fields(&mut page, "Robot_Execute", &["robot", "8,TakeArm", "8195,0,1"]);
+    moves["agreed"]["repeats"] = json!(true);
+    let refused = page.order("call", moves).unwrap_err();
+    assert_eq!(refused, "a call that can move the robot is not repeated; nothing was done");
+    for (robot, screen) in [(0, "cell"), (1, "raw")] {
+        page.order("show", json!({ "robot": robot, "screen": screen })).unwrap();
+        assert_eq!(page.order("call", first.clone()).unwrap_err(), "the screen was left; nothing was done");
+    }
+    page.order("show", json!({ "robot": 0, "screen": "raw" })).unwrap();
+    assert_eq!(page.order("call", first.clone()).unwrap()["ok"], true);
+    assert_eq!(web.halt(0)["ok"], true);
+    let refused = page.order("call", first).unwrap_err();
+    assert!(refused.starts_with("HALT was pressed") && refused.ends_with("nothing was done"), "{refused}");
+    let read = json!({ "robot": 0, "name": "press", "revoked": 0, "repeats": true });
+    let read = json!({ "agreed": read, "function": "Variable_GetValue", "arguments": ["variable:I1"] });
+    assert_eq!(page.order("call", read).unwrap()["value"], "5", "a loop that reads goes on");
+}
+
+/// A call that was sent before HALT may arrive after it: HALT waits for its end, and does not call the robot halted without it.
+#[test]
+fn a_halt_is_not_done_while_a_call_that_was_made_before_is_under_way() {
+    let sim = Sim::start();
+    let relay = crate::support::Relay::start(sim.address());
+    let web = Web::moving(&[("press", relay.address)]);
+    let mut page = with_control(&web);
+    crate::support::until("the connection of HALT is there", || relay.count() == 2);
+    let robot = call(&mut page, "Controller_GetRobot", &["controller", "8,", "8,"]).unwrap();
+    relay.freeze(2);
+    // by its number, the robot needs no call before
+    let fields = fields(&mut page, "Robot_Halt", &[&format!("3,{}", robot["value"].as_str().unwrap()), "8,"]);
+    page.send("call", fields);
+    // it is received first
+    std::thread::sleep(std::time::Duration::from_millis(200));
+    let halted = web.halt(0);
+    assert_eq!(halted["ok"], false, "{halted}");
+    assert!(
+        halted["text"].as_str().unwrap().contains("is still under way, and may act: use the emergency stop"),
+        "{halted}"
+    );
+    relay.freeze(usize::MAX);
+    crate::support::until("nothing is under way", || web.halt(0)["ok"] == true);
 }
 
 /// The call lasts longer than the test, and the page goes on to answer pulses.
@@ -185,8 +251,8 @@ fn a_call_that_waits_behind_another_one_is_not_made_after_the_end_of_that() {
         let mut page = with_control(&web);
         start_moving(&sim, &mut page);
         let arguments = ["robot", "8,ClearError", "0,"];
-        let waits = page
-            .send("call", json!({ "robot": 0, "name": "press", "function": "Robot_Execute", "arguments": arguments }));
+        let fields = fields(&mut page, "Robot_Execute", &arguments);
+        let waits = page.send("call", fields);
         // it is received first
         std::thread::sleep(std::time::Duration::from_millis(200));
         if is_halted {
@@ -231,7 +297,8 @@ fn a_call_that_is_being_prepared_is_not_made_after_the_page_is_gone_or_after_a_h
         crate::support::until("the connection of HALT is there", || relay.count() == 2);
         relay.freeze(2);
         let arguments = ["task:Pro1", "3,2", "8,"];
-        page.send("call", json!({ "robot": 0, "name": "press", "function": "Task_Start", "arguments": arguments }));
+        let fields = fields(&mut page, "Task_Start", &arguments);
+        page.send("call", fields);
         crate::support::until("the session of the calls is begun", || relay.count() == 3);
         let mut page = Some(page);
         if is_halted {
@@ -295,7 +362,7 @@ fn a_stream_of_another_client_is_not_ended_by_a_call() {
     let mut cell = blocking::Controller::connect(&format!("tcp:{}", sim.address()), &Settings::rc8()).unwrap();
     let mut arm = cell.robot().unwrap().take_arm().unwrap();
     arm.motor_on().unwrap();
-    arm.robot().execute::<()>("slvChangeMode", 0x202).unwrap();
+    crate::support::stream(&sim, &mut arm, &mut page);
     assert_eq!(call(&mut page, "Variable_GetValue", &["variable:I1"]).unwrap()["value"], "0");
     for (function, arguments) in [
         ("Controller_Execute", &["controller", "8,SysState", "0,"][..]),

@@ -142,7 +142,8 @@ fn a_user_needs_tls_the_password_the_cookie_and_the_name() {
     assert_eq!(status(&cell.own("POST /halt/0", &[], "")), "401");
     assert_eq!(status(&cell.own("GET /live", &UPGRADE, "")), "401", "a token does not suffice");
     let cookie = cell.log_in();
-    for part in ["__Host-bcap=", "; Path=/", "; Secure", "; HttpOnly", "; SameSite=Strict"] {
+    let name = format!("__Host-bcap-{}=", cell.port());
+    for part in [name.as_str(), "; Path=/", "; Secure", "; HttpOnly", "; SameSite=Strict"] {
         assert!(cookie.contains(part), "{cookie}");
     }
     let cookie = ("cookie", cookie.split(';').next().unwrap());
@@ -157,8 +158,10 @@ fn a_user_needs_tls_the_password_the_cookie_and_the_name() {
     let rebound = format!("evil.example:{}", cell.port());
     assert_eq!(status(&cell.request("GET /", &[("host", &rebound)], "")), "421");
     assert_eq!(status(&cell.request("GET /", &[("host", "127.0.0.1")], "")), "421");
-    for wrong in ["__Host-bcap=", "__Host-bcap=0000", "bcap=1"] {
-        assert_eq!(status(&cell.own("GET /session", &[("cookie", wrong)], "")), "401", "{wrong}");
+    // the last one is of a server at another port
+    let other = cookie.1.replace(&name, "__Host-bcap-1=");
+    for wrong in [name.clone(), format!("{name}0000"), "bcap=1".into(), other] {
+        assert_eq!(status(&cell.own("GET /session", &[("cookie", &wrong)], "")), "401", "{wrong}");
     }
     let lines = cell.web.lines();
     assert!(lines.contains(&"server: 127.0.0.1: logs in: done".to_owned()), "{lines:?}");
@@ -186,7 +189,8 @@ fn jog_until_logout(cell: &Cell, cookie: &str) -> String {
         logout.join().unwrap()
     });
     assert_eq!(status(&response), "204", "{response}");
-    assert!(response.contains("set-cookie: __Host-bcap=; Path=/;") && response.contains("Max-Age=0"), "{response}");
+    let cleared = format!("set-cookie: __Host-bcap-{}=; Path=/;", cell.port());
+    assert!(response.contains(&cleared) && response.contains("Max-Age=0"), "{response}");
     // a jog begins with a line, and ends with one
     let jogs =
         || cell.web.lines().into_iter().filter(|line| line.starts_with("press: Anna: t") && line.contains(" jog"));
@@ -206,7 +210,7 @@ fn a_user_who_logs_out_holds_nothing() {
     let evil = [("host", cell.host.as_str()), ("origin", "https://evil.example"), ("cookie", &anna)];
     assert_eq!(status(&cell.request("POST /logout", &evil, "")), "403");
     assert_eq!(status(&cell.own("POST /logout", &[], "")), "401");
-    assert_eq!(status(&cell.own("POST /logout", &[("cookie", "__Host-bcap=")], "")), "401");
+    assert_eq!(status(&cell.own("POST /logout", &[("cookie", "__Host-bcap-1=")], "")), "401");
     assert_eq!(status(&cell.own("GET /session", &[("cookie", &anna)], "")), "204", "still logged in");
     let expected = "press: Anna: the jog ends: the page is closed; the robot rests, and the arm is free: done";
     let mut ended = jog_until_logout(&cell, &anna);

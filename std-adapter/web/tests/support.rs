@@ -14,6 +14,7 @@ use bcap_live::tap::Tap;
 use bcap_sim::pace::Paced;
 use bcap_sim::scenario::Delivery;
 use bcap_sim::{Config as SimConfig, Controller, Profile};
+use bcap_std::blocking::Arm;
 use bcap_std::server::Server as SimServer;
 use bcap_web::{Config, Server};
 use serde_json::{Value, json};
@@ -106,6 +107,18 @@ impl Sim {
     pub(crate) fn until(&self, what: &str, condition: impl Fn(&Controller) -> bool) {
         until(what, || condition(&self.lock()));
     }
+}
+
+/// Begins a stream that sends no pose, so that a busy machine does not end it, and waits until a page shows it.
+pub(crate) fn stream(sim: &Sim, arm: &mut Arm<'_>, page: &mut Page) {
+    until("the page knows of the stream", || {
+        // a call of the page that was on its way may end the stream as it begins
+        if sim.lock().slave_mode() == 0 {
+            arm.robot().execute::<()>("slvChangeMode", 0x202).unwrap();
+        }
+        page.receive().expect("the page is open");
+        page.until("tiles", Value::is_array)[0]["state"] == "streaming" && sim.lock().slave_mode() == 0x202
+    });
 }
 
 /// Serves a virtual controller with a time factor, and applies the faults of its scenario to answers.
@@ -258,11 +271,13 @@ pub(crate) struct Page<S = MaybeTlsStream<TcpStream>> {
     sections: HashMap<String, Value>,
     /// Whether it answers pulses.
     pub(crate) beats: bool,
+    /// The number of the press whose button is held; 0 without one.
+    pub(crate) held: u64,
 }
 
 impl<S: io::Read + io::Write> Page<S> {
     pub(crate) fn new(socket: WebSocket<S>) -> Self {
-        Self { socket, last: 0, sections: HashMap::new(), beats: true }
+        Self { socket, last: 0, sections: HashMap::new(), beats: true, held: 0 }
     }
 
     /// Receives a message; `None` when the server has closed the page.
@@ -288,7 +303,7 @@ impl<S: io::Read + io::Write> Page<S> {
     /// Sends a heartbeat.
     pub(crate) fn beat(&mut self, number: u64) {
         // the server may have closed the page
-        let _ = self.socket.send(Message::text(json!({ "beat": number }).to_string()));
+        let _ = self.socket.send(Message::text(json!({ "beat": number, "held": self.held }).to_string()));
     }
 
     /// Receives until the last content of a section meets a condition.
@@ -313,6 +328,14 @@ impl<S: io::Read + io::Write> Page<S> {
 
     pub(crate) fn send(&mut self, what: &str, mut fields: Value) -> u64 {
         self.last += 1;
+        match what {
+            "press" => {
+                self.held = self.last;
+                fields["press"] = json!(self.held);
+            }
+            "lift" => self.held = 0,
+            _ => {}
+        }
         fields["id"] = json!(self.last);
         fields["do"] = json!(what);
         self.socket.send(Message::text(fields.to_string())).unwrap();

@@ -121,7 +121,8 @@ pub(crate) fn web(args: &Web, link: &LinkArgs) -> Result<(), Failure> {
         remote: remote(args)?,
         ..Config::new(args.listen, robots)
     };
-    runtime()?.block_on(async {
+    let runtime = runtime()?;
+    let served = runtime.block_on(async {
         let ended = signal::wait()?;
         let printer = Printer::start(false)?;
         let server = bind(config, "--listen", &printer).await?;
@@ -131,7 +132,10 @@ pub(crate) fn web(args: &Web, link: &LinkArgs) -> Result<(), Failure> {
         drop(page);
         printer.finish();
         Ok(())
-    })
+    });
+    // a disk that hangs does not keep the program
+    runtime.shutdown_background();
+    served
 }
 
 /// Returns the certificate and the password, if they are given.
