@@ -76,8 +76,10 @@ pub enum Phase {
     Starting,
     /// It waits for a button.
     Ready,
-    /// The robot moves.
+    /// The robot moves, or a step is about to be sent.
     Moving,
+    /// The robot rests. The motor goes off, and the arm is given back.
+    Ending,
     /// It has ended. [`Grip::outcome`] says how.
     Ended,
 }
@@ -218,10 +220,14 @@ impl Grip {
         }
     }
 
-    /// Returns whether a step of this button may begin.
-    fn holds(&self, press: Press) -> bool {
-        let state = self.lock();
-        state.end.is_none() && state.press == Some(press)
+    /// Begins a step, if it is one of the button that is held.
+    fn begins(&self, press: Press) -> bool {
+        let mut state = self.lock();
+        let is_held = state.end.is_none() && state.press == Some(press);
+        if is_held {
+            state.phase = Phase::Moving;
+        }
+        is_held
     }
 
     /// Returns whether the step under way must be halted.
@@ -234,6 +240,7 @@ impl Grip {
 /// Jogs a robot over a new session until the grip ends. Then the robot rests, the motor that was switched on is off, and the arm
 /// is free; the [outcome](Grip::outcome) says what is not known of that.
 pub fn run(access: &Access, grip: &Grip) {
+    let ending = Ending(grip);
     let outcome = match ready(access).and_then(|mut controller| Ok(hold(&mut controller, grip)?)) {
         Ok(outcome) => {
             outcome.map_err(|error| format!("IT IS UNKNOWN whether the robot rests and the arm is free: {error}"))
@@ -244,7 +251,21 @@ pub fn run(access: &Access, grip: &Grip) {
             Ok("nothing was moved, and the arm was not taken")
         }
     };
-    grip.change(|state| (state.phase, state.press, state.outcome) = (Phase::Ended, None, Some(outcome)));
+    grip.change(|state| state.outcome = Some(outcome));
+    drop(ending);
+}
+
+/// Ends the phases of a grip, also after a panic.
+struct Ending<'a>(&'a Grip);
+
+impl Drop for Ending<'_> {
+    fn drop(&mut self) {
+        let unknown = || Err("IT IS UNKNOWN whether the robot rests and the arm is free: the jog panicked".into());
+        self.0.change(|state| {
+            (state.phase, state.press) = (Phase::Ended, None);
+            state.outcome.get_or_insert_with(unknown);
+        });
+    }
 }
 
 /// Connects to a robot that may move.
@@ -273,6 +294,9 @@ fn hold(controller: &mut Controller, grip: &Grip) -> Result<Result<&'static str,
         Err(crate::link::Error::Call(_)) => arm.robot().halt().map(drop),
         _ => Ok(()),
     };
+    if rests.is_ok() {
+        grip.set_phase(Phase::Ending);
+    }
     let given = arm.give();
     if let Err(error) = jogged {
         grip.end(&error.to_string());
@@ -324,10 +348,9 @@ fn step(arm: &mut Arm<'_>, press: Press, grip: &Grip) -> Result<(), crate::link:
     if outside != 0 {
         return invalid(format!("{axis} {by:+}: {}; nothing was moved", out_of_range(outside)));
     }
-    if !grip.holds(press) {
+    if !grip.begins(press) {
         return Ok(());
     }
-    grip.set_phase(Phase::Moving);
     let mut moving = arm.start(&step.motion.speed_percent(percent), STEP_LIMIT)?;
     if let Some(why) = watch(&mut moving, grip)? {
         // halts, and waits until the robot was seen at rest
@@ -407,9 +430,9 @@ mod tests {
         assert!(grip.press(press).unwrap_err().contains("wait a moment"), "it is starting");
         grip.set_phase(Phase::Ready);
         grip.press(press).unwrap();
-        assert!(grip.holds(press) && !grip.must_halt());
+        assert!(grip.begins(press) && !grip.must_halt());
         assert!(grip.press(press).unwrap_err().contains("second button"));
-        assert!(grip.must_halt() && !grip.holds(press) && grip.next().is_none());
+        assert!(grip.must_halt() && !grip.begins(press) && grip.next().is_none());
         grip.end("another reason");
         assert_eq!(grip.ends().as_deref(), Some("a second button was pressed"));
         grip.beat(Instant::now());

@@ -83,10 +83,13 @@ impl Recovery {
         }
     }
 
-    /// Ends the recovery after the step under way. What it has switched on is switched off.
-    pub fn end(&self, why: &str) {
-        self.lock().end.get_or_insert_with(|| why.to_owned());
+    /// Ends the recovery after the step under way. What it has switched on is switched off. Returns whether this is the first end.
+    pub fn end(&self, why: &str) -> bool {
+        let mut state = self.lock();
+        let is_first = state.end.is_none();
+        state.end.get_or_insert_with(|| why.to_owned());
         self.changed.notify_all();
+        is_first
     }
 
     /// Returns whether the step under way can move the robot by itself: MotionPreparation of a COBOTTA. [`end`](Self::end) does not

@@ -77,7 +77,7 @@ function select(id, values, chosen, change) {
 
 const label = (text, control) => make("label", { for: control.id, className: "check" }, text, control);
 
-const PHASES = { off: "○ no jog", starting: "◐ the arm is taken, the motor goes on …", ready: "● ready: hold a button", moving: "▶ the robot moves" };
+const PHASES = { off: "○ no jog", starting: "◐ the arm is taken, the motor goes on …", ready: "● ready: hold a button", moving: "▶ the robot moves", ending: "◐ the robot rests, the arm is given back …" };
 
 function drawPhase(place, content, page) {
   const other = content.phase !== "off" && !state.isOn ? `, by ${page.tile.holder ?? "another page"}` : "";
@@ -103,7 +103,7 @@ function drawAxes(place, content, tile) {
     setText(row.children[4], `${Math.min(percent, state.percent).toFixed(1)} %`);
     row.querySelectorAll("button").forEach((button) => {
       // an element that is disabled loses the pointer that holds it
-      if (state.held?.button !== button) button.disabled = !state.isOn || content.phase === "starting" || content.phase === "off";
+      if (state.held?.button !== button) button.disabled = !state.isOn || !["ready", "moving"].includes(content.phase);
     });
   });
 }

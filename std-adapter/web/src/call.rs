@@ -25,11 +25,6 @@ impl Page {
         let robot = self.robot(number)?;
         if user.is_some() {
             robot.check_name(&name)?;
-            if robot.revoked() != revoked {
-                return Err(
-                    "HALT was pressed, or the control was released, after the question; nothing was done".into()
-                );
-            }
         }
         if repeats && request.effect() == Effect::Moves {
             return Err("a call that can move the robot is not repeated; nothing was done".into());
@@ -41,7 +36,7 @@ impl Page {
             }
             Arc::clone(held.desk.get_or_insert_with(|| Arc::new(Desk::new(number, Arc::clone(&robot)))))
         };
-        let (app, mut permit, work) = (Arc::clone(&self.app), robot.permit(), Arc::clone(&self.app.work));
+        let (app, mut permit, work) = (Arc::clone(&self.app), robot.permit_since(revoked), Arc::clone(&self.app.work));
         // on a thread that goes on when the page is closed, so that its line of the audit is written
         let made = tokio::task::spawn_blocking(move || {
             let made = desk.make(&request, &mut permit);

@@ -140,14 +140,14 @@ impl Channel {
         match Order::parse(text) {
             Some((_, Order::Lift { .. })) => drop(self.grip().map(|grip| grip.lift())),
             Some((_, Order::Drop { why, .. })) => drop(self.grip().map(|grip| grip.end(&safe(&why)))),
-            Some((_, Order::Stop { .. })) => {
-                let recovery = lock(&self.held).recovery.clone();
+            Some((_, Order::Stop { robot })) => {
+                let recovery = lock(&self.held).recovery.clone().filter(|(of, _)| *of == robot);
                 if let Some((robot, recovery)) = recovery {
                     held::end_recovery(&self.app, robot, recovery, "the user ended it");
                 }
             }
             Some((_, Order::Unwork { robot })) => {
-                // a refusal is the answer to the order
+                // the order itself, carried out later, has the answer
                 return drop(self.app.robots.get(robot).map(|robot| robot.end_work(self.client)));
             }
             Some((_, Order::Release { robot })) => {
@@ -193,18 +193,19 @@ impl Channel {
         }
     }
 
-    /// Records a heartbeat. It counts from the time of its pulse, so that heartbeats that were held up on the way are old. One that
-    /// does not know of the press lifts the button: perhaps the page has not noticed that it was lifted.
+    /// Records a heartbeat. It counts from the time of its pulse, so that heartbeats that were held up on the way are old. One with the
+    /// number of another press lifts the button, because the page does not hold it any more.
     fn beat(&mut self, beat: &Beat) {
         let Some(age) = self.last.checked_sub(beat.beat).and_then(|age| usize::try_from(age).ok()) else { return };
         let Some(sent) = self.sent.get(age) else { return };
         if let Some(last) = &mut self.watched {
             *last = *sent;
         }
-        let held = lock(&self.held);
+        let mut held = lock(&self.held);
+        let is_lifted = std::mem::replace(&mut held.press, beat.held) != beat.held;
         if let Some((_, grip)) = &held.grip {
             grip.beat(*sent);
-            if beat.held != held.press {
+            if is_lifted {
                 grip.lift();
             }
         }

@@ -13,8 +13,8 @@ use crate::robot::Robot;
 use crate::threads::lock;
 
 /// How often a call that has not ended is halted, and the pause between two halts.
-const HALTS: u32 = 3;
-const AGAIN: Duration = Duration::from_millis(200);
+pub(crate) const HALTS: u32 = 3;
+pub(crate) const AGAIN: Duration = Duration::from_millis(200);
 
 /// What a page moves, each with its robot.
 #[derive(Default)]
@@ -46,22 +46,21 @@ pub(crate) fn end(held: &Shared, app: &Arc<App>, why: &str) {
 
 /// Ends a recovery, and halts a step that moves.
 pub(crate) fn end_recovery(app: &Arc<App>, robot: usize, recovery: Arc<Recovery>, why: &str) {
-    recovery.end(why);
-    let Some(robot) = app.robots.get(robot).filter(|_| recovery.moves()).cloned() else { return };
-    let of = Arc::clone(app);
+    let is_first = recovery.end(why);
+    let Some(robot) = app.robots.get(robot).filter(|_| is_first && recovery.moves()).cloned() else { return };
+    let (of, what) = (Arc::clone(app), format!("a step that moves ends: {why}: HALT"));
     // without a thread the step ends as the controller ends it
-    let _ = app.spawn("end of a step", move || halt_while(&of, &robot, "a step that moves", || recovery.moves()));
+    let _ = app.spawn("end of a step", move || halt_while(&of, &robot, &what, || recovery.moves()));
 }
 
-/// Halts a robot whose page was left, again while its call is under way: it may have been sent at this moment, and have come after the
-/// first halt.
+/// Halts a robot while a call is under way: it may be sent at this moment, and come after the first halt. `what` is for the audit.
 pub(crate) fn halt_while(app: &App, robot: &Robot, what: &str, moves: impl Fn() -> bool) {
     for _ in 0..HALTS {
         if !moves() {
             break;
         }
         let outcome = robot.halter.halt_now();
-        app.audit.write("a page", &robot.name, &format!("was left during {what}: HALT"), &outcome);
+        app.audit.write("a page", &robot.name, what, &outcome);
         sleep(AGAIN);
     }
 }

@@ -11,6 +11,7 @@ use tokio::time::{Instant, sleep};
 use crate::app::App;
 use crate::arm;
 use crate::halt::AT_REST;
+use crate::held::{AGAIN, HALTS};
 use crate::robot::Robot;
 use crate::socket::{Answer, Page};
 use crate::text::safe;
@@ -21,9 +22,6 @@ const LOOK: Duration = Duration::from_millis(20);
 
 /// The time in which the jog thread halts a robot by itself. After it the connection of HALT halts the robot.
 const IN_TIME: Duration = Duration::from_millis(150);
-
-/// The pause before the robot is halted again.
-const AGAIN: Duration = Duration::from_millis(200);
 
 impl Page {
     /// Begins a jog, which takes the arm. `name` is the robot's name in the question.
@@ -81,7 +79,7 @@ impl Page {
 
 /// Halts the robot over the connection of HALT if the jog thread does not: its connection may hang.
 async fn watch(app: Arc<App>, robot: Arc<Robot>, who: String, grip: Arc<Grip>, work: Arc<()>) {
-    let (mut since, mut is_halted) = (None, false);
+    let (mut since, mut halts) = (None, 0);
     while grip.phase() != Phase::Ended {
         sleep(LOOK).await;
         if grip.ends().is_none() {
@@ -89,10 +87,10 @@ async fn watch(app: Arc<App>, robot: Arc<Robot>, who: String, grip: Arc<Grip>, w
         }
         let since = *since.get_or_insert_with(Instant::now);
         // otherwise nothing of this jog moves, and a halt would stop tasks of others
-        if grip.phase() == Phase::Moving && since.elapsed() > IN_TIME && !is_halted {
+        if grip.phase() == Phase::Moving && since.elapsed() > IN_TIME && halts < HALTS {
             let outcome = robot.halter.halt().await;
-            // a step that was sent before may begin after a halt
-            is_halted = outcome.as_deref().is_ok_and(|text| text != AT_REST);
+            // a step that was sent before may begin after a halt that has found nothing
+            halts += if outcome.as_deref().is_ok_and(|text| text != AT_REST) { HALTS } else { 1 };
             app.audit.write(&who, &robot.name, "the jog did not halt in time: HALT", &outcome);
             sleep(AGAIN).await;
         }

@@ -89,7 +89,12 @@ impl Desk {
         let made = request.perform(&mut session, || {
             // before the check: an end after it sees that a call moves
             self.moves.store(request.effect() == Effect::Moves, Ordering::SeqCst);
-            self.check_open().and_then(|()| permit.check())
+            self.check_open()?;
+            match request.effect() {
+                Effect::Session | Effect::Reads => Ok(()),
+                Effect::Writes => permit.check(),
+                _ => permit.check_move(),
+            }
         });
         let took = start.elapsed();
         self.moves.store(false, Ordering::SeqCst);
@@ -120,7 +125,9 @@ impl Desk {
         let of = Arc::clone(app);
         // without a thread the session ends here
         let _ = app.spawn("end of calls", move || {
-            halt_while(&of, &self.robot, "a call that moves", || self.moves.load(Ordering::SeqCst));
+            halt_while(&of, &self.robot, "was left during a call that moves: HALT", || {
+                self.moves.load(Ordering::SeqCst)
+            });
             drop(lock(&self.link).take());
         });
     }

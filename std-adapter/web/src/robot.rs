@@ -37,6 +37,9 @@ const SLOW: Duration = Duration::from_secs(1);
 /// The longest time that an order waits. An older one is refused: the user may have turned to something else.
 pub(crate) const LONGEST_WAIT: Duration = Duration::from_secs(2);
 
+/// The age from which a state is not shown as the present one.
+const OLD: Duration = Duration::from_secs(3);
+
 /// The pause before a robot is halted again, because something that began before the halt is still under way.
 const AGAIN: Duration = Duration::from_millis(50);
 
@@ -57,7 +60,7 @@ pub(crate) struct Robot {
     pub(crate) backup: Mutex<Option<Arc<Job>>>,
     /// The number of halts, and of releases of the control.
     revoked: Arc<AtomicU64>,
-    /// The number of permitted orders under way.
+    /// The number of calls under way that can move the robot.
     acting: Arc<AtomicUsize>,
     live: Arc<Mutex<Live>>,
     /// Its drop ends the thread that reads.
@@ -130,8 +133,8 @@ impl Robot {
         }
     }
 
-    /// Halts the robot for a user who has pressed HALT, and ends what pages do with it. What began before may reach the controller
-    /// after the halt, so the robot is halted again until that has ended.
+    /// Halts the robot for a user who has pressed HALT, and ends what pages change and move. A call that began before may reach the
+    /// controller after the halt, so the robot is halted again until such calls have ended.
     pub(crate) async fn halt(&self) -> Outcome {
         self.revoke();
         self.end_motion("HALT was pressed");
@@ -143,13 +146,15 @@ impl Robot {
         while acts && outcome.is_ok() {
             if Instant::now() > until {
                 return outcome.and_then(|text| {
-                    Err(format!("{text}; but a call that was made before HALT is still under way, and may act: use the emergency stop"))
+                    Err(format!(
+                        "{text}; but a call that was made before HALT has not ended, and may still move the robot: use the emergency stop"
+                    ))
                 });
             }
             tokio::time::sleep(AGAIN).await;
             acts = self.acts();
             let again = self.halter.halt().await;
-            outcome = outcome.and_then(|first| again.map(|text| if text == AT_REST { first } else { text }));
+            outcome = outcome.and_then(|first| again.map(|text| if first == AT_REST { text } else { first }));
         }
         outcome
     }
@@ -165,11 +170,11 @@ impl Robot {
         Ok(())
     }
 
-    /// Returns whether something that a page has begun may still reach the controller.
+    /// Returns whether something that a page has begun may still move the robot.
     fn acts(&self) -> bool {
         self.acting.load(Ordering::SeqCst) > 0
-            || lock(&self.grip).as_ref().is_some_and(|grip| grip.phase() != Phase::Ended)
-            || lock(&self.recovery).as_ref().is_some_and(|recovery| recovery.state().outcome.is_none())
+            || lock(&self.grip).as_ref().is_some_and(|grip| grip.phase() == Phase::Moving)
+            || lock(&self.recovery).as_ref().is_some_and(|recovery| recovery.moves())
     }
 
     /// Revokes the orders that are under way and change something: HALT was pressed, or the control was released.
@@ -184,8 +189,13 @@ impl Robot {
 
     /// Returns the permit of an order of now.
     pub(crate) fn permit(&self) -> Permit {
+        self.permit_since(self.revoked())
+    }
+
+    /// Returns the permit of an order for which a user has agreed when the robot had been revoked `since` times.
+    pub(crate) fn permit_since(&self, since: u64) -> Permit {
         let (revoked, acting) = (Arc::clone(&self.revoked), Arc::clone(&self.acting));
-        Permit { now: self.revoked(), revoked, acting, is_used: false }
+        Permit { since, revoked, acting, moves: false }
     }
 
     /// Carries out an order over the session, to which it goes at once. The error is for the user.
@@ -219,26 +229,32 @@ impl Robot {
 /// The permit of an order to change something, which a halt and a release revoke. It is kept until the order is done.
 pub(crate) struct Permit {
     revoked: Arc<AtomicU64>,
-    now: u64,
+    since: u64,
     acting: Arc<AtomicUsize>,
-    is_used: bool,
+    /// Whether it counts as a call that can move the robot.
+    moves: bool,
 }
 
 impl Permit {
     /// Fails if it is revoked.
-    pub(crate) fn check(&mut self) -> Result<(), Error> {
-        // before the check: a halt after it waits for this order
-        if !std::mem::replace(&mut self.is_used, true) {
+    pub(crate) fn check(&self) -> Result<(), Error> {
+        let why = "HALT was pressed, or the control was released, before it began; nothing was done";
+        (self.revoked.load(Ordering::SeqCst) == self.since).then_some(()).ok_or_else(|| Error::Skipped(why.into()))
+    }
+
+    /// As [`check`](Self::check), for a call that can move the robot: a halt waits for its end.
+    pub(crate) fn check_move(&mut self) -> Result<(), Error> {
+        // before the check, so that a halt after it sees this call
+        if !std::mem::replace(&mut self.moves, true) {
             self.acting.fetch_add(1, Ordering::SeqCst);
         }
-        let why = "HALT was pressed, or the control was released, before it began; nothing was done";
-        (self.revoked.load(Ordering::SeqCst) == self.now).then_some(()).ok_or_else(|| Error::Skipped(why.into()))
+        self.check()
     }
 }
 
 impl Drop for Permit {
     fn drop(&mut self) {
-        if self.is_used {
+        if self.moves {
             self.acting.fetch_sub(1, Ordering::SeqCst);
         }
     }
@@ -250,6 +266,11 @@ pub(crate) fn reason(error: &Error) -> String {
 }
 
 impl Live {
+    /// Returns whether the state is too old to be shown as the present one.
+    pub(crate) fn is_old(&self) -> bool {
+        self.examined.is_none_or(|at| at.elapsed() > OLD)
+    }
+
     /// Returns the variables that the pages show, in the order of their names.
     fn wanted(&self) -> Vec<String> {
         let mut names: BTreeSet<&str> = self.names.values().flatten().map(String::as_str).collect();

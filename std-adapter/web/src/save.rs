@@ -25,8 +25,8 @@ use crate::secret::{Checked, Refused};
 /// The largest series of a page: ten numbers for ten minutes need 1 MB.
 const SERIES: usize = 4 << 20;
 
-/// The most samples of a file, which limits it to some 50 MB. 66 numbers have as many in ten minutes.
-const SAMPLES: usize = 200_000;
+/// The most samples of a file.
+const SAMPLES: usize = 100_000;
 
 /// Makes one file at a time; a second request waits.
 static TURN: Semaphore = Semaphore::const_new(1);
@@ -78,7 +78,7 @@ async fn series(body: Bytes) -> Checked {
         let series: Vec<Series> =
             serde_json::from_slice(&body).map_err(|_| (StatusCode::BAD_REQUEST, "these are not series of numbers"))?;
         if series.iter().map(|series| series.samples.len()).sum::<usize>() > SAMPLES {
-            return Err((StatusCode::PAYLOAD_TOO_LARGE, "there are more than 200,000 samples; choose fewer series"));
+            return Err((StatusCode::PAYLOAD_TOO_LARGE, "there are more than 100,000 samples; choose fewer series"));
         }
         saved(mcap(&series))
     };

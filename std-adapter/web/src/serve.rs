@@ -151,7 +151,7 @@ const LOGS_OUT: &str = "logs out";
 
 fn with_cookie(app: &App, host: IpAddr, what: &str, cookie: Result<String, Refused>) -> Checked {
     // a stranger does not fill the audit: these have no session, or too many attempts
-    let is_quiet = matches!(&cookie, Err((status, _)) if *status != StatusCode::UNAUTHORIZED || what == LOGS_OUT);
+    let is_quiet = matches!(&cookie, Err((status, _)) if *status == StatusCode::TOO_MANY_REQUESTS || what == LOGS_OUT);
     if !is_quiet {
         let outcome = cookie.as_ref().map(drop).map_err(|(_, why)| (*why).to_owned());
         app.audit.write(&host.to_string(), "server", what, &outcome);

@@ -360,14 +360,8 @@ impl Page {
         what: String,
         work: W,
     ) -> impl Future<Output = Answer> + use<T, W> {
-        let mut permit = robot.permit();
-        let order = robot.order(move |link| {
-            permit.check()?;
-            let done = work(link);
-            drop(permit);
-            done
-        });
-        self.recorded(who, robot, what, order)
+        let permit = robot.permit();
+        self.recorded(who, robot, what, robot.order(move |link| permit.check().and_then(|()| work(link))))
     }
 
     /// Waits for an order, and writes its line of the audit, also if the page is closed meanwhile.

@@ -50,7 +50,7 @@ impl Page {
         match change {
             Change::Start(mode) => {
                 let mut permit = robot.permit();
-                let started = robot.order(move |link| link.start_task(&name, mode, || permit.check()));
+                let started = robot.order(move |link| link.start_task(&name, mode, || permit.check_move()));
                 self.recorded(who, &robot, what, started).await
             }
             // no halt revokes a stop

@@ -21,13 +21,15 @@ pub(crate) fn spawn(name: &str, work: impl FnOnce() + Send + 'static) -> Result<
     thread.map(drop).map_err(|error| format!("a thread cannot be started: {error}; nothing was done"))
 }
 
+const BUSY: &str = "other orders wait for the disk; nothing was done";
+
 /// Does work that waits for the disk. A disk that hangs must delay neither a halt nor the end of the process, so a separate
 /// thread does it; nor the next orders of the page, so there is a time limit.
 pub(crate) async fn on_disk<T: Send + 'static>(
     work: impl FnOnce() -> Result<T, String> + Send + 'static,
 ) -> Result<T, String> {
     let order = async {
-        let slot = SLOTS.acquire().await;
+        let slot = timeout(DISK / 2, SLOTS.acquire()).await.map_err(|_| BUSY)?;
         let (sender, done) = oneshot::channel();
         spawn("disk", move || drop((sender.send(work()), slot)))?;
         done.await.unwrap_or_else(|_| Err("the work on the disk panicked".into()))

@@ -21,8 +21,7 @@ use crate::robot::{Live, Robot, TARGET};
 use crate::text::safe;
 use crate::threads::lock;
 
-/// The age from which a state is not shown as the present one.
-const OLD: Duration = Duration::from_secs(3);
+const NOT_READ: &str = "the state was not read for 3 s";
 
 /// Writes a hint as a sentence.
 fn sentence(text: &str) -> String {
@@ -67,9 +66,9 @@ fn condition(live: &Live) -> (&'static str, &'static str, Vec<[String; 2]>) {
         return ("unknown", "not connected", vec![[safe(why), remedy.into()]]);
     }
     let examination = match &live.examination {
-        Some(_) if live.examined.is_none_or(|at| at.elapsed() > OLD) => {
+        Some(_) if live.is_old() => {
             let remedy = "An order takes long, or the pages show too many variables. HALT does not wait for that.";
-            return ("unknown", "unknown", vec![["the state was not read for 3 s".into(), remedy.into()]]);
+            return ("unknown", "unknown", vec![[NOT_READ.into(), remedy.into()]]);
         }
         Some(Ok(examination)) => examination,
         Some(Err(why)) => return ("unknown", "unknown", vec![[safe(why), String::new()]]),
@@ -165,14 +164,15 @@ fn recording(robot: &Robot) -> Option<Value> {
 /// Returns the alarms: the present errors with their meanings and remedies, the first cause first, and the messages.
 pub(crate) fn alarms(robot: &Robot) -> Value {
     let (recovery, live) = (recovery(robot), robot.live());
-    let examination = live.examination.iter().flatten();
+    let examination = live.examination.iter().flatten().filter(|_| !live.is_old());
     let steps = examination.clone().filter(|state| !state.is_ready()).flat_map(|state| state.steps(false));
-    let obstacles = examination.flat_map(Examination::obstacles);
+    let obstacles = examination.clone().flat_map(Examination::obstacles);
+    let skipped = live.model.errors.as_ref().err().map(safe);
     json!({
         "errors": live.model.errors.iter().flatten().map(|(code, text)| error(*code, text)).collect::<Vec<_>>(),
-        "skipped": live.model.errors.as_ref().err().map(safe),
+        "skipped": skipped.or_else(|| live.is_old().then(|| NOT_READ.into())),
         "recovery": recovery,
-        "known": matches!(live.examination, Some(Ok(_))),
+        "known": examination.count() > 0,
         "steps": steps.map(|step| step.name()).collect::<Vec<_>>(),
         "obstacles": obstacles.map(|obstacle| sentence(&obstacle.to_string())).collect::<Vec<_>>(),
         "messages": live.model.messages.iter().rev().map(safe).collect::<Vec<_>>(),
@@ -232,6 +232,7 @@ pub(crate) fn jog(robot: &Robot) -> Value {
         Some(Phase::Starting) => "starting",
         Some(Phase::Ready) => "ready",
         Some(Phase::Moving) => "moving",
+        Some(Phase::Ending) => "ending",
     };
     let outcome = grip.as_ref().and_then(|grip| grip.outcome());
     let live = robot.live();
@@ -291,4 +292,23 @@ pub(crate) fn packets(robot: &Robot, seen: &mut u64) -> Option<Value> {
     rows.reverse();
     *seen = log.total();
     Some(json!({ "rows": rows, "left_out": new - rows.len() as u64 }))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Instant;
+
+    use super::*;
+
+    #[test]
+    fn an_old_state_is_not_shown_as_the_present_one() {
+        let state = |age: Option<u64>| {
+            let examined = age.map(|age| Instant::now().checked_sub(Duration::from_secs(age)).unwrap());
+            let mut live = Live { examination: Some(Err("refused".into())), examined, ..Live::default() };
+            live.model.lost = None;
+            condition(&live).2[0][0].clone()
+        };
+        assert_eq!(state(Some(1)), "refused");
+        assert_eq!([state(Some(4)), state(None)], [NOT_READ, NOT_READ]);
+    }
 }

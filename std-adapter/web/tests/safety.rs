@@ -356,21 +356,6 @@ fn a_halt_works_while_the_other_connections_hang() {
     );
 }
 
-/// The connection that reads hangs for longer than a state may be shown, and shorter than its calls may take.
-#[test]
-fn an_old_state_is_not_shown_as_the_present_one() {
-    let sim = Sim::start();
-    let relay = Relay::start(sim.address());
-    let web = Web::start(&[("press", relay.address)], false);
-    let mut page = web.page();
-    page.until_state("ready, motor off");
-    relay.freeze(0);
-    let old = page.until_state("unknown");
-    assert_eq!(old[0]["reasons"][0][0], "the state was not read for 3 s");
-    relay.freeze(usize::MAX);
-    page.until_state("ready, motor off");
-}
-
 #[test]
 fn a_halt_that_fails_says_so() {
     let sim = Sim::start();
