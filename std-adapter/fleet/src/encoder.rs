@@ -40,6 +40,11 @@ pub(crate) trait Encoder: Send {
     /// Adds messages for a new reading. Returns an earlier reading that it replaces before it was sent.
     fn reading(&mut self, outbox: &mut Outbox<'_>, reading: Reading) -> Option<Reading>;
 
+    /// Tells whether a new reading would be in the last message.
+    fn joins(&self, _: &Outbox<'_>, _: &Reading) -> bool {
+        false
+    }
+
     /// Adds messages for a reading of the backlog; `has_more` tells whether one of the same controller follows.
     fn historical(&mut self, outbox: &mut Outbox<'_>, reading: Reading, has_more: bool);
 

@@ -81,6 +81,14 @@ impl Encoder for Json {
         None
     }
 
+    fn joins(&self, outbox: &Outbox<'_>, reading: &Reading) -> bool {
+        let points = &outbox.config.controllers[reading.cell].points;
+        let last =
+            outbox.messages.back().filter(|last| last.readings.len() < JOINED && last.payload.len() < JOINED_BYTES);
+        last.and_then(|last| last.readings.last())
+            .is_some_and(|last| last.cell == reading.cell && points[last.point].joined && points[reading.point].joined)
+    }
+
     fn historical(&mut self, outbox: &mut Outbox<'_>, reading: Reading, _: bool) {
         add(outbox, reading);
     }

@@ -224,9 +224,22 @@ impl Publisher {
                 break;
             }
         }
+        // otherwise the messages of a scan would be small when the broker is slow
+        while is_active && self.pump_joined() {}
         if let Some(connection) = &mut self.link {
             connection.flush();
         }
+    }
+
+    /// Puts the next reading into the last message of a window without room, if it has the same list.
+    fn pump_joined(&mut self) -> bool {
+        let shared = Arc::clone(&self.shared);
+        let joined = self.encode(|encoder, outbox| {
+            let reading = shared.queue.pop_reading(|reading| encoder.joins(outbox, reading))?;
+            Some(encoder.reading(outbox, reading))
+        });
+        self.backlog.push(joined.iter().flatten().map(|replaced| Reading { historical: true, ..replaced.clone() }));
+        joined.is_some()
     }
 
     /// Sends all values again.

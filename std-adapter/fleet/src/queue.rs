@@ -60,6 +60,14 @@ impl Queue {
         self.lock().pop_front()
     }
 
+    /// Takes the next item if it is a reading that meets a condition.
+    pub(crate) fn pop_reading(&self, condition: impl FnOnce(&Reading) -> bool) -> Option<Reading> {
+        let mut items = self.lock();
+        let is_next = matches!(items.front(), Some(Item::Reading(reading)) if condition(reading));
+        let Item::Reading(reading) = is_next.then(|| items.pop_front()).flatten()? else { return None };
+        Some(reading)
+    }
+
     pub(crate) fn len(&self) -> usize {
         self.lock().len()
     }
@@ -90,7 +98,9 @@ mod tests {
             queue.push(Item::Reading(reading(id)));
         }
         assert_eq!((queue.len(), metrics.dropped.load(Ordering::Relaxed)), (LIMIT, 1));
+        assert!(queue.pop_reading(|_| true).is_none(), "a state is next");
         assert!(matches!(queue.pop(), Some(Item::State(_))));
+        assert!(queue.pop_reading(|reading| reading.id == 2).is_none());
         assert!(matches!(queue.pop(), Some(Item::Reading(Reading { id: 1, .. }))));
     }
 }
