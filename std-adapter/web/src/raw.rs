@@ -20,7 +20,6 @@ use bcap_live::request::Request;
 use serde_json::{Value, json};
 
 use crate::app::App;
-use crate::held::halt_while;
 use crate::robot::{Permit, Robot, reason};
 use crate::text::safe;
 use crate::threads::lock;
@@ -125,9 +124,8 @@ impl Desk {
         let of = Arc::clone(app);
         // without a thread the session ends here
         let _ = app.spawn("end of calls", move || {
-            halt_while(&of, &self.robot, "was left during a call that moves: HALT", || {
-                self.moves.load(Ordering::SeqCst)
-            });
+            self.robot
+                .halt_while(&of.audit, "was left during a call that moves: HALT", || self.moves.load(Ordering::SeqCst));
             drop(lock(&self.link).take());
         });
     }

@@ -19,6 +19,7 @@ use bcap_live::variables::{get_one, is_virtual};
 use bcap_std::{Examination, ObjectPath};
 use tokio::sync::oneshot;
 
+use crate::audit::Audit;
 use crate::control::{Client, Control};
 use crate::halt::{AT_REST, Halter, Outcome};
 use crate::job::{Job, Kind};
@@ -40,10 +41,13 @@ pub(crate) const LONGEST_WAIT: Duration = Duration::from_secs(2);
 /// The age from which a state is not shown as the present one.
 const OLD: Duration = Duration::from_secs(3);
 
-/// The pause before a robot is halted again, because something that began before the halt is still under way.
-const AGAIN: Duration = Duration::from_millis(50);
+/// The pause before a robot is halted again, because a call that began before the halt is still under way.
+pub(crate) const AGAIN: Duration = Duration::from_millis(100);
 
-/// The longest time for that.
+/// How often a robot is halted for the end of a page.
+pub(crate) const HALTS: u32 = 3;
+
+/// The longest time in which HALT waits for the end of such a call.
 const LONGEST_HALT: Duration = Duration::from_secs(2);
 
 /// A robot of the page.
@@ -157,6 +161,17 @@ impl Robot {
             outcome = outcome.and_then(|first| again.map(|text| if first == AT_REST { text } else { first }));
         }
         outcome
+    }
+
+    /// Halts the robot while a call is under way: it may be sent at this moment, and come after the first halt. `what` is for the audit.
+    pub(crate) fn halt_while(&self, audit: &Audit, what: &str, moves: impl Fn() -> bool) {
+        for _ in 0..HALTS {
+            if !moves() {
+                break;
+            }
+            audit.write("a page", &self.name, what, &self.halter.halt_now());
+            thread::sleep(AGAIN);
+        }
     }
 
     /// Ends the work on backups for the user of a page, between two calls.

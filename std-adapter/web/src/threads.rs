@@ -7,13 +7,11 @@ use std::time::Duration;
 use tokio::sync::{Semaphore, oneshot};
 use tokio::time::timeout;
 
-use crate::app::PAGES;
-
 /// The longest time that an order waits for the disk.
 const DISK: Duration = Duration::from_secs(5);
 
 /// Limits the threads that wait for a disk that hangs.
-static SLOTS: Semaphore = Semaphore::const_new(PAGES);
+static SLOTS: Semaphore = Semaphore::const_new(16);
 
 /// Starts a thread for an order of a user. The error is for the user.
 pub(crate) fn spawn(name: &str, work: impl FnOnce() + Send + 'static) -> Result<(), String> {
