@@ -214,10 +214,11 @@ fn a_halt_is_not_done_while_a_call_that_was_made_before_is_under_way() {
     // by its number, the robot needs no call before
     let fields = fields(&mut page, "Robot_Halt", &[&format!("3,{}", robot["value"].as_str().unwrap()), "8,"]);
     page.send("call", fields);
-    crate::support::until("HALT says that the call has not ended", || {
-        let text = web.halt(0)["text"].to_string();
-        text.contains("has not ended, and may still move the robot: use the emergency stop")
-    });
+    crate::support::until("the call is under way", || relay.held() > 0);
+    let halted = web.halt(0);
+    let text = halted["text"].to_string();
+    assert!(text.contains("has not ended, and may still move the robot: use the emergency stop"), "{halted}");
+    assert_eq!(halted["ok"], false);
     relay.freeze(usize::MAX);
     crate::support::until("nothing is under way", || web.halt(0)["ok"] == true);
 }

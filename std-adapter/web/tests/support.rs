@@ -363,6 +363,7 @@ pub(crate) struct Relay {
     pub(crate) address: SocketAddr,
     frozen: Arc<AtomicUsize>,
     count: Arc<AtomicUsize>,
+    held: Arc<AtomicUsize>,
 }
 
 impl Relay {
@@ -371,7 +372,8 @@ impl Relay {
         let address = listener.local_addr().unwrap();
         let frozen = Arc::new(AtomicUsize::new(usize::MAX));
         let (shared, count) = (Arc::clone(&frozen), Arc::<AtomicUsize>::default());
-        let counted = Arc::clone(&count);
+        let (counted, held) = (Arc::clone(&count), Arc::<AtomicUsize>::default());
+        let holds = Arc::clone(&held);
         // it ends with the process
         thread::spawn(move || {
             for (number, client) in listener.incoming().map_while(Result::ok).enumerate() {
@@ -379,11 +381,15 @@ impl Relay {
                 counted.store(number + 1, Ordering::SeqCst);
                 for (mut from, mut to) in [(client.try_clone().unwrap(), server.try_clone().unwrap()), (server, client)]
                 {
-                    let frozen = Arc::clone(&shared);
+                    let (frozen, holds) = (Arc::clone(&shared), Arc::clone(&holds));
                     thread::spawn(move || {
                         let mut bytes = [0; 4096];
                         while let Ok(count @ 1..) = from.read(&mut bytes) {
+                            let mut is_held = false;
                             while frozen.load(Ordering::SeqCst) == number {
+                                if !std::mem::replace(&mut is_held, true) {
+                                    holds.fetch_add(1, Ordering::SeqCst);
+                                }
                                 thread::park_timeout(Duration::from_millis(10));
                             }
                             if to.write_all(&bytes[..count]).is_err() {
@@ -395,12 +401,17 @@ impl Relay {
                 }
             }
         });
-        Self { address, frozen, count }
+        Self { address, frozen, count, held }
     }
 
     /// Returns the number of connections so far.
     pub(crate) fn count(&self) -> usize {
         self.count.load(Ordering::SeqCst)
+    }
+
+    /// Returns how often bytes have arrived at a connection that was frozen.
+    pub(crate) fn held(&self) -> usize {
+        self.held.load(Ordering::SeqCst)
     }
 
     /// Freezes a connection; the first has the number 0.
