@@ -303,7 +303,7 @@ fn each_fifth_input_of_a_corpus_gives_no_lua_error() {
 }
 
 #[test]
-#[ignore = "needs a minute of processor time"]
+#[ignore = "needs a minute of processor time: `just nightly`"]
 fn no_input_of_a_corpus_gives_a_lua_error() {
     corpora(1);
 }

@@ -240,7 +240,7 @@ impl Grip {
 /// Jogs a robot over a new session until the grip ends. Then the robot rests, the motor that was switched on is off, and the arm
 /// is free; the [outcome](Grip::outcome) says what is not known of that.
 pub fn run(access: &Access, grip: &Grip) {
-    let ending = Ending(grip);
+    let end = EndOnDrop(grip);
     let outcome = match ready(access).and_then(|mut controller| Ok(hold(&mut controller, grip)?)) {
         Ok(outcome) => {
             outcome.map_err(|error| format!("IT IS UNKNOWN whether the robot rests and the arm is free: {error}"))
@@ -252,13 +252,13 @@ pub fn run(access: &Access, grip: &Grip) {
         }
     };
     grip.change(|state| state.outcome = Some(outcome));
-    drop(ending);
+    drop(end);
 }
 
 /// Ends the phases of a grip, also after a panic.
-struct Ending<'a>(&'a Grip);
+struct EndOnDrop<'a>(&'a Grip);
 
-impl Drop for Ending<'_> {
+impl Drop for EndOnDrop<'_> {
     fn drop(&mut self) {
         let unknown = || Err("IT IS UNKNOWN whether the robot rests and the arm is free: the jog panicked".into());
         self.0.change(|state| {

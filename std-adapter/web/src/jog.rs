@@ -49,8 +49,8 @@ impl Page {
         grip.ok_or_else(|| "the jog has ended; begin it again".into())
     }
 
-    /// Makes steps while a button is held, and limits their speed.
-    pub(crate) fn press(&self, number: usize, axis: &str, by: f64, percent: f64, count: u64) -> Answer {
+    /// Makes steps while a button is held, and limits their speed. `number_of_press` is the number that heartbeats repeat.
+    pub(crate) fn press(&self, number: usize, axis: &str, by: f64, percent: f64, number_of_press: u64) -> Answer {
         let (_, robot) = self.mover(number)?;
         let axis: Axis = axis.parse().map_err(|why| format!("{axis}: {why}"))?;
         let type_name = robot.live().type_name.clone().unwrap_or_default();
@@ -58,7 +58,7 @@ impl Page {
         Press::new(axis, by, percent)?;
         let press = Press::new(axis, by, percent.min(arm::percent(&type_name, axis)))?;
         let grip = self.grip(number)?;
-        lock(&self.held).press = count;
+        lock(&self.held).press = number_of_press;
         grip.press(press).map(|()| Value::Null)
     }
 
