@@ -343,11 +343,6 @@ impl Stopper {
         Self { access, link: None }
     }
 
-    /// Drops the session, because the controller may have started again.
-    pub fn renew(&mut self) {
-        self.link = None;
-    }
-
     /// Opens the session and the robot, unless that has been done.
     ///
     /// # Errors

@@ -1,7 +1,9 @@
 //! HALT: a thread and a connection for each robot that do nothing else, so that it waits for no other call.
 
 use std::iter::once;
+use std::mem::replace;
 use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Mutex};
 use std::thread;
 
 use bcap_live::link::{Access, Stopper};
@@ -9,6 +11,7 @@ use bcap_std::blocking::Halted;
 use tokio::sync::oneshot;
 
 use crate::text::safe;
+use crate::threads::lock;
 
 /// The outcome of a halt, which is certain, or why the robot may still move.
 pub(crate) type Outcome = Result<String, String>;
@@ -16,24 +19,35 @@ pub(crate) type Outcome = Result<String, String>;
 /// The outcome of a halt that had nothing to stop.
 pub(crate) const AT_REST: &str = "the robot was at rest; nothing was moving";
 
-/// An order to the thread: a halt with the receiver of its outcome, or `None` to open the connection anew.
-type Order = Option<oneshot::Sender<Outcome>>;
+/// The receiver of the outcome of a halt.
+type Press = oneshot::Sender<Outcome>;
 
-/// The thread that halts a robot.
+/// The thread that halts a robot, and its session.
 #[derive(Clone)]
-pub(crate) struct Halter(Sender<Order>);
+pub(crate) struct Halter {
+    presses: Sender<Press>,
+    /// Locked during a halt.
+    stopper: Arc<Mutex<Stopper>>,
+    access: Access,
+}
 
 impl Halter {
     pub(crate) fn start(access: Access) -> std::io::Result<Self> {
-        let (sender, orders) = channel();
-        thread::Builder::new().name("halt".into()).spawn(move || run(access, &orders))?;
-        Ok(Self(sender))
+        let (sender, presses) = channel();
+        let stopper = Arc::new(Mutex::new(Stopper::new(access.clone())));
+        let shared = Arc::clone(&stopper);
+        thread::Builder::new().name("halt".into()).spawn(move || run(&shared, &presses))?;
+        Ok(Self { presses: sender, stopper, access })
     }
 
-    /// Opens the connection anew, so that it is there when it is needed: the controller may have started again.
+    /// Opens a new session for the next halt, because the controller may have started again. A halt does not wait for it.
     pub(crate) fn prepare(&self) {
-        // without a receiver the thread has panicked, which a halt reports
-        let _ = self.0.send(None);
+        let mut opened = Stopper::new(self.access.clone());
+        // a halt tries again, and reports why
+        let _ = opened.prepare();
+        // a halt under way replaces a lost session itself
+        let last = self.stopper.try_lock().map(|mut stopper| replace(&mut *stopper, opened));
+        drop(last);
     }
 
     /// Halts the robot.
@@ -49,7 +63,7 @@ impl Halter {
     fn begin(&self) -> oneshot::Receiver<Outcome> {
         let (sender, outcome) = oneshot::channel();
         // without a receiver the thread has panicked, and the outcome has no sender
-        let _ = self.0.send(Some(sender));
+        let _ = self.presses.send(sender);
         outcome
     }
 }
@@ -58,19 +72,12 @@ fn ended() -> Outcome {
     Err("NOT HALTED, use the emergency stop: the thread that halts has ended".into())
 }
 
-fn run(access: Access, orders: &Receiver<Order>) {
-    let mut stopper = Stopper::new(access);
-    while let Ok(first) = orders.recv() {
+fn run(stopper: &Mutex<Stopper>, presses: &Receiver<Press>) {
+    while let Ok(first) = presses.recv() {
         // presses that came during the last halt get one outcome
-        let presses: Vec<_> = once(first).chain(orders.try_iter()).flatten().collect();
-        if presses.is_empty() {
-            stopper.renew();
-            // a halt tries again, and reports why
-            let _ = stopper.prepare();
-            continue;
-        }
-        let outcome = halt(&mut stopper);
-        for press in presses {
+        let all: Vec<_> = once(first).chain(presses.try_iter()).collect();
+        let outcome = halt(&mut lock(stopper));
+        for press in all {
             // a page that is closed needs no outcome
             let _ = press.send(outcome.clone());
         }

@@ -357,6 +357,28 @@ fn a_halt_works_while_the_other_connections_hang() {
 }
 
 #[test]
+fn a_halt_does_not_wait_for_its_next_session() {
+    let sim = Sim::start();
+    let relay = Relay::start(sim.address());
+    let web = Web::start(&[("press", relay.address)], false);
+    let mut page = web.page();
+    page.until_state("ready, motor off");
+    let mut cell = other(&sim);
+    start_moving(&sim, &mut cell);
+    // the connection that reads, until it is lost; then the second one of HALT
+    relay.freeze(0);
+    page.until_state("not connected");
+    let held = relay.held();
+    relay.freeze(3);
+    while relay.held() == held {
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    assert_eq!(web.halt(0)["text"], "halted, the robot rests");
+    assert!(!sim.lock().is_moving());
+    assert_eq!(relay.count(), 4, "HALT has opened a session instead of using its first one");
+}
+
+#[test]
 fn a_halt_that_fails_says_so() {
     let sim = Sim::start();
     let web = server(&sim, false);
