@@ -3,6 +3,7 @@
 use std::io::{BufRead, BufReader, Read, Write};
 use std::process::{Child, Stdio};
 use std::thread;
+use std::time::Duration;
 
 use crate::common::fake::{Fake, usual};
 use crate::common::robot::Robot;
@@ -34,7 +35,7 @@ fn slow_to_take() -> Robot {
 fn signal_at_take_arm(robot: &Robot, args: &[&str], name: &str) -> Run {
     let child = command(args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     while robot.served.application().arm_owner().is_none() {
-        thread::yield_now();
+        thread::sleep(Duration::from_millis(1));
     }
     signal(name, &child);
     child.wait_with_output().unwrap().into()
@@ -51,7 +52,7 @@ fn ctrl_z_halts_the_robot_and_gives_the_arm_back_before_the_process_is_suspended
         robot.wait_for_motion();
         signal("-TSTP", &child);
         while state(&child) != 'T' {
-            thread::yield_now();
+            thread::sleep(Duration::from_millis(1));
         }
         // while it is suspended
         robot.assert_at_rest_with_free_arm();
@@ -133,7 +134,7 @@ fn a_shell_that_was_suspended_goes_on() {
     robot.wait_for_motion();
     signal("-TSTP", &child);
     while state(&child) != 'T' {
-        thread::yield_now();
+        thread::sleep(Duration::from_millis(1));
     }
     robot.assert_at_rest_with_free_arm();
     signal("-CONT", &child);

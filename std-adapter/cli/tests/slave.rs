@@ -360,7 +360,7 @@ const NO_LIST: &str =
 fn halt_task(sim: &Served<Controller>, args: &[&str]) -> Run {
     while !sim.application().is_moving() {
         sim.application().advance(bcap_std::now());
-        thread::yield_now();
+        thread::sleep(Duration::from_millis(1));
     }
     bcap(&[&["halt", "--robot", &format!("tcp:{}", sim.tcp)], args].concat())
 }

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use bcap_tests::tools;
@@ -95,6 +96,8 @@ impl Terminal {
                 return screen;
             }
             assert!(began.elapsed() < Duration::from_secs(60), "{what:?} is missing:\n{screen}");
+            // each look is a process
+            thread::sleep(Duration::from_millis(20));
         }
     }
 }
