@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
-use crate::contents::{Contents, Part};
+use crate::contents::{Contents, Omission, Part};
 use bcap_capture::value::data;
 use bcap_capture::value::named::Entry;
 
@@ -68,6 +68,14 @@ pub fn files<'a>(a: &'a Contents, b: &'a Contents) -> Vec<Difference<&'a String,
     let mut files = differences(&a.files, &b.files);
     files.retain(|difference| is_certain(difference, a, b, |part| part.has_file(difference.name)));
     files
+}
+
+/// Returns the parts that were not compared because a side lacks them, each with whether that is the first side.
+pub fn omitted<'a>(a: &'a Contents, b: &'a Contents, system: bool) -> impl Iterator<Item = (bool, &'a Omission)> {
+    let parts = [(true, a), (false, b)]
+        .into_iter()
+        .flat_map(|(is_first, side)| side.omitted.iter().map(move |part| (is_first, part)));
+    parts.filter(move |(_, omission)| system || omission.part != Part::System)
 }
 
 /// Returns whether a difference is known: what only one side has may be omitted from the other.

@@ -9,14 +9,24 @@ use bcap_capture::value::data;
 use crate::calls::{Calls, execute};
 use crate::stream::StreamCheck;
 
+/// The most errors that are read: each is a call.
+const MOST: usize = 100;
+
 /// Reads the present errors with their texts, the first cause first.
 ///
 /// # Errors
 ///
 /// [`Failure::skipped`](crate::calls::Failure::skipped) while a stream runs, or the error of a call.
 pub fn present<C: Calls>(calls: &mut C, check: &mut StreamCheck) -> Result<Vec<(HResult, String)>, C::Error> {
+    let count = count(calls, check)?;
     // the last one is the first cause
-    (0..count(calls, check)?).rev().map(|index| error(calls, check, index)).collect()
+    let mut errors =
+        (0..count).rev().take(MOST).map(|index| error(calls, check, index)).collect::<Result<Vec<_>, _>>()?;
+    let left = usize::try_from(count).unwrap_or(0).saturating_sub(MOST);
+    if let Some((_, text)) = errors.last_mut().filter(|_| left > 0) {
+        *text = format!("{text} (and {left} further errors)");
+    }
+    Ok(errors)
 }
 
 /// Reads the number of present errors.

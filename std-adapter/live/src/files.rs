@@ -162,7 +162,7 @@ pub fn items<C: Calls>(calls: &mut C, folder: &str) -> Result<Vec<Item>, C::Erro
     Ok(items)
 }
 
-/// Lists all files of a folder and of the folders below it, without the folders whose names are safe.
+/// Lists all files of a folder and of the folders below it. A folder with an unsafe name is listed, not opened.
 ///
 /// `watch` gets, before each folder, how many were listed and how many are known. `skip` gets the path of a folder that cannot
 /// be listed, with the reason. An error of one of them ends the walk.

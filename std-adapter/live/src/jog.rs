@@ -1,7 +1,7 @@
 //! Jogging: a robot moves by short steps while a person holds a button.
 //!
 //! ```text
-//!  page thread:  Grip::new ── beat ── press ── beat ── beat ── lift ── beat ── end, or no beat for LAPSE
+//!  page thread:  Grip ─────── beat ── press ── beat ── beat ── lift ── beat ── end, or no beat for LAPSE
 //!                                 │                        │                   │
 //!  jog thread:   TakeArm, Motor ──┴─ step ── step ── step ─┴─ (wait) ──────────┴─ Robot_Halt, Motor off, GiveArm
 //! ```
@@ -361,7 +361,9 @@ fn step(arm: &mut Arm<'_>, press: Press, grip: &Grip) -> Result<(), crate::link:
     match moving.wait()? {
         Motion::Arrived => grip.change(|state| state.steps += 1),
         // a halt by another client, or by HALT of this page
-        ended => return invalid(format!("{axis} {by:+}: the step ended early ({ended:?})")),
+        Motion::Failed(code) => return invalid(format!("{axis} {by:+}: the step ended by the error {code}")),
+        Motion::Unknown => return invalid(format!("{axis} {by:+}: it is unknown whether the step arrived")),
+        _ => return invalid(format!("{axis} {by:+}: the step was halted before its end")),
     }
     Ok(())
 }

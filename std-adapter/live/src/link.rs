@@ -149,6 +149,7 @@ impl calls::Failure for Error {
 #[derive(Debug)]
 pub struct Link {
     controller: Controller,
+    model: Model,
     ends: Option<Ends>,
     /// The objects that stay open for the next use, by path.
     objects: HashMap<String, i32>,
@@ -170,19 +171,21 @@ impl Link {
             let arguments = texts.into_iter().map(OwnedVariant::new).collect::<Result<Vec<_>, _>>()?;
             controller.call_any("", FunctionId::CONTROLLER_CONNECT, &arguments)
         };
-        match &access.provider {
-            Some(provider) => connect(&mut controller, provider)?,
+        let rc9 = Model::Rc9.provider();
+        let is_rc9 = match &access.provider {
+            Some(provider) => connect(&mut controller, provider).map(|_| provider.eq_ignore_ascii_case(rc9))?,
             None => match connect(&mut controller, Model::Rc8.provider()) {
                 Err(refused @ bcap_std::Error::Refused { .. }) => {
-                    connect(&mut controller, Model::Rc9.provider()).map_err(|_| refused)?
+                    connect(&mut controller, rc9).map_err(|_| refused).map(|_| true)?
                 }
-                connected => connected?,
+                connected => connected.map(|_| false)?,
             },
         };
         if !controller.is_connected() {
             return Err(Error::Unexpected("Controller_Connect: the reply carries no handle".into()));
         }
-        Ok(Self { controller, ends, objects: HashMap::new() })
+        let model = if is_rc9 { Model::Rc9 } else { Model::Rc8 };
+        Ok(Self { controller, model, ends, objects: HashMap::new() })
     }
 
     /// Connects for a program that moves the robot. If the connection is lost while the session has the arm, the drop of the
@@ -208,8 +211,7 @@ impl Link {
     fn recovering(mut self, access: &Access, limit: Duration) -> Self {
         let timing = self.controller.timing();
         self.controller.set_timing(Timing { deadline: limit, keep_alive: limit, ..timing });
-        let is_rc9 = access.provider.as_deref() == Some(Model::Rc9.provider());
-        let settings = Settings::new(if is_rc9 { Model::Rc9 } else { Model::Rc8 }).connect_option(&access.option);
+        let settings = Settings::new(self.model).connect_option(&access.option);
         Self { controller: self.controller.recover_at(access.address.clone(), settings), ..self }
     }
 

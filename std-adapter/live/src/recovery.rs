@@ -1,6 +1,7 @@
 //! A recovery of a robot that a person makes step by step: each step waits for the person.
 
 use std::ops::ControlFlow;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -130,7 +131,10 @@ impl Recovery {
 /// Recovers a robot over a new session, a step for each [agreement](Recovery::agree). In the end the motor that was switched on
 /// is off again, and the arm is free.
 pub fn run(access: &Access, recovery: &Recovery) {
-    let outcome = perform(access, recovery).unwrap_or_else(|error| Err(error.to_string()));
+    let panicked =
+        |_| Ok(Err("IT IS UNKNOWN whether the motor is off and the arm is free: the recovery panicked".into()));
+    let performed = catch_unwind(AssertUnwindSafe(|| perform(access, recovery))).unwrap_or_else(panicked);
+    let outcome = performed.unwrap_or_else(|error| Err(error.to_string()));
     let mut state = recovery.lock();
     state.outcome = Some(match (outcome, state.end.take()) {
         (outcome, None) => outcome,

@@ -116,13 +116,13 @@ function stepByStep(run) {
     const button = make("button", { type: "button", className: "recover", onclick: () => makeStep(step, text) }, step);
     return make("li", {}, ...(run.busy ? ["… "] : [button, " "]), text);
   };
-  const stop = make("button", { type: "button", id: "stop-recovery", className: "recover", onclick: () => order("stop", { robot: current.robot }).catch((error) => notify(error.message, true)) }, "End the recovery");
+  const stop = make("button", { type: "button", id: "stop-recovery", className: "recover", onclick: () => order("endrecovery", { robot: current.robot }).catch((error) => notify(error.message, true)) }, "End the recovery");
   return [make("ol", { className: "steps" }, ...run.plan.map(item)), stop];
 }
 
 async function begin() {
   const { robot, tile } = current;
-  const text = "No other program uses the robot, and no person is near it. The plan is made; each step has its own button.";
+  const text = "Make sure that no person is near the robot, and that no other program uses it. The steps are planned now; each has its own button.";
   if (!(await ask("Recover step by step", tile, text, `Recover ${tile.name}`))) return;
   await order("recover", { robot, name: tile.name }).catch((error) => notify(`no recovery: ${error.message}`, true));
 }
@@ -172,6 +172,6 @@ async function clear() {
 
 function messages(content) {
   const rows = content.messages.map((text) => make("li", {}, text));
-  const none = rows.length === 0 ? [make("p", { className: "quiet" }, "No messages since the page was started.")] : [];
+  const none = rows.length === 0 ? [make("p", { className: "quiet" }, "No messages since bcap web was started.")] : [];
   return make("section", {}, make("h2", {}, "Messages, latest first"), ...none, make("ul", { className: "messages" }, ...rows));
 }

@@ -29,7 +29,7 @@ export const backup = {
         button("plan", "Plan a restore", () => begin({ work: "plan", folder: parts.folders.value, io: parts.io.checked })),
         make("label", { className: "check" }, parts.io, "with the I/O, which switches outputs")),
       parts.state, parts.meter,
-      make("div", { className: "row" }, button("restore", "Restore …", restore), button("stop", "End", () => send("unwork", {}, "the work ends"))),
+      make("div", { className: "row" }, button("restore", "Restore …", restore), button("stop", "End", () => send("endwork", {}, "the work ends"))),
       parts.notes, parts.lines,
       make("p", { className: "quiet" }, "A dump only reads. A restore writes what differs: each value and file is checked before, recorded in the folder, and read back. An ended dump goes on under the same name; after an ended restore, plan it again: the rest is written."),
     );

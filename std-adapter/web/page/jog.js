@@ -176,7 +176,7 @@ function drop(why) {
   if (!state.isOn) return;
   state.isOn = false;
   // the page may show another robot meanwhile
-  order("drop", { robot: state.robot, why }).catch(() => {});
+  order("endjog", { robot: state.robot, why }).catch(() => {});
 }
 
 function ended(content) {

@@ -159,7 +159,7 @@ on("login", () => {
   stale("Log in to see values. HALT does not work before.");
   login(connect, () => haltRobot(page.robot));
 });
-on("closed", () => stale("NOT CONNECTED to bcap web: the values are old. HALT may not work. It is tried again every second."));
+on("closed", () => stale("NOT CONNECTED to bcap web: the values are old. HALT may not work. The page connects again every second."));
 on("stale", () => stale("bcap web does not answer: the values are old. HALT may not work."));
 on("open", () => stale(null));
 on("tick", () => stale(null));

@@ -171,7 +171,7 @@ function drawEffect() {
 function agree(strength, text, times) {
   if (strength === "reads" || strength === "session") return Promise.resolve(true);
   const often = times > 1 ? `, ${times} times` : "";
-  const warning = strength === "moves" ? " The robot can move, at any speed that the controller allows. No person is near it." : "";
+  const warning = strength === "moves" ? " The robot can move, at any speed that the controller allows. Make sure that no person is near it." : "";
   return ask("A raw call", state.page.tile, `${text}${often}.${warning}`, `Call ${text.split("(")[0]}`);
 }
 

@@ -33,8 +33,8 @@ export const session = {
   draw(content) {
     const { settings, robots, audit } = view.parts;
     const values = {
-      "Variables, errors": content.write ? "may be changed" : "read-only, without --allow-write",
-      Motions: content.motion ? "by steps while a button is held" : "none, without --allow-motion",
+      "Variables, errors": content.write ? "may be changed, also by restores and calls that write" : "read-only, without --allow-write",
+      Motions: content.motion ? "jog, tasks, recoveries, and any call that can move a robot" : "none, without --allow-motion",
       Users: content.login ? "log in over TLS" : "of this computer, with the token",
       Backups: content.backups ? "dump and restore" : "none, without --backups",
       Recordings: content.recordings ? "of all packets" : "none, without --recordings",

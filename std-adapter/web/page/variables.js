@@ -88,9 +88,9 @@ function isIo(name) {
   return /^IO\d+$/i.test(name);
 }
 
-function drawRow([name, text, hasChanged, isRead, number]) {
+function drawRow([name, text, hasChanged, isRead, number, isExact]) {
   const row = state.rows.get(name) ?? (isIo(name) ? newLamp(name) : newRow(name));
-  Object.assign(row, { text, isRead });
+  Object.assign(row, { text, isRead, isExact });
   setText(row.value, isIo(name) && isRead ? (text === "true" ? "on" : "off") : text);
   row.element.classList.toggle("changed", hasChanged);
   row.element.classList.toggle("on", isIo(name) && text === "true");
@@ -131,8 +131,8 @@ function newRow(name) {
   button.onclick = () => edit(row);
   row.update = () => {
     button.hidden = !state.page.mayWrite;
-    button.disabled = !state.page.hasControl || !row.isRead;
-    button.title = state.page.hasControl ? "" : "take the control first";
+    button.disabled = !state.page.hasControl || !row.isRead || !row.isExact;
+    button.title = !state.page.hasControl ? "take the control first" : row.isExact === false ? "the text is longer than shown, or has control characters; write it with bcap put" : "";
   };
   state.parts.body.append(element);
   state.rows.set(name, row);
@@ -198,7 +198,7 @@ async function write({ name }, text) {
       return;
     }
     await order("write", { robot, name: checked.name });
-    state.writes.unshift({ robot, robotName: tile.name, name: checked.name, old: checked.old, next: checked.new });
+    state.writes.unshift({ robot, robotName: tile.name, name: checked.name, old: checked.old, next: checked.new, isExact: checked.exact });
     state.writes.length = Math.min(state.writes.length, 20);
     notify(`${tile.name}: ${checked.name} = ${checked.new} is written`);
     drawWrites();
@@ -210,7 +210,8 @@ async function write({ name }, text) {
 function drawWrites() {
   const rows = state.writes.map((done) => {
     const undo = make("button", { type: "button", onclick: () => write({ name: done.name }, done.old) }, "Undo");
-    undo.disabled = done.robot !== state.page.robot;
+    undo.disabled = done.robot !== state.page.robot || !done.isExact;
+    undo.title = done.isExact ? "" : "the old text is longer than shown, or has control characters";
     return make("li", {}, `${done.robotName}: ${done.name} ${done.old} → ${done.next} `, undo);
   });
   const title = rows.length > 0 ? [make("h2", {}, "Written by this page, latest first")] : [];

@@ -49,11 +49,10 @@ impl App {
         })
     }
 
-    /// Ends all that moves, and the work on backups, and waits until the robots are halted and given back.
+    /// Closes the pages, which ends what they move, and the work on backups; waits until the robots are halted and given back.
     pub(crate) async fn end(&self) {
         self.ends.send_replace(true);
         for robot in &self.robots {
-            robot.end_motion("the server ends");
             if let Some(job) = &*lock(&robot.backup) {
                 job.end("the server ends");
             }

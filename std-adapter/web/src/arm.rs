@@ -24,7 +24,8 @@ const TOOL: f64 = 500.0;
 /// The speed for an arm without a model file, in percent: 1 % of 720 degrees/s at 2 m is 250 mm/s.
 const SLOWEST: f64 = 1.0;
 
-/// Returns the speed for an axis, in percent, at which no point of the arm or its tool moves faster than a jog may.
+/// Returns the speed for an axis, in percent, at which no joint alone moves a point of the arm or its tool faster than a jog may. Steps
+/// of the work coordinates move several joints: the jog measures their speed.
 pub(crate) fn percent(type_name: &str, axis: Axis) -> f64 {
     let Some(geometry) = geometry(type_name) else { return SLOWEST };
     let (reach, slide) = match geometry.links {

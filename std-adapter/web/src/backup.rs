@@ -2,6 +2,7 @@
 //!
 //! A dump and a comparison only read. A restore needs the control, and a question to the user.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
@@ -89,7 +90,9 @@ impl Page {
         let job = Arc::new(Job { client: self.client, work, state: Mutex::default() });
         let (app, of, own) = (Arc::clone(&self.app), Arc::clone(robot), Arc::clone(&job));
         self.app.spawn("backup", move || {
-            let outcome = perform(&own, &of, &path, with.as_deref(), plan).map_err(|error| error.to_string());
+            let work = AssertUnwindSafe(|| perform(&own, &of, &path, with.as_deref(), plan));
+            let panicked = |_| Err(Error::Unexpected("the work panicked; it is unknown what was done".into()));
+            let outcome = catch_unwind(work).unwrap_or_else(panicked).map_err(|error| error.to_string());
             let Work { kind, folder, with, .. } = &own.work;
             let what = match kind {
                 Kind::Dump => format!("dumps to {folder}"),
@@ -126,7 +129,20 @@ fn perform(job: &Job, robot: &Robot, path: &Path, with: Option<&Path>, plan: Opt
             let mut lines: Vec<_> = compare::variables(&saved, &other, false).iter().map(ToString::to_string).collect();
             lines.extend(compare::files(&saved, &other).iter().map(ToString::to_string));
             job.show(&lines);
-            Ok(if lines.is_empty() { "no differences".into() } else { format!("{} differences", lines.len()) })
+            let omitted: Vec<_> = compare::omitted(&saved, &other, false)
+                .map(|(is_first, part)| {
+                    let side = if is_first { "the backup" } else { "the other side" };
+                    format!("not compared: {}, in {side}", safe(&part.reason))
+                })
+                .collect();
+            let differences =
+                if lines.is_empty() { "no differences".into() } else { format!("{} differences", lines.len()) };
+            let outcome = match omitted.len() {
+                0 => differences,
+                count => format!("{differences} in what could be compared; parts not compared: {count}"),
+            };
+            lock(&job.state).notes = omitted;
+            Ok(outcome)
         }
         (Kind::Plan, _) => {
             let backup = folder::load(path)?;

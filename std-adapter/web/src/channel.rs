@@ -69,7 +69,8 @@ pub(crate) struct Channel {
 
 /// An order of a page, when it was received, and how often something was ended or revoked before.
 pub(crate) struct Received {
-    pub(crate) text: String,
+    /// The order with its number; `None` if it is none.
+    pub(crate) order: Option<(u64, Order)>,
     since: Instant,
     ends: u64,
 }
@@ -104,13 +105,13 @@ impl Channel {
     /// Returns the next order; `None` at the end of the page.
     pub(crate) async fn order(&mut self) -> Option<Received> {
         match self.waiting.pop_front() {
-            None => self.receive().await.map(|text| self.received(text)),
+            None => self.receive().await.map(|text| self.received(&text)),
             waiting => waiting,
         }
     }
 
-    fn received(&self, text: String) -> Received {
-        Received { text, since: Instant::now(), ends: self.count_ends() }
+    fn received(&self, text: &str) -> Received {
+        Received { order: Order::parse(text), since: Instant::now(), ends: self.count_ends() }
     }
 
     /// Returns how often something was ended or revoked so far.
@@ -118,17 +119,25 @@ impl Channel {
         self.ends + self.app.robots.iter().map(|robot| robot.revoked()).sum::<u64>()
     }
 
-    /// Returns whether an order has waited for too long, or something was ended or revoked since it was received.
-    pub(crate) fn is_late(&self, order: &Received) -> bool {
-        order.since.elapsed() > LONGEST_WAIT || order.ends != self.count_ends()
+    /// Returns why an order that changes something comes too late, if it does.
+    pub(crate) fn is_late(&self, order: &Received) -> Option<&'static str> {
+        if order.since.elapsed() > LONGEST_WAIT {
+            return Some("it waited for more than 2 s behind other orders; nothing was done");
+        }
+        let why = "HALT was pressed, or something was ended, before it began; nothing was done";
+        (order.ends != self.count_ends()).then_some(why)
     }
 
     /// Takes orders while another one is carried out. Ends only at the end of the page.
     pub(crate) async fn hold(&mut self) -> Option<()> {
         while self.waiting.len() < WAITING {
             let text = self.receive().await?;
-            self.end_early(&text);
-            let received = self.received(text);
+            let mut received = self.received(&text);
+            if let Some((_, order)) = &received.order {
+                self.end_early(order);
+            }
+            // an order does not end itself
+            received.ends = self.count_ends();
             self.waiting.push_back(received);
         }
         // backpressure: a page that sends this much gets no pulse either, which ends its jog, and later the page
@@ -136,28 +145,28 @@ impl Channel {
     }
 
     /// Ends what an order would end after the one under way, which may take a minute.
-    fn end_early(&mut self, text: &str) {
-        match Order::parse(text) {
-            Some((_, Order::Lift { .. })) => drop(self.grip().map(|grip| grip.lift())),
-            Some((_, Order::Drop { why, .. })) => drop(self.grip().map(|grip| grip.end(&safe(&why)))),
-            Some((_, Order::Stop { robot })) => {
-                let recovery = lock(&self.held).recovery.clone().filter(|(of, _)| *of == robot);
+    fn end_early(&mut self, order: &Order) {
+        match order {
+            Order::Lift { .. } => drop(self.grip().map(|grip| grip.lift())),
+            Order::EndJog { why, .. } => drop(self.grip().map(|grip| grip.end(&safe(why)))),
+            Order::EndRecovery { robot } => {
+                let recovery = lock(&self.held).recovery.clone().filter(|(of, _)| of == robot);
                 if let Some((robot, recovery)) = recovery {
                     held::end_recovery(&self.app, robot, recovery, "the user ended it");
                 }
             }
-            Some((_, Order::Unwork { robot })) => {
+            Order::EndWork { robot } => {
                 // the order itself, carried out later, has the answer
-                return drop(self.app.robots.get(robot).map(|robot| robot.end_work(self.client)));
+                return drop(self.app.robots.get(*robot).map(|robot| robot.end_work(self.client)));
             }
-            Some((_, Order::Release { robot })) => {
-                let robot = self.app.robots.get(robot).filter(|robot| robot.control.user(self.client).is_ok());
+            Order::Release { robot } => {
+                let robot = self.app.robots.get(*robot).filter(|robot| robot.control.user(self.client).is_ok());
                 if let Some(robot) = robot {
                     robot.revoke();
                 }
                 held::end(&self.held, &self.app, "the control was released");
             }
-            Some((_, Order::Show { .. })) => {
+            Order::Show { .. } => {
                 held::end(&self.held, &self.app, "the screen was left");
                 // the page answers no pulse on another screen
                 self.watched = None;

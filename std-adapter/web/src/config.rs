@@ -19,9 +19,9 @@ pub struct Config {
     pub listen: SocketAddr,
     /// The robots, with the names that the page shows.
     pub robots: Vec<(String, Access)>,
-    /// Whether a page may write variables and clear errors.
+    /// Whether a page may write variables, restore backups, clear errors, and make calls that write.
     pub allow_write: bool,
-    /// Whether a page may move a robot by steps while a button is held.
+    /// Whether a page may move a robot: jog it, start tasks, recover it, and make any call that can move it.
     pub allow_motion: bool,
     /// The labels of variables, by names in upper case; a unit may be at the end: `pressure [bar]`.
     pub labels: BTreeMap<String, String>,

@@ -25,26 +25,29 @@ pub(crate) struct Guard {
     hosts: Vec<String>,
     /// The beginning of an origin.
     scheme: &'static str,
-    /// The users of a server that other computers can reach. The token does not suffice there.
+    /// The users of a server that other computers can reach. The token is not enough there.
     pub(crate) login: Option<Login>,
 }
 
 impl Guard {
-    /// Draws the token of a server. The first name of one with TLS and a password is the one of its address.
+    /// Draws the token of a server. The first host is the one that is printed.
     pub(crate) fn new(address: SocketAddr, remote: Option<Remote>) -> Result<Self, getrandom::Error> {
         let (token, port) = (secret()?, address.port());
-        let Some(Remote { names, password, .. }) = remote else {
-            let hosts = vec![address.to_string(), format!("localhost:{port}")];
-            return Ok(Self { token, hosts, scheme: "http://", login: None });
+        let (names, scheme, default_port, login) = match remote {
+            None => (vec!["localhost".into()], "http://", 80, None),
+            Some(Remote { names, password, .. }) => (names, "https://", 443, Some(Login::new(password, port))),
         };
-        let mut hosts: Vec<_> = names.iter().map(|name| format!("{name}:{port}")).collect();
-        if port == 443 {
-            hosts.extend(names);
+        let named = names.iter().map(|name| format!("{name}:{port}"));
+        let mut hosts: Vec<_> = match login {
+            None => std::iter::once(address.to_string()).chain(named).collect(),
+            Some(_) => named.chain((!address.ip().is_unspecified()).then(|| address.to_string())).collect(),
+        };
+        if port == default_port {
+            // browsers leave it out
+            let short = |host: &String| host.strip_suffix(&format!(":{port}")).map(str::to_owned);
+            hosts.extend(hosts.iter().filter_map(short).collect::<Vec<_>>());
         }
-        if !address.ip().is_unspecified() {
-            hosts.push(address.to_string());
-        }
-        Ok(Self { token, hosts, scheme: "https://", login: Some(Login::new(password, port)) })
+        Ok(Self { token, hosts, scheme, login })
     }
 
     /// Returns the address of the page. Without a login it has the token.
@@ -81,5 +84,32 @@ impl Guard {
             return Ok(None);
         }
         Err((StatusCode::UNAUTHORIZED, "the token is missing or wrong; open the address that bcap web printed"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_browser_leaves_out_the_default_port() {
+        let allowed = |guard: &Guard, host: &str| {
+            guard.check_host(&HeaderMap::from_iter([(HOST, host.parse().unwrap())])).is_ok()
+        };
+        let guard = Guard::new("127.0.0.1:80".parse().unwrap(), None).unwrap();
+        assert_eq!(
+            ["127.0.0.1", "localhost", "127.0.0.1:80", "cell"].map(|host| allowed(&guard, host)),
+            [true, true, true, false]
+        );
+        let remote =
+            || Remote { certificate: "c".into(), key: "k".into(), password: "p".into(), names: vec!["cell".into()] };
+        let guard = Guard::new("192.168.0.9:443".parse().unwrap(), Some(remote())).unwrap();
+        assert_eq!(
+            ["192.168.0.9", "cell", "cell:443", "localhost"].map(|host| allowed(&guard, host)),
+            [true, true, true, false]
+        );
+        assert_eq!(guard.url(), "https://cell:443/");
+        let guard = Guard::new("192.168.0.9:8011".parse().unwrap(), Some(remote())).unwrap();
+        assert_eq!(["cell:8011", "cell"].map(|host| allowed(&guard, host)), [true, false]);
     }
 }

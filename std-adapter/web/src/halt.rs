@@ -13,13 +13,13 @@ use tokio::sync::oneshot;
 use crate::text::safe;
 use crate::threads::lock;
 
-/// The outcome of a halt, which is certain, or why the robot may still move.
+/// The outcome of a halt: the robot was seen at rest, or why it may still move.
 pub(crate) type Outcome = Result<String, String>;
 
 /// The outcome of a halt that had nothing to stop.
 pub(crate) const AT_REST: &str = "the robot was at rest; nothing was moving";
 
-/// The receiver of the outcome of a halt.
+/// A press of HALT, which waits for its outcome.
 type Press = oneshot::Sender<Outcome>;
 
 /// The thread that halts a robot, and its session.
@@ -43,8 +43,10 @@ impl Halter {
     /// Opens a new session for the next halt, because the controller may have started again. A halt does not wait for it.
     pub(crate) fn prepare(&self) {
         let mut opened = Stopper::new(self.access.clone());
-        // a halt tries again, and reports why
-        let _ = opened.prepare();
+        if opened.prepare().is_err() {
+            // perhaps the last one is still there; a halt replaces a lost one, and reports why it cannot
+            return;
+        }
         // a halt under way replaces a lost session itself
         let last = self.stopper.try_lock().map(|mut stopper| replace(&mut *stopper, opened));
         drop(last);

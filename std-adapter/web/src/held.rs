@@ -41,7 +41,7 @@ pub(crate) fn end(held: &Shared, app: &Arc<App>, why: &str) {
 pub(crate) fn end_recovery(app: &Arc<App>, robot: usize, recovery: Arc<Recovery>, why: &str) {
     let is_first = recovery.end(why);
     let Some(robot) = app.robots.get(robot).filter(|_| is_first && recovery.moves()).cloned() else { return };
-    let (of, what) = (Arc::clone(app), format!("a step that moves ends: {why}: HALT"));
+    let (of, what) = (Arc::clone(app), format!("{why} during a step that moves"));
     // without a thread the step ends as the controller ends it
     let _ = app.spawn("end of a step", move || robot.halt_while(&of.audit, &what, || recovery.moves()));
 }

@@ -24,7 +24,7 @@ const IN_TIME: Duration = Duration::from_millis(150);
 
 impl Page {
     /// Begins a jog, which takes the arm. `name` is the robot's name in the question.
-    pub(crate) fn take_grip(&mut self, number: usize, name: &str) -> Answer {
+    pub(crate) fn take_grip(&self, number: usize, name: &str) -> Answer {
         let (who, robot) = self.mover(number)?;
         robot.check_name(name)?;
         self.end_motion("a jog begins");
@@ -38,7 +38,7 @@ impl Page {
         *last = Some(Arc::clone(&grip));
         drop(last);
         lock(&self.held).grip = Some((number, Arc::clone(&grip)));
-        let begun = self.audited(&who, &robot, "takes the arm for a jog", Ok(()));
+        let begun = self.audited(&who, &robot, "begins a jog", Ok(()));
         tokio::spawn(watch(Arc::clone(&self.app), robot, who, grip, Arc::clone(&self.app.work)));
         begun
     }

@@ -75,7 +75,7 @@ impl Login {
     /// Begins a session, and returns its cookie. A host may try 5 times, and then every 10 seconds.
     pub(crate) fn log_in(&self, host: IpAddr, password: &[u8]) -> Result<String, Refused> {
         if !self.may_try(host) {
-            return Err((StatusCode::TOO_MANY_REQUESTS, "too many attempts; wait a minute"));
+            return Err((StatusCode::TOO_MANY_REQUESTS, "too many attempts; try again in 10 s"));
         }
         if !is_same(password, self.password.as_bytes()) {
             return Err((StatusCode::UNAUTHORIZED, "the password is wrong"));
@@ -95,6 +95,9 @@ impl Login {
             IpAddr::V6(host) => IpAddr::V6((u128::from(host) >> 64 << 64).into()),
             host => host,
         };
+        if attempts.len() >= HOSTS {
+            attempts.retain(|_, bucket| !bucket.is_full());
+        }
         let is_known = attempts.len() < HOSTS || attempts.contains_key(&Some(host));
         attempts.entry(is_known.then_some(host)).or_insert_with(|| Bucket::new(5, Duration::from_secs(10))).take()
     }
@@ -177,5 +180,15 @@ mod tests {
         assert!(!may_try("192.168.0.1"), "the same host");
         assert!(!may_try("2001:db8::ffff:2"), "the same network");
         assert!(may_try("2001:db8:0:1::1"), "another network");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn hosts_that_tried_long_ago_are_forgotten() {
+        let login = Login::new("correct horse battery".into(), 8011);
+        let host = |number: usize| IpAddr::V4(Ipv4Addr::from_bits(number as u32));
+        assert!((0..HOSTS).all(|number| login.may_try(host(number))));
+        tokio::time::advance(Duration::from_secs(10)).await;
+        assert_eq!((0..6).filter(|_| login.may_try(host(HOSTS))).count(), 5);
+        assert!(login.may_try(host(HOSTS + 1)), "another host is not locked out");
     }
 }

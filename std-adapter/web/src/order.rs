@@ -6,9 +6,10 @@ use serde_json::{Map, Value};
 use crate::job::Work;
 
 /// The screens of a page.
-#[derive(Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
+#[derive(Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum Screen {
+    #[default]
     Cell,
     Variables,
     Alarms,
@@ -50,13 +51,13 @@ pub(crate) enum Order {
     /// The button is lifted.
     Lift { robot: usize },
     /// Ends the jog.
-    Drop { robot: usize, why: String },
+    EndJog { robot: usize, why: String },
     /// Begins a recovery of the robot with this name, and plans its steps.
     Recover { robot: usize, name: String },
     /// Makes the next step of the recovery.
     Step { robot: usize, step: String },
     /// Ends the recovery.
-    Stop { robot: usize },
+    EndRecovery { robot: usize },
     /// Reads the logs of the controller.
     Log { robot: usize },
     /// Starts or stops a task of the robot with the name `of`.
@@ -81,8 +82,8 @@ pub(crate) enum Order {
     Backups {},
     /// Begins a dump, a comparison, or the plan of a restore.
     Work { robot: usize, work: Work },
-    /// Ends it.
-    Unwork { robot: usize },
+    /// Ends a dump, a comparison, the plan of a restore, or a restore.
+    EndWork { robot: usize },
     /// Restores the backup that was planned, on the robot with this name.
     Restore { robot: usize, name: String, folder: String },
     /// Starts or ends the recordings.

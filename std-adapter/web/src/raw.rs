@@ -124,8 +124,9 @@ impl Desk {
         let of = Arc::clone(app);
         // without a thread the session ends here
         let _ = app.spawn("end of calls", move || {
-            self.robot
-                .halt_while(&of.audit, "was left during a call that moves: HALT", || self.moves.load(Ordering::SeqCst));
+            self.robot.halt_while(&of.audit, "its screen was left during a call that moves", || {
+                self.moves.load(Ordering::SeqCst)
+            });
             drop(lock(&self.link).take());
         });
     }

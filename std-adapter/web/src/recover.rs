@@ -20,7 +20,7 @@ const ENTRIES: usize = 50;
 
 impl Page {
     /// Begins a recovery. Nothing is changed before the user agrees to the first step. `name` is the robot's name in the question.
-    pub(crate) fn begin_recovery(&mut self, number: usize, name: &str) -> Answer {
+    pub(crate) fn begin_recovery(&self, number: usize, name: &str) -> Answer {
         let (who, robot) = self.mover(number)?;
         robot.check_name(name)?;
         self.end_motion("a recovery begins");

@@ -83,7 +83,7 @@ pub(crate) struct Live {
     pub(crate) is_virtual: Option<bool>,
     /// `@TYPE_NAME` of the robot, if the controller has it.
     pub(crate) type_name: Option<String>,
-    /// The variables of each page.
+    /// The variables that each page has selected. They are read on other screens, too: for plots and recordings.
     pub(crate) names: BTreeMap<Client, Vec<String>>,
     /// The pages that show the arm.
     pub(crate) arms: HashSet<Client>,
@@ -163,13 +163,15 @@ impl Robot {
         outcome
     }
 
-    /// Halts the robot while a call is under way: it may be sent at this moment, and come after the first halt. `what` is for the audit.
-    pub(crate) fn halt_while(&self, audit: &Audit, what: &str, moves: impl Fn() -> bool) {
+    /// Halts the robot while a call is under way: it may be sent at this moment, and come after the first halt. `why` is for the audit.
+    pub(crate) fn halt_while(&self, audit: &Audit, why: &str, moves: impl Fn() -> bool) {
         for _ in 0..HALTS {
             if !moves() {
                 break;
             }
-            audit.write("a page", &self.name, what, &self.halter.halt_now());
+            let outcome = self.halter.halt_now();
+            let what = format!("HALT, because {why}, {}", outcome.as_deref().unwrap_or("failed"));
+            audit.write("a page", &self.name, &what, &outcome);
             thread::sleep(AGAIN);
         }
     }
@@ -202,7 +204,7 @@ impl Robot {
         self.revoked.load(Ordering::SeqCst)
     }
 
-    /// Returns the permit of an order of now.
+    /// Returns a permit that the next revocation ends.
     pub(crate) fn permit(&self) -> Permit {
         self.permit_since(self.revoked())
     }

@@ -45,6 +45,11 @@ impl Bucket {
         Self { burst, interval, full_at: Instant::now() }
     }
 
+    /// Returns whether all tokens are there.
+    pub(crate) fn is_full(&self) -> bool {
+        self.full_at <= Instant::now()
+    }
+
     /// Takes a token, if one is left.
     pub(crate) fn take(&mut self) -> bool {
         let now = Instant::now();

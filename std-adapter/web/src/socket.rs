@@ -13,7 +13,7 @@ use bcap_live::write::{Write, check, check_position};
 use bcap_sim::pace::Paced;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
-use tokio::time::{Instant, MissedTickBehavior, interval, interval_at};
+use tokio::time::{Interval, MissedTickBehavior, interval};
 
 use crate::app::App;
 use crate::channel::{Channel, Received};
@@ -42,15 +42,21 @@ pub(crate) type Answer = Result<Value, String>;
 pub(crate) struct Page {
     pub(crate) app: Arc<App>,
     pub(crate) client: Client,
+    shown: Mutex<Shown>,
+    /// The value that was checked last, and the robot that it is for.
+    checked: Mutex<Option<(usize, Box<Write>)>>,
+    pub(crate) held: Shared,
+}
+
+/// What a page shows.
+#[derive(Default)]
+struct Shown {
     robot: usize,
     screen: Screen,
     /// The last message of each section.
     sent: Vec<String>,
     /// How many packets the page has.
     packets: u64,
-    /// The value that was checked last, and the robot that it is for.
-    checked: Option<(usize, Box<Write>)>,
-    pub(crate) held: Shared,
 }
 
 impl Drop for Page {
@@ -69,90 +75,99 @@ impl Drop for Page {
 pub(crate) async fn serve(app: Arc<App>, client: Client, socket: WebSocket) {
     let labels: Map<_, _> = app.config.labels.iter().map(|(name, label)| (safe(name), safe(label).into())).collect();
     let hello = json!({ "t": "hello", "labels": labels, "write": app.config.allow_write, "motion": app.config.allow_motion, "panel": app.config.panel.is_some(), "version": env!("CARGO_PKG_VERSION") });
-    let mut page = Page {
-        app,
-        client,
-        robot: 0,
-        screen: Screen::Cell,
-        sent: Vec::new(),
-        packets: 0,
-        checked: None,
-        held: Shared::default(),
-    };
-    // the page is dropped first, so that its loss ends a jog at once
-    let mut channel = Channel::new(socket, Arc::clone(&page.app), client, Arc::clone(&page.held));
-    let _ = serve_page(&mut page, &mut channel, hello.to_string()).await;
+    let (shown, checked, held) = Default::default();
+    let held: Shared = held;
+    let mut channel = Channel::new(socket, Arc::clone(&app), client, Arc::clone(&held));
+    // dropped before the channel, so that the loss of the page ends a jog at once
+    let page = Page { app, client, shown, checked, held };
+    let _ = serve_page(&page, &mut channel, hello.to_string()).await;
 }
 
-async fn serve_page(page: &mut Page, channel: &mut Channel, hello: String) -> Option<()> {
+/// The times at which a page gets messages.
+struct Clock {
+    ticks: Interval,
+    alive: Interval,
+}
+
+async fn serve_page(page: &Page, channel: &mut Channel, hello: String) -> Option<()> {
     channel.send(hello).await?;
-    let mut ticks = interval(TICK);
-    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let mut alive = interval(ALIVE);
+    let mut clock = Clock { ticks: interval(TICK), alive: interval(ALIVE) };
+    for interval in [&mut clock.ticks, &mut clock.alive] {
+        interval.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    }
     // 40 orders at once, and 20 each second
     let mut bucket = Bucket::new(40, Duration::from_millis(50));
     loop {
-        channel.watch(page.screen == Screen::Raw && page.mover(page.robot).is_ok());
+        channel.watch(page.is_watched());
         tokio::select! {
-            _ = ticks.tick() => {
-                for text in page.changed() {
-                    channel.send(text).await?;
-                }
-            }
-            _ = alive.tick() => channel.alive().await?,
-            order = channel.order() => answer(page, channel, &order?, bucket.take()).await?,
+            _ = clock.ticks.tick() => page.update(channel).await?,
+            _ = clock.alive.tick() => channel.alive().await?,
+            order = channel.order() => answer(page, channel, &mut clock, order?, bucket.take()).await?,
         }
     }
 }
 
 /// Carries out an order if the page has not given too many, and sends the answer.
-async fn answer(page: &mut Page, channel: &mut Channel, order: &Received, is_allowed: bool) -> Option<()> {
-    let text = &order.text;
-    let refused = |error: &str| {
-        let id = Order::parse(text).map(|(number, _)| number);
-        json!({ "t": "answer", "id": id, "error": error }).to_string()
-    };
+async fn answer(
+    page: &Page,
+    channel: &mut Channel,
+    clock: &mut Clock,
+    received: Received,
+    is_allowed: bool,
+) -> Option<()> {
+    let (late, id) = (channel.is_late(&received), received.order.as_ref().map(|(id, _)| *id));
+    let refused = |why: &str| json!({ "t": "answer", "id": id, "error": safe(why) }).to_string();
     if !is_allowed {
         // perhaps it was the end of a motion
         page.end_motion("too many orders");
         return channel.send(refused("too many orders; wait a moment")).await;
     }
-    if channel.is_late(order) && Order::parse(text).is_some_and(|(_, order)| order.changes()) {
-        let why = "HALT was pressed, something was ended, or too much time passed, before it began; nothing was done";
+    let Some((_, order)) = received.order else { return channel.send(refused("this is not an order")).await };
+    if let Some(why) = late.filter(|_| order.changes()) {
         return channel.send(refused(why)).await;
     }
-    let mut order = pin!(page.order(text));
-    let mut alive = interval_at(Instant::now() + ALIVE, ALIVE);
-    let answer = loop {
+    let mut order = pin!(page.carry_out(order));
+    let done = loop {
         tokio::select! {
-            answer = &mut order => break answer,
+            done = &mut order => break done,
             // a controller may need seconds
-            _ = alive.tick() => channel.alive().await?,
+            _ = clock.ticks.tick() => page.update(channel).await?,
+            _ = clock.alive.tick() => channel.alive().await?,
             ended = channel.hold() => ended?,
         }
     };
-    channel.send(answer.to_string()).await
+    let answer = |value| json!({ "t": "answer", "id": id, "ok": value }).to_string();
+    channel.send(done.map_or_else(|why| refused(&why), answer)).await
 }
 
 impl Page {
+    /// Sends the sections that have changed.
+    async fn update(&self, channel: &mut Channel) -> Option<()> {
+        for text in self.changed() {
+            channel.send(text).await?;
+        }
+        Some(())
+    }
+
     /// Returns the messages with the sections that have changed.
-    fn changed(&mut self) -> Vec<String> {
+    fn changed(&self) -> Vec<String> {
         let tiles: Value =
             self.app.robots.iter().enumerate().map(|(number, robot)| view::tile(number, robot, self.client)).collect();
         let replay = self.app.config.replay.as_ref().map(|replay| (json!("replay"), replay.section()));
-        let section = self.section().map(|section| (json!(self.screen), section));
+        let shown = &mut *lock(&self.shown);
+        let section = self.section(shown).map(|section| (json!(shown.screen), section));
         let sections = [(json!("tiles"), tiles)].into_iter().chain(replay).chain(section);
-        let message = |(name, content)| json!({ "t": name, "robot": self.robot, "v": content }).to_string();
+        let message = |(name, content)| json!({ "t": name, "robot": shown.robot, "v": content }).to_string();
         let messages: Vec<_> = sections.map(message).collect();
-        let changed = messages.iter().filter(|text| !self.sent.contains(text)).cloned().collect();
-        self.sent = messages;
+        let changed = messages.iter().filter(|text| !shown.sent.contains(text)).cloned().collect();
+        shown.sent = messages;
         changed
     }
 
     /// Returns the section of the screen; `None` if there is nothing to show.
-    fn section(&mut self) -> Option<Value> {
-        let robot = self.app.robots.get(self.robot)?;
-        Some(match self.screen {
+    fn section(&self, shown: &mut Shown) -> Option<Value> {
+        let robot = self.app.robots.get(shown.robot)?;
+        Some(match shown.screen {
             Screen::Cell | Screen::Raw => return None,
             Screen::Variables | Screen::Plots => view::variables(self.client, robot),
             Screen::Alarms => view::alarms(robot),
@@ -162,22 +177,12 @@ impl Page {
             Screen::Backup => json!(lock(&robot.backup).as_ref().map(|job| job.section(self.client))),
             Screen::Session => view::session(&self.app),
             Screen::Panel => panel::section(self.app.config.panel.as_deref()?),
-            Screen::Packets => view::packets(robot, &mut self.packets)?,
+            Screen::Packets => view::packets(robot, &mut shown.packets)?,
         })
     }
 
-    /// Carries out an order, and returns the answer.
-    async fn order(&mut self, text: &str) -> Value {
-        let Some((number, order)) = Order::parse(text) else {
-            return json!({ "t": "answer", "error": "this is not an order" });
-        };
-        match self.carry_out(order).await {
-            Ok(value) => json!({ "t": "answer", "id": number, "ok": value }),
-            Err(why) => json!({ "t": "answer", "id": number, "error": safe(&why) }),
-        }
-    }
-
-    async fn carry_out(&mut self, order: Order) -> Answer {
+    /// Carries out an order.
+    async fn carry_out(&self, order: Order) -> Answer {
         match order {
             Order::Show { robot, screen } => self.show(robot, screen),
             Order::Select { robot, names } => self.select(robot, names).await,
@@ -195,7 +200,7 @@ impl Page {
             Order::Lift { robot } => self.lift(robot),
             Order::Recover { robot, name } => self.begin_recovery(robot, &name),
             Order::Step { robot, step } => self.agree(robot, &step),
-            Order::Stop { robot } => self.stop(robot),
+            Order::EndRecovery { robot } => self.stop(robot),
             Order::Log { robot } => self.log(robot).await,
             Order::Task { robot, of, name, what } => self.task(robot, &of, name, what).await,
             Order::Line { robot, name } => self.line(robot, name).await,
@@ -210,7 +215,7 @@ impl Page {
             Order::Calls { robot } => Ok(view::calls(&*self.robot(robot)?)),
             Order::Backups {} => self.backups().await,
             Order::Work { robot, work } => self.work(robot, work),
-            Order::Unwork { robot } => self.end_work(robot),
+            Order::EndWork { robot } => self.end_work(robot),
             Order::Restore { robot, name, folder } => self.restore(robot, &name, folder),
             Order::Record { starts } => self.record(starts).await,
             Order::Recordings {} => self.recordings().await,
@@ -221,11 +226,11 @@ impl Page {
             Order::Pace { robot, factor } => {
                 self.on_panel(robot, &format!("sets the time factor to {factor}"), |found| panel::pace(found, factor))
             }
-            Order::Drop { robot, why } => self.drop_grip(robot, &why),
+            Order::EndJog { robot, why } => self.drop_grip(robot, &why),
         }
     }
 
-    fn show(&mut self, number: usize, screen: Screen) -> Answer {
+    fn show(&self, number: usize, screen: Screen) -> Answer {
         let robot = self.robot(number)?;
         self.end_motion("the screen was left");
         for robot in &self.app.robots {
@@ -234,14 +239,13 @@ impl Page {
         if screen == Screen::Arm {
             robot.live().arms.insert(self.client);
         }
-        (self.robot, self.screen, self.packets) = (number, screen, 0);
-        self.sent.clear();
+        *lock(&self.shown) = Shown { robot: number, screen, ..Shown::default() };
         Ok(Value::Null)
     }
 
     /// Keeps a value that is checked, and shows it with the old one.
     async fn check(
-        &mut self,
+        &self,
         number: usize,
         check: impl FnOnce(&mut Link) -> Result<Write, Error> + Send + 'static,
     ) -> Answer {
@@ -252,9 +256,11 @@ impl Page {
                         ends with the screen"
                 .into());
         }
-        let [old, new] = [&write.before, &write.value].map(|value| safe(&shown(value)));
-        let answer = json!({ "name": safe(&write.path), "old": old, "new": new });
-        self.checked = Some((number, Box::new(write)));
+        let [before, value] = [&write.before, &write.value].map(shown);
+        let (old, new) = (safe(&before), safe(&value));
+        // otherwise an undo would write another text
+        let answer = json!({ "name": safe(&write.path), "old": old, "new": new, "exact": old == before });
+        *lock(&self.checked) = Some((number, Box::new(write)));
         Ok(answer)
     }
 
@@ -264,11 +270,12 @@ impl Page {
             self.writes()?;
         }
         let robot = self.robot(robot)?;
-        self.audited(&cleaned(name), &robot, "takes the control", robot.control.take(self.client, name))
+        let who = Some(cleaned(name)).filter(|name| !name.is_empty()).unwrap_or_else(|| "a page".into());
+        self.audited(&who, &robot, "takes the control", robot.control.take(self.client, name))
     }
 
     /// Releases the control of a robot, and ends what this page moves.
-    fn release(&mut self, robot: usize) -> Answer {
+    fn release(&self, robot: usize) -> Answer {
         let robot = self.robot(robot)?;
         if robot.control.user(self.client).is_ok() {
             self.end_motion("the control was released");
@@ -305,7 +312,14 @@ impl Page {
 
     /// Returns whether this page shows a screen of a robot.
     pub(crate) fn shows(&self, screen: Screen, robot: usize) -> bool {
-        self.screen == screen && self.robot == robot
+        let shown = lock(&self.shown);
+        shown.screen == screen && shown.robot == robot
+    }
+
+    /// Returns whether this page must send heartbeats without a jog: it may make calls that move a robot.
+    fn is_watched(&self) -> bool {
+        let robot = lock(&self.shown).robot;
+        self.shows(Screen::Raw, robot) && self.mover(robot).is_ok()
     }
 
     pub(crate) fn robot(&self, number: usize) -> Result<Arc<Robot>, String> {
@@ -382,7 +396,7 @@ impl Page {
         async { task.await.unwrap_or_else(|_| Err("the order panicked; it is unknown whether it was done".into())) }
     }
 
-    async fn select(&mut self, robot: usize, names: Vec<String>) -> Answer {
+    async fn select(&self, robot: usize, names: Vec<String>) -> Answer {
         let robot = self.robot(robot)?;
         let selections = Selection::parse_each(&names).map_err(|error| error.to_string())?;
         let names = robot.order(move |link| names_within(&selections, VARIABLES, |kind| count(link, kind))).await?;
@@ -396,10 +410,10 @@ impl Page {
     }
 
     /// Writes the value that was checked, if the variable still has the value that the user has seen.
-    async fn write(&mut self, number: usize, name: &str) -> Answer {
+    async fn write(&self, number: usize, name: &str) -> Answer {
         let (who, robot) = self.writer(number)?;
         let is_for = |(robot, write): &(usize, Box<Write>)| *robot == number && write.path.to_string() == name;
-        let (_, write) = self.checked.take_if(|checked| is_for(checked)).ok_or("check the value first")?;
+        let (_, write) = lock(&self.checked).take_if(|checked| is_for(checked)).ok_or("check the value first")?;
         let what = format!("writes {name}: {} -> {}", shown(&write.before), shown(&write.value));
         self.change(who, &robot, what, move |link| write.perform_unless_changed(link)).await
     }

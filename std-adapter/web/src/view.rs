@@ -62,7 +62,7 @@ pub(crate) fn tile(number: usize, robot: &Robot, client: Client) -> Value {
 /// is not ready, each with its remedy.
 fn condition(live: &Live) -> (&'static str, &'static str, Vec<[String; 2]>) {
     if let Some(why) = &live.model.lost {
-        let remedy = "It is tried again every second. Check that the controller is on, the cable, and the address.";
+        let remedy = "bcap web tries again every second. Check that the controller is on, the cable, and the address.";
         return ("unknown", "not connected", vec![[safe(why), remedy.into()]]);
     }
     let examination = match &live.examination {
@@ -115,7 +115,8 @@ fn reasons(examination: &Examination) -> Vec<[String; 2]> {
     reasons
 }
 
-/// Returns the variables of a page: name, text, whether it changed a moment ago, whether it has a value, number.
+/// Returns the variables of a page: name, text, whether it changed a moment ago, whether it has a value, number, whether the text is
+/// exact.
 pub(crate) fn variables(client: Client, robot: &Robot) -> Value {
     let live = robot.live();
     let names = live.names.get(&client).map(Vec::as_slice).unwrap_or_default();
@@ -126,7 +127,8 @@ pub(crate) fn variables(client: Client, robot: &Robot) -> Value {
             safe(&variable.text),
             variable.has_changed(live.model.now),
             variable.value.is_some(),
-            number
+            number,
+            safe(&variable.text) == variable.text
         ])
     };
     // the thread of the robot reads them in the order of their names

@@ -61,7 +61,7 @@ fn a_recovery_that_ends_says_what_is_not_known() {
         page.until("alarms", next(step));
         page.order("step", json!({ "robot": 0, "step": step })).unwrap();
     }
-    page.order("stop", json!({ "robot": 0 })).unwrap();
+    page.order("endrecovery", json!({ "robot": 0 })).unwrap();
     let ended = page.until("alarms", |alarms| alarms["recovery"]["outcome"] != json!(null));
     let outcome = ended["recovery"]["outcome"].as_str().unwrap();
     let (step, arm) = outcome.split_once("; IT IS UNKNOWN whether the motor is off and the arm is free: ").unwrap();

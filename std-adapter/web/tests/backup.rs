@@ -5,6 +5,7 @@ use std::path::Path;
 
 use bcap_core::rac::VariableKind;
 use bcap_core::variant::Variant;
+use bcap_sim::Scenario;
 use bcap_std::Settings;
 use bcap_std::blocking::Controller;
 use serde_json::{Value, json};
@@ -83,6 +84,21 @@ fn a_backup_is_made_compared_and_restored_by_the_page_that_planned_it() {
     for line in ["press: a page: dumps to monday: done", "press: Anna: restores monday: done"] {
         assert!(lines.contains(line), "{lines}");
     }
+}
+
+#[test]
+fn a_comparison_says_what_it_could_not_compare() {
+    let (sim, folder) = (Sim::start(), tempfile::tempdir().unwrap());
+    let web = serve(sim.address(), folder.path(), false);
+    let mut page = opened(&web);
+    work(&mut page, json!({ "work": "dump", "folder": "monday" }));
+    let refused =
+        "[[fault]]\nwhen = { every = 1, of = \"Controller_GetFileNames\" }\nthen = { refuse = \"E_ACCESSDENIED\" }\n";
+    sim.lock().play(Scenario::parse(refused).unwrap());
+    let found = work(&mut page, json!({ "work": "diff", "folder": "monday", "with": null }));
+    assert_eq!(found["outcome"], "no differences in what could be compared; parts not compared: 1", "{found}");
+    let note = found["notes"][0].as_str().unwrap();
+    assert!(note.starts_with("not compared: ") && note.ends_with(", in the other side"), "{note}");
 }
 
 /// A controller that changes after the plan stops the restore, and the next plan has the rest.

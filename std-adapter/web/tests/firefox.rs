@@ -3,6 +3,7 @@
 use std::io::{BufRead as _, BufReader};
 use std::net::TcpStream;
 use std::process::{Child, Command, Stdio};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use bcap_core::rac::VariableKind;
@@ -198,7 +199,7 @@ fn a_user_of_firefox_reads_writes_jogs_and_halts() {
 
 /// A held button moves the robot, and a window without the focus ends it. A busy machine may lose the heartbeat before.
 fn jog(sim: &Sim, web: &Web, firefox: &mut Firefox) {
-    let mut moved = false;
+    let (mut moved, mut notices) = (false, Vec::new());
     for _ in 0..10 {
         sim.lock().clear_errors(bcap_std::now());
         firefox.until_text("#state", "ready, motor off");
@@ -208,10 +209,13 @@ fn jog(sim: &Sim, web: &Web, firefox: &mut Firefox) {
         let before = sim.lock().axes();
         firefox.until("document.querySelector('.axis') !== null");
         firefox.press(".axis:nth-child(1) button:nth-of-type(2)");
-        until("the robot moves, or the jog has ended", || {
-            let sim = sim.lock();
-            sim.axes() != before || sim.arm_owner().is_none()
-        });
+        // the page may draw the button anew during the press, which then presses nothing
+        let end = Instant::now() + Duration::from_secs(5);
+        let is_pressed = || sim.lock().axes() != before || sim.lock().arm_owner().is_none();
+        while !is_pressed() && Instant::now() < end {
+            thread::sleep(Duration::from_millis(5));
+        }
+        notices.push(firefox.eval("document.getElementById('notice').textContent"));
         firefox.eval("(dispatchEvent(new Event('blur')), 0)");
         sim.until("it rests, and the arm is free", |sim| !sim.is_moving() && sim.arm_owner().is_none());
         firefox.lift();
@@ -220,7 +224,7 @@ fn jog(sim: &Sim, web: &Web, firefox: &mut Firefox) {
             break;
         }
     }
-    assert!(moved, "each attempt has lost its heartbeat: {:?}", web.lines());
+    assert!(moved, "each attempt has lost its heartbeat: {:?}, {notices:?}", web.lines());
     sim.lock().clear_errors(bcap_std::now());
     firefox.until_text("#state", "ready, motor off");
 }

@@ -4,6 +4,7 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use bcap_sim::Profile;
 use bcap_sim::pace::Paced;
 use bcap_std::blocking::Controller;
 use bcap_std::{Move, Settings};
@@ -201,7 +202,7 @@ fn each_end_halts_the_robot_and_frees_the_arm() {
             }
         }),
         ("the tab was hidden", &|jogging| {
-            drop(jogging.page.order("drop", json!({ "robot": 0, "why": "the tab was hidden" })));
+            drop(jogging.page.order("endjog", json!({ "robot": 0, "why": "the tab was hidden" })));
         }),
         ("a second button was pressed", &|jogging| {
             let second = json!({ "robot": 0, "axis": "J2", "by": 1.0, "percent": 1.0 });
@@ -250,7 +251,7 @@ fn a_lifted_button_ends_its_step_and_keeps_the_arm() {
         assert_eq!(sim.lock().axes(), rests, "nothing moves without a button");
         let owner = sim.lock().arm_owner();
         let motor = sim.lock().motor_is_on();
-        page.order("drop", json!({ "robot": 0, "why": "the user ended it" })).ok()?;
+        page.order("endjog", json!({ "robot": 0, "why": "the user ended it" })).ok()?;
         assert_end(&jogging, "the user ended it")?;
         assert!(owner.is_some() && motor, "the arm was kept after the lift");
         Some(())
@@ -268,7 +269,7 @@ fn a_heartbeat_without_the_press_lifts_the_button() {
         let rests = jogging.sim.lock().axes();
         watch(&mut jogging.page, Duration::from_millis(300))?;
         assert_eq!(jogging.sim.lock().axes(), rests, "nothing moves without a button");
-        jogging.page.order("drop", json!({ "robot": 0, "why": "the user ended it" })).ok()?;
+        jogging.page.order("endjog", json!({ "robot": 0, "why": "the user ended it" })).ok()?;
         assert_end(&jogging, "the user ended it")
     });
 }
@@ -356,7 +357,7 @@ fn the_tool_is_slower_than_250_mm_per_second() {
             }
         }
         assert!(fastest <= 250.0, "{fastest} mm/s");
-        let _ = jogging.page.order("drop", json!({ "robot": 0, "why": "it was seen" }));
+        let _ = jogging.page.order("endjog", json!({ "robot": 0, "why": "it was seen" }));
         assert_end(&jogging, "it was seen")?;
         assert!(fastest > 10.0, "{fastest} mm/s");
         println!("the fastest: {fastest:.0} mm/s");
@@ -416,6 +417,22 @@ fn a_jog_whose_connection_hangs_is_halted_over_another_one() {
 
 /// The controller ends during a step: nothing is claimed that was not seen. The next jog works when it is there again.
 #[test]
+fn a_jog_of_an_rc9_frees_the_arm_after_a_lost_connection() {
+    retried(|| {
+        let sim = Sim::quick_of(Profile::Rc9);
+        let relay = Relay::start(sim.address());
+        // the provider is not given: the one of an RC8 is refused
+        let web = Web::moving(&[("press", relay.address)]);
+        let mut page = ready(&web)?;
+        // after the one that reads and the one that halts
+        relay.cut(2);
+        page.order("endjog", json!({ "robot": 0, "why": "it was seen" })).ok()?;
+        sim.until("the motor is off, and the arm is free", |sim| !sim.motor_is_on() && sim.arm_owner().is_none());
+        Some(())
+    });
+}
+
+#[test]
 fn a_controller_that_starts_again_during_a_jog_is_not_called_at_rest() {
     retried(|| {
         let mut jogging = Jogging::begin()?;
@@ -435,7 +452,7 @@ fn a_controller_that_starts_again_during_a_jog_is_not_called_at_rest() {
         page.until_state("ready, motor off");
         page.order("grip", json!({ "robot": 0, "name": "press" })).unwrap();
         sim.until("the arm is taken", |sim| sim.arm_owner().is_some());
-        page.order("drop", json!({ "robot": 0, "why": "it was seen" })).unwrap();
+        page.order("endjog", json!({ "robot": 0, "why": "it was seen" })).unwrap();
         sim.until("the arm is free", |sim| sim.arm_owner().is_none());
         Some(())
     });

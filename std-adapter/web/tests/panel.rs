@@ -143,7 +143,7 @@ fn the_buttons_of_the_panel_play_scenarios() {
     browser.click("[data-id=session]");
     browser.until_text("#audit", "cell: Anna: sets the time factor to 2: done");
     browser.until_text("main", "cell: tcp:127.0.0.1:");
-    browser.until_text("main dl", "by steps while a button is held");
+    browser.until_text("main dl", "jog, tasks, recoveries");
     assert_eq!(browser.eval(include_str!("audit.js")), json!([]));
     assert_eq!(browser.problems, [""; 0]);
 }

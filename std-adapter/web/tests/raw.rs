@@ -319,6 +319,18 @@ fn a_call_that_is_being_prepared_is_not_made_after_the_page_is_gone_or_after_a_h
 }
 
 #[test]
+fn a_page_shows_present_values_while_its_call_moves_the_robot() {
+    let sim = Sim::quick();
+    let web = Web::moving(&[("press", sim.address())]);
+    let mut page = with_control(&web);
+    start_moving(&sim, &mut page);
+    // the answer to the call comes after 90 s
+    let at = |tiles: &Value| tiles[0]["joints"][0].as_f64();
+    let begun = at(&page.until_state("moving"));
+    page.until("tiles", |tiles| at(tiles) > begun);
+}
+
+#[test]
 fn the_end_of_the_screen_halts_a_call_that_moves_and_frees_the_arm() {
     let sim = Sim::quick();
     let web = Web::moving(&[("press", sim.address())]);
@@ -328,7 +340,9 @@ fn the_end_of_the_screen_halts_a_call_that_moves_and_frees_the_arm() {
     drop(page);
     rests(&sim);
     crate::support::until("the halt has its line of the audit", || {
-        web.lines().iter().any(|line| line.contains("was left during a call that moves: HALT: done"))
+        web.lines().iter().any(|line| {
+            line.contains("HALT, because its screen was left during a call that moves, halted, the robot rests: done")
+        })
     });
     // without a motion the arm is given back, too
     sim.lock().clear_errors(bcap_std::now());

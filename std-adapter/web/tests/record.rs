@@ -109,7 +109,7 @@ fn a_session_of_more_than_4_mb_is_recorded_and_shown_again() {
     page.order("select", json!({ "robot": 0, "names": ["I1"] })).unwrap();
     page.until("variables", |rows| rows[0][1] == "1234");
     page.order("select", json!({ "robot": 0, "names": ["I1", "F7"] })).unwrap();
-    page.until("variables", |rows| rows[1] == json!(["F7", "0x80004005 (E_FAIL)", false, false, null]));
+    page.until("variables", |rows| rows[1] == json!(["F7", "0x80004005 (E_FAIL)", false, false, null, true]));
     page.until("replay", |lacks| {
         lacks[0].as_u64().is_some_and(|count| count > 0)
             && lacks[1].as_str().is_some_and(|last| last.contains("Controller_GetVariable") && last.contains("F7"))

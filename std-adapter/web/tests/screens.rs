@@ -380,7 +380,7 @@ fn a_recovery_is_made_button_by_button() {
     browser.enter("#name", "Anna");
     browser.click("[data-id=alarms]");
     browser.click("#recover");
-    agree(&mut browser, "No other program uses the robot");
+    agree(&mut browser, "no other program uses it");
     let mut made = Vec::new();
     loop {
         browser.until("document.querySelector('.steps button') !== null || /recovered/.test(document.querySelector('.alarms').textContent)");

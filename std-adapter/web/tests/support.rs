@@ -73,7 +73,12 @@ impl Sim {
 
     /// Starts one whose motor comes on at once.
     pub(crate) fn quick() -> Self {
-        let config = SimConfig { motor_on_delay: Duration::ZERO, ..SimConfig::new(Profile::Rc8) };
+        Self::quick_of(Profile::Rc8)
+    }
+
+    /// Starts one of another model whose motor comes on at once.
+    pub(crate) fn quick_of(profile: Profile) -> Self {
+        let config = SimConfig { motor_on_delay: Duration::ZERO, ..SimConfig::new(profile) };
         Self::with("127.0.0.1:0".parse().unwrap(), config)
     }
 
@@ -364,6 +369,7 @@ pub(crate) struct Relay {
     frozen: Arc<AtomicUsize>,
     count: Arc<AtomicUsize>,
     held: Arc<AtomicUsize>,
+    clients: Arc<Mutex<Vec<TcpStream>>>,
 }
 
 impl Relay {
@@ -373,11 +379,13 @@ impl Relay {
         let frozen = Arc::new(AtomicUsize::new(usize::MAX));
         let (shared, count) = (Arc::clone(&frozen), Arc::<AtomicUsize>::default());
         let (counted, held) = (Arc::clone(&count), Arc::<AtomicUsize>::default());
-        let holds = Arc::clone(&held);
+        let (holds, clients) = (Arc::clone(&held), Arc::<Mutex<Vec<_>>>::default());
+        let accepted = Arc::clone(&clients);
         // it ends with the process
         thread::spawn(move || {
             for (number, client) in listener.incoming().map_while(Result::ok).enumerate() {
                 let Ok(server) = TcpStream::connect(target) else { continue };
+                accepted.lock().unwrap().push(client.try_clone().unwrap());
                 counted.store(number + 1, Ordering::SeqCst);
                 for (mut from, mut to) in [(client.try_clone().unwrap(), server.try_clone().unwrap()), (server, client)]
                 {
@@ -401,7 +409,7 @@ impl Relay {
                 }
             }
         });
-        Self { address, frozen, count, held }
+        Self { address, frozen, count, held, clients }
     }
 
     /// Returns the number of connections so far.
@@ -412,6 +420,11 @@ impl Relay {
     /// Returns how often bytes have arrived at a connection that was frozen.
     pub(crate) fn held(&self) -> usize {
         self.held.load(Ordering::SeqCst)
+    }
+
+    /// Closes a connection.
+    pub(crate) fn cut(&self, number: usize) {
+        self.clients.lock().unwrap()[number].shutdown(std::net::Shutdown::Both).unwrap();
     }
 
     /// Freezes a connection; the first has the number 0.

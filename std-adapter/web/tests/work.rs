@@ -1,9 +1,12 @@
 //! Recoveries step by step, the logs, tasks and files, without a browser.
 
+use std::sync::Arc;
+
 use bcap_core::hresult::HResult;
+use bcap_sim::Profile;
 use serde_json::{Value, json};
 
-use crate::support::{Page, Sim, Web};
+use crate::support::{Page, Relay, Sim, Web};
 
 const MOTION: &str = "this server moves nothing; start it with --allow-motion";
 
@@ -70,6 +73,35 @@ fn a_recovery_makes_one_step_for_each_agreement() {
         web.lines().iter().any(|line| line.contains("ends after []: ended: the page is closed"))
     });
     assert_eq!(count(&sim), 1);
+}
+
+#[test]
+fn the_end_of_the_server_halts_a_step_that_moves() {
+    let sim = Sim::quick_of(Profile::Cobotta);
+    sim.lock().inject_error(HResult::from_u32(0x8350_0076), bcap_std::now());
+    let relay = Relay::start(sim.address());
+    let web = Web::moving(&[("press", relay.address)]);
+    let mut page = with_control(&web, "error");
+    page.order("show", json!({ "robot": 0, "screen": "alarms" })).unwrap();
+    page.order("recover", json!({ "robot": 0, "name": "press" })).unwrap();
+    loop {
+        let next = recovery(&mut page, |run| run["next"] != json!(null) && run["busy"] == false)["next"].clone();
+        if next == "MotionPreparation" {
+            break;
+        }
+        page.order("step", json!({ "robot": 0, "step": next })).unwrap();
+        recovery(&mut page, |run| run["next"] != next);
+    }
+    relay.freeze(2);
+    page.order("step", json!({ "robot": 0, "step": "MotionPreparation" })).unwrap();
+    crate::support::until("the call is under way", || relay.held() > 0);
+    let audit = Arc::clone(&web.audit);
+    drop(web);
+    let lines = audit.lock().unwrap();
+    assert!(
+        lines.iter().any(|line| line.contains("HALT, because the page is closed during a step that moves")),
+        "{lines:?}"
+    );
 }
 
 #[test]

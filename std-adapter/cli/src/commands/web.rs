@@ -21,9 +21,10 @@ use crate::output::{Printer, note, print_line};
 /// It prints the address of the page with its token; anyone who has it may use the page. Only this computer can open it, unless
 /// there are a certificate and a password: then a user logs in with the password, over TLS. The page
 /// reads; while another client streams in Slave Mode it sends nothing that would end the stream. With --allow-write a user who has
-/// taken the control of a robot, under a name, writes variables and clears errors, and each action is confirmed and printed as a
-/// line. With --allow-motion the same user moves the robot by short steps while a button is held. HALT always works, over a
-/// separate connection. It is not an emergency stop.
+/// taken the control of a robot, under a name, writes variables, restores backups, clears errors and makes calls that write; each
+/// action is confirmed and printed as a line. With --allow-motion the same user jogs the robot by short steps while a button is held,
+/// starts tasks, recovers the robot, and makes calls that can move it at any speed. HALT always works, over a separate connection. It
+/// is not an emergency stop.
 ///
 /// Without PROFILE it shows the controller of --robot or --profile. A lost connection is shown, and tried again every second. A
 /// signal ends it.
@@ -47,11 +48,11 @@ pub(crate) struct Web {
     #[arg(long, value_name = "IP:PORT", default_value = "127.0.0.1:8011")]
     pub(crate) listen: SocketAddr,
 
-    /// Lets pages write variables and clear errors
+    /// Lets pages write variables, restore backups, clear errors, and make calls that write
     #[arg(long)]
     pub(crate) allow_write: bool,
 
-    /// Lets pages move a robot by steps while a button is held
+    /// Lets pages move a robot: jog it, start tasks, recover it, and make any call that can move it
     #[arg(long)]
     pub(crate) allow_motion: bool,
 

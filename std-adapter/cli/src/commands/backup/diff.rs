@@ -7,7 +7,7 @@ use clap::Args;
 use serde_json::json;
 
 use bcap_backup::compare::{self, Difference};
-use bcap_backup::contents::{Contents, Part};
+use bcap_backup::contents::{Contents, Omission};
 use bcap_backup::{controller, folder};
 
 use crate::failure::Failure;
@@ -69,16 +69,14 @@ pub(crate) fn diff(args: &Diff, session: &mut Session, json: bool) -> Result<(),
 /// Prints the parts that a side does not have, and returns their number.
 fn print_omitted(a: &Contents, b: &Contents, system: bool, json: bool) -> Result<usize, Failure> {
     let mut count = 0;
-    for (contents, side, words) in [(a, "a", "first"), (b, "b", "second")] {
-        for omission in contents.omitted.iter().filter(|omission| system || omission.part != Part::System) {
-            let reason = &omission.reason;
-            let line = match json {
-                true => json!({ "not_compared": reason, "side": side }).to_string(),
-                false => format!("not compared: {reason}, in the {words}"),
-            };
-            print(&line, json)?;
-            count += 1;
-        }
+    for (is_first, Omission { reason, .. }) in compare::omitted(a, b, system) {
+        let (side, words) = if is_first { ("a", "first") } else { ("b", "second") };
+        let line = match json {
+            true => json!({ "not_compared": reason, "side": side }).to_string(),
+            false => format!("not compared: {reason}, in the {words}"),
+        };
+        print(&line, json)?;
+        count += 1;
     }
     Ok(count)
 }
