@@ -13,7 +13,7 @@ use tempfile::TempDir;
 use tokio_tungstenite::tungstenite::stream::MaybeTlsStream;
 use tokio_tungstenite::tungstenite::{Message, WebSocket};
 
-use crate::support::{LIMIT, Sim, Web, until, websocket};
+use crate::support::{LIMIT, Sim, Web, websocket};
 
 /// A browser with a page; the process ends when this is dropped.
 struct Firefox {
