@@ -5,7 +5,8 @@ use std::sync::atomic::AtomicU64;
 use std::time::Duration;
 
 use tokio::sync::{Semaphore, watch};
-use tokio::time::{Instant, sleep};
+use tokio::time::timeout;
+use tokio_util::task::TaskTracker;
 
 use crate::audit::Audit;
 use crate::config::Config;
@@ -18,9 +19,6 @@ pub(crate) const PAGES: usize = 16;
 
 /// The longest time that the end of the server waits for halts, for the arms to be given back, and for orders under way.
 const END: Duration = Duration::from_secs(10);
-
-/// How often it looks whether they are done.
-const LOOK: Duration = Duration::from_millis(10);
 
 /// The state that all connections share.
 pub(crate) struct App {
@@ -35,17 +33,17 @@ pub(crate) struct App {
     pub(crate) pages: Arc<Semaphore>,
     /// Becomes true at the end of the server, which closes the pages.
     pub(crate) ends: watch::Sender<bool>,
-    /// Held by each piece of work that the end of the server waits for.
-    pub(crate) work: Arc<()>,
+    /// What the end of the server waits for: pages, their orders, and what they move.
+    pub(crate) work: TaskTracker,
 }
 
 impl App {
     /// Starts a thread for an order of a user, which the end of the server waits for. The error is for the user.
     pub(crate) fn spawn(&self, name: &str, work: impl FnOnce() + Send + 'static) -> Result<(), String> {
-        let held = Arc::clone(&self.work);
+        let token = self.work.token();
         spawn(name, move || {
             work();
-            drop(held);
+            drop(token);
         })
     }
 
@@ -57,9 +55,7 @@ impl App {
                 job.end("the server ends");
             }
         }
-        let until = Instant::now() + END;
-        while (self.pages.available_permits() < PAGES || Arc::strong_count(&self.work) > 1) && Instant::now() < until {
-            sleep(LOOK).await;
-        }
+        self.work.close();
+        let _ = timeout(END, self.work.wait()).await;
     }
 }

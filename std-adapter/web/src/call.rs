@@ -36,9 +36,9 @@ impl Page {
             }
             Arc::clone(held.desk.get_or_insert_with(|| Arc::new(Desk::new(number, Arc::clone(&robot)))))
         };
-        let (app, mut permit, work) = (Arc::clone(&self.app), robot.permit_since(revoked), Arc::clone(&self.app.work));
+        let (app, mut permit) = (Arc::clone(&self.app), robot.permit_since(revoked));
         // on a thread that goes on when the page is closed, so that its line of the audit is written
-        let made = tokio::task::spawn_blocking(move || {
+        let made = self.app.work.spawn_blocking(move || {
             let made = desk.make(&request, &mut permit);
             drop(permit);
             if let Some((who, _)) = user {
@@ -48,7 +48,6 @@ impl Page {
                 };
                 app.audit.write(&who, &robot.name, &format!("calls {request}"), &outcome);
             }
-            drop(work);
             made
         });
         let made = made.await.unwrap_or_else(|_| Err("the call panicked; it is unknown whether it was done".into()));

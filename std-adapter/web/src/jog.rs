@@ -39,7 +39,7 @@ impl Page {
         drop(last);
         lock(&self.held).grip = Some((number, Arc::clone(&grip)));
         let begun = self.audited(&who, &robot, "begins a jog", Ok(()));
-        tokio::spawn(watch(Arc::clone(&self.app), robot, who, grip, Arc::clone(&self.app.work)));
+        self.app.work.spawn(watch(Arc::clone(&self.app), robot, who, grip));
         begun
     }
 
@@ -77,7 +77,7 @@ impl Page {
 }
 
 /// Halts the robot over the connection of HALT if the jog thread does not: its connection may hang.
-async fn watch(app: Arc<App>, robot: Arc<Robot>, who: String, grip: Arc<Grip>, work: Arc<()>) {
+async fn watch(app: Arc<App>, robot: Arc<Robot>, who: String, grip: Arc<Grip>) {
     let (mut since, mut halts) = (None, 0);
     while grip.phase() != Phase::Ended {
         sleep(LOOK).await;
@@ -97,6 +97,4 @@ async fn watch(app: Arc<App>, robot: Arc<Robot>, who: String, grip: Arc<Grip>, w
     let (why, outcome) = (grip.ends().unwrap_or_default(), grip.outcome().unwrap_or(Err("the jog panicked".into())));
     let what = format!("the jog ends: {why}; {}", outcome.as_deref().unwrap_or("then"));
     app.audit.write(&who, &robot.name, &what, &outcome);
-    // the end of the server waits for the line
-    drop(work);
 }

@@ -39,6 +39,7 @@ use std::sync::atomic::AtomicU64;
 use bcap_std::Address;
 use tokio::net::TcpListener;
 use tokio::sync::{Semaphore, watch};
+use tokio_util::task::TaskTracker;
 
 use crate::app::{App, PAGES};
 use crate::audit::Audit;
@@ -140,7 +141,7 @@ impl Server {
             clients: AtomicU64::new(1),
             pages: Arc::new(Semaphore::new(PAGES)),
             ends: watch::Sender::new(false),
-            work: Arc::default(),
+            work: TaskTracker::new(),
         };
         Ok(Self { listener, tls, app: Arc::new(app) })
     }

@@ -97,24 +97,12 @@ type Order = Box<dyn FnOnce(Option<&mut Link>) -> Result<(), Error> + Send>;
 impl Robot {
     /// Starts the threads of a robot. They end when it is dropped.
     pub(crate) fn start(name: String, access: Access) -> std::io::Result<Arc<Self>> {
-        let (sender, orders) = channel();
+        let (orders, queue) = channel();
         let (live, halter, began) = (Arc::<Mutex<Live>>::default(), Halter::start(access.clone())?, Instant::now());
-        let thread = Thread { live: Arc::clone(&live), halter: halter.clone(), access: access.clone(), orders, began };
+        let thread = Thread { live: Arc::clone(&live), halter: halter.clone(), access: access.clone(), queue, began };
         thread::Builder::new().name("robot".into()).spawn(move || thread.run())?;
         let (control, grip, recovery, backup, revoked, acting) = Default::default();
-        Ok(Arc::new(Self {
-            name,
-            control,
-            halter,
-            access,
-            grip,
-            recovery,
-            backup,
-            revoked,
-            acting,
-            live,
-            orders: sender,
-        }))
+        Ok(Arc::new(Self { name, control, halter, access, grip, recovery, backup, revoked, acting, live, orders }))
     }
 
     pub(crate) fn live(&self) -> MutexGuard<'_, Live> {
@@ -215,11 +203,11 @@ impl Robot {
         Permit { since, revoked, acting, moves: false }
     }
 
-    /// Carries out an order over the session, to which it goes at once. The error is for the user.
-    pub(crate) fn order<T: Send + 'static, W: FnOnce(&mut Link) -> Result<T, Error> + Send + 'static>(
+    /// Carries out an order over the session. The error is for the user.
+    pub(crate) async fn order<T: Send + 'static>(
         &self,
-        work: W,
-    ) -> impl Future<Output = Result<T, String>> + use<T, W> {
+        work: impl FnOnce(&mut Link) -> Result<T, Error> + Send + 'static,
+    ) -> Result<T, String> {
         let (sender, reply) = oneshot::channel();
         let since = Instant::now();
         let order = move |link: Option<&mut Link>| {
@@ -239,7 +227,7 @@ impl Robot {
         };
         // without a receiver the order is dropped, and its reply with it
         let _ = self.orders.send(Box::new(order));
-        async { reply.await.map_err(|_| "the thread of this robot has ended; start bcap web again")? }
+        reply.await.map_err(|_| "the thread of this robot has ended; start bcap web again")?
     }
 }
 
@@ -303,7 +291,7 @@ struct Thread {
     live: Arc<Mutex<Live>>,
     halter: Halter,
     access: Access,
-    orders: Receiver<Order>,
+    queue: Receiver<Order>,
     began: Instant,
 }
 
@@ -328,7 +316,7 @@ impl Thread {
     /// Carries out orders until a moment. Returns `false` if the robot was dropped; fails when the session is lost.
     fn carry_out_until(&self, until: Instant, mut link: Option<&mut Link>) -> Result<bool, Error> {
         loop {
-            match self.orders.recv_timeout(until.saturating_duration_since(Instant::now())) {
+            match self.queue.recv_timeout(until.saturating_duration_since(Instant::now())) {
                 Ok(order) => order(link.as_deref_mut())?,
                 Err(RecvTimeoutError::Timeout) => return Ok(true),
                 Err(RecvTimeoutError::Disconnected) => return Ok(false),
@@ -397,6 +385,6 @@ impl Rounds<Link> for Thread {
     }
 
     fn poll(&mut self, link: &mut Link) -> Result<(), Error> {
-        self.orders.try_iter().try_for_each(|order| order(Some(link)))
+        self.queue.try_iter().try_for_each(|order| order(Some(link)))
     }
 }

@@ -26,7 +26,7 @@ use tokio::task::AbortHandle;
 
 use crate::app::App;
 use crate::assets::{FILES, file, with_headers};
-use crate::guard::TOKEN;
+use crate::guard::{Guard, TOKEN};
 use crate::login::Open;
 use crate::secret::{Checked, Refused, only};
 use crate::tls::Acceptor;
@@ -92,38 +92,31 @@ fn router(app: &Arc<App>) -> Router {
         let path = if name == "index.html" { "/".into() } else { format!("/{name}") };
         router.route(&path, get(move || ready(file(name, content))))
     });
+    let check = |check: Check| from_fn_with_state((Arc::clone(app), check), checked);
     // the token of a WebSocket is in another header
-    let of_users =
-        save::routes().route("/halt/{robot}", post(halt)).route_layer(from_fn_with_state(Arc::clone(app), check_user));
+    let has_token: Check = |guard, headers| guard.check_user(headers, only(headers, TOKEN)).map(drop);
+    let of_users = save::routes().route("/halt/{robot}", post(halt)).route_layer(check(has_token));
     let of_this_origin = of_users
         .route("/live", any(live))
         .route("/login", post(log_in).layer(DefaultBodyLimit::max(PASSWORD_SIZE)))
         .route("/logout", post(log_out))
-        .route_layer(from_fn_with_state(Arc::clone(app), check_origin));
+        // a browser sends the origin with POST, and with a WebSocket
+        .route_layer(check(Guard::check_origin));
     files
         .route("/session", get(session))
         .merge(of_this_origin)
         .layer(DefaultBodyLimit::max(0))
-        .layer(from_fn_with_state(Arc::clone(app), check_host))
+        .layer(check(Guard::check_host))
         .layer(map_response(with_headers))
         .with_state(Arc::clone(app))
 }
 
-/// Answers every request for another host with an error, also one for a file.
-async fn check_host(State(app): State<Arc<App>>, request: Request, next: Next) -> Checked {
-    app.guard.check_host(request.headers())?;
-    Ok(next.run(request).await)
-}
+/// A check of the headers of a request.
+type Check = fn(&Guard, &HeaderMap) -> Result<(), Refused>;
 
-/// Answers requests of other pages with an error. A browser sends the origin with POST, and with a WebSocket.
-async fn check_origin(State(app): State<Arc<App>>, request: Request, next: Next) -> Checked {
-    app.guard.check_origin(request.headers())?;
-    Ok(next.run(request).await)
-}
-
-/// Answers requests without the token, or without a login, with an error.
-async fn check_user(State(app): State<Arc<App>>, request: Request, next: Next) -> Checked {
-    app.guard.check_user(request.headers(), only(request.headers(), TOKEN))?;
+/// Answers requests that a check refuses with an error.
+async fn checked(State((app, check)): State<(Arc<App>, Check)>, request: Request, next: Next) -> Checked {
+    check(&app.guard, request.headers())?;
     Ok(next.run(request).await)
 }
 
@@ -163,10 +156,11 @@ fn with_cookie(app: &App, host: IpAddr, what: &str, cookie: Result<String, Refus
 /// Opens the WebSocket of a page.
 async fn live(State(app): State<Arc<App>>, headers: HeaderMap, upgrade: WebSocketUpgrade) -> Checked {
     let offered = only(&headers, SEC_WEBSOCKET_PROTOCOL.as_str()).unwrap_or_default();
-    let token = offered.split(',').find_map(|protocol| protocol.trim().strip_prefix("token."));
-    let session = app.guard.check_user(&headers, token)?;
+    let secret = offered.split(',').find_map(|protocol| protocol.trim().strip_prefix("token."));
+    let session = app.guard.check_user(&headers, secret)?;
     let permit = Arc::clone(&app.pages).try_acquire_owned();
     let permit = permit.map_err(|_| (StatusCode::SERVICE_UNAVAILABLE, "too many pages are open; close one"))?;
+    let token = app.work.token();
     let client = app.clients.fetch_add(1, Ordering::Relaxed);
     let mut ends = app.ends.subscribe();
     let upgrade = upgrade.protocols([PROTOCOL]).max_message_size(ORDER_SIZE).max_frame_size(ORDER_SIZE);
@@ -177,20 +171,19 @@ async fn live(State(app): State<Arc<App>>, headers: HeaderMap, upgrade: WebSocke
             () = Open::ended(session) => {}
             _ = ends.wait_for(|ends| *ends) => {}
         }
-        drop(permit);
+        drop((permit, token));
     }))
 }
 
 /// Halts a robot. It needs no control, no `--allow-write`, and no open page.
 async fn halt(State(app): State<Arc<App>>, Path(robot): Path<usize>) -> Checked {
     let robot = app.robots.get(robot).cloned().ok_or((StatusCode::NOT_FOUND, "there is no such robot"))?;
-    let held = Arc::clone(&app.work);
+    let of = Arc::clone(&app);
     // a page that is closed meanwhile must not keep the halt from its line of the audit
-    let halting = tokio::spawn(async move {
+    let halting = app.work.spawn(async move {
         let outcome = robot.halt().await;
         let what = outcome.as_deref().map_or_else(|_| "HALT".to_owned(), |outcome| format!("HALT, {outcome}"));
-        app.audit.write("a page", &robot.name, &what, &outcome);
-        drop(held);
+        of.audit.write("a page", &robot.name, &what, &outcome);
         outcome
     });
     let panicked = "NOT HALTED, use the emergency stop: the task that halts has panicked";

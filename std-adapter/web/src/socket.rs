@@ -367,33 +367,32 @@ impl Page {
     }
 
     /// Carries out an order that changes something. HALT, and the release of the control, revoke it until it begins.
-    pub(crate) fn change<T: Serialize + Send + 'static, W: FnOnce(&mut Link) -> Result<T, Error> + Send + 'static>(
+    pub(crate) async fn change<T: Serialize + Send + 'static>(
         &self,
         who: String,
         robot: &Arc<Robot>,
         what: String,
-        work: W,
-    ) -> impl Future<Output = Answer> + use<T, W> {
+        work: impl FnOnce(&mut Link) -> Result<T, Error> + Send + 'static,
+    ) -> Answer {
         let permit = robot.permit();
-        self.recorded(who, robot, what, robot.order(move |link| permit.check().and_then(|()| work(link))))
+        self.recorded(who, robot, what, move |link| permit.check().and_then(|()| work(link))).await
     }
 
-    /// Waits for an order, and writes its line of the audit, also if the page is closed meanwhile.
-    pub(crate) fn recorded<T: Serialize, F: Future<Output = Result<T, String>> + Send + 'static>(
+    /// Carries out an order, and writes its line of the audit, also if the page is closed meanwhile.
+    pub(crate) async fn recorded<T: Serialize + Send + 'static>(
         &self,
         who: String,
         robot: &Arc<Robot>,
         what: String,
-        order: F,
-    ) -> impl Future<Output = Answer> + use<T, F> {
-        let (app, robot, work) = (Arc::clone(&self.app), Arc::clone(robot), Arc::clone(&self.app.work));
-        let task = tokio::spawn(async move {
-            let outcome = order.await;
+        work: impl FnOnce(&mut Link) -> Result<T, Error> + Send + 'static,
+    ) -> Answer {
+        let (app, robot) = (Arc::clone(&self.app), Arc::clone(robot));
+        let task = self.app.work.spawn(async move {
+            let outcome = robot.order(work).await;
             app.audit.write(&who, &robot.name, &what, &outcome);
-            drop(work);
             outcome.map(|answer| json!(answer))
         });
-        async { task.await.unwrap_or_else(|_| Err("the order panicked; it is unknown whether it was done".into())) }
+        task.await.unwrap_or_else(|_| Err("the order panicked; it is unknown whether it was done".into()))
     }
 
     async fn select(&self, robot: usize, names: Vec<String>) -> Answer {

@@ -46,19 +46,13 @@ impl Page {
             Change::Stop(_) => self.holder(number)?,
         };
         robot.check_name(of)?;
-        let what = format!("{words} {}", safe(&name));
-        match change {
-            Change::Start(mode) => {
-                let mut permit = robot.permit();
-                let started = robot.order(move |link| link.start_task(&name, mode, || permit.check_move()));
-                self.recorded(who, &robot, what, started).await
-            }
+        let (what, mut permit) = (format!("{words} {}", safe(&name)), robot.permit());
+        let made = move |link: &mut Link| match change {
+            Change::Start(mode) => link.start_task(&name, mode, || permit.check_move()),
             // no halt revokes a stop
-            Change::Stop(mode) => {
-                let stopped = robot.order(move |link| link.stop_task(&name, mode));
-                self.recorded(who, &robot, what, stopped).await
-            }
-        }
+            Change::Stop(mode) => link.stop_task(&name, mode),
+        };
+        self.recorded(who, &robot, what, made).await
     }
 
     /// Reads the line of a task.
