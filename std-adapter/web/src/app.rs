@@ -33,7 +33,7 @@ pub(crate) struct App {
     pub(crate) pages: Arc<Semaphore>,
     /// Becomes true at the end of the server, which closes the pages.
     pub(crate) ends: watch::Sender<bool>,
-    /// What the end of the server waits for: pages, their orders, and what they move.
+    /// The work that the end of the server waits for: pages, their orders and motions.
     pub(crate) work: TaskTracker,
 }
 

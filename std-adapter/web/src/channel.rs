@@ -120,7 +120,7 @@ impl Channel {
     }
 
     /// Returns why an order that changes something comes too late, if it does.
-    pub(crate) fn is_late(&self, order: &Received) -> Option<&'static str> {
+    pub(crate) fn why_late(&self, order: &Received) -> Option<&'static str> {
         if order.since.elapsed() > LONGEST_WAIT {
             return Some("it waited for more than 2 s behind other orders; nothing was done");
         }

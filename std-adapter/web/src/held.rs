@@ -1,4 +1,4 @@
-//! What a page moves. It ends also while an order of the page is under way.
+//! The motions of a page. They end also while an order of the page is under way.
 
 use std::sync::{Arc, Mutex};
 
@@ -9,7 +9,7 @@ use crate::app::App;
 use crate::raw::Desk;
 use crate::threads::lock;
 
-/// What a page moves, each with its robot.
+/// The motions of a page, each with its robot.
 #[derive(Default)]
 pub(crate) struct Held {
     pub(crate) grip: Option<(usize, Arc<Grip>)>,
@@ -20,7 +20,7 @@ pub(crate) struct Held {
     pub(crate) desk: Option<Arc<Desk>>,
 }
 
-/// What a page moves, for its orders and for its WebSocket.
+/// The motions of a page, for its orders and for its WebSocket.
 pub(crate) type Shared = Arc<Mutex<Held>>;
 
 /// Ends all of it.

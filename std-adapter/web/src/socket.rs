@@ -48,7 +48,7 @@ pub(crate) struct Page {
     pub(crate) held: Shared,
 }
 
-/// What a page shows.
+/// The screen of a page, and the messages that the page has.
 #[derive(Default)]
 struct Shown {
     robot: usize,
@@ -115,7 +115,7 @@ async fn answer(
     received: Received,
     is_allowed: bool,
 ) -> Option<()> {
-    let (late, id) = (channel.is_late(&received), received.order.as_ref().map(|(id, _)| *id));
+    let (late, id) = (channel.why_late(&received), received.order.as_ref().map(|(id, _)| *id));
     let refused = |why: &str| json!({ "t": "answer", "id": id, "error": safe(why) }).to_string();
     if !is_allowed {
         // perhaps it was the end of a motion

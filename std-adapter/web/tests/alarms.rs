@@ -1,4 +1,4 @@
-//! What is not known of errors, of a recovery and of a jog is not called good.
+//! Unknown errors, and unknown ends of a recovery or a jog, are not called good.
 
 use std::sync::{Arc, Mutex};
 use std::thread;

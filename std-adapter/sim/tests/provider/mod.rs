@@ -22,7 +22,7 @@ use crate::common::{Client, Reply, World};
 const COMMANDS: &str = include_str!("commands.toml");
 const VARIABLES: &str = include_str!("variables.toml");
 
-/// What the programs of the test have.
+/// The programs on the controller of the test.
 const SCENARIO: &str = include_str!("scenario.toml");
 
 /// How a command or a variable behaves, compared with the guide.
