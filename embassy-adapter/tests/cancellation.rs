@@ -39,7 +39,7 @@ use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embassy_time::{Timer, with_timeout};
 
 const LATER: core::time::Duration = core::time::Duration::from_secs(60);
-/// The time limits of the clients: none of the defaults, and on UDP short, because it passes.
+/// The time limits of the clients: not the defaults; short on UDP, where the tests let them pass.
 const TCP: Timing = Timing { attempt_timeout: core::time::Duration::from_millis(2900), ..Timing::TCP };
 const UDP: Timing = Timing { attempt_timeout: core::time::Duration::from_millis(40), attempts: 50, ..Timing::UDP };
 

@@ -27,7 +27,7 @@ pub(super) fn converts(kind: VariableKind, value: &Variant<'_>) -> bool {
     }
 }
 
-/// A value in the type of a variable of this kind; unchanged if it does not convert.
+/// A value that is encoded in the type of `kind`; unchanged if it cannot be converted.
 pub(super) struct Converted<'a> {
     pub(super) kind: VariableKind,
     pub(super) value: Variant<'a>,

@@ -214,7 +214,7 @@ impl Examination {
     /// Returns the steps of a recovery, or those of a preparation: TakeArm and what precedes the motor of a COBOTTA.
     pub(super) fn plan(&self, recovers: bool, sets_speed: bool) -> Plan {
         let clears = recovers && self.has_error();
-        // an RC8 does not tell its torque; one that a COBOTTA does not tell may be off
+        // an RC8 does not report its torque; on a COBOTTA an unreported torque may be off
         let resets = recovers && self.torque_off.unwrap_or(self.is_cobotta);
         let prepares = self.is_cobotta && self.prepared != Some(true);
         let motor_is_on = self.state.is_some_and(SysState::motor_is_on);
@@ -306,7 +306,7 @@ pub fn examine(handles: Handles) -> impl Procedure<Output = Examination, Error =
 #[derive(Debug)]
 pub(super) struct ExamineSteps {
     handles: Handles,
-    /// Whether the caller knows that no other client uses the robot, so that no client streams if slvGetMode is refused.
+    /// Whether the caller knows that no other client uses the robot: a refused slvGetMode then means that no client streams.
     is_alone: bool,
     step: Step,
     /// Whether slvGetMode has answered since the last call that may end a stream.

@@ -84,7 +84,7 @@ impl StepCause {
 }
 
 impl StepError {
-    /// Tells whether the controller has certainly executed no call of the procedure that has an effect, except those that were
+    /// Tells whether the procedure certainly has no lasting effect: no call with an effect was executed, or all such calls were
     /// undone.
     #[must_use]
     pub const fn had_no_effect(&self) -> bool {

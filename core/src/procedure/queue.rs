@@ -110,7 +110,7 @@ pub struct MotionQueue {
     pub(super) begins: bool,
     /// Where the motion before the last one ends, until the last one is seen to begin.
     pub(super) previous: Option<[f64; JOINTS]>,
-    /// Whether DestJnt may still be the end of an earlier motion, which is not known.
+    /// Whether DestJnt may still be the destination of an earlier motion, which is unknown.
     pub(super) is_ambiguous: bool,
     /// The destination that one poll saw during the motion, and the one that two polls saw.
     pub(super) glimpsed: Option<[f64; JOINTS]>,
@@ -162,7 +162,7 @@ impl MotionQueue {
 
     /// Compares a position with the place where the robot was first seen at rest.
     pub(super) fn update_rest(&mut self, joints: &[f64; JOINTS], now: Instant) {
-        // from where the rest began, not from the last poll, so that a slow motion adds up
+        // measured from the start of the rest, not from the last poll, so that a slow motion adds up
         let rests = self.rest.map(|rest| within(joints, &rest, AT_REST));
         if rests == Some(true) {
             self.still = self.still.saturating_add(1);

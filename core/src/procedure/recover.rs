@@ -349,7 +349,7 @@ impl<F: FnMut(RecoveryStep, Result<(), HResult>) -> ControlFlow<()>> Steps for R
     }
 
     fn undo(&self, cause: Option<&StepCause>) -> Option<Undo> {
-        // the undo entry of a call after which the procedure stops was made when the call succeeded
+        // after `Stopped` the call has succeeded, so its undo entry exists already
         if !self.examined || self.asks_mode() || cause == Some(&StepCause::Stopped) {
             return None;
         }

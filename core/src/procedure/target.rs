@@ -195,7 +195,7 @@ pub(super) enum End {
 pub(super) enum Comparison {
     /// The robot is there.
     There,
-    /// The tool is there, and its orientation is another one, or is written in another way, or the figure differs.
+    /// The tool is there, but its orientation differs or is written in another way, or the figure differs.
     Turned,
     Elsewhere,
 }

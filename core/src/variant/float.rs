@@ -443,7 +443,7 @@ fn big_quotient(mut number: Big, exponent: i32) -> Quotient {
     (quotient, scale.wrapping_add(bits).wrapping_sub(64), inexact || below.iter().any(|limb| *limb != 0))
 }
 
-/// A large integer: room for 5^830, 64 bits more, and what rounds that up.
+/// A large integer. 66 limbs have room for 5^830 and 64 bits more.
 struct Big {
     /// Least significant first.
     limbs: [u32; 66],

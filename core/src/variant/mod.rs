@@ -384,7 +384,7 @@ impl<'a> Variant<'a> {
             Layout::Unknown => Self::Opaque(Opaque { vartype, bytes: bytes.get(2..).unwrap_or_default() }),
             _ if vartype.is_array() => Self::Array(Array::from_checked(vartype.element(), count, r.rest())),
             Layout::Variant => Self::Nested(Nested(r.rest())),
-            // a copy, so that the compiler can keep the reader of the others in registers
+            // a copy of the reader, so that the compiler can keep `r` in registers for the other arms
             Layout::Fixed(_) | Layout::Bstr => Self::read_data(vartype, &mut { r }),
         }
     }
@@ -680,7 +680,7 @@ pub(crate) fn check(r: &mut Reader<'_>, limits: &Limits, strictness: Strictness)
 
 #[inline(never)]
 fn check_inner(inner: &mut Reader<'_>, count: u32, limits: &Limits, strictness: Strictness) -> Result<(), CheckError> {
-    // elsewhere than on a board a copy, which the compiler keeps in registers
+    // except on a board, a copy, which the compiler keeps in registers
     let mut copy = *inner;
     let r = if SHORT_CUTS { &mut copy } else { &mut *inner };
     let max = limits.depth.min(MAX_DEPTH);

@@ -149,7 +149,7 @@ fn is_password(sent: &[u8], password: &[u8]) -> bool {
         let [a, b] = [sent, password].map(|text| text.get(at).copied().unwrap_or_default());
         difference = black_box(difference | (a ^ b));
     }
-    // without a password nobody is let in, not even with an empty one
+    // if no password is set, every login is refused, even with an empty password
     difference == 0 && !password.is_empty()
 }
 

@@ -77,7 +77,7 @@ pub enum NotSaved {
     },
     /// All lines together are longer than [`TEXT`].
     TooLong,
-    /// Hosts would reach the board in another way, and no line says that this is intended.
+    /// The settings change how hosts reach the board, and the line [`REACH`] is missing.
     Reach,
     /// The settings in the flash are not those that the board runs with.
     Changed,
@@ -87,7 +87,7 @@ pub enum NotSaved {
     Flash,
 }
 
-/// The line of a page that says that hosts will reach the board in another way.
+/// The line by which a page confirms that hosts will reach the board in another way.
 #[cfg(feature = "health")]
 pub const REACH: &str = "reach=yes";
 

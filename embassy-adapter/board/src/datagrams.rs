@@ -144,7 +144,7 @@ impl Clock {
         sntp::request(number)
     }
 
-    /// Takes the time of the configured server; each request has one answer.
+    /// Sets the clock from an answer of the configured server; each request accepts one answer.
     fn receive(&mut self, datagram: &[u8], from: IpEndpoint, settings: &Settings<'_>) {
         let (Some(number), Some(server)) = (self.number, settings.ntp) else { return };
         if from != IpEndpoint::from(server) {

@@ -139,7 +139,7 @@ struct Terms {
 }
 
 impl Terms {
-    /// Reads the options. Of several with one code each must be valid, because the network stack may use any of them.
+    /// Reads the options. If a code occurs several times, each value must be valid: the network stack may use any of them.
     fn read(message: &[u8]) -> Self {
         let mut terms = Self { is_offer: false, has_valid_mask: true, prefix: 32, is_too_short: false };
         let mut at = OPTIONS;

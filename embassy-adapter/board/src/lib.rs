@@ -14,7 +14,7 @@
 //! | `gateway`    | `embassy`  | the tasks of a gateway                                                        |
 //! | `report`     | `embassy`  | the log of a gateway, and its status line                                     |
 //! | `address`    | `embassy`  | the board's address: DHCP or configured                                       |
-//! | `network`    | `embassy`  | embassy-net, which gets checked leases and packets with a way back only; finds a silent Ethernet controller |
+//! | `network`    | `embassy`  | embassy-net for valid leases and packets that can be answered; detects a silent Ethernet controller |
 //! | `watchdog`   | `embassy`  | feeds a watchdog while all tasks run                                          |
 //! | `led`        |            | the patterns of an LED; its task with `embassy`                               |
 //! | `health`, `syslog`, `sntp` | `health` | the page of the state, the format of messages, the time                |

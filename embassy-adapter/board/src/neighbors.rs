@@ -1,4 +1,4 @@
-//! The machines of the board's network that take part in ARP. The network stack gets only packets whose answer has a known neighbor to go to.
+//! The machines of the board's network that take part in ARP. The network stack gets only packets whose answer can go to a known neighbor.
 //!
 //! ```text
 //!  ARP for the board ─────────────────────────────► its sender is known

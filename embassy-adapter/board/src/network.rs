@@ -1,8 +1,8 @@
-//! embassy-net over the driver of a board: it gets checked leases and packets with a way back only, and a controller that stays silent
-//! is found.
+//! embassy-net over the driver of a board: it receives only valid leases and packets that can be answered, and a silent Ethernet
+//! controller is detected.
 //!
 //! ```text
-//!  driver ─► Checked: drops invalid leases of DHCP and packets without a way back, counts as a sign of life ─► embassy-net
+//!  driver ─► Checked: drops invalid leases of DHCP and packets that cannot be answered, counts as a sign of life ─► embassy-net
 //! ```
 
 use core::cell::Cell;

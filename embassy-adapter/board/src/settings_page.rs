@@ -82,7 +82,7 @@ fn admit(stack: Stack<'_>, settings: &Settings<'_>, request: &Request<'_>, is_ch
     result.map_err(Answer::Denied)
 }
 
-/// Saves the settings in a memory, unless PLCs are connected, and returns the memory.
+/// Saves the first `len` bytes of `memory` as settings, unless PLCs are connected; returns `memory`.
 pub(crate) async fn save(
     memory: &'static mut [u8],
     len: usize,

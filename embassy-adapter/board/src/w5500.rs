@@ -137,7 +137,7 @@ impl<S: SpiDevice, I: Wait, R: OutputPin> Runner<'_, S, I, R> {
                 }
                 received.rx_buf().await
             };
-            // the order is that of the polls: a flood of received frames delays neither the frames to send nor the look at the link
+            // polled in this order, so that a flood of received frames delays neither frames to send nor the check of the link
             match select3(ticker.next(), to_send.tx_buf(), room).await {
                 Either3::First(()) => {
                     let is_up = chip.check().await.unwrap_or(false);

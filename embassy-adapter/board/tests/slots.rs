@@ -96,7 +96,7 @@ fn a_worn_flash_is_reported_and_the_earlier_settings_remain() {
     assert_eq!(slots.read(&mut [0; TEXT]), Ok(Some(&b"echo=7\n"[..])));
 }
 
-/// Does `work` with the power cut at one step after the other; `check` gets the settings after the restart, and the flash.
+/// Repeats `work`, each time with a later power cut; `check` gets the settings after the restart, and the flash.
 fn cut_everywhere<const WRITE: usize, const ERASE: usize>(
     flash: &Flash<WRITE, ERASE>,
     work: impl Fn(&mut Slots<Flash<WRITE, ERASE>>) -> Result<(), SlotError<FlashError>>,

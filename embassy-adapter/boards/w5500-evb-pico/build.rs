@@ -8,7 +8,7 @@ fn main() {
     for argument in ["--nmagic", "-Tlink.x", "-Tdefmt.x"] {
         println!("cargo::rustc-link-arg-bins={argument}");
     }
-    // the second stage of the boot ROM, which the boot loader has otherwise
+    // the second-stage boot code; with updates, the boot loader contains it
     if !has_updates {
         println!("cargo::rustc-link-arg-bins=-Tlink-rp.x");
     }

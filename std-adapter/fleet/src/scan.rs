@@ -129,7 +129,7 @@ impl Scan {
                 never = self.read_all(scanned) => match never {},
                 _ = reads.wait_for(|reads| !*reads) => {}
             }
-            // the first readings of the next time are reported, and the end of the session is not
+            // so that the next active period reports its first readings, and no loss of a session before them
             scanned.iter_mut().for_each(|scanned| scanned.last = None);
         }
     }

@@ -188,7 +188,7 @@ impl Link {
         Ok(Self { controller, model, ends, objects: HashMap::new() })
     }
 
-    /// Connects for a program that moves the robot. If the connection is lost while the session has the arm, the drop of the
+    /// Connects for a program that moves the robot. If the connection is lost while the session has the arm, dropping the
     /// controller connects once more, to halt the robot, switch the motor off and give the arm back.
     ///
     /// # Errors

@@ -229,7 +229,7 @@ impl Driver {
         Some(Running { driver: self, runtime: Some(runtime) })
     }
 
-    /// Ends the sessions, after their calls and the keeper have left: the drop of the tasks halts robots.
+    /// Ends the sessions once their calls and the keeper have ended: dropping the tasks halts robots.
     fn end(&self) {
         self.change(|turn| turn.is_ended = true);
         let mut turn = lock(&self.turn);

@@ -1,6 +1,6 @@
 //! A log of events: one JSON object a line, each with its time in UTC.
 //!
-//! A thread writes the lines. A reader that does not read, and a full disk, cost lines, which are counted, and never delay
+//! A thread writes the lines. If the reader stalls or the disk is full, lines are dropped and counted; this never delays
 //! the program. An event `dropped` has their number as soon as there is room again. Characters that act on a terminal are
 //! escaped.
 

@@ -5,7 +5,7 @@ use bcap_core::hresult::HResult;
 /// The number of areas.
 const COUNT: usize = 32;
 
-/// The number of places of a definition, the least of SetAreaDef, and the places of the sides, the IO and the flag.
+/// The length of a definition, the minimum length for SetAreaDef, and the indices of the sides, the IO and the flag.
 const PLACES: usize = 34;
 const LEAST: usize = 11;
 pub(crate) const SIDES: usize = 6;

@@ -17,8 +17,8 @@ const LINE_PARTS: usize = 100;
 /// The largest turn of a joint in one part of a line, in degrees; a larger one means a singularity.
 const LARGEST_STEP: f64 = 30.0;
 
-/// A path that changes the posture passes a singular point, and one on which an axis permits less than this part of
-/// the speed of the flange is too near to one.
+/// A path that changes the posture passes a singular point. A path on which an axis permits less than this fraction of
+/// the speed of the flange is too close to one.
 const SINGULAR_SPEED: f64 = 0.01;
 
 /// Why a route cannot be followed.

@@ -89,7 +89,7 @@ impl Sizes {
     }
 }
 
-/// The bytes of all S variables at most; they stay when their writer has gone. A packet limits one.
+/// The maximum bytes of all S variables together; they outlive their writer. The size of a packet limits a single one.
 const S_MAX: usize = 64 << 20;
 
 /// A kind of variables as a name tells it: one of the nine, or a view of the IO bits.

@@ -1,6 +1,6 @@
 //! The end of a controller's task, however it ends.
 //!
-//! A runtime that ends drops its tasks where they wait. So does the panic of a function that a task runs. The drop of
+//! A runtime that ends drops its tasks where they wait. So does a panic in a function that a task runs. Dropping
 //! [`Open`] then halts the robot, switches the motor off and gives the arm back, with calls that block.
 
 use std::sync::Arc;

@@ -137,7 +137,7 @@ impl Robot {
     ///
     /// **The arm of a COBOTTA can move**, so a person must have looked at the robot. Nothing is cleared unless it is known that
     /// no other client uses the robot: while a controller has errors it may refuse to say who owns the arm, and then
-    /// [`RecoveryConfig::is_alone`] decides. The drop of the [`Arm`] switches the motor off, and gives the arm back.
+    /// [`RecoveryConfig::is_alone`] decides. Dropping the [`Arm`] switches the motor off, and gives the arm back.
     ///
     /// # Errors
     ///
@@ -260,7 +260,7 @@ impl Arm {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`](super::Controller); the drop of the arm switches the motor off.
+    /// As [`Controller`](super::Controller); dropping the arm switches the motor off.
     pub async fn motor_on(&mut self) -> Result<(), Error> {
         self.run(|session| Box::pin(session.motor(true))).await
     }
@@ -344,9 +344,9 @@ impl Arm {
         }
     }
 
-    /// Starts a motion and returns when it has begun, so that [`Moving::then`] can let others follow it without a stop.
-    /// `limit` is the time limit of all of them; after it the robot is halted. It is looked at while a call of the
-    /// [`Moving`] runs: a program that keeps the value and makes no call of it halts nothing.
+    /// Starts a motion and returns when it has begun, so that [`Moving::then`] can add motions without a stop.
+    /// `limit` is the time limit of all of them; after it the robot is halted. It is checked only while a call of the
+    /// [`Moving`] runs: a program that keeps the value without calling it never halts the robot.
     ///
     /// **Dropping the [`Moving`] halts the robot.** [`Moving::wait`] waits for the end.
     ///
@@ -380,7 +380,7 @@ impl Arm {
             .await
     }
 
-    /// Streams poses in Slave Mode, one each 8 ms, until the trajectory ends, and waits until the robot rests.
+    /// Streams poses in Slave Mode, one every 8 ms, until the trajectory ends, and waits until the robot rests.
     ///
     /// As [`blocking::Arm::stream`](crate::blocking::Arm::stream), with a trajectory that the task owns: it is called there,
     /// so it must return at once; its panic stops the robot and continues here. Other calls and subscriptions of the controller wait until the stream ends, because the

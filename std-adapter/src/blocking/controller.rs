@@ -245,7 +245,7 @@ impl Controller {
 
     /// Calls any function, and returns a copy of the value of its reply ([`OwnedReply`]). Objects that the call opens are
     /// released with the session, if the caller does not. A call that moves the robot returns when the motion has ended, or
-    /// with `NEXT` at once; then the drop of the controller halts it, if this session has the arm.
+    /// with `NEXT` at once; then dropping the controller halts it, if this session has the arm.
     ///
     /// ```no_run
     /// # use bcap_std::{Settings, blocking::Controller, core::bcap::call};

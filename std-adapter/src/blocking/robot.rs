@@ -88,7 +88,7 @@ impl<'a> Robot<'a> {
     ///
     /// **The arm of a COBOTTA can move**, so a person must have looked at the robot. Nothing is cleared unless it is known that
     /// no other client uses the robot: while a controller has errors it may refuse to say who owns the arm, and then
-    /// [`RecoveryConfig::is_alone`] decides. The drop of the [`Arm`] switches the motor off, and gives the arm back.
+    /// [`RecoveryConfig::is_alone`] decides. Dropping the [`Arm`] switches the motor off, and gives the arm back.
     ///
     /// # Errors
     ///
@@ -251,9 +251,9 @@ impl<'a> Arm<'a> {
         Ok(queue.ended().unwrap_or(Motion::Unknown))
     }
 
-    /// Starts a motion and returns when it has begun, so that [`Moving::then`] can let others follow it without a stop.
-    /// `limit` is the time limit of all of them; after it the robot is halted. It is looked at while a call of the
-    /// [`Moving`] runs: a program that keeps the value and makes no call of it halts nothing.
+    /// Starts a motion and returns when it has begun, so that [`Moving::then`] can add motions without a stop.
+    /// `limit` is the time limit of all of them; after it the robot is halted. It is checked only while a call of the
+    /// [`Moving`] runs: a program that keeps the value without calling it never halts the robot.
     ///
     /// **Dropping the [`Moving`] halts the robot**, even by an error or a panic. [`Moving::wait`] waits for the end.
     ///
@@ -281,7 +281,7 @@ impl<'a> Arm<'a> {
         Moving { session: self.robot.session, queue }.run(Some(motion), Until::Begun)
     }
 
-    /// Streams poses in Slave Mode, one each 8 ms, until the trajectory ends, and waits until the robot rests.
+    /// Streams poses in Slave Mode, one every 8 ms, until the trajectory ends, and waits until the robot rests.
     ///
     /// The motor must be on. A pose beyond `limits` is not sent: the robot stops in an orderly way. To stop early, the
     /// trajectory returns [`Next::Stop`](bcap_core::slave::Next::Stop). A panic in the trajectory drops the [`Arm`],

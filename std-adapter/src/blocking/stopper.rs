@@ -104,7 +104,7 @@ impl StopperSession {
 
     fn open(connection: BlockingConnection, address: Option<Address>, settings: &Settings) -> Result<Self, Error> {
         let mut session = ready(Session::start(connection, settings))?;
-        // the handle must exist before it is needed
+        // opened now, so that a halt does not wait for it
         let opened = ready(session.robot());
         let stopper = Self { address, settings: settings.clone(), session };
         opened.map(|_| stopper)

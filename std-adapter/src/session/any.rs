@@ -218,7 +218,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         leaves
     }
 
-    /// Undoes the effects on the robot before an object is released without which that is no longer possible.
+    /// Undoes the effects on the robot before the release of an object that the undo needs.
     async fn end_arm_before(&mut self, released: Object, handle: Option<i32>) -> Result<(), Error> {
         let is_needed = match released {
             Object::Robot => handle.map(RobotHandle) == self.objects.robot,

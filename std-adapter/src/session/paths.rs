@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use bcap_core::bcap::call::VariableHandle;
-// the hasher of the standard library takes three times as long, against names that the caller chooses
+// the standard library's hasher takes three times as long, to resist hostile keys; the caller chooses these names
 use foldhash::HashMap;
 
 #[derive(Debug, Default)]

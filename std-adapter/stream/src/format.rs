@@ -99,7 +99,7 @@ fn user_io(text: &str) -> Result<UserIo, String> {
 ///
 /// # Errors
 ///
-/// What to write.
+/// A text that says what to write.
 pub fn extended(text: &str) -> Result<ExtendedAxes, String> {
     match text.replace(' ', "").as_str() {
         "none" => Ok(ExtendedAxes::None),

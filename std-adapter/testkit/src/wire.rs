@@ -7,7 +7,7 @@
 //! | [`Link::Udp`]           | a datagram                                                      |
 //! | RAC                     | a line with its CR                                              |
 //!
-//! Bytes that are no packet are returned together, so that a judge can say what came.
+//! Bytes that are not a packet are returned together, so that a judge can report them.
 
 use std::fmt;
 use std::io::{self, Read as _, Write as _};
@@ -258,7 +258,7 @@ impl Wire {
         }
     }
 
-    /// Returns the bytes that are no packet, or the reason for the end.
+    /// Returns the bytes that are not a packet, or the reason for the end.
     fn end(&mut self, reason: Received) -> Received {
         if self.received.is_empty() { reason } else { Received::Packet(std::mem::take(&mut self.received)) }
     }

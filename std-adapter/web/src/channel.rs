@@ -69,7 +69,7 @@ pub(crate) struct Channel {
 
 /// An order of a page, when it was received, and how often something was ended or revoked before.
 pub(crate) struct Received {
-    /// The order with its number; `None` if it is none.
+    /// The order with its number; `None` if the text is not an order.
     pub(crate) order: Option<(u64, Order)>,
     since: Instant,
     ends: u64,
@@ -144,7 +144,7 @@ impl Channel {
         std::future::pending().await
     }
 
-    /// Ends what an order would end after the one under way, which may take a minute.
+    /// Ends at once what this order ends, because the order under way may take a minute.
     fn end_early(&mut self, order: &Order) {
         match order {
             Order::Lift { .. } => drop(self.grip().map(|grip| grip.lift())),

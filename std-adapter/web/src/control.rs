@@ -54,7 +54,7 @@ fn taken(name: &str) -> String {
     format!("{name} has the control; ask for its release")
 }
 
-/// Returns a name that cannot hide what is next to it: without characters that act on it, and not long.
+/// Returns a name that cannot hide the text next to it: shortened, and without characters that act on a terminal.
 pub(crate) fn cleaned(name: &str) -> String {
     name.trim().chars().filter(|c| !bcap_terminal::escape::acts(*c)).take(LONGEST).collect()
 }

@@ -118,7 +118,7 @@ impl Desk {
         (!has_ended).then_some(()).ok_or_else(|| Error::Skipped("the screen was left; nothing was done".into()))
     }
 
-    /// Ends the session. A call that moves is halted; the drop of the session halts the arm that it has, and gives it back.
+    /// Ends the session. A call that moves is halted; dropping the session halts the arm that it has, and gives it back.
     pub(crate) fn end(self: Arc<Self>, app: &Arc<App>) {
         self.has_ended.store(true, Ordering::SeqCst);
         let of = Arc::clone(app);

@@ -1,5 +1,5 @@
 //! Tests that `bcap board configure` changes the settings of the gateway board in QEMU, over its second serial port, and that a page
-//! does with the password that only the console sets.
+//! does so too, with the password, which only the console sets.
 //!
 //! ```text
 //!  bcap ─► pseudo-terminals ─► this test ─► Unix socket ─► QEMU: serial port ─► console ─► flash

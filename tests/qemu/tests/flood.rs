@@ -23,7 +23,7 @@ use bcap_qemu::{Board, Plc, Sim, bcap, error};
 
 const BAUD: &str = "115200";
 const PACE: Duration = Duration::from_millis(10);
-/// The seconds of an attack, after which the PLC works a third of them alone, so that other load on the machine meets both.
+/// The seconds of an attack. Then the PLC works alone for a third of that, so that other load on the machine affects both.
 const ROUND: u64 = 30;
 /// Lines that the attacker sends at once.
 const BATCH: usize = 32;

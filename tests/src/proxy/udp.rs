@@ -37,7 +37,7 @@ pub struct Counts {
 }
 
 impl UdpProxy {
-    /// Starts a proxy in front of a server. Stragglers are not its business, nor is the server's work.
+    /// Starts a proxy in front of a server.
     #[must_use]
     pub fn start(server: SocketAddr, faults: Faults, seed: u64) -> Self {
         let counts = Arc::<Counts>::default();

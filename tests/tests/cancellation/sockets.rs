@@ -30,7 +30,7 @@ use tokio_serial::SerialStream;
 
 const ANY: (Ipv4Addr, u16) = (Ipv4Addr::LOCALHOST, 0);
 const LATER: Duration = Duration::from_secs(60);
-/// The time limits of the clients: none of the defaults, and on UDP short, because it passes.
+/// The time limits of the clients: not the defaults; short on UDP, where the tests let them pass.
 const TCP: Timing = Timing { attempt_timeout: Duration::from_millis(2900), ..Timing::TCP };
 const UDP: Timing = Timing { attempt_timeout: Duration::from_millis(40), attempts: 50, ..Timing::UDP };
 
@@ -215,7 +215,7 @@ async fn tcp_calls() -> usize {
     unreachable!("the call ends")
 }
 
-/// Passes datagrams between one client and a server, but for the next ones.
+/// Relays datagrams between a client and a server; drops as many requests as the returned counter says.
 async fn lossy(server: SocketAddr) -> (SocketAddr, Rc<Cell<u32>>, JoinHandle<()>) {
     let (front, back) = (UdpSocket::bind(ANY).await.unwrap(), UdpSocket::bind(ANY).await.unwrap());
     back.connect(server).await.unwrap();

@@ -82,7 +82,7 @@ fn more_arguments_than_any_function_takes(target: &mut Target) {
         refused(target, "all there", &frame(SERIAL, 4, count, &all), HResult::E_INVALIDRCPACKET);
         refused(target, "one there", &frame(SERIAL, 4, count, &one), HResult::E_INVALIDRCPACKET);
     }
-    // as many as a frame may have are a frame, and none of any function
+    // 64 arguments, the maximum, are a valid frame, but no function has as many
     let mut raw = Raw::connect(target.tcp);
     let reply = raw.call(&request(FunctionId::CONTROLLER_DISCONNECT, vec![Value::Empty; 64]));
     assert_eq!(reply.code, HResult::E_INVALIDARG.0);

@@ -41,7 +41,7 @@ type LinkError<L> = <<L as RobotLink>::Transport as Transport>::Error;
 ///
 /// # Cancel safety
 ///
-/// When the future is dropped, the connection is closed and the gateway learns it. The next run opens another one.
+/// When the future is dropped, the connection is closed and the gateway is told so. The next run opens another one.
 pub async fn run_robot<L: RobotLink, P: Platform<Cause = L::Cause>>(
     link: &mut L,
     frame: &mut [u8],
@@ -75,7 +75,7 @@ pub async fn run_robot<L: RobotLink, P: Platform<Cause = L::Cause>>(
     }
 }
 
-/// The connection to the robot, which ends with the task that keeps it.
+/// The connection to the robot. Dropping it closes the connection.
 struct Robot<'a, 'm, L: RobotLink, P: Platform> {
     link: &'a mut L,
     shared: &'a SharedGateway<'m, P>,

@@ -101,7 +101,7 @@ impl<'m, P: Platform> SharedGateway<'m, P> {
         self.view(|gateway| gateway.poll_timeout()).flatten().unwrap_or(Instant::FAR_FUTURE)
     }
 
-    /// Gives a client a slot, if need be that of an idle client; `None` when it gets none.
+    /// Gives a client a slot, if necessary the slot of an idle client; `None` if there is no slot for it.
     pub(super) fn open(&self, client: P::Address, limits: &Limits) -> Option<PeerId> {
         self.with(|shared| shared.open(client, limits))?
     }
@@ -115,7 +115,7 @@ impl<'m, P: Platform> SharedGateway<'m, P> {
     pub(super) async fn wait_for_client(&self, peer: PeerId) {
         poll_fn(|cx| {
             let poll = |shared: &mut Shared<'m, P>| {
-                // an evicted client learns that at once
+                // an evicted client is woken at once
                 shared.client(peer).map_or(Poll::Ready(()), |client| client.notify.poll(cx))
             };
             self.with(poll).unwrap_or(Poll::Pending)

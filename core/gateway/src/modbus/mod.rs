@@ -423,7 +423,7 @@ fn check(map: &[Entry], command: Command) -> Result<(), Exception> {
     Ok(())
 }
 
-/// Returns where the first variable begins that the rules do not permit to write; `None` for a read, which stops at the first
+/// Returns where the first variable begins whose write the rules refuse; `None` for a read, which stops at the first
 /// refusal anyway.
 fn refused(
     map: &[Entry],

@@ -17,7 +17,7 @@ impl<const N: usize> Engine<N> {
         let done =
             after.and_then(|step| ORDER.iter().position(|other| *other == step)).map_or(0, |at| at.saturating_add(1));
         let next = ORDER.into_iter().skip(done).find(|step| self.is_unreleased(*step));
-        // the calls of the end would end the stream of another client
+        // these calls would end the stream of another client
         let is_foreign =
             !self.may_be_in_mode && self.fault.as_ref().is_some_and(|fault| fault.released == Released::No);
         match next.filter(|_| self.motion != Health::Lost && !is_foreign) {

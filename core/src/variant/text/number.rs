@@ -161,7 +161,7 @@ fn decimal_bits(text: &[u8], format: Format) -> Parsed<'_, Option<u64>> {
     decimal(text).map(|(rest, number)| (rest, format.of_decimal(&number)))
 }
 
-/// A [`decimal`] of at most 15 digits without exponent, as almost all numbers of robots are; its bits. `None` for any other text.
+/// Parses a [`decimal`] of at most 15 digits without exponent, like almost all numbers of robots, to its bits; `None` otherwise.
 #[cfg(not(target_os = "none"))]
 #[inline(always)]
 fn short_decimal(text: &[u8], format: Format) -> Option<(&[u8], u64)> {

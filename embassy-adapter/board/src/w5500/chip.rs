@@ -73,7 +73,7 @@ const SLOW_POLLS: u32 = 50;
 pub enum Error<E> {
     /// The bus failed.
     Spi(E),
-    /// The register of the version has this value instead of 4: no W5500 is there, or a wire is.
+    /// The version register has this value instead of 4: there is no W5500, or it is wired wrongly.
     Version(u8),
     /// A command, or a frame to send, did not complete.
     Stuck,

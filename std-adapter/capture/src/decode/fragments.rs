@@ -5,7 +5,7 @@ use std::net::Ipv4Addr;
 
 use etherparse::{IpNumber, LaxIpv4Slice};
 
-/// The most packets that are incomplete at the same time; a further one drops the oldest.
+/// The maximum number of incomplete packets; another one drops the oldest.
 const PACKETS: usize = 64;
 
 /// The largest payload of a packet; also the most bytes of its fragments, which may overlap.
@@ -62,7 +62,7 @@ struct Partial {
 }
 
 impl Partial {
-    /// Returns the payload if it is complete. Of bytes that overlap the ones of the lower offset count.
+    /// Returns the payload if it is complete. Where fragments overlap, the one with the lower offset counts.
     fn payload(&self) -> Option<Vec<u8>> {
         let length = self.length?;
         let mut payload = Vec::new();
@@ -165,7 +165,7 @@ mod tests {
             assert_eq!(fragments.add(&fragment(1001, offset..offset + 1400, &bytes), 0), None);
             assert!(fragments.partial.iter().all(|partial| partial.held <= LARGEST));
         }
-        // the rest of a packet comes after its identification may have been used again
+        // the rest of a packet arrives after its identification may have been reused
         assert_eq!(fragments.add(&fragment(2000, 0..8, &bytes[..16]), 0), None);
         assert_eq!(fragments.add(&fragment(2000, 8..16, &bytes[..16]), LONGEST + 1), None);
         assert_eq!(fragments.partial.len(), 1);

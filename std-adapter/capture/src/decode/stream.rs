@@ -20,7 +20,7 @@ pub(crate) enum Piece {
     Reordered,
 }
 
-/// Bytes that wait for bytes in front of them, by their position.
+/// Bytes received ahead of missing ones, by their position.
 type Waiting = BTreeMap<u64, Vec<u8>>;
 
 /// The state of a direction. Positions count from the first captured byte and do not wrap.

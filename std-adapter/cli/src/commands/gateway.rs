@@ -127,7 +127,7 @@ type Places = Memory<CLIENTS, 256>;
 /// The longest time for a call that the robot keeps alive.
 const CALL: Duration = Duration::from_secs(8);
 
-/// The time between two looks whether lines of the log were suppressed, or the recording has failed.
+/// How often to check for suppressed lines of the log, and for a failed recording.
 const REPORT: Duration = Duration::from_secs(1);
 
 /// Runs `bcap gateway` until a signal ends it.

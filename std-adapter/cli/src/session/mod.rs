@@ -43,7 +43,7 @@ pub(crate) struct Session {
     objects: HashMap<String, i32>,
     /// The handling of signals while this session may move the robot.
     pub(crate) interrupt: Option<Interrupt>,
-    /// Whether this session halts the robot for another one, so that no signal keeps it from its calls.
+    /// Whether this session halts the robot for another one; then no signal interrupts its calls.
     is_stopper: bool,
     /// The bytes of the last packets.
     pub(crate) packets: Packets,
@@ -177,7 +177,7 @@ impl Session {
         }
     }
 
-    /// Lets the motor stay on that this command was to switch on. Returns whether it has done so, without taking the arm.
+    /// Leaves the motor on, if this session has switched it on without taking the arm. Returns whether that was so.
     pub(crate) fn leave_motor(&mut self) -> bool {
         self.open.as_mut().is_some_and(|open| open.controller.leave_motor())
     }
@@ -425,7 +425,7 @@ impl Session {
         Ok(interrupt)
     }
 
-    /// Does a step of the command again and again, until a signal or the end of the time. Each step has the command's time limit.
+    /// Repeats a step of the command until a signal arrives or the time is over. Each step has the command's time limit.
     pub(crate) fn repeat(
         &mut self,
         interval: Duration,

@@ -122,7 +122,7 @@ impl Controller {
     /// with an observer, and also with the arm of this session.
     ///
     /// `observe` gets each step with its result: `Err` for a step that the controller does not know, and that is left out. The
-    /// procedure ends when it returns [`ControlFlow::Break`], and undoes its effects.
+    /// procedure ends when `observe` returns [`ControlFlow::Break`], and undoes its effects.
     ///
     /// # Errors
     ///

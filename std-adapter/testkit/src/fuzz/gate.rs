@@ -80,7 +80,7 @@ impl Gate {
         is_no_function(frame.code) || call_reads(frame) || executes_reading(frame)
     }
 
-    /// Returns whether bytes may be sent that are no valid frame: none of the frames that a receiver may see in them calls a
+    /// Returns whether bytes that are not a valid frame may be sent: no frame that a receiver may find in them calls a
     /// function that does more than read.
     pub(super) fn has_bytes(&self, bytes: &[u8]) -> bool {
         self.with_motion || (code_at(bytes, 0).is_none_or(is_safe) && is_safe_inside(bytes))
@@ -181,7 +181,7 @@ fn is_safe_inside(bytes: &[u8]) -> bool {
     (1..bytes.len()).all(|at| is_harmless_at(bytes, at))
 }
 
-/// Returns whether a frame that begins at this place, if one does, calls no known function that does more than read.
+/// Returns whether no frame that begins at `at` calls a known function that does more than read.
 fn is_harmless_at(bytes: &[u8], at: usize) -> bool {
     const SOH: u8 = 1;
     let is_harmless = |code| is_safe(code) || FunctionId(code).signature().is_none();

@@ -100,7 +100,7 @@ fn targets(words: &[String]) -> Result<Vec<NetworkAddress>, Failure> {
     Ok(targets)
 }
 
-/// Returns the networks of this machine, if the user agrees on a terminal that they are asked.
+/// Returns the networks of this machine, if the user agrees, on a terminal, to scan them.
 fn agreed_networks() -> Result<Vec<String>, Failure> {
     let networks: BTreeSet<String> = match if_addrs::get_if_addrs() {
         Ok(interfaces) if io::stdin().is_terminal() => interfaces.iter().filter_map(network_of).collect(),

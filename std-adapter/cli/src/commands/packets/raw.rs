@@ -259,7 +259,7 @@ struct Talk {
 }
 
 impl Talk {
-    /// Sends the packets of a word, and shows all, or the last one if `is_last`.
+    /// Sends the packets of a word. Shows all if `shows_all`, otherwise only the last packet of the last word.
     fn word(&mut self, word: &str, shows_all: bool, is_last: bool) -> Result<(), Failure> {
         let packets = packets(&filled(word, Some(&self.replies))?, self.role)?;
         for (index, packet) in packets.iter().enumerate() {

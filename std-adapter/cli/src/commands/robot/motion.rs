@@ -225,7 +225,7 @@ fn prepared(how: &MotionArgs, session: &mut Session, interrupt: &Interrupt, had_
     })
 }
 
-/// Moves, and returns the end of the motion; its start, if it is not waited for.
+/// Moves, and returns how the motion ended; with `no_wait`, returns `Arrived` once it has started.
 fn moved(args: &MoveArgs, session: &mut Session) -> Result<Motion, Failure> {
     // the motion has its own time limit
     session.suspend_budget();
