@@ -77,7 +77,7 @@ pub enum NotSaved {
     },
     /// All lines together are longer than [`TEXT`].
     TooLong,
-    /// The settings change how hosts reach the board, and the line [`REACH`] is missing.
+    /// The settings change how hosts reach the board, and the line `reach=yes` is missing.
     Reach,
     /// The settings in the flash are not those that the board runs with.
     Changed,
