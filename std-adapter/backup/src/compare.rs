@@ -70,7 +70,8 @@ pub fn files<'a>(a: &'a Contents, b: &'a Contents) -> Vec<Difference<&'a String,
     files
 }
 
-/// Returns the parts that were not compared because a side lacks them, each with whether that is the first side.
+/// Returns the parts that were not compared because a side lacks them, each with whether that is the first side; with `system` also
+/// the system variables.
 pub fn omitted<'a>(a: &'a Contents, b: &'a Contents, system: bool) -> impl Iterator<Item = (bool, &'a Omission)> {
     let parts = [(true, a), (false, b)]
         .into_iter()

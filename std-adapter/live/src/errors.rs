@@ -12,7 +12,7 @@ use crate::stream::StreamCheck;
 /// The most errors that are read: each is a call.
 const MOST: usize = 100;
 
-/// Reads the present errors with their texts, the first cause first.
+/// Reads at most 100 present errors with their texts, the first cause first. The last text counts the others.
 ///
 /// # Errors
 ///

@@ -7,6 +7,7 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 
 use bcap_backup::compare;
+use bcap_backup::contents::{Contents, Omission};
 use bcap_backup::controller::{self, Progress};
 use bcap_backup::dump;
 use bcap_backup::folder::{self, Folder};
@@ -126,23 +127,7 @@ fn perform(job: &Job, robot: &Robot, path: &Path, with: Option<&Path>, plan: Opt
                 Some(with) => folder::load(with)?,
                 None => controller::contents(&mut connect()?, watch)?,
             };
-            let mut lines: Vec<_> = compare::variables(&saved, &other, false).iter().map(ToString::to_string).collect();
-            lines.extend(compare::files(&saved, &other).iter().map(ToString::to_string));
-            job.show(&lines);
-            let omitted: Vec<_> = compare::omitted(&saved, &other, false)
-                .map(|(is_first, part)| {
-                    let side = if is_first { "the backup" } else { "the other side" };
-                    format!("not compared: {}, in {side}", safe(&part.reason))
-                })
-                .collect();
-            let differences =
-                if lines.is_empty() { "no differences".into() } else { format!("{} differences", lines.len()) };
-            let outcome = match omitted.len() {
-                0 => differences,
-                count => format!("{differences} in what could be compared; parts not compared: {count}"),
-            };
-            lock(&job.state).notes = omitted;
-            Ok(outcome)
+            Ok(show_differences(job, &saved, &other))
         }
         (Kind::Plan, _) => {
             let backup = folder::load(path)?;
@@ -172,4 +157,25 @@ fn perform(job: &Job, robot: &Robot, path: &Path, with: Option<&Path>, plan: Opt
         }
         (Kind::Restore, None) => Err(Error::Invalid("plan the restore first".into())),
     }
+}
+
+/// Shows the differences of two backups, and the parts that were not compared. Returns the outcome.
+fn show_differences(job: &Job, saved: &Contents, other: &Contents) -> String {
+    let variables = compare::variables(saved, other, false);
+    let files = compare::files(saved, other);
+    let lines: Vec<_> =
+        variables.iter().map(ToString::to_string).chain(files.iter().map(ToString::to_string)).collect();
+    job.show(&lines);
+    let note = |(is_first, part): (bool, &Omission)| {
+        let side = if is_first { "the backup" } else { "the other side" };
+        format!("not compared: {}, in {side}", safe(&part.reason))
+    };
+    let notes: Vec<_> = compare::omitted(saved, other, false).map(note).collect();
+    let found = if lines.is_empty() { "no differences".into() } else { format!("{} differences", lines.len()) };
+    let outcome = match notes.len() {
+        0 => found,
+        count => format!("{found} in what could be compared; parts not compared: {count}"),
+    };
+    lock(&job.state).notes = notes;
+    outcome
 }

@@ -326,15 +326,27 @@ fn texts_of_a_controller_are_cut_and_escaped() {
     assert!(packets.to_string().len() < 500_000 && !packets.to_string().contains('\u{202e}'));
 }
 
-#[test]
-fn a_halt_works_while_the_other_connections_hang() {
+/// Starts a controller, and a relay in front of it.
+fn relayed() -> (Sim, Relay) {
     let sim = Sim::start();
     let relay = Relay::start(sim.address());
-    let web = Web::start(&[("press", relay.address)], false);
+    (sim, relay)
+}
+
+/// Opens a page, and moves the robot by another client.
+fn watching_a_motion(sim: &Sim, web: &Web) -> (Page, Controller) {
     let mut page = web.page();
     page.until_state("ready, motor off");
-    let mut cell = other(&sim);
-    start_moving(&sim, &mut cell);
+    let mut cell = other(sim);
+    start_moving(sim, &mut cell);
+    (page, cell)
+}
+
+#[test]
+fn a_halt_works_while_the_other_connections_hang() {
+    let (sim, relay) = relayed();
+    let web = Web::start(&[("press", relay.address)], false);
+    let (mut page, _cell) = watching_a_motion(&sim, &web);
     page.until_state("moving");
     // the connection that reads
     relay.freeze(0);
@@ -359,13 +371,9 @@ fn a_halt_works_while_the_other_connections_hang() {
 
 #[test]
 fn a_halt_does_not_wait_for_its_next_session() {
-    let sim = Sim::start();
-    let relay = Relay::start(sim.address());
+    let (sim, relay) = relayed();
     let web = Web::start(&[("press", relay.address)], false);
-    let mut page = web.page();
-    page.until_state("ready, motor off");
-    let mut cell = other(&sim);
-    start_moving(&sim, &mut cell);
+    let (mut page, _cell) = watching_a_motion(&sim, &web);
     // the connection that reads, until it is lost; then the second one of HALT
     relay.freeze(0);
     page.until_state("not connected");
