@@ -147,7 +147,7 @@ fn tap(store: &mut Store, _: PeerId, frame: &mut Vec<u8>) -> ControlFlow<()> {
 #[test]
 fn a_tap_can_count_drop_and_disconnect() {
     let server = start_with(Limits::default(), |server| server.tap(tap));
-    let options = Options::default().timeout(Duration::from_secs(1));
+    let options = Options::default().timeout(Duration::from_secs(3));
     let mut client = blocking::connect_tcp(server.tcp(), &options).unwrap();
     client.call(call::service_start("")).unwrap();
     let controller = client.call(call::controller_connect("", "", "", "")).unwrap();
@@ -169,7 +169,7 @@ fn a_tap_can_count_drop_and_disconnect() {
 #[test]
 fn a_waiting_call_is_kept_alive_and_resumed_by_another_client_s_change() {
     let server = start(Limits::default());
-    let options = Options::default().timeout(Duration::from_secs(1));
+    let options = Options::default().timeout(Duration::from_secs(3));
     let address = server.tcp();
     let waiting = std::thread::spawn(move || {
         let mut client = blocking::connect_tcp(address, &options).unwrap();
@@ -179,7 +179,7 @@ fn a_waiting_call_is_kept_alive_and_resumed_by_another_client_s_change() {
         client.call(call::controller_execute(controller, "wait", ())).map(|v| v == Variant::Empty)
     });
     server.until(|store| store.executed >= 3);
-    std::thread::sleep(Duration::from_millis(1500));
+    std::thread::sleep(Duration::from_millis(4000));
     let mut other = blocking::connect_udp(server.udp(), &Options::default()).unwrap();
     let variable = opened(&mut other, "9");
     other.call(call::variable_put_value(variable, 1)).unwrap();

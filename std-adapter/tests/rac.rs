@@ -118,7 +118,7 @@ async fn a_tokio_client_reads_writes_and_is_refused() {
 #[test]
 fn a_late_reply_is_never_matched_to_a_later_request() {
     let server = start();
-    let options = Options::default().timeout(Duration::from_millis(600));
+    let options = Options::default().timeout(Duration::from_secs(2));
     let mut client = blocking::connect_rac(server.rac(), &options).unwrap();
     let (count, zero) = (Variable::new(VariableKind::I, 0), Variable::new(VariableKind::I, 1));
     // the server delays this reply until the count is 0

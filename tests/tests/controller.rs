@@ -31,6 +31,11 @@ fn ready(cell: &mut Controller) -> Arm<'_> {
     arm
 }
 
+/// A motion of 20 s, so that it is under way at the next line.
+fn far() -> Move {
+    to(150.0).speed_percent(2.0)
+}
+
 fn connect(sim: &Served<Simulated>) -> Controller {
     Controller::connect(&sim.address(), &Settings::rc8()).unwrap()
 }
@@ -129,7 +134,7 @@ fn values_are_waited_for_and_calls_have_time_limits() {
     assert_eq!(count.as_ref().unwrap().convert(), Ok(3));
     assert!(missing.is_err() && first <= second);
 
-    let slow = "[[fault]]\nwhen = { every = 1, of = \"Variable_GetValue\" }\nthen = { delay_ms = 300 }\n";
+    let slow = "[[fault]]\nwhen = { every = 1, of = \"Variable_GetValue\" }\nthen = { delay_ms = 2000 }\n";
     sim.application().play(Scenario::parse(slow).unwrap());
     let late = cell.within(Duration::from_millis(20)).read::<i32>("I1").unwrap_err();
     assert!(matches!(late, Error::NoReply { .. }) && !late.is_lost(), "{late:?}");
@@ -394,7 +399,7 @@ fn an_error_of_the_controller_is_the_end_of_a_motion() {
             sim.until(Simulated::is_moving);
             sim.application().emergency_stop(true, bcap_std::now());
         });
-        assert_eq!(arm.move_to(&to(150.0), LIMIT).unwrap(), Motion::Failed(EMERGENCY_STOP));
+        assert_eq!(arm.move_to(&far(), LIMIT).unwrap(), Motion::Failed(EMERGENCY_STOP));
     });
 }
 
@@ -479,7 +484,7 @@ fn a_stopper_halts_a_motion_that_another_thread_waits_for() {
             sim.until(Simulated::is_moving);
             button.halt().unwrap()
         });
-        assert_eq!(arm.move_to(&to(150.0), LIMIT).unwrap(), Motion::Halted);
+        assert_eq!(arm.move_to(&far(), LIMIT).unwrap(), Motion::Halted);
         assert_eq!(pressed.join().unwrap(), Halted::Halted);
     });
     assert!(arm.robot().joints().unwrap().degrees[0] < 150.0);
@@ -572,10 +577,12 @@ fn motions_follow_each_other_without_a_stop() {
                 std::thread::sleep(Duration::from_millis(1));
             }
         });
-        let mut moving = arm.start(&to(60.0).pass(Pass::Near), LIMIT).unwrap();
+        // both motions last seconds, and so does the time in which one brakes and the other begins
+        let slow = |motion: Move| motion.speed_percent(5.0).acceleration_percent(0.5).deceleration_percent(0.5);
+        let mut moving = arm.start(&slow(to(60.0)).pass(Pass::Near), LIMIT).unwrap();
         assert!(sim.application().is_moving());
         assert!(moving.robot().joints().unwrap().degrees[0] < 60.0);
-        moving = moving.then(&turn(60.0, 60.0).pass(Pass::Near)).unwrap();
+        moving = moving.then(&slow(turn(60.0, 60.0)).pass(Pass::Near)).unwrap();
         assert_eq!(moving.then(&turn(60.0, 0.0)).unwrap().wait().unwrap(), Motion::Arrived);
         ended.store(true, Ordering::Relaxed);
     });
@@ -594,26 +601,26 @@ fn motions_that_are_dropped_halt_the_robot() {
     let sim = simulated();
     let mut cell = connect(&sim);
     let mut arm = ready(&mut cell);
-    drop(arm.start(&to(150.0), LIMIT).unwrap());
+    drop(arm.start(&far(), LIMIT).unwrap());
     assert!(!sim.application().is_moving() && sim.application().joints()[0] < 149.0);
     // the halted motion is an error
-    assert_eq!(arm.start(&to(150.0), LIMIT).unwrap_err().code(), Some(HResult::E_ERROR_PRESENT));
+    assert_eq!(arm.start(&far(), LIMIT).unwrap_err().code(), Some(HResult::E_ERROR_PRESENT));
     sim.clear();
-    assert_eq!(arm.start(&to(150.0), LIMIT).unwrap().halt().unwrap(), Halted::Halted);
+    assert_eq!(arm.start(&far(), LIMIT).unwrap().halt().unwrap(), Halted::Halted);
     assert!(!sim.application().is_moving());
     sim.clear();
     // an error of a later motion halts those before it
-    let moving = arm.start(&to(150.0), LIMIT).unwrap();
+    let moving = arm.start(&far(), LIMIT).unwrap();
     let refused = moving.then(&Move::joint("P(")).unwrap_err();
     assert!(refused.code().is_some() && !sim.application().is_moving(), "{refused}");
     sim.clear();
     // one that is forgotten is halted before the next, which is refused because of that
     let below = sim.application().joints()[0] - 5.0;
-    std::mem::forget(arm.start(&to(150.0), LIMIT).unwrap());
+    std::mem::forget(arm.start(&far(), LIMIT).unwrap());
     assert!(arm.move_to(&to(below), LIMIT).is_err());
     sim.clear();
     assert_eq!(arm.move_to(&to(below), LIMIT).unwrap(), Motion::Arrived);
-    std::mem::forget(arm.start(&to(150.0), LIMIT).unwrap());
+    std::mem::forget(arm.start(&far(), LIMIT).unwrap());
     drop(arm);
     assert!(!sim.application().is_moving());
     drop(cell);
@@ -627,7 +634,7 @@ fn a_halt_between_motions_is_not_taken_for_arrival() {
     let stopper = cell.stopper().unwrap();
     let mut arm = ready(&mut cell);
     // while the program does something else: the next motion is not sent
-    let moving = arm.start(&to(100.0), LIMIT).unwrap();
+    let moving = arm.start(&far(), LIMIT).unwrap();
     assert_eq!(stopper.halt().unwrap(), Halted::Halted);
     let rest = sim.application().joints()[0];
     let moving = moving.then(&to(0.0)).unwrap().then(&to(100.0)).unwrap();
@@ -635,7 +642,7 @@ fn a_halt_between_motions_is_not_taken_for_arrival() {
     assert!((sim.application().joints()[0] - rest).abs() < 0.001);
     sim.clear();
     // of two motions, the second one waits in the controller
-    let moving = arm.start(&to(rest + 50.0), LIMIT).unwrap();
+    let moving = arm.start(&to(rest + 50.0).speed_percent(2.0), LIMIT).unwrap();
     let motion = std::thread::scope(|scope| {
         scope.spawn(|| {
             while sim.application().joints()[0] < rest + 20.0 {
@@ -651,7 +658,7 @@ fn a_halt_between_motions_is_not_taken_for_arrival() {
     assert!(end > rest + 15.0 && end < rest + 49.0, "{end} from {rest}");
     sim.clear();
     // an emergency stop is the end of the queue as well
-    let moving = arm.start(&to(rest), LIMIT).unwrap();
+    let moving = arm.start(&to(rest).speed_percent(1.0), LIMIT).unwrap();
     sim.application().emergency_stop(true, bcap_std::now());
     assert_eq!(moving.then(&to(rest + 50.0)).unwrap().wait().unwrap(), Motion::Failed(EMERGENCY_STOP));
 }

@@ -25,7 +25,7 @@ use bcap_tests::drivers::{
 use bcap_tests::served::Served;
 use bcap_tests::stepped::Stepped;
 
-/// The most rounds of a loop that waits for a value.
+/// The maximum number of rounds of a loop that waits for a value.
 const ROUNDS: u32 = 10_000;
 
 /// The buffer of Slave Mode is full: the pose was stored, or must be sent again.

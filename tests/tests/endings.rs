@@ -29,9 +29,9 @@ fn settings() -> Settings {
     Settings::rc8().reconnect(Backoff::default().min(Duration::from_millis(1)).max(Duration::from_millis(20)))
 }
 
-/// A motion of several seconds.
+/// A motion of 20 s, so that it does not end by itself on a busy machine.
 fn far() -> Move {
-    Move::joint(Joints::new([150.0, 45.0, 90.0, 0.0, 45.0, 0.0])).speed_percent(10.0)
+    Move::joint(Joints::new([150.0, 45.0, 90.0, 0.0, 45.0, 0.0])).speed_percent(2.0)
 }
 
 /// A motion of some polls.
@@ -398,7 +398,7 @@ fn a_motion_whose_runtime_ends_may_have_moved() {
 type ByName = (Object, &'static str, OwnedVariant);
 
 fn by_name() -> Vec<ByName> {
-    let motion = ("@0 (1, 150)", "SPEED=10,NEXT");
+    let motion = ("@0 (1, 150)", "SPEED=2,NEXT");
     vec![
         (Object::Robot, "mOTOR", OwnedVariant::new(&[1, 0]).unwrap()),
         (Object::Controller, "Motor", OwnedVariant::new(&[1, 0]).unwrap()),

@@ -15,6 +15,7 @@ use bcap_sim::{Controller, Profile};
 use bcap_std::blocking::Connection;
 use bcap_std::server::Limits;
 use bcap_std::{Options, asynch, blocking};
+use bcap_tests::real_time::repeated;
 use bcap_tests::served::Served;
 use bcap_tests::simulated::quick;
 use bcap_tests::slowed::{CYCLE, Slowed, inner};
@@ -119,26 +120,32 @@ fn over_udp(sim: &Served<Slowed>, change: impl FnOnce(&mut Config)) -> Rig<block
 
 #[test]
 fn every_mode_streams_over_both_links_blocking() {
-    for mode in MODES {
-        let sim = controller();
-        let set = |config: &mut Config| config.format = format(mode);
-        let mut wave = Wave { cycles: 25, ..Wave::default() };
-        let mut rig = over_tcp(&sim, set);
-        rig.run(&mut wave).unwrap();
-        assert_wave(&sim, &wave, rig.engine.stats(), format_args!("{mode:?} over TCP"));
-        let Rig { engine, mut motion, watch } = rig;
-        motion.run(release_robot(engine.config().motion)).unwrap();
-        drop((motion, watch));
+    repeated(|| {
+        for mode in MODES {
+            let sim = controller();
+            let set = |config: &mut Config| config.format = format(mode);
+            let mut wave = Wave { cycles: 25, ..Wave::default() };
+            let mut rig = over_tcp(&sim, set);
+            rig.run(&mut wave).unwrap();
+            assert_wave(&sim, &wave, rig.engine.stats(), format_args!("{mode:?} over TCP"));
+            let Rig { engine, mut motion, watch } = rig;
+            motion.run(release_robot(engine.config().motion)).unwrap();
+            drop((motion, watch));
 
-        let mut wave = Wave { cycles: 25, ..Wave::default() };
-        let mut rig = over_udp(&sim, set);
-        rig.run(&mut wave).unwrap();
-        assert_wave(&sim, &wave, rig.engine.stats(), format_args!("{mode:?} over UDP"));
-    }
+            let mut wave = Wave { cycles: 25, ..Wave::default() };
+            let mut rig = over_udp(&sim, set);
+            rig.run(&mut wave).unwrap();
+            assert_wave(&sim, &wave, rig.engine.stats(), format_args!("{mode:?} over UDP"));
+        }
+    });
 }
 
-#[tokio::test]
-async fn every_mode_streams_over_both_links_under_tokio() {
+#[test]
+fn every_mode_streams_over_both_links_under_tokio() {
+    repeated(|| tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap().block_on(streamed()));
+}
+
+async fn streamed() {
     let options = Options::default();
     for mode in MODES {
         let sim = controller();
@@ -163,39 +170,43 @@ async fn every_mode_streams_over_both_links_under_tokio() {
 
 #[test]
 fn a_stop_ramps_within_the_limits_and_gives_the_arm_back() {
-    let sim = controller();
-    let mut rig = over_tcp(&sim, |config| {
-        config.limits = AxisLimits::uniform(100.0, 500.0);
+    repeated(|| {
+        let sim = controller();
+        let mut rig = over_tcp(&sim, |config| {
+            config.limits = AxisLimits::uniform(100.0, 500.0);
+        });
+        let mut wave = Wave { cycles: 100, stop_at: Some(25), ..Wave::default() };
+        rig.run(&mut wave).unwrap();
+        let controller = &sim.application().0;
+        let axes: Vec<f64> = controller.slave_record().map(|cycle| cycle.axes[0]).collect();
+        let steps: Vec<f64> = axes.windows(2).map(|pair| (pair[1] - pair[0]) / CYCLE.as_secs_f64()).collect();
+        assert!(steps[20] > 0.75, "it was moving: {steps:?}");
+        assert_eq!(steps.last(), Some(&0.0), "and stands");
+        for pair in steps.windows(2) {
+            assert!(((pair[1] - pair[0]) / CYCLE.as_secs_f64()).abs() <= 500.0, "{pair:?}");
+        }
+        assert!(steps[26..].windows(2).all(|pair| pair[1] <= pair[0] + 1e-9), "ever slower: {steps:?}");
+        assert_eq!((controller.slave_mode(), controller.arm_owner(), controller.errors().count()), (0, None, 0));
     });
-    let mut wave = Wave { cycles: 100, stop_at: Some(25), ..Wave::default() };
-    rig.run(&mut wave).unwrap();
-    let controller = &sim.application().0;
-    let axes: Vec<f64> = controller.slave_record().map(|cycle| cycle.axes[0]).collect();
-    let steps: Vec<f64> = axes.windows(2).map(|pair| (pair[1] - pair[0]) / CYCLE.as_secs_f64()).collect();
-    assert!(steps[20] > 0.75, "it was moving: {steps:?}");
-    assert_eq!(steps.last(), Some(&0.0), "and stands");
-    for pair in steps.windows(2) {
-        assert!(((pair[1] - pair[0]) / CYCLE.as_secs_f64()).abs() <= 500.0, "{pair:?}");
-    }
-    assert!(steps[26..].windows(2).all(|pair| pair[1] <= pair[0] + 1e-9), "ever slower: {steps:?}");
-    assert_eq!((controller.slave_mode(), controller.arm_owner(), controller.errors().count()), (0, None, 0));
 }
 
 #[test]
 fn a_pose_that_is_too_far_is_not_sent_and_the_stream_stops() {
-    let sim = controller();
-    let mut rig = over_tcp(&sim, |config| {
-        config.limits = AxisLimits::uniform(50.0, 4000.0);
+    repeated(|| {
+        let sim = controller();
+        let mut rig = over_tcp(&sim, |config| {
+            config.limits = AxisLimits::uniform(50.0, 4000.0);
+        });
+        let mut far = |cycle: &Cycle<'_>| Next::Pose(turned(cycle.start, if cycle.number < 30 { 0.0 } else { 5.0 }));
+        let error = rig.run(&mut far).unwrap_err();
+        let StreamError::Pose { number: 30, error: PoseError::Speed { axis: 1, speed, limit: 50.0 } } = error else {
+            panic!("{error}")
+        };
+        assert!((speed - 5.0 / CYCLE.as_secs_f64()).abs() < 1e-6, "{speed}");
+        let controller = &sim.application().0;
+        assert!(controller.slave_record().all(|cycle| cycle.axes[0] == 0.0), "nothing moved");
+        assert_eq!((controller.slave_mode(), controller.arm_owner(), controller.errors().count()), (0, None, 0));
     });
-    let mut far = |cycle: &Cycle<'_>| Next::Pose(turned(cycle.start, if cycle.number < 30 { 0.0 } else { 5.0 }));
-    let error = rig.run(&mut far).unwrap_err();
-    let StreamError::Pose { number: 30, error: PoseError::Speed { axis: 1, speed, limit: 50.0 } } = error else {
-        panic!("{error}")
-    };
-    assert!((speed - 5.0 / CYCLE.as_secs_f64()).abs() < 1e-6, "{speed}");
-    let controller = &sim.application().0;
-    assert!(controller.slave_record().all(|cycle| cycle.axes[0] == 0.0), "nothing moved");
-    assert_eq!((controller.slave_mode(), controller.arm_owner(), controller.errors().count()), (0, None, 0));
 }
 
 /// Holds for 20 cycles, then does something to the controller, and goes on.
@@ -210,57 +221,63 @@ fn disturbed<'a>(sim: &'a Served<Slowed>, act: impl Fn(&mut Controller) + 'a) ->
 
 #[test]
 fn the_first_error_is_reported_and_recovery_is_explicit() {
-    let sim = controller();
-    let mut rig = over_udp(&sim, |_| {});
-    let code = HResult::from_u32(0x8420_4043);
-    let inject = |sim: &mut Controller| sim.inject_error(code, inner(bcap_std::now()));
-    rig.run(&mut disturbed(&sim, inject)).unwrap_err();
-    let fault = rig.fault();
-    assert_eq!((fault.step, fault.code(), fault.released), (Step::Move, Some(code), Released::Yes));
-    assert!(matches!(fault.cause, Cause::Refused(refused) if refused != code), "{fault}");
-    let after = rig.engine.stats().cycles;
-    // nothing moves and nothing is cleared by itself
-    let error = rig.run(&mut Wave { cycles: 10, ..Wave::default() }).unwrap_err();
-    assert!(matches!(error, StreamError::Fault { code: Some(told), .. } if told == code), "{error}");
-    assert_eq!(
-        (rig.engine.stats().cycles, sim.application().0.errors().last().map(|error| error.code)),
-        (after, Some(code))
-    );
+    repeated(|| {
+        let sim = controller();
+        let mut rig = over_udp(&sim, |_| {});
+        let code = HResult::from_u32(0x8420_4043);
+        let inject = |sim: &mut Controller| sim.inject_error(code, inner(bcap_std::now()));
+        rig.run(&mut disturbed(&sim, inject)).unwrap_err();
+        let fault = rig.fault();
+        assert_eq!((fault.step, fault.code(), fault.released), (Step::Move, Some(code), Released::Yes));
+        assert!(matches!(fault.cause, Cause::Refused(refused) if refused != code), "{fault}");
+        let after = rig.engine.stats().cycles;
+        // nothing moves and nothing is cleared by itself
+        let error = rig.run(&mut Wave { cycles: 10, ..Wave::default() }).unwrap_err();
+        assert!(matches!(error, StreamError::Fault { code: Some(told), .. } if told == code), "{error}");
+        assert_eq!(
+            (rig.engine.stats().cycles, sim.application().0.errors().last().map(|error| error.code)),
+            (after, Some(code))
+        );
 
-    rig.engine.recover().unwrap();
-    rig.run(&mut Wave { cycles: 10, ..Wave::default() }).unwrap();
-    assert!(rig.engine.stats().cycles >= after + 10);
-    let controller = &sim.application().0;
-    assert_eq!((controller.errors().count(), controller.arm_owner()), (0, None));
+        rig.engine.recover().unwrap();
+        rig.run(&mut Wave { cycles: 10, ..Wave::default() }).unwrap();
+        assert!(rig.engine.stats().cycles >= after + 10);
+        let controller = &sim.application().0;
+        assert_eq!((controller.errors().count(), controller.arm_owner()), (0, None));
+    });
 }
 
 #[test]
 fn after_an_emergency_stop_there_is_no_recovery_and_the_arm_can_be_given_back() {
-    let sim = controller();
-    let mut rig = over_tcp(&sim, |_| {});
-    let press = |sim: &mut Controller| sim.emergency_stop(true, inner(bcap_std::now()));
-    rig.run(&mut disturbed(&sim, press)).unwrap_err();
-    let fault = rig.fault();
-    assert_eq!((fault.code(), fault.emergency_stop), (Some(HResult::E_COMMAND_POSITION_GEN_STOPPED), Some(true)));
-    assert_eq!(rig.engine.recover(), Err(RecoverError::EmergencyStop));
-    let giving_up = rig.engine.give_up();
-    rig.motion.run_watched(&mut rig.watch, giving_up).unwrap();
-    assert_eq!(sim.application().0.arm_owner(), None);
+    repeated(|| {
+        let sim = controller();
+        let mut rig = over_tcp(&sim, |_| {});
+        let press = |sim: &mut Controller| sim.emergency_stop(true, inner(bcap_std::now()));
+        rig.run(&mut disturbed(&sim, press)).unwrap_err();
+        let fault = rig.fault();
+        assert_eq!((fault.code(), fault.emergency_stop), (Some(HResult::E_COMMAND_POSITION_GEN_STOPPED), Some(true)));
+        assert_eq!(rig.engine.recover(), Err(RecoverError::EmergencyStop));
+        let giving_up = rig.engine.give_up();
+        rig.motion.run_watched(&mut rig.watch, giving_up).unwrap();
+        assert_eq!(sim.application().0.arm_owner(), None);
+    });
 }
 
 #[test]
 fn a_disconnected_controller_is_a_fault() {
-    let sim = controller();
-    let mut rig = over_tcp(&sim, |_| {});
-    let mut sim = Some(sim);
-    rig.run(&mut |cycle: &Cycle<'_>| {
-        if cycle.number == 20 {
-            sim = None;
-        }
-        Next::Pose(*cycle.start)
-    })
-    .unwrap_err();
-    let fault = rig.fault();
-    assert_eq!((fault.step, fault.released), (Step::Move, Released::Unknown), "{fault}");
-    assert_eq!(rig.engine.recover(), Err(RecoverError::Lost));
+    repeated(|| {
+        let sim = controller();
+        let mut rig = over_tcp(&sim, |_| {});
+        let mut sim = Some(sim);
+        rig.run(&mut |cycle: &Cycle<'_>| {
+            if cycle.number == 20 {
+                sim = None;
+            }
+            Next::Pose(*cycle.start)
+        })
+        .unwrap_err();
+        let fault = rig.fault();
+        assert_eq!((fault.step, fault.released), (Step::Move, Released::Unknown), "{fault}");
+        assert_eq!(rig.engine.recover(), Err(RecoverError::Lost));
+    });
 }

@@ -8,7 +8,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crate::common::bcap;
 use crate::common::running::Running;
@@ -97,11 +97,12 @@ fn a_flood_of_keep_alives_costs_the_gateway_little() {
     let plc = TcpStream::connect(&gateway.rac).unwrap();
     (&plc).write_all(b"GET:RC8:1:I:\r").unwrap();
     let process = Process::new(gateway.child.id());
-    let before = process.processor_time().unwrap();
-    // measure for a fixed time
+    let (began, before) = (Instant::now(), process.processor_time().unwrap());
+    // measure for a fixed time, which is longer on a busy machine
     thread::sleep(Duration::from_secs(3));
     let used = process.processor_time().unwrap() - before;
-    assert!(used < Duration::from_millis(300), "{used:?} of processor time in 3 s");
+    let took = began.elapsed();
+    assert!(used < took / 10, "{used:?} of processor time in {took:?}");
 }
 
 fn flood(mut stream: TcpStream) {

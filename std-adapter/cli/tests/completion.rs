@@ -38,7 +38,8 @@ fn profiles_are_completed() {
 #[test]
 fn names_come_from_the_controller_of_the_line() {
     let robot = Robot::start();
-    let at = ["--robot", &robot.tcp];
+    // 500 ms without a time limit
+    let at = ["--robot", &robot.tcp, "--timeout", "20s"];
     assert_eq!(complete(&[&at[..], &["get", "@MO"]].concat()), ["@MODE"]);
     let current = complete(&[&at[..], &["watch", "I1", "robot/@CURRENT_T"]].concat());
     assert_eq!(current, ["robot/@CURRENT_TRANS", "robot/@CURRENT_TOOL"]);

@@ -108,9 +108,9 @@ fn a_slow_call_that_may_act_is_sent_once() {
         step(FunctionId::CONTROLLER_EXECUTE, vec![Argument::Handle(Object::Controller), text("SysState"), text("")]),
     ];
     std::fs::write(&file, steps.map(|step| format!("{step}\n")).concat()).unwrap();
-    let again = ["--again", file.to_str().unwrap(), "--timeout", "1000"];
+    let again = ["--again", file.to_str().unwrap(), "--timeout", "5000"];
     let run = bcap(&[&["fuzz", "--robot", &device.udp, "--robot-rac", &device.rac, MINE], &again[..]].concat());
-    assert!(run.out.contains("hang: Controller_Execute: no reply within 1000 ms"), "{run:?}");
+    assert!(run.out.contains("hang: Controller_Execute: no reply within 5000 ms"), "{run:?}");
     let executed = device.calls().into_iter().filter(|function| *function == FunctionId::CONTROLLER_EXECUTE);
     assert_eq!(executed.count(), 1);
 }

@@ -39,10 +39,12 @@ fn a_person_watches_writes_halts_and_quits() {
             terminal.wait_for(text);
         }
         terminal.wait_for("Pro1             ready");
-        // a change is marked, bold
-        assert_eq!(robot.run(&["put", "I1", "5"]).code, 0);
-        terminal.wait_for(">*I1    = 5");
-        assert!(terminal.styled_screen().contains("\u{1b}[1m"), "{}", terminal.styled_screen());
+        // a change is marked, bold, for 2 s, which may be over when the command has ended
+        let put = robot.spawn(&["put", "I1", "5", "--timeout", "20s"]);
+        terminal.wait_until("a bold change", |screen| {
+            screen.contains(">*I1    = 5") && terminal.styled_screen().contains("\u{1b}[1m")
+        });
+        assert!(put.wait_with_output().unwrap().status.success());
         terminal.wait_for(" I4(5) = Variable_GetValue(");
         // a value is asked for before it is written
         terminal.keys(&["Down", "w"]);
@@ -264,10 +266,14 @@ fn a_screen_without_colours_has_none() {
     let Some(terminal) = Terminal::run((80, 24), &["sh"], folder.path()) else { return };
     terminal.enter(&format!("NO_COLOR=1 {} monitor I1 --robot {}", env!("CARGO_BIN_EXE_bcap"), robot.tcp));
     terminal.wait_for("I1 = 0");
-    robot.run(&["put", "I1", "1"]);
-    terminal.wait_for(">*I1 = 1");
-    let styled = terminal.styled_screen();
-    assert!(styled.contains("\u{1b}[1m") && !styled.contains("\u{1b}[33") && !styled.contains("[38"), "{styled:?}");
+    // a change is marked for 2 s, which may be over when the command has ended
+    let put = robot.spawn(&["put", "I1", "1", "--timeout", "20s"]);
+    terminal.wait_until("a bold change", |screen| {
+        let styled = terminal.styled_screen();
+        assert!(!styled.contains("\u{1b}[33") && !styled.contains("[38"), "{styled:?}");
+        screen.contains(">*I1 = 1") && styled.contains("\u{1b}[1m")
+    });
+    assert!(put.wait_with_output().unwrap().status.success());
     terminal.keys(&["q"]);
 }
 

@@ -122,7 +122,7 @@ fn a_wrong_profile_is_named_with_file_and_line() {
 fn a_wrong_profile_does_not_prevent_a_halt() {
     let robot = Robot::start();
     let home = Home::with("[profile.cell");
-    let run = home.run(&["halt", "--robot", &robot.tcp], &[("BCAP_PROFILE", "cell")]);
+    let run = home.run(&["halt", "--timeout", "30s", "--robot", &robot.tcp], &[("BCAP_PROFILE", "cell")]);
     assert_eq!((run.out.as_str(), run.code), ("nothing was moving\n", 0), "{run:?}");
     assert!(run.err.contains("config.toml, line 1: "), "{run:?}");
     assert_eq!(home.run(&["halt"], &[("BCAP_PROFILE", "cell")]).code, 2);

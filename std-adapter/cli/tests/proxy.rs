@@ -1,11 +1,13 @@
 //! `bcap proxy` and `--write`: recordings, output, and faults.
 
 use std::collections::{HashSet, VecDeque};
-use std::io::{Read, Write};
+use std::io::{ErrorKind, Read, Write};
 use std::net::{TcpListener, TcpStream, UdpSocket};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
+
+use bcap_tests::real_time::repeated;
 
 use crate::common::recorded;
 use crate::common::running::Running;
@@ -83,25 +85,28 @@ fn tshark_links_all_requests_of_the_file_of_a_proxy() {
 #[test]
 fn client_commands_and_the_virtual_controller_record_the_same_calls() {
     let (server, client) = (path("server.pcapng"), path("client.pcapng"));
-    let sim = Running::sim(&["--write", server.to_str().unwrap()]);
-    let mut calls = Vec::new();
-    for (robot, args) in [
-        (format!("tcp:{}", sim.bcap), &["get", "I1", "P1"][..]),
-        (format!("udp:{}", sim.udp), &["put", "I1", "5"]),
-        (sim.rac.clone(), &["rac", "get", "I1"]),
-        (format!("tcp:{}", sim.bcap), &["slave", "cosine", "--seconds", "0.1", "--amplitude", "-1", "--yes"]),
-        (format!("tcp:{}", sim.bcap), &["exec", "robot", "Nonsense"]),
-    ] {
-        bcap(&[args, &["--robot", &robot, "--write", client.to_str().unwrap()]].concat());
-        calls.extend(json_calls(&client));
-    }
-    assert_eq!(sim.interrupt().code, 0);
-    let mut seen = json_calls(&server);
-    // the connections of Slave Mode have no common order
-    calls.sort();
-    seen.sort();
-    assert!(calls.len() > 60, "{}", calls.len());
-    assert_eq!(calls, seen);
+    repeated(|| {
+        let sim = Running::sim(&["--write", server.to_str().unwrap()]);
+        let mut calls = Vec::new();
+        for (robot, args) in [
+            (format!("tcp:{}", sim.bcap), &["get", "I1", "P1"][..]),
+            (format!("udp:{}", sim.udp), &["put", "I1", "5"]),
+            (sim.rac.clone(), &["rac", "get", "I1"]),
+            (format!("tcp:{}", sim.bcap), &["slave", "cosine", "--seconds", "0.1", "--amplitude", "-1", "--yes"]),
+            (format!("tcp:{}", sim.bcap), &["exec", "robot", "Nonsense"]),
+        ] {
+            let run = bcap(&[args, &["--robot", &robot, "--write", client.to_str().unwrap()]].concat());
+            assert_eq!(run.code, i32::from(args.contains(&"Nonsense")), "{run:?}");
+            calls.extend(json_calls(&client));
+        }
+        assert_eq!(sim.interrupt().code, 0);
+        let mut seen = json_calls(&server);
+        // the connections of Slave Mode have no common order
+        calls.sort();
+        seen.sort();
+        assert!(calls.len() > 60, "{}", calls.len());
+        assert_eq!(calls, seen);
+    });
 }
 
 #[test]
@@ -153,7 +158,7 @@ fn faulty(name: &str, faults: &[&str]) -> (Running, Running, PathBuf) {
 }
 
 fn get(robot: &str, args: &[&str]) -> Run {
-    bcap(&[args, &["--robot", robot, "--timeout", "2000"]].concat())
+    bcap(&[args, &["--robot", robot, "--timeout", "6000"]].concat())
 }
 
 #[test]
@@ -168,8 +173,10 @@ fn dropped_requests_of_one_function_time_out_over_tcp_and_are_sent_again_over_ud
     assert_eq!(unanswered.lines().count(), 1, "{unanswered}");
 
     let (_sim, proxy, file) = faulty("lost.pcapng", &["--drop", "0.2"]);
-    // without --timeout a call has the time for all of its attempts
-    let run: Run = bare(&["get", "I1", "--robot", &format!("udp:{}", proxy.udp)]).output().unwrap().into();
+    // without --timeout a call has the time for all of its attempts; some may be late in addition
+    let attempts = ["--attempts", "7", "--attempt-timeout", "1s"];
+    let robot = format!("udp:{}", proxy.udp);
+    let run: Run = bare(&[&["get", "I1", "--robot", &robot], &attempts[..]].concat()).output().unwrap().into();
     assert_eq!((run.code, run.out.as_str()), (0, "I1 = 0\n"), "{run:?}");
     let printed = proxy.interrupt();
     assert!(printed.out.contains("note: fault: dropped"), "{}", printed.out);
@@ -228,14 +235,15 @@ fn many_clients_share_a_proxy() {
 
 #[test]
 fn a_robot_that_refuses_and_a_file_that_cannot_be_written_are_said() {
-    let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
-    let proxy = Running::start(&["proxy", "--listen", "127.0.0.1:0", "--robot", &free]);
+    // nothing listens there, and no other test will
+    let closed = "127.0.0.1:1";
+    let proxy = Running::start(&["proxy", "--listen", "127.0.0.1:0", "--robot", closed]);
     let run = bcap(&["get", "I1", "--robot", &format!("tcp:{}", proxy.bcap)]);
     assert_eq!(run.code, 3, "{run:?}");
     let printed = proxy.interrupt();
     assert!(printed.out.contains("note: cannot connect to the robot at "), "{}", printed.out);
 
-    let run = bcap(&["proxy", "--listen", "127.0.0.1:0", "--robot", &free, "--write", "no/such/folder/x.pcapng"]);
+    let run = bcap(&["proxy", "--listen", "127.0.0.1:0", "--robot", closed, "--write", "no/such/folder/x.pcapng"]);
     assert_eq!(run.code, 2, "{run:?}");
     assert!(run.err.contains("cannot write no/such/folder/x.pcapng: "), "{run:?}");
     let run = bcap(&["get", "I1", "--robot", "serial:/dev/null", "--write", path("x.pcapng").to_str().unwrap()]);
@@ -247,7 +255,7 @@ fn a_robot_that_refuses_and_a_file_that_cannot_be_written_are_said() {
 /// Service_Stop.
 const STOP: [u8; 16] = [1, 16, 0, 0, 0, 1, 0, 0, 0, 2, 0, 0, 0, 0, 0, 4];
 
-/// The most clients of a proxy over UDP, and the most connections over TCP.
+/// The maximum number of clients of a proxy over UDP, and of connections over TCP.
 const CLIENTS: usize = 256;
 
 #[test]
@@ -319,13 +327,17 @@ fn a_proxy_over_tcp_gives_a_new_connection_the_slot_of_the_oldest_idle_one() {
     }
     // after 10 s a new connection is served
     robot.set_nonblocking(true).unwrap();
-    let _served = loop {
+    let _served = 'served: loop {
         let mut spare = TcpStream::connect(&proxy.bcap).unwrap();
-        spare.set_read_timeout(Some(Duration::from_millis(100))).unwrap();
-        match (spare.read(&mut [0; 16]), robot.accept()) {
-            (Err(_), Ok(server)) => break (spare, server),
-            _ => std::thread::sleep(Duration::from_millis(50)),
+        spare.set_nonblocking(true).unwrap();
+        // until the proxy has connected it to the robot, or closed it
+        while spare.read(&mut [0; 16]).is_err_and(|error| error.kind() == ErrorKind::WouldBlock) {
+            if let Ok(server) = robot.accept() {
+                break 'served (spare, server);
+            }
+            std::thread::sleep(Duration::from_millis(10));
         }
+        std::thread::sleep(Duration::from_millis(50));
     };
     let (mut waiting, mut evicted) = (connections.pop_front().unwrap(), connections.pop_front().unwrap());
     assert_eq!(evicted.0.read(&mut [0; 16]).unwrap(), 0, "it was idle for the longest time");

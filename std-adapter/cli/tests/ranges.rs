@@ -73,15 +73,17 @@ fn put_writes_a_value_to_a_range() {
 #[test]
 fn more_variables_than_a_session_may_open_go_in_groups() {
     let robot = Robot::start();
+    // of each answer
+    let limit = &["--attempt-timeout", "6s"][..];
     // a session has 1,000 objects
     let pairs = ["IO*=true", "I*=9", "F*=1.0", "D*=1.0", "S*=a", "V*=1,2,3"];
-    let run = robot.run(&[&["put"], &pairs[..]].concat());
+    let run = robot.run(&[&["put"], &pairs[..], limit].concat());
     assert_eq!((run.out.lines().count(), run.code, robot.i(99)), (1012, 0, 9), "{}", run.err);
     let kinds = pairs.map(|pair| pair.split_once('=').unwrap().0);
-    let run = robot.run(&[&["watch", "--count", "1"], &kinds[..]].concat());
+    let run = robot.run(&[&["watch", "--count", "1"], &kinds[..], limit].concat());
     assert_eq!((run.out.lines().count(), run.code), (1012, 0), "{}", run.err);
-    let values = robot.run(&[&["get", "--json"], &kinds[..]].concat()).out.replace("\"v\":9", "\"v\":8");
-    let run = robot.run_with(&["put", "--from", "-"], &values);
+    let values = robot.run(&[&["get", "--json"], &kinds[..], limit].concat()).out.replace("\"v\":9", "\"v\":8");
+    let run = robot.run_with(&[&["put", "--from", "-"], limit].concat(), &values);
     assert_eq!((run.out.lines().count(), run.code, robot.i(99)), (1012, 0, 8), "{}", run.err);
     // a wrong value of the last group is reported before the first write
     let run = robot.run(&["put", "IO*=false", "I*=7", "F*=1.0", "D*=1.0", "S*=a", "V*=1,2"]);
@@ -139,10 +141,9 @@ fn a_controller_that_cannot_be_reached_does_not_empty_a_table() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("earlier.csv");
     std::fs::write(&file, "t,I1\n").unwrap();
-    let closed = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     for option in ["--csv", "--mcap"] {
-        let robot = format!("tcp:{closed}");
-        let run = bcap(&["watch", "I1", option, file.to_str().unwrap(), "--robot", &robot]);
+        // nothing listens there, and no other test will
+        let run = bcap(&["watch", "I1", option, file.to_str().unwrap(), "--robot", "tcp:127.0.0.1:1"]);
         assert_eq!((run.code, std::fs::read_to_string(&file).unwrap().as_str()), (3, "t,I1\n"), "{run:?}");
     }
 }

@@ -159,7 +159,8 @@ fn a_refused_step_is_named_and_nothing_stays_on() {
 #[test]
 fn a_signal_switches_the_motor_off_and_gives_the_arm_back() {
     for name in ["-INT", "-TERM"] {
-        let robot = Robot::with(Config { motor_on_delay: Duration::from_millis(2000), ..Config::new(Profile::Rc8) });
+        // the process that sends the signal needs its time too
+        let robot = Robot::with(Config { motor_on_delay: Duration::from_secs(5), ..Config::new(Profile::Rc8) });
         raise(&robot, REACH);
         let args = ["recover", "--yes", "--keep", "--robot", &robot.tcp];
         let child = command(&args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();

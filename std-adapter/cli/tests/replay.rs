@@ -131,8 +131,8 @@ fn a_lost_connection_and_other_handles_are_differences_only_where_they_matter() 
     assert_eq!((run.code, run.out.as_str()), (0, totals), "{run:?}");
 
     assert_eq!(sim.interrupt().code, 0);
-    let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
-    let run = bcap(&["replay", file.to_str().unwrap(), "--robot", &free]);
+    // nothing listens there, and no other test will
+    let run = bcap(&["replay", file.to_str().unwrap(), "--robot", "127.0.0.1:1"]);
     assert_eq!(run.code, 1, "{run:?}");
     assert!(run.out.contains("replayed: no reply: cannot connect to "), "{run:?}");
     assert!(run.out.ends_with("4 replies compared, 4 differences\n"), "{run:?}");
@@ -314,8 +314,8 @@ fn a_capture_with_too_many_connections_is_refused() {
     }
     let file = path("links.pcap");
     capture.save(&file);
-    let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
-    let run = bcap(&["replay", file.to_str().unwrap(), "--robot", &free]);
+    // nothing listens there, and no other test will
+    let run = bcap(&["replay", file.to_str().unwrap(), "--robot", "127.0.0.1:1"]);
     let refused = "error: the capture has calls in 1025 connections; at most 1024 can be replayed at once\n";
     assert_eq!((run.code, run.out.as_str()), (2, ""), "{run:?}");
     assert!(run.err.starts_with(refused), "{run:?}");

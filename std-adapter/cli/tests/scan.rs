@@ -86,7 +86,8 @@ fn the_networks_of_this_machine_are_asked_after_a_question() {
     fs::write(folder.path().join("bcap/config.toml"), format!("[profile.a]\naddress = \"{}\"\n", robot.tcp)).unwrap();
     let Some(terminal) = Terminal::run((120, 24), &["sh"], folder.path()) else { return };
     let settings = folder.path().display();
-    terminal.enter(&format!("XDG_CONFIG_HOME={settings} {} scan; echo code $?", env!("CARGO_BIN_EXE_bcap")));
+    let program = env!("CARGO_BIN_EXE_bcap");
+    terminal.enter(&format!("XDG_CONFIG_HOME={settings} {program} scan --timeout 20s; echo code $?"));
     // a machine without a network has no question
     let screen =
         terminal.wait_until("a question or an answer", |screen| screen.contains("[y/N]") || screen.contains("code 0"));

@@ -154,8 +154,11 @@ fn a_signal_ends_a_script_that_waits_for_its_next_line() {
         let mut child = robot.spawn(&["run", "-"]);
         // stays open, because the end of the input would end the script too
         let mut stdin = child.stdin.take().unwrap();
+        let mut out = BufReader::new(child.stdout.take().unwrap()).lines();
         let lines = "exec robot TakeArm 0 1\nexec robot Motor 1 0\nmove J(90,45,90,0,45,0) --speed 1 --no-wait\n";
         stdin.write_all(lines.as_bytes()).unwrap();
+        // the third line ends after the motion has begun
+        assert!(out.any(|line| line.unwrap().starts_with("on the way to ")));
         robot.wait_for_motion();
         signal(name, &child);
         let run: Run = child.wait_with_output().unwrap().into();
@@ -192,8 +195,8 @@ fn ctrl_c_halts_motions_after_a_command_with_signals_of_its_own() {
 fn the_end_of_a_script_has_time_of_its_own_to_halt_the_robot() {
     let robot = Virtual::start(&[]);
     let lines =
-        "exec robot TakeArm 0 1\nexec robot Motor 1 0\nmove J(90,45,90,0,45,0) --speed 1 --no-wait\nsleep 700ms\n";
-    let run = bcap_with(&["run", "-", "--timeout", "500ms", "--robot", &robot.tcp], lines.as_bytes());
+        "exec robot TakeArm 0 1\nexec robot Motor 1 0\nmove J(90,45,90,0,45,0) --speed 1 --no-wait\nsleep 4500ms\n";
+    let run = bcap_with(&["run", "-", "--timeout", "4s", "--robot", &robot.tcp], lines.as_bytes());
     assert_eq!(run.code, 0, "{run:?}");
     robot.assert_at_rest_with_free_arm();
 }

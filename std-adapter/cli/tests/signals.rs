@@ -16,6 +16,8 @@ use bcap_tests::proxy::Relay;
 /// A motion that takes more than ten seconds.
 const SLOW: [&str; 4] = ["move", "J(90, 45, 90, 0, 45, 0)", "--speed", "1"];
 const INTERRUPTED: &str = "interrupted: the robot was halted, and the arm was given back";
+/// The delay of an answer before which a signal arrives, whose process has to start.
+const LATE: u32 = 3000;
 
 /// Returns the state of a process: `T` is suspended.
 fn state(child: &Child) -> char {
@@ -24,10 +26,10 @@ fn state(child: &Child) -> char {
 }
 
 /// A robot whose answer to the first TakeArm comes late.
-fn slow_to_take() -> Robot {
+fn slow_to_take(delay_ms: u32) -> Robot {
     let robot = Robot::start();
-    let late = "[[fault]]\nwhen = { call = 1, of = \"TakeArm\" }\nthen = { delay_ms = 1500 }\n";
-    robot.served.application().play(Scenario::parse(late).unwrap());
+    let late = format!("[[fault]]\nwhen = {{ call = 1, of = \"TakeArm\" }}\nthen = {{ delay_ms = {delay_ms} }}\n");
+    robot.served.application().play(Scenario::parse(&late).unwrap());
     robot
 }
 
@@ -182,7 +184,7 @@ fn a_replay_that_is_ended_during_a_motion_leaves_nothing() {
 fn a_command_that_is_ended_while_it_takes_the_arm_gives_it_back() {
     for name in ["-TERM", "-HUP", "-QUIT", "-INT"] {
         for protocol in ["udp", "tcp"] {
-            let robot = slow_to_take();
+            let robot = slow_to_take(LATE);
             let address = if protocol == "udp" { &robot.udp } else { &robot.tcp };
             let run = signal_at_take_arm(&robot, &["exec", "robot", "TakeArm", "0", "1", "--robot", address], name);
             assert!(run.code == 130 && run.err.contains("interrupted: the arm was given back"), "{name}: {run:?}");
@@ -194,7 +196,7 @@ fn a_command_that_is_ended_while_it_takes_the_arm_gives_it_back() {
 #[test]
 fn doctor_that_is_ended_while_it_takes_the_arm_gives_it_back() {
     for name in ["-TERM", "-INT"] {
-        let robot = slow_to_take();
+        let robot = slow_to_take(LATE);
         let ports = [robot.tcp.rsplit(':').next().unwrap(), robot.udp.rsplit(':').next().unwrap()];
         let args = ["doctor", "--tcp-port", ports[0], "--udp-port", ports[1], "--robot", &robot.tcp];
         let run = signal_at_take_arm(&robot, &args, name);
@@ -205,7 +207,7 @@ fn doctor_that_is_ended_while_it_takes_the_arm_gives_it_back() {
 
 #[test]
 fn an_arm_whose_take_arm_had_no_reply_is_given_back_over_udp() {
-    let robot = slow_to_take();
+    let robot = slow_to_take(1500);
     let run = bcap(&["exec", "robot", "TakeArm", "0", "1", "--timeout", "400", "--robot", &robot.udp]);
     assert_eq!(run.code, 4, "{run:?}");
     assert_eq!(robot.served.application().arm_owner(), None);
@@ -365,7 +367,7 @@ fn a_motion_whose_link_is_lost_may_go_on_and_the_command_says_so() {
     let robot = Virtual::start(&[]);
     let relay = Relay::tcp(robot.tcp.trim_start_matches("tcp:").parse().unwrap());
     let address = format!("tcp:{}", relay.tcp);
-    let args = [&SLOW[..], &["--timeout", "1500ms", "--robot", &address]].concat();
+    let args = [&SLOW[..], &["--timeout", "6s", "--robot", &address]].concat();
     let child = bare(&args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     robot.wait_for_motion();
     relay.hold(true);

@@ -194,7 +194,7 @@ fn a_scenario_can_refuse_drop_and_corrupt() {
     let text: String = text.map(|(n, then)| fault(&format!("call = {}", n + 1), then)).collect();
     let sim = Sim::start(&["--scenario", &scenario("datagrams.toml", &text)]);
     for _ in 0..4 {
-        assert_eq!(sim.udp(&["get", "I1", "--timeout", "1000"]).out, "I1 = 0\n");
+        assert_eq!(sim.udp(&["get", "I1", "--timeout", "5000"]).out, "I1 = 0\n");
     }
 }
 

@@ -83,9 +83,12 @@ fn kill(signal: &str, child: &Child) {
 }
 
 /// Waits until the robot moves faster than `least`, and fails if it does not get there.
-fn await_speed(sim: &Served<Slowed>, least: f64) {
+fn await_speed(sim: &Served<Slowed>, stream: &mut Child, least: f64) {
     let begun = Instant::now();
     while !speeds(sim).last().is_some_and(|speed| *speed > least) {
+        if stream.try_wait().unwrap().is_some() {
+            panic!("the stream has ended: {}", std::io::read_to_string(stream.stderr.take().unwrap()).unwrap());
+        }
         assert!(begun.elapsed() < Duration::from_secs(120), "the robot did not reach {least}");
         thread::sleep(Duration::from_millis(5));
     }
@@ -101,7 +104,7 @@ fn reported_cosine() {
     let (report, plot) = (path("cosine.json"), path("cosine.svg"));
     let files = ["--report", report.to_str().unwrap(), "--plot", plot.to_str().unwrap()];
     let run = slave(&sim, &[&["cosine", "--seconds", "1", "--amplitude", "-4", "--yes"], &files[..]].concat());
-    assert_eq!((run.code, run.err.as_str()), (0, ""));
+    assert_eq!((run.code, run.err.as_str()), (0, ""), "{run:?}");
     assert!(run.out.contains("underflows         0") && run.out.contains("up to"), "{}", run.out);
 
     let text = fs::read_to_string(report).unwrap();
@@ -138,34 +141,36 @@ fn reported_cosine() {
 
 #[test]
 fn a_recording_can_be_played() {
-    let sim = controller();
-    let recorded = path("recorded.csv");
-    let recorded = recorded.to_str().unwrap();
-    let run = slave(&sim, &["record", recorded, "--seconds", "0.2", "--hz", "50"]);
-    assert_eq!((run.code, run.out.as_str()), (0, format!("11 poses in {recorded}\n").as_str()), "{}", run.err);
-    let text = fs::read_to_string(recorded).unwrap();
-    // without a robot the older recording stays as it is
-    let run = bcap(&["slave", "record", recorded, "--robot", "tcp:127.0.0.1:1"]);
-    assert_eq!((run.code, fs::read_to_string(recorded).unwrap()), (3, text.clone()), "{run:?}");
-    assert!(text.starts_with("t,J1,J2,J3,J4,J5,J6,J7,J8\n0."), "{text}");
-    assert!(cycles(&sim).is_empty(), "nothing was moved");
+    repeated(|| {
+        let sim = controller();
+        let recorded = path("recorded.csv");
+        let recorded = recorded.to_str().unwrap();
+        let run = slave(&sim, &["record", recorded, "--seconds", "0.2", "--hz", "50"]);
+        assert_eq!((run.code, run.out.as_str()), (0, format!("11 poses in {recorded}\n").as_str()), "{}", run.err);
+        let text = fs::read_to_string(recorded).unwrap();
+        // without a robot the older recording stays as it is
+        let run = bcap(&["slave", "record", recorded, "--robot", "tcp:127.0.0.1:1"]);
+        assert_eq!((run.code, fs::read_to_string(recorded).unwrap()), (3, text.clone()), "{run:?}");
+        assert!(text.starts_with("t,J1,J2,J3,J4,J5,J6,J7,J8\n0."), "{text}");
+        assert!(cycles(&sim).is_empty(), "nothing was moved");
 
-    let run = slave(&sim, &["play", recorded, "--loop", "3", "--yes"]);
-    assert_eq!(run.code, 0, "{run:?}");
-    assert!(cycles(&sim).iter().filter(|cycle| cycle.took).count() > 3 * 25, "three times 0.2 s");
-    assert_at_rest(&sim, None);
+        let run = slave(&sim, &["play", recorded, "--loop", "3", "--yes"]);
+        assert_eq!(run.code, 0, "{run:?}");
+        assert!(cycles(&sim).iter().filter(|cycle| cycle.took).count() > 3 * 25, "three times 0.2 s");
+        assert_at_rest(&sim, None);
 
-    // from another pose the stream is refused without --approach
-    let elsewhere = file("elsewhere.csv", "J1,J2,J3,J4,J5,J6\n5,45,90,0,45,0\n5.01,45,90,0,45,0\n");
-    let run = slave(&sim, &["play", &elsewhere, "--yes"]);
-    assert!(
-        run.code == 1 && run.err.contains("the robot is not at the start") && run.err.contains("--approach"),
-        "{run:?}"
-    );
-    let run = slave(&sim, &["play", &elsewhere, "--yes", "--approach", "50"]);
-    assert_eq!(run.code, 0, "{run:?}");
-    assert!((sim.application().0.joints()[0] - 5.01).abs() < 1e-9);
-    assert_at_rest(&sim, None);
+        // from another pose the stream is refused without --approach
+        let elsewhere = file("elsewhere.csv", "J1,J2,J3,J4,J5,J6\n5,45,90,0,45,0\n5.01,45,90,0,45,0\n");
+        let run = slave(&sim, &["play", &elsewhere, "--yes"]);
+        assert!(
+            run.code == 1 && run.err.contains("the robot is not at the start") && run.err.contains("--approach"),
+            "{run:?}"
+        );
+        let run = slave(&sim, &["play", &elsewhere, "--yes", "--approach", "50"]);
+        assert_eq!(run.code, 0, "{run:?}");
+        assert!((sim.application().0.joints()[0] - 5.01).abs() < 1e-9);
+        assert_at_rest(&sim, None);
+    });
 }
 
 #[test]
@@ -204,136 +209,157 @@ fn nothing_moves_without_confirmation_or_with_an_invalid_file() {
 
 #[test]
 fn the_motor_is_as_it_was_before_the_stream() {
-    let sim = controller();
-    let stream = ["cosine", "--seconds", "0.2", "--amplitude", "1"];
-    // a virtual controller moves without a question
-    assert_eq!(slave(&sim, &stream).code, 0);
-    assert_at_rest(&sim, None);
-    assert_eq!(slave(&sim, &[&stream[..], &["--keep-motor"]].concat()).code, 0);
-    assert!(sim.application().0.motor_is_on());
-    assert_eq!(sim.application().0.arm_owner(), None);
-    // a motor that was on stays on
-    assert_eq!(slave(&sim, &stream).code, 0);
-    assert!(sim.application().0.motor_is_on());
+    repeated(|| {
+        let sim = controller();
+        let stream = ["cosine", "--seconds", "0.2", "--amplitude", "1"];
+        let slave = |more: &[&str]| {
+            let run = slave(&sim, &[&stream[..], more].concat());
+            assert_eq!(run.code, 0, "{run:?}");
+        };
+        // a virtual controller moves without a question
+        slave(&[]);
+        assert_at_rest(&sim, None);
+        slave(&["--keep-motor"]);
+        assert!(sim.application().0.motor_is_on());
+        assert_eq!(sim.application().0.arm_owner(), None);
+        // a motor that was on stays on
+        slave(&[]);
+        assert!(sim.application().0.motor_is_on());
+    });
 }
 
 #[test]
 fn the_first_error_is_reported() {
-    let sim = controller();
-    let text = "[[fault]]\nwhen = { cycle = 40 }\nthen = { error = '0x84204043' }\n";
-    sim.application().0.play(Scenario::parse(text).unwrap());
-    let report = path("error.json");
-    let run = slave(&sim, &["cosine", "--yes", "--report", report.to_str().unwrap()]);
-    assert!(run.code == 1 && run.err.contains("the controller's first error is 0x84204043"), "{run:?}");
-    assert!(fs::read_to_string(report).unwrap().starts_with("{\"cycles\":"), "a stream that failed is reported, too");
-    assert_at_rest(&sim, Some(HResult::from_u32(0x8420_4043)));
-    // a refusal also reports the controller's pending error
-    let run = slave(&sim, &["cosine", "--yes"]);
-    assert!(run.code == 1 && run.err.contains("TakeArm: refused") && run.err.contains("0x84204043"), "{run:?}");
+    repeated(|| {
+        let sim = controller();
+        let text = "[[fault]]\nwhen = { cycle = 40 }\nthen = { error = '0x84204043' }\n";
+        sim.application().0.play(Scenario::parse(text).unwrap());
+        let report = path("error.json");
+        let run = slave(&sim, &["cosine", "--yes", "--report", report.to_str().unwrap()]);
+        assert!(run.code == 1 && run.err.contains("the controller's first error is 0x84204043"), "{run:?}");
+        assert!(
+            fs::read_to_string(report).unwrap().starts_with("{\"cycles\":"),
+            "a stream that failed is reported, too"
+        );
+        assert_at_rest(&sim, Some(HResult::from_u32(0x8420_4043)));
+        // a refusal also reports the controller's pending error
+        let run = slave(&sim, &["cosine", "--yes"]);
+        assert!(run.code == 1 && run.err.contains("TakeArm: refused") && run.err.contains("0x84204043"), "{run:?}");
+    });
 }
 
 /// The calls that begin a stream would end the one that runs, on a real controller, and so would those that switch the motor off.
 #[test]
 fn a_stream_of_another_client_is_not_ended() {
-    let sim = controller();
-    let ramp = ramp("ramp_other.csv", 60);
-    let other = command(&["slave", "play", &ramp, "--yes", "--robot", &tcp(&sim)])
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    await_speed(&sim, 5.0);
-    let owner = sim.application().0.arm_owner();
-    for args in [&["cosine", "--yes"][..], &["play", &ramp, "--yes"], &["play", &ramp, "--yes", "--approach", "10"]] {
-        let run = slave(&sim, args);
-        assert_eq!(run.code, 1, "{run:?}");
-        assert!(run.err.contains("a stream of Slave Mode runs") && !run.err.contains("motor"), "{run:?}");
-        let controller = &sim.application().0;
-        assert!(owner.is_some() && controller.arm_owner() == owner && controller.slave_mode() != 0, "{args:?}");
-        assert!(controller.motor_is_on() && controller.errors().next().is_none(), "{args:?}");
-    }
-    kill("-INT", &other);
-    let ended: Run = other.wait_with_output().unwrap().into();
-    assert!(ended.err.contains("the robot has stopped and the arm is released"), "{ended:?}");
-    assert_at_rest(&sim, None);
+    repeated(|| {
+        let sim = controller();
+        let ramp = ramp("ramp_other.csv", 60);
+        let mut other = command(&["slave", "play", &ramp, "--yes", "--robot", &tcp(&sim)])
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        await_speed(&sim, &mut other, 5.0);
+        let owner = sim.application().0.arm_owner();
+        for args in [&["cosine", "--yes"][..], &["play", &ramp, "--yes"], &["play", &ramp, "--yes", "--approach", "10"]]
+        {
+            let run = slave(&sim, args);
+            assert_eq!(sim.application().0.errors().next().map(|error| error.code), None);
+            assert_eq!(run.code, 1, "{run:?}");
+            assert!(run.err.contains("a stream of Slave Mode runs") && !run.err.contains("motor"), "{run:?}");
+            let controller = &sim.application().0;
+            assert!(owner.is_some() && controller.arm_owner() == owner && controller.slave_mode() != 0, "{args:?}");
+            assert!(controller.motor_is_on(), "{args:?}");
+        }
+        kill("-INT", &other);
+        let ended: Run = other.wait_with_output().unwrap().into();
+        assert!(ended.err.contains("the robot has stopped and the arm is released"), "{ended:?}");
+        assert_at_rest(&sim, None);
+    });
 }
 
 #[test]
 fn ctrl_c_slows_down_within_the_limits_and_releases_the_arm() {
-    let sim = controller();
-    let ramp = ramp("ramp.csv", 60);
-    let mut child = command(&["slave", "play", &ramp, "--yes", "--robot", &tcp(&sim)])
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    await_speed(&sim, 9.9);
-    kill("-INT", &child);
-    let mut err = String::new();
-    child.stderr.take().unwrap().read_to_string(&mut err).unwrap();
-    assert_eq!(child.wait().unwrap().code(), Some(130), "{err}");
-    assert!(err.contains("stopping") && err.contains("the robot has stopped and the arm is released"), "{err}");
+    repeated(|| {
+        let sim = controller();
+        let ramp = ramp("ramp.csv", 60);
+        let mut child = command(&["slave", "play", &ramp, "--yes", "--robot", &tcp(&sim)])
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        await_speed(&sim, &mut child, 9.9);
+        kill("-INT", &child);
+        let mut err = String::new();
+        child.stderr.take().unwrap().read_to_string(&mut err).unwrap();
+        assert_eq!(child.wait().unwrap().code(), Some(130), "{err}");
+        assert!(err.contains("stopping") && err.contains("the robot has stopped and the arm is released"), "{err}");
 
-    let speeds = speeds(&sim);
-    let limits = sim.application().0.slave_limits();
-    let top = speeds.iter().copied().fold(0.0, f64::max);
-    assert!((9.9..10.1).contains(&top), "{top}");
-    let begin = speeds.iter().rposition(|speed| *speed > top - 0.01).unwrap();
-    let falling = &speeds[begin..];
-    // a ramp of 200 ms has 25 cycles
-    assert!((24..=40).contains(&falling.len()), "{falling:?}");
-    assert!(falling.windows(2).all(|pair| pair[1] <= pair[0] + 1e-9), "ever slower: {falling:?}");
-    assert!(falling.last().unwrap().abs() < 1e-9, "to rest: {falling:?}");
-    for pair in speeds.windows(2) {
-        let acceleration = (pair[1] - pair[0]) / 0.008;
-        assert!(acceleration.abs() <= limits.acceleration[0].min(55.0), "{pair:?}");
-    }
-    assert_at_rest(&sim, None);
+        let speeds = speeds(&sim);
+        let limits = sim.application().0.slave_limits();
+        let top = speeds.iter().copied().fold(0.0, f64::max);
+        assert!((9.9..10.1).contains(&top), "{top}");
+        let begin = speeds.iter().rposition(|speed| *speed > top - 0.01).unwrap();
+        let falling = &speeds[begin..];
+        // a ramp of 200 ms has 25 cycles
+        assert!((24..=40).contains(&falling.len()), "{falling:?}");
+        assert!(falling.windows(2).all(|pair| pair[1] <= pair[0] + 1e-9), "ever slower: {falling:?}");
+        assert!(falling.last().unwrap().abs() < 1e-9, "to rest: {falling:?}");
+        for pair in speeds.windows(2) {
+            let acceleration = (pair[1] - pair[0]) / 0.008;
+            assert!(acceleration.abs() <= limits.acceleration[0].min(55.0), "{pair:?}");
+        }
+        assert_at_rest(&sim, None);
+    });
 }
 
 #[test]
 #[cfg(target_os = "linux")]
 fn a_lost_terminal_stops_a_stream_after_the_motion_to_its_start() {
-    let sim = controller();
-    let ramp = ramp("ramp4.csv", 60);
-    let bcap = command(&["slave", "play", &ramp, "--yes", "--approach", "100", "--robot", &tcp(&sim)]);
-    // a test under nohup would hand down that SIGHUP is ignored, which the command respects
-    let mut env = Command::new("env");
-    env.arg("--default-signal=HUP").arg(bcap.get_program()).args(bcap.get_args());
-    for (name, _) in bcap.get_envs() {
-        env.env_remove(name);
-    }
-    let child = env.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
-    await_speed(&sim, 9.0);
-    kill("-HUP", &child);
-    let output = child.wait_with_output().unwrap();
-    let err = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(130), "{err}");
-    assert!(err.contains("the robot has stopped and the arm is released"), "{err}");
-    assert_at_rest(&sim, None);
+    repeated(|| {
+        let sim = controller();
+        let ramp = ramp("ramp4.csv", 60);
+        let bcap = command(&["slave", "play", &ramp, "--yes", "--approach", "100", "--robot", &tcp(&sim)]);
+        // a test under nohup would hand down that SIGHUP is ignored, which the command respects
+        let mut env = Command::new("env");
+        env.arg("--default-signal=HUP").arg(bcap.get_program()).args(bcap.get_args());
+        for (name, _) in bcap.get_envs() {
+            env.env_remove(name);
+        }
+        let mut child = env.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        await_speed(&sim, &mut child, 9.0);
+        kill("-HUP", &child);
+        let output = child.wait_with_output().unwrap();
+        let err = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(130), "{err}");
+        assert!(err.contains("the robot has stopped and the arm is released"), "{err}");
+        assert_at_rest(&sim, None);
+    });
 }
 
 #[test]
 fn a_second_ctrl_c_halts_over_its_own_connection() {
-    let sim = controller();
-    let ramp = ramp("ramp2.csv", 60);
-    let mut child = command(&["slave", "play", &ramp, "--yes", "--robot", &tcp(&sim)])
-        .stdout(Stdio::null())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    await_speed(&sim, 9.0);
-    kill("-INT", &child);
-    let mut err = BufReader::new(child.stderr.take().unwrap());
-    let mut line = String::new();
-    err.read_line(&mut line).unwrap();
-    assert!(line.contains("stopping"), "{line}");
-    kill("-INT", &child);
-    let mut rest = String::new();
-    err.read_to_string(&mut rest).unwrap();
-    assert_eq!(child.wait().unwrap().code(), Some(130), "{rest}");
-    assert!(rest.contains("halted"), "{rest}");
-    assert_at_rest(&sim, None);
+    repeated(|| {
+        let sim = controller();
+        let ramp = ramp("ramp2.csv", 60);
+        let mut child = command(&["slave", "play", &ramp, "--yes", "--robot", &tcp(&sim)])
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        await_speed(&sim, &mut child, 9.0);
+        kill("-INT", &child);
+        let mut err = BufReader::new(child.stderr.take().unwrap());
+        let mut line = String::new();
+        err.read_line(&mut line).unwrap();
+        assert!(line.contains("stopping"), "{line}");
+        kill("-INT", &child);
+        let mut rest = String::new();
+        err.read_to_string(&mut rest).unwrap();
+        assert_eq!(child.wait().unwrap().code(), Some(130), "{rest}");
+        assert!(rest.contains("halted"), "{rest}");
+        assert_at_rest(&sim, None);
+    });
 }
 
 /// A task that moves the arm to and fro without a pause.
@@ -431,21 +457,23 @@ fn a_robot_that_still_moves_is_the_first_line() {
 
 #[test]
 fn halt_stops_a_motion_of_another_connection() {
-    let sim = controller();
-    let halt = || bcap(&["halt", "--robot", &tcp(&sim)]);
-    assert_eq!((halt().code, halt().out.as_str()), (0, "nothing was moving\n"));
-    let ramp = ramp("ramp3.csv", 60);
-    let child = command(&["slave", "play", &ramp, "--yes", "--robot", &tcp(&sim)])
-        .stdout(Stdio::null())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
-    await_speed(&sim, 5.0);
-    let run = halt();
-    assert_eq!((run.code, run.out.as_str()), (0, "halted\n"), "{}", run.err);
-    let run: Run = child.wait_with_output().unwrap().into();
-    assert!(run.code == 1 && run.err.contains("slvMove: refused with 0x80004004 (E_ABORT)"), "{run:?}");
-    assert_at_rest(&sim, None);
-    let run = bcap(&["halt", "--robot", &tcp(&sim), "--json"]);
-    assert_eq!(run.out, "{\"halted\":false}\n");
+    repeated(|| {
+        let sim = controller();
+        let halt = || bcap(&["halt", "--robot", &tcp(&sim)]);
+        assert_eq!((halt().code, halt().out.as_str()), (0, "nothing was moving\n"));
+        let ramp = ramp("ramp3.csv", 60);
+        let mut child = command(&["slave", "play", &ramp, "--yes", "--robot", &tcp(&sim)])
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        await_speed(&sim, &mut child, 5.0);
+        let halted = halt();
+        let run: Run = child.wait_with_output().unwrap().into();
+        assert!(run.code == 1 && run.err.contains("slvMove: refused with 0x80004004 (E_ABORT)"), "{run:?}");
+        assert_eq!((halted.code, halted.out.as_str()), (0, "halted\n"), "{}", halted.err);
+        assert_at_rest(&sim, None);
+        let run = bcap(&["halt", "--robot", &tcp(&sim), "--json"]);
+        assert_eq!(run.out, "{\"halted\":false}\n");
+    });
 }

@@ -103,7 +103,7 @@ async fn a_command_that_may_end_a_stream_of_slave_mode_is_refused() {
     let robot = Robot::start().await;
     let (to, from) = ("bcap/plant/cell1/command", "bcap/plant/cell1/answer");
     let mut host = Subscriber::start(broker.port, "bcap/plant/cell1/+").await;
-    let rules = "[commands]\nallow = [\"I/10\"]\nlongest_seconds = 1";
+    let rules = "[commands]\nallow = [\"I/10\"]\nlongest_seconds = 10";
     let publish = "[[controller.publish]]\nnames = [\"I1\"]\ninterval_ms = 10";
     let fleet = Running::start(&config(broker.port, rules, &[&robot], publish)).await;
     host.json("bcap/plant/cell1/I1", |json| json["quality"] == "good").await;
@@ -112,14 +112,14 @@ async fn a_command_that_may_end_a_stream_of_slave_mode_is_refused() {
     arm.motor_on().await.unwrap();
     // no pose is sent, so that a busy machine does not end it
     arm.robot().execute::<()>("slvChangeMode", 0x202).await.unwrap();
-    host.publish(to, command("a", "I10", 7, now_ms() + 1000)).await;
+    host.publish(to, command("a", "I10", 7, now_ms() + 10_000)).await;
     let answer = host.json(from, |_| true).await;
     assert_eq!(answer["result"], "refused", "{answer}");
     let reason = "skipped: a stream of Slave Mode runs, and Variable_PutValue may end it";
     assert!(answer["reason"].as_str().unwrap().contains(reason), "{answer}");
     assert_eq!((robot.get(10), robot.controller.lock().unwrap().slave_mode()), (0, 0x202));
     arm.robot().execute::<()>("slvChangeMode", 0).await.unwrap();
-    host.publish(to, command("b", "I10", 7, now_ms() + 1000)).await;
+    host.publish(to, command("b", "I10", 7, now_ms() + 10_000)).await;
     assert_eq!(host.json(from, |_| true).await, json!({"id": "b", "result": "done"}));
     assert_eq!(robot.get(10), 7);
     fleet.stop().await;
@@ -169,13 +169,13 @@ async fn a_retained_message_of_5_mb_on_a_command_topic_stops_nothing() {
     let (to, from) = ("bcap/plant/cell1/command", "bcap/plant/cell1/answer");
     let mut host = Subscriber::start(broker.port, from).await;
     host.retain(to, vec![b'x'; 5_000_000]).await;
-    let rules = "[commands]\nallow = [\"I/1\"]\nlongest_seconds = 1";
+    let rules = "[commands]\nallow = [\"I/1\"]\nlongest_seconds = 10";
     let fleet = Running::start(&config(broker.port, rules, &[&robot], FAST)).await;
     fleet.event(|event| matches!(event, Event::RobotUp { .. })).await;
     let answer = host.json(from, |_| true).await;
     assert_eq!(answer, json!({"id": "", "result": "refused", "reason": "it is empty, or has more than 1048576 bytes"}));
     // other commands, with the same connection to the broker
-    host.publish(to, command("a", "I1", 7, now_ms() + 1000)).await;
+    host.publish(to, command("a", "I1", 7, now_ms() + 10_000)).await;
     assert_eq!(host.json(from, |json| json["id"] == "a").await["result"], "done");
     let mut values = Subscriber::start(broker.port, "bcap/plant/cell1/I1").await;
     values.json("bcap/plant/cell1/I1", |json| json["value"] == 7).await;
@@ -375,25 +375,25 @@ async fn commands_are_allowed_by_rules_only_and_executed_once() {
     let Some(broker) = Mosquitto::open() else { return };
     let robot = Robot::start().await;
     let mut host = Subscriber::start(broker.port, "bcap/#").await;
-    let rules = "[commands]\nallow = [\"I/10-19=-10..10\"]\nper_second = 1000\nlongest_seconds = 1";
+    let rules = "[commands]\nallow = [\"I/10-19=-10..10\"]\nper_second = 1000\nlongest_seconds = 10";
     let fleet = Running::start(&config(broker.port, rules, &[&robot], FAST)).await;
     host.json("bcap/plant/cell1/I1", |json| json["quality"] == "good").await;
 
     let (to, from) = ("bcap/plant/cell1/command", "bcap/plant/cell1/answer");
-    host.publish(to, command("a", "I10", 7, now_ms() + 1000)).await;
+    host.publish(to, command("a", "I10", 7, now_ms() + 10_000)).await;
     assert_eq!(host.json(from, |_| true).await, json!({"id": "a", "result": "done"}));
     assert_eq!(robot.get(10), 7);
 
     robot.set(10, 0);
     let now = now_ms();
     for (command, reason) in [
-        (command("a", "I10", 7, now + 1000), "executed at most once"),
-        (command("b", "I10", 11, now + 1000), "out of the range"),
-        (command("c", "I20", 1, now + 1000), "no rule allows this variable"),
-        (command("d", "F1", 1, now + 1000), "no rule allows this kind"),
-        (command("e", "@SPEED", 1, now + 1000), "no user variable"),
+        (command("a", "I10", 7, now + 10_000), "executed at most once"),
+        (command("b", "I10", 11, now + 10_000), "out of the range"),
+        (command("c", "I20", 1, now + 10_000), "no rule allows this variable"),
+        (command("d", "F1", 1, now + 10_000), "no rule allows this kind"),
+        (command("e", "@SPEED", 1, now + 10_000), "no user variable"),
         (command("f", "I10", 1, now - 5), "it expired"),
-        (command("g", "I10", 1, now + 600_000), "the longest time is 1000 ms"),
+        (command("g", "I10", 1, now + 600_000), "the longest time is 10000 ms"),
         ("nonsense".into(), "it is not a command"),
     ] {
         host.publish(to, command).await;

@@ -26,7 +26,7 @@ fn config(port: u16, address: impl std::fmt::Display, more: &str) -> String {
     )
 }
 
-const FAST: &str = "[standby]\nafter_ms = 400";
+const FAST: &str = "[standby]\nafter_ms = 1000";
 
 async fn is_active(fleet: &Running) {
     fleet.event(|event| matches!(event, Event::Active { .. })).await;
@@ -113,7 +113,7 @@ async fn no_command_is_executed_by_both() {
     let Some(broker) = Mosquitto::open() else { return };
     let robot = Robot::start().await;
     let mut host = Subscriber::start(broker.port, "bcap/#").await;
-    let rules = format!("{FAST}\n[commands]\nallow = [\"I/10\"]\nper_second = 1000\nlongest_seconds = 2");
+    let rules = format!("{FAST}\n[commands]\nallow = [\"I/10\"]\nper_second = 1000\nlongest_seconds = 10");
     let proxy = Relay::tcp(([127, 0, 0, 1], broker.port).into());
     let first = Running::start(&config(proxy.tcp.port(), robot.address, &rules)).await;
     is_active(&first).await;
@@ -124,7 +124,7 @@ async fn no_command_is_executed_by_both() {
     // accepted again and again until the first process has been active for long enough
     let mut number = 0;
     let executed = loop {
-        let (id, expires) = (format!("first{number}"), now_ms() + 1900);
+        let (id, expires) = (format!("first{number}"), now_ms() + 9900);
         host.publish(to, command(&id, 1, expires)).await;
         let answer = host.json(from, |_| true).await;
         if answer["result"] == "done" {
@@ -136,7 +136,7 @@ async fn no_command_is_executed_by_both() {
 
     // this one waits in the network until another process is active
     proxy.hold(true);
-    let late = command("late", 3, now_ms() + 1900);
+    let late = command("late", 3, now_ms() + 9900);
     host.publish(to, late.clone()).await;
     is_active(&second).await;
     for copy in [executed, late] {
@@ -146,14 +146,14 @@ async fn no_command_is_executed_by_both() {
         assert!(answer["reason"].as_str().unwrap().contains("started or taken over"), "{answer}");
     }
     // until `after` has passed since its last acknowledged message, the first process may still execute what it receives
-    tokio::time::sleep(Duration::from_millis(400)).await;
+    tokio::time::sleep(Duration::from_millis(1000)).await;
     proxy.hold(false);
     is_standby(&first).await;
     assert_eq!(robot.get(10), 1);
 
     // new commands are executed again after a while
     loop {
-        host.publish(to, command(&format!("second{number}"), 4, now_ms() + 1900)).await;
+        host.publish(to, command(&format!("second{number}"), 4, now_ms() + 9900)).await;
         if host.json(from, |_| true).await["result"] == "done" {
             break;
         }
@@ -177,7 +177,7 @@ async fn a_process_that_may_not_be_active_any_more_refuses_commands() {
     host.json(VALUE, is_new).await;
     proxy.hold_up(true);
     let stalled = now_ms();
-    while now_ms() < stalled + 400 {
+    while now_ms() < stalled + 1000 {
         tokio::time::sleep(Duration::from_millis(10)).await;
     }
     host.publish("bcap/plant/cell1/command", command("a", 1, now_ms() + 10_000)).await;

@@ -1,12 +1,16 @@
 //! Calls of any function, without a browser: what the table of effects allows, and what the end of the screen leaves.
 
+use std::sync::{Arc, Mutex};
+
 use bcap_core::bcap::{Effect, FunctionId};
 use bcap_core::rac::VariableKind;
 use bcap_core::variant::Variant;
+use bcap_sim::pace::Paced;
+use bcap_sim::{Config, Controller, Profile, Scenario};
 use bcap_std::{Settings, blocking};
 use serde_json::{Value, json};
 
-use crate::support::{Page, Sim, Web};
+use crate::support::{Page, Sim, Web, serve_paced};
 
 const CONTROL: &str = "take the control first";
 const WRITE: &str = "this server is read-only; start it with --allow-write";
@@ -142,11 +146,15 @@ fn start_moving(sim: &Sim, page: &mut Page) {
     let arguments = ["robot", "3,1", "8,@E J(90, 45, 90, 0, 45, 0)", "8,SPEED=1"];
     let fields = fields(page, "Robot_Move", &arguments);
     page.send("call", fields);
-    sim.until("the robot moves", bcap_sim::Controller::is_moving);
+    // the server closes a page that answers no pulse for 2 s
+    crate::support::until("the robot moves", || {
+        page.receive().expect("the page is open");
+        sim.lock().is_moving()
+    });
 }
 
 fn rests(sim: &Sim) {
-    let is_at_rest = |sim: &bcap_sim::Controller| !sim.is_moving() && sim.arm_owner().is_none() && !sim.motor_is_on();
+    let is_at_rest = |sim: &Controller| !sim.is_moving() && sim.arm_owner().is_none() && !sim.motor_is_on();
     sim.until("the robot rests, its motor is off, and the arm is free", is_at_rest);
 }
 
@@ -190,7 +198,7 @@ fn a_loop_ends_with_halt_and_with_its_screen_and_repeats_no_motion() {
     }
     page.order("show", json!({ "robot": 0, "screen": "raw" })).unwrap();
     assert_eq!(page.order("call", first.clone()).unwrap()["ok"], true);
-    assert_eq!(web.halt(0)["ok"], true);
+    assert_eq!(web.halt_beside(&mut page, 0)["ok"], true);
     let refused = page.order("call", first).unwrap_err();
     assert!(
         refused.contains("HALT was pressed, or the control was released, before it began; nothing was done"),
@@ -204,22 +212,27 @@ fn a_loop_ends_with_halt_and_with_its_screen_and_repeats_no_motion() {
 /// A call that was sent before HALT may arrive after it: HALT waits for its end, and does not call the robot halted without it.
 #[test]
 fn a_halt_is_not_done_while_a_call_that_was_made_before_is_under_way() {
-    let sim = Sim::start();
-    let relay = crate::support::Relay::start(sim.address());
-    let web = Web::moving(&[("press", relay.address)]);
+    let mut controller = Controller::new(Config::new(Profile::Rc8));
+    let late = "[[fault]]\nwhen = { call = 1, of = \"TakeArm\" }\nthen = { delay_ms = 3000 }\n";
+    controller.play(Scenario::parse(late).unwrap());
+    let paced = Arc::new(Mutex::new(Paced::new(controller)));
+    let pace = |factor| paced.lock().unwrap().set_factor(factor, bcap_std::now()).unwrap();
+    let server = serve_paced(&paced);
+    let web = Web::moving(&[("press", server.value)]);
     let mut page = with_control(&web);
-    crate::support::until("the connection of HALT is there", || relay.count() == 2);
-    let robot = call(&mut page, "Controller_GetRobot", &["controller", "8,", "8,"]).unwrap();
-    relay.freeze(2);
-    // by its number, the robot needs no call before
-    let fields = fields(&mut page, "Robot_Halt", &[&format!("3,{}", robot["value"].as_str().unwrap()), "8,"]);
+    // the answer must not come before the end of HALT
+    pace(0.1);
+    let fields = fields(&mut page, "Robot_Execute", &["robot", "8,TakeArm", "8195,0,1"]);
     page.send("call", fields);
-    crate::support::until("the call is under way", || relay.held() > 0);
-    let halted = web.halt(0);
+    crate::support::until("the call is under way", || {
+        page.receive().expect("the page is open");
+        paced.lock().unwrap().controller().arm_owner().is_some()
+    });
+    let halted = web.halt_beside(&mut page, 0);
     let text = halted["text"].to_string();
     assert!(text.contains("has not ended, and may still move the robot: use the emergency stop"), "{halted}");
     assert_eq!(halted["ok"], false);
-    relay.freeze(usize::MAX);
+    pace(10.0);
     crate::support::until("nothing is under way", || web.halt(0)["ok"] == true);
 }
 
@@ -255,17 +268,21 @@ fn a_call_that_waits_behind_another_one_is_not_made_after_the_end_of_that() {
         let waits = page.send("call", fields);
         // it is received first
         std::thread::sleep(std::time::Duration::from_millis(200));
-        if is_halted {
-            assert_eq!(web.halt(0)["ok"], true);
-        } else {
-            page.send("show", json!({ "robot": 0, "screen": "cell" }));
-        }
-        let answer = loop {
-            let message = page.receive().expect("the page is open");
-            if message["t"] == "answer" && message["id"] == waits {
-                break message;
+        // the page answers pulses meanwhile
+        let answer = std::thread::scope(|scope| {
+            let halt = is_halted.then(|| scope.spawn(|| web.halt(0)));
+            if !is_halted {
+                page.send("show", json!({ "robot": 0, "screen": "cell" }));
             }
-        };
+            let answer = loop {
+                let message = page.receive().expect("the page is open");
+                if message["t"] == "answer" && message["id"] == waits {
+                    break message;
+                }
+            };
+            assert!(halt.is_none_or(|halt| halt.join().unwrap()["ok"] == true));
+            answer
+        });
         assert!(
             answer["error"].as_str().is_some_and(|why| why.contains("before it began; nothing was done")),
             "{answer}"
@@ -360,8 +377,8 @@ fn a_call_that_moves_ends_when_the_page_answers_no_pulse() {
     let sim = Sim::quick();
     let web = Web::moving(&[("press", sim.address())]);
     let mut page = with_control(&web);
-    page.beats = false;
     start_moving(&sim, &mut page);
+    page.beats = false;
     rests(&sim);
     crate::support::until("the control is free", || {
         web.page().order("take", json!({ "robot": 0, "name": "Bob" })).is_ok()
@@ -372,10 +389,12 @@ fn a_call_that_moves_ends_when_the_page_answers_no_pulse() {
 fn a_stream_of_another_client_is_not_ended_by_a_call() {
     let sim = Sim::quick();
     let web = Web::moving(&[("press", sim.address())]);
-    let mut page = with_control(&web);
+    let mut page = opened(&web);
     let mut cell = blocking::Controller::connect(&format!("tcp:{}", sim.address()), &Settings::rc8()).unwrap();
     let mut arm = cell.robot().unwrap().take_arm().unwrap();
     arm.motor_on().unwrap();
+    // from here on it must answer pulses
+    page.order("take", json!({ "robot": 0, "name": "Anna" })).unwrap();
     crate::support::stream(&sim, &mut arm, &mut page);
     assert_eq!(call(&mut page, "Variable_GetValue", &["variable:I1"]).unwrap()["value"], "0");
     for (function, arguments) in [

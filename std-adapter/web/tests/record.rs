@@ -146,6 +146,8 @@ fn a_user_starts_and_ends_a_recording_and_saves_it() {
     // without --recordings the button says why it does nothing
     let web = Web::start(&[("press", sim.address())], false);
     browser.open(web.url());
+    // no longer the page before
+    browser.until(&format!("location.host === '{}'", web.host()));
     browser.click("[data-id=session]");
     browser.until("document.getElementById('record').title === 'start bcap web with --recordings DIR'");
     assert_eq!(browser.problems, [""; 0]);

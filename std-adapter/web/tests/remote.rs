@@ -16,6 +16,7 @@ use tokio_tungstenite::tungstenite::client;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest as _;
 
 use crate::chromium::Browser;
+use crate::states::begin_reload;
 use crate::support::{LIMIT, Page, Sim, Web, access, until};
 
 const PASSWORD: &str = "correct horse battery";
@@ -167,16 +168,20 @@ fn a_user_needs_tls_the_password_the_cookie_and_the_name() {
     assert!(lines.contains(&"server: 127.0.0.1: logs in: done".to_owned()), "{lines:?}");
 }
 
-/// Jogs, logs out meanwhile, and returns why the jog has ended.
-fn jog_until_logout(cell: &Cell, cookie: &str) -> String {
+/// Jogs, logs out meanwhile, and returns why the jog has ended. The page of another user sees who has the control.
+fn jog_until_logout(cell: &Cell, cookie: &str, other: &mut Page<Tls>) -> String {
     let mut page = cell.page(cookie);
     page.until_state("ready, motor off");
     page.order("take", json!({ "robot": 0, "name": "Anna" })).unwrap();
     page.order("show", json!({ "robot": 0, "screen": "jog" })).unwrap();
     let mut stream = cell.connect();
     stream.conn.complete_io(&mut stream.sock).unwrap();
+    // it must read within 10 s
+    other.until("tiles", |tiles| tiles[0]["holder"] == "Anna");
+    let ended = cell.web.ended_jogs();
     page.order("grip", json!({ "robot": 0, "name": "press" })).unwrap();
-    page.until("jog", |jog| jog["phase"] == "ready" || jog["ends"].is_string());
+    // the section may still be the one of the last jog
+    page.until("jog", |jog| jog["phase"] == "ready" || cell.web.ended_jogs() > ended);
     page.send("press", json!({ "robot": 0, "axis": "J1", "by": 1.0, "percent": 1.0 }));
     let response = std::thread::scope(|scope| {
         let logout = scope.spawn(|| {
@@ -208,7 +213,6 @@ fn a_user_who_logs_out_holds_nothing() {
     let cell = Cell::start();
     let log_in = || cell.log_in().split(';').next().unwrap().to_owned();
     let (mut anna, bob) = (log_in(), log_in());
-    let mut other = cell.page(&bob);
     // another page, and a request without the session, log no user out
     assert_eq!(status(&cell.own("GET /logout", &[("cookie", &anna)], "")), "405");
     let evil = [("host", cell.host.as_str()), ("origin", "https://evil.example"), ("cookie", &anna)];
@@ -217,13 +221,14 @@ fn a_user_who_logs_out_holds_nothing() {
     assert_eq!(status(&cell.own("POST /logout", &[("cookie", "__Host-bcap-1=")], "")), "401");
     assert_eq!(status(&cell.own("GET /session", &[("cookie", &anna)], "")), "204", "still logged in");
     let expected = "press: Anna: the jog ends: the page is closed; the robot rests, and the arm is free: done";
-    let mut ended = jog_until_logout(&cell, &anna);
+    let mut other = cell.page(&bob);
+    let mut ended = jog_until_logout(&cell, &anna, &mut other);
     // a machine under load may lose a heartbeat before the logout, and the halt leaves an error
     for _ in 0..5 {
         if ended != expected {
             cell.sim.lock().clear_errors(bcap_std::now());
             (anna, other) = (log_in(), cell.page(&bob));
-            ended = jog_until_logout(&cell, &anna);
+            ended = jog_until_logout(&cell, &anna, &mut other);
         }
     }
     assert_eq!(ended, expected);
@@ -300,7 +305,7 @@ fn a_browser_logs_in_and_stays_logged_in() {
     browser.enter("#password", PASSWORD);
     browser.until_text("#state", "ready, motor off");
     assert_eq!(browser.eval("document.cookie"), "", "scripts do not see the cookie");
-    browser.call("Page.reload", json!({}));
+    begin_reload(&mut browser);
     browser.until_text("#state", "ready, motor off");
     browser.click("#halt");
     browser.until_text("#notice", "press: the robot was at rest");

@@ -373,15 +373,11 @@ fn a_halt_works_while_the_other_connections_hang() {
 fn a_halt_does_not_wait_for_its_next_session() {
     let (sim, relay) = relayed();
     let web = Web::start(&[("press", relay.address)], false);
-    let (mut page, _cell) = watching_a_motion(&sim, &web);
-    // the connection that reads, until it is lost; then the second one of HALT
-    relay.freeze(0);
-    page.until_state("not connected");
-    let held = relay.held();
+    let (_page, _cell) = watching_a_motion(&sim, &web);
+    // the second connection of HALT, which is opened after the loss of the one that reads
     relay.freeze(3);
-    while relay.held() == held {
-        std::thread::sleep(Duration::from_millis(10));
-    }
+    relay.cut(0);
+    until("the next session of HALT hangs", || relay.held() > 0);
     assert_eq!(web.halt(0)["text"], "halted, the robot rests");
     assert!(!sim.lock().is_moving());
     assert_eq!(relay.count(), 4, "HALT has opened a session instead of using its first one");
@@ -420,6 +416,8 @@ fn a_stream_of_another_client_goes_on() {
     let sim = Sim::start();
     let web = server(&sim, true);
     let mut page = web.page();
+    // an order waits for the first connection for 2 s only
+    page.until_state("ready, motor off");
     page.order("select", json!({ "robot": 0, "names": ["I1-I3"] })).unwrap();
     page.order("take", json!({ "robot": 0, "name": "Anna" })).unwrap();
     let mut cell = other(&sim);

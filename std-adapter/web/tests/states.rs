@@ -19,7 +19,7 @@ fn reload(browser: &mut Browser, state: &str) {
 }
 
 /// Loads the page again, and waits until the old one has gone.
-fn begin_reload(browser: &mut Browser) {
+pub(crate) fn begin_reload(browser: &mut Browser) {
     browser.eval("window.isOld = true");
     browser.call("Page.reload", json!({}));
     browser.until("window.isOld === undefined && document.readyState === 'complete'");

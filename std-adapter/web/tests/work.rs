@@ -163,7 +163,7 @@ fn an_order_that_waits_is_not_carried_out_after_a_halt_or_without_the_control() 
             ("halt", _) => assert_eq!(web.halt(0)["ok"], true),
             ("release", Some(page)) => {
                 page.send("release", json!({ "robot": 0 }));
-                std::thread::sleep(std::time::Duration::from_millis(300));
+                page.until("tiles", |tiles| tiles[0]["revoked"].as_u64() > Some(0));
             }
             _ => {
                 page = None;

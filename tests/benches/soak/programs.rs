@@ -38,7 +38,7 @@ use crate::{ALONE, ENOUGH, GROWTH, KEPT, Plan, ROWS, TOGETHER, Verdict, Wishes, 
 const PACE: Duration = Duration::from_millis(20);
 /// Connections to each program that send nothing.
 const SILENT: usize = 20;
-/// The most bytes that a program may write in a second.
+/// The maximum number of bytes that a program may write in a second.
 const OUTPUT: u64 = 128 << 10;
 /// The time limit of one reply.
 const REPLY: Duration = Duration::from_secs(30);

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::{Mutex, PoisonError};
 
 /// A Python with packages.
 #[derive(Debug)]
@@ -16,6 +17,9 @@ impl Python {
     ///
     /// Why they cannot be installed.
     pub fn with(packages: &[&str], module: &str, folder: &Path) -> Result<Self, String> {
+        // one test at a time: pip replaces the files of the folder
+        static ONE: Mutex<()> = Mutex::new(());
+        let _one = ONE.lock().unwrap_or_else(PoisonError::into_inner);
         let python = Self { folder: folder.join(packages.join("_")) };
         let import = format!("import {module}");
         let has_module = || python.command().args(["-c", &import]).output().is_ok_and(|run| run.status.success());

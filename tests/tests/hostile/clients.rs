@@ -216,7 +216,9 @@ fn endless_replies_with_wrong_serials(_: &mut Target) {
 }
 
 fn a_late_reply_does_not_end_the_next_call(_: &mut Target) {
-    ends(&brief(), &[SILENCE, RIGHT], |connection| {
+    let mut options = brief();
+    options.tcp.timing.attempt_timeout = Duration::from_secs(2);
+    ends(&options, &[SILENCE, RIGHT], |connection| {
         let first = connection.request();
         let second = connection.request();
         connection.send(&reply_frame(first, HResult::S_OK, vec![Value::text("the first one's")]));
