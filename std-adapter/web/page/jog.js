@@ -17,8 +17,9 @@ const state = {
   isOn: false,
   /** Whether the window has lost the focus since the user agreed to a jog. */
   isLeft: false,
-  /** The robot of that jog. */
+  /** The robot of that jog, and its number. */
   robot: 0,
+  jog: 0,
   /** The button that is held: its element, the pointer or key that holds it, and the number of the press. */
   held: null,
   step: 1,
@@ -49,7 +50,7 @@ export const jog = {
   },
   draw(content, page) {
     Object.assign(state, { page, content });
-    if (content.phase === "off" && state.isOn) ended(content);
+    endIfOver();
     this.tiles(page);
   },
   tiles(page) {
@@ -179,7 +180,10 @@ function drop(why) {
   order("endjog", { robot: state.robot, why }).catch(() => {});
 }
 
-function ended(content) {
+function endIfOver() {
+  const { content, isOn } = state;
+  const isOver = content?.jog > state.jog || (content?.jog === state.jog && content.phase === "off");
+  if (!isOn || !isOver) return;
   state.isOn = false;
   release();
   notify(`the jog has ended: ${content.ends ?? ""}; ${content.outcome ?? ""}`, content.failed);
@@ -191,9 +195,10 @@ async function start() {
   if (!(await ask("Begin to jog", tile, text, `Jog ${tile.name}`))) return;
   state.isLeft = false;
   try {
-    await order("grip", { robot, name: tile.name });
-    // the first pulse comes after the answer
-    Object.assign(state, { isOn: true, robot });
+    const number = await order("grip", { robot, name: tile.name });
+    // the first pulse comes after the answer; a short jog may end before it
+    Object.assign(state, { isOn: true, robot, jog: number });
+    endIfOver();
     if (document.hidden || state.isLeft || state.page.robot !== robot) drop("the page was left");
   } catch (error) {
     notify(`no jog: ${error.message}`, true);

@@ -14,7 +14,7 @@ use crate::guard::Guard;
 use crate::robot::Robot;
 use crate::threads::{lock, spawn};
 
-/// The most pages.
+/// The maximum number of pages.
 pub(crate) const PAGES: usize = 16;
 
 /// The longest time that the end of the server waits for halts, for the arms to be given back, and for orders under way.

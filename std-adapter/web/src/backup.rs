@@ -26,7 +26,7 @@ use crate::socket::{Answer, Page};
 use crate::text::safe;
 use crate::threads::{lock, on_disk};
 
-/// The most folders that a page shows.
+/// The maximum number of folders that a page shows.
 const FOLDERS: usize = 200;
 
 impl Page {

@@ -34,7 +34,7 @@ const LOST: Duration = Duration::from_secs(2);
 /// The longest time without any message from a page. Its browser answers a ping each second, also while the page is hidden.
 const SILENT: Duration = Duration::from_secs(10);
 
-/// The most orders that wait while one is carried out.
+/// The maximum number of orders that wait while one is carried out.
 const WAITING: usize = 32;
 
 /// The answer of a page to a pulse: it is open, visible, and its scripts run. It has no answer.

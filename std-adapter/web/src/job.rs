@@ -12,7 +12,7 @@ use crate::control::Client;
 use crate::text::safe;
 use crate::threads::lock;
 
-/// The most lines of a plan or a difference that a page shows; the others are counted.
+/// The maximum number of lines of a plan or a difference that a page shows; the others are counted.
 const LINES: usize = 500;
 
 /// A kind of work.

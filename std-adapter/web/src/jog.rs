@@ -1,6 +1,7 @@
 //! The jog of a page: the thread that moves a robot while the page holds it, and the watch over that thread.
 
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use bcap_live::axis::Axis;
@@ -23,7 +24,7 @@ const LOOK: Duration = Duration::from_millis(20);
 const IN_TIME: Duration = Duration::from_millis(150);
 
 impl Page {
-    /// Begins a jog, which takes the arm. `name` is the robot's name in the question.
+    /// Begins a jog, which takes the arm, and returns its number. `name` is the robot's name in the question.
     pub(crate) fn take_grip(&self, number: usize, name: &str) -> Answer {
         let (who, robot) = self.mover(number)?;
         robot.check_name(name)?;
@@ -36,9 +37,10 @@ impl Page {
         let (access, held) = (robot.access.clone(), Arc::clone(&grip));
         self.app.spawn("jog", move || jog::run(&access, &held))?;
         *last = Some(Arc::clone(&grip));
+        let jog = robot.jogs.fetch_add(1, Ordering::Relaxed) + 1;
         drop(last);
         lock(&self.held).grip = Some((number, Arc::clone(&grip)));
-        let begun = self.audited(&who, &robot, "begins a jog", Ok(()));
+        let begun = self.audited(&who, &robot, "begins a jog", Ok(jog));
         self.app.work.spawn(watch(Arc::clone(&self.app), robot, who, grip));
         begun
     }

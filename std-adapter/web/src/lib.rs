@@ -49,7 +49,7 @@ use crate::login::SHORTEST;
 use crate::robot::Robot;
 use crate::tls::Acceptor;
 
-/// The most robots of a page.
+/// The maximum number of robots of a page.
 const ROBOTS: usize = 32;
 
 /// Reads the certificate, and checks the rest.

@@ -21,10 +21,10 @@ const NAME: &str = "__Host-bcap-";
 /// The lifetime of a session.
 const LIFETIME: Duration = Duration::from_secs(12 * 3600);
 
-/// The most sessions. A further one ends the oldest.
+/// The maximum number of sessions. A further one ends the oldest.
 const SESSIONS: usize = 64;
 
-/// The most hosts whose attempts are counted one by one. Further hosts share one count.
+/// The maximum number of hosts whose attempts are counted one by one. Further hosts share one count.
 const HOSTS: usize = 1024;
 
 /// The shortest password, in characters.

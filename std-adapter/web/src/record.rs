@@ -15,7 +15,7 @@ use crate::socket::{Answer, Page};
 use crate::text::now;
 use crate::threads::{on_disk, spawn};
 
-/// The most recordings that a page shows.
+/// The maximum number of recordings that a page shows.
 const FILES: usize = 200;
 
 /// The longest time for the last packets of the recordings.

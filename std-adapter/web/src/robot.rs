@@ -58,6 +58,8 @@ pub(crate) struct Robot {
     pub(crate) access: Access,
     /// The last hold of the robot for a jog.
     pub(crate) grip: Mutex<Option<Arc<Grip>>>,
+    /// The number of jogs that were begun.
+    pub(crate) jogs: AtomicU64,
     /// The last recovery.
     pub(crate) recovery: Mutex<Option<Arc<Recovery>>>,
     /// The last work on backups.
@@ -101,8 +103,21 @@ impl Robot {
         let (live, halter, began) = (Arc::<Mutex<Live>>::default(), Halter::start(access.clone())?, Instant::now());
         let thread = Thread { live: Arc::clone(&live), halter: halter.clone(), access: access.clone(), queue, began };
         thread::Builder::new().name("robot".into()).spawn(move || thread.run())?;
-        let (control, grip, recovery, backup, revoked, acting) = Default::default();
-        Ok(Arc::new(Self { name, control, halter, access, grip, recovery, backup, revoked, acting, live, orders }))
+        let (control, grip, jogs, recovery, backup, revoked, acting) = Default::default();
+        Ok(Arc::new(Self {
+            name,
+            control,
+            halter,
+            access,
+            grip,
+            jogs,
+            recovery,
+            backup,
+            revoked,
+            acting,
+            live,
+            orders,
+        }))
     }
 
     pub(crate) fn live(&self) -> MutexGuard<'_, Live> {

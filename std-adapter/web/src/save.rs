@@ -25,7 +25,7 @@ use crate::secret::{Checked, Refused};
 /// The largest series of a page: ten numbers for ten minutes need 1 MB.
 const SERIES: usize = 4 << 20;
 
-/// The most samples of a file.
+/// The maximum number of samples of a file.
 const SAMPLES: usize = 100_000;
 
 /// Makes one file at a time; a second request waits.

@@ -32,7 +32,7 @@ use crate::secret::{Checked, Refused, only};
 use crate::tls::Acceptor;
 use crate::{save, socket, tls};
 
-/// The most connections that are not pages. A further one ends the oldest, so that idle ones do not keep a halt out.
+/// The maximum number of connections that are not pages. A further one ends the oldest, so that idle ones do not keep a halt out.
 const CONNECTIONS: usize = 128;
 
 /// The longest time for the headers of a request, and for an idle connection.

@@ -32,7 +32,7 @@ const TICK: Duration = Duration::from_millis(200);
 /// How often a page gets a message even if nothing has changed: without one it shows that its values are old.
 const ALIVE: Duration = Duration::from_secs(1);
 
-/// The most variables of a page.
+/// The maximum number of variables of a page.
 const VARIABLES: usize = 1000;
 
 /// The answer to an order, or why it was not carried out.

@@ -11,10 +11,10 @@ use crate::order::What;
 use crate::socket::{Answer, Page};
 use crate::text::safe;
 
-/// The most lines of a file that a page shows.
+/// The maximum number of lines of a file that a page shows.
 const LINES: usize = 5000;
 
-/// The most names of a folder that a page shows.
+/// The maximum number of names of a folder that a page shows.
 const NAMES: usize = 1000;
 
 /// A start of a task, which may move the robot, or a stop.

@@ -1,5 +1,6 @@
 //! The state of the robots as JSON, in sections: a page gets the sections of its screen, each when it has changed.
 
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use bcap_capture::{Role, dissect, hex};
@@ -228,7 +229,10 @@ pub(crate) fn tasks(robot: &Robot) -> Value {
 
 /// Returns the state of a jog, and the highest speed of each axis in percent.
 pub(crate) fn jog(robot: &Robot) -> Value {
-    let grip = lock(&robot.grip).clone();
+    let (grip, jog) = {
+        let grip = lock(&robot.grip);
+        (grip.clone(), robot.jogs.load(Ordering::Relaxed))
+    };
     let phase = match grip.as_ref().map(|grip| grip.phase()) {
         None | Some(Phase::Ended) => "off",
         Some(Phase::Starting) => "starting",
@@ -243,6 +247,7 @@ pub(crate) fn jog(robot: &Robot) -> Value {
     let axes = (1u8..).map(Axis::Joint).take(joints).chain((0..6).map(Axis::Coordinate));
     let axes: Vec<_> = axes.map(|axis| json!([axis.to_string(), arm::percent(type_name, axis)])).collect();
     json!({
+        "jog": jog,
         "phase": phase,
         "ends": grip.as_ref().and_then(|grip| grip.ends()).map(|why| safe(&why)),
         "failed": outcome.as_ref().is_some_and(Result::is_err),
@@ -253,7 +258,7 @@ pub(crate) fn jog(robot: &Robot) -> Value {
     })
 }
 
-/// The most bytes and fields of a packet that a page shows.
+/// The maximum number of bytes and fields of a packet that a page shows.
 const SHOWN: usize = 4096;
 const FIELDS: usize = 500;
 
@@ -279,7 +284,7 @@ pub(crate) fn calls(robot: &Robot) -> Value {
     rows.map(|(name, call)| json!([safe(name), call.count, call.rate(), age(call.last), safe(&call.reply)])).collect()
 }
 
-/// The most packets of a message; the others are counted.
+/// The maximum number of packets of a message; the others are counted.
 const PACKETS: u64 = 200;
 
 /// Returns the packets after the first `seen`, and how many of them are left out; `None` if there are no new ones.

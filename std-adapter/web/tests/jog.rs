@@ -1,5 +1,6 @@
 //! Tests that try to break the rules of a jog, without a browser.
 
+use std::net::Shutdown;
 use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -9,6 +10,7 @@ use bcap_sim::pace::Paced;
 use bcap_std::blocking::Controller;
 use bcap_std::{Move, Settings};
 use serde_json::json;
+use tokio_tungstenite::tungstenite::stream::MaybeTlsStream;
 
 use crate::support::{LIMIT, Page, Relay, Sim, Web, serve_paced, until};
 
@@ -55,9 +57,9 @@ fn a_thousand_lost_heartbeats_leave_the_robot_at_rest_and_the_arm_free() {
     assert_eq!(times.len(), count);
     assert!(moved > 100, "{moved} robots moved");
     // 300 ms of an idle machine; a busy one runs the threads of ten robots late
-    assert!(last < Duration::from_secs(3), "{last:?}");
+    assert!(last < Duration::from_secs(10), "{last:?}");
     // the watch writes it after the end of the jog
-    let lapses = || web.lines().iter().filter(|line| line.contains("the heartbeat of the page was lost")).count();
+    let lapses = || web.lines().iter().filter(|line| line.contains(LAPSED)).count();
     until("each has a line of the audit", || lapses() == count);
 }
 
@@ -76,15 +78,22 @@ fn lose(page: &mut Page, sim: &Sim, robot: usize, random: &mut fastrand::Rng) ->
         // a page may send 20 orders a second
         thread::sleep(Duration::from_millis(100));
     }
-    let until = Instant::now() + Duration::from_millis(random.u64(0..300));
+    let time = Duration::from_millis(random.u64(0..300));
+    // a busy machine may need this time for the arm: every other heartbeat is lost after a press
+    let (mut until, waits) = (Instant::now() + time, random.bool());
     let (axis, by) = ([("J1", 5.0), ("J4", -5.0), ("Z", 2.0)][random.usize(0..3)], random.bool());
     let press = json!({ "robot": robot, "axis": axis.0, "by": if by { axis.1 } else { -axis.1 }, "percent": 10.0 });
-    let (mut is_pressed, mut next) = (false, Instant::now());
-    while Instant::now() < until {
+    let (mut is_pressed, mut has_ended, mut next) = (false, false, Instant::now());
+    while Instant::now() < until || (waits && !is_pressed && !has_ended) {
         // it is refused until the motor is on
         if !is_pressed && Instant::now() >= next {
-            is_pressed = page.order("press", press.clone()).is_ok();
+            let pressed = page.order("press", press.clone());
             next = Instant::now() + Duration::from_millis(100);
+            is_pressed = pressed.is_ok();
+            has_ended = pressed.is_err_and(|why| why.starts_with("the jog has ended"));
+            if waits && is_pressed {
+                until = Instant::now() + time;
+            }
         }
         // answers pulses, too
         page.receive().unwrap();
@@ -137,6 +146,21 @@ impl Jogging {
         Some(())
     }
 
+    /// Waits until nothing moves for 300 ms while the page answers pulses; `None` when the page is closed. A busy machine
+    /// may begin the last step late.
+    #[track_caller]
+    fn rests(&mut self) -> Option<()> {
+        let end = Instant::now() + LIMIT;
+        loop {
+            let rests = self.sim.lock().axes();
+            watch(&mut self.page, Duration::from_millis(300))?;
+            if self.sim.lock().axes() == rests {
+                return Some(());
+            }
+            assert!(Instant::now() < end, "nothing moves without a button");
+        }
+    }
+
     /// Waits until the robot rests and the arm is free, and returns the end of the last line of the audit.
     #[track_caller]
     fn ended(&self) -> String {
@@ -170,7 +194,7 @@ fn retried(attempt: impl Fn() -> Option<()>) {
 #[track_caller]
 fn assert_end(jogging: &Jogging, why: &str) -> Option<()> {
     let ended = jogging.ended();
-    if ended == format!("the heartbeat of the page was lost; {DONE}") {
+    if ended == format!("{LAPSED}; {DONE}") {
         return None;
     }
     assert_eq!(ended, format!("{why}; {DONE}"));
@@ -189,6 +213,9 @@ fn ready(web: &Web) -> Option<Page> {
 }
 
 const DONE: &str = "the robot rests, and the arm is free: done";
+
+/// Why a jog ends on a busy machine, too.
+const LAPSED: &str = "the heartbeat of the page was lost";
 
 /// The reason of an end, and what ends a jog.
 type End<'a> = (&'a str, &'a dyn Fn(&mut Jogging));
@@ -214,8 +241,14 @@ fn each_end_halts_the_robot_and_frees_the_arm() {
         ("the control was released", &|jogging| {
             jogging.page.order("release", json!({ "robot": 0 })).unwrap();
         }),
-        ("HALT was pressed", &|jogging| assert_eq!(jogging.web.halt(0)["ok"], true)),
-        ("the page is closed", &|jogging| jogging.page = jogging.web.page()),
+        // HALT waits for the end of the step for 2 s, which a busy machine may need
+        ("HALT was pressed", &|jogging| {
+            until("the robot is halted", || jogging.web.halt_beside(&mut jogging.page, 0)["ok"] == true);
+        }),
+        ("the page is closed", &|jogging| {
+            let MaybeTlsStream::Plain(stream) = jogging.page.socket.get_ref() else { unreachable!() };
+            stream.shutdown(Shutdown::Both).unwrap();
+        }),
     ];
     for (why, end) in ends {
         retried(|| {
@@ -244,15 +277,14 @@ fn a_lifted_button_ends_its_step_and_keeps_the_arm() {
         }
         let steps = page.order("lift", json!({ "robot": 0 })).ok()?;
         assert!(steps.as_u64().unwrap() >= 2, "{steps}");
-        watch(page, Duration::from_millis(400))?;
-        let rests = sim.lock().axes();
-        assert_eq!(sim.lock().errors().count(), 0, "a step that ends leaves no error");
-        watch(page, Duration::from_millis(300))?;
-        assert_eq!(sim.lock().axes(), rests, "nothing moves without a button");
+        jogging.rests()?;
+        let Jogging { sim, page, .. } = &mut jogging;
+        let errors = sim.lock().errors().count();
         let owner = sim.lock().arm_owner();
         let motor = sim.lock().motor_is_on();
         page.order("endjog", json!({ "robot": 0, "why": "the user ended it" })).ok()?;
         assert_end(&jogging, "the user ended it")?;
+        assert_eq!(errors, 0, "a step that ends leaves no error");
         assert!(owner.is_some() && motor, "the arm was kept after the lift");
         Some(())
     });
@@ -265,10 +297,7 @@ fn a_heartbeat_without_the_press_lifts_the_button() {
         let mut jogging = Jogging::begin()?;
         jogging.hold("J1", 0.5)?;
         jogging.page.held = 0;
-        watch(&mut jogging.page, Duration::from_millis(400))?;
-        let rests = jogging.sim.lock().axes();
-        watch(&mut jogging.page, Duration::from_millis(300))?;
-        assert_eq!(jogging.sim.lock().axes(), rests, "nothing moves without a button");
+        jogging.rests()?;
         jogging.page.order("endjog", json!({ "robot": 0, "why": "the user ended it" })).ok()?;
         assert_end(&jogging, "the user ended it")
     });
@@ -291,14 +320,16 @@ fn a_jog_needs_the_right_the_control_the_name_and_a_short_slow_step() {
     anna.until_state("ready, motor off");
     assert_eq!(anna.order("grip", grip.clone()).unwrap_err(), "take the control first");
     anna.order("take", json!({ "robot": 0, "name": "Anna" })).unwrap();
-    assert_eq!(bob.order("grip", grip.clone()).unwrap_err(), "Anna has the control; ask for its release");
+    assert_eq!(bob.order("grip", grip).unwrap_err(), "Anna has the control; ask for its release");
     let wrong = anna.order("grip", json!({ "robot": 0, "name": "welder" })).unwrap_err();
     assert_eq!(wrong, "welder is not the name of this robot; nothing was done");
     assert_eq!(anna.order("press", press("J1", 1.0, 1.0)).unwrap_err(), "the jog has ended; begin it again");
     assert_eq!(sim.lock().arm_owner(), None);
-    anna.order("show", json!({ "robot": 0, "screen": "jog" })).unwrap();
-    anna.order("grip", grip.clone()).unwrap();
-    anna.until("jog", |jog| jog["phase"] == "ready");
+    let begun = || {
+        let web = Web::moving(&[("press", sim.address())]);
+        ready(&web).map(|page| (web, page))
+    };
+    let (web, mut anna) = (0..20).find_map(|_| begun()).unwrap();
     for (axis, by, percent, why) in [
         ("J1", 5.1, 1.0, "5.1: a step is at most 5 mm or degrees, and not 0"),
         ("J1", 0.0, 1.0, "0: a step is at most"),
@@ -309,7 +340,7 @@ fn a_jog_needs_the_right_the_control_the_name_and_a_short_slow_step() {
         let refused = anna.order("press", press(axis, by, percent)).unwrap_err();
         assert!(refused.starts_with(why), "{refused}");
     }
-    assert!(bob.order("press", press("J1", 1.0, 1.0)).is_err());
+    assert!(web.page().order("press", press("J1", 1.0, 1.0)).is_err());
     assert!(!sim.lock().is_moving());
 }
 
@@ -322,16 +353,19 @@ fn a_step_out_of_range_is_not_made() {
     arm.motor_on().unwrap();
     let _ = arm.move_to(&Move::joint("J(0,45,90,0,118,0)").speed_percent(100.0), LIMIT).unwrap();
     arm.give().unwrap();
-    let begun = || {
-        let web = Web::moving(&[("press", sim.address())]);
-        ready(&web).map(|page| (web, page))
-    };
-    let (_web, mut page) = (0..20).find_map(|_| begun()).unwrap();
     let before = sim.lock().axes();
-    page.order("press", json!({ "robot": 0, "axis": "J5", "by": 5.0, "percent": 10.0 })).unwrap();
-    let ended = page.until("jog", |jog| jog["outcome"] != json!(null));
-    assert_eq!(ended["ends"], "J5 +5: J5 would leave its range; nothing was moved");
-    assert_eq!(ended["outcome"], "the robot rests, and the arm is free");
+    retried(|| {
+        let web = Web::moving(&[("press", sim.address())]);
+        let mut page = ready(&web)?;
+        page.order("press", json!({ "robot": 0, "axis": "J5", "by": 5.0, "percent": 10.0 })).ok()?;
+        let ended = page.until("jog", |jog| jog["outcome"] != json!(null));
+        if ended["ends"] == LAPSED {
+            return None;
+        }
+        assert_eq!(ended["ends"], "J5 +5: J5 would leave its range; nothing was moved");
+        assert_eq!(ended["outcome"], "the robot rests, and the arm is free");
+        Some(())
+    });
     let sim = sim.lock();
     assert_eq!((sim.axes(), sim.errors().count(), sim.arm_owner()), (before, 0, None));
 }
@@ -346,8 +380,9 @@ fn the_tool_is_slower_than_250_mm_per_second() {
         let until = Instant::now() + Duration::from_millis(800);
         while Instant::now() < until {
             jogging.page.receive()?;
-            let now = bcap_std::now();
             let mut sim = jogging.sim.lock();
+            // not before the lock, for which it may wait while another thread advances the controller
+            let now = bcap_std::now();
             sim.advance(now);
             let to = sim.point().position;
             if let Some((since, from)) = last.replace((now, to)) {
@@ -383,7 +418,7 @@ fn heartbeats_that_were_held_up_do_not_count() {
         }
         assert!(Instant::now() < end, "the jog ends");
     }
-    assert_eq!(jogging.ended(), format!("the heartbeat of the page was lost; {DONE}"));
+    assert_eq!(jogging.ended(), format!("{LAPSED}; {DONE}"));
 }
 
 /// The connection of the jog hangs while the robot moves: the connection of HALT halts the robot.
@@ -428,7 +463,7 @@ fn a_jog_of_an_rc9_frees_the_arm_after_a_lost_connection() {
         relay.cut(2);
         page.order("endjog", json!({ "robot": 0, "why": "it was seen" })).ok()?;
         // the server connects again once, which a busy machine may delay beyond the time for that
-        let end = Instant::now() + LIMIT / 2;
+        let end = Instant::now() + Duration::from_secs(10);
         while sim.lock().motor_is_on() || sim.lock().arm_owner().is_some() {
             if Instant::now() > end {
                 println!("not freed: {:?}", web.lines());
@@ -459,7 +494,13 @@ fn a_controller_that_starts_again_during_a_jog_is_not_called_at_rest() {
         let sim = Sim::at(address);
         page.until_state("ready, motor off");
         page.order("grip", json!({ "robot": 0, "name": "press" })).unwrap();
-        sim.until("the arm is taken", |sim| sim.arm_owner().is_some());
+        let end = Instant::now() + LIMIT;
+        while sim.lock().arm_owner().is_none() {
+            assert!(Instant::now() < end, "the arm is taken");
+            if page.receive()?["v"]["phase"] == "off" {
+                return None;
+            }
+        }
         page.order("endjog", json!({ "robot": 0, "why": "it was seen" })).unwrap();
         sim.until("the arm is free", |sim| sim.arm_owner().is_none());
         Some(())
@@ -469,19 +510,26 @@ fn a_controller_that_starts_again_during_a_jog_is_not_called_at_rest() {
 /// The connection is lost while TakeArm is under way: the controller may have carried it out.
 #[test]
 fn an_arm_that_was_perhaps_taken_is_not_called_free() {
-    let mut controller = bcap_sim::Controller::new(bcap_sim::Config::new(bcap_sim::Profile::Rc8));
-    let scenario = "[[fault]]\nwhen = { call = 1, of = \"TakeArm\" }\nthen = \"disconnect\"\n";
-    controller.play(bcap_sim::Scenario::parse(scenario).unwrap());
-    let server = serve_paced(&Arc::new(Mutex::new(Paced::new(controller))));
-    let web = Web::moving(&[("press", server.value)]);
-    let mut page = web.page();
-    page.until_state("ready, motor off");
-    page.order("show", json!({ "robot": 0, "screen": "jog" })).unwrap();
-    page.order("take", json!({ "robot": 0, "name": "Anna" })).unwrap();
-    page.order("grip", json!({ "robot": 0, "name": "press" })).unwrap();
-    let ended = page.until("jog", |jog| jog["outcome"] != json!(null));
-    let outcome = ended["outcome"].as_str().unwrap();
-    assert!(outcome.starts_with("IT IS UNKNOWN whether the robot rests and the arm is free: "), "{outcome}");
+    retried(|| {
+        let mut controller = bcap_sim::Controller::new(bcap_sim::Config::new(bcap_sim::Profile::Rc8));
+        let scenario = "[[fault]]\nwhen = { call = 1, of = \"TakeArm\" }\nthen = \"disconnect\"\n";
+        controller.play(bcap_sim::Scenario::parse(scenario).unwrap());
+        let server = serve_paced(&Arc::new(Mutex::new(Paced::new(controller))));
+        let web = Web::moving(&[("press", server.value)]);
+        let mut page = web.page();
+        page.until_state("ready, motor off");
+        page.order("show", json!({ "robot": 0, "screen": "jog" })).unwrap();
+        page.order("take", json!({ "robot": 0, "name": "Anna" })).unwrap();
+        page.order("grip", json!({ "robot": 0, "name": "press" })).unwrap();
+        let ended = page.until("jog", |jog| jog["outcome"] != json!(null));
+        let outcome = ended["outcome"].as_str().unwrap();
+        if ended["ends"] == LAPSED && outcome == "nothing was moved, and the arm was not taken" {
+            // before TakeArm
+            return None;
+        }
+        assert!(outcome.starts_with("IT IS UNKNOWN whether the robot rests and the arm is free: "), "{outcome}");
+        Some(())
+    });
 }
 
 #[test]
@@ -491,14 +539,24 @@ fn a_stream_of_another_client_is_not_ended_by_a_jog() {
     let mut arm = cell.robot().unwrap().take_arm().unwrap();
     arm.motor_on().unwrap();
     arm.robot().execute::<()>("slvChangeMode", 0x202).unwrap();
-    let web = Web::moving(&[("press", sim.address())]);
-    let mut page = web.page();
-    page.until_state("streaming");
-    page.order("show", json!({ "robot": 0, "screen": "jog" })).unwrap();
-    page.order("take", json!({ "robot": 0, "name": "Anna" })).unwrap();
-    page.order("grip", json!({ "robot": 0, "name": "press" })).unwrap();
-    let ended = page.until("jog", |jog| jog["outcome"] != json!(null));
-    assert_eq!(ended["ends"], "another client streams in Slave Mode; TakeArm would end the stream");
-    assert_eq!(ended["outcome"], "nothing was moved, and the arm was not taken");
-    assert_eq!(sim.lock().slave_mode(), 0x202);
+    retried(|| {
+        let web = Web::moving(&[("press", sim.address())]);
+        let mut page = web.page();
+        page.until_state("streaming");
+        page.order("show", json!({ "robot": 0, "screen": "jog" })).unwrap();
+        page.order("take", json!({ "robot": 0, "name": "Anna" })).unwrap();
+        // each end has the number of its jog, because the second may look like the first
+        let mut ended = json!(null);
+        for number in [1, 2] {
+            assert_eq!(page.order("grip", json!({ "robot": 0, "name": "press" })), Ok(json!(number)));
+            ended = page.until("jog", |jog| jog["jog"] == number && jog["outcome"] != json!(null));
+        }
+        assert_eq!(ended["outcome"], "nothing was moved, and the arm was not taken");
+        assert_eq!(sim.lock().slave_mode(), 0x202);
+        if ended["ends"] == LAPSED {
+            return None;
+        }
+        assert_eq!(ended["ends"], "another client streams in Slave Mode; TakeArm would end the stream");
+        Some(())
+    });
 }
