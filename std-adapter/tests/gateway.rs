@@ -342,7 +342,7 @@ async fn a_flood_of_lines_delays_neither_another_plc_nor_the_end() {
 #[tokio::test]
 async fn clients_get_slots_within_their_limits() {
     let nowhere = SocketAddr::from((Ipv4Addr::LOCALHOST, 9));
-    let keeping = Limits::default().evict_after(Duration::from_secs(600));
+    let keeping = Limits { evict_after: Some(Duration::from_secs(600)), ..Limits::default() };
     let mut gateway = Driven::start(Link::Stream, nowhere, keeping).await;
     gateway.down().await;
     let mut plcs = [Plc::connect(&gateway).await, Plc::connect(&gateway).await];
@@ -362,7 +362,7 @@ async fn clients_get_slots_within_their_limits() {
     assert_eq!(Plc::connect(&gateway).await.ask("GET:RC8:1:I:\r").await, NOT_CONNECTED);
     gateway.stop().await;
 
-    let evicting = Limits::default().evict_after(Duration::ZERO).connections_per_address(1);
+    let evicting = Limits { evict_after: Some(Duration::ZERO), connections_per_address: 1, ..Limits::default() };
     let mut gateway = Driven::start(Link::Stream, nowhere, evicting).await;
     gateway.down().await;
     let mut idle = Plc::connect(&gateway).await;
@@ -377,7 +377,7 @@ async fn clients_get_slots_within_their_limits() {
 async fn slow_and_silent_clients_are_disconnected() {
     let nowhere = SocketAddr::from((Ipv4Addr::LOCALHOST, 9));
     let short = Duration::from_millis(20);
-    let limits = Limits::default().receive(short);
+    let limits = Limits { receive: short, ..Limits::default() };
     let mut gateway = Driven::start(Link::Stream, nowhere, limits).await;
     let mut plc = Plc::connect(&gateway).await;
     plc.send("GET:").await;
@@ -385,13 +385,13 @@ async fn slow_and_silent_clients_are_disconnected() {
     assert_eq!(gateway.ended(&plc).await, Some(Ended::RequestTooSlow));
     gateway.stop().await;
 
-    let mut gateway = Driven::start(Link::Stream, nowhere, Limits::default().idle(Some(short))).await;
+    let mut gateway = Driven::start(Link::Stream, nowhere, Limits { idle: Some(short), ..Limits::default() }).await;
     let mut plc = Plc::connect(&gateway).await;
     assert_eq!(plc.line().await, "");
     assert_eq!(gateway.ended(&plc).await, Some(Ended::Idle));
     gateway.stop().await;
 
-    let mut gateway = Driven::start(Link::Stream, nowhere, Limits::default().send(short)).await;
+    let mut gateway = Driven::start(Link::Stream, nowhere, Limits { send: short, ..Limits::default() }).await;
     let mut plc = Plc::connect(&gateway).await;
     // until the answers fill the sockets' buffers, and the gateway reads no more
     let lines = [b'\r'; 1 << 16];
@@ -497,7 +497,7 @@ async fn clients_of_modbus_share_the_rules_and_the_variables() {
 #[tokio::test]
 async fn clients_of_modbus_share_the_slots_and_the_limits() {
     let nowhere = SocketAddr::from((Ipv4Addr::LOCALHOST, 9));
-    let limits = Limits::default().receive(Duration::from_millis(50));
+    let limits = Limits { receive: Duration::from_millis(50), ..Limits::default() };
     let mut gateway = Driven::start(Link::Stream, nowhere, limits).await;
     gateway.down().await;
     let mut plc = Plc::connect(&gateway).await;

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use bcap_core::io::asynch::SendTransport;
 use bcap_core::time::Instant;
-use bcap_gateway::driver::{self, Front};
+use bcap_gateway::driver::{self, Front, Limits};
 use bcap_gateway::modbus::{self, Entry};
 use socket2::SockRef;
 use tokio::io::AsyncWriteExt as _;
@@ -16,7 +16,6 @@ use tokio::sync::{Semaphore, watch};
 use tokio::task::JoinSet;
 use tokio::time::{sleep, timeout};
 
-use super::limits::Limits;
 use super::platform::SharedGateway;
 use super::traffic::{Moved, Tap};
 use crate::asynch::TcpTransport;
@@ -25,6 +24,9 @@ use crate::server::{REFUSAL_TIME, REFUSALS};
 
 /// The time to wait when a connection cannot be accepted, such as without a free file descriptor.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
+
+/// The silence after which the operating system probes a PLC.
+const KEEP_ALIVE: Duration = Duration::from_secs(60);
 
 /// Bytes that are moved at once: more than a line of RAC or a frame of Modbus has.
 const CHUNK: usize = 512;
@@ -80,12 +82,13 @@ fn reset(stream: &TcpStream) {
 /// Serves a client until its connection ends or the gateway stops, or refuses it.
 async fn serve(stream: TcpStream, client: SocketAddr, map: Map, mut plant: Plant, refusals: Arc<Semaphore>) {
     // a socket that cannot be set up is closed already, and its first read tells so
-    let _ = set_up_tcp(SockRef::from(&stream), plant.limits.keep_alive);
+    let _ = set_up_tcp(SockRef::from(&stream), Some(KEEP_ALIVE));
     let mut link = PlcLink { transport: TcpTransport::new(stream), tap: plant.tap.clone() };
-    let (shared, limits) = (Arc::clone(&plant.shared), plant.limits.of_driver());
+    let shared = Arc::clone(&plant.shared);
     let mut modbus = map.map(|map| Box::new(modbus::Front::new(map)));
     let session =
-        driver::serve::<_, _, CHUNK>(&mut link, front(&mut modbus), client, &shared, &limits, io::Error::kind).await;
+        driver::serve::<_, _, CHUNK>(&mut link, front(&mut modbus), client, &shared, &plant.limits, io::Error::kind)
+            .await;
     if session.is_some() {
         link.show(Moved::Closed);
     } else if let Ok(_permit) = refusals.try_acquire() {

@@ -37,7 +37,6 @@
 //! ```
 
 mod clients;
-mod limits;
 mod platform;
 mod report;
 mod robot;
@@ -59,10 +58,9 @@ use self::robot::{HostPort, RobotSocket};
 use self::traffic::Tap;
 use crate::connect::{DATAGRAM_ROOM, Options, random_serial};
 
-pub use self::limits::Limits;
 pub use self::report::{Ended, Report};
 pub use self::traffic::{Moved, Traffic};
-pub use bcap_gateway::driver::Denial;
+pub use bcap_gateway::driver::{Denial, Limits};
 
 /// Drives a gateway over the sockets of this machine.
 #[derive(Debug)]
@@ -100,7 +98,7 @@ impl Driver {
         }
     }
 
-    /// Changes the limits for PLCs.
+    /// Changes the limits for PLCs. The operating system probes a PLC after a minute of silence in any case.
     #[must_use]
     pub fn limits(self, limits: Limits) -> Self {
         Self { limits, ..self }

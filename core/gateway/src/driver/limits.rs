@@ -19,11 +19,11 @@ pub struct Limits {
 }
 
 impl Default for Limits {
-    /// Any number of connections of a host, 10 s until another client may take a slot, 30 s for a request, 10 s for an answer, no
+    /// 16 connections of a host, 10 s until another client may take a slot, 30 s for a request, 10 s for an answer, no
     /// limit to idle connections.
     fn default() -> Self {
         Self {
-            connections_per_address: usize::MAX,
+            connections_per_address: 16,
             evict_after: Some(Duration::from_secs(10)),
             receive: Duration::from_secs(30),
             send: Duration::from_secs(10),

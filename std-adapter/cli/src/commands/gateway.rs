@@ -118,7 +118,7 @@ pub(crate) struct Gateway {
     pub(crate) audit_keep: u32,
 }
 
-/// The most clients at the same time.
+/// The maximum number of clients at the same time.
 const CLIENTS: usize = 64;
 
 /// Memory for the clients, and for the handles of 256 variables.
@@ -141,9 +141,11 @@ pub(crate) fn gateway(args: &Gateway, link: &LinkArgs) -> Result<(), Failure> {
         return Err(Failure::Input(format!("--modbus needs a map of registers or coils: {hint}")));
     }
     let config = config(link, target.protocol, rules);
-    let limits = Limits::default()
-        .connections_per_address(args.clients_per_address)
-        .evict_after(Duration::from_secs(args.evict_after.into()));
+    let limits = Limits {
+        connections_per_address: args.clients_per_address,
+        evict_after: Some(Duration::from_secs(args.evict_after.into())),
+        ..Limits::default()
+    };
     let bounds = Bounds {
         rate: args.audit_rate,
         size: u64::from(args.audit_size).saturating_mul(1 << 20),
