@@ -22,7 +22,7 @@ use tempfile::TempDir;
 /// How often a direction looks whether its end was unplugged.
 const LOOK: Duration = Duration::from_millis(5);
 
-/// The most bytes that are passed on together. Larger blocks would arrive later than on a real line.
+/// The maximum number of bytes that are passed on together. Larger blocks would arrive later than on a real line.
 const BLOCK: usize = 32;
 
 /// The speed and the faults of a cable. The default is as fast as possible and without faults.

@@ -100,7 +100,7 @@ fn long_calls_are_kept_alive_on_a_lossy_network() {
         assert!(tally.done > 80, "{tally:?}");
         executing += simulation.seen.executing;
     }
-    assert!(executing > 1000, "{executing} keep-alives for calls of 1.5 s on average, one each 200 ms");
+    assert!(executing > 1000, "{executing} keep-alives for calls of 1.5 s on average, one every 200 ms");
 }
 
 #[test]

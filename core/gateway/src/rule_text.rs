@@ -22,7 +22,7 @@ use bcap_core::error::TextErrorKind;
 use bcap_core::rac::VariableKind;
 use bcap_core::variant::{Variant, parse_f64};
 
-/// The most ranges of a rule: a T variable has most elements.
+/// The maximum number of ranges of a rule: a T variable has most elements.
 const RANGES: usize = VariableKind::T.elements();
 
 /// A rule with the memory for its ranges of values.

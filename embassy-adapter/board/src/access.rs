@@ -8,7 +8,7 @@ use bcap_core::time::Instant;
 /// The least and the most bytes of a password.
 pub(crate) const LEAST: usize = 8;
 pub(crate) const MOST: usize = 63;
-/// The most bytes of the name and the password of a client together; a longer one is wrong.
+/// The maximum size of the name and the password of a client together in bytes; a longer one is wrong.
 const CREDENTIALS: usize = 96;
 /// The pause after a wrong password in seconds, which doubles with each further one: 1, 2, 4 and so on.
 const FIRST: u64 = 1;

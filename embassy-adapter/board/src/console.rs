@@ -51,7 +51,7 @@ use crate::update::Phase;
 use crate::update::Updater;
 use crate::{InvalidLine, Settings};
 
-/// The most bytes of a request.
+/// The maximum size of a request in bytes.
 pub const LINE: usize = 512;
 /// The answer to `hello`.
 pub const HELLO: &str = "ok bcap-board 1";
@@ -114,7 +114,7 @@ struct Shown {
     end: usize,
 }
 
-/// The most bytes of a setting that are sent at once.
+/// The maximum number of bytes of a setting that are sent at once.
 const PART: usize = 256;
 
 /// The board's side of the protocol.

@@ -125,7 +125,7 @@ async fn serve_others(socket: &UdpSocket<'_>, settings: &Settings<'_>, clock: &m
     }
 }
 
-/// The requests for the time: one each 17 minutes, and one a minute as long as there is no answer.
+/// The requests for the time: one every 17 minutes, and one a minute as long as there is no answer.
 #[cfg(feature = "health")]
 #[derive(Default)]
 struct Clock {

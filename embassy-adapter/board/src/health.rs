@@ -16,7 +16,7 @@ use core::time::Duration;
 use bcap_core::time::micros;
 use bcap_gateway::{Counters, Tally};
 
-/// The most bytes of a page; a test makes the longest one.
+/// The maximum size of a page in bytes; a test makes the longest one.
 pub const LONGEST: usize = 2368;
 
 /// The version that runs, and what became of the last update ([`update::Status`](crate::update::Status)).

@@ -15,9 +15,9 @@ use crate::crc::Crc32;
 pub const BLOCK: usize = 128;
 
 const MAGIC: &[u8; 8] = b"BCAPNAME";
-/// The most bytes of the board's name, and of the version.
+/// The maximum size of the board's name in bytes, and of the version.
 pub const NAME: usize = 32;
-/// The most bytes of the version.
+/// The maximum size of the version in bytes.
 pub const VERSION: usize = 20;
 const TEXTS: usize = MAGIC.len() + NAME + VERSION;
 /// The size of the block in bytes.

@@ -2,10 +2,10 @@
 //!
 //! | pattern                | state                                              |
 //! |------------------------|----------------------------------------------------|
-//! | on, a short gap each 2 s | the robot answers; a light without gaps: the board hangs |
-//! | short flash each 2 s   | no link: the cable or the switch                   |
+//! | on, a short gap every 2 s | the robot answers; a light without gaps: the board hangs |
+//! | short flash every 2 s  | no link: the cable or the switch                   |
 //! | slow blinking, 1 s     | a link, no address: DHCP does not answer           |
-//! | two flashes each 2 s   | an address, no robot: its address, or it is off    |
+//! | two flashes every 2 s  | an address, no robot: its address, or it is off    |
 //! | fast blinking, 5 Hz    | an error: invalid settings, or a reset after a fault |
 //!
 //! An error hides the other states until the next reset without one.

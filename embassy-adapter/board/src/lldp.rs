@@ -8,7 +8,7 @@
 
 use core::net::Ipv4Addr;
 
-/// The most bytes of a frame: a name has 32 at most, a description 53.
+/// The maximum size of a frame in bytes: a name has 32 at most, a description 53.
 pub(crate) const FRAME: usize = 160;
 /// How long a switch keeps what a frame says, in seconds. Four times the interval of frames, as the standard suggests.
 const TIME_TO_LIVE: u16 = 120;

@@ -30,7 +30,7 @@ use crate::watchdog::{Task, watched};
 /// The memory of a page: the head of its response, and the longest page.
 const PAGE: usize = 192 + LONGEST;
 
-/// The most counters of a board that the page shows.
+/// The maximum number of counters of a board that the page shows.
 const COUNTERS: usize = 8;
 
 /// The memory of a listener of the page: its buffers, and a page.

@@ -20,12 +20,12 @@ use crate::{address, log, memory};
 #[cfg(feature = "update")]
 use crate::{trial, update::Updates};
 
-/// The most bytes of an answer, or of a part of the settings: more than a request, which errors quote.
+/// The maximum size of an answer in bytes, or of a part of the settings: more than a request, which errors quote.
 const ANSWER: usize = 896;
 /// How long an update on a board may take to serve its first request.
 pub const TRIAL: Duration = Duration::from_secs(600);
 
-/// The most bytes that are passed to a port at once: a packet of USB.
+/// The maximum number of bytes that are passed to a port at once: a packet of USB.
 const PART: usize = 64;
 
 /// The bytes of an answer, which are sent after it is complete.

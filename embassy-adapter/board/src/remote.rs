@@ -28,7 +28,7 @@ use crate::{Settings, UPDATE_PORT as PORT};
 const SILENCE: Duration = Duration::from_secs(15);
 /// How long a host may take to get the end of a connection.
 const END: Duration = Duration::from_secs(1);
-/// The most bytes of an answer; a longer one is cut.
+/// The maximum size of an answer in bytes; a longer one is cut.
 const ANSWER_SIZE: usize = 320;
 
 type Request = Vec<u8, LINE>;

@@ -30,7 +30,7 @@ pub struct Ring<const N: usize> {
     written: AtomicU32,
     read: AtomicU32,
     dropped: AtomicU32,
-    /// The most bytes that were not read at once.
+    /// The maximum number of bytes that were not read at once.
     most: AtomicU32,
 }
 

@@ -84,7 +84,7 @@ pub struct Settings<'a> {
 /// The TCP port of updates.
 #[cfg(feature = "signature")]
 pub const UPDATE_PORT: u16 = 5010;
-/// The most networks of hosts that may send updates.
+/// The maximum number of networks of hosts that may send updates.
 #[cfg(feature = "signature")]
 const UPDATERS: usize = 4;
 

@@ -22,7 +22,7 @@ use crate::crc::Crc32;
 
 /// The least size of a slot, in bytes.
 pub const SLOT: usize = BLOCK;
-/// The most bytes of text in a slot.
+/// The maximum size of text in a slot in bytes.
 pub const TEXT: usize = SLOT - HEADER;
 /// The size of the header, and of the parts in which text is moved: a multiple of the units of common flash memories.
 const HEADER: usize = 32;

@@ -33,7 +33,7 @@ const TX_INTERRUPT: u32 = 1 << 0;
 #[cfg(any(feature = "console", feature = "lines"))]
 const RX_INTERRUPT: u32 = 1 << 1;
 const BAUD: u32 = 115_200;
-/// The most bytes sent in one interrupt: the port has room for one or two, an emulated port has room for all.
+/// The maximum number of bytes sent in one interrupt: the port has room for one or two, an emulated port has room for all.
 const BURST: usize = 16;
 /// How often a port that takes no byte is polled before [`flush`] gives up: more than the time of a character.
 const FULL_POLLS: u32 = 100_000;

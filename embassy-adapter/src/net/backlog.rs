@@ -9,7 +9,7 @@ use embassy_net::IpAddress;
 use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 
-/// The most listeners of a port that are counted.
+/// The maximum number of listeners of a port that are counted.
 const LISTENERS: usize = 8;
 /// The addresses that are remembered.
 const KNOWN: usize = 4;

@@ -2,7 +2,7 @@
 
 use core::sync::atomic::{AtomicUsize, Ordering};
 
-/// The most bytes that were in a buffer of some TCP sockets at once, to choose the sizes of buffers by
+/// The maximum number of bytes that were in a buffer of some TCP sockets at once, to choose the sizes of buffers by
 /// ([`Options::usage`](super::Options::usage)).
 ///
 /// If sockets run on several executors, a maximum can be lost: the counters have no atomic read-modify-write.

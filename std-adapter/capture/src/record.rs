@@ -46,7 +46,7 @@ pub use self::transport::{HasEnds, Taped};
 use crate::error::Error;
 use crate::role::Role;
 
-/// The most bytes that wait for the file. Then [`Recorder::bytes`] waits, because a recording must not lack bytes.
+/// The maximum number of bytes that wait for the file. Then [`Recorder::bytes`] waits, because a recording must not lack bytes.
 const QUEUE: usize = 64 << 20;
 
 /// An entry of the queue.

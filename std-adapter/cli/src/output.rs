@@ -44,7 +44,7 @@ pub(crate) fn print_raw(text: &str) -> io::Result<()> {
     out.flush()
 }
 
-/// The most lines that wait for the output.
+/// The maximum number of lines that wait for the output.
 const WAITING: usize = 4096;
 
 /// The longest time for the last lines.

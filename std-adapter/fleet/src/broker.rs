@@ -12,16 +12,16 @@ use crate::error::Error;
 use crate::message::Message;
 use crate::shorten::{LARGEST, Shortened};
 
-/// The most messages that the broker has not acknowledged.
+/// The maximum number of messages that the broker has not acknowledged.
 pub(crate) const WINDOW: u16 = 100;
 
-/// The most events that wait for the publisher.
+/// The maximum number of events that wait for the publisher.
 const EVENTS: usize = 256;
 
 /// The largest message to the broker in bytes: a birth may be long.
 const LARGEST_SENT: usize = 16 << 20;
 
-/// The most bytes of a header: the fixed header, a topic, and the identifier of a packet.
+/// The maximum size of a header in bytes: the fixed header, a topic, and the identifier of a packet.
 const HEADER: usize = 5 + (2 + 0xffff) + 2;
 
 /// How to connect, with secrets and certificates that were read once.

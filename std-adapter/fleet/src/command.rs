@@ -30,7 +30,7 @@ use crate::event::CommandResult;
 use crate::reading::now_ms;
 use crate::stream::{ReadError, StreamCheck};
 
-/// The most bytes of a correlation id.
+/// The maximum size of a correlation id in bytes.
 const LONGEST_ID: usize = 128;
 
 /// A command to write a variable.

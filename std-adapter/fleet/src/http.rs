@@ -12,7 +12,7 @@ use tokio::time::timeout;
 
 use crate::scan::Shared;
 
-/// The most connections at the same time. A further one ends the oldest, so that idle ones lock no other out.
+/// The maximum number of connections at the same time. A further one ends the oldest, so that idle ones lock no other out.
 const CONNECTIONS: usize = 16;
 
 /// The time until the end of a request's header.
@@ -21,7 +21,7 @@ const HEADER: Duration = Duration::from_secs(1);
 /// The time of a connection.
 const LIMIT: Duration = Duration::from_secs(5);
 
-/// The most bytes of a request.
+/// The maximum size of a request in bytes.
 const REQUEST: usize = 4096;
 
 /// Serves until it is dropped.

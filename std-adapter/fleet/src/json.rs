@@ -31,7 +31,7 @@ use crate::shorten::LARGEST;
 /// The topic of the readings that share a message.
 const VALUES: &str = "values";
 
-/// The most readings of one message, and the bytes after which another message begins.
+/// The maximum number of readings of one message, and the bytes after which another message begins.
 const JOINED: usize = 100;
 const JOINED_BYTES: usize = 32 * 1024;
 

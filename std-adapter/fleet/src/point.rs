@@ -82,7 +82,7 @@ impl Source {
     }
 }
 
-/// The most variables of a range.
+/// The maximum number of variables of a range.
 const LONGEST: u32 = 10_000;
 
 /// The longest interval.

@@ -10,7 +10,7 @@ use tokio::sync::Notify;
 use crate::metrics::Metrics;
 use crate::reading::Reading;
 
-/// The most items of a queue.
+/// The maximum number of items of a queue.
 const LIMIT: usize = 20_000;
 
 /// A report of the scans to the publisher.

@@ -25,12 +25,12 @@ use crate::queue::{Item, Queue, State};
 use crate::reading::{Quality, Reading, Value, now_ms};
 use crate::stream::{ReadError, StreamCheck};
 
-/// The most variables that are read together. Commands for the controller wait meanwhile.
+/// The maximum number of variables that are read together. Commands for the controller wait meanwhile.
 const BATCH: usize = 32;
 
 /// The shortest pause of a point that does not respond. It doubles with each timeout, up to the longest one.
 const PAUSE: Duration = Duration::from_secs(4);
-/// The most doublings of a pause: 256 s.
+/// The maximum number of doublings of a pause: 256 s.
 const DOUBLINGS: u32 = 6;
 
 /// The state that all scans share.

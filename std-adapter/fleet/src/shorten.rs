@@ -9,7 +9,7 @@ use std::task::{Context, Poll, ready};
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
-/// The most bytes of a message after its fixed header. A command is short.
+/// The maximum size of a message after its fixed header in bytes. A command is short.
 pub(crate) const LARGEST: usize = 1 << 20;
 
 /// The bytes that are read at once.

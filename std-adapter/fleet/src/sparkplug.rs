@@ -37,10 +37,10 @@ const REBIRTH: &str = "Node Control/Rebirth";
 /// The metric that joins births and deaths of a node.
 const BD_SEQ: &str = "bdSeq";
 
-/// The most readings of one message.
+/// The maximum number of readings of one message.
 const JOINED: usize = 100;
 
-/// The most bytes of one message with more than one reading.
+/// The maximum size of one message with more than one reading in bytes.
 const JOINED_BYTES: usize = 32 * 1024;
 
 /// The state of the encoder.

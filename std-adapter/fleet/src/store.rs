@@ -20,9 +20,9 @@ use crate::reading::{Quality, Reading, Value};
 #[derive(Debug)]
 pub(crate) struct Store {
     directory: PathBuf,
-    /// The most bytes of all files.
+    /// The maximum size of all files in bytes.
     bytes: u64,
-    /// The most bytes of a file.
+    /// The maximum size of a file in bytes.
     segment: u64,
     age: Duration,
     /// The oldest first.

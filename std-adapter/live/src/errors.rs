@@ -9,7 +9,7 @@ use bcap_capture::value::data;
 use crate::calls::{Calls, execute};
 use crate::stream::StreamCheck;
 
-/// The most errors that are read: each is a call.
+/// The maximum number of errors that are read: each is a call.
 const MOST: usize = 100;
 
 /// Reads at most 100 present errors with their texts, the first cause first. The last text counts the others.

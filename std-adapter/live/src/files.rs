@@ -124,7 +124,7 @@ fn unexpected<F: Failure>(path: &str, value: Option<&OwnedVariant>) -> F {
 /// The deepest folder that is read.
 const DEPTH: usize = 32;
 
-/// The most folders that are read, so that a controller cannot list new ones for ever.
+/// The maximum number of folders that are read, so that a controller cannot list new ones for ever.
 const FOLDERS: usize = 10_000;
 
 /// A file or folder.
@@ -267,7 +267,7 @@ pub fn unsafe_names<F: Failure>(items: &[Item]) -> F {
         .with_hint("rename these files on the controller")
 }
 
-/// The most names that an error shows.
+/// The maximum number of names that an error shows.
 const SHOWN: usize = 5;
 
 #[cfg(test)]

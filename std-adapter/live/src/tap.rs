@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use bcap_capture::Role;
 use bcap_capture::record::{Ends, Recorded, Recording};
 
-/// The most bytes that wait for the disk.
+/// The maximum number of bytes that wait for the disk.
 const QUEUE: usize = 16 << 20;
 
 /// The size of a packet in the file without its bytes.

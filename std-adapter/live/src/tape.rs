@@ -8,7 +8,7 @@ use bcap_capture::Role;
 use bcap_capture::record::{self, Ends};
 use bcap_core::bcap::header::field;
 
-/// The most bytes that are kept, and the most packets.
+/// The maximum number of bytes that are kept, and of packets.
 const BYTES: usize = 4 << 20;
 const PACKETS: usize = 20_000;
 

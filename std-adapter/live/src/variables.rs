@@ -49,7 +49,7 @@ pub fn value<C: Calls>(calls: &mut C, path: &ObjectPath) -> Result<OwnedVariant,
     read(calls, path, variable)
 }
 
-/// The most variables of a kind: an index has 16 bits.
+/// The maximum number of variables of a kind: an index has 16 bits.
 const LONGEST: u32 = 1 << 16;
 
 /// Returns the names of all selected variables, in order; asks the controller how many variables a kind has.

@@ -127,7 +127,7 @@ fn micros(time: Duration) -> u64 {
 pub struct Bounds {
     /// Lines a second of one IP address; 0 writes all.
     pub rate: u32,
-    /// The most bytes of a file; 0 for any size.
+    /// The maximum size of a file in bytes; 0 for any size.
     pub size: u64,
     /// The number of old files to keep.
     pub keep: u32,

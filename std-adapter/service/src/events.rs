@@ -14,7 +14,7 @@ use bcap_core::variant::OleDate;
 use bcap_terminal::escape;
 use serde::Serialize;
 
-/// The most lines that wait for the writer.
+/// The maximum number of lines that wait for the writer.
 const BACKLOG: usize = 4096;
 
 /// The longest time that the end waits for the writer.

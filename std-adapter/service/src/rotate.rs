@@ -14,7 +14,7 @@ pub(crate) struct Rotating {
     file: File,
     /// Bytes in the file.
     len: u64,
-    /// The most bytes of the file; 0 does not rotate.
+    /// The maximum size of the file in bytes; 0 does not rotate.
     max: u64,
     /// The number of old files to keep.
     keep: u32,

@@ -31,7 +31,7 @@ pub(crate) const NAME: &str = "Comm";
 /// The numbers of the lines.
 pub(crate) const LINES: std::ops::RangeInclusive<i32> = 1..=16;
 
-/// The most bytes that wait on a line; further texts are lost.
+/// The maximum number of bytes that wait on a line; further texts are lost.
 const CAPACITY: usize = 64 << 10;
 
 const OPEN: i32 = 2;

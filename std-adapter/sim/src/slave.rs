@@ -1,7 +1,7 @@
-//! Slave Mode: a pose each 8 ms, straight into the controller.
+//! Slave Mode: a pose every 8 ms, straight into the controller.
 //!
 //! ```text
-//!   off -- slvChangeMode n --> on: a cycle each 8 ms takes a pose from the buffer; the axes move to it evenly and
+//!   off -- slvChangeMode n --> on: a cycle every 8 ms takes a pose from the buffer; the axes move to it evenly and
 //!    ^                         |   arrive when the next cycle begins
 //!    +-- slvChangeMode 0 ------+   the buffer is emptied, the axes come to rest, then the call is answered
 //!    +-- an error, Halt, ------+   at once; buffered poses are dropped

@@ -1,7 +1,7 @@
 //! The buffer of Slave Mode and the cycle that empties it, without commands and formats.
 //!
 //! ```text
-//!   slvMove --> waiting --> buffer: 3, or the newest 1 --> a cycle each 8 ms --> the axes move evenly
+//!   slvMove --> waiting --> buffer: 3, or the newest 1 --> a cycle every 8 ms --> the axes move evenly
 //!               (mode 2)                                   speed, acceleration    for one cycle
 //! ```
 

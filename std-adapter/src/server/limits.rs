@@ -35,7 +35,7 @@ pub struct Limits {
     pub call: Duration,
     /// The silence after which a connection without a running request is closed; `None` is without a limit.
     pub idle: Option<Duration>,
-    /// The most bytes of a request.
+    /// The maximum size of a request in bytes.
     pub frame: u32,
     /// Bytes for requests and replies of b-CAP over TCP, of all connections together, beyond the 2 KiB that each connection
     /// has from the beginning. Without enough memory a request is answered with E_PACKETSIZEOVER, and a reply is replaced

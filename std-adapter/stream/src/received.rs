@@ -6,10 +6,10 @@ use std::path::Path;
 
 use bcap_core::slave::{CURRENT_LEN, MoveReply, PoseType, ReceiveFormat, ReceivePose, TimeUnit};
 
-/// The most numbers of a pose in a reply.
+/// The maximum number of numbers of a pose in a reply.
 const POSE_MAX: usize = 18;
 
-/// The most bytes of user IO in a reply.
+/// The maximum size of user IO in a reply in bytes.
 const USER_MAX: usize = 8;
 
 /// The replies. It never grows beyond its initial capacity, so recording does not allocate.

@@ -25,7 +25,7 @@ use crate::frame::{TestFrame, field};
 use crate::step::{Argument, Call, Delivery, OBJECTS, Step};
 use crate::value::{ARRAY, VARIANT, Value};
 
-/// The most steps of a session after those that open it.
+/// The maximum number of steps of a session after those that open it.
 const STEPS: usize = 12;
 /// The lengths of long strings: around 16 bits of bytes, of characters, and of twice their number.
 const LONG: [usize; 5] = [255, 16_383, 16_384, 32_768, 65_536];

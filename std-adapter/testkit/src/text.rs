@@ -8,7 +8,7 @@ use bcap_core::variant::{CivilTime, OleDate};
 
 use crate::value::{ARRAY, VARIANT, Value};
 
-/// The most characters of a float that is read exactly.
+/// The maximum length of a float that is read exactly.
 const MAX_FLOAT: usize = 500;
 
 /// Parses the text of one value; `None` when it is invalid.

@@ -40,7 +40,7 @@ impl Linked {
         Self { board: Board::start("10.0.2.2:5007", &[options, &["--netdev", &netdev]].concat(), settings), link }
     }
 
-    /// Calls `ask` about each 100 ms until a frame of the board is accepted.
+    /// Calls `ask` about every 100 ms until a frame of the board is accepted.
     fn until<T>(
         &mut self,
         limit: Duration,

@@ -27,7 +27,7 @@ const PACE: Duration = Duration::from_millis(10);
 const ROUND: u64 = 30;
 /// Lines that the attacker sends at once.
 const BATCH: usize = 32;
-/// The most lines that wait for their answers, a fraction of a second's work. An attack ends when all are answered.
+/// The maximum number of lines that wait for their answers, a fraction of a second's work. An attack ends when all are answered.
 const WAITING: u64 = 4096;
 
 #[test]

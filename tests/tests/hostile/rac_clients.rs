@@ -17,7 +17,7 @@ pub(crate) const CASES: &[Case] = crate::cases! {
     rac_clients:
         a_rac_server_that_does_not_answer
         a_rac_server_that_closes
-        answers_that_are_none
+        answers_that_are_invalid
         an_answer_that_never_ends
         an_answer_at_a_byte_a_time
         unsolicited_answers
@@ -104,7 +104,7 @@ fn a_rac_server_that_closes(_: &mut Target) {
 }
 
 /// An invalid answer ends only its request.
-fn answers_that_are_none(_: &mut Target) {
+fn answers_that_are_invalid(_: &mut Target) {
     let outcomes = gets(&long_timeouts(), 12, |connection| {
         let wrong: [&[u8]; 6] = [b"", b"OK", b"0,9,1", b"0,3,99999999999", b"0,8,\xff", b"\xff\0\x01"];
         for answer in wrong {
@@ -155,10 +155,10 @@ fn unsolicited_answers(_: &mut Target) {
 }
 
 fn a_late_answer_does_not_end_the_next_request(_: &mut Target) {
-    let options = long_timeouts().rac(Config { timeout: Duration::from_secs(1) });
+    let options = long_timeouts().rac(Config { timeout: Duration::from_secs(3) });
     let outcomes = gets(&options, 2, |connection| {
         request(connection);
-        std::thread::sleep(Duration::from_millis(1500));
+        std::thread::sleep(Duration::from_millis(4500));
         connection.send(b"0,3,41\r");
         request(connection);
         connection.send(b"0,3,42\r");

@@ -161,7 +161,7 @@ fn the_network_stack_gets_no_lease_that_it_cannot_bear() {
     ] {
         let outcome = run(answer, true);
         assert_eq!(outcome.lease, expected, "{answer:?}");
-        // ten of a lease of 10 s that is renewed, a request each 10 s without an answer
+        // ten of a lease of 10 s that is renewed, a request every 10 s without an answer
         assert!((2..=30).contains(&outcome.requests), "{answer:?}: {outcome:?}");
     }
 }

@@ -16,7 +16,7 @@ pub enum UpdateError<E> {
     },
     /// The image is empty, or larger than the active partition.
     Size {
-        /// The most bytes of an image.
+        /// The maximum size of an image in bytes.
         most: u32,
     },
     /// An update waits for a restart, or is on trial.

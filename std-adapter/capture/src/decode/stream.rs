@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::packet::Tcp;
 
-/// The most bytes that wait for missing ones. Beyond that the missing bytes are given up.
+/// The maximum number of bytes that wait for missing ones. Beyond that the missing bytes are given up.
 const MOST_WAITING: usize = 4 << 20;
 
 /// The new bytes of a segment in its direction.

@@ -7,7 +7,7 @@ use std::time::Duration;
 use crate::faults::{FaultPlan, Faults};
 use crate::record::{Recorder, Recording};
 
-/// The most clients over UDP, and the most connections of each TCP port: each needs a socket to the robot and memory.
+/// The maximum number of clients over UDP, and of connections of each TCP port: each needs a socket to the robot and memory.
 pub(super) const CLIENTS: usize = 256;
 
 /// The state that all tasks share.

@@ -22,7 +22,7 @@ use crate::faults::Faults;
 use crate::record::{Ends, Recorder};
 use crate::role::Role;
 
-/// The most bytes that are forwarded at once.
+/// The maximum number of bytes that are forwarded at once.
 const BUFFER: usize = 64 << 10;
 
 /// The time to wait when a connection cannot be accepted, such as without a free file descriptor.

@@ -7,9 +7,9 @@ use etherparse::{IpHeaders, PacketBuilder, PacketBuilderStep, TcpHeader, TcpOpti
 use super::ends::Ends;
 use crate::role::Role;
 
-/// The most bytes of a TCP segment. With its headers it must be shorter than 64 KiB.
+/// The maximum size of a TCP segment in bytes. With its headers it must be shorter than 64 KiB.
 const SEGMENT: usize = 32 << 10;
-/// The most bytes of a UDP datagram over IPv4.
+/// The maximum size of a UDP datagram over IPv4 in bytes.
 const DATAGRAM: usize = 65_507;
 const HOPS: u8 = 64;
 /// With the scale of the handshake more than a gigabyte, so that no tool sees a full window.

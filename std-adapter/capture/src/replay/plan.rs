@@ -9,7 +9,7 @@ use crate::call_name::CallName;
 use crate::decode::{Call, Event, Link};
 use crate::error::Error;
 
-/// The most connections of a replay: each has a thread and a socket.
+/// The maximum number of connections of a replay: each has a thread and a socket.
 const LINKS: usize = 1024;
 
 /// The protocol of a connection.

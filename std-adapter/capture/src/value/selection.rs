@@ -8,7 +8,7 @@ use bcap_core::rac::{Variable, VariableKind};
 use bcap_std::ObjectPath;
 use thiserror::Error;
 
-/// The most variables of a kind: an index has 16 bits.
+/// The maximum number of variables of a kind: an index has 16 bits.
 const LONGEST: u32 = 1 << 16;
 
 /// A name that selects no variable: what is wrong, and what to write.

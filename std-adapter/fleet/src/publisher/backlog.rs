@@ -16,7 +16,7 @@ use crate::reading::{Reading, now_ms};
 use crate::scan::Shared;
 use crate::store::Store;
 
-/// The most readings in memory without a buffer on disk.
+/// The maximum number of readings in memory without a buffer on disk.
 const MEMORY: usize = 20_000;
 
 /// The readings to send as historical ones.

@@ -13,13 +13,13 @@ use crate::encoder::Decoded;
 use crate::event::{CommandResult, Event};
 use crate::reading::now_ms;
 
-/// The most messages that wait for the window before answers are left out: commands must not fill the memory.
+/// The maximum number of messages that wait for the window before answers are left out: commands must not fill the memory.
 const WAITING: usize = 1000;
 
-/// The most commands that run at the same time, and those of one controller: a slow one must not occupy all.
+/// The maximum number of commands that run at the same time, and those of one controller: a slow one must not occupy all.
 const RUNNING: (usize, usize) = (64, 16);
 
-/// The most bytes of a text of a command in an answer or event.
+/// The maximum size of a text of a command in an answer or event in bytes.
 const LONGEST_TEXT: usize = 256;
 
 impl Publisher {

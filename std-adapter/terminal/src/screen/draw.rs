@@ -25,7 +25,7 @@ const SPARK: (u16, u16) = (60, 4);
 /// The columns that a long name keeps next to a long value.
 const NAME: u16 = 6;
 
-/// The most rows of the answer to a key.
+/// The maximum number of rows of the answer to a key.
 const NOTICE: u16 = 3;
 
 /// What separates a name from its value.

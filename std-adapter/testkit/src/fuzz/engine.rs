@@ -19,7 +19,7 @@ use crate::step::Step;
 const ENTROPY: usize = 1 << 14;
 /// One session in this number opens and releases one object again and again.
 const OPENINGS: u64 = 16;
-/// The most runs to reduce a finding, and the most time.
+/// The maximum number of runs to reduce a finding, and the maximum time.
 const RUNS: u32 = 200;
 const TIME: Duration = Duration::from_secs(60);
 /// The wait between two looks for a device that restarts.
@@ -51,9 +51,9 @@ pub struct Plan {
     pub grammar: Grammar,
     /// When the run ends.
     pub until: Instant,
-    /// The most sessions.
+    /// The maximum number of sessions.
     pub sessions: u64,
-    /// The most different findings.
+    /// The maximum number of different findings.
     pub findings: u64,
     /// How long a device that does not answer after a finding may take to restart.
     pub wait: Duration,

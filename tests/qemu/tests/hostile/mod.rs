@@ -218,7 +218,7 @@ impl Attack {
     /// Returns what the attack must not show on any machine.
     fn missed(&self, world: &World, length: Duration) -> Vec<String> {
         let Self { found, uptime, .. } = self;
-        // a renewal each 10 s, what follows the attack, and some for each cut of the link
+        // a renewal every 10 s, what follows the attack, and some for each cut of the link
         let cut = self.failures.as_ref().map_or(0, |failures| failures.cut);
         let requests = length.as_secs() / 4 + 10 + 8 * u64::from(cut);
         let checks = [

@@ -42,9 +42,9 @@ pub(crate) struct Scan {
     pub(crate) targets: Vec<String>,
 }
 
-/// The most addresses of a scan.
+/// The maximum number of addresses of a scan.
 const MOST: usize = 1024;
-/// The most addresses that are asked at the same time.
+/// The maximum number of addresses that are asked at the same time.
 const AT_ONCE: usize = 50;
 /// The time limit of each port, which an unused address costs.
 const LIMIT: Duration = Duration::from_secs(1);
