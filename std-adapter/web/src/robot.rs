@@ -104,20 +104,8 @@ impl Robot {
         let thread = Thread { live: Arc::clone(&live), halter: halter.clone(), access: access.clone(), queue, began };
         thread::Builder::new().name("robot".into()).spawn(move || thread.run())?;
         let (control, grip, jogs, recovery, backup, revoked, acting) = Default::default();
-        Ok(Arc::new(Self {
-            name,
-            control,
-            halter,
-            access,
-            grip,
-            jogs,
-            recovery,
-            backup,
-            revoked,
-            acting,
-            live,
-            orders,
-        }))
+        let robot = Self { name, control, halter, access, grip, jogs, recovery, backup, revoked, acting, live, orders };
+        Ok(Arc::new(robot))
     }
 
     pub(crate) fn live(&self) -> MutexGuard<'_, Live> {
