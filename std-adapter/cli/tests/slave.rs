@@ -82,6 +82,12 @@ fn kill(signal: &str, child: &Child) {
     assert!(Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap().success());
 }
 
+/// Starts to stream a file.
+fn play(sim: &Served<Slowed>, file: &str) -> Child {
+    let mut stream = command(&["slave", "play", file, "--yes", "--robot", &tcp(sim)]);
+    stream.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()
+}
+
 /// Waits until the robot moves faster than `least`, and fails if it does not get there.
 fn await_speed(sim: &Served<Slowed>, stream: &mut Child, least: f64) {
     let begun = Instant::now();
@@ -254,11 +260,7 @@ fn a_stream_of_another_client_is_not_ended() {
     repeated(|| {
         let sim = controller();
         let ramp = ramp("ramp_other.csv", 60);
-        let mut other = command(&["slave", "play", &ramp, "--yes", "--robot", &tcp(&sim)])
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .unwrap();
+        let mut other = play(&sim, &ramp);
         await_speed(&sim, &mut other, 5.0);
         let owner = sim.application().0.arm_owner();
         for args in [&["cosine", "--yes"][..], &["play", &ramp, "--yes"], &["play", &ramp, "--yes", "--approach", "10"]]
@@ -283,11 +285,7 @@ fn ctrl_c_slows_down_within_the_limits_and_releases_the_arm() {
     repeated(|| {
         let sim = controller();
         let ramp = ramp("ramp.csv", 60);
-        let mut child = command(&["slave", "play", &ramp, "--yes", "--robot", &tcp(&sim)])
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .unwrap();
+        let mut child = play(&sim, &ramp);
         await_speed(&sim, &mut child, 9.9);
         kill("-INT", &child);
         let mut err = String::new();
@@ -342,11 +340,7 @@ fn a_second_ctrl_c_halts_over_its_own_connection() {
     repeated(|| {
         let sim = controller();
         let ramp = ramp("ramp2.csv", 60);
-        let mut child = command(&["slave", "play", &ramp, "--yes", "--robot", &tcp(&sim)])
-            .stdout(Stdio::null())
-            .stderr(Stdio::piped())
-            .spawn()
-            .unwrap();
+        let mut child = play(&sim, &ramp);
         await_speed(&sim, &mut child, 9.0);
         kill("-INT", &child);
         let mut err = BufReader::new(child.stderr.take().unwrap());
@@ -462,11 +456,7 @@ fn halt_stops_a_motion_of_another_connection() {
         let halt = || bcap(&["halt", "--robot", &tcp(&sim)]);
         assert_eq!((halt().code, halt().out.as_str()), (0, "nothing was moving\n"));
         let ramp = ramp("ramp3.csv", 60);
-        let mut child = command(&["slave", "play", &ramp, "--yes", "--robot", &tcp(&sim)])
-            .stdout(Stdio::null())
-            .stderr(Stdio::piped())
-            .spawn()
-            .unwrap();
+        let mut child = play(&sim, &ramp);
         await_speed(&sim, &mut child, 5.0);
         let halted = halt();
         let run: Run = child.wait_with_output().unwrap().into();
