@@ -19,7 +19,7 @@
 //! | [`tools`]      | tools that tests need, and may be missing                                           |
 //! | [`pymodbus`]   | a client of Modbus of another make                                                  |
 //! | [`python`]     | packages of PyPI that tests run                                                     |
-//! | [`process`]    | memory, processor time and file descriptors of a process                            |
+//! | [`process`]    | signals to a process; its memory, processor time and file descriptors               |
 //! | [`allocation`] | an allocator that counts the allocations of each thread                             |
 //! | `endings`      | random trials of how programs end while they move a robot                           |
 //! | [`async_functions`] | the async functions of a crate, read from its sources                          |

@@ -1,6 +1,22 @@
-//! The resources that a process uses, read from `/proc`; without `/proc`, no value.
+//! Signals to a process, and the resources that it uses, read from `/proc`; without `/proc`, no value.
 
 use std::time::Duration;
+
+#[cfg(unix)]
+pub use rustix::process::Signal;
+
+/// Sends a signal to a process that this one has started and has not waited for, at once: a program such as `kill` may start late on a
+/// busy machine.
+///
+/// # Panics
+///
+/// If the system refuses it.
+#[cfg(unix)]
+pub fn send(signal: Signal, child: &std::process::Child) {
+    use rustix::process::{Pid, kill_process};
+
+    kill_process(Pid::from_child(child), signal).unwrap_or_else(|error| panic!("{signal:?}: {error}"));
+}
 
 /// Returns the processor time that the calling thread has used.
 #[must_use]

@@ -20,6 +20,7 @@ use bcap_core::variant::Variant;
 use bcap_sim::{Config, Controller, Permission, Profile, Sizes};
 use bcap_std::server::Limits;
 use bcap_tests::hooked::Hooked;
+use bcap_tests::process::{Signal, send};
 use bcap_tests::served::Served;
 
 /// A robot with files, and a folder for backups.
@@ -372,26 +373,21 @@ fn a_signal_ends_a_dump_after_the_call_and_a_second_one_at_once() {
         child
     };
     let mut child = start();
-    interrupt(child.id());
+    send(Signal::INT, &child);
     // the message says that the first signal was handled
     let mut first = [0; 20];
     child.stderr.as_mut().unwrap().read_exact(&mut first).unwrap();
     assert_eq!(&first, b"ends after this call");
-    interrupt(child.id());
+    send(Signal::INT, &child);
     assert_eq!(child.wait().unwrap().code(), Some(130));
 
     let mut child = start();
-    interrupt(child.id());
+    send(Signal::INT, &child);
     child.stderr.as_mut().unwrap().read_exact(&mut first).unwrap();
     served.application().set(|_| None);
     let run = Run::from(child.wait_with_output().unwrap());
     assert!(run.code == 130 && run.err.contains("interrupted; run `bcap dump"), "{run:?}");
     assert_eq!(bcap(&["dump", &dir, "--robot", &address]).code, 0);
-}
-
-#[cfg(unix)]
-fn interrupt(process: u32) {
-    assert!(std::process::Command::new("kill").args(["-INT", &process.to_string()]).status().unwrap().success());
 }
 
 #[test]

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use crate::common::running::Running;
 use crate::common::{bcap, command};
+use bcap_tests::process::Signal;
 use bcap_tests::pymodbus::Pymodbus;
 use bcap_tests::tools;
 use serde_json::Value;
@@ -227,7 +228,7 @@ fn a_disconnected_robot_gives_an_error_at_once_and_service_resumes_after_reconne
 #[test]
 fn signals_end_the_gateway_with_0_and_the_log_with_totals() {
     let sim = self::sim("127.0.0.1:0");
-    for signal in ["-INT", "-TERM"] {
+    for signal in [Signal::INT, Signal::TERM] {
         let mut gateway = up(&sim.address("bcap"), &[]);
         let mut plc = Plc::connect(&gateway);
         assert_eq!(plc.ask("GET:RC8:1:I:\r"), "0,3,0\r");
@@ -258,7 +259,7 @@ fn a_flood_of_wrong_lines_is_counted_in_the_log() {
     }
     writer.join().unwrap();
     let seconds = begun.elapsed().as_secs() + 1;
-    let log = gateway.end("-TERM");
+    let log = gateway.end(Signal::TERM);
     let records: Vec<Value> = log.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     let refused = records.iter().filter(|record| record["event"] == "refused").count() as u64;
     let suppressed = records.iter().filter(|record| record["event"] == "suppressed");
@@ -283,7 +284,7 @@ fn every_successful_write_is_logged() {
         assert_eq!(plc.ask("GET:RC8:1:I:\r"), if n == 0 { "0,3,0\r".into() } else { format!("0,3,{}\r", n - 1) });
         assert_eq!(plc.ask(&format!("PUT:RC8:1:I:3,{n}\r")), "0\r");
     }
-    let log = gateway.end("-TERM");
+    let log = gateway.end(Signal::TERM);
     for n in 0..50 {
         assert!(log.contains(&format!("\"line\":\"PUT:RC8:1:I:3,{n}\"")), "{n} in {log}");
     }

@@ -3,11 +3,12 @@
 use std::process::Command;
 
 use bcap_sim::{Config, Profile};
+use bcap_tests::process::{Signal, send};
 use serde_json::Value;
 
 use crate::common::robot::Robot;
 use crate::common::tmux::Terminal;
-use crate::common::virtual_robot::{Virtual, signal};
+use crate::common::virtual_robot::Virtual;
 
 /// Reads an array of numbers of the robot.
 fn numbers(robot: &Virtual, name: &str) -> Vec<f64> {
@@ -101,7 +102,7 @@ fn an_rc9_needs_no_provider() {
     assert!(run.code == 1 && run.err.contains("Controller_Connect: the controller refused"), "{run:?}");
     let child = robot.spawn(&["jog", "J1", "120", "--speed", "1"]);
     robot.wait_for_motion();
-    signal("-INT", &child);
+    send(Signal::INT, &child);
     assert_eq!(child.wait_with_output().unwrap().status.code(), Some(130));
     robot.wait_for_rest();
 }
@@ -120,7 +121,7 @@ fn ctrl_c_halts_a_step() {
     let robot = Virtual::start(&[]);
     let child = robot.spawn(&["jog", "J1", "120", "--speed", "1"]);
     robot.wait_for_motion();
-    signal("-INT", &child);
+    send(Signal::INT, &child);
     let output = child.wait_with_output().unwrap();
     assert_eq!((output.status.code(), output.stdout.as_slice()), (Some(130), &b""[..]), "{output:?}");
     assert!(numbers(&robot, "robot/@CURRENT_ANGLE")[0] < 119.0);

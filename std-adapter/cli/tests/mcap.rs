@@ -4,7 +4,8 @@ use std::fs;
 use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use crate::common::virtual_robot::{Virtual, signal};
+use crate::common::virtual_robot::Virtual;
+use bcap_tests::process::{Signal, send};
 use mcap::Summary;
 use serde_json::{Value, json};
 
@@ -82,7 +83,7 @@ fn only_changes_are_written_and_a_signal_completes_the_file() {
     while !has_read(",0\n") {}
     assert_eq!(robot.run(&["put", "I1", "7"]).code, 0);
     while !has_read(",7\n") {}
-    signal("-TERM", &watch);
+    send(Signal::TERM, &watch);
     assert_eq!(watch.wait().unwrap().code(), Some(0));
     let values: Vec<Value> = read(&path).into_iter().map(|message| message.value["value"].clone()).collect();
     assert_eq!(values, [0, 7]);
@@ -96,7 +97,7 @@ fn a_trajectory_is_recorded_from_start_to_destination() {
     let mut robot = Virtual::start(&["--record", path.to_str().unwrap()]);
     let moved = robot.run(&["move", "J(10, 45, 90, 0, 45, 0)", "--speed", "50"]);
     assert_eq!(moved.code, 0, "{}", moved.err);
-    robot.end("-TERM");
+    robot.end(Signal::TERM);
     let after = now();
     let points = read(&path);
     assert!(points.iter().all(|point| point.topic == "/arm"));

@@ -4,9 +4,9 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
-use crate::common::virtual_robot::signal;
 use crate::common::{fleet, fleet_program};
 use bcap_tests::mosquitto::Mosquitto;
+use bcap_tests::process::{Signal, send};
 use rumqttc::{Client, MqttOptions, Packet, QoS};
 
 #[test]
@@ -49,7 +49,7 @@ fn the_demo_plant_of_the_page_runs() {
     let rows = |name: &str| check.out.lines().filter(|line| line.split_whitespace().nth(1) == Some(name)).count();
     assert_eq!((check.out.lines().count(), rows("I1"), rows("tasks")), (1 + 3 * 7, 3, 3), "{}", check.out);
 
-    signal("-TERM", &plant);
+    send(Signal::TERM, &plant);
     assert_eq!(plant.wait().unwrap().code(), Some(0));
     // all of its processes have ended, so that the pipe is closed
     rest.join().unwrap();

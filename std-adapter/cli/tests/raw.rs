@@ -5,8 +5,9 @@ use std::net::TcpListener;
 use std::process::Stdio;
 use std::thread;
 
-use crate::common::virtual_robot::{Virtual, signal};
+use crate::common::virtual_robot::Virtual;
 use crate::common::{Run, bcap, bcap_with, command};
+use bcap_tests::process::{Signal, send};
 
 const START: &str = r#"{"name":"ServiceStart","args":[{"vt":8,"v":""}]}"#;
 const STOP: &str = "01 10 00 00 00 02 00 00 00 02 00 00 00 00 00 04";
@@ -95,7 +96,7 @@ fn ctrl_c_ends_the_loop_and_the_wait_for_a_client() {
         let mut child = command(args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         let mut out = BufReader::new(child.stdout.take().unwrap());
         out.read_line(&mut String::new()).unwrap();
-        signal("-INT", &child);
+        send(Signal::INT, &child);
         std::io::copy(&mut out, &mut std::io::sink()).unwrap();
         let run: Run = child.wait_with_output().unwrap().into();
         assert!(run.code == 130 && run.err.contains("interrupted"), "{run:?}");

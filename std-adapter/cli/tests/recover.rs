@@ -6,13 +6,13 @@ use std::time::Duration;
 
 use crate::common::robot::Robot;
 use crate::common::tmux::Terminal;
-use crate::common::virtual_robot::signal;
 use crate::common::{Run, command};
 use bcap_core::hresult::HResult;
 use bcap_core::variant::OwnedVariant;
 use bcap_sim::{Config, Mode, Profile, Scenario};
 use bcap_std::Settings;
 use bcap_std::blocking::Controller;
+use bcap_tests::process::{Signal, send};
 use serde_json::{Value, json};
 
 /// A target out of reach.
@@ -158,7 +158,7 @@ fn a_refused_step_is_named_and_nothing_stays_on() {
 
 #[test]
 fn a_signal_switches_the_motor_off_and_gives_the_arm_back() {
-    for name in ["-INT", "-TERM"] {
+    for signal in [Signal::INT, Signal::TERM] {
         // the process that sends the signal needs its time too
         let robot = Robot::with(Config { motor_on_delay: Duration::from_secs(5), ..Config::new(Profile::Rc8) });
         raise(&robot, REACH);
@@ -167,11 +167,11 @@ fn a_signal_switches_the_motor_off_and_gives_the_arm_back() {
         while robot.served.application().arm_owner().is_none() {
             thread::yield_now();
         }
-        signal(name, &child);
+        send(signal, &child);
         let run = Run::from(child.wait_with_output().unwrap());
         assert!(run.code == 130 && run.err.contains("the motor was switched off and the arm given back"), "{run:?}");
         let (owned, on, _) = state(&robot);
-        assert_eq!((owned, on), (false, false), "{name}");
+        assert_eq!((owned, on), (false, false), "{signal:?}");
     }
 }
 

@@ -9,6 +9,7 @@ use crate::common::{Run, bare, bcap, bcap_with, command};
 use bcap_sim::{Config, Controller, Profile};
 use bcap_tests::cable::{Cable, End, Quality};
 use bcap_tests::line_server::LineServer;
+use bcap_tests::process::{Signal, send};
 use bcap_tests::pty::Line;
 use bcap_tests::real_time::repeated;
 use bcap_tests::slowed::Slowed;
@@ -209,9 +210,10 @@ fn interrupted_stream() {
     while sim.handler().0.slave_record().count() < 50 && stream.try_wait().unwrap().is_none() {
         std::thread::sleep(std::time::Duration::from_millis(5));
     }
-    let kill = std::process::Command::new("kill").args(["-INT", &stream.id().to_string()]).status().unwrap();
+    if stream.try_wait().unwrap().is_none() {
+        send(Signal::INT, &stream);
+    }
     let run = Run::from(stream.wait_with_output().unwrap());
-    assert!(kill.success(), "the stream ended before: {run:?}");
     assert!(run.code == 130 && run.err.contains("the robot has stopped and the arm is released"), "{run:?}");
     assert!(!run.err.contains("Ctrl-C again halts"), "{run:?}");
     let controller = &sim.handler().0;

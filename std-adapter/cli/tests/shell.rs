@@ -4,11 +4,12 @@ use std::io::{BufRead, BufReader, Write};
 use std::process::Stdio;
 
 use bcap_core::hresult::HResult;
+use bcap_tests::process::{Signal, send};
 use serde_json::Value;
 
 use crate::common;
 use crate::common::robot::Robot;
-use crate::common::virtual_robot::{Virtual, signal};
+use crate::common::virtual_robot::Virtual;
 use crate::common::{Run, bcap, bcap_with, command};
 
 /// A motion that takes more than ten seconds.
@@ -134,7 +135,7 @@ fn ctrl_c_halts_a_motion_and_gives_the_arm_back() {
         let mut child = robot.spawn(args);
         child.stdin.as_mut().unwrap().write_all(lines.as_bytes()).unwrap();
         robot.wait_for_motion();
-        signal("-INT", &child);
+        send(Signal::INT, &child);
         if args == ["shell"] {
             // the shell continues after an interruption
             child.stdin.as_mut().unwrap().write_all(b"get I1\n").unwrap();
@@ -150,7 +151,7 @@ fn ctrl_c_halts_a_motion_and_gives_the_arm_back() {
 #[test]
 fn a_signal_ends_a_script_that_waits_for_its_next_line() {
     let robot = Virtual::start(&[]);
-    for name in ["-INT", "-TERM"] {
+    for signal in [Signal::INT, Signal::TERM] {
         let mut child = robot.spawn(&["run", "-"]);
         // stays open, because the end of the input would end the script too
         let mut stdin = child.stdin.take().unwrap();
@@ -160,9 +161,9 @@ fn a_signal_ends_a_script_that_waits_for_its_next_line() {
         // the third line ends after the motion has begun
         assert!(out.any(|line| line.unwrap().starts_with("on the way to ")));
         robot.wait_for_motion();
-        signal(name, &child);
+        send(signal, &child);
         let run: Run = child.wait_with_output().unwrap().into();
-        assert!(run.code == 130 && run.err.contains("-:4: interrupted before this line"), "{name}: {run:?}");
+        assert!(run.code == 130 && run.err.contains("-:4: interrupted before this line"), "{signal:?}: {run:?}");
         drop(stdin);
         robot.assert_at_rest_with_free_arm();
     }
@@ -177,11 +178,11 @@ fn ctrl_c_halts_motions_after_a_command_with_signals_of_its_own() {
     let (there, back) = ("move 'J(90, 45, 90, 0, 45, 0)' --speed 1\n", "move 'J(-90, 45, 90, 0, 45, 0)' --speed 1\n");
     stdin.write_all(format!("dump {}\n{there}", backup.path().join("cell").display()).as_bytes()).unwrap();
     robot.wait_for_motion();
-    signal("-INT", &child);
+    send(Signal::INT, &child);
     robot.wait_for_rest();
     stdin.write_all(format!("errors --clear\n{back}").as_bytes()).unwrap();
     robot.wait_for_motion();
-    signal("-INT", &child);
+    send(Signal::INT, &child);
     robot.wait_for_rest();
     stdin.write_all(b"get I1\n").unwrap();
     drop(stdin);
@@ -230,7 +231,7 @@ fn ctrl_c_halts_a_motion_over_udp() {
     let mut command = common::bare(&[&SLOW[..], &["--robot", &robot.udp]].concat());
     let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     robot.wait_for_motion();
-    signal("-INT", &child);
+    send(Signal::INT, &child);
     let run: Run = child.wait_with_output().unwrap().into();
     assert!(run.err.contains(INTERRUPTED) && run.code == 130, "{run:?}");
     robot.assert_at_rest_with_free_arm();
@@ -276,16 +277,16 @@ fn a_connection_that_is_lost_during_a_motion_is_replaced_to_halt() {
 #[test]
 fn a_shell_that_is_ended_gives_the_arm_back() {
     let robot = Virtual::start(&[]);
-    for name in ["-TERM", "-HUP"] {
+    for signal in [Signal::TERM, Signal::HUP] {
         let mut child = robot.spawn(&["shell"]);
         let lines = "exec robot TakeArm 0 1\nexec robot Motor 1 0\nmove J(90,45,90,0,45,0) --speed 1 --no-wait\n";
         // stays open, because the end of the input would end the shell too
         let mut stdin = child.stdin.take().unwrap();
         stdin.write_all(lines.as_bytes()).unwrap();
         robot.wait_for_motion();
-        signal(name, &child);
+        send(signal, &child);
         let run: Run = child.wait_with_output().unwrap().into();
-        assert_eq!(run.code, 130, "{name}: {run:?}");
+        assert_eq!(run.code, 130, "{signal:?}: {run:?}");
         drop(stdin);
         robot.assert_at_rest_with_free_arm();
     }
@@ -406,7 +407,7 @@ fn a_log_is_followed() {
     error(0x8150_1025);
     let two = [lines.next().unwrap(), lines.next().unwrap()].join("\n");
     assert!(two.contains("0x81501004") && two.contains("0x81501025"), "{two}");
-    signal("-INT", &follow);
+    send(Signal::INT, &follow);
     assert_eq!((follow.wait().unwrap().code(), lines.next()), (Some(0), None));
     let ended = robot.run(&["log", "--last", "1", "--follow", "--for", "10ms"]);
     assert_eq!((ended.code, ended.out.lines().count()), (0, 1), "{ended:?}");
@@ -449,7 +450,7 @@ fn ctrl_c_at_the_prompt_without_a_terminal_gives_the_arm_back() {
     lines.write_all(b"exec robot TakeArm 0 1\nget I1\n").unwrap();
     let mut out = BufReader::new(shell.stdout.take().unwrap()).lines();
     while !out.next().unwrap().unwrap().contains("I1 = 0") {}
-    signal("-INT", &shell);
+    send(Signal::INT, &shell);
     let mut err = BufReader::new(shell.stderr.take().unwrap()).lines();
     while !err.next().unwrap().unwrap().contains("the robot was halted, and the arm was given back") {}
     robot.assert_at_rest_with_free_arm();
@@ -508,7 +509,7 @@ fn conditions_guard_and_repeat_a_command() {
     std::io::Write::write_all(child.stdin.as_mut().unwrap(), b"while I1 = 0 get I5\n").unwrap();
     let mut out = std::io::BufReader::new(child.stdout.take().unwrap());
     std::io::BufRead::read_line(&mut out, &mut String::new()).unwrap();
-    crate::common::virtual_robot::signal("-INT", &child);
+    send(Signal::INT, &child);
     std::io::copy(&mut out, &mut std::io::sink()).unwrap();
     assert_eq!(child.wait().unwrap().code(), Some(130));
 }

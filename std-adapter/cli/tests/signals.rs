@@ -1,16 +1,17 @@
 //! Signals, questions and checks: no command leaves an arm, a motor or a motion behind, and none moves by mistake.
 
 use std::io::{BufRead, BufReader, Read, Write};
-use std::process::{Child, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::thread;
 use std::time::Duration;
 
 use crate::common::fake::{Fake, usual};
 use crate::common::robot::Robot;
 use crate::common::tmux::Terminal;
-use crate::common::virtual_robot::{Virtual, signal};
+use crate::common::virtual_robot::Virtual;
 use crate::common::{Run, bare, bcap, bcap_with, command};
 use bcap_sim::{Config, Profile, Scenario};
+use bcap_tests::process::{Signal, send};
 use bcap_tests::proxy::Relay;
 
 /// A motion that takes more than ten seconds.
@@ -34,12 +35,12 @@ fn slow_to_take(delay_ms: u32) -> Robot {
 }
 
 /// Starts a command, and sends it a signal when the arm is taken.
-fn signal_at_take_arm(robot: &Robot, args: &[&str], name: &str) -> Run {
+fn signal_at_take_arm(robot: &Robot, args: &[&str], signal: Signal) -> Run {
     let child = command(args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     while robot.served.application().arm_owner().is_none() {
         thread::sleep(Duration::from_millis(1));
     }
-    signal(name, &child);
+    send(signal, &child);
     child.wait_with_output().unwrap().into()
 }
 
@@ -52,13 +53,13 @@ fn ctrl_z_halts_the_robot_and_gives_the_arm_back_before_the_process_is_suspended
         let mut child = robot.spawn(args);
         child.stdin.as_mut().unwrap().write_all(lines.as_bytes()).unwrap();
         robot.wait_for_motion();
-        signal("-TSTP", &child);
+        send(Signal::TSTP, &child);
         while state(&child) != 'T' {
             thread::sleep(Duration::from_millis(1));
         }
         // while it is suspended
         robot.assert_at_rest_with_free_arm();
-        signal("-CONT", &child);
+        send(Signal::CONT, &child);
         let run: Run = child.wait_with_output().unwrap().into();
         assert_eq!(run.code, 130, "{run:?}");
         assert!(run.err.contains(INTERRUPTED) && run.err.contains("Ctrl-Z had ended the command"), "{run:?}");
@@ -75,7 +76,9 @@ fn every_signal_that_can_be_handled_ends_a_motion_in_order() {
     {
         let child = robot.spawn(&SLOW);
         robot.wait_for_motion();
-        signal(name, &child);
+        // the last two have no name that `send` takes
+        let sent = Command::new("kill").args([name, &child.id().to_string()]).status().unwrap();
+        assert!(sent.success(), "{name}");
         let run: Run = child.wait_with_output().unwrap().into();
         assert_eq!(run.code, 130, "{name}: {run:?}");
         assert!(run.err.contains(INTERRUPTED), "{name}: {run:?}");
@@ -134,12 +137,12 @@ fn a_shell_that_was_suspended_goes_on() {
     let mut stdin = child.stdin.take().unwrap();
     stdin.write_all(b"move 'J(90, 45, 90, 0, 45, 0)' --speed 1\n").unwrap();
     robot.wait_for_motion();
-    signal("-TSTP", &child);
+    send(Signal::TSTP, &child);
     while state(&child) != 'T' {
         thread::sleep(Duration::from_millis(1));
     }
     robot.assert_at_rest_with_free_arm();
-    signal("-CONT", &child);
+    send(Signal::CONT, &child);
     stdin.write_all(b"get I1\n").unwrap();
     drop(stdin);
     let run: Run = child.wait_with_output().unwrap().into();
@@ -164,7 +167,7 @@ fn a_replay_that_is_ended_during_a_motion_leaves_nothing() {
     let (script, capture) = (script.to_str().unwrap(), capture.to_str().unwrap());
     let recorded = Virtual::start(&[]).run(&["run", script, "--write", capture]);
     assert_eq!(recorded.code, 0, "{recorded:?}");
-    for name in ["-INT", "-TERM"] {
+    for signal in [Signal::INT, Signal::TERM] {
         let robot = Virtual::start(&[]);
         let slow = robot.run(&["exec", "robot", "ExtSpeed", "1"]);
         assert_eq!(slow.code, 0, "{slow:?}");
@@ -172,7 +175,7 @@ fn a_replay_that_is_ended_during_a_motion_leaves_nothing() {
         let allow = allow.map(|name| ["--allow", name]).concat();
         let child = robot.spawn(&[&["replay", capture, "--fast"], &allow[..]].concat());
         robot.wait_for_motion();
-        signal(name, &child);
+        send(signal, &child);
         let run: Run = child.wait_with_output().unwrap().into();
         assert!(run.code == 130 && run.err.contains("its effects on the robot were ended"), "{run:?}");
         robot.assert_at_rest_with_free_arm();
@@ -182,26 +185,26 @@ fn a_replay_that_is_ended_during_a_motion_leaves_nothing() {
 
 #[test]
 fn a_command_that_is_ended_while_it_takes_the_arm_gives_it_back() {
-    for name in ["-TERM", "-HUP", "-QUIT", "-INT"] {
+    for signal in [Signal::TERM, Signal::HUP, Signal::QUIT, Signal::INT] {
         for protocol in ["udp", "tcp"] {
             let robot = slow_to_take(LATE);
             let address = if protocol == "udp" { &robot.udp } else { &robot.tcp };
-            let run = signal_at_take_arm(&robot, &["exec", "robot", "TakeArm", "0", "1", "--robot", address], name);
-            assert!(run.code == 130 && run.err.contains("interrupted: the arm was given back"), "{name}: {run:?}");
-            assert_eq!(robot.served.application().arm_owner(), None, "{name} {protocol}");
+            let run = signal_at_take_arm(&robot, &["exec", "robot", "TakeArm", "0", "1", "--robot", address], signal);
+            assert!(run.code == 130 && run.err.contains("interrupted: the arm was given back"), "{signal:?}: {run:?}");
+            assert_eq!(robot.served.application().arm_owner(), None, "{signal:?} {protocol}");
         }
     }
 }
 
 #[test]
 fn doctor_that_is_ended_while_it_takes_the_arm_gives_it_back() {
-    for name in ["-TERM", "-INT"] {
+    for signal in [Signal::TERM, Signal::INT] {
         let robot = slow_to_take(LATE);
         let ports = [robot.tcp.rsplit(':').next().unwrap(), robot.udp.rsplit(':').next().unwrap()];
         let args = ["doctor", "--tcp-port", ports[0], "--udp-port", ports[1], "--robot", &robot.tcp];
-        let run = signal_at_take_arm(&robot, &args, name);
-        assert!(run.code == 130 && run.err.contains("interrupted"), "{name}: {run:?}");
-        assert_eq!(robot.served.application().arm_owner(), None, "{name}");
+        let run = signal_at_take_arm(&robot, &args, signal);
+        assert!(run.code == 130 && run.err.contains("interrupted"), "{signal:?}: {run:?}");
+        assert_eq!(robot.served.application().arm_owner(), None, "{signal:?}");
     }
 }
 
@@ -354,7 +357,7 @@ fn a_link_that_is_silent_during_a_motion_is_reported_before_the_call_fails() {
     line.clear();
     err.read_line(&mut line).unwrap();
     assert!(line.contains("answers again"), "{line}");
-    signal("-INT", &child);
+    send(Signal::INT, &child);
     let mut rest = String::new();
     err.read_to_string(&mut rest).unwrap();
     assert!(rest.contains(INTERRUPTED), "{rest}");

@@ -10,6 +10,7 @@ use std::process::{Command, Stdio};
 use crate::common::running::Running;
 use crate::common::virtual_robot::Virtual;
 use crate::common::{Run, bcap, command};
+use bcap_tests::process::{Signal, send};
 use serde_json::Value;
 
 /// A virtual controller, and the command over each of its links.
@@ -245,7 +246,7 @@ fn a_fifo_in_the_folder_blocks_neither_b_cap_nor_rac_nor_signals() {
     assert_eq!(copy.code, 1, "{copy:?}");
     assert_eq!(sim.rac(&["get", "I1"]).out, "I1 = 0\n");
     assert_eq!(sim.udp(&["get", "I1"]).out, "I1 = 0\n");
-    sim.0.end("-TERM");
+    sim.0.end(Signal::TERM);
 }
 
 #[cfg(unix)]
@@ -285,7 +286,7 @@ fn an_invalid_scenario_is_reported() {
 #[cfg(unix)]
 #[test]
 fn signals_end_sim_with_0() {
-    for signal in ["-INT", "-TERM"] {
+    for signal in [Signal::INT, Signal::TERM] {
         let mut sim = Sim::start(&[]);
         // a connected client does not delay the exit
         let mut watch = command(&["watch", "I1", "--interval", "1", "--robot", &sim.0.tcp]);
@@ -306,7 +307,7 @@ fn a_watch_ends_with_0_when_it_is_interrupted() {
         command(&["watch", "I1", "--interval", "1", "--robot", &sim.0.tcp]).stdout(Stdio::piped()).spawn().unwrap();
     let mut out = BufReader::new(watch.stdout.take().unwrap());
     out.read_line(&mut String::new()).unwrap();
-    assert!(Command::new("kill").args(["-INT", &watch.id().to_string()]).status().unwrap().success());
+    send(Signal::INT, &watch);
     out.read_to_string(&mut String::new()).unwrap();
     assert_eq!(watch.wait().unwrap().code(), Some(0));
 }

@@ -12,6 +12,7 @@ use crate::common::{Run, bcap, command};
 use bcap_core::hresult::HResult;
 use bcap_sim::{Controller, Profile, Scenario, SlaveCycle, TaskStatus};
 use bcap_std::server::Limits;
+use bcap_tests::process::{Signal, send};
 use bcap_tests::real_time::repeated;
 use bcap_tests::served::Served;
 use bcap_tests::slowed::Slowed;
@@ -76,10 +77,6 @@ fn assert_at_rest(sim: &Served<Slowed>, first: Option<HResult>) {
     assert_eq!((controller.slave_mode(), controller.arm_owner(), controller.is_moving()), (0, None, false));
     assert!(!controller.motor_is_on());
     assert_eq!(controller.errors().last().map(|error| error.code), first);
-}
-
-fn kill(signal: &str, child: &Child) {
-    assert!(Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap().success());
 }
 
 /// Starts to stream a file.
@@ -273,7 +270,7 @@ fn a_stream_of_another_client_is_not_ended() {
             assert!(owner.is_some() && controller.arm_owner() == owner && controller.slave_mode() != 0, "{args:?}");
             assert!(controller.motor_is_on(), "{args:?}");
         }
-        kill("-INT", &other);
+        send(Signal::INT, &other);
         let ended: Run = other.wait_with_output().unwrap().into();
         assert!(ended.err.contains("the robot has stopped and the arm is released"), "{ended:?}");
         assert_at_rest(&sim, None);
@@ -287,7 +284,7 @@ fn ctrl_c_slows_down_within_the_limits_and_releases_the_arm() {
         let ramp = ramp("ramp.csv", 60);
         let mut child = play(&sim, &ramp);
         await_speed(&sim, &mut child, 9.9);
-        kill("-INT", &child);
+        send(Signal::INT, &child);
         let mut err = String::new();
         child.stderr.take().unwrap().read_to_string(&mut err).unwrap();
         assert_eq!(child.wait().unwrap().code(), Some(130), "{err}");
@@ -326,7 +323,7 @@ fn a_lost_terminal_stops_a_stream_after_the_motion_to_its_start() {
         }
         let mut child = env.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         await_speed(&sim, &mut child, 9.0);
-        kill("-HUP", &child);
+        send(Signal::HUP, &child);
         let output = child.wait_with_output().unwrap();
         let err = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(130), "{err}");
@@ -342,12 +339,12 @@ fn a_second_ctrl_c_halts_over_its_own_connection() {
         let ramp = ramp("ramp2.csv", 60);
         let mut child = play(&sim, &ramp);
         await_speed(&sim, &mut child, 9.0);
-        kill("-INT", &child);
+        send(Signal::INT, &child);
         let mut err = BufReader::new(child.stderr.take().unwrap());
         let mut line = String::new();
         err.read_line(&mut line).unwrap();
         assert!(line.contains("stopping"), "{line}");
-        kill("-INT", &child);
+        send(Signal::INT, &child);
         let mut rest = String::new();
         err.read_to_string(&mut rest).unwrap();
         assert_eq!(child.wait().unwrap().code(), Some(130), "{rest}");

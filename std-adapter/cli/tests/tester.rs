@@ -3,9 +3,9 @@
 
 use crate::common::bcap;
 use crate::common::fake::{Answer, Fake, usual, value};
-use crate::common::virtual_robot;
 use crate::common::virtual_robot::Virtual;
 use bcap_core::bcap::{Frame, FunctionId};
+use bcap_tests::process::{Signal, send};
 
 fn answer(request: &Frame<'_>) -> Answer {
     match request.function() {
@@ -162,7 +162,7 @@ fn messages_are_fetched_while_the_command_waits() {
     });
     causes.unwrap();
     assert!(line.contains("\"source\":\"RC8\"") && line.contains("\"number\":\"-"), "{line}");
-    virtual_robot::signal("-INT", &waiting);
+    send(Signal::INT, &waiting);
     std::io::copy(&mut out, &mut std::io::sink()).unwrap();
     assert_eq!(waiting.wait().unwrap().code(), Some(0));
 }

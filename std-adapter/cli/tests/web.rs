@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 
 use crate::common::running::Running;
 use crate::common::{bare, bcap};
+use bcap_tests::process::{Signal, send};
 
 /// A running `bcap web`.
 struct Web {
@@ -45,8 +46,7 @@ impl Web {
 
     /// Ends it as Ctrl-C does, and returns its last lines and its exit code.
     fn end(mut self) -> (String, Option<i32>) {
-        let id = self.process.id().to_string();
-        assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
+        send(Signal::INT, &self.process);
         let mut rest = String::new();
         self.lines.read_to_string(&mut rest).unwrap();
         (rest, self.process.wait().unwrap().code())

@@ -7,6 +7,7 @@ use std::process::{Child, Command, Stdio};
 
 use crate::common::Robot;
 use bcap_tests::mosquitto::Mosquitto;
+use bcap_tests::process::{Signal, send};
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_bcap-fleet");
 
@@ -68,7 +69,7 @@ async fn the_configuration_of_the_page_runs() {
         waiting.retain(|word| line["event"] != *word && line["controller"] != *word);
     }
     reload(&fleet, &mut lines, Path::new(file));
-    Command::new("kill").args(["-TERM", &fleet.id().to_string()]).status().unwrap();
+    send(Signal::TERM, &fleet);
     assert_eq!(fleet.wait().unwrap().code(), Some(0));
     assert!(folder.path().join("buffer").is_dir());
 }
@@ -78,7 +79,7 @@ fn reload(fleet: &Child, lines: &mut impl Iterator<Item = String>, file: &Path) 
     let good = fs::read_to_string(file).unwrap();
     let outcome = |lines: &mut dyn Iterator<Item = String>, config: &str| {
         fs::write(file, config).unwrap();
-        Command::new("kill").args(["-HUP", &fleet.id().to_string()]).status().unwrap();
+        send(Signal::HUP, fleet);
         let mut events = lines.map(|line| serde_json::from_str::<serde_json::Value>(&line).unwrap());
         events.find(|event| event["event"].as_str().unwrap().starts_with("reload")).unwrap()
     };

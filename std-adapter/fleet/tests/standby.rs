@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 use crate::common::{Robot, Running, Subscriber, counter, folder, now_ms};
 use bcap_fleet::Event;
 use bcap_tests::mosquitto::Mosquitto;
+use bcap_tests::process::{Signal, send};
 use bcap_tests::proxy::Relay;
 use serde_json::{Value, json};
 use tempfile::NamedTempFile;
@@ -225,10 +226,6 @@ impl Process {
         Self { child, role, _config: file }
     }
 
-    fn signal(&self, signal: &str) {
-        assert!(Command::new("kill").args([signal, &self.child.id().to_string()]).status().unwrap().success());
-    }
-
     /// Returns whether it is active; `None` before it knows.
     fn role(&self) -> Option<bool> {
         *self.role.borrow()
@@ -277,14 +274,14 @@ async fn processes_that_are_killed_or_stopped_are_replaced() {
     let [mut killed, mut stopped, mut restarted] = [const { Vec::new() }; 3];
     for _ in 0..count {
         settle(&mut active, &mut other).await;
-        killed.push(takeover(&mut host, || active.signal("-KILL")).await);
+        killed.push(takeover(&mut host, || send(Signal::KILL, &active.child)).await);
         active = std::mem::replace(&mut other, Process::start(&text));
     }
     print("SIGKILL", killed);
     for _ in 0..count {
         settle(&mut active, &mut other).await;
-        stopped.push(takeover(&mut host, || active.signal("-STOP")).await);
-        active.signal("-CONT");
+        stopped.push(takeover(&mut host, || send(Signal::STOP, &active.child)).await);
+        send(Signal::CONT, &active.child);
     }
     print("SIGSTOP", stopped);
     for _ in 0..count {

@@ -3,6 +3,7 @@
 use std::io::{BufRead, BufReader, Read};
 use std::process::{Child, ChildStderr, ChildStdout, Command, Stdio};
 
+use bcap_tests::process::{Signal, send};
 use serde_json::Value;
 
 use crate::common::{Run, bcap, command};
@@ -93,8 +94,8 @@ impl Running {
     }
 
     /// Sends a signal, waits for the exit, and returns the rest of the output.
-    pub(crate) fn end(&mut self, name: &str) -> String {
-        signal(name, &self.child);
+    pub(crate) fn end(&mut self, signal: Signal) -> String {
+        send(signal, &self.child);
         let mut rest = String::new();
         self.out.read_to_string(&mut rest).unwrap();
         assert_eq!(self.child.wait().unwrap().code(), Some(0));
@@ -103,7 +104,7 @@ impl Running {
 
     /// Ends the process by SIGINT, and returns its output after the first line.
     pub(crate) fn interrupt(mut self) -> Run {
-        signal("-INT", &self.child);
+        send(Signal::INT, &self.child);
         let (mut out, mut err) = (String::new(), String::new());
         self.out.read_to_string(&mut out).unwrap();
         self.err.as_mut().unwrap().read_to_string(&mut err).unwrap();
@@ -121,9 +122,4 @@ impl Drop for Running {
 fn address(ready: &str, key: &str) -> String {
     let found = ready.split_whitespace().find_map(|word| word.strip_prefix(key)?.strip_prefix('='));
     found.unwrap_or_default().to_owned()
-}
-
-/// Sends a signal to a process.
-pub(crate) fn signal(name: &str, child: &Child) {
-    assert!(Command::new("kill").args([name, &child.id().to_string()]).status().unwrap().success());
 }

@@ -3,8 +3,8 @@
 use std::process::{Child, Command, Stdio};
 
 use super::running::Running;
-pub(crate) use super::running::signal;
 use super::{Run, bcap, bcap_with};
+use bcap_tests::process::Signal;
 
 /// A virtual controller; dropping this kills it.
 pub(crate) struct Virtual {
@@ -31,8 +31,8 @@ impl Virtual {
     }
 
     /// Ends the controller with a signal, and waits until it has written its files.
-    pub(crate) fn end(&mut self, name: &str) {
-        self.process.end(name);
+    pub(crate) fn end(&mut self, signal: Signal) {
+        self.process.end(signal);
     }
 
     /// Runs lines as a script.
