@@ -176,7 +176,9 @@ impl fmt::Display for EncodeError {
             Self::Full => f.write_str("the value does not fit the buffer"),
             Self::TooDeep => f.write_str("VARIANTs are nested too deep"),
             Self::Unsendable(vartype) => write!(f, "a value of VARTYPE 0x{vartype:04x} cannot be sent"),
-            Self::OutOfRange(vartype) => write!(f, "a value is out of the range of VARTYPE 0x{vartype:04x}"),
+            Self::OutOfRange(vartype) => {
+                write!(f, "a number is not finite, or a value is out of the range of VARTYPE 0x{vartype:04x}")
+            }
         }
     }
 }

@@ -49,6 +49,12 @@ impl Instant {
     pub const fn saturating_add(self, duration: Duration) -> Self {
         Self(self.0.saturating_add(micros(duration)))
     }
+
+    /// Returns `self - duration`; before the origin it is [`ZERO`](Self::ZERO).
+    #[must_use]
+    pub const fn saturating_sub(self, duration: Duration) -> Self {
+        Self(self.0.saturating_sub(micros(duration)))
+    }
 }
 
 /// Returns a duration in microseconds, saturating.
@@ -189,6 +195,8 @@ mod tests {
         assert_eq!(Instant::from_millis(u64::MAX), Instant::FAR_FUTURE);
         assert_eq!(Instant::ZERO.saturating_since(a), Duration::ZERO);
         assert_eq!(a.saturating_since(Instant::ZERO), Duration::from_millis(2));
+        assert_eq!(a.saturating_sub(Duration::from_micros(5)).as_micros(), 1995);
+        assert_eq!(a.saturating_sub(Duration::MAX), Instant::ZERO);
     }
 
     #[test]

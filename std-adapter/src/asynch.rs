@@ -126,7 +126,7 @@ pub(crate) async fn connect_datagrams<A: ToSocketAddrs + Debug>(peer: A) -> Resu
 
 /// Resolves a name to one or more addresses.
 async fn addresses<A: ToSocketAddrs + Debug>(peer: A) -> Result<Vec<SocketAddr>, ConnectError> {
-    let name = format!("{peer:?}");
+    let name = connect::host_and_port(&peer);
     let found = match lookup_host(peer).await {
         Ok(found) => found.collect::<Vec<_>>(),
         Err(source) => return Err(ConnectError::Resolve { name, source }),

@@ -129,6 +129,17 @@ pub enum ConnectError {
 }
 
 impl ConnectError {
+    /// Returns the text with the error of the operating system.
+    pub(crate) fn in_full(&self) -> String {
+        match self {
+            Self::Resolve { source, .. }
+            | Self::Connect { source, .. }
+            | Self::Setup(source)
+            | Self::Serial { source, .. } => format!("{self}: {source}"),
+            Self::NoSerial { .. } => self.to_string(),
+        }
+    }
+
     /// Returns whether the peer did not answer in time.
     #[must_use]
     pub fn is_timeout(&self) -> bool {
@@ -139,13 +150,14 @@ impl ConnectError {
 /// Keeps the kind of the error of the operating system, and writes both errors in one line.
 impl From<ConnectError> for io::Error {
     fn from(error: ConnectError) -> Self {
-        match &error {
+        let kind = match &error {
             ConnectError::Resolve { source, .. }
             | ConnectError::Connect { source, .. }
             | ConnectError::Setup(source)
-            | ConnectError::Serial { source, .. } => Self::new(source.kind(), format!("{error}: {source}")),
-            ConnectError::NoSerial { .. } => Self::new(io::ErrorKind::Unsupported, error),
-        }
+            | ConnectError::Serial { source, .. } => source.kind(),
+            ConnectError::NoSerial { .. } => io::ErrorKind::Unsupported,
+        };
+        Self::new(kind, error.in_full())
     }
 }
 
@@ -154,7 +166,7 @@ pub(crate) fn first_address<A: ToSocketAddrs + Debug, T>(
     name: A,
     mut connect: impl FnMut(SocketAddr) -> io::Result<T>,
 ) -> Result<T, ConnectError> {
-    let text = format!("{name:?}");
+    let text = host_and_port(&name);
     let unresolved = |source| ConnectError::Resolve { name: text.clone(), source };
     let mut last = None;
     for address in name.to_socket_addrs().map_err(unresolved)? {
@@ -164,6 +176,11 @@ pub(crate) fn first_address<A: ToSocketAddrs + Debug, T>(
         }
     }
     Err(last.unwrap_or_else(|| unresolved(no_address())))
+}
+
+/// Returns the text of a name for errors: `robot.local:5007` for `("robot.local", 5007)`.
+pub(crate) fn host_and_port(name: &impl Debug) -> String {
+    format!("{name:?}").replace("\", ", ":").replace(['(', ')', '"'], "")
 }
 
 pub(crate) fn no_address() -> io::Error {

@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use bcap_core::bcap::FunctionId;
+use bcap_core::bcap::client::ClientError;
 use bcap_core::error::EncodeError;
 use bcap_core::hresult::HResult;
 use bcap_core::procedure::{Halt, HaltAnswer, NotRecovered, StepCause, StepError};
@@ -85,7 +86,8 @@ pub enum Error {
     /// The controller did not accept the connection.
     #[error(transparent)]
     Connect(#[from] ConnectError),
-    /// The controller refused a call, which had no effect.
+    /// The controller refused a call, which had no effect. Only after [`E_TIMEOUT`](HResult::E_TIMEOUT) it may have one: the
+    /// controller has given the call up, and may still execute it.
     #[error("{function} of {object}: the controller refused: {}", explained(*code))]
     Refused {
         /// The called function.
@@ -153,6 +155,21 @@ impl Error {
         }
     }
 
+    /// Returns whether the controller may have executed the call that failed: it has no reply that says otherwise. A motion may be
+    /// under way then.
+    #[must_use]
+    pub const fn may_have_run(&self) -> bool {
+        use ClientError::{Busy, Encode, TooLarge};
+        match self {
+            Self::Refused { code, .. } => matches!(*code, HResult::E_TIMEOUT),
+            Self::NoReply { source, .. } => !matches!(source, CallError::Client(Encode(_) | TooLarge { .. } | Busy)),
+            Self::Stream(_) | Self::NotHalted(_) | Self::NotRecovered(_) | Self::Reply { .. } | Self::Value { .. } => {
+                true
+            }
+            _ => false,
+        }
+    }
+
     /// Returns whether the connection is lost, so that a new [`Controller`](crate::blocking::Controller) is needed.
     #[must_use]
     pub const fn is_lost(&self) -> bool {
@@ -167,6 +184,7 @@ impl Error {
         let object = object.to_owned();
         match error {
             CallError::Refused(code) => Self::Refused { function, object, code },
+            CallError::Client(ClientError::Encode(error)) => Self::Argument(error),
             source => Self::NoReply { function, object, source },
         }
     }
@@ -185,7 +203,7 @@ impl Error {
 mod tests {
     use std::io;
 
-    use bcap_core::bcap::client::{ClientError, Timeout};
+    use bcap_core::bcap::client::Timeout;
     use bcap_core::slave::PoseError;
     use bcap_core::variant::Variant;
 

@@ -88,11 +88,15 @@ fn literal(text: &str) -> Target {
         return Target::UNKNOWN;
     };
     match (kind, numbers.as_slice()) {
-        ("P" | "p", &[x, y, z, rx, ry, rz] | &[x, y, z, rx, ry, rz, _]) => {
-            Target::position(Position::new([x, y, z], [rx, ry, rz]))
+        ("P" | "p", &[x, y, z, rx, ry, rz]) => Target::position(Position::new([x, y, z], [rx, ry, rz])),
+        ("P" | "p", &[x, y, z, rx, ry, rz, fig]) => {
+            Position::from_array([x, y, z, rx, ry, rz, fig]).map_or(Target::UNKNOWN, Target::position)
         }
-        ("T" | "t", &[x, y, z, ox, oy, oz, ax, ay, az] | &[x, y, z, ox, oy, oz, ax, ay, az, _]) => {
+        ("T" | "t", &[x, y, z, ox, oy, oz, ax, ay, az]) => {
             Target::transform(Transform::new([x, y, z], [ox, oy, oz], [ax, ay, az]))
+        }
+        ("T" | "t", &[x, y, z, ox, oy, oz, ax, ay, az, fig]) => {
+            Transform::from_array([x, y, z, ox, oy, oz, ax, ay, az, fig]).map_or(Target::UNKNOWN, Target::transform)
         }
         ("J" | "j", joints @ [_, ..]) if joints.len() <= 8 => {
             let degrees = std::array::from_fn(|axis| joints.get(axis).copied().unwrap_or(0.0));
@@ -214,7 +218,9 @@ pub enum Plane {
 pub struct Move {
     way: Way,
     pass: Pass,
-    options: String,
+    speed: Option<f64>,
+    acceleration: Option<f64>,
+    deceleration: Option<f64>,
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -269,7 +275,7 @@ impl Move {
     }
 
     fn new(way: Way) -> Self {
-        Self { way, pass: Pass::default(), options: "NEXT".into() }
+        Self { way, pass: Pass::default(), speed: None, acceleration: None, deceleration: None }
     }
 
     /// Sets how exactly the motion ends; without it, exactly.
@@ -277,25 +283,33 @@ impl Move {
         Self { pass, ..self }
     }
 
-    /// Sets the speed in percent of the speed that the arm is set to.
+    /// Sets the speed in percent of the speed that the arm is set to. **Without it the motion has all of that speed**, while
+    /// `bcap move` takes 10 %.
     pub fn speed_percent(self, percent: f64) -> Self {
-        self.option("SPEED", percent)
+        Self { speed: Some(percent), ..self }
     }
 
-    /// Sets the acceleration in percent.
+    /// Sets the acceleration in percent; without it, as the arm is set.
     pub fn acceleration_percent(self, percent: f64) -> Self {
-        self.option("ACCEL", percent)
+        Self { acceleration: Some(percent), ..self }
     }
 
-    /// Sets the deceleration in percent.
+    /// Sets the deceleration in percent; without it, as the arm is set.
     pub fn deceleration_percent(self, percent: f64) -> Self {
-        self.option("DECEL", percent)
+        Self { deceleration: Some(percent), ..self }
     }
 
-    fn option(mut self, name: &str, value: f64) -> Self {
-        // writing to a string cannot fail; the controller refuses a value that is out of range
-        let _ = write!(self.options, ",{name}={value}");
-        self
+    /// Returns the options of the call.
+    fn options(&self) -> String {
+        let mut options = "NEXT".to_owned();
+        let percents = [("SPEED", self.speed), ("ACCEL", self.acceleration), ("DECEL", self.deceleration)];
+        for (name, percent) in percents {
+            if let Some(percent) = percent {
+                // writing to a string cannot fail; the controller refuses a value that is out of range
+                let _ = write!(options, ",{name}={percent}");
+            }
+        }
+        options
     }
 
     /// Returns the variable to read before the motion, to know where it ends.
@@ -323,7 +337,7 @@ impl Move {
 
     /// Returns the call that starts the motion.
     pub(crate) fn start(self) -> MotionStart<Self, String> {
-        let option = self.options.clone();
+        let option = self.options();
         match &self.way {
             Way::To(interpolation, _) => {
                 MotionStart::Move { interpolation: interpolation.number(), pose: self, option }
@@ -369,8 +383,7 @@ fn drive(axes: &[(u8, f64)], by: bool) -> Target {
 /// The pose of Robot_Move, or the parameter of a command.
 impl Encode for Move {
     fn encode(&self, out: &mut Writer<'_>) -> Result<(), EncodeError> {
-        let Self { way, pass, options } = self;
-        let options = options.as_str();
+        let Self { way, pass, .. } = self;
         match way {
             Way::To(_, Destination::Position(position)) => position.target(pass.number()).encode(out),
             Way::To(_, Destination::Joints(joints)) => joints.target(pass.number()).encode(out),
@@ -379,14 +392,14 @@ impl Encode for Move {
             Way::Circle { via, end } => format!("{via}, {pass} {end}").as_str().encode(out),
             Way::Drive { axes, .. } => {
                 let pairs: Vec<_> = axes.iter().map(|(axis, value)| format!("({axis}, {value})")).collect();
-                (format!("{pass} {}", pairs.join(", ")).as_str(), options).encode(out)
+                (format!("{pass} {}", pairs.join(", ")).as_str(), self.options().as_str()).encode(out)
             }
             Way::Approach(interpolation, destination, mm) => {
                 let (destination, length) = (destination.to_string(), format!("{pass} {mm}"));
-                (interpolation.number(), destination.as_str(), length.as_str(), options).encode(out)
+                (interpolation.number(), destination.as_str(), length.as_str(), self.options().as_str()).encode(out)
             }
             Way::Depart(interpolation, mm) => {
-                (interpolation.number(), format!("{pass} {mm}").as_str(), options).encode(out)
+                (interpolation.number(), format!("{pass} {mm}").as_str(), self.options().as_str()).encode(out)
             }
             // its arguments are in the call
             Way::Rotate { .. } => ().encode(out),
@@ -410,6 +423,8 @@ mod tests {
         assert_eq!(written(&motion), "\"@E P1\"");
         let MotionStart::Move { interpolation: 2, option, .. } = motion.start() else { panic!() };
         assert_eq!(option, "NEXT,SPEED=12.5,ACCEL=5,DECEL=1");
+        // each option is sent once
+        assert_eq!(Move::line("P1").speed_percent(50.0).speed_percent(5.0), Move::line("P1").speed_percent(5.0));
         let joints = "VARIANT[R8[1.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], I4(2), I4(-2)]";
         assert_eq!(written(&Move::joint(Joints::new([1.0, 2.0]))), joints);
         for (pass, text) in [(Pass::Commanded, "@0"), (Pass::Near, "@P"), (Pass::Within(30), "@30")] {
@@ -424,14 +439,25 @@ mod tests {
         let target = |to: &str| Move::joint(to).target(None);
         assert_eq!(target(" J(1, 2.5) "), Target::joints(Joints::new([1.0, 2.5]), 2));
         let position = Position::new([400.0, 0.0, 300.0], [180.0, 0.0, -90.0]);
-        for text in ["P(400,0,300,180,0,-90)", "p(400, 0, 300, 180, 0, -90, 5)"] {
-            assert_eq!(target(text), Target::position(position), "{text}");
-        }
+        assert_eq!(target("P(400,0,300,180,0,-90)"), Target::position(position));
+        assert_eq!(target("p(400, 0, 300, 180, 0, -90, 5)"), Target::position(position.figure(5)));
         let down = Transform::new([1.0, 2.0, 3.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]);
-        assert_eq!(target("T(1,2,3,0,1,0,0,0,-1,5)"), Target::transform(down));
-        for text in
-            ["P(1,2)", "J()", "J(1,2,3,4,5,6,7,8,9)", "J(1,x)", "J(1", "V1", "P1 EX((7,30))", "P-1", "P[1", "", "é"]
-        {
+        assert_eq!(target("T(1,2,3,0,1,0,0,0,-1)"), Target::transform(down));
+        assert_eq!(target("T(1,2,3,0,1,0,0,0,-1,5)"), Target::transform(down.figure(5)));
+        for text in [
+            "P(1,2)",
+            "P(1,2,3,4,5,6,0.5)",
+            "J()",
+            "J(1,2,3,4,5,6,7,8,9)",
+            "J(1,x)",
+            "J(1",
+            "V1",
+            "P1 EX((7,30))",
+            "P-1",
+            "P[1",
+            "",
+            "é",
+        ] {
             assert_eq!((target(text), Move::joint(text).variable()), (Target::UNKNOWN, None), "{text}");
         }
         for (text, name) in [("P1", "P1"), ("j[3]", "J3"), (" T 2 ", "T2")] {

@@ -22,7 +22,7 @@ use std::time::Duration;
 use bcap_core::bcap::call::{
     self, Any, Call, ControllerHandle, ExtensionHandle, FileHandle, Reply, RobotHandle, TaskHandle, VariableHandle,
 };
-use bcap_core::bcap::client::Timing;
+use bcap_core::bcap::client::{ClientError, Timing};
 use bcap_core::bcap::{FrameWriter, FunctionId, Object};
 use bcap_core::error::EncodeError;
 use bcap_core::hresult::HResult;
@@ -44,6 +44,8 @@ use crate::task::{TaskStart, TaskStatus, TaskStop};
 use crate::{CallError, RunError};
 
 pub(crate) use self::any::RuntimeCall;
+#[cfg(feature = "tokio")]
+pub(crate) use self::arm::ArmId;
 use self::arm::ArmState;
 pub(crate) use self::arm::Left;
 pub use self::arm::Recovery;
@@ -62,6 +64,8 @@ pub(crate) struct Session<X> {
     robot_name: Option<String>,
     objects: Objects,
     arm: ArmState,
+    /// How often the arm was taken.
+    takes: u64,
     /// Whether the end of the session leaves the arm as it is.
     keep: bool,
     /// The timing of the client without the limit that applies now.
@@ -149,6 +153,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
             robot_name: None,
             objects: Objects::default(),
             arm: ArmState::default(),
+            takes: 0,
             keep: false,
             usual_timing: None,
             link: LinkState::default(),
@@ -211,8 +216,12 @@ impl<X: Transport<Error = io::Error>> Session<X> {
 
     #[cold]
     fn observe_failure(&mut self, error: &CallError) {
+        let timing = self.connection.client().timing();
+        let waited = timing.attempt_timeout.saturating_mul(timing.attempts.into()).min(timing.deadline);
+        // how long the call has waited at most
+        let waited = if matches!(error, CallError::Client(ClientError::Timeout(_))) { waited } else { Duration::ZERO };
         let now = self.connection.transport().now();
-        self.link.silent_since.get_or_insert(now);
+        self.link.silent_since.get_or_insert(now.saturating_sub(waited));
         if !error.is_recoverable() {
             self.link.lost.get_or_insert_with(|| error.to_string());
             self.link.is_closed |= is_closed(error);
@@ -223,6 +232,12 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     #[cfg(feature = "tokio")]
     pub(crate) const fn set_closed(&mut self) {
         self.link.is_closed = true;
+    }
+
+    /// Gives the connection up, because it does not answer.
+    #[cfg(feature = "tokio")]
+    pub(crate) fn abandon(&mut self) {
+        self.link.lost.get_or_insert_with(|| "the controller did not answer".to_owned());
     }
 
     /// Returns why the connection can no longer be used, if so, as the error of a call that is not sent.
@@ -406,11 +421,24 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         let robot = self.robot().await?;
         // before the call, so that the arm is given back even if the call is abandoned
         self.arm.taken = true;
-        let taken = self.run(ROBOT, procedure::prepare_robot(robot, [0, 1], false)).await;
-        if taken.is_err() && self.link.lost.is_none() {
-            self.arm.taken = false;
+        self.count_take();
+        let taken = self.connection.run(procedure::prepare_robot(robot, [0, 1], false)).await;
+        let unsettled = taken.as_ref().err().map(|error| error.error.unsettled);
+        let taken = self.ended(ROBOT, taken);
+        match unsettled {
+            None => {}
+            Some(false) => self.arm.taken = false,
+            Some(true) if self.link.lost.is_none() => self.make_up().await,
+            Some(true) => {}
         }
         taken
+    }
+
+    /// Gives an arm back that a procedure could not give back itself.
+    async fn make_up(&mut self) {
+        if let Err(error) = self.end_arm().await {
+            tracing::warn!(%error, "the arm was not given back");
+        }
     }
 
     /// Switches the motor on or off, and waits until it is.
@@ -516,10 +544,17 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         };
     }
 
-    /// Halts the robot and waits until it rests.
+    /// Halts the robot by one call; [`halt_and_verify`](Self::halt_and_verify) waits until it rests. The call is repeated while the
+    /// controller executes one that was given up.
     pub(crate) async fn halt(&mut self) -> Result<Halted, Error> {
         let robot = self.robot().await?;
-        self.call(ROBOT, call::robot_halt(robot, "")).await?;
+        let until = self.busy_limit();
+        loop {
+            let halted = self.call(ROBOT, call::robot_halt(robot, "")).await.map(drop);
+            if !self.waits_while_busy(&halted, until).await {
+                break halted?;
+            }
+        }
         self.set_moving(false);
         Ok(match self.connection.last_result() {
             Some(HResult::S_FALSE) => Halted::NothingMoved,

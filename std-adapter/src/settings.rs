@@ -208,7 +208,9 @@ impl Settings {
         Self { service, ..self }
     }
 
-    /// Sets how the socket connects.
+    /// Sets how the socket connects, and the time limit of an attempt of a call; it is at least four times
+    /// [`ServiceOptions::watchdog`]. A whole call may take a second more than [`ServiceOptions::invoke_timeout`], whatever deadline
+    /// the options have: limit a single call by `Controller::within`.
     #[must_use]
     pub fn options(self, options: Options) -> Self {
         Self { options, ..self }

@@ -24,6 +24,7 @@ mod outages;
 mod procedures;
 mod programs;
 mod rac;
+mod rare_orders;
 mod reconnection;
 mod recovery;
 mod roundtrip;

@@ -55,6 +55,9 @@ pub struct StepError {
     /// Whether the procedure has undone its effects, as far as the controller allowed it. Over a lost connection it cannot: a
     /// motion may go on, the arm may stay taken. What a halt has stopped stays stopped.
     pub undone: bool,
+    /// Whether a call that undoes an effect may not have been carried out, because it has no reply or was refused, or the
+    /// connection is lost: a motion may go on, the motor may be on, the arm may be taken.
+    pub unsettled: bool,
 }
 
 /// Why a call of a procedure has failed.
@@ -76,10 +79,14 @@ pub enum StepCause {
 }
 
 impl StepCause {
-    /// Tells whether the controller may have executed the call. Only a refused call, and one that was not sent, certainly
-    /// had no effect.
+    /// Tells whether the controller may have executed the call. Only a call that was not sent, and a refused one, certainly had
+    /// no effect; with E_TIMEOUT a controller gives up a call that may go on.
     pub(super) const fn may_have_run(&self) -> bool {
-        !matches!(self, Self::Refused(_) | Self::Failed(Failure::NotSent | Failure::Closed))
+        match self {
+            Self::Refused(code) => matches!(*code, HResult::E_TIMEOUT),
+            Self::Failed(failure) => !matches!(failure, Failure::NotSent | Failure::Closed),
+            _ => true,
+        }
     }
 }
 

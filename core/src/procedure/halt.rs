@@ -138,7 +138,8 @@ impl fmt::Display for StoppedTasks {
 /// If Robot_Halt is refused, it stops the tasks of the controller and halts again. It also stops them if the robot still
 /// moves after the time limit and SysState says that a task runs. The tasks are stopped by KillAll. If the controller
 /// refuses that, or after the time limit still refuses Robot_Halt or moves the robot by a task, they are stopped by
-/// Task_Stop of each task that is neither ready nor missing; a Task_Stop that fails is repeated once.
+/// Task_Stop of each task that is neither ready nor missing; a Task_Stop that fails is repeated once. While the controller is busy
+/// with a call that was given up, each call is repeated, for up to 5 s in all.
 ///
 /// The robot rests if its joints do not change and, outside of Slave Mode, SysState reports no motion. A SysState or a
 /// slvGetMode that is refused counts as unknown; then the joints alone decide.
@@ -304,6 +305,7 @@ impl HaltSteps {
 impl Steps for HaltSteps {
     type Output = Halt;
     const KEEPS_OBJECTS: bool = false;
+    const REPEATS: bool = true;
 
     fn next(&self) -> Next<'_> {
         let Handles { controller, robot } = self.handles;
@@ -394,7 +396,10 @@ impl Steps for HaltSteps {
             return false;
         }
         self.step = match (self.step, cause) {
-            (Step::Halt, StepCause::Refused(HResult::E_HANDLE | HResult::E_NOT_CONNECTED)) => return false,
+            // no task is the reason
+            (Step::Halt, StepCause::Refused(HResult::E_HANDLE | HResult::E_NOT_CONNECTED | HResult::E_BUSY_PROC)) => {
+                return false;
+            }
             (Step::Halt, StepCause::Refused(code)) => {
                 self.answer = HaltAnswer::Refused(*code);
                 match self.stage {

@@ -25,7 +25,7 @@ use core::time::Duration;
 use super::action::Procedure;
 use super::failure::{StepCause, StepError};
 use super::provider::Handles;
-use super::queue::{AT_REST, Motion, MotionConfig, MotionQueue, within};
+use super::queue::{AT_REST, LATEST, Motion, MotionConfig, MotionQueue, within};
 use super::sequence::{Argument, Next, Sequence, StepCall, Steps, Undo};
 use super::target::{Before, Comparison, End, JOINTS, Target};
 use crate::bcap::call::{Any, Int, Reply, ReplyError};
@@ -263,7 +263,7 @@ impl<D, O> MoveSteps<D, O> {
         let target = self.target();
         let queue = &mut self.queue;
         if queue.is_new() {
-            queue.until = now.saturating_add(queue.config.limit);
+            queue.until = now.saturating_add(queue.config.limit).min(LATEST);
         }
         if self.follows {
             queue.previous = queue.destination.or_else(|| queue.end.joints_from(&self.joints));

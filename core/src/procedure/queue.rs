@@ -126,6 +126,9 @@ pub struct MotionQueue {
     pub(super) ended: Option<Motion>,
 }
 
+/// The latest time limit: a queue with motions is not a new one, even with `Duration::MAX`.
+pub(super) const LATEST: Instant = Instant::from_micros(u64::MAX - 1);
+
 impl MotionQueue {
     /// Returns a queue without motions. One time limit covers all motions; it starts with the first.
     pub const fn new(config: MotionConfig) -> Self {
@@ -154,7 +157,7 @@ impl MotionQueue {
         self.ended
     }
 
-    /// Tells whether there was no motion yet.
+    /// Tells whether there was no motion yet: only then there is no time limit.
     #[must_use]
     pub fn is_new(&self) -> bool {
         self.until == Instant::FAR_FUTURE

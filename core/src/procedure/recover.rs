@@ -354,9 +354,7 @@ impl<F: FnMut(RecoveryStep, Result<(), HResult>) -> ControlFlow<()>> Steps for R
             return None;
         }
         let robot = self.handles.robot.0;
-        // without a reply the call may have been executed; a controller that gives it up may still execute it
-        let given_up = matches!(cause, Some(StepCause::Refused(HResult::E_TIMEOUT)));
-        let ran = given_up || cause.is_none_or(StepCause::may_have_run);
+        let ran = cause.is_none_or(StepCause::may_have_run);
         match self.step() {
             RecoveryStep::TakeArm => ran.then_some(Undo::GiveArm(robot)),
             RecoveryStep::MotionPreparation => (ran && cause.is_some()).then_some(Undo::Halt(robot)),

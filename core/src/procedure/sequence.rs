@@ -7,19 +7,26 @@
 //! ```
 //!
 //! Backward undoes the calls in reverse order: it releases handles, gives the arm back, halts a motion, switches
-//! the motor off. Failures there are
-//! ignored, because the sequence reports the first failure.
+//! the motor off. The sequence reports the first failure, and whether all calls of the way back were carried out. While the
+//! controller is busy with a call that was given up, they are repeated.
+
+use core::time::Duration;
 
 use super::action::{Action, Channel, Procedure};
 use super::failure::{Failure, StepCause, StepError};
 use crate::bcap::call::{Call, Maybe, handle_of};
 use crate::bcap::{Frame, FrameWriter, FunctionId, Object};
 use crate::error::EncodeError;
+use crate::hresult::HResult;
 use crate::time::Instant;
 use crate::variant::Encode;
 
 /// How many undo entries a sequence holds: a service, a controller, and the objects on the deepest path.
 pub(super) const UNDO_MAX: usize = 8;
+
+/// How long, and how often, a call is repeated while the controller is busy.
+const BUSY_LIMIT: Duration = Duration::from_secs(5);
+const BUSY_PAUSE: Duration = Duration::from_millis(10);
 
 /// A call that undoes the effect of another one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -67,6 +74,9 @@ pub(super) trait Steps {
 
     /// Whether the objects that were opened stay open after a success.
     const KEEPS_OBJECTS: bool;
+
+    /// Whether the calls are repeated while the controller is busy with a call that was given up, as on the way back.
+    const REPEATS: bool = false;
 
     /// Returns the next step; it stays the same until [`succeeded`](Self::succeeded).
     fn next(&self) -> Next<'_>;
@@ -177,11 +187,27 @@ pub(super) struct Sequence<S, M> {
     in_flight: bool,
     error: Option<StepError>,
     lost: bool,
+    /// Whether a call of the way back may not have been carried out.
+    unsure: bool,
+    /// Until when, and when next, a call is repeated while the controller is busy.
+    busy_until: Option<Instant>,
+    again: Option<Instant>,
 }
 
 impl<S: Steps, M> Sequence<S, M> {
     pub(super) const fn new(steps: S, map: M) -> Self {
-        Self { steps, map, undo: heapless::Vec::new(), backward: false, in_flight: false, error: None, lost: false }
+        Self {
+            steps,
+            map,
+            undo: heapless::Vec::new(),
+            backward: false,
+            in_flight: false,
+            error: None,
+            lost: false,
+            unsure: false,
+            busy_until: None,
+            again: None,
+        }
     }
 
     /// Begins with objects that were opened before.
@@ -228,8 +254,31 @@ impl<S: Steps, M> Sequence<S, M> {
             // without room for it, the end of the session undoes it
             let _ = self.undo.push(undo);
         }
-        self.error = Some(StepError { function, cause, undone: true });
+        self.error = Some(StepError { function, cause, undone: true, unsettled: false });
         self.backward = true;
+    }
+
+    /// Repeats the call in flight after a pause, unless the controller has been busy for too long.
+    fn repeats(&mut self, now: Instant) -> bool {
+        let until = *self.busy_until.get_or_insert(now.saturating_add(BUSY_LIMIT));
+        self.again = Some(now.saturating_add(BUSY_PAUSE)).filter(|again| *again <= until);
+        self.again.is_some()
+    }
+
+    /// Handles the end of a call of the way back.
+    fn ended_undo(&mut self, code: Option<HResult>, is_busy: bool) {
+        if self.lost {
+            return;
+        }
+        let undo = self.undo.pop();
+        self.unsure |= match code {
+            Some(code) if code.is_ok() => false,
+            // an arm or an object that the controller refuses to release is not there
+            Some(code) => {
+                is_busy || code == HResult::E_TIMEOUT || matches!(undo, Some(Undo::Halt(_) | Undo::MotorOff(_)))
+            }
+            None => true,
+        };
     }
 
     /// Handles the end of the call in flight.
@@ -237,9 +286,18 @@ impl<S: Steps, M> Sequence<S, M> {
         if !core::mem::take(&mut self.in_flight) {
             return;
         }
-        if self.backward {
-            self.undo.pop();
+        let code = reply.map(Frame::hresult);
+        let is_busy = match code {
+            Some(HResult::E_BUSY_PROC) => self.backward || S::REPEATS,
+            // it brakes
+            Some(HResult::E_ROBOTISBUSY) => self.backward,
+            _ => false,
+        };
+        if is_busy && self.repeats(now) {
             return;
+        }
+        if self.backward {
+            return self.ended_undo(code, is_busy);
         }
         let Next::Call(StepCall { function, .. }) = self.steps.next() else { return };
         if function.releases().is_some() {
@@ -264,6 +322,10 @@ impl<S: Steps, M: FnMut(S::Output) -> T, T> Procedure for Sequence<S, M> {
     type Error = StepError;
 
     fn poll(&mut self, now: Instant) -> Action<Result<T, StepError>> {
+        if let Some(again) = self.again.filter(|again| now < *again) {
+            return Action::Wait(again);
+        }
+        self.again = None;
         loop {
             match self.next() {
                 Next::Call(_) => {
@@ -276,7 +338,9 @@ impl<S: Steps, M: FnMut(S::Output) -> T, T> Procedure for Sequence<S, M> {
                 Next::End => {
                     return Action::Done(match self.error {
                         Some(error) => {
-                            Err(StepError { undone: self.undo.is_empty() && !self.steps.has_effect(), ..error })
+                            let unsettled = self.unsure || !self.undo.is_empty();
+                            let undone = !unsettled && !self.steps.has_effect();
+                            Err(StepError { undone, unsettled, ..error })
                         }
                         None => Ok((self.map)(self.steps.output())),
                     });

@@ -445,7 +445,10 @@ fn a_run_that_was_dropped_undoes_what_it_did() {
     });
     assert_eq!(calls, ["Controller_Disconnect(7)", "Service_Stop()"]);
     let cause = StepCause::Failed(Failure::Timeout);
-    assert_eq!(done.result.err(), Some(StepError { function: FunctionId::CONTROLLER_GET_ROBOT, cause, undone: true }));
+    assert_eq!(
+        done.result.err(),
+        Some(StepError { function: FunctionId::CONTROLLER_GET_ROBOT, cause, undone: true, unsettled: false })
+    );
     // an unexpected reply changes nothing
     hand_in(&mut procedure, &Answer::value(&1), Instant::ZERO);
     assert!(procedure.request().is_none());
@@ -453,7 +456,8 @@ fn a_run_that_was_dropped_undoes_what_it_did() {
 
 #[test]
 fn errors_say_which_call_failed_and_why() {
-    let error = |cause| StepError { function: FunctionId::ROBOT_MOVE, cause, undone: true }.to_string();
+    let error =
+        |cause| StepError { function: FunctionId::ROBOT_MOVE, cause, undone: true, unsettled: false }.to_string();
     assert_eq!(error(StepCause::Failed(Failure::Timeout)), "Robot_Move: no reply in time");
     assert_eq!(error(StepCause::Failed(Failure::NotSent)), "Robot_Move: could not be sent");
     assert_eq!(error(StepCause::Failed(Failure::Lost)), "Robot_Move: the connection is lost");
@@ -462,6 +466,6 @@ fn errors_say_which_call_failed_and_why() {
     assert_eq!(error(StepCause::TooLarge), "Robot_Move: the reply is longer than expected");
     assert!(error(StepCause::Refused(HResult::E_MOTOR_OFF)).contains("E_MOTOR_OFF"));
     let cause = StepCause::Refused(HResult::E_MOTOR_OFF);
-    let refused = StepError { function: FunctionId::ROBOT_MOVE, cause, undone: true };
+    let refused = StepError { function: FunctionId::ROBOT_MOVE, cause, undone: true, unsettled: false };
     assert_eq!(refused.hresult(), Some(HResult::E_MOTOR_OFF));
 }

@@ -105,11 +105,14 @@ impl fmt::Display for PoseError {
             Self::Format(error) => error.fmt(f),
             Self::NotFinite { number } => write!(f, "number {number} of the pose is not finite"),
             Self::Speed { axis, speed, limit } => {
-                write!(f, "axis {axis} would move at {speed} per second, its limit is {limit}: put the poses closer")
+                write!(
+                    f,
+                    "axis {axis} would move at {speed} degrees or mm per second, its limit is {limit}: put the poses closer"
+                )
             }
             Self::Acceleration { axis, acceleration, limit } => write!(
                 f,
-                "axis {axis} would accelerate by {acceleration} per second squared, its limit is {limit}: change \
+                "axis {axis} would accelerate by {acceleration} degrees or mm per second squared, its limit is {limit}: change \
                  speed more gently"
             ),
         }

@@ -24,9 +24,9 @@ use crate::time::Instant;
 ///   Mode, and releases the motor and the arm.
 /// * The trajectory returns [`Next::Stop`]: the same after a ramp along the present direction.
 /// * The trajectory returns a pose that is invalid or exceeds the limits: the same ramp, then [`StreamError::Pose`].
-/// * A call fails: Slave Mode is off, and the engine has asked the controller for its first error. [`StreamError::Fault`]
-///   names the call; [`Engine::fault`] returns the details. The arm is still taken: call [`Engine::recover`] and run a new
-///   stream, or run [`give_up`](Engine::give_up).
+/// * A call fails: the engine has left Slave Mode, if it could, and has asked the controller for its first error.
+///   [`StreamError::Fault`] names the call; [`Engine::fault`] returns the details, and whether Slave Mode is off. The arm is still
+///   taken: call [`Engine::recover`] and run a new stream, or run [`give_up`](Engine::give_up).
 ///
 /// # Cancel safety
 ///

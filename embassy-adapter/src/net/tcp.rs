@@ -63,6 +63,15 @@ impl Default for Options {
 const RESET_TRIES: u32 = 100;
 const RESET_INTERVAL: Duration = Duration::from_millis(1);
 
+/// A socket that connects; dropping this gives the handshake up.
+struct Handshake<'a, 's>(&'a mut TcpSocket<'s>);
+
+impl Drop for Handshake<'_, '_> {
+    fn drop(&mut self) {
+        self.0.abort();
+    }
+}
+
 /// A TCP socket as a transport; it can be connected again and again.
 pub struct TcpTransport<'s> {
     stack: Stack<'s>,
@@ -95,18 +104,18 @@ impl<'s> TcpTransport<'s> {
             return Err(NetError::Down);
         }
         self.reset().await;
-        let connected = with_timeout(self.options.connect_timeout, self.socket.connect(peer.into())).await;
+        let handshake = Handshake(&mut self.socket);
+        let connected = with_timeout(self.options.connect_timeout, handshake.0.connect(peer.into())).await;
         let result = match connected {
             Ok(Ok(())) => Ok(()),
             Ok(Err(ConnectError::NoRoute)) => Err(NetError::NoRoute),
             Ok(Err(ConnectError::TimedOut)) | Err(_) => Err(NetError::Timeout),
             Ok(Err(ConnectError::ConnectionReset | ConnectError::InvalidState)) => Err(NetError::Reset),
         };
-        match result {
-            Ok(()) => self.set_up(),
-            Err(_) => self.socket.abort(),
-        }
-        result
+        result?;
+        core::mem::forget(handshake);
+        self.set_up();
+        Ok(())
     }
 
     /// Waits for a peer to connect to `port`, and returns its place in the backlog, where it is unfinished.

@@ -19,7 +19,6 @@ use bcap_core::bcap::FunctionId;
 use bcap_core::rac::{Request, Variable, VariableKind};
 use bcap_core::variant::OwnedVariant;
 use bcap_gateway::{Allow, Rules};
-use bcap_std::Error;
 use bcap_std::asynch::Controller;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -210,10 +209,8 @@ pub(crate) async fn execute(controller: Controller, job: Job) -> (CommandResult,
     }
     match timeout_at(job.deadline, controller.write(&job.name, job.value)).await {
         Ok(Ok(())) => (CommandResult::Done, None),
-        Ok(Err(error @ (Error::Refused { .. } | Error::NotConnected { .. } | Error::Closed | Error::Argument(_)))) => {
-            (CommandResult::Failed, Some(error.to_string()))
-        }
-        Ok(Err(error)) => (CommandResult::Unknown, Some(error.to_string())),
+        Ok(Err(error)) if error.may_have_run() => (CommandResult::Unknown, Some(error.to_string())),
+        Ok(Err(error)) => (CommandResult::Failed, Some(error.to_string())),
         Err(_) => (CommandResult::Unknown, Some("it expired while it was executed".into())),
     }
 }

@@ -6,6 +6,8 @@
 //!                           └─ lost ─► report, wait, connect again
 //! ```
 //!
+//! While there is no session, requests fail, but a halt is not refused: it ends the wait, and is made over the next session.
+//!
 //! It carries out one request after another. While a motion is under way it polls the robot between them. A request whose
 //! caller has gone is dropped if it has not begun; one that has begun is completed, because the controller cannot be asked
 //! to forget it. No request is carried out twice.
@@ -35,7 +37,7 @@ use crate::CallError;
 use crate::address::Address;
 use crate::error::Error;
 use crate::moves::Move;
-use crate::session::{ROBOT, Recovery, SESSION, Session};
+use crate::session::{ArmId, ROBOT, Recovery, SESSION, Session};
 use crate::settings::{Backoff, Settings};
 
 /// A request of a handle.
@@ -43,18 +45,17 @@ pub(super) enum Request {
     /// Runs a function of the session.
     Run(Box<dyn Job>),
     Move(Box<MoveRequest>),
-    /// Halts the robot if a motion that was begun in this session may be under way.
-    GiveUp(u64),
-    /// Gives back the arm that was taken in this session, if it still is.
-    GiveArm(u64),
+    /// Halts the robot if a motion that was begun with this arm may be under way.
+    GiveUp(ArmId),
+    /// Gives this arm back, if it is still taken.
+    GiveArm(ArmId),
     Subscribe(Vec<Subscriber>, Duration),
     Close(oneshot::Sender<Result<(), Error>>),
 }
 
 /// Motions in sequence, a further one, and the caller that waits.
 pub(super) struct MoveRequest {
-    /// The session in which the arm was taken.
-    pub(super) session: u64,
+    pub(super) arm: ArmId,
     pub(super) queue: MotionQueue,
     pub(super) motion: Option<Move>,
     pub(super) until: Until,
@@ -67,6 +68,8 @@ pub(super) trait Job: Send {
     fn fail(self: Box<Self>, error: Error);
     /// Whether the caller has gone, so that it need not run.
     fn is_abandoned(&self) -> bool;
+    /// Whether it stops something, so that it waits for the next session.
+    fn is_urgent(&self) -> bool;
 }
 
 /// Whether a request succeeded, for the counters.
@@ -79,7 +82,7 @@ pub(super) type Worked<T> = Result<Result<T, Error>, Box<dyn Any + Send>>;
 pub(super) struct Work<F, T> {
     pub(super) work: F,
     pub(super) reply: oneshot::Sender<Worked<T>>,
-    /// Whether it runs although the caller has gone.
+    /// Whether it runs although the caller has gone, because it stops something.
     pub(super) always: bool,
     /// The time limit of its calls.
     pub(super) limit: Option<Duration>,
@@ -109,6 +112,10 @@ where
 
     fn is_abandoned(&self) -> bool {
         !self.always && self.reply.is_closed()
+    }
+
+    fn is_urgent(&self) -> bool {
+        self.always
     }
 }
 
@@ -169,6 +176,8 @@ pub(super) struct Actor {
     pub(super) scan: Scan,
     /// The recovery of the robot after the last lost connection.
     pub(super) recovered: watch::Sender<Option<Recovery>>,
+    /// What is to be stopped over the next session.
+    pub(super) urgent: Vec<Box<dyn Job>>,
 }
 
 /// How the service of one session ended.
@@ -231,7 +240,10 @@ impl Actor {
                         open.session = Some(session);
                         continue;
                     }
-                    ControlFlow::Continue(Err(error)) => error,
+                    ControlFlow::Continue(Err(error)) => {
+                        self.fail_urgent(&error);
+                        error
+                    }
                     ControlFlow::Break(ended) => return self.end(ended, open).await,
                 },
             };
@@ -264,26 +276,46 @@ impl Actor {
         let opening = async {
             let mut session = connect(&address, &settings, opens_robot).await?;
             if let Some(state) = left {
-                let recovery = state.recover(&mut session).await?;
-                tracing::warn!(%address, ?recovery, "the robot was stopped after a lost connection");
-                *left = None;
-                recovered.send_replace(Some(recovery));
+                match state.recover(&mut session).await {
+                    Ok(recovery) => {
+                        tracing::warn!(%address, ?recovery, "the robot was recovered after a lost connection");
+                        *left = None;
+                        recovered.send_replace(Some(recovery));
+                    }
+                    Err(error) => {
+                        state.add(session);
+                        return Err(error);
+                    }
+                }
             }
             Ok(session)
         };
         self.meanwhile("the controller is being connected", opening).await
     }
 
-    /// Waits before the next attempt. Requests fail meanwhile.
+    /// Waits before the next attempt, unless something is to be stopped. Other requests fail meanwhile.
     async fn wait(&mut self, error: Error, delay: Duration) -> Option<Ended> {
-        let reason = error.to_string();
+        let reason = reason(&error);
         self.scan.fail(&Arc::new(error));
         if self.address.is_none() {
             self.state.send_replace(State::Closed);
             return self.meanwhile(&reason, std::future::pending::<()>()).await.break_value();
         }
         self.state.send_replace(State::Disconnected { reason: reason.clone(), retry_in: delay });
-        self.meanwhile(&reason, tokio::time::sleep(delay)).await.break_value()
+        let mut delay = std::pin::pin!(tokio::time::sleep(delay));
+        while self.urgent.is_empty() {
+            tokio::select! {
+                biased;
+                request = self.requests.recv() => {
+                    let ended = self.refuse(request, &reason);
+                    if ended.is_some() {
+                        return ended;
+                    }
+                }
+                () = &mut delay => break,
+            }
+        }
+        None
     }
 
     /// Waits for `event`, and fails all requests meanwhile.
@@ -302,12 +334,24 @@ impl Actor {
         }
     }
 
-    /// Fails a request, because there is no session.
+    /// Fails what waits to be stopped, because there is no session.
+    fn fail_urgent(&mut self, error: &Error) {
+        for job in self.urgent.drain(..) {
+            self.counters.failures.add();
+            job.fail(not_connected(&reason(error)));
+        }
+    }
+
+    /// Fails a request, because there is no session. What is to be stopped waits for the next one.
     fn refuse(&mut self, request: Option<Request>, reason: &str) -> Option<Ended> {
         let error = || not_connected(reason);
         match request {
             None => return Some(Ended::Dropped),
             Some(Request::Close(reply)) => return Some(Ended::Closed(reply)),
+            Some(Request::Run(job)) if job.is_urgent() && self.address.is_some() => {
+                self.urgent.push(job);
+                return None;
+            }
             Some(Request::Run(job)) => job.fail(error()),
             Some(Request::Move(request)) if request.queue.is_new() => drop(request.reply.send(Err(error()))),
             // the robot may still move
@@ -327,6 +371,10 @@ impl Actor {
     /// one request, so neither starves the other.
     async fn serve(&mut self, session: &mut Session<Socket>) -> Ended {
         let mut motion = None;
+        for job in std::mem::take(&mut self.urgent) {
+            let succeeded = job.run(session).await;
+            self.count(succeeded);
+        }
         loop {
             let now = session.now();
             motion = match motion {
@@ -351,11 +399,11 @@ impl Actor {
                         return Ended::Closed(reply);
                     }
                     Some(Request::Move(request)) => motion = self.start(session, request, motion).await,
-                    Some(Request::GiveArm(id)) if id == session.id => {
+                    Some(Request::GiveArm(arm)) if arm == session.arm_id() => {
                         motion = None;
                         self.give_arm(session).await;
                     }
-                    Some(Request::GiveUp(id)) if id == session.id => {
+                    Some(Request::GiveUp(arm)) if arm == session.arm_id() => {
                         motion = None;
                         give_up(session).await;
                     }
@@ -363,7 +411,8 @@ impl Actor {
                     Some(Request::Subscribe(subscribers, interval)) => self.scan.add(subscribers, interval),
                     Some(Request::Run(job)) => {
                         if !job.is_abandoned() {
-                            self.count(job.run(session).await);
+                            let succeeded = job.run(session).await;
+                            self.count(succeeded);
                         }
                     }
                 },
@@ -384,7 +433,7 @@ impl Actor {
         }
     }
 
-    async fn give_arm(&self, session: &mut Session<Socket>) {
+    async fn give_arm(&mut self, session: &mut Session<Socket>) {
         let given = session.end_arm().await;
         self.count(given.is_ok());
         if let Err(error) = given {
@@ -392,14 +441,19 @@ impl Actor {
         }
     }
 
-    /// Starts a motion. One that is under way has been given up by its caller, so the robot is halted first.
+    /// Starts a motion. One that is under way with the same arm has been given up by its caller, so the robot is halted first.
     async fn start(
-        &self,
+        &mut self,
         session: &mut Session<Socket>,
         request: Box<MoveRequest>,
         earlier: Option<Moving>,
     ) -> Option<Moving> {
-        let MoveRequest { session: id, queue, motion, until, reply } = *request;
+        let MoveRequest { arm, queue, motion, until, reply } = *request;
+        if arm != session.arm_id() {
+            self.count(false);
+            let _ = reply.send(Err(Error::ArmLost));
+            return earlier;
+        }
         let halted = match earlier {
             Some(_) => session.halt().await.map(drop),
             None => Ok(()),
@@ -408,7 +462,6 @@ impl Actor {
             return None;
         }
         let begun = match halted {
-            Ok(()) if id != session.id => Err(Error::ArmLost),
             Ok(()) => session.queue(queue, motion, until).await,
             Err(error) => Err(error),
         };
@@ -503,6 +556,14 @@ fn unanswered_motion() -> Error {
 
 fn unanswered(function: FunctionId, object: &str) -> Error {
     Error::call(function, object, CallError::Disconnected)
+}
+
+/// Returns the text of an error, with the error of the operating system.
+fn reason(error: &Error) -> String {
+    match error {
+        Error::Connect(error) => error.in_full(),
+        error => error.to_string(),
+    }
 }
 
 fn not_connected(reason: &str) -> Error {

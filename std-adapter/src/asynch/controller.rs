@@ -74,11 +74,15 @@ impl Controller {
         Ok(Self { handle: Handle::connect(address.parse()?, settings, false).await? })
     }
 
-    /// Begins to connect in the background, and again until it succeeds. It must be called in a runtime of tokio.
+    /// Begins to connect in the background, and again until it succeeds.
     ///
     /// # Errors
     ///
     /// An [`AddressError`].
+    ///
+    /// # Panics
+    ///
+    /// Outside of a runtime of tokio.
     pub fn spawn(address: &str, settings: &Settings) -> Result<Self, AddressError> {
         Ok(Self { handle: Handle::start(Some(address.parse()?), settings, false, None) })
     }

@@ -24,20 +24,35 @@ pub(super) struct Open {
 /// The possible effects of a lost session on the robot.
 pub(super) struct Left {
     state: session::Left,
-    /// The lost session, if the controller keeps it alive until its service is stopped.
-    session: Option<Session<Socket>>,
+    /// The lost sessions that the controller keeps alive until their services are stopped, the last one with the effects.
+    sessions: Vec<Session<Socket>>,
 }
+
+/// The maximum number of lost sessions that are kept; the oldest ones are forgotten.
+const SESSIONS: usize = 8;
 
 impl Left {
     /// Ends the effects over a new session.
     pub(super) async fn recover(&mut self, over: &mut Session<Socket>) -> Result<Recovery, Error> {
-        let Self { state, session } = self;
+        let Self { state, sessions } = self;
         let stop = async {
-            if let Some(lost) = session {
-                lost.stop_lost_service().await;
+            for mut lost in std::mem::take(sessions) {
+                if !lost.stop_lost_service().await {
+                    sessions.push(lost);
+                }
             }
         };
         over.recover(*state, stop).await
+    }
+
+    /// Adds a session that was lost before it had recovered the robot: it may have taken the arm.
+    pub(super) fn add(&mut self, mut session: Session<Socket>) {
+        if session.outlasts_its_link() {
+            if self.sessions.len() == SESSIONS {
+                self.sessions.remove(0);
+            }
+            self.sessions.push(session);
+        }
     }
 }
 
@@ -51,8 +66,9 @@ impl Open {
         if let Some(mut session) = self.session.take()
             && let Some(state) = session.take_left()
         {
-            let session = session.outlasts_its_link().then_some(session);
-            self.left = Some(Left { state, session });
+            let mut left = Left { state, sessions: Vec::new() };
+            left.add(session);
+            self.left = Some(left);
         }
     }
 }
@@ -61,16 +77,17 @@ impl Drop for Open {
     fn drop(&mut self) {
         let Self { session, left, address, settings } = self;
         // a session that has changed nothing ends with its connection
-        let session = session.take().filter(Session::uses_robot);
-        match session.and_then(|session| session.over(|socket| socket.into_blocking(address.as_ref()))) {
-            Some(mut session) => ending::end_now(&mut session, address.as_ref(), settings),
-            None => {
-                if let (Some(Left { state, session }), Some(address)) = (left.take(), &*address) {
-                    let mut lost =
-                        session.and_then(|session| session.over(|socket| socket.into_blocking(Some(address))));
-                    ending::recover_now(address, settings, state, lost.as_mut());
-                }
+        let mut session = session.take().filter(Session::uses_robot);
+        let of_session = session.as_mut().and_then(Session::left).map(|state| Left { state, sessions: Vec::new() });
+        let over = |session: Session<Socket>| session.over(|socket| socket.into_blocking(address.as_ref()));
+        match (session.and_then(over), left.take().or(of_session), &*address) {
+            (Some(mut session), ..) => ending::end_now(&mut session, address.as_ref(), settings),
+            (None, Some(Left { state, sessions }), Some(address)) => {
+                let mut lost: Vec<_> = sessions.into_iter().filter_map(over).collect();
+                ending::recover_now(address, settings, state, &mut lost);
             }
+            (None, Some(_), None) => tracing::error!("the connection was lost, and the robot may be moving"),
+            (None, None, _) => {}
         }
     }
 }

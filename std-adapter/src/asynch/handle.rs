@@ -77,6 +77,7 @@ impl Handle {
             opens_robot,
             scan: Scan::default(),
             recovered: reporter,
+            urgent: Vec::new(),
         };
         let span = tracing::info_span!("controller", address = address.as_ref().map(tracing::field::display));
         tokio::spawn(actor.run(session).instrument(span));

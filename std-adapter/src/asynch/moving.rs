@@ -7,7 +7,7 @@ use super::actor::{MoveRequest, Request};
 use super::handle::Handle;
 use crate::error::Error;
 use crate::moves::Move;
-use crate::session::Halted;
+use crate::session::{ArmId, Halted};
 
 /// Motions that follow each other; the last one has begun. [`Arm::start`](super::Arm::start) returns it.
 ///
@@ -29,8 +29,7 @@ use crate::session::Halted;
 #[must_use = "dropping it halts the robot"]
 pub struct Moving<'a> {
     pub(super) handle: &'a Handle,
-    /// The session in which the arm was taken.
-    pub(super) session: u64,
+    pub(super) arm: ArmId,
     pub(super) queue: MotionQueue,
 }
 
@@ -75,11 +74,11 @@ impl<'a> Moving<'a> {
     ///
     /// The robot is halted even if the future is dropped.
     pub async fn halt(self) -> Result<Halted, Error> {
-        self.handle.run_always(|session| Box::pin(session.halt())).await
+        self.handle.run_always(|session| Box::pin(session.halt_and_verify())).await
     }
 
     pub(super) async fn run(mut self, motion: Option<Move>, until: Until) -> Result<Self, Error> {
-        self.queue = run_queue(self.handle, self.session, self.queue, motion, until).await?;
+        self.queue = run_queue(self.handle, self.arm, self.queue, motion, until).await?;
         Ok(self)
     }
 }
@@ -87,19 +86,19 @@ impl<'a> Moving<'a> {
 /// Runs the motions of a queue in the task, with one more if there is one. A drop of the future halts the robot.
 pub(super) async fn run_queue(
     handle: &Handle,
-    session: u64,
+    arm: ArmId,
     queue: MotionQueue,
     motion: Option<Move>,
     until: Until,
 ) -> Result<MotionQueue, Error> {
     let (reply, ended) = oneshot::channel();
-    handle.send(Request::Move(Box::new(MoveRequest { session, queue, motion, until, reply })))?;
+    handle.send(Request::Move(Box::new(MoveRequest { arm, queue, motion, until, reply })))?;
     ended.await.map_err(|_| Error::Closed)?
 }
 
 impl Drop for Moving<'_> {
     fn drop(&mut self) {
         // when the task has ended, it has given the arm back
-        let _ = self.handle.send(Request::GiveUp(self.session));
+        let _ = self.handle.send(Request::GiveUp(self.arm));
     }
 }

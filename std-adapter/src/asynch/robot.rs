@@ -22,7 +22,7 @@ use super::socket::{BoxFuture, Socket};
 use crate::address::Address;
 use crate::error::Error;
 use crate::moves::Move;
-use crate::session::{Halted, Session};
+use crate::session::{ArmId, Halted, Session};
 use crate::settings::Settings;
 
 /// A robot of a controller.
@@ -52,8 +52,7 @@ pub struct Robot {
 #[derive(Debug)]
 pub struct Arm {
     robot: Robot,
-    /// The session in which the arm was taken.
-    session: u64,
+    id: ArmId,
 }
 
 /// Halts the robot from any task, even while another call of the [`Controller`](super::Controller) waits.
@@ -99,7 +98,7 @@ impl Robot {
                 Box::pin(async move {
                     session.take_arm().await?;
                     // from here on a drop gives it back, even when the caller has gone
-                    Ok(Arm { robot: self, session: session.id })
+                    Ok(Arm { robot: self, id: session.arm_id() })
                 })
             })
             .await
@@ -179,13 +178,13 @@ impl Robot {
                     }
                     session.make_ready(config, |_, _| ControlFlow::Continue(())).await?;
                     // from here on a drop undoes it, even when the caller has gone
-                    Ok(Arm { robot: self, session: session.id })
+                    Ok(Arm { robot: self, id: session.arm_id() })
                 })
             })
             .await
     }
 
-    /// Reads the joints.
+    /// Reads the joints, in degrees, or mm for a linear axis.
     ///
     /// # Errors
     ///
@@ -198,7 +197,7 @@ impl Robot {
         self.handle.run(|session| Box::pin(session.execute_robot("CurJnt", ()))).await
     }
 
-    /// Reads the position of the tool.
+    /// Reads the position of the tool in mm and degrees: of the selected tool in the selected work coordinates.
     ///
     /// # Errors
     ///
@@ -223,6 +222,21 @@ impl Robot {
     pub async fn read<T: for<'v> FromVariant<'v> + Send + 'static>(&self, name: &str) -> Result<T, Error> {
         let name = name.to_owned();
         self.handle.run(move |session| Box::pin(async move { session.read(Object::Robot, &name).await })).await
+    }
+
+    /// Halts the robot, even without the arm, and waits until it rests, as [`Stopper::halt`], but after the calls that were made
+    /// before.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; the robot may still move. [`Error::NotHalted`] if the robot still moved, or the halt stays
+    /// refused.
+    ///
+    /// # Cancel safety
+    ///
+    /// The robot is halted even if the future is dropped after its first poll.
+    pub async fn halt(&self) -> Result<Halted, Error> {
+        self.handle.run_always(|session| Box::pin(session.halt_and_verify())).await
     }
 
     /// Executes a command of the robot with a parameter, and returns its value.
@@ -320,7 +334,8 @@ impl Arm {
     /// Moves, and waits until the motion ends, at most for `limit`; the robot is halted then.
     ///
     /// [`Motion::Arrived`] means that the robot rests at the destination, not only that it does not move. Other
-    /// calls of the controller are made meanwhile.
+    /// calls of the controller are made meanwhile; while one runs, `limit` is not watched, so limit a long one by
+    /// [`Controller::within`](super::Controller::within).
     ///
     /// # Errors
     ///
@@ -339,7 +354,7 @@ impl Arm {
         let motion = motion.clone();
         async move {
             let queue = MotionQueue::new(MotionConfig::within(limit));
-            let queue = run_queue(&self.robot.handle, self.session, queue, Some(motion), Until::Ended).await?;
+            let queue = run_queue(&self.robot.handle, self.id, queue, Some(motion), Until::Ended).await?;
             Ok(queue.ended().unwrap_or(Motion::Unknown))
         }
     }
@@ -364,9 +379,10 @@ impl Arm {
     /// # use std::time::Duration;
     /// # use bcap_std::{Error, Motion, Move, Pass, asynch::Arm};
     /// # async fn example(mut arm: Arm) -> Result<(), Error> {
-    /// let mut moving = arm.start(&Move::line("P1").pass(Pass::Near), Duration::from_secs(30)).await?;
-    /// moving = moving.then(&Move::line("P2").pass(Pass::Near)).await?; // round the corner at P1
-    /// match moving.then(&Move::line("P3")).await?.wait().await? {
+    /// let slowly = |to| Move::line(to).speed_percent(10.0);
+    /// let mut moving = arm.start(&slowly("P1").pass(Pass::Near), Duration::from_secs(30)).await?;
+    /// moving = moving.then(&slowly("P2").pass(Pass::Near)).await?; // round the corner at P1
+    /// match moving.then(&slowly("P3")).await?.wait().await? {
     ///     Motion::Arrived => println!("at P3, by way of P1 and P2"),
     ///     other => println!("stopped: {other:?}"),
     /// }
@@ -375,21 +391,21 @@ impl Arm {
     /// ```
     pub async fn start(&mut self, motion: &Move, limit: Duration) -> Result<Moving<'_>, Error> {
         let queue = MotionQueue::new(MotionConfig::within(limit));
-        Moving { handle: &self.robot.handle, session: self.session, queue }
-            .run(Some(motion.clone()), Until::Begun)
-            .await
+        Moving { handle: &self.robot.handle, arm: self.id, queue }.run(Some(motion.clone()), Until::Begun).await
     }
 
     /// Streams poses in Slave Mode, one every 8 ms, until the trajectory ends, and waits until the robot rests.
     ///
     /// As [`blocking::Arm::stream`](crate::blocking::Arm::stream), with a trajectory that the task owns: it is called there,
     /// so it must return at once; its panic stops the robot and continues here. Other calls and subscriptions of the controller wait until the stream ends, because the
-    /// controller refuses them in Slave Mode; a [`Stopper`] works at any time. Timers of tokio are late by one to two
+    /// controller refuses them in Slave Mode. A [`Stopper`] can send Robot_Halt at any time, but no source says whether a controller
+    /// accepts it in Slave Mode: have the emergency stop at hand. Timers of tokio are late by one to two
     /// milliseconds, see [`slave`](crate::slave).
     ///
     /// # Errors
     ///
-    /// An [`Error`]; after [`Error::Stream`] of a failed call Slave Mode is off, and the controller has stopped the robot.
+    /// An [`Error`]. After [`Error::Stream`] of a failed call a controller that works has ended Slave Mode and stopped the robot,
+    /// but that may not have been seen: the drop of the [`Arm`] leaves Slave Mode and halts the robot.
     ///
     /// # Cancel safety
     ///
@@ -441,12 +457,12 @@ impl Arm {
         F: for<'a> FnOnce(&'a mut Session<Socket>) -> BoxFuture<'a, Result<T, Error>> + Send + 'static,
         T: Send + 'static,
     {
-        let taken = self.session;
+        let id = self.id;
         self.robot
             .handle
             .run(
                 move |session| {
-                    if session.id == taken { work(session) } else { Box::pin(async { Err(Error::ArmLost) }) }
+                    if session.arm_id() == id { work(session) } else { Box::pin(async { Err(Error::ArmLost) }) }
                 },
             )
             .await
@@ -499,7 +515,7 @@ impl<T: Trajectory> Trajectory for WhileWanted<T> {
 impl Drop for Arm {
     fn drop(&mut self) {
         // when the task has ended, it has given the arm back
-        let _ = self.robot.handle.send(Request::GiveArm(self.session));
+        let _ = self.robot.handle.send(Request::GiveArm(self.id));
     }
 }
 
@@ -545,7 +561,7 @@ impl Stopper {
         Ok(Self::new(Handle::over(stream, settings, true).await?))
     }
 
-    /// Halts the robot, and waits until it rests.
+    /// Halts the robot, and waits until it rests. If the connection is lost or the halt has no reply, it connects again once.
     ///
     /// A controller refuses a halt while one of its tasks owns the arm. Then all tasks are stopped (KillAll, or Task_Stop of each
     /// task if KillAll is refused or has no effect), and the robot is halted again: [`Halted::TasksStopped`]. Each starts at its first
@@ -558,8 +574,24 @@ impl Stopper {
     ///
     /// # Cancel safety
     ///
-    /// The robot is halted even if the future is dropped after its first poll.
+    /// The robot is halted even if the future is dropped after its first poll, but then it does not connect again after a halt
+    /// without a reply.
     pub async fn halt(&self) -> Result<Halted, Error> {
-        self.handle.run_always(|session| Box::pin(session.halt_and_verify())).await
+        let reconnects = self.handle.address.is_some();
+        let halt = || {
+            self.handle.run_always(move |session| {
+                Box::pin(async move {
+                    let halted = session.halt_and_verify().await;
+                    if reconnects && matches!(halted, Err(Error::NoReply { .. })) {
+                        session.abandon();
+                    }
+                    halted
+                })
+            })
+        };
+        match halt().await {
+            Err(Error::NoReply { .. }) if reconnects => halt().await,
+            ended => ended,
+        }
     }
 }

@@ -29,7 +29,7 @@ impl<'a> ControllerRef<'a> {
         Self { session, limit: None }
     }
 
-    /// Limits the time of each call of this reference.
+    /// Limits the time of each call of this reference, and of the tasks and files that it returns.
     ///
     /// A call without a reply in this time fails with [`Error::NoReply`]; the controller may have executed it. The connection
     /// stays usable.
@@ -39,8 +39,13 @@ impl<'a> ControllerRef<'a> {
         self
     }
 
+    /// Returns the session, for calls without the time limit.
+    pub(super) const fn session(&mut self) -> &mut Session<Blocking> {
+        self.session
+    }
+
     /// Runs calls within the time limit.
-    fn limited<T>(&mut self, calls: impl AsyncFnOnce(&mut Session<Blocking>) -> T) -> T {
+    pub(super) fn limited<T>(&mut self, calls: impl AsyncFnOnce(&mut Session<Blocking>) -> T) -> T {
         self.session.set_limit(self.limit);
         let ended = ready(calls(self.session));
         self.session.set_limit(None);
@@ -99,7 +104,7 @@ impl<'a> ControllerRef<'a> {
     ///
     /// An [`Error`] for the first variable that does not exist.
     pub fn scan(&mut self, names: &[&str]) -> Result<Scan, Error> {
-        Scan::open(self.session, names)
+        self.limited(async |session| Scan::open(session, names).await)
     }
 
     /// Writes a variable, as [`Controller::write`](super::Controller::write).
@@ -135,15 +140,15 @@ impl<'a> ControllerRef<'a> {
     /// # Errors
     ///
     /// An [`Error`] if the controller has no such task.
-    pub fn task(self, name: &str) -> Result<Task<'a>, Error> {
-        ready(self.session.task(name))?;
-        Ok(Task::new(self.session, name))
+    pub fn task(mut self, name: &str) -> Result<Task<'a>, Error> {
+        self.limited(async |session| session.task(name).await)?;
+        Ok(Task::new(self, name))
     }
 
     /// Returns a file, which must exist when it is read or written. A path has `\` between its parts.
     #[must_use]
     pub fn file(self, name: &str) -> File<'a> {
-        File::new(self.session, name)
+        File::new(self, name)
     }
 }
 
@@ -169,7 +174,7 @@ impl Arm<'_> {
     /// # use bcap_std::{Motion, Move, Settings, blocking::Controller};
     /// # let mut cell = Controller::connect("tcp:192.168.0.1", &Settings::rc9())?;
     /// # let mut arm = cell.robot()?.take_arm()?;
-    /// if arm.move_to(&Move::line("P1"), Duration::from_secs(30))? == Motion::Arrived {
+    /// if arm.move_to(&Move::line("P1").speed_percent(10.0), Duration::from_secs(30))? == Motion::Arrived {
     ///     arm.controller().write("IO128", true)?; // closes the gripper
     ///     arm.controller().read_until("IO129", |closed: &bool| *closed, Duration::from_secs(2))?;
     /// }
@@ -190,7 +195,7 @@ impl Moving<'_> {
     /// # use bcap_std::{Move, Settings, blocking::Controller};
     /// # let mut cell = Controller::connect("tcp:192.168.0.1", &Settings::rc9())?;
     /// # let mut arm = cell.robot()?.take_arm()?;
-    /// let mut moving = arm.start(&Move::line("P1"), Duration::from_secs(30))?;
+    /// let mut moving = arm.start(&Move::line("P1").speed_percent(10.0), Duration::from_secs(30))?;
     /// moving.controller().write("IO128", false)?; // opens the gripper on the way
     /// println!("{:?}", moving.wait()?);
     /// # Ok::<(), bcap_std::Error>(())

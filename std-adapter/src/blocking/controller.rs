@@ -181,7 +181,7 @@ impl Controller {
     ///
     /// An [`Error`] for the first variable that does not exist.
     pub fn scan(&mut self, names: &[&str]) -> Result<Scan, Error> {
-        Scan::open(&mut self.session, names)
+        self.reference().scan(names)
     }
 
     /// Writes a variable of the controller.
@@ -209,13 +209,12 @@ impl Controller {
     ///
     /// An [`Error`] if the controller has no such task.
     pub fn task(&mut self, name: &str) -> Result<Task<'_>, Error> {
-        ready(self.session.task(name))?;
-        Ok(Task::new(&mut self.session, name))
+        self.reference().task(name)
     }
 
     /// Returns a file, which must exist when it is read or written. A path has `\` between its parts.
     pub fn file(&mut self, name: &str) -> File<'_> {
-        File::new(&mut self.session, name)
+        self.reference().file(name)
     }
 
     /// Opens a second connection, over which another thread can halt the robot at any time.

@@ -37,29 +37,31 @@ pub(crate) fn end_now(session: &mut Session<Blocking>, address: Option<&Address>
         tracing::warn!(?address, %error, "the session was not closed");
     }
     if let (Some(left), Some(address)) = (session.take_left(), address) {
-        recover_now(address, settings, left, Some(session));
+        recover_now(address, settings, left, std::slice::from_mut(session));
     }
 }
 
-/// Ends over a new connection the effects that a lost session may have left. Over UDP the lost session is stopped too.
-pub(crate) fn recover_now(
-    address: &Address,
-    settings: &Settings,
-    left: Left,
-    mut lost: Option<&mut Session<Blocking>>,
-) {
-    match recover(address, settings, left, stop(&mut lost)) {
-        Ok(recovery) => tracing::warn!(%address, ?recovery, "the robot was stopped over a new connection"),
+/// Ends over a new connection the effects that a lost session may have left. Over UDP the lost sessions are stopped too.
+pub(crate) fn recover_now(address: &Address, settings: &Settings, left: Left, lost: &mut [Session<Blocking>]) {
+    let mut stopped = false;
+    let stopping = async {
+        stopped = true;
+        stop(lost).await;
+    };
+    match recover(address, settings, left, stopping) {
+        Ok(recovery) => tracing::warn!(%address, ?recovery, "the robot was recovered over a new connection"),
         Err(error) => {
             tracing::error!(%address, %error, "the connection was lost, and the robot may be moving");
-            ready(stop(&mut lost));
+            if !stopped {
+                ready(stop(lost));
+            }
         }
     }
 }
 
-/// Stops the service of a lost session, once.
-async fn stop(lost: &mut Option<&mut Session<Blocking>>) {
-    if let Some(lost) = lost.take() {
+/// Stops the services of lost sessions.
+async fn stop(lost: &mut [Session<Blocking>]) {
+    for lost in lost {
         let transport = lost.connection().transport();
         transport.set_deadline(Some(SendTransport::now(transport) + LIMIT));
         lost.stop_lost_service().await;

@@ -75,7 +75,7 @@ impl Moving<'_> {
     ///
     /// An [`Error`]; the robot may still move.
     pub fn halt(self) -> Result<Halted, Error> {
-        ready(self.session.halt())
+        ready(self.session.halt_and_verify())
     }
 
     pub(super) fn run(mut self, motion: Option<&Move>, until: Until) -> Result<Self, Error> {

@@ -4,6 +4,7 @@ use bcap_core::bcap::Object;
 use bcap_core::bcap::call::{self, VariableHandle};
 use bcap_core::variant::{Encode, FromVariant, OwnedVariant};
 
+use super::ControllerRef;
 use super::socket::{Blocking, ready};
 use crate::error::Error;
 use crate::session::Session;
@@ -12,13 +13,13 @@ use crate::task::{TaskStart, TaskStatus, TaskStop};
 /// A task of a controller, from [`Controller::task`](super::Controller::task).
 #[derive(Debug)]
 pub struct Task<'a> {
-    session: &'a mut Session<Blocking>,
+    cell: ControllerRef<'a>,
     name: String,
 }
 
 impl<'a> Task<'a> {
-    pub(super) fn new(session: &'a mut Session<Blocking>, name: &str) -> Self {
-        Self { session, name: name.to_owned() }
+    pub(super) fn new(cell: ControllerRef<'a>, name: &str) -> Self {
+        Self { cell, name: name.to_owned() }
     }
 
     /// Starts the task. Its program may move the robot, and goes on when this object is dropped.
@@ -28,16 +29,16 @@ impl<'a> Task<'a> {
     /// An [`Error`]. The controller must be in Auto mode and give this client the executable token (b-CAP
     /// specification, sections 3.1 and 3.2).
     pub fn start(&mut self, mode: TaskStart) -> Result<(), Error> {
-        ready(self.session.start_task(&self.name, mode))
+        self.cell.limited(async |session| session.start_task(&self.name, mode).await)
     }
 
-    /// Stops the task.
+    /// Stops the task. The limit of [`ControllerRef::within`] does not apply.
     ///
     /// # Errors
     ///
     /// An [`Error`].
     pub fn stop(&mut self, mode: TaskStop) -> Result<(), Error> {
-        ready(self.session.stop_task(&self.name, mode))
+        ready(self.cell.session().stop_task(&self.name, mode))
     }
 
     /// Reads the status of the task.
@@ -46,20 +47,20 @@ impl<'a> Task<'a> {
     ///
     /// An [`Error`].
     pub fn status(&mut self) -> Result<TaskStatus, Error> {
-        ready(self.session.task_status(&self.name))
+        self.cell.limited(async |session| session.task_status(&self.name).await)
     }
 }
 
 /// A file of a controller, from [`Controller::file`](super::Controller::file).
 #[derive(Debug)]
 pub struct File<'a> {
-    session: &'a mut Session<Blocking>,
+    cell: ControllerRef<'a>,
     name: String,
 }
 
 impl<'a> File<'a> {
-    pub(super) fn new(session: &'a mut Session<Blocking>, name: &str) -> Self {
-        Self { session, name: name.to_owned() }
+    pub(super) fn new(cell: ControllerRef<'a>, name: &str) -> Self {
+        Self { cell, name: name.to_owned() }
     }
 
     /// Reads the content: a `String` for text, `Vec<u8>` for a controller that sends bytes.
@@ -68,7 +69,7 @@ impl<'a> File<'a> {
     ///
     /// An [`Error`]; [`Error::Value`] if the content has another type.
     pub fn read<T: for<'v> FromVariant<'v>>(&mut self) -> Result<T, Error> {
-        let content = ready(self.session.read_file(&self.name))?;
+        let content = self.cell.limited(async |session| session.read_file(&self.name).await)?;
         content.convert().map_err(|source| Error::Value { object: self.name.clone(), source })
     }
 
@@ -78,7 +79,7 @@ impl<'a> File<'a> {
     ///
     /// An [`Error`]. After [`Error::NoReply`] the content may have been replaced.
     pub fn write(&mut self, content: impl Encode) -> Result<(), Error> {
-        ready(self.session.write_file(&self.name, content))
+        self.cell.limited(async |session| session.write_file(&self.name, content).await)
     }
 }
 
@@ -106,9 +107,11 @@ pub struct Scan {
 }
 
 impl Scan {
-    pub(super) fn open(session: &mut Session<Blocking>, names: &[&str]) -> Result<Self, Error> {
-        let open = |name: &&str| Ok((String::from(*name), ready(session.variable(Object::Controller, name))?));
-        let variables = names.iter().map(open).collect::<Result<_, Error>>()?;
+    pub(super) async fn open(session: &mut Session<Blocking>, names: &[&str]) -> Result<Self, Error> {
+        let mut variables = Vec::with_capacity(names.len());
+        for name in names {
+            variables.push((String::from(*name), session.variable(Object::Controller, name).await?));
+        }
         Ok(Self { session: session.id, variables })
     }
 

@@ -37,7 +37,7 @@ pub struct Robot<'a> {
 
 /// A robot whose arm this client has taken, so that it can move it.
 ///
-/// When it is dropped, even by a panic, it leaves Slave Mode, halts the robot if a motion may be under way, switches
+/// When it is dropped, also when a panic unwinds, it leaves Slave Mode, halts the robot if a motion may be under way, switches
 /// the motor off if it was switched on here, and gives the arm back, within five seconds. After a lost connection the
 /// drop of the [`Controller`](super::Controller) does so over a new one.
 #[derive(Debug)]
@@ -118,7 +118,7 @@ impl<'a> Robot<'a> {
         Ok(Arm { robot: self })
     }
 
-    /// Reads the joints.
+    /// Reads the joints, in degrees, or mm for a linear axis.
     ///
     /// # Errors
     ///
@@ -127,7 +127,7 @@ impl<'a> Robot<'a> {
         ready(self.session.execute_robot("CurJnt", ()))
     }
 
-    /// Reads the position of the tool.
+    /// Reads the position of the tool in mm and degrees: of the selected tool in the selected work coordinates.
     ///
     /// # Errors
     ///
@@ -268,9 +268,10 @@ impl<'a> Arm<'a> {
     /// # use bcap_std::{Motion, Move, Pass, Settings, blocking::Controller};
     /// # let mut cell = Controller::connect("tcp:192.168.0.1", &Settings::rc9())?;
     /// # let mut arm = cell.robot()?.take_arm()?;
-    /// let mut moving = arm.start(&Move::line("P1").pass(Pass::Near), Duration::from_secs(30))?;
-    /// moving = moving.then(&Move::line("P2").pass(Pass::Near))?; // round the corner at P1
-    /// match moving.then(&Move::line("P3"))?.wait()? {
+    /// let slowly = |to| Move::line(to).speed_percent(10.0);
+    /// let mut moving = arm.start(&slowly("P1").pass(Pass::Near), Duration::from_secs(30))?;
+    /// moving = moving.then(&slowly("P2").pass(Pass::Near))?; // round the corner at P1
+    /// match moving.then(&slowly("P3"))?.wait()? {
     ///     Motion::Arrived => println!("at P3, by way of P1 and P2"),
     ///     other => println!("stopped: {other:?}"),
     /// }
@@ -291,7 +292,8 @@ impl<'a> Arm<'a> {
     ///
     /// # Errors
     ///
-    /// An [`Error`]; after [`Error::Stream`] of a failed call Slave Mode is off, and the controller has stopped the robot.
+    /// An [`Error`]. After [`Error::Stream`] of a failed call a controller that works has ended Slave Mode and stopped the robot,
+    /// but that may not have been seen: the drop of the [`Arm`] leaves Slave Mode and halts the robot.
     pub fn stream<T: Trajectory + ?Sized>(
         &mut self,
         format: Format,

@@ -188,6 +188,8 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     fn arm_ended(&mut self, effect: ArmEffect, before: ArmState, ended: Result<(), &Error>) {
         match (effect, ended) {
             (effect, Ok(())) => self.arm.succeed(effect),
+            // given up, it may still be executed
+            (_, Err(Error::Refused { code: HResult::E_TIMEOUT, .. })) => {}
             (ArmEffect::Take | ArmEffect::Motor(true), Err(Error::Refused { .. } | Error::NotConnected { .. })) => {
                 self.arm = before;
             }

@@ -25,6 +25,13 @@ pub(crate) struct ArmState {
     pub(super) streaming: bool,
 }
 
+/// An arm as a session has taken it, until it takes it again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct ArmId {
+    pub(super) session: u64,
+    pub(super) take: u64,
+}
+
 /// The effects that a lost session may have left on the robot.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Left {

@@ -21,8 +21,9 @@ use bcap_core::hresult::HResult;
 use bcap_core::io::asynch::Connection;
 use bcap_core::io::asynch::Transport;
 use bcap_core::procedure::{self, ArmOwner, Claim, Effects};
+use bcap_core::time::Instant;
 
-use super::arm::{ArmState, Left, Recovery};
+use super::arm::{ArmId, ArmState, Left, Recovery};
 use super::{CLOSE, ROBOT, Release, Session};
 use crate::CallError;
 use crate::error::Error;
@@ -46,16 +47,22 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         change: impl FnOnce(X) -> Option<Y>,
     ) -> Option<Session<Y>> {
         self.set_limit(None);
-        let Self { connection, id, handle, robot_name, objects, arm, keep, usual_timing, link } = self;
+        let Self { connection, id, handle, robot_name, objects, arm, takes, keep, usual_timing, link } = self;
         let (transport, client) = connection.into_parts();
         let connection = Connection::new(change(transport)?, client);
-        Some(Session { connection, id, handle, robot_name, objects, arm, keep, usual_timing, link })
+        Some(Session { connection, id, handle, robot_name, objects, arm, takes, keep, usual_timing, link })
     }
 
     /// Returns, once, the effects that a lost session has left on the robot.
     pub(crate) fn take_left(&mut self) -> Option<Left> {
-        let arm = std::mem::take(&mut self.arm);
-        let (is_closed, is_datagram) = (self.link.is_closed, self.outlasts_its_link());
+        let left = self.left();
+        self.arm = ArmState::default();
+        left
+    }
+
+    /// Returns the effects that this session leaves on the robot if it is lost.
+    pub(crate) fn left(&mut self) -> Option<Left> {
+        let (arm, is_closed, is_datagram) = (self.arm, self.link.is_closed, self.outlasts_its_link());
         let since = self.link.silent_since.unwrap_or_else(|| self.connection.transport().now());
         (arm.is_used() && !self.keep).then_some(Left { arm, since, is_closed, is_datagram })
     }
@@ -63,16 +70,39 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     /// Gives the arm back at the end of its use, unless the settings leave it as it is. Over UDP the controller refuses every
     /// call while it still executes one that was given up, so it is asked again until that one has ended.
     pub(crate) async fn end_arm(&mut self) -> Result<(), Error> {
-        let until = self.connection.transport().now() + BUSY_LIMIT;
+        let until = self.busy_limit();
         while !self.keep {
             let given = self.give_arm().await;
-            let again = self.connection.transport().now() + BUSY_PAUSE;
-            if !is_busy(&given) || again > until {
+            if !self.waits_while_busy(&given, until).await {
                 return given;
             }
-            self.connection.transport().sleep_until(again).await;
         }
         Ok(())
+    }
+
+    /// Returns until when a call that is made now is repeated while the controller is busy.
+    pub(super) fn busy_limit(&mut self) -> Instant {
+        self.connection.transport().now() + BUSY_LIMIT
+    }
+
+    /// Waits a moment if the controller refused a call because it is busy. Returns whether the call is to be repeated.
+    pub(super) async fn waits_while_busy(&mut self, ended: &Result<(), Error>, until: Instant) -> bool {
+        let again = self.connection.transport().now() + BUSY_PAUSE;
+        let repeats = is_busy(ended) && again <= until;
+        if repeats {
+            self.connection.transport().sleep_until(again).await;
+        }
+        repeats
+    }
+
+    /// Counts that the arm is taken: an [`ArmId`] of an earlier time is not this one.
+    pub(super) const fn count_take(&mut self) {
+        self.takes = self.takes.wrapping_add(1);
+    }
+
+    /// Returns the ID of the arm as it was taken last.
+    pub(crate) const fn arm_id(&self) -> ArmId {
+        ArmId { session: self.id, take: self.takes }
     }
 
     pub(super) fn set_streaming(&mut self, streaming: bool) {
@@ -124,18 +154,19 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     }
 
     /// Stops the service of a lost session over UDP, as soon as its call without a reply has ended. Nothing else tells the
-    /// controller that the session has ended, and it would keep the arm for it.
-    pub(crate) async fn stop_lost_service(&mut self) {
+    /// controller that the session has ended, and it would keep the arm for it. Returns whether there was a reply.
+    pub(crate) async fn stop_lost_service(&mut self) -> bool {
         let timing = Timing { attempt_timeout: CLOSE, deadline: CLOSE, ..self.connection.client().timing() };
-        let until = self.connection.transport().now() + BUSY_LIMIT;
+        let until = self.busy_limit();
         while self.outlasts_its_link() {
             let stopped = self.connection.call_with(Release { object: Object::Service, handle: 0 }, timing).await;
             let again = self.connection.transport().now() + BUSY_PAUSE;
             if !matches!(stopped, Err(CallError::Refused(HResult::E_BUSY_PROC))) || again > until {
-                return;
+                return matches!(stopped, Ok(()) | Err(CallError::Refused(_)));
             }
             self.connection.transport().sleep_until(again).await;
         }
+        true
     }
 
     /// Ends Slave Mode if it is on.

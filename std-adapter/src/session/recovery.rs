@@ -27,6 +27,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     ) -> Result<(), Error> {
         let handles = self.handles().await?;
         let before = self.arm;
+        self.count_take();
         // recorded before the calls, so that they are undone even if the procedure is abandoned
         self.arm = if before.taken { during(before) } else { ArmState { taken: true, ..before } };
         let arm = &mut self.arm;
@@ -46,15 +47,17 @@ impl<X: Transport<Error = io::Error>> Session<X> {
                 self.arm = ArmState { taken: true, motor: before.motor || motor_on, ..before };
                 Ok(())
             }
-            Err(error) => self.not_ready(before, error),
+            Err(error) => self.not_ready(before, error).await,
         }
     }
 
-    fn not_ready(&mut self, before: ArmState, error: RunError<NotRecovered>) -> Result<(), Error> {
+    async fn not_ready(&mut self, before: ArmState, error: RunError<NotRecovered>) -> Result<(), Error> {
         let NotRecovered { step, error: failed, .. } = error.error;
-        if self.link.lost.is_none() || step == RecoveryStep::Examine {
-            // the procedure has undone its effects
+        if !failed.unsettled || step == RecoveryStep::Examine {
             self.arm = before;
+        } else if self.link.lost.is_none() && !before.taken {
+            // the procedure could not undo all of it
+            self.make_up().await;
         }
         match failed.cause {
             StepCause::Failed(_) => self.ended(step.name(), Err(error.map(|error| error.error))),

@@ -98,6 +98,7 @@ pub(crate) const STD: &[(&str, Coverage)] = &[
     ("asynch/robot.rs: Arm::start", Swept("Arm::start")),
     ("asynch/robot.rs: Arm::stream", Through("asynch/robot.rs: Arm::motor_on")),
     ("asynch/robot.rs: Robot::examine", Swept("Robot::examine")),
+    ("asynch/robot.rs: Robot::halt", Through("asynch/robot.rs: Stopper::halt")),
     ("asynch/robot.rs: Robot::execute", Swept("Robot::execute")),
     ("asynch/robot.rs: Robot::joints", Swept("Robot::joints")),
     ("asynch/robot.rs: Robot::make_ready", Through("asynch/robot.rs: Robot::recover")),

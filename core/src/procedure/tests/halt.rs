@@ -309,6 +309,16 @@ fn in_slave_mode_sys_state_is_not_sent() {
 }
 
 #[test]
+fn a_busy_controller_is_asked_again_and_no_task_is_stopped() {
+    let busy = Answer::Refused(HResult::E_BUSY_PROC);
+    let done = halted(|_, _, millis| (millis < 300).then(|| busy.clone()));
+    assert_eq!((done.result, count(&done.calls, KILL)), (Ok(outcome(HaltAnswer::Halted, None, true)), 0));
+    let done = halted(|_, _, _| Some(busy.clone()));
+    assert_eq!(done.result.err().and_then(|error| error.hresult()), Some(HResult::E_BUSY_PROC));
+    assert_eq!(count(&done.calls, HALT), done.calls.len());
+}
+
+#[test]
 fn a_halt_or_a_poll_without_a_reply_is_an_error() {
     for failure in [Failure::Timeout, Failure::NotSent, Failure::Lost] {
         for (number, call) in [HALT, SLAVE, STATE, POSITION].into_iter().enumerate() {

@@ -255,6 +255,8 @@ fn each_failure_halts_the_robot_once_it_may_move() {
     for (number, call) in [POSITION, MOVE.call, STATE, POSITION].into_iter().enumerate() {
         for (failure, cause) in [
             (Answer::Refused(HResult::E_HANDLE), StepCause::Refused(HResult::E_HANDLE)),
+            // the controller has given the call up, and may execute it
+            (Answer::Refused(HResult::E_TIMEOUT), StepCause::Refused(HResult::E_TIMEOUT)),
             (Answer::Failed(Failure::Timeout), StepCause::Failed(Failure::Timeout)),
             (Answer::Failed(Failure::NotSent), StepCause::Failed(Failure::NotSent)),
             (Answer::Failed(Failure::Lost), StepCause::Failed(Failure::Lost)),
@@ -268,11 +270,57 @@ fn each_failure_halts_the_robot_once_it_may_move() {
             let may_move = number > 1 || (number == 1 && cause == StepCause::Failed(Failure::Lost));
             assert_eq!(error.undone, !(lost && may_move), "{call} {cause:?}");
             // before the motion, refused or never sent, it has not started
-            let halts = !lost && (number > 1 || (number == 1 && cause == StepCause::Failed(Failure::Timeout)));
+            let given_up =
+                matches!(cause, StepCause::Failed(Failure::Timeout) | StepCause::Refused(HResult::E_TIMEOUT));
+            let halts = !lost && (number > 1 || (number == 1 && given_up));
             assert_eq!(done.calls.len(), number + 1 + usize::from(halts), "{call} {cause:?}");
             assert_eq!(done.calls.last().unwrap() == HALT, halts, "{call} {cause:?}");
         }
     }
+}
+
+/// A motion whose SysState is refused, and whose halt is answered so.
+fn undone(halt: impl Fn(u64) -> Answer) -> Run<Motion> {
+    run(motion(within(60_000)), |_, call, now| match call {
+        DESTINATION | POSITION => at(0.0),
+        STATE => Answer::Refused(HResult::E_HANDLE),
+        HALT => halt(now.as_micros() / 1000),
+        _ => Answer::Empty,
+    })
+}
+
+#[test]
+fn a_halt_on_the_way_back_counts_only_if_it_was_carried_out() {
+    for (answer, is_undone) in [
+        (Answer::Empty, true),
+        (Answer::Failed(Failure::Lost), false),
+        (Answer::Failed(Failure::Timeout), false),
+        (Answer::Failed(Failure::NotSent), false),
+        (Answer::Refused(HResult::E_FAIL), false),
+        (Answer::Refused(HResult::E_TIMEOUT), false),
+    ] {
+        let done = undone(|_| answer.clone());
+        let error = done.result.err().unwrap();
+        assert_eq!(error.cause, StepCause::Refused(HResult::E_HANDLE));
+        assert_eq!(
+            (error.undone, error.had_no_effect(), error.unsettled),
+            (is_undone, is_undone, !is_undone),
+            "{answer:?}"
+        );
+        assert_eq!(done.calls.iter().filter(|call| *call == HALT).count(), 1, "{answer:?}");
+    }
+}
+
+#[test]
+fn a_halt_on_the_way_back_is_repeated_while_the_controller_is_busy() {
+    let busy = Answer::Refused(HResult::E_BUSY_PROC);
+    let done = undone(|millis| if millis < 300 { busy.clone() } else { Answer::Empty });
+    assert!(done.result.err().unwrap().undone);
+    assert!((300..400).contains(&(done.now.as_micros() / 1000)), "{:?}", done.now);
+    // for a limited time
+    let done = undone(|_| busy.clone());
+    assert!(!done.result.err().unwrap().undone);
+    assert!((4900..5100).contains(&(done.now.as_micros() / 1000)), "{:?}", done.now);
 }
 
 #[test]

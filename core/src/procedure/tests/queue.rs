@@ -151,6 +151,17 @@ fn motions_follow_each_other_and_the_last_one_arrives() {
 }
 
 #[test]
+fn motions_without_a_time_limit_follow_each_other() {
+    let mut robot = Robot::new(0, false);
+    let queue = MotionQueue::new(MotionConfig::within(Duration::MAX));
+    let first = run_from(Instant::ZERO, begin(queue, to(10.0, true)), |_, call, now| robot.answer(call, now));
+    let begun = first.result.unwrap();
+    assert!(!begun.is_new());
+    let ended = run_from(first.now, wait(begun), |_, call, now| robot.answer(call, now));
+    assert_eq!((ended.result.unwrap().ended(), robot.position), (Some(Motion::Arrived), 10.0));
+}
+
+#[test]
 fn a_program_that_is_late_starts_the_next_motion_from_rest() {
     for known in [true, false] {
         let mut robot = Robot::new(0, false);

@@ -20,7 +20,9 @@ impl<const N: usize> Engine<N> {
         // these calls would end the stream of another client
         let is_foreign =
             !self.may_be_in_mode && self.fault.as_ref().is_some_and(|fault| fault.released == Released::No);
-        match next.filter(|_| self.motion != Health::Lost && !is_foreign) {
+        match next.filter(|_| !is_foreign) {
+            // it cannot be released
+            Some(_) if self.motion == Health::Lost => self.phase = Phase::Faulted,
             Some(step) => (self.phase, self.step) = (Phase::Leaving, step),
             None => self.end_release(),
         }

@@ -198,7 +198,7 @@ fn a_scalar_variant_converts_as_the_value_inside() {
 #[test]
 fn an_impossible_civil_time_is_not_sent() {
     let error = VariantBuf::<64>::new(&CivilTime::date(2026, 2, 30)).unwrap_err();
-    assert_eq!(error.to_string(), "a value is out of the range of VARTYPE 0x0007");
+    assert_eq!(error.to_string(), "a number is not finite, or a value is out of the range of VARTYPE 0x0007");
 }
 
 #[cfg(feature = "alloc")]

@@ -57,8 +57,9 @@ fn a_lost_connection_is_diagnosed_over_the_other_one() {
     assert_eq!(after[0].1, "slvGetMode");
     assert_eq!(after[1].1, "slvChangeMode");
     assert_eq!(rig.engine.recover(), Err(RecoverError::Lost));
+    // the motor stays on, and the arm taken
     rig.engine.stop();
-    assert_eq!(rig.engine.poll(rig.now), Action::Finished);
+    assert_eq!(rig.engine.poll(rig.now), Action::Faulted);
 }
 
 #[test]
@@ -69,6 +70,10 @@ fn without_a_connection_the_state_is_unknown() {
     let fault = rig.fault();
     assert_eq!((fault.released, fault.emergency_stop, fault.code()), (Released::Unknown, None, None));
     assert_eq!(fault.to_string(), "slvMove: the connection is lost");
+    let effects = rig.engine.effects();
+    assert!(effects.moving && effects.streaming);
+    rig.engine.stop();
+    assert_eq!((rig.engine.poll(rig.now), rig.engine.effects()), (Action::Faulted, effects));
 }
 
 #[test]

@@ -144,7 +144,7 @@ fn poses_beyond_the_limits_are_refused_with_axis_and_values() {
                 let error = rig.engine.push(&joints(1.0)).unwrap_err();
                 assert_eq!(
                     error.to_string(),
-                    "axis 1 would move at 125 per second, its limit is 100: put the poses closer"
+                    "axis 1 would move at 125 degrees or mm per second, its limit is 100: put the poses closer"
                 );
             }
             3 => {

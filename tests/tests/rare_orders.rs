@@ -1,0 +1,161 @@
+//! Rare orders of events: the robot is left as the caller was told.
+
+use std::thread;
+use std::time::Duration;
+
+use bcap_core::hresult::HResult;
+use bcap_core::procedure::RecoveryConfig;
+use bcap_sim::{Config, Controller as Simulated, Profile, Scenario};
+use bcap_std::asynch::{Controller, Halted, Stopper};
+use bcap_std::server::Limits;
+use bcap_std::{Backoff, Error, Motion, ServiceOptions, Settings, blocking};
+use bcap_tests::proxy::{Cut, Relay};
+use bcap_tests::served::Served;
+use bcap_tests::simulated::{simulated, to};
+
+const LIMIT: Duration = Duration::from_secs(30);
+
+/// A controller whose motor is on after a time.
+fn slow_motor(delay: Duration) -> Served<Simulated> {
+    Served::of(Simulated::new(Config { motor_on_delay: delay, ..Config::new(Profile::Rc8) }), Limits::default())
+}
+
+/// Settings that connect again after a minute.
+fn patient() -> Settings {
+    let minute = Duration::from_secs(60);
+    Settings::rc8().reconnect(Backoff::default().min(minute).max(minute))
+}
+
+fn udp(sim: &Served<Simulated>) -> String {
+    format!("udp:{}", sim.udp)
+}
+
+async fn until(sim: &Served<Simulated>, state: impl Fn(&Simulated) -> bool) {
+    for _ in 0..30_000 {
+        if sim.is(&state) {
+            return;
+        }
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+    panic!("the controller did not get there");
+}
+
+fn is_left(sim: &Simulated) -> bool {
+    (sim.arm_owner(), sim.motor_is_on(), sim.is_moving()) == (None, false, false)
+}
+
+#[tokio::test]
+async fn an_arm_that_was_given_back_is_not_taken_from_its_next_owner() {
+    let sim = simulated();
+    let cell = Controller::connect(&sim.address(), &Settings::rc8()).await.unwrap();
+    let (first, robot) = (cell.robot().await.unwrap().take_arm().await.unwrap(), cell.robot().await.unwrap());
+    let (given, second) = tokio::join!(first.give(), robot.take_arm());
+    given.unwrap();
+    let mut second = second.unwrap();
+    // after what the drop of the first arm has sent
+    cell.read::<i32>("I1").await.unwrap();
+    assert!(sim.application().arm_owner().is_some());
+    second.motor_on().await.unwrap();
+    assert_eq!(second.move_to(&to(5.0), LIMIT).await.unwrap(), Motion::Arrived);
+}
+
+#[tokio::test]
+async fn an_arm_of_a_lost_session_halts_no_motion_of_the_next_one() {
+    let sim = simulated();
+    let relay = Relay::tcp(sim.tcp);
+    let soon = Backoff::default().min(Duration::from_millis(1)).max(Duration::from_millis(20));
+    let cell = Controller::connect(&format!("tcp:{}", relay.tcp), &Settings::rc8().reconnect(soon)).await.unwrap();
+    let mut stale = cell.robot().await.unwrap().take_arm().await.unwrap();
+    relay.cut(Cut::Fin);
+    relay.heal();
+    while cell.statistics().connections < 2 {
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+    let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+    arm.motor_on().await.unwrap();
+    let far = to(20.0).speed_percent(20.0);
+    let late = async {
+        until(&sim, Simulated::is_moving).await;
+        stale.move_to(&to(1.0), LIMIT).await
+    };
+    let (moved, refused) = tokio::join!(arm.move_to(&far, LIMIT), late);
+    assert_eq!(moved.unwrap(), Motion::Arrived);
+    assert!(matches!(refused, Err(Error::ArmLost)), "{refused:?}");
+}
+
+#[tokio::test]
+async fn a_halt_does_not_wait_for_the_next_attempt_to_connect() {
+    let sim = simulated();
+    let relay = Relay::tcp(sim.tcp);
+    let stopper = Stopper::connect(&format!("tcp:{}", relay.tcp), &patient()).await.unwrap();
+    relay.cut(Cut::Fin);
+    relay.heal();
+    assert_eq!(stopper.halt().await.unwrap(), Halted::NothingMoved);
+}
+
+#[tokio::test]
+async fn a_halt_without_a_reply_is_made_over_a_new_connection() {
+    let sim = simulated();
+    let relay = Relay::tcp(sim.tcp);
+    let stopper = Stopper::connect(&format!("tcp:{}", relay.tcp), &patient()).await.unwrap();
+    relay.cut(Cut::Silent);
+    relay.heal();
+    assert_eq!(stopper.halt().await.unwrap(), Halted::NothingMoved);
+}
+
+#[test]
+fn a_blocking_halt_without_a_reply_is_made_over_a_new_connection() {
+    let sim = simulated();
+    let relay = Relay::tcp(sim.tcp);
+    let stopper = blocking::Stopper::connect(&format!("tcp:{}", relay.tcp), &patient()).unwrap();
+    relay.cut(Cut::Silent);
+    relay.heal();
+    assert_eq!(stopper.halt().unwrap(), Halted::NothingMoved);
+}
+
+/// Over UDP the controller refuses every call while it executes one that was given up.
+#[tokio::test]
+async fn a_dropped_motion_is_halted_once_a_busy_controller_accepts_it() {
+    let sim = simulated();
+    let cell = Controller::connect(&udp(&sim), &Settings::rc8()).await.unwrap();
+    let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+    arm.motor_on().await.unwrap();
+    let slow = "[[fault]]\nwhen = { every = 1, of = \"SysState\" }\nthen = { delay_ms = 300 }\n";
+    sim.application().play(Scenario::parse(slow).unwrap());
+    let far = to(150.0).speed_percent(1.0);
+    tokio::select! {
+        moved = arm.move_to(&far, LIMIT) => panic!("{moved:?}"),
+        () = async {
+            until(&sim, Simulated::is_moving).await;
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        } => {}
+    }
+    until(&sim, |sim| !sim.is_moving()).await;
+    assert!(sim.application().arm_owner().is_some());
+}
+
+#[tokio::test]
+async fn a_recovery_that_is_given_up_leaves_no_motor_on() {
+    let sim = slow_motor(Duration::from_secs(1));
+    let cell = Controller::connect(&udp(&sim), &Settings::rc8()).await.unwrap();
+    let robot = cell.within(Duration::from_millis(200)).robot().await.unwrap();
+    let failed = robot.recover(RecoveryConfig::default()).await;
+    assert!(matches!(failed, Err(Error::NoReply { .. })), "{failed:?}");
+    // the motor was on in the meantime
+    until(&sim, is_left).await;
+    tokio::time::sleep(Duration::from_millis(100)).await;
+    assert!(sim.is(is_left));
+    cell.robot().await.unwrap().take_arm().await.unwrap().give().await.unwrap();
+}
+
+#[test]
+fn a_call_that_the_controller_has_given_up_may_have_an_effect() {
+    let sim = slow_motor(Duration::from_millis(500));
+    let service = ServiceOptions::default().invoke_timeout(Duration::from_millis(80));
+    let mut cell = blocking::Controller::connect(&sim.address(), &Settings::rc8().service(service)).unwrap();
+    let error = cell.robot().unwrap().execute::<()>("Motor", [1, 0]).unwrap_err();
+    assert!(error.code() == Some(HResult::E_TIMEOUT) && error.may_have_run(), "{error}");
+    drop(cell);
+    thread::sleep(Duration::from_millis(600));
+    assert!(sim.is(is_left));
+}
