@@ -154,15 +154,18 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     }
 
     /// Stops the service of a lost session over UDP, as soon as its call without a reply has ended. Nothing else tells the
-    /// controller that the session has ended, and it would keep the arm for it. Returns whether there was a reply.
+    /// controller that the session has ended, and it would keep the arm for it. Returns whether that session has ended.
     pub(crate) async fn stop_lost_service(&mut self) -> bool {
         let timing = Timing { attempt_timeout: CLOSE, deadline: CLOSE, ..self.connection.client().timing() };
         let until = self.busy_limit();
         while self.outlasts_its_link() {
             let stopped = self.connection.call_with(Release { object: Object::Service, handle: 0 }, timing).await;
             let again = self.connection.transport().now() + BUSY_PAUSE;
-            if !matches!(stopped, Err(CallError::Refused(HResult::E_BUSY_PROC))) || again > until {
-                return matches!(stopped, Ok(()) | Err(CallError::Refused(_)));
+            match stopped {
+                Err(CallError::Refused(HResult::E_BUSY_PROC)) if again <= until => {}
+                // without it, another code says that there is no such session
+                Err(CallError::Refused(code)) => return code != HResult::E_BUSY_PROC,
+                ended => return ended.is_ok(),
             }
             self.connection.transport().sleep_until(again).await;
         }
