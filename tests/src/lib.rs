@@ -45,9 +45,8 @@ pub mod served;
 pub mod simulated;
 pub mod slowed;
 pub mod stepped;
-pub mod tools;
 
-pub use bcap_test_support::{async_functions, pymodbus, python};
+pub use bcap_test_support::{async_functions, pymodbus, python, tools};
 
 /// The examples of the README are compiled.
 #[cfg(doctest)]

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use bcap_core::rac::VariableKind;
 use bcap_core::variant::Variant;
+use bcap_test_support::tools;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 use tokio_tungstenite::tungstenite::stream::MaybeTlsStream;
@@ -33,24 +34,17 @@ impl Drop for Firefox {
 }
 
 impl Firefox {
-    /// Starts a browser; `None` without one, which a test may skip only outside of CI.
+    /// Starts a browser; `None` if it is not installed, which fails with `CI=true`.
     fn start() -> Option<Self> {
         let profile = tempfile::tempdir().unwrap();
-        let process = Command::new("firefox-esr")
+        let mut process = Command::new(tools::find("firefox-esr")?)
             .args(["--headless", "--no-remote", "--remote-debugging-port=0", "--profile"])
             .arg(profile.path())
             .env("HOME", profile.path())
             .stdout(Stdio::null())
             .stderr(Stdio::piped())
-            .spawn();
-        let mut process = match process {
-            Ok(process) => process,
-            Err(error) => {
-                eprintln!("skipped: there is no firefox-esr ({error}); install the Debian package firefox-esr");
-                assert!(std::env::var_os("CI").is_none(), "CI needs firefox-esr");
-                return None;
-            }
-        };
+            .spawn()
+            .unwrap();
         let mut lines = BufReader::new(process.stderr.take().unwrap()).lines().map_while(Result::ok);
         let address = lines.find_map(|line| Some(line.split_once("WebDriver BiDi listening on ")?.1.to_owned()));
         let socket = websocket(&format!("{}/session", address.expect("Firefox opens its port")));

@@ -106,7 +106,7 @@ fn halt_and_reload(sim: &Sim, browser: &mut Browser) {
 fn three_browsers_share_a_robot_and_one_has_the_control() {
     let sim = Sim::start();
     let web = Web::moving(&[("press", sim.address())]);
-    let mut browsers: Vec<Browser> = (0..3).filter_map(|_| Browser::start()).collect();
+    let mut browsers: Vec<Browser> = (0..3).map_while(|_| Browser::start()).collect();
     let [anna, bob, carl] = &mut browsers[..] else { return };
     for browser in [&mut *anna, bob, carl] {
         browser.open(web.url());

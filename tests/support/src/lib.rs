@@ -5,6 +5,7 @@
 //! | [`async_functions`] | the async functions of a crate, read from its sources          |          |
 //! | [`pymodbus`]        | a client of Modbus of another make                             |          |
 //! | [`python`]          | packages of PyPI that tests run                                |          |
+//! | [`tools`]           | tools that tests need, and may be missing                      |          |
 //! | `dhcp`              | answers of DHCP servers                                        | `frames` |
 //! | `frames`            | frames for a board                                             | `frames` |
 //! | `logger`            | a logger of defmt, without which its programs do not link      | `defmt`  |
@@ -21,3 +22,4 @@ pub mod pymodbus;
 pub mod python;
 #[cfg(feature = "stacks")]
 pub mod stacks;
+pub mod tools;
