@@ -191,6 +191,11 @@ lengths:
     cargo test -p bcap-testkit --test lengths --target i686-unknown-linux-gnu
     cargo test -p bcap-tests --test all --target i686-unknown-linux-gnu -- vectors::
 
+# Compares the lines that docs/spec-notes.md cites with the texts of the specifications: `bcap-rc9.txt` and `rac-rc8.txt` in a folder.
+[group('long tests')]
+citations folder:
+    BCAP_SPECIFICATIONS={{folder}} cargo test -p bcap-tests --test all citations:: -- --ignored
+
 # Prints and parses every 1000th float (`just floats 1`: all of them, half an hour), and the milliseconds of some days.
 [group('long tests')]
 floats step="1000":

@@ -1,8 +1,8 @@
 //! The lines of the specifications that `docs/spec-notes.md` cites.
 //!
 //! The specifications are not in this repository. `citations.tsv` has facts about their texts: a line, and a word that it has.
-//! Each citation of the page needs a fact within its lines, and each fact a citation. With their texts in the folder
-//! `BCAP_SPECIFICATIONS` (`bcap-rc9.txt`, `rac-rc8.txt`), the facts are compared with the lines.
+//! Each citation of the page needs a fact within its lines, and each fact a citation. `just citations FOLDER` compares the facts
+//! with the texts `bcap-rc9.txt` and `rac-rc8.txt` of a folder.
 
 use std::collections::BTreeSet;
 use std::ops::RangeInclusive;
@@ -93,11 +93,9 @@ fn each_cited_line_has_a_fact_and_each_fact_is_cited() {
 }
 
 #[test]
+#[ignore = "needs the texts of the specifications, which are not in this repository: just citations FOLDER"]
 fn the_facts_are_those_of_the_texts() {
-    let Ok(folder) = std::env::var("BCAP_SPECIFICATIONS") else {
-        println!("BCAP_SPECIFICATIONS names no folder with the texts: the facts were compared when they were written");
-        return;
-    };
+    let folder = std::env::var("BCAP_SPECIFICATIONS").expect("the folder of the texts in BCAP_SPECIFICATIONS");
     for (document, file) in [("S0", "rac-rc8.txt"), ("S2", "bcap-rc9.txt")] {
         let text = std::fs::read_to_string(Path::new(&folder).join(file)).expect("the text of a specification");
         let lines: Vec<_> = text.lines().collect();
