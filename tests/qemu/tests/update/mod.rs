@@ -8,7 +8,8 @@
 //! A and B are the same image with different versions. A cut happens in an erase of a sector or in a write of a page. By default the
 //! power is cut in a sample of these operations; `UPDATE_CUTS=500` makes the sample of the swap and the roll-back that large.
 //! `UPDATE_CUTS=all` cuts it in each one of a swap, a confirmation and a roll-back, and of the download and installation of a short image;
-//! of the download of the whole image in each seventeenth, about two in each sector. The images are signed.
+//! of the download of the whole image in each seventeenth, about two in each sector. The images are signed. `UPDATE_SEED` is the seed of
+//! the samples and of the moments at which QEMU is killed, 1.
 
 // the sizes and the words of the flash, which the image has, too
 #[allow(dead_code, reason = "the images use the rest")]
@@ -24,6 +25,7 @@ use std::time::{Duration, Instant};
 use bcap_board::identity::{self, BLOCK, Identity};
 use bcap_board::image;
 use bcap_qemu::{Plc, bcap, run};
+use fastrand::Rng;
 use serialport::{SerialPort, TTYPort};
 
 use self::layout::control;
@@ -188,12 +190,12 @@ fn an_image_that_serves_nothing_is_rolled_back_and_the_status_tells_why() {
 fn a_board_starts_again_after_a_power_cut_in_any_operation_of_the_flash() {
     let bcap = bcap();
     let rig = Rig::new(&bcap);
-    let (original, since) = (rig.contents(), Instant::now());
+    let (mut rng, original, since) = (random(), rig.contents(), Instant::now());
     let image = flatten(&rig.version("0.2.0"));
     let installed = installed(&rig, &original, &image);
-    let (swap, on_trial) = cut_swap(&rig, &installed, &image);
-    let roll_back = cut_roll_back(&rig, &on_trial, &image);
-    let download = cut_download(&rig, &original, &image);
+    let (swap, on_trial) = cut_swap(&rig, &mut rng, &installed, &image);
+    let roll_back = cut_roll_back(&rig, &mut rng, &on_trial, &image);
+    let download = cut_download(&rig, &mut rng, &original, &image);
     say(&format!(
         "update: {} power cuts ({download} in the download, {swap} in the swap and the confirmation, {roll_back} in the roll-back), \
          all recovered, {} s",
@@ -207,13 +209,13 @@ fn a_board_whose_power_fails_during_a_swap_finishes_it() {
     let bcap = bcap();
     let rig = Rig::new(&bcap);
     let installed = installed(&rig, &rig.contents(), &flatten(&rig.version("0.2.0")));
-    let (mut kills, mut rounds) = (0, 0);
+    let (mut rng, mut kills, mut rounds) = (random(), 0, 0);
     while kills < 10 {
         rounds += 1;
         assert!(rounds <= 50, "{kills} of {} moments were in a swap", 2 * rounds);
         rig.restore(&installed);
         // the power fails twice, at random moments
-        let moments = [fastrand::u32(1..1000), fastrand::u32(1100..2000)];
+        let moments = [rng.u32(1..1000), rng.u32(1100..2000)];
         for moment in moments {
             let board = rig.start();
             wait("the swap does not start", || (rig.operations() >= moment).then_some(()));
@@ -256,7 +258,7 @@ fn installed(rig: &Rig, original: &Contents, image: &[u8]) -> Contents {
 }
 
 /// Cuts the power in operations of the download and the installation. Returns the number of cuts.
-fn cut_download(rig: &Rig, original: &Contents, image: &[u8]) -> u32 {
+fn cut_download(rig: &Rig, rng: &mut Rng, original: &Contents, image: &[u8]) -> u32 {
     let all = cut_all();
     let short = short(image);
     rig.restore(original);
@@ -280,7 +282,7 @@ fn cut_download(rig: &Rig, original: &Contents, image: &[u8]) -> u32 {
     rig.restore(original);
     let mut board = rig.start();
     let last = operations_of(image.len());
-    let first = if all { 1 } else { fastrand::u32(1..last) };
+    let first = if all { 1 } else { rng.u32(1..last) };
     for operation in (first..=last).step_by(if all { 17 } else { 10_000 }) {
         assert_eq!(board.status(), A);
         rig.cut_at(operation);
@@ -301,7 +303,7 @@ fn operations_of(len: usize) -> u32 {
 }
 
 /// Cuts the power in operations of the swap and the confirmation. Returns the number of cuts, and the flash with B on trial.
-fn cut_swap(rig: &Rig, installed: &Contents, image: &[u8]) -> (u32, Contents) {
+fn cut_swap(rig: &Rig, rng: &mut Rng, installed: &Contents, image: &[u8]) -> (u32, Contents) {
     rig.restore(installed);
     let mut board = rig.start();
     assert_eq!(board.status(), B_ON_TRIAL);
@@ -316,7 +318,7 @@ fn cut_swap(rig: &Rig, installed: &Contents, image: &[u8]) -> (u32, Contents) {
     check_model(rig);
     drop(board);
 
-    let cuts = cuts(1..swap + 1, 12);
+    let cuts = cuts(1..swap + 1, 12, rng);
     for operation in &cuts {
         rig.restore(installed);
         rig.cut_at(*operation);
@@ -352,7 +354,7 @@ fn cut_swap(rig: &Rig, installed: &Contents, image: &[u8]) -> (u32, Contents) {
 }
 
 /// Cuts the power in operations of the roll-back. Returns the number of cuts.
-fn cut_roll_back(rig: &Rig, on_trial: &Contents, image: &[u8]) -> u32 {
+fn cut_roll_back(rig: &Rig, rng: &mut Rng, on_trial: &Contents, image: &[u8]) -> u32 {
     rig.restore(on_trial);
     let mut board = rig.start();
     assert_eq!(board.status(), ROLLED_BACK);
@@ -360,7 +362,7 @@ fn cut_roll_back(rig: &Rig, on_trial: &Contents, image: &[u8]) -> u32 {
     let last = rig.operations();
     check_model(rig);
     drop(board);
-    let cuts = cuts(1..last + 1, 12);
+    let cuts = cuts(1..last + 1, 12, rng);
     for operation in &cuts {
         rig.restore(on_trial);
         rig.cut_at(*operation);
@@ -386,18 +388,25 @@ fn repeat(board: &mut rig::Board<'_>, image: &[u8]) {
     board.until(B);
 }
 
+/// Returns the random numbers of a test, and prints their seed.
+fn random() -> Rng {
+    let seed = std::env::var("UPDATE_SEED").map_or(1, |seed| seed.parse().unwrap());
+    say(&format!("update: seed {seed}"));
+    Rng::with_seed(seed)
+}
+
 fn cut_all() -> bool {
     std::env::var("UPDATE_CUTS").is_ok_and(|cuts| cuts == "all")
 }
 
-/// Returns the operations in which the power is cut: all, or about this number of them, at other places in each run.
-fn cuts(operations: std::ops::Range<u32>, count: u32) -> Vec<u32> {
+/// Returns the operations in which the power is cut: all, or about this number of them, from a random one on.
+fn cuts(operations: std::ops::Range<u32>, count: u32, rng: &mut Rng) -> Vec<u32> {
     if cut_all() {
         return operations.collect();
     }
     let count = std::env::var("UPDATE_CUTS").map_or(count, |cuts| cuts.parse::<u32>().unwrap().div_ceil(2));
     let step = (operations.len() as u32 / count).max(1);
-    let first = operations.start + fastrand::u32(0..step);
+    let first = operations.start + rng.u32(0..step);
     (first..operations.end).step_by(step as usize).collect()
 }
 
