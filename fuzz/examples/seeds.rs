@@ -7,6 +7,7 @@
 use std::path::Path;
 use std::{fs, io};
 
+use bcap_testkit::frame::field;
 use bcap_testkit::value::Value;
 use bcap_testkit::vectors::{frames, texts};
 
@@ -18,7 +19,7 @@ fn main() -> io::Result<()> {
         // a server receives it; a client receives it as a reply or as a stray frame; a gateway receives it from its robot
         seed("server", index, &[&[0; 33], &variant(2, 7), &bytes(&frame.bytes), &variant(3, 7), &[255]])?;
         let mut reply = frame.bytes.clone();
-        reply[5..7].copy_from_slice(&[1, 0]);
+        reply[field::SERIAL].copy_from_slice(&[1, 0]);
         seed("client", index, &[&[0], &variant(0, 11), &NULL, &variant(2, 11), &variant(5, 11), &bytes(&reply)])?;
         seed("gateway", index, &[&[0], &variant(12, 15), &bytes(&frame.bytes), &variant(8, 15)])?;
         for arg in frame.args.iter().flatten().map(Value::to_wire) {

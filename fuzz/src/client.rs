@@ -12,7 +12,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::limits::{Limits, Strictness};
 use bcap_core::storage::Storage;
 use bcap_core::time::Instant;
-use bcap_testkit::frame::TestFrame;
+use bcap_testkit::frame::{TestFrame, field};
 use bcap_testkit::oracle::{Oracle, Verdict};
 use bcap_testkit::value::Value;
 
@@ -235,7 +235,7 @@ impl<R: Storage> Run<R> {
         let serial = self.model.last.wrapping_sub(u16::from(behind));
         let mut wire = vec![0; 600];
         crate::frame::fix_frame(&mut wire, false);
-        wire[5..7].copy_from_slice(&serial.to_le_bytes());
+        wire[field::SERIAL].copy_from_slice(&serial.to_le_bytes());
         self.model.clean = false;
         self.receive(&wire);
     }
@@ -325,7 +325,7 @@ impl<R: Storage> Run<R> {
             if self.client.start(&call::service_stop(), self.client.timing(), self.now).is_err() {
                 return;
             }
-            let serial = self.client.transmit().get(5..7).map_or(0, |s| u16::from_le_bytes([s[0], s[1]]));
+            let serial = field::serial(self.client.transmit()).unwrap_or(0);
             assert!(serial != 0 && !self.model.is_unanswered(serial));
             self.model.last = serial;
             self.client.abandon();

@@ -2,7 +2,7 @@
 
 use bcap_core::bcap::{Decoder, Progress};
 use bcap_core::limits::{Limits, Strictness};
-use bcap_testkit::frame::{TestFrame, bitwise_crc};
+use bcap_testkit::frame::{TestFrame, bitwise_crc, field};
 use bcap_testkit::oracle::{Oracle, Verdict};
 
 use crate::input::BOTH;
@@ -43,10 +43,10 @@ pub(crate) fn fix_frame(bytes: &mut [u8], crc: bool) {
         return;
     }
     bytes[0] = 1;
-    bytes[1..5].copy_from_slice(&(length as u32).to_le_bytes());
+    bytes[field::LENGTH].copy_from_slice(&(length as u32).to_le_bytes());
     // few arguments, so that the decoder reaches them
-    bytes[13] &= 7;
-    bytes[14] = 0;
+    let count = bytes[field::COUNT.start] & 7;
+    bytes[field::COUNT].copy_from_slice(&[count, 0]);
     if crc {
         let sum = bitwise_crc(&bytes[1..length - 3]);
         bytes[length - 3..length - 1].copy_from_slice(&sum.to_le_bytes());

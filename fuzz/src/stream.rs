@@ -10,7 +10,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::limits::{Limits, Strictness};
 use bcap_core::storage::Storage;
 use bcap_core::time::Instant;
-use bcap_testkit::frame::TestFrame;
+use bcap_testkit::frame::{TestFrame, field};
 use bcap_testkit::link::chunks;
 use bcap_testkit::oracle::{Oracle, Verdict};
 use bcap_testkit::value::Value;
@@ -138,7 +138,7 @@ fn by_oracle(setup: Setup, bytes: &[u8], sizes: &[u8]) -> Vec<Found> {
             if rest.len() < room {
                 return found;
             }
-            found.push(Found::Serial(u16::from_le_bytes([rest[5], rest[6]])));
+            found.push(Found::Serial(field::serial(rest).expect("a header")));
             rest = &rest[claimed.min(rest.len())..];
             continue;
         }

@@ -8,7 +8,7 @@ use std::time::Duration;
 use bcap_core::bcap::call::{self, VariableHandle};
 use bcap_core::bcap::client::{ClientError, Timeout};
 use bcap_core::bcap::server::{Handler, Request};
-use bcap_core::bcap::{FunctionId, Object};
+use bcap_core::bcap::{FunctionId, Header, Object};
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::io::CallError;
@@ -135,7 +135,7 @@ async fn tokio_clients_work_over_both_links_and_from_any_task() {
 /// Closes the connection instead of sending E_NOTIMPL, and drops every third frame.
 fn tap(store: &mut Store, _: PeerId, frame: &mut Vec<u8>) -> ControlFlow<()> {
     store.sent += 1;
-    if frame[9..13] == HResult::E_NOTIMPL.0.to_le_bytes() {
+    if Header::read(frame).is_some_and(|reply| reply.hresult() == HResult::E_NOTIMPL) {
         return ControlFlow::Break(());
     }
     if store.sent.is_multiple_of(3) {

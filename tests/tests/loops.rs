@@ -3,6 +3,7 @@
 
 use bcap_core::bcap::call::{self, Call, RawCall, VariableHandle};
 use bcap_core::bcap::client::{Client, Config};
+use bcap_core::bcap::header::field;
 use bcap_core::bcap::server::{self, Session};
 use bcap_core::bcap::{FunctionId, Link};
 use bcap_core::endpoint::{Endpoint, Serve};
@@ -214,8 +215,8 @@ fn a_call_is_the_same_bytes_from_every_client() {
         client.transmit().to_vec()
     };
     let (tcp, mut udp) = (bytes(Config::TCP), bytes(Config::UDP));
-    assert_eq!((udp[7], udp[8]), (1, 0), "the marker of a first attempt");
-    udp[7] = 0;
+    assert_eq!(udp[field::RESERVED], [1, 0], "the marker of a first attempt");
+    udp[field::RESERVED].fill(0);
     assert_eq!(tcp, udp);
     assert_eq!(call.function(), FunctionId::VARIABLE_PUT_VALUE);
 }

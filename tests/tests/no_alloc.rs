@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use bcap_core::bcap::call::{self, Call, ControllerHandle, Reply, RobotHandle, VariableHandle};
 use bcap_core::bcap::client::{self, Client};
-use bcap_core::bcap::{Decoder, FrameWriter, FunctionId, server};
+use bcap_core::bcap::{Decoder, FrameWriter, FunctionId, Header, server};
 use bcap_core::error::EncodeError;
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
@@ -432,7 +432,7 @@ fn streaming_in_slave_mode() {
                         _ => frame.argument(&0_i32),
                     }
                     .ok()?;
-                    let serial = u16::from_le_bytes([request[5], request[6]]);
+                    let serial = Header::read(&request)?.serial;
                     let bytes = frame.finish(serial, 0, code.0).ok()?;
                     client.receive_buffer().get_mut(..bytes.len())?.copy_from_slice(bytes);
                     client.received(bytes.len());

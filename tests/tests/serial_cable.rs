@@ -6,6 +6,7 @@
 use std::io;
 use std::time::{Duration, Instant as Clock};
 
+use bcap_core::bcap::Header;
 use bcap_core::bcap::call::{self, ControllerHandle};
 use bcap_core::time::Instant;
 use bcap_core::variant::{OwnedVariant, Variant};
@@ -42,7 +43,7 @@ impl Transport for Counted {
         if self.left == 0 {
             // the client passes a frame from its first byte, and then the rest of it
             self.frames += 1;
-            self.left = bytes[1..5].try_into().map(u32::from_le_bytes).unwrap().try_into().unwrap();
+            self.left = Header::read_length(bytes).unwrap().try_into().unwrap();
         }
         let sent = self.inner.send(bytes, until)?;
         self.left -= sent.unwrap_or(0);

@@ -5,7 +5,7 @@ use std::vec::Vec;
 
 use bcap_core::bcap::call::{self, VariableHandle};
 use bcap_core::bcap::client::{ClientError, Config, Timeout, Timing};
-use bcap_core::bcap::{FunctionId, server};
+use bcap_core::bcap::{FunctionId, Header, server};
 use bcap_core::handler::{Outcome, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::variant::Variant;
@@ -201,7 +201,7 @@ fn udp_calls_are_retried_and_other_senders_ignored() {
         net.step();
         let server = net.sockets.get_mut::<udp::Socket<'_>>(there);
         while let Ok((request, _)) = server.recv() {
-            assert_eq!(request[9..13], FunctionId::SERVICE_START.0.to_le_bytes()[..]);
+            assert_eq!(Header::read(request).unwrap().function(), FunctionId::SERVICE_START);
             requests += 1;
         }
         // a valid reply, but from the wrong address
@@ -316,5 +316,5 @@ fn udp_server_leaves_requests_in_the_socket_until_there_is_room_for_replies() {
     }
     let reply = found.pop().unwrap();
     assert_eq!((found, reply.len()), (vec![b"x".to_vec(); 4], 16));
-    assert_eq!(reply[9..13], HResult::S_OK.0.to_le_bytes());
+    assert_eq!(Header::read(&reply).unwrap().hresult(), HResult::S_OK);
 }

@@ -15,7 +15,7 @@ use bcap_conform::{Group, Level, Link, Options, Verdict, run};
 use bcap_core::bcap::FunctionId as F;
 use bcap_core::hresult::HResult;
 use bcap_sim::Controller;
-use bcap_testkit::frame::TestFrame;
+use bcap_testkit::frame::{TestFrame, field};
 use bcap_testkit::judge::TCP;
 use bcap_testkit::value::Value;
 use bcap_tests::served::Served;
@@ -90,8 +90,12 @@ const FAULTS: &[Fault] = &[
     of_reply("reserved field is the serial", "frames/minimal-request", |_, _, frame| {
         TestFrame { reserved: frame.serial, ..frame }.to_wire(false)
     }),
-    of_reply("length one too large", "frames/minimal-request", |_, _, frame| patched(&frame, |bytes| bytes[1] += 1)),
-    of_reply("length one too small", "frames/minimal-request", |_, _, frame| patched(&frame, |bytes| bytes[1] -= 1)),
+    of_reply("length one too large", "frames/minimal-request", |_, _, frame| {
+        patched(&frame, |bytes| bytes[field::LENGTH.start] += 1)
+    }),
+    of_reply("length one too small", "frames/minimal-request", |_, _, frame| {
+        patched(&frame, |bytes| bytes[field::LENGTH.start] -= 1)
+    }),
     of_reply("wrong last byte", "frames/minimal-request", |_, _, frame| {
         patched(&frame, |bytes| *bytes.last_mut().unwrap() = 3)
     }),
@@ -99,14 +103,14 @@ const FAULTS: &[Fault] = &[
         patched(&frame, |bytes| {
             let end = bytes.len() - 1;
             bytes.splice(end..end, [0x12, 0x34]);
-            bytes[1] += 2;
+            bytes[field::LENGTH.start] += 2;
         })
     }),
     of_reply("wrong number of arguments", "sessions/connect-and-disconnect", |_, _, frame| {
-        patched(&frame, |bytes| bytes[13] += 1)
+        patched(&frame, |bytes| bytes[field::COUNT.start] += 1)
     }),
     of_reply("argument length one too large", "variables/type-of-i", |_, request, frame| match F(request.code) {
-        F::VARIABLE_GET_VALUE => patched(&frame, |bytes| bytes[15] += 1),
+        F::VARIABLE_GET_VALUE => patched(&frame, |bytes| bytes[field::ARGUMENT.start] += 1),
         _ => frame.to_wire(false),
     }),
     of_reply("a value with a void reply", "frames/minimal-request", |_, request, frame| match F(request.code) {
@@ -236,7 +240,7 @@ const FAULTS: &[Fault] = &[
         (frame.to_wire(false).len() < 1 << 16).then_some(frame)
     }),
     of_bytes("an incomplete frame is lost", Link::Tcp, "frames/pieces-after-the-header", |_, bytes| {
-        let is_complete = bytes.len() >= 5 && usize::from(bytes[1]) == bytes.len();
+        let is_complete = field::length(&bytes).is_some_and(|length| length as usize == bytes.len());
         if is_complete { bytes } else { Vec::new() }
     }),
     of_bytes(

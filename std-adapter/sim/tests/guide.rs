@@ -1,5 +1,6 @@
 //! The frames of the RC8 guide, sent through the server of b-CAP: the virtual controller's answers are the guide's.
 
+use bcap_core::bcap::header::field;
 use bcap_core::bcap::server::{Config as Server, Session};
 use bcap_core::endpoint::{Endpoint, Serve};
 use bcap_core::handler::PeerId;
@@ -53,7 +54,7 @@ impl Link {
         for number in numbers {
             let (request, mut response) = (frame(*number), frame(number + 1));
             // some of the guide's responses show another serial than their requests
-            response[5..7].copy_from_slice(&request[5..7]);
+            response[field::SERIAL].copy_from_slice(&request[field::SERIAL]);
             assert_eq!(self.exchange(&request), response, "rc8_{number:02} at {}", self.now);
         }
     }

@@ -13,7 +13,7 @@
 use bcap_core::bcap::{Decoder, Progress};
 use bcap_core::limits::{Limits, Strictness};
 use bcap_core::variant::{MAX_EMPTY_ELEMENTS, Variant};
-use bcap_testkit::frame::{TestFrame, bitwise_crc};
+use bcap_testkit::frame::{TestFrame, bitwise_crc, field};
 use bcap_testkit::oracle::{Oracle, Verdict};
 use bcap_testkit::value::{ARRAY, VARIANT, Value};
 
@@ -107,7 +107,7 @@ fn the_count_of_arguments_is_right_for_every_value() {
     let frame = TestFrame { serial: 7, reserved: 0, code: 3, args: vec![Value::I4(5), Value::Ui1(1)] };
     let mut wire = frame.to_wire(false);
     for count in 0..=u16::MAX {
-        wire[13..15].copy_from_slice(&count.to_le_bytes());
+        wire[field::COUNT].copy_from_slice(&count.to_le_bytes());
         for strictness in BOTH {
             for arguments in [0, 1, 2, 64, u16::MAX] {
                 let limits = Limits { arguments, ..Limits::STREAM };
@@ -197,7 +197,7 @@ fn every_length_of_an_argument_is_judged_right() {
     let frame = TestFrame { serial: 7, reserved: 0, code: 3, args: vec![Value::I4(5)] };
     let mut wire = frame.to_wire(false);
     for length in 0..=u32::MAX {
-        wire[15..19].copy_from_slice(&length.to_le_bytes());
+        wire[field::ARGUMENT].copy_from_slice(&length.to_le_bytes());
         assert!(Decoder::TCP.decode(&wire).is_ok() == (length == 10), "{length}");
     }
 }

@@ -7,7 +7,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use bcap_core::bcap::FunctionId;
-use bcap_testkit::frame::TestFrame;
+use bcap_testkit::frame::{TestFrame, field};
 use bcap_testkit::network::Random;
 use bcap_testkit::value::Value;
 use socket2::SockRef;
@@ -210,11 +210,11 @@ fn connect() -> Vec<u8> {
 fn broken(value: &[u8]) -> Vec<u8> {
     let mut bytes = begin();
     bytes.pop();
-    bytes[13] = 1;
+    bytes[field::COUNT.start] = 1;
     bytes.extend((value.len() as u32).to_le_bytes());
     bytes.extend(value);
     bytes.push(4);
     let length = bytes.len() as u32;
-    bytes[1..5].copy_from_slice(&length.to_le_bytes());
+    bytes[field::LENGTH].copy_from_slice(&length.to_le_bytes());
     bytes
 }

@@ -4,6 +4,7 @@ use std::collections::HashMap;
 
 use bcap_core::bcap::{FunctionId, Kind, Object};
 use bcap_core::hresult::HResult;
+use bcap_testkit::frame::field;
 use bcap_testkit::value::Value;
 
 use crate::Case;
@@ -272,7 +273,7 @@ fn serials_and_reserved_fields_of_any_value(target: &mut Target) {
     for serial in [0, 0, 1, 1, SERIAL, SERIAL, 65535, 0] {
         for reserved in [0_u16, 1, SERIAL, 65535] {
             let mut bytes = frame(serial, FunctionId::SERVICE_START.0, 0, &[]);
-            bytes[7..9].copy_from_slice(&reserved.to_le_bytes());
+            bytes[field::RESERVED].copy_from_slice(&reserved.to_le_bytes());
             raw.send(&bytes);
             let reply = raw.reply();
             assert_eq!((reply.serial, reply.reserved, reply.code), (serial, 0, 0));

@@ -10,6 +10,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::io::CallError;
 use bcap_core::variant::VarType;
 use bcap_std::{ConnectError, Options, asynch, blocking};
+use bcap_testkit::frame::field;
 use bcap_testkit::value::Value;
 use bcap_tests::tools;
 
@@ -273,7 +274,7 @@ fn replies_nested_without_end(_: &mut Target) {
 fn replies_with_an_invalid_length(_: &mut Target) {
     for length in [0, 3, 15, (16 << 20) + 1, 0x7fff_ffff, 0x8000_0000, 0xffff_ffff_u32] {
         let mut bytes = right(FIRST);
-        bytes[1..5].copy_from_slice(&length.to_le_bytes());
+        bytes[field::LENGTH].copy_from_slice(&length.to_le_bytes());
         let outcomes = calls(&long_timeouts(), 1, || serve_bytes(bytes.clone()));
         let expected = match length {
             0..16 => DecodeErrorKind::FrameTooShort(length),
@@ -289,7 +290,7 @@ fn replies_with_an_invalid_length(_: &mut Target) {
     }
     // a length within the limit is waited for, and no longer than for any reply
     let mut bytes = right(FIRST);
-    bytes[1..5].copy_from_slice(&(16_u32 << 20).to_le_bytes());
+    bytes[field::LENGTH].copy_from_slice(&(16_u32 << 20).to_le_bytes());
     assert_eq!(calls(&brief(), 1, || serve_bytes(bytes.clone())), [SILENCE]);
 }
 

@@ -3,6 +3,7 @@
 use std::net::UdpSocket;
 
 use bcap_core::bcap::client::{ClientError, Timeout};
+use bcap_core::bcap::{HEADER_LEN, Header};
 use bcap_core::hresult::HResult;
 use bcap_testkit::value::Value;
 
@@ -98,7 +99,8 @@ fn replies_over_the_limit(_: &mut Target) {
 fn a_reply_cut_in_two_datagrams(_: &mut Target) {
     ends(&[SILENCE], |datagram, _| {
         let reply = right(serial_of(datagram));
-        vec![reply[..15].to_vec(), reply[15..].to_vec()]
+        let (header, rest) = reply.split_at(HEADER_LEN);
+        vec![header.to_vec(), rest.to_vec()]
     });
 }
 
@@ -130,7 +132,7 @@ fn a_reply_to_an_earlier_attempt(_: &mut Target) {
 
 /// The serial of the first attempt.
 fn marker_of(datagram: &[u8]) -> u16 {
-    u16::from_le_bytes([datagram[7], datagram[8]])
+    Header::read(datagram).unwrap().reserved
 }
 
 fn endless_wrong_serials_over_udp(_: &mut Target) {

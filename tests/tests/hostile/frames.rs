@@ -2,7 +2,7 @@
 
 use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
-use bcap_testkit::frame::TestFrame;
+use bcap_testkit::frame::{TestFrame, field};
 use bcap_testkit::network::Random;
 use bcap_testkit::value::Value;
 
@@ -118,18 +118,18 @@ fn a_wrong_terminator(target: &mut Target) {
 fn a_length_that_is_short_or_long_by_one(target: &mut Target) {
     let right = bytes(FunctionId::SERVICE_START, vec![Value::text("")]);
     let mut short = right.clone();
-    short[1] -= 1;
+    short[field::LENGTH.start] -= 1;
     refused(target, "short by one", &short, HResult::E_INVALIDRCPACKET);
     // the first byte of the next frame is taken for the last of this one
     let mut long = [&right[..], &right[..]].concat();
-    long[1] += 1;
+    long[field::LENGTH.start] += 1;
     refused(target, "long by one", &long, HResult::E_INVALIDRCPACKET);
 }
 
 fn a_length_below_a_header(target: &mut Target) {
     for length in 0..16_u32 {
         let mut bytes = frame(SERIAL, 1, 0, &[]);
-        bytes[1..5].copy_from_slice(&length.to_le_bytes());
+        bytes[field::LENGTH].copy_from_slice(&length.to_le_bytes());
         refused(target, &format!("length {length}"), &bytes, HResult::E_INVALIDRCPACKET);
     }
 }
@@ -137,7 +137,7 @@ fn a_length_below_a_header(target: &mut Target) {
 fn a_length_over_the_limit(target: &mut Target) {
     for length in [(16 << 20) + 1, 0x7fff_ffff, 0x8000_0000, 0xffff_fff0, 0xffff_ffff_u32] {
         let mut bytes = frame(SERIAL, 1, 0, &[]);
-        bytes[1..5].copy_from_slice(&length.to_le_bytes());
+        bytes[field::LENGTH].copy_from_slice(&length.to_le_bytes());
         refused(target, &format!("length {length:#x}"), &bytes, HResult::E_PACKETSIZEOVER);
     }
 }

@@ -10,6 +10,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::io::CallError;
 use bcap_core::variant::Variant;
 use bcap_std::{Options, asynch, blocking};
+use bcap_testkit::frame::field;
 use bcap_testkit::judge::TCP;
 use bcap_testkit::oracle::Verdict;
 use bcap_testkit::value::Value;
@@ -128,7 +129,7 @@ pub(crate) fn serve_udp(mut answers: impl FnMut(&[u8], u32) -> Vec<Vec<u8>> + Se
 
 /// Returns the serial in a request.
 pub(crate) fn serial_of(datagram: &[u8]) -> u16 {
-    u16::from_le_bytes([datagram[5], datagram[6]])
+    field::serial(datagram).unwrap()
 }
 
 /// Options of a client that soon gives up.

@@ -9,6 +9,7 @@ use bcap_core::bcap::client::{self, Client};
 use bcap_core::bcap::server::{self, Session};
 use bcap_core::handler::PeerId;
 use bcap_core::time::Instant;
+use bcap_testkit::frame::field;
 use bcap_testkit::value::Value;
 use bcap_tests::served::Application;
 
@@ -63,14 +64,14 @@ fn is_heard(line: &mut (Line, Application), serial: u16) {
 
 fn a_wrong_crc_is_passed_over(_: &mut Target) {
     let mut line = server();
-    for at in 5..good(1).len() - 1 {
+    for at in field::SERIAL.start..good(1).len() - 1 {
         let mut bad = good(1);
         bad[at] ^= 0x10;
         assert_eq!(send(&mut line, &bad), [0_u8; 0], "byte {at}");
     }
     // a thousand more leave no less room than one
     let mut bad = good(1);
-    bad[9] ^= 1;
+    bad[field::CODE.start] ^= 1;
     assert_eq!(send(&mut line, &bad.repeat(1000)), [0_u8; 0]);
     is_heard(&mut line, 1);
 }

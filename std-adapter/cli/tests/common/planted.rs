@@ -14,7 +14,7 @@ use bcap_core::bcap::{FunctionId, Kind, Object};
 use bcap_core::hresult::HResult;
 use bcap_core::limits::UDP_RECEIVE_MAX;
 use bcap_core::rac;
-use bcap_testkit::frame::TestFrame;
+use bcap_testkit::frame::{TestFrame, field};
 use bcap_testkit::judge::TCP;
 use bcap_testkit::oracle::Verdict;
 use bcap_testkit::value::{ARRAY, Value};
@@ -360,7 +360,7 @@ impl Device {
                 *last = Some((marker, frame.code, reply));
             }
             let Some((_, _, reply)) = last else { continue };
-            reply[5..7].copy_from_slice(&frame.serial.to_le_bytes());
+            reply[field::SERIAL].copy_from_slice(&frame.serial.to_le_bytes());
             let _ = socket.send_to(reply, from);
         }
     }
@@ -474,7 +474,7 @@ impl Client<'_> {
         let is_text = matches!(args[..], [Value::Bstr(_)]);
         let mut reply = TestFrame { serial: cut(frame.serial), reserved: 0, code: code.0, args }.to_wire(false);
         if bug == Bug::LengthIsOffByOne && is_text {
-            reply[1] += 1;
+            reply[field::LENGTH.start] += 1;
         }
         if bug == Bug::RetryIsAnsweredTwice && frame.reserved != 0 {
             reply = [&reply[..], &reply].concat();

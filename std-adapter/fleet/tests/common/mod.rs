@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use bcap_core::bcap::header::{Header, field};
 use bcap_core::device::{Device, DeviceVariable};
 use bcap_core::variant::Variant;
 use bcap_fleet::{Config, Event, Fleet};
@@ -253,11 +254,11 @@ pub(crate) async fn muting_proxy(to: SocketAddr, texts: &[&str], muted: &Arc<Ato
             let (texts, muted) = (texts.clone(), Arc::clone(&muted));
             tokio::spawn(async move {
                 // SOH and the length of the frame
-                let mut frame = vec![0; 5];
+                let mut frame = vec![0; field::LENGTH.end];
                 while from_client.read_exact(&mut frame).await.is_ok() {
-                    let length = u32::from_le_bytes(frame[1..].try_into().unwrap());
+                    let length = Header::read_length(&frame).unwrap();
                     frame.resize(length.try_into().unwrap(), 0);
-                    from_client.read_exact(&mut frame[5..]).await.unwrap();
+                    from_client.read_exact(&mut frame[field::LENGTH.end..]).await.unwrap();
                     let has = |text: &Vec<u8>| frame.windows(text.len()).any(|part| part == text);
                     if !(muted.load(Ordering::SeqCst) && texts.iter().any(has)) {
                         to_server.write_all(&frame).await.unwrap();

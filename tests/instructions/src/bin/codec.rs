@@ -7,6 +7,7 @@ use std::hint::black_box;
 
 use bcap_core::bcap::call::{self, Call, ControllerHandle, RobotHandle, VariableHandle};
 use bcap_core::bcap::client::{self, Client};
+use bcap_core::bcap::header::field;
 use bcap_core::bcap::{Decoder, FrameWriter, Progress};
 use bcap_core::slave::{
     Action, AxisLimits, Config, Engine, Format, Handles, Mode, Pose, PoseType, PreparedMove, ReceiveFormat,
@@ -177,7 +178,7 @@ fn patch_slv_move(bench: &mut Bench) {
         && let Some(target) = black_box(&mut bench.buffer).get_mut(..frame.len())
     {
         target.copy_from_slice(frame);
-        if let Some(fields) = target.get_mut(5..7) {
+        if let Some(fields) = target.get_mut(field::SERIAL) {
             fields.copy_from_slice(&serial);
         }
         black_box(target);
