@@ -1,5 +1,6 @@
 //! Attacks on blocking and tokio RAC clients: the server sends invalid answers, too many answers, or none.
 
+use std::sync::mpsc::{self, Receiver};
 use std::time::Duration;
 
 use bcap_core::hresult::HResult;
@@ -58,13 +59,33 @@ impl From<Result<Variant<'_>, RacError<std::io::Error>>> for Outcome {
 /// Reads a variable `count` times, with each kind of client from a separate server. Returns the outcomes, which are the
 /// same for all kinds.
 fn gets(options: &Options, count: usize, script: fn(&mut Connection)) -> Vec<Outcome> {
-    let mut client = blocking::connect_rac(serve(script), options).unwrap();
-    let blocking: Vec<Outcome> = (0..count).map(|_| client.get(VARIABLE).into()).collect();
+    gets_told(options, count, move |connection, _| script(connection))
+}
+
+/// The same; the script is told when a request of the client has ended.
+fn gets_told(
+    options: &Options,
+    count: usize,
+    script: impl Fn(&mut Connection, &Receiver<()>) + Copy + Send + 'static,
+) -> Vec<Outcome> {
+    let server = || {
+        let (ended, receiver) = mpsc::channel();
+        (ended, serve(move |connection| script(connection, &receiver)))
+    };
+    let (ended, address) = server();
+    let mut client = blocking::connect_rac(address, options).unwrap();
+    let mut blocking: Vec<Outcome> = Vec::new();
+    for _ in 0..count {
+        blocking.push(client.get(VARIABLE).into());
+        let _ = ended.send(());
+    }
+    let (ended, address) = server();
     let tokio = runtime().block_on(async {
-        let mut client = asynch::connect_rac(serve(script), options).await.unwrap();
+        let mut client = asynch::connect_rac(address, options).await.unwrap();
         let mut outcomes: Vec<Outcome> = Vec::new();
         for _ in 0..count {
             outcomes.push(client.get(VARIABLE).await.into());
+            let _ = ended.send(());
         }
         outcomes
     });
@@ -156,9 +177,11 @@ fn unsolicited_answers(_: &mut Target) {
 
 fn a_late_answer_does_not_end_the_next_request(_: &mut Target) {
     let options = long_timeouts().rac(Config { timeout: Duration::from_secs(3) });
-    let outcomes = gets(&options, 2, |connection| {
+    let outcomes = gets_told(&options, 2, |connection, ended| {
         request(connection);
-        std::thread::sleep(Duration::from_millis(4500));
+        ended.recv().unwrap();
+        // the next request waits for the late answer by then
+        std::thread::sleep(Duration::from_millis(200));
         connection.send(b"0,3,41\r");
         request(connection);
         connection.send(b"0,3,42\r");
