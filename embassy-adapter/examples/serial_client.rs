@@ -22,7 +22,7 @@ pub struct Memory {
 pub async fn read<U: Read + Write>(uart: U, memory: &mut Memory) -> Result<Option<i32>, CallError<U::Error>> {
     let Memory { request, reply } = memory;
     let mut robot = serial::client(uart, Config::serial(38_400), &mut request[..], &mut reply[..]);
-    robot.call(call::service_start("")).await?;
+    robot.call(call::service_start("WDT=400")).await?;
     let controller = robot.call(call::controller_connect("", "CaoProv.DENSO.VRC", "localhost", "")).await?;
     let variable = robot.call(call::controller_get_variable(controller, "I1", "")).await?;
     Ok(robot.call(call::variable_get_value(variable)).await?.as_i32())

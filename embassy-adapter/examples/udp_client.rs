@@ -33,7 +33,7 @@ pub async fn read(
     let socket = UdpSocket::new(stack, rx_meta, rx, tx_meta, tx);
     let transport = UdpTransport::new(stack, socket, robot).map_err(CallError::Io)?;
     let mut robot = Connection::new(transport, Client::new(Config::UDP, &mut request[..], &mut reply[..]));
-    robot.call(call::service_start("")).await?;
+    robot.call(call::service_start("WDT=400")).await?;
     let controller = robot.call(call::controller_connect("", "CaoProv.DENSO.VRC9", "localhost", "")).await?;
     let variable = robot.call(call::controller_get_variable(controller, "I1", "")).await?;
     let value = robot.call(call::variable_get_value(variable)).await?.as_i32();

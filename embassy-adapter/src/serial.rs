@@ -30,7 +30,7 @@ pub type SerialClient<D, T, R = T> = Connection<SerialTransport<D>, T, R>;
 ///
 /// async fn read<U: Read + Write>(uart: U) -> Result<i32, bcap_core::io::CallError<U::Error>> {
 ///     let mut robot = serial::client(uart, Config::serial(115_200), [0; 503], [0; 503]);
-///     robot.call(call::service_start("")).await?;
+///     robot.call(call::service_start("WDT=400")).await?;
 ///     let controller = robot.call(call::controller_connect("", "CaoProv.DENSO.VRC", "localhost", "")).await?;
 ///     let variable = robot.call(call::controller_get_variable(controller, "I1", "")).await?;
 ///     Ok(robot.call(call::variable_get_value(variable)).await?.as_i32().unwrap_or(0))

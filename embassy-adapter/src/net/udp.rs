@@ -31,7 +31,7 @@ use crate::clock::{now, ticks};
 ///     let transport = UdpTransport::new(stack, socket, robot).map_err(CallError::Io)?;
 ///     let (mut request, mut reply) = ([0; 488], [0; 505]);
 ///     let mut robot = Connection::new(transport, Client::new(Config::UDP, &mut request[..], &mut reply[..]));
-///     robot.call(call::service_start("")).await
+///     robot.call(call::service_start("WDT=400")).await
 /// }
 /// ```
 pub struct UdpTransport<'s> {
