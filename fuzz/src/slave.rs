@@ -8,7 +8,7 @@ use bcap_core::bcap::{Decoder, FrameWriter, Progress};
 use bcap_core::hresult::HResult;
 use bcap_core::limits::{Limits, Strictness};
 use bcap_core::slave::{
-    Action, AxisLimits, Channel, Config, Engine, ExtendedAxes, Failure, Format, Handles, Mode, Pose, PoseType,
+    AxisLimits, Channel, Config, Engine, EngineAction, ExtendedAxes, Failure, Format, Handles, Mode, Pose, PoseType,
     ReceiveFormat, ReceivePose, SendFormat, SendIo, SlaveMode, Step, TimeUnit,
 };
 use bcap_core::time::Instant;
@@ -169,10 +169,10 @@ impl Run {
     }
 
     /// Polls the engine, and checks that its action is allowed.
-    fn poll(&mut self) -> Action {
+    fn poll(&mut self) -> EngineAction {
         let action = self.engine.poll(self.now);
         let call = match action {
-            Action::Call(step, channel) => Some((step, channel)),
+            EngineAction::Call(step, channel) => Some((step, channel)),
             _ => None,
         };
         if self.flight.is_some() {
@@ -180,11 +180,11 @@ impl Run {
             return action;
         }
         match action {
-            Action::Call(step, channel) => self.check_call(step, channel),
-            Action::Pose { .. } => assert!(self.entered && !self.failed),
-            Action::Wait(until) => assert!(until > self.now && self.entered && !self.failed),
-            Action::Finished => {}
-            Action::Faulted => assert!(self.failed && self.engine.fault().is_some()),
+            EngineAction::Call(step, channel) => self.check_call(step, channel),
+            EngineAction::Pose { .. } => assert!(self.entered && !self.failed),
+            EngineAction::Wait(until) => assert!(until > self.now && self.entered && !self.failed),
+            EngineAction::Finished => {}
+            EngineAction::Faulted => assert!(self.failed && self.engine.fault().is_some()),
         }
         assert_eq!(self.engine.request().is_some(), call.is_some());
         self.flight = call;
@@ -241,7 +241,7 @@ impl Run {
                 // an emergency stop, or an answer without a state, ends the recovery
                 let next = self.engine.poll(self.now);
                 self.flight = match next {
-                    Action::Call(step, channel) => Some((step, channel)),
+                    EngineAction::Call(step, channel) => Some((step, channel)),
                     _ => None,
                 };
                 if self.flight.is_none_or(|(step, _)| step != Step::ClearError) {
@@ -293,7 +293,7 @@ impl Run {
     /// Pushes a pose, and checks whether the engine may accept it.
     fn push(&mut self, pose: &Pose) {
         let before = *self.engine.last_pose();
-        let wanted = self.flight.is_none() && matches!(self.engine.poll(self.now), Action::Pose { .. });
+        let wanted = self.flight.is_none() && matches!(self.engine.poll(self.now), EngineAction::Pose { .. });
         if !wanted {
             // the next poll checks the action that the engine requests instead
             if self.flight.is_none() {
@@ -307,7 +307,7 @@ impl Run {
                 assert_eq!(self.engine.last_pose(), pose);
                 assert!(pose.as_slice().iter().all(|number| number.is_finite()));
                 let limits = self.engine.config().limits;
-                if pose.shape().pose == PoseType::J {
+                if pose.layout().pose == PoseType::J {
                     for ((from, to), limit) in before.as_slice().iter().zip(pose.as_slice()).zip(limits.speed) {
                         assert!((to - from).abs() / CYCLE.as_secs_f64() <= limit, "{from} to {to}");
                     }
@@ -328,7 +328,7 @@ impl Run {
         for (number, step) in numbers.iter_mut().zip(steps) {
             *number += f64::from(step) * part;
         }
-        if let Some(pose) = Pose::from_numbers(last.shape().pose, &numbers) {
+        if let Some(pose) = Pose::from_numbers(last.layout().pose, &numbers) {
             self.push(&pose);
         }
     }
@@ -336,13 +336,13 @@ impl Run {
     /// Performs one step of a regular stream.
     fn run_engine(&mut self) {
         match self.poll() {
-            Action::Call(..) => self.obey(ROBOT),
-            Action::Pose { .. } => {
+            EngineAction::Call(..) => self.obey(ROBOT),
+            EngineAction::Pose { .. } => {
                 let last = *self.engine.last_pose();
                 self.push(&last);
             }
-            Action::Wait(until) => self.now = until,
-            Action::Finished | Action::Faulted => {}
+            EngineAction::Wait(until) => self.now = until,
+            EngineAction::Finished | EngineAction::Faulted => {}
         }
     }
 
@@ -352,15 +352,15 @@ impl Run {
         self.engine.stop();
         for _ in 0..5000 {
             match self.poll() {
-                Action::Call(..) if options & 8 != 0 => self.fail(Failure::Timeout),
-                Action::Call(Step::Move, _) if options & 16 != 0 => {
+                EngineAction::Call(..) if options & 8 != 0 => self.fail(Failure::Timeout),
+                EngineAction::Call(Step::Move, _) if options & 16 != 0 => {
                     self.now = self.now + Duration::from_millis(50);
                     self.reply(HResult::E_BUF_FULL, Value::Empty);
                 }
-                Action::Call(..) => self.obey(ROBOT),
-                Action::Pose { .. } => panic!("the engine requests a pose after the end was requested"),
-                Action::Wait(until) => self.now = until,
-                Action::Finished | Action::Faulted => return,
+                EngineAction::Call(..) => self.obey(ROBOT),
+                EngineAction::Pose { .. } => panic!("the engine requests a pose after the end was requested"),
+                EngineAction::Wait(until) => self.now = until,
+                EngineAction::Finished | EngineAction::Faulted => return,
             }
         }
         panic!("the stream does not end");

@@ -15,8 +15,8 @@ use bcap_core::io::{asynch, blocking};
 use bcap_core::limits::{Limits, Strictness};
 use bcap_core::rac::{self, Variable, VariableKind};
 use bcap_core::slave::{
-    Action, AxisLimits, Channel, Config, Engine, Format, Handles, Mode, Pose, PoseType, ReceiveFormat, ReceivePose,
-    SlaveMode, Step,
+    AxisLimits, Channel, Config, Engine, EngineAction, Format, Handles, Mode, Pose, PoseType, ReceiveFormat,
+    ReceivePose, SlaveMode, Step,
 };
 use bcap_core::time::Instant;
 use bcap_core::variant::{Variant, VariantBuf};
@@ -406,12 +406,12 @@ fn streaming_in_slave_mode() {
         let (mut now, mut poses, mut moved) = (Instant::ZERO, 0_u32, 0_u32);
         loop {
             match engine.poll(now) {
-                Action::Pose { .. } => {
+                EngineAction::Pose { .. } => {
                     poses += 1;
                     engine.push(&Pose::j([f64::from(poses) * 1e-3; 8])).ok()?;
                 }
-                Action::Wait(until) => now = until,
-                Action::Call(step, Channel::Motion) => {
+                EngineAction::Wait(until) => now = until,
+                EngineAction::Call(step, Channel::Motion) => {
                     client.start(&engine.request()?, client.timing(), now).ok()?;
                     let sent = client.transmit().len();
                     request.get_mut(..sent)?.copy_from_slice(client.transmit());
@@ -439,8 +439,8 @@ fn streaming_in_slave_mode() {
                     while client.poll_event(now).is_some() {}
                     moved += u32::from(engine.handle_reply(&client.reply()?, now).is_some());
                 }
-                Action::Call(..) | Action::Finished => return None,
-                Action::Faulted => return Some((moved, engine.stats().underflows)),
+                EngineAction::Call(..) | EngineAction::Finished => return None,
+                EngineAction::Faulted => return Some((moved, engine.stats().underflows)),
             }
         }
     })

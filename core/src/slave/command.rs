@@ -160,8 +160,8 @@ impl Encode for Parameter<'_> {
 }
 
 fn check_shape(format: &Format, pose: &Pose) -> Result<(), FormatError> {
-    let (expected, found) = (format.shape(), pose.shape());
-    if expected == found { Ok(()) } else { Err(FormatError::Shape { expected, found }) }
+    let (expected, found) = (format.layout(), pose.layout());
+    if expected == found { Ok(()) } else { Err(FormatError::Layout { expected, found }) }
 }
 
 fn check_user_io(range: UserIo, bytes: &[u8]) -> Result<(), FormatError> {
@@ -222,8 +222,8 @@ impl<const N: usize> PreparedMove<N> {
     ///
     /// [`EncodeError::Full`] when the frame does not fit `N` bytes.
     pub fn new(robot: RobotHandle, format: &Format) -> Result<Self, EncodeError> {
-        let shape = format.shape();
-        let pose = Pose::zero(shape);
+        let layout = format.layout();
+        let pose = Pose::zero(layout);
         let zeros = [0; 255];
         let user_io = match format.send.io {
             SendIo::User(range) => zeros.get(..usize::from(range.bytes())).unwrap_or_default(),
@@ -237,7 +237,7 @@ impl<const N: usize> PreparedMove<N> {
         let len = writer.finish(0, 0, call.function().0)?.len();
         let outer = if format.items() > 1 { HEAD } else { 0 };
         let numbers = (PARAMETER + HEAD).wrapping_add(outer);
-        let end = numbers.wrapping_add(shape.len().wrapping_mul(size_of::<f64>()));
+        let end = numbers.wrapping_add(layout.len().wrapping_mul(size_of::<f64>()));
         Ok(Self { frame, len, format: *format, robot, numbers, end })
     }
 
@@ -245,12 +245,12 @@ impl<const N: usize> PreparedMove<N> {
     ///
     /// # Errors
     ///
-    /// [`FormatError::Shape`] when its type or its extended joints differ from the format's.
+    /// [`FormatError::Layout`] when its type or its extended joints differ from the format's.
     #[inline]
     pub fn set_pose(&mut self, pose: &Pose) -> Result<(), FormatError> {
         check_shape(&self.format, pose)?;
         let slots = self.frame.get_mut(self.numbers..self.end).unwrap_or_default().as_chunks_mut().0;
-        // the shapes are equal, so the slots end where the numbers of the shape end
+        // the layouts are equal, so the slots end where the numbers of the layout end
         for (slot, number) in slots.iter_mut().zip(pose.padded()) {
             *slot = number.to_le_bytes();
         }

@@ -28,6 +28,7 @@ mod start;
 
 use core::time::Duration;
 
+use super::call::{EngineCall, Step};
 use super::command::{MOVE_FRAME, Outputs, PreparedMove};
 use super::config::{Config, ConfigError};
 use super::fault::{Cause, Fault, RecoverError, Released};
@@ -37,7 +38,6 @@ use super::mode::Mode;
 use super::pacer::Pacer;
 use super::pose::{Delta, Pose};
 use super::reply::MoveReply;
-use super::request::{Request, Step};
 use super::stats::Stats;
 use crate::bcap::client::Timing;
 use crate::bcap::{Frame, Link, StreamState};
@@ -49,7 +49,7 @@ use crate::variant::Variant;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[must_use]
-pub enum Action {
+pub enum EngineAction {
     /// Make the call of [`Engine::request`], and pass in its reply or failure. Until then, this action is repeated.
     Call(Step, Channel),
     /// [`push`](Engine::push) a pose, or end with [`stop`](Engine::stop) or [`finish`](Engine::finish).
@@ -126,7 +126,7 @@ const RECEIVED_MAX: usize = 18;
 /// let mut cycle = 0_u32;
 /// loop {
 ///     match engine.poll(now()) {
-///         Action::Call(..) => {
+///         EngineAction::Call(..) => {
 ///             let Some(request) = engine.request() else { continue };
 ///             match call(&request, request.channel()) {
 ///                 Ok(reply) => {
@@ -136,17 +136,17 @@ const RECEIVED_MAX: usize = 18;
 ///                 Err(failure) => engine.handle_failure(failure, now()),
 ///             }
 ///         }
-///         Action::Pose { .. } if cycle == 500 => engine.stop(),
-///         Action::Pose { .. } => {
+///         EngineAction::Pose { .. } if cycle == 500 => engine.stop(),
+///         EngineAction::Pose { .. } => {
 ///             // one degree per second about the first joint, from the current position
 ///             let mut joints = engine.start_pose().map_or([0.0; 8], |p| p.numbers().try_into().unwrap_or_default());
 ///             joints[0] += f64::from(cycle) * 0.008;
 ///             engine.push(&Pose::j(joints))?;
 ///             cycle += 1;
 ///         }
-///         Action::Wait(until) => sleep_until(until),
-///         Action::Finished => break,
-///         Action::Faulted => return Err(engine.fault().cloned().ok_or("no fault")?.into()),
+///         EngineAction::Wait(until) => sleep_until(until),
+///         EngineAction::Finished => break,
+///         EngineAction::Faulted => return Err(engine.fault().cloned().ok_or("no fault")?.into()),
 ///     }
 /// }
 /// # Ok::<(), Box<dyn std::error::Error>>(())
@@ -177,7 +177,7 @@ pub struct Engine<const N: usize = MOVE_FRAME> {
     /// Whether the engine ends after a fault, and the first of its steps that failed at the end.
     gives_up: bool,
     unreleased: Option<(Step, Cause)>,
-    /// The start of the stream, in the shape of the format.
+    /// The start of the stream, in the layout of the format.
     start: Option<Pose>,
     /// The last pose in the frame, and its step and speed.
     last: Pose,
@@ -199,9 +199,9 @@ impl<const N: usize> Engine<N> {
     ///
     /// When the configuration is inconsistent, or the frame does not fit `N` bytes.
     pub fn new(config: Config) -> Result<Self, ConfigError> {
-        let (expected, frame) = (config.format.shape(), PreparedMove::new(config.motion.robot, &config.format));
-        if let Some(found) = config.start.map(|pose| pose.shape()).filter(|found| *found != expected) {
-            return Err(ConfigError::Start(FormatError::Shape { expected, found }));
+        let (expected, frame) = (config.format.layout(), PreparedMove::new(config.motion.robot, &config.format));
+        if let Some(found) = config.start.map(|pose| pose.layout()).filter(|found| *found != expected) {
+            return Err(ConfigError::Start(FormatError::Layout { expected, found }));
         }
         if config.cycle < Duration::from_micros(1) {
             return Err(ConfigError::Cycle);
@@ -241,11 +241,11 @@ impl<const N: usize> Engine<N> {
     }
 
     /// Returns the next action. If it is a call, `now` is the time of sending.
-    pub fn poll(&mut self, now: Instant) -> Action {
+    pub fn poll(&mut self, now: Instant) -> EngineAction {
         if !self.in_flight {
             match self.phase {
-                Phase::Finished => return Action::Finished,
-                Phase::Faulted => return Action::Faulted,
+                Phase::Finished => return EngineAction::Finished,
+                Phase::Faulted => return EngineAction::Faulted,
                 Phase::Streaming => {
                     if let Some(action) = self.pace(now) {
                         return action;
@@ -257,14 +257,14 @@ impl<const N: usize> Engine<N> {
             self.sent_at = now;
             self.channel = self.channel_for(self.step).unwrap_or(Channel::Motion);
         }
-        Action::Call(self.step, self.channel)
+        EngineAction::Call(self.step, self.channel)
     }
 
     /// Returns the call in flight, which [`poll`](Self::poll) has requested; `None` when no call is in flight.
     #[must_use]
     #[inline]
-    pub fn request(&self) -> Option<Request<'_>> {
-        self.in_flight.then(|| Request {
+    pub fn request(&self) -> Option<EngineCall<'_>> {
+        self.in_flight.then(|| EngineCall {
             step: self.step,
             channel: self.channel,
             handles: match self.channel {
@@ -321,7 +321,7 @@ impl<const N: usize> Engine<N> {
         }
     }
 
-    /// Sets the next pose, after [`Action::Pose`].
+    /// Sets the next pose, after [`EngineAction::Pose`].
     ///
     /// # Errors
     ///
@@ -331,9 +331,9 @@ impl<const N: usize> Engine<N> {
         if !asked {
             return Err(PoseError::NotNow);
         }
-        let (expected, found) = (self.config.format.shape(), pose.shape());
+        let (expected, found) = (self.config.format.layout(), pose.layout());
         if expected != found {
-            return Err(FormatError::Shape { expected, found }.into());
+            return Err(FormatError::Layout { expected, found }.into());
         }
         let velocity = limits::check(&self.config.limits, self.config.seconds(), &self.last, &self.velocity, pose)?;
         self.delta = pose.since(&self.last);
@@ -442,7 +442,7 @@ impl<const N: usize> Engine<N> {
         }
     }
 
-    /// Returns the fault that ended the stream; it is complete after [`Action::Faulted`].
+    /// Returns the fault that ended the stream; it is complete after [`EngineAction::Faulted`].
     #[must_use]
     pub const fn fault(&self) -> Option<&Fault> {
         self.fault.as_ref()

@@ -2,8 +2,8 @@
 
 use core::fmt;
 
+use super::call::Step;
 use super::reply::MoveReplyError;
-use super::request::Step;
 use crate::bcap::StreamState;
 use crate::hresult::HResult;
 use crate::procedure::Failure;

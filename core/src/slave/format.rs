@@ -16,7 +16,7 @@
 use core::fmt;
 
 use super::mode::{J_LEN, P_LEN, SlaveMode, T_LEN};
-use super::pose::{ExtendedAxes, Shape};
+use super::pose::{ExtendedAxes, PoseLayout};
 use crate::error::EncodeError;
 use crate::variant::{Encode, Writer};
 
@@ -240,8 +240,8 @@ impl Format {
 
     /// Returns the layout of its poses.
     #[must_use]
-    pub const fn shape(&self) -> Shape {
-        Shape { pose: self.mode.pose, extended: self.extended }
+    pub const fn layout(&self) -> PoseLayout {
+        PoseLayout { pose: self.mode.pose, extended: self.extended }
     }
 
     /// Returns the number of elements of the parameter of slvMove.
@@ -275,11 +275,11 @@ pub enum FormatError {
         found: usize,
     },
     /// The pose has another type or other extended joints than the format.
-    Shape {
-        /// The format's shape.
-        expected: Shape,
-        /// The pose's shape.
-        found: Shape,
+    Layout {
+        /// The format's layout.
+        expected: PoseLayout,
+        /// The pose's layout.
+        found: PoseLayout,
     },
     /// The send format has no MiniIO.
     NoMiniIo,
@@ -299,7 +299,7 @@ impl fmt::Display for FormatError {
             Self::UserIoLength { expected, found } => {
                 write!(f, "the format has {expected} bytes of user IO, {found} were given")
             }
-            Self::Shape { expected, found } => {
+            Self::Layout { expected, found } => {
                 write!(f, "the format has poses of type {expected}, this pose is {found}")
             }
             Self::NoMiniIo => f.write_str("the send format has no MiniIO: set its `io` to `SendIo::Mini`"),

@@ -38,7 +38,7 @@ impl Format {
         let range = if self.receive.user_io.is_some() { 2 * INT } else { 0 };
         let hand = if self.send.hand_io { INT } else { 0 };
         let outer = if self.items() > 1 { HEAD } else { 0 };
-        let parameter = [outer, numbers(self.shape().len()), io, range, hand].into_iter().fold(0, usize::wrapping_add);
+        let parameter = [outer, numbers(self.layout().len()), io, range, hand].into_iter().fold(0, usize::wrapping_add);
         [
             PARAMETER.wrapping_add(parameter).wrapping_add(end),
             REPLY.wrapping_add(value(&self.receive)).wrapping_add(end),

@@ -165,7 +165,7 @@ fn steps(last: &Pose, next: &Pose) -> Velocity {
     for ((slot, a), b) in out.iter_mut().zip(from).zip(to) {
         *slot = b - a;
     }
-    if next.shape().pose == PoseType::P {
+    if next.layout().pose == PoseType::P {
         out.iter_mut().skip(3).take(3).for_each(|angle| *angle = half_turn(*angle));
     }
     out

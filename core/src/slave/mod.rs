@@ -24,6 +24,7 @@
 //! For Slave Mode the controller requires its licence, Auto mode, the executable token, no error, and a robot at rest
 //! at the start; two robots and the virtual fence are not supported (b-CAP specification, section 5.10).
 
+mod call;
 mod command;
 mod config;
 mod engine;
@@ -35,23 +36,22 @@ mod mode;
 mod pacer;
 mod pose;
 mod reply;
-mod request;
 mod stats;
 mod stream;
 mod trajectory;
 
+pub use self::call::{EngineCall, Step};
 pub use self::command::{
     MOVE_FRAME, Outputs, PreparedMove, change_mode, get_mode, receive_format, send_format, slv_move,
 };
 pub use self::config::{Config, ConfigError};
-pub use self::engine::{Action, Engine};
+pub use self::engine::{Engine, EngineAction};
 pub use self::fault::{Cause, ControllerError, ERRORS_MAX, Fault, RecoverError, Released};
 pub use self::format::{Format, FormatError, ReceiveFormat, ReceivePose, SendFormat, SendIo, TimeUnit, UserIo};
 pub use self::limits::{AxisLimits, PoseError};
 pub use self::mode::{J_LEN, Mode, P_LEN, PoseType, SlaveMode, T_LEN};
-pub use self::pose::{Extended, ExtendedAxes, Pose, Shape};
+pub use self::pose::{Extended, ExtendedAxes, Pose, PoseLayout};
 pub use self::reply::{CURRENT_LEN, MoveReply, MoveReplyError, MoveReplyErrorKind, ReplyPart, Timestamp};
-pub use self::request::{Request, Step};
 pub use self::stats::{Histogram, Stats};
 pub use self::stream::{Stream, StreamError};
 pub use self::trajectory::{Cycle, Next, Trajectory};

@@ -67,14 +67,14 @@ pub enum Extended {
 /// The layout of a pose: its type and its extended joints.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Shape {
+pub struct PoseLayout {
     /// The type.
     pub pose: PoseType,
     /// The extended joints.
     pub extended: ExtendedAxes,
 }
 
-impl Shape {
+impl PoseLayout {
     /// Returns the number of values in slvMove.
     #[must_use]
     #[expect(clippy::len_without_is_empty, reason = "no pose is empty")]
@@ -89,7 +89,7 @@ impl Shape {
     }
 }
 
-impl fmt::Display for Shape {
+impl fmt::Display for PoseLayout {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self.pose {
             PoseType::P => "P",
@@ -117,9 +117,9 @@ impl fmt::Display for Shape {
 /// ```
 #[derive(Clone, Copy, PartialEq)]
 pub struct Pose {
-    /// In the order of the wire; zeros from `shape.len()` on.
+    /// In the order of the wire; zeros from `layout.len()` on.
     numbers: [f64; MAX],
-    shape: Shape,
+    layout: PoseLayout,
 }
 
 impl Pose {
@@ -155,8 +155,8 @@ impl Pose {
     }
 
     /// Makes the pose of zeros in a layout, with its extended-joint option.
-    pub(super) fn zero(shape: Shape) -> Self {
-        Self::new(shape.pose, &[]).with_axes(shape.extended, 0.0, 0.0)
+    pub(super) fn zero(layout: PoseLayout) -> Self {
+        Self::new(layout.pose, &[]).with_axes(layout.extended, 0.0, 0.0)
     }
 
     fn new(pose: PoseType, numbers: &[f64]) -> Self {
@@ -164,7 +164,7 @@ impl Pose {
         for (slot, number) in out.iter_mut().zip(numbers) {
             *slot = *number;
         }
-        Self { numbers: out, shape: Shape { pose, extended: ExtendedAxes::None } }
+        Self { numbers: out, layout: PoseLayout { pose, extended: ExtendedAxes::None } }
     }
 
     /// Returns the pose with extended joints; in a J pose they replace J7 and J8.
@@ -175,14 +175,14 @@ impl Pose {
             Extended::Eight(j8) => (ExtendedAxes::Eight, None, Some(j8)),
             Extended::Both(j7, j8) => (ExtendedAxes::Both, Some(j7), Some(j8)),
         };
-        self.shape.extended = axes;
+        self.layout.extended = axes;
         let option = f64::from(OPTION | axes.bits());
-        if self.shape.pose == PoseType::J {
+        if self.layout.pose == PoseType::J {
             self.put(6, seven);
             self.put(7, eight);
             self.put(J_LEN, Some(option));
         } else {
-            let at = self.shape.pose.len();
+            let at = self.layout.pose.len();
             self.put(at, Some(option));
             self.put(at.wrapping_add(1), seven.or(eight));
             self.put(at.wrapping_add(2), eight.filter(|_| axes == ExtendedAxes::Both).or(Some(0.0)));
@@ -209,15 +209,15 @@ impl Pose {
     /// Returns the layout.
     #[must_use]
     #[inline]
-    pub const fn shape(&self) -> Shape {
-        self.shape
+    pub const fn layout(&self) -> PoseLayout {
+        self.layout
     }
 
     /// Returns the numbers in the order of the wire, the extended-joint option included.
     #[must_use]
     #[inline]
     pub fn as_slice(&self) -> &[f64] {
-        self.numbers.get(..self.shape.len()).unwrap_or_default()
+        self.numbers.get(..self.layout.len()).unwrap_or_default()
     }
 
     /// Returns the numbers in the order of the wire, padded with zeros.
@@ -234,14 +234,14 @@ impl Pose {
     /// Returns the numbers without the extended-joint option and the elements after it.
     #[must_use]
     pub fn numbers(&self) -> &[f64] {
-        self.numbers.get(..self.shape.pose.len()).unwrap_or_default()
+        self.numbers.get(..self.layout.pose.len()).unwrap_or_default()
     }
 
     /// Returns the extended joints; `None` if the pose does not command any.
     #[must_use]
     pub fn extended(&self) -> Option<Extended> {
         let [.., seven, eight] = self.axes();
-        match self.shape.extended {
+        match self.layout.extended {
             ExtendedAxes::None => None,
             ExtendedAxes::Seven => Some(Extended::Seven(seven)),
             ExtendedAxes::Eight => Some(Extended::Eight(eight)),
@@ -258,7 +258,7 @@ impl Pose {
         let n = &self.numbers;
         let [a, b, c, d, e, f, g, h, ..] = *n;
         let (seven, eight) = self.extended_values();
-        match self.shape.pose {
+        match self.layout.pose {
             PoseType::P => [a, b, c, d, e, f, seven, eight],
             PoseType::J => [a, b, c, d, e, f, g, h],
             PoseType::T => [a, b, c, 0.0, 0.0, 0.0, seven, eight],
@@ -267,9 +267,9 @@ impl Pose {
 
     /// Returns the values of axes 7 and 8, after the option of a P or T pose.
     fn extended_values(&self) -> (f64, f64) {
-        let at = self.shape.pose.len();
+        let at = self.layout.pose.len();
         let value = |by: usize| self.numbers.get(at.wrapping_add(by)).copied().unwrap_or(0.0);
-        match self.shape.extended {
+        match self.layout.extended {
             ExtendedAxes::None => (0.0, 0.0),
             ExtendedAxes::Seven => (value(1), 0.0),
             ExtendedAxes::Eight => (0.0, value(1)),
@@ -283,7 +283,7 @@ impl Pose {
         for (slot, step) in out.numbers.iter_mut().zip(by.0) {
             *slot += step;
         }
-        match self.shape.pose {
+        match self.layout.pose {
             PoseType::P => {
                 out.numbers.iter_mut().skip(3).take(3).for_each(|angle| *angle = half_turn(*angle));
             }
@@ -305,7 +305,7 @@ impl Pose {
         for ((slot, to), from) in out.iter_mut().zip(self.numbers).zip(earlier.numbers) {
             *slot = to - from;
         }
-        let fixed = match self.shape.pose {
+        let fixed = match self.layout.pose {
             PoseType::P => {
                 out.iter_mut().skip(3).take(3).for_each(|angle| *angle = half_turn(*angle));
                 6..8
@@ -338,7 +338,7 @@ impl From<Transform> for Pose {
 
 impl fmt::Debug for Pose {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{:?}", self.shape.pose)?;
+        write!(f, "{:?}", self.layout.pose)?;
         f.debug_list().entries(self.as_slice()).finish()
     }
 }
@@ -346,11 +346,11 @@ impl fmt::Debug for Pose {
 #[cfg(feature = "defmt")]
 impl defmt::Format for Pose {
     fn format(&self, f: defmt::Formatter<'_>) {
-        defmt::write!(f, "{} {}", self.shape.pose, self.as_slice());
+        defmt::write!(f, "{} {}", self.layout.pose, self.as_slice());
     }
 }
 
-/// The difference of two poses of one shape.
+/// The difference of two poses of one layout.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Delta([f64; MAX]);
 

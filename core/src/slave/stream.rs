@@ -2,10 +2,10 @@
 
 use core::fmt;
 
-use super::engine::{Action, Engine};
+use super::call::Step;
+use super::engine::{Engine, EngineAction};
 use super::fault::Cause;
 use super::limits::PoseError;
-use super::request::Step;
 use super::trajectory::{Next, Trajectory};
 use super::{Cycle, MOVE_FRAME};
 use crate::bcap::call::Call;
@@ -118,13 +118,13 @@ impl<T: Trajectory + ?Sized, const N: usize> Procedure for Stream<'_, T, N> {
     fn poll(&mut self, now: Instant) -> procedure::Action<Result<(), StreamError>> {
         loop {
             return match self.engine.poll(now) {
-                Action::Call(_, channel) => procedure::Action::Call(channel),
-                Action::Wait(at) => procedure::Action::Wait(at),
-                Action::Finished => procedure::Action::Done(self.refused.take().map_or(Ok(()), Err)),
-                Action::Faulted => procedure::Action::Done(self.engine.fault().map_or(Ok(()), |fault| {
+                EngineAction::Call(_, channel) => procedure::Action::Call(channel),
+                EngineAction::Wait(at) => procedure::Action::Wait(at),
+                EngineAction::Finished => procedure::Action::Done(self.refused.take().map_or(Ok(()), Err)),
+                EngineAction::Faulted => procedure::Action::Done(self.engine.fault().map_or(Ok(()), |fault| {
                     Err(StreamError::Fault { step: fault.step, cause: fault.cause, code: fault.code() })
                 })),
-                Action::Pose { deadline } => {
+                EngineAction::Pose { deadline } => {
                     self.supply(deadline, now);
                     continue;
                 }

@@ -152,10 +152,10 @@ fn slv_move_has_its_elements_in_order_in_every_format() {
             for (plain, extended) in poses.iter().flat_map(|pose| axes.map(|axes| (*pose, axes))) {
                 let pose = extended.map_or(plain, |axes| plain.with_extended(axes));
                 let format = Format {
-                    extended: pose.shape().extended,
+                    extended: pose.layout().extended,
                     send,
                     receive: ReceiveFormat { user_io, ..ReceiveFormat::pose(ReceivePose::PJ) },
-                    ..format(Mode::Mode1, pose.shape().pose)
+                    ..format(Mode::Mode1, pose.layout().pose)
                 };
                 let outputs = Outputs { mini_io: 0x1234, hand_io: 0x77, user_io: &[0xaa, 0x55] };
                 let bytes = request(slv_move(ROBOT, &format, &pose, outputs).unwrap(), 1);
@@ -186,7 +186,7 @@ fn check_elements(bytes: &[u8], expected: &[VariantBuf<128>]) {
 fn check_prepared(format: &Format, pose: &Pose, outputs: Outputs<'_>, bytes: &[u8]) {
     let mut prepared = PreparedMove::<MOVE_FRAME>::new(ROBOT, format).unwrap();
     for (pose, outputs) in
-        [(Pose::zero(pose.shape()), Outputs { mini_io: -1, hand_io: -1, user_io: &[0xff, 0xff] }), (*pose, outputs)]
+        [(Pose::zero(pose.layout()), Outputs { mini_io: -1, hand_io: -1, user_io: &[0xff, 0xff] }), (*pose, outputs)]
     {
         prepared.set_pose(&pose).unwrap();
         assert_eq!(prepared.set_mini_io(outputs.mini_io).is_ok(), format.send.io == SendIo::Mini);
@@ -240,7 +240,7 @@ fn data_that_differs_from_the_format_is_refused() {
     let error = slv_move(ROBOT, &format, &spec_pose(), Outputs::default()).err().unwrap();
     assert_eq!(error.to_string(), "the format has poses of type J, this pose is P");
     let pose = Pose::j([0.0; 8]).with_extended(Extended::Seven(1.0));
-    assert!(matches!(slv_move(ROBOT, &format, &pose, Outputs::default()).err(), Some(FormatError::Shape { .. })));
+    assert!(matches!(slv_move(ROBOT, &format, &pose, Outputs::default()).err(), Some(FormatError::Layout { .. })));
 
     let io = SendIo::User(UserIo::new(128, 2).unwrap());
     let format = Format { send: SendFormat { io, hand_io: false }, ..format };
@@ -405,8 +405,8 @@ fn lengths_are_those_of_the_frames() {
         }
         frame.finish(1, 0, 0).unwrap().len()
     };
-    let [shapes, io] = [4, 3].map(|count| 0..count);
-    for (extended, io) in shapes.flat_map(|shape| io.clone().map(move |io| (shape, io))) {
+    let [axes, io] = [4, 3].map(|count| 0..count);
+    for (extended, io) in axes.flat_map(|axes| io.clone().map(move |io| (axes, io))) {
         let extended = [ExtendedAxes::None, ExtendedAxes::Seven, ExtendedAxes::Eight, ExtendedAxes::Both][extended];
         let io = [SendIo::None, SendIo::Mini, SendIo::User(range)][io];
         for extras in 0..64 {

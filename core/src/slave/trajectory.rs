@@ -67,8 +67,8 @@ impl<F: FnMut(&Cycle<'_>) -> Next> Trajectory for F {
 }
 
 impl<const N: usize> Engine<N> {
-    /// Handles [`Action::Pose`](super::Action::Pose) with the next element of a trajectory: pushes a pose with its outputs,
-    /// or ends the stream. `number` is the number of poses before it.
+    /// Handles [`EngineAction::Pose`](super::EngineAction::Pose) with the next element of a trajectory: pushes a pose with its
+    /// outputs, or ends the stream. `number` is the number of poses before it.
     ///
     /// # Errors
     ///

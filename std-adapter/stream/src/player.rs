@@ -60,7 +60,7 @@ impl Course {
                 let part = f64::from(cycle.number + 1) / f64::from(*cycles);
                 let by = amplitude / 2.0 * (1.0 - (part * std::f64::consts::TAU).cos());
                 let mut numbers = cycle.start.numbers().to_vec();
-                let kind = cycle.start.shape().pose;
+                let kind = cycle.start.layout().pose;
                 // joint 1, or Z
                 if let Some(number) = numbers.get_mut(if kind == PoseType::J { 0 } else { 2 }) {
                     *number += by;

@@ -3,8 +3,8 @@
 use super::{EMERGENCY_STOP, Engine, Phase};
 use crate::hresult::HResult;
 use crate::procedure::Failure;
+use crate::slave::call::Step;
 use crate::slave::fault::{ControllerError, ERRORS_MAX, Fault, Released};
-use crate::slave::request::Step;
 use crate::variant::Variant;
 
 impl<const N: usize> Engine<N> {

@@ -2,13 +2,13 @@
 
 use core::time::Duration;
 
-use super::{Action, Engine, RECEIVED_MAX, Stop};
+use super::{Engine, EngineAction, RECEIVED_MAX, Stop};
 use crate::hresult::HResult;
+use crate::slave::call::Step;
 use crate::slave::fault::Cause;
 use crate::slave::limits::{self, PoseError};
 use crate::slave::pose::Pose;
 use crate::slave::reply::MoveReply;
-use crate::slave::request::Step;
 use crate::time::{Instant, micros_u32};
 use crate::variant::Variant;
 
@@ -22,10 +22,10 @@ const STILL: u8 = 2;
 const STILL_WITHIN: f64 = 0.002;
 impl<const N: usize> Engine<N> {
     /// Returns the action that must come before the next slvMove; `None` when the present step can be made.
-    pub(super) fn pace(&mut self, now: Instant) -> Option<Action> {
+    pub(super) fn pace(&mut self, now: Instant) -> Option<EngineAction> {
         if !self.pacer.loaded {
             if self.stop.is_none() {
-                return Some(Action::Pose { deadline: self.pacer.deadline });
+                return Some(EngineAction::Pose { deadline: self.pacer.deadline });
             }
             if !self.load_stop() {
                 self.leave();
@@ -33,7 +33,7 @@ impl<const N: usize> Engine<N> {
             }
         }
         if now < self.pacer.deadline {
-            return Some(Action::Wait(self.pacer.deadline));
+            return Some(EngineAction::Wait(self.pacer.deadline));
         }
         self.step = Step::Move;
         self.pacer.sending(&self.config, &mut self.stats, now);

@@ -2,8 +2,8 @@
 
 use super::{Engine, Health, Phase};
 use crate::hresult::HResult;
+use crate::slave::call::Step;
 use crate::slave::fault::{Cause, Released};
-use crate::slave::request::Step;
 
 impl<const N: usize> Engine<N> {
     pub(super) fn leave(&mut self) {

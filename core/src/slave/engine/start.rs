@@ -3,11 +3,11 @@
 use super::{EMERGENCY_STOP, Engine, Phase};
 use crate::bcap::{Properties, StreamState};
 use crate::hresult::HResult;
+use crate::slave::call::Step;
 use crate::slave::fault::Cause;
 use crate::slave::mode::PoseType;
 use crate::slave::pacer::Pacer;
 use crate::slave::pose::{Delta, ExtendedAxes, Pose, half_turn};
-use crate::slave::request::Step;
 use crate::time::Instant;
 use crate::variant::Variant;
 

@@ -254,12 +254,12 @@ impl Rig {
     }
 
     /// Runs until the engine ends, with the poses of `next`; `None` stops the stream.
-    fn run(&mut self, mut next: impl FnMut(&mut Self) -> Option<Pose>) -> Action {
+    fn run(&mut self, mut next: impl FnMut(&mut Self) -> Option<Pose>) -> EngineAction {
         for _ in 0..20_000 {
             match self.engine.poll(self.now) {
-                Action::Call(..) => self.call(),
-                Action::Wait(until) => self.now = self.now.max(until),
-                Action::Pose { .. } => match next(self) {
+                EngineAction::Call(..) => self.call(),
+                EngineAction::Wait(until) => self.now = self.now.max(until),
+                EngineAction::Pose { .. } => match next(self) {
                     Some(pose) => self.engine.push(&pose).unwrap(),
                     None => self.engine.stop(),
                 },
@@ -282,7 +282,7 @@ impl Rig {
             }
             Some(joints(f64::from(count) * 0.01))
         });
-        assert_eq!(end, Action::Faulted);
+        assert_eq!(end, EngineAction::Faulted);
     }
 
     fn fault(&self) -> &Fault {
@@ -333,7 +333,7 @@ fn disturbed(config: Config, at: u32, act: impl Fn(&mut Rig)) -> Rig {
 fn refused_start(config: Config, command: &'static str, code: HResult) -> Rig {
     let mut rig = Rig::new(config, &[0.0; 8]);
     rig.controller.script.push((command, refused(code)));
-    assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
+    assert_eq!(rig.run(|_| panic!("no pose is wanted")), EngineAction::Faulted);
     rig
 }
 

@@ -4,7 +4,7 @@
 use bcap_core::bcap::call;
 use bcap_core::hresult::HResult;
 use bcap_core::slave::{
-    Action, AxisLimits, Cause, Config as Stream, Engine, Extended, ExtendedAxes, Format, Handles, Mode, Pose,
+    AxisLimits, Cause, Config as Stream, Engine, EngineAction, Extended, ExtendedAxes, Format, Handles, Mode, Pose,
     PoseError, PoseType, Released, SendFormat, Step,
 };
 use bcap_core::variant::Encode;
@@ -20,7 +20,7 @@ use crate::engine::{MODES, Rig, format, from_start};
 /// How a stream that paused has ended.
 #[derive(Debug, PartialEq)]
 struct Paused {
-    end: Action,
+    end: EngineAction,
     code: Option<HResult>,
     /// With what slvMove was refused, which hides the cause.
     refused: Option<HResult>,
@@ -52,9 +52,9 @@ fn pause(link: Link, mode: Mode, running: bool) -> Paused {
 
 #[test]
 fn each_row_of_the_underflow_table() {
-    let goes_on = || Paused { end: Action::Finished, code: None, refused: None, kept: true, underflows: (0, 0) };
+    let goes_on = || Paused { end: EngineAction::Finished, code: None, refused: None, kept: true, underflows: (0, 0) };
     let released = || Paused {
-        end: Action::Faulted,
+        end: EngineAction::Faulted,
         code: Some(HResult::E_COMMAND_BUFFER_EMPTY),
         refused: Some(HResult::E_SLVMODE_OFF),
         kept: false,
@@ -89,7 +89,7 @@ fn holding_in_mode_1_out_of_fast_motion_is_too_hard_a_stop() {
         Some(from_start(rig, 0, at))
     });
     let fault = rig.engine.fault().unwrap();
-    assert_eq!((end, fault.code()), (Action::Faulted, Some(HResult::from_u32(0x8420_4041))));
+    assert_eq!((end, fault.code()), (EngineAction::Faulted, Some(HResult::from_u32(0x8420_4041))));
     assert_eq!(fault.cause, Cause::Refused(HResult::E_SLVMODE_OFF));
 }
 
@@ -108,7 +108,11 @@ fn each_limit_of_each_axis_is_named_with_its_axis() {
             let end = rig.run(|rig| Some(with_axis(rig, axis, jump(axis, of_speed))));
             let fault = rig.engine.fault().unwrap();
             let expected = HResult::from_u32(base + u32::try_from(axis).unwrap());
-            assert_eq!((end, fault.code(), fault.step), (Action::Faulted, Some(expected), Step::Move), "{mode:?}");
+            assert_eq!(
+                (end, fault.code(), fault.step),
+                (EngineAction::Faulted, Some(expected), Step::Move),
+                "{mode:?}"
+            );
             assert_eq!((fault.released, fault.emergency_stop), (Released::Yes, Some(false)));
             assert_eq!(expected.axis().map(usize::from), Some(axis));
             let text = fault.to_string();
@@ -144,7 +148,11 @@ fn the_engine_refuses_what_would_trip_the_controller_with_axis_and_figures() {
                 refused = rig.engine.push(&Pose::j(numbers)).err();
                 None
             });
-            assert_eq!((end, rig.errors(), rig.sent(Step::Move)), (Action::Finished, vec![], 0), "nothing was sent");
+            assert_eq!(
+                (end, rig.errors(), rig.sent(Step::Move)),
+                (EngineAction::Finished, vec![], 0),
+                "nothing was sent"
+            );
             let (named, value, limit) = match refused.unwrap() {
                 PoseError::Speed { axis, speed, limit } if of_speed => (axis, speed, limit),
                 PoseError::Acceleration { axis, acceleration, limit } if !of_speed => (axis, acceleration, limit),
@@ -299,7 +307,7 @@ fn what_stands_in_the_way_at_the_start_is_reported_at_its_step() {
         rig.world.sim.play(Scenario::parse(&format!("[controller]\n{section}")).unwrap());
         let end = rig.run(|_| panic!("no pose is wanted"));
         let fault = rig.engine.fault().unwrap();
-        assert_eq!((end, fault.step, fault.code()), (Action::Faulted, step, Some(code)), "{section}: {fault}");
+        assert_eq!((end, fault.step, fault.code()), (EngineAction::Faulted, step, Some(code)), "{section}: {fault}");
         assert_eq!(fault.cause, Cause::Refused(code));
         let errors: Vec<_> = fault.errors().iter().map(|error| error.code).collect();
         let expected: &[HResult] = if code.level().is_some() { &[code] } else { &[] };
@@ -311,7 +319,7 @@ fn what_stands_in_the_way_at_the_start_is_reported_at_its_step() {
 fn an_error_before_the_start_is_the_first_cause_of_the_refusal() {
     let mut rig = Rig::new(Link::Tcp, format(Mode::Mode0, PoseType::J));
     rig.world.sim.play(Scenario::parse("[controller]\nerrors = ['0x84204043', '0x83500121']").unwrap());
-    assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
+    assert_eq!(rig.run(|_| panic!("no pose is wanted")), EngineAction::Faulted);
     let fault = rig.engine.fault().unwrap();
     assert_eq!(fault.cause, Cause::Refused(HResult::E_ERROR_PRESENT));
     let codes: Vec<_> = fault.errors().iter().map(|error| error.code).collect();
@@ -326,7 +334,7 @@ fn an_error_before_the_start_is_the_first_cause_of_the_refusal() {
 fn a_cobotta_wants_its_preparations_and_the_engine_says_which() {
     let cobotta = || Rig::with(Link::Udp, format(Mode::Mode0, PoseType::J), Config::new(Profile::Cobotta), |_| {});
     let mut rig = cobotta();
-    assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
+    assert_eq!(rig.run(|_| panic!("no pose is wanted")), EngineAction::Faulted);
     let fault = rig.engine.fault().unwrap();
     assert_eq!((fault.step, fault.code()), (Step::Motor, Some(HResult::E_MOTION_UNPREPARED)));
 
@@ -341,21 +349,21 @@ fn a_cobotta_wants_its_preparations_and_the_engine_says_which() {
     }
     let text = "[[fault]]\nwhen = { cycle = 20 }\nthen = { error = '0x84204043' }";
     rig.world.sim.play(Scenario::parse(text).unwrap());
-    assert_eq!(rig.run(|rig| Some(from_start(rig, 0, 0.0))), Action::Faulted);
+    assert_eq!(rig.run(|rig| Some(from_start(rig, 0, 0.0))), EngineAction::Faulted);
     assert_eq!(rig.engine.fault().unwrap().code(), Some(HResult::from_u32(0x8420_4043)));
 
     // a stop ends the preparation
     rig.world.sim.emergency_stop(true, rig.world.now);
     rig.world.sim.emergency_stop(false, rig.world.now);
     rig.engine.recover().unwrap();
-    assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
+    assert_eq!(rig.run(|_| panic!("no pose is wanted")), EngineAction::Faulted);
     let fault = rig.engine.fault().unwrap();
     assert_eq!((fault.step, fault.cause), (Step::ClearError, Cause::Refused(HResult::E_MANUAL_RESET_UNPREPARED)));
     assert_eq!(fault.code(), Some(HResult::from_u32(0x8420_4043)), "the first cause is still there");
 
     assert_eq!(prepare(&mut rig, "ManualResetPreparation"), Ok(HResult::S_OK));
     rig.engine.recover().unwrap();
-    assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
+    assert_eq!(rig.run(|_| panic!("no pose is wanted")), EngineAction::Faulted);
     let fault = rig.engine.fault().unwrap();
     assert_eq!((fault.step, fault.cause), (Step::Motor, Cause::Refused(HResult::E_MOTION_UNPREPARED)));
     let controller = rig.engine.config().motion.controller;
@@ -368,5 +376,5 @@ fn a_cobotta_wants_its_preparations_and_the_engine_says_which() {
         count += 1;
         (count <= 20).then(|| from_start(rig, 0, 0.0))
     });
-    assert_eq!((end, rig.errors()), (Action::Finished, vec![]));
+    assert_eq!((end, rig.errors()), (EngineAction::Finished, vec![]));
 }

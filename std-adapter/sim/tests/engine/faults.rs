@@ -2,7 +2,7 @@
 //! afterwards.
 
 use bcap_core::hresult::HResult;
-use bcap_core::slave::{Action, Cause, Failure, Fault, Mode, PoseType, RecoverError, Released, Step};
+use bcap_core::slave::{Cause, EngineAction, Failure, Fault, Mode, PoseType, RecoverError, Released, Step};
 use bcap_core::time::Instant;
 use bcap_sim::Scenario;
 
@@ -20,14 +20,14 @@ fn each() -> impl Iterator<Item = (Link, Mode)> {
 }
 
 /// Streams the trajectory through a scenario.
-fn play(link: Link, mode: Mode, text: &str) -> (Rig, Action) {
+fn play(link: Link, mode: Mode, text: &str) -> (Rig, EngineAction) {
     let mut rig = Rig::new(link, format(mode, PoseType::J));
     rig.world.sim.play(Scenario::parse(text).unwrap());
     let end = trajectory(&mut rig);
     (rig, end)
 }
 
-fn trajectory(rig: &mut Rig) -> Action {
+fn trajectory(rig: &mut Rig) -> EngineAction {
     let mut count = 0;
     rig.run(|rig| {
         count += 1;
@@ -45,7 +45,7 @@ fn way(rig: &Rig) -> Vec<f64> {
 /// The way of a stream that met nothing.
 fn whole_way(mode: Mode) -> Vec<f64> {
     let (rig, end) = play(Link::Tcp, mode, "");
-    assert_eq!(end, Action::Finished);
+    assert_eq!(end, EngineAction::Finished);
     way(&rig)
 }
 
@@ -83,7 +83,7 @@ fn a_storm_of_full_buffers_that_the_buffer_bridges_loses_no_pose() {
     for link in LINKS {
         for mode in [Mode::Mode0, Mode::Mode2] {
             let (mut rig, end) = play(link, mode, text);
-            assert_eq!((end, rig.errors()), (Action::Finished, vec![]), "{link:?}, {mode:?}");
+            assert_eq!((end, rig.errors()), (EngineAction::Finished, vec![]), "{link:?}, {mode:?}");
             assert_eq!((rig.engine.stats().refused, rig.engine.stats().underflows), (2, 0));
             assert_eq!(rig.sent(Step::Move), rig.moves as usize + 2, "each that was refused was sent again");
             assert_eq!(way(&rig), whole_way(mode), "no pose is lost, none comes twice");
@@ -97,7 +97,7 @@ fn a_storm_of_full_buffers_that_outlasts_the_buffer_is_an_underflow() {
     let text = "[[fault]]\nwhen = { call = 100, to = 120, of = 'slvMove' }\nthen = { refuse = 'E_BUF_FULL' }";
     for link in LINKS {
         let (mut rig, end) = play(link, Mode::Mode0, text);
-        assert_eq!((end, fault(&rig).code()), (Action::Faulted, Some(UNDERFLOW)), "{link:?}");
+        assert_eq!((end, fault(&rig).code()), (EngineAction::Faulted, Some(UNDERFLOW)), "{link:?}");
         assert_eq!((fault(&rig).released, rig.errors().last()), (Released::Yes, Some(&UNDERFLOW)));
         assert_eq!(sent_after(&rig, Step::Move), DIAGNOSIS);
         let whole = whole_way(Mode::Mode0);
@@ -111,7 +111,7 @@ fn a_buffer_that_stays_full_at_rest_is_given_up() {
     let text = "[[fault]]\nwhen = { call = 1, to = 100000, of = 'slvMove' }\nthen = { refuse = 'E_BUF_FULL' }";
     for link in LINKS {
         let (mut rig, end) = play(link, Mode::Mode0, text);
-        assert_eq!((end, fault(&rig).cause), (Action::Faulted, Cause::Stalled), "{link:?}");
+        assert_eq!((end, fault(&rig).cause), (EngineAction::Faulted, Cause::Stalled), "{link:?}");
         assert_eq!((fault(&rig).code(), fault(&rig).released, rig.errors()), (None, Released::Yes, vec![]));
         // slave mode was on, so it is left
         assert_eq!(sent_after(&rig, Step::Move), [Step::GetMode, Step::Leave, Step::ErrorCount, Step::SystemState]);
@@ -129,7 +129,7 @@ fn a_link_that_is_lost_for_good_ends_the_stream_and_the_robot_stands() {
     let text = "[[fault]]\nwhen = { cycle = 150 }\nthen = { link_loss_ms = 0 }";
     for (link, mode) in each() {
         let (mut rig, end) = play(link, mode, text);
-        assert_eq!((end, fault(&rig).step), (Action::Faulted, Step::Move), "{link:?}, {mode:?}");
+        assert_eq!((end, fault(&rig).step), (EngineAction::Faulted, Step::Move), "{link:?}, {mode:?}");
         assert_eq!(fault(&rig).cause, Cause::Failed(Failure::Timeout));
         // the controller could not be asked
         assert_eq!((fault(&rig).released, fault(&rig).emergency_stop), (Released::Unknown, None));
@@ -151,7 +151,7 @@ fn a_link_that_comes_back_tells_the_first_cause() {
     let text = "[[fault]]\nwhen = { cycle = 150 }\nthen = { link_loss_ms = 4000 }";
     for (link, mode) in each() {
         let (mut rig, end) = play(link, mode, text);
-        assert_eq!(end, Action::Faulted, "{link:?}, {mode:?}");
+        assert_eq!(end, EngineAction::Faulted, "{link:?}, {mode:?}");
         assert_eq!(fault(&rig).cause, Cause::Failed(Failure::Timeout));
         if link == Link::Tcp {
             let expected = if mode == Mode::Mode1 { None } else { Some(UNDERFLOW) };
@@ -168,7 +168,12 @@ fn single_answers_that_are_lost_or_broken_cost_a_datagram_link_nothing() {
         let text = format!("[[fault]]\nwhen = {{ call = 100, of = 'slvMove' }}\nthen = '{then}'");
         for mode in MODES {
             let (mut rig, end) = play(Link::Udp, mode, &text);
-            assert_eq!((end, rig.errors()), (Action::Finished, vec![]), "{then}, {mode:?}: {:?}", rig.engine.fault());
+            assert_eq!(
+                (end, rig.errors()),
+                (EngineAction::Finished, vec![]),
+                "{then}, {mode:?}: {:?}",
+                rig.engine.fault()
+            );
             assert!(rig.wires[0].requests as usize > rig.sent.len(), "it was asked again");
             // the repetition was not carried out once more
             assert_eq!(u64::from(rig.moves), rig.world.sim.slave_counters().taken, "{then}, {mode:?}");
@@ -183,7 +188,7 @@ fn a_connection_that_is_closed_leaves_the_watch_to_ask() {
     let text = "[[fault]]\nwhen = { call = 100, of = 'slvMove' }\nthen = 'disconnect'";
     for mode in MODES {
         let (mut rig, end) = play(Link::Tcp, mode, text);
-        assert_eq!((end, fault(&rig).cause), (Action::Faulted, Cause::Failed(Failure::Lost)));
+        assert_eq!((end, fault(&rig).cause), (EngineAction::Faulted, Cause::Failed(Failure::Lost)));
         let watched = sent_after(&rig, Step::Move);
         assert!(watched.starts_with(&[Step::GetMode]) && !watched.contains(&Step::ClearError), "{watched:?}");
         assert_eq!(fault(&rig).emergency_stop, Some(false), "the second connection has answered");
@@ -203,7 +208,7 @@ fn an_error_at_any_cycle_ends_the_stream_there() {
         for cycle in [1, 2, 3, 50, 150, 299] {
             let text = format!("[[fault]]\nwhen = {{ cycle = {cycle} }}\nthen = {{ error = '{number:#x}' }}");
             let (mut rig, end) = play(link, mode, &text);
-            assert_eq!((end, fault(&rig).code()), (Action::Faulted, Some(code)), "{link:?}, {mode:?}, {cycle}");
+            assert_eq!((end, fault(&rig).code()), (EngineAction::Faulted, Some(code)), "{link:?}, {mode:?}, {cycle}");
             assert_eq!(rig.world.sim.motor_is_on(), code.level() == Some(2));
             // the engine found that Slave Mode is off, or the error itself if its answer was withheld
             let refused = [HResult::E_SLVMODE_OFF, code].map(Cause::Refused);
@@ -228,7 +233,7 @@ fn of_two_errors_the_first_is_the_cause() {
     for (link, mode) in each() {
         let (mut rig, end) = play(link, mode, text);
         let codes: Vec<_> = fault(&rig).errors().iter().map(|error| error.code).collect();
-        assert_eq!((end, codes), (Action::Faulted, vec![HResult::from_u32(0x8420_4043), HResult::E_SLVMODE_OFF]));
+        assert_eq!((end, codes), (EngineAction::Faulted, vec![HResult::from_u32(0x8420_4043), HResult::E_SLVMODE_OFF]));
         assert_eq!(fault(&rig).code(), Some(HResult::from_u32(0x8420_4043)));
         nothing_moves_afterwards(&mut rig);
     }
@@ -239,12 +244,12 @@ fn after_an_error_the_stream_goes_on_only_when_it_is_told_to() {
     for (link, mode) in each() {
         let text = "[[fault]]\nwhen = { cycle = 150 }\nthen = { error = '0x83500001' }";
         let (mut rig, end) = play(link, mode, text);
-        assert_eq!(end, Action::Faulted);
+        assert_eq!(end, EngineAction::Faulted);
         nothing_moves_afterwards(&mut rig);
         let stood = rig.world.sim.axes()[0];
         assert!(stood > 1.0 && !rig.world.sim.motor_is_on() && rig.sent(Step::ClearError) == 0);
         rig.engine.recover().unwrap();
-        assert_eq!((trajectory(&mut rig), rig.errors()), (Action::Finished, vec![]), "{link:?}, {mode:?}");
+        assert_eq!((trajectory(&mut rig), rig.errors()), (EngineAction::Finished, vec![]), "{link:?}, {mode:?}");
         assert!((rig.world.sim.axes()[0] - stood - 20.0).abs() < 1e-6, "from where it stood");
         assert_eq!(rig.sent(Step::ClearError), 1);
     }
@@ -259,14 +264,14 @@ fn an_emergency_stop_ends_the_stream_for_good() {
         let (mut rig, end) = play(link, mode, text);
         assert_eq!(
             (end, fault(&rig).code()),
-            (Action::Faulted, Some(HResult::E_COMMAND_POSITION_GEN_STOPPED)),
+            (EngineAction::Faulted, Some(HResult::E_COMMAND_POSITION_GEN_STOPPED)),
             "{link:?}, {mode:?}"
         );
         assert_eq!((fault(&rig).released, fault(&rig).emergency_stop), (Released::Yes, Some(true)));
         assert_eq!(sent_after(&rig, Step::Move), DIAGNOSIS);
         assert_eq!(rig.world.sim.slave_record().last().map(|cycle| cycle.cycle), Some(149));
         assert_eq!(rig.engine.recover(), Err(RecoverError::EmergencyStop));
-        assert_eq!(rig.engine.poll(rig.world.now), Action::Faulted);
+        assert_eq!(rig.engine.poll(rig.world.now), EngineAction::Faulted);
         nothing_moves_afterwards(&mut rig);
         assert!(!rig.world.sim.motor_is_on());
         // released and with the error cleared by somebody else, the engine still does not go on by itself
@@ -276,7 +281,7 @@ fn an_emergency_stop_ends_the_stream_for_good() {
         nothing_moves_afterwards(&mut rig);
         let calls = rig.sent.len();
         rig.engine.stop();
-        assert_eq!(trajectory(&mut rig), Action::Finished);
+        assert_eq!(trajectory(&mut rig), EngineAction::Finished);
         assert_eq!(
             rig.sent[calls..].iter().map(|(_, step)| *step).collect::<Vec<_>>(),
             [Step::Halt, Step::MotorOff, Step::GiveArm]
@@ -288,11 +293,11 @@ fn an_emergency_stop_ends_the_stream_for_good() {
 fn an_emergency_stop_between_fault_and_recovery_is_seen_before_anything_is_cleared() {
     let text = "[[fault]]\nwhen = { cycle = 150 }\nthen = { error = '0x83500001' }";
     let (mut rig, end) = play(Link::Tcp, Mode::Mode0, text);
-    assert_eq!(end, Action::Faulted);
+    assert_eq!(end, EngineAction::Faulted);
     let now = rig.world.now;
     rig.world.sim.emergency_stop(true, now);
     rig.engine.recover().unwrap();
-    assert_eq!(trajectory(&mut rig), Action::Faulted);
+    assert_eq!(trajectory(&mut rig), EngineAction::Faulted);
     assert_eq!((fault(&rig).cause, fault(&rig).emergency_stop), (Cause::EmergencyStop, Some(true)));
     assert_eq!((rig.sent(Step::ClearError), rig.sent(Step::Motor)), (0, 1), "the motor was switched on at the start");
     assert_eq!(rig.engine.recover(), Err(RecoverError::EmergencyStop));

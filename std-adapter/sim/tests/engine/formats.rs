@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 
 use bcap_core::slave::{
-    Action, ExtendedAxes, Format, Mode, MoveReply, PoseType, ReceiveFormat, ReceivePose, SendFormat, SendIo, SlaveMode,
-    Step, TimeUnit, UserIo,
+    EngineAction, ExtendedAxes, Format, Mode, MoveReply, PoseType, ReceiveFormat, ReceivePose, SendFormat, SendIo,
+    SlaveMode, Step, TimeUnit, UserIo,
 };
 use bcap_core::variant::Variant;
 use bcap_sim::VariableKind;
@@ -75,7 +75,7 @@ fn stream(link: Link, format: Format, poses: u32) {
         }
         (count <= poses).then(|| from_start(rig, 0, 0.002 * f64::from(count)))
     });
-    assert_eq!(end, Action::Finished, "{link:?}, {format:?}: {:?}", rig.engine.fault());
+    assert_eq!(end, EngineAction::Finished, "{link:?}, {format:?}: {:?}", rig.engine.fault());
     assert_eq!((rig.errors(), rig.world.sim.slave_mode(), rig.world.sim.arm_owner()), (vec![], 0, None));
     let moves = rig.sent(Step::Move);
     assert!(moves > poses as usize, "{moves} poses of {poses} and a stop");

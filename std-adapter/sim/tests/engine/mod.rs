@@ -10,7 +10,7 @@ mod wire;
 
 use bcap_core::hresult::HResult;
 use bcap_core::slave::{
-    Action, Channel, Config as Stream, Engine, Extended, ExtendedAxes, Failure, Format, Mode, MoveReply, Pose,
+    Channel, Config as Stream, Engine, EngineAction, Extended, ExtendedAxes, Failure, Format, Mode, MoveReply, Pose,
     PoseType, ReceiveFormat, ReceivePose, SlaveMode, Step,
 };
 use bcap_core::time::Instant;
@@ -70,15 +70,15 @@ impl Rig {
     }
 
     /// Runs until the engine ends; `next` gives poses, `None` finishes.
-    fn run(&mut self, mut next: impl FnMut(&mut Self) -> Option<Pose>) -> Action {
+    fn run(&mut self, mut next: impl FnMut(&mut Self) -> Option<Pose>) -> EngineAction {
         for _ in 0..20_000 {
             match self.engine.poll(self.world.now) {
-                Action::Call(_, channel) => self.call(channel),
-                Action::Wait(until) => {
+                EngineAction::Call(_, channel) => self.call(channel),
+                EngineAction::Wait(until) => {
                     self.world.now = self.world.now.max(until);
                     self.world.sim.advance(self.world.now);
                 }
-                Action::Pose { .. } => match next(self) {
+                EngineAction::Pose { .. } => match next(self) {
                     Some(pose) => self.engine.push(&pose).unwrap(),
                     None => self.engine.finish(),
                 },
@@ -107,8 +107,8 @@ fn from_start(rig: &Rig, number: usize, by: f64) -> Pose {
     let start = rig.engine.start_pose().unwrap();
     let mut numbers = start.numbers().to_vec();
     numbers[number] += by;
-    let pose = Pose::from_numbers(start.shape().pose, &numbers).unwrap();
-    match start.shape().extended {
+    let pose = Pose::from_numbers(start.layout().pose, &numbers).unwrap();
+    match start.layout().extended {
         ExtendedAxes::None => pose,
         ExtendedAxes::Seven => pose.with_extended(Extended::Seven(0.0)),
         ExtendedAxes::Eight => pose.with_extended(Extended::Eight(0.0)),

@@ -1,7 +1,7 @@
 //! Streams that arrive, stop, or are not begun.
 
 use bcap_core::hresult::HResult;
-use bcap_core::slave::{Action, AxisLimits, Cause, Mode, PoseType, Released, Step};
+use bcap_core::slave::{AxisLimits, Cause, EngineAction, Mode, PoseType, Released, Step};
 use bcap_sim::Config;
 
 use crate::engine::wire::{LINKS, Link};
@@ -16,7 +16,7 @@ fn a_trajectory_arrives_without_an_error_in_every_mode() {
             count += 1;
             (count <= 500).then(|| from_start(rig, 0, 30.0 * smooth(count, 500)))
         });
-        assert_eq!((end, rig.errors()), (Action::Finished, vec![]), "{mode:?}");
+        assert_eq!((end, rig.errors()), (EngineAction::Finished, vec![]), "{mode:?}");
         assert!((rig.world.sim.axes()[0] - rig.engine.start_pose().unwrap().as_slice()[0] - 30.0).abs() < 1e-9);
         let (stats, counters) = (rig.engine.stats(), rig.world.sim.slave_counters());
         assert_eq!((stats.underflows, stats.late, stats.refused), (0, 0, 0), "{mode:?}");
@@ -40,7 +40,7 @@ fn a_stop_in_motion_is_within_the_controllers_own_limits() {
             }
             (count < 60).then(|| from_start(rig, 0, at))
         });
-        assert_eq!((end, rig.errors()), (Action::Finished, vec![]), "{mode:?}");
+        assert_eq!((end, rig.errors()), (EngineAction::Finished, vec![]), "{mode:?}");
         let axes: Vec<f64> = rig.world.sim.slave_record().map(|cycle| cycle.axes[0]).collect();
         let speeds: Vec<f64> = axes.windows(2).map(|pair| (pair[1] - pair[0]) / 0.008).collect();
         assert!(speeds.iter().any(|speed| *speed > 70.0) && speeds.last().is_some_and(|speed| speed.abs() < 1e-9));
@@ -53,12 +53,12 @@ fn a_stop_in_motion_is_within_the_controllers_own_limits() {
 fn the_controllers_refusals_name_the_step() {
     let mut rig =
         Rig::with(Link::Tcp, format(Mode::Mode1, PoseType::J), Config::default(), |config| config.motor = false);
-    assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
+    assert_eq!(rig.run(|_| panic!("no pose is wanted")), EngineAction::Faulted);
     let fault = rig.engine.fault().unwrap();
     assert_eq!((fault.step, fault.released), (Step::Enter, Released::Yes));
     assert!(matches!(fault.cause, Cause::Refused(_)), "{fault}");
 
     let mut rig = Rig::with(Link::Tcp, format(Mode::Mode1, PoseType::J), Config::default(), |config| config.arm = None);
-    assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
+    assert_eq!(rig.run(|_| panic!("no pose is wanted")), EngineAction::Faulted);
     assert_eq!(rig.engine.fault().unwrap().code(), Some(HResult::E_ARM_NOT_TAKEN));
 }

@@ -10,7 +10,7 @@ use bcap_core::bcap::client::{self, Client};
 use bcap_core::bcap::header::field;
 use bcap_core::bcap::{Decoder, FrameWriter, Progress};
 use bcap_core::slave::{
-    Action, AxisLimits, Config, Engine, Format, Handles, Mode, Pose, PoseType, PreparedMove, ReceiveFormat,
+    AxisLimits, Config, Engine, EngineAction, Format, Handles, Mode, Pose, PoseType, PreparedMove, ReceiveFormat,
     ReceivePose, SlaveMode, Step,
 };
 use bcap_core::time::Instant;
@@ -132,7 +132,7 @@ fn streaming(pose: &[f64; 8], format: Format) -> Engine {
     let handles = Handles { controller: ControllerHandle(2), robot: RobotHandle(3) };
     let limits = AxisLimits::uniform(100.0, 800.0);
     let mut engine = Engine::new(Config { limits, ..Config::new(format, handles) }).expect("256 bytes hold it");
-    while let Action::Call(step, _) = engine.poll(Instant::ZERO) {
+    while let EngineAction::Call(step, _) = engine.poll(Instant::ZERO) {
         let bytes = if step == Step::Position { frame(0, &[pose]) } else { frame(0, &[&()]) };
         let reply = Decoder::TCP.decode_datagram(&bytes).expect("a frame");
         assert!(engine.handle_reply(&reply, Instant::ZERO).is_none(), "there is no slvMove yet");

@@ -3,7 +3,7 @@
 use bcap_core::bcap::client::{self, Client};
 use bcap_core::bcap::{Decoder, Progress, call};
 use bcap_core::endpoint::Endpoint;
-use bcap_core::slave::{self, Action, Engine};
+use bcap_core::slave::{self, Engine, EngineAction};
 use bcap_core::time::Instant;
 
 /// Streams in Slave Mode in formats that come from the input, answered by the frames in it; returns how many poses were
@@ -44,7 +44,7 @@ fn run(mode: slave::SlaveMode, bits: u8, input: &[u8]) -> Option<u32> {
     let (mut now, mut rest, mut moved) = (Instant::ZERO, input, 0_u32);
     for turn in 0..2000_u32 {
         match engine.poll(now) {
-            Action::Call(..) => {
+            EngineAction::Call(..) => {
                 client.start(&engine.request()?, client.timing(), now).ok()?;
                 moved = moved.wrapping_add(u32::from(client.transmit().len() > 100));
                 client.abandon();
@@ -64,7 +64,7 @@ fn run(mode: slave::SlaveMode, bits: u8, input: &[u8]) -> Option<u32> {
                     }
                 }
             }
-            Action::Pose { deadline } => {
+            EngineAction::Pose { deadline } => {
                 let pose = engine.last_pose().as_slice().first_chunk::<8>().map_or([number; 8], |pose| *pose);
                 let mut pose = slave::Pose::from_numbers(mode.pose, pose.get(..mode.pose.len()).unwrap_or(&pose))?;
                 if on(64) {
@@ -77,9 +77,9 @@ fn run(mode: slave::SlaveMode, bits: u8, input: &[u8]) -> Option<u32> {
                 }
                 now = now.max(deadline).saturating_add(config.cycle);
             }
-            Action::Wait(until) => now = until,
-            Action::Finished => break,
-            Action::Faulted => {
+            EngineAction::Wait(until) => now = until,
+            EngineAction::Finished => break,
+            EngineAction::Faulted => {
                 let known =
                     engine.fault().is_some_and(|f| f.is_underflow() || f.code().is_some() || f.errors().len() > 1);
                 moved = moved.wrapping_add(u32::from(known));

@@ -59,28 +59,28 @@ fn a_lost_connection_is_diagnosed_over_the_other_one() {
     assert_eq!(rig.engine.recover(), Err(RecoverError::Lost));
     // the motor stays on, and the arm taken
     rig.engine.stop();
-    assert_eq!(rig.engine.poll(rig.now), Action::Faulted);
+    assert_eq!(rig.engine.poll(rig.now), EngineAction::Faulted);
 }
 
 #[test]
 fn without_a_connection_the_state_is_unknown() {
     let mut rig = Rig::new(config(Mode::Mode0), &[0.0; 8]);
     rig.failures.push((20, Failure::Lost));
-    assert_eq!(rig.run(trajectory(100)), Action::Faulted);
+    assert_eq!(rig.run(trajectory(100)), EngineAction::Faulted);
     let fault = rig.fault();
     assert_eq!((fault.released, fault.emergency_stop, fault.code()), (Released::Unknown, None, None));
     assert_eq!(fault.to_string(), "slvMove: the connection is lost");
     let effects = rig.engine.effects();
     assert!(effects.moving && effects.streaming);
     rig.engine.stop();
-    assert_eq!((rig.engine.poll(rig.now), rig.engine.effects()), (Action::Faulted, effects));
+    assert_eq!((rig.engine.poll(rig.now), rig.engine.effects()), (EngineAction::Faulted, effects));
 }
 
 #[test]
 fn a_call_without_a_reply_ends_slave_mode() {
     let mut rig = Rig::new(config(Mode::Mode1), &[0.0; 8]);
     rig.failures.push((20, Failure::Timeout));
-    assert_eq!(rig.run(trajectory(100)), Action::Faulted);
+    assert_eq!(rig.run(trajectory(100)), EngineAction::Faulted);
     let fault = rig.fault();
     assert_eq!((fault.cause, fault.released), (Cause::Failed(Failure::Timeout), Released::Yes));
     assert_eq!(rig.controller.mode, 0);
@@ -92,7 +92,7 @@ fn a_call_without_a_reply_ends_slave_mode() {
 fn a_reply_of_another_format_ends_the_stream() {
     let mut rig = Rig::new(config(Mode::Mode0), &[0.0; 8]);
     rig.controller.script.push(("slvMove", ok(&[0.0; 7])));
-    assert_eq!(rig.run(trajectory(10)), Action::Faulted);
+    assert_eq!(rig.run(trajectory(10)), EngineAction::Faulted);
     let kind = MoveReplyErrorKind::Length { expected: 8, found: 7 };
     assert_eq!(rig.fault().cause, Cause::Reply(MoveReplyError { part: ReplyPart::Pose, kind }));
     assert_eq!((rig.controller.mode, rig.moves), (0, 1));

@@ -6,7 +6,7 @@ use super::*;
 fn every_mode_executes_every_pose_once_and_in_order() {
     for mode in [Mode::Mode0, Mode::Mode1, Mode::Mode2] {
         let mut rig = Rig::new(config(mode), &[0.0; 8]);
-        assert_eq!(rig.run(trajectory(500)), Action::Finished, "{mode:?}: {:?}", rig.engine.fault());
+        assert_eq!(rig.run(trajectory(500)), EngineAction::Finished, "{mode:?}: {:?}", rig.engine.fault());
         let path = rig.path();
         let expected: Vec<f64> = (1..=500).map(|n| smooth(n, 500)).collect();
         assert_eq!(path[..500], expected, "{mode:?}");
@@ -63,7 +63,7 @@ fn a_pose_refused_with_e_buf_full_is_sent_again() {
             }
             next(rig)
         }),
-        Action::Finished
+        EngineAction::Finished
     );
     assert_eq!(rig.path()[..100], (1..=100).map(|n| smooth(n, 100)).collect::<Vec<_>>());
     let stats = rig.engine.stats();
@@ -80,7 +80,7 @@ fn a_controller_whose_buffer_stays_full_ends_the_stream() {
         rig.controller.asleep = if count == 10 { 1000 } else { 0 };
         Some(joints(f64::from(count) * 1e-3))
     });
-    assert_eq!(end, Action::Faulted);
+    assert_eq!(end, EngineAction::Faulted);
     let fault = rig.fault();
     assert_eq!((fault.cause, fault.released), (Cause::Stalled, Released::Yes));
     // one second of cycles
@@ -100,7 +100,7 @@ fn mode_1_leaves_cycles_out_that_were_missed() {
         sent.push(rig.now);
         (count <= 20).then(|| joints(f64::from(count) * 1e-3))
     });
-    assert_eq!(end, Action::Finished);
+    assert_eq!(end, EngineAction::Finished);
     assert_eq!(rig.engine.stats().late, 1);
     assert!(rig.engine.stats().jitter.max() >= 22_000);
     // no burst catches up
@@ -115,10 +115,10 @@ fn mode_2_is_paced_by_the_controller_alone() {
     let mut asked = 0;
     let end = rig.run(|rig| {
         asked += 1;
-        assert_eq!(rig.engine.poll(rig.now), Action::Pose { deadline: rig.now });
+        assert_eq!(rig.engine.poll(rig.now), EngineAction::Pose { deadline: rig.now });
         next(rig)
     });
-    assert_eq!((end, asked), (Action::Finished, 101));
+    assert_eq!((end, asked), (EngineAction::Finished, 101));
     let stats = rig.engine.stats();
     assert!((7_000..=8_300).contains(&stats.rtt.quantile(500)), "{}", stats.rtt.quantile(500));
     assert!(stats.jitter.max() <= 300, "{}", stats.jitter.max());
@@ -151,13 +151,13 @@ fn poses_beyond_the_limits_are_refused_with_axis_and_values() {
                 let error = rig.engine.push(&Pose::j([0.0, f64::NAN, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])).unwrap_err();
                 assert_eq!(error, PoseError::NotFinite { number: 2 });
                 let error = rig.engine.push(&spec_pose()).unwrap_err();
-                assert!(matches!(error, PoseError::Format(FormatError::Shape { .. })));
+                assert!(matches!(error, PoseError::Format(FormatError::Layout { .. })));
             }
             _ => {}
         }
         (count <= 10).then(|| joints(0.0))
     });
-    assert_eq!(end, Action::Finished);
+    assert_eq!(end, EngineAction::Finished);
     assert!(rig.path().iter().all(|joint| *joint == 0.0));
 }
 
@@ -174,7 +174,7 @@ fn a_stop_in_motion_slows_down_within_the_limits() {
             at += speed;
             (count <= 60).then(|| joints(at))
         });
-        assert_eq!(end, Action::Finished);
+        assert_eq!(end, EngineAction::Finished);
         let path = rig.path();
         let speeds: Vec<f64> = path.windows(2).map(|pair| (pair[1] - pair[0]) / 0.008).collect();
         let hardest = speeds.windows(2).map(|pair| ((pair[1] - pair[0]) / 0.008).abs()).fold(0.0, f64::max);
@@ -190,13 +190,13 @@ fn a_stop_in_motion_slows_down_within_the_limits() {
 #[test]
 fn a_stop_before_the_first_pose_moves_nothing() {
     let mut rig = Rig::new(config(Mode::Mode2), &[0.0; 8]);
-    assert_eq!(rig.run(|_| None), Action::Finished);
+    assert_eq!(rig.run(|_| None), EngineAction::Finished);
     assert_eq!((rig.moves, rig.names()), (0, [&START[..], &["Motor", "GiveArm"]].concat()));
     // also before Slave Mode is entered
     let mut rig = Rig::new(config(Mode::Mode2), &[0.0; 8]);
     let _ = rig.engine.poll(rig.now);
     rig.engine.stop();
-    assert_eq!(rig.run(|_| None), Action::Finished);
+    assert_eq!(rig.run(|_| None), EngineAction::Finished);
     assert_eq!(rig.names(), ["slvGetMode"]);
 }
 
@@ -214,14 +214,14 @@ fn the_stop_waits_for_a_robot_that_still_moves() {
         }
         (count <= 10).then(|| joints(f64::from(count) * 1e-3))
     });
-    assert_eq!(end, Action::Finished);
+    assert_eq!(end, EngineAction::Finished);
     assert!((10 + 20..10 + 25).contains(&rig.moves), "{}", rig.moves);
     // joints that the robot does not have may have any value
     let mut rig = Rig::new(config(Mode::Mode1), &[0.0; 8]);
     for n in 0..30 {
         rig.controller.script.push(("slvMove", ok(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, f64::from(n), f64::NAN])));
     }
-    assert_eq!(rig.run(trajectory(10)), Action::Finished);
+    assert_eq!(rig.run(trajectory(10)), EngineAction::Finished);
     assert!(rig.moves < 20, "{}", rig.moves);
 }
 
@@ -247,7 +247,7 @@ fn cartesian_streams_wrap_angles_and_command_extended_joints() {
         let pose = Pose::p([300.0, 0.0, 200.0, angle, 0.0, 180.0, 5.0]);
         (count <= 5).then(|| pose.with_extended(axes(40.0 + f64::from(count) * 0.2)))
     });
-    assert_eq!(end, Action::Finished);
+    assert_eq!(end, EngineAction::Finished);
     assert_eq!(rig.names()[5..7], ["CurPos", "CurJnt"]);
     assert_eq!(rig.engine.start_pose(), Some(&Pose::p(at).with_extended(axes(40.0))));
     let (last, end) = (last.unwrap(), *rig.engine.last_pose());
@@ -286,7 +286,7 @@ fn finishing_ends_in_the_last_pose_if_the_limits_allow_it() {
             }
             (count <= 10).then(|| joints(at))
         });
-        assert_eq!(end, Action::Finished);
+        assert_eq!(end, EngineAction::Finished);
         let (last, commanded) = (rig.engine.last_pose().as_slice()[0], 0.005 * 55.0);
         assert_eq!((last - commanded).abs() < 1e-12, ends, "{last}");
     }

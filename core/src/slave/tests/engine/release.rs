@@ -15,7 +15,7 @@ fn after_a_fault_the_robot_is_halted_and_the_motor_switched_off_before_the_arm_i
     let mut rig = faulted(config(Mode::Mode2));
     assert_eq!(rig.engine.effects(), Effects { moving: true, motor: true, ..Effects::default() });
     rig.engine.stop();
-    assert_eq!(rig.run(|_| None), Action::Finished);
+    assert_eq!(rig.run(|_| None), EngineAction::Finished);
     assert_eq!(rig.names(), ["Robot_Halt", "Motor", "GiveArm"]);
     assert!(!rig.controller.motor && !rig.controller.arm);
     assert_eq!(rig.engine.effects(), Effects::default());
@@ -25,11 +25,11 @@ fn after_a_fault_the_robot_is_halted_and_the_motor_switched_off_before_the_arm_i
 fn a_motor_that_is_to_stay_on_is_not_switched_off() {
     let config = Config { motor_off: false, ..config(Mode::Mode0) };
     let mut rig = Rig::new(config, &[0.0; 8]);
-    assert_eq!(rig.run(trajectory(20)), Action::Finished);
+    assert_eq!(rig.run(trajectory(20)), EngineAction::Finished);
     assert_eq!((rig.names().last(), rig.controller.motor), (Some(&"GiveArm"), true));
     let mut rig = faulted(config);
     rig.engine.stop();
-    assert_eq!((rig.run(|_| None), rig.names()), (Action::Finished, ["Robot_Halt", "GiveArm"].to_vec()));
+    assert_eq!((rig.run(|_| None), rig.names()), (EngineAction::Finished, ["Robot_Halt", "GiveArm"].to_vec()));
     assert_eq!(rig.engine.effects(), Effects::default());
 }
 
@@ -44,14 +44,14 @@ fn a_refused_step_of_the_end_prevents_none_after_it() {
         let before = rig.fault().to_string();
         rig.controller.script.push((refuses, refused(HResult::E_FAIL)));
         rig.engine.stop();
-        assert_eq!(rig.run(|_| None), Action::Faulted, "{refuses}");
+        assert_eq!(rig.run(|_| None), EngineAction::Faulted, "{refuses}");
         assert_eq!(rig.names(), ["Robot_Halt", "Motor", "GiveArm"]);
         assert_eq!((rig.fault().to_string(), rig.engine.effects()), (before, left));
         // again, only the missing step
         rig.controller.log.clear();
         rig.engine.stop();
         rig.controller.arm = true;
-        assert_eq!((rig.run(|_| None), rig.names()), (Action::Finished, [refuses].to_vec()));
+        assert_eq!((rig.run(|_| None), rig.names()), (EngineAction::Finished, [refuses].to_vec()));
     }
 }
 
@@ -66,7 +66,7 @@ fn a_motor_that_stays_on_at_the_end_of_a_stream_is_a_fault() {
         }
         pose
     });
-    assert_eq!(end, Action::Faulted);
+    assert_eq!(end, EngineAction::Faulted);
     let fault = rig.fault();
     assert_eq!((fault.step, fault.cause), (Step::MotorOff, Cause::Refused(HResult::E_FAIL)));
     assert!(rig.controller.motor && !rig.controller.arm);
@@ -77,13 +77,13 @@ fn a_motor_that_stays_on_at_the_end_of_a_stream_is_a_fault() {
 fn an_arm_whose_taking_has_no_reply_is_given_back() {
     let mut rig = Rig::new(config(Mode::Mode0), &[0.0; 8]);
     loop {
-        let Action::Call(step, _) = rig.engine.poll(rig.now) else { panic!("no call") };
+        let EngineAction::Call(step, _) = rig.engine.poll(rig.now) else { panic!("no call") };
         if step == Step::TakeArm {
             break rig.engine.handle_failure(Failure::Timeout, rig.now);
         }
         rig.call();
     }
-    assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
+    assert_eq!(rig.run(|_| panic!("no pose is wanted")), EngineAction::Faulted);
     rig.engine.stop();
-    assert_eq!((rig.run(|_| None), rig.names().last()), (Action::Finished, Some(&"GiveArm")));
+    assert_eq!((rig.run(|_| None), rig.names().last()), (EngineAction::Finished, Some(&"GiveArm")));
 }

@@ -10,10 +10,10 @@ fn recovery_happens_on_request_and_starts_at_the_position_of_the_robot() {
     rig.fault_at(20, |rig| rig.controller.fail(HResult::from_u32(0x8420_4051), "J1 command speed limit over"));
     let stopped_at = rig.controller.at[0];
     assert!(stopped_at > 0.0);
-    assert_eq!(rig.engine.poll(rig.now), Action::Faulted);
+    assert_eq!(rig.engine.poll(rig.now), EngineAction::Faulted);
     let asked = rig.controller.log.len();
     rig.engine.recover().unwrap();
-    assert_eq!(rig.run(|_| None), Action::Finished);
+    assert_eq!(rig.run(|_| None), EngineAction::Finished);
     let names: Vec<&str> = rig.controller.log[asked..].iter().map(|(_, name)| name.as_str()).collect();
     assert_eq!(names[..2], ["SysState", "ClearError"]);
     assert_eq!(names[2..8], START[..6]);
@@ -26,12 +26,12 @@ fn a_robot_without_a_finite_position_is_not_moved() {
     for number in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
         let limited = Config { limits: AxisLimits::uniform(10.0, 100.0), ..config(Mode::Mode0) };
         let mut rig = Rig::new(limited, &[0.0, number, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
-        assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
+        assert_eq!(rig.run(|_| panic!("no pose is wanted")), EngineAction::Faulted);
         let fault = rig.fault();
         assert_eq!((fault.step, fault.cause, rig.moves), (Step::Position, Cause::NoValue, 0));
         // joints that it does not have may have any value
         let mut rig = Rig::new(limited, &[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, number, number]);
-        assert_eq!(rig.run(|_| None), Action::Finished);
+        assert_eq!(rig.run(|_| None), EngineAction::Finished);
         assert_eq!(*rig.engine.start_pose().unwrap(), joints(0.0));
     }
 }
@@ -62,15 +62,15 @@ fn nan_bounds_are_refused() {
 fn a_stop_during_a_recovery_is_not_forgotten() {
     let mut rig = refused_start(config(Mode::Mode2), "Motor", HResult::from_u32(0x8350_106e));
     rig.engine.recover().unwrap();
-    assert!(matches!(rig.engine.poll(rig.now), Action::Call(Step::SystemState, _)));
+    assert!(matches!(rig.engine.poll(rig.now), EngineAction::Call(Step::SystemState, _)));
     rig.engine.stop();
-    assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Finished);
+    assert_eq!(rig.run(|_| panic!("no pose is wanted")), EngineAction::Finished);
     assert_eq!((rig.names().last(), rig.moves), (Some(&"GiveArm"), 0));
     // a stop requested before the fault ends with it
     let mut rig = Rig::new(config(Mode::Mode2), &[0.0; 8]);
     rig.controller.script.push(("slvGetMode", refused(HResult::E_FAIL)));
     rig.engine.stop();
-    assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
+    assert_eq!(rig.run(|_| panic!("no pose is wanted")), EngineAction::Faulted);
     rig.engine.recover().unwrap();
     let mut poses = 0;
     let _ = rig.run(|_| {
@@ -91,11 +91,11 @@ fn recovery_is_refused_after_an_emergency_stop() {
     assert_eq!(rig.engine.recover(), Err(RecoverError::EmergencyStop));
     rig.controller.system = 0;
     assert_eq!(rig.engine.recover(), Err(RecoverError::EmergencyStop));
-    assert_eq!(rig.engine.poll(rig.now), Action::Faulted);
+    assert_eq!(rig.engine.poll(rig.now), EngineAction::Faulted);
     assert_eq!((rig.controller.log.len(), rig.path().len()), (calls, done));
     // the arm can still be given back
     rig.engine.stop();
-    assert_eq!(rig.run(|_| None), Action::Finished);
+    assert_eq!(rig.run(|_| None), EngineAction::Finished);
     assert_eq!(rig.names().last(), Some(&"GiveArm"));
 }
 
@@ -105,7 +105,7 @@ fn a_later_emergency_stop_prevents_a_recovery() {
     assert_eq!(rig.fault().code(), Some(HResult::from_u32(0x8350_106e)));
     rig.controller.system = 1 << 10;
     rig.engine.recover().unwrap();
-    assert_eq!(rig.run(|_| None), Action::Faulted);
+    assert_eq!(rig.run(|_| None), EngineAction::Faulted);
     assert_eq!(rig.fault().cause, Cause::EmergencyStop);
     assert_eq!(rig.engine.recover(), Err(RecoverError::EmergencyStop));
     assert!(!rig.names().contains(&"ClearError"));
@@ -135,7 +135,7 @@ fn each_refused_step_ends_the_start() {
 fn a_stream_of_another_client_is_left_alone() {
     let mut rig = Rig::new(Config { watch: Some(WATCH), ..config(Mode::Mode0) }, &[0.0; 8]);
     rig.controller.mode = 0x202;
-    assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
+    assert_eq!(rig.run(|_| panic!("no pose is wanted")), EngineAction::Faulted);
     let fault = rig.fault();
     assert_eq!((fault.step, fault.cause), (Step::GetMode, Cause::Occupied(StreamState::Runs)));
     assert_eq!(
@@ -145,7 +145,7 @@ fn a_stream_of_another_client_is_left_alone() {
     rig.engine.stop();
     assert_eq!(
         (rig.run(|_| None), rig.names(), rig.controller.mode),
-        (Action::Finished, ["slvGetMode"].to_vec(), 0x202)
+        (EngineAction::Finished, ["slvGetMode"].to_vec(), 0x202)
     );
     // a controller that does not say it may have a stream; one without Slave Mode has none
     let rig = refused_start(config(Mode::Mode0), "slvGetMode", HResult::E_FAIL);
@@ -154,7 +154,7 @@ fn a_stream_of_another_client_is_left_alone() {
     assert!(fault.to_string().ends_with("so the stream of another client may run"), "{fault}");
     let mut rig = Rig::new(config(Mode::Mode0), &[0.0; 8]);
     rig.controller.script.push(("slvGetMode", refused(HResult::E_NOTIMPL)));
-    assert_eq!(rig.run(trajectory(10)), Action::Finished);
+    assert_eq!(rig.run(trajectory(10)), EngineAction::Finished);
 }
 
 #[test]
@@ -164,12 +164,12 @@ fn a_stream_that_begins_during_the_start_is_left_alone() {
         rig.controller.script.push((command, refused(HResult::E_ARM_NOT_TAKEN)));
         rig.controller.script.push(("slvGetMode", ok(&0)));
         rig.controller.script.push(("slvGetMode", ok(&0x102)));
-        assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
+        assert_eq!(rig.run(|_| panic!("no pose is wanted")), EngineAction::Faulted);
         let fault = rig.fault();
         assert_eq!((fault.step, fault.released), (step, Released::No));
         assert_eq!(rig.names().last(), Some(&"slvGetMode"));
         rig.engine.stop();
-        assert_eq!((rig.run(|_| None), rig.names().last()), (Action::Finished, Some(&"slvGetMode")));
+        assert_eq!((rig.run(|_| None), rig.names().last()), (EngineAction::Finished, Some(&"slvGetMode")));
     }
 }
 
@@ -178,14 +178,14 @@ fn a_robot_that_is_not_at_the_start_is_not_moved() {
     let start = Pose::j([10.0, 20.0, 30.0, 0.0, 0.0, 0.0, 99.0, 99.0]);
     let at = [10.0, 20.04, 30.5, 0.0, 0.0, 0.0, 1e-307, 3e-313];
     let mut rig = Rig::new(Config { start: Some(start), ..config(Mode::Mode0) }, &at);
-    assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
+    assert_eq!(rig.run(|_| panic!("no pose is wanted")), EngineAction::Faulted);
     let fault = rig.fault();
     assert_eq!(fault.cause, Cause::NotAtStart { number: 3, actual: 30.5, expected: 30.0 });
     assert_eq!((rig.names().last(), rig.controller.mode), (Some(&"CurJnt"), 0));
     // within the tolerance, with any value of joints that the robot does not have
     let at = [10.0, 20.04, 29.96, 0.0, 0.0, 0.0, 1e-307, 3e-313];
     let mut rig = Rig::new(Config { start: Some(start), ..config(Mode::Mode0) }, &at);
-    assert_eq!(rig.run(|_| None), Action::Finished);
+    assert_eq!(rig.run(|_| None), EngineAction::Finished);
     assert_eq!(rig.engine.start_pose(), Some(&start));
     assert_eq!(rig.names(), [&START[..], &["Motor", "GiveArm"]].concat());
 }
@@ -208,10 +208,10 @@ fn unrequested_input_changes_nothing() {
     assert_eq!(rig.engine.push(&joints(0.0)), Err(PoseError::NotNow));
     assert!(rig.engine.request().is_none());
     rig.engine.handle_failure(Failure::Lost, rig.now);
-    assert_eq!(rig.engine.poll(rig.now), Action::Call(Step::GetMode, Channel::Motion));
+    assert_eq!(rig.engine.poll(rig.now), EngineAction::Call(Step::GetMode, Channel::Motion));
     // polling again returns the same call
-    assert_eq!(rig.engine.poll(rig.now), Action::Call(Step::GetMode, Channel::Motion));
-    assert_eq!(rig.run(trajectory(5)), Action::Finished);
-    assert_eq!(rig.engine.poll(rig.now), Action::Finished);
+    assert_eq!(rig.engine.poll(rig.now), EngineAction::Call(Step::GetMode, Channel::Motion));
+    assert_eq!(rig.run(trajectory(5)), EngineAction::Finished);
+    assert_eq!(rig.engine.poll(rig.now), EngineAction::Finished);
     assert_eq!(rig.names().iter().filter(|name| **name == "slvGetMode").count(), 1);
 }

@@ -135,15 +135,15 @@ fn approach(to: String, percent: f64, link: &LinkArgs) -> Result<(), Failure> {
 
 /// Writes the first pose of a stream as the destination of a motion.
 fn start_text(pose: &Pose) -> Result<String, Failure> {
-    let shape = pose.shape();
-    if shape.extended != ExtendedAxes::None && shape.pose != PoseType::J {
+    let layout = pose.layout();
+    if layout.extended != ExtendedAxes::None && layout.pose != PoseType::J {
         return Err(Failure::Input(format!(
             "--approach cannot move the extended joints to a pose of type {:?}; move them first, for example with `bcap move`",
-            shape.pose
+            layout.pose
         )));
     }
     let numbers: Vec<String> = pose.numbers().iter().map(f64::to_string).collect();
-    Ok(format!("{:?}({})", shape.pose, numbers.join(",")))
+    Ok(format!("{:?}({})", layout.pose, numbers.join(",")))
 }
 
 /// Returns the format of a stream, if the options fit each other and the line is fast enough.

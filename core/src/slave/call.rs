@@ -81,7 +81,7 @@ impl Step {
 
 /// A call of the engine, for a client or a connection.
 #[derive(Clone, Copy, Debug)]
-pub struct Request<'a> {
+pub struct EngineCall<'a> {
     pub(super) step: Step,
     pub(super) channel: Channel,
     pub(super) handles: Handles,
@@ -92,13 +92,13 @@ pub struct Request<'a> {
 }
 
 #[cfg(feature = "defmt")]
-impl defmt::Format for Request<'_> {
+impl defmt::Format for EngineCall<'_> {
     fn format(&self, f: defmt::Formatter<'_>) {
         defmt::write!(f, "{} over {}", self.step, self.channel);
     }
 }
 
-impl Request<'_> {
+impl EngineCall<'_> {
     /// Returns its purpose.
     #[must_use]
     pub const fn step(&self) -> Step {
@@ -136,7 +136,7 @@ impl Request<'_> {
     }
 }
 
-impl Call for Request<'_> {
+impl Call for EngineCall<'_> {
     type Reply = Any;
 
     fn function(&self) -> FunctionId {
