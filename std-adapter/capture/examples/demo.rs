@@ -39,43 +39,46 @@ fn main() -> Result<(), Box<dyn Error>> {
 
 fn over_tcp(address: SocketAddr) -> Result<(), Box<dyn Error>> {
     println!("\n== b-CAP over TCP, {address} ==");
-    let mut link = Link::traced(blocking::connect_tcp(address, &Options::default())?, Wire::Stream);
-    link.run("Start the service, with a keep-alive every 100 ms during long calls", call::service_start("WDT=100"))?;
+    let mut client = TracedClient::new(blocking::connect_tcp(address, &Options::default())?, Wire::Stream);
+    client
+        .run("Start the service, with a keep-alive every 100 ms during long calls", call::service_start("WDT=100"))?;
     let connect = call::controller_connect("demo", "CaoProv.DENSO.VRC", "localhost", "");
-    let controller = link.call("Connect to the controller; the reply is its handle", connect, |handle| handle)?;
-    let i1 = link.call("Get the variable I1", call::controller_get_variable(controller, "I1", ""), |handle| handle)?;
-    link.run("Write 42 to it", call::variable_put_value(i1, 42_i32))?;
-    link.expect("Read it back", i1, &42_i32)?;
-    let p1 = link.call("Get the position P1", call::controller_get_variable(controller, "P1", ""), |handle| handle)?;
-    link.run("Write a pose: X Y Z in mm, RX RY RZ in degrees, FIG", call::variable_put_value(p1, POSE))?;
+    let controller = client.call("Connect to the controller; the reply is its handle", connect, |handle| handle)?;
+    let i1 =
+        client.call("Get the variable I1", call::controller_get_variable(controller, "I1", ""), |handle| handle)?;
+    client.run("Write 42 to it", call::variable_put_value(i1, 42_i32))?;
+    client.expect("Read it back", i1, &42_i32)?;
+    let p1 =
+        client.call("Get the position P1", call::controller_get_variable(controller, "P1", ""), |handle| handle)?;
+    client.run("Write a pose: X Y Z in mm, RX RY RZ in degrees, FIG", call::variable_put_value(p1, POSE))?;
     println!("\nWrite a string to the integer: the controller refuses");
-    match link.0.call(call::variable_put_value(i1, "forty-two")) {
+    match client.0.call(call::variable_put_value(i1, "forty-two")) {
         Err(CallError::Refused(code)) => println!("     {code}: {}", code.meaning().unwrap_or("unknown")),
         _ => return Err("a string in I1 was not refused".into()),
     }
-    let robot = link.call("Get the robot", call::controller_get_robot(controller, "Arm0", ""), |handle| handle)?;
-    link.run("Read its joint angles: eight doubles", call::robot_execute(robot, "CurJnt", ()))?;
-    link.run("Take the arm", call::robot_execute(robot, "TakeArm", [0_i32, 0]))?;
+    let robot = client.call("Get the robot", call::controller_get_robot(controller, "Arm0", ""), |handle| handle)?;
+    client.run("Read its joint angles: eight doubles", call::robot_execute(robot, "CurJnt", ()))?;
+    client.run("Take the arm", call::robot_execute(robot, "TakeArm", [0_i32, 0]))?;
     let motor = call::robot_execute(robot, "Motor", [1_i32, 0]);
-    link.run("Switch the motor on; this takes a while, and the controller sends S_EXECUTING meanwhile", motor)?;
-    link.run("Switch it off again", call::robot_execute(robot, "Motor", [0_i32, 0]))?;
-    link.run("Release the arm", call::robot_execute(robot, "GiveArm", ()))?;
-    link.run("Release the robot", call::robot_release(robot))?;
-    link.run("Disconnect, which releases the variables", call::controller_disconnect(controller))?;
-    link.run("Stop the service", call::service_stop())
+    client.run("Switch the motor on; this takes a while, and the controller sends S_EXECUTING meanwhile", motor)?;
+    client.run("Switch it off again", call::robot_execute(robot, "Motor", [0_i32, 0]))?;
+    client.run("Release the arm", call::robot_execute(robot, "GiveArm", ()))?;
+    client.run("Release the robot", call::robot_release(robot))?;
+    client.run("Disconnect, which releases the variables", call::controller_disconnect(controller))?;
+    client.run("Stop the service", call::service_stop())
 }
 
 fn over_udp(address: SocketAddr) -> Result<(), Box<dyn Error>> {
     println!("\n== b-CAP over UDP, {address}: the reserved field has the serial of the first attempt ==");
-    let mut link = Link::traced(blocking::connect_udp(address, &Options::default())?, Wire::Datagrams);
-    link.run("Start the service", call::service_start(""))?;
+    let mut client = TracedClient::new(blocking::connect_udp(address, &Options::default())?, Wire::Datagrams);
+    client.run("Start the service", call::service_start(""))?;
     let connect = call::controller_connect("demo", "CaoProv.DENSO.VRC", "localhost", "");
-    let controller = link.call("Connect to the controller", connect, |handle| handle)?;
-    let i1 = link.call("Get I1", call::controller_get_variable(controller, "I1", ""), |handle| handle)?;
-    link.expect("Read it, which was written over TCP", i1, &42_i32)?;
-    link.run("Write 43 to it", call::variable_put_value(i1, 43_i32))?;
-    link.run("Disconnect", call::controller_disconnect(controller))?;
-    link.run("Stop the service: a UDP server cannot detect otherwise that its client has left", call::service_stop())
+    let controller = client.call("Connect to the controller", connect, |handle| handle)?;
+    let i1 = client.call("Get I1", call::controller_get_variable(controller, "I1", ""), |handle| handle)?;
+    client.expect("Read it, which was written over TCP", i1, &42_i32)?;
+    client.run("Write 43 to it", call::variable_put_value(i1, 43_i32))?;
+    client.run("Disconnect", call::controller_disconnect(controller))?;
+    client.run("Stop the service: a UDP server cannot detect otherwise that its client has left", call::service_stop())
 }
 
 fn over_rac(address: SocketAddr) -> Result<(), Box<dyn Error>> {
@@ -101,10 +104,10 @@ fn packets() -> Packets {
 }
 
 /// A client whose packets are printed.
-struct Link<X>(Connection<Traced<X>, Vec<u8>>);
+struct TracedClient<X>(Connection<Traced<X>, Vec<u8>>);
 
-impl<X: Transport<Error = io::Error>> Link<X> {
-    fn traced(connection: Connection<X, Vec<u8>>, wire: Wire) -> Self {
+impl<X: Transport<Error = io::Error>> TracedClient<X> {
+    fn new(connection: Connection<X, Vec<u8>>, wire: Wire) -> Self {
         let (transport, client) = connection.into_parts();
         Self(Connection::new(packets().tap(transport, wire), client))
     }

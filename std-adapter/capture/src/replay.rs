@@ -46,7 +46,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use self::link::Link;
+use self::link::LinkReplay;
 pub use self::link::{Came, Outcome};
 pub use self::options::Options;
 use self::order::Order;
@@ -78,7 +78,7 @@ impl Plan {
             let start = || {
                 self.links.iter().try_for_each(|planned| {
                     let (outcomes, order) = (outcomes.clone(), &order);
-                    let link = Link { planned, robot, order, began, options };
+                    let link = LinkReplay { planned, robot, order, began, options };
                     thread::Builder::new().spawn_scoped(scope, move || link.run(&outcomes)).map(drop)
                 })
             };

@@ -43,8 +43,8 @@ pub struct Outcome<'a> {
     pub is_different: bool,
 }
 
-/// A connection to replay.
-pub(super) struct Link<'a> {
+/// The replay of one connection.
+pub(super) struct LinkReplay<'a> {
     pub(super) planned: &'a PlannedLink,
     pub(super) robot: &'a Robot,
     pub(super) order: &'a Order,
@@ -53,7 +53,7 @@ pub(super) struct Link<'a> {
     pub(super) options: &'a ReplayOptions,
 }
 
-impl<'a> Link<'a> {
+impl<'a> LinkReplay<'a> {
     /// Makes the calls in turn, and sends the outcome of each, until the replay stops.
     pub(super) fn run(&self, outcomes: &Sender<Outcome<'a>>) {
         let mut opened = None;
@@ -62,14 +62,14 @@ impl<'a> Link<'a> {
             if !self.order.wait(planned.after, left) {
                 return;
             }
-            let client = opened.get_or_insert_with(|| self.open());
-            let came = match client {
-                Ok(client) => client.make(&planned.call),
+            let link = opened.get_or_insert_with(|| self.open());
+            let came = match link {
+                Ok(link) => link.make(&planned.call),
                 Err(why) => Came::Nothing(why.clone()),
             };
-            if matches!(client, Ok(client) if client.is_lost) {
+            if matches!(link, Ok(link) if link.is_lost) {
                 // the other calls of this connection cannot be made
-                *client = Err("not sent: the connection was lost".into());
+                *link = Err("not sent: the connection was lost".into());
             }
             self.end(planned, came, outcomes);
         }
@@ -88,7 +88,7 @@ impl<'a> Link<'a> {
     }
 
     /// Opens the connection; an error is for people.
-    fn open(&self) -> Result<Client, String> {
+    fn open(&self) -> Result<OpenLink, String> {
         let timeout = self.options.timeout;
         let mut options = Options::default().timeout(timeout);
         options.udp.timing.attempts = UDP_ATTEMPTS;
@@ -110,7 +110,7 @@ impl<'a> Link<'a> {
             }
         };
         let socket = socket.map_err(|error| with_causes(&error))?;
-        Ok(Client { socket, handles: HashMap::new(), is_lost: false })
+        Ok(OpenLink { socket, handles: HashMap::new(), is_lost: false })
     }
 }
 
@@ -144,7 +144,7 @@ const NOT_DECODED: &str = "an argument cannot be decoded";
 type RacClient = RacConnection<Taped<TcpTransport>, [u8; MAX_VALUE]>;
 
 /// An open connection.
-struct Client {
+struct OpenLink {
     socket: Socket,
     handles: Handles,
     is_lost: bool,
@@ -155,7 +155,7 @@ enum Socket {
     Rac(Box<RacClient>),
 }
 
-impl Client {
+impl OpenLink {
     /// Makes a call.
     fn make(&mut self, call: &Call) -> Came {
         let (came, is_lost) = match &mut self.socket {
