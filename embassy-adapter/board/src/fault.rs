@@ -58,7 +58,7 @@ unsafe fn HardFault() -> ! {
 
 /// Handles a fault of the program or of a handler.
 fn hard_fault() -> ! {
-    let Status { status, hard, address } = Status::read();
+    let FaultRegisters { status, hard, address } = FaultRegisters::read();
     let cause = match stack::saved() {
         None => Cause::StackOverflow { status, address },
         Some(_) if status & STACK_LIMIT != 0 => Cause::StackOverflow { status, address },
@@ -76,13 +76,13 @@ fn is_in_program() -> bool {
 }
 
 /// The registers that describe a fault.
-struct Status {
+struct FaultRegisters {
     status: u32,
     hard: u32,
     address: u32,
 }
 
-impl Status {
+impl FaultRegisters {
     #[cfg(not(armv6m))]
     fn read() -> Self {
         // SAFETY: reading the registers has no effect

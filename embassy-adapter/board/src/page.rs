@@ -23,7 +23,7 @@ use crate::health::{Health, Html, LONGEST};
 use crate::messages::{self, IMAGE};
 use crate::parts::{Board, PAGE_BACKLOG, PAGE_TASK, PLC_BUFFER, PLC_BUFFERS, Parts, ROBOT_BUFFER, ROBOT_BUFFERS};
 #[cfg(feature = "port")]
-use crate::settings_page::{self, Answer};
+use crate::settings_page::{self, SettingsAnswer};
 use crate::sizes::PAGES;
 use crate::watchdog::{Task, watched};
 
@@ -83,7 +83,7 @@ enum Page {
     Rules,
     Log,
     #[cfg(feature = "port")]
-    Settings(Answer),
+    Settings(SettingsAnswer),
     /// A method that has no use here.
     Method,
     None,

@@ -30,13 +30,13 @@ const PART: usize = 64;
 
 /// The bytes of an answer, which are sent after it is complete.
 #[derive(Debug)]
-pub struct Answer(Vec<u8, ANSWER>);
+pub struct AnswerBuf(Vec<u8, ANSWER>);
 
-impl embedded_io::ErrorType for Answer {
+impl embedded_io::ErrorType for AnswerBuf {
     type Error = Infallible;
 }
 
-impl embedded_io::Write for Answer {
+impl embedded_io::Write for AnswerBuf {
     /// Takes all bytes. An answer that does not fit, because it escapes a request, is cut; it keeps its line feed.
     fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
         let room = self.0.capacity() - self.0.len();
@@ -54,8 +54,8 @@ impl embedded_io::Write for Answer {
 
 /// Returns the memory of the answers. Call it once.
 #[must_use]
-pub fn answer() -> &'static mut Answer {
-    static ANSWER_MEMORY: ConstStaticCell<Answer> = ConstStaticCell::new(Answer(Vec::new()));
+pub fn answer() -> &'static mut AnswerBuf {
+    static ANSWER_MEMORY: ConstStaticCell<AnswerBuf> = ConstStaticCell::new(AnswerBuf(Vec::new()));
     ANSWER_MEMORY.take()
 }
 
@@ -81,7 +81,7 @@ pub fn console_with_updates<F: NorFlash>(slots: Slots<F>, updates: Option<Update
 /// An error of the port, such as an unplugged cable; serve it again once it works.
 pub async fn serve<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
     console: &RefCell<Console<'_, F>>,
-    answer: &mut Answer,
+    answer: &mut AnswerBuf,
     receiver: &mut R,
     sender: &mut W,
 ) -> Result<Action, R::Error> {

@@ -27,7 +27,7 @@ static GUARD: Mutex<CriticalSectionRawMutex, Cell<Guard>> = Mutex::new(Cell::new
 
 /// The answer to a request: a page, the result of a change, or a refusal.
 #[derive(Clone, Copy)]
-pub(crate) enum Answer {
+pub(crate) enum SettingsAnswer {
     Form,
     Text,
     /// The board has no password or no console.
@@ -47,25 +47,30 @@ pub(crate) fn wrong_passwords() -> u32 {
 }
 
 /// Decides on a request by its head.
-pub(crate) fn decide(stack: Stack<'_>, settings: &Settings<'_>, request: &Request<'_>) -> Decision<Answer> {
+pub(crate) fn decide(stack: Stack<'_>, settings: &Settings<'_>, request: &Request<'_>) -> Decision<SettingsAnswer> {
     let is_change = request.method == Method::Post;
     let answer = match admit(stack, settings, request, is_change) {
         Err(answer) => answer,
-        Ok(()) if !is_change && request.path == "/settings" => Answer::Form,
-        Ok(()) if !is_change => Answer::Text,
+        Ok(()) if !is_change && request.path == "/settings" => SettingsAnswer::Form,
+        Ok(()) if !is_change => SettingsAnswer::Text,
         Ok(()) if request.content_type.and_then(|kind| kind.split(';').next()).map(str::trim) == Some("text/plain") => {
             return Decision::Receive;
         }
-        Ok(()) => Answer::Content,
+        Ok(()) => SettingsAnswer::Content,
     };
     Decision::Answer(answer)
 }
 
-fn admit(stack: Stack<'_>, settings: &Settings<'_>, request: &Request<'_>, is_change: bool) -> Result<(), Answer> {
+fn admit(
+    stack: Stack<'_>,
+    settings: &Settings<'_>,
+    request: &Request<'_>,
+    is_change: bool,
+) -> Result<(), SettingsAnswer> {
     let (Some(password), Some(port), true) = (settings.password, settings.health, saving::is_possible()) else {
-        return Err(Answer::Off);
+        return Err(SettingsAnswer::Off);
     };
-    let own = stack.config_v4().ok_or(Answer::Off)?.address.address();
+    let own = stack.config_v4().ok_or(SettingsAnswer::Off)?.address.address();
     let Request { host, origin, authorization, client, .. } = *request;
     let headers = Headers { host, origin, authorization, is_change };
     let result = GUARD.lock(|cell| {
@@ -79,7 +84,7 @@ fn admit(stack: Stack<'_>, settings: &Settings<'_>, request: &Request<'_>, is_ch
             client.map(|IpEndpoint { addr: IpAddress::Ipv4(address), port }| SocketAddrV4::new(address, port)),
         );
     }
-    result.map_err(Answer::Denied)
+    result.map_err(SettingsAnswer::Denied)
 }
 
 /// Saves the first `len` bytes of `memory` as settings, unless PLCs are connected; returns `memory`.
@@ -88,53 +93,55 @@ pub(crate) async fn save(
     len: usize,
     settings: &'static Settings<'static>,
     plcs: usize,
-) -> (&'static mut [u8], Answer) {
+) -> (&'static mut [u8], SettingsAnswer) {
     if plcs > 0 {
-        return (memory, Answer::Plcs(plcs));
+        return (memory, SettingsAnswer::Plcs(plcs));
     }
     let (memory, result) = saving::save(memory, len, settings).await;
     let answer = match result {
         Ok(()) => {
             messages::saved();
-            Answer::Saved
+            SettingsAnswer::Saved
         }
-        Err(error) => Answer::NotSaved(error),
+        Err(error) => SettingsAnswer::NotSaved(error),
     };
     (memory, answer)
 }
 
 /// Writes an answer.
-pub(crate) fn write(answer: Answer, out: &mut dyn Write) -> Option<(Status, Content)> {
+pub(crate) fn write(answer: SettingsAnswer, out: &mut dyn Write) -> Option<(Status, Content)> {
     let (status, text) = match answer {
-        Answer::Form => return write_form(out).ok().map(|()| (Status::Ok, Content::Html)),
-        Answer::Text => return write_lines(false, out).ok().map(|()| (Status::Ok, Content::Text)),
-        Answer::Plcs(count) => {
+        SettingsAnswer::Form => return write_form(out).ok().map(|()| (Status::Ok, Content::Html)),
+        SettingsAnswer::Text => return write_lines(false, out).ok().map(|()| (Status::Ok, Content::Text)),
+        SettingsAnswer::Plcs(count) => {
             let text = format_args!(
                 "not saved: {count} PLCs are connected, and the restart would disconnect them; close them first, or use the console\n"
             );
             return out.write_fmt(text).ok().map(|()| (Status::Conflict, Content::Text));
         }
-        Answer::Denied(Denied::Pause { seconds }) => {
+        SettingsAnswer::Denied(Denied::Pause { seconds }) => {
             let text = format_args!("refused after a wrong password: try again in {seconds} s\n");
             return out.write_fmt(text).ok().map(|()| (Status::TooManyRequests, Content::Text));
         }
-        Answer::NotSaved(SaveError::NotSaved(error)) => return write_error(error, out),
-        Answer::Off => (
+        SettingsAnswer::NotSaved(SaveError::NotSaved(error)) => return write_error(error, out),
+        SettingsAnswer::Off => (
             Status::NotFound,
             "no password is set: on a board with a console, add it there: bcap board configure PORT ... password=PASSWORD --restart\n",
         ),
-        Answer::Denied(Denied::Host) => (Status::Forbidden, "refused: open this page by the address of the board\n"),
-        Answer::Denied(Denied::Origin) => {
+        SettingsAnswer::Denied(Denied::Host) => {
+            (Status::Forbidden, "refused: open this page by the address of the board\n")
+        }
+        SettingsAnswer::Denied(Denied::Origin) => {
             (Status::Forbidden, "refused: the header Origin is not http:// and the address of the board\n")
         }
-        Answer::Denied(Denied::NoPassword) => (Status::Unauthorized, "the password of the board is needed\n"),
-        Answer::Denied(Denied::WrongPassword) => (Status::Unauthorized, "wrong password\n"),
-        Answer::Content => (Status::UnsupportedMediaType, "not saved: send the settings as text/plain\n"),
-        Answer::NotSaved(SaveError::Busy) => {
+        SettingsAnswer::Denied(Denied::NoPassword) => (Status::Unauthorized, "the password of the board is needed\n"),
+        SettingsAnswer::Denied(Denied::WrongPassword) => (Status::Unauthorized, "wrong password\n"),
+        SettingsAnswer::Content => (Status::UnsupportedMediaType, "not saved: send the settings as text/plain\n"),
+        SettingsAnswer::NotSaved(SaveError::Busy) => {
             (Status::ServiceUnavailable, "not saved: another page saves settings; try again\n")
         }
-        Answer::NotSaved(SaveError::Text) => (Status::BadRequest, "not saved: the text is not UTF-8\n"),
-        Answer::Saved => (Status::Ok, "saved; the board restarts\n"),
+        SettingsAnswer::NotSaved(SaveError::Text) => (Status::BadRequest, "not saved: the text is not UTF-8\n"),
+        SettingsAnswer::Saved => (Status::Ok, "saved; the board restarts\n"),
     };
     out.write_str(text).ok().map(|()| (status, Content::Text))
 }
