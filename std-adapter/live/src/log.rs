@@ -28,7 +28,7 @@ pub struct CallLog {
     /// The hash of the last reply of each call, by the hash of the call: values can be large.
     replies: HashMap<u64, u64>,
     /// The calls by function and object or command.
-    calls: BTreeMap<String, Call>,
+    calls: BTreeMap<String, CallStats>,
     /// The names of the objects, by handle as in the text of a packet.
     names: HashMap<String, String>,
     hasher: RandomState,
@@ -51,9 +51,9 @@ pub struct Entry {
     pub reply: String,
 }
 
-/// The calls of a function for an object.
+/// The statistics of the calls of a function for an object.
 #[derive(Clone, Debug)]
-pub struct Call {
+pub struct CallStats {
     /// How many there were.
     pub count: u64,
     first: Duration,
@@ -65,7 +65,7 @@ pub struct Call {
     pub reply: String,
 }
 
-impl Call {
+impl CallStats {
     /// Returns the calls per second.
     #[must_use]
     pub fn rate(&self) -> f64 {
@@ -133,7 +133,7 @@ impl CallLog {
         }
         let object = arguments.split_once(": ").and_then(|(_, value)| self.names.get(&handle(value)));
         let subject = text.or(object.map(String::as_str)).unwrap_or_default();
-        let new = || Call { count: 0, first: at, last: at, changed: None, reply: reply.to_owned() };
+        let new = || CallStats { count: 0, first: at, last: at, changed: None, reply: reply.to_owned() };
         let call = self.calls.entry(format!("{function} {subject}")).or_insert_with(new);
         (call.count, call.last) = (call.count + 1, at);
         if call.reply != reply {
@@ -141,8 +141,8 @@ impl CallLog {
         }
     }
 
-    /// Returns each function and object once, with its calls.
-    pub fn calls(&self) -> impl Iterator<Item = (&str, &Call)> {
+    /// Returns each function and object once, with the statistics of its calls.
+    pub fn calls(&self) -> impl Iterator<Item = (&str, &CallStats)> {
         self.calls.iter().map(|(name, call)| (name.as_str(), call))
     }
 

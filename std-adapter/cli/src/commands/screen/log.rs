@@ -4,13 +4,13 @@
 
 use std::time::Duration;
 
-use bcap_live::log::{Call, CallLog, Entry};
+use bcap_live::log::{CallLog, CallStats, Entry};
 use bcap_terminal::escape;
 use bcap_terminal::screen::{KeyCode, Line, Mark, Panel, Part};
 
 /// Returns each function and object once, with the count, the rate, the time since the last call, and its reply.
 pub(crate) fn calls_panel(log: &CallLog, now: Duration) -> Panel {
-    let line = |(name, call): (&str, &Call)| {
+    let line = |(name, call): (&str, &CallStats)| {
         let age = now.saturating_sub(call.last).as_secs_f64();
         let is_marked = call.changed.is_some_and(|at| now < at + bcap_live::log::MARKED);
         let text = format!(
