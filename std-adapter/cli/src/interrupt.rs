@@ -60,16 +60,16 @@ pub(crate) enum State {
 
 /// The reaction of this process to signals.
 #[derive(Clone)]
-pub(crate) struct Interrupt(Arc<Shared>);
+pub(crate) struct Interrupt(Arc<Inner>);
 
-struct Shared {
-    status: Mutex<Status>,
+struct Inner {
+    status: Mutex<SignalState>,
     changed: Condvar,
     /// How the robot is halted. Separate from the status, because a halt may take long.
     stopper: Mutex<Option<Halt>>,
 }
 
-struct Status {
+struct SignalState {
     state: State,
     /// The signal that outranks the others since the beginning of the line.
     received: Option<Signal>,
@@ -124,11 +124,11 @@ impl Interrupt {
     }
 
     fn new() -> Self {
-        let status = Status { state: State::Idle, received: None, count: 0, goes_on: false };
-        Self(Arc::new(Shared { status: Mutex::new(status), changed: Condvar::new(), stopper: Mutex::new(None) }))
+        let status = SignalState { state: State::Idle, received: None, count: 0, goes_on: false };
+        Self(Arc::new(Inner { status: Mutex::new(status), changed: Condvar::new(), stopper: Mutex::new(None) }))
     }
 
-    fn status(&self) -> MutexGuard<'_, Status> {
+    fn status(&self) -> MutexGuard<'_, SignalState> {
         self.0.status.lock().unwrap_or_else(PoisonError::into_inner)
     }
 

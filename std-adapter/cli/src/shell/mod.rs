@@ -29,7 +29,7 @@ use crate::shell::terminal::Terminal;
 use bcap_live::stream::StreamCheck;
 
 /// The session of the shell, which a signal ends and the completion reads.
-type Shared = Arc<Mutex<Session>>;
+type SharedSession = Arc<Mutex<Session>>;
 
 /// The lines that are kept from one shell to the next.
 const HISTORY: usize = 1000;
@@ -37,7 +37,7 @@ const HISTORY: usize = 1000;
 /// Runs `bcap shell` until `exit` or the end of the input.
 pub(crate) fn shell(session: &mut Session, verb: Verb, json: bool) -> Result<(), Failure> {
     let link = session.link().clone();
-    let shared: Shared = Arc::new(Mutex::new(Session::new(&link)));
+    let shared: SharedSession = Arc::new(Mutex::new(Session::new(&link)));
     let signalled = Arc::clone(&shared);
     let terminal = Terminal::saved();
     let interrupt = Interrupt::install(move |received| {
@@ -80,7 +80,7 @@ pub(crate) fn shell(session: &mut Session, verb: Verb, json: bool) -> Result<(),
 }
 
 /// Connects; a failure is printed, and `connect` tries again.
-fn connect(shared: &Shared, json: bool) -> Result<(), Failure> {
+fn connect(shared: &SharedSession, json: bool) -> Result<(), Failure> {
     match locked(shared).reconnect() {
         Ok(()) => print_line("`help` lists the commands, `exit` ends, Ctrl-C halts the robot")?,
         Err(failure) => {
@@ -93,7 +93,7 @@ fn connect(shared: &Shared, json: bool) -> Result<(), Failure> {
 
 fn read_lines(
     editor: &mut Editor<Names, FileHistory>,
-    shared: &Shared,
+    shared: &SharedSession,
     runner: &Runner,
     json: bool,
 ) -> Result<(), Failure> {
@@ -154,7 +154,7 @@ fn stop(session: &mut Session, json: bool) {
     }
 }
 
-fn locked(shared: &Shared) -> MutexGuard<'_, Session> {
+fn locked(shared: &SharedSession) -> MutexGuard<'_, Session> {
     shared.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -204,7 +204,7 @@ fn read(session: &mut Session, name: &str) -> Option<String> {
     Some(bcap_terminal::escape::line(&bcap_capture::value::data::format(value.as_variant())))
 }
 
-fn editor(shared: &Shared) -> Result<Editor<Names, FileHistory>, Failure> {
+fn editor(shared: &SharedSession) -> Result<Editor<Names, FileHistory>, Failure> {
     let wrong = |error: ReadlineError| Failure::Input(format!("the terminal: {error}"));
     let config = Config::builder().max_history_size(HISTORY).map_err(wrong)?;
     let config = config.completion_type(rustyline::CompletionType::List).build();
@@ -224,7 +224,7 @@ fn history_file() -> Option<PathBuf> {
 
 /// Completes commands, functions, and the names that the controller lists.
 struct Names {
-    session: Shared,
+    session: SharedSession,
     /// The controller's names, once they have been read.
     listed: Mutex<Option<Vec<String>>>,
 }

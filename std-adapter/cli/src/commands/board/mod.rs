@@ -11,7 +11,7 @@ use clap::{Args, Subcommand};
 use self::find::Find;
 use self::flash::{Convert, Flash};
 use self::key::{Key, Sign};
-use self::update::{Status, Update};
+use self::update::{BoardStatus, Update};
 use crate::failure::Failure;
 use crate::link::LinkArgs;
 use crate::output;
@@ -30,7 +30,7 @@ pub(crate) enum BoardCommand {
     Flash(Flash),
     Convert(Convert),
     Update(Update),
-    Status(Status),
+    Status(BoardStatus),
     Key(Key),
     Sign(Sign),
 }

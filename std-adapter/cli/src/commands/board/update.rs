@@ -71,7 +71,7 @@ pub(crate) struct Update {
 #[command(after_help = "\
 Example:
   bcap board status /dev/ttyACM0")]
-pub(crate) struct Status {
+pub(crate) struct BoardStatus {
     /// The serial port, such as /dev/ttyACM0 or COM3, or tcp:HOST[:PORT]
     pub(crate) port: String,
 
@@ -81,7 +81,7 @@ pub(crate) struct Status {
 }
 
 /// Prints the version of a board, and what became of its last update.
-pub(super) fn status(args: &Status, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+pub(super) fn status(args: &BoardStatus, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let status = update::status(&mut Console::open(&args.port, args.baud, link.timeout())?)?;
     Ok(output::print_result(json, &json!({ "status": status }), &status)?)
 }

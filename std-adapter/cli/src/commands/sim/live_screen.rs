@@ -84,7 +84,7 @@ pub(super) struct Watched {
 }
 
 /// The controller that the server and the screen share.
-pub(super) type Shared = Arc<Mutex<Watched>>;
+pub(super) type SharedController = Arc<Mutex<Watched>>;
 
 /// A client.
 struct Client {
@@ -98,12 +98,12 @@ struct Client {
 
 impl Watched {
     /// Makes the controller, which the server and the screen share.
-    pub(super) fn shared(controller: Controller, refused: Refused) -> Shared {
+    pub(super) fn shared(controller: Controller, refused: Refused) -> SharedController {
         Arc::new(Mutex::new(Self { controller, clients: BTreeMap::new(), log: CallLog::default(), refused }))
     }
 
     /// Makes the server.
-    pub(super) fn server(shared: &Shared) -> Server<Self> {
+    pub(super) fn server(shared: &SharedController) -> Server<Self> {
         Server::with_shared(Arc::clone(shared))
             .tap(|watched, peer, bytes| deliver(&mut watched.controller, peer, bytes))
             .on_connect(|watched, peer, address| watched.controller.connected(peer, address))
@@ -241,7 +241,7 @@ impl rac::Handler for Watched {
 }
 
 /// Returns the function that makes the screen, for [`Live`](bcap_terminal::screen::Live).
-pub(super) fn shown(addresses: &str, watched: &Shared) -> impl FnMut(&[KeyCode]) -> Screen + Send + use<> {
+pub(super) fn shown(addresses: &str, watched: &SharedController) -> impl FnMut(&[KeyCode]) -> Screen + Send + use<> {
     let (addresses, watched) = (addresses.to_owned(), Arc::clone(watched));
     move |keys| {
         let mut watched = watched.lock().unwrap_or_else(PoisonError::into_inner);

@@ -177,7 +177,7 @@ fn no_addresses(place: &str) -> Failure {
 /// Serves, and shows the controller, until `ended` or until the user quits.
 async fn on_screen(
     served: Served<live_screen::Watched>,
-    watched: live_screen::Shared,
+    watched: live_screen::SharedController,
     ended: impl Future<Output = ()>,
 ) -> Result<(), Failure> {
     let (quit, quits) = oneshot::channel::<()>();
