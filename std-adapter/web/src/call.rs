@@ -30,11 +30,11 @@ impl Page {
             return Err("a call that can move the robot is not repeated; nothing was done".into());
         }
         let desk = {
-            let mut held = lock(&self.held);
-            if let Some(other) = held.desk.take_if(|desk| desk.number != number) {
+            let mut motions = lock(&self.motions);
+            if let Some(other) = motions.desk.take_if(|desk| desk.number != number) {
                 other.end(&self.app);
             }
-            Arc::clone(held.desk.get_or_insert_with(|| Arc::new(Desk::new(number, Arc::clone(&robot)))))
+            Arc::clone(motions.desk.get_or_insert_with(|| Arc::new(Desk::new(number, Arc::clone(&robot)))))
         };
         let (app, mut permit) = (Arc::clone(&self.app), robot.permit_since(revoked));
         // on a thread that goes on when the page is closed, so that its line of the audit is written

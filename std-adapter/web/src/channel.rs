@@ -13,7 +13,7 @@ use tokio::time::{Interval, MissedTickBehavior, interval, timeout};
 
 use crate::app::App;
 use crate::control::Client;
-use crate::held::{self, Shared};
+use crate::motions::{self, SharedMotions};
 use crate::order::Order;
 use crate::robot::LONGEST_WAIT;
 use crate::text::safe;
@@ -35,7 +35,7 @@ const LOST: Duration = Duration::from_secs(2);
 const SILENT: Duration = Duration::from_secs(10);
 
 /// The maximum number of orders that wait while one is carried out.
-const WAITING: usize = 32;
+const PENDING: usize = 32;
 
 /// The answer of a page to a pulse: it is open, visible, and its scripts run. It has no answer.
 #[derive(Deserialize)]
@@ -50,14 +50,14 @@ struct Beat {
 pub(crate) struct Channel {
     socket: WebSocket,
     /// Orders that arrived while another one was carried out.
-    waiting: VecDeque<Received>,
+    pending: VecDeque<Received>,
     app: Arc<App>,
     client: Client,
     /// How often an order has ended what the page moves, while another one was carried out.
     ends: u64,
-    held: Shared,
-    /// When the page was heard last.
-    heard: Instant,
+    motions: SharedMotions,
+    /// When the last message of the page arrived.
+    last_seen: Instant,
     /// The time of the last pulse with a heartbeat, if the page must send them without a jog.
     watched: Option<Instant>,
     pulse: Interval,
@@ -76,11 +76,11 @@ pub(crate) struct Received {
 }
 
 impl Channel {
-    pub(crate) fn new(socket: WebSocket, app: Arc<App>, client: Client, held: Shared) -> Self {
+    pub(crate) fn new(socket: WebSocket, app: Arc<App>, client: Client, motions: SharedMotions) -> Self {
         let mut pulse = interval(PULSE);
         pulse.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        let (waiting, sent, heard) = (VecDeque::new(), VecDeque::new(), Instant::now());
-        Self { socket, waiting, app, client, ends: 0, held, heard, watched: None, pulse, last: 0, sent }
+        let (pending, sent, last_seen) = (VecDeque::new(), VecDeque::new(), Instant::now());
+        Self { socket, pending, app, client, ends: 0, motions, last_seen, watched: None, pulse, last: 0, sent }
     }
 
     /// Sets whether the page must send heartbeats without a jog.
@@ -91,7 +91,7 @@ impl Channel {
     /// Shows a page that the server is alive; ends one that must send heartbeats and has sent none for too long, and one whose browser
     /// does not answer.
     pub(crate) async fn alive(&mut self) -> Option<()> {
-        if self.watched.is_some_and(|last| last.elapsed() > LOST) || self.heard.elapsed() > SILENT {
+        if self.watched.is_some_and(|last| last.elapsed() > LOST) || self.last_seen.elapsed() > SILENT {
             return None;
         }
         timeout(SEND, self.socket.send(Message::Ping(Bytes::new()))).await.ok()?.ok()?;
@@ -104,9 +104,9 @@ impl Channel {
 
     /// Returns the next order; `None` at the end of the page.
     pub(crate) async fn order(&mut self) -> Option<Received> {
-        match self.waiting.pop_front() {
+        match self.pending.pop_front() {
             None => self.receive().await.map(|text| self.received(&text)),
-            waiting => waiting,
+            pending => pending,
         }
     }
 
@@ -130,7 +130,7 @@ impl Channel {
 
     /// Takes orders while another one is carried out. Ends only at the end of the page.
     pub(crate) async fn hold(&mut self) -> Option<()> {
-        while self.waiting.len() < WAITING {
+        while self.pending.len() < PENDING {
             let text = self.receive().await?;
             let mut received = self.received(&text);
             if let Some((_, order)) = &received.order {
@@ -138,7 +138,7 @@ impl Channel {
             }
             // an order does not end itself
             received.ends = self.count_ends();
-            self.waiting.push_back(received);
+            self.pending.push_back(received);
         }
         // backpressure: a page that sends this much gets no pulse either, which ends its jog, and later the page
         std::future::pending().await
@@ -150,9 +150,9 @@ impl Channel {
             Order::Lift { .. } => drop(self.grip().map(|grip| grip.lift())),
             Order::EndJog { why, .. } => drop(self.grip().map(|grip| grip.end(&safe(why)))),
             Order::EndRecovery { robot } => {
-                let recovery = lock(&self.held).recovery.clone().filter(|(of, _)| of == robot);
+                let recovery = lock(&self.motions).recovery.clone().filter(|(of, _)| of == robot);
                 if let Some((robot, recovery)) = recovery {
-                    held::end_recovery(&self.app, robot, recovery, "the user ended it");
+                    motions::end_recovery(&self.app, robot, recovery, "the user ended it");
                 }
             }
             Order::EndWork { robot } => {
@@ -164,10 +164,10 @@ impl Channel {
                 if let Some(robot) = robot {
                     robot.revoke();
                 }
-                held::end(&self.held, &self.app, "the control was released");
+                motions::end(&self.motions, &self.app, "the control was released");
             }
             Order::Show { .. } => {
-                held::end(&self.held, &self.app, "the screen was left");
+                motions::end(&self.motions, &self.app, "the screen was left");
                 // the page answers no pulse on another screen
                 self.watched = None;
             }
@@ -177,7 +177,7 @@ impl Channel {
     }
 
     fn grip(&self) -> Option<Arc<Grip>> {
-        lock(&self.held).grip.as_ref().map(|(_, grip)| Arc::clone(grip))
+        lock(&self.motions).grip.as_ref().map(|(_, grip)| Arc::clone(grip))
     }
 
     /// Receives the next order. Sends pulses and records heartbeats meanwhile.
@@ -190,7 +190,7 @@ impl Channel {
                     self.sent.truncate(PULSES);
                     self.send(json!({ "t": "pulse", "n": self.last }).to_string()).await?;
                 }
-                message = self.socket.recv() => match message?.ok().inspect(|_| self.heard = Instant::now())? {
+                message = self.socket.recv() => match message?.ok().inspect(|_| self.last_seen = Instant::now())? {
                     Message::Text(text) => match serde_json::from_str(&text) {
                         Ok(beat) => self.beat(&beat),
                         Err(_) => return Some(text.as_str().to_owned()),
@@ -210,9 +210,9 @@ impl Channel {
         if let Some(last) = &mut self.watched {
             *last = *sent;
         }
-        let mut held = lock(&self.held);
-        let is_lifted = std::mem::replace(&mut held.press, beat.held) != beat.held;
-        if let Some((_, grip)) = &held.grip {
+        let mut motions = lock(&self.motions);
+        let is_lifted = std::mem::replace(&mut motions.press, beat.held) != beat.held;
+        if let Some((_, grip)) = &motions.grip {
             grip.beat(*sent);
             if is_lifted {
                 grip.lift();

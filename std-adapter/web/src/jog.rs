@@ -34,12 +34,12 @@ impl Page {
         if last.as_ref().is_some_and(|last| last.phase() != Phase::Ended) {
             return Err("the last jog of this robot has not ended; wait a moment".into());
         }
-        let (access, held) = (robot.access.clone(), Arc::clone(&grip));
-        self.app.spawn("jog", move || jog::run(&access, &held))?;
+        let (access, running) = (robot.access.clone(), Arc::clone(&grip));
+        self.app.spawn("jog", move || jog::run(&access, &running))?;
         *last = Some(Arc::clone(&grip));
         let jog = robot.jogs.fetch_add(1, Ordering::Relaxed) + 1;
         drop(last);
-        lock(&self.held).grip = Some((number, Arc::clone(&grip)));
+        lock(&self.motions).grip = Some((number, Arc::clone(&grip)));
         let begun = self.audited(&who, &robot, "begins a jog", Ok(jog));
         self.app.work.spawn(watch(Arc::clone(&self.app), robot, who, grip));
         begun
@@ -47,7 +47,7 @@ impl Page {
 
     /// Returns the jog of this page.
     fn grip(&self, number: usize) -> Result<Arc<Grip>, String> {
-        let grip = lock(&self.held).grip.clone().filter(|(robot, _)| *robot == number).map(|(_, grip)| grip);
+        let grip = lock(&self.motions).grip.clone().filter(|(robot, _)| *robot == number).map(|(_, grip)| grip);
         grip.ok_or_else(|| "the jog has ended; begin it again".into())
     }
 
@@ -60,7 +60,7 @@ impl Page {
         Press::new(axis, by, percent)?;
         let press = Press::new(axis, by, percent.min(arm::percent(&type_name, axis)))?;
         let grip = self.grip(number)?;
-        lock(&self.held).press = number_of_press;
+        lock(&self.motions).press = number_of_press;
         grip.press(press).map(|()| Value::Null)
     }
 

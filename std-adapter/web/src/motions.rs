@@ -11,7 +11,7 @@ use crate::threads::lock;
 
 /// The motions of a page, each with its robot.
 #[derive(Default)]
-pub(crate) struct Held {
+pub(crate) struct Motions {
     pub(crate) grip: Option<(usize, Arc<Grip>)>,
     /// The number of the last press of a button of the jog.
     pub(crate) press: u64,
@@ -21,11 +21,11 @@ pub(crate) struct Held {
 }
 
 /// The motions of a page, for its orders and for its WebSocket.
-pub(crate) type Shared = Arc<Mutex<Held>>;
+pub(crate) type SharedMotions = Arc<Mutex<Motions>>;
 
-/// Ends all of it.
-pub(crate) fn end(held: &Shared, app: &Arc<App>, why: &str) {
-    let Held { grip, recovery, desk, .. } = std::mem::take(&mut *lock(held));
+/// Ends all of them.
+pub(crate) fn end(motions: &SharedMotions, app: &Arc<App>, why: &str) {
+    let Motions { grip, recovery, desk, .. } = std::mem::take(&mut *lock(motions));
     if let Some((_, grip)) = grip {
         grip.end(why);
     }

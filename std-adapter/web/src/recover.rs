@@ -10,7 +10,7 @@ use bcap_live::link::Link;
 use bcap_live::recovery::{self, Recovery};
 use serde_json::{Value, json};
 
-use crate::held;
+use crate::motions;
 use crate::socket::{Answer, Page};
 use crate::text::safe;
 use crate::threads::lock;
@@ -29,22 +29,23 @@ impl Page {
         if last.as_ref().is_some_and(|last| last.state().outcome.is_none()) {
             return Err("the last recovery of this robot has not ended; wait a moment".into());
         }
-        let (app, of, held) = (Arc::clone(&self.app), Arc::clone(&robot), Arc::clone(&recovery));
+        let (app, of, running) = (Arc::clone(&self.app), Arc::clone(&robot), Arc::clone(&recovery));
         self.app.spawn("recovery", move || {
-            recovery::run(&of.access, &held);
-            let state = held.state();
+            recovery::run(&of.access, &running);
+            let state = running.state();
             let made: Vec<_> = state.done.iter().map(|(step, _)| step.name()).collect();
             let what = format!("the recovery ends after [{}]", made.join(", "));
             app.audit.write(&who, &of.name, &what, &state.outcome.unwrap_or(Ok("")));
         })?;
         *last = Some(Arc::clone(&recovery));
-        lock(&self.held).recovery = Some((number, recovery));
+        lock(&self.motions).recovery = Some((number, recovery));
         Ok(Value::Null)
     }
 
     /// Returns the recovery of this page.
     fn recovery(&self, number: usize) -> Result<Arc<Recovery>, String> {
-        let recovery = lock(&self.held).recovery.clone().filter(|(robot, _)| *robot == number).map(|(_, found)| found);
+        let recovery =
+            lock(&self.motions).recovery.clone().filter(|(robot, _)| *robot == number).map(|(_, found)| found);
         recovery.ok_or_else(|| "there is no recovery of this page; begin one".into())
     }
 
@@ -57,7 +58,7 @@ impl Page {
 
     /// Ends the recovery.
     pub(crate) fn stop(&self, number: usize) -> Answer {
-        held::end_recovery(&self.app, number, self.recovery(number)?, "the user ended it");
+        motions::end_recovery(&self.app, number, self.recovery(number)?, "the user ended it");
         Ok(Value::Null)
     }
 

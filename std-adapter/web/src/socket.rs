@@ -18,7 +18,7 @@ use tokio::time::{Interval, MissedTickBehavior, interval};
 use crate::app::App;
 use crate::channel::{Channel, Received};
 use crate::control::{Client, cleaned};
-use crate::held::{self, Shared};
+use crate::motions::{self, SharedMotions};
 use crate::order::{Order, Screen};
 use crate::robot::Robot;
 use crate::secret::Bucket;
@@ -45,7 +45,7 @@ pub(crate) struct Page {
     shown: Mutex<Shown>,
     /// The value that was checked last, and the robot that it is for.
     checked: Mutex<Option<(usize, Box<Write>)>>,
-    pub(crate) held: Shared,
+    pub(crate) motions: SharedMotions,
 }
 
 /// The screen of a page, and the messages that the page has.
@@ -75,11 +75,11 @@ impl Drop for Page {
 pub(crate) async fn serve(app: Arc<App>, client: Client, socket: WebSocket) {
     let labels: Map<_, _> = app.config.labels.iter().map(|(name, label)| (safe(name), safe(label).into())).collect();
     let hello = json!({ "t": "hello", "labels": labels, "write": app.config.allow_write, "motion": app.config.allow_motion, "panel": app.config.panel.is_some(), "version": env!("CARGO_PKG_VERSION") });
-    let (shown, checked, held) = Default::default();
-    let held: Shared = held;
-    let mut channel = Channel::new(socket, Arc::clone(&app), client, Arc::clone(&held));
+    let (shown, checked) = Default::default();
+    let motions = SharedMotions::default();
+    let mut channel = Channel::new(socket, Arc::clone(&app), client, Arc::clone(&motions));
     // dropped before the channel, so that the loss of the page ends a jog at once
-    let page = Page { app, client, shown, checked, held };
+    let page = Page { app, client, shown, checked, motions };
     let _ = serve_page(&page, &mut channel, hello.to_string()).await;
 }
 
@@ -307,7 +307,7 @@ impl Page {
 
     /// Ends what this page moves.
     pub(crate) fn end_motion(&self, why: &str) {
-        held::end(&self.held, &self.app, why);
+        motions::end(&self.motions, &self.app, why);
     }
 
     /// Returns whether this page shows a screen of a robot.
