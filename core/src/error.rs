@@ -16,6 +16,7 @@ use crate::hresult::HResult;
 /// Received bytes violate the specification, with the layer and the offset of the violation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub struct DecodeError {
     /// The kind of error.
     pub kind: DecodeErrorKind,

@@ -8,6 +8,7 @@ use bcap_core::time::micros_u32;
 /// Counts since the gateway was made; they saturate at 2^32 - 1.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub struct Counters {
     /// Requests that the robot executed.
     pub served: Tally,

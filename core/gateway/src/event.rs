@@ -12,6 +12,7 @@ use bcap_core::rac::{Request, Variable, Verb};
 /// The verb and the variable of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub struct Asked {
     /// Read or write.
     pub verb: Verb,
@@ -36,6 +37,7 @@ impl fmt::Display for Asked {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[must_use]
+#[non_exhaustive]
 pub enum Event {
     /// The robot executed a request.
     Served {

@@ -110,6 +110,7 @@ impl Allow<'_> {
 /// Why a rule is invalid, and where.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub struct RuleError {
     /// The kind of error.
     pub kind: RuleErrorKind,

@@ -8,6 +8,7 @@ use super::function::{FunctionId, PROPERTIES};
 
 /// A command of an Execute function.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Command {
     /// The function that executes it.
     pub function: FunctionId,

@@ -230,8 +230,14 @@ mod tests {
         reason: "panic at \"a<b\".rs:7",
     };
 
+    fn counters(refused: u32, connected: u32) -> Counters {
+        let mut counters = Counters::default();
+        (counters.refused, counters.connected) = (refused, connected);
+        counters
+    }
+
     fn written(update: Option<Update<'_>>, write: impl Fn(&Health<'_>, &mut dyn Write) -> fmt::Result) -> String {
-        let counters = Counters { refused: 3, connected: 2, ..Counters::default() };
+        let counters = counters(3, 2);
         let health = Health {
             image: "gateway",
             version: "0.1.0",
@@ -269,7 +275,7 @@ mod tests {
         // a name has at most 32 bytes, a version 20, and the reason is a part of a record of 160
         let (name, version, text) = ("n".repeat(32), "1".repeat(20), "<".repeat(100));
         let update = Update { board: &name, version: &version, phase: &"rolled back", last: &version, reason: &text };
-        let counters = Counters { refused: u32::MAX, connected: u32::MAX, ..Counters::default() };
+        let counters = counters(u32::MAX, u32::MAX);
         let health = Health {
             image: "gateway",
             version: &version,

@@ -140,7 +140,10 @@ pub fn split(bytes: &[u8], decoder: Decoder, mut each: impl FnMut(&[u8], &Frame<
     let mut at = 0;
     while at == 0 || at < bytes.len() {
         let rest = bytes.get(at..).unwrap_or_default();
-        let shifted = |error: DecodeError| DecodeError { offset: error.offset + at, ..error };
+        let shifted = |mut error: DecodeError| {
+            error.offset += at;
+            error
+        };
         let (frame, length) = match decoder.decode(rest).map_err(shifted)? {
             Progress::Complete(frame, length) => (frame, length),
             // its error says how many bytes are missing

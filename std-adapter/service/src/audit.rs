@@ -209,7 +209,8 @@ impl Audit {
             Event::Refused { refusal, .. } => self.log_client(client, |client| {
                 Record::Refused(answer(client, refusal.hresult()).because(refusal.to_string()))
             }),
-            Event::RobotUp | Event::RobotDown { .. } => {}
+            // it is not about a line
+            _ => {}
         }
     }
 
@@ -225,7 +226,8 @@ impl Audit {
                 let retry_ms = u64::try_from(pause.as_millis()).unwrap_or(u64::MAX);
                 self.log.write(&Record::RobotDown { robot, reason, retry_ms });
             }
-            Event::Served { .. } | Event::Failed { .. } | Event::Refused { .. } => {}
+            // it is not about the robot
+            _ => {}
         }
     }
 

@@ -16,6 +16,7 @@ use crate::variant::Variant;
 /// The options that a client sends in Service_Start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub struct StartOptions {
     /// `WDT`: the interval of S_EXECUTING while a call runs; without it, the server sends no S_EXECUTING.
     pub watchdog: Option<Duration>,
