@@ -83,6 +83,26 @@ impl Limited {
     }
 }
 
+/// The time limit that applies to a client, and when it began.
+struct Timer {
+    limited: Limited,
+    since: Instant,
+}
+
+impl Timer {
+    const STOPPED: Self = Self { limited: Limited::No, since: Instant::ZERO };
+
+    /// Returns when the limit ends, which begins now if another one applied before; an error if it has ended.
+    fn until<E>(&mut self, limited: Limited, now: Instant, limits: &Limits) -> Result<Instant, Ended<E>> {
+        if limited != self.limited {
+            *self = Self { limited, since: now };
+        }
+        let Some((limit, ended)) = limited.limit(limits) else { return Ok(Instant::FAR_FUTURE) };
+        let until = self.since.saturating_add(limit);
+        if now >= until { Err(ended) } else { Ok(until) }
+    }
+}
+
 /// Moves lines and answers until the session ends.
 async fn run_session<X: Transport, P: Platform>(
     transport: &mut X,
@@ -92,12 +112,12 @@ async fn run_session<X: Transport, P: Platform>(
     limits: &Limits,
     chunk: &mut [u8],
 ) -> Result<Ended<X::Error>, X::Error> {
-    let (mut limited, mut since) = (Limited::No, Instant::ZERO);
+    let mut timer = Timer::STOPPED;
     // whether an answer was sent since the task last waited
     let mut had_turn = false;
     loop {
         shared.poll_for_client();
-        let (next, limit) = match plan(shared, front, (peer, address), chunk) {
+        let (next, limited) = match plan(shared, front, (peer, address), chunk) {
             Ok(plan) => plan,
             Err(ended) => return Ok(ended.map(|never| match *never {})),
         };
@@ -110,34 +130,18 @@ async fn run_session<X: Transport, P: Platform>(
             yield_now().await;
             continue;
         }
-        let now = transport.now();
-        if limit != limited {
-            (limited, since) = (limit, now);
-        }
-        let until = match limited.limit(limits) {
-            Some((limit, ended)) => {
-                let until = since.saturating_add(limit);
-                if now >= until {
-                    return Ok(ended);
-                }
-                until
-            }
-            None => Instant::FAR_FUTURE,
+        let until = match timer.until(limited, transport.now(), limits) {
+            Ok(until) => until,
+            Err(ended) => return Ok(ended),
         };
         match next {
             Next::Poll => {}
             Next::Send(count) => {
                 had_turn = true;
-                let answer = match front {
-                    Front::Rac => chunk.get(..count).unwrap_or_default(),
-                    Front::Modbus(front) => front.transmit(),
-                };
+                let answer = front.answer(chunk.get(..count).unwrap_or_default());
                 if let Some(sent) = transport.send(answer, until).await? {
-                    shared.with(|shared| {
-                        front.transmitted(&mut shared.gateway, peer, address, sent);
-                        shared.moved(peer, front);
-                    });
-                    limited = Limited::No;
+                    shared.with(|shared| shared.transmitted(front, (peer, address), sent));
+                    timer = Timer::STOPPED;
                 }
             }
             Next::Receive(room) => {
@@ -156,14 +160,11 @@ async fn run_session<X: Transport, P: Platform>(
                     Some(0) => return Ok(Ended::Closed),
                     Some(count) => {
                         let bytes = chunk.get(..count).unwrap_or_default();
-                        shared.with(|shared| {
-                            // they fit, because only this task adds bytes, and answers only remove some
-                            front.received(&mut shared.gateway, peer, address, bytes);
-                            shared.moved(peer, front);
-                        });
+                        // they fit, because only this task adds bytes, and answers only remove some
+                        shared.with(|shared| shared.received(front, (peer, address), bytes));
                         // an idle client was active
                         if limited == Limited::Idle {
-                            limited = Limited::No;
+                            timer = Timer::STOPPED;
                         }
                     }
                     // the task has waited: bytes that are there would have been received
@@ -233,12 +234,8 @@ pub async fn refuse<X: Transport>(transport: &mut X, mut front: Front<'_, '_>, l
             _ => return,
         }
     }
-    let answer = match &front {
-        Front::Rac => FULL,
-        Front::Modbus(front) => front.transmit(),
-    };
     // a client that does not read it has no slot either
-    let _ = transport.send(answer, until).await;
+    let _ = transport.send(front.answer(FULL), until).await;
 }
 
 /// Tells whether the bytes complete a request of Modbus, or are part of a line, and makes the answer.

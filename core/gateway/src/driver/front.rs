@@ -43,6 +43,14 @@ impl Front<'_, '_> {
         }
     }
 
+    /// Returns the bytes to send to the client, which are `line` for a client of RAC.
+    pub(super) fn answer<'b>(&'b self, line: &'b [u8]) -> &'b [u8] {
+        match self {
+            Self::Rac => line,
+            Self::Modbus(front) => front.transmit(),
+        }
+    }
+
     /// Returns the number of bytes of the client that there is room for.
     pub(super) fn room(&self, gateway: &mut Gateway<'_>, peer: PeerId) -> usize {
         match self {

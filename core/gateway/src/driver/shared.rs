@@ -2,6 +2,7 @@
 
 use core::fmt;
 use core::future::poll_fn;
+use core::net::Ipv4Addr;
 use core::task::Poll;
 
 use bcap_core::handler::PeerId;
@@ -217,6 +218,28 @@ impl<P: Platform> Shared<'_, P> {
 
     pub(super) const fn is_stopping(&self) -> bool {
         self.is_stopping
+    }
+
+    /// Passes on bytes from a client; they fit.
+    pub(super) fn received(
+        &mut self,
+        front: &mut Front<'_, '_>,
+        (peer, address): (PeerId, Option<Ipv4Addr>),
+        bytes: &[u8],
+    ) {
+        front.received(&mut self.gateway, peer, address, bytes);
+        self.moved(peer, front);
+    }
+
+    /// Records that the link of a client has taken some of the bytes to send.
+    pub(super) fn transmitted(
+        &mut self,
+        front: &mut Front<'_, '_>,
+        (peer, address): (PeerId, Option<Ipv4Addr>),
+        count: usize,
+    ) {
+        front.transmitted(&mut self.gateway, peer, address, count);
+        self.moved(peer, front);
     }
 
     /// Records that bytes of a client were received or sent.
