@@ -70,28 +70,13 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
         // dropped, and thereby deleted, after the controller has ended
         let temporary = tempfile::tempdir()?;
         let files = args.files.as_deref().unwrap_or(temporary.path());
-        if !files.is_dir() {
-            return Err(Failure::Input(format!("--files {}: the folder does not exist", files.display())));
-        }
-        let mut config = Config { files: Some(files.to_owned()), file_executor: file_worker()?, ..config(model) };
-        (config.mode, config.token) = (args.mode, args.token);
-        config.lenient = args.lenient;
-        if args.explain || args.lenient {
-            config.observer = explainer(args.explain)?;
-        }
+        let mut config = configured(args, model, arm.as_ref().map(|(arm, _)| arm), files)?;
         #[cfg(feature = "screens")]
         let refused = args.screen.then(live_screen::Refused::shown);
         #[cfg(feature = "screens")]
         if let Some(refused) = &refused {
             config.observer = refused.observer();
         }
-        if let Some((arm, _)) = &arm {
-            config = config.with_arm(arm);
-        }
-        if let Some(robot_type) = &args.robot_type {
-            config.robot_type.clone_from(robot_type);
-        }
-        config.slave.licensed = !args.no_slave_licence;
         let trajectory = args.record.as_deref().map(|path| record(path, &mut config)).transpose()?;
         let mut controller = Controller::new(config);
         if let Some(path) = &args.scenario {
@@ -420,6 +405,27 @@ async fn bind<H: Serves>(server: Server<H>, wanted: &Listening) -> Result<(Serve
         (Some(bcap), Some(udp), rac) => Ok((server, Listening { bcap, udp, rac })),
         _ => Err(Failure::Stdio(io::Error::other("a socket has no local address"))),
     }
+}
+
+/// Returns the configuration of a controller by the command line, and starts the threads that it needs.
+fn configured(args: &Sim, model: Model, arm: Option<&ArmModel>, files: &Path) -> Result<Config, Failure> {
+    if !files.is_dir() {
+        return Err(Failure::Input(format!("--files {}: the folder does not exist", files.display())));
+    }
+    let mut config = Config { files: Some(files.to_owned()), file_executor: file_worker()?, ..config(model) };
+    (config.mode, config.token) = (args.mode, args.token);
+    config.lenient = args.lenient;
+    if args.explain || args.lenient {
+        config.observer = explainer(args.explain)?;
+    }
+    if let Some(arm) = arm {
+        config = config.with_arm(arm);
+    }
+    if let Some(robot_type) = &args.robot_type {
+        config.robot_type.clone_from(robot_type);
+    }
+    config.slave.licensed = !args.no_slave_licence;
+    Ok(config)
 }
 
 /// Returns the configuration of a controller with the clock of this machine.
