@@ -26,6 +26,7 @@ pub(crate) struct ArmState {
 }
 
 /// An arm as a session has taken it, until it takes it again.
+#[cfg(feature = "tokio")]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct ArmId {
     pub(super) session: u64,

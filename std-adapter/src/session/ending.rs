@@ -23,7 +23,9 @@ use bcap_core::io::asynch::Transport;
 use bcap_core::procedure::{self, ArmOwner, Claim, Effects};
 use bcap_core::time::Instant;
 
-use super::arm::{ArmId, ArmState, Left, Recovery};
+#[cfg(feature = "tokio")]
+use super::arm::ArmId;
+use super::arm::{ArmState, Left, Recovery};
 use super::{CLOSE, ROBOT, Release, Session};
 use crate::CallError;
 use crate::error::Error;
@@ -101,6 +103,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     }
 
     /// Returns the ID of the arm as it was taken last.
+    #[cfg(feature = "tokio")]
     pub(crate) const fn arm_id(&self) -> ArmId {
         ArmId { session: self.id, take: self.takes }
     }
