@@ -12,7 +12,7 @@ use bcap_tests::simulated::quick;
 
 const MODELS: [Profile; 4] = [Profile::Rc8, Profile::Rc9, Profile::Cobotta, Profile::CobottaPro];
 const ERROR: HResult = HResult::from_u32(0x8420_4043);
-const ALONE: RecoveryConfig = RecoveryConfig { is_alone: true, speed: None };
+const ALONE: RecoveryConfig = RecoveryConfig { is_alone: true, speed: None, agreed: None };
 
 fn simulated(profile: Profile) -> (Served<Simulated>, Settings) {
     let settings = match profile {

@@ -105,6 +105,8 @@ pub enum Obstacle {
     Error(HResult),
     /// The controller refuses to say who owns the arm while it has errors, and the caller does not know either.
     OwnerUnknown,
+    /// The state has changed: this step is needed, and is not among those that a person has agreed to.
+    NotAgreed(RecoveryStep),
 }
 
 /// A step of a recovery or a preparation, in the order of a recovery.
@@ -130,6 +132,25 @@ pub enum RecoveryStep {
     ExtSpeed,
 }
 
+/// A set of steps, such as those that a person has agreed to.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct RecoveryStepSet(u8);
+
+impl RecoveryStepSet {
+    /// Tells whether the set has a step.
+    #[must_use]
+    pub const fn contains(self, step: RecoveryStep) -> bool {
+        self.0 & step.bit() != 0
+    }
+}
+
+impl FromIterator<RecoveryStep> for RecoveryStepSet {
+    fn from_iter<I: IntoIterator<Item = RecoveryStep>>(steps: I) -> Self {
+        Self(steps.into_iter().fold(0, |bits, step| bits | step.bit()))
+    }
+}
+
 /// The steps of a recovery or a preparation.
 pub(super) type Plan = heapless::Vec<RecoveryStep, 9>;
 
@@ -146,6 +167,19 @@ impl RecoveryStep {
             Self::MotionPreparation => "MotionPreparation",
             Self::Motor => "Motor",
             Self::ExtSpeed => "ExtSpeed",
+        }
+    }
+
+    const fn bit(self) -> u8 {
+        match self {
+            Self::Examine => 1,
+            Self::ManualResetPreparation => 1 << 1,
+            Self::ClearError => 1 << 2,
+            Self::TakeArm => 1 << 3,
+            Self::ManualReset => 1 << 4,
+            Self::MotionPreparation => 1 << 5,
+            Self::Motor => 1 << 6,
+            Self::ExtSpeed => 1 << 7,
         }
     }
 }
@@ -285,6 +319,9 @@ impl fmt::Display for Obstacle {
                 "the controller does not say who owns the arm while it has errors: make sure that no other program uses the \
                  robot",
             ),
+            Self::NotAgreed(step) => {
+                write!(f, "the state has changed, and {step} is needed, too: look at the robot, and begin again")
+            }
         }
     }
 }

@@ -49,7 +49,7 @@ mod target;
 mod variable;
 
 pub use self::action::{Action, Channel, Procedure};
-pub use self::examine::{Examination, Obstacle, RecoveryStep, SysState, examine};
+pub use self::examine::{Examination, Obstacle, RecoveryStep, RecoveryStepSet, SysState, examine};
 pub use self::failure::{Failure, StepCause, StepError};
 pub use self::halt::{Halt, HaltAnswer, HaltConfig, StoppedTasks, halt};
 pub use self::motion::{MotionStart, Until, move_and_wait, run_queue};

@@ -20,7 +20,7 @@ use core::fmt;
 use core::ops::ControlFlow;
 
 use super::action::{Action, Procedure};
-use super::examine::{ExamineSteps, Obstacle, Plan, RecoveryStep};
+use super::examine::{ExamineSteps, Obstacle, Plan, RecoveryStep, RecoveryStepSet};
 use super::failure::{Failure, StepCause, StepError};
 use super::provider::Handles;
 use super::reclaim::KEEP;
@@ -40,6 +40,9 @@ pub struct RecoveryConfig {
     pub is_alone: bool,
     /// The external speed after the recovery, in percent; `None` leaves it.
     pub speed: Option<f64>,
+    /// The steps that a person has agreed to after an examination, if one was asked. If the state has changed and needs another step,
+    /// the recovery ends before its first one.
+    pub agreed: Option<RecoveryStepSet>,
 }
 
 /// The effect of [`recover`] and [`prepare`]; the arm is taken.
@@ -242,9 +245,9 @@ impl<F> RecoverySteps<F> {
     /// Plans the steps after the examination.
     fn begin(&mut self) -> Result<(), StepCause> {
         let (state, is_alone) = (&self.examine.result, self.is_alone);
-        let (recovers, speed) = match self.goal {
-            Goal::Recovered(config) => (true, config.speed),
-            Goal::Prepared => (false, None),
+        let (recovers, speed, agreed) = match self.goal {
+            Goal::Recovered(config) => (true, config.speed, config.agreed),
+            Goal::Prepared => (false, None, None),
         };
         let first = state.errors().first().copied().unwrap_or(HResult::E_ERROR_PRESENT);
         let error = (!recovers && state.has_error()).then_some(Obstacle::Error(first));
@@ -253,7 +256,8 @@ impl<F> RecoverySteps<F> {
         self.plan = state.plan(recovers, speed.is_some());
         self.has_arm = state.owns_arm;
         self.asks_owner = state.has_error() && !state.owns_arm;
-        if let Some(obstacle) = obstacle {
+        let other = agreed.and_then(|agreed| self.plan.iter().copied().find(|step| !agreed.contains(*step)));
+        if let Some(obstacle) = obstacle.or(other.map(Obstacle::NotAgreed)) {
             return self.stop(obstacle);
         }
         self.examined = true;

@@ -6,7 +6,7 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use bcap_core::hresult::HResult;
-use bcap_core::procedure::{NotRecovered, RecoveryConfig, RecoveryStep, StepCause};
+use bcap_core::procedure::{NotRecovered, RecoveryConfig, RecoveryStep, RecoveryStepSet, StepCause};
 use bcap_std::blocking::{Arm, Controller};
 
 use crate::link::{Access, Error, Link};
@@ -157,13 +157,13 @@ fn perform(access: &Access, recovery: &Recovery) -> Result<Result<&'static str, 
     if recovery.wait().is_break() {
         return Ok(Ok("nothing was changed"));
     }
-    Ok(make(&mut controller, recovery))
+    Ok(make(&mut controller, recovery, state.steps(false).collect()))
 }
 
-/// Makes the steps, and gives the arm back.
-fn make(controller: &mut Controller, recovery: &Recovery) -> Result<&'static str, String> {
+/// Makes the steps of the plan, and gives the arm back.
+fn make(controller: &mut Controller, recovery: &Recovery, plan: RecoveryStepSet) -> Result<&'static str, String> {
     // the person has agreed that no other program uses the robot
-    let config = RecoveryConfig { is_alone: true, speed: None };
+    let config = RecoveryConfig { is_alone: true, speed: None, agreed: Some(plan) };
     let made = match controller.make_ready(Some(config), |step, result| recovery.made(step, result)).map(Arm::keep) {
         // between two steps, for the reason that the caller has
         Err(bcap_std::Error::NotRecovered(ended)) if is_stopped(&ended) => Ok(()),

@@ -156,7 +156,7 @@ impl Controller {
     }
 
     fn recover(&self, alone: bool, speed: Option<f64>) -> Call {
-        let (home, config) = (Arc::clone(&self.home), RecoveryConfig { is_alone: alone, speed });
+        let (home, config) = (Arc::clone(&self.home), RecoveryConfig { is_alone: alone, speed, agreed: None });
         self.with_robot(move |robot| async move { robot.recover(config).await.map(|arm| Arm::new(home, arm)) })
     }
 

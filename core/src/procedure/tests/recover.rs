@@ -87,7 +87,7 @@ fn examined(mut peer: Peer) -> Examination {
     run(examine(HANDLES), |_, call, _| peer.answer(call)).result.unwrap()
 }
 
-const ALONE: RecoveryConfig = RecoveryConfig { is_alone: true, speed: None };
+const ALONE: RecoveryConfig = RecoveryConfig { is_alone: true, speed: None, agreed: None };
 
 /// A recovery or a preparation, its result, its calls and what it has reported.
 type Recovery = (Result<Recovered, NotRecovered>, Vec<String>, Vec<(RecoveryStep, Result<(), HResult>)>);
@@ -381,6 +381,19 @@ fn an_early_cobotta_without_the_commands_is_recovered() {
         let (_, calls, _) = recovered(Some(ALONE), Peer { other, ..cobotta() });
         assert!(calls.iter().any(|call| call == undo), "{calls:?}");
     }
+}
+
+#[test]
+fn a_step_that_nobody_has_agreed_to_is_not_made() {
+    let prepared = Peer { prepared: true, torque_off: Some(false), ..cobotta() };
+    let agreed: RecoveryStepSet = examined(prepared.clone()).steps(false).collect();
+    assert!(agreed.contains(RecoveryStep::Motor) && !agreed.contains(RecoveryStep::MotionPreparation));
+    let config = Some(RecoveryConfig { agreed: Some(agreed), ..ALONE });
+    assert_eq!(recovered(config, prepared).0, Ok(Recovered { motor_on: true }));
+    // an emergency stop since then
+    let (result, calls, _) = recovered(config, cobotta());
+    assert_eq!(result.unwrap_err().obstacle, Some(Obstacle::NotAgreed(RecoveryStep::ManualReset)));
+    assert_eq!(changes(&calls), [""; 0]);
 }
 
 #[test]

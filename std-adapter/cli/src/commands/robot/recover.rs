@@ -83,7 +83,9 @@ pub(crate) fn recover(args: &Recover, session: &mut Session, json: bool) -> Resu
         return conclude(true, json);
     }
     let is_alone = ask(args, session, &state, &steps)?;
-    let config = RecoveryConfig { is_alone, speed: args.speed };
+    // the state may change while the question is open
+    let agreed = (!args.yes).then(|| steps.iter().copied().collect());
+    let config = RecoveryConfig { is_alone, speed: args.speed, agreed };
     let had_arm = session.has_arm();
     session.prepare_halt(&interrupt)?;
     let done = perform(session, config, &interrupt, json);
