@@ -70,13 +70,17 @@ pub(crate) async fn save(
     JOB.signal(Job { memory, len, running });
     // the task with the flash does a job without waiting for anything
     let (memory, result) = DONE.wait().await;
+    if result.is_err() {
+        // not before: another page would take this result
+        STATE.lock(|state| state.set(State::Free));
+    }
     (memory, result.map_err(SaveError::NotSaved))
 }
 
 /// Performs the jobs, in the task that has the flash; restarts the board after settings were saved.
 pub(crate) async fn attend<F: NorFlash>(console: &RefCell<Console<'_, F>>, restart: fn() -> !) {
+    STATE.lock(|state| state.set(State::Free));
     loop {
-        STATE.lock(|state| state.set(State::Free));
         let Job { memory, len, running } = JOB.wait().await;
         let result = replace(console, memory.get(..len).unwrap_or_default(), running);
         let is_saved = result.is_ok();

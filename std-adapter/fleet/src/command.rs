@@ -90,6 +90,13 @@ pub(crate) struct Commands {
     tokens: HashMap<usize, (f64, u64)>,
 }
 
+/// The result of a command that is not sent, and the reason.
+pub(crate) type Unsent = (CommandResult, String);
+
+pub(crate) const fn refused(reason: String) -> Unsent {
+    (CommandResult::Refused, reason)
+}
+
 impl Commands {
     pub(crate) fn new(config: config::Commands, lead: u64, began: u64) -> Self {
         Self { config, lead, began, accepted: HashMap::new(), tokens: HashMap::new() }
@@ -110,34 +117,40 @@ impl Commands {
         u64::from(self.config.longest_seconds) * 1000
     }
 
-    /// Checks a command; the error says why it is refused. `at` was taken before `now`.
-    pub(crate) fn check(&mut self, cell: usize, command: &Command, at: Instant, now: u64) -> Result<Job, String> {
+    /// Checks a command; the error says why it is not sent. `at` was taken before `now`.
+    pub(crate) fn check(&mut self, cell: usize, command: &Command, at: Instant, now: u64) -> Result<Job, Unsent> {
         let Command { id, name, value, expires, .. } = command;
+        self.check_copy(cell, id, now)?;
         if id.is_empty() || id.len() > LONGEST_ID {
-            return Err(format!("the id has {} bytes; expected 1 to {LONGEST_ID}", id.len()));
+            return Err(refused(format!("the id has {} bytes; expected 1 to {LONGEST_ID}", id.len())));
         }
         if *expires <= now {
-            return Err(format!("it expired {} ms ago", now - expires));
+            return Err(refused(format!("it expired {} ms ago", now - expires)));
         }
         let longest = self.longest() + self.lead;
         if *expires > now + longest {
-            return Err(format!("it expires in {} ms; the longest time is {longest} ms", expires - now));
+            return Err(refused(format!("it expires in {} ms; the longest time is {longest} ms", expires - now)));
         }
         if *expires <= self.began + longest {
-            return Err(
-                "this node has just started or taken over, and another process may have executed it; send a new one"
-                    .into(),
-            );
+            let reason =
+                "this node has just started or taken over, and another process may have executed it; send a new one";
+            return Err((CommandResult::Unknown, reason.into()));
         }
-        self.accepted.retain(|_, expires| *expires > now);
-        if self.accepted.contains_key(&(cell, id.clone())) {
-            return Err("this id was accepted before; a command is executed at most once".into());
-        }
-        self.take_token(cell, now)?;
-        let value = self.permitted(name, value)?;
+        self.take_token(cell, now).map_err(refused)?;
+        let value = self.permitted(name, value).map_err(refused)?;
         self.accepted.insert((cell, id.clone()), *expires);
         let deadline = at + Duration::from_millis(expires - now);
         Ok(Job { name: canonical(name), value, deadline, expires: *expires })
+    }
+
+    /// Refuses the copy of a command that was accepted. Its first copy may be running, so this is no answer to the command.
+    pub(crate) fn check_copy(&mut self, cell: usize, id: &str, now: u64) -> Result<(), Unsent> {
+        self.accepted.retain(|_, expires| *expires > now);
+        if self.accepted.contains_key(&(cell, id.to_owned())) {
+            let reason = "this id was accepted before; a command is executed at most once";
+            return Err((CommandResult::Repeated, reason.into()));
+        }
+        Ok(())
     }
 
     /// Takes a token from a controller's bucket. The bucket holds the tokens of one second.
@@ -239,7 +252,7 @@ mod tests {
             commands
                 .check(0, &command(id, "I1", json!(1), expires), Instant::now(), at)
                 .map(|job| job.value)
-                .map_err(|error| error.split(';').next().unwrap().to_owned())
+                .map_err(|(_, reason)| reason.split(';').next().unwrap().to_owned())
         };
         let one = OwnedVariant::new(&1_i32).unwrap();
         assert_eq!(check("a", now + 5000, now), Ok(one.clone()));
@@ -269,13 +282,11 @@ mod tests {
         let mut commands = commands(&["I"], 1000);
         // an earlier process accepts this just before it ends
         let old = command("a", "I1", json!(1), BEGAN + 11_000);
-        assert!(commands.check(0, &old, Instant::now(), BEGAN).unwrap_err().starts_with("this node has just started"));
-        assert!(
-            commands
-                .check(0, &old, Instant::now(), BEGAN + 10_999)
-                .unwrap_err()
-                .starts_with("this node has just started")
-        );
+        for now in [BEGAN, BEGAN + 10_999] {
+            let (result, reason) = commands.check(0, &old, Instant::now(), now).unwrap_err();
+            assert_eq!(result, CommandResult::Unknown);
+            assert!(reason.starts_with("this node has just started"), "{reason}");
+        }
         assert!(commands.check(0, &command("b", "I1", json!(1), BEGAN + 11_001), Instant::now(), BEGAN + 1).is_ok());
     }
 
@@ -289,6 +300,7 @@ mod tests {
             commands
                 .check(0, &command(&number.to_string(), name, value, now + 5000), Instant::now(), now)
                 .map(|job| job.value)
+                .map_err(|(_, reason)| reason)
         };
         assert!(check("I9", json!(-10)).is_ok());
         assert_eq!(check("I9", json!(11)).unwrap_err(), "the value is out of the range that the rules allow");

@@ -119,6 +119,8 @@ pub enum CommandResult {
     Refused,
     /// The controller refused the value, or there was no connection; nothing was written.
     Failed,
-    /// The controller did not answer in time; the value may have been written.
+    /// The controller did not answer in time, or another process may have sent the command; the value may have been written.
     Unknown,
+    /// A copy of a command that was accepted: it was not sent again, and this is not the result of the first copy.
+    Repeated,
 }

@@ -254,7 +254,8 @@ fn check(crashes: bool, cells: &[Cell], received: &Received, read: u64, dropped:
     let mut counts = BTreeMap::<Option<&str>, u32>::new();
     for (id, results) in &received.answers {
         let number = id["c".len()..].parse().unwrap();
-        let result = ["done", "failed", "unknown", "refused"].into_iter().find(|result| results.contains(*result));
+        let result =
+            ["done", "failed", "unknown", "refused", "repeated"].into_iter().find(|result| results.contains(*result));
         *counts.entry(result).or_default() += 1;
         match result {
             Some("done") => assert_eq!(writes(number), 1, "{id}"),

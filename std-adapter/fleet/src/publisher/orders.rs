@@ -8,7 +8,7 @@ use rumqttc::Publish;
 use tokio::time::Instant;
 
 use super::Publisher;
-use crate::command::{Answer, Command, Finished, execute};
+use crate::command::{Answer, Command, Finished, execute, refused};
 use crate::encoder::Decoded;
 use crate::event::{CommandResult, Event};
 use crate::reading::now_ms;
@@ -43,19 +43,22 @@ impl Publisher {
     /// Executes a command, or refuses it.
     fn order(&mut self, cell: usize, publish: &Publish, command: Command) {
         self.shared.metrics.commands.fetch_add(1, Ordering::Relaxed);
-        let checked = if publish.retain {
-            Err("it is retained, and may be old".into())
+        let checked = if let Err(copy) = self.commands.check_copy(cell, &command.id, now_ms()) {
+            Err(copy)
+        } else if publish.retain {
+            Err(refused("it is retained, and may be old".into()))
         } else if self.running.len() >= RUNNING.0 {
-            Err(format!("{} commands are running", RUNNING.0))
+            Err(refused(format!("{} commands are running", RUNNING.0)))
         } else if self.running_of[cell] >= RUNNING.1 {
-            Err(format!("{} commands of this controller are running", RUNNING.1))
+            Err(refused(format!("{} commands of this controller are running", RUNNING.1)))
         } else {
             // the times first: a later proof refers to these times, and the deadline is not after the expiry
             let (at, now) = (Instant::now(), now_ms());
             if self.is_proven() {
                 self.commands.check(cell, &command, at, now)
             } else {
-                Err("another process of this node may be active by now; send a new one".into())
+                let reason = "another process of this node may be active by now, and execute it; send a new one";
+                Err((CommandResult::Unknown, reason.into()))
             }
         };
         let topic = topic(publish);
@@ -68,8 +71,8 @@ impl Publisher {
                     Finished { cell, topic, command, result, reason }
                 });
             }
-            Err(reason) => {
-                self.finish(Finished { cell, topic, command, result: CommandResult::Refused, reason: Some(reason) });
+            Err((result, reason)) => {
+                self.finish(Finished { cell, topic, command, result, reason: Some(reason) }, false)
             }
         }
     }
@@ -77,28 +80,29 @@ impl Publisher {
     /// Ends a command that ran.
     pub(super) fn end(&mut self, finished: Finished) {
         self.running_of[finished.cell] -= 1;
-        self.finish(finished);
+        let was_sent = finished.result != CommandResult::Refused;
+        self.finish(finished, was_sent);
     }
 
     fn refuse_invalid(&mut self, cell: usize, publish: &Publish, id: String, reason: String) {
         self.shared.metrics.commands.fetch_add(1, Ordering::Relaxed);
         let command = Command { id, name: String::new(), value: ().into(), expires: 0, origin: None };
         let (topic, result) = (topic(publish), CommandResult::Refused);
-        self.finish(Finished { cell, topic, command, result, reason: Some(reason) });
+        self.finish(Finished { cell, topic, command, result, reason: Some(reason) }, false);
     }
 
     /// Writes the outcome of a command to the audit log, and answers it.
-    fn finish(&mut self, finished: Finished) {
+    fn finish(&mut self, finished: Finished, was_sent: bool) {
         let Finished { cell, topic, command, result, reason } = finished;
         let shared = Arc::clone(&self.shared);
-        if result == CommandResult::Refused {
+        if !was_sent {
             shared.metrics.refused.fetch_add(1, Ordering::Relaxed);
         }
         let (id, reason) = (cut(command.id), reason.map(cut));
         let answer = Answer { id: &id, result, reason: reason.as_deref() };
         let answer = self.encoder.answer(&shared.config, cell, &answer);
-        // any other command may have changed the robot, so it is always reported
-        if result != CommandResult::Refused || self.refusals.admits(cell, bcap_std::now()) {
+        // a command that was sent may have changed the robot, so it is always reported
+        if was_sent || self.refusals.admits(cell, bcap_std::now()) {
             (shared.report)(&Event::Command {
                 controller: shared.config.controllers[cell].name.clone(),
                 topic,
