@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use bcap_core::bcap::client::{self, ClientError};
 use bcap_core::bcap::server::{Handler, Request};
-use bcap_core::bcap::{FunctionId, Link, Object};
+use bcap_core::bcap::{Decoder, FrameWriter, FunctionId, Link, Object, Progress};
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::rac::VariableKind;
@@ -23,6 +23,7 @@ use tokio::sync::{mpsc, oneshot};
 use tokio::task::JoinHandle;
 
 const NOT_CONNECTED: &str = "-2147481342\r";
+const TIMEOUT: &str = "-2147481344\r";
 const MAX_CONNECT: &str = "-2147481333\r";
 const LINKS: [Link; 2] = [Link::Stream, Link::Datagram];
 
@@ -137,9 +138,14 @@ struct Driven {
 impl Driven {
     /// Starts a gateway with two slots, on which all I variables may be written.
     async fn start(link: Link, robot: SocketAddr, limits: Limits) -> Self {
+        let attempt_timeout = Duration::from_millis(if link == Link::Datagram { 50 } else { 5000 });
+        Self::start_with(link, attempt_timeout, robot, limits).await
+    }
+
+    async fn start_with(link: Link, attempt_timeout: Duration, robot: SocketAddr, limits: Limits) -> Self {
         let client = if link == Link::Datagram { client::Config::UDP } else { client::Config::TCP };
         let timing = client::Timing {
-            attempt_timeout: Duration::from_millis(if link == Link::Datagram { 50 } else { 5000 }),
+            attempt_timeout,
             deadline: Duration::from_secs(20),
             keep_alive: Duration::from_secs(20),
             ..client.timing
@@ -307,6 +313,43 @@ async fn a_robot_that_stops_responding_over_udp_is_noticed_without_a_request() {
     gateway.up().await;
     gateway.stop().await;
     robot.stop().await;
+}
+
+/// Answers the calls of a gateway until a PUT, which gets no answer. Returns the next read after it.
+async fn answer_until_put(mut stream: TcpStream) -> std::io::Result<usize> {
+    let (mut received, mut room) = (Vec::new(), [0; 512]);
+    loop {
+        let count = stream.read(&mut room).await?;
+        assert!(count > 0, "the gateway has closed the connection before the PUT");
+        received.extend_from_slice(&room[..count]);
+        let Progress::Complete(frame, _) = Decoder::TCP.decode(&received).unwrap() else { continue };
+        let value = match frame.function() {
+            FunctionId::VARIABLE_PUT_VALUE => return stream.read(&mut room).await,
+            // slvGetMode: no stream runs
+            FunctionId::ROBOT_EXECUTE => 0_i32,
+            _ => 1,
+        };
+        let mut reply = FrameWriter::new(&mut room).unwrap();
+        reply.argument(&value).unwrap();
+        let reply = reply.finish(frame.serial, 0, HResult::S_OK.0).unwrap();
+        stream.write_all(reply).await.unwrap();
+        received.clear();
+    }
+}
+
+/// With a normal close, the operating system would still send the PUT, and a robot could execute it after a newer one.
+#[tokio::test]
+async fn the_connection_of_a_put_that_times_out_is_reset() {
+    let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.unwrap();
+    let robot = listener.local_addr().unwrap();
+    let mut gateway = Driven::start_with(Link::Stream, Duration::from_secs(1), robot, Limits::default()).await;
+    let after_put = tokio::spawn(answer_until_put(listener.accept().await.unwrap().0));
+    gateway.up().await;
+    let mut plc = Plc::connect(&gateway).await;
+    assert_eq!(plc.ask("PUT:RC8:1:I:3,5\r").await, TIMEOUT);
+    let read = after_put.await.unwrap().map_err(|error| error.kind());
+    assert_eq!(read, Err(std::io::ErrorKind::ConnectionReset));
+    gateway.stop().await;
 }
 
 /// Lines without a pause whose answers are read as fast. A refused line needs no robot, so its client never waits.

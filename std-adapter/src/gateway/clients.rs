@@ -73,8 +73,8 @@ pub(super) async fn listen(listener: TcpListener, map: Map, mut plant: Plant) {
     }
 }
 
-/// Makes a connection close with a reset.
-fn reset(stream: &TcpStream) {
+/// Makes a connection close with a reset, which discards unsent bytes.
+pub(super) fn reset(stream: &TcpStream) {
     // a socket that cannot be set up is closed already
     let _ = SockRef::from(stream).set_linger(Some(Duration::ZERO));
 }

@@ -7,6 +7,7 @@ use bcap_core::io::asynch::SendTransport;
 use bcap_core::time::Instant;
 use bcap_gateway::driver::RobotLink;
 
+use super::clients::reset;
 use super::traffic::{Moved, Tap};
 use crate::asynch::socket::Socket;
 use crate::asynch::{TcpTransport, UdpTransport, connect_datagrams, connect_stream};
@@ -89,6 +90,10 @@ impl RobotLink for RobotSocket {
 
     fn close(&mut self) {
         self.show(Moved::Closed);
+        if let Some(Socket::Tcp(tcp)) = &self.socket {
+            // otherwise the operating system still sends a PUT that timed out, which may arrive after a newer one
+            reset(tcp.stream());
+        }
         self.socket = None;
     }
 
