@@ -216,7 +216,15 @@ impl<'a> Front<'a> {
         let checked = checked.and_then(|Work { command, bytes, then }| {
             check(self.map, command)?;
             then.map_or(Ok(()), |then| check(self.map, then))?;
-            Ok((command, then, refused(self.map, command, bytes, permits)?))
+            if command.is_write {
+                // the read of function 23 too, because its lines follow those of the write
+                for part in [Some(command), then].into_iter().flatten() {
+                    if let Some(at) = refused(self.map, part, bytes, &permits)? {
+                        return Ok((part, None, Some(at)));
+                    }
+                }
+            }
+            Ok((command, then, None))
         });
         let (then, masked, done) = Default::default();
         let mut running = Running { length, command: None, then, masked, done, refusal: None, is_forbidden: false };
@@ -423,8 +431,7 @@ fn check(map: &[Entry], command: Command) -> Result<(), Exception> {
     Ok(())
 }
 
-/// Returns where the first variable begins whose write the rules refuse; `None` for a read, which stops at the first
-/// refusal anyway.
+/// Returns where the first variable of a command begins that the rules refuse.
 fn refused(
     map: &[Entry],
     command: Command,
@@ -432,7 +439,7 @@ fn refused(
     permits: impl Fn(&Request<'_>) -> bool,
 ) -> Result<Option<u16>, Exception> {
     let mut done = 0;
-    while command.is_write && done < command.count {
+    while done < command.count {
         let permitted = with_request(map, command, bytes, done, |place, request| {
             // before the first line is sent, so that a value without a text leaves nothing half written
             let has_text = request.write_line(&mut Writer::new(&mut [0; MAX_LINE])).is_ok();

@@ -19,6 +19,8 @@ struct Bench {
     lines: Vec<String>,
     /// The variables that may not be written.
     protected: Vec<Variable>,
+    /// The variables that may not be read.
+    hidden: Vec<Variable>,
     /// The result of the robot for every line, if it is not S_OK.
     result: HResult,
 }
@@ -31,6 +33,7 @@ fn bench(registers: &[&str], coils: &[&str]) -> Bench {
         values: BTreeMap::new(),
         lines: Vec::new(),
         protected: Vec::new(),
+        hidden: Vec::new(),
         result: HResult::S_OK,
     }
 }
@@ -42,6 +45,7 @@ impl Bench {
         match Request::parse(line.as_bytes(), &mut memory) {
             Err(error) => result(error.hresult()),
             Ok(_) if self.result.is_err() => result(self.result),
+            Ok(Request::Get(variable)) if self.hidden.contains(&variable) => result(HResult::E_ACCESSDENIED),
             Ok(Request::Get(variable)) => match self.values.get(&variable) {
                 Some(value) => std::format!("0,{value}\r"),
                 None => result(HResult::E_FAIL),
@@ -61,8 +65,11 @@ impl Bench {
         let mut responses = Vec::new();
         let mut begun = String::new();
         loop {
-            let protected = self.protected.clone();
-            let permits = |request: &Request<'_>| !protected.contains(&request.variable());
+            let (protected, hidden) = (self.protected.clone(), self.hidden.clone());
+            let permits = |request: &Request<'_>| match request {
+                Request::Get(variable) => !hidden.contains(variable),
+                Request::Put(variable, _) => !protected.contains(variable),
+            };
             let count = chunk.min(bytes.len()).min(self.front.room());
             let (now, rest) = bytes.split_at(count);
             bytes = rest;
@@ -306,6 +313,19 @@ fn registers_are_written_and_then_read_in_one_request() {
         assert_eq!(bench.ask(&request), [23 | 0x80, exception], "{request:?}");
     }
     assert!(bench.lines.iter().all(|line| line.starts_with("MODBUS:23:")), "{:?}", bench.lines);
+}
+
+#[test]
+fn a_write_with_a_read_that_the_rules_refuse_writes_nothing() {
+    let mut bench = bench(&["100=I/10-12:i16"], &[]);
+    bench.hidden = std::vec![Variable::new(bcap_core::rac::VariableKind::I, 11)];
+    bench.set("I", 10, "3,7");
+    assert_eq!(bench.ask(&[23, 0, 100, 0, 3, 0, 102, 0, 1, 2, 0, 9]), [23 | 0x80, 2]);
+    assert_eq!(bench.lines, ["GET:RC8:11:I:"], "the refused line, for the log");
+    assert_eq!(bench.values.len(), 1, "I12 was not written");
+    // a read alone stops at the refused variable
+    assert_eq!(bench.ask(&[3, 0, 100, 0, 3]), [0x83, 2]);
+    assert_eq!(bench.lines[1..], ["GET:RC8:10:I:", "GET:RC8:11:I:"]);
 }
 
 #[test]
