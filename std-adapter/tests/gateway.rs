@@ -538,6 +538,29 @@ async fn clients_of_modbus_share_the_rules_and_the_variables() {
 }
 
 #[tokio::test]
+async fn a_client_of_modbus_that_sends_no_more_gets_its_response_and_its_report() {
+    let robot = Running::start(Link::Stream, 0).await;
+    let mut gateway = Driven::start(Link::Stream, robot.address, Limits::default()).await;
+    gateway.up().await;
+    for (request, response, lines) in [
+        (&[6, 0, 105, 0, 9][..], &[6, 0, 105, 0, 9][..], &["PUT:RC8:95:I:3,9"][..]),
+        (&[16, 0, 100, 0, 2, 4, 0, 1, 0, 2], &[16, 0, 100, 0, 2], &["PUT:RC8:90:I:3,1", "PUT:RC8:91:I:3,2"]),
+    ] {
+        let mut client = Modbus::connect(&gateway).await;
+        client.send(request).await;
+        client.stream.shutdown().await.unwrap();
+        assert_eq!(client.response().await, response);
+        for line in lines {
+            let answered = gateway.report(|seen| matches!(seen, Seen::Answered(..)).then(|| format!("{seen:?}"))).await;
+            assert_eq!(answered, format!("{:?}", Seen::Answered(client.address, (*line).into(), HResult::S_OK)));
+        }
+        assert_eq!(gateway.ended_at(client.address).await, Some(Ended::Closed));
+    }
+    assert_eq!(gateway.stop().await.served.count(), 3);
+    robot.stop().await;
+}
+
+#[tokio::test]
 async fn clients_of_modbus_share_the_slots_and_the_limits() {
     let nowhere = SocketAddr::from((Ipv4Addr::LOCALHOST, 9));
     let limits = Limits { receive: Duration::from_millis(50), ..Limits::default() };

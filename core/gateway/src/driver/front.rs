@@ -51,10 +51,12 @@ impl Front<'_, '_> {
         }
     }
 
-    /// Returns the number of bytes of the client that there is room for.
+    /// Returns the number of bytes of the client that there is room for; 0 while a request runs, because the end of the
+    /// connection would end the session, and a PUT that is executed would have no event.
     pub(super) fn room(&self, gateway: &mut Gateway<'_>, peer: PeerId) -> usize {
         match self {
             Self::Rac => gateway.receive_buffer(peer).len(),
+            Self::Modbus(front) if front.is_running() => 0,
             Self::Modbus(front) => front.room(),
         }
     }
