@@ -65,7 +65,8 @@ pub struct Gateway<'m> {
     slots: &'m mut [Slot],
     /// The purpose of the call that runs at the robot.
     call: Option<InFlight>,
-    /// The time of the robot's last reply.
+    /// The time of the robot's last reply; while the robot object is closed, of the reply to the call that opens it. The
+    /// heartbeat follows it.
     last_seen: Instant,
     next_peer: u32,
     next_ticket: u32,
@@ -377,7 +378,7 @@ impl Gateway<'_> {
 
     /// Handles the reply to the running call.
     fn replied(&mut self, result: HResult, now: Instant) -> Option<Event> {
-        self.last_seen = now;
+        self.record_reply(now);
         match self.call.take()? {
             InFlight::ServiceStart if result.is_err() => Some(self.refused(FunctionId::SERVICE_START, result)),
             InFlight::ControllerConnect if result.is_err() => {
@@ -400,6 +401,7 @@ impl Gateway<'_> {
             // any reply shows that the robot is connected
             InFlight::Heartbeat => None,
             InFlight::GetRobot => {
+                self.last_seen = now;
                 let opened = self.client.value::<RobotHandle>().ok().filter(|_| result.is_ok());
                 self.stream = match (opened, StreamState::from_reply(result, None)) {
                     (Some(robot), _) => StreamCheck::Open(robot),
@@ -443,6 +445,13 @@ impl Gateway<'_> {
         }
     }
 
+    /// Records the time of a reply.
+    fn record_reply(&mut self, now: Instant) {
+        if self.stream != StreamCheck::Closed {
+            self.last_seen = now;
+        }
+    }
+
     /// Handles the reply to slvGetMode.
     fn mode_received(&mut self, result: HResult) -> StreamState {
         let mode = self.client.value::<Any>().ok().and_then(|mode| mode.as_i32());
@@ -460,7 +469,7 @@ impl Gateway<'_> {
         if let (ClientError::ReplyTooLarge { .. }, Some(InFlight::Value(job, _))) = (error, self.call) {
             // the client has skipped the reply; a value that does not fit this buffer does not fit a line
             self.call = None;
-            self.last_seen = now;
+            self.record_reply(now);
             return self.answer(job, HResult::E_INVALIDSNDPACKET, now);
         }
         Some(self.fail_link(RobotError::Call(error)))
@@ -527,6 +536,11 @@ impl Gateway<'_> {
         if self.stream == StreamCheck::Unopened {
             return self.open_robot(controller, now);
         }
+        let is_heartbeat_due = now >= self.last_seen.saturating_add(self.config.heartbeat);
+        if is_heartbeat_due && self.stream == StreamCheck::Closed {
+            // before the requests, because PLCs that poll leave no pause after them
+            return self.begin_heartbeat(controller, now);
+        }
         let next_ticket = self.next_ticket;
         let waiting = self.slots.iter().enumerate().filter_map(|(at, slot)| Some((at, slot.waiting?)));
         // compares differences, because tickets wrap
@@ -535,10 +549,7 @@ impl Gateway<'_> {
             let job = Job { slot, ticket: first.ticket, variable: first.asked.variable, again: false };
             return self.begin_job(job, now);
         }
-        if now >= self.last_seen.saturating_add(self.config.heartbeat) {
-            return self.begin_heartbeat(controller, now);
-        }
-        None
+        if is_heartbeat_due { self.begin_heartbeat(controller, now) } else { None }
     }
 
     /// Starts the heartbeat: a call that does not end a stream of Slave Mode.

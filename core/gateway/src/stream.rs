@@ -13,7 +13,8 @@ use bcap_core::bcap::call::RobotHandle;
 pub(super) enum StreamCheck {
     /// The robot object is to be opened.
     Unopened,
-    /// The robot refused to open its object. A stream may run; the next heartbeat tries again.
+    /// The robot refused to open its object. A stream may run; the next heartbeat tries again. PLCs that poll do not delay
+    /// it, because only the reply to this call sets its time.
     Closed,
     /// The robot can be asked by this handle.
     Open(RobotHandle),

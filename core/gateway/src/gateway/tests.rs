@@ -782,6 +782,28 @@ fn without_the_robot_object_nothing_is_written() {
 }
 
 #[test]
+fn the_robot_object_is_opened_again_while_a_plc_polls() {
+    let mut bench = Bench::new::<1, 8>(WRITABLE);
+    for _ in 0..2 {
+        bench.robot.script(FunctionId::CONTROLLER_GET_ROBOT, Do::Reply(HResult::E_FAIL, None));
+    }
+    assert_eq!(bench.connect(), [Event::RobotUp]);
+    bench.robot.set("I1", &11_i32);
+    let plc = bench.gateway.open().unwrap();
+    bench.robot.calls();
+    // one attempt each 2 s, and none after it succeeded
+    for (opened, reply) in [(1, line(HResult::E_SLVMODE_ON)), (1, "0\r".into()), (0, "0\r".into())] {
+        for _ in 0..4 {
+            bench.sleep(500);
+            assert_eq!(bench.ask(plc, "GET:RC8:1:I:\r"), "0,3,11\r");
+        }
+        let calls = bench.robot.calls();
+        assert_eq!(calls.iter().filter(|call| call.starts_with("ControllerGetRobot")).count(), opened, "{calls:?}");
+        assert_eq!(bench.ask(plc, "PUT:RC8:2:I:3,5\r"), reply);
+    }
+}
+
+#[test]
 fn each_slot_has_a_token_bucket() {
     let rate = Rate { per_second: 1, burst: 2 };
     let config = Config { rules: Rules { rate, ..Rules::READ_ONLY }, ..Config::RC8 };
