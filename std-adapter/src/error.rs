@@ -180,6 +180,16 @@ impl Error {
         }
     }
 
+    /// Returns whether a halt must be made over a new session: the connection is lost, the halt has no reply, or the controller no
+    /// longer knows the session, as after the eviction of an idle peer over UDP.
+    pub(crate) const fn ends_session(&self) -> bool {
+        match self {
+            Self::NoReply { .. } | Self::NotConnected { .. } => true,
+            Self::Refused { code, .. } => matches!(*code, HResult::E_HANDLE | HResult::E_NOT_CONNECTED),
+            _ => false,
+        }
+    }
+
     pub(crate) fn call(function: FunctionId, object: &str, error: CallError) -> Self {
         let object = object.to_owned();
         match error {

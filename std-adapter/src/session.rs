@@ -234,10 +234,10 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         self.link.is_closed = true;
     }
 
-    /// Gives the connection up, because it does not answer.
+    /// Gives the connection up, because the controller does not answer over it or has ended its session.
     #[cfg(feature = "tokio")]
     pub(crate) fn abandon(&mut self) {
-        self.link.lost.get_or_insert_with(|| "the controller did not answer".to_owned());
+        self.link.lost.get_or_insert_with(|| "the controller did not answer, or has ended the session".to_owned());
     }
 
     /// Returns why the connection can no longer be used, if so, as the error of a call that is not sent.

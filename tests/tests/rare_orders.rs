@@ -11,7 +11,7 @@ use bcap_std::server::Limits;
 use bcap_std::{Backoff, Error, Motion, ServiceOptions, Settings, blocking};
 use bcap_tests::proxy::{Cut, Relay};
 use bcap_tests::served::Served;
-use bcap_tests::simulated::{simulated, to};
+use bcap_tests::simulated::{quick, simulated, to};
 
 const LIMIT: Duration = Duration::from_secs(30);
 
@@ -110,6 +110,32 @@ fn a_blocking_halt_without_a_reply_is_made_over_a_new_connection() {
     let stopper = blocking::Stopper::connect(&format!("tcp:{}", relay.tcp), &patient()).unwrap();
     relay.cut(Cut::Silent);
     relay.heal();
+    assert_eq!(stopper.halt().unwrap(), Halted::NothingMoved);
+}
+
+/// A controller whose idle peer over UDP loses its session to the second of two others.
+fn crowded() -> Served<Simulated> {
+    let limits = Limits::default().udp_peers_per_address(2).udp_idle(Duration::ZERO);
+    Served::of(Simulated::new(quick(Profile::Rc8)), limits)
+}
+
+fn crowd(sim: &Served<Simulated>) {
+    let _others = [(); 2].map(|()| blocking::Controller::connect(&udp(sim), &Settings::rc8()).unwrap());
+}
+
+#[tokio::test]
+async fn a_halt_over_a_session_that_the_controller_has_evicted_is_made_over_a_new_one() {
+    let sim = crowded();
+    let stopper = Stopper::connect(&udp(&sim), &patient()).await.unwrap();
+    crowd(&sim);
+    assert_eq!(stopper.halt().await.unwrap(), Halted::NothingMoved);
+}
+
+#[test]
+fn a_blocking_halt_over_a_session_that_the_controller_has_evicted_is_made_over_a_new_one() {
+    let sim = crowded();
+    let stopper = blocking::Stopper::connect(&udp(&sim), &patient()).unwrap();
+    crowd(&sim);
     assert_eq!(stopper.halt().unwrap(), Halted::NothingMoved);
 }
 

@@ -10,9 +10,11 @@ use crate::common::robot::Robot;
 use crate::common::tmux::Terminal;
 use crate::common::virtual_robot::Virtual;
 use crate::common::{Run, bare, bcap, bcap_with, command};
-use bcap_sim::{Config, Profile, Scenario};
+use bcap_sim::{Config, Controller, Profile, Scenario};
+use bcap_std::server::Limits;
 use bcap_tests::process::{Signal, send};
 use bcap_tests::proxy::Relay;
+use bcap_tests::served::Served;
 
 /// A motion that takes more than ten seconds.
 const SLOW: [&str; 4] = ["move", "J(90, 45, 90, 0, 45, 0)", "--speed", "1"];
@@ -377,4 +379,23 @@ fn a_motion_whose_link_is_lost_may_go_on_and_the_command_says_so() {
     let run: Run = child.wait_with_output().unwrap().into();
     assert_eq!(run.code, 4, "{run:?}");
     assert!(run.err.contains("the robot may still move; use the emergency stop"), "{run:?}");
+}
+
+/// Over UDP a controller ends the session of an idle peer that it needs the slot of, as the one that waits to halt.
+#[test]
+fn ctrl_c_halts_a_motion_after_the_halting_session_was_evicted() {
+    let limits = Limits::default().udp_peers_per_address(3).udp_idle(Duration::ZERO);
+    let served = Served::of(Controller::new(Config::new(Profile::Rc8)), limits);
+    let address = format!("udp:{}", served.udp);
+    let mut command = bare(&[&SLOW[..], &["--robot", &address]].concat());
+    let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    served.until(Controller::is_moving);
+    // the session of the motion makes calls, so the idle one makes room for the second
+    let others = [(); 2].map(|()| bcap_std::blocking::Controller::connect(&address, &bcap_std::Settings::rc8()));
+    assert!(others.iter().all(Result::is_ok), "{others:?}");
+    drop(others);
+    send(Signal::INT, &child);
+    let run: Run = child.wait_with_output().unwrap().into();
+    assert_eq!((run.err.trim_end(), run.code), (format!("error: {INTERRUPTED}").as_str(), 130));
+    assert!(served.application().joints()[0] < 89.0 && served.is(|robot| !robot.is_moving()));
 }

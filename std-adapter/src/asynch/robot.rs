@@ -561,7 +561,8 @@ impl Stopper {
         Ok(Self::new(Handle::over(stream, settings, true).await?))
     }
 
-    /// Halts the robot, and waits until it rests. If the connection is lost or the halt has no reply, it connects again once.
+    /// Halts the robot, and waits until it rests. If the connection is lost, the halt has no reply, or the controller has
+    /// ended the session, it connects again once.
     ///
     /// A controller refuses a halt while one of its tasks owns the arm. Then all tasks are stopped (KillAll, or Task_Stop of each
     /// task if KillAll is refused or has no effect), and the robot is halted again: [`Halted::TasksStopped`]. Each starts at its first
@@ -582,7 +583,7 @@ impl Stopper {
             self.handle.run_always(move |session| {
                 Box::pin(async move {
                     let halted = session.halt_and_verify().await;
-                    if reconnects && matches!(halted, Err(Error::NoReply { .. })) {
+                    if reconnects && halted.as_ref().is_err_and(Error::ends_session) {
                         session.abandon();
                     }
                     halted
@@ -590,7 +591,7 @@ impl Stopper {
             })
         };
         match halt().await {
-            Err(Error::NoReply { .. }) if reconnects => halt().await,
+            Err(error) if reconnects && error.ends_session() => halt().await,
             ended => ended,
         }
     }

@@ -74,7 +74,8 @@ impl Stopper {
         Self { session: Arc::new(Mutex::new(session)) }
     }
 
-    /// Halts the robot, and waits until it rests. If the connection is lost or the halt has no reply, it connects again once.
+    /// Halts the robot, and waits until it rests. If the connection is lost, the halt has no reply, or the controller has
+    /// ended the session, it connects again once.
     ///
     /// A controller refuses a halt while one of its tasks owns the arm. Then all tasks are stopped (KillAll, or Task_Stop of each
     /// task if KillAll is refused or has no effect), and the robot is halted again: [`Halted::TasksStopped`]. Each starts at its first
@@ -88,7 +89,7 @@ impl Stopper {
         // a panic cannot leave the session in a state that prevents a halt
         let mut session = self.session.lock().unwrap_or_else(PoisonError::into_inner);
         match (ready(session.session.halt_and_verify()), session.address.clone()) {
-            (Err(Error::NoReply { .. } | Error::NotConnected { .. }), Some(address)) => {
+            (Err(error), Some(address)) if error.ends_session() => {
                 *session = StopperSession::connect(&address, &session.settings)?;
                 ready(session.session.halt_and_verify())
             }

@@ -19,6 +19,7 @@ use bcap_core::bcap::client::Timing;
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::hresult::HResult;
 use bcap_core::variant::OwnedVariant as Value;
+use bcap_live::calls::needs_reconnect;
 use bcap_std::blocking::Controller;
 use bcap_std::{Address, Error, Model, ObjectPath, Settings};
 
@@ -89,6 +90,11 @@ pub(crate) fn with_session<T>(
     let mut session = Session::new(link);
     session.connect()?;
     body(&mut session)
+}
+
+/// Returns whether a halt that failed must be made over a new session.
+fn needs_new_session(failure: &Failure) -> bool {
+    needs_reconnect(failure) || matches!(failure, Failure::Refused { code: HResult::E_NOT_CONNECTED, .. })
 }
 
 /// Returns the settings of the library for a provider.
@@ -481,11 +487,13 @@ impl Session {
             // the handle must exist before it is needed
             stopper.with(|controller| controller.robot().map(drop))?;
             let mut stopper = Stopper(stopper);
-            Ok(Some(Box::new(move || {
-                if stopper.0.lost {
+            Ok(Some(Box::new(move || match stopper.0.halt() {
+                // the controller may have ended a session that was idle, above all over UDP
+                Err(failure) if needs_new_session(&failure) => {
                     stopper.0.reconnect()?;
+                    stopper.0.halt()
                 }
-                stopper.0.halt()
+                halted => halted,
             })))
         })
     }
