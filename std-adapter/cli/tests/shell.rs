@@ -5,10 +5,12 @@ use std::process::Stdio;
 
 use bcap_core::hresult::HResult;
 use bcap_tests::process::{Signal, send};
+use bcap_tests::proxy::{Cut, Relay};
 use serde_json::Value;
 
 use crate::common;
 use crate::common::robot::Robot;
+use crate::common::tmux::Terminal;
 use crate::common::virtual_robot::Virtual;
 use crate::common::{Run, bcap, bcap_with, command};
 
@@ -456,6 +458,51 @@ fn ctrl_c_at_the_prompt_without_a_terminal_gives_the_arm_back() {
     robot.assert_at_rest_with_free_arm();
     drop(lines);
     assert_eq!(shell.wait().unwrap().code(), Some(0));
+}
+
+/// Moves the robot without waiting for it.
+const STARTED: &str = "exec robot TakeArm 0 1\nexec robot Motor 1 0\nmove J(90,45,90,0,45,0) --speed 1 --no-wait\n";
+const BY_ANOTHER: &str = "the robot was halted over another connection";
+
+#[test]
+fn a_link_that_is_found_lost_at_the_prompt_halts_the_robot() {
+    let robot = Virtual::start(&[]);
+    let relay = Relay::tcp(robot.tcp.trim_start_matches("tcp:").parse().unwrap());
+    let address = format!("tcp:{}", relay.tcp);
+    let mut shell = common::bare(&["shell", "--timeout", "500ms", "--robot", &address]);
+    let mut shell = shell.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let mut lines = shell.stdin.take().unwrap();
+    lines.write_all(STARTED.as_bytes()).unwrap();
+    robot.wait_for_motion();
+    relay.cut(Cut::Silent);
+    relay.heal();
+    // an empty line is no command: it is the prompt after it that finds the link silent
+    lines.write_all(b"\n").unwrap();
+    drop(lines);
+    let run: Run = shell.wait_with_output().unwrap().into();
+    assert!(run.err.contains(BY_ANOTHER) && run.code == 0, "{run:?}");
+    robot.wait_for_rest();
+}
+
+#[test]
+fn ctrl_c_at_the_prompt_over_a_lost_link_halts_the_robot() {
+    let robot = Virtual::start(&[]);
+    let relay = Relay::tcp(robot.tcp.trim_start_matches("tcp:").parse().unwrap());
+    let folder = tempfile::tempdir().unwrap();
+    let address = format!("tcp:{}", relay.tcp);
+    let args = ["shell", "--timeout", "500ms", "--robot", &address];
+    let Some(terminal) = Terminal::start((120, 24), &args, folder.path()) else { return };
+    for line in STARTED.lines() {
+        terminal.wait_until("a prompt", |screen| screen.trim_end().ends_with('>'));
+        terminal.enter(line);
+    }
+    terminal.wait_until("a prompt", |screen| screen.contains("on the way") && screen.trim_end().ends_with("motor>"));
+    relay.cut(Cut::Silent);
+    relay.heal();
+    terminal.keys(&["C-c"]);
+    terminal.wait_for(BY_ANOTHER);
+    terminal.wait_for("not connected>");
+    robot.wait_for_rest();
 }
 
 /// The arm belongs to the session of the shell, so a command with a separate session would have closed it or not seen

@@ -145,12 +145,17 @@ fn read_lines(
 
 /// Ctrl-C at the prompt: halts a motion that an earlier line has started, and gives the arm back.
 fn stop(session: &mut Session, json: bool) {
+    session.abandon();
     if !session.has_arm() {
         return;
     }
     match session.halt().and_then(|()| session.give_arm()) {
         Ok(()) => note("the robot was halted, and the arm was given back"),
-        Err(failure) => failure.print(json, None),
+        Err(failure) => {
+            failure.print(json, None);
+            // over the other connection, if this one was lost
+            session.abandon();
+        }
     }
 }
 
@@ -178,6 +183,8 @@ fn prompt(session: &mut Session, inbox: &mut Option<StreamCheck>) -> String {
 
 /// Returns the state of the session and of the controller: `RC8 auto ok arm motor`.
 fn state(session: &mut Session) -> String {
+    // the messages may have found that the connection is lost
+    session.abandon();
     if !session.is_open() {
         return "not connected".into();
     }
