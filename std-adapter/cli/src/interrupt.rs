@@ -75,6 +75,8 @@ struct SignalState {
     received: Option<Signal>,
     /// The number of signals since the beginning of the line.
     count: u32,
+    /// Whether the last halt since the beginning of the line failed.
+    halt_failed: bool,
     /// Whether the process goes on after the command: it is the shell, or runs a script.
     goes_on: bool,
 }
@@ -124,7 +126,7 @@ impl Interrupt {
     }
 
     fn new() -> Self {
-        let status = SignalState { state: State::Idle, received: None, count: 0, goes_on: false };
+        let status = SignalState { state: State::Idle, received: None, count: 0, halt_failed: false, goes_on: false };
         Self(Arc::new(Inner { status: Mutex::new(status), changed: Condvar::new(), stopper: Mutex::new(None) }))
     }
 
@@ -248,7 +250,9 @@ impl Interrupt {
     /// Halts the robot. Returns whether [`prepare`](Self::prepare) has given a way to do so.
     pub(crate) fn halt(&self) -> Result<bool, Failure> {
         let mut stopper = self.0.stopper.lock().unwrap_or_else(PoisonError::into_inner);
-        stopper.as_mut().map_or(Ok(false), |halt| halt().map(|()| true))
+        let halted = stopper.as_mut().map_or(Ok(false), |halt| halt().map(|()| true));
+        self.status().halt_failed = halted.is_err();
+        halted
     }
 
     /// Returns whether there is a way to halt the robot while a call runs.
@@ -258,7 +262,9 @@ impl Interrupt {
 
     /// Returns the failure of a command that a signal interrupted while its session had the arm.
     pub(crate) fn failure(&self) -> Failure {
-        let halted = if self.can_halt() { "the robot was halted" } else { "the motion was not halted: it has ended" };
+        // this waits for a halt that is under way
+        let was_halted = self.can_halt() && !self.status().halt_failed;
+        let halted = if was_halted { "the robot was halted" } else { "the motion was not halted: it has ended" };
         Failure::Interrupted(format!("interrupted: {halted}, and the arm was given back"))
     }
 
@@ -275,7 +281,7 @@ impl Interrupt {
     pub(crate) fn begin(&self) {
         let mut status = self.status();
         status.received = status.received.filter(|signal| *signal == Signal::End);
-        status.count = 0;
+        (status.count, status.halt_failed) = (0, false);
     }
 
     /// Returns the signal that arrived since the beginning of the line.

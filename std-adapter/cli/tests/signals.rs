@@ -399,3 +399,22 @@ fn ctrl_c_halts_a_motion_after_the_halting_session_was_evicted() {
     assert_eq!((run.err.trim_end(), run.code), (format!("error: {INTERRUPTED}").as_str(), 130));
     assert!(served.application().joints()[0] < 89.0 && served.is(|robot| !robot.is_moving()));
 }
+
+#[test]
+fn a_motion_whose_halt_was_refused_is_not_said_to_be_halted() {
+    let robot = Robot::start();
+    let refused = |of: &str| {
+        format!("[[fault]]\nwhen = {{ every = 1, of = {of:?} }}\nthen = {{ refuse = \"E_ACCESSDENIED\" }}\n")
+    };
+    let faults = ["Robot_Halt", "KillAll"].map(refused).concat();
+    robot.served.application().play(Scenario::parse(&faults).unwrap());
+    let mut command = bare(&["move", "J(12, 45, 90, 0, 45, 0)", "--speed", "1", "--robot", &robot.tcp]);
+    let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    robot.served.until(Controller::is_moving);
+    send(Signal::INT, &child);
+    let run: Run = child.wait_with_output().unwrap().into();
+    assert_eq!(run.code, 130, "{run:?}");
+    assert!(run.err.contains("E_ACCESSDENIED"), "{run:?}");
+    assert!(run.err.ends_with("the motion was not halted: it has ended, and the arm was given back\n"), "{run:?}");
+    assert!((robot.served.application().joints()[0] - 12.0).abs() < 1e-6);
+}

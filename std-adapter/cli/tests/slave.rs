@@ -13,6 +13,7 @@ use bcap_core::hresult::HResult;
 use bcap_sim::{Controller, Profile, Scenario, SlaveCycle, TaskStatus};
 use bcap_std::server::Limits;
 use bcap_tests::process::{Signal, send};
+use bcap_tests::proxy::{Cut, Relay};
 use bcap_tests::real_time::repeated;
 use bcap_tests::served::Served;
 use bcap_tests::slowed::Slowed;
@@ -350,6 +351,32 @@ fn a_second_ctrl_c_halts_over_its_own_connection() {
         assert_eq!(child.wait().unwrap().code(), Some(130), "{rest}");
         assert!(rest.contains("halted"), "{rest}");
         assert_at_rest(&sim, None);
+    });
+}
+
+#[test]
+fn a_halt_that_fails_does_not_hide_the_fault_of_the_stream() {
+    repeated(|| {
+        let sim = controller();
+        let relay = Relay::tcp(sim.tcp);
+        let (ramp, address) = (ramp("ramp3.csv", 60), format!("tcp:{}", relay.tcp));
+        let mut stream = common::bare(&["slave", "play", &ramp, "--yes", "--timeout", "2s", "--robot", &address]);
+        let mut child = stream.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+        await_speed(&sim, &mut child, 9.0);
+        // neither the stream nor a new connection gets an answer
+        relay.cut(Cut::Silent);
+        send(Signal::INT, &child);
+        let mut err = BufReader::new(child.stderr.take().unwrap());
+        let mut line = String::new();
+        err.read_line(&mut line).unwrap();
+        assert!(line.contains("stopping"), "{line}");
+        send(Signal::INT, &child);
+        let mut rest = String::new();
+        err.read_to_string(&mut rest).unwrap();
+        // without its text, which is the one of a starved stream
+        let told =
+            ["the halt failed", "the robot was halted", "slvMove: no reply in time"].map(|text| rest.contains(text));
+        assert_eq!((told, child.wait().unwrap().code()), ([true, false, true], Some(4)));
     });
 }
 

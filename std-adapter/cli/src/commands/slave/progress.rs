@@ -71,12 +71,12 @@ fn signalled(link: &LinkArgs, status: &StreamStatus) -> String {
         (false, true) => {
             "a serial line carries one session, so nothing can halt the robot now; use the emergency stop".into()
         }
-        (false, false) => {
-            status.set_halted();
-            match halt::halt_now(link) {
-                Ok(_) => "halted".into(),
-                Err(failure) => format!("the halt failed: {}; use the emergency stop", escape::failure(&failure)),
+        (false, false) => match halt::halt_now(link) {
+            Ok(_) => {
+                status.set_halted();
+                "halted".into()
             }
-        }
+            Err(failure) => format!("the halt failed: {}; use the emergency stop", escape::failure(&failure)),
+        },
     }
 }

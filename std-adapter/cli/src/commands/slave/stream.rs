@@ -112,15 +112,15 @@ impl Job<'_> {
             .keeping_samples(samples)
             .keeping_replies(replies);
         let ended = run_watched(&mut motion, watch.as_mut(), engine.stream(&mut player)).map_err(|error| error.error);
-        for connection in iter::once(&mut motion).chain(watch.as_mut()) {
-            connection.transport().end_within(END);
-        }
+        limit_end(&mut motion, watch.as_mut());
         let fault = engine.fault().cloned();
         if fault.is_some() {
             // the fault is reported below; what is left on the robot is ended next
             let _ = run_watched(&mut motion, watch.as_mut(), engine.give_up());
         }
         drop(monitor);
+        // the monitor may have waited for a halt for longer
+        limit_end(&mut motion, watch.as_mut());
         let stats = engine.stats().clone();
         player.times.follow(&stats);
         end_left(engine.effects(), fault.as_ref(), watch.as_mut().zip(watching));
@@ -254,6 +254,16 @@ impl<X: Wire<Error = io::Error>> Wire for Limited<X> {
 
     fn sleep_until(&mut self, at: Instant) {
         self.transport.sleep_until(self.end.map_or(at, |end| end.min(at)));
+    }
+}
+
+/// Limits the calls from now on, which end the stream.
+fn limit_end<X: Wire<Error = io::Error>>(
+    motion: &mut blocking::Connection<Limited<X>, Vec<u8>>,
+    watch: Option<&mut blocking::Connection<Limited<X>, Vec<u8>>>,
+) {
+    for connection in iter::once(motion).chain(watch) {
+        connection.transport().end_within(END);
     }
 }
 
