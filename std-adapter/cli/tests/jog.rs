@@ -244,7 +244,7 @@ fn escape_and_a_lost_terminal_halt_a_step() {
             }
             key => {
                 terminal.keys(&[key]);
-                terminal.wait_for("note: the robot was halted, and the arm given back");
+                terminal.wait_for("note: the robot was halted, and the arm was given back");
                 terminal.wait_for("code 0");
             }
         }
@@ -255,6 +255,32 @@ fn escape_and_a_lost_terminal_halt_a_step() {
         assert!(numbers(&robot, "robot/@CURRENT_ANGLE")[0] < 9.9, "{end}");
         robot.assert_at_rest_with_free_arm();
     }
+}
+
+#[test]
+fn a_shell_that_has_the_arm_keeps_it_after_the_keys() {
+    let robot = Virtual::start(&[]);
+    let folder = tempfile::tempdir().unwrap();
+    let Some(terminal) = Terminal::start((120, 24), &["shell", "--robot", &robot.tcp], folder.path()) else { return };
+    terminal.wait_for("ok>");
+    terminal.enter("exec robot TakeArm 0 1");
+    terminal.wait_for("arm>");
+    terminal.enter("jog");
+    terminal.wait_for("step 1 mm or degrees");
+    terminal.keys(&["Escape"]);
+    terminal.wait_for("note: this session keeps the arm, and leaves the motor on");
+    terminal.wait_for("arm motor>");
+    terminal.enter("jog --speed 0.1");
+    terminal.wait_for("step 1 mm or degrees");
+    terminal.keys(&["]", "]", "Right"]);
+    terminal.wait_for("J1 moves by +10; Esc HALTS");
+    robot.wait_for_motion();
+    terminal.keys(&["Escape"]);
+    let screen =
+        terminal.wait_for("note: the robot was halted, and this session keeps the arm, and leaves the motor on");
+    assert!(!screen.contains("given back"), "{screen}");
+    terminal.enter("exit");
+    robot.wait_for_rest();
 }
 
 #[test]

@@ -39,10 +39,20 @@ pub(super) fn by_keys(how: &MotionArgs, session: &mut Session, json: bool) -> Re
         selected: 0,
         size: 1,
         ends: false,
+        halted: false,
         notice: Line::default(),
     };
     motion::with_arm(how, session, |session| keys.run(session))?;
-    note(if keys.notice.text.is_empty() { "the arm was given back" } else { &keys.notice.text });
+    let arm = match session.has_arm() {
+        // the line of the shell or the script gives it back, and says so
+        true if keys.interrupt.is_interrupted() => return Ok(()),
+        true => "this session keeps the arm, and leaves the motor on",
+        false => "the arm was given back",
+    };
+    note(&match keys.halted {
+        true => format!("the robot was halted, and {arm}; `bcap errors --clear` before the next motion"),
+        false => arm.to_owned(),
+    });
     Ok(())
 }
 
@@ -57,6 +67,8 @@ struct Keys<'a> {
     size: usize,
     /// Whether the user has ended it.
     ends: bool,
+    /// Whether the last step was halted.
+    halted: bool,
     notice: Line,
 }
 
@@ -120,8 +132,7 @@ impl Keys<'_> {
         self.notice = Line::default();
         match moved {
             Err(Failure::Unfit { .. }) if halted? || self.interrupt.is_interrupted() => {
-                let next = "`bcap errors --clear` before the next motion";
-                self.notice = Line::new(format!("the robot was halted, and the arm given back; {next}"));
+                self.halted = true;
                 Ok(())
             }
             moved => moved.map(drop),
@@ -167,6 +178,7 @@ mod tests {
             selected: 0,
             size: 1,
             ends: false,
+            halted: false,
             notice: Line::default(),
         };
         let mut press = |code: KeyCode| (keys.key(code.into()), keys.selected, keys.size, keys.ends);
