@@ -4,7 +4,6 @@
 //! and the serial number that no real controller has. Any other answer means a real controller.
 
 use std::io::{self, BufRead, IsTerminal, Write};
-use std::time::Duration;
 
 use bcap_live::variables::is_virtual;
 use bcap_terminal::escape;
@@ -12,9 +11,6 @@ use bcap_terminal::escape;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::session::Session;
-
-/// How often a question looks for a signal.
-const LOOK: Duration = Duration::from_millis(50);
 
 /// A question to the user.
 pub(crate) struct Question<'a> {
@@ -98,10 +94,11 @@ fn wait_for_line(refused: &str) -> Result<(), Failure> {
 #[cfg(unix)]
 fn has_line() -> io::Result<bool> {
     use rustix::event::{PollFd, PollFlags, Timespec, poll};
+    /// How often a question looks for a signal: every 50 ms.
+    const LOOK: Timespec = Timespec { tv_sec: 0, tv_nsec: 50_000_000 };
     let stdin = io::stdin();
     let mut input = [PollFd::new(&stdin, PollFlags::IN)];
-    let time = Timespec { tv_sec: 0, tv_nsec: LOOK.subsec_nanos().into() };
-    match poll(&mut input, Some(&time)) {
+    match poll(&mut input, Some(&LOOK)) {
         Ok(ready) => Ok(ready > 0),
         Err(rustix::io::Errno::INTR) => Ok(false),
         Err(error) => Err(error.into()),
