@@ -16,7 +16,7 @@ use bcap_core::bcap::{FunctionId, StreamState};
 use bcap_core::endpoint::{Endpoint, ServerEndpoint};
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
-use bcap_core::rac::{Request, Variable, server};
+use bcap_core::rac::{Request, Variable, Verb, server};
 use bcap_core::time::Instant;
 use bcap_core::variant::{Encode, Variant, Writer, write_integer};
 
@@ -481,11 +481,14 @@ impl Gateway<'_> {
 
     /// Ends the session with the robot. `poll_sessions` replies to the waiting requests.
     fn fail_link(&mut self, error: RobotError) -> Event {
-        if let Some(InFlight::GetVariable(job) | InFlight::Value(job, _) | InFlight::GetModeFor(job, _)) =
-            self.call.take()
+        let was_sent = self.client.was_sent();
+        let call = self.call.take();
+        if let Some(InFlight::GetVariable(job) | InFlight::Value(job, _) | InFlight::GetModeFor(job, _)) = call
             && let Some(waiting) = waiting_slot(self.slots, job).and_then(|slot| slot.waiting.as_mut())
         {
-            waiting.if_down = error.hresult();
+            let is_put = matches!(call, Some(InFlight::Value(..))) && waiting.asked.verb == Verb::Put;
+            // only E_TIMEOUT says that the robot may have executed it
+            waiting.if_down = if is_put && was_sent { HResult::E_TIMEOUT } else { error.hresult() };
         }
         self.handles.clear();
         self.client.reset();

@@ -17,7 +17,8 @@
 //!   gets the reply E_TIMEOUT; a later reply of the robot is dropped.
 //! * **Order**: one call to the robot is in flight at a time. Requests of all clients are served in the order of arrival.
 //! * **Without a session** with the robot, every request gets the reply E_NOT_CONNECTED at once. The request in flight when
-//!   the session ends gets E_NOT_CONNECTED, or E_TIMEOUT if the robot stopped responding; a PUT may have been executed then.
+//!   the session ends gets E_NOT_CONNECTED, or E_TIMEOUT if the robot stopped responding or a PUT was sent, which the robot may
+//!   have executed.
 //!   The gateway never sends a PUT twice, except after E_HANDLE, which means that it was not executed.
 //! * **Handles** are valid on the connection that opened them, and kept in an LRU cache. When the cache is full, the least
 //!   recently used handle is released. After E_HANDLE the gateway gets a new handle, once per request.

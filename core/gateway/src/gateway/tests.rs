@@ -561,6 +561,23 @@ fn when_the_robot_disconnects_every_request_is_answered_and_handles_are_removed(
 }
 
 #[test]
+fn a_put_that_the_robot_may_have_executed_times_out_when_the_robot_disconnects() {
+    for (stalled, reply) in [
+        (FunctionId::VARIABLE_PUT_VALUE, HResult::E_TIMEOUT),
+        (FunctionId::CONTROLLER_GET_VARIABLE, HResult::E_NOT_CONNECTED),
+    ] {
+        let mut bench = Bench::up::<1, 4>(WRITABLE);
+        let plc = bench.gateway.open().unwrap();
+        bench.robot.script(stalled, Do::Nothing);
+        bench.send(plc, "PUT:RC8:1:I:3,1\r");
+        assert_eq!(bench.settle(), []);
+        bench.gateway.robot_closed(bench.now);
+        bench.events();
+        assert_eq!(bench.take(plc), line(reply), "{stalled}");
+    }
+}
+
+#[test]
 fn a_robot_that_stops_responding_ends_the_connection_and_the_request_in_flight() {
     let mut bench = Bench::up::<2, 4>(WRITABLE);
     let [first, second] = [(); 2].map(|()| bench.gateway.open().unwrap());
