@@ -294,7 +294,12 @@ impl Calls for Link {
         function: FunctionId,
         arguments: &[OwnedVariant],
     ) -> Result<(HResult, Option<OwnedVariant>), Error> {
-        Ok(self.controller.call_any(subject, function, arguments)?)
+        let called = self.controller.call_any(subject, function, arguments);
+        if function.releases().is_some() {
+            // the controller may give the number to another object
+            self.objects.clear();
+        }
+        Ok(called?)
     }
 
     fn release(&mut self, object: Object, handle: i32) -> Result<(), Error> {

@@ -137,6 +137,21 @@ fn a_writing_call_needs_the_right_the_control_and_the_name() {
     assert!(lines.iter().any(|line| line.contains("(I1, \"five\"): 0x8")), "{lines:?}");
 }
 
+/// The controller may give the number of a released object to another one.
+#[test]
+fn an_object_that_a_call_released_is_opened_again() {
+    let sim = Sim::start();
+    let web = Web::start(&[("press", sim.address())], true);
+    let mut page = with_control(&web);
+    for _ in 0..2 {
+        assert_eq!(call(&mut page, "Variable_GetValue", &["variable:I1"]).unwrap()["ok"], true);
+        assert_eq!(call(&mut page, "Variable_Release", &["variable:I1"]).unwrap()["ok"], true);
+    }
+    let written = call(&mut page, "Variable_PutValue", &["variable:I1", "3,5"]).unwrap();
+    assert_eq!(written["ok"], true, "{written}");
+    assert!(is(&sim, 5));
+}
+
 /// Takes the arm, and starts a motion that lasts longer than the test.
 fn start_moving(sim: &Sim, page: &mut Page) {
     for (command, parameter) in [("TakeArm", "8195,0,1"), ("Motor", "8195,1,0")] {
