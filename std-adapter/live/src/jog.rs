@@ -281,8 +281,8 @@ fn hold(controller: &mut Controller, grip: &Grip) -> Result<Result<&'static str,
         return Ok(Ok("nothing was moved, and the arm was not taken"));
     }
     let mut arm = match controller.robot()?.take_arm() {
-        // without a reply the arm may have been taken
-        Err(error) if error.is_lost() => {
+        // the arm may have been taken, and it is unknown whether it was given back
+        Err(error) if error.is_lost() || error.may_have_run() => {
             grip.end(&error.to_string());
             return Ok(Err(error));
         }
