@@ -428,17 +428,19 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         match unsettled {
             None => {}
             Some(false) => self.arm.taken = false,
-            Some(true) if self.link.lost.is_none() => self.make_up().await,
+            Some(true) if self.link.lost.is_none() => drop(self.make_up().await),
             Some(true) => {}
         }
         taken
     }
 
-    /// Gives an arm back that a procedure could not give back itself.
-    async fn make_up(&mut self) {
-        if let Err(error) = self.end_arm().await {
+    /// Gives an arm back that a procedure could not give back itself. Returns whether all was undone.
+    async fn make_up(&mut self) -> bool {
+        let ended = self.end_arm().await;
+        if let Err(error) = &ended {
             tracing::warn!(%error, "the arm was not given back");
         }
+        ended.is_ok() && !self.keep
     }
 
     /// Switches the motor on or off, and waits until it is.

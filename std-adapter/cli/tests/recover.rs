@@ -175,6 +175,27 @@ fn a_signal_switches_the_motor_off_and_gives_the_arm_back() {
     }
 }
 
+/// The signal comes while Motor is under way, and the controller refuses to switch the motor off.
+#[test]
+fn a_motor_that_an_interrupted_recovery_leaves_on_is_not_called_off() {
+    let robot = robot(Profile::Rc8);
+    // the process that sends the signal needs its time too
+    let scenario = "[[fault]]\nwhen = { call = 1, of = \"Motor\" }\nthen = { delay_ms = 5000 }\n\
+                    [[fault]]\nwhen = { call = 2, to = 5, of = \"Motor\" }\nthen = { refuse = \"E_FAIL\" }\n";
+    robot.served.application().play(Scenario::parse(scenario).unwrap());
+    let args = ["recover", "--yes", "--robot", &robot.tcp];
+    let child = command(&args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    while !state(&robot).1 {
+        thread::yield_now();
+    }
+    send(Signal::INT, &child);
+    let run = Run::from(child.wait_with_output().unwrap());
+    let expected = "interrupted: IT IS UNKNOWN whether the motor is off and the arm is free; errors that";
+    assert!(run.code == 130 && run.err.contains(expected), "{run:?}");
+    let (owned, on, _) = state(&robot);
+    assert_eq!((owned, on), (false, true));
+}
+
 #[test]
 fn the_motor_stays_on_only_if_the_user_keeps_it() {
     let robot = failed(Profile::Rc8);

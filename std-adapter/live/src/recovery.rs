@@ -164,7 +164,9 @@ fn perform(access: &Access, recovery: &Recovery) -> Result<Result<&'static str, 
 fn make(controller: &mut Controller, recovery: &Recovery, plan: RecoveryStepSet) -> Result<&'static str, String> {
     // the person has agreed that no other program uses the robot
     let config = RecoveryConfig { is_alone: true, speed: None, agreed: Some(plan) };
-    let made = match controller.make_ready(Some(config), |step, result| recovery.made(step, result)).map(Arm::keep) {
+    let made = controller.make_ready(Some(config), |step, result| recovery.made(step, result)).map(Arm::keep);
+    let is_unsettled = matches!(&made, Err(bcap_std::Error::NotRecovered(ended)) if ended.error.unsettled);
+    let made = match made {
         // between two steps, for the reason that the caller has
         Err(bcap_std::Error::NotRecovered(ended)) if is_stopped(&ended) => Ok(()),
         Err(error @ bcap_std::Error::NoReply { .. }) => {
@@ -172,8 +174,14 @@ fn make(controller: &mut Controller, recovery: &Recovery, plan: RecoveryStepSet)
         }
         made => made.map_err(|error| error.to_string()),
     };
-    // after a lost connection the session still has it
-    let given = if controller.has_arm() { controller.arm().and_then(Arm::give) } else { Ok(()) };
+    let given = if controller.has_arm() {
+        // after a lost connection the session still has it
+        controller.arm().and_then(Arm::give).map_err(|error| error.to_string())
+    } else if is_unsettled || controller.has_motor() {
+        Err("a step could not be undone".to_owned())
+    } else {
+        Ok(())
+    };
     let given = given.map_err(|error| format!("IT IS UNKNOWN whether the motor is off and the arm is free: {error}"));
     match (made, given) {
         (Ok(()), Ok(())) => Ok("recovered: no errors; the motor is as before, and the arm is free"),

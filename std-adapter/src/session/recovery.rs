@@ -51,13 +51,13 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         }
     }
 
-    async fn not_ready(&mut self, before: ArmState, error: RunError<NotRecovered>) -> Result<(), Error> {
+    async fn not_ready(&mut self, before: ArmState, mut error: RunError<NotRecovered>) -> Result<(), Error> {
         let NotRecovered { step, error: failed, .. } = error.error;
         if !failed.unsettled || step == RecoveryStep::Examine {
             self.arm = before;
         } else if self.link.lost.is_none() && !before.taken {
             // the procedure could not undo all of it
-            self.make_up().await;
+            error.error.error.unsettled = !self.make_up().await;
         }
         match failed.cause {
             StepCause::Failed(_) => self.ended(step.name(), Err(error.map(|error| error.error))),

@@ -5,6 +5,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use bcap_live::jog::{self, Grip};
+use bcap_live::recovery::{self, Recovery};
 use bcap_sim::pace::Paced;
 use bcap_sim::{Config, Controller, Profile, Scenario};
 use bcap_std::{Settings, blocking};
@@ -80,6 +81,32 @@ fn a_recovery_that_ends_says_what_is_not_known() {
     let why =
         "ended: the user ended it; errors that were cleared stay cleared; IT IS UNKNOWN whether the step was made: ";
     assert!(step.starts_with(why) && step.contains("Motor") && !arm.is_empty(), "{outcome}");
+}
+
+/// The recovery ends while Motor is under way. The controller refuses to switch the motor off, or only at first.
+#[test]
+fn a_motor_that_a_stopped_recovery_leaves_on_is_not_called_off() {
+    let ended = "ended: the page is closed; errors that were cleared stay cleared";
+    let unknown = "; IT IS UNKNOWN whether the motor is off and the arm is free: a step could not be undone";
+    for (refused, is_on, more) in [(5, true, unknown), (2, false, "")] {
+        let sim = Sim::start();
+        sim.lock().play(scenario(&format!(
+            "[[fault]]\nwhen = {{ call = 1, of = \"Motor\" }}\nthen = {{ delay_ms = 1000 }}\n\
+             [[fault]]\nwhen = {{ call = 2, to = {refused}, of = \"Motor\" }}\nthen = {{ refuse = \"E_FAIL\" }}\n",
+        )));
+        let (recovery, access) = (Recovery::default(), access(sim.address()));
+        thread::scope(|scope| {
+            scope.spawn(|| recovery::run(&access, &recovery));
+            for step in ["TakeArm", "Motor"] {
+                until("the step is the next one", || recovery.agree(step).is_ok());
+            }
+            sim.until("the motor is on", Controller::motor_is_on);
+            recovery.end("the page is closed");
+        });
+        assert_eq!(recovery.state().outcome, Some(Err(format!("{ended}{more}"))));
+        let sim = sim.lock();
+        assert_eq!((sim.motor_is_on(), sim.arm_owner()), (is_on, None));
+    }
 }
 
 /// The jog ends while TakeArm is under way. A motor that was switched on would leave the error of the refused Motor.

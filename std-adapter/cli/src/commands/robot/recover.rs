@@ -7,7 +7,7 @@ use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
 use bcap_core::variant::OwnedVariant as Value;
 use bcap_std::blocking::Arm;
-use bcap_std::{Examination, Obstacle, RecoveryConfig, RecoveryStep};
+use bcap_std::{Error, Examination, Obstacle, RecoveryConfig, RecoveryStep};
 use clap::Args;
 use serde_json::json;
 
@@ -15,9 +15,12 @@ use crate::commands::robot::errors;
 use crate::commands::robot::motion::check_speed;
 use crate::failure::Failure;
 use crate::interrupt::{Interrupt, State};
-use crate::output::{print_json, print_line, print_result};
+use crate::output::{note, print_json, print_line, print_result};
 use crate::session::Session;
 use crate::session::confirm::Question;
+
+/// The outcome of a recovery that could not undo a step.
+const UNKNOWN: &str = "IT IS UNKNOWN whether the motor is off and the arm is free";
 
 /// Recovers the robot after an error: shows the plan, asks, and reports each step
 ///
@@ -88,14 +91,16 @@ pub(crate) fn recover(args: &Recover, session: &mut Session, json: bool) -> Resu
     let config = RecoveryConfig { is_alone, speed: args.speed, agreed };
     let had_arm = session.has_arm();
     session.prepare_halt(&interrupt)?;
-    let done = perform(session, config, &interrupt, json);
+    let (done, is_undone) = perform(session, config, &interrupt, json);
     let given = if had_arm { Ok(()) } else { give(session, args.keep && done.is_ok() && !interrupt.is_interrupted()) };
     interrupt.enter(State::Stepping);
     if interrupt.is_interrupted() && session.is_open() {
         given?;
-        let what =
-            "interrupted: the motor was switched off and the arm given back; errors that were cleared stay cleared";
-        return Err(Failure::Interrupted(what.into()));
+        let what = if is_undone { "the motor was switched off and the arm given back" } else { UNKNOWN };
+        return Err(Failure::Interrupted(format!("interrupted: {what}; errors that were cleared stay cleared")));
+    }
+    if !is_undone {
+        note(UNKNOWN);
     }
     done.and(given)?;
     let was_on = state.state.is_some_and(|state| state.motor_is_on());
@@ -134,13 +139,19 @@ fn ask(args: &Recover, session: &mut Session, state: &Examination, steps: &[Reco
 }
 
 /// Makes the steps, and reports each. A signal ends it after a step, and halts the robot from the time at which the arm is taken.
-fn perform(session: &mut Session, config: RecoveryConfig, interrupt: &Interrupt, json: bool) -> Result<(), Failure> {
+/// The second value is false if a step could not be undone, and nothing is left that would undo it.
+fn perform(
+    session: &mut Session,
+    config: RecoveryConfig,
+    interrupt: &Interrupt,
+    json: bool,
+) -> (Result<(), Failure>, bool) {
     // the preparation and the motor take longer than other calls, and nothing may keep them from being undone
     session.suspend_budget();
     if session.has_arm() {
         interrupt.enter(State::Moving);
     }
-    let mut printed = Ok(());
+    let (mut printed, mut is_undone) = (Ok(()), true);
     let done = session.with(|controller| {
         let observe = |step, result: Result<(), HResult>| {
             if step == RecoveryStep::TakeArm && result.is_ok() {
@@ -153,11 +164,15 @@ fn perform(session: &mut Session, config: RecoveryConfig, interrupt: &Interrupt,
                 ControlFlow::Continue(())
             }
         };
-        controller.make_ready(Some(config), observe).map(Arm::keep)
+        let had_motor = controller.has_motor();
+        let made = controller.make_ready(Some(config), observe).map(Arm::keep);
+        let is_unsettled = matches!(&made, Err(Error::NotRecovered(ended)) if ended.error.unsettled);
+        // an arm that the session has is given back later
+        is_undone = controller.has_arm() || !is_unsettled && controller.has_motor() == had_motor;
+        made
     });
     session.restart_budget();
-    printed?;
-    done
+    (printed.map_err(Failure::from).and(done), is_undone)
 }
 
 fn report(step: RecoveryStep, result: Result<(), HResult>, json: bool) -> io::Result<()> {
