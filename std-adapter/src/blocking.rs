@@ -17,6 +17,7 @@
 mod borrowed;
 mod controller;
 pub(crate) mod ending;
+mod limited;
 mod moving;
 mod objects;
 mod resolve;

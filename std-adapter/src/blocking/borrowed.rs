@@ -6,10 +6,11 @@ use bcap_core::bcap::Object;
 use bcap_core::bcap::call::Call;
 use bcap_core::variant::{Encode, FromVariant, OwnedVariant};
 
+use super::limited::Limited;
 use super::moving::Moving;
 use super::objects::{File, Scan, Task};
 use super::robot::Arm;
-use super::socket::{Blocking, ready};
+use super::socket::Blocking;
 use crate::error::Error;
 use crate::reply::OwnedReply;
 use crate::session::{CONTROLLER, RuntimeCall, Session, TimedReading};
@@ -20,13 +21,12 @@ use crate::session::{CONTROLLER, RuntimeCall, Session, TimedReading};
 /// It cannot take the arm again, and it cannot end the session.
 #[derive(Debug)]
 pub struct ControllerRef<'a> {
-    session: &'a mut Session<Blocking>,
-    limit: Option<Duration>,
+    calls: Limited<'a>,
 }
 
 impl<'a> ControllerRef<'a> {
     pub(super) const fn new(session: &'a mut Session<Blocking>) -> Self {
-        Self { session, limit: None }
+        Self { calls: Limited::new(session) }
     }
 
     /// Limits the time of each call of this reference, and of the tasks and files that it returns.
@@ -34,22 +34,8 @@ impl<'a> ControllerRef<'a> {
     /// A call without a reply in this time fails with [`Error::NoReply`]; the controller may have executed it. The connection
     /// stays usable.
     #[must_use]
-    pub const fn within(mut self, limit: Duration) -> Self {
-        self.limit = Some(limit);
-        self
-    }
-
-    /// Returns the session, for calls without the time limit.
-    pub(super) const fn session(&mut self) -> &mut Session<Blocking> {
-        self.session
-    }
-
-    /// Runs calls within the time limit.
-    pub(super) fn limited<T>(&mut self, calls: impl AsyncFnOnce(&mut Session<Blocking>) -> T) -> T {
-        self.session.set_limit(self.limit);
-        let ended = ready(calls(self.session));
-        self.session.set_limit(None);
-        ended
+    pub const fn within(self, limit: Duration) -> Self {
+        Self { calls: self.calls.within(limit) }
     }
 
     /// Reads a variable, as [`Controller::read`](super::Controller::read).
@@ -58,7 +44,7 @@ impl<'a> ControllerRef<'a> {
     ///
     /// An [`Error`]; [`Error::Value`] if the value has another type.
     pub fn read<T: for<'v> FromVariant<'v>>(&mut self, name: &str) -> Result<T, Error> {
-        self.limited(async |session| session.read(Object::Controller, name).await)
+        self.calls.run(async |session| session.read(Object::Controller, name).await)
     }
 
     /// Reads several variables of any type, as
@@ -68,7 +54,7 @@ impl<'a> ControllerRef<'a> {
     ///
     /// An [`Error`] for the first variable that cannot be read.
     pub fn read_all<const N: usize>(&mut self, names: [&str; N]) -> Result<[OwnedVariant; N], Error> {
-        self.limited(async |session| session.read_all(&names).await)
+        self.calls.run(async |session| session.read_all(&names).await)
     }
 
     /// Reads several variables of any type, as [`Controller::read_each`](super::Controller::read_each).
@@ -77,10 +63,10 @@ impl<'a> ControllerRef<'a> {
     ///
     /// [`Error::NotConnected`] if the connection was lost before.
     pub fn read_each(&mut self, names: &[&str]) -> Result<Vec<TimedReading>, Error> {
-        if let Some(error) = self.session.lost() {
+        if let Some(error) = self.calls.session().lost() {
             return Err(error);
         }
-        Ok(self.limited(async |session| session.read_each(names).await))
+        Ok(self.calls.run(async |session| session.read_each(names).await))
     }
 
     /// Reads a variable until its value meets a condition, as
@@ -95,7 +81,7 @@ impl<'a> ControllerRef<'a> {
         mut condition: impl FnMut(&T) -> bool,
         limit: Duration,
     ) -> Result<T, Error> {
-        self.limited(async |session| session.read_until(name, &mut condition, limit).await)
+        self.calls.run(async |session| session.read_until(name, &mut condition, limit).await)
     }
 
     /// Opens variables, to read them often with [`Scan::read`].
@@ -104,7 +90,7 @@ impl<'a> ControllerRef<'a> {
     ///
     /// An [`Error`] for the first variable that does not exist.
     pub fn scan(&mut self, names: &[&str]) -> Result<Scan, Error> {
-        self.limited(async |session| Scan::open(session, names).await)
+        self.calls.run(async |session| Scan::open(session, names).await)
     }
 
     /// Writes a variable, as [`Controller::write`](super::Controller::write).
@@ -113,7 +99,7 @@ impl<'a> ControllerRef<'a> {
     ///
     /// An [`Error`]. After [`Error::NoReply`] the value may have been written.
     pub fn write(&mut self, name: &str, value: impl Encode) -> Result<(), Error> {
-        self.limited(async |session| session.write(Object::Controller, name, value).await)
+        self.calls.run(async |session| session.write(Object::Controller, name, value).await)
     }
 
     /// Executes a command of the controller, as [`Controller::execute`](super::Controller::execute).
@@ -122,7 +108,7 @@ impl<'a> ControllerRef<'a> {
     ///
     /// An [`Error`]; [`Error::Value`] if the value of the reply has another type.
     pub fn execute<T: for<'v> FromVariant<'v>>(&mut self, command: &str, parameter: impl Encode) -> Result<T, Error> {
-        self.limited(async |session| session.execute(command, parameter).await)
+        self.calls.run(async |session| session.execute(command, parameter).await)
     }
 
     /// Calls any function, as [`Controller::call`](super::Controller::call).
@@ -132,7 +118,7 @@ impl<'a> ControllerRef<'a> {
     /// An [`Error`].
     pub fn call<C: Call<Reply: OwnedReply>>(&mut self, call: C) -> Result<<C::Reply as OwnedReply>::Owned, Error> {
         let call = RuntimeCall::of(&call)?;
-        self.limited(async |session| session.call_recorded(CONTROLLER, call).await)
+        self.calls.run(async |session| session.call_recorded(CONTROLLER, call).await)
     }
 
     /// Returns a task, such as `Pro1`.
@@ -141,14 +127,14 @@ impl<'a> ControllerRef<'a> {
     ///
     /// An [`Error`] if the controller has no such task.
     pub fn task(mut self, name: &str) -> Result<Task<'a>, Error> {
-        self.limited(async |session| session.task(name).await)?;
-        Ok(Task::new(self, name))
+        self.calls.run(async |session| session.task(name).await)?;
+        Ok(Task::new(self.calls, name))
     }
 
     /// Returns a file, which must exist when it is read or written. A path has `\` between its parts.
     #[must_use]
     pub fn file(self, name: &str) -> File<'a> {
-        File::new(self, name)
+        File::new(self.calls, name)
     }
 }
 
@@ -160,7 +146,7 @@ impl Scan {
     /// An [`Error`] for the first variable that cannot be read; [`Error::OtherSession`] for another controller than the
     /// scan's.
     pub fn read<'a>(&self, cell: impl Into<ControllerRef<'a>>) -> Result<Vec<OwnedVariant>, Error> {
-        cell.into().limited(async |session| self.read_in(session).await)
+        cell.into().calls.run(async |session| self.read_in(session).await)
     }
 }
 

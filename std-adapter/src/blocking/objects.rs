@@ -4,7 +4,7 @@ use bcap_core::bcap::Object;
 use bcap_core::bcap::call::{self, VariableHandle};
 use bcap_core::variant::{Encode, FromVariant, OwnedVariant};
 
-use super::ControllerRef;
+use super::limited::Limited;
 use super::socket::{Blocking, ready};
 use crate::error::Error;
 use crate::session::Session;
@@ -13,13 +13,13 @@ use crate::task::{TaskStart, TaskStatus, TaskStop};
 /// A task of a controller, from [`Controller::task`](super::Controller::task).
 #[derive(Debug)]
 pub struct Task<'a> {
-    cell: ControllerRef<'a>,
+    calls: Limited<'a>,
     name: String,
 }
 
 impl<'a> Task<'a> {
-    pub(super) fn new(cell: ControllerRef<'a>, name: &str) -> Self {
-        Self { cell, name: name.to_owned() }
+    pub(super) fn new(calls: Limited<'a>, name: &str) -> Self {
+        Self { calls, name: name.to_owned() }
     }
 
     /// Starts the task. Its program may move the robot, and goes on when this object is dropped.
@@ -29,16 +29,16 @@ impl<'a> Task<'a> {
     /// An [`Error`]. The controller must be in Auto mode and give this client the executable token (b-CAP
     /// specification, sections 3.1 and 3.2).
     pub fn start(&mut self, mode: TaskStart) -> Result<(), Error> {
-        self.cell.limited(async |session| session.start_task(&self.name, mode).await)
+        self.calls.run(async |session| session.start_task(&self.name, mode).await)
     }
 
-    /// Stops the task. The limit of [`ControllerRef::within`] does not apply.
+    /// Stops the task. The limit of [`ControllerRef::within`](super::ControllerRef::within) does not apply.
     ///
     /// # Errors
     ///
     /// An [`Error`].
     pub fn stop(&mut self, mode: TaskStop) -> Result<(), Error> {
-        ready(self.cell.session().stop_task(&self.name, mode))
+        ready(self.calls.session().stop_task(&self.name, mode))
     }
 
     /// Reads the status of the task.
@@ -47,20 +47,20 @@ impl<'a> Task<'a> {
     ///
     /// An [`Error`].
     pub fn status(&mut self) -> Result<TaskStatus, Error> {
-        self.cell.limited(async |session| session.task_status(&self.name).await)
+        self.calls.run(async |session| session.task_status(&self.name).await)
     }
 }
 
 /// A file of a controller, from [`Controller::file`](super::Controller::file).
 #[derive(Debug)]
 pub struct File<'a> {
-    cell: ControllerRef<'a>,
+    calls: Limited<'a>,
     name: String,
 }
 
 impl<'a> File<'a> {
-    pub(super) fn new(cell: ControllerRef<'a>, name: &str) -> Self {
-        Self { cell, name: name.to_owned() }
+    pub(super) fn new(calls: Limited<'a>, name: &str) -> Self {
+        Self { calls, name: name.to_owned() }
     }
 
     /// Reads the content: a `String` for text, `Vec<u8>` for a controller that sends bytes.
@@ -69,7 +69,7 @@ impl<'a> File<'a> {
     ///
     /// An [`Error`]; [`Error::Value`] if the content has another type.
     pub fn read<T: for<'v> FromVariant<'v>>(&mut self) -> Result<T, Error> {
-        let content = self.cell.limited(async |session| session.read_file(&self.name).await)?;
+        let content = self.calls.run(async |session| session.read_file(&self.name).await)?;
         content.convert().map_err(|source| Error::Value { object: self.name.clone(), source })
     }
 
@@ -79,7 +79,7 @@ impl<'a> File<'a> {
     ///
     /// An [`Error`]. After [`Error::NoReply`] the content may have been replaced.
     pub fn write(&mut self, content: impl Encode) -> Result<(), Error> {
-        self.cell.limited(async |session| session.write_file(&self.name, content).await)
+        self.calls.run(async |session| session.write_file(&self.name, content).await)
     }
 }
 
