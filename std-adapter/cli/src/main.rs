@@ -83,7 +83,8 @@ fn run(cli: &Cli) -> Result<(), Failure> {
              it, `bcap move` does a whole motion",
         );
     }
-    session.finish(done)
+    let done = session.finish(done);
+    session.end_after(done)
 }
 
 /// Runs a command: one of the command line, of the shell or of a script.

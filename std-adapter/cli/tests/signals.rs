@@ -418,3 +418,36 @@ fn a_motion_whose_halt_was_refused_is_not_said_to_be_halted() {
     assert!(run.err.ends_with("the motion was not halted: it has ended, and the arm was given back\n"), "{run:?}");
     assert!((robot.served.application().joints()[0] - 12.0).abs() < 1e-6);
 }
+
+/// Undoing the effects of a session can fail, and the user is the only one who can look at the robot.
+#[test]
+fn an_end_of_a_session_that_fails_is_a_failure() {
+    let fault = |call: u8, of: &str, code: &str| {
+        format!("[[fault]]\nwhen = {{ call = {call}, of = {of:?} }}\nthen = {{ refuse = {code:?} }}\n")
+    };
+    const ARM: &str = "exec robot TakeArm 0 1\n";
+    const MOTOR: &str = "exec robot Motor 1 0\n";
+    const MOVE: &str = "move 'J(90, 45, 90, 0, 45, 0)' --speed 1 --no-wait\n";
+    const TIMEOUT: &str = "0x80000900";
+    // the first Motor switches it on; without the arm it is switched off twice at the end
+    let off = [2, 3, 4, 5].map(|call| fault(call, "Motor", TIMEOUT)).concat();
+    let cases = [
+        (
+            [ARM, MOTOR, MOVE].concat(),
+            fault(1, "Robot_Halt", "0x83500079"),
+            "Robot_Halt: the controller refused with 0x83500079",
+        ),
+        ([ARM, MOTOR].concat(), off.clone(), "the controller refused with 0x80000900"),
+        (MOTOR.to_owned(), off, "the controller refused with 0x80000900"),
+    ];
+    for (lines, faults, message) in cases {
+        for (program, last) in [(&["run", "-"][..], ""), (&["shell"], ""), (&["run", "-"], "disconnect\n")] {
+            let robot = Robot::start();
+            robot.served.application().play(Scenario::parse(&faults).unwrap());
+            let run = robot.run_with(program, &format!("{lines}{last}"));
+            assert!(run.code == 1 && run.err.contains(message), "{program:?} {lines}{last}: {run:?}");
+            assert!(run.err.contains("the robot may still move, or its motor be on"), "{run:?}");
+            assert!(!run.err.contains("the motor is switched off now"), "{run:?}");
+        }
+    }
+}

@@ -145,10 +145,15 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         let effects = Effects { motor: true, ..Effects::default() };
         let done = self.run(ROBOT, procedure::reclaim(robot, effects)).await?;
         self.arm.motor = false;
-        if done.motor_off != Some(true) {
-            tracing::warn!(?done, "the motor was not switched off");
+        match done.motor_off {
+            Some(true) => Ok(()),
+            // again, because the procedure does not tell why it was refused
+            Some(false) => self.motor(false).await,
+            None => {
+                tracing::warn!(?done, "the motor was not switched off");
+                Ok(())
+            }
         }
-        Ok(())
     }
 
     /// Tells whether the controller does not notice that this session has ended, unless its service is stopped.

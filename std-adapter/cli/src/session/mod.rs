@@ -64,7 +64,9 @@ struct Open {
 impl Drop for Session {
     /// Ends this session, and then the one that halts the robot.
     fn drop(&mut self) {
-        self.prepare_end();
+        if let Err(failure) = self.undo() {
+            failure.print(false, None);
+        }
         self.open = None;
         if let Some(interrupt) = &self.interrupt {
             interrupt.dismiss();
@@ -141,18 +143,36 @@ impl Session {
         self.controller().map(drop)
     }
 
-    /// Ends the session: gives the arm back, releases all objects and stops the service.
+    /// Ends the session, and prints a failure of that.
     pub(crate) fn close(&mut self) {
+        if let Err(failure) = self.end() {
+            failure.print(false, None);
+        }
+    }
+
+    /// Ends the session after a command. A failure of the end is the command's, unless the command has failed itself.
+    pub(crate) fn end_after(&mut self, done: Result<(), Failure>) -> Result<(), Failure> {
+        if done.is_err() {
+            self.close();
+            return done;
+        }
+        self.end()
+    }
+
+    /// Ends the session: gives the arm back, releases all objects and stops the service. Fails if the robot may still move, or its
+    /// motor be on.
+    pub(crate) fn end(&mut self) -> Result<(), Failure> {
         if !self.lost {
             self.restart_budget();
         }
-        self.prepare_end();
+        let undone = self.undo();
         self.open = None;
         self.lost = false;
         self.objects.clear();
         if let Some(interrupt) = &self.interrupt {
             interrupt.dismiss();
         }
+        undone
     }
 
     /// Runs `body` before a question to the user, who may think for hours: only a session that was open before stays open, and a
@@ -169,17 +189,28 @@ impl Session {
         done
     }
 
-    /// Allows time for the end of a session that has something to undo: it has a separate time limit, however long the command took.
-    fn prepare_end(&mut self) {
-        if !self.is_open() {
-            return;
+    /// Undoes the effects of this session on the robot. That has a separate time limit, however long the command took. The drop of
+    /// the controller would report no failure.
+    fn undo(&mut self) -> Result<(), Failure> {
+        let has_arm = self.has_arm();
+        let has_motor = self.is_open() && self.open.as_ref().is_some_and(|open| open.controller.has_motor());
+        if !has_arm && !has_motor {
+            return Ok(());
         }
-        let has_motor = self.open.as_ref().is_some_and(|open| open.controller.has_motor());
-        if self.has_arm() || has_motor {
-            self.allow_time();
-        }
-        if has_motor && !self.has_arm() {
-            note("the motor is switched off now, because this session has switched it on");
+        self.allow_time();
+        // not `with`, which a signal prevents
+        match self.open.as_mut().map_or(Ok(()), |open| open.controller.end_arm()) {
+            Ok(()) if has_arm => Ok(()),
+            Ok(()) => {
+                note("the motor is switched off now, because this session has switched it on");
+                Ok(())
+            }
+            Err(error) => {
+                note(
+                    "the robot may still move, or its motor be on: look at it, and use the emergency stop if it moves",
+                );
+                Err(self.ended(error))
+            }
         }
     }
 

@@ -290,7 +290,7 @@ impl Runner {
             }
             LineCommand::Expect { condition } => expect(condition, session)?,
             LineCommand::Connect => session.reconnect()?,
-            LineCommand::Disconnect => session.close(),
+            LineCommand::Disconnect => session.end()?,
             LineCommand::Help { topic } => help(topic.as_deref())?,
             LineCommand::Exit => return Ok(Flow::Exit),
             // its command runs line by line

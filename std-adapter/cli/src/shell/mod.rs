@@ -75,8 +75,7 @@ pub(crate) fn shell(session: &mut Session, verb: Verb, json: bool) -> Result<(),
         let _ = file.parent().map(std::fs::create_dir_all);
         let _ = editor.save_history(file);
     }
-    locked(&shared).close();
-    ended
+    locked(&shared).end_after(ended)
 }
 
 /// Connects; a failure is printed, and `connect` tries again.

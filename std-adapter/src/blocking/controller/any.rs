@@ -154,6 +154,16 @@ impl Controller {
         self.session.has_arm()
     }
 
+    /// Ends the effects of this session on the robot, as its drop does: halts it if it may move, switches the motor off if this
+    /// session has switched it on, and gives the arm back.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]: the robot may still move, or its motor be on. A motor that another client uses stays on without an error.
+    pub fn end_arm(&mut self) -> Result<(), Error> {
+        ready(self.session.end_arm())
+    }
+
     /// Releases an object of this session before the session ends. A handle that the session does not have is ignored.
     ///
     /// # Errors
