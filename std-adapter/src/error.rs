@@ -13,6 +13,7 @@ use bcap_core::variant::{ConvertError, OwnedVariant};
 use crate::address::AddressError;
 use crate::connect::ConnectError;
 use crate::path::ObjectPathError;
+use crate::session::Recovery;
 use crate::{CallError, RunError};
 
 /// Why an operation on a controller failed.
@@ -74,6 +75,9 @@ pub enum Error {
     /// The robot still moves after the halt, or the controller refuses Robot_Halt, so that the robot may move at any time.
     #[error("{0}; use the emergency stop")]
     NotHalted(Halt),
+    /// The connection was lost, and the effects of the session on the robot were not all seen to end over a new connection.
+    #[error("the connection was lost; over a new one {}", recovered(.0))]
+    NotEnded(Recovery),
     /// A recovery or a preparation ended before its last step. It names the step, the controller's code, and what to do.
     #[error("not recovered: {0}")]
     NotRecovered(NotRecovered),
@@ -144,6 +148,18 @@ fn explained(code: HResult) -> String {
     format!("{code}{meaning}{hint}")
 }
 
+/// Writes what was done over a new connection.
+fn recovered(recovery: &Recovery) -> String {
+    let done = |done: Option<bool>| match done {
+        Some(true) => "",
+        Some(false) => "NOT ",
+        None => "not asked to be ",
+    };
+    let arm = if recovery.arm_free { "is free" } else { "was not seen to be free" };
+    let (halted, off) = (done(recovery.halted), done(recovery.motor_off));
+    format!("the robot was {halted}halted, the motor was {off}switched off, and the arm {arm}")
+}
+
 impl Error {
     /// Returns the controller's code, if it refused a call.
     #[must_use]
@@ -163,9 +179,12 @@ impl Error {
         match self {
             Self::Refused { code, .. } => matches!(*code, HResult::E_TIMEOUT),
             Self::NoReply { source, .. } => !matches!(source, CallError::Client(Encode(_) | TooLarge { .. } | Busy)),
-            Self::Stream(_) | Self::NotHalted(_) | Self::NotRecovered(_) | Self::Reply { .. } | Self::Value { .. } => {
-                true
-            }
+            Self::Stream(_)
+            | Self::NotHalted(_)
+            | Self::NotEnded(_)
+            | Self::NotRecovered(_)
+            | Self::Reply { .. }
+            | Self::Value { .. } => true,
             _ => false,
         }
     }
@@ -249,6 +268,11 @@ mod tests {
             ),
             (Error::NotConnected { reason: "no route".into() }, "not connected: no route"),
             (Error::Closed, "the controller was closed"),
+            (
+                Error::NotEnded(Recovery { halted: Some(true), motor_off: Some(false), arm_free: false }),
+                "the connection was lost; over a new one the robot was halted, the motor was NOT switched off, and the arm \
+                 was not seen to be free",
+            ),
             (
                 call(CallError::Refused(refused)),
                 "Variable_GetValue of I1: the controller refused: 0x80000204 (E_CAO_OBJECT_NOTFOUND): There is no such \

@@ -572,6 +572,11 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         {
             tracing::warn!(%error, "the arm was not given back");
         }
+        self.release_objects().await
+    }
+
+    /// Releases all objects in reverse order and stops the service, once.
+    pub(crate) async fn release_objects(&mut self) -> Result<(), Error> {
         if self.link.lost.is_some() {
             return Ok(());
         }

@@ -215,6 +215,15 @@ impl Link {
         Self { controller: self.controller.recover_at(access.address.clone(), settings), ..self }
     }
 
+    /// Ends the session as a drop does, and reports whether its effects on the robot were ended.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]: the robot may move, the motor may be on, or the arm may be taken.
+    pub fn end(self) -> Result<(), Error> {
+        Ok(self.controller.end()?)
+    }
+
     /// Returns the ends of the connection.
     #[must_use]
     pub const fn ends(&self) -> Option<Ends> {

@@ -81,10 +81,10 @@ impl Drop for Open {
         let of_session = session.as_mut().and_then(Session::left).map(|state| Left { state, sessions: Vec::new() });
         let over = |session: Session<Socket>| session.over(|socket| socket.into_blocking(address.as_ref()));
         match (session.and_then(over), left.take().or(of_session), &*address) {
-            (Some(mut session), ..) => ending::end_now(&mut session, address.as_ref(), settings),
+            (Some(mut session), ..) => drop(ending::end_now(&mut session, address.as_ref(), settings)),
             (None, Some(Left { state, sessions }), Some(address)) => {
                 let mut lost: Vec<_> = sessions.into_iter().filter_map(over).collect();
-                ending::recover_now(address, settings, state, &mut lost);
+                let _ = ending::recover_now(address, settings, state, &mut lost);
             }
             (None, Some(_), None) => tracing::error!("the connection was lost, and the robot may be moving"),
             (None, None, _) => {}

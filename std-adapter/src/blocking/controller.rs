@@ -279,6 +279,7 @@ impl<'a> From<&'a mut Controller> for ControllerRef<'a> {
 
 impl Drop for Controller {
     fn drop(&mut self) {
-        ending::end_now(&mut self.session, self.address.as_ref(), &self.settings);
+        // it has logged its error
+        let _ = ending::end_now(&mut self.session, self.address.as_ref(), &self.settings);
     }
 }

@@ -31,24 +31,49 @@ pub(crate) fn within_limit<T>(session: &mut Session<Blocking>, end: impl FnOnce(
 }
 
 /// Ends a session: gives the arm back, releases all objects and stops the service. If the connection was lost while the session had
-/// the arm, it connects once more for that.
-pub(crate) fn end_now(session: &mut Session<Blocking>, address: Option<&Address>, settings: &Settings) {
-    if let Err(error) = within_limit(session, |session| ready(session.release())) {
+/// the arm, it connects once more for that. Fails unless the effects on the robot were seen to end.
+pub(crate) fn end_now(
+    session: &mut Session<Blocking>,
+    address: Option<&Address>,
+    settings: &Settings,
+) -> Result<(), Error> {
+    let (given, released) = within_limit(session, |session| {
+        let given = match session.lost() {
+            None => ready(session.end_arm()),
+            Some(lost) if session.left().is_some() => Err(lost),
+            Some(_) => Ok(()),
+        };
+        (given, ready(session.release_objects()))
+    });
+    if let Err(error) = &given {
+        tracing::warn!(?address, %error, "the arm was not given back");
+    }
+    if let Err(error) = released {
         tracing::warn!(?address, %error, "the session was not closed");
     }
-    if let (Some(left), Some(address)) = (session.take_left(), address) {
-        recover_now(address, settings, left, std::slice::from_mut(session));
+    match (session.take_left(), address) {
+        (Some(left), Some(address)) => {
+            let recovery = recover_now(address, settings, left, std::slice::from_mut(session))?;
+            if recovery.is_complete() { Ok(()) } else { Err(Error::NotEnded(recovery)) }
+        }
+        _ => given,
     }
 }
 
 /// Ends over a new connection the effects that a lost session may have left. Over UDP the lost sessions are stopped too.
-pub(crate) fn recover_now(address: &Address, settings: &Settings, left: Left, lost: &mut [Session<Blocking>]) {
+pub(crate) fn recover_now(
+    address: &Address,
+    settings: &Settings,
+    left: Left,
+    lost: &mut [Session<Blocking>],
+) -> Result<Recovery, Error> {
     let mut stopped = false;
     let stopping = async {
         stopped = true;
         stop(lost).await;
     };
-    match recover(address, settings, left, stopping) {
+    let recovered = recover(address, settings, left, stopping);
+    match &recovered {
         Ok(recovery) => tracing::warn!(%address, ?recovery, "the robot was recovered over a new connection"),
         Err(error) => {
             tracing::error!(%address, %error, "the connection was lost, and the robot may be moving");
@@ -57,6 +82,7 @@ pub(crate) fn recover_now(address: &Address, settings: &Settings, left: Left, lo
             }
         }
     }
+    recovered
 }
 
 /// Stops the services of lost sessions.

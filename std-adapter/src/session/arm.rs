@@ -75,6 +75,11 @@ pub struct Recovery {
 }
 
 impl Recovery {
+    /// Returns whether all effects of the lost session were seen to end.
+    pub(crate) fn is_complete(&self) -> bool {
+        self.halted != Some(false) && self.motor_off != Some(false) && self.arm_free
+    }
+
     /// Adds what a further attempt has done.
     pub(super) fn add(&mut self, reclaimed: Reclaimed) {
         let either =

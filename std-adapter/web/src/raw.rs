@@ -98,10 +98,16 @@ impl Desk {
         let took = start.elapsed();
         self.moves.store(false, Ordering::SeqCst);
         let ends = matches!(request.function, FunctionId::SERVICE_STOP | FunctionId::CONTROLLER_DISCONNECT);
-        if !made.as_ref().is_err_and(Failure::is_lost) && !ends {
+        let ended = if made.as_ref().is_err_and(Failure::is_lost) || ends {
+            ended(session)
+        } else {
             *link = Some(session);
-        }
-        let (code, value) = made.map_err(|error| reason(&error))?;
+            Ok(())
+        };
+        let (code, value) = made.map_err(|error| match &ended {
+            Ok(()) => reason(&error),
+            Err(left) => format!("{}; {left}", reason(&error)),
+        })?;
         let value = value.as_ref().map(OwnedVariant::as_variant);
         let mut reply = view::error(code, "");
         reply["ok"] = json!(!code.is_err());
@@ -118,7 +124,7 @@ impl Desk {
         (!has_ended).then_some(()).ok_or_else(|| Error::Skipped("the screen was left; nothing was done".into()))
     }
 
-    /// Ends the session. A call that moves is halted; dropping the session halts the arm that it has, and gives it back.
+    /// Ends the session. A call that moves is halted; the end of the session halts the arm that it has, and gives it back.
     pub(crate) fn end(self: Arc<Self>, app: &Arc<App>) {
         self.has_ended.store(true, Ordering::SeqCst);
         let of = Arc::clone(app);
@@ -127,7 +133,15 @@ impl Desk {
             self.robot.halt_while(&of.audit, "its screen was left during a call that moves", || {
                 self.moves.load(Ordering::SeqCst)
             });
-            drop(lock(&self.link).take());
+            if let Some(Err(why)) = lock(&self.link).take().map(ended) {
+                of.audit.write("a page", &self.robot.name, "the end of the raw calls", &Err::<(), _>(why));
+            }
         });
     }
+}
+
+/// Ends a session. The error is for people.
+fn ended(session: Link) -> Result<(), String> {
+    let unknown = "IT IS UNKNOWN whether the robot rests, the motor is off and the arm is free";
+    session.end().map_err(|error| format!("{unknown}: {error}"))
 }

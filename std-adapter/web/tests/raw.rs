@@ -386,6 +386,27 @@ fn the_end_of_the_screen_halts_a_call_that_moves_and_frees_the_arm() {
     rests(&sim);
 }
 
+#[test]
+fn an_end_that_leaves_the_motor_on_has_its_line_of_the_audit() {
+    let sim = Sim::quick();
+    let refused = "[[fault]]\nwhen = { call = 2, to = 99, of = \"Motor\" }\nthen = { refuse = \"E_FAIL\" }\n";
+    sim.lock().play(Scenario::parse(refused).unwrap());
+    let web = Web::moving(&[("press", sim.address())]);
+    let mut page = with_control(&web);
+    for (command, parameter) in [("TakeArm", "8195,0,1"), ("Motor", "8195,1,0")] {
+        let made = call(&mut page, "Robot_Execute", &["robot", &format!("8,{command}"), parameter]).unwrap();
+        assert_eq!(made["ok"], true, "{made}");
+    }
+    page.order("show", json!({ "robot": 0, "screen": "cell" })).unwrap();
+    let expected =
+        "press: a page: the end of the raw calls: IT IS UNKNOWN whether the robot rests, the motor is off and the arm";
+    crate::support::until("the end has its line of the audit", || {
+        page.receive().expect("the page is open");
+        web.lines().iter().any(|line| line.starts_with(expected) && line.contains("the motor was NOT switched off"))
+    });
+    assert!(sim.lock().motor_is_on());
+}
+
 /// A computer that is lost keeps its connection open, and answers nothing.
 #[test]
 fn a_call_that_moves_ends_when_the_page_answers_no_pulse() {

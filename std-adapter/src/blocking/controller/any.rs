@@ -12,6 +12,7 @@ use bcap_core::variant::OwnedVariant;
 
 use super::Controller;
 use crate::address::Address;
+use crate::blocking::ending;
 use crate::blocking::robot::Arm;
 use crate::blocking::socket::{ready, wrap};
 use crate::blocking::{Connection, KeptMotion, Moving, Transport};
@@ -162,6 +163,16 @@ impl Controller {
     /// An [`Error`]: the robot may still move, or its motor be on. A motor that another client uses stays on without an error.
     pub fn end_arm(&mut self) -> Result<(), Error> {
         ready(self.session.end_arm())
+    }
+
+    /// Ends the session as a drop does, and reports whether its effects on the robot were ended.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`] if that was refused, or is not known: the robot may move, the motor may be on, or the arm may be taken.
+    /// [`Error::NotEnded`] has what was seen after a lost connection.
+    pub fn end(mut self) -> Result<(), Error> {
+        ending::end_now(&mut self.session, self.address.as_ref(), &self.settings)
     }
 
     /// Releases an object of this session before the session ends. A handle that the session does not have is ignored.
