@@ -43,6 +43,7 @@ mod report;
 
 use std::io;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
+use std::sync::{Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -63,7 +64,8 @@ impl Plan {
     ///
     /// # Errors
     ///
-    /// When a thread cannot be started, when the replay is interrupted, and the error of `each`.
+    /// [`Error::NotEnded`] if the end of a connection failed. Otherwise when a thread cannot be started, when the replay is
+    /// interrupted, and the error of `each`.
     pub fn run(
         &self,
         robot: &Robot,
@@ -72,13 +74,14 @@ impl Plan {
     ) -> Result<Totals, Error> {
         let order = Order::new(self.answered);
         let began = (!options.fast).then(Instant::now);
+        let failed_ends = Mutex::default();
         let mut totals = Totals { connections: self.links.len(), ..Totals::default() };
-        thread::scope(|scope| {
+        let done = thread::scope(|scope| {
             let (outcomes, received) = channel();
             let start = || {
                 self.links.iter().try_for_each(|planned| {
-                    let (outcomes, order) = (outcomes.clone(), &order);
-                    let link = LinkReplay { planned, robot, order, began, options };
+                    let (outcomes, order, failed_ends) = (outcomes.clone(), &order, &failed_ends);
+                    let link = LinkReplay { planned, robot, order, began, options, failed_ends };
                     thread::Builder::new().spawn_scoped(scope, move || link.run(&outcomes)).map(drop)
                 })
             };
@@ -97,8 +100,12 @@ impl Plan {
                 order.stop();
             }
             done
-        })?;
-        Ok(totals)
+        });
+        let failed_ends = failed_ends.into_inner().unwrap_or_else(PoisonError::into_inner);
+        if !failed_ends.is_empty() {
+            return Err(Error::NotEnded(failed_ends.join("; ")));
+        }
+        done.map(|()| totals)
     }
 }
 

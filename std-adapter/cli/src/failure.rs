@@ -125,6 +125,9 @@ impl From<bcap_capture::Error> for Failure {
     fn from(error: bcap_capture::Error) -> Self {
         match error {
             bcap_capture::Error::Io(error) => Self::Stdio(error),
+            error @ bcap_capture::Error::NotEnded(_) => {
+                Self::unfit(error.to_string(), "look at the robot; if it moves, use the emergency stop")
+            }
             error => Self::Input(error.to_string()),
         }
     }

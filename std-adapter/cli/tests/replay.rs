@@ -1,12 +1,20 @@
 //! `bcap replay`: the same calls again, differences, and calls that must be allowed.
 
+use std::io::{Read as _, Write as _};
+use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
 
-use crate::common::capture::{BCAP, Capture, Flow, From, bstr, i4, numbered};
+use crate::common::capture::{BCAP, Capture, Flow, From, bstr, i4, numbered, r8};
 use crate::common::recorded;
+use crate::common::robot::Robot;
 use crate::common::running::Running;
 use crate::common::{Run, bcap, command};
+use bcap_sim::{Config, Profile, Scenario};
 use bcap_tests::real_time::repeated;
 use serde_json::Value;
 
@@ -170,7 +178,10 @@ fn a_server_that_plays_a_session_back_gives_the_recorded_replies() {
 const SERVICE_START: u32 = 1;
 const SERVICE_STOP: u32 = 2;
 const CONNECT: u32 = 3;
+const GET_ROBOT: u32 = 7;
 const GET_VARIABLE: u32 = 9;
+const ROBOT_EXECUTE: u32 = 64;
+const ROBOT_MOVE: u32 = 72;
 const GET_VALUE: u32 = 101;
 const PUT_VALUE: u32 = 102;
 const RELEASE: u32 = 111;
@@ -278,6 +289,92 @@ fn a_replay_ends_whatever_the_times_of_the_capture_are() {
             assert_eq!((run.code, run.out.as_str(), run.err.as_str()), (0, totals, ""), "{name}: {run:?}");
         }
     }
+}
+
+/// Saves a session that takes the arm and starts a motion, which lasts longer than the test.
+fn motion(name: &str) -> PathBuf {
+    let mut capture = Capture::new();
+    let mut session = Session::start(&mut capture, 1);
+    session.call(&mut capture, GET_ROBOT, &[i4(CONTROLLER), bstr(""), bstr("")], &[i4(201)]);
+    for (command, numbers) in [("TakeArm", [0.0, 1.0]), ("Motor", [1.0, 0.0])] {
+        session.call(&mut capture, ROBOT_EXECUTE, &[i4(201), bstr(command), r8(&numbers)], &[]);
+    }
+    let motion = [i4(201), i4(1), bstr("@E J(90, 45, 90, 0, 45, 0)"), bstr("SPEED=1, NEXT")];
+    session.call(&mut capture, ROBOT_MOVE, &motion, &[]);
+    let file = path(name);
+    capture.save(&file);
+    file
+}
+
+/// Replays the motion, with a time limit for each call.
+fn replay_motion(file: &Path, robot: &str) -> Run {
+    let allowed = ["--allow", "Robot_Execute", "--allow", "Robot_Move", "--timeout", "1000"];
+    bcap(&[&["replay", file.to_str().unwrap(), "--fast", "--robot", robot], &allowed[..]].concat())
+}
+
+/// Relays connections to a robot. Nothing passes over the first one after the request that contains these bytes.
+fn relay_until(robot: SocketAddr, last: &'static [u8]) -> SocketAddr {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    // it ends with the process
+    thread::spawn(move || {
+        for (number, client) in listener.incoming().map_while(Result::ok).enumerate() {
+            let server = TcpStream::connect(robot).unwrap();
+            let is_held = Arc::new(AtomicBool::new(false));
+            for (mut from, mut to) in [(client.try_clone().unwrap(), server.try_clone().unwrap()), (server, client)] {
+                let is_held = Arc::clone(&is_held);
+                thread::spawn(move || {
+                    let mut bytes = [0; 4096];
+                    while let Ok(count @ 1..) = from.read(&mut bytes) {
+                        let passes = !is_held.load(Ordering::SeqCst);
+                        if number == 0 && bytes[..count].windows(last.len()).any(|part| part == last) {
+                            is_held.store(true, Ordering::SeqCst);
+                        }
+                        if passes && to.write_all(&bytes[..count]).is_err() {
+                            break;
+                        }
+                    }
+                    let _ = to.shutdown(Shutdown::Both);
+                });
+            }
+        }
+    });
+    address
+}
+
+#[test]
+fn a_motion_whose_connection_is_silent_is_halted_over_another_one() {
+    let robot = Robot::with(Config { motor_on_delay: Duration::ZERO, ..Config::new(Profile::Rc8) });
+    // the end of the option, in UTF-16
+    let relay = relay_until(robot.served.tcp, b"N\0E\0X\0T\0");
+    let run = replay_motion(&motion("silent.pcap"), &relay.to_string());
+    assert_eq!(run.code, 1, "{run:?}");
+    // the controller may not have noticed the loss when the new connection looks
+    let seen = "over a new one the robot was halted, the motor was switched off, and the arm was not seen to be free";
+    assert!(run.err.contains("IT IS UNKNOWN whether") && run.err.contains(seen), "{run:?}");
+    let end = Instant::now() + Duration::from_secs(60);
+    loop {
+        let mut sim = robot.served.application();
+        sim.advance(bcap_std::now());
+        assert!(!sim.is_moving() && !sim.motor_is_on());
+        if sim.arm_owner().is_none() {
+            break;
+        }
+        drop(sim);
+        assert!(Instant::now() < end, "the arm is free after the end of the connection");
+        thread::sleep(Duration::from_millis(5));
+    }
+}
+
+#[test]
+fn a_replay_that_leaves_the_motor_on_says_so() {
+    let robot = Robot::with(Config { motor_on_delay: Duration::ZERO, ..Config::new(Profile::Rc8) });
+    let refused = "[[fault]]\nwhen = { call = 2, to = 99, of = \"Motor\" }\nthen = { refuse = \"E_FAIL\" }\n";
+    robot.served.application().play(Scenario::parse(refused).unwrap());
+    let run = replay_motion(&motion("refused.pcap"), &robot.tcp);
+    assert!(run.code == 1 && run.err.contains("IT IS UNKNOWN whether the robot rests, its motor is off"), "{run:?}");
+    assert!(run.err.contains("the motor was NOT switched off") && run.err.contains("emergency stop"), "{run:?}");
+    assert!(robot.served.application().motor_is_on());
 }
 
 #[test]

@@ -39,7 +39,7 @@ pub(crate) fn end_now(
 ) -> Result<(), Error> {
     let (given, released) = within_limit(session, |session| {
         let given = match session.lost() {
-            None => ready(session.end_arm()),
+            None => ready(session.end_arm_at_last()),
             Some(lost) if session.left().is_some() => Err(lost),
             Some(_) => Ok(()),
         };

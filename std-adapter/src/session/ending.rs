@@ -82,6 +82,17 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         Ok(())
     }
 
+    /// Gives the arm back at the end of the session. If the controller does not answer, the arm and its effects stay recorded, so
+    /// that they are ended over another connection.
+    pub(crate) async fn end_arm_at_last(&mut self) -> Result<(), Error> {
+        let before = self.arm;
+        let given = self.end_arm().await;
+        if self.link.silent_since.is_some() {
+            self.arm = before;
+        }
+        given
+    }
+
     /// Returns until when a call that is made now is repeated while the controller is busy.
     pub(super) fn busy_limit(&mut self) -> Instant {
         self.connection.transport().now() + BUSY_LIMIT

@@ -1,22 +1,23 @@
 //! The replay of one connection.
 
 use std::collections::HashMap;
-use std::error;
 use std::sync::mpsc::Sender;
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
+use std::{error, io};
 
 use bcap_core::bcap::{FunctionId, Kind, Object};
 use bcap_core::hresult::HResult;
 use bcap_core::rac::{MAX_VALUE, Variable};
-use bcap_std::blocking::{self, Controller, RacConnection, TcpTransport};
-use bcap_std::{Error, Options, RacError};
+use bcap_std::blocking::{self, Connection, Controller, RacConnection, TcpTransport, Transport};
+use bcap_std::{Address, Error, Model, NetworkAddress, Options, RacError, Settings};
 
 use super::options::Options as ReplayOptions;
 use super::order::Order;
 use super::plan::{PlannedCall, PlannedLink, Protocol};
 use crate::decode::{Argument, Call, Reply, is_object};
 use crate::proxy::Robot;
-use crate::record::Taped;
+use crate::record::{Ends, HasEnds, Taped};
 use bcap_core::variant::OwnedVariant as Value;
 
 /// The attempts of a call over UDP, which share the time limit.
@@ -51,6 +52,8 @@ pub(super) struct LinkReplay<'a> {
     /// When the replay began; `None` to make calls as soon as possible.
     pub(super) began: Option<Instant>,
     pub(super) options: &'a ReplayOptions,
+    /// Why the effects of connections were perhaps not ended, for people.
+    pub(super) failed_ends: &'a Mutex<Vec<String>>,
 }
 
 impl<'a> LinkReplay<'a> {
@@ -60,7 +63,7 @@ impl<'a> LinkReplay<'a> {
         for planned in &self.planned.calls {
             let left = || self.began.map_or(Duration::ZERO, |began| planned.offset.saturating_sub(began.elapsed()));
             if !self.order.wait(planned.after, left) {
-                return;
+                break;
             }
             let link = opened.get_or_insert_with(|| self.open());
             let came = match link {
@@ -69,9 +72,21 @@ impl<'a> LinkReplay<'a> {
             };
             if matches!(link, Ok(link) if link.is_lost) {
                 // the other calls of this connection cannot be made
-                *link = Err("not sent: the connection was lost".into());
+                let lost = std::mem::replace(link, Err("not sent: the connection was lost".into()));
+                self.close(lost);
             }
             self.end(planned, came, outcomes);
+        }
+        opened.into_iter().for_each(|link| self.close(link));
+    }
+
+    /// Ends the effects of a connection on the robot.
+    fn close(&self, link: Result<OpenLink, String>) {
+        if let Ok(OpenLink { socket: Socket::Bcap(controller), .. }) = link
+            && let Err(error) = controller.end()
+        {
+            // a thread that panicked has left a list of texts
+            self.failed_ends.lock().unwrap_or_else(PoisonError::into_inner).push(with_causes(&error));
         }
     }
 
@@ -94,15 +109,12 @@ impl<'a> LinkReplay<'a> {
         options.udp.timing.attempts = UDP_ATTEMPTS;
         options.udp.timing.attempt_timeout = (timeout / u32::from(UDP_ATTEMPTS)).max(Duration::from_millis(1));
         let (robot, recorder) = (self.robot, self.options.recorder.as_ref());
-        let bcap = |controller| Socket::Bcap(Box::new(controller));
         let socket = match self.planned.protocol {
             Protocol::Tcp => {
-                let open = |open| bcap(Controller::unopened(Taped::connection(open, recorder)));
-                blocking::connect_tcp(&robot.tcp[..], &options).map(open)
+                blocking::connect_tcp(&robot.tcp[..], &options).map(|open| self.bcap(open, bcap_std::Protocol::Tcp))
             }
             Protocol::Udp => {
-                let open = |open| bcap(Controller::unopened(Taped::connection(open, recorder)));
-                blocking::connect_udp(robot.udp, &options).map(open)
+                blocking::connect_udp(robot.udp, &options).map(|open| self.bcap(open, bcap_std::Protocol::Udp))
             }
             Protocol::Rac => {
                 let open = |client| Socket::Rac(Box::new(Taped::rac_connection(client, recorder)));
@@ -111,6 +123,36 @@ impl<'a> LinkReplay<'a> {
         };
         let socket = socket.map_err(|error| with_causes(&error))?;
         Ok(OpenLink { socket, handles: HashMap::new(), is_lost: false })
+    }
+}
+
+impl LinkReplay<'_> {
+    /// Wraps a connection of b-CAP. If it is lost, its end connects once more, to end its effects on the robot.
+    fn bcap<X>(&self, mut open: Connection<X, Vec<u8>>, protocol: bcap_std::Protocol) -> Socket
+    where
+        X: HasEnds + Transport<Error = io::Error> + Send + 'static,
+    {
+        let ends = open.transport().ends();
+        let controller = Controller::unopened(Taped::connection(open, self.options.recorder.as_ref()));
+        Socket::Bcap(Box::new(match ends {
+            Some(Ends { server, .. }) => {
+                let server = NetworkAddress { protocol, host: server.ip().to_string(), port: server.port() };
+                controller.recover_at(Address::Network(server), self.settings())
+            }
+            None => controller,
+        }))
+    }
+
+    /// Returns the settings of a session with the provider and the option of the capture.
+    fn settings(&self) -> Settings {
+        let connect = |planned: &&PlannedCall| function(&planned.call) == Some(FunctionId::CONTROLLER_CONNECT);
+        let connect = self.planned.calls.iter().find(connect);
+        let text = |index: usize| -> Option<String> {
+            let value = connect?.call.arguments.get(index)?.value.as_ref()?;
+            value.as_variant().as_bstr().map(|text| text.to_string())
+        };
+        let is_rc9 = text(1).is_some_and(|provider| provider.eq_ignore_ascii_case(Model::Rc9.provider()));
+        Settings::new(if is_rc9 { Model::Rc9 } else { Model::Rc8 }).connect_option(&text(3).unwrap_or_default())
     }
 }
 

@@ -24,7 +24,8 @@ use crate::session::traffic;
 /// sent if its object is not open in the replay. The retries of calls over UDP are not repeated. A reply that differs is printed
 /// with the recorded one, and the exit code is then 1. A call that had no reply is made, but not compared.
 /// At most 1024 connections are replayed. When the output is closed, such as by `head`, no more calls are made. The end of a
-/// connection and Ctrl-C halt the robot, switch the motor off and give the arm back if the replayed calls require that.
+/// connection and Ctrl-C halt the robot, switch the motor off and give the arm back if the replayed calls require that. After a
+/// lost connection a new one does that. If it failed, the command says so.
 ///
 /// Functions and commands that may move the robot or write must be allowed by name (`bcap call --list --effects`). Without
 /// that nothing is sent.
@@ -77,6 +78,10 @@ pub(crate) fn replay(args: &Replay, link: &LinkArgs, json: bool) -> Result<(), F
     let done = made(&plan, &robot, &options, json);
     interrupt.enter(State::Stepping);
     interrupt.dismiss();
+    if matches!(done, Err(Failure::Unfit { .. })) {
+        // after a signal too: the effects on the robot were perhaps not ended
+        return done;
+    }
     let left = if plan.is_harmless() { "" } else { ": its effects on the robot were ended" };
     interrupt.check(&format!("interrupted{left}"))?;
     done
