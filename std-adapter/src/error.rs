@@ -13,7 +13,7 @@ use bcap_core::variant::{ConvertError, OwnedVariant};
 use crate::address::AddressError;
 use crate::connect::ConnectError;
 use crate::path::ObjectPathError;
-use crate::session::Recovery;
+use crate::recovery::Recovery;
 use crate::{CallError, RunError};
 
 /// Why an operation on a controller failed.
@@ -76,7 +76,7 @@ pub enum Error {
     #[error("{0}; use the emergency stop")]
     NotHalted(Halt),
     /// The connection was lost, and the effects of the session on the robot were not all seen to end over a new connection.
-    #[error("the connection was lost; over a new one {}", recovered(.0))]
+    #[error("the connection was lost; over a new one {0}")]
     NotEnded(Recovery),
     /// A recovery or a preparation ended before its last step. It names the step, the controller's code, and what to do.
     #[error("not recovered: {0}")]
@@ -146,18 +146,6 @@ fn explained(code: HResult) -> String {
     let meaning = code.meaning().map(|meaning| format!(": {meaning}")).unwrap_or_default();
     let hint = code.hint().map(|hint| format!(" Hint: {hint}")).unwrap_or_default();
     format!("{code}{meaning}{hint}")
-}
-
-/// Writes what was done over a new connection.
-fn recovered(recovery: &Recovery) -> String {
-    let done = |done: Option<bool>| match done {
-        Some(true) => "",
-        Some(false) => "NOT ",
-        None => "not asked to be ",
-    };
-    let arm = if recovery.arm_free { "is free" } else { "was not seen to be free" };
-    let (halted, off) = (done(recovery.halted), done(recovery.motor_off));
-    format!("the robot was {halted}halted, the motor was {off}switched off, and the arm {arm}")
 }
 
 impl Error {

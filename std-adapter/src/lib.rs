@@ -84,6 +84,7 @@ mod line;
 mod main_error;
 mod moves;
 mod path;
+mod recovery;
 mod reply;
 #[cfg(feature = "server")]
 pub mod server;
@@ -100,8 +101,9 @@ pub use line::{Parity, SerialLine, StopBits};
 pub use main_error::MainError;
 pub use moves::{Destination, DestinationError, Interpolation, Move, Pass, Plane};
 pub use path::{ObjectPath, ObjectPathError};
+pub use recovery::Recovery;
 pub use reply::OwnedReply;
-pub use session::{Recovery, TimedReading};
+pub use session::TimedReading;
 pub use settings::{Backoff, Model, ServiceOptions, Settings};
 pub use task::{TaskStart, TaskStatus, TaskStop};
 

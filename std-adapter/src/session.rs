@@ -48,7 +48,6 @@ pub(crate) use self::any::RuntimeCall;
 pub(crate) use self::arm::ArmId;
 use self::arm::ArmState;
 pub(crate) use self::arm::Left;
-pub use self::arm::Recovery;
 use self::paths::Paths;
 pub use self::variables::TimedReading;
 #[cfg(feature = "tokio")]

@@ -37,7 +37,8 @@ use crate::CallError;
 use crate::address::Address;
 use crate::error::Error;
 use crate::moves::Move;
-use crate::session::{ArmId, ROBOT, Recovery, SESSION, Session};
+use crate::recovery::Recovery;
+use crate::session::{ArmId, ROBOT, SESSION, Session};
 use crate::settings::{Backoff, Settings};
 
 /// A request of a handle.

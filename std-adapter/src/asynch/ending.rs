@@ -9,7 +9,8 @@ use super::socket::Socket;
 use crate::address::Address;
 use crate::blocking::ending;
 use crate::error::Error;
-use crate::session::{self, Recovery, Session};
+use crate::recovery::Recovery;
+use crate::session::{self, Session};
 use crate::settings::Settings;
 
 /// The session of a task, and the effects that a lost session left behind.

@@ -16,7 +16,8 @@ use super::state::{Counters, State};
 use super::subscription::Scan;
 use crate::address::Address;
 use crate::error::Error;
-use crate::session::{Recovery, Session};
+use crate::recovery::Recovery;
+use crate::session::Session;
 use crate::settings::Settings;
 
 /// A handle of a controller's task, which ends with the last one.

@@ -9,7 +9,7 @@ use futures_core::Stream;
 use tokio::sync::watch;
 
 use super::socket::BoxFuture;
-use crate::session::Recovery;
+use crate::recovery::Recovery;
 
 /// The state of a controller's connection.
 #[derive(Clone, Debug, PartialEq, Eq)]

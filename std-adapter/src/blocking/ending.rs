@@ -9,7 +9,8 @@ use bcap_core::io::asynch::SendTransport;
 use super::socket::{self, Blocking, ready};
 use crate::address::Address;
 use crate::error::Error;
-use crate::session::{Left, Recovery, Session};
+use crate::recovery::Recovery;
+use crate::session::{Left, Session};
 use crate::settings::Settings;
 
 /// How long the end of a session may take.

@@ -25,10 +25,11 @@ use bcap_core::time::Instant;
 
 #[cfg(feature = "tokio")]
 use super::arm::ArmId;
-use super::arm::{ArmState, Left, Recovery};
+use super::arm::{ArmState, Left};
 use super::{CLOSE, ROBOT, Release, Session};
 use crate::CallError;
 use crate::error::Error;
+use crate::recovery::Recovery;
 
 /// How long, and how often, a controller is asked that still executes an earlier call.
 const BUSY_LIMIT: Duration = Duration::from_secs(5);

@@ -152,7 +152,7 @@ impl LinkReplay<'_> {
             value.as_variant().as_bstr().map(|text| text.to_string())
         };
         let is_rc9 = text(1).is_some_and(|provider| provider.eq_ignore_ascii_case(Model::Rc9.provider()));
-        Settings::new(if is_rc9 { Model::Rc9 } else { Model::Rc8 }).connect_option(&text(3).unwrap_or_default())
+        Settings::new(if is_rc9 { Model::Rc9 } else { Model::Rc8 }).connect_option(text(3).unwrap_or_default())
     }
 }
 
