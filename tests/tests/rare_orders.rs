@@ -84,23 +84,15 @@ async fn an_arm_of_a_lost_session_halts_no_motion_of_the_next_one() {
 }
 
 #[tokio::test]
-async fn a_halt_does_not_wait_for_the_next_attempt_to_connect() {
-    let sim = simulated();
-    let relay = Relay::tcp(sim.tcp);
-    let stopper = Stopper::connect(&format!("tcp:{}", relay.tcp), &patient()).await.unwrap();
-    relay.cut(Cut::Fin);
-    relay.heal();
-    assert_eq!(stopper.halt().await.unwrap(), Halted::NothingMoved);
-}
-
-#[tokio::test]
-async fn a_halt_without_a_reply_is_made_over_a_new_connection() {
-    let sim = simulated();
-    let relay = Relay::tcp(sim.tcp);
-    let stopper = Stopper::connect(&format!("tcp:{}", relay.tcp), &patient()).await.unwrap();
-    relay.cut(Cut::Silent);
-    relay.heal();
-    assert_eq!(stopper.halt().await.unwrap(), Halted::NothingMoved);
+async fn a_halt_over_a_lost_or_silent_connection_is_made_over_a_new_one_at_once() {
+    for cut in [Cut::Fin, Cut::Silent] {
+        let sim = simulated();
+        let relay = Relay::tcp(sim.tcp);
+        let stopper = Stopper::connect(&format!("tcp:{}", relay.tcp), &patient()).await.unwrap();
+        relay.cut(cut);
+        relay.heal();
+        assert_eq!(stopper.halt().await.unwrap(), Halted::NothingMoved, "{cut:?}");
+    }
 }
 
 #[test]

@@ -333,6 +333,19 @@ fn a_lost_terminal_stops_a_stream_after_the_motion_to_its_start() {
     });
 }
 
+/// Sends a second Ctrl-C when the first one was reported, and returns the rest of the standard error.
+fn interrupt_twice(child: &mut Child) -> String {
+    send(Signal::INT, child);
+    let mut err = BufReader::new(child.stderr.take().unwrap());
+    let mut line = String::new();
+    err.read_line(&mut line).unwrap();
+    assert!(line.contains("stopping"), "{line}");
+    send(Signal::INT, child);
+    let mut rest = String::new();
+    err.read_to_string(&mut rest).unwrap();
+    rest
+}
+
 #[test]
 fn a_second_ctrl_c_halts_over_its_own_connection() {
     repeated(|| {
@@ -340,14 +353,7 @@ fn a_second_ctrl_c_halts_over_its_own_connection() {
         let ramp = ramp("ramp2.csv", 60);
         let mut child = play(&sim, &ramp);
         await_speed(&sim, &mut child, 9.0);
-        send(Signal::INT, &child);
-        let mut err = BufReader::new(child.stderr.take().unwrap());
-        let mut line = String::new();
-        err.read_line(&mut line).unwrap();
-        assert!(line.contains("stopping"), "{line}");
-        send(Signal::INT, &child);
-        let mut rest = String::new();
-        err.read_to_string(&mut rest).unwrap();
+        let rest = interrupt_twice(&mut child);
         assert_eq!(child.wait().unwrap().code(), Some(130), "{rest}");
         assert!(rest.contains("halted"), "{rest}");
         assert_at_rest(&sim, None);
@@ -365,14 +371,7 @@ fn a_halt_that_fails_does_not_hide_the_fault_of_the_stream() {
         await_speed(&sim, &mut child, 9.0);
         // neither the stream nor a new connection gets an answer
         relay.cut(Cut::Silent);
-        send(Signal::INT, &child);
-        let mut err = BufReader::new(child.stderr.take().unwrap());
-        let mut line = String::new();
-        err.read_line(&mut line).unwrap();
-        assert!(line.contains("stopping"), "{line}");
-        send(Signal::INT, &child);
-        let mut rest = String::new();
-        err.read_to_string(&mut rest).unwrap();
+        let rest = interrupt_twice(&mut child);
         // without its text, which is the one of a starved stream
         let told =
             ["the halt failed", "the robot was halted", "slvMove: no reply in time"].map(|text| rest.contains(text));
