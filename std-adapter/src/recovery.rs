@@ -33,6 +33,7 @@ impl Recovery {
     }
 }
 
+/// Writes what was done, and what was not.
 impl fmt::Display for Recovery {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let done = |done: Option<bool>| match done {

@@ -427,14 +427,14 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         match unsettled {
             None => {}
             Some(false) => self.arm.taken = false,
-            Some(true) if self.link.lost.is_none() => drop(self.make_up().await),
+            Some(true) if self.link.lost.is_none() => drop(self.undo_rest().await),
             Some(true) => {}
         }
         taken
     }
 
-    /// Gives an arm back that a procedure could not give back itself. Returns whether all was undone.
-    async fn make_up(&mut self) -> bool {
+    /// Ends the effects that a procedure could not undo itself. Returns whether all of them were ended.
+    async fn undo_rest(&mut self) -> bool {
         let ended = self.end_arm().await;
         if let Err(error) = &ended {
             tracing::warn!(%error, "the arm was not given back");

@@ -157,7 +157,7 @@ impl MotionQueue {
         self.ended
     }
 
-    /// Tells whether there was no motion yet: only then there is no time limit.
+    /// Tells whether there was no motion yet. The time limit begins with the first one.
     #[must_use]
     pub fn is_new(&self) -> bool {
         self.until == Instant::FAR_FUTURE

@@ -40,7 +40,7 @@ pub(crate) fn end_now(
 ) -> Result<(), Error> {
     let (given, released) = within_limit(session, |session| {
         let given = match session.lost() {
-            None => ready(session.end_arm_at_last()),
+            None => ready(session.end_last_arm()),
             Some(lost) if session.left().is_some() => Err(lost),
             Some(_) => Ok(()),
         };

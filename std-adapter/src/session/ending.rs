@@ -85,7 +85,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
 
     /// Gives the arm back at the end of the session. If the controller does not answer, the arm and its effects stay recorded, so
     /// that they are ended over another connection.
-    pub(crate) async fn end_arm_at_last(&mut self) -> Result<(), Error> {
+    pub(crate) async fn end_last_arm(&mut self) -> Result<(), Error> {
         let before = self.arm;
         let given = self.end_arm().await;
         if self.link.silent_since.is_some() {

@@ -57,7 +57,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
             self.arm = before;
         } else if self.link.lost.is_none() && !before.taken {
             // the procedure could not undo all of it
-            error.error.error.unsettled = !self.make_up().await;
+            error.error.error.unsettled = !self.undo_rest().await;
         }
         match failed.cause {
             StepCause::Failed(_) => self.ended(step.name(), Err(error.map(|error| error.error))),
