@@ -6,27 +6,43 @@ use bcap_core::variant::{Encode, OwnedVariant, Variant};
 
 use bcap_capture::value::data;
 
-use crate::calls::{Calls, execute};
+use crate::calls::{Calls, Failure, execute, needs_reconnect};
 use crate::stream::StreamCheck;
 
 /// The maximum number of errors that are read: each is a call.
 const MOST: usize = 100;
 
-/// Reads at most 100 present errors with their texts, the first cause first. The last text counts the others.
+/// Reads at most 100 present errors with their texts, the first cause first. The last text counts the others. Errors that another
+/// client clears meanwhile are left out.
 ///
 /// # Errors
 ///
-/// [`Failure::skipped`](crate::calls::Failure::skipped) while a stream runs, or the error of a call.
+/// [`Failure::skipped`] while a stream runs, or the error of a call.
 pub fn present<C: Calls>(calls: &mut C, check: &mut StreamCheck) -> Result<Vec<(HResult, String)>, C::Error> {
-    let count = count(calls, check)?;
-    // the last one is the first cause
-    let mut errors =
-        (0..count).rev().take(MOST).map(|index| error(calls, check, index)).collect::<Result<Vec<_>, _>>()?;
+    let mut count = count(calls, check)?;
+    loop {
+        // the last one is the first cause
+        let errors = (0..count).rev().take(MOST).map(|index| error(calls, check, index)).collect::<Result<Vec<_>, _>>();
+        let failure = match errors {
+            Ok(errors) => return Ok(with_rest(errors, count)),
+            Err(failure) if failure.code().is_none() || needs_reconnect(&failure) => return Err(failure),
+            Err(failure) => failure,
+        };
+        let left = self::count(calls, check)?;
+        if left >= count {
+            return Err(failure);
+        }
+        count = left;
+    }
+}
+
+/// Counts the errors that were not read in the last text.
+fn with_rest(mut errors: Vec<(HResult, String)>, count: i32) -> Vec<(HResult, String)> {
     let left = usize::try_from(count).unwrap_or(0).saturating_sub(MOST);
     if let Some((_, text)) = errors.last_mut().filter(|_| left > 0) {
         *text = format!("{text} (and {left} further errors)");
     }
-    Ok(errors)
+    errors
 }
 
 /// Reads the number of present errors.

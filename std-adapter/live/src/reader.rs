@@ -53,7 +53,7 @@ pub struct Reader {
     messages: bool,
     /// Whether the messages were skipped the last time.
     skipped_messages: bool,
-    /// Whether the list of errors is read again: there was an error, or reading it was skipped.
+    /// Whether the list of errors is read again: there was an error, it was not empty, or reading it was skipped.
     had_error: bool,
     stream: StreamCheck,
     slow: Instant,
@@ -172,8 +172,9 @@ impl<C: Calls, R: Rounds<C>> Round<'_, C, R> {
                 Err(failure) if needs_reconnect(&failure) => return Err(failure),
                 errors => errors,
             };
-            // a refusal is not repeated without an error: it may be an entry in the controller's log
-            self.reader.had_error = has_error || errors.as_ref().is_err_and(Failure::is_skipped);
+            // an error may come and go between two reads, and a refusal is not repeated: it may be an entry in the controller's log
+            self.reader.had_error =
+                has_error || errors.as_ref().map_or_else(Failure::is_skipped, |list| !list.is_empty());
             self.rounds.tell(Update::Errors(errors.map_err(|failure| failure.to_string())));
         }
         Ok(())
@@ -263,5 +264,88 @@ pub fn status_text(status: TaskStatus) -> String {
         TaskStatus::Running => "running".into(),
         TaskStatus::StoppedAtStep => "stopped at a step".into(),
         other => format!("{other:?}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::VecDeque;
+
+    use bcap_core::bcap::{Object, StreamState};
+    use bcap_core::hresult::HResult;
+
+    use super::*;
+    use crate::link::Error;
+
+    const FAULT: HResult = HResult::E_SLVMODE_OFF;
+
+    /// A controller without a present error, but with one that another client makes and clears between two calls.
+    struct Fake {
+        /// The answers to `GetCurErrorCount`.
+        counts: VecDeque<i32>,
+        /// Whether the error is cleared before it is read.
+        is_cleared: bool,
+    }
+
+    impl Calls for Fake {
+        type Error = Error;
+
+        fn object(&mut self, _: &ObjectPath) -> Result<i32, Error> {
+            Ok(1)
+        }
+
+        fn call(
+            &mut self,
+            subject: &str,
+            function: FunctionId,
+            _: &[OwnedVariant],
+        ) -> Result<(HResult, Option<OwnedVariant>), Error> {
+            let value = match subject {
+                "GetCurErrorCount" => OwnedVariant::new(&self.counts.pop_front().expect("the list is read again"))?,
+                "GetCurErrorInfo" if self.is_cleared => {
+                    let (object, code) = (subject.to_owned(), HResult::DISP_E_BADINDEX);
+                    return Err(bcap_std::Error::Refused { function, object, code }.into());
+                }
+                "GetCurErrorInfo" => OwnedVariant::new(&(FAULT.0, "stream"))?,
+                StreamState::COMMAND => OwnedVariant::new(&0)?,
+                _ if function == FunctionId::CONTROLLER_GET_TASK_NAMES => OwnedVariant::default(),
+                _ => OwnedVariant::new("0")?,
+            };
+            Ok((HResult::S_OK, Some(value)))
+        }
+
+        fn release(&mut self, _: Object, _: i32) -> Result<(), Error> {
+            Ok(())
+        }
+
+        fn task_status(&mut self, _: &str) -> Result<TaskStatus, Error> {
+            Ok(TaskStatus::Ready)
+        }
+    }
+
+    /// Returns the lists of errors of three rounds.
+    fn lists(counts: &[i32], is_cleared: bool) -> Vec<Result<Vec<HResult>, String>> {
+        let mut fake = Fake { counts: counts.iter().copied().collect(), is_cleared };
+        let (mut reader, mut lists) = (Reader::start(&mut fake, &[]).unwrap(), Vec::new());
+        reader.messages = false;
+        for _ in 0..3 {
+            let mut tell = |update| {
+                if let Update::Errors(errors) = update {
+                    lists.push(errors.map(|list| list.into_iter().map(|(code, _)| code).collect()));
+                }
+            };
+            round(&mut reader, &mut fake, &mut tell).unwrap();
+        }
+        assert!(fake.counts.is_empty(), "the list was not read again");
+        lists
+    }
+
+    #[test]
+    fn an_error_that_another_client_clears_does_not_stay_on_the_screen() {
+        assert_eq!(lists(&[0], false), [Ok(vec![])]);
+        assert_eq!(lists(&[1, 0], false), [Ok(vec![FAULT]), Ok(vec![])]);
+        assert_eq!(lists(&[1, 0], true), [Ok(vec![])]);
+        let refused = lists(&[1, 1], true);
+        assert!(matches!(refused.as_slice(), [Err(why)] if why.contains("0x8002000b")), "{refused:?}");
     }
 }
