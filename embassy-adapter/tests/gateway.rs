@@ -6,8 +6,8 @@ use crate::common::{address, ask, between, dial, number, serve, serve_udp};
 use bcap_core::bcap::client;
 use bcap_core::hresult::HResult;
 use bcap_core::rac::{self, VariableKind};
-use bcap_embassy::gateway::{self, Ended, Report, TcpRobot, run_robot};
-use bcap_embassy::net::{NetError, Options, UdpTransport};
+use bcap_embassy::gateway::{self, Ended, Report, RobotLink, TcpRobot, run_robot};
+use bcap_embassy::net::{NetError, Options, Transport, UdpTransport};
 use bcap_embassy::server::Limits;
 use bcap_gateway::{Allow, Config, Event, Gateway, Memory, Network, Refusal, Rules};
 use embassy_futures::join::{join, join3};
@@ -277,5 +277,31 @@ fn a_robot_over_udp_is_reached_despite_losses() {
             }
         });
         select3(run(board, link, &plant, gateway::Limits::default()), serve_udp(plcs, &number), test).await;
+    });
+}
+
+#[test]
+fn a_datagram_that_was_not_sent_is_discarded_with_its_session() {
+    between(|cable, peer, board| async move {
+        let (mut metas, mut buffers) = ([[PacketMetadata::EMPTY; 2]; 4], [[0; 1024]; 4]);
+        let ([rx_meta, tx_meta, peer_rx_meta, peer_tx_meta], [rx, tx, peer_rx, peer_tx]) = (&mut metas, &mut buffers);
+        let mut peer = UdpSocket::new(peer, peer_rx_meta, peer_rx, peer_tx_meta, peer_tx);
+        peer.bind(5007).unwrap();
+        let mut link = UdpTransport::new(board, UdpSocket::new(board, rx_meta, rx, tx_meta, tx), robot()).unwrap();
+        let port = link.socket().endpoint();
+        let until = bcap_embassy::clock::now().saturating_add(core::time::Duration::from_secs(10));
+        // the address of the robot is not resolved
+        cable.lose(1);
+        assert_eq!(link.send(b"old", until).await, Ok(Some(3)));
+        Timer::after_millis(5).await;
+        link.close();
+        cable.lose(0);
+        link.open().await.unwrap();
+        assert_eq!(link.send(b"new", until).await, Ok(Some(3)));
+        let mut buffer = [0; 8];
+        let (count, from) = peer.recv_from(&mut buffer).await.unwrap();
+        assert_eq!((&buffer[..count], from.endpoint.port), (&b"new"[..], port.port));
+        Timer::after_millis(100).await;
+        assert!(!peer.may_recv(), "an old datagram arrived too");
     });
 }

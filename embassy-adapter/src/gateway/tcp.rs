@@ -62,7 +62,9 @@ impl RobotLink for UdpTransport<'_> {
         Ok(())
     }
 
-    fn close(&mut self) {}
+    fn close(&mut self) {
+        self.discard();
+    }
 
     fn cause(error: Option<NetError>) -> NetError {
         error.unwrap_or(NetError::Reset)

@@ -60,6 +60,15 @@ impl<'s> UdpTransport<'s> {
     pub const fn socket(&mut self) -> &mut UdpSocket<'s> {
         &mut self.socket
     }
+
+    /// Discards the datagrams that were not sent yet, for example because the address of the peer is not resolved, and those that
+    /// were not received yet. The port stays.
+    pub(crate) fn discard(&mut self) {
+        let port = self.socket.endpoint();
+        self.socket.close();
+        // the socket was bound to it, and is free now
+        let _ = self.socket.bind(port);
+    }
 }
 
 impl fmt::Debug for UdpTransport<'_> {
