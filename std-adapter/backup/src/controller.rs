@@ -3,12 +3,13 @@
 //! [`CheckedCalls`] asks whether a stream of Slave Mode runs before each call that Slave Mode does not allow.
 //!
 //! The variables of a kind are read through one handle of `I*`, whose PutID chooses the variable: on a controller without
-//! Slave Mode, two calls for each instead of three. A controller may accept PutID and ignore it. So the handle is trusted
-//! after two ids have returned different values that agree with those by name. While all values are equal, only samples are
-//! read by name. After the first disagreement every variable is opened by name.
+//! Slave Mode, two calls for each instead of three. A controller may accept PutID and ignore it. So the handle is used only
+//! after two ids have returned different values that agree with those by name. Until then, and after a disagreement, every
+//! variable is opened by name.
 
 use std::collections::BTreeSet;
 use std::iter::once;
+use std::mem;
 use std::ops::Range;
 
 use bcap_core::bcap::{FunctionId, Object};
@@ -127,21 +128,14 @@ pub fn variables<C: Calls>(
     mut each: impl FnMut(u32, Entry) -> Result<(), C::Error>,
 ) -> Result<(), C::Error> {
     let mut wildcard = Wildcard::open(session, kind, &indices)?;
-    for index in indices.clone() {
+    for index in indices {
         let value = match &mut wildcard {
             Some(wildcard) => wildcard.read(session, index)?,
-            None => None,
+            None => by_name(session, kind, index)?,
         };
-        let value = match value {
-            Some(value) => value,
-            None => {
-                if let Some(wildcard) = wildcard.take() {
-                    wildcard.check_again(session, indices.start..index)?;
-                    wildcard.close(session)?;
-                }
-                by_name(session, kind, index)?
-            }
-        };
+        if let Some(wrong) = wildcard.take_if(|wildcard| wildcard.trust == Trust::Wrong) {
+            wrong.close(session)?;
+        }
         each(index, value)?;
     }
     wildcard.map_or(Ok(()), |wildcard| wildcard.close(session))
@@ -151,8 +145,27 @@ pub fn variables<C: Calls>(
 struct Wildcard {
     kind: VariableKind,
     handle: i32,
-    /// The value that all ids have returned so far, as a handle that ignores PutID does; `None` when two have differed.
-    only: Option<Entry>,
+    trust: Trust,
+}
+
+/// Whether PutID has an effect.
+#[derive(PartialEq)]
+enum Trust {
+    /// All ids have returned this value so far, as a handle that ignores PutID does. `None` before the first.
+    Unknown(Option<Entry>),
+    Works,
+    Wrong,
+}
+
+impl Trust {
+    /// Compares the value of a variable through the handle with its value by name.
+    fn compare(self, by_id: &Entry, by_name: Entry) -> Self {
+        match self {
+            _ if *by_id != by_name => Self::Wrong,
+            Self::Unknown(only) if only.as_ref().is_none_or(|only| *only == by_name) => Self::Unknown(Some(by_name)),
+            _ => Self::Works,
+        }
+    }
 }
 
 impl Wildcard {
@@ -165,44 +178,38 @@ impl Wildcard {
             Err(refused) if refused.code().is_some() => return Ok(None),
             opened => opened?,
         };
-        let mut wildcard = Self { kind, handle, only: None };
+        let mut wildcard = Self { kind, handle, trust: Trust::Unknown(None) };
         for index in samples(indices) {
-            let value = entry(by_id(session, kind, handle, index))?;
-            if value != by_name(session, kind, index)? {
-                wildcard.close(session)?;
-                return Ok(None);
-            }
-            if wildcard.only.replace(value).is_some_and(|other| wildcard.only.as_ref() != Some(&other)) {
-                wildcard.only = None;
-                break;
+            let value = by_name(session, kind, index)?;
+            wildcard.compare(session, index, value)?;
+            match wildcard.trust {
+                Trust::Unknown(_) => {}
+                Trust::Works => break,
+                Trust::Wrong => {
+                    wildcard.close(session)?;
+                    return Ok(None);
+                }
             }
         }
         Ok(Some(wildcard))
     }
 
-    /// Reads a variable; `None` if the handle returns another value than the name does.
-    fn read<C: Calls>(&mut self, session: &mut C, index: u32) -> Result<Option<Entry>, C::Error> {
-        let value = entry(by_id(session, self.kind, self.handle, index))?;
-        if self.only.as_ref().is_some_and(|only| *only != value) {
-            if value != by_name(session, self.kind, index)? {
-                return Ok(None);
-            }
-            self.only = None;
-        }
-        Ok(Some(value))
+    fn compare<C: Calls>(&mut self, session: &mut C, index: u32, by_name: Entry) -> Result<(), C::Error> {
+        let by_id = entry(by_id(session, self.kind, self.handle, index))?;
+        self.trust = mem::replace(&mut self.trust, Trust::Wrong).compare(&by_id, by_name);
+        Ok(())
     }
 
-    /// Compares by name the values that were read before the handle was found to be wrong.
-    fn check_again<C: Calls>(&self, session: &mut C, indices: Range<u32>) -> Result<(), C::Error> {
-        for index in indices {
-            if self.only != Some(by_name(session, self.kind, index)?) {
-                let name = self.kind.name();
-                let message = format!("{name}{index} has another value through {name}*: PutID has no effect");
-                let hint = "stop the programs of the controller, and dump to another folder";
-                return Err(C::Error::unfit(message).with_hint(hint));
-            }
+    /// Reads a variable, by name as long as it is unknown whether PutID has an effect.
+    fn read<C: Calls>(&mut self, session: &mut C, index: u32) -> Result<Entry, C::Error> {
+        if self.trust == Trust::Works {
+            return entry(by_id(session, self.kind, self.handle, index));
         }
-        Ok(())
+        let value = by_name(session, self.kind, index)?;
+        if matches!(&self.trust, Trust::Unknown(Some(only)) if *only != value) {
+            self.compare(session, index, value.clone())?;
+        }
+        Ok(value)
     }
 
     fn close<C: Calls>(self, session: &mut C) -> Result<(), C::Error> {
