@@ -1,10 +1,11 @@
 //! A log of events: one JSON object a line, each with its time in UTC.
 //!
 //! A thread writes the lines. If the reader stalls or the disk is full, lines are dropped and counted; this never delays
-//! the program. An event `dropped` has their number as soon as there is room again. Characters that act on a terminal are
-//! escaped.
+//! the program. An event `dropped` has their number as soon as there is room again, or at the end. Characters that act on a
+//! terminal are escaped.
 
 use std::io::{self, Write};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::{self, JoinHandle};
@@ -39,7 +40,8 @@ enum Loss {
 #[derive(Debug)]
 pub struct Log {
     lines: SyncSender<String>,
-    dropped: AtomicU64,
+    /// The lines without room in the queue that no event has told yet.
+    dropped: Arc<AtomicU64>,
 }
 
 /// The thread that writes a log.
@@ -53,14 +55,15 @@ pub struct Writer(JoinHandle<()>);
 /// When no thread can be started.
 pub fn open(output: impl Write + Send + 'static) -> io::Result<(Log, Writer)> {
     let (log, lines) = Log::new(BACKLOG);
-    let writer = thread::Builder::new().name("events".into()).spawn(move || write(output, &lines))?;
+    let dropped = Arc::clone(&log.dropped);
+    let writer = thread::Builder::new().name("events".into()).spawn(move || write(output, &lines, &dropped))?;
     Ok((log, Writer(writer)))
 }
 
 impl Log {
     fn new(backlog: usize) -> (Self, Receiver<String>) {
         let (lines, waiting) = sync_channel(backlog);
-        (Self { lines, dropped: AtomicU64::new(0) }, waiting)
+        (Self { lines, dropped: Arc::default() }, waiting)
     }
 
     /// Queues an event, or counts it if the queue is full.
@@ -87,20 +90,25 @@ impl Writer {
         while !self.0.is_finished() && Instant::now() < until {
             thread::sleep(Duration::from_millis(1));
         }
+        if !self.0.is_finished() {
+            eprintln!("warning: the last lines of the log of events were not written in {CLOSE_TIMEOUT:?}");
+        }
     }
 }
 
-/// Writes lines until there are no more, or the pipe has no reader.
-fn write(mut output: impl Write, lines: &Receiver<String>) {
-    // in one piece, so that a rotation does not split it
-    let mut put = |line: &str| output.write_all(format!("{line}\n").as_bytes()).and_then(|()| output.flush());
-    let mut lost = 0;
-    while let Ok(line) = lines.recv() {
+/// Writes lines until there are no more, or the pipe has no reader. `dropped` counts lines without room in the queue.
+fn write(output: impl Write, lines: &Receiver<String>, dropped: &AtomicU64) {
+    let (mut output, mut lost) = (Output { output, is_torn: false }, 0);
+    loop {
+        let line = lines.recv().ok();
+        if line.is_none() {
+            lost += dropped.swap(0, Ordering::Relaxed);
+        }
         let counted = match lost {
             0 => Ok(()),
-            lines => put(&text(&Loss::Dropped { lines })).inspect(|()| lost = 0),
+            lines => output.put(&text(&Loss::Dropped { lines })).inspect(|()| lost = 0),
         };
-        match counted.and_then(|()| put(&line)) {
+        match counted.and_then(|()| line.as_deref().map_or(Ok(()), |line| output.put(line))) {
             Ok(()) => {}
             Err(error) if error.kind() == io::ErrorKind::BrokenPipe => return,
             Err(error) => {
@@ -110,6 +118,36 @@ fn write(mut output: impl Write, lines: &Receiver<String>) {
                 lost += 1;
             }
         }
+        if line.is_none() {
+            return;
+        }
+    }
+}
+
+/// The output of a log.
+struct Output<W> {
+    output: W,
+    /// Whether the last line was cut off.
+    is_torn: bool,
+}
+
+impl<W: Write> Output<W> {
+    /// Writes a line in one piece, so that a rotation does not split it. After a line that was cut off it begins a new one.
+    fn put(&mut self, line: &str) -> io::Result<()> {
+        let text = format!("{}{line}\n", if self.is_torn { "\n" } else { "" });
+        let mut left = text.as_bytes();
+        while !left.is_empty() {
+            let written = match self.output.write(left) {
+                Ok(0) => return Err(io::ErrorKind::WriteZero.into()),
+                Ok(written) => written,
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => 0,
+                Err(error) => return Err(error),
+            };
+            let (done, rest) = left.split_at(written);
+            self.is_torn = done.last().map_or(self.is_torn, |last| *last != b'\n');
+            left = rest;
+        }
+        self.output.flush()
     }
 }
 
@@ -130,20 +168,23 @@ pub fn utc() -> String {
 mod tests {
     use super::*;
 
-    /// A disk that is full for some writes.
+    /// A disk that takes a number of bytes, and then refuses some writes.
     struct Disk {
         written: Vec<u8>,
+        free: usize,
         full_for: u32,
     }
 
     impl Write for &mut Disk {
         fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-            if self.full_for > 0 {
+            if self.free == 0 && self.full_for > 0 {
                 self.full_for -= 1;
                 return Err(io::ErrorKind::StorageFull.into());
             }
-            self.written.extend(bytes);
-            Ok(bytes.len())
+            let count = if self.full_for > 0 { bytes.len().min(self.free) } else { bytes.len() };
+            self.free -= count.min(self.free);
+            self.written.extend(&bytes[..count]);
+            Ok(count)
         }
 
         fn flush(&mut self) -> io::Result<()> {
@@ -151,17 +192,38 @@ mod tests {
         }
     }
 
-    #[test]
-    fn lines_that_a_full_disk_refuses_are_counted() {
-        let mut disk = Disk { written: Vec::new(), full_for: 2 };
+    /// Writes three lines to a disk; returns all lines on it.
+    fn written(mut disk: Disk, dropped: u64) -> Vec<String> {
         let (sender, lines) = sync_channel(10);
         ["one", "two", "three"].iter().for_each(|line| sender.send((*line).to_owned()).unwrap());
         drop(sender);
-        write(&mut disk, &lines);
-        let written = String::from_utf8(disk.written).unwrap();
-        let [dropped, three] = written.lines().collect::<Vec<_>>()[..] else { panic!("{written}") };
-        assert!(dropped.contains("\"lines\":2"), "{dropped}");
-        assert_eq!(three, "three");
+        write(&mut disk, &lines, &AtomicU64::new(dropped));
+        String::from_utf8(disk.written).unwrap().lines().map(str::to_owned).collect()
+    }
+
+    #[test]
+    fn lines_that_a_full_disk_refuses_are_counted() {
+        let lines = written(Disk { written: Vec::new(), free: 0, full_for: 2 }, 0);
+        assert!(
+            matches!(&lines[..], [dropped, three] if dropped.contains("\"lines\":2}") && three == "three"),
+            "{lines:?}"
+        );
+        // a line that was cut off does not spoil the next one
+        let lines = written(Disk { written: Vec::new(), free: 5, full_for: 1 }, 0);
+        let expected = |lines: &[String]| {
+            matches!(lines, [one, t, dropped, three]
+                if one == "one" && t == "t" && dropped.contains("\"lines\":1}") && three == "three")
+        };
+        assert!(expected(&lines), "{lines:?}");
+    }
+
+    #[test]
+    fn lines_that_are_lost_at_the_end_are_counted() {
+        let lines = written(Disk { written: Vec::new(), free: 8, full_for: 1 }, 3);
+        assert!(
+            matches!(&lines[..], [_, two, dropped] if two == "two" && dropped.contains("\"lines\":4}")),
+            "{lines:?}"
+        );
     }
 
     #[test]
