@@ -24,8 +24,9 @@ use std::time::Duration;
 use bcap_service::throttle::Throttle;
 use bcap_std::asynch::Controller;
 use rumqttc::{ConnectReturnCode, Event as Mqtt, Outgoing, Packet};
+use tokio::sync::watch;
 use tokio::task::JoinSet;
-use tokio::time::{Instant, sleep_until, timeout};
+use tokio::time::{Instant, sleep_until, timeout, timeout_at};
 
 use self::backlog::Backlog;
 use self::connection::{Connection, Phase, next};
@@ -77,6 +78,8 @@ pub(crate) struct Publisher {
     backlog: Backlog,
     commands: Commands,
     running: JoinSet<Finished>,
+    /// Whether the commands that run are given up.
+    gives_up: watch::Sender<bool>,
     /// The number of commands of each controller that run.
     running_of: Vec<usize>,
     link: Option<Connection>,
@@ -109,6 +112,7 @@ impl Publisher {
             controllers,
             broker,
             running: JoinSet::new(),
+            gives_up: watch::Sender::new(false),
             link: None,
             retry: Instant::now(),
             backoff: BACKOFF.0,
@@ -387,13 +391,11 @@ impl Publisher {
 
     /// Announces the end, and keeps readings that may not have arrived.
     async fn close(mut self) {
-        let ended = async {
-            while let Some(finished) = self.running.join_next().await {
-                finished.into_iter().for_each(|finished| self.end(finished));
-            }
-        };
-        // the controllers are closed, so commands end at once
-        let _ = timeout(CLOSE, ended).await;
+        // the controllers are closed, so commands end at once, unless one does not answer
+        if timeout(CLOSE, self.join()).await.is_err() {
+            self.gives_up.send_replace(true);
+            self.join().await;
+        }
         if self.is_up() {
             self.step().await;
             if self.is_active() {
@@ -403,20 +405,7 @@ impl Publisher {
                     self.push(self.node_state(false));
                 }
             }
-            let last = async {
-                while self.link.as_ref().is_some_and(|link| !link.is_idle()) {
-                    if let Some(connection) = &mut self.link {
-                        connection.flush();
-                    }
-                    let event = next(&mut self.link).await;
-                    self.handle(event).await;
-                }
-                if let Some(connection) = &mut self.link {
-                    let _ = connection.link.client.try_disconnect();
-                    while connection.link.events.recv().await.is_some_and(|event| event.is_ok()) {}
-                }
-            };
-            let _ = timeout(CLOSE, last).await;
+            self.send_last(Instant::now() + CLOSE).await;
         }
         self.recover().await;
         self.drain().await;
@@ -425,6 +414,28 @@ impl Publisher {
         let suppressed = self.refusals.take();
         self.report_suppressed(suppressed);
         self.backlog.close();
+    }
+
+    /// Waits until no command runs.
+    async fn join(&mut self) {
+        while let Some(finished) = self.running.join_next().await {
+            finished.into_iter().for_each(|finished| self.end(finished));
+        }
+    }
+
+    /// Sends the messages of the connection, and closes it. Only the wait for the broker ends with the time: an event is handled
+    /// whole, because it may write to the buffer.
+    async fn send_last(&mut self, until: Instant) {
+        while let Some(connection) = self.link.as_mut().filter(|link| !link.is_idle()) {
+            connection.flush();
+            let Ok(event) = timeout_at(until, next(&mut self.link)).await else { return };
+            self.handle(event).await;
+        }
+        if let Some(connection) = &mut self.link {
+            let _ = connection.link.client.try_disconnect();
+            let closed = async { while connection.link.events.recv().await.is_some_and(|event| event.is_ok()) {} };
+            let _ = timeout_at(until, closed).await;
+        }
     }
 }
 

@@ -420,6 +420,36 @@ async fn commands_are_allowed_by_rules_only_and_executed_once() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_command_that_has_no_reply_at_the_end_has_an_outcome() {
+    let Some(broker) = Mosquitto::open() else { return };
+    let robot = Robot::start().await;
+    let port = muting_proxy(robot.address, &["I10", "I11", "I12"], &Arc::new(AtomicBool::new(true))).await;
+    let rules = "[commands]\nallow = [\"I/10-19\"]\nlongest_seconds = 60";
+    let publish = "[[controller.publish]]\nnames = [\"I1\"]\ninterval_ms = 10";
+    let text = config(broker.port, rules, &[&robot], publish);
+    let text = text.replace(&robot.address.to_string(), &format!("127.0.0.1:{port}"));
+    let mut host = Subscriber::start(broker.port, "bcap/plant/cell1/+").await;
+    let fleet = Running::start(&text).await;
+    host.json("bcap/plant/cell1/I1", |json| json["quality"] == "good").await;
+    for name in ["I10", "I11", "I12"] {
+        host.publish("bcap/plant/cell1/command", command(name, name, 1, now_ms() + 60_000)).await;
+    }
+    while fleet.metric("bcap_commands_total").await < 3 {
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+    let outcome = |event: &Event| match event {
+        Event::Command { id, result, reason, .. } => Some((id.clone(), *result, reason.clone().unwrap_or_default())),
+        _ => None,
+    };
+    let outcomes: Vec<_> = fleet.stop().await.iter().filter_map(outcome).collect();
+    let ids: BTreeSet<_> = outcomes.iter().map(|(id, ..)| id.as_str()).collect();
+    assert_eq!((ids, outcomes.len()), (BTreeSet::from(["I10", "I11", "I12"]), 3), "{outcomes:?}");
+    assert!(outcomes.iter().all(|(_, result, _)| *result != CommandResult::Done), "{outcomes:?}");
+    let (_, result, reason) = outcomes.last().unwrap();
+    assert!(*result == CommandResult::Unknown && reason.starts_with("this process ended"), "{outcomes:?}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn without_a_rule_no_command_is_received() {
     let Some(broker) = Mosquitto::open() else { return };
     let robot = Robot::start().await;

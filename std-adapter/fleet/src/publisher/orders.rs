@@ -65,9 +65,16 @@ impl Publisher {
         match checked {
             Ok(job) => {
                 let controller = self.controllers[cell].clone();
+                let mut gives_up = self.gives_up.subscribe();
                 self.running_of[cell] += 1;
                 self.running.spawn(async move {
-                    let (result, reason) = execute(controller, job).await;
+                    let (result, reason) = tokio::select! {
+                        biased;
+                        outcome = execute(controller, job) => outcome,
+                        _ = gives_up.wait_for(|gives_up| *gives_up) => {
+                            (CommandResult::Unknown, Some("this process ended before the controller answered".into()))
+                        }
+                    };
                     Finished { cell, topic, command, result, reason }
                 });
             }
