@@ -260,6 +260,17 @@ static void streams(void) {
     OK(bcap_joints(cell, actual));
     CHECK(fabs(actual[0]) < 0.05);
 
+    /* a wrong pointer starts no stream, and ends one */
+    STATUS(BCAP_E_POINTER, bcap_stream_start(cell, &options, NULL));
+    OK(bcap_halt(cell));
+    double *const misaligned = (double *)((char *)actual + 1);
+    for (int index = 0; index < 2; index++) {
+        OK(bcap_stream_start(cell, &options, joints));
+        STATUS(BCAP_E_POINTER, bcap_stream_step(cell, index == 0 ? NULL : joints, index == 0 ? NULL : misaligned));
+        STATUS(BCAP_E_NO_STREAM, bcap_stream_step(cell, joints, NULL));
+        OK(bcap_recover(cell, true));
+    }
+
     /* a pose beyond the limits is not sent, and the robot stops */
     OK(bcap_stream_start(cell, &options, joints));
     joints[0] += 45;

@@ -8,7 +8,7 @@ use bcap_stream::steps::{StepError, Steps, format};
 
 use super::controller::bcap_controller;
 use super::{Failure, table, taken};
-use crate::memory::{caller, copy, get, put, slice};
+use crate::memory::{caller, check, copy, get, put, slice};
 use crate::status::{BCAP_E_CLOSED, BCAP_E_NO_STREAM, BCAP_E_PANIC, BCAP_E_RANGE, BCAP_E_STREAM, bcap_status};
 
 /// The number of joints of a pose.
@@ -67,6 +67,30 @@ fn next_cycle(cell: &mut table::Cell) -> Result<Vec<f64>, Failure> {
     Err(Failure::new(BCAP_E_STREAM, "Slave Mode: the stream has ended"))
 }
 
+/// Ends the stream after a failure: the robot stops.
+fn or_end(cell: &mut table::Cell, ended: Result<(), Failure>) -> Result<(), Failure> {
+    if ended.is_err() && cell.stream.is_some() {
+        // the failure matters, not the outcome of the stream
+        let _ = end(cell, Next::Stop);
+    }
+    ended
+}
+
+/// Sends the joints of the next cycle, and waits for the cycle after it.
+///
+/// # Safety
+///
+/// As for [`slice`] and [`copy`].
+unsafe fn step(cell: &mut table::Cell, joints: *const f64, actual: *mut f64) -> Result<(), Failure> {
+    let joints: [f64; JOINTS] = caller!(slice(joints, JOINTS))?.try_into().map_err(|_| BCAP_E_RANGE)?;
+    if !actual.is_null() {
+        check(actual)?;
+    }
+    cell.stream.as_ref().ok_or(BCAP_E_NO_STREAM)?.send(Next::Pose(Pose::j(joints)));
+    let found = next_cycle(cell)?;
+    if actual.is_null() { Ok(()) } else { Ok(caller!(copy(&found, actual, JOINTS))?) }
+}
+
 /// Returns a field, or its default if it is 0.
 fn or(value: f64, default: f64, name: &str) -> Result<f64, Failure> {
     match value {
@@ -89,6 +113,7 @@ pub unsafe extern "C" fn bcap_stream_start(
 ) -> bcap_status {
     table::on(cell.id, |cell| {
         let options = caller!(get(options))?;
+        check(joints)?;
         let acceleration = or(options.acceleration, 300.0, "acceleration")?;
         let limits = AxisLimits::uniform(or(options.speed, 30.0, "speed")?, acceleration);
         let late = Duration::from_millis(or(options.pose_timeout_ms.into(), 100.0, "pose_timeout_ms")? as u64);
@@ -97,7 +122,8 @@ pub unsafe extern "C" fn bcap_stream_start(
         taken(cell.at_rest()?)?.keep();
         let controller = cell.controller.take().ok_or(BCAP_E_CLOSED)?;
         cell.stream = Some(Steps::start(controller, format, limits, late));
-        Ok(caller!(copy(&next_cycle(cell)?, joints, JOINTS))?)
+        let start = next_cycle(cell)?;
+        or_end(cell, caller!(copy(&start, joints, JOINTS)).map_err(Failure::from))
     })
 }
 
@@ -106,13 +132,8 @@ pub unsafe extern "C" fn bcap_stream_start(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_stream_step(cell: bcap_controller, joints: *const f64, actual: *mut f64) -> bcap_status {
     table::on(cell.id, |cell| {
-        let joints: [f64; JOINTS] = caller!(slice(joints, JOINTS))?.try_into().map_err(|_| BCAP_E_RANGE)?;
-        cell.stream.as_ref().ok_or(BCAP_E_NO_STREAM)?.send(Next::Pose(Pose::j(joints)));
-        let found = next_cycle(cell)?;
-        if actual.is_null() {
-            return Ok(());
-        }
-        Ok(caller!(copy(&found, actual, JOINTS))?)
+        let ended = caller!(step(cell, joints, actual));
+        or_end(cell, ended)
     })
 }
 
