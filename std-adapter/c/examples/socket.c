@@ -1,7 +1,9 @@
 /* The sans-IO client over a socket, as a board would use it over its own network: socket 127.0.0.1 5007 */
 #include <arpa/inet.h>
+#include <errno.h>
 #include <inttypes.h>
 #include <poll.h>
+#include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <sys/socket.h>
@@ -20,6 +22,7 @@ static uint64_t now_us(void) {
 static bcap_status call(int link, bcap_client *client, int32_t function, const bcap_value *arguments, size_t count,
                         bcap_value *value) {
     bcap_status status = bcap_client_start(client, function, arguments, count, now_us());
+    bcap_status lost = BCAP_E_CLOSED; /* the status if the link is lost: the controller has not got the call */
     while (status == BCAP_OK) {
         const uint8_t *bytes;
         uint8_t *room;
@@ -29,9 +32,11 @@ static bcap_status call(int link, bcap_client *client, int32_t function, const b
         bcap_client_transmit(client, &bytes, &size);
         if (size > 0) {
             ssize_t sent = write(link, bytes, size);
-            if (sent < 0)
-                return BCAP_E_CLOSED;
-            bcap_client_transmitted(client, (size_t)sent);
+            if (sent < 0 && errno != EINTR)
+                return lost;
+            if (sent > 0)
+                lost = BCAP_E_LOST; /* the controller may have executed it */
+            bcap_client_transmitted(client, sent > 0 ? (size_t)sent : 0);
             continue;
         }
         bcap_client_deadline(client, &deadline);
@@ -40,9 +45,9 @@ static bcap_status call(int link, bcap_client *client, int32_t function, const b
         if (poll(&readable, 1, deadline > now ? (int)((deadline - now) / 1000 + 1) : 0) > 0) {
             bcap_client_receive_buffer(client, &room, &size);
             ssize_t received = read(link, room, size);
-            if (received <= 0)
-                return BCAP_E_CLOSED;
-            bcap_client_received(client, (size_t)received);
+            if (received == 0 || (received < 0 && errno != EINTR))
+                return lost;
+            bcap_client_received(client, received > 0 ? (size_t)received : 0);
         }
         do {
             status = bcap_client_poll(client, now_us(), &event);
@@ -58,6 +63,7 @@ static bcap_status call(int link, bcap_client *client, int32_t function, const b
 int main(int argc, char **argv) {
     static bcap_client client;
     static uint8_t tx[512], rx[512];
+    signal(SIGPIPE, SIG_IGN); /* a lost link is an error of write */
     struct sockaddr_in peer = {.sin_family = AF_INET};
     peer.sin_port = htons((uint16_t)atoi(argc > 2 ? argv[2] : "5007"));
     inet_pton(AF_INET, argc > 1 ? argv[1] : "127.0.0.1", &peer.sin_addr);
