@@ -1,6 +1,9 @@
 /* Tests of the hosted client against the virtual controller: hosted ADDRESS [slow|leave|left] */
 #include <pthread.h>
+#include <signal.h>
 #include <stdatomic.h>
+#include <sys/resource.h>
+#include <sys/wait.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -399,6 +402,118 @@ static void leave(void) {
     exit(0);
 }
 
+static void *read_on(void *shared) {
+    int64_t integer;
+    while (bcap_read_integer(*(bcap_controller *)shared, "I1", &integer) == BCAP_OK) {
+    }
+    return NULL;
+}
+
+/* The end of a program that only reads, while another one moves the robot. */
+static void exit_as_reader(void) {
+    bcap_controller cell = connected();
+    pthread_t threads[4];
+    wait_for_motion(cell);
+    for (int index = 0; index < 4; index++)
+        CHECK(pthread_create(&threads[index], NULL, read_on, &cell) == 0);
+    wait_ms(100);
+    exit(0);
+}
+
+static void *move_briefly(void *shared) {
+    const bcap_motion there = {.to = "J(30, 45, 90, 0, 45, 0)", .speed_percent = 5};
+    OK(bcap_move(*(bcap_controller *)shared, &there, 60000));
+    return NULL;
+}
+
+/* Sets how many files may be open. */
+static void limit_files(rlim_t count) {
+    struct rlimit limit;
+    CHECK(getrlimit(RLIMIT_NOFILE, &limit) == 0);
+    limit.rlim_cur = count < limit.rlim_max ? count : limit.rlim_max;
+    CHECK(setrlimit(RLIMIT_NOFILE, &limit) == 0);
+}
+
+/* AddressSanitizer opens files after the library has closed its controllers. */
+static void allow_files(void) {
+    limit_files(100);
+}
+
+/* The end of a program that cannot connect again, while another thread waits for a short motion. */
+static void exit_without_connection(void) {
+    bcap_controller cell = prepared(), observer = connected();
+    pthread_t thread;
+    CHECK(pthread_create(&thread, NULL, move_briefly, &cell) == 0);
+    wait_for_motion(observer);
+    limit_files(3);
+    exit(0);
+}
+
+static void exit_at_signal(int number) {
+    exit(number == SIGALRM ? 0 : 1);
+}
+
+/* The end of a program by the handler of a signal that interrupts a motion. */
+static void exit_in_handler(void) {
+    bcap_controller cell = prepared();
+    signal(SIGALRM, exit_at_signal);
+    alarm(1);
+    bcap_move(cell, &far, 60000);
+    _exit(1);
+}
+
+static void exit_at_log(int32_t level, const char *text, void *user) {
+    exit(level > 0 && text != NULL && user == NULL ? 0 : 1);
+}
+
+/* The end of a program by its log callback, during a call of another controller. */
+static void exit_in_callback(void) {
+    int64_t integer;
+    bcap_controller reader = connected();
+    prepared();
+    OK(bcap_set_log(exit_at_log, BCAP_LOG_DEBUG, NULL));
+    bcap_read_integer(reader, "I1", &integer);
+    _exit(1);
+}
+
+/* Starts a program. It would inherit an open connection, and close it. */
+static pid_t started(void (*program)(void)) {
+    pid_t child = fork();
+    CHECK(child >= 0);
+    if (child == 0)
+        program();
+    return child;
+}
+
+/* Waits until a program has ended with success. */
+static void ended(pid_t child) {
+    int status = -1;
+    for (int waited_ms = 0; waitpid(child, &status, WNOHANG) == 0; waited_ms += 10) {
+        CHECK(waited_ms < 60000 || kill(child, SIGKILL) != 0);
+        wait_ms(10);
+    }
+    CHECK(WIFEXITED(status) && WEXITSTATUS(status) == 0);
+}
+
+static void exits(void) {
+    /* before the library's, so that it runs after it */
+    CHECK(atexit(allow_files) == 0);
+    pid_t reader = started(exit_as_reader);
+    bcap_controller cell = prepared();
+    OK(bcap_start(cell, &far, 60000));
+    ended(reader);
+    OK(bcap_wait(cell));
+    OK(bcap_close(cell));
+    ended(started(exit_without_connection));
+    left();
+    ended(started(exit_in_callback));
+    left();
+    if (!is_slow) /* otherwise the signal probably interrupts code that `exit` needs */
+        ended(started(exit_in_handler));
+    cell = prepared();
+    OK(bcap_close(cell));
+}
+
 int main(int argc, char **argv) {
     CHECK(argc > 1);
     address = argv[1];
@@ -409,6 +524,7 @@ int main(int argc, char **argv) {
         return 0;
     }
     is_slow = argc > 2 && strcmp(argv[2], "slow") == 0;
+    exits();
     OK(bcap_set_log(logger, BCAP_LOG_DEBUG, &warned));
     variables();
     misuse();

@@ -1,10 +1,13 @@
 //! The arm: motions, halting, recovery.
 
 use std::ffi::c_char;
+use std::ops::ControlFlow;
+use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
 
 use bcap_std::blocking::{Arm, Moving};
-use bcap_std::core::procedure::{Motion, RecoveryConfig};
+use bcap_std::core::procedure::{Motion, RecoveryConfig, RecoveryStep};
 use bcap_std::{Move, Pass};
 
 use super::controller::bcap_controller;
@@ -162,12 +165,20 @@ pub extern "C" fn bcap_halt(cell: bcap_controller) -> bcap_status {
 #[unsafe(no_mangle)]
 pub extern "C" fn bcap_recover(cell: bcap_controller, is_alone: bool) -> bcap_status {
     table::on(cell.id, |cell| {
+        let has_arm = Arc::clone(&cell.has_arm);
         let controller = cell.at_rest()?;
         if controller.has_arm() {
             controller.arm()?.give()?;
+            has_arm.store(false, Relaxed);
         }
         let config = RecoveryConfig { is_alone, ..RecoveryConfig::default() };
-        Ok(controller.robot()?.recover(config).map(Arm::keep)?)
+        let observe = |step, ended: Result<(), _>| {
+            if step == RecoveryStep::TakeArm && ended.is_ok() {
+                has_arm.store(true, Relaxed);
+            }
+            ControlFlow::Continue(())
+        };
+        Ok(controller.make_ready(Some(config), observe).map(Arm::keep)?)
     })
 }
 

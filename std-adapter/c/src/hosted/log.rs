@@ -2,13 +2,14 @@
 
 use std::ffi::{CString, c_char, c_void};
 use std::fmt::{Debug, Write as _};
+use std::io::{self, Write as _};
 use std::sync::{Once, PoisonError, RwLock};
 
 use tracing::field::Field;
 use tracing::span::{Attributes, Id, Record};
 use tracing::{Event, Level, Metadata, Subscriber};
 
-use super::{IN_CALLBACK, enter};
+use super::{IN_CALLBACK, enter, is_in_callback};
 use crate::status::bcap_status;
 
 /// A failure.
@@ -62,25 +63,36 @@ const fn number(level: Level) -> i32 {
     }
 }
 
+/// Returns the message of an event, then its fields as `name=value`.
+fn text(event: &Event<'_>) -> String {
+    let (mut message, mut fields) = (String::new(), String::new());
+    event.record(&mut |field: &Field, value: &dyn Debug| {
+        // a String takes all text
+        let _ = match field.name() {
+            "message" => write!(message, "{value:?}"),
+            name => write!(fields, " {name}={value:?}"),
+        };
+    });
+    message + &fields
+}
+
 impl Subscriber for Log {
     fn enabled(&self, _: &Metadata<'_>) -> bool {
         true
     }
 
     fn event(&self, event: &Event<'_>) {
-        let sink = SINK.read().unwrap_or_else(PoisonError::into_inner);
         let level = number(*event.metadata().level());
+        if is_in_callback() {
+            // the callback has called `exit`, and this thread has the lock
+            if level <= BCAP_LOG_WARN {
+                let _ = writeln!(io::stderr(), "bcap: {}", text(event));
+            }
+            return;
+        }
+        let sink = SINK.read().unwrap_or_else(PoisonError::into_inner);
         let Some(sink) = sink.filter(|sink| level <= sink.level) else { return };
-        // the message, then `name=value`
-        let (mut message, mut fields) = (String::new(), String::new());
-        event.record(&mut |field: &Field, value: &dyn Debug| {
-            // a String takes all text
-            let _ = match field.name() {
-                "message" => write!(message, "{value:?}"),
-                name => write!(fields, " {name}={value:?}"),
-            };
-        });
-        let Ok(text) = CString::new((message + &fields).replace('\0', " ")) else { return };
+        let Ok(text) = CString::new(text(event).replace('\0', " ")) else { return };
         let _ = IN_CALLBACK.try_with(|running| running.set(true));
         // SAFETY: the caller of `bcap_set_log` promises that it can be called until another callback is set, which needs the lock
         unsafe { (sink.callback)(level, text.as_ptr(), sink.user) };

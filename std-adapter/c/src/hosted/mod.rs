@@ -72,11 +72,19 @@ impl From<Error> for Failure {
     }
 }
 
-/// Runs the body of a hosted function, and returns its status. A panic becomes a status.
+/// Returns whether the log callback runs on this thread.
+fn is_in_callback() -> bool {
+    IN_CALLBACK.try_with(Cell::get).unwrap_or(false)
+}
+
+/// Runs the body of a hosted function, and returns its status. The log callback must not call it.
 fn enter(body: impl FnOnce() -> Result<(), Failure>) -> Status {
-    let is_reentrant = IN_CALLBACK.try_with(Cell::get).unwrap_or(false);
-    let ended = catch_unwind(AssertUnwindSafe(|| if is_reentrant { Err(BCAP_E_REENTRANT.into()) } else { body() }));
-    let failure = match ended {
+    catch(|| if is_in_callback() { Err(BCAP_E_REENTRANT.into()) } else { body() })
+}
+
+/// Runs a body, and returns its status. A panic becomes a status.
+fn catch(body: impl FnOnce() -> Result<(), Failure>) -> Status {
+    let failure = match catch_unwind(AssertUnwindSafe(body)) {
         Ok(Ok(())) => return BCAP_OK,
         Ok(Err(failure)) => failure,
         Err(payload) => {

@@ -2,7 +2,10 @@
 
 use std::collections::BTreeMap;
 use std::ffi::c_int;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, MutexGuard, Once, PoisonError, TryLockError};
+use std::thread;
+use std::time::{Duration, Instant};
 
 use bcap_std::Settings;
 use bcap_std::blocking::{Controller, KeptMotion, Stopper};
@@ -12,6 +15,11 @@ use bcap_stream::steps::Steps;
 use super::Failure;
 use crate::status::{BCAP_E_BUSY, BCAP_E_CLOSED, BCAP_E_HANDLE, BCAP_E_PANIC, BCAP_E_STREAMING, Status};
 
+/// How long the end of the program waits for the calls of other threads, before and after it halts their robots.
+const GRACE: Duration = Duration::from_millis(100);
+const LIMIT: Duration = Duration::from_secs(5);
+const PAUSE: Duration = Duration::from_millis(2);
+
 /// A controller of a program, and what is under way on it.
 pub(super) struct Cell {
     /// `None` after a panic, and while a stream has it.
@@ -19,9 +27,16 @@ pub(super) struct Cell {
     /// A motion that `bcap_start` has started, until its end was waited for.
     pub(super) motion: Option<KeptMotion>,
     pub(super) stream: Option<Steps>,
+    /// Whether this session has the arm: it may move the robot. It is read while a call has the cell.
+    pub(super) has_arm: Arc<AtomicBool>,
 }
 
 impl Cell {
+    fn record_arm(&self) {
+        let has_arm = self.stream.is_some() || self.controller.as_ref().is_some_and(Controller::has_arm);
+        self.has_arm.store(has_arm, Relaxed);
+    }
+
     pub(super) fn controller(&mut self) -> Result<&mut Controller, Failure> {
         match (&self.stream, &mut self.controller) {
             (Some(_), _) => Err(BCAP_E_STREAMING.into()),
@@ -49,6 +64,7 @@ enum Object {
 /// A controller, and how to connect again while a call has it.
 struct Shared {
     cell: Mutex<Cell>,
+    has_arm: Arc<AtomicBool>,
     address: String,
     settings: Settings,
 }
@@ -82,8 +98,14 @@ fn controller(id: u64) -> Result<Arc<Shared>, Failure> {
 
 pub(super) fn add_controller(controller: Controller, address: &str, settings: Settings) -> u64 {
     end_at_exit();
-    let cell = Mutex::new(Cell { controller: Some(controller), motion: None, stream: None });
-    insert(Object::Controller(Arc::new(Shared { cell, address: address.to_owned(), settings })))
+    let has_arm = Arc::<AtomicBool>::default();
+    let cell = Cell { controller: Some(controller), motion: None, stream: None, has_arm: Arc::clone(&has_arm) };
+    insert(Object::Controller(Arc::new(Shared {
+        cell: Mutex::new(cell),
+        has_arm,
+        address: address.to_owned(),
+        settings,
+    })))
 }
 
 pub(super) fn add_stopper(stopper: Stopper) -> u64 {
@@ -104,7 +126,9 @@ pub(super) fn with<T>(id: u64, calls: impl FnOnce(&mut Cell) -> Result<T, Failur
         (cell.stream, cell.controller) = (None, None);
         BCAP_E_PANIC
     })?;
-    calls(&mut cell)
+    let ended = calls(&mut cell);
+    cell.record_arm();
+    ended
 }
 
 pub(super) fn stopper(id: u64) -> Result<Stopper, Failure> {
@@ -144,9 +168,14 @@ fn end_at_exit() {
     }
 
     extern "C" fn close_all() {
-        super::enter(|| {
+        // not `enter`, because a log callback may call `exit`
+        super::catch(|| {
             let objects = std::mem::take(&mut objects().1);
-            objects.into_values().for_each(close_at_exit);
+            let controller = |object: &Object| match object {
+                Object::Controller(shared) => Some(Arc::clone(shared)),
+                Object::Stopper(_) => None,
+            };
+            close_at_exit(objects.values().filter_map(controller).collect());
             Ok(())
         });
     }
@@ -158,22 +187,40 @@ fn end_at_exit() {
     });
 }
 
-fn close_at_exit(object: Object) {
-    let Object::Controller(shared) = object else { return };
-    let mut cell = match shared.cell.try_lock() {
-        Err(TryLockError::WouldBlock) => {
-            // a call of another thread waits for a motion, which a halt ends
+/// Closes controllers whose handles are invalid already. Calls of other threads may still use some. If these calls do not end soon,
+/// they may wait for a motion, so the robot is halted over another connection, but only if this session has its arm.
+fn close_at_exit(mut open: Vec<Arc<Shared>>) {
+    let grace = Instant::now() + GRACE;
+    let mut until = grace + LIMIT;
+    loop {
+        open.retain(|shared| !closed(shared));
+        if open.is_empty() || Instant::now() >= until {
+            break;
+        }
+        for shared in open.iter().filter(|shared| Instant::now() >= grace && shared.has_arm.swap(false, Relaxed)) {
             let halted = Stopper::connect(&shared.address, &shared.settings).and_then(|stopper| stopper.halt());
             if let Err(error) = halted {
-                tracing::warn!(%error, "the program ends during a motion, and the robot was not halted");
-                return;
+                tracing::error!(%error, "the program ends during a call, and the robot was not halted");
             }
-            shared.cell.lock().unwrap_or_else(PoisonError::into_inner)
+            until = Instant::now() + LIMIT;
         }
+        thread::sleep(PAUSE);
+    }
+    for shared in open {
+        let address = &shared.address;
+        tracing::error!(address, "the program ends during a call: if it had the arm, it did not give it back");
+    }
+}
+
+/// Closes a controller, unless a call uses it.
+fn closed(shared: &Shared) -> bool {
+    let mut cell = match shared.cell.try_lock() {
+        Err(TryLockError::WouldBlock) => return false,
         Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
         Ok(cell) => cell,
     };
     if let Err(failure) = end(&mut cell) {
         tracing::warn!(?failure, "the program ends, and a controller was not closed");
     }
+    true
 }
