@@ -60,6 +60,15 @@ fn a_person_watches_writes_halts_and_quits() {
         terminal.keys(&["y"]);
         terminal.wait_for("I2 = 7 is written");
         assert_eq!(robot.run(&["get", "I2"]).out, "I2 = 7\n");
+        // a value that has changed since the question is not replaced
+        terminal.keys(&["w"]);
+        terminal.text("8");
+        terminal.keys(&["Enter"]);
+        terminal.wait_for("write I2 = 8, now 7? y/N");
+        assert_eq!(robot.run(&["put", "I2", "9"]).code, 0);
+        terminal.keys(&["y"]);
+        terminal.wait_for("not written: I2 has changed meanwhile from 7 to 9");
+        assert_eq!(robot.run(&["get", "I2"]).out, "I2 = 9\n");
         // halts the motion of another client
         let mover = robot.spawn(&["move", "J(90, 45, 90, 0, 45, 0)", "--speed", "1"]);
         robot.wait_for_motion();

@@ -127,9 +127,7 @@ impl Model {
     pub fn apply(&mut self, update: Update) {
         match update {
             Update::Connected(names) => self.connected(names),
-            Update::Lost(why) => {
-                (self.lost, self.errors) = (Some(why), Err("the connection is lost".into()));
-            }
+            Update::Lost(why) => self.lose(why),
             Update::Value(n, value) => self.value(n, value),
             Update::State(words, has_error) => (self.words, self.has_error) = (words, has_error),
             Update::Robot(robot) => self.robot = robot,
@@ -142,6 +140,15 @@ impl Model {
                 self.messages.push_back(text);
             }
             Update::Packet(role, text) => self.log.packet(role, &text, self.now),
+        }
+    }
+
+    /// The connection is lost: nothing that was read stays as if it were present. Variables keep their history.
+    fn lose(&mut self, why: String) {
+        (self.lost, self.errors) = (Some(why), Err("the connection is lost".into()));
+        (self.words, self.has_error, self.robot, self.tasks) = Default::default();
+        for variable in &mut self.variables {
+            (variable.text, variable.value) = ("not read since the connection was lost".into(), None);
         }
     }
 
@@ -218,12 +225,23 @@ mod tests {
     }
 
     #[test]
-    fn errors_are_known_while_they_are_read() {
+    fn nothing_is_known_after_a_lost_connection() {
         let mut model = Model::default();
         assert_eq!(model.errors, Err("not read yet".into()));
+        let names = || vec!["I1".into()];
+        model.apply(Update::Connected(names()));
+        model.apply(Update::Value(0, value(3)));
+        model.apply(Update::State(vec!["auto".into(), "moving".into()], true));
+        model.apply(Update::Robot(Robot { joints: vec![1.0], ..Robot::default() }));
+        model.apply(Update::Tasks(vec![("Pro1".into(), "running".into())]));
         model.apply(Update::Errors(Ok(Vec::new())));
         model.apply(Update::Lost("the cable is broken".into()));
+        model.apply(Update::Connected(names()));
         assert_eq!(model.errors, Err("the connection is lost".into()));
+        assert!(model.words.is_empty() && !model.has_error && model.tasks.is_empty());
+        assert_eq!((&model.robot, &model.variables[0].value), (&Robot::default(), &None));
+        assert_eq!(model.variables[0].text, "not read since the connection was lost");
+        assert_eq!(model.variables[0].history, [3.0]);
     }
 
     #[test]

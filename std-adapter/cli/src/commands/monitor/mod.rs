@@ -103,31 +103,33 @@ pub(crate) fn monitor(args: &Monitor, session: &mut Session, json: bool) -> Resu
     let mut screen = LiveScreen { state, interrupt, link, updates, update, packet, requests, halts: Vec::new() };
     let reading = thread::Builder::new().name("reader".into()).spawn(move || reader.run())?;
     let ended = screen.run(&reading);
-    let LiveScreen { update, requests, halts, .. } = screen;
+    let LiveScreen { state, update, requests, halts, .. } = screen;
     // ends the reader, and with it its session
     drop(requests);
     let joined = halts.into_iter().map(JoinHandle::join).fold(Ok(()), Result::and);
     let read = reading.join();
-    outcomes(&update)?;
+    outcomes(&update, state.not_halted())?;
     // the panic has printed its message
     read.and(joined).map_err(|_| Failure::Input("a thread has ended by a panic".into()))?;
     ended
 }
 
-/// Prints the outcomes of halts and writes that the screen no longer showed; a failed halt is the result.
-fn outcomes(update: &Receiver<Update>) -> Result<(), Failure> {
-    let mut result = Ok(());
+/// Prints the outcomes of halts and writes that the screen no longer showed. A failed halt is the result, also if the screen still
+/// showed it.
+fn outcomes(update: &Receiver<Update>, shown: Option<&str>) -> Result<(), Failure> {
+    let mut failed = shown.map(str::to_owned);
     while let Ok(update) = update.try_recv() {
         match update {
             Update::Done(Ok(text) | Err(text)) => note(&text),
-            Update::Halted(Ok(())) => note(HALTED),
-            Update::Halted(Err(failure)) => {
-                result = Err(Failure::Unfit { message: not_halted(&failure), code: None, hint: None });
+            Update::Halted(Ok(())) => {
+                note(HALTED);
+                failed = None;
             }
+            Update::Halted(Err(failure)) => failed = Some(not_halted(&failure)),
             _ => {}
         }
     }
-    result
+    failed.map_or(Ok(()), |message| Err(Failure::Unfit { message, code: None, hint: None }))
 }
 
 struct LiveScreen {

@@ -45,10 +45,10 @@ impl Reader {
                         message: "there is no connection".into(),
                         hint: "it is tried again every second".into(),
                     }))),
-                    Some(Some(_)) => self.screen.send(Update::Done(Err("there is no connection".into()))),
+                    Some(Some(_)) => self.screen.refuse(),
                     Some(None) => {}
                 }
-                if self.session.controller().is_ok() {
+                if self.session.controller().is_ok() && self.screen.answer_waiting(&mut self.session).is_ok() {
                     break;
                 }
                 self.session.close();
@@ -103,6 +103,22 @@ impl ScreenLink {
         let _ = self.updates.send(update);
     }
 
+    /// Refuses a request that needs a connection.
+    fn refuse(&self) {
+        self.send(Update::Done(Err("there is no connection".into())));
+    }
+
+    /// Answers the requests that the user made before there was a connection. Only a halt is carried out.
+    fn answer_waiting(&self, session: &mut Session) -> Result<(), Failure> {
+        while let Ok(request) = self.requests.try_recv() {
+            match request {
+                Request::Halt => self.request(session, Request::Halt)?,
+                Request::Check(..) | Request::Write(_) => self.refuse(),
+            }
+        }
+        Ok(())
+    }
+
     /// Waits for a request; `None` at the end.
     fn wait(&self, time: Duration) -> Option<Option<Request>> {
         match self.requests.recv_timeout(time) {
@@ -119,7 +135,7 @@ impl ScreenLink {
                 Err(failure) if needs_reconnect(&failure) => return Err(failure),
                 checked => Update::Checked(checked.map(Box::new).map_err(|failure| format!("{name}: {failure}"))),
             },
-            Request::Write(write) => match write.perform(session) {
+            Request::Write(write) => match write.perform_unless_changed(session) {
                 Err(failure) if !failure.leaves_the_session_alive() => {
                     let what = format!("{}: it is unknown whether it was written: {failure}", write.path);
                     self.send(Update::Done(Err(what)));

@@ -25,6 +25,7 @@ pub(crate) const ALL_KEYS: &str = "\
   Up, Down, Home, End  selects a line of the panel
   Enter                shows the whole line; of an error the remedy
   /                    shows names that have a text; Esc ends that
+  Esc                  removes the message of a halt that failed
   Space                marks a variable: it moves to the top
   o                    shows each function and object once: count, rate
   s                    sorts the variables by last change, or as given
@@ -59,7 +60,11 @@ pub(crate) struct State {
     /// Whether the calls by object are shown in place of the variables.
     shows_calls: bool,
     input: Input,
+    /// Whether a value that the user typed is being checked. A halt and a lost connection end that: the question comes too late.
+    checks: bool,
     notice: Line,
+    /// The outcome of the last halt, if it failed. It stays on the screen until a halt succeeds or the user presses Esc.
+    not_halted: Option<String>,
     /// A long text in place of the panels.
     overlay: Option<Panel>,
     /// The name and the value that the last write replaced.
@@ -94,9 +99,11 @@ pub(crate) enum Update {
 /// The outcome of a halt that succeeded.
 pub(crate) const HALTED: &str = "the robot rests";
 
+const NOT_HALTED: &str = "NOT HALTED, use the emergency stop";
+
 /// Formats the outcome of a halt that failed.
 pub(crate) fn not_halted(failure: &Failure) -> String {
-    format!("NOT HALTED, use the emergency stop: {failure}")
+    format!("{NOT_HALTED}: {failure}")
 }
 
 /// The command of a key.
@@ -132,19 +139,38 @@ impl State {
         match update {
             Update::Live(update) => {
                 let count = self.model.variables.len();
+                if matches!(update, model::Update::Lost(_)) {
+                    self.end_question();
+                }
                 self.model.apply(update);
                 if self.model.variables.len() != count {
                     self.selected = 0;
                 }
             }
-            Update::Checked(Ok(write)) if matches!(self.input, Input::None) => self.input = Input::Asking(write),
+            Update::Checked(Ok(write)) if self.checks && matches!(self.input, Input::None) => {
+                self.input = Input::Asking(write);
+            }
             // a `y` that the user types now is no answer
             Update::Checked(Ok(write)) => self.notice = Line::alarm(format!("{} was not written", write.path)),
             Update::Checked(Err(why)) | Update::Done(Err(why)) => self.notice = Line::alarm(why),
             Update::Done(Ok(what)) => self.notice = Line::new(what),
-            Update::Halted(Ok(())) => self.notice = Line::new(HALTED),
-            Update::Halted(Err(failure)) => self.notice = Line::alarm(not_halted(&failure)),
+            Update::Halted(Ok(())) => (self.notice, self.not_halted) = (Line::new(HALTED), None),
+            Update::Halted(Err(failure)) => self.not_halted = Some(not_halted(&failure)),
         }
+    }
+
+    /// Ends a question, and the check before it: the value may have changed since.
+    fn end_question(&mut self) {
+        self.checks = false;
+        if let Input::Asking(write) = &self.input {
+            self.notice = Line::alarm(format!("{} was not written", write.path));
+            self.input = Input::None;
+        }
+    }
+
+    /// Returns the outcome of the last halt, if it failed.
+    pub(crate) fn not_halted(&self) -> Option<&str> {
+        self.not_halted.as_deref()
     }
 
     /// Handles a key.
@@ -165,7 +191,7 @@ impl State {
     }
 
     fn halt(&mut self) -> Action {
-        self.input = Input::None;
+        (self.input, self.checks, self.not_halted) = (Input::None, false, None);
         self.notice = Line::alarm("halting");
         Action::Halt
     }
@@ -181,8 +207,8 @@ impl State {
             KeyCode::Char('w') => {
                 self.input = Input::Editing(self.selected_name().map(|name| name + "=").unwrap_or_default());
             }
-            KeyCode::Char('u') => match &self.undo {
-                Some((name, value)) => return Some(check(name, value)),
+            KeyCode::Char('u') => match self.undo.clone() {
+                Some((name, value)) => return Some(self.check(&name, &value)),
                 None => self.notice = Line::new("nothing was written"),
             },
             KeyCode::Char('/') => (self.focus, self.selected, self.input) = (Focus::Variables, 0, Input::Filtering),
@@ -197,6 +223,7 @@ impl State {
             KeyCode::Char('s') => self.sorts_by_change = !self.sorts_by_change,
             KeyCode::Char('?') => self.overlay = Some(whole("keys", ALL_KEYS.lines())),
             KeyCode::Enter => self.overlay = self.details(),
+            KeyCode::Esc if self.not_halted.is_some() => self.not_halted = None,
             KeyCode::Esc => self.filter.clear(),
             KeyCode::Tab => (self.focus, self.selected) = (self.focus.next(), 0),
             KeyCode::Up => self.selected = self.selected.saturating_sub(1),
@@ -263,7 +290,7 @@ impl State {
             }
             KeyCode::Enter => match text.split_once('=') {
                 Some((name, value)) if !name.trim().is_empty() => {
-                    return Some(check(name.trim(), value));
+                    return Some(self.check(name.trim(), value));
                 }
                 _ => self.notice = Line::alarm(format!("{text}: write NAME=VALUE, such as I1=5")),
             },
@@ -275,6 +302,11 @@ impl State {
         }
         self.input = Input::Editing(text);
         None
+    }
+
+    fn check(&mut self, name: &str, value: &str) -> Action {
+        self.checks = true;
+        Action::Request(Request::Check(name.into(), value.into()))
     }
 
     fn answer(&mut self, write: Box<Write>, key: KeyCode) -> Option<Action> {
@@ -376,6 +408,17 @@ impl State {
     }
 
     fn footer(&self) -> (Line, String) {
+        let (line, keys) = self.prompt();
+        let line = match (&self.not_halted, &self.input) {
+            (None, _) => line,
+            (Some(text), Input::None) => Line::alarm(text),
+            (Some(_), _) => Line::alarm(format!("{NOT_HALTED}   {}", line.text)),
+        };
+        (line, keys)
+    }
+
+    /// Returns the notice or the question, and the keys.
+    fn prompt(&self) -> (Line, String) {
         match &self.input {
             Input::None => (self.notice.clone(), KEYS.into()),
             Input::Filtering => {
@@ -408,10 +451,6 @@ impl Focus {
             Self::Packets => Self::Variables,
         }
     }
-}
-
-fn check(name: &str, value: &str) -> Action {
-    Action::Request(Request::Check(name.into(), value.into()))
 }
 
 /// Returns a panel of whole lines.
@@ -487,7 +526,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lost_connection_is_shown_and_values_stay() {
+    fn a_lost_connection_is_shown_and_the_history_stays() {
         let mut state = state();
         state.apply(Update::Live(Live::Errors(Ok(Vec::new()))));
         assert_eq!(state.screen().errors.lines, [Line::new("no errors")]);
@@ -521,8 +560,14 @@ mod tests {
         assert_eq!(state.screen().notice.text, "write I1 = 5, now 3? y/N");
         assert!(typed(&mut state, "n").is_none());
         assert_eq!(state.screen().notice.text, "nothing was written");
-        state.apply(Update::Checked(Ok(write)));
+        state.checks = true;
+        state.apply(Update::Checked(Ok(write.clone())));
         assert!(matches!(typed(&mut state, "y"), Some(Action::Request(Request::Write(_)))));
+        // a question of a connection that is lost is not answered
+        state.checks = true;
+        state.apply(Update::Checked(Ok(write)));
+        state.apply(Update::Live(Live::Lost("the cable is broken".into())));
+        assert!(typed(&mut state, "y").is_none());
         // a check that ends while the next value is typed asks nothing
         let [value, before] = [6, 5].map(|n| Value::new(&n).unwrap());
         typed(&mut state, "w");
@@ -544,6 +589,7 @@ mod tests {
         assert_eq!(state.screen().notice.text, "nothing was written");
         let [value, before] = [5, 3].map(|n| Value::new(&n).unwrap());
         let write = Write { path: ObjectPath::variable("I1").unwrap(), value, before };
+        state.checks = true;
         state.apply(Update::Checked(Ok(Box::new(write))));
         typed(&mut state, "y");
         let Some(Action::Request(Request::Check(name, text))) = typed(&mut state, "u") else { panic!("no check") };
@@ -640,6 +686,35 @@ mod tests {
         let quit = KeyEvent::new(KeyCode::Char('c'), KeyModifiers::CONTROL);
         typed(&mut state, "w1");
         assert!(matches!(state.key(quit), Some(Action::Quit)));
+    }
+
+    #[test]
+    fn a_halt_that_failed_stays_on_the_screen() {
+        let mut state = state();
+        let failed = || {
+            let (message, hint) = ("the cable is broken".into(), "plug it in".into());
+            Update::Halted(Err(Failure::Connection { message, hint }))
+        };
+        let text = "NOT HALTED, use the emergency stop: the cable is broken";
+        state.checks = true;
+        typed(&mut state, "h");
+        // the check that ends after the halt asks nothing
+        let [value, before] = [5, 3].map(|n| Value::new(&n).unwrap());
+        state.apply(Update::Checked(Ok(Box::new(Write { path: ObjectPath::variable("I1").unwrap(), value, before }))));
+        assert_eq!(state.screen().notice, Line::alarm("I1 was not written"));
+        state.apply(failed());
+        typed(&mut state, "n");
+        state.apply(Update::Done(Ok("I1 = 5 is written".into())));
+        assert_eq!(state.screen().notice, Line::alarm(text));
+        typed(&mut state, "/");
+        assert!(state.screen().notice.text.starts_with("NOT HALTED, use the emergency stop   show names"));
+        state.key(KeyCode::Esc.into());
+        assert_eq!(state.screen().notice, Line::alarm(text));
+        state.apply(Update::Halted(Ok(())));
+        assert_eq!((state.screen().notice, state.not_halted()), (Line::new(HALTED), None));
+        state.apply(failed());
+        state.key(KeyCode::Esc.into());
+        assert_eq!(state.not_halted(), None);
     }
 
     #[test]
