@@ -7,9 +7,13 @@ each program is for.
 import ctypes
 import inspect
 import json
+import subprocess
+import sys
+import threading
 import time
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Dict, List
+from typing import Any, Dict, Iterator, List
 
 import pytest
 from conftest import at_rest, eventually
@@ -182,3 +186,65 @@ def test_all_functions_have_the_makers_arguments() -> None:
     assert arguments["variable_putvalue"] == "(self, handle, newval)"
     assert arguments["controller_execute"] == "(self, handle, command, param=None)"
     assert arguments["message_reply"] == "(self, handle, data)"
+
+
+#: a program whose second thread moves the robot; `%s` is what its main thread does meanwhile
+MOVED_BY_A_THREAD = """
+import os, signal, sys, threading, time
+from bcap.compat import bcapclient
+
+client = bcapclient.BCAPClient("127.0.0.1", int(sys.argv[1]), 10)
+client.service_start("")
+controller = client.controller_connect("", "CaoProv.DENSO.VRC", "localhost", "")
+robot = client.controller_getrobot(controller, "Arm", "")
+client.robot_execute(robot, "TakeArm", [0, 0])
+client.robot_execute(robot, "Motor", [1, 0])
+
+def move():
+    try:
+        client.robot_move(robot, 1, "@E J(90, 45, 90, 0, 45, 0)", "SPEED=1")
+    except BaseException as error:
+        failed.append(type(error).__name__)
+
+failed = []
+mover = threading.Thread(target=move, daemon=True)
+mover.start()
+time.sleep(0.5)
+%s
+"""
+
+
+@contextmanager
+def moved_by_a_thread(sim: bcap.Sim, meanwhile: str) -> Iterator["subprocess.Popen[str]"]:
+    command = [sys.executable, "-c", MOVED_BY_A_THREAD % meanwhile, str(sim.address).rsplit(":", 1)[1]]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as program:
+        # a program that hangs is killed
+        killer = threading.Timer(20, program.kill)
+        killer.start()
+        yield program
+        program.communicate()
+        killer.cancel()
+
+
+def test_the_timeout_is_set_while_another_thread_moves(sim: bcap.Sim) -> None:
+    with moved_by_a_thread(sim, "client.settimeout(7); print(client.gettimeout(), flush=True); sys.stdin.read()") as program:
+        assert program.stdout and program.stdout.readline() == "7\n"
+        assert sim.moving
+    # the end of the interpreter halts the motion of the thread
+    assert program.returncode == 0 and eventually(lambda: at_rest(sim))
+
+
+def test_a_signal_during_a_wait_for_another_thread_halts_its_motion(sim: bcap.Sim) -> None:
+    meanwhile = """
+threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
+try:
+    client.controller_getvariable(controller, "I1", "")
+except KeyboardInterrupt:
+    mover.join()
+    print("interrupted, and the thread had", *failed, flush=True)
+    sys.stdin.read()
+"""
+    with moved_by_a_thread(sim, meanwhile) as program:
+        assert program.stdout and program.stdout.readline() == "interrupted, and the thread had NoReply\n"
+        assert at_rest(sim) and 0 < sim.joints[0] < 10
+    assert program.returncode == 0
