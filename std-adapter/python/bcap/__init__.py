@@ -338,7 +338,10 @@ class Arm:
         return SlaveStream(self._arm.stream(config).wait())
 
     def give(self) -> None:
-        """Halts a motion of another thread, switches the motor off and gives the arm back, as the end of the block does."""
+        """Halts a motion of another thread, switches the motor off and gives the arm back, as the end of the block does.
+
+        The call of the other thread raises OutcomeUnknown, or NoReply if no halt was confirmed.
+        """
         self._arm.give().wait()
         self._given()
 
@@ -364,6 +367,7 @@ class SlaveStream:
         self._cycle = _values.cycle(stream.wanted())
         #: after the end: cycles, late, refused, underflows
         self.statistics: Dict[str, int] = {}
+        self._ended = False
 
     @property
     def cycle(self) -> Cycle:
@@ -374,6 +378,7 @@ class SlaveStream:
         """Sends the pose of this cycle, and waits until the next one is wanted.
 
         :raises StreamError: the stream has ended: a pose beyond the limits, no pose in time, or an error of the controller
+        :raises NoReply: **the robot may be moving**
         """
         wanted = self._stream.step(list(pose)).wait()
         if wanted is None:
@@ -391,14 +396,26 @@ class SlaveStream:
         self._finish(True)
 
     def _finish(self, stop: bool) -> None:
-        self.statistics = dict(self._stream.finish(stop).wait())
+        try:
+            self.statistics = dict(self._stream.finish(stop).wait())
+        except Error:
+            self._ended = True
+            raise
+        self._ended = True
 
     def __enter__(self) -> SlaveStream:
         return self
 
     def __exit__(self, kind: Optional[Type[BaseException]], error: Any, trace: Optional[TracebackType]) -> None:
-        if not self.statistics and not isinstance(error, StreamError):
+        if self._ended:
+            return
+        try:
             self._finish(kind is not None)
+        except Error as failure:
+            if error is None:
+                raise
+            # the exception under way goes on, and its traceback shows the failure
+            failure.__context__, error.__context__ = error.__context__, failure
 
 
 class Stopper:

@@ -20,7 +20,7 @@ from typing import Any, Dict, Iterable, List, Mapping, Optional, Sequence, Type,
 from . import Sim, _bcap, _connect, _signals, _values
 from ._awaiting import Opening, Session, opening, run
 from ._values import Cycle, Destination, ErrorInfo, J, P, Passing, State
-from .errors import StreamError
+from .errors import Error, StreamError
 
 __all__ = ["Arm", "Controller", "SlaveStream", "Stopper"]
 
@@ -255,7 +255,10 @@ class Arm:
         return opening(lambda: self._arm.stream(config), SlaveStream)
 
     async def give(self) -> None:
-        """Halts a motion of another thread, switches the motor off and gives the arm back, as the end of the block does."""
+        """Halts a motion of another thread, switches the motor off and gives the arm back, as the end of the block does.
+
+        The call of the other thread raises OutcomeUnknown, or NoReply if no halt was confirmed.
+        """
         await run(self._arm.give())
         self._given()
 
@@ -274,6 +277,7 @@ class SlaveStream:
         self._cycle = _values.cycle(stream.wanted())
         #: after the end: cycles, late, refused, underflows
         self.statistics: Dict[str, int] = {}
+        self._ended = False
 
     @property
     def cycle(self) -> Cycle:
@@ -284,6 +288,7 @@ class SlaveStream:
         """Sends the pose of this cycle, and waits until the next one is wanted.
 
         :raises StreamError: the stream has ended: a pose beyond the limits, no pose in time, or an error of the controller
+        :raises NoReply: **the robot may be moving**
         """
         wanted = await run(self._stream.step(list(pose)))
         if wanted is None:
@@ -301,14 +306,26 @@ class SlaveStream:
         await self._finish(True)
 
     async def _finish(self, stop: bool) -> None:
-        self.statistics = dict(await run(self._stream.finish(stop)))
+        try:
+            self.statistics = dict(await run(self._stream.finish(stop)))
+        except Error:
+            self._ended = True
+            raise
+        self._ended = True
 
     async def __aenter__(self) -> SlaveStream:
         return self
 
     async def __aexit__(self, kind: Optional[Type[BaseException]], error: Any, trace: Optional[TracebackType]) -> None:
-        if not self.statistics and not isinstance(error, StreamError):
+        if self._ended:
+            return
+        try:
             await self._finish(kind is not None)
+        except Error as failure:
+            if error is None:
+                raise
+            # the exception under way goes on, and its traceback shows the failure
+            failure.__context__, error.__context__ = error.__context__, failure
 
 
 class Stopper:

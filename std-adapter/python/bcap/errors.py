@@ -4,15 +4,15 @@ Error
  +- ControllerError     the controller refused a call, which had no effect
  |   +- NotRecovered    a recovery ended before its last step
  |   +- NotHalted       the robot still moves after a halt
- +- MotionError         the robot rests, but not at the destination
+ +- MotionError         the robot rests, and was not seen to arrive
  |   +- Halted          it was halted
  |   +- MotionFailed    the controller has an error
  |   +- MotionTimeout   the time limit passed
- |   +- OutcomeUnknown  where it rests was not seen
+ |   +- OutcomeUnknown  whether it rests at the destination was not seen
  +- NotConnected        the call was not sent
- +- NoReply             the call was sent, and may have been executed
+ +- NoReply             the outcome of a call is unknown: the robot may be moving
  +- NotMet              a variable did not get a value in time
- +- StreamError         a stream of Slave Mode failed, and the robot was stopped
+ +- StreamError         a stream of Slave Mode failed
  +- InvalidArgument     an argument is invalid; also a ValueError
 """
 
@@ -23,6 +23,9 @@ from typing import Optional
 
 class Error(Exception):
     """Any failure of a call or a motion. The code is None unless the controller gave one."""
+
+    #: whether the controller may have executed the call: a motion may be under way, or has moved the robot
+    may_have_run: bool = False
 
     def __init__(
         self,
@@ -48,15 +51,21 @@ class ControllerError(Error):
 
 
 class NotRecovered(ControllerError):
-    """A recovery or preparation ended before its last step; the arm is not taken."""
+    """A recovery or preparation ended before its last step; the arm is not taken. The steps before may have had an effect."""
+
+    may_have_run = True
 
 
 class NotHalted(ControllerError):
     """The robot still moves after a halt, or the controller refuses the halt. Use the emergency stop."""
 
+    may_have_run = True
+
 
 class MotionError(Error):
-    """The robot rests, but not where the motion should end."""
+    """The robot rests, and was not seen to arrive where the motion should end."""
+
+    may_have_run = True
 
 
 class Halted(MotionError):
@@ -76,11 +85,16 @@ class OutcomeUnknown(MotionError):
 
 
 class NotConnected(Error):
-    """There is no session with the controller. The call was not sent."""
+    """There is no session with the controller, or the arm was lost or given back. The call was not sent."""
 
 
 class NoReply(Error):
-    """The call was sent, and has no reply. The controller may have executed it: a motion may be under way."""
+    """The outcome of a call or a stream is unknown: **the robot may be moving**.
+
+    There is no reply, or the connection was lost during a stream, or the controller has given the call up (E_TIMEOUT, in code).
+    """
+
+    may_have_run = True
 
 
 class NotMet(Error):
@@ -88,7 +102,9 @@ class NotMet(Error):
 
 
 class StreamError(Error):
-    """A stream of Slave Mode failed, and the controller has stopped the robot."""
+    """A stream of Slave Mode failed: a pose was refused or late, or the controller has an error. No further pose is sent."""
+
+    may_have_run = True
 
 
 class InvalidArgument(Error, ValueError):

@@ -10,7 +10,7 @@ use tokio::sync::{Mutex, watch};
 
 use crate::call::Call;
 use crate::controller::{seconds, unknown};
-use crate::error;
+use crate::error::{self, Failure};
 use crate::runtime::Home;
 use crate::slave::{Stream, StreamConfig};
 
@@ -20,8 +20,16 @@ pub(crate) struct Arm {
     pub(crate) home: Arc<Home>,
     /// `None` after it was given back.
     arm: Arc<Mutex<Option<asynch::Arm>>>,
-    /// Whether it is being given back, which ends a motion of another thread.
-    given: watch::Sender<bool>,
+    given: watch::Sender<Giving>,
+}
+
+/// How far the arm is given back, which ends the calls of other threads.
+#[derive(Clone, Copy, PartialEq)]
+enum Giving {
+    NotBegun,
+    Begun,
+    /// Whether it succeeded.
+    Ended(bool),
 }
 
 /// The future of a function of the arm.
@@ -29,51 +37,69 @@ type Working<'a, T> = Pin<Box<dyn Future<Output = Result<T, Error>> + Send + 'a>
 
 impl Arm {
     pub(crate) fn new(home: Arc<Home>, arm: asynch::Arm) -> Self {
-        Self { home, arm: Arc::new(Mutex::new(Some(arm))), given: watch::Sender::new(false) }
+        Self { home, arm: Arc::new(Mutex::new(Some(arm))), given: watch::Sender::new(Giving::NotBegun) }
     }
 
-    /// Runs a function of the arm until the arm is given back.
-    pub(crate) fn run<T, W>(&self, work: W) -> impl Future<Output = Result<T, Error>> + Send + 'static + use<T, W>
+    /// Runs a function of the arm until the arm is given back, and then waits for the end of that.
+    pub(crate) fn run<T, W>(&self, work: W) -> impl Future<Output = Result<T, Failure>> + Send + 'static + use<T, W>
     where
         T: Send + 'static,
         W: for<'a> FnOnce(&'a mut asynch::Arm) -> Working<'a, T> + Send + 'static,
     {
         let (arm, mut given) = (Arc::clone(&self.arm), self.given.subscribe());
         async move {
-            let working = async {
-                match &mut *arm.lock().await {
-                    Some(arm) => work(arm).await,
-                    None => Err(Error::ArmLost),
-                }
+            let is_begun = |giving: &Giving| *giving != Giving::NotBegun;
+            let mut taken = tokio::select! {
+                biased;
+                _ = given.wait_for(is_begun) => return Err(Failure::ArmGiven),
+                taken = arm.lock() => taken,
             };
+            let Some(held) = &mut *taken else { return Err(Failure::ArmGiven) };
             tokio::select! {
                 biased;
-                _ = given.wait_for(|given| *given) => Err(Error::ArmLost),
-                ended = working => ended,
+                ended = work(held) => return Ok(ended?),
+                _ = given.wait_for(is_begun) => {}
             }
+            // the work was dropped, which halts the robot
+            drop(taken);
+            let ended = given.wait_for(|giving| matches!(giving, Giving::Ended(_))).await;
+            Err(Failure::ArmGivenMeanwhile { succeeded: ended.is_ok_and(|ended| *ended == Giving::Ended(true)) })
         }
+    }
+}
+
+/// Tells the calls of other threads how the arm was given back, also when that is cancelled.
+struct Giver {
+    given: watch::Sender<Giving>,
+    succeeded: bool,
+}
+
+impl Drop for Giver {
+    fn drop(&mut self) {
+        let succeeded = self.succeeded;
+        self.given.send_modify(|giving| *giving = Giving::Ended(succeeded || *giving == Giving::Ended(true)));
     }
 }
 
 #[pymethods]
 impl Arm {
     fn motor(&self, on: bool) -> Call {
-        Call::new(
+        Call::fallible(
             &self.home,
             self.run(move |arm| Box::pin(async move { if on { arm.motor_on().await } else { arm.motor_off().await } })),
         )
     }
 
     fn set_speed(&self, percent: f64) -> Call {
-        Call::new(&self.home, self.run(move |arm| Box::pin(arm.set_speed(percent))))
+        Call::fallible(&self.home, self.run(move |arm| Box::pin(arm.set_speed(percent))))
     }
 
     fn select_tool(&self, number: u8) -> Call {
-        Call::new(&self.home, self.run(move |arm| Box::pin(arm.select_tool(number))))
+        Call::fallible(&self.home, self.run(move |arm| Box::pin(arm.select_tool(number))))
     }
 
     fn select_work(&self, number: u8) -> Call {
-        Call::new(&self.home, self.run(move |arm| Box::pin(arm.select_work(number))))
+        Call::fallible(&self.home, self.run(move |arm| Box::pin(arm.select_work(number))))
     }
 
     /// Makes motions without a stop between them, and waits for the end of the last one.
@@ -81,7 +107,7 @@ impl Arm {
         let limit = seconds(timeout)?;
         let mut motions = motions.into_iter().map(Step::motion).collect::<PyResult<Vec<_>>>()?.into_iter();
         let first = motions.next().ok_or_else(|| PyValueError::new_err("a motion needs a destination"))?;
-        Ok(Call::new(
+        Ok(Call::fallible(
             &self.home,
             self.run(move |arm| {
                 Box::pin(async move {
@@ -104,11 +130,20 @@ impl Arm {
     fn give(&self) -> Call {
         let (arm, given) = (Arc::clone(&self.arm), self.given.clone());
         Call::new(&self.home, async move {
-            given.send_replace(true);
-            match arm.lock().await.take() {
-                Some(arm) => arm.give().await,
-                None => Ok(()),
+            given.send_if_modified(|giving| {
+                let begins = *giving == Giving::NotBegun;
+                if begins {
+                    *giving = Giving::Begun;
+                }
+                begins
+            });
+            let mut giver = Giver { given, succeeded: false };
+            let mut taken = arm.lock().await;
+            if let Some(arm) = taken.take() {
+                arm.give().await?;
+                giver.succeeded = true;
             }
+            Ok(())
         })
     }
 }

@@ -6,19 +6,18 @@ use std::os::fd::{AsRawFd, RawFd};
 use std::sync::{Arc, Mutex};
 
 use bcap_std::Error;
-use bcap_stream::steps::StepError;
 use pyo3::IntoPyObjectExt;
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 use tokio::sync::oneshot;
 
-use crate::error;
+use crate::error::Failure;
 use crate::runtime::{Home, Work, lock};
 
 /// The value of a call, which becomes an object of Python under the GIL.
 type Value = Box<dyn FnOnce(Python<'_>) -> PyResult<Py<PyAny>> + Send>;
 
-type Result = std::result::Result<Value, StepError>;
+type Result = std::result::Result<Value, Failure>;
 
 type Pending = Work<Result>;
 
@@ -44,13 +43,13 @@ impl Call {
     where
         T: for<'py> IntoPyObject<'py> + Send + 'static,
     {
-        Self::of_stream(home, async { Ok(future.await?) })
+        Self::fallible(home, async { Ok(future.await?) })
     }
 
-    /// Makes a call of a future, which may also fail as a stream does.
-    pub(crate) fn of_stream<T>(
+    /// Makes a call of a future, which may also fail without an error of the session.
+    pub(crate) fn fallible<T>(
         home: &Arc<Home>,
-        future: impl Future<Output = std::result::Result<T, StepError>> + Send + 'static,
+        future: impl Future<Output = std::result::Result<T, Failure>> + Send + 'static,
     ) -> Self
     where
         T: for<'py> IntoPyObject<'py> + Send + 'static,
@@ -152,7 +151,6 @@ impl Started {
 fn finish(py: Python<'_>, result: Result) -> PyResult<Py<PyAny>> {
     match result {
         Ok(convert) => convert(py),
-        Err(StepError::Failed(failure)) => Err(error::raise(py, &failure)),
-        Err(other) => Err(error::exception(py, "StreamError", other.to_string(), None)),
+        Err(failure) => Err(failure.raise(py)),
     }
 }

@@ -11,7 +11,7 @@ use std::sync::Arc;
 use bcap_std::Error;
 use bcap_std::core::slave::{AxisLimits, Cycle, MoveReply, Next, Pose, PoseType, Stats, Trajectory};
 use bcap_std::core::time::Instant;
-use bcap_stream::steps::{PoseSender, Step, StepError, format, given};
+use bcap_stream::steps::{PoseSender, Step, format, given};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use tokio::runtime::{Handle, RuntimeFlavor};
@@ -21,6 +21,7 @@ use tokio::task::{JoinHandle, block_in_place};
 use crate::arm::Arm;
 use crate::call::Call;
 use crate::controller::{seconds, unknown};
+use crate::error::Failure;
 use crate::runtime::Home;
 
 /// The settings of a stream, as a dictionary.
@@ -47,7 +48,7 @@ pub(crate) struct Stream {
 }
 
 /// The task of a stream.
-type Streaming = JoinHandle<Result<Stats, Error>>;
+type Streaming = JoinHandle<Result<Stats, Failure>>;
 
 impl Stream {
     /// Begins a stream, and waits until the first pose is wanted.
@@ -68,13 +69,13 @@ impl Stream {
         let streaming = arm.run(move |arm| Box::pin(arm.stream(format, limits, Blocking(trajectory))));
         let (home, runtime) = (Arc::clone(&arm.home), arm.home.handle()?.clone());
         let blocks = home.streams();
-        Ok(Call::of_stream(&arm.home, async move {
+        Ok(Call::fallible(&arm.home, async move {
             let task = runtime.spawn(async move {
                 let _blocks = blocks;
                 streaming.await
             });
             if wanted.wait_for(Option::is_some).await.is_err() {
-                return ended(&poses, task).await.and(Err(Error::Closed.into()));
+                return ended(&poses, &mut { task }).await.and(Err(Error::Closed.into()));
             }
             let task = Arc::new(Mutex::new(Some(task)));
             Ok(Self { home, kind, poses, wanted, turn: Arc::default(), task })
@@ -82,9 +83,10 @@ impl Stream {
     }
 }
 
-/// Returns the statistics of a stream that has ended.
-async fn ended(poses: &PoseSender, task: Streaming) -> Result<Stats, StepError> {
-    poses.judge(task.await.unwrap_or(Err(Error::Closed)))
+/// Waits for the end of a stream, and returns its statistics.
+async fn ended(poses: &PoseSender, task: &mut Streaming) -> Result<Stats, Failure> {
+    let stats = task.await.unwrap_or(Err(Error::Closed.into()))?;
+    Ok(poses.judge(Ok(stats))?)
 }
 
 #[pymethods]
@@ -113,10 +115,13 @@ impl Stream {
     /// Ends the stream: after the last pose, or at once with a ramp. Returns the statistics.
     fn finish(&self, stop: bool) -> Call {
         let (poses, task) = (self.poses.clone(), Arc::clone(&self.task));
-        Call::of_stream(&self.home, async move {
+        Call::fallible(&self.home, async move {
             poses.send(if stop { Next::Stop } else { Next::Finish });
-            let task = task.lock().await.take().ok_or(Error::Closed)?;
-            let Stats { cycles, late, refused, underflows, .. } = ended(&poses, task).await?;
+            let mut task = task.lock().await;
+            // if this call is cancelled, the next one waits for the same task
+            let ended = ended(&poses, task.as_mut().ok_or(Error::Closed)?).await;
+            *task = None;
+            let Stats { cycles, late, refused, underflows, .. } = ended?;
             Ok([("cycles", cycles), ("late", late), ("refused", refused), ("underflows", underflows)])
         })
     }

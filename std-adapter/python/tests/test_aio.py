@@ -2,10 +2,12 @@
 
 import asyncio
 import math
+from typing import List
 
 import pytest
 import write_aio
 from conftest import at_rest, eventually
+from test_objects import SLOW_END
 
 import bcap
 import bcap.aio
@@ -87,6 +89,29 @@ def test_slave_mode(bcap_sim: bcap.Sim) -> None:
             assert stream.statistics["cycles"] >= 100
 
     asyncio.run(main())
+
+
+def test_cancelling_the_end_of_a_stream_is_a_cancellation() -> None:
+    async def main(sim: bcap.Sim) -> None:
+        async with bcap.aio.Controller(sim) as cell, cell.take_arm() as arm:
+            await arm.motor_on()
+
+            async def stream() -> None:
+                async with arm.slave_mode() as stream:
+                    streams.append(stream)
+                    await stream.finish()
+
+            streams: List[bcap.aio.SlaveStream] = []
+            streaming = asyncio.create_task(stream())
+            await asyncio.sleep(0.5)
+            streaming.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await streaming
+            # the end of the block has waited for the end of the stream
+            assert streams[0].statistics and not sim.slave_mode
+
+    with bcap.sim(scenario=SLOW_END) as sim:
+        asyncio.run(main(sim))
 
 
 def test_errors_are_raised_where_they_are_awaited(sim: bcap.Sim) -> None:

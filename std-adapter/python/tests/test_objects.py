@@ -1,12 +1,15 @@
 """Variables, motions, streams, tasks, files and errors, against the virtual controller."""
 
 import math
+import os
+import signal
 import subprocess
 import sysconfig
 import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime
 from pathlib import Path
-from typing import List
 
 import numpy
 import pytest
@@ -14,6 +17,8 @@ from conftest import at_rest, eventually
 
 import bcap
 
+#: the reply to the call that leaves Slave Mode is late
+SLOW_END = '[[fault]]\nwhen = { call = 2, of = "slvChangeMode" }\nthen = { delay_ms = 1500 }\n'
 HOME = bcap.J(0, 45, 90, 0, 45, 0)
 ASIDE = bcap.J(30, 45, 90, 0, 45, 0)
 
@@ -128,25 +133,33 @@ def test_the_time_limit_halts(cell: bcap.Controller, sim: bcap.Sim) -> None:
 
 
 def test_the_end_of_the_block_ends_the_motion_of_another_thread(cell: bcap.Controller, sim: bcap.Sim) -> None:
-    errors: List[bcap.Error] = []
-
-    def move() -> None:
-        try:
-            arm.move(ASIDE, speed=1)
-        except bcap.Error as error:
-            errors.append(error)
-
-    with cell.take_arm() as arm:
+    with ThreadPoolExecutor() as pool, cell.take_arm() as arm:
         arm.motor_on()
-        thread = threading.Thread(target=move)
-        thread.start()
+        moving = pool.submit(arm.move, ASIDE, speed=1)
         assert eventually(lambda: sim.moving)
+        waiting = pool.submit(arm.set_speed, 50)
         # other calls go on meanwhile
         cell["I1"] = 3
-    thread.join()
-    assert at_rest(sim) and len(errors) == 1
-    with pytest.raises(bcap.NotConnected):
+        time.sleep(0.1)
+    assert at_rest(sim)
+    ended, unsent = moving.exception(), waiting.exception()
+    assert isinstance(ended, bcap.OutcomeUnknown) and "halted on its way" in str(ended) and ended.may_have_run
+    assert isinstance(unsent, bcap.NotConnected) and not unsent.may_have_run
+    with pytest.raises(bcap.NotConnected, match="given back"):
         arm.motor_on()
+
+
+def test_a_halt_that_fails_is_not_claimed() -> None:
+    scenario = '[[fault]]\nwhen = { every = 1, of = "Robot_Halt" }\nthen = { refuse = "E_FAIL" }\n'
+    with bcap.sim(scenario=scenario) as sim, bcap.Controller(sim) as cell, ThreadPoolExecutor() as pool:
+        arm = cell.take_arm()
+        arm.motor_on()
+        moving = pool.submit(arm.move, ASIDE, speed=1)
+        assert eventually(lambda: sim.moving)
+        with pytest.raises(bcap.Error):
+            arm.give()
+        ended = moving.exception()
+    assert isinstance(ended, bcap.NoReply) and "may be moving" in str(ended) and ended.may_have_run
 
 
 def test_changes_of_variables(cell: bcap.Controller) -> None:
@@ -165,6 +178,17 @@ def test_waiting_for_a_value(cell: bcap.Controller) -> None:
         cell.wait_for("I1", 9, timeout=0.05)
     threading.Timer(0.05, lambda: cell.write("I1", 9)).start()
     assert cell.wait_for("I1", 9, timeout=10) == 9
+
+
+def test_a_call_that_the_controller_has_given_up_may_have_run() -> None:
+    scenario = '[[fault]]\nwhen = { call = 1, of = "Variable_PutValue" }\nthen = { refuse = "E_TIMEOUT" }\n'
+    with bcap.sim(scenario=scenario, in_memory=True) as sim, bcap.Controller(sim) as cell:
+        with pytest.raises(bcap.NoReply) as given_up:
+            cell["I1"] = 5
+        assert given_up.value.code == 0x80000900 and given_up.value.may_have_run
+        with pytest.raises(bcap.ControllerError) as refused:
+            cell["NONE"] = 5
+        assert not refused.value.may_have_run
 
 
 @pytest.mark.parametrize("mode", [0, 1, 2])
@@ -201,6 +225,36 @@ def test_a_stream_without_poses_stops(cell: bcap.Controller, sim: bcap.Sim) -> N
                 assert eventually(lambda: not sim.slave_mode)
                 stream.step(stream.cycle.start)
     assert at_rest(sim)
+
+
+def test_a_stream_that_loses_its_connection_does_not_say_that_the_robot_stopped(sim: bcap.Sim) -> None:
+    arm = bcap.Controller(sim).take_arm()
+    arm.motor_on()
+    with pytest.raises(bcap.NoReply, match="the robot may be moving") as lost, arm.slave_mode() as stream:
+        for number in range(200):
+            stream.step(stream.cycle.start)
+            if number == 5:
+                sim.close()
+    assert lost.value.may_have_run
+
+
+def test_a_signal_during_the_end_of_a_stream_is_raised() -> None:
+    with bcap.sim(scenario=SLOW_END) as sim, bcap.Controller(sim) as cell, cell.take_arm() as arm:
+        arm.motor_on()
+        with pytest.raises(KeyboardInterrupt), arm.slave_mode() as stream:
+            threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
+            stream.finish()
+        # the end of the block has waited for the end of the stream
+        assert stream.statistics and not sim.slave_mode
+
+
+def test_a_failed_end_of_a_stream_does_not_replace_an_exception(sim: bcap.Sim) -> None:
+    arm = bcap.Controller(sim).take_arm()
+    arm.motor_on()
+    with pytest.raises(ValueError, match="of the program") as raised, arm.slave_mode():
+        sim.close()
+        raise ValueError("of the program")
+    assert isinstance(raised.value.__context__, bcap.NoReply)
 
 
 def test_errors_and_recovery(cell: bcap.Controller, sim: bcap.Sim) -> None:

@@ -30,7 +30,7 @@ from typing import Any, Dict, Iterable, List, Mapping, Optional, Sequence, Type,
 from . import Sim, _bcap, _connect, _signals, _values
 from ._awaiting import Opening, Session, opening, run
 from ._values import Cycle, Destination, ErrorInfo, J, P, Passing, State
-from .errors import StreamError
+from .errors import Error, StreamError
 
 __all__ = ["Arm", "Controller", "SlaveStream", "Stopper"]
 '''
