@@ -59,9 +59,10 @@ class Controller(Session):
         await run(self._cell.write(name, value))
 
     async def wait_for(self, name: str, value: Any, timeout: float) -> Any:
-        """Reads a variable every 10 ms until it has a value.
+        """Reads a variable every 10 ms until it has a value, which is first converted to the type of the variable.
 
         :raises NotMet: after `timeout` seconds
+        :raises InvalidArgument: the type of the variable cannot have the value
         """
         return await run(self._cell.wait_for(name, value, timeout))
 

@@ -15,10 +15,10 @@ use tokio::sync::Mutex;
 
 use crate::arm::Arm;
 use crate::call::Call;
-use crate::error;
+use crate::error::{self, Failure};
 use crate::runtime::Home;
 use crate::sim::{Sim, find_model};
-use crate::value::{Value, from_python};
+use crate::value::{Value, equals, from_python};
 
 /// A session with a controller.
 #[pyclass(frozen)]
@@ -109,8 +109,20 @@ impl Controller {
     /// Reads a variable until it has a value.
     fn wait_for(&self, name: String, value: &Bound<'_, PyAny>, timeout: f64) -> PyResult<Call> {
         let (cell, wanted, limit) = (self.cell.clone(), from_python(value)?, seconds(timeout)?);
-        Ok(Call::new(&self.home, async move {
-            cell.read_until(&name, |value: &OwnedVariant| *value == wanted, limit).await.map(Value)
+        Ok(Call::fallible(&self.home, async move {
+            let mut refused = None;
+            let compare = |value: &OwnedVariant| match equals(value.as_variant(), wanted.as_variant()) {
+                Ok(is_equal) => is_equal,
+                Err(reason) => {
+                    refused = Some(reason);
+                    true
+                }
+            };
+            let value = cell.read_until(&name, compare, limit).await?;
+            match refused {
+                Some(reason) => Err(Failure::Argument(format!("{name} cannot have the wanted value: {reason}"))),
+                None => Ok(Value(value)),
+            }
         }))
     }
 

@@ -17,6 +17,8 @@ pub(crate) enum Failure {
     ArmGiven,
     /// The arm was given back during the call. If that succeeded, the robot was halted.
     ArmGivenMeanwhile { succeeded: bool },
+    /// An argument is invalid, for a reason.
+    Argument(String),
 }
 
 impl From<Error> for Failure {
@@ -50,6 +52,7 @@ impl Failure {
                 "NoReply",
                 "the arm was given back during the call, and no halt was confirmed: the robot may be moving".to_owned(),
             ),
+            Self::Argument(text) => ("InvalidArgument", text),
         };
         exception(py, class, text, None)
     }

@@ -128,6 +128,32 @@ fn unsupported(object: &Bound<'_, PyAny>) -> PyErr {
     ))
 }
 
+/// Returns whether a value that was read equals a wanted one, which is converted to the type of the other, element by element.
+///
+/// # Errors
+///
+/// Why the type of the value that was read cannot have the wanted value.
+pub(crate) fn equals(read: Variant<'_>, wanted: Variant<'_>) -> Result<bool, String> {
+    macro_rules! compare {
+        ($($name:ident $type:ty;)*) => {
+            match (read.flatten(), wanted.flatten()) {
+                // a variable that has no value may get one of any type
+                (read, wanted) if read.is_empty() || wanted.is_empty() => Ok(read.is_empty() && wanted.is_empty()),
+                (Variant::Array(read), Variant::Array(wanted)) => {
+                    let mut pairs = read.iter().zip(wanted.iter());
+                    pairs.try_fold(read.len() == wanted.len(), |all, (read, wanted)| Ok(equals(read, wanted)? && all))
+                }
+                $((Variant::$name(read), wanted) => {
+                    wanted.convert::<$type>().map(|wanted| wanted == read).map_err(|error| error.to_string())
+                })*
+                (read, wanted) if read.vartype() == wanted.vartype() => Ok(read == wanted),
+                (read, wanted) => Err(format!("expected {}, found {}", read.vartype(), wanted.vartype())),
+            }
+        };
+    }
+    compare! { I2 i16; I4 i32; I8 i64; Ui1 u8; Ui2 u16; Ui4 u32; Ui8 u64; R4 f32; R8 f64; Bool bool; }
+}
+
 /// Encodes an array of one type, or of VARIANTs.
 fn sequence(items: &[OwnedVariant], joins: bool) -> PyResult<OwnedVariant> {
     let variants = encoded(items)?;

@@ -114,6 +114,17 @@ def test_cancelling_the_end_of_a_stream_is_a_cancellation() -> None:
         asyncio.run(main(sim))
 
 
+def test_waiting_for_a_value(bcap_sim: bcap.Sim) -> None:
+    async def main() -> None:
+        async with bcap.aio.Controller(bcap_sim) as cell:
+            await cell.write("F1", 1.5)
+            assert await cell.wait_for("F1", 1.5, 1) == 1.5
+            with pytest.raises(bcap.InvalidArgument):
+                await cell.wait_for("F1", "1.5", 60)
+
+    asyncio.run(main())
+
+
 def test_errors_are_raised_where_they_are_awaited(sim: bcap.Sim) -> None:
     async def main() -> None:
         with pytest.raises(RuntimeError, match="not connected"):

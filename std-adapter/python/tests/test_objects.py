@@ -10,6 +10,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 import numpy
 import pytest
@@ -178,6 +179,37 @@ def test_waiting_for_a_value(cell: bcap.Controller) -> None:
         cell.wait_for("I1", 9, timeout=0.05)
     threading.Timer(0.05, lambda: cell.write("I1", 9)).start()
     assert cell.wait_for("I1", 9, timeout=10) == 9
+
+
+@pytest.mark.parametrize(
+    "name, value, wanted",
+    [
+        ("F1", 1.5, 1.5),
+        ("F1", 0.1, 0.1),
+        ("F1", 2.0, 2),
+        ("D1", 3, 3),
+        ("I1", 4, 4.0),
+        ("S1", "on", "on"),
+        ("IO128", True, True),
+        ("IO128", True, 1),
+        ("P1", [400, 0, 300.5, 180, 0, 180, 5], bcap.P(400, 0, 300.5, 180, 0, 180, 5)),
+        ("V1", [1, 2, 3], [1, 2, 3]),
+        ("J1", [0.1] * 8, numpy.full(8, 0.1)),
+        ("T1", [0.5] * 9 + [5], [0.5] * 9 + [5]),
+    ],
+)
+def test_a_wanted_value_is_compared_in_the_type_of_the_variable(bcap_sim: bcap.Sim, name: str, value: Any, wanted: Any) -> None:
+    with bcap.Controller(bcap_sim) as cell:
+        with pytest.raises(bcap.NotMet):
+            cell.wait_for(name, wanted, 0)
+        cell[name] = value
+        assert cell.wait_for(name, wanted, 1) == cell[name]
+
+
+@pytest.mark.parametrize("name, wanted", [("I1", 1.5), ("I1", 2**40), ("F1", "1.5"), ("S1", 5), ("IO128", 2), ("P1", 5), ("I1", [5])])
+def test_a_value_that_a_variable_cannot_have_is_refused(bcap_sim: bcap.Sim, name: str, wanted: Any) -> None:
+    with bcap.Controller(bcap_sim) as cell, pytest.raises(bcap.InvalidArgument, match=f"{name} cannot have the wanted value: expected"):
+        cell.wait_for(name, wanted, 60)
 
 
 def test_a_call_that_the_controller_has_given_up_may_have_run() -> None:
