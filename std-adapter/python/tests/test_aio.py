@@ -120,7 +120,7 @@ def test_waiting_for_a_value(bcap_sim: bcap.Sim) -> None:
             await cell.write("F1", 1.5)
             assert await cell.wait_for("F1", 1.5, 1) == 1.5
             with pytest.raises(bcap.InvalidArgument):
-                await cell.wait_for("F1", "1.5", 60)
+                await cell.wait_for("F1", "1.5", 5)
 
     asyncio.run(main())
 

@@ -209,7 +209,7 @@ def test_a_wanted_value_is_compared_in_the_type_of_the_variable(bcap_sim: bcap.S
 @pytest.mark.parametrize("name, wanted", [("I1", 1.5), ("I1", 2**40), ("F1", "1.5"), ("S1", 5), ("IO128", 2), ("P1", 5), ("I1", [5])])
 def test_a_value_that_a_variable_cannot_have_is_refused(bcap_sim: bcap.Sim, name: str, wanted: Any) -> None:
     with bcap.Controller(bcap_sim) as cell, pytest.raises(bcap.InvalidArgument, match=f"{name} cannot have the wanted value: expected"):
-        cell.wait_for(name, wanted, 60)
+        cell.wait_for(name, wanted, 5)
 
 
 def test_a_call_that_the_controller_has_given_up_may_have_run() -> None:
