@@ -60,7 +60,7 @@ impl Arm {
                 ended = work(held) => return Ok(ended?),
                 _ = given.wait_for(is_begun) => {}
             }
-            // the work was dropped, which halts the robot
+            // the work was dropped, so its session halts the robot
             drop(taken);
             let ended = given.wait_for(|giving| matches!(giving, Giving::Ended(_))).await;
             Err(Failure::ArmGivenMeanwhile { succeeded: ended.is_ok_and(|ended| *ended == Giving::Ended(true)) })
