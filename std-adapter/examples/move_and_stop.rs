@@ -5,33 +5,36 @@
 //! cargo run -p bcap-std --example move_and_stop -- tcp:127.0.0.1
 //! ```
 
-use std::thread;
-use std::time::Duration;
+use std::io::{self, BufRead, BufReader};
+use std::{sync::mpsc, thread, time::Duration};
 
 use bcap_std::blocking::Controller;
-use bcap_std::{Error, Joints, MainError, Motion, Move, Settings};
+use bcap_std::{Joints, MainError, Motion, Move, Settings};
 
 fn main() -> Result<(), MainError> {
-    Ok(run(&std::env::args().nth(1).unwrap_or_else(|| "tcp:127.0.0.1".into()))?)
+    let address = std::env::args().nth(1).unwrap_or_else(|| "tcp:127.0.0.1".into());
+    run(&address, BufReader::new(io::stdin()).split(b'\n').map_while(Result::ok))
 }
 
-/// Runs the example with the controller at `address`.
-pub(crate) fn run(address: &str) -> Result<(), Error> {
+/// Runs the example with the controller at `address`. Each of `lines` stops the robot; their end does not.
+pub(crate) fn run(address: &str, lines: impl Iterator<Item = Vec<u8>> + Send + 'static) -> Result<(), MainError> {
     let mut cell = Controller::connect(address, &Settings::rc8())?;
-    let stopper = cell.stopper()?;
+    let (stopper, (stop, stopped)) = (cell.stopper()?, mpsc::channel());
     thread::spawn(move || {
-        let pressed = std::io::stdin().read_line(&mut String::new());
-        // the end of the input is not the button
-        if pressed.is_ok_and(|bytes| bytes > 0) {
+        for _ in lines {
+            let _ = stop.send(()); // before the halt, which has no effect on a motion that begins later
             println!("{:?}", stopper.halt());
         }
     });
     let mut arm = cell.robot()?.take_arm()?;
     arm.motor_on()?;
     let motion = Move::joint(Joints::new([20.0, 45.0, 90.0, 0.0, 45.0, 0.0])).speed_percent(50.0);
-    match arm.move_to(&motion, Duration::from_secs(30))? {
-        Motion::Arrived => println!("arrived"),
-        other => println!("stopped: {other:?}"),
+    let mut ended = Motion::Halted;
+    if stopped.try_recv().is_err() {
+        let moving = arm.start(&motion, Duration::from_secs(30))?; // a halt may have come just before it
+        ended = if stopped.try_recv().is_ok() { moving.halt().map(|_| ended)? } else { moving.wait()? };
     }
-    arm.give()
+    arm.give()?;
+    println!("the motion ended: {ended:?}");
+    if matches!(ended, Motion::Arrived | Motion::Halted) { Ok(()) } else { Err(io::Error::other("not arrived").into()) }
 }

@@ -5,27 +5,34 @@
 //! cargo run -p bcap-std --example tasks -- tcp:127.0.0.1
 //! ```
 
-use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
+use std::{io, thread};
 
 use bcap_std::blocking::Controller;
-use bcap_std::{Error, MainError, Settings, TaskStart, TaskStatus, TaskStop};
+use bcap_std::{MainError, Settings, TaskStart, TaskStatus, TaskStop};
 
 fn main() -> Result<(), MainError> {
-    Ok(run(&std::env::args().nth(1).unwrap_or_else(|| "tcp:127.0.0.1".into()))?)
+    run(&std::env::args().nth(1).unwrap_or_else(|| "tcp:127.0.0.1".into()), Duration::from_secs(60))
 }
 
-/// Runs the example with the controller at `address`.
-pub(crate) fn run(address: &str) -> Result<(), Error> {
+/// Runs the example with the controller at `address`, whose task ends its cycle within `limit`.
+pub(crate) fn run(address: &str, limit: Duration) -> Result<(), MainError> {
     let mut cell = Controller::connect(address, &Settings::rc8())?;
     let mut task = cell.task("Pro1")?;
     // its program may move the robot
     task.start(TaskStart::Continuous)?;
-    println!("Pro1 is {:?}", task.status()?);
-    task.stop(TaskStop::AfterCycle)?;
+    let status = task.status();
+    // also after an error: the end of this program does not stop the task
+    task.stop(TaskStop::AfterCycle).or_else(|_| task.stop(TaskStop::Now))?;
+    println!("Pro1 is {:?}", status?);
+    let end = Instant::now() + limit;
     while task.status()? == TaskStatus::Running {
+        if Instant::now() > end {
+            task.stop(TaskStop::Now)?;
+            return Err(io::Error::other("the cycle of Pro1 did not end in time, so it was stopped at once").into());
+        }
         thread::sleep(Duration::from_millis(20));
     }
     println!("Pro1 is {:?}", task.status()?);
-    cell.close()
+    Ok(cell.close()?)
 }

@@ -11,17 +11,17 @@ use bcap_sim::{Config, Profile};
 use bcap_std::blocking::Controller;
 use bcap_std::{Error, Joints, MainError, Motion, Move, Settings};
 
-/// The program: it moves slowly, and counts the motions.
-fn program(cell: &mut Controller) -> Result<Motion, Error> {
+/// The program: it moves slowly, and counts the motions that arrive.
+pub(crate) fn program(cell: &mut Controller) -> Result<Motion, Error> {
     let mut arm = cell.robot()?.take_arm()?;
     arm.motor_on()?;
-    let motion = arm.move_to(
-        &Move::joint(Joints::new([40.0, 45.0, 90.0, 0.0, 45.0, 0.0])).speed_percent(2.5),
-        Duration::from_secs(60),
-    )?;
-    drop(arm);
-    let count: i32 = cell.read("I1")?;
-    cell.write("I1", count + 1)?;
+    let there = Move::joint(Joints::new([40.0, 45.0, 90.0, 0.0, 45.0, 0.0])).speed_percent(2.5);
+    let motion = arm.move_to(&there, Duration::from_secs(60))?;
+    arm.give()?;
+    if motion == Motion::Arrived {
+        let count: i32 = cell.read("I1")?;
+        cell.write("I1", count + 1)?;
+    }
     Ok(motion)
 }
 

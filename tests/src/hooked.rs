@@ -2,7 +2,8 @@
 
 use std::collections::BTreeSet;
 use std::fmt;
-use std::sync::mpsc::{Receiver, sync_channel};
+use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
+use std::time::Duration;
 
 use bcap_core::bcap::FunctionId;
 use bcap_core::bcap::server::{Handler, Request};
@@ -55,6 +56,27 @@ impl<H> Hooked<H> {
                 let _ = stalled.try_send(());
             }
             Some(Outcome::Wait(Instant::FAR_FUTURE))
+        });
+        receiver
+    }
+
+    /// Delays the calls that `is_held` selects until `release` gets a message. The receiver gets one when the first call has arrived.
+    pub fn hold(
+        &mut self,
+        is_held: impl Fn(&Request<'_>) -> bool + Send + 'static,
+        release: Receiver<()>,
+    ) -> Receiver<()> {
+        let (held, receiver) = sync_channel(1);
+        let mut is_released = false;
+        self.hook = Box::new(move |request, is_new| {
+            if is_released || !is_held(request) {
+                return None;
+            }
+            if is_new {
+                let _ = held.try_send(());
+            }
+            is_released = release.try_recv() != Err(TryRecvError::Empty);
+            (!is_released).then(|| Outcome::Wait(bcap_std::now() + Duration::from_millis(1)))
         });
         receiver
     }
