@@ -30,6 +30,17 @@ def test_a_program_of_the_book(
     assert not (sim.arm_taken or sim.motor_on or sim.moving)
 
 
+def test_a_stop_before_the_motion_prevents_it(sim: bcap.Sim, capsys: pytest.CaptureFixture[str]) -> None:
+    program = PROGRAMS[1].replace('"tcp:192.168.0.1"', "address")
+    # the timer of the program ends a second after its start
+    late = program.replace("    try:\n", "    __import__('time').sleep(1.5)\n    try:\n")
+    assert late != program
+    before = list(sim.joints)
+    exec(compile(late, "docs/python.md", "exec"), {"__name__": "program", "address": str(sim.address)})
+    assert list(sim.joints) == before and "at the destination" not in capsys.readouterr().out
+    assert not (sim.arm_taken or sim.motor_on or sim.moving)
+
+
 def test_the_programs_have_the_lines_that_the_page_says() -> None:
     lines = [sum(bool(line.strip()) for line in program.splitlines()) for program in PROGRAMS]
     variables, motion, stream, fleet, without_robot, makers = lines
