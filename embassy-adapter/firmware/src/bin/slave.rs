@@ -4,6 +4,7 @@
 //!  joint 1   ____----____      10 degrees and back in 16 s, from the robot's present pose; mode 0, 2,000 poses
 //!  slave: 2005 cycles, late 0, underflows 0, refused 0, round trip p50 .. p99 .. max .. us, jitter p50 .. p99 .. max .. us
 //!  slave: slvMove: refused with ...           and the controller's first error, over a second connection
+//!  slave: perhaps left on the robot: ...      if the calls that end the stream fail; halt the robot
 //! ```
 //!
 //! It speaks TCP to the configured controller. After the trajectory the program ends; with success if no pose reached the
@@ -16,7 +17,7 @@ use core::fmt::Write as _;
 use bcap_board::{Settings, address, stack};
 use bcap_core::bcap::Client;
 use bcap_core::bcap::client::Config as ClientConfig;
-use bcap_core::procedure::{Provider, open_robot};
+use bcap_core::procedure::{Effects, Provider, open_robot};
 use bcap_core::slave::{
     AxisLimits, Config, Cycle, Engine, Format, MOVE_FRAME, Mode, Next, Pose, PoseType, ReceiveFormat, ReceivePose,
     SlaveMode, Stats,
@@ -138,12 +139,19 @@ async fn stream(motion: &mut Link, watch: &mut Link, settings: &Settings<'_>) ->
     match (&ended, engine.fault()) {
         (Err(_), Some(fault)) => {
             let _ = writeln!(Text, "slave: {fault}");
-            let _ = motion.run_watched(watch, engine.give_up()).await;
+            if let Err(error) = motion.run_watched(watch, engine.give_up()).await {
+                let _ = writeln!(Text, "slave: the stream was not given up: {error}");
+            }
         }
         (Err(error), None) => {
             let _ = writeln!(Text, "slave: {error}");
         }
         (Ok(()), _) => {}
+    }
+    let Effects { moving, streaming, motor, .. } = engine.effects();
+    if moving || streaming || motor {
+        let _ =
+            writeln!(Text, "slave: perhaps left on the robot: motion {moving}, Slave Mode {streaming}, motor {motor}");
     }
     report(engine.stats());
     ended.is_ok() && engine.stats().underflows == 0
