@@ -124,13 +124,13 @@ async function begin() {
   const { robot, tile } = current;
   const text = "Make sure that no person is near the robot, and that no other program uses it. The steps are planned now; each has its own button.";
   if (!(await ask("Recover step by step", tile, text, `Recover ${tile.name}`))) return;
-  await order("recover", { robot, name: tile.name }).catch((error) => notify(`no recovery: ${error.message}`, true));
+  await order("recover", { robot, name: tile.name, revoked: tile.revoked }).catch((error) => notify(`no recovery: ${error.message}`, true));
 }
 
 async function makeStep(step, text) {
   const { robot, tile } = current;
   if (!(await ask("A step of the recovery", tile, text, step))) return;
-  await order("step", { robot, step }).catch((error) => notify(`not made: ${error.message}`, true));
+  await order("step", { robot, step, revoked: tile.revoked }).catch((error) => notify(`not made: ${error.message}`, true));
 }
 
 /** The logs of the controller, which are read on request: each entry is a call. */
@@ -163,7 +163,7 @@ async function clear() {
   const text = "The errors are cleared. Nothing is started: the motor stays off, and programs do not run on.";
   if (!(await ask("Clear the errors", tile, text, "Clear the errors"))) return;
   try {
-    await order("clear", { robot });
+    await order("clear", { robot, revoked: tile.revoked });
     notify(`${tile.name}: the errors are cleared`);
   } catch (failure) {
     notify(`not cleared: ${failure.message}`, true);

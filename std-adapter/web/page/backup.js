@@ -101,6 +101,6 @@ async function restore() {
   const { robot, tile } = page;
   const text = `${content.outcome}. ${content.folder} is written to the controller. Tasks and robot must stay at rest meanwhile.`;
   if (!(await ask("Restore a backup", tile, text, `Restore to ${tile.name}`))) return notify("nothing was written");
-  await send("restore", { name: tile.name, folder: content.folder }, `restoring ${content.folder}`);
+  await send("restore", { robot, name: tile.name, folder: content.folder, revoked: tile.revoked }, `restoring ${content.folder}`);
   return undefined;
 }

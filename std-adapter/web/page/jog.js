@@ -195,7 +195,7 @@ async function start() {
   if (!(await ask("Begin to jog", tile, text, `Jog ${tile.name}`))) return;
   state.isLeft = false;
   try {
-    const number = await order("grip", { robot, name: tile.name });
+    const number = await order("grip", { robot, name: tile.name, revoked: tile.revoked });
     // the first pulse comes after the answer; a short jog may end before it
     Object.assign(state, { isOn: true, robot, jog: number });
     endIfOver();
@@ -223,7 +223,7 @@ async function teach(name) {
     const checked = await order("teach", { robot, name });
     const text = `${checked.name}: ${checked.old} → ${checked.new} (tool ${tile.tool ?? "?"}, work ${tile.work ?? "?"})`;
     if (!(await ask("Teach a position", tile, text, `Write ${checked.name}`))) return;
-    await order("write", { robot, name: checked.name });
+    await order("write", { robot, name: checked.name, revoked: tile.revoked });
     notify(`${tile.name}: ${checked.name} is written`);
   } catch (error) {
     notify(`not written: ${error.message}`, true);

@@ -77,8 +77,10 @@ export async function logOut() {
 }
 
 // the server sends something every second
+const isStale = () => Date.now() - lastMessage > 3000;
+
 setInterval(() => {
-  if (socket?.readyState === WebSocket.OPEN && Date.now() - lastMessage > 3000) emit("stale");
+  if (socket?.readyState === WebSocket.OPEN && isStale()) emit("stale");
 }, 500);
 
 function answered(message) {
@@ -90,11 +92,18 @@ function answered(message) {
   } else waiting?.resolve(message.ok);
 }
 
-/** Sends an order, and returns its answer. */
+/**
+ * Sends an order, and returns its answer. An order that a HALT revokes has `revoked`, as the tile said before the question. It is not
+ * sent over a connection that may hang: it would come late.
+ */
 export function order(what, fields) {
   return new Promise((resolve, reject) => {
     if (socket?.readyState !== WebSocket.OPEN) {
       reject(new Error("there is no connection to bcap web; nothing was done"));
+      return;
+    }
+    if (isStale() && (fields.revoked ?? fields.agreed) !== undefined) {
+      reject(new Error("bcap web has not answered for 3 s; nothing was done"));
       return;
     }
     lastId += 1;

@@ -77,7 +77,7 @@ async function act(what, text) {
   const warning = what in START ? " The program can move the robot." : "";
   if (!(await ask(text, tile, `${name}: ${text.toLowerCase()}.${warning}`, `${text}: ${name}`))) return;
   try {
-    await order("task", { robot, of: tile.name, name, what });
+    await order("task", { robot, of: tile.name, name, what, revoked: what in START ? tile.revoked : undefined });
     notify(`${tile.name}: ${name}: ${text.toLowerCase()} is done`);
   } catch (error) {
     notify(`not done: ${error.message}`, true);

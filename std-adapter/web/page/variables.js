@@ -197,7 +197,7 @@ async function write({ name }, text) {
       notify("nothing was written");
       return;
     }
-    await order("write", { robot, name: checked.name });
+    await order("write", { robot, name: checked.name, revoked: tile.revoked });
     state.writes.unshift({ robot, robotName: tile.name, name: checked.name, old: checked.old, next: checked.new, isExact: checked.exact });
     state.writes.length = Math.min(state.writes.length, 20);
     notify(`${tile.name}: ${checked.name} = ${checked.new} is written`);

@@ -57,14 +57,14 @@ impl Page {
         }
         let robot = self.robot(number)?;
         let who = robot.control.user(self.client).unwrap_or_else(|_| "a page".into());
-        self.begin(&robot, who, work)
+        self.begin(&robot, who, work, None)
     }
 
     /// Begins the restore that this page has planned. `name` is the robot's name in the question.
-    pub(crate) fn restore(&self, number: usize, name: &str, folder: String) -> Answer {
+    pub(crate) fn restore(&self, number: usize, name: &str, folder: String, revoked: u64) -> Answer {
         let (who, robot) = self.writer(number)?;
         robot.check_name(name)?;
-        self.begin(&robot, who, Work { kind: Kind::Restore, folder, with: None, io: false })
+        self.begin(&robot, who, Work { kind: Kind::Restore, folder, with: None, io: false }, Some(revoked))
     }
 
     /// Ends the work on backups of a robot between two calls.
@@ -72,10 +72,12 @@ impl Page {
         self.robot(number)?.end_work(self.client).map(|()| Value::Null)
     }
 
-    fn begin(&self, robot: &Arc<Robot>, who: String, work: Work) -> Answer {
+    fn begin(&self, robot: &Arc<Robot>, who: String, work: Work, revoked: Option<u64>) -> Answer {
         let path = path_in(self.folder()?, &work.folder)?;
         let with = work.with.as_deref().map(|with| path_in(self.folder()?, with)).transpose()?;
         let mut last = lock(&robot.backup);
+        // under the lock: a HALT after it ends this restore
+        revoked.map_or(Ok(()), |since| robot.check_since(since))?;
         if last.as_ref().is_some_and(|last| lock(&last.state).outcome.is_none()) {
             return Err("the last work on backups of this robot has not ended; end it, or wait".into());
         }

@@ -25,12 +25,14 @@ const IN_TIME: Duration = Duration::from_millis(150);
 
 impl Page {
     /// Begins a jog, which takes the arm, and returns its number. `name` is the robot's name in the question.
-    pub(crate) fn take_grip(&self, number: usize, name: &str) -> Answer {
+    pub(crate) fn take_grip(&self, number: usize, name: &str, revoked: u64) -> Answer {
         let (who, robot) = self.mover(number)?;
         robot.check_name(name)?;
         self.end_motion("a jog begins");
         let grip = Arc::new(Grip::default());
         let mut last = lock(&robot.grip);
+        // under the lock: a HALT after it ends this jog
+        robot.check_since(revoked)?;
         if last.as_ref().is_some_and(|last| last.phase() != Phase::Ended) {
             return Err("the last jog of this robot has not ended; wait a moment".into());
         }

@@ -24,7 +24,8 @@ pub(crate) enum Screen {
     Session,
 }
 
-/// An order of a page.
+/// An order of a page. `revoked` is how often orders of the robot were revoked before the user was asked, as its tile said: a HALT
+/// after it refuses the order, however late the order arrives.
 #[derive(Deserialize)]
 #[serde(rename_all = "lowercase", deny_unknown_fields)]
 pub(crate) enum Order {
@@ -41,11 +42,11 @@ pub(crate) enum Order {
     /// Checks the position of the resting robot for a variable of type P.
     Teach { robot: usize, name: String },
     /// Writes the value that was checked last.
-    Write { robot: usize, name: String },
+    Write { robot: usize, name: String, revoked: u64 },
     /// Clears the errors.
-    Clear { robot: usize },
+    Clear { robot: usize, revoked: u64 },
     /// Begins a jog of the robot with this name, for which the user has agreed.
-    Grip { robot: usize, name: String },
+    Grip { robot: usize, name: String, revoked: u64 },
     /// A button is held: the robot moves by steps. `press` is the number of this press, which heartbeats repeat.
     Press { robot: usize, axis: String, by: f64, percent: f64, press: u64 },
     /// The button is lifted.
@@ -53,15 +54,15 @@ pub(crate) enum Order {
     /// Ends the jog.
     EndJog { robot: usize, why: String },
     /// Begins a recovery of the robot with this name, and plans its steps.
-    Recover { robot: usize, name: String },
+    Recover { robot: usize, name: String, revoked: u64 },
     /// Makes the next step of the recovery.
-    Step { robot: usize, step: String },
+    Step { robot: usize, step: String, revoked: u64 },
     /// Ends the recovery.
     EndRecovery { robot: usize },
     /// Reads the logs of the controller.
     Log { robot: usize },
-    /// Starts or stops a task of the robot with the name `of`.
-    Task { robot: usize, of: String, name: String, what: What },
+    /// Starts or stops a task of the robot with the name `of`. A stop needs no `revoked`.
+    Task { robot: usize, of: String, name: String, what: What, revoked: Option<u64> },
     /// Reads the line of a task.
     Line { robot: usize, name: String },
     /// Lists a folder of the controller.
@@ -85,7 +86,7 @@ pub(crate) enum Order {
     /// Ends a dump, a comparison, the plan of a restore, or a restore.
     EndWork { robot: usize },
     /// Restores the backup that was planned, on the robot with this name.
-    Restore { robot: usize, name: String, folder: String },
+    Restore { robot: usize, name: String, folder: String, revoked: u64 },
     /// Starts or ends the recordings.
     Record { starts: bool },
     /// Lists the recordings of this server.

@@ -20,12 +20,14 @@ const ENTRIES: usize = 50;
 
 impl Page {
     /// Begins a recovery. Nothing is changed before the user agrees to the first step. `name` is the robot's name in the question.
-    pub(crate) fn begin_recovery(&self, number: usize, name: &str) -> Answer {
+    pub(crate) fn begin_recovery(&self, number: usize, name: &str, revoked: u64) -> Answer {
         let (who, robot) = self.mover(number)?;
         robot.check_name(name)?;
         self.end_motion("a recovery begins");
         let recovery = Arc::new(Recovery::default());
         let mut last = lock(&robot.recovery);
+        // under the lock: a HALT after it ends this recovery
+        robot.check_since(revoked)?;
         if last.as_ref().is_some_and(|last| last.state().outcome.is_none()) {
             return Err("the last recovery of this robot has not ended; wait a moment".into());
         }
@@ -50,9 +52,11 @@ impl Page {
     }
 
     /// Makes the next step of the recovery.
-    pub(crate) fn agree(&self, number: usize, step: &str) -> Answer {
+    pub(crate) fn agree(&self, number: usize, step: &str, revoked: u64) -> Answer {
         let (who, robot) = self.mover(number)?;
-        let agreed = self.recovery(number)?.agree(step);
+        // a HALT after the check ends the recovery
+        let recovery = self.recovery(number)?;
+        let agreed = robot.check_since(revoked).and_then(|()| recovery.agree(step));
         self.audited(&who, &robot, &format!("agrees to {}", safe(step)), agreed)
     }
 

@@ -195,9 +195,9 @@ impl Robot {
         self.revoked.load(Ordering::SeqCst)
     }
 
-    /// Returns a permit that the next revocation ends.
-    pub(crate) fn permit(&self) -> Permit {
-        self.permit_since(self.revoked())
+    /// Fails if it was revoked after it had been revoked `since` times.
+    pub(crate) fn check_since(&self, since: u64) -> Result<(), String> {
+        self.permit_since(since).check().map_err(|error| reason(&error))
     }
 
     /// Returns the permit of an order for which a user has agreed when the robot had been revoked `since` times.

@@ -190,19 +190,19 @@ impl Page {
             Order::Release { robot } => self.release(robot),
             Order::Check { robot, name, text } => self.check(robot, move |link| check(link, &name, &text)).await,
             Order::Teach { robot, name } => self.check(robot, move |link| check_position(link, &name)).await,
-            Order::Write { robot, name } => self.write(robot, &name).await,
-            Order::Clear { robot } => {
+            Order::Write { robot, name, revoked } => self.write(robot, &name, revoked).await,
+            Order::Clear { robot, revoked } => {
                 let (who, robot) = self.writer(robot)?;
-                self.change(who, &robot, "clears the errors".into(), bcap_live::errors::clear).await
+                self.change(who, &robot, revoked, "clears the errors".into(), bcap_live::errors::clear).await
             }
-            Order::Grip { robot, name } => self.take_grip(robot, &name),
+            Order::Grip { robot, name, revoked } => self.take_grip(robot, &name, revoked),
             Order::Press { robot, axis, by, percent, press } => self.press(robot, &axis, by, percent, press),
             Order::Lift { robot } => self.lift(robot),
-            Order::Recover { robot, name } => self.begin_recovery(robot, &name),
-            Order::Step { robot, step } => self.agree(robot, &step),
+            Order::Recover { robot, name, revoked } => self.begin_recovery(robot, &name, revoked),
+            Order::Step { robot, step, revoked } => self.agree(robot, &step, revoked),
             Order::EndRecovery { robot } => self.stop(robot),
             Order::Log { robot } => self.log(robot).await,
-            Order::Task { robot, of, name, what } => self.task(robot, &of, name, what).await,
+            Order::Task { robot, of, name, what, revoked } => self.task(robot, &of, name, what, revoked).await,
             Order::Line { robot, name } => self.line(robot, name).await,
             Order::Files { robot, folder } => self.files(robot, folder).await,
             Order::View { robot, path } => self.view(robot, path).await,
@@ -216,7 +216,7 @@ impl Page {
             Order::Backups {} => self.backups().await,
             Order::Work { robot, work } => self.work(robot, work),
             Order::EndWork { robot } => self.end_work(robot),
-            Order::Restore { robot, name, folder } => self.restore(robot, &name, folder),
+            Order::Restore { robot, name, folder, revoked } => self.restore(robot, &name, folder, revoked),
             Order::Record { starts } => self.record(starts).await,
             Order::Recordings {} => self.recordings().await,
             Order::Play { robot, text } => {
@@ -366,15 +366,17 @@ impl Page {
         outcome.map(|answer| json!(answer))
     }
 
-    /// Carries out an order that changes something. HALT, and the release of the control, revoke it until it begins.
+    /// Carries out an order that changes something, for which the user has agreed when the robot had been revoked `revoked` times.
+    /// HALT, and the release of the control, revoke it until it begins.
     pub(crate) async fn change<T: Serialize + Send + 'static>(
         &self,
         who: String,
         robot: &Arc<Robot>,
+        revoked: u64,
         what: String,
         work: impl FnOnce(&mut Link) -> Result<T, Error> + Send + 'static,
     ) -> Answer {
-        let permit = robot.permit();
+        let permit = robot.permit_since(revoked);
         self.recorded(who, robot, what, move |link| permit.check().and_then(|()| work(link))).await
     }
 
@@ -409,11 +411,11 @@ impl Page {
     }
 
     /// Writes the value that was checked, if the variable still has the value that the user has seen.
-    async fn write(&self, number: usize, name: &str) -> Answer {
+    async fn write(&self, number: usize, name: &str, revoked: u64) -> Answer {
         let (who, robot) = self.writer(number)?;
         let is_for = |(robot, write): &(usize, Box<Write>)| *robot == number && write.path.to_string() == name;
         let (_, write) = lock(&self.checked).take_if(|checked| is_for(checked)).ok_or("check the value first")?;
         let what = format!("writes {name}: {} -> {}", shown(&write.before), shown(&write.value));
-        self.change(who, &robot, what, move |link| write.perform_unless_changed(link)).await
+        self.change(who, &robot, revoked, what, move |link| write.perform_unless_changed(link)).await
     }
 }

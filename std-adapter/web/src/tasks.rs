@@ -39,17 +39,21 @@ impl What {
 
 impl Page {
     /// Starts or stops a task.
-    pub(crate) async fn task(&self, number: usize, of: &str, name: String, what: What) -> Answer {
+    pub(crate) async fn task(&self, number: usize, of: &str, name: String, what: What, revoked: Option<u64>) -> Answer {
         let (change, words) = what.change();
         let (who, robot) = match change {
             Change::Start(_) => self.mover(number)?,
             Change::Stop(_) => self.holder(number)?,
         };
         robot.check_name(of)?;
-        let (what, mut permit) = (format!("{words} {}", safe(&name)), robot.permit());
+        // no halt revokes a stop
+        let since = match change {
+            Change::Start(_) => revoked.ok_or("a start needs the number of the last HALT; nothing was done")?,
+            Change::Stop(_) => 0,
+        };
+        let (what, mut permit) = (format!("{words} {}", safe(&name)), robot.permit_since(since));
         let made = move |link: &mut Link| match change {
             Change::Start(mode) => link.start_task(&name, mode, || permit.check_move()),
-            // no halt revokes a stop
             Change::Stop(mode) => link.stop_task(&name, mode),
         };
         self.recorded(who, &robot, what, made).await

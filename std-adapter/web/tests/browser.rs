@@ -193,6 +193,31 @@ fn presses_for_a_silent_controller_do_not_pile_up() {
     drop(silent);
 }
 
+/// A start that a connection which hangs would deliver late is not sent. A stop is.
+#[test]
+fn a_start_is_not_sent_over_a_connection_that_hangs() {
+    let sim = Sim::start();
+    let web = Web::moving(&[("press", sim.address())]);
+    let Some(mut browser) = Browser::start() else { return };
+    browser.keep_sockets();
+    browser.open(web.url());
+    browser.until_text("#state", "ready, motor off");
+    browser.enter("#name", "Anna");
+    browser.until_text("#control", "control: Anna (this page)");
+    browser.click("[data-id=tasks]");
+    browser.until("document.getElementById('task').options.length > 0");
+    // the messages of the server are lost; those of the page arrive
+    browser.eval("sockets.at(-1).onmessage = null");
+    browser.until_text("#stale", "bcap web does not answer");
+    browser.click("[data-what=forever]");
+    browser.click("#question-yes");
+    browser.until_text("#notice.bad", "bcap web has not answered for 3 s; nothing was done");
+    browser.click("[data-what=stop]");
+    browser.click("#question-yes");
+    until("the stop arrives", || web.lines().iter().any(|line| line.contains("Anna: stops")));
+    assert!(!web.lines().iter().any(|line| line.contains("Anna: runs")), "{:?}", web.lines());
+}
+
 #[test]
 fn hostile_texts_stay_text_and_lost_connections_are_shown() {
     let sim = Sim::start();

@@ -129,6 +129,13 @@ impl Browser {
         self.call("Page.navigate", json!({ "url": url }));
     }
 
+    /// Keeps the WebSockets of the pages that are opened next in the array `sockets`.
+    pub(crate) fn keep_sockets(&mut self) {
+        let source = "window.sockets = []; window.WebSocket = class extends WebSocket {
+            constructor(...all) { super(...all); sockets.push(this); } };";
+        self.call("Page.addScriptToEvaluateOnNewDocument", json!({ "source": source }));
+    }
+
     /// Evaluates an expression in the page.
     #[track_caller]
     pub(crate) fn eval(&mut self, expression: &str) -> Value {

@@ -355,6 +355,11 @@ impl<S: io::Read + io::Write> Page<S> {
                 fields["press"] = json!(self.held);
             }
             "lift" => self.held = 0,
+            // the page reads it from the tile before it asks its user
+            "write" | "clear" | "grip" | "recover" | "step" | "task" | "restore" if fields["revoked"].is_null() => {
+                let tile = fields["robot"].as_u64().and_then(|robot| self.sections.get("tiles")?.get(robot as usize));
+                fields["revoked"] = tile.map_or(json!(0), |tile| tile["revoked"].clone());
+            }
             _ => {}
         }
         fields["id"] = json!(self.last);

@@ -184,6 +184,40 @@ fn an_order_that_waits_is_not_carried_out_after_a_halt_or_without_the_control() 
     }
 }
 
+/// The WebSocket of the page stalls, or its question is open, while HALT comes over another connection and reports rest.
+#[test]
+fn an_order_for_which_the_user_has_agreed_before_a_halt_is_refused() {
+    let sim = Sim::start();
+    let web = Web::moving(&[("press", sim.address())]);
+    let mut page = with_control(&web, "ready, motor off");
+    page.order("check", json!({ "robot": 0, "name": "I1", "text": "5" })).unwrap();
+    let before = page.until("tiles", Value::is_array)[0]["revoked"].clone();
+    assert_eq!(web.halt(0)["ok"], true);
+    let task = |what: &str, revoked: &Value| json!({ "robot": 0, "of": "press", "name": "Pro1", "what": what, "revoked": revoked });
+    let orders = [
+        ("task", task("forever", &before)),
+        ("write", json!({ "robot": 0, "name": "I1", "revoked": before })),
+        ("clear", json!({ "robot": 0, "revoked": before })),
+        ("grip", json!({ "robot": 0, "name": "press", "revoked": before })),
+        ("recover", json!({ "robot": 0, "name": "press", "revoked": before })),
+    ];
+    for (what, order) in orders {
+        let refused = page.order(what, order).unwrap_err();
+        assert!(refused.contains("HALT was pressed"), "{what}: {refused}");
+    }
+    {
+        let sim = sim.lock();
+        assert!(!sim.tasks().any(|(_, status, _)| status == bcap_sim::TaskStatus::Running));
+        assert_eq!((sim.arm_owner(), sim.motor_is_on()), (None, false));
+    }
+    // a stop is never refused, and the user may agree again
+    page.order("task", task("stop", &before)).unwrap();
+    let now = page.until("tiles", |tiles| tiles[0]["revoked"] != before)[0]["revoked"].clone();
+    page.order("task", task("forever", &now)).unwrap();
+    page.until_state("ready, motor off");
+    sim.until("the task runs", |sim| sim.tasks().any(|(_, status, _)| status == bcap_sim::TaskStatus::Running));
+}
+
 /// Files of a controller are text, whatever is in them.
 #[test]
 fn a_file_is_shown_as_lines_of_text() {
