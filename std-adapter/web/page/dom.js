@@ -27,6 +27,24 @@ export function notify(text, isBad = false) {
   }
 }
 
+/** The alerts by their subjects: no other outcome replaces them. */
+const alerts = new Map();
+
+/** Shows an alert on all screens and in dialogs until it is cleared, or the user dismisses it. `null` clears it. */
+export function alertOf(subject, text) {
+  if (text === null) alerts.delete(subject);
+  else alerts.set(subject, text);
+  drawAlerts();
+}
+
+/** Shows the alerts in each place for them. */
+export function drawAlerts() {
+  for (const list of document.querySelectorAll(".alerts")) {
+    const dismiss = (subject) => make("button", { type: "button", "aria-label": `Dismiss: ${subject}`, onclick: () => alertOf(subject, null) }, "Dismiss");
+    list.replaceChildren(...[...alerts].map(([subject, text]) => make("li", {}, make("span", {}, text), dismiss(subject))));
+  }
+}
+
 /** Asks the user; the question names the robot. Resolves to whether the user agreed. */
 export function ask(title, tile, text, yes) {
   const dialog = byId("question");

@@ -4,7 +4,7 @@ import { alarms } from "./alarms.js";
 import { arm } from "./arm.js";
 import { backup } from "./backup.js";
 import { cell } from "./cell.js";
-import { askedOf, byId, kindOf, make, notify, setText, stateText } from "./dom.js";
+import { alertOf, askedOf, byId, kindOf, make, notify, setText, stateText } from "./dom.js";
 import { jog } from "./jog.js";
 import { login } from "./login.js";
 import { beat, connect, halt, on, order } from "./net.js";
@@ -41,11 +41,28 @@ const page = {
 
 let screen = SCREENS[0];
 
+/** The number of the last press of HALT, and the last one that has failed of each robot. */
+let presses = 0;
+const failures = new Map();
+
 async function haltRobot(robot) {
-  const name = page.tiles[robot]?.name ?? "the robot";
+  const tile = page.tiles[robot];
+  const name = tile?.name ?? "the robot";
+  const subject = tile ? `HALT ${name} (${tile.address})` : "HALT";
+  presses += 1;
+  const press = presses;
   notify(`${name}: halting …`);
   const outcome = await halt(robot);
-  if (outcome !== null) notify(`${name}: ${outcome.text}`, !outcome.ok);
+  if (outcome === null) return;
+  const text = `${name}: ${outcome.text}`;
+  notify(text, !outcome.ok);
+  if (!outcome.ok) {
+    failures.set(subject, Math.max(press, failures.get(subject) ?? 0));
+    alertOf(subject, text);
+  } else if (press > (failures.get(subject) ?? 0)) {
+    // only a later halt of this robot
+    alertOf(subject, null);
+  }
 }
 
 function show(next) {

@@ -186,11 +186,55 @@ fn presses_for_a_silent_controller_do_not_pile_up() {
     );
     assert_eq!(browser.eval("sent.join(' ')"), "pending AbortError AbortError pending");
     browser.click(".tile:nth-child(1) .halt");
-    // the end of the other halts may replace it
+    // the end of the other halts may replace this notice; their failures stay in the alerts
     browser.until("told.some((text) => text.includes('press: the robot was at rest'))");
     assert_eq!(browser.problems, [""; 0]);
     // refuses connections from here on, so that the halt ends
     drop(silent);
+}
+
+/// The user must use the emergency stop until this robot is halted: no other outcome, and no halt of another robot, clears that.
+#[test]
+fn a_halt_that_failed_stays_shown_until_that_robot_is_halted() {
+    let (sim, other) = (Sim::start(), Sim::start());
+    let address = other.address();
+    let web = Web::start(&[("press", sim.address()), ("welder", address)], true);
+    let Some(mut browser) = opened(&web) else { return };
+    drop(other);
+    browser.click(".tile:nth-child(2) .halt");
+    browser.until_text("header .alerts", "welder: NOT HALTED, use the emergency stop");
+    let shown = "document.querySelector('header .alerts').checkVisibility() && document.querySelectorAll('header .alerts li').length";
+    browser.click(".tile:nth-child(1) .halt");
+    browser.until_text("#notice", "press: the robot was at rest");
+    assert_eq!(browser.eval(shown), 1);
+    browser.click("[data-id=variables]");
+    browser.enter("#names", "I1");
+    browser.until("document.querySelectorAll('tbody tr, .lamp').length === 1");
+    browser.until("document.getElementById('notice').textContent === ''");
+    assert_eq!(browser.eval(shown), 1);
+    // the rest of the page is inert during a question
+    browser.enter("#name", "Anna");
+    browser.until_text("#control", "control: Anna (this page)");
+    browser.click("tbody button");
+    browser.enter(".edit", "5");
+    browser.until("document.getElementById('question').open");
+    browser.until_text("#question .alerts", "welder: NOT HALTED");
+    for scheme in ["light", "dark"] {
+        browser.look((768, 1024), scheme);
+        assert_eq!(browser.eval(AUDIT), serde_json::json!([]), "{scheme}");
+    }
+    browser.click("#question-no");
+    let other = Sim::at(address);
+    browser.click("[data-id=cell]");
+    browser.until_text(".tile:nth-child(2)", "ready, motor off");
+    assert_eq!(browser.eval(shown), 1);
+    browser.click(".tile:nth-child(2) .halt");
+    browser.until(&format!("({shown}) === 0"));
+    drop(other);
+    browser.click(".tile:nth-child(2) .halt");
+    browser.until(&format!("({shown}) === 1"));
+    browser.click("header .alerts button");
+    browser.until(&format!("({shown}) === 0"));
 }
 
 /// A start that a connection which hangs would deliver late is not sent. A stop is.
