@@ -24,6 +24,8 @@ export const plots = {
   open(main, page) {
     state.page = page;
     state.cursor = null;
+    // those of another robot, or of an earlier time
+    state.variables = [];
     const canvas = make("canvas", { className: "plot", tabIndex: 0, role: "img", "aria-label": "Plot of the chosen numbers over time" });
     const choices = make("fieldset", { className: "choices" }, make("legend", {}, "Numbers; variables are chosen on their screen"));
     const pause = make("button", { type: "button", id: "hold", onclick: () => { state.isPaused = !state.isPaused; draw(); } }, pauseText());
@@ -70,7 +72,8 @@ function numbers() {
   return [
     ...joints.slice(0, 8).map((value, n) => [`J${n + 1}`, value]),
     ...AXES.map((name, n) => [name, position[n]]).filter(([, value]) => value !== undefined),
-    ...state.variables,
+    // the server sends variables to this screen only
+    ...(state.parts?.canvas.isConnected ? state.variables : []),
   ];
 }
 

@@ -365,6 +365,46 @@ fn the_arm_is_drawn_and_its_numbers_are_plotted() {
     assert_eq!(browser.problems, [""; 0]);
 }
 
+/// The server sends variables to their screens only: on another screen none is recorded, and none of another robot.
+#[test]
+fn a_plot_records_no_variable_that_is_not_read() {
+    let (sim, other) = (Sim::start(), Sim::start());
+    let web = Web::start(&[("press", sim.address()), ("welder", other.address())], false);
+    let Some(mut browser) = opened(&web) else { return };
+    let set = |number: i32| sim.lock().set_variable(I, 1, &Variant::I4(number)).unwrap();
+    set(1);
+    browser.click("[data-id=variables]");
+    browser.enter("#names", "I1");
+    browser.until_text("tbody td.value", "1");
+    browser.click("[data-id=plots]");
+    browser.until("document.querySelectorAll('.choices input').length > 0 && document.querySelector('.choices').textContent.includes('I1')");
+    browser.eval("[...document.querySelectorAll('.choices input')].at(-1).click()");
+    browser.until_text(".legend", "I1 1.000");
+    browser.click("[data-id=cell]");
+    set(2);
+    let left = browser.eval("Date.now()").as_f64().unwrap();
+    std::thread::sleep(std::time::Duration::from_millis(1500));
+    browser.click("[data-id=plots]");
+    browser.until_text(".legend", "I1 2.000");
+    let csv = |browser: &mut Browser| {
+        let saved = "(async () => { let saved; URL.createObjectURL = (blob) => { saved = blob; return ''; };
+            document.getElementById('csv').click(); return saved.text(); })()";
+        browser.eval(saved).as_str().unwrap().to_owned()
+    };
+    let text = csv(&mut browser);
+    assert!(text.starts_with("time,") && text.lines().next().unwrap().ends_with("\"I1\""), "{text}");
+    let after = browser.eval(&format!("new Date({left}).toISOString()"));
+    let frozen = |line: &&str| line.split(',').next() > after.as_str() && line.ends_with(",1");
+    assert_eq!(text.lines().skip(1).filter(frozen).count(), 0, "{after}: {text}");
+    // welder has no selection of this page
+    browser.eval("(() => { const robots = document.getElementById('robots'); robots.value = '1'; robots.onchange({ target: robots }); })()");
+    browser.until_text(".legend", "J1");
+    std::thread::sleep(std::time::Duration::from_millis(700));
+    let text = csv(&mut browser);
+    assert!(!text.contains("I1"), "{text}");
+    assert_eq!(browser.problems, [""; 0]);
+}
+
 /// Tells whether a jog is ready, or was refused.
 pub(crate) const IS_BEGUN: &str = "/ready:/.test(document.getElementById('jog-phase').textContent) || /no jog:/.test(document.getElementById('notice').textContent)";
 
