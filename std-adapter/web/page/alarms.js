@@ -151,7 +151,10 @@ function drawLog() {
 async function readLog() {
   try {
     const { robot } = current;
-    log = { robot, rows: await order("log", { robot }) };
+    const rows = await order("log", { robot });
+    // another robot may be shown meanwhile
+    if (robot !== current.robot) return;
+    log = { robot, rows };
     drawLog();
   } catch (error) {
     notify(`the log is not read: ${error.message}`, true);

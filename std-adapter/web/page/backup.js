@@ -87,9 +87,10 @@ async function list() {
 const begin = (work) => send("work", { work }, `${work.work} ${work.folder}`);
 
 async function send(what, fields, text) {
+  const { robot, tile } = view.page;
   try {
-    await order(what, { robot: view.page.robot, ...fields });
-    notify(`${view.page.tile.name}: ${text}`);
+    await order(what, { robot, ...fields });
+    notify(`${tile.name}: ${text}`);
   } catch (error) {
     notify(error.message, true);
   }

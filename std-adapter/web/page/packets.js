@@ -128,7 +128,7 @@ async function toggleObjects() {
 async function showCall(row) {
   const { detail } = state.parts;
   try {
-    const found = await order("packet", { robot: state.page.robot, serial: row.serial });
+    const found = await order("packet", { robot: state.page.robot, serial: row.serial, at: row.cells[0] });
     for (const { element } of state.rows) element.classList.toggle("shown", element === row.element);
     const none = make("p", { className: "quiet" }, "The bytes of this call are not kept any more.");
     detail.replaceChildren(...(found.length > 0 ? callView(found) : [none]));

@@ -222,6 +222,7 @@ const wanted = () => Math.max(1, Math.min(100000, Math.trunc(Number(state.parts.
 /** Makes calls one after the other until one is refused, Stop is pressed, or the screen is left. */
 async function repeat(times, make) {
   const { parts } = state;
+  const { name } = state.page.tile;
   const loop = {};
   state.loop = loop;
   parts.stop.disabled = false;
@@ -231,12 +232,13 @@ async function repeat(times, make) {
       if (n > 0) await new Promise((resolve) => { setTimeout(resolve, Math.max(SHORTEST, Number(parts.interval.value) || 0)); });
       if (state.loop !== loop || !parts.reply.isConnected) break;
       const reply = await make(n);
-      drawReply(reply, times > 1 ? `${n + 1} of ${times}: ` : "");
+      // another robot may be shown meanwhile
+      drawReply(parts, reply, times > 1 ? `${n + 1} of ${times}: ` : "");
       if (!reply.ok) break;
     }
     notify("");
   } catch (error) {
-    notify(error.message, true);
+    notify(`${name}: ${error.message}`, true);
   } finally {
     if (state.loop === loop) state.loop = null;
     parts.stop.disabled = true;
@@ -244,11 +246,11 @@ async function repeat(times, make) {
   }
 }
 
-function drawReply(reply, count) {
+function drawReply(parts, reply, count) {
   const title = make("h2", { className: `state ${reply.ok ? "good" : "bad"}` }, `${count}${reply.ok ? "●" : "▲"} ${reply.code}${reply.name ? ` ${reply.name}` : ""}`);
   const lines = [["Value", reply.value], ["TYPE,DATA", reply.typed], ...(reply.ok ? [] : [["Meaning", reply.meaning], ["Cause", reply.cause], ["Remedy", reply.remedy]]), ["Took", `${reply.ms.toFixed(1)} ms`]];
   const rows = lines.filter(([, text]) => text !== null && text !== undefined).map(([name, text]) => make("div", {}, make("dt", {}, name), make("dd", {}, text)));
-  state.parts.reply.replaceChildren(title, make("dl", { className: "answer" }, ...rows), ...callView(reply.packets));
+  parts.reply.replaceChildren(title, make("dl", { className: "answer" }, ...rows), ...callView(reply.packets));
 }
 
 function keep(call) {

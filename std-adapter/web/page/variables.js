@@ -73,11 +73,12 @@ export const variables = {
 
 async function select(text) {
   const { page } = state;
+  const of = key(page);
   const names = text.split(/[\s,]+/).filter((name) => name !== "");
   state.missing = page.tile.level === "unknown" ? text : null;
   try {
     await order("select", { robot: page.robot, names });
-    localStorage.setItem(key(page), text);
+    localStorage.setItem(of, text);
     notify("");
   } catch (error) {
     notify(error.message, true);

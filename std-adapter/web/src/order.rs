@@ -75,8 +75,8 @@ pub(crate) enum Order {
     Call { agreed: Agreed, function: String, arguments: Vec<String> },
     /// Makes the call of a packet in hexadecimal.
     Bytes { agreed: Agreed, packet: String },
-    /// Returns the packets of a call.
-    Packet { robot: usize, serial: u16 },
+    /// Returns the packets of a call, whose row has the time `at`.
+    Packet { robot: usize, serial: u16, at: f64 },
     /// Returns the calls by function and object.
     Calls { robot: usize },
     /// Lists the backups of this server.

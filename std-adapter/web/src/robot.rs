@@ -91,6 +91,8 @@ pub(crate) struct Live {
     pub(crate) arms: HashSet<Client>,
     /// The last packets.
     pub(crate) tape: Tape,
+    /// When their session was opened, as the model counts time.
+    pub(crate) opened: Duration,
 }
 
 /// An order of a user. Without a session it answers that nothing was done. Fails when the session is lost.
@@ -340,6 +342,7 @@ impl Thread {
             live.model.apply(Update::Packet(role, text));
         });
         lock(&self.live).tape.opens();
+        let opened = began.elapsed();
         let mut link = Link::connect(&self.access, &packets)?;
         let found = is_virtual(&mut link)?;
         let type_name = unless_refused(get_one(&mut link, &ObjectPath::variable("robot/@TYPE_NAME")?))?;
@@ -348,6 +351,7 @@ impl Thread {
         live.is_virtual = Some(found);
         live.type_name = type_name.and_then(|name| name.as_variant().as_bstr().map(|name| name.to_string()));
         live.tape.connected(link.ends());
+        live.opened = opened;
         drop(live);
         self.halter.prepare();
         let (mut next, mut slow) = (Instant::now(), Instant::now());

@@ -211,7 +211,7 @@ impl Page {
                 self.call(agreed, Request::parse(&function, &arguments)?).await
             }
             Order::Bytes { agreed, packet } => self.call(agreed, Request::decode(&packet)?).await,
-            Order::Packet { robot, serial } => Ok(view::packet(&*self.robot(robot)?, serial)),
+            Order::Packet { robot, serial, at } => Ok(view::packet(&*self.robot(robot)?, serial, at)),
             Order::Calls { robot } => Ok(view::calls(&*self.robot(robot)?)),
             Order::Backups {} => self.backups().await,
             Order::Work { robot, work } => self.work(robot, work),

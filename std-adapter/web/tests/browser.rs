@@ -405,6 +405,46 @@ fn a_plot_records_no_variable_that_is_not_read() {
     assert_eq!(browser.problems, [""; 0]);
 }
 
+/// Answers that arrive after the page has turned to another robot are not drawn there.
+#[test]
+fn an_answer_for_one_robot_is_not_drawn_under_another_one() {
+    let (sim, other) = (Sim::start(), Sim::start());
+    sim.lock().inject_error(HResult::from_u32(0x8350_0178), bcap_std::now());
+    let web = Web::start(&[("press", sim.address()), ("welder", other.address())], false);
+    let Some(mut browser) = Browser::start() else { return };
+    browser.keep_sockets();
+    browser.open(web.url());
+    browser.until_text("#state", "error");
+    // answers are held until `free()`
+    browser.eval(
+        "(() => { const socket = sockets.at(-1); const take = socket.onmessage; window.held = []; window.holds = false;
+            socket.onmessage = (event) => { if (holds && JSON.parse(event.data).t === 'answer') held.push(event); else take(event); };
+            window.free = () => { holds = false; held.splice(0).forEach((event) => take(event)); };
+            window.turn = (robot) => { const robots = document.getElementById('robots'); robots.value = robot; robots.onchange({ target: robots }); }; })()",
+    );
+    for (screen, button, drawn) in [("alarms", "#log", ".log td"), ("raw", "#call", ".reply > *")] {
+        browser.click(&format!("[data-id={screen}]"));
+        browser.click(button);
+        browser.until(&format!("document.querySelector('{drawn}') !== null"));
+        browser.eval("turn(1); 0");
+        browser.until(&format!("document.querySelector('{drawn}') === null"));
+        browser.eval("turn(0); holds = true");
+        browser.click(button);
+        browser.until("held.length > 1");
+        browser.eval("turn(1); 0");
+        browser.until("held.length > 2");
+        browser.eval("free()");
+        std::thread::sleep(std::time::Duration::from_millis(300));
+        assert_eq!(
+            browser.eval(&format!("document.querySelector('{drawn}')?.textContent")),
+            serde_json::Value::Null,
+            "{screen}"
+        );
+        browser.eval("turn(0); 0");
+    }
+    assert_eq!(browser.problems, [""; 0]);
+}
+
 /// Tells whether a jog is ready, or was refused.
 pub(crate) const IS_BEGUN: &str = "/ready:/.test(document.getElementById('jog-phase').textContent) || /no jog:/.test(document.getElementById('notice').textContent)";
 

@@ -11,7 +11,7 @@ use serde_json::json;
 use crate::browser::opened;
 use crate::chromium::Browser;
 use crate::states::begin_reload;
-use crate::support::{LIMIT, Sim, Web};
+use crate::support::{LIMIT, Relay, Sim, Web};
 
 const MARKED: &str = "[...document.querySelectorAll('.byte.marked')].map((byte) => byte.textContent).join(' ')";
 const PRESSED: &str =
@@ -29,6 +29,26 @@ pub(crate) fn saved(browser: &mut Browser, selector: &str) -> String {
 
 pub(crate) fn bytes(hex: &str) -> Vec<u8> {
     bcap_capture::hex::parse(hex.as_bytes()).unwrap()
+}
+
+/// The serial numbers of a new session begin again: an old row has no bytes, rather than those of another call.
+#[test]
+fn a_call_of_an_earlier_session_has_no_packets() {
+    let sim = Sim::start();
+    let relay = Relay::start(sim.address());
+    let web = Web::start(&[("press", relay.address)], false);
+    let mut page = web.page();
+    page.until_state("ready, motor off");
+    page.order("show", json!({ "robot": 0, "screen": "packets" })).unwrap();
+    let row = page.until("packets", |content| content["rows"][0].is_array())["rows"][0].clone();
+    let serial: u64 = row[1].as_str().unwrap().trim_start_matches('#').parse().unwrap();
+    let packet = json!({ "robot": 0, "serial": serial, "at": row[0] });
+    assert_ne!(page.order("packet", packet.clone()), Ok(json!([])));
+    relay.cut(0);
+    page.until_state("not connected");
+    assert_ne!(page.order("packet", packet.clone()), Ok(json!([])), "until there is another session");
+    page.until_state("ready, motor off");
+    assert_eq!(page.order("packet", packet), Ok(json!([])));
 }
 
 /// A field marks its bytes, and a byte its field; the packets are a file for Wireshark.
