@@ -44,6 +44,9 @@ export const alarms = {
     }
     this.tiles();
   },
+  forget() {
+    log = {};
+  },
   tiles() {
     if (!place || drawn === "") return;
     const title = current.hasControl ? "" : "take the control first";

@@ -31,6 +31,9 @@ export const arm = {
     state.arm = content;
     this.tiles(page);
   },
+  forget() {
+    state.paths.clear();
+  },
   /** Remembers the path on every screen. */
   remember(page) {
     const now = Date.now();

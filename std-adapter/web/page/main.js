@@ -41,6 +41,9 @@ const page = {
 
 let screen = SCREENS[0];
 
+/** Whether the tiles of this connection are still to come: those of the last one may be of other robots. */
+let isNew = true;
+
 /** The number of the last press of HALT, and the last one that has failed of each robot. */
 let presses = 0;
 const failures = new Map();
@@ -94,7 +97,7 @@ function drawFrame() {
 
 function drawRobots() {
   const robots = byId("robots");
-  if (robots.options.length !== page.tiles.length) {
+  if ([...robots.options].map((option) => option.text).join("\n") !== page.tiles.map((tile) => tile.name).join("\n")) {
     robots.replaceChildren(...page.tiles.map((tile) => make("option", { value: tile.robot }, tile.name)));
   }
   robots.value = String(page.robot);
@@ -137,6 +140,20 @@ async function release() {
   await order("release", { robot: page.robot }).catch((error) => notify(error.message, true));
 }
 
+/** Finds the robot of the page among those of a new connection: the server may have started again with others, or in another order. */
+function follow(last) {
+  const idOf = (tile) => `${tile.name} ${tile.address}`;
+  if (last.length === 0 || last.map(idOf).join("\n") === page.tiles.map(idOf).join("\n")) return;
+  const was = last[page.robot];
+  const ways = [(tile) => idOf(tile) === idOf(was), (tile) => tile.name === was.name];
+  const found = ways.map((is) => page.tiles.findIndex(is)).find((robot) => robot >= 0);
+  page.robot = found ?? 0;
+  // its question, and what the screens keep by number, is of the old robots
+  byId("question").close("no");
+  for (const known of SCREENS) known.forget?.();
+  if (found === undefined) alertOf("Robot", `${was.name} is no longer a robot of bcap web: this page shows ${page.tile.name}`);
+}
+
 function stale(why) {
   const line = byId("stale");
   line.hidden = why === null;
@@ -170,7 +187,7 @@ on("hello", (message) => {
   page.mayMove = message.motion;
   for (const button of byId("screens").children) button.hidden = SCREENS.find(({ id }) => id === button.dataset.id).isOffered?.(message) === false;
   setLabels(message.labels);
-  show(screen);
+  isNew = true;
 });
 on("login", () => {
   stale("Log in to see values. HALT does not work before.");
@@ -178,8 +195,7 @@ on("login", () => {
 });
 on("closed", () => stale("NOT CONNECTED to bcap web: the values are old. HALT may not work. The page connects again every second."));
 on("stale", () => stale("bcap web does not answer: the values are old. HALT may not work."));
-on("open", () => stale(null));
-on("tick", () => stale(null));
+on("tick", () => isNew || stale(null));
 on("pulse", (message) => (screen === raw ? beat(message.n, 0) : jog.pulse(message.n)));
 on("replay", ({ v: [count, last] }) => {
   const lacks = count === 0 ? "" : ` The recording lacks ${count} requests, which are refused with E_FAIL; the last one is ${last}.`;
@@ -188,12 +204,16 @@ on("replay", ({ v: [count, last] }) => {
 });
 on("refused", (message) => notify(message.error, true));
 on("tiles", (message) => {
-  const isFirst = page.tiles.length === 0;
+  const last = page.tiles;
   page.tiles = message.v;
+  if (isNew) follow(last);
   arm.remember(page);
   drawFrame();
-  if (isFirst) show(screen);
-  else screen.tiles?.(page);
+  if (isNew) {
+    isNew = false;
+    stale(null);
+    show(screen);
+  } else screen.tiles?.(page);
 });
 for (const known of SCREENS) on(known.section, (message) => known === screen && message.robot === page.robot && known.draw(message.v, page));
 

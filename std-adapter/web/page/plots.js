@@ -48,6 +48,9 @@ export const plots = {
     state.variables = rows.filter(([, , , , number]) => number !== null).map(([name, , , , number]) => [name, number]);
     drawChoices();
   },
+  forget() {
+    state.series.clear();
+  },
 };
 
 function step(direction) {

@@ -69,6 +69,10 @@ export const variables = {
     if (state.missing && page.tile.level !== "unknown") select(state.missing);
     for (const row of state.rows.values()) row.update();
   },
+  forget() {
+    state.histories.clear();
+    state.writes = [];
+  },
 };
 
 async function select(text) {

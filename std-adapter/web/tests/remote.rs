@@ -290,6 +290,51 @@ async fn a_server_without_all_of_it_does_not_start() {
     assert!(swapped.contains("key.pem: there is no certificate in PEM"), "{swapped}");
 }
 
+/// The server starts again with its robots in another order, and later without one of them.
+#[test]
+fn an_open_page_finds_its_robot_after_a_restart() {
+    let (sims, files) = ([Sim::start(), Sim::start()], certificate());
+    let start = |port: u16, robots: &[(&str, usize)]| {
+        let configure = |config: &mut Config| {
+            config.listen = ([0, 0, 0, 0], port).into();
+            config.remote = Some(remote(files.path(), PASSWORD, &["localhost"]));
+        };
+        let robots: Vec<_> = robots.iter().map(|(name, sim)| (*name, sims[*sim].address())).collect();
+        Web::with(&configure, &robots, true)
+    };
+    let web = start(0, &[("press", 0), ("welder", 1)]);
+    let port = web.url().rsplit(':').next().unwrap().trim_end_matches('/').parse().unwrap();
+    let Some(mut browser) = Browser::with(&["--ignore-certificate-errors"]) else { return };
+    browser.open(web.url());
+    let log_in = |browser: &mut Browser| {
+        browser.until("document.getElementById('password') !== null");
+        browser.enter("#password", PASSWORD);
+        browser.until("document.getElementById('password') === null");
+        browser.until_text("#state", "ready, motor off");
+    };
+    log_in(&mut browser);
+    browser.click(".tile:nth-child(2) .head + * ~ button");
+    browser.until_text("#halt-robot", "welder");
+    let shown = "[...document.getElementById('robots').options].map((option) => option.text).join() + ': ' + document.getElementById('robots').selectedOptions[0].text";
+    assert_eq!(browser.eval(shown), "press,welder: welder");
+    browser.click("[data-id=variables]");
+    drop(web);
+    let web = start(port, &[("welder", 1), ("press", 0)]);
+    log_in(&mut browser);
+    browser.until(&format!("({shown}) === 'welder,press: welder'"));
+    browser.until_text("#halt-robot", "welder");
+    browser.click("#halt");
+    browser.until_text("#notice", "welder: the robot was at rest");
+    until("HALT is in the audit", || web.lines().iter().any(|line| line.starts_with("welder: a page: HALT")));
+    assert!(!web.lines().iter().any(|line| line.starts_with("press: a page: HALT")), "{:?}", web.lines());
+    drop(web);
+    let web = start(port, &[("press", 0)]);
+    log_in(&mut browser);
+    browser.until_text("header .alerts", "welder is no longer a robot of bcap web: this page shows press");
+    assert_eq!(browser.eval(shown), "press: press");
+    drop(web);
+}
+
 /// A person logs in, works and reloads the page.
 #[test]
 fn a_browser_logs_in_and_stays_logged_in() {
