@@ -6,7 +6,7 @@ import { order } from "./net.js";
 const START = { once: "Run once", step: "One step", forever: "Run again and again" };
 const STOP = { stop: "Stop", cycle: "Stop after the cycle", reset: "Stop and reset" };
 
-const state = { page: null, parts: null, rows: [], lines: new Map(), folder: "", marked: null, asked: false };
+const state = { page: null, parts: null, rows: [], lines: new Map(), folder: "" };
 
 export const tasks = {
   id: "tasks",
@@ -21,7 +21,7 @@ export const tasks = {
       title: make("h2", {}, "Files"),
       text: make("ol", { className: "program", tabIndex: 0, "aria-label": "Text of the file" }),
     };
-    Object.assign(state, { page, parts, rows: [], folder: "", asked: false });
+    Object.assign(state, { page, parts, rows: [], lines: new Map(), folder: "" });
     const head = make("thead", {}, make("tr", {}, ...["Task", "State", "Line"].map((name) => make("th", { scope: "col" }, name))));
     const button = ([what, text]) => {
       const element = make("button", { type: "button", onclick: () => act(what, text) }, text);
@@ -31,6 +31,7 @@ export const tasks = {
     parts.actions.append(parts.chosen, ...[...Object.entries(START), ...Object.entries(STOP)].map(button));
     main.append(make("div", { className: "scroll" }, make("table", {}, head, parts.body)), parts.actions, parts.title, parts.files, parts.text);
     list("");
+    readLines(parts);
     this.tiles(page);
   },
   draw(rows, page) {
@@ -42,8 +43,8 @@ export const tasks = {
       chosen.replaceChildren(...names.map((name) => make("option", { value: name }, name)));
       if (names.includes(value)) chosen.value = value;
     }
+    for (const [name, status] of rows) if (!runs(status)) state.lines.delete(name);
     body.replaceChildren(...rows.map(([name, status]) => make("tr", { className: status === "running" ? "changed" : "" }, make("th", { scope: "row" }, name), make("td", {}, status), make("td", { className: "value" }, lineOf(name)))));
-    readLines();
     this.tiles(page);
   },
   tiles(page) {
@@ -55,20 +56,31 @@ export const tasks = {
   },
 };
 
-const lineOf = (name) => String(state.lines.get(`${state.page.robot} ${name}`) ?? "");
+const lineOf = (name) => String(state.lines.get(name) ?? "");
+const pause = (ms) => new Promise((resolve) => { setTimeout(resolve, ms); });
+const runs = (status) => status === "running" || status === "stopped at a step";
 
-/** Reads the lines of the running tasks, one after the other: each is a call of the controller. */
-async function readLines() {
-  if (state.asked) return;
-  state.asked = true;
+/**
+ * Reads the lines of the running tasks each second while the screen is open, one after the other: each is a call of the controller.
+ * A line that is not read is not shown.
+ */
+async function readLines(parts) {
   const { robot } = state.page;
-  for (const [name, status, isPlain] of state.rows) {
-    if (!isPlain || (status !== "running" && status !== "stopped at a step")) continue;
-    const line = await order("line", { robot, name }).catch(() => null);
-    state.lines.set(`${robot} ${name}`, line ?? "");
+  while (parts.body.isConnected) {
+    for (const [name, status, isPlain] of state.rows) {
+      if (!isPlain || !runs(status)) continue;
+      const line = await order("line", { robot, name }).catch(() => null);
+      if (!parts.body.isConnected) return;
+      // it may have ended meanwhile
+      const n = state.rows.findIndex(([of, now]) => of === name && runs(now));
+      if (n < 0) continue;
+      state.lines.set(name, line);
+      setText(parts.body.children[n].lastChild, lineOf(name));
+      // a page may give 20 orders a second
+      await pause(100);
+    }
+    await pause(900);
   }
-  // the state is read each second
-  setTimeout(() => { state.asked = false; }, 1000);
 }
 
 async function act(what, text) {

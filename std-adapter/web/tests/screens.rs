@@ -377,9 +377,18 @@ fn a_task_is_started_and_stopped_and_a_program_is_shown() {
     agree(&mut browser, &format!("{name}: run again and again. The program can move the robot."));
     browser.until_text("#notice", &format!("press: {name}: run again and again is done"));
     browser.until_text("tbody tr.changed td", "running");
+    // the line moves on
+    browser.eval("window.lines = new Set()");
+    browser.until("lines.add(document.querySelector('tbody tr.changed td.value')?.textContent); [...lines].filter((line) => /^\\d+$/.test(line)).length > 1");
     browser.click("[data-what=stop]");
     agree(&mut browser, &format!("{name}: stop."));
     browser.until("document.querySelector('tbody tr.changed') === null");
+    std::thread::sleep(std::time::Duration::from_millis(1500));
+    assert_eq!(
+        browser.eval("document.querySelector('tbody td.value').textContent"),
+        "",
+        "the line of a task that rests is not known"
+    );
     browser.until_text(".files", "Pick.pcs");
     browser.eval(
         "[...document.querySelectorAll('.files button')].find((button) => button.textContent === 'Pick.pcs').click()",
