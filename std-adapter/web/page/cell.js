@@ -1,6 +1,6 @@
 // The screen of the cell: a tile for each robot, with its state, why it is not ready, and what to do.
 
-import { kindOf, make, setText, stateText } from "./dom.js";
+import { kindOf, make, setText, stateText, withUnit } from "./dom.js";
 
 const JOINTS = (n) => `J${n + 1}`;
 const AXES = ["X", "Y", "Z", "RX", "RY", "RZ"];
@@ -68,9 +68,9 @@ function drawTile(parts, tile, page) {
   parts.halt.setAttribute("aria-label", `HALT ${tile.name}`);
   drawReasons(parts.reasons, tile.reasons);
   const used = usedJoints(tile.joints ?? []);
-  const joints = used.map((value, n) => [JOINTS(n), `${value.toFixed(2)}°`]);
+  const joints = used.map((value, n) => [JOINTS(n), withUnit(value, tile.units[n])]);
   const position = AXES.map((name, n) => [name, tile.position?.[n]]).filter(([, value]) => value !== undefined);
-  const place = position.map(([name, value], n) => [name, `${value.toFixed(2)}${n < 3 ? " mm" : "°"}`]);
+  const place = position.map(([name, value], n) => [name, withUnit(value, n < 3 ? "mm" : "°")]);
   const known = [["speed", tile.speed && `${tile.speed} %`], ["tool", tile.tool], ["work", tile.work]];
   drawNumbers(parts.numbers, [...joints, ...place, ...known.filter(([, value]) => value)]);
   const running = (tile.tasks ?? []).filter(([, state]) => state === "running").map(([name]) => name);

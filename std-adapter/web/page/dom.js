@@ -76,6 +76,9 @@ export function kindOf(tile) {
   return tile.virtual ? { name: "virtual", text: "virtual controller" } : { name: "real", text: "real controller" };
 }
 
+/** Writes a number with its unit, if that is known. */
+export const withUnit = (value, unit) => `${value.toFixed(2)}${unit === "mm" ? " " : ""}${unit ?? ""}`;
+
 /** The symbols of the levels: the state is not told by the colour alone. */
 const SYMBOLS = { good: "●", busy: "▶", bad: "▲", unknown: "?" };
 

@@ -1,7 +1,7 @@
 // The screen of a jog: a robot moves by short steps while a button is held. The page answers each pulse of the server with a
 // heartbeat; the server halts the robot without one. Whatever takes the page away from its user ends the jog at once.
 
-import { ask, byId, make, notify, setText } from "./dom.js";
+import { ask, byId, make, notify, setText, withUnit } from "./dom.js";
 import { beat, order } from "./net.js";
 
 const STEPS = [0.1, 0.5, 1, 2, 5];
@@ -95,12 +95,12 @@ function drawAxes(place, content, tile) {
     if (state.held) drop("its button is gone");
     place.replaceChildren(...content.axes.map(([name]) => axisRow(name)));
   }
-  const joints = tile.joints ?? [];
-  const values = [...joints.slice(0, 8), ...(tile.position ?? [])];
+  const count = content.axes.length - 6;
+  const values = [...Array.from({ length: count }, (_, n) => [tile.joints?.[n], tile.units?.[n]]), ...Array.from({ length: 6 }, (_, n) => [tile.position?.[n], n < 3 ? "mm" : "°"])];
   content.axes.forEach(([name, percent], n) => {
     const row = place.children[n];
-    const unit = n >= joints.length && n < joints.length + 3 ? " mm" : "°";
-    setText(row.children[2], `${values[n]?.toFixed(2) ?? "?"}${unit}`);
+    const [value, unit] = values[n];
+    setText(row.children[2], value === undefined ? "?" : withUnit(value, unit));
     setText(row.children[4], `${Math.min(percent, state.percent).toFixed(1)} %`);
     row.querySelectorAll("button").forEach((button) => {
       // an element that is disabled loses the pointer that holds it

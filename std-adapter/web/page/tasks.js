@@ -61,7 +61,7 @@ const pause = (ms) => new Promise((resolve) => { setTimeout(resolve, ms); });
 const runs = (status) => status === "running" || status === "stopped at a step";
 
 /**
- * Reads the lines of the running tasks each second while the screen is open, one after the other: each is a call of the controller.
+ * Reads the lines of the running tasks about each second while the screen is open, one after the other: each is a call of the controller.
  * A line that is not read is not shown.
  */
 async function readLines(parts) {
@@ -79,7 +79,7 @@ async function readLines(parts) {
       // a page may give 20 orders a second
       await pause(100);
     }
-    await pause(900);
+    await pause(700);
   }
 }
 

@@ -7,7 +7,10 @@ import { order } from "./net.js";
 const HISTORY = 60;
 
 /** The units of the numbers of a kind; a label such as `pressure [bar]` has its unit at its end. */
-const UNITS = [[/^P\d+$/i, "mm, °"], [/^J\d+$/i, "°"], [/^T\d+$/i, "mm"], [/_ANGLE$/i, "°"], [/_POSITION$/i, "mm, °"], [/SPEED$/i, "%"]];
+const UNITS = [[/^P\d+$/i, "mm, °"], [/^T\d+$/i, "mm"], [/_POSITION$/i, "mm, °"], [/SPEED$/i, "%"]];
+
+/** The numbers of these are joints, whose units the arm has. */
+const JOINTS = /^J\d+$|_ANGLE$/i;
 
 /** The labels of the file that `bcap web --labels` has read, by names in upper case. */
 const labels = new Map();
@@ -18,7 +21,8 @@ export const setLabels = (known) => Object.entries(known).forEach(([name, label]
 const labelOf = (key, name) => localStorage.getItem(key) ?? labels.get(name.toUpperCase()) ?? "";
 
 function unitOf(name, label) {
-  return /\[([^\]]+)\]\s*$/.exec(label)?.[1] ?? UNITS.find(([kind]) => kind.test(name))?.[1] ?? "";
+  const joints = () => [...new Set((state.page.tile.units ?? []).filter((unit) => unit !== ""))].join(", ");
+  return /\[([^\]]+)\]\s*$/.exec(label)?.[1] ?? (JOINTS.test(name) ? joints() : UNITS.find(([kind]) => kind.test(name))?.[1]) ?? "";
 }
 
 const state = { page: null, parts: null, rows: new Map(), histories: new Map(), filter: "", writes: [], missing: null };

@@ -48,6 +48,16 @@ pub(crate) fn percent(type_name: &str, axis: Axis) -> f64 {
     (FASTEST_MM / speed * 100.0).min(FASTEST)
 }
 
+/// Returns the units of the joints of an arm; an empty one for an extended axis, and for an arm without a model file: it may turn or slide.
+pub(crate) fn units(type_name: &str, joints: usize) -> Vec<&'static str> {
+    let known: &[&str] = match geometry(type_name).map(|geometry| geometry.links) {
+        Some(Links::Vertical(_)) => &["°"; 6],
+        Some(Links::Horizontal(_)) => &["°", "°", "mm", "°"],
+        _ => &[],
+    };
+    known.iter().copied().chain(std::iter::repeat("")).take(joints).collect()
+}
+
 /// Returns whether an arm has the lengths of a known one: the options of an arm follow a dash, and a controller may add a letter.
 fn is_of_series(type_name: &str, known: &str) -> bool {
     let series = known.split(['-', ' ']).next().unwrap_or_default();
@@ -66,6 +76,13 @@ mod tests {
         let line = percent("VS060A3-AV6", Axis::Coordinate(0));
         assert!(line < joint && line > 1.0, "{line}");
         assert_eq!(percent("unknown", Axis::Coordinate(0)), SLOWEST);
+    }
+
+    #[test]
+    fn a_joint_that_slides_is_in_mm() {
+        assert_eq!(units("HSR065A1-N32-NNN-NNN A", 6), ["°", "°", "mm", "°", "", ""]);
+        assert_eq!(units("VS060A3-AV6", 7), ["°", "°", "°", "°", "°", "°", ""]);
+        assert_eq!(units("unknown", 2), ["", ""]);
     }
 
     #[test]

@@ -54,6 +54,7 @@ pub(crate) fn tile(number: usize, robot: &Robot, client: Client) -> Value {
         "tool": live.model.robot.tool.as_deref().map(safe),
         "work": live.model.robot.work.as_deref().map(safe),
         "joints": live.model.robot.joints,
+        "units": arm::units(live.type_name.as_deref().unwrap_or_default(), live.model.robot.joints.len()),
         "position": live.model.robot.position,
         "tasks": live.model.tasks.iter().map(|(name, state)| [safe(name), safe(state)]).collect::<Vec<_>>(),
     })

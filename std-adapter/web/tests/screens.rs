@@ -51,6 +51,24 @@ fn a_call_of_an_earlier_session_has_no_packets() {
     assert_eq!(page.order("packet", packet), Ok(json!([])));
 }
 
+/// The third axis of a SCARA slides.
+#[test]
+fn a_joint_that_slides_is_shown_in_mm() {
+    let sim = Sim::of_arm(bcap_sim::ArmProfile::Hsr065);
+    let web = Web::start(&[("press", sim.address())], false);
+    let Some(mut browser) = opened(&web) else { return };
+    browser.until_text(".numbers div:nth-child(3)", " mm");
+    browser.until_text(".numbers div:nth-child(2)", "°");
+    browser.click("[data-id=jog]");
+    browser.until_text(".axis:nth-child(3) .value", " mm");
+    browser.until_text(".axis:nth-child(2) .value", "°");
+    browser.click("[data-id=variables]");
+    browser.enter("#names", "J1 T1");
+    browser.until_text("tbody tr:nth-child(1) th", "J1");
+    browser.until_text("tbody tr:nth-child(1) .unit", "°, mm");
+    assert_eq!(browser.problems, [""; 0]);
+}
+
 /// A field marks its bytes, and a byte its field; the packets are a file for Wireshark.
 #[test]
 fn a_packet_has_fields_and_bytes_that_belong_together() {

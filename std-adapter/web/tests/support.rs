@@ -13,7 +13,7 @@ use bcap_live::link::Access;
 use bcap_live::tap::Tap;
 use bcap_sim::pace::Paced;
 use bcap_sim::scenario::Delivery;
-use bcap_sim::{Config as SimConfig, Controller, Profile};
+use bcap_sim::{ArmProfile, Config as SimConfig, Controller, Profile};
 use bcap_std::blocking::Arm;
 use bcap_std::server::Server as SimServer;
 use bcap_web::{Config, Server};
@@ -80,6 +80,11 @@ impl Sim {
     pub(crate) fn quick_of(profile: Profile) -> Self {
         let config = SimConfig { motor_on_delay: Duration::ZERO, ..SimConfig::new(profile) };
         Self::with("127.0.0.1:0".parse().unwrap(), config)
+    }
+
+    /// Starts one with another arm.
+    pub(crate) fn of_arm(arm: ArmProfile) -> Self {
+        Self::with("127.0.0.1:0".parse().unwrap(), SimConfig::new(Profile::Rc8).with_arm(arm.arm()))
     }
 
     /// Starts one with a folder of files.
