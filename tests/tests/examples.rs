@@ -11,7 +11,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::rac::{Variable, VariableKind};
 use bcap_core::variant::Variant;
 use bcap_sim::memory::Network;
-use bcap_sim::{Config, Profile, TaskStatus};
+use bcap_sim::{Config, Profile, Scenario, TaskStatus};
 use bcap_std::blocking::Controller;
 use bcap_std::server::Limits;
 use bcap_std::{Motion, Settings};
@@ -195,6 +195,15 @@ fn test_without_robot_counts_only_motions_that_arrive() {
     let mut cell = Controller::over(network.connect(), &Settings::rc8()).unwrap();
     assert_eq!(test_without_robot::program(&mut cell).unwrap(), Motion::TimedOut);
     assert_eq!(cell.read::<i32>("I1").unwrap(), 0);
+}
+
+#[test]
+fn test_without_robot_reports_an_arm_that_is_not_given_back() {
+    let network = Network::new(Config::new(Profile::Rc8));
+    let text = "[[fault]]\nwhen = { call = 1, of = 'GiveArm' }\nthen = { refuse = 'E_FAIL' }";
+    network.controller().play(Scenario::parse(text).unwrap());
+    let mut cell = Controller::over(network.connect(), &Settings::rc8()).unwrap();
+    assert_eq!(test_without_robot::program(&mut cell).unwrap_err().code(), Some(HResult::E_FAIL));
 }
 
 #[tokio::test]
