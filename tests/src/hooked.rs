@@ -60,7 +60,8 @@ impl<H> Hooked<H> {
         receiver
     }
 
-    /// Delays the calls that `is_held` selects until `release` gets a message. The receiver gets one when the first call has arrived.
+    /// Delays the calls that `is_held` selects until `release` gets a message. The receiver gets one when the first call has
+    /// arrived.
     pub fn hold(
         &mut self,
         is_held: impl Fn(&Request<'_>) -> bool + Send + 'static,
