@@ -564,14 +564,11 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     }
 
     /// Gives the arm back, releases all objects in reverse order and stops the service, once. It ends at the first call
-    /// without a reply.
+    /// without a reply. Returns the first error: the motor may be on.
     pub(crate) async fn release(&mut self) -> Result<(), Error> {
-        if self.link.lost.is_none()
-            && let Err(error) = self.end_arm().await
-        {
-            tracing::warn!(%error, "the arm was not given back");
-        }
-        self.release_objects().await
+        let ended = if self.link.lost.is_none() { self.end_arm().await } else { Ok(()) };
+        let released = self.release_objects().await;
+        ended.and(released)
     }
 
     /// Releases all objects in reverse order and stops the service, once.

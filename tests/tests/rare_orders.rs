@@ -177,3 +177,24 @@ fn a_call_that_the_controller_has_given_up_may_have_an_effect() {
     thread::sleep(Duration::from_millis(600));
     assert!(sim.is(is_left));
 }
+
+#[tokio::test]
+async fn a_close_that_leaves_the_motor_on_says_so() {
+    let refusal = "[[fault]]\nwhen = { call = 2, of = 'Motor' }\nthen = { refuse = 'E_FAIL' }";
+    let sim = simulated();
+    sim.application().play(Scenario::parse(refusal).unwrap());
+    let cell = Controller::connect(&sim.address(), &Settings::rc8()).await.unwrap();
+    let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+    arm.motor_on().await.unwrap();
+    assert_eq!(cell.close().await.unwrap_err().code(), Some(HResult::E_FAIL));
+    sim.application().play(Scenario::parse(refusal).unwrap());
+    tokio::task::spawn_blocking(move || {
+        let mut cell = blocking::Controller::connect(&sim.address(), &Settings::rc8()).unwrap();
+        let mut arm = cell.robot().unwrap().take_arm().unwrap();
+        arm.motor_on().unwrap();
+        arm.keep();
+        assert_eq!(cell.close().unwrap_err().code(), Some(HResult::E_FAIL));
+    })
+    .await
+    .unwrap();
+}

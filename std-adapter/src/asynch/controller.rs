@@ -417,7 +417,8 @@ impl Controller {
     ///
     /// # Errors
     ///
-    /// An [`Error`] if the connection was lost meanwhile; [`Error::Closed`] when the task has ended before.
+    /// An [`Error`] if the connection was lost meanwhile, or the arm was not given back with the motor off; [`Error::Closed`] when
+    /// the task has ended before.
     ///
     /// # Cancel safety
     ///

@@ -265,7 +265,7 @@ impl Controller {
     ///
     /// # Errors
     ///
-    /// An [`Error`] if the connection was lost.
+    /// An [`Error`] if the connection was lost, or the arm was not given back with the motor off.
     pub fn close(mut self) -> Result<(), Error> {
         ready(self.session.release())
     }
