@@ -96,10 +96,10 @@ function drawAxes(place, content, tile) {
     place.replaceChildren(...content.axes.map(([name]) => axisRow(name)));
   }
   const count = content.axes.length - 6;
-  const values = [...Array.from({ length: count }, (_, n) => [tile.joints?.[n], tile.units?.[n]]), ...Array.from({ length: 6 }, (_, n) => [tile.position?.[n], n < 3 ? "mm" : "°"])];
+  const valueOf = (n) => (n < count ? [tile.joints?.[n], tile.units?.[n]] : [tile.position?.[n - count], n < count + 3 ? "mm" : "°"]);
   content.axes.forEach(([name, percent], n) => {
     const row = place.children[n];
-    const [value, unit] = values[n];
+    const [value, unit] = valueOf(n);
     setText(row.children[2], value === undefined ? "?" : withUnit(value, unit));
     setText(row.children[4], `${Math.min(percent, state.percent).toFixed(1)} %`);
     row.querySelectorAll("button").forEach((button) => {

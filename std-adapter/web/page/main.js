@@ -55,7 +55,7 @@ async function haltRobot(robot) {
   presses += 1;
   const press = presses;
   notify(`${name}: halting …`);
-  const outcome = await halt(robot);
+  const outcome = await halt(robot, tile?.name ?? "");
   if (outcome === null) return;
   const text = `${name}: ${outcome.text}`;
   notify(text, !outcome.ok);
@@ -140,7 +140,7 @@ async function release() {
   await order("release", { robot: page.robot }).catch((error) => notify(error.message, true));
 }
 
-/** Finds the robot of the page among those of a new connection: the server may have started again with others, or in another order. */
+/** Finds the robot of the page among those of a new connection: the server may have started again with others. */
 function follow(last) {
   const idOf = (tile) => `${tile.name} ${tile.address}`;
   if (last.length === 0 || last.map(idOf).join("\n") === page.tiles.map(idOf).join("\n")) return;

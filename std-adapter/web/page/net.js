@@ -93,8 +93,8 @@ function answered(message) {
 }
 
 /**
- * Sends an order, and returns its answer. An order that a HALT revokes has `revoked`, as the tile said before the question. It is not
- * sent over a connection that may hang: it would come late.
+ * Sends an order, and returns its answer. An order that a HALT revokes has `revoked`, as the tile said before the question. It is
+ * not sent over a connection that may hang: it would come late.
  */
 export function order(what, fields) {
   return new Promise((resolve, reject) => {
@@ -132,19 +132,19 @@ export function saveBlob(blob, name) {
 }
 
 /**
- * Halts a robot. It does not use the connection above, which may hang. Returns `null` if a later press has replaced the request.
+ * Halts a robot, whose name decides if the server has other numbers now. It does not use the connection above, which may hang. Returns `null` if a later press has replaced the request.
  *
  * A browser opens six connections to a host, so a robot has two pending requests at most: the first and the last. The server
  * carries on with an aborted one. The first is never aborted: on a slow network, quick presses would abort each before it arrives.
  */
-export async function halt(robot) {
+export async function halt(robot, name) {
   const requests = halts.get(robot) ?? new Set();
   halts.set(robot, requests);
   for (const replaced of [...requests].slice(1)) replaced.abort();
   const request = new AbortController();
   requests.add(request);
   try {
-    const response = await fetch(`/halt/${robot}`, { method: "POST", headers: { "x-bcap-token": token }, cache: "no-store", signal: request.signal });
+    const response = await fetch(`/halt/${robot}`, { method: "POST", headers: { "x-bcap-token": token }, body: name, cache: "no-store", signal: request.signal });
     if (!response.ok) return { ok: false, text: `NOT HALTED, use the emergency stop: ${await response.text()}` };
     return await response.json();
   } catch (error) {

@@ -61,8 +61,8 @@ const pause = (ms) => new Promise((resolve) => { setTimeout(resolve, ms); });
 const runs = (status) => status === "running" || status === "stopped at a step";
 
 /**
- * Reads the lines of the running tasks about each second while the screen is open, one after the other: each is a call of the controller.
- * A line that is not read is not shown.
+ * Reads the lines of the running tasks about each second while the screen is open, one after the other: each is a call of the
+ * controller. A line that is not read is not shown.
  */
 async function readLines(parts) {
   const { robot } = state.page;

@@ -48,7 +48,8 @@ pub(crate) fn percent(type_name: &str, axis: Axis) -> f64 {
     (FASTEST_MM / speed * 100.0).min(FASTEST)
 }
 
-/// Returns the units of the joints of an arm; an empty one for an extended axis, and for an arm without a model file: it may turn or slide.
+/// Returns the units of the joints of an arm; an empty one for an extended axis, and for an arm without a model file, which may turn
+/// or slide.
 pub(crate) fn units(type_name: &str, joints: usize) -> Vec<&'static str> {
     let known: &[&str] = match geometry(type_name).map(|geometry| geometry.links) {
         Some(Links::Vertical(_)) => &["°"; 6],

@@ -28,7 +28,9 @@ use crate::app::App;
 use crate::assets::{FILES, file, with_headers};
 use crate::guard::{Guard, TOKEN};
 use crate::login::Open;
+use crate::robot::Robot;
 use crate::secret::{Checked, Refused, only};
+use crate::text::safe;
 use crate::tls::Acceptor;
 use crate::{save, socket, tls};
 
@@ -95,7 +97,9 @@ fn router(app: &Arc<App>) -> Router {
     let check = |check: Check| from_fn_with_state((Arc::clone(app), check), checked);
     // the token of a WebSocket is in another header
     let has_token: Check = |guard, headers| guard.check_user(headers, only(headers, TOKEN)).map(drop);
-    let of_users = save::routes().route("/halt/{robot}", post(halt)).route_layer(check(has_token));
+    let of_users = save::routes()
+        .route("/halt/{robot}", post(halt).layer(DefaultBodyLimit::max(NAME_SIZE)))
+        .route_layer(check(has_token));
     let of_this_origin = of_users
         .route("/live", any(live))
         .route("/login", post(log_in).layer(DefaultBodyLimit::max(PASSWORD_SIZE)))
@@ -175,9 +179,16 @@ async fn live(State(app): State<Arc<App>>, headers: HeaderMap, upgrade: WebSocke
     }))
 }
 
-/// Halts a robot. It needs no control, no `--allow-write`, and no open page.
-async fn halt(State(app): State<Arc<App>>, Path(robot): Path<usize>) -> Checked {
-    let robot = app.robots.get(robot).cloned().ok_or((StatusCode::NOT_FOUND, "there is no such robot"))?;
+/// The maximum size of a robot's name in a request.
+const NAME_SIZE: usize = 16 << 10;
+
+/// Halts a robot. It needs no control, no `--allow-write`, and no open page. `name` may be empty: a page that shows the robots of an
+/// earlier server has old numbers, so the name decides.
+async fn halt(State(app): State<Arc<App>>, Path(number): Path<usize>, name: Bytes) -> Checked {
+    let is_named = |robot: &&Arc<Robot>| safe(&robot.name).as_bytes() == name;
+    let numbered = app.robots.get(number).filter(|robot| name.is_empty() || is_named(robot));
+    let robot = numbered.or_else(|| app.robots.iter().find(is_named)).cloned();
+    let robot = robot.ok_or((StatusCode::NOT_FOUND, "there is no such robot"))?;
     let of = Arc::clone(&app);
     // a page that is closed meanwhile must not keep the halt from its line of the audit
     let halting = app.work.spawn(async move {

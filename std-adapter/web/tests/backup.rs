@@ -80,6 +80,8 @@ fn a_backup_is_made_compared_and_restored_by_the_page_that_planned_it() {
     assert_eq!((&plan["lines"], &plan["outcome"]), (&json!(["I5: 8 -> 7"]), &json!("1 writes are planned")));
     let wrong = anna.order("restore", json!({ "robot": 0, "name": "welder", "folder": "monday" })).unwrap_err();
     assert_eq!(wrong, "welder is not the name of this robot; nothing was done");
+    let late = json!({ "robot": 0, "name": "press", "folder": "monday", "revoked": 99 });
+    assert!(anna.order("restore", late).unwrap_err().contains("HALT was pressed"), "the user agreed before a HALT");
     assert_eq!(value(&sim, 5), 8);
     anna.order("restore", restore.clone()).unwrap();
     let restored = ended(&mut anna, &json!("restore"));

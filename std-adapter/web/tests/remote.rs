@@ -305,6 +305,8 @@ fn an_open_page_finds_its_robot_after_a_restart() {
     let web = start(0, &[("press", 0), ("welder", 1)]);
     let port = web.url().rsplit(':').next().unwrap().trim_end_matches('/').parse().unwrap();
     let Some(mut browser) = Browser::with(&["--ignore-certificate-errors"]) else { return };
+    let tabs = [browser.open_page(), browser.open_page()];
+    browser.turn_to(&tabs[0]);
     browser.open(web.url());
     let log_in = |browser: &mut Browser| {
         browser.until("document.getElementById('password') !== null");
@@ -313,6 +315,11 @@ fn an_open_page_finds_its_robot_after_a_restart() {
         browser.until_text("#state", "ready, motor off");
     };
     log_in(&mut browser);
+    browser.turn_to(&tabs[1]);
+    browser.open(web.url());
+    browser.click(".tile:nth-child(2) .head + * ~ button");
+    browser.until_text("#halt-robot", "welder");
+    browser.turn_to(&tabs[0]);
     browser.click(".tile:nth-child(2) .head + * ~ button");
     browser.until_text("#halt-robot", "welder");
     let shown = "[...document.getElementById('robots').options].map((option) => option.text).join() + ': ' + document.getElementById('robots').selectedOptions[0].text";
@@ -326,7 +333,14 @@ fn an_open_page_finds_its_robot_after_a_restart() {
     browser.click("#halt");
     browser.until_text("#notice", "welder: the robot was at rest");
     until("HALT is in the audit", || web.lines().iter().any(|line| line.starts_with("welder: a page: HALT")));
+    // the other tab, which has the numbers of the first server, is logged in with this one
+    browser.turn_to(&tabs[1]);
+    browser.click("#login-halt");
+    until("HALT is in the audit again", || {
+        web.lines().iter().filter(|line| line.contains(": a page: HALT")).count() == 2
+    });
     assert!(!web.lines().iter().any(|line| line.starts_with("press: a page: HALT")), "{:?}", web.lines());
+    browser.turn_to(&tabs[0]);
     drop(web);
     let web = start(port, &[("press", 0)]);
     log_in(&mut browser);
