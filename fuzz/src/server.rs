@@ -75,6 +75,8 @@ struct Application {
     /// On datagrams, by first serial and function: the last received call, and the last started call.
     current: Option<(u16, FunctionId)>,
     begun: Option<(u16, FunctionId)>,
+    /// Whether the reply to the last call was replaced by one to an invalid datagram.
+    is_replaced: bool,
 }
 
 /// Runs a session through the operations that the bytes encode.
@@ -117,11 +119,13 @@ impl Handler for Application {
         }
         assert!(self.waiting.is_none());
         if self.current.is_some() {
+            // without a session no call is a copy, unless its reply can be sent again
+            let may_repeat = self.is_replaced && !self.open.contains(&(Object::Service, 0));
             assert!(
-                self.begun != self.current || function == FunctionId::SERVICE_START,
+                self.begun != self.current || function == FunctionId::SERVICE_START || may_repeat,
                 "a retransmission was executed"
             );
-            self.begun = self.current;
+            (self.begun, self.is_replaced) = (self.current, false);
         }
         self.carry_out(function, reply, now)
     }
@@ -230,6 +234,7 @@ impl<T: Storage> Run<T> {
             left: 0,
             current: None,
             begun: None,
+            is_replaced: false,
         };
         Self {
             session: Session::new(config, tx, rx),
@@ -396,10 +401,15 @@ impl<T: Storage> Run<T> {
             let was_running = self.session.is_running();
             let event = self.session.run(&mut self.application, PEER, self.now);
             match event {
-                Some(Event::Malformed(error)) => assert!(!error.to_string().is_empty()),
+                Some(Event::Malformed(error)) => {
+                    assert!(!error.to_string().is_empty());
+                    self.application.is_replaced = true;
+                }
                 Some(Event::Repeated { .. } | Event::KeptAlive) => assert!(was_running || self.link.is_lossy()),
-                Some(Event::Served { .. }) => {
-                    assert!(!self.session.transmit().is_empty(), "the send buffer has room for a result code")
+                Some(Event::Served { function, .. }) => {
+                    assert!(!self.session.transmit().is_empty(), "the send buffer has room for a result code");
+                    // a frame that is too long
+                    self.application.is_replaced |= function == FunctionId(0);
                 }
                 _ => {}
             }
