@@ -36,7 +36,7 @@ pub fn present<C: Calls>(calls: &mut C, check: &mut StreamCheck) -> Result<Vec<(
     }
 }
 
-/// Counts the errors that were not read in the last text.
+/// Adds the number of errors that were not read to the last text.
 fn with_rest(mut errors: Vec<(HResult, String)>, count: i32) -> Vec<(HResult, String)> {
     let left = usize::try_from(count).unwrap_or(0).saturating_sub(MOST);
     if let Some((_, text)) = errors.last_mut().filter(|_| left > 0) {
