@@ -1,7 +1,7 @@
 //! Halting a robot, even while a task of the controller owns the arm, and verifying that it rests.
 //!
 //! ```text
-//!  Robot_Halt ─► accepted ─────────────────────────────────────────────────────────► verify
+//!  Robot_Halt ─► accepted ─────────────────────────────────────────────────────────► verify ─► once more, if it moves on
 //!       └─────► refused ─► KillAll ─► done ────────────────────────► Robot_Halt ─► verify
 //!                             ├────► refused: GetTaskNames             ▲
 //!                             │         └─► each task that does not rest: Task_Stop 4
@@ -12,6 +12,10 @@
 //!
 //! A controller refuses Robot_Halt while a task owns the arm (RC8 provider guide, 5.2.22); stopping the task halts its
 //! motion. The guide gives no code for that, so any refusal counts, unless it says that the handle is invalid.
+//!
+//! A motion that another thread or client began at the same time may be executed just after Robot_Halt, which then has no
+//! effect on it. So Robot_Halt is sent once more: at once if it was answered that nothing moved and a poll sees a motion, and
+//! otherwise after the time limit.
 //!
 //! Robot_Halt comes first, always. Real controllers end Slave Mode when they get a call that it does not allow, such as
 //! SysState. So SysState is sent only after slvGetMode has answered 0; otherwise the joints alone show rest.
@@ -37,8 +41,8 @@ use crate::time::Instant;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct HaltConfig {
-    /// The time limit for the robot to come to rest after the last stop was answered. It begins again after KillAll and after
-    /// the tasks were stopped one by one.
+    /// The time limit for the robot to come to rest after the last stop was answered. It begins again after a second
+    /// Robot_Halt, after KillAll and after the tasks were stopped one by one.
     pub limit: Duration,
     /// The pause between two polls of the robot.
     pub interval: Duration,
@@ -136,7 +140,8 @@ impl fmt::Display for StoppedTasks {
 /// Halts the robot, and verifies that it rests.
 ///
 /// If Robot_Halt is refused, it stops the tasks of the controller and halts again. It also stops them if the robot still
-/// moves after the time limit and SysState says that a task runs. The tasks are stopped by KillAll. If the controller
+/// moves after the time limit and SysState says that a task runs. If no task runs, or a motion is seen after the answer that
+/// nothing moved, Robot_Halt is repeated once: the motion may have begun just after it. The tasks are stopped by KillAll. If the controller
 /// refuses that, or after the time limit still refuses Robot_Halt or moves the robot by a task, they are stopped by
 /// Task_Stop of each task that is neither ready nor missing; a Task_Stop that fails is repeated once. While the controller is busy
 /// with a call that was given up, each call is repeated, for up to 5 s in all.
@@ -160,6 +165,7 @@ pub fn halt(handles: Handles, config: HaltConfig) -> impl Procedure<Output = Hal
         step: Step::Halt,
         answer: HaltAnswer::NothingMoved,
         stage: Stage::Halt,
+        halted_again: false,
         repeated: false,
         tasks: None,
         place: 0,
@@ -188,6 +194,8 @@ struct HaltSteps {
     step: Step,
     answer: HaltAnswer,
     stage: Stage,
+    /// Whether Robot_Halt was repeated because the robot moved on.
+    halted_again: bool,
     /// Whether the present Task_Stop was repeated.
     repeated: bool,
     tasks: Option<StoppedTasks>,
@@ -248,6 +256,15 @@ impl HaltSteps {
         Some(step)
     }
 
+    /// Halts a motion that may have begun after Robot_Halt, once; it has the whole time limit again.
+    const fn halt_again(&mut self) -> Option<Step> {
+        if self.halted_again || self.is_refused() {
+            return None;
+        }
+        (self.halted_again, self.until, self.still) = (true, None, 0);
+        Some(Step::Halt)
+    }
+
     /// Moves to the next task of the list.
     fn next_task(&mut self) -> Step {
         self.repeated = false;
@@ -271,6 +288,12 @@ impl HaltSteps {
         } else {
             (self.still, self.last) = (0, Some(joints));
         }
+        if moves
+            && matches!(self.answer, HaltAnswer::NothingMoved)
+            && let Some(step) = self.halt_again()
+        {
+            return step;
+        }
         let until = *self.until.get_or_insert(now.saturating_add(self.config.limit));
         // the tasks that KillAll stops may need a moment to free the arm
         let owned = self.is_refused() && self.stage == Stage::All;
@@ -287,7 +310,7 @@ impl HaltSteps {
             return Step::Pause(next);
         }
         if !owned && self.state & RUNNING == 0 {
-            return Step::End;
+            return self.halt_again().unwrap_or(Step::End);
         }
         self.escalate().unwrap_or(Step::End)
     }
@@ -387,7 +410,7 @@ impl Steps for HaltSteps {
     }
 
     fn has_effect(&self) -> bool {
-        self.stage != Stage::Halt || self.step != Step::Halt
+        self.stage != Stage::Halt || self.step != Step::Halt || self.halted_again
     }
 
     /// A failed call does not keep the robot moving if another one may still stop it.

@@ -78,8 +78,9 @@ fn a_robot_that_brakes_after_the_reply_is_waited_for() {
     }
 }
 
-/// Halts a robot whose controller answers S_FALSE; returns the outcome.
-fn nothing_to_halt(position: impl Fn(u64) -> f64) -> Halt {
+/// Halts a robot whose controller answers S_FALSE to the first Robot_Halt; `position` gets the milliseconds, and whether there was
+/// a second one.
+fn nothing_to_halt(position: impl Fn(u64, bool) -> f64) -> Run<Halt> {
     let mut procedure = halt(HANDLES, config());
     let mut now = Instant::ZERO;
     assert!(matches!(procedure.poll(now), Action::Call(Channel::Motion)));
@@ -87,22 +88,68 @@ fn nothing_to_halt(position: impl Fn(u64) -> f64) -> Halt {
     let bytes = FrameWriter::new(&mut buffer).unwrap().finish(1, 0, HResult::S_FALSE.0).unwrap();
     procedure.handle_reply(&Decoder::TCP.decode_datagram(bytes).unwrap(), now);
     now = Instant::from_millis(1);
-    let peer = |_, call: &str, now: Instant| match call {
-        POSITION => at(position(now.as_micros() / 1000)),
-        _ => resting(call),
+    let mut again = false;
+    let peer = |_, call: &str, now: Instant| {
+        again |= call == HALT;
+        if call == POSITION { at(position(now.as_micros() / 1000, again)) } else { resting(call) }
     };
-    run_from(now, procedure, peer).result.unwrap()
+    run_from(now, procedure, peer)
 }
 
 #[test]
 fn nothing_moved_only_if_neither_the_reply_nor_a_poll_says_otherwise() {
-    let halt = nothing_to_halt(|_| 10.0);
+    let done = nothing_to_halt(|_, _| 10.0);
+    let halt = done.result.unwrap();
     assert_eq!(halt, outcome(HaltAnswer::NothingMoved, None, true));
     assert_eq!(halt.to_string(), "nothing was moving");
-    assert_eq!(nothing_to_halt(|millis| (millis.min(100)) as f64), outcome(HaltAnswer::Halted, None, true));
-    let moves = nothing_to_halt(|millis| millis as f64);
+    assert_eq!(count(&done.calls, HALT), 0, "{:?}", done.calls);
+    let halt = nothing_to_halt(|millis, _| (millis.min(100)) as f64).result;
+    assert_eq!(halt, Ok(outcome(HaltAnswer::Halted, None, true)));
+    let moves = nothing_to_halt(|millis, _| millis as f64).result.unwrap();
     assert_eq!(moves, outcome(HaltAnswer::Halted, None, false));
     assert!(!moves.is_halted());
+}
+
+/// Another thread sent it at the same time.
+#[test]
+fn a_motion_that_begins_just_after_a_halt_is_halted() {
+    // it has stopped at 7 degrees by the time of the second Robot_Halt
+    let position = |millis: u64, again: bool| if again { 7.0 } else { (millis as f64 - 10.0).max(0.0) };
+    let done = nothing_to_halt(position);
+    assert_eq!(done.result, Ok(outcome(HaltAnswer::Halted, None, true)));
+    // the first poll that sees it
+    assert_eq!(done.calls, [&POLL[..], &POLL, &[HALT], &POLL, &POLL, &POLL].concat());
+    // a controller that does not say that nothing moved: after the time limit
+    let again = Cell::new(0);
+    let done = halted(|_, call, millis| {
+        again.set(again.get() + i32::from(call == HALT));
+        (call == POSITION).then(|| at(if again.get() < 2 { millis as f64 } else { 7.0 }))
+    });
+    assert_eq!(done.result, Ok(outcome(HaltAnswer::Halted, None, true)));
+    assert_eq!((count(&done.calls, HALT), count(&done.calls, KILL)), (2, 0));
+    // whether a second halt without a reply stopped it is unknown
+    let done = halted(|number, call, millis| match call {
+        HALT if number > 0 => Some(Answer::Failed(Failure::Timeout)),
+        POSITION => Some(at(millis as f64)),
+        _ => None,
+    });
+    let error = done.result.unwrap_err();
+    assert_eq!((error.function, error.undone), (FunctionId::ROBOT_HALT, false));
+}
+
+#[test]
+fn a_task_that_owns_the_arm_by_then_is_stopped() {
+    let killed = Cell::new(false);
+    let done = halted(|number, call, millis| {
+        killed.set(killed.get() || call == KILL);
+        match call {
+            HALT if number > 0 && !killed.get() => Some(Answer::Refused(OWNED)),
+            POSITION if !killed.get() => Some(at(millis as f64)),
+            _ => None,
+        }
+    });
+    assert_eq!(done.result, Ok(outcome(HaltAnswer::Halted, Some(StoppedTasks::All), true)));
+    assert_eq!((count(&done.calls, HALT), count(&done.calls, KILL)), (3, 1));
 }
 
 #[test]
@@ -115,8 +162,9 @@ fn a_robot_that_never_rests_still_moves() {
         let halt = done.result.unwrap();
         assert_eq!(halt, outcome(HaltAnswer::Halted, None, false));
         assert_eq!(halt.to_string(), "the robot STILL MOVES");
-        assert_eq!(count(&done.calls, KILL), 0, "no task runs");
-        assert!((500..540).contains(&(done.now.as_micros() / 1000)), "{}", done.now);
+        assert_eq!((count(&done.calls, HALT), count(&done.calls, KILL)), (2, 0), "no task runs");
+        // each Robot_Halt has the whole time limit
+        assert!((1000..1080).contains(&(done.now.as_micros() / 1000)), "{}", done.now);
     }
 }
 
