@@ -331,10 +331,13 @@ impl<D, O> MoveSteps<D, O> {
             (true, true) => false,
         };
         if rests && there {
-            if self.unsent {
-                (self.follows, self.step) = (false, Step::Start);
-            } else {
+            if !self.unsent {
                 self.end(Motion::Arrived);
+            } else if self.busy && now >= self.queue.until {
+                // it refuses the next motion although the robot rests
+                self.halt(Motion::TimedOut);
+            } else {
+                (self.follows, self.step) = (false, Step::Start);
             }
         } else if stopped && moved && !waits && !there {
             self.end(self.queue.outcome_elsewhere(&self.joints, comparison));

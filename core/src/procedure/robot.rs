@@ -12,7 +12,7 @@ use crate::time::Instant;
 /// Takes the arm and, if wanted, switches the motor on; the reply to that comes when the motor is on.
 ///
 /// `arm` is the parameter of TakeArm: the arm group and Keep, where 0 resets speed, tool and work, and 1 keeps them. On
-/// a failure the arm is given back, even when the reply to TakeArm was lost.
+/// a failure the arm is given back, even when the reply to TakeArm was lost, and a motor that may be on is switched off.
 ///
 /// # Cancel safety
 ///
@@ -72,9 +72,12 @@ impl Steps for PrepareSteps {
     }
 
     fn undo(&self, cause: Option<&StepCause>) -> Option<Undo> {
-        // without a reply the arm may have been taken
-        let taken = self.step == Step::TakeArm && cause.is_none_or(StepCause::may_have_run);
-        taken.then_some(Undo::GiveArm(self.robot.0))
+        // without a reply it may have been executed
+        match self.step {
+            Step::TakeArm if cause.is_none_or(StepCause::may_have_run) => Some(Undo::GiveArm(self.robot.0)),
+            Step::Motor if cause.is_some_and(StepCause::may_have_run) => Some(Undo::MotorOff(self.robot.0)),
+            _ => None,
+        }
     }
 
     fn output(&mut self) {}

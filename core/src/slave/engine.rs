@@ -309,16 +309,20 @@ impl<const N: usize> Engine<N> {
             (Failure::Timeout | Failure::Lost | Failure::Closed, _) => Health::Lost,
         };
         if failure != Failure::NotSent {
-            // without a reply it may have been executed
-            self.has_arm |= self.step == Step::TakeArm;
-            self.has_motor |= self.step == Step::Motor;
-            self.may_be_in_mode |= self.step == Step::Enter;
+            self.record_unsure();
         }
         match self.phase {
             Phase::Diagnosing => self.skip_diagnosis(failure),
             Phase::Leaving if self.gives_up => self.keep_unreleased(Cause::Failed(failure)),
             _ => self.fail(Cause::Failed(failure)),
         }
+    }
+
+    /// Records the effect of a call that may have been executed.
+    fn record_unsure(&mut self) {
+        self.has_arm |= self.step == Step::TakeArm;
+        self.has_motor |= self.step == Step::Motor;
+        self.may_be_in_mode |= self.step == Step::Enter;
     }
 
     /// Sets the next pose, after [`EngineAction::Pose`].

@@ -307,6 +307,19 @@ fn a_busy_robot_is_asked_again_and_another_refusal_halts_it() {
 }
 
 #[test]
+fn a_robot_that_stays_busy_at_rest_is_halted_at_the_time_limit() {
+    let mut robot = Robot::new(0, false);
+    let queue = MotionQueue::new(MotionConfig::within(Duration::from_millis(250)));
+    let first = run_from(Instant::ZERO, begin(queue, to(10.0, true)), |_, call, now| robot.answer(call, now));
+    let second = run_from(first.now, begin(first.result.unwrap(), to(20.0, true)), |_, call, now| {
+        if call.contains("J(20)") { Answer::Refused(HResult::E_ROBOTISBUSY) } else { robot.answer(call, now) }
+    });
+    assert_eq!(second.result.unwrap().ended(), Some(Motion::TimedOut));
+    assert_eq!(second.calls.last().unwrap(), HALT);
+    assert!((250..270).contains(&(second.now.as_micros() / 1000)), "{:?}", second.now);
+}
+
+#[test]
 fn one_time_limit_covers_all_motions() {
     let mut robot = Robot::new(0, false);
     let queue = MotionQueue::new(MotionConfig::within(Duration::from_millis(250)));

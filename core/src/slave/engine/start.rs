@@ -19,6 +19,10 @@ impl<const N: usize> Engine<N> {
                 return self.fail(Cause::Occupied(state));
             }
         } else if code.is_err() {
+            if code == HResult::E_TIMEOUT {
+                // the controller has given the call up, which may go on
+                self.record_unsure();
+            }
             return self.fail(Cause::Refused(code));
         }
         let done = match self.step {

@@ -87,3 +87,29 @@ fn an_arm_whose_taking_has_no_reply_is_given_back() {
     rig.engine.stop();
     assert_eq!((rig.run(|_| None), rig.names().last()), (EngineAction::Finished, Some(&"GiveArm")));
 }
+
+/// E_TIMEOUT: the controller has given the call up, and executes it all the same.
+#[test]
+fn the_effect_of_a_call_that_the_controller_gave_up_is_ended() {
+    for (given_up, end) in [
+        ("TakeArm", &["GiveArm"][..]),
+        ("Motor", &["Motor", "GiveArm"]),
+        ("slvChangeMode", &["Motor", "GiveArm"]),
+    ] {
+        let mut rig = Rig::new(config(Mode::Mode2), &[0.0; 8]);
+        rig.controller.script.push((given_up, refused(HResult::E_TIMEOUT)));
+        if given_up == "slvChangeMode" {
+            // off before it, on afterwards
+            rig.controller.script.extend([0, 0x102].map(|mode| ("slvGetMode", ok(&mode))));
+        }
+        assert_eq!(rig.run(|_| panic!("no pose is wanted")), EngineAction::Faulted, "{given_up}");
+        assert_eq!(rig.fault().cause, Cause::Refused(HResult::E_TIMEOUT));
+        // the diagnosis leaves Slave Mode
+        let left = if given_up == "slvChangeMode" { 2 } else { 0 };
+        assert_eq!(rig.names().iter().filter(|name| **name == "slvChangeMode").count(), left, "{given_up}");
+        rig.controller.arm = true;
+        rig.controller.log.clear();
+        rig.engine.stop();
+        assert_eq!((rig.run(|_| None), rig.names()), (EngineAction::Finished, end.to_vec()), "{given_up}");
+    }
+}
