@@ -14,6 +14,9 @@ use bcap_core::slave::{Extended, ExtendedAxes, Pose, PoseType, SendFormat};
 
 use crate::outputs::{self, OutputBits, parse_bits};
 
+/// The longest stream, in seconds.
+const LONGEST: f64 = 24.0 * 3600.0;
+
 /// Returns the columns of the extended joints, which a J pose has among its own.
 const fn extended_columns(kind: PoseType, extended: ExtendedAxes) -> &'static [&'static str] {
     match (kind, extended) {
@@ -84,6 +87,9 @@ impl Poses {
         };
         let (kind, begin) = (layout.kind, *begin);
         rows.iter_mut().for_each(|(at, _)| *at -= begin);
+        if let Some((end, _)) = rows.last().filter(|(end, _)| *end > LONGEST) {
+            return Err(format!("the poses last {end} s, more than a day; t is in seconds"));
+        }
         if kind == PoseType::P {
             unwind(&mut rows);
         }
@@ -251,6 +257,9 @@ impl Layout {
         if numbers.is_empty() || (kind != PoseType::J && numbers.len() < names.len()) {
             return Err(format!("a pose of type {kind:?} needs the columns {}", names.join(",")));
         }
+        if let Some(later) = names.iter().skip(numbers.len()).find(|name| find(name).is_some()) {
+            return Err(format!("it has the column {later}, but not {}", names[numbers.len()]));
+        }
         let outputs = ["MINI", "USER", "HAND"].map(find);
         Ok((Self { kind, time: find("t"), numbers, outputs, fields: fields.len() }, true))
     }
@@ -375,6 +384,8 @@ mod tests {
             ("1,2,3,4,5,6,7,8,9\n", "line 1: it has 9 numbers, but a pose of type J has 8"),
             ("t,J1\n0,1\n0,2\n", "line 3: the time 0 s is not after the previous time 0 s"),
             ("a,b\n1,2\n", "line 1: a pose of type J needs the columns J1,J2"),
+            ("t,J1,J2,J4\n0,1,2,4\n", "line 1: it has the column J4, but not J3"),
+            ("t,J1\n0,1\n10000000000,2\n", "the poses last 10000000000 s, more than a day; t is in seconds"),
             ("J1\nnan\n", "line 2: field 1: \"nan\" is not a finite number"),
         ] {
             let error = parse(text).unwrap_err();
