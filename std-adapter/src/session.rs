@@ -412,11 +412,17 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         Ok(handle)
     }
 
+    /// Fails if the arm is taken here. One that was given back without an answer is given back first.
+    pub(crate) async fn expect_no_arm(&mut self) -> Result<(), Error> {
+        if self.arm.unanswered {
+            self.end_arm().await?;
+        }
+        if self.arm.taken { Err(Error::ArmTaken) } else { Ok(()) }
+    }
+
     /// Takes the arm, which keeps its speed, tool and work.
     pub(crate) async fn take_arm(&mut self) -> Result<(), Error> {
-        if self.arm.taken {
-            return Err(Error::ArmTaken);
-        }
+        self.expect_no_arm().await?;
         let robot = self.robot().await?;
         // before the call, so that the arm is given back even if the call is abandoned
         self.arm.taken = true;

@@ -8,7 +8,7 @@ use bcap_core::procedure::RecoveryConfig;
 use bcap_sim::{Config, Controller as Simulated, Profile, Scenario};
 use bcap_std::asynch::{Controller, Halted, Stopper};
 use bcap_std::server::Limits;
-use bcap_std::{Backoff, Error, Motion, ServiceOptions, Settings, blocking};
+use bcap_std::{Backoff, Error, Motion, Options, ServiceOptions, Settings, blocking};
 use bcap_tests::proxy::{Cut, Relay};
 use bcap_tests::served::Served;
 use bcap_tests::simulated::{quick, simulated, to};
@@ -197,4 +197,86 @@ async fn a_close_that_leaves_the_motor_on_says_so() {
     })
     .await
     .unwrap();
+}
+
+/// The link is lost, and stays away.
+#[test]
+fn a_close_that_cannot_give_the_arm_back_is_an_error() {
+    let sim = simulated();
+    let relay = Relay::tcp(sim.tcp);
+    let address = format!("tcp:{}", relay.tcp);
+    let mut cell = blocking::Controller::connect(&address, &patient()).unwrap();
+    let mut arm = cell.robot().unwrap().take_arm().unwrap();
+    arm.motor_on().unwrap();
+    relay.cut(Cut::Fin);
+    assert!(arm.motor_on().is_err());
+    drop(arm);
+    assert!(cell.close().is_err());
+    assert!(sim.is(Simulated::motor_is_on));
+    relay.heal();
+    tokio::runtime::Runtime::new().unwrap().block_on(async {
+        let cell = Controller::connect(&address, &patient()).await.unwrap();
+        let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+        arm.motor_on().await.unwrap();
+        relay.cut(Cut::Fin);
+        assert!(arm.motor_on().await.is_err());
+        assert!(cell.close().await.is_err());
+    });
+}
+
+/// With the link back, the same close ends everything, and is a success.
+#[test]
+fn a_close_after_a_lost_connection_gives_the_arm_back_over_another_one() {
+    let sim = simulated();
+    let relay = Relay::tcp(sim.tcp);
+    let address = format!("tcp:{}", relay.tcp);
+    let lose = || {
+        relay.cut(Cut::Fin);
+        relay.heal();
+    };
+    let mut cell = blocking::Controller::connect(&address, &patient()).unwrap();
+    let mut arm = cell.robot().unwrap().take_arm().unwrap();
+    arm.motor_on().unwrap();
+    lose();
+    assert!(arm.motor_on().is_err());
+    drop(arm);
+    cell.close().unwrap();
+    assert!(sim.is(is_left));
+    tokio::runtime::Runtime::new().unwrap().block_on(async {
+        let cell = Controller::connect(&address, &patient()).await.unwrap();
+        let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+        arm.motor_on().await.unwrap();
+        lose();
+        assert!(arm.motor_on().await.is_err());
+        cell.close().await.unwrap();
+    });
+    assert!(sim.is(is_left));
+}
+
+/// The calls that give the arm back have no reply. The motor is another client's, so only the halt stops the robot.
+#[tokio::test]
+async fn a_motion_whose_arm_was_given_back_without_an_answer_is_halted_by_the_close() {
+    let sim = simulated();
+    let relay = Relay::tcp(sim.tcp);
+    let motor_on = |address: String| {
+        let mut other = blocking::Controller::connect(&address, &Settings::rc8().keep(true)).unwrap();
+        other.robot().unwrap().execute::<()>("Motor", [1, 0]).unwrap();
+    };
+    let address = sim.address();
+    tokio::task::spawn_blocking(move || motor_on(address)).await.unwrap();
+    let mut options = Options::default();
+    options.tcp.timing.attempt_timeout = Duration::from_secs(1);
+    let cell = Controller::connect(&format!("tcp:{}", relay.tcp), &patient().options(options)).await.unwrap();
+    let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+    let motion = arm.start(&to(150.0).speed_percent(1.0), LIMIT).await.unwrap();
+    until(&sim, Simulated::is_moving).await;
+    relay.cut(Cut::Silent);
+    drop(motion);
+    assert!(arm.give().await.is_err());
+    relay.heal();
+    assert!(sim.is(Simulated::is_moving));
+    // the controller still gives the arm to the silent connection
+    assert!(matches!(cell.close().await, Err(Error::NotEnded(_))));
+    until(&sim, |sim| !sim.is_moving()).await;
+    assert!(sim.is(Simulated::motor_is_on));
 }

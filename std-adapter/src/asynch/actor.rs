@@ -35,6 +35,7 @@ use super::state::{Counters, State};
 use super::subscription::{Scan, Subscriber};
 use crate::CallError;
 use crate::address::Address;
+use crate::blocking::ending::second_attempt;
 use crate::error::Error;
 use crate::moves::Move;
 use crate::recovery::Recovery;
@@ -260,6 +261,10 @@ impl Actor {
         let released = match &mut open.session {
             Some(session) => session.release().await,
             None => Ok(()),
+        };
+        let released = match open.end_now() {
+            Some(ended) => second_attempt(released, ended),
+            None => released,
         };
         self.state.send_replace(State::Closed);
         match (ended, released) {

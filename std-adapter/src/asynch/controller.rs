@@ -413,12 +413,13 @@ impl Controller {
         self.handle.counters.read()
     }
 
-    /// Releases all objects, stops the service and ends the task, also for all other handles.
+    /// Gives the arm back, releases all objects, stops the service and ends the task, also for all other handles. After a lost connection
+    /// it connects once more to give the arm back, with calls that block the thread for some seconds.
     ///
     /// # Errors
     ///
-    /// An [`Error`] if the connection was lost meanwhile, or the arm was not given back with the motor off; [`Error::Closed`] when
-    /// the task has ended before.
+    /// An [`Error`] if the arm was not given back with the motor off, or the session was not closed; [`Error::Closed`] when the task
+    /// has ended before.
     ///
     /// # Cancel safety
     ///

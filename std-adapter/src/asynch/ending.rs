@@ -74,21 +74,33 @@ impl Open {
     }
 }
 
-impl Drop for Open {
-    fn drop(&mut self) {
+impl Open {
+    /// Ends what the session, or a lost one before it, has left on the robot, once, with calls that block. Returns `None` if that is
+    /// nothing, and an error unless it was seen to end.
+    pub(super) fn end_now(&mut self) -> Option<Result<(), Error>> {
         let Self { session, left, address, settings } = self;
         // a session that has changed nothing ends with its connection
         let mut session = session.take().filter(Session::uses_robot);
         let of_session = session.as_mut().and_then(Session::left).map(|state| Left { state, sessions: Vec::new() });
         let over = |session: Session<Socket>| session.over(|socket| socket.into_blocking(address.as_ref()));
         match (session.and_then(over), left.take().or(of_session), &*address) {
-            (Some(mut session), ..) => drop(ending::end_now(&mut session, address.as_ref(), settings)),
+            (Some(mut session), ..) => Some(ending::end_now(&mut session, address.as_ref(), settings).robot),
             (None, Some(Left { state, sessions }), Some(address)) => {
                 let mut lost: Vec<_> = sessions.into_iter().filter_map(over).collect();
-                let _ = ending::recover_now(address, settings, state, &mut lost);
+                Some(ending::recover_now(address, settings, state, &mut lost))
             }
-            (None, Some(_), None) => tracing::error!("the connection was lost, and the robot may be moving"),
-            (None, None, _) => {}
+            (None, Some(_), None) => {
+                tracing::error!("the connection was lost, and the robot may be moving");
+                Some(Err(Error::NotEnded(Recovery::default())))
+            }
+            (None, None, _) => None,
         }
+    }
+}
+
+impl Drop for Open {
+    fn drop(&mut self) {
+        // it has logged its error
+        let _ = self.end_now();
     }
 }

@@ -173,9 +173,7 @@ impl Robot {
         handle
             .run(move |session| {
                 Box::pin(async move {
-                    if session.has_arm() {
-                        return Err(Error::ArmTaken);
-                    }
+                    session.expect_no_arm().await?;
                     session.make_ready(config, |_, _| ControlFlow::Continue(())).await?;
                     // from here on a drop undoes it, even when the caller has gone
                     Ok(Arm { robot: self, id: session.arm_id() })

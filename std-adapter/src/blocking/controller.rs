@@ -261,13 +261,20 @@ impl Controller {
         self.reference().call(call)
     }
 
-    /// Releases all objects and stops the service, as a drop does, and reports whether that succeeded.
+    /// Gives the arm back, releases all objects and stops the service, as a drop does, and reports whether that succeeded. After a lost
+    /// connection it connects once more to give the arm back.
     ///
     /// # Errors
     ///
-    /// An [`Error`] if the connection was lost, or the arm was not given back with the motor off.
+    /// An [`Error`] if the arm was not given back with the motor off, or the session was not closed.
     pub fn close(mut self) -> Result<(), Error> {
-        ready(self.session.release())
+        let ended = self.end_now();
+        ended.robot.and(ended.objects)
+    }
+
+    /// Ends the session, once.
+    fn end_now(&mut self) -> ending::Ended {
+        ending::end_now(&mut self.session, self.address.as_ref(), &self.settings)
     }
 }
 
@@ -280,6 +287,6 @@ impl<'a> From<&'a mut Controller> for ControllerRef<'a> {
 impl Drop for Controller {
     fn drop(&mut self) {
         // it has logged its error
-        let _ = ending::end_now(&mut self.session, self.address.as_ref(), &self.settings);
+        let _ = self.end_now();
     }
 }

@@ -31,16 +31,20 @@ pub(crate) fn within_limit<T>(session: &mut Session<Blocking>, end: impl FnOnce(
     ended
 }
 
+/// How a session has ended.
+pub(crate) struct Ended {
+    /// An error unless its effects on the robot were seen to end.
+    pub(crate) robot: Result<(), Error>,
+    /// Whether its objects were released and its service stopped.
+    pub(crate) objects: Result<(), Error>,
+}
+
 /// Ends a session: gives the arm back, releases all objects and stops the service. If the connection was lost while the session had
-/// the arm, it connects once more for that. Fails unless the effects on the robot were seen to end.
-pub(crate) fn end_now(
-    session: &mut Session<Blocking>,
-    address: Option<&Address>,
-    settings: &Settings,
-) -> Result<(), Error> {
-    let (given, released) = within_limit(session, |session| {
+/// the arm, or the controller did not answer, it connects once more for that.
+pub(crate) fn end_now(session: &mut Session<Blocking>, address: Option<&Address>, settings: &Settings) -> Ended {
+    let (given, objects) = within_limit(session, |session| {
         let given = match session.lost() {
-            None => ready(session.end_last_arm()),
+            None => ready(session.end_arm()),
             Some(lost) if session.left().is_some() => Err(lost),
             Some(_) => Ok(()),
         };
@@ -49,25 +53,34 @@ pub(crate) fn end_now(
     if let Err(error) = &given {
         tracing::warn!(?address, %error, "the arm was not given back");
     }
-    if let Err(error) = released {
+    if let Err(error) = &objects {
         tracing::warn!(?address, %error, "the session was not closed");
     }
-    match (session.take_left(), address) {
+    let robot = match (session.take_left(), address) {
         (Some(left), Some(address)) => {
-            let recovery = recover_now(address, settings, left, std::slice::from_mut(session))?;
-            if recovery.is_complete() { Ok(()) } else { Err(Error::NotEnded(recovery)) }
+            second_attempt(given, recover_now(address, settings, left, std::slice::from_mut(session)))
         }
         _ => given,
+    };
+    Ended { robot, objects }
+}
+
+/// Returns how the arm was given back in two attempts. If both have failed, a refusal of the first says more.
+pub(crate) fn second_attempt(first: Result<(), Error>, second: Result<(), Error>) -> Result<(), Error> {
+    match (first, second) {
+        (Err(refused @ Error::Refused { .. }), Err(_)) => Err(refused),
+        (_, second) => second,
     }
 }
 
-/// Ends over a new connection the effects that a lost session may have left. Over UDP the lost sessions are stopped too.
+/// Ends over a new connection the effects that a lost session may have left. Over UDP the lost sessions are stopped too. Fails unless the
+/// effects were seen to end.
 pub(crate) fn recover_now(
     address: &Address,
     settings: &Settings,
     left: Left,
     lost: &mut [Session<Blocking>],
-) -> Result<Recovery, Error> {
+) -> Result<(), Error> {
     let mut stopped = false;
     let stopping = async {
         stopped = true;
@@ -83,7 +96,10 @@ pub(crate) fn recover_now(
             }
         }
     }
-    recovered
+    match recovered {
+        Ok(recovery) if !recovery.is_complete() => Err(Error::NotEnded(recovery)),
+        recovered => recovered.map(drop),
+    }
 }
 
 /// Stops the services of lost sessions.

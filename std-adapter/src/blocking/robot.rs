@@ -111,9 +111,7 @@ impl<'a> Robot<'a> {
     }
 
     fn make_ready(self, config: Option<RecoveryConfig>) -> Result<Arm<'a>, Error> {
-        if self.session.has_arm() {
-            return Err(Error::ArmTaken);
-        }
+        ready(self.session.expect_no_arm())?;
         ready(self.session.make_ready(config, |_, _| ControlFlow::Continue(())))?;
         Ok(Arm { robot: self })
     }

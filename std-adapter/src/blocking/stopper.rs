@@ -90,8 +90,12 @@ impl Stopper {
         let mut session = self.session.lock().unwrap_or_else(PoisonError::into_inner);
         match (ready(session.session.halt_and_verify()), session.address.clone()) {
             (Err(error), Some(address)) if error.ends_session() => {
-                *session = StopperSession::connect(&address, &session.settings)?;
-                ready(session.session.halt_and_verify())
+                let new = StopperSession::connect(&address, &session.settings)?;
+                let old = std::mem::replace(&mut *session, new);
+                let halted = ready(session.session.halt_and_verify());
+                // its end may wait for a controller that does not answer
+                drop(old);
+                halted
             }
             (ended, _) => ended,
         }

@@ -197,9 +197,9 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         }
     }
 
-    /// Returns whether this session has taken the arm.
+    /// Returns whether this session has taken the arm, and has not tried to give it back.
     pub(crate) const fn has_arm(&self) -> bool {
-        self.arm.taken
+        self.arm.taken && !self.arm.unanswered
     }
 
     /// Returns whether the end of this session has something to undo on the robot.

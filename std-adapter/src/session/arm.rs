@@ -15,6 +15,8 @@ const UNNOTICED: Duration = Duration::from_secs(10);
 pub(crate) struct ArmState {
     /// Whether the arm may have been taken here.
     pub(super) taken: bool,
+    /// Whether it was given back without an answer, so that it may still be taken.
+    pub(super) unanswered: bool,
     /// Whether the motor may have been switched on here.
     pub(super) motor: bool,
     /// Whether a motion may be under way.
@@ -124,7 +126,8 @@ impl ArmState {
             ArmEffect::Motor(on) => self.motor = on,
             ArmEffect::SlaveMode(on) => self.streaming = on,
             ArmEffect::Give => *self = self.without_arm(),
-            ArmEffect::Take | ArmEffect::Moves => {}
+            ArmEffect::Take => self.unanswered = false,
+            ArmEffect::Moves => {}
         }
     }
 }

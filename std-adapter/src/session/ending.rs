@@ -37,6 +37,15 @@ const BUSY_PAUSE: Duration = Duration::from_millis(10);
 /// How long a controller may take to end the session of a connection that it has closed.
 const NOTICE: Duration = Duration::from_millis(500);
 
+/// Tells whether a call has certainly ended: it was executed, or refused. With E_TIMEOUT a controller gives up a call that may go on.
+const fn is_answered(ended: &Result<(), Error>) -> bool {
+    match ended {
+        Ok(()) => true,
+        Err(Error::Refused { code, .. }) => !matches!(*code, HResult::E_TIMEOUT),
+        Err(_) => false,
+    }
+}
+
 /// Tells whether the controller refused a call because it executes another one of this client, or because the robot brakes.
 const fn is_busy(ended: &Result<(), Error>) -> bool {
     matches!(ended, Err(Error::Refused { code: HResult::E_BUSY_PROC | HResult::E_ROBOTISBUSY, .. }))
@@ -83,17 +92,6 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         Ok(())
     }
 
-    /// Gives the arm back at the end of the session. If the controller does not answer, the arm and its effects stay recorded, so
-    /// that they are ended over another connection.
-    pub(crate) async fn end_last_arm(&mut self) -> Result<(), Error> {
-        let before = self.arm;
-        let given = self.end_arm().await;
-        if self.link.silent_since.is_some() {
-            self.arm = before;
-        }
-        given
-    }
-
     /// Returns until when a call that is made now is repeated while the controller is busy.
     pub(super) fn busy_limit(&mut self) -> Instant {
         self.connection.transport().now() + BUSY_LIMIT
@@ -126,7 +124,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
 
     /// Leaves Slave Mode, halts the robot if it may move, switches the motor off if it was switched on here, and gives the arm
     /// back. A refused call does not prevent those after it, except while the controller is busy: then the arm is kept. Over a
-    /// lost connection nothing is sent, and the arm stays recorded for [`recover`](Self::recover).
+    /// lost connection nothing is sent. The arm stays recorded for [`recover`](Self::recover) unless the controller has answered.
     pub(crate) async fn give_arm(&mut self) -> Result<(), Error> {
         let ArmState { taken, motor, moving, streaming, .. } = self.arm;
         if !taken {
@@ -142,7 +140,9 @@ impl<X: Transport<Error = io::Error>> Session<X> {
             return stopped;
         }
         let given = self.run(ROBOT, procedure::give_arm(robot)).await;
-        if self.link.lost.is_none() && !is_busy(&given) {
+        if !is_answered(&given) {
+            self.arm.unanswered = true;
+        } else if !is_busy(&given) {
             self.arm = self.arm.without_arm();
         }
         stopped.and(given)
@@ -156,14 +156,14 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         let robot = self.robot().await?;
         let effects = Effects { motor: true, ..Effects::default() };
         let done = self.run(ROBOT, procedure::reclaim(robot, effects)).await?;
-        self.arm.motor = false;
+        self.arm.motor = done.motor_off.is_none() && done.owner != ArmOwner::Other;
         match done.motor_off {
             Some(true) => Ok(()),
             // again, because the procedure does not tell why it was refused
             Some(false) => self.motor(false).await,
             None => {
                 tracing::warn!(?done, "the motor was not switched off");
-                Ok(())
+                if self.arm.motor { Err(Error::NotEnded(done.into())) } else { Ok(()) }
             }
         }
     }

@@ -12,7 +12,6 @@ use bcap_core::variant::OwnedVariant;
 
 use super::Controller;
 use crate::address::Address;
-use crate::blocking::ending;
 use crate::blocking::robot::Arm;
 use crate::blocking::socket::{ready, wrap};
 use crate::blocking::{Connection, KeptMotion, Moving, Transport};
@@ -172,7 +171,7 @@ impl Controller {
     /// An [`Error`] if that was refused, or is not known: the robot may move, the motor may be on, or the arm may be taken.
     /// [`Error::NotEnded`] has what was seen after a lost connection.
     pub fn end(mut self) -> Result<(), Error> {
-        ending::end_now(&mut self.session, self.address.as_ref(), &self.settings)
+        self.end_now().robot
     }
 
     /// Releases an object of this session before the session ends. A handle that the session does not have is ignored.

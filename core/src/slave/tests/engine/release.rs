@@ -91,11 +91,9 @@ fn an_arm_whose_taking_has_no_reply_is_given_back() {
 /// E_TIMEOUT: the controller has given the call up, and executes it all the same.
 #[test]
 fn the_effect_of_a_call_that_the_controller_gave_up_is_ended() {
-    for (given_up, end) in [
-        ("TakeArm", &["GiveArm"][..]),
-        ("Motor", &["Motor", "GiveArm"]),
-        ("slvChangeMode", &["Motor", "GiveArm"]),
-    ] {
+    for (given_up, end) in
+        [("TakeArm", &["GiveArm"][..]), ("Motor", &["Motor", "GiveArm"]), ("slvChangeMode", &["Motor", "GiveArm"])]
+    {
         let mut rig = Rig::new(config(Mode::Mode2), &[0.0; 8]);
         rig.controller.script.push((given_up, refused(HResult::E_TIMEOUT)));
         if given_up == "slvChangeMode" {
