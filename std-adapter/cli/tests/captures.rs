@@ -151,6 +151,23 @@ fn attempts_over_udp_and_keep_alives_belong_to_one_call() {
 }
 
 #[test]
+fn an_attempt_over_udp_after_the_reply_is_not_a_second_call() {
+    let (mut capture, flow) = (Capture::new(), Flow::new(1, BCAP));
+    // the reply to #5 is lost after the capture; #7 is another call
+    for (serial, reserved) in [(5, 5), (6, 5), (7, 7)] {
+        capture.udp(&flow, From::Client, &numbered(serial, reserved, GET_VALUE, &[i4(3)]));
+        capture.udp(&flow, From::Server, &numbered(serial, 0, 0, &[i4(1)]));
+    }
+    let expected = [
+        "udp1 #5 Variable_GetValue(variable: I4(3)) -> S_OK I4(1)",
+        "udp1: note: client: #6 repeats #5 after its reply",
+        "udp1: note: server: another reply: #6 0x00000000 (S_OK)",
+        "udp1 #7 Variable_GetValue(variable: I4(3)) -> S_OK I4(1)",
+    ];
+    assert_eq!(decoded("repeated.pcap", &capture)[1..], expected);
+}
+
+#[test]
 fn fragments_of_ip_packets_are_reassembled() {
     let (mut capture, flow) = (Capture::new(), Flow::new(1, BCAP));
     let name = "x".repeat(1000);
@@ -304,6 +321,30 @@ fn lines_of_rac_are_calls() {
     assert_eq!(lines[3], "tcp1 GET(S1) -> S_OK \"\\u{1b}[31m\"");
     assert!(lines[4].starts_with("tcp1 \"HELLO\"() -> 0x80070057 (E_INVALIDARG): "), "{lines:?}");
     assert_eq!(lines[5], "tcp1: note: server: a response without a request: 0x00000007");
+}
+
+#[test]
+fn a_missing_response_of_rac_does_not_shift_later_ones() {
+    let (mut capture, mut flow) = (Capture::new(), Flow::new(1, RAC));
+    for index in 1..=4 {
+        capture.tcp(&mut flow, From::Client, format!("GET:RC8:{index}:I:\r").as_bytes());
+        let response = format!("0,3,{index}\r");
+        if index == 2 {
+            flow.skip(From::Server, response.len());
+        } else {
+            capture.tcp(&mut flow, From::Server, response.as_bytes());
+        }
+    }
+    let expected = [
+        "tcp1 GET(I1) -> S_OK I4(1)",
+        "tcp1 GET(I2) -> no reply",
+        "tcp1 GET(I3) -> no reply",
+        "tcp1: note: a segment arrived before its predecessor",
+        "tcp1: note: server: the capture lacks 6 bytes",
+        "tcp1: note: server: a response without a request: 0x00000000 (S_OK)",
+        "tcp1 GET(I4) -> S_OK I4(4)",
+    ];
+    assert_eq!(decoded("missing-rac.pcap", &capture)[1..], expected);
 }
 
 #[test]

@@ -52,9 +52,11 @@ impl RacLines {
     pub(crate) fn missing(&mut self, role: Role, count: u64, at: u64, out: &mut Vec<Found>) {
         self.partial[role.index()].clear();
         out.push(Found::Note(at, format!("{}: the capture lacks {count} bytes", role.sender())));
+        // lines have no serial numbers, so the next response could belong to any of the pending requests
+        self.end(out);
     }
 
-    /// Ends the connection: requests without a response are reported as such.
+    /// Reports the pending requests as unanswered, at the end of the connection or after missing bytes.
     pub(crate) fn end(&mut self, out: &mut Vec<Found>) {
         out.extend(self.pending.drain(..).map(|call| Found::Call(Box::new(call))));
     }

@@ -12,6 +12,9 @@ use crate::json::LIMITS;
 use crate::role::Role;
 use bcap_core::variant::OwnedVariant as Value;
 
+/// The number of latest calls that a retransmission may repeat: serial numbers wrap.
+const LATEST_CALLS: u64 = 1 << 15;
+
 /// The finding of a session in received bytes.
 #[derive(Debug)]
 pub(crate) enum Found {
@@ -126,13 +129,7 @@ impl Session {
     fn request(&mut self, frame: &Frame<'_>, at: u64, is_lossy: bool, out: &mut Vec<Found>) {
         let first = if frame.reserved == 0 { frame.serial } else { frame.reserved };
         let function = frame.function();
-        if is_lossy
-            && let Some((number, of)) = self.firsts.get(&first)
-            && *of == function
-            && let Some(earlier) = self.pending.get_mut(number)
-        {
-            earlier.call.attempts += 1;
-            self.serials.insert(frame.serial, *number);
+        if is_lossy && self.retransmission(frame, first, at, out) {
             return;
         }
         if is_lossy && function == FunctionId::SERVICE_START {
@@ -146,6 +143,24 @@ impl Session {
         let unanswered = earlier.and_then(|number| self.pending.remove(&number));
         out.extend(unanswered.map(|pending| Found::Call(Box::new(pending.call))));
         self.firsts.insert(first, (self.count, function));
+    }
+
+    /// Adds a request to the call of its first attempt, and returns whether there is one.
+    fn retransmission(&mut self, frame: &Frame<'_>, first: u16, at: u64, out: &mut Vec<Found>) -> bool {
+        let Some((number, of)) = self.firsts.get(&first).copied() else { return false };
+        if of != frame.function() {
+            return false;
+        }
+        if let Some(earlier) = self.pending.get_mut(&number) {
+            earlier.call.attempts += 1;
+        } else if first != frame.serial && self.count - number < LATEST_CALLS {
+            // the reply was lost or late; the server repeats it and does not execute the call again
+            out.push(Found::Note(at, format!("client: #{} repeats #{first} after its reply", frame.serial)));
+        } else {
+            return false;
+        }
+        self.serials.insert(frame.serial, number);
+        true
     }
 
     fn pending(&self, frame: &Frame<'_>, at: u64) -> Pending {

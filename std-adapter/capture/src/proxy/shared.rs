@@ -10,6 +10,9 @@ use crate::record::{Recorder, Recording};
 /// The maximum number of clients over UDP, and of connections of each TCP port: each needs a socket to the robot and memory.
 pub(super) const CLIENTS: usize = 256;
 
+/// How long a client that waits for a reply keeps its slot: its end would stop a motion.
+pub(super) const CALL: Duration = Duration::from_secs(600);
+
 /// The state that all tasks share.
 #[derive(Clone)]
 pub(super) struct Shared {

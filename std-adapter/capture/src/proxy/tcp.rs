@@ -17,7 +17,7 @@ use tokio::sync::Notify;
 use tokio::task::{Id, JoinError, JoinSet};
 use tokio::time::{sleep, timeout};
 
-use super::shared::{CLIENTS, Shared};
+use super::shared::{CALL, CLIENTS, Shared};
 use crate::faults::Faults;
 use crate::record::{Ends, Recorder};
 use crate::role::Role;
@@ -30,9 +30,6 @@ const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 
 /// The slots for connections.
 const SLOTS: Slots = Slots { total: CLIENTS, per_host: CLIENTS, evict_after: Some(Duration::from_secs(10)) };
-
-/// How long a connection that waits for a reply keeps its slot: its end would stop a motion.
-const CALL: Duration = Duration::from_secs(600);
 
 /// Accepts connections, and forwards each until it ends.
 pub(super) async fn listen(listener: TcpListener, robot: Arc<[SocketAddr]>, is_rac: bool, shared: Shared) {

@@ -707,7 +707,9 @@ end
 
 local function record_request(conv, frame, pinfo)
     local earlier = conv.lossy and conv.firsts[frame.reserved ~= 0 and frame.reserved or frame.serial]
-    if earlier and earlier.code == frame.code and not earlier.closed then
+    -- a lost reply is requested again, also after the capture has it
+    local is_retry = frame.reserved ~= 0 and frame.reserved ~= frame.serial
+    if earlier and earlier.code == frame.code and (is_retry or not earlier.closed) then
         earlier.attempts = earlier.attempts + 1
         conv.calls[frame.serial] = earlier
         return { call = earlier, attempt = earlier.attempts }
