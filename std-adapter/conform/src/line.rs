@@ -51,17 +51,65 @@ pub(crate) fn answer(bench: &mut Bench<'_>, wire: &mut Wire) -> Result<String, S
     }
 }
 
-/// Sends a line on a separate connection, and checks the answer. `{n}` is the scratch index; a PUT to it saves the
-/// variable before.
-pub(crate) fn check(bench: &mut Bench<'_>, line: &str, want: LineWant) -> Result<(), Stop> {
-    if let Some(kind) = line.strip_prefix("PUT:RC8:{n}:").and_then(|rest| rest.split(':').next())
-        && VariableKind::from_name(kind).is_some()
+/// Restores a variable by its PUT on the connection of the case, or on a new one if that has failed.
+pub(crate) fn restore(bench: &mut Bench<'_>, wire: Option<Wire>, put: &str) -> Result<(), Stop> {
+    if let Some(wire) = wire
+        && put_back(bench, wire, put).is_ok()
     {
+        return Ok(());
+    }
+    let wire = connect(bench)?;
+    put_back(bench, wire, put)
+}
+
+/// Takes the connection, because a small device has no slot for a second one.
+fn put_back(bench: &mut Bench<'_>, mut wire: Wire, put: &str) -> Result<(), Stop> {
+    let answer = ask(bench, &mut wire, put)?;
+    check_answer(&answer, LineWant::Done)
+}
+
+/// Adds to the result of a case that its variable was not restored.
+pub(crate) fn with_restored(judged: Result<(), Stop>, restored: Result<(), Stop>) -> Result<(), Stop> {
+    let lost = |came: &str| format!("{came}; the variable was not restored over RAC");
+    match (judged, restored) {
+        (Err(Stop::Fail { expected, came }), Err(Stop::Fail { came: end, .. })) => {
+            fail(expected, format!("{}: {end}", lost(&came)))
+        }
+        (_, Err(Stop::Fail { expected, came })) => fail(expected, lost(&came)),
+        (judged, restored) => judged.and(restored),
+    }
+}
+
+/// Sends a line on a separate connection, and checks the answer. `{n}` is the scratch index; a PUT to it saves the
+/// variable before, or without b-CAP restores it if the PUT is not refused.
+pub(crate) fn check(bench: &mut Bench<'_>, line: &str, want: LineWant) -> Result<(), Stop> {
+    let kind = line.strip_prefix("PUT:RC8:{n}:").and_then(|rest| rest.split(':').next());
+    let kind = kind.filter(|kind| VariableKind::from_name(kind).is_some());
+    if let Some(kind) = kind {
         bench.save_over_bcap(kind)?;
     }
     let mut wire = connect(bench)?;
-    let line = line.replace("{n}", &bench.options.scratch.to_string());
-    let answer = ask(bench, &mut wire, &line)?;
+    let index = bench.options.scratch;
+    let line = line.replace("{n}", &index.to_string());
+    let Some(kind) = kind.filter(|_| bench.saved.is_empty()) else {
+        return check_on(bench, &mut wire, &line, want);
+    };
+    let before = ask(bench, &mut wire, &format!("GET:RC8:{index}:{kind}:\r"))?;
+    let judged = check_on(bench, &mut wire, &line, want);
+    // a PUT that is refused, as the case wants, changes nothing
+    match before.strip_prefix("0,") {
+        Some(old) if judged.is_err() => {
+            drop(wire);
+            let restored = restore(bench, None, &format!("PUT:RC8:{index}:{kind}:{old}\r"));
+            with_restored(judged, restored)
+        }
+        _ => judged,
+    }
+}
+
+/// Sends a line and checks its answer.
+fn check_on(bench: &mut Bench<'_>, wire: &mut Wire, line: &str, want: LineWant) -> Result<(), Stop> {
+    let answer = ask(bench, wire, line)?;
     let absent = [HResult::E_CAO_OBJECT_NOTFOUND, HResult::E_ACCESSDENIED, HResult::E_NOTIMPL, HResult::E_INVALIDARG];
     // small devices have some kinds only, and refuse the others as an invalid argument; the cases need I1
     let absent = if line.contains(":I:") { &absent[..3] } else { &absent };

@@ -3,10 +3,10 @@
 use std::collections::{BTreeSet, HashMap};
 use std::io::{Read as _, Write as _};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream, UdpSocket};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crate::common::relay;
 use crate::common::relay::{Hooks, Relay};
@@ -74,7 +74,63 @@ fn patched(frame: &TestFrame, change: impl Fn(&mut Vec<u8>)) -> Vec<u8> {
     bytes
 }
 
+/// Whether a motion runs on the device that serves one client at a time.
+static IS_MOVING: AtomicBool = AtomicBool::new(false);
+
+/// Locked by the device that waits for the rest of a frame and serves no other client meanwhile.
+static HALF_FRAME: Mutex<()> = Mutex::new(());
+
+/// Waits until the motion runs, or has ended.
+fn wait_for_motion(is_moving: bool) {
+    let until = Instant::now() + Duration::from_secs(10);
+    while IS_MOVING.load(Ordering::SeqCst) != is_moving && Instant::now() < until {
+        thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// A motion of one client delays the call 65999 of another.
+const ONE_CLIENT_AT_A_TIME: Hooks = Hooks {
+    request: |_, frame| {
+        if is_command(&frame, "DriveEx") {
+            IS_MOVING.store(true, Ordering::SeqCst);
+        }
+        if F(frame.code) == F(65_999) {
+            wait_for_motion(true);
+            wait_for_motion(false);
+            // the relay sends the reply to the motion first
+            thread::sleep(Duration::from_millis(20));
+        }
+        Some(frame)
+    },
+    reply: |_, request, frame| {
+        if is_command(request, "DriveEx") && HResult(frame.code) != HResult::S_EXECUTING {
+            IS_MOVING.store(false, Ordering::SeqCst);
+        }
+        frame.to_wire(false)
+    },
+    ..Hooks::HONEST
+};
+
 const FAULTS: &[Fault] = &[
+    Fault {
+        name: "a motion delays another client",
+        hooks: ONE_CLIENT_AT_A_TIME,
+        link: Link::Tcp,
+        case: "timeouts/others-during-a-motion",
+    },
+    of_bytes("half a frame delays another client", Link::Tcp, "timeouts/pause-of-another-client", |_, bytes| {
+        let _others_wait = HALF_FRAME.lock().unwrap();
+        if bytes.len() == 6 {
+            thread::sleep(Duration::from_secs(1));
+        }
+        bytes
+    }),
+    of_request("keep-alives without WDT", Link::Tcp, "timeouts/no-keep-alive-without-wdt", |_, mut frame| {
+        if F(frame.code) == F::SERVICE_START {
+            frame.args = vec![Value::text("WDT=500")];
+        }
+        Some(frame)
+    }),
     of_reply("serial plus one", "frames/minimal-request", |_, _, frame| {
         TestFrame { serial: frame.serial.wrapping_add(1), ..frame }.to_wire(false)
     }),
@@ -306,7 +362,7 @@ fn every_planted_fault_is_caught_by_its_case() {
     assert_eq!(missed, []);
     let names: BTreeSet<_> = FAULTS.iter().map(|fault| fault.name).collect();
     // the number in docs/conformance.md
-    assert_eq!((names.len(), FAULTS.len()), (48, 48));
+    assert_eq!((names.len(), FAULTS.len()), (51, 51));
 }
 
 #[test]
@@ -321,6 +377,71 @@ fn a_wrong_reply_during_a_motion_leaves_the_robot_as_it_was() {
     let (verdict, text) = judged(&served, hooks, Link::Tcp, "timeouts/keep-alives-of-a-motion");
     assert_eq!(verdict, Verdict::Fail, "{text}");
     assert_restored(&before, &served, &text);
+}
+
+#[test]
+fn a_motion_that_is_too_short_for_keep_alives_does_not_pass() {
+    let served = rc8(100.0);
+    let request: relay::OnRequest = |_, mut frame| {
+        if is_command(&frame, "ExtSpeed") {
+            frame.args[2] = Value::Array(5, vec![Value::R8(100.0_f64.to_bits()); 3]);
+        }
+        Some(frame)
+    };
+    let reply: relay::OnReply = |_, _, frame| match HResult(frame.code) {
+        HResult::S_EXECUTING => Vec::new(),
+        _ => frame.to_wire(false),
+    };
+    let hooks = Hooks { request, reply, ..Hooks::HONEST };
+    // skipped; it fails on a machine that is too busy for a short motion
+    let (verdict, text) = judged(&served, hooks, Link::Tcp, "timeouts/keep-alives-of-a-motion");
+    assert_ne!(verdict, Verdict::Pass, "{text}");
+}
+
+/// Sends a line to a port of RAC, and returns the answer.
+fn answer_of(address: SocketAddr, line: &str) -> String {
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
+    stream.write_all(line.as_bytes()).unwrap();
+    let mut answer: Vec<u8> = Vec::new();
+    while !answer.ends_with(b"\r") {
+        let mut byte = [0];
+        stream.read_exact(&mut byte).unwrap();
+        answer.extend(byte);
+    }
+    String::from_utf8(answer).unwrap()
+}
+
+/// Runs a case of RAC without b-CAP while I49 is 7. Returns the text of its failure, and whether I49 is 7 after it.
+fn failure_over_rac(hooks: Hooks, case: &str) -> (String, bool) {
+    let served = rc8(100.0);
+    assert_eq!(answer_of(served.rac, "PUT:RC8:49:I:3,7\r"), "0\r");
+    let relay = Relay::start(hooks, served.tcp, served.udp, served.rac);
+    let target = bcap_conform::Target { bcap: None, rac: Some(relay.rac) };
+    let timeout = Duration::from_secs(1);
+    let options = Options { level: Level::Write, cases: vec![case.into()], timeout, ..Options::new(target) };
+    let report = run(&options, |_| (), || false);
+    let [result] = report.results.as_slice() else { panic!("no case is named {case}") };
+    assert_eq!(result.verdict, Verdict::Fail, "{}", result.text());
+    (result.text(), answer_of(served.rac, "GET:RC8:49:I:\r") == "0,3,7\r")
+}
+
+#[test]
+fn a_variable_is_restored_over_rac_after_a_failure() {
+    let no_answer: fn(&str) -> String = |line| if line.contains("-123") { String::new() } else { line.into() };
+    let hooks = Hooks { line: no_answer, ..Hooks::HONEST };
+    let (text, is_restored) = failure_over_rac(hooks, "rac/put-i");
+    assert!(is_restored && !text.contains("not restored"), "{text}");
+    let hooks =
+        Hooks { bytes: |_, bytes| if bytes.starts_with(b"PUT:RC8:49:I:3,7\r") { Vec::new() } else { bytes }, ..hooks };
+    let (text, is_restored) = failure_over_rac(hooks, "rac/put-i");
+    assert!(!is_restored && text.contains("the variable was not restored"), "{text}");
+    let hooks = Hooks {
+        bytes: |_, bytes| if bytes.ends_with(b":I:3,x\r") { b"PUT:RC8:49:I:3,9\r".to_vec() } else { bytes },
+        ..Hooks::HONEST
+    };
+    let (text, is_restored) = failure_over_rac(hooks, "rac/put-of-a-word");
+    assert!(is_restored && !text.contains("not restored"), "{text}");
 }
 
 #[test]
