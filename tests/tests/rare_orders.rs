@@ -178,25 +178,40 @@ fn a_call_that_the_controller_has_given_up_may_have_an_effect() {
     assert!(sim.is(is_left));
 }
 
+/// A motor that the controller leaves on once is switched off by a second attempt.
 #[tokio::test]
 async fn a_close_that_leaves_the_motor_on_says_so() {
-    let refusal = "[[fault]]\nwhen = { call = 2, of = 'Motor' }\nthen = { refuse = 'E_FAIL' }";
-    let sim = simulated();
-    sim.application().play(Scenario::parse(refusal).unwrap());
-    let cell = Controller::connect(&sim.address(), &Settings::rc8()).await.unwrap();
-    let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
-    arm.motor_on().await.unwrap();
-    assert_eq!(cell.close().await.unwrap_err().code(), Some(HResult::E_FAIL));
-    sim.application().play(Scenario::parse(refusal).unwrap());
-    tokio::task::spawn_blocking(move || {
-        let mut cell = blocking::Controller::connect(&sim.address(), &Settings::rc8()).unwrap();
-        let mut arm = cell.robot().unwrap().take_arm().unwrap();
-        arm.motor_on().unwrap();
-        arm.keep();
-        assert_eq!(cell.close().unwrap_err().code(), Some(HResult::E_FAIL));
-    })
-    .await
-    .unwrap();
+    for last in [2, 99] {
+        let refusal =
+            format!("[[fault]]\nwhen = {{ call = 2, to = {last}, of = 'Motor' }}\nthen = {{ refuse = 'E_FAIL' }}");
+        let refusal = Scenario::parse(&refusal).unwrap();
+        let assert_told = |closed: Result<(), Error>, sim: &Served<Simulated>| {
+            assert_eq!(sim.is(Simulated::motor_is_on), last == 99);
+            match closed {
+                Err(Error::NotEnded(recovery)) => assert_eq!((recovery.motor_off, last), (Some(false), 99)),
+                closed => assert!(closed.is_ok() && last == 2, "{closed:?}"),
+            }
+        };
+        let sim = simulated();
+        sim.application().play(refusal.clone());
+        let cell = Controller::connect(&sim.address(), &Settings::rc8()).await.unwrap();
+        let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+        arm.motor_on().await.unwrap();
+        assert_told(cell.close().await, &sim);
+        let sim = simulated();
+        sim.application().play(refusal);
+        let (sim, closed) = tokio::task::spawn_blocking(move || {
+            let mut cell = blocking::Controller::connect(&sim.address(), &Settings::rc8()).unwrap();
+            let mut arm = cell.robot().unwrap().take_arm().unwrap();
+            arm.motor_on().unwrap();
+            arm.keep();
+            let closed = cell.close();
+            (sim, closed)
+        })
+        .await
+        .unwrap();
+        assert_told(closed, &sim);
+    }
 }
 
 /// The link is lost, and stays away.

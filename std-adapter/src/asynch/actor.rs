@@ -35,7 +35,6 @@ use super::state::{Counters, State};
 use super::subscription::{Scan, Subscriber};
 use crate::CallError;
 use crate::address::Address;
-use crate::blocking::ending::second_attempt;
 use crate::error::Error;
 use crate::moves::Move;
 use crate::recovery::Recovery;
@@ -262,10 +261,7 @@ impl Actor {
             Some(session) => session.release().await,
             None => Ok(()),
         };
-        let released = match open.end_now() {
-            Some(ended) => second_attempt(released, ended),
-            None => released,
-        };
+        let released = open.end_now().unwrap_or(released);
         self.state.send_replace(State::Closed);
         match (ended, released) {
             (Ended::Closed(reply), released) => drop(reply.send(released)),

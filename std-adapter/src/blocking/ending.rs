@@ -57,20 +57,10 @@ pub(crate) fn end_now(session: &mut Session<Blocking>, address: Option<&Address>
         tracing::warn!(?address, %error, "the session was not closed");
     }
     let robot = match (session.take_left(), address) {
-        (Some(left), Some(address)) => {
-            second_attempt(given, recover_now(address, settings, left, std::slice::from_mut(session)))
-        }
+        (Some(left), Some(address)) => recover_now(address, settings, left, std::slice::from_mut(session)),
         _ => given,
     };
     Ended { robot, objects }
-}
-
-/// Returns how the arm was given back in two attempts. If both have failed, a refusal of the first says more.
-pub(crate) fn second_attempt(first: Result<(), Error>, second: Result<(), Error>) -> Result<(), Error> {
-    match (first, second) {
-        (Err(refused @ Error::Refused { .. }), Err(_)) => Err(refused),
-        (_, second) => second,
-    }
 }
 
 /// Ends over a new connection the effects that a lost session may have left. Over UDP the lost sessions are stopped too. Fails unless the

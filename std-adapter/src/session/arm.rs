@@ -50,9 +50,10 @@ pub(crate) struct Left {
 impl Left {
     /// Returns the effects, and whether the controller still gives the arm to the lost session.
     pub(super) fn effects(&self, now: Instant) -> Effects {
-        let ArmState { motor, moving, streaming, destination, .. } = self.arm;
+        let ArmState { taken, motor, moving, streaming, destination, .. } = self.arm;
         let is_recent = now.saturating_since(self.since) < UNNOTICED;
-        let claim = match (self.is_closed, is_recent) {
+        // a session without the arm has left the motor on only, and another client may use the robot
+        let claim = match (self.is_closed || !taken, is_recent) {
             (true, _) => Claim::Unknown,
             (false, true) => Claim::Lost,
             // the service of a session over datagrams is stopped before the arm is asked for
