@@ -33,14 +33,6 @@ impl Recovery {
     }
 }
 
-impl From<Reclaimed> for Recovery {
-    fn from(reclaimed: Reclaimed) -> Self {
-        let mut recovery = Self::default();
-        recovery.add(reclaimed);
-        recovery
-    }
-}
-
 /// Writes what was done, and what was not.
 impl fmt::Display for Recovery {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

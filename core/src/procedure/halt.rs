@@ -140,11 +140,13 @@ impl fmt::Display for StoppedTasks {
 /// Halts the robot, and verifies that it rests.
 ///
 /// If Robot_Halt is refused, it stops the tasks of the controller and halts again. It also stops them if the robot still
-/// moves after the time limit and SysState says that a task runs. If no task runs, or a motion is seen after the answer that
-/// nothing moved, Robot_Halt is repeated once: the motion may have begun just after it. The tasks are stopped by KillAll. If the controller
+/// moves after the time limit and SysState says that a task runs. The tasks are stopped by KillAll. If the controller
 /// refuses that, or after the time limit still refuses Robot_Halt or moves the robot by a task, they are stopped by
-/// Task_Stop of each task that is neither ready nor missing; a Task_Stop that fails is repeated once. While the controller is busy
-/// with a call that was given up, each call is repeated, for up to 5 s in all.
+/// Task_Stop of each task that is neither ready nor missing; a Task_Stop that fails is repeated once. While the controller is
+/// busy with a call that was given up, each call is repeated, for up to 5 s in all.
+///
+/// Robot_Halt is repeated once for a motion that may have begun just after it: if a poll sees the robot move after the answer
+/// that nothing moved, or if it still moves after the time limit and no task runs.
 ///
 /// The robot rests if its joints do not change and, outside of Slave Mode, SysState reports no motion. A SysState or a
 /// slvGetMode that is refused counts as unknown; then the joints alone decide.
@@ -289,7 +291,7 @@ impl HaltSteps {
             (self.still, self.last) = (0, Some(joints));
         }
         if moves
-            && matches!(self.answer, HaltAnswer::NothingMoved)
+            && self.answer == HaltAnswer::NothingMoved
             && let Some(step) = self.halt_again()
         {
             return step;

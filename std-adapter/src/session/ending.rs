@@ -163,7 +163,9 @@ impl<X: Transport<Error = io::Error>> Session<X> {
             Some(false) => self.motor(false).await,
             None => {
                 tracing::warn!(?done, "the motor was not switched off");
-                if self.arm.motor { Err(Error::NotEnded(done.into())) } else { Ok(()) }
+                let mut recovery = Recovery::default();
+                recovery.add(done);
+                if self.arm.motor { Err(Error::NotEnded(recovery)) } else { Ok(()) }
             }
         }
     }
