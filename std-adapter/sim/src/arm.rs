@@ -277,7 +277,7 @@ impl Arm {
     /// Returns when to poll a call that waits for this event; `None` if the time is unknown.
     pub(crate) fn end_of(&self, wait: Wait, now: Instant) -> Option<Instant> {
         match wait {
-            Wait::Motion(_) | Wait::Rest => self.robot.motion_end(now),
+            Wait::Motion(_) | Wait::Rest | Wait::Tasks => self.robot.motion_end(now),
             Wait::Part(id, part) => self.robot.end_of_part(id, f64::from(part) / 1e5, now),
             Wait::Servo => match self.robot.servo() {
                 Servo::TurningOn(at) => Some(at),
@@ -287,7 +287,6 @@ impl Arm {
             Wait::Stored | Wait::Left => self.robot.stream().map(|stream| stream.next_cycle()),
             Wait::Stopped(at) => Some(at),
             Wait::Over(_) => Some(now),
-            Wait::Tasks => None,
         }
     }
 
@@ -297,15 +296,17 @@ impl Arm {
             (Wait::Servo, Servo::On) => Some(Ok(())),
             (Wait::Servo, Servo::Off) => Some(Err(HResult::E_MOTOR_OFF)),
             (Wait::Hand, _) if self.hand.end(now).is_none() => Some(Ok(())),
+            (Wait::Rest, _) if !self.robot.is_moving() => Some(Ok(())),
             _ => None,
         }
     }
 
-    /// Stops the motion that a command has started.
+    /// Switches the motor off or stops the hand, if a command has started it. A command that stops tasks has started nothing.
     pub(crate) fn cancel(&mut self, wait: Wait, now: Instant, waits: &mut Waits) {
         match wait {
             Wait::Servo => self.robot.turn_off(HResult::E_CANCEL, now, waits),
-            _ => drop(self.hand.stop(HResult::E_CANCEL, now, waits)),
+            Wait::Hand => drop(self.hand.stop(HResult::E_CANCEL, now, waits)),
+            _ => {}
         }
     }
 

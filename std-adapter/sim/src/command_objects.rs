@@ -12,8 +12,9 @@
 //! | Command_PutTimeout, -GetTimeout          | I4, ms that Execute 0 waits, then `E_TIMEOUT`; 0 is no limit    |
 //! | Command_Cancel                           | stops the motor or the hand; `S_FALSE` when nothing runs        |
 //!
-//! Only Motor and the motions of a COBOTTA's hand take time; all other commands are done at once. The numbers of the
-//! states and of the modes are decisions of this model: no public client uses command objects.
+//! Motor, the motions of a COBOTTA's hand, and KillAll, SuspendAll and StepStopAll with 1 take time; all other commands are
+//! done at once. After Cancel the tasks stop all the same. The numbers of the states and of the modes are decisions of this
+//! model: no public client uses command objects.
 
 use std::time::Duration;
 

@@ -146,11 +146,16 @@ impl Controller {
         self.pass_slave_cycles(now);
         self.shared.now = now;
         self.tasks.advance(now);
-        if !self.tasks.iter().any(tasks::Task::is_running) {
+        self.arm.advance(now, &mut self.shared.waits);
+        if !self.is_busy() {
             self.shared.waits.end(Wait::Tasks, HResult::S_OK);
         }
-        self.arm.advance(now, &mut self.shared.waits);
         self.report_stops();
+    }
+
+    /// Tells whether a task runs or the robot moves.
+    fn is_busy(&self) -> bool {
+        self.is_moving() || self.tasks.iter().any(tasks::Task::is_running)
     }
 
     /// Enters the errors of the clients whose motions were stopped.

@@ -38,8 +38,10 @@ enum Stage {
     Holding,
     /// Braking, to continue when the arm is at rest.
     Resuming,
-    /// Braking for MotionSkip; the next motion begins when the arm is at rest.
-    Skipping,
+    /// Braking for MotionSkip; the next motion begins when the arm is at rest, but if `held`, only after Unhold.
+    Skipping {
+        held: bool,
+    },
     /// Braking for Halt.
     Halting,
 }
@@ -108,7 +110,7 @@ impl Queue {
     pub(crate) fn last_destination(&self) -> Axes {
         match self.motions.len() {
             // the motions under way are cut short
-            n if self.stage == Stage::Skipping && n == self.begun => self.axes(self.at_rest()),
+            n if matches!(self.stage, Stage::Skipping { .. }) && n == self.begun => self.axes(self.at_rest()),
             _ => self.motions.back().map_or(self.rest, Motion::destination),
         }
     }
@@ -180,7 +182,7 @@ impl Queue {
         match self.stage {
             Stage::Running => Some(first.end().max(self.since)),
             Stage::Holding => None,
-            Stage::Resuming | Stage::Skipping | Stage::Halting => Some(self.at_rest()),
+            Stage::Resuming | Stage::Skipping { .. } | Stage::Halting => Some(self.at_rest()),
         }
     }
 
@@ -199,14 +201,20 @@ impl Queue {
                 (self.stage, self.since) = (Stage::Running, at);
                 self.begin(at);
             }
-            Stage::Skipping => {
+            Stage::Skipping { held } => {
                 self.rest = self.axes(at);
                 for skipped in self.motions.drain(..self.begun) {
                     waits.end(Wait::Motion(skipped.id), HResult::S_OK);
                     waits.cover(skipped.id, 1.0, HResult::S_OK);
                 }
-                (self.stage, self.since) = (Stage::Running, at);
-                self.begin(at);
+                self.since = at;
+                if held && !self.is_empty() {
+                    // the next motion stands at its beginning, as if Hold had stopped it there
+                    (self.stage, self.begun) = (Stage::Holding, 1);
+                } else {
+                    self.stage = Stage::Running;
+                    self.begin(at);
+                }
             }
             Stage::Halting => self.stop(HResult::E_ABORT, at, waits),
         }
@@ -247,40 +255,50 @@ impl Queue {
         !self.is_empty()
     }
 
-    /// Brakes until [`unhold`](Self::unhold); `false` without a motion, or if it is braking already.
+    /// Brakes until [`unhold`](Self::unhold); `false` without a motion, or if it is held or halts already.
     pub(crate) fn hold(&mut self, now: Instant) -> bool {
-        let holds = !self.is_empty() && matches!(self.stage, Stage::Running | Stage::Resuming);
-        if holds {
-            self.slow_down(Stage::Holding, now, false);
+        if self.is_empty() {
+            return false;
         }
-        holds
+        match self.stage {
+            Stage::Running | Stage::Resuming => self.slow_down(Stage::Holding, now, false),
+            // it brakes as before, because the next path is planned from the place where that ends
+            Stage::Skipping { held: false } => self.stage = Stage::Skipping { held: true },
+            Stage::Skipping { held: true } | Stage::Holding | Stage::Halting => return false,
+        }
+        true
     }
 
     /// Continues when the arm is at rest; `false` if it is not held.
     pub(crate) fn unhold(&mut self, now: Instant) -> bool {
-        let held = self.stage == Stage::Holding && !self.is_empty();
-        if held {
-            (self.stage, self.since) = (Stage::Resuming, now);
+        if self.is_empty() {
+            return false;
         }
-        held
+        match self.stage {
+            Stage::Holding => (self.stage, self.since) = (Stage::Resuming, now),
+            Stage::Skipping { held: true } => self.stage = Stage::Skipping { held: false },
+            _ => return false,
+        }
+        true
     }
 
     /// Brakes the motions under way, at full deceleration or at their own, after which the next one begins from the place where the arm comes to rest.
     ///
-    /// Returns `false` without a motion that can be skipped.
+    /// After Hold, the next one begins only after Unhold. Returns `false` without a motion that can be skipped.
     ///
     /// # Errors
     ///
     /// The reason why a motion of the queue cannot begin there. Then it and those after it are dropped.
     pub(crate) fn skip(&mut self, gently: bool, now: Instant, waits: &mut Waits) -> Result<bool, Blocked> {
-        if self.is_empty() || matches!(self.stage, Stage::Halting | Stage::Skipping) {
+        if self.is_empty() || matches!(self.stage, Stage::Halting | Stage::Skipping { .. }) {
             return Ok(false);
         }
         // a motion that was to begin later has not begun
         if self.begun > 1 && self.motions[1].progress(now) == [0.0; 8] {
             self.begun = 1;
         }
-        self.slow_down(Stage::Skipping, now, gently);
+        let held = self.stage == Stage::Holding;
+        self.slow_down(Stage::Skipping { held }, now, gently);
         let mut here = self.axes(self.at_rest());
         for n in self.begun..self.motions.len() {
             let motion = &self.motions[n];

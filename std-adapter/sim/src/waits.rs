@@ -17,7 +17,7 @@ pub(crate) enum Wait {
     Servo,
     /// The arm is at rest.
     Rest,
-    /// No task runs.
+    /// No task runs, and the arm is at rest.
     Tasks,
     /// The hand is at rest.
     Hand,

@@ -281,6 +281,35 @@ fn the_timeout_of_a_command_ends_the_waiting_but_not_the_command() {
     assert_eq!((state(&mut world, client, motor), world.sim.motor_is_on()), (ok(&2), true));
 }
 
+#[test]
+fn a_command_that_stops_all_tasks_ends_when_tasks_and_robot_rest() {
+    let mut world = World::new();
+    let (client, other) = (world.mover(1), world.client(2));
+    let start = |world: &mut World, name: &str, pose: &str| {
+        let stop = command(world, client, name);
+        world.call(client.peer, call::command_put_parameters(stop, 1));
+        let task = world.task(client, "Pro1");
+        assert_eq!(world.call(client.peer, call::task_start(task, 2, "")), code(HResult::S_OK));
+        assert_eq!(world.call(client.peer, call::robot_move(client.robot, 1, pose, "NEXT")), code(HResult::S_OK));
+        assert_eq!(world.call(client.peer, call::command_execute(stop, 1)), code(HResult::S_OK));
+        assert_eq!(state(world, client, stop), ok(&1), "{name}");
+        stop
+    };
+    for (name, pose) in [("KillAll", "J(30,45,90,0,45,0)"), ("StepStopAll", "J(0,45,90,0,45,0)")] {
+        let stop = start(&mut world, name, pose);
+        world.pass(5000);
+        assert_eq!(state(&mut world, client, stop), ok(&2), "{name}");
+    }
+    // Cancel of such a command does not stop the hand
+    let open = call::robot_unchuck(other.robot, "");
+    world.begin(other.peer, &open);
+    let stop = start(&mut world, "SuspendAll", "J(30,45,90,0,45,0)");
+    assert_eq!(world.call(client.peer, call::command_cancel(stop)), code(HResult::S_OK));
+    assert_eq!(state(&mut world, client, stop), ok(&3));
+    assert_eq!(world.run_again(other.peer, &open), code(HResult::S_OK));
+    assert_eq!(world.sim.hand_position(), 30.0);
+}
+
 // --- messages
 
 fn fetch(world: &mut World, client: Client) -> MessageHandle {

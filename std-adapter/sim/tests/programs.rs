@@ -355,3 +355,20 @@ fn kill_all_stops_every_task_and_frees_the_arm() {
     }
     assert_eq!(world.sim.task("Mover").unwrap().0, TaskStatus::Running);
 }
+
+#[test]
+fn step_stop_all_answers_when_tasks_and_robot_rest() {
+    // the line of a pass motion ends when the arm begins to brake
+    let text = "[controller]\nmotor = true\n[[task]]\nname = 'Move'\nstart = 1\nsteps = [
+        { move = '@P J(60, 45, 90, 0, 45, 0)' },
+        { wait_ms = 1 },
+    ]";
+    let mut world = world(text);
+    let client = world.client(1);
+    world.pass(100);
+    assert!(world.sim.is_moving());
+    let stop = call::controller_execute(client.controller, "StepStopAll", 1);
+    assert_eq!(world.run(client.peer, stop), ok(&()));
+    assert_eq!(world.sim.task("Move"), Some((TaskStatus::StepStop, 0)));
+    assert!(!world.sim.is_moving());
+}

@@ -31,13 +31,21 @@ impl Controller {
         let handle = request.handle();
         let running = self.command_mut(peer, handle)?.running();
         // it may have ended while no call waited for it
-        if let Some(outcome) = running.and_then(|wait| self.arm.outcome(wait, self.shared.now)) {
+        if let Some(outcome) = running.and_then(|wait| self.outcome(wait)) {
             self.command_mut(peer, handle)?.end(outcome);
         }
         match request.function {
             FunctionId::COMMAND_EXECUTE => self.execute_command(peer, handle, request.int(1)),
             FunctionId::COMMAND_CANCEL => self.cancel_command(peer, handle),
             _ => self.command_mut(peer, handle)?.call(request),
+        }
+    }
+
+    /// Returns how the event has ended that a command without a waiting call has started; `None` if it has not.
+    fn outcome(&self, wait: Wait) -> Option<Result<(), HResult>> {
+        match wait {
+            Wait::Tasks => (!self.is_busy()).then_some(Ok(())),
+            wait => self.arm.outcome(wait, self.shared.now),
         }
     }
 

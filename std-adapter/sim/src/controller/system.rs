@@ -17,7 +17,6 @@ use super::Controller;
 use crate::answer::{Answer, Answered};
 use crate::errors::description;
 use crate::table::Property;
-use crate::tasks::Task;
 use crate::value::{TRUTH, ValueResult, one_int, owned, truth};
 
 type Read = fn(&Controller) -> ValueResult;
@@ -34,7 +33,7 @@ pub(super) const VARIABLES: &[Property<Read, Write>] = &[
     // the count of milliseconds wraps as a 32-bit counter does
     read("@TIME", |controller| owned((controller.shared.now.as_micros() / 1000) as i32)),
     read("@CURRENT_TIME", |controller| owned(controller.config().date(controller.shared.now)?)),
-    read("@BUSY_STATUS", |controller| owned(controller.is_moving() || controller.tasks.iter().any(Task::is_running))),
+    read("@BUSY_STATUS", |controller| owned(controller.is_busy())),
     read("@TSR_BUSY_STATUS", |_| owned(false)),
     read("@NORMAL_STATUS", |controller| owned(code(controller).is_ok())),
     read("@ERROR_CODE", |controller| owned(code(controller).0)).and_write(put_error_code, "0, which clears the errors"),

@@ -145,6 +145,53 @@ fn motion_skip_ends_the_present_motion_only() {
     assert_eq!(world.robot(other, "MotionSkip", ()), code(HResult::E_ARM_NOT_TAKEN));
 }
 
+/// Calls Robot_Hold (h), Robot_Unhold (u) and MotionSkip (s) in this order.
+fn stop_and_go(world: &mut World, client: Client, calls: &str) {
+    for call in calls.chars() {
+        let (result, _) = match call {
+            'h' => world.call(client.peer, call::robot_hold(client.robot, "")),
+            'u' => world.call(client.peer, call::robot_unhold(client.robot, "")),
+            _ => world.robot(client, "MotionSkip", ()),
+        };
+        assert_eq!(result, HResult::S_OK, "{call} of {calls}");
+    }
+}
+
+#[test]
+fn after_hold_and_motion_skip_the_next_motion_begins_with_unhold() {
+    for (calls, held) in [("sh", true), ("hs", true), ("shu", false), ("hsu", false)] {
+        let mut world = World::new();
+        let client = world.mover(1);
+        assert_eq!(next(&mut world, client, "J(90,45,90,0,45,0)"), HResult::S_OK);
+        assert_eq!(next(&mut world, client, "J(90,0,90,0,45,0)"), HResult::S_OK);
+        world.pass(200);
+        stop_and_go(&mut world, client, calls);
+        world.pass(5000);
+        let here = joints(&mut world, client);
+        assert_eq!((here[1], world.sim.is_moving()), if held { (45.0, true) } else { (0.0, false) }, "{calls}");
+        if held {
+            assert!(here[0] < 90.0, "{calls}: {here:?}");
+            stop_and_go(&mut world, client, "u");
+            world.pass(5000);
+        }
+        assert_eq!(joints(&mut world, client)[..2], [90.0, 0.0], "{calls}");
+
+        // without a next motion there is nothing to hold, and after Halt neither
+        for halts in [false, true] {
+            assert_eq!(next(&mut world, client, "J(0,45,90,0,45,0)"), HResult::S_OK);
+            world.pass(100);
+            stop_and_go(&mut world, client, calls);
+            if halts {
+                assert_eq!(world.run(client.peer, call::robot_halt(client.robot, "")), code(HResult::S_OK));
+                world.clear(client);
+            }
+            world.pass(5000);
+            assert!(!world.sim.is_moving(), "{calls}");
+            assert_eq!(world.move_to(client, 1, "J(90,0,90,0,45,0)", ""), HResult::S_OK);
+        }
+    }
+}
+
 #[test]
 fn a_pass_is_answered_before_the_end() {
     let mut world = World::new();
