@@ -30,6 +30,9 @@ mod app {
     use smoltcp::wire::{EthernetAddress, IpCidr};
     use static_cell::{ConstStaticCell, StaticCell};
 
+    /// Two sockets, so that one listens while the connection of the other closes; a client is refused until then.
+    const SOCKETS: usize = 2;
+
     #[shared]
     struct Shared {}
 
@@ -38,16 +41,15 @@ mod app {
         device: Lan9118<'static>,
         interface: Interface,
         sockets: SocketSet<'static>,
-        socket: SocketHandle,
-        server: TcpServer<Session<[u8; 64]>>,
+        servers: [(SocketHandle, TcpServer<Session<[u8; 64]>>); SOCKETS],
         node: Node,
     }
 
     #[init]
     fn init(context: init::Context) -> (Shared, Local) {
         static FRAMES: ConstStaticCell<Frames> = ConstStaticCell::new(Frames::new());
-        static MEMORY: ConstStaticCell<[[u8; 512]; 2]> = ConstStaticCell::new([[0; 512]; 2]);
-        static STORAGE: StaticCell<[SocketStorage<'static>; 1]> = StaticCell::new();
+        static MEMORY: ConstStaticCell<[[[u8; 512]; 2]; SOCKETS]> = ConstStaticCell::new([[[0; 512]; 2]; SOCKETS]);
+        static STORAGE: StaticCell<[SocketStorage<'static>; SOCKETS]> = StaticCell::new();
 
         uart::init();
         fault::init();
@@ -62,21 +64,26 @@ mod app {
                 let _ = addresses.push(IpCidr::new(own.into(), prefix));
             });
         }
-        let [rx, tx] = MEMORY.take();
-        let mut sockets = SocketSet::new(&mut STORAGE.init([SocketStorage::EMPTY])[..]);
-        let socket = tcp::Socket::new(tcp::SocketBuffer::new(&mut rx[..]), tcp::SocketBuffer::new(&mut tx[..]));
-        let socket = sockets.add(socket);
-        let server = TcpServer::new(PORT, 0, 1);
-        (Shared {}, Local { device, interface, sockets, socket, server, node: Node::new() })
+        let mut sockets = SocketSet::new(&mut STORAGE.init([SocketStorage::EMPTY; SOCKETS])[..]);
+        let mut index = 0;
+        let servers = MEMORY.take().each_mut().map(|[rx, tx]| {
+            let socket = tcp::Socket::new(tcp::SocketBuffer::new(&mut rx[..]), tcp::SocketBuffer::new(&mut tx[..]));
+            let server = TcpServer::new(PORT, index, SOCKETS as u32);
+            index += 1;
+            (sockets.add(socket), server)
+        });
+        (Shared {}, Local { device, interface, sockets, servers, node: Node::new() })
     }
 
-    #[idle(local = [device, interface, sockets, socket, server, node])]
+    #[idle(local = [device, interface, sockets, servers, node])]
     fn idle(context: idle::Context) -> ! {
-        let idle::LocalResources { device, interface, sockets, socket, server, node, .. } = context.local;
+        let idle::LocalResources { device, interface, sockets, servers, node, .. } = context.local;
         loop {
             let now = now();
             interface.poll(bare::to_smoltcp(now), device, sockets);
-            server.poll(sockets.get_mut(*socket), || Session::new(Config::TCP, [0; 64]), node, now);
+            for (socket, server) in &mut *servers {
+                server.poll(sockets.get_mut(*socket), || Session::new(Config::TCP, [0; 64]), node, now);
+            }
             if interface.poll(bare::to_smoltcp(now), device, sockets) == PollResult::None {
                 cortex_m::asm::wfi();
             }
