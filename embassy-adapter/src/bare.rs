@@ -73,6 +73,8 @@ const TIMEOUT: smoltcp::time::Duration = smoltcp::time::Duration::from_secs(15);
 
 /// How long a peer over UDP with a service must be silent before another one may take its slot.
 const UDP_IDLE: Duration = Duration::from_secs(10);
+/// How long a reply may wait until the address of its peer is resolved.
+const UNSENT: Duration = Duration::from_millis(100);
 
 /// Why a connection can no longer be used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -271,6 +273,9 @@ pub type UdpPeer<const OBJECTS: usize> = Peer<IpEndpoint, OBJECTS>;
 /// A peer that was silent for 10 s, or has no service, makes room for another one. Datagrams that are not b-CAP take no
 /// slot and get no answer.
 ///
+/// A request from an address that does not exist delays all replies by up to a second. The image of the gateway drops such packets before
+/// smoltcp gets them (`bcap-board`).
+///
 /// # Examples
 ///
 /// ```
@@ -291,6 +296,8 @@ pub struct UdpServer<const PEERS: usize, const OBJECTS: usize> {
     peers: [Option<UdpPeer<OBJECTS>>; PEERS],
     last: u32,
     stride: u32,
+    /// Since when datagrams wait to be sent.
+    unsent: Option<Instant>,
 }
 
 impl<const PEERS: usize, const OBJECTS: usize> UdpServer<PEERS, OBJECTS> {
@@ -299,14 +306,15 @@ impl<const PEERS: usize, const OBJECTS: usize> UdpServer<PEERS, OBJECTS> {
     /// Creates the server `index`, counted from 0, of `count` servers that share a handler, as [`TcpServer::new`].
     #[must_use]
     pub const fn new(index: u32, count: u32) -> Self {
-        Self { peers: [const { None }; PEERS], last: index, stride: count }
+        Self { peers: [const { None }; PEERS], last: index, stride: count, unsent: None }
     }
 
     /// Does all work that is possible without waiting; the caller binds the socket.
     ///
     /// Call it after each poll of the interface, and when [`poll_timeout`](Self::poll_timeout) is reached.
     pub fn poll<H: Handler + ?Sized>(&mut self, socket: &mut udp::Socket<'_>, handler: &mut H, now: Instant) {
-        let Self { peers, last, stride } = self;
+        let Self { peers, last, stride, unsent } = self;
+        discard_unsent(socket, unsent, now);
         let shared = Shared { handler: RefCell::new(handler), last: Cell::new(*last), stride: *stride };
         run_peers(peers, socket, &shared, now);
         // without room for answers, requests wait in the socket
@@ -315,12 +323,29 @@ impl<const PEERS: usize, const OBJECTS: usize> UdpServer<PEERS, OBJECTS> {
             run_peers(peers, socket, &shared, now);
         }
         *last = shared.last.get();
+        *unsent = (socket.send_queue() > 0).then(|| unsent.unwrap_or(now));
     }
 
     /// Returns when [`poll`](Self::poll) must be called if no datagram arrives before.
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Instant> {
-        self.peers.iter().flatten().filter_map(Peer::poll_timeout).min()
+        let unsent = self.unsent.map(|since| since.saturating_add(UNSENT));
+        self.peers.iter().flatten().filter_map(Peer::poll_timeout).chain(unsent).min()
+    }
+}
+
+/// Discards all datagrams of a socket whose unsent ones have waited for [`UNSENT`].
+///
+/// smoltcp keeps a datagram to an address that it cannot resolve or reach, and sends no other before it, also none within a second after
+/// it has asked for the address. The peers of the others repeat their requests.
+fn discard_unsent(socket: &mut udp::Socket<'_>, unsent: &mut Option<Instant>, now: Instant) {
+    *unsent = unsent.filter(|_| socket.send_queue() > 0);
+    if unsent.is_some_and(|since| now >= since.saturating_add(UNSENT)) {
+        *unsent = None;
+        let port = socket.endpoint();
+        socket.close();
+        // the socket was bound to it, and is free now
+        let _ = socket.bind(port);
     }
 }
 

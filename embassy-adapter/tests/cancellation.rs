@@ -754,6 +754,7 @@ const FUNCTIONS: &[(&str, Coverage)] = &[
     ("server/udp.rs: UdpServer::receive", Through("server/udp.rs: UdpServer::run")),
     ("server/udp.rs: UdpServer::run", Swept("UdpServer::run")),
     ("server/udp.rs: UdpServer::run_all", Through("server/udp.rs: UdpServer::run")),
+    ("server/udp.rs: send", Through("server/udp.rs: UdpServer::run")),
 ];
 
 /// The driver of bcap-gateway.

@@ -1,17 +1,22 @@
 //! Tests clients and servers over two embassy-net stacks connected by a simulated cable.
 
+use std::net::Ipv4Addr;
+
 use crate::common::{Controller, address, ask, between, dial, number, serve, serve_udp};
 use bcap_core::bcap::Client;
 use bcap_core::bcap::call::{self, ControllerHandle, VariableHandle};
 use bcap_core::bcap::client::{ClientError, Config, Timeout, Timing};
+use bcap_core::endpoint::Endpoint as _;
 use bcap_core::hresult::HResult;
 use bcap_core::io::CallError;
 use bcap_core::rac;
+use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
 use bcap_embassy::net::{Connection, NetError, Options, TcpClient, TcpTransport, UdpTransport};
 use bcap_embassy::server::{Limits, Listener};
+use bcap_test_support::frames;
 use embassy_futures::join::join;
-use embassy_futures::select::select;
+use embassy_futures::select::{Either, select};
 use embassy_net::Stack;
 use embassy_net::udp::{PacketMetadata, UdpSocket};
 use embassy_time::{Duration, Timer, with_timeout};
@@ -163,6 +168,34 @@ fn the_slot_of_a_udp_peer_is_free_after_service_stop() {
             working.call(call::controller_get_variable(controller, "I1", "")).await.unwrap();
         };
         select(serve_udp(server, &shared), test).await;
+    });
+}
+
+#[test]
+fn replies_to_addresses_that_do_not_exist_hold_up_no_other_ones() {
+    between(|cable, client, server| async move {
+        let shared = number(7);
+        let test = async {
+            let (mut rx_meta, mut tx_meta) = ([PacketMetadata::EMPTY; 2], [PacketMetadata::EMPTY; 2]);
+            let (mut rx, mut tx) = ([0; 1024], [0; 1024]);
+            let socket = UdpSocket::new(client, &mut rx_meta, &mut rx, &mut tx_meta, &mut tx);
+            let transport = UdpTransport::new(client, socket, (address(1), 5007)).unwrap();
+            let mut robot = Connection::new(transport, Client::new(Config::UDP, [0; 488], [0; 505]));
+            robot.call(call::service_start("")).await.unwrap();
+            let mut request = Client::new(Config::UDP, [0; 488], [0; 505]);
+            request.start(&call::controller_connect("", "", "", ""), Timing::UDP, Instant::ZERO).unwrap();
+            // nobody answers for the first, and there is no route to the second
+            for nobody in [address(100), Ipv4Addr::new(10, 0, 0, 9)] {
+                let frame =
+                    frames::datagram([2, 0, 0, 0, 0, 1], nobody, address(1), [40_000, 5007], request.transmit());
+                for _ in 0..6 {
+                    cable.send(1, frame.clone());
+                }
+                robot.call(call::controller_connect("", "P", "", "")).await.unwrap();
+            }
+        };
+        let ended = select(serve_udp(server, &shared), with_timeout(Duration::from_secs(60), test)).await;
+        assert!(matches!(ended, Either::Second(Ok(()))), "it hangs");
     });
 }
 

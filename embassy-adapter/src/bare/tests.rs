@@ -242,12 +242,13 @@ impl Datagrams {
         self.server.poll(socket, &mut self.handler, self.net.now);
     }
 
-    fn call<C: call::Call>(
-        &mut self,
-        (client, socket): &mut (Client<[u8; 488], [u8; 505]>, SocketHandle),
-        call: C,
-    ) -> Event {
-        client.start(&call, client.timing(), self.net.now).unwrap();
+    fn call<C: call::Call>(&mut self, peer: &mut (Client<[u8; 488], [u8; 505]>, SocketHandle), call: C) -> Event {
+        peer.0.start(&call, peer.0.timing(), self.net.now).unwrap();
+        self.event(peer)
+    }
+
+    /// Advances the time until the client has an event.
+    fn event(&mut self, (client, socket): &mut (Client<[u8; 488], [u8; 505]>, SocketHandle)) -> Event {
         for _ in 0..10_000 {
             self.step();
             let socket = self.net.sockets.get_mut(*socket);
@@ -317,4 +318,25 @@ fn udp_server_leaves_requests_in_the_socket_until_there_is_room_for_replies() {
     let reply = found.pop().unwrap();
     assert_eq!((found, reply.len()), (vec![b"x".to_vec(); 4], 16));
     assert_eq!(Header::read(&reply).unwrap().hresult(), HResult::S_OK);
+}
+
+#[test]
+fn udp_server_discards_replies_to_addresses_that_do_not_exist() {
+    // nobody answers for the first, and there is no route to the second
+    for nobody in [IpAddress::v4(127, 0, 0, 9), IpAddress::v4(10, 0, 0, 9)] {
+        let mut bench = Datagrams::new();
+        let mut client = bench.client(40_000);
+        assert_eq!(bench.call(&mut client, call::service_start("")), Event::Replied(HResult::S_OK));
+        let server = bench.net.sockets.get_mut::<udp::Socket<'_>>(bench.socket);
+        server.send_slice(b"x", IpEndpoint::new(nobody, 40_000)).unwrap();
+        bench.step();
+        assert_eq!(bench.server.poll_timeout(), Some(bench.net.now.saturating_add(UNSENT)), "{nobody}");
+        let mut event = bench.call(&mut client, call::controller_connect("", "", "", ""));
+        // smoltcp sends nothing of a socket for a second after it has asked for an address
+        while let Event::Retried { attempt: 2 | 3 } = event {
+            event = bench.event(&mut client);
+        }
+        assert_eq!(event, Event::Replied(HResult::S_OK), "{nobody}");
+        assert_eq!(bench.server.poll_timeout(), None);
+    }
 }

@@ -55,6 +55,8 @@ pub use self::backlog::Backlog;
 pub(crate) use self::backlog::{Place, evicted};
 pub use self::tcp::{Options, TcpTransport};
 pub use self::udp::UdpTransport;
+#[cfg(feature = "server")]
+pub(crate) use self::udp::discard;
 pub use self::usage::Usage;
 pub use crate::error::NetError;
 

@@ -61,14 +61,19 @@ impl<'s> UdpTransport<'s> {
         &mut self.socket
     }
 
-    /// Discards the datagrams that were not sent yet, for example because the address of the peer is not resolved, and those that
-    /// were not received yet. The port stays.
+    /// [Discards](discard) the datagrams of its socket.
     pub(crate) fn discard(&mut self) {
-        let port = self.socket.endpoint();
-        self.socket.close();
-        // the socket was bound to it, and is free now
-        let _ = self.socket.bind(port);
+        discard(&mut self.socket);
     }
+}
+
+/// Discards the datagrams that were not sent yet, for example because the address of the peer is not resolved, and those that
+/// were not received yet. The port stays.
+pub(crate) fn discard(socket: &mut UdpSocket<'_>) {
+    let port = socket.endpoint();
+    socket.close();
+    // the socket was bound to it, and is free now
+    let _ = socket.bind(port);
 }
 
 impl fmt::Debug for UdpTransport<'_> {

@@ -12,15 +12,22 @@ use embassy_futures::select::{Either3, select3};
 use embassy_net::IpEndpoint;
 use embassy_net::udp::UdpSocket;
 use embassy_sync::blocking_mutex::raw::RawMutex;
-use embassy_time::Timer;
+use embassy_time::{Duration, Timer, with_timeout};
 
 use super::{Limits, SharedHandler};
 use crate::clock::{now, ticks};
+use crate::net::discard;
+
+/// How long a reply may wait until the address of its peer is resolved.
+const UNSENT: Duration = Duration::from_millis(100);
 
 /// A peer with its session: about 1.6 KiB, and 8 bytes for each of its `OBJECTS`.
 pub type UdpPeer<const OBJECTS: usize> = Peer<IpEndpoint, OBJECTS>;
 
 /// A server of b-CAP over UDP.
+///
+/// A request from an address that does not exist delays all replies by up to a second. The image of the gateway drops such packets before
+/// smoltcp gets them (`bcap-board`).
 ///
 /// # Examples
 ///
@@ -93,7 +100,7 @@ impl<'a, 's, M: RawMutex, H: Handler, const N: usize, const OBJECTS: usize> UdpS
             .await;
         if let Received::Refused(serial) = received {
             // a lost reply is retransmitted on request
-            let _ = self.socket.send_to(refusal(serial, &mut [0; REFUSAL]), from).await;
+            send(self.socket, refusal(serial, &mut [0; REFUSAL]), from).await;
         }
     }
 
@@ -104,7 +111,7 @@ impl<'a, 's, M: RawMutex, H: Handler, const N: usize, const OBJECTS: usize> UdpS
             loop {
                 let progressed = peer.step(*shared, now());
                 if !peer.transmit().is_empty() {
-                    let _ = socket.send_to(peer.transmit(), peer.address()).await;
+                    send(socket, peer.transmit(), peer.address()).await;
                     peer.transmitted();
                 }
                 if !progressed {
@@ -117,6 +124,19 @@ impl<'a, 's, M: RawMutex, H: Handler, const N: usize, const OBJECTS: usize> UdpS
     fn next_poll(&self) -> Instant {
         self.peers.iter().flatten().filter_map(Peer::poll_timeout).min().unwrap_or(Instant::FAR_FUTURE)
     }
+}
+
+/// Sends a datagram when the one before it has left.
+///
+/// smoltcp keeps a datagram to an address that it cannot resolve or reach, and sends no other before it, also none within a second after
+/// it has asked for the address. So it is discarded after [`UNSENT`], with all other datagrams in the socket; their peers repeat the
+/// requests.
+async fn send(socket: &mut UdpSocket<'_>, bytes: &[u8], to: IpEndpoint) {
+    if with_timeout(UNSENT, socket.flush()).await.is_err() {
+        discard(socket);
+    }
+    // a reply that cannot be sent at all is lost, too
+    let _ = socket.send_to(bytes, to).await;
 }
 
 impl<M: RawMutex, H: Handler, const N: usize, const OBJECTS: usize> SharedState<UdpSession<OBJECTS>>

@@ -5,9 +5,7 @@ use std::time::{Duration, Instant};
 
 use bcap_board::find::{Found, PORT, REQUEST, request};
 use bcap_qemu::{Board, Sim, TIMEOUT, bcap, free_port, run};
-use bcap_test_support::frames::packet;
-use smoltcp::phy::ChecksumCapabilities;
-use smoltcp::wire::{IpProtocol, UdpPacket, UdpRepr};
+use bcap_test_support::frames::datagram;
 
 use crate::wire::{BOARD, HOST, Wire, World};
 
@@ -36,14 +34,8 @@ fn the_command_finds_the_board() {
 /// Sends a request in a frame.
 fn ask(world: &World, from: Ipv4Addr, to: Ipv4Addr, payload: &[u8]) {
     let mac = if to == BROADCAST { [0xff; 6] } else { MAC };
-    let udp = UdpRepr { src_port: HOST_PORT, dst_port: PORT };
-    let write = |bytes: &mut [u8]| {
-        let mut datagram = UdpPacket::new_unchecked(bytes);
-        let copy = |room: &mut [u8]| room.copy_from_slice(payload);
-        udp.emit(&mut datagram, &from.into(), &to.into(), payload.len(), copy, &ChecksumCapabilities::default());
-    };
     // until QEMU is up no process receives the frames
-    let _ = world.wire.link.send(&packet((mac, from, to, IpProtocol::Udp), 8 + payload.len(), write));
+    let _ = world.wire.link.send(&datagram(mac, from, to, [HOST_PORT, PORT], payload));
 }
 
 /// Runs for a time, and returns the datagrams from the board's port: their destinations and payloads.

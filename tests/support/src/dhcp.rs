@@ -2,12 +2,9 @@
 
 use std::net::Ipv4Addr;
 
-use smoltcp::phy::ChecksumCapabilities;
-use smoltcp::wire::{
-    DhcpMessageType, DhcpOption, DhcpPacket, DhcpRepr, EthernetAddress, IpProtocol, UdpPacket, UdpRepr,
-};
+use smoltcp::wire::{DhcpMessageType, DhcpOption, DhcpPacket, DhcpRepr, EthernetAddress};
 
-use crate::frames::packet;
+use crate::frames::datagram;
 
 /// The answer of a server to a request of the board.
 #[derive(Clone, Copy, Debug)]
@@ -73,14 +70,8 @@ impl Answer {
             rebind_duration: None,
             additional_options: &later,
         };
-        let udp = UdpRepr { src_port: 67, dst_port: 68 };
-        let write = |payload: &mut [u8]| {
-            let (server, client) = (server.into(), Ipv4Addr::BROADCAST.into());
-            let emit = |data: &mut [u8]| dhcp.emit(&mut DhcpPacket::new_unchecked(data)).unwrap();
-            let mut packet = UdpPacket::new_unchecked(payload);
-            udp.emit(&mut packet, &server, &client, dhcp.buffer_len(), emit, &ChecksumCapabilities::default());
-        };
-        let len = udp.header_len() + dhcp.buffer_len();
-        packet((mac, server, Ipv4Addr::BROADCAST, IpProtocol::Udp), len, write)
+        let mut payload = vec![0; dhcp.buffer_len()];
+        dhcp.emit(&mut DhcpPacket::new_unchecked(&mut payload[..])).unwrap();
+        datagram(mac, server, Ipv4Addr::BROADCAST, [67, 68], &payload)
     }
 }

@@ -5,7 +5,7 @@ use std::net::Ipv4Addr;
 use smoltcp::phy::ChecksumCapabilities;
 use smoltcp::wire::{
     ArpOperation, ArpPacket, ArpRepr, EthernetAddress, EthernetFrame, EthernetProtocol, EthernetRepr, IpProtocol,
-    Ipv4Packet, Ipv4Repr, TcpControl, TcpPacket, TcpRepr, TcpSeqNumber,
+    Ipv4Packet, Ipv4Repr, TcpControl, TcpPacket, TcpRepr, TcpSeqNumber, UdpPacket, UdpRepr,
 };
 
 /// The header of Ethernet.
@@ -25,6 +25,17 @@ pub fn packet((mac, from, to, protocol): Head, len: usize, write: impl FnOnce(&m
     ip.emit(&mut Ipv4Packet::new_unchecked(&mut frame[ETHERNET..]), &ChecksumCapabilities::default());
     write(&mut frame[ETHERNET + ip.buffer_len()..]);
     frame
+}
+
+/// Makes the frame of a UDP datagram.
+pub fn datagram(mac: [u8; 6], from: Ipv4Addr, to: Ipv4Addr, [src_port, dst_port]: [u16; 2], payload: &[u8]) -> Vec<u8> {
+    let udp = UdpRepr { src_port, dst_port };
+    let write = |bytes: &mut [u8]| {
+        let mut packet = UdpPacket::new_unchecked(bytes);
+        let copy = |room: &mut [u8]| room.copy_from_slice(payload);
+        udp.emit(&mut packet, &from.into(), &to.into(), payload.len(), copy, &ChecksumCapabilities::default());
+    };
+    packet((mac, from, to, IpProtocol::Udp), udp.header_len() + payload.len(), write)
 }
 
 /// Makes the frame that begins a connection to a port.
