@@ -369,6 +369,7 @@ class SlaveStream:
         #: after the end: cycles, late, refused, underflows
         self.statistics: Dict[str, int] = {}
         self._ended = False
+        self._failure: Optional[Error] = None
 
     @property
     def cycle(self) -> Cycle:
@@ -389,7 +390,7 @@ class SlaveStream:
         return self._cycle
 
     def finish(self) -> None:
-        """Ends the stream, and waits until the robot rests at the last pose."""
+        """Ends the stream, and waits until the robot rests at the last pose. A second call has the result of the first."""
         self._finish(False)
 
     def stop(self) -> None:
@@ -397,12 +398,14 @@ class SlaveStream:
         self._finish(True)
 
     def _finish(self, stop: bool) -> None:
-        try:
-            self.statistics = dict(self._stream.finish(stop).wait())
-        except Error:
+        if not self._ended:
+            try:
+                self.statistics = dict(self._stream.finish(stop).wait())
+            except Error as failure:
+                self._failure = failure
             self._ended = True
-            raise
-        self._ended = True
+        if self._failure is not None:
+            raise self._failure
 
     def __enter__(self) -> SlaveStream:
         return self

@@ -279,6 +279,7 @@ class SlaveStream:
         #: after the end: cycles, late, refused, underflows
         self.statistics: Dict[str, int] = {}
         self._ended = False
+        self._failure: Optional[Error] = None
 
     @property
     def cycle(self) -> Cycle:
@@ -299,7 +300,7 @@ class SlaveStream:
         return self._cycle
 
     async def finish(self) -> None:
-        """Ends the stream, and waits until the robot rests at the last pose."""
+        """Ends the stream, and waits until the robot rests at the last pose. A second call has the result of the first."""
         await self._finish(False)
 
     async def stop(self) -> None:
@@ -307,12 +308,14 @@ class SlaveStream:
         await self._finish(True)
 
     async def _finish(self, stop: bool) -> None:
-        try:
-            self.statistics = dict(await run(self._stream.finish(stop)))
-        except Error:
+        if not self._ended:
+            try:
+                self.statistics = dict(await run(self._stream.finish(stop)))
+            except Error as failure:
+                self._failure = failure
             self._ended = True
-            raise
-        self._ended = True
+        if self._failure is not None:
+            raise self._failure
 
     async def __aenter__(self) -> SlaveStream:
         return self

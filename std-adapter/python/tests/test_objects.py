@@ -234,7 +234,11 @@ def test_the_caller_owns_the_loop_of_slave_mode(bcap_sim: bcap.Sim, mode: int) -
                 joints[0] += 2 * (1 - math.cos(number / 125 * math.pi))
                 cycle = stream.step(numpy.array(joints))
             assert cycle.number == 125 and 0 < cycle.pose[0] <= 4.1
-        assert stream.statistics["cycles"] >= 125 and stream.statistics["underflows"] == 0
+        statistics = stream.statistics
+        assert statistics["cycles"] >= 125 and statistics["underflows"] == 0
+        # the stream has ended, and its end is not reported as a failure
+        stream.finish()
+        assert stream.statistics == statistics
         assert cell.joints()[0] == pytest.approx(4, abs=0.05) and not bcap_sim.slave_mode
 
 
@@ -268,6 +272,10 @@ def test_a_stream_that_loses_its_connection_does_not_say_that_the_robot_stopped(
             if number == 5:
                 sim.close()
     assert lost.value.may_have_run
+    for end in (stream.finish, stream.stop):
+        with pytest.raises(bcap.NoReply) as again:
+            end()
+        assert again.value is lost.value
 
 
 def test_a_signal_during_the_end_of_a_stream_is_raised() -> None:
