@@ -144,8 +144,19 @@ impl<W: Write> Log<W> {
         chunk.records.extend(record(opcode::MESSAGE, &[&id, &sequence, &time, &time, message.to_string().as_bytes()]));
         chunk.times = Some(including(chunk.times, at));
         self.times = Some(including(self.times, at));
-        let age = chunk.times.map_or(0, |(first, last)| last.saturating_sub(first));
-        if age >= UNWRITTEN || chunk.records.len() >= CHUNK { self.flush() } else { Ok(()) }
+        if chunk.records.len() >= CHUNK { self.flush() } else { self.write_older(at) }
+    }
+
+    /// Writes the messages so far if the first of them is a second older than `now`, in nanoseconds since 1970.
+    ///
+    /// For series whose next message may come much later.
+    ///
+    /// # Errors
+    ///
+    /// When `out` does not accept the messages.
+    pub fn write_older(&mut self, now: u64) -> io::Result<()> {
+        let is_old = self.chunk.times.is_some_and(|(first, _)| now.saturating_sub(first) >= UNWRITTEN);
+        if is_old { self.flush() } else { Ok(()) }
     }
 
     /// Adds a channel, and its schema if it is new.

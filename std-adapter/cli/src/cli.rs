@@ -124,6 +124,38 @@ impl Command {
                 | Self::Connection
         )
     }
+
+    /// Returns whether all that the command does is to print, so that a reader such as `head` may end it.
+    pub(crate) const fn only_prints(&self) -> bool {
+        matches!(
+            self,
+            Self::Status(_)
+                | Self::Get(_)
+                | Self::Watch(_)
+                | Self::Io(_)
+                | Self::Names(_)
+                | Self::Ls(_)
+                | Self::Diff(_)
+                | Self::Scan(_)
+                | Self::Errors(_)
+                | Self::Log(_)
+                | Self::Doctor(_)
+                | Self::Report(_)
+                | Self::Decode(_)
+                | Self::Explain(_)
+                | Self::Generate(_)
+                | Self::Connection
+        )
+    }
+
+    /// Returns the capture that the command replays.
+    pub(crate) fn replayed(&self) -> Option<&Path> {
+        match self {
+            Self::Replay(args) => Some(&args.file),
+            Self::Sim(args) => args.replay.as_deref(),
+            _ => None,
+        }
+    }
 }
 
 /// Runs commands over one session, with a prompt

@@ -231,14 +231,13 @@ impl Failure {
         }
     }
 
+    /// Returns whether the reader of the output, such as `head`, has closed it.
+    pub(crate) fn is_closed_output(&self) -> bool {
+        matches!(self, Self::Stdio(error) if error.kind() == io::ErrorKind::BrokenPipe)
+    }
+
     /// Prints the message and the hint, and returns the exit code.
     pub(crate) fn report(&self, json: bool) -> ExitCode {
-        if let Self::Stdio(error) = self
-            && error.kind() == io::ErrorKind::BrokenPipe
-        {
-            // the reader, such as `head`, closed the pipe: not an error
-            return ExitCode::SUCCESS;
-        }
         self.print(json, None);
         ExitCode::from(self.code())
     }

@@ -41,6 +41,7 @@ fn main() -> ExitCode {
     let cli: Cli = parse_or_exit(cli::with_groups);
     let code = match recorded(&cli) {
         Ok(()) => ExitCode::SUCCESS,
+        Err(failure) if failure.is_closed_output() && cli.command.only_prints() => ExitCode::SUCCESS,
         Err(failure) => failure.report(cli.json),
     };
     // nothing is left on the controller, and the message is on the screen
@@ -54,13 +55,21 @@ fn main() -> ExitCode {
 fn recorded(cli: &Cli) -> Result<(), Failure> {
     // these record their clients or their robot
     let is_served = matches!(cli.command, Command::Proxy(_) | Command::Sim(_) | Command::Gateway(_) | Command::Fuzz(_));
+    if let (Some(written), Some(read)) = (cli.link.write.as_deref(), cli.command.replayed())
+        && written.canonicalize().ok().is_some_and(|written| read.canonicalize().ok() == Some(written))
+    {
+        return Err(Failure::Input("--write would replace the capture that is replayed; name another file".into()));
+    }
     let Some(file) = cli.link.write.as_deref().filter(|_| !is_served) else { return run(cli) };
     if matches!(cli.command, Command::Raw(_) | Command::Conform(_)) || !cli.command.connects() {
         return Err(Failure::Input("this command has nothing to record; leave --write out".into()));
     }
     let recording = traffic::record(file)?;
     let result = run(cli);
-    result.and(recording.finish().map_err(Failure::from))
+    match (result, recording.finish().map_err(Failure::from)) {
+        (Err(closed), Err(lost)) if closed.is_closed_output() => Err(lost),
+        (result, recorded) => result.and(recorded),
+    }
 }
 
 fn run(cli: &Cli) -> Result<(), Failure> {

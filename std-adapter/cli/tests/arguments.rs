@@ -176,11 +176,3 @@ fn a_refused_call_without_all_arguments_says_so() {
     let run = robot.run(&["call", "RobotMove", "robot", "1", "8,@P P1"]);
     assert!(run.err.contains("this session has not taken the arm"), "{}", run.err);
 }
-
-#[cfg(target_os = "linux")]
-#[test]
-fn a_table_that_cannot_be_written_is_named() {
-    let robot = crate::common::virtual_robot::Virtual::start(&[]);
-    let run = robot.run(&["watch", "I1", "--count", "1", "--csv", "/dev/full"]);
-    assert_eq!((run.err.starts_with("error: /dev/full: No space left on device"), run.code), (true, 2), "{run:?}");
-}

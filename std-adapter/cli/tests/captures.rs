@@ -123,6 +123,38 @@ fn missing_segments_are_said_and_the_next_frames_are_found() {
 }
 
 #[test]
+fn an_invalid_frame_does_not_hide_the_next_ones() {
+    let [client, server] = reading();
+    // the length of its argument is wrong; the bytes of its count and length look like the start of a frame of 2816 bytes
+    let mut invalid = numbered(7, 0, GET_VALUE, &[i4(1)]);
+    invalid[15] = 0x0b;
+    let (mut capture, mut flow) = (Capture::new(), Flow::new(1, BCAP));
+    capture.tcp(&mut flow, From::Client, &[invalid, client].concat());
+    capture.tcp(&mut flow, From::Server, &server);
+    let lines = decoded("invalid.pcap", &capture);
+    assert!(lines[1].starts_with("tcp1: note: client: 30 bytes are not a frame: "), "{lines:?}");
+    assert_eq!(calls(&lines)[1..], [OPENED, READ]);
+}
+
+#[test]
+fn a_value_that_looks_like_a_header_after_missing_bytes_hides_no_frame() {
+    let [client, server] = reading();
+    let lost = numbered(7, 0, GET_VARIABLE, &[i4(1), bstr("I1"), bstr("")]);
+    for size in [1, 7, 1000] {
+        let (mut capture, mut flow) = (Capture::new(), Flow::new(1, BCAP));
+        capture.tcp(&mut flow, From::Client, &lost[..16]);
+        flow.skip(From::Client, 4);
+        // in it 01 00 00 00 01: a count of 1 and the value 1, or the start of a frame of 16 MiB
+        let rest = [&lost[20..], &client].concat();
+        rest.chunks(size).for_each(|part| capture.tcp(&mut flow, From::Client, part));
+        capture.tcp(&mut flow, From::Server, &server);
+        let lines = decoded("looks.pcap", &capture);
+        let found = calls(&lines);
+        assert!(found.contains(&OPENED) && found.contains(&READ), "{size}: {lines:?}");
+    }
+}
+
+#[test]
 fn attempts_over_udp_and_keep_alives_belong_to_one_call() {
     let (mut capture, flow) = (Capture::new(), Flow::new(1, BCAP));
     for (serial, from, code) in [(5, From::Client, GET_VALUE), (6, From::Client, GET_VALUE)] {
@@ -197,6 +229,8 @@ fn links() -> Vec<(u32, Vec<u8>)> {
     let families = [vec![2, 0, 0, 0], vec![0, 0, 0, 2]];
     let [null, looped] = families;
     vec![
+        // with the length of its check sequence
+        (0x2400_0001, ethernet.clone()),
         (1, ethernet),
         (1, tagged),
         (113, cooked),
@@ -226,30 +260,58 @@ fn captures_of_every_link_type_are_read() {
     assert_eq!(lines, ["capture: note: skipped packets of link type 9999, which is not supported: 1"]);
 }
 
-/// A block of pcapng.
-fn block(kind: u32, body: &[u8]) -> Vec<u8> {
-    let padded = body.len().next_multiple_of(4);
-    let length = u32::try_from(padded + 12).unwrap().to_le_bytes();
-    [&kind.to_le_bytes()[..], &length, body, &vec![0; padded - body.len()], &length].concat()
-}
-
-/// A capture in pcapng: raw IP, 1.5 ms between request and reply.
-fn pcapng() -> Vec<u8> {
-    let section = block(0x0a0d_0d0a, &[&0x1a2b_3c4d_u32.to_le_bytes()[..], &[1, 0, 0, 0], &[0xff; 8]].concat());
-    // link type, snap length, the option for times in nanoseconds, the end of options
-    let interface = block(1, &[&[101, 0, 0, 0, 0, 0, 0, 0][..], &[9, 0, 1, 0, 9, 0, 0, 0], &[0; 4]].concat());
-    let mut file = [section, interface].concat();
+/// A capture in pcapng of [`reading`], with raw IP: options of its interface, and the times of request and reply.
+fn pcapng_of(is_big_endian: bool, options: &[(u16, &[u8])], ticks: [u32; 2]) -> Vec<u8> {
+    let word = |n: u32| if is_big_endian { n.to_be_bytes() } else { n.to_le_bytes() };
+    let half = |n: u16| if is_big_endian { n.to_be_bytes() } else { n.to_le_bytes() };
+    let padded = |bytes: &[u8]| [bytes, &vec![0; bytes.len().next_multiple_of(4) - bytes.len()]].concat();
+    let block = |kind: u32, body: &[u8]| {
+        let body = padded(body);
+        let length = word(u32::try_from(body.len() + 12).unwrap());
+        [&word(kind)[..], &length, &body, &length].concat()
+    };
+    let section = [&word(0x1a2b_3c4d)[..], &half(1), &half(0), &[0xff; 8]].concat();
+    // the link type, the snap length and the options
+    let mut interface = [&half(101)[..], &half(0), &word(0)].concat();
+    for (code, value) in options {
+        interface.extend([&half(*code)[..], &half(u16::try_from(value.len()).unwrap()), &padded(value)].concat());
+    }
+    interface.extend([0; 4]);
+    let mut file = [block(0x0a0d_0d0a, &section), block(1, &interface)].concat();
     let mut flow = Flow::new(1, BCAP);
-    for (n, from, bytes) in
-        (1_u32..).zip([From::Client, From::Server]).zip(reading()).map(|((n, from), b)| (n, from, b))
-    {
+    for ((from, bytes), ticks) in [From::Client, From::Server].into_iter().zip(reading()).zip(ticks) {
         let packet = segment(&flow, from, &bytes);
         flow.skip(from, bytes.len());
         let length = u32::try_from(packet.len()).unwrap();
-        let fields = [0, 0, n * 1_500_000, length, length].map(u32::to_le_bytes).concat();
+        let fields = [0, 0, ticks, length, length].map(word).concat();
         file.extend(block(6, &[fields, packet].concat()));
     }
     file
+}
+
+/// A capture with times in nanoseconds, 1.5 ms between request and reply.
+fn pcapng() -> Vec<u8> {
+    pcapng_of(false, &[(9, &[9])], [1_500_000, 3_000_000])
+}
+
+#[test]
+fn times_in_pcapng_have_the_resolution_and_the_offset_of_their_interface() {
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("times.pcapng");
+    for is_big_endian in [false, true] {
+        let offset = if is_big_endian { 3600_i64.to_be_bytes() } else { 3600_i64.to_le_bytes() };
+        // microseconds without the option; powers of 10 and of 2
+        for (options, ticks) in
+            [(&[][..], [2_000_000, 3_500_000]), (&[(9, &[3][..])], [2000, 3500]), (&[(9, &[0x8a][..])], [2048, 3584])]
+        {
+            let options = [options, &[(14, &offset[..])]].concat();
+            fs::write(&path, pcapng_of(is_big_endian, &options, ticks)).unwrap();
+            let run = bcap(&["decode", path.to_str().unwrap(), "--json"]);
+            let lines: Vec<Value> = run.out.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+            let found: Vec<_> = lines.iter().map(|line| (&line["time"], &line["us"])).collect();
+            let (time, us) = (Value::from("3602.000000000"), Value::from(1_500_000));
+            assert_eq!(found, [(&time, &Value::Null), (&time, &us), (&time, &us)], "{is_big_endian} {options:?}");
+        }
+    }
 }
 
 #[test]
@@ -307,6 +369,33 @@ fn other_ports_are_recognised_by_their_first_bytes() {
     let lines = decoded("ports.pcap", &capture);
     assert_eq!(lines[0], "tcp1: b-CAP, client 10.0.0.1:40000, server 192.168.0.1:7777");
     assert_eq!(lines[3..], ["tcp2: RAC, client 10.0.0.2:40000, server 192.168.0.1:7778", "tcp2 GET(I1) -> S_OK I4(5)"]);
+}
+
+#[test]
+fn a_port_is_recognised_by_a_deviation_that_is_accepted() {
+    let [client, server] = reading();
+    // an unused byte before EOT, in the first frame
+    let opening = client.len() - numbered(2, 0, GET_VALUE, &[i4(3)]).len();
+    let mut deviating = [&client[..opening - 1], &[0], &client[opening - 1..]].concat();
+    deviating[1] += 1;
+    let (mut capture, mut flow) = (Capture::new(), Flow::new(1, 7777));
+    capture.tcp(&mut flow, From::Client, &deviating);
+    capture.tcp(&mut flow, From::Server, &server);
+    let path = save("deviation.pcap", &capture);
+    assert_eq!(bcap(&["decode", &path]).out, "");
+    let run = bcap(&["decode", &path, "--lenient"]);
+    let lines: Vec<_> = run.out.lines().map(plain).collect();
+    assert_eq!((calls(&lines), run.code), (vec![OPENED, READ], 0));
+}
+
+#[test]
+fn the_figures_have_one_row_for_all_invalid_lines() {
+    let (mut capture, mut flow) = (Capture::new(), Flow::new(1, RAC));
+    let lines: String = (0..200).map(|number| format!("X{number}\r")).collect();
+    capture.tcp(&mut flow, From::Client, lines.as_bytes());
+    let run = bcap(&["decode", &save("lines.pcap", &capture), "--stats"]);
+    let rows: Vec<_> = run.out.lines().filter(|line| !line.contains("note:")).collect();
+    assert_eq!((rows.len(), rows[1].starts_with("(invalid lines)      200 ")), (2, true), "{rows:?}");
 }
 
 #[test]

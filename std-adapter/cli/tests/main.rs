@@ -34,6 +34,8 @@ mod mcap;
 mod monitor;
 #[cfg(unix)]
 mod monitors;
+#[cfg(unix)]
+mod outputs;
 mod partial;
 mod peers;
 #[cfg(unix)]

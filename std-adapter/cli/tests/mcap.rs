@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::path::Path;
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use crate::common::virtual_robot::Virtual;
 use bcap_tests::process::{Signal, send};
@@ -83,6 +83,15 @@ fn only_changes_are_written_and_a_signal_completes_the_file() {
     while !has_read(",0\n") {}
     assert_eq!(robot.run(&["put", "I1", "7"]).code, 0);
     while !has_read(",7\n") {}
+    // it is in the file a second later, although nothing changes any more
+    let is_written = || fs::read(&path).unwrap().windows(11).any(|bytes| bytes == br#"{"value":7}"#);
+    for _ in 0..300 {
+        if is_written() {
+            break;
+        }
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    assert!(is_written());
     send(Signal::TERM, &watch);
     assert_eq!(watch.wait().unwrap().code(), Some(0));
     let values: Vec<Value> = read(&path).into_iter().map(|message| message.value["value"].clone()).collect();

@@ -48,6 +48,22 @@ fn read_session(name: &str) -> PathBuf {
 }
 
 #[test]
+fn a_capture_is_not_replaced_by_its_own_replay() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("session.pcap");
+    let before = std::fs::read(crate::common::recorded::committed()).unwrap();
+    std::fs::write(&file, &before).unwrap();
+    let path = file.to_str().unwrap();
+    let again = folder.path().join(".").join("session.pcap");
+    let write = ["--write", again.to_str().unwrap()];
+    for args in [&["replay", path, "--robot", "127.0.0.1:1"][..], &["sim", "--replay", path]] {
+        let run = bcap(&[args, &write].concat());
+        assert_eq!((run.code, run.err.contains("would replace the capture")), (2, true), "{args:?}: {run:?}");
+        assert_eq!(std::fs::read(&file).unwrap(), before);
+    }
+}
+
+#[test]
 fn a_replay_finds_exactly_the_value_that_changed() {
     let (file, sim) = (read_session("reads.pcapng"), Running::sim(&[]));
     for options in [&[][..], &["--fast"]] {

@@ -271,6 +271,12 @@ fn a_script_with_an_error_in_its_last_line_makes_no_call() {
         (format!("{}: 5 lines are valid\n", path("script")).as_str(), 0),
         "{run:?}"
     );
+    // an `exit` that may not run ends no check
+    for exit in ["if I1 = 1 exit", "while I1 = 1 exit", "repeat 0 exit"] {
+        std::fs::write(path("script"), format!("{exit}\nnonsense\n")).unwrap();
+        let run = bcap(&["run", &path("script"), "--check", "--robot", &fake.address]);
+        assert!(run.code == 2 && run.err.contains("script:2: "), "{exit}: {run:?}");
+    }
     let run = bcap_with(&["run", "-", "--check", "--json", "--robot", &fake.address], b"get I1\nget I2\n");
     assert_eq!((run.out.as_str(), run.code), ("{\"lines\":2}\n", 0), "{run:?}");
     assert!(fake.seen().is_empty(), "{:?}", fake.seen());

@@ -259,9 +259,9 @@ impl Conversation {
     fn guess(&mut self, from: usize, bytes: &[u8]) {
         let start = bytes.get(..8).unwrap_or(bytes).to_ascii_uppercase();
         let frame = if self.is_tcp {
-            bcap_frame(bytes)
+            bcap_frame(bytes, self.strictness)
         } else {
-            Decoder::UDP.decode_datagram(bytes).ok().map(|frame| frame.function())
+            Decoder::UDP.strictness(self.strictness).decode_datagram(bytes).ok().map(|frame| frame.function())
         };
         let is_request;
         (self.protocol, is_request) = match frame {
@@ -322,9 +322,10 @@ impl Conversation {
 }
 
 /// Returns the code of a frame at the start of a stream, if the bytes can be one.
-fn bcap_frame(bytes: &[u8]) -> Option<FunctionId> {
-    let length = Decoder::TCP.frame_length(bytes).ok()??;
+fn bcap_frame(bytes: &[u8], strictness: Strictness) -> Option<FunctionId> {
+    let decoder = Decoder::TCP.strictness(strictness);
+    let length = decoder.frame_length(bytes).ok()??;
     let code = Header::read(bytes)?.function();
     let is_whole = bytes.len() >= length;
-    (!is_whole || Decoder::TCP.decode(bytes).is_ok()).then_some(code)
+    (!is_whole || decoder.decode(bytes).is_ok()).then_some(code)
 }

@@ -4,7 +4,7 @@ use std::fs::File;
 use std::path::Path;
 
 use pcap_parser::pcapng::Block;
-use pcap_parser::{Linktype, PcapBlockOwned, PcapError, create_reader};
+use pcap_parser::{IDB_MAGIC, Linktype, PcapBlockOwned, PcapError, create_reader};
 
 use crate::error::Error;
 
@@ -93,11 +93,20 @@ fn meaning<I>(error: &PcapError<I>) -> &'static str {
     }
 }
 
+/// Returns the resolution that a byte of if_tsresol means: a power of 10, or of 2 with the highest bit. pcap-parser 0.17 knows no power of 2.
+fn ticks_per_second(resolution: u8) -> u64 {
+    let power = u32::from(resolution & 0x7f);
+    let ticks = if resolution < 0x80 { 10_u64.checked_pow(power) } else { 1_u64.checked_shl(power) };
+    ticks.unwrap_or(1_000_000)
+}
+
 fn add_block(block: &PcapBlockOwned<'_>, interfaces: &mut Vec<Interface>, each: &mut impl FnMut(Packet<'_>)) {
     match block {
         PcapBlockOwned::LegacyHeader(header) => {
             let ticks_per_second = if header.is_nanosecond_precision() { NANOS } else { 1_000_000 };
-            interfaces.push(Interface { link: header.network, ticks_per_second, offset: 0 });
+            // the upper bits may tell the length of the check sequence of Ethernet
+            let link = Linktype(header.network.0 & 0xffff);
+            interfaces.push(Interface { link, ticks_per_second, offset: 0 });
         }
         PcapBlockOwned::Legacy(packet) => {
             let Some(interface) = interfaces.first() else { return };
@@ -107,8 +116,12 @@ fn add_block(block: &PcapBlockOwned<'_>, interfaces: &mut Vec<Interface>, each: 
         PcapBlockOwned::NG(Block::SectionHeader(_)) => interfaces.clear(),
         PcapBlockOwned::NG(Block::InterfaceDescription(description)) => interfaces.push(Interface {
             link: description.linktype,
-            ticks_per_second: description.ts_resolution().unwrap_or(1_000_000),
-            offset: description.ts_offset(),
+            ticks_per_second: ticks_per_second(description.if_tsresol),
+            // pcap-parser 0.17 reads the offset as little-endian, as it does with the type of the block
+            offset: match description.block_type {
+                IDB_MAGIC => description.ts_offset(),
+                _ => description.ts_offset().swap_bytes(),
+            },
         }),
         PcapBlockOwned::NG(Block::EnhancedPacket(packet)) => {
             let index = usize::try_from(packet.if_id).unwrap_or(usize::MAX);

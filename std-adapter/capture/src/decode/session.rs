@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use bcap_core::bcap::{Decoder, Frame, FunctionId, Kind, Object, Progress};
+use bcap_core::bcap::{Decoder, EOT, Frame, FunctionId, Header, Kind, MIN_FRAME, Object, Progress};
 use bcap_core::hresult::HResult;
 use bcap_core::limits::Strictness;
 use bcap_core::variant::Variant;
@@ -41,6 +41,8 @@ pub(crate) struct Session {
     decoder: Decoder,
     /// Bytes of incomplete frames, from the client and from the server.
     partial: [Vec<u8>; 2],
+    /// Whether the next bytes of each may be in the middle of a frame.
+    is_lost: [bool; 2],
     /// Calls without a reply, by an index that counts calls.
     pending: HashMap<u64, Pending>,
     count: u64,
@@ -56,6 +58,7 @@ impl Session {
             link,
             decoder: Decoder { limits: LIMITS, strictness, crc: false },
             partial: Default::default(),
+            is_lost: [false; 2],
             pending: HashMap::new(),
             count: 0,
             serials: HashMap::new(),
@@ -70,26 +73,45 @@ impl Session {
         buffer.extend_from_slice(bytes);
         let mut used = 0;
         while let Some(rest) = buffer.get(used..).filter(|rest| !rest.is_empty()) {
-            match self.decoder.decode(rest) {
+            let error = match self.decoder.decode(rest) {
                 Ok(Progress::Complete(frame, length)) => {
                     self.frame(role, &frame, at, false, out);
+                    self.is_lost[role.index()] = false;
                     used += length;
+                    continue;
                 }
-                Ok(Progress::NeedMore(_)) => break,
-                Err(error) => {
-                    let skipped = self.decoder.resync(rest).max(1);
-                    let sender = role.sender();
-                    out.push(Found::Note(at, format!("{sender}: {skipped} bytes are not a frame: {error}")));
-                    used += skipped;
-                }
-            }
+                Ok(Progress::NeedMore(_)) if !self.is_lost[role.index()] || is_plausible(role, rest) => break,
+                Ok(Progress::NeedMore(_)) => "they are in the middle of one".to_owned(),
+                Err(error) => error.to_string(),
+            };
+            let skipped = self.skipped(role, rest);
+            self.is_lost[role.index()] = true;
+            out.push(Found::Note(at, format!("{}: {skipped} bytes are not a frame: {error}", role.sender())));
+            used += skipped;
         }
         buffer.drain(..used);
         self.partial[role.index()] = buffer;
     }
 
+    /// Returns how many bytes are not a frame: a whole one if only its values are invalid, otherwise those before the next header.
+    fn skipped(&self, role: Role, bytes: &[u8]) -> usize {
+        let ends = |length: &usize| bytes.get(..*length).is_some_and(|frame| frame.ends_with(&[EOT]));
+        if let Some(length) = self.decoder.frame_length(bytes).ok().flatten().filter(ends) {
+            return length;
+        }
+        let mut skipped = 0;
+        while let Some(rest) = bytes.get(skipped..).filter(|rest| !rest.is_empty()) {
+            if skipped > 0 && is_plausible(role, rest) {
+                break;
+            }
+            skipped += self.decoder.resync(rest).max(1);
+        }
+        skipped
+    }
+
     /// Records that the capture lacks bytes of one direction.
     pub(crate) fn missing(&mut self, role: Role, count: u64, at: u64, out: &mut Vec<Found>) {
+        self.is_lost[role.index()] = true;
         let lost = std::mem::take(&mut self.partial[role.index()]).len();
         let cut = if lost > 0 { format!(", inside a frame of which {lost} bytes are there") } else { String::new() };
         out.push(Found::Note(at, format!("{}: the capture lacks {count} bytes{cut}", role.sender())));
@@ -243,4 +265,22 @@ fn object_name(object: Object, name: &str, owner: Option<&str>) -> String {
         Some(owner) => format!("{owner}/{own}"),
         None => own,
     }
+}
+
+/// Returns whether bytes that have SOH and a length can be a header, or the start of one. Values have many such bytes.
+fn is_plausible(role: Role, bytes: &[u8]) -> bool {
+    const MOST_ARGUMENTS: u16 = 64;
+    /// The bytes of an argument without data.
+    const ARGUMENT: usize = 10;
+    const LONGEST: usize = 1 << 20;
+    let Some(header) = Header::read(bytes) else { return true };
+    let is_known = match role {
+        Role::Request => header.function().name().is_some(),
+        // few results without an error are in use
+        Role::Response => header.code < 0x1000,
+    };
+    let shortest = MIN_FRAME + usize::from(header.count) * ARGUMENT;
+    is_known
+        && header.count <= MOST_ARGUMENTS
+        && usize::try_from(header.length).is_ok_and(|length| (shortest..LONGEST).contains(&length))
 }

@@ -239,7 +239,8 @@ local function date_text(days)
         return number_text(days, 15)
     end
     local day = days < 0 and math.ceil(days) or math.floor(days)
-    local second = math.floor(math.abs(days - day) * 86400 + 0.5)
+    -- rounded, but not to the next day
+    local second = math.min(math.floor(math.abs(days - day) * 86400 + 0.5), 86399)
     -- days since 0000-03-01, in eras of 400 years
     local z = day - 25569 + 719468
     local era = math.floor(z / 146097)
@@ -997,10 +998,22 @@ local function show_cut(tvb, pinfo, tree, packet)
     add_info(pinfo, packet, "[a part of a frame]")
 end
 
+-- Whether bytes can be a header, or the start of one: values contain many that only have SOH and a length.
+local function is_plausible(raw, at)
+    local length = length_of(raw, at)
+    if not length or #raw < at + 15 then
+        return length ~= nil
+    end
+    local a, b, c, d, low, high = raw:byte(at + 10, at + 15)
+    local code, count = a + b * 256 + c * 65536 + d * 16777216, low + high * 256
+    local is_known = FUNCTIONS[code] or result_row(code)
+    return is_known and count <= MOST_ARGUMENTS and count * 10 <= length - SHORTEST and length < 1048576
+end
+
 -- The position of the next byte that can begin a frame, or the end of the bytes.
 local function next_start(raw, at)
     local start = raw:find(string.char(SOH), at + 1, true)
-    while start and not length_of(raw, start - 1) do
+    while start and not is_plausible(raw, start - 1) do
         start = raw:find(string.char(SOH), start + 1, true)
     end
     return start and start - 1 or #raw
@@ -1238,9 +1251,7 @@ local function looks_like_frame(tvb, is_datagram)
     elseif length <= bytes and raw:byte(length) ~= EOT then
         return false
     end
-    local code, count = tvb(9, 4):le_uint(), tvb(13, 2):le_uint()
-    local is_known = FUNCTIONS[code] or result_row(code)
-    return is_known and count <= MOST_ARGUMENTS and count * 10 <= length - SHORTEST and length < 1048576
+    return is_plausible(raw, 0)
 end
 
 bcap:register_heuristic("tcp", function(tvb, pinfo, tree)

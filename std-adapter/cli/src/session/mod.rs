@@ -152,11 +152,15 @@ impl Session {
 
     /// Ends the session after a command. A failure of the end is the command's, unless the command has failed itself.
     pub(crate) fn end_after(&mut self, done: Result<(), Failure>) -> Result<(), Failure> {
-        if done.is_err() {
-            self.close();
-            return done;
+        match done {
+            // which says nothing about the robot
+            Err(closed) if closed.is_closed_output() => self.end().and(Err(closed)),
+            Err(failure) => {
+                self.close();
+                Err(failure)
+            }
+            Ok(()) => self.end(),
         }
-        self.end()
     }
 
     /// Ends the session: gives the arm back, releases all objects and stops the service. Fails if the robot may still move, or its

@@ -167,6 +167,14 @@ impl Checker {
         }
     }
 
+    /// Checks words that may not run: the lines after an `exit` are checked, too.
+    fn perhaps(&mut self, words: &[String]) -> Result<Checked, Failure> {
+        Ok(match self.words(words)? {
+            Checked::Exit => Checked::Continue,
+            checked => checked,
+        })
+    }
+
     fn command(&mut self, command: LineCommand) -> Result<Checked, Failure> {
         match command {
             LineCommand::Verb(command) => match *command {
@@ -175,11 +183,14 @@ impl Checker {
                 command => (self.check)(&command)?,
             },
             LineCommand::Set { name, value } => set(&mut self.variables, &name, &value)?,
-            LineCommand::Repeat { words, .. } => return repeated(&words).and_then(|()| self.words(&words)),
+            LineCommand::Repeat { words, .. } => {
+                repeated(&words)?;
+                return self.perhaps(&words);
+            }
             LineCommand::While { words } | LineCommand::If { words } => {
                 let (condition, words) = guarded(&words)?;
                 ObjectPath::variable(&condition.name)?;
-                return self.words(words);
+                return self.perhaps(words);
             }
             LineCommand::Wait { condition, .. } | LineCommand::Expect { condition } => {
                 ObjectPath::variable(&condition.name)?;

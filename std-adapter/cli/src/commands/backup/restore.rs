@@ -166,8 +166,6 @@ fn show(plan: &Plan, most: usize, json: bool) -> Result<(), Failure> {
 /// Records and reports how the restore ended.
 fn conclude(dir: &Path, journal: &mut Journal, written: Result<(), Failure>, json: bool) -> Result<(), Failure> {
     journal.end(&written.as_ref().err().map_or("complete".into(), ToString::to_string))?;
-    if let Some(past) = Past::read(dir)? {
-        summary(&past, json)?;
-    }
-    written
+    let shown = Past::read(dir)?.map_or(Ok(()), |past| summary(&past, json));
+    written.and(shown)
 }

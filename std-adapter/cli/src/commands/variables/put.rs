@@ -114,7 +114,7 @@ pub(crate) fn put(args: &Put, session: &mut Session, json: bool) -> Result<(), F
                 let arguments = [Value::new(variable)?, value.clone()];
                 let written = session.call(&write.name, FunctionId::VARIABLE_PUT_VALUE, &arguments);
                 written.map_err(|failure| after(failure, done, total))?;
-                print(&shown(&write.name, value, json), json)?;
+                print(&shown(&write.name, value, json), json).map_err(|error| after(error.into(), done + 1, total))?;
             }
             Ok(())
         })?;
@@ -161,11 +161,15 @@ fn prepare(session: &mut Session, write: &Write) -> Result<(i32, Value), Failure
     Ok((variable, value))
 }
 
-/// Adds to a refusal how many of several variables have been written.
+/// Adds to a failure how many of several variables have been written.
 fn after(failure: Failure, done: usize, total: usize) -> Failure {
     match failure {
         Failure::Refused { doing, code } if total > 1 => {
             Failure::Refused { doing: format!("{doing} ({done} of {total} are written)"), code }
+        }
+        Failure::Stdio(error) if total > 1 => {
+            let message = format!("{error} ({done} of {total} are written)");
+            Failure::Stdio(io::Error::new(error.kind(), message))
         }
         failure => failure,
     }

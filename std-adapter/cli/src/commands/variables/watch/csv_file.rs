@@ -1,7 +1,7 @@
 //! The table of `bcap watch --csv`: a row for each round.
 
 use std::fs::File;
-use std::io::{self, Write};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -9,11 +9,13 @@ use bcap_capture::decode::csv;
 use bcap_core::variant::{OwnedVariant as Value, Variant};
 
 use crate::failure::{Failure, of_file};
+use crate::output::print_line;
 use bcap_capture::value::data;
 
 /// A table under way; the first row decides its columns.
 pub(crate) struct Table {
-    out: Box<dyn Write>,
+    /// The file, unless it is the standard output.
+    file: Option<File>,
     path: PathBuf,
     /// The number of cells of each variable.
     widths: Vec<usize>,
@@ -22,12 +24,9 @@ pub(crate) struct Table {
 impl Table {
     /// Makes the file, or uses the standard output for `-`.
     pub(crate) fn create(path: &Path) -> Result<Self, Failure> {
-        let out: Box<dyn Write> = if path == Path::new("-") {
-            Box::new(io::stdout())
-        } else {
-            Box::new(File::create(path).map_err(of_file(path))?)
-        };
-        Ok(Self { out, path: path.to_owned(), widths: Vec::new() })
+        let is_file = path != Path::new("-");
+        let file = is_file.then(|| File::create(path).map_err(of_file(path))).transpose()?;
+        Ok(Self { file, path: path.to_owned(), widths: Vec::new() })
     }
 
     /// Adds a row.
@@ -67,8 +66,10 @@ impl Table {
     }
 
     fn write(&mut self, row: &[String]) -> Result<(), Failure> {
-        let written = writeln!(self.out, "{}", csv::row(row)).and_then(|()| self.out.flush());
-        // a closed pipe of the standard output is no error
-        written.map_err(|error| if self.path == Path::new("-") { error.into() } else { of_file(&self.path)(error) })
+        let row = csv::row(row);
+        match &mut self.file {
+            Some(file) => writeln!(file, "{row}").map_err(of_file(&self.path)),
+            None => Ok(print_line(&row)?),
+        }
     }
 }

@@ -150,6 +150,9 @@ impl Output {
 
     fn end_round(&mut self, began: Duration, names: &[String]) -> Result<(), Failure> {
         let is_new = std::mem::take(&mut self.is_new);
+        if let Some(samples) = &mut self.samples {
+            samples.end_round(self.start.elapsed())?;
+        }
         match &mut self.table {
             Some(table) if is_new => table.push(began, names, self.last.iter().flatten()),
             _ => Ok(()),
