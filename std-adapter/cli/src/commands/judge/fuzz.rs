@@ -86,7 +86,7 @@ pub(crate) struct Fuzz {
 
     /// Sends every function of the specification, and commands that move or set, such as Draw, Motor, SetTool and KillAll
     ///
-    /// The robot moves, tasks start and stop, and settings and files change. docs/fuzzing-devices.md lists the commands.
+    /// The robot moves, tasks start and stop, and settings and files change. `bcap call --list --effects` lists them.
     #[arg(long)]
     pub(crate) with_motion: bool,
 
