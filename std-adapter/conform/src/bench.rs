@@ -493,6 +493,11 @@ impl<'a> Bench<'a> {
         }
     }
 
+    /// Tells whether the run is to end, so that no motion may begin.
+    pub(crate) fn was_interrupted(&self) -> bool {
+        self.is_interrupted.is_some_and(|is_interrupted| is_interrupted())
+    }
+
     pub(crate) fn argument(&self, arg: &Arg) -> Result<Value, Stop> {
         let handle = |slot: Slot| match self.handles[slot as usize] {
             Some(handle) => Ok(handle),

@@ -23,7 +23,8 @@ impl Bench<'_> {
                 serial = *number;
             }
         }
-        self.send(&bytes, &format!("edited {edits:?}: {}", describe(&bytes)))?;
+        // a device may close the connection before it has received a large frame; `receive` reports that
+        let _ = self.send(&bytes, &format!("edited {edits:?}: {}", describe(&bytes)));
         // a device may drop an invalid datagram
         let is_dropped = self.link == Link::Udp && reaction != Reaction::Served;
         let came = self.receive_within(if is_dropped { self.options.quiet } else { self.options.timeout });
@@ -111,4 +112,26 @@ fn nested(depth: usize) -> Vec<u8> {
     let mut argument = u32::try_from(value.len()).unwrap_or(u32::MAX).to_le_bytes().to_vec();
     argument.append(&mut value);
     argument
+}
+
+#[cfg(test)]
+mod tests {
+    use bcap_sim::{Config, Controller, Profile};
+    use bcap_std::server::Limits;
+    use bcap_tests::served::Served;
+
+    use super::*;
+    use crate::device::{Options, Target};
+
+    /// The connection takes no bytes, as after a device has closed it in the middle of a large frame.
+    #[test]
+    fn a_frame_that_the_connection_does_not_take_is_refused() {
+        let served = Served::of(Controller::new(Config::new(Profile::Rc8)), Limits::default());
+        let options = Options::new(Target { bcap: Some((Link::Tcp, served.tcp)), rac: None });
+        let mut bench = Bench::new(&options, Link::Tcp);
+        bench.connect().unwrap();
+        bench.wire.as_ref().unwrap().finish().unwrap();
+        let judged = bench.edited(&[Edit::Nested(150_000)], Reaction::Refused);
+        assert!(judged.is_ok(), "{judged:?}");
+    }
 }

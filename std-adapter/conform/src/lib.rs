@@ -61,7 +61,8 @@ pub fn cases() -> &'static [Case] {
 
 /// Judges a device: runs the chosen cases, one after the other, and passes each result to `each`.
 ///
-/// Before each case it asks `ended` whether to end early; the arm is given back and variables are restored by then.
+/// Before each case it asks `ended` whether to end early; the arm is given back and variables are restored by then. A case
+/// that moves an axis asks it before each motion, and is skipped if it returns true.
 pub fn run(options: &Options, mut each: impl FnMut(&CaseResult), ended: impl Fn() -> bool) -> Report {
     let mut report = Report::default();
     // the next case restores values that this one could not restore

@@ -8,7 +8,7 @@ use bcap_testkit::frame::TestFrame;
 use bcap_testkit::value::Value;
 
 use crate::bench::{Bench, Stop, fail};
-use crate::language::{Arg, Setup, Slot, Want};
+use crate::language::{Arg, Level, Setup, Slot, Want};
 use crate::reply::{Came, request_text};
 
 /// The longest turn of an axis at the slow speed of cases.
@@ -38,10 +38,11 @@ impl<'a> Bench<'a> {
         armed.and(stopped).and(restored)
     }
 
-    /// Clears the errors of the controller, if calls of this case have caused all of them.
+    /// Clears the errors of the controller, if calls of this case have caused all of them. Below level `motion` nothing is cleared,
+    /// because the commands for it change the state of the controller and the robot.
     fn clear_own_errors(&mut self) {
         let caused = std::mem::take(&mut self.caused);
-        if caused.is_empty() {
+        if caused.is_empty() || self.options.level < Level::Motion {
             return;
         }
         // a device without errors, or that does not answer, is left as it is
@@ -111,7 +112,7 @@ impl<'a> Bench<'a> {
     /// Turns the axis back that the case has turned, but not after an interruption.
     fn turn_back(&mut self) -> Result<(), Stop> {
         let Some(back) = self.way_back.take() else { return Ok(()) };
-        if self.is_interrupted.is_some_and(|is_interrupted| is_interrupted()) {
+        if self.was_interrupted() {
             return Ok(());
         }
         let handle = self.argument(&Arg::H(Slot::Robot))?;

@@ -93,6 +93,8 @@ struct Small {
     link: Link,
     serial: u16,
     fault: &'static str,
+    /// The option of Service_Start.
+    option: &'static str,
     /// How long an attempt may take. Over UDP the client then sends the call again, over TCP it goes on with its next call.
     attempt: Duration,
 }
@@ -102,7 +104,8 @@ impl Small {
     fn connect(address: SocketAddr, link: Link, fault: &'static str) -> Self {
         let wire = Wire::connect(link, address, Duration::from_secs(5)).unwrap();
         let serial = if fault == "serial-not-0" { 0 } else { 1 };
-        Self { wire, link, serial, fault, attempt: Duration::from_millis(1500) }
+        let option = if fault == "wdt-option" { "WDT=10" } else { "WDT=400" };
+        Self { wire, link, serial, fault, option, attempt: Duration::from_millis(1500) }
     }
 
     fn is(&self, fault: &str) -> bool {
@@ -111,7 +114,8 @@ impl Small {
 
     /// Sends a call; `first` is the serial of its first attempt.
     fn send(&mut self, function: F, args: &[Value], first: Option<u16>) -> u16 {
-        let serial = self.serial;
+        // this fault is a retransmission with the serial of the first attempt
+        let serial = first.filter(|_| self.is("retry-has-a-new-serial")).unwrap_or(self.serial);
         let marker = if self.link == Link::Udp { first.unwrap_or(serial) } else { 0 };
         let reserved = if self.is("reserved-0") { serial } else { marker };
         let frame = TestFrame { serial, reserved, code: function.0, args: args.to_vec() };
@@ -159,7 +163,7 @@ impl Small {
             return match self.reply(first) {
                 Ok((HResult::E_FAIL, _)) if self.is("refusal-survived") => None,
                 Ok((_, value)) => Some(value.unwrap_or(Value::Empty)),
-                Err(Received::Silence) if self.link == Link::Udp => {
+                Err(Received::Silence) if self.link == Link::Udp && !self.is("retry-after-loss") => {
                     self.send(function, args, Some(first));
                     continue;
                 }
@@ -173,8 +177,7 @@ impl Small {
     fn session(&mut self) -> Option<()> {
         let text = Value::text;
         if !self.is("start-first") {
-            let option = if self.is("wdt-option") { "WDT=10" } else { "WDT=400" };
-            self.call(F::SERVICE_START, &[text(option)])?;
+            self.call(F::SERVICE_START, &[text(self.option)])?;
         }
         let mut connect = vec![text(""), text("CaoProv.DENSO.VRC"), text("localhost"), text("")];
         if self.is("argument-count") {
@@ -244,6 +247,59 @@ fn a_client_that_retries_early_is_right() {
         for case in ["other-serial-ignored", "foreign-datagram-ignored", "retry-after-loss", "late-reply-dropped"] {
             assert!(passed(&format!("client/{case}")), "{attempt} ms: {case}: {:?}", report.results);
         }
+    }
+}
+
+/// Runs the small client over UDP with a fault.
+fn small_over_udp(fault: &'static str) -> Report {
+    judged(Link::Udp, 1, move |address| {
+        let _ = Small::connect(address, Link::Udp, fault).session();
+    })
+}
+
+/// The next call of a client that gives up a call without a reply is no retransmission.
+#[test]
+fn a_client_that_does_not_retry_fails_for_this_alone() {
+    let report = small_over_udp("retry-after-loss");
+    assert_eq!(failures(&report), ["client/retry-after-loss"], "{:?}", report.results);
+}
+
+#[test]
+fn a_retry_with_the_serial_of_the_first_attempt_fails() {
+    let report = small_over_udp("retry-has-a-new-serial");
+    assert!(failures(&report).contains(&"client/retry-has-a-new-serial"), "{:?}", report.results);
+    assert!(!failures(&report).contains(&"client/retry-after-loss"), "{:?}", report.results);
+}
+
+#[test]
+fn a_second_session_on_one_connection_needs_a_stop_too() {
+    for (fault, failing) in [("", &[][..]), ("stop-at-the-end", &["client/stop-at-the-end"][..])] {
+        let report = judged(Link::Tcp, 1, move |address| {
+            let mut small = Small::connect(address, Link::Tcp, "");
+            assert_eq!(small.session(), Some(()));
+            small.fault = fault;
+            assert_eq!(small.session(), Some(()));
+        });
+        assert_eq!(failures(&report), failing, "{:?}", report.results);
+    }
+}
+
+#[test]
+fn every_form_of_the_option_wdt_is_judged() {
+    for (option, verdict) in [
+        ("WDT=(400)", Verdict::Pass),
+        ("WDT=0x190", Verdict::Pass),
+        ("wdt=10", Verdict::Fail),
+        ("WDT = 10", Verdict::Fail),
+        (" wdt = [ 0x190 ] , WDT=10", Verdict::Pass),
+        ("Other=400,WDT=<0x10>", Verdict::Fail),
+        ("InvokeTimeout=180000", Verdict::Skip),
+    ] {
+        let report = judged(Link::Tcp, 1, move |address| {
+            let _ = Small { option, ..Small::connect(address, Link::Tcp, "") }.session();
+        });
+        let result = report.results.iter().find(|result| result.name == "client/wdt-option").unwrap();
+        assert_eq!(result.verdict, verdict, "{option}: {}", result.text());
     }
 }
 

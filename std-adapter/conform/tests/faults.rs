@@ -286,6 +286,40 @@ const FAULTS: &[Fault] = &[
     of_request("a retransmission over UDP opens a second object", Link::Udp, "udp/copy-of-open", |_, frame| {
         Some(TestFrame { reserved: frame.serial, ..frame })
     }),
+    Fault {
+        name: "a marker alone makes a copy",
+        hooks: Hooks {
+            reply: |memory, request, frame| match F(request.code) {
+                F::CONTROLLER_GET_VARIABLE => {
+                    memory.handle = frame.args.first().cloned();
+                    frame.to_wire(false)
+                }
+                F::VARIABLE_GET_VALUE if request.reserved != request.serial => {
+                    let handle = memory.handle.clone();
+                    with_value(frame, |_| handle.clone())
+                }
+                _ => frame.to_wire(false),
+            },
+            ..Hooks::HONEST
+        },
+        link: Link::Udp,
+        case: "udp/same-serial-other-function",
+    },
+    Fault {
+        name: "a datagram of 500 bytes",
+        hooks: Hooks {
+            reply: |_, request, frame| match F(request.code) {
+                F::CONTROLLER_GET_VARIABLE_NAMES => {
+                    let names = Value::Array(8, vec![Value::text(&"a".repeat(235))]);
+                    TestFrame { code: 0, args: vec![names], ..frame }.to_wire(false)
+                }
+                _ => frame.to_wire(false),
+            },
+            ..Hooks::HONEST
+        },
+        link: Link::Udp,
+        case: "udp/reply-of-488-bytes",
+    },
     of_request("a retransmission over UDP is not answered", Link::Udp, "udp/copy-of-start", |_, frame| {
         [0, frame.serial].contains(&frame.reserved).then_some(frame)
     }),
@@ -329,16 +363,28 @@ const FAULTS: &[Fault] = &[
     }),
 ];
 
-/// Runs one case against the controller behind a relay, and returns the verdict and the text of the result.
+/// Runs one case of level `motion` against the controller behind a relay, and returns the verdict and the text of the result.
 fn judged(served: &Served<Controller>, hooks: Hooks, link: Link, case: &str) -> (Verdict, String) {
+    judged_until(served, hooks, link, Level::Motion, case, || false)
+}
+
+/// Runs one case at a level until `ended` returns true.
+fn judged_until(
+    served: &Served<Controller>,
+    hooks: Hooks,
+    link: Link,
+    level: Level,
+    case: &str,
+    ended: impl Fn() -> bool,
+) -> (Verdict, String) {
     let relay = Relay::start(hooks, served.tcp, served.udp, served.rac);
     let target = bcap_conform::Target {
         bcap: Some((link, if link == Link::Tcp { relay.tcp } else { relay.udp })),
         rac: Some(relay.rac),
     };
     let timeout = std::time::Duration::from_secs(2);
-    let options = Options { level: Level::Motion, cases: vec![case.into()], timeout, ..Options::new(target) };
-    let report = run(&options, |_| (), || false);
+    let options = Options { level, cases: vec![case.into()], timeout, ..Options::new(target) };
+    let report = run(&options, |_| (), ended);
     let [result] = report.results.as_slice() else { panic!("no case is named {case}") };
     (result.verdict, result.text())
 }
@@ -362,7 +408,7 @@ fn every_planted_fault_is_caught_by_its_case() {
     assert_eq!(missed, []);
     let names: BTreeSet<_> = FAULTS.iter().map(|fault| fault.name).collect();
     // the number in docs/conformance.md
-    assert_eq!((names.len(), FAULTS.len()), (51, 51));
+    assert_eq!((names.len(), FAULTS.len()), (53, 53));
 }
 
 #[test]
@@ -396,6 +442,139 @@ fn a_motion_that_is_too_short_for_keep_alives_does_not_pass() {
     // skipped; it fails on a machine that is too busy for a short motion
     let (verdict, text) = judged(&served, hooks, Link::Tcp, "timeouts/keep-alives-of-a-motion");
     assert_ne!(verdict, Verdict::Pass, "{text}");
+}
+
+#[test]
+fn a_motion_that_is_too_short_for_keep_alives_without_wdt_does_not_pass() {
+    let served = rc8(100.0);
+    // each motion becomes a call that only reads
+    let request: relay::OnRequest = |_, mut frame| {
+        if is_command(&frame, "DriveEx") {
+            (frame.args[1], frame.args[2]) = (Value::text("CurJnt"), Value::Empty);
+        }
+        Some(frame)
+    };
+    let hooks = Hooks { request, ..Hooks::HONEST };
+    // a busy machine may take 400 ms for such a call once
+    let skips = |_| judged(&served, hooks, Link::Tcp, "timeouts/no-keep-alive-without-wdt").0 == Verdict::Skip;
+    assert!((0..3).any(skips));
+}
+
+#[test]
+fn after_an_interruption_no_motion_begins() {
+    static IS_ENDED: AtomicBool = AtomicBool::new(false);
+    static MOTIONS: AtomicUsize = AtomicUsize::new(0);
+    let served = rc8(40.0);
+    let before = state(&served);
+    let request: relay::OnRequest = |_, frame| {
+        if is_command(&frame, "Motor") {
+            IS_ENDED.store(true, Ordering::SeqCst);
+        }
+        if is_command(&frame, "DriveEx") || is_command(&frame, "DriveAEx") {
+            MOTIONS.fetch_add(1, Ordering::SeqCst);
+        }
+        Some(frame)
+    };
+    let hooks = Hooks { request, ..Hooks::HONEST };
+    let ended = || IS_ENDED.load(Ordering::SeqCst);
+    let case = "timeouts/no-keep-alive-without-wdt";
+    let (verdict, text) = judged_until(&served, hooks, Link::Tcp, Level::Motion, case, ended);
+    assert_eq!((verdict, MOTIONS.load(Ordering::SeqCst)), (Verdict::Skip, 0), "{text}");
+    assert!(text.contains("interrupted"), "{text}");
+    assert_restored(&before, &served, &text);
+}
+
+/// Commands that change the state of the controller need level `motion`, even to clear the errors that a case has caused.
+#[test]
+fn a_case_that_reads_clears_no_errors() {
+    static HAS_ERROR: AtomicBool = AtomicBool::new(false);
+    static COMMANDS: Mutex<Vec<Value>> = Mutex::new(Vec::new());
+    let request: relay::OnRequest = |_, frame| {
+        if [F::CONTROLLER_EXECUTE, F::ROBOT_EXECUTE].contains(&F(frame.code)) {
+            COMMANDS.lock().unwrap().extend(frame.args.get(1).cloned());
+        }
+        Some(frame)
+    };
+    // the first GetCurErrorCount is refused, and its code is the error of the controller from then on
+    let reply: relay::OnReply = |_, request, frame| {
+        let is =
+            |name: &str| F(request.code) == F::CONTROLLER_EXECUTE && request.args.get(1) == Some(&Value::text(name));
+        let code = HResult::E_SLVMODE_ON.0;
+        let (code, args) = if is("GetCurErrorInfo") {
+            (0, vec![Value::Array(12, vec![Value::I4(code), Value::text("")])])
+        } else if !is("GetCurErrorCount") {
+            (frame.code, frame.args)
+        } else if HAS_ERROR.swap(true, Ordering::SeqCst) {
+            (0, vec![Value::I4(1)])
+        } else {
+            (code, vec![])
+        };
+        TestFrame { code, args, ..frame }.to_wire(false)
+    };
+    let hooks = Hooks { request, reply, ..Hooks::HONEST };
+    let served = rc8(100.0);
+    for (level, clears) in [(Level::Read, false), (Level::Write, false), (Level::Motion, true)] {
+        HAS_ERROR.store(false, Ordering::SeqCst);
+        COMMANDS.lock().unwrap().clear();
+        let (verdict, text) = judged_until(&served, hooks, Link::Tcp, level, "variables/error-count", || false);
+        assert_eq!(verdict, Verdict::Fail, "{text}");
+        let sent = |name: &str| COMMANDS.lock().unwrap().contains(&Value::text(name));
+        assert_eq!((sent("ClearError"), sent("ManualResetPreparation")), (clears, clears), "{level:?}: {text}");
+    }
+}
+
+#[test]
+fn a_value_that_equals_a_handle_is_no_repeated_reply() {
+    // the handle of the controller is 2, those of the variables are 3 and 4
+    for (value, verdict) in [(3, Verdict::Pass), (4, Verdict::Skip)] {
+        let served = rc8(100.0);
+        assert_eq!(answer_of(served.rac, &format!("PUT:RC8:1:I:3,{value}\r")), "0\r");
+        let (found, text) = judged(&served, Hooks::HONEST, Link::Udp, "udp/same-serial-other-function");
+        assert_eq!(found, verdict, "I1 is {value}: {text}");
+    }
+}
+
+#[test]
+fn a_device_without_the_object_of_a_case_over_udp_is_skipped() {
+    let served = rc8(100.0);
+    let no_variables: relay::OnReply = |_, request, frame| match F(request.code) {
+        F::CONTROLLER_GET_VARIABLE => {
+            TestFrame { code: HResult::E_CAO_OBJECT_NOTFOUND.0, args: vec![], ..frame }.to_wire(false)
+        }
+        F::CONTROLLER_GET_VARIABLE_NAMES => {
+            TestFrame { code: HResult::E_NOTIMPL.0, args: vec![], ..frame }.to_wire(false)
+        }
+        _ => frame.to_wire(false),
+    };
+    let hooks = Hooks { reply: no_variables, ..Hooks::HONEST };
+    for case in ["udp/reserved-0-means-serial", "udp/reply-of-488-bytes"] {
+        let (verdict, text) = judged(&served, hooks, Link::Udp, case);
+        assert_eq!(verdict, Verdict::Skip, "{text}");
+    }
+}
+
+/// A device that closes the connection when it has read the length of a large frame.
+#[test]
+fn a_large_frame_may_be_refused_by_its_length() {
+    let served = rc8(100.0);
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    thread::spawn(move || {
+        for mut client in listener.incoming().map(Result::unwrap) {
+            let mut head = [0; 5];
+            if client.read_exact(&mut head).is_ok() && field::length(&head).is_some_and(|length| length <= 4096) {
+                let mut server = TcpStream::connect(served.tcp).unwrap();
+                server.write_all(&head).unwrap();
+                copy(server.try_clone().unwrap(), client.try_clone().unwrap(), address, None);
+                copy(client, server, address, None);
+            }
+        }
+    });
+    for case in ["types/bstr-65536-characters", "types/nested-150000-deep"] {
+        let target = bcap_conform::Target { bcap: Some((Link::Tcp, address)), rac: None };
+        let report = run(&Options { cases: vec![case.into()], ..Options::new(target) }, |_| {}, || false);
+        assert_eq!(report.count(Verdict::Pass), 1, "{:?}", report.results);
+    }
 }
 
 /// Sends a line to a port of RAC, and returns the answer.
@@ -456,6 +635,26 @@ fn a_task_that_starts_with_an_error_is_stopped() {
     // a task that still runs would skip the case
     let (verdict, text) = judged(&served, Hooks::HONEST, Link::Tcp, "tasks/start-and-stop");
     assert_eq!(verdict, Verdict::Pass, "{text}");
+}
+
+#[test]
+fn a_task_that_does_not_start_does_not_pass() {
+    let served = rc8(100.0);
+    let request: relay::OnRequest = |_, mut frame| {
+        if F(frame.code) == F::TASK_START {
+            // a call that succeeds and starts nothing
+            (frame.code, frame.args) = (F::TASK_GET_NAME.0, frame.args[..1].to_vec());
+        }
+        Some(frame)
+    };
+    let reply: relay::OnReply = |_, request, frame| match F(request.code) {
+        F::TASK_START => TestFrame { args: vec![], ..frame }.to_wire(false),
+        _ => frame.to_wire(false),
+    };
+    let hooks = Hooks { request, reply, ..Hooks::HONEST };
+    let (verdict, text) = judged(&served, hooks, Link::Tcp, "tasks/start-and-stop");
+    assert_eq!(verdict, Verdict::Skip, "{text}");
+    assert!(text.contains("the program had ended before its status was read"), "{text}");
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! The oracle of the binary format: a simple recursive, allocating decoder that the core is compared with.
 //!
-//! It returns the decoded value or rejects the bytes; it does not report the error.
+//! It returns the decoded value or rejects the bytes; it does not report the error. Unlike the core, it rejects a frame with more than
+//! 262,144 elements of EMPTY and NULL, because each of them takes memory here and no bytes there.
 
 use bcap_core::limits::{Limits, Strictness};
 
@@ -28,6 +29,9 @@ pub enum Verdict {
     /// The bytes do not begin a valid frame.
     Refused,
 }
+
+/// The maximum number of array elements of EMPTY and NULL in a frame. A frame of up to 6 KiB cannot exceed it.
+const MAX_EMPTY: u64 = 1 << 18;
 
 /// The rest of the input.
 type Input<'a> = &'a [u8];
@@ -96,18 +100,20 @@ impl Oracle {
         if count > u64::from(self.limits.arguments) {
             return None;
         }
-        let args = (0..count).map(|_| self.argument(&mut rest)).collect::<Option<Vec<_>>>()?;
+        let mut empty = MAX_EMPTY;
+        let args = (0..count).map(|_| self.argument(&mut rest, &mut empty)).collect::<Option<Vec<_>>>()?;
         if self.strictness == Strictness::Strict && !rest.is_empty() {
             return None;
         }
         Some(TestFrame { serial, reserved, code, args })
     }
 
-    fn argument(&self, input: &mut Input<'_>) -> Option<Value> {
+    /// Decodes an argument; `empty` is the number of elements without data that the frame may still have.
+    fn argument(&self, input: &mut Input<'_>, empty: &mut u64) -> Option<Value> {
         let declared = le(input, 4)? as usize;
         if self.strictness == Strictness::Strict {
             let mut value = take(input, declared)?;
-            let decoded = self.value(&mut value)?;
+            let decoded = self.value(&mut value, empty)?;
             return value.is_empty().then_some(decoded);
         }
         // a value of unknown type is as long as its argument says, any other as long as it is
@@ -120,44 +126,48 @@ impl Oracle {
             let bytes = take(input, declared)?[2..].to_vec();
             return Some(Value::Opaque(vartype, bytes));
         }
-        self.value(input)
+        self.value(input, empty)
     }
 
     /// Decodes bytes that should be one value.
     #[must_use]
     pub fn decode_value(&self, mut bytes: &[u8]) -> Option<Value> {
-        let value = self.value(&mut bytes)?;
+        let mut empty = MAX_EMPTY;
+        let value = self.value(&mut bytes, &mut empty)?;
         (bytes.is_empty() || self.strictness == Strictness::Lenient).then_some(value)
     }
 
-    fn value(&self, input: &mut Input<'_>) -> Option<Value> {
-        self.nested(input, usize::from(self.limits.depth.min(bcap_core::limits::MAX_DEPTH)))
+    fn value(&self, input: &mut Input<'_>, empty: &mut u64) -> Option<Value> {
+        self.nested(input, usize::from(self.limits.depth.min(bcap_core::limits::MAX_DEPTH)), empty)
     }
 
-    fn nested(&self, input: &mut Input<'_>, depth: usize) -> Option<Value> {
+    fn nested(&self, input: &mut Input<'_>, depth: usize, empty: &mut u64) -> Option<Value> {
         let (vartype, count) = (le(input, 2)? as u16, le(input, 4)?);
         let element = vartype & !ARRAY;
         if vartype & ARRAY == 0 {
             if self.strictness == Strictness::Strict && count != 1 {
                 return None;
             }
-            return self.element(element, input, depth);
+            return self.element(element, input, depth, empty);
         }
         // elements without data could be claimed by the billion
-        if width(element)? == 0 && count > 256 {
-            return None;
+        if width(element)? == 0 {
+            if count > 256 {
+                return None;
+            }
+            *empty = empty.checked_sub(count)?;
         }
         let mut items = Vec::new();
         for _ in 0..count {
             items.push(match element {
-                VARIANT => self.nested(input, depth.checked_sub(1)?)?,
-                _ => self.element(element, input, depth)?,
+                VARIANT => self.nested(input, depth.checked_sub(1)?, empty)?,
+                _ => self.element(element, input, depth, empty)?,
             });
         }
         Some(Value::Array(element, items))
     }
 
-    fn element(&self, element: u16, input: &mut Input<'_>, depth: usize) -> Option<Value> {
+    fn element(&self, element: u16, input: &mut Input<'_>, depth: usize, empty: &mut u64) -> Option<Value> {
         Some(match element {
             0 => Value::Empty,
             1 => Value::Null,
@@ -170,7 +180,7 @@ impl Oracle {
             8 => self.bstr(input)?,
             10 => Value::Error(le(input, 4)? as i32),
             11 => Value::Bool(le(input, 2)? != 0),
-            VARIANT => Value::Nested(Box::new(self.nested(input, depth.checked_sub(1)?)?)),
+            VARIANT => Value::Nested(Box::new(self.nested(input, depth.checked_sub(1)?, empty)?)),
             17 => Value::Ui1(le(input, 1)? as u8),
             18 => Value::Ui2(le(input, 2)? as u16),
             19 => Value::Ui4(le(input, 4)? as u32),
@@ -201,4 +211,31 @@ fn width(element: u16) -> Option<usize> {
         VARIANT => 6,
         _ => return None,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Decodes a frame with one argument for each count: an array of this number of arrays of 256 EMPTY.
+    fn is_accepted(strictness: Strictness, counts: &[u32]) -> bool {
+        let argument = |count: &u32| {
+            let mut bytes = count.to_le_bytes().to_vec();
+            bytes.extend([0_u8, 0x20, 0, 1, 0, 0].repeat(*count as usize));
+            Value::Opaque(ARRAY | VARIANT, bytes)
+        };
+        let args = counts.iter().map(argument).collect();
+        let bytes = TestFrame { serial: 1, reserved: 0, code: 0, args }.to_wire(false);
+        Oracle { limits: Limits::STREAM, strictness, crc: false }.decode_packet(&bytes).is_some()
+    }
+
+    #[test]
+    fn a_frame_with_too_many_elements_without_data_is_rejected() {
+        for strictness in [Strictness::Strict, Strictness::Lenient] {
+            assert!(is_accepted(strictness, &[1024]) && is_accepted(strictness, &[512, 512]));
+            assert!(!is_accepted(strictness, &[1025]) && !is_accepted(strictness, &[512, 513]));
+            // 64 KiB
+            assert!(!is_accepted(strictness, &[10_900]));
+        }
+    }
 }

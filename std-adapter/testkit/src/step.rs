@@ -186,6 +186,7 @@ impl FromStr for Step {
         let words = words(rest)?;
         match (verb, words.as_slice()) {
             ("call", [name, words @ ..]) => call(name, words).map(Self::Call),
+            ("bytes", []) => Ok(Self::Bytes(Vec::new())),
             ("bytes", [digits]) => unhex(digits).map(Self::Bytes),
             ("reconnect", []) => Ok(Self::Reconnect),
             _ => Err(format!("{verb:?} is not a step; expected call, bytes, line or reconnect")),
@@ -356,7 +357,8 @@ mod tests {
         let line = (0..=255).collect::<Vec<u8>>();
         let again = Call { delivery: Delivery::Again, ..named.clone() };
         let steps = [named, strange, joined, again].map(Step::Call).into_iter();
-        let steps = steps.chain([Step::Bytes(line.clone()), Step::Line(line), Step::Reconnect]).collect::<Vec<_>>();
+        let bytes = [line.clone(), vec![]].map(Step::Bytes);
+        let steps = steps.chain(bytes).chain([Step::Line(line), Step::Reconnect]).collect::<Vec<_>>();
         let text: String = steps.iter().map(|step| format!("{step}\n# a comment\n\n")).collect();
         assert_eq!(parse(&text), Ok(steps));
     }

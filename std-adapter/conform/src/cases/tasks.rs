@@ -41,8 +41,9 @@ fn start_and_stop(bench: &mut Bench<'_>) -> Result<(), Stop> {
         return fail("success of Task_Stop", stopped.text());
     }
     let after = bench.must(F::VARIABLE_GET_VALUE, &[H(A)], Want::Type(3))?;
-    match is_running && after.value() == running.value() {
-        true => fail("another status than 3 (running) after Task_Stop", after.text()),
-        false => Ok(()),
+    if after.value() == Some(&RUNNING) {
+        return fail("another status than 3 (running) after Task_Stop", after.text());
     }
+    // a device that starts no task shows the same status
+    if is_running { Ok(()) } else { skip("the program had ended before its status was read") }
 }

@@ -271,6 +271,11 @@ impl Play {
         self.link.repeats() && self.last.as_ref().is_some_and(is_of)
     }
 
+    /// Tells whether a request has the serial of the last one: a retransmission that needs a new serial.
+    fn is_duplicate(&self, frame: &TestFrame) -> bool {
+        self.last.as_ref().is_some_and(|last| frame.serial == last.serial)
+    }
+
     /// Judges a retransmission of the last request, and returns the reply to it.
     fn retry(
         &mut self,
@@ -415,8 +420,14 @@ impl Play {
                 return Ok(());
             }
         };
-        let Some(again) = oracle(self.link).decode_packet(&retry) else { return Ok(()) };
-        self.retry(socket, peer, &retry, &again)?.map_or(Ok(()), |reply| socket.send(&reply))
+        match oracle(self.link).decode_packet(&retry).filter(|frame| self.is_retry(frame) || self.is_duplicate(frame)) {
+            Some(again) => self.retry(socket, peer, &retry, &again)?.map_or(Ok(()), |reply| socket.send(&reply)),
+            None => {
+                self.rules.judge("retry-after-loss", false, "the same call again", describe(&retry));
+                self.early.push_back(retry);
+                Ok(())
+            }
+        }
     }
 
     /// Sends no reply until the client gives up the attempt; the late one comes before the reply to its next call.

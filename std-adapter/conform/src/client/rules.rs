@@ -140,7 +140,13 @@ impl Rules {
             self.started = true;
         }
         if self.stopped {
-            self.judge("nothing-after-stop", function == FunctionId::SERVICE_START, "no call, or Service_Start", text);
+            let starts = function == FunctionId::SERVICE_START;
+            self.judge("nothing-after-stop", starts, "no call, or Service_Start", text);
+            if starts {
+                // another session on this connection, without objects
+                self.stopped = false;
+                self.open.clear();
+            }
         }
         self.arguments(frame, text);
     }
@@ -163,10 +169,9 @@ impl Rules {
         }
         if function == FunctionId::SERVICE_START
             && let Some(Value::Bstr(option)) = frame.args.first()
-            && let Some(interval) =
-                String::from_utf16_lossy(option).split(',').find_map(|part| part.trim().strip_prefix("WDT="))
+            && let Some(interval) = wdt(&String::from_utf16_lossy(option))
         {
-            let is_long = interval.parse().is_ok_and(|interval: u32| interval >= 80);
+            let is_long = number(interval).is_some_and(|interval| interval >= 80);
             self.judge("wdt-option", is_long, "WDT=80 or more", text);
         }
         if function == FunctionId::SERVICE_STOP {
@@ -254,5 +259,24 @@ impl Rules {
             }
         });
         made.collect()
+    }
+}
+
+/// Returns the value of the option WDT without its brackets; the first one counts. Keys are case-insensitive, and blanks around key
+/// and value are dropped.
+fn wdt(options: &str) -> Option<&str> {
+    let mut options = options.split(',').filter_map(|option| option.split_once('='));
+    let (_, value) = options.find(|(key, _)| key.trim().eq_ignore_ascii_case("WDT"))?;
+    let value = value.trim();
+    let brackets = [('(', ')'), ('[', ']'), ('{', '}'), ('<', '>')];
+    let inner = brackets.iter().find_map(|(open, close)| value.strip_prefix(*open)?.strip_suffix(*close));
+    Some(inner.unwrap_or(value).trim())
+}
+
+/// Reads a decimal number, or a hexadecimal one with the prefix `0x`.
+fn number(text: &str) -> Option<u32> {
+    match text.strip_prefix("0x").or_else(|| text.strip_prefix("0X")) {
+        Some(digits) => u32::from_str_radix(digits, 16).ok(),
+        None => text.parse().ok(),
     }
 }

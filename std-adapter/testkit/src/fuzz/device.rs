@@ -133,6 +133,11 @@ impl<'d> Device<'d> {
         self.rac.is_some()
     }
 
+    /// Tells whether the caller has ended the run.
+    pub(super) fn is_ended(&self) -> bool {
+        (self.is_ended)()
+    }
+
     /// Waits; ends when the run does.
     pub(super) fn sleep(&self, time: Duration) -> Result<(), Error> {
         let until = Instant::now() + time;

@@ -65,7 +65,8 @@ pub struct Plan {
 ///
 /// # Errors
 ///
-/// When the run is ended, or a file cannot be written; errors of `each`.
+/// When the run is ended, or a file cannot be written; errors of `each`. If the run is ended while a finding is
+/// reduced, the steps so far are saved, and `each` gets the finding first.
 pub fn fuzz<E: From<Error>>(
     device: &mut Device<'_>,
     plan: &Plan,
@@ -80,11 +81,15 @@ pub fn fuzz<E: From<Error>>(
         sessions += 1;
         let steps = steps(plan, session, device.has_rac());
         let Some(finding) = device.run(&steps, None)? else { continue };
-        let answers = recover(device, plan.wait)?;
-        if found.iter().any(|known| known.is_same(&finding)) && answers {
+        // the end of the run does not lose the finding
+        let recovered = match recover(device, plan.wait) {
+            Err(Error::Ended) => None,
+            recovered => Some(recovered?),
+        };
+        if found.iter().any(|known| known.is_same(&finding)) && recovered != Some(false) {
             continue;
         }
-        let after = began.elapsed();
+        let (after, answers) = (began.elapsed(), recovered == Some(true));
         let saved = keep(device, plan, record, Found { finding, session, after, steps, answers }, found.len() + 1)?;
         each(&saved)?;
         found.push(saved.finding);
@@ -165,28 +170,112 @@ fn keep(device: &mut Device<'_>, plan: &Plan, record: Record<'_>, found: Found, 
         let answers = recover(device, plan.wait)?;
         Ok(answers.then(|| found.is_some_and(|found| found.is_same(&finding))))
     };
-    let steps = match fails(&steps)? {
-        Some(true) => {
+    let steps = match fails(&steps) {
+        Ok(Some(true)) => {
             saved.is_repeatable = true;
-            minimise(steps, fails)?
+            minimise(steps, fails)
         }
-        Some(false) => {
+        Ok(Some(false)) => {
             remarks.push("the steps did not fail again, so it depends on an earlier session or on timing".into());
             steps
         }
-        None => {
+        Ok(None) => {
             remarks.push("the steps were run again, and the device did not come back".into());
             steps
         }
+        Err(Error::Ended) => steps,
+        Err(error) => return Err(error),
     };
+    let is_ended = device.is_ended();
+    if is_ended {
+        remarks.push("the run was ended before the steps were reduced and captured".into());
+    }
     saved.steps = steps.len();
     saved.files.write_steps(&steps, &remarks)?;
+    if is_ended {
+        return Ok(saved);
+    }
     let not_written = |error| Error::File(saved.files.capture.clone(), error);
     let recording = record(&saved.files.capture).map_err(not_written)?;
     let last = device.run(&steps, Some(recording.recorder()));
     recording.finish().map_err(not_written)?;
-    if let Some(last) = last?.filter(|last| last.is_same(&saved.finding)) {
-        saved.finding = last;
+    match last {
+        Ok(Some(last)) if last.is_same(&saved.finding) => saved.finding = last,
+        // the end of the run ends the capture early
+        Ok(_) | Err(Error::Ended) => {}
+        Err(error) => return Err(error),
     }
     Ok(saved)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::net::{SocketAddr, TcpListener};
+    use std::path::Path;
+    use std::{env, fs, io, process, thread};
+
+    use bcap_core::bcap::FunctionId;
+
+    use super::*;
+    use crate::frame::TestFrame;
+    use crate::fuzz::{Gate, Recording, read};
+    use crate::judge::TCP;
+    use crate::wire::{Link, Received, Wire};
+
+    const LIMIT: Duration = Duration::from_secs(10);
+
+    /// Serves Service_Start and Service_Stop to one client after the other. Closes the connection at any other packet.
+    fn serve() -> SocketAddr {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = listener.local_addr().unwrap();
+        thread::spawn(move || {
+            for client in listener.incoming() {
+                let mut wire = Wire::of_stream(client.unwrap(), LIMIT).unwrap();
+                while let Received::Packet(bytes) = wire.receive(LIMIT) {
+                    let Some(request) = TCP.decode_packet(&bytes) else { break };
+                    if ![FunctionId::SERVICE_START, FunctionId::SERVICE_STOP].contains(&FunctionId(request.code)) {
+                        break;
+                    }
+                    let reply = TestFrame { serial: request.serial, reserved: 0, code: 0, args: vec![] };
+                    if wire.send(&reply.to_wire(false)).is_err() {
+                        break;
+                    }
+                }
+            }
+        });
+        address
+    }
+
+    #[test]
+    fn a_finding_is_saved_and_reported_when_the_run_is_ended() {
+        let out = env::temp_dir().join(format!("bcap-fuzz-ended-{}", process::id()));
+        let _ = fs::remove_dir_all(&out);
+        // as soon as the finding has a file, before its steps are run again
+        let is_ended = || fs::read_dir(&out).is_ok_and(|mut files| files.next().is_some());
+        let gate = Gate::new(Vec::new(), false);
+        let mut device = Device::new(vec![serve()], Link::Tcp, gate, LIMIT, &is_ended);
+        let plan = Plan {
+            seed: 1,
+            grammar: Grammar::reading(),
+            until: Instant::now() + Duration::from_secs(600),
+            sessions: 400,
+            findings: 1,
+            wait: LIMIT,
+            out: out.clone(),
+        };
+        let mut record =
+            |_: &Path| -> io::Result<Box<dyn Recording>> { Err(io::Error::other("nothing is captured after the end")) };
+        let mut reported = Vec::new();
+        let result = fuzz(&mut device, &plan, &mut record, |saved| {
+            reported.push((saved.finding.kind, saved.is_repeatable, saved.steps, saved.files.steps.clone()));
+            Ok::<_, Error>(())
+        });
+        assert!(matches!(result, Err(Error::Ended)), "{result:?}");
+        let [(kind, is_repeatable, count, file)] = &reported[..] else { panic!("{reported:?}") };
+        assert_eq!((*kind, *is_repeatable), (Kind::Reset, false));
+        let steps = read(file).unwrap();
+        assert_eq!(steps.len(), *count);
+        assert!(fs::read_to_string(file).unwrap().contains("# the run was ended before"));
+        fs::remove_dir_all(&out).unwrap();
+    }
 }

@@ -13,7 +13,7 @@ use crate::step::{self, Step};
 pub struct Files {
     /// The steps, as a text.
     pub steps: PathBuf,
-    /// The capture of a run; not written if the device did not answer any more.
+    /// The capture of a run; not written if the device did not answer any more, or the run was ended before.
     pub capture: PathBuf,
 }
 
