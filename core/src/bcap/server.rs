@@ -96,13 +96,21 @@ pub trait Handler {
     /// Executes a request.
     ///
     /// It sets the value of the reply in `reply`. [`Outcome`] is the result of the request, or the time to resume it. The
-    /// server has checked the arguments, and that their handle was given to this peer. When the peer disconnects, the
-    /// server calls the releasing functions for its remaining objects.
+    /// server has checked the arguments, and that their handle was given to this peer.
     fn call(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome;
 
     /// Resumes a request that returned [`Outcome::Wait`]; the default is to call it again.
     fn resume(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
         self.call(peer, request, reply, now)
+    }
+
+    /// Executes a request of the server itself, which releases an object that the peer left open; the default is to
+    /// [`call`](Self::call) it. Its outcome is ignored.
+    ///
+    /// When a session ends, the server releases all open objects in reverse order: the last one is the service, with
+    /// Service_Stop. After that it calls the Service_Stop of the peer, if the peer has sent one.
+    fn release(&mut self, peer: PeerId, request: &Request<'_>, now: Instant) {
+        let _ = self.call(peer, request, &mut ReplyValue::new(&mut []), now);
     }
 
     /// Called when a waiting request is not resumed: it timed out, or the peer disconnected.
@@ -486,9 +494,7 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
                 Object::Service => Args::NONE,
                 _ => Args::from_checked(1, &argument, Strictness::Strict),
             };
-            let request = Request { function: object.released_by(), args };
-            // no client waits for the result
-            let _ = handler.call(peer, &request, &mut ReplyValue::new(&mut []), now);
+            handler.release(peer, &Request { function: object.released_by(), args }, now);
         }
     }
 

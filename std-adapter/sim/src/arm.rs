@@ -38,8 +38,8 @@
 //! Approach ends before its pose, and Depart before the present pose, by the length in mm against the approach vector,
 //! the z of the flange. In an arc the flange turns evenly from the start orientation to the end orientation; the
 //! orientation of the point on the circle has no effect. Three points on one line are refused. Robot_Rotate
-//! turns right-handed about an axis of the base; with `Pose=1` the flange turns with it, with `Pose=2`, the default, it
-//! keeps its orientation. RotateH turns the tool right-handed about its approach vector, in place.
+//! turns right-handed about an axis of the base, by at most 3600 degrees; with `Pose=1` the flange turns with it, with
+//! `Pose=2`, the default, it keeps its orientation. RotateH turns the tool right-handed about its approach vector, in place.
 //!
 //! Halt answers when the arm is at rest, so that it does not refuse a motion that follows. If the arm is at rest
 //! already, Halt answers `S_FALSE`. The halted motion leaves the error

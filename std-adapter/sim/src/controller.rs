@@ -221,7 +221,8 @@ impl Controller {
             self.press_emergency_stop(pressed);
         }
         setup.errors.iter().for_each(|code| self.raise(*code));
-        let Shared { now, waits, config, .. } = &mut self.shared;
+        let Shared { now, waits, config, panel, errors, .. } = &mut self.shared;
+        let can_be_on = !panel.emergency_stop && errors.code().is_ok();
         if setup.torque_off {
             self.arm.preparation_mut().emergency_stop(config.model.functions);
             self.arm.turn_off(HResult::E_MOTOR_OFF, *now, waits);
@@ -230,9 +231,9 @@ impl Controller {
             self.arm.preparation_mut().complete_all();
         }
         match setup.motor {
-            Some(true) => self.arm.force_on(),
+            Some(true) if can_be_on => self.arm.force_on(),
             Some(false) => self.arm.turn_off(HResult::E_MOTOR_OFF, *now, waits),
-            None => {}
+            Some(true) | None => {}
         }
         if let Some(taken) = setup.arm_taken {
             self.arm.give_to(taken.then_some(ABSENT), *now, waits);
@@ -398,7 +399,6 @@ impl Controller {
         self.objects.release_all(peer);
         self.sessions.remove(&peer);
         waits.forget(peer);
-        self.scenario.forget(peer);
         self.messages.forget(peer);
         self.files.forget(peer);
         self.arm.forget(peer, config, *now, waits);

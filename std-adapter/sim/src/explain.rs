@@ -39,8 +39,8 @@ const SHOWN_MAX: usize = 300;
 const FUNCTIONS: &[(FunctionId, &str)] = &[
     (
         FunctionId::ROBOT_MOVE,
-        "interpolation I4: 1 joints, 2 line, 3 arc (BSTR \"P1, @E P2\": a point of the circle, and the end); \
-         pose BSTR (\"@E P1\", \"J(0,45,90,0,45,0) EXA((7,10))\"), an array of 7 (P), 8 (J) or 10 (T) numbers, or [numbers or index, type, pass, extended joints]; option BSTR: NEXT, \
+        "interpolation I4: 1 joints, 2 line, 3 arc (BSTR \"P1, @E P2\": a point of the circle, and the end), 4 the \
+         points of a path (its number, 1 to 20); pose BSTR (\"@E P1\", \"J(0,45,90,0,45,0) EXA((7,10))\"), an array of 7 (P), 8 (J) or 10 (T) numbers, or [numbers or index, type, pass, extended joints]; option BSTR: NEXT, \
          SPEED= (S=), ACCEL=, DECEL= with a number or a variable I, F or D in percent, 0.0001 to 100",
     ),
     (
@@ -59,15 +59,16 @@ const FUNCTIONS: &[(FunctionId, &str)] = &[
     ),
     (
         FunctionId::ROBOT_ROTATE,
-        "plane BSTR: XY, YZ or ZX; degrees; centre BSTR: V(x,y,z) or a variable V; option BSTR: @0, @P, @n, Pose=1 \
-         (the flange turns) or Pose=2 (it does not; the default), and the options of Robot_Move",
+        "plane BSTR: XY, YZ, ZX, of the tool XYH, YZH, ZXH, or three points (\"V1, V2, V3\", or an array of them); degrees: \
+         -3600 to 3600; centre BSTR: V(x,y,z) or a variable V; option BSTR: @0, @P, @n, Pose=1 (the flange turns) or \
+         Pose=2 (it does not; the default), and the options of Robot_Move",
     ),
     (FunctionId::ROBOT_SPEED, "axis I4: -1 or 0; speed: percent, 0.0001 to 100"),
     (FunctionId::ROBOT_ACCELERATE, "axis I4: -1 or 0; acceleration and deceleration: percent, 0.0001 to 100, or -1"),
     (FunctionId::ROBOT_CHANGE, "name BSTR: Tool with a number, 0 to 63, or Work with one, 0 to 7"),
     (FunctionId::ROBOT_CHUCK, "option BSTR: empty"),
     (FunctionId::ROBOT_UNCHUCK, "option BSTR: empty"),
-    (FunctionId::TASK_START, "mode I4: 1 one cycle, 2 continuous, 3 one line; option BSTR: empty"),
+    (FunctionId::TASK_START, "mode I4: 1 one cycle, 2 continuous, 3 one line, 4 one line back; option BSTR: empty"),
     (FunctionId::TASK_STOP, "mode I4: 0 to 4; option BSTR: empty"),
     (FunctionId::COMMAND_EXECUTE, "mode I4: 0 waits for the result, 1 does not"),
     (FunctionId::COMMAND_PUT_TIMEOUT, "time I4: milliseconds, 0 or more"),

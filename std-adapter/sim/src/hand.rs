@@ -35,7 +35,7 @@
 //!
 //! To move the hand needs Auto mode, the executable token and no error. While it moves, another motion of it is refused
 //! with `E_ROBOTISBUSY`. An error stops it at once, as does the end of the client that moves it. Numbers out of range
-//! are `E_INVALIDARG`. In Slave Mode its commands are refused like others.
+//! are `E_INVALIDARG`. Slave Mode allows HandMoveA, and no other command of a hand.
 
 use std::time::Duration;
 

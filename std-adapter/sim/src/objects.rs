@@ -184,11 +184,15 @@ impl OpenObject {
                 variables.check(family, index)?;
                 self.item = Item::Variable(VariableRef::Wildcard(family, Some(index)));
             }
-            Item::Variable(VariableRef::Definition(kind, None)) => {
+            Item::Variable(VariableRef::Definition(kind, _))
+                if DefinitionKind::parse(&self.name) == Some((kind, None)) =>
+            {
                 self.item = Item::Variable(VariableRef::Definition(kind, Some(one_int(id)?)));
             }
             // the index is part of the name
-            Item::Variable(VariableRef::User(..)) => return Err(HResult::E_CAO_NOT_WRITABLE),
+            Item::Variable(VariableRef::User(..) | VariableRef::Definition(..)) => {
+                return Err(HResult::E_CAO_NOT_WRITABLE);
+            }
             _ => self.id = keep(id)?,
         }
         Ok(())

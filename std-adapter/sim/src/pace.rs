@@ -118,6 +118,11 @@ impl bcap::Handler for Paced {
         self.converted(outcome, now)
     }
 
+    fn release(&mut self, peer: PeerId, request: &bcap::Request<'_>, now: Instant) {
+        let (controller, time) = self.at(now);
+        bcap::Handler::release(controller, peer, request, time);
+    }
+
     fn abandoned(&mut self, peer: PeerId, now: Instant) {
         let (controller, time) = self.at(now);
         bcap::Handler::abandoned(controller, peer, time);

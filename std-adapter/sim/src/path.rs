@@ -12,7 +12,7 @@ pub const LINE_SPEED: f64 = 2000.0;
 pub const TURN_SPEED: f64 = 360.0;
 
 /// The number of parts in which a line is planned.
-const LINE_PARTS: usize = 100;
+pub(crate) const LINE_PARTS: usize = 100;
 
 /// The largest turn of a joint in one part of a line, in degrees; a larger one means a singularity.
 const LARGEST_STEP: f64 = 30.0;
@@ -20,6 +20,10 @@ const LARGEST_STEP: f64 = 30.0;
 /// A path that changes the posture passes a singular point. A path on which an axis permits less than this fraction of
 /// the speed of the flange is too close to one.
 const SINGULAR_SPEED: f64 = 0.01;
+
+/// A length in mm and an angle in degrees that no controller resolves. On a shorter path, the rounding of the joints would
+/// decide whether it is singular.
+const SHORT: f64 = 1e-3;
 
 /// Why a route cannot be followed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -74,30 +78,33 @@ impl Path {
         Self { full_speed, bend_speed: f64::INFINITY, full_accel, knots: vec![from, to], arm: *arm }
     }
 
-    /// Plans a motion of the flange through the frames of `frame`, a function of the part of the path, 0 to 1, while J7 and
-    /// J8 move evenly to those of `end`. The flange moves `size.0` mm and turns `size.1` degrees.
+    /// Plans a motion of the flange in `parts` parts, through the frames of `frame`, a function of the part of the path, 0 to
+    /// 1, while J7 and J8 move evenly to those of `end`. The flange moves `size.0` mm and turns `size.1` degrees.
     pub(crate) fn along(
         arm: &Geometry,
         start: Axes,
         end: &Axes,
         size: (f64, f64),
+        parts: usize,
         frame: impl Fn(f64) -> Frame,
     ) -> Result<Self, Blocked> {
         let mut full_speed = (LINE_SPEED / size.0).min(TURN_SPEED / size.1);
-        let slowest = full_speed * SINGULAR_SPEED;
+        let slowest = (LINE_SPEED / size.0.max(SHORT)).min(TURN_SPEED / size.1.max(SHORT)) * SINGULAR_SPEED;
         let mut knots = vec![start];
         let mut here = start;
-        for n in 1..=LINE_PARTS {
-            let part = n as f64 / LINE_PARTS as f64;
+        for n in 1..=parts {
+            let part = n as f64 / parts as f64;
             let joints = arm.inverse_nearest(&frame(part), &six(&here)).map_err(|error| {
                 // a goal out of reach explains the path
                 arm.inverse_nearest(&frame(1.0), &six(&here)).err().map_or(Blocked::Path(error), Blocked::Goal)
             })?;
             let next = with_joints(&joints, &between(&start, end, part));
-            let speed = axis_limit(arm, &here, &next, LINE_PARTS as f64);
+            let speed = axis_limit(arm, &here, &next, parts as f64);
+            // J7 and J8 do not turn the flange, so a long way of theirs is not singular
+            let turning = axis_limit(arm, &here, &with_joints(&joints, &here), parts as f64);
             let jumps = here.iter().zip(&next).take(6).any(|(a, b)| (a - b).abs() > LARGEST_STEP);
             let flips = !arm.same_posture(arm.figure(&six(&here)), arm.figure(&joints));
-            if speed < slowest || jumps || flips {
+            if turning < slowest || jumps || flips {
                 return Err(Blocked::Path(OutOfReach::Singular));
             }
             full_speed = full_speed.min(speed);
@@ -203,7 +210,8 @@ mod tests {
             let (tilt, height) = if arm.joints() == 6 { (180.0, 300.0) } else { (0.0, 100.0) };
             let [from, to] = [-150.0, 150.0].map(|y| Frame::from_xyz_rpy([200.0, y, height, tilt, 0.0, tilt]));
             let start = with_joints(&arm.inverse_nearest(&from, &[0.0; 6]).unwrap(), &[0.0; 8]);
-            let path = Path::along(&arm, start, &start, (300.0, 0.0), |part| from.towards(&to, part)).unwrap();
+            let path =
+                Path::along(&arm, start, &start, (300.0, 0.0), LINE_PARTS, |part| from.towards(&to, part)).unwrap();
             let (speed, accel) = (path.full_speed.min(path.bend_speed), path.full_accel);
             let parts = LINE_PARTS as f64;
             let mut largest = 0.0_f64;

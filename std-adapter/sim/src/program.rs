@@ -194,7 +194,8 @@ impl Assignment {
     ///
     /// # Errors
     ///
-    /// `DISP_E_BADINDEX` for a variable that does not exist.
+    /// `DISP_E_BADINDEX` for a variable that does not exist. For a value that the variable never has: `E_INVALIDARGTYPE` for
+    /// another type, `E_INVALIDARG` for another count of numbers.
     pub(crate) fn holds(&self, variables: &Variables) -> Result<bool, HResult> {
         let present = variables.get(self.family, self.index)?;
         Ok(match (&self.value, present.as_variant()) {
@@ -202,13 +203,16 @@ impl Assignment {
             // a variable F holds the nearest R4
             (Constant::Number(wanted), Variant::R4(n)) => *wanted as f32 == n,
             (Constant::Number(wanted), Variant::Bool(on)) => (*wanted != 0.0) == on,
-            (Constant::Number(wanted), other) => number(&other) == Some(*wanted),
+            (Constant::Number(wanted), other) => number(&other).ok_or(HResult::E_INVALIDARGTYPE)? == *wanted,
             (Constant::Text(wanted), Variant::Bstr(text)) => text.to_string() == *wanted,
+            (Constant::Numbers(wanted), Variant::Array(array)) if array.len() != wanted.len() => {
+                return Err(HResult::E_INVALIDARG);
+            }
             (Constant::Numbers(wanted), Variant::Array(array)) => {
                 let nearest: Vec<_> = wanted.iter().map(|number| *number as f32).collect();
                 array.items::<f32>().is_some_and(|items| items.iter().eq(nearest))
             }
-            _ => false,
+            _ => return Err(HResult::E_INVALIDARGTYPE),
         })
     }
 }

@@ -191,6 +191,8 @@ impl Queue {
         match self.stage {
             Stage::Running => {
                 let Some(ended) = self.motions.pop_front() else { return };
+                // through rounding, it may end just before the whole path is covered
+                waits.cover(ended.id, 1.0, HResult::S_OK);
                 // exactly, without the rounding of the path
                 (self.rest, self.since) = (ended.destination(), at);
                 self.begun -= 1;

@@ -5,8 +5,11 @@
 use crate::curve::{Arc, Point, on_curve};
 use crate::drive::Drive;
 use crate::kinematics::{Axes, Frame, Geometry, Joints, OutOfReach, six, with_joints};
-use crate::path::{Blocked, Path};
+use crate::path::{Blocked, LINE_PARTS, Path};
 use crate::pose::Pose;
+
+/// The largest part of a rotation, in degrees: a full circle is planned in as many parts as a line.
+const TURN_PART: f64 = 360.0 / LINE_PARTS as f64;
 
 /// The target of a motion command.
 #[derive(Clone, Debug, PartialEq)]
@@ -54,10 +57,10 @@ impl Route {
                 to_frame(arm, here, tool, &from.moved_to([0, 1, 2].map(|i| from.position[i] + way[i])), *line)
             }
             Self::Arch { pose, top } => {
-                let (from, (to, fig)) = (arm.forward(&six(here)).times(tool), tip(arm, pose, tool));
+                let (from, (to, fig)) = (arm.forward(&six(here)).times(tool), tip(arm, pose, tool)?);
                 let (way, turn) = from.distance(&to);
                 let height = top.iter().map(|n| n * n).sum::<f64>().sqrt();
-                let path = Path::along(arm, *here, here, (way + 2.0 * height, turn), |part| {
+                let path = Path::along(arm, *here, here, (way + 2.0 * height, turn), LINE_PARTS, |part| {
                     let (straight, lift) = (from.towards(&to, part), (std::f64::consts::PI * part).sin());
                     straight.moved_to([0, 1, 2].map(|i| straight.position[i] + top[i] * lift)).times(&tool.inverse())
                 })?;
@@ -67,7 +70,10 @@ impl Route {
                 let points = [&[arm.forward(&six(here)).times(tool)], &points[..]].concat();
                 let sizes = points.windows(2).map(|two| two[0].distance(&two[1]));
                 let size = sizes.fold((0.0, 0.0), |sum, size| (sum.0 + size.0, sum.1 + size.1));
-                Ok(Path::along(arm, *here, here, size, |part| on_curve(&points, part).times(&tool.inverse()))?)
+                let last = points.len() - 1;
+                // each point is the end of a part
+                let parts = last * LINE_PARTS.div_ceil(last);
+                Path::along(arm, *here, here, size, parts, |part| on_curve(&points, part).times(&tool.inverse()))
             }
             Self::RotateTool(degrees) => {
                 let from = arm.forward(&six(here)).times(tool);
@@ -79,7 +85,8 @@ impl Route {
                 let axis = if *of_tool { from.direction(arc.axis) } else { arc.axis };
                 let arc = Arc { axis, ..*arc };
                 let size = (arc.length(from.position), if *turns { arc.degrees.abs() } else { 0.0 });
-                Path::along(arm, *here, here, size, |part| {
+                let parts = LINE_PARTS.max((arc.degrees.abs() / TURN_PART).ceil() as usize);
+                Path::along(arm, *here, here, size, parts, |part| {
                     let turned = from.turned(arc.centre, arc.axis, arc.degrees * part);
                     if *turns { turned } else { from.moved_to(turned.position) }.times(&flange)
                 })
@@ -107,29 +114,33 @@ fn in_range(arm: &Geometry, axes: Axes) -> Result<Axes, OutOfReach> {
 
 /// Plans a line, on which the posture cannot change; J7 and J8 move to those of `extended`.
 fn line(arm: &Geometry, here: &Axes, tool: &Frame, pose: &Pose, extended: &Axes) -> Result<Path, Blocked> {
-    let (from, (to, fig), flange) = (arm.forward(&six(here)).times(tool), tip(arm, pose, tool), tool.inverse());
+    let (from, (to, fig), flange) = (arm.forward(&six(here)).times(tool), tip(arm, pose, tool)?, tool.inverse());
     let end = in_range(arm, with_joints(&six(here), extended))?;
-    let path = Path::along(arm, *here, &end, from.distance(&to), |part| from.towards(&to, part).times(&flange))?;
+    let frame = |part| from.towards(&to, part).times(&flange);
+    let path = Path::along(arm, *here, &end, from.distance(&to), LINE_PARTS, frame)?;
     keeps_posture(path, fig)
 }
 
 /// Plans an arc, on which the posture cannot change.
 fn arc_path(arm: &Geometry, here: &Axes, tool: &Frame, via: Point, pose: &Pose) -> Result<Path, Blocked> {
-    let (from, (to, fig), flange) = (arm.forward(&six(here)).times(tool), tip(arm, pose, tool), tool.inverse());
+    let (from, (to, fig), flange) = (arm.forward(&six(here)).times(tool), tip(arm, pose, tool)?, tool.inverse());
     let arc = Arc::through(from.position, via, to.position).ok_or(Blocked::Invalid)?;
     let size = (arc.length(from.position), from.distance(&to).1);
-    let path = Path::along(arm, *here, here, size, |part| {
+    let path = Path::along(arm, *here, here, size, LINE_PARTS, |part| {
         let position = from.turned(arc.centre, arc.axis, arc.degrees * part).position;
         from.towards(&to, part).moved_to(position).times(&flange)
     })?;
     keeps_posture(path, fig)
 }
 
-/// Returns the frame of the tool for a pose of the flange, and the Fig if the pose has one.
-fn tip(arm: &Geometry, pose: &Pose, tool: &Frame) -> (Frame, Option<u8>) {
+/// Returns the frame of the tool for a pose of the flange, and the Fig if the pose has one. Joints have one, and are checked.
+fn tip(arm: &Geometry, pose: &Pose, tool: &Frame) -> Result<(Frame, Option<u8>), OutOfReach> {
     match pose {
-        Pose::Joints(joints) => (arm.forward(joints).times(tool), None),
-        Pose::Frame(frame, fig) => (frame.times(tool), *fig),
+        Pose::Joints(joints) => match arm.out_of_range(joints) {
+            None => Ok((arm.forward(joints).times(tool), Some(arm.figure(joints)))),
+            Some(error) => Err(error),
+        },
+        Pose::Frame(frame, fig) => Ok((frame.times(tool), *fig)),
     }
 }
 

@@ -24,13 +24,14 @@
 //! | `cycle = n`       | when the n-th cycle of Slave Mode begins, counted from entering it; once               |
 //! | `at_ms = t`       | at the time t of the controller's clock, in milliseconds; once                         |
 //!
-//! The calls of all clients count; a call that is sent again counts once. `of` counts only those of one function
-//! (`"Robot_Move"`) or one command (`"slvMove"`).
+//! The calls of all clients count; a call that is sent again counts once. The releases that the server makes when a client
+//! ends its session or disconnects do not count. `of` counts only those of one function (`"Robot_Move"`) or one command
+//! (`"slvMove"`).
 //!
 //! | `then`                  | what happens                                                                     |
 //! |-------------------------|----------------------------------------------------------------------------------|
 //! | `{ refuse = code }`     | the call is not executed, and answered with this code; only calls                |
-//! | `{ delay_ms = t }`      | the call is executed, and answered that much later; only calls                   |
+//! | `{ delay_ms = t }`      | the call is executed, and answered that much after its end; only calls           |
 //! | `"drop"`                | the answer is lost on the wire; only calls                                       |
 //! | `"wrong_serial"`        | the answer has another serial; only calls                                        |
 //! | `"corrupt"`             | one random bit of the answer is wrong; only calls                                |
@@ -65,7 +66,7 @@
 //! protective_stop = true      # is shown by SysState and @PROTECTIVE_STOP; it stops nothing
 //! errors = ["0x84201482"]     # present errors, the first cause first
 //! arm = "taken"               # free; taken: by a client that is not connected, for good
-//! motor = false               # off; true is refused with emergency_stop or errors
+//! motor = false               # off; true is refused with emergency_stop or errors; a controller that has them keeps it off
 //! licence = false             # of Slave Mode
 //! slave_speed_setting = 2     # parameter 153, what limits Slave Mode: 0 to 3, see `SpeedSetting`
 //! formats = ["mini_io"]       # of Slave Mode: any of mini_io, hand_io, user_io, current
@@ -101,7 +102,8 @@
 //! ```
 //!
 //! Each step is a line. Values are numbers, BOOLs for IO, texts for S, and arrays for V, P, J and T. A variable that waits
-//! is checked every `line_ms`.
+//! is checked every `line_ms`. A wait for a value that its variable never has is an error: `E_INVALIDARGTYPE` for another type,
+//! `E_INVALIDARG` for another count of numbers.
 //!
 //! To refuse all clients, refuse each Service_Start: `when = { every = 1, of = "Service_Start" }` with
 //! `then = { refuse = "E_MAX_CONNECT" }`.
@@ -207,7 +209,7 @@ pub enum CallFilter {
 pub enum Effect {
     /// The call is not executed, and answered with this code.
     Refuse(HResult),
-    /// The answer comes that much later.
+    /// The answer comes that much after the end of the call. Several delays of a call add up.
     Delay(Duration),
     /// The answer is damaged or lost on the wire.
     Wire(WireFault),

@@ -8,7 +8,7 @@ use bcap_core::handler::Outcome;
 use bcap_core::hresult::HResult;
 use bcap_core::variant::{OleDate, Variant};
 use bcap_sim::files::{Executor, Job, write_sources};
-use bcap_sim::{Config, Permission};
+use bcap_sim::{Config, Permission, TaskStatus};
 use tempfile::TempDir;
 
 use crate::common;
@@ -316,13 +316,27 @@ fn a_file_runs_as_its_task() {
     };
     let (file, other) = (open(&mut world, "pro2.pcs"), open(&mut world, "other.pcs"));
     assert_eq!(world.call(client.peer, call::file_run(file, "")), ok("Pro2"));
-    assert_eq!(world.sim.task("Pro2").map(|task| task.0), Some(bcap_sim::TaskStatus::Running));
+    assert_eq!(world.sim.task("Pro2").map(|task| task.0), Some(TaskStatus::Running));
     assert_eq!(world.call(client.peer, call::file_run(file, "")).0, HResult::E_CAO_CMD_EXECUTE);
     assert_eq!(world.call(client.peer, call::file_run(other, "")).0, HResult::E_CAO_OBJECT_NOTFOUND);
     assert_eq!(world.call(client.peer, call::file_execute(file, "Open", ())).0, HResult::E_INVALID_CMD_NAME);
     assert_eq!(world.call(client.peer, call::file_get_variable(file, "Size", "")).0, HResult::E_CAO_OBJECT_NOTFOUND);
     world.pass(5000);
-    assert_eq!(world.sim.task("Pro2"), Some((bcap_sim::TaskStatus::Ready, 1)));
+    assert_eq!(world.sim.task("Pro2"), Some((TaskStatus::Ready, 1)));
+}
+
+#[test]
+fn a_file_runs_only_with_permission_to_write() {
+    let mut rig = Rig::new();
+    write_sources(rig.folder.path(), ["Pro1"]).unwrap();
+    let file = rig.open("Pro1.pcs");
+    for permission in [Permission::ReadOnly, Permission::None] {
+        rig.world.sim.set_permission(permission);
+        assert_eq!(rig.call(call::file_run(file, "")), code(HResult::E_ACCESSDENIED), "{permission:?}");
+        assert_eq!(rig.world.sim.task("Pro1"), Some((TaskStatus::Ready, 0)), "{permission:?}");
+    }
+    rig.world.sim.set_permission(Permission::ReadWrite);
+    assert_eq!(rig.call(call::file_run(file, "")), ok("Pro1"));
 }
 
 #[test]

@@ -178,6 +178,24 @@ fn servo_data_has_the_speed_of_the_tool_centre_point() {
 }
 
 #[test]
+fn the_turning_speed_of_the_tool_has_no_jumps_at_180_degrees() {
+    let mut world = World::new();
+    let client = world.mover(1);
+    assert_eq!(world.move_to(client, 1, "P(300,-100,300,180,0,180,5)", ""), HResult::S_OK);
+    // RX and RZ stay at 180, which the rounding of the path makes -180 at times
+    let line = call::robot_move(client.robot, 2, "P(300,100,350,180,0,180,5)", "NEXT");
+    assert_eq!(world.call(client.peer, line), code(HResult::S_OK));
+    let mut fastest = 0.0_f64;
+    while world.sim.is_moving() {
+        let speed = doubles(&world.robot(client, "GetSrvData", 18).1);
+        assert!(speed[3..6].iter().all(|turning| turning.abs() < 2000.0), "{speed:?}");
+        fastest = fastest.max(speed[1]);
+        world.pass(1);
+    }
+    assert!(fastest > 100.0, "{fastest}");
+}
+
+#[test]
 fn a_pose_is_converted_between_work_coordinates() {
     let mut world = World::new();
     let client = world.mover(1);

@@ -188,6 +188,23 @@ fn a_step_that_fails_raises_its_code_and_is_tried_again() {
 }
 
 #[test]
+fn a_wait_for_a_value_that_its_variable_never_has_is_an_error() {
+    for (wanted, expected) in [
+        ("I1 = true", HResult::E_INVALIDARGTYPE),
+        ("I1 = 'x'", HResult::E_INVALIDARGTYPE),
+        ("S1 = 1", HResult::E_INVALIDARGTYPE),
+        ("P1 = 1", HResult::E_INVALIDARGTYPE),
+        ("IO1 = [1.0]", HResult::E_INVALIDARGTYPE),
+        ("P1 = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]", HResult::E_INVALIDARG),
+    ] {
+        let mut world = world(&format!("[[task]]\nname = 'A'\nstart = 1\nsteps = [{{ wait = {{ {wanted} }} }}]"));
+        world.pass(1000);
+        assert_eq!(world.errors(), [expected], "{wanted}");
+        assert_eq!(world.sim.task("A"), Some((TaskStatus::Suspended, 0)), "{wanted}");
+    }
+}
+
+#[test]
 fn a_task_moves_along_points() {
     let text = "[controller]\nmotor = true\n[[task]]\nname = 'Move'\nsteps = [
         { move = '@E J(30,45,90,0,45,0)' },

@@ -1,7 +1,7 @@
 //! Scenarios: each fault at its place, in the controller and on the wire, the same in every run.
 
-use bcap_core::bcap::call;
-use bcap_core::bcap::server::{Config as Server, Session};
+use bcap_core::bcap::call::{self, Call};
+use bcap_core::bcap::server::{Config as Server, Handler, Session};
 use bcap_core::bcap::{Decoder, FrameWriter};
 use bcap_core::endpoint::{Endpoint, Serve};
 use bcap_core::handler::{Outcome, PeerId};
@@ -9,6 +9,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 use bcap_sim::codes::{EMERGENCY_STOP, MANUAL_MODE};
 use bcap_sim::model::ArmProfile;
+use bcap_sim::pace::Paced;
 use bcap_sim::scenario::Delivery;
 use bcap_sim::{Config, Controller, Profile, Scenario};
 
@@ -137,6 +138,22 @@ fn an_answer_that_is_delayed_is_the_answer_of_its_time() {
 }
 
 #[test]
+fn the_delays_of_a_call_add_up_from_its_end() {
+    let millis = |text: &str| {
+        let mut world = World::new();
+        let client = world.mover(1);
+        world.sim.play(scenario(text));
+        let start = world.now;
+        assert_eq!(world.move_to(client, 1, "J(90,45,90,0,45,0)", ""), HResult::S_OK);
+        world.now.saturating_since(start).as_millis()
+    };
+    let delay = "[[fault]]\nwhen = { call = 1, of = 'Robot_Move' }\nthen = { delay_ms = 300 }\n";
+    let plain = millis("");
+    assert!(plain > 300, "{plain}");
+    assert_eq!([millis(delay), millis(&delay.repeat(2))], [plain + 300, plain + 600]);
+}
+
+#[test]
 fn a_lost_link_carries_nothing_and_the_buffer_runs_empty() {
     let text = "[[fault]]\nwhen = { cycle = 2 }\nthen = { link_loss_ms = 100 }";
     let (mut world, client) = slave(0x002, text);
@@ -194,6 +211,61 @@ fn answers_suffer_on_the_wire() {
     let wrong: u32 = bytes.iter().zip(&intact).map(|(a, b)| (a ^ b).count_ones()).sum();
     assert_eq!(wrong, 1);
     assert_eq!(fault("corrupt").1, bytes, "the same seed, the same bit");
+}
+
+/// A server's side of a connection.
+type Connection = Session<[u8; 128], [u8; 128], 8>;
+
+fn connection() -> Connection {
+    Session::new(Server::TCP, [0; 128], [0; 128])
+}
+
+/// Makes a call through a server's session, and returns the code of the reply.
+fn through(session: &mut Connection, handler: &mut impl Handler, peer: u32, call: &impl Call) -> HResult {
+    let mut memory = [0; 128];
+    let mut request = FrameWriter::new(&mut memory).unwrap();
+    call.arguments(&mut request).unwrap();
+    let request = request.finish(1, 0, call.function().0).unwrap();
+    session.receive_buffer()[..request.len()].copy_from_slice(request);
+    session.received(request.len());
+    while session.run(handler, PeerId(peer), Instant::ZERO).is_some() {}
+    let reply = Decoder::TCP.decode_datagram(session.transmit()).unwrap();
+    let (code, len) = (reply.hresult(), session.transmit().len());
+    session.transmitted(len);
+    code
+}
+
+#[test]
+fn a_fault_of_service_stop_meets_the_call_of_the_client() {
+    let at_stop =
+        |then: &str| scenario(&format!("[[fault]]\nwhen = {{ call = 1, of = 'Service_Stop' }}\nthen = {then}"));
+    let mut paced = Paced::new(Controller::new(Config::default()));
+    paced.controller().play(at_stop("{ refuse = 'E_FAIL' }"));
+    let mut session = connection();
+    assert_eq!(through(&mut session, &mut paced, 1, &call::service_start("")), HResult::S_OK);
+    assert_eq!(through(&mut session, &mut paced, 1, &call::service_stop()), HResult::E_FAIL);
+
+    let mut sim = Controller::new(Config::default());
+    sim.play(at_stop("'drop'"));
+    let mut session = connection();
+    assert_eq!(through(&mut session, &mut sim, 1, &call::service_start("")), HResult::S_OK);
+    assert_eq!(through(&mut session, &mut sim, 1, &call::service_stop()), HResult::S_OK);
+    assert_eq!(sim.deliver(PeerId(1), &mut [0; 16]), Delivery::Drop);
+}
+
+#[test]
+fn the_releases_at_the_end_of_a_connection_are_not_counted() {
+    let mut sim = Controller::new(Config::default());
+    sim.play(scenario("[[fault]]\nwhen = { call = 3 }\nthen = { emergency_stop = true }"));
+    let mut sessions = [connection(), connection()];
+    for (peer, session) in (1..).zip(&mut sessions) {
+        assert_eq!(through(session, &mut sim, peer, &call::service_start("")), HResult::S_OK);
+    }
+    let [mut stays, mut leaves] = sessions;
+    leaves.close(&mut sim, PeerId(2), Instant::ZERO);
+    assert!(!sim.emergency_stopped(), "the third call");
+    assert_eq!(through(&mut stays, &mut sim, 1, &call::service_stop()), HResult::S_OK);
+    assert!(sim.emergency_stopped());
 }
 
 #[test]
@@ -278,6 +350,24 @@ fn the_errors_of_the_beginning_are_listed_with_the_first_cause_last() {
 }
 
 #[test]
+fn the_motor_does_not_begin_on_in_emergency_stop_or_with_an_error() {
+    let stop: fn(&mut World, bool) = |world, on| world.sim.emergency_stop(on, world.now);
+    let error: fn(&mut World, bool) = |world, on| match on {
+        true => world.sim.inject_error(HResult::from_u32(0x8420_4043), world.now),
+        false => world.sim.clear_errors(world.now),
+    };
+    for prevents in [stop, error] {
+        let mut world = World::new();
+        prevents(&mut world, true);
+        world.sim.play(scenario("[controller]\nmotor = true"));
+        assert!(!world.sim.motor_is_on());
+        prevents(&mut world, false);
+        world.sim.play(scenario("[controller]\nmotor = true"));
+        assert!(world.sim.motor_is_on());
+    }
+}
+
+#[test]
 fn the_formats_of_the_beginning_are_the_only_ones() {
     for (list, there) in [("", 0), ("'mini_io'", 0x100), ("'hand_io'", 0x20), ("'user_io'", 0x200), ("'current'", 0x40)]
     {
@@ -358,6 +448,10 @@ fn what_is_no_scenario_says_where_and_why() {
         ("[[fault]]\nwhen = { cycle = 0 }\nthen = { error = 'E_FAIL' }", "fault 1: cycles are counted from 1"),
         ("[[fault]]\nwhen = { cycle = 1 }\nthen = 'drop'", "fault 1: what concerns the answer of a call"),
         ("[[fault]]\nwhen = { at_ms = 1, of = 'x' }\nthen = { error = 'E_FAIL' }", "fault 1: `of` says what calls"),
+        ("[[fault]]\nwhen = { call = 1 }\nthen = { error = 'S_FALSE' }", "fault 1: an error is a code that begins"),
+        ("[[fault]]\nwhen = { call = 1 }\nthen = { error = '0x00000001' }", "fault 1: an error is a code that begins"),
+        ("[[fault]]\nwhen = { call = 1 }\nthen = { error = '0x8420404' }", "fault 1: a code is a known name or"),
+        ("[[fault]]\nwhen = { call = 1 }\nthen = { refuse = '0x+8420404' }", "fault 1: a code is a known name or"),
         (
             "[[fault]]\nwhen = { call = 1 }\nthen = 'drop'\n[[fault]]\nwhen = { call = 1 }\nthen = { refuse = 'E_FOO' }",
             "fault 2: a code is a known name",

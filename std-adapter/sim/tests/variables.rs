@@ -229,6 +229,29 @@ fn a_wildcard_reads_what_put_id_has_chosen() {
 }
 
 #[test]
+fn a_wildcard_of_definitions_is_chosen_again_and_again() {
+    let mut world = World::new();
+    let client = world.mover(1);
+    let tools = [1, 2].map(|n| {
+        let tool = [10.0 * f64::from(n), 0.0, 0.0, 0.0, 0.0, 0.0];
+        let named = world.robot_variable(client, &format!("Tool{n}"));
+        assert_eq!(world.call(client.peer, call::variable_put_value(named, tool)), code(HResult::S_OK));
+        // the number is part of the name
+        assert_eq!(world.call(client.peer, call::variable_put_id(named, 3)), code(HResult::E_CAO_NOT_WRITABLE));
+        assert_eq!(world.call(client.peer, call::variable_get_id(named)), ok(&n));
+        tool
+    });
+    for name in ["Tool*", "tool*_1"] {
+        let all = world.robot_variable(client, name);
+        for (n, tool) in [(1, tools[0]), (2, tools[1]), (1, tools[0])] {
+            assert_eq!(world.call(client.peer, call::variable_put_id(all, n)), code(HResult::S_OK));
+            assert_eq!(world.call(client.peer, call::variable_get_id(all)), ok(&n));
+            assert_eq!(world.call(client.peer, call::variable_get_value(all)), ok(&tool), "{name} {n}");
+        }
+    }
+}
+
+#[test]
 fn both_protocols_see_one_state() {
     let mut world = World::new();
     let client = world.client(1);

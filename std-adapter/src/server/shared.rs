@@ -230,6 +230,10 @@ impl<H: bcap::Handler> bcap::Handler for Locking<'_, H> {
         self.answer(peer, reply, |handler, reply| handler.resume(peer, request, reply, now))
     }
 
+    fn release(&mut self, peer: PeerId, request: &bcap::Request<'_>, now: Instant) {
+        self.with_handler(peer, |handler| handler.release(peer, request, now));
+    }
+
     fn abandoned(&mut self, peer: PeerId, now: Instant) {
         self.with_handler(peer, |handler| handler.abandoned(peer, now));
     }
@@ -342,6 +346,34 @@ impl<H> Drop for Changes<H> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use bcap_core::bcap::{Args, FunctionId};
+
+    /// A handler that tells the releases of a server from the calls of its peers.
+    #[derive(Default)]
+    struct Counter {
+        calls: usize,
+        releases: usize,
+    }
+
+    impl bcap::Handler for Counter {
+        fn call(&mut self, _: PeerId, _: &bcap::Request<'_>, _: &mut ReplyValue<'_>, _: Instant) -> Outcome {
+            self.calls += 1;
+            HResult::S_OK.into()
+        }
+
+        fn release(&mut self, _: PeerId, _: &bcap::Request<'_>, _: Instant) {
+            self.releases += 1;
+        }
+    }
+
+    #[test]
+    fn a_release_is_not_a_call_of_the_handler() {
+        let handler = Mutex::new(Counter::default());
+        let request = bcap::Request { function: FunctionId::SERVICE_STOP, args: Args::NONE };
+        bcap::Handler::release(&mut Locking(&handler), PeerId(1), &request, Instant::ZERO);
+        let counter = handler.lock().unwrap();
+        assert_eq!((counter.calls, counter.releases), (0, 1));
+    }
 
     fn shared() -> Arc<ServerState<()>> {
         Arc::new(ServerState::new(Arc::default()))

@@ -70,7 +70,10 @@ fn axes_data(arm: &Arm, ctx: &Context<'_>, number: i32) -> Result<[f64; 8], HRes
     let speed = |from: f64, to: f64| (to - from) / SPEED_TIME.as_secs_f64();
     let coordinates = arm.robot.coordinates();
     let [from, to] = [here, soon].map(|axes| coordinates.place(&six(&axes)).to_xyz_rpy());
-    let [x, y, z, rx, ry, rz] = [0, 1, 2, 3, 4, 5].map(|i| speed(from[i], to[i]));
+    // an angle that passes 180 degrees continues at -180
+    let turning = |from: f64, to: f64| speed(0.0, (to - from + 180.0).rem_euclid(360.0) - 180.0);
+    let [x, y, z] = [0, 1, 2].map(|i| speed(from[i], to[i]));
+    let [rx, ry, rz] = [3, 4, 5].map(|i| turning(from[i], to[i]));
     Ok(match number {
         1 => [0, 1, 2, 3, 4, 5, 6, 7].map(|i| speed(here[i], soon[i])),
         2 if arm.robot.motor_is_on() => {

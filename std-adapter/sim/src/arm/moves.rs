@@ -19,6 +19,9 @@ use crate::rules;
 use crate::value::{number, numbers, whole};
 use crate::waits::Wait;
 
+/// The largest angle of Robot_Rotate, in degrees: ten turns. Planning takes longer for a larger one.
+const ROTATION_MAX: f64 = 3600.0;
+
 /// Whose internal speed a motion has.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Speed {
@@ -163,7 +166,7 @@ pub(super) fn rotate(robot: &mut Robot, ctx: &mut Context<'_>, request: &Request
         }
     };
     let degrees = request.float(2);
-    if !degrees.is_finite() {
+    if !(-ROTATION_MAX..=ROTATION_MAX).contains(&degrees) {
         return Err(HResult::E_INVALIDARG);
     }
     let centre = vector(&request.value(3), ctx.variables)?;

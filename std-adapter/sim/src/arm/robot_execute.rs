@@ -150,7 +150,7 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     command("GetHandIO", measures::hand_io).accepts("[first, count]: an IO, and 1 to 32 of them"),
     command("TakeArm", take_arm).accepts("nothing, the group, or [group, keep]: group 0 to 31, keep 0 or 1"),
     command("GiveArm", give_arm).resumes(Handler::Execute(give_arm)),
-    command("TakeArmState", arm_state).accepts("nothing, or one number: the group 0, or -1"),
+    command("TakeArmState", arm_state).accepts("nothing, or one number: a group, or -1 for any"),
     command("Motor", motor).accepts(MOTOR),
     command("ExtSpeed", external_speed)
         .accepts("a speed, [speed, accel] or [speed, accel, decel], in percent, 0.0001 to 100; accel, decel -1 or -2"),
@@ -169,9 +169,9 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
         .accepts("[pose, height], [..., rise] or [..., rise, fall]: in mm, rise and fall at most the height"),
     command("Arrive", |arm, ctx, param| moves::arrive(&mut arm.robot, ctx, param))
         .accepts("one number: percent of the motion under way, above 0 to 100"),
-    command("MotionSkip", motion_skip).accepts("nothing, the group, or [group, mode]: group 0 or -1, mode 0 to 3"),
+    command("MotionSkip", motion_skip).accepts("nothing, the group, or [group, mode]: group -1 to 31, mode 0 to 3"),
     command("MotionComplete", motion_complete)
-        .accepts("nothing, the group, or [group, mode]: group 0 or -1, mode 0 (commands) or 1 (motion)"),
+        .accepts("nothing, the group, or [group, mode]: group -1 to 31, mode 0 (commands) or 1 (motion)"),
     command("slvChangeMode", |arm, ctx, param| slave::change_mode(&mut arm.robot, ctx, param))
         .accepts("one number: 0, 0x001 to 0x003, 0x101 to 0x103, 0x201 to 0x203"),
     read("slvGetMode", |arm, _| owned(slave::mode(&arm.robot))),

@@ -42,6 +42,15 @@ impl Handler for Controller {
         self.serve(peer, request, CallPhase::Resume, reply)
     }
 
+    /// The faults of the scenario concern calls of clients only. A lost link has not carried the client's Service_Stop, so
+    /// nothing is released then; [`left`](Handler::left) releases everything in any case.
+    fn release(&mut self, peer: PeerId, request: &Request<'_>, now: Instant) {
+        self.advance(now);
+        if !self.scenario.is_link_lost(self.shared.now) {
+            let _ = self.execute(peer, request, CallPhase::Start, &mut ReplyValue::new(&mut []));
+        }
+    }
+
     /// A motion that a call waited for continues; only its end is not reported.
     fn abandoned(&mut self, peer: PeerId, now: Instant) {
         self.advance(now);
@@ -59,6 +68,7 @@ impl Handler for Controller {
     fn left(&mut self, peer: PeerId, now: Instant) {
         self.advance(now);
         self.shared.addresses.remove(&peer);
+        self.scenario.forget(peer);
         self.forget(peer);
     }
 }
@@ -104,8 +114,6 @@ impl Controller {
                 Outcome::Done(if fits { code } else { HResult::E_TOO_MUCH_DATA })
             }
             step => {
-                // before the call, because Service_Stop drops its fault
-                let time = self.scenario.answer_time(peer);
                 let outcome = match step {
                     CallPlan::Refuse(code) => {
                         self.refuse(code);
@@ -113,7 +121,7 @@ impl Controller {
                     }
                     _ => self.execute(peer, request, phase, reply),
                 };
-                self.scenario.end_call(peer, outcome, time, reply, self.shared.now)
+                self.scenario.end_call(peer, outcome, reply, self.shared.now)
             }
         }
     }
@@ -432,8 +440,11 @@ impl Controller {
             Effect::Session => false,
             _ if function.opens().is_some() => false,
             Effect::Reads => permission == Permission::None,
-            // these check it themselves, with the code of a variable
-            _ => object != Object::File && function != FunctionId::VARIABLE_PUT_VALUE,
+            // a variable and a file that is not run check it themselves, with the code of a variable
+            _ => {
+                (object != Object::File || function == FunctionId::FILE_RUN)
+                    && function != FunctionId::VARIABLE_PUT_VALUE
+            }
         };
         if is_refused { Err(HResult::E_ACCESSDENIED) } else { Ok(()) }
     }

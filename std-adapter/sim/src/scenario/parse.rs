@@ -152,7 +152,10 @@ impl ThenEntry {
     fn read(self) -> Result<Effect, &'static str> {
         Ok(match self {
             Self::Refuse(code) => Effect::Refuse(read_code(&code)?),
-            Self::Error(code) => Effect::Error(read_code(&code)?),
+            Self::Error(code) => match read_code(&code)? {
+                code if code.is_ok() => return Err("an error is a code that begins with 8"),
+                code => Effect::Error(code),
+            },
             Self::DelayMs(millis) => Effect::Delay(Duration::from_millis(millis)),
             Self::Drop => Effect::Wire(WireFault::Drop),
             Self::WrongSerial => Effect::Wire(WireFault::WrongSerial),

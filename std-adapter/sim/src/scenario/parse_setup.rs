@@ -166,7 +166,11 @@ impl SetupEntry {
 
 /// Reads the name or the number of a code.
 pub(super) fn read_code(text: &str) -> Result<HResult, &'static str> {
-    let number = |digits: &str| u32::from_str_radix(digits, 16).ok().map(HResult::from_u32);
+    let number = |digits: &str| {
+        let number = u32::from_str_radix(digits, 16).ok()?;
+        // a sign is no digit
+        (digits.len() == 8 && !digits.starts_with('+')).then(|| HResult::from_u32(number))
+    };
     let code = match text.strip_prefix("0x").or_else(|| text.strip_prefix("0X")) {
         Some(digits) => number(digits),
         None => HResult::from_name(text),

@@ -39,12 +39,12 @@ struct Armed {
 struct CallFault {
     refused: Option<HResult>,
     wire: Option<WireFault>,
-    /// The earliest time of the answer.
-    until: Instant,
+    /// How much later the answer comes than the call ends.
+    delay: Duration,
     /// The link was lost when the call came: it is neither executed nor answered.
     lost: bool,
-    /// The delayed answer.
-    answer: Option<(HResult, Option<OwnedVariant>)>,
+    /// The delayed answer, and its time.
+    answer: Option<(Instant, HResult, Option<OwnedVariant>)>,
     /// The answer was made; [`deliver`](Playback::deliver) applies the fault.
     answered: bool,
 }
@@ -136,7 +136,7 @@ impl Playback {
         for effect in self.at_call(request) {
             match effect {
                 Effect::Refuse(code) => fault.refused = Some(code),
-                Effect::Delay(time) => fault.until = now.saturating_add(time),
+                Effect::Delay(time) => fault.delay = fault.delay.saturating_add(time),
                 Effect::Wire(wire) => fault.wire = Some(wire),
                 Effect::LinkLoss(time) => self.lose_link(time, now),
                 effect => others.push(effect),
@@ -157,8 +157,8 @@ impl Playback {
             };
         }
         match (&fault.answer, fault.refused) {
-            (Some(_), _) if now < fault.until => CallPlan::Wait(fault.until),
-            (Some((code, value)), _) => {
+            (Some((until, ..)), _) if now < *until => CallPlan::Wait(*until),
+            (Some((_, code, value)), _) => {
                 let (code, value) = (*code, value.clone());
                 self.answer(peer, code, value)
             }
@@ -167,36 +167,32 @@ impl Playback {
         }
     }
 
-    /// Returns the earliest time of the answer of a call.
-    pub(crate) fn answer_time(&self, peer: PeerId) -> Instant {
-        self.calls.get(&peer).map_or(Instant::ZERO, |fault| fault.until)
-    }
-
     fn answer(&mut self, peer: PeerId, code: HResult, value: Option<OwnedVariant>) -> CallPlan {
         self.answered(peer);
         CallPlan::Answer(code, value)
     }
 
-    /// Ends a call that was executed or refused. An answer before `time` is delayed.
+    /// Ends a call that was executed or refused. Its fault may delay the answer.
     pub(crate) fn end_call(
         &mut self,
         peer: PeerId,
         outcome: Outcome,
-        time: Instant,
         reply: &mut ReplyValue<'_>,
         now: Instant,
     ) -> Outcome {
         let Outcome::Done(code) = outcome else { return outcome };
-        if now >= time {
-            self.answered(peer);
-            return outcome;
+        match self.calls.get_mut(&peer) {
+            Some(fault) if !fault.delay.is_zero() => {
+                let until = now.saturating_add(fault.delay);
+                fault.answer = Some((until, code, reply.get().map(OwnedVariant::from)));
+                reply.clear();
+                Outcome::Wait(until)
+            }
+            _ => {
+                self.answered(peer);
+                outcome
+            }
         }
-        // Service_Stop has dropped the fault: it is executed again at that time, which changes nothing
-        if let Some(fault) = self.calls.get_mut(&peer) {
-            fault.answer = Some((code, reply.get().map(OwnedVariant::from)));
-        }
-        reply.clear();
-        Outcome::Wait(time)
     }
 
     /// Records that the answer of a call was made.
@@ -208,7 +204,7 @@ impl Playback {
         }
     }
 
-    /// Drops the fault of a call that was given up.
+    /// Drops the fault of a call that was given up, or whose client has left.
     pub(crate) fn forget(&mut self, peer: PeerId) {
         self.calls.remove(&peer);
     }

@@ -174,6 +174,47 @@ fn a_path_goes_through_its_points() {
     }
 }
 
+/// Adds 200 points to path 1: the place, START, the place, ...
+fn add_points(world: &mut World, client: Client, place: &str) {
+    for n in 0..200 {
+        let pose = if n % 2 == 0 { place } else { START };
+        assert_eq!(world.robot(client, "AddPathPoint", (1, pose)), ok(&()), "{n}");
+    }
+}
+
+#[test]
+fn a_path_leaves_out_none_of_many_points() {
+    let (mut world, client) = at_start();
+    add_points(&mut world, client, "P(800, 0, 300, 180, 0, 180, 5)");
+    assert_eq!(world.move_to(client, 4, 1, ""), UNREACHABLE);
+
+    let (mut world, client) = at_start();
+    add_points(&mut world, client, "P(304, 0, 300, 180, 0, 180, 5)");
+    let go = call::robot_move(client.robot, 4, 1, "NEXT");
+    assert_eq!(world.call(client.peer, go), code(HResult::S_OK));
+    let (mut visits, mut is_there) = (0, false);
+    while world.sim.is_moving() {
+        world.pass(1);
+        let before = is_there;
+        is_there = (world.sim.point().position[0] - 304.0).abs() < 0.1;
+        visits += u32::from(is_there && !before);
+    }
+    assert_eq!(visits, 100);
+}
+
+#[test]
+fn each_turn_of_a_rotation_is_a_circle() {
+    let (mut world, client) = at_start();
+    let rotate = |degrees: f32| call::robot_rotate(client.robot, "XY", degrees, "V(320,0,300)", "Pose=2, NEXT");
+    for pose in trace(&mut world, client, rotate(3600.0)) {
+        assert!(((pose[0] - 320.0).hypot(pose[1]) - 20.0).abs() < 0.1, "{pose:?}");
+    }
+    assert_close(&pose(&mut world, client)[..3], &[300.0, 0.0, 300.0], 1e-6);
+    for degrees in [3601.0, -3601.0, 1e30, f32::NAN] {
+        assert_eq!(world.run(client.peer, rotate(degrees)), code(WRONG_ARGUMENT), "{degrees}");
+    }
+}
+
 #[test]
 fn a_plane_is_three_points_or_two_axes_of_the_tool() {
     let end = |plane: &str| {

@@ -3,6 +3,7 @@
 use bcap_core::bcap::call;
 use bcap_core::hresult::HResult;
 use bcap_core::variant::Encode;
+use bcap_sim::Config;
 use bcap_sim::codes::{CONVERSION_UNREACHABLE, OTHER_FIGURE, SINGULAR, UNREACHABLE, WRONG_ARGUMENT};
 use bcap_sim::kinematics::{RANGES, SPEEDS};
 use bcap_sim::motion::{ACCELERATION_TIME, LINE_SPEED};
@@ -243,5 +244,47 @@ fn a_line_near_a_singular_point_is_refused() {
         assert_eq!(world.move_to(client, 1, from, ""), HResult::S_OK);
         assert_eq!(world.move_to(client, 2, to, ""), SINGULAR, "{from} to {to}");
         assert!(!world.sim.motor_is_on());
+    }
+}
+
+#[test]
+fn a_line_without_length_passes_no_singular_point() {
+    let mut world = World::new();
+    let client = world.mover(1);
+    for (x, y) in (280..=380).step_by(20).flat_map(|x| (-120..=120).step_by(40).map(move |y| (x, y))) {
+        let pose = format!("P({x},{y},300,180,0,180,5)");
+        assert_eq!(world.move_to(client, 1, pose.as_str(), ""), HResult::S_OK, "{pose}");
+        // the rounding of the joints is all that this line moves
+        assert_eq!(world.move_to(client, 2, pose.as_str(), ""), HResult::S_OK, "{pose}");
+        assert_eq!(world.robot(client, "Draw", (2, "V(0,0,0)")), ok(&()), "{pose}");
+        assert_eq!(world.robot(client, "Depart", (2, 0)), ok(&()), "{pose}");
+        assert_eq!(world.robot(client, "RotateH", 0), ok(&()), "{pose}");
+        assert_close(&doubles(&world.robot(client, "CurPos", ()).1)[..2], &[f64::from(x), f64::from(y)], 1e-6);
+    }
+}
+
+#[test]
+fn a_long_way_of_an_extended_axis_is_not_singular() {
+    let mut world = World::with(Config { extended_axes: 1, ..Config::default() });
+    let client = world.mover(1);
+    assert_eq!(world.move_to(client, 1, "P(300,0,300,180,0,180,5)", ""), HResult::S_OK);
+    assert_eq!(world.move_to(client, 2, "P(310,0,300,180,0,180,5) EX((7,300))", ""), HResult::S_OK);
+    assert_close(&doubles(&world.robot(client, "CurPos", ()).1)[..3], &[310.0, 0.0, 300.0], 1e-6);
+    assert_close(&world.sim.axes()[6..7], &[300.0], 1e-9);
+}
+
+#[test]
+fn a_line_ends_within_the_ranges_and_in_the_posture_of_its_joints() {
+    for (joints, expected) in [
+        ("J(5,45,90,0,45,400)", HResult::from_u32(0x8320_4236)),
+        // the same place with a flipped wrist
+        ("J(5,45,90,180,-45,180)", OTHER_FIGURE),
+        ("J(5,45,90,0,45,0)", HResult::S_OK),
+    ] {
+        let mut world = World::new();
+        let client = world.mover(1);
+        assert_eq!(world.move_to(client, 2, joints, ""), expected, "{joints}");
+        let j1 = if expected == HResult::S_OK { 5.0 } else { 0.0 };
+        assert_close(&world.sim.joints()[..1], &[j1], 1e-9);
     }
 }

@@ -250,3 +250,22 @@ fn a_distance_decides_how_near_a_pass_comes() {
     // @50 mm is farther than the braking distance, so it is @P
     assert!(fifty > five && (fifty - near).abs() < 1e-9, "{fifty} {near}");
 }
+
+#[test]
+fn arrive_100_answers_at_the_end_of_any_motion() {
+    let mut world = World::new();
+    let client = world.mover(1);
+    for j1 in 1..=170 {
+        let pose = format!("J({j1},45,90,0,45,0)");
+        let start = world.now;
+        assert_eq!(world.move_to(client, 1, pose.as_str(), ""), HResult::S_OK);
+        let time = world.now.saturating_since(start);
+        assert_eq!(world.move_to(client, 1, "J(0,45,90,0,45,0)", ""), HResult::S_OK);
+        let start = world.now;
+        assert_eq!(next(&mut world, client, &pose), HResult::S_OK);
+        assert_eq!(world.robot(client, "Arrive", 100), ok(&()), "J1 {j1}");
+        let waited = world.now.saturating_since(start);
+        assert!(waited.abs_diff(time).as_millis() < 50, "J1 {j1}: {waited:?}, {time:?}");
+        assert_eq!(world.move_to(client, 1, "J(0,45,90,0,45,0)", ""), HResult::S_OK);
+    }
+}

@@ -206,6 +206,11 @@ impl bcap::Handler for Watched {
         outcome
     }
 
+    /// No client has made this call, so it is not shown.
+    fn release(&mut self, peer: PeerId, request: &bcap::Request<'_>, now: Instant) {
+        bcap::Handler::release(&mut self.controller, peer, request, now);
+    }
+
     fn abandoned(&mut self, peer: PeerId, now: Instant) {
         bcap::Handler::abandoned(&mut self.controller, peer, now);
         self.clients.entry(peer).and_modify(|client| client.pending = None);
@@ -253,6 +258,7 @@ pub(super) fn shown(addresses: &str, watched: &SharedController) -> impl FnMut(&
 #[cfg(test)]
 mod tests {
     use super::*;
+    use bcap_core::bcap::{Args, FunctionId};
     use bcap_core::rac::{Variable, VariableKind};
     use bcap_core::variant::Variant;
     use bcap_sim::{Config, Profile};
@@ -287,5 +293,16 @@ mod tests {
         assert_eq!(texts(&screen.robot)[4], "tool 0  work 0");
         rac::Handler::left(&mut *watched, PeerId(7), at);
         assert_eq!(texts(&watched.screen("", at).values), [""; 0]);
+    }
+
+    #[test]
+    fn the_releases_of_the_server_are_not_shown_as_calls() {
+        let refused = Refused::default();
+        let shared = Watched::shared(Controller::new(Config::new(Profile::Rc8)), refused);
+        let mut watched = shared.lock().unwrap();
+        let request = bcap::Request { function: FunctionId::SERVICE_STOP, args: Args::NONE };
+        bcap::Handler::release(&mut *watched, PeerId(7), &request, Instant::ZERO);
+        let screen = watched.screen("", Instant::ZERO);
+        assert_eq!((texts(&screen.values), texts(&screen.log)), (vec![], vec![]));
     }
 }
