@@ -49,6 +49,10 @@ impl<const TIMES: u32> Handler for Slowed<TIMES> {
         Self::outer(Handler::resume(&mut self.0, peer, request, reply, Self::inner(now)))
     }
 
+    fn release(&mut self, peer: PeerId, request: &Request<'_>, now: Instant) {
+        Handler::release(&mut self.0, peer, request, Self::inner(now));
+    }
+
     fn abandoned(&mut self, peer: PeerId, now: Instant) {
         Handler::abandoned(&mut self.0, peer, Self::inner(now));
     }

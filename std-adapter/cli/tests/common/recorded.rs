@@ -46,11 +46,7 @@ pub(crate) struct Recording {
 
 impl Recording {
     fn record(&mut self, function: &str, arguments: &[Variant<'_>], outcome: Outcome) -> Outcome {
-        // before Service_Stop the session itself releases the service, with the same call
-        let is_again = function == "Service_Stop" && self.seen.last().is_some_and(|last| last.0 == function);
-        if let Outcome::Done(code) = outcome
-            && !is_again
-        {
+        if let Outcome::Done(code) = outcome {
             let arguments = arguments.iter().map(|value| OwnedVariant::new(value).unwrap().as_bytes().to_vec());
             self.seen.push((function.to_owned(), arguments.collect(), code.0.into()));
         }
@@ -75,6 +71,10 @@ impl Handler for Recording {
         let outcome = Handler::resume(&mut self.controller, peer, request, reply, now);
         let arguments: Vec<_> = request.args.iter().collect();
         self.record(&request.function.to_string(), &arguments, outcome)
+    }
+
+    fn release(&mut self, peer: PeerId, request: &Request<'_>, now: time::Instant) {
+        Handler::release(&mut self.controller, peer, request, now);
     }
 
     fn abandoned(&mut self, peer: PeerId, now: time::Instant) {
