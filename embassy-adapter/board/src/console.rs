@@ -320,7 +320,7 @@ impl<'a, F: NorFlash> Console<'a, F> {
 #[cfg(feature = "health")]
 impl<F: NorFlash> Console<'_, F> {
     /// Replaces the settings in the flash by the lines of a page, and keeps the secret ones of `running`, the settings that the board runs
-    /// with. Comments and empty lines are dropped.
+    /// with. Empty lines and lines that begin with `#` are dropped. Values stay as they are, also with a `#` or blanks at their end.
     ///
     /// # Errors
     ///
@@ -339,11 +339,13 @@ impl<F: NorFlash> Console<'_, F> {
             self.push(secret.map(str::as_bytes)).map_err(|error| not_saved(error, 0))?;
         }
         for (number, line) in (1..).zip(page.lines()) {
-            match Settings::lines_of_file(line).next() {
-                None => {}
-                Some(REACH) => may_change_reach = true,
-                Some(line) if is_secret(line) => return Err(NotSaved::Secret { number }),
-                Some(line) => self.push([line.as_bytes(), b""]).map_err(|error| not_saved(error, number))?,
+            // a key has no blank before it
+            match line.trim_start() {
+                "" => {}
+                REACH => may_change_reach = true,
+                line if line.starts_with('#') => {}
+                line if is_secret(line) => return Err(NotSaved::Secret { number }),
+                line => self.push([line.as_bytes(), b""]).map_err(|error| not_saved(error, number))?,
             }
         }
         let text = self.new.get(..self.len).unwrap_or_default();

@@ -7,15 +7,17 @@ use core::net::Ipv4Addr;
 use core::task::Context;
 
 use bcap_core::rac;
+use bcap_embassy::net::discard;
 use bcap_gateway::Network;
 use embassy_executor::{SpawnError, Spawner};
+use embassy_futures::select::{Either, select};
 #[cfg(feature = "health")]
 use embassy_futures::select::{Either3, select3};
 use embassy_net::udp::{PacketMetadata, UdpMetadata, UdpSocket};
 use embassy_net::{HardwareAddress, IpAddress, IpEndpoint, Stack};
 #[cfg(feature = "health")]
 use embassy_time::Timer;
-use embassy_time::{Duration, Instant};
+use embassy_time::{Duration, Instant, with_timeout};
 use static_cell::{ConstStaticCell, StaticCell};
 
 use crate::Settings;
@@ -33,6 +35,10 @@ use crate::watchdog::watched;
 
 /// The pause between two answers. Requests in it are dropped; a host repeats them.
 const PAUSE: Duration = Duration::from_millis(50);
+
+/// How long a datagram may wait until the address of its host is resolved. smoltcp sends one ARP request a second in all, so the request
+/// for this address can be a second late.
+const UNSENT: Duration = Duration::from_millis(1500);
 
 /// The pauses between requests for the time: without an answer, and after one.
 #[cfg(feature = "health")]
@@ -75,8 +81,9 @@ async fn run(stack: Stack<'_>, mut socket: UdpSocket<'_>, settings: &Settings<'_
         stack.wait_config_up().await;
         // fails if it is bound already
         let _ = socket.bind(PORT);
+        discard_unsent(&mut socket).await;
         #[cfg(feature = "health")]
-        serve_others(&socket, settings, &mut clock).await;
+        serve_others(&mut socket, settings, &mut clock).await;
         #[cfg(not(feature = "health"))]
         socket.wait_recv_ready().await;
         if !socket.may_recv() {
@@ -90,14 +97,28 @@ async fn run(stack: Stack<'_>, mut socket: UdpSocket<'_>, settings: &Settings<'_
         let asked = socket.recv_from_with(receive).await;
         if let Some((number, meta)) = asked.filter(|_| settings.find && Instant::now() >= next_answer) {
             next_answer = Instant::now().saturating_add(PAUSE);
-            answer(stack, &socket, (number, meta), settings, name).await;
+            answer(stack, &mut socket, (number, meta), settings, name).await;
         }
     }
 }
 
+/// Waits until the last datagram has left or a request arrives, and discards a datagram that does not leave; returns whether it did.
+///
+/// smoltcp keeps a datagram to an address that it cannot resolve or reach, and sends no other datagram of the socket before it.
+async fn discard_unsent(socket: &mut UdpSocket<'_>) -> bool {
+    // the socket has room for one datagram, so there is room once it has left
+    let left = with_timeout(UNSENT, socket.wait_send_ready());
+    let ended = select(socket.wait_recv_ready(), left).await;
+    let is_unsent = matches!(ended, Either::Second(Err(_)));
+    if is_unsent {
+        discard(socket);
+    }
+    is_unsent
+}
+
 /// Waits for a datagram, and sends a message or a request for the time before that.
 #[cfg(feature = "health")]
-async fn serve_others(socket: &UdpSocket<'_>, settings: &Settings<'_>, clock: &mut Clock) {
+async fn serve_others(socket: &mut UdpSocket<'_>, settings: &Settings<'_>, clock: &mut Clock) {
     let message = async {
         match settings.syslog {
             Some(_) => messages::wait().await,
@@ -110,16 +131,20 @@ async fn serve_others(socket: &UdpSocket<'_>, settings: &Settings<'_>, clock: &m
             None => core::future::pending().await,
         }
     };
-    match select3(socket.wait_recv_ready(), message, time).await {
+    // the time first: the board seldom asks for it, and there may always be a message
+    match select3(socket.wait_recv_ready(), time, message).await {
         Either3::First(()) => {}
         Either3::Second(()) => {
-            if let Some(collector) = settings.syslog {
-                messages::send(socket, collector, settings.hostname).await;
+            if let Some(server) = settings.ntp {
+                let _ = socket.send_to(&clock.ask(), server).await;
             }
         }
         Either3::Third(()) => {
-            if let Some(server) = settings.ntp {
-                let _ = socket.send_to(&clock.ask(), server).await;
+            if let Some(collector) = settings.syslog {
+                messages::send(socket, collector, settings.hostname).await;
+                if discard_unsent(socket).await {
+                    messages::lose();
+                }
             }
         }
     }
@@ -167,7 +192,7 @@ impl Clock {
 /// Answers a host of the board's own network.
 async fn answer(
     stack: Stack<'_>,
-    socket: &UdpSocket<'_>,
+    socket: &mut UdpSocket<'_>,
     (number, meta): ([u8; 8], UdpMetadata),
     settings: &Settings<'_>,
     name: &str,
@@ -177,6 +202,10 @@ async fn answer(
     let own = (config.address.address(), config.address.prefix_len());
     if !may_ask(own, host) {
         return;
+    }
+    // the datagram before this one may never leave, and the host does not wait long
+    if !socket.may_send() {
+        discard(socket);
     }
     let name_of_host = settings.hostname.unwrap_or_default();
     let version = env!("CARGO_PKG_VERSION");

@@ -168,8 +168,13 @@ pub(crate) async fn send(socket: &UdpSocket<'_>, collector: SocketAddrV4, host: 
         socket.poll_send_to(buffer.get(..len).unwrap_or_default(), collector, context)
     };
     if poll_fn(send).await.is_err() {
-        with(|events| events.lose());
+        lose();
     }
+}
+
+/// Counts a message that was not sent.
+pub(crate) fn lose() {
+    with(|events| events.lose());
 }
 
 /// Writes what fits.

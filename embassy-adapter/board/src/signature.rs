@@ -128,14 +128,15 @@ pub fn public_of(secret: &[u8; KEY_SIZE]) -> PublicKey {
     PublicKey(SigningKey::from_bytes(secret).verifying_key().to_bytes())
 }
 
-/// Tells whether a version is older than another: numbers between dots count, then a suffix such as `-rc1` is older than none.
-/// A version that is not of this form counts as older, so it is refused.
+/// Tells whether a version is older than another: numbers between dots count, then a suffix such as `-rc1` is older than none, and
+/// `-rc9` is older than `-rc10`. A version that is not of this form counts as older, so it is refused.
 #[must_use]
 pub fn is_older(version: &str, than: &str) -> bool {
     match (parts(version), parts(than)) {
         (Some((numbers, suffix)), Some((others, other))) => {
             // no suffix is the newest
-            (numbers, suffix.is_empty(), suffix) < (others, other.is_empty(), other)
+            let order = (numbers, suffix.is_empty()).cmp(&(others, other.is_empty()));
+            order.then_with(|| keys(suffix).cmp(keys(other))).is_lt()
         }
         (None, _) => true,
         (Some(_), None) => false,
@@ -152,6 +153,18 @@ fn parts(version: &str) -> Option<([u32; 4], &str)> {
         *places.next()? = number.parse().ok()?;
     }
     Some((found, suffix))
+}
+
+/// Returns the sort keys of a suffix: runs of digits as numbers (their length without leading zeros, their digits), other bytes as bytes.
+fn keys(suffix: &str) -> impl Iterator<Item = (u8, usize, &[u8])> {
+    let parts = suffix.as_bytes().chunk_by(|byte, next| byte.is_ascii_digit() && next.is_ascii_digit());
+    parts.map(|part| {
+        let zeros = part.iter().take_while(|byte| **byte == b'0').count();
+        let rest = part.get(zeros..).unwrap_or_default();
+        // all digits have one place among the other bytes
+        let first = part.first().map_or(0, |byte| if byte.is_ascii_digit() { b'0' } else { *byte });
+        (first, rest.len(), rest)
+    })
 }
 
 #[cfg(test)]
@@ -195,13 +208,33 @@ mod tests {
 
     #[test]
     fn versions_are_ordered_by_their_numbers() {
-        let ascending = ["0.1.0-rc1", "0.1.0-rc2", "0.1.0", "0.1.1", "0.2", "0.10.0", "1.0.0-beta", "1.0.0", "1.0.0.1"];
+        let ascending = [
+            "0.1.0-rc",
+            "0.1.0-rc.9",
+            "0.1.0-rc.10",
+            "0.1.0-rc1",
+            "0.1.0-rc2",
+            "0.1.0-rc9",
+            "0.1.0-rc10",
+            "0.1.0-rc10a",
+            "0.1.0",
+            "0.1.1",
+            "0.2",
+            "0.10.0",
+            "1.0.0-beta",
+            "1.0.0-beta99999999999999999999",
+            "1.0.0-rc1",
+            "1.0.0",
+            "1.0.0.1",
+        ];
         for (at, version) in ascending.iter().enumerate() {
             for (than_at, than) in ascending.iter().enumerate() {
                 assert_eq!(is_older(version, than), at < than_at, "{version} {than}");
             }
         }
-        assert!(!is_older("0.2.0", "0.2") && !is_older("0.2.0+b", "0.2.0+a"), "equal");
+        for (version, equal) in [("0.2.0", "0.2"), ("0.2.0+b", "0.2.0+a"), ("0.2.0-rc01", "0.2.0-rc1")] {
+            assert!(!is_older(version, equal) && !is_older(equal, version), "{version} {equal}");
+        }
         for invalid in ["", "new", "1.x", "1.2.3.4.5", "99999999999"] {
             assert!(is_older(invalid, "0.1.0") && !is_older("0.1.0", invalid), "{invalid}");
         }

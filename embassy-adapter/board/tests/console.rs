@@ -136,7 +136,7 @@ fn running(text: &str) -> Settings<'_> {
 fn a_page_replaces_the_settings_and_keeps_the_password() {
     let mut board = board();
     let text = "health=80\npassword=12345678\nput=I/0-9\nallow=10.0.0.0/8\n";
-    let page = "# line 3\r\n\r\nhealth=80 \r\nallow=10.0.0.0/8\r\nput=I/0-99=-10..10 # more\r\nhostname=cell-7";
+    let page = "# line 3\r\n \r\n health=80\r\nallow=10.0.0.0/8\r\n  # more\r\nput=I/0-99=-10..10\r\nhostname=cell-7";
     assert_eq!(board.replace(page, &running(text)), Ok(()));
     let shown = send(&mut board, b"show\n");
     let expected = "setting password=12345678\nsetting health=80\nsetting allow=10.0.0.0/8\nsetting put=I/0-99=-10..10\n\
@@ -145,6 +145,17 @@ fn a_page_replaces_the_settings_and_keeps_the_password() {
     // the board runs with other settings until it restarts
     assert_eq!(board.replace(page, &running(text)), Err(NotSaved::Changed));
     assert_eq!(send(&mut board, b"show\n"), expected);
+}
+
+#[cfg(feature = "health")]
+#[test]
+fn values_that_a_page_sends_back_are_not_shortened() {
+    let mut board = board();
+    let text = "health=80\npassword=12345678\noption=a #b\nmachine= m \n";
+    assert_eq!(board.replace("health=80\r\noption=a #b\r\nmachine= m \r\n", &running(text)), Ok(()));
+    let shown = send(&mut board, b"show\n");
+    let expected = "setting password=12345678\nsetting health=80\nsetting option=a #b\nsetting machine= m \nok flash\n";
+    assert_eq!(shown, expected);
 }
 
 #[cfg(feature = "health")]
@@ -160,6 +171,7 @@ fn settings_of_a_page_that_are_not_saved_change_nothing() {
         ("health=80\nhealth", line(2, 1, SettingError::Key)),
         ("health=80\nmachine=a\0b", line(2, 10, SettingError::Nul)),
         ("health=80\nmodbus=80", line(2, 8, SettingError::Port)),
+        ("health=80\nput=I # more", line(2, 5, SettingError::Rule(rule("I # more")))),
         ("health=80\npassword=abcdefgh", Err(NotSaved::Secret { number: 2 })),
         ("health=80\n PASSWORD=abcdefgh", Err(NotSaved::Secret { number: 2 })),
         ("passphrase=abcdefgh", Err(NotSaved::Secret { number: 1 })),

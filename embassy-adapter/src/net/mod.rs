@@ -54,9 +54,7 @@ pub use self::backlog::Backlog;
 #[cfg(feature = "server")]
 pub(crate) use self::backlog::{Place, evicted};
 pub use self::tcp::{Options, TcpTransport};
-pub use self::udp::UdpTransport;
-#[cfg(feature = "server")]
-pub(crate) use self::udp::discard;
+pub use self::udp::{UdpTransport, discard};
 pub use self::usage::Usage;
 pub use crate::error::NetError;
 

@@ -69,7 +69,7 @@ impl<'s> UdpTransport<'s> {
 
 /// Discards the datagrams that were not sent yet, for example because the address of the peer is not resolved, and those that
 /// were not received yet. The port stays.
-pub(crate) fn discard(socket: &mut UdpSocket<'_>) {
+pub fn discard(socket: &mut UdpSocket<'_>) {
     let port = socket.endpoint();
     socket.close();
     // the socket was bound to it, and is free now

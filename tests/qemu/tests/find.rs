@@ -14,6 +14,10 @@ const BROADCAST: Ipv4Addr = Ipv4Addr::new(10, 0, 2, 255);
 const NUMBER: [u8; 8] = *b"a number";
 /// The source port of the requests.
 const HOST_PORT: u16 = 40_000;
+/// How long the first answer may take: the board may have to be built first.
+const BUILT: Duration = Duration::from_secs(600);
+/// A host of the board's network that does not exist.
+const NOBODY: Ipv4Addr = Ipv4Addr::new(10, 0, 2, 99);
 /// Offsets in a frame: the destination, the ports, and the payload.
 const DESTINATION: usize = 30;
 const PORTS: usize = 34;
@@ -36,6 +40,19 @@ fn ask(world: &World, from: Ipv4Addr, to: Ipv4Addr, payload: &[u8]) {
     let mac = if to == BROADCAST { [0xff; 6] } else { MAC };
     // until QEMU is up no process receives the frames
     let _ = world.wire.link.send(&datagram(mac, from, to, [HOST_PORT, PORT], payload));
+}
+
+/// Asks until the board answers, and returns the destination and the payload.
+fn first_answer(world: &mut World, board: &mut Board, limit: Duration) -> (Ipv4Addr, Vec<u8>) {
+    let since = Instant::now();
+    loop {
+        assert!(since.elapsed() < limit, "no answer: {}", board.log());
+        ask(world, HOST, BROADCAST, &request(NUMBER));
+        let found = answers(world, board, Duration::from_millis(200));
+        if let Some(found) = found.into_iter().next() {
+            return found;
+        }
+    }
 }
 
 /// Runs for a time, and returns the datagrams from the board's port: their destinations and payloads.
@@ -61,16 +78,7 @@ fn only_hosts_of_its_network_get_answers_and_a_flood_gets_few() {
     let settings = ["dhcp=no", "hostname=cell-7", "mac=02:00:00:00:00:15"];
     let mut board = Board::start("10.0.2.2:5007", &["--netdev", &netdev], &settings);
     let mut world = World::new(wire, 0, 1);
-    // the board may have to be built first
-    let since = Instant::now();
-    let (to, answer) = loop {
-        assert!(since.elapsed() < 10 * TIMEOUT, "no answer: {}", board.log());
-        ask(&world, HOST, BROADCAST, &request(NUMBER));
-        let found = answers(&mut world, &mut board, Duration::from_millis(200));
-        if let Some(found) = found.into_iter().next() {
-            break found;
-        }
-    };
+    let (to, answer) = first_answer(&mut world, &mut board, BUILT);
     let expected =
         Found { name: "cell-7", board: "gateway", version: "0.1.0", address: (BOARD, 24), port: 5006, mac: MAC };
     assert_eq!((to, Found::read(&answer, NUMBER)), (HOST, Some(expected)));
@@ -111,6 +119,33 @@ fn only_hosts_of_its_network_get_answers_and_a_flood_gets_few() {
     assert!(sent > 100 && count > 0 && (count as u128) <= most, "{count} answers to {sent} requests, at most {most}");
     ask(&world, HOST, BOARD, &request(NUMBER));
     assert_eq!(answers(&mut world, &mut board, Duration::from_secs(1)).len(), 1, "it answers again");
+}
+
+#[test]
+fn a_request_from_an_address_that_does_not_exist_holds_up_no_answer() {
+    let (wire, netdev) = Wire::open(1);
+    let settings = ["dhcp=no", "mac=02:00:00:00:00:15"];
+    let mut board = Board::start("10.0.2.2:5007", &["--netdev", &netdev], &settings);
+    let mut world = World::new(wire, 0, 1);
+    first_answer(&mut world, &mut board, BUILT);
+    for _ in 0..3 {
+        ask(&world, NOBODY, BOARD, &request(NUMBER));
+        // answers to earlier requests arrive meanwhile
+        answers(&mut world, &mut board, Duration::from_millis(1500));
+        first_answer(&mut world, &mut board, TIMEOUT);
+    }
+}
+
+#[test]
+fn hosts_of_the_settings_that_are_off_hold_up_no_answer() {
+    for setting in ["ntp=10.0.2.99", "syslog=10.0.2.99"] {
+        let (wire, netdev) = Wire::open(1);
+        let settings = ["dhcp=no", "mac=02:00:00:00:00:15", setting];
+        // with the page, an image has syslog and SNTP; nothing asks for the page here
+        let mut board = Board::start("10.0.2.2:5007", &["--netdev", &netdev, "--health", "1"], &settings);
+        let mut world = World::new(wire, 0, 1);
+        first_answer(&mut world, &mut board, BUILT);
+    }
 }
 
 #[test]
