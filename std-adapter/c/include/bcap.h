@@ -15,6 +15,8 @@
  * - Text is UTF-8 and ends with NUL.
  * - A struct bcap_client is used by one thread at a time. Handles of the hosted functions may be shared by threads. A handle that
  *   was closed returns BCAP_E_HANDLE.
+ * - A handle belongs to the process that opened it. In a forked process it returns BCAP_E_HANDLE, and the end of that process does
+ *   not end the session of its parent.
  * - Only BCAP_OK is a success: BCAP_E_... is an error of this library, and a negative status is the HRESULT of the controller.
  */
 
@@ -668,7 +670,7 @@ bcap_status bcap_rac_reply(const char *line,
 bcap_value bcap_empty(void);
 
 // Makes an integer, a truth value, a code or a currency amount of any scalar type, such as `BCAP_UI2`. An integer out of the range of
-// its type is refused when it is sent.
+// its type is refused when it is sent. For `BCAP_R4`, `BCAP_R8` and `BCAP_DATE` it is converted to the nearest number.
 bcap_value bcap_integer(uint16_t type,
                         int64_t integer);
 

@@ -102,13 +102,19 @@ inline Motion joint(std::string to) { return {std::move(to), false}; }
 
 using Joints = std::array<double, 8>;
 
-/// A number that is closed once, when its last owner ends. It can be moved, not copied.
+/// A number that is closed once, when its last owner ends. It can be moved, not copied. Assigning the same number closes nothing.
 template <class Handle, bcap_status (*Close)(Handle)> class Owned {
 public:
     explicit Owned(Handle handle = Handle{0}) noexcept : handle_(handle) {}
     Owned(Owned &&other) noexcept : handle_(other.release()) {}
     Owned &operator=(Owned &&other) noexcept {
-        std::swap(handle_, other.handle_);
+        if (this == &other)
+            return *this;
+        // all arms and streams of a controller have its number, which one of the two must not close
+        if (handle_.id == other.handle_.id)
+            other.release();
+        else
+            std::swap(handle_, other.handle_);
         return *this;
     }
     ~Owned() {
@@ -122,7 +128,8 @@ private:
     Handle handle_;
 };
 
-/// A stream of Slave Mode: `step` sends the joints of the next cycle. Its end lets the robot come to rest.
+/// A stream of Slave Mode: `step` sends the joints of the next cycle. Its end lets the robot come to rest. A new stream can be
+/// assigned to an old one, but `std::optional::emplace` over a live one ends the new one.
 class Stream {
 public:
     Stream(bcap_controller cell, const bcap_stream_options &options) {
@@ -152,7 +159,8 @@ private:
     Joints joints_{};
 };
 
-/// The arm: its end halts the robot, switches the motor off and gives the arm back.
+/// The arm: its end halts the robot, switches the motor off and gives the arm back. A new arm can be assigned to an old one, but
+/// `std::optional::emplace` over a live one ends the new one.
 class Arm {
 public:
     explicit Arm(bcap_controller cell) noexcept : cell_(cell) {}

@@ -239,22 +239,27 @@ pub extern "C" fn bcap_empty() -> bcap_value {
 }
 
 /// Makes an integer, a truth value, a code or a currency amount of any scalar type, such as `BCAP_UI2`. An integer out of the range of
-/// its type is refused when it is sent.
+/// its type is refused when it is sent. For `BCAP_R4`, `BCAP_R8` and `BCAP_DATE` it is converted to the nearest number.
 #[unsafe(no_mangle)]
 pub extern "C" fn bcap_integer(r#type: u16, integer: i64) -> bcap_value {
-    bcap_value::scalar(VarType(r#type), bcap_data { integer })
+    let vartype = VarType(r#type);
+    let data = match vartype {
+        VarType::R4 | VarType::R8 | VarType::DATE => bcap_data { number: integer as f64 },
+        _ => bcap_data { integer },
+    };
+    bcap_value::scalar(vartype, data)
 }
 
 /// Makes an I4: handles, I variables, modes.
 #[unsafe(no_mangle)]
 pub extern "C" fn bcap_i4(integer: i32) -> bcap_value {
-    bcap_integer(VarType::I4.0, integer.into())
+    bcap_value::scalar(VarType::I4, bcap_data { integer: integer.into() })
 }
 
 /// Makes a BOOL: IO variables.
 #[unsafe(no_mangle)]
 pub extern "C" fn bcap_bool(truth: bool) -> bcap_value {
-    bcap_integer(VarType::BOOL.0, truth.into())
+    bcap_value::scalar(VarType::BOOL, bcap_data { integer: truth.into() })
 }
 
 /// Makes an R4: F variables, speeds.

@@ -476,7 +476,21 @@ static void exit_in_callback(void) {
     _exit(1);
 }
 
-/* Starts a program. It would inherit an open connection, and close it. */
+static bcap_controller inherited;
+static bcap_stopper inherited_stopper;
+
+/* The end of a forked process, whose handles of its parent are invalid. */
+static void exit_as_child(void) {
+    int64_t integer;
+    STATUS(BCAP_E_HANDLE, bcap_read_integer(inherited, "I1", &integer));
+    STATUS(BCAP_E_HANDLE, bcap_stopper_halt(inherited_stopper));
+    STATUS(BCAP_E_HANDLE, bcap_stopper_close(inherited_stopper));
+    STATUS(BCAP_E_HANDLE, bcap_close(inherited));
+    OK(bcap_read_integer(connected(), "I1", &integer));
+    exit(0);
+}
+
+/* Starts a program in a forked process, where the handles of this one are invalid. */
 static pid_t started(void (*program)(void)) {
     pid_t child = fork();
     CHECK(child >= 0);
@@ -510,6 +524,16 @@ static void exits(void) {
     left();
     if (!is_slow) /* otherwise the signal probably interrupts code that `exit` needs */
         ended(started(exit_in_handler));
+    /* the end of a forked process leaves the motion of its parent under way */
+    inherited = prepared();
+    OK(bcap_stopper_open(inherited, &inherited_stopper));
+    OK(bcap_start(inherited, &far, 60000));
+    ended(started(exit_as_child));
+    if (!is_slow)
+        wait_for_motion(inherited);
+    OK(bcap_wait(inherited));
+    OK(bcap_stopper_close(inherited_stopper));
+    OK(bcap_close(inherited));
     cell = prepared();
     OK(bcap_close(cell));
 }

@@ -235,6 +235,19 @@ static void arguments(void) {
     OK(bcap_value_integer(&truth, &one));
     CHECK(one == 1);
 
+    /* an integer of a floating-point type is converted */
+    const uint16_t floats[] = {BCAP_R4, BCAP_R8, BCAP_DATE};
+    for (int index = 0; index < 3; index++) {
+        const bcap_value converted = bcap_integer(floats[index], 50);
+        CHECK(converted.type == floats[index] && converted.data.number == 50);
+    }
+    const bcap_value speed = bcap_integer(BCAP_R4, 50);
+    OK(bcap_value_number(&speed, &back));
+    CHECK(back == 50);
+    const uint8_t fifty[] = {10, 0, 0, 0, 4, 0, 1, 0, 0, 0, 0, 0, 0x48, 0x42};
+    found = encoded(&speed, 1, &length);
+    CHECK(length == sizeof fifty && memcmp(found, fifty, length) == 0);
+
     STATUS(BCAP_E_VALUE, refused(bcap_text(NULL)));
     STATUS(BCAP_E_VALUE, refused(bcap_text("\xff")));
     STATUS(BCAP_E_VALUE, refused(bcap_integer(BCAP_UI1, 256)));

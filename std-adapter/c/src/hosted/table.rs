@@ -2,10 +2,11 @@
 
 use std::collections::BTreeMap;
 use std::ffi::c_int;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::sync::{Arc, Mutex, MutexGuard, Once, PoisonError, TryLockError};
-use std::thread;
 use std::time::{Duration, Instant};
+use std::{mem, process, thread};
 
 use bcap_std::Settings;
 use bcap_std::blocking::{Controller, KeptMotion, Stopper};
@@ -69,25 +70,43 @@ struct Shared {
     settings: Settings,
 }
 
+/// An object, and the process that opened it. A forked process inherits objects, but must not use them: their sessions and their
+/// threads are the parent's.
+struct Entry {
+    process: u32,
+    object: Object,
+}
+
+impl Entry {
+    fn is_own(&self) -> bool {
+        self.process == process::id()
+    }
+}
+
+type Entries = BTreeMap<u64, Entry>;
+
 /// The generation of the latest handle, and the objects of those that are open. Each handle has a new generation, so that one that
 /// was closed is never valid again; 0 is invalid.
-static OBJECTS: Mutex<(u64, BTreeMap<u64, Object>)> = Mutex::new((0, BTreeMap::new()));
+static OBJECTS: Mutex<(u64, Entries)> = Mutex::new((0, Entries::new()));
 
-fn objects() -> MutexGuard<'static, (u64, BTreeMap<u64, Object>)> {
+fn objects() -> MutexGuard<'static, (u64, Entries)> {
     OBJECTS.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 fn insert(object: Object) -> u64 {
     let (generation, objects) = &mut *objects();
     *generation += 1;
-    objects.insert(*generation, object);
+    objects.insert(*generation, Entry { process: process::id(), object });
     *generation
 }
 
-/// Returns the object of a handle, or with `take` removes it.
+/// Returns the object of a handle of this process, or with `take` removes it.
 fn find(id: u64, take: bool) -> Result<Object, Failure> {
     let (_, objects) = &mut *objects();
-    let found = if take { objects.remove(&id) } else { objects.get(&id).cloned() };
+    let found = objects.get(&id).filter(|entry| entry.is_own()).map(|entry| entry.object.clone());
+    if take && found.is_some() {
+        objects.remove(&id);
+    }
     Ok(found.ok_or(BCAP_E_HANDLE)?)
 }
 
@@ -120,13 +139,13 @@ pub(super) fn on(id: u64, body: impl FnOnce(&mut Cell) -> Result<(), Failure>) -
 /// Runs calls on a controller, after those of other threads.
 pub(super) fn with<T>(id: u64, calls: impl FnOnce(&mut Cell) -> Result<T, Failure>) -> Result<T, Failure> {
     let shared = controller(id)?;
-    // after a panic its object must not be used; its drop halts the robot
-    let mut cell = shared.cell.lock().map_err(|poisoned| {
-        let mut cell = poisoned.into_inner();
-        (cell.stream, cell.controller) = (None, None);
-        BCAP_E_PANIC
-    })?;
-    let ended = calls(&mut cell);
+    // poisoned by a panic
+    let mut cell = shared.cell.lock().map_err(|_| BCAP_E_PANIC)?;
+    let ended = catch_unwind(AssertUnwindSafe(|| calls(&mut cell))).unwrap_or_else(|payload| {
+        // after a panic its object must not be used; its end halts the robot, and has logged its error
+        let _ = end(&mut cell);
+        resume_unwind(payload)
+    });
     cell.record_arm();
     ended
 }
@@ -159,7 +178,15 @@ fn end(cell: &mut Cell) -> Result<(), Failure> {
     Ok(cell.controller.take().map_or(Ok(()), Controller::close)?)
 }
 
-/// Closes all controllers when the program ends, also by `exit`, so that no robot moves on.
+/// Takes the objects of this process. Inherited ones stay: their drop would end sessions of the parent.
+fn take_own() -> Entries {
+    let (_, objects) = &mut *objects();
+    let (own, inherited): (Entries, Entries) = mem::take(objects).into_iter().partition(|(_, entry)| entry.is_own());
+    *objects = inherited;
+    own
+}
+
+/// Closes all controllers of this process when it ends, also by `exit`, so that no robot moves on.
 fn end_at_exit() {
     static ONCE: Once = Once::new();
 
@@ -170,12 +197,12 @@ fn end_at_exit() {
     extern "C" fn close_all() {
         // not `enter`, because a log callback may call `exit`
         super::catch(|| {
-            let objects = std::mem::take(&mut objects().1);
-            let controller = |object: &Object| match object {
+            let own = take_own();
+            let controller = |entry: &Entry| match &entry.object {
                 Object::Controller(shared) => Some(Arc::clone(shared)),
                 Object::Stopper(_) => None,
             };
-            close_at_exit(objects.values().filter_map(controller).collect());
+            close_at_exit(own.values().filter_map(controller).collect());
             Ok(())
         });
     }
@@ -223,4 +250,62 @@ fn closed(shared: &Shared) -> bool {
         tracing::warn!(?failure, "the program ends, and a controller was not closed");
     }
     true
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{self, Cursor, Read};
+
+    use bcap_std::blocking::Transport;
+    use bcap_std::core::bcap::FunctionId;
+    use bcap_std::core::bcap::header::Header;
+    use bcap_std::core::time::Instant;
+
+    use super::*;
+    use crate::status::BCAP_OK;
+
+    /// A controller that answers every call with the number 1, and records the functions.
+    struct Peer {
+        calls: Arc<Mutex<Vec<FunctionId>>>,
+        reply: Cursor<Vec<u8>>,
+    }
+
+    impl Transport for Peer {
+        type Error = io::Error;
+
+        fn now(&self) -> Instant {
+            bcap_std::now()
+        }
+
+        fn send(&mut self, request: &[u8], _: Instant) -> io::Result<Option<usize>> {
+            let header = Header::read(request).unwrap();
+            self.calls.lock().unwrap().push(header.function());
+            // its length, I4, one element, 1
+            let argument: [u8; 14] = [10, 0, 0, 0, 3, 0, 1, 0, 0, 0, 1, 0, 0, 0];
+            let reply = Header { length: 30, code: 0, count: 1, ..header }.to_bytes();
+            self.reply = Cursor::new([reply.as_slice(), &argument, &[4]].concat());
+            Ok(Some(request.len()))
+        }
+
+        fn receive(&mut self, buffer: &mut [u8], _: Instant) -> io::Result<Option<usize>> {
+            let count = self.reply.read(buffer)?;
+            Ok((count > 0).then_some(count))
+        }
+
+        fn sleep_until(&mut self, _: Instant) {}
+    }
+
+    #[test]
+    fn a_panic_ends_the_session_before_the_function_returns() {
+        let calls = Arc::<Mutex<Vec<FunctionId>>>::default();
+        let stopped = || calls.lock().unwrap().contains(&FunctionId::SERVICE_STOP);
+        let settings = Settings::rc8();
+        let peer = Peer { calls: Arc::clone(&calls), reply: Cursor::default() };
+        let id = add_controller(Controller::over(peer, &settings).unwrap(), "", settings);
+        assert_eq!(on(id, |_| Ok(())), BCAP_OK);
+        assert!(!stopped());
+        assert_eq!(on(id, |_| panic!("a defect")), BCAP_E_PANIC);
+        assert!(stopped());
+        assert_eq!(on(id, |_| Ok(())), BCAP_E_PANIC);
+    }
 }
