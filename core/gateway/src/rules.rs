@@ -142,8 +142,17 @@ pub struct Bounds {
 }
 
 impl Bounds {
-    /// Tells whether a value is in the range. NaN is in no range.
+    /// Tells whether a value is in the range. NaN is in no range. A finite R4 is compared with the bounds as R4, because 0.1
+    /// as R4 is more than 0.1.
+    #[expect(clippy::as_conversions, reason = "a bound is rounded as a value of 32 bits is")]
     fn contain(&self, value: &Variant<'_>) -> bool {
+        if let Variant::R4(number) = value.flatten()
+            && number.is_finite()
+            && self.min as f32 <= number
+            && number <= self.max as f32
+        {
+            return true;
+        }
         let number = match value.flatten() {
             Variant::Bool(b) => Some(f64::from(u8::from(b))),
             Variant::Bstr(text) => u32::try_from(text.len()).ok().map(f64::from),
@@ -415,6 +424,23 @@ mod tests {
         }
         assert_eq!(put(&everything, Kind::D, 1, &f64::MIN), Ok(()));
         assert_eq!(put(&upward, Kind::D, 1, &f64::MIN), Err(Refusal::Value));
+    }
+
+    #[test]
+    fn the_bounds_of_a_range_are_allowed_as_r4() {
+        let range = |min, max| [Bounds { min, max }];
+        let put = |values: &[Bounds], value: f32| {
+            let allow = [Allow { values, ..Allow::all(Kind::F) }];
+            put(&Rules { put: &allow, ..Rules::READ_ONLY }, Kind::F, 1, &value)
+        };
+        // as an R8, 0.1_f32 is 0.10000000149
+        assert_eq!(put(&range(0.0, 0.1), 0.1), Ok(()));
+        assert_eq!(put(&range(0.0, 0.1), 0.1_f32.next_up()), Err(Refusal::Value));
+        assert_eq!(put(&range(-0.1, 0.0), -0.1), Ok(()));
+        assert_eq!(put(&range(-0.1, 0.0), (-0.1_f32).next_down()), Err(Refusal::Value));
+        // 1e300 is infinite as an R4, and does not allow infinity
+        assert_eq!(put(&range(0.0, 1e300), f32::MAX), Ok(()));
+        assert_eq!(put(&range(0.0, 1e300), f32::INFINITY), Err(Refusal::NotFinite));
     }
 
     #[test]

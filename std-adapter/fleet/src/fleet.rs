@@ -113,6 +113,8 @@ impl Fleet {
             let _ = tokio::time::timeout(CLOSE, closing.join_all()).await;
         };
         publisher.run(closing).await;
+        // a fleet that starts after this one may listen on the same port, so the server must have ended
+        tasks.shutdown().await;
     }
 }
 

@@ -83,8 +83,7 @@ impl Encoder for Json {
 
     fn joins(&self, outbox: &Outbox<'_>, reading: &Reading) -> bool {
         let points = &outbox.config.controllers[reading.cell].points;
-        let last =
-            outbox.messages.back().filter(|last| last.readings.len() < JOINED && last.payload.len() < JOINED_BYTES);
+        let last = outbox.messages.back().filter(|last| last.entries < JOINED && last.payload.len() < JOINED_BYTES);
         last.and_then(|last| last.readings.last())
             .is_some_and(|last| last.cell == reading.cell && points[last.point].joined && points[reading.point].joined)
     }
@@ -214,8 +213,9 @@ fn publish<'m>(
 /// Adds a reading to the list at the end of the messages, or begins a list. It is not retained: it has the values that changed.
 fn join(messages: &mut VecDeque<Message>, topic: String, shown: &Shown<'_>) {
     let last = messages.back_mut().filter(|last| last.topic == topic && last.payload.len() < JOINED_BYTES);
-    match last.filter(|last| last.readings.len() < JOINED) {
+    match last.filter(|last| last.entries < JOINED) {
         Some(last) => {
+            last.entries += 1;
             // the end of the list
             last.payload.pop();
             last.payload.push(b',');
@@ -227,10 +227,41 @@ fn join(messages: &mut VecDeque<Message>, topic: String, shown: &Shown<'_>) {
 }
 
 fn retained(topic: String, shown: &impl Serialize) -> Message {
-    Message { topic, payload: json(shown), qos: QoS::AtLeastOnce, retain: true, readings: Vec::new() }
+    Message { topic, payload: json(shown), qos: QoS::AtLeastOnce, retain: true, entries: 1, readings: Vec::new() }
 }
 
 fn json(shown: &impl Serialize) -> Vec<u8> {
     // numbers, texts and lists of them are always JSON
     serde_json::to_vec(shown).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::AtomicU64;
+
+    use super::*;
+    use crate::encoder::Cell;
+
+    #[test]
+    fn a_list_has_at_most_100_readings() {
+        let config = "group = \"g\"\nnode = \"n\"\n[broker]\nhost = \"h\"\n[[controller]]\nname = \"a\"\n\
+            address = \"tcp:h\"\n[[controller.publish]]\nnames = [\"I1-150\"]\njoined = true\n";
+        let (config, next_id) = (Config::parse(config).unwrap(), AtomicU64::new(0));
+        let lengths = |messages: &VecDeque<Message>| -> Vec<usize> {
+            let list = |message: &Message| serde_json::from_slice::<Vec<serde_json::Value>>(&message.payload).unwrap();
+            messages.iter().map(|message| list(message).len()).collect()
+        };
+        let (mut cells, mut messages) = ([Cell::new(150)], VecDeque::new());
+        let mut outbox = Outbox { config: &config, cells: &mut cells, messages: &mut messages, next_id: &next_id };
+        for point in 0..150 {
+            let (value, quality) = (Some(Value::Integer(5)), Quality::Good);
+            let reading = Reading { cell: 0, point, time: 5, id: 1, value, quality, historical: false };
+            Json.reading(&mut outbox, reading);
+        }
+        assert_eq!(lengths(outbox.messages), [100, 50]);
+        outbox.messages.clear();
+        // repeated ones are not sent again after a loss
+        Json.repeat(&mut outbox);
+        assert_eq!(lengths(outbox.messages), [100, 50]);
+    }
 }

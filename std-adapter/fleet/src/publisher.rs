@@ -78,7 +78,7 @@ pub(crate) struct Publisher {
     backlog: Backlog,
     commands: Commands,
     running: JoinSet<Finished>,
-    /// Whether the commands that run are given up.
+    /// Whether the commands that run are given up, and new ones are refused.
     gives_up: watch::Sender<bool>,
     /// The number of commands of each controller that run.
     running_of: Vec<usize>,
@@ -396,9 +396,14 @@ impl Publisher {
             self.gives_up.send_replace(true);
             self.join().await;
         }
+        // nothing waits for a command that arrives from now on
+        self.gives_up.send_replace(true);
         if self.is_up() {
             self.step().await;
             if self.is_active() {
+                if self.standby.is_none() && !self.encoder.has_births() {
+                    self.invalidate();
+                }
                 let death = self.encoder.death(&self.shared.config);
                 death.into_iter().for_each(|death| self.push(death));
                 if self.shows_state() {
@@ -414,6 +419,20 @@ impl Publisher {
         let suppressed = self.refusals.take();
         self.report_suppressed(suppressed);
         self.backlog.close();
+    }
+
+    /// Publishes that all controllers are disconnected and their values unknown: the next fleet may not have them. In a format
+    /// with births the death of the node says that.
+    fn invalidate(&mut self) {
+        let time = now_ms();
+        for cell in 0..self.cells.len() {
+            let state = State { cell, down: Some("the node has ended".into()), time };
+            let unsent = self.set_state(&state);
+            self.backlog.push(unsent);
+            // so that the encoder publishes each point as unknown
+            self.cells[cell].latest.fill(None);
+            self.encode(|encoder, outbox| encoder.state(outbox, &state));
+        }
     }
 
     /// Waits until no command runs.
@@ -433,8 +452,14 @@ impl Publisher {
         }
         if let Some(connection) = &mut self.link {
             let _ = connection.link.client.try_disconnect();
-            let closed = async { while connection.link.events.recv().await.is_some_and(|event| event.is_ok()) {} };
-            let _ = timeout_at(until, closed).await;
+            while let Ok(Some(Ok(event))) = timeout_at(until, next(&mut self.link)).await {
+                // a command is refused and reported, although its answer is not sent
+                if let Mqtt::Incoming(Packet::Publish(publish)) = event
+                    && !self.is_watcher()
+                {
+                    self.receive(&publish);
+                }
+            }
         }
     }
 }

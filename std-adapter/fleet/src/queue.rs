@@ -2,7 +2,7 @@
 //! a scan wait.
 
 use std::collections::VecDeque;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use tokio::sync::Notify;
@@ -33,13 +33,15 @@ pub(crate) struct State {
 #[derive(Debug)]
 pub(crate) struct Queue {
     items: Mutex<VecDeque<Item>>,
+    /// The number of readings that were dropped.
+    losses: AtomicU64,
     added: Notify,
     metrics: Arc<Metrics>,
 }
 
 impl Queue {
     pub(crate) fn new(metrics: Arc<Metrics>) -> Self {
-        Self { items: Mutex::default(), added: Notify::new(), metrics }
+        Self { items: Mutex::default(), losses: AtomicU64::new(0), added: Notify::new(), metrics }
     }
 
     pub(crate) fn push(&self, item: Item) {
@@ -48,6 +50,7 @@ impl Queue {
             // states are few, and are needed to tell good values from old ones
             let oldest = items.iter().position(|item| matches!(item, Item::Reading(_)));
             if oldest.and_then(|oldest| items.remove(oldest)).is_some() {
+                self.losses.fetch_add(1, Ordering::Relaxed);
                 self.metrics.dropped.fetch_add(1, Ordering::Relaxed);
             }
         }
@@ -66,6 +69,11 @@ impl Queue {
         let is_next = matches!(items.front(), Some(Item::Reading(reading)) if condition(reading));
         let Item::Reading(reading) = is_next.then(|| items.pop_front()).flatten()? else { return None };
         Some(reading)
+    }
+
+    /// Returns the number of readings that were dropped.
+    pub(crate) fn losses(&self) -> u64 {
+        self.losses.load(Ordering::Relaxed)
     }
 
     pub(crate) fn len(&self) -> usize {

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use bcap_core::variant::Variant;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 /// A value as JSON and Sparkplug have it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -14,8 +14,14 @@ pub(crate) enum Value {
     Integer(i64),
     Number(f64),
     Text(String),
-    Numbers(Vec<f64>),
+    Numbers(#[serde(deserialize_with = "numbers")] Vec<f64>),
     Texts(BTreeMap<String, String>),
+}
+
+/// Reads numbers. NaN and the infinities are null in JSON, and are read as NaN.
+fn numbers<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<f64>, D::Error> {
+    let numbers = Vec::<Option<f64>>::deserialize(deserializer)?;
+    Ok(numbers.into_iter().map(|number| number.unwrap_or(f64::NAN)).collect())
 }
 
 impl Value {

@@ -63,11 +63,13 @@ struct Scanned<'a> {
     /// Its timeouts in a row, while the controller replied to other calls.
     timeouts: u32,
     last: Option<(Option<Value>, Quality)>,
+    /// The losses of the queue before its last report. A later loss may be this report, so the next reading is reported again.
+    losses: u64,
 }
 
 impl<'a> Scanned<'a> {
     fn new(index: usize, point: &'a Point) -> Self {
-        Self { index, point, deadline: Instant::now(), attempted: None, timeouts: 0, last: None }
+        Self { index, point, deadline: Instant::now(), attempted: None, timeouts: 0, last: None, losses: 0 }
     }
 }
 
@@ -230,7 +232,8 @@ impl Scan {
                     (last, value) => last.is_none() && value.is_none(),
                 }
         };
-        if on_change && scanned.last.as_ref().is_some_and(is_same) {
+        let losses = self.shared.queue.losses();
+        if on_change && scanned.losses == losses && scanned.last.as_ref().is_some_and(is_same) {
             return;
         }
         if matches!(&scanned.point.source, Source::Controller(name) if name == "@ERROR_CODE")
@@ -239,7 +242,7 @@ impl Scan {
         {
             self.report_error(*code);
         }
-        scanned.last = Some((value.clone(), quality));
+        (scanned.last, scanned.losses) = (Some((value.clone(), quality)), losses);
         let id = self.shared.next_id.fetch_add(1, Ordering::Relaxed);
         let reading = Reading { cell: self.cell, point: scanned.index, time, id, value, quality, historical: false };
         self.shared.queue.push(Item::Reading(reading));
@@ -259,7 +262,8 @@ impl Scan {
     /// Reports that no value is known.
     fn lose(&self, scanned: &mut [Scanned<'_>]) {
         for scanned in scanned {
-            if scanned.last.as_ref().is_some_and(|(_, quality)| *quality == Quality::Good) {
+            let may_be_lost = scanned.losses != self.shared.queue.losses();
+            if scanned.last.as_ref().is_some_and(|(_, quality)| *quality == Quality::Good || may_be_lost) {
                 self.push(scanned, now_ms(), None, Quality::Bad);
             }
             // the first reading of the next session is always reported
@@ -406,6 +410,8 @@ fn micros(time: Duration) -> u64 {
 
 #[cfg(test)]
 mod tests {
+    use bcap_std::Settings;
+
     use super::*;
 
     #[test]
@@ -442,6 +448,39 @@ mod tests {
             joined: false,
         };
         sources.into_iter().map(point).collect()
+    }
+
+    #[tokio::test]
+    async fn a_value_is_reported_again_after_the_queue_has_dropped_readings() {
+        let text = "group = \"g\"\nnode = \"n\"\n[broker]\nhost = \"h\"\n[[controller]]\nname = \"a\"\n\
+            address = \"tcp:127.0.0.1\"\n[[controller.publish]]\nnames = [\"I1\"]\n";
+        let metrics = Arc::new(Metrics::new(1));
+        let shared = Arc::new(Shared {
+            config: Config::parse(text).unwrap(),
+            queue: Queue::new(Arc::clone(&metrics)),
+            metrics,
+            report: Box::new(|_| {}),
+            reads: watch::Sender::new(true),
+            next_id: AtomicU64::new(0),
+        });
+        let controller = Controller::spawn("tcp:127.0.0.1:1", &Settings::rc8()).unwrap();
+        let scan = Scan { shared: Arc::clone(&shared), cell: 0, controller, stream: StreamCheck::default() };
+        let points = points([Source::Controller("I1".into())]);
+        let (mut scanned, queue) = (Scanned::new(0, &points[0]), &shared.queue);
+        let mut read = || scan.count(&mut scanned, 0, Ok(Some(Value::Integer(1))));
+        read();
+        let (point, value, quality) = (1, None, Quality::Good);
+        let other = Reading { cell: 0, point, time: 0, id: 0, value, quality, historical: false };
+        while queue.losses() == 0 {
+            queue.push(Item::Reading(other.clone()));
+        }
+        let left = || -> Vec<_> { std::iter::from_fn(|| queue.pop()).collect() };
+        let is_other = |item: &Item| matches!(item, Item::Reading(Reading { point: 1, .. }));
+        assert!(left().iter().all(is_other), "its report is lost");
+        for reports in [1, 0] {
+            read();
+            assert_eq!(left().len(), reports);
+        }
     }
 
     #[test]

@@ -345,7 +345,8 @@ fn topic(config: &Config, kind: &str, cell: Option<usize>) -> String {
 }
 
 fn message(topic: String, payload: &Payload, readings: Vec<Reading>) -> Message {
-    Message { topic, payload: payload.encode_to_vec(), qos: QoS::AtMostOnce, retain: false, readings }
+    let (payload, qos) = (payload.encode_to_vec(), QoS::AtMostOnce);
+    Message { topic, payload, qos, retain: false, entries: 0, readings }
 }
 
 #[cfg(test)]

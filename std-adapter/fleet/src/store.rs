@@ -99,9 +99,11 @@ impl Store {
         numbers.sort_unstable();
         for number in numbers {
             let file = open(&self.path(number), OpenOptions::new().read(true))?;
-            let (bytes, lines) = (file.metadata()?.len(), read_lines(file)?);
+            let (bytes, (lines, unreadable)) = (file.metadata()?.len(), read_lines(file)?);
             let newest = lines.iter().map(|line| line.time).max().unwrap_or(0);
-            self.segments.push_back(Segment { number, bytes, readings: lines.len() as u64, newest });
+            // unreadable lines are counted as dropped when the file is loaded
+            let readings = lines.len() as u64 + unreadable;
+            self.segments.push_back(Segment { number, bytes, readings, newest });
             self.next = number + 1;
         }
         Ok(())
@@ -181,26 +183,30 @@ impl Store {
         if self.loaded.is_some() {
             return Ok(Vec::new());
         }
-        let Some(first) = self.segments.pop_front() else { return Ok(Vec::new()) };
+        let Some(mut first) = self.segments.pop_front() else { return Ok(Vec::new()) };
         if self.segments.is_empty() {
             self.open = None;
         }
         let file = open(&self.path(first.number), OpenOptions::new().read(true));
-        let lines = file.and_then(read_lines).inspect_err(|_| self.dropped += first.readings)?;
-        let mut readings = Vec::new();
-        for line in lines {
-            match self.reading(line) {
-                Some(reading) => readings.push(reading),
-                // the configuration no longer has this variable
-                None => self.dropped += 1,
-            }
-        }
+        let (lines, _) = file.and_then(read_lines).inspect_err(|_| self.dropped += first.readings)?;
+        let readings: Vec<_> = lines.into_iter().filter_map(|line| self.reading(line)).collect();
+        // the configuration no longer has the variables of the others, or their lines cannot be read; counted once
+        let left = readings.len() as u64;
+        self.dropped += first.readings.saturating_sub(left);
+        first.readings = left;
         if readings.is_empty() {
             self.delete(first);
         } else {
             self.loaded = Some(first);
         }
         Ok(readings)
+    }
+
+    /// Puts the loaded file back: the next [`load`](Self::load) returns its readings again.
+    pub(crate) fn unload(&mut self) {
+        if let Some(loaded) = self.loaded.take() {
+            self.segments.push_front(loaded);
+        }
     }
 
     /// Deletes the loaded file: its readings are acknowledged, or were appended again.
@@ -275,13 +281,16 @@ fn open(path: &Path, options: &mut OpenOptions) -> io::Result<File> {
     if file.metadata()?.is_file() { Ok(file) } else { Err(failed(io::Error::other("it is not a regular file"))) }
 }
 
-/// Reads the lines of a file; skips a line that a crash has truncated.
-fn read_lines(file: File) -> io::Result<Vec<StoredReading>> {
-    let mut lines = Vec::new();
+/// Reads the lines of a file; skips those that cannot be read, such as one that a crash has truncated, and returns their number.
+fn read_lines(file: File) -> io::Result<(Vec<StoredReading>, u64)> {
+    let (mut lines, mut unreadable) = (Vec::new(), 0);
     for line in BufReader::new(file).split(b'\n') {
-        lines.extend(serde_json::from_slice(&line?).ok());
+        match serde_json::from_slice(&line?) {
+            Ok(line) => lines.push(line),
+            Err(_) => unreadable += 1,
+        }
     }
-    Ok(lines)
+    Ok((lines, unreadable))
 }
 
 #[cfg(test)]
@@ -364,7 +373,22 @@ mod tests {
         let path = folder.path().join("000000000000.jsonl");
         let text = fs::read(&path).unwrap();
         fs::write(&path, &text[..text.len() - 5]).unwrap();
-        assert_eq!(ids(&opened(folder.path(), 1).load(11).unwrap()), [1]);
+        let mut store = opened(folder.path(), 1);
+        assert_eq!((ids(&store.load(11).unwrap()), store.take_dropped()), (vec![1], 1));
+        // the same lines are counted once
+        store.unload();
+        assert_eq!((ids(&store.load(11).unwrap()), store.take_dropped()), (vec![1], 0));
+    }
+
+    #[test]
+    fn numbers_that_json_does_not_have_come_back_as_nan() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut store = opened(folder.path(), 1);
+        let value = Some(Value::Numbers(vec![1.5, f64::NAN, f64::INFINITY]));
+        store.append(&mut [Reading { value, ..reading(1, 10) }].into(), 10).unwrap();
+        let loaded = store.load(10).unwrap();
+        let [Reading { value: Some(Value::Numbers(numbers)), .. }] = &loaded[..] else { panic!("{loaded:?}") };
+        assert_eq!(format!("{numbers:?}"), "[1.5, NaN, NaN]");
     }
 
     #[cfg(unix)]

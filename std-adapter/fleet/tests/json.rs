@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 use std::time::Duration;
 
 use crate::common::{Publish, Robot, Running, Subscriber, counter, folder, http, muting_proxy, now_ms};
+use crate::sparkplug::{confirm_subscription, forward, packet};
 use bcap_fleet::{CommandResult, Event};
 use bcap_std::asynch::Controller;
 use bcap_std::{Settings, TaskStart};
@@ -13,7 +14,7 @@ use bcap_tests::mosquitto::Mosquitto;
 use bcap_tests::proxy::Relay;
 use serde_json::json;
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
-use tokio::net::TcpStream;
+use tokio::net::{TcpListener, TcpStream};
 
 /// Returns a configuration with the controllers `cell1`, `cell2`, ...
 fn config(port: u16, more: &str, robots: &[&Robot], publish: &str) -> String {
@@ -447,6 +448,95 @@ async fn a_command_that_has_no_reply_at_the_end_has_an_outcome() {
     assert!(outcomes.iter().all(|(_, result, _)| *result != CommandResult::Done), "{outcomes:?}");
     let (_, result, reason) = outcomes.last().unwrap();
     assert!(*result == CommandResult::Unknown && reason.starts_with("this process ended"), "{outcomes:?}");
+}
+
+/// Accepts the connection of a fleet and its subscription as a broker.
+async fn accept(broker: &TcpListener) -> TcpStream {
+    let (mut stream, _) = broker.accept().await.unwrap();
+    assert_eq!(packet(&mut stream).await.0, 0x10, "CONNECT");
+    stream.write_all(&[0x20, 2, 0, 0]).await.unwrap();
+    confirm_subscription(&mut stream).await;
+    stream
+}
+
+/// Returns the next message of QoS 1: its topic, packet identifier and payload.
+async fn published(stream: &mut TcpStream) -> (String, [u8; 2], Vec<u8>) {
+    loop {
+        let (kind, body) = packet(stream).await;
+        if kind & 0xF0 == 0x30 {
+            let (topic, rest) = body[2..].split_at(u16::from_be_bytes([body[0], body[1]]).into());
+            return (String::from_utf8(topic.to_vec()).unwrap(), [rest[0], rest[1]], rest[2..].to_vec());
+        }
+    }
+}
+
+async fn acknowledge(stream: &mut TcpStream, packet: [u8; 2]) {
+    stream.write_all(&[0x40, 2, packet[0], packet[1]]).await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_command_that_arrives_while_the_process_ends_is_refused() {
+    let broker = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let robot = Robot::start().await;
+    let rules = "[commands]\nallow = [\"I/10\"]\nlongest_seconds = 10";
+    let text = config(broker.local_addr().unwrap().port(), rules, &[&robot], FAST);
+    let fleet = Running::start(&text).await;
+    let mut stream = accept(&broker).await;
+    let answered = tokio::spawn(async move {
+        loop {
+            let (topic, packet, payload) = published(&mut stream).await;
+            if payload.windows(7).any(|part| part == b"offline") {
+                let command = command("a", "I10", 7, now_ms() + 10_000);
+                forward(&mut stream, "bcap/plant/cell1/command", &command).await;
+            }
+            acknowledge(&mut stream, packet).await;
+            if topic == "bcap/plant/cell1/answer" {
+                return payload;
+            }
+        }
+    });
+    while fleet.metric("bcap_published_total").await == 0 {
+        tokio::time::sleep(Duration::from_millis(2)).await;
+    }
+    let events = fleet.stop().await;
+    let outcome = |event: &Event| match event {
+        Event::Command { id, result, reason, .. } => Some((id.clone(), *result, reason.clone().unwrap_or_default())),
+        _ => None,
+    };
+    let outcomes: Vec<_> = events.iter().filter_map(outcome).collect();
+    assert_eq!(outcomes, [("a".to_owned(), CommandResult::Refused, "this process ends".to_owned())]);
+    let answer: serde_json::Value = serde_json::from_slice(&answered.await.unwrap()).unwrap();
+    assert_eq!(answer, json!({"id": "a", "result": "refused", "reason": "this process ends"}));
+    assert_eq!(robot.get(10), 0);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_answer_is_sent_before_waiting_readings() {
+    let broker = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let robot = Robot::start().await;
+    let rules = "[commands]\nallow = [\"I/10\"]\nlongest_seconds = 10";
+    let mut text = config(broker.local_addr().unwrap().port(), rules, &[&robot], FAST);
+    // no controller listens on port 1, so all of these are published as unknown
+    text += "[[controller]]\nname = \"cell2\"\naddress = \"tcp:127.0.0.1:1\"\n\
+        [[controller.publish]]\nnames = [\"I1-1500\"]\n";
+    let fleet = Running::start(&text).await;
+    let mut stream = accept(&broker).await;
+    fleet.event(|event| matches!(event, Event::RobotUp { .. })).await;
+    // as many messages as may wait for the broker
+    let mut waiting = Vec::new();
+    while waiting.len() < 100 {
+        waiting.push(published(&mut stream).await.1);
+    }
+    let command = command("a", "I10", 7, now_ms() + 10_000);
+    forward(&mut stream, "bcap/plant/cell1/command", &command).await;
+    fleet.event(|event| matches!(event, Event::Command { result: CommandResult::Done, .. })).await;
+    for packet in waiting {
+        acknowledge(&mut stream, packet).await;
+    }
+    let (topic, _, payload) = published(&mut stream).await;
+    let answer: serde_json::Value = serde_json::from_slice(&payload).unwrap();
+    assert_eq!((topic.as_str(), answer), ("bcap/plant/cell1/answer", json!({"id": "a", "result": "done"})));
+    fleet.abort().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

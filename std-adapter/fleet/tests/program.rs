@@ -5,7 +5,7 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
-use crate::common::Robot;
+use crate::common::{Robot, Subscriber, free_port};
 use bcap_tests::mosquitto::Mosquitto;
 use bcap_tests::process::{Signal, send};
 
@@ -39,7 +39,7 @@ async fn the_configuration_of_the_page_runs() {
     let robots = [Robot::start().await, Robot::start().await, Robot::start().await];
     let mut config =
         documented().replace("host = \"127.0.0.1\"", &format!("host = \"127.0.0.1\"\nport = {}", broker.port));
-    config = config.replace("port = 9184", "port = 0");
+    config = config.replace("port = 9184", &format!("port = {}", free_port()));
     for (number, robot) in (1..).zip(&robots) {
         let address = format!("tcp:127.0.0.1:510{number}");
         assert!(config.contains(&address), "{config}");
@@ -69,6 +69,12 @@ async fn the_configuration_of_the_page_runs() {
         waiting.retain(|word| line["event"] != *word && line["controller"] != *word);
     }
     reload(&fleet, &mut lines, Path::new(file));
+    for (leaf, key, expected) in [("state", "state", "disconnected"), ("S1", "quality", "bad")] {
+        let topic = format!("bcap/plant/cell3/{leaf}");
+        let mut late = Subscriber::start(broker.port, &topic).await;
+        let retained = late.json(&topic, |_| true).await;
+        assert_eq!(retained[key], expected, "the controller was removed: {retained}");
+    }
     send(Signal::TERM, &fleet);
     assert_eq!(fleet.wait().unwrap().code(), Some(0));
     assert!(folder.path().join("buffer").is_dir());

@@ -239,6 +239,21 @@ pub(crate) async fn packet(stream: &mut TcpStream) -> (u8, Vec<u8>) {
     (kind, body)
 }
 
+/// Sends a short message of QoS 0 as a broker.
+pub(crate) async fn forward(stream: &mut TcpStream, topic: &str, payload: &str) {
+    let length = u8::try_from(2 + topic.len() + payload.len()).unwrap();
+    assert!(length < 0x80, "a longer message has another header");
+    let head = [0x30, length, 0, u8::try_from(topic.len()).unwrap()];
+    stream.write_all(&[&head[..], topic.as_bytes(), payload.as_bytes()].concat()).await.unwrap();
+}
+
+/// Answers the next packet of a node, a subscription, as a broker.
+pub(crate) async fn confirm_subscription(stream: &mut TcpStream) {
+    let (kind, body) = packet(stream).await;
+    assert_eq!(kind, 0x82, "SUBSCRIBE");
+    stream.write_all(&[0x90, 3, body[0], body[1], 1]).await.unwrap();
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_node_is_born_after_the_broker_has_answered_its_subscription() {
     let broker = TcpListener::bind("127.0.0.1:0").await.unwrap();
@@ -610,4 +625,22 @@ async fn nothing_is_published_while_the_primary_host_is_offline() {
         }
     }
     fleet.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_node_leaves_an_offline_host_although_the_broker_acknowledges_nothing() {
+    let broker = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let robot = Robot::start().await;
+    let text = config(broker.local_addr().unwrap().port(), "", &[&robot]);
+    let fleet = Running::start(&format!("primary_host = \"scada\"\n{text}")).await;
+    let (mut stream, _) = broker.accept().await.unwrap();
+    assert_eq!(packet(&mut stream).await.0, 0x10, "CONNECT");
+    stream.write_all(&[0x20, 2, 0, 0]).await.unwrap();
+    confirm_subscription(&mut stream).await;
+    forward(&mut stream, "spBv1.0/STATE/scada", &host_state(true, 1000)).await;
+    confirm_subscription(&mut stream).await;
+    assert_eq!(packet(&mut stream).await.0 & 0xF0, 0x30, "NBIRTH");
+    forward(&mut stream, "spBv1.0/STATE/scada", &host_state(false, 2000)).await;
+    fleet.event(|event| matches!(event, Event::BrokerDown { .. })).await;
+    fleet.abort().await;
 }

@@ -97,6 +97,8 @@ struct Running {
     refusal: Option<Exception>,
     /// Whether the rules refuse the present line, so that the request ends with its reply.
     is_forbidden: bool,
+    /// Whether the rules permit all lines of the request, so that the robot refuses an access or a value.
+    is_permitted: bool,
 }
 
 impl<'a> Front<'a> {
@@ -227,10 +229,12 @@ impl<'a> Front<'a> {
             Ok((command, then, None))
         });
         let (then, masked, done) = Default::default();
-        let mut running = Running { length, command: None, then, masked, done, refusal: None, is_forbidden: false };
+        let (refusal, is_forbidden, is_permitted) = Default::default();
+        let mut running = Running { length, command: None, then, masked, done, refusal, is_forbidden, is_permitted };
         match checked {
             Ok((command, then, refused)) => {
                 (running.command, running.then) = (Some(command), then);
+                running.is_permitted = command.is_write && refused.is_none();
                 if let Some(at) = refused {
                     // only the line that the rules refuse, so that the gateway logs it
                     (running.done, running.is_forbidden) = (at, true);
@@ -306,7 +310,16 @@ impl<'a> Front<'a> {
         let mut memory = [0; VALUE];
         let reply = Response::parse(&self.reply, &mut memory);
         let (exception, value) = match reply {
-            Ok(Response { result, .. }) if result.is_err() => (Some(running.refusal.unwrap_or(result.into())), None),
+            Ok(Response { result, .. }) if result.is_err() => {
+                let exception = match Exception::from(result) {
+                    // these two are for the rules
+                    Exception::IllegalDataAddress | Exception::IllegalDataValue if running.is_permitted => {
+                        Exception::ServerDeviceFailure
+                    }
+                    exception => exception,
+                };
+                (Some(running.refusal.unwrap_or(exception)), None)
+            }
             Ok(_) if running.is_forbidden => (Some(Exception::IllegalDataAddress), None),
             Ok(Response { value, .. }) => (running.refusal, value),
             Err(_) => (Some(running.refusal.unwrap_or(Exception::ServerDeviceFailure)), None),

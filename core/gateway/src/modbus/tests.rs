@@ -227,6 +227,19 @@ fn errors_of_the_gateway_are_exceptions() {
 }
 
 #[test]
+fn a_permitted_write_that_the_robot_refuses_is_a_failure_of_the_device() {
+    let mut bench = bench(&["100=I/10-11:i16"], &[]);
+    for result in [HResult::E_ACCESSDENIED, HResult::E_INVALIDARG, HResult::E_INVALIDARGTYPE] {
+        bench.result = result;
+        assert_eq!(bench.ask(&[6, 0, 100, 0, 1]), [0x86, 4], "{result}");
+        assert_eq!(bench.ask(&[16, 0, 100, 0, 2, 4, 0, 1, 0, 2]), [0x90, 4], "{result}");
+        assert_eq!(bench.ask(&[23, 0, 100, 0, 1, 0, 100, 0, 1, 2, 0, 9]), [23 | 0x80, 4], "{result}");
+    }
+    bench.result = HResult::E_BUSY_PROC;
+    assert_eq!(bench.ask(&[6, 0, 100, 0, 1]), [0x86, 6]);
+}
+
+#[test]
 fn the_chunks_of_the_bytes_do_not_matter() {
     let mut all = Vec::new();
     for index in 0..4 {

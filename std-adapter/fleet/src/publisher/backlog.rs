@@ -30,11 +30,13 @@ pub(super) struct Backlog {
     next: VecDeque<Reading>,
     /// Readings that must arrive before the loaded file of the store can be deleted.
     loaded: usize,
+    /// The ids of the readings of the loaded file, in order.
+    loaded_ids: Vec<u64>,
 }
 
 impl Backlog {
     pub(super) const fn new(shared: Arc<Shared>, store: Option<Store>) -> Self {
-        Self { shared, store, unstored: VecDeque::new(), next: VecDeque::new(), loaded: 0 }
+        Self { shared, store, unstored: VecDeque::new(), next: VecDeque::new(), loaded: 0, loaded_ids: Vec::new() }
     }
 
     /// Adds readings, on disk if there is a buffer.
@@ -49,6 +51,7 @@ impl Backlog {
         }
         self.unstored.extend(readings);
         self.append().await;
+        self.trim_unstored();
     }
 
     /// Writes readings to the store; those that it does not take wait.
@@ -60,8 +63,6 @@ impl Backlog {
         });
         let Some((unstored, result)) = appended.await else { return };
         self.unstored = unstored;
-        let excess = trim(&mut self.unstored);
-        self.lose(excess);
         let failed = &self.shared.metrics.buffer_failed;
         match result {
             Ok(()) if failed.swap(false, Ordering::Relaxed) => (self.shared.report)(&Event::BufferWorks {}),
@@ -69,6 +70,12 @@ impl Backlog {
             Err(error) if !failed.swap(true, Ordering::Relaxed) => self.report_failure(&error),
             Err(_) => {}
         }
+    }
+
+    /// Drops the oldest readings that wait for the store and do not fit the memory.
+    fn trim_unstored(&mut self) {
+        let excess = trim(&mut self.unstored);
+        self.lose(excess);
     }
 
     /// Adds readings to send as soon as there are no new ones.
@@ -93,6 +100,8 @@ impl Backlog {
         }
         if self.store.as_ref().is_some_and(|store| store.stored() > 0) {
             let readings = self.with_store(|store| store.load(now_ms())).await.unwrap_or_default();
+            self.loaded_ids = readings.iter().map(|reading| reading.id).collect();
+            self.loaded_ids.sort_unstable();
             self.push(readings);
         } else {
             let unstored = std::mem::take(&mut self.unstored);
@@ -118,14 +127,26 @@ impl Backlog {
         readings.iter_mut().for_each(|reading| reading.historical = true);
         readings.sort_by_key(|reading| reading.id);
         let had_loaded = std::mem::take(&mut self.loaded) > 0;
-        self.keep(readings).await;
-        if had_loaded {
-            self.acknowledge().await;
+        if self.store.is_none() {
+            return self.keep(readings).await;
         }
+        self.unstored.extend(readings);
         if !self.unstored.is_empty() {
-            // the deleted file has made room
             self.append().await;
         }
+        if had_loaded && self.unstored.is_empty() {
+            self.acknowledge().await;
+        } else if had_loaded {
+            // the loaded file has readings that could not be written again, so it stays
+            self.with_store(|store| {
+                store.unload();
+                Ok(())
+            })
+            .await;
+            let ids = std::mem::take(&mut self.loaded_ids);
+            self.unstored.retain(|reading| ids.binary_search(&reading.id).is_err());
+        }
+        self.trim_unstored();
     }
 
     /// Ends it: readings in memory are lost.
@@ -139,6 +160,7 @@ impl Backlog {
 
     /// Deletes the loaded file.
     async fn acknowledge(&mut self) {
+        self.loaded_ids = Vec::new();
         self.with_store(|store| {
             store.acknowledge();
             Ok(())
@@ -290,6 +312,37 @@ mod tests {
         assert_eq!((dropped(&backlog), backlog.unstored.len(), stored), (2, 0, MEMORY as u64 + 1));
         assert!(backlog.load().await);
         assert_eq!(backlog.pop().unwrap().0.id, 2);
+    }
+
+    #[tokio::test]
+    async fn a_lost_connection_keeps_the_loaded_file_if_the_disk_takes_nothing() {
+        const COUNT: u64 = 2 * MEMORY as u64;
+        let folder = tempfile::tempdir().unwrap();
+        let (path, away) = (folder.path().join("buffer"), folder.path().join("away"));
+        let (mut backlog, _) = backlog(|config| {
+            // one file takes all readings
+            let buffer = Buffer { directory: path.clone(), mib: 256, hours: 1 };
+            Some(Store::open(&buffer, config).unwrap())
+        });
+        backlog.keep(readings(0..COUNT)).await;
+        assert!(backlog.load().await);
+        let mut sent: Vec<_> = std::iter::from_fn(|| backlog.pop()).map(|(reading, _)| reading).collect();
+        assert_eq!(sent.len() as u64, COUNT);
+        // another reading that the broker has not acknowledged
+        sent.extend(readings(COUNT..COUNT + 1));
+        std::fs::rename(&path, &away).unwrap();
+        backlog.restore(sent).await;
+        assert_eq!((dropped(&backlog), backlog.unstored.len()), (0, 1));
+        std::fs::rename(&away, &path).unwrap();
+        backlog.keep(readings(COUNT + 1..COUNT + 2)).await;
+        let mut returned = Vec::new();
+        while backlog.load().await {
+            let loaded: Vec<_> = std::iter::from_fn(|| backlog.pop()).map(|(reading, _)| reading).collect();
+            backlog.arrived(&loaded).await;
+            returned.extend(loaded.iter().map(|reading| reading.id));
+        }
+        assert!(returned.into_iter().eq(0..COUNT + 2));
+        assert_eq!(dropped(&backlog), 0);
     }
 
     #[tokio::test]

@@ -18,7 +18,8 @@ const LIMIT: usize = 10_000;
 /// The message that confirms the messages before it. Nothing subscribes to its topic.
 pub(super) fn message(config: &Config) -> Message {
     let topic = crate::json::topic(config, &config.node, "confirm");
-    Message { topic, payload: Vec::new(), qos: QoS::AtLeastOnce, retain: false, readings: Vec::new() }
+    let (payload, readings) = Default::default();
+    Message { topic, payload, qos: QoS::AtLeastOnce, retain: false, entries: 0, readings }
 }
 
 /// Readings that were written to the connection.

@@ -42,6 +42,8 @@ pub(super) struct Connection {
     confirm: Message,
     /// Messages to give to the link.
     pub(super) out: VecDeque<Message>,
+    /// Messages to give to the link before those: answers to commands, and the repeated state of the node. They have no readings.
+    pub(super) urgent: VecDeque<Message>,
     /// Messages that the link has not sent.
     sent: VecDeque<Sent>,
     /// Messages that the broker has not acknowledged, by packet.
@@ -52,9 +54,9 @@ pub(super) struct Connection {
 
 impl Connection {
     pub(super) fn new(link: Link, config: &Config) -> Self {
-        let (out, sent, waiting, unconfirmed, subscribing) = Default::default();
+        let (out, urgent, sent, waiting, unconfirmed, subscribing) = Default::default();
         let (phase, began, confirm) = (Phase::Waiting, Instant::now(), confirm::message(config));
-        Self { link, phase, began, subscribing, confirm, out, sent, waiting, unconfirmed }
+        Self { link, phase, began, subscribing, confirm, out, urgent, sent, waiting, unconfirmed }
     }
 
     pub(super) fn is_up(&self) -> bool {
@@ -75,16 +77,20 @@ impl Connection {
     }
 
     pub(super) fn room(&self) -> usize {
-        usize::from(WINDOW).min(self.unconfirmed.room()).saturating_sub(self.in_flight() + self.out.len())
+        usize::from(WINDOW).min(self.unconfirmed.room()).saturating_sub(self.in_flight() + self.unsent())
     }
 
     fn in_flight(&self) -> usize {
         self.sent.len() + self.waiting.len()
     }
 
+    fn unsent(&self) -> usize {
+        self.urgent.len() + self.out.len()
+    }
+
     /// Returns whether the broker has all messages.
     pub(super) fn is_idle(&self) -> bool {
-        self.out.is_empty() && self.in_flight() == 0 && self.unconfirmed.is_empty()
+        self.unsent() == 0 && self.in_flight() == 0 && self.unconfirmed.is_empty()
     }
 
     /// Returns how long it has lasted since the broker accepted it.
@@ -95,7 +101,7 @@ impl Connection {
     /// Gives messages to the link.
     pub(super) fn flush(&mut self) {
         while self.in_flight() < usize::from(WINDOW) {
-            let Some(message) = self.out.pop_front() else { break };
+            let Some(message) = self.urgent.pop_front().or_else(|| self.out.pop_front()) else { break };
             self.send(message);
         }
         if self.in_flight() < usize::from(WINDOW) && self.unconfirmed.asks() {
@@ -108,7 +114,7 @@ impl Connection {
     }
 
     fn transmit(&mut self, message: Message, confirms: bool) {
-        let Message { topic, payload, qos, retain, readings } = message;
+        let Message { topic, payload, qos, retain, readings, .. } = message;
         // the channel of the link has room for more than the window; after a loss the event follows
         let _ = self.link.client.try_publish(topic, payload, PublishOptions::new(qos).retain(retain));
         self.sent.push_back(Sent { at: Instant::now(), readings, confirms });

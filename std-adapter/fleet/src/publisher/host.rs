@@ -6,8 +6,8 @@
 use rumqttc::Publish;
 use serde::Deserialize;
 
-use super::Publisher;
 use super::connection::Phase;
+use super::{CLOSE, Publisher};
 use crate::event::Event;
 
 /// The state message of the host.
@@ -62,7 +62,8 @@ impl Publisher {
         if let (Some(connection), Some(death)) = (&mut self.link, death) {
             // the channel of the link has room for more than the window; the event of the disconnection follows
             connection.send(death);
-            let _ = connection.link.client.try_disconnect();
+            // a broker that acknowledges nothing must not delay it: after this time there is an error instead of that event
+            let _ = connection.link.client.try_disconnect_with_timeout(CLOSE);
             connection.phase = Phase::Waiting;
         }
     }

@@ -13,7 +13,7 @@ use crate::encoder::Decoded;
 use crate::event::{CommandResult, Event};
 use crate::reading::now_ms;
 
-/// The maximum number of messages that wait for the window before answers are left out: commands must not fill the memory.
+/// The maximum number of answers that wait for the window before further ones are left out: commands must not fill the memory.
 const WAITING: usize = 1000;
 
 /// The maximum number of commands that run at the same time, and those of one controller: a slow one must not occupy all.
@@ -47,6 +47,8 @@ impl Publisher {
             Err(copy)
         } else if publish.retain {
             Err(refused("it is retained, and may be old".into()))
+        } else if *self.gives_up.borrow() {
+            Err(refused("this process ends".into()))
         } else if self.running.len() >= RUNNING.0 {
             Err(refused(format!("{} commands are running", RUNNING.0)))
         } else if self.running_of[cell] >= RUNNING.1 {
@@ -121,9 +123,9 @@ impl Publisher {
                 reason,
             });
         }
-        let has_room = self.link.as_ref().is_some_and(|connection| connection.out.len() < WAITING);
-        if self.is_active() && has_room {
-            answer.into_iter().for_each(|answer| self.push(answer));
+        let is_active = self.is_active();
+        if let Some(connection) = self.link.as_mut().filter(|link| is_active && link.urgent.len() < WAITING) {
+            connection.urgent.extend(answer);
         }
     }
 

@@ -138,7 +138,7 @@ impl Publisher {
             let state = self.node_state(true);
             if let Some(connection) = &mut self.link {
                 // readings must not delay it
-                connection.out.push_front(state);
+                connection.urgent.push_front(state);
                 connection.flush();
             }
             return;
