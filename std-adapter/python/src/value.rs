@@ -12,12 +12,13 @@
 //! | array of one type          | a sequence of that type, such as numpy's arrays | `list`              |
 //! | VARIANT[]                  | a sequence of several types                    | `list`               |
 //!
-//! A sequence of `int` and `float` is an array of R8, or of VARIANT for scripts of the maker's client.
+//! A sequence of `int` and `float` is an array of R8, or of VARIANT for scripts of the maker's client. Sets and dictionaries are refused.
 
+use bcap_std::core::limits::MAX_DEPTH;
 use bcap_std::core::variant::{CivilTime, Encode, OwnedVariant, VarType, Variant};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::{PyBool, PyByteArray, PyBytes, PyFloat, PyInt, PyList, PyString};
+use pyo3::types::{PyBool, PyByteArray, PyBytes, PyDict, PyFloat, PyFrozenSet, PyInt, PyList, PySet, PyString};
 
 /// A value that was read.
 pub(crate) struct Value(pub(crate) OwnedVariant);
@@ -81,17 +82,28 @@ pub(crate) fn from_python(object: &Bound<'_, PyAny>) -> PyResult<OwnedVariant> {
 ///
 /// # Errors
 ///
-/// `TypeError` for an object without a VARIANT, `OverflowError` for a number that fits none.
+/// `TypeError` for an object without a VARIANT, `OverflowError` for a number that fits none, `ValueError` for sequences that are nested
+/// too deeply.
 pub(crate) fn value_of(object: &Bound<'_, PyAny>, joins: bool) -> PyResult<OwnedVariant> {
+    value_within(object, joins, MAX_DEPTH)
+}
+
+/// Returns the value of an object with at most `depth` levels of sequences. Each call of `tolist` counts as a level, too.
+fn value_within(object: &Bound<'_, PyAny>, joins: bool, depth: u8) -> PyResult<OwnedVariant> {
     if let Some(value) = scalar(object)? {
         return Ok(value);
     }
+    let depth = depth.checked_sub(1).ok_or_else(too_deep)?;
     // numpy's arrays and numbers, and those of the module `array`
     if let Ok(plain) = object.call_method0("tolist") {
-        return value_of(&plain, joins);
+        return value_within(&plain, joins, depth);
+    }
+    // a set would be sent in the order of its hashes, and a dictionary without its values
+    if object.is_instance_of::<PySet>() || object.is_instance_of::<PyFrozenSet>() || object.is_instance_of::<PyDict>() {
+        return Err(unsupported(object));
     }
     let items = object.try_iter().map_err(|_| unsupported(object))?;
-    let items = items.map(|item| value_of(&item?, joins)).collect::<PyResult<Vec<_>>>()?;
+    let items = items.map(|item| value_within(&item?, joins, depth)).collect::<PyResult<Vec<_>>>()?;
     sequence(&items, joins)
 }
 
@@ -125,6 +137,12 @@ fn unsupported(object: &Bound<'_, PyAny>) -> PyErr {
     let name = object.get_type().to_string();
     PyTypeError::new_err(format!(
         "a value of {name} cannot be sent; use None, bool, int, float, str, bytes, datetime, or a sequence of them"
+    ))
+}
+
+fn too_deep() -> PyErr {
+    PyValueError::new_err(format!(
+        "the value cannot be sent: sequences are nested deeper than {MAX_DEPTH}, or contain themselves"
     ))
 }
 

@@ -4,6 +4,7 @@ import math
 import os
 import signal
 import subprocess
+import sys
 import sysconfig
 import threading
 import time
@@ -20,6 +21,23 @@ import bcap
 
 #: the reply to the call that leaves Slave Mode is late
 SLOW_END = '[[fault]]\nwhen = { call = 2, of = "slvChangeMode" }\nthen = { delay_ms = 1500 }\n'
+#: values that contain themselves, as lists and by tolist()
+ENDLESS = """
+import bcap
+
+class Itself:
+    def tolist(self):
+        return self
+
+pose = [0.0]
+pose.append(pose)
+with bcap.sim(in_memory=True) as sim, bcap.Controller(sim) as cell:
+    for value in (pose, Itself()):
+        try:
+            cell["P1"] = value
+        except ValueError as error:
+            print(error)
+"""
 HOME = bcap.J(0, 45, 90, 0, 45, 0)
 ASIDE = bcap.J(30, 45, 90, 0, 45, 0)
 
@@ -71,6 +89,20 @@ def test_arguments_are_checked(cell: bcap.Controller, sim: bcap.Sim) -> None:
             arm.move([1.0, 2.0])  # type: ignore[arg-type]
         with pytest.raises(ValueError, match="P does not have 2 numbers"):
             arm.move(bcap.P(1, 2))
+
+
+@pytest.mark.parametrize("value", [{1, 2}, frozenset({1}), {1: 2}])
+def test_a_set_and_a_dictionary_are_refused(bcap_sim: bcap.Sim, value: Any) -> None:
+    with bcap.Controller(bcap_sim) as cell:
+        for refused in (value, [value]):
+            with pytest.raises(TypeError, match=f"a value of {type(value)} cannot be sent"):
+                cell["V1"] = refused
+
+
+def test_a_value_that_contains_itself_is_refused(tmp_path: Path) -> None:
+    # in another process, because an overflow of the native stack would end this one
+    ended = subprocess.run([sys.executable, "-c", ENDLESS], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert (ended.returncode, ended.stdout.count("nested deeper than 16")) == (0, 2), ended.stderr
 
 
 def test_a_motion_arrives_and_the_arm_is_given_back(cell: bcap.Controller, sim: bcap.Sim) -> None:
