@@ -14,7 +14,10 @@ use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 
+use bcap_core::variant::Variant;
 use serde_json::Value;
+
+use crate::value::data;
 
 const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 
@@ -51,6 +54,43 @@ pub struct Schema {
 /// The schema of a number: `{"value":5}`.
 pub const NUMBER: Schema =
     Schema { name: "bcap.Number", json: r#"{"type":"object","properties":{"value":{"type":"number"}}}"# };
+
+const BOOL: Schema =
+    Schema { name: "bcap.Bool", json: r#"{"type":"object","properties":{"value":{"type":"boolean"}}}"# };
+const TEXT: Schema =
+    Schema { name: "bcap.Text", json: r#"{"type":"object","properties":{"value":{"type":"string"}}}"# };
+const NUMBERS: Schema = Schema {
+    name: "bcap.Numbers",
+    json: r#"{"type":"object","properties":{"value":{"type":"array","items":{"type":"number"}}}}"#,
+};
+const BOOLS: Schema = Schema {
+    name: "bcap.Bools",
+    json: r#"{"type":"object","properties":{"value":{"type":"array","items":{"type":"boolean"}}}}"#,
+};
+
+/// Converts the value of a variable to the `value` of a message, with its schema. NaN and infinities become null, because JSON does not
+/// have them.
+#[must_use]
+pub fn sample(value: Variant<'_>) -> (Schema, Value) {
+    match value {
+        Variant::Bool(on) => (BOOL, on.into()),
+        Variant::Array(array) => {
+            let values: Vec<Value> = array.iter().map(|element| sample(element).1).collect();
+            let has = |is: fn(&Value) -> bool| values.iter().all(is);
+            match values {
+                _ if has(|value| value.is_number() || value.is_null()) => (NUMBERS, values.into()),
+                _ if has(Value::is_boolean) => (BOOLS, values.into()),
+                _ => (TEXT, data::format(value).into()),
+            }
+        }
+        // the shortest decimal of the float, not of the double with the same value
+        Variant::R4(number) => (NUMBER, number.to_string().parse::<f64>().map_or(Value::Null, Value::from)),
+        value => match value.as_i64() {
+            Some(number) => (NUMBER, number.into()),
+            None => value.as_f64().map_or_else(|| (TEXT, data::format(value).into()), |number| (NUMBER, number.into())),
+        },
+    }
+}
 
 /// A file of time series that is being written.
 #[derive(Debug)]
@@ -298,4 +338,36 @@ fn text(text: &str) -> Vec<u8> {
 fn crc32(bytes: &[u8]) -> u32 {
     let shifted = |crc: u32, _| (crc >> 1) ^ (0xedb8_8320 & (crc & 1).wrapping_neg());
     !bytes.iter().fold(u32::MAX, |crc, byte| (0..8).fold(crc ^ u32::from(*byte), shifted))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use bcap_core::variant::{Encode, OwnedVariant};
+
+    #[test]
+    fn values_are_json() {
+        let sample = |value: &dyn Encode| {
+            let value = OwnedVariant::new(value).unwrap();
+            let (schema, json) = super::sample(value.as_variant());
+            format!("{} {json}", schema.name)
+        };
+        assert_eq!(sample(&5_i32), "bcap.Number 5");
+        assert_eq!(sample(&0.1_f32), "bcap.Number 0.1");
+        assert_eq!(sample(&f64::NAN), "bcap.Number null");
+        assert_eq!(sample(&f32::INFINITY), "bcap.Number null");
+        assert_eq!(sample(&true), "bcap.Bool true");
+        assert_eq!(sample(&"a\"b"), "bcap.Text \"a\\\"b\"");
+        assert_eq!(sample(&[400.5_f32, -1.0]), "bcap.Numbers [400.5,-1.0]");
+        assert_eq!(sample(&[true, false]), "bcap.Bools [true,false]");
+        assert_eq!(sample(&["a", "b"]), "bcap.Text \"a,b\"");
+        assert_eq!(sample(&()), "bcap.Text \"EMPTY\"");
+    }
+
+    #[test]
+    fn schemas_are_json() {
+        for schema in [NUMBER, BOOL, TEXT, NUMBERS, BOOLS] {
+            assert_eq!(serde_json::from_str::<Value>(schema.json).unwrap()["type"], "object");
+        }
+    }
 }

@@ -162,6 +162,92 @@ pub fn items<C: Calls>(calls: &mut C, folder: &str) -> Result<Vec<Item>, C::Erro
     Ok(items)
 }
 
+/// Returns the path of a user without empty parts.
+#[must_use]
+pub fn normal(path: &str) -> String {
+    path.split(['/', '\\']).filter(|part| !part.is_empty()).collect::<Vec<_>>().join("/")
+}
+
+/// Returns the last part of a path.
+#[must_use]
+pub fn last(path: &str) -> &str {
+    path.rsplit('/').next().unwrap_or(path)
+}
+
+/// Returns the items that a path with the wildcards `*` and `?` names, in the order of their names.
+///
+/// # Errors
+///
+/// The error of a call.
+pub fn find<C: Calls>(calls: &mut C, pattern: &str) -> Result<Vec<Item>, C::Error> {
+    let parts: Vec<&str> = pattern.split('/').filter(|part| !part.is_empty()).collect();
+    let mut found = vec![Item { path: String::new(), is_folder: true, is_unsafe: false }];
+    for (n, part) in parts.iter().enumerate() {
+        let mut next = Vec::new();
+        for folder in found.iter().filter(|item| item.is_folder && !item.is_unsafe) {
+            match items(calls, &folder.path) {
+                Err(refused) if refused.code().is_some() && !part.contains(['*', '?']) => {
+                    // for example a list that does not fit a datagram
+                    let path = normal(&format!("{}/{part}", folder.path));
+                    if exists(calls, &path)? {
+                        next.push(Item { path, is_folder: n + 1 < parts.len(), is_unsafe: false });
+                    }
+                }
+                items => next.extend(items?.into_iter().filter(|item| matches(part, last(&item.path)))),
+            }
+        }
+        found = next;
+    }
+    Ok(found)
+}
+
+/// Returns whether a name matches a pattern, where `*` is any text and `?` any character; case does not matter.
+fn matches(pattern: &str, name: &str) -> bool {
+    let lower = |text: &str| text.chars().flat_map(char::to_lowercase).collect::<Vec<_>>();
+    let name = lower(name);
+    // the lengths of the beginnings of the name that the pattern up to here matches
+    let mut lengths = vec![0];
+    for c in lower(pattern) {
+        lengths = match c {
+            '*' => lengths.first().map_or(0..0, |first| *first..name.len() + 1).collect(),
+            c => {
+                let fits = |length: &usize| name.get(*length).is_some_and(|own| c == '?' || c == *own);
+                lengths.into_iter().filter(fits).map(|length| length + 1).collect()
+            }
+        };
+    }
+    lengths.last() == Some(&name.len())
+}
+
+/// Deletes a file, and asks whether it still exists.
+///
+/// # Errors
+///
+/// The error of a call; [`Failure::unfit`] if the file still exists.
+pub fn delete<C: Calls>(calls: &mut C, path: &str) -> Result<(), C::Error> {
+    with_file(calls, path, Kind::File, |calls, handle| {
+        let arguments = [OwnedVariant::new(&handle)?, OwnedVariant::new("")?];
+        calls.call(&format!("/{path}"), FunctionId::FILE_DELETE, &arguments).map(drop)
+    })?;
+    if exists(calls, path)? {
+        let message = format!("/{path}: the controller still has the file");
+        return Err(C::Error::unfit(message).with_hint("list the files with `bcap ls`"));
+    }
+    Ok(())
+}
+
+/// Returns the size of a file in bytes.
+///
+/// # Errors
+///
+/// The error of a call; [`Failure::unexpected`] for a reply without a number.
+pub fn size<C: Calls>(calls: &mut C, path: &str) -> Result<i64, C::Error> {
+    with_file(calls, path, Kind::File, |calls, handle| {
+        let size = calls.call(&format!("/{path}"), FunctionId::FILE_GET_SIZE, &[OwnedVariant::new(&handle)?])?.1;
+        size.as_ref().and_then(|size| size.as_variant().as_i64()).ok_or_else(|| unexpected(path, size.as_ref()))
+    })
+}
+
 /// Lists all files of a folder and of the folders below it. A folder with an unsafe name is listed, not opened.
 ///
 /// `watch` gets, before each folder, how many were listed and how many are known. `skip` gets the path of a folder that cannot
@@ -280,5 +366,26 @@ mod tests {
             assert!(is_unsafe(name), "{name:?}");
         }
         assert!(!is_unsafe("Pro 1.pcs"));
+    }
+
+    #[test]
+    fn wildcards_match() {
+        for (pattern, name, expected) in [
+            ("*", "", true),
+            ("*.pcs", "Pro1.PCS", true),
+            ("*.pcs", "Pro1.pcs.bak", false),
+            ("P?o*1*", "Pro11", true),
+            ("a*b*c", "aXbYbZc", true),
+            ("a*b*c", "aXbYbZ", false),
+            ("?", "", false),
+            ("ab", "abc", false),
+        ] {
+            assert_eq!(matches(pattern, name), expected, "{pattern} {name}");
+        }
+    }
+
+    #[test]
+    fn paths_have_no_empty_parts() {
+        assert_eq!(normal("/a//b\\c/"), "a/b/c");
     }
 }

@@ -8,6 +8,7 @@
 //! | `report`   | an error and its hint on the standard error                                |
 //! | `signal`   | the signals that end or suspend a program                                  |
 //! | `screen`   | a live screen of panels; feature `screens`                                 |
+//! | `words`    | the words of a line, with quotes and variables                             |
 
 #[cfg(feature = "args")]
 pub mod args;
@@ -17,3 +18,4 @@ pub mod report;
 #[cfg(feature = "screens")]
 pub mod screen;
 pub mod signal;
+pub mod words;

@@ -9,10 +9,10 @@ use clap::Args;
 
 use crate::failure::{Failure, of_file};
 use crate::output::{print_json, print_line, print_result};
+use crate::session::Session;
 use crate::session::confirm::Question;
-use crate::session::remote_files::Item;
-use crate::session::{Session, remote_files};
 use bcap_backup::local_files;
+use bcap_live::files::{self as remote_files, Item};
 use bcap_live::stream::spare;
 
 /// Lists files and folders of the controller
@@ -158,7 +158,7 @@ fn listed(session: &mut Session, path: &str, recursive: bool) -> Result<Vec<Item
             (true, true) => {
                 items.extend(remote_files::walk(session, &item.path, |_, _| Ok(()), |_, failure| Err(failure))?)
             }
-            (true, false) if !with_wildcards => items.extend(remote_files::list(session, &item.path)?),
+            (true, false) if !with_wildcards => items.extend(remote_files::items(session, &item.path)?),
             _ => items.push(item),
         }
     }

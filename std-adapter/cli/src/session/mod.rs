@@ -6,7 +6,6 @@
 pub(crate) mod budget;
 pub(crate) mod confirm;
 pub(crate) mod connect;
-pub(crate) mod remote_files;
 pub(crate) mod traffic;
 pub(crate) mod variables;
 

@@ -7,6 +7,7 @@ use bcap_capture::duration;
 use bcap_core::bcap::FunctionId;
 use bcap_std::ObjectPath;
 use bcap_terminal::escape;
+use bcap_terminal::words::{self, is_name};
 use clap::error::ErrorKind;
 use clap::{CommandFactory as _, Parser, Subcommand};
 
@@ -14,12 +15,12 @@ use crate::cli::{Command, Run};
 use crate::commands::calls::call::Call;
 use crate::commands::calls::exec::Exec;
 use crate::commands::calls::reference;
+use crate::commands::variables::get::LAST_PACKETS;
 use crate::failure::Failure;
 use crate::interrupt::{Interrupt, State};
 use crate::output::{print_line, print_raw};
 use crate::session::Session;
 use crate::session::variables::get_one;
-use crate::shell::words::{self, is_name};
 use bcap_capture::value::data;
 use bcap_core::variant::OwnedVariant as Value;
 
@@ -331,7 +332,7 @@ impl Runner {
 
 /// Splits a line into words; `None` for a line without a command.
 fn words_of(line: &str, variables: &HashMap<String, String>) -> Result<Option<Vec<String>>, Failure> {
-    let words = words::split(line, variables).map_err(Failure::Input)?;
+    let words = words::split(line, variables, &LAST_PACKETS).map_err(Failure::Input)?;
     match words.first() {
         None => Ok(None),
         Some(first) if first == "bcap" => Err(Failure::Input("write the command without the word bcap".into())),

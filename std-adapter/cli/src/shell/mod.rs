@@ -3,7 +3,6 @@
 mod line;
 pub(crate) mod script;
 mod terminal;
-mod words;
 
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

@@ -6,10 +6,12 @@
 
 use std::collections::HashMap;
 
-use crate::commands::variables::get::LAST_PACKETS;
-
-/// Splits a line into words, and replaces variables.
-pub(crate) fn split(line: &str, variables: &HashMap<String, String>) -> Result<Vec<String>, String> {
+/// Splits a line into words, and replaces variables. The words of `literal` begin with `$` and are no variables.
+///
+/// # Errors
+///
+/// The text of the error: a quote or brace that is not closed, or a variable that is not set.
+pub fn split(line: &str, variables: &HashMap<String, String>, literal: &[&str]) -> Result<Vec<String>, String> {
     let mut words = Vec::new();
     let mut word: Option<String> = None;
     let mut quote = None;
@@ -23,7 +25,7 @@ pub(crate) fn split(line: &str, variables: &HashMap<String, String>) -> Result<V
                 word.get_or_insert_default();
             }
             ('$', None | Some('"')) => {
-                let (value, after) = variable(rest, variables)?;
+                let (value, after) = variable(rest, variables, literal)?;
                 word.get_or_insert_default().push_str(&value);
                 rest = after;
                 continue;
@@ -42,8 +44,12 @@ pub(crate) fn split(line: &str, variables: &HashMap<String, String>) -> Result<V
 }
 
 /// Returns the value of the variable at the beginning of `text`, and the text after it.
-fn variable<'a>(text: &'a str, variables: &HashMap<String, String>) -> Result<(String, &'a str), String> {
-    if let Some((name, rest)) = LAST_PACKETS.iter().find_map(|name| Some((name, text.strip_prefix(name)?))) {
+fn variable<'a>(
+    text: &'a str,
+    variables: &HashMap<String, String>,
+    literal: &[&str],
+) -> Result<(String, &'a str), String> {
+    if let Some((name, rest)) = literal.iter().find_map(|name| Some((name, text.strip_prefix(name)?))) {
         return Ok(((*name).to_owned(), rest));
     }
     let text = text.strip_prefix('$').unwrap_or(text);
@@ -61,7 +67,8 @@ fn variable<'a>(text: &'a str, variables: &HashMap<String, String>) -> Result<(S
 }
 
 /// Returns whether a character may be in the name of a variable.
-pub(crate) fn is_name(c: char) -> bool {
+#[must_use]
+pub fn is_name(c: char) -> bool {
     c.is_alphanumeric() || c == '_'
 }
 
@@ -72,7 +79,7 @@ mod tests {
     #[track_caller]
     fn words(line: &str) -> Vec<String> {
         let variables = [("x", "3"), ("name", "a b")].map(|(name, value)| (name.to_owned(), value.to_owned()));
-        match split(line, &HashMap::from(variables)) {
+        match split(line, &HashMap::from(variables), &["$LAST$"]) {
             Ok(words) => words,
             Err(error) => vec![format!("error: {error}")],
         }
@@ -94,7 +101,7 @@ mod tests {
     #[test]
     fn variables_are_replaced() {
         assert_eq!(words("put I$x ${x}5 '$x' \"<$name>\" $name"), ["put", "I3", "35", "$x", "<a b>", "a b"]);
-        assert_eq!(words("get $LAST_SEND_PACKET$"), ["get", "$LAST_SEND_PACKET$"]);
+        assert_eq!(words("get $LAST$"), ["get", "$LAST$"]);
         assert_eq!(words("get $y"), ["error: the variable y is not set; `set y = VALUE` sets it"]);
         assert_eq!(words("get ${x"), ["error: the closing } of a variable is missing"]);
         assert_eq!(words("get $"), ["error: a name must follow $; write '$' for the character itself"]);
