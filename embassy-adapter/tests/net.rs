@@ -184,10 +184,10 @@ fn replies_to_addresses_that_do_not_exist_hold_up_no_other_ones() {
             robot.call(call::service_start("")).await.unwrap();
             let mut request = Client::new(Config::UDP, [0; 488], [0; 505]);
             request.start(&call::controller_connect("", "", "", ""), Timing::UDP, Instant::ZERO).unwrap();
-            // nobody answers for the first, and there is no route to the second
-            for nobody in [address(100), Ipv4Addr::new(10, 0, 0, 9)] {
+            // no host has the first address, and the second has no route
+            for unused in [address(100), Ipv4Addr::new(10, 0, 0, 9)] {
                 let frame =
-                    frames::datagram([2, 0, 0, 0, 0, 1], nobody, address(1), [40_000, 5007], request.transmit());
+                    frames::datagram([2, 0, 0, 0, 0, 1], unused, address(1), [40_000, 5007], request.transmit());
                 for _ in 0..6 {
                     cable.send(1, frame.clone());
                 }

@@ -322,21 +322,21 @@ fn udp_server_leaves_requests_in_the_socket_until_there_is_room_for_replies() {
 
 #[test]
 fn udp_server_discards_replies_to_addresses_that_do_not_exist() {
-    // nobody answers for the first, and there is no route to the second
-    for nobody in [IpAddress::v4(127, 0, 0, 9), IpAddress::v4(10, 0, 0, 9)] {
+    // no host has the first address, and the second has no route
+    for unused in [IpAddress::v4(127, 0, 0, 9), IpAddress::v4(10, 0, 0, 9)] {
         let mut bench = Datagrams::new();
         let mut client = bench.client(40_000);
         assert_eq!(bench.call(&mut client, call::service_start("")), Event::Replied(HResult::S_OK));
         let server = bench.net.sockets.get_mut::<udp::Socket<'_>>(bench.socket);
-        server.send_slice(b"x", IpEndpoint::new(nobody, 40_000)).unwrap();
+        server.send_slice(b"x", IpEndpoint::new(unused, 40_000)).unwrap();
         bench.step();
-        assert_eq!(bench.server.poll_timeout(), Some(bench.net.now.saturating_add(UNSENT)), "{nobody}");
+        assert_eq!(bench.server.poll_timeout(), Some(bench.net.now.saturating_add(UNSENT)), "{unused}");
         let mut event = bench.call(&mut client, call::controller_connect("", "", "", ""));
         // smoltcp sends nothing of a socket for a second after it has asked for an address
         while let Event::Retried { attempt: 2 | 3 } = event {
             event = bench.event(&mut client);
         }
-        assert_eq!(event, Event::Replied(HResult::S_OK), "{nobody}");
+        assert_eq!(event, Event::Replied(HResult::S_OK), "{unused}");
         assert_eq!(bench.server.poll_timeout(), None);
     }
 }
