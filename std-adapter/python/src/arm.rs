@@ -54,6 +54,10 @@ impl Arm {
                 _ = given.wait_for(is_begun) => return Err(Failure::ArmGiven),
                 taken = arm.lock() => taken,
             };
+            // a call that waited may get the lock before it is woken by the change
+            if is_begun(&given.borrow()) {
+                return Err(Failure::ArmGiven);
+            }
             let Some(held) = &mut *taken else { return Err(Failure::ArmGiven) };
             tokio::select! {
                 biased;

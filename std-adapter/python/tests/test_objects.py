@@ -166,18 +166,19 @@ def test_the_time_limit_halts(cell: bcap.Controller, sim: bcap.Sim) -> None:
 
 
 def test_the_end_of_the_block_ends_the_motion_of_another_thread(cell: bcap.Controller, sim: bcap.Sim) -> None:
-    with ThreadPoolExecutor() as pool, cell.take_arm() as arm:
+    with ThreadPoolExecutor(20) as pool, cell.take_arm() as arm:
         arm.motor_on()
         moving = pool.submit(arm.move, ASIDE, speed=1)
         assert eventually(lambda: sim.moving)
-        waiting = pool.submit(arm.set_speed, 50)
+        # so many that the lock of the arm reaches some before the news that the arm is given back
+        waiting = [pool.submit(arm.set_speed, 50) for _ in range(16)]
         # other calls go on meanwhile
         cell["I1"] = 3
         time.sleep(0.1)
     assert at_rest(sim)
-    ended, unsent = moving.exception(), waiting.exception()
+    ended, unsent = moving.exception(), [call.exception() for call in waiting]
     assert isinstance(ended, bcap.OutcomeUnknown) and "halted on its way" in str(ended) and ended.may_have_run
-    assert isinstance(unsent, bcap.NotConnected) and not unsent.may_have_run
+    assert all(isinstance(error, bcap.NotConnected) and not error.may_have_run for error in unsent), unsent
     with pytest.raises(bcap.NotConnected, match="given back"):
         arm.motor_on()
 
