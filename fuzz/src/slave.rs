@@ -80,6 +80,8 @@ struct Run {
     failed: bool,
     /// The restart after a failure is in progress.
     recovering: bool,
+    /// The last call was refused because the controller executes an earlier one.
+    is_busy: bool,
 }
 
 fn config(plan: &Plan) -> Config {
@@ -118,7 +120,7 @@ impl Run {
     fn new(plan: &Plan) -> Self {
         let engine = Engine::new(config(plan)).expect("the configuration is valid");
         let now = Instant::from_millis(1);
-        Self { engine, now, flight: None, entered: false, failed: false, recovering: false }
+        Self { engine, now, flight: None, entered: false, failed: false, recovering: false, is_busy: false }
     }
 
     fn apply(&mut self, op: Op) {
@@ -182,7 +184,7 @@ impl Run {
         match action {
             EngineAction::Call(step, channel) => self.check_call(step, channel),
             EngineAction::Pose { .. } => assert!(self.entered && !self.failed),
-            EngineAction::Wait(until) => assert!(until > self.now && self.entered && !self.failed),
+            EngineAction::Wait(until) => assert!(until > self.now && (self.is_busy || (self.entered && !self.failed))),
             EngineAction::Finished => {}
             EngineAction::Faulted => assert!(self.failed && self.engine.fault().is_some()),
         }
@@ -230,21 +232,24 @@ impl Run {
         assert!(!answered || (step == Step::Move && code.is_ok()));
         let full = step == Step::Move && code == HResult::E_BUF_FULL;
         self.failed |= self.engine.fault().is_some() && !self.recovering;
-        if code.is_err() && !full {
+        self.is_busy = code == HResult::E_BUSY_PROC;
+        // a recovery goes on after refusals of slvGetMode that tell that no stream runs
+        if code.is_err() && !full && !(step == Step::GetMode && self.recovering) {
             (self.failed, self.recovering) = (true, false);
         }
         match step {
             Step::Enter => self.entered = code.is_ok(),
             Step::Leave => self.entered &= code.is_err(),
             Step::ClearError => self.recovering = false,
-            Step::SystemState if self.recovering => {
-                // an emergency stop, or an answer without a state, ends the recovery
+            Step::GetMode | Step::SystemState if self.recovering => {
+                // the stream of another client, an emergency stop, or an answer without a state, ends the recovery
+                let expected = if step == Step::GetMode { Step::SystemState } else { Step::ClearError };
                 let next = self.engine.poll(self.now);
                 self.flight = match next {
                     EngineAction::Call(step, channel) => Some((step, channel)),
                     _ => None,
                 };
-                if self.flight.is_none_or(|(step, _)| step != Step::ClearError) {
+                if self.flight.is_none_or(|(step, _)| step != expected) {
                     (self.failed, self.recovering) = (true, false);
                 }
             }

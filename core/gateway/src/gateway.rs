@@ -84,7 +84,7 @@ enum InFlight {
     ServiceStart,
     ControllerConnect,
     GetRobot,
-    /// Any reply is sufficient.
+    /// Any reply is sufficient, unless the robot no longer knows the session.
     Heartbeat,
     /// The heartbeat that asks whether a stream of Slave Mode runs.
     GetMode,
@@ -379,7 +379,12 @@ impl Gateway<'_> {
     /// Handles the reply to the running call.
     fn replied(&mut self, result: HResult, now: Instant) -> Option<Event> {
         self.record_reply(now);
+        // in reply to a call of the controller: the robot no longer knows the session
+        let is_unknown = matches!(result, HResult::E_HANDLE | HResult::E_NOT_CONNECTED);
         match self.call.take()? {
+            InFlight::GetRobot if is_unknown => Some(self.refused(FunctionId::CONTROLLER_GET_ROBOT, result)),
+            InFlight::GetVariable(_) if is_unknown => Some(self.refused(FunctionId::CONTROLLER_GET_VARIABLE, result)),
+            InFlight::Heartbeat if is_unknown => Some(self.refused(FunctionId::CONTROLLER_GET_NAME, result)),
             InFlight::ServiceStart if result.is_err() => Some(self.refused(FunctionId::SERVICE_START, result)),
             InFlight::ControllerConnect if result.is_err() => {
                 Some(self.refused(FunctionId::CONTROLLER_CONNECT, result))
@@ -398,7 +403,7 @@ impl Gateway<'_> {
                 }
                 Err(error) => Some(self.fail_link(RobotError::Call(error))),
             },
-            // any reply shows that the robot is connected
+            // any other reply shows that the robot is connected
             InFlight::Heartbeat => None,
             InFlight::GetRobot => {
                 self.last_seen = now;

@@ -21,7 +21,8 @@
 //!   have executed.
 //!   The gateway never sends a PUT twice, except after E_HANDLE, which means that it was not executed.
 //! * **Handles** are valid on the connection that opened them, and kept in an LRU cache. When the cache is full, the least
-//!   recently used handle is released. After E_HANDLE the gateway gets a new handle, once per request.
+//!   recently used handle is released. After E_HANDLE the gateway gets a new handle, once per request. E_HANDLE or
+//!   E_NOT_CONNECTED in reply to a call of the controller ends the session: the robot no longer knows it.
 //! * **Results** of the robot are passed on unchanged. **Values** are converted to the type of the variable if that is
 //!   lossless, and passed on unchanged otherwise: a line contains the type. A value that has no text, or does not fit the
 //!   256 bytes of a line, becomes the reply E_INVALIDSNDPACKET.

@@ -95,7 +95,7 @@ impl RobotLink {
 pub enum RobotError {
     /// The connection could not be opened, or was closed.
     Closed,
-    /// The robot refused to begin a session.
+    /// The robot refused to begin a session, or no longer knows it.
     Refused {
         /// The refused function.
         function: FunctionId,

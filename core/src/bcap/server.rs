@@ -11,7 +11,8 @@
 //! for. The session does the following for the handler:
 //!
 //! * **Frames** are validated. An invalid frame on a stream gets the reply E_INVALIDRCPACKET, and the session ends (RAC
-//!   specification, Table 2-3). An invalid datagram gets a reply if it has a header. Noise on a serial line is skipped.
+//!   specification, Table 2-3). An invalid datagram gets a reply if it has a header. Noise on a serial line is skipped, and an
+//!   incomplete frame is dropped after 100 ms of silence.
 //! * **Arguments** are checked against the [function table](super::function): their number (E_INVALIDARG), their types
 //!   (E_INVALIDARGTYPE), and that a handle was given to this peer (E_HANDLE).
 //! * **Time**: with `WDT=ms` in Service_Start, the session sends S_EXECUTING at that interval while a call runs. A call that
@@ -245,6 +246,8 @@ struct State {
     outbox: Outbox,
     /// Recognises copies of calls on a lossy link.
     serials: Serials,
+    /// When the rest of an incomplete frame on a serial line is lost.
+    partial_until: Instant,
     /// No more frames are read; after `tx` is sent, the link must be closed.
     closing: bool,
 }
@@ -266,6 +269,9 @@ struct Running {
 
 /// The shortest interval between two polls of a waiting handler without other events.
 const SOONEST: Duration = Duration::from_millis(1);
+
+/// The silence inside a frame on a serial line after which its rest is lost.
+const CHARACTER_TIMEOUT: Duration = Duration::from_millis(100);
 
 /// The bytes before the value of a reply: the header and the argument's length.
 const VALUE_AT: usize = HEADER_LEN + 4;
@@ -294,6 +300,20 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
             Received::Malformed(error) => Err(self.malformed(error, false)),
             Received::Broken(error) => Err(self.malformed(error, true)),
         })
+    }
+
+    /// Drops an incomplete frame on a serial line that is silent: later requests would otherwise complete it.
+    fn watch_frame(&mut self, now: Instant) {
+        if self.state.config.link != Link::Serial {
+            return;
+        }
+        if self.inbox.take_received() {
+            let until = now.saturating_add(CHARACTER_TIMEOUT);
+            self.state.partial_until = if self.inbox.is_partial() { until } else { Instant::FAR_FUTURE };
+        } else if now >= self.state.partial_until {
+            self.inbox.forget_partial();
+            self.state.partial_until = Instant::FAR_FUTURE;
+        }
     }
 
     /// Starts a received request, or handles it as a copy.
@@ -640,7 +660,10 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Endpoint for Session<T, R, OB
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        self.state.running.map(|running| running.wake.min(running.until).min(running.keep_alive_at))
+        match self.state.running {
+            Some(running) => Some(running.wake.min(running.until).min(running.keep_alive_at)),
+            None => Some(self.state.partial_until).filter(|at| *at < Instant::FAR_FUTURE && self.state.is_reading()),
+        }
     }
 }
 
@@ -654,7 +677,7 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> ServerEndpoint for Session<T,
     }
 
     fn next_request(&self) -> usize {
-        if self.state.running.is_some() || self.state.outbox.is_sending() || self.state.closing {
+        if !self.state.is_reading() {
             return 0;
         }
         self.inbox.next_frame(self.rx.bytes())
@@ -701,9 +724,13 @@ where
         if self.state.closing {
             return None;
         }
-        match self.next_frame()? {
-            Ok(frame) => self.begin(frame, handler, peer, now),
-            Err(event) => Some(event),
+        match self.next_frame() {
+            Some(Ok(frame)) => self.begin(frame, handler, peer, now),
+            Some(Err(event)) => Some(event),
+            None => {
+                self.watch_frame(now);
+                None
+            }
         }
     }
 
@@ -735,8 +762,14 @@ impl State {
             running: None,
             outbox: Outbox::EMPTY,
             serials: Serials::new(matches!(config.link, Link::Serial)),
+            partial_until: Instant::FAR_FUTURE,
             closing: false,
         }
+    }
+
+    /// Tells whether the next frame is read: no request runs, and no reply is unsent.
+    fn is_reading(&self) -> bool {
+        self.running.is_none() && !self.outbox.is_sending() && !self.closing
     }
 
     /// Returns the number of bytes after the arguments: EOT, and the CRC on serial lines.

@@ -64,5 +64,7 @@ pub use self::robot::{give_arm, prepare_robot};
 pub use self::target::Target;
 pub use self::variable::{read_variable, write_variable};
 
+pub(crate) use self::sequence::{BUSY_LIMIT, BUSY_PAUSE};
+
 #[cfg(test)]
 mod tests;

@@ -9,6 +9,9 @@
 //! The position decides: the robot has arrived when it rests at the [`Target`] of its motion. That SysState reports no
 //! motion is not enough, because it reports none after a halt either.
 //!
+//! A motion that is shorter than the tolerance ends within it only after the robot has moved, or when the time to begin has
+//! passed.
+//!
 //! A robot that rests elsewhere was halted, unless SysState reports a motion (a slow start, a motion on hold) or the robot
 //! has not begun to move yet. DestJnt alone never decides, because after a halt it may be the place where the robot rests.
 //! It counts if two polls saw it during the motion, and then only where the target cannot be compared.
@@ -295,7 +298,7 @@ impl<D, O> MoveSteps<D, O> {
         if !follows && queue.reports_motion && queue.moved && matches!(queue.end, End::Joints(..)) {
             queue.begins = false;
         }
-        if let Some(comparison) = queue.end.compare_joints(&joints, &queue.config.at_end()) {
+        if let Some(comparison) = queue.end.compare_joints(&joints, &queue.tolerance(now)) {
             return self.judge(comparison, now);
         }
         if queue.end == End::Unknown {
@@ -311,8 +314,8 @@ impl<D, O> MoveSteps<D, O> {
 
     /// Compares the position of the tool with the end of the motion.
     fn update_tool(&mut self, frame: Option<&Transform>, now: Instant) {
-        let MotionQueue { end, config, .. } = &self.queue;
-        let comparison = end.compare_tool(self.position.as_ref(), frame, &config.at_end());
+        let tolerance = self.queue.tolerance(now);
+        let comparison = self.queue.end.compare_tool(self.position.as_ref(), frame, &tolerance);
         self.judge(comparison, now);
     }
 

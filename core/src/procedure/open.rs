@@ -17,7 +17,7 @@ pub fn open<'a>(provider: Provider<'a>) -> impl Procedure<Output = ControllerHan
 
 /// Starts the service, connects to the controller and gets a robot; returns both handles.
 ///
-/// Without a name it is the first robot that the controller lists, or `Arm0` when it refuses to list them.
+/// Without a name it is `Arm0`, or the first robot that the controller lists when it refuses that name.
 /// [`release_robot`](super::release_robot) undoes it.
 pub fn open_robot<'a>(
     provider: Provider<'a>,

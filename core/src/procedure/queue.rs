@@ -17,7 +17,8 @@ pub struct MotionConfig {
     pub start: Duration,
     /// The pause between two polls of the robot.
     pub interval: Duration,
-    /// How far each joint may be from the end of the motion, in degrees or mm.
+    /// How far each joint may be from the end of the motion, in degrees or mm. A motion that is shorter than that has not arrived
+    /// before the robot has moved, or `start` has passed.
     pub tolerance: f64,
     /// How far the tool may be from a position, in mm along each axis.
     pub distance_mm: f64,
@@ -189,6 +190,14 @@ impl MotionQueue {
             (self.destination, self.begins) = (Some(seen), false);
         }
         self.glimpsed = Some(seen);
+    }
+
+    /// Returns how far the robot may be from the end of the motion. Until it has moved, or its time to begin has passed, it must be
+    /// exactly there: a motion that is shorter than the tolerance may begin late.
+    pub(super) fn tolerance(&self, now: Instant) -> Tolerance {
+        let Tolerance { joint, distance_mm, angle_degrees } = self.config.at_end();
+        let most = if self.moved || now >= self.start_until { f64::INFINITY } else { AT_REST };
+        Tolerance { joint: joint.min(most), distance_mm: distance_mm.min(most), angle_degrees: angle_degrees.min(most) }
     }
 
     /// Tells whether DestJnt is needed.

@@ -13,6 +13,9 @@
 //!
 //! The calls in brackets are made only if the session may have caused what they end.
 //!
+//! A TakeArm that is answered with E_TIMEOUT may still be executed, so GiveArm follows it. Calls are repeated while the controller
+//! is busy with a call of the lost session.
+//!
 //! Only TakeArm tells whether another client owns the arm: TakeArmState tells it of the asking client alone. A refused TakeArm
 //! may leave an error on the controller, so it is not called while the lost session is known to own the arm.
 //!
@@ -100,7 +103,7 @@ pub enum ArmOwner {
 /// When a run is dropped, the arm may stay taken. Run the procedure again, and it gives the arm back.
 pub fn reclaim(robot: RobotHandle, effects: Effects) -> impl Procedure<Output = Reclaimed, Error = StepError> + use<> {
     let output = Reclaimed { owner: ArmOwner::Unknown, halted: None, motor_off: None };
-    Sequence::new(ReclaimSteps { robot, effects, step: Step::Mode, taken: false, output }, identity)
+    Sequence::new(ReclaimSteps { robot, effects, step: Step::Mode, taken: false, unsure: false, output }, identity)
 }
 
 struct ReclaimSteps {
@@ -108,6 +111,8 @@ struct ReclaimSteps {
     effects: Effects,
     step: Step,
     taken: bool,
+    /// Whether the controller has given TakeArm up, so that it may still take the arm.
+    unsure: bool,
     output: Reclaimed,
 }
 
@@ -122,6 +127,9 @@ enum Step {
     GiveArm,
     End,
 }
+
+/// The answer to TakeArm while a task of the controller owns the arm.
+const ARM_OF_TASK: HResult = HResult::from_u32(0x8350_0079);
 
 /// The parameters of TakeArm: group 0, and the speed, the tool and the work stay.
 pub(super) const KEEP: [i32; 2] = [0, 1];
@@ -188,7 +196,7 @@ impl ReclaimSteps {
     }
 
     const fn give(&self) -> Step {
-        if self.taken { Step::GiveArm } else { Step::End }
+        if self.taken || self.unsure { Step::GiveArm } else { Step::End }
     }
 
     /// Takes the answer to the present call: `None`, or the code of a refusal.
@@ -196,11 +204,13 @@ impl ReclaimSteps {
         let done = Some(refusal.is_none());
         self.step = match (self.step, refusal) {
             (Step::TakeArm, Some(HResult::E_ARM_NOT_TAKEN)) => self.refused_arm(),
+            // the lost session does not own it
+            (Step::TakeArm, Some(ARM_OF_TASK)) => self.end(ArmOwner::Other),
             (Step::Destination, _) => self.halt_only(),
-            (Step::TakeArm, Some(_)) if self.effects.claim == Claim::Other => Step::End,
             (Step::TakeArm, refusal) => {
                 self.taken = refusal.is_none();
-                self.halt()
+                self.unsure = refusal == Some(HResult::E_TIMEOUT);
+                if self.effects.claim == Claim::Other && !self.taken { self.give() } else { self.halt() }
             }
             (Step::Leave, _) => self.halt(),
             (Step::Halt, _) => {
@@ -220,6 +230,7 @@ impl ReclaimSteps {
 impl Steps for ReclaimSteps {
     type Output = Reclaimed;
     const KEEPS_OBJECTS: bool = true;
+    const REPEATS: bool = true;
 
     fn next(&self) -> Next<'_> {
         let robot = self.robot.0;
@@ -249,8 +260,12 @@ impl Steps for ReclaimSteps {
     }
 
     fn undo(&self, cause: Option<&StepCause>) -> Option<Undo> {
-        // without a reply the arm may have been taken
-        let takes = self.step == Step::TakeArm && cause.is_none_or(StepCause::may_have_run);
+        let takes = match self.step {
+            // without a reply the arm may have been taken
+            Step::TakeArm => cause.is_none_or(StepCause::may_have_run),
+            // a TakeArm that was given up has no entry
+            _ => self.unsure && cause.is_some(),
+        };
         takes.then_some(Undo::GiveArm(self.robot.0))
     }
 

@@ -64,7 +64,8 @@ pub struct NotRecovered {
     pub step: RecoveryStep,
     /// What a person or another program must do first, if that is the reason.
     pub obstacle: Option<Obstacle>,
-    /// The call that failed. After [`StepCause::Stopped`] without an obstacle the caller has stopped the procedure.
+    /// The call that failed, or after which the procedure stopped: for the obstacle, or without one because the caller has
+    /// stopped it. The cause is [`StepCause::Stopped`] then, even if the controller refused that call.
     pub error: StepError,
 }
 
@@ -161,6 +162,7 @@ impl<F: FnMut(RecoveryStep, Result<(), HResult>) -> ControlFlow<()>> Recovery<F>
             observe,
             examine: ExamineSteps::new(handles, is_alone),
             examined: false,
+            stopped: false,
             plan: Plan::new(),
             at: 0,
             has_arm: false,
@@ -181,6 +183,8 @@ impl<F: FnMut(RecoveryStep, Result<(), HResult>) -> ControlFlow<()>> Procedure f
         match self.0.poll(now) {
             Action::Done(Err(error)) => {
                 let steps = self.0.steps();
+                let is_stopped = steps.stopped || steps.obstacle.is_some();
+                let error = if is_stopped { StepError { cause: StepCause::Stopped, ..error } } else { error };
                 Action::Done(Err(NotRecovered { step: steps.step(), obstacle: steps.obstacle, error }))
             }
             Action::Done(Ok(done)) => Action::Done(Ok(done)),
@@ -209,6 +213,8 @@ struct RecoverySteps<F> {
     observe: F,
     examine: ExamineSteps,
     examined: bool,
+    /// Whether the caller has stopped the procedure.
+    stopped: bool,
     plan: Plan,
     /// The index of the present step of the plan.
     at: usize,
@@ -283,6 +289,7 @@ impl<F: FnMut(RecoveryStep, Result<(), HResult>) -> ControlFlow<()>> RecoverySte
         self.has_arm |= step == RecoveryStep::TakeArm;
         self.done.motor_on |= step == RecoveryStep::Motor;
         if flow.is_break() {
+            self.stopped = true;
             return Err(StepCause::Stopped);
         }
         if !core::mem::take(&mut self.asks_owner) {

@@ -25,8 +25,8 @@ use crate::variant::Encode;
 pub(super) const UNDO_MAX: usize = 8;
 
 /// How long, and how often, a call is repeated while the controller is busy.
-const BUSY_LIMIT: Duration = Duration::from_secs(5);
-const BUSY_PAUSE: Duration = Duration::from_millis(10);
+pub(crate) const BUSY_LIMIT: Duration = Duration::from_secs(5);
+pub(crate) const BUSY_PAUSE: Duration = Duration::from_millis(10);
 
 /// A call that undoes the effect of another one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -177,6 +177,8 @@ pub struct Engine<const N: usize = MOVE_FRAME> {
     /// Whether the engine ends after a fault, and the first of its steps that failed at the end.
     gives_up: bool,
     unreleased: Option<(Step, Cause)>,
+    /// Until when a step of the end is repeated, after the controller was busy with a call that was given up.
+    busy_until: Option<Instant>,
     /// The start of the stream, in the layout of the format.
     start: Option<Pose>,
     /// The last pose in the frame, and its step and speed.
@@ -228,6 +230,7 @@ impl<const N: usize> Engine<N> {
             stop: None,
             gives_up: false,
             unreleased: None,
+            busy_until: None,
             start: None,
             last: Pose::zero(expected),
             delta: Delta::ZERO,
@@ -251,7 +254,12 @@ impl<const N: usize> Engine<N> {
                         return action;
                     }
                 }
-                Phase::Starting | Phase::Leaving | Phase::Diagnosing | Phase::Recovering => {}
+                Phase::Leaving => {
+                    if let Some(again) = self.again_at().filter(|again| now < *again) {
+                        return EngineAction::Wait(again);
+                    }
+                }
+                Phase::Starting | Phase::Diagnosing | Phase::Recovering => {}
             }
             self.in_flight = true;
             self.sent_at = now;
@@ -287,7 +295,7 @@ impl<const N: usize> Engine<N> {
         match self.phase {
             Phase::Streaming => return self.handle_move(code, value, now),
             Phase::Starting => self.handle_start(code, value, now),
-            Phase::Leaving => self.handle_leave(code),
+            Phase::Leaving => self.handle_leave(code, now),
             Phase::Diagnosing => self.handle_diagnosis(code, value),
             Phase::Recovering => self.handle_recovery(code, value),
             Phase::Finished | Phase::Faulted => {}
@@ -414,7 +422,8 @@ impl<const N: usize> Engine<N> {
     /// Restarts after a fault: clears the controller's errors, switches the motor on and enters Slave Mode.
     ///
     /// The stream begins at the current position, not at [`Config::start`]. Before the engine clears the errors, it asks the
-    /// controller again whether the emergency stop is pressed.
+    /// controller whether a stream of another client runs, and again whether the emergency stop is pressed. Either ends the
+    /// recovery with a fault.
     ///
     /// # Errors
     ///
@@ -428,7 +437,7 @@ impl<const N: usize> Engine<N> {
             return Err(RecoverError::Lost);
         }
         self.phase = Phase::Recovering;
-        self.step = Step::SystemState;
+        self.step = Step::GetMode;
         self.stop_wanted = false;
         self.gives_up = false;
         Ok(())

@@ -183,5 +183,5 @@ pub(super) fn slow_down(limits: &AxisLimits, cycle: f64, velocity: &Velocity) ->
         }
     }
     // with a limit of 0 the stop would never end
-    part.max(1e-3)
+    if part > 0.0 { part } else { 1e-3 }
 }

@@ -480,6 +480,43 @@ fn an_invalid_handle_is_replaced_once() {
     assert_eq!(bench.ask(plc, "GET:RC8:1:I:\r"), "0,3,2\r");
 }
 
+/// Over UDP a session can end without a sign, such as by a restart of the robot between two heartbeats.
+#[test]
+fn a_session_that_the_robot_no_longer_knows_is_replaced() {
+    for code in [HResult::E_HANDLE, HResult::E_NOT_CONNECTED] {
+        let down = |function| Event::RobotDown {
+            error: RobotError::Refused { function, result: code },
+            pause: Duration::from_millis(500),
+        };
+        let (mut bench, plc) = Bench::with_client::<1, 4>(Config::RC8);
+        bench.robot.set("I1", &11_i32);
+        assert_eq!(bench.ask(plc, "GET:RC8:1:I:\r"), "0,3,11\r");
+        bench.robot.handles.clear();
+        bench.robot.script(FunctionId::CONTROLLER_GET_VARIABLE, Do::Reply(code, None));
+        bench.send(plc, "GET:RC8:1:I:\r");
+        let failed =
+            Event::Failed { peer: plc, request: get_i(1), result: HResult::E_NOT_CONNECTED, time: Duration::ZERO };
+        assert_eq!(bench.settle(), [down(FunctionId::CONTROLLER_GET_VARIABLE), failed]);
+        assert_eq!(bench.take(plc), line(HResult::E_NOT_CONNECTED));
+        bench.gateway.robot_closed(bench.now);
+        assert_eq!(bench.sleep(500), []);
+        assert_eq!(bench.connect(), [Event::RobotUp]);
+        assert_eq!(bench.ask(plc, "GET:RC8:1:I:\r"), "0,3,11\r");
+        // without a request, the heartbeat detects it
+        for (mode, function) in [
+            (HResult::E_HANDLE, FunctionId::CONTROLLER_GET_ROBOT),
+            (HResult::E_NO_LICENSE, FunctionId::CONTROLLER_GET_NAME),
+        ] {
+            let mut bench = Bench::up::<1, 4>(Config::RC8);
+            bench.robot.script(FunctionId::ROBOT_EXECUTE, Do::Reply(mode, None));
+            bench.robot.script(function, Do::Reply(code, None));
+            let mut events = bench.sleep(2000);
+            events.extend(bench.sleep(2000));
+            assert_eq!(events, [down(function)], "{function}");
+        }
+    }
+}
+
 #[test]
 fn without_a_robot_the_reply_is_immediate() {
     let mut bench = Bench::new::<2, 2>(WRITABLE);

@@ -390,6 +390,28 @@ fn noise_while_a_call_runs_does_not_hide_the_frame_after_it() {
     assert!(matches!(bench.events.as_slice(), [.., Event::Malformed(_), Event::Repeated { first: 4 }]));
 }
 
+/// Otherwise noise that announces a long frame takes in the next requests, and executes them much later.
+#[test]
+fn an_incomplete_frame_is_dropped_when_the_serial_line_is_silent() {
+    let mut bench = Bench::connected(Config::SERIAL, "");
+    assert_eq!(bench.session.poll_timeout(), None);
+    // a frame of 496 bytes begins
+    assert_eq!(bench.bytes(&[1, 0xf0, 1, 0, 0], at(0)), []);
+    assert_eq!(bench.session.poll_timeout(), Some(at(100)));
+    assert_eq!(bench.bytes(&[0], at(90)), []);
+    assert_eq!(bench.run(at(189)), []);
+    assert_eq!((bench.session.poll_timeout(), bench.session.is_receiving()), (Some(at(190)), true));
+    assert_eq!(bench.run(at(190)), []);
+    assert_eq!((bench.session.poll_timeout(), bench.session.is_receiving()), (None, false));
+    assert_eq!(bench.call(halt(), 4, at(200)), [(4, HResult::S_OK)]);
+    assert_eq!(bench.handler.calls, [(70, 2)]);
+    // a frame that arrives slowly, without such a pause
+    for (byte, time) in frame(&halt(), 5, 5, true).into_iter().zip((300..).step_by(99)) {
+        bench.bytes(&[byte], at(time));
+    }
+    assert_eq!((bench.handler.calls.len(), bench.session.poll_timeout()), (2, None));
+}
+
 #[test]
 fn a_new_client_at_a_known_address_starts_a_new_session() {
     let mut bench = Bench::connected(Config::UDP, "");

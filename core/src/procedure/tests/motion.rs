@@ -102,6 +102,35 @@ fn a_motion_that_ends_where_it_began_has_arrived_when_the_controller_reports_no_
 }
 
 #[test]
+fn a_motion_shorter_than_the_tolerance_has_arrived_after_the_robot_has_moved() {
+    // it rests for 300 ms, and SysState reports no motion
+    let late = |by: f64| move |millis: u64| if millis < 300 { 10.0 - by } else { 10.0 };
+    let large = MotionConfig { tolerance: 1.0, ..within(10_000) };
+    for (config, by) in [(within(10_000), 0.03), (large, 0.8)] {
+        let done = moved(config, late(by), |_| 0);
+        assert_eq!(done.result, Ok(Motion::Arrived));
+        assert!((300..400).contains(&(done.now.as_micros() / 1000)), "{:?}", done.now);
+        assert!(!done.calls.iter().any(|call| call == HALT));
+    }
+    let position = Target::position(Position::new([10.0, 0.0, 300.0], [180.0, 0.0, 180.0]));
+    let done = run(motion_to(position, within(10_000)), |_, call, now| {
+        let x = late(0.08)(now.as_micros() / 1000);
+        match call {
+            DESTINATION | POSITION => at(x),
+            STATE => Answer::value(&0),
+            POSE => Answer::value(&[x, 0.0, 300.0, 180.0, 0.0, 180.0, 5.0]),
+            _ => Answer::Empty,
+        }
+    });
+    assert_eq!(done.result, Ok(Motion::Arrived));
+    assert!((300..400).contains(&(done.now.as_micros() / 1000)), "{:?}", done.now);
+    // one that never begins
+    let done = moved(within(10_000), |_| 9.97, |_| 0);
+    assert_eq!(done.result, Ok(Motion::Arrived));
+    assert!((1000..1100).contains(&(done.now.as_micros() / 1000)), "{:?}", done.now);
+}
+
+#[test]
 fn a_robot_at_rest_elsewhere_was_halted() {
     let done = moved(within(10_000), |millis| ramp(millis.min(40)), |_| 0);
     assert_eq!(done.result, Ok(Motion::Halted));

@@ -27,6 +27,10 @@ fn reclaimed(effects: Effects, mode: i32, refused: (&str, HResult)) -> Run<Recla
 
 const NONE: (&str, HResult) = ("", HResult::S_OK);
 
+fn strings(calls: &[&str]) -> Vec<String> {
+    calls.iter().map(ToString::to_string).collect()
+}
+
 #[test]
 fn a_free_arm_is_taken_before_the_robot_is_halted() {
     for (effects, off) in [(MOVED, Some(true)), (Effects { motor: false, ..MOVED }, None), (MOTOR, Some(true))] {
@@ -43,6 +47,11 @@ fn a_robot_of_another_client_is_left_alone() {
     let other = Reclaimed { owner: ArmOwner::Other, halted: None, motor_off: None };
     let done = reclaimed(MOVED, 0, (TAKE, HResult::E_ARM_NOT_TAKEN));
     assert_eq!((done.result, done.calls), (Ok(other), vec![MODE.to_string(), TAKE.to_string()]));
+    // a task owns the arm, so the motion is not the silent session's either
+    for claim in [Claim::Unknown, Claim::Silent] {
+        let done = reclaimed(Effects { claim, ..MOVED }, 0, (TAKE, HResult::from_u32(0x8350_0079)));
+        assert_eq!((done.result, done.calls), (Ok(other), vec![MODE.to_string(), TAKE.to_string()]), "{claim:?}");
+    }
     // TakeArm would end its stream
     let done = reclaimed(ALL, 0x102, NONE);
     assert_eq!((done.result, done.calls), (Ok(other), vec![MODE.to_string()]));
@@ -83,7 +92,7 @@ fn a_motion_that_may_be_the_silent_sessions_is_halted() {
         (done.result.unwrap(), done.calls[2..].to_vec())
     };
     let at = [60.01, 45.0, 90.0, 0.0, 45.0, 0.0, 7.0, 8.0];
-    let calls = |calls: &[&str]| calls.iter().map(ToString::to_string).collect::<Vec<_>>();
+    let calls = strings;
     let known = |first: f64| Effects { destination: Some(to(first)), ..silent };
     // the same destination proves whose motion it is
     let ours = Reclaimed { motor_off: Some(true), ..halted };
@@ -121,6 +130,45 @@ fn a_refusal_keeps_nothing_moving() {
     // a stream may run
     let done = reclaimed(ALL, 0, (MODE, HResult::E_FAIL));
     assert_eq!(done.calls, [MODE, HALT]);
+}
+
+/// E_TIMEOUT: the controller has given TakeArm up, and may execute it all the same.
+#[test]
+fn an_arm_that_may_be_taken_later_is_given_back() {
+    let given_up = (TAKE, HResult::E_TIMEOUT);
+    let other = Effects { claim: Claim::Other, ..MOVED };
+    for (effects, calls) in
+        [(MOVED, &[MODE, TAKE, HALT, OFF, GIVE][..]), (MOTOR, &[MODE, TAKE, OFF, GIVE]), (other, &[MODE, TAKE, GIVE])]
+    {
+        let done = reclaimed(effects, 0, given_up);
+        assert_eq!((done.result.unwrap().owner, done.calls), (ArmOwner::Free, strings(calls)));
+    }
+    // also if a call after it has no reply
+    let done = run(reclaim(ROBOT, MOVED), |_, call, _| match call {
+        MODE => Answer::value(&0),
+        TAKE => Answer::Refused(HResult::E_TIMEOUT),
+        HALT => Answer::Failed(Failure::Timeout),
+        _ => Answer::Empty,
+    });
+    assert_eq!((done.result.is_err(), done.calls), (true, strings(&[MODE, TAKE, HALT, GIVE])));
+}
+
+#[test]
+fn calls_are_repeated_while_the_controller_is_busy() {
+    // it executes the Motor of the lost session for 300 ms
+    let Run { result, mut calls, .. } = run(reclaim(ROBOT, MOTOR), |_, call, now| match call {
+        _ if now < Instant::from_millis(300) => Answer::Refused(HResult::E_BUSY_PROC),
+        MODE => Answer::value(&0),
+        _ => Answer::Empty,
+    });
+    calls.dedup();
+    let ended = Reclaimed { owner: ArmOwner::Free, halted: Some(true), motor_off: Some(true) };
+    assert_eq!((result, calls), (Ok(ended), strings(&[MODE, TAKE, HALT, OFF, GIVE])));
+    // for a limited time
+    let done = run(reclaim(ROBOT, MOTOR), |_, _, _| Answer::Refused(HResult::E_BUSY_PROC));
+    let unknown = Reclaimed { owner: ArmOwner::Unknown, halted: None, motor_off: None };
+    assert_eq!(done.result, Ok(unknown));
+    assert!((4900..5100).contains(&(done.now.as_micros() / 1000)), "{:?}", done.now);
 }
 
 #[test]

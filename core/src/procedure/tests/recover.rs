@@ -384,6 +384,22 @@ fn an_early_cobotta_without_the_commands_is_recovered() {
 }
 
 #[test]
+fn a_refused_call_is_not_the_reason_if_an_obstacle_or_the_caller_ends_the_recovery() {
+    // the mode is Manual, and the last call of the examination is refused
+    let other = vec![("GetMotionPreparationState", Answer::Refused(HResult::E_INVALID_CMD_NAME))];
+    let manual = Peer { state: 1 << 5, errors: vec![], other, ..cobotta() };
+    let error = recovered(Some(ALONE), manual).0.unwrap_err();
+    assert_eq!((error.obstacle, error.error.cause, error.code()), (Some(Obstacle::Mode), StepCause::Stopped, None));
+    // the caller ends it after a step that was left out
+    let other = vec![("ManualResetPreparation", Answer::Refused(HResult::E_INVALIDARG))];
+    let mut controller = Peer { other, ..cobotta() };
+    let (result, ..) = answered(Some(ALONE), |_, call| controller.answer(call), |_| ControlFlow::Break(()));
+    let error = result.unwrap_err();
+    assert_eq!((error.step, error.obstacle), (RecoveryStep::ManualResetPreparation, None));
+    assert_eq!((error.error.cause, error.code()), (StepCause::Stopped, None));
+}
+
+#[test]
 fn a_step_that_nobody_has_agreed_to_is_not_made() {
     let prepared = Peer { prepared: true, torque_off: Some(false), ..cobotta() };
     let agreed: RecoveryStepSet = examined(prepared.clone()).steps(false).collect();

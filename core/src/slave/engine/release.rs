@@ -2,18 +2,34 @@
 
 use super::{Engine, Health, Phase};
 use crate::hresult::HResult;
+use crate::procedure::{BUSY_LIMIT, BUSY_PAUSE};
 use crate::slave::call::Step;
 use crate::slave::fault::{Cause, Released};
+use crate::time::Instant;
 
 impl<const N: usize> Engine<N> {
     pub(super) fn leave(&mut self) {
         self.phase = Phase::Leaving;
         self.step = Step::Leave;
+        self.busy_until = None;
+    }
+
+    /// Tells whether the controller is busy with a call that was given up, so that the present step is repeated.
+    fn repeats(&mut self, code: HResult, now: Instant) -> bool {
+        code == HResult::E_BUSY_PROC && now < *self.busy_until.get_or_insert(now.saturating_add(BUSY_LIMIT))
+    }
+
+    /// Returns when the next step of the end may be sent, after the controller was busy.
+    pub(super) fn again_at(&self) -> Option<Instant> {
+        self.busy_until.map(|_| self.sent_at.saturating_add(BUSY_PAUSE))
     }
 
     /// Moves to the next step of the end, or ends.
     pub(super) fn release(&mut self, after: Option<Step>) {
         const ORDER: [Step; 4] = [Step::Leave, Step::Halt, Step::MotorOff, Step::GiveArm];
+        if after.is_none() {
+            self.busy_until = None;
+        }
         let done =
             after.and_then(|step| ORDER.iter().position(|other| *other == step)).map_or(0, |at| at.saturating_add(1));
         let next = ORDER.into_iter().skip(done).find(|step| self.is_unreleased(*step));
@@ -57,7 +73,10 @@ impl<const N: usize> Engine<N> {
         self.release(Some(self.step));
     }
 
-    pub(super) fn handle_leave(&mut self, code: HResult) {
+    pub(super) fn handle_leave(&mut self, code: HResult, now: Instant) {
+        if self.repeats(code, now) {
+            return;
+        }
         let is_off = self.gives_up && self.step == Step::Leave && code == HResult::E_SLVMODE_OFF;
         if code.is_err() && !is_off {
             return match self.step {

@@ -158,6 +158,15 @@ impl<const N: usize> Engine<N> {
     }
 
     pub(super) fn handle_recovery(&mut self, code: HResult, value: Variant<'_>) {
+        if self.step == Step::GetMode {
+            let state = StreamState::from_reply(code, value.as_i32());
+            // a stream that this engine could not leave is not another client's
+            if !self.may_be_in_mode && !state.allows(Properties::UNKNOWN) {
+                return self.fail(Cause::Occupied(state));
+            }
+            self.step = Step::SystemState;
+            return;
+        }
         if code.is_err() {
             return self.fail(Cause::Refused(code));
         }

@@ -188,6 +188,17 @@ fn a_stop_in_motion_slows_down_within_the_limits() {
 }
 
 #[test]
+fn a_stop_within_a_low_acceleration_limit_takes_longer() {
+    // from 100 degrees per second, by nine tenths of 10 degrees per second squared
+    let velocity = [0.8, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+    let part = |limit| crate::slave::limits::slow_down(&AxisLimits::uniform(100.0, limit), 0.008, &velocity);
+    let acceleration = part(10.0) * velocity[0] / (0.008 * 0.008);
+    assert!((acceleration - 9.0).abs() < 1e-9, "{acceleration}");
+    // with a limit of 0 it ends, too
+    assert_eq!(part(0.0), 1e-3);
+}
+
+#[test]
 fn a_stop_before_the_first_pose_moves_nothing() {
     let mut rig = Rig::new(config(Mode::Mode2), &[0.0; 8]);
     assert_eq!(rig.run(|_| None), EngineAction::Finished);

@@ -55,6 +55,27 @@ fn a_refused_step_of_the_end_prevents_none_after_it() {
     }
 }
 
+/// E_BUSY_PROC: the controller still executes a call that was given up.
+#[test]
+fn a_step_of_the_end_is_repeated_while_the_controller_is_busy() {
+    let busy = |count: usize| core::iter::repeat_n(("Robot_Halt", refused(HResult::E_BUSY_PROC)), count);
+    let mut rig = faulted(config(Mode::Mode2));
+    rig.controller.script.extend(busy(2));
+    let began = rig.now;
+    rig.engine.stop();
+    assert_eq!(rig.run(|_| None), EngineAction::Finished);
+    assert_eq!(rig.names(), ["Robot_Halt", "Robot_Halt", "Robot_Halt", "Motor", "GiveArm"]);
+    assert!((20..100).contains(&rig.now.saturating_since(began).as_millis()), "{:?}", rig.now);
+    // for a limited time
+    let mut rig = faulted(config(Mode::Mode2));
+    rig.controller.script.extend(busy(1000));
+    let began = rig.now;
+    rig.engine.stop();
+    assert_eq!(rig.run(|_| None), EngineAction::Faulted);
+    assert!((4900..5100).contains(&rig.now.saturating_since(began).as_millis()), "{:?}", rig.now);
+    assert_eq!(rig.engine.effects(), Effects { moving: true, ..Effects::default() });
+}
+
 #[test]
 fn a_motor_that_stays_on_at_the_end_of_a_stream_is_a_fault() {
     let mut rig = Rig::new(config(Mode::Mode0), &[0.0; 8]);

@@ -15,8 +15,8 @@ fn recovery_happens_on_request_and_starts_at_the_position_of_the_robot() {
     rig.engine.recover().unwrap();
     assert_eq!(rig.run(|_| None), EngineAction::Finished);
     let names: Vec<&str> = rig.controller.log[asked..].iter().map(|(_, name)| name.as_str()).collect();
-    assert_eq!(names[..2], ["SysState", "ClearError"]);
-    assert_eq!(names[2..8], START[..6]);
+    assert_eq!(names[..3], ["slvGetMode", "SysState", "ClearError"]);
+    assert_eq!(names[3..9], START[..6]);
     assert_eq!(rig.engine.start_pose().unwrap().as_slice()[0], stopped_at);
     assert!(rig.engine.fault().is_none() && rig.controller.errors.is_empty());
 }
@@ -62,7 +62,7 @@ fn nan_bounds_are_refused() {
 fn a_stop_during_a_recovery_is_not_forgotten() {
     let mut rig = refused_start(config(Mode::Mode2), "Motor", HResult::from_u32(0x8350_106e));
     rig.engine.recover().unwrap();
-    assert!(matches!(rig.engine.poll(rig.now), EngineAction::Call(Step::SystemState, _)));
+    assert!(matches!(rig.engine.poll(rig.now), EngineAction::Call(Step::GetMode, _)));
     rig.engine.stop();
     assert_eq!(rig.run(|_| panic!("no pose is wanted")), EngineAction::Finished);
     assert_eq!((rig.names().last(), rig.moves), (Some(&"GiveArm"), 0));
@@ -155,6 +155,45 @@ fn a_stream_of_another_client_is_left_alone() {
     let mut rig = Rig::new(config(Mode::Mode0), &[0.0; 8]);
     rig.controller.script.push(("slvGetMode", refused(HResult::E_NOTIMPL)));
     assert_eq!(rig.run(trajectory(10)), EngineAction::Finished);
+}
+
+/// Every call of a recovery but slvGetMode would end the other stream.
+#[test]
+fn a_recovery_leaves_the_stream_of_another_client_alone() {
+    let mut occupied = Rig::new(config(Mode::Mode0), &[0.0; 8]);
+    occupied.controller.mode = 0x202;
+    assert_eq!(occupied.run(|_| panic!("no pose is wanted")), EngineAction::Faulted);
+    // the other client streams after it has taken the arm
+    let mut unarmed = refused_start(config(Mode::Mode0), "TakeArm", HResult::E_ARM_NOT_TAKEN);
+    unarmed.controller.mode = 0x202;
+    for mut rig in [occupied, unarmed] {
+        rig.controller.log.clear();
+        rig.engine.recover().unwrap();
+        assert_eq!(rig.run(|_| panic!("no pose is wanted")), EngineAction::Faulted);
+        let fault = rig.fault();
+        assert_eq!((fault.step, fault.cause), (Step::GetMode, Cause::Occupied(StreamState::Runs)));
+        assert_eq!((rig.names(), rig.controller.mode), (["slvGetMode"].to_vec(), 0x202));
+        // after the end of the other stream
+        rig.controller.mode = 0;
+        rig.engine.recover().unwrap();
+        assert_eq!(rig.run(trajectory(10)), EngineAction::Finished);
+    }
+}
+
+#[test]
+fn a_stream_that_the_engine_could_not_leave_prevents_no_recovery() {
+    let mut rig = disturbed(config(Mode::Mode0), 5, |rig| {
+        rig.failures.push((rig.moves + 1, Failure::Timeout));
+        rig.controller.script.push(("slvChangeMode", refused(HResult::E_FAIL)));
+    });
+    assert_eq!(rig.fault().released, Released::No);
+    rig.controller.buffer.clear();
+    (rig.controller.mode, rig.controller.moving) = (0x002, false);
+    rig.engine.recover().unwrap();
+    assert_eq!(rig.run(|_| panic!("no pose is wanted")), EngineAction::Faulted);
+    assert_eq!((rig.fault().step, rig.fault().released), (Step::SystemState, Released::Yes));
+    rig.engine.recover().unwrap();
+    assert_eq!(rig.run(|_| None), EngineAction::Finished);
 }
 
 #[test]
