@@ -152,8 +152,11 @@ impl Timeouts {
         write: impl Fn(&[u8]) -> io::Result<usize>,
     ) -> io::Result<Option<usize>> {
         // the send buffer almost always has room for a request, so the common case needs no timeout
-        if let Some(Ok(Some(count))) = classified(try_send(socket, bytes)) {
-            return Ok(Some(count));
+        match classified(try_send(socket, bytes)) {
+            Some(Ok(Some(count))) => return Ok(Some(count)),
+            // the system tells once that it has given up a connection
+            Some(Err(error)) if error.kind() == io::ErrorKind::TimedOut => return Err(error),
+            _ => {}
         }
         loop {
             if !set_timeout(&mut self.write, self.clock.micros_until(until), |time| socket.set_write_timeout(time))? {
@@ -258,7 +261,9 @@ fn classified(result: io::Result<usize>) -> Option<io::Result<Option<usize>>> {
     match result {
         Ok(count) => Some(Ok(Some(count))),
         Err(error) => match error.kind() {
-            io::ErrorKind::WouldBlock | io::ErrorKind::TimedOut => Some(Ok(None)),
+            io::ErrorKind::WouldBlock => Some(Ok(None)),
+            // the timeout of a socket of Windows and of a serial line; on Unix the system gives up a connection with this error
+            io::ErrorKind::TimedOut if cfg!(windows) || error.raw_os_error().is_none() => Some(Ok(None)),
             io::ErrorKind::Interrupted => None,
             _ => Some(Err(error)),
         },

@@ -7,7 +7,7 @@ use bcap_core::bcap::client::ClientError;
 use bcap_core::error::EncodeError;
 use bcap_core::hresult::HResult;
 use bcap_core::procedure::{Halt, HaltAnswer, NotRecovered, StepCause, StepError};
-use bcap_core::slave::{ConfigError, StreamError};
+use bcap_core::slave::{Cause, ConfigError, Failure, StreamError};
 use bcap_core::variant::{ConvertError, OwnedVariant};
 
 use crate::address::AddressError;
@@ -155,6 +155,7 @@ impl Error {
         match self {
             Self::Refused { code, .. } | Self::NotHalted(Halt { answer: HaltAnswer::Refused(code), .. }) => Some(*code),
             Self::NotRecovered(error) => error.code(),
+            Self::Stream(StreamError::Fault { cause: Cause::Refused(code), .. }) => Some(*code),
             _ => None,
         }
     }
@@ -183,6 +184,9 @@ impl Error {
         match self {
             Self::NoReply { source, .. } => !source.is_recoverable(),
             Self::NotConnected { .. } => true,
+            Self::Stream(StreamError::Fault { cause: Cause::Failed(failure), .. }) => {
+                matches!(failure, Failure::Lost | Failure::Closed)
+            }
             _ => false,
         }
     }
@@ -221,7 +225,7 @@ mod tests {
     use std::io;
 
     use bcap_core::bcap::client::Timeout;
-    use bcap_core::slave::PoseError;
+    use bcap_core::slave::{PoseError, Step};
     use bcap_core::variant::Variant;
 
     use super::*;
@@ -229,6 +233,16 @@ mod tests {
 
     fn call(error: CallError) -> Error {
         Error::call(FunctionId::VARIABLE_GET_VALUE, "I1", error)
+    }
+
+    #[test]
+    fn a_failed_stream_tells_of_a_lost_connection_and_a_refusal() {
+        let stream = |cause| Error::Stream(StreamError::Fault { step: Step::Move, cause, code: None });
+        let lost =
+            [Failure::Lost, Failure::Closed, Failure::Timeout].map(|failure| stream(Cause::Failed(failure)).is_lost());
+        assert_eq!(lost, [true, true, false]);
+        let refused = stream(Cause::Refused(HResult::E_FAIL));
+        assert_eq!((refused.code(), refused.is_lost()), (Some(HResult::E_FAIL), false));
     }
 
     /// The text of every variant.

@@ -28,8 +28,8 @@ use bcap_core::error::EncodeError;
 use bcap_core::hresult::HResult;
 use bcap_core::io::asynch::{Connection, Transport};
 use bcap_core::procedure::{
-    self, Handles, MotionQueue, MotionStart, Owner, PathError, PathStep, Procedure, Provider, StepError, StoppedTasks,
-    Target, Until,
+    self, Handles, MotionQueue, MotionStart, Owner, PathError, PathStep, Procedure, Provider, StepCause, StepError,
+    StoppedTasks, Target, Until,
 };
 use bcap_core::slave::{AxisLimits, Config, Engine, Format, MOVE_FRAME, Stats, StreamError, Trajectory};
 use bcap_core::time::Instant;
@@ -46,8 +46,8 @@ use crate::{CallError, RunError};
 pub(crate) use self::any::RuntimeCall;
 #[cfg(feature = "tokio")]
 pub(crate) use self::arm::ArmId;
-use self::arm::ArmState;
 pub(crate) use self::arm::Left;
+use self::arm::{ArmEffect, ArmState, UNNOTICED};
 use self::paths::Paths;
 pub use self::variables::TimedReading;
 #[cfg(feature = "tokio")]
@@ -102,8 +102,10 @@ struct LinkState {
     lost: Option<String>,
     /// Since when no call had a reply.
     silent_since: Option<Instant>,
-    /// Whether the controller has closed the connection.
+    /// Whether the controller has closed the connection, or otherwise ended the session.
     is_closed: bool,
+    /// Whether a call was refused as in a session that has ended.
+    is_doubtful: bool,
 }
 
 /// The effect of a halt.
@@ -208,17 +210,27 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     #[inline]
     fn observe(&mut self, error: Option<&CallError>) {
         match error {
-            None | Some(CallError::Refused(_)) => self.link.silent_since = None,
+            None => self.link.silent_since = None,
+            Some(CallError::Refused(code)) => self.observe_refusal(*code),
             Some(error) => self.observe_failure(error),
         }
+    }
+
+    fn observe_refusal(&mut self, code: HResult) {
+        self.link.silent_since = None;
+        self.link.is_doubtful |= matches!(code, HResult::E_HANDLE | HResult::E_NOT_CONNECTED);
     }
 
     #[cold]
     fn observe_failure(&mut self, error: &CallError) {
         let timing = self.connection.client().timing();
         let waited = timing.attempt_timeout.saturating_mul(timing.attempts.into()).min(timing.deadline);
-        // how long the call has waited at most
-        let waited = if matches!(error, CallError::Client(ClientError::Timeout(_))) { waited } else { Duration::ZERO };
+        // how long the link has been silent at most, or at least if the operating system has given it up
+        let waited = match error {
+            CallError::Client(ClientError::Timeout(_)) => waited,
+            CallError::Io(error) if error.kind() == io::ErrorKind::TimedOut => UNNOTICED,
+            _ => Duration::ZERO,
+        };
         let now = self.connection.transport().now();
         self.link.silent_since.get_or_insert(now.saturating_sub(waited));
         if !error.is_recoverable() {
@@ -227,16 +239,36 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         }
     }
 
-    /// Records that the controller has closed the connection while no call ran.
+    /// Records that the connection was lost while no call ran. Returns the error of a call that is not sent.
     #[cfg(feature = "tokio")]
-    pub(crate) const fn set_closed(&mut self) {
-        self.link.is_closed = true;
+    pub(crate) fn lose(&mut self, error: &CallError) -> Error {
+        self.observe_failure(error);
+        Error::NotConnected { reason: error.to_string() }
     }
 
     /// Gives the connection up, because the controller does not answer over it or has ended its session.
     #[cfg(feature = "tokio")]
     pub(crate) fn abandon(&mut self) {
         self.link.lost.get_or_insert_with(|| "the controller did not answer, or has ended the session".to_owned());
+    }
+
+    /// Finds out whether the controller has ended this session, if a call was refused as if it had. Over UDP it may without a word, as
+    /// when it evicts a peer or starts again; then the session counts as lost.
+    #[cfg(feature = "tokio")]
+    pub(crate) async fn verify(&mut self) {
+        if !self.link.is_doubtful || !self.outlasts_its_link() || self.link.lost.is_some() {
+            return;
+        }
+        // Slave Mode allows it, and with another answer the session exists
+        match self.open(Object::Controller, self.handle.0, PathStep::variable("@ERROR_CODE")).await {
+            Ok(handle) => drop(self.release_object(Object::Variable, handle).await),
+            Err(error) if error.ends_session() && error.code().is_some() => {
+                self.link.lost = Some("the controller has ended the session".to_owned());
+                self.link.is_closed = true;
+            }
+            Err(_) => {}
+        }
+        self.link.is_doubtful = false;
     }
 
     /// Returns why the connection can no longer be used, if so, as the error of a call that is not sent.
@@ -290,7 +322,10 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     }
 
     fn ended<T>(&mut self, object: &str, ended: Result<T, RunError>) -> Result<T, Error> {
-        self.observe(ended.as_ref().err().and_then(|error| error.call.as_ref()));
+        match ended.as_ref().err().map(|error| (&error.call, error.error.cause)) {
+            Some((None, StepCause::Refused(code))) => self.observe_refusal(code),
+            error => self.observe(error.and_then(|(call, _)| call.as_ref())),
+        }
         ended.map_err(|error| {
             let lost = error.call.as_ref().filter(|call| !call.is_recoverable()).map(ToString::to_string);
             match lost {
@@ -315,10 +350,15 @@ impl<X: Transport<Error = io::Error>> Session<X> {
             Some(known) => known,
             None => self.variable(owner, name).await?,
         };
-        if is_motor_switch(name) {
-            self.arm.motor |= OwnedVariant::new(&value)?.as_variant().as_bool() != Some(false);
+        if !is_motor_switch(name) {
+            return self.call(name, call::variable_put_value(variable, value)).await;
         }
-        self.call(name, call::variable_put_value(variable, value)).await
+        let on = OwnedVariant::new(&value)?.as_variant().as_bool() != Some(false);
+        let before = self.arm;
+        self.arm.begin(ArmEffect::Motor(on));
+        let written = self.call(name, call::variable_put_value(variable, value)).await;
+        self.arm_ended(ArmEffect::Motor(on), before, written.as_ref().copied());
+        written
     }
 
     /// Returns the handle of a variable, and opens it when it is first used.
@@ -450,10 +490,11 @@ impl<X: Transport<Error = io::Error>> Session<X> {
 
     /// Switches the motor on or off, and waits until it is.
     pub(crate) async fn motor(&mut self, on: bool) -> Result<(), Error> {
-        self.arm.motor |= on;
-        self.execute_robot::<()>("Motor", [i32::from(on), 0]).await?;
-        self.arm.motor = on;
-        Ok(())
+        let before = self.arm;
+        self.arm.begin(ArmEffect::Motor(on));
+        let switched = self.execute_robot::<()>("Motor", [i32::from(on), 0]).await;
+        self.arm_ended(ArmEffect::Motor(on), before, switched.as_ref().copied());
+        switched
     }
 
     /// Selects a tool or a work coordinate system.
@@ -577,22 +618,30 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         ended.and(released)
     }
 
+    /// Returns the timing of a call at the end of the session, with all attempts within [`CLOSE`].
+    fn closing(&mut self) -> Timing {
+        let timing = self.connection.client().timing();
+        let attempt_timeout = timing.attempt_timeout.min(CLOSE / u32::from(timing.attempts).max(1));
+        Timing { attempt_timeout, deadline: CLOSE, ..timing }
+    }
+
     /// Releases all objects in reverse order and stops the service, once.
     pub(crate) async fn release_objects(&mut self) -> Result<(), Error> {
         if self.link.lost.is_some() {
             return Ok(());
         }
-        self.link.lost = Some("it was closed".to_owned());
-        let timing = self.connection.client().timing();
-        let timing = Timing { attempt_timeout: timing.attempt_timeout.min(CLOSE), deadline: CLOSE, ..timing };
-        for (object, handle) in std::mem::take(&mut self.objects.opened).into_iter().rev() {
+        let timing = self.closing();
+        let mut released = Ok(());
+        // each is removed after its call, so that a runtime that ends meanwhile leaves the others to be released
+        while let (Ok(()), Some(&(object, handle))) = (&released, self.objects.opened.last()) {
             match self.connection.call_with(Release { object, handle }, timing).await {
                 // an object that cannot be released does not exist
-                Ok(()) | Err(CallError::Refused(_)) => {}
-                Err(error) => return Err(Error::call(object.released_by(), SESSION, error)),
+                Ok(()) | Err(CallError::Refused(_)) => drop(self.objects.opened.pop()),
+                Err(error) => released = Err(Error::call(object.released_by(), SESSION, error)),
             }
         }
-        Ok(())
+        self.link.lost = Some("it was closed".to_owned());
+        released
     }
 }
 
@@ -610,7 +659,7 @@ fn is_closed(error: &CallError) -> bool {
 
 /// Tells whether writing a variable may switch the motor on, so that giving the arm back switches it off.
 fn is_motor_switch(name: &str) -> bool {
-    name.rsplit('/').next().is_some_and(|name| name.eq_ignore_ascii_case("@SERVO_ON"))
+    name.rsplit(['/', ':']).next().is_some_and(|name| name.trim().eq_ignore_ascii_case("@SERVO_ON"))
 }
 
 /// The call that releases an object.

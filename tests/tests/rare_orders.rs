@@ -3,6 +3,7 @@
 use std::thread;
 use std::time::Duration;
 
+use bcap_core::bcap::call::{self, VariableHandle};
 use bcap_core::hresult::HResult;
 use bcap_core::procedure::RecoveryConfig;
 use bcap_sim::{Config, Controller as Simulated, Profile, Scenario};
@@ -131,6 +132,58 @@ fn a_blocking_halt_over_a_session_that_the_controller_has_evicted_is_made_over_a
     assert_eq!(stopper.halt().unwrap(), Halted::NothingMoved);
 }
 
+#[tokio::test]
+async fn a_session_that_the_controller_has_evicted_is_replaced() {
+    let sim = crowded();
+    let soon = Backoff::default().min(Duration::from_millis(1)).max(Duration::from_millis(20));
+    let cell = Controller::connect(&udp(&sim), &Settings::rc8().reconnect(soon)).await.unwrap();
+    let mut changes = cell.subscribe(&["I1"], Duration::from_millis(2));
+    assert_eq!(changes.next().await.unwrap().value.unwrap().convert(), Ok(0));
+    // a refusal for a handle of the caller does not end the session
+    let unknown = call::variable_get_value(VariableHandle(123_456));
+    assert_eq!(cell.call(unknown).await.unwrap_err().code(), Some(HResult::E_HANDLE));
+    assert_eq!((cell.read::<i32>("I2").await.unwrap(), cell.statistics().connections), (0, 1));
+    crowd(&sim);
+    while cell.statistics().connections < 2 {
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+    assert_eq!(cell.read::<i32>("I1").await.unwrap(), 0);
+    while changes.next().await.unwrap().value.is_err() {}
+}
+
+#[test]
+fn a_session_over_datagrams_ends_with_its_runtime() {
+    let sim = simulated();
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    let cell = runtime.block_on(Controller::connect(&udp(&sim), &Settings::rc8())).unwrap();
+    assert_eq!(runtime.block_on(cell.read::<i32>("I1")).unwrap(), 0);
+    assert_ne!(sim.application().open_objects(), 0);
+    drop(runtime);
+    assert_eq!(sim.application().open_objects(), 0);
+}
+
+#[test]
+fn a_motor_that_others_have_switched_on_stays_on() {
+    let sim = simulated();
+    let mut other = blocking::Controller::connect(&sim.address(), &Settings::rc8()).unwrap();
+    other.write("robot/@SERVO_ON", true).unwrap();
+    let mut cell = blocking::Controller::connect(&sim.address(), &Settings::rc8()).unwrap();
+    let refuse = "[[fault]]\nwhen = { call = 1, of = \"Variable_PutValue\" }\nthen = { refuse = \"E_FAIL\" }\n";
+    sim.application().play(Scenario::parse(refuse).unwrap());
+    cell.write("robot/@SERVO_ON", true).unwrap_err();
+    cell.close().unwrap();
+    assert!(sim.application().motor_is_on());
+    // one that was switched off again is not this session's either
+    let mut cell = blocking::Controller::connect(&sim.address(), &Settings::rc8()).unwrap();
+    cell.write("robot/@SERVO_ON", true).unwrap();
+    cell.write("robot/@SERVO_ON", false).unwrap();
+    other.write("robot/@SERVO_ON", true).unwrap();
+    cell.close().unwrap();
+    assert!(sim.application().motor_is_on());
+    other.close().unwrap();
+    assert!(!sim.application().motor_is_on());
+}
+
 /// Over UDP the controller refuses every call while it executes one that was given up.
 #[tokio::test]
 async fn a_dropped_motion_is_halted_once_a_busy_controller_accepts_it() {
@@ -156,6 +209,8 @@ async fn a_dropped_motion_is_halted_once_a_busy_controller_accepts_it() {
 async fn a_recovery_that_is_given_up_leaves_no_motor_on() {
     let sim = slow_motor(Duration::from_secs(1));
     let cell = Controller::connect(&udp(&sim), &Settings::rc8()).await.unwrap();
+    // opened first, so that only the recovery has the time limit
+    cell.robot().await.unwrap();
     let robot = cell.within(Duration::from_millis(200)).robot().await.unwrap();
     let failed = robot.recover(RecoveryConfig::default()).await;
     assert!(matches!(failed, Err(Error::NoReply { .. })), "{failed:?}");

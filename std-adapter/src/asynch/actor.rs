@@ -29,7 +29,7 @@ use bcap_core::procedure::{MotionQueue, Procedure, StepError, Until};
 use bcap_core::time::Instant;
 use tokio::sync::{mpsc, oneshot, watch};
 
-use super::ending::{Left, Open};
+use super::ending::Open;
 use super::socket::{self, BoxFuture, Socket, SocketConnection};
 use super::state::{Counters, State};
 use super::subscription::{Scan, Subscriber};
@@ -236,7 +236,7 @@ impl Actor {
                         ended => return self.end(ended, open).await,
                     }
                 }
-                None => match self.connect(&mut open.left).await {
+                None => match self.connect(&mut open).await {
                     ControlFlow::Continue(Ok(session)) => {
                         open.session = Some(session);
                         continue;
@@ -261,6 +261,7 @@ impl Actor {
             Some(session) => session.release().await,
             None => Ok(()),
         };
+        open.session = open.session.take().filter(Session::uses_robot);
         let released = open.end_now().unwrap_or(released);
         self.state.send_replace(State::Closed);
         match (ended, released) {
@@ -271,28 +272,30 @@ impl Actor {
     }
 
     /// Opens a session. Ends first the effects that a lost session may have left on the robot. Requests fail meanwhile.
-    async fn connect(&mut self, left: &mut Option<Left>) -> ControlFlow<Ended, Result<Session<Socket>, Error>> {
+    async fn connect(&mut self, open: &mut Open) -> ControlFlow<Ended, Result<Session<Socket>, Error>> {
         let Some(address) = self.address.clone() else { return ControlFlow::Break(Ended::Dropped) };
         self.state.send_replace(State::Connecting);
         let (settings, opens_robot, recovered) = (self.settings.clone(), self.opens_robot, self.recovered.clone());
+        let (left, mut opened) = (&mut open.left, None);
         let opening = async {
-            let mut session = connect(&address, &settings, opens_robot).await?;
-            if let Some(state) = left {
-                match state.recover(&mut session).await {
-                    Ok(recovery) => {
-                        tracing::warn!(%address, ?recovery, "the robot was recovered after a lost connection");
-                        *left = None;
-                        recovered.send_replace(Some(recovery));
-                    }
-                    Err(error) => {
-                        state.add(session);
-                        return Err(error);
-                    }
-                }
+            let session = opened.insert(connect(&address, &settings, opens_robot).await?);
+            if let Some(state) = left.as_mut() {
+                let recovery = state.recover(session).await?;
+                tracing::warn!(%address, ?recovery, "the robot was recovered after a lost connection");
+                *left = None;
+                recovered.send_replace(Some(recovery));
             }
-            Ok(session)
+            Ok(())
         };
-        self.meanwhile("the controller is being connected", opening).await
+        let ended = self.meanwhile("the controller is being connected", opening).await;
+        if !matches!(ended, ControlFlow::Continue(Ok(()))) {
+            // it may have taken the arm
+            match (&mut open.left, opened.take()) {
+                (Some(state), Some(session)) => state.add(session),
+                (_, session) => open.session = session,
+            }
+        }
+        ended.map_continue(|ended| ended.and_then(|()| opened.ok_or(Error::Closed)))
     }
 
     /// Waits before the next attempt, unless something is to be stopped. Other requests fail meanwhile.
@@ -386,6 +389,7 @@ impl Actor {
             if self.scan.next().is_some_and(|next| next <= now) && self.scan.read(session).await {
                 self.counters.scanned.add();
             }
+            session.verify().await;
             if let Some(error) = session.lost() {
                 return lost(motion, error);
             }
@@ -418,9 +422,8 @@ impl Actor {
                         }
                     }
                 },
-                closed = session.transport().idle_until(deadline) => if closed {
-                    session.set_closed();
-                    return lost(motion, not_connected("the controller has closed the connection"));
+                error = session.transport().idle_until(deadline) => if let Some(error) = error {
+                    return lost(motion, session.lose(&error));
                 },
             }
             // a clock that does not wait must not keep other tasks from running

@@ -24,7 +24,8 @@ use crate::settings::Settings;
 /// A session with a controller, which a background task keeps open.
 ///
 /// The handle can be cloned and sent to other tasks. Their calls are carried out one after another. When the connection is
-/// lost, calls fail with [`Error::NotConnected`], and the task connects again until it succeeds. No call is made twice.
+/// lost, calls fail with [`Error::NotConnected`], and the task connects again until it succeeds. No call is made twice. Over UDP
+/// a controller can end the session without a word; then the first call that it refuses for that is the loss.
 /// When the last handle is dropped, the task gives the arm back, releases all objects and stops the service.
 ///
 /// # Cancel safety
@@ -191,17 +192,19 @@ impl Controller {
         mut condition: impl FnMut(&T) -> bool,
         limit: Duration,
     ) -> Result<T, Error> {
-        let end = tokio::time::Instant::now() + limit;
+        // without an end if the clock cannot tell it
+        let end = tokio::time::Instant::now().checked_add(limit);
         loop {
             let value: OwnedVariant = self.read(name).await?;
             if let Some(met) = meets(name, &value, &mut condition)? {
                 return Ok(met);
             }
             let now = tokio::time::Instant::now();
-            if now >= end {
+            if end.is_some_and(|end| now >= end) {
                 return Err(Error::NotMet { object: name.to_owned(), limit, last: value });
             }
-            tokio::time::sleep_until(end.min(now + POLL)).await;
+            let next = now + POLL;
+            tokio::time::sleep_until(end.map_or(next, |end| end.min(next))).await;
         }
     }
 

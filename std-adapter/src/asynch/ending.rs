@@ -37,9 +37,12 @@ impl Left {
     pub(super) async fn recover(&mut self, over: &mut Session<Socket>) -> Result<Recovery, Error> {
         let Self { state, sessions } = self;
         let stop = async {
-            for mut lost in std::mem::take(sessions) {
-                if !lost.stop_lost_service().await {
-                    sessions.push(lost);
+            // each is removed after its end, so that a recovery that is interrupted forgets none
+            for index in (0..sessions.len()).rev() {
+                if let Some(lost) = sessions.get_mut(index)
+                    && lost.stop_lost_service().await
+                {
+                    sessions.remove(index);
                 }
             }
         };
@@ -79,8 +82,9 @@ impl Open {
     /// nothing, and an error unless it was seen to end.
     pub(super) fn end_now(&mut self) -> Option<Result<(), Error>> {
         let Self { session, left, address, settings } = self;
-        // a session that has changed nothing ends with its connection
-        let mut session = session.take().filter(Session::uses_robot);
+        // a session that has changed nothing ends with its connection, if it has one
+        session.take_if(|session| !session.uses_robot() && !session.outlasts_its_link());
+        let mut session = session.take();
         let of_session = session.as_mut().and_then(Session::left).map(|state| Left { state, sessions: Vec::new() });
         let over = |session: Session<Socket>| session.over(|socket| socket.into_blocking(address.as_ref()));
         match (session.and_then(over), left.take().or(of_session), &*address) {

@@ -10,7 +10,7 @@ use std::time::Duration;
 use bcap_core::bcap::Object;
 use bcap_core::position::{Joints, Position};
 use bcap_core::procedure::{Examination, Motion, MotionConfig, MotionQueue, RecoveryConfig, Until};
-use bcap_core::slave::{AxisLimits, Cycle, Format, MoveReply, Next, Stats, Trajectory};
+use bcap_core::slave::{AxisLimits, Cycle, Format, MoveReply, Next, Outputs, Stats, Trajectory};
 use bcap_core::time::Instant;
 use bcap_core::variant::{Encode, FromVariant};
 
@@ -485,17 +485,17 @@ struct WhileWanted<T> {
 impl<T: Trajectory> WhileWanted<T> {
     /// Calls the trajectory, unless it has panicked.
     fn call<R>(&mut self, call: impl FnOnce(&mut T) -> R) -> Option<R> {
-        if self.panic.is_some() {
-            return None;
-        }
-        match catch_unwind(AssertUnwindSafe(|| call(&mut self.trajectory))) {
-            Ok(result) => Some(result),
-            Err(panic) => {
-                self.panic = Some(panic);
-                None
-            }
-        }
+        let Self { trajectory, panic, .. } = self;
+        caught(panic, || call(trajectory))
     }
+}
+
+/// Calls a function, unless one before has panicked.
+fn caught<R>(panic: &mut Option<Box<dyn Any + Send>>, call: impl FnOnce() -> R) -> Option<R> {
+    if panic.is_some() {
+        return None;
+    }
+    catch_unwind(AssertUnwindSafe(call)).map_err(|payload| *panic = Some(payload)).ok()
 }
 
 impl<T: Trajectory> Trajectory for WhileWanted<T> {
@@ -507,6 +507,11 @@ impl<T: Trajectory> Trajectory for WhileWanted<T> {
 
     fn moved(&mut self, reply: &MoveReply<'_>, now: Instant) {
         self.call(|trajectory| trajectory.moved(reply, now));
+    }
+
+    fn outputs(&mut self) -> Option<Outputs<'_>> {
+        let Self { trajectory, panic, .. } = self;
+        caught(panic, || trajectory.outputs()).flatten()
     }
 }
 

@@ -11,6 +11,7 @@ use tokio::net::TcpStream;
 #[cfg(feature = "serial")]
 use super::SerialTransport;
 use super::{Connection, SendTransport, TcpTransport, Transport, UdpTransport, connect_tcp, connect_udp};
+use crate::CallError;
 use crate::address::{Address, NetworkAddress, Protocol};
 use crate::blocking::socket::Blocking;
 use crate::connect::ConnectError;
@@ -129,8 +130,8 @@ impl Socket {
         Some(blocking)
     }
 
-    /// Waits until `at`, or for ever; returns whether the peer has closed the connection meanwhile.
-    pub(super) async fn idle_until(&mut self, at: Option<Instant>) -> bool {
+    /// Waits until `at`, or for ever; returns why the connection was lost meanwhile.
+    pub(super) async fn idle_until(&mut self, at: Option<Instant>) -> Option<CallError> {
         let waited = async |socket: Option<&mut Self>| match (at, socket) {
             (Some(at), Some(socket)) => SendTransport::sleep_until(socket, at).await,
             (Some(at), None) => tokio::time::sleep(crate::clock::until(at)).await,
@@ -138,28 +139,29 @@ impl Socket {
         };
         match self {
             Self::Tcp(tcp) => tokio::select! {
-                () = closed(tcp.stream()) => true,
-                () = waited(None) => false,
+                error = lost(tcp.stream()) => Some(error),
+                () = waited(None) => None,
             },
             #[cfg(feature = "serial")]
             Self::Serial(line) => tokio::select! {
-                () = line.unplugged() => true,
-                () = waited(None) => false,
+                () = line.unplugged() => Some(CallError::Disconnected),
+                () = waited(None) => None,
             },
             Self::Udp(_) | Self::Other(_) => {
                 waited(Some(self)).await;
-                false
+                None
             }
         }
     }
 }
 
-/// Waits until the peer closes the stream, which it can do between two calls.
-async fn closed(stream: &TcpStream) {
+/// Waits until the peer closes the stream, or the stream fails, which can happen between two calls.
+async fn lost(stream: &TcpStream) -> CallError {
     loop {
         match stream.peek(&mut [0]).await {
             Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-            Ok(0) | Err(_) => return,
+            Err(error) => return CallError::Io(error),
+            Ok(0) => return CallError::Disconnected,
             // bytes without a request, which the next call drops
             Ok(_) => std::future::pending().await,
         }

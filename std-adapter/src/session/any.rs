@@ -185,7 +185,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     }
 
     /// Records a call that was answered, or was not sent; `before` is the state before it.
-    fn arm_ended(&mut self, effect: ArmEffect, before: ArmState, ended: Result<(), &Error>) {
+    pub(super) fn arm_ended(&mut self, effect: ArmEffect, before: ArmState, ended: Result<(), &Error>) {
         match (effect, ended) {
             (effect, Ok(())) => self.arm.succeed(effect),
             // given up, it may still be executed

@@ -8,7 +8,7 @@ use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
 
 /// How long a controller may take to notice that a link has become silent. Until then the arm counts as the lost session's.
-const UNNOTICED: Duration = Duration::from_secs(10);
+pub(super) const UNNOTICED: Duration = Duration::from_secs(10);
 
 /// The effects of a session on the robot.
 #[derive(Clone, Copy, Debug, Default)]

@@ -14,7 +14,6 @@
 use std::io;
 use std::time::Duration;
 
-use bcap_core::bcap::client::Timing;
 use bcap_core::bcap::{Link, Object};
 use bcap_core::hresult::HResult;
 #[cfg(feature = "tokio")]
@@ -26,7 +25,7 @@ use bcap_core::time::Instant;
 #[cfg(feature = "tokio")]
 use super::arm::ArmId;
 use super::arm::{ArmState, Left};
-use super::{CLOSE, ROBOT, Release, Session};
+use super::{ROBOT, Release, Session};
 use crate::CallError;
 use crate::error::Error;
 use crate::recovery::Recovery;
@@ -178,7 +177,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     /// Stops the service of a lost session over UDP, as soon as its call without a reply has ended. Nothing else tells the
     /// controller that the session has ended, and it would keep the arm for it. Returns whether that session has ended.
     pub(crate) async fn stop_lost_service(&mut self) -> bool {
-        let timing = Timing { attempt_timeout: CLOSE, deadline: CLOSE, ..self.connection.client().timing() };
+        let timing = self.closing();
         let until = self.busy_limit();
         while self.outlasts_its_link() {
             let stopped = self.connection.call_with(Release { object: Object::Service, handle: 0 }, timing).await;

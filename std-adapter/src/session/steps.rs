@@ -41,6 +41,8 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         match self.connection.advance(running).await {
             ControlFlow::Continue(at) => {
                 self.observe(None);
+                // a halt of another task may have ended the motion before; this queue may have begun the next one
+                self.set_moving(true);
                 ControlFlow::Continue(at)
             }
             ControlFlow::Break(ended) => {

@@ -56,11 +56,12 @@ impl Poses {
     }
 
     fn parse(text: &str, kind: Option<PoseType>, extended: ExtendedAxes, hz: f64) -> Result<Self, String> {
+        // a spreadsheet may begin its file with a byte order mark, and write quotes around a name or a number
+        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         let mut layout: Option<Layout> = None;
         let mut rows: Vec<(f64, Vec<f64>)> = Vec::new();
         let mut outputs = Vec::new();
         for (text, line) in text.lines().zip(1_u32..).filter(|(text, _)| !text.is_empty() && !text.starts_with('#')) {
-            // a spreadsheet may write quotes around a name or a number
             let fields: Vec<&str> = text.split(',').map(|field| field.trim().trim_matches('"').trim()).collect();
             let Some(layout) = &layout else {
                 let (found, is_header) =
@@ -342,6 +343,8 @@ mod tests {
             assert!((found - expected).abs() < 1e-9, "{:?}", each[1]);
         }
         assert_eq!(each[2].numbers()[5], 181.0);
+        // a byte order mark is no part of a name
+        assert_eq!(parse("\u{feff}t,J1\n0,1\n1,2\n").unwrap().each_cycle(0.5).len(), 3);
         assert_eq!(parse("x,y,z,ox,oy,oz,ax,ay,az,fig\n1,2,3,1,0,0,0,1,0,5").unwrap().kind, PoseType::T);
     }
 

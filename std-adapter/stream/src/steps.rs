@@ -134,12 +134,14 @@ impl<F: FnMut(Step)> Trajectory for GivenPoses<F> {
 /// The controller after a stream, unless its thread panicked, and the result.
 pub type Ended = (Option<Controller>, Result<Stats, StepError>);
 
-/// A stream under way, on a thread that has the controller until the end.
+/// A stream under way, on a thread that has the controller until the end. Dropping it stops the robot, and waits until the session
+/// has ended.
 #[derive(Debug)]
 pub struct Steps {
     wanted: Receiver<Step>,
     poses: PoseSender,
-    thread: JoinHandle<(Controller, Result<Stats, Error>)>,
+    /// `None` after the end.
+    thread: Option<JoinHandle<(Controller, Result<Stats, Error>)>>,
 }
 
 impl Steps {
@@ -157,7 +159,7 @@ impl Steps {
             });
             (controller, ended)
         });
-        Self { wanted, poses, thread }
+        Self { wanted, poses, thread: Some(thread) }
     }
 
     /// Waits for the cycle that needs the next pose; `None` if the stream has ended: [`end`](Self::end) says why.
@@ -173,12 +175,23 @@ impl Steps {
 
     /// Ends the stream, unless it has ended, and waits until the robot rests. [`Next::Finish`] ends it at the last pose,
     /// [`Next::Stop`] with a ramp.
-    pub fn end(self, last: Next) -> Ended {
-        self.send(last);
-        match self.thread.join() {
-            Ok((controller, ended)) => (Some(controller), self.poses.judge(ended)),
-            Err(_) => (None, Err(StepError::Panicked)),
+    pub fn end(mut self, last: Next) -> Ended {
+        match self.join(last) {
+            Some(Ok((controller, ended))) => (Some(controller), self.poses.judge(ended)),
+            Some(Err(_)) | None => (None, Err(StepError::Panicked)),
         }
+    }
+
+    fn join(&mut self, last: Next) -> Option<thread::Result<(Controller, Result<Stats, Error>)>> {
+        let thread = self.thread.take()?;
+        self.send(last);
+        Some(thread.join())
+    }
+}
+
+impl Drop for Steps {
+    fn drop(&mut self) {
+        drop(self.join(Next::Stop));
     }
 }
 
@@ -276,6 +289,10 @@ mod tests {
         let (cell, ended) = steps.end(Next::Stop);
         assert!(ended.is_ok() && !network.controller().is_moving());
         drop(cell);
+        let steps = started(&network, HOUR);
+        steps.send(joints(0.01, &steps.wanted().unwrap()));
+        drop(steps);
+        assert!(network.controller().arm_owner().is_none() && !network.controller().motor_is_on());
         let (sender, mut trajectory) = given(HOUR, |_| ());
         drop(sender);
         let pose = Pose::j([0.0; 8]);
