@@ -20,6 +20,12 @@ pub trait Calls {
     /// The error of the call that opens it.
     fn object(&mut self, path: &ObjectPath) -> Result<i32, Self::Error>;
 
+    /// Returns whether an object is open already, so that [`object`](Self::object) makes no call.
+    fn is_open(&self, path: &ObjectPath) -> bool {
+        let _ = path;
+        false
+    }
+
     /// Calls a function; `subject` names its object in errors.
     ///
     /// # Errors

@@ -230,10 +230,12 @@ impl Grip {
         is_held
     }
 
-    /// Returns whether the step under way must be halted.
-    fn must_halt(&self) -> bool {
+    /// Returns whether a step is under way that must be halted.
+    #[must_use]
+    pub fn must_halt(&self) -> bool {
         let state = self.lock();
-        state.end.is_some() || (state.press.is_none() && state.touched.elapsed() > REST)
+        let is_lifted = state.press.is_none() && state.touched.elapsed() > REST;
+        state.phase == Phase::Moving && (state.end.is_some() || is_lifted)
     }
 }
 
@@ -437,6 +439,8 @@ mod tests {
         assert!(grip.begins(press) && !grip.must_halt());
         assert!(grip.press(press).unwrap_err().contains("second button"));
         assert!(grip.must_halt() && !grip.begins(press) && grip.next().is_none());
+        grip.set_phase(Phase::Ending);
+        assert!(!grip.must_halt());
         grip.end("another reason");
         assert_eq!(grip.ends().as_deref(), Some("a second button was pressed"));
         grip.beat(Instant::now());

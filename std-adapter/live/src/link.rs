@@ -297,6 +297,10 @@ impl Calls for Link {
         Ok(handle)
     }
 
+    fn is_open(&self, path: &ObjectPath) -> bool {
+        self.objects.contains_key(&path.to_string())
+    }
+
     fn call(
         &mut self,
         subject: &str,

@@ -20,6 +20,9 @@ pub const SLOW: Duration = Duration::from_secs(1);
 /// The tasks whose states are read.
 const TASKS: usize = 64;
 
+/// The maximum number of messages that are read in a row, so that a controller cannot send new ones for ever.
+pub const MESSAGES: usize = 100;
+
 /// Takes the results of a round, and acts between its calls.
 pub trait Rounds<C: Calls> {
     /// Takes a result.
@@ -75,14 +78,15 @@ impl Reader {
     ///
     /// An invalid name, or the loss of the session.
     pub fn start<C: Calls>(calls: &mut C, names: &[String]) -> Result<Self, C::Error> {
-        let kind = unless_refused(value(calls, &ObjectPath::variable("@TYPE")?))?.map(|kind| short_type(&shown(&kind)));
+        let mut stream = StreamCheck::default();
+        let kind = unless_refused(value(calls, &mut stream, &ObjectPath::variable("@TYPE")?))?;
         let mut reader = Self {
             variables: Vec::new(),
             tasks: None,
-            kind,
+            kind: kind.map(|kind| short_type(&shown(&kind))),
             messages: true,
             skipped_messages: false,
-            stream: StreamCheck::default(),
+            stream,
             had_error: true,
             slow: Instant::now(),
             selection: Selection::default(),
@@ -127,7 +131,8 @@ impl<C: Calls, R: Rounds<C>> Round<'_, C, R> {
         for n in 0..self.reader.variables.len() {
             self.poll()?;
             let Some(path) = self.reader.variables.get(n) else { break };
-            let read = value(self.calls, path).map(Ok).or_else(|failure| match failure.code() {
+            let read = value(self.calls, &mut self.reader.stream, path);
+            let read = read.map(Ok).or_else(|failure| match failure.code() {
                 _ if needs_reconnect(&failure) => Err(failure),
                 Some(code) => Ok(Err(code.to_string())),
                 None => Ok(Err(failure.to_string())),
@@ -210,7 +215,9 @@ impl<C: Calls, R: Rounds<C>> Round<'_, C, R> {
     }
 
     fn messages(&mut self) -> Result<(), C::Error> {
-        while self.reader.messages {
+        let mut left = MESSAGES;
+        while self.reader.messages && left > 0 {
+            left -= 1;
             self.poll()?;
             self.calls.restart_limit();
             let message = next_message(self.calls, &mut self.reader.stream);
@@ -239,7 +246,7 @@ impl<C: Calls, R: Rounds<C>> Round<'_, C, R> {
     /// Reads a variable; `None` if the controller does not have it.
     fn known(&mut self, name: &str) -> Result<Option<OwnedVariant>, C::Error> {
         self.poll()?;
-        unless_refused(value(self.calls, &ObjectPath::variable(name)?))
+        unless_refused(value(self.calls, &mut self.reader.stream, &ObjectPath::variable(name)?))
     }
 
     fn text(&mut self, name: &str) -> Result<Option<String>, C::Error> {
@@ -285,6 +292,8 @@ mod tests {
         counts: VecDeque<i32>,
         /// Whether the error is cleared before it is read.
         is_cleared: bool,
+        /// The number of messages.
+        messages: usize,
     }
 
     impl Calls for Fake {
@@ -309,6 +318,10 @@ mod tests {
                 "GetCurErrorInfo" => OwnedVariant::new(&(FAULT.0, "stream"))?,
                 StreamState::COMMAND => OwnedVariant::new(&0)?,
                 _ if function == FunctionId::CONTROLLER_GET_TASK_NAMES => OwnedVariant::default(),
+                _ if function == FunctionId::CONTROLLER_GET_MESSAGE && self.messages > 0 => {
+                    self.messages -= 1;
+                    OwnedVariant::new(&7)?
+                }
                 _ => OwnedVariant::new("0")?,
             };
             Ok((HResult::S_OK, Some(value)))
@@ -325,7 +338,7 @@ mod tests {
 
     /// Returns the lists of errors of three rounds.
     fn lists(counts: &[i32], is_cleared: bool) -> Vec<Result<Vec<HResult>, String>> {
-        let mut fake = Fake { counts: counts.iter().copied().collect(), is_cleared };
+        let mut fake = Fake { counts: counts.iter().copied().collect(), is_cleared, messages: 0 };
         let (mut reader, mut lists) = (Reader::start(&mut fake, &[]).unwrap(), Vec::new());
         reader.messages = false;
         for _ in 0..3 {
@@ -338,6 +351,15 @@ mod tests {
         }
         assert!(fake.counts.is_empty(), "the list was not read again");
         lists
+    }
+
+    #[test]
+    fn a_round_ends_although_there_are_more_messages() {
+        let mut fake = Fake { counts: VecDeque::from([0]), is_cleared: false, messages: 2 * MESSAGES };
+        let (mut reader, mut count) = (Reader::start(&mut fake, &[]).unwrap(), 0);
+        let mut tell = |update| count += usize::from(matches!(update, Update::Message(_)));
+        round(&mut reader, &mut fake, &mut tell).unwrap();
+        assert_eq!((count, fake.messages), (MESSAGES, MESSAGES));
     }
 
     #[test]

@@ -121,7 +121,7 @@ impl Request {
             values.push(match argument {
                 Argument::Value(value) => value.clone(),
                 Argument::Object(path) => {
-                    check.require_open(calls, path.clone())?;
+                    check.require_open(calls, path)?;
                     OwnedVariant::new(&calls.object(path)?)?
                 }
             });
@@ -160,7 +160,7 @@ mod tests {
 
     #[test]
     fn a_system_variable_may_start_a_program_or_switch_the_motor() {
-        for variable in ["task:Pro1/variable:@START", "robot/variable:@SERVO_ON", "3,2"] {
+        for variable in ["task:Pro1/variable:@START", "robot/variable:@SERVO_ON", "robot/variable: @SERVO_ON", "3,2"] {
             assert_eq!(effect("Variable_PutValue", &[variable, "3,2"]), Effect::Moves, "{variable}");
         }
         assert_eq!(effect("Variable_PutValue", &["variable:I1", "3,2"]), Effect::Writes);

@@ -78,12 +78,16 @@ impl StreamCheck {
         self.skip(calls, function, command)?.map_or(Ok(()), |message| Err(C::Error::skipped(message)))
     }
 
-    /// Fails if a function that opens an object must not be called.
+    /// Fails if an object is not open, and a function that opens it must not be called.
     ///
     /// # Errors
     ///
     /// As [`require`](Self::require).
-    pub fn require_open<C: Calls>(&mut self, calls: &mut C, mut path: ObjectPath) -> Result<(), C::Error> {
+    pub fn require_open<C: Calls>(&mut self, calls: &mut C, path: &ObjectPath) -> Result<(), C::Error> {
+        if calls.is_open(path) {
+            return Ok(());
+        }
+        let mut path = path.clone();
         while let Some((owner, _)) = path.split_last() {
             if let Some(function) = path.object().opened_from(owner.object()) {
                 self.require(calls, function, None)?;
@@ -113,8 +117,12 @@ impl<C: Calls> Calls for CheckedCalls<'_, C> {
     type Error = C::Error;
 
     fn object(&mut self, path: &ObjectPath) -> Result<i32, C::Error> {
-        self.check.require_open(self.calls, path.clone())?;
+        self.check.require_open(self.calls, path)?;
         self.calls.object(path)
+    }
+
+    fn is_open(&self, path: &ObjectPath) -> bool {
+        self.calls.is_open(path)
     }
 
     fn call(

@@ -9,6 +9,7 @@ use bcap_core::variant::{OwnedVariant, Variant};
 use bcap_std::ObjectPath;
 
 use crate::calls::{Calls, Failure};
+use crate::stream::StreamCheck;
 
 /// Reads a variable and releases it.
 ///
@@ -42,9 +43,10 @@ pub fn read<C: Calls>(calls: &mut C, path: &ObjectPath, variable: i32) -> Result
 ///
 /// # Errors
 ///
-/// The error of a call.
-pub fn value<C: Calls>(calls: &mut C, path: &ObjectPath) -> Result<OwnedVariant, C::Error> {
+/// [`Failure::skipped`] if opening it would end a stream of Slave Mode, or the error of a call.
+pub fn value<C: Calls>(calls: &mut C, check: &mut StreamCheck, path: &ObjectPath) -> Result<OwnedVariant, C::Error> {
     calls.restart_limit();
+    check.require_open(calls, path)?;
     let variable = calls.object(path)?;
     read(calls, path, variable)
 }
@@ -78,10 +80,10 @@ pub fn count<C: Calls>(calls: &mut C, kind: VariableKind) -> Result<u32, C::Erro
 }
 
 /// Tells whether a variable is one of the system's, such as `@SERVO_ON` or `@START`, whose write may switch the motor or start a
-/// program.
+/// program. A controller may ignore blanks around its name.
 #[must_use]
 pub fn is_system_variable(path: &ObjectPath) -> bool {
-    path.split_last().and_then(|(_, name)| name).is_some_and(|name| name.starts_with('@'))
+    path.split_last().and_then(|(_, name)| name).is_some_and(|name| name.trim().starts_with('@'))
 }
 
 /// The variables that identify a virtual controller, with their values.

@@ -24,10 +24,11 @@ pub struct Write {
 ///
 /// # Errors
 ///
-/// [`Failure::invalid`] if the text is no value of that type, or the error of a call.
+/// [`Failure::invalid`] if the text is no value of that type, [`Failure::skipped`] if reading the value would end a stream of Slave
+/// Mode, or the error of a call.
 pub fn check<C: Calls>(calls: &mut C, name: &str, text: &str) -> Result<Write, C::Error> {
     let path = ObjectPath::variable(name)?;
-    let before = value(calls, &path)?;
+    let before = value(calls, &mut StreamCheck::default(), &path)?;
     let value = data::to_write(name, text, before.as_variant()).map_err(C::Error::invalid)?;
     Ok(Write { path, value, before })
 }
@@ -38,11 +39,12 @@ pub fn check<C: Calls>(calls: &mut C, name: &str, text: &str) -> Result<Write, C
 ///
 /// [`Failure::invalid`] while the robot moves, or the error of a call.
 pub fn check_position<C: Calls>(calls: &mut C, name: &str) -> Result<Write, C::Error> {
-    let moves = value(calls, &ObjectPath::variable("robot/@BUSY_STATUS")?)?;
+    let mut stream = StreamCheck::default();
+    let moves = value(calls, &mut stream, &ObjectPath::variable("robot/@BUSY_STATUS")?)?;
     if shown(&moves) != "false" {
         return Err(C::Error::invalid("the robot moves; wait until it rests".into()));
     }
-    let position = value(calls, &ObjectPath::variable("robot/@CURRENT_POSITION")?)?;
+    let position = value(calls, &mut stream, &ObjectPath::variable("robot/@CURRENT_POSITION")?)?;
     check(calls, name, &shown(&position))
 }
 
@@ -66,7 +68,7 @@ impl Write {
     ///
     /// [`Failure::invalid`] if the variable has changed; as [`perform`](Self::perform).
     pub fn perform_unless_changed<C: Calls>(&self, calls: &mut C) -> Result<(), C::Error> {
-        let present = value(calls, &self.path)?;
+        let present = value(calls, &mut StreamCheck::default(), &self.path)?;
         if present != self.before {
             let (before, present) = (shown(&self.before), shown(&present));
             let text = format!("{} has changed meanwhile from {before} to {present}; nothing was written", self.path);

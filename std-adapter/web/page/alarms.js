@@ -1,6 +1,6 @@
 // The screen of alarms: the first cause first, with meaning and remedy; the steps of a recovery; the messages.
 
-import { ask, make, notify } from "./dom.js";
+import { ask, make, notify, notifyFailure } from "./dom.js";
 import { order } from "./net.js";
 
 /** The steps of a recovery, in words. */
@@ -127,13 +127,13 @@ async function begin() {
   const { robot, tile } = current;
   const text = "Make sure that no person is near the robot, and that no other program uses it. The steps are planned now; each has its own button.";
   if (!(await ask("Recover step by step", tile, text, `Recover ${tile.name}`))) return;
-  await order("recover", { robot, name: tile.name, revoked: tile.revoked }).catch((error) => notify(`no recovery: ${error.message}`, true));
+  await order("recover", { robot, name: tile.name, revoked: tile.revoked }).catch((error) => notifyFailure("no recovery", error));
 }
 
 async function makeStep(step, text) {
   const { robot, tile } = current;
   if (!(await ask("A step of the recovery", tile, text, step))) return;
-  await order("step", { robot, step, revoked: tile.revoked }).catch((error) => notify(`not made: ${error.message}`, true));
+  await order("step", { robot, step, revoked: tile.revoked }).catch((error) => notifyFailure("not made", error));
 }
 
 /** The logs of the controller, which are read on request: each entry is a call. */
@@ -172,7 +172,7 @@ async function clear() {
     await order("clear", { robot, revoked: tile.revoked });
     notify(`${tile.name}: the errors are cleared`);
   } catch (failure) {
-    notify(`not cleared: ${failure.message}`, true);
+    notifyFailure("not cleared", failure);
   }
 }
 

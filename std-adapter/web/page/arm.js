@@ -38,7 +38,7 @@ export const arm = {
   remember(page) {
     const now = Date.now();
     for (const { robot, position } of page.tiles) {
-      if (!position || position.length < 3) continue;
+      if (!position || position.length < 3 || position.includes(null)) continue;
       const path = state.paths.get(robot) ?? [];
       path.push([now, ...position.slice(0, 3)]);
       while (path[0][0] < now - PATH_MS) path.shift();
@@ -49,7 +49,7 @@ export const arm = {
     const { parts, arm: known } = state;
     if (!known || !parts) return;
     const { joints = [], position = [], tool } = page.tile;
-    const isDrawn = known.links !== null && joints.length >= 4;
+    const isDrawn = known.links !== null && joints.length >= 4 && !joints.includes(null);
     const chain = isDrawn ? chainOf(known.links, joints) : [];
     const path = (state.paths.get(page.robot) ?? []).map(([, ...point]) => point);
     const commanded = isDrawn && known.commanded?.length >= 4 ? chainOf(known.links, known.commanded) : [];

@@ -27,6 +27,11 @@ export function notify(text, isBad = false) {
   }
 }
 
+/** Shows why an action failed. `what` says that it was not done, which an error with an unknown outcome must not say. */
+export function notifyFailure(what, { message }) {
+  notify(/unknown whether/i.test(message) ? message : `${what}: ${message}`, true);
+}
+
 /** The alerts by their subjects: no other outcome replaces them. */
 const alerts = new Map();
 
@@ -76,8 +81,8 @@ export function kindOf(tile) {
   return tile.virtual ? { name: "virtual", text: "virtual controller" } : { name: "real", text: "real controller" };
 }
 
-/** Writes a number with its unit, if that is known. */
-export const withUnit = (value, unit) => `${value.toFixed(2)}${unit === "mm" ? " " : ""}${unit ?? ""}`;
+/** Writes a number with its unit, if that is known; NaN arrives as `null`. */
+export const withUnit = (value, unit) => (typeof value === "number" ? `${value.toFixed(2)}${unit === "mm" ? " " : ""}${unit ?? ""}` : "?");
 
 /** The symbols of the levels: the state is not told by the colour alone. */
 const SYMBOLS = { good: "●", busy: "▶", bad: "▲", unknown: "?" };

@@ -1,7 +1,7 @@
 // The screen of a jog: a robot moves by short steps while a button is held. The page answers each pulse of the server with a
 // heartbeat; the server halts the robot without one. Whatever takes the page away from its user ends the jog at once.
 
-import { ask, byId, make, notify, setText, withUnit } from "./dom.js";
+import { ask, byId, make, notify, notifyFailure, setText, withUnit } from "./dom.js";
 import { beat, order } from "./net.js";
 
 const STEPS = [0.1, 0.5, 1, 2, 5];
@@ -100,7 +100,7 @@ function drawAxes(place, content, tile) {
   content.axes.forEach(([name, percent], n) => {
     const row = place.children[n];
     const [value, unit] = valueOf(n);
-    setText(row.children[2], value === undefined ? "?" : withUnit(value, unit));
+    setText(row.children[2], withUnit(value, unit));
     setText(row.children[4], `${Math.min(percent, state.percent).toFixed(1)} %`);
     row.querySelectorAll("button").forEach((button) => {
       // an element that is disabled loses the pointer that holds it
@@ -154,7 +154,7 @@ function press(button, by, axis, sign) {
   order("press", { robot: state.page.robot, axis, by: sign * state.step, percent: state.percent, press: presses }).catch((error) => {
     // a later press may be held
     if (state.held === held) release();
-    notify(`not moved: ${error.message}`, true);
+    notifyFailure("not moved", error);
   });
 }
 
@@ -201,7 +201,7 @@ async function start() {
     endIfOver();
     if (document.hidden || state.isLeft || state.page.robot !== robot) drop("the page was left");
   } catch (error) {
-    notify(`no jog: ${error.message}`, true);
+    notifyFailure("no jog", error);
   }
 }
 
@@ -223,10 +223,10 @@ async function teach(name) {
     const checked = await order("teach", { robot, name });
     const text = `${checked.name}: ${checked.old} → ${checked.new} (tool ${tile.tool ?? "?"}, work ${tile.work ?? "?"})`;
     if (!(await ask("Teach a position", tile, text, `Write ${checked.name}`))) return;
-    await order("write", { robot, name: checked.name, revoked: tile.revoked });
+    await order("write", { robot, check: checked.check, revoked: tile.revoked });
     notify(`${tile.name}: ${checked.name} is written`);
   } catch (error) {
-    notify(`not written: ${error.message}`, true);
+    notifyFailure("not written", error);
   }
 }
 

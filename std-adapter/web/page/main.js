@@ -193,7 +193,7 @@ on("login", () => {
   stale("Log in to see values. HALT does not work before.");
   login(connect, () => haltRobot(page.robot));
 });
-on("closed", () => stale("NOT CONNECTED to bcap web: the values are old. HALT may not work. The page connects again every second."));
+on("closed", (why) => stale(`NOT CONNECTED to bcap web: ${why || "the values are old"}. HALT may not work. The page connects again every second.`));
 on("stale", () => stale("bcap web does not answer: the values are old. HALT may not work."));
 on("tick", () => isNew || stale(null));
 on("pulse", (message) => (screen === raw ? beat(message.n, 0) : jog.pulse(message.n)));

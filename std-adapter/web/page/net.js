@@ -8,6 +8,11 @@ const halts = new Map();
 let socket = null;
 let lastId = 0;
 let lastMessage = 0;
+/** How often in a row the open connection was stale. */
+let staleTicks = 0;
+/** Why the server refuses this page. */
+let refusal = "";
+let isSaving = false;
 
 /** Takes the token from the address of the page, and hides it there. A reload in this tab finds it again. */
 function takeToken() {
@@ -34,6 +39,7 @@ export function connect() {
   socket = new WebSocket(`${location.protocol === "https:" ? "wss" : "ws"}://${location.host}/live`, ["bcap.live", `token.${token}`]);
   socket.onopen = () => {
     wasOpen = true;
+    refusal = "";
     lastMessage = Date.now();
     emit("open");
   };
@@ -44,19 +50,24 @@ export function connect() {
     else emit(message.t, message);
   };
   socket.onclose = () => {
-    for (const { reject } of pending.values()) reject(new Error("the connection to bcap web is lost"));
+    for (const { reject } of pending.values()) reject(new Error("the connection to bcap web is lost; it is unknown whether it was done"));
     pending.clear();
-    emit("closed");
+    emit("closed", refusal);
     if (wasOpen) setTimeout(connect, 1000);
     else openLater();
   };
 }
 
-/** Tries again, or asks for the password if the server needs one. */
+/** Tries again, or asks for the password if the server needs one. The response to a refused WebSocket is hidden from scripts. */
 async function openLater() {
-  const response = await fetch("/session", { cache: "no-store" }).catch(() => null);
-  if (response?.status === 401) emit("login");
-  else setTimeout(connect, 1000);
+  const response = await fetch("/session", { headers: { "x-bcap-token": token }, cache: "no-store" }).catch(() => null);
+  if (response?.status === 401) {
+    emit("login");
+    return;
+  }
+  refusal = response?.ok === false ? await response.text().catch(() => "") : "";
+  emit("closed", refusal);
+  setTimeout(connect, 1000);
 }
 
 /** Logs in. Returns why not, or `null`. */
@@ -80,8 +91,19 @@ export async function logOut() {
 const isStale = () => Date.now() - lastMessage > 3000;
 
 setInterval(() => {
-  if (socket?.readyState === WebSocket.OPEN && isStale()) emit("stale");
+  staleTicks = socket?.readyState === WebSocket.OPEN && isStale() ? staleTicks + 1 : 0;
+  if (staleTicks > 0) emit("stale");
+  // after 10 s: the other end may be lost, which the browser may report late or never
+  if (staleTicks > 20) abandon();
 }, 500);
+
+/** Closes a connection that hangs, and opens the next one. */
+function abandon() {
+  const { onclose } = socket;
+  socket.onmessage = socket.onclose = null;
+  socket.close();
+  onclose();
+}
 
 function answered(message) {
   const waiting = pending.get(message.id);
@@ -117,11 +139,17 @@ export function beat(number, held) {
   if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify({ beat: number, held }));
 }
 
-/** Gets a file from the server, and saves it. */
+/** Gets a file from the server, and saves it. One at a time: others would take the connections that HALT needs. */
 export async function save(path, name, body) {
-  const response = await fetch(path, { method: "POST", headers: { "x-bcap-token": token }, body, cache: "no-store" });
-  if (!response.ok) throw new Error(await response.text());
-  saveBlob(await response.blob(), name);
+  if (isSaving) throw new Error("another file is being saved; wait for its end");
+  isSaving = true;
+  try {
+    const response = await fetch(path, { method: "POST", headers: { "x-bcap-token": token }, body, cache: "no-store" });
+    if (!response.ok) throw new Error(await response.text());
+    saveBlob(await response.blob(), name);
+  } finally {
+    isSaving = false;
+  }
 }
 
 /** Saves a file. */
@@ -134,13 +162,16 @@ export function saveBlob(blob, name) {
 /**
  * Halts a robot, whose name decides if the server has other numbers now. It does not use the connection above, which may hang. Returns `null` if a later press has replaced the request.
  *
- * A browser opens six connections to a host, so a robot has two pending requests at most: the first and the last. The server
- * carries on with an aborted one. The first is never aborted: on a slow network, quick presses would abort each before it arrives.
+ * A browser opens six connections to a host, so a robot has two pending requests at most: the first and the last; and only the
+ * first while four requests of all robots are pending. The server carries on with an aborted one. The first is never aborted: on a
+ * slow network, quick presses would abort each before it arrives.
  */
 export async function halt(robot, name) {
   const requests = halts.get(robot) ?? new Set();
   halts.set(robot, requests);
-  for (const replaced of [...requests].slice(1)) replaced.abort();
+  const all = [...halts.values()];
+  const isFull = all.reduce((sum, { size }) => sum + size, 0) >= 4;
+  for (const replaced of (isFull ? all : [requests]).flatMap((of) => [...of].slice(1))) replaced.abort();
   const request = new AbortController();
   requests.add(request);
   try {

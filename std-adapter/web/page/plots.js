@@ -72,9 +72,10 @@ function moveCursor(event) {
 /** Returns the present numbers with their names. */
 function numbers() {
   const { joints = [], position = [] } = state.page?.tile ?? {};
+  const axes = [...joints.slice(0, 8).map((value, n) => [`J${n + 1}`, value]), ...AXES.map((name, n) => [name, position[n]])];
   return [
-    ...joints.slice(0, 8).map((value, n) => [`J${n + 1}`, value]),
-    ...AXES.map((name, n) => [name, position[n]]).filter(([, value]) => value !== undefined),
+    // NaN arrives as `null`
+    ...axes.filter(([, value]) => typeof value === "number"),
     // the server sends variables to this screen only
     ...(state.parts?.canvas.isConnected ? state.variables : []),
   ];

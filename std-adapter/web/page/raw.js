@@ -142,6 +142,9 @@ function objects(kind) {
 
 const firstOf = (kind) => objects(kind)[0] ?? "";
 
+/** Returns whether a variable is one of the system's, or may be, as a handle may. */
+const writesSystem = (name) => !/^\s*(robot|task|file|extension|variable|command)[/:]/i.test(name) || name.split(/[/:]/).at(-1).trim().startsWith("@");
+
 /** Returns the effect of the call as it is filled in; the server decides by the same table. */
 function effect() {
   const { chosen, fields } = state;
@@ -150,6 +153,7 @@ function effect() {
     const [, strength = "moves", stream = "unknown"] = chosen.commands.find(([name]) => name.toLowerCase() === command) ?? [];
     return [strength, stream];
   }
+  if (chosen.name === "Variable_PutValue" && writesSystem(fields[0].input.value)) return ["moves", chosen.stream];
   const isRead = /_GetFile$/.test(chosen.name) && fields.find(({ isOption }) => isOption)?.input.value === "";
   return [isRead ? "session" : chosen.effect, chosen.stream];
 }

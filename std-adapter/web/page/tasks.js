@@ -1,6 +1,6 @@
 // The screen of tasks and files: the states of the tasks, their lines, start and stop; and a view of a program.
 
-import { ask, make, notify, setText } from "./dom.js";
+import { ask, make, notify, notifyFailure, setText } from "./dom.js";
 import { order } from "./net.js";
 
 const START = { once: "Run once", step: "One step", forever: "Run again and again" };
@@ -92,7 +92,7 @@ async function act(what, text) {
     await order("task", { robot, of: tile.name, name, what, revoked: what in START ? tile.revoked : undefined });
     notify(`${tile.name}: ${name}: ${text.toLowerCase()} is done`);
   } catch (error) {
-    notify(`not done: ${error.message}`, true);
+    notifyFailure("not done", error);
   }
 }
 

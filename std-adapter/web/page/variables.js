@@ -1,6 +1,6 @@
 // The screen of variables and I/O: live values, a search, writes with the old and the new value, and their undo.
 
-import { ask, make, notify, setText } from "./dom.js";
+import { ask, make, notify, notifyFailure, setText } from "./dom.js";
 import { order } from "./net.js";
 
 /** The values of a sparkline. */
@@ -206,13 +206,13 @@ async function write({ name }, text) {
       notify("nothing was written");
       return;
     }
-    await order("write", { robot, name: checked.name, revoked: tile.revoked });
+    await order("write", { robot, check: checked.check, revoked: tile.revoked });
     state.writes.unshift({ robot, robotName: tile.name, name: checked.name, old: checked.old, next: checked.new, isExact: checked.exact });
     state.writes.length = Math.min(state.writes.length, 20);
     notify(`${tile.name}: ${checked.name} = ${checked.new} is written`);
     drawWrites();
   } catch (error) {
-    notify(`not written: ${error.message}`, true);
+    notifyFailure("not written", error);
   }
 }
 

@@ -21,11 +21,12 @@ impl Audit {
         Self { line: Box::new(line), last: Mutex::default() }
     }
 
-    /// Writes a line: when, who, at which robot, what, and the outcome.
+    /// Writes a line: when, who, at which robot, what, and the outcome. Each part is cut alone, so that the outcome stays.
     pub(crate) fn write<T>(&self, who: &str, robot: &str, what: &str, outcome: &Result<T, String>) {
         let outcome = outcome.as_ref().err().map_or("done", String::as_str);
         let time = now().map(|date| format!("{date}Z ")).unwrap_or_default();
-        let line = safe(&format!("{time}{robot}: {who}: {what}: {outcome}"));
+        let [robot, who, what, outcome] = [robot, who, what, outcome].map(safe);
+        let line = format!("{time}{robot}: {who}: {what}: {outcome}");
         (self.line)(&line);
         let mut last = lock(&self.last);
         last.push_front(line);
@@ -35,5 +36,18 @@ impl Audit {
     /// Returns the last lines, the latest first.
     pub(crate) fn last(&self) -> Vec<String> {
         lock(&self.last).iter().cloned().collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_long_action_does_not_hide_its_outcome() {
+        let audit = Audit::new(|_| {});
+        audit.write("Anna", "press", &"x".repeat(5000), &Err::<(), _>("refused".to_owned()));
+        let last = audit.last();
+        assert!(last[0].ends_with("x... (4000 more characters): refused") && last[0].len() < 1200, "{last:?}");
     }
 }

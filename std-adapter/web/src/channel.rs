@@ -25,8 +25,8 @@ const SEND: Duration = Duration::from_secs(10);
 /// How often a page that holds a robot gets a pulse, to which it answers with a heartbeat.
 const PULSE: Duration = Duration::from_millis(40);
 
-/// The pulses whose heartbeats count.
-const PULSES: usize = 8;
+/// The pulses whose heartbeats count: those of the last [`LOST`].
+const PULSES: usize = 50;
 
 /// The longest time without a heartbeat for a page that may make calls that move.
 const LOST: Duration = Duration::from_secs(2);
@@ -208,7 +208,7 @@ impl Channel {
         let Some(age) = self.last.checked_sub(beat.beat).and_then(|age| usize::try_from(age).ok()) else { return };
         let Some(sent) = self.sent.get(age) else { return };
         if let Some(last) = &mut self.watched {
-            *last = *sent;
+            *last = (*last).max(*sent);
         }
         let mut motions = lock(&self.motions);
         let is_lifted = std::mem::replace(&mut motions.press, beat.held) != beat.held;

@@ -85,12 +85,13 @@ async fn watch(app: Arc<App>, robot: Arc<Robot>, who: String, grip: Arc<Grip>) {
     let (mut since, mut halts) = (None, 0);
     while grip.phase() != Phase::Ended {
         sleep(LOOK).await;
-        if grip.ends().is_none() {
+        // without a step of this jog under way, a halt would stop tasks of others
+        if !grip.must_halt() {
+            (since, halts) = (None, 0);
             continue;
         }
         let since = *since.get_or_insert_with(Instant::now);
-        // otherwise nothing of this jog moves, and a halt would stop tasks of others
-        if grip.phase() == Phase::Moving && since.elapsed() > IN_TIME && halts < HALTS {
+        if since.elapsed() > IN_TIME && halts < HALTS {
             let outcome = robot.halter.halt().await;
             // a step that was sent before may begin after a halt that has found nothing
             halts += if outcome.as_deref().is_ok_and(|text| text != AT_REST) { HALTS } else { 1 };

@@ -41,8 +41,8 @@ pub(crate) enum Order {
     Check { robot: usize, name: String, text: String },
     /// Checks the position of the resting robot for a variable of type P.
     Teach { robot: usize, name: String },
-    /// Writes the value that was checked last.
-    Write { robot: usize, name: String, revoked: u64 },
+    /// Writes the value of the check with this number, which must be the last one.
+    Write { robot: usize, check: u64, revoked: u64 },
     /// Clears the errors.
     Clear { robot: usize, revoked: u64 },
     /// Begins a jog of the robot with this name, for which the user has agreed.

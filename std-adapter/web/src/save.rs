@@ -13,7 +13,7 @@ use axum::routing::post;
 use bcap_capture::mcap::{Log, NUMBER};
 use serde::Deserialize;
 use serde_json::json;
-use tokio::fs;
+use tokio::fs::File;
 use tokio::sync::Semaphore;
 use tokio::task::spawn_blocking;
 use tokio_util::io::ReaderStream;
@@ -21,6 +21,7 @@ use tokio_util::io::ReaderStream;
 use crate::app::App;
 use crate::names::path_in;
 use crate::secret::{Checked, Refused};
+use crate::threads::on_disk;
 
 /// The largest series of a page: ten numbers for ten minutes need 1 MB.
 const SERIES: usize = 4 << 20;
@@ -61,12 +62,13 @@ async fn recording(State(app): State<Arc<App>>, Path(name): Path<String>) -> Che
     let none = (StatusCode::NOT_FOUND, "there is no such recording");
     let folder = app.config.recordings.as_ref().map(|recordings| &recordings.folder).ok_or(none)?;
     let path = path_in(folder, &name).map_err(|_| none)?;
-    // opening another kind of file may wait for ever
-    if !fs::metadata(&path).await.is_ok_and(|found| found.is_file()) {
-        return Err(none);
-    }
-    let file = fs::File::open(path).await.map_err(|_| none)?;
-    let pieces = ReaderStream::with_capacity(file, PIECE);
+    let open = move || {
+        // opening another kind of file may wait for ever
+        let is_file = path.metadata().is_ok_and(|found| found.is_file());
+        Ok(is_file.then(|| std::fs::File::open(path)).and_then(Result::ok))
+    };
+    let file = on_disk(open).await.map_err(|_| (StatusCode::SERVICE_UNAVAILABLE, "the disk does not answer"))?;
+    let pieces = ReaderStream::with_capacity(File::from_std(file.ok_or(none)?), PIECE);
     Ok(([(CONTENT_TYPE, "application/octet-stream")], Body::from_stream(pieces)).into_response())
 }
 

@@ -124,11 +124,18 @@ async fn checked(State((app, check)): State<(Arc<App>, Check)>, request: Request
     Ok(next.run(request).await)
 }
 
-/// Tells a page whether it must log in.
+/// Tells a page whether it must log in, or why its WebSocket is refused: scripts cannot read the response to that.
 async fn session(State(app): State<Arc<App>>, headers: HeaderMap) -> Result<StatusCode, Refused> {
-    app.guard.login.as_ref().map(|login| login.check(&headers)).transpose()?;
+    // 401 asks for the password
+    let status = |status| if app.guard.login.is_some() { status } else { StatusCode::FORBIDDEN };
+    app.guard.check_user(&headers, only(&headers, TOKEN)).map_err(|(refused, why)| (status(refused), why))?;
+    if app.pages.available_permits() == 0 {
+        return Err(TOO_MANY_PAGES);
+    }
     Ok(StatusCode::NO_CONTENT)
 }
+
+const TOO_MANY_PAGES: Refused = (StatusCode::SERVICE_UNAVAILABLE, "too many pages are open; close one");
 
 /// Logs a user in, who gets a cookie.
 async fn log_in(State(app): State<Arc<App>>, Extension(host): Extension<IpAddr>, password: Bytes) -> Checked {
@@ -163,7 +170,7 @@ async fn live(State(app): State<Arc<App>>, headers: HeaderMap, upgrade: WebSocke
     let secret = offered.split(',').find_map(|protocol| protocol.trim().strip_prefix("token."));
     let session = app.guard.check_user(&headers, secret)?;
     let permit = Arc::clone(&app.pages).try_acquire_owned();
-    let permit = permit.map_err(|_| (StatusCode::SERVICE_UNAVAILABLE, "too many pages are open; close one"))?;
+    let permit = permit.map_err(|_| TOO_MANY_PAGES)?;
     let token = app.work.token();
     let client = app.clients.fetch_add(1, Ordering::Relaxed);
     let mut ends = app.ends.subscribe();

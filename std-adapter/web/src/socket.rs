@@ -43,9 +43,17 @@ pub(crate) struct Page {
     pub(crate) app: Arc<App>,
     pub(crate) client: Client,
     shown: Mutex<Shown>,
-    /// The value that was checked last, and the robot that it is for.
-    checked: Mutex<Option<(usize, Box<Write>)>>,
+    checked: Mutex<Checked>,
     pub(crate) motions: SharedMotions,
+}
+
+/// The last check of a value.
+#[derive(Default)]
+struct Checked {
+    /// Its number. The user agrees to this check, not to a later one.
+    number: u64,
+    /// The robot and the value, until it is written.
+    value: Option<(usize, Box<Write>)>,
 }
 
 /// The screen of a page, and the messages that the page has.
@@ -190,7 +198,7 @@ impl Page {
             Order::Release { robot } => self.release(robot),
             Order::Check { robot, name, text } => self.check(robot, move |link| check(link, &name, &text)).await,
             Order::Teach { robot, name } => self.check(robot, move |link| check_position(link, &name)).await,
-            Order::Write { robot, name, revoked } => self.write(robot, &name, revoked).await,
+            Order::Write { robot, check, revoked } => self.write(robot, check, revoked).await,
             Order::Clear { robot, revoked } => {
                 let (who, robot) = self.writer(robot)?;
                 self.change(who, &robot, revoked, "clears the errors".into(), bcap_live::errors::clear).await
@@ -258,10 +266,20 @@ impl Page {
         }
         let [before, value] = [&write.before, &write.value].map(shown);
         let (old, new) = (safe(&before), safe(&value));
+        let checked = &mut *lock(&self.checked);
+        checked.number += 1;
         // otherwise an undo would write another text
-        let answer = json!({ "name": safe(&write.path), "old": old, "new": new, "exact": old == before });
-        *lock(&self.checked) = Some((number, Box::new(write)));
+        let (name, exact) = (safe(&write.path), old == before);
+        let answer = json!({ "check": checked.number, "name": name, "old": old, "new": new, "exact": exact });
+        checked.value = Some((number, Box::new(write)));
         Ok(answer)
+    }
+
+    /// Returns the value of a check, once; `None` if it is not the last check, or of another robot.
+    fn take_checked(&self, robot: usize, check: u64) -> Option<Box<Write>> {
+        let checked = &mut *lock(&self.checked);
+        let is_last = checked.number == check;
+        checked.value.take_if(|(of, _)| is_last && *of == robot).map(|(_, write)| write)
     }
 
     /// Takes the control of a robot.
@@ -410,12 +428,13 @@ impl Page {
         Ok(json!(count))
     }
 
-    /// Writes the value that was checked, if the variable still has the value that the user has seen.
-    async fn write(&self, number: usize, name: &str, revoked: u64) -> Answer {
+    /// Writes the value of a check, if the variable still has the value that the user has seen.
+    async fn write(&self, number: usize, check: u64, revoked: u64) -> Answer {
         let (who, robot) = self.writer(number)?;
-        let is_for = |(robot, write): &(usize, Box<Write>)| *robot == number && write.path.to_string() == name;
-        let (_, write) = lock(&self.checked).take_if(|checked| is_for(checked)).ok_or("check the value first")?;
-        let what = format!("writes {name}: {} -> {}", shown(&write.before), shown(&write.value));
+        let write = self
+            .take_checked(number, check)
+            .ok_or("this value is not the one that was checked last; check it again")?;
+        let what = format!("writes {}: {} -> {}", write.path, shown(&write.before), shown(&write.value));
         self.change(who, &robot, revoked, what, move |link| write.perform_unless_changed(link)).await
     }
 }

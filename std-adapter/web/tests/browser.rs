@@ -169,7 +169,9 @@ fn presses_for_a_silent_controller_do_not_pile_up() {
     let sim = Sim::start();
     // the system accepts connections, and nothing answers them
     let silent = TcpListener::bind("127.0.0.1:0").unwrap();
-    let web = Web::start(&[("press", sim.address()), ("welder", silent.local_addr().unwrap())], false);
+    let address = silent.local_addr().unwrap();
+    let robots = [("press", sim.address()), ("welder", address), ("gluer", address), ("packer", address)];
+    let web = Web::start(&robots, false);
     let Some(mut browser) = opened(&web) else { return };
     browser.eval(
         "(() => { const send = fetch; window.sent = [];
@@ -181,10 +183,12 @@ fn presses_for_a_silent_controller_do_not_pile_up() {
     );
     // at once: the first halt fails after 6 s
     browser.eval(
-        "(async () => { for (let n = 0; n < 4; n += 1) { document.querySelector('.tile:nth-child(2) .halt').click();
+        "(async () => { for (const n of [2, 2, 2, 2, 3, 3, 4, 4]) { document.querySelector(`.tile:nth-child(${n}) .halt`).click();
             await new Promise((resolve) => { setTimeout(resolve); }); } })()",
     );
-    assert_eq!(browser.eval("sent.join(' ')"), "pending AbortError AbortError pending");
+    // of four pending ones the first of each robot stays
+    let sent = "pending AbortError AbortError AbortError pending AbortError pending pending";
+    assert_eq!(browser.eval("sent.join(' ')"), sent);
     browser.click(".tile:nth-child(1) .halt");
     // the end of the other halts may replace this notice; their failures stay in the alerts
     browser.until("told.some((text) => text.includes('press: the robot was at rest'))");
@@ -260,6 +264,49 @@ fn a_start_is_not_sent_over_a_connection_that_hangs() {
     browser.click("#question-yes");
     until("the stop arrives", || web.lines().iter().any(|line| line.contains("Anna: stops")));
     assert!(!web.lines().iter().any(|line| line.contains("Anna: runs")), "{:?}", web.lines());
+    // the page gives the connection up, and opens another one
+    browser.until("sockets.length > 1 && document.getElementById('stale').hidden");
+}
+
+/// The server carries out the order, and its answer is lost.
+#[test]
+fn an_order_whose_answer_is_lost_is_not_called_undone() {
+    let sim = Sim::start();
+    let web = Web::moving(&[("press", sim.address())]);
+    let Some(mut browser) = Browser::start() else { return };
+    browser.keep_sockets();
+    browser.open(web.url());
+    browser.until_text("#state", "ready, motor off");
+    browser.enter("#name", "Anna");
+    browser.until_text("#control", "control: Anna (this page)");
+    browser.click("[data-id=tasks]");
+    browser.until("document.getElementById('task').options.length > 0");
+    browser.eval(
+        "(() => { const socket = sockets.at(-1); const take = socket.onmessage;
+            socket.onmessage = (event) => { if (JSON.parse(event.data).t !== 'answer') take(event); }; })()",
+    );
+    browser.click("[data-what=forever]");
+    browser.click("#question-yes");
+    until("the task is started", || web.lines().iter().any(|line| line.contains("runs again and again")));
+    browser.eval("sockets.at(-1).close()");
+    let unknown = "the connection to bcap web is lost; it is unknown whether it was done";
+    browser.until(&format!("document.getElementById('notice').textContent === '{unknown}'"));
+}
+
+/// The server starts again with another token.
+#[test]
+fn a_page_whose_token_is_old_says_so() {
+    let sim = Sim::start();
+    let start =
+        |listen: &str| Web::with(&|config| config.listen = listen.parse().unwrap(), &[("press", sim.address())], false);
+    let web = start("127.0.0.1:0");
+    let Some(mut browser) = opened(&web) else { return };
+    let host = web.host().to_owned();
+    drop(web);
+    browser.until_text("#stale", "NOT CONNECTED to bcap web: the values are old.");
+    let _web = start(&host);
+    let why = "the token is missing or wrong; open the address that bcap web printed";
+    browser.until_text("#stale", &format!("NOT CONNECTED to bcap web: {why}."));
 }
 
 #[test]

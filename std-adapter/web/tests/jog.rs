@@ -130,11 +130,11 @@ impl Jogging {
 
     /// Holds a button until the robot moves; `None` if the heartbeat was lost before.
     fn press(&mut self) -> Option<()> {
-        self.hold("J1", 5.0)
+        self.hold("J1", 5.0, 10.0)
     }
 
-    fn hold(&mut self, axis: &str, by: f64) -> Option<()> {
-        let press = json!({ "robot": 0, "axis": axis, "by": by, "percent": 10.0 });
+    fn hold(&mut self, axis: &str, by: f64, percent: f64) -> Option<()> {
+        let press = json!({ "robot": 0, "axis": axis, "by": by, "percent": percent });
         self.page.order("press", press).ok()?;
         let end = Instant::now() + LIMIT;
         while !self.sim.lock().is_moving() {
@@ -265,7 +265,7 @@ fn a_lifted_button_ends_its_step_and_keeps_the_arm() {
     retried(|| {
         let mut jogging = Jogging::begin()?;
         let before = jogging.sim.lock().point().position[2];
-        jogging.hold("Z", -0.5)?;
+        jogging.hold("Z", -0.5, 10.0)?;
         let Jogging { sim, page, .. } = &mut jogging;
         // two steps and more
         let end = Instant::now() + LIMIT;
@@ -295,7 +295,7 @@ fn a_lifted_button_ends_its_step_and_keeps_the_arm() {
 fn a_heartbeat_without_the_press_lifts_the_button() {
     retried(|| {
         let mut jogging = Jogging::begin()?;
-        jogging.hold("J1", 0.5)?;
+        jogging.hold("J1", 0.5, 10.0)?;
         jogging.page.held = 0;
         jogging.rests()?;
         jogging.page.order("endjog", json!({ "robot": 0, "why": "the user ended it" })).ok()?;
@@ -421,20 +421,30 @@ fn heartbeats_that_were_held_up_do_not_count() {
     assert_eq!(jogging.ended(), format!("{LAPSED}; {DONE}"));
 }
 
-/// The connection of the jog hangs while the robot moves: the connection of HALT halts the robot.
+/// The connection of the jog hangs while the robot makes a step of 13 s, and then the page loses its heartbeat, or its user lifts
+/// the button: the connection of HALT halts the robot.
 #[test]
 fn a_jog_whose_connection_hangs_is_halted_over_another_one() {
+    for is_lifted in [false, true] {
+        halt_a_jog_that_hangs(is_lifted);
+    }
+}
+
+fn halt_a_jog_that_hangs(is_lifted: bool) {
     retried(|| {
         let sim = Sim::start();
         let relay = Relay::start(sim.address());
         let web = Web::moving(&[("press", relay.address)]);
         let page = ready(&web)?;
         let mut jogging = Jogging { sim, web, page };
-        jogging.press()?;
+        jogging.hold("J1", 5.0, 0.1)?;
         // after the one that reads and the one that halts
         relay.freeze(2);
-        jogging.page.beats = false;
         let Jogging { sim, web, page } = &mut jogging;
+        page.beats = is_lifted;
+        if is_lifted {
+            page.order("lift", json!({ "robot": 0 })).ok()?;
+        }
         let end = Instant::now() + LIMIT;
         let line = "press: Anna: the jog did not halt in time: HALT: done";
         while web.lines().iter().all(|known| known != line) {
@@ -446,7 +456,12 @@ fn a_jog_whose_connection_hangs_is_halted_over_another_one() {
             assert!(Instant::now() < end, "{:?}", web.lines());
         }
         assert!(!sim.lock().is_moving());
-        Some(())
+        relay.freeze(usize::MAX);
+        page.order("endjog", json!({ "robot": 0, "why": "it was seen" })).ok()?;
+        until("the jog ends", || web.ended_jogs() > 0);
+        // a busy machine may lose the heartbeat, too
+        let is_lapsed = web.lines().iter().any(|line| line.contains(LAPSED));
+        (is_lapsed != is_lifted).then_some(())
     });
 }
 

@@ -1,6 +1,7 @@
 //! Calls of any function, without a browser: what the table of effects allows, and what the end of the screen leaves.
 
 use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
 
 use bcap_core::bcap::{Effect, FunctionId};
 use bcap_core::rac::VariableKind;
@@ -179,14 +180,19 @@ fn a_system_variable_needs_the_right_to_move() {
     let sim = Sim::start();
     let web = Web::start(&[("press", sim.address())], true);
     let mut page = with_control(&web);
-    for variable in ["task:Pro1/variable:@START", "robot/variable:@SERVO_ON", "3,1"] {
+    for variable in ["task:Pro1/variable:@START", "robot/variable:@SERVO_ON", "robot/variable: @SERVO_ON", "3,1"] {
         assert_eq!(call(&mut page, "Variable_PutValue", &[variable, "3,2"]).unwrap_err(), MOTION, "{variable}");
     }
     let web = Web::moving(&[("press", sim.address())]);
     let mut page = with_control(&web);
-    let check = json!({ "robot": 0, "name": "robot/@SERVO_ON", "text": "true" });
-    let refused = page.order("check", check).unwrap_err();
-    assert!(refused.contains("a system variable may switch the motor") && refused.contains("Raw calls"), "{refused}");
+    for variable in ["robot/@SERVO_ON", "robot/ @SERVO_ON"] {
+        let check = json!({ "robot": 0, "name": variable, "text": "true" });
+        let refused = page.order("check", check).unwrap_err();
+        assert!(
+            refused.contains("a system variable may switch the motor") && refused.contains("Raw calls"),
+            "{variable}: {refused}"
+        );
+    }
     assert_eq!(call(&mut page, "Variable_PutValue", &["robot/variable:@SERVO_ON", "11,-1"]).unwrap()["ok"], true);
     assert!(sim.lock().motor_is_on());
     page.order("show", json!({ "robot": 0, "screen": "cell" })).unwrap();
@@ -419,6 +425,24 @@ fn a_call_that_moves_ends_when_the_page_answers_no_pulse() {
     crate::support::until("the control is free", || {
         web.page().order("take", json!({ "robot": 0, "name": "Bob" })).is_ok()
     });
+}
+
+/// The page answers each pulse when it has ten later ones.
+#[test]
+fn a_page_with_a_long_round_trip_stays_open() {
+    let sim = Sim::start();
+    let web = Web::moving(&[("press", sim.address())]);
+    let mut page = with_control(&web);
+    page.beats = false;
+    // a page without a heartbeat is closed after 3 s
+    let end = Instant::now() + Duration::from_secs(5);
+    while Instant::now() < end {
+        let message = page.receive().expect("the page is open");
+        if let Some(number) = message["n"].as_u64() {
+            page.beat(number.saturating_sub(10));
+        }
+    }
+    assert_eq!(call(&mut page, "Variable_GetValue", &["variable:I1"]).unwrap()["value"], "0");
 }
 
 #[test]

@@ -86,6 +86,10 @@ fn requests_of_other_pages_and_hosts_are_refused() {
     assert_eq!(web.lines(), [""; 0], "nothing was halted");
     assert_eq!(halt("POST", &good), 200);
     assert_eq!(web.status("POST /halt/1", &good), 404);
+    let (head, body) = web.request("GET /session", &[good[0], ("x-bcap-token", &wrong)]);
+    let why = "the token is missing or wrong; open the address that bcap web printed";
+    assert!(head.starts_with("http/1.1 403") && body == why, "{head} {body}");
+    assert_eq!(web.status("GET /session", &good), 204);
     assert_eq!(web.status("GET /", &[("host", &local)]), 200, "localhost is a name of this computer");
     assert_eq!(web.status("GET /", &[("host", "evil.example")]), 421);
     assert_eq!(web.status("GET /", &[]), 421, "no host");
@@ -128,7 +132,7 @@ fn a_read_only_server_changes_nothing() {
     for (order, fields) in [
         ("take", json!({ "robot": 0, "name": "Anna" })),
         ("check", json!({ "robot": 0, "name": "I1", "text": "5" })),
-        ("write", json!({ "robot": 0, "name": "I1" })),
+        ("write", json!({ "robot": 0, "check": 1 })),
         ("clear", json!({ "robot": 0 })),
     ] {
         let refused = page.order(order, fields).unwrap_err();
@@ -146,26 +150,31 @@ fn one_page_at_a_time_writes_what_it_has_checked() {
     anna.until_state("ready, motor off");
     let value = |sim: &Sim| sim.lock().variable::<16>(I, 1).unwrap().as_variant().as_i32().unwrap();
     let check = json!({ "robot": 0, "name": "I1", "text": "5" });
-    let write = json!({ "robot": 0, "name": "I1" });
+    let write = |check: u64| json!({ "robot": 0, "check": check });
+    let not_checked = "this value is not the one that was checked last; check it again";
     assert_eq!(anna.order("check", check.clone()).unwrap_err(), "take the control first");
     anna.order("take", json!({ "robot": 0, "name": "Anna" })).unwrap();
     for (order, fields) in
-        [("take", json!({ "robot": 0, "name": "Bob" })), ("check", check.clone()), ("write", write.clone())]
+        [("take", json!({ "robot": 0, "name": "Bob" })), ("check", check.clone()), ("write", write(1))]
     {
         assert_eq!(bob.order(order, fields).unwrap_err(), "Anna has the control; ask for its release", "{order}");
     }
     assert_eq!(bob.until("tiles", |tiles| tiles[0]["holder"] == "Anna")[0]["name"], "press");
-    assert_eq!(anna.order("write", write.clone()).unwrap_err(), "check the value first");
-    assert_eq!(anna.order("check", check.clone()), Ok(json!({ "name": "I1", "old": "0", "new": "5", "exact": true })));
-    // what was checked is for this variable, and once
-    assert_eq!(anna.order("write", json!({ "robot": 0, "name": "I2" })).unwrap_err(), "check the value first");
-    anna.order("write", write.clone()).unwrap();
+    assert_eq!(anna.order("write", write(0)).unwrap_err(), not_checked);
+    let checked = |number: u64| json!({ "check": number, "name": "I1", "old": "0", "new": "5", "exact": true });
+    assert_eq!(anna.order("check", check.clone()), Ok(checked(1)));
+    // the user agrees to the first check when another one was made, for example by two undos
+    assert_eq!(anna.order("check", json!({ "robot": 0, "name": "I1", "text": "6" })).unwrap()["check"], 2);
+    assert_eq!(anna.order("write", write(1)).unwrap_err(), not_checked);
+    assert_eq!(value(&sim), 0);
+    assert_eq!(anna.order("check", check.clone()), Ok(checked(3)));
+    anna.order("write", write(3)).unwrap();
     assert_eq!(value(&sim), 5);
-    assert_eq!(anna.order("write", write.clone()).unwrap_err(), "check the value first");
+    assert_eq!(anna.order("write", write(3)).unwrap_err(), not_checked, "a check is for one write");
     // a value that another client has changed since the user saw it stays
     anna.order("check", json!({ "robot": 0, "name": "I1", "text": "7" })).unwrap();
     sim.lock().set_variable(I, 1, &Variant::I4(6)).unwrap();
-    let changed = anna.order("write", write.clone()).unwrap_err();
+    let changed = anna.order("write", write(4)).unwrap_err();
     assert_eq!(changed, "I1 has changed meanwhile from 5 to 6; nothing was written");
     assert!(anna.order("check", json!({ "robot": 0, "name": "I1", "text": "3,14" })).is_err());
     assert_eq!(value(&sim), 6);
@@ -270,6 +279,9 @@ fn sizes_rates_and_connections_are_limited() {
         pages.len() == 16
     });
     assert_eq!(web.try_page().err(), Some(503), "one page too many");
+    // scripts cannot read why
+    let (head, body) = web.request("GET /session", &[("host", web.host()), ("x-bcap-token", web.token())]);
+    assert!(head.starts_with("http/1.1 503") && body == "too many pages are open; close one", "{head} {body}");
     // connections that send nothing lock nobody out, and end no page
     let held: Vec<_> = (0..300).map(|_| idle(&web)).collect();
     assert_eq!(web.halt(0)["ok"], true);
@@ -418,13 +430,18 @@ fn a_stream_of_another_client_goes_on() {
     let mut page = web.page();
     // an order waits for the first connection for 2 s only
     page.until_state("ready, motor off");
-    page.order("select", json!({ "robot": 0, "names": ["I1-I3"] })).unwrap();
+    page.order("select", json!({ "robot": 0, "names": ["I1-I3", "task:Pro1/@STATUS"] })).unwrap();
+    page.order("show", json!({ "robot": 0, "screen": "variables" })).unwrap();
+    page.until("variables", |rows| rows[3][3] == true);
     page.order("take", json!({ "robot": 0, "name": "Anna" })).unwrap();
     let mut cell = other(&sim);
     let mut arm = with_motor(&mut cell);
     crate::support::stream(&sim, &mut arm, &mut page);
     let tile = page.until_state("streaming");
     assert_eq!(tile[0]["reasons"][0][0], "another client streams in Slave Mode");
+    // to open this one would end the stream; the others are open
+    let unopened = "task:Pro1/@LINE_NO";
+    page.order("select", json!({ "robot": 0, "names": ["I1-I3", "task:Pro1/@STATUS", unopened] })).unwrap();
     for screen in ["cell", "variables", "alarms", "packets"] {
         page.order("show", json!({ "robot": 0, "screen": screen })).unwrap();
         // two slow rounds
@@ -434,8 +451,14 @@ fn a_stream_of_another_client_goes_on() {
         }
         assert_eq!(sim.lock().slave_mode(), 0x202, "{screen}");
     }
-    page.order("check", json!({ "robot": 0, "name": "I1", "text": "5" })).unwrap();
-    let refused = page.order("write", json!({ "robot": 0, "name": "I1" })).unwrap_err();
+    page.order("show", json!({ "robot": 0, "screen": "variables" })).unwrap();
+    let rows = page.until("variables", |rows| rows[4][0] == unopened && rows[4][1] != "");
+    assert_eq!((&rows[3][3], &rows[4][3]), (&json!(true), &json!(false)), "{rows}");
+    assert!(rows[4][1].as_str().unwrap().contains("Task_GetVariable may end it"), "{rows}");
+    let refused = page.order("check", json!({ "robot": 0, "name": unopened, "text": "5" })).unwrap_err();
+    assert!(refused.contains("Task_GetVariable may end it"), "{refused}");
+    let checked = page.order("check", json!({ "robot": 0, "name": "I1", "text": "5" })).unwrap();
+    let refused = page.order("write", json!({ "robot": 0, "check": checked["check"] })).unwrap_err();
     assert!(refused.contains("Variable_PutValue may end it"), "{refused}");
     let refused = page.order("clear", json!({ "robot": 0 })).unwrap_err();
     assert!(refused.contains("ClearError would end it"), "{refused}");

@@ -142,6 +142,13 @@ fn a_raw_call_is_filled_in_called_repeated_and_used_again() {
     browser.until("document.getElementById('call').disabled");
     browser.enter("#function", "variableputvalue");
     browser.until_text("#effect", "Take the control first.");
+    // a system variable, and a handle, which may be one
+    for variable in ["task:Pro1/variable: @START", "7", "robot/variable:@SERVO_ON"] {
+        browser.enter("#argument-0", variable);
+        browser.until_text("#effect", "It can move the robot, or stop it.");
+        browser.enter("#argument-0", "variable:I1");
+        browser.until_text("#effect", "It writes.");
+    }
     browser.enter("#name", "Anna");
     browser.until("!document.getElementById('call').disabled");
     browser.eval(
@@ -232,6 +239,9 @@ fn numbers_are_zoomed_measured_and_saved() {
     for part in ["/J1", "/J2", "/J3", "bcap.Number", "{\"value\":45.0}"] {
         assert!(text.contains(part), "{part}");
     }
+    // files that hang leave connections for HALT
+    browser.eval("window.fetch = () => new Promise(() => {}); for (let n = 0; n < 2; n += 1) document.getElementById('mcap').click(); 0");
+    browser.until_text("#notice.bad", "not saved: another file is being saved; wait for its end");
     assert_eq!(browser.problems, [""; 0]);
 }
 

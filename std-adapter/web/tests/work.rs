@@ -5,6 +5,7 @@ use std::sync::Arc;
 use bcap_core::hresult::HResult;
 use bcap_sim::Profile;
 use serde_json::{Value, json};
+use tokio_tungstenite::tungstenite::Message;
 
 use crate::support::{Page, Relay, Sim, Web};
 
@@ -153,11 +154,11 @@ fn an_order_that_waits_is_not_carried_out_after_a_halt_or_without_the_control() 
         let web = Web::moving(&[("press", relay.address)]);
         let mut page = with_control(&web, "ready, motor off");
         relay.freeze(0);
-        // until a round of reading waits for its reply
-        std::thread::sleep(std::time::Duration::from_millis(500));
+        crate::support::until("a round of reading waits for its reply", || relay.held() > 0);
         page.send("task", json!({ "robot": 0, "of": "press", "name": "Pro1", "what": "forever" }));
-        // the order is received first
-        std::thread::sleep(std::time::Duration::from_millis(300));
+        // the order is received first: the server reads messages in order
+        page.socket.send(Message::Ping(Vec::new().into())).unwrap();
+        while !page.socket.read().unwrap().is_pong() {}
         let mut page = Some(page);
         match (end, &mut page) {
             ("halt", _) => assert_eq!(web.halt(0)["ok"], true),
@@ -196,7 +197,7 @@ fn an_order_for_which_the_user_has_agreed_before_a_halt_is_refused() {
     let task = |what: &str, revoked: &Value| json!({ "robot": 0, "of": "press", "name": "Pro1", "what": what, "revoked": revoked });
     let orders = [
         ("task", task("forever", &before)),
-        ("write", json!({ "robot": 0, "name": "I1", "revoked": before })),
+        ("write", json!({ "robot": 0, "check": 1, "revoked": before })),
         ("clear", json!({ "robot": 0, "revoked": before })),
         ("grip", json!({ "robot": 0, "name": "press", "revoked": before })),
         ("recover", json!({ "robot": 0, "name": "press", "revoked": before })),
