@@ -11,19 +11,25 @@ use crate::error::{Error, failed};
 /// How the names of temporary files begin. A command that is killed leaves one.
 pub(crate) const TEMPORARY: &str = ".bcap-";
 
-/// Writes a file in one step, with the folders above it; refuses to replace a file unless `replace`.
+/// Writes a file in one step, with the folders above it; refuses to replace a file unless `replace`. A replaced file keeps its
+/// permissions and the links to it. A device or a FIFO is not replaced, but written.
 pub fn write(path: &Path, bytes: &[u8], replace: bool) -> Result<(), Error> {
-    write_by(folder_of(path), path, bytes, replace)
+    match path.canonicalize() {
+        Ok(path) if replace && path.is_file() => write_by(folder_of(&path), &path, bytes, replace),
+        Ok(path) if replace => fs::write(&path, bytes).map_err(failed(&path)),
+        _ => write_by(folder_of(path), path, bytes, replace),
+    }
 }
 
-/// As [`write()`], with the temporary file in another folder of the same file system.
+/// Writes a regular file as [`write()`] does, with the temporary file in another folder of the same file system.
 pub fn write_by(temporary: &Path, path: &Path, bytes: &[u8], replace: bool) -> Result<(), Error> {
     for folder in [temporary, folder_of(path)] {
         fs::create_dir_all(folder).map_err(failed(folder))?;
     }
     let mut file = Builder::new().prefix(TEMPORARY).tempfile_in(temporary).map_err(failed(temporary))?;
     file.write_all(bytes).map_err(failed(path))?;
-    set_permissions(file.as_file()).map_err(failed(path))?;
+    let replaced = if replace { fs::metadata(path).ok() } else { None };
+    set_permissions(file.as_file(), replaced.map(|file| file.permissions())).map_err(failed(path))?;
     // otherwise a power failure could leave an empty file under the new name
     file.as_file().sync_all().map_err(failed(path))?;
     let placed = if replace { file.persist(path) } else { file.persist_noclobber(path) };
@@ -34,15 +40,15 @@ fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// Gives a file ordinary permissions; temporary files are readable only by their owner.
+/// Gives a file the permissions of the replaced one, or ordinary ones; temporary files are readable only by their owner.
 #[cfg(unix)]
-fn set_permissions(file: &fs::File) -> io::Result<()> {
+fn set_permissions(file: &fs::File, replaced: Option<fs::Permissions>) -> io::Result<()> {
     use std::os::unix::fs::PermissionsExt as _;
-    file.set_permissions(fs::Permissions::from_mode(0o644))
+    file.set_permissions(replaced.unwrap_or_else(|| fs::Permissions::from_mode(0o644)))
 }
 
 #[cfg(not(unix))]
-fn set_permissions(_: &fs::File) -> io::Result<()> {
+fn set_permissions(_: &fs::File, _: Option<fs::Permissions>) -> io::Result<()> {
     Ok(())
 }
 
@@ -63,4 +69,39 @@ pub fn all_below(folder: &Path) -> Result<Vec<PathBuf>, Error> {
     }
     files.sort();
     Ok(files)
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use std::os::unix::fs::{FileTypeExt as _, PermissionsExt as _, symlink};
+
+    use super::*;
+
+    fn mode(path: &Path) -> u32 {
+        fs::metadata(path).unwrap().permissions().mode() & 0o777
+    }
+
+    #[test]
+    fn a_replaced_file_keeps_its_links_and_its_permissions() {
+        let folder = tempfile::tempdir().unwrap();
+        let (file, link) = (folder.path().join("folder").join("file"), folder.path().join("link"));
+        write(&file, b"one", true).unwrap();
+        assert_eq!(mode(&file), 0o644);
+        fs::set_permissions(&file, fs::Permissions::from_mode(0o600)).unwrap();
+        symlink(&file, &link).unwrap();
+        write(&link, b"two", true).unwrap();
+        assert!(link.is_symlink());
+        assert_eq!((fs::read(&file).unwrap().as_slice(), mode(&file)), (&b"two"[..], 0o600));
+        write(&link, b"three", false).unwrap_err();
+        assert_eq!(fs::read(&file).unwrap(), b"two");
+    }
+
+    #[test]
+    fn a_device_is_written_and_not_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let link = folder.path().join("link");
+        symlink("/dev/null", &link).unwrap();
+        write(&link, b"text", true).unwrap();
+        assert!(link.is_symlink() && fs::metadata(&link).unwrap().file_type().is_char_device());
+    }
 }

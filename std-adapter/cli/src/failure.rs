@@ -133,6 +133,15 @@ impl From<bcap_capture::Error> for Failure {
     }
 }
 
+/// Adds what a command has found to how its work ended. A finding is not hidden by a reader, such as `head`, that has closed the
+/// output.
+pub(crate) fn with_finding(done: Result<(), Failure>, found: Result<(), Failure>) -> Result<(), Failure> {
+    match done {
+        Err(closed) if closed.is_closed_output() => found.and(Err(closed)),
+        done => done.and(found),
+    }
+}
+
 /// Returns the failure of a file operation.
 pub(crate) fn of_file(path: &Path) -> impl Fn(io::Error) -> Failure {
     move |error| Failure::Input(format!("{}: {error}", path.display()))

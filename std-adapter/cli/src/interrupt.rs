@@ -260,10 +260,11 @@ impl Interrupt {
         self.0.stopper.lock().unwrap_or_else(PoisonError::into_inner).is_some()
     }
 
-    /// Returns the failure of a command that a signal interrupted while its session had the arm.
-    pub(crate) fn failure(&self) -> Failure {
+    /// Returns the failure of a command that a signal interrupted while its session had the arm; `moved` tells whether the robot moved
+    /// until the arm was given back.
+    pub(crate) fn failure(&self, moved: bool) -> Failure {
         // this waits for a halt that is under way
-        let was_halted = self.can_halt() && !self.status().halt_failed;
+        let was_halted = self.can_halt() && !self.status().halt_failed || moved;
         let halted = if was_halted { "the robot was halted" } else { "the motion was not halted: it has ended" };
         Failure::Interrupted(format!("interrupted: {halted}, and the arm was given back"))
     }

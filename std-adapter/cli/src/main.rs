@@ -64,12 +64,9 @@ fn recorded(cli: &Cli) -> Result<(), Failure> {
     if matches!(cli.command, Command::Raw(_) | Command::Conform(_)) || !cli.command.connects() {
         return Err(Failure::Input("this command has nothing to record; leave --write out".into()));
     }
-    let recording = traffic::record(file)?;
+    traffic::record(file)?;
     let result = run(cli);
-    match (result, recording.finish().map_err(Failure::from)) {
-        (Err(closed), Err(lost)) if closed.is_closed_output() => Err(lost),
-        (result, recorded) => result.and(recorded),
-    }
+    failure::with_finding(result, traffic::finish())
 }
 
 fn run(cli: &Cli) -> Result<(), Failure> {

@@ -1,14 +1,21 @@
 //! `bcap ls` and `bcap cp`.
 
 use std::fs;
+use std::io::Read;
 use std::path::PathBuf;
+use std::process::Stdio;
+use std::time::Duration;
 
 use crate::common::fake::{Fake, usual, value};
 use crate::common::robot::Robot;
 use crate::common::{Run, bcap, command};
 use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
-use bcap_sim::{Config, Profile};
+use bcap_sim::{Config, Controller, Profile};
+use bcap_std::server::Limits;
+use bcap_tests::hooked::Hooked;
+use bcap_tests::process::{Signal, send};
+use bcap_tests::served::Served;
 
 /// A robot with files, and a folder of this machine in which the command runs.
 struct Cell {
@@ -106,6 +113,36 @@ fn cp_uploads_and_reads_back() {
     cell.refused(&["cp", "tree", "robot:/"], "tree is a folder; give --recursive");
     cell.refused(&["cp", "absent.pcs", "robot:/"], "absent.pcs: No such file");
     cell.refused(&["cp", "new.pcs", "robot:/S*"], "DEST has no wildcards");
+}
+
+#[test]
+fn a_signal_ends_a_copy_between_two_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let files = folder.path().join("robot");
+    fs::create_dir(&files).unwrap();
+    for name in ["a.pcs", "b.pcs"] {
+        fs::write(folder.path().join(name), "text").unwrap();
+    }
+    let controller = Controller::new(Config { files: Some(files.clone()), ..Config::new(Profile::Rc8) });
+    let served = Served::of(Hooked::new(controller), Limits::default());
+    // the call that makes the first file
+    let stalled = served.application().stall(FunctionId::CONTROLLER_GET_FILE, 0);
+    let address = format!("tcp:{}", served.tcp);
+    let mut command = command(&["cp", "--force", "a.pcs", "b.pcs", "robot:/", "--robot", &address]);
+    command.current_dir(folder.path()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut child = command.spawn().unwrap();
+    stalled.recv_timeout(Duration::from_secs(60)).unwrap();
+    send(Signal::INT, &child);
+    // the message says that the signal was handled
+    let mut first = [0; 20];
+    child.stderr.as_mut().unwrap().read_exact(&mut first).unwrap();
+    assert_eq!(&first, b"ends after this call");
+    served.application().set(|_| None);
+    let run = Run::from(child.wait_with_output().unwrap());
+    assert_eq!((run.out.as_str(), run.code), ("a.pcs -> robot:/a.pcs\n", 130), "{run:?}");
+    assert!(run.err.contains("interrupted between two files"), "{run:?}");
+    assert_eq!(fs::read_to_string(files.join("a.pcs")).unwrap(), "text");
+    assert!(!files.join("b.pcs").exists());
 }
 
 #[test]

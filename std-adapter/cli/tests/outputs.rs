@@ -1,10 +1,15 @@
 //! Outputs that are full, closed or a terminal: a command whose work is cut says so, and only one that prints may be ended by its reader.
 
-use std::io::pipe;
+use std::io::{Write, pipe};
 use std::process::Stdio;
+use std::thread;
+use std::time::Duration;
 
+use crate::common::fake::{Fake, usual, value};
 use crate::common::virtual_robot::Virtual;
 use crate::common::{Run, command};
+use bcap_core::bcap::FunctionId;
+use bcap_tests::process::{Signal, send};
 
 /// Runs a command whose standard output is closed.
 fn unread(robot: &Virtual, args: &[&str]) -> Run {
@@ -21,6 +26,22 @@ fn a_closed_output_ends_a_command_that_only_prints() {
         let run = unread(&robot, args);
         assert_eq!((run.err.as_str(), run.code), ("", 0), "{args:?}");
     }
+}
+
+#[test]
+fn a_closed_output_does_not_hide_a_finding() {
+    let robot = Virtual::start(&[]);
+    let folder = tempfile::tempdir().unwrap();
+    let backup = folder.path().join("backup").display().to_string();
+    assert_eq!(robot.run(&["dump", &backup]).code, 0);
+    assert_eq!(unread(&robot, &["diff", &backup]).code, 0);
+    assert_eq!(robot.run(&["put", "I1-I2", "7"]).code, 0);
+    assert_eq!(unread(&robot, &["diff", &backup]).code, 1);
+    let run = unread(&robot, &["get", "X1", "I1"]);
+    assert!(run.code == 1 && run.err.contains("1 of 2 were refused"), "{run:?}");
+    // the first line is the one that fails; nothing listens on that port
+    let run = unread(&robot, &["doctor", "--tcp-port", "1"]);
+    assert!(run.code == 3 && run.err.contains("cannot connect to"), "{run:?}");
 }
 
 #[test]
@@ -42,6 +63,32 @@ fn a_file_that_cannot_be_written_is_named() {
     // the lost recording is not hidden by the closed output
     let run = unread(&robot, &["get", "I1", "--write", "/dev/full"]);
     assert!(run.code == 2 && run.err.contains("No space left on device"), "{run:?}");
+}
+
+#[test]
+fn a_signal_at_the_prompt_completes_the_recording_and_the_history() {
+    let fake = Fake::tcp(|request| match request.function() {
+        FunctionId::ROBOT_GET_VARIABLE => value(6),
+        FunctionId::VARIABLE_GET_VALUE => value(true),
+        _ => usual(request),
+    });
+    let folder = tempfile::tempdir().unwrap();
+    let history = folder.path().join("state").join("history");
+    let mut shell = command(&["shell", "--write", "/dev/full", "--robot", &fake.address]);
+    shell.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).env("BCAP_HISTORY", &history);
+    let mut shell = shell.spawn().unwrap();
+    // stays open, because the end of the input would end the shell too
+    let mut lines = shell.stdin.take().unwrap();
+    lines.write_all(b"get I1\n").unwrap();
+    // each prompt asks for messages: the one before the line, and the one after it
+    let prompts = || fake.seen().iter().filter(|call| call.starts_with("ControllerGetMessage(")).count();
+    while prompts() < 2 {
+        thread::sleep(Duration::from_millis(1));
+    }
+    send(Signal::TERM, &shell);
+    let run: Run = shell.wait_with_output().unwrap().into();
+    assert!(run.code == 130 && run.err.contains("No space left on device"), "{run:?}");
+    assert!(std::fs::read_to_string(history).unwrap().contains("get I1"));
 }
 
 #[test]

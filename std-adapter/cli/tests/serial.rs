@@ -1,13 +1,15 @@
 //! Serial lines: `bcap --robot serial:PATH` and `bcap sim --serial PATH`, at the two ends of a cable.
 
 use std::fs;
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Write};
 use std::process::Stdio;
+use std::time::Duration;
 
 use crate::common::running::Running;
 use crate::common::{Run, bare, bcap, bcap_with, command};
 use bcap_sim::{Config, Controller, Profile};
 use bcap_tests::cable::{Cable, End, Quality};
+use bcap_tests::hooked::Hooked;
 use bcap_tests::line_server::LineServer;
 use bcap_tests::process::{Signal, send};
 use bcap_tests::pty::Line;
@@ -111,7 +113,7 @@ fn an_unplugged_client_loses_the_arm() {
     let mut shell = bare(&["shell", "--robot", &cable.address(115_200)]);
     let mut shell = shell.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
     let mut lines = shell.stdin.take().unwrap();
-    std::io::Write::write_all(&mut lines, b"exec robot TakeArm 0 1\nget I1\n").unwrap();
+    lines.write_all(b"exec robot TakeArm 0 1\nget I1\n").unwrap();
     let mut out = BufReader::new(shell.stdout.take().unwrap());
     let mut line = String::new();
     while !line.contains("I1 = 0") {
@@ -128,6 +130,34 @@ fn an_unplugged_client_loses_the_arm() {
     cable.plug(End::Controller);
     drop(lines);
     shell.wait().unwrap();
+}
+
+/// No other session can halt the motion over a line, so it is halted when the arm is given back.
+#[test]
+fn ctrl_c_during_a_motion_over_a_line_says_that_the_robot_was_halted() {
+    let cable = Cable::new(Quality::default());
+    let sim = LineServer::start(Hooked::new(Controller::new(Config::new(Profile::Rc8))), &cable.path(End::Controller));
+    let (begun, waits) = std::sync::mpsc::channel();
+    sim.handler().set(move |request| {
+        if request.value(1).as_bstr().is_some_and(|name| name == "I2") {
+            // without a receiver the test has seen it
+            let _ = begun.send(());
+        }
+        None
+    });
+    let mut child = bare(&["run", "-", "--robot", &cable.address(115_200)]);
+    let mut child = child.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let lines = "exec robot TakeArm 0 1\nexec robot Motor 1 0\n\
+                 move 'J(90, 45, 90, 0, 45, 0)' --speed 1 --no-wait\nwait I2 = 1\n";
+    child.stdin.as_mut().unwrap().write_all(lines.as_bytes()).unwrap();
+    waits.recv_timeout(Duration::from_secs(60)).unwrap();
+    send(Signal::INT, &child);
+    let run = Run::from(child.wait_with_output().unwrap());
+    assert!(run.err.contains("interrupted: the robot was halted, and the arm was given back"), "{run:?}");
+    assert_eq!(run.code, 130);
+    let controller = &sim.handler().inner;
+    assert_eq!((controller.arm_owner(), controller.is_moving()), (None, false));
+    assert!(controller.joints()[0] < 89.0, "{:?}", controller.joints());
 }
 
 #[test]

@@ -2,13 +2,16 @@
 
 use std::io::{BufRead, BufReader, Write};
 use std::process::Stdio;
+use std::sync::atomic::{AtomicU32, Ordering};
 
+use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
 use bcap_tests::process::{Signal, send};
 use bcap_tests::proxy::{Cut, Relay};
 use serde_json::Value;
 
 use crate::common;
+use crate::common::fake::{Fake, usual, value};
 use crate::common::robot::Robot;
 use crate::common::tmux::Terminal;
 use crate::common::virtual_robot::Virtual;
@@ -127,11 +130,20 @@ fn ctrl_c_halts_a_motion_and_gives_the_arm_back() {
     let arm = "exec robot TakeArm 0 1\nexec robot Motor 1 0\n";
     let long_call = format!("{arm}call Robot_Move robot 1 '8,@E J(-90, 45, 90, 0, 45, 0)' 8,SPEED=1\n");
     let earlier = format!("{arm}{}sleep 1min\n", slow.replace("--speed", "--no-wait --speed"));
+    // the same after a line whose session handles signals, too
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    assert_eq!(robot.run(&["get", "I1", "--write", &path("get.pcapng")]).code, 0);
+    let after = |line: String| long_call.replacen(arm, &format!("{arm}{line}\n"), 1);
+    let recorded = after(format!("slave record {} --seconds 0.01", path("poses.csv")));
+    let replayed = after(format!("replay {}", path("get.pcapng")));
     for (args, lines) in [
         (&SLOW[..], ""),
         (&["run", "-"], slow),
         (&["run", "-"], &long_call),
         (&["run", "-"], &earlier),
+        (&["run", "-"], &recorded),
+        (&["run", "-"], &replayed),
         (&["shell"], slow),
     ] {
         let mut child = robot.spawn(args);
@@ -469,7 +481,7 @@ fn a_link_that_is_found_lost_at_the_prompt_halts_the_robot() {
     let robot = Virtual::start(&[]);
     let relay = Relay::tcp(robot.tcp.trim_start_matches("tcp:").parse().unwrap());
     let address = format!("tcp:{}", relay.tcp);
-    let mut shell = common::bare(&["shell", "--timeout", "500ms", "--robot", &address]);
+    let mut shell = common::bare(&["shell", "--timeout", "3s", "--robot", &address]);
     let mut shell = shell.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let mut lines = shell.stdin.take().unwrap();
     lines.write_all(STARTED.as_bytes()).unwrap();
@@ -490,7 +502,7 @@ fn ctrl_c_at_the_prompt_over_a_lost_link_halts_the_robot() {
     let relay = Relay::tcp(robot.tcp.trim_start_matches("tcp:").parse().unwrap());
     let folder = tempfile::tempdir().unwrap();
     let address = format!("tcp:{}", relay.tcp);
-    let args = ["shell", "--timeout", "500ms", "--robot", &address];
+    let args = ["shell", "--timeout", "3s", "--robot", &address];
     let Some(terminal) = Terminal::start((120, 24), &args, folder.path()) else { return };
     for line in STARTED.lines() {
         terminal.wait_until("a prompt", |screen| screen.trim_end().ends_with('>'));
@@ -503,6 +515,25 @@ fn ctrl_c_at_the_prompt_over_a_lost_link_halts_the_robot() {
     terminal.wait_for(BY_ANOTHER);
     terminal.wait_for("not connected>");
     robot.wait_for_rest();
+}
+
+#[test]
+fn messages_without_end_delay_neither_the_prompt_nor_the_end() {
+    let fake = || {
+        let asked = AtomicU32::new(0);
+        Fake::tcp(move |request| match request.function() {
+            // so that the test ends if the command does not
+            FunctionId::CONTROLLER_GET_MESSAGE if asked.fetch_add(1, Ordering::Relaxed) < 250 => value(5),
+            FunctionId::MESSAGE_GET_DESCRIPTION => value("a message"),
+            FunctionId::ROBOT_GET_VARIABLE => value(6),
+            FunctionId::VARIABLE_GET_VALUE => value(true),
+            _ => usual(request),
+        })
+    };
+    let run = bcap(&["errors", "--follow", "--for", "1ms", "--robot", &fake().address]);
+    assert_eq!((run.out.matches("a message").count(), run.code), (100, 0), "{run:?}");
+    let run = bcap_with(&["shell", "--robot", &fake().address], b"exit\n");
+    assert_eq!((run.err.matches("a message").count(), run.code), (100, 0), "{run:?}");
 }
 
 /// The arm belongs to the session of the shell, so a command with a separate session would have closed it or not seen

@@ -13,7 +13,7 @@ use crate::common::{Run, bare, bcap, bcap_with, command};
 use bcap_sim::{Config, Controller, Profile, Scenario};
 use bcap_std::server::Limits;
 use bcap_tests::process::{Signal, send};
-use bcap_tests::proxy::Relay;
+use bcap_tests::proxy::{Cut, Relay};
 use bcap_tests::served::Served;
 
 /// A motion that takes more than ten seconds.
@@ -423,6 +423,31 @@ fn a_motion_whose_halt_was_refused_is_not_said_to_be_halted() {
     assert!(run.err.contains("E_ACCESSDENIED"), "{run:?}");
     assert!(run.err.ends_with("the motion was not halted: it has ended, and the arm was given back\n"), "{run:?}");
     assert!((robot.served.application().joints()[0] - 12.0).abs() < 1e-6);
+}
+
+/// The end of a lost session needs a new connection to switch the motor off.
+#[test]
+fn a_motor_that_a_lost_session_may_leave_on_is_reported() {
+    for is_back in [false, true] {
+        let robot = Robot::start();
+        let relay = Relay::tcp(robot.served.tcp);
+        let mut command = command(&["run", "-", "--robot", &format!("tcp:{}", relay.tcp)]);
+        let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut lines = child.stdin.take().unwrap();
+        lines.write_all(b"exec robot Motor 1 0\n").unwrap();
+        robot.served.until(Controller::motor_is_on);
+        if is_back {
+            relay.disconnect();
+        } else {
+            relay.cut(Cut::Reset);
+        }
+        // the first line may have ended the script
+        let _ = lines.write_all(b"get I1\n");
+        let run: Run = child.wait_with_output().unwrap().into();
+        assert_eq!(run.code, 3, "{run:?}");
+        let told = run.err.contains("it is unknown whether the robot rests and its motor is off");
+        assert_eq!((told, robot.served.application().motor_is_on()), (!is_back, !is_back), "{run:?}");
+    }
 }
 
 /// Undoing the effects of a session can fail, and the user is the only one who can look at the robot.

@@ -2,13 +2,17 @@
 
 use std::fs;
 use std::io::{BufRead, BufReader, Read};
+use std::net::UdpSocket;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::common;
+use crate::common::fake::{Fake, usual};
 use crate::common::{Run, bcap, command};
+use bcap_core::bcap::{Decoder, FunctionId};
 use bcap_core::hresult::HResult;
 use bcap_sim::{Controller, Profile, Scenario, SlaveCycle, TaskStatus};
 use bcap_std::server::Limits;
@@ -276,6 +280,43 @@ fn a_stream_of_another_client_is_not_ended() {
         assert!(ended.err.contains("the robot has stopped and the arm is released"), "{ended:?}");
         assert_at_rest(&sim, None);
     });
+}
+
+/// Over UDP the controller would keep a session that was not ended.
+#[test]
+fn an_error_before_the_stream_ends_both_sessions() {
+    for (core, connects, code) in [("1000000", 2, 2), ("0", 1, 1)] {
+        let connected = AtomicU32::new(0);
+        let fake = Fake::udp(move |request| match request.function() {
+            FunctionId::CONTROLLER_CONNECT if connected.fetch_add(1, Ordering::Relaxed) >= connects => {
+                HResult::E_MAX_CONNECT.into()
+            }
+            _ => usual(request),
+        });
+        // with the provider no other session looks for it
+        let args = ["slave", "cosine", "--yes", "--provider", "rc8", "--core", core, "--robot", &fake.address];
+        let run = bcap(&args);
+        assert_eq!(run.code, code, "{run:?}");
+        let seen = fake.seen();
+        let count = |call: &str| seen.iter().filter(|seen| seen.starts_with(call)).count();
+        assert_eq!((count("ServiceStart("), count("ServiceStop(")), (2, 2), "{seen:?}");
+    }
+}
+
+#[test]
+fn the_attempts_of_a_stream_over_udp_are_those_of_the_option() {
+    let silent = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let address = format!("udp:{}", silent.local_addr().unwrap());
+    let stream = ["slave", "cosine", "--yes", "--provider", "rc8", "--robot", &address];
+    let run = bcap(&[&stream[..], &["--attempts", "2", "--attempt-timeout", "200"]].concat());
+    assert_eq!(run.code, 4, "{run:?}");
+    silent.set_nonblocking(true).unwrap();
+    let (mut starts, mut bytes) = (0, [0; 600]);
+    while let Ok(count) = silent.recv(&mut bytes) {
+        let frame = Decoder::UDP.decode_datagram(&bytes[..count]).unwrap();
+        starts += usize::from(frame.function() == FunctionId::SERVICE_START);
+    }
+    assert_eq!(starts, 2);
 }
 
 #[test]

@@ -4,6 +4,7 @@
 //! the program. An event `dropped` has their number as soon as there is room again, or at the end. Characters that act on a
 //! terminal are escaped.
 
+use std::fmt;
 use std::io::{self, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -91,7 +92,7 @@ impl Writer {
             thread::sleep(Duration::from_millis(1));
         }
         if !self.0.is_finished() {
-            eprintln!("warning: the last lines of the log of events were not written in {CLOSE_TIMEOUT:?}");
+            warn(format_args!("the last lines of the log of events were not written in {CLOSE_TIMEOUT:?}"));
         }
     }
 }
@@ -113,7 +114,7 @@ fn write(output: impl Write, lines: &Receiver<String>, dropped: &AtomicU64) {
             Err(error) if error.kind() == io::ErrorKind::BrokenPipe => return,
             Err(error) => {
                 if lost == 0 {
-                    eprintln!("warning: the log of events cannot be written: {}", escape::failure(&error));
+                    warn(format_args!("the log of events cannot be written: {}", escape::failure(&error)));
                 }
                 lost += 1;
             }
@@ -149,6 +150,12 @@ impl<W: Write> Output<W> {
         }
         self.output.flush()
     }
+}
+
+/// Prints a warning on the standard error. `eprintln` would end the thread by a panic if that is full or closed.
+pub(crate) fn warn(what: fmt::Arguments<'_>) {
+    // an error of the standard error cannot be reported
+    let _ = writeln!(io::stderr(), "warning: {what}");
 }
 
 fn text(event: &impl Serialize) -> String {
@@ -215,6 +222,26 @@ mod tests {
                 if one == "one" && t == "t" && dropped.contains("\"lines\":1}") && three == "three")
         };
         assert!(expected(&lines), "{lines:?}");
+    }
+
+    /// The test runs itself again with a standard error that has no reader.
+    #[test]
+    fn a_warning_that_cannot_be_printed_does_not_end_the_log() {
+        const AGAIN: &str = "BCAP_TEST_UNREAD";
+        if std::env::var_os(AGAIN).is_some() {
+            let lines = written(Disk { written: Vec::new(), free: 0, full_for: 1 }, 0);
+            assert!(matches!(&lines[..], [dropped, _, _] if dropped.contains("\"lines\":1}")), "{lines:?}");
+            return;
+        }
+        let (reader, writer) = io::pipe().unwrap();
+        drop(reader);
+        let name = "events::tests::a_warning_that_cannot_be_printed_does_not_end_the_log";
+        let mut again = std::process::Command::new(std::env::current_exe().unwrap());
+        // the test does not capture its output
+        again.args(["--exact", name, "--nocapture"]).env(AGAIN, "1").stderr(writer);
+        let output = again.output().unwrap();
+        let out = String::from_utf8_lossy(&output.stdout);
+        assert!(output.status.success() && out.contains("1 passed"), "{out}");
     }
 
     #[test]

@@ -2,10 +2,12 @@
 
 use std::ffi::OsString;
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, Write};
+use std::io::{self, Read as _, Seek as _, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use bcap_terminal::escape;
+
+use crate::events::warn;
 
 /// A file of bounded size, and its predecessors.
 #[derive(Debug)]
@@ -18,6 +20,8 @@ pub(crate) struct Rotating {
     max: u64,
     /// The number of old files to keep.
     keep: u32,
+    /// Whether the last line of the file was cut off, as by a full disk or a power failure.
+    is_torn: bool,
 }
 
 impl Rotating {
@@ -26,7 +30,9 @@ impl Rotating {
         let file = append(path)?;
         let metadata = file.metadata()?;
         let max = if metadata.is_file() { max } else { 0 };
-        Ok(Self { path: path.to_owned(), file, len: metadata.len(), max, keep })
+        // a file that only may be written is taken as it is
+        let is_torn = metadata.is_file() && metadata.len() > 0 && last_byte(path).is_ok_and(|last| last != b'\n');
+        Ok(Self { path: path.to_owned(), file, len: metadata.len(), max, keep, is_torn })
     }
 
     /// Renames the file and its predecessors, and begins a new file.
@@ -42,6 +48,7 @@ impl Rotating {
             _ => fs::rename(&self.path, self.numbered(1))?,
         }
         self.file = append(&self.path)?;
+        self.is_torn = false;
         Ok(())
     }
 
@@ -56,6 +63,13 @@ fn append(path: &Path) -> io::Result<File> {
     OpenOptions::new().append(true).create(true).open(path)
 }
 
+fn last_byte(path: &Path) -> io::Result<u8> {
+    let (mut file, mut last) = (File::open(path)?, [0]);
+    file.seek(SeekFrom::End(-1))?;
+    file.read_exact(&mut last)?;
+    Ok(last[0])
+}
+
 impl Write for Rotating {
     /// Writes to a file that has room for all of `bytes`, so a line is never split by a rotation.
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
@@ -63,9 +77,13 @@ impl Write for Rotating {
         if self.max > 0 && self.len > 0 && self.len.saturating_add(len) > self.max {
             // without the rights to rename, the log continues in the same file, and tries again after as many bytes
             if let Err(error) = self.rotate() {
-                eprintln!("warning: the audit log cannot be rotated: {}", escape::failure(&error));
+                warn(format_args!("the audit log cannot be rotated: {}", escape::failure(&error)));
             }
             self.len = 0;
+        }
+        if self.is_torn {
+            self.file.write_all(b"\n")?;
+            self.is_torn = false;
         }
         let count = self.file.write(bytes)?;
         self.len = self.len.saturating_add(u64::try_from(count).unwrap_or(0));
@@ -123,6 +141,17 @@ mod tests {
         (0..100).for_each(|_| log.write_all(&[b'x'; 100]).unwrap());
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
         assert_eq!(fs::metadata(&log.path).unwrap().len(), 10_000);
+    }
+
+    #[test]
+    fn a_line_after_one_that_was_cut_off_begins_anew() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("log");
+        for (before, after) in [("", "new\n"), ("old\n", "old\nnew\n"), ("old\nto", "old\nto\nnew\n")] {
+            fs::write(&path, before).unwrap();
+            Rotating::open(&path, 95, 1).unwrap().write_all(b"new\n").unwrap();
+            assert_eq!(fs::read_to_string(&path).unwrap(), after);
+        }
     }
 
     #[cfg(unix)]

@@ -244,6 +244,8 @@ impl Copying<'_> {
         }
         check(copies.iter().map(|(_, to)| to.display().to_string()), self.args.force, |to| Ok(Path::new(to).exists()))?;
         for (from, to) in copies {
+            // a signal during a copy would leave an empty file
+            self.session.handle_signals()?.check("interrupted between two files")?;
             let bytes = remote_files::read(self.session, &from)?;
             local_files::write(&to, &bytes, self.args.force)?;
             self.print(&format!("robot:/{from}"), &to.display().to_string())?;
@@ -274,6 +276,8 @@ impl Copying<'_> {
         }
         check(copies.iter().map(|(_, to)| to.clone()), self.args.force, |to| remote_files::exists(self.session, to))?;
         for (from, to) in copies {
+            // a signal during a copy would leave an empty file
+            self.session.handle_signals()?.check("interrupted between two files")?;
             let bytes = fs::read(&from).map_err(of_file(&from))?;
             remote_files::make_folders(self.session, &to)?;
             remote_files::write(self.session, &to, &bytes)?;

@@ -221,17 +221,17 @@ async fn report(audit: &Mutex<Audit>, recording: Option<&Recording>) -> Infallib
 }
 
 fn config(link: &LinkArgs, protocol: Protocol, rules: Rules<'static>) -> Config<'static> {
-    let client = match protocol {
-        Protocol::Tcp => client::Config::TCP,
-        Protocol::Udp => client::Config::UDP,
+    let (client, attempts) = match protocol {
+        Protocol::Tcp => (client::Config::TCP, 1),
+        Protocol::Udp => (client::Config::UDP, link.attempts()),
     };
     let call = CALL.max(link.timeout());
     let timing = client::Timing {
-        // the attempts share the time
-        attempt_timeout: (link.timeout() / client.timing.attempts.into()).max(Duration::from_millis(1)),
+        attempts,
+        // they share the time
+        attempt_timeout: (link.timeout() / u32::from(attempts)).max(Duration::from_millis(1)),
         deadline: call,
         keep_alive: call,
-        ..client.timing
     };
     Config {
         client: client::Config { timing, ..client },
@@ -241,5 +241,23 @@ fn config(link: &LinkArgs, protocol: Protocol, rules: Rules<'static>) -> Config<
         request_timeout: call.saturating_add(Duration::from_secs(2)),
         rules,
         ..Config::RC8
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser as _;
+
+    use super::*;
+    use crate::cli::Cli;
+
+    #[test]
+    fn the_attempts_over_udp_are_those_of_the_option() {
+        let args = ["bcap", "gateway", "--robot", "udp:127.0.0.1", "--attempts", "2", "--attempt-timeout", "500"];
+        let link = Cli::try_parse_from(args).unwrap().link;
+        let timing = |protocol| config(&link, protocol, Rules::READ_ONLY).client.timing;
+        let attempt = Duration::from_millis(500);
+        assert_eq!((timing(Protocol::Udp).attempts, timing(Protocol::Udp).attempt_timeout), (2, attempt));
+        assert_eq!((timing(Protocol::Tcp).attempts, timing(Protocol::Tcp).attempt_timeout), (1, 2 * attempt));
     }
 }

@@ -22,7 +22,7 @@ use bcap_live::calls::needs_reconnect;
 use bcap_std::blocking::Controller;
 use bcap_std::{Address, Error, Model, ObjectPath, Settings};
 
-use crate::failure::Failure;
+use crate::failure::{Failure, with_finding};
 use crate::interrupt::{Interrupt, State};
 use crate::link::{LinkArgs, profiles};
 use crate::output::note;
@@ -45,6 +45,8 @@ pub(crate) struct Session {
     pub(crate) interrupt: Option<Interrupt>,
     /// Whether this session halts the robot for another one; then no signal interrupts its calls.
     is_stopper: bool,
+    /// Whether an earlier session has opened the one that halts, and closes it.
+    shares_stopper: bool,
     /// The bytes of the last packets.
     pub(crate) packets: Packets,
     /// The scripts that run each other now.
@@ -61,25 +63,9 @@ struct Open {
 }
 
 impl Drop for Session {
-    /// Ends this session, and then the one that halts the robot.
+    /// Ends this session, and then the one that halts the robot. The end has time, however long the session was idle.
     fn drop(&mut self) {
-        if let Err(failure) = self.undo() {
-            failure.print(false, None);
-        }
-        self.open = None;
-        if let Some(interrupt) = &self.interrupt {
-            interrupt.dismiss();
-        }
-    }
-}
-
-/// The session that halts the robot while another one waits for a reply.
-struct Stopper(Session);
-
-impl Drop for Stopper {
-    /// Allows time for the end of the session, however long it was idle.
-    fn drop(&mut self) {
-        self.0.close();
+        self.close();
     }
 }
 
@@ -115,6 +101,7 @@ impl Session {
             objects: HashMap::new(),
             interrupt: None,
             is_stopper: false,
+            shares_stopper: false,
             packets: packets(link.trace),
             scripts: 0,
             variables: HashMap::new(),
@@ -152,13 +139,12 @@ impl Session {
     /// Ends the session after a command. A failure of the end is the command's, unless the command has failed itself.
     pub(crate) fn end_after(&mut self, done: Result<(), Failure>) -> Result<(), Failure> {
         match done {
-            // which says nothing about the robot
-            Err(closed) if closed.is_closed_output() => self.end().and(Err(closed)),
-            Err(failure) => {
+            // a closed output says nothing about the robot
+            Err(failure) if !failure.is_closed_output() => {
                 self.close();
                 Err(failure)
             }
-            Ok(()) => self.end(),
+            done => with_finding(done, self.end()),
         }
     }
 
@@ -168,14 +154,23 @@ impl Session {
         if !self.lost {
             self.restart_budget();
         }
-        let undone = self.undo();
-        self.open = None;
+        let ended = self.disconnect();
         self.lost = false;
-        self.objects.clear();
-        if let Some(interrupt) = &self.interrupt {
+        if let Some(interrupt) = self.interrupt.as_ref().filter(|_| !self.shares_stopper) {
             interrupt.dismiss();
         }
-        undone
+        ended
+    }
+
+    /// Undoes the effects of this session on the robot, over a new connection if this one was lost, and closes the connection.
+    fn disconnect(&mut self) -> Result<(), Failure> {
+        let undone = self.undo();
+        self.objects.clear();
+        let closed = self.open.take().map_or(Ok(()), |open| open.controller.end());
+        undone.and(closed.map_err(|error| {
+            let message = format!("it is unknown whether the robot rests and its motor is off: {error}");
+            Failure::unfit(message, "look at the robot; if it moves, use the emergency stop")
+        }))
     }
 
     /// Runs `body` before a question to the user, who may think for hours: only a session that was open before stays open, and a
@@ -192,8 +187,7 @@ impl Session {
         done
     }
 
-    /// Undoes the effects of this session on the robot. That has a separate time limit, however long the command took. The drop of
-    /// the controller would report no failure.
+    /// Undoes the effects of this session on the robot. That has a separate time limit, however long the command took.
     fn undo(&mut self) -> Result<(), Failure> {
         let has_arm = self.has_arm();
         let has_motor = self.is_open() && self.open.as_ref().is_some_and(|open| open.controller.has_motor());
@@ -455,12 +449,10 @@ impl Session {
         })
     }
 
-    /// Handles signals from now on, unless that is so already.
+    /// Handles signals from now on: the command looks for them between its steps.
     pub(crate) fn handle_signals(&mut self) -> Result<Interrupt, Failure> {
-        let interrupt = match self.interrupt.take() {
-            Some(interrupt) => interrupt,
-            None => Interrupt::install(|_| {})?,
-        };
+        let interrupt = Interrupt::install(|_| {})?;
+        self.shares_stopper |= self.interrupt.is_none() && interrupt.can_halt();
         self.interrupt = Some(interrupt.clone());
         Ok(interrupt)
     }
@@ -520,12 +512,11 @@ impl Session {
             stopper.is_stopper = true;
             // the handle must exist before it is needed
             stopper.with(|controller| controller.robot().map(drop))?;
-            let mut stopper = Stopper(stopper);
-            Ok(Some(Box::new(move || match stopper.0.halt() {
+            Ok(Some(Box::new(move || match stopper.halt() {
                 // the controller may have ended a session that was idle, above all over UDP
                 Err(failure) if needs_new_session(&failure) => {
-                    stopper.0.reconnect()?;
-                    stopper.0.halt()
+                    stopper.reconnect()?;
+                    stopper.halt()
                 }
                 halted => halted,
             })))
@@ -549,6 +540,14 @@ impl Session {
         given
     }
 
+    /// Gives the arm back as [`give_arm`](Self::give_arm), which halts a motion of this session. Returns whether the robot moved
+    /// before, or did not say so.
+    pub(crate) fn stop(&mut self) -> Result<bool, Failure> {
+        self.allow_time();
+        let moved = self.has_arm() && self.with(|controller| controller.robot()?.read("@BUSY_STATUS")).unwrap_or(true);
+        self.give_arm().map(|()| moved)
+    }
+
     /// Closes a lost connection, so that the controller releases its resources, such as the arm. If this session had
     /// the arm, the robot is halted over another connection first: a motion may be under way.
     pub(crate) fn abandon(&mut self) {
@@ -567,8 +566,9 @@ impl Session {
                 }
             }
         }
-        self.open = None;
-        self.objects.clear();
+        if let Err(failure) = self.disconnect() {
+            failure.print(false, None);
+        }
     }
 
     /// Releases an object before the end of the session.

@@ -2,7 +2,7 @@
 
 use std::io::{self, Write as _};
 use std::path::Path;
-use std::sync::OnceLock;
+use std::sync::{Mutex, OnceLock, PoisonError};
 
 use bcap_capture::Role;
 use bcap_capture::record::{HasEnds, Recorder, Recording, Taped};
@@ -13,15 +13,23 @@ use bcap_terminal::escape;
 
 use crate::failure::Failure;
 
-/// The recorder of this command, if it was called with `--write`.
+/// The recording of this command, if it was called with `--write`.
+static RECORDING: Mutex<Option<Recording>> = Mutex::new(None);
 static RECORDER: OnceLock<Recorder> = OnceLock::new();
 
 /// Starts the recording of this command, whose recorder [`recorder`] returns.
-pub(crate) fn record(file: &Path) -> Result<Recording, Failure> {
+pub(crate) fn record(file: &Path) -> Result<(), Failure> {
     let recording = Recording::start(Some(file), |_| {})?;
     // a command has one recording
     let _ = RECORDER.set(recording.recorder().clone());
-    Ok(recording)
+    *RECORDING.lock().unwrap_or_else(PoisonError::into_inner) = Some(recording);
+    Ok(())
+}
+
+/// Completes the recording of this command, if it has one.
+pub(crate) fn finish() -> Result<(), Failure> {
+    let recording = RECORDING.lock().unwrap_or_else(PoisonError::into_inner).take();
+    Ok(recording.map_or(Ok(()), Recording::finish)?)
 }
 
 /// Returns the recorder of this command, if it has one.

@@ -22,6 +22,10 @@ impl Calls for Session {
         Self::object(self, path)
     }
 
+    fn is_open(&self, path: &ObjectPath) -> bool {
+        self.objects.contains_key(&path.to_string())
+    }
+
     fn call(
         &mut self,
         subject: &str,

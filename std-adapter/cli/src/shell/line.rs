@@ -272,8 +272,7 @@ impl Runner {
             return done;
         }
         if had_arm || session.has_arm() {
-            session.give_arm()?;
-            return Err(self.interrupt.failure());
+            return Err(self.interrupt.failure(session.stop()?));
         }
         match done {
             Err(Failure::Interrupted(_)) => done,

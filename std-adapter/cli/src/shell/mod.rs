@@ -4,12 +4,13 @@ mod line;
 pub(crate) mod script;
 mod terminal;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::{env, process};
 
 use bcap_core::bcap::FunctionId;
 use bcap_live::messages::next_message;
+use bcap_live::reader::MESSAGES;
 use bcap_std::ObjectPath;
 use bcap_terminal::signal::{self, Signal};
 use rustyline::completion::{Completer, FilenameCompleter};
@@ -21,8 +22,8 @@ use crate::commands::variables::names::all_names;
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::output::{note, print_line};
-use crate::session::Session;
 use crate::session::variables::{get_one, short_type, state_words};
+use crate::session::{Session, traffic};
 use crate::shell::line::{Flow, Runner, Verb};
 use crate::shell::terminal::Terminal;
 use bcap_live::stream::StreamCheck;
@@ -44,6 +45,9 @@ pub(crate) fn shell(session: &mut Session, verb: Verb, json: bool) -> Result<(),
             locked(&signalled).close();
             // the prompt has changed it
             terminal.restore();
+            if let Err(failure) = traffic::finish() {
+                failure.print(json, None);
+            }
             process::exit(130);
         }
         // while a line runs, the line itself ends; it has the session
@@ -64,16 +68,13 @@ pub(crate) fn shell(session: &mut Session, verb: Verb, json: bool) -> Result<(),
     let mut editor = editor(&shared)?;
     let history = history_file();
     if let Some(file) = &history {
-        // the first shell has no history yet
+        // a shell without a place for its history works as well, and the first one has none yet
+        let _ = file.parent().map(std::fs::create_dir_all);
         let _ = editor.load_history(file);
     }
     connect(&shared, json)?;
-    let ended = read_lines(&mut editor, &shared, &Runner::new(interrupt, verb, json), json);
-    if let Some(file) = &history {
-        // a shell without a place for its history works as well
-        let _ = file.parent().map(std::fs::create_dir_all);
-        let _ = editor.save_history(file);
-    }
+    let runner = Runner::new(interrupt, verb, json);
+    let ended = read_lines(&mut editor, history.as_deref(), &shared, &runner, json);
     locked(&shared).end_after(ended)
 }
 
@@ -91,6 +92,7 @@ fn connect(shared: &SharedSession, json: bool) -> Result<(), Failure> {
 
 fn read_lines(
     editor: &mut Editor<Names, FileHistory>,
+    history: Option<&Path>,
     shared: &SharedSession,
     runner: &Runner,
     json: bool,
@@ -116,8 +118,9 @@ fn read_lines(
         if line.trim().is_empty() {
             continue;
         }
-        // a line that cannot be kept is run all the same
+        // a line that cannot be kept is run all the same; a signal may end the shell at its next prompt
         let _ = editor.add_history_entry(&line);
+        let _ = history.map(|file| editor.append_history(file));
         runner.interrupt.begin();
         let (done, is_open) = {
             let mut session = locked(shared);
@@ -165,7 +168,8 @@ fn locked(shared: &SharedSession) -> MutexGuard<'_, Session> {
 /// not cause them. `inbox` becomes `None` when the controller refuses messages: each refusal may be an entry of its log.
 fn prompt(session: &mut Session, inbox: &mut Option<StreamCheck>) -> String {
     session.packets.set_paused(true);
-    while let Some(check) = inbox.as_mut().filter(|_| session.is_open()) {
+    for _ in 0..MESSAGES {
+        let Some(check) = inbox.as_mut().filter(|_| session.is_open()) else { break };
         session.restart_budget();
         match next_message(session, check) {
             Ok(Some(message)) => note(&message.to_string()),

@@ -1,6 +1,7 @@
 //! A `bcap sim` process with clients.
 
 use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
 
 use super::running::Running;
 use super::{Run, bcap, bcap_with};
@@ -48,7 +49,10 @@ impl Virtual {
 
     /// Waits until the robot moves, as another client sees it.
     pub(crate) fn wait_for_motion(&self) {
-        while self.run(&["get", "@BUSY_STATUS"]).out != "@BUSY_STATUS = true\n" {}
+        let since = Instant::now();
+        while self.run(&["get", "@BUSY_STATUS"]).out != "@BUSY_STATUS = true\n" {
+            assert!(since.elapsed() < Duration::from_secs(60), "the robot does not move");
+        }
     }
 
     /// Waits until the robot rests, as another client sees it.

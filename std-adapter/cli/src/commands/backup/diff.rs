@@ -10,7 +10,7 @@ use bcap_backup::compare::{self, Difference};
 use bcap_backup::contents::{Contents, Omission};
 use bcap_backup::{controller, folder};
 
-use crate::failure::Failure;
+use crate::failure::{Failure, with_finding};
 use crate::output::print;
 use crate::session::{Session, with_session};
 use bcap_capture::value::named::Entry;
@@ -47,38 +47,31 @@ pub(crate) struct Diff {
 pub(crate) fn diff(args: &Diff, session: &mut Session, json: bool) -> Result<(), Failure> {
     let mut read = |word| read(word, session).map_err(|failure| Failure::NotCompared(Box::new(failure)));
     let (a, b) = (read(&args.a)?, read(&args.b)?);
-    let variables = compare::variables(&a, &b, args.system);
-    for difference in &variables {
-        print(&if json { variable_json(difference) } else { difference.to_string() }, json)?;
-    }
-    let files = compare::files(&a, &b);
-    for difference in &files {
-        print(&if json { file_json(difference) } else { difference.to_string() }, json)?;
-    }
-    let omitted = print_omitted(&a, &b, args.system, json)?;
-    match omitted {
+    let (variables, files) = (compare::variables(&a, &b, args.system), compare::files(&a, &b));
+    let omitted = Vec::from_iter(compare::omitted(&a, &b, args.system));
+    let of_variable = |difference| if json { variable_json(difference) } else { difference.to_string() };
+    let of_file = |difference| if json { file_json(difference) } else { difference.to_string() };
+    let lines = variables.iter().map(of_variable).chain(files.iter().map(of_file));
+    let mut lines = lines.chain(omitted.iter().map(|part| not_compared(*part, json)));
+    let printed = lines.try_for_each(|line| print(&line, json));
+    let found = match omitted.len() {
         _ if !variables.is_empty() || !files.is_empty() => Err(Failure::Different),
         0 => Ok(()),
-        _ => Err(Failure::NotCompared(Box::new(Failure::unfit(
+        omitted => Err(Failure::NotCompared(Box::new(Failure::unfit(
             format!("there is no difference in what could be compared, and {omitted} parts could not"),
             "over UDP, use TCP instead",
         )))),
-    }
+    };
+    with_finding(printed.map_err(Failure::from), found)
 }
 
-/// Prints the parts that a side does not have, and returns their number.
-fn print_omitted(a: &Contents, b: &Contents, system: bool, json: bool) -> Result<usize, Failure> {
-    let mut count = 0;
-    for (is_first, Omission { reason, .. }) in compare::omitted(a, b, system) {
-        let (side, words) = if is_first { ("a", "first") } else { ("b", "second") };
-        let line = match json {
-            true => json!({ "not_compared": reason, "side": side }).to_string(),
-            false => format!("not compared: {reason}, in the {words}"),
-        };
-        print(&line, json)?;
-        count += 1;
+/// Returns the line of a part that a side does not have.
+fn not_compared((is_first, Omission { reason, .. }): (bool, &Omission), json: bool) -> String {
+    let (side, words) = if is_first { ("a", "first") } else { ("b", "second") };
+    match json {
+        true => json!({ "not_compared": reason, "side": side }).to_string(),
+        false => format!("not compared: {reason}, in the {words}"),
     }
-    Ok(count)
 }
 
 /// Reads a folder, or the controller at an address.

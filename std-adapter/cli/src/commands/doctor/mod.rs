@@ -33,7 +33,7 @@ use clap::Args;
 
 use self::report::{Finding, Report};
 use crate::commands::robot::errors::{described, present};
-use crate::failure::{Failure, hint_of};
+use crate::failure::{Failure, hint_of, with_finding};
 use crate::link::LinkArgs;
 use crate::session::Session;
 use crate::session::budget::Budget;
@@ -85,18 +85,21 @@ const CHECKS: [&str; 11] = [
 /// Runs `bcap doctor`.
 pub(crate) fn doctor(args: &Doctor, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let mut report = Report::new(json);
-    let tcp = reach(&mut report, Protocol::Tcp, args, link)?;
-    let udp = reach(&mut report, Protocol::Udp, args, link)?;
+    let done = checked(args, link, &mut report);
+    with_finding(done, report.end())
+}
+
+/// Makes all checks.
+fn checked(args: &Doctor, link: &LinkArgs, report: &mut Report) -> Result<(), Failure> {
+    let tcp = reach(report, Protocol::Tcp, args, link)?;
+    let udp = reach(report, Protocol::Udp, args, link)?;
     let (session, other) = if tcp.is_some() { (tcp, udp) } else { (udp, None) };
     drop(other);
     let Some(mut session) = session else {
-        CHECKS.into_iter().try_for_each(|check| report.note(check, Finding::skipped("there is no connection")))?;
-        return report.end();
+        return CHECKS.into_iter().try_for_each(|check| report.note(check, Finding::skipped("there is no connection")));
     };
     session.set_budget(Budget::start(link));
-    examine(&mut session, link, &mut report)?;
-    drop(session);
-    report.end()
+    examine(&mut session, link, report)
 }
 
 /// Returns the arguments of a connection over a protocol.

@@ -76,22 +76,20 @@ impl Report {
             Finding::Skipped(why) => ("skipped", why.as_str(), None),
             Finding::Untested(answer) => ("untested", answer.as_str(), Some(UNTESTED_HINT)),
         };
-        self.print(&FindingLine { check, result, detail, hint })?;
-        let (message, hint) = match finding {
-            Finding::Failed { detail, hint } => (format!("{check}: {detail}"), hint),
-            Finding::Untested(answer) => (format!("{check}: could not be tested: {answer}"), UNTESTED_HINT.into()),
-            Finding::Passed(_) | Finding::Skipped(_) => return Ok(()),
-        };
-        self.first.get_or_insert(Failure::unfit(message, hint));
-        Ok(())
+        if let Some(hint) = hint {
+            let untested = if matches!(finding, Finding::Untested(_)) { "could not be tested: " } else { "" };
+            self.first.get_or_insert(Failure::unfit(format!("{check}: {untested}{detail}"), hint));
+        }
+        self.print(&FindingLine { check, result, detail, hint })
     }
 
     /// Prints that the controller cannot be reached over a link.
     pub(super) fn unreachable(&mut self, check: &'static str, failure: Failure) -> Result<(), Failure> {
         let detail = failure.to_string();
-        self.print(&FindingLine { check, result: "failed", detail: &detail, hint: failure.hint().as_deref() })?;
+        let printed =
+            self.print(&FindingLine { check, result: "failed", detail: &detail, hint: failure.hint().as_deref() });
         self.first.get_or_insert(failure);
-        Ok(())
+        printed
     }
 
     fn print(&self, line: &FindingLine<'_>) -> Result<(), Failure> {

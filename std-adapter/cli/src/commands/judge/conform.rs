@@ -11,7 +11,7 @@ use clap::{Args, ValueEnum};
 use crate::commands::judge::Recovery;
 use crate::commands::robot_ports::{self, RobotPorts};
 use crate::failure::Failure;
-use crate::interrupt::{Interrupt, State};
+use crate::interrupt::State;
 use crate::link::LinkArgs;
 use crate::listen::{self, taken};
 use crate::output::{print_block, print_json, print_line, print_result};
@@ -135,11 +135,13 @@ pub(crate) fn conform(args: &Conform, link: &LinkArgs, json: bool) -> Result<(),
     // a device that answers no session is judged all the same
     let link = &Session::settled(link).unwrap_or_else(|_| link.clone());
     let options = options(args, link)?;
-    let interrupt = Interrupt::install(|_| {})?;
+    // its end closes the session that halts, unless a shell has opened that one
+    let mut signals = Session::new(link);
+    let interrupt = signals.handle_signals()?;
     let moves = args.level == LevelArg::Motion && chosen.iter().any(|case| case.level() == Level::Motion);
     if moves {
         // the motor must not stay on, so the cases always end with their clean-up
-        Session::new(link).prepare_halt(&interrupt)?;
+        signals.prepare_halt(&interrupt)?;
         interrupt.enter(State::Restoring);
     }
     let mut printed = Ok(());
@@ -153,7 +155,6 @@ pub(crate) fn conform(args: &Conform, link: &LinkArgs, json: bool) -> Result<(),
         || interrupt.is_interrupted(),
     );
     interrupt.enter(State::Stepping);
-    interrupt.dismiss();
     printed?;
     finish(args, json, &report, chosen.len())
 }

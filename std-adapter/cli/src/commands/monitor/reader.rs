@@ -88,9 +88,10 @@ impl Rounds<Session> for ScreenLink {
         self.send(Update::Live(update));
     }
 
-    /// Carries out the requests that the user made meanwhile.
+    /// Carries out the requests that the user made meanwhile. Fails when the user has quit.
     fn poll(&mut self, session: &mut Session) -> Result<(), Failure> {
-        while let Ok(request) = self.requests.try_recv() {
+        let quit = || Failure::Interrupted("the user has quit".into());
+        while let Some(request) = self.wait(Duration::ZERO).ok_or_else(quit)? {
             self.request(session, request)?;
         }
         Ok(())

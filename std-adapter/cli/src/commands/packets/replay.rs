@@ -15,7 +15,7 @@ use crate::failure::Failure;
 use crate::interrupt::{Interrupt, State};
 use crate::link::LinkArgs;
 use crate::output::{print_block, print_json, print_result};
-use crate::session::traffic;
+use crate::session::{Session, traffic};
 
 /// Makes the calls of a capture again, and compares the replies
 ///
@@ -67,7 +67,9 @@ pub(crate) fn replay(args: &Replay, link: &LinkArgs, json: bool) -> Result<(), F
     options.volatile.clone_from(&args.volatile);
     options.recorder = traffic::recorder().cloned();
     options.is_interrupted = Some(|| Interrupt::of_process().is_some_and(|interrupt| interrupt.is_interrupted()));
-    let interrupt = Interrupt::install(|_| {})?;
+    // its end closes the session that halts, unless a shell has opened that one
+    let mut signals = Session::new(link);
+    let interrupt = signals.handle_signals()?;
     if !plan.is_harmless() {
         // a call may wait for the end of a motion
         // over a session that begins with the signal: the capture has the connections of the replay
@@ -77,7 +79,6 @@ pub(crate) fn replay(args: &Replay, link: &LinkArgs, json: bool) -> Result<(), F
     }
     let done = made(&plan, &robot, &options, json);
     interrupt.enter(State::Stepping);
-    interrupt.dismiss();
     if matches!(done, Err(Failure::Unfit { .. })) {
         // after a signal too: the effects on the robot were perhaps not ended
         return done;

@@ -7,6 +7,7 @@ use bcap_core::hresult::HResult;
 use bcap_live::errors::{count, error};
 pub(crate) use bcap_live::errors::{described, present};
 use bcap_live::messages::{Message, next_message};
+use bcap_live::reader::MESSAGES;
 use clap::Args;
 
 use crate::failure::{Failure, hint_of};
@@ -52,7 +53,9 @@ pub(crate) fn errors(args: &Errors, session: &mut Session, json: bool) -> Result
 fn follow(time: Option<Duration>, session: &mut Session, json: bool) -> Result<(), Failure> {
     let mut check = StreamCheck::default();
     session.repeat(Duration::from_millis(50), time, |session| {
-        while let Some(message) = next_message(session, &mut check)? {
+        // the others follow in the next round
+        for _ in 0..MESSAGES {
+            let Some(message) = next_message(session, &mut check)? else { break };
             let Message { number, source, time, text } = &message;
             let object = serde_json::json!({ "number": number, "source": source, "time": time, "text": text });
             print_result(json, &object, &message.to_string())?;

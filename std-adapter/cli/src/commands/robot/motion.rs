@@ -189,7 +189,7 @@ pub(crate) fn with_arm<T>(
     let given = session.give_arm();
     interrupt.enter(State::Stepping);
     if interrupt.is_interrupted() && ended.as_ref().is_ok_and(|_| given.is_ok()) {
-        return Err(interrupt.failure());
+        return Err(interrupt.failure(false));
     }
     // an error of the motion is more useful than an error of giving the arm back
     let ended = ended?;

@@ -34,8 +34,6 @@ pub(crate) fn record(args: &Record, link: &LinkArgs, json: bool) -> Result<(), F
         };
         // after an error too, the file keeps the recorded poses
         file.flush().map_err(cannot_write)?;
-        // the time limit covers the end of the session, not the wait before it
-        session.restart_budget();
         recorded
     })?;
     let line = format!("{lines} poses in {}", args.file.display());

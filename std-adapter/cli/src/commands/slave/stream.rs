@@ -30,9 +30,6 @@ use crate::output::{note, print_block, print_json};
 use crate::session::connect::{failed, not_connected, unrecorded};
 use crate::session::traffic::taped;
 
-/// The attempts of a call over UDP and serial lines, which share the time limit.
-const LOSSY_ATTEMPTS: u8 = 5;
-
 /// The size of the buffer for slvMove, in bytes: a datagram.
 const MOVE_ROOM: usize = 512;
 
@@ -55,8 +52,9 @@ impl Job<'_> {
     pub(crate) fn stream(self, course: Course) -> Result<(), Failure> {
         let mut options = Options::default().timeout(self.link.timeout());
         for lossy in [&mut options.udp.timing, &mut options.serial.timing] {
-            lossy.attempts = LOSSY_ATTEMPTS;
-            lossy.attempt_timeout = (self.link.timeout() / u32::from(LOSSY_ATTEMPTS)).max(Duration::from_millis(1));
+            lossy.attempts = self.link.attempts();
+            // they share the time limit
+            lossy.attempt_timeout = (self.link.timeout() / u32::from(lossy.attempts)).max(Duration::from_millis(1));
         }
         match self.target {
             Address::Serial(line) => {
@@ -78,7 +76,6 @@ impl Job<'_> {
         course: Course,
         connect: impl Fn() -> Result<blocking::Connection<X, Vec<u8>>, ConnectError>,
     ) -> Result<(), Failure> {
-        let Self { format, args, .. } = self;
         let connect = || {
             let (transport, client) = connect().map_err(|error| not_connected(&error, self.target))?.into_parts();
             Ok::<_, Failure>(blocking::Connection::new(Limited { transport, end: None }, client))
@@ -90,12 +87,33 @@ impl Job<'_> {
         let machine = self.link.machine();
         let provider =
             Provider { machine: &machine, option: self.link.option(), ..Provider::new(self.link.provider()) };
-        let opened = |error: RunError| self.not_opened(&error);
-        let handles = motion.run(open_robot(provider, None)).map_err(opened)?;
-        let watching = watch.as_mut().map(|watch| watch.run(open_robot(provider, None)));
-        let watching = watching.transpose().map_err(opened)?;
+        let handles = motion.run(open_robot(provider, None)).map_err(|error| self.not_opened(&error))?;
+        let watching = watch.as_mut().map(|watch| watch.run(open_robot(provider, None))).transpose();
+        let (watching, streamed) = match watching {
+            Ok(watching) => (watching, self.run_open(course, &mut motion, watch.as_mut(), handles, watching)),
+            Err(error) => (None, Err(self.not_opened(&error))),
+        };
+        // the report may have taken longer
+        limit_end(&mut motion, watch.as_mut());
+        let _ = motion.run(release_robot(handles));
+        if let Some((watch, handles)) = watch.as_mut().zip(watching) {
+            let _ = watch.run(release_robot(handles));
+        }
+        streamed
+    }
+
+    /// Streams over open sessions.
+    fn run_open<X: Wire<Error = io::Error>>(
+        self,
+        course: Course,
+        motion: &mut Connection<X>,
+        mut watch: Option<&mut Connection<X>>,
+        handles: Handles,
+        watching: Option<Handles>,
+    ) -> Result<(), Failure> {
+        let Self { format, args, .. } = self;
         // a motor that was on before stays on
-        let motor_off = !(args.keep_motor || motor_is_on(&mut motion, handles.robot));
+        let motor_off = !(args.keep_motor || motor_is_on(motion, handles.robot));
         let (start, limits) = (course.start(), limits(args));
         let config = Config { watch: watching, start, limits, motor_off, ..Config::new(format, handles) };
         let mut engine = Engine::<MOVE_ROOM>::new(config).map_err(|error| Failure::Input(error.to_string()))?;
@@ -111,23 +129,20 @@ impl Job<'_> {
             .with_status(Arc::clone(&status))
             .keeping_samples(samples)
             .keeping_replies(replies);
-        let ended = run_watched(&mut motion, watch.as_mut(), engine.stream(&mut player)).map_err(|error| error.error);
-        limit_end(&mut motion, watch.as_mut());
+        let ended = run_watched(motion, watch.as_deref_mut(), engine.stream(&mut player));
+        let ended = ended.map_err(|error| error.error);
+        limit_end(motion, watch.as_deref_mut());
         let fault = engine.fault().cloned();
         if fault.is_some() {
             // the fault is reported below; what is left on the robot is ended next
-            let _ = run_watched(&mut motion, watch.as_mut(), engine.give_up());
+            let _ = run_watched(motion, watch.as_deref_mut(), engine.give_up());
         }
         drop(monitor);
         // the monitor may have waited for a halt for longer
-        limit_end(&mut motion, watch.as_mut());
+        limit_end(motion, watch.as_deref_mut());
         let stats = engine.stats().clone();
         player.times.follow(&stats);
-        end_left(engine.effects(), fault.as_ref(), watch.as_mut().zip(watching));
-        let _ = motion.run(release_robot(handles));
-        if let Some((watch, handles)) = watch.as_mut().zip(watching) {
-            let _ = watch.run(release_robot(handles));
-        }
+        end_left(engine.effects(), fault.as_ref(), watch.zip(watching));
         let reported = self.report(&stats, &player);
         self.end(ended, fault.as_ref(), &status)?;
         reported
@@ -215,6 +230,9 @@ impl Job<'_> {
     }
 }
 
+/// A connection of the stream.
+type Connection<X> = blocking::Connection<Limited<X>, Vec<u8>>;
+
 /// A transport that fails from a point of time on.
 struct Limited<X> {
     transport: X,
@@ -258,10 +276,7 @@ impl<X: Wire<Error = io::Error>> Wire for Limited<X> {
 }
 
 /// Limits the calls from now on, which end the stream.
-fn limit_end<X: Wire<Error = io::Error>>(
-    motion: &mut blocking::Connection<Limited<X>, Vec<u8>>,
-    watch: Option<&mut blocking::Connection<Limited<X>, Vec<u8>>>,
-) {
+fn limit_end<X: Wire<Error = io::Error>>(motion: &mut Connection<X>, watch: Option<&mut Connection<X>>) {
     for connection in iter::once(motion).chain(watch) {
         connection.transport().end_within(END);
     }

@@ -3,7 +3,7 @@
 use bcap_capture::hex;
 use clap::Args;
 
-use crate::failure::Failure;
+use crate::failure::{Failure, with_finding};
 use crate::output::print;
 use crate::session::Session;
 use crate::session::variables::{expand, get_one, paths};
@@ -52,17 +52,17 @@ pub(crate) fn print_each<V>(
     mut read: impl FnMut(&V) -> Result<Value, Failure>,
 ) -> Result<(), Failure> {
     let mut refused = 0;
-    for (name, variable) in names.iter().zip(variables) {
-        match read(variable) {
-            Ok(value) => print(&shown(name, &value, json), json)?,
-            Err(failure @ Failure::Refused { .. }) => {
-                failure.print(json, Some(name));
-                refused += 1;
-            }
-            Err(failure) => return Err(failure),
+    let done = names.iter().zip(variables).try_for_each(|(name, variable)| match read(variable) {
+        Ok(value) => Ok(print(&shown(name, &value, json), json)?),
+        Err(failure @ Failure::Refused { .. }) => {
+            failure.print(json, Some(name));
+            refused += 1;
+            Ok(())
         }
-    }
-    if refused > 0 { Err(Failure::SomeRefused { refused, total: names.len() }) } else { Ok(()) }
+        Err(failure) => Err(failure),
+    });
+    let found = if refused > 0 { Err(Failure::SomeRefused { refused, total: names.len() }) } else { Ok(()) };
+    with_finding(done, found)
 }
 
 /// Returns the packet of a variable of the b-CAP Tester's debug mode (b-CAP specification, Table 6-1); `None` for

@@ -111,8 +111,6 @@ fn rounds(
             return Ok(());
         }
         if interrupt.sleep(pace.until_next(Instant::now())).is_err() {
-            // the time limit covers the end of the session, not the wait before it
-            session.restart_budget();
             return Ok(());
         }
     }
