@@ -92,7 +92,7 @@ pub trait Site<'s> {
     fn take(&self, memory: &'s mut [u8], len: usize) -> impl Future<Output = (&'s mut [u8], Self::Page)>;
 
     /// Writes a page; `None` means that there is no such page.
-    fn write(&self, page: Self::Page, out: &mut dyn Write) -> Option<(Status, Content)>;
+    fn write(&self, page: Self::Page, out: &mut Body<'_>) -> Option<(Status, Content)>;
 }
 
 /// A decision on the head of a request.
@@ -212,7 +212,7 @@ where
         (memory, None)
     }
 
-    fn write(&self, page: Self::Page, out: &mut dyn Write) -> Option<(Status, Content)> {
+    fn write(&self, page: Self::Page, out: &mut Body<'_>) -> Option<(Status, Content)> {
         let Some((path, len)) = page else { return Some((Status::MethodNotAllowed, Content::Text)) };
         let path = core::str::from_utf8(path.get(..len.into())?).ok()?;
         Some((Status::Ok, (self.answer)(path, out)?))
@@ -273,7 +273,7 @@ async fn respond<'s, X: Transport, S: Site<'s>>(
     has_body: bool,
 ) -> Result<Option<()>, X::Error> {
     let (head, body) = memory.split_at_mut_checked(RESPONSE_HEAD).unwrap_or_default();
-    let mut body = Page { buffer: body, len: 0, is_full: false };
+    let mut body = Body::new(body);
     let (status, content) = match page.map(|page| site.write(page, &mut body)) {
         _ if body.is_full => (Status::InternalServerError, None),
         Ok(Some((status, content))) => (status, Some(content)),
@@ -281,7 +281,7 @@ async fn respond<'s, X: Transport, S: Site<'s>>(
         Err(status) => (status, None),
     };
     let len = if content.is_some() { body.len } else { 0 };
-    let mut out = Page { buffer: head, len: 0, is_full: false };
+    let mut out = Body::new(head);
     // there is room for every head
     let _ = write_head(&mut out, status, content.filter(|_| len > 0), len);
     let head_len = out.len;
@@ -322,7 +322,7 @@ async fn send<X: Transport>(transport: &mut X, mut bytes: &[u8], until: Instant)
     Ok(Some(()))
 }
 
-fn write_head(out: &mut Page<'_>, status: Status, content: Option<Content>, len: usize) -> fmt::Result {
+fn write_head(out: &mut Body<'_>, status: Status, content: Option<Content>, len: usize) -> fmt::Result {
     write!(out, "HTTP/1.1 {}\r\nConnection: close\r\nCache-Control: no-store\r\n", status.line())?;
     if let Some(content) = content {
         write!(out, "Content-Type: {}\r\n", content.name())?;
@@ -330,15 +330,37 @@ fn write_head(out: &mut Page<'_>, status: Status, content: Option<Content>, len:
     write!(out, "Content-Length: {len}\r\n\r\n")
 }
 
-/// A page in a buffer.
-struct Page<'a> {
+/// The body of a response, in the memory of a listener.
+#[derive(Debug)]
+pub struct Body<'a> {
     buffer: &'a mut [u8],
     len: usize,
     /// Whether something did not fit.
     is_full: bool,
 }
 
-impl Write for Page<'_> {
+impl<'a> Body<'a> {
+    const fn new(buffer: &'a mut [u8]) -> Self {
+        Self { buffer, len: 0, is_full: false }
+    }
+
+    /// Writes a row of a list, if there is room for all of it and for `rest` bytes after it.
+    ///
+    /// # Errors
+    ///
+    /// When there is no room; the body is then as before.
+    pub fn row(&mut self, rest: usize, write: impl FnOnce(&mut Self) -> fmt::Result) -> fmt::Result {
+        let before = (self.len, self.is_full);
+        let written = write(self);
+        if written.is_ok() && self.buffer.len().saturating_sub(self.len) >= rest {
+            return Ok(());
+        }
+        (self.len, self.is_full) = before;
+        Err(fmt::Error)
+    }
+}
+
+impl Write for Body<'_> {
     fn write_str(&mut self, text: &str) -> fmt::Result {
         match self.buffer.get_mut(self.len..).and_then(|room| room.get_mut(..text.len())) {
             Some(room) => {
@@ -359,6 +381,18 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_row_without_room_for_it_and_the_end_leaves_the_body_as_it_was() {
+        let mut memory = [0; 10];
+        let mut body = Body::new(&mut memory);
+        assert_eq!(body.row(4, |body| body.write_str("first ")), Ok(()));
+        for row in ["x", "longer than the memory"] {
+            assert_eq!(body.row(4, |body| body.write_str(row)), Err(fmt::Error), "{row}");
+        }
+        assert_eq!((body.write_str("end."), body.len, body.is_full), (Ok(()), 10, false));
+        assert_eq!(memory, *b"first end.");
+    }
+
+    #[test]
     fn the_longest_head_fits_its_memory() {
         let statuses = [
             Status::Ok,
@@ -369,7 +403,7 @@ mod tests {
         ];
         for status in statuses {
             let mut memory = [0; RESPONSE_HEAD];
-            let mut out = Page { buffer: &mut memory, len: 0, is_full: false };
+            let mut out = Body::new(&mut memory);
             assert_eq!(write_head(&mut out, status, Some(Content::Text), usize::MAX), Ok(()), "{status:?}");
         }
     }

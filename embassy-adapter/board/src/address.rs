@@ -75,11 +75,17 @@ pub async fn find(stack: Stack<'_>, settings: &Settings<'_>) {
     }
     if let Some(found) = stack.config_v4() {
         defmt::info!("address {}", found.address);
-        #[cfg(feature = "port")]
-        {
-            FOUND.lock(|cell| cell.set(Some(found.address)));
-            CONSOLE.wake();
-        }
+    }
+    #[cfg(feature = "port")]
+    publish(stack);
+}
+
+/// Tells the console the address, if it is another one.
+#[cfg(feature = "port")]
+fn publish(stack: Stack<'_>) {
+    let found = stack.config_v4().map(|config| config.address);
+    if found.is_some() && FOUND.lock(|cell| cell.replace(found)) != found {
+        CONSOLE.wake();
     }
 }
 
@@ -88,8 +94,14 @@ pub async fn find(stack: Stack<'_>, settings: &Settings<'_>) {
 /// After each pause it asks DHCP again while the board uses the configured address and `is_useful` returns false. A switch
 /// and a DHCP server may start later than the board.
 pub async fn keep(stack: Stack<'_>, settings: &Settings<'_>, pause: Duration, is_useful: impl Fn() -> bool) -> ! {
+    let is_lost = || {
+        // one lease can replace another between two looks
+        #[cfg(feature = "port")]
+        publish(stack);
+        !stack.is_config_up()
+    };
     loop {
-        if with_timeout(pause, until(|| !stack.is_config_up())).await.is_err() {
+        if with_timeout(pause, until(is_lost)).await.is_err() {
             let has_own = stack.config_v4().is_some_and(|found| Some(&found) == own(settings).as_ref());
             if !settings.dhcp || !has_own || is_useful() {
                 continue;

@@ -26,9 +26,8 @@ use crate::host::{is_host, is_other};
 use crate::identity::NAME;
 #[cfg(feature = "health")]
 use crate::messages;
-#[cfg(feature = "health")]
 use crate::network;
-use crate::parts::{DATAGRAMS, Parts};
+use crate::parts::DATAGRAMS;
 #[cfg(feature = "health")]
 use crate::sntp::{self, Refused};
 use crate::watchdog::watched;
@@ -57,33 +56,34 @@ pub(crate) fn start(
     spawner: Spawner,
     stack: Stack<'static>,
     settings: &'static Settings<'static>,
-    parts: &Parts,
 ) -> Result<(), SpawnError> {
-    spawner.spawn(serve(stack, settings, parts.name)?);
+    spawner.spawn(serve(stack, settings)?);
     Ok(())
 }
 
 #[embassy_executor::task]
-async fn serve(stack: Stack<'static>, settings: &'static Settings<'static>, name: &'static str) -> ! {
+async fn serve(stack: Stack<'static>, settings: &'static Settings<'static>) -> ! {
     static MEMORY: ConstStaticCell<([u8; REQUEST], [u8; SENT])> = ConstStaticCell::new(([0; REQUEST], [0; SENT]));
     // not a `ConstStaticCell`: the values are not all zero, and would lie in the flash as well
     static META: StaticCell<[[PacketMetadata; 1]; 2]> = StaticCell::new();
     let ((rx, tx), [rx_meta, tx_meta]) = (MEMORY.take(), META.init_with(|| [[PacketMetadata::EMPTY]; 2]));
     let socket = UdpSocket::new(stack, rx_meta, rx, tx_meta, tx);
-    watched(DATAGRAMS, core::pin::pin!(run(stack, socket, settings, name))).await
+    watched(DATAGRAMS, core::pin::pin!(run(stack, socket, settings))).await
 }
 
-async fn run(stack: Stack<'_>, mut socket: UdpSocket<'_>, settings: &Settings<'_>, name: &str) -> ! {
+async fn run(stack: Stack<'_>, mut socket: UdpSocket<'_>, settings: &Settings<'_>) -> ! {
     let mut next_answer = Instant::MIN;
+    // whether the last datagram is a message of syslog
+    let mut is_message = false;
     #[cfg(feature = "health")]
     let mut clock = Clock::default();
     loop {
         stack.wait_config_up().await;
         // fails if it is bound already
         let _ = socket.bind(PORT);
-        discard_unsent(&mut socket).await;
+        discard_unsent(&mut socket, &mut is_message).await;
         #[cfg(feature = "health")]
-        serve_others(&mut socket, settings, &mut clock).await;
+        serve_others(&mut socket, settings, &mut clock, &mut is_message).await;
         #[cfg(not(feature = "health"))]
         socket.wait_recv_ready().await;
         if !socket.may_recv() {
@@ -97,28 +97,35 @@ async fn run(stack: Stack<'_>, mut socket: UdpSocket<'_>, settings: &Settings<'_
         let asked = socket.recv_from_with(receive).await;
         if let Some((number, meta)) = asked.filter(|_| settings.find && Instant::now() >= next_answer) {
             next_answer = Instant::now().saturating_add(PAUSE);
-            answer(stack, &mut socket, (number, meta), settings, name).await;
+            answer(stack, &mut socket, (number, meta), settings, &mut is_message).await;
         }
     }
 }
 
-/// Waits until the last datagram has left or a request arrives, and discards a datagram that does not leave; returns whether it did.
+/// Waits until the last datagram has left or a request arrives, and discards a datagram that does not leave.
 ///
 /// smoltcp keeps a datagram to an address that it cannot resolve or reach, and sends no other datagram of the socket before it.
-async fn discard_unsent(socket: &mut UdpSocket<'_>) -> bool {
+async fn discard_unsent(socket: &mut UdpSocket<'_>, is_message: &mut bool) {
     // the socket has room for one datagram, so there is room once it has left
     let left = with_timeout(UNSENT, socket.wait_send_ready());
     let ended = select(socket.wait_recv_ready(), left).await;
-    let is_unsent = matches!(ended, Either::Second(Err(_)));
-    if is_unsent {
-        discard(socket);
+    if matches!(ended, Either::Second(Err(_))) {
+        give_up(socket, is_message);
     }
-    is_unsent
+}
+
+/// Discards the unsent datagram, and counts a message as lost.
+fn give_up(socket: &mut UdpSocket<'_>, is_message: &mut bool) {
+    discard(socket);
+    if core::mem::take(is_message) {
+        #[cfg(feature = "health")]
+        messages::lose();
+    }
 }
 
 /// Waits for a datagram, and sends a message or a request for the time before that.
 #[cfg(feature = "health")]
-async fn serve_others(socket: &mut UdpSocket<'_>, settings: &Settings<'_>, clock: &mut Clock) {
+async fn serve_others(socket: &mut UdpSocket<'_>, settings: &Settings<'_>, clock: &mut Clock, is_message: &mut bool) {
     let message = async {
         match settings.syslog {
             Some(_) => messages::wait().await,
@@ -137,14 +144,13 @@ async fn serve_others(socket: &mut UdpSocket<'_>, settings: &Settings<'_>, clock
         Either3::Second(()) => {
             if let Some(server) = settings.ntp {
                 let _ = socket.send_to(&clock.ask(), server).await;
+                *is_message = false;
             }
         }
         Either3::Third(()) => {
             if let Some(collector) = settings.syslog {
                 messages::send(socket, collector, settings.hostname).await;
-                if discard_unsent(socket).await {
-                    messages::lose();
-                }
+                *is_message = true;
             }
         }
     }
@@ -195,7 +201,7 @@ async fn answer(
     socket: &mut UdpSocket<'_>,
     (number, meta): ([u8; 8], UdpMetadata),
     settings: &Settings<'_>,
-    name: &str,
+    is_message: &mut bool,
 ) {
     let (Some(config), HardwareAddress::Ethernet(mac)) = (stack.config_v4(), stack.hardware_address()) else { return };
     let IpEndpoint { addr: IpAddress::Ipv4(host), .. } = meta.endpoint;
@@ -205,10 +211,11 @@ async fn answer(
     }
     // the datagram before this one may never leave, and the host does not wait long
     if !socket.may_send() {
-        discard(socket);
+        give_up(socket, is_message);
     }
+    *is_message = false;
     let name_of_host = settings.hostname.unwrap_or_default();
-    let version = env!("CARGO_PKG_VERSION");
+    let [name, version] = network::description();
     // a project can have a longer name than a board
     let name = name.get(..name.len().min(NAME)).unwrap_or_default();
     let found = Found { name: name_of_host, board: name, version, address: own, port: rac::PORT, mac: mac.0 };

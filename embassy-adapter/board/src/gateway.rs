@@ -96,13 +96,14 @@ pub fn start(
     let robot = settings.robot;
     defmt::info!("gateway to {}, provider {=str}", defmt::Debug2Format(&robot), settings.provider);
     let board = make(settings);
+    network::describe(&parts);
     spawner.spawn(run_robot_link(stack, settings, board, dhcp_again)?);
     for (number, memory) in (PLC..).zip(SOCKET_MEMORY.take()) {
         spawner.spawn(serve(stack, memory, settings, board, Task::new(number))?);
     }
     #[cfg(feature = "modbus")]
     start_modbus(spawner, stack, settings, board)?;
-    datagrams::start(spawner, stack, settings, &parts)?;
+    datagrams::start(spawner, stack, settings)?;
     #[cfg(feature = "health")]
     crate::messages::start(&parts);
     #[cfg(feature = "health")]
@@ -237,8 +238,7 @@ async fn serve_modbus(
     board: &'static Board,
     task: Task,
 ) -> ! {
-    // the spare listener makes no room, so a silent client must not stay
-    let limits = Limits { receive: MODBUS_RECEIVE, idle: settings.idle.or(Some(settings.evict)), ..limits(settings) };
+    let limits = Limits { receive: MODBUS_RECEIVE, idle: Some(settings.modbus_idle()), ..limits(settings) };
     watched(task, pin!(listener.run(board, &limits))).await
 }
 
@@ -290,7 +290,7 @@ async fn run_robot_link(
     };
     let work = async {
         address::find(stack, settings).await;
-        select(run, address::keep(stack, settings, dhcp_again, || has_robot(board))).await;
+        select(run, address::keep(stack, settings, dhcp_again, || has_robot(board) || board.sessions() > 0)).await;
     };
     watched(ROBOT, pin!(work)).await;
 }
@@ -307,5 +307,5 @@ async fn log_status(stack: Stack<'static>, board: &'static Board, parts: Parts) 
             crate::messages::left_out();
         }
     };
-    join(watched(STATUS, pin!(work)), network::follow(stack, parts.name)).await.0
+    join(watched(STATUS, pin!(work)), network::follow(stack)).await.0
 }

@@ -68,7 +68,7 @@
 //! | `put`      | `KIND[/FIRST[-LAST]][=MIN..MAX[,MIN..MAX]...]`: what PLCs may write, and the accepted values; can be repeated | nothing |
 //! | `put@CLIENT` | as `put`, for the clients of a network only: `put@192.168.0.7=I/0-99`, `put@192.168.0.0/24=F` | |
 //! | `allow`    | `ADDRESS[/PREFIX]`: a network whose clients may connect; can be repeated | every client |
-//! | `idle`     | `SECONDS`: closes a PLC's connection after that idle time | never |
+//! | `idle`     | `SECONDS`: closes a PLC's connection after that idle time; one of Modbus after `evict` at the latest | never |
 //! | `evict`    | `SECONDS`: the idle time after which a PLC's connection may be closed to make room for another PLC | 10 |
 //! | `keepalive` | `SECONDS`: the idle time after which a TCP keep-alive is sent to a PLC; one without an answer for 15 s, or three times this, is gone | 5 |
 //! | `convert`  | `yes`, `no`: convert a PUT of another type where the conversion is lossless | `no` |

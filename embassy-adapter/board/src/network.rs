@@ -17,6 +17,7 @@ use embassy_time::{Duration, Instant, Timer};
 use crate::lease::{Lease, Refused, check};
 use crate::lldp;
 use crate::neighbors::{FRAME, Neighbors, Route};
+use crate::parts::Parts;
 use crate::{Settings, address};
 
 /// The time without a frame, while the link is up, after which the Ethernet controller counts as dead, if it has received frames
@@ -26,6 +27,9 @@ pub const SILENCE: Duration = Duration::from_secs(300);
 /// The pause between two offers that the network stack gets. A server that refuses what it has offered would otherwise be asked
 /// again without a pause; after an offer that is dropped, the stack asks after 2 s.
 const OFFER_PAUSE: Duration = Duration::from_secs(1);
+
+/// The pause between two lines of the log about refused leases.
+const LOG_PAUSE: Duration = Duration::from_secs(1);
 
 /// The pause between two frames of LLDP; one is sent when the network stack runs next.
 const LLDP_PAUSE: Duration = Duration::from_secs(30);
@@ -64,8 +68,8 @@ pub(crate) fn random() -> u64 {
 
 /// The board's place in its network, once it has an address.
 static ROUTE: Mutex<CriticalSectionRawMutex, Cell<Option<Route>>> = Mutex::new(Cell::new(None));
-/// The name of the board, for LLDP.
-static NAME: Mutex<CriticalSectionRawMutex, Cell<&str>> = Mutex::new(Cell::new(""));
+/// The name of the board and the version of its image.
+static DESCRIPTION: Mutex<CriticalSectionRawMutex, Cell<[&str; 2]>> = Mutex::new(Cell::new([""; 2]));
 
 /// Makes the network stack of a board, with the address of the settings or of a DHCP server. Call it once.
 ///
@@ -77,7 +81,8 @@ pub fn start<D: Driver, const SOCKETS: usize>(
     resources: &'static mut StackResources<SOCKETS>,
     seed: u64,
 ) -> (Stack<'static>, Runner<D>) {
-    let filter = Filter { settings, next_offer: Instant::MIN, told: None, neighbors: Neighbors::default() };
+    let (next_offer, next_line) = (Instant::MIN, Instant::MIN);
+    let filter = Filter { settings, next_offer, told: None, next_line, neighbors: Neighbors::default() };
     let driver = Checked { driver, filter, next_lldp: Instant::MIN };
     RANDOM.lock(|state| state.set(!seed));
     embassy_net::new(driver, address::config(settings), resources, seed)
@@ -90,9 +95,18 @@ pub fn is_dead(silence: Duration) -> bool {
     has_received && silent_since.is_some_and(|since| since.elapsed() > silence)
 }
 
-/// Tells the driver the board's name, address and router, for ever: the stack calls the driver while it is borrowed.
-pub(crate) async fn follow(stack: Stack<'_>, name: &'static str) -> ! {
-    NAME.lock(|cell| cell.set(name));
+/// Sets the [`description`].
+pub(crate) fn describe(parts: &Parts) {
+    DESCRIPTION.lock(|cell| cell.set([parts.name, parts.version]));
+}
+
+/// Returns the name of the board and the version of its image, for LLDP and `find`.
+pub(crate) fn description() -> [&'static str; 2] {
+    DESCRIPTION.lock(Cell::get)
+}
+
+/// Tells the driver the board's address and router, for ever: the stack calls the driver while it is borrowed.
+pub(crate) async fn follow(stack: Stack<'_>) -> ! {
     loop {
         let route = stack.config_v4().map(|StaticConfigV4 { address, gateway: router, .. }| {
             let own = (address.address(), address.prefix_len());
@@ -116,6 +130,8 @@ struct Filter {
     next_offer: Instant,
     /// The refusal that was last logged.
     told: Option<Refused>,
+    /// The earliest time of the next line about a refusal.
+    next_line: Instant,
     neighbors: Neighbors,
 }
 
@@ -145,9 +161,10 @@ impl<D: Driver> Driver for Checked<D> {
                 && let Some(room) = driver.transmit(cx)
             {
                 *next_lldp = Instant::now().saturating_add(LLDP_PAUSE);
-                let description = [NAME.lock(Cell::get), " ", env!("CARGO_PKG_VERSION")];
+                let [name, version] = description();
                 let mut frame = [0; lldp::FRAME];
-                let len = lldp::write(mac, own.0, settings.hostname.unwrap_or_default(), description, &mut frame);
+                let host = settings.hostname.unwrap_or_default();
+                let len = lldp::write(mac, own.0, host, [name, " ", version], &mut frame);
                 room.consume(len, |room| room.iter_mut().zip(frame).for_each(|(to, from)| *to = from));
             }
             if let Some(request) = filter.neighbors.request(own, mac)
@@ -227,7 +244,7 @@ impl<T: RxToken> RxToken for CheckedFrame<'_, T> {
 }
 
 impl Filter {
-    /// Tells whether the network stack may have a frame; logs a refused lease, unless it is the last one again.
+    /// Tells whether the network stack may have a frame; logs a refused lease, unless it is the last one again, at most one a second.
     fn may_pass(&mut self, frame: &mut [u8], mac: [u8; 6]) -> bool {
         // wraps, as the neighbors expect
         let now = Instant::now().as_millis() as u32;
@@ -245,8 +262,9 @@ impl Filter {
             }
             Ok(_) => true,
             Err(refused) => {
-                if self.told != Some(refused) {
-                    self.told = Some(refused);
+                let now = Instant::now();
+                if self.told != Some(refused) && now >= self.next_line {
+                    (self.told, self.next_line) = (Some(refused), now.saturating_add(LOG_PAUSE));
                     let Refused { server, address, reason } = refused;
                     defmt::warn!("DHCP: refused {} from {}: {=str}", address, server, reason.text());
                 }

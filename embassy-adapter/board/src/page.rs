@@ -8,7 +8,7 @@ use core::pin::pin;
 use core::time::Duration;
 
 use bcap_embassy::clock::now;
-use bcap_embassy::http::{Content, Decision, HttpListener, Method, Request, Site, Status};
+use bcap_embassy::http::{Body, Content, Decision, HttpListener, Method, Request, Site, Status};
 use bcap_embassy::net::Options;
 use bcap_gateway::{Allow, Gateway};
 use embassy_executor::{SpawnError, Spawner};
@@ -125,7 +125,7 @@ impl Site<'static> for Pages {
         (memory, Page::Method)
     }
 
-    fn write(&self, page: Page, out: &mut dyn Write) -> Option<(Status, Content)> {
+    fn write(&self, page: Page, out: &mut Body<'_>) -> Option<(Status, Content)> {
         let (written, content) = match page {
             Page::State | Page::Json => return write_state(self.board, &self.parts, &page, out),
             Page::Rules => (self.board.view(|gateway| write_rules(gateway, out))?, Content::Html),
@@ -176,7 +176,7 @@ fn write_state(board: &Board, parts: &Parts, page: &Page, out: &mut dyn Write) -
     let answer = |gateway: &Gateway<'_>| {
         let health = Health {
             image: IMAGE,
-            version: env!("CARGO_PKG_VERSION"),
+            version: parts.version,
             update,
             uptime: Duration::from_micros(now().as_micros()),
             last_reset: &parts.last_reset,
@@ -194,31 +194,53 @@ fn write_state(board: &Board, parts: &Parts, page: &Page, out: &mut dyn Write) -
     board.view(answer).flatten()
 }
 
+/// The ends of the pages with rows.
+const TABLE_END: &str = "</table>";
+const CLIENTS: &str = "<p>Clients:";
+const ALL: &str = " all";
+const CUT: &str = "<p>The page has no room for the others.";
+const STATE: &str = "<p><a href=/>State</a>";
+
 /// Writes the rules, as far as there is room.
-fn write_rules(gateway: &Gateway<'_>, page: &mut dyn Write) -> fmt::Result {
+fn write_rules(gateway: &Gateway<'_>, page: &mut Body<'_>) -> fmt::Result {
+    const REST: usize = TABLE_END.len() + CLIENTS.len() + ALL.len() + CUT.len() + STATE.len();
     let rules = &gateway.config().rules;
     page.write_str("<!DOCTYPE html><html lang=en><meta charset=utf-8><title>rules</title><h1>Rules</h1><table>")?;
-    for (verb, rules) in [("GET", rules.get), ("PUT", rules.put)] {
-        for Allow { kind, first, last, values, clients } in rules {
-            write!(page, "<tr><td>{verb}<td>{kind}/{first}-{last}<td>")?;
-            for bounds in *values {
-                write!(page, "{bounds} ")?;
-            }
-            write!(page, "<td>{clients}")?;
-        }
+    let shown = [("GET", rules.get), ("PUT", rules.put)].into_iter().try_for_each(|(verb, rules)| {
+        rules.iter().try_for_each(|rule| page.row(REST, |page| write_rule(verb, rule, page)))
+    });
+    page.write_str(TABLE_END)?;
+    page.write_str(CLIENTS)?;
+    if rules.clients.is_empty() {
+        page.write_str(ALL)?;
     }
-    page.write_str("</table><p>Clients:")?;
-    for network in rules.clients {
-        write!(page, " {network}")?;
+    let mut clients = rules.clients.iter();
+    let shown = shown.and(clients.try_for_each(|network| page.row(REST, |page| write!(page, " {network}"))));
+    if shown.is_err() {
+        page.write_str(CUT)?;
     }
-    page.write_str(if rules.clients.is_empty() { " all<p><a href=/>State</a>" } else { "<p><a href=/>State</a>" })
+    page.write_str(STATE)
 }
 
-/// Writes the last messages, the newest first.
-fn write_log(page: &mut dyn Write) -> fmt::Result {
+fn write_rule(verb: &str, rule: &Allow<'_>, page: &mut Body<'_>) -> fmt::Result {
+    let Allow { kind, first, last, values, clients } = rule;
+    write!(page, "<tr><td>{verb}<td>{kind}/{first}-{last}<td>")?;
+    for bounds in *values {
+        write!(page, "{bounds} ")?;
+    }
+    write!(page, "<td>{clients}")
+}
+
+/// Writes the last messages, the newest first, as far as there is room.
+fn write_log(page: &mut Body<'_>) -> fmt::Result {
+    const REST: usize = TABLE_END.len() + STATE.len();
     page.write_str(
         "<!DOCTYPE html><html lang=en><meta charset=utf-8><meta http-equiv=refresh content=5><title>log</title><h1>Log</h1><table>",
     )?;
-    messages::show(&mut |time, id, text| write!(page, "<tr><td>{time}<td>{id}<td>{}", Html(&text)))?;
-    page.write_str("</table><p><a href=/>State</a>")
+    // an error means that there is no room for the older ones
+    let _ = messages::show(&mut |time, id, text| {
+        page.row(REST, |page| write!(page, "<tr><td>{time}<td>{id}<td>{}", Html(&text)))
+    });
+    page.write_str(TABLE_END)?;
+    page.write_str(STATE)
 }

@@ -4,6 +4,7 @@ use bcap_embassy::gateway::SharedGateway;
 use bcap_embassy::net::{Backlog, Usage};
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 
+use crate::identity::VERSION;
 use crate::record::Cause;
 #[cfg(feature = "modbus")]
 use crate::sizes::MODBUS;
@@ -57,6 +58,8 @@ pub(crate) static PAGE_BACKLOG: Backlog = Backlog::new();
 pub struct Parts {
     /// The name of the board or the project, for `bcap board find`.
     pub name: &'static str,
+    /// The version of the image; at most 20 bytes.
+    pub version: &'static str,
     /// The cause of the last reset.
     pub last_reset: Cause,
     /// Writes the counters of the Ethernet controller.
@@ -72,14 +75,17 @@ pub struct Parts {
 }
 
 impl Parts {
-    /// Logs the cause of the last reset, and returns the parts of a board of this name that has no separate counters.
+    /// Logs the cause of the last reset, and returns the parts of a board of this name that has no separate counters. `version` is the
+    /// version of the image, `env!("CARGO_PKG_VERSION")`.
     #[must_use]
-    pub fn after(last_reset: Cause, name: &'static str) -> Self {
+    pub fn after(last_reset: Cause, name: &'static str, version: &'static str) -> Self {
         defmt::info!("last reset: {}", defmt::Display2Format(&last_reset));
         #[cfg(feature = "update")]
         crate::trial::set_last_reset(last_reset);
         Self {
             name,
+            // a project can have a longer one
+            version: version.get(..version.len().min(VERSION)).unwrap_or_default(),
             last_reset,
             frames: |_| {},
             counters: |_| {},

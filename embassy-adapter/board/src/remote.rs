@@ -8,6 +8,7 @@
 
 use core::cell::RefCell;
 use core::convert::Infallible;
+use core::net::SocketAddrV4;
 
 use embassy_executor::{SpawnError, Spawner};
 use embassy_net::tcp::TcpSocket;
@@ -22,7 +23,7 @@ use static_cell::ConstStaticCell;
 
 use crate::console::{Console, LINE};
 use crate::signature::KEY;
-use crate::{Settings, UPDATE_PORT as PORT};
+use crate::{Settings, UPDATE_PORT as PORT, report};
 
 /// How long a host may be silent, and how long the flash may take.
 const SILENCE: Duration = Duration::from_secs(15);
@@ -108,14 +109,15 @@ async fn serve(stack: Stack<'static>, settings: &'static Settings<'static>) -> !
     socket.set_nagle_enabled(false);
     loop {
         if socket.accept(PORT).await.is_ok() {
-            let host = socket.remote_endpoint().map(|IpEndpoint { addr: IpAddress::Ipv4(address), .. }| address);
-            if host.is_some_and(|host| settings.may_update(host)) {
+            let host = socket.remote_endpoint();
+            let host = host.map(|IpEndpoint { addr: IpAddress::Ipv4(address), port }| SocketAddrV4::new(address, port));
+            if host.is_some_and(|host| settings.may_update(*host.ip())) {
                 defmt::info!("{}: sends an update", host);
                 serve_host(&mut socket).await;
                 socket.close();
                 let _ = with_timeout(END, socket.flush()).await;
             } else {
-                defmt::warn!("{}: may not send updates", host);
+                report::refused_host(host);
             }
         } else {
             Timer::after(END).await;

@@ -107,6 +107,14 @@ pub fn log(report: &Report<'_>) {
     }
 }
 
+/// Logs that a host may not send updates.
+#[cfg(all(feature = "update", feature = "port"))]
+pub(crate) fn refused_host(host: Option<SocketAddrV4>) {
+    limited(host, "may not send updates", |left_out| {
+        defmt::warn!("{}: may not send updates{}", Client(host), left_out);
+    });
+}
+
 /// Returns the name of a refusal's reason, for the limits of the log.
 fn name(refusal: &Refusal) -> &'static str {
     match refusal {

@@ -255,6 +255,13 @@ impl<'a> Settings<'a> {
         self.modbus_map.entries()
     }
 
+    /// Returns the idle time after which a client of Modbus loses its connection. A client above the maximum number is refused
+    /// and evicts none, so a silent one must not stay.
+    #[cfg(all(feature = "modbus", any(feature = "embassy", test)))]
+    pub(crate) fn modbus_idle(&self) -> Duration {
+        self.idle.map_or(self.evict, |idle| idle.min(self.evict))
+    }
+
     fn set(&mut self, line: &'a [u8]) -> Result<(), SettingError> {
         let line = str::from_utf8(line).ok().and_then(|line| line.split_once('='));
         let (key, text) = line.ok_or(SettingError::Key)?;
@@ -577,6 +584,14 @@ mod tests {
             ("allow=10.0.0.0/8\nhealth=80\nmac=02:00:00:bc:a9:03", false),
         ] {
             assert_eq!(read(text).is_reached_as(&first), expected, "{text}");
+        }
+    }
+
+    #[cfg(feature = "modbus")]
+    #[test]
+    fn a_silent_client_of_modbus_is_evicted_also_with_a_long_idle_time() {
+        for (text, seconds) in [("", 10), ("evict=20", 20), ("idle=3600", 10), ("idle=5", 5)] {
+            assert_eq!(read(text).modbus_idle(), Duration::from_secs(seconds), "{text}");
         }
     }
 

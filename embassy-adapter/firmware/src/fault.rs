@@ -63,12 +63,26 @@ pub fn last_reset() -> Cause {
     memory::record().take()
 }
 
-/// Ends the program with success: the emulator exits with 0, a board resets.
+/// Ends the program with success: the emulator exits with 0, a board stops.
 pub fn succeed() -> ! {
     uart::flush();
     #[cfg(feature = "semihosting")]
     cortex_m_semihosting::debug::exit(cortex_m_semihosting::debug::EXIT_SUCCESS);
-    SCB::sys_reset()
+    stop()
+}
+
+/// Ends the program after a failure, for a program that must not run again: the emulator exits with an error, a board stops.
+pub fn fail() -> ! {
+    uart::flush();
+    #[cfg(feature = "semihosting")]
+    cortex_m_semihosting::debug::exit(cortex_m_semihosting::debug::EXIT_FAILURE);
+    stop()
+}
+
+fn stop() -> ! {
+    loop {
+        cortex_m::asm::wfi();
+    }
 }
 
 /// Ends the program after a failure: the emulator exits with an error, a board resets.

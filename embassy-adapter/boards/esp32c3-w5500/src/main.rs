@@ -62,7 +62,7 @@ async fn start(spawner: Spawner, p: Peripherals) -> Option<()> {
     watchdog.set_timeout(RwdtStage::Stage0, Duration::from_secs(8));
     watchdog.enable();
     esp_rtos::start(TimerGroup::new(p.TIMG0).timer0, p.FROM_CPU_INTR0);
-    let parts = Parts::after(memory::record().take(), env!("CARGO_PKG_NAME"));
+    let parts = Parts::after(memory::record().take(), env!("CARGO_PKG_NAME"), env!("CARGO_PKG_VERSION"));
     let mut slots = Slots::new(FlashStorage::new(p.FLASH), SETTINGS).ok()?;
     let settings = config::load(Some(&mut slots), config::log);
     let console = UsbSerialJtag::new(p.USB_DEVICE).into_async();

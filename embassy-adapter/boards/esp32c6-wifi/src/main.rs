@@ -25,7 +25,7 @@ use esp_hal::time::Duration;
 use esp_hal::timer::timg::TimerGroup;
 use esp_hal::uart::{self, UartTx};
 use esp_hal::usb::usb_serial_jtag::UsbSerialJtag;
-use esp_radio::wifi::{ControllerConfig, Interface, WifiController};
+use esp_radio::wifi::Interface;
 use esp_storage::FlashStorage;
 use static_cell::StaticCell;
 
@@ -60,14 +60,14 @@ fn start(spawner: Spawner, p: Peripherals) -> Option<()> {
     // the heap of the radio: 57 KB at most as a station, and its queues
     esp_alloc::heap_allocator!(size: 80 * 1024);
     esp_rtos::start(TimerGroup::new(p.TIMG0).timer0, p.FROM_CPU_INTR0);
-    let parts = Parts::after(memory::record().take(), env!("CARGO_PKG_NAME"));
+    let parts = Parts::after(memory::record().take(), env!("CARGO_PKG_NAME"), env!("CARGO_PKG_VERSION"));
     let mut slots = Slots::new(FlashStorage::new(p.FLASH), SETTINGS).ok()?;
     let settings = config::load(Some(&mut slots), config::log);
     let console = UsbSerialJtag::new(p.USB_DEVICE).into_async();
     let log = UartTx::new(p.UART0, uart::Config::default()).ok()?.with_tx(p.GPIO16).into_async();
     spawner.spawn(serve(slots, console, log).ok()?);
 
-    let radio = WifiController::new(p.WIFI, ControllerConfig::default()).ok()?;
+    let radio = radio::start(p.WIFI, settings)?;
     let (resources, random) = (RESOURCES.init_with(StackResources::new), Rng::new());
     let seed = u64::from(random.random()) << 32 | u64::from(random.random());
     let (net, runner) = network::start(Interface::try_station()?, settings, resources, seed);

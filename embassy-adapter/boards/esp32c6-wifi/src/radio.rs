@@ -2,11 +2,22 @@
 
 use bcap_board::Settings;
 use embassy_time::Timer;
+use esp_hal::efuse::{MacAddress, override_mac_address};
+use esp_hal::peripherals::WIFI;
 use esp_radio::wifi::sta::StationConfig;
-use esp_radio::wifi::{AuthenticationMethodConfig, Config, WifiController};
+use esp_radio::wifi::{AuthenticationMethodConfig, Config, ControllerConfig, WifiController};
 
 /// The pause before another attempt to connect to the access point, in seconds.
 const PAUSE: u64 = 2;
+
+/// Starts the radio, with the MAC address of the settings; otherwise it has the one of the chip.
+pub(crate) fn start(wifi: WIFI<'static>, settings: &Settings<'_>) -> Option<WifiController<'static>> {
+    if let Some(mac) = settings.mac {
+        // only a second call fails
+        let _ = override_mac_address(MacAddress::new_eui48(mac));
+    }
+    WifiController::new(wifi, ControllerConfig::default()).ok()
+}
 
 /// Connects to the access point, again and again.
 #[embassy_executor::task]

@@ -64,7 +64,7 @@ fn start(spawner: Spawner, p: Peripherals) -> Option<()> {
 
     let mut watchdog = IndependentWatchdog::new(p.IWDG, WATCHDOG_MICROS);
     watchdog.unleash();
-    let parts = Parts::after(memory::record().take(), env!("CARGO_PKG_NAME"));
+    let parts = Parts::after(memory::record().take(), env!("CARGO_PKG_NAME"), env!("CARGO_PKG_VERSION"));
     chip::steady_flash(p.PA12);
     let flash = Flash::new_blocking(p.FLASH).into_blocking_regions().bank2_region1;
     let mut slots = Slots::new(flash, SETTINGS).ok()?;

@@ -64,7 +64,7 @@ fn start(spawner: Spawner, p: Peripherals) -> Option<()> {
 
     let mut watchdog = IndependentWatchdog::new(p.IWDG1, WATCHDOG_MICROS);
     watchdog.unleash();
-    let parts = Parts::after(memory::record().take(), env!("CARGO_PKG_NAME"));
+    let parts = Parts::after(memory::record().take(), env!("CARGO_PKG_NAME"), env!("CARGO_PKG_VERSION"));
     let flash = Flash::new_blocking(p.FLASH).into_blocking_regions().bank2_region;
     let mut slots = Slots::new(flash, SETTINGS).ok()?;
     let settings = config::load(Some(&mut slots), config::log);

@@ -75,7 +75,7 @@ async fn run(spawner: Spawner, p: Peripherals) -> Option<()> {
 
     let mut watchdog = Watchdog::new(p.WATCHDOG);
     watchdog.start(WATCHDOG_TIME);
-    let parts = Parts::after(memory::record().take(), env!("CARGO_PKG_NAME"));
+    let parts = Parts::after(memory::record().take(), env!("CARGO_PKG_NAME"), env!("CARGO_PKG_VERSION"));
     let mut flash = BoardFlash::new_blocking(p.FLASH);
     let mut id = [0; 8];
     flash.blocking_unique_id(&mut id).ok()?;

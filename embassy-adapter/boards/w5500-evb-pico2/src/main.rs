@@ -74,7 +74,7 @@ async fn run(spawner: Spawner, p: Peripherals) -> Option<()> {
 
     let mut watchdog = Watchdog::new(p.WATCHDOG);
     watchdog.start(WATCHDOG_TIME);
-    let parts = Parts::after(memory::record().take(), env!("CARGO_PKG_NAME"));
+    let parts = Parts::after(memory::record().take(), env!("CARGO_PKG_NAME"), env!("CARGO_PKG_VERSION"));
     let flash = BoardFlash::new_blocking(p.FLASH);
     let id = otp::get_chipid().ok()?.to_le_bytes();
     let mut slots = Slots::new(flash, SETTINGS).ok()?;

@@ -55,7 +55,7 @@ fn start(spawner: Spawner) -> Result<(), SpawnError> {
             show("frames dropped", dropped);
             show("network restarts", restarts);
         },
-        ..Parts::after(fault::last_reset(), env!("CARGO_BIN_NAME"))
+        ..Parts::after(fault::last_reset(), env!("CARGO_BIN_NAME"), env!("CARGO_PKG_VERSION"))
     };
     let settings = config::load(config::log);
     let (stack, runner) = net::start(settings, RESOURCES.init_with(StackResources::new));

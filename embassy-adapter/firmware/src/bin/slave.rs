@@ -5,15 +5,17 @@
 //!  slave: 2005 cycles, late 0, underflows 0, refused 0, round trip p50 .. p99 .. max .. us, jitter p50 .. p99 .. max .. us
 //!  slave: slvMove: refused with ...           and the controller's first error, over a second connection
 //!  slave: perhaps left on the robot: ...      if the calls that end the stream fail; halt the robot
+//!  slave: does not move the robot (...); ...  after a reset, for example by a panic; switch the board off and on
 //! ```
 //!
 //! It speaks TCP to the configured controller. After the trajectory the program ends; with success if no pose reached the
-//! robot too late.
+//! robot too late. A board then stops, and moves the robot again only after power-on.
 #![no_std]
 #![no_main]
 
 use core::fmt::Write as _;
 
+use bcap_board::record::Cause;
 use bcap_board::{Settings, address, stack};
 use bcap_core::bcap::Client;
 use bcap_core::bcap::client::Config as ClientConfig;
@@ -66,6 +68,11 @@ fn start(spawner: Spawner) -> Result<(), SpawnError> {
     // not a `ConstStaticCell`: with a host name in it, the type is not `Send`
     static RESOURCES: StaticCell<StackResources<SOCKETS>> = StaticCell::new();
 
+    let cause = fault::last_reset();
+    if cause != Cause::PowerOn {
+        let _ = writeln!(Text, "slave: does not move the robot (last reset: {cause}); switch the board off and on");
+        fault::fail()
+    }
     let settings = config::load(|line| {
         let _ = writeln!(Text, "settings: cannot read \"{}\"", line.escape_ascii());
     });
@@ -91,7 +98,7 @@ async fn play(stack: Stack<'static>, settings: &'static Settings<'static>) -> ! 
         let _ = writeln!(Text, "slave: no connection, again in 1 s: {error}");
         Timer::after_secs(1).await;
     }
-    if stream(&mut motion, &mut watch, settings).await { fault::succeed() } else { fault::end() }
+    if stream(&mut motion, &mut watch, settings).await { fault::succeed() } else { fault::fail() }
 }
 
 fn link(stack: Stack<'static>, memory: &'static mut Memory) -> Link {
