@@ -622,7 +622,8 @@ impl<'s> Site<'s> for Length {
         (memory, len)
     }
 
-    fn write(&self, len: usize, out: &mut dyn std::fmt::Write) -> Option<(Status, Content)> {
+    fn write(&self, len: usize, out: &mut http::Body<'_>) -> Option<(Status, Content)> {
+        use std::fmt::Write as _;
         write!(out, "{len} bytes").ok().map(|()| (Status::Ok, Content::Text))
     }
 }

@@ -150,7 +150,7 @@ fn a_full_gateway_answers_so_and_an_idle_client_makes_room() {
     between(|_, plcs, board| async move {
         let (plant, link) = (plant(CONFIG), tcp_robot(board));
         let limits =
-            gateway::Limits { evict_after: Some(core::time::Duration::from_millis(300)), ..gateway::Limits::default() };
+            gateway::Limits { evict_after: Some(core::time::Duration::from_secs(3)), ..gateway::Limits::default() };
         let test = ends(async {
             let mut memory = [[[0; 512]; 2]; 4];
             let [a, b, c, d] = &mut memory;
@@ -164,7 +164,7 @@ fn a_full_gateway_answers_so_and_an_idle_client_makes_room() {
             assert_eq!(ask(&mut refused, "GET:RC8:1:I:\r").await, error(HResult::E_MAX_CONNECT));
             assert_eq!(refused.read(&mut [0]).await, Ok(0));
             assert!(logged(&format!("denied {} Full", address(0))));
-            for _ in 0..40 {
+            for _ in 0..400 {
                 assert_eq!(ask(&mut busy, "GET:RC8:1:I:\r").await, answer);
                 Timer::after_millis(10).await;
             }

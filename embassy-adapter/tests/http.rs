@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use crate::common::{address, between};
-use bcap_embassy::http::{Content, Decision, HttpListener, Method, Request, Site, Status};
+use bcap_embassy::http::{Body, Content, Decision, HttpListener, Method, Request, Site, Status};
 use bcap_embassy::net::{Backlog, Options};
 use bcap_test_support::frames;
 use embassy_futures::join::join;
@@ -190,7 +190,7 @@ impl<'s> Site<'s> for Note {
         (memory, (Status::Ok, "taken: "))
     }
 
-    fn write(&self, (status, text): Self::Page, out: &mut dyn Write) -> Option<(Status, Content)> {
+    fn write(&self, (status, text): Self::Page, out: &mut Body<'_>) -> Option<(Status, Content)> {
         let note = self.0.borrow();
         let note = if status == Status::Ok { &note } else { "" };
         write!(out, "{text}{note}").ok().map(|()| (status, Content::Text))

@@ -8,7 +8,7 @@
 //! | [`rac_line`]          | bytes as lines, split into chunks            | the lines of a plain split; written requests read back |
 //! | [`roundtrip_binary`]  | a generated value                            | encoded and decoded to the same value                  |
 //! | [`roundtrip_text`]    | a generated value or float                   | the same bits, or no text and an error; std's floats   |
-//! | [`stream`]            | bytes split into chunks, on all three links  | the frames of the unsplit stream, on both sides        |
+//! | [`stream`]            | bytes split into chunks, on all three links  | clients: the oracle's frames; servers: as unsplit      |
 //! | [`rac_client`]        | requests, lines, time in any order           | requests end once and in time, with their own response |
 //! | [`client`]            | calls, bytes, replies, time in any order     | calls end once and in time, with their own reply       |
 //! | [`server`]            | bytes, calls, waits, time in any order       | valid replies, checked calls, no leaked handle         |

@@ -4,6 +4,7 @@ use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::sync::mpsc::{self, Receiver, Sender};
 use std::thread;
+use std::time::Duration;
 
 use bcap_core::bcap::call::{self, VariableHandle};
 use bcap_core::bcap::{Decoder, FrameWriter, Progress};
@@ -110,6 +111,11 @@ fn serve_rac() -> Server {
     (address, forged)
 }
 
+/// Options of a client that retransmits nothing.
+fn patient() -> Options {
+    Options::default().timeout(Duration::from_secs(30))
+}
+
 fn get() -> impl bcap_core::bcap::call::Call<Reply = call::Any> {
     call::variable_get_value(VariableHandle(1))
 }
@@ -140,7 +146,7 @@ macro_rules! over_tcp {
 macro_rules! over_udp {
     ($clients:ident $(, $wait:tt)?) => {{
         let (address, forged) = serve_udp();
-        let mut client = $clients::connect_udp(address, &Options::default())$(.$wait)?.unwrap();
+        let mut client = $clients::connect_udp(address, &patient())$(.$wait)?.unwrap();
         for count in 0..ROUNDS {
             assert_eq!(client.call(get())$(.$wait)?.unwrap(), Variant::I4(count));
             forged.recv().unwrap();
@@ -191,7 +197,7 @@ fn clients_over_udp_begin_with_serials_of_their_own() {
         serials.collect::<std::collections::BTreeSet<u16>>()
     });
     for _ in 0..20 {
-        let mut client = blocking::connect_udp(address, &Options::default()).unwrap();
+        let mut client = blocking::connect_udp(address, &patient()).unwrap();
         client.call(get()).unwrap();
     }
     let serials = server.join().unwrap();

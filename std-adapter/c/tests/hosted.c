@@ -19,6 +19,12 @@ static bcap_controller connected(void) {
     return cell;
 }
 
+/* Whether the text of the last failure on this thread contains a part. */
+static bool says(const char *part) {
+    char text[512];
+    return bcap_message(text, sizeof text) > 0 && strstr(text, part) != NULL;
+}
+
 /* Checks the text of the last failure on this thread. */
 static void message(const char *part) {
     char text[512];
@@ -139,6 +145,15 @@ static void *halt_later(void *stopper) {
     return NULL;
 }
 
+/* Halts the motion of another connection once the robot moves. */
+static void *halt_motion(void *stopper) {
+    bcap_controller observer = connected();
+    wait_for_motion(observer);
+    OK(bcap_stopper_halt(*(bcap_stopper *)stopper));
+    OK(bcap_close(observer));
+    return NULL;
+}
+
 static void motions(void) {
     bcap_controller cell = connected();
     STATUS(BCAP_E_ARM, bcap_move(cell, &near, 1000));
@@ -185,7 +200,7 @@ static void motions(void) {
     bcap_stopper stopper;
     pthread_t thread;
     OK(bcap_stopper_open(cell, &stopper));
-    CHECK(pthread_create(&thread, NULL, halt_later, &stopper) == 0);
+    CHECK(pthread_create(&thread, NULL, halt_motion, &stopper) == 0);
     bcap_status ended = bcap_move(cell, &far, 60000);
     CHECK(ended == BCAP_E_HALTED);
     CHECK(pthread_join(thread, NULL) == 0);
@@ -248,10 +263,11 @@ static void streams(void) {
     STATUS(BCAP_E_STREAMING, bcap_read_integer(cell, "I1", &integer));
     STATUS(BCAP_E_STREAMING, bcap_move(cell, &near, 1000));
     STATUS(BCAP_E_STREAMING, bcap_stream_start(cell, &options, joints));
-    /* on a busy machine the controller's buffer can run empty, which its error says; then the stream is made again */
+    /* on a busy machine the controller's buffer can run empty, or a pose be late; then the stream is made again */
     for (int attempt = 1; !wave(cell, joints); attempt++) {
         CHECK(attempt < 50);
-        message("0x84201482");
+        if (!says("no pose within 100ms"))
+            message("0x84201482");
         STATUS(BCAP_E_NO_STREAM, bcap_stream_finish(cell, NULL));
         OK(bcap_recover(cell, true));
         OK(bcap_move(cell, &near, 30000));

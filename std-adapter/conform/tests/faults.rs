@@ -793,11 +793,13 @@ fn crashing(robot: SocketAddr, restarts: impl Fn() -> bool + Send + 'static) -> 
 
 /// Binds a port again, which may not be free at once.
 fn bound(address: SocketAddr) -> TcpListener {
+    let until = Instant::now() + Duration::from_secs(60);
     loop {
         match TcpListener::bind(address) {
             Ok(listener) => return listener,
-            Err(_) => thread::sleep(Duration::from_millis(5)),
+            Err(error) => assert!(Instant::now() < until, "{address}: {error}"),
         }
+        thread::sleep(Duration::from_millis(5));
     }
 }
 

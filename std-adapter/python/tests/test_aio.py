@@ -103,7 +103,10 @@ def test_cancelling_the_end_of_a_stream_is_a_cancellation() -> None:
 
             streams: List[bcap.aio.SlaveStream] = []
             streaming = asyncio.create_task(stream())
-            await asyncio.sleep(0.5)
+            while not (streams or streaming.done()):
+                await asyncio.sleep(0.01)
+            # until the end is under way
+            await asyncio.sleep(0.1)
             streaming.cancel()
             with pytest.raises(asyncio.CancelledError):
                 await streaming

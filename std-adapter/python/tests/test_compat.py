@@ -190,7 +190,7 @@ def test_all_functions_have_the_makers_arguments() -> None:
 
 #: a program whose second thread moves the robot; `%s` is what its main thread does meanwhile
 MOVED_BY_A_THREAD = """
-import os, signal, sys, threading, time
+import os, signal, sys, threading
 from bcap.compat import bcapclient
 
 client = bcapclient.BCAPClient("127.0.0.1", int(sys.argv[1]), 10)
@@ -209,7 +209,7 @@ def move():
 failed = []
 mover = threading.Thread(target=move, daemon=True)
 mover.start()
-time.sleep(0.5)
+sys.stdin.readline()
 %s
 """
 
@@ -219,8 +219,11 @@ def moved_by_a_thread(sim: bcap.Sim, meanwhile: str) -> Iterator["subprocess.Pop
     command = [sys.executable, "-c", MOVED_BY_A_THREAD % meanwhile, str(sim.address).rsplit(":", 1)[1]]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as program:
         # a program that hangs is killed
-        killer = threading.Timer(20, program.kill)
+        killer = threading.Timer(60, program.kill)
         killer.start()
+        assert program.stdin and eventually(lambda: sim.moving, 60)
+        program.stdin.write("\n")
+        program.stdin.flush()
         yield program
         program.communicate()
         killer.cancel()

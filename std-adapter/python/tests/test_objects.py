@@ -147,13 +147,12 @@ def test_a_stopper_halts_and_the_motion_says_so(cell: bcap.Controller, sim: bcap
         assert eventually(lambda: sim.moving)
         assert stopper.halt() == "halted"
 
-    with cell.take_arm() as arm:
+    with cell.take_arm() as arm, ThreadPoolExecutor() as pool:
         arm.motor_on()
-        thread = threading.Thread(target=stop)
-        thread.start()
+        stopping = pool.submit(stop)
         with pytest.raises((bcap.Halted, bcap.MotionFailed)):
             arm.move(ASIDE, speed=1)
-        thread.join()
+        stopping.result()
     assert at_rest(sim) and stopper.halt() == "nothing moved"
 
 

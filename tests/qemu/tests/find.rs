@@ -114,7 +114,10 @@ fn only_hosts_of_its_network_get_answers_and_a_flood_gets_few() {
         }
         count += answers(&mut world, &mut board, Duration::from_millis(5)).len();
     }
-    count += answers(&mut world, &mut board, Duration::from_millis(200)).len();
+    while let more @ 1.. = answers(&mut world, &mut board, Duration::from_millis(200)).len() {
+        count += more;
+        assert!(since.elapsed() < TIMEOUT, "{count} answers to {sent} requests");
+    }
     let most = since.elapsed().as_millis() / 50 + 1;
     assert!(sent > 100 && count > 0 && (count as u128) <= most, "{count} answers to {sent} requests, at most {most}");
     ask(&world, HOST, BOARD, &request(NUMBER));

@@ -173,7 +173,7 @@ fn clients_of_other_networks_have_no_access_or_other_rules() {
     let bcap = bcap();
     let sim = Sim::start(&bcap, "127.0.0.1:0");
     // all connections come from 10.0.2.2
-    let rules = [PROVIDER, "allow=10.0.2.0/24", "put=I/1", "put@10.0.2.2=I/2", "put@10.0.2.3=I/3", "idle=2"];
+    let rules = [PROVIDER, "allow=10.0.2.0/24", "put=I/1", "put@10.0.2.2=I/2", "put@10.0.2.3=I/3", "idle=10"];
     let board = Board::start(&sim.bcap, &[], &rules).up();
     let mut plc = Plc::connect_when_free(&board.rac);
     assert_eq!(plc.ask("PUT:RC8:1:I:3,5\r"), "0\r");

@@ -2,9 +2,11 @@
 
 use std::io::{Read, Write};
 use std::net::{TcpStream, UdpSocket};
-use std::time::Instant;
+use std::sync::mpsc::{self, Sender, TryRecvError};
+use std::thread::{JoinHandle, sleep};
+use std::time::{Duration, Instant};
 
-use bcap_qemu::{Board, Sim, TIMEOUT, bcap, free_port, run};
+use bcap_qemu::{Board, Plc, Sim, TIMEOUT, bcap, free_port, run};
 
 /// Sends a request and returns the head and the body of the response. The board resets connections while both listeners
 /// close earlier ones, so it tries again.
@@ -36,37 +38,44 @@ fn number(json: &str, key: &str) -> u64 {
     digits.parse().unwrap_or_else(|_| panic!("{key} in {json}"))
 }
 
-/// Starts a server of SNTP on this machine, whose first answers must be refused, and returns its port.
-fn time_server() -> u16 {
+/// Starts a server of SNTP on this machine, and returns its port. Its first answers must be refused, and so must the last one, which
+/// it sends after a message that the clock is set.
+fn time_server() -> (u16, Sender<()>, JoinHandle<()>) {
     let server = UdpSocket::bind("127.0.0.1:0").unwrap();
     let port = server.local_addr().unwrap().port();
-    std::thread::spawn(move || {
+    let (clock_is_set, is_set) = mpsc::channel();
+    let thread = std::thread::spawn(move || {
         let mut request = [0; 128];
-        while let Ok((count, board)) = server.recv_from(&mut request) {
-            assert_eq!((count, request[0]), (48, 0x23), "a request of version 4");
-            let mut good = [0; 48];
-            (good[0], good[1]) = (0x24, 2);
-            good[24..32].copy_from_slice(&request[40..48]);
-            // 2026-11-26T15:41:40Z
-            good[40..44].copy_from_slice(&4_004_696_500_u32.to_be_bytes());
-            let late = |time: u32, (at, byte): (usize, u8)| {
-                let mut answer = good;
-                answer[40..44].copy_from_slice(&time.to_be_bytes());
-                answer[at] = byte;
-                answer
-            };
-            // in 2027 would be wrong: not synchronised, a client, stratum 0, another request
-            let wrong = [(0, 0xe4), (0, 0x23), (1, 0), (24, good[24] ^ 1)].map(|change| late(4_036_232_500, change));
-            let again = late(4_036_232_500, (0, good[0]));
-            let all = wrong.iter().map(|answer| &answer[..]).chain([&good[..47], &good, &again]);
-            for answer in all {
-                server.send_to(answer, board).unwrap();
-                // the board has room for one datagram
-                std::thread::sleep(std::time::Duration::from_millis(100));
-            }
+        let (count, board) = server.recv_from(&mut request).unwrap();
+        assert_eq!((count, request[0]), (48, 0x23), "a request of version 4");
+        let mut good = [0; 48];
+        (good[0], good[1]) = (0x24, 2);
+        good[24..32].copy_from_slice(&request[40..48]);
+        // 2026-11-26T15:41:40Z
+        good[40..44].copy_from_slice(&4_004_696_500_u32.to_be_bytes());
+        let late = |time: u32, (at, byte): (usize, u8)| {
+            let mut answer = good;
+            answer[40..44].copy_from_slice(&time.to_be_bytes());
+            answer[at] = byte;
+            answer
+        };
+        let send = |answer: &[u8]| {
+            server.send_to(answer, board).unwrap();
+            // the board has room for one datagram
+            sleep(Duration::from_millis(100));
+        };
+        // in 2027 would be wrong: not synchronised, a client, stratum 0, another request
+        for change in [(0, 0xe4), (0, 0x23), (1, 0), (24, good[24] ^ 1)] {
+            send(&late(4_036_232_500, change));
         }
+        send(&good[..47]);
+        // a board that stalls drops some
+        while is_set.try_recv() == Err(TryRecvError::Empty) {
+            send(&good);
+        }
+        send(&late(4_036_232_500, (0, good[0])));
     });
-    port
+    (port, clock_is_set, thread)
 }
 
 /// Returns a message without its time, and whether it has one: of the right day.
@@ -85,8 +94,11 @@ fn the_page_shows_the_state_and_syslog_tells_refusals_and_changes() {
     let sim = Sim::start(&bcap, "127.0.0.1:0");
     let port = free_port();
     let syslog = format!("syslog=10.0.2.2:{}", collector.local_addr().unwrap().port());
-    let ntp = format!("ntp=10.0.2.2:{}", time_server());
-    let settings = ["provider=CaoProv.DENSO.VRC", "hostname=cell-7", "put=F/1=-0.5..2", &syslog, &ntp];
+    let (time_port, clock_is_set, time_server) = time_server();
+    let ntp = format!("ntp=10.0.2.2:{time_port}");
+    let mut settings = vec!["provider=CaoProv.DENSO.VRC", "hostname=cell-7", "put=F/1=-0.5..2", &syslog, &ntp];
+    // more rules than the page has room for
+    settings.extend(["put@192.168.100.200=I/100000-100099=-1000000..1000000"; 31]);
     // the image of the test of Modbus, so that one build serves both
     let modbus = free_port().to_string();
     let mut board = Board::start(&sim.bcap, &["--health", &port.to_string(), "--modbus", &modbus], &settings).up();
@@ -130,17 +142,27 @@ fn the_page_shows_the_state_and_syslog_tells_refusals_and_changes() {
     assert!(get(port, "GET /settings").0.starts_with("HTTP/1.1 404 "));
     let rules = get(port, "GET /rules").1;
     assert!(rules.contains("<tr><td>PUT<td>F/1-1<td>-0.5..2 <td>"), "{rules}");
+    let end = "</table><p>Clients: all<p>The page has no room for the others.<p><a href=/>State</a>";
+    assert!(rules.ends_with(end), "{rules}");
     let since = Instant::now();
-    let log = loop {
-        let log = get(port, "GET /log").1;
-        // the times of earlier messages are known as well then
-        if log.contains("<tr><td>2026-11-26T15:4") {
-            break log;
-        }
-        assert!(since.elapsed() < TIMEOUT, "the clock is not set: {log} {}", board.log());
-    };
+    // the times of earlier messages are known as well then
+    while !get(port, "GET /log").1.contains("<tr><td>2026-11-26T15:4") {
+        assert!(since.elapsed() < TIMEOUT, "the clock is not set: {}", board.log());
+    }
+    clock_is_set.send(()).unwrap();
+    time_server.join().unwrap();
+    let log = get(port, "GET /log").1;
     assert!(!log.contains("2027-"), "{log}");
     assert!(log.contains("<td>refused<td>10.0.2.2:") && log.contains("PUT:RC8:5:I:3,7"), "{log}");
+    // the page escapes these lines, and has no room for all of them; one a second is a message
+    let mut plc = Plc::connect_when_free(&board.rac);
+    for _ in 0..4 {
+        sleep(Duration::from_millis(1100));
+        assert!(plc.ask(&format!("{}\r", "&".repeat(200))).starts_with('-'));
+        assert!(message().ends_with("&&&"));
+    }
+    let log = get(port, "GET /log").1;
+    assert!(log.contains("&amp;&amp;") && log.ends_with("</table><p><a href=/>State</a>"), "{log}");
 
     sim.end("-KILL");
     let mut datagram = [0; 1024];
@@ -150,4 +172,33 @@ fn the_page_shows_the_state_and_syslog_tells_refusals_and_changes() {
     assert!(down.starts_with("<132>1 - cell-7 gateway - robot-down - "), "{down}");
     assert!(get(port, "GET /health.json").1.contains("\"state\":\"down\""));
     assert!(board.is_running(), "{}", board.log());
+}
+
+#[test]
+fn a_message_that_a_search_for_boards_replaces_is_counted_as_lost() {
+    let bcap = bcap();
+    let sim = Sim::start(&bcap, "127.0.0.1:0");
+    let [page, modbus, find] = [(); 3].map(|()| free_port());
+    let [pages, modbus, found] = [page, modbus, find].map(|port| port.to_string());
+    // a collector that does not exist; the image of the test above
+    let options = ["--health", &pages, "--modbus", &modbus, "--find", &found];
+    let board = Board::start(&sim.bcap, &options, &["provider=CaoProv.DENSO.VRC", "syslog=10.0.2.99"]).up();
+    let lost = || number(&get(page, "GET /health.json").1, "syslog messages lost");
+    // the messages of the start, and then none for longer than a message waits
+    let since = Instant::now();
+    let before = loop {
+        let before = lost();
+        sleep(Duration::from_secs(4));
+        if before >= 2 && lost() == before {
+            break before;
+        }
+        assert!(since.elapsed() < TIMEOUT, "{before} messages lost: {}", board.log());
+    };
+    assert!(!run(&bcap, &["rac", "put", "I5", "7", "--robot", &board.rac]).ok);
+    let search = run(&bcap, &["board", "find", &format!("127.0.0.1:{find}"), "--timeout", "20000"]);
+    assert!(search.ok, "{search:?}");
+    let since = Instant::now();
+    while lost() == before {
+        assert!(since.elapsed() < TIMEOUT, "the message was not counted: {}", board.log());
+    }
 }

@@ -125,7 +125,7 @@ impl World {
     }
 
     /// Runs until `done`, at most for `limit`; the board must run throughout.
-    fn run_until(&mut self, board: &mut Board, limit: Duration, done: impl Fn(&Self) -> bool) {
+    pub(crate) fn run_until(&mut self, board: &mut Board, limit: Duration, done: impl Fn(&Self) -> bool) {
         let since = Instant::now();
         while !done(self) {
             assert!(board.is_running(), "the board has ended or was reset: {}", board.log());
@@ -224,7 +224,7 @@ pub(crate) struct Plc {
     requests: u32,
     pub(crate) answers: u32,
     pub(crate) errors: u32,
-    lost: u32,
+    pub(crate) lost: u32,
     longest: Duration,
     /// The times of right answers, in microseconds, in each phase.
     times: [Vec<u32>; 2],

@@ -7,6 +7,7 @@
 mod board;
 mod pc;
 
+use std::io::{self, Write as _};
 use std::net::Ipv4Addr;
 
 use bcap_core::hresult::HResult;
@@ -167,7 +168,11 @@ fn both_drivers_give_clients_the_same_access() {
         for (clients, client, answers) in CASES {
             let from = match client {
                 Client::Ipv4([b, c, d]) => Some([first, b, c, d].into()),
-                Client::Other if driver_serves_no_ipv6(first) => continue,
+                Client::Other if driver_serves_no_ipv6(first) => {
+                    // no package has it, so it is no failure with CI=true
+                    let _ = writeln!(io::stderr(), "skipped: this machine has no address ::1");
+                    continue;
+                }
                 Client::Other => None,
             };
             for protocol in [Protocol::Rac, Protocol::Modbus] {

@@ -197,7 +197,7 @@ fn keep_alives_and_then_silence(_: &mut Target) {
 }
 
 fn endless_replies_with_wrong_serials(_: &mut Target) {
-    ends(&brief(), &[FLOODED, Outcome::Client(ClientError::Closed)], |connection| {
+    ends(&long_timeouts(), &[FLOODED, Outcome::Client(ClientError::Closed)], |connection| {
         let serial = connection.request();
         let mut wrong = serial;
         loop {

@@ -143,7 +143,7 @@ fn answers_that_are_invalid(_: &mut Target) {
 }
 
 fn an_answer_that_never_ends(_: &mut Target) {
-    let outcomes = gets(&brief(), 1, |connection| {
+    let outcomes = gets(&long_timeouts(), 1, |connection| {
         request(connection);
         while connection.send(&[b'7'; 4096]) {}
     });
