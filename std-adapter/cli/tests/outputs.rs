@@ -3,7 +3,7 @@
 use std::io::{Write, pipe};
 use std::process::Stdio;
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crate::common::fake::{Fake, usual, value};
 use crate::common::virtual_robot::Virtual;
@@ -73,8 +73,9 @@ fn a_signal_at_the_prompt_completes_the_recording_and_the_history() {
         _ => usual(request),
     });
     let folder = tempfile::tempdir().unwrap();
-    let history = folder.path().join("state").join("history");
-    let mut shell = command(&["shell", "--write", "/dev/full", "--robot", &fake.address]);
+    let (history, recording) = (folder.path().join("state").join("history"), folder.path().join("shell.pcapng"));
+    let recording = recording.to_str().unwrap();
+    let mut shell = command(&["shell", "--write", recording, "--robot", &fake.address]);
     shell.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).env("BCAP_HISTORY", &history);
     let mut shell = shell.spawn().unwrap();
     // stays open, because the end of the input would end the shell too
@@ -82,12 +83,16 @@ fn a_signal_at_the_prompt_completes_the_recording_and_the_history() {
     lines.write_all(b"get I1\n").unwrap();
     // each prompt asks for messages: the one before the line, and the one after it
     let prompts = || fake.seen().iter().filter(|call| call.starts_with("ControllerGetMessage(")).count();
+    let end = Instant::now() + Duration::from_secs(30);
     while prompts() < 2 {
+        assert!(Instant::now() < end, "{:?}", fake.seen());
         thread::sleep(Duration::from_millis(1));
     }
     send(Signal::TERM, &shell);
     let run: Run = shell.wait_with_output().unwrap().into();
-    assert!(run.code == 130 && run.err.contains("No space left on device"), "{run:?}");
+    assert_eq!(run.code, 130, "{run:?}");
+    let packets: Run = command(&["decode", recording]).output().unwrap().into();
+    assert!(packets.out.trim_end().lines().last().unwrap().contains("Service_Stop"), "{packets:?}");
     assert!(std::fs::read_to_string(history).unwrap().contains("get I1"));
 }
 
