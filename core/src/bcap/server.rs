@@ -662,7 +662,8 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Endpoint for Session<T, R, OB
     fn poll_timeout(&self) -> Option<Instant> {
         match self.state.running {
             Some(running) => Some(running.wake.min(running.until).min(running.keep_alive_at)),
-            None => Some(self.state.partial_until).filter(|at| *at < Instant::FAR_FUTURE && self.state.is_reading()),
+            None => Some(self.state.partial_until)
+                .filter(|at| *at < Instant::FAR_FUTURE && self.inbox.is_partial() && self.state.is_reading()),
         }
     }
 }
