@@ -122,8 +122,10 @@ impl Sim {
 /// Begins a stream that sends no pose, so that a busy machine does not end it, and waits until a page shows it.
 pub(crate) fn stream(sim: &Sim, arm: &mut Arm<'_>, page: &mut Page) {
     until("the page knows of the stream", || {
-        // a call of the page that was on its way may end the stream as it begins
+        // a call of the page that was on its way may end the stream as it begins, which is an error
         if sim.lock().slave_mode() == 0 {
+            sim.lock().clear_errors(bcap_std::now());
+            arm.motor_on().unwrap();
             arm.robot().execute::<()>("slvChangeMode", 0x202).unwrap();
         }
         page.receive().expect("the page is open");
