@@ -172,8 +172,20 @@ impl Browser {
     /// Clicks an element with the mouse, as a person does: it must be visible and enabled.
     #[track_caller]
     pub(crate) fn click(&mut self, selector: &str) {
-        self.hold(selector);
-        self.lift();
+        let watch = format!(
+            "window.isClicked = false; addEventListener('click', (event) => {{ isClicked ||= event.target.closest({}) !== null; }},
+                {{ capture: true, once: true }}); 0",
+            json!(selector)
+        );
+        // what the page draws meanwhile can move the element away from the mouse
+        for _ in 0..5 {
+            self.eval(&watch);
+            self.hold(selector);
+            self.lift();
+            if self.eval("window.isClicked") != false {
+                break;
+            }
+        }
     }
 
     /// Presses the mouse on an element, which must be visible and enabled.
