@@ -783,8 +783,9 @@ fn crashing(robot: SocketAddr, restarts: impl Fn() -> bool + Send + 'static) -> 
                 copy(server.try_clone().unwrap(), client.try_clone().unwrap(), address, None);
                 copy(client, server, address, Some(Arc::clone(&crashed)));
             }
-            ends.iter().for_each(|end| drop(end.shutdown(Shutdown::Both)));
+            // first, so that a client that sees the end of its connection cannot connect again
             drop(life);
+            ends.iter().for_each(|end| drop(end.shutdown(Shutdown::Both)));
             listener = restarts().then(|| bound(address));
         }
     });
@@ -810,7 +811,7 @@ fn copy(mut from: TcpStream, mut to: TcpStream, device: SocketAddr, crashed: Opt
         while let Ok(count @ 1..) = from.read(&mut bytes) {
             if let Some(crashed) = crashed.as_ref().filter(|_| count >= 16 && bytes[count - 1] == 5) {
                 crashed.store(1, Ordering::SeqCst);
-                let _ = (from.shutdown(Shutdown::Both), TcpStream::connect(device));
+                let _ = TcpStream::connect(device);
                 return;
             }
             if to.write_all(&bytes[..count]).is_err() {
