@@ -241,12 +241,9 @@ fn a_halt_that_failed_stays_shown_until_that_robot_is_halted() {
     browser.until(&format!("({shown}) === 0"));
 }
 
-/// A start that a connection which hangs would deliver late is not sent. A stop is.
-#[test]
-fn a_start_is_not_sent_over_a_connection_that_hangs() {
-    let sim = Sim::start();
-    let web = Web::moving(&[("press", sim.address())]);
-    let Some(mut browser) = Browser::start() else { return };
+/// Opens the screen of tasks with the control of the robot. `None` without a browser.
+fn at_the_tasks(web: &Web) -> Option<Browser> {
+    let mut browser = Browser::start()?;
     browser.keep_sockets();
     browser.open(web.url());
     browser.until_text("#state", "ready, motor off");
@@ -254,6 +251,15 @@ fn a_start_is_not_sent_over_a_connection_that_hangs() {
     browser.until_text("#control", "control: Anna (this page)");
     browser.click("[data-id=tasks]");
     browser.until("document.getElementById('task').options.length > 0");
+    Some(browser)
+}
+
+/// A start that a connection which hangs would deliver late is not sent. A stop is.
+#[test]
+fn a_start_is_not_sent_over_a_connection_that_hangs() {
+    let sim = Sim::start();
+    let web = Web::moving(&[("press", sim.address())]);
+    let Some(mut browser) = at_the_tasks(&web) else { return };
     // the messages of the server are lost; those of the page arrive
     browser.eval("sockets.at(-1).onmessage = null");
     browser.until_text("#stale", "bcap web does not answer");
@@ -273,14 +279,7 @@ fn a_start_is_not_sent_over_a_connection_that_hangs() {
 fn an_order_whose_answer_is_lost_is_not_called_undone() {
     let sim = Sim::start();
     let web = Web::moving(&[("press", sim.address())]);
-    let Some(mut browser) = Browser::start() else { return };
-    browser.keep_sockets();
-    browser.open(web.url());
-    browser.until_text("#state", "ready, motor off");
-    browser.enter("#name", "Anna");
-    browser.until_text("#control", "control: Anna (this page)");
-    browser.click("[data-id=tasks]");
-    browser.until("document.getElementById('task').options.length > 0");
+    let Some(mut browser) = at_the_tasks(&web) else { return };
     browser.eval(
         "(() => { const socket = sockets.at(-1); const take = socket.onmessage;
             socket.onmessage = (event) => { if (JSON.parse(event.data).t !== 'answer') take(event); }; })()",
