@@ -27,7 +27,7 @@ use bcap_core::bcap::FunctionId;
 use bcap_core::io::asynch::Running;
 use bcap_core::procedure::{MotionQueue, Procedure, StepError, Until};
 use bcap_core::time::Instant;
-use tokio::sync::{mpsc, oneshot, watch};
+use tokio::sync::{OwnedSemaphorePermit, mpsc, oneshot, watch};
 
 use super::ending::Open;
 use super::socket::{self, BoxFuture, Socket, SocketConnection};
@@ -83,6 +83,8 @@ pub(super) type Worked<T> = Result<Result<T, Error>, Box<dyn Any + Send>>;
 pub(super) struct Work<F, T> {
     pub(super) work: F,
     pub(super) reply: oneshot::Sender<Worked<T>>,
+    /// Its place in the queue, returned at its turn; `None` if it does not wait for one.
+    pub(super) permit: Option<OwnedSemaphorePermit>,
     /// Whether it runs although the caller has gone, because it stops something.
     pub(super) always: bool,
     /// The time limit of its calls.
@@ -95,7 +97,8 @@ where
     T: Send + 'static,
 {
     fn run<'a>(self: Box<Self>, session: &'a mut Session<Socket>) -> BoxFuture<'a, Outcome> {
-        let Self { work, reply, limit, .. } = *self;
+        let Self { work, reply, permit, limit, .. } = *self;
+        drop(permit);
         let begun = Begun::new(reply, || Ok(Err(unanswered(FunctionId::CONTROLLER_EXECUTE, SESSION))));
         Box::pin(async move {
             session.set_limit(limit);

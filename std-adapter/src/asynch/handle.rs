@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bcap_core::variant::{Encode, OwnedVariant};
-use tokio::sync::{Semaphore, mpsc, oneshot, watch};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc, oneshot, watch};
 use tracing::Instrument as _;
 
 use super::SendTransport;
@@ -36,8 +36,8 @@ pub(super) struct Handle {
     limit: Option<Duration>,
 }
 
-/// The maximum number of calls that wait for their turn. Further calls wait before they enter the queue, so a controller that is
-/// too slow for its callers costs no more memory than they do.
+/// The maximum number of calls that wait for their turn, with those whose caller has gone meanwhile. Further calls wait before
+/// they enter the queue, so a controller that is too slow for its callers costs no more memory than they do.
 const QUEUE: usize = 256;
 
 impl Handle {
@@ -101,9 +101,9 @@ impl Handle {
         F: for<'a> FnOnce(&'a mut Session<Socket>) -> BoxFuture<'a, Result<T, Error>> + Send + 'static,
         T: Send + 'static,
     {
-        // nothing closes the semaphore; a permit is returned when the future ends
-        let _permit = self.queue.acquire().await;
-        self.carry_out(work, false).await
+        // nothing closes the semaphore
+        let permit = Arc::clone(&self.queue).acquire_owned().await.ok();
+        self.carry_out(work, permit, false).await
     }
 
     /// Runs a function of the session in the task, even if the caller has gone. It does not wait for a full queue, and no time
@@ -113,17 +113,17 @@ impl Handle {
         F: for<'a> FnOnce(&'a mut Session<Socket>) -> BoxFuture<'a, Result<T, Error>> + Send + 'static,
         T: Send + 'static,
     {
-        self.carry_out(work, true).await
+        self.carry_out(work, None, true).await
     }
 
-    async fn carry_out<T, F>(&self, work: F, always: bool) -> Result<T, Error>
+    async fn carry_out<T, F>(&self, work: F, permit: Option<OwnedSemaphorePermit>, always: bool) -> Result<T, Error>
     where
         F: for<'a> FnOnce(&'a mut Session<Socket>) -> BoxFuture<'a, Result<T, Error>> + Send + 'static,
         T: Send + 'static,
     {
         let (reply, result) = oneshot::channel();
         let limit = self.limit.filter(|_| !always);
-        self.send(Request::Run(Box::new(Work { work, reply, always, limit })))?;
+        self.send(Request::Run(Box::new(Work { work, reply, permit, always, limit })))?;
         match result.await {
             Ok(Ok(result)) => result,
             Ok(Err(panic)) => resume_unwind(panic),
@@ -135,4 +135,39 @@ impl Handle {
 /// Copies an argument, which outlives its caller in the task.
 pub(super) fn owned(value: &impl Encode) -> Result<OwnedVariant, Error> {
     OwnedVariant::new(value).map_err(Error::Argument)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::pin::pin;
+    use std::task::{Context, Waker};
+
+    use super::*;
+
+    #[test]
+    fn calls_given_up_before_their_turn_keep_their_place_in_the_queue() {
+        let (requests, mut waiting) = mpsc::unbounded_channel();
+        let handle = Handle {
+            requests,
+            state: watch::channel(State::Connected).1,
+            counters: Arc::default(),
+            recovered: watch::channel(None).1,
+            address: None,
+            settings: Settings::rc9(),
+            queue: Arc::new(Semaphore::new(QUEUE)),
+            limit: None,
+        };
+        let begin_and_give_up = |count| {
+            for _ in 0..count {
+                let call = pin!(handle.run(|_| Box::pin(async { Ok(()) })));
+                assert!(call.poll(&mut Context::from_waker(Waker::noop())).is_pending());
+            }
+        };
+        begin_and_give_up(2 * QUEUE);
+        assert_eq!(waiting.len(), QUEUE);
+        // the task takes one, so there is a place for one more
+        drop(waiting.try_recv().unwrap());
+        begin_and_give_up(2);
+        assert_eq!(waiting.len(), QUEUE);
+    }
 }
