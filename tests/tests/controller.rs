@@ -139,6 +139,14 @@ fn values_are_waited_for_and_calls_have_time_limits() {
     let late = cell.within(Duration::from_millis(20)).read::<i32>("I1").unwrap_err();
     assert!(matches!(late, Error::NoReply { .. }) && !late.is_lost(), "{late:?}");
     assert_eq!(cell.read::<i32>("I1").unwrap(), 3);
+    let mut robot = cell.robot().unwrap();
+    let late = robot.within(Duration::from_millis(20)).read::<bool>("@SERVO_ON").unwrap_err();
+    assert!(matches!(late, Error::NoReply { .. }) && !late.is_lost(), "{late:?}");
+    let mut arm = robot.take_arm().unwrap();
+    let late = arm.robot().within(Duration::from_millis(20)).read::<bool>("@SERVO_ON").unwrap_err();
+    assert!(matches!(late, Error::NoReply { .. }) && !late.is_lost(), "{late:?}");
+    assert!(!arm.robot().read::<bool>("@SERVO_ON").unwrap());
+    drop(arm);
     drop(cell);
     sim.assert_left();
 }
@@ -410,7 +418,7 @@ const MOVER: &str = "[controller]\nmotor = true
         { move = 'J(-60, 45, 90, 0, 45, 0)' },
     ]\n";
 
-/// Makes a controller that refuses Robot_Halt while its task moves the arm.
+/// Creates a controller that refuses Robot_Halt while its task moves the arm.
 fn moved_by_a_task(faults: &str) -> Served<Simulated> {
     of_model(Profile::Rc8, faults)
 }

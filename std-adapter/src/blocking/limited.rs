@@ -22,6 +22,11 @@ impl<'a> Limited<'a> {
         self
     }
 
+    pub(super) const fn unlimited(mut self) -> Self {
+        self.limit = None;
+        self
+    }
+
     /// Returns the session, for calls without the time limit.
     pub(super) const fn session(&mut self) -> &mut Session<Blocking> {
         self.session

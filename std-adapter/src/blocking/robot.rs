@@ -10,6 +10,7 @@ use bcap_core::slave::{AxisLimits, Format, Stats, Trajectory};
 use bcap_core::variant::{Encode, FromVariant};
 
 use super::ending;
+use super::limited::Limited;
 use super::moving::Moving;
 use super::socket::{Blocking, ready};
 use crate::error::Error;
@@ -32,7 +33,7 @@ use crate::session::{Halted, Session};
 /// ```
 #[derive(Debug)]
 pub struct Robot<'a> {
-    session: &'a mut Session<Blocking>,
+    calls: Limited<'a>,
 }
 
 /// A robot whose arm this client has taken, so that it can move it.
@@ -47,7 +48,24 @@ pub struct Arm<'a> {
 
 impl<'a> Robot<'a> {
     pub(super) const fn new(session: &'a mut Session<Blocking>) -> Self {
-        Self { session }
+        Self { calls: Limited::new(session) }
+    }
+
+    /// Returns this robot with a time limit for each of its calls. An [`Arm`] that it takes has none: motions have their own
+    /// limit, and a halt has none.
+    ///
+    /// A call without a reply in this time fails with [`Error::NoReply`]; the controller may have executed it. The connection
+    /// stays usable.
+    ///
+    /// ```no_run
+    /// # use std::time::Duration;
+    /// # use bcap_std::{Settings, blocking::Controller};
+    /// # let mut cell = Controller::connect("tcp:192.168.0.1", &Settings::rc9())?;
+    /// let joints = cell.robot()?.within(Duration::from_millis(200)).joints()?;
+    /// # Ok::<(), bcap_std::Error>(())
+    /// ```
+    pub const fn within(&mut self, limit: Duration) -> Robot<'_> {
+        Robot { calls: Limited::new(self.calls.session()).within(limit) }
     }
 
     /// Takes the arm, which keeps its speed, tool and work.
@@ -55,9 +73,9 @@ impl<'a> Robot<'a> {
     /// # Errors
     ///
     /// An [`Error`]; the arm is not taken then.
-    pub fn take_arm(self) -> Result<Arm<'a>, Error> {
-        ready(self.session.take_arm())?;
-        Ok(Arm { robot: self })
+    pub fn take_arm(mut self) -> Result<Arm<'a>, Error> {
+        ready(self.calls.session().take_arm())?;
+        Ok(Arm { robot: self.unlimited() })
     }
 
     /// Reads what is wrong: the present errors, mode, stops, motor, torque and Slave Mode. It changes nothing, and interrupts no
@@ -80,7 +98,7 @@ impl<'a> Robot<'a> {
     /// # Ok::<(), bcap_std::Error>(())
     /// ```
     pub fn examine(&mut self) -> Result<Examination, Error> {
-        ready(self.session.examine())
+        self.calls.run(async |session| session.examine().await)
     }
 
     /// Recovers the robot after an error: clears the errors, takes the arm, resets the safe torque off, prepares the motion of a
@@ -110,10 +128,15 @@ impl<'a> Robot<'a> {
         self.make_ready(None)
     }
 
-    fn make_ready(self, config: Option<RecoveryConfig>) -> Result<Arm<'a>, Error> {
-        ready(self.session.expect_no_arm())?;
-        ready(self.session.make_ready(config, |_, _| ControlFlow::Continue(())))?;
-        Ok(Arm { robot: self })
+    fn make_ready(mut self, config: Option<RecoveryConfig>) -> Result<Arm<'a>, Error> {
+        let session = self.calls.session();
+        ready(session.expect_no_arm())?;
+        ready(session.make_ready(config, |_, _| ControlFlow::Continue(())))?;
+        Ok(Arm { robot: self.unlimited() })
+    }
+
+    fn unlimited(self) -> Self {
+        Self { calls: self.calls.unlimited() }
     }
 
     /// Reads the joints, in degrees, or mm for a linear axis.
@@ -122,7 +145,7 @@ impl<'a> Robot<'a> {
     ///
     /// An [`Error`].
     pub fn joints(&mut self) -> Result<Joints, Error> {
-        ready(self.session.execute_robot("CurJnt", ()))
+        self.calls.run(async |session| session.execute_robot("CurJnt", ()).await)
     }
 
     /// Reads the position of the tool in mm and degrees: of the selected tool in the selected work coordinates.
@@ -131,16 +154,16 @@ impl<'a> Robot<'a> {
     ///
     /// An [`Error`].
     pub fn position(&mut self) -> Result<Position, Error> {
-        ready(self.session.execute_robot("CurPos", ()))
+        self.calls.run(async |session| session.execute_robot("CurPos", ()).await)
     }
 
     /// Reads a variable of the robot, such as `@SERVO_ON`.
     ///
     /// # Errors
     ///
-    /// As [`Controller::read`](super::Controller::read).
+    /// Same as [`Controller::read`](super::Controller::read).
     pub fn read<T: for<'v> FromVariant<'v>>(&mut self, name: &str) -> Result<T, Error> {
-        ready(self.session.read(Object::Robot, name))
+        self.calls.run(async |session| session.read(Object::Robot, name).await)
     }
 
     /// Executes a command of the robot with a parameter, and returns its value.
@@ -153,7 +176,7 @@ impl<'a> Robot<'a> {
     ///
     /// An [`Error`]; [`Error::Value`] if the value of the reply has another type.
     pub fn execute<T: for<'v> FromVariant<'v>>(&mut self, command: &str, parameter: impl Encode) -> Result<T, Error> {
-        ready(self.session.execute_any_of_robot(command, parameter))
+        self.calls.run(async |session| session.execute_any_of_robot(command, parameter).await)
     }
 
     /// Halts the robot, even without the arm, and waits until it rests.
@@ -169,7 +192,7 @@ impl<'a> Robot<'a> {
     /// An [`Error`]; the robot may still move. [`Error::NotHalted`] if the robot still moved, or the halt stays
     /// refused.
     pub fn halt(&mut self) -> Result<Halted, Error> {
-        ready(self.session.halt_and_verify())
+        ready(self.calls.session().halt_and_verify())
     }
 }
 
@@ -180,7 +203,7 @@ impl<'a> Arm<'a> {
 
     /// Returns the session, for objects of this session that exist while the arm is taken.
     pub(super) const fn session(&mut self) -> &mut Session<Blocking> {
-        self.robot.session
+        self.robot.calls.session()
     }
 
     /// Ends the use of this object without giving the arm back. The session keeps the arm:
@@ -195,7 +218,7 @@ impl<'a> Arm<'a> {
     ///
     /// An [`Error`].
     pub fn motor_on(&mut self) -> Result<(), Error> {
-        ready(self.robot.session.motor(true))
+        ready(self.session().motor(true))
     }
 
     /// Switches the motor off, and waits until it is.
@@ -204,7 +227,7 @@ impl<'a> Arm<'a> {
     ///
     /// An [`Error`].
     pub fn motor_off(&mut self) -> Result<(), Error> {
-        ready(self.robot.session.motor(false))
+        ready(self.session().motor(false))
     }
 
     /// Sets the external speed, in percent of the maximum.
@@ -213,7 +236,7 @@ impl<'a> Arm<'a> {
     ///
     /// An [`Error`].
     pub fn set_speed(&mut self, percent: f64) -> Result<(), Error> {
-        ready(self.robot.session.execute_robot("ExtSpeed", percent))
+        ready(self.session().execute_robot("ExtSpeed", percent))
     }
 
     /// Selects a tool, which is the point that later positions are about; 0 is the flange.
@@ -222,7 +245,7 @@ impl<'a> Arm<'a> {
     ///
     /// An [`Error`].
     pub fn select_tool(&mut self, number: u8) -> Result<(), Error> {
-        ready(self.robot.session.change("Tool", number))
+        ready(self.session().change("Tool", number))
     }
 
     /// Selects work coordinates, in which later positions are; 0 is the base of the robot.
@@ -231,7 +254,7 @@ impl<'a> Arm<'a> {
     ///
     /// An [`Error`].
     pub fn select_work(&mut self, number: u8) -> Result<(), Error> {
-        ready(self.robot.session.change("Work", number))
+        ready(self.session().change("Work", number))
     }
 
     /// Moves, and waits until the motion ends, at most for `limit`; the robot is halted then.
@@ -245,7 +268,7 @@ impl<'a> Arm<'a> {
     /// An [`Error`]. If the motion may have begun, the robot was halted, unless the connection is lost.
     pub fn move_to(&mut self, motion: &Move, limit: Duration) -> Result<Motion, Error> {
         let queue = MotionQueue::new(MotionConfig::within(limit));
-        let queue = ready(self.robot.session.run_queue(queue, Some(motion.clone()), Until::Ended))?;
+        let queue = ready(self.session().run_queue(queue, Some(motion.clone()), Until::Ended))?;
         Ok(queue.ended().unwrap_or(Motion::Unknown))
     }
 
@@ -277,7 +300,7 @@ impl<'a> Arm<'a> {
     /// ```
     pub fn start(&mut self, motion: &Move, limit: Duration) -> Result<Moving<'_>, Error> {
         let queue = MotionQueue::new(MotionConfig::within(limit));
-        Moving { session: self.robot.session, queue }.run(Some(motion), Until::Begun)
+        Moving { session: self.session(), queue }.run(Some(motion), Until::Begun)
     }
 
     /// Streams poses in Slave Mode, one every 8 ms, until the trajectory ends, and waits until the robot rests.
@@ -298,7 +321,7 @@ impl<'a> Arm<'a> {
         limits: AxisLimits,
         trajectory: &mut T,
     ) -> Result<Stats, Error> {
-        ready(self.robot.session.stream(format, limits, trajectory))
+        ready(self.session().stream(format, limits, trajectory))
     }
 
     /// Returns the robot, to read its position.
@@ -311,8 +334,8 @@ impl<'a> Arm<'a> {
     /// # Errors
     ///
     /// The first [`Error`].
-    pub fn give(self) -> Result<(), Error> {
-        ready(self.robot.session.give_arm())
+    pub fn give(mut self) -> Result<(), Error> {
+        ready(self.session().give_arm())
     }
 }
 
@@ -325,7 +348,7 @@ impl Moving<'_> {
 
 impl Drop for Arm<'_> {
     fn drop(&mut self) {
-        if let Err(error) = ending::within_limit(self.robot.session, |session| ready(session.end_arm())) {
+        if let Err(error) = ending::within_limit(self.session(), |session| ready(session.end_arm())) {
             tracing::warn!(%error, "the arm was not given back");
         }
     }
