@@ -56,6 +56,11 @@ impl Metrics {
         }
     }
 
+    /// Counts lost readings: those of a full queue, and those that the backlog did not keep.
+    pub(crate) fn lose(&self, readings: u64) {
+        self.dropped.fetch_add(readings, Ordering::Relaxed);
+    }
+
     /// Writes all counters. `names` are the names of the controllers.
     pub(crate) fn text<'a>(&self, names: impl Iterator<Item = &'a str> + Clone, queued: usize) -> String {
         let mut text = String::new();

@@ -51,7 +51,7 @@ impl Queue {
             let oldest = items.iter().position(|item| matches!(item, Item::Reading(_)));
             if oldest.and_then(|oldest| items.remove(oldest)).is_some() {
                 self.losses.fetch_add(1, Ordering::Relaxed);
-                self.metrics.dropped.fetch_add(1, Ordering::Relaxed);
+                self.metrics.lose(1);
             }
         }
         items.push_back(item);

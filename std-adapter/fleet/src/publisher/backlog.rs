@@ -1,4 +1,4 @@
-//! The backlog: readings to send as historical ones, in memory and on disk. It counts all readings that are lost.
+//! The backlog: readings to send as historical ones, in memory and on disk.
 //!
 //! Without a buffer on disk, the newest [`MEMORY`] readings are kept. With one, new readings of the backlog are appended to it,
 //! and one file after another is loaded to be sent. The file is deleted when all of its readings have arrived. While the disk
@@ -47,7 +47,7 @@ impl Backlog {
         if self.store.is_none() {
             self.next.extend(readings);
             let excess = trim(&mut self.next);
-            return self.lose(excess);
+            return self.shared.metrics.lose(excess);
         }
         self.unstored.extend(readings);
         self.append().await;
@@ -75,7 +75,7 @@ impl Backlog {
     /// Drops the oldest readings that wait for the store and do not fit the memory.
     fn trim_unstored(&mut self) {
         let excess = trim(&mut self.unstored);
-        self.lose(excess);
+        self.shared.metrics.lose(excess);
     }
 
     /// Adds readings to send as soon as there are no new ones.
@@ -153,7 +153,7 @@ impl Backlog {
     pub(super) fn close(self) {
         let readings = (self.next.len() + self.unstored.len()) as u64;
         if readings > 0 {
-            self.lose(readings);
+            self.shared.metrics.lose(readings);
             (self.shared.report)(&Event::Unsent { readings });
         }
     }
@@ -180,7 +180,7 @@ impl Backlog {
             (store, result, counts)
         });
         let (store, result, (dropped, stored, bytes)) = done.await.ok()?;
-        self.lose(dropped);
+        self.shared.metrics.lose(dropped);
         self.shared.metrics.stored.store(stored, Ordering::Relaxed);
         self.shared.metrics.stored_bytes.store(bytes, Ordering::Relaxed);
         self.store = Some(store);
@@ -189,11 +189,6 @@ impl Backlog {
 
     fn report_failure(&self, error: &io::Error) {
         (self.shared.report)(&Event::BufferFailed { reason: error.to_string() });
-    }
-
-    /// Counts lost readings.
-    fn lose(&self, readings: u64) {
-        self.shared.metrics.dropped.fetch_add(readings, Ordering::Relaxed);
     }
 }
 
