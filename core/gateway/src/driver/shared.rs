@@ -52,7 +52,8 @@ impl<'m, P: Platform> SharedGateway<'m, P> {
         self.with(|shared| shared.connected().count()).unwrap_or_default()
     }
 
-    /// Tells whether the rules allow a client to connect; logs it if they do not. For listeners of your own.
+    /// Returns whether the rules allow a client to connect; logs it if they do not. For listeners of your own, which reset such
+    /// a connection at once. [`serve`](super::serve) checks it again.
     pub fn admits(&self, client: P::Address) -> bool {
         let admitted = self.view(|gateway| gateway.config().rules.admits(P::ipv4(client))).unwrap_or_default();
         if !admitted {
@@ -102,7 +103,8 @@ impl<'m, P: Platform> SharedGateway<'m, P> {
         self.view(|gateway| gateway.poll_timeout()).flatten().unwrap_or(Instant::FAR_FUTURE)
     }
 
-    /// Gives a client a slot, if necessary the slot of an idle client; `None` if there is no slot for it.
+    /// Gives a client a slot, if necessary the slot of an idle client; `None` if there is no slot for it, or the rules do not allow it
+    /// to connect.
     pub(super) fn open(&self, client: P::Address, limits: &Limits) -> Option<PeerId> {
         self.with(|shared| shared.open(client, limits))?
     }
@@ -156,10 +158,12 @@ impl<P: Platform> Shared<'_, P> {
     }
 
     fn open(&mut self, address: P::Address, limits: &Limits) -> Option<PeerId> {
-        let peer = if self.is_stopping { None } else { self.take_slot(address, limits) };
+        let is_admitted = self.gateway.config().rules.admits(P::ipv4(address));
+        let peer = if is_admitted && !self.is_stopping { self.take_slot(address, limits) } else { None };
         let report = match peer {
             Some(_) => Report::Connected { client: address },
-            None => Report::Denied { client: address, reason: Denial::Full },
+            None if is_admitted => Report::Denied { client: address, reason: Denial::Full },
+            None => Report::Denied { client: address, reason: Denial::Address },
         };
         (self.log)(&report);
         peer

@@ -19,9 +19,9 @@ use bcap_core::handler::PeerId;
 use bcap_core::io::asynch::Transport;
 use bcap_core::time::Instant;
 
-use super::{Client, Front, Limits, Lock, Platform, SharedGateway, serve};
+use super::{Client, Denial, Front, Limits, Lock, Platform, Report, SharedGateway, serve};
 use crate::modbus::{self, Entry};
-use crate::{Config, Gateway, Memory};
+use crate::{Config, Gateway, Memory, Network, Rules};
 
 /// A platform whose clients have the number of their host and one more as address.
 struct Bench;
@@ -155,6 +155,19 @@ fn a_gateway_that_stops_opens_no_session() {
     shared.stop();
     assert!(shared.open((1, 0), &LIMITS).is_none());
     assert_eq!(std::format!("{shared:?}"), String::from("SharedGateway { .. }"));
+}
+
+/// The listeners ask before; one that forgets it serves no such client either.
+#[test]
+fn a_client_of_no_network_of_the_rules_gets_no_slot() {
+    let networks = [Network::parse("10.0.0.0/8").unwrap()];
+    let rules = Rules { clients: &networks, ..Rules::READ_ONLY };
+    let mut memory = Memory::<1, 4>::new();
+    let shared = SharedGateway::<Bench>::new(Gateway::new(Config { rules, ..Config::RC8 }, &mut memory), |report| {
+        assert!(matches!(report, Report::Denied { client: (1, 0), reason: Denial::Address }), "{report:?}");
+    });
+    assert!(shared.open((1, 0), &LIMITS).is_none());
+    assert_eq!(shared.sessions(), 0);
 }
 
 /// The connection of a client that has sent some lines at once, and counts the answers.
