@@ -200,6 +200,7 @@ impl core::error::Error for EncodeError {}
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub struct TextError {
     /// The kind of error.
     pub kind: TextErrorKind,
@@ -300,6 +301,12 @@ pub enum RequestPart {
 }
 
 impl TextError {
+    /// Creates an error; `column` is counted from 1.
+    #[must_use]
+    pub const fn new(kind: TextErrorKind, column: u32) -> Self {
+        Self { kind, column }
+    }
+
     pub(crate) const fn printing(kind: TextErrorKind) -> Self {
         Self { kind, column: 0 }
     }

@@ -44,6 +44,7 @@ impl Default for Limits {
 /// The strictness of a decoder.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum Strictness {
     /// All lengths and counts must agree.
     #[default]

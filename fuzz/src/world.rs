@@ -105,7 +105,7 @@ impl World {
         if kinds.len() != frame.args.len() || !frame.args.iter().zip(kinds).all(|(value, kind)| kind.accepts(&value)) {
             return;
         }
-        let request = Request { function, args: frame.args };
+        let request = Request::new(function, frame.args);
         let mut buffer = vec![0; BUFFER];
         let mut reply = ReplyValue::new(&mut buffer);
         let outcome = match resumed {

@@ -168,6 +168,7 @@ impl fmt::Display for Pass {
 
 /// The way between two positions.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Interpolation {
     /// All joints move at the same time; the path of the tool is not a line.
     Joint,

@@ -152,7 +152,7 @@ fn the_hostile_list_is_refused() {
         ("3,", TextErrorKind::Missing, 3),
         ("8194,", TextErrorKind::EmptyArray, 6),
     ] {
-        assert_eq!(parse(text), Err(TextError { kind, column }), "{text}");
+        assert_eq!(parse(text), Err(TextError::new(kind, column)), "{text}");
     }
     assert_eq!(parse("3,010"), Ok(Value::I4(10)), "no octal");
     for levels in [usize::from(MAX_DEPTH) + 1, 20_000, 100_000] {

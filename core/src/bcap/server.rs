@@ -50,6 +50,7 @@ use self::serials::{Attempt, Serials, Verdict};
 
 /// A request; the number and the types of its arguments agree with the function table.
 #[derive(Clone, Copy, Debug)]
+#[non_exhaustive]
 pub struct Request<'a> {
     /// The function.
     pub function: FunctionId,
@@ -58,6 +59,12 @@ pub struct Request<'a> {
 }
 
 impl<'a> Request<'a> {
+    /// Creates a request as a server passes it on, to test a [`Handler`].
+    #[must_use]
+    pub const fn new(function: FunctionId, args: Args<'a>) -> Self {
+        Self { function, args }
+    }
+
     /// Returns the handle that the function is called on: its first argument.
     #[must_use]
     pub fn handle(&self) -> i32 {

@@ -16,6 +16,7 @@ pub struct Row {
 
 /// A code, or a range of codes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Pattern {
     /// The first code.
     pub first: u32,

@@ -40,6 +40,7 @@ use crate::variant::{Encode, FromVariant, Variant};
 
 /// The call that starts a motion. Its options contain `NEXT`: otherwise the reply comes when the motion has ended.
 #[derive(Clone, Copy, Debug)]
+#[non_exhaustive]
 pub enum MotionStart<D, O> {
     /// Robot_Move.
     Move {
@@ -92,6 +93,7 @@ pub fn move_and_wait<D: Encode, O: AsRef<str>>(
 /// Until when [`run_queue`] runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
 pub enum Until {
     /// Until the last motion has begun, or the robot rests.
     Begun,

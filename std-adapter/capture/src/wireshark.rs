@@ -108,7 +108,7 @@ fn results() -> String {
         unnamed.flat_map(|row| row.patterns().map(move |pattern| (pattern, row.meaning))).collect();
     // the dissector takes the first one
     patterns.sort_by_key(|(Pattern { first, last, .. }, _)| last - first);
-    for (Pattern { first, last, has_axis }, meaning) in patterns {
+    for (Pattern { first, last, has_axis, .. }, meaning) in patterns {
         let axis = if has_axis { ", axis = true" } else { "" };
         let (meaning, hint) = (quoted(meaning), quoted(&hint(HResult::from_u32(first))));
         let _ = writeln!(

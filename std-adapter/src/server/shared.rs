@@ -369,7 +369,7 @@ mod tests {
     #[test]
     fn a_release_is_not_a_call_of_the_handler() {
         let handler = Mutex::new(Counter::default());
-        let request = bcap::Request { function: FunctionId::SERVICE_STOP, args: Args::NONE };
+        let request = bcap::Request::new(FunctionId::SERVICE_STOP, Args::NONE);
         bcap::Handler::release(&mut Locking(&handler), PeerId(1), &request, Instant::ZERO);
         let counter = handler.lock().unwrap();
         assert_eq!((counter.calls, counter.releases), (0, 1));

@@ -12,11 +12,7 @@ use bcap_core::variant::{OwnedVariant as Value, VarType, Variant};
 /// When the text is not `TYPE,DATA`.
 pub fn from_typed(text: &str) -> Result<Value, TextError> {
     let value = Value::parse_text(text.as_bytes())?;
-    if text.contains(',') {
-        Ok(value)
-    } else {
-        Err(TextError { kind: TextErrorKind::Comma, column: column(text.len() + 1) })
-    }
+    if text.contains(',') { Ok(value) } else { Err(TextError::new(TextErrorKind::Comma, column(text.len() + 1))) }
 }
 
 /// Parses `text` as data of a type. A BOOL may also be `true`, `false`, `on` or `off`.
@@ -207,7 +203,7 @@ fn elements(value: Variant<'_>) -> Option<usize> {
 /// Converts the column of an error in `TYPE,DATA` to a column in the data.
 fn shifted(error: TextError, vartype: VarType) -> TextError {
     let prefix = column(vartype.0.to_string().len() + 1);
-    TextError { column: error.column.saturating_sub(prefix), ..error }
+    TextError::new(error.kind, error.column.saturating_sub(prefix))
 }
 
 fn column(column: usize) -> u32 {

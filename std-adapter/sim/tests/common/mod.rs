@@ -61,7 +61,7 @@ impl World {
         call.arguments(&mut writer).unwrap();
         let bytes = writer.finish(1, 0, call.function().0).unwrap();
         let frame = Decoder::TCP.decode_datagram(bytes).unwrap();
-        let request = Request { function: frame.function(), args: frame.args };
+        let request = Request::new(frame.function(), frame.args);
         let mut buffer = vec![0; 1 << 18];
         let mut reply = ReplyValue::new(&mut buffer);
         let outcome = match resumed {

@@ -300,7 +300,7 @@ mod tests {
         let refused = Refused::default();
         let shared = Watched::shared(Controller::new(Config::new(Profile::Rc8)), refused);
         let mut watched = shared.lock().unwrap();
-        let request = bcap::Request { function: FunctionId::SERVICE_STOP, args: Args::NONE };
+        let request = bcap::Request::new(FunctionId::SERVICE_STOP, Args::NONE);
         bcap::Handler::release(&mut *watched, PeerId(7), &request, Instant::ZERO);
         let screen = watched.screen("", Instant::ZERO);
         assert_eq!((texts(&screen.values), texts(&screen.log)), (vec![], vec![]));
