@@ -1,10 +1,12 @@
 //! A dissector for Wireshark, one Lua file.
 //!
-//! The code of the dissector is `wireshark/dissector.lua`. Its tables (functions, result codes, types, formats of Slave Mode)
-//! are generated here from the tables of the core.
+//! The code of the dissector is `wireshark/dissector.lua`. Its tables (fields of a header, functions, result codes, types, formats of
+//! Slave Mode) are generated here from the tables of the core.
 
 use std::fmt::Write as _;
+use std::ops::Range;
 
+use bcap_core::bcap::header::field;
 use bcap_core::bcap::{self, EOT, FunctionId, HEADER_LEN, Kind, MIN_FRAME, SOH};
 use bcap_core::hresult::{HResult, Pattern, Row};
 use bcap_core::limits::Limits;
@@ -22,7 +24,7 @@ const HEAD: &str = "\
 /// Returns the dissector, for `bcap.lua` in the folder of Wireshark's plugins.
 #[must_use]
 pub fn script() -> String {
-    let tables = [constants(), functions(), results(), types(), poses(), slave()];
+    let tables = [constants(), fields(), functions(), results(), types(), poses(), slave()];
     format!("{HEAD}\n{}{}", tables.join("\n"), include_str!("wireshark/dissector.lua"))
 }
 
@@ -49,6 +51,21 @@ fn constants() -> String {
         FunctionId::ROBOT_MOVE.0,
         HResult::S_EXECUTING.0,
     )
+}
+
+/// A function for each field of a header, which takes its bytes from those of a frame.
+fn fields() -> String {
+    let fields = [
+        ("LENGTH", field::LENGTH),
+        ("SERIAL", field::SERIAL),
+        ("RESERVED", field::RESERVED),
+        ("CODE", field::CODE),
+        ("COUNT", field::COUNT),
+    ];
+    let function = |(name, bytes): (&str, Range<usize>)| {
+        format!("local function {name}(tvb) return tvb({}, {}) end\n", bytes.start, bytes.len())
+    };
+    fields.map(function).concat()
 }
 
 /// The 137 functions: names, arguments, what they open and release.

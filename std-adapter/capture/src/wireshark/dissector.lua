@@ -614,8 +614,8 @@ end
 
 local function parse_frame(tvb)
     unexamined = MOST_VALUES
-    local frame = { length = tvb:len(), serial = tvb(5, 2):le_uint(), reserved = tvb(7, 2):le_uint(),
-        code = tvb(9, 4):le_uint(), count = tvb(13, 2):le_uint(), arguments = {} }
+    local frame = { length = tvb:len(), serial = SERIAL(tvb):le_uint(), reserved = RESERVED(tvb):le_uint(),
+        code = CODE(tvb):le_uint(), count = COUNT(tvb):le_uint(), arguments = {} }
     if tvb(frame.length - 1, 1):uint() ~= EOT then
         frame.bad = "the last byte is not EOT (0x04)"
     else
@@ -832,7 +832,7 @@ local function add_arguments(ctx, tree, frame, record, is_request)
 end
 
 local function add_result(tree, tvb, frame)
-    local item = tree:add_le(f.hresult, tvb(9, 4))
+    local item = tree:add_le(f.hresult, CODE(tvb))
     local name, meaning, hint = result_row(frame.code)
     if meaning then
         generated(item, f.meaning, meaning)
@@ -944,17 +944,17 @@ local function add_info(pinfo, ctx, text)
 end
 
 local function add_header(tree, tvb, frame, is_request)
-    tree:add_le(f.length, tvb(1, 4))
-    tree:add_le(f.serial, tvb(5, 2))
-    tree:add_le(f.reserved, tvb(7, 2))
+    tree:add_le(f.length, LENGTH(tvb))
+    tree:add_le(f.serial, SERIAL(tvb))
+    tree:add_le(f.reserved, RESERVED(tvb))
     if is_request then
-        tree:add_le(f.fn, tvb(9, 4))
+        tree:add_le(f.fn, CODE(tvb))
         generated(tree, f.request, true)
     else
         add_result(tree, tvb, frame)
         generated(tree, f.response, true)
     end
-    tree:add_le(f.count, tvb(13, 2))
+    tree:add_le(f.count, COUNT(tvb))
 end
 
 -- Shows one complete frame. The first pass also records what later frames need.
