@@ -50,7 +50,7 @@ impl<S> DeviceVariable<S> {
         Self { put: Some(put), ..self }
     }
 
-    /// Tells whether RAC names the variable so.
+    /// Returns whether RAC names the variable so.
     fn is(&self, variable: rac::Variable) -> bool {
         self.name.parse() == Ok(variable)
     }

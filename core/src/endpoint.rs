@@ -41,11 +41,11 @@ pub trait Endpoint {
 
 /// A server's session with one peer.
 pub trait ServerEndpoint: Endpoint {
-    /// Tells whether a request runs, which the handler has not completed.
+    /// Returns whether a request runs, which the handler has not completed.
     #[must_use]
     fn is_running(&self) -> bool;
 
-    /// Tells whether part of a request has arrived and its rest has not.
+    /// Returns whether part of a request has arrived and its rest has not.
     #[must_use]
     fn is_receiving(&self) -> bool;
 
@@ -55,7 +55,7 @@ pub trait ServerEndpoint: Endpoint {
     #[must_use]
     fn next_request(&self) -> usize;
 
-    /// Tells whether the session has ended: everything is sent, and the caller must close the link.
+    /// Returns whether the session has ended: everything is sent, and the caller must close the link.
     #[must_use]
     fn is_finished(&self) -> bool;
 

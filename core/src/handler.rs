@@ -177,7 +177,7 @@ impl<'b> ReplyValue<'b> {
         self.memory.bytes().get(self.offset..).and_then(|rest| rest.get(..self.len)).unwrap_or_default()
     }
 
-    /// Tells whether the last call of [`set`](Self::set) failed.
+    /// Returns whether the last call of [`set`](Self::set) failed.
     #[must_use]
     pub const fn is_overflow(&self) -> bool {
         self.overflow

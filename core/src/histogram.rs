@@ -40,7 +40,7 @@ impl<const SUB: usize, const N: usize> Histogram<SUB, N> {
         SUB.trailing_zeros()
     };
 
-    /// Makes an empty histogram.
+    /// Creates an empty histogram.
     #[must_use]
     pub const fn new() -> Self {
         Self { buckets: [0; N], count: 0, max: 0, last: 0 }

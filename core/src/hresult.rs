@@ -76,13 +76,13 @@ impl HResult {
         self.0.cast_unsigned()
     }
 
-    /// Tells whether the call succeeded: bit 31 is clear.
+    /// Returns whether the call succeeded: bit 31 is clear.
     #[must_use]
     pub const fn is_ok(self) -> bool {
         self.0 >= 0
     }
 
-    /// Tells whether the call failed: bit 31 is set.
+    /// Returns whether the call failed: bit 31 is set.
     #[must_use]
     pub const fn is_err(self) -> bool {
         self.0 < 0
@@ -241,7 +241,7 @@ pub struct Hint {
 }
 
 impl Hint {
-    /// Tells whether only a restart of the controller helps.
+    /// Returns whether only a restart of the controller helps.
     pub(crate) fn needs_restart(self) -> bool {
         self.remedy.contains("restart the controller")
     }

@@ -54,17 +54,17 @@ impl Outbox {
         self.len
     }
 
-    /// Tells whether there are unsent bytes.
+    /// Returns whether there are unsent bytes.
     pub(crate) const fn is_sending(&self) -> bool {
         self.sent < self.len
     }
 
-    /// Tells whether no byte was sent.
+    /// Returns whether no byte was sent.
     pub(crate) const fn is_unsent(&self) -> bool {
         self.sent == 0
     }
 
-    /// Tells whether a part was sent: on a stream, the rest must follow it.
+    /// Returns whether a part was sent: on a stream, the rest must follow it.
     pub(crate) const fn is_partial(&self) -> bool {
         0 < self.sent && self.sent < self.len
     }

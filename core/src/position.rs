@@ -59,7 +59,7 @@ pub struct Position {
 }
 
 impl Position {
-    /// Makes a position from X, Y, Z in mm and RX, RY, RZ in degrees, with [`ANY_FIGURE`].
+    /// Creates a position from X, Y, Z in mm and RX, RY, RZ in degrees, with [`ANY_FIGURE`].
     #[must_use]
     pub const fn new(xyz_mm: [f64; 3], rotation_degrees: [f64; 3]) -> Self {
         Self { xyz_mm, rotation_degrees, figure: ANY_FIGURE }
@@ -71,7 +71,7 @@ impl Position {
         Self { figure, ..self }
     }
 
-    /// Makes a position from X, Y, Z, RX, RY, RZ, Fig; `None` if Fig is not an integer of 32 bits.
+    /// Creates a position from X, Y, Z, RX, RY, RZ, Fig; `None` if Fig is not an integer of 32 bits.
     #[must_use]
     pub fn from_array(numbers: [f64; 7]) -> Option<Self> {
         let [x, y, z, rx, ry, rz, fig] = numbers;
@@ -104,7 +104,7 @@ impl Position {
     /// # Ok::<(), bcap_core::error::EncodeError>(())
     /// ```
     pub fn target(self, pass: i32) -> impl Encode + Copy + use<> {
-        Target { numbers: self.to_array(), kind: 0, pass }
+        Destination { numbers: self.to_array(), kind: 0, pass }
     }
 }
 
@@ -144,7 +144,7 @@ impl Joints {
 
     /// Returns the destination of Robot_Move: the numbers as R8, the type and the pass, see [`Position::target`].
     pub fn target(self, pass: i32) -> impl Encode + Copy + use<> {
-        Target { numbers: self.degrees, kind: 2, pass }
+        Destination { numbers: self.degrees, kind: 2, pass }
     }
 }
 
@@ -174,7 +174,7 @@ pub struct Transform {
 }
 
 impl Transform {
-    /// Makes a transform from X, Y, Z in mm, the orient and the approach vector, with [`ANY_FIGURE`].
+    /// Creates a transform from X, Y, Z in mm, the orient and the approach vector, with [`ANY_FIGURE`].
     #[must_use]
     pub const fn new(xyz_mm: [f64; 3], orient: [f64; 3], approach: [f64; 3]) -> Self {
         Self { xyz_mm, orient, approach, figure: ANY_FIGURE }
@@ -186,7 +186,7 @@ impl Transform {
         Self { figure, ..self }
     }
 
-    /// Makes a transform from X, Y, Z, both vectors and Fig; `None` if Fig is not an integer of 32 bits.
+    /// Creates a transform from X, Y, Z, both vectors and Fig; `None` if Fig is not an integer of 32 bits.
     #[must_use]
     pub fn from_array(numbers: [f64; 10]) -> Option<Self> {
         let [x, y, z, ox, oy, oz, ax, ay, az, fig] = numbers;
@@ -211,7 +211,7 @@ impl Transform {
 
     /// Returns the destination of Robot_Move: the numbers as R8, the type and the pass, see [`Position::target`].
     pub fn target(self, pass: i32) -> impl Encode + Copy + use<> {
-        Target { numbers: self.to_array(), kind: 1, pass }
+        Destination { numbers: self.to_array(), kind: 1, pass }
     }
 }
 
@@ -247,14 +247,14 @@ impl<'a> FromVariant<'a> for Joints {
 
 /// The destination of Robot_Move.
 #[derive(Clone, Copy)]
-struct Target<const N: usize> {
+struct Destination<const N: usize> {
     numbers: [f64; N],
     /// The number of the type: 0 P, 1 T, 2 J.
     kind: i32,
     pass: i32,
 }
 
-impl<const N: usize> Encode for Target<N> {
+impl<const N: usize> Encode for Destination<N> {
     fn encode(&self, out: &mut Writer<'_>) -> Result<(), EncodeError> {
         if self.numbers.iter().all(|number| number.is_finite()) {
             return (self.numbers, self.kind, self.pass).encode(out);

@@ -132,7 +132,7 @@ pub struct Wrapping32<F> {
 }
 
 impl<F: Fn() -> u32> Wrapping32<F> {
-    /// Makes a clock from a function that reads the timer.
+    /// Creates a clock from a function that reads the timer.
     #[must_use]
     pub const fn new(read: F) -> Self {
         Self { read, last: Cell::new(0) }

@@ -223,7 +223,7 @@ impl<S> TcpServer<S> {
         Self { port, session: None, peer: PeerId(index), stride: count }
     }
 
-    /// Tells whether a peer is connected.
+    /// Returns whether a peer is connected.
     #[must_use]
     pub const fn is_connected(&self) -> bool {
         self.session.is_some()

@@ -130,7 +130,7 @@ fn executed(controller: &Controller, token: i32) -> u32 {
     controller.view(|tokens| tokens.executed.get(&token).copied().unwrap_or(0)).unwrap()
 }
 
-/// Tells whether no token was executed more than once.
+/// Returns whether no token was executed more than once.
 fn ran_once(controller: &Controller) -> bool {
     controller.view(|tokens| tokens.executed.values().all(|count| *count == 1)).unwrap()
 }

@@ -78,7 +78,7 @@ fn robot() -> IpEndpoint {
     (address(0), 5007).into()
 }
 
-/// Makes a gateway with two slots, until the test's process ends.
+/// Creates a gateway with two slots, until the test's process ends.
 fn plant(config: Config<'_>) -> Plant<'_> {
     Plant::new(Gateway::new(config, Box::leak(Box::new(Memory::<2, 4>::new()))), log)
 }

@@ -12,7 +12,7 @@ use bcap_core::variant::{VariantBuf, Writer};
 use bcap_testkit::value::Value;
 
 use crate::text::check_error;
-use bcap_testkit::link::chunks;
+use bcap_testkit::duplex::chunks;
 
 /// Splits bytes into lines and parses each as a request and as a response.
 ///

@@ -10,8 +10,8 @@ use bcap_core::hresult::HResult;
 use bcap_core::limits::{Limits, Strictness};
 use bcap_core::storage::Storage;
 use bcap_core::time::Instant;
+use bcap_testkit::duplex::chunks;
 use bcap_testkit::frame::{TestFrame, field};
-use bcap_testkit::link::chunks;
 use bcap_testkit::oracle::{Oracle, Verdict};
 use bcap_testkit::value::Value;
 

@@ -575,7 +575,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         Ok(engine.stats().clone())
     }
 
-    /// Tells whether a motion may be under way.
+    /// Returns whether a motion may be under way.
     pub(crate) fn is_moving(&self) -> bool {
         self.arm.moving
     }
@@ -645,7 +645,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     }
 }
 
-/// Tells whether an error means that the controller has closed the connection, and so has ended its session.
+/// Returns whether an error means that the controller has closed the connection, and so has ended its session.
 fn is_closed(error: &CallError) -> bool {
     use io::ErrorKind::{BrokenPipe, ConnectionAborted, ConnectionReset, UnexpectedEof};
     match error {
@@ -657,7 +657,7 @@ fn is_closed(error: &CallError) -> bool {
     }
 }
 
-/// Tells whether writing a variable may switch the motor on, so that giving the arm back switches it off.
+/// Returns whether writing a variable may switch the motor on, so that giving the arm back switches it off.
 fn is_motor_switch(name: &str) -> bool {
     name.rsplit(['/', ':']).next().is_some_and(|name| name.trim().eq_ignore_ascii_case("@SERVO_ON"))
 }

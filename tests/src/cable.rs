@@ -83,7 +83,7 @@ struct Plug {
 }
 
 impl Cable {
-    /// Makes a cable with both ends plugged in.
+    /// Creates a cable with both ends plugged in.
     ///
     /// # Panics
     ///
@@ -164,7 +164,7 @@ impl Shared {
 }
 
 impl Plug {
-    /// Makes a pair of pseudo-terminals without echo and line editing; also returns the path of the device.
+    /// Creates a pair of pseudo-terminals without echo and line editing; also returns the path of the device.
     fn new() -> io::Result<(Self, PathBuf)> {
         // processes that the test starts must not inherit it, or it would stay open after it was unplugged
         let cable = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;

@@ -37,7 +37,7 @@ impl Served<Controller> {
         format!("tcp:{}", self.tcp)
     }
 
-    /// Tells whether the controller is in a state at the present time.
+    /// Returns whether the controller is in a state at the present time.
     pub fn is(&self, state: impl Fn(&Controller) -> bool) -> bool {
         let mut controller = self.application();
         controller.advance(bcap_std::now());

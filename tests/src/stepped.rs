@@ -67,7 +67,7 @@ impl Stepped {
         self.hold = None;
     }
 
-    /// Tells whether a call of this client waits without moving the clock.
+    /// Returns whether a call of this client waits without moving the clock.
     fn holds(&mut self, peer: PeerId) -> bool {
         if let Some(Hold::Next(waits)) = &self.hold {
             // without a receiver the test has ended

@@ -262,7 +262,7 @@ fn depart(at: &str, code: HResult, why: String) -> Departure {
     Departure { at: at.to_owned(), code, why }
 }
 
-/// Tells whether a value is of a type; `[]` stands for any length.
+/// Returns whether a value is of a type; `[]` stands for any length.
 fn is_of_type(value: &Value, gives: &str) -> bool {
     let found = type_name(value);
     match gives.strip_suffix("[]") {

@@ -193,7 +193,7 @@ fn a_call_on_a_stream_can_be_cancelled_at_every_byte_of_request_and_reply() {
     }
 }
 
-/// Makes a frame that a server might send.
+/// Creates a frame that a server might send.
 fn reply(serial: u16, code: HResult, value: Option<i32>) -> Vec<u8> {
     let mut buffer = [0; 64];
     let mut writer = FrameWriter::new(&mut buffer).unwrap();

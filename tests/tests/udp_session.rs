@@ -850,7 +850,7 @@ fn the_session_does_what_the_table_says() {
     assert!(missed.is_empty(), "not covered: {missed:?}");
 }
 
-/// Tells whether a change of the table changes nothing that can be seen.
+/// Returns whether a change of the table changes nothing that can be seen.
 fn is_equivalent(cell: Cell, right: Word, wrong: Word) -> bool {
     let executes = |word| matches!(word, Word::Begin | Word::Execute);
     // the only call that can be last here is a refused one, and it would be refused again

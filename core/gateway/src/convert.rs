@@ -15,7 +15,7 @@ use bcap_core::error::EncodeError;
 use bcap_core::rac::VariableKind;
 use bcap_core::variant::{Element, Encode, VarType, Variant, Writer};
 
-/// Tells whether a value converts to the type of a variable of this kind without loss.
+/// Returns whether a value converts to the type of a variable of this kind without loss.
 pub(super) fn converts(kind: VariableKind, value: &Variant<'_>) -> bool {
     match (value.flatten(), kind.vartype()) {
         (Variant::Array(array), to) => {

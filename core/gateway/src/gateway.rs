@@ -4,8 +4,8 @@ use core::fmt;
 use core::net::Ipv4Addr;
 
 use crate::convert::Converted;
-use crate::handles::{Entry, Handles, Lookup};
-use crate::link::{RobotLink, State};
+use crate::handles::{CachedHandle, Handles, Lookup};
+use crate::link::{LinkState, Phase};
 use crate::slot::{Slot, Waiting};
 use crate::stream::StreamCheck;
 use crate::{Asked, Config, Counters, Event, Refusal, RobotError};
@@ -28,7 +28,7 @@ const FRAME: usize = 640;
 /// A slot takes about 1.2 KiB, a handle 20 bytes.
 pub struct Memory<const SESSIONS: usize, const HANDLES: usize> {
     slots: [Slot; SESSIONS],
-    handles: [Option<Entry>; HANDLES],
+    handles: [Option<CachedHandle>; HANDLES],
     tx: [u8; FRAME],
     rx: [u8; FRAME],
 }
@@ -59,7 +59,7 @@ impl<const SESSIONS: usize, const HANDLES: usize> fmt::Debug for Memory<SESSIONS
 pub struct Gateway<'m> {
     config: Config<'m>,
     client: Client<&'m mut [u8]>,
-    link: RobotLink,
+    link: LinkState,
     stream: StreamCheck,
     handles: Handles<'m>,
     slots: &'m mut [Slot],
@@ -109,7 +109,7 @@ struct Job {
 }
 
 impl<'m> Gateway<'m> {
-    /// Makes a gateway without clients, which requests a connection to its robot.
+    /// Creates a gateway without clients, which requests a connection to its robot.
     #[must_use]
     pub fn new<const S: usize, const H: usize>(config: Config<'m>, memory: &'m mut Memory<S, H>) -> Self {
         let client = Client::new(config.client, memory.tx.as_mut_slice(), memory.rx.as_mut_slice());
@@ -118,7 +118,7 @@ impl<'m> Gateway<'m> {
         Self {
             config,
             client,
-            link: RobotLink::new(config.first_pause, config.longest_pause),
+            link: LinkState::new(config.first_pause, config.longest_pause),
             stream: StreamCheck::Unopened,
             handles: Handles::new(&mut memory.handles),
             slots,
@@ -150,10 +150,10 @@ impl<'m> Gateway<'m> {
         self.slots.len()
     }
 
-    /// Tells whether there is a session with the robot, so that requests are passed on.
+    /// Returns whether there is a session with the robot, so that requests are passed on.
     #[must_use]
     pub const fn is_up(&self) -> bool {
-        matches!(self.link.state, State::Up(_))
+        matches!(self.link.phase, Phase::Up(_))
     }
 }
 
@@ -227,13 +227,13 @@ impl Gateway<'_> {
         self.slot(peer).map_or(&[], |slot| slot.session.line())
     }
 
-    /// Tells whether a client has a request without a reply.
+    /// Returns whether a client has a request without a reply.
     #[must_use]
     pub fn is_running(&self, peer: PeerId) -> bool {
         self.slot(peer).is_some_and(|slot| slot.session.is_running())
     }
 
-    /// Tells whether part of a client's line has arrived and its rest has not.
+    /// Returns whether part of a client's line has arrived and its rest has not.
     #[must_use]
     pub fn is_receiving(&self, peer: PeerId) -> bool {
         self.slot(peer).is_some_and(|slot| slot.session.is_receiving())
@@ -250,20 +250,20 @@ impl Gateway<'_> {
 
 /// The side of the robot.
 impl Gateway<'_> {
-    /// Tells whether the gateway requests a connection to the robot.
+    /// Returns whether the gateway requests a connection to the robot.
     ///
     /// While it does, the caller must open a connection and keep it open; otherwise, the caller must close it. The caller
     /// reports each end with [`robot_closed`](Self::robot_closed); before that, the gateway requests no other connection.
     #[must_use]
     pub const fn robot_wanted(&self) -> bool {
-        matches!(self.link.state, State::Opening | State::Starting | State::Up(_))
+        matches!(self.link.phase, Phase::Opening | Phase::Starting | Phase::Up(_))
     }
 
     /// Records that the connection is open.
     pub fn robot_opened(&mut self, now: Instant) {
         self.settled = Instant::ZERO;
-        if self.link.state == State::Opening {
-            self.link.state = State::Starting;
+        if self.link.phase == Phase::Opening {
+            self.link.phase = Phase::Starting;
             self.client.reset();
             self.last_seen = now;
             let service = self.config.service;
@@ -326,9 +326,9 @@ impl Gateway<'_> {
     }
 
     fn deadline(&self) -> Instant {
-        let link = match self.link.state {
-            State::Down { until } => Some(until),
-            State::Up(_) if self.call.is_none() => Some(self.last_seen.saturating_add(self.config.heartbeat)),
+        let link = match self.link.phase {
+            Phase::Down { until } => Some(until),
+            Phase::Up(_) if self.call.is_none() => Some(self.last_seen.saturating_add(self.config.heartbeat)),
             _ => self.client.poll_timeout(),
         };
         let sessions = self.slots.iter().filter(|slot| slot.peer.is_some()).filter_map(|s| s.session.poll_timeout());

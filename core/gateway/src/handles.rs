@@ -5,7 +5,7 @@ use bcap_core::rac::Variable;
 
 /// A variable and its handle.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Entry {
+pub(super) struct CachedHandle {
     variable: Variable,
     handle: VariableHandle,
     /// The time of its last use, on the table's own clock.
@@ -26,12 +26,12 @@ pub(super) enum Lookup {
 /// A table of handles, whose clock counts its uses.
 #[derive(Debug)]
 pub(super) struct Handles<'m> {
-    entries: &'m mut [Option<Entry>],
+    entries: &'m mut [Option<CachedHandle>],
     clock: u32,
 }
 
 impl<'m> Handles<'m> {
-    pub(super) fn new(entries: &'m mut [Option<Entry>]) -> Self {
+    pub(super) fn new(entries: &'m mut [Option<CachedHandle>]) -> Self {
         entries.fill(None);
         Self { entries, clock: 0 }
     }
@@ -57,7 +57,7 @@ impl<'m> Handles<'m> {
     /// Adds a handle, if there is room.
     pub(super) fn insert(&mut self, variable: Variable, handle: VariableHandle) {
         if let Some(free) = self.entries.iter_mut().find(|entry| entry.is_none()) {
-            *free = Some(Entry { variable, handle, used: self.clock });
+            *free = Some(CachedHandle { variable, handle, used: self.clock });
         }
     }
 

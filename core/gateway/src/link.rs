@@ -22,9 +22,9 @@ use bcap_core::bcap::client::{ClientError, Timeout};
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 
-/// The state of the link.
+/// The phase of the link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum State {
+pub(super) enum Phase {
     Down { until: Instant },
     Opening,
     Starting,
@@ -32,36 +32,36 @@ pub(super) enum State {
     Closing,
 }
 
-/// The link to the robot, without its client.
+/// The state of the link to the robot, without its client.
 #[derive(Debug)]
-pub(super) struct RobotLink {
-    pub(super) state: State,
+pub(super) struct LinkState {
+    pub(super) phase: Phase,
     /// The pause after the next failure.
     pause: Duration,
     first_pause: Duration,
     longest_pause: Duration,
 }
 
-impl RobotLink {
+impl LinkState {
     pub(super) const fn new(first_pause: Duration, longest_pause: Duration) -> Self {
-        Self { state: State::Opening, pause: first_pause, first_pause, longest_pause }
+        Self { phase: Phase::Opening, pause: first_pause, first_pause, longest_pause }
     }
 
     /// Records that the session has begun.
     pub(super) const fn up(&mut self, controller: ControllerHandle) {
-        self.state = State::Up(controller);
+        self.phase = Phase::Up(controller);
         self.pause = self.first_pause;
     }
 
     /// Records a failure while the connection is open; the caller must close it.
     pub(super) const fn fail(&mut self) {
-        self.state = State::Closing;
+        self.phase = Phase::Closing;
     }
 
     /// Records that the connection is closed, or could not be opened.
     pub(super) fn closed(&mut self, now: Instant) {
-        if !matches!(self.state, State::Down { .. }) {
-            self.state = State::Down { until: now.saturating_add(self.pause()) };
+        if !matches!(self.phase, Phase::Down { .. }) {
+            self.phase = Phase::Down { until: now.saturating_add(self.pause()) };
             self.pause = self.pause().saturating_mul(2);
         }
     }
@@ -73,16 +73,16 @@ impl RobotLink {
 
     /// Ends the pause when it is over.
     pub(super) fn handle_timeout(&mut self, now: Instant) {
-        if let State::Down { until } = self.state
+        if let Phase::Down { until } = self.phase
             && now >= until
         {
-            self.state = State::Opening;
+            self.phase = Phase::Opening;
         }
     }
 
     pub(super) const fn controller(&self) -> Option<ControllerHandle> {
-        match self.state {
-            State::Up(controller) => Some(controller),
+        match self.phase {
+            Phase::Up(controller) => Some(controller),
             _ => None,
         }
     }
@@ -137,27 +137,27 @@ mod tests {
     #[test]
     fn pauses_double_up_to_the_longest_and_a_session_resets_them() {
         let ms = Duration::from_millis;
-        let mut link = RobotLink::new(ms(500), ms(3000));
+        let mut link = LinkState::new(ms(500), ms(3000));
         let mut now = Instant::from_millis(7);
         for pause in [500, 1000, 2000, 3000, 3000] {
-            assert_eq!((link.state, link.pause()), (State::Opening, ms(pause)));
+            assert_eq!((link.phase, link.pause()), (Phase::Opening, ms(pause)));
             link.closed(now);
             let until = now + ms(pause);
-            assert_eq!(link.state, State::Down { until });
+            assert_eq!(link.phase, Phase::Down { until });
             link.closed(now + ms(1));
-            assert_eq!(link.state, State::Down { until }, "a second report counts once");
+            assert_eq!(link.phase, Phase::Down { until }, "a second report counts once");
             link.handle_timeout(Instant::from_micros(until.as_micros() - 1));
-            assert_eq!(link.state, State::Down { until });
+            assert_eq!(link.phase, Phase::Down { until });
             link.handle_timeout(until);
             now = until;
         }
         link.up(ControllerHandle(3));
         assert_eq!(link.controller(), Some(ControllerHandle(3)));
         link.fail();
-        assert_eq!(link.state, State::Closing);
+        assert_eq!(link.phase, Phase::Closing);
         link.handle_timeout(Instant::FAR_FUTURE);
-        assert_eq!(link.state, State::Closing, "the old connection is closed first");
+        assert_eq!(link.phase, Phase::Closing, "the old connection is closed first");
         link.closed(now);
-        assert_eq!(link.state, State::Down { until: now + ms(500) });
+        assert_eq!(link.phase, Phase::Down { until: now + ms(500) });
     }
 }

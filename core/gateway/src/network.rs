@@ -39,7 +39,7 @@ impl Network {
         Self::new(address.parse().ok()?, prefix.parse().ok()?)
     }
 
-    /// Tells whether a client belongs to the network. A client without an address belongs to [`ANY`](Self::ANY) only.
+    /// Returns whether a client belongs to the network. A client without an address belongs to [`ANY`](Self::ANY) only.
     #[must_use]
     pub fn contains(&self, client: Option<Ipv4Addr>) -> bool {
         let mask = u32::MAX.checked_shl(32_u32.saturating_sub(self.prefix.into())).unwrap_or(0);

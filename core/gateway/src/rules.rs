@@ -46,7 +46,7 @@ impl Rules<'_> {
     pub const READ_ONLY: Self =
         Self { clients: &[], get: &Allow::EVERYTHING, put: &[], convert: false, rate: Rate::UNLIMITED };
 
-    /// Tells whether a client may connect.
+    /// Returns whether a client may connect.
     #[must_use]
     pub fn admits(&self, address: Option<Ipv4Addr>) -> bool {
         self.clients.is_empty() || self.clients.iter().any(|network| network.contains(address))
@@ -121,7 +121,7 @@ impl Allow<'_> {
     }
 }
 
-/// Tells whether a value has no infinity and no NaN, which a program of the robot could use as a position or a speed.
+/// Returns whether a value has no infinity and no NaN, which a program of the robot could use as a position or a speed.
 fn is_finite(value: &Variant<'_>) -> bool {
     let scalar = |value: &Variant<'_>| value.as_f64().is_none_or(f64::is_finite);
     match value.flatten() {
@@ -142,7 +142,7 @@ pub struct Bounds {
 }
 
 impl Bounds {
-    /// Tells whether a value is in the range. NaN is in no range. A finite R4 is compared with the bounds as R4, because 0.1
+    /// Returns whether a value is in the range. NaN is in no range. A finite R4 is compared with the bounds as R4, because 0.1
     /// as R4 is more than 0.1.
     #[expect(clippy::as_conversions, reason = "a bound is rounded as a value of 32 bits is")]
     fn contain(&self, value: &Variant<'_>) -> bool {

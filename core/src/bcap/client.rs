@@ -32,7 +32,7 @@ use crate::bcap::FunctionId;
 use crate::bcap::call::{Call, Reply, ReplyError};
 use crate::bcap::frame::{Args, Frame, FrameWriter, MIN_FRAME, renumber};
 use crate::bcap::header::Header;
-use crate::bcap::link::{Inbox, Link, Located, OnMalformed, Received};
+use crate::bcap::link::{Inbox, InboxEvent, Link, Located, OnMalformed};
 use crate::endpoint::Endpoint;
 use crate::error::{DecodeError, EncodeError};
 use crate::hresult::HResult;
@@ -316,7 +316,7 @@ enum KeepAlive {
 }
 
 impl<T: Storage, R: Storage> Client<T, R> {
-    /// Makes a client; two buffers of 512 bytes suit most boards.
+    /// Creates a client; two buffers of 512 bytes suit most boards.
     #[must_use]
     pub fn new(config: Config, tx: T, rx: R) -> Self {
         let inbox = Inbox::new(config.link, config.limits, config.strictness, config.on_malformed);
@@ -375,7 +375,7 @@ impl<T: Storage, R: Storage> Client<T, R> {
         &mut self,
         prepared: Option<&[u8]>,
         function: FunctionId,
-        arguments: Arguments<'_>,
+        arguments: ArgumentWriter<'_>,
         timing: Option<&Timing>,
         now: Instant,
     ) -> Result<(), ClientError> {
@@ -408,8 +408,8 @@ impl<T: Storage, R: Storage> Client<T, R> {
         self.next_event(&|| now)
     }
 
-    /// As [`poll_event`](Self::poll_event), but reads the clock only for an event that depends on the time. The reply that ends a call
-    /// does not.
+    /// Same as [`poll_event`](Self::poll_event), but reads the clock only for an event that depends on the time. The reply that
+    /// ends a call does not.
     pub(crate) fn next_event(&mut self, now: &dyn Fn() -> Instant) -> Option<Event> {
         if self.state.closed {
             return None;
@@ -419,16 +419,16 @@ impl<T: Storage, R: Storage> Client<T, R> {
             self.state.watch_frame(self.inbox.is_partial(), now());
         }
         Some(match polled? {
-            Received::Frame(frame) => {
+            InboxEvent::Frame(frame) => {
                 let event = self.state.handle_frame(&frame.header, self.inbox.is_early(frame), now);
                 if matches!(event, Event::Replied(_)) {
                     self.reply = Some(frame);
                 }
                 event
             }
-            Received::TooLarge(frame) => self.state.handle_too_large(&frame.header, self.inbox.is_early(frame)),
-            Received::Malformed(error) => Event::Malformed(error),
-            Received::Broken(error) => self.state.close(ClientError::Malformed(error)),
+            InboxEvent::TooLarge(frame) => self.state.handle_too_large(&frame.header, self.inbox.is_early(frame)),
+            InboxEvent::Malformed(error) => Event::Malformed(error),
+            InboxEvent::Broken(error) => self.state.close(ClientError::Malformed(error)),
         })
     }
 
@@ -497,20 +497,20 @@ impl<T: Storage, R: Storage> Client<T, R> {
         self.state.was_sent = false;
     }
 
-    /// Tells whether the whole request of the last call was sent, so that the peer may have executed it. Without that, a call
+    /// Returns whether the whole request of the last call was sent, so that the peer may have executed it. Without that, a call
     /// over a lost connection was certainly not executed.
     #[must_use]
     pub const fn was_sent(&self) -> bool {
         self.state.was_sent
     }
 
-    /// Tells whether a call is in flight.
+    /// Returns whether a call is in flight.
     #[must_use]
     pub const fn is_busy(&self) -> bool {
         self.state.call.is_some()
     }
 
-    /// Tells whether the session has ended, because the peer sent invalid bytes or a flood of replies.
+    /// Returns whether the session has ended, because the peer sent invalid bytes or a flood of replies.
     #[must_use]
     pub const fn is_closed(&self) -> bool {
         self.state.closed
@@ -569,11 +569,11 @@ fn millis(duration: Duration) -> u16 {
 }
 
 /// Appends the arguments of a call.
-type Arguments<'a> = &'a dyn Fn(&mut FrameWriter<'_>) -> Result<(), EncodeError>;
+type ArgumentWriter<'a> = &'a dyn Fn(&mut FrameWriter<'_>) -> Result<(), EncodeError>;
 
 fn encode(
     function: FunctionId,
-    arguments: Arguments<'_>,
+    arguments: ArgumentWriter<'_>,
     memory: &mut [u8],
     link: Link,
     serial: u16,
@@ -615,7 +615,7 @@ impl State {
         self.partial_until = if is_partial { until } else { Instant::FAR_FUTURE };
     }
 
-    /// Tells whether a frame on a serial line was received in part.
+    /// Returns whether a frame on a serial line was received in part.
     fn is_receiving(&self) -> bool {
         self.partial_until != Instant::FAR_FUTURE
     }
@@ -714,7 +714,7 @@ impl State {
         Event::Failed(ClientError::ReplyTooLarge { length })
     }
 
-    /// Tells whether an attempt of the call in flight was sent with this serial, at least in part.
+    /// Returns whether an attempt of the call in flight was sent with this serial, at least in part.
     fn is_awaited(&self, serial: u16) -> bool {
         let Some(InFlight { first, sent, .. }) = self.call else { return false };
         if serial == sent {
@@ -724,7 +724,7 @@ impl State {
         within(serial, first, sent) && sent != 0 && !self.unanswered.contains(serial)
     }
 
-    /// Tells whether an attempt of the call in flight was sent completely.
+    /// Returns whether an attempt of the call in flight was sent completely.
     fn is_sent(&self) -> bool {
         !self.outbox.is_sending() || self.call.is_some_and(|call| call.attempt > 1)
     }
@@ -778,7 +778,7 @@ const fn later(now: Instant, micros: u64) -> Instant {
     Instant::from_micros(now.as_micros().saturating_add(micros))
 }
 
-/// Tells whether `serial` lies in a range, which may wrap.
+/// Returns whether `serial` lies in a range, which may wrap.
 const fn within(serial: u16, first: u16, last: u16) -> bool {
     serial != 0 && serial.wrapping_sub(first) <= last.wrapping_sub(first)
 }

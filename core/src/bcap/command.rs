@@ -60,13 +60,13 @@ impl FunctionId {
         self.properties(None, None).effect
     }
 
-    /// Tells whether a controller in Slave Mode executes a call of this function, whatever its arguments are.
+    /// Returns whether a controller in Slave Mode executes a call of this function, whatever its arguments are.
     #[must_use]
     pub fn in_slave_mode(self) -> InSlaveMode {
         self.properties(None, None).in_slave_mode
     }
 
-    /// Tells whether the second argument of the function is the name of a command.
+    /// Returns whether the second argument of the function is the name of a command.
     #[must_use]
     pub const fn executes(self) -> bool {
         matches!(

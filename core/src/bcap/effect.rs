@@ -44,7 +44,7 @@ impl Effect {
         }
     }
 
-    /// Tells whether a call of this effect neither writes nor moves.
+    /// Returns whether a call of this effect neither writes nor moves.
     #[must_use]
     pub const fn is_harmless(self) -> bool {
         matches!(self, Self::Session | Self::Reads)
@@ -75,7 +75,7 @@ impl InSlaveMode {
         }
     }
 
-    /// Tells whether the call may be sent while a stream runs; `Unknown` may not.
+    /// Returns whether the call may be sent while a stream runs; `Unknown` may not.
     #[must_use]
     pub const fn is_allowed(self) -> bool {
         matches!(self, Self::Allowed)
@@ -135,7 +135,7 @@ impl StreamState {
         }
     }
 
-    /// Tells whether a call may be sent.
+    /// Returns whether a call may be sent.
     #[must_use]
     pub const fn allows(self, call: Properties) -> bool {
         call.in_slave_mode.is_allowed() || matches!(self, Self::Off | Self::Absent)

@@ -130,7 +130,7 @@ impl Decoder {
     ///
     /// # Errors
     ///
-    /// As [`decode`](Self::decode), and when bytes are missing or follow the frame; a lenient decoder ignores the latter.
+    /// Same as [`decode`](Self::decode), and when bytes are missing or follow the frame; a lenient decoder ignores the latter.
     pub fn decode_datagram<'a>(&self, bytes: &'a [u8]) -> Result<Frame<'a>, DecodeError> {
         let decoded = self.decode_with_header(bytes)?;
         self.check_datagram(decoded, bytes.len()).map(|(header, args)| Frame::new(header, args))
@@ -344,7 +344,7 @@ impl<'a> Args<'a> {
         usize::from(self.count)
     }
 
-    /// Tells whether there are no arguments.
+    /// Returns whether there are no arguments.
     #[must_use]
     pub const fn is_empty(self) -> bool {
         self.count == 0

@@ -113,7 +113,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Tells whether `value` is accepted as this kind.
+    /// Returns whether `value` is accepted as this kind.
     #[must_use]
     pub fn accepts(self, value: &Variant<'_>) -> bool {
         match self {

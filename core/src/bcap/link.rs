@@ -47,7 +47,7 @@ impl Link {
         }
     }
 
-    /// Tells whether frames can get lost, so that calls are sent again.
+    /// Returns whether frames can get lost, so that calls are sent again.
     #[must_use]
     pub const fn is_lossy(self) -> bool {
         !matches!(self, Self::Stream)
@@ -93,7 +93,7 @@ pub(crate) struct Inbox {
 
 /// A result of [`Inbox::poll`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Received {
+pub(crate) enum InboxEvent {
     /// A frame; `Inbox::frame` views it.
     Frame(Located),
     /// A frame that is larger than the buffer; the stream continues after it.
@@ -189,7 +189,7 @@ impl Inbox {
         self.next = self.next.wrapping_add(skipped);
     }
 
-    /// Tells whether bytes were received since the last call.
+    /// Returns whether bytes were received since the last call.
     pub(crate) const fn take_received(&mut self) -> bool {
         core::mem::replace(&mut self.has_received, false)
     }
@@ -204,7 +204,7 @@ impl Inbox {
     }
 
     /// Reads the next frame of the received bytes.
-    pub(crate) fn poll(&mut self, buffer: &mut impl Storage) -> Option<Received> {
+    pub(crate) fn poll(&mut self, buffer: &mut impl Storage) -> Option<InboxEvent> {
         let bytes = buffer.bytes().get(self.next..self.len)?;
         if bytes.is_empty() {
             return None;
@@ -215,15 +215,15 @@ impl Inbox {
             self.malformed = self.next;
             self.next = self.len;
             return Some(match decoded.and_then(|decoded| self.decoder.check_datagram(decoded, bytes.len())) {
-                Ok((header, _)) => Received::Frame(Located::new(start, header)),
-                Err(error) => Received::Malformed(error),
+                Ok((header, _)) => InboxEvent::Frame(Located::new(start, header)),
+                Err(error) => InboxEvent::Malformed(error),
             });
         }
         match decoded {
             Ok(Decoded::Complete(header, _)) => {
                 let frame = Located::new(self.next, header);
                 self.next = frame.end().min(self.len);
-                Some(Received::Frame(frame))
+                Some(InboxEvent::Frame(frame))
             }
             Ok(Decoded::NeedMore(needed)) => {
                 let room = buffer.bytes().len();
@@ -237,25 +237,25 @@ impl Inbox {
             Err(error) if self.on_malformed == OnMalformed::Close => {
                 self.malformed = self.next;
                 self.next = self.len;
-                Some(Received::Broken(error))
+                Some(InboxEvent::Broken(error))
             }
             Err(error) => {
                 self.next = self.next.saturating_add(self.decoder.resync(bytes)).min(self.len);
-                Some(Received::Malformed(error))
+                Some(InboxEvent::Malformed(error))
             }
         }
     }
 
     /// Starts to skip a frame that does not fit the buffer.
-    fn too_large(&mut self, bytes: &[u8], length: usize) -> Received {
+    fn too_large(&mut self, bytes: &[u8], length: usize) -> InboxEvent {
         self.skip = length.saturating_sub(self.len);
         self.next = self.len;
         match Header::read(bytes) {
-            Some(header) => Received::TooLarge(Located::new(0, header)),
+            Some(header) => InboxEvent::TooLarge(Located::new(0, header)),
             // the buffer is shorter than a header, so there is no serial to report
             None => {
                 let kind = DecodeErrorKind::FrameTooLong { length: to_u32(length), limit: to_u32(bytes.len()) };
-                Received::Broken(DecodeError::frame(kind, LENGTH_AT))
+                InboxEvent::Broken(DecodeError::frame(kind, LENGTH_AT))
             }
         }
     }
@@ -268,7 +268,7 @@ impl Inbox {
         Some(Frame::new(frame.header, args))
     }
 
-    /// Tells whether an incomplete frame was received.
+    /// Returns whether an incomplete frame was received.
     pub(crate) const fn is_partial(&self) -> bool {
         self.len > self.next || self.skip > 0
     }
@@ -285,7 +285,7 @@ impl Inbox {
         self.early = self.len;
     }
 
-    /// Tells whether the first byte of a frame arrived before `mark`.
+    /// Returns whether the first byte of a frame arrived before `mark`.
     pub(crate) fn is_early(&self, frame: Located) -> bool {
         frame.start() < self.early
     }

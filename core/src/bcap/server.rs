@@ -27,7 +27,7 @@ use core::time::Duration;
 
 use crate::bcap::frame::{EOT, FrameWriter, crc16, renumber, seal};
 use crate::bcap::header::{HEADER_LEN, Header};
-use crate::bcap::link::{Inbox, Link, Located, OnMalformed, Received};
+use crate::bcap::link::{Inbox, InboxEvent, Link, Located, OnMalformed};
 use crate::bcap::{Args, FunctionId, Kind, Object};
 use crate::endpoint::{Endpoint, Serve, ServerEndpoint};
 use crate::error::DecodeError;
@@ -40,11 +40,11 @@ use crate::storage::Storage;
 use crate::time::Instant;
 use crate::variant::{Bstr, Variant};
 
-mod opened;
+mod open_objects;
 mod options;
 mod serials;
 
-use self::opened::Opened;
+use self::open_objects::OpenObjects;
 pub use self::options::{OptionError, StartOptions};
 use self::serials::{Attempt, Serials, Verdict};
 
@@ -238,7 +238,7 @@ pub struct Session<T, R = T, const OBJECTS: usize = 32> {
     rx: R,
     inbox: Inbox,
     state: State,
-    objects: Opened<OBJECTS>,
+    objects: OpenObjects<OBJECTS>,
 }
 
 /// The part of a session that does not depend on the types of its buffers.
@@ -248,7 +248,7 @@ struct State {
     invoke_timeout: Duration,
     /// The interval of S_EXECUTING.
     watchdog: Option<Duration>,
-    running: Option<Running>,
+    running: Option<RunningRequest>,
     /// The unsent part of the last reply in `tx`.
     outbox: Outbox,
     /// Recognises copies of calls on a lossy link.
@@ -261,7 +261,7 @@ struct State {
 
 /// A request that the handler has not answered yet.
 #[derive(Clone, Copy, Debug)]
-struct Running {
+struct RunningRequest {
     frame: Located,
     function: FunctionId,
     /// The serial of the call's first attempt.
@@ -284,11 +284,11 @@ const CHARACTER_TIMEOUT: Duration = Duration::from_millis(100);
 const VALUE_AT: usize = HEADER_LEN + 4;
 
 impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
-    /// Makes a session for a new peer.
+    /// Creates a session for a new peer.
     #[must_use]
     pub fn new(config: Config, tx: T, rx: R) -> Self {
         let inbox = Inbox::new(config.link, config.limits, config.strictness, config.on_malformed);
-        Self { tx, rx, inbox, state: State::new(config), objects: Opened::new() }
+        Self { tx, rx, inbox, state: State::new(config), objects: OpenObjects::new() }
     }
 
     /// Returns the number of handles that the peer has open.
@@ -300,12 +300,12 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
     /// Reads the next received frame. Invalid bytes are an event, and get a reply as [`malformed`](Self::malformed) decides.
     fn next_frame(&mut self) -> Option<Result<Located, Event>> {
         Some(match self.inbox.poll(&mut self.rx)? {
-            Received::Frame(frame) => Ok(frame),
-            Received::TooLarge(frame) => {
+            InboxEvent::Frame(frame) => Ok(frame),
+            InboxEvent::TooLarge(frame) => {
                 Err(self.refuse(frame.header.serial, FunctionId(0), HResult::E_PACKETSIZEOVER))
             }
-            Received::Malformed(error) => Err(self.malformed(error, false)),
-            Received::Broken(error) => Err(self.malformed(error, true)),
+            InboxEvent::Malformed(error) => Err(self.malformed(error, false)),
+            InboxEvent::Broken(error) => Err(self.malformed(error, true)),
         })
     }
 
@@ -403,7 +403,7 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         }
         // a Service_Start may have ended the call
         let running = self.state.running?;
-        let Running { function, serial, marker, .. } = running;
+        let RunningRequest { function, serial, marker, .. } = running;
         if now >= running.until {
             self.state.running = None;
             handler.abandoned(peer, now);
@@ -413,7 +413,7 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         }
         if now >= running.keep_alive_at {
             let keep_alive_at = self.state.next_keep_alive(now);
-            self.state.running = Some(Running { keep_alive_at, ..running });
+            self.state.running = Some(RunningRequest { keep_alive_at, ..running });
             self.send_code(serial, HResult::S_EXECUTING, false);
             return Some(Event::KeptAlive);
         }
@@ -451,12 +451,12 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
     /// Calls the handler.
     fn call<H: Handler + ?Sized>(
         &mut self,
-        running: Running,
+        running: RunningRequest,
         handler: &mut H,
         peer: PeerId,
         now: Instant,
     ) -> Option<Event> {
-        let Running { frame, function, marker, serial, resumed, .. } = running;
+        let RunningRequest { frame, function, marker, serial, resumed, .. } = running;
         let args = self.inbox.frame(self.rx.bytes(), frame)?.args;
         let tail = self.state.tail();
         let max = self.state.config.link.send_max().saturating_sub(VALUE_AT).saturating_sub(tail);
@@ -470,7 +470,7 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
             Outcome::Wait(wake) => {
                 // a time in the past must not make the server loop
                 let wake = wake.max(now.saturating_add(SOONEST));
-                self.state.running = Some(Running { resumed: true, wake, ..running });
+                self.state.running = Some(RunningRequest { resumed: true, wake, ..running });
                 return None;
             }
             Outcome::Done(_) if reply.is_overflow() => HResult::E_TOO_MUCH_DATA,
@@ -775,7 +775,7 @@ impl State {
         }
     }
 
-    /// Tells whether the next frame is read: no request runs, and no reply is unsent.
+    /// Returns whether the next frame is read: no request runs, and no reply is unsent.
     fn is_reading(&self) -> bool {
         self.running.is_none() && !self.outbox.is_sending() && !self.closing
     }
@@ -790,8 +790,8 @@ impl State {
         self.invoke_timeout = options.invoke_timeout.unwrap_or(self.config.invoke_timeout);
     }
 
-    fn begin(&self, frame: Located, attempt: &Attempt, now: Instant) -> Running {
-        Running {
+    fn begin(&self, frame: Located, attempt: &Attempt, now: Instant) -> RunningRequest {
+        RunningRequest {
             frame,
             function: attempt.function,
             marker: attempt.marker,

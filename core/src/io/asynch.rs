@@ -66,13 +66,13 @@ pub trait Transport {
 /// }
 /// ```
 pub trait SendTransport {
-    /// As [`Transport::Error`].
+    /// Same as [`Transport::Error`].
     type Error: Send;
 
-    /// As [`Transport::now`].
+    /// Same as [`Transport::now`].
     fn now(&self) -> Instant;
 
-    /// As [`Transport::send`].
+    /// Same as [`Transport::send`].
     ///
     /// # Errors
     ///
@@ -80,7 +80,7 @@ pub trait SendTransport {
     fn send(&mut self, bytes: &[u8], until: Instant)
     -> impl Future<Output = Result<Option<usize>, Self::Error>> + Send;
 
-    /// As [`Transport::receive`].
+    /// Same as [`Transport::receive`].
     ///
     /// # Errors
     ///
@@ -91,7 +91,7 @@ pub trait SendTransport {
         until: Instant,
     ) -> impl Future<Output = Result<Option<usize>, Self::Error>> + Send;
 
-    /// As [`Transport::sleep_until`].
+    /// Same as [`Transport::sleep_until`].
     fn sleep_until(&mut self, at: Instant) -> impl Future<Output = ()> + Send;
 }
 

@@ -86,12 +86,12 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
     ///
     /// # Errors
     ///
-    /// As [`call`](Self::call).
+    /// Same as [`call`](Self::call).
     $(
     ///
     #[doc = $cancel_safety]
     ///
-    /// As [`call`](Self::call).
+    /// Same as [`call`](Self::call).
     )?
     pub $($async)? fn exchange<C: Call>(&mut self, call: C) -> Result<(), CallError<X::Error>> {
         clear(&mut self.transport, &mut self.client)$($await)*?;
@@ -103,12 +103,12 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
     ///
     /// # Errors
     ///
-    /// As [`call`](Self::call).
+    /// Same as [`call`](Self::call).
     $(
     ///
     #[doc = $cancel_safety]
     ///
-    /// As [`call`](Self::call).
+    /// Same as [`call`](Self::call).
     )?
     pub $($async)? fn call_with<C: Call>(
         &mut self,
@@ -141,12 +141,12 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
     ///
     /// # Errors
     ///
-    /// As [`run`](Self::run).
+    /// Same as [`run`](Self::run).
     $(
     ///
     #[doc = $cancel_safety]
     ///
-    /// As [`run`](Self::run).
+    /// Same as [`run`](Self::run).
     )?
     pub $($async)? fn run_watched<P, Y, U, S>(
         &mut self,
@@ -169,7 +169,7 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
     ///
     #[doc = $cancel_safety]
     ///
-    /// As [`run`](Self::run).
+    /// Same as [`run`](Self::run).
     )?
     pub $($async)? fn advance<P: Procedure>(
         &mut self,
@@ -320,7 +320,7 @@ impl<X: Transport, V: Storage> RacConnection<X, V> {
     ///
     /// # Errors
     ///
-    /// As [`get`](Self::get), and [`Request`](rac::client::ClientError::Request) for a value that has no text.
+    /// Same as [`get`](Self::get), and [`Request`](rac::client::ClientError::Request) for a value that has no text.
     $(
     ///
     #[doc = $cancel_safety]

@@ -69,7 +69,7 @@ impl<E, C> CallError<E, C> {
 }
 
 impl<E> CallError<E> {
-    /// Tells whether the same connection can be used for another call.
+    /// Returns whether the same connection can be used for another call.
     #[must_use]
     pub const fn is_recoverable(&self) -> bool {
         use bcap::client::ClientError::{Closed, Flooded, Malformed};
@@ -78,7 +78,7 @@ impl<E> CallError<E> {
 }
 
 impl<E> RacError<E> {
-    /// Tells whether the same connection can be used for another request.
+    /// Returns whether the same connection can be used for another request.
     ///
     /// It can after a timeout: the client waits for the old reply first. If the old reply does not arrive, the next request
     /// fails with [`Outstanding`](rac::client::Timeout::Outstanding), and a new connection is needed.
@@ -197,7 +197,7 @@ fn hand_in<P: Procedure, T: Storage, R: Storage, E>(
 /// a stream with more replies ends its session.
 const MAX_EARLY: usize = 512;
 
-/// Tells whether an error of a device ends its connection. Any other error, such as a framing error or an overrun of a UART,
+/// Returns whether an error of a device ends its connection. Any other error, such as a framing error or an overrun of a UART,
 /// lost bytes: it costs one attempt at most, and does not end the call.
 #[cfg(any(feature = "embedded-io", feature = "embedded-io-async"))]
 const fn ends_connection(kind: ErrorKind) -> bool {
@@ -213,20 +213,20 @@ trait Machine: Endpoint {
     const BUSY: Self::Error;
     const CLOSED: Self::Error;
 
-    /// Tells whether a read of 0 bytes is a datagram, not the end of a stream.
+    /// Returns whether a read of 0 bytes is a datagram, not the end of a stream.
     fn has_datagrams(&self) -> bool;
     /// Returns the time limit for sending the rest of an abandoned call.
     fn flush_timeout(&self) -> core::time::Duration;
     fn is_over(&self) -> bool;
     fn give_up(&mut self);
     /// Handles received bytes, and reads the clock only if it must.
-    fn poll(&mut self, now: &dyn Fn() -> Instant) -> Option<Step<Self::Error>>;
+    fn poll(&mut self, now: &dyn Fn() -> Instant) -> Option<CallProgress<Self::Error>>;
     /// Handles a timeout.
-    fn time_out(&mut self, now: Instant) -> Option<Step<Self::Error>>;
+    fn time_out(&mut self, now: Instant) -> Option<CallProgress<Self::Error>>;
 }
 
 /// The effect of an event on the call in flight.
-enum Step<C> {
+enum CallProgress<C> {
     /// None.
     Going,
     /// The call got its reply.
@@ -235,7 +235,7 @@ enum Step<C> {
     Failed(C),
 }
 
-impl<C> Step<C> {
+impl<C> CallProgress<C> {
     /// Returns the result of the call, if it has ended.
     fn end<E>(self) -> Option<Result<(), CallError<E, C>>> {
         match self {
@@ -281,8 +281,8 @@ fn moved<M: Machine, E>(
         (Direction::Receive, Some(0)) if !client.has_datagrams() => return Some(Err(CallError::Disconnected)),
         (Direction::Receive, Some(count)) => client.received(count),
     }
-    while let Some(step) = client.poll(now) {
-        if let Some(end) = step.end() {
+    while let Some(progress) = client.poll(now) {
+        if let Some(end) = progress.end() {
             return Some(end);
         }
     }
@@ -291,7 +291,7 @@ fn moved<M: Machine, E>(
     if count.is_some() && now < until {
         return None;
     }
-    client.time_out(now).and_then(Step::end)
+    client.time_out(now).and_then(CallProgress::end)
 }
 
 impl<T: Storage, R: Storage> Machine for bcap::Client<T, R> {
@@ -316,12 +316,12 @@ impl<T: Storage, R: Storage> Machine for bcap::Client<T, R> {
         self.abandon();
     }
 
-    fn poll(&mut self, now: &dyn Fn() -> Instant) -> Option<Step<Self::Error>> {
-        self.next_event(now).map(Step::from)
+    fn poll(&mut self, now: &dyn Fn() -> Instant) -> Option<CallProgress<Self::Error>> {
+        self.next_event(now).map(CallProgress::from)
     }
 
-    fn time_out(&mut self, now: Instant) -> Option<Step<Self::Error>> {
-        self.handle_timeout(now).map(Step::from)
+    fn time_out(&mut self, now: Instant) -> Option<CallProgress<Self::Error>> {
+        self.handle_timeout(now).map(CallProgress::from)
     }
 }
 
@@ -347,16 +347,16 @@ impl<V: Storage> Machine for rac::Client<V> {
         self.abandon();
     }
 
-    fn poll(&mut self, now: &dyn Fn() -> Instant) -> Option<Step<Self::Error>> {
-        self.poll_event(now()).map(Step::from)
+    fn poll(&mut self, now: &dyn Fn() -> Instant) -> Option<CallProgress<Self::Error>> {
+        self.poll_event(now()).map(CallProgress::from)
     }
 
-    fn time_out(&mut self, now: Instant) -> Option<Step<Self::Error>> {
-        self.handle_timeout(now).map(Step::from)
+    fn time_out(&mut self, now: Instant) -> Option<CallProgress<Self::Error>> {
+        self.handle_timeout(now).map(CallProgress::from)
     }
 }
 
-impl From<bcap::client::Event> for Step<bcap::client::ClientError> {
+impl From<bcap::client::Event> for CallProgress<bcap::client::ClientError> {
     fn from(event: bcap::client::Event) -> Self {
         use bcap::client::Event::{Executing, Failed, Malformed, Replied, Retried, Stale};
         match event {
@@ -370,7 +370,7 @@ impl From<bcap::client::Event> for Step<bcap::client::ClientError> {
     }
 }
 
-impl From<rac::client::Event> for Step<rac::client::ClientError> {
+impl From<rac::client::Event> for CallProgress<rac::client::ClientError> {
     fn from(event: rac::client::Event) -> Self {
         use rac::client::Event::{Failed, Replied, Stale};
         match event {

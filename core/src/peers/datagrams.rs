@@ -27,7 +27,7 @@ pub trait SharedState<S> {
     /// The address of a peer.
     type Address: Copy + PartialEq;
 
-    /// Tells whether two peers are on one host.
+    /// Returns whether two peers are on one host.
     fn is_same_host(one: Self::Address, other: Self::Address) -> bool;
 
     /// Returns the number of a new peer.
@@ -68,7 +68,7 @@ impl<A: Copy, const OBJECTS: usize> Peer<A, OBJECTS> {
         self.last_received
     }
 
-    /// Tells whether a request runs.
+    /// Returns whether a request runs.
     #[must_use]
     pub fn is_running(&self) -> bool {
         self.session.is_running()

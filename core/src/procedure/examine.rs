@@ -17,7 +17,7 @@ use super::action::Procedure;
 use super::failure::{StepCause, StepError};
 use super::motion::code;
 use super::provider::Handles;
-use super::sequence::{Argument, Next, Sequence, StepCall, Steps};
+use super::sequence::{Argument, NextStep, Sequence, StepCall, Steps};
 use crate::bcap::call::{Any, Int, Reply, Text};
 use crate::bcap::{Frame, FunctionId, StreamState};
 use crate::hresult::HResult;
@@ -138,7 +138,7 @@ pub enum RecoveryStep {
 pub struct RecoveryStepSet(u8);
 
 impl RecoveryStepSet {
-    /// Tells whether the set has a step.
+    /// Returns whether the set has a step.
     #[must_use]
     pub const fn contains(self, step: RecoveryStep) -> bool {
         self.0 & step.bit() != 0
@@ -229,7 +229,7 @@ impl Examination {
         stream.into_iter().chain(unknown).chain(bits.flatten()).chain(faults)
     }
 
-    /// Tells whether the robot needs no recovery: the controller has no error, and the motor is on.
+    /// Returns whether the robot needs no recovery: the controller has no error, and the motor is on.
     #[must_use]
     pub fn is_ready(&self) -> bool {
         self.obstacles().next().is_none() && self.plan(true, false).iter().all(|step| *step == RecoveryStep::TakeArm)
@@ -271,7 +271,7 @@ impl Examination {
     }
 }
 
-/// Tells whether ClearError ends an error: it is one of the controller, of a level below a fault, and needs no restart.
+/// Returns whether ClearError ends an error: it is one of the controller, of a level below a fault, and needs no restart.
 fn is_clearable(code: HResult) -> bool {
     let restarts = code.hint().is_some_and(|hint| hint.needs_restart());
     matches!(code.level(), Some(0..=4)) && !restarts
@@ -370,7 +370,7 @@ impl ExamineSteps {
         Self { handles, is_alone, step: Step::State, asked: false, left: 0, result: Examination::UNKNOWN }
     }
 
-    /// Tells whether slvGetMode comes before the next step.
+    /// Returns whether slvGetMode comes before the next step.
     fn asks(&self) -> bool {
         let is_allowed = matches!(self.step, Step::Torque | Step::End);
         !self.asked && !is_allowed && self.result.stream != StreamState::Absent
@@ -419,11 +419,11 @@ impl Steps for ExamineSteps {
     type Output = Examination;
     const KEEPS_OBJECTS: bool = true;
 
-    fn next(&self) -> Next<'_> {
+    fn next(&self) -> NextStep<'_> {
         let Handles { controller, robot } = self.handles;
         let of_robot = |command| StepCall::new(FunctionId::ROBOT_EXECUTE).with(robot.0).with(command);
         let of_controller = |command| StepCall::new(FunctionId::CONTROLLER_EXECUTE).with(controller.0).with(command);
-        Next::Call(match self.step {
+        NextStep::Call(match self.step {
             _ if self.asks() => of_robot(StreamState::COMMAND).with(Argument::Empty),
             Step::State => of_controller("SysState").with(Argument::Empty),
             Step::Torque => of_controller("StoState").with(Argument::Empty),
@@ -432,7 +432,7 @@ impl Steps for ExamineSteps {
             Step::Prepared => of_robot("GetMotionPreparationState").with(Argument::Empty),
             Step::Count => of_controller("GetCurErrorCount").with(Argument::Empty),
             Step::Info => of_controller("GetCurErrorInfo").with(self.left.saturating_sub(1)),
-            Step::End => return Next::End,
+            Step::End => return NextStep::End,
         })
     }
 

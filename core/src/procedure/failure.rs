@@ -79,8 +79,8 @@ pub enum StepCause {
 }
 
 impl StepCause {
-    /// Tells whether the controller may have executed the call. Only a call that was not sent, and a refused one, certainly had
-    /// no effect; with E_TIMEOUT a controller gives up a call that may go on.
+    /// Returns whether the controller may have executed the call. Only a call that was not sent, and a refused one, certainly
+    /// had no effect; with E_TIMEOUT a controller gives up a call that may go on.
     pub(super) const fn may_have_run(&self) -> bool {
         match self {
             Self::Refused(code) => matches!(*code, HResult::E_TIMEOUT),
@@ -91,8 +91,8 @@ impl StepCause {
 }
 
 impl StepError {
-    /// Tells whether the procedure certainly has no lasting effect: no call with an effect was executed, or all such calls were
-    /// undone.
+    /// Returns whether the procedure certainly has no lasting effect: no call with an effect was executed, or all such calls
+    /// were undone.
     #[must_use]
     pub const fn had_no_effect(&self) -> bool {
         self.undone && !self.cause.may_have_run()

@@ -30,7 +30,7 @@ use super::motion::{MOVING, joints};
 use super::path::{Name, name_at};
 use super::provider::Handles;
 use super::queue::{AT_REST, within};
-use super::sequence::{Argument, Next, Sequence, StepCall, Steps};
+use super::sequence::{Argument, NextStep, Sequence, StepCall, Steps};
 use super::target::JOINTS;
 use crate::bcap::call::{Int, Reply, TaskHandle, handle_of};
 use crate::bcap::{Frame, FunctionId};
@@ -101,7 +101,7 @@ pub enum StoppedTasks {
 }
 
 impl Halt {
-    /// Tells whether the robot rests and Robot_Halt was not refused. A task that still runs may move it again: see
+    /// Returns whether the robot rests and Robot_Halt was not refused. A task that still runs may move it again: see
     /// [`tasks`](Self::tasks).
     #[must_use]
     pub const fn is_halted(&self) -> bool {
@@ -317,7 +317,7 @@ impl HaltSteps {
         self.escalate().unwrap_or(Step::End)
     }
 
-    /// Tells whether a task runs, although KillAll was accepted.
+    /// Returns whether a task runs, although KillAll was accepted.
     fn runs_after_kill_all(&self) -> bool {
         self.tasks == Some(StoppedTasks::All) && self.state & RUNNING != 0
     }
@@ -332,11 +332,11 @@ impl Steps for HaltSteps {
     const KEEPS_OBJECTS: bool = false;
     const REPEATS: bool = true;
 
-    fn next(&self) -> Next<'_> {
+    fn next(&self) -> NextStep<'_> {
         let Handles { controller, robot } = self.handles;
         let of_robot = |command| StepCall::new(FunctionId::ROBOT_EXECUTE).with(robot.0).with(command);
         let of_controller = |command| StepCall::new(FunctionId::CONTROLLER_EXECUTE).with(controller.0).with(command);
-        Next::Call(match self.step {
+        NextStep::Call(match self.step {
             Step::Halt => StepCall::new(FunctionId::ROBOT_HALT).with(robot.0).with(""),
             // without its argument it is answered at once, by every version of the provider
             Step::KillAll => of_controller("KillAll").with(Argument::Empty),
@@ -356,8 +356,8 @@ impl Steps for HaltSteps {
             Step::SlaveMode => of_robot("slvGetMode").with(Argument::Empty),
             Step::State => of_controller("SysState").with(Argument::Empty),
             Step::Position => of_robot("CurJnt").with(Argument::Empty),
-            Step::Pause(until) => return Next::Wait(until),
-            Step::End => return Next::End,
+            Step::Pause(until) => return NextStep::Wait(until),
+            Step::End => return NextStep::End,
         })
     }
 

@@ -29,7 +29,7 @@ use super::action::Procedure;
 use super::failure::{StepCause, StepError};
 use super::provider::Handles;
 use super::queue::{AT_REST, LATEST, Motion, MotionConfig, MotionQueue, within};
-use super::sequence::{Argument, Next, Sequence, StepCall, Steps, Undo};
+use super::sequence::{Argument, NextStep, Sequence, StepCall, Steps, Undo};
 use super::target::{Before, Comparison, End, JOINTS, Target};
 use crate::bcap::call::{Any, Int, Reply, ReplyError};
 use crate::bcap::{Frame, FunctionId};
@@ -113,7 +113,7 @@ pub enum Until {
 ///
 /// # Cancel safety
 ///
-/// As [`move_and_wait`].
+/// Same as [`move_and_wait`].
 pub fn run_queue<D: Encode, O: AsRef<str>>(
     handles: Handles,
     queue: MotionQueue,
@@ -223,19 +223,19 @@ impl<D, O> MoveSteps<D, O> {
         self.motion.as_ref().map_or(Target::UNKNOWN, |(_, target)| *target)
     }
 
-    /// Tells whether the motion has not begun yet.
+    /// Returns whether the motion has not begun yet.
     fn begins(&self) -> bool {
         self.unsent || self.queue.begins
     }
 
-    fn of_robot(&self, command: &'static str) -> Next<'_> {
+    fn of_robot(&self, command: &'static str) -> NextStep<'_> {
         let execute = StepCall::new(FunctionId::ROBOT_EXECUTE).with(self.handles.robot.0);
-        Next::Call(execute.with(command).with(Argument::Empty))
+        NextStep::Call(execute.with(command).with(Argument::Empty))
     }
 
-    fn of_controller<'a>(&'a self, command: &'static str, parameter: Argument<'a>) -> Next<'a> {
+    fn of_controller<'a>(&'a self, command: &'static str, parameter: Argument<'a>) -> NextStep<'a> {
         let execute = StepCall::new(FunctionId::CONTROLLER_EXECUTE).with(self.handles.controller.0);
-        Next::Call(execute.with(command).with(parameter))
+        NextStep::Call(execute.with(command).with(parameter))
     }
 
     fn end(&mut self, outcome: Motion) {
@@ -427,25 +427,25 @@ impl<D: Encode, O: AsRef<str>> Steps for MoveSteps<D, O> {
     type Output = MotionQueue;
     const KEEPS_OBJECTS: bool = true;
 
-    fn next(&self) -> Next<'_> {
+    fn next(&self) -> NextStep<'_> {
         match self.step {
             Step::Variable => match self.target().before(false) {
                 Some(Before::Variable(variable)) => {
-                    Next::Call(StepCall::new(FunctionId::VARIABLE_GET_VALUE).with(variable.0))
+                    NextStep::Call(StepCall::new(FunctionId::VARIABLE_GET_VALUE).with(variable.0))
                 }
-                _ => Next::End,
+                _ => NextStep::End,
             },
             Step::Start | Step::Position => self.of_robot("CurJnt"),
             Step::StartFrame | Step::Frame => self.of_robot("CurTrn"),
-            Step::Move => self.start().map_or(Next::End, Next::Call),
-            Step::Pause(until) => Next::Wait(until),
+            Step::Move => self.start().map_or(NextStep::End, NextStep::Call),
+            Step::Pause(until) => NextStep::Wait(until),
             Step::State => self.of_controller("SysState", Argument::Empty),
             Step::Destination => self.of_robot("DestJnt"),
             Step::Tool => self.of_robot("CurPos"),
             Step::ErrorCount => self.of_controller("GetCurErrorCount", Argument::Empty),
             Step::ErrorInfo => self.of_controller("GetCurErrorInfo", Argument::Int(self.error)),
-            Step::Halt => Next::Call(StepCall::new(FunctionId::ROBOT_HALT).with(self.handles.robot.0).with("")),
-            Step::End => Next::End,
+            Step::Halt => NextStep::Call(StepCall::new(FunctionId::ROBOT_HALT).with(self.handles.robot.0).with("")),
+            Step::End => NextStep::End,
         }
     }
 

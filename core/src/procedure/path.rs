@@ -7,7 +7,7 @@ use core::ops::Deref;
 use super::action::Procedure;
 use super::failure::{StepCause, StepError};
 use super::provider::Provider;
-use super::sequence::{Next, Sequence, StepCall, Steps, UNDO_MAX};
+use super::sequence::{NextStep, Sequence, StepCall, Steps, UNDO_MAX};
 use crate::bcap::call::{
     Any, ControllerHandle, ExtensionHandle, FileHandle, Reply, ReplyError, RobotHandle, TaskHandle, handle_of,
 };
@@ -190,12 +190,12 @@ impl<'a> PathSteps<'a> {
         }
     }
 
-    /// Tells whether the next call asks for the names of the robots.
+    /// Returns whether the next call asks for the names of the robots.
     fn wants_first(&self) -> bool {
         self.asks && self.first.is_none() && self.is_unnamed()
     }
 
-    /// Tells whether the next object is a robot without a name.
+    /// Returns whether the next object is a robot without a name.
     fn is_unnamed(&self) -> bool {
         self.path.get(self.done).is_some_and(|step| step.name.is_none())
     }
@@ -205,11 +205,11 @@ impl Steps for PathSteps<'_> {
     type Output = Opened;
     const KEEPS_OBJECTS: bool = true;
 
-    fn next(&self) -> Next<'_> {
+    fn next(&self) -> NextStep<'_> {
         if let Some(call) = self.provider.as_ref().and_then(|provider| self.open_session(provider)) {
-            return Next::Call(call);
+            return NextStep::Call(call);
         }
-        let Some(step) = self.path.get(self.done) else { return Next::End };
+        let Some(step) = self.path.get(self.done) else { return NextStep::End };
         let owner = self.owner.handle;
         let name = match (step.name, &self.first) {
             (Some(name), _) => name,
@@ -217,17 +217,17 @@ impl Steps for PathSteps<'_> {
             // the list of names may end a stream of Slave Mode
             (None, None) if !self.asks => DEFAULT_ROBOT,
             (None, None) => {
-                return Next::Call(StepCall::new(FunctionId::CONTROLLER_GET_ROBOT_NAMES).with(owner).with(""));
+                return NextStep::Call(StepCall::new(FunctionId::CONTROLLER_GET_ROBOT_NAMES).with(owner).with(""));
             }
         };
         match step.object.opened_from(self.owner.object) {
             // a real controller refuses a second handle of a task without the option
             Some(function @ FunctionId::CONTROLLER_GET_TASK) => {
-                Next::Call(StepCall::new(function).with(owner).with(name).with("@IfNotMember"))
+                NextStep::Call(StepCall::new(function).with(owner).with(name).with("@IfNotMember"))
             }
-            Some(function) => Next::Call(StepCall::new(function).with(owner).with(name).with("")),
+            Some(function) => NextStep::Call(StepCall::new(function).with(owner).with(name).with("")),
             // `from` has checked the path
-            None => Next::End,
+            None => NextStep::End,
         }
     }
 

@@ -158,7 +158,7 @@ impl MotionQueue {
         self.ended
     }
 
-    /// Tells whether there was no motion yet. The time limit begins with the first one.
+    /// Returns whether there was no motion yet. The time limit begins with the first one.
     #[must_use]
     pub fn is_new(&self) -> bool {
         self.until == Instant::FAR_FUTURE
@@ -200,23 +200,23 @@ impl MotionQueue {
         Tolerance { joint: joint.min(most), distance_mm: distance_mm.min(most), angle_degrees: angle_degrees.min(most) }
     }
 
-    /// Tells whether DestJnt is needed.
+    /// Returns whether DestJnt is needed.
     pub(super) fn needs_destination(&self) -> bool {
         self.destination.is_none() && (self.begins || !matches!(self.end, End::Joints(..)))
     }
 
-    /// Tells whether the robot has been at rest for long, whatever SysState reports.
+    /// Returns whether the robot has been at rest for long, whatever SysState reports.
     pub(super) fn is_still(&self, begins: bool) -> bool {
         // with shorter pauses, as many more polls
         self.still >= self.config.still.max(1).saturating_mul(if begins { 4 } else { 1 })
     }
 
-    /// Tells whether the robot counts as stopped, wherever it is.
+    /// Returns whether the robot counts as stopped, wherever it is.
     pub(super) fn is_stopped(&self, begins: bool) -> bool {
         self.is_still(begins) && !self.reports_motion
     }
 
-    /// Tells whether these joints are the destination that was seen during the motion; `None` if none was seen.
+    /// Returns whether these joints are the destination that was seen during the motion; `None` if none was seen.
     pub(super) fn is_at_destination(&self, joints: &[f64; JOINTS]) -> Option<bool> {
         let destination = self.destination.filter(|_| !self.is_ambiguous)?;
         Some(within(joints, &destination, self.config.tolerance))
@@ -235,7 +235,7 @@ impl MotionQueue {
     }
 }
 
-/// Tells whether no joint is further away than this.
+/// Returns whether no joint is further away than this.
 pub(super) fn within(joints: &[f64; JOINTS], other: &[f64; JOINTS], distance: f64) -> bool {
     joints.iter().zip(other).all(|(joint, other)| (joint - other).abs() <= distance)
 }

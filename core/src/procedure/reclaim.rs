@@ -27,7 +27,7 @@ use core::convert::identity;
 use super::action::Procedure;
 use super::failure::{StepCause, StepError};
 use super::motion::joints;
-use super::sequence::{Argument, MOTOR_OFF, Next, Sequence, StepCall, Steps, Undo};
+use super::sequence::{Argument, MOTOR_OFF, NextStep, Sequence, StepCall, Steps, Undo};
 use super::target::{Comparison, JOINTS, Target, Tolerance};
 use crate::bcap::call::{Int, Reply, RobotHandle};
 use crate::bcap::{Frame, FunctionId, Properties, StreamState};
@@ -232,10 +232,10 @@ impl Steps for ReclaimSteps {
     const KEEPS_OBJECTS: bool = true;
     const REPEATS: bool = true;
 
-    fn next(&self) -> Next<'_> {
+    fn next(&self) -> NextStep<'_> {
         let robot = self.robot.0;
         let of_robot = |command| StepCall::new(FunctionId::ROBOT_EXECUTE).with(robot).with(command);
-        Next::Call(match self.step {
+        NextStep::Call(match self.step {
             Step::Mode => of_robot(StreamState::COMMAND).with(Argument::Empty),
             Step::Leave => of_robot("slvChangeMode").with(0),
             Step::TakeArm => of_robot("TakeArm").with(Argument::Value(&KEEP)),
@@ -243,7 +243,7 @@ impl Steps for ReclaimSteps {
             Step::Halt => StepCall::new(FunctionId::ROBOT_HALT).with(robot).with(""),
             Step::MotorOff => of_robot("Motor").with(Argument::Value(&MOTOR_OFF)),
             Step::GiveArm => of_robot("GiveArm").with(Argument::Empty),
-            Step::End => return Next::End,
+            Step::End => return NextStep::End,
         })
     }
 

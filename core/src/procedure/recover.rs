@@ -25,7 +25,7 @@ use super::failure::{Failure, StepCause, StepError};
 use super::provider::Handles;
 use super::reclaim::KEEP;
 use super::robot::MOTOR_ON;
-use super::sequence::{Argument, Next, Sequence, StepCall, Steps, Undo};
+use super::sequence::{Argument, NextStep, Sequence, StepCall, Steps, Undo};
 use crate::bcap::call::{Call, Int, Reply};
 use crate::bcap::{Frame, FunctionId, StreamState};
 use crate::hresult::HResult;
@@ -135,7 +135,7 @@ where
 ///
 /// # Cancel safety
 ///
-/// As [`recover`].
+/// Same as [`recover`].
 pub fn prepare<F>(handles: Handles, observe: F) -> impl Procedure<Output = Recovered, Error = NotRecovered> + use<F>
 where
     F: FnMut(RecoveryStep, Result<(), HResult>) -> ControlFlow<()>,
@@ -238,7 +238,7 @@ impl<F> RecoverySteps<F> {
         }
     }
 
-    /// Tells whether slvGetMode comes before the present step.
+    /// Returns whether slvGetMode comes before the present step.
     fn asks_mode(&self) -> bool {
         !self.has_arm && !self.asked && self.examine.result.stream != StreamState::Absent
     }
@@ -303,13 +303,13 @@ impl<F: FnMut(RecoveryStep, Result<(), HResult>) -> ControlFlow<()>> RecoverySte
     }
 }
 
-/// Tells whether a controller does not know a command.
+/// Returns whether a controller does not know a command.
 const fn is_unknown(code: HResult) -> bool {
     matches!(code, HResult::E_INVALID_CMD_NAME | HResult::E_INVALIDCOMMAND | HResult::E_NOTIMPL)
 }
 
-/// Tells whether a COBOTTA has no ManualResetPreparation. Before version 2.8 it answers as if an argument were wrong, and needs
-/// none (DENSORobot/denso_robot_ros, issue 44).
+/// Returns whether a COBOTTA has no ManualResetPreparation. Before version 2.8 it answers as if an argument were wrong, and
+/// needs none (DENSORobot/denso_robot_ros, issue 44).
 const fn needs_no_reset(code: HResult) -> bool {
     is_unknown(code) || matches!(code, HResult::E_INVALIDARG)
 }
@@ -318,7 +318,7 @@ impl<F: FnMut(RecoveryStep, Result<(), HResult>) -> ControlFlow<()>> Steps for R
     type Output = Recovered;
     const KEEPS_OBJECTS: bool = true;
 
-    fn next(&self) -> Next<'_> {
+    fn next(&self) -> NextStep<'_> {
         if !self.examined {
             return self.examine.next();
         }
@@ -326,9 +326,9 @@ impl<F: FnMut(RecoveryStep, Result<(), HResult>) -> ControlFlow<()>> Steps for R
         let of_robot = |command| StepCall::new(FunctionId::ROBOT_EXECUTE).with(robot.0).with(command);
         let of_controller = |command| StepCall::new(FunctionId::CONTROLLER_EXECUTE).with(controller.0).with(command);
         if self.plan.get(self.at).is_none() {
-            return Next::End;
+            return NextStep::End;
         }
-        Next::Call(match self.step() {
+        NextStep::Call(match self.step() {
             _ if self.asks_mode() => of_robot(StreamState::COMMAND).with(Argument::Empty),
             step @ (RecoveryStep::ClearError | RecoveryStep::ManualReset) => {
                 of_controller(step.name()).with(Argument::Empty)
@@ -342,16 +342,16 @@ impl<F: FnMut(RecoveryStep, Result<(), HResult>) -> ControlFlow<()>> Steps for R
                 Goal::Recovered(RecoveryConfig { speed: Some(speed), .. }) => {
                     of_robot("ExtSpeed").with(Argument::Value(speed))
                 }
-                _ => return Next::End,
+                _ => return NextStep::End,
             },
-            RecoveryStep::Examine => return Next::End,
+            RecoveryStep::Examine => return NextStep::End,
         })
     }
 
     fn succeeded(&mut self, reply: &Frame<'_>, now: Instant) -> Result<(), StepCause> {
         if !self.examined {
             self.examine.succeeded(reply, now)?;
-            return if matches!(self.examine.next(), Next::End) { self.begin() } else { Ok(()) };
+            return if matches!(self.examine.next(), NextStep::End) { self.begin() } else { Ok(()) };
         }
         if self.asks_mode() {
             return self.update_mode(StreamState::from_reply(reply.hresult(), Int::read(reply.args).ok()));
@@ -381,7 +381,7 @@ impl<F: FnMut(RecoveryStep, Result<(), HResult>) -> ControlFlow<()>> Steps for R
     fn recovered(&mut self, cause: &StepCause) -> bool {
         let StepCause::Refused(code) = *cause else { return false };
         if !self.examined {
-            let is_ended = self.examine.recovered(cause) && matches!(self.examine.next(), Next::End);
+            let is_ended = self.examine.recovered(cause) && matches!(self.examine.next(), NextStep::End);
             return !is_ended || self.begin().is_ok();
         }
         if self.asks_mode() {

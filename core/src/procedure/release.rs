@@ -5,7 +5,7 @@ use core::convert::identity;
 use super::action::Procedure;
 use super::failure::{StepCause, StepError};
 use super::provider::Handles;
-use super::sequence::{Next, Sequence, Steps, Undo};
+use super::sequence::{NextStep, Sequence, Steps, Undo};
 use crate::bcap::call::ControllerHandle;
 use crate::bcap::{Frame, Object};
 use crate::time::Instant;
@@ -17,7 +17,7 @@ use crate::time::Instant;
 #[must_use]
 pub fn release(opened: &[(Object, i32)]) -> impl Procedure<Output = (), Error = StepError> + use<> {
     let undo = opened.iter().map(|(object, handle)| Undo::Release(*object, *handle));
-    Sequence::new(Nothing, identity).with_undo(undo)
+    Sequence::new(NoSteps, identity).with_undo(undo)
 }
 
 /// Disconnects from the controller and stops the service.
@@ -33,14 +33,14 @@ pub fn release_robot(handles: Handles) -> impl Procedure<Output = (), Error = St
 }
 
 /// No steps forward: the sequence consists of its undo entries.
-struct Nothing;
+struct NoSteps;
 
-impl Steps for Nothing {
+impl Steps for NoSteps {
     type Output = ();
     const KEEPS_OBJECTS: bool = false;
 
-    fn next(&self) -> Next<'_> {
-        Next::End
+    fn next(&self) -> NextStep<'_> {
+        NextStep::End
     }
 
     fn succeeded(&mut self, _reply: &Frame<'_>, _now: Instant) -> Result<(), StepCause> {

@@ -4,7 +4,7 @@ use core::convert::identity;
 
 use super::action::Procedure;
 use super::failure::{StepCause, StepError};
-use super::sequence::{Argument, Next, Sequence, StepCall, Steps, Undo};
+use super::sequence::{Argument, NextStep, Sequence, StepCall, Steps, Undo};
 use crate::bcap::call::RobotHandle;
 use crate::bcap::{Frame, FunctionId};
 use crate::time::Instant;
@@ -53,13 +53,13 @@ impl Steps for PrepareSteps {
     type Output = ();
     const KEEPS_OBJECTS: bool = true;
 
-    fn next(&self) -> Next<'_> {
+    fn next(&self) -> NextStep<'_> {
         let execute = StepCall::new(FunctionId::ROBOT_EXECUTE).with(self.robot.0);
-        Next::Call(match self.step {
+        NextStep::Call(match self.step {
             Step::TakeArm => execute.with("TakeArm").with(Argument::Value(&self.arm)),
             Step::Motor => execute.with("Motor").with(Argument::Value(&MOTOR_ON)),
             Step::GiveArm => execute.with("GiveArm").with(Argument::Empty),
-            Step::End => return Next::End,
+            Step::End => return NextStep::End,
         })
     }
 

@@ -61,7 +61,7 @@ impl Undo {
 }
 
 /// The next step of a sequence.
-pub(super) enum Next<'a> {
+pub(super) enum NextStep<'a> {
     Call(StepCall<'a>),
     Wait(Instant),
     End,
@@ -79,12 +79,12 @@ pub(super) trait Steps {
     const REPEATS: bool = false;
 
     /// Returns the next step; it stays the same until [`succeeded`](Self::succeeded).
-    fn next(&self) -> Next<'_>;
+    fn next(&self) -> NextStep<'_>;
 
     /// Takes the reply to a call that succeeded, and moves to the next step.
     fn succeeded(&mut self, reply: &Frame<'_>, now: Instant) -> Result<(), StepCause>;
 
-    /// Moves to the step after [`Next::Wait`].
+    /// Moves to the step after [`NextStep::Wait`].
     fn waited(&mut self) {}
 
     /// Returns the undo entry of the present call, in addition to the release of an object that it opened. `cause` is the
@@ -94,7 +94,7 @@ pub(super) trait Steps {
         None
     }
 
-    /// Tells whether a call that succeeded has an effect that no undo entry ends.
+    /// Returns whether a call that succeeded has an effect that no undo entry ends.
     fn has_effect(&self) -> bool {
         false
     }
@@ -105,7 +105,7 @@ pub(super) trait Steps {
         false
     }
 
-    /// Returns the result, after [`Next::End`].
+    /// Returns the result, after [`NextStep::End`].
     fn output(&mut self) -> Self::Output;
 }
 
@@ -224,13 +224,13 @@ impl<S: Steps, M> Sequence<S, M> {
         &self.steps
     }
 
-    fn next(&self) -> Next<'_> {
+    fn next(&self) -> NextStep<'_> {
         if !self.backward {
             return self.steps.next();
         }
         match self.undo.last() {
-            Some(undo) if !self.lost => Next::Call(undo.call()),
-            _ => Next::End,
+            Some(undo) if !self.lost => NextStep::Call(undo.call()),
+            _ => NextStep::End,
         }
     }
 
@@ -299,7 +299,7 @@ impl<S: Steps, M> Sequence<S, M> {
         if self.backward {
             return self.ended_undo(code, is_busy);
         }
-        let Next::Call(StepCall { function, .. }) = self.steps.next() else { return };
+        let NextStep::Call(StepCall { function, .. }) = self.steps.next() else { return };
         if function.releases().is_some() {
             // the object that was opened last; it is released once, as on the way back
             self.undo.pop();
@@ -328,14 +328,14 @@ impl<S: Steps, M: FnMut(S::Output) -> T, T> Procedure for Sequence<S, M> {
         self.again = None;
         loop {
             match self.next() {
-                Next::Call(_) => {
+                NextStep::Call(_) => {
                     self.in_flight = true;
                     return Action::Call(Channel::Motion);
                 }
-                Next::Wait(until) if now < until => return Action::Wait(until),
-                Next::Wait(_) => self.steps.waited(),
-                Next::End if !self.backward && !S::KEEPS_OBJECTS && !self.undo.is_empty() => self.backward = true,
-                Next::End => {
+                NextStep::Wait(until) if now < until => return Action::Wait(until),
+                NextStep::Wait(_) => self.steps.waited(),
+                NextStep::End if !self.backward && !S::KEEPS_OBJECTS && !self.undo.is_empty() => self.backward = true,
+                NextStep::End => {
                     return Action::Done(match self.error {
                         Some(error) => {
                             let unsettled = self.unsure || !self.undo.is_empty();
@@ -351,7 +351,7 @@ impl<S: Steps, M: FnMut(S::Output) -> T, T> Procedure for Sequence<S, M> {
 
     fn request(&self) -> Option<impl Call> {
         match self.next() {
-            Next::Call(call) if self.in_flight => Some(call),
+            NextStep::Call(call) if self.in_flight => Some(call),
             _ => None,
         }
     }

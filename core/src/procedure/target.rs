@@ -244,7 +244,7 @@ impl End {
         Some(if there { Comparison::There } else { Comparison::Elsewhere })
     }
 
-    /// Tells whether CurTrn is needed.
+    /// Returns whether CurTrn is needed.
     pub(super) const fn needs_frame(&self) -> bool {
         match self {
             Self::Position(_, back) => *back != 0.0,
@@ -253,7 +253,7 @@ impl End {
         }
     }
 
-    /// Tells whether CurPos is needed.
+    /// Returns whether CurPos is needed.
     pub(super) const fn needs_position(&self) -> bool {
         matches!(self, Self::Position(..))
     }
@@ -296,7 +296,7 @@ impl End {
     }
 }
 
-/// Tells whether two figures differ. A negative one stands for any figure.
+/// Returns whether two figures differ. A negative one stands for any figure.
 const fn differ(one: i32, other: i32) -> bool {
     one >= 0 && other >= 0 && one != other
 }
@@ -307,7 +307,7 @@ fn moved(from: [f64; 3], distance: f64, along: [f64; 3]) -> [f64; 3] {
     from.map(|from| from + distance * along.next().unwrap_or(&0.0))
 }
 
-/// Tells whether RX, RY, RZ describe the same orientation. Every orientation has two descriptions, one in each half of
+/// Returns whether RX, RY, RZ describe the same orientation. Every orientation has two descriptions, one in each half of
 /// RY. At RY = 90 degrees only the difference of RX and RZ counts, at -90 only their sum.
 fn is_same_rotation(one: [f64; 3], other: [f64; 3], tolerance: f64) -> bool {
     let near = |one: f64, other: f64| turn(one, other) <= tolerance;

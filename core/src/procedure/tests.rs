@@ -59,7 +59,7 @@ fn run<T, E>(
     run_from(Instant::ZERO, procedure, peer)
 }
 
-/// As [`run`], from this time on.
+/// Same as [`run`], from this time on.
 fn run_from<T, E>(
     mut now: Instant,
     mut procedure: impl Procedure<Output = T, Error = E>,

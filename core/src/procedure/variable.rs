@@ -5,7 +5,7 @@ use core::convert::identity;
 use super::action::Procedure;
 use super::failure::{StepCause, StepError};
 use super::path::{Owner, PathError, PathStep, PathSteps};
-use super::sequence::{Next, Sequence, StepCall, Steps};
+use super::sequence::{NextStep, Sequence, StepCall, Steps};
 use crate::bcap::{Frame, FunctionId};
 use crate::time::Instant;
 use crate::variant::{Encode, Variant};
@@ -37,17 +37,17 @@ impl<F: FnMut(Variant<'_>) -> T, T> Steps for ReadSteps<'_, F, T> {
     type Output = Option<T>;
     const KEEPS_OBJECTS: bool = false;
 
-    fn next(&self) -> Next<'_> {
+    fn next(&self) -> NextStep<'_> {
         match (self.path.next(), &self.value) {
-            (Next::End, None) => {
-                Next::Call(StepCall::new(FunctionId::VARIABLE_GET_VALUE).with(self.path.last_handle()))
+            (NextStep::End, None) => {
+                NextStep::Call(StepCall::new(FunctionId::VARIABLE_GET_VALUE).with(self.path.last_handle()))
             }
             (next, _) => next,
         }
     }
 
     fn succeeded(&mut self, reply: &Frame<'_>, now: Instant) -> Result<(), StepCause> {
-        if matches!(self.path.next(), Next::End) {
+        if matches!(self.path.next(), NextStep::End) {
             self.value = Some((self.read)(reply.value().unwrap_or(Variant::Empty)));
             return Ok(());
         }
@@ -85,17 +85,18 @@ impl Steps for WriteSteps<'_> {
     type Output = ();
     const KEEPS_OBJECTS: bool = false;
 
-    fn next(&self) -> Next<'_> {
+    fn next(&self) -> NextStep<'_> {
         match (self.path.next(), self.written) {
-            (Next::End, false) => {
-                Next::Call(StepCall::new(FunctionId::VARIABLE_PUT_VALUE).with(self.path.last_handle()).with(self.value))
+            (NextStep::End, false) => {
+                let put = StepCall::new(FunctionId::VARIABLE_PUT_VALUE).with(self.path.last_handle());
+                NextStep::Call(put.with(self.value))
             }
             (next, _) => next,
         }
     }
 
     fn succeeded(&mut self, reply: &Frame<'_>, now: Instant) -> Result<(), StepCause> {
-        if matches!(self.path.next(), Next::End) {
+        if matches!(self.path.next(), NextStep::End) {
             self.written = true;
             return Ok(());
         }

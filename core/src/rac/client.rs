@@ -171,20 +171,20 @@ struct State {
     owed: bool,
     /// The line that is arriving had begun before the request in flight had left.
     is_early: bool,
-    reply: Option<Reply>,
+    reply: Option<StoredReply>,
     closed: bool,
 }
 
 /// The reply to the last request; its value is in the caller's memory.
 #[derive(Clone, Copy, Debug)]
-struct Reply {
+struct StoredReply {
     result: HResult,
     /// Bytes of the value; 0 without a value.
     len: usize,
 }
 
 impl<V: Storage> Client<V> {
-    /// Makes a client; `value` takes the values of replies.
+    /// Creates a client; `value` takes the values of replies.
     #[must_use]
     pub const fn new(config: Config, value: V) -> Self {
         Self { value, state: State::new(config) }
@@ -229,7 +229,7 @@ impl<V: Storage> Client<V> {
     /// Returns the reply of [`Event::Replied`], until the next line arrives or a request is started.
     #[must_use]
     pub fn reply(&self) -> Option<Response<'_>> {
-        let Reply { result, len } = self.state.reply?;
+        let StoredReply { result, len } = self.state.reply?;
         let bytes = self.value.bytes().get(..len)?;
         Some(Response { result, value: (!bytes.is_empty()).then(|| Variant::from_checked(bytes)) })
     }
@@ -380,7 +380,7 @@ impl State {
         let mut out = Writer::new(memory);
         match complete(line, |line| response::read(line, &mut out)) {
             Ok(result) => {
-                self.reply = Some(Reply { result, len: out.len() });
+                self.reply = Some(StoredReply { result, len: out.len() });
                 Event::Replied(result)
             }
             Err(TextError { kind: TextErrorKind::Full, .. }) => {

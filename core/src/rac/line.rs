@@ -114,7 +114,7 @@ impl<const N: usize> LineFramer<N> {
         self.state.dropping || self.state.start < self.state.end
     }
 
-    /// Tells whether a line has begun that was not reported. The rest of a dropped line does not count, nor an LF after a CR.
+    /// Returns whether a line has begun that was not reported. The rest of a dropped line does not count, nor an LF after a CR.
     pub(super) fn has_begun(&self) -> bool {
         let begun = self.buffer.get(self.state.start..self.state.end).unwrap_or_default();
         !self.state.dropping && begun.iter().any(|byte| *byte != b'\n')

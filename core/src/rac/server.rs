@@ -144,12 +144,12 @@ struct State {
     tx: [u8; MAX_LINE],
     /// The unsent part of the response in `tx`.
     outbox: Outbox,
-    running: Option<Running>,
+    running: Option<RunningRequest>,
 }
 
 /// A request without a response; its value is in the caller's memory.
 #[derive(Clone, Copy, Debug)]
-struct Running {
+struct RunningRequest {
     verb: Verb,
     variable: Variable,
     /// Bytes of the value.
@@ -171,7 +171,7 @@ enum Turn {
 const SOONEST: Duration = Duration::from_millis(1);
 
 impl<V: Storage> Session<V> {
-    /// Makes a session for a new peer.
+    /// Creates a session for a new peer.
     #[must_use]
     pub const fn new(config: Config, value: V) -> Self {
         let state =
@@ -322,7 +322,7 @@ impl<H: Handler + ?Sized, V: Storage> Serve<H> for Session<V> {
             Outcome::Wait(wake) => {
                 // a handler that asks for a time that has passed must not keep its server spinning
                 let wake = wake.max(now.saturating_add(SOONEST));
-                self.state.running = Some(Running { turn: Turn::Later, wake, ..running });
+                self.state.running = Some(RunningRequest { turn: Turn::Later, wake, ..running });
                 return None;
             }
             Outcome::Done(result) if result.is_ok() && reply.is_overflow() => HResult::E_INVALIDSNDPACKET,
@@ -339,7 +339,7 @@ impl<H: Handler + ?Sized, V: Storage> Serve<H> for Session<V> {
     }
 }
 
-impl Running {
+impl RunningRequest {
     fn request<'a>(&self, value: &'a [u8]) -> Request<'a> {
         match self.verb {
             Verb::Get => Request::Get(self.variable),
@@ -359,7 +359,8 @@ impl State {
         match read {
             Ok((verb, variable)) => {
                 let until = now.saturating_add(self.config.invoke_timeout);
-                self.running = Some(Running { verb, variable, len: out.len(), turn: Turn::First, wake: now, until });
+                self.running =
+                    Some(RunningRequest { verb, variable, len: out.len(), turn: Turn::First, wake: now, until });
                 Event::Requested(variable)
             }
             Err(error) => {
@@ -370,11 +371,11 @@ impl State {
     }
 
     /// Replies to a request whose time limit has passed.
-    fn expire(&mut self, running: Running) -> Event {
+    fn expire(&mut self, running: RunningRequest) -> Event {
         self.answer(running, HResult::E_TIMEOUT, None)
     }
 
-    fn answer(&mut self, running: Running, result: HResult, value: Option<Variant<'_>>) -> Event {
+    fn answer(&mut self, running: RunningRequest, result: HResult, value: Option<Variant<'_>>) -> Event {
         self.running = None;
         let value = value.filter(|_| running.verb == Verb::Get && result.is_ok());
         Event::Served { variable: running.variable, result: self.send(result, value) }

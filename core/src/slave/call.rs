@@ -73,7 +73,7 @@ impl Step {
         }
     }
 
-    /// Tells whether it is a command of the controller, not of the robot.
+    /// Returns whether it is a command of the controller, not of the robot.
     const fn is_of_controller(self) -> bool {
         matches!(self, Self::ErrorCount | Self::ErrorInfo | Self::SystemState | Self::ClearError)
     }

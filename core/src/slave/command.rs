@@ -26,25 +26,25 @@ use crate::variant::{Encode, VarType, Writer};
 /// Makes the call that enters a mode, or leaves Slave Mode with `None`. The reply to leaving arrives when the buffer is empty.
 #[must_use]
 pub fn change_mode(robot: RobotHandle, mode: Option<SlaveMode>) -> impl Call<Reply = Nothing> {
-    Command::new(robot, "slvChangeMode", mode.map_or(SlaveMode::OFF, SlaveMode::code))
+    ExecuteCall::new(robot, "slvChangeMode", mode.map_or(SlaveMode::OFF, SlaveMode::code))
 }
 
 /// Makes the call that reads the mode; [`SlaveMode::from_code`] decodes the reply.
 #[must_use]
 pub fn get_mode(robot: RobotHandle) -> impl Call<Reply = Int> {
-    Command::new(robot, "slvGetMode", ())
+    ExecuteCall::new(robot, "slvGetMode", ())
 }
 
 /// Makes the call that sets the layout of slvMove. It must be made before Slave Mode is entered.
 #[must_use]
 pub fn send_format(robot: RobotHandle, format: SendFormat) -> impl Call<Reply = Nothing> {
-    Command::new(robot, "slvSendFormat", format.code())
+    ExecuteCall::new(robot, "slvSendFormat", format.code())
 }
 
 /// Makes the call that sets the layout of the reply to slvMove. It must be made before Slave Mode is entered.
 #[must_use]
 pub fn receive_format(robot: RobotHandle, format: ReceiveFormat) -> impl Call<Reply = Nothing> {
-    Command::new(robot, "slvRecvFormat", format)
+    ExecuteCall::new(robot, "slvRecvFormat", format)
 }
 
 /// Makes the call that moves the robot; [`ReceiveFormat::read`] decodes the reply.
@@ -80,7 +80,7 @@ pub fn slv_move<'a>(
         SendIo::User(range) => check_user_io(range, outputs.user_io)?,
         SendIo::None | SendIo::Mini => {}
     }
-    Ok(Command::<_, Any>::new(robot, MOVE, Parameter { format, pose, outputs }))
+    Ok(ExecuteCall::<_, Any>::new(robot, MOVE, Parameter { format, pose, outputs }))
 }
 
 const MOVE: &str = "slvMove";
@@ -97,21 +97,21 @@ pub struct Outputs<'a> {
     pub user_io: &'a [u8],
 }
 
-/// A command of a robot with its parameter.
-struct Command<P, R> {
+/// A call of Robot_Execute: a command with its parameter.
+struct ExecuteCall<P, R> {
     robot: RobotHandle,
     name: &'static str,
     parameter: P,
     reply: PhantomData<R>,
 }
 
-impl<P, R> Command<P, R> {
+impl<P, R> ExecuteCall<P, R> {
     const fn new(robot: RobotHandle, name: &'static str, parameter: P) -> Self {
         Self { robot, name, parameter, reply: PhantomData }
     }
 }
 
-impl<P: Encode, R: Reply> Call for Command<P, R> {
+impl<P: Encode, R: Reply> Call for ExecuteCall<P, R> {
     type Reply = R;
 
     fn function(&self) -> FunctionId {
@@ -230,7 +230,7 @@ impl<const N: usize> PreparedMove<N> {
             SendIo::None | SendIo::Mini => &[],
         };
         let parameter = Parameter { format, pose: &pose, outputs: Outputs { mini_io: 0, hand_io: 0, user_io } };
-        let call = Command::<_, Any>::new(robot, MOVE, parameter);
+        let call = ExecuteCall::<_, Any>::new(robot, MOVE, parameter);
         let mut frame = [0; N];
         let mut writer = FrameWriter::new(&mut frame)?;
         call.arguments(&mut writer)?;

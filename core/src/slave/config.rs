@@ -76,7 +76,7 @@ impl Config {
         Duration::from_micros(u64::from(micros_u32(self.cycle)).wrapping_mul(u64::from(count)))
     }
 
-    /// Tells whether no number is NaN, which would pass every comparison, and the start is finite.
+    /// Returns whether no number is NaN, which would pass every comparison, and the start is finite.
     pub(super) fn has_numbers(&self) -> bool {
         let bounds = self.limits.speed.iter().chain(&self.limits.acceleration).chain([&self.tolerance]);
         self.start.is_none_or(|start| start.is_finite()) && !bounds.copied().any(f64::is_nan)

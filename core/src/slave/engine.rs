@@ -195,7 +195,7 @@ pub struct Engine<const N: usize = MOVE_FRAME> {
 }
 
 impl<const N: usize> Engine<N> {
-    /// Makes an engine; the first [`poll`](Self::poll) starts Slave Mode.
+    /// Creates an engine; the first [`poll`](Self::poll) starts Slave Mode.
     ///
     /// # Errors
     ///

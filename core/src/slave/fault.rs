@@ -147,7 +147,7 @@ impl Fault {
         self.errors.first().map(|error| error.code).or(refused)
     }
 
-    /// Tells whether the controller's buffer ran empty while the robot moved.
+    /// Returns whether the controller's buffer ran empty while the robot moved.
     #[must_use]
     pub fn is_underflow(&self) -> bool {
         let empty = HResult::E_COMMAND_BUFFER_EMPTY;

@@ -197,7 +197,7 @@ impl ReceiveFormat {
             | (if self.user_io.is_some() { USER } else { 0 })
     }
 
-    /// Tells whether the reply is a pose alone, not an array of VARIANT.
+    /// Returns whether the reply is a pose alone, not an array of VARIANT.
     pub(super) const fn is_plain(self) -> bool {
         self.time.is_none() && !self.mini_io && self.user_io.is_none() && !self.hand_io && !self.current
     }
@@ -232,7 +232,7 @@ pub struct Format {
 }
 
 impl Format {
-    /// Makes a format that sends poses alone, and receives `receive`.
+    /// Creates a format that sends poses alone, and receives `receive`.
     #[must_use]
     pub const fn new(mode: SlaveMode, receive: ReceiveFormat) -> Self {
         Self { mode, extended: ExtendedAxes::None, send: SendFormat::POSE, receive }

@@ -46,7 +46,7 @@ impl ExtendedAxes {
         }
     }
 
-    /// Tells whether axis 7 and axis 8 are among them.
+    /// Returns whether axis 7 and axis 8 are among them.
     pub(super) const fn has(self) -> (bool, bool) {
         (self.bits() & 0x40 != 0, self.bits() & 0x80 != 0)
     }
@@ -123,26 +123,26 @@ pub struct Pose {
 }
 
 impl Pose {
-    /// Makes a P pose: X, Y, Z in mm, RX, RY, RZ in degrees, Fig.
+    /// Creates a P pose: X, Y, Z in mm, RX, RY, RZ in degrees, Fig.
     #[must_use]
     pub fn p(numbers: [f64; P_LEN]) -> Self {
         Self::new(PoseType::P, &numbers)
     }
 
-    /// Makes a J pose: eight joints in degrees (millimetres for linear ones). The controller ignores joints that the robot
+    /// Creates a J pose: eight joints in degrees (millimetres for linear ones). The controller ignores joints that the robot
     /// does not have.
     #[must_use]
     pub fn j(numbers: [f64; J_LEN]) -> Self {
         Self::new(PoseType::J, &numbers)
     }
 
-    /// Makes a T pose: X, Y, Z in mm, the orientation and the approach vector, Fig.
+    /// Creates a T pose: X, Y, Z in mm, the orientation and the approach vector, Fig.
     #[must_use]
     pub fn t(numbers: [f64; T_LEN]) -> Self {
         Self::new(PoseType::T, &numbers)
     }
 
-    /// Makes a pose of numbers whose count is known at run time, such as the columns of a file.
+    /// Creates a pose of numbers whose count is known at run time, such as the columns of a file.
     ///
     /// `None` when the type has another count. A J pose may have fewer numbers; missing joints are 0.
     #[must_use]
@@ -226,7 +226,7 @@ impl Pose {
         &self.numbers
     }
 
-    /// Tells whether no number is infinite or NaN.
+    /// Returns whether no number is infinite or NaN.
     pub(super) fn is_finite(&self) -> bool {
         self.as_slice().iter().all(|number| number.is_finite())
     }

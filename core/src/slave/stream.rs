@@ -86,12 +86,12 @@ impl fmt::Display for StreamError {
 impl core::error::Error for StreamError {}
 
 impl<const N: usize> Engine<N> {
-    /// Makes a [`Procedure`] that streams a trajectory, for the loops of [`io`](crate::io).
+    /// Creates a [`Procedure`] that streams a trajectory, for the loops of [`io`](crate::io).
     pub const fn stream<'e, T: Trajectory + ?Sized>(&'e mut self, trajectory: &'e mut T) -> Stream<'e, T, N> {
         Stream { engine: self, trajectory: Some(trajectory), supplied: 0, refused: None }
     }
 
-    /// Makes a [`Procedure`] that ends the effects of the stream after a fault: Slave Mode, a motion, the motor and the arm.
+    /// Creates a [`Procedure`] that ends the effects of the stream after a fault: Slave Mode, a motion, the motor and the arm.
     ///
     /// It fails with the fault again if a call of the end fails; [`effects`](Engine::effects) returns the remaining ones.
     pub fn give_up(&mut self) -> Stream<'_, fn(&Cycle<'_>) -> Next, N> {

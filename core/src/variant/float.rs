@@ -32,7 +32,7 @@ use crate::num::to_usize;
 
 /// A binary format of floats.
 #[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Format {
+pub(super) enum FloatFormat {
     /// The format of R4.
     Single,
     /// The format of R8 and DATE.
@@ -58,7 +58,7 @@ pub(super) const MAX_DIGITS: usize = 500;
 /// Decimal exponents of numbers that are neither 0 nor infinite in any format, with a margin.
 const POINTS: core::ops::RangeInclusive<i32> = -330..=310;
 
-impl Format {
+impl FloatFormat {
     /// Returns the bits of the significand, the hidden one included.
     const fn precision(self) -> u32 {
         match self {
@@ -223,7 +223,7 @@ impl Format {
     }
 }
 
-impl Format {
+impl FloatFormat {
     /// Returns the magnitude of a whole number whose digits are the shortest as they are, of bits without a sign.
     pub(super) fn whole(self, bits: u64) -> Option<u64> {
         #[cfg(not(target_os = "none"))]
@@ -263,7 +263,7 @@ impl Format {
         self.shortest(bits)
     }
 
-    /// As [`digits`](Self::digits), by integers; of any float but 0.
+    /// Same as [`digits`](Self::digits), by integers; of any float but 0.
     fn shortest(self, bits: u64) -> (u64, i32) {
         let (significand, exponent) = self.parts(bits);
         let length = 64_u32.wrapping_sub(significand.leading_zeros());
@@ -547,12 +547,12 @@ mod tests {
         if decimal.count == 0 {
             return (None, None);
         }
-        let read = |format: Format| {
+        let read = |format: FloatFormat| {
             let bits = format.of_decimal(&decimal);
             assert_eq!(bits, format.nearest(&decimal), "a host and a board differ");
             bits
         };
-        (read(Format::Single), read(Format::Double))
+        (read(FloatFormat::Single), read(FloatFormat::Double))
     }
 
     /// Checks against the standard library. Its 0 and infinity correspond to "out of range" here.
@@ -642,14 +642,14 @@ mod tests {
     /// Compares digits and exponent with the standard library, which also writes the fewest and nearest.
     ///
     /// Of two that are as near it takes the larger one, and this the even one.
-    fn write(format: Format, bits: u64) {
+    fn write(format: FloatFormat, bits: u64) {
         let number = match format {
-            Format::Single => f64::from(f32::from_bits(low(bits))),
-            Format::Double => f64::from_bits(bits),
+            FloatFormat::Single => f64::from(f32::from_bits(low(bits))),
+            FloatFormat::Double => f64::from_bits(bits),
         };
         let text = match format {
-            Format::Single => format!("{:e}", f32::from_bits(low(bits))),
-            Format::Double => format!("{number:e}"),
+            FloatFormat::Single => format!("{:e}", f32::from_bits(low(bits))),
+            FloatFormat::Double => format!("{number:e}"),
         };
         let (mantissa, exponent) = text.split_once('e').unwrap();
         let digits = mantissa.replace('.', "");
@@ -673,7 +673,7 @@ mod tests {
 
     #[test]
     fn the_fewest_and_nearest_digits_are_written() {
-        for format in [Format::Single, Format::Double] {
+        for format in [FloatFormat::Single, FloatFormat::Double] {
             let fraction = format.precision() - 1;
             let step = 1 << fraction;
             for power in (0..format.infinity() / step).map(|exponent| exponent * step) {
@@ -690,12 +690,12 @@ mod tests {
             random ^= random << 13;
             random ^= random >> 7;
             random ^= random << 17;
-            write(Format::Single, (random % Format::Single.infinity()) | 1);
-            write(Format::Double, (random % Format::Double.infinity()) | 1);
+            write(FloatFormat::Single, (random % FloatFormat::Single.infinity()) | 1);
+            write(FloatFormat::Double, (random % FloatFormat::Double.infinity()) | 1);
         }
         for thousandths in 1..20_000_u16 {
-            write(Format::Single, u64::from((f32::from(thousandths) / 1000.0).to_bits()));
-            write(Format::Double, (f64::from(thousandths) / 1000.0).to_bits());
+            write(FloatFormat::Single, u64::from((f32::from(thousandths) / 1000.0).to_bits()));
+            write(FloatFormat::Double, (f64::from(thousandths) / 1000.0).to_bits());
         }
     }
 
@@ -708,12 +708,12 @@ mod tests {
             ((4_503_599_627_370_501.0_f64 / 4.0).to_bits(), 11_258_999_068_426_252),
             ((4_503_599_627_370_503.0_f64 / 4.0).to_bits(), 11_258_999_068_426_258),
         ] {
-            assert_eq!(Format::Double.shortest(bits), (digits, -1));
+            assert_eq!(FloatFormat::Double.shortest(bits), (digits, -1));
         }
         for (float, digits) in
             [(8_388_609.0_f32 / 4.0, 20_971_522), (8_388_611.0 / 4.0, 20_971_528), (8_388_613.0 / 4.0, 20_971_532)]
         {
-            assert_eq!(Format::Single.shortest(float.to_bits().into()), (digits, -1));
+            assert_eq!(FloatFormat::Single.shortest(float.to_bits().into()), (digits, -1));
         }
     }
 
@@ -721,20 +721,20 @@ mod tests {
     #[ignore = "the 2139095039 floats take half an hour, see `just floats`; BCAP_STEP=n takes every nth"]
     fn every_single_is_written_and_read_as_the_standard_library_does() {
         let step = std::env::var("BCAP_STEP").map_or(1, |step| step.parse().unwrap());
-        for bits in (1..Format::Single.infinity()).step_by(step) {
-            write(Format::Single, bits);
-            let (digits, exponent) = Format::Single.shortest(bits);
+        for bits in (1..FloatFormat::Single.infinity()).step_by(step) {
+            write(FloatFormat::Single, bits);
+            let (digits, exponent) = FloatFormat::Single.shortest(bits);
             assert_eq!(both(&format!("{digits}e{exponent}")).0, Some(bits));
         }
     }
 
     #[test]
     fn signs_and_specials_are_the_hardware_s() {
-        assert_eq!(Format::Single.sign(), u64::from((-0.0_f32).to_bits()));
-        assert_eq!(Format::Double.sign(), (-0.0_f64).to_bits());
-        assert_eq!(Format::Single.infinity(), u64::from(f32::INFINITY.to_bits()));
-        assert_eq!(Format::Double.infinity(), f64::INFINITY.to_bits());
-        assert_eq!((Format::Single.nan(), Format::Double.nan()), (0x7fc0_0000, 0x7ff8 << 48));
+        assert_eq!(FloatFormat::Single.sign(), u64::from((-0.0_f32).to_bits()));
+        assert_eq!(FloatFormat::Double.sign(), (-0.0_f64).to_bits());
+        assert_eq!(FloatFormat::Single.infinity(), u64::from(f32::INFINITY.to_bits()));
+        assert_eq!(FloatFormat::Double.infinity(), f64::INFINITY.to_bits());
+        assert_eq!((FloatFormat::Single.nan(), FloatFormat::Double.nan()), (0x7fc0_0000, 0x7ff8 << 48));
         for number in (0..64).map(|bit| 1_u64 << bit).flat_map(|n| [n, n | 1, n.wrapping_sub(1), n | n >> 1]) {
             check(&format!("{number}"));
         }

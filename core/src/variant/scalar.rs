@@ -4,7 +4,7 @@
 
 use core::fmt;
 
-use super::float::Format;
+use super::float::FloatFormat;
 
 /// The value of VT_NULL; the unit `()` stands for VT_EMPTY.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -44,7 +44,7 @@ impl Currency {
         self.0
     }
 
-    /// Makes an amount from its whole part and the ten-thousandths after the point, both with the sign of `whole`.
+    /// Creates an amount from its whole part and the ten-thousandths after the point, both with the sign of `whole`.
     ///
     /// `None` if `ten_thousandths` is 10000 or more, or the amount does not fit. Use [`from_raw`](Self::from_raw) for amounts
     /// between -1 and 0, whose whole part has no sign.
@@ -184,17 +184,17 @@ impl OleDate {
         if !(FIRST_DAY..=LAST_DAY).contains(&day) {
             return None;
         }
-        let fraction = Format::Double.of_ratio(u64::from(millis), u64::from(MILLIS_PER_DAY));
+        let fraction = FloatFormat::Double.of_ratio(u64::from(millis), u64::from(MILLIS_PER_DAY));
         // OLE dates count the fraction away from zero
-        let sum = Format::Double.plus_whole(fraction, day.unsigned_abs());
-        Some(Self(f64::from_bits(if day < 0 { sum | Format::Double.sign() } else { sum })))
+        let sum = FloatFormat::Double.plus_whole(fraction, day.unsigned_abs());
+        Some(Self(f64::from_bits(if day < 0 { sum | FloatFormat::Double.sign() } else { sum })))
     }
 
     /// Returns the day, towards zero, and the milliseconds of the day.
     fn to_day_and_millis(self) -> Option<(i32, u32)> {
-        let bits = self.0.to_bits() & !Format::Double.sign();
+        let bits = self.0.to_bits() & !FloatFormat::Double.sign();
         // the upper half are days, the lower half parts of a day
-        let (days, fraction) = Format::Double.fixed(bits)?;
+        let (days, fraction) = FloatFormat::Double.fixed(bits)?;
         let day = i32::try_from(days).ok()?;
         let day = if self.0.is_sign_negative() { day.checked_neg()? } else { day };
         if !(FIRST_DAY..=LAST_DAY).contains(&day) {

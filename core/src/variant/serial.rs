@@ -42,13 +42,13 @@ enum Form {
     Ui4(u32),
     I8(i64),
     Ui8(u64),
-    Array(Elements),
+    Array(ArrayForm),
 }
 
 /// The elements of an array, as serde sees them.
 #[derive(Serialize, Deserialize)]
 #[serde(rename_all = "UPPERCASE")]
-enum Elements {
+enum ArrayForm {
     Empty(u32),
     Null(u32),
     I2(Vec<i16>),
@@ -91,7 +91,7 @@ impl Form {
             Variant::Ui4(n) => Self::Ui4(n),
             Variant::I8(n) => Self::I8(n),
             Variant::Ui8(n) => Self::Ui8(n),
-            Variant::Array(array) => Self::Array(Elements::of(array)?),
+            Variant::Array(array) => Self::Array(ArrayForm::of(array)?),
             Variant::Opaque(_) => return Err("a value of unknown VARTYPE cannot be serialised"),
         })
     }
@@ -102,7 +102,7 @@ fn items<T: Scalar>(array: Array<'_>) -> Vec<T> {
     array.items().map(|items| items.iter().collect()).unwrap_or_default()
 }
 
-impl Elements {
+impl ArrayForm {
     fn of(array: Array<'_>) -> Result<Self, &'static str> {
         Ok(match array.element() {
             VarType::NULL => Self::Null(to_u32(array.len())),
@@ -154,7 +154,7 @@ impl Encode for Form {
     }
 }
 
-impl Encode for Elements {
+impl Encode for ArrayForm {
     fn encode(&self, out: &mut Writer<'_>) -> Result<(), EncodeError> {
         match self {
             Self::Empty(count) => head(VarType::EMPTY.array_of(), *count, out),

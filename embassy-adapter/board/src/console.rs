@@ -168,7 +168,8 @@ impl<'a, F: NorFlash> Console<'a, F> {
         Ok(action)
     }
 
-    /// As [`receive`](Self::receive), but writes only the first part of the answer: [`show_more`](Self::show_more) writes the next one.
+    /// Same as [`receive`](Self::receive), but writes only the first part of the answer: [`show_more`](Self::show_more) writes
+    /// the next one.
     pub(crate) fn receive_byte<W: Write>(&mut self, byte: u8, port: &mut W) -> Result<Option<Action>, W::Error> {
         if !matches!(byte, b'\r' | b'\n') {
             self.is_too_long |= self.request.push(byte).is_err();

@@ -23,10 +23,10 @@ const STACK_LIMIT: u32 = 1 << 20;
 /// Bit of ICSR: no other exception is active, so the fault interrupted the program. ARMv6-M does not have it.
 const RETURNS_TO_PROGRAM: u32 = 1 << 11;
 
-static STOP: Mutex<Cell<Hook>> = Mutex::new(Cell::new(None));
+static STOP: Mutex<Cell<StopHook>> = Mutex::new(Cell::new(None));
 
 /// The function that ends the program after a fault.
-type Hook = Option<fn(&Cause) -> !>;
+type StopHook = Option<fn(&Cause) -> !>;
 
 /// Sets what ends the program after a fault. Without it the board is reset.
 pub fn on_stop(end: fn(&Cause) -> !) {

@@ -32,7 +32,7 @@ use embassy_net::udp::{PacketMetadata, UdpSocket};
 use embassy_time::{Duration, Timer};
 use static_cell::{ConstStaticCell, StaticCell};
 
-use crate::led::State;
+use crate::led::LedState;
 pub use crate::parts::Board;
 #[cfg(feature = "modbus")]
 use crate::parts::{AFTER_PLCS, MODBUS_BACKLOG, SPARE_TASK};
@@ -142,8 +142,8 @@ pub async fn watch(board: &'static Board, silence: Duration, feed: impl FnMut())
 
 /// Returns the pattern of the LED.
 #[must_use]
-pub fn led_state(board: &Board, stack: Stack<'_>) -> State {
-    State {
+pub fn led_state(board: &Board, stack: Stack<'_>) -> LedState {
+    LedState {
         link: stack.is_link_up(),
         address: stack.is_config_up(),
         robot: has_robot(board),

@@ -51,7 +51,7 @@ pub(crate) struct Lease {
 
 /// A lease that the network stack must not see.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Refused {
+pub(crate) struct RefusedLease {
     pub(crate) server: Ipv4Addr,
     pub(crate) address: Ipv4Addr,
     pub(crate) reason: Reason,
@@ -95,7 +95,7 @@ pub(crate) fn check(
     frame: &mut [u8],
     mac: [u8; 6],
     accepts: impl FnOnce(Own) -> bool,
-) -> Result<Option<Lease>, Refused> {
+) -> Result<Option<Lease>, RefusedLease> {
     let Some((server, udp)) = datagram(frame) else { return Ok(None) };
     let Some((header, message)) = udp.split_at_mut_checked(UDP_HEADER) else { return Ok(None) };
     let address = address(message, YOUR_ADDRESS).unwrap_or(Ipv4Addr::UNSPECIFIED);
@@ -113,7 +113,7 @@ pub(crate) fn check(
         () => None,
     };
     if let Some(reason) = reason {
-        return Err(Refused { server, address, reason });
+        return Err(RefusedLease { server, address, reason });
     }
     hide_invalid(header, message, own);
     Ok(Some(Lease { is_offer: terms.is_offer }))

@@ -13,10 +13,10 @@
 //! # Examples
 //!
 //! ```
-//! use bcap_board::led::State;
+//! use bcap_board::led::LedState;
 //! use core::time::Duration;
 //!
-//! let state = State { link: true, address: true, robot: false, error: false };
+//! let state = LedState { link: true, address: true, robot: false, error: false };
 //! let pattern = state.pattern();
 //! // a task asks again after `Pattern::STEP`
 //! assert!(pattern.is_on(Duration::from_millis(0)));
@@ -32,7 +32,7 @@ use embedded_hal::digital::OutputPin;
 
 /// The state that the LED shows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct State {
+pub struct LedState {
     /// Whether the Ethernet link is up.
     pub link: bool,
     /// Whether the board has an address.
@@ -63,7 +63,7 @@ impl Pattern {
     const TWICE: Self = Self { steps: 0b1001 };
     const FAST: Self = Self { steps: 0b0101_0101_0101_0101_0101 };
 
-    /// Tells whether the light is on at a time since the start.
+    /// Returns whether the light is on at a time since the start.
     #[must_use]
     pub fn is_on(self, uptime: Duration) -> bool {
         let step = uptime.as_millis() / Self::STEP.as_millis() % u128::from(STEPS);
@@ -71,7 +71,7 @@ impl Pattern {
     }
 }
 
-impl State {
+impl LedState {
     /// Returns how the light blinks in this state.
     #[must_use]
     pub const fn pattern(self) -> Pattern {
@@ -87,7 +87,7 @@ impl State {
 
 /// Shows the state on a pin that switches the LED on when it is high.
 #[cfg(feature = "embassy")]
-pub async fn run(mut pin: impl OutputPin, state: impl Fn() -> State) -> ! {
+pub async fn run(mut pin: impl OutputPin, state: impl Fn() -> LedState) -> ! {
     loop {
         let uptime = Duration::from_micros(bcap_embassy::clock::now().as_micros());
         // an LED that cannot be switched is no reason to stop
@@ -103,7 +103,7 @@ mod tests {
 
     /// Shows a pattern: a `#` for each 100 ms in which the light is on.
     fn shown(link: bool, address: bool, robot: bool, error: bool) -> String {
-        let pattern = State { link, address, robot, error }.pattern();
+        let pattern = LedState { link, address, robot, error }.pattern();
         // the second round is as the first
         let light =
             |round: u64| (0..20).map(move |step| pattern.is_on(Duration::from_millis(round * 2000 + step * 100 + 99)));

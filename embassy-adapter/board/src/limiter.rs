@@ -52,7 +52,7 @@ impl Entry {
 }
 
 impl<const N: usize> Limiter<N> {
-    /// Makes a limiter that has admitted no line yet.
+    /// Creates a limiter that has admitted no line yet.
     #[must_use]
     pub const fn new() -> Self {
         Self { entries: [Entry::FREE; N], others: 0 }

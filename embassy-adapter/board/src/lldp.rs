@@ -30,7 +30,7 @@ const PORT_MAC: u8 = 3;
 
 /// Writes the frame of a board, and returns its length.
 pub(crate) fn write(mac: [u8; 6], own: Ipv4Addr, name: &str, description: [&str; 3], out: &mut [u8; FRAME]) -> usize {
-    let mut frame = Frame { out, len: 0 };
+    let mut frame = LldpFrame { out, len: 0 };
     frame.add(&[&NEAREST, &mac, &LLDP]);
     frame.entry(CHASSIS, &[&[CHASSIS_MAC], &mac]);
     frame.entry(PORT, &[&[PORT_MAC], &mac]);
@@ -45,12 +45,12 @@ pub(crate) fn write(mac: [u8; 6], own: Ipv4Addr, name: &str, description: [&str;
     frame.len
 }
 
-struct Frame<'a> {
+struct LldpFrame<'a> {
     out: &'a mut [u8; FRAME],
     len: usize,
 }
 
-impl Frame<'_> {
+impl LldpFrame<'_> {
     /// Adds an entry, if there is room.
     fn entry(&mut self, kind: u8, value: &[&[u8]]) {
         let len = value.iter().map(|part| part.len()).sum::<usize>();

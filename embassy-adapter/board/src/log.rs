@@ -20,15 +20,15 @@ pub const SIZE: usize = size(option_env!("BCAP_BOARD_LOG"), 2048, 512, 65536);
 
 static RING: Ring<SIZE> = Ring::new();
 static READER: AtomicWaker = AtomicWaker::new();
-static ON_FRAME: Mutex<Cell<Hook>> = Mutex::new(Cell::new(None));
+static ON_FRAME: Mutex<Cell<FrameHook>> = Mutex::new(Cell::new(None));
 
 /// The function that is called after each frame.
-type Hook = Option<fn()>;
+type FrameHook = Option<fn()>;
 
-static STATE: Mutex<RefCell<State>> =
-    Mutex::new(RefCell::new(State { encoder: defmt::Encoder::new(), frame: None, restore: None }));
+static STATE: Mutex<RefCell<LoggerState>> =
+    Mutex::new(RefCell::new(LoggerState { encoder: defmt::Encoder::new(), frame: None, restore: None }));
 
-struct State {
+struct LoggerState {
     encoder: defmt::Encoder,
     /// The frame being written.
     frame: Option<Frame<'static, SIZE>>,
@@ -77,7 +77,7 @@ unsafe impl defmt::Logger for Logger {
     fn acquire() {
         // SAFETY: `release` ends the section
         let restore = unsafe { critical_section::acquire() };
-        with(|State { encoder, frame, restore: restored }| {
+        with(|LoggerState { encoder, frame, restore: restored }| {
             *restored = Some(restore);
             let frame = frame.insert(RING.begin());
             encoder.start_frame(|bytes| frame.extend(bytes));
@@ -88,7 +88,7 @@ unsafe impl defmt::Logger for Logger {
     unsafe fn flush() {}
 
     unsafe fn release() {
-        let restore = with(|State { encoder, frame, restore }| {
+        let restore = with(|LoggerState { encoder, frame, restore }| {
             if let Some(mut frame) = frame.take() {
                 encoder.end_frame(|bytes| frame.extend(bytes));
                 frame.end();
@@ -106,7 +106,7 @@ unsafe impl defmt::Logger for Logger {
     }
 
     unsafe fn write(bytes: &[u8]) {
-        with(|State { encoder, frame, .. }| {
+        with(|LoggerState { encoder, frame, .. }| {
             if let Some(frame) = frame {
                 encoder.write(bytes, |bytes| frame.extend(bytes));
             }
@@ -115,7 +115,7 @@ unsafe impl defmt::Logger for Logger {
 }
 
 /// Returns the state; `None` when a log statement is nested in another, whose bytes are then lost.
-fn with<T>(work: impl FnOnce(&mut State) -> T) -> Option<T> {
+fn with<T>(work: impl FnOnce(&mut LoggerState) -> T) -> Option<T> {
     critical_section::with(|cs| STATE.borrow(cs).try_borrow_mut().ok().map(|mut state| work(&mut state)))
 }
 

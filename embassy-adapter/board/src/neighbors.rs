@@ -76,7 +76,7 @@ pub(crate) struct Neighbors {
 }
 
 impl Neighbors {
-    /// Tells whether the network stack may have a received frame. `now` is in milliseconds and wraps.
+    /// Returns whether the network stack may have a received frame. `now` is in milliseconds and wraps.
     pub(crate) fn may_pass(&mut self, frame: &[u8], route: Route, mac: Mac, now: u32) -> bool {
         let Some((header, packet)) = frame.split_first_chunk::<ETHERNET>() else { return true };
         let [to @ .., _, _, _, _, _, _, _, _] = header;
@@ -172,7 +172,7 @@ fn is_open(packet: &[u8]) -> bool {
     packet.get(9) == Some(&UDP) && port.is_some_and(|port| OPEN.contains(&port))
 }
 
-/// Makes an ARP frame with its sender and its target.
+/// Creates an ARP frame with its sender and its target.
 fn arp(to: Mac, operation: u8, (from, sender): (Mac, Ipv4Addr), (mac, target): (Mac, Ipv4Addr)) -> [u8; FRAME] {
     let (sender, target) = (sender.octets(), target.octets());
     let parts: [&[u8]; 9] = [&to, &from, &ARP, &HEAD, &[0, operation], &from, &sender, &mac, &target];

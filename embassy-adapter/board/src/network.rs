@@ -14,7 +14,7 @@ use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_time::{Duration, Instant, Timer};
 
-use crate::lease::{Lease, Refused, check};
+use crate::lease::{Lease, RefusedLease, check};
 use crate::lldp;
 use crate::neighbors::{FRAME, Neighbors, Route};
 use crate::parts::Parts;
@@ -88,7 +88,7 @@ pub fn start<D: Driver, const SOCKETS: usize>(
     embassy_net::new(driver, address::config(settings), resources, seed)
 }
 
-/// Tells whether the controller has received nothing for this time while its link is up, and had received frames before.
+/// Returns whether the controller has received nothing for this time while its link is up, and had received frames before.
 #[must_use]
 pub fn is_dead(silence: Duration) -> bool {
     let Life { has_received, silent_since } = LIFE.lock(Cell::get);
@@ -129,7 +129,7 @@ struct Filter {
     settings: &'static Settings<'static>,
     next_offer: Instant,
     /// The refusal that was last logged.
-    told: Option<Refused>,
+    told: Option<RefusedLease>,
     /// The earliest time of the next line about a refusal.
     next_line: Instant,
     neighbors: Neighbors,
@@ -244,7 +244,8 @@ impl<T: RxToken> RxToken for CheckedFrame<'_, T> {
 }
 
 impl Filter {
-    /// Tells whether the network stack may have a frame; logs a refused lease, unless it is the last one again, at most one a second.
+    /// Returns whether the network stack may have a frame; logs a refused lease, unless it is the last one again, at most one a
+    /// second.
     fn may_pass(&mut self, frame: &mut [u8], mac: [u8; 6]) -> bool {
         // wraps, as the neighbors expect
         let now = Instant::now().as_millis() as u32;
@@ -265,7 +266,7 @@ impl Filter {
                 let now = Instant::now();
                 if self.told != Some(refused) && now >= self.next_line {
                     (self.told, self.next_line) = (Some(refused), now.saturating_add(LOG_PAUSE));
-                    let Refused { server, address, reason } = refused;
+                    let RefusedLease { server, address, reason } = refused;
                     defmt::warn!("DHCP: refused {} from {}: {=str}", address, server, reason.text());
                 }
                 false

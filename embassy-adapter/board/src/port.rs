@@ -65,7 +65,7 @@ pub fn console<F: NorFlash>(slots: Slots<F>) -> Console<'static, F> {
     Console::new(slots, memory::image())
 }
 
-/// Makes a console as [`console`] does, which also receives updates if the image has partitions for them.
+/// Creates a console as [`console`] does, which also receives updates if the image has partitions for them.
 ///
 /// Call it after [`Parts::after`](crate::parts::Parts::after), which passes on why an update was rolled back.
 #[cfg(feature = "update")]
@@ -154,7 +154,7 @@ pub async fn run<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
     run_console(|| console(slots), receiver, sender, log, restart).await;
 }
 
-/// As [`run`], and receives updates, if the image has partitions for them.
+/// Same as [`run`], and receives updates, if the image has partitions for them.
 #[cfg(feature = "update")]
 pub async fn run_with_updates<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
     slots: Slots<F>,
@@ -167,7 +167,7 @@ pub async fn run_with_updates<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
     run_console(|| console_with_updates(slots, updates), receiver, sender, log, restart).await;
 }
 
-/// Makes a console. Not inlined: its temporaries, of 2.8 KB each, would be in the frame of each poll of the task.
+/// Creates a console. Not inlined: its temporaries, of 2.8 KB each, would be in the frame of each poll of the task.
 #[inline(never)]
 pub(crate) fn cell<F: NorFlash>(make: impl FnOnce() -> Console<'static, F>) -> RefCell<Console<'static, F>> {
     RefCell::new(make())

@@ -74,7 +74,7 @@ impl Cause {
         Self::Panic { file, line }
     }
 
-    /// Tells whether the board has failed: a panic, a fault, tasks or a network that hang.
+    /// Returns whether the board has failed: a panic, a fault, tasks or a network that hang.
     #[must_use]
     pub const fn is_fault(&self) -> bool {
         !matches!(self, Self::PowerOn | Self::Unrecorded)

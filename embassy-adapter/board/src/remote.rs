@@ -41,17 +41,17 @@ static LEFT: Signal<CriticalSectionRawMutex, ()> = Signal::new();
 
 /// An answer, and whether the board restarts after it.
 struct Answer {
-    text: Text,
+    text: AnswerText,
     restarts: bool,
 }
 
-struct Text(Vec<u8, ANSWER_SIZE>);
+struct AnswerText(Vec<u8, ANSWER_SIZE>);
 
-impl embedded_io::ErrorType for Text {
+impl embedded_io::ErrorType for AnswerText {
     type Error = Infallible;
 }
 
-impl embedded_io::Write for Text {
+impl embedded_io::Write for AnswerText {
     fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
         // room for the line feed remains
         let room = (ANSWER_SIZE - 1).saturating_sub(self.0.len());
@@ -69,7 +69,7 @@ impl embedded_io::Write for Text {
 pub(crate) async fn attend<F: NorFlash>(console: &RefCell<Console<'_, F>>, restart: fn() -> !) {
     loop {
         let request = REQUEST.wait().await;
-        let mut text = Text(Vec::new());
+        let mut text = AnswerText(Vec::new());
         // other tasks of the port borrow it between two bytes only
         let Ok(restarts) = console.borrow_mut().perform_remote(&request, &mut text);
         ANSWER.signal(Answer { text, restarts });

@@ -41,7 +41,7 @@ impl<const N: usize> Ring<N> {
         N as u32 - 1
     };
 
-    /// Makes an empty buffer.
+    /// Creates an empty buffer.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -76,7 +76,7 @@ impl<const N: usize> Ring<N> {
         byte
     }
 
-    /// Tells whether there is nothing to read.
+    /// Returns whether there is nothing to read.
     pub fn is_empty(&self) -> bool {
         self.read.load(Ordering::Relaxed) == self.written.load(Ordering::Acquire)
     }

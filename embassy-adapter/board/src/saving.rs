@@ -25,16 +25,16 @@ struct Job {
     running: &'static Settings<'static>,
 }
 
-/// The task with the flash.
+/// The state of the task with the flash.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum State {
+enum TaskState {
     Absent,
     Free,
     /// It has a job, or the board restarts.
     Busy,
 }
 
-static STATE: Mutex<CriticalSectionRawMutex, Cell<State>> = Mutex::new(Cell::new(State::Absent));
+static STATE: Mutex<CriticalSectionRawMutex, Cell<TaskState>> = Mutex::new(Cell::new(TaskState::Absent));
 static JOB: Signal<CriticalSectionRawMutex, Job> = Signal::new();
 static DONE: Signal<CriticalSectionRawMutex, (&'static mut [u8], Result<(), NotSaved>)> = Signal::new();
 
@@ -50,7 +50,7 @@ pub(crate) enum SaveError {
 
 /// Returns whether the board has a console.
 pub(crate) fn is_possible() -> bool {
-    STATE.lock(Cell::get) != State::Absent
+    STATE.lock(Cell::get) != TaskState::Absent
 }
 
 /// Saves the settings in the first `len` bytes of a memory, and returns the memory.
@@ -63,7 +63,8 @@ pub(crate) async fn save(
         return (memory, Err(SaveError::Text));
     }
     // one job at a time; with two, the memory of one would be lost
-    let is_free = STATE.lock(|state| state.get() == State::Free && state.replace(State::Busy) == State::Free);
+    let is_free =
+        STATE.lock(|state| state.get() == TaskState::Free && state.replace(TaskState::Busy) == TaskState::Free);
     if !is_free {
         return (memory, Err(SaveError::Busy));
     }
@@ -72,14 +73,14 @@ pub(crate) async fn save(
     let (memory, result) = DONE.wait().await;
     if result.is_err() {
         // not before: another page would take this result
-        STATE.lock(|state| state.set(State::Free));
+        STATE.lock(|state| state.set(TaskState::Free));
     }
     (memory, result.map_err(SaveError::NotSaved))
 }
 
 /// Performs the jobs, in the task that has the flash; restarts the board after settings were saved.
 pub(crate) async fn attend<F: NorFlash>(console: &RefCell<Console<'_, F>>, restart: fn() -> !) {
-    STATE.lock(|state| state.set(State::Free));
+    STATE.lock(|state| state.set(TaskState::Free));
     loop {
         let Job { memory, len, running } = JOB.wait().await;
         let result = replace(console, memory.get(..len).unwrap_or_default(), running);

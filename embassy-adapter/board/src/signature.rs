@@ -50,7 +50,7 @@ impl PublicKey {
         Self(key)
     }
 
-    /// Tells whether a signature is that of an image's signer. A key or signature of small order is invalid.
+    /// Returns whether a signature is that of an image's signer. A key or signature of small order is invalid.
     #[must_use]
     pub fn accepts(&self, manifest: &Manifest<'_>, signature: &[u8; SIGNATURE]) -> bool {
         let signature = Ed25519::from_bytes(signature);
@@ -128,8 +128,8 @@ pub fn public_of(secret: &[u8; KEY_SIZE]) -> PublicKey {
     PublicKey(SigningKey::from_bytes(secret).verifying_key().to_bytes())
 }
 
-/// Tells whether a version is older than another: numbers between dots count, then a suffix such as `-rc1` is older than none, and
-/// `-rc9` is older than `-rc10`. A version that is not of this form counts as older, so it is refused.
+/// Returns whether a version is older than another: numbers between dots count, then a suffix such as `-rc1` is older than
+/// none, and `-rc9` is older than `-rc10`. A version that is not of this form counts as older, so it is refused.
 #[must_use]
 pub fn is_older(version: &str, than: &str) -> bool {
     match (parts(version), parts(than)) {

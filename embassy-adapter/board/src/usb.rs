@@ -28,7 +28,7 @@ pub async fn run<D: Driver<'static>, F: NorFlash>(driver: D, slots: Slots<F>, re
     run_console(driver, || port::console(slots), restart).await;
 }
 
-/// As [`run`], and receives updates, if the image has partitions for them.
+/// Same as [`run`], and receives updates, if the image has partitions for them.
 #[cfg(feature = "update")]
 pub async fn run_with_updates<D: Driver<'static>, F: NorFlash>(
     driver: D,

@@ -4,7 +4,8 @@
 const CODE: core::ops::Range<u32> = 0x0000_0000..0x4000_0000;
 const MEMORY: core::ops::Range<u32> = 0x2000_0000..0x4000_0000;
 
-/// Tells whether an image starts with a vector table: the initial stack pointer and the reset vector, whose lowest bit is set.
+/// Returns whether an image starts with a vector table: the initial stack pointer and the reset vector, whose lowest bit is
+/// set.
 ///
 /// # Examples
 ///

@@ -65,7 +65,7 @@ impl<const RX: usize, const TX: usize> core::fmt::Debug for State<RX, TX> {
 }
 
 /// Moves frames between the chip and the network stack; a task must run it.
-pub struct Runner<'d, S, I, R> {
+pub struct ChipRunner<'d, S, I, R> {
     chip: Chip<S>,
     channel: channel::Runner<'d, MAX_FRAME>,
     interrupt: I,
@@ -73,9 +73,9 @@ pub struct Runner<'d, S, I, R> {
     _reset: R,
 }
 
-impl<S, I, R> core::fmt::Debug for Runner<'_, S, I, R> {
+impl<S, I, R> core::fmt::Debug for ChipRunner<'_, S, I, R> {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
-        f.debug_struct("Runner").finish_non_exhaustive()
+        f.debug_struct("ChipRunner").finish_non_exhaustive()
     }
 }
 
@@ -90,7 +90,7 @@ pub async fn new<'d, const RX: usize, const TX: usize, S: SpiDevice, I: Wait, R:
     spi: S,
     interrupt: I,
     mut reset: R,
-) -> Result<(Device<'d>, Runner<'d, S, I, R>), Error<S::Error>> {
+) -> Result<(Device<'d>, ChipRunner<'d, S, I, R>), Error<S::Error>> {
     // a pin that cannot be set leaves the reset to the register
     let _ = reset.set_low();
     Timer::after(RESET).await;
@@ -106,7 +106,7 @@ pub async fn new<'d, const RX: usize, const TX: usize, S: SpiDevice, I: Wait, R:
         }
     }
     let (channel, device) = channel::new(&mut state.0, HardwareAddress::Ethernet(address));
-    Ok((device, Runner { chip, channel, interrupt, _reset: reset }))
+    Ok((device, ChipRunner { chip, channel, interrupt, _reset: reset }))
 }
 
 /// When the chip is asked for received frames.
@@ -121,7 +121,7 @@ enum Next {
     Tick,
 }
 
-impl<S: SpiDevice, I: Wait, R: OutputPin> Runner<'_, S, I, R> {
+impl<S: SpiDevice, I: Wait, R: OutputPin> ChipRunner<'_, S, I, R> {
     /// Runs the driver.
     pub async fn run(self) -> ! {
         let Self { mut chip, channel, mut interrupt, _reset } = self;

@@ -64,7 +64,7 @@ struct Board<const WRITE: usize, const ERASE: usize> {
 }
 
 impl<const WRITE: usize, const ERASE: usize> Board<WRITE, ERASE> {
-    /// Makes a board with the old image and settings.
+    /// Creates a board with the old image and settings.
     fn new() -> Self {
         let partitions = partitions(u32::try_from(ERASE).unwrap());
         let mut flash = Flash::new(usize::try_from(partitions.signature.end).unwrap());

@@ -17,22 +17,22 @@ pub struct ModbusListener<'s> {
     transport: TcpTransport<'s>,
     port: u16,
     map: &'s [Entry],
-    front: modbus::Front<'s>,
+    session: modbus::Session<'s>,
 }
 
 impl<'s> ModbusListener<'s> {
     /// Creates a listener; `rx` and `tx` are its socket's buffers, and `map` says which variables its clients see.
     #[must_use]
     pub fn new(stack: Stack<'s>, port: u16, map: &'s [Entry], [rx, tx]: [&'s mut [u8]; 2], options: Options) -> Self {
-        Self { transport: TcpTransport::new(stack, rx, tx, options), port, map, front: modbus::Front::new(map) }
+        Self { transport: TcpTransport::new(stack, rx, tx, options), port, map, session: modbus::Session::new(map) }
     }
 
     /// Serves clients forever, one after another.
     pub async fn run<M: RawMutex, const N: usize>(&mut self, shared: &SharedGateway<'_, M, N>, limits: &Limits) -> ! {
         loop {
             let client = accept(&mut self.transport, self.port, shared).await;
-            self.front = modbus::Front::new(self.map);
-            let ended = serve(&mut self.transport, Front::Modbus(&mut self.front), client, shared, limits).await;
+            self.session = modbus::Session::new(self.map);
+            let ended = serve(&mut self.transport, Front::Modbus(&mut self.session), client, shared, limits).await;
             if ended.is_none() {
                 self.refuse_client().await;
             }
@@ -48,13 +48,13 @@ impl<'s> ModbusListener<'s> {
         loop {
             let client = accept(&mut self.transport, self.port, shared).await;
             shared.deny(client, Denial::Full);
-            self.front = modbus::Front::new(self.map);
+            self.session = modbus::Session::new(self.map);
             self.refuse_client().await;
             end(&mut self.transport, false).await;
         }
     }
 
     async fn refuse_client(&mut self) {
-        refuse(&mut self.transport, Front::Modbus(&mut self.front), REFUSAL_TIME, &mut [0; CHUNK]).await;
+        refuse(&mut self.transport, Front::Modbus(&mut self.session), REFUSAL_TIME, &mut [0; CHUNK]).await;
     }
 }

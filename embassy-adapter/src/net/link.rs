@@ -61,7 +61,7 @@ impl Limit {
     }
 }
 
-/// Tells whether the board has no link or no address.
+/// Returns whether the board has no link or no address.
 pub(super) fn is_down(stack: embassy_net::Stack<'_>) -> bool {
     !(stack.is_link_up() && stack.is_config_up())
 }

@@ -48,7 +48,7 @@ where
     /// Saves the variables of a kind, from the first one that an earlier dump did not save.
     fn kind(&mut self, kind: VariableKind, omitted: &mut Vec<Omission>) -> Result<(), C::Error> {
         let Some(count) = controller::count(self.session, kind, omitted)? else { return Ok(()) };
-        let Some((mut part, done)) = self.folder.part(kind)? else { return Ok(()) };
+        let Some((mut part, done)) = self.folder.partial_file(kind)? else { return Ok(()) };
         controller::variables(self.session, kind, done..count, |index, entry| {
             (self.watch)(Progress { part: kind.name(), done: index as usize, count: count as usize })?;
             Ok(part.push(UserVariable::new(kind, index).name(), entry)?)

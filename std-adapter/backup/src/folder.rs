@@ -87,7 +87,7 @@ impl Folder {
     }
 
     /// Opens the lines of a kind; `None` if they are complete. The second value is the number of lines that exist.
-    pub fn part(&self, kind: VariableKind) -> Result<Option<(Part, u32)>, Error> {
+    pub fn partial_file(&self, kind: VariableKind) -> Result<Option<(PartialFile, u32)>, Error> {
         let complete = variables(&self.path, kind);
         if complete.exists() {
             return Ok(None);
@@ -97,7 +97,7 @@ impl Folder {
         self.write(&path, done.join("").as_bytes())?;
         let file = OpenOptions::new().append(true).open(&path).map_err(failed(&path))?;
         let count = u32::try_from(done.len()).unwrap_or(u32::MAX);
-        Ok(Some((Part { path, complete, file: BufWriter::new(file), unwritten: 0 }, count)))
+        Ok(Some((PartialFile { path, complete, file: BufWriter::new(file), unwritten: 0 }, count)))
     }
 
     /// Writes the system variables.
@@ -175,14 +175,14 @@ fn is_temporary(entry: &DirEntry) -> bool {
 }
 
 /// The lines of a kind while they are read.
-pub struct Part {
+pub struct PartialFile {
     path: PathBuf,
     complete: PathBuf,
     file: BufWriter<File>,
     unwritten: u32,
 }
 
-impl Part {
+impl PartialFile {
     /// Adds a line.
     pub fn push(&mut self, name: String, entry: Entry) -> Result<(), Error> {
         writeln!(self.file, "{}", Named { name, entry }.to_json()).map_err(failed(&self.path))?;

@@ -87,7 +87,7 @@ unsafe fn open<'a>(client: *mut bcap_client) -> Result<&'a mut Inner, Status> {
     Ok(unsafe { &mut *client.cast::<Inner>() })
 }
 
-/// Tells whether two parts of memory overlap.
+/// Returns whether two parts of memory overlap.
 fn overlap(first: (usize, usize), second: (usize, usize)) -> bool {
     first.0 < second.0.saturating_add(second.1) && second.0 < first.0.saturating_add(first.1)
 }

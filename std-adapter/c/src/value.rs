@@ -201,7 +201,7 @@ impl FromVariant<'_> for Integer {
     }
 }
 
-/// Makes a scalar of the core.
+/// Creates a scalar of the core.
 fn scalar<'a>(vartype: VarType, integer: i64, number: f64) -> Result<Variant<'a>, Status> {
     fn small<T: TryFrom<i64>>(integer: i64) -> Result<T, Status> {
         T::try_from(integer).map_err(|_| BCAP_E_RANGE)
@@ -238,7 +238,7 @@ pub extern "C" fn bcap_empty() -> bcap_value {
     bcap_value::EMPTY
 }
 
-/// Makes an integer, a truth value, a code or a currency amount of any scalar type, such as `BCAP_UI2`. An integer out of the range of
+/// Creates an integer, a truth value, a code or a currency amount of any scalar type, such as `BCAP_UI2`. An integer out of the range of
 /// its type is refused when it is sent. For `BCAP_R4`, `BCAP_R8` and `BCAP_DATE` it is converted to the nearest number.
 #[unsafe(no_mangle)]
 pub extern "C" fn bcap_integer(r#type: u16, integer: i64) -> bcap_value {
@@ -250,31 +250,31 @@ pub extern "C" fn bcap_integer(r#type: u16, integer: i64) -> bcap_value {
     bcap_value::scalar(vartype, data)
 }
 
-/// Makes an I4: handles, I variables, modes.
+/// Creates an I4: handles, I variables, modes.
 #[unsafe(no_mangle)]
 pub extern "C" fn bcap_i4(integer: i32) -> bcap_value {
     bcap_value::scalar(VarType::I4, bcap_data { integer: integer.into() })
 }
 
-/// Makes a BOOL: IO variables.
+/// Creates a BOOL: IO variables.
 #[unsafe(no_mangle)]
 pub extern "C" fn bcap_bool(truth: bool) -> bcap_value {
     bcap_value::scalar(VarType::BOOL, bcap_data { integer: truth.into() })
 }
 
-/// Makes an R4: F variables, speeds.
+/// Creates an R4: F variables, speeds.
 #[unsafe(no_mangle)]
 pub extern "C" fn bcap_r4(number: f32) -> bcap_value {
     bcap_value::scalar(VarType::R4, bcap_data { number: number.into() })
 }
 
-/// Makes an R8: D variables.
+/// Creates an R8: D variables.
 #[unsafe(no_mangle)]
 pub extern "C" fn bcap_r8(number: f64) -> bcap_value {
     bcap_value::scalar(VarType::R8, bcap_data { number })
 }
 
-/// Makes a text of UTF-8 that ends with NUL: names, options, S variables. Null makes a value that is refused.
+/// Creates a text of UTF-8 that ends with NUL: names, options, S variables. Null makes a value that is refused.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_text(text: *const c_char) -> bcap_value {
     match caller!(read_text(text)) {
@@ -283,7 +283,7 @@ pub unsafe extern "C" fn bcap_text(text: *const c_char) -> bcap_value {
     }
 }
 
-/// Makes an array of numbers, such as `BCAP_R4` from `float` and `BCAP_I4` from `int32_t`. A BOOL is an `int16_t`, 0 or -1.
+/// Creates an array of numbers, such as `BCAP_R4` from `float` and `BCAP_I4` from `int32_t`. A BOOL is an `int16_t`, 0 or -1.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_array(r#type: u16, elements: *const c_void, count: usize) -> bcap_value {
     let vartype = VarType(r#type);
@@ -294,7 +294,7 @@ pub unsafe extern "C" fn bcap_array(r#type: u16, elements: *const c_void, count:
     bcap_value { r#type: vartype.array_of().0, form: ARRAY, count, size, data: bcap_data { pointer: elements } }
 }
 
-/// Makes an array of values of any types (VARIANT), such as the pose of Robot_Move.
+/// Creates an array of values of any types (VARIANT), such as the pose of Robot_Move.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn bcap_list(values: *const bcap_value, count: usize) -> bcap_value {
     let vartype = VarType::VARIANT.array_of();

@@ -133,13 +133,13 @@ fn fields(bytes: &[u8], frame: &Frame<'_>, role: Role, crc: bool) -> Vec<Field> 
 }
 
 /// An argument: the positions of its length and its value, and its text.
-struct Argument {
+struct ArgumentSpan {
     length: Range<usize>,
     value: Range<usize>,
     text: String,
 }
 
-fn arguments<'a>(bytes: &'a [u8], frame: &Frame<'a>, role: Role) -> impl Iterator<Item = Argument> + use<'a> {
+fn arguments<'a>(bytes: &'a [u8], frame: &Frame<'a>, role: Role) -> impl Iterator<Item = ArgumentSpan> + use<'a> {
     let names = if role == Role::Request { frame.function().argument_names() } else { &[] };
     let mut at = HEADER_LEN;
     frame.args.iter().enumerate().map(move |(i, value)| {
@@ -147,6 +147,6 @@ fn arguments<'a>(bytes: &'a [u8], frame: &Frame<'a>, role: Role) -> impl Iterato
         let length = at..at + 4;
         at = length.end + usize::try_from(declared).unwrap_or(0);
         let name = names.get(i).map(|name| format!("{name}: ")).unwrap_or_default();
-        Argument { value: length.end..at, length, text: format!("{name}{value:?}") }
+        ArgumentSpan { value: length.end..at, length, text: format!("{name}{value:?}") }
     })
 }

@@ -50,7 +50,7 @@ use crate::role::Role;
 const QUEUE: usize = 64 << 20;
 
 /// An entry of the queue.
-enum Entry {
+enum QueueEntry {
     Opened { at: u64, ends: Ends },
     Bytes { at: u64, ends: Ends, sender: Role, bytes: Vec<u8>, note: Option<String> },
     Note { at: u64, ends: Ends, text: String },
@@ -58,7 +58,7 @@ enum Entry {
     End,
 }
 
-impl Entry {
+impl QueueEntry {
     /// Returns the memory that the entry takes, in bytes.
     fn size(&self) -> usize {
         let more = match self {
@@ -73,7 +73,7 @@ impl Entry {
 /// Records bytes; clones record to the same file.
 #[derive(Clone, Debug)]
 pub struct Recorder {
-    queue: Sender<Entry>,
+    queue: Sender<QueueEntry>,
     budget: Arc<Budget>,
     clock: Clock,
 }
@@ -112,32 +112,32 @@ impl Recorder {
 
     /// Records that a connection was opened.
     pub fn opened(&self, ends: Ends) {
-        self.put(Entry::Opened { at: self.now(), ends });
+        self.put(QueueEntry::Opened { at: self.now(), ends });
     }
 
     /// Records bytes that arrived or left at this time.
     pub fn bytes(&self, at: u64, ends: Ends, sender: Role, bytes: &[u8]) {
         if !bytes.is_empty() {
-            self.put(Entry::Bytes { at, ends, sender, bytes: bytes.to_vec(), note: None });
+            self.put(QueueEntry::Bytes { at, ends, sender, bytes: bytes.to_vec(), note: None });
         }
     }
 
     /// Records bytes with a remark, which becomes the comment of their packet.
     pub fn bytes_with(&self, at: u64, ends: Ends, sender: Role, bytes: &[u8], note: String) {
-        self.put(Entry::Bytes { at, ends, sender, bytes: bytes.to_vec(), note: Some(note) });
+        self.put(QueueEntry::Bytes { at, ends, sender, bytes: bytes.to_vec(), note: Some(note) });
     }
 
     /// Hands a remark to the program; the file does not get it.
     pub fn note(&self, ends: Ends, text: String) {
-        self.put(Entry::Note { at: self.now(), ends, text });
+        self.put(QueueEntry::Note { at: self.now(), ends, text });
     }
 
     /// Records the end of a connection.
     pub fn closed(&self, ends: Ends) {
-        self.put(Entry::Closed { at: self.now(), ends });
+        self.put(QueueEntry::Closed { at: self.now(), ends });
     }
 
-    fn put(&self, entry: Entry) {
+    fn put(&self, entry: QueueEntry) {
         self.budget.take(entry.size());
         // the thread ends early only if the file cannot be written; `Recording::finish` reports that
         let _ = self.queue.send(entry);
@@ -194,7 +194,7 @@ impl Recording {
     ///
     /// When the file could not be written.
     pub fn finish(self) -> Result<(), Error> {
-        self.recorder.put(Entry::End);
+        self.recorder.put(QueueEntry::End);
         let written = self.thread.join().unwrap_or_else(|_| Err(io::Error::other("the thread that writes panicked")));
         match (&self.file, written) {
             (Some(path), Err(error)) => Err(not_written(path, error)),
@@ -227,7 +227,7 @@ pub fn write<'a>(
 
 /// Turns entries into packets until the end.
 fn run(
-    entries: &Receiver<Entry>,
+    entries: &Receiver<QueueEntry>,
     budget: &Budget,
     mut tape: Tape<impl io::Write, impl FnMut(Recorded<'_>)>,
 ) -> io::Result<()> {
@@ -237,18 +237,20 @@ fn run(
             Err(TryRecvError::Empty) => {
                 // the file is complete whenever nothing happens
                 tape.flush()?;
-                entries.recv().unwrap_or(Entry::End)
+                entries.recv().unwrap_or(QueueEntry::End)
             }
-            Err(TryRecvError::Disconnected) => Entry::End,
+            Err(TryRecvError::Disconnected) => QueueEntry::End,
         };
         // it takes memory until it is written, but never more than one at a time
         budget.release(entry.size());
         match entry {
-            Entry::Opened { at, ends } => tape.open(at, ends)?,
-            Entry::Bytes { at, ends, sender, bytes, note } => tape.bytes(at, ends, sender, &bytes, note.as_deref())?,
-            Entry::Note { at, ends, text } => tape.note(at, ends, &text),
-            Entry::Closed { at, ends } => tape.close(at, ends)?,
-            Entry::End => return tape.flush(),
+            QueueEntry::Opened { at, ends } => tape.open(at, ends)?,
+            QueueEntry::Bytes { at, ends, sender, bytes, note } => {
+                tape.bytes(at, ends, sender, &bytes, note.as_deref())?;
+            }
+            QueueEntry::Note { at, ends, text } => tape.note(at, ends, &text),
+            QueueEntry::Closed { at, ends } => tape.close(at, ends)?,
+            QueueEntry::End => return tape.flush(),
         }
     }
 }

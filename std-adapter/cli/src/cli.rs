@@ -216,11 +216,11 @@ Examples:
   bcap generate wireshark >~/.local/lib/wireshark/plugins/bcap.lua")]
 pub(crate) struct Generate {
     #[command(subcommand)]
-    pub(crate) output: Output,
+    pub(crate) output: GenerateCommand,
 }
 
 #[derive(Debug, Subcommand)]
-pub(crate) enum Output {
+pub(crate) enum GenerateCommand {
     /// Prints a completion script for a shell, which calls bcap for each Tab
     Completions {
         /// The shell
@@ -275,15 +275,15 @@ pub(crate) fn print_help(command: &str) -> Result<(), Failure> {
 /// Runs `bcap generate`.
 pub(crate) fn generate(args: &Generate) -> Result<(), Failure> {
     match &args.output {
-        Output::Completions { shell } => {
+        GenerateCommand::Completions { shell } => {
             let mut script = Vec::new();
             if let Some(shell) = Shells::builtins().completer(&shell.to_string()) {
                 shell.write_registration("COMPLETE", "bcap", "bcap", "bcap", &mut script)?;
             }
             Ok(print_raw(String::from_utf8_lossy(&script).trim_end())?)
         }
-        Output::Man { directory } => man(directory),
-        Output::Pages { directory } => {
+        GenerateCommand::Man { directory } => man(directory),
+        GenerateCommand::Pages { directory } => {
             // as in the help, other options of the connection have one page
             let mut cli = with_groups(Cli::command().disable_help_subcommand(true));
             cli.build();
@@ -291,7 +291,7 @@ pub(crate) fn generate(args: &Generate) -> Result<(), Failure> {
             Ok(print_raw(list.trim_end())?)
         }
         // it has no text from outside
-        Output::Wireshark => Ok(print_raw(bcap_capture::wireshark::script().trim_end())?),
+        GenerateCommand::Wireshark => Ok(print_raw(bcap_capture::wireshark::script().trim_end())?),
     }
 }
 

@@ -207,7 +207,7 @@ impl Interrupt {
         was_answered
     }
 
-    /// Returns the present state of the command.
+    /// Returns the current state of the command.
     fn state(&self) -> State {
         self.status().state
     }
@@ -217,7 +217,7 @@ impl Interrupt {
         self.status().state = state;
     }
 
-    /// Sets the state of the command, unless the present state outranks it.
+    /// Sets the state of the command, unless the current state outranks it.
     pub(crate) fn raise(&self, state: State) {
         let mut status = self.status();
         status.state = status.state.max(state);

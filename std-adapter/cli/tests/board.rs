@@ -313,7 +313,7 @@ impl embedded_io::Write for Connection {
     }
 }
 
-/// Makes a key, and returns the path of its file and the public key.
+/// Creates a key, and returns the path of its file and the public key.
 fn key(folder: &tempfile::TempDir, name: &str) -> (String, PublicKey) {
     let path = folder.path().join(name).to_str().unwrap().to_owned();
     let run = bcap(&["board", "key", &path]);

@@ -11,7 +11,7 @@ use crate::common::{Run, bcap};
 
 const FLASH: u32 = 0x1000_0000;
 
-/// Makes an ELF file for a machine (40 is ARM, 243 RISC-V), with one segment.
+/// Creates an ELF file for a machine (40 is ARM, 243 RISC-V), with one segment.
 fn elf(machine: u8, address: u32, bytes: &[u8]) -> Vec<u8> {
     let mut file = b"\x7fELF\x01\x01".to_vec();
     file.resize(52, 0);

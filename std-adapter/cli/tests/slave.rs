@@ -427,7 +427,7 @@ const MOVER: &str = "[controller]\nmotor = true
         { move = 'J(-60, 45, 90, 0, 45, 0)' },
     ]\n";
 
-/// Makes a controller that refuses Robot_Halt while its task moves the arm.
+/// Creates a controller that refuses Robot_Halt while its task moves the arm.
 fn moved_by_a_task(model: Profile, faults: &str) -> Served<Controller> {
     let mut sim = Controller::new(bcap_sim::Config::new(model));
     sim.play(Scenario::parse(&format!("{MOVER}{faults}")).unwrap());

@@ -131,7 +131,7 @@ impl<'a> Bench<'a> {
         }
     }
 
-    /// Tells whether a device over UDP answers a new client. Over TCP the connection tells it.
+    /// Returns whether a device over UDP answers a new client. Over TCP the connection tells it.
     pub(crate) fn answers(options: &'a Options, link: Link) -> bool {
         let answers = |_| {
             let mut bench = Self::new(options, link);
@@ -493,7 +493,7 @@ impl<'a> Bench<'a> {
         }
     }
 
-    /// Tells whether the run is to end, so that no motion may begin.
+    /// Returns whether the run is to end, so that no motion may begin.
     pub(crate) fn was_interrupted(&self) -> bool {
         self.is_interrupted.is_some_and(|is_interrupted| is_interrupted())
     }
@@ -589,7 +589,7 @@ pub(crate) fn value_of(text: &str) -> Result<Value, Stop> {
     }
 }
 
-/// Tells whether a reply meets the condition of a case.
+/// Returns whether a reply meets the condition of a case.
 fn matches(want: Want, reply: &TestFrame) -> bool {
     let value = reply.value();
     let is_ok = reply.result().is_ok();

@@ -151,7 +151,7 @@ fn inapplicable(case: &Case, options: &Options) -> Option<String> {
     }
 }
 
-/// Tells whether a case may run again because the device had no slot for it: it only reads, and no reply has arrived.
+/// Returns whether a case may run again because the device had no slot for it: it only reads, and no reply has arrived.
 fn may_run_again(case: &Case, bench: &Bench<'_>) -> bool {
     case.level == Level::Read && bench.refused && !bench.has_reply && bench.repeats < REFUSALS
 }

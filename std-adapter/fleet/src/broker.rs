@@ -25,7 +25,7 @@ const LARGEST_SENT: usize = 16 << 20;
 const HEADER: usize = 5 + (2 + 0xffff) + 2;
 
 /// How to connect, with secrets and certificates that were read once.
-pub(crate) struct Broker {
+pub(crate) struct Connector {
     options: MqttOptions,
 }
 
@@ -45,7 +45,7 @@ impl Drop for Link {
     }
 }
 
-impl Broker {
+impl Connector {
     /// Reads secrets and certificates.
     pub(crate) fn new(config: &Config) -> Result<Self, Error> {
         let broker = &config.broker;

@@ -7,7 +7,7 @@ use rumqttc::{ConnectReturnCode, Event, Packet};
 use tokio::task::JoinSet;
 use tokio::time::timeout;
 
-use crate::broker::Broker;
+use crate::broker::Connector;
 use crate::config::{Cell, Config};
 use crate::error::Error;
 use crate::fleet::settings;
@@ -39,13 +39,13 @@ pub struct Row {
 ///
 /// Dropping the future closes all connections.
 pub async fn check(config: &Config) -> Result<Vec<Row>, Error> {
-    let broker = Broker::new(config)?.with_suffix("-check");
+    let connector = Connector::new(config)?.with_suffix("-check");
     let mut cells = JoinSet::new();
     for (index, cell) in config.controllers.iter().enumerate() {
         let cell = cell.clone();
         cells.spawn(async move { (index, check_cell(&cell).await) });
     }
-    let mut rows = vec![check_broker(config, &broker).await];
+    let mut rows = vec![check_broker(config, &connector).await];
     let mut results = cells.join_all().await;
     results.sort_by_key(|(index, _)| *index);
     rows.extend(results.into_iter().flat_map(|(_, rows)| rows));
@@ -58,7 +58,7 @@ pub async fn check(config: &Config) -> Result<Vec<Row>, Error> {
 ///
 /// An [`Error`] for a secret or certificate that cannot be read.
 pub fn check_offline(config: &Config) -> Result<Vec<Row>, Error> {
-    Broker::new(config)?;
+    Connector::new(config)?;
     let row = |name: &str, what: &str, value: String| Row {
         name: name.into(),
         what: what.into(),
@@ -70,9 +70,9 @@ pub fn check_offline(config: &Config) -> Result<Vec<Row>, Error> {
     Ok(rows)
 }
 
-async fn check_broker(config: &Config, broker: &Broker) -> Row {
+async fn check_broker(config: &Config, connector: &Connector) -> Row {
     let began = Instant::now();
-    let mut link = broker.connect(None);
+    let mut link = connector.connect(None);
     let result = match timeout(LIMIT, link.events.recv()).await {
         Ok(Some(Ok(Event::Incoming(Packet::ConnAck(ack))))) if ack.code == ConnectReturnCode::Success => {
             Ok(("connected".into(), began.elapsed()))

@@ -6,7 +6,7 @@
 //! ```
 //!
 //! The checks, in this order: the message is new (not retained) and valid; it has not expired, and does not expire later than
-//! `longest_seconds` from now, for Sparkplug plus the [`lead`](Commands::lead); its id is new; the rate; the rules.
+//! `longest_seconds` from now, for Sparkplug plus the [`lead`](CommandCheck::lead); its id is new; the rate; the rules.
 //!
 //! A command is executed at most once. A copy that arrives before the expiry has a known id, and a copy that arrives later
 //! has expired. A copy of a command that an earlier process has executed expires before the start of this one and
@@ -77,7 +77,7 @@ pub(crate) struct Finished {
 
 /// The rules, and the executed commands.
 #[derive(Debug)]
-pub(crate) struct Commands {
+pub(crate) struct CommandCheck {
     config: config::Commands,
     /// How far the clock of a sender may be ahead of this one, in milliseconds. A host of Sparkplug sends no expiry: its
     /// commands expire `longest_seconds` after its own time.
@@ -97,7 +97,7 @@ pub(crate) const fn refused(reason: String) -> Unsent {
     (CommandResult::Refused, reason)
 }
 
-impl Commands {
+impl CommandCheck {
     pub(crate) fn new(config: config::Commands, lead: u64, began: u64) -> Self {
         Self { config, lead, began, accepted: HashMap::new(), tokens: HashMap::new() }
     }
@@ -235,9 +235,9 @@ mod tests {
 
     const BEGAN: u64 = 1_000_000;
 
-    fn commands(rules: &[&str], per_second: u32) -> Commands {
+    fn commands(rules: &[&str], per_second: u32) -> CommandCheck {
         let allow = rules.iter().map(|rule| config::Rule::try_from((*rule).to_owned()).unwrap()).collect();
-        Commands::new(config::Commands { allow, per_second, longest_seconds: 10 }, 1000, BEGAN)
+        CommandCheck::new(config::Commands { allow, per_second, longest_seconds: 10 }, 1000, BEGAN)
     }
 
     fn command(id: &str, name: &str, value: Value, expires: u64) -> Command {

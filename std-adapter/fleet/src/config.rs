@@ -24,7 +24,7 @@ pub struct Config {
     pub(crate) primary_host: Option<String>,
     pub(crate) broker: Broker,
     pub(crate) buffer: Option<Buffer>,
-    pub(crate) metrics: Option<Metrics>,
+    pub(crate) metrics: Option<MetricsEndpoint>,
     pub(crate) standby: Option<Standby>,
     #[serde(default)]
     pub(crate) commands: Commands,
@@ -80,8 +80,9 @@ pub(crate) struct Buffer {
 
 /// Where metrics are served.
 #[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct Metrics {
+// its name in errors
+#[serde(deny_unknown_fields, expecting = "struct Metrics")]
+pub(crate) struct MetricsEndpoint {
     #[serde(default = "loopback")]
     pub(crate) address: IpAddr,
     pub(crate) port: u16,

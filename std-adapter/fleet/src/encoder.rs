@@ -11,7 +11,7 @@ use crate::reading::Reading;
 
 /// A format of messages.
 pub(crate) trait Encoder: Send {
-    /// Tells whether births and deaths say which values are valid. Without them the retained state of the node does, and a reading
+    /// Returns whether births and deaths say which values are valid. Without them the retained state of the node does, and a reading
     /// can be sent at any time.
     fn has_births(&self) -> bool;
 
@@ -40,7 +40,7 @@ pub(crate) trait Encoder: Send {
     /// Adds messages for a new reading. Returns an earlier reading that it replaces before it was sent.
     fn reading(&mut self, outbox: &mut Outbox<'_>, reading: Reading) -> Option<Reading>;
 
-    /// Tells whether a new reading would be in the last message.
+    /// Returns whether a new reading would be in the last message.
     fn joins(&self, _: &Outbox<'_>, _: &Reading) -> bool {
         false
     }
@@ -49,7 +49,7 @@ pub(crate) trait Encoder: Send {
     fn historical(&mut self, outbox: &mut Outbox<'_>, reading: Reading, has_more: bool);
 
     /// Forgets the values of a session that ends. Returns those that were not sent, as historical readings.
-    fn take_unsent(&mut self, _: usize, _: &mut Cell) -> Vec<Reading> {
+    fn take_unsent(&mut self, _: usize, _: &mut CellCache) -> Vec<Reading> {
         Vec::new()
     }
 
@@ -79,7 +79,7 @@ pub(crate) trait Encoder: Send {
         None
     }
 
-    /// Tells whether a payload is the death of the birth whose number was followed last.
+    /// Returns whether a payload is the death of the birth whose number was followed last.
     fn is_death(&self, _: &[u8]) -> bool {
         false
     }
@@ -87,13 +87,13 @@ pub(crate) trait Encoder: Send {
 
 /// The known state of a controller.
 #[derive(Debug)]
-pub(crate) struct Cell {
+pub(crate) struct CellCache {
     pub(crate) state: Option<State>,
     /// The latest reading of each point.
     pub(crate) latest: Vec<Option<Reading>>,
 }
 
-impl Cell {
+impl CellCache {
     pub(crate) fn new(points: usize) -> Self {
         Self { state: None, latest: vec![None; points] }
     }
@@ -106,7 +106,7 @@ impl Cell {
 /// The messages of a connection that the link has not taken, and the values that they are made of.
 pub(crate) struct Outbox<'a> {
     pub(crate) config: &'a Config,
-    pub(crate) cells: &'a mut [Cell],
+    pub(crate) cells: &'a mut [CellCache],
     pub(crate) messages: &'a mut VecDeque<Message>,
     /// The id of the next reading.
     pub(crate) next_id: &'a AtomicU64,

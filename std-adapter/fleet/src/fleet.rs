@@ -10,7 +10,7 @@ use tokio::net::TcpListener;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
-use crate::broker::Broker;
+use crate::broker::Connector;
 use crate::config::{Cell, Config};
 use crate::error::Error;
 use crate::event::Event;
@@ -44,7 +44,7 @@ impl Fleet {
     ///
     /// Dropping the future closes everything.
     pub async fn start(config: Config, report: impl Fn(&Event) + Send + Sync + 'static) -> Result<Self, Error> {
-        let broker = Broker::new(&config)?;
+        let connector = Connector::new(&config)?;
         let store = match &config.buffer {
             None => None,
             Some(buffer) => {
@@ -71,7 +71,7 @@ impl Fleet {
             next_id: AtomicU64::new(now_ms().saturating_mul(1000)),
             config,
         });
-        let publisher = Publisher::new(Arc::clone(&shared), controllers.clone(), broker, store);
+        let publisher = Publisher::new(Arc::clone(&shared), controllers.clone(), connector, store);
         Ok(Self { shared, publisher, controllers, listener })
     }
 

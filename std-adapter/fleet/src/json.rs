@@ -240,7 +240,7 @@ mod tests {
     use std::sync::atomic::AtomicU64;
 
     use super::*;
-    use crate::encoder::Cell;
+    use crate::encoder::CellCache;
 
     #[test]
     fn a_list_has_at_most_100_readings() {
@@ -251,7 +251,7 @@ mod tests {
             let list = |message: &Message| serde_json::from_slice::<Vec<serde_json::Value>>(&message.payload).unwrap();
             messages.iter().map(|message| list(message).len()).collect()
         };
-        let (mut cells, mut messages) = ([Cell::new(150)], VecDeque::new());
+        let (mut cells, mut messages) = ([CellCache::new(150)], VecDeque::new());
         let mut outbox = Outbox { config: &config, cells: &mut cells, messages: &mut messages, next_id: &next_id };
         for point in 0..150 {
             let (value, quality) = (Some(Value::Integer(5)), Quality::Good);

@@ -30,10 +30,10 @@ use tokio::time::{Instant, sleep_until, timeout, timeout_at};
 
 use self::backlog::Backlog;
 use self::connection::{Connection, Phase, next};
-use crate::broker::{Broker, LinkEvent};
-use crate::command::{Commands, Finished};
+use crate::broker::{Connector, LinkEvent};
+use crate::command::{CommandCheck, Finished};
 use crate::config::{Config, Format};
-use crate::encoder::{Cell, Encoder, Outbox};
+use crate::encoder::{CellCache, Encoder, Outbox};
 use crate::event::Event;
 use crate::json::Json;
 use crate::message::Message;
@@ -41,7 +41,7 @@ use crate::queue::{Item, State};
 use crate::reading::{Reading, now_ms};
 use crate::scan::Shared;
 use crate::sparkplug::Sparkplug;
-use crate::standby::Standby;
+use crate::standby::Failover;
 use crate::store::Store;
 
 /// The delays between two attempts to connect.
@@ -66,17 +66,17 @@ const REFUSALS: u32 = 10;
 pub(crate) struct Publisher {
     shared: Arc<Shared>,
     controllers: Vec<Controller>,
-    broker: Broker,
+    connector: Connector,
     /// `None` if this is the only process of the node.
-    standby: Option<Standby>,
+    standby: Option<Failover>,
     /// The latest time in a state of the primary host, in milliseconds since 1970; 0 if it is unknown.
     host_since: u64,
     /// Whether another process was seen as the active one since this process was.
     stands_by: bool,
     encoder: Box<dyn Encoder>,
-    cells: Vec<Cell>,
+    cells: Vec<CellCache>,
     backlog: Backlog,
-    commands: Commands,
+    commands: CommandCheck,
     running: JoinSet<Finished>,
     /// Whether the commands that run are given up, and new ones are refused.
     gives_up: watch::Sender<bool>,
@@ -94,23 +94,28 @@ pub(crate) struct Publisher {
 }
 
 impl Publisher {
-    pub(crate) fn new(shared: Arc<Shared>, controllers: Vec<Controller>, broker: Broker, store: Option<Store>) -> Self {
+    pub(crate) fn new(
+        shared: Arc<Shared>,
+        controllers: Vec<Controller>,
+        connector: Connector,
+        store: Option<Store>,
+    ) -> Self {
         let config = &shared.config;
         let encoder: Box<dyn Encoder> = match config.format {
             Format::Json => Box::new(Json),
             Format::Sparkplug => Box::new(Sparkplug::new(config)),
         };
         Self {
-            cells: config.controllers.iter().map(|cell| Cell::new(cell.points.len())).collect(),
+            cells: config.controllers.iter().map(|cell| CellCache::new(cell.points.len())).collect(),
             backlog: Backlog::new(Arc::clone(&shared), store),
-            commands: Commands::new(config.commands.clone(), encoder.lead(), now_ms()),
+            commands: CommandCheck::new(config.commands.clone(), encoder.lead(), now_ms()),
             encoder,
             running_of: vec![0; config.controllers.len()],
-            standby: config.standby.as_ref().map(|standby| Standby::new(standby.after())),
+            standby: config.standby.as_ref().map(|standby| Failover::new(standby.after())),
             host_since: 0,
             stands_by: false,
             controllers,
-            broker,
+            connector,
             running: JoinSet::new(),
             gives_up: watch::Sender::new(false),
             link: None,
@@ -135,7 +140,7 @@ impl Publisher {
             let suppressed = self.refusals.take_expired(bcap_std::now());
             self.report_suppressed(suppressed);
             let repeat = Some(self.repeat_at).filter(|at| self.stale && *at > Instant::now());
-            let wake = self.standby.as_ref().and_then(Standby::wake);
+            let wake = self.standby.as_ref().and_then(Failover::wake);
             tokio::select! {
                 event = next(&mut self.link) => self.handle(event).await,
                 () = shared.queue.added() => {}
@@ -281,10 +286,10 @@ impl Publisher {
 
     fn connect(&mut self) {
         let link = match &self.standby {
-            Some(standby) if !standby.is_active() => self.broker.watch(standby.instance()),
+            Some(standby) if !standby.is_active() => self.connector.watch(standby.instance()),
             _ => {
                 let will = self.encoder.will(&self.shared.config);
-                self.broker.connect(Some(will.unwrap_or_else(|| self.node_state(false))))
+                self.connector.connect(Some(will.unwrap_or_else(|| self.node_state(false))))
             }
         };
         self.link = Some(Connection::new(link, &self.shared.config));

@@ -23,7 +23,7 @@ const PUBLISH: u8 = 3;
 struct Shortener {
     /// The fixed header of the next packet, and of a large PUBLISH also the topic and the packet identifier.
     head: Vec<u8>,
-    /// The bytes of the present packet that are still to be forwarded, or removed.
+    /// The bytes of the current packet that are still to be forwarded, or removed.
     forward: usize,
     remove: usize,
 }

@@ -23,7 +23,7 @@ use self::metric::{DataType, type_of, typed, values};
 use self::payload::{Metric, Number, Payload, PropertySet};
 use crate::command::{Command, canonical};
 use crate::config::Config;
-use crate::encoder::{Cell, Decoded, Encoder, Outbox};
+use crate::encoder::{CellCache, Decoded, Encoder, Outbox};
 use crate::message::Message;
 use crate::point::Point;
 use crate::queue::State;
@@ -135,7 +135,7 @@ impl Encoder for Sparkplug {
     }
 
     /// Readings wait for the birth of their device. Historical ones are in the buffer.
-    fn take_unsent(&mut self, index: usize, cell: &mut Cell) -> Vec<Reading> {
+    fn take_unsent(&mut self, index: usize, cell: &mut CellCache) -> Vec<Reading> {
         let unborn = !self.is_born(index);
         let latest = cell.latest.iter_mut().filter_map(Option::take);
         latest
@@ -333,7 +333,7 @@ impl Sparkplug {
     }
 }
 
-/// Tells whether a metric asks for births.
+/// Returns whether a metric asks for births.
 fn is_rebirth(metric: &Metric) -> bool {
     metric.name.as_deref() == Some(REBIRTH) && metric.value == Some(Number::Boolean(true))
 }

@@ -28,9 +28,9 @@ const DELAY_MS: (u64, u64) = (10, 50);
 /// The part of `after` between two `online`.
 const BEATS: u32 = 4;
 
-/// The role of this process.
+/// The role of this process, and when it changes.
 #[derive(Debug)]
-pub(crate) struct Standby {
+pub(crate) struct Failover {
     /// The name of this process.
     instance: String,
     after: Duration,
@@ -56,7 +56,7 @@ pub(crate) struct Seen {
     pub(crate) bd_seq: Option<u8>,
 }
 
-impl Standby {
+impl Failover {
     pub(crate) fn new(after: Duration) -> Self {
         let instance = format!("{:016x}", random());
         Self {
@@ -175,7 +175,7 @@ mod tests {
 
     #[test]
     fn a_watcher_takes_over_when_nothing_arrives() {
-        let (mut standby, now) = (Standby::new(AFTER), Instant::now());
+        let (mut standby, now) = (Failover::new(AFTER), Instant::now());
         assert_eq!(standby.wake(), None, "without a subscription nothing can arrive");
         standby.subscribed(now);
         assert_eq!(standby.wake(), Some(now + AFTER));
@@ -187,7 +187,7 @@ mod tests {
 
     #[test]
     fn a_watcher_takes_over_soon_after_offline() {
-        let (mut standby, now) = (Standby::new(AFTER), Instant::now());
+        let (mut standby, now) = (Failover::new(AFTER), Instant::now());
         standby.saw(&seen("online", "b"), false, now);
         standby.saw(&seen("offline", "a"), false, now);
         assert_eq!(standby.wake(), Some(now + AFTER), "the will of an earlier process");
@@ -199,7 +199,7 @@ mod tests {
 
     #[test]
     fn the_process_that_was_active_goes_on_at_once() {
-        let (mut standby, now) = (Standby::new(AFTER), Instant::now());
+        let (mut standby, now) = (Failover::new(AFTER), Instant::now());
         let own = standby.instance().to_owned();
         standby.saw(&seen("online", "b"), false, now);
         for state in ["online", "offline"] {
@@ -212,7 +212,7 @@ mod tests {
 
     #[test]
     fn a_watcher_that_was_stopped_puts_the_takeover_off_once() {
-        let (mut standby, now) = (Standby::new(AFTER), Instant::now());
+        let (mut standby, now) = (Failover::new(AFTER), Instant::now());
         standby.subscribed(now);
         assert!(!standby.put_off(now + AFTER + AFTER / 4), "in time");
         let late = now + AFTER * 10;
@@ -225,7 +225,7 @@ mod tests {
 
     #[test]
     fn a_proof_lasts_until_a_watcher_may_take_over() {
-        let (mut standby, now) = (Standby::new(AFTER), Instant::now());
+        let (mut standby, now) = (Failover::new(AFTER), Instant::now());
         standby.take_over();
         standby.beaten(now);
         assert_eq!((standby.wake(), standby.is_proven(now)), (Some(now + AFTER / BEATS), false));

@@ -45,12 +45,12 @@ impl Recording {
         self.messages.iter().filter(move |message| message.kind == kind)
     }
 
-    /// Tells whether there are messages of a kind, and all of them pass.
+    /// Returns whether there are messages of a kind, and all of them pass.
     fn all(&self, kind: &str, check: impl Fn(&Message) -> bool) -> bool {
         self.of(kind).count() > 0 && self.of(kind).all(check)
     }
 
-    /// Tells whether all messages of a kind have the topic of the specification, QoS 0 and no retain flag.
+    /// Returns whether all messages of a kind have the topic of the specification, QoS 0 and no retain flag.
     fn is_plain(&self, kind: &str, device: &str) -> bool {
         let topic = format!("spBv1.0/plant/{kind}/edge1{device}");
         self.all(kind, |message| message.topic == topic && message.qos == 0 && !message.retain)
@@ -60,7 +60,7 @@ impl Recording {
         self.all(kind, |message| message.payload.time.abs_diff(now_ms()) < 60_000)
     }
 
-    /// Tells whether the numbers of a kind follow those of the messages before them.
+    /// Returns whether the numbers of a kind follow those of the messages before them.
     fn follows(&self, kind: &str) -> bool {
         let numbered: Vec<_> = self.messages.iter().filter(|message| message.kind != "NDEATH").collect();
         let pairs = numbered.windows(2).filter(|pair| pair[1].kind == kind);
@@ -68,13 +68,13 @@ impl Recording {
             && pairs.clone().all(|pair| pair[1].payload.seq == pair[0].payload.seq.map(|seq| (seq + 1) % 256))
     }
 
-    /// Tells whether a kind comes after each of others has been sent.
+    /// Returns whether a kind comes after each of others has been sent.
     fn comes_after(&self, kind: &str, others: &[&str]) -> bool {
         let first = |kind: &str| self.messages.iter().position(|message| message.kind == kind);
         others.iter().all(|other| first(other).is_some() && first(other) < first(kind))
     }
 
-    /// Tells whether all metrics of these kinds pass.
+    /// Returns whether all metrics of these kinds pass.
     fn metrics(&self, kinds: &[&str], check: impl Fn(&Metric) -> bool) -> bool {
         let passes =
             |message: &Message| !message.payload.metrics.is_empty() && message.payload.metrics.iter().all(&check);
@@ -85,7 +85,7 @@ impl Recording {
         self.all("NBIRTH", |node| check(named(&node.payload, "Node Control/Rebirth")))
     }
 
-    /// Tells whether a kind has the bdSeq of the will, an Int64.
+    /// Returns whether a kind has the bdSeq of the will, an Int64.
     fn bd_seq(&self, kind: &str) -> bool {
         let number = |message: &Message| {
             let metric = named(&message.payload, "bdSeq");

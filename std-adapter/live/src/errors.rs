@@ -49,7 +49,7 @@ fn with_rest(mut errors: Vec<(HResult, String)>, count: i32) -> Vec<(HResult, St
 ///
 /// # Errors
 ///
-/// As [`present`].
+/// Same as [`present`].
 pub fn count<C: Calls>(calls: &mut C, check: &mut StreamCheck) -> Result<i32, C::Error> {
     let count = checked(calls, check, "GetCurErrorCount", &())?;
     Ok(count.as_variant().as_i32().unwrap_or(0).max(0))
@@ -59,7 +59,7 @@ pub fn count<C: Calls>(calls: &mut C, check: &mut StreamCheck) -> Result<i32, C:
 ///
 /// # Errors
 ///
-/// As [`present`].
+/// Same as [`present`].
 pub fn error<C: Calls>(calls: &mut C, check: &mut StreamCheck, index: i32) -> Result<(HResult, String), C::Error> {
     let info = checked(calls, check, "GetCurErrorInfo", &index)?;
     let elements: Vec<Variant<'_>> = info.as_variant().as_array().map(|info| info.iter().collect()).unwrap_or_default();
@@ -72,7 +72,7 @@ pub fn error<C: Calls>(calls: &mut C, check: &mut StreamCheck, index: i32) -> Re
 ///
 /// # Errors
 ///
-/// As [`present`].
+/// Same as [`present`].
 pub fn clear<C: Calls>(calls: &mut C) -> Result<(), C::Error> {
     let mut check = StreamCheck::default();
     // any other answer lets the user clear: a controller with errors may refuse slvGetMode
@@ -86,7 +86,7 @@ pub fn clear<C: Calls>(calls: &mut C) -> Result<(), C::Error> {
 ///
 /// # Errors
 ///
-/// As [`present`].
+/// Same as [`present`].
 pub fn checked<C: Calls>(
     calls: &mut C,
     check: &mut StreamCheck,

@@ -74,7 +74,7 @@ pub fn text<C: Calls>(calls: &mut C, path: &str) -> Result<String, C::Error> {
 ///
 /// # Errors
 ///
-/// As [`read`].
+/// Same as [`read`].
 pub fn content<C: Calls>(calls: &mut C, path: &str, file: i32) -> Result<Vec<u8>, C::Error> {
     let value = calls.call(&format!("/{path}"), FunctionId::FILE_GET_VALUE, &[OwnedVariant::new(&file)?])?.1;
     let bytes = match value.as_ref().map(OwnedVariant::as_variant) {
@@ -336,7 +336,7 @@ pub fn exists<C: Calls>(calls: &mut C, path: &str) -> Result<bool, C::Error> {
     }
 }
 
-/// Tells whether the name of a file could leave its folder on this machine.
+/// Returns whether the name of a file could leave its folder on this machine.
 fn is_unsafe(name: &str) -> bool {
     name.is_empty() || name == "." || name == ".." || name.contains(|c: char| c.is_control() || "/\\:".contains(c))
 }

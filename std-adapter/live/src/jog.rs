@@ -87,12 +87,12 @@ pub enum Phase {
 /// A person's hold of a robot: what the page and the jog thread share. It ends once, and does not begin again.
 #[derive(Debug)]
 pub struct Grip {
-    state: Mutex<State>,
+    state: Mutex<GripState>,
     changed: Condvar,
 }
 
 #[derive(Debug)]
-struct State {
+struct GripState {
     beat: Instant,
     press: Option<Press>,
     /// When the last button was pressed or lifted.
@@ -109,13 +109,13 @@ impl Default for Grip {
     fn default() -> Self {
         let now = Instant::now();
         let (phase, end, outcome) = Default::default();
-        let state = State { beat: now, press: None, touched: now, end, phase, steps: 0, outcome };
+        let state = GripState { beat: now, press: None, touched: now, end, phase, steps: 0, outcome };
         Self { state: Mutex::new(state), changed: Condvar::new() }
     }
 }
 
 impl Grip {
-    fn lock(&self) -> MutexGuard<'_, State> {
+    fn lock(&self) -> MutexGuard<'_, GripState> {
         // a panic of another thread leaves a state that can only end
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         if state.end.is_none() && state.phase != Phase::Ended {
@@ -129,7 +129,7 @@ impl Grip {
         state
     }
 
-    fn change(&self, change: impl FnOnce(&mut State)) {
+    fn change(&self, change: impl FnOnce(&mut GripState)) {
         change(&mut self.lock());
         self.changed.notify_all();
     }

@@ -193,7 +193,7 @@ impl Link {
     ///
     /// # Errors
     ///
-    /// As [`connect`](Self::connect).
+    /// Same as [`connect`](Self::connect).
     pub fn for_motion(access: &Access) -> Result<Controller, Error> {
         Ok(Self::connect(access, &Packets::new())?.recovering(access, HALT_LIMIT).controller)
     }
@@ -203,7 +203,7 @@ impl Link {
     ///
     /// # Errors
     ///
-    /// As [`connect`](Self::connect).
+    /// Same as [`connect`](Self::connect).
     pub fn for_calls(access: &Access, packets: &Packets) -> Result<Self, Error> {
         Ok(Self::connect(access, packets)?.recovering(access, CALL_LIMIT))
     }

@@ -82,7 +82,7 @@ impl StreamCheck {
     ///
     /// # Errors
     ///
-    /// As [`require`](Self::require).
+    /// Same as [`require`](Self::require).
     pub fn require_open<C: Calls>(&mut self, calls: &mut C, path: &ObjectPath) -> Result<(), C::Error> {
         if calls.is_open(path) {
             return Ok(());

@@ -82,7 +82,7 @@ impl Row {
         }
     }
 
-    /// Tells whether the call is made again in the next round.
+    /// Returns whether the call is made again in the next round.
     fn is_open(&self) -> bool {
         !matches!(self.answer, Answer::Refused(_))
     }

@@ -19,10 +19,10 @@ const BLOCK: u64 = 32;
 
 /// Records the connections of an [`Access`](crate::link::Access); clones share the recording.
 #[derive(Clone, Debug, Default)]
-pub struct Tap(Arc<Mutex<State>>);
+pub struct Tap(Arc<Mutex<TapState>>);
 
 #[derive(Debug, Default)]
-struct State {
+struct TapState {
     running: Option<Running>,
     last: Option<Outcome>,
     /// How many recordings were started.
@@ -60,7 +60,7 @@ pub enum Status {
 }
 
 impl Tap {
-    fn lock(&self) -> MutexGuard<'_, State> {
+    fn lock(&self) -> MutexGuard<'_, TapState> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -118,10 +118,10 @@ impl Tap {
         let mut state = self.lock();
         state.check();
         match &*state {
-            State { running: Some(Running { file, since, size, .. }), .. } => {
+            TapState { running: Some(Running { file, since, size, .. }), .. } => {
                 Status::Runs { file: file.clone(), size: size.load(Ordering::Relaxed), length: since.elapsed() }
             }
-            State { last: Some(outcome), .. } => Status::Ended(outcome.clone()),
+            TapState { last: Some(outcome), .. } => Status::Ended(outcome.clone()),
             _ => Status::Off,
         }
     }
@@ -132,7 +132,7 @@ impl Tap {
     }
 }
 
-impl State {
+impl TapState {
     /// Ends a recording that cannot go on.
     fn check(&mut self) {
         let Some(running) = &self.running else { return };

@@ -67,7 +67,7 @@ pub fn expand<C: Calls>(calls: &mut C, selections: &[Selection]) -> Result<Vec<S
 ///
 /// # Errors
 ///
-/// As [`expand`].
+/// Same as [`expand`].
 pub fn count<C: Calls>(calls: &mut C, kind: VariableKind) -> Result<u32, C::Error> {
     let name = format!("@VAR_{}_LEN", kind.name());
     let value = get_one(calls, &ObjectPath::variable(&name)?)?;
@@ -79,8 +79,8 @@ pub fn count<C: Calls>(calls: &mut C, kind: VariableKind) -> Result<u32, C::Erro
     })
 }
 
-/// Tells whether a variable is one of the system's, such as `@SERVO_ON` or `@START`, whose write may switch the motor or start a
-/// program. A controller may ignore blanks around its name.
+/// Returns whether a variable is one of the system's, such as `@SERVO_ON` or `@START`, whose write may switch the motor or
+/// start a program. A controller may ignore blanks around its name.
 #[must_use]
 pub fn is_system_variable(path: &ObjectPath) -> bool {
     path.split_last().and_then(|(_, name)| name).is_some_and(|name| name.trim().starts_with('@'))

@@ -87,7 +87,7 @@ impl Console {
         Ok(console)
     }
 
-    /// Tells whether the board is reached over the network.
+    /// Returns whether the board is reached over the network.
     #[must_use]
     pub const fn is_network(&self) -> bool {
         self.is_network

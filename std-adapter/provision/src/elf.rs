@@ -5,13 +5,13 @@ use std::collections::BTreeMap;
 /// The longest image; a wrong address in a file must not allocate gigabytes.
 const MOST: u32 = 64 << 20;
 
-/// Tells whether a file is ELF.
+/// Returns whether a file is ELF.
 #[must_use]
 pub fn is_elf(file: &[u8]) -> bool {
     file.starts_with(b"\x7fELF")
 }
 
-/// Tells whether an ELF file is for RISC-V.
+/// Returns whether an ELF file is for RISC-V.
 #[must_use]
 pub fn is_riscv(file: &[u8]) -> bool {
     half(file, 18) == Some(243)

@@ -15,11 +15,11 @@ use crate::error::Failure;
 use crate::runtime::{Home, Work, lock};
 
 /// The value of a call, which becomes an object of Python under the GIL.
-type Value = Box<dyn FnOnce(Python<'_>) -> PyResult<Py<PyAny>> + Send>;
+type Converter = Box<dyn FnOnce(Python<'_>) -> PyResult<Py<PyAny>> + Send>;
 
-type Result = std::result::Result<Value, Failure>;
+type CallResult = Result<Converter, Failure>;
 
-type Pending = Work<Result>;
+type Pending = Work<CallResult>;
 
 /// A call that has not begun. It runs once.
 #[pyclass(frozen)]
@@ -36,10 +36,7 @@ pub(crate) struct Started {
 
 impl Call {
     /// Makes a call of a future. Dropping the future cancels it.
-    pub(crate) fn new<T>(
-        home: &Arc<Home>,
-        future: impl Future<Output = std::result::Result<T, Error>> + Send + 'static,
-    ) -> Self
+    pub(crate) fn new<T>(home: &Arc<Home>, future: impl Future<Output = Result<T, Error>> + Send + 'static) -> Self
     where
         T: for<'py> IntoPyObject<'py> + Send + 'static,
     {
@@ -49,14 +46,14 @@ impl Call {
     /// Makes a call of a future, which may also fail without an error of the session.
     pub(crate) fn fallible<T>(
         home: &Arc<Home>,
-        future: impl Future<Output = std::result::Result<T, Failure>> + Send + 'static,
+        future: impl Future<Output = Result<T, Failure>> + Send + 'static,
     ) -> Self
     where
         T: for<'py> IntoPyObject<'py> + Send + 'static,
     {
         let pending: Pending = Box::pin(async {
             let value = future.await?;
-            Ok(Box::new(move |py: Python<'_>| value.into_py_any(py)) as Value)
+            Ok(Box::new(move |py: Python<'_>| value.into_py_any(py)) as Converter)
         });
         Self { home: Arc::clone(home), pending: Mutex::new(Some(pending)) }
     }
@@ -99,12 +96,12 @@ pub(crate) struct Inbox {
 type Settled = (Py<PyAny>, Option<Py<PyAny>>, Option<PyErr>);
 
 struct Queue {
-    ended: Mutex<Vec<(Py<PyAny>, Result)>>,
+    ended: Mutex<Vec<(Py<PyAny>, CallResult)>>,
     wake: PipeWriter,
 }
 
 impl Queue {
-    fn push(&self, future: Py<PyAny>, result: Result) {
+    fn push(&self, future: Py<PyAny>, result: CallResult) {
         let mut ended = lock(&self.ended);
         ended.push((future, result));
         if ended.len() == 1 {
@@ -148,7 +145,7 @@ impl Started {
     }
 }
 
-fn finish(py: Python<'_>, result: Result) -> PyResult<Py<PyAny>> {
+fn finish(py: Python<'_>, result: CallResult) -> PyResult<Py<PyAny>> {
     match result {
         Ok(convert) => convert(py),
         Err(failure) => Err(failure.raise(py)),

@@ -110,10 +110,10 @@ impl Client {
     /// # Errors
     ///
     /// The exception of a signal handler, which has run meanwhile. The session has ended, as after a signal during the call.
-    fn begin(&self) -> PyResult<Turn<'_>> {
+    fn begin(&self) -> PyResult<CallPermit<'_>> {
         loop {
-            if let Some(turn) = self.next_within(SIGNALS) {
-                return Ok(turn);
+            if let Some(permit) = self.next_within(SIGNALS) {
+                return Ok(permit);
             }
             if let Some(Err(raised)) = Python::try_attach(|py| py.check_signals()) {
                 self.interrupt.is_ended.store(true, Relaxed);
@@ -123,27 +123,27 @@ impl Client {
         }
     }
 
-    fn next(&self) -> Turn<'_> {
+    fn next(&self) -> CallPermit<'_> {
         loop {
-            if let Some(turn) = self.next_within(SIGNALS) {
-                return turn;
+            if let Some(permit) = self.next_within(SIGNALS) {
+                return permit;
             }
         }
     }
 
-    fn next_within(&self, time: Duration) -> Option<Turn<'_>> {
+    fn next_within(&self, time: Duration) -> Option<CallPermit<'_>> {
         let waited = self.free.wait_timeout_while(lock(&self.state), time, |state| state.is_called);
         let (mut state, timeout) = waited.unwrap_or_else(PoisonError::into_inner);
         if timeout.timed_out() {
             return None;
         }
         state.is_called = true;
-        Some(Turn { client: self, controller: state.controller.take(), timing: state.timing })
+        Some(CallPermit { client: self, controller: state.controller.take(), timing: state.timing })
     }
 }
 
 /// The right to make a call.
-struct Turn<'a> {
+struct CallPermit<'a> {
     client: &'a Client,
     controller: Option<Box<Controller>>,
     timing: Timing,
@@ -151,7 +151,7 @@ struct Turn<'a> {
 
 type Called = Result<(HResult, Option<OwnedVariant>), Error>;
 
-impl Turn<'_> {
+impl CallPermit<'_> {
     /// Calls a function. A signal, and another thread that ends the session, interrupt the call and end the session.
     ///
     /// # Errors
@@ -179,7 +179,7 @@ impl Turn<'_> {
     }
 }
 
-impl Drop for Turn<'_> {
+impl Drop for CallPermit<'_> {
     fn drop(&mut self) {
         let mut state = lock(&self.client.state);
         state.controller = self.controller.take();

@@ -153,7 +153,7 @@ impl Controller {
         self.with_robot(|robot| async move { robot.position().await.map(|at: Position| at.to_array().to_vec()) })
     }
 
-    /// Returns the codes of the present errors, and what a person must do first.
+    /// Returns the codes of the current errors, and what a person must do first.
     fn examine(&self) -> Call {
         self.with_robot(|robot| async move {
             let state = robot.examine().await?;

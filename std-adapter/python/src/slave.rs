@@ -44,11 +44,11 @@ pub(crate) struct Stream {
     wanted: watch::Receiver<Option<Step>>,
     /// One step at a time.
     turn: Arc<Mutex<()>>,
-    task: Arc<Mutex<Option<Streaming>>>,
+    task: Arc<Mutex<Option<StreamTask>>>,
 }
 
 /// The task of a stream.
-type Streaming = JoinHandle<Result<Stats, Failure>>;
+type StreamTask = JoinHandle<Result<Stats, Failure>>;
 
 impl Stream {
     /// Begins a stream, and waits until the first pose is wanted.
@@ -84,7 +84,7 @@ impl Stream {
 }
 
 /// Waits for the end of a stream, and returns its statistics.
-async fn ended(poses: &PoseSender, task: &mut Streaming) -> Result<Stats, Failure> {
+async fn ended(poses: &PoseSender, task: &mut StreamTask) -> Result<Stats, Failure> {
     let stats = task.await.unwrap_or(Err(Error::Closed.into()))?;
     Ok(poses.judge(Ok(stats))?)
 }

@@ -39,7 +39,7 @@ impl Answer {
         owned(value).map(Self::Value)
     }
 
-    /// Makes an array of names.
+    /// Creates an array of names.
     pub(crate) fn names<T: Into<String>>(list: impl IntoIterator<Item = T>) -> Answered {
         Self::of(list.into_iter().map(Into::into).collect::<Vec<String>>())
     }

@@ -35,7 +35,7 @@
 //! [`WRONG_ARGUMENT`](crate::codes::WRONG_ARGUMENT) of the controller. A motion that the arm cannot
 //! make is an error of the controller; its [codes](crate::codes) say why.
 //!
-//! Approach ends before its pose, and Depart before the present pose, by the length in mm against the approach vector,
+//! Approach ends before its pose, and Depart before the current pose, by the length in mm against the approach vector,
 //! the z of the flange. In an arc the flange turns evenly from the start orientation to the end orientation; the
 //! orientation of the point on the circle has no effect. Three points on one line are refused. Robot_Rotate
 //! turns right-handed about an axis of the base, by at most 3600 degrees; with `Pose=1` the flange turns with it, with
@@ -56,7 +56,7 @@
 //! | ExtSpeed                        | \[speed, accel, decel\]     | EMPTY; accel, decel: -1 keeps, -2 speed² / 100   |
 //! | DriveEx, DriveAEx               | \[pairs, option\] or pairs  | EMPTY; turns axes by, or to, a value             |
 //! | Approach                        | \[1 or 2, pose, length\]     | EMPTY; to a pose before this one                 |
-//! | Depart                          | \[1 or 2, length\]           | EMPTY; away from the present pose                |
+//! | Depart                          | \[1 or 2, length\]           | EMPTY; away from the current pose                |
 //! | RotateH                         | angle or \[angle, option\]   | EMPTY; turns the tool in place                   |
 //! | Draw                            | \[1 or 2, vector\]          | EMPTY; by a vector in work coordinates           |
 //! | ArchMove                        | \[pose, height, rise, fall\] | EMPTY; half a sine above the line, height in z of the work |
@@ -135,16 +135,16 @@
 //! of TakeArm differ in extended joints, which this model always moves.
 //! Commands of real controllers that this model lacks answer `E_NOTIMPL`, other names `E_INVALID_CMD_NAME`.
 
-mod areas;
+mod area_commands;
 mod call;
 mod measures;
 mod moves;
-mod path_points;
+mod path_point_commands;
 mod poses;
 mod readings;
 pub(crate) mod robot_execute;
+pub(crate) mod robot_variables;
 mod settings;
-pub(crate) mod variables;
 
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
@@ -250,12 +250,12 @@ impl Arm {
         TracePoint { at, axes, position, tool, work }
     }
 
-    /// Tells whether nothing moves the arm.
+    /// Returns whether nothing moves the arm.
     fn is_at_rest(&self) -> bool {
         !self.robot.is_moving() && self.robot.stream().is_none()
     }
 
-    /// Returns the number of the present cycle of Slave Mode.
+    /// Returns the number of the current cycle of Slave Mode.
     pub(crate) fn present_cycle(&self) -> Option<u64> {
         self.robot.stream().map(|stream| stream.cycle)
     }

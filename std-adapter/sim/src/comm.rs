@@ -37,14 +37,14 @@ const CAPACITY: usize = 64 << 10;
 const OPEN: i32 = 2;
 const CLOSED: i32 = 0;
 
-type Run = fn(&mut Comm, i32) -> Answered;
+type CommHandler = fn(&mut Comm, i32) -> Answered;
 
-const fn command(name: &'static str, run: Run) -> Command<Run> {
+const fn command(name: &'static str, run: CommHandler) -> Command<CommHandler> {
     Command::new(name, run).accepts("one number: the line, 1 to 16")
 }
 
 /// The commands of Extension_Execute.
-pub(crate) const COMMANDS: &[Command<Run>] = &[
+pub(crate) const COMMANDS: &[Command<CommHandler>] = &[
     command("open", |comm, line| {
         comm.open.entry(line).or_default();
         Ok(Answer::Done)
@@ -77,7 +77,7 @@ pub(crate) struct Comm {
 
 impl Comm {
     /// Executes a command with its parameter.
-    pub(crate) fn execute(&mut self, run: Run, param: &Variant<'_>) -> Answered {
+    pub(crate) fn execute(&mut self, run: CommHandler, param: &Variant<'_>) -> Answered {
         let line = one_int(param)?;
         if !LINES.contains(&line) {
             return Err(HResult::E_INVALIDARG);

@@ -3,7 +3,7 @@
 use bcap_core::bcap::FunctionId;
 use bcap_core::bcap::server::Request;
 
-/// Tells whether a function executes a command.
+/// Returns whether a function executes a command.
 pub(crate) fn executes(function: FunctionId) -> bool {
     matches!(
         function,

@@ -107,7 +107,7 @@ impl CommandObject {
         self.deadline
     }
 
-    /// Tells whether Execute has waited for its timeout.
+    /// Returns whether Execute has waited for its timeout.
     pub(crate) fn is_overdue(&self, now: Instant) -> bool {
         self.deadline.is_some_and(|at| at <= now)
     }

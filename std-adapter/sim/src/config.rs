@@ -267,7 +267,7 @@ impl Config {
         Ok(())
     }
 
-    /// Tells whether the version is this one or a later one; a version without numbers is.
+    /// Returns whether the version is this one or a later one; a version without numbers is.
     pub(crate) fn version_is_from(&self, first: &[u32]) -> bool {
         let numbers = self.version.split('.').map(|number| number.trim().parse().unwrap_or(u32::MAX));
         numbers.ge(first.iter().copied())

@@ -1,11 +1,11 @@
 //! The controller: it composes its parts, advances their time, and offers to a test what happens around a robot.
 
-mod command_objects;
+mod command_calls;
 pub mod controller_execute;
 mod dispatch;
 mod programs;
 pub mod system;
-mod variable;
+mod variable_calls;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::IpAddr;
@@ -153,7 +153,7 @@ impl Controller {
         self.report_stops();
     }
 
-    /// Tells whether a task runs or the robot moves.
+    /// Returns whether a task runs or the robot moves.
     fn is_busy(&self) -> bool {
         self.is_moving() || self.tasks.iter().any(tasks::Task::is_running)
     }
@@ -441,37 +441,37 @@ impl Controller {
         self.shared.panel.mode
     }
 
-    /// Tells whether the emergency stop is pressed.
+    /// Returns whether the emergency stop is pressed.
     #[must_use]
     pub const fn emergency_stopped(&self) -> bool {
         self.shared.panel.emergency_stop
     }
 
-    /// Returns the position of the robot at the present time: J1 to J6.
+    /// Returns the position of the robot at the current time: J1 to J6.
     #[must_use]
     pub fn joints(&self) -> Joints {
         self.arm.robot().joints(self.shared.now)
     }
 
-    /// Returns the position of the robot at the present time with the extended axes: J1 to J8.
+    /// Returns the position of the robot at the current time with the extended axes: J1 to J8.
     #[must_use]
     pub fn axes(&self) -> [f64; 8] {
         self.arm.robot().axes(self.shared.now)
     }
 
-    /// Returns where the arm is at the present time: the axes and the tool centre point.
+    /// Returns where the arm is at the current time: the axes and the tool centre point.
     #[must_use]
     pub fn point(&self) -> TracePoint {
         self.arm.point(self.shared.now)
     }
 
-    /// Tells whether a motion is running or held, or an axis moves in Slave Mode.
+    /// Returns whether a motion is running or held, or an axis moves in Slave Mode.
     #[must_use]
     pub fn is_moving(&self) -> bool {
         self.arm.robot().is_moving()
     }
 
-    /// Tells whether the motor is on.
+    /// Returns whether the motor is on.
     #[must_use]
     pub fn motor_is_on(&self) -> bool {
         self.arm.robot().motor_is_on()
@@ -483,7 +483,7 @@ impl Controller {
         self.arm.robot().owner()
     }
 
-    /// Returns the distance between the fingers of the hand at the present time, in mm.
+    /// Returns the distance between the fingers of the hand at the current time, in mm.
     #[must_use]
     pub fn hand_position(&self) -> f64 {
         self.arm.hand().position(self.shared.now)
@@ -524,7 +524,7 @@ impl Controller {
         self.tasks.iter().map(|task| (task.name(), task.status(), task.cycles()))
     }
 
-    /// Iterates over the present errors in reverse order.
+    /// Iterates over the current errors in reverse order.
     pub fn errors(&self) -> impl Iterator<Item = ErrorEntry> {
         self.shared.errors.present().iter().map(|occurrence| occurrence.error)
     }

@@ -151,7 +151,7 @@ fn is_array(value: &Variant<'_>) -> bool {
     matches!(value.flatten(), Variant::Array(_))
 }
 
-/// Tells whether an array is a pair itself, not a list of them.
+/// Returns whether an array is a pair itself, not a list of them.
 fn is_pair(array: Array<'_>) -> bool {
     array.len() == 2 && !array.iter().any(|item| matches!(item.flatten(), Variant::Array(_) | Variant::Bstr(_)))
 }

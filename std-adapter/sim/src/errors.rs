@@ -1,4 +1,4 @@
-//! The errors of the controller: the list of present errors, and the log of all errors. A refused call is an error.
+//! The errors of the controller: the list of current errors, and the log of all errors. A refused call is an error.
 
 use std::collections::VecDeque;
 
@@ -53,7 +53,7 @@ pub(crate) struct Errors {
 }
 
 impl Errors {
-    /// Enters an error into the log, and into the list of present errors. That list has a refusal of clients once. Returns
+    /// Enters an error into the log, and into the list of current errors. That list has a refusal of clients once. Returns
     /// whether it is new there.
     pub(crate) fn enter(&mut self, occurrence: Occurrence) -> bool {
         let code = occurrence.error.code;
@@ -71,7 +71,7 @@ impl Errors {
         self.present.retain(|entry| Effects::of(entry.error.code).lasts);
     }
 
-    /// Tells whether an error is present.
+    /// Returns whether an error is present.
     pub(crate) fn has(&self, code: HResult) -> bool {
         self.present.iter().any(|entry| entry.error.code == code)
     }

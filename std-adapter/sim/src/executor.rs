@@ -26,7 +26,7 @@ pub type Job = Box<dyn FnOnce() + Send>;
 pub struct Executor(Arc<dyn Fn(Job) + Send + Sync>);
 
 impl Executor {
-    /// Makes an executor of a function that runs a job, queues it, or drops it when its queue is full.
+    /// Creates an executor of a function that runs a job, queues it, or drops it when its queue is full.
     #[must_use]
     pub fn new(run: impl Fn(Job) + Send + Sync + 'static) -> Self {
         Self(Arc::new(run))

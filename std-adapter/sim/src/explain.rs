@@ -90,20 +90,20 @@ const OBJECT: &str = "name BSTR; option BSTR: @IfNotMember";
 const FILE_NAME: &str = "name BSTR: a path of at most 32 parts without control characters and < > : \" | ? *; option \
                          BSTR: @Create=, @IfNotMember";
 
-/// Tells whether a code says that an argument is refused.
+/// Returns whether a code says that an argument is refused.
 pub(crate) fn is_of_argument(code: HResult) -> bool {
     CODES.contains(&code)
 }
 
-type Tell = dyn Fn(HResult, &str) + Send + Sync;
+type RefusalCallback = dyn Fn(HResult, &str) + Send + Sync;
 
 /// Receives the code and the reason of each refused argument; and under `S_OK` the faults that a
 /// [lenient](crate::Config::lenient) controller has tolerated, such as unknown options.
 #[derive(Clone, Default)]
-pub struct Observer(Option<Arc<Tell>>);
+pub struct Observer(Option<Arc<RefusalCallback>>);
 
 impl Observer {
-    /// Makes an observer of a function, which must not block.
+    /// Creates an observer of a function, which must not block.
     #[must_use]
     pub fn new(tell: impl Fn(HResult, &str) + Send + Sync + 'static) -> Self {
         Self(Some(Arc::new(tell)))

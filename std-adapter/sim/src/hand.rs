@@ -72,9 +72,9 @@ const SPEEDS: std::ops::RangeInclusive<f64> = 20.0..=100.0;
 const GRIP_SPEEDS: std::ops::RangeInclusive<f64> = 20.0..=50.0;
 const GRIP_FORCES: std::ops::RangeInclusive<f64> = 30.0..=100.0;
 
-type Run = fn(&mut Hand, &mut Context<'_>, &Variant<'_>) -> Answered;
+type HandHandler = fn(&mut Hand, &mut Context<'_>, &Variant<'_>) -> Answered;
 
-const fn command(name: &'static str, run: Run) -> Command<Run> {
+const fn command(name: &'static str, run: HandHandler) -> Command<HandHandler> {
     Command::new(name, run)
 }
 
@@ -83,7 +83,7 @@ const MOVE: &str = "[mm, speed]: within 0 to 30 mm, 20 to 100 percent";
 const MOVE_AND_GRIP: &str = "[mm, speed, force]: within 0 to 30 mm, 20 to 100 percent, 30 to 100 percent";
 
 /// The commands of Extension_Execute.
-pub(crate) const COMMANDS: &[Command<Run>] = &[
+pub(crate) const COMMANDS: &[Command<HandHandler>] = &[
     command("Chuck", |hand, ctx, param| hand.at_point(ctx, param, |_| 0.0)).accepts(POINT),
     command("UnChuck", |hand, ctx, param| hand.at_point(ctx, param, |_| STROKE)).accepts(POINT),
     command("Motor", |hand, ctx, param| {
@@ -201,7 +201,7 @@ pub(crate) struct Hand {
 }
 
 impl Hand {
-    /// Makes a closed hand at rest.
+    /// Creates a closed hand at rest.
     pub(crate) const fn new() -> Self {
         let (began, end) = (Instant::ZERO, Instant::ZERO);
         let (suction, motor, origin) = (false, false, false);

@@ -25,7 +25,7 @@
 //! decisions. [Other arms](crate::model::ArmProfile) have the lengths, ranges and speeds of public descriptions.
 //!
 //! Without b6 the wrist is spherical, and the joints are solved in closed form. With b6, as in COBOTTA and COBOTTA PRO, the
-//! wrist centre depends on J6: J6 is found by the secant method from the present joints, or all its values by a search.
+//! wrist centre depends on J6: J6 is found by the secant method from the current joints, or all its values by a search.
 //!
 //! Fig is a sum of: 1 the shoulder reaches forward (LEFTY), 2 the elbow is below (BELOW), 4 the wrist is not flipped
 //! (NONFLIP: J5 >= 0), 8 J4 is beyond ±180 (DOUBLE4), 16 J6 is beyond ±180 (DOUBLE6). That NONFLIP, ABOVE and LEFTY
@@ -167,13 +167,13 @@ impl Geometry {
         }
     }
 
-    /// Tells whether J4 and J6 of an arm of six axes are in line.
+    /// Returns whether J4 and J6 of an arm of six axes are in line.
     pub(crate) const fn is_singular(&self, joints: &Joints) -> bool {
         const IN_LINE: f64 = 1e-6;
         matches!(self.links, Links::Vertical(_)) && joints[4].abs() < IN_LINE
     }
 
-    /// Tells whether two Figs have the same shoulder, elbow and wrist, as far as the arm has them.
+    /// Returns whether two Figs have the same shoulder, elbow and wrist, as far as the arm has them.
     pub(crate) const fn same_posture(&self, a: u8, b: u8) -> bool {
         let bits = match self.links {
             Links::Vertical(_) => POSTURE,
@@ -235,7 +235,7 @@ impl Geometry {
         best.map(|(_, joints)| joints)
     }
 
-    /// Tells whether the ranges permit that J4 and J6 are beyond ±180, where the Fig says so.
+    /// Returns whether the ranges permit that J4 and J6 are beyond ±180, where the Fig says so.
     fn may_have(&self, fig: u8) -> bool {
         let beyond = |axis: usize| self.ranges[axis].0 < -180.0 || self.ranges[axis].1 > 180.0;
         match self.links {

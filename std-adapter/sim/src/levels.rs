@@ -26,7 +26,7 @@ pub(crate) enum TaskStop {
 /// The effects of an error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Effects {
-    /// It is in the list of present errors until ClearError.
+    /// It is in the list of current errors until ClearError.
     pub(crate) is_present: bool,
     /// Motions and Slave Mode stop at once.
     pub(crate) stops: bool,

@@ -66,7 +66,7 @@ pub struct Wire {
 }
 
 impl Network {
-    /// Makes a controller, at time zero.
+    /// Creates a controller, at time zero.
     #[must_use]
     pub fn new(config: Config) -> Self {
         let world = World { controller: Controller::new(config), now: Instant::ZERO, next: 1 };

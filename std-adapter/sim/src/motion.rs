@@ -112,7 +112,7 @@ pub(crate) struct Motion {
 }
 
 impl Motion {
-    /// Makes a motion that stands at the beginning of its path.
+    /// Creates a motion that stands at the beginning of its path.
     pub(crate) fn new(id: u64, peer: PeerId, path: Path, rates: Rates, now: Instant) -> Self {
         let ramp = Ramp::still(now, &path);
         Self { id, peer, route: None, pass: Pass::Stop, pass_time: now, path, rates, ramp }
@@ -171,7 +171,7 @@ impl Motion {
         self.ramp.end()
     }
 
-    /// Moves to the end of the path, from rest or from the present speed.
+    /// Moves to the end of the path, from rest or from the current speed.
     pub(crate) fn run(&mut self, now: Instant) {
         let (place, speed) = self.ramp.at(now);
         let full = self.path.full_speed;
@@ -237,7 +237,7 @@ impl Motion {
         end
     }
 
-    /// Tells whether all axes stay in their ranges if the next motion begins at this time.
+    /// Returns whether all axes stay in their ranges if the next motion begins at this time.
     fn fits(&self, next: &Self, begin: Instant) -> bool {
         let time = self.end().saturating_since(begin).as_secs_f64();
         let (from, _) = next.ramp.at(begin);

@@ -319,12 +319,12 @@ impl Objects {
         (1_u32..).map(|n| format!("Controller{n}")).find(|name| !self.has_controller(name)).unwrap_or_default()
     }
 
-    /// Tells whether any client has connected a controller with this name. An empty name is always free.
+    /// Returns whether any client has connected a controller with this name. An empty name is always free.
     pub(crate) fn has_controller(&self, name: &str) -> bool {
         self.single.contains_key(&Single::controller(name))
     }
 
-    /// Tells whether a client has opened this task.
+    /// Returns whether a client has opened this task.
     pub(crate) fn has_task(&self, peer: PeerId, task: usize) -> bool {
         self.single.contains_key(&Single::Task(peer, task))
     }

@@ -82,7 +82,7 @@ pub(crate) fn option<'t>(text: &'t str, key: &str) -> Option<&'t str> {
     options(text).find(|(k, _)| k.eq_ignore_ascii_case(key)).and_then(|(_, value)| value)
 }
 
-/// Tells whether a text has an option with this key.
+/// Returns whether a text has an option with this key.
 pub(crate) fn has_option(text: &str, key: &str) -> bool {
     options(text).any(|(k, _)| k.eq_ignore_ascii_case(key))
 }

@@ -93,7 +93,7 @@ impl Target {
         }
     }
 
-    /// Tells whether a value has a pass of any kind, also one that stops.
+    /// Returns whether a value has a pass of any kind, also one that stops.
     pub(crate) fn has_pass(value: &Variant<'_>) -> bool {
         let is_pass =
             |item: &Variant<'_>| matches!(item, Variant::Bstr(text) if text.to_string().trim().starts_with('@'));
@@ -114,7 +114,7 @@ impl Target {
 }
 
 impl Pose {
-    /// Makes a pose from the numbers of a P, J or T.
+    /// Creates a pose from the numbers of a P, J or T.
     pub(crate) fn new(kind: Kind, numbers: &[f64]) -> Result<Self, HResult> {
         if numbers.iter().any(|n| !n.is_finite()) {
             return Err(HResult::E_INVALIDARG);
@@ -262,7 +262,7 @@ pub(crate) fn vector_and_pass(value: &Variant<'_>, vars: &Variables) -> Result<(
     if vector.iter().all(|n| n.is_finite()) { Ok((vector, pass)) } else { Err(HResult::E_INVALIDARG) }
 }
 
-/// Tells whether an element of an array is the type V.
+/// Returns whether an element of an array is the type V.
 fn is_vector_type(item: Option<Variant<'_>>) -> bool {
     match item.map(|item| item.flatten()) {
         Some(Variant::Bstr(text)) => text.to_string().trim().eq_ignore_ascii_case("V"),

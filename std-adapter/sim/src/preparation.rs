@@ -54,7 +54,7 @@ impl Preparation {
         self.calibrated
     }
 
-    /// Tells whether MotionPreparation is done.
+    /// Returns whether MotionPreparation is done.
     pub(crate) const fn is_motion_ready(self) -> bool {
         self.motion
     }
@@ -130,7 +130,7 @@ impl Preparation {
     }
 }
 
-/// Tells whether the model and its version have ManualResetPreparation.
+/// Returns whether the model and its version have ManualResetPreparation.
 fn needs_manual_reset(config: &Config) -> bool {
     config.model.functions.preparation && config.version_is_from(&[2, 8, 0])
 }

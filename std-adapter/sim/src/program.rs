@@ -152,7 +152,7 @@ pub enum Constant {
 }
 
 impl Assignment {
-    /// Makes an assignment to the variable of this name; `None` if no variable can have the name.
+    /// Creates an assignment to the variable of this name; `None` if no variable can have the name.
     #[must_use]
     pub fn new(name: &str, value: Constant) -> Option<Self> {
         match parse_name(name)? {
@@ -161,7 +161,7 @@ impl Assignment {
         }
     }
 
-    /// Tells whether a program can add a number to this variable.
+    /// Returns whether a program can add a number to this variable.
     pub(crate) fn is_sum(&self) -> bool {
         use bcap_core::rac::VariableKind as Kind;
         matches!(self.family, Family::Plain(Kind::I | Kind::F | Kind::D)) && matches!(self.value, Constant::Number(_))
@@ -190,7 +190,7 @@ impl Assignment {
         variables.put(self.family, self.index, &sum.as_variant())
     }
 
-    /// Tells whether the variable has the value.
+    /// Returns whether the variable has the value.
     ///
     /// # Errors
     ///

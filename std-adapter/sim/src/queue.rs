@@ -75,7 +75,7 @@ impl Queue {
         self.motions.len() >= CAPACITY
     }
 
-    /// Tells whether the motions brake to their end.
+    /// Returns whether the motions brake to their end.
     pub(crate) fn is_halting(&self) -> bool {
         self.stage == Stage::Halting && !self.is_empty()
     }
@@ -176,7 +176,7 @@ impl Queue {
         }
     }
 
-    /// Returns when the present stage ends; `None` at rest, and while it is held.
+    /// Returns when the current stage ends; `None` at rest, and while it is held.
     fn next_event(&self) -> Option<Instant> {
         let first = self.motions.front()?;
         match self.stage {
@@ -186,7 +186,7 @@ impl Queue {
         }
     }
 
-    /// Ends the present stage.
+    /// Ends the current stage.
     fn perform(&mut self, at: Instant, waits: &mut Waits) {
         match self.stage {
             Stage::Running => {
@@ -241,7 +241,7 @@ impl Queue {
         Some(pass.filter(|pass| *pass > now).map_or(end, |pass| pass.min(end)))
     }
 
-    /// Tells whether no command is in execution: the arm may still move to the end of its last motion.
+    /// Returns whether no command is in execution: the arm may still move to the end of its last motion.
     pub(crate) fn commands_are_complete(&self, now: Instant) -> bool {
         match self.motions.front() {
             None => true,

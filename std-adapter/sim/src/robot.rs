@@ -205,7 +205,7 @@ impl Robot {
         &self.geometry
     }
 
-    /// Returns the present tool and work coordinates.
+    /// Returns the current tool and work coordinates.
     pub(crate) fn coordinates(&self) -> Coordinates {
         let (tool, work) = (self.tools.get(self.settings.tool), self.works.get(self.settings.work));
         Coordinates { arm: self.geometry, tool, work }
@@ -216,22 +216,22 @@ impl Robot {
         self.settings = Settings { line: Percent::FULL, joint: Percent::FULL, tool: 0, work: 0, ..self.settings };
     }
 
-    /// Tells whether a motion is running or held, or an axis moves in Slave Mode.
+    /// Returns whether a motion is running or held, or an axis moves in Slave Mode.
     pub(crate) fn is_moving(&self) -> bool {
         !self.queue.is_empty() || self.stream.as_ref().is_some_and(Stream::is_moving)
     }
 
-    /// Tells whether the motions brake to their end.
+    /// Returns whether the motions brake to their end.
     pub(crate) fn is_halting(&self) -> bool {
         self.queue.is_halting()
     }
 
-    /// Tells whether the queue has motions of this client that continue to their end, and room for one more.
+    /// Returns whether the queue has motions of this client that continue to their end, and room for one more.
     pub(crate) fn may_follow(&self, peer: PeerId) -> bool {
         self.queue.accepts() == Some(peer) && !self.queue.is_full()
     }
 
-    /// Tells whether all motion commands are complete; after a pass the robot may still move.
+    /// Returns whether all motion commands are complete; after a pass the robot may still move.
     pub(crate) fn commands_are_complete(&self, now: Instant) -> bool {
         self.queue.commands_are_complete(now)
     }

@@ -38,7 +38,7 @@ pub(crate) enum Authority {
 }
 
 impl Rule {
-    /// Tells whether a function or a command is one of the calls.
+    /// Returns whether a function or a command is one of the calls.
     pub(crate) fn concerns(&self, name: &str) -> bool {
         self.calls.split(", ").any(|call| call.eq_ignore_ascii_case(name.trim()))
     }

@@ -151,11 +151,11 @@ pub(crate) struct Stream {
     pub(crate) leaving: bool,
     /// The number of cycles since Slave Mode was entered.
     pub(crate) cycle: u64,
-    /// When the present cycle began, and the position of the axes at its beginning and at its end.
+    /// When the current cycle began, and the position of the axes at its beginning and at its end.
     began: Instant,
     from: Axes,
     to: Axes,
-    /// The speed in the present cycle, in degrees per second, and its change since the previous cycle, per second.
+    /// The speed in the current cycle, in degrees per second, and its change since the previous cycle, per second.
     speed: Axes,
     acceleration: Axes,
 }
@@ -185,7 +185,7 @@ impl Stream {
         each(|n| self.from[n] + (self.to[n] - self.from[n]) * part)
     }
 
-    /// Returns the position of the axes at the end of the present cycle.
+    /// Returns the position of the axes at the end of the current cycle.
     pub(crate) fn commanded(&self) -> Axes {
         self.to
     }
@@ -213,7 +213,7 @@ impl Stream {
         self.speed.iter().any(|speed| speed.abs() > REST)
     }
 
-    /// Tells whether the client has left: all poses are done and the axes are at rest.
+    /// Returns whether the client has left: all poses are done and the axes are at rest.
     pub(crate) fn has_left(&self) -> bool {
         self.leaving && self.buffer.is_empty() && !self.is_moving()
     }
@@ -223,12 +223,12 @@ impl Stream {
         self.began.saturating_add(CYCLE)
     }
 
-    /// Tells whether a cycle begins by this time.
+    /// Returns whether a cycle begins by this time.
     pub(crate) fn has_cycle_by(&self, now: Instant) -> bool {
         now.saturating_since(self.began) >= CYCLE
     }
 
-    /// Tells whether [`offer`](Self::offer) would have no room for a position.
+    /// Returns whether [`offer`](Self::offer) would have no room for a position.
     pub(crate) fn refuses(&self) -> bool {
         self.mode.buffering == Buffering::Refuse && self.is_full()
     }

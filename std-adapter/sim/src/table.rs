@@ -46,7 +46,7 @@ impl<R: Copy> Command<R> {
         self
     }
 
-    /// Tells whether a model executes this command.
+    /// Returns whether a model executes this command.
     pub(crate) fn exists(&self, functions: Functions) -> bool {
         self.run.is_some() && (self.is_of)(functions)
     }
@@ -96,7 +96,7 @@ impl<G: Copy, P: Copy> Property<G, P> {
         Self { name, get: None, put: Some(put), accepts: Some(accepts) }
     }
 
-    /// Makes a variable that can be read also writable.
+    /// Creates a variable that can be read also writable.
     pub(crate) const fn and_write(mut self, put: P, accepts: &'static str) -> Self {
         self.put = Some(put);
         self.accepts = Some(accepts);

@@ -27,8 +27,8 @@
 
 mod steps;
 mod task;
+mod task_variables;
 mod timed;
-mod variables;
 
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
@@ -39,7 +39,7 @@ use crate::program::Program;
 
 pub(crate) use task::Task;
 pub use task::TaskStatus;
-pub(crate) use variables::VARIABLES;
+pub(crate) use task_variables::VARIABLES;
 
 /// All tasks. A deleted task keeps its place.
 #[derive(Clone, Debug)]

@@ -30,20 +30,20 @@ pub struct TracePoint {
     pub axes: [f64; 8],
     /// X Y Z in mm and RX RY RZ in degrees of the tool centre point in work coordinates.
     pub position: [f64; 6],
-    /// The present tool.
+    /// The current tool.
     pub tool: i32,
-    /// The present work coordinates.
+    /// The current work coordinates.
     pub work: i32,
 }
 
-type Tell = dyn Fn(&TracePoint) + Send + Sync;
+type TraceCallback = dyn Fn(&TracePoint) + Send + Sync;
 
 /// Receives the points of the trace while the arm moves, and the first point at rest.
 #[derive(Clone, Default)]
-pub struct Recorder(Option<Arc<Tell>>);
+pub struct Recorder(Option<Arc<TraceCallback>>);
 
 impl Recorder {
-    /// Makes a recorder of a function.
+    /// Creates a recorder of a function.
     #[must_use]
     pub fn new(tell: impl Fn(&TracePoint) + Send + Sync + 'static) -> Self {
         Self(Some(Arc::new(tell)))
@@ -80,7 +80,7 @@ pub(crate) struct Trace {
     /// The time of the next point of the recorder.
     next_told: Instant,
     last: Option<Axes>,
-    /// The recorder has the present point of rest.
+    /// The recorder has the current point of rest.
     rested: bool,
 }
 

@@ -158,7 +158,7 @@ pub(crate) fn parse_name(name: &str) -> Option<(Family, Option<u32>)> {
     plain.then(|| (family, Some(digits.parse().unwrap_or(u32::MAX))))
 }
 
-/// Tells whether the rest of a name is a wildcard: `*`, `[*]`, or one of several, `*_1`.
+/// Returns whether the rest of a name is a wildcard: `*`, `[*]`, or one of several, `*_1`.
 pub(crate) fn is_wildcard(rest: &str) -> bool {
     let (star, number) = rest.split_once('_').map_or((rest, "0"), |(star, number)| (star, number));
     matches!(star, "*" | "[*]") && !number.is_empty() && number.bytes().all(|b| b.is_ascii_digit())

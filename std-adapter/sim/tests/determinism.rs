@@ -33,7 +33,7 @@ name = "Fail"
 steps = [{ wait_ms = 100 }, { error = "0x81501003" }, { set = { S1 = "failed" } }]
 "#;
 
-/// Makes a scenario with its seed and up to ten faults.
+/// Creates a scenario with its seed and up to ten faults.
 fn scenario(random: &mut fastrand::Rng) -> String {
     let mut text = format!("seed = {}\n[controller]\nmotor = {}\n{TASKS}", random.u32(..), random.bool());
     for _ in 0..random.usize(0..6) {

@@ -32,7 +32,7 @@ use tokio::sync::{OwnedSemaphorePermit, mpsc, oneshot, watch};
 use super::ending::Open;
 use super::socket::{self, BoxFuture, Socket, SocketConnection};
 use super::state::{Counters, State};
-use super::subscription::{Scan, Subscriber};
+use super::subscription::{Scanner, Subscriber};
 use crate::CallError;
 use crate::address::Address;
 use crate::error::Error;
@@ -177,7 +177,7 @@ pub(super) struct Actor {
     pub(super) settings: Settings,
     /// Whether each session opens the robot at once, so that a halt takes one call.
     pub(super) opens_robot: bool,
-    pub(super) scan: Scan,
+    pub(super) scan: Scanner,
     /// The recovery of the robot after the last lost connection.
     pub(super) recovered: watch::Sender<Option<Recovery>>,
     /// What is to be stopped over the next session.
@@ -185,7 +185,7 @@ pub(super) struct Actor {
 }
 
 /// How the service of one session ended.
-enum Ended {
+enum SessionEnd {
     /// The connection was lost.
     Lost(Error),
     /// A handle closed the controller, and waits for the result.
@@ -231,7 +231,7 @@ impl Actor {
                     self.scan.restart();
                     self.state.send_replace(State::Connected);
                     match self.serve(session).await {
-                        Ended::Lost(error) => {
+                        SessionEnd::Lost(error) => {
                             self.counters.losses.add();
                             open.lose();
                             error
@@ -259,7 +259,7 @@ impl Actor {
     }
 
     /// Ends the session and the task.
-    async fn end(self, ended: Ended, mut open: Open) {
+    async fn end(self, ended: SessionEnd, mut open: Open) {
         let released = match &mut open.session {
             Some(session) => session.release().await,
             None => Ok(()),
@@ -268,15 +268,15 @@ impl Actor {
         let released = open.end_now().unwrap_or(released);
         self.state.send_replace(State::Closed);
         match (ended, released) {
-            (Ended::Closed(reply), released) => drop(reply.send(released)),
+            (SessionEnd::Closed(reply), released) => drop(reply.send(released)),
             (_, Err(error)) => tracing::warn!(address = ?self.address, %error, "the session was not closed"),
             (_, Ok(())) => {}
         }
     }
 
     /// Opens a session. Ends first the effects that a lost session may have left on the robot. Requests fail meanwhile.
-    async fn connect(&mut self, open: &mut Open) -> ControlFlow<Ended, Result<Session<Socket>, Error>> {
-        let Some(address) = self.address.clone() else { return ControlFlow::Break(Ended::Dropped) };
+    async fn connect(&mut self, open: &mut Open) -> ControlFlow<SessionEnd, Result<Session<Socket>, Error>> {
+        let Some(address) = self.address.clone() else { return ControlFlow::Break(SessionEnd::Dropped) };
         self.state.send_replace(State::Connecting);
         let (settings, opens_robot, recovered) = (self.settings.clone(), self.opens_robot, self.recovered.clone());
         let (left, mut opened) = (&mut open.left, None);
@@ -302,7 +302,7 @@ impl Actor {
     }
 
     /// Waits before the next attempt, unless something is to be stopped. Other requests fail meanwhile.
-    async fn wait(&mut self, error: Error, delay: Duration) -> Option<Ended> {
+    async fn wait(&mut self, error: Error, delay: Duration) -> Option<SessionEnd> {
         let reason = reason(&error);
         self.scan.fail(&Arc::new(error));
         if self.address.is_none() {
@@ -327,7 +327,7 @@ impl Actor {
     }
 
     /// Waits for `event`, and fails all requests meanwhile.
-    async fn meanwhile<T>(&mut self, reason: &str, event: impl Future<Output = T>) -> ControlFlow<Ended, T> {
+    async fn meanwhile<T>(&mut self, reason: &str, event: impl Future<Output = T>) -> ControlFlow<SessionEnd, T> {
         let mut event = std::pin::pin!(event);
         loop {
             tokio::select! {
@@ -351,11 +351,11 @@ impl Actor {
     }
 
     /// Fails a request, because there is no session. What is to be stopped waits for the next one.
-    fn refuse(&mut self, request: Option<Request>, reason: &str) -> Option<Ended> {
+    fn refuse(&mut self, request: Option<Request>, reason: &str) -> Option<SessionEnd> {
         let error = || not_connected(reason);
         match request {
-            None => return Some(Ended::Dropped),
-            Some(Request::Close(reply)) => return Some(Ended::Closed(reply)),
+            None => return Some(SessionEnd::Dropped),
+            Some(Request::Close(reply)) => return Some(SessionEnd::Closed(reply)),
             Some(Request::Run(job)) if job.is_urgent() && self.address.is_some() => {
                 self.urgent.push(job);
                 return None;
@@ -377,7 +377,7 @@ impl Actor {
 
     /// Carries out requests until the session ends. Each round performs at most one step whose deadline has passed and
     /// one request, so neither starves the other.
-    async fn serve(&mut self, session: &mut Session<Socket>) -> Ended {
+    async fn serve(&mut self, session: &mut Session<Socket>) -> SessionEnd {
         let mut motion = None;
         for job in std::mem::take(&mut self.urgent) {
             let succeeded = job.run(session).await;
@@ -402,10 +402,10 @@ impl Actor {
                 // first, because the next round halts the robot
                 () = gone(&mut motion) => {}
                 request = self.requests.recv() => match request {
-                    None => return Ended::Dropped,
+                    None => return SessionEnd::Dropped,
                     Some(Request::Close(reply)) => {
                         drop(motion);
-                        return Ended::Closed(reply);
+                        return SessionEnd::Closed(reply);
                     }
                     Some(Request::Move(request)) => motion = self.start(session, request, motion).await,
                     Some(Request::GiveArm(arm)) if arm == session.arm_id() => {
@@ -454,8 +454,8 @@ impl Actor {
         &mut self,
         session: &mut Session<Socket>,
         request: Box<MoveRequest>,
-        earlier: Option<Moving>,
-    ) -> Option<Moving> {
+        earlier: Option<ActiveMotion>,
+    ) -> Option<ActiveMotion> {
         let MoveRequest { arm, queue, motion, until, reply } = *request;
         if arm != session.arm_id() {
             self.count(false);
@@ -477,7 +477,7 @@ impl Actor {
         match begun {
             Ok(running) => {
                 let reply = Begun::new(reply, || Err(unanswered_motion()));
-                Some(Moving { steps: Box::new(running), deadline: Instant::ZERO, reply })
+                Some(ActiveMotion { steps: Box::new(running), deadline: Instant::ZERO, reply })
             }
             Err(error) => {
                 let _ = reply.send(Err(error));
@@ -488,7 +488,7 @@ impl Actor {
 }
 
 /// A motion under way, with the receiver of its outcome.
-struct Moving {
+struct ActiveMotion {
     steps: Box<dyn MotionSteps>,
     /// When the robot is polled.
     deadline: Instant,
@@ -513,8 +513,8 @@ impl<P: Procedure<Output = MotionQueue, Error = StepError> + Send> MotionSteps f
 }
 
 /// Polls a motion at its deadline; halts the robot if the caller has gone. Returns the motion while it is under way.
-async fn step(session: &mut Session<Socket>, mut motion: Moving, now: Instant) -> Option<Moving> {
-    let Moving { steps, deadline, reply } = &mut motion;
+async fn step(session: &mut Session<Socket>, mut motion: ActiveMotion, now: Instant) -> Option<ActiveMotion> {
+    let ActiveMotion { steps, deadline, reply } = &mut motion;
     if now < *deadline && !reply.is_closed() {
         return Some(motion);
     }
@@ -544,7 +544,7 @@ async fn give_up(session: &mut Session<Socket>) {
 }
 
 /// Waits until the caller of a motion has gone.
-async fn gone(motion: &mut Option<Moving>) {
+async fn gone(motion: &mut Option<ActiveMotion>) {
     match motion {
         Some(motion) => motion.reply.closed().await,
         None => std::future::pending().await,
@@ -552,9 +552,9 @@ async fn gone(motion: &mut Option<Moving>) {
 }
 
 /// Ends the service of a lost session. The caller of the motion learns that it may have moved the robot.
-fn lost(motion: Option<Moving>, error: Error) -> Ended {
+fn lost(motion: Option<ActiveMotion>, error: Error) -> SessionEnd {
     drop(motion);
-    Ended::Lost(error)
+    SessionEnd::Lost(error)
 }
 
 /// Returns the error of an accepted motion whose outcome is unknown because the connection was lost.

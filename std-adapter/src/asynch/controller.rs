@@ -117,7 +117,7 @@ impl Controller {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`].
+    /// Same as [`Controller`].
     pub async fn read<T: for<'a> FromVariant<'a> + Send + 'static>(&self, name: &str) -> Result<T, Error> {
         let name = name.to_owned();
         self.handle.run(move |session| Box::pin(async move { session.read(Object::Controller, &name).await })).await
@@ -131,7 +131,7 @@ impl Controller {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`].
+    /// Same as [`Controller`].
     pub async fn read_all<const N: usize>(&self, names: [&str; N]) -> Result<[OwnedVariant; N], Error> {
         let names = names.map(str::to_owned);
         self.handle.run(move |session| Box::pin(async move { session.read_all(&names).await })).await
@@ -149,7 +149,7 @@ impl Controller {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`].
+    /// Same as [`Controller`].
     ///
     /// # Examples
     ///
@@ -175,7 +175,7 @@ impl Controller {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`].
+    /// Same as [`Controller`].
     ///
     /// # Examples
     ///
@@ -235,7 +235,7 @@ impl Controller {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`].
+    /// Same as [`Controller`].
     pub async fn write(&self, name: &str, value: impl Encode) -> Result<(), Error> {
         let (name, value) = (name.to_owned(), owned(&value)?);
         self.handle
@@ -274,7 +274,7 @@ impl Controller {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`].
+    /// Same as [`Controller`].
     pub async fn robot(&self) -> Result<Robot, Error> {
         self.handle.run(|session| Box::pin(async { session.robot().await.map(drop) })).await?;
         Ok(Robot::new(self.handle.clone()))
@@ -288,7 +288,7 @@ impl Controller {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`].
+    /// Same as [`Controller`].
     pub async fn task(&self, name: &str) -> Result<Task, Error> {
         let name = name.to_owned();
         let task = Task::new(self.handle.clone(), name.clone());
@@ -325,7 +325,7 @@ impl Controller {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`].
+    /// Same as [`Controller`].
     pub async fn execute<T: for<'a> FromVariant<'a> + Send + 'static>(
         &self,
         command: &str,
@@ -343,7 +343,7 @@ impl Controller {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`].
+    /// Same as [`Controller`].
     pub async fn handle(&self) -> Result<ControllerHandle, Error> {
         self.handle.run(|session| Box::pin(async { Ok(session.handle) })).await
     }
@@ -359,7 +359,7 @@ impl Controller {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`].
+    /// Same as [`Controller`].
     ///
     /// # Examples
     ///

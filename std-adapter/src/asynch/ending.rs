@@ -17,13 +17,13 @@ use crate::settings::Settings;
 pub(super) struct Open {
     pub(super) session: Option<Session<Socket>>,
     /// The possible effects of a lost session on the robot, until a new session has ended them.
-    pub(super) left: Option<Left>,
+    pub(super) left: Option<LostSessions>,
     address: Option<Address>,
     settings: Arc<Settings>,
 }
 
-/// The possible effects of a lost session on the robot.
-pub(super) struct Left {
+/// Lost sessions, and their possible effects on the robot.
+pub(super) struct LostSessions {
     state: session::Left,
     /// The lost sessions that the controller keeps alive until their services are stopped, the last one with the effects.
     sessions: Vec<Session<Socket>>,
@@ -32,7 +32,7 @@ pub(super) struct Left {
 /// The maximum number of lost sessions that are kept; the oldest ones are forgotten.
 const SESSIONS: usize = 8;
 
-impl Left {
+impl LostSessions {
     /// Ends the effects over a new session.
     pub(super) async fn recover(&mut self, over: &mut Session<Socket>) -> Result<Recovery, Error> {
         let Self { state, sessions } = self;
@@ -70,7 +70,7 @@ impl Open {
         if let Some(mut session) = self.session.take()
             && let Some(state) = session.take_left()
         {
-            let mut left = Left { state, sessions: Vec::new() };
+            let mut left = LostSessions { state, sessions: Vec::new() };
             left.add(session);
             self.left = Some(left);
         }
@@ -85,11 +85,12 @@ impl Open {
         // a session that has changed nothing ends with its connection, if it has one
         session.take_if(|session| !session.uses_robot() && !session.outlasts_its_link());
         let mut session = session.take();
-        let of_session = session.as_mut().and_then(Session::left).map(|state| Left { state, sessions: Vec::new() });
+        let of_session =
+            session.as_mut().and_then(Session::left).map(|state| LostSessions { state, sessions: Vec::new() });
         let over = |session: Session<Socket>| session.over(|socket| socket.into_blocking(address.as_ref()));
         match (session.and_then(over), left.take().or(of_session), &*address) {
             (Some(mut session), ..) => Some(ending::end_now(&mut session, address.as_ref(), settings).robot),
-            (None, Some(Left { state, sessions }), Some(address)) => {
+            (None, Some(LostSessions { state, sessions }), Some(address)) => {
                 let mut lost: Vec<_> = sessions.into_iter().filter_map(over).collect();
                 Some(ending::recover_now(address, settings, state, &mut lost))
             }

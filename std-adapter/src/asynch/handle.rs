@@ -13,7 +13,7 @@ use super::SendTransport;
 use super::actor::{self, Actor, Request, Work};
 use super::socket::{self, BoxFuture, Socket};
 use super::state::{Counters, State};
-use super::subscription::Scan;
+use super::subscription::Scanner;
 use crate::address::Address;
 use crate::error::Error;
 use crate::recovery::Recovery;
@@ -76,7 +76,7 @@ impl Handle {
             address: address.clone(),
             settings: settings.clone(),
             opens_robot,
-            scan: Scan::default(),
+            scan: Scanner::default(),
             recovered: reporter,
             urgent: Vec::new(),
         };

@@ -27,7 +27,7 @@ impl Task {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`](super::Controller).
+    /// Same as [`Controller`](super::Controller).
     pub async fn start(&self, mode: TaskStart) -> Result<(), Error> {
         let name = self.name.clone();
         self.handle.run(move |session| Box::pin(async move { session.start_task(&name, mode).await })).await
@@ -55,7 +55,7 @@ impl Task {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`](super::Controller).
+    /// Same as [`Controller`](super::Controller).
     pub async fn status(&self) -> Result<TaskStatus, Error> {
         let name = self.name.clone();
         self.handle.run(move |session| Box::pin(async move { session.task_status(&name).await })).await
@@ -82,7 +82,7 @@ impl File {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`](super::Controller).
+    /// Same as [`Controller`](super::Controller).
     pub async fn read<T: for<'v> FromVariant<'v>>(&self) -> Result<T, Error> {
         let name = self.name.clone();
         let read = self.handle.run(move |session| Box::pin(async move { session.read_file(&name).await }));
@@ -97,7 +97,7 @@ impl File {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`](super::Controller).
+    /// Same as [`Controller`](super::Controller).
     pub async fn write(&self, content: impl Encode) -> Result<(), Error> {
         let (name, content) = (self.name.clone(), owned(&content)?);
         self.handle.run(move |session| Box::pin(async move { session.write_file(&name, content).await })).await

@@ -113,7 +113,7 @@ impl Robot {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`](super::Controller).
+    /// Same as [`Controller`](super::Controller).
     ///
     /// # Examples
     ///
@@ -190,7 +190,7 @@ impl Robot {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`](super::Controller).
+    /// Same as [`Controller`](super::Controller).
     pub async fn joints(&self) -> Result<Joints, Error> {
         self.handle.run(|session| Box::pin(session.execute_robot("CurJnt", ()))).await
     }
@@ -203,7 +203,7 @@ impl Robot {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`](super::Controller).
+    /// Same as [`Controller`](super::Controller).
     pub async fn position(&self) -> Result<Position, Error> {
         self.handle.run(|session| Box::pin(session.execute_robot("CurPos", ()))).await
     }
@@ -212,11 +212,11 @@ impl Robot {
     ///
     /// # Errors
     ///
-    /// As [`Controller::read`](super::Controller::read).
+    /// Same as [`Controller::read`](super::Controller::read).
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`](super::Controller).
+    /// Same as [`Controller`](super::Controller).
     pub async fn read<T: for<'v> FromVariant<'v> + Send + 'static>(&self, name: &str) -> Result<T, Error> {
         let name = name.to_owned();
         self.handle.run(move |session| Box::pin(async move { session.read(Object::Robot, &name).await })).await
@@ -250,7 +250,7 @@ impl Robot {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`](super::Controller).
+    /// Same as [`Controller`](super::Controller).
     pub async fn execute<T: for<'v> FromVariant<'v> + Send + 'static>(
         &self,
         command: &str,
@@ -285,7 +285,7 @@ impl Arm {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`](super::Controller).
+    /// Same as [`Controller`](super::Controller).
     pub async fn motor_off(&mut self) -> Result<(), Error> {
         self.run(|session| Box::pin(session.motor(false))).await
     }
@@ -298,7 +298,7 @@ impl Arm {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`](super::Controller).
+    /// Same as [`Controller`](super::Controller).
     pub async fn set_speed(&mut self, percent: f64) -> Result<(), Error> {
         self.run(move |session| Box::pin(session.execute_robot("ExtSpeed", percent))).await
     }
@@ -311,7 +311,7 @@ impl Arm {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`](super::Controller).
+    /// Same as [`Controller`](super::Controller).
     pub async fn select_tool(&mut self, number: u8) -> Result<(), Error> {
         self.run(move |session| Box::pin(session.change("Tool", number))).await
     }
@@ -324,7 +324,7 @@ impl Arm {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`](super::Controller).
+    /// Same as [`Controller`](super::Controller).
     pub async fn select_work(&mut self, number: u8) -> Result<(), Error> {
         self.run(move |session| Box::pin(session.change("Work", number))).await
     }

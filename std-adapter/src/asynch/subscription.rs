@@ -1,7 +1,7 @@
 //! Subscriptions: variables that a task reads at an interval, and reports when they change.
 //!
 //! ```text
-//!  Scan: a variable ─► its Subscribers ─► the queue of each Subscription ─► next
+//!  Scanner: a variable ─► its Subscribers ─► the queue of each Subscription ─► next
 //! ```
 
 use std::collections::VecDeque;
@@ -32,7 +32,7 @@ pub struct Reading {
 }
 
 impl Reading {
-    /// Tells whether this reading reports something else than the one before.
+    /// Returns whether this reading reports something else than the one before.
     fn differs(&self, before: &Self) -> bool {
         match (&self.value, &before.value) {
             (Ok(value), Ok(before)) => value != before,
@@ -144,7 +144,7 @@ impl Drop for Closer {
 }
 
 impl Subscriber {
-    /// Tells whether the subscription still exists.
+    /// Returns whether the subscription still exists.
     fn is_wanted(&self) -> bool {
         self.closer.0.strong_count() > 0
     }
@@ -172,7 +172,7 @@ impl Subscriber {
 /// All subscriptions of a controller: each variable is read once for all of its subscribers, at the shortest of their
 /// intervals.
 #[derive(Default)]
-pub(super) struct Scan {
+pub(super) struct Scanner {
     variables: Vec<Scanned>,
 }
 
@@ -183,7 +183,7 @@ struct Scanned {
     subscribers: Vec<(Duration, Subscriber)>,
 }
 
-impl Scan {
+impl Scanner {
     /// Adds the variables of a subscription, which are read at once.
     pub(super) fn add(&mut self, subscribers: Vec<Subscriber>, interval: Duration) {
         for subscriber in subscribers {

@@ -273,7 +273,7 @@ impl Controller {
     }
 
     /// Ends the session, once.
-    fn end_now(&mut self) -> ending::Ended {
+    fn end_now(&mut self) -> ending::EndResult {
         ending::end_now(&mut self.session, self.address.as_ref(), &self.settings)
     }
 }

@@ -32,7 +32,7 @@ pub(crate) fn within_limit<T>(session: &mut Session<Blocking>, end: impl FnOnce(
 }
 
 /// How a session has ended.
-pub(crate) struct Ended {
+pub(crate) struct EndResult {
     /// An error unless its effects on the robot were seen to end.
     pub(crate) robot: Result<(), Error>,
     /// Whether its objects were released and its service stopped.
@@ -41,7 +41,7 @@ pub(crate) struct Ended {
 
 /// Ends a session: gives the arm back, releases all objects and stops the service. If the connection was lost while the session had
 /// the arm, or the controller did not answer, it connects once more for that.
-pub(crate) fn end_now(session: &mut Session<Blocking>, address: Option<&Address>, settings: &Settings) -> Ended {
+pub(crate) fn end_now(session: &mut Session<Blocking>, address: Option<&Address>, settings: &Settings) -> EndResult {
     let (given, objects) = within_limit(session, |session| {
         let given = match session.lost() {
             None => ready(session.end_arm()),
@@ -60,7 +60,7 @@ pub(crate) fn end_now(session: &mut Session<Blocking>, address: Option<&Address>
         (Some(left), Some(address)) => recover_now(address, settings, left, std::slice::from_mut(session)),
         _ => given,
     };
-    Ended { robot, objects }
+    EndResult { robot, objects }
 }
 
 /// Ends over a new connection the effects that a lost session may have left. Over UDP the lost sessions are stopped too. Fails unless the

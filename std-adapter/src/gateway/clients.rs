@@ -17,7 +17,7 @@ use tokio::task::JoinSet;
 use tokio::time::{sleep, timeout};
 
 use super::platform::SharedGateway;
-use super::traffic::{Moved, Tap};
+use super::traffic::{Moved, TrafficTap};
 use crate::asynch::TcpTransport;
 use crate::connect::set_up_tcp;
 use crate::server::{REFUSAL_TIME, REFUSALS};
@@ -38,7 +38,7 @@ pub(super) type Map = Option<&'static [Entry]>;
 #[derive(Clone)]
 pub(super) struct Plant {
     pub(super) shared: Arc<SharedGateway>,
-    pub(super) tap: Tap,
+    pub(super) tap: TrafficTap,
     pub(super) limits: Limits,
     pub(super) stopped: watch::Receiver<()>,
 }
@@ -85,7 +85,7 @@ async fn serve(stream: TcpStream, client: SocketAddr, map: Map, mut plant: Plant
     let _ = set_up_tcp(SockRef::from(&stream), Some(KEEP_ALIVE));
     let mut link = PlcLink { transport: TcpTransport::new(stream), tap: plant.tap.clone() };
     let shared = Arc::clone(&plant.shared);
-    let mut modbus = map.map(|map| Box::new(modbus::Front::new(map)));
+    let mut modbus = map.map(|map| Box::new(modbus::Session::new(map)));
     let session =
         driver::serve::<_, _, CHUNK>(&mut link, front(&mut modbus), client, &shared, &plant.limits, io::Error::kind)
             .await;
@@ -102,14 +102,14 @@ async fn serve(stream: TcpStream, client: SocketAddr, map: Map, mut plant: Plant
     }
 }
 
-fn front<'a>(modbus: &'a mut Option<Box<modbus::Front<'static>>>) -> Front<'a, 'static> {
+fn front<'a>(modbus: &'a mut Option<Box<modbus::Session<'static>>>) -> Front<'a, 'static> {
     modbus.as_deref_mut().map_or(Front::Rac, Front::Modbus)
 }
 
 /// The connection of a client, whose bytes are shown to the tap.
 struct PlcLink {
     transport: TcpTransport,
-    tap: Tap,
+    tap: TrafficTap,
 }
 
 impl PlcLink {

@@ -55,7 +55,7 @@ use tokio::sync::watch;
 use self::clients::Plant;
 use self::platform::SharedGateway;
 use self::robot::{HostPort, RobotSocket};
-use self::traffic::Tap;
+use self::traffic::TrafficTap;
 use crate::connect::{DATAGRAM_ROOM, Options, random_serial};
 
 pub use self::report::{Ended, Report};
@@ -68,7 +68,7 @@ pub struct Driver {
     shared: Arc<SharedGateway>,
     robot: HostPort,
     options: Options,
-    tap: Tap,
+    tap: TrafficTap,
     limits: Limits,
     modbus: Option<(TcpListener, &'static [Entry])>,
 }
@@ -92,7 +92,7 @@ impl Driver {
             shared,
             robot: (host.into(), port),
             options: Options::default(),
-            tap: Tap::default(),
+            tap: TrafficTap::default(),
             limits: Limits::default(),
             modbus: None,
         }
@@ -115,7 +115,7 @@ impl Driver {
     /// must be short.
     #[must_use]
     pub fn tap(self, tap: impl FnMut(&Traffic<'_>) + Send + 'static) -> Self {
-        Self { tap: Tap::new(tap), ..self }
+        Self { tap: TrafficTap::new(tap), ..self }
     }
 
     /// Changes how long connecting to the robot over TCP may take for each address of its name; 3 s by default.

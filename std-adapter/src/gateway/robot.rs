@@ -8,7 +8,7 @@ use bcap_core::time::Instant;
 use bcap_gateway::driver::RobotLink;
 
 use super::clients::reset;
-use super::traffic::{Moved, Tap};
+use super::traffic::{Moved, TrafficTap};
 use crate::asynch::socket::Socket;
 use crate::asynch::{TcpTransport, UdpTransport, connect_datagrams, connect_stream};
 use crate::clock::{now, until};
@@ -22,7 +22,7 @@ pub(super) struct RobotSocket {
     pub(super) robot: HostPort,
     pub(super) kind: bcap::Link,
     pub(super) options: Options,
-    pub(super) tap: Tap,
+    pub(super) tap: TrafficTap,
     pub(super) socket: Option<Socket>,
 }
 

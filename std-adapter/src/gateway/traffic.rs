@@ -39,9 +39,9 @@ type Show = Box<dyn FnMut(&Traffic<'_>) + Send>;
 
 /// Receives all traffic, if the user of the driver wants it.
 #[derive(Clone, Default)]
-pub(super) struct Tap(Option<Arc<Mutex<Show>>>);
+pub(super) struct TrafficTap(Option<Arc<Mutex<Show>>>);
 
-impl Tap {
+impl TrafficTap {
     pub(super) fn new(show: impl FnMut(&Traffic<'_>) + Send + 'static) -> Self {
         Self(Some(Arc::new(Mutex::new(Box::new(show)))))
     }
@@ -57,7 +57,7 @@ impl Tap {
     }
 }
 
-impl fmt::Debug for Tap {
+impl fmt::Debug for TrafficTap {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(if self.0.is_some() { "Tap" } else { "no tap" })
     }

@@ -72,12 +72,12 @@ impl Activity {
         }
     }
 
-    /// Tells whether the connection must end as soon as it is idle.
+    /// Returns whether the connection must end as soon as it is idle.
     pub(super) fn is_evicted(&self) -> bool {
         self.evicted.0.load(Ordering::SeqCst)
     }
 
-    /// Tells whether the server stops.
+    /// Returns whether the server stops.
     pub(super) fn is_stopped(&self) -> bool {
         self.stopped.0.load(Ordering::SeqCst)
     }

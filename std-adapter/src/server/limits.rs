@@ -79,7 +79,7 @@ impl Limits {
     }
 }
 
-/// Tells whether two clients are on one host. A listener for both versions of IP shows `10.0.0.5` as `::ffff:10.0.0.5`.
+/// Returns whether two clients are on one host. A listener for both versions of IP shows `10.0.0.5` as `::ffff:10.0.0.5`.
 pub(crate) fn is_same_host(one: IpAddr, other: IpAddr) -> bool {
     one.to_canonical() == other.to_canonical()
 }

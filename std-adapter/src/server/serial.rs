@@ -73,7 +73,7 @@ pub(super) async fn serve<H: Handler + Send + 'static>(
     let Port { line, mut stream, report } = port;
     loop {
         let config = Config { invoke_timeout_max: limits.call, ..Config::SERIAL };
-        let mut connection = Connection {
+        let mut connection = LineConnection {
             stream,
             session: Box::new(LineSession::new(config, [0; SERIAL_MAX + 1], [0; SERIAL_MAX + 1])),
             peer: shared.next_peer(),
@@ -109,7 +109,7 @@ async fn reopened(line: &SerialLine) -> SerialStream {
 }
 
 /// The time between two openings of a device.
-struct Connection<H> {
+struct LineConnection<H> {
     stream: SerialStream,
     session: Box<LineSession>,
     peer: PeerId,
@@ -118,7 +118,7 @@ struct Connection<H> {
     limits: Limits,
 }
 
-impl<H: Handler + Send + 'static> Connection<H> {
+impl<H: Handler + Send + 'static> LineConnection<H> {
     /// Moves bytes until the device fails.
     async fn run(&mut self) -> io::Error {
         loop {

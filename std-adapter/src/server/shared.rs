@@ -122,8 +122,8 @@ impl<H> ServerState<H> {
 
     /// Waits until the number of changes differs from `seen`; returns the new number.
     async fn change_after(&self, seen: usize) -> usize {
-        struct Listening<'s>(&'s AtomicUsize);
-        impl Drop for Listening<'_> {
+        struct ListenGuard<'s>(&'s AtomicUsize);
+        impl Drop for ListenGuard<'_> {
             fn drop(&mut self) {
                 self.0.fetch_sub(1, Ordering::SeqCst);
             }
@@ -132,7 +132,7 @@ impl<H> ServerState<H> {
             // `notify_waiters` wakes this future from now on, even before it is polled
             let changed = self.changed.notified();
             self.listening.fetch_add(1, Ordering::SeqCst);
-            let _listening = Listening(&self.listening);
+            let _listening = ListenGuard(&self.listening);
             let changes = self.changes.load(Ordering::SeqCst);
             if changes != seen {
                 return changes;

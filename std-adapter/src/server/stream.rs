@@ -49,7 +49,7 @@ pub(super) async fn serve<H: Send + 'static, M: ServeLocked<H> + 'static>(
     }
     let changes = shared.changes();
     let mut session = Box::new(session);
-    let mut connection = Connection {
+    let mut connection = StreamConnection {
         stream,
         peer,
         shared,
@@ -81,7 +81,7 @@ pub(super) async fn serve<H: Send + 'static, M: ServeLocked<H> + 'static>(
     connection.shared.close(&mut *session, peer, now());
 }
 
-struct Connection<H> {
+struct StreamConnection<H> {
     stream: TcpStream,
     peer: PeerId,
     shared: Arc<ServerState<H>>,
@@ -104,7 +104,7 @@ enum Pause {
     Ended(&'static str),
 }
 
-impl<H: Send + 'static> Connection<H> {
+impl<H: Send + 'static> StreamConnection<H> {
     /// Moves bytes until a large request has arrived or the connection must end.
     async fn run<M: ServeLocked<H>>(&mut self, session: &mut M) -> io::Result<Pause> {
         loop {

@@ -100,7 +100,7 @@ impl ArmEffect {
 }
 
 impl ArmState {
-    /// Tells whether the end of the session has something to undo.
+    /// Returns whether the end of the session has something to undo.
     pub(crate) const fn is_used(&self) -> bool {
         self.taken || self.motor
     }

@@ -36,7 +36,8 @@ const BUSY_PAUSE: Duration = Duration::from_millis(10);
 /// How long a controller may take to end the session of a connection that it has closed.
 const NOTICE: Duration = Duration::from_millis(500);
 
-/// Tells whether a call has certainly ended: it was executed, or refused. With E_TIMEOUT a controller gives up a call that may go on.
+/// Returns whether a call has certainly ended: it was executed, or refused. With E_TIMEOUT a controller gives up a call that
+/// may go on.
 const fn is_answered(ended: &Result<(), Error>) -> bool {
     match ended {
         Ok(()) => true,
@@ -45,7 +46,7 @@ const fn is_answered(ended: &Result<(), Error>) -> bool {
     }
 }
 
-/// Tells whether the controller refused a call because it executes another one of this client, or because the robot brakes.
+/// Returns whether the controller refused a call because it executes another one of this client, or because the robot brakes.
 const fn is_busy(ended: &Result<(), Error>) -> bool {
     matches!(ended, Err(Error::Refused { code: HResult::E_BUSY_PROC | HResult::E_ROBOTISBUSY, .. }))
 }
@@ -169,7 +170,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         }
     }
 
-    /// Tells whether the controller does not notice that this session has ended, unless its service is stopped.
+    /// Returns whether the controller does not notice that this session has ended, unless its service is stopped.
     pub(crate) const fn outlasts_its_link(&mut self) -> bool {
         matches!(self.connection.client().link(), Link::Datagram)
     }

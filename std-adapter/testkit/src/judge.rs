@@ -93,7 +93,7 @@ pub fn reply(request: &TestFrame, bytes: &[u8]) -> Result<TestFrame, Fault> {
     Err(Fault::Type { expected: noun(signature.result), value: value.cloned() })
 }
 
-/// Tells whether a value is of a kind of the function table.
+/// Returns whether a value is of a kind of the function table.
 #[must_use]
 pub fn has_kind(value: &Value, kind: Kind) -> bool {
     let is_integer =
@@ -117,7 +117,7 @@ const fn noun(kind: Kind) -> &'static str {
     }
 }
 
-/// Tells whether a variable of RAC has such values (RAC specification, sections 3.2 to 4.1).
+/// Returns whether a variable of RAC has such values (RAC specification, sections 3.2 to 4.1).
 fn fits(value: &Value, kind: VariableKind) -> bool {
     match (kind.name(), value) {
         ("I", Value::I4(_)) | ("F", Value::R4(_)) | ("D", Value::R8(_)) | ("S", Value::Bstr(_)) => true,

@@ -9,7 +9,7 @@
 //! | [`text`]       | the same for the text of values, with the standard library's floats         |             |
 //! | [`judge`]      | judges replies: form, serial number, type of the value                      |             |
 //! | [`step`]       | the steps of a client, as values and as a text that can be replayed         |             |
-//! | [`link`]       | a pair of byte streams in memory, and a server on one end                   |             |
+//! | [`duplex`]     | a pair of byte streams in memory, and a server on one end                   |             |
 //! | [`wire`]       | the raw end of a TCP, UDP or serial connection, as client or server         |             |
 //! | [`network`]    | a simulated network between a client and a server, with a virtual clock     |             |
 //! | [`restart`]    | starts a device that has stopped again, with a command                      |             |
@@ -27,6 +27,7 @@
 #![cfg_attr(docsrs, feature(doc_cfg))]
 
 pub mod damage;
+pub mod duplex;
 #[cfg(feature = "flash")]
 pub mod flash;
 pub mod frame;
@@ -37,7 +38,6 @@ pub mod generate;
 #[cfg(feature = "arbitrary")]
 pub mod grammar;
 pub mod judge;
-pub mod link;
 pub mod network;
 pub mod oracle;
 pub mod restart;

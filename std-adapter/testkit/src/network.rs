@@ -34,7 +34,7 @@ impl Random {
         self.number() % end
     }
 
-    /// Tells whether something happens that has this probability, in thousandths.
+    /// Returns whether something happens that has this probability, in thousandths.
     pub fn happens(&mut self, per_mille: u64) -> bool {
         self.below(1000) < per_mille
     }

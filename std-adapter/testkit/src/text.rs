@@ -211,7 +211,7 @@ fn date(text: &str) -> Option<u64> {
     rest.is_empty().then(|| OleDate::from_civil(civil))?.map(|date| date.raw().to_bits())
 }
 
-/// Tells whether a value has a text.
+/// Returns whether a value has a text.
 #[must_use]
 pub fn has_text(value: &Value) -> bool {
     has_text_in(value, false)

@@ -33,7 +33,7 @@ pub enum Link {
 }
 
 impl Link {
-    /// Tells whether calls are sent again when no reply arrives: the reserved field has the serial of the first attempt.
+    /// Returns whether calls are sent again when no reply arrives: the reserved field has the serial of the first attempt.
     #[must_use]
     pub const fn repeats(self) -> bool {
         !matches!(self, Self::Tcp)
@@ -196,13 +196,13 @@ impl Wire {
         self.stream().map_or(Ok(()), |stream| stream.shutdown(Shutdown::Write))
     }
 
-    /// Tells whether the peer took no more bytes within the time limit.
+    /// Returns whether the peer took no more bytes within the time limit.
     #[must_use]
     pub const fn is_stuck(&self) -> bool {
         self.is_stuck
     }
 
-    /// Tells whether the peer has sent anything.
+    /// Returns whether the peer has sent anything.
     #[must_use]
     pub const fn has_received(&self) -> bool {
         self.has_received

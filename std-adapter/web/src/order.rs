@@ -145,7 +145,7 @@ pub(crate) enum What {
     Step,
     /// Stops at once.
     Stop,
-    /// Stops after the present cycle.
+    /// Stops after the current cycle.
     Cycle,
     /// Stops at once; the next start begins at the first line.
     Reset,

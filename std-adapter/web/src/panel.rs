@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use crate::threads::lock;
 
-/// Locks the virtual controller of this process, and advances it to the present time.
+/// Locks the virtual controller of this process, and advances it to the current time.
 fn advanced(controller: &Mutex<Paced>) -> MutexGuard<'_, Paced> {
     let mut paced = lock(controller);
     let (controller, time) = paced.at(bcap_std::now());

@@ -38,7 +38,7 @@ const SLOW: Duration = Duration::from_secs(1);
 /// The longest time that an order waits. An older one is refused: the user may have turned to something else.
 pub(crate) const LONGEST_WAIT: Duration = Duration::from_secs(2);
 
-/// The age from which a state is not shown as the present one.
+/// The age from which a state is not shown as the current one.
 const OLD: Duration = Duration::from_secs(3);
 
 /// The pause before a robot is halted again, because a call that began before the halt is still under way.
@@ -70,7 +70,7 @@ pub(crate) struct Robot {
     acting: Arc<AtomicUsize>,
     live: Arc<Mutex<Live>>,
     /// Its drop ends the thread that reads.
-    orders: Sender<Order>,
+    orders: Sender<QueuedOrder>,
 }
 
 /// The values that were read.
@@ -96,7 +96,7 @@ pub(crate) struct Live {
 }
 
 /// An order of a user. Without a session it answers that nothing was done. Fails when the session is lost.
-type Order = Box<dyn FnOnce(Option<&mut Link>) -> Result<(), Error> + Send>;
+type QueuedOrder = Box<dyn FnOnce(Option<&mut Link>) -> Result<(), Error> + Send>;
 
 impl Robot {
     /// Starts the threads of a robot. They end when it is dropped.
@@ -276,7 +276,7 @@ pub(crate) fn reason(error: &Error) -> String {
 }
 
 impl Live {
-    /// Returns whether the state is too old to be shown as the present one.
+    /// Returns whether the state is too old to be shown as the current one.
     pub(crate) fn is_old(&self) -> bool {
         self.examined.is_none_or(|at| at.elapsed() > OLD)
     }
@@ -296,7 +296,7 @@ struct Thread {
     live: Arc<Mutex<Live>>,
     halter: Halter,
     access: Access,
-    queue: Receiver<Order>,
+    queue: Receiver<QueuedOrder>,
     began: Instant,
 }
 

@@ -72,7 +72,7 @@ async fn recording(State(app): State<Arc<App>>, Path(name): Path<String>) -> Che
     Ok(([(CONTENT_TYPE, "application/octet-stream")], Body::from_stream(pieces)).into_response())
 }
 
-/// Makes a file of series. Another thread does it, because it must not delay a halt.
+/// Creates a file of series. Another thread does it, because it must not delay a halt.
 async fn series(body: Bytes) -> Checked {
     let turn = TURN.acquire().await;
     let make = move || {

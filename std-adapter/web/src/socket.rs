@@ -43,13 +43,13 @@ pub(crate) struct Page {
     pub(crate) app: Arc<App>,
     pub(crate) client: Client,
     shown: Mutex<Shown>,
-    checked: Mutex<Checked>,
+    checked: Mutex<LastCheck>,
     pub(crate) motions: SharedMotions,
 }
 
 /// The last check of a value.
 #[derive(Default)]
-struct Checked {
+struct LastCheck {
     /// Its number. The user agrees to this check, not to a later one.
     number: u64,
     /// The robot and the value, until it is written.

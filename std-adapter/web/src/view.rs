@@ -165,7 +165,7 @@ fn recording(robot: &Robot) -> Option<Value> {
     Some(json!([safe(&robot.name), safe(&file.file_name()?.to_string_lossy()), row]))
 }
 
-/// Returns the alarms: the present errors with their meanings and remedies, the first cause first, and the messages.
+/// Returns the alarms: the current errors with their meanings and remedies, the first cause first, and the messages.
 pub(crate) fn alarms(robot: &Robot) -> Value {
     let (recovery, live) = (recovery(robot), robot.live());
     let examination = live.examination.iter().flatten().filter(|_| !live.is_old());

@@ -491,7 +491,7 @@ fn an_answer_for_one_robot_is_not_drawn_under_another_one() {
     assert_eq!(browser.problems, [""; 0]);
 }
 
-/// Tells whether a jog is ready, or was refused.
+/// Returns whether a jog is ready, or was refused.
 pub(crate) const IS_BEGUN: &str = "/ready:/.test(document.getElementById('jog-phase').textContent) || /no jog:/.test(document.getElementById('notice').textContent)";
 
 /// A button is held by the mouse and by a key; a lifted one moves nothing. A hidden tab, a lost focus and a second finger end it.

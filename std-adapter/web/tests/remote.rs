@@ -105,7 +105,7 @@ impl Cell {
     }
 }
 
-/// Makes a certificate of localhost, and its key.
+/// Creates a certificate of localhost, and its key.
 fn certificate() -> TempDir {
     let files = tempfile::tempdir().unwrap();
     let made = rcgen::generate_simple_self_signed(["localhost".to_owned()]).unwrap();

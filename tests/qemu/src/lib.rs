@@ -163,7 +163,7 @@ impl Board {
         self.input.write_all(&[letter]).unwrap();
     }
 
-    /// Tells whether it runs; a reset would have ended it.
+    /// Returns whether it runs; a reset would have ended it.
     pub fn is_running(&mut self) -> bool {
         self.child.try_wait().unwrap().is_none()
     }

@@ -380,7 +380,7 @@ pub(crate) struct Wire {
 }
 
 impl Wire {
-    /// Makes a wire, and the back-end of QEMU's that is its other end.
+    /// Creates a wire, and the back-end of QEMU's that is its other end.
     pub(crate) fn open(seed: u64) -> (Self, String) {
         let link = UdpSocket::bind("127.0.0.1:0").unwrap();
         let other = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();

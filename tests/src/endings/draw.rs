@@ -26,7 +26,7 @@ pub(super) enum Program {
 }
 
 impl Program {
-    /// Tells whether the program is the command `bcap`.
+    /// Returns whether the program is the command `bcap`.
     #[must_use]
     pub(super) const fn is_command(self) -> bool {
         matches!(self, Self::Move | Self::Run | Self::Shell | Self::Slave)
@@ -172,7 +172,7 @@ impl Ending {
         }
     }
 
-    /// Tells whether the program or its link cannot act any more, so that the rest is left to the controller's watchdog.
+    /// Returns whether the program or its link cannot act any more, so that the rest is left to the controller's watchdog.
     #[must_use]
     pub(super) const fn is_apart(self) -> bool {
         matches!(
@@ -181,7 +181,7 @@ impl Ending {
         )
     }
 
-    /// Tells whether the program itself causes the ending.
+    /// Returns whether the program itself causes the ending.
     #[must_use]
     pub(super) const fn is_inside(self) -> bool {
         !matches!(

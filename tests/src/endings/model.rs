@@ -95,7 +95,7 @@ impl Watched {
     }
 }
 
-/// Tells whether a request starts a motion.
+/// Returns whether a request starts a motion.
 fn moves(request: &Request<'_>) -> bool {
     match request.function {
         FunctionId::ROBOT_MOVE | FunctionId::ROBOT_ROTATE | FunctionId::ROBOT_DRIVE | FunctionId::ROBOT_GO_HOME => true,

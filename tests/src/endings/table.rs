@@ -85,7 +85,7 @@ impl Table {
         }
     }
 
-    /// Tells whether no trial has a fault.
+    /// Returns whether no trial has a fault.
     #[must_use]
     pub(super) fn is_good(&self) -> bool {
         self.bad == 0 && self.failed.is_empty()

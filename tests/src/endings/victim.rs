@@ -206,7 +206,7 @@ fn leave(moving: blocking::Moving<'_>, trial: &Trial) -> Result<(), Failure> {
 }
 
 impl Ending {
-    /// Tells whether a blocking program ends so between `start` and `wait`.
+    /// Returns whether a blocking program ends so between `start` and `wait`.
     const fn stops_while_it_moves(self) -> bool {
         matches!(
             self,
@@ -293,7 +293,7 @@ async fn work_async(address: &str, trial: &Trial, going: Option<std::sync::mpsc:
 }
 
 impl Ending {
-    /// Tells whether an async program stops waiting for its motion.
+    /// Returns whether an async program stops waiting for its motion.
     const fn interrupts(self) -> bool {
         matches!(self, Self::Question | Self::Panic | Self::PanicTask | Self::DropFuture)
     }

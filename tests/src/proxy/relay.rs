@@ -223,7 +223,7 @@ async fn answers(upstream: Arc<UdpSocket>, socket: Arc<UdpSocket>, client: Socke
     }
 }
 
-/// Tells whether datagrams are lost, unless only the direction `other` is cut.
+/// Returns whether datagrams are lost, unless only the direction `other` is cut.
 fn blocks(state: &watch::Receiver<State>, other: Cut) -> bool {
     let state = *state.borrow();
     !state.open && state.cut != Some(other)

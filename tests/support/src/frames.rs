@@ -16,7 +16,7 @@ const SENDER: EthernetAddress = EthernetAddress([2, 0, 0, 0, 0, 0xfe]);
 /// The head of a packet: the MAC address of the board, the sender's address, the destination, the protocol.
 pub type Head = ([u8; 6], Ipv4Addr, Ipv4Addr, IpProtocol);
 
-/// Makes a frame whose payload of `len` bytes is written by `write`.
+/// Creates a frame whose payload of `len` bytes is written by `write`.
 pub fn packet((mac, from, to, protocol): Head, len: usize, write: impl FnOnce(&mut [u8])) -> Vec<u8> {
     let ip = Ipv4Repr { src_addr: from, dst_addr: to, next_header: protocol, payload_len: len, hop_limit: 64 };
     let ethernet = EthernetRepr { src_addr: SENDER, dst_addr: EthernetAddress(mac), ethertype: EthernetProtocol::Ipv4 };

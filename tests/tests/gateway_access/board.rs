@@ -81,8 +81,8 @@ async fn serve_line(mut socket: TcpSocket<'_>, protocol: Protocol, shared: &Shar
     } else if protocol == Protocol::Rac {
         serve(&mut transport, Front::Rac, None, shared, &Limits::default()).await.unwrap();
     } else {
-        let mut front = modbus::Front::new(map());
-        serve(&mut transport, Front::Modbus(&mut front), None, shared, &Limits::default()).await.unwrap();
+        let mut session = modbus::Session::new(map());
+        serve(&mut transport, Front::Modbus(&mut session), None, shared, &Limits::default()).await.unwrap();
     }
     std::future::pending().await
 }

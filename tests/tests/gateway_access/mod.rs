@@ -23,7 +23,7 @@ enum Protocol {
 }
 
 impl Protocol {
-    /// Tells whether the received bytes are a complete response.
+    /// Returns whether the received bytes are a complete response.
     fn is_complete(self, bytes: &[u8]) -> bool {
         match self {
             Self::Rac => bytes.ends_with(b"\r"),
@@ -190,7 +190,7 @@ fn both_drivers_give_clients_the_same_access() {
     }
 }
 
-/// Tells whether this machine has no IPv6, such as in some containers, for a driver that needs it.
+/// Returns whether this machine has no IPv6, such as in some containers, for a driver that needs it.
 fn driver_serves_no_ipv6(first: u8) -> bool {
     first == 127 && std::net::TcpListener::bind("[::1]:0").is_err()
 }

@@ -238,15 +238,15 @@ pub async fn refuse<X: Transport>(transport: &mut X, mut front: Front<'_, '_>, l
     let _ = transport.send(front.answer(FULL), until).await;
 }
 
-/// Tells whether the bytes complete a request of Modbus, or are part of a line, and makes the answer.
+/// Returns whether the bytes complete a request of Modbus, or are part of a line, and makes the answer.
 fn is_request(front: &mut Front<'_, '_>, bytes: &[u8]) -> bool {
-    let Front::Modbus(front) = front else { return bytes.contains(&b'\r') };
-    let bytes = bytes.get(..front.room()).unwrap_or(bytes);
-    front.received(bytes, |_| true);
-    if !front.line().is_empty() {
-        front.replied(FULL, |_| true);
+    let Front::Modbus(session) = front else { return bytes.contains(&b'\r') };
+    let bytes = bytes.get(..session.room()).unwrap_or(bytes);
+    session.received(bytes, |_| true);
+    if !session.line().is_empty() {
+        session.replied(FULL, |_| true);
     }
-    front.is_broken() || !front.transmit().is_empty()
+    session.is_broken() || !session.transmit().is_empty()
 }
 
 #[cfg(test)]

@@ -7,29 +7,29 @@ use bcap_core::rac::Request;
 
 use crate::{Gateway, Rules, modbus};
 
-/// The protocol of a client. A client of Modbus has a front of its connection.
+/// The protocol of a client. A client of Modbus has a session.
 #[derive(Debug)]
 pub enum Front<'a, 'm> {
     /// The client speaks RAC.
     Rac,
     /// The client speaks Modbus TCP.
-    Modbus(&'a mut modbus::Front<'m>),
+    Modbus(&'a mut modbus::Session<'m>),
 }
 
 impl Front<'_, '_> {
     /// Moves lines and replies between a client of Modbus and the gateway. After `true` the gateway must be polled.
     pub(super) fn exchange(&mut self, gateway: &mut Gateway<'_>, peer: PeerId, client: Option<Ipv4Addr>) -> bool {
-        let Self::Modbus(front) = self else { return false };
+        let Self::Modbus(session) = self else { return false };
         let rules = gateway.config().rules;
         let reply = gateway.transmit(peer);
         let replied = reply.len();
         if replied > 0 {
-            front.replied(reply, permits(&rules, client));
+            session.replied(reply, permits(&rules, client));
             gateway.transmitted(peer, replied);
         }
-        let count = gateway.receive_buffer(peer).iter_mut().zip(front.line()).map(|(to, from)| *to = *from).count();
+        let count = gateway.receive_buffer(peer).iter_mut().zip(session.line()).map(|(to, from)| *to = *from).count();
         if count > 0 {
-            front.line_taken(count);
+            session.line_taken(count);
             gateway.received(peer, count);
         }
         replied > 0 || count > 0
@@ -39,7 +39,7 @@ impl Front<'_, '_> {
     pub(super) fn to_send(&self, gateway: &Gateway<'_>, peer: PeerId) -> usize {
         match self {
             Self::Rac => gateway.transmit(peer).len(),
-            Self::Modbus(front) => front.transmit().len(),
+            Self::Modbus(session) => session.transmit().len(),
         }
     }
 
@@ -47,7 +47,7 @@ impl Front<'_, '_> {
     pub(super) fn answer<'b>(&'b self, line: &'b [u8]) -> &'b [u8] {
         match self {
             Self::Rac => line,
-            Self::Modbus(front) => front.transmit(),
+            Self::Modbus(session) => session.transmit(),
         }
     }
 
@@ -56,8 +56,8 @@ impl Front<'_, '_> {
     pub(super) fn room(&self, gateway: &mut Gateway<'_>, peer: PeerId) -> usize {
         match self {
             Self::Rac => gateway.receive_buffer(peer).len(),
-            Self::Modbus(front) if front.is_running() => 0,
-            Self::Modbus(front) => front.room(),
+            Self::Modbus(session) if session.is_running() => 0,
+            Self::Modbus(session) => session.room(),
         }
     }
 
@@ -70,7 +70,7 @@ impl Front<'_, '_> {
                     gateway.received(peer, bytes.len());
                 }
             }
-            Self::Modbus(front) => front.received(bytes, permits(&gateway.config().rules, client)),
+            Self::Modbus(session) => session.received(bytes, permits(&gateway.config().rules, client)),
         }
     }
 
@@ -84,39 +84,39 @@ impl Front<'_, '_> {
     ) {
         match self {
             Self::Rac => gateway.transmitted(peer, count),
-            Self::Modbus(front) => {
-                front.transmitted(count);
+            Self::Modbus(session) => {
+                session.transmitted(count);
                 // the next request may have arrived
-                front.received(&[], permits(&gateway.config().rules, client));
+                session.received(&[], permits(&gateway.config().rules, client));
             }
         }
     }
 
-    /// Tells whether a request runs.
+    /// Returns whether a request runs.
     pub(super) fn is_running(&self, gateway: &Gateway<'_>, peer: PeerId) -> bool {
         match self {
             Self::Rac => gateway.is_running(peer),
-            Self::Modbus(front) => front.is_running(),
+            Self::Modbus(session) => session.is_running(),
         }
     }
 
-    /// Tells whether a request of a client of Modbus runs or bytes of its response are left to send. Its client keeps its slot
-    /// meanwhile, also between two lines, while the gateway itself has nothing to do for it.
+    /// Returns whether a request of a client of Modbus runs or bytes of its response are left to send. Its client keeps its
+    /// slot meanwhile, also between two lines, while the gateway itself has nothing to do for it.
     pub(super) fn is_busy(&self) -> bool {
-        matches!(self, Self::Modbus(front) if front.is_running() || !front.transmit().is_empty())
+        matches!(self, Self::Modbus(session) if session.is_running() || !session.transmit().is_empty())
     }
 
-    /// Tells whether a part of a request has arrived.
+    /// Returns whether a part of a request has arrived.
     pub(super) fn is_receiving(&self, gateway: &Gateway<'_>, peer: PeerId) -> bool {
         match self {
             Self::Rac => gateway.is_receiving(peer),
-            Self::Modbus(front) => front.is_receiving(),
+            Self::Modbus(session) => session.is_receiving(),
         }
     }
 
-    /// Tells whether a client of Modbus sent other bytes.
+    /// Returns whether a client of Modbus sent other bytes.
     pub(super) fn is_broken(&self) -> bool {
-        matches!(self, Self::Modbus(front) if front.is_broken())
+        matches!(self, Self::Modbus(session) if session.is_broken())
     }
 }
 

@@ -41,6 +41,6 @@ pub trait Platform: Sized {
     /// Returns the IPv4 address of a client, which decides on the rules that apply to it; `None` if it has none.
     fn ipv4(client: Self::Address) -> Option<Ipv4Addr>;
 
-    /// Tells whether two clients are on one host.
+    /// Returns whether two clients are on one host.
     fn is_same_host(client: Self::Address, other: Self::Address) -> bool;
 }

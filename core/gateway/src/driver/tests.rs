@@ -106,7 +106,7 @@ fn a_client_of_modbus_keeps_its_slot_while_its_request_runs_and_until_its_respon
     let shared = SharedGateway::<Bench>::new(Gateway::new(Config::RC8, &mut memory), |_| {});
     let peer = shared.open((1, 0), &LIMITS).unwrap();
     let map = [Entry::registers("0=I/0-1").unwrap()];
-    let mut modbus = modbus::Front::new(&map);
+    let mut modbus = modbus::Session::new(&map);
     modbus.received(&[0, 1, 0, 0, 0, 6, 1, 3, 0, 0, 0, 4], |_| true);
     shared.with(|shared| shared.moved(peer, &Front::Modbus(&mut modbus)));
     assert!(shared.open((2, 0), &LIMITS).is_none(), "the line for I0 is not in the gateway yet");

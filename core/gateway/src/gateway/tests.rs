@@ -932,7 +932,7 @@ fn no_request_gets_the_reply_of_another() {
             }
             if !bench.gateway.robot_wanted() {
                 bench.gateway.robot_closed(bench.now);
-            } else if bench.gateway.link.state == State::Opening {
+            } else if bench.gateway.link.phase == Phase::Opening {
                 bench.robot.reset();
                 bench.gateway.robot_opened(bench.now);
             }

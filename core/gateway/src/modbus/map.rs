@@ -200,7 +200,7 @@ impl Entry {
         self.table
     }
 
-    /// Tells whether an address of this entry is also one of another.
+    /// Returns whether an address of this entry is also one of another.
     #[must_use]
     pub fn overlaps(&self, other: &Self) -> bool {
         self.table == other.table && self.first <= other.last && other.first <= self.last

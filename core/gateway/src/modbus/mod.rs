@@ -1,8 +1,8 @@
-//! A front for clients that speak Modbus TCP: it turns their requests into lines of RAC, and the replies into responses.
+//! Sessions of clients that speak Modbus TCP: they turn requests into lines of RAC, and the replies into responses.
 //!
 //! ```text
 //!  client ─ room, received ────────►┌───────┐─ line, line_taken ─► a server of RAC, such as a slot of a gateway
-//!         ◄─ transmit, transmitted ─│ Front │◄─ replied ──────────
+//!         ◄─ transmit, transmitted ─│Session│◄─ replied ──────────
 //!                                   └───────┘
 //! ```
 //!
@@ -16,9 +16,9 @@
 //! * **Functions** 1 to 6, 15, 16, 22, 23 and 43 (device identification, which needs no line). Input registers are the holding
 //!   registers, discrete inputs are the coils. Every unit identifier is accepted. Function 22 is a GET and a PUT: a change
 //!   between the two is overwritten.
-//! * **Refusals** are [`Exception`]s. For a request without a variable, the front sends the invalid line `MODBUS:3:100:2`, with
-//!   function, first address and count, so that a gateway logs and counts it.
-//! * **Bytes that are not Modbus TCP** end the connection ([`Front::is_broken`]).
+//! * **Refusals** are [`Exception`]s. For a request without a variable, the session sends the invalid line `MODBUS:3:100:2`,
+//!   with function, first address and count, so that a gateway logs and counts it.
+//! * **Bytes that are not Modbus TCP** end the connection ([`Session::is_broken`]).
 //!
 //! The codec is written here: rmodbus 0.13 panics on a frame of 13 bytes that announces more registers than it has, and
 //! refuses the longest write.
@@ -28,16 +28,16 @@
 //! # Examples
 //!
 //! ```
-//! use bcap_gateway::modbus::{Entry, Front};
+//! use bcap_gateway::modbus::{Entry, Session};
 //!
 //! let map = [Entry::registers("100=I/10-19")?];
-//! let mut front = Front::new(&map);
+//! let mut session = Session::new(&map);
 //! // reads the registers 100 and 101
-//! front.received(&[0, 1, 0, 0, 0, 6, 1, 3, 0, 100, 0, 2], |_| true);
-//! assert_eq!(front.line(), b"GET:RC8:10:I:\r");
-//! front.line_taken(front.line().len());
-//! front.replied(b"0,3,70000\r", |_| true);
-//! assert_eq!(front.transmit(), [0, 1, 0, 0, 0, 7, 1, 3, 4, 0x00, 0x01, 0x11, 0x70]);
+//! session.received(&[0, 1, 0, 0, 0, 6, 1, 3, 0, 100, 0, 2], |_| true);
+//! assert_eq!(session.line(), b"GET:RC8:10:I:\r");
+//! session.line_taken(session.line().len());
+//! session.replied(b"0,3,70000\r", |_| true);
+//! assert_eq!(session.transmit(), [0, 1, 0, 0, 0, 7, 1, 3, 4, 0x00, 0x01, 0x11, 0x70]);
 //! # Ok::<(), bcap_gateway::modbus::EntryError>(())
 //! ```
 
@@ -63,9 +63,9 @@ pub const PORT: u16 = 502;
 /// Bytes of memory for a value in a reply. A longer one does not fit registers.
 const VALUE: usize = 96;
 
-/// The front of one client.
+/// The session of one client.
 #[derive(Debug)]
-pub struct Front<'a> {
+pub struct Session<'a> {
     map: &'a [Entry],
     /// The request that runs, and bytes after it.
     request: [u8; FRAME],
@@ -101,8 +101,8 @@ struct Running {
     is_permitted: bool,
 }
 
-impl<'a> Front<'a> {
-    /// Makes a front for a new connection. If entries of the map overlap, the first of them applies.
+impl<'a> Session<'a> {
+    /// Creates a session for a new connection. If entries of the map overlap, the first of them applies.
     #[must_use]
     pub const fn new(map: &'a [Entry]) -> Self {
         Self {
@@ -119,19 +119,19 @@ impl<'a> Front<'a> {
         }
     }
 
-    /// Tells whether the client sent bytes that are not Modbus TCP. The connection must be closed then.
+    /// Returns whether the client sent bytes that are not Modbus TCP. The connection must be closed then.
     #[must_use]
     pub const fn is_broken(&self) -> bool {
         self.is_broken
     }
 
-    /// Tells whether a request runs.
+    /// Returns whether a request runs.
     #[must_use]
     pub const fn is_running(&self) -> bool {
         self.running.is_some()
     }
 
-    /// Tells whether bytes of a request have arrived that does not run yet.
+    /// Returns whether bytes of a request have arrived that does not run yet.
     #[must_use]
     pub const fn is_receiving(&self) -> bool {
         self.running.is_none() && self.received > 0

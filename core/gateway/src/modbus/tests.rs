@@ -10,9 +10,9 @@ use std::collections::BTreeMap;
 use std::string::String;
 use std::vec::Vec;
 
-/// A server of RAC, and a front before it.
+/// A server of RAC, and a session before it.
 struct Bench {
-    front: Front<'static>,
+    session: Session<'static>,
     /// The values, in the text of a line.
     values: BTreeMap<Variable, String>,
     /// The lines that arrived.
@@ -29,7 +29,7 @@ fn bench(registers: &[&str], coils: &[&str]) -> Bench {
     let registers = registers.iter().map(|text| Entry::registers(text).unwrap());
     let map: Vec<_> = registers.chain(coils.iter().map(|text| Entry::coils(text).unwrap())).collect();
     Bench {
-        front: Front::new(map.leak()),
+        session: Session::new(map.leak()),
         values: BTreeMap::new(),
         lines: Vec::new(),
         protected: Vec::new(),
@@ -70,25 +70,25 @@ impl Bench {
                 Request::Get(variable) => !hidden.contains(variable),
                 Request::Put(variable, _) => !protected.contains(variable),
             };
-            let count = chunk.min(bytes.len()).min(self.front.room());
+            let count = chunk.min(bytes.len()).min(self.session.room());
             let (now, rest) = bytes.split_at(count);
             bytes = rest;
-            self.front.received(now, permits);
-            let line = self.front.line();
+            self.session.received(now, permits);
+            let line = self.session.line();
             let taken = chunk.min(line.len());
             begun.push_str(core::str::from_utf8(&line[..taken]).unwrap());
-            self.front.line_taken(taken);
+            self.session.line_taken(taken);
             if let Some(line) = begun.strip_suffix('\r') {
                 self.lines.push(line.into());
                 let reply = self.answer(&core::mem::take(&mut begun).replace('\r', ""));
                 for part in reply.as_bytes().chunks(chunk) {
-                    self.front.replied(part, permits);
+                    self.session.replied(part, permits);
                 }
             }
-            let response = self.front.transmit();
+            let response = self.session.transmit();
             let sent = chunk.min(response.len());
             responses.extend_from_slice(&response[..sent]);
-            self.front.transmitted(sent);
+            self.session.transmitted(sent);
             if count == 0 && taken == 0 && sent == 0 {
                 return responses;
             }
@@ -272,7 +272,7 @@ fn bytes_that_are_not_modbus_break_the_connection() {
     for bytes in [&b"GET:RC8:1:I:\r"[..], &[0, 1, 0, 0, 0, 0], &[0, 1, 0, 0, 1, 1]] {
         let mut bench = bench(&["0=I/0"], &[]);
         assert_eq!(bench.exchange(bytes, 1), [], "{bytes:?}");
-        assert!(bench.front.is_broken());
+        assert!(bench.session.is_broken());
     }
 }
 

@@ -27,7 +27,7 @@ pub(super) struct Attempt {
 }
 
 impl Attempt {
-    /// Tells whether it has the marker and the function of a call.
+    /// Returns whether it has the marker and the function of a call.
     fn is_of(&self, marker: u16, function: FunctionId) -> bool {
         (self.marker, self.function) == (marker, function)
     }
@@ -171,7 +171,7 @@ impl Serials {
 }
 
 impl Service {
-    /// Tells whether an attempt belongs to the newest call or to an older one.
+    /// Returns whether an attempt belongs to the newest call or to an older one.
     fn is_old(&self, attempt: &Attempt) -> bool {
         let (marker, function) = self.newest;
         attempt.is_of(marker, function) || (1..=OLD_MARKERS).contains(&marker.wrapping_sub(attempt.marker))

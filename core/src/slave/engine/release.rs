@@ -14,7 +14,7 @@ impl<const N: usize> Engine<N> {
         self.busy_until = None;
     }
 
-    /// Tells whether the controller is busy with a call that was given up, so that the present step is repeated.
+    /// Returns whether the controller is busy with a call that was given up, so that the present step is repeated.
     fn repeats(&mut self, code: HResult, now: Instant) -> bool {
         code == HResult::E_BUSY_PROC && now < *self.busy_until.get_or_insert(now.saturating_add(BUSY_LIMIT))
     }
@@ -44,7 +44,7 @@ impl<const N: usize> Engine<N> {
         }
     }
 
-    /// Tells whether a step of the end has something to undo.
+    /// Returns whether a step of the end has something to undo.
     const fn is_unreleased(&self, step: Step) -> bool {
         match step {
             Step::Leave => self.gives_up && self.may_be_in_mode,

@@ -73,9 +73,9 @@ pub(crate) const fn blanks(text: &[u8]) -> &[u8] {
     rest
 }
 
-/// The place of a string, which decides which characters it cannot contain.
+/// The context of a string, which decides which characters it cannot contain.
 #[derive(Clone, Copy)]
-pub(super) struct Place {
+pub(super) struct StringContext {
     /// Inside the parentheses of a VARIANT.
     pub(super) nested: bool,
     pub(super) in_array: bool,

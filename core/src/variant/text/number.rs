@@ -4,7 +4,7 @@ use super::grammar::{Parsed, blanks, byte, complete, fault};
 use crate::error::{TextError, TextErrorKind};
 use crate::num::to_u32;
 use crate::variant::encode::put_bits;
-use crate::variant::float::{Decimal, Format, MAX_DIGITS};
+use crate::variant::float::{Decimal, FloatFormat, MAX_DIGITS};
 use crate::variant::{CivilTime, Layout, OleDate, VarType};
 use crate::wire::Writer;
 
@@ -17,7 +17,8 @@ pub(super) fn number<'a>(element: VarType, text: &'a [u8], out: &mut Writer<'_>)
             (rest, (bits, 8))
         }
         VarType::R4 | VarType::R8 | VarType::DATE => {
-            let (format, width) = if element == VarType::R4 { (Format::Single, 4) } else { (Format::Double, 8) };
+            let (format, width) =
+                if element == VarType::R4 { (FloatFormat::Single, 4) } else { (FloatFormat::Double, 8) };
             let (rest, bits) = float(text, format)?;
             (rest, (bits, width))
         }
@@ -133,12 +134,12 @@ pub(crate) fn integer(text: &[u8]) -> Parsed<'_, Integer> {
 ///
 /// When the text is something else, or a number that is out of range.
 pub fn parse_f64(text: &[u8]) -> Result<f64, TextError> {
-    complete(text, |text| float(text, Format::Double)).map(f64::from_bits)
+    complete(text, |text| float(text, FloatFormat::Double)).map(f64::from_bits)
 }
 
 /// `float = [ sign ] ( "inf" | "nan" | decimal )`, words in any case; its bits
 #[cfg_attr(not(target_os = "none"), inline(always))]
-fn float(text: &[u8], format: Format) -> Parsed<'_, u64> {
+fn float(text: &[u8], format: FloatFormat) -> Parsed<'_, u64> {
     let (unsigned, negative) = sign(text);
     let (rest, magnitude) = match unsigned {
         [b'i' | b'I', b'n' | b'N', b'f' | b'F', rest @ ..] => (rest, Some(format.infinity())),
@@ -153,7 +154,7 @@ fn float(text: &[u8], format: Format) -> Parsed<'_, u64> {
 
 /// The bits of a [`decimal`]; `None` if it is out of range
 #[cfg_attr(not(target_os = "none"), inline(always))]
-fn decimal_bits(text: &[u8], format: Format) -> Parsed<'_, Option<u64>> {
+fn decimal_bits(text: &[u8], format: FloatFormat) -> Parsed<'_, Option<u64>> {
     #[cfg(not(target_os = "none"))]
     if let Some((rest, bits)) = short_decimal(text, format) {
         return Ok((rest, Some(bits)));
@@ -164,7 +165,7 @@ fn decimal_bits(text: &[u8], format: Format) -> Parsed<'_, Option<u64>> {
 /// Parses a [`decimal`] of at most 15 digits without exponent, like almost all numbers of robots, to its bits; `None` otherwise.
 #[cfg(not(target_os = "none"))]
 #[inline(always)]
-fn short_decimal(text: &[u8], format: Format) -> Option<(&[u8], u64)> {
+fn short_decimal(text: &[u8], format: FloatFormat) -> Option<(&[u8], u64)> {
     let (mut rest, mut number) = add_short_digits(text, 0);
     let (mut count, mut places) = (text.len().wrapping_sub(rest.len()), 0);
     if let [b'.', fraction @ ..] = rest {

@@ -6,7 +6,7 @@
 use nom::Parser;
 use nom::sequence::preceded;
 
-use super::grammar::{Parsed, Place, blanks, byte, fault};
+use super::grammar::{Parsed, StringContext, blanks, byte, fault};
 use super::number::{digits, number};
 use super::string::string;
 use crate::error::TextErrorKind;
@@ -135,13 +135,13 @@ fn elements<'a>(
     nested: bool,
     out: &mut Writer<'_>,
 ) -> Parsed<'a, ()> {
-    let place = Place { nested, in_array: vartype.is_array() };
+    let context = StringContext { nested, in_array: vartype.is_array() };
     let (text, mut level) = Level::open(vartype, text, out)?;
     let (mut element_text, ()) = byte(b',', TextErrorKind::Comma)(text)?;
     let rest = loop {
         let text = blanks(element_text);
         let (rest, ()) = match element {
-            VarType::BSTR => string(text, place, out)?,
+            VarType::BSTR => string(text, context, out)?,
             _ if level.count == 1 && level.is_array && at_end(text, nested) => {
                 return fault(TextErrorKind::EmptyArray, text);
             }

@@ -1,9 +1,9 @@
 //! Values as text.
 
-use super::grammar::Place;
+use super::grammar::StringContext;
 use crate::error::TextErrorKind;
 use crate::num::{to_u32, to_usize};
-use crate::variant::float::{Format, divide_by_10, low};
+use crate::variant::float::{FloatFormat, divide_by_10, low};
 use crate::variant::{Bstr, CivilTime, OUTER, OleDate, VarType, Variant, bstr};
 use crate::wire::{Reader, Writer};
 
@@ -35,10 +35,10 @@ pub(super) fn print(value: Variant<'_>, out: &mut Writer<'_>) -> Printed {
             print_inner(&mut Reader::new(array.as_bytes()), to_u32(array.len()), out)
         }
         Variant::Array(array) => {
-            let place = Place { nested: false, in_array: true };
-            print_elements(array.element(), to_u32(array.len()), place, &mut Reader::new(array.as_bytes()), out)
+            let context = StringContext { nested: false, in_array: true };
+            print_elements(array.element(), to_u32(array.len()), context, &mut Reader::new(array.as_bytes()), out)
         }
-        scalar => print_scalar(scalar, Place { nested: false, in_array: false }, out),
+        scalar => print_scalar(scalar, StringContext { nested: false, in_array: false }, out),
     }
 }
 
@@ -59,7 +59,7 @@ fn print_inner(r: &mut Reader<'_>, count: u32, out: &mut Writer<'_>) -> Printed 
             here = count;
             continue;
         }
-        print_elements(vartype.element(), count, Place { nested: true, in_array: vartype.is_array() }, r, out)?;
+        print_elements(vartype.element(), count, StringContext { nested: true, in_array: vartype.is_array() }, r, out)?;
         put_byte(b')', out)?;
         while here == 0 {
             let Some(up) = depth.checked_sub(1) else { return Ok(()) };
@@ -79,9 +79,15 @@ fn split_head(r: &mut Reader<'_>) -> Option<(VarType, u32)> {
 }
 
 /// Writes the elements of an array, or the one of a scalar; they hold no VARIANT.
-fn print_elements(element: VarType, count: u32, place: Place, r: &mut Reader<'_>, out: &mut Writer<'_>) -> Printed {
+fn print_elements(
+    element: VarType,
+    count: u32,
+    context: StringContext,
+    r: &mut Reader<'_>,
+    out: &mut Writer<'_>,
+) -> Printed {
     match element {
-        VarType::EMPTY | VarType::NULL if place.in_array => return Err(TextErrorKind::ArrayOfNothing),
+        VarType::EMPTY | VarType::NULL if context.in_array => return Err(TextErrorKind::ArrayOfNothing),
         _ if count == 0 => return Err(TextErrorKind::EmptyArray),
         _ => {}
     }
@@ -89,17 +95,17 @@ fn print_elements(element: VarType, count: u32, place: Place, r: &mut Reader<'_>
         if index > 0 {
             put_byte(b',', out)?;
         }
-        print_scalar(Variant::read_data(element, r), place, out)?;
+        print_scalar(Variant::read_data(element, r), context, out)?;
     }
     Ok(())
 }
 
-fn print_scalar(value: Variant<'_>, place: Place, out: &mut Writer<'_>) -> Printed {
+fn print_scalar(value: Variant<'_>, context: StringContext, out: &mut Writer<'_>) -> Printed {
     let number = match value {
-        Variant::R4(n) => return print_float(u64::from(n.to_bits()), Format::Single, out),
-        Variant::R8(n) => return print_float(n.to_bits(), Format::Double, out),
+        Variant::R4(n) => return print_float(u64::from(n.to_bits()), FloatFormat::Single, out),
+        Variant::R8(n) => return print_float(n.to_bits(), FloatFormat::Double, out),
         Variant::Date(date) => return print_date(date, out),
-        Variant::Bstr(text) => return print_string(text, place, out),
+        Variant::Bstr(text) => return print_string(text, context, out),
         Variant::Ui8(n) => return put_integer(false, n, out),
         Variant::Bool(b) => i64::from(b).wrapping_neg(),
         Variant::Error(code) => i64::from(code.0),
@@ -158,7 +164,7 @@ fn put_padded(least: u16, number: u16, out: &mut Writer<'_>) -> Printed {
 /// Writes a float, given as its bits.
 ///
 /// It has no exponent if that takes at most 16 digits before the point, or four zeros after it.
-fn print_float(bits: u64, format: Format, out: &mut Writer<'_>) -> Printed {
+fn print_float(bits: u64, format: FloatFormat, out: &mut Writer<'_>) -> Printed {
     let magnitude = bits & !format.sign();
     if magnitude > format.infinity() && magnitude != format.nan() {
         return Err(TextErrorKind::NanPayload);
@@ -207,7 +213,7 @@ fn put_decimal(digits: &[u8], exponent: i32, out: &mut Writer<'_>) -> Printed {
 fn print_date(date: OleDate, out: &mut Writer<'_>) -> Printed {
     let same = |civil: &CivilTime| civil.millisecond == 0 && OleDate::from_civil(*civil) == Some(date);
     let Some(civil) = date.to_civil().filter(same) else {
-        return print_float(date.raw().to_bits(), Format::Double, out);
+        return print_float(date.raw().to_bits(), FloatFormat::Double, out);
     };
     let numbers = [civil.month, civil.day, civil.hour, civil.minute, civil.second];
     put_padded(1000, civil.year.unsigned_abs(), out)?;
@@ -218,7 +224,7 @@ fn print_date(date: OleDate, out: &mut Writer<'_>) -> Printed {
     Ok(())
 }
 
-fn print_string(text: Bstr<'_>, place: Place, out: &mut Writer<'_>) -> Printed {
+fn print_string(text: Bstr<'_>, context: StringContext, out: &mut Writer<'_>) -> Printed {
     let mut open = 0_u32;
     let mut first = true;
     for c in text.chars() {
@@ -226,14 +232,14 @@ fn print_string(text: Bstr<'_>, place: Place, out: &mut Writer<'_>) -> Printed {
         match c {
             ' ' | '\t' if first => return Err(TextErrorKind::LeadingBlank),
             '\r' | '\n' => return Err(TextErrorKind::LineBreak),
-            ',' if place.in_array => return Err(TextErrorKind::CommaInString),
+            ',' if context.in_array => return Err(TextErrorKind::CommaInString),
             '(' => open = open.wrapping_add(1),
-            ')' if place.nested || place.in_array => open = open.checked_sub(1).ok_or(TextErrorKind::Unbalanced)?,
+            ')' if context.nested || context.in_array => open = open.checked_sub(1).ok_or(TextErrorKind::Unbalanced)?,
             _ => {}
         }
         first = false;
         let slot = out.reserve(c.len_utf8()).map_err(|_| TextErrorKind::Full)?;
         bstr::put_utf8(c, slot).ok_or(TextErrorKind::Full)?;
     }
-    if open > 0 && (place.nested || place.in_array) { Err(TextErrorKind::Unbalanced) } else { Ok(()) }
+    if open > 0 && (context.nested || context.in_array) { Err(TextErrorKind::Unbalanced) } else { Ok(()) }
 }

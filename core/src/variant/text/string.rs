@@ -1,13 +1,13 @@
 //! Strings: where they end, and their UTF-8 as UTF-16.
 
-use super::grammar::{Parsed, Place, fault};
+use super::grammar::{Parsed, StringContext, fault};
 use crate::error::TextErrorKind;
 use crate::num::to_u32;
 use crate::wire::Writer;
 
-/// `string = { character - CR - LF }`, up to the end that its place gives it; appends its data
-pub(super) fn string<'a>(text: &'a [u8], place: Place, out: &mut Writer<'_>) -> Parsed<'a, ()> {
-    let (rest, string) = extent(text, place)?;
+/// `string = { character - CR - LF }`, up to the end that its context gives it; appends its data
+pub(super) fn string<'a>(text: &'a [u8], context: StringContext, out: &mut Writer<'_>) -> Parsed<'a, ()> {
+    let (rest, string) = extent(text, context)?;
     if let Some(at) = string.iter().position(|b| matches!(b, b'\r' | b'\n')) {
         return fault(TextErrorKind::LineBreak, from(text, at));
     }
@@ -37,7 +37,7 @@ fn from(text: &[u8], at: usize) -> &[u8] {
 
 /// Splits the bytes of a string off: all of the text at the top; in an array up to the next comma outside of
 /// parentheses; in a VARIANT up to the parenthesis that closes it.
-fn extent(text: &[u8], Place { nested, in_array }: Place) -> Parsed<'_, &[u8]> {
+fn extent(text: &[u8], StringContext { nested, in_array }: StringContext) -> Parsed<'_, &[u8]> {
     if !nested && !in_array {
         return Ok((&[], text));
     }

@@ -183,7 +183,7 @@ fn smoltcp_panics_and_floods_without_the_check() {
 fn a_server_on_a_far_network_and_an_address_of_the_robot_are_checked() {
     let settings = Settings::read(b"robot=10.0.2.15:5007", |line, _| panic!("{line:?}"));
     let refused = check(&mut GOOD.frame(MAC), MAC, |own| settings.accepts(own)).unwrap_err();
-    assert_eq!(refused, Refused { server: SERVER, address: BOARD, reason: Reason::Address });
+    assert_eq!(refused, RefusedLease { server: SERVER, address: BOARD, reason: Reason::Address });
     let other = Answer { address: Ipv4Addr::new(10, 0, 2, 16), ..GOOD };
     assert_eq!(check(&mut other.frame(MAC), MAC, |own| settings.accepts(own)), Ok(Some(Lease { is_offer: false })));
     // the lease of another client

@@ -59,7 +59,7 @@ impl Signed {
         Some(Self { len: u32::from_le_bytes(*len), version: *version, signature: *signature.first_chunk()? })
     }
 
-    /// Tells whether the image in a partition is the signed one.
+    /// Returns whether the image in a partition is the signed one.
     pub(super) fn fits<F: NorFlash>(
         &self,
         flash: &mut F,

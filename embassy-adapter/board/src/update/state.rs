@@ -115,7 +115,7 @@ impl<F: NorFlash> StateFlash<F> {
         self.bank.map(|bank| bank.sequence)
     }
 
-    /// Tells whether an update waits whose swap has not begun.
+    /// Returns whether an update waits whose swap has not begun.
     pub(super) fn is_pending(&mut self) -> Result<bool, StateError<F::Error>> {
         let Some(bank) = self.bank.filter(|bank| bank.state == SWAP) else { return Ok(false) };
         let mut words = [0; HEADER];
@@ -131,7 +131,7 @@ impl<F: NorFlash> StateFlash<F> {
         self.commit(REFUSED)
     }
 
-    /// Tells whether the boot loader has refused the last update.
+    /// Returns whether the boot loader has refused the last update.
     pub(super) fn is_refused(&self) -> bool {
         self.bank.is_some_and(|bank| bank.state == REFUSED)
     }

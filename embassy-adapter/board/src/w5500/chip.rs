@@ -130,7 +130,7 @@ impl<S: SpiDevice> Chip<S> {
         self.until(SN_SR, SOCK_MACRAW).await
     }
 
-    /// Tells whether the link is up; initialises a chip that has lost its registers, or whose last initialisation failed.
+    /// Returns whether the link is up; initialises a chip that has lost its registers, or whose last initialisation failed.
     pub(super) async fn check(&mut self) -> Result<bool, Error<S::Error>> {
         if self.read_byte(SN_SR).await? != SOCK_MACRAW {
             self.init().await?;

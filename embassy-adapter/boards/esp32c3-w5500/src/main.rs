@@ -35,7 +35,7 @@ esp_bootloader_esp_idf::esp_app_desc!();
 const SETTINGS: core::ops::Range<u32> = 0x9000..0xb000;
 
 type Bus = ExclusiveDevice<Spi<'static, Async>, Output<'static>, Delay>;
-type Ethernet = w5500::Runner<'static, Bus, Input<'static>, Output<'static>>;
+type Ethernet = w5500::ChipRunner<'static, Bus, Input<'static>, Output<'static>>;
 type Net = network::Runner<w5500::Device<'static>>;
 
 #[panic_handler]

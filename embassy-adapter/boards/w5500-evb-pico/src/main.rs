@@ -38,7 +38,7 @@ const WATCHDOG_TIME: Duration = Duration::from_secs(8);
 
 type BoardFlash = Flash<'static, FLASH, Blocking, FLASH_SIZE>;
 type Bus = ExclusiveDevice<Spi<'static, SPI0, Async>, Output<'static>, Delay>;
-type Ethernet = w5500::Runner<'static, Bus, Input<'static>, Output<'static>>;
+type Ethernet = w5500::ChipRunner<'static, Bus, Input<'static>, Output<'static>>;
 type Net = network::Runner<w5500::Device<'static>>;
 
 #[panic_handler]

@@ -48,10 +48,10 @@ struct Conversation {
 }
 
 /// Whether it is TCP, and the two ends in ascending order.
-type Key = (bool, SocketAddr, SocketAddr);
+type ConversationKey = (bool, SocketAddr, SocketAddr);
 
 /// Returns the key of the conversation between two ends.
-fn key(is_tcp: bool, one: SocketAddr, other: SocketAddr) -> Key {
+fn key(is_tcp: bool, one: SocketAddr, other: SocketAddr) -> ConversationKey {
     (is_tcp, one.min(other), one.max(other))
 }
 
@@ -59,7 +59,7 @@ fn key(is_tcp: bool, one: SocketAddr, other: SocketAddr) -> Key {
 #[derive(Debug)]
 pub(crate) struct Conversations {
     strictness: Strictness,
-    by_ends: HashMap<Key, Conversation>,
+    by_ends: HashMap<ConversationKey, Conversation>,
     /// The number of conversations so far.
     count: usize,
     events: Vec<Event>,

@@ -127,12 +127,12 @@ struct EventLine<'a> {
     time: String,
     link: &'a str,
     #[serde(flatten)]
-    event: Fields<'a>,
+    event: EventFields<'a>,
 }
 
 #[derive(Serialize)]
 #[serde(untagged)]
-enum Fields<'a> {
+enum EventFields<'a> {
     Link { protocol: &'a str, client: &'a str, server: &'a str },
     Note { note: &'a str },
     Call(CallFields<'a>),
@@ -174,10 +174,10 @@ fn to_json(event: &Event) -> String {
     let time = format!("{}.{:09}", at / 1_000_000_000, at % 1_000_000_000);
     let (link, event) = match event {
         Event::Link(link) => {
-            (&link.name, Fields::Link { protocol: link.protocol, client: &link.client, server: &link.server })
+            (&link.name, EventFields::Link { protocol: link.protocol, client: &link.client, server: &link.server })
         }
-        Event::Note(note) => (&note.link, Fields::Note { note: &note.text }),
-        Event::Call(call) => (&call.link, Fields::Call(call_fields(call))),
+        Event::Note(note) => (&note.link, EventFields::Note { note: &note.text }),
+        Event::Call(call) => (&call.link, EventFields::Call(call_fields(call))),
     };
     // serializing strings, numbers and values cannot fail
     serde_json::to_string(&EventLine { time, link, event }).unwrap_or_default()

@@ -60,7 +60,7 @@ pub(super) async fn listen(listener: TcpListener, robot: Arc<[SocketAddr]>, is_r
             }
             Ok((stream, client)) => {
                 is_full = false;
-                let activity = Arc::new(Activity::new(is_rac));
+                let activity = Arc::new(ConnectionActivity::new(is_rac));
                 let task = connection(stream, client, Arc::clone(&robot), Arc::clone(&activity), shared.clone());
                 holders.insert(connections.spawn(task).id(), activity);
             }
@@ -70,12 +70,12 @@ pub(super) async fn listen(listener: TcpListener, robot: Arc<[SocketAddr]>, is_r
 }
 
 /// Frees the slot of a connection that has ended.
-fn free(holders: &mut HashMap<Id, Arc<Activity>>, ended: Result<(Id, ()), JoinError>) {
+fn free(holders: &mut HashMap<Id, Arc<ConnectionActivity>>, ended: Result<(Id, ()), JoinError>) {
     holders.remove(&ended.map_or_else(|error| error.id(), |(id, ())| id));
 }
 
-/// Tells whether there is a slot for a new connection, and ends the connection that loses it.
-fn has_slot(holders: &mut HashMap<Id, Arc<Activity>>) -> bool {
+/// Returns whether there is a slot for a new connection, and ends the connection that loses it.
+fn has_slot(holders: &mut HashMap<Id, Arc<ConnectionActivity>>) -> bool {
     let now = now();
     let taken = holders.iter().map(|(&key, held)| Holder { key, is_same_host: false, state: held.state(now) });
     match SLOTS.admit(taken, now) {
@@ -91,27 +91,27 @@ fn has_slot(holders: &mut HashMap<Id, Arc<Activity>>) -> bool {
 }
 
 /// When the last bytes of a connection passed, and the signal that evicts it.
-struct Activity {
+struct ConnectionActivity {
     is_rac: bool,
-    last: Mutex<Last>,
+    last: Mutex<LastBytes>,
     evicted: Notify,
 }
 
 #[derive(Clone, Copy)]
-struct Last {
+struct LastBytes {
     at: Instant,
     /// Whether they are the end of a request, so the robot has to reply.
     is_request: bool,
 }
 
-impl Activity {
+impl ConnectionActivity {
     fn new(is_rac: bool) -> Self {
-        Self { is_rac, last: Mutex::new(Last { at: now(), is_request: false }), evicted: Notify::new() }
+        Self { is_rac, last: Mutex::new(LastBytes { at: now(), is_request: false }), evicted: Notify::new() }
     }
 
     fn passed(&self, sender: Role, bytes: &[u8]) {
         let end = if self.is_rac { b'\r' } else { EOT };
-        let last = Last { at: now(), is_request: sender == Role::Request && bytes.last() == Some(&end) };
+        let last = LastBytes { at: now(), is_request: sender == Role::Request && bytes.last() == Some(&end) };
         *self.last.lock().unwrap_or_else(PoisonError::into_inner) = last;
     }
 
@@ -125,7 +125,7 @@ async fn connection(
     stream: TcpStream,
     client: SocketAddr,
     robot: Arc<[SocketAddr]>,
-    activity: Arc<Activity>,
+    activity: Arc<ConnectionActivity>,
     shared: Shared,
 ) {
     let recorder = &shared.recorder;
@@ -179,7 +179,7 @@ struct Direction {
     ends: Ends,
     recorder: Recorder,
     faults: Option<Arc<Mutex<Faults>>>,
-    activity: Arc<Activity>,
+    activity: Arc<ConnectionActivity>,
 }
 
 impl Direction {

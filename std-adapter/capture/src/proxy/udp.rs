@@ -132,7 +132,7 @@ pub(super) async fn serve(socket: UdpSocket, robot: SocketAddr, shared: Shared) 
     }
 }
 
-/// Tells whether there is a slot for a new client, and closes the socket of the client that loses it.
+/// Returns whether there is a slot for a new client, and closes the socket of the client that loses it.
 fn has_slot(clients: &Clients) -> bool {
     let (mut clients, now) = (lock(clients), bcap_std::now());
     let state = |client: &Client| lock(&client.activity).state(now);

@@ -6,12 +6,12 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 #[derive(Debug)]
 pub(super) struct Budget {
     limit: usize,
-    state: Mutex<State>,
+    state: Mutex<BudgetState>,
     changed: Condvar,
 }
 
 #[derive(Debug, Default)]
-struct State {
+struct BudgetState {
     used: usize,
     /// Whether the thread that writes has ended.
     closed: bool,
@@ -26,7 +26,7 @@ impl Budget {
     /// after the end of the thread that writes.
     pub(super) fn take(&self, bytes: usize) {
         let is_full =
-            |state: &mut State| !state.closed && state.used > 0 && state.used.saturating_add(bytes) > self.limit;
+            |state: &mut BudgetState| !state.closed && state.used > 0 && state.used.saturating_add(bytes) > self.limit;
         let state = self.changed.wait_while(self.state(), is_full);
         let mut state = state.unwrap_or_else(PoisonError::into_inner);
         state.used = state.used.saturating_add(bytes);
@@ -49,7 +49,7 @@ impl Budget {
         Closing(self)
     }
 
-    fn state(&self) -> MutexGuard<'_, State> {
+    fn state(&self) -> MutexGuard<'_, BudgetState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

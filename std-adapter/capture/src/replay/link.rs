@@ -14,7 +14,7 @@ use bcap_std::{Address, Error, Model, NetworkAddress, Options, RacError, Setting
 
 use super::options::Options as ReplayOptions;
 use super::order::Order;
-use super::plan::{PlannedCall, PlannedLink, Protocol};
+use super::plan::{LinkKind, PlannedCall, PlannedLink};
 use crate::decode::{Argument, Call, Reply, is_object};
 use crate::proxy::Robot;
 use crate::record::{Ends, HasEnds, Taped};
@@ -109,14 +109,14 @@ impl<'a> LinkReplay<'a> {
         options.udp.timing.attempts = UDP_ATTEMPTS;
         options.udp.timing.attempt_timeout = (timeout / u32::from(UDP_ATTEMPTS)).max(Duration::from_millis(1));
         let (robot, recorder) = (self.robot, self.options.recorder.as_ref());
-        let socket = match self.planned.protocol {
-            Protocol::Tcp => {
+        let socket = match self.planned.kind {
+            LinkKind::Tcp => {
                 blocking::connect_tcp(&robot.tcp[..], &options).map(|open| self.bcap(open, bcap_std::Protocol::Tcp))
             }
-            Protocol::Udp => {
+            LinkKind::Udp => {
                 blocking::connect_udp(robot.udp, &options).map(|open| self.bcap(open, bcap_std::Protocol::Udp))
             }
-            Protocol::Rac => {
+            LinkKind::Rac => {
                 let open = |client| Socket::Rac(Box::new(Taped::rac_connection(client, recorder)));
                 blocking::connect_rac(&robot.rac[..], &options).map(open)
             }

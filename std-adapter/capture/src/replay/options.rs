@@ -16,7 +16,7 @@ pub struct Options {
     pub volatile: Vec<String>,
     /// Records the replay.
     pub recorder: Option<Recorder>,
-    /// Tells whether the replay is to end: no more calls are made, and each connection ends its effects on the robot.
+    /// Returns whether the replay is to end: no more calls are made, and each connection ends its effects on the robot.
     pub is_interrupted: Option<fn() -> bool>,
 }
 

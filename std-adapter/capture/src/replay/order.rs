@@ -5,11 +5,11 @@ use std::time::Duration;
 
 /// The answered calls, by the order of their recorded replies.
 pub(super) struct Order {
-    state: Mutex<State>,
+    state: Mutex<OrderState>,
     changed: Condvar,
 }
 
-struct State {
+struct OrderState {
     /// Whether each call has ended.
     ended: Vec<bool>,
     /// The number of calls at the front that have all ended.
@@ -20,7 +20,7 @@ struct State {
 impl Order {
     /// The order of this many answered calls.
     pub(super) fn new(answered: usize) -> Self {
-        let state = State { ended: vec![false; answered], front: 0, is_stopped: false };
+        let state = OrderState { ended: vec![false; answered], front: 0, is_stopped: false };
         Self { state: Mutex::new(state), changed: Condvar::new() }
     }
 
@@ -59,7 +59,7 @@ impl Order {
         self.changed.notify_all();
     }
 
-    fn lock(&self) -> MutexGuard<'_, State> {
+    fn lock(&self) -> MutexGuard<'_, OrderState> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

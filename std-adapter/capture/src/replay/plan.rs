@@ -12,15 +12,15 @@ use crate::error::Error;
 /// The maximum number of connections of a replay: each has a thread and a socket.
 const LINKS: usize = 1024;
 
-/// The protocol of a connection.
+/// The kind of a connection: b-CAP over TCP or UDP, or RAC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Protocol {
+pub(super) enum LinkKind {
     Tcp,
     Udp,
     Rac,
 }
 
-impl Protocol {
+impl LinkKind {
     fn of(link: &Link) -> Self {
         match link.protocol {
             "RAC" => Self::Rac,
@@ -33,7 +33,7 @@ impl Protocol {
 /// A connection of the capture.
 #[derive(Debug)]
 pub(super) struct PlannedLink {
-    pub(super) protocol: Protocol,
+    pub(super) kind: LinkKind,
     pub(super) calls: Vec<PlannedCall>,
 }
 
@@ -85,7 +85,7 @@ impl Plan {
         Ok(Self { links, answered: ends.len() })
     }
 
-    /// Tells whether no call moves or writes.
+    /// Returns whether no call moves or writes.
     #[must_use]
     pub fn is_harmless(&self) -> bool {
         self.links.iter().flat_map(|link| &link.calls).all(|planned| reads(&planned.call))
@@ -135,7 +135,7 @@ fn links(events: Vec<Event>) -> Result<Vec<PlannedLink>, Error> {
             PlannedCall { call, offset: Duration::ZERO, after: 0, rank: None }
         };
         let calls = calls.into_iter().map(planned).collect();
-        Some(PlannedLink { protocol: Protocol::of(&link), calls })
+        Some(PlannedLink { kind: LinkKind::of(&link), calls })
     };
     let links: Vec<_> = links.into_iter().filter_map(planned).collect();
     match links.len() {

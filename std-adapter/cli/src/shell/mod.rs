@@ -91,7 +91,7 @@ fn connect(shared: &SharedSession, json: bool) -> Result<(), Failure> {
 }
 
 fn read_lines(
-    editor: &mut Editor<Names, FileHistory>,
+    editor: &mut Editor<NameCompleter, FileHistory>,
     history: Option<&Path>,
     shared: &SharedSession,
     runner: &Runner,
@@ -213,12 +213,12 @@ fn read(session: &mut Session, name: &str) -> Option<String> {
     Some(bcap_terminal::escape::line(&bcap_capture::value::data::format(value.as_variant())))
 }
 
-fn editor(shared: &SharedSession) -> Result<Editor<Names, FileHistory>, Failure> {
+fn editor(shared: &SharedSession) -> Result<Editor<NameCompleter, FileHistory>, Failure> {
     let wrong = |error: ReadlineError| Failure::Input(format!("the terminal: {error}"));
     let config = Config::builder().max_history_size(HISTORY).map_err(wrong)?;
     let config = config.completion_type(rustyline::CompletionType::List).build();
     let mut editor = Editor::with_config(config).map_err(wrong)?;
-    editor.set_helper(Some(Names { session: Arc::clone(shared), listed: Mutex::new(None) }));
+    editor.set_helper(Some(NameCompleter { session: Arc::clone(shared), listed: Mutex::new(None) }));
     Ok(editor)
 }
 
@@ -232,13 +232,13 @@ fn history_file() -> Option<PathBuf> {
 }
 
 /// Completes commands, functions, and the names that the controller lists.
-struct Names {
+struct NameCompleter {
     session: SharedSession,
     /// The controller's names, once they have been read.
     listed: Mutex<Option<Vec<String>>>,
 }
 
-impl Names {
+impl NameCompleter {
     /// Returns the names of the controller. They are read at the first completion.
     fn listed(&self) -> Vec<String> {
         let mut listed = self.listed.lock().unwrap_or_else(PoisonError::into_inner);
@@ -257,7 +257,7 @@ impl Names {
     }
 }
 
-impl Completer for Names {
+impl Completer for NameCompleter {
     type Candidate = String;
 
     fn complete(&self, line: &str, at: usize, context: &Context<'_>) -> rustyline::Result<(usize, Vec<String>)> {
@@ -291,12 +291,12 @@ impl Completer for Names {
     }
 }
 
-impl rustyline::hint::Hinter for Names {
+impl rustyline::hint::Hinter for NameCompleter {
     type Hint = String;
 }
 
-impl rustyline::highlight::Highlighter for Names {}
+impl rustyline::highlight::Highlighter for NameCompleter {}
 
-impl rustyline::validate::Validator for Names {}
+impl rustyline::validate::Validator for NameCompleter {}
 
-impl rustyline::Helper for Names {}
+impl rustyline::Helper for NameCompleter {}

@@ -9,7 +9,7 @@ pub(crate) struct Terminal {
 
 #[cfg(unix)]
 impl Terminal {
-    /// Saves the present settings.
+    /// Saves the current settings.
     pub(crate) fn saved() -> Self {
         Self { settings: rustix::termios::tcgetattr(std::io::stdin()).ok() }
     }

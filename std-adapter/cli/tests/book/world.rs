@@ -53,7 +53,7 @@ pub(crate) struct World {
     /// The addresses of the page, and the addresses of this run.
     to_actual: Vec<(String, String)>,
     to_page: Vec<(String, String)>,
-    /// The environment variables of the present controller.
+    /// The environment variables of the current controller.
     robot: Option<[(&'static str, String); 2]>,
     /// A virtual controller in this process, for pages about Slave Mode.
     stepped: Option<Served<Stepped>>,

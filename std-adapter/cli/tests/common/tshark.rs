@@ -14,7 +14,7 @@ pub(crate) static DISSECTOR: LazyLock<String> = LazyLock::new(|| {
     run.out
 });
 
-/// Tells whether this machine has tshark; if not, the test says that it is skipped.
+/// Returns whether this machine has tshark; if not, the test says that it is skipped.
 pub(crate) fn has_tshark() -> bool {
     tools::find("tshark").is_some()
 }

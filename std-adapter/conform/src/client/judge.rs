@@ -53,7 +53,7 @@ impl Provocation {
         }
     }
 
-    /// Tells whether the client may end its connection, so that only a later session can show whether it works on.
+    /// Returns whether the client may end its connection, so that only a later session can show whether it works on.
     const fn may_end_the_session(self, link: Link) -> bool {
         matches!((self, link), (Self::Close, _) | (Self::Late, Link::Tcp))
     }
@@ -265,13 +265,13 @@ impl Play {
         if next.may_end_the_session(self.link) && !self.has_next { None } else { self.left.pop() }
     }
 
-    /// Tells whether a request is a retransmission of the last one: its reserved field has the serial of the first attempt.
+    /// Returns whether a request is a retransmission of the last one: its reserved field has the serial of the first attempt.
     fn is_retry(&self, frame: &TestFrame) -> bool {
         let is_of = |last: &TestFrame| frame.reserved == last.serial && frame.serial != last.serial;
         self.link.repeats() && self.last.as_ref().is_some_and(is_of)
     }
 
-    /// Tells whether a request has the serial of the last one: a retransmission that needs a new serial.
+    /// Returns whether a request has the serial of the last one: a retransmission that needs a new serial.
     fn is_duplicate(&self, frame: &TestFrame) -> bool {
         self.last.as_ref().is_some_and(|last| frame.serial == last.serial)
     }

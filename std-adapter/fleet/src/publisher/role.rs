@@ -12,7 +12,7 @@ use crate::event::Event;
 use crate::json;
 use crate::message::Message;
 use crate::reading::now_ms;
-use crate::standby::{Seen, Standby};
+use crate::standby::{Failover, Seen};
 
 impl Publisher {
     /// Returns whether this process has the connection of the node.
@@ -42,7 +42,7 @@ impl Publisher {
 
     /// Returns the message that says whether this node is online.
     pub(super) fn node_state(&self, online: bool) -> Message {
-        let instance = self.standby.as_ref().map(Standby::instance);
+        let instance = self.standby.as_ref().map(Failover::instance);
         let bd_seq = self.encoder.bd_seq().filter(|_| instance.is_some());
         json::node(&self.shared.config, online, now_ms(), instance, bd_seq)
     }

@@ -6,7 +6,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::variant::Variant;
 
 use super::poses::{self, FrameKind};
-use super::robot_execute::{COMMANDS, Handler};
+use super::robot_execute::{COMMANDS, RobotHandler};
 use super::{Arm, moves};
 use crate::answer::{Answer, Answered};
 use crate::codes::CHANGE_IN_MOTION;
@@ -120,10 +120,10 @@ impl Arm {
         }
     }
 
-    fn run(&mut self, handler: Handler, ctx: &mut Context<'_>, request: &Request<'_>) -> Answered {
+    fn run(&mut self, handler: RobotHandler, ctx: &mut Context<'_>, request: &Request<'_>) -> Answered {
         match handler {
-            Handler::Read(reading) => reading(self, ctx).map(Answer::Value),
-            Handler::Execute(execute) => execute(self, ctx, &request.value(2)),
+            RobotHandler::Read(reading) => reading(self, ctx).map(Answer::Value),
+            RobotHandler::Execute(execute) => execute(self, ctx, &request.value(2)),
         }
     }
 

@@ -247,7 +247,7 @@ pub(super) fn drive_command(robot: &mut Robot, ctx: &mut Context<'_>, absolute: 
     drive(robot, ctx, Drive::parse(absolute, &pairs)?, &option)
 }
 
-/// Tells whether an array is a list of pairs, or a pair with its type.
+/// Returns whether an array is a list of pairs, or a pair with its type.
 fn is_list(array: Array<'_>) -> bool {
     array.get(0).is_some_and(|item| matches!(item.flatten(), Variant::Array(_)))
 }

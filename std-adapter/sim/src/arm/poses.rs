@@ -48,7 +48,7 @@ pub(super) fn out_range(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_
     let near = robot.joints(ctx.now);
     let (pose, coordinates) = match param.flatten() {
         Variant::Array(array) if array.len() == 3 && is_pose(&array.get(0).unwrap_or(Variant::Empty)) => {
-            // with -1, the present ones
+            // with -1, the current ones
             let number = |place: usize, present: i32| match one_int(&array.get(place).unwrap_or(Variant::Empty))? {
                 -1 => Ok(present),
                 number => Ok(number),
@@ -214,7 +214,7 @@ fn trans_numbers(frame: &Frame, fig: Option<u8>) -> Answered {
     Answer::of(numbers)
 }
 
-/// Tells whether the first element of an array is a pose itself, not the numbers of one.
+/// Returns whether the first element of an array is a pose itself, not the numbers of one.
 fn is_pose(item: &Variant<'_>) -> bool {
     match item.flatten() {
         Variant::Bstr(_) => true,

@@ -6,7 +6,7 @@ use bcap_core::variant::Variant;
 
 use super::poses::FrameKind;
 use super::readings::{self, Reading};
-use super::{Arm, areas, measures, moves, path_points, poses, settings};
+use super::{Arm, area_commands, measures, moves, path_point_commands, poses, settings};
 use crate::answer::{Answer, Answered};
 use crate::codes::{OTHER_GROUP, UNDEFINED_GROUP, WRONG_KEEP};
 use crate::context::Context;
@@ -24,17 +24,17 @@ type Execute = fn(&mut Arm, &mut Context<'_>, &Variant<'_>) -> Answered;
 
 /// The handler of a command.
 #[derive(Clone, Copy, Debug)]
-pub(crate) enum Handler {
+pub(crate) enum RobotHandler {
     Read(Reading),
     Execute(Execute),
 }
 
-const fn read(name: &'static str, reading: Reading) -> Command<Handler> {
-    Command::new(name, Handler::Read(reading))
+const fn read(name: &'static str, reading: Reading) -> Command<RobotHandler> {
+    Command::new(name, RobotHandler::Read(reading))
 }
 
-const fn command(name: &'static str, execute: Execute) -> Command<Handler> {
-    Command::new(name, Handler::Execute(execute))
+const fn command(name: &'static str, execute: Execute) -> Command<RobotHandler> {
+    Command::new(name, RobotHandler::Execute(execute))
 }
 
 const DRIVE: &str = "pairs or [pairs, option]: pairs are \"@E (axis, value), ...\" or [[axis, value], ...], with axes \
@@ -61,7 +61,7 @@ const fn has_preparation(functions: Functions) -> bool {
 }
 
 /// The commands.
-pub(crate) const COMMANDS: &[Command<Handler>] = &[
+pub(crate) const COMMANDS: &[Command<RobotHandler>] = &[
     read("CurPos", readings::current_position),
     read("HighCurPos", readings::current_position),
     read("CurJnt", readings::current_angle),
@@ -117,21 +117,21 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     command("WorkAttribute", poses::attribute).accepts(WORK),
     command("GetBaseDef", |arm, _, param| poses::definition(arm, FrameKind::Base, param)).accepts(WORK),
     command("SetBaseDef", |arm, ctx, param| poses::define(arm, ctx, FrameKind::Base, param)).accepts(DEFINE_WORK),
-    command("GetAreaDef", areas::definition).accepts(AREA),
-    command("SetAreaDef", areas::define).accepts(
+    command("GetAreaDef", area_commands::definition).accepts(AREA),
+    command("SetAreaDef", area_commands::define).accepts(
         "[area, P, V, IO, variable, detection] or [area, numbers]: area 0 to 31; 11 to 34 numbers",
     ),
-    command("AreaSize", areas::size).accepts(AREA),
-    command("GetAreaEnabled", areas::is_enabled).accepts(AREA),
-    command("SetAreaEnabled", |arm, ctx, param| areas::enable(arm, ctx, None, param))
+    command("AreaSize", area_commands::size).accepts(AREA),
+    command("GetAreaEnabled", area_commands::is_enabled).accepts(AREA),
+    command("SetAreaEnabled", |arm, ctx, param| area_commands::enable(arm, ctx, None, param))
         .accepts("[area, enabled]: area 0 to 31, BOOL"),
-    command("SetArea", |arm, ctx, param| areas::enable(arm, ctx, Some(true), param)).accepts(AREA),
-    command("ResetArea", |arm, ctx, param| areas::enable(arm, ctx, Some(false), param)).accepts(AREA),
-    command("AddPathPoint", path_points::add).accepts("[path, pose]: path 1 to 20"),
-    command("ClrPathPoint", path_points::clear).accepts(PATH),
-    command("LoadPathPoint", path_points::clear).accepts(PATH),
-    command("GetPathPoint", path_points::point).accepts("[path, point]: path 1 to 20, point from 1"),
-    command("GetPathPointCount", path_points::count).accepts(PATH),
+    command("SetArea", |arm, ctx, param| area_commands::enable(arm, ctx, Some(true), param)).accepts(AREA),
+    command("ResetArea", |arm, ctx, param| area_commands::enable(arm, ctx, Some(false), param)).accepts(AREA),
+    command("AddPathPoint", path_point_commands::add).accepts("[path, pose]: path 1 to 20"),
+    command("ClrPathPoint", path_point_commands::clear).accepts(PATH),
+    command("LoadPathPoint", path_point_commands::clear).accepts(PATH),
+    command("GetPathPoint", path_point_commands::point).accepts("[path, point]: path 1 to 20, point from 1"),
+    command("GetPathPointCount", path_point_commands::count).accepts(PATH),
     command("CrtMotionAllow", settings::crt_motion_allow).accepts("[on, mm] or [on, mm, degrees]; 0 alone is off"),
     command("EncMotionAllow", settings::enc_motion_allow).accepts("[on, value] or [on, value, mode]: mode 0 degrees or mm, 1 pulses; 0 alone is off"),
     command("EncMotionAllowJnt", settings::enc_motion_allow_jnt).accepts("[on, axis, value] or [on, axis, value, mode]: axis 1 to 8; [0, axis] is off"),
@@ -149,7 +149,7 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     command("SetHandIO", measures::set_hand_io).accepts("[first, value, count]: an IO, and 1 to 32 of them"),
     command("GetHandIO", measures::hand_io).accepts("[first, count]: an IO, and 1 to 32 of them"),
     command("TakeArm", take_arm).accepts("nothing, the group, or [group, keep]: group 0 to 31, keep 0 or 1"),
-    command("GiveArm", give_arm).resumes(Handler::Execute(give_arm)),
+    command("GiveArm", give_arm).resumes(RobotHandler::Execute(give_arm)),
     command("TakeArmState", arm_state).accepts("nothing, or one number: a group, or -1 for any"),
     command("Motor", motor).accepts(MOTOR),
     command("ExtSpeed", external_speed)
@@ -176,7 +176,7 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
         .accepts("one number: 0, 0x001 to 0x003, 0x101 to 0x103, 0x201 to 0x203"),
     read("slvGetMode", |arm, _| owned(slave::mode(&arm.robot))),
     command("slvMove", |arm, ctx, param| arm.slave.do_move(&mut arm.robot, ctx, param))
-        .resumes(Handler::Execute(|arm, ctx, param| arm.slave.stored(&arm.robot, ctx, param)))
+        .resumes(RobotHandler::Execute(|arm, ctx, param| arm.slave.stored(&arm.robot, ctx, param)))
         .accepts(
             "an array of 7 (P), 8 (J) or 10 (T) numbers by the mode, with an option element and J7, J8 where the arm has \
              them; with IO: [pose, MiniIO, user IO offset, size, bytes, offset, size, HandIO] by the formats",
@@ -360,8 +360,8 @@ mod tests {
     fn every_command_is_documented() {
         let sources = [
             include_str!("../arm.rs"),
-            include_str!("areas.rs"),
-            include_str!("path_points.rs"),
+            include_str!("area_commands.rs"),
+            include_str!("path_point_commands.rs"),
             include_str!("settings.rs"),
             include_str!("../slave.rs"),
             include_str!("../preparation.rs"),

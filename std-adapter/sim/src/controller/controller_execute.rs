@@ -62,9 +62,9 @@ use crate::tasks::{Task, Tasks};
 use crate::value::{numbers, one_int};
 use crate::waits::Wait;
 
-type Run = fn(&mut Controller, PeerId, &Variant<'_>) -> Answered;
+type ControllerHandler = fn(&mut Controller, PeerId, &Variant<'_>) -> Answered;
 
-const fn command(name: &'static str, run: Run) -> Command<Run> {
+const fn command(name: &'static str, run: ControllerHandler) -> Command<ControllerHandler> {
     Command::new(name, run)
 }
 
@@ -77,7 +77,7 @@ const fn has_safe_torque_off(functions: Functions) -> bool {
 }
 
 /// The commands, in the order of Controller_GetCommandNames.
-pub(super) const COMMANDS: &[Command<Run>] = &[
+pub(super) const COMMANDS: &[Command<ControllerHandler>] = &[
     command("ClearError", |controller, peer, _| controller.clear_error(peer)),
     command("GetErrorDescription", |controller, _, param| Answer::of(controller.describe(code_of(param)?)))
         .accepts("one code: I4, UI4, ERROR or another integer"),

@@ -8,7 +8,7 @@ use bcap_core::rac;
 use bcap_core::time::Instant;
 use bcap_core::variant::{OwnedVariant, Variant};
 
-use super::variable::{accepted_value, names_of};
+use super::variable_calls::{accepted_value, names_of};
 use super::{Controller, controller_execute};
 use crate::answer::{Answer, Answered};
 use crate::arm;
@@ -486,7 +486,7 @@ fn accepts(request: &Request<'_>) -> Option<&'static str> {
     }
 }
 
-/// Tells whether a request opens the variable of a file; an example of the guide omits the `@`.
+/// Returns whether a request opens the variable of a file; an example of the guide omits the `@`.
 fn is_crc(request: &Request<'_>) -> bool {
     let name = request.text(1).to_string();
     name.trim().eq_ignore_ascii_case(CRC) || name.trim().eq_ignore_ascii_case("CRC")

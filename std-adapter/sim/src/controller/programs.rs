@@ -47,7 +47,7 @@ impl Controller {
         }
     }
 
-    /// Begins or ends the present step of a task. Until the next step of another task, or `until`, variables do not change.
+    /// Begins or ends the current step of a task. Until the next step of another task, or `until`, variables do not change.
     fn take_turn(&mut self, place: usize, until: Instant) {
         let Some(turn) = self.tasks.get(place).ok().and_then(Task::turn) else { return };
         let now = self.shared.now;
@@ -183,12 +183,12 @@ impl Controller {
         Some(SourceLine { program: task.name().to_owned(), line: task.line() })
     }
 
-    /// Tells whether a task owns the arm.
+    /// Returns whether a task owns the arm.
     pub(super) fn is_arm_of_task(&self) -> bool {
         self.arm.robot().owner().is_some_and(|owner| self.is_task(owner))
     }
 
-    /// Tells whether the number of a client stands for a task.
+    /// Returns whether the number of a client stands for a task.
     pub(super) fn is_task(&self, peer: PeerId) -> bool {
         (0..self.tasks.len()).any(|place| peer_of_task(place) == peer)
     }

@@ -19,15 +19,15 @@ use crate::errors::description;
 use crate::table::Property;
 use crate::value::{TRUTH, ValueResult, one_int, owned, truth};
 
-type Read = fn(&Controller) -> ValueResult;
-type Write = fn(&mut Controller, PeerId, &Variant<'_>) -> Answered;
+type ControllerGetter = fn(&Controller) -> ValueResult;
+type ControllerSetter = fn(&mut Controller, PeerId, &Variant<'_>) -> Answered;
 
-const fn read(name: &'static str, get: Read) -> Property<Read, Write> {
+const fn read(name: &'static str, get: ControllerGetter) -> Property<ControllerGetter, ControllerSetter> {
     Property::read(name, get)
 }
 
 /// The variables, in the order of Controller_GetVariableNames.
-pub(super) const VARIABLES: &[Property<Read, Write>] = &[
+pub(super) const VARIABLES: &[Property<ControllerGetter, ControllerSetter>] = &[
     read("@MODE", |controller| owned(controller.mode() as i32)),
     read("@LOCK", |controller| owned(controller.locked)).and_write(put_lock, TRUTH),
     // the count of milliseconds wraps as a 32-bit counter does

@@ -58,7 +58,7 @@ pub(crate) struct Frame {
 }
 
 impl Frame {
-    /// Makes a frame from X Y Z in mm and RX RY RZ in degrees: turned about the fixed axes x, then y, then z.
+    /// Creates a frame from X Y Z in mm and RX RY RZ in degrees: turned about the fixed axes x, then y, then z.
     pub(crate) fn from_xyz_rpy(p: [f64; 6]) -> Self {
         let [x, y, z, rx, ry, rz] = p;
         Self { position: [x, y, z], rotation: multiply(&rz_matrix(rz), &multiply(&ry_matrix(ry), &rx_matrix(rx))) }
@@ -79,7 +79,7 @@ impl Frame {
         [x, y, z, rx.to_degrees(), ry.to_degrees(), rz.to_degrees()]
     }
 
-    /// Makes a frame from a T: position, orient vector (y of the flange), approach vector (z of the flange).
+    /// Creates a frame from a T: position, orient vector (y of the flange), approach vector (z of the flange).
     ///
     /// `None` if the vectors do not span a plane.
     pub(crate) fn from_trans(t: [f64; 9]) -> Option<Self> {

@@ -187,7 +187,7 @@ fn joints_at(arm: &Geometry, parts: [f64; 6]) -> Joints {
     [0, 1, 2, 3, 4, 5].map(|n| arm.ranges[n].0 + (arm.ranges[n].1 - arm.ranges[n].0) * parts[n])
 }
 
-/// Tells whether joints are next to a singularity, where a solution exists but is ill-conditioned.
+/// Returns whether joints are next to a singularity, where a solution exists but is ill-conditioned.
 fn is_singular(arm: &Geometry, joints: &Joints) -> bool {
     let frame = arm.forward(joints);
     match &arm.links {

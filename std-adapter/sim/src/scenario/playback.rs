@@ -252,7 +252,7 @@ pub(crate) enum CallPlan {
     Execute,
 }
 
-/// Tells whether a request is for a function, or executes a command.
+/// Returns whether a request is for a function, or executes a command.
 fn is_of(request: &Request<'_>, of: &str) -> bool {
     FunctionId::parse(of) == Some(request.function)
         || command_of(request).is_some_and(|command| command.eq_ignore_ascii_case(of))

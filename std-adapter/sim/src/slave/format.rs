@@ -29,7 +29,7 @@ const USER: i32 = 0x0200;
 /// The formats of slvSendFormat: MiniIO and user IO exclude each other.
 const SEND: [i32; 6] = [0, HAND, MINI, MINI | HAND, USER, USER | HAND];
 
-/// Tells whether a controller has all parts of a format.
+/// Returns whether a controller has all parts of a format.
 fn has(parts: SlaveFormats, format: i32) -> bool {
     let parts = [(MINI, parts.mini_io), (HAND, parts.hand_io), (USER, parts.user_io), (CURRENT, parts.current)];
     parts.iter().all(|(part, exists)| *exists || format & part == 0)

@@ -1,4 +1,4 @@
-//! The work of a task with a program: the present step, and when it continues.
+//! The work of a task with a program: the current step, and when it continues.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -11,15 +11,15 @@ use crate::program::{Program, Step};
 #[derive(Clone, Debug)]
 pub(super) struct Steps {
     program: Program,
-    /// The present step.
+    /// The current step.
     at: usize,
-    /// The present step has begun.
+    /// The current step has begun.
     entered: bool,
-    /// When the present step continues, while the task runs.
+    /// When the current step continues, while the task runs.
     deadline: Instant,
-    /// When the present step was first checked, while it is polled.
+    /// When the current step was first checked, while it is polled.
     polled: Option<Instant>,
-    /// The rest of the present step, while the task is stopped.
+    /// The rest of the current step, while the task is stopped.
     left: Duration,
     /// When the cycle began.
     began: Instant,
@@ -27,7 +27,7 @@ pub(super) struct Steps {
     pub(super) cycle: Duration,
 }
 
-/// The present step of a task whose time has come.
+/// The current step of a task whose time has come.
 #[derive(Clone, Debug)]
 pub(crate) struct ReadyStep {
     steps: Arc<[Step]>,
@@ -56,12 +56,12 @@ impl Steps {
         }
     }
 
-    /// Returns the present line, from 1.
+    /// Returns the current line, from 1.
     pub(super) fn line(&self) -> i32 {
         i32::try_from(self.at).unwrap_or(i32::MAX).saturating_add(1)
     }
 
-    /// Returns when the present step continues, while the task runs.
+    /// Returns when the current step continues, while the task runs.
     pub(super) fn deadline(&self) -> Instant {
         self.deadline
     }
@@ -70,7 +70,7 @@ impl Steps {
         (self.at, self.entered, self.left, self.polled) = (0, false, Duration::ZERO, None);
     }
 
-    /// Goes to the beginning of the step before the present one.
+    /// Goes to the beginning of the step before the current one.
     pub(super) fn step_back(&mut self) {
         (self.at, self.entered, self.left, self.polled) = (self.at.saturating_sub(1), false, Duration::ZERO, None);
     }
@@ -95,18 +95,18 @@ impl Steps {
         ReadyStep { steps: Arc::clone(&self.program.steps), at: self.at, begins: !self.entered }
     }
 
-    /// Records that the present step has begun, and takes this time, or is checked then.
+    /// Records that the current step has begun, and takes this time, or is checked then.
     pub(super) fn begun(&mut self, now: Instant, time: Duration) {
         self.entered = true;
         self.deadline = now.saturating_add(time.max(self.program.line));
     }
 
-    /// Checks the present step again at this time, but not before the next line time.
+    /// Checks the current step again at this time, but not before the next line time.
     pub(super) fn wait(&mut self, now: Instant, until: Instant) {
         (self.deadline, self.polled) = (until.max(now.saturating_add(self.program.line)), None);
     }
 
-    /// Checks the present step again at the first time after `quiet` that is whole line times away from the first check.
+    /// Checks the current step again at the first time after `quiet` that is whole line times away from the first check.
     pub(super) fn poll(&mut self, now: Instant, quiet: Instant) {
         let first = *self.polled.get_or_insert(now);
         self.deadline = self.next_check(first, quiet.max(now));
@@ -131,7 +131,7 @@ impl Steps {
         first.saturating_add(Duration::from_micros(micros))
     }
 
-    /// Ends the present step. Returns whether it was the last one of the cycle.
+    /// Ends the current step. Returns whether it was the last one of the cycle.
     pub(super) fn end_step(&mut self, now: Instant) -> bool {
         (self.at, self.entered, self.deadline) = (self.at + 1, false, now);
         (self.left, self.polled) = (Duration::ZERO, None);

@@ -18,13 +18,14 @@ use crate::rules;
 use crate::table::Command;
 use crate::value::{ValueResult, one_int, owned};
 
-type Run = fn(&mut Task, &Variant<'_>) -> Answered;
+type TaskHandler = fn(&mut Task, &Variant<'_>) -> Answered;
 
 /// The commands of Task_Execute.
-pub(crate) const COMMANDS: &[Command<Run>] = &[
+pub(crate) const COMMANDS: &[Command<TaskHandler>] = &[
     Command::new("GetStatus", |task, _| task.status_value().map(Answer::Value)),
     Command::new("GetThreadPriority", |task, _| Answer::of(task.priority)),
-    Command::new("SetThreadPriority", Task::set_priority as Run).accepts("nothing, which is 0, or one number, -2 to 2"),
+    Command::new("SetThreadPriority", Task::set_priority as TaskHandler)
+        .accepts("nothing, which is 0, or one number, -2 to 2"),
 ];
 
 /// The priorities of a task; they have no effect.
@@ -127,12 +128,12 @@ impl Task {
         self.status == TaskStatus::Running
     }
 
-    /// Tells whether it is stopped within a cycle, and can continue.
+    /// Returns whether it is stopped within a cycle, and can continue.
     pub(crate) fn can_continue(&self) -> bool {
         matches!(self.status, TaskStatus::Suspended | TaskStatus::StepStop)
     }
 
-    /// Tells whether it has completed one cycle and stopped.
+    /// Returns whether it has completed one cycle and stopped.
     pub(crate) fn has_completed(&self) -> bool {
         self.completed
     }
@@ -153,7 +154,7 @@ impl Task {
         }
     }
 
-    /// Returns the present line, from 1.
+    /// Returns the current line, from 1.
     pub(crate) fn line(&self) -> i32 {
         match &self.activity {
             Activity::Timed(timed) => timed.line(),
@@ -355,7 +356,7 @@ impl Task {
         })
     }
 
-    /// Returns when the present step of its program continues; `None` unless it runs one.
+    /// Returns when the current step of its program continues; `None` unless it runs one.
     pub(super) fn deadline(&self) -> Option<Instant> {
         self.steps().filter(|_| self.is_running()).map(Steps::deadline)
     }
@@ -367,26 +368,26 @@ impl Task {
         }
     }
 
-    /// Returns the present step of its program.
+    /// Returns the current step of its program.
     pub(crate) fn turn(&self) -> Option<ReadyStep> {
         self.steps().map(Steps::turn)
     }
 
-    /// Records that the present step has begun, and takes this time, or is checked then.
+    /// Records that the current step has begun, and takes this time, or is checked then.
     pub(crate) fn begun(&mut self, now: Instant, time: Duration) {
         if let Activity::Steps(steps) = &mut self.activity {
             steps.begun(now, time);
         }
     }
 
-    /// Checks the present step again at this time, but not before the next line time.
+    /// Checks the current step again at this time, but not before the next line time.
     pub(crate) fn wait(&mut self, now: Instant, until: Instant) {
         if let Activity::Steps(steps) = &mut self.activity {
             steps.wait(now, until);
         }
     }
 
-    /// Checks the present step again at the first time after `quiet` that is whole line times away. Until then nothing
+    /// Checks the current step again at the first time after `quiet` that is whole line times away. Until then nothing
     /// changes what it waits for, unless [`wake`](Self::wake) is called.
     pub(crate) fn poll(&mut self, now: Instant, quiet: Instant) {
         if let Activity::Steps(steps) = &mut self.activity {
@@ -401,12 +402,12 @@ impl Task {
         }
     }
 
-    /// Returns when the present step continues, if the task runs a program and its step is not polled.
+    /// Returns when the current step continues, if the task runs a program and its step is not polled.
     pub(super) fn acts(&self) -> Option<Instant> {
         self.steps().filter(|steps| self.is_running() && !steps.is_polled()).map(Steps::deadline)
     }
 
-    /// Ends the present step of its program, and with it perhaps the cycle.
+    /// Ends the current step of its program, and with it perhaps the cycle.
     pub(crate) fn end_step(&mut self, now: Instant) {
         self.advance(now);
         let Activity::Steps(steps) = &mut self.activity else { return };

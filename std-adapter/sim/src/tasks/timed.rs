@@ -17,7 +17,7 @@ impl Timed {
         Self { cycle: cycle.max(Duration::from_millis(1)), lines: lines.clamp(1, 1000), progress: Duration::ZERO }
     }
 
-    /// Returns the present line, from 1.
+    /// Returns the current line, from 1.
     pub(super) fn line(&self) -> i32 {
         let done = self.progress.as_micros() / self.line_time().as_micros().max(1);
         i32::try_from(done).unwrap_or(i32::MAX).saturating_add(1).min(self.lines.cast_signed())
@@ -27,13 +27,13 @@ impl Timed {
         self.cycle / self.lines
     }
 
-    /// Returns the end of the present line, as a time within the cycle.
+    /// Returns the end of the current line, as a time within the cycle.
     pub(super) fn line_end(&self) -> Duration {
         let line = self.line().unsigned_abs();
         if line >= self.lines { self.cycle } else { self.line_time() * line }
     }
 
-    /// Goes to the beginning of the line before the present one.
+    /// Goes to the beginning of the line before the current one.
     pub(super) fn step_back(&mut self) {
         self.progress = self.line_time() * self.line().unsigned_abs().saturating_sub(2);
     }

@@ -155,7 +155,7 @@ impl World {
         assert_eq!(self.execute(client, "ClearError", ()), ok(&()));
     }
 
-    /// Returns the codes of the present errors, the latest first.
+    /// Returns the codes of the current errors, the latest first.
     pub(crate) fn errors(&self) -> Vec<HResult> {
         self.sim.errors().map(|error| error.code).collect()
     }
@@ -239,7 +239,7 @@ pub(crate) fn doubles(value: &Value) -> Vec<f64> {
     array.items::<f64>().expect("an array of R8").iter().collect()
 }
 
-/// Tells whether numbers are close to others.
+/// Returns whether numbers are close to others.
 pub(crate) fn close(a: &[f64], b: &[f64], tolerance: f64) -> bool {
     a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() <= tolerance)
 }

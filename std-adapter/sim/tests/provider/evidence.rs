@@ -174,7 +174,7 @@ impl Player {
         Ok(())
     }
 
-    /// Makes a step.
+    /// Creates a step.
     fn step(&mut self, target: &str, argument: &Value) -> Reply {
         match target {
             "pass" => self.rig.call("", "pass", argument, Turn::Whole),
@@ -203,7 +203,7 @@ impl Player {
         }
     }
 
-    /// Compares the codes of the present errors, or the first ones of the log, in reverse order.
+    /// Compares the codes of the current errors, or the first ones of the log, in reverse order.
     fn codes(&self, log: bool, expected: &Value) -> Reply {
         let expected: Vec<_> =
             expected.as_array().expect("codes").iter().map(|item| parse_code(item.as_str().unwrap())).collect();
@@ -338,7 +338,7 @@ fn parse_code(digits: &str) -> HResult {
     HResult::from_u32(u32::from_str_radix(digits, 16).unwrap_or_else(|_| panic!("{digits} is no code")))
 }
 
-/// Tells whether an answer is a value, or meets a condition: `{ bits = n }` all set, `{ without = n }` none set,
+/// Returns whether an answer is a value, or meets a condition: `{ bits = n }` all set, `{ without = n }` none set,
 /// `{ from = n, to = m }`, `{ nonzero = true }` not 0 in any place and no empty text, `{ count = n }` of places, and of one place
 /// `{ at = n, is = value }` or `{ at = n, type = "DATE" }`.
 fn meets(answer: &Variant<'_>, expected: &Value) -> bool {

@@ -78,7 +78,7 @@ fn layout(value: &Variant<'_>) -> String {
     }
 }
 
-/// Tells whether a value has these numbers, or is this text.
+/// Returns whether a value has these numbers, or is this text.
 fn is(value: &Variant<'_>, expected: &Value) -> bool {
     match (value, expected) {
         (Variant::Array(array), Value::Array(items)) => {

@@ -55,7 +55,7 @@ fn a_pose_out_of_reach_is_refused_before_its_turn() {
     let mut world = World::new();
     let client = world.mover(1);
     assert_eq!(next(&mut world, client, "J(160,45,90,0,45,0)"), HResult::S_OK);
-    // from 160, not from the present 0
+    // from 160, not from the current 0
     let drive = call::robot_drive(client.robot, 1, 20.0, "NEXT");
     assert_eq!(world.call(client.peer, drive).0, HResult::from_u32(0x8320_4231));
     assert!(!world.sim.is_moving());

@@ -46,7 +46,7 @@ fn pass(random: &mut fastrand::Rng) -> &'static str {
     ["", "@0 ", "@E ", "@P ", "@P ", "@5 ", "@100 "][random.usize(0..7)]
 }
 
-/// Makes a command of a motion; most are possible, some are not.
+/// Creates a command of a motion; most are possible, some are not.
 fn command(world: &mut World, arm: &Geometry, client: Client, random: &mut fastrand::Rng) -> HResult {
     let mut percent = |least: f64| least + (100.0 - least) * random.f64();
     let option = format!("SPEED={},ACCEL={},DECEL={},NEXT", percent(1.0), percent(5.0), percent(5.0));

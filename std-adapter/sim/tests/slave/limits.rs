@@ -121,7 +121,7 @@ fn stream(rig: &mut Rig, poses: &[[f64; 8]]) -> Vec<HResult> {
     causes(rig)
 }
 
-/// Returns the present errors, without the refusal of the poses after them.
+/// Returns the current errors, without the refusal of the poses after them.
 fn causes(rig: &Rig) -> Vec<HResult> {
     rig.errors().into_iter().filter(|code| *code != HResult::E_SLVMODE_OFF).collect()
 }

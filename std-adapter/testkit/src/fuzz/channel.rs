@@ -27,7 +27,7 @@ pub enum Protocol {
 }
 
 impl Protocol {
-    /// Tells whether packets are datagrams.
+    /// Returns whether packets are datagrams.
     #[must_use]
     pub const fn is_datagrams(self) -> bool {
         matches!(self, Self::Bcap(Link::Udp))

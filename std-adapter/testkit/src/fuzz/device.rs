@@ -123,7 +123,7 @@ impl<'d> Device<'d> {
         self.packets
     }
 
-    /// Tells whether packets are datagrams.
+    /// Returns whether packets are datagrams.
     #[must_use]
     pub const fn is_datagrams(&self) -> bool {
         matches!(self.link, Link::Udp)
@@ -133,7 +133,7 @@ impl<'d> Device<'d> {
         self.rac.is_some()
     }
 
-    /// Tells whether the caller has ended the run.
+    /// Returns whether the caller has ended the run.
     pub(super) fn is_ended(&self) -> bool {
         (self.is_ended)()
     }

@@ -127,7 +127,7 @@ impl Bench {
     }
 }
 
-/// Makes an engine that wants its first pose.
+/// Creates an engine that wants its first pose.
 fn streaming(pose: &[f64; 8], format: Format) -> Engine {
     let handles = Handles { controller: ControllerHandle(2), robot: RobotHandle(3) };
     let limits = AxisLimits::uniform(100.0, 800.0);
@@ -140,7 +140,7 @@ fn streaming(pose: &[f64; 8], format: Format) -> Engine {
     engine
 }
 
-/// Makes a frame of any size.
+/// Creates a frame of any size.
 fn frame(code: i32, arguments: &[&dyn Encode]) -> Vec<u8> {
     let mut buffer = vec![0; 16 * 1024];
     let mut frame = FrameWriter::new(&mut buffer).expect("16 KiB hold a header");

@@ -182,7 +182,7 @@ impl Image {
     }
 }
 
-/// Tells whether a function is where panics go.
+/// Returns whether a function is where panics go.
 fn panics(symbol: &str) -> bool {
     symbol.contains("core::panicking") || symbol.contains("rust_begin_unwind") || symbol == "panicked"
 }

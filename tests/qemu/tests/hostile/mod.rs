@@ -420,7 +420,7 @@ fn uptime(page: &[u8]) -> Option<u64> {
     after.split(',').next()?.parse().ok()
 }
 
-/// Makes a frame that is random, apart from the head of an IPv4, ARP, TCP, UDP or ICMP packet to the board.
+/// Creates a frame that is random, apart from the head of an IPv4, ARP, TCP, UDP or ICMP packet to the board.
 fn random_frame(rng: &mut Rng) -> Vec<u8> {
     let mut bytes: Vec<u8> = (0..rng.usize(1..1400)).map(|_| rng.u8(..)).collect();
     let protocol = [IpProtocol::Tcp, IpProtocol::Udp, IpProtocol::Icmp, IpProtocol::Igmp][rng.usize(..4)];

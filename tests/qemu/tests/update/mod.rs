@@ -121,7 +121,7 @@ fn bcap_updates_a_board_over_the_network() {
     check_model(&rig);
 }
 
-/// Tells whether the board answers a request over the network.
+/// Returns whether the board answers a request over the network.
 fn rig_answers(rig: &Rig) -> Option<()> {
     let mut plc = Plc::try_connect(&rig.rac, Duration::from_millis(300)).ok()?;
     plc.try_ask("GET:RC8:1:I:\r").ok().map(drop)

@@ -16,7 +16,7 @@ use bcap_live::model;
 use bcap_terminal::screen::{Terminal, require};
 use clap::Args;
 use reader::{Reader, ScreenLink};
-use state::{ALL_KEYS, Action, HALTED, Request, State, Update, not_halted};
+use state::{ALL_KEYS, Action, HALTED, MonitorState, Request, ScreenUpdate, not_halted};
 
 use crate::commands::robot::halt::halt_now;
 use crate::failure::Failure;
@@ -99,7 +99,7 @@ pub(crate) fn monitor(args: &Monitor, session: &mut Session, json: bool) -> Resu
     reader.session.controller()?;
     reader.names = expand(&mut reader.session, &selections)?;
     paths(&reader.names)?;
-    let state = State::new(link.target()?.to_string(), args.packets);
+    let state = MonitorState::new(link.target()?.to_string(), args.packets);
     let mut screen = LiveScreen { state, interrupt, link, updates, update, packet, requests, halts: Vec::new() };
     let reading = thread::Builder::new().name("reader".into()).spawn(move || reader.run())?;
     let ended = screen.run(&reading);
@@ -116,16 +116,16 @@ pub(crate) fn monitor(args: &Monitor, session: &mut Session, json: bool) -> Resu
 
 /// Prints the outcomes of halts and writes that the screen no longer showed. A failed halt is the result, also if the screen still
 /// showed it.
-fn outcomes(update: &Receiver<Update>, shown: Option<&str>) -> Result<(), Failure> {
+fn outcomes(update: &Receiver<ScreenUpdate>, shown: Option<&str>) -> Result<(), Failure> {
     let mut failed = shown.map(str::to_owned);
     while let Ok(update) = update.try_recv() {
         match update {
-            Update::Done(Ok(text) | Err(text)) => note(&text),
-            Update::Halted(Ok(())) => {
+            ScreenUpdate::Done(Ok(text) | Err(text)) => note(&text),
+            ScreenUpdate::Halted(Ok(())) => {
                 note(HALTED);
                 failed = None;
             }
-            Update::Halted(Err(failure)) => failed = Some(not_halted(&failure)),
+            ScreenUpdate::Halted(Err(failure)) => failed = Some(not_halted(&failure)),
             _ => {}
         }
     }
@@ -133,11 +133,11 @@ fn outcomes(update: &Receiver<Update>, shown: Option<&str>) -> Result<(), Failur
 }
 
 struct LiveScreen {
-    state: State,
+    state: MonitorState,
     interrupt: Interrupt,
     link: LinkArgs,
-    updates: Sender<Update>,
-    update: Receiver<Update>,
+    updates: Sender<ScreenUpdate>,
+    update: Receiver<ScreenUpdate>,
     packet: Receiver<(Role, String)>,
     requests: Sender<Request>,
     /// The threads that halt the robot now.
@@ -154,7 +154,7 @@ impl LiveScreen {
             // the outcomes of the others are drawn below
             self.halts.retain(|halt| !halt.is_finished());
             while let Ok((role, text)) = self.packet.try_recv() {
-                self.state.apply(Update::Live(model::Update::Packet(role, text)));
+                self.state.apply(ScreenUpdate::Live(model::Update::Packet(role, text)));
             }
             while let Ok(update) = self.update.try_recv() {
                 self.state.apply(update);
@@ -190,7 +190,7 @@ impl LiveScreen {
                 Ok(false) | Err(_) => halt_now(&link).map(drop),
             };
             // without a receiver the command has ended
-            let _ = updates.send(Update::Halted(halted));
+            let _ = updates.send(ScreenUpdate::Halted(halted));
             if idle.is_err() {
                 interrupt.dismiss();
             }

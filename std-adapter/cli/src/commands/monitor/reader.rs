@@ -9,7 +9,7 @@ use bcap_live::model;
 use bcap_live::reader::{self, Rounds, SLOW};
 use bcap_live::write::check;
 
-use super::state::{Request, Update};
+use super::state::{Request, ScreenUpdate};
 use crate::failure::Failure;
 use crate::interrupt::Interrupt;
 use crate::session::Session;
@@ -26,7 +26,7 @@ pub(crate) struct Reader {
 
 /// The link to the thread of the screen.
 pub(crate) struct ScreenLink {
-    pub(crate) updates: Sender<Update>,
+    pub(crate) updates: Sender<ScreenUpdate>,
     pub(crate) requests: Receiver<Request>,
 }
 
@@ -41,7 +41,7 @@ impl Reader {
                 self.screen.tell(model::Update::Lost(text.clone()));
                 match self.screen.wait(SLOW) {
                     None => return,
-                    Some(Some(Request::Halt)) => self.screen.send(Update::Halted(Err(Failure::Connection {
+                    Some(Some(Request::Halt)) => self.screen.send(ScreenUpdate::Halted(Err(Failure::Connection {
                         message: "there is no connection".into(),
                         hint: "it is tried again every second".into(),
                     }))),
@@ -62,7 +62,7 @@ impl Reader {
         if !self.session.link().is_serial()
             && let Err(failure) = self.session.prepare_halt(&self.interrupt)
         {
-            self.screen.send(Update::Done(Err(format!(
+            self.screen.send(ScreenUpdate::Done(Err(format!(
                 "h has no connection yet, and opens one when it is pressed: {failure}"
             ))));
         }
@@ -85,7 +85,7 @@ impl Reader {
 
 impl Rounds<Session> for ScreenLink {
     fn tell(&mut self, update: model::Update) {
-        self.send(Update::Live(update));
+        self.send(ScreenUpdate::Live(update));
     }
 
     /// Carries out the requests that the user made meanwhile. Fails when the user has quit.
@@ -99,14 +99,14 @@ impl Rounds<Session> for ScreenLink {
 }
 
 impl ScreenLink {
-    fn send(&self, update: Update) {
+    fn send(&self, update: ScreenUpdate) {
         // without a receiver the command is ending, and the requests end too
         let _ = self.updates.send(update);
     }
 
     /// Refuses a request that needs a connection.
     fn refuse(&self) {
-        self.send(Update::Done(Err("there is no connection".into())));
+        self.send(ScreenUpdate::Done(Err("there is no connection".into())));
     }
 
     /// Answers the requests that the user made before there was a connection. Only a halt is carried out.
@@ -134,17 +134,18 @@ impl ScreenLink {
         let update = match request {
             Request::Check(name, text) => match check(session, &name, &text) {
                 Err(failure) if needs_reconnect(&failure) => return Err(failure),
-                checked => Update::Checked(checked.map(Box::new).map_err(|failure| format!("{name}: {failure}"))),
+                checked => ScreenUpdate::Checked(checked.map(Box::new).map_err(|failure| format!("{name}: {failure}"))),
             },
             Request::Write(write) => match write.perform_unless_changed(session) {
                 Err(failure) if !failure.leaves_the_session_alive() => {
                     let what = format!("{}: it is unknown whether it was written: {failure}", write.path);
-                    self.send(Update::Done(Err(what)));
+                    self.send(ScreenUpdate::Done(Err(what)));
                     return Err(failure);
                 }
-                Err(failure) => Update::Done(Err(format!("not written: {failure}"))),
+                Err(failure) => ScreenUpdate::Done(Err(format!("not written: {failure}"))),
                 Ok(()) => {
-                    Update::Done(Ok(format!("{} = {} is written", write.path, data::format(write.value.as_variant()))))
+                    let value = data::format(write.value.as_variant());
+                    ScreenUpdate::Done(Ok(format!("{} = {value} is written", write.path)))
                 }
             },
             Request::Halt => {
@@ -153,7 +154,7 @@ impl ScreenLink {
                 {
                     halted = session.reconnect().and_then(|()| session.halt());
                 }
-                Update::Halted(halted)
+                ScreenUpdate::Halted(halted)
             }
         };
         self.send(update);

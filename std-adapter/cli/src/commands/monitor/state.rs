@@ -46,7 +46,7 @@ enum Focus {
 
 /// The state of the monitor.
 #[derive(Debug, Default)]
-pub(crate) struct State {
+pub(crate) struct MonitorState {
     address: String,
     model: Model,
     /// The names of the variables that the user has marked.
@@ -86,7 +86,7 @@ enum Input {
 
 /// A result of the reader.
 #[derive(Debug)]
-pub(crate) enum Update {
+pub(crate) enum ScreenUpdate {
     /// The controller was read.
     Live(model::Update),
     /// A value that was typed was checked.
@@ -125,7 +125,7 @@ pub(crate) enum Request {
     Halt,
 }
 
-impl State {
+impl MonitorState {
     pub(crate) fn new(address: String, shows_calls: bool) -> Self {
         Self { address, shows_calls, ..Self::default() }
     }
@@ -135,9 +135,9 @@ impl State {
         self.model.now = now;
     }
 
-    pub(crate) fn apply(&mut self, update: Update) {
+    pub(crate) fn apply(&mut self, update: ScreenUpdate) {
         match update {
-            Update::Live(update) => {
+            ScreenUpdate::Live(update) => {
                 let count = self.model.variables.len();
                 if matches!(update, model::Update::Lost(_)) {
                     self.end_question();
@@ -147,15 +147,15 @@ impl State {
                     self.selected = 0;
                 }
             }
-            Update::Checked(Ok(write)) if self.checks && matches!(self.input, Input::None) => {
+            ScreenUpdate::Checked(Ok(write)) if self.checks && matches!(self.input, Input::None) => {
                 self.input = Input::Asking(write);
             }
             // a `y` that the user types now is no answer
-            Update::Checked(Ok(write)) => self.notice = Line::alarm(format!("{} was not written", write.path)),
-            Update::Checked(Err(why)) | Update::Done(Err(why)) => self.notice = Line::alarm(why),
-            Update::Done(Ok(what)) => self.notice = Line::new(what),
-            Update::Halted(Ok(())) => (self.notice, self.not_halted) = (Line::new(HALTED), None),
-            Update::Halted(Err(failure)) => self.not_halted = Some(not_halted(&failure)),
+            ScreenUpdate::Checked(Ok(write)) => self.notice = Line::alarm(format!("{} was not written", write.path)),
+            ScreenUpdate::Checked(Err(why)) | ScreenUpdate::Done(Err(why)) => self.notice = Line::alarm(why),
+            ScreenUpdate::Done(Ok(what)) => self.notice = Line::new(what),
+            ScreenUpdate::Halted(Ok(())) => (self.notice, self.not_halted) = (Line::new(HALTED), None),
+            ScreenUpdate::Halted(Err(failure)) => self.not_halted = Some(not_halted(&failure)),
         }
     }
 
@@ -318,7 +318,7 @@ impl State {
         None
     }
 
-    /// Returns the present content.
+    /// Returns the current content.
     pub(crate) fn screen(&self) -> Screen {
         let state = match &self.model.lost {
             Some(why) => format!("NOT CONNECTED: {why}"),
@@ -497,14 +497,14 @@ mod tests {
         Ok(Value::new(&n).unwrap())
     }
 
-    fn state() -> State {
-        let mut state = State::new("tcp:robot".into(), false);
-        state.apply(Update::Live(Live::Connected(vec!["I1".into(), "IO128".into()])));
-        state.apply(Update::Live(Live::Value(0, value(3))));
+    fn state() -> MonitorState {
+        let mut state = MonitorState::new("tcp:robot".into(), false);
+        state.apply(ScreenUpdate::Live(Live::Connected(vec!["I1".into(), "IO128".into()])));
+        state.apply(ScreenUpdate::Live(Live::Value(0, value(3))));
         state
     }
 
-    fn typed(state: &mut State, keys: &str) -> Option<Action> {
+    fn typed(state: &mut MonitorState, keys: &str) -> Option<Action> {
         keys.chars().map(|c| state.key(KeyCode::Char(c).into())).last().flatten()
     }
 
@@ -513,9 +513,9 @@ mod tests {
         let mut state = state();
         assert_eq!(state.screen().values.lines[0].mark, Mark::Plain);
         state.set_time(Duration::from_secs(5));
-        state.apply(Update::Live(Live::Value(0, value(4))));
-        state.apply(Update::Live(Live::Value(1, Ok(Value::new(&true).unwrap()))));
-        state.apply(Update::Live(Live::Value(9, value(4))));
+        state.apply(ScreenUpdate::Live(Live::Value(0, value(4))));
+        state.apply(ScreenUpdate::Live(Live::Value(1, Ok(Value::new(&true).unwrap()))));
+        state.apply(ScreenUpdate::Live(Live::Value(9, value(4))));
         let screen = state.screen();
         assert_eq!(text(&screen), ["I1 = 4", "IO128 = true"]);
         let marks = screen.values.lines.iter().map(|line| (line.mark, line.history.clone())).collect::<Vec<_>>();
@@ -528,14 +528,14 @@ mod tests {
     #[test]
     fn a_lost_connection_is_shown_and_the_history_stays() {
         let mut state = state();
-        state.apply(Update::Live(Live::Errors(Ok(Vec::new()))));
+        state.apply(ScreenUpdate::Live(Live::Errors(Ok(Vec::new()))));
         assert_eq!(state.screen().errors.lines, [Line::new("no errors")]);
-        state.apply(Update::Live(Live::Lost("the cable is broken".into())));
+        state.apply(ScreenUpdate::Live(Live::Lost("the cable is broken".into())));
         let screen = state.screen();
         assert_eq!(screen.errors.lines, [Line::new("the connection is lost")]);
         assert_eq!((screen.state.as_str(), screen.alarm), ("NOT CONNECTED: the cable is broken", true));
-        state.apply(Update::Live(Live::Connected(vec!["I1".into(), "IO128".into()])));
-        state.apply(Update::Live(Live::State(vec!["RC8".into(), "auto".into()], false)));
+        state.apply(ScreenUpdate::Live(Live::Connected(vec!["I1".into(), "IO128".into()])));
+        state.apply(ScreenUpdate::Live(Live::State(vec!["RC8".into(), "auto".into()], false)));
         let screen = state.screen();
         assert_eq!((screen.state.as_str(), screen.alarm), ("RC8 auto", false));
         assert_eq!(screen.values.lines[0].history, [3.0]);
@@ -556,22 +556,23 @@ mod tests {
         assert_eq!((name.as_str(), data.as_str()), ("I1", "5qh"));
         let [value, before] = [5, 3].map(|n| Value::new(&n).unwrap());
         let write = Box::new(Write { path: ObjectPath::variable("I1").unwrap(), value, before });
-        state.apply(Update::Checked(Ok(write.clone())));
+        state.apply(ScreenUpdate::Checked(Ok(write.clone())));
         assert_eq!(state.screen().notice.text, "write I1 = 5, now 3? y/N");
         assert!(typed(&mut state, "n").is_none());
         assert_eq!(state.screen().notice.text, "nothing was written");
         state.checks = true;
-        state.apply(Update::Checked(Ok(write.clone())));
+        state.apply(ScreenUpdate::Checked(Ok(write.clone())));
         assert!(matches!(typed(&mut state, "y"), Some(Action::Request(Request::Write(_)))));
         // a question of a connection that is lost is not answered
         state.checks = true;
-        state.apply(Update::Checked(Ok(write)));
-        state.apply(Update::Live(Live::Lost("the cable is broken".into())));
+        state.apply(ScreenUpdate::Checked(Ok(write)));
+        state.apply(ScreenUpdate::Live(Live::Lost("the cable is broken".into())));
         assert!(typed(&mut state, "y").is_none());
         // a check that ends while the next value is typed asks nothing
         let [value, before] = [6, 5].map(|n| Value::new(&n).unwrap());
         typed(&mut state, "w");
-        state.apply(Update::Checked(Ok(Box::new(Write { path: ObjectPath::variable("I1").unwrap(), value, before }))));
+        let write = Write { path: ObjectPath::variable("I1").unwrap(), value, before };
+        state.apply(ScreenUpdate::Checked(Ok(Box::new(write))));
         assert!(typed(&mut state, "y").is_none());
         assert_eq!(state.screen().notice.text, "write NAME=VALUE: I1=y_   I1 was not written");
         state.key(KeyCode::Esc.into());
@@ -590,7 +591,7 @@ mod tests {
         let [value, before] = [5, 3].map(|n| Value::new(&n).unwrap());
         let write = Write { path: ObjectPath::variable("I1").unwrap(), value, before };
         state.checks = true;
-        state.apply(Update::Checked(Ok(Box::new(write))));
+        state.apply(ScreenUpdate::Checked(Ok(Box::new(write))));
         typed(&mut state, "y");
         let Some(Action::Request(Request::Check(name, text))) = typed(&mut state, "u") else { panic!("no check") };
         assert_eq!([name, text], ["I1", "3"]);
@@ -600,7 +601,7 @@ mod tests {
     fn six_errors_are_one_line_each_and_enter_explains_one() {
         let mut state = state();
         let error = |n: u8| (HResult::E_MOTOR_OFF, format!("error {n}"));
-        state.apply(Update::Live(Live::Errors(Ok((1..=6).map(error).collect()))));
+        state.apply(ScreenUpdate::Live(Live::Errors(Ok((1..=6).map(error).collect()))));
         assert_eq!(state.screen().errors.title, "6 errors, first cause first");
         assert_eq!((state.screen().errors.lines.len(), state.screen().errors.view), (6, Part::First));
         for key in [KeyCode::Tab, KeyCode::Tab, KeyCode::Down, KeyCode::Enter] {
@@ -626,8 +627,8 @@ mod tests {
     fn the_filter_and_the_order_choose_the_variable_that_is_written() {
         let mut state = state();
         state.set_time(Duration::from_secs(1));
-        state.apply(Update::Live(Live::Value(1, value(1))));
-        state.apply(Update::Live(Live::Value(1, value(2))));
+        state.apply(ScreenUpdate::Live(Live::Value(1, value(1))));
+        state.apply(ScreenUpdate::Live(Live::Value(1, value(2))));
         typed(&mut state, "s");
         assert_eq!(text(&state.screen()), ["IO128 = 2", "I1 = 3"]);
         typed(&mut state, "/1h");
@@ -656,7 +657,9 @@ mod tests {
         state.key(KeyCode::Home.into());
         typed(&mut state, " ");
         assert_eq!(text(&state.screen())[0], "I1 = 3");
-        let packet = |state: &mut State, role, text: &str| state.apply(Update::Live(Live::Packet(role, text.into())));
+        let packet = |state: &mut MonitorState, role, text: &str| {
+            state.apply(ScreenUpdate::Live(Live::Packet(role, text.into())));
+        };
         packet(&mut state, Role::Request, "#1 Controller_GetVariable(controller: I4(1), name: \"I1\", option: \"\")");
         packet(&mut state, Role::Response, "#1 0x00000000 (S_OK): I4(6)");
         for (second, value) in [(1, 7), (2, 7), (3, 8)] {
@@ -681,7 +684,7 @@ mod tests {
         let halt = KeyEvent::new(KeyCode::Char('x'), KeyModifiers::CONTROL);
         typed(&mut state, "w1");
         assert!(matches!(state.key(halt), Some(Action::Halt)));
-        state.apply(Update::Done(Err("the cable is broken".into())));
+        state.apply(ScreenUpdate::Done(Err("the cable is broken".into())));
         assert_eq!(state.screen().notice, Line::alarm("the cable is broken"));
         let quit = KeyEvent::new(KeyCode::Char('c'), KeyModifiers::CONTROL);
         typed(&mut state, "w1");
@@ -693,24 +696,25 @@ mod tests {
         let mut state = state();
         let failed = || {
             let (message, hint) = ("the cable is broken".into(), "plug it in".into());
-            Update::Halted(Err(Failure::Connection { message, hint }))
+            ScreenUpdate::Halted(Err(Failure::Connection { message, hint }))
         };
         let text = "NOT HALTED, use the emergency stop: the cable is broken";
         state.checks = true;
         typed(&mut state, "h");
         // the check that ends after the halt asks nothing
         let [value, before] = [5, 3].map(|n| Value::new(&n).unwrap());
-        state.apply(Update::Checked(Ok(Box::new(Write { path: ObjectPath::variable("I1").unwrap(), value, before }))));
+        let write = Write { path: ObjectPath::variable("I1").unwrap(), value, before };
+        state.apply(ScreenUpdate::Checked(Ok(Box::new(write))));
         assert_eq!(state.screen().notice, Line::alarm("I1 was not written"));
         state.apply(failed());
         typed(&mut state, "n");
-        state.apply(Update::Done(Ok("I1 = 5 is written".into())));
+        state.apply(ScreenUpdate::Done(Ok("I1 = 5 is written".into())));
         assert_eq!(state.screen().notice, Line::alarm(text));
         typed(&mut state, "/");
         assert!(state.screen().notice.text.starts_with("NOT HALTED, use the emergency stop   show names"));
         state.key(KeyCode::Esc.into());
         assert_eq!(state.screen().notice, Line::alarm(text));
-        state.apply(Update::Halted(Ok(())));
+        state.apply(ScreenUpdate::Halted(Ok(())));
         assert_eq!((state.screen().notice, state.not_halted()), (Line::new(HALTED), None));
         state.apply(failed());
         state.key(KeyCode::Esc.into());
@@ -726,7 +730,7 @@ mod tests {
             state.key(key.into());
             assert_eq!(state.screen().values.view, Part::Around(selected));
         }
-        let mut empty = State::new(String::new(), false);
+        let mut empty = MonitorState::new(String::new(), false);
         empty.key(KeyCode::Down.into());
         assert_eq!(empty.screen().values.view, Part::Around(0));
     }

@@ -16,7 +16,7 @@ use bcap_terminal::escape;
 use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 
-use crate::commands::packets::items::{Items, Source};
+use crate::commands::packets::items::{ItemSource, Items};
 use crate::failure::Failure;
 use crate::output::{print_json, print_line};
 
@@ -169,11 +169,11 @@ pub(crate) fn decode(args: &Decode, json: bool) -> Result<(), Failure> {
                     (false, false) => format!("{value:?}"),
                 })
             }
-            Source::Line => {
+            ItemSource::Line => {
                 let frame = decoder.decode_datagram(&bytes)?;
                 Ok(if json { frame::to_json(&frame, args.role) } else { frame::to_line(&frame, args.role) })
             }
-            Source::Argument => all_frames(&bytes, decoder, args.role, json),
+            ItemSource::Argument => all_frames(&bytes, decoder, args.role, json),
         }
     })
 }

@@ -36,16 +36,16 @@ impl Items {
     pub(crate) fn convert(
         self,
         json: bool,
-        mut convert: impl FnMut(&[u8], Source) -> Result<String, ConvertError>,
+        mut convert: impl FnMut(&[u8], ItemSource) -> Result<String, ConvertError>,
     ) -> Result<(), Failure> {
         match self {
             Self::One(text) => {
                 let print = if json { print_json } else { print_block };
-                Ok(print(&convert(text.as_bytes(), Source::Argument).map_err(Failure::Item)?)?)
+                Ok(print(&convert(text.as_bytes(), ItemSource::Argument).map_err(Failure::Item)?)?)
             }
             Self::Lines => {
                 let escape = if json { escape::json } else { escape::line };
-                let convert = |line: &[u8]| convert(line, Source::Line).map(|converted| escape(&converted));
+                let convert = |line: &[u8]| convert(line, ItemSource::Line).map(|converted| escape(&converted));
                 let bad = each_line(io::stdin().lock(), io::stdout().lock(), convert)?;
                 if bad > 0 { Err(Failure::BadLines(bad)) } else { Ok(()) }
             }
@@ -55,7 +55,7 @@ impl Items {
 
 /// The source of an item.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Source {
+pub(crate) enum ItemSource {
     /// The command line: the output may have several lines.
     Argument,
     /// A line of the standard input: the output has one line.

@@ -64,7 +64,7 @@ fn follow(time: Option<Duration>, session: &mut Session, json: bool) -> Result<(
     })
 }
 
-/// Prints the present errors.
+/// Prints the current errors.
 pub(crate) fn list(session: &mut Session, json: bool) -> Result<(), Failure> {
     let mut check = StreamCheck::default();
     let count = count(session, &mut check)?;

@@ -52,7 +52,7 @@ pub(crate) struct Jog {
     pub(crate) how: MotionArgs,
 }
 
-/// Writes the present position of the robot to a variable, and prints the old and the new value
+/// Writes the current position of the robot to a variable, and prints the old and the new value
 ///
 /// The position is of the selected tool and work coordinates, which are printed too. The robot must rest.
 #[derive(Debug, Args)]

@@ -106,7 +106,7 @@ impl Keys<'_> {
         None
     }
 
-    /// Makes a step. A key that halts, a signal and a lost terminal halt the robot.
+    /// Creates a step. A key that halts, a signal and a lost terminal halt the robot.
     fn step(&mut self, by: f64, terminal: &mut Terminal, session: &mut Session) -> Result<(), Failure> {
         let Some((axis, _)) = self.axes.get(self.selected) else { return Ok(()) };
         let args = motion::step(*axis, by, self.how);

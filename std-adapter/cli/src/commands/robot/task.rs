@@ -78,11 +78,11 @@ pub(crate) struct When {
     #[arg(long)]
     pub(crate) now: bool,
 
-    /// Stops after the present step
+    /// Stops after the current step
     #[arg(long)]
     pub(crate) after_step: bool,
 
-    /// Stops after the present cycle
+    /// Stops after the current cycle
     #[arg(long)]
     pub(crate) after_cycle: bool,
 

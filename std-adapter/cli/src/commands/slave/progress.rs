@@ -15,13 +15,13 @@ use crate::interrupt::Interrupt;
 use crate::link::LinkArgs;
 
 /// The monitor thread of a stream.
-pub(crate) struct Monitor {
+pub(crate) struct StreamMonitor {
     pub(crate) status: Arc<StreamStatus>,
     done: Option<Sender<()>>,
     thread: Option<JoinHandle<()>>,
 }
 
-impl Monitor {
+impl StreamMonitor {
     /// Starts to handle signals and to show the progress up to `cycles`.
     pub(crate) fn start(link: &LinkArgs, interrupt: Interrupt, cycles: u32) -> Result<Self, Failure> {
         let status = Arc::new(StreamStatus::default());
@@ -34,7 +34,7 @@ impl Monitor {
     }
 }
 
-impl Drop for Monitor {
+impl Drop for StreamMonitor {
     /// Clears the progress from the terminal and ends the thread.
     fn drop(&mut self) {
         drop(self.done.take());

@@ -21,7 +21,7 @@ use bcap_stream::plot::plot;
 use bcap_stream::report::{Report, text};
 use bcap_stream::status::StreamStatus;
 
-use super::progress::Monitor;
+use super::progress::StreamMonitor;
 use crate::commands::slave::args::StreamArgs;
 use crate::failure::{AFTER_STREAM, Failure, cannot};
 use crate::interrupt::Interrupt;
@@ -117,7 +117,7 @@ impl Job<'_> {
         let (start, limits) = (course.start(), limits(args));
         let config = Config { watch: watching, start, limits, motor_off, ..Config::new(format, handles) };
         let mut engine = Engine::<MOVE_ROOM>::new(config).map_err(|error| Failure::Input(error.to_string()))?;
-        let monitor = Monitor::start(self.link, self.interrupt.clone(), course.cycles())?;
+        let monitor = StreamMonitor::start(self.link, self.interrupt.clone(), course.cycles())?;
         // after all other threads have started, so that they do not inherit the real-time settings
         let realtime = Realtime::default().fifo(args.fifo).lock_memory(args.lock_memory).core(args.core);
         realtime.apply().map_err(|error| Failure::Input(error.to_string()))?;

@@ -6,13 +6,13 @@ use crate::bcap::Object;
 ///
 /// Most handlers count their handles up. As long as they do, an object is found by a binary search.
 #[derive(Debug)]
-pub(super) struct Opened<const N: usize> {
+pub(super) struct OpenObjects<const N: usize> {
     objects: heapless::Vec<(Object, i32), N>,
     /// No handle is less than the one before it.
     is_ascending: bool,
 }
 
-impl<const N: usize> Opened<N> {
+impl<const N: usize> OpenObjects<N> {
     pub(super) const fn new() -> Self {
         Self { objects: heapless::Vec::new(), is_ascending: true }
     }
@@ -64,14 +64,14 @@ mod tests {
     use Object::{Controller, Robot, Service, Task, Variable};
 
     /// Removes all objects, the last first.
-    fn drain<const N: usize>(mut opened: Opened<N>) -> heapless::Vec<(Object, i32), N> {
+    fn drain<const N: usize>(mut opened: OpenObjects<N>) -> heapless::Vec<(Object, i32), N> {
         core::iter::from_fn(|| opened.pop()).collect()
     }
 
     #[test]
     fn objects_are_found_whatever_the_order_of_their_handles() {
         for handles in [[2, 3, 4, 5], [5, 4, 3, 2], [3, 5, 2, 4], [i32::MAX, -1, 0, i32::MIN]] {
-            let mut opened = Opened::<8>::new();
+            let mut opened = OpenObjects::<8>::new();
             for handle in handles {
                 opened.insert(Variable, handle);
             }
@@ -89,7 +89,7 @@ mod tests {
 
     #[test]
     fn kinds_with_the_same_handle_are_different_objects() {
-        let mut opened = Opened::<8>::new();
+        let mut opened = OpenObjects::<8>::new();
         for (object, handle) in [(Service, 0), (Controller, 7), (Robot, 7), (Task, 7), (Robot, 7)] {
             opened.insert(object, handle);
         }
@@ -101,7 +101,7 @@ mod tests {
 
     #[test]
     fn an_emptied_list_ascends_again() {
-        let mut opened = Opened::<4>::new();
+        let mut opened = OpenObjects::<4>::new();
         for handle in [2, 1] {
             opened.insert(Variable, handle);
         }
@@ -114,7 +114,7 @@ mod tests {
 
     #[test]
     fn a_full_list_remains_as_it_is() {
-        let mut opened = Opened::<2>::new();
+        let mut opened = OpenObjects::<2>::new();
         for handle in [4, 6, 5] {
             opened.insert(Variable, handle);
         }

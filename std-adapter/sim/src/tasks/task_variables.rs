@@ -10,19 +10,19 @@ use crate::context::Context;
 use crate::table::Property;
 use crate::value::{ValueResult, one_int, owned};
 
-type Read = fn(&Task) -> ValueResult;
-type Write = fn(&mut Task, &mut Context<'_>, &Variant<'_>) -> Answered;
+type TaskGetter = fn(&Task) -> ValueResult;
+type TaskSetter = fn(&mut Task, &mut Context<'_>, &Variant<'_>) -> Answered;
 
-const fn read(name: &'static str, get: Read) -> Property<Read, Write> {
+const fn read(name: &'static str, get: TaskGetter) -> Property<TaskGetter, TaskSetter> {
     Property::read(name, get)
 }
 
-const fn write(name: &'static str, put: Write, accepts: &'static str) -> Property<Read, Write> {
+const fn write(name: &'static str, put: TaskSetter, accepts: &'static str) -> Property<TaskGetter, TaskSetter> {
     Property::write(name, put, accepts)
 }
 
 /// The system variables of a task, in the order of Task_GetVariableNames.
-pub(crate) const VARIABLES: &[Property<Read, Write>] = &[
+pub(crate) const VARIABLES: &[Property<TaskGetter, TaskSetter>] = &[
     read("@STATUS", Task::status_value),
     read("@STATUS_DETAILS", Task::status_value),
     Property::unsupported("@PRIORITY"),

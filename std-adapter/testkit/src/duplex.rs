@@ -5,7 +5,7 @@
 //! ```
 //! use std::io::{Read, Write};
 //!
-//! let (mut client, mut server) = bcap_testkit::link::pair();
+//! let (mut client, mut server) = bcap_testkit::duplex::pair();
 //! // one read returns at most 2 bytes, as a slow network does
 //! server.limit_reads(2);
 //! client.write_all(b"GET:RC8:1:I:\r")?;
@@ -139,9 +139,9 @@ impl Drop for End {
 ///
 /// # Errors
 ///
-/// When the link fails.
+/// When the stream fails.
 pub fn serve(mut end: End, handler: &mut impl Handler) -> io::Result<()> {
-    /// The one client of a link.
+    /// The one client.
     const PEER: PeerId = PeerId(1);
     /// A request or a reply of a test.
     const ROOM: usize = 1 << 16;

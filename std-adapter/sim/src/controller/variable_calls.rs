@@ -55,7 +55,7 @@ impl Controller {
             VariableRef::Definition(kind, number) => self.arm.numbers(kind, number.unwrap_or(0)),
             VariableRef::System(Parent::Controller, n) => property(system::VARIABLES, n)?.getter()?(self),
             VariableRef::System(Parent::Robot, n) => {
-                property(arm::variables::VARIABLES, n)?.getter()?(&self.arm, &self.shared.context(peer))
+                property(arm::robot_variables::VARIABLES, n)?.getter()?(&self.arm, &self.shared.context(peer))
             }
             VariableRef::System(Parent::Task(task), n) => {
                 property(tasks::VARIABLES, n)?.getter()?(self.tasks.get(task)?)
@@ -81,7 +81,7 @@ impl Controller {
         ctx.may_write()?;
         match owner {
             Parent::Controller => property(system::VARIABLES, n)?.setter()?(self, peer, value),
-            Parent::Robot => property(arm::variables::VARIABLES, n)?.setter()?(&mut self.arm, &mut ctx, value),
+            Parent::Robot => property(arm::robot_variables::VARIABLES, n)?.setter()?(&mut self.arm, &mut ctx, value),
             Parent::Task(task) => {
                 let answered = property(tasks::VARIABLES, n)?.setter()?(self.tasks.get_mut(task)?, &mut ctx, value);
                 self.free_arm_of_tasks();
@@ -114,7 +114,7 @@ pub(super) fn accepted_value(entry: &OpenObject) -> Option<&'static str> {
         }
         Item::Variable(VariableRef::System(owner, n)) => match owner {
             Parent::Controller => system::VARIABLES.get(n)?.accepts,
-            Parent::Robot => arm::variables::VARIABLES.get(n)?.accepts,
+            Parent::Robot => arm::robot_variables::VARIABLES.get(n)?.accepts,
             Parent::Task(_) => tasks::VARIABLES.get(n)?.accepts,
         },
         _ => None,
@@ -130,7 +130,7 @@ fn property<G, P>(table: &'static [Property<G, P>], n: usize) -> Result<&'static
 fn find_variable(owner: Parent, name: &str) -> Option<usize> {
     match owner {
         Parent::Controller => Property::position(system::VARIABLES, name),
-        Parent::Robot => Property::position(arm::variables::VARIABLES, name),
+        Parent::Robot => Property::position(arm::robot_variables::VARIABLES, name),
         Parent::Task(_) => Property::position(tasks::VARIABLES, name),
     }
 }
@@ -141,7 +141,7 @@ pub(super) fn names_of(owner: Parent) -> Vec<&'static str> {
         Parent::Controller => system::VARIABLES.iter().map(|property| property.name).collect(),
         Parent::Robot => {
             let definitions = ["Tool*", "Work*", "Area*"];
-            arm::variables::VARIABLES.iter().map(|property| property.name).chain(definitions).collect()
+            arm::robot_variables::VARIABLES.iter().map(|property| property.name).chain(definitions).collect()
         }
         Parent::Task(_) => tasks::VARIABLES.iter().map(|property| property.name).collect(),
     }

@@ -12,9 +12,9 @@ use crate::rules;
 use crate::table::Property;
 use crate::value::{TRUTH, number, one_int, owned, truth};
 
-type Write = fn(&mut Arm, &mut Context<'_>, &Variant<'_>) -> Answered;
+type ArmSetter = fn(&mut Arm, &mut Context<'_>, &Variant<'_>) -> Answered;
 
-const fn read(name: &'static str, get: Reading) -> Property<Reading, Write> {
+const fn read(name: &'static str, get: Reading) -> Property<Reading, ArmSetter> {
     Property::read(name, get)
 }
 
@@ -22,7 +22,7 @@ const TOOL: &str = "one number, 0 to 63";
 const WORK: &str = "one number, 0 to 7";
 
 /// The variables, in the order of Robot_GetVariableNames.
-pub(crate) const VARIABLES: &[Property<Reading, Write>] = &[
+pub(crate) const VARIABLES: &[Property<Reading, ArmSetter>] = &[
     read("@CURRENT_POSITION", readings::current_position),
     read("@CURRENT_ANGLE", readings::current_angle),
     read("@CURRENT_TRANS", readings::current_trans),
