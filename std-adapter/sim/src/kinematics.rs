@@ -49,6 +49,7 @@
 
 mod frame;
 mod horizontal;
+mod interval;
 mod offset;
 mod vertical;
 

@@ -1,29 +1,31 @@
 //! Arms of six axes with an offset wrist: all joints for a frame of the flange.
 //!
-//! The flange carries the axis of J5, and J6 turns it about the flange axis. So J6 decides where the wrist centre is, on a circle,
-//! and thereby J1, J2 and J3. J6 is right if the axis of J5 is perpendicular to the forearm:
+//! The flange carries the axis of J5, and J6 turns it about the flange axis. So J6 determines the position of the wrist centre
+//! on a circle, and thereby J1, J2 and J3. J6 is right if the axis of J5 is perpendicular to the forearm:
 //!
 //! ```text
 //!   g(J6) = axis of J5 . direction of the forearm = 0
 //! ```
 //!
-//! For one shoulder and one elbow, g is smooth on each arc of the circle that the arm reaches. At the end of an arc two elbows or
-//! two shoulders meet, and the slope of g is infinite there. As a function of t, with J6 = middle - half cos t, g has a finite slope.
-//! The arc is divided until neither direction turns by more than [`TURN`] within a part; such a part has at most one extremum of g.
+//! A turn of J6 is divided into intervals, and interval arithmetic encloses g and its slope in each. An interval whose values
+//! exclude 0 has no solution. One whose slopes exclude 0 has at most one, and then g changes its sign there. All others are
+//! halved. So no solution is missed, even where two of them nearly coincide.
 
+use std::collections::VecDeque;
 use std::f64::consts::PI;
 
 use super::frame::{Frame, Joints, OutOfReach, SINGULAR, dot, multiply, normal, rz_matrix, transpose};
-use super::vertical::{NONFLIP, Vertical};
-
-/// The cosine of the angle that a direction turns at most in one part of an arc: 17 degrees.
-const TURN: f64 = 0.956;
-
-/// How often a part is halved at most.
-const HALVINGS: u32 = 30;
+use super::interval::{Enclosure, Interval};
+use super::vertical::{BELOW, LEFTY, NONFLIP, Vertical};
 
 /// A value of g below this is rounding.
 const EXACT: f64 = 1e-10;
+
+/// An interval of J6 that is not halved, in radians: two solutions within it count as one.
+const FINEST: f64 = 1e-9;
+
+/// The maximum number of intervals that are halved, for a frame with solutions everywhere.
+const HALVINGS: usize = 20_000;
 
 /// Returns the joints for a frame of the flange in a posture, each within ±180 degrees.
 ///
@@ -97,35 +99,79 @@ impl Search<'_> {
     /// Returns all joints, in degrees; those with J6 nearest to that of `near` first.
     fn all(&self) -> Vec<Joints> {
         let start = self.near[5].to_radians();
-        let mut found: Vec<Candidate> = self.arcs(start).into_iter().flat_map(|arc| self.on_arc(arc)).collect();
+        let mut found = self.places(start);
         found.sort_by(|a, b| (a.j6 - start).abs().total_cmp(&(b.j6 - start).abs()));
         found.iter().filter_map(|place| self.joints(place)).collect()
     }
 
-    /// Returns the arcs of a turn of J6 about `start` that the arm reaches.
-    fn arcs(&self, start: f64) -> Vec<(f64, f64)> {
-        let centre = |j6: f64| self.arm.wrist_centre(self.frame, j6);
-        let base = |j6: f64| self.arm.base_margin(centre(j6));
-        let elbow = |j6: f64| self.arm.elbow_margin(centre(j6), self.posture);
-        // both margins have few extrema in a turn
-        let turn: Vec<f64> = (0..=36).map(|n| start + (f64::from(n) / 18.0 - 1.0) * PI).collect();
-        let mut ends = [zeros(&base, &turn), zeros(&elbow, &turn)].concat();
-        ends.extend([start - PI, start + PI]);
-        ends.sort_by(f64::total_cmp);
-        let arcs = ends.windows(2).map(|pair| (pair[0], pair[1]));
-        arcs.filter(|(low, high)| self.place(low.midpoint(*high)).is_ok()).collect()
+    /// Returns the solutions in a turn of J6 about `start`; some of them twice.
+    fn places(&self, start: f64) -> Vec<Candidate> {
+        let mut found = Vec::new();
+        let mut intervals = VecDeque::from([Interval::new(start - PI, start), Interval::new(start, start + PI)]);
+        let mut halvings = 0;
+        while let Some(j6) = intervals.pop_front() {
+            let Some(g) = self.enclose(j6) else { continue };
+            let middle = j6.middle();
+            let g = match self.enclose(Interval::point(middle)) {
+                Some(at_middle) => g.narrowed(j6, at_middle.value),
+                None => g,
+            };
+            if g.value.excludes_zero(EXACT) {
+                continue;
+            }
+            if g.slope.excludes_zero(0.0) {
+                found.extend(self.crossing(j6));
+            } else if j6.width() > FINEST && halvings < HALVINGS {
+                halvings += 1;
+                intervals.extend([Interval::new(j6.low, middle), Interval::new(middle, j6.high)]);
+            } else {
+                found.extend(self.place(middle).ok());
+            }
+        }
+        found.retain(|place| place.error().abs() < EXACT);
+        found
     }
 
-    /// Returns the solutions on an arc.
-    fn on_arc(&self, (low, high): (f64, f64)) -> Vec<Candidate> {
-        let at = |t: f64| self.place(low.midpoint(high) - (high - low) / 2.0 * t.cos());
-        let g = |t: f64| at(t).map_or(f64::NAN, |place| place.error());
-        let mut parts = vec![0.0];
-        for n in 0..12 {
-            divide(&at, (f64::from(n) * PI / 12.0, f64::from(n + 1) * PI / 12.0), HALVINGS, &mut parts);
+    /// Returns the solution in an interval in which g has no extremum.
+    fn crossing(&self, Interval { mut low, mut high }: Interval) -> Option<Candidate> {
+        let is_negative = |j6: f64| self.place(j6).map(|place| place.error() < 0.0).ok();
+        let before = is_negative(low)?;
+        if is_negative(high)? == before {
+            return None;
         }
-        let zeros = zeros(&g, &parts).into_iter().filter_map(|t| at(t).ok());
-        zeros.filter(|place| place.error().abs() < EXACT).collect()
+        for _ in 0..60 {
+            let middle = low.midpoint(high);
+            if is_negative(middle)? == before { low = middle } else { high = middle }
+        }
+        self.place(low).ok()
+    }
+
+    /// Returns g and its slope for J6 in an interval; `None` if the arm reaches none of the wrist centres.
+    fn enclose(&self, j6: Interval) -> Option<Enclosure> {
+        let Self { arm, frame, posture, .. } = self;
+        let (sine, cosine) = Enclosure::sin_cos(j6);
+        let axis = frame.rotation.map(|row| sine * row[0] + cosine * row[1]);
+        let [x, y, z] = [0, 1, 2].map(|i| axis[i] * -arm.b6 + (frame.position[i] - arm.d6 * frame.rotation[i][2]));
+
+        // the direction in which the arm reaches, and the wrist centre in the vertical plane through the shoulder
+        let across = x.squared() + y.squared();
+        let side = if posture & LEFTY != 0 { 1.0 } else { -1.0 };
+        let reach = (across + -arm.b4 * arm.b4).sqrt()? * side;
+        let scale = across.reciprocal();
+        let ahead = [(reach * x + y * arm.b4) * scale, (reach * y - x * arm.b4) * scale].map(Enclosure::of_unit);
+        let (reach, height) = (reach + -arm.a1, z + -arm.d1);
+
+        // the triangle of shoulder, elbow and wrist centre, times the distance of shoulder and wrist centre
+        let forearm = arm.d4 * arm.d4 + arm.a3 * arm.a3;
+        let distance = reach.squared() + height.squared();
+        let along = (distance + (forearm - arm.a2 * arm.a2)) * 0.5;
+        let bend = if (posture & BELOW != 0) == (posture & LEFTY != 0) { -1.0 } else { 1.0 };
+        let aside = (distance * forearm - along.squared()).sqrt()? * bend;
+        let scale = distance.reciprocal() * (1.0 / forearm);
+        let (out, up) = ((along * reach + aside * height) * scale, (along * height - aside * reach) * scale);
+        let out_of_axis = |a: Enclosure, b: Enclosure| (a * arm.d4 + b * arm.a3).of_unit();
+        let direction = [out_of_axis(out, up * -1.0), out_of_axis(up, out)];
+        Some((axis[0] * ahead[0] + axis[1] * ahead[1]) * direction[0] + axis[2] * direction[1])
     }
 
     /// Returns the arm with this J6, in radians.
@@ -149,65 +195,72 @@ impl Search<'_> {
     }
 }
 
-/// Appends the ends of the parts into which an interval is divided.
-fn divide(
-    at: &impl Fn(f64) -> Result<Candidate, OutOfReach>,
-    (low, high): (f64, f64),
-    halvings: u32,
-    parts: &mut Vec<f64>,
-) {
-    let is_far = |a: &Candidate, b: &Candidate| dot(a.axis, b.axis) < TURN || dot(a.forearm, b.forearm) < TURN;
-    let middle = low.midpoint(high);
-    if halvings > 0 && at(low).is_ok_and(|low| at(high).is_ok_and(|high| is_far(&low, &high))) {
-        divide(at, (low, middle), halvings - 1, parts);
-        divide(at, (middle, high), halvings - 1, parts);
-    } else {
-        parts.push(high);
-    }
-}
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
 
-/// Returns the zeros of a function that has one extremum at most between two neighbouring places.
-fn zeros(function: &impl Fn(f64) -> f64, places: &[f64]) -> Vec<f64> {
-    let mut found = Vec::new();
-    for pair in places.windows(2) {
-        let (low, high) = (pair[0], pair[1]);
-        let (a, b) = (function(low), function(high));
-        if (a < 0.0) != (b < 0.0) {
-            found.push(bisect(function, low, high));
-        } else if let Some(dip) = dip(function, (low, a), (high, b)) {
-            // the zeros on both sides are one zero if the function only touches 0
-            found.extend([bisect(function, low, dip), bisect(function, high, dip)]);
+    use super::*;
+    use crate::kinematics::Links;
+    use crate::model::Profile;
+
+    /// The parts are of a turn, or of the ranges of the joints.
+    fn encloses(
+        profile: Profile,
+        parts: [f64; 6],
+        posture: u8,
+        (middle, half): (f64, f64),
+    ) -> Result<(), TestCaseError> {
+        let geometry = profile.model().geometry;
+        let Links::Vertical(arm) = &geometry.links else { unreachable!("it has six axes") };
+        let joints: Joints = std::array::from_fn(|n| {
+            let (low, high) = geometry.ranges[n];
+            low + (high - low) * parts[n]
+        });
+        let frame = arm.forward(&joints);
+        let search = Search { arm, frame: &frame, posture, near: &joints };
+        let j6 = Interval::new(middle - half, middle + half);
+        let enclosed = search.enclose(j6);
+        let mut before: Option<(f64, f64)> = None;
+        for n in 0..=20 {
+            let place = j6.low + j6.width() * f64::from(n) / 20.0;
+            // the end of the reach, where both round
+            let Ok(error) = search.place(place).map(|place| place.error()) else {
+                before = None;
+                continue;
+            };
+            let Some(Enclosure { value, slope }) = enclosed else {
+                prop_assert!(search.enclose(Interval::point(place)).is_none(), "{place} is reached");
+                continue;
+            };
+            let rounding = 1e-7;
+            prop_assert!(
+                (value.low - rounding..=value.high + rounding).contains(&error),
+                "{error} is not in {value:?}"
+            );
+            if let Some((last, last_error)) = before {
+                let mean = (error - last_error) / (place - last);
+                let rounding = 1e-9 / (place - last) + rounding * mean.abs();
+                prop_assert!(
+                    (slope.low - rounding..=slope.high + rounding).contains(&mean),
+                    "{mean} is not in {slope:?}"
+                );
+            }
+            before = Some((place, error));
         }
-        found.extend((a.abs() < EXACT).then_some(low));
+        Ok(())
     }
-    found.extend(places.last().filter(|last| function(**last).abs() < EXACT));
-    found
-}
 
-/// Returns the place between two others of the same sign where the function has changed it, or is least.
-fn dip(function: &impl Fn(f64) -> f64, (mut low, a): (f64, f64), (mut high, b): (f64, f64)) -> Option<f64> {
-    let above = |place: f64| if a < 0.0 { -function(place) } else { function(place) };
-    let step = (high - low) * 1e-4;
-    if above(low + step) >= a.abs() || above(high - step) >= b.abs() {
-        return None;
-    }
-    for _ in 0..60 {
-        let (left, right) = (low + (high - low) / 3.0, high - (high - low) / 3.0);
-        let (at_left, at_right) = (above(left), above(right));
-        if at_left.min(at_right) < 0.0 {
-            return Some(if at_left < 0.0 { left } else { right });
+    proptest! {
+        #[test]
+        fn values_and_slopes_are_enclosed(
+            parts in prop::array::uniform6(0.001..0.999),
+            posture in 0_u8..4,
+            middle in -PI..PI,
+            exponent in -6.0..0.3,
+        ) {
+            for profile in [Profile::Cobotta, Profile::CobottaPro] {
+                encloses(profile, parts, posture, (middle, 10_f64.powf(exponent)))?;
+            }
         }
-        if at_left < at_right { high = right } else { low = left }
     }
-    (above(low) < EXACT).then_some(low)
-}
-
-/// Returns a zero between two places with different signs.
-fn bisect(function: &impl Fn(f64) -> f64, mut low: f64, mut high: f64) -> f64 {
-    let negative = function(low) < 0.0;
-    for _ in 0..60 {
-        let middle = low.midpoint(high);
-        if (function(middle) < 0.0) == negative { low = middle } else { high = middle }
-    }
-    low
 }

@@ -258,14 +258,31 @@ fn is_reached(name: &str, arm: &Geometry, parts: [f64; 6], from: [f64; 6]) {
 fn a_pose_is_reached_whose_two_solutions_are_close() {
     let cases = [
         (
+            "cobotta pro",
             [0.001, 0.6630333059488001, 0.5201314746775373, 0.8056997302375345, 0.2391503298914916, 0.001],
             [0.001, 0.001, 0.001, 0.001, 0.001, 0.350291366590014],
         ),
-        // one of them next to the end of a part
-        ([0.001, 0.001, 0.5910861402126132, 0.67863296248778, 0.2465787983251534, 0.4124612175130326], [0.001; 6]),
+        (
+            "cobotta pro",
+            [0.001, 0.001, 0.5910861402126132, 0.67863296248778, 0.2465787983251534, 0.4124612175130326],
+            [0.001; 6],
+        ),
+        // three solutions within 8 degrees of J6
+        (
+            "cobotta",
+            [
+                0.001,
+                0.39088157996117495,
+                0.041937773196979306,
+                0.41237433441028803,
+                0.4249199970359908,
+                0.8022815926582876,
+            ],
+            [0.001; 6],
+        ),
     ];
-    for (parts, from) in cases {
-        is_reached("cobotta pro", &arm("cobotta pro"), parts, from);
+    for (name, parts, from) in cases {
+        is_reached(name, &arm(name), parts, from);
     }
 }
 

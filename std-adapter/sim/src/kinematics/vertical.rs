@@ -5,7 +5,7 @@ use serde::Serialize;
 use super::frame::{Frame, Joints, Matrix, OutOfReach, SINGULAR, multiply, normal, ry_matrix, rz_matrix, transpose};
 
 pub(super) const LEFTY: u8 = 1;
-const BELOW: u8 = 2;
+pub(super) const BELOW: u8 = 2;
 pub(super) const NONFLIP: u8 = 4;
 
 /// The lengths of an arm of six axes, in mm. The documentation of [`kinematics`](super) has a drawing.
@@ -106,20 +106,10 @@ impl Vertical {
         multiply(&rz_matrix(j1.to_degrees()), &ry_matrix((j2 + j3).to_degrees()))
     }
 
-    /// A number that is negative if the wrist centre is too near to the axis of J1.
-    pub(super) fn base_margin(&self, [x, y, _]: [f64; 3]) -> f64 {
-        x * x + y * y - self.b4 * self.b4
-    }
-
-    /// A number that is negative if the wrist centre is too far from the shoulder, or too near.
-    pub(super) fn elbow_margin(&self, centre: [f64; 3], posture: u8) -> f64 {
-        let reach = self.reach(centre, posture & LEFTY != 0) - self.a1;
-        1.0 - self.elbow_cosine(reach, centre[2] - self.d1).powi(2)
-    }
-
     /// The distance of a wrist centre from the axis of J1 in the plane of the arm, negative behind it.
     fn reach(&self, centre: [f64; 3], lefty: bool) -> f64 {
-        self.base_margin(centre).max(0.0).sqrt() * if lefty { 1.0 } else { -1.0 }
+        (centre[0] * centre[0] + centre[1] * centre[1] - self.b4 * self.b4).max(0.0).sqrt()
+            * if lefty { 1.0 } else { -1.0 }
     }
 
     /// Returns J1, and the distance of the wrist centre from the axis of J1 in the plane of the arm.
