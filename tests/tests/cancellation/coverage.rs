@@ -1,4 +1,5 @@
-//! The async functions of bcap-core and bcap-std, and how each is covered. A `*` stands for the private functions of a folder or file.
+//! The async functions of bcap-core and bcap-std, and how each is covered. A `*` stands for the private functions of a folder
+//! or file.
 
 use bcap_tests::async_functions::Coverage::{self, Exempt, Swept, Through};
 
@@ -71,7 +72,7 @@ pub(crate) const STD: &[(&str, Coverage)] = &[
     ("asynch/controller.rs: Controller::stopper", Through("asynch/robot.rs: Stopper::halt")),
     ("asynch/controller.rs: Controller::task", Swept("Controller::task")),
     ("asynch/controller.rs: Controller::write", Swept("Controller::write")),
-    ("asynch/ending.rs: Left::recover", OF_A_CONTROLLER),
+    ("asynch/ending.rs: LostSessions::recover", OF_A_CONTROLLER),
     ("asynch/handle.rs: Handle::carry_out", Through("asynch/controller.rs: Controller::read")),
     ("asynch/handle.rs: Handle::connect", Through("asynch/controller.rs: Controller::connect")),
     ("asynch/handle.rs: Handle::over", Through("asynch/controller.rs: Controller::over")),
@@ -123,7 +124,7 @@ pub(crate) const STD: &[(&str, Coverage)] = &[
     ("asynch/socket.rs: lost", OF_A_CONTROLLER),
     ("asynch/state.rs: Recoveries::next", Through("asynch/state.rs: States::next")),
     ("asynch/state.rs: States::next", Swept("States::next")),
-    ("asynch/subscription.rs: Scan::read", OF_A_CONTROLLER),
+    ("asynch/subscription.rs: Scanner::read", OF_A_CONTROLLER),
     ("asynch/subscription.rs: Subscription::next", Swept("Subscription::next")),
     ("asynch/actor.rs: *", OF_A_CONTROLLER),
     ("asynch/actor.rs: connect", Through("asynch/controller.rs: Controller::connect")),
