@@ -50,13 +50,13 @@ impl<S> DeviceVariable<S> {
         Self { put: Some(put), ..self }
     }
 
-    /// Returns whether RAC names the variable so.
+    /// Returns whether this is the name of the variable in RAC.
     fn is(&self, variable: rac::Variable) -> bool {
         self.name.parse() == Ok(variable)
     }
 }
 
-/// A state, and the variables that clients see of it.
+/// A state, and its variables that clients can access.
 ///
 /// # Examples
 ///
@@ -81,7 +81,7 @@ pub struct Device<S, const N: usize> {
     /// The state.
     pub state: S,
     variables: [DeviceVariable<S>; N],
-    /// How many handles were given out.
+    /// Number of handles that were issued.
     opened: u16,
 }
 
@@ -147,7 +147,7 @@ impl<S, const N: usize> Handler for Device<S, N> {
                     .unwrap_or(HResult::S_OK)
                     .into();
             }
-            // the server has checked the handle, and forgets it
+            // the server has checked the handle, and discards it
             function if matches!(function.releases(), Some(Object::Controller | Object::Variable)) => Ok(()),
             _ => return HResult::E_NOTIMPL.into(),
         };

@@ -3,7 +3,7 @@
 //! A handler is the application behind a server, [`bcap::server::Handler`](crate::bcap::server::Handler) or
 //! [`rac::server::Handler`](crate::rac::server::Handler). The server checks bytes, types and time limits, then calls the
 //! handler. A handler must not block. It returns [`Outcome::Done`] with the result, or [`Outcome::Wait`] with the time at
-//! which the server calls it again for the same request. Meanwhile the server serves other peers, and sends keep-alives.
+//! which the server calls it again for the same request. Until then the server serves other peers, and sends keep-alives.
 
 use crate::error::EncodeError;
 use crate::hresult::HResult;

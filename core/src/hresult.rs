@@ -20,15 +20,14 @@
 //! Guarantees:
 //!
 //! * An [`HResult`] holds any code unchanged; output shows the number of an unknown code.
-//! * Bit 31 alone decides success, for unknown codes too. Comparing with `S_OK` is wrong: `S_BUF_FULL` means stored.
+//! * Bit 31 alone determines success, even of unknown codes. Comparing with `S_OK` is wrong: `S_BUF_FULL` means stored.
 //! * The constants are plain numbers. An image contains the names (2 KiB) only if it calls [`name`](HResult::name), `Debug` or
 //!   `Display`, and the texts (90 KiB, `hresult/codes.tsv`) only if it calls a method that returns one, such as
 //!   [`meaning`](HResult::meaning) or [`hint`](HResult::hint).
 //!
-//! The sources are the RAC specification for RC8 and the b-CAP specification for RC9. Codes that neither of them names
-//! come from the vendor's open libraries or from public client programs, and say so. If such a source has only a name,
-//! the meaning is derived from the name. Errors of the controller without a constant come from public lists and the log of
-//! a real RC8A.
+//! The sources are the RAC specification for RC8 and the b-CAP specification for RC9. Codes in neither of them are from the
+//! vendor's open libraries or from public client programs, and say so. If such a source has only a name, the meaning is derived
+//! from the name. Errors of the controller without a constant are from public lists and the log of a real RC8A.
 
 mod table;
 
@@ -64,7 +63,7 @@ pub struct HResult(
 );
 
 impl HResult {
-    /// Makes the code that is written `0x83201483` in the manuals.
+    /// Creates the code that is written `0x83201483` in the manuals.
     #[must_use]
     pub const fn from_u32(code: u32) -> Self {
         Self(code.cast_signed())
@@ -151,8 +150,8 @@ impl HResult {
 
     /// Returns the errno or WSA code nnnn of 0x8091nnnn, as the operating system of the answering program counts it.
     ///
-    /// [`E_BUSY_PROC`](Self::E_BUSY_PROC) and [`E_WINSOCK_MASK`](Self::E_WINSOCK_MASK) lie in that range but come
-    /// from no operating system.
+    /// [`E_BUSY_PROC`](Self::E_BUSY_PROC) and [`E_WINSOCK_MASK`](Self::E_WINSOCK_MASK) lie in that range but are not codes of
+    /// an operating system.
     #[must_use]
     pub const fn os_error(self) -> Option<u16> {
         match self {
@@ -306,7 +305,7 @@ fn write_hex(f: &mut fmt::Formatter<'_>, code: u32) -> fmt::Result {
     Ok(())
 }
 
-/// Makes the constants and the parallel tables from one list of rows.
+/// Generates the constants and the parallel tables from one list of rows.
 macro_rules! codes {
     ($($value:literal $name:ident, $meaning:literal;)*) => {
         impl HResult {$(

@@ -16,7 +16,7 @@
 //! | [`bcap`]    | frames, functions, calls           | a [`Frame`](bcap::Frame) is validated, within [`limits`]          |
 //! | [`bcap::client`], [`bcap::server`] | sans-IO state machines | every wait has a deadline; a late reply never answers another call; the session survives a call dropped at any byte |
 //! | [`rac`]     | lines, requests, responses, client and server | a line has at most 256 bytes; a value without a text is an error |
-//! | [`device`]  | a table of variables as a server     | a client sees only what the table lists                           |
+//! | [`device`]  | a table of variables as a server   | clients can access only the listed variables                      |
 //! | [`procedure`], [`slave`] | jobs of several calls, Slave Mode | a failed procedure undoes its calls; no pose outside the limits is sent |
 //! | [`io`]      | blocking and asynchronous loops over the clients | all progress is in the client, so futures may be dropped |
 //! | [`error`], [`hresult`] | errors and result codes | small and `Copy`; an error says what is wrong, where, and whose fault it is |

@@ -1,4 +1,4 @@
-//! The sending side of a link: how many bytes of a buffer to send, and how many of them are sent.
+//! The sending side of a link: how many bytes of a buffer to send, and how many were sent.
 //!
 //! ```text
 //!  buffer  [ sent | unsent | free ... ]
@@ -10,7 +10,7 @@
 pub(crate) struct Outbox {
     /// Bytes of the buffer to send.
     len: usize,
-    /// How many of them the link has taken; never above `len`.
+    /// Number of them that the link has accepted; never above `len`.
     sent: usize,
 }
 

@@ -8,12 +8,12 @@
 //! ```
 //!
 //! Each type converts from an array of exactly this many numbers ([`FromVariant`]), so the value of a P, V or T variable
-//! does not convert to [`Joints`]. Only the number of elements can be checked: CurPosEx (the time and a position) and GetSrvData
-//! have eight numbers too, and are not joints.
+//! does not convert to [`Joints`]. Only the number of elements can be checked: CurPosEx (the time and a position) and
+//! GetSrvData have eight numbers too, and are not joints.
 //!
 //! Each type is sent as an array of R4, as variables require ([`Encode`]). R4 has 24 bits: a number near 1000 is
-//! rounded by at most 0.00003. [`target`](Position::target) makes the destination of Robot_Move, in R8. Neither sends a
-//! NaN or an infinite number. `From` makes a pose of Slave Mode ([`slave::Pose`](crate::slave::Pose)) from each type.
+//! rounded by at most 0.00003. [`target`](Position::target) returns the destination of Robot_Move, in R8. Neither sends a NaN
+//! or an infinite number. `From` makes a pose of Slave Mode ([`slave::Pose`](crate::slave::Pose)) from each type.
 //!
 //! # Orientation
 //!
@@ -132,7 +132,7 @@ pub struct Joints {
 }
 
 impl Joints {
-    /// Makes it from J1 and the following, in degrees, or in mm for linear axes. Missing axes are 0.
+    /// Creates joints from J1 and the following axes, in degrees, or in mm for linear axes. Missing axes are 0.
     ///
     /// More than eight axes are a compile error.
     #[must_use]

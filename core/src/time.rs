@@ -20,13 +20,13 @@ impl Instant {
     /// The latest instant, which is never reached.
     pub const FAR_FUTURE: Self = Self(u64::MAX);
 
-    /// Makes the instant `micros` microseconds after the origin.
+    /// Creates the instant `micros` microseconds after the origin.
     #[must_use]
     pub const fn from_micros(micros: u64) -> Self {
         Self(micros)
     }
 
-    /// Makes the instant `millis` milliseconds after the origin, saturating.
+    /// Creates the instant `millis` milliseconds after the origin, saturating.
     #[must_use]
     pub const fn from_millis(millis: u64) -> Self {
         Self(millis.saturating_mul(1000))
@@ -112,8 +112,8 @@ pub fn earliest(one: Option<Instant>, other: Option<Instant>) -> Option<Instant>
 
 /// A clock from a timer that counts microseconds in 32 bits and wraps.
 ///
-/// Ask it at least once in 71 minutes, the time of a wrap; a waiting call does. A timer that an interrupt or another processor asks,
-/// too, needs a clock for each.
+/// Read it at least once in 71 minutes, the time of a wrap; a waiting call does. If an interrupt or another processor also
+/// reads the timer, each needs a separate clock.
 ///
 /// # Examples
 ///
@@ -127,7 +127,7 @@ pub fn earliest(one: Option<Instant>, other: Option<Instant>) -> Option<Instant>
 #[derive(Clone, Debug)]
 pub struct Wrapping32<F> {
     read: F,
-    /// The time when it was last asked.
+    /// The time when it was last read.
     last: Cell<u64>,
 }
 

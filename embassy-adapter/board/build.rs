@@ -1,4 +1,4 @@
-//! Tells the sources which architecture of ARM they are built for; Rust has no stable condition for that.
+//! Sets a cfg with the ARM architecture; Rust has no stable condition for that.
 
 use std::env;
 

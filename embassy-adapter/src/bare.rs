@@ -71,7 +71,7 @@ const KEEP_ALIVE: smoltcp::time::Duration = smoltcp::time::Duration::from_secs(5
 /// The time without an acknowledgement, of data or of a keep-alive, after which the connection is reset.
 const TIMEOUT: smoltcp::time::Duration = smoltcp::time::Duration::from_secs(15);
 
-/// How long a peer over UDP with a service must be silent before another one may take its slot.
+/// How long a peer over UDP with a service must be silent before another peer may take its slot.
 const UDP_IDLE: Duration = Duration::from_secs(10);
 /// How long a reply may wait until the address of its peer is resolved.
 const UNSENT: Duration = Duration::from_millis(100);
@@ -229,7 +229,7 @@ impl<S> TcpServer<S> {
         self.session.is_some()
     }
 
-    /// Does all work that is possible without waiting; `make` creates the session of a new connection.
+    /// Performs all work that is possible without waiting; `make` creates the session of a new connection.
     ///
     /// Call it after each poll of the interface, and when [`poll_timeout`](Self::poll_timeout) is reached.
     pub fn poll<H>(&mut self, socket: &mut tcp::Socket<'_>, make: impl FnOnce() -> S, handler: &mut H, now: Instant)
@@ -270,11 +270,11 @@ pub type UdpPeer<const OBJECTS: usize> = Peer<IpEndpoint, OBJECTS>;
 
 /// A server of b-CAP on one UDP socket, for up to `PEERS` peers with up to `OBJECTS` handles each.
 ///
-/// A peer that was silent for 10 s, or has no service, makes room for another one. Datagrams that are not b-CAP take no
-/// slot and get no answer.
+/// A peer that was silent for 10 s, or has no service, makes room for another peer. Datagrams that are not b-CAP take no slot
+/// and get no answer.
 ///
-/// A request from an address that does not exist delays all replies by up to a second. The image of the gateway drops such packets before
-/// smoltcp gets them (`bcap-board`).
+/// A request from an address that does not exist delays all replies by up to a second. The image of the gateway drops such
+/// packets before smoltcp gets them (`bcap-board`).
 ///
 /// # Examples
 ///
@@ -309,7 +309,7 @@ impl<const PEERS: usize, const OBJECTS: usize> UdpServer<PEERS, OBJECTS> {
         Self { peers: [const { None }; PEERS], last: index, stride: count, unsent: None }
     }
 
-    /// Does all work that is possible without waiting; the caller binds the socket.
+    /// Performs all work that is possible without waiting; the caller binds the socket.
     ///
     /// Call it after each poll of the interface, and when [`poll_timeout`](Self::poll_timeout) is reached.
     pub fn poll<H: Handler + ?Sized>(&mut self, socket: &mut udp::Socket<'_>, handler: &mut H, now: Instant) {
@@ -336,8 +336,8 @@ impl<const PEERS: usize, const OBJECTS: usize> UdpServer<PEERS, OBJECTS> {
 
 /// Discards all datagrams of a socket whose unsent ones have waited for [`UNSENT`].
 ///
-/// smoltcp keeps a datagram to an address that it cannot resolve or reach, and sends no other before it, also none within a second after
-/// it has asked for the address. The peers of the others repeat their requests.
+/// smoltcp keeps a datagram to an address that it cannot resolve or reach, and sends no other datagram before it, nor within a
+/// second after its ARP request. The peers of the discarded datagrams repeat their requests.
 fn discard_unsent(socket: &mut udp::Socket<'_>, unsent: &mut Option<Instant>, now: Instant) {
     *unsent = unsent.filter(|_| socket.send_queue() > 0);
     if unsent.is_some_and(|since| now >= since.saturating_add(UNSENT)) {

@@ -1,8 +1,8 @@
 //! A small HTTP server, for pages such as the health of a board.
 //!
-//! It answers one request a connection, from a buffer of the caller: GET and HEAD of pages ([`HttpListener::run`]), and POST for
-//! a [`Site`], which decides on a request by its head before the body is received.
-//! picoserve has routes and all headers; its MSRV (1.93) is above this crate's.
+//! It answers one request a connection, from a buffer of the caller: GET and HEAD of pages ([`HttpListener::run`]), and POST
+//! for a [`Site`], which accepts or answers a request by its head before the body is received. picoserve has routes and all
+//! headers; its MSRV (1.93) is above this crate's.
 //!
 //! # Examples
 //!
@@ -45,7 +45,7 @@ use crate::net::{Options, TcpTransport, evicted};
 const RESPONSE_HEAD: usize = 192;
 const PATH: usize = 23;
 
-/// How long a request may take from the connection to its end, and the response to be sent.
+/// Time limit of a request, from the connection to its end, and of sending the response.
 const RECEIVE: Duration = Duration::from_secs(5);
 const SEND: Duration = Duration::from_secs(5);
 
@@ -83,12 +83,12 @@ pub trait Site<'s> {
     /// Returns whether a client may connect.
     fn admits(&self, client: Option<IpEndpoint>) -> bool;
 
-    /// Decides on a request by its head; the body is received only if the site wants it.
+    /// Accepts or answers a request by its head; the body is received only if the site accepts it.
     fn decide(&self, request: &Request<'_>) -> Decision<Self::Page>;
 
     /// Takes a body: the first `len` bytes of the listener's memory, which it gives back.
     ///
-    /// A listener whose future is dropped meanwhile has lost its memory, and answers no more requests.
+    /// A listener whose future is dropped during this call loses its memory, and answers no more requests.
     fn take(&self, memory: &'s mut [u8], len: usize) -> impl Future<Output = (&'s mut [u8], Self::Page)>;
 
     /// Writes a page; `None` means that there is no such page.
@@ -125,8 +125,8 @@ impl<'s> HttpListener<'s> {
 
     /// Answers GET and HEAD forever.
     ///
-    /// `admits` tells whether a client may connect. `answer` writes the page of a path, without its query, and returns its type;
-    /// `None` means that there is no such page.
+    /// `admits` returns whether a client may connect. `answer` writes the page of a path, without its query, and returns its
+    /// type; `None` means that there is no such page.
     pub async fn run(
         &mut self,
         admits: impl Fn(Option<IpEndpoint>) -> bool,
@@ -292,8 +292,8 @@ async fn respond<'s, X: Transport, S: Site<'s>>(
     send(transport, body.buffer.get(..len).unwrap_or_default(), until).await
 }
 
-/// Receives bytes after the first `len` ones until they are complete or the memory is full, and returns their number; `None` when the
-/// time is over.
+/// Receives bytes after the first `len` ones until they are complete or the memory is full, and returns their number; `None`
+/// when the time is over.
 async fn receive_until<X: Transport>(
     transport: &mut X,
     memory: &mut [u8],

@@ -59,7 +59,7 @@ async fn sweep<T>(name: &'static str, mut work: impl AsyncFnMut(usize) -> Option
     }
 }
 
-/// Drops a future when it has been woken and polled so often, and returns its output if it ended before.
+/// Drops a future after `polls` polls, and returns its output if it ended before.
 async fn dropped_after<T>(polls: usize, future: impl Future<Output = T>) -> Option<T> {
     let (mut future, mut left) = (pin!(future), polls);
     poll_fn(|context| match future.as_mut().poll(context) {
@@ -78,12 +78,12 @@ async fn alongside(background: impl Future, test: impl Future<Output = ()>) {
     let Either::Second(Ok(())) = select(background, test).await else { panic!("it hangs") };
 }
 
-/// A controller that counts how often each token was executed.
+/// A controller that counts the executions of each token.
 #[derive(Default)]
 struct Tokens {
     executed: BTreeMap<i32, u32>,
     left: usize,
-    /// A command waits for ever.
+    /// A command waits forever.
     waits: bool,
 }
 
@@ -183,7 +183,7 @@ async fn token<X: Transport<Error = NetError>>(
     reply.ok().and_then(|value| value.as_i32())
 }
 
-/// Makes an ordinary call and checks its reply, its time limits and that it was executed once.
+/// Sends an ordinary call and checks its reply, its time limits and that it was executed once.
 async fn check<X: Transport<Error = NetError>>(
     robot: &mut Robot<X>,
     handle: ControllerHandle,
@@ -206,7 +206,7 @@ fn session() -> Session<[u8; 512], [u8; 512], 8> {
     Session::new(server::Config::TCP, [0; 512], [0; 512])
 }
 
-/// Serves b-CAP on port 5007 for ever.
+/// Serves b-CAP on port 5007 forever.
 async fn serve(stack: Stack<'_>, controller: &Controller) {
     let (mut rx, mut tx) = ([0; 512], [0; 512]);
     let mut slot = None;
@@ -269,7 +269,7 @@ fn tcp_client() {
     });
 }
 
-/// `send` to a peer that does not read, and `receive` of bytes that come one at a time.
+/// `send` to a peer that does not read, and `receive` of bytes that arrive one at a time.
 fn tcp_bytes() {
     between(|_, client, server| async move {
         let bytes: Vec<u8> = (0..4000_u32).map(|n| u8::try_from(n % 251).unwrap()).collect();
@@ -352,7 +352,7 @@ fn udp() {
             };
             alongside(serving, test).await;
         }
-        // a server that is dropped in the middle, and another that goes on with its peers
+        // a server that is dropped in the middle, and another that continues with its peers
         for polls in 1..=20 {
             let number = 50_000 + number(polls);
             let mut first = UdpServer::new(&mut socket, &mut peers, &controller, Limits::default());
@@ -483,7 +483,7 @@ fn a_connection_of_a_dropped_server_is_reset_with_its_next_use() {
             assert!(matches!(served, Either3::Third(())));
             assert_eq!(controller.view(|tokens| tokens.left), Some(1), "the handler learns it");
             let reset = async {
-                // and not a timeout, although there is nothing to be sent
+                // and not a timeout, although there are no bytes to send
                 assert_eq!(call.await, Err(CallError::Io(NetError::Reset)));
             };
             let mut next = self::session();
@@ -501,7 +501,7 @@ const GATEWAY: bcap_gateway::Config<'static> = bcap_gateway::Config {
     ..bcap_gateway::Config::RC8
 };
 
-/// Sends a line and returns the one that comes back; `None` when the connection ends first.
+/// Sends a line and returns the answer; `None` if the connection ends first.
 async fn ask(socket: &mut TcpSocket<'_>, line: &str) -> Option<String> {
     let mut sent = 0;
     while sent < line.len() {
@@ -566,7 +566,7 @@ fn gateway() {
                         let dropped = usize::from(matches!(dropped, Either::Second(_)));
                         POINTS.with_borrow_mut(|all| *all.entry(name).or_default() += dropped);
                     }
-                    // both go on, and another line gets its own answer
+                    // both continue, and another line gets its own answer
                     let number = number + 1;
                     let next = async {
                         loop {
@@ -604,7 +604,7 @@ fn gateway() {
     });
 }
 
-/// A site that tells the length of a body.
+/// A site that returns the length of a body.
 struct Length;
 
 impl<'s> Site<'s> for Length {
@@ -628,7 +628,7 @@ impl<'s> Site<'s> for Length {
     }
 }
 
-/// The listeners of Modbus and HTTP, dropped while a client asks, and begun again.
+/// The listeners of Modbus and HTTP, dropped during a client's request, and started again.
 fn fronts() {
     between(|_, clients, board| async move {
         let mut memory = Memory::<2, 4>::new();

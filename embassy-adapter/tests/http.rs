@@ -91,7 +91,7 @@ fn a_client_that_is_not_admitted_gets_a_reset() {
     });
 }
 
-/// Makes the frame that begins a connection to the page, from a machine that does not exist.
+/// Creates the frame that begins a connection to the page, from a machine that does not exist.
 fn syn(number: u8) -> Vec<u8> {
     frames::syn([2, 0, 0, 0, 0, 1], address(100 + number), address(1), [50_000, 80])
 }
@@ -164,7 +164,7 @@ fn the_oldest_unfinished_request_makes_room_for_a_new_client() {
     });
 }
 
-/// A site that takes bodies from clients with the header `Authorization: yes`, and shows the last one.
+/// A site that takes bodies from clients with the header `Authorization: yes`, and shows the last body.
 #[derive(Default)]
 struct Note(std::cell::RefCell<String>);
 

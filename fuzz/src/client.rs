@@ -26,7 +26,7 @@ enum Op {
     /// The link accepts this many bytes.
     Take(u8),
     TakeAll,
-    /// A frame arrives whose serial is this much below the last one sent.
+    /// A frame arrives whose serial is this much below the last serial sent.
     Reply {
         behind: u8,
         executing: bool,
@@ -58,7 +58,7 @@ struct Model {
     deadline: Instant,
     /// The serials of calls that ended without an answer, as far as the client stores them.
     unanswered: VecDeque<Vec<u16>>,
-    /// Whether the arriving frame is the last one for its serial, where that is known.
+    /// Whether the arriving frame is the last for its serial, where that is known.
     is_final: Option<bool>,
     /// Whether `unanswered` is certain to equal the client's state.
     certain: bool,
@@ -332,7 +332,7 @@ impl<R: Storage> Run<R> {
         }
     }
 
-    /// Checks that the call ends, and that the next one gets its reply if the stream is still valid.
+    /// Checks that the call ends, and that the next call gets its reply if the stream is still valid.
     fn finish(mut self) {
         for _ in 0..600 {
             let Some(deadline) = self.client.poll_timeout() else { break };

@@ -290,7 +290,7 @@ impl<V: Storage> Run<V> {
         assert_eq!(self.client.handle_timeout(self.now), None);
     }
 
-    /// Checks that the request ends, and that the next one gets its own reply after the outstanding ones.
+    /// Checks that the request ends, and that the next request gets its own reply after the outstanding replies.
     fn finish(mut self) {
         self.take(usize::MAX);
         if let Some(deadline) = self.client.poll_timeout() {

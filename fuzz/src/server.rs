@@ -326,12 +326,12 @@ impl<T: Storage> Run<T> {
         }
     }
 
-    /// Returns whether `count` bytes fit into the receive buffer at once.
+    /// Returns whether `count` bytes together fit into the receive buffer.
     fn room(&mut self, count: usize) -> bool {
         count <= self.session.receive_buffer().len()
     }
 
-    /// Checks that a retransmission of the running request is answered with S_EXECUTING at once, even after noise.
+    /// Checks that a retransmission of the running request is immediately answered with S_EXECUTING, even after noise.
     fn expect_executing(&self) {
         let oracle = Oracle { limits: Limits::STREAM, strictness: Strictness::Strict, crc: self.link == Link::Serial };
         let Verdict::Frame(frame, _) = oracle.decode(self.session.transmit()) else {

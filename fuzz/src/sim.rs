@@ -350,7 +350,7 @@ impl Step {
     }
 }
 
-/// Makes a call with arguments of the kinds in the function table.
+/// Sends a call with arguments of the kinds in the function table.
 fn any_call(world: &mut World, peer: u32, function: u8, guess: u8, args: &[Arg; 3]) {
     let function = FunctionId(i32::from(function % 140));
     let Some(signature) = function.signature() else { return };

@@ -38,7 +38,7 @@ enum Op {
     Value(Value),
     /// The call fails without an answer.
     Fail(u8),
-    /// A pose near the last one, by hundredths of an axis's maximum motion in a cycle.
+    /// A pose near the last pose, by hundredths of an axis's maximum motion in a cycle.
     Push([i8; 10]),
     /// Any pose of any kind.
     PushAny(u8, Vec<f64>),
@@ -233,7 +233,7 @@ impl Run {
         let full = step == Step::Move && code == HResult::E_BUF_FULL;
         self.failed |= self.engine.fault().is_some() && !self.recovering;
         self.is_busy = code == HResult::E_BUSY_PROC;
-        // a recovery goes on after refusals of slvGetMode that tell that no stream runs
+        // a recovery continues after refusals of slvGetMode that mean that no stream runs
         if code.is_err() && !full && !(step == Step::GetMode && self.recovering) {
             (self.failed, self.recovering) = (true, false);
         }

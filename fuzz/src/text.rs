@@ -5,7 +5,7 @@ use bcap_core::variant::VariantBuf;
 use bcap_testkit::text;
 use bcap_testkit::value::Value;
 
-/// The longest tested text; its value fits into [`Owned`].
+/// Maximum length of a tested text; its value fits into [`Owned`].
 const LONGEST: usize = 1500;
 
 pub(crate) type Owned = VariantBuf<8192>;

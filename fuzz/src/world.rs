@@ -1,7 +1,7 @@
 //! A virtual controller and its clients without sockets: calls go directly to the handler, and the caller moves the clock.
 //!
 //! The fuzz target `sim` and the property test in `tests/tests/invariants.rs` use it. [`World::check`] asserts the
-//! invariants after every step, [`World::finish`] those after the last one.
+//! invariants after every step, [`World::finish`] the invariants after the last step.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -83,8 +83,7 @@ impl World {
         self.handles.get(&(peer, object.name())).copied().unwrap_or(0)
     }
 
-    /// Makes a call. Skips calls that a server would refuse, that do not fit into a frame, or whose client has a waiting
-    /// call.
+    /// Sends a call. Skips calls that a server would refuse, that do not fit into a frame, or whose client has a waiting call.
     pub fn request(&mut self, peer: u32, function: FunctionId, arguments: &[&dyn Encode]) {
         if let (false, Some(bytes)) = (self.waiting.contains_key(&peer), frame(function, arguments)) {
             self.call(peer, &bytes, false);
@@ -130,7 +129,7 @@ impl World {
         self.trace.push((outcome, reply.as_bytes().to_vec()));
     }
 
-    /// Makes a request over RAC.
+    /// Sends a request over RAC.
     pub fn rac(&mut self, request: &rac::Request<'_>) {
         let mut buffer = vec![0; BUFFER];
         let mut reply = ReplyValue::new(&mut buffer);

@@ -4,7 +4,7 @@
 //! cargo bench -p bcap-tests --bench arrays
 //! ```
 //!
-//! Times are the medians of many rounds, all three interleaved. Decoding comes twice: `decode` checks the frame and
+//! Times are the medians of many rounds, all three interleaved. Decoding is measured twice: `decode` checks the frame and
 //! borrows the array, which should not depend on its size; `copy out` turns it into Rust's doubles as well.
 
 use std::hint::black_box;

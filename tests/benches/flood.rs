@@ -5,9 +5,9 @@
 //! ```
 //!
 //! A server answers a few requests and then sends S_EXECUTING as fast as it can, for the serial of the next request or to none.
-//! The client makes calls, one after the other, and connects again after 100 ms when its session ends. The gateway is the
-//! core's, run by a loop that blocks, with a PLC that asks for a variable all the time. Over 5 % of a processor the benchmark
-//! fails. The server's own work is not counted.
+//! The client makes calls in sequence, and reconnects after 100 ms when its session ends. The gateway is the core's, run by a
+//! blocking loop, with a PLC that reads a variable continuously. The benchmark fails above 5 % of a processor. The server's own
+//! work is not counted.
 
 use std::io::{self, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
@@ -51,7 +51,7 @@ fn main() -> ExitCode {
     if within { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
 
-/// Returns how long this thread has been on a processor; `None` where the system does not tell.
+/// Returns how long this thread has been on a processor; `None` where the system does not report it.
 fn processor_time() -> Option<Duration> {
     let line = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
     line.split(' ').next()?.parse().ok().map(Duration::from_nanos)
@@ -108,7 +108,7 @@ fn flooding_udp() -> SocketAddr {
     thread::spawn(move || -> io::Result<()> {
         let mut buffer = [0; 512];
         loop {
-            // the client that asked last is flooded
+            // the client of the last request is flooded
             let (length, from) = socket.recv_from(&mut buffer)?;
             let frame = Decoder::UDP.decode_datagram(&buffer[..length]).map_err(io::Error::other)?;
             let executing = reply(frame.serial, HResult::S_EXECUTING, None);
@@ -164,7 +164,8 @@ fn client<X: blocking::Transport>(
     sessions
 }
 
-/// Runs a gateway for the time of the measurement, with a PLC that asks or without; returns how many sessions it had.
+/// Runs a gateway for the time of the measurement, with or without a PLC that sends requests; returns the number of its
+/// sessions.
 fn gateway(asks: bool) -> u64 {
     // the session is begun and the controller connected before the flood
     let address = flooding_tcp(2);
@@ -201,7 +202,7 @@ fn gateway(asks: bool) -> u64 {
     sessions
 }
 
-/// Asks for a variable when the last answer has been read.
+/// Requests a variable when the last answer has been read.
 fn ask(gateway: &mut Gateway<'_>, plc: PeerId) {
     let answered = gateway.transmit(plc).len();
     gateway.transmitted(plc, answered);

@@ -1,5 +1,5 @@
-//! How fast a halt is: from `halt()` to the request at the controller, and to the robot at rest; and the outcome that
-//! the waiting code gets.
+//! The latency of a halt: from `halt()` to the request at the controller, and to the robot at rest; and the outcome that the
+//! waiting code gets.
 //!
 //! `cargo bench -p bcap-tests --bench halt -- TRIALS`, 300 without a number. The last column counts motions that were
 //! reported as arrived although the robot rests elsewhere; it must be 0.
@@ -36,7 +36,7 @@ impl Rig {
         let (mut hooked, arrived) = (Hooked::new(Simulated::new(config)), Arc::clone(&halted));
         hooked.set(move |request| {
             if request.function == FunctionId::ROBOT_HALT {
-                // the first one: the code that waits for a motion may send another
+                // the first halt: the code that waits for a motion may send another
                 let _ = arrived.compare_exchange(0, now().as_micros(), Ordering::SeqCst, Ordering::SeqCst);
             }
             None
@@ -64,7 +64,7 @@ impl Rig {
         self.halted.store(0, Ordering::SeqCst);
     }
 
-    /// Waits until the robot rests after a halt that was asked for at `asked`, and records both delays.
+    /// Waits until the robot rests after a halt that was requested at `asked`, and records both delays.
     fn record(&mut self, asked: Instant) {
         let arrived = Instant::from_micros(self.halted.swap(0, Ordering::SeqCst));
         while self.is_moving() {
@@ -76,7 +76,7 @@ impl Rig {
         }
     }
 
-    /// Counts the outcomes that the waiting code got: arrived, halted, an error, or nothing because it had given up.
+    /// Counts the outcomes that the waiting code got: arrived, halted, an error, or no outcome because it had stopped waiting.
     fn told(&mut self, told: Option<Result<Motion, Error>>, target: f64) {
         let off = (self.joint() - target).abs() > 0.05;
         let kind = match told {

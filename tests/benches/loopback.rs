@@ -6,10 +6,10 @@
 //!
 //! The frames are as in a Slave Mode cycle: a request of 132 bytes, a reply of 126.
 //!
-//! 1. *Round trip*: the blocking client against the tokio server, and a bare ping-pong in which two threads write and
-//!    read the same bytes and look at none. Both are measured in turns, in the same run, twice: with all threads on one
-//!    processor, and with the servers on a second one. There, waking a processor that sleeps takes several times as
-//!    long as all the rest. Over 1.6 times the bare median the benchmark fails.
+//! 1. *Round trip*: the blocking client against the tokio server, and a bare ping-pong in which two threads write and read the
+//!    same bytes without parsing them. The measurements of both alternate in the same run, twice: with all threads on one
+//!    processor, and with the servers on a second one. There, waking a sleeping processor takes several times as long as all
+//!    the rest. The benchmark fails above 1.6 times the bare median.
 //! 2. *100 connections*: the same driver keeps one request in flight on each of 100 connections, to the tokio server on
 //!    one thread and to a bare answerer: one thread, epoll, a read and a write for each request. Shown are the requests
 //!    answered in a second, the share of a processor that the server's thread took, and its time for each request, in
@@ -37,7 +37,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 type Failure = Box<dyn std::error::Error + Send + Sync>;
 
 const POSE: [f64; 8] = [364.16, 0.0, 278.5355, 180.0, 1.25, 180.0, 5.0, 0.0];
-/// A round trip may take so many times as long as a bare one.
+/// A round trip may take at most this multiple of a bare round trip.
 const BAR: f64 = 1.6;
 const CONNECTIONS: usize = 100;
 
@@ -163,7 +163,7 @@ impl Quantiles {
     }
 }
 
-/// Two threads that exchange the bytes and look at none.
+/// Two threads that exchange the bytes without parsing them.
 struct BarePingPong {
     stream: TcpStream,
     request: Vec<u8>,
@@ -268,7 +268,7 @@ async fn drive(address: SocketAddr) -> Result<(u64, Duration), Failure> {
     Ok((count, begun.elapsed()))
 }
 
-/// Starts the service and asks for a robot; returns its handle.
+/// Starts the service and opens a robot; returns its handle.
 async fn open_session(stream: &mut tokio::net::TcpStream) -> Result<i32, Failure> {
     exchange(stream, frame(&call::service_start(""))).await?;
     let controller = exchange(stream, frame(&call::controller_connect("", "", "", ""))).await?;
@@ -310,7 +310,7 @@ struct ProcessorTime {
     user: f64,
 }
 
-/// Returns the time of this thread; `None` where the system does not tell.
+/// Returns the time of this thread; `None` where the system does not report it.
 fn processor_time() -> Option<ProcessorTime> {
     let exact = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
     let all = Duration::from_nanos(exact.split(' ').next()?.parse().ok()?);
@@ -367,7 +367,7 @@ impl CoreServer {
     }
 }
 
-/// The least that answers: epoll, one read and one write for each request.
+/// The minimal server: epoll, one read and one write for each request.
 struct BareServer;
 
 impl BareServer {
@@ -379,7 +379,7 @@ impl BareServer {
         let mut listener = mio::net::TcpListener::bind("127.0.0.1:0".parse()?)?;
         let address = listener.local_addr()?;
         poll.registry().register(&mut listener, LISTENER, mio::Interest::READABLE)?;
-        // held by both sides: a waker that is dropped at once takes its event out of epoll again
+        // held by both sides: a waker that is dropped immediately removes its event from epoll again
         let waker = Arc::new(mio::Waker::new(poll.registry(), STOP)?);
         let held = Arc::clone(&waker);
         let thread = thread::spawn(move || {
@@ -401,7 +401,7 @@ impl BareServer {
                         }
                         mio::Token(index) => {
                             let stream: &mut mio::net::TcpStream = &mut streams[index];
-                            // whatever comes is one request, and whatever it is, this is the reply
+                            // each read is taken as one request, and its contents do not matter
                             if matches!(stream.read(&mut buffer), Ok(1..)) {
                                 stream.write_all(&reply).ok()?;
                             }

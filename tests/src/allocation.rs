@@ -43,12 +43,12 @@ unsafe impl GlobalAlloc for Counting {
 
     unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         COUNT.set(COUNT.get() + 1);
-        // SAFETY: the caller's promises are passed on, and `pointer` came from the same allocator.
+        // SAFETY: the caller's promises are passed on, and `pointer` was allocated by the same allocator.
         unsafe { System.realloc(pointer, layout, size) }
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promises are passed on, and `pointer` came from the same allocator.
+        // SAFETY: the caller's promises are passed on, and `pointer` was allocated by the same allocator.
         unsafe { System.dealloc(pointer, layout) }
     }
 }

@@ -5,7 +5,7 @@ use std::thread::JoinHandle;
 
 use tokio::sync::oneshot;
 
-/// Tells a future in the background that it must end.
+/// Signals a future in the background to end.
 pub type Stopped = oneshot::Receiver<()>;
 
 /// A thread that runs a future.

@@ -1,7 +1,7 @@
 //! A serial cable between two pseudo-terminals, with the speed and the faults of a real line.
 //!
-//! A pseudo-terminal passes bytes at once, whatever its baud rate. The cable delays them as a UART would: a byte has ten bits, and
-//! bytes leave one after the other in each direction. Bytes that the receiver does not read in time are lost, as in a UART.
+//! A pseudo-terminal passes bytes immediately, whatever its baud rate. The cable delays them as a UART would: a byte has ten
+//! bits, and bytes leave sequentially in each direction. Bytes that the receiver does not read in time are lost, as in a UART.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Write};
@@ -19,7 +19,7 @@ use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 use tempfile::TempDir;
 
-/// How often a direction looks whether its end was unplugged.
+/// The interval at which a direction checks whether its end was unplugged.
 const LOOK: Duration = Duration::from_millis(5);
 
 /// The maximum number of bytes that are passed on together. Larger blocks would arrive later than on a real line.
@@ -28,11 +28,11 @@ const BLOCK: usize = 32;
 /// The speed and the faults of a cable. The default is as fast as possible and without faults.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Quality {
-    /// The speed in bits per second; `None` is as fast as possible.
+    /// The speed in bits per second; `None` means as fast as possible.
     pub baud: Option<u32>,
-    /// One bit of one in so many bytes is changed; 0 is never.
+    /// One byte in this many has a flipped bit; 0 disables this.
     pub corrupt_one_in: u64,
-    /// One in so many bytes is lost; 0 is never.
+    /// One byte in this many is lost; 0 disables this.
     pub lose_one_in: u64,
     /// The seed of the faults.
     pub seed: u64,

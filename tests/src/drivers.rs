@@ -97,7 +97,7 @@ fn one_session() -> BTreeMap<String, Link> {
     BTreeMap::from([(MAIN.to_owned(), Link::Tcp)])
 }
 
-/// The session of a step that names none.
+/// The session of a step without a session name.
 pub const MAIN: &str = "main";
 
 /// The first step that departs from the sequence.
@@ -146,7 +146,7 @@ impl Expected {
     }
 }
 
-/// A line after the first one; one of its keys tells which kind.
+/// A line after the first; one of its keys determines its kind.
 #[derive(Clone, Debug)]
 pub enum Step {
     /// A call.
@@ -155,7 +155,7 @@ pub enum Step {
     Stream(Box<Stream>),
     /// Steps that are repeated.
     Repeat(Repeat),
-    /// The client does nothing for this time.
+    /// The client sends no calls for this time.
     Pause(Pause),
     /// Something happens to the controller.
     Event(Event),
@@ -203,7 +203,7 @@ pub struct Call {
     pub is: Option<Json>,
     /// The value that ends a loop of this call.
     pub until: Option<Json>,
-    /// How often it is made; once unless given.
+    /// The number of repeats; once by default.
     pub times: Option<u32>,
     /// Steps of other sessions while this call waits for its reply.
     #[serde(default)]
@@ -280,7 +280,7 @@ fn doubles() -> String {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Repeat {
-    /// How often.
+    /// The number of repeats.
     pub repeat: u32,
     /// The steps.
     pub steps: Vec<Step>,
@@ -290,7 +290,7 @@ pub struct Repeat {
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Pause {
-    /// How long, on the controller's clock.
+    /// The duration on the controller's clock.
     pub pause_ms: u64,
 }
 
@@ -417,7 +417,7 @@ impl<'a> Check<'a> {
         if self.head.sessions.contains_key(name) { Ok(()) } else { Err(format!("no session is called {name}")) }
     }
 
-    /// Refuses models whose programs another model also runs, and models on which the sequence is not played.
+    /// Refuses models whose programs another model also runs, and models on which the sequence is not run.
     fn models<'m>(&self, models: impl IntoIterator<Item = &'m Model>) -> Result<(), String> {
         let is_played = |model: Model| self.head.models.contains(&model) || self.head.failure(model).is_some();
         let has_effect = |model: &&Model| model.like() == **model && is_played(**model);
@@ -480,8 +480,8 @@ fn is_type(gives: &str) -> Result<(), String> {
 /// Values of earlier replies by name.
 pub type Names = BTreeMap<String, Value>;
 
-/// Makes a value of JSON as a script language does: a string is BSTR, a whole number I4, another one R8, a list an array of
-/// its elements' type or of VARIANT; `{"R4": 1.5}` names the type.
+/// Converts a JSON value as a script language does: a string is BSTR, a whole number I4, any other number R8, a list an array
+/// of its elements' type or of VARIANT; `{"R4": 1.5}` names the type.
 ///
 /// # Panics
 ///

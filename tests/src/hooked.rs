@@ -12,7 +12,8 @@ use bcap_core::hresult::HResult;
 use bcap_core::rac;
 use bcap_core::time::Instant;
 
-/// Returns the outcome of a call, or `None` to leave it to the handler. The flag is set for a new call, and not for one that waits.
+/// Returns the outcome of a call, or `None` to leave it to the handler. The flag is set for a new call, and not for one that
+/// waits.
 type Hook = Box<dyn FnMut(&Request<'_>, bool) -> Option<Outcome> + Send>;
 
 /// A handler behind a hook.
@@ -36,12 +37,13 @@ impl<H> Hooked<H> {
         Self { inner, hook: Box::new(|_, _| None), waiting: BTreeSet::new() }
     }
 
-    /// Asks `hook` first from now on.
+    /// Calls `hook` before the inner handler from now on.
     pub fn set(&mut self, mut hook: impl FnMut(&Request<'_>) -> Option<HResult> + Send + 'static) {
         self.hook = Box::new(move |request, is_new| if is_new { hook(request).map(Into::into) } else { None });
     }
 
-    /// Answers `left` more calls of a function, and none after them. The receiver gets a message when the next one has arrived.
+    /// Answers `left` more calls of a function, and none after them. The receiver gets a message when the next call has
+    /// arrived.
     pub fn stall(&mut self, function: FunctionId, mut left: u32) -> Receiver<()> {
         let (stalled, receiver) = sync_channel(1);
         self.hook = Box::new(move |request, is_new| {

@@ -12,7 +12,7 @@ use tempfile::TempDir;
 
 use crate::tools;
 
-/// The longest time until a new broker listens.
+/// Maximum time until a new broker listens.
 const LIMIT: Duration = Duration::from_secs(30);
 
 /// A broker; dropping this ends it. If the process of the tests ends without a drop, a supervising shell kills the broker.
@@ -88,7 +88,7 @@ impl Mosquitto {
         self.signal("-TERM");
     }
 
-    /// Ends the broker as a crash does; it loses what it has acknowledged and not delivered.
+    /// Ends the broker as a crash does; it loses messages that it has acknowledged but not delivered.
     pub fn kill(&mut self) {
         self.signal("-KILL");
     }
@@ -109,7 +109,7 @@ impl Drop for Mosquitto {
 impl Running {
     fn start(program: &Path, file: &Path) -> io::Result<Self> {
         let broker = Command::new(program).arg("-c").arg(file).stderr(Stdio::null()).spawn()?;
-        // the end of this process, also by a signal, closes the pipe on which the shell waits
+        // the end of this process, even by a signal, closes the pipe on which the shell waits
         let script = "read line; kill -KILL \"$1\"";
         let mut supervisor = Command::new("sh");
         supervisor.args(["-c", script, "sh", &broker.id().to_string()]).stdin(Stdio::piped());
@@ -119,7 +119,7 @@ impl Running {
     fn end(mut self, signal: &str) {
         // before the broker is reaped: its number could be given to another process
         let _ = (self.supervisor.kill(), self.supervisor.wait());
-        // Mosquitto forgets a SIGTERM that arrives after it listens and before it serves
+        // Mosquitto loses a SIGTERM that arrives after it listens and before it serves
         while matches!(self.broker.try_wait(), Ok(None)) {
             let _ = Command::new("kill").args([signal, &self.broker.id().to_string()]).status();
             thread::sleep(Duration::from_millis(10));

@@ -5,8 +5,8 @@ use std::time::Duration;
 #[cfg(unix)]
 pub use rustix::process::Signal;
 
-/// Sends a signal to a process that this one has started and has not waited for, at once: a program such as `kill` may start late on a
-/// busy machine.
+/// Sends a signal directly to a child process that was not waited for yet: a program such as `kill` may start late on a busy
+/// machine.
 ///
 /// # Panics
 ///
@@ -34,11 +34,11 @@ pub struct Process {
 /// The resident memory of a process, in bytes.
 #[derive(Clone, Copy, Debug)]
 pub struct Memory {
-    /// The present memory.
+    /// The current memory.
     pub now: u64,
     /// The part of `now` that is not the program or another file: heap and stacks.
     pub anonymous: u64,
-    /// The most that it has taken so far.
+    /// The peak memory so far.
     pub most: u64,
 }
 
@@ -49,7 +49,7 @@ impl Process {
         Self { id }
     }
 
-    /// Returns the process that asks.
+    /// Returns the calling process.
     #[must_use]
     pub fn this() -> Self {
         Self::new(std::process::id())

@@ -13,7 +13,7 @@ use serialport::{SerialPort, TTYPort};
 
 use crate::serial::{Wire, serve};
 
-/// How often the controller's end looks whether it was unplugged.
+/// The interval at which the controller's end checks whether it was unplugged.
 const LOOK: Duration = Duration::from_millis(5);
 
 /// A line to a controller. Dropping it unplugs the line.
@@ -56,7 +56,7 @@ pub fn address(client: &TTYPort) -> String {
 }
 
 impl Line {
-    /// Connects a line to a controller, which corrupts so many of 1,000 bytes.
+    /// Connects to a controller over a line that corrupts `per_mille` of 1,000 bytes.
     ///
     /// # Panics
     ///

@@ -6,14 +6,14 @@ use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 /// The attempts of [`repeated`].
 const ATTEMPTS: usize = 10;
 
-/// The messages of a starved stream: the buffer of the controller ran empty, its reply was late, or the tools that run next to the
-/// stream were too slow for it.
+/// The messages of a starved stream: the buffer of the controller ran empty, its reply was late, or the tools that run next to
+/// the stream were too slow for it.
 const STARVED: [&str; 3] =
     ["E_COMMAND_BUFFER_EMPTY", "slvMove: no reply in time", "the stream was over before the tools"];
 
 /// Repeats a test in real time if its stream was starved: on a busy machine a pose can be so late that the buffer of the
-/// controller is empty, or a reply so late that the stream ends. Such a stream says nothing about the code under test. Any other
-/// failure is final.
+/// controller is empty, or a reply so late that the stream ends. Such a stream says nothing about the code under test. Any
+/// other failure is final.
 ///
 /// # Panics
 ///

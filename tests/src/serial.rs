@@ -62,7 +62,7 @@ impl Drop for SerialServer {
 
 /// One end of a line.
 pub trait Wire: Read + Write {
-    /// Sets how long a read waits; `None` is for ever.
+    /// Sets how long a read waits; `None` means indefinitely.
     ///
     /// # Errors
     ///
@@ -97,7 +97,7 @@ fn exchange<H: Handler>(stream: &mut impl Wire, line: &mut Line, handler: &Mutex
             stream.write_all(line.transmit())?;
             line.transmitted(usize::MAX);
         }
-        // a read without a time limit waits for ever; with one of zero it fails
+        // a read without a time limit waits indefinitely; with a limit of zero it fails
         let wait = line.poll_timeout().map(|at| at.saturating_since(now()).max(Duration::from_millis(1)));
         let room = line.receive_buffer();
         if room.is_empty() {

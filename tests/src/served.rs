@@ -38,9 +38,9 @@ pub struct Application {
     until: HashMap<PeerId, Instant>,
     /// Peers that have started the service.
     started: BTreeSet<PeerId>,
-    /// How often a sleeping call was polled.
+    /// Number of polls of a sleeping call.
     pub asked_again: u64,
-    /// How often each token was executed.
+    /// Number of executions of each token.
     pub executed: HashMap<i32, u32>,
     /// Connected peers that have made a call.
     pub peers: BTreeSet<PeerId>,
@@ -242,7 +242,7 @@ impl<H> Served<H> {
         self.runtime.metrics().num_alive_tasks()
     }
 
-    /// Calls a function with the application; the server waits meanwhile.
+    /// Calls a function with the application; the server waits during the call.
     pub fn application(&self) -> MutexGuard<'_, H> {
         self.application.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -8,7 +8,7 @@ use bcap_std::{Joints, Motion, Move};
 
 use crate::served::Served;
 
-/// Returns the configuration of a model whose motor is on at once.
+/// Returns the configuration of a model whose motor switches on immediately.
 #[must_use]
 pub fn quick(profile: Profile) -> Config {
     Config { motor_on_delay: Duration::from_millis(1), ..Config::new(profile) }
@@ -37,7 +37,7 @@ impl Served<Controller> {
         format!("tcp:{}", self.tcp)
     }
 
-    /// Returns whether the controller is in a state at the present time.
+    /// Returns whether the controller is currently in a state.
     pub fn is(&self, state: impl Fn(&Controller) -> bool) -> bool {
         let mut controller = self.application();
         controller.advance(bcap_std::now());
@@ -88,8 +88,8 @@ impl Outcomes {
         std::env::var("TRIALS").ok().and_then(|n| n.parse().ok()).unwrap_or(30)
     }
 
-    /// Counts the end that was reported of a motion, `None` for one that was dropped, and clears the errors. `ends` are the angles of
-    /// the first and the sixth joint at its destination.
+    /// Counts the reported end of a motion, `None` for a dropped motion, and clears the errors. `ends` are the angles of the
+    /// first and the sixth joint at its destination.
     ///
     /// # Panics
     ///
@@ -103,7 +103,7 @@ impl Outcomes {
                 self.arrived += 1;
             }
             Some(Motion::Halted) => {
-                // a halt can come when the robot is almost there; it leaves its error
+                // a halt can arrive when the robot is almost there; it leaves its error
                 assert!(off > 0.05 || sim.application().errors().count() > 0, "it is there; {self:?}");
                 self.halted += 1;
             }

@@ -1,7 +1,7 @@
 //! A virtual controller with a slow clock, so that even a busy machine meets its deadlines.
 //!
-//! Its cycle of 8 ms takes [`SLOWNESS`] times as long, or another factor, and its buffer lasts as much longer: a test in real time
-//! can then assert that nothing was late without measuring the machine.
+//! Its cycle of 8 ms takes [`SLOWNESS`] times as long, or another factor, and its buffer lasts as much longer: a test in real
+//! time can then assert that nothing was late without measuring the machine.
 
 use std::time::Duration;
 

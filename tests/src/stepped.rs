@@ -22,7 +22,7 @@ const LOOK: Duration = Duration::from_millis(1);
 /// A call that waits without moving the clock.
 #[derive(Debug)]
 enum Hold {
-    /// The next call that has to wait; the sender is told when it does.
+    /// The next call that has to wait; the sender gets a message when it does.
     Next(Sender<()>),
     /// The call of this client.
     Of(PeerId),
@@ -56,8 +56,8 @@ impl Stepped {
         self.controller.advance(self.now);
     }
 
-    /// Lets the next call that has to wait do so without moving the clock, so that another client can call meanwhile;
-    /// `waits` is told when there is such a call.
+    /// Makes the next call that has to wait do so without moving the clock, so that another client can call in the meantime;
+    /// `waits` gets a message when there is such a call.
     pub fn hold_next(&mut self, waits: Sender<()>) {
         self.hold = Some(Hold::Next(waits));
     }

@@ -28,7 +28,7 @@ fn settings() -> Settings {
     Settings::rc8().reconnect(Backoff::default().min(Duration::from_millis(1)).max(Duration::from_millis(20)))
 }
 
-/// A motion of 20 s, so that it is under way at the next line.
+/// A motion of 20 s, so that it is running at the next line.
 fn far() -> Move {
     to(150.0).speed_percent(2.0)
 }
@@ -229,7 +229,7 @@ async fn motions_follow_each_other_and_other_calls_are_made() {
     let sim = simulated();
     let (cell, mut arm) = ready(&sim).await;
     let motions = async {
-        // motions that a loaded machine sees to begin, too
+        // motions whose beginning is seen even on a loaded machine
         let mut moving = arm.start(&to(90.0).pass(Pass::Near), LIMIT).await.unwrap();
         for degrees in [150.0, 70.0, 140.0] {
             moving = moving.then(&to(degrees).pass(Pass::Near)).await.unwrap();
@@ -279,7 +279,7 @@ async fn motions_that_are_dropped_halt_the_robot() {
     assert!(moving.then(&Move::joint("P(")).await.unwrap_err().code().is_some());
     assert!(!sim.application().is_moving());
     sim.clear();
-    // one that is forgotten is halted before the next, which is refused because of that
+    // a leaked motion is halted before the next, which is refused because of that
     std::mem::forget(arm.start(&far(), LIMIT).await.unwrap());
     assert!(arm.move_to(&to(rest), LIMIT).await.is_err());
     sim.clear();
@@ -307,7 +307,7 @@ async fn no_stopped_queue_is_reported_as_arrived() {
             };
             match queued {
                 Ok(moving) => moving.wait().await.unwrap(),
-                // the halt came before the last motion was queued
+                // the halt arrived before the last motion was queued
                 Err(Error::Refused { code: HResult::E_ERROR_PRESENT, .. }) => Motion::Halted,
                 Err(error) => panic!("trial {trial}: {error}"),
             }
@@ -333,7 +333,7 @@ async fn no_stopped_queue_is_reported_as_arrived() {
     outcomes.assert_stopped();
 }
 
-/// Swings the first joint by 4 degrees, in so many cycles.
+/// Swings the first joint by 4 degrees, in `cycles` cycles.
 fn swing(cycles: u32) -> impl FnMut(&Cycle<'_>) -> Next + Send + 'static {
     move |cycle: &Cycle<'_>| {
         let mut joints: [f64; 8] = cycle.start.numbers().try_into().unwrap_or_default();
@@ -432,7 +432,7 @@ async fn one_arm_at_a_time() {
     sim.clear();
     drop(arm);
     drop(robot.take_arm().await.unwrap());
-    // a future that is dropped before it ends leaves no arm either
+    // a future that is dropped before it ends does not leave the arm taken either
     let robot = cell.robot().await.unwrap();
     tokio::select! {
         biased;
@@ -482,7 +482,7 @@ async fn a_subscription_of_many_variables_reports_each_change_with_its_name_and_
     }
     first.sort_by_key(|name| name[1..].parse::<u32>().unwrap());
     assert_eq!(first, names);
-    // nothing is taken meanwhile, so only the last values remain
+    // no value is taken in the meantime, so only the last values remain
     for value in 1..=3 {
         cell.write("I7", value).await.unwrap();
         cell.write("I9", value * 10).await.unwrap();
@@ -578,7 +578,7 @@ async fn in_memory_a_long_motion_takes_no_time() {
 #[tokio::test]
 async fn a_lost_session_ends_the_arm_and_a_new_one_begins() {
     let sim = simulated();
-    // a relay, because a server cannot be told to close one connection
+    // a relay, because a server has no function to close one connection
     let relay = Relay::tcp(sim.tcp);
     let cell = Controller::spawn(&format!("tcp:{}", relay.tcp), &settings()).unwrap();
     cell.connected().await.unwrap();

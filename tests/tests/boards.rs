@@ -45,7 +45,7 @@ fn no_project_has_an_invalid_name() {
         assert_eq!((code, error), (Some(2), expected));
         assert!(!project.exists());
     }
-    // a folder in another one has the name of its last part, also at the root
+    // a nested folder has the name of its last part, even at the root
     let (code, error) = run("new", &["w5500-evb-pico", "/"]);
     assert_eq!(code, Some(2));
     assert!(error.starts_with("new: invalid project name \"/\""), "{error}");

@@ -1,5 +1,5 @@
-//! The pages of the book and of the repository: each page of `docs` is in the table of contents, each program is a doc test, and
-//! each relative link leads to a file and a heading that exist. No test here needs a network.
+//! The pages of the book and of the repository: each page of `docs` is in the table of contents, each program is a doc test,
+//! and each relative link leads to a file and a heading that exist. No test here needs a network.
 
 use std::collections::BTreeSet;
 use std::fs;

@@ -1,8 +1,8 @@
 //! The lines of the specifications that `docs/spec-notes.md` cites.
 //!
 //! The specifications are not in this repository. `citations.tsv` has facts about their texts: a line, and a word that it has.
-//! Each citation of the page needs a fact within its lines, and each fact a citation. `just citations FOLDER` compares the facts
-//! with the texts `bcap-rc9.txt` and `rac-rc8.txt` of a folder.
+//! Each citation of the page needs a fact within its lines, and each fact a citation. `just citations FOLDER` compares the
+//! facts with the texts `bcap-rc9.txt` and `rac-rc8.txt` of a folder.
 
 use std::collections::BTreeSet;
 use std::ops::RangeInclusive;

@@ -31,7 +31,7 @@ fn ready(cell: &mut Controller) -> Arm<'_> {
     arm
 }
 
-/// A motion of 20 s, so that it is under way at the next line.
+/// A motion of 20 s, so that it is running at the next line.
 fn far() -> Move {
     to(150.0).speed_percent(2.0)
 }
@@ -83,7 +83,7 @@ fn a_path_names_a_variable_of_an_object_everywhere() {
         assert!(matches!(error, Error::Path(_)), "{error}");
         assert_eq!(error.to_string(), reason);
     }
-    // not a path: the controller is asked for this name
+    // not a path: the controller is queried for this name
     let unknown = arm.controller().read::<i32>("a/b").unwrap_err();
     assert!(unknown.to_string().starts_with("Controller_GetVariable of a/b: "), "{unknown}");
     arm.controller().write("robot/@SERVO_ON", true).unwrap();
@@ -159,7 +159,7 @@ fn a_stopper_connects_without_a_controller() {
     assert!(matches!(Stopper::connect("robot", &Settings::rc8()), Err(Error::Address(_))));
 }
 
-/// The tool stays where it is when only the figure changes, so the place of a halted robot says nothing.
+/// The tool stays where it is when only the figure changes, so the position of a halted robot does not show a difference.
 #[test]
 fn the_same_place_with_another_figure_is_not_the_end_of_a_motion() {
     let sim = simulated();
@@ -429,9 +429,9 @@ fn of_model(model: Profile, faults: &str) -> Served<Simulated> {
     Served::of(sim, Limits::default())
 }
 
-/// The controller does not know KillAll.
+/// The controller does not support KillAll.
 const NO_KILL_ALL: &str = "[[fault]]\nwhen = { every = 1, of = 'KillAll' }\nthen = { refuse = 'E_INVALID_CMD_NAME' }\n";
-/// It accepts KillAll, and its tasks go on.
+/// It accepts KillAll, but its tasks continue.
 const IDLE_KILL_ALL: &str = "[[fault]]\nwhen = { every = 1, of = 'KillAll' }\nthen = { refuse = 'S_OK' }\n";
 /// It does not list its tasks either.
 const NO_LIST: &str =
@@ -622,7 +622,7 @@ fn motions_that_are_dropped_halt_the_robot() {
     let refused = moving.then(&Move::joint("P(")).unwrap_err();
     assert!(refused.code().is_some() && !sim.application().is_moving(), "{refused}");
     sim.clear();
-    // one that is forgotten is halted before the next, which is refused because of that
+    // a leaked motion is halted before the next, which is refused because of that
     let below = sim.application().joints()[0] - 5.0;
     std::mem::forget(arm.start(&far(), LIMIT).unwrap());
     assert!(arm.move_to(&to(below), LIMIT).is_err());
@@ -697,7 +697,7 @@ fn no_halted_queue_is_reported_as_arrived() {
             let queued = queued.and_then(|moving| moving.then(&turn(degrees, other)));
             match queued {
                 Ok(moving) => moving.wait().unwrap(),
-                // the halt came before the last motion was queued
+                // the halt arrived before the last motion was queued
                 Err(Error::Refused { code: HResult::E_ERROR_PRESENT, .. }) => Motion::Halted,
                 Err(error) => panic!("trial {trial}: {error}"),
             }

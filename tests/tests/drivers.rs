@@ -31,7 +31,7 @@ const ROUNDS: u32 = 10_000;
 /// The buffer of Slave Mode is full: the pose was stored, or must be sent again.
 const BUFFER_FULL: [HResult; 2] = [HResult::S_BUF_FULL, HResult::E_BUF_FULL];
 
-/// How long a client waits when that buffer is full.
+/// The pause of a client when that buffer is full.
 const CYCLE: Duration = Duration::from_millis(8);
 
 /// A call of any function with any arguments.

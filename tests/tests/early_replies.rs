@@ -50,7 +50,7 @@ fn serve_together() -> Server {
     (address, forged)
 }
 
-/// Sends the reply to the next request when it is told that the one before has its reply.
+/// Sends the reply to the next request early, after a message that the previous request has its reply.
 fn serve_apart() -> (Server, Sender<()>) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();

@@ -1,4 +1,5 @@
-//! How programs end: with an error, by a panic, without a connection. The robot rests then, with its motor off and its arm free.
+//! How programs end: with an error, by a panic, without a connection. The robot rests then, with its motor off and its arm
+//! free.
 
 use std::collections::HashMap;
 use std::io;
@@ -29,7 +30,7 @@ fn settings() -> Settings {
     Settings::rc8().reconnect(Backoff::default().min(Duration::from_millis(1)).max(Duration::from_millis(20)))
 }
 
-/// A motion of 20 s, so that it does not end by itself on a busy machine.
+/// A motion of 20 s, so that it does not reach its end on a busy machine.
 fn far() -> Move {
     Move::joint(Joints::new([150.0, 45.0, 90.0, 0.0, 45.0, 0.0])).speed_percent(2.0)
 }
@@ -39,7 +40,7 @@ fn near() -> Move {
     Move::joint(Joints::new([1.0, 45.0, 90.0, 0.0, 45.0, 0.0]))
 }
 
-/// Asserts that another client's motion goes on, with the motor on.
+/// Asserts that another client's motion continues, with the motor on.
 fn assert_undisturbed(sim: &Served<Simulated>) {
     let mut controller = sim.application();
     controller.advance(bcap_std::now());
@@ -184,7 +185,7 @@ fn after_a_lost_connection_the_next_session_stops_the_robot_first() {
             relay.disconnect();
         };
         let (ended, ()) = tokio::join!(arm.move_to(&far(), LIMIT), cut);
-        // it was sent, so a program must not take it for one that was not
+        // it was sent, so it must not be reported as unsent
         assert!(matches!(ended, Err(Error::NoReply { .. })), "{ended:?}");
         let recovery = recoveries.next().await.unwrap();
         assert_eq!((recovery.halted, recovery.motor_off), (Some(true), Some(true)), "{recovery:?}");
@@ -287,7 +288,7 @@ impl Datagrams {
     }
 }
 
-/// Over UDP the controller does not notice that a session was lost, so it would keep the arm for it.
+/// Over UDP the controller does not detect that a session was lost, so it would keep the arm for that session.
 #[test]
 fn an_unreachable_datagram_link_leaves_nothing() {
     for moves in [false, true] {
@@ -306,7 +307,7 @@ fn an_unreachable_datagram_link_leaves_nothing() {
             }
             relay.heal(sessions);
             let recovery = recoveries.next().await.unwrap();
-            // after a halted motion, TakeArm is refused because of its error and does not tell that the arm is free
+            // after a halted motion, TakeArm is refused because of its error and does not reveal that the arm is free
             assert_eq!((recovery.halted, recovery.motor_off, recovery.arm_free), (Some(true), Some(true), !moves));
             assert_safe(&sim);
             drop(moving);
@@ -348,7 +349,7 @@ fn a_robot_that_another_client_has_taken_meanwhile_is_left_alone() {
     assert_safe(&sim);
 }
 
-/// The caller of a motion learns that it was sent, although another handle closes the controller.
+/// The caller of a motion is informed that it was sent, although another handle closes the controller.
 #[test]
 fn a_motion_whose_controller_is_closed_may_have_moved() {
     let sim = simulated();
@@ -390,7 +391,7 @@ fn a_motion_whose_runtime_ends_may_have_moved() {
     });
     assert!(matches!(ended, Err(Error::NoReply { .. })), "{ended:?}");
     assert_safe(&sim);
-    // nothing is sent any more
+    // no bytes are sent any more
     assert!(matches!(caller.block_on(cell.read::<i32>("I1")), Err(Error::Closed)));
 }
 
@@ -567,7 +568,7 @@ impl asynch::SendTransport for Failing {
     }
 }
 
-/// The result of a call, as the program is told it.
+/// The result of a call, as reported to the program.
 #[derive(Debug, PartialEq)]
 enum Told {
     Done,
@@ -652,7 +653,7 @@ fn a_write_that_was_not_sent_is_told_from_one_without_a_reply() {
     );
 }
 
-/// A program that was told that its halt was not sent would think that the robot goes on.
+/// If a halt that was sent is reported as unsent, the program would assume that the robot still moves.
 #[test]
 fn a_halt_that_was_not_sent_is_told_from_one_without_a_reply() {
     at_every_byte_blocking(

@@ -221,7 +221,7 @@ fn step() -> impl Strategy<Value = Step> {
     ]
 }
 
-/// Makes a call with arguments that the server would let pass; `guess` stands for handles that this client has not.
+/// Sends a call with arguments that pass the checks of the server; `guess` stands for handles that this client does not have.
 fn any_call(world: &mut World, step: &Step) {
     let Step::Call { peer, function, handle: guess, ints, float, name, arg } = step else { return };
     let function = FunctionId(*function);

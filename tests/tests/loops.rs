@@ -86,7 +86,7 @@ impl Direct {
         count
     }
 
-    /// Receives a datagram or a piece of a stream from the server; lets time pass until there is one.
+    /// Receives a datagram or a piece of a stream from the server; lets time pass until one arrives.
     fn take(&mut self, buffer: &mut [u8], until: Instant, link: Link) -> Option<usize> {
         loop {
             while self.session.run(&mut self.application, PeerId(1), self.now).is_some() {}

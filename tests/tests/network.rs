@@ -22,7 +22,7 @@ struct Tally {
     failed: u32,
 }
 
-/// Makes calls with tokens from 1, and checks what came of each.
+/// Makes calls with tokens from 1, and checks the outcome of each.
 fn call_many(simulation: &mut Simulation, calls: i32) -> Tally {
     let mut tally = Tally::default();
     for token in 1..=calls {
@@ -69,7 +69,7 @@ fn lost_datagrams_execute_calls_once() {
     for seed in 0..20 {
         let mut simulation = udp(Faults { loss: 300, delay: millis(20), ..Faults::default() }, seed);
         let tally = call_many(&mut simulation, 300);
-        // both ways lose: half of the attempts come through, so that of five one in thirty fails
+        // both directions lose datagrams: half of the attempts succeed, so one call of thirty fails in all five
         assert!(tally.done > 250 && simulation.seen.retries > 100, "{tally:?} {:?}", simulation.seen);
     }
 }
@@ -80,7 +80,7 @@ fn duplicated_reordered_and_late_datagrams_execute_calls_once() {
     for seed in 100..120 {
         let faults = Faults { loss: 200, repeat: 200, delay: millis(800), ..Faults::default() };
         let mut simulation = udp(faults, seed);
-        // a Service_Start that comes two seconds late is taken for a new client's, so only later frames come that late
+        // a Service_Start that is delayed by two seconds counts as a new client's, so only later frames get that delay
         simulation.settle(millis(2000));
         simulation.faults.straggle = 30;
         let tally = call_many(&mut simulation, 300);
@@ -160,7 +160,7 @@ fn a_call_on_a_stream_can_be_cancelled_at_every_byte_of_request_and_reply() {
             s.connect();
             s.begin(1).unwrap();
             assert_eq!(s.client.transmit().len(), request);
-            // a part of the request goes out, a part of the reply comes in, and the caller goes away
+            // a part of the request is sent, a part of the reply arrives, and the caller drops the call
             let part = s.client.transmit()[..sent].to_vec();
             s.client.transmitted(sent);
             s.session.receive_buffer()[..sent].copy_from_slice(&part);
@@ -216,7 +216,7 @@ fn no_reply_with_a_wrong_serial_ends_or_prolongs_a_call() {
     for config in [client::Config::TCP, client::Config::UDP] {
         let mut s = Simulation::new(config, server::Config::TCP, Faults::default(), 6);
         for token in 1..50_u16 {
-            // on a stream, too many of these at once end the session
+            // on a stream, too many of these in a short time end the session
             s.now = s.now + millis(500);
             s.begin(i32::from(token)).unwrap();
             let deadline = s.client.poll_timeout();
@@ -258,7 +258,7 @@ fn endless_keep_alives_end_a_call() {
         keep_alives += 1;
     };
     assert_eq!(end, Event::Failed(ClientError::Timeout(Timeout::KeepAlive)));
-    // the budget runs from the first one, at 400 ms
+    // the budget runs from the first keep-alive, at 400 ms
     assert_eq!((keep_alives, s.now), (150, Instant::from_millis(1 + 60_400)));
 }
 

@@ -207,7 +207,7 @@ fn calls_of_a_client_answered_by_a_server() {
                 now
             ));
             assert!(served(&mut client, &mut session, &call::robot_execute(RobotHandle(7), "slvMove", [1.0; 8]), now));
-            // one that the handler is asked about twice
+            // a call for which the handler is called twice
             served(&mut client, &mut session, &call::robot_halt(RobotHandle(7), ""), now);
             client.start(&call::service_stop(), client.timing(), now).unwrap();
             while client.handle_timeout(now + client.timing().deadline).is_some() {}
@@ -364,7 +364,7 @@ fn a_gateway_between_lines_and_frames() {
         let mut robot = BoardSession::new(server::Config::TCP, [0; 512], [0; 512]);
         let plc = gateway.open().unwrap();
         gateway.robot_opened(now);
-        // the second variable makes the first one's handle go
+        // the second variable evicts the handle of the first
         for line in ["", "GET:RC8:1:P:\r", "PUT:RC8:2:I:3,5\r", "nonsense\r", "PUT:RC8:2:I:4,5\r"] {
             let count = carry(line.as_bytes(), gateway.receive_buffer(plc));
             gateway.received(plc, count);

@@ -1,5 +1,5 @@
-//! A link that stops forwarding during a motion without closing, and then resumes: what the motion reports, and how the robot is
-//! left.
+//! A link that stops forwarding during a motion without closing, and then resumes: the result of the motion, and the final
+//! state of the robot.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
@@ -15,7 +15,7 @@ use bcap_tests::simulated::simulated;
 const LIMIT: Duration = Duration::from_secs(30);
 /// The time without a reply after which a call fails.
 const ANSWER: Duration = Duration::from_secs(3);
-/// A time that is much shorter, also if a busy machine makes it longer.
+/// A time that is much shorter, even if a busy machine makes it longer.
 const SHORT: Duration = Duration::from_millis(200);
 
 fn settings() -> Settings {

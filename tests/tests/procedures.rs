@@ -27,7 +27,7 @@ macro_rules! visit {
         let servo = read_variable(handles.robot, "@SERVO_ON", |value| value.as_bool()).unwrap();
         assert_eq!(connection.run(servo)$(.$wait)?.unwrap(), Some(false));
 
-        // without the arm the motion is refused, and nothing is halted or given back
+        // without the arm the motion is refused, and no robot is halted and no arm given back
         let refused = connection.run(move_and_wait(handles, start, end, config))$(.$wait)?.unwrap_err().error;
         assert_eq!(refused.cause, StepCause::Refused(HResult::E_ARM_NOT_TAKEN));
         sim.application().clear_errors(bcap_std::now());
@@ -39,7 +39,7 @@ macro_rules! visit {
         let angle = sim.application().joints()[0];
         assert!((angle - 5.0).abs() <= config.tolerance, "{angle}");
         assert!(!sim.application().is_moving());
-        // a motion of no length has arrived, too
+        // a motion of no length also arrives
         let motion = connection.run(move_and_wait(handles, start, end, config))$(.$wait)?.unwrap();
         assert_eq!(motion, Motion::Arrived);
         assert!(sim.application().arm_owner().is_some() && sim.application().motor_is_on(), "still prepared");

@@ -1,4 +1,5 @@
-//! Each file in a folder of tests is a module of its `main.rs`, or a program that Cargo.toml names: Cargo finds none by itself.
+//! Each file in a folder of tests is a module of its `main.rs`, or a program that Cargo.toml names: Cargo does not discover
+//! any.
 
 use std::fs;
 use std::path::{Path, PathBuf};

@@ -1,4 +1,4 @@
-//! Rare orders of events: the robot is left as the caller was told.
+//! Rare orders of events: the final state of the robot matches the result that the caller got.
 
 use std::thread;
 use std::time::Duration;
@@ -184,7 +184,7 @@ fn a_motor_that_others_have_switched_on_stays_on() {
     assert!(!sim.application().motor_is_on());
 }
 
-/// Over UDP the controller refuses every call while it executes one that was given up.
+/// Over UDP the controller refuses every call while it executes an abandoned call.
 #[tokio::test]
 async fn a_dropped_motion_is_halted_once_a_busy_controller_accepts_it() {
     let sim = simulated();

@@ -59,7 +59,7 @@ macro_rules! recovered {
 
         press(sim, false);
         sim.application().inject_error(ERROR, bcap_std::now());
-        // the controller does not say who owns the arm while it has an error, so the error stays
+        // the controller does not report the owner of the arm while it has an error, so the error stays
         let unsure = cell.robot()$(.$wait)?.unwrap().recover(RecoveryConfig::default())$(.$wait)?.map(drop);
         let (step, obstacle, _) = not_recovered(unsure.unwrap_err());
         assert_eq!((step, obstacle), (RecoveryStep::TakeArm, Some(Obstacle::OwnerUnknown)));

@@ -28,7 +28,7 @@ const PART: usize = 432;
 struct Counted {
     inner: SerialTransport,
     frames: u64,
-    /// The bytes of the present frame that are still to be sent.
+    /// The unsent bytes of the current frame.
     left: usize,
 }
 
@@ -133,7 +133,7 @@ impl Cell {
         }
         self.report("variables", begin);
         let mut random = Random(7);
-        // 0xff is no UTF-8, so each part is an array of bytes
+        // 0xff is not UTF-8, so each part is an array of bytes
         let content: Vec<u8> = (0..size).map(|at| if at % PART == 0 { 0xff } else { random.number() as u8 }).collect();
         let parts = || content.chunks(PART).enumerate().map(|(number, part)| (format!("part{number:04}"), part));
         let begin = Clock::now();

@@ -59,7 +59,7 @@ fn idle_connections_are_closed_after_the_configured_limit() {
     let server = Served::start(limits);
     let (mut waiting, controller) = client(&server);
     let mut silent: Vec<TcpStream> = (0..3).map(|_| TcpStream::connect(server.tcp).unwrap()).collect();
-    // a call that takes longer than anybody may be silent is no silence
+    // a call that runs longer than the idle limit does not count as silence
     waiting.call(call::controller_execute(controller, "sleep", 2500)).unwrap();
     for stream in &mut silent {
         // only a bound for a test that fails
@@ -157,7 +157,7 @@ fn a_server_stops_despite_busy_peers() {
     }
     let len = frame(&call::controller_execute(another, "sleep", 3_600_000), &mut buffer);
     waiting.transport().stream().write_all(&buffer[..len]).unwrap();
-    // the replies are under way
+    // the replies are being sent
     let mut some = [0; 1000];
     for client in [&mut deaf, &mut slow] {
         client.transport().stream().read_exact(&mut some).unwrap();

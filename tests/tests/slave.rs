@@ -61,7 +61,7 @@ impl Trajectory for Wave {
     }
 }
 
-/// Returns a pose whose first joint is turned by so much.
+/// Returns a pose whose first joint is turned by this angle.
 fn turned(pose: &Pose, by: f64) -> Pose {
     let mut joints: [f64; 8] = pose.numbers().try_into().unwrap();
     joints[0] += by;
@@ -209,7 +209,7 @@ fn a_pose_that_is_too_far_is_not_sent_and_the_stream_stops() {
     });
 }
 
-/// Holds for 20 cycles, then does something to the controller, and goes on.
+/// Holds the pose for 20 cycles, then disturbs the controller with `act`, and continues.
 fn disturbed<'a>(sim: &'a Served<Slowed>, act: impl Fn(&mut Controller) + 'a) -> impl FnMut(&Cycle<'_>) -> Next + 'a {
     move |cycle| {
         if cycle.number == 20 {
@@ -231,7 +231,7 @@ fn the_first_error_is_reported_and_recovery_is_explicit() {
         assert_eq!((fault.step, fault.code(), fault.released), (Step::Move, Some(code), Released::Yes));
         assert!(matches!(fault.cause, Cause::Refused(refused) if refused != code), "{fault}");
         let after = rig.engine.stats().cycles;
-        // nothing moves and nothing is cleared by itself
+        // the robot does not move and no error is cleared automatically
         let error = rig.run(&mut Wave { cycles: 10, ..Wave::default() }).unwrap_err();
         assert!(matches!(error, StreamError::Fault { code: Some(told), .. } if told == code), "{error}");
         assert_eq!(

@@ -18,7 +18,7 @@ use bcap_testkit::frame::TestFrame;
 use bcap_testkit::network::Random;
 use bcap_testkit::value::Value;
 
-/// How many sequences are run, and how many requests each has.
+/// The number of sequences, and the number of requests of each.
 const SEQUENCES: u64 = 400;
 const STEPS: usize = 150;
 
@@ -99,7 +99,7 @@ fn known(name: &str) -> &'static str {
 /// The kind of a request. Markers of calls count; so do the options of Service_Start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Ask {
-    /// Service_Start with `WDT=` a large number, so that no keep-alive is sent by itself.
+    /// Service_Start with `WDT=` a large number, so that no keep-alive is sent automatically.
     Start {
         options: u16,
     },
@@ -205,7 +205,7 @@ impl Handler for Application {
 struct Model {
     table: BTreeMap<Cell, Word>,
     covered: BTreeSet<Cell>,
-    /// The session: when its first call after Service_Start came, with its marker.
+    /// The session: when its first call after Service_Start arrived, with its marker.
     session: Option<Option<(Instant, u16)>>,
     /// The last Service_Start that was executed: its marker and its request.
     start: Option<(u16, Ask)>,
@@ -262,7 +262,7 @@ impl Model {
                 let is_last = self.last.as_ref().is_some_and(|last| (last.0, last.1) == (marker, function));
                 return match () {
                     () if options != ask => "start_other_options",
-                    // the number of attempts is unknown, so the stored reply decides
+                    // the number of attempts is unknown, so the stored reply determines the case
                     () if self.session == Some(None) && !(is_last && is_kept) => "start_copy_reply_lost",
                     () if !is_attempt => "start_attempt_of_another_client",
                     () if self.running.is_none() && !is_kept => "start_copy_reply_lost",
@@ -418,7 +418,7 @@ impl Model {
     }
 }
 
-/// Makes a reply; a function that gives a value gives EMPTY when it has none.
+/// Creates a reply; a function with a result returns EMPTY if it has no value.
 fn reply_to(serial: u16, function: FunctionId, code: HResult, value: Option<i32>) -> Seen {
     let gives = matches!(function, FunctionId::CONTROLLER_CONNECT | FunctionId::CONTROLLER_EXECUTE);
     let args = match value {
@@ -454,11 +454,11 @@ enum PlantedFault {
     NotAbandoned,
     /// Objects are released in the order in which they were opened.
     ReleasedForwards,
-    /// Nothing is released.
+    /// No object is released.
     NothingReleased,
     /// Without a session, Service_Start below the newest marker is dropped: the fault of version 0.1.
     WindowWithoutSession,
-    /// A Service_Start that comes while a call runs is busy.
+    /// A Service_Start that arrives while a call runs is refused as busy.
     StartIsBusy,
     /// An old call is answered.
     OldIsAnswered,
@@ -626,9 +626,9 @@ struct Sequence {
     model: Model,
     now: Instant,
     step: usize,
-    /// The serial of the next attempt of the present client.
+    /// The serial of the next attempt of the current client.
     next_serial: u16,
-    /// The last attempt of the present client.
+    /// The last attempt of the current client.
     current: Option<Attempt>,
     /// Every request that was ever sent; the network may deliver a copy of any.
     sent: Vec<Attempt>,
@@ -726,7 +726,7 @@ impl Sequence {
         self.exchange(attempt).map(drop)
     }
 
-    /// The client ends and another one begins at the same address. It is answered, at its fifth attempt at the latest.
+    /// The client ends and another client begins at the same address. It is answered, at its fifth attempt at the latest.
     fn restart(&mut self) -> Result<(), Difference> {
         self.next_serial = match self.random.below(4) {
             0 => 1 + self.random.below(0xffff) as u16,
@@ -850,7 +850,7 @@ fn the_session_does_what_the_table_says() {
     assert!(missed.is_empty(), "not covered: {missed:?}");
 }
 
-/// Returns whether a change of the table changes nothing that can be seen.
+/// Returns whether a change of the table has no observable effect.
 fn is_equivalent(cell: Cell, right: Word, wrong: Word) -> bool {
     let executes = |word| matches!(word, Word::Begin | Word::Execute);
     // the only call that can be last here is a refused one, and it would be refused again

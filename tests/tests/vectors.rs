@@ -153,10 +153,10 @@ fn a_stream_in_pieces_gives_all_frames_in_order() {
 
 #[test]
 fn a_stream_resynchronises_after_garbage() {
-    // with the bound of a stream, 16 MiB, garbage may pass for a long frame; a line's bound leaves little room for that
+    // with the bound of a stream, 16 MiB, garbage may be accepted as a long frame; a line's bound leaves little room for that
     let decoder = Decoder { crc: false, ..Decoder::SERIAL };
     let vectors = frames();
-    // 0x01 begins frames, so garbage with it is the hard sort: the claimed lengths must be refused
+    // 0x01 begins frames, so garbage with it is the difficult case: the claimed lengths must be refused
     let garbage: [&[u8]; 4] =
         [b"\x01\x01\x01\x01\x01", b"GET:RC8:10:I:\r", b"\x01\x0f\0\0\0", b"\xff\x01\xff\xff\xff\xff"];
     for (index, vector) in vectors.iter().enumerate() {

@@ -34,11 +34,11 @@ pub struct Config<'a> {
     pub option: &'a str,
     /// How long a request of a PLC may take, its waiting time included. Then it is answered with E_TIMEOUT.
     pub request_timeout: Duration,
-    /// The silence after which the robot is asked for the mode of Slave Mode, to notice that it is disconnected.
+    /// The silence after which the gateway reads the Slave Mode of the robot, to detect a disconnected robot.
     pub heartbeat: Duration,
     /// The pause before the second attempt to connect (exponential backoff: it doubles with each attempt).
     pub first_pause: Duration,
-    /// The longest pause between two attempts to connect.
+    /// Maximum pause between two attempts to connect.
     pub longest_pause: Duration,
     /// The rules for PLCs.
     pub rules: Rules<'a>,

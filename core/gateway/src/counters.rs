@@ -14,7 +14,7 @@ pub struct Counters {
     pub served: Tally,
     /// Requests that the robot refused or did not reply to, or that arrived while it was disconnected.
     pub failed: Tally,
-    /// Lines that the gateway refused. They get their reply at once, so their times are not counted.
+    /// Lines that the gateway refused. They get their reply immediately, so their times are not counted.
     pub refused: u32,
     /// Sessions with the robot.
     pub connected: u32,

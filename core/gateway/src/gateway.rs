@@ -34,7 +34,7 @@ pub struct Memory<const SESSIONS: usize, const HANDLES: usize> {
 }
 
 impl<const SESSIONS: usize, const HANDLES: usize> Memory<SESSIONS, HANDLES> {
-    /// Makes memory for at least one client and one handle.
+    /// Creates memory for at least one client and one handle.
     #[must_use]
     pub const fn new() -> Self {
         const { assert!(SESSIONS > 0 && HANDLES > 0, "a gateway needs a session and a handle") };
@@ -72,8 +72,8 @@ pub struct Gateway<'m> {
     next_ticket: u32,
     /// An event from outside of `poll_event`.
     pending: Option<Event>,
-    /// The time until which `poll_event` has nothing to do; zero after bytes were received or a connection has changed. Drivers poll
-    /// more often than there is something to do.
+    /// The time until which `poll_event` has nothing to do; zero after bytes were received or a connection has changed. Drivers
+    /// poll more often than necessary.
     settled: Instant,
     counters: Counters,
 }
@@ -84,11 +84,11 @@ enum InFlight {
     ServiceStart,
     ControllerConnect,
     GetRobot,
-    /// Any reply is sufficient, unless the robot no longer knows the session.
+    /// Any reply is sufficient, unless it means that the session no longer exists on the robot.
     Heartbeat,
-    /// The heartbeat that asks whether a stream of Slave Mode runs.
+    /// The heartbeat that queries whether a stream of Slave Mode runs.
     GetMode,
-    /// Asks the same before the value is written by this handle.
+    /// The same query before the value is written by this handle.
     GetModeFor(Job, VariableHandle),
     /// Releases the handle of a variable to make room.
     Release(VariableHandle),
@@ -166,7 +166,8 @@ impl Gateway<'_> {
 
     /// Assigns a slot to a new client; `None` when all slots are taken.
     ///
-    /// The address decides which rules apply to the client. The caller checks [`Rules::admits`](crate::rules::Rules::admits) before.
+    /// The address determines the rules that apply to the client. The caller checks
+    /// [`Rules::admits`](crate::rules::Rules::admits) first.
     pub fn open_from(&mut self, address: Option<Ipv4Addr>) -> Option<PeerId> {
         self.settled = Instant::ZERO;
         let slot = self.slots.iter_mut().find(|slot| slot.peer.is_none())?;
@@ -309,7 +310,7 @@ impl Gateway<'_> {
     /// Records that the connection has taken `count` bytes of [`robot_transmit`](Self::robot_transmit).
     pub fn robot_transmitted(&mut self, count: usize) {
         self.client.transmitted(count);
-        // it moves deadlines, and is no step
+        // this moves deadlines, but needs no step
         if self.settled > Instant::ZERO {
             self.settled = self.deadline();
         }
@@ -379,7 +380,7 @@ impl Gateway<'_> {
     /// Handles the reply to the running call.
     fn replied(&mut self, result: HResult, now: Instant) -> Option<Event> {
         self.record_reply(now);
-        // in reply to a call of the controller: the robot no longer knows the session
+        // in reply to a call of the controller: the session no longer exists on the robot
         let is_unknown = matches!(result, HResult::E_HANDLE | HResult::E_NOT_CONNECTED);
         match self.call.take()? {
             InFlight::GetRobot if is_unknown => Some(self.refused(FunctionId::CONTROLLER_GET_ROBOT, result)),
@@ -426,7 +427,7 @@ impl Gateway<'_> {
                 }
                 waiting_slot(self.slots, job)?.refuse(Refusal::SlaveMode)
             }
-            // a handle that could not be released is forgotten, too
+            // a handle that could not be released is also dropped
             InFlight::Release(handle) => {
                 self.handles.remove(handle);
                 None
@@ -608,7 +609,7 @@ impl Gateway<'_> {
         started.err().map(|error| self.fail_link(RobotError::Call(error)))
     }
 
-    /// Starts the call that reads the value, or the question before it is written, if the request still waits.
+    /// Starts the call that reads the value, or the slvGetMode before it is written, if the request still waits.
     fn begin_value(&mut self, job: Job, handle: VariableHandle, now: Instant) -> Option<Event> {
         let slot = waiting_slot(self.slots, job)?;
         if matches!(slot.session.request()?, Request::Get(_)) {
@@ -624,7 +625,7 @@ impl Gateway<'_> {
         }
     }
 
-    /// Starts the call that asks whether a stream of Slave Mode runs.
+    /// Starts the call that queries whether a stream of Slave Mode runs.
     fn get_mode(&mut self, robot: RobotHandle, now: Instant) -> Result<(), ClientError> {
         self.start(FunctionId::ROBOT_EXECUTE, &[&robot, &StreamState::COMMAND, &()], now)
     }

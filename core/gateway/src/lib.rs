@@ -16,18 +16,17 @@
 //! * **Replies**: every line gets exactly one reply, its own, in the order of a client's lines. A request that times out
 //!   gets the reply E_TIMEOUT; a later reply of the robot is dropped.
 //! * **Order**: one call to the robot is in flight at a time. Requests of all clients are served in the order of arrival.
-//! * **Without a session** with the robot, every request gets the reply E_NOT_CONNECTED at once. The request in flight when
+//! * **Without a session** with the robot, every request immediately gets the reply E_NOT_CONNECTED. The request in flight when
 //!   the session ends gets E_NOT_CONNECTED, or E_TIMEOUT if the robot stopped responding or a PUT was sent, which the robot may
-//!   have executed.
-//!   The gateway never sends a PUT twice, except after E_HANDLE, which means that it was not executed.
+//!   have executed. The gateway never sends a PUT twice, except after E_HANDLE, which means that it was not executed.
 //! * **Handles** are valid on the connection that opened them, and kept in an LRU cache. When the cache is full, the least
 //!   recently used handle is released. After E_HANDLE the gateway gets a new handle, once per request. E_HANDLE or
-//!   E_NOT_CONNECTED in reply to a call of the controller ends the session: the robot no longer knows it.
+//!   E_NOT_CONNECTED in reply to a call of the controller ends the session: it no longer exists on the robot.
 //! * **Results** of the robot are passed on unchanged. **Values** are converted to the type of the variable if that is
 //!   lossless, and passed on unchanged otherwise: a line contains the type. A value that has no text, or does not fit the
 //!   256 bytes of a line, becomes the reply E_INVALIDSNDPACKET.
-//! * **Slave Mode**: a PUT may end a stream of another client. So the gateway asks `slvGetMode` before each PUT, and refuses it
-//!   with E_SLVMODE_ON if a stream runs or may run. A stream that begins just after the question can still be ended.
+//! * **Slave Mode**: a PUT may end a stream of another client. So the gateway sends `slvGetMode` before each PUT, and refuses
+//!   the PUT with E_SLVMODE_ON if a stream runs or may run. A stream that begins just after this query can still be ended.
 //! * **Rules** ([`Rules`]) are checked first; by default nothing can be written.
 //!
 //! # Examples

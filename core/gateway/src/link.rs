@@ -95,7 +95,7 @@ impl LinkState {
 pub enum RobotError {
     /// The connection could not be opened, or was closed.
     Closed,
-    /// The robot refused to begin a session, or no longer knows it.
+    /// The robot refused to begin a session, or the session no longer exists there.
     Refused {
         /// The refused function.
         function: FunctionId,

@@ -26,7 +26,7 @@ impl Network {
     /// All clients, even without an address.
     pub const ANY: Self = Self { address: Ipv4Addr::UNSPECIFIED, prefix: 0 };
 
-    /// Makes the network of the first `prefix` bits of an address; `None` if there are more than 32.
+    /// Creates the network of the first `prefix` bits of an address; `None` if there are more than 32.
     #[must_use]
     pub const fn new(address: Ipv4Addr, prefix: u8) -> Option<Self> {
         if prefix <= 32 { Some(Self { address, prefix }) } else { None }

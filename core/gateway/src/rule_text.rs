@@ -8,9 +8,9 @@
 //! number = the text of an R8, as in a RAC line: -2.5, 4e2, inf
 //! ```
 //!
-//! Without an index the rule is about all variables of the kind, with one index about this variable, with two about these
-//! and those between them. A range allows an infinity only as its bound: `0..inf` allows it, `0..1e9` and no range do not. No
-//! rule allows NaN. Each range is about one element of the value, the last range also about the elements after it.
+//! A rule without an index applies to all variables of the kind, with one index to this variable, with two to the variables
+//! from the first to the last. A range allows an infinity only as its bound: `0..inf` allows it, `0..1e9` and no range do not.
+//! No rule allows NaN. Each range applies to one element of the value, the last range also to all further elements.
 
 use core::fmt;
 

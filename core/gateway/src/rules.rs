@@ -168,9 +168,9 @@ impl Bounds {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Rate {
-    /// Requests per second; 0 is no limit.
+    /// Requests per second; 0 means unlimited.
     pub per_second: u32,
-    /// Requests at once, at least 1.
+    /// Burst: the number of requests without a pause, at least 1.
     pub burst: u32,
 }
 

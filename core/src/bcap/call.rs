@@ -1,7 +1,8 @@
 //! Typed calls: one Rust function for each of the 137 functions of b-CAP.
 //!
-//! A call is a value that contains its function and arguments, and knows the type of its reply. It does nothing until a
-//! client sends it. All are generated from the [function table](super::function), so names and types agree with the wire.
+//! A call is a value that contains its function and arguments, and its type determines the type of the reply. It does nothing
+//! until a client sends it. All are generated from the [function table](super::function), so names and types agree with the
+//! wire.
 //!
 //! The documentation of a call says what the function does, its arguments with their units, what it returns, and which
 //! controllers have it; "all" are RC8, RC9 and COBOTTA. The specifications are the b-CAP specification for RC9 and the
@@ -45,7 +46,7 @@ pub trait Call {
     fn arguments(&self, frame: &mut FrameWriter<'_>) -> Result<(), EncodeError>;
 
     /// Returns the prepared frame of the call, without CRC, if it has one. A client copies that frame, sets serial and
-    /// reserved field, and does not encode the arguments. On serial lines it encodes them nevertheless.
+    /// reserved field, and does not encode the arguments. On serial lines it still encodes them.
     #[inline]
     fn prepared(&self) -> Option<&[u8]> {
         None

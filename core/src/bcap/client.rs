@@ -43,7 +43,7 @@ use crate::time::{Instant, micros, micros_u32};
 
 /// The time limits and the number of attempts of one call.
 ///
-/// They are an argument of [`Client::start`], so a dropped call cannot leave them changed for the next one.
+/// They are an argument of [`Client::start`], so a dropped call cannot leave them changed for the next call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Timing {
@@ -101,7 +101,7 @@ pub struct Config {
     pub strictness: Strictness,
     /// The reaction to bytes of a stream that are not a valid frame. Invalid datagrams are always dropped.
     pub on_malformed: OnMalformed,
-    /// The timing of calls that bring none, such as [`Connection::call`](crate::io::blocking::Connection::call).
+    /// The timing of calls without their own, such as [`Connection::call`](crate::io::blocking::Connection::call).
     pub timing: Timing,
     /// On serial lines, the silence inside a frame after which its rest is lost: rounded up to milliseconds, at most 65 s.
     /// While a frame arrives, no attempt ends.
@@ -285,7 +285,8 @@ struct State {
     closed: bool,
     /// [`Config::character_timeout`] in milliseconds.
     character_timeout: u16,
-    /// On a serial line, when the rest of a partly received frame is lost; [`Instant::FAR_FUTURE`] while there is no such frame.
+    /// On a serial line, when the rest of a partly received frame is lost; [`Instant::FAR_FUTURE`] while there is no such
+    /// frame.
     partial_until: Instant,
 }
 
@@ -408,7 +409,7 @@ impl<T: Storage, R: Storage> Client<T, R> {
         self.next_event(&|| now)
     }
 
-    /// Same as [`poll_event`](Self::poll_event), but reads the clock only for an event that depends on the time. The reply that
+    /// Like [`poll_event`](Self::poll_event), but reads the clock only for an event that depends on the time. The reply that
     /// ends a call does not.
     pub(crate) fn next_event(&mut self, now: &dyn Fn() -> Instant) -> Option<Event> {
         if self.state.closed {
@@ -497,7 +498,7 @@ impl<T: Storage, R: Storage> Client<T, R> {
         self.state.was_sent = false;
     }
 
-    /// Returns whether the whole request of the last call was sent, so that the peer may have executed it. Without that, a call
+    /// Returns whether the whole request of the last call was sent, so that the peer may have executed it. Otherwise, a call
     /// over a lost connection was certainly not executed.
     #[must_use]
     pub const fn was_sent(&self) -> bool {
@@ -516,7 +517,7 @@ impl<T: Storage, R: Storage> Client<T, R> {
         self.state.closed
     }
 
-    /// Prepares for a new connection: forgets the call in flight and all received bytes. Serials continue.
+    /// Prepares for a new connection: discards the call in flight and all received bytes. Serials continue.
     pub fn reset(&mut self) {
         self.inbox.reset();
         self.reply = None;
@@ -632,7 +633,7 @@ impl State {
 
     /// Returns the next serial without an outstanding reply.
     fn take_serial(&mut self) -> u16 {
-        // the loop ends, because the remembered ranges cover fewer serials than exist
+        // the loop ends, because the stored ranges cover fewer serials than exist
         loop {
             let serial = self.next_serial;
             self.next_serial = if serial == u16::MAX { 1 } else { serial.wrapping_add(1) };
@@ -740,7 +741,7 @@ impl State {
         Event::Failed(error)
     }
 
-    /// Ends the call in flight, if any, and remembers its sent attempts without a reply.
+    /// Ends the call in flight, if any, and stores the serials of its sent attempts without a reply.
     fn end_call(&mut self, answered: Option<u16>) {
         let Some(call) = self.call.take() else { return };
         if call.sent != 0 && (answered.is_none() || call.attempt > 1) {
@@ -829,7 +830,7 @@ impl Unanswered {
         self.ranges.iter().take_while(|(first, _)| *first != 0).any(|(first, last)| within(serial, *first, *last))
     }
 
-    /// Forgets a range of one serial whose reply arrived. A retried call may get further replies.
+    /// Removes a range of one serial whose reply arrived. A retried call may get further replies.
     fn answered(&mut self, serial: u16) {
         if let Some(at) = self.ranges.iter().position(|range| *range == (serial, serial)) {
             let mut older = (0, 0);

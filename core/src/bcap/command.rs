@@ -357,7 +357,7 @@ mod tests {
         assert_eq!(robot("takearm"), Properties { effect: Effect::Moves, in_slave_mode: InSlaveMode::Refused });
         assert_eq!(robot("SysState"), Properties::UNKNOWN, "a command of another object");
         assert_eq!(robot("NoSuchCommand"), Properties::UNKNOWN);
-        // a text that is no command name changes nothing
+        // a text that is not a command name changes nothing
         assert_eq!(FunctionId::ROBOT_HALT.properties(Some("Motor"), None).in_slave_mode, InSlaveMode::Allowed);
     }
 

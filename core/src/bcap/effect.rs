@@ -2,7 +2,7 @@
 //!
 //! A controller in Slave Mode refuses most calls of every client, and the refusal ends Slave Mode: the robot stops and
 //! `slvMove` answers E_SLVMODE_OFF. This was seen on RC8, COBOTTA and COBOTTA PRO (the vendor's ROS driver, issues 6, 42 and
-//! 12; nkawa/Denso_CobottaPro900_MQTT_Control). So a program that only reads must know which calls it may send.
+//! 12; nkawa/Denso_CobottaPro900_MQTT_Control). So a program that only reads needs a list of the calls that it may send.
 //!
 //! | calls                                                            | in Slave Mode | source                           |
 //! |------------------------------------------------------------------|---------------|----------------------------------|
@@ -58,7 +58,7 @@ impl Effect {
 pub enum InSlaveMode {
     /// A source saw the call executed in Slave Mode.
     Allowed,
-    /// A source saw the call end Slave Mode, or the vendor's guide says that it is not available.
+    /// A source observed that the call ends Slave Mode, or the vendor's guide says that it is not available.
     Refused,
     /// No source. Such a call is treated as refused.
     Unknown,
@@ -100,15 +100,15 @@ impl Properties {
 
 /// Whether a stream of Slave Mode runs, from the reply to `slvGetMode`.
 ///
-/// The answer is about the past: a stream may begin between this reply and the next call. A program that must not interrupt
-/// one asks before each call that Slave Mode refuses, which makes the gap a round trip, but does not close it.
+/// A stream may begin between this reply and the next call. A program that must not interrupt a stream sends slvGetMode before
+/// each call that Slave Mode refuses. This limits the gap to one round trip, but does not close it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum StreamState {
     /// No stream runs.
     Off,
-    /// The controller has no Slave Mode: there is no licence, or the command does not exist. It need not be asked again.
+    /// The controller has no Slave Mode: there is no licence, or the command does not exist. The query need not be repeated.
     Absent,
     /// A stream runs.
     Runs,
@@ -117,10 +117,10 @@ pub enum StreamState {
 }
 
 impl StreamState {
-    /// The command of Robot_Execute that asks for the mode.
+    /// The command of Robot_Execute that reads the mode.
     pub const COMMAND: &'static str = "slvGetMode";
 
-    /// Concludes from the result of `slvGetMode` and the number in its reply; 0 is off.
+    /// Returns the state for the result of `slvGetMode` and the number in its reply; 0 is off.
     #[must_use]
     pub const fn from_reply(result: HResult, mode: Option<i32>) -> Self {
         /// A Slave Mode licence is missing, in the list of codes of an RC8.

@@ -130,7 +130,8 @@ impl Decoder {
     ///
     /// # Errors
     ///
-    /// Same as [`decode`](Self::decode), and when bytes are missing or follow the frame; a lenient decoder ignores the latter.
+    /// Same as [`decode`](Self::decode). Also fails if bytes are missing or follow the frame; a lenient decoder ignores the
+    /// latter.
     pub fn decode_datagram<'a>(&self, bytes: &'a [u8]) -> Result<Frame<'a>, DecodeError> {
         let decoded = self.decode_with_header(bytes)?;
         self.check_datagram(decoded, bytes.len()).map(|(header, args)| Frame::new(header, args))
@@ -178,8 +179,8 @@ impl Decoder {
         Ok(Some(to_usize(length)))
     }
 
-    /// Returns how many bytes to drop after an error, up to the next one that may begin a frame: at least one, unless
-    /// `bytes` is empty, and all of them if no byte may begin a frame.
+    /// Returns how many bytes to drop after an error, up to the next byte that may begin a frame: at least one, unless `bytes`
+    /// is empty, and all of them if no byte may begin a frame.
     #[must_use]
     pub fn resync(&self, bytes: &[u8]) -> usize {
         let mut at = 1_usize;

@@ -115,8 +115,8 @@ pub trait Handler {
     /// Executes a request of the server itself, which releases an object that the peer left open; the default is to
     /// [`call`](Self::call) it. Its outcome is ignored.
     ///
-    /// When a session ends, the server releases all open objects in reverse order: the last one is the service, with
-    /// Service_Stop. After that it calls the Service_Stop of the peer, if the peer has sent one.
+    /// When a session ends, the server releases all open objects in reverse order, ending with the service, by Service_Stop.
+    /// After that it calls the Service_Stop of the peer, if the peer has sent one.
     fn release(&mut self, peer: PeerId, request: &Request<'_>, now: Instant) {
         let _ = self.call(peer, request, &mut ReplyValue::new(&mut []), now);
     }
@@ -274,7 +274,7 @@ struct RunningRequest {
     keep_alive_at: Instant,
 }
 
-/// The shortest interval between two polls of a waiting handler without other events.
+/// Minimum interval between two polls of a waiting handler without other events.
 const SOONEST: Duration = Duration::from_millis(1);
 
 /// The silence inside a frame on a serial line after which its rest is lost.
@@ -297,7 +297,8 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         self.objects.len()
     }
 
-    /// Reads the next received frame. Invalid bytes are an event, and get a reply as [`malformed`](Self::malformed) decides.
+    /// Reads the next received frame. Invalid bytes are an event; [`malformed`](Self::malformed) determines whether they get a
+    /// reply.
     fn next_frame(&mut self) -> Option<Result<Located, Event>> {
         Some(match self.inbox.poll(&mut self.rx)? {
             InboxEvent::Frame(frame) => Ok(frame),
@@ -420,7 +421,7 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         self.call(running, handler, peer, now)
     }
 
-    /// Handles a request that arrives while another one runs. On a stream it stays in the buffer.
+    /// Handles a request that arrives while another request runs. On a stream it stays in the buffer.
     fn called_while_running<H: Handler + ?Sized>(
         &mut self,
         handler: &mut H,
@@ -432,7 +433,7 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         }
         let frame = match self.next_frame()? {
             Ok(frame) => frame,
-            // reported at once, so that the frame after it is read
+            // reported immediately, so that the frame after it is read
             Err(event) => return Some(event),
         };
         let attempt = self.attempt(frame)?;
@@ -575,7 +576,7 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
     fn executing(&mut self, attempt: &Attempt) -> Event {
         let mut serial = attempt.serial;
         if let Some(running) = &mut self.state.running {
-            // the network may have reordered the attempts: the reply carries the serial of the last one
+            // the network may have reordered the attempts: the reply carries the serial of the last attempt
             if serial.wrapping_sub(running.serial) >= 0x8000 {
                 serial = running.serial;
             }
@@ -807,7 +808,7 @@ impl State {
         self.watchdog.map_or(Instant::FAR_FUTURE, |interval| now.saturating_add(interval))
     }
 
-    /// Decides about a request by its serials. A stream neither loses nor duplicates requests.
+    /// Classifies a request by its serials. A stream neither loses nor duplicates requests.
     fn judge(&self, attempt: &Attempt, now: Instant) -> Verdict {
         if !self.config.link.is_lossy() {
             return Verdict::New;

@@ -20,7 +20,7 @@ pub struct Row {
 pub struct Pattern {
     /// The first code.
     pub first: u32,
-    /// The last code, which is the first one for a single code.
+    /// The last code; for a single code it equals the first.
     pub last: u32,
     /// Whether the last digit is an axis, 1 to 8; codes with other digits do not belong to the pattern.
     pub has_axis: bool,

@@ -49,7 +49,7 @@ pub trait Transport {
 
 /// A [`Transport`] whose futures are `Send`, so that code over any transport can be spawned on several threads.
 ///
-/// Implement this trait for a type of the standard library's world; it is a [`Transport`] then.
+/// Implement this trait for a transport that uses the standard library; it then also implements [`Transport`].
 ///
 /// # Examples
 ///

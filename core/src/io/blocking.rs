@@ -37,8 +37,8 @@ pub trait Transport {
 
 /// A transport over a device that can be polled, such as a UART, and a clock.
 ///
-/// It waits in a busy loop; to sleep instead, implement [`Transport`]. An error of a read means lost bytes, except one that says
-/// that the connection has ended.
+/// It waits in a busy loop; to sleep instead, implement [`Transport`]. An error of a read means lost bytes, except one that
+/// says that the connection has ended.
 #[cfg(feature = "embedded-io")]
 #[derive(Debug)]
 pub struct Polled<D, C> {
@@ -57,7 +57,7 @@ impl<D, C: crate::time::Clock> Polled<D, C> {
 
 #[cfg(feature = "embedded-io")]
 impl<D: embedded_io::Read + embedded_io::ReadReady, C> Polled<D, C> {
-    /// Reads the bytes that have arrived; `None` when nothing has.
+    /// Reads the bytes that have arrived; `None` if there are none.
     fn read_available(&mut self, buffer: &mut [u8]) -> Result<Option<usize>, D::Error> {
         if self.device.read_ready()? { self.device.read(buffer).map(Some) } else { Ok(None) }
     }

@@ -1,8 +1,8 @@
 //! Connections, written once for both loops.
 //!
-//! The macro expands in [`asynch`](super::asynch) and in [`blocking`](super::blocking), next to their `Transport`. A blocking function
-//! is not an async one that is polled by an executor, because the compiler puts a panic into every `async fn`, for a poll after
-//! its end. A firmware that only blocks must have no panic (`tests/no-panic`).
+//! The macro expands in [`asynch`](super::asynch) and in [`blocking`](super::blocking), next to their `Transport`. A blocking
+//! function is not an async one that is polled by an executor, because the compiler puts a panic into every `async fn`, for a
+//! poll after its end. A firmware that only blocks must have no panic (`tests/no-panic`).
 
 /// Expands to the connections of b-CAP and RAC over the `Transport` of the module.
 ///
@@ -46,7 +46,7 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
         &mut self.transport
     }
 
-    /// Returns transport and client, to wrap the transport in another one, such as one that records the bytes.
+    /// Returns transport and client, to wrap the transport in another transport, such as one that records the bytes.
     #[must_use]
     pub fn into_parts(self) -> (X, Client<T, R>) {
         (self.transport, self.client)
@@ -60,7 +60,7 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
 
     /// Makes a call, waits for its reply and returns the value, which borrows from the client's buffer.
     ///
-    /// It uses the timing of the client's configuration; [`call_with`](Self::call_with) takes another one.
+    /// It uses the timing of the client's configuration; [`call_with`](Self::call_with) takes another timing.
     ///
     /// # Errors
     ///
@@ -70,8 +70,8 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
     #[doc = $cancel_safety]
     ///
     /// Dropping the future abandons the call: the next call first sends the rest of a partly sent request, and a late reply
-    /// is dropped. The controller may or may not execute the abandoned call; a robot that it moves goes on, and a halt on
-    /// this connection waits for its end. Use [`move_and_wait`](crate::procedure::move_and_wait) for motions.
+    /// is dropped. The controller may or may not execute the abandoned call; a motion that it started continues, and a halt on
+    /// this connection waits for the end of that call. Use [`move_and_wait`](crate::procedure::move_and_wait) for motions.
     )?
     pub $($async)? fn call<C: Call>(&mut self, call: C) -> Result<<C::Reply as Reply>::Value<'_>, CallError<X::Error>> {
         // not through `call_with`, whose future would hold the call twice and its timing
@@ -81,7 +81,7 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
         Ok(self.client.value::<C::Reply>()?)
     }
 
-    /// Makes a call as [`call`](Self::call) does, and keeps its reply in the [client](Self::client), which also tells after a
+    /// Makes a call like [`call`](Self::call), and keeps its reply in the [client](Self::client), which also reports after a
     /// failure whether the call [was sent](Client::was_sent).
     ///
     /// # Errors
@@ -99,7 +99,7 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
         wait(&mut self.transport, &mut self.client)$($await)*
     }
 
-    /// Makes a call as [`call`](Self::call) does, with its own timing.
+    /// Makes a call like [`call`](Self::call), with its own timing.
     ///
     /// # Errors
     ///
@@ -137,7 +137,7 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
         run(procedure, self, None::<&mut Self>)$($await)*
     }
 
-    /// Runs a procedure over this connection, its calls of [`Channel::Watch`] over another one.
+    /// Runs a procedure over this connection, and its calls of [`Channel::Watch`] over another connection.
     ///
     /// # Errors
     ///
@@ -293,7 +293,7 @@ impl<X: Transport, V: Storage> RacConnection<X, V> {
         &mut self.transport
     }
 
-    /// Returns transport and client, to wrap the transport in another one, such as one that records the bytes.
+    /// Returns transport and client, to wrap the transport in another transport, such as one that records the bytes.
     #[must_use]
     pub fn into_parts(self) -> (X, rac::Client<V>) {
         (self.transport, self.client)
@@ -320,7 +320,7 @@ impl<X: Transport, V: Storage> RacConnection<X, V> {
     ///
     /// # Errors
     ///
-    /// Same as [`get`](Self::get), and [`Request`](rac::client::ClientError::Request) for a value that has no text.
+    /// Same as [`get`](Self::get), or [`Request`](rac::client::ClientError::Request) for a value that has no text.
     $(
     ///
     #[doc = $cancel_safety]
@@ -341,8 +341,8 @@ impl<X: Transport, V: Storage> RacConnection<X, V> {
 
 type Ended<X, M> = Result<(), CallError<<X as Transport>::Error, <M as Machine>::Error>>;
 
-/// Clears the link for a call: sends the rest of one that was given up, and drops what arrived before this one, so that it
-/// is not taken for the reply.
+/// Clears the link for a call: sends the rest of an abandoned call, and drops the bytes that arrived before this call, so that
+/// they are not taken for the reply.
 $($async)? fn clear<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
     client.give_up();
     if !client.transmit().is_empty() {

@@ -7,13 +7,13 @@ use crate::time::Instant;
 /// The slots of a server or gateway, and the policy that assigns them to clients.
 ///
 /// A new client of a host that has used its share can only replace a client of the same host. When all slots are taken, it can
-/// replace a client of any host. Replaced is the first of these that exists:
+/// replace a client of any host. The first of these that exists is replaced:
 ///
 /// 1. a client whose session is over;
 /// 2. the client of the same host that has been idle longest, because it is most likely the predecessor of the new client;
 /// 3. the client that has been idle longest.
 ///
-/// An idle client is replaced only if it has been idle for `evict_after`, a busy one never.
+/// An idle client is replaced only if it has been idle for `evict_after`. A busy client is never replaced.
 ///
 /// # Examples
 ///
@@ -41,7 +41,7 @@ pub struct Slots {
 /// The holder of a slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Holder<K> {
-    /// What identifies it to the caller.
+    /// The identification of the holder for the caller.
     pub key: K,
     /// Whether it is a client of the same host as the new one.
     pub is_same_host: bool,
@@ -75,7 +75,7 @@ pub enum Admission<K> {
 type Rank = (bool, bool, Instant);
 
 impl Slots {
-    /// Decides on a new client; `taken` lists the holders of slots.
+    /// Decides whether to accept a new client; `taken` lists the holders of slots.
     pub fn admit<K>(&self, taken: impl IntoIterator<Item = Holder<K>>, now: Instant) -> Admission<K> {
         let (mut count, mut own_count) = (0_usize, 0_usize);
         let (mut any, mut own) = (None, None);
@@ -125,7 +125,7 @@ mod tests {
         SlotState::Idle(Instant::from_millis(secs.saturating_mul(1000)))
     }
 
-    /// Decides at second 100 about a client of host 9.
+    /// Admits or refuses a client of host 9 at second 100.
     fn admit_by(slots: Slots, taken: &[(u8, SlotState)]) -> Admission<usize> {
         let holders = taken.iter().enumerate();
         let holders = holders.map(|(key, (host, state))| Holder { key, is_same_host: *host == 9, state: *state });

@@ -16,7 +16,7 @@ use crate::handler::PeerId;
 use crate::limits::{UDP_RECEIVE_MAX, UDP_SEND_MAX};
 use crate::time::Instant;
 
-/// Bytes for a running request and one that arrives meanwhile.
+/// Bytes for a running request and one that arrives during it.
 const RECEIVE_BUFFER: usize = 2 * UDP_RECEIVE_MAX;
 
 /// The session of a peer with up to `OBJECTS` handles.
@@ -33,7 +33,7 @@ pub trait SharedState<S> {
     /// Returns the number of a new peer.
     fn connect(&self, address: Self::Address) -> PeerId;
 
-    /// Performs one step of a session with the handler; tells whether it made progress.
+    /// Performs one step of a session with the handler; returns whether it made progress.
     fn step(&self, session: &mut S, peer: PeerId, now: Instant) -> bool;
 
     /// Ends a session, and notifies the handler that the peer left.
@@ -80,7 +80,7 @@ impl<A: Copy, const OBJECTS: usize> Peer<A, OBJECTS> {
         self.session.poll_timeout()
     }
 
-    /// Performs one step of its session; tells whether it made progress. Send the bytes to send after each step.
+    /// Performs one step of its session; returns whether it made progress. Send the pending bytes after each step.
     pub fn step(&mut self, shared: &impl SharedState<UdpSession<OBJECTS>>, now: Instant) -> bool {
         shared.step(&mut self.session, self.id, now)
     }
@@ -118,7 +118,8 @@ impl<A: Copy, const OBJECTS: usize> Peer<A, OBJECTS> {
 pub enum Received {
     /// It was passed to the peer in this slot, which must be run.
     Passed(usize),
-    /// It is the first one of a peer without a slot. Answer it with the [`refusal`](super::refusal) for this serial.
+    /// It is the first datagram of a peer for which there is no slot. Answer it with the [`refusal`](super::refusal) for this
+    /// serial.
     Refused(u16),
     /// It is not a valid frame, or the buffer of its peer is full: the peer retransmits it.
     Dropped,

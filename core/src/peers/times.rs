@@ -25,7 +25,7 @@ pub enum Exceeded {
 
 /// The times of a session on a stream.
 ///
-/// The server reports what it does with the session, and asks for the next deadline before it waits.
+/// The server reports its actions on the session, and requests the next deadline before it waits.
 #[derive(Clone, Copy, Debug)]
 pub struct StreamTimes {
     last_active: Instant,
@@ -51,7 +51,7 @@ impl StreamTimes {
         self.last_active = now;
     }
 
-    /// Records that the session has run a request. The time limit of the next one starts anew.
+    /// Records that the session has run a request. The time limit of the next request starts anew.
     pub const fn ran(&mut self) {
         self.partial_since = None;
     }

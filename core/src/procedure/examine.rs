@@ -6,9 +6,9 @@
 //!                   └─► error: GetCurErrorCount ─► GetCurErrorInfo, the first cause first
 //! ```
 //!
-//! A call that Slave Mode may refuse ends a stream, even that of another client. So slvGetMode is asked before each of them.
-//! A refused call leaves its part of the state unknown. Only TakeArm tells whether another client owns
-//! the arm, and it has an effect.
+//! A call that Slave Mode may refuse ends a stream, even another client's stream. So slvGetMode is sent before each of them. A
+//! refused call leaves its part of the state unknown. Only TakeArm reveals whether another client owns the arm, and it has an
+//! effect.
 
 use core::convert::identity;
 use core::fmt;
@@ -23,7 +23,7 @@ use crate::bcap::{Frame, FunctionId, StreamState};
 use crate::hresult::HResult;
 use crate::time::Instant;
 
-/// How many errors an [`Examination`] has; of a longer list it has the oldest.
+/// Maximum number of errors in an [`Examination`]; of a longer list it has the oldest.
 const ERRORS_MAX: usize = 8;
 /// The start of the type names of a COBOTTA, such as `CVR038A1`; those of a COBOTTA PRO start with `CVRB`.
 const COBOTTA: &str = "CVR0";
@@ -67,12 +67,12 @@ pub struct Examination {
     pub stream: StreamState,
     /// The state of the controller; `None` if it is unknown.
     pub state: Option<SysState>,
-    /// The number of present errors.
+    /// The number of current errors.
     pub error_count: usize,
     errors: heapless::Vec<HResult, ERRORS_MAX>,
     /// Whether this session owns the arm.
     pub owns_arm: bool,
-    /// Whether the torque is still off after an emergency stop; `None` on an RC8, which does not tell it.
+    /// Whether the torque is still off after an emergency stop; `None` on an RC8, which does not report it.
     pub torque_off: Option<bool>,
     /// Whether the robot is a COBOTTA, which needs a preparation before its motor can be switched on.
     pub is_cobotta: bool,
@@ -103,9 +103,9 @@ pub enum Obstacle {
     Token,
     /// ClearError does not end this error, or must not: a preparation needs a controller without errors.
     Error(HResult),
-    /// The controller refuses to say who owns the arm while it has errors, and the caller does not know either.
+    /// The controller does not report the owner of the arm while it has errors, and the caller has not excluded other clients.
     OwnerUnknown,
-    /// The state has changed: this step is needed, and is not among those that a person has agreed to.
+    /// The state has changed: this step is needed, and is not among the steps that a person confirmed.
     NotAgreed(RecoveryStep),
 }
 
@@ -202,7 +202,8 @@ impl Examination {
         prepared: None,
     };
 
-    /// Returns the present errors, the first cause first, at most eight. [`HResult::cause`] and [`HResult::hint`] say what to do.
+    /// Returns the current errors, the first cause first, at most eight. [`HResult::cause`] and [`HResult::hint`] say what to
+    /// do.
     #[must_use]
     pub fn errors(&self) -> &[HResult] {
         &self.errors
@@ -235,12 +236,12 @@ impl Examination {
         self.obstacles().next().is_none() && self.plan(true, false).iter().all(|step| *step == RecoveryStep::TakeArm)
     }
 
-    /// Iterates over the steps of a recovery from this state. `sets_speed` tells whether it sets the external speed.
+    /// Iterates over the steps of a recovery from this state. `sets_speed`: whether it sets the external speed.
     ///
     /// A COBOTTA gets ManualResetPreparation, ClearError, TakeArm, ManualReset, MotionPreparation, Motor and ExtSpeed, and
     /// ManualResetPreparation before each command that may need one; other models ClearError and Motor. Steps that this
-    /// state does not need are left out. While the controller has errors, TakeArm is asked once before ClearError, in case
-    /// the controller says who owns the arm.
+    /// state does not need are left out. While the controller has errors, TakeArm is sent once before ClearError, in case the
+    /// controller reports the owner of the arm.
     pub fn steps(&self, sets_speed: bool) -> impl Iterator<Item = RecoveryStep> + use<> {
         self.plan(true, sets_speed).into_iter()
     }
@@ -343,7 +344,8 @@ pub fn examine(handles: Handles) -> impl Procedure<Output = Examination, Error =
 #[derive(Debug)]
 pub(super) struct ExamineSteps {
     handles: Handles,
-    /// Whether the caller knows that no other client uses the robot: a refused slvGetMode then means that no client streams.
+    /// Whether the caller guarantees that no other client uses the robot: a refused slvGetMode then means that no client
+    /// streams.
     is_alone: bool,
     step: Step,
     /// Whether slvGetMode has answered since the last call that may end a stream.
@@ -370,7 +372,7 @@ impl ExamineSteps {
         Self { handles, is_alone, step: Step::State, asked: false, left: 0, result: Examination::UNKNOWN }
     }
 
-    /// Returns whether slvGetMode comes before the next step.
+    /// Returns whether slvGetMode precedes the next step.
     fn asks(&self) -> bool {
         let is_allowed = matches!(self.step, Step::Torque | Step::End);
         !self.asked && !is_allowed && self.result.stream != StreamState::Absent
@@ -390,7 +392,7 @@ impl ExamineSteps {
         }
     }
 
-    /// Moves to the step after the present one, whether it was answered or refused.
+    /// Moves to the next step, whether the current step was answered or refused.
     fn go_on(&mut self) {
         // StoState is allowed, so it does not use up the answer of slvGetMode
         self.asked &= self.step == Step::Torque;
@@ -406,7 +408,7 @@ impl ExamineSteps {
     }
 
     fn update_errors(&mut self, reply: &Frame<'_>) {
-        // the last one is the oldest, so the first cause
+        // the last error is the oldest, so the first cause
         self.left = self.left.saturating_sub(1);
         let info = Any::read(reply.args).ok();
         let first = info.as_ref().and_then(|info| info.as_array()).and_then(|elements| elements.iter().next());

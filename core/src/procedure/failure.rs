@@ -53,10 +53,10 @@ pub struct StepError {
     /// Why it failed.
     pub cause: StepCause,
     /// Whether the procedure has undone its effects, as far as the controller allowed it. Over a lost connection it cannot: a
-    /// motion may go on, the arm may stay taken. What a halt has stopped stays stopped.
+    /// motion may continue, and the arm may remain taken. Tasks that a halt stopped are not restarted.
     pub undone: bool,
     /// Whether a call that undoes an effect may not have been carried out, because it has no reply or was refused, or the
-    /// connection is lost: a motion may go on, the motor may be on, the arm may be taken.
+    /// connection is lost: a motion may continue, the motor may be on, the arm may be taken.
     pub unsettled: bool,
 }
 
@@ -80,7 +80,7 @@ pub enum StepCause {
 
 impl StepCause {
     /// Returns whether the controller may have executed the call. Only a call that was not sent, and a refused one, certainly
-    /// had no effect; with E_TIMEOUT a controller gives up a call that may go on.
+    /// had no effect; E_TIMEOUT means that the controller abandoned the call, which may still run.
     pub(super) const fn may_have_run(&self) -> bool {
         match self {
             Self::Refused(code) => matches!(*code, HResult::E_TIMEOUT),

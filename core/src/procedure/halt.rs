@@ -1,7 +1,7 @@
 //! Halting a robot, even while a task of the controller owns the arm, and verifying that it rests.
 //!
 //! ```text
-//!  Robot_Halt ─► accepted ─────────────────────────────────────────────────────────► verify ─► once more, if it moves on
+//!  Robot_Halt ─► accepted ─────────────────────────────────────────────────────────► verify ─► once more, if it still moves
 //!       └─────► refused ─► KillAll ─► done ────────────────────────► Robot_Halt ─► verify
 //!                             ├────► refused: GetTaskNames             ▲
 //!                             │         └─► each task that does not rest: Task_Stop 4
@@ -14,11 +14,11 @@
 //! motion. The guide gives no code for that, so any refusal counts, unless it says that the handle is invalid.
 //!
 //! A motion that another thread or client began at the same time may be executed just after Robot_Halt, which then has no
-//! effect on it. So Robot_Halt is sent once more: at once if it was answered that nothing moved and a poll sees a motion, and
+//! effect on it. So Robot_Halt is sent once more: immediately if its reply was that nothing moved and a poll sees a motion, and
 //! otherwise after the time limit.
 //!
-//! Robot_Halt comes first, always. Real controllers end Slave Mode when they get a call that it does not allow, such as
-//! SysState. So SysState is sent only after slvGetMode has answered 0; otherwise the joints alone show rest.
+//! Robot_Halt is always the first call. Real controllers end Slave Mode when they get a call that it does not allow, such as
+//! SysState. So SysState is sent only after slvGetMode has answered 0; otherwise rest is judged by the joints alone.
 
 use core::convert::identity;
 use core::fmt;
@@ -41,12 +41,12 @@ use crate::time::Instant;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct HaltConfig {
-    /// The time limit for the robot to come to rest after the last stop was answered. It begins again after a second
-    /// Robot_Halt, after KillAll and after the tasks were stopped one by one.
+    /// The time limit for the robot to be at rest after the last stop was answered. It begins again after a second Robot_Halt,
+    /// after KillAll and after the tasks were stopped individually.
     pub limit: Duration,
     /// The pause between two polls of the robot.
     pub interval: Duration,
-    /// The number of polls in a row that must find the robot where the poll before the first of them found it.
+    /// The number of polls in a row that must find the robot at the position of the poll before them.
     pub still: u8,
 }
 
@@ -94,7 +94,7 @@ pub enum HaltAnswer {
 pub enum StoppedTasks {
     /// All tasks but supervisory ones, by KillAll.
     All,
-    /// KillAll was accepted, but SysState still says that a task runs: perhaps a supervisory one.
+    /// KillAll was accepted, but SysState still reports a running task, possibly a supervisory task.
     AllButRunning,
     /// This number of tasks, each by Task_Stop, because KillAll was refused or had no effect.
     Single(u8),
@@ -143,13 +143,13 @@ impl fmt::Display for StoppedTasks {
 /// moves after the time limit and SysState says that a task runs. The tasks are stopped by KillAll. If the controller
 /// refuses that, or after the time limit still refuses Robot_Halt or moves the robot by a task, they are stopped by
 /// Task_Stop of each task that is neither ready nor missing; a Task_Stop that fails is repeated once. While the controller is
-/// busy with a call that was given up, each call is repeated, for up to 5 s in all.
+/// busy with an abandoned call, each call is repeated, for up to 5 s in all.
 ///
 /// Robot_Halt is repeated once for a motion that may have begun just after it: if a poll sees the robot move after the answer
 /// that nothing moved, or if it still moves after the time limit and no task runs.
 ///
-/// The robot rests if its joints do not change and, outside of Slave Mode, SysState reports no motion. A SysState or a
-/// slvGetMode that is refused counts as unknown; then the joints alone decide.
+/// The robot rests if its joints do not change and, outside of Slave Mode, SysState reports no motion. A refused SysState or
+/// slvGetMode counts as unknown; then rest is judged by the joints alone.
 ///
 /// # Errors
 ///
@@ -184,9 +184,9 @@ pub fn halt(handles: Handles, config: HaltConfig) -> impl Procedure<Output = Hal
 
 /// The bit of SysState for a task that runs.
 const RUNNING: i32 = 1;
-/// The mode of Task_Stop that also frees the arm: at once, back to the first line.
+/// The mode of Task_Stop that also frees the arm: stop immediately, back to the first line.
 const INITIALIZE: i32 = 4;
-/// The states of a task that does nothing: it does not exist, it can be started.
+/// The states of an idle task: it does not exist, it can be started.
 const IDLE: [i32; 2] = [0, 2];
 
 #[derive(Debug)]
@@ -198,10 +198,10 @@ struct HaltSteps {
     stage: Stage,
     /// Whether Robot_Halt was repeated because the robot moved on.
     halted_again: bool,
-    /// Whether the present Task_Stop was repeated.
+    /// Whether the current Task_Stop was repeated.
     repeated: bool,
     tasks: Option<StoppedTasks>,
-    /// The place of the present task in the list of names.
+    /// The index of the current task in the list of names.
     place: u8,
     /// Its name and, once it is open, its handle.
     name: Name,
@@ -279,7 +279,7 @@ impl HaltSteps {
         }
     }
 
-    /// Compares the robot's position with the one before, and decides whether to poll again.
+    /// Compares the robot's position with the previous position, and returns the next step.
     fn update_position(&mut self, joints: [f64; JOINTS], now: Instant) -> Step {
         let reported = self.state & MOVING != 0;
         let same = self.last.map(|last| within(&joints, &last, AT_REST));
@@ -338,7 +338,7 @@ impl Steps for HaltSteps {
         let of_controller = |command| StepCall::new(FunctionId::CONTROLLER_EXECUTE).with(controller.0).with(command);
         NextStep::Call(match self.step {
             Step::Halt => StepCall::new(FunctionId::ROBOT_HALT).with(robot.0).with(""),
-            // without its argument it is answered at once, by every version of the provider
+            // without its argument it is answered immediately, by every version of the provider
             Step::KillAll => of_controller("KillAll").with(Argument::Empty),
             Step::TaskNames => StepCall::new(FunctionId::CONTROLLER_GET_TASK_NAMES).with(controller.0).with(""),
             Step::OpenTask => {
@@ -415,7 +415,7 @@ impl Steps for HaltSteps {
         self.stage != Stage::Halt || self.step != Step::Halt || self.halted_again
     }
 
-    /// A failed call does not keep the robot moving if another one may still stop it.
+    /// A failed call does not end the halt if another call may still stop the robot.
     fn recovered(&mut self, cause: &StepCause) -> bool {
         if *cause == StepCause::Failed(Failure::Lost) {
             return false;

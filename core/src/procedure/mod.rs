@@ -8,7 +8,7 @@
 //!              └──────────────────────────────────────────────────────────────────────────────────────┘
 //! ```
 //!
-//! A job that takes several calls is written once, as a [`Procedure`]: it says which call comes next and takes the reply.
+//! A job that takes several calls is written once, as a [`Procedure`]: it determines the next call and takes the reply.
 //! [`io::blocking::Connection::run`](crate::io::blocking::Connection::run) and
 //! [`io::asynch::Connection::run`](crate::io::asynch::Connection::run) run any of them.
 //!
@@ -25,7 +25,7 @@
 //! | [`reclaim`]                                        | ends the effects of a session that does not own the arm (any more) |
 //! | [`move_and_wait`]                                  | starts a motion and waits for its end                        |
 //! | [`halt`]                                           | halts the robot and stops tasks that own the arm, verifies rest |
-//! | [`run_queue`]                                      | lets motions follow each other, and waits for the last one   |
+//! | [`run_queue`]                                      | lets motions follow each other, and waits for the last motion |
 //! | [`slave::Stream`](crate::slave::Stream)      | streams poses in Slave Mode                                  |
 //!
 //! A procedure that fails undoes its effects before it reports the failure, as far as the connection still works: it

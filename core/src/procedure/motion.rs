@@ -6,21 +6,22 @@
 //!                  └─► GetCurErrorCount ─► GetCurErrorInfo ─► (Robot_Halt) ─► Failed
 //! ```
 //!
-//! The position decides: the robot has arrived when it rests at the [`Target`] of its motion. That SysState reports no
-//! motion is not enough, because it reports none after a halt either.
+//! Arrival is judged by the position: the robot has arrived when it rests at the [`Target`] of its motion. A SysState without a
+//! motion is not sufficient, because SysState reports no motion after a halt either.
 //!
 //! A motion that is shorter than the tolerance ends within it only after the robot has moved, or when the time to begin has
 //! passed.
 //!
 //! A robot that rests elsewhere was halted, unless SysState reports a motion (a slow start, a motion on hold) or the robot
-//! has not begun to move yet. DestJnt alone never decides, because after a halt it may be the place where the robot rests.
-//! It counts if two polls saw it during the motion, and then only where the target cannot be compared.
+//! has not begun to move yet. DestJnt alone is never sufficient, because after a halt it may be the place where the robot
+//! rests. It counts if two polls saw it during the motion, and then only where the target cannot be compared.
 //!
 //! An error of the controller ends the motion, but not every error stops the robot. So the robot is halted, unless it has been
-//! seen at rest after it had moved. If the halt is refused, which it may be because of the error, the next polls must find the robot at rest.
+//! seen at rest after it had moved. If the halt is refused, which it may be because of the error, the next polls must find the
+//! robot at rest.
 //!
-//! A motion that follows another one is sent while that one is under way, or from rest at its end. At most one motion waits
-//! for the one under way.
+//! A motion that follows another is sent while the previous motion runs, or from rest at its end. At most one motion waits for
+//! the running motion.
 
 use core::convert::identity;
 use core::time::Duration;
@@ -38,7 +39,7 @@ use crate::position::{Position, Transform};
 use crate::time::Instant;
 use crate::variant::{Encode, FromVariant, Variant};
 
-/// The call that starts a motion. Its options contain `NEXT`: otherwise the reply comes when the motion has ended.
+/// The call that starts a motion. Its options contain `NEXT`: otherwise the reply arrives when the motion has ended.
 #[derive(Clone, Copy, Debug)]
 #[non_exhaustive]
 pub enum MotionStart<D, O> {
@@ -103,12 +104,12 @@ pub enum Until {
 
 /// Adds a motion to a queue, if there is one, and runs until the last motion has begun or the robot rests.
 ///
-/// The controller gets the motion before the one under way ends, so it moves from one to the next without a stop if the
-/// pass of the first allows it. From rest at the end of the motion before, it starts at once. If the robot was stopped
-/// before that end, the motion is not sent, and the queue has [ended](MotionQueue::ended).
+/// The controller gets the motion before the running motion ends, so the robot does not stop between them if the pass of the
+/// first allows it. From rest at the end of the previous motion, it starts immediately. If the robot was stopped before that
+/// end, the motion is not sent, and the queue has [ended](MotionQueue::ended).
 ///
-/// [`Motion::Arrived`] tells where the robot rests: at the end of the last motion. One halt can go unseen: it stops a motion
-/// completely between the last poll and the acceptance of the next motion, which the robot then carries out from there. A
+/// [`Motion::Arrived`] means that the robot rests at the end of the last motion. One halt can go undetected: it stops a motion
+/// completely between the last poll and the acceptance of the next motion, which the robot then executes from there. A
 /// controller that is braking, or has an error after the halt, refuses that motion, and it is not sent again.
 ///
 /// # Cancel safety
@@ -123,7 +124,7 @@ pub fn run_queue<D: Encode, O: AsRef<str>>(
     Sequence::new(MoveSteps::new(handles, queue, motion, until), identity)
 }
 
-/// The longest pause between two polls while the beginning of a motion is waited for.
+/// Maximum pause between two polls while waiting for the beginning of a motion.
 const BEGIN_INTERVAL: Duration = Duration::from_millis(5);
 /// The bits of SysState for an error, for the emergency stop, and for a motion.
 const ERROR: i32 = 1 << 1;
@@ -139,7 +140,7 @@ struct MoveSteps<D, O> {
     goal: Until,
     /// Whether the motion is still to be sent.
     unsent: bool,
-    /// Whether an earlier motion may be under way.
+    /// Whether an earlier motion may be running.
     follows: bool,
     /// Whether the controller was busy: it may be braking for a halt, so the motion is sent from rest only.
     busy: bool,
@@ -149,17 +150,17 @@ struct MoveSteps<D, O> {
     /// The joints of this poll, and the position of the tool.
     joints: [f64; JOINTS],
     position: Option<Position>,
-    /// The destination that DestJnt told in this poll.
+    /// The destination that DestJnt returned in this poll.
     seen: Option<[f64; JOINTS]>,
     /// When the last reply arrived.
     now: Instant,
-    /// The index of the error to ask for.
+    /// The index of the error to read.
     error: i32,
-    /// Whether an error of the controller ends the motion, and whether the halt after it was refused. Then the robot is watched
+    /// Whether an error of the controller ends the motion, and whether the halt after it was refused. Then the robot is polled
     /// until it rests.
     has_error: bool,
     watches: bool,
-    /// Whether the emergency stop is pressed, which is no error in every controller.
+    /// Whether the emergency stop is pressed. Not every controller reports that as an error.
     is_emergency: bool,
 }
 
@@ -347,7 +348,7 @@ impl<D, O> MoveSteps<D, O> {
         } else if stopped && moved && !waits && !there {
             self.end(self.queue.outcome_elsewhere(&self.joints, comparison));
         } else if stopped && now >= self.queue.start_until {
-            // a motion of no length cannot be told from one that was not carried out
+            // a motion of no length cannot be distinguished from a motion that was not executed
             self.halt(if is_loop && !moved { Motion::Unknown } else { Motion::Halted });
         } else if now >= self.queue.until {
             self.halt(Motion::TimedOut);
@@ -496,7 +497,7 @@ impl<D: Encode, O: AsRef<str>> Steps for MoveSteps<D, O> {
         moves.then_some(Undo::Halt(self.handles.robot.0))
     }
 
-    /// A controller that is braking, or whose queue is full, is busy: the position at rest decides the next step. A
+    /// A controller that is braking, or whose queue is full, is busy: the position at rest determines the next step. A
     /// controller without a reading leaves the end of the motion unknown.
     fn recovered(&mut self, cause: &StepCause) -> bool {
         let StepCause::Refused(code) = *cause else { return false };

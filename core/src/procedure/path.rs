@@ -140,9 +140,9 @@ pub(super) struct PathSteps<'a> {
     opened: Opened,
     /// The object that opens the next object of the path.
     owner: Owner,
-    /// How many objects of the path are open.
+    /// Number of open objects of the path.
     done: usize,
-    /// Whether the controller refused [`DEFAULT_ROBOT`], so that it is asked for the names.
+    /// Whether the controller refused [`DEFAULT_ROBOT`], so that the names are read.
     asks: bool,
     /// The name of the first robot, after the controller's reply.
     first: Option<Name>,
@@ -190,7 +190,7 @@ impl<'a> PathSteps<'a> {
         }
     }
 
-    /// Returns whether the next call asks for the names of the robots.
+    /// Returns whether the next call reads the names of the robots.
     fn wants_first(&self) -> bool {
         self.asks && self.first.is_none() && self.is_unnamed()
     }
@@ -272,7 +272,7 @@ fn first_name(reply: &Frame<'_>) -> Result<Name, StepCause> {
     name_at(reply, 0)?.ok_or(StepCause::Reply(ReplyError { expected: NAMES, found: Some(found) }))
 }
 
-/// Copies one of a reply's names; `None` after the last one.
+/// Copies one of a reply's names; `None` after the last name.
 pub(super) fn name_at(reply: &Frame<'_>, place: usize) -> Result<Option<Name>, StepCause> {
     let value = Any::read(reply.args).map_err(StepCause::Reply)?;
     let wrong = StepCause::Reply(ReplyError { expected: NAMES, found: Some(value.vartype()) });

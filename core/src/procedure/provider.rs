@@ -6,7 +6,7 @@ use crate::bcap::call::{ControllerHandle, RobotHandle};
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Provider<'a> {
-    /// The option of Service_Start: `WDT=400` asks for a keep-alive every 400 ms while a call runs.
+    /// The option of Service_Start: `WDT=400` requests a keep-alive every 400 ms while a call runs.
     pub service: &'a str,
     /// The name of the controller object; any text.
     pub name: &'a str,

@@ -17,8 +17,8 @@ pub struct MotionConfig {
     pub start: Duration,
     /// The pause between two polls of the robot.
     pub interval: Duration,
-    /// How far each joint may be from the end of the motion, in degrees or mm. A motion that is shorter than that has not arrived
-    /// before the robot has moved, or `start` has passed.
+    /// How far each joint may be from the end of the motion, in degrees or mm. A motion shorter than this counts as arrived
+    /// only after the robot has moved, or `start` has passed.
     pub tolerance: f64,
     /// How far the tool may be from a position, in mm along each axis.
     pub distance_mm: f64,
@@ -52,11 +52,11 @@ impl MotionConfig {
 /// ```
 /// use bcap_core::procedure::Motion;
 ///
-/// /// Tells whether the next step of a program may begin.
+/// /// Returns whether the next step of a program may begin.
 /// fn goes_on(motion: Motion) -> bool {
 ///     match motion {
 ///         Motion::Arrived => true,
-///         // a person or another client stopped the robot, for a reason that the program cannot tell
+///         //  a person or another client stopped the robot, for a reason that is unknown to the program
 ///         Motion::Halted | Motion::TimedOut => false,
 ///         Motion::Failed(code) => {
 ///             eprintln!("the controller has the error {code}");
@@ -76,14 +76,14 @@ pub enum Motion {
     /// The robot rests where the motion ends.
     Arrived,
     /// The robot rests elsewhere, and the controller has no other error: it was halted, or did not begin to move within the
-    /// time for that and was halted then. The halt leaves [`E_MOTION_STOPPED`](HResult::E_MOTION_STOPPED) on a controller, which
-    /// refuses the next motion until ClearError.
+    /// time for that and was halted then. The halt leaves [`E_MOTION_STOPPED`](HResult::E_MOTION_STOPPED) on a controller,
+    /// which refuses the next motion until ClearError.
     Halted,
     /// The robot rests, and whether that is the end of the motion is unknown: the end cannot be compared with a reading, and
-    /// the motion was too short to be seen; or the tool or the work coordinates changed meanwhile. Read the position before
-    /// the next motion.
+    /// the motion was too short to be seen; or the tool or the work coordinates changed during it. Read the position before the
+    /// next motion.
     Unknown,
-    /// The controller has an error; this is the first one.
+    /// The controller has an error; this is the first error.
     Failed(HResult),
     /// The time limit has passed, and the robot was halted.
     TimedOut,
@@ -92,9 +92,9 @@ pub enum Motion {
 /// How far a joint at rest may be from where the rest began, in degrees or mm.
 pub(super) const AT_REST: f64 = 0.002;
 
-/// Motions that follow each other without a stop: the known state of them between two procedures.
+/// Motions that follow each other without a stop, and their known state between two procedures.
 ///
-/// [`run_queue`](super::run_queue) adds a motion, and waits for the last one.
+/// [`run_queue`](super::run_queue) adds a motion, and waits for the last motion.
 #[derive(Clone, Copy, Debug)]
 #[must_use = "the robot may move until the queue has ended"]
 pub struct MotionQueue {
@@ -109,11 +109,11 @@ pub struct MotionQueue {
     pub(super) is_loop: bool,
     /// Whether the last motion was not seen to begin yet.
     pub(super) begins: bool,
-    /// Where the motion before the last one ends, until the last one is seen to begin.
+    /// Where the second-to-last motion ends, until the last motion is seen to begin.
     pub(super) previous: Option<[f64; JOINTS]>,
     /// Whether DestJnt may still be the destination of an earlier motion, which is unknown.
     pub(super) is_ambiguous: bool,
-    /// The destination that one poll saw during the motion, and the one that two polls saw.
+    /// The destination that one poll saw during the motion, and the destination on which two polls agreed.
     pub(super) glimpsed: Option<[f64; JOINTS]>,
     pub(super) destination: Option<[f64; JOINTS]>,
     /// Whether SysState reports a motion.
@@ -127,7 +127,7 @@ pub struct MotionQueue {
     pub(super) ended: Option<Motion>,
 }
 
-/// The latest time limit: a queue with motions is not a new one, even with `Duration::MAX`.
+/// Maximum time limit: it distinguishes a queue with motions from a new queue, even with `Duration::MAX`.
 pub(super) const LATEST: Instant = Instant::from_micros(u64::MAX - 1);
 
 impl MotionQueue {
@@ -158,7 +158,7 @@ impl MotionQueue {
         self.ended
     }
 
-    /// Returns whether there was no motion yet. The time limit begins with the first one.
+    /// Returns whether there was no motion yet. The time limit begins with the first motion.
     #[must_use]
     pub fn is_new(&self) -> bool {
         self.until == Instant::FAR_FUTURE
@@ -179,7 +179,7 @@ impl MotionQueue {
         }
     }
 
-    /// Records where the motion under way leads; two polls that agree make it known. DestJnt counts only while the robot moves
+    /// Records the destination of the running motion, which two polls must agree on. DestJnt counts only while the robot moves
     /// and is elsewhere: after a halt it may be the place where the robot rests.
     pub(super) fn update_destination(&mut self, seen: [f64; JOINTS], joints: &[f64; JOINTS]) {
         let is_new = self.previous.is_none_or(|previous| !within(&seen, &previous, AT_REST));
@@ -192,8 +192,8 @@ impl MotionQueue {
         self.glimpsed = Some(seen);
     }
 
-    /// Returns how far the robot may be from the end of the motion. Until it has moved, or its time to begin has passed, it must be
-    /// exactly there: a motion that is shorter than the tolerance may begin late.
+    /// Returns how far the robot may be from the end of the motion. Until it has moved, or its time to begin has passed, it
+    /// must be exactly there: a motion that is shorter than the tolerance may begin late.
     pub(super) fn tolerance(&self, now: Instant) -> Tolerance {
         let Tolerance { joint, distance_mm, angle_degrees } = self.config.at_end();
         let most = if self.moved || now >= self.start_until { f64::INFINITY } else { AT_REST };
@@ -205,7 +205,7 @@ impl MotionQueue {
         self.destination.is_none() && (self.begins || !matches!(self.end, End::Joints(..)))
     }
 
-    /// Returns whether the robot has been at rest for long, whatever SysState reports.
+    /// Returns whether enough polls saw the robot at rest, whatever SysState reports.
     pub(super) fn is_still(&self, begins: bool) -> bool {
         // with shorter pauses, as many more polls
         self.still >= self.config.still.max(1).saturating_mul(if begins { 4 } else { 1 })

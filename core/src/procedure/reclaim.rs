@@ -13,14 +13,14 @@
 //!
 //! The calls in brackets are made only if the session may have caused what they end.
 //!
-//! A TakeArm that is answered with E_TIMEOUT may still be executed, so GiveArm follows it. Calls are repeated while the controller
-//! is busy with a call of the lost session.
+//! A TakeArm that is answered with E_TIMEOUT may still be executed, so GiveArm follows it. Calls are repeated while the
+//! controller is busy with a call of the lost session.
 //!
-//! Only TakeArm tells whether another client owns the arm: TakeArmState tells it of the asking client alone. A refused TakeArm
-//! may leave an error on the controller, so it is not called while the lost session is known to own the arm.
+//! Only TakeArm reveals whether another client owns the arm; TakeArmState only reports whether the calling client does. A
+//! refused TakeArm may leave an error on the controller, so it is not called while the lost session is known to own the arm.
 //!
 //! If the lost session may own the arm, and has begun a motion whose end is not known, then the robot is halted unless it heads
-//! for another destination than that motion: when it is unclear who moves the robot, it does not move.
+//! for another destination than that motion: if it is unclear which client moves the robot, the robot must not move.
 
 use core::convert::identity;
 
@@ -38,9 +38,9 @@ use crate::time::Instant;
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Effects {
-    /// A motion may be under way.
+    /// A motion may be running.
     pub moving: bool,
-    /// Where that motion ends, if it is the only one. Only joints tell it from the motion of another client.
+    /// Where that motion ends, if it is the only motion. Only joints distinguish it from another client's motion.
     pub destination: Option<Target>,
     /// A stream of Slave Mode may run.
     pub streaming: bool,
@@ -58,11 +58,11 @@ pub enum Claim {
     /// Unknown. If TakeArm is refused for another reason than another owner, no other client is known to use the robot.
     #[default]
     Unknown,
-    /// The lost session: the controller has not noticed the loss.
+    /// The lost session: the controller has not detected the loss.
     Lost,
-    /// The lost session, if the controller has not noticed the loss, or another client since.
+    /// The lost session, if the controller has not detected the loss, or another client since.
     Silent,
-    /// Another client, when TakeArm was asked before. Nothing is done unless the arm can be taken now.
+    /// Another client, according to an earlier TakeArm. Nothing is done unless the arm can be taken now.
     Other,
 }
 
@@ -111,7 +111,7 @@ struct ReclaimSteps {
     effects: Effects,
     step: Step,
     taken: bool,
-    /// Whether the controller has given TakeArm up, so that it may still take the arm.
+    /// Whether the controller abandoned TakeArm, so that it may still take the arm.
     unsure: bool,
     output: Reclaimed,
 }
@@ -199,7 +199,7 @@ impl ReclaimSteps {
         if self.taken || self.unsure { Step::GiveArm } else { Step::End }
     }
 
-    /// Takes the answer to the present call: `None`, or the code of a refusal.
+    /// Takes the answer to the current call: `None`, or the code of a refusal.
     fn answered(&mut self, refusal: Option<HResult>) {
         let done = Some(refusal.is_none());
         self.step = match (self.step, refusal) {
@@ -263,7 +263,7 @@ impl Steps for ReclaimSteps {
         let takes = match self.step {
             // without a reply the arm may have been taken
             Step::TakeArm => cause.is_none_or(StepCause::may_have_run),
-            // a TakeArm that was given up has no entry
+            // an abandoned TakeArm has no entry
             _ => self.unsure && cause.is_some(),
         };
         takes.then_some(Undo::GiveArm(self.robot.0))

@@ -11,9 +11,9 @@
 //!                                                                    (MotionPreparation) ─► Motor ─► (ExtSpeed)
 //! ```
 //!
-//! Until the arm is taken, slvGetMode comes before each call, as in an [examination](super::examine()). The order for a COBOTTA
-//! is the order of a public program that was tested on one; ManualResetPreparation comes before each command that may need
-//! it, as in the public ROS 2 driver.
+//! Until the arm is taken, slvGetMode precedes each call, as in an [examination](super::examine()). The order for a COBOTTA is
+//! the order of a public program that was tested on one; ManualResetPreparation precedes each command that may need it, as in
+//! the public ROS 2 driver.
 
 use core::convert::identity;
 use core::fmt;
@@ -31,17 +31,17 @@ use crate::bcap::{Frame, FunctionId, StreamState};
 use crate::hresult::HResult;
 use crate::time::Instant;
 
-/// What the caller decides about a recovery.
+/// Settings of a recovery.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct RecoveryConfig {
-    /// Whether the caller knows that no other client uses the robot. A controller with errors may refuse to say who owns the
-    /// arm, or whether a stream runs. Without this the recovery ends there, and the errors stay.
+    /// Whether the caller guarantees that no other client uses the robot. A controller with errors may refuse to report the
+    /// owner of the arm, or whether a stream runs. Without this guarantee the recovery ends there, and the errors stay.
     pub is_alone: bool,
     /// The external speed after the recovery, in percent; `None` leaves it.
     pub speed: Option<f64>,
-    /// The steps that a person has agreed to after an examination, if one was asked. If the state has changed and needs another step,
-    /// the recovery ends before its first one.
+    /// The steps that a person confirmed after an examination; `None` if no person was asked. If the state has changed and
+    /// needs another step, the recovery ends before its first step.
     pub agreed: Option<RecoveryStepSet>,
 }
 
@@ -54,8 +54,8 @@ pub struct Recovered {
     pub motor_on: bool,
 }
 
-/// A recovery or a preparation did not reach its end. The arm was given back, and the motor switched off if the procedure has
-/// switched it on, unless the connection is lost. Errors that were cleared stay cleared.
+/// A recovery or a preparation did not complete. The arm was given back, and the motor switched off if the procedure has
+/// switched it on, unless the connection is lost. Cleared errors stay cleared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
@@ -100,10 +100,10 @@ impl core::error::Error for NotRecovered {}
 /// Recovers a robot: clears its errors, takes the arm, resets the safe torque off, prepares the motion of a COBOTTA, and
 /// switches the motor on. It makes the [steps](super::Examination::steps) that the state needs.
 ///
-/// **The arm of a COBOTTA can move**, and an arm can sag when the motor goes on. Before it, a person must have looked at the
-/// robot.
+/// **The arm of a COBOTTA can move**, and an arm can sag when the motor is switched on. A person must look at the robot before
+/// this call.
 ///
-/// `observe` gets each step with its result: `Err` for a step that the controller does not know, and that is left out. The
+/// `observe` gets each step with its result: `Err` for a step that the controller does not support, and that is left out. The
 /// procedure ends when it returns [`ControlFlow::Break`].
 ///
 /// # Errors
@@ -124,8 +124,8 @@ where
     Recovery::new(handles, Goal::Recovered(config), observe)
 }
 
-/// Prepares the motion of a COBOTTA, so that its motor can be switched on, and takes the arm. Of another model it takes only the
-/// arm, as it does if the motion is prepared already.
+/// Prepares the motion of a COBOTTA, so that its motor can be switched on, and takes the arm. For other models, or if the
+/// motion is already prepared, it only takes the arm.
 ///
 /// **The arm can move.** It changes nothing while the controller has errors.
 ///
@@ -216,13 +216,13 @@ struct RecoverySteps<F> {
     /// Whether the caller has stopped the procedure.
     stopped: bool,
     plan: Plan,
-    /// The index of the present step of the plan.
+    /// The index of the current step of the plan.
     at: usize,
     /// Whether this session owns the arm.
     has_arm: bool,
     /// Whether slvGetMode has answered since the last call that may end a stream.
     asked: bool,
-    /// Whether the present TakeArm asks who owns the arm while the controller has errors.
+    /// Whether the current TakeArm only queries the owner of the arm while the controller has errors.
     asks_owner: bool,
     obstacle: Option<Obstacle>,
     done: Recovered,
@@ -238,7 +238,7 @@ impl<F> RecoverySteps<F> {
         }
     }
 
-    /// Returns whether slvGetMode comes before the present step.
+    /// Returns whether slvGetMode precedes the current step.
     fn asks_mode(&self) -> bool {
         !self.has_arm && !self.asked && self.examine.result.stream != StreamState::Absent
     }
@@ -282,7 +282,7 @@ impl<F> RecoverySteps<F> {
 }
 
 impl<F: FnMut(RecoveryStep, Result<(), HResult>) -> ControlFlow<()>> RecoverySteps<F> {
-    /// Reports a step with its result, and moves to the next one.
+    /// Reports a step with its result, and moves to the next step.
     fn end_step(&mut self, result: Result<(), HResult>) -> Result<(), StepCause> {
         let step = self.step();
         let flow = (self.observe)(step, result);
@@ -303,13 +303,13 @@ impl<F: FnMut(RecoveryStep, Result<(), HResult>) -> ControlFlow<()>> RecoverySte
     }
 }
 
-/// Returns whether a controller does not know a command.
+/// Returns whether a controller does not support a command.
 const fn is_unknown(code: HResult) -> bool {
     matches!(code, HResult::E_INVALID_CMD_NAME | HResult::E_INVALIDCOMMAND | HResult::E_NOTIMPL)
 }
 
 /// Returns whether a COBOTTA has no ManualResetPreparation. Before version 2.8 it answers as if an argument were wrong, and
-/// needs none (DENSORobot/denso_robot_ros, issue 44).
+/// does not need the command (DENSORobot/denso_robot_ros, issue 44).
 const fn needs_no_reset(code: HResult) -> bool {
     is_unknown(code) || matches!(code, HResult::E_INVALIDARG)
 }

@@ -13,7 +13,7 @@ use crate::time::Instant;
 /// Releases up to eight objects in reverse order; of a longer list it uses the first eight. A refusal is ignored, because
 /// an object that cannot be released does not exist.
 ///
-/// When the connection is lost it ends at once, and the controller releases the remaining objects.
+/// When the connection is lost it ends immediately, and the controller releases the remaining objects.
 #[must_use]
 pub fn release(opened: &[(Object, i32)]) -> impl Procedure<Output = (), Error = StepError> + use<> {
     let undo = opened.iter().map(|(object, handle)| Undo::Release(*object, *handle));

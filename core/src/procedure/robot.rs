@@ -9,7 +9,7 @@ use crate::bcap::call::RobotHandle;
 use crate::bcap::{Frame, FunctionId};
 use crate::time::Instant;
 
-/// Takes the arm and, if wanted, switches the motor on; the reply to that comes when the motor is on.
+/// Takes the arm and, if wanted, switches the motor on; the reply to that arrives when the motor is on.
 ///
 /// `arm` is the parameter of TakeArm: the arm group and Keep, where 0 resets speed, tool and work, and 1 keeps them. On
 /// a failure the arm is given back, even when the reply to TakeArm was lost, and a motor that may be on is switched off.

@@ -7,8 +7,8 @@
 //! ```
 //!
 //! Backward undoes the calls in reverse order: it releases handles, gives the arm back, halts a motion, switches
-//! the motor off. The sequence reports the first failure, and whether all calls of the way back were carried out. While the
-//! controller is busy with a call that was given up, they are repeated.
+//! the motor off. The sequence reports the first failure, and whether all undo calls were executed. While the controller is
+//! busy with an abandoned call, they are repeated.
 
 use core::time::Duration;
 
@@ -21,14 +21,14 @@ use crate::hresult::HResult;
 use crate::time::Instant;
 use crate::variant::Encode;
 
-/// How many undo entries a sequence holds: a service, a controller, and the objects on the deepest path.
+/// Maximum number of undo entries of a sequence: a service, a controller, and the objects on the deepest path.
 pub(super) const UNDO_MAX: usize = 8;
 
-/// How long, and how often, a call is repeated while the controller is busy.
+/// How long a call is repeated while the controller is busy, and the pause between its attempts.
 pub(crate) const BUSY_LIMIT: Duration = Duration::from_secs(5);
 pub(crate) const BUSY_PAUSE: Duration = Duration::from_millis(10);
 
-/// A call that undoes the effect of another one.
+/// A call that undoes the effect of another call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Undo {
     /// Releases this object; the handle of the service is not used.
@@ -75,7 +75,7 @@ pub(super) trait Steps {
     /// Whether the objects that were opened stay open after a success.
     const KEEPS_OBJECTS: bool;
 
-    /// Whether the calls are repeated while the controller is busy with a call that was given up, as on the way back.
+    /// Whether the calls are repeated while the controller is busy with an abandoned call, as undo calls are.
     const REPEATS: bool = false;
 
     /// Returns the next step; it stays the same until [`succeeded`](Self::succeeded).
@@ -87,7 +87,7 @@ pub(super) trait Steps {
     /// Moves to the step after [`NextStep::Wait`].
     fn waited(&mut self) {}
 
-    /// Returns the undo entry of the present call, in addition to the release of an object that it opened. `cause` is the
+    /// Returns the undo entry of the current call, in addition to the release of an object that it opened. `cause` is the
     /// reason of its failure; `None` after a success.
     fn undo(&self, cause: Option<&StepCause>) -> Option<Undo> {
         let _ = cause;
@@ -146,7 +146,7 @@ impl<'a> From<&'a dyn Encode> for Argument<'a> {
 }
 
 impl<'a> StepCall<'a> {
-    /// Makes a call without arguments.
+    /// Creates a call without arguments.
     pub(super) const fn new(function: FunctionId) -> Self {
         Self { function, arguments: [Argument::End; 5] }
     }
@@ -301,7 +301,7 @@ impl<S: Steps, M> Sequence<S, M> {
         }
         let NextStep::Call(StepCall { function, .. }) = self.steps.next() else { return };
         if function.releases().is_some() {
-            // the object that was opened last; it is released once, as on the way back
+            // the object that was opened last; its release is sent once, as in the undo calls
             self.undo.pop();
         }
         let result = match (reply, failure) {

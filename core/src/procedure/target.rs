@@ -10,7 +10,7 @@
 //!  UNKNOWN                                  -                          DestJnt, if seen during the motion
 //! ```
 //!
-//! A motion that follows another one begins where that ends, so its end is found from the end before it.
+//! A motion that follows another begins at the end of the previous motion, so its end is computed from that end.
 
 use crate::bcap::call::VariableHandle;
 use crate::position::{Joints, Position, Transform};
@@ -19,7 +19,7 @@ use crate::variant::Variant;
 /// The joints of CurJnt and DestJnt.
 pub(super) const JOINTS: usize = 8;
 
-/// How far a robot at the end of a motion may be from it.
+/// How far a robot at rest may be from the end of its motion.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Tolerance {
     /// Degrees or mm of each joint.
@@ -89,13 +89,13 @@ impl Target {
         Self::new(Place::Joints(joints.degrees, axes))
     }
 
-    /// A position in the present tool and work coordinates. A robot that rests there with another figure has not arrived.
+    /// A position in the current tool and work coordinates. A robot that rests there with another figure has not arrived.
     #[must_use]
     pub const fn position(position: Position) -> Self {
         Self::new(Place::Position(position))
     }
 
-    /// A transform in the present tool and work coordinates. A robot that rests there with another figure has not arrived.
+    /// A transform in the current tool and work coordinates. A robot that rests there with another figure has not arrived.
     #[must_use]
     pub const fn transform(transform: Transform) -> Self {
         Self::new(Place::Transform(transform))
@@ -145,8 +145,8 @@ impl Target {
         }
     }
 
-    /// Returns the reading that [`resolve`](Self::resolve) needs, besides the joints; `from_rest` tells whether no other motion
-    /// comes before.
+    /// Returns the reading that [`resolve`](Self::resolve) needs, besides the joints; `from_rest`: whether no other motion
+    /// precedes it.
     pub(super) const fn before(&self, from_rest: bool) -> Option<Before> {
         match self.place {
             Place::Variable(variable) => Some(Before::Variable(variable)),
@@ -155,8 +155,8 @@ impl Target {
         }
     }
 
-    /// Finds the end of the motion. `joints` are those before it, and `reading` is the value that was read before it; `last` is
-    /// the end of the motion that it follows, `None` from rest.
+    /// Computes the end of the motion. `joints` are the joints before it, and `reading` is the value that was read before it;
+    /// `last` is the end of the motion that it follows, `None` from rest.
     pub(super) fn resolve(&self, joints: &[f64; JOINTS], reading: End, last: Option<End>) -> End {
         let here = last.map_or(Some(*joints), |last| last.joints_from(joints));
         let end = match self.place {
@@ -227,7 +227,7 @@ impl End {
         }
     }
 
-    /// Returns the joints at the end, if it is given by joints; `here` has the joints that it does not tell.
+    /// Returns the joints at the end, if it is given by joints; `here` has the joints that it leaves out.
     pub(super) fn joints_from(&self, here: &[f64; JOINTS]) -> Option<[f64; JOINTS]> {
         let Self::Joints(mut joints, axes) = *self else { return None };
         for (joint, here) in joints.iter_mut().zip(here).skip(usize::from(axes)) {
@@ -296,12 +296,12 @@ impl End {
     }
 }
 
-/// Returns whether two figures differ. A negative one stands for any figure.
+/// Returns whether two figures differ. A negative figure stands for any figure.
 const fn differ(one: i32, other: i32) -> bool {
     one >= 0 && other >= 0 && one != other
 }
 
-/// Returns the point this far from another one, along a vector of length 1.
+/// Returns the point at a distance from another point, along a vector of length 1.
 fn moved(from: [f64; 3], distance: f64, along: [f64; 3]) -> [f64; 3] {
     let mut along = along.iter();
     from.map(|from| from + distance * along.next().unwrap_or(&0.0))

@@ -59,7 +59,7 @@ fn run<T, E>(
     run_from(Instant::ZERO, procedure, peer)
 }
 
-/// Same as [`run`], from this time on.
+/// Like [`run`], from this time on.
 fn run_from<T, E>(
     mut now: Instant,
     mut procedure: impl Procedure<Output = T, Error = E>,
@@ -107,7 +107,7 @@ fn hand_in(procedure: &mut impl Procedure, answer: &Answer, now: Instant) {
     procedure.handle_reply(&Decoder::TCP.decode_datagram(bytes).unwrap(), now);
 }
 
-/// Writes a call as its peer sees it: the function and its arguments.
+/// Writes a call as its peer receives it: the function and its arguments.
 fn text_of(call: &impl Call) -> String {
     let mut buffer = [0; 512];
     let mut frame = FrameWriter::new(&mut buffer).unwrap();
@@ -151,7 +151,7 @@ fn function_of(call: &str) -> FunctionId {
     FunctionId::all().find(|function| function.to_string() == name).unwrap()
 }
 
-/// Makes each call of a procedure fail in every way, and checks the calls after it and the error.
+/// Lets each call of a procedure fail in every way, and checks the calls after it and the error.
 ///
 /// `normal` answers the calls of a run that succeeds; `expected` are those calls, without the way back at its end.
 fn fail_each<T, P: Procedure<Output = T, Error = StepError>>(
@@ -253,7 +253,7 @@ fn a_robot_without_a_name_is_opened_by_the_name_of_the_samples() {
     fail_each(|| open_robot(Provider::RC9, Some("Arm1")), controller, &named, |_| false);
 }
 
-/// A controller that does not know the robot Arm0.
+/// A controller without a robot Arm0.
 fn refuses_arm0(call: &str) -> Answer {
     if call.contains("Arm0") { Answer::Refused(HResult::E_CAO_OBJECT_NOTFOUND) } else { controller(call) }
 }

@@ -167,7 +167,7 @@ struct State {
     outbox: Outbox,
     /// The deadline of the request in flight.
     until: Option<Instant>,
-    /// The reply to an earlier request is still expected; at most one, because no request is sent meanwhile.
+    /// The reply to an earlier request is still expected; at most one, because no request is sent before it arrives.
     owed: bool,
     /// The line that is arriving had begun before the request in flight had left.
     is_early: bool,
@@ -212,8 +212,7 @@ impl<V: Storage> Client<V> {
         self.state.start(request, now)
     }
 
-    /// Returns the event in the received bytes; `None` when more are needed. The reply before is gone when a line has
-    /// come.
+    /// Returns the event in the received bytes; `None` when more are needed. A new line replaces the previous reply.
     pub fn poll_event(&mut self, now: Instant) -> Option<Event> {
         // the time is not used: a reply that arrived counts, even after its deadline
         let _ = now;
@@ -234,7 +233,7 @@ impl<V: Storage> Client<V> {
         Some(Response { result, value: (!bytes.is_empty()).then(|| Variant::from_checked(bytes)) })
     }
 
-    /// Acts on the time: ends a request that has waited too long. Nothing happens before the deadline.
+    /// Handles a timeout: ends a request without a reply. Does nothing before its deadline.
     pub fn handle_timeout(&mut self, now: Instant) -> Option<Event> {
         if now < self.state.until? {
             return None;
@@ -349,7 +348,7 @@ impl State {
             return;
         }
         if self.outbox.is_unsent() {
-            // nothing has left, so nothing will be answered
+            // no byte was sent, so no reply follows
             self.outbox = Outbox::EMPTY;
         } else {
             self.owed = true;

@@ -16,7 +16,7 @@
 //! * The chunks in which the bytes arrive do not change the lines. This framer keeps its position between chunks, so it is a
 //!   scanner and not a nom parser; the grammar of a line is applied to whole lines.
 
-/// The longest line in bytes, its CR included (RAC specification, section 2.1.1).
+/// Maximum length of a line in bytes, its CR included (RAC specification, section 2.1.1).
 pub const MAX_LINE: usize = 256;
 
 /// The end of a line.
@@ -192,7 +192,7 @@ mod tests {
     use std::vec::Vec;
     use std::{format, vec};
 
-    /// Feeds `bytes` in chunks of the given sizes, over and over, and lists what comes out.
+    /// Feeds `bytes` in chunks of the given sizes, over and over, and lists the results.
     fn lines(bytes: &[u8], chunks: &[usize]) -> Vec<String> {
         let mut framer = LineFramer::<MAX_LINE>::new();
         let mut out = Vec::new();

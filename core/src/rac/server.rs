@@ -19,8 +19,8 @@
 //!   line gets the code of [`TextError::hresult`] and no value, and the session continues: E_INVALIDCOMMAND for an unknown
 //!   verb, part or variable type, E_INVALIDARG for an invalid index or form, E_INVALIDARGTYPE for an invalid value,
 //!   E_PACKETSIZEOVER for an over-long line, E_ARGSIZEOVER for a value that exceeds the session's memory.
-//! * **Types**: the value of a PUT is well-formed, but is not compared with the variable's type. The handler decides what it
-//!   converts; [`VariableKind::fits`](super::VariableKind::fits) tells which values need no conversion.
+//! * **Types**: the value of a PUT is well-formed, but is not compared with the variable's type. Conversions are up to the
+//!   handler; [`VariableKind::fits`](super::VariableKind::fits) returns which values need none.
 //! * **Replies** have a value only if a GET succeeded. If the value has no text, or does not fit the 256 bytes of a line,
 //!   the reply is E_INVALIDSNDPACKET; values are never cut.
 //! * **Time**: a request that runs longer than [`Config::invoke_timeout`] gets the reply E_TIMEOUT and is abandoned.
@@ -167,7 +167,7 @@ enum Turn {
     Later,
 }
 
-/// The shortest interval between two polls of a waiting handler without other events.
+/// Minimum interval between two polls of a waiting handler without other events.
 const SOONEST: Duration = Duration::from_millis(1);
 
 impl<V: Storage> Session<V> {
@@ -231,7 +231,7 @@ impl<V: Storage> Session<V> {
         Some(self.state.answer(running, result, reply.get()))
     }
 
-    /// Reads the next line, when the response before it has left.
+    /// Reads the next line, once the previous response was sent.
     fn next_line(&mut self, now: Instant) -> Option<Event> {
         if self.state.outbox.is_sending() {
             return None;
@@ -320,7 +320,7 @@ impl<H: Handler + ?Sized, V: Storage> Serve<H> for Session<V> {
         };
         let result = match outcome {
             Outcome::Wait(wake) => {
-                // a handler that asks for a time that has passed must not keep its server spinning
+                // a handler that requests a time in the past must not keep its server spinning
                 let wake = wake.max(now.saturating_add(SOONEST));
                 self.state.running = Some(RunningRequest { turn: Turn::Later, wake, ..running });
                 return None;

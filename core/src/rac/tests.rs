@@ -264,7 +264,7 @@ fn the_largest_values_of_a_line_fit_the_memory_that_is_promised() {
     assert_eq!(value(&strings).as_bytes().len(), 6 + 4 * 249);
 }
 
-/// A controller that stores values, and answers variable 99 of a kind only when it is told to.
+/// A controller that stores values, and answers requests for variable 99 only once `ready` is set.
 #[derive(Default)]
 struct Store {
     values: BTreeMap<Variable, Buf>,
@@ -393,7 +393,7 @@ fn hostile_lines_are_refused_and_the_session_goes_on() {
         assert_eq!(answers, format!("{}\r0\r0,3,5\r", result.0), "{line}");
         assert_eq!(store.values.contains_key(&variable(VariableKind::I, 1)), result.is_ok(), "{line}");
     }
-    // bytes that are no UTF-8
+    // bytes that are not UTF-8
     let (mut session, mut store) = (Session::new(server::Config::TCP, [0; 256]), Store::default());
     let answers = serve(&mut session, &mut store, b"PUT:RC8:1:S:8,\xff\r\xff\xfe\r", 7);
     assert_eq!(answers, format!("{}\r{}\r", HResult::E_INVALIDARGTYPE.0, HResult::E_INVALIDCOMMAND.0));
@@ -480,7 +480,7 @@ fn a_gateway_answers_when_it_can() {
     assert_eq!(session.poll(NOW), Some(server::Event::Requested(p)));
     assert_eq!(session.poll(at(1)), None);
     assert_eq!(session.request(), Some(Request::Put(p, value("8196,1,2,3,4,5,6,-1").as_variant())));
-    // the value of an answer to a PUT stays at home
+    // the reply to a PUT carries no value
     let served = server::Event::Served { variable: p, result: HResult::S_OK };
     assert_eq!(session.respond_with(HResult::S_OK, &1), Some(served));
     assert_eq!(session.transmit(), b"0\r");
@@ -559,7 +559,7 @@ fn a_late_reply_is_never_taken_for_that_of_another_request() {
     assert_eq!(client.handle_timeout(at(3000)), timeout(Timeout::Reply));
     assert!(client.is_owed() && !client.is_busy());
 
-    // the next one waits for the line to be free
+    // the next request waits until the line is free
     client.start(&get(2), at(3000)).unwrap();
     assert_eq!(client.transmit(), b"");
     receive(&mut client, b"0,3,1");
@@ -724,7 +724,7 @@ fn the_rest_of_an_over_long_reply_is_not_an_unsolicited_line() {
 #[test]
 fn an_unsolicited_line_ends_the_session() {
     let unsolicited = Some(client::Event::Failed(ClientError::Unsolicited));
-    // with nothing in flight
+    // without a request in flight
     let mut client = Client::new(client::Config::TCP, [0; 64]);
     receive(&mut client, b"0\r");
     assert_eq!(client.poll_event(NOW), unsolicited);
@@ -756,7 +756,7 @@ fn an_unsolicited_line_ends_the_session() {
         }
     }
 
-    // the LF after a CR is no line
+    // the LF after a CR is not a line
     client.reset();
     assert_eq!(client.start(&get(1), NOW), Ok(()));
     receive(&mut client, b"\n");

@@ -23,31 +23,32 @@ use crate::bcap::{FrameWriter, FunctionId, HEADER_LEN};
 use crate::error::EncodeError;
 use crate::variant::{Encode, VarType, Writer};
 
-/// Makes the call that enters a mode, or leaves Slave Mode with `None`. The reply to leaving arrives when the buffer is empty.
+/// Creates the call that enters a mode, or leaves Slave Mode with `None`. The reply to leaving arrives when the buffer is
+/// empty.
 #[must_use]
 pub fn change_mode(robot: RobotHandle, mode: Option<SlaveMode>) -> impl Call<Reply = Nothing> {
     ExecuteCall::new(robot, "slvChangeMode", mode.map_or(SlaveMode::OFF, SlaveMode::code))
 }
 
-/// Makes the call that reads the mode; [`SlaveMode::from_code`] decodes the reply.
+/// Creates the call that reads the mode; [`SlaveMode::from_code`] decodes the reply.
 #[must_use]
 pub fn get_mode(robot: RobotHandle) -> impl Call<Reply = Int> {
     ExecuteCall::new(robot, "slvGetMode", ())
 }
 
-/// Makes the call that sets the layout of slvMove. It must be made before Slave Mode is entered.
+/// Creates the call that sets the layout of slvMove. Send it before Slave Mode is entered.
 #[must_use]
 pub fn send_format(robot: RobotHandle, format: SendFormat) -> impl Call<Reply = Nothing> {
     ExecuteCall::new(robot, "slvSendFormat", format.code())
 }
 
-/// Makes the call that sets the layout of the reply to slvMove. It must be made before Slave Mode is entered.
+/// Creates the call that sets the layout of the reply to slvMove. Send it before Slave Mode is entered.
 #[must_use]
 pub fn receive_format(robot: RobotHandle, format: ReceiveFormat) -> impl Call<Reply = Nothing> {
     ExecuteCall::new(robot, "slvRecvFormat", format)
 }
 
-/// Makes the call that moves the robot; [`ReceiveFormat::read`] decodes the reply.
+/// Creates the call that moves the robot; [`ReceiveFormat::read`] decodes the reply.
 ///
 /// For a stream, [`PreparedMove`] is faster: it does not write the whole frame for each pose.
 ///

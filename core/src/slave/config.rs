@@ -26,7 +26,7 @@ pub struct Config {
     pub arm: Option<[i32; 2]>,
     /// Whether to switch the motor on.
     pub motor: bool,
-    /// Whether to switch the motor off at the end, if the engine has switched it on; also if it was on before.
+    /// Whether to switch the motor off at the end, if the engine has switched it on; even if it was already on before.
     pub motor_off: bool,
     /// The required position of the robot at the start of the stream; `None` accepts any position.
     pub start: Option<Pose>,
@@ -34,7 +34,7 @@ pub struct Config {
     pub tolerance: f64,
     /// The limits on speed and acceleration; poses that exceed them are not sent.
     pub limits: AxisLimits,
-    /// How long a stop slows down at least; longer if the limits require it.
+    /// Minimum duration of the ramp of a stop; longer if the limits require it.
     pub ramp: Duration,
     /// The number of joints of the robot; the engine ignores the values of others in replies.
     pub joints: u8,

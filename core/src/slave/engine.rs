@@ -17,9 +17,10 @@
 //!
 //! * The engine never sends a pose that exceeds the limits, has another layout, or is not finite.
 //! * After an error it sends no pose: it queries the controller, and leaves Slave Mode if it is on.
-//! * It starts nothing, and ends nothing, while a stream of Slave Mode runs that it has not started.
+//! * It sends no call that starts or ends anything while a stream of Slave Mode runs that it has not started.
 //! * Only [`Engine::recover`] clears the error list and switches the motor on again, and never after an emergency stop.
-//! * It switches the motor off that it has switched on, unless [`Config::motor_off`] is unset, and before it gives the arm back.
+//! * It switches the motor off that it has switched on, unless [`Config::motor_off`] is unset, and before it gives the arm
+//!   back.
 
 mod diagnosis;
 mod motion;
@@ -94,7 +95,7 @@ struct Stop {
     /// The current fraction of that step, and by how much it shrinks every cycle.
     speed: f64,
     part: f64,
-    /// How often the last pose was repeated, and the number of replies in a row without motion.
+    /// Number of repeats of the last pose, and of replies in a row without motion.
     repeats: u16,
     still: u8,
 }
@@ -177,7 +178,7 @@ pub struct Engine<const N: usize = MOVE_FRAME> {
     /// Whether the engine ends after a fault, and the first of its steps that failed at the end.
     gives_up: bool,
     unreleased: Option<(Step, Cause)>,
-    /// Until when a step of the end is repeated, after the controller was busy with a call that was given up.
+    /// Until when a step of the end is repeated, after the controller was busy with an abandoned call.
     busy_until: Option<Instant>,
     /// The start of the stream, in the layout of the format.
     start: Option<Pose>,
@@ -285,7 +286,7 @@ impl<const N: usize> Engine<N> {
         })
     }
 
-    /// Handles the reply to the call, also one with an error code; returns the reply to a slvMove that succeeded.
+    /// Handles the reply to the call, including an error code; returns the reply to a slvMove that succeeded.
     pub fn handle_reply<'a>(&mut self, reply: &Frame<'a>, now: Instant) -> Option<MoveReply<'a>> {
         if !core::mem::take(&mut self.in_flight) {
             return None;
@@ -391,15 +392,15 @@ impl<const N: usize> Engine<N> {
 
     /// Ends a stream in motion.
     ///
-    /// The robot slows down along its present direction, within the limits and for at least [`Config::ramp`]. Then the
-    /// engine repeats the last pose until the robot is at rest, leaves Slave Mode, switches the motor off that it has switched
-    /// on, and gives the arm back. After a fault it leaves Slave Mode if it may still be on, halts the robot if it may move,
-    /// and releases the motor and the arm.
+    /// The robot slows down along its current direction, within the limits and for at least [`Config::ramp`]. Then the engine
+    /// repeats the last pose until the robot is at rest, leaves Slave Mode, switches the motor off that it has switched on, and
+    /// gives the arm back. After a fault it leaves Slave Mode if it may still be on, halts the robot if it may move, and
+    /// releases the motor and the arm.
     pub fn stop(&mut self) {
         self.end(self.config.ramp);
     }
 
-    /// Ends a stream at its last pose, for a trajectory that has come to rest.
+    /// Ends a stream at its last pose, for a trajectory that ends at rest.
     ///
     /// It differs from [`stop`](Self::stop) in that the robot slows down beyond the last pose only if the limits do not allow
     /// it to stop there.
@@ -421,9 +422,9 @@ impl<const N: usize> Engine<N> {
 
     /// Restarts after a fault: clears the controller's errors, switches the motor on and enters Slave Mode.
     ///
-    /// The stream begins at the current position, not at [`Config::start`]. Before the engine clears the errors, it asks the
-    /// controller whether a stream of another client runs, and again whether the emergency stop is pressed. Either ends the
-    /// recovery with a fault.
+    /// The stream begins at the current position, not at [`Config::start`]. Before the engine clears the errors, it queries
+    /// whether a stream of another client runs, and again whether the emergency stop is pressed. Either ends the recovery with
+    /// a fault.
     ///
     /// # Errors
     ///
@@ -467,7 +468,7 @@ impl<const N: usize> Engine<N> {
         self.start.as_ref()
     }
 
-    /// Returns the last pose, pushed or computed by a stop; before the first one, the start.
+    /// Returns the last pose, pushed or computed by a stop; before the first pose, the start.
     #[must_use]
     pub const fn last_pose(&self) -> &Pose {
         &self.last
@@ -485,7 +486,7 @@ impl<const N: usize> Engine<N> {
         self.pacer.margin(now)
     }
 
-    /// Returns the timing of the present call. On a lossy link, an attempt of a slvMove waits for two cycles in mode 2, where
+    /// Returns the timing of the current call. On a lossy link, an attempt of a slvMove waits for two cycles in mode 2, where
     /// the controller may delay its reply, and for one cycle in the other modes.
     #[must_use]
     pub fn timing(&self, link: Link, usual: Timing) -> Timing {
@@ -523,7 +524,7 @@ impl<const N: usize> Engine<N> {
             .find_map(|wanted| [first, second].iter().find(|(_, health)| health == wanted).map(|(channel, _)| *channel))
     }
 
-    /// Ends the phase because the present step failed, and starts the diagnosis.
+    /// Ends the phase because the current step failed, and starts the diagnosis.
     fn fail(&mut self, cause: Cause) {
         self.stop = None;
         self.pacer.loaded = false;

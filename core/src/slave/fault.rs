@@ -53,8 +53,8 @@ pub enum Cause {
         /// The value of the start.
         expected: f64,
     },
-    /// A stream of Slave Mode runs already, or the controller does not say whether one runs. Nothing was changed: the calls that
-    /// start a stream would end the other one.
+    /// A stream of Slave Mode already runs, or the controller does not report whether one runs. Nothing was changed: the calls
+    /// that start a stream would end the other stream.
     Occupied(StreamState),
     /// The buffer stayed full for [`Config::stall`](super::Config::stall): the robot does not execute poses.
     Stalled,

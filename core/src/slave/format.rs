@@ -10,8 +10,8 @@
 //!                                                         0x0040  current      ARRAY|R8, 8 elements
 //! ```
 //!
-//! in this order (b-CAP specification, section 5.2). A pose alone is an ARRAY|R8; with other elements it becomes the
-//! first one of an array of VARIANT. slvMove carries either MiniIO or user IO, not both.
+//! in this order (b-CAP specification, section 5.2). A pose alone is an ARRAY|R8; with other elements it becomes the first
+//! element of an array of VARIANT. slvMove carries either MiniIO or user IO, not both.
 
 use core::fmt;
 

@@ -38,7 +38,7 @@ impl AxisLimits {
         Self { speed: [speed; 8], acceleration: [acceleration; 8] }
     }
 
-    /// Checks a path of poses, one every `cycle` seconds, from rest at the first one.
+    /// Checks a path of poses, one every `cycle` seconds, from rest at the first pose.
     ///
     /// # Errors
     ///
@@ -171,7 +171,7 @@ fn steps(last: &Pose, next: &Pose) -> Velocity {
     out
 }
 
-/// Returns the fraction of the present speed by which each cycle may slow down within the limits: 1 stops at once.
+/// Returns the fraction of the current speed by which each cycle may slow down within the limits: 1 stops immediately.
 pub(super) fn slow_down(limits: &AxisLimits, cycle: f64, velocity: &Velocity) -> f64 {
     /// The usable fraction of a limit; the rest is a margin for rounding.
     const SHARE: f64 = 0.9;

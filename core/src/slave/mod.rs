@@ -16,7 +16,7 @@
 //!   the slvMove of a stream, whose frame is written once and then patched.
 //! * The **[`Engine`]**, a sans-IO state machine that runs a stream. It reports which call to make next, when to wait, and
 //!   when it needs a pose. It follows the timing of each mode, sends a pose again after E_BUF_FULL, checks [`AxisLimits`]
-//!   before a pose is sent, stops in an orderly way, and after an error asks the controller for the first cause.
+//!   before a pose is sent, stops in an orderly way, and after an error reads the first cause from the controller.
 //!
 //! [`Engine::stream`] combines an engine and a [`Trajectory`] into a [`Procedure`](crate::procedure::Procedure), which the
 //! loops of [`io`](crate::io) run, blocking and asynchronous.

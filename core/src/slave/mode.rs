@@ -12,9 +12,9 @@ use core::fmt;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Mode {
-    /// A buffer of 3 poses; replies at once: S_BUF_FULL when the pose filled the buffer, E_BUF_FULL when it was not stored.
+    /// A buffer of 3 poses; replies immediately: S_BUF_FULL when the pose filled the buffer, E_BUF_FULL when it was not stored.
     Mode0,
-    /// A buffer of 1 pose, which each pose overwrites; replies at once.
+    /// A buffer of 1 pose, which each pose overwrites; replies immediately.
     Mode1,
     /// A buffer of 3 poses; replies when the pose is stored.
     Mode2,

@@ -29,7 +29,7 @@ pub(super) struct Pacer {
     /// Poses of this stream that the controller has stored.
     pub(super) taken: u32,
     last_sent: Instant,
-    /// The first of the present replies E_BUF_FULL.
+    /// The first of the current replies E_BUF_FULL.
     refused_since: Option<Instant>,
     /// The estimated time at which the controller's buffer is empty.
     empty_at: Option<Instant>,
@@ -81,7 +81,7 @@ impl Pacer {
         now.saturating_since(since) >= config.stall
     }
 
-    /// Records that the pose was stored, and schedules the next one.
+    /// Records that the pose was stored, and schedules the next pose.
     pub(super) fn stored(&mut self, config: &Config, full: bool, now: Instant) {
         self.loaded = false;
         self.refused_since = None;

@@ -154,7 +154,7 @@ impl Pose {
         fits.then(|| Self::new(pose, numbers))
     }
 
-    /// Makes the pose of zeros in a layout, with its extended-joint option.
+    /// Creates the pose of zeros in a layout, with its extended-joint option.
     pub(super) fn zero(layout: PoseLayout) -> Self {
         Self::new(layout.pose, &[]).with_axes(layout.extended, 0.0, 0.0)
     }

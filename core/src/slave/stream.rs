@@ -15,18 +15,18 @@ use crate::hresult::HResult;
 use crate::procedure::{self, Failure, Procedure};
 use crate::time::Instant;
 
-/// One run of an [`Engine`], made by [`Engine::stream`]: starts Slave Mode, streams a trajectory, leaves Slave Mode, switches the
-/// motor off, and gives the arm back.
+/// One run of an [`Engine`], made by [`Engine::stream`]: starts Slave Mode, streams a trajectory, leaves Slave Mode, switches
+/// the motor off, and gives the arm back.
 ///
-/// It ends in one of four ways. In all but the last the robot comes to rest within the limits:
+/// It ends in one of four ways. In all but the last the robot stops within the limits:
 ///
 /// * The trajectory returns [`Next::Finish`]: the engine repeats the last pose until the robot is at rest, leaves Slave
 ///   Mode, and releases the motor and the arm.
-/// * The trajectory returns [`Next::Stop`]: the same after a ramp along the present direction.
+/// * The trajectory returns [`Next::Stop`]: the same after a ramp along the current direction.
 /// * The trajectory returns a pose that is invalid or exceeds the limits: the same ramp, then [`StreamError::Pose`].
-/// * A call fails: the engine has left Slave Mode, if it could, and has asked the controller for its first error.
-///   [`StreamError::Fault`] names the call; [`Engine::fault`] returns the details, and whether Slave Mode is off. The arm is still
-///   taken: call [`Engine::recover`] and run a new stream, or run [`give_up`](Engine::give_up).
+/// * A call fails: the engine has left Slave Mode, if it could, and has read the first error from the controller.
+///   [`StreamError::Fault`] names the call; [`Engine::fault`] returns the details, and whether Slave Mode is off. The arm is
+///   still taken: call [`Engine::recover`] and run a new stream, or run [`give_up`](Engine::give_up).
 ///
 /// # Cancel safety
 ///

@@ -18,7 +18,7 @@ pub enum Next {
     Pose(Pose),
     /// The end: the robot rests at the last pose, then the stream ends.
     Finish,
-    /// An early end: the robot slows down along its present direction, then the stream ends.
+    /// An early end: the robot slows down along its current direction, then the stream ends.
     Stop,
 }
 

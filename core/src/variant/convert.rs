@@ -207,9 +207,9 @@ pub enum ConvertErrorKind {
     Type,
     /// The array has too few or too many elements.
     Count {
-        /// The least number of elements.
+        /// Minimum number of elements.
         least: u32,
-        /// The greatest number of elements.
+        /// Maximum number of elements.
         most: u32,
     },
     /// The number is too large or too small for the type.

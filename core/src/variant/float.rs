@@ -153,8 +153,8 @@ impl FloatFormat {
     fn shortest_by_hardware(self, bits: u64) -> Option<(u64, i32)> {
         /// A larger sum has no fraction.
         const ROUND: f64 = (1_u64 << 52) as f64;
-        // With more digits two decimals can be read as the same float. Twelve places times a single are exact, so the nearer one is
-        // found, except at a power of two, whose neighbours are not at the same distance.
+        // With more digits two decimals can be read as the same float. Twelve places times a single are exact, so the nearer
+        // one is found, except at a power of two, whose neighbours are not at the same distance.
         let (number, most) = match self {
             Self::Single => (f64::from(f32::from_bits(low(bits))), if bits & 0x7f_ffff == 0 { 1e6 } else { 1e15 }),
             Self::Double => (f64::from_bits(bits), 1e15),
@@ -263,7 +263,7 @@ impl FloatFormat {
         self.shortest(bits)
     }
 
-    /// Same as [`digits`](Self::digits), by integers; of any float but 0.
+    /// Like [`digits`](Self::digits), by integers; for any float but 0.
     fn shortest(self, bits: u64) -> (u64, i32) {
         let (significand, exponent) = self.parts(bits);
         let length = 64_u32.wrapping_sub(significand.leading_zeros());
@@ -360,7 +360,7 @@ fn scaled(number: u64, power: i32, exponent: i32) -> (u64, bool) {
     (whole, inexact || whole << drop != quotient)
 }
 
-/// 64 bits of a quotient, the first one set; their scale; whether there is more.
+/// 64 bits of a quotient, the first bit set; their scale; whether there is more.
 type Quotient = (u64, i32, bool);
 
 /// Divides a number that is not 0 by a power of ten with 64-bit integers; `None` when that takes more.
@@ -494,7 +494,7 @@ impl Big {
         }
     }
 
-    /// Divides by a power of 5, and tells whether anything was left.
+    /// Divides by a power of 5; also returns whether there was a remainder.
     fn divide_by_fives(&mut self, count: u32) -> bool {
         let (mut left, mut inexact) = (count, false);
         while left > 0 {
@@ -516,7 +516,7 @@ impl Big {
         inexact
     }
 
-    /// Returns the number of bits up to the first one that is set.
+    /// Returns the number of bits up to the first set bit.
     fn bits(&self) -> i32 {
         let top = self.limbs.iter().take(self.len).rposition(|limb| *limb != 0);
         let bits = top.and_then(|top| {
@@ -609,7 +609,7 @@ mod tests {
         ] {
             check(text);
         }
-        // halfway between two floats, and a digit beyond that, with as many digits as it takes to say so
+        // halfway between two floats, and just above, with as many digits as that needs
         let half = "8007199254740992.5";
         check(half);
         check("8007199254740993.5");
@@ -641,7 +641,7 @@ mod tests {
 
     /// Compares digits and exponent with the standard library, which also writes the fewest and nearest.
     ///
-    /// Of two that are as near it takes the larger one, and this the even one.
+    /// Of two equally near numbers, it writes the larger and this module the even one.
     fn write(format: FloatFormat, bits: u64) {
         let number = match format {
             FloatFormat::Single => f64::from(f32::from_bits(low(bits))),

@@ -26,9 +26,9 @@
 //! ```
 //!
 //! [`Variant::decode`] or the frame decoder validates a received value with all nested values. The resulting [`Variant`] is a
-//! `Copy` view of the bytes, and its accessors cannot fail. [`Variant::convert`] makes Rust types of it, with widening
-//! ([`FromVariant`]). A [`VariantBuf`] owns a value; so does an `OwnedVariant`, of any size, with the feature `alloc`. [`VariantBuf::parse_text`] reads
-//! the text form of RAC, and [`Variant::write_text`] writes it.
+//! `Copy` view of the bytes, and its accessors cannot fail. [`Variant::convert`] converts it to Rust types, with widening
+//! ([`FromVariant`]). A [`VariantBuf`] owns a value; so does an `OwnedVariant`, of any size, with the feature `alloc`.
+//! [`VariantBuf::parse_text`] reads the text form of RAC, and [`Variant::write_text`] writes it.
 //!
 //! # Examples
 //!
@@ -124,7 +124,7 @@ macro_rules! vartypes {
         };
 
         /// Bytes of one element, by element type; 0 for a type that is not a number.
-        // a table of its own, because a match on the layout is a jump table
+        // a separate table, because a match on the layout is a jump table
         const WIDTHS: [u8; 22] = {
             let mut table = [0; 22];
             $(if let Layout::Fixed(width) = $layout { table[$value] = width; })*
@@ -733,7 +733,7 @@ fn check_one(r: &mut Reader<'_>, strictness: Strictness) -> Result<u32, CheckErr
     }
     let width = vartype.width();
     if width > 0 {
-        // at most 8 times 4 G, which fits; a sum above `usize::MAX` is above the bytes that are left, too
+        // at most 8 times 4 G, which fits; a sum above `usize::MAX` also exceeds the bytes that are left
         let needed = usize::try_from(u64::from(width).wrapping_mul(u64::from(count))).unwrap_or(usize::MAX);
         return match r.slice(needed) {
             Some(_) => Ok(0),

@@ -23,9 +23,9 @@ const SMALL: usize = 64;
 /// 64 bytes, and one made of a [`Variant`], takes one allocation; EMPTY takes none.
 ///
 /// With the feature `serde` it is serialised together with its VARTYPE: `{"I4":7}`, `{"BSTR":"P1"}`,
-/// `{"ARRAY":{"R4":[1.5,2.0]}}`, `"EMPTY"`. Hence it comes back as the same value. CY is the count of ten-thousandths, DATE
-/// the days since 1899-12-30, and ERROR the signed number. A value of unknown VARTYPE and a string with an unpaired
-/// surrogate cannot be serialised. JSON has no NaN and no infinity: `serde_json` writes them as `null`, which is then refused.
+/// `{"ARRAY":{"R4":[1.5,2.0]}}`, `"EMPTY"`. So deserialisation returns the same value. CY is the count of ten-thousandths, DATE
+/// the days since 1899-12-30, and ERROR the signed number. A value of unknown VARTYPE and a string with an unpaired surrogate
+/// cannot be serialised. JSON has no NaN and no infinity: `serde_json` writes them as `null`, which is then refused.
 ///
 /// # Examples
 ///

@@ -32,7 +32,7 @@ impl Currency {
     /// Units of the wire in one.
     pub const SCALE: i64 = 10_000;
 
-    /// Makes it from the number on the wire.
+    /// Creates an amount from the number on the wire.
     #[must_use]
     pub const fn from_raw(ten_thousandths: i64) -> Self {
         Self(ten_thousandths)
@@ -122,7 +122,7 @@ const FIRST_DAY: i32 = -657_434;
 const LAST_DAY: i32 = 2_958_465;
 
 impl OleDate {
-    /// Makes it from the number on the wire.
+    /// Creates a date from the number on the wire.
     #[must_use]
     pub const fn from_raw(days: f64) -> Self {
         Self(days)
@@ -224,7 +224,7 @@ impl PartialEq for OleDate {
 impl Eq for OleDate {}
 
 impl CivilTime {
-    /// Makes midnight of a date. [`OleDate::from_civil`] checks whether the date exists.
+    /// Returns midnight of a date. [`OleDate::from_civil`] checks whether the date exists.
     #[must_use]
     pub const fn date(year: i16, month: u8, day: u8) -> Self {
         Self { year, month, day, hour: 0, minute: 0, second: 0, millisecond: 0 }
@@ -402,7 +402,7 @@ mod tests {
         ] {
             assert_eq!(OleDate::from_civil(civil), None, "{civil}");
         }
-        // the time nearest to midnight belongs to the next day, also before 1899-12-30
+        // the time nearest to midnight belongs to the next day, even before 1899-12-30
         assert_eq!(OleDate::from_raw(1.999_999_999_9).to_civil(), Some(CivilTime::date(1900, 1, 1)));
         assert_eq!(OleDate::from_raw(-2.999_999_999_9).to_civil(), Some(CivilTime::date(1899, 12, 29)));
         for (tenths, millis) in [(10.0, 1), (3.0, 0), (7.0, 1), (13.0, 1), (17.0, 2)] {

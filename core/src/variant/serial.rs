@@ -21,7 +21,7 @@ use crate::error::EncodeError;
 use crate::hresult::HResult;
 use crate::num::to_u32;
 
-/// A value, as serde sees it.
+/// A value in the data model of serde.
 #[derive(Serialize, Deserialize)]
 #[serde(rename_all = "UPPERCASE")]
 enum Form {
@@ -45,7 +45,7 @@ enum Form {
     Array(ArrayForm),
 }
 
-/// The elements of an array, as serde sees them.
+/// The elements of an array in the data model of serde.
 #[derive(Serialize, Deserialize)]
 #[serde(rename_all = "UPPERCASE")]
 enum ArrayForm {

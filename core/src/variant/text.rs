@@ -22,7 +22,7 @@
 //!  exponent = [ sign ] digits
 //!  date     = digits "/" digits "/" digits blank blanks digits ":" digits ":" digits
 //!  string   = { character - CR - LF }             UTF-8; a scalar outside of a VARIANT ends with the text; inside a
-//!                                                 VARIANT parentheses are paired; in an array there is no comma, too
+//!                                                 VARIANT parentheses are paired; in an array, commas are not allowed either
 //! ```
 //!
 //! There is no quoting and no escaping, so some values have no text. Guarantees:

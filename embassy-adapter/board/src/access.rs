@@ -1,11 +1,12 @@
-//! Who may use the page of the settings: a client that names the board by its address, no page of another site, with the password.
+//! Access control of the settings page: the client must name the board by its address, send the password, and not come from a
+//! page of another site.
 
 use core::hint::black_box;
 use core::net::Ipv4Addr;
 
 use bcap_core::time::Instant;
 
-/// The least and the most bytes of a password.
+/// Minimum and maximum length of a password in bytes.
 pub(crate) const LEAST: usize = 8;
 pub(crate) const MOST: usize = 63;
 /// The maximum size of the name and the password of a client together in bytes; a longer one is wrong.
@@ -14,13 +15,13 @@ const CREDENTIALS: usize = 96;
 const FIRST: u64 = 1;
 const DOUBLINGS: u32 = 6;
 
-/// The headers of a request that decide.
+/// The headers of a request that determine access.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Headers<'a> {
     pub(crate) host: Option<&'a str>,
     pub(crate) origin: Option<&'a str>,
     pub(crate) authorization: Option<&'a str>,
-    /// Whether the request changes something. A browser then tells the origin.
+    /// Whether the request changes something. A browser then sends the origin.
     pub(crate) is_change: bool,
 }
 
@@ -29,12 +30,12 @@ pub(crate) struct Headers<'a> {
 pub(crate) enum Denied {
     /// `Host` is not the board's address: another site may have a name that resolves to it.
     Host,
-    /// The request comes from the page of another site.
+    /// The request was sent by a page of another site.
     Origin,
     /// There is no password in the request.
     NoPassword,
     WrongPassword,
-    /// Too early after a wrong password: the password was not looked at.
+    /// Too early after a wrong password: the password was not checked.
     Pause {
         seconds: u64,
     },
@@ -44,7 +45,7 @@ pub(crate) enum Denied {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Guard {
     wrong: u32,
-    /// Wrong ones since the last right one.
+    /// Wrong passwords since the last correct one.
     in_row: u32,
     next: Instant,
 }
@@ -59,7 +60,7 @@ impl Guard {
         self.wrong
     }
 
-    /// Decides on a request to the board at this address and port.
+    /// Checks a request to the board at this address and port.
     pub(crate) fn admit(
         &mut self,
         headers: Headers<'_>,
@@ -258,7 +259,7 @@ mod tests {
         for pause in [1, 2, 4, 8, 16, 32, 64, 64, 64] {
             let mut try_at = |now, with| guard.admit(get(with), OWN, PASSWORD, at(now));
             assert_eq!(try_at(now, "Basic OnBhc3M="), Err(Denied::WrongPassword));
-            // not even the right one is looked at, and no try makes the pause longer
+            // not even the correct password is checked, and no attempt extends the pause
             assert_eq!(try_at(now, RIGHT), Err(Denied::Pause { seconds: pause }));
             assert_eq!(try_at(now + pause - 1, "Basic OnBhc3M="), Err(Denied::Pause { seconds: 1 }));
             now += pause;

@@ -21,13 +21,14 @@ use crate::Settings;
 /// How long to wait for DHCP, from the link on, before using the configured address.
 const DHCP_TIME: Duration = Duration::from_secs(5);
 
-/// The pause before DHCP is asked again without an answer. With the 10 s of smoltcp, one lost frame would cost the address.
+/// The pause before a DHCP request without an answer is repeated. With the 10 s of smoltcp, one lost frame would cost the
+/// address.
 const DHCP_RETRY: core::time::Duration = core::time::Duration::from_secs(2);
 
-/// The pause between two looks at the network stack.
+/// The pause between two polls of the network stack.
 const LOOK: Duration = Duration::from_millis(250);
 
-/// The pause after which [`keep`] asks again.
+/// The pause after which [`keep`] requests an address again.
 pub const DHCP_AGAIN: Duration = Duration::from_secs(60);
 
 /// The address that was found last, for the console.
@@ -57,14 +58,14 @@ pub(crate) fn config(settings: &Settings<'_>) -> Config {
 
 /// Waits for an address: from DHCP, or the configured one if no server answers within 5 s of a link.
 ///
-/// Without a configured address it waits for DHCP for ever.
+/// Without a configured address it waits for DHCP indefinitely.
 pub async fn find(stack: Stack<'_>, settings: &Settings<'_>) {
     loop {
         until(|| stack.is_link_up()).await;
         if with_timeout(DHCP_TIME, until(|| stack.is_config_up())).await.is_ok() {
             break;
         }
-        // a link that has gone meanwhile has not given DHCP its time
+        // DHCP did not get its full time if the link went down during the wait
         if stack.is_link_up()
             && settings.dhcp
             && let Some(own) = own(settings)
@@ -80,7 +81,7 @@ pub async fn find(stack: Stack<'_>, settings: &Settings<'_>) {
     publish(stack);
 }
 
-/// Tells the console the address, if it is another one.
+/// Passes the address to the console if it has changed.
 #[cfg(feature = "port")]
 fn publish(stack: Stack<'_>) {
     let found = stack.config_v4().map(|config| config.address);
@@ -91,11 +92,11 @@ fn publish(stack: Stack<'_>) {
 
 /// Finds an address again when it is lost: the link was down, or the lease has ended and no server extends it.
 ///
-/// After each pause it asks DHCP again while the board uses the configured address and `is_useful` returns false. A switch
-/// and a DHCP server may start later than the board.
+/// After each pause it tries DHCP again while the board uses the configured address and `is_useful` returns false. A switch and
+/// a DHCP server may start later than the board.
 pub async fn keep(stack: Stack<'_>, settings: &Settings<'_>, pause: Duration, is_useful: impl Fn() -> bool) -> ! {
     let is_lost = || {
-        // one lease can replace another between two looks
+        // one lease can replace another between two polls
         #[cfg(feature = "port")]
         publish(stack);
         !stack.is_config_up()
@@ -112,8 +113,8 @@ pub async fn keep(stack: Stack<'_>, settings: &Settings<'_>, pause: Duration, is
     }
 }
 
-/// Waits for a state of the network stack. It looks again after each [`LOOK`], because embassy-net wakes one task only: two that
-/// wait for its state would wake each other without an end.
+/// Waits for a state of the network stack. It polls every [`LOOK`], because embassy-net wakes only one task: two tasks that
+/// wait for its state would wake each other endlessly.
 async fn until(is_reached: impl Fn() -> bool) {
     while !is_reached() {
         Timer::after(LOOK).await;

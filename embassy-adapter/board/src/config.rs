@@ -47,7 +47,7 @@ fn parse(text: &'static [u8], invalid: fn(&[u8])) -> &'static Settings<'static> 
         let text = text.get(..end).and_then(|text| core::str::from_utf8(text).ok());
         RUNNING.lock(|running| running.set(text.unwrap_or_default()));
     }
-    // `configure` tells the reason; here it would cost flash
+    // `configure` reports the reason; here it would cost flash
     PLACE.init_with(|| Settings::read(text, |line, _| invalid(line)))
 }
 

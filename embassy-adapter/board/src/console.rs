@@ -5,7 +5,7 @@
 //!
 //! | request          | action of the board                                              | answer            |
 //! |------------------|------------------------------------------------------------------|-------------------|
-//! | `hello`          | tells that it speaks this protocol                               | `ok bcap-board 1` |
+//! | `hello`          | identifies the protocol                                          | `ok bcap-board 1` |
 //! | `show`           | sends the settings, a line `setting KEY=VALUE` for each          | `ok flash` or `ok image`, their place |
 //! | `new`            | starts empty settings                                            | `ok`              |
 //! | `add KEY=VALUE`  | adds a line to them, if it is valid                              | `ok`              |
@@ -20,17 +20,17 @@
 //!
 //! | request          | action of the board                                              | answer            |
 //! |------------------|------------------------------------------------------------------|-------------------|
-//! | `status`         | tells its name, its version and what became of the last update   | `ok BOARD VERSION PHASE` |
+//! | `status`         | reports its name, its version and the outcome of the last update | `ok BOARD VERSION PHASE` |
 //! | `update BOARD VERSION LENGTH CRC32` | begins to receive an image of `LENGTH` bytes, if it is for this board | `ok` |
 //! | `sign SHA512 SIGNATURE` | checks the signature of the image, in hexadecimal; before the first block ([`signature`](crate::signature)) | `ok` |
-//! | `block NUMBER CRC32 HEX` | writes 128 bytes; the CRC-32 covers the number (u32, little-endian), too | `ok NUMBER` |
+//! | `block NUMBER CRC32 HEX` | writes 128 bytes; the CRC-32 also covers the number (u32, little-endian) | `ok NUMBER` |
 //! | `install`        | checks the CRC-32 of the image in the flash; the next start swaps it in | `ok`       |
 //!
-//! A board with a key needs `sign`, and takes an older image only if the word `older` follows the CRC-32 of `update`. These requests
-//! are also accepted over TCP ([`remote`](crate::remote)), except for `older`; `restart` is, after `install`.
+//! A board with a key needs `sign`, and takes an older image only if the word `older` follows the CRC-32 of `update`. These
+//! requests are also accepted over TCP ([`remote`](crate::remote)), except for `older`; `restart` is, after `install`.
 //!
-//! Blocks have the numbers 0, 1, 2 and so on; the last one of an image can have fewer bytes. After an error, or without an answer,
-//! the host sends the block again.
+//! Blocks have the numbers 0, 1, 2 and so on; the last block of an image can have fewer bytes. After an error, or without an
+//! answer, the host sends the block again.
 
 use core::str;
 
@@ -108,13 +108,13 @@ pub enum Action {
 /// The settings that `show` sends in parts, so that an answer needs little memory.
 #[derive(Debug)]
 struct Shown {
-    /// Whether they are in the memory of the new ones; otherwise they come from the image.
+    /// Whether they are in the memory for new settings; otherwise they are those in the image.
     is_flash: bool,
     next: usize,
     end: usize,
 }
 
-/// The maximum number of bytes of a setting that are sent at once.
+/// The maximum number of bytes of a setting in one part.
 const PART: usize = 256;
 
 /// The board's side of the protocol.
@@ -155,7 +155,7 @@ impl<'a, F: NorFlash> Console<'a, F> {
         }
     }
 
-    /// Takes a received byte; at the end of a request, does it and writes the answer to `port`.
+    /// Takes a received byte; at the end of a request, performs it and writes the answer to `port`.
     ///
     /// # Errors
     ///
@@ -168,8 +168,8 @@ impl<'a, F: NorFlash> Console<'a, F> {
         Ok(action)
     }
 
-    /// Same as [`receive`](Self::receive), but writes only the first part of the answer: [`show_more`](Self::show_more) writes
-    /// the next one.
+    /// Like [`receive`](Self::receive), but writes only the first part of the answer; [`show_more`](Self::show_more) writes the
+    /// next part.
     pub(crate) fn receive_byte<W: Write>(&mut self, byte: u8, port: &mut W) -> Result<Option<Action>, W::Error> {
         if !matches!(byte, b'\r' | b'\n') {
             self.is_too_long |= self.request.push(byte).is_err();
@@ -187,7 +187,7 @@ impl<'a, F: NorFlash> Console<'a, F> {
         self.perform(&request, port)
     }
 
-    /// Serves a port until the host asks for a restart, or the port ends.
+    /// Serves a port until the host requests a restart, or the port ends.
     ///
     /// # Errors
     ///
@@ -320,8 +320,9 @@ impl<'a, F: NorFlash> Console<'a, F> {
 
 #[cfg(feature = "health")]
 impl<F: NorFlash> Console<'_, F> {
-    /// Replaces the settings in the flash by the lines of a page, and keeps the secret ones of `running`, the settings that the board runs
-    /// with. Empty lines and lines that begin with `#` are dropped. Values stay as they are, also with a `#` or blanks at their end.
+    /// Replaces the settings in the flash by the lines of a page, and keeps the secrets of `running`, the settings that the
+    /// board runs with. Empty lines and lines that begin with `#` are dropped. Values are not changed, even with a `#` or
+    /// blanks at their end.
     ///
     /// # Errors
     ///
@@ -340,7 +341,7 @@ impl<F: NorFlash> Console<'_, F> {
             self.push(secret.map(str::as_bytes)).map_err(|error| not_saved(error, 0))?;
         }
         for (number, line) in (1..).zip(page.lines()) {
-            // a key has no blank before it
+            // blanks before a key are removed
             match line.trim_start() {
                 "" => {}
                 REACH => may_change_reach = true,
@@ -369,7 +370,7 @@ fn not_saved(error: NotAdded<'_>, number: usize) -> NotSaved {
 
 #[cfg(feature = "update")]
 impl<F: NorFlash> Console<'_, F> {
-    /// Serves updates, too.
+    /// Also serves updates.
     #[must_use]
     pub fn with_updates(self, updater: Option<Updater>) -> Self {
         Self { updater, ..self }
@@ -380,7 +381,7 @@ impl<F: NorFlash> Console<'_, F> {
         Some((self.updater.as_mut()?, self.slots.flash()))
     }
 
-    /// Does a request of a host on the network, and returns whether to restart.
+    /// Performs a request of a host on the network, and returns whether to restart.
     #[cfg(feature = "port")]
     pub(crate) fn perform_remote<W: Write>(&mut self, request: &[u8], port: &mut W) -> Result<bool, W::Error> {
         let request = str::from_utf8(request).unwrap_or_default();

@@ -1,4 +1,4 @@
-//! The UDP socket of a board: it answers [`find`](crate::find), sends messages of syslog, and asks for the time.
+//! The UDP socket of a board: it answers [`find`](crate::find), sends messages of syslog, and requests the time.
 //!
 //! One socket, because each one takes memory.
 
@@ -35,8 +35,8 @@ use crate::watchdog::watched;
 /// The pause between two answers. Requests in it are dropped; a host repeats them.
 const PAUSE: Duration = Duration::from_millis(50);
 
-/// How long a datagram may wait until the address of its host is resolved. smoltcp sends one ARP request a second in all, so the request
-/// for this address can be a second late.
+/// How long a datagram may wait until the address of its host is resolved. smoltcp sends one ARP request a second in total, so
+/// the request for this address can be delayed by a second.
 const UNSENT: Duration = Duration::from_millis(1500);
 
 /// The pauses between requests for the time: without an answer, and after one.
@@ -138,7 +138,7 @@ async fn serve_others(socket: &mut UdpSocket<'_>, settings: &Settings<'_>, clock
             None => core::future::pending().await,
         }
     };
-    // the time first: the board seldom asks for it, and there may always be a message
+    // the time first: the board seldom requests it, and there may always be a message
     match select3(socket.wait_recv_ready(), time, message).await {
         Either3::First(()) => {}
         Either3::Second(()) => {
@@ -219,7 +219,7 @@ async fn answer(
     // a project can have a longer name than a board
     let name = name.get(..name.len().min(NAME)).unwrap_or_default();
     let found = Found { name: name_of_host, board: name, version, address: own, port: rac::PORT, mac: mac.0 };
-    // to the endpoint alone: the request may have been sent to the broadcast address, which is no source
+    // to the endpoint alone: the request may have been sent to the broadcast address, which is not a valid source
     let send = |context: &mut Context<'_>| {
         let mut out = [0; REQUEST];
         let len = found.write(number, &mut out).unwrap_or_default();
@@ -229,7 +229,7 @@ async fn answer(
     let _ = poll_fn(send).await;
 }
 
-/// Returns whether a host is another one of the board's network.
+/// Returns whether a host is another host of the board's network.
 fn may_ask(own: (Ipv4Addr, u8), host: Ipv4Addr) -> bool {
     let is_near = Network::new(own.0, own.1).is_some_and(|network| network.contains(Some(host)));
     is_near && is_host(host) && is_other(own, host)

@@ -14,7 +14,7 @@ pub enum SettingError {
     Key,
     /// The line contains NUL, which ends the settings.
     Nul,
-    /// The value does not have the form that its key asks for.
+    /// The value does not have the form that its key requires.
     Value,
     /// Another service of the board has the port.
     Port,
@@ -31,7 +31,7 @@ pub enum SettingError {
     /// An entry of the map of Modbus is invalid.
     #[cfg(feature = "modbus")]
     Entry(EntryError),
-    /// An entry of the map of Modbus has addresses of another one.
+    /// An entry of the map of Modbus overlaps another entry.
     #[cfg(feature = "modbus")]
     Overlap,
     /// There are more entries than the board has memory for.

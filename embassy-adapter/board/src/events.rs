@@ -2,7 +2,7 @@
 
 use heapless::String;
 
-/// The longest text of a message. Longer ones are cut.
+/// Maximum length of the text of a message. Longer texts are cut.
 pub(crate) const TEXT: usize = 192;
 
 /// A message.
@@ -12,13 +12,13 @@ pub(crate) struct Event {
     pub(crate) at: u64,
     /// The code of its severity.
     pub(crate) severity: u8,
-    /// The kind of the message; `None` in memory that has none yet.
+    /// The kind of the message; `None` in an unused entry.
     pub(crate) id: Option<&'static str>,
     pub(crate) text: String<TEXT>,
 }
 
 impl Event {
-    /// All zero, so that static memory takes none in the flash.
+    /// All zero, so that static memory takes no flash.
     const NONE: Self = Self { at: 0, severity: 0, id: None, text: String::new() };
 }
 
@@ -72,7 +72,7 @@ impl<const N: usize> Events<N> {
         self.lost
     }
 
-    /// Returns the messages, the last one first.
+    /// Returns the messages in reverse order.
     pub(crate) fn in_reverse_order(&self) -> impl Iterator<Item = &Event> {
         (1..=N).filter_map(|back| self.entries.get(self.next.wrapping_sub(back) % N)).filter(|event| event.id.is_some())
     }

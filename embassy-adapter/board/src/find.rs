@@ -6,8 +6,8 @@
 //!                                                               "address=192.168.0.9/24\nport=5006\nmac=02:00:00:bc:a9:03\n"
 //! ```
 //!
-//! An answer is shorter than its request, so a board cannot amplify a flood. A board answers only hosts of its own network, and 20
-//! times a second at most. `port` is the port of RAC. Unknown lines are skipped.
+//! An answer is shorter than its request, so a board cannot amplify a flood. A board answers only hosts of its network, and at
+//! most 20 times a second. `port` is the port of RAC. Unknown lines are skipped.
 
 use core::fmt::{self, Write};
 use core::net::Ipv4Addr;

@@ -10,7 +10,7 @@
 //! The feature `modbus` adds listeners for Modbus TCP, `health` a page of the state and messages of syslog. The settings
 //! switch them on.
 //!
-//! An image makes an embassy-net [`Stack`] with [`SOCKETS`] sockets, calls [`start`], runs the stack in one task, and
+//! An image creates an embassy-net [`Stack`] with [`SOCKETS`] sockets, calls [`start`], runs the stack in one task, and
 //! [`watch`] in another.
 
 use core::pin::pin;
@@ -57,7 +57,7 @@ const MODBUS_BUFFER: usize = 320;
 /// The same for the listener that refuses clients.
 #[cfg(feature = "modbus")]
 const SPARE_BUFFER: usize = 96;
-/// How long a frame of Modbus may take from its first byte to its last; clients send it at once.
+/// How long a frame of Modbus may take from its first byte to its last; clients send it in one piece.
 #[cfg(feature = "modbus")]
 const MODBUS_RECEIVE: core::time::Duration = core::time::Duration::from_secs(5);
 /// The sockets of the page.
@@ -70,7 +70,7 @@ const UPDATES: usize = if cfg!(feature = "update") { 1 } else { 0 };
 /// The sockets of the network stack: the listeners, Modbus, the page, updates, the robot, DHCP, datagrams.
 pub const SOCKETS: usize = LISTENERS + MODBUS + HEALTH + UPDATES + 3;
 
-/// How far the gateway may overrun its deadline; a longer overrun means that its tasks hang.
+/// Maximum overrun of the gateway's deadline; a longer overrun means that its tasks hang.
 const MAX_OVERRUN: core::time::Duration = core::time::Duration::from_secs(2);
 
 /// Whether the settings are invalid or the last reset was a fault.
@@ -78,7 +78,7 @@ static HAS_ERROR: AtomicBool = AtomicBool::new(false);
 
 /// Starts the tasks of a gateway, except for the network stack, the watchdog and board-specific tasks. Call it once.
 ///
-/// `dhcp_again` is the pause before the board asks for an address again ([`address::DHCP_AGAIN`]).
+/// `dhcp_again` is the pause before the board requests an address again ([`address::DHCP_AGAIN`]).
 ///
 /// # Errors
 ///
@@ -181,7 +181,7 @@ fn make(settings: &'static Settings<'static>) -> &'static Board {
     BOARD.init(SharedGateway::new(Gateway::new(config, MEMORY.take()), report::log))
 }
 
-/// Serves PLCs, one after another.
+/// Serves PLCs in sequence.
 #[embassy_executor::task(pool_size = LISTENERS)]
 async fn serve(
     stack: Stack<'static>,
@@ -213,7 +213,7 @@ fn start_modbus(
         ModbusListener::new(stack, port, settings.modbus_map(), memory, options(settings, &MODBUS_BACKLOG))
     };
     let [places @ .., spare] = &PLACES;
-    // the network passes a connection to the first listener that is free, so the spare one is made last
+    // the network passes a connection to the first listener that is free, so the listener that refuses clients is created last
     for ((number, place), [rx, tx]) in (AFTER_PLCS..).zip(places).zip(MEMORY.take()) {
         spawner.spawn(serve_modbus(place.init(listener([rx, tx])), settings, board, Task::new(number))?);
     }
@@ -229,7 +229,7 @@ async fn refuse_modbus(listener: &'static mut ModbusListener<'static>, board: &'
     watched(SPARE_TASK, pin!(listener.refuse(board))).await
 }
 
-/// Serves clients of Modbus, one after another.
+/// Serves clients of Modbus in sequence.
 #[cfg(feature = "modbus")]
 #[embassy_executor::task(pool_size = MODBUS - 1)]
 async fn serve_modbus(

@@ -19,7 +19,7 @@ use bcap_gateway::{Counters, Tally};
 /// The maximum size of a page in bytes; a test makes the longest one.
 pub const LONGEST: usize = 2368;
 
-/// The version that runs, and what became of the last update ([`update::Status`](crate::update::Status)).
+/// The running version, and the outcome of the last update ([`update::Status`](crate::update::Status)).
 #[derive(Clone, Copy)]
 pub struct Update<'a> {
     /// The name of the board.

@@ -5,7 +5,7 @@ use core::net::Ipv4Addr;
 /// An address, and the length of its network prefix in bits.
 pub(crate) type Own = (Ipv4Addr, u8);
 
-/// Returns whether one machine can have an address. The network stack panics on any other one.
+/// Returns whether one machine can have an address. The network stack panics on any other address.
 pub(crate) fn is_host(address: Ipv4Addr) -> bool {
     !(address.is_unspecified() || address.is_broadcast() || address.is_multicast() || address.is_loopback())
 }
@@ -20,7 +20,7 @@ pub(crate) fn is_other(own: Own, address: Ipv4Addr) -> bool {
     address != own.0 && !is_edge(own, address)
 }
 
-/// Returns whether an address is the first or the last one, the broadcast, of the network of `own`.
+/// Returns whether an address is the first or the last (broadcast) address of the network of `own`.
 fn is_edge((own, prefix): Own, address: Ipv4Addr) -> bool {
     let hosts = u32::MAX.checked_shr(prefix.into()).unwrap_or(0);
     let (own, bits) = (own.to_bits(), address.to_bits());

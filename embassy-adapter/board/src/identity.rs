@@ -1,11 +1,11 @@
-//! The name of the board that an image is for, and the image's version, seen from a host and from the board.
+//! The name of the board that an image is for, and the image's version, for hosts and for the board.
 //!
 //! ```text
 //!  "BCAPNAME"  board, 32 bytes  version, 20 bytes  CRC-32 of these 60 bytes (little-endian)
 //! ```
 //!
-//! The block is stored unencoded in ELF and binary images, so a host can find it with [`find`]. The CRC tells it from the same eight
-//! letters elsewhere in the image.
+//! The block is stored unencoded in ELF and binary images, so a host can find it with [`find`]. The CRC distinguishes it from
+//! the same eight letters elsewhere in the image.
 
 use core::str;
 

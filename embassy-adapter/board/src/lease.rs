@@ -1,21 +1,21 @@
-//! Checks a lease of DHCP before the network stack sees it.
+//! Checks a lease of DHCP before the network stack receives it.
 //!
-//! smoltcp 0.13.1 installs the router of a lease unchecked, and panics when it looks for the router of an address such as 0.0.0.0.
-//! With a lease of 0 s it asks again without a pause. Both end in a board that does not serve, so a frame with such a lease is
-//! dropped, or its router is hidden. A board without a router still reaches the machines of its network.
+//! smoltcp 0.13.1 installs the router of a lease unchecked, and panics when it resolves a router address such as 0.0.0.0. With
+//! a lease of 0 s it repeats its request without a pause. Either stops the service of the board, so a frame with such a lease
+//! is dropped, or its router is hidden. A board without a router still reaches the machines of its network.
 
 use core::net::Ipv4Addr;
 
 use crate::host::{Own, is_host, is_other};
 
-/// The shortest lease in seconds, and the shortest time after which it may have to be renewed.
+/// Minimum lease in seconds, and minimum time after which it may have to be renewed.
 const SHORTEST_LEASE: u32 = 10;
 const SHORTEST_RENEWAL: u32 = 5;
 
 /// The header of Ethernet, and the type of IPv4.
 const ETHERNET: usize = 14;
 const IPV4: [u8; 2] = [0x08, 0x00];
-/// The shortest header of IPv4, the number of UDP, and its header.
+/// Minimum size of an IPv4 header, the protocol number of UDP, and the size of its header.
 const IPV4_HEADER: usize = 20;
 const UDP: u8 = 17;
 const UDP_HEADER: usize = 8;
@@ -42,14 +42,14 @@ const END: u8 = 255;
 
 const OFFER: u8 = 2;
 
-/// A lease that the network stack may see.
+/// A lease that may pass to the network stack.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Lease {
     /// Whether it is offered, not confirmed.
     pub(crate) is_offer: bool,
 }
 
-/// A lease that the network stack must not see.
+/// A lease that must not pass to the network stack.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct RefusedLease {
     pub(crate) server: Ipv4Addr,
@@ -85,8 +85,8 @@ impl Reason {
 
 /// Checks the lease in a received frame, if there is one for the client `mac`.
 ///
-/// `accepts` tells whether the board may have an address. A router that cannot be one is hidden, and so are times of renewal that
-/// are too short.
+/// `accepts` returns whether the board may have an address. An invalid router is hidden, and so are renewal times that are too
+/// short.
 ///
 /// # Errors
 ///
@@ -206,7 +206,7 @@ struct Option4 {
 }
 
 impl Option4 {
-    /// Reads the option at `at`, and moves `at` after it.
+    /// Reads the option at `at`, and moves `at` past it.
     fn next(message: &[u8], at: &mut usize) -> Option<Self> {
         while message.get(*at) == Some(&PAD) {
             *at += 1;

@@ -18,7 +18,7 @@
 //!
 //! let state = LedState { link: true, address: true, robot: false, error: false };
 //! let pattern = state.pattern();
-//! // a task asks again after `Pattern::STEP`
+//! // a task calls it again after `Pattern::STEP`
 //! assert!(pattern.is_on(Duration::from_millis(0)));
 //! assert!(!pattern.is_on(Duration::from_millis(1500)));
 //! ```
@@ -90,7 +90,7 @@ impl LedState {
 pub async fn run(mut pin: impl OutputPin, state: impl Fn() -> LedState) -> ! {
     loop {
         let uptime = Duration::from_micros(bcap_embassy::clock::now().as_micros());
-        // an LED that cannot be switched is no reason to stop
+        // an LED that cannot be switched must not stop the board
         let _ = pin.set_state(state().pattern().is_on(uptime).into());
         Timer::after_millis(100).await;
     }

@@ -4,13 +4,13 @@ use core::net::Ipv4Addr;
 
 use bcap_core::time::Instant;
 
-/// The least time between two lines of the same client and reason, in microseconds.
+/// Minimum time between two lines of the same client and reason, in microseconds.
 const INTERVAL: u64 = 1_000_000;
 
 /// Admits at most one line a second for each client and reason, and counts the others.
 ///
-/// It remembers `N` pairs of a client and a reason. When all of them wrote a line within the last second, further pairs
-/// write none, so a log has at most `N` lines a second.
+/// It stores `N` pairs of a client and a reason. When all of them wrote a line within the last second, lines of further pairs
+/// are left out, so a log has at most `N` lines a second.
 ///
 /// # Examples
 ///
@@ -58,7 +58,7 @@ impl<const N: usize> Limiter<N> {
         Self { entries: [Entry::FREE; N], others: 0 }
     }
 
-    /// Returns the number of lines left out since the last one of this client and reason; `None` to leave out this one.
+    /// Returns the number of lines left out since the last line of this client and reason; `None` to leave out this line.
     ///
     /// The client is `None` on a serial line.
     pub fn admit(&mut self, client: Option<Ipv4Addr>, reason: &'static str, now: Instant) -> Option<u32> {

@@ -1,4 +1,4 @@
-//! An LLDP frame, from which a switch knows what is at its port (IEEE 802.1AB).
+//! An LLDP frame, which identifies the board to the switch port that it is connected to (IEEE 802.1AB).
 //!
 //! ```text
 //!  01:80:c2:00:00:0e  MAC of the board  0x88cc
@@ -10,7 +10,7 @@ use core::net::Ipv4Addr;
 
 /// The maximum size of a frame in bytes: a name has 32 at most, a description 53.
 pub(crate) const FRAME: usize = 160;
-/// How long a switch keeps what a frame says, in seconds. Four times the interval of frames, as the standard suggests.
+/// How long a switch keeps the contents of a frame, in seconds. Four times the interval of frames, as the standard suggests.
 const TIME_TO_LIVE: u16 = 120;
 
 /// The address of all switches next to the sender, and the type of LLDP.

@@ -1,4 +1,4 @@
-//! defmt's logger: frames in a ring buffer, which the image sends where it likes.
+//! defmt's logger: frames in a ring buffer, whose destination is up to the image.
 //!
 //! A frame is encoded inside a critical section, which lasts as long as copying its bytes. A frame without room is dropped
 //! and counted; [`dropped`] returns the count. An image sends the bytes in an interrupt ([`ring`], [`on_frame`]) or in a task
@@ -84,7 +84,7 @@ unsafe impl defmt::Logger for Logger {
         });
     }
 
-    /// Does nothing: only the image knows where the bytes go.
+    /// Does nothing: the destination of the bytes is up to the image.
     unsafe fn flush() {}
 
     unsafe fn release() {

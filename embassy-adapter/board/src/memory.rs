@@ -23,7 +23,7 @@ static SETTINGS: [u8; BLOCK] = {
     block
 };
 
-/// The start-up code of cortex-m-rt leaves this section alone; that of esp-hal does too, except after power-on.
+/// The start-up code of cortex-m-rt does not change this section; neither does the code of esp-hal, except after power-on.
 #[cfg(any(target_arch = "arm", target_arch = "riscv32"))]
 #[cfg_attr(target_arch = "arm", unsafe(link_section = ".uninit.record"))]
 #[cfg_attr(target_arch = "riscv32", unsafe(link_section = ".rtc_fast.persistent"))]

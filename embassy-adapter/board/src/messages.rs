@@ -1,4 +1,5 @@
-//! Messages about refusals and changes of the state: the last ones are kept for the page, and each is sent to the collector of syslog.
+//! Messages about refusals and changes of the state: the last ones are kept for the page, and each is sent to the collector of
+//! syslog.
 
 use core::cell::{Cell, RefCell};
 use core::fmt::{self, Write};
@@ -26,7 +27,7 @@ use crate::syslog::{Message, Severity};
 /// The name of the image in messages and on the page.
 pub(crate) const IMAGE: &str = "gateway";
 
-/// The longest message of syslog.
+/// Maximum length of a syslog message.
 pub(crate) const MESSAGE: usize = TEXT + 124;
 
 static EVENTS: Mutex<CriticalSectionRawMutex, RefCell<Events<MESSAGES>>> = Mutex::new(RefCell::new(Events::new()));
@@ -100,7 +101,7 @@ fn limited(client: Option<SocketAddrV4>, id: &'static str, text: fmt::Arguments<
     let address = client.map(|client| *client.ip());
     let admitted = LIMITER.lock(|limiter| limiter.try_borrow_mut().ok()?.admit(address, id, now()));
     let Some(left_out) = admitted else { return };
-    // the number comes first, because the end of a long text is cut
+    // the number is first, because the end of a long text is cut
     match (client, left_out) {
         (Some(client), 0) => add(Severity::Warning, id, format_args!("{client}: {text}")),
         (Some(client), count) => add(Severity::Warning, id, format_args!("{client}: {count} more before: {text}")),
@@ -144,7 +145,7 @@ pub(crate) fn lost() -> u32 {
     with(|events| events.lost())
 }
 
-/// Passes the time, the kind and the text of each message, the last one first.
+/// Passes the time, the kind and the text of each message, in reverse order.
 pub(crate) fn show(show: &mut dyn FnMut(Time, &str, &str) -> fmt::Result) -> fmt::Result {
     EVENTS.lock(|events| {
         let Ok(events) = events.try_borrow() else { return Ok(()) };

@@ -19,7 +19,7 @@ impl ModbusMap {
         &self.entries
     }
 
-    /// Adds an entry, unless another one has some of its addresses.
+    /// Adds an entry, unless it overlaps another entry.
     pub(crate) fn add(&mut self, entry: Entry) -> Result<(), SettingError> {
         if self.entries.iter().any(|other| other.overlaps(&entry)) {
             return Err(SettingError::Overlap);

@@ -1,18 +1,20 @@
-//! The machines of the board's network that take part in ARP. The network stack gets only packets whose answer can go to a known neighbor.
+//! The machines of the board's network that take part in ARP. The network stack gets only packets whose answer can go to a
+//! known neighbor.
 //!
 //! ```text
 //!  ARP for the board ─────────────────────────────► its sender is known
 //!  IPv4, its sender or the sender's router known ─► network stack, with an ARP reply of the neighbor twice a second
-//!  IPv4, neighbor unknown ────────────────────────► dropped; the board asks for the neighbor by ARP
+//!  IPv4, neighbor unknown ────────────────────────► dropped; the board sends an ARP request
 //!  IPv4 from another network, without a router ───► dropped
 //! ```
 //!
-//! smoltcp 0.13.1 sends one ARP request a second, whatever the number of missing neighbors, and a socket that cannot send for lack of a
-//! neighbor or of a route is silent for a second, even if it has a new peer by then. With each lease it forgets all neighbors. Under a flood
-//! from invented addresses a PLC would have to wait for the one request in many that asks for it, and for a socket that is not silent. So
-//! the flood is dropped here, and the stack is told about neighbors before it asks.
+//! smoltcp 0.13.1 sends one ARP request a second, whatever the number of missing neighbors, and a socket that cannot send for
+//! lack of a neighbor or of a route is silent for a second, even if it has a new peer by then. With each lease it drops all
+//! neighbors. Under a flood from invented addresses, the connection of a PLC would be delayed until one of many ARP requests
+//! happens to be for it and its socket sends again. So the flood is dropped here, and the stack gets ARP replies before it
+//! requests them.
 //!
-//! A sender that takes part in ARP loses one packet at most: it retransmits, and by then it has answered.
+//! A sender that takes part in ARP loses one packet at most: it retransmits, and by then it has answered the ARP request.
 
 use core::net::Ipv4Addr;
 
@@ -60,18 +62,18 @@ impl Route {
 struct Neighbor {
     address: Ipv4Addr,
     mac: Mac,
-    /// When the network stack was told about it, or it was asked, in milliseconds. It wraps.
+    /// When the network stack last got a reply about it, or it was sent a request, in milliseconds. It wraps.
     told_at: u32,
 }
 
-/// The known neighbors, the last sender first.
+/// The known neighbors, the most recent sender first.
 #[derive(Debug, Default)]
 pub(crate) struct Neighbors {
     known: [Option<Neighbor>; KNOWN],
-    /// The neighbor to ask for.
+    /// The neighbor to send an ARP request for.
     ask: Option<Ipv4Addr>,
     asked_at: u32,
-    /// The neighbor to tell the network stack about.
+    /// The neighbor of the next ARP reply to the network stack.
     tell: Option<Neighbor>,
 }
 
@@ -111,7 +113,7 @@ impl Neighbors {
         Some(arp(mac, REPLY, (neighbor.mac, neighbor.address), (mac, own.0)))
     }
 
-    /// Remembers the sender of an ARP message for the board.
+    /// Stores the sender of an ARP message for the board.
     fn learn(&mut self, message: &[u8], own: Own, now: u32) {
         let Some(mac) = message.get(8..).and_then(|rest| rest.first_chunk::<6>()) else { return };
         let (sender, target) = (address(message, 14), address(message, 24));

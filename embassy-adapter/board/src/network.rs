@@ -1,5 +1,5 @@
-//! embassy-net over the driver of a board: it receives only valid leases and packets that can be answered, and a silent Ethernet
-//! controller is detected.
+//! embassy-net over the driver of a board: it receives only valid leases and packets that can be answered, and a silent
+//! Ethernet controller is detected.
 //!
 //! ```text
 //!  driver ─► Checked: drops invalid leases of DHCP and packets that cannot be answered, counts as a sign of life ─► embassy-net
@@ -20,12 +20,12 @@ use crate::neighbors::{FRAME, Neighbors, Route};
 use crate::parts::Parts;
 use crate::{Settings, address};
 
-/// The time without a frame, while the link is up, after which the Ethernet controller counts as dead, if it has received frames
-/// before: a network without any traffic is no reason for a reset.
+/// The time without a frame, while the link is up, after which the Ethernet controller counts as dead, if it has received
+/// frames before: a network without any traffic must not cause a reset.
 pub const SILENCE: Duration = Duration::from_secs(300);
 
-/// The pause between two offers that the network stack gets. A server that refuses what it has offered would otherwise be asked
-/// again without a pause; after an offer that is dropped, the stack asks after 2 s.
+/// The pause between two offers that the network stack gets. Otherwise the stack would send requests without a pause to a
+/// server that refuses its own offers; after a dropped offer, the stack repeats its request after 2 s.
 const OFFER_PAUSE: Duration = Duration::from_secs(1);
 
 /// The pause between two lines of the log about refused leases.
@@ -34,7 +34,7 @@ const LOG_PAUSE: Duration = Duration::from_secs(1);
 /// The pause between two frames of LLDP; one is sent when the network stack runs next.
 const LLDP_PAUSE: Duration = Duration::from_secs(30);
 
-/// The pause between two looks at the board's address.
+/// The pause between two reads of the board's address.
 const FOLLOW_PAUSE: Duration = Duration::from_millis(250);
 
 /// The network stack of a board, which one task must run.
@@ -44,7 +44,7 @@ pub type Runner<D> = embassy_net::Runner<'static, Checked<D>>;
 #[derive(Clone, Copy)]
 struct Life {
     has_received: bool,
-    /// Since when nothing has been received over a link that is up.
+    /// Since when no frame has been received over a link that is up.
     silent_since: Option<Instant>,
 }
 
@@ -71,7 +71,7 @@ static ROUTE: Mutex<CriticalSectionRawMutex, Cell<Option<Route>>> = Mutex::new(C
 /// The name of the board and the version of its image.
 static DESCRIPTION: Mutex<CriticalSectionRawMutex, Cell<[&str; 2]>> = Mutex::new(Cell::new([""; 2]));
 
-/// Makes the network stack of a board, with the address of the settings or of a DHCP server. Call it once.
+/// Creates the network stack of a board, with the address of the settings or of a DHCP server. Call it once.
 ///
 /// Not inlined, because the network stack is built on the call stack.
 #[inline(never)]
@@ -88,7 +88,7 @@ pub fn start<D: Driver, const SOCKETS: usize>(
     embassy_net::new(driver, address::config(settings), resources, seed)
 }
 
-/// Returns whether the controller has received nothing for this time while its link is up, and had received frames before.
+/// Returns whether the controller has received no frame for this time while its link is up, and had received frames before.
 #[must_use]
 pub fn is_dead(silence: Duration) -> bool {
     let Life { has_received, silent_since } = LIFE.lock(Cell::get);
@@ -105,7 +105,8 @@ pub(crate) fn description() -> [&'static str; 2] {
     DESCRIPTION.lock(Cell::get)
 }
 
-/// Tells the driver the board's address and router, for ever: the stack calls the driver while it is borrowed.
+/// Keeps the driver informed of the board's address and router. The driver cannot read them itself, because the stack is
+/// borrowed when it calls the driver.
 pub(crate) async fn follow(stack: Stack<'_>) -> ! {
     loop {
         let route = stack.config_v4().map(|StaticConfigV4 { address, gateway: router, .. }| {
@@ -124,7 +125,7 @@ pub struct Checked<D> {
     next_lldp: Instant,
 }
 
-/// Decides which frames the network stack gets.
+/// Filters the frames that the network stack gets.
 struct Filter {
     settings: &'static Settings<'static>,
     next_offer: Instant,
@@ -244,8 +245,8 @@ impl<T: RxToken> RxToken for CheckedFrame<'_, T> {
 }
 
 impl Filter {
-    /// Returns whether the network stack may have a frame; logs a refused lease, unless it is the last one again, at most one a
-    /// second.
+    /// Returns whether the network stack may have a frame; logs a refused lease, unless it repeats the last refusal, at most
+    /// one a second.
     fn may_pass(&mut self, frame: &mut [u8], mac: [u8; 6]) -> bool {
         // wraps, as the neighbors expect
         let now = Instant::now().as_millis() as u32;

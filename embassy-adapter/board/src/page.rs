@@ -1,7 +1,7 @@
 //! The pages of a board: its state ([`health`](crate::health)), the rules for PLCs, the last messages, and the settings.
 //!
-//! The settings have a page only with a password, which only the console sets. A POST saves them as the console does, and restarts the
-//! board. It is refused without the password, from a page of another site, and while PLCs are connected.
+//! The settings have a page only with a password, which only the console sets. A POST saves them as the console does, and
+//! restarts the board. It is refused without the password, from a page of another site, and while PLCs are connected.
 
 use core::fmt::{self, Write};
 use core::pin::pin;
@@ -36,7 +36,7 @@ const COUNTERS: usize = 8;
 /// The memory of a listener of the page: its buffers, and a page.
 type PageMemory = ([u8; 256], [u8; 320], [u8; PAGE]);
 
-/// Starts the pages, if the settings ask for them.
+/// Starts the pages, if the settings enable them.
 pub(crate) fn start(
     spawner: Spawner,
     stack: Stack<'static>,
@@ -231,7 +231,7 @@ fn write_rule(verb: &str, rule: &Allow<'_>, page: &mut Body<'_>) -> fmt::Result 
     write!(page, "<td>{clients}")
 }
 
-/// Writes the last messages, the newest first, as far as there is room.
+/// Writes the last messages in reverse order, as far as there is room.
 fn write_log(page: &mut Body<'_>) -> fmt::Result {
     const REST: usize = TABLE_END.len() + STATE.len();
     page.write_str(

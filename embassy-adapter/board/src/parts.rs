@@ -75,8 +75,8 @@ pub struct Parts {
 }
 
 impl Parts {
-    /// Logs the cause of the last reset, and returns the parts of a board of this name that has no separate counters. `version` is the
-    /// version of the image, `env!("CARGO_PKG_VERSION")`.
+    /// Logs the cause of the last reset, and returns the parts of a board of this name that has no separate counters. `version`
+    /// is the version of the image, `env!("CARGO_PKG_VERSION")`.
     #[must_use]
     pub fn after(last_reset: Cause, name: &'static str, version: &'static str) -> Self {
         defmt::info!("last reset: {}", defmt::Display2Format(&last_reset));

@@ -25,7 +25,7 @@ const ANSWER: usize = 896;
 /// How long an update on a board may take to serve its first request.
 pub const TRIAL: Duration = Duration::from_secs(600);
 
-/// The maximum number of bytes that are passed to a port at once: a packet of USB.
+/// The maximum number of bytes per write to a port: a packet of USB.
 const PART: usize = 64;
 
 /// The bytes of an answer, which are sent after it is complete.
@@ -74,7 +74,7 @@ pub fn console_with_updates<F: NorFlash>(slots: Slots<F>, updates: Option<Update
     trial::console(slots, updates)
 }
 
-/// Serves a host that changes the settings, until it asks for a restart. A line tells the address once the board has one.
+/// Serves a host that changes the settings, until it requests a restart. Writes a line with the address once the board has one.
 ///
 /// # Errors
 ///
@@ -120,7 +120,7 @@ pub async fn serve<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
     }
 }
 
-/// Tells a person at a terminal the address. Hosts skip the line, because it is not an answer.
+/// Prints the address for a person at a terminal. Hosts skip the line, because it is not an answer.
 async fn tell<W: Write>(found: Ipv4Cidr, sender: &mut W) -> Result<(), W::Error> {
     let mut line = String::<PART>::new();
     // there is room for the longest one
@@ -143,7 +143,7 @@ pub async fn send_log<W: Write>(sender: &mut W) -> Result<Infallible, W::Error> 
     }
 }
 
-/// Serves the console on one UART and sends the log to another; calls `restart` when the host asks for it. Call it once.
+/// Serves the console on one UART and sends the log to another; calls `restart` when the host requests it. Call it once.
 pub async fn run<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
     slots: Slots<F>,
     receiver: R,
@@ -198,8 +198,8 @@ async fn run_console<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
     join3(serve, send_log, judge(&console, TRIAL, restart)).await;
 }
 
-/// Confirms an update on trial when the gateway has served a request; without one in the time `trial`, calls `restart`. It also performs
-/// the requests of hosts on the network: updates, and settings from the page.
+/// Confirms an update on trial when the gateway has served a request; without one in the time `trial`, calls `restart`. It also
+/// performs the requests of hosts on the network: updates, and settings from the page.
 pub async fn judge<F: NorFlash>(console: &RefCell<Console<'_, F>>, trial: Duration, restart: fn() -> !) {
     #[cfg(feature = "update")]
     let updates =

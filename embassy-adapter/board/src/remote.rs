@@ -27,7 +27,7 @@ use crate::{Settings, UPDATE_PORT as PORT, report};
 
 /// How long a host may be silent, and how long the flash may take.
 const SILENCE: Duration = Duration::from_secs(15);
-/// How long a host may take to get the end of a connection.
+/// Time limit for sending the rest to a host when a connection ends.
 const END: Duration = Duration::from_secs(1);
 /// The maximum size of an answer in bytes; a longer one is cut.
 const ANSWER_SIZE: usize = 320;
@@ -99,7 +99,7 @@ pub(crate) fn start(
     }
 }
 
-/// Serves hosts, one after another.
+/// Serves hosts in sequence.
 #[embassy_executor::task]
 async fn serve(stack: Stack<'static>, settings: &'static Settings<'static>) -> ! {
     static MEMORY: ConstStaticCell<([u8; 1024], [u8; 512])> = ConstStaticCell::new(([0; 1024], [0; 512]));

@@ -1,6 +1,6 @@
 //! The log of a gateway: its status line, refusals, and the connections of clients and of the robot.
 //!
-//! A line about a client is written at most once a second for each client and reason; the next one tells how many were left
+//! A line about a client is written at most once a second for each client and reason; the next line reports how many were left
 //! out.
 
 use core::cell::RefCell;

@@ -30,7 +30,7 @@ pub struct Ring<const N: usize> {
     written: AtomicU32,
     read: AtomicU32,
     dropped: AtomicU32,
-    /// The maximum number of bytes that were not read at once.
+    /// The peak number of unread bytes.
     most: AtomicU32,
 }
 
@@ -53,7 +53,7 @@ impl<const N: usize> Ring<N> {
         }
     }
 
-    /// Begins a frame, which the reader sees after [`Frame::end`]. There must be one frame at a time.
+    /// Begins a frame, which the reader gets after [`Frame::end`]. There must be one frame at a time.
     pub fn begin(&self) -> Frame<'_, N> {
         Frame { ring: self, next: self.written.load(Ordering::Relaxed), is_cut: false }
     }
@@ -81,12 +81,12 @@ impl<const N: usize> Ring<N> {
         self.read.load(Ordering::Relaxed) == self.written.load(Ordering::Acquire)
     }
 
-    /// Returns the number of frames that were dropped for want of room; it saturates.
+    /// Returns the number of frames that were dropped for lack of room; it saturates.
     pub fn dropped(&self) -> u32 {
         self.dropped.load(Ordering::Relaxed)
     }
 
-    /// Returns the most bytes that were in the buffer at once.
+    /// Returns the peak number of bytes in the buffer.
     pub fn most(&self) -> u32 {
         self.most.load(Ordering::Relaxed)
     }
@@ -102,7 +102,7 @@ impl<const N: usize> Default for Ring<N> {
     }
 }
 
-/// A frame that is being written; dropped without [`end`](Self::end), it is forgotten.
+/// A frame that is being written; dropped without [`end`](Self::end), it is discarded.
 #[derive(Debug)]
 pub struct Frame<'r, const N: usize> {
     ring: &'r Ring<N>,

@@ -6,7 +6,7 @@ use heapless::Vec;
 
 use crate::SettingError;
 
-/// The most `get` and `put` lines, and the most ranges of values in all of them.
+/// The maximum number of `get` and `put` lines, and of ranges of values in all of them.
 const RULES: usize = 32;
 const BOUNDS: usize = 64;
 /// The most `allow` lines.
@@ -19,7 +19,7 @@ pub struct RuleMemory<'a> {
 }
 
 impl RuleMemory<'_> {
-    /// Makes memory without rules in it.
+    /// Creates memory without rules.
     #[must_use]
     pub const fn new() -> Self {
         Self { rules: Vec::new() }

@@ -53,7 +53,7 @@ pub struct Settings<'a> {
     pub echo: Option<u16>,
     /// The idle time after which a PLC's connection is closed; `None` means never.
     pub idle: Option<Duration>,
-    /// The idle time after which a PLC's connection may be closed to make room for another one.
+    /// The idle time after which a PLC's connection may be closed to make room for another PLC.
     pub evict: Duration,
     /// The idle time after which a TCP keep-alive is sent to a PLC.
     pub keep_alive: Duration,
@@ -226,9 +226,9 @@ impl<'a> Settings<'a> {
         secrets.into_iter().filter_map(|(key, value)| Some([key, value?]))
     }
 
-    /// Returns whether hosts reach the pages of the board as they do with the settings in a text.
+    /// Returns whether the settings in a text leave unchanged how hosts reach the pages of the board.
     ///
-    /// Not inlined, as `check`: the settings take 2.5 KB of the stack meanwhile.
+    /// Not inlined, as `check`: the settings take 2.5 KB of the stack during the call.
     #[cfg(feature = "health")]
     #[inline(never)]
     pub(crate) fn is_reached_with(&self, text: &[u8]) -> bool {
@@ -256,7 +256,7 @@ impl<'a> Settings<'a> {
     }
 
     /// Returns the idle time after which a client of Modbus loses its connection. A client above the maximum number is refused
-    /// and evicts none, so a silent one must not stay.
+    /// and evicts none, so a silent client must not stay connected.
     #[cfg(all(feature = "modbus", any(feature = "embassy", test)))]
     pub(crate) fn modbus_idle(&self) -> Duration {
         self.idle.map_or(self.evict, |idle| idle.min(self.evict))
@@ -347,7 +347,7 @@ impl<'a> Settings<'a> {
         is_host_in(own) && self.are_others(own)
     }
 
-    /// Returns whether the machines that are set already are others if the board has this address.
+    /// Returns whether no configured machine conflicts with this address of the board.
     fn are_others(&self, own: Own) -> bool {
         #[cfg(feature = "health")]
         let [collector, clock] = [self.syslog, self.ntp].map(|server| server.map(|address| *address.ip()));
@@ -381,7 +381,7 @@ fn valid<T>(value: Option<T>) -> Result<T, SettingError> {
     value.ok_or(SettingError::Value)
 }
 
-/// Returns whether a line has a secret, also if the line is invalid: its key begins as `password` and `passphrase` do.
+/// Returns whether a line has a secret, even if the line is invalid: its key begins like `password` or `passphrase`.
 #[cfg(feature = "health")]
 pub(crate) fn is_secret(line: &str) -> bool {
     line.trim_start().get(..4).is_some_and(|start| start.eq_ignore_ascii_case("pass"))

@@ -46,7 +46,7 @@ pub(crate) fn wrong_passwords() -> u32 {
     GUARD.lock(|guard| guard.get().wrong())
 }
 
-/// Decides on a request by its head.
+/// Accepts or answers a request by its head.
 pub(crate) fn decide(stack: Stack<'_>, settings: &Settings<'_>, request: &Request<'_>) -> Decision<SettingsAnswer> {
     let is_change = request.method == Method::Post;
     let answer = match admit(stack, settings, request, is_change) {

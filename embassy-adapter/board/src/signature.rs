@@ -6,8 +6,8 @@
 //!  board:            verifies it before a sector is erased, compares the digest before the swap; the boot loader does both again
 //! ```
 //!
-//! The signature covers the name of the board and the version, so an image cannot be passed off as one for another board or as a
-//! newer one.
+//! The signature covers the name of the board and the version, so an image cannot be passed off as one for another board or as
+//! a newer one.
 
 use core::fmt;
 
@@ -50,7 +50,7 @@ impl PublicKey {
         Self(key)
     }
 
-    /// Returns whether a signature is that of an image's signer. A key or signature of small order is invalid.
+    /// Returns whether a signature was made by the signer of an image. A key or signature of small order is invalid.
     #[must_use]
     pub fn accepts(&self, manifest: &Manifest<'_>, signature: &[u8; SIGNATURE]) -> bool {
         let signature = Ed25519::from_bytes(signature);
@@ -155,7 +155,8 @@ fn parts(version: &str) -> Option<([u32; 4], &str)> {
     Some((found, suffix))
 }
 
-/// Returns the sort keys of a suffix: runs of digits as numbers (their length without leading zeros, their digits), other bytes as bytes.
+/// Returns the sort keys of a suffix: runs of digits as numbers (their length without leading zeros, their digits), other bytes
+/// as bytes.
 fn keys(suffix: &str) -> impl Iterator<Item = (u8, usize, &[u8])> {
     let parts = suffix.as_bytes().chunk_by(|byte, next| byte.is_ascii_digit() && next.is_ascii_digit());
     parts.map(|part| {

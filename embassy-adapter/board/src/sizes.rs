@@ -2,17 +2,17 @@
 //!
 //! | variable              | size                                                        | default | range    |
 //! |-----------------------|-------------------------------------------------------------|---------|----------|
-//! | `BCAP_BOARD_PLCS`     | PLCs that are served at once, RAC and Modbus together       | 4       | 1-7      |
+//! | `BCAP_BOARD_PLCS`     | PLCs that are served simultaneously, RAC and Modbus together | 4      | 1-7      |
 //! | `BCAP_BOARD_MODBUS`   | listeners for Modbus TCP                                    | 2       | 1-7      |
 //! | `BCAP_BOARD_HANDLES`  | variables of the robot whose handles are kept               | 64      | 8-1024   |
-//! | `BCAP_BOARD_PAGES`    | clients of the page at once                                 | 2       | 1-8      |
+//! | `BCAP_BOARD_PAGES`    | simultaneous clients of the page                            | 2       | 1-8      |
 //! | `BCAP_BOARD_MESSAGES` | messages of syslog that wait for the network                | 4       | 1-64     |
 //! | `BCAP_BOARD_LOG`      | bytes of the log that wait for its port, a power of two     | 2048    | 512-65536 |
 //!
-//! Set them in `[env]` of the image's `.cargo/config.toml`, where the level of the log is. A PLC takes 2.8 KB, a listener for Modbus
-//! 2.8 KB, a client of the page 4.4 KB, a message 208 bytes, a handle 20.
+//! Set them in `[env]` of the image's `.cargo/config.toml`, next to the level of the log. A PLC takes 2.8 KB, a listener for
+//! Modbus 2.8 KB, a client of the page 4.4 KB, a message 208 bytes, a handle 20.
 
-/// The PLCs that are served at once.
+/// The PLCs that are served simultaneously.
 #[cfg(feature = "embassy")]
 pub const PLCS: usize = size(option_env!("BCAP_BOARD_PLCS"), 4, 1, 7);
 /// Listeners that serve clients of Modbus.

@@ -20,7 +20,7 @@ use embedded_storage::nor_flash::NorFlash;
 use crate::BLOCK;
 use crate::crc::Crc32;
 
-/// The least size of a slot, in bytes.
+/// Minimum size of a slot, in bytes.
 pub const SLOT: usize = BLOCK;
 /// The maximum size of text in a slot in bytes.
 pub const TEXT: usize = SLOT - HEADER;
@@ -179,7 +179,7 @@ impl<F: NorFlash> Slots<F> {
         }
     }
 
-    /// Checks the slot at an offset. A slot that cannot be read is invalid: the other one may be valid.
+    /// Checks the slot at an offset. A slot that cannot be read is invalid: the other slot may be valid.
     fn valid(&mut self, start: u32) -> Option<Valid> {
         let mut chunk = [0; HEADER];
         self.flash.read(start, &mut chunk).ok()?;

@@ -5,8 +5,8 @@
 //!  server ─► board   24 stratum .. the same number as the origin  time of receiving  time of sending, 8 bytes
 //! ```
 //!
-//! An answer counts only if it has the number of the last request, which is random, and comes from a server that is synchronised.
-//! It is not signed: who can read the network can forge the time, so nothing but texts depends on it.
+//! An answer counts only if it has the number of the last request, which is random, and its server is synchronised. It is not
+//! signed: an attacker who can read the network can forge the time, so only texts depend on it.
 
 use core::fmt;
 

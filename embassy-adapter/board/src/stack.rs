@@ -103,7 +103,7 @@ pub fn size() -> usize {
 pub fn high_water() -> usize {
     let Range { start, end } = bounds();
     let mut word = start;
-    // SAFETY: the words are in the stack's memory, and no other code writes below the present end of the stack
+    // SAFETY: the words are in the stack's memory, and no other code writes below the current end of the stack
     while word < end && unsafe { word.read_volatile() } == PATTERN {
         word = word.wrapping_add(1);
     }

@@ -60,7 +60,7 @@ impl Severity {
 pub struct Message<'a> {
     /// How severe it is.
     pub severity: Severity,
-    /// The time of the event; `None` if the board does not know it.
+    /// The time of the event; `None` if the board does not have the time.
     pub time: Option<Utc>,
     /// The name of the board; `None` if it has none.
     pub host: Option<&'a str>,

@@ -30,7 +30,7 @@ pub(crate) fn set_last_reset(cause: Cause) {
     LAST_RESET.lock(|last| last.set(cause));
 }
 
-/// Tells that the gateway has served a request: its networks and the session with the robot work.
+/// Signals that the gateway has served a request: its networks and the session with the robot work.
 pub(crate) fn has_served() {
     SERVED.signal(());
 }
@@ -58,8 +58,8 @@ pub(crate) fn console<F: NorFlash>(mut slots: Slots<F>, updates: Option<Updates>
     Console::new(slots, crate::memory::image()).with_updates(updater)
 }
 
-/// Confirms an update on trial when it has served a request. Without a request in the time of a trial, restarts the board, and the boot
-/// loader swaps the earlier image in.
+/// Confirms an update on trial when it has served a request. Without a request in the time of a trial, restarts the board, and
+/// the boot loader swaps the earlier image in.
 #[cfg(feature = "port")]
 pub(crate) async fn judge<F: NorFlash>(console: &RefCell<Console<'_, F>>, trial: Duration, restart: fn() -> !) {
     let is_on_trial = console.borrow_mut().updater().is_some_and(|(updater, _)| updater.phase() == Phase::OnTrial);

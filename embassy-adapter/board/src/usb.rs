@@ -23,7 +23,7 @@ const ANSWER_TIME: Duration = Duration::from_secs(1);
 /// The packet size of full speed.
 const PACKET: u16 = 64;
 
-/// Serves both ports; calls `restart` when the host asks for it. Call it once.
+/// Serves both ports; calls `restart` when the host requests it. Call it once.
 pub async fn run<D: Driver<'static>, F: NorFlash>(driver: D, slots: Slots<F>, restart: fn() -> !) {
     run_console(driver, || port::console(slots), restart).await;
 }

@@ -1,4 +1,4 @@
-//! The vector table that an image of a Cortex-M starts with, seen from a host and from the board.
+//! The vector table that an image of a Cortex-M starts with, for hosts and for the board.
 
 /// The architecture's regions for code and for memory. Code can be in both: some boards have their images in external memory.
 const CODE: core::ops::Range<u32> = 0x0000_0000..0x4000_0000;

@@ -6,10 +6,10 @@
 //!             pin INT, or a tick: frames may be in the chip
 //! ```
 //!
-//! * An interrupt stands for any number of frames, so frames are read until the chip has none. A tick looks for frames, too, in case
-//!   an interrupt was lost.
-//! * A length that no frame can have means that the position in the chip's memory is unknown. The socket is then opened again, which
-//!   drops the frames in it.
+//! * An interrupt stands for any number of frames, so frames are read until the chip has none. A tick also polls for frames, in
+//!   case an interrupt was lost.
+//! * A length that no frame can have means that the position in the chip's memory is unknown. The socket is then opened again,
+//!   which drops the frames in it.
 //! * A tick also reads the link, and initialises a chip that has lost its registers, as after a dip of its supply.
 
 use core::future::pending;
@@ -31,11 +31,11 @@ mod tests;
 pub use self::chip::Error;
 use self::chip::{Chip, MAX_FRAME, Received};
 
-/// The interval of looks at the link, and at frames whose interrupt was lost.
+/// The interval of polling the link, and of polling for frames whose interrupt was lost.
 const TICK: Duration = Duration::from_millis(250);
 /// The pulse of the pin RSTn is 500 us at least; the clock of the chip is stable 1 ms after it.
 const RESET: Duration = Duration::from_millis(2);
-/// How often the chip is asked for its version at the start, once in each [`RESET`].
+/// Number of attempts to read the version of the chip at the start, one per [`RESET`].
 const ATTEMPTS: u32 = 50;
 
 /// The driver of embassy-net.
@@ -109,15 +109,15 @@ pub async fn new<'d, const RX: usize, const TX: usize, S: SpiDevice, I: Wait, R:
     Ok((device, ChipRunner { chip, channel, interrupt, _reset: reset }))
 }
 
-/// When the chip is asked for received frames.
+/// When the chip is polled for received frames.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Next {
     /// It may have some.
     Now,
     /// After the next interrupt.
     Interrupt,
-    /// At the next tick: it does not answer, or an interrupt came without a frame. Such an interrupt may stay, and nothing else
-    /// would run.
+    /// At the next tick: it does not answer, or an interrupt arrived without a frame. Such an interrupt may stay pending, and
+    /// no other task would run.
     Tick,
 }
 

@@ -89,8 +89,8 @@ fn wake_all() {
     });
 }
 
-/// Calls `feed` each second while all registered tasks run and `fault` returns none. Otherwise it records [`Cause::Watchdog`], or the
-/// fault, in case that the watchdog resets the board.
+/// Calls `feed` each second while all registered tasks run and `fault` returns none. Otherwise it records [`Cause::Watchdog`],
+/// or the fault, in case the watchdog resets the board.
 pub async fn run(fault: impl Fn() -> Option<Cause>, mut feed: impl FnMut()) -> ! {
     let mut was_fed = true;
     loop {

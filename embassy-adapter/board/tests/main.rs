@@ -6,7 +6,8 @@ mod slots;
 #[cfg(feature = "update")]
 mod update;
 
-/// The number of steps from one power cut to the next. With `UPDATE_CUTS=all`, as in the nightly run, the power is cut at each one.
+/// The number of steps from one power cut to the next. With `UPDATE_CUTS=all`, as in the nightly run, the power is cut at each
+/// one.
 pub(crate) fn stride() -> usize {
     if std::env::var("UPDATE_CUTS").is_ok_and(|cuts| cuts == "all") { 1 } else { 5 }
 }

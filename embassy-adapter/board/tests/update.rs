@@ -57,7 +57,7 @@ fn image(identity: &Identity, len: usize) -> Vec<u8> {
 #[derive(Clone)]
 struct Board<const WRITE: usize, const ERASE: usize> {
     flash: Flash<WRITE, ERASE>,
-    /// Why it was last reset, which the test decides.
+    /// The cause of the last reset, set by the test.
     last_reset: &'static str,
     /// The secret key of the only images that the board takes, if it has a key.
     secret: Option<[u8; 32]>,
@@ -183,7 +183,7 @@ fn recover<const W: usize, const E: usize>(board: &mut Board<W, E>) {
     assert_eq!(board.identity(), next.0, "a repeated update, confirmed");
 }
 
-/// Does `work` with the power cut at one step after the other, and calls `check` with the flash after it.
+/// Runs `work` with the power cut at each step in turn, and calls `check` with the flash after it.
 fn cut_everywhere<const W: usize, const E: usize>(
     board: &Board<W, E>,
     work: impl Fn(&mut Board<W, E>) -> Option<()>,
@@ -518,7 +518,7 @@ fn the_boot_loader_gives_up_an_image_that_is_not_the_signed_one() {
             let why = "test-board 0.1.0 confirmed; 0.2.0 was rolled back: the boot loader found no valid signature";
             assert_eq!(board.status(), why, "{what}");
         }
-        // and takes the next one
+        // and accepts the next update
         board.secret = Some(SECRET);
         into_trial(&mut board).unwrap();
         assert_eq!(board.identity(), &NEW, "{what}");

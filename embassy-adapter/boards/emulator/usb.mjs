@@ -1,5 +1,5 @@
-// A USB host for the two serial ports of the images. Enumeration is rp2040js's. Its transfers of data are replaced: it knows one
-// port, and it completes each transfer at once, reads without data.
+// A USB host for the two serial ports of the images. Enumeration is rp2040js's. Its transfers of data are replaced: it supports
+// only one port, and it completes each transfer immediately, reads without data.
 
 const BUFFER_CONTROL = 0x80;
 const BUFFER_CONTROL_END = 0x100;

@@ -123,12 +123,12 @@ pub(crate) fn unmask(irq: Irq) {
     unsafe { cortex_m::peripheral::NVIC::unmask(irq) };
 }
 
-/// Makes an interrupt not pending, until it is raised again.
+/// Clears a pending interrupt, until it is raised again.
 pub(crate) fn unpend(irq: Irq) {
     cortex_m::peripheral::NVIC::unpend(irq);
 }
 
-/// Makes an interrupt pending, so its handler runs.
+/// Pends an interrupt, so its handler runs.
 pub(crate) fn pend(irq: Irq) {
     cortex_m::peripheral::NVIC::pend(irq);
 }

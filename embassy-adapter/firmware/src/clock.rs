@@ -34,7 +34,7 @@ struct Clock {
 struct State {
     /// The counter when it was last read.
     last: u32,
-    /// How often the counter has wrapped.
+    /// Number of times the counter has wrapped.
     wraps: u32,
     /// The time of the next alarm, in microseconds.
     deadline: Option<u64>,

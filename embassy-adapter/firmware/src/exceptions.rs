@@ -24,7 +24,7 @@ unsafe fn DefaultHandler(number: i16) {
     }
 }
 
-/// Handles an interrupt of the console or of a line to a robot or a PLC; `false` if it is another one.
+/// Handles an interrupt of the console or of a line to a robot or a PLC; `false` for other interrupts.
 fn is_of_line(number: i16) -> bool {
     #[cfg(any(feature = "console", feature = "lines"))]
     return crate::lines::handle(number);

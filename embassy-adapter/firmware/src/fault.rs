@@ -1,6 +1,6 @@
 //! Reports a panic or a fault, keeps a record of it and resets the board.
 //!
-//! The record is in memory that a reset does not clear, so the board can tell after the restart why it was reset. With the
+//! The record is in memory that a reset does not clear, so the board can report after the restart why it was reset. With the
 //! feature `semihosting` the emulator exits with an error instead, so that a test detects it.
 
 use core::fmt::Write as _;

@@ -89,7 +89,7 @@ const MAX_FRAME: usize = 1514;
 const CHECKSUM: usize = 4;
 /// Bytes of the TX FIFO that a frame takes in addition to its own: two commands, and padding to words.
 const TX_OVERHEAD: usize = 8 + 3;
-/// How often a register that is not ready is polled before the controller counts as defective.
+/// Number of polls of a register that is not ready, before the controller counts as defective.
 const READY_POLLS: usize = 100_000;
 /// The interval at which the driver reads the link state from the PHY.
 const LINK_INTERVAL: Duration = Duration::from_millis(250);
@@ -104,7 +104,7 @@ static WAKER: AtomicWaker = AtomicWaker::new();
 static RECEIVED: AtomicU32 = AtomicU32::new(0);
 static SENT: AtomicU32 = AtomicU32::new(0);
 static DROPPED: AtomicU32 = AtomicU32::new(0);
-/// How often the controller was initialised again.
+/// Number of times the controller was reinitialised.
 static RESTARTS: AtomicU32 = AtomicU32::new(0);
 
 /// Wakes the driver; the interrupt handler calls it.
@@ -130,7 +130,7 @@ pub struct Counters {
     pub sent: u32,
     /// Frames dropped: damaged, too long, or overrun in the controller.
     pub dropped: u32,
-    /// How often the controller was initialised again, because it received nothing.
+    /// Number of times the controller was reinitialised because it received no frames.
     pub restarts: u32,
 }
 
@@ -145,7 +145,7 @@ pub fn counters() -> Counters {
     }
 }
 
-/// Switches the controller off; `for_good` also when it is initialised again.
+/// Switches the controller off; with `for_good` it stays off even when it is reinitialised.
 #[cfg(feature = "faults")]
 pub(crate) fn switch_off(for_good: bool) {
     STAYS_OFF.store(for_good, Ordering::Relaxed);
@@ -200,7 +200,7 @@ pub struct Lan9118<'m> {
     link: PhyLink,
 }
 
-/// The link state that the PHY last reported, and since when nothing has been received over it.
+/// The link state that the PHY last reported, and since when no frame has been received over it.
 #[derive(Debug)]
 struct PhyLink {
     up: bool,
@@ -252,7 +252,7 @@ impl<'m> Lan9118<'m> {
         Ok(())
     }
 
-    /// Initialises the controller again if it has received nothing for too long while its link is up.
+    /// Reinitialises the controller if it has received no frame for too long while its link is up.
     fn check_silence(&mut self, now: Instant) {
         let received = RECEIVED.load(Ordering::Relaxed);
         if received != self.link.received || !self.link.up {
@@ -298,7 +298,7 @@ impl<'m> Lan9118<'m> {
         }
         WAKER.register(waker);
         ETHERNET.write::<{ register::INT_STS }>(RX_STATUS_LEVEL);
-        // the interrupt of the frame before became pending again while it was masked
+        // the interrupt of the previous frame became pending again while it was masked
         board::unpend(board::ETHERNET_IRQ);
         // a frame that arrived before raises no interrupt
         let found = self.take_frame();
@@ -345,7 +345,7 @@ pub struct TxToken<'a> {
 impl TxToken<'_> {
     /// Lets `fill` write the frame, and sends it.
     fn send<R>(self, len: usize, fill: impl FnOnce(&mut [u8]) -> R) -> R {
-        // both stacks know the largest frame; a longer one would be truncated here and dropped by its receiver
+        // both stacks limit the size of a frame; a longer frame would be truncated here and dropped by its receiver
         let frame = self.frame.get_mut(..len.min(MAX_FRAME)).unwrap_or_default();
         let result = fill(frame);
         discard_tx_status();

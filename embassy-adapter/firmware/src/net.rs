@@ -8,7 +8,7 @@ use static_cell::{ConstStaticCell, StaticCell};
 use crate::fault;
 use crate::lan9118::{Frames, Lan9118};
 
-/// The pause before the board asks for an address again. A test has less time.
+/// The pause before the board requests an address again. A test has less time.
 pub const DHCP_AGAIN: Duration = if cfg!(feature = "faults") { Duration::from_secs(3) } else { address::DHCP_AGAIN };
 
 /// The runner that moves frames; one task must run it.

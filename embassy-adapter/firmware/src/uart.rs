@@ -35,7 +35,7 @@ const RX_INTERRUPT: u32 = 1 << 1;
 const BAUD: u32 = 115_200;
 /// The maximum number of bytes sent in one interrupt: the port has room for one or two, an emulated port has room for all.
 const BURST: usize = 16;
-/// How often a port that takes no byte is polled before [`flush`] gives up: more than the time of a character.
+/// Number of polls of a port that takes no byte, before [`flush`] ends: more than the time of a character.
 const FULL_POLLS: u32 = 100_000;
 
 /// Enables the port: 115200 baud, 8 data bits, no parity.
@@ -66,13 +66,13 @@ pub(crate) fn transmit_to<const SIZE: usize>(port: Block, irq: Irq, ring: &Ring<
         let Some(byte) = ring.pop() else { return };
         port.write::<{ register::DATA }>(u32::from(byte));
     }
-    // no interrupt comes if the port took the last byte before its interrupt was cleared
+    // no interrupt follows if the port took the last byte before its interrupt was cleared
     if !ring.is_empty() {
         board::pend(irq);
     }
 }
 
-/// Sends the buffered bytes by polling, for the end of a program; gives up when the port takes no byte.
+/// Sends the buffered bytes by polling, for the end of a program; ends early if the port takes no byte.
 pub fn flush() {
     flush_to(UART, log::ring());
 }

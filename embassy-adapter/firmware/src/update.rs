@@ -33,11 +33,11 @@ const PARTITIONS: Partitions =
 ///
 /// # Errors
 ///
-/// The flash has failed; the next start goes on.
+/// The flash has failed; the next start continues.
 pub fn prepare() -> Result<State, BootError> {
     let mut flash = start_of_loader();
     if let Some(key) = KEY {
-        // a refused image is given up; the flash of this board does not fail
+        // a refused image is cancelled; the flash of this board does not fail
         check_pending(&mut flash, &PARTITIONS, BOARD, &key).map_err(|_| BootError::BadMagic)?;
     }
     let flash = Mutex::<NoopRawMutex, _>::new(RefCell::new(flash));
@@ -51,8 +51,9 @@ pub fn prepare() -> Result<State, BootError> {
 /// Starts the image in the active partition. Without a valid one, the board hangs or faults, and is reset.
 pub fn start() -> ! {
     let image = u32::try_from(FLASH).unwrap_or_default() + ACTIVE.start;
-    // SAFETY: the boot loader has enabled no interrupt, and its part of the program ends here; the active partition starts with the
-    // vector table of an image. The guard of the stack stays active: `build.rs` gives both images the same memory for stacks
+    // SAFETY: the boot loader has enabled no interrupt, and its part of the program ends here; the active partition starts with
+    // the vector table of an image. The guard of the stack stays active: `build.rs` gives both images the same memory for
+    // stacks
     unsafe {
         (*SCB::PTR).vtor.write(image);
         cortex_m::asm::bootload(core::ptr::with_exposed_provenance(

@@ -21,7 +21,7 @@ const INTERRUPT_AND_RESET: u32 = 0b11;
 /// Seconds without feeding until the NMI.
 const TIMEOUT_SECONDS: u32 = 4;
 
-/// Starts the watchdog; call it first in `main`, so that a start that hangs is reset, too.
+/// Starts the watchdog; call it first in `main`, so that it also resets a start that hangs.
 pub fn arm() {
     WATCHDOG.write::<{ register::LOCK }>(UNLOCK);
     WATCHDOG.write::<{ register::LOAD }>(CLOCK_HZ * TIMEOUT_SECONDS);

@@ -332,7 +332,7 @@ fn udp_server_discards_replies_to_addresses_that_do_not_exist() {
         bench.step();
         assert_eq!(bench.server.poll_timeout(), Some(bench.net.now.saturating_add(UNSENT)), "{unused}");
         let mut event = bench.call(&mut client, call::controller_connect("", "", "", ""));
-        // smoltcp sends nothing of a socket for a second after it has asked for an address
+        // smoltcp sends no datagram of a socket for a second after an ARP request
         while let Event::Retried { attempt: 2 | 3 } = event {
             event = bench.event(&mut client);
         }

@@ -18,8 +18,8 @@ const PAUSE_MS: u64 = 100;
 /// How long to wait for the first request of a client without a slot.
 pub(super) const REFUSAL_TIME: Duration = Duration::from_millis(500);
 
-/// A TCP listener that serves one PLC at a time; use several on the same port, with one [`Backlog`](crate::net::Backlog), to serve
-/// several PLCs concurrently.
+/// A TCP listener that serves one PLC at a time; use several on the same port, with one [`Backlog`](crate::net::Backlog), to
+/// serve several PLCs concurrently.
 ///
 /// With one listener more than the gateway has slots, a PLC without a slot gets the answer E_MAX_CONNECT to its first line.
 /// The network resets connections that no listener accepts.
@@ -42,7 +42,7 @@ impl<'s> Listener<'s> {
         Self { transport: TcpTransport::new(stack, rx, tx, options), port }
     }
 
-    /// Serves PLCs forever, one after another.
+    /// Serves PLCs forever, in sequence.
     pub async fn run<M: RawMutex, const N: usize>(&mut self, shared: &SharedGateway<'_, M, N>, limits: &Limits) -> ! {
         loop {
             let client = accept(&mut self.transport, self.port, shared).await;

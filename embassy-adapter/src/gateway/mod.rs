@@ -12,7 +12,8 @@
 //! tasks that its events concern. [`bcap_gateway`] defines the answers and their timing.
 //!
 //! A board without Ethernet needs neither embassy-net nor its feature: PLCs and robot are on serial lines, and any other
-//! [`Transport`](bcap_core::io::asynch::Transport) does as well. [`Listener`], [`TcpRobot`] and `ModbusListener` need `embassy-net`.
+//! [`Transport`](bcap_core::io::asynch::Transport) also works. [`Listener`], [`TcpRobot`] and `ModbusListener` need
+//! `embassy-net`.
 //!
 //! # Examples
 //!

@@ -21,13 +21,13 @@ pub struct ModbusListener<'s> {
 }
 
 impl<'s> ModbusListener<'s> {
-    /// Creates a listener; `rx` and `tx` are its socket's buffers, and `map` says which variables its clients see.
+    /// Creates a listener; `rx` and `tx` are its socket's buffers, and `map` lists the variables that its clients can access.
     #[must_use]
     pub fn new(stack: Stack<'s>, port: u16, map: &'s [Entry], [rx, tx]: [&'s mut [u8]; 2], options: Options) -> Self {
         Self { transport: TcpTransport::new(stack, rx, tx, options), port, map, session: modbus::Session::new(map) }
     }
 
-    /// Serves clients forever, one after another.
+    /// Serves clients forever, in sequence.
     pub async fn run<M: RawMutex, const N: usize>(&mut self, shared: &SharedGateway<'_, M, N>, limits: &Limits) -> ! {
         loop {
             let client = accept(&mut self.transport, self.port, shared).await;
@@ -42,8 +42,8 @@ impl<'s> ModbusListener<'s> {
 
     /// Answers the first request of each client with exception 06, "server device busy", and closes its connection, forever.
     ///
-    /// It is for one listener more than serve clients: the network resets connections that no listener accepts, and a client
-    /// cannot tell that from a board that failed.
+    /// Use it for one listener in addition to those that serve clients: the network resets connections that no listener
+    /// accepts, and a client cannot distinguish that from a board that failed.
     pub async fn refuse<M: RawMutex, const N: usize>(&mut self, shared: &SharedGateway<'_, M, N>) -> ! {
         loop {
             let client = accept(&mut self.transport, self.port, shared).await;

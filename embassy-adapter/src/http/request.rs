@@ -9,9 +9,9 @@ use super::status::Status;
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum Method {
-    /// Asks for a page.
+    /// Requests a page.
     Get,
-    /// Asks for the head of a page.
+    /// Requests the head of a page.
     Head,
     /// Sends a body.
     Post,

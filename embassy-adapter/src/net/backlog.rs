@@ -11,23 +11,23 @@ use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 
 /// The maximum number of listeners of a port that are counted.
 const LISTENERS: usize = 8;
-/// The addresses that are remembered.
+/// The number of addresses that are stored.
 const KNOWN: usize = 4;
 
 /// The listeners of one port, so that clients that never finish do not occupy all of them
 /// ([`Options::backlog`](super::Options::backlog)).
 ///
-/// A client is unfinished during its handshake, and on a page also until it has its page. When the last free listener gets a client,
-/// the oldest other unfinished one is given up, but not a handshake of an address that has finished one before while there is another.
-/// So under a flood of handshakes from invented addresses, a known client has the time for its own. Each listener needs its own socket; a
-/// backlog counts the first eight of them.
+/// A client is unfinished during its handshake; a client of a page is unfinished until it has the page. When the last free
+/// listener gets a client, the oldest other unfinished client is evicted. The handshake of an address that has finished a
+/// handshake before is evicted only if there is no other. So under a flood of handshakes from invented addresses, a known
+/// client has time for its own handshake. Each listener needs its own socket; a backlog counts the first eight of them.
 pub struct Backlog(Mutex<CriticalSectionRawMutex, RefCell<State>>);
 
 struct State {
     slots: [Slot; LISTENERS],
     /// The number of the next client. It wraps.
     next: u16,
-    /// The addresses that have finished a handshake; the last one is the first.
+    /// The addresses that have finished a handshake, the most recent first.
     known: [Option<IpAddress>; KNOWN],
 }
 
@@ -41,7 +41,7 @@ enum Slot {
         is_known: bool,
         waker: Option<Waker>,
     },
-    /// An unfinished client that is given up.
+    /// An unfinished client that is evicted.
     Evicted,
 }
 
@@ -99,7 +99,8 @@ impl defmt::Format for Backlog {
 }
 
 impl State {
-    /// Gives up an unfinished client, unless another listener is free or has none. `newest` is the listener whose client began last.
+    /// Evicts an unfinished client, unless another listener is free or has already evicted its client. `newest` is the listener
+    /// whose client began last.
     fn make_room(&mut self, newest: usize) {
         if self.slots.iter().any(|slot| matches!(slot, Slot::Free | Slot::Evicted)) {
             return;
@@ -130,7 +131,7 @@ impl State {
         address.is_some() && self.known.contains(&address)
     }
 
-    /// Remembers an address as the last one.
+    /// Stores an address as the most recent.
     fn remember(&mut self, address: Option<IpAddress>) {
         let place = self.known.iter().position(|known| *known == address).unwrap_or(KNOWN.saturating_sub(1));
         if let (Some(known), true) = (self.known.get_mut(..=place), address.is_some()) {
@@ -170,7 +171,7 @@ impl Place {
         });
     }
 
-    /// Is ready when the client is given up.
+    /// Is ready when the client is evicted.
     fn poll_evicted(&self, cx: &Context<'_>) -> Poll<()> {
         let slot = |state: &mut State| match state.slots.get_mut(self.index) {
             Some(Slot::Evicted) => Poll::Ready(()),
@@ -184,7 +185,7 @@ impl Place {
     }
 }
 
-/// Waits until the client in a place is given up; for ever without a place.
+/// Waits until the client in a slot is evicted; forever without a slot.
 pub(crate) async fn evicted(place: Option<&Place>) {
     poll_fn(|cx| place.map_or(Poll::Pending, |place| place.poll_evicted(cx))).await;
 }
@@ -265,7 +266,7 @@ mod tests {
         let [first, second, third] = [(); 3].map(|()| BACKLOG.join().unwrap());
         first.begin(address(4));
         second.begin(address(1));
-        // the address that connected first is forgotten
+        // the address that connected first was dropped
         third.begin(address(0));
         assert!(is_evicted(&third) && !is_evicted(&first) && !is_evicted(&second));
         drop(third);

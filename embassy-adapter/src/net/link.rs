@@ -9,7 +9,7 @@ use embassy_time::{Duration, Instant, Timer};
 use crate::clock::ticks;
 use crate::error::NetError;
 
-/// How often a waiting call checks that the link is up.
+/// The interval at which a waiting call checks that the link is up.
 ///
 /// This polls because embassy-net wakes only one task when its link changes, and the application may use that wake-up.
 const LINK_INTERVAL: Duration = Duration::from_millis(250);
@@ -28,7 +28,7 @@ pub(super) async fn wait<T>(
     let mut limit = Limit { until: ticks(until), check: Instant::MAX };
     poll_fn(move |cx| match work.as_mut().poll(cx) {
         Poll::Ready(done) => Poll::Ready(Ok(Some(done))),
-        // the clock is read and a timer set only now: often the work is done at once
+        // the clock is read and a timer set only now: often the work completes immediately
         Poll::Pending => limit.poll(stack, cx).map(|ended| ended.map(|()| None)),
     })
     .await

@@ -30,7 +30,7 @@ use crate::clock::{now, ticks};
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Options {
-    /// How long connecting, or the handshake of a client, may take.
+    /// Time limit of connecting, and of the handshake of a client.
     pub connect_timeout: Duration,
     /// The time without traffic after which a TCP keep-alive is sent.
     pub keep_alive: Duration,
@@ -46,7 +46,8 @@ pub struct Options {
 }
 
 impl Default for Options {
-    /// 3 s to connect, a keep-alive after 5 s, a reset after 15 s without an acknowledgement; the use of buffers is not counted.
+    /// 3 s to connect, a keep-alive after 5 s, a reset after 15 s without an acknowledgement; the use of buffers is not
+    /// counted.
     fn default() -> Self {
         Self {
             connect_timeout: Duration::from_secs(3),
@@ -59,11 +60,11 @@ impl Default for Options {
     }
 }
 
-/// How often, and at which interval, a socket is asked whether its reset has been sent.
+/// The number and interval of the checks whether a socket has sent its reset.
 const RESET_TRIES: u32 = 100;
 const RESET_INTERVAL: Duration = Duration::from_millis(1);
 
-/// A socket that connects; dropping this gives the handshake up.
+/// A socket that connects; dropping this aborts the handshake.
 struct Handshake<'a, 's>(&'a mut TcpSocket<'s>);
 
 impl Drop for Handshake<'_, '_> {
@@ -90,7 +91,7 @@ impl<'s> TcpTransport<'s> {
 
     /// Connects to a peer; resets an earlier connection.
     ///
-    /// [Reset](bcap_core::bcap::Client::reset) the client that uses the transport, too.
+    /// Also [reset](bcap_core::bcap::Client::reset) the client that uses the transport.
     ///
     /// # Errors
     ///
@@ -118,9 +119,9 @@ impl<'s> TcpTransport<'s> {
         Ok(())
     }
 
-    /// Waits for a peer to connect to `port`, and returns its place in the backlog, where it is unfinished.
+    /// Waits for a peer to connect to `port`, and returns its slot in the backlog, marked as unfinished.
     ///
-    /// A handshake that takes longer than [`Options::connect_timeout`], or that makes room for another one, is given up.
+    /// A handshake that takes longer than [`Options::connect_timeout`], or that makes room for another, is aborted.
     ///
     /// # Errors
     ///
@@ -169,7 +170,7 @@ impl<'s> TcpTransport<'s> {
         }
     }
 
-    /// Waits until the socket leaves a state in which nothing can be sent.
+    /// Waits until the socket leaves a state in which it cannot send.
     #[cfg(feature = "server")]
     async fn leaves(&self, state: State) {
         poll_fn(|cx| match self.socket.state() == state {
@@ -192,12 +193,12 @@ impl<'s> TcpTransport<'s> {
         }
     }
 
-    /// Resets the connection, if there is one, and waits until the peer has been told.
+    /// Resets the connection, if there is one, and waits until the reset was sent to the peer.
     ///
-    /// A socket that is used again at once would never send the reset, and the peer would keep its end until it probes.
+    /// A socket that is reused immediately would never send the reset, and the peer would keep its end until it probes.
     pub(crate) async fn reset(&mut self) {
         self.socket.abort();
-        // asked again, because smoltcp wakes no task after a reset; without a route to the peer it cannot be sent
+        // checked repeatedly, because smoltcp wakes no task after a reset; without a route to the peer it cannot be sent
         for _ in 0..RESET_TRIES {
             if with_timeout(RESET_INTERVAL, self.socket.flush()).await.is_ok() {
                 return;
@@ -211,7 +212,7 @@ impl<'s> TcpTransport<'s> {
     }
 
     fn set_up(&mut self) {
-        // a request is one segment and must be sent at once
+        // a request is one segment and must be sent immediately
         self.socket.set_nagle_enabled(false);
         self.socket.set_keep_alive(Some(self.options.keep_alive));
         self.socket.set_timeout(Some(self.options.lost));

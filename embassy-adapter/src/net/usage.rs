@@ -1,8 +1,8 @@
-//! How much of the buffers of sockets was ever in use.
+//! The peak use of the buffers of sockets.
 
 use core::sync::atomic::{AtomicUsize, Ordering};
 
-/// The maximum number of bytes that were in a buffer of some TCP sockets at once, to choose the sizes of buffers by
+/// The peak number of bytes in a buffer of some TCP sockets, for choosing the sizes of buffers
 /// ([`Options::usage`](super::Options::usage)).
 ///
 /// If sockets run on several executors, a maximum can be lost: the counters have no atomic read-modify-write.
@@ -13,7 +13,7 @@ pub struct Usage {
 }
 
 impl Usage {
-    /// Makes counters.
+    /// Creates counters that are 0.
     #[must_use]
     pub const fn new() -> Self {
         Self { received: AtomicUsize::new(0), sent: AtomicUsize::new(0) }

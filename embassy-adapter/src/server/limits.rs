@@ -14,8 +14,8 @@ pub struct Limits {
     pub send: Duration,
     /// How long a connection may be idle before it is closed; `None` means forever.
     pub idle: Option<Duration>,
-    /// How long a UDP peer with a service must be idle before another peer may take its slot. Without one, before Service_Start and
-    /// after Service_Stop, its slot may be taken at once.
+    /// How long a UDP peer with a service must be idle before another peer may take its slot. Without one, before Service_Start
+    /// and after Service_Stop, its slot may be taken immediately.
     pub udp_idle: Duration,
 }
 

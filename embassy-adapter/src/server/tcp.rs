@@ -9,7 +9,8 @@ use crate::net::{NetError, Options, TcpTransport};
 
 /// A TCP listener that serves one connection at a time.
 ///
-/// Use several listeners on the same port, with one [`Backlog`](crate::net::Backlog), to serve several connections concurrently.
+/// Use several listeners on the same port, with one [`Backlog`](crate::net::Backlog), to serve several connections
+/// concurrently.
 #[derive(Debug)]
 pub struct Listener<'s> {
     transport: TcpTransport<'s>,

@@ -26,8 +26,8 @@ pub type UdpPeer<const OBJECTS: usize> = Peer<IpEndpoint, OBJECTS>;
 
 /// A server of b-CAP over UDP.
 ///
-/// A request from an address that does not exist delays all replies by up to a second. The image of the gateway drops such packets before
-/// smoltcp gets them (`bcap-board`).
+/// A request from an address that does not exist delays all replies by up to a second. The image of the gateway drops such
+/// packets before smoltcp gets them (`bcap-board`).
 ///
 /// # Examples
 ///
@@ -126,16 +126,16 @@ impl<'a, 's, M: RawMutex, H: Handler, const N: usize, const OBJECTS: usize> UdpS
     }
 }
 
-/// Sends a datagram when the one before it has left.
+/// Sends a datagram once the previous datagram was sent.
 ///
-/// smoltcp keeps a datagram to an address that it cannot resolve or reach, and sends no other before it, also none within a second after
-/// it has asked for the address. So it is discarded after [`UNSENT`], with all other datagrams in the socket; their peers repeat the
-/// requests.
+/// smoltcp keeps a datagram to an address that it cannot resolve or reach, and sends no other datagram before it, nor within a
+/// second after its ARP request. So it is discarded after [`UNSENT`], with all other datagrams in the socket; their peers
+/// repeat the requests.
 async fn send(socket: &mut UdpSocket<'_>, bytes: &[u8], to: IpEndpoint) {
     if with_timeout(UNSENT, socket.flush()).await.is_err() {
         discard(socket);
     }
-    // a reply that cannot be sent at all is lost, too
+    // a reply that cannot be sent at all is also lost
     let _ = socket.send_to(bytes, to).await;
 }
 

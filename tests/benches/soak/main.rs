@@ -36,16 +36,16 @@ use crate::server::{SERVE, Server, State};
 
 /// Lines of the table.
 const ROWS: u32 = 6;
-/// How long the well-behaved half works alone at a time, and both together.
+/// The duration of one interval with the well-behaved half alone, and with both halves together.
 const ALONE: Duration = Duration::from_secs(1);
 const TOGETHER: Duration = Duration::from_secs(2);
-/// The time together that says something about throughput.
+/// The minimum total time together for a verdict on throughput.
 const ENOUGH: Duration = Duration::from_secs(60);
-/// How much of its throughput the well-behaved half keeps, in per cent.
+/// The minimum share of its throughput that the well-behaved half keeps, in per cent.
 const KEPT: f64 = 80.0;
 /// The processor time that silent connections may take, in per cent.
 const IDLE: f64 = 1.0;
-/// How much the server may grow, in bytes.
+/// Maximum growth of the server, in bytes.
 const GROWTH: u64 = 10 << 20;
 
 /// The state that all clients share.
@@ -106,7 +106,7 @@ fn wishes(arguments: &[String]) -> Option<Wishes> {
     Some(wishes)
 }
 
-/// Runs so many clients in a separate thread, which ends when all clients have ended.
+/// Runs `clients` clients in a separate thread, which ends when all clients have ended.
 pub(crate) fn run_clients<F: Future<Output = ()> + Send + 'static>(
     clients: usize,
     client: impl Fn(usize) -> F + Send + 'static,
@@ -163,7 +163,7 @@ fn soak(wishes: Wishes, verdict: &mut Verdict) {
     judge(wishes, &rows, &begin, &server.settled(&begin), verdict);
 }
 
-/// Measures both ways of working in turn, until the two together have taken so long.
+/// Alternates between both ways of working, until both together have taken `time`.
 fn row(plan: &Plan, server: &Server, time: Duration) -> (Window, Window) {
     let (mut alone, mut together) = (Window::default(), Window::default());
     while together.time < time {
@@ -209,7 +209,7 @@ impl Window {
         self.calls as f64 / self.time.as_secs_f64()
     }
 
-    /// Returns the calls in a second of the server's processor time, on which what else a machine does has no influence.
+    /// Returns the calls in a second of the server's processor time, which does not depend on the load of the machine.
     fn calls_for_time_used(&self) -> f64 {
         self.calls as f64 / self.used.as_secs_f64()
     }
@@ -226,7 +226,7 @@ struct Row {
     state: State,
 }
 
-/// Measures what connections cost that say nothing.
+/// Measures the cost of silent connections.
 fn idle(server: &mut Server, wishes: Wishes, verdict: &mut Verdict) {
     let connections = work::silent(server.addresses(), wishes.clients);
     let time = (wishes.time / 12).max(Duration::from_secs(2));

@@ -22,7 +22,7 @@ use crate::{Plan, run_clients};
 /// The average pause of a client between two violations.
 const PACE: Duration = Duration::from_millis(100);
 
-/// The bytes that the clients send. They are made only once, because the clients may share a processor with the server.
+/// The bytes that the clients send. They are created only once, because the clients may share a processor with the server.
 static MESSAGES: LazyLock<Messages> = LazyLock::new(Messages::new);
 
 struct Messages {
@@ -64,7 +64,7 @@ impl Messages {
         }
     }
 
-    /// Returns so many random bytes from anywhere.
+    /// Returns `len` random bytes.
     fn garbage(&self, len: usize, random: &mut Random) -> &[u8] {
         let at = random.below((self.garbage.len() - len) as u64) as usize;
         &self.garbage[at..at + len]
@@ -98,9 +98,9 @@ async fn deed(server: Addresses, random: &mut Random) -> io::Result<()> {
     let mut stream = TcpStream::connect(server.tcp).await?;
     stream.set_nodelay(true)?;
     match kind {
-        // comes and goes
+        // connects and disconnects
         2 => {}
-        // says one byte, or a part, and hangs on
+        // sends one byte, or a part, and stays connected
         3 => {
             stream.write_all(&[1]).await?;
             sleep(PACE).await;
@@ -114,23 +114,23 @@ async fn deed(server: Addresses, random: &mut Random) -> io::Result<()> {
         5 => ask(&mut stream, MESSAGES.garbage(1000, random)).await?,
         6 => ask(&mut stream, &MESSAGES.deep).await?,
         7 => ask(&mut stream, &MESSAGES.long).await?,
-        // promises much and sends little
+        // announces a long frame and sends little of it
         8 => {
             stream.write_all(&MESSAGES.promise).await?;
             sleep(PACE).await;
         }
-        // asks much and reads nothing
+        // sends many requests and reads no replies
         9 => {
             stream.write_all(&MESSAGES.begins).await?;
             sleep(PACE).await;
             reset(&stream)?;
         }
-        // opens much and goes without a word
+        // opens many objects and disconnects without releasing them
         10 => {
             session(&mut stream).await?;
             stream.write_all(&MESSAGES.connects).await?;
         }
-        // goes in the middle of a long call
+        // disconnects in the middle of a long call
         11 => {
             let controller = session(&mut stream).await?;
             let args = vec![Value::I4(controller), Value::text("sleep"), Value::I4(3_600_000)];
@@ -145,7 +145,7 @@ async fn deed(server: Addresses, random: &mut Random) -> io::Result<()> {
             }
             reset(&stream)?;
         }
-        // a large request, and away before the answer
+        // a large request, and disconnects before the answer
         _ => {
             stream.write_all(&MESSAGES.large).await?;
             reset(&stream)?;
@@ -206,7 +206,7 @@ fn connect() -> Vec<u8> {
     request(FunctionId::CONTROLLER_CONNECT, ["", PROVIDER, "", ""].map(Value::text).into())
 }
 
-/// A request with an argument that is no value.
+/// A request with an argument that is not a value.
 fn broken(value: &[u8]) -> Vec<u8> {
     let mut bytes = begin();
     bytes.pop();

@@ -8,9 +8,9 @@
 //!  MQTT ────► Mosquitto ─► fleet ───────┘        after      all clients are disconnected
 //! ```
 //!
-//! It fails when a session of a well-behaved client fails, when these clients keep less than 80 % of their calls (in 60 s or more),
-//! when a program has more descriptors at the end than before, has grown by 10 MiB since the first line, or writes more than 128 KiB
-//! a second: an optimised gateway prints half of that, a line for each write that it executes.
+//! It fails when a session of a well-behaved client fails, when these clients keep less than 80 % of their calls (in 60 s or
+//! more), when a program has more descriptors at the end than before, has grown by 10 MiB since the first line, or writes more
+//! than 128 KiB a second: an optimised gateway prints half of that, a line for each write that it executes.
 
 use std::io::{BufRead, BufReader, Read};
 use std::net::SocketAddr;
@@ -138,7 +138,7 @@ impl Rate {
     }
 }
 
-/// Runs the programs for the wished time. `bcap` is the path of the command; `bcap-fleet` is in the same folder.
+/// Runs the programs for the requested time. `bcap` is the path of the command; `bcap-fleet` is in the same folder.
 pub(crate) fn soak(bcap: &Path, wishes: Wishes, verdict: &mut Verdict) {
     // with Nagle's algorithm in the broker the host would wait for acknowledgements of TCP most of the time
     let broker = Mosquitto::start(|_| "allow_anonymous true\nset_tcp_nodelay true\n".into());
@@ -276,7 +276,7 @@ fn start(bcap: &Path, broker: &Mosquitto) -> Vec<Program> {
     vec![sim, Program::start("proxy", &mut proxy), Program::start("gateway", &mut gateway), fleet]
 }
 
-/// Starts the clients of a program: so many well-behaved ones, as many others, and silent connections.
+/// Starts the clients of a program: well-behaved clients, as many misbehaving clients, and silent connections.
 fn begin(program: &mut Program, clients: usize, broker: u16) {
     let plan = &program.plan;
     let (addresses, good) = match program.name {
@@ -358,7 +358,7 @@ fn mqtt(name: &str, broker: u16) -> (AsyncClient, EventLoop) {
     (client, events)
 }
 
-/// A host whose commands are executed, one after the other, each after a pause.
+/// A host whose commands are executed in sequence, each after a pause.
 async fn host(broker: u16, plan: Arc<Plan>) {
     let (client, mut events) = mqtt("host", broker);
     for topic in ["answer", "mode"] {

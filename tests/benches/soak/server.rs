@@ -87,7 +87,7 @@ impl Server {
         Process::new(self.child.id())
     }
 
-    /// Returns the server's present resources.
+    /// Returns the server's current resources.
     pub(crate) fn state(&mut self) -> State {
         writeln!(self.input).expect("the server lives");
         let words: Vec<usize> = line(&mut self.output);

@@ -43,7 +43,7 @@ async fn client(server: Addresses, name: String, plan: Arc<Plan>) {
 pub(crate) type Session = Result<(), Box<dyn std::error::Error + Send + Sync>>;
 
 impl Plan {
-    /// Counts a session that has failed, and pauses before the next one.
+    /// Counts a session that has failed, and pauses before the next session.
     pub(crate) async fn count(&self, client: &str, ended: Session) {
         if let Err(error) = ended {
             eprintln!("{client}: {error}");

@@ -10,7 +10,8 @@
 //! cargo run --profile bench -p bcap-instructions --bin server
 //! ```
 //!
-//! With the variable `BCAP_CALLGRIND`, the profiles are kept in that folder as `PROGRAM-CASE-REPETITIONS.out`; `flame` draws them.
+//! With the variable `BCAP_CALLGRIND`, the profiles are kept in that folder as `PROGRAM-CASE-REPETITIONS.out`; `flame` draws
+//! them.
 
 use std::error::Error;
 use std::path::PathBuf;

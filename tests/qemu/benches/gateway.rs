@@ -1,14 +1,16 @@
-//! Instructions of a request, requests a second and their times through the gateway board in QEMU, compared with a bare echo on the same board.
+//! Instructions of a request, requests a second and their times through the gateway board in QEMU, compared with a bare echo on
+//! the same board.
 //!
 //! ```text
 //!  PLC ─► gateway ─► virtual controller ─► gateway ─► PLC      GET:RC8:1:I: and its answer
 //!  PLC ─► echo ─► PLC                                          as many bytes, there and back
 //! ```
 //!
-//! Both are measured in turn, in the same run. A request through the gateway crosses the emulated network four times
-//! and two programs of this machine more; the times depend on the emulator and this machine, and say nothing about a
-//! real board. The instructions are those of the emulated processor, counted by a plugin of QEMU. They depend a little on the
-//! machine, which decides how many frames arrive at once. A request is two receives and two sends, so its floor is two echoes.
+//! The measurements of both alternate in the same run. A request through the gateway crosses the emulated network four times
+//! and passes through two more programs of this machine; the times depend on the emulator and this machine, and say nothing
+//! about a real board. The instructions are those of the emulated processor, counted by a plugin of QEMU. They depend slightly
+//! on the machine, which determines how many frames arrive together. A request is two receives and two sends, so its floor is
+//! two echoes.
 //!
 //! The median of the rounds is compared with bars; above one of them the benchmark fails. With the environment variable
 //! `BCAP_CALLGRIND` it measures nothing and records a profile of requests in that folder.
@@ -23,12 +25,12 @@ use std::time::{Duration, Instant};
 
 use bcap_qemu::{Board, Plc, Sim, bcap, free_port, run};
 
-/// How long each of the rounds lasts, and how many there are.
+/// The duration and the number of the rounds.
 const ROUND: Duration = Duration::from_secs(2);
 const ROUNDS: usize = 5;
 
-/// The numbers of PLCs, and the most instructions of a request and of an echo: 7 % above the figures of docs/performance.md with one
-/// PLC, and 15 % with four, where a run differs from the next by 10 %.
+/// The numbers of PLCs, and the maximum instructions of a request and of an echo: 7 % above the figures of docs/performance.md
+/// with one PLC, and 15 % with four, where a run differs from the next by 10 %.
 const BARS: [(usize, u64, u64); 2] = [(1, 36_900, 12_900), (4, 40_000, 10_000)];
 
 /// The requests of a profile.
@@ -59,7 +61,7 @@ fn main() -> ExitCode {
     if passed { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }
 
-/// Measures requests and echoes, and tells whether none takes more instructions than its bar.
+/// Measures requests and echoes; returns whether none takes more instructions than its bar.
 fn measure_all(file: &Path, board: &Board, echo_address: &str) -> bool {
     println!(
         "{:<28} {:>12} {:>10} {:>10} {:>10} {:>10}",
@@ -120,7 +122,7 @@ fn record(file: &Path, plc: &mut Plc, profile: &Path) {
 #[derive(Default)]
 struct Measured {
     times: Vec<Duration>,
-    /// The instructions of a request in each round, with those of the board while it waits for the next one.
+    /// The instructions of a request in each round, including the board's instructions while it waits for the next request.
     rounds: Vec<u64>,
 }
 
@@ -139,7 +141,7 @@ impl Measured {
         rounds[rounds.len() / 2]
     }
 
-    /// Prints a line, and tells whether the instructions are not above the bar.
+    /// Prints a line; returns whether the instructions are within the bar.
     fn show(mut self, name: &str, bar: u64) -> bool {
         let instructions = self.instructions();
         self.times.sort_unstable();
@@ -164,7 +166,7 @@ fn counted(file: &Path) -> u64 {
     u64::from_ne_bytes(*bytes.first_chunk().expect("the file begins with 8 bytes"))
 }
 
-/// Lets each PLC ask for as long as a round lasts, and returns how long each request took.
+/// Lets each PLC send requests for the duration of a round, and returns the time of each request.
 fn measure(plcs: &mut [Plc], ask: impl Fn(&mut Plc) + Sync) -> Vec<Duration> {
     let until = Instant::now() + ROUND;
     let ask = &ask;

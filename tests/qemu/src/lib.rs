@@ -1,8 +1,8 @@
 //! The gateway board in QEMU, a virtual controller and PLCs, as processes and connections of this machine.
 //!
 //! Building an image takes a compiler for the board, and running it takes QEMU. The tests of this package are therefore only
-//! built with the feature `qemu`. The variable `BCAP` has the path of the built command `bcap`, and `BOARD` names another board;
-//! `embassy-adapter/firmware/test` sets them.
+//! built with the feature `qemu`. The variable `BCAP` has the path of the built command `bcap`, and `BOARD` names another
+//! board; `embassy-adapter/firmware/test` sets them.
 #![cfg(unix)]
 
 use std::fs::{self, File};
@@ -18,7 +18,7 @@ use std::time::{Duration, Instant};
 
 use bcap_core::hresult::HResult;
 
-/// How long anything may take before a test fails.
+/// Timeout of every wait; a test fails after it.
 pub const TIMEOUT: Duration = Duration::from_secs(60);
 
 /// The RAC line that reports an error.
@@ -152,7 +152,7 @@ impl Board {
         self
     }
 
-    /// Asks once: QEMU accepts connections before the board is up.
+    /// Sends one request: QEMU accepts connections before the board is up.
     fn try_get(&self) -> Option<String> {
         let mut plc = Plc::try_connect(&self.rac, Duration::from_secs(2)).ok()?;
         plc.try_ask("GET:RC8:1:I:\r").ok()
@@ -262,7 +262,7 @@ impl Plc {
         Self::try_connect(address, TIMEOUT).unwrap()
     }
 
-    /// Connects until the board accepts the connection: the slot of an earlier one may not be free at once.
+    /// Connects until the board accepts the connection: the slot of an earlier connection may not be free yet.
     pub fn connect_when_free(address: &str) -> Self {
         let since = Instant::now();
         loop {

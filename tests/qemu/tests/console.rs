@@ -1,5 +1,5 @@
-//! Tests that `bcap board configure` changes the settings of the gateway board in QEMU, over its second serial port, and that a page
-//! does so too, with the password, which only the console sets.
+//! Tests that `bcap board configure` changes the settings of the gateway board in QEMU, over its second serial port, and that a
+//! page also does, with the password, which only the console sets.
 //!
 //! ```text
 //!  bcap ─► pseudo-terminals ─► this test ─► Unix socket ─► QEMU: serial port ─► console ─► flash
@@ -35,7 +35,7 @@ impl Rig {
         let (line, host) = TTYPort::pair().unwrap();
         let sim = Sim::start(&bcap, "127.0.0.1:0");
         let socket = env::temp_dir().join(format!("bcap-{name}-{}", process::id()));
-        // the image with all features must fit the board, too
+        // the image with all features must also fit the board
         let [pages, modbus] = [free_port(), free_port()];
         let [health, modbus] = [pages, modbus].map(|port| port.to_string());
         let options = ["--faults", "--health", &health, "--modbus", &modbus, "--console", path(&socket)];
@@ -188,7 +188,7 @@ fn a_page_changes_the_settings_with_the_password_that_the_console_sets() {
     expect(&rig, &post(all, &changed), "409", "1 PLCs are connected");
     assert!(rig.put().1.contains("E_ACCESSDENIED"));
     drop(plc);
-    // until the board has seen the end of the connections
+    // until the board has detected the end of the connections
     let since = Instant::now();
     let saved = loop {
         let response = rig.request(&post(all, &changed));

@@ -12,8 +12,8 @@ use smoltcp::wire::{ArpOperation, ArpPacket, DhcpMessageType, DhcpPacket, DhcpRe
 
 use crate::line;
 
-/// Offsets in a frame: the type, the protocol and the destination port of a datagram without IP options, and the message and the options of
-/// DHCP.
+/// Offsets in a frame: the type, the protocol and the destination port of a datagram without IP options, and the message and
+/// the options of DHCP.
 const ETHERNET: usize = 14;
 const IP_PROTOCOL: usize = 23;
 const UDP_DESTINATION: usize = 36;

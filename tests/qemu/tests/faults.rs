@@ -63,7 +63,7 @@ fn a_plc_stays_connected_to_a_board_without_a_dhcp_server_and_a_robot() {
     // the board may have to be built first; without a robot each answer is an error
     world.run_until(&mut board, Duration::from_secs(600), |world| world.plcs[0].errors > 0);
     world.forget();
-    // this image would ask for an address every 3 s
+    // this image would request an address every 3 s
     let end = Instant::now() + Duration::from_secs(15);
     world.run_until(&mut board, TIMEOUT, |_| Instant::now() >= end);
     let plc = &world.plcs[0];

@@ -1,4 +1,4 @@
-//! Tests how the gateway board in QEMU answers `bcap board find`, also with hostile hosts on its network.
+//! Tests how the gateway board in QEMU answers `bcap board find`, even with hostile hosts on its network.
 
 use std::net::Ipv4Addr;
 use std::time::{Duration, Instant};
@@ -42,7 +42,7 @@ fn ask(world: &World, from: Ipv4Addr, to: Ipv4Addr, payload: &[u8]) {
     let _ = world.wire.link.send(&datagram(mac, from, to, [HOST_PORT, PORT], payload));
 }
 
-/// Asks until the board answers, and returns the destination and the payload.
+/// Repeats the request until the board answers, and returns the destination and the payload.
 fn first_answer(world: &mut World, board: &mut Board, limit: Duration) -> (Ipv4Addr, Vec<u8>) {
     let since = Instant::now();
     loop {
@@ -133,7 +133,7 @@ fn a_request_from_an_address_that_does_not_exist_holds_up_no_answer() {
     first_answer(&mut world, &mut board, BUILT);
     for _ in 0..3 {
         ask(&world, NOBODY, BOARD, &request(NUMBER));
-        // answers to earlier requests arrive meanwhile
+        // answers to earlier requests arrive in the meantime
         answers(&mut world, &mut board, Duration::from_millis(1500));
         first_answer(&mut world, &mut board, TIMEOUT);
     }
@@ -144,7 +144,7 @@ fn hosts_of_the_settings_that_are_off_hold_up_no_answer() {
     for setting in ["ntp=10.0.2.99", "syslog=10.0.2.99"] {
         let (wire, netdev) = Wire::open(1);
         let settings = ["dhcp=no", "mac=02:00:00:00:00:15", setting];
-        // with the page, an image has syslog and SNTP; nothing asks for the page here
+        // with the page, an image has syslog and SNTP; the page is not requested here
         let mut board = Board::start("10.0.2.2:5007", &["--netdev", &netdev, "--health", "1"], &settings);
         let mut world = World::new(wire, 0, 1);
         first_answer(&mut world, &mut board, BUILT);

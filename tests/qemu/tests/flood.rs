@@ -25,9 +25,10 @@ const BAUD: &str = "115200";
 const PACE: Duration = Duration::from_millis(10);
 /// The seconds of an attack. Then the PLC works alone for a third of that, so that other load on the machine affects both.
 const ROUND: u64 = 30;
-/// Lines that the attacker sends at once.
+/// Lines that the attacker sends together.
 const BATCH: usize = 32;
-/// The maximum number of lines that wait for their answers, a fraction of a second's work. An attack ends when all are answered.
+/// The maximum number of lines that wait for their answers, a fraction of a second's work. An attack ends when all are
+/// answered.
 const WAITING: u64 = 4096;
 
 #[test]
@@ -59,7 +60,7 @@ fn a_flood_of_refused_requests_resets_nothing() {
     assert!(board.is_running(), "the board was reset");
 }
 
-/// Shows something of a test that passes, too.
+/// Prints a line that is shown even if the test passes.
 fn show(text: &str) {
     let _ = io::stderr().write_all(format!("{text}\n").as_bytes());
 }
@@ -83,7 +84,7 @@ impl std::fmt::Display for Times {
     }
 }
 
-/// Asks at a steady pace for some time, and checks each answer.
+/// Sends requests at a steady pace for some time, and checks each answer.
 fn work(plc: &mut Plc, board: &mut Board, length: Duration) -> Times {
     let (mut times, begin) = (Vec::new(), Instant::now());
     while begin.elapsed() < length {
@@ -98,7 +99,7 @@ fn work(plc: &mut Plc, board: &mut Board, length: Duration) -> Times {
     Times(times)
 }
 
-/// A client that sends refused PUTs until it is told to end.
+/// A client that sends refused PUTs until `stop` is set.
 struct Attack {
     stop: Arc<AtomicBool>,
     refused: Arc<AtomicU64>,

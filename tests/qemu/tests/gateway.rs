@@ -114,7 +114,7 @@ fn wrong_lines_are_answered_and_the_session_lives() {
     // a value of another type, without loss
     assert_eq!(plc.ask("PUT:RC8:1:F:3,5\r"), "0\r");
     assert_eq!(plc.ask("GET:RC8:1:F:\r"), "0,4,5\r");
-    // several lines at once, and one in pieces
+    // several lines together, and one in pieces
     plc.send(b"PUT:RC8:10:I:3,7\rNONSENSE\rGET:RC8:10:I:\rGET:RC");
     for answer in ["0\r", &error(HResult::E_INVALIDCOMMAND), "0,3,7\r"] {
         assert_eq!(plc.answer().unwrap(), answer);
@@ -134,7 +134,7 @@ fn wrong_lines_are_answered_and_the_session_lives() {
     }
 }
 
-/// Shows something of a test that passes, too.
+/// Prints a line that is shown even if the test passes.
 fn show(text: &str) {
     let _ = io::Write::write_all(&mut io::stderr(), format!("{text}\n").as_bytes());
 }
@@ -152,7 +152,7 @@ fn four_plcs_are_served_at_once_and_a_fifth_replaces_an_idle_one() {
     let mut late = Plc::connect(&board.rac);
     assert_eq!(late.ask("GET:RC8:1:I:\r"), error(HResult::E_MAX_CONNECT));
     assert!(late.answer().is_err(), "the connection is closed");
-    // each asks for more than its rate allows, and only that is refused
+    // each sends more requests than its rate allows, and only the excess is refused
     for plc in &mut served {
         plc.send(b"GET:RC8:1:I:\rGET:RC8:1:I:\rGET:RC8:1:I:\rGET:RC8:1:I:\r");
         let answers: Vec<String> = (0..4).map(|_| plc.answer().unwrap()).collect();
@@ -160,7 +160,7 @@ fn four_plcs_are_served_at_once_and_a_fifth_replaces_an_idle_one() {
         assert!(answers.iter().all(|answer| answer == "0,3,0\r" || *answer == busy), "{answers:?}");
         assert!(answers.contains(&busy), "{answers:?}");
     }
-    // four clients that send nothing any more keep no other client out
+    // four clients that no longer send do not block other clients
     let mut next = Plc::connect_when_free(&board.rac);
     assert_ne!(next.ask("GET:RC8:1:I:\r"), error(HResult::E_MAX_CONNECT));
     assert!(served.iter_mut().any(|plc| plc.answer().is_err()), "one of them was disconnected");
@@ -172,7 +172,7 @@ fn four_plcs_are_served_at_once_and_a_fifth_replaces_an_idle_one() {
 fn clients_of_other_networks_have_no_access_or_other_rules() {
     let bcap = bcap();
     let sim = Sim::start(&bcap, "127.0.0.1:0");
-    // all connections come from 10.0.2.2
+    // all connections are from 10.0.2.2
     let rules = [PROVIDER, "allow=10.0.2.0/24", "put=I/1", "put@10.0.2.2=I/2", "put@10.0.2.3=I/3", "idle=10"];
     let board = Board::start(&sim.bcap, &[], &rules).up();
     let mut plc = Plc::connect_when_free(&board.rac);
@@ -208,7 +208,7 @@ struct Seen {
     served: AtomicU32,
     away: AtomicU32,
     timed_out: AtomicU32,
-    /// The longest wait for E_NOT_CONNECTED, in microseconds.
+    /// Maximum wait for E_NOT_CONNECTED, in microseconds.
     longest: AtomicU32,
     stop: AtomicBool,
 }

@@ -38,8 +38,8 @@ fn number(json: &str, key: &str) -> u64 {
     digits.parse().unwrap_or_else(|_| panic!("{key} in {json}"))
 }
 
-/// Starts a server of SNTP on this machine, and returns its port. Its first answers must be refused, and so must the last one, which
-/// it sends after a message that the clock is set.
+/// Starts a server of SNTP on this machine, and returns its port. Its first answers must be refused, and so must the last
+/// answer, which it sends after a message that the clock is set.
 fn time_server() -> (u16, Sender<()>, JoinHandle<()>) {
     let server = UdpSocket::bind("127.0.0.1:0").unwrap();
     let port = server.local_addr().unwrap().port();
@@ -108,7 +108,7 @@ fn the_page_shows_the_state_and_syslog_tells_refusals_and_changes() {
         without_time(&String::from_utf8_lossy(&datagram[..count])).0
     };
     assert_eq!(message(), "<133>1 - cell-7 gateway - start - last reset: power-on");
-    // the board may have asked the robot before it was there
+    // the board may have tried to connect before the robot was there
     while message() != "<133>1 - cell-7 gateway - robot-up - connected" {}
 
     assert!(!run(&bcap, &["rac", "put", "I5", "7", "--robot", &board.rac]).ok);

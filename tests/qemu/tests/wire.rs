@@ -108,7 +108,7 @@ impl World {
             sockets.add(tcp::Socket::new(buffer(), buffer()))
         };
         let plcs = (0..plcs).map(|index| Plc::new(socket(), index)).collect();
-        // a connection that the board has given up may not have ended here yet
+        // a connection that the board has dropped may not have ended here yet
         let servers = (0..3).map(|index| (socket(), TcpServer::new(5007, index, 3))).collect();
         let robot = Robot { wrong: 0, requests: 0 };
         Self {
@@ -205,21 +205,21 @@ impl World {
     }
 }
 
-/// A phase of a test whose times are compared with another one.
+/// A phase of a test whose times are compared with another phase.
 #[derive(Clone, Copy)]
 pub(crate) enum Phase {
     Calm,
     Attack,
 }
 
-/// A PLC: one request after the other, over one connection after the other.
+/// A PLC: requests in sequence, over connections in sequence.
 pub(crate) struct Plc {
     socket: SocketHandle,
     /// Whether it connects anew for each request.
     pub(crate) reconnects: bool,
     next_port: u16,
     received: Vec<u8>,
-    /// The number of the variable that is asked for, whether it is put, and since when.
+    /// The number of the requested variable, whether it is put, and since when.
     waiting: Option<(i32, bool, Instant)>,
     requests: u32,
     pub(crate) answers: u32,
@@ -412,7 +412,7 @@ impl Wire {
             if self.arrived.len() >= 16 {
                 break;
             }
-            // only the first one is waited for: the timeout of a socket may take two ticks of the kernel
+            // waits only for the first frame: the timeout of a socket may take two ticks of the kernel
             self.link.set_nonblocking(true).unwrap();
         }
         self.link.set_nonblocking(false).unwrap();

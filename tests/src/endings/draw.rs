@@ -72,7 +72,7 @@ pub(super) enum Job {
     Stream {
         /// The number of poses.
         cycles: u32,
-        /// How far joint 1 is from its start at the end.
+        /// The distance of joint 1 from its start at the end.
         degrees: f64,
     },
 }
@@ -228,9 +228,9 @@ pub(super) struct Trial {
     pub(super) at_us: u64,
     /// How long no new connection is accepted after the ending, in ms.
     pub(super) heal_ms: u64,
-    /// How much later the controller answers a call that starts a motion, in ms.
+    /// The delay of the reply to a call that starts a motion, in ms.
     pub(super) delay_ms: u64,
-    /// How long the motor takes to come on, in ms.
+    /// The time that the motor takes to switch on, in ms.
     pub(super) motor_ms: u64,
     /// Whether the motor was on before.
     pub(super) motor_before: bool,
@@ -327,8 +327,8 @@ fn job(random: &mut Random, program: Program) -> Job {
     }
 }
 
-/// The destinations are absolute or begin at the home position; `P10` and `J10` are 5 to 50 mm and some degrees from it, and `P11`
-/// has its position with another figure.
+/// The destinations are absolute or begin at the home position; `P10` and `J10` are 5 to 50 mm and some degrees from it, and
+/// `P11` has its position with another figure.
 fn leg(random: &mut Random, is_command: bool) -> Leg {
     let home = [0.0, 45.0, 90.0, 0.0, 45.0, 0.0];
     let numbers = |random: &mut Random| {
@@ -344,7 +344,7 @@ fn leg(random: &mut Random, is_command: bool) -> Leg {
         1 => Way::Joint("J10".into()),
         2 => Way::Joint("P10".into()),
         3 => Way::Line("P10".into()),
-        // where it already stands
+        // its current position
         4 => Way::Joint(text(home)),
         // the wrist turns by 180 degrees
         5 => {

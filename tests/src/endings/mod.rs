@@ -7,8 +7,8 @@
 //!        └────────────── judge ◄─────────────────────────────────────┘
 //! ```
 //!
-//! The truth is read from the model of the robot and not over the protocol. The destination of a motion is where a copy of the
-//! model stands after it. All draws of a trial follow from the seed and its number, so that it can be repeated alone.
+//! The truth is read from the model of the robot and not over the protocol. The destination of a motion is the position of a
+//! copy of the model after it. All draws of a trial follow from the seed and its number, so that it can be repeated alone.
 
 mod cycles;
 mod draw;
@@ -40,7 +40,7 @@ pub struct Options {
     pub seed: u64,
     /// Only this trial, with its output.
     pub only: Option<u64>,
-    /// How many run at the same time.
+    /// Number of trials that run at the same time.
     pub parallel: usize,
 }
 

@@ -1,4 +1,4 @@
-//! The virtual controller of a trial, which keeps the truth: where each motion ends, and which event has stopped one.
+//! The virtual controller of a trial, which records the truth: the end of each motion, and the event that stopped it.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -12,7 +12,7 @@ use bcap_core::time::Instant;
 use bcap_sim::Controller;
 use bcap_std::now;
 
-/// How far an axis may be from a destination, in degrees or mm.
+/// Maximum distance of an axis from a destination, in degrees or mm.
 const TOLERANCE: f64 = 0.06;
 
 /// Commands of Robot_Execute that move the robot.
@@ -40,7 +40,7 @@ pub(super) struct Watched {
 /// The state of a controller at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Truth {
-    /// Whether the robot stands at the destination of the last commanded motion. A robot without one is not there.
+    /// Whether the robot is at the destination of the last commanded motion; `false` if there was no motion.
     pub(super) there: bool,
     /// Whether it moves.
     pub(super) moving: bool,
@@ -48,7 +48,7 @@ pub(super) struct Truth {
     pub(super) motor: bool,
     /// Whether the arm is taken, or Slave Mode is on.
     pub(super) arm: bool,
-    /// How many motions were stopped by a halt or an error.
+    /// Number of motions that were stopped by a halt or an error.
     pub(super) stops: u32,
 }
 
@@ -65,7 +65,7 @@ impl Watched {
         Arc::clone(&self.marks)
     }
 
-    /// Returns the present state.
+    /// Returns the current state.
     pub(super) fn truth(&mut self) -> Truth {
         self.sim.advance(now());
         let axes = self.sim.axes();
@@ -86,7 +86,7 @@ impl Watched {
         }
     }
 
-    /// Records where the motion ends that was just accepted: where a copy of the controller is after it.
+    /// Records the end of the motion that was just accepted: the position of a copy of the controller after it.
     fn accepted(&mut self, at: Instant) {
         let mut later = self.sim.clone();
         later.advance(at.saturating_add(Duration::from_secs(600)));
@@ -112,7 +112,7 @@ impl Handler for Watched {
         }
         let streams = self.sim.slave_mode() != 0;
         let outcome = Handler::call(&mut self.sim, peer, request, reply, at);
-        // a call whose answer is delayed is executed at once
+        // a call whose answer is delayed is executed immediately
         if moves(request) && !matches!(outcome, Outcome::Done(code) if code.is_err()) {
             self.accepted(at);
         }

@@ -21,9 +21,9 @@ use super::victim::{self, Script};
 use crate::proxy::{Cut, Relay};
 use crate::served::Served;
 
-/// The longest time of a program, after which it counts as hanging.
+/// Maximum run time of a program, after which it counts as hanging.
 const LIMIT: Duration = Duration::from_secs(40);
-/// The time after which nothing may move.
+/// The time after which the robot must be at rest.
 const GRACE: Duration = Duration::from_secs(1);
 const POLL: Duration = Duration::from_millis(1);
 
@@ -34,7 +34,7 @@ pub(super) struct Tools {
     pub(super) victim: PathBuf,
     /// The command `bcap`, if it takes part.
     pub(super) bcap: Option<PathBuf>,
-    /// Whether `bcap move` asks without `--yes`.
+    /// Whether `bcap move` asks for confirmation, because it runs without `--yes`.
     pub(super) asks: bool,
     /// Whether the output of the program is printed.
     pub(super) verbose: bool,
@@ -71,7 +71,7 @@ pub(super) struct Seen {
     pub(super) stopped: Option<Truth>,
     /// The truth one second after the end of the program.
     pub(super) last: Truth,
-    /// Whether the ending came from outside while the program ran.
+    /// Whether an external event caused the ending while the program ran.
     pub(super) disturbed: bool,
     /// Whether the program did not end.
     pub(super) hangs: bool,
@@ -269,13 +269,13 @@ impl Process {
         !self.has_ended()
     }
 
-    /// Sends a signal. After one that suspends the process, waits a second and until it is suspended, which may be after a late
-    /// reply; returns the truth then, and lets it continue. `None` for a process that goes on to its end: the signal came before
-    /// its handler, and the system ignores it then if no shell could continue the process.
+    /// Sends a signal. After a signal that suspends the process, waits a second and until the process is suspended, which may
+    /// be after a late reply; returns the truth then, and lets it continue. `None` for a process that continues to its end: the
+    /// signal arrived before its handler was installed, and the system then ignores it if no shell could continue the process.
     fn signal(&mut self, signal: Signal, sim: &Sim) -> Option<Truth> {
         let pid = Pid::from_child(&self.child);
         let send = |signal| {
-            // a process that has ended gets none
+            // a process that has ended gets no signal
             let _ = kill_process(pid, signal);
         };
         match signal {

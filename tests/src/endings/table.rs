@@ -46,7 +46,7 @@ fn faults(trial: &Trial, seen: &Seen) -> [bool; 6] {
     let Seen { report, stopped, last, disturbed, hangs } = seen;
     let reported = |name: &str| report.as_ref().filter(|report| report.outcome == name).map(|report| report.truth);
     let false_arrived = reported("arrived").is_some_and(|truth| truth.moving || !truth.there);
-    // nothing has stopped it, and it rests where it was sent; a program that nothing disturbs must arrive
+    // it was not stopped, and rests at its destination; an undisturbed program must arrive
     let undisturbed = trial.ending == Ending::Completes || !trial.ending.is_inside() && !disturbed;
     let false_halted =
         reported("halted").is_some_and(|truth| (truth.there && !truth.moving && truth.stops == 0) || undisturbed);

@@ -28,7 +28,7 @@ pub(super) struct Script {
 
 type Failure = Box<dyn StdError + Send + Sync>;
 
-/// Runs the program that the arguments of this process ask for, if they do, and returns the exit code for main.
+/// Runs the program that the arguments of this process request, if any, and returns the exit code for `main`.
 #[must_use]
 pub fn run_if_asked() -> Option<ExitCode> {
     let mut arguments = std::env::args().skip(1);
@@ -40,7 +40,7 @@ pub fn run_if_asked() -> Option<ExitCode> {
         Program::Tokio => run_tokio(script),
         _ => run_blocking(script),
     });
-    // as main does that returns a Result
+    // as a `main` that returns a `Result` does
     if let Err(error) = &ended {
         eprintln!("Error: {error}");
     }
@@ -98,7 +98,7 @@ fn format() -> Format {
     Format::new(SlaveMode { mode: Mode::Mode0, pose: PoseType::J }, ReceiveFormat::pose(ReceivePose::J))
 }
 
-/// Returns a smooth way of joint 1, which panics at the time of the ending if that is the ending.
+/// Returns a smooth trajectory of joint 1, which panics at the time of the ending if the ending is a panic.
 fn swing(trial: &Trial) -> impl FnMut(&Cycle<'_>) -> Next + Send + 'static {
     let (cycles, degrees) = match trial.job {
         Job::Stream { cycles, degrees } => (cycles, degrees),
@@ -206,7 +206,7 @@ fn leave(moving: blocking::Moving<'_>, trial: &Trial) -> Result<(), Failure> {
 }
 
 impl Ending {
-    /// Returns whether a blocking program ends so between `start` and `wait`.
+    /// Returns whether this ending happens between `start` and `wait` in a blocking program.
     const fn stops_while_it_moves(self) -> bool {
         matches!(
             self,

@@ -1,7 +1,7 @@
 //! A relay between clients and a server, over TCP and UDP, that can be cut or held.
 //!
-//! A cut concerns the connections that exist. Later the relay accepts new ones again; datagrams then pass again. While it is held,
-//! bytes of streams wait in it, and pass later.
+//! A cut affects the existing connections. Later the relay accepts new connections again, and datagrams pass again. While it is
+//! held, bytes of streams are queued in it.
 
 use std::collections::HashMap;
 use std::io;
@@ -21,7 +21,7 @@ use crate::background::Background;
 /// How a relay is cut.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Cut {
-    /// No byte passes any more, and no side is told.
+    /// No byte passes any more, and neither side is notified.
     Silent,
     /// No byte passes to the server.
     Up,
@@ -36,9 +36,9 @@ pub enum Cut {
 /// The state of the relay.
 #[derive(Clone, Copy, Debug, Default)]
 struct State {
-    /// How often the relay was cut.
+    /// Number of times the relay was cut.
     cuts: u64,
-    /// How it was cut last.
+    /// The kind of the last cut.
     cut: Option<Cut>,
     /// Whether new connections and datagrams pass.
     open: bool,
@@ -163,7 +163,7 @@ async fn carry(client: TcpStream, server: SocketAddr, mut state: watch::Receiver
     Ok(())
 }
 
-/// Passes bytes on; after a silent cut of this direction it keeps the sockets open and passes nothing.
+/// Passes bytes on; after a silent cut of this direction it keeps the sockets open and passes no bytes.
 async fn pump(
     mut from: OwnedReadHalf,
     mut to: OwnedWriteHalf,

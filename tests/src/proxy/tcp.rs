@@ -99,7 +99,7 @@ pub struct TcpProxy {
 }
 
 impl TcpProxy {
-    /// Starts a proxy; `script` is asked for each connection, the first being 0.
+    /// Starts a proxy; `script` is called for each connection, numbered from 0.
     #[must_use]
     pub fn start(server: SocketAddr, script: impl FnMut(u64) -> Script + Send + 'static) -> Self {
         let (background, address) = Background::start(async move |stopped| {

@@ -13,7 +13,7 @@ use tokio::time::sleep;
 use crate::background::{Background, until};
 use bcap_testkit::network::{Faults, Random};
 
-/// A network of datagrams, with one port per client, so that the server can tell the clients apart.
+/// A network of datagrams, with one port per client, so that the server can distinguish the clients.
 #[derive(Debug)]
 pub struct UdpProxy {
     /// The address to which clients send.
@@ -64,7 +64,7 @@ async fn forward(socket: Arc<UdpSocket>, server: SocketAddr, network: Network) {
     let mut known: HashMap<SocketAddr, Way> = HashMap::new();
     let mut buffer = [0; 2048];
     loop {
-        // an error here tells that a client has closed its port, which does not matter
+        // an error here means that a client has closed its port, which does not matter
         let Ok((count, client)) = socket.recv_from(&mut buffer).await else { continue };
         let seed = network.seed.wrapping_add(2 * known.len() as u64);
         let way = match known.entry(client) {
@@ -108,7 +108,7 @@ impl Way {
         Self { network: network.clone(), random: Random(seed), socket, to, newest: Arc::default(), count: 0 }
     }
 
-    /// Decides whether to drop, duplicate or delay a datagram.
+    /// Draws whether to drop, duplicate or delay a datagram.
     fn pass(&mut self, bytes: &[u8]) {
         let Network { faults, counts, .. } = &self.network;
         self.count += 1;
@@ -142,7 +142,7 @@ impl Way {
             if newest.fetch_max(number, Ordering::Relaxed) > number {
                 counts.overtaken.fetch_add(1, Ordering::Relaxed);
             }
-            // a receiver that has gone is no matter
+            // a receiver that has gone does not matter
             let _ = match to {
                 Some(to) => socket.send_to(&bytes, to).await,
                 None => socket.send(&bytes).await,

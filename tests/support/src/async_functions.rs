@@ -16,7 +16,7 @@ pub enum Coverage {
 
 /// Checks a table against the sources below `src` and the await points at which functions were dropped.
 ///
-/// A name that ends with `*` stands for the functions that begin so and are not listed, except those that users of the crate can
+/// A name that ends with `*` matches the unlisted functions with that prefix, except functions that users of the crate can
 /// call.
 ///
 /// # Errors
@@ -53,8 +53,8 @@ pub fn check(
     if wrong.is_empty() { Ok(()) } else { Err(wrong.join("\n")) }
 }
 
-/// Returns the async functions below a folder, as `file.rs: Type::function`, and whether each is public; functions of tests are left
-/// out.
+/// Returns the async functions below a folder, as `file.rs: Type::function`, and whether each is public; functions of tests are
+/// left out.
 fn functions(src: &Path) -> BTreeMap<String, bool> {
     let mut found = BTreeMap::new();
     let mut folders = vec![src.to_path_buf()];
@@ -81,7 +81,7 @@ fn functions(src: &Path) -> BTreeMap<String, bool> {
 /// Returns the async functions of a source, with the type or trait that they belong to, and whether each is public.
 fn in_file(text: &str) -> Vec<(String, bool)> {
     let (mut found, mut owner, mut open) = (Vec::new(), String::new(), None::<(String, bool, bool)>);
-    // in a macro, `$($async)?` becomes `async`; unit tests stand at the end of a file, or in a separate one
+    // in a macro, `$($async)?` becomes `async`; unit tests are at the end of a file, or in a separate file
     let code = text.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default();
     for line in code.lines().filter(|line| !line.trim_start().starts_with("//")) {
         if line.starts_with("impl") || line.contains("trait ") && !line.starts_with(' ') {

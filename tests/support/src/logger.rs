@@ -5,7 +5,7 @@
 #[defmt::global_logger]
 struct Discard;
 
-// SAFETY: nothing is shared, because nothing is kept
+// SAFETY: no state is shared, because no state is stored
 unsafe impl defmt::Logger for Discard {
     fn acquire() {}
 

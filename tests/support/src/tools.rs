@@ -1,6 +1,6 @@
 //! Tools that tests need, and may be missing.
 //!
-//! With `CI=true` a missing tool is a failure. Elsewhere its tests end at once, and each prints a line with their number.
+//! With `CI=true` a missing tool is a failure. Elsewhere its tests end immediately, and each prints a line with their number.
 
 use std::collections::BTreeMap;
 use std::env;

@@ -99,7 +99,7 @@ pub(crate) fn all() -> BTreeMap<&'static str, usize> {
     points
 }
 
-/// Runs a motion by steps, as one that makes other calls meanwhile does.
+/// Runs a motion by steps, as a caller that makes other calls in between does.
 async fn advance(rig: &mut Rig) -> bool {
     let mut running = Running::new(move_and_wait(rig.handles, MOVE, end(), config()));
     loop {
@@ -193,7 +193,7 @@ fn planted_faults_are_found() {
         let fault = sweep("twice").run(|rig| Box::pin(call_and(rig, call_again))).unwrap_err();
         assert!(fault.contains(" polls: executed"), "{fault}");
     }
-    // the rest of a request is forgotten, so the next one begins in the middle of it
+    // the rest of a request is dropped, so the next request begins in the middle of it
     let forget = |rig: &mut Rig| rig.motion.client().reset();
     let sweep = Sweep { name: "reset", kind: Link::Stream, piece: 1, prepare: |_| {} };
     let fault = sweep.run(|rig| Box::pin(call_and(rig, forget))).unwrap_err();

@@ -1,6 +1,6 @@
-//! The objects of a controller for tokio: each function is dropped after so many turns of the runtime, so that the task is
-//! dropped by its caller before, during and after each of its calls. Then the same controller must serve an ordinary
-//! call, and nothing may be taken, moving or open that the caller does not know of.
+//! The objects of a controller for tokio: each function is dropped after a number of turns of the runtime, so that the task is
+//! dropped by its caller before, during and after each of its calls. Then the same controller must serve an ordinary call, and
+//! no arm may be taken, no robot moving and no object open without an owner.
 
 use std::collections::BTreeMap;
 use std::pin::pin;
@@ -21,7 +21,7 @@ use tokio::task::yield_now;
 const TURNS: [usize; 14] = [1, 2, 3, 4, 6, 8, 12, 16, 24, 40, 80, 160, 320, 640];
 const LIMIT: Duration = Duration::from_secs(30);
 
-/// Drops a future after so many turns of the runtime; returns its output if it ended before.
+/// Drops a future after `turns` turns of the runtime; returns its output if it ended before.
 async fn dropped_after<T>(turns: usize, future: impl Future<Output = T>) -> Option<T> {
     let mut future = pin!(future);
     for _ in 0..turns {
@@ -61,7 +61,7 @@ impl Rig {
         }
     }
 
-    /// Makes an ordinary call, and waits until the robot rests without an owner.
+    /// Sends an ordinary call, and waits until the robot rests without an owner.
     async fn check(&self, name: &str, turns: usize) {
         let number = i32::try_from(turns).unwrap();
         self.cell.write("I9", number).await.unwrap_or_else(|error| panic!("{name} after {turns} turns: {error}"));

@@ -56,7 +56,7 @@ async fn write(address: SocketAddr) -> io::Result<i32> {
     }
 }
 
-/// Drops gateways after so many steps of their tasks; returns the number of steps.
+/// Drops gateways after 1, 2, ... steps of their tasks; returns the number of steps.
 async fn dropped(link: Link, robot: SocketAddr) -> usize {
     const STEPS: usize = 120;
     for steps in 1..=STEPS {
@@ -68,7 +68,7 @@ async fn dropped(link: Link, robot: SocketAddr) -> usize {
         task.abort();
         let written = writer.await.unwrap().unwrap_or_default();
         assert!(TcpStream::connect(first).await.is_err(), "{link:?}, {steps} steps: it still listens");
-        // another gateway is in order, and finds at most one write that was not answered
+        // another gateway works, and at most one write was not answered
         let is_up = Arc::new(Mutex::new(false));
         let (next, task) = start(link, robot, Arc::clone(&is_up)).await;
         while !*is_up.lock().unwrap() {

@@ -72,7 +72,7 @@ impl Handler for Logged<'_> {
 /// are dropped. While it waits, time jumps to the next event.
 pub(crate) struct Wire {
     kind: Link,
-    /// How many bytes of a stream are taken at once.
+    /// The number of bytes of a stream that are taken together.
     pub(crate) piece: usize,
     peer: PeerId,
     session: Session<[u8; 1024], [u8; 1024], 128>,
@@ -202,7 +202,7 @@ impl Transport for Wire {
     }
 
     async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, Infallible> {
-        // a time that has passed reads what arrived before the call, and waits for nothing
+        // a deadline in the past reads the bytes that arrived before the call, and does not wait
         if until > self.now() {
             self.limits.insert(until);
         }

@@ -1,9 +1,8 @@
 //! Drops every async function at every await point; the connection must then work for the next call.
 //!
 //! A future is polled n times and dropped, for n = 1, 2, ... until it ends. Then an ordinary call is made. Its reply must
-//! be its own, its timing the usual one, and on the server nothing may have run twice. The functions are listed in
-//! `coverage.rs`, and the list is compared with the sources. `embassy-adapter/tests/cancellation.rs` does the same for
-//! bcap-embassy.
+//! be its own, its timing the usual one, and the server must have run no call twice. The functions are listed in `coverage.rs`,
+//! and the list is compared with the sources. `embassy-adapter/tests/cancellation.rs` does the same for bcap-embassy.
 
 mod calls;
 mod controller;

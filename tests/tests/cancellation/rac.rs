@@ -80,7 +80,7 @@ impl Transport for Line {
 
     async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, Infallible> {
         if until <= self.now() {
-            // reads what arrived before the call, and waits for nothing
+            // reads the bytes that arrived before the call, and does not wait
             let byte = poll_fn(|_| self.poll(|line| Some(line.pending.pop_front()))).await;
             return Ok(byte.map(|byte| {
                 buffer[0] = byte;

@@ -34,7 +34,7 @@ const LATER: Duration = Duration::from_secs(60);
 const TCP: Timing = Timing { attempt_timeout: Duration::from_millis(2900), ..Timing::TCP };
 const UDP: Timing = Timing { attempt_timeout: Duration::from_millis(40), attempts: 50, ..Timing::UDP };
 
-/// Drops a future when it has been woken and polled so often, and returns its output if it ended before.
+/// Drops a future after `polls` polls, and returns its output if it ended before.
 async fn dropped_after<T>(polls: usize, future: impl Future<Output = T>) -> Option<T> {
     let (mut future, mut left) = (pin!(future), polls);
     poll_fn(|context| match future.as_mut().poll(context) {
@@ -47,7 +47,7 @@ async fn dropped_after<T>(polls: usize, future: impl Future<Output = T>) -> Opti
     .await
 }
 
-/// Drops a future that looks a name up when it has been polled so often; the first poll never finds the answer.
+/// Polls a name lookup `polls` times, then drops it; the first poll never gets the answer.
 ///
 /// The runtime has one thread for lookups, which is kept busy until then.
 async fn dropped_in_lookup<T>(polls: usize, future: impl Future<Output = T>) -> Option<T> {
@@ -116,7 +116,7 @@ impl<X: Transport> Transport for Recorded<X> {
     }
 
     async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, X::Error> {
-        // a time that has passed reads what arrived before the call, and waits for nothing
+        // a deadline in the past reads the bytes that arrived before the call, and does not wait
         if until > self.now() {
             self.limits.push(until);
         }
@@ -147,7 +147,7 @@ async fn token<X: Transport<Error = io::Error>>(
     reply.ok().and_then(|value| value.as_i32())
 }
 
-/// Makes an ordinary call and checks its reply, its time limits and that it was executed once.
+/// Sends an ordinary call and checks its reply, its time limits and that it was executed once.
 async fn check<X: Transport<Error = io::Error>>(
     robot: &mut Robot<X>,
     controller: ControllerHandle,
@@ -178,7 +178,7 @@ async fn drip(from: impl AsyncReadExt, to: impl AsyncWriteExt) {
     }
 }
 
-/// Stands between clients and a server, and passes single bytes on.
+/// A relay between clients and a server that passes single bytes.
 async fn dripping(server: SocketAddr) -> (SocketAddr, JoinHandle<()>) {
     let listener = TcpListener::bind(ANY).await.unwrap();
     let address = listener.local_addr().unwrap();
@@ -256,7 +256,7 @@ async fn udp_calls() -> usize {
             let ended = dropped_after(polls, token(&mut robot, controller, number)).await.is_some();
             lose.set(0);
             check(&mut robot, controller, &server, number + 1, UDP.attempt_timeout).await;
-            // one that is repeated: the first attempt waits for as long as ever, and it is executed once
+            // a repeated call: the first attempt has its full timeout, and the call is executed once
             lose.set(1);
             let before = check(&mut robot, controller, &server, number + 2, UDP.attempt_timeout).await;
             let limits = &robot.transport().limits;
@@ -331,7 +331,7 @@ async fn line() -> (SerialTransport, SerialStream) {
     (SerialTransport::new(port), peer)
 }
 
-/// Drops `send` of `total` bytes on a stream that takes nothing; returns how often it was polled.
+/// Drops `send` of `total` bytes on a stream that takes nothing; returns the number of polls.
 async fn stream_send<X: Transport<Error = io::Error>, P: AsyncRead + Unpin + 'static>(
     ends: impl AsyncFn() -> (X, P),
     total: usize,
@@ -373,7 +373,7 @@ async fn stream_send<X: Transport<Error = io::Error>, P: AsyncRead + Unpin + 'st
     points
 }
 
-/// Drops `receive` between bytes that come one at a time; returns the number of await points.
+/// Drops `receive` between bytes that arrive one at a time; returns the number of await points.
 async fn stream_receive<X: Transport<Error = io::Error>, P: AsyncWrite + Unpin + 'static>(
     (mut transport, mut peer): (X, P),
 ) -> usize {
@@ -409,7 +409,7 @@ async fn udp_transport() -> [usize; 2] {
     let (mut points, mut sends) = (0, 0);
     let mut buffer = [0; 8];
     for number in 0..50_u8 {
-        // dropped while nothing is there
+        // dropped before bytes arrive
         points += usize::from(dropped_after(1, transport.receive(&mut buffer, until)).await.is_none());
         peer.send(&[number; 5]).await.unwrap();
         assert_eq!(transport.receive(&mut buffer, until).await.unwrap(), Some(5));
@@ -427,7 +427,7 @@ async fn udp_transport() -> [usize; 2] {
     [points, sends]
 }
 
-/// Drops a pause; the next one takes as long as ever.
+/// Drops a pause; the next pause has its full length.
 async fn sleeping<X: Transport>(mut transport: X) -> usize {
     let soon = |transport: &X| transport.now().saturating_add(Duration::from_millis(3));
     let at = soon(&transport);
@@ -454,7 +454,7 @@ async fn binding() -> [usize; 3] {
     points
 }
 
-/// Drops a server after so many steps of its tasks, while a client calls; returns the number of steps.
+/// Drops a server after 1, 2, ... steps of its tasks, during calls of a client; returns the number of steps.
 async fn running() -> usize {
     const STEPS: usize = 120;
     for steps in 1..=STEPS {

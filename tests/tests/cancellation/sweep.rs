@@ -72,8 +72,7 @@ impl Rig {
         self.world.borrow().now
     }
 
-    /// Makes an ordinary call and checks its reply and its timing; on a lossy link, even when its first attempt is
-    /// lost.
+    /// Sends an ordinary call and checks its reply and its timing; on a lossy link, even when its first attempt is lost.
     fn check(&mut self, token: i32, lost: bool) -> Result<(), String> {
         let usual = usual(self.kind);
         let name = format!("token {token}");
@@ -113,7 +112,7 @@ impl Rig {
 pub(crate) struct Sweep {
     pub(crate) name: &'static str,
     pub(crate) kind: Link,
-    /// Bytes that the link takes at once.
+    /// Bytes that the link takes together.
     pub(crate) piece: usize,
     pub(crate) prepare: fn(&mut Rig),
 }
@@ -196,7 +195,7 @@ impl Sweep {
     }
 }
 
-/// Polls a future so many times, and returns its output if it ended.
+/// Polls a future `times` times, and returns its output if it ended.
 pub(crate) fn poll_times<T>(future: impl Future<Output = T>, times: usize) -> Option<T> {
     let mut future = pin!(future);
     let mut context = Context::from_waker(Waker::noop());

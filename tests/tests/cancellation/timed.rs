@@ -14,7 +14,7 @@ use embedded_io_async::{ErrorType, Read, Write};
 
 use crate::cancellation::sweep::{finish, poll_times};
 
-/// A clock that goes on by a millisecond whenever its timer is polled.
+/// A clock that advances by a millisecond whenever its timer is polled.
 #[derive(Clone, Default)]
 struct Ticks(Rc<Cell<u64>>);
 
@@ -84,7 +84,7 @@ impl Write for Device {
 const LATER: Duration = Duration::from_secs(1000);
 const BYTES: &[u8] = b"a request";
 
-/// Drops `send` and `receive` of a byte after so many polls, then moves all bytes.
+/// Drops `send` and `receive` of a byte after `polls` polls, then moves all bytes.
 fn dropped(polls: usize, sends: bool) -> bool {
     let (mut device, ticks) = (Device::default(), Ticks::default());
     device.incoming.extend(BYTES);

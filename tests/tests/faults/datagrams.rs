@@ -20,7 +20,7 @@ struct Calls {
     address: SocketAddr,
     options: Options,
     next: AtomicI32,
-    /// How long one call in ten takes, in milliseconds: longer than its first attempt.
+    /// The duration of one call in ten, in milliseconds: longer than its first attempt.
     slow: i32,
     /// By token: whether the call was reported as done.
     reported: Mutex<Vec<Option<bool>>>,
@@ -62,7 +62,7 @@ pub(crate) fn limits() -> Limits {
     Limits::default().udp_peers(1000).udp_peers_per_address(1000)
 }
 
-/// Makes calls by a hundred clients at once, each with a separate token, and checks how often each call was executed.
+/// Makes calls by a hundred concurrent clients, each with a separate token, and checks the number of executions of each call.
 /// Returns how many were reported as done, and how many as failed.
 pub(crate) fn call_over_udp(server: Served, address: SocketAddr, calls: usize, attempt: Duration) -> (usize, usize) {
     let timing = Timing { attempt_timeout: attempt, deadline: Duration::from_secs(10), ..Timing::UDP };

@@ -1,5 +1,5 @@
-//! The same over the loopback of this machine. `bash .ci/run netem` runs it in a network namespace, where the kernel's netem loses one
-//! datagram in ten, repeats one in ten, lets one in four overtake others, and delays each by up to 200 ms.
+//! The same over the loopback of this machine. `bash .ci/run netem` runs it in a network namespace, where the kernel's netem
+//! loses one datagram in ten, duplicates one in ten, reorders one in four, and delays each by up to 200 ms.
 
 use std::time::Duration;
 

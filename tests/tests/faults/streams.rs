@@ -35,7 +35,7 @@ impl From<CallError<std::io::Error>> for Outcome {
     }
 }
 
-/// Options of a client whose calls may take so long.
+/// Options of a client with this timeout of its calls.
 fn options(timeout: Duration) -> Options {
     Options::default().timeout(timeout).connect_timeout(Duration::from_secs(30))
 }
@@ -67,7 +67,7 @@ async fn tokio_session(proxy: &TcpProxy, options: &Options, tokens: i32) -> Resu
     Ok(tokens)
 }
 
-/// A session by each kind of client; both must come to the same.
+/// A session by each kind of client; both must have the same result.
 fn sessions(proxy: &TcpProxy, options: &Options, tokens: i32) -> Result<i32, Outcome> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     let tokio = runtime.block_on(tokio_session(proxy, options, tokens));
@@ -121,7 +121,7 @@ fn a_stall_beyond_the_timeout_costs_its_call_and_not_the_next() {
         let mut client = blocking::connect_tcp(proxy.address, &options(Duration::from_millis(800))).unwrap();
         let outcomes: Vec<bool> = (0..200)
             .map(|token| match client.call(call::controller_execute(ControllerHandle(1), "token", [token, 0])) {
-                // the server has not issued this handle; the refusal is an answer, too
+                // the server has not issued this handle; the refusal is also an answer
                 Err(CallError::Refused(HResult::E_HANDLE)) => true,
                 Err(CallError::Client(ClientError::Timeout(Timeout::Attempt))) => false,
                 other => panic!("{other:?}"),
@@ -144,7 +144,7 @@ fn every_call_ends_on_a_faulty_stream() {
         match blocking_session(&proxy, &options(PATIENT), 20) {
             Ok(_) => whole += 1,
             Err(Outcome::Lost) => ended += 1,
-            // late is not lost, and nothing was changed on the way
+            // delayed bytes were not lost, and no byte was changed
             Err(other) => panic!("seed {seed}: {other:?}"),
         }
     }

@@ -21,7 +21,7 @@ use super::{Protocol, Run, map};
 type Shared<'m> = SharedGateway<'m, NoopRawMutex, 2>;
 
 const BOARD: Ipv4Addr = Ipv4Addr::new(10, 255, 0, 1);
-/// The address of a client on the cable whose address the gateway does not know.
+/// The address of a client on the cable whose address is unknown to the gateway.
 const UNKNOWN: Ipv4Addr = Ipv4Addr::new(10, 0, 0, 7);
 
 thread_local! {
@@ -68,7 +68,7 @@ pub(crate) fn run(config: Config<'static>, from: Option<Ipv4Addr>, protocol: Pro
     Run { responses: got, reports: REPORTS.take() }
 }
 
-/// Serves the first client as one on a serial line, whose address the gateway does not know.
+/// Serves the first client like a client on a serial line, whose address is unknown to the gateway.
 async fn serve_line(mut socket: TcpSocket<'_>, protocol: Protocol, shared: &Shared<'_>) -> ! {
     socket.accept(port(protocol)).await.unwrap();
     let is_admitted = shared.admits(None);

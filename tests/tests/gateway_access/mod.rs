@@ -50,7 +50,7 @@ struct Run {
     reports: Vec<String>,
 }
 
-/// Starts a gateway, sends requests one after another, and returns what happened.
+/// Starts a gateway, sends requests in sequence, and returns the events.
 type Driver = fn(config: Config<'static>, from: Option<Ipv4Addr>, protocol: Protocol, requests: &[Vec<u8>]) -> Run;
 
 /// The drivers, with the first byte of their IPv4 addresses.
@@ -169,7 +169,7 @@ fn both_drivers_give_clients_the_same_access() {
             let from = match client {
                 Client::Ipv4([b, c, d]) => Some([first, b, c, d].into()),
                 Client::Other if driver_serves_no_ipv6(first) => {
-                    // no package has it, so it is no failure with CI=true
+                    // no package provides it, so it is not a failure even with CI=true
                     let _ = writeln!(io::stderr(), "skipped: this machine has no address ::1");
                     continue;
                 }

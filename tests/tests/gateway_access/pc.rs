@@ -46,7 +46,7 @@ fn run_at(
         };
         let (log, reports) = mpsc::channel();
         let gateway = Gateway::new(config, Box::leak(Box::new(Memory::<2, 4>::new())));
-        // no robot: nothing listens on this port
+        // no robot: no server listens on this port
         let driver = Driver::new(gateway, ("127.0.0.1", 1), move |report| match *report {
             Report::Connected { .. } => log.send("connected".to_owned()).unwrap(),
             Report::Denied { reason, .. } => log.send(format!("denied: {reason:?}")).unwrap(),

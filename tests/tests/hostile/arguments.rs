@@ -74,7 +74,7 @@ fn every_function_without_arguments(target: &mut Target) {
     raw.begin();
     for function in FunctionId::all() {
         let code = HResult(raw.call(&request(function, vec![])).code);
-        // two functions take none, and the guides' own Service_Start has left its one out
+        // two functions take no arguments, and Service_Start in the guides has none either
         let takes_none = kinds(function).is_empty() || function == FunctionId::SERVICE_START;
         assert_eq!(code == HResult::E_INVALIDARG, !takes_none, "{}: {code}", function.0);
         for given in 1..kinds(function).len() {
@@ -230,7 +230,7 @@ fn options_that_are_none(target: &mut Target) {
     raw.begin();
 }
 
-/// A call that takes longer than it may is answered, and the connection is free for the next.
+/// A call that exceeds its time limit is answered, and the connection is free for the next.
 fn a_time_limit_that_passes(target: &mut Target) {
     let mut raw = Raw::connect(target.tcp);
     let controller = raw.begin();

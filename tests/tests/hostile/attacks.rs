@@ -38,8 +38,8 @@ pub(crate) const CASES: &[Case] = crate::cases! {
         a_fifo_among_the_files
 };
 
-/// Two clients with one request of 14 MiB after the other; between a small call and its reply the server carries out a
-/// few of them at most.
+/// Two clients that send requests of 14 MiB in sequence; between a small call and its reply the server executes a few of them
+/// at most.
 fn large_requests_leave_others_their_turn(target: &mut Target) {
     let large = bytes(FunctionId::SERVICE_START, vec![Value::Bstr(vec![0x30a2; 7 << 20])]);
     let (carried_out, stopped) = (AtomicUsize::new(0), AtomicBool::new(false));

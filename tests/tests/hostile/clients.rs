@@ -178,7 +178,7 @@ fn endless_keep_alives(_: &mut Target) {
             std::thread::sleep(Duration::from_millis(10));
         }
     });
-    // a flood ends the session at once
+    // a flood ends the session immediately
     options.tcp.timing.deadline = Duration::from_secs(20);
     ends(&options, &[FLOODED, Outcome::Client(ClientError::Closed)], |connection| {
         let serial = connection.request();
@@ -288,7 +288,7 @@ fn replies_with_an_invalid_length(_: &mut Target) {
         let outcomes = calls(&long_timeouts(), 1, || serve_bytes(bytes.clone()));
         assert!(malformed(&outcomes[0]).is_some(), "byte {at}: {outcomes:?}");
     }
-    // a length within the limit is waited for, and no longer than for any reply
+    // for a length within the limit the client waits as long as for any reply, not longer
     let mut bytes = right(FIRST);
     bytes[field::LENGTH].copy_from_slice(&(16_u32 << 20).to_le_bytes());
     assert_eq!(calls(&brief(), 1, || serve_bytes(bytes.clone())), [SILENCE]);
@@ -302,7 +302,7 @@ fn replies_with_a_large_string(_: &mut Target) {
     }
 }
 
-/// A client may have a smaller buffer; it skips a reply that does not fit, and reads the next one.
+/// A client may have a smaller buffer; it skips a reply that does not fit, and reads the next reply.
 fn a_reply_that_is_too_large(_: &mut Target) {
     use bcap_core::bcap::Client;
     use bcap_core::io::blocking::Connection;

@@ -54,7 +54,7 @@ fn one_byte_then_silence(target: &mut Target) {
         all.iter_mut().for_each(|raw| raw.send(part));
         target.serves_others();
         sleeps(target);
-        // no request has come in its time, so there is nothing to answer
+        // no request has arrived in time, so there is nothing to answer
         for mut raw in all {
             assert_eq!(raw.rest(), [0_u8; 0]);
         }
@@ -175,7 +175,7 @@ fn endless_requests_do_not_starve_others(target: &mut Target) {
     assert!(turns > 1, "others had their turn while it asked");
 }
 
-/// Requests that are cut so that one is always unfinished are not slow: each one comes in time.
+/// Requests that are cut so that one is always unfinished are not slow: each arrives in time.
 fn pieces_that_never_end_with_a_request(target: &mut Target) {
     let mut raw = Raw::connect(target.tcp);
     raw.begin();
@@ -202,7 +202,7 @@ fn large_requests_of_many_at_the_same_time(target: &mut Target) {
     assert!(in_time, "12 requests of 8 MiB take longer than {:?}, five times in a row", limits().receive);
 }
 
-/// Sends 12 requests of 8 MiB, the last byte of each after all others; tells whether the server answered all of them.
+/// Sends 12 requests of 8 MiB, the last byte of each after all others; returns whether the server answered all of them.
 fn large_requests(target: &mut Target) -> bool {
     let large = bytes(FunctionId::SERVICE_START, vec![Value::Bstr(vec![0x30a2; 4 << 20])]);
     let (end, large) = large.split_last().unwrap();
@@ -240,7 +240,7 @@ fn a_peer_that_never_reads(target: &mut Target) {
     // until neither side's buffers take any more
     while raw.stream().write_all(&requests).is_ok() {}
     target.serves_others();
-    // when its time to accept a reply is over it is let go, although it still does not read
+    // when its time to accept a reply is over it is disconnected, although it still does not read
     target.has_released_all();
 }
 

@@ -114,7 +114,7 @@ fn replies_repeated(_: &mut Target) {
 }
 
 fn a_late_datagram_does_not_end_the_next_call(_: &mut Target) {
-    // the first call's three attempts are answered when the second call has come
+    // the first call's three attempts are answered when the second call has arrived
     ends(&[SILENCE, RIGHT], |datagram, count| {
         let serial = serial_of(datagram);
         let late = (1..=3).map(|ago| reply_frame(serial.wrapping_sub(ago), HResult::S_OK, vec![Value::text("late")]));
@@ -147,7 +147,7 @@ fn endless_keep_alives_over_udp(_: &mut Target) {
             let mut buffer = [0; 600];
             let (length, from) = socket.recv_from(&mut buffer).unwrap();
             let serial = serial_of(&buffer[..length]);
-            // until the client's socket has gone, which the loopback tells
+            // until the client's socket is closed, which the loopback reports
             while socket.send_to(&reply_frame(serial, HResult::S_EXECUTING, vec![]), from).is_ok() {
                 std::thread::sleep(std::time::Duration::from_millis(10));
             }

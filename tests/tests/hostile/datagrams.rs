@@ -40,7 +40,7 @@ fn datagrams_below_a_header(target: &mut Target) {
     for length in 0..16 {
         peer.send(&[1; 16][..length]);
         peer.send(&[0; 16][..length]);
-        // too short to say whom an answer is for, and too short to be worth forging a sender
+        // too short to identify the receiver of an answer, and too short to be worth forging a sender
         peer.hears_nothing();
     }
 }
@@ -49,7 +49,7 @@ fn datagrams_with_broken_values(target: &mut Target) {
     let mut peer = Raw::datagrams(target.udp);
     let unknown = UNKNOWN_TYPES.iter().map(|vartype| ("unknown type", value(*vartype, 1, &[0; 4])));
     let deep = [9, 16, 17, 70].map(|levels| ("nesting", nested(levels)));
-    // only a known peer is told; garbage makes no peers
+    // only a known peer gets an error; garbage creates no peers
     peer.begin();
     for (name, value) in broken_values().into_iter().chain(unknown).chain(deep) {
         peer.send(&frame(SERIAL, FunctionId::SERVICE_START.0, 1, &argument(&value)));
@@ -116,7 +116,7 @@ fn every_beginning_of_every_frame(target: &mut Target) {
     peer.serial = 60_000;
     for vector in frames() {
         peer.hears_nothing();
-        // from where on there is a header, a known peer is told
+        // once the header is complete, a known peer gets an error
         for cut in 0..vector.bytes.len() {
             peer.send(&vector.bytes[..cut]);
         }
@@ -168,7 +168,7 @@ fn one_serial_for_two_functions(target: &mut Target) {
     peer.end();
 }
 
-/// A first request of serial 0 is executed and not taken for one that was answered before.
+/// A first request of serial 0 is executed, and not treated as a request that was answered before.
 fn a_serial_of_zero(target: &mut Target) {
     let mut peer = Raw::datagrams(target.udp);
     let open = target.open();
@@ -303,7 +303,7 @@ fn more_peers_than_slots(target: &mut Target) {
     for peer in &mut inside {
         assert_eq!(peer.ask(FunctionId::SERVICE_START, vec![]).code, 0, "who is in stays in");
     }
-    // who ends his service makes room for others at once
+    // a peer that ends its service makes room for others immediately
     for peer in &mut inside {
         peer.end();
         target.serves_others();

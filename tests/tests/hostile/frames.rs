@@ -44,7 +44,7 @@ fn refused(target: &Target, name: &str, bytes: &[u8], code: HResult) {
     assert_eq!(replies, [expected], "{name}");
 }
 
-/// A request with one argument, which may be no value.
+/// A request with one argument, which may be an invalid value.
 fn with_value(value: &[u8]) -> Vec<u8> {
     frame(SERIAL, FunctionId::SERVICE_START.0, 1, &argument(value))
 }
@@ -199,7 +199,7 @@ fn nesting_of_any_depth(target: &mut Target) {
 fn strings_around_sixteen_bits(target: &mut Target) {
     let lengths = [0, 1, 16_382, 16_383, 16_384, 32_767, 32_768, 40_000, 65_535, 65_536, 70_000, 200_000];
     echoes(target, lengths.map(|length| Value::Bstr((0..length).map(|n| 1 + n as u16 % 0xd000).collect())));
-    // and as they are named: no room for a value of 1 KiB is no reason to fall
+    // and as names: a server with no room for a value of 1 KiB must not fail
     let mut raw = Raw::connect(target.tcp);
     let controller = raw.begin();
     let long = Value::Bstr(vec![65; 40_000]);
@@ -264,7 +264,7 @@ fn random_garbage(target: &mut Target) {
         raw.send(&bytes);
         raw.finish();
         let codes: Vec<HResult> = raw.replies().into_iter().map(|reply| HResult(reply.code)).collect();
-        // what comes behind a refusal is not read, and a connection that is closed with bytes unread may lose its answer
+        // bytes after a refusal are not read, and a connection that is closed with bytes unread may lose its answer
         if bytes[0] != 1 && length < 4096 {
             assert_eq!(codes, [HResult::E_INVALIDRCPACKET], "{length} bytes");
         }

@@ -264,7 +264,7 @@ fn parentheses_that_do_not_pair(target: &mut Target) {
     {
         lines.refuses(format!("PUT:RC8:1:S:{value}"), HResult::E_INVALIDARGTYPE);
     }
-    // at the top a string is what stands there
+    // at the top level a string is taken literally
     assert_eq!(lines.through("S", "8,a)(b,c("), "0,8,a)(b,c(");
     assert_eq!(lines.through("S", "12,(8,Sample)"), "0,12,(8,Sample)");
     assert_eq!(lines.through("S", "8204,(0),(1),(8,a,b)"), "0,8204,(0,),(1,),(8,a,b)");

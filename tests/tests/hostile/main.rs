@@ -35,7 +35,7 @@ use libtest_mimic::{Arguments, Trial};
 
 use crate::target::Target;
 
-/// How much a process may grow over a group.
+/// Maximum growth of a process over a group.
 const GROWTH: u64 = 10 << 20;
 
 /// A case of a group.
@@ -70,7 +70,7 @@ fn main() -> ExitCode {
         target::serve();
         return ExitCode::SUCCESS;
     }
-    // one after the other: the cases share the server, and its memory is measured
+    // in sequence: the cases share the server, and its memory is measured
     let arguments = Arguments { test_threads: Some(1), ..Arguments::from_args() };
     if arguments.list {
         let none = Arc::new(Mutex::new(None));

@@ -62,7 +62,7 @@ fn gets(options: &Options, count: usize, script: fn(&mut Connection)) -> Vec<Out
     gets_told(options, count, move |connection, _| script(connection))
 }
 
-/// The same; the script is told when a request of the client has ended.
+/// The same; the script gets a message when a request of the client has ended.
 fn gets_told(
     options: &Options,
     count: usize,

@@ -109,7 +109,7 @@ pub(crate) fn serve_bytes(bytes: Vec<u8>) -> SocketAddr {
 /// The answers of a server to a datagram: none, one or several.
 pub(crate) type Answers = fn(&[u8], u32) -> Vec<Vec<u8>>;
 
-/// Starts a server over UDP, which is told how many datagrams have come. It ends when none has for a while.
+/// Starts a server over UDP; `answers` gets the number of datagrams so far. It ends when no datagram has arrived for 5 s.
 pub(crate) fn serve_udp(mut answers: impl FnMut(&[u8], u32) -> Vec<Vec<u8>> + Send + 'static) -> SocketAddr {
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
     let address = socket.local_addr().unwrap();
@@ -132,7 +132,7 @@ pub(crate) fn serial_of(datagram: &[u8]) -> u16 {
     field::serial(datagram).unwrap()
 }
 
-/// Options of a client that soon gives up.
+/// Options of a client with short timeouts.
 pub(crate) fn brief() -> Options {
     let timing = Timing {
         attempt_timeout: Duration::from_millis(500),

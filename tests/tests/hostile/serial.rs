@@ -69,7 +69,7 @@ fn a_wrong_crc_is_passed_over(_: &mut Target) {
         bad[at] ^= 0x10;
         assert_eq!(send(&mut line, &bad), [0_u8; 0], "byte {at}");
     }
-    // a thousand more leave no less room than one
+    // a thousand invalid frames use no more buffer than one
     let mut bad = good(1);
     bad[field::CODE.start] ^= 1;
     assert_eq!(send(&mut line, &bad.repeat(1000)), [0_u8; 0]);

@@ -43,7 +43,7 @@ pub(crate) fn frame(serial: u16, code: i32, count: u16, body: &[u8]) -> Vec<u8> 
     bytes
 }
 
-/// An argument with its length, around bytes that may be no value.
+/// An argument with its length, around bytes that may be an invalid value.
 pub(crate) fn argument(value: &[u8]) -> Vec<u8> {
     let mut bytes = u32::try_from(value.len()).unwrap().to_le_bytes().to_vec();
     bytes.extend(value);
@@ -58,7 +58,7 @@ pub(crate) fn value(vartype: u16, count: u32, data: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// VARIANTs in VARIANTs, so many levels, with EMPTY at the bottom.
+/// VARIANTs in VARIANTs, `levels` deep, with EMPTY at the bottom.
 pub(crate) fn nested(levels: usize) -> Vec<u8> {
     let mut bytes: Vec<u8> = [0x0c, 0x20, 1, 0, 0, 0].repeat(levels);
     bytes.extend([0, 0, 1, 0, 0, 0]);
@@ -94,7 +94,7 @@ pub(crate) fn broken_values() -> Vec<(&'static str, Vec<u8>)> {
 pub(crate) const UNKNOWN_TYPES: &[u16] =
     &[9, 13, 14, 16, 22, 23, 24, 36, 0x1003, 0x2009, 0x200d, 0x200e, 0x2010, 0x2018, 0x4003, 0x400c, 0x6003, 0xffff];
 
-/// Bounds a case that fails: nothing here waits so long.
+/// Time limit of a failing case: a passing case never waits this long.
 pub(crate) const LIMIT: Duration = Duration::from_secs(30);
 
 /// A client that sends and receives raw bytes.
@@ -126,7 +126,8 @@ impl Raw {
         self.wire.stream().expect("a connection over TCP")
     }
 
-    /// Sends bytes; the server may have closed before it has read all of them. A frame that is larger than a datagram is not sent.
+    /// Sends bytes; the server may have closed before it has read all of them. A frame that is larger than a datagram is not
+    /// sent.
     pub(crate) fn send(&mut self, bytes: &[u8]) {
         match self.wire.send(bytes) {
             Err(error) if self.link == Link::Tcp && !is_closed(error.kind()) => panic!("{error}"),
@@ -134,7 +135,7 @@ impl Raw {
         }
     }
 
-    /// Says that nothing more will come.
+    /// Shuts down the sending direction.
     pub(crate) fn finish(&mut self) {
         let _ = self.wire.finish();
     }
@@ -168,7 +169,7 @@ impl Raw {
         reply
     }
 
-    /// Makes a call with the next serial.
+    /// Sends a call with the next serial.
     pub(crate) fn ask(&mut self, function: FunctionId, args: Vec<Value>) -> TestFrame {
         self.serial += 1;
         let reserved = if self.link.repeats() { self.serial } else { 0 };
@@ -202,7 +203,7 @@ impl Raw {
         assert_eq!(self.ask(FunctionId::SERVICE_STOP, vec![]).code, 0);
     }
 
-    /// Asserts that the bytes sent before get no answer: the answer to a call comes first.
+    /// Asserts that the bytes sent before get no answer: the answer to a call arrives first.
     pub(crate) fn hears_nothing(&mut self) {
         assert_eq!(self.ask(FunctionId(138), vec![]).code, HResult::E_INVALIDARG.0);
     }

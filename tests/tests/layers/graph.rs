@@ -97,7 +97,7 @@ fn reachable<'a>(arrows: &'a Arrows, node: &'a String) -> BTreeSet<&'a String> {
     found
 }
 
-/// Returns an order of layers that the arrows keep, the highest first; there must be no circle.
+/// Returns the layers in topological order, the highest first; there must be no cycle.
 pub(crate) fn order(arrows: &Arrows) -> Vec<Vec<&str>> {
     let mut layers = Vec::new();
     let mut left: BTreeSet<_> = arrows.keys().map(String::as_str).collect();

@@ -1,7 +1,7 @@
 //! Tests the layers: no module imports one above it, and the files of a crate have no import cycles.
 //!
 //! The order of packages and modules is the block `layers` in `docs/design.md`. `cargo test -p bcap-tests layers:: --
-//! --nocapture` prints the number of circles of each crate, and where the block is wrong, an order that the code keeps.
+//! --nocapture` prints the number of cycles of each crate, and where the block is wrong, an order that the code follows.
 
 mod graph;
 mod source;
@@ -36,7 +36,7 @@ const CRATES: [(&str, &str); 19] = [
     ("bcap-firmware", "embassy-adapter/firmware"),
 ];
 
-/// Circles that the types themselves have: a value can be an array, and the elements of an array are values.
+/// Cycles of the types themselves: a value can be an array, and the elements of an array are values.
 const RECURSIVE_TYPES: [(&str, [&str; 2]); 1] = [("bcap-core", ["variant/array.rs", "variant/mod.rs"])];
 
 /// Packages whose dependencies alone are checked.

@@ -17,9 +17,9 @@ const FULL: &[u8] = b"-2147481333\r";
 /// Serves one PLC until its session ends, and returns the reason; `None` when it gets no slot.
 ///
 /// When all slots are in use, it first ends the session of the client that has been idle for the longest time, at least
-/// [`Limits::evict_after`], preferably one of the same host.
+/// [`Limits::evict_after`], preferably a client of the same host.
 ///
-/// At most `CHUNK` bytes move at once. `failure` returns the reported part of an error of the transport.
+/// Each transfer moves at most `CHUNK` bytes. `failure` returns the reported part of an error of the transport.
 ///
 /// # Cancel safety
 ///
@@ -52,7 +52,7 @@ impl<P: Platform> Drop for ClientSlot<'_, '_, P> {
     }
 }
 
-/// What a session does next.
+/// The next action of a session.
 enum Next {
     /// Move lines or events first.
     Poll,
@@ -92,7 +92,7 @@ struct Timer {
 impl Timer {
     const STOPPED: Self = Self { limited: Limited::No, since: Instant::ZERO };
 
-    /// Returns when the limit ends, which begins now if another one applied before; an error if it has ended.
+    /// Returns when the limit ends, which begins now if another limit applied before; an error if it has ended.
     fn until<E>(&mut self, limited: Limited, now: Instant, limits: &Limits) -> Result<Instant, Ended<E>> {
         if limited != self.limited {
             *self = Self { limited, since: now };
@@ -124,7 +124,7 @@ async fn run_session<X: Transport, P: Platform>(
         if matches!(next, Next::Poll) {
             continue;
         }
-        // one line a turn, so a client that sends many lines at once does not slow the others
+        // one line a turn, so a client that sends many lines together does not slow other clients
         if had_turn && matches!(next, Next::Send(_)) {
             had_turn = false;
             yield_now().await;
@@ -175,7 +175,7 @@ async fn run_session<X: Transport, P: Platform>(
     }
 }
 
-/// Decides what a session does next, and which limit applies; copies bytes to send to a client of RAC into `chunk`.
+/// Returns the next action of a session and the limit that applies; copies bytes to send to a client of RAC into `chunk`.
 fn plan<P: Platform>(
     shared: &SharedGateway<'_, P>,
     front: &mut Front<'_, '_>,
@@ -214,8 +214,8 @@ fn plan<P: Platform>(
     planned.unwrap_or(Ok((Next::Receive(0), Limited::No)))
 }
 
-/// Answers the first request of a client without a slot, for at most `limit`: a line with E_MAX_CONNECT, a request of Modbus with
-/// the exception "server device busy".
+/// Answers the first request of a client without a slot, for at most `limit`: a line with E_MAX_CONNECT, a request of Modbus
+/// with the exception "server device busy".
 ///
 /// # Cancel safety
 ///
@@ -238,7 +238,7 @@ pub async fn refuse<X: Transport>(transport: &mut X, mut front: Front<'_, '_>, l
     let _ = transport.send(front.answer(FULL), until).await;
 }
 
-/// Returns whether the bytes complete a request of Modbus, or are part of a line, and makes the answer.
+/// Returns whether the bytes complete a request of Modbus, or end a line, and prepares the answer.
 fn is_request(front: &mut Front<'_, '_>, bytes: &[u8]) -> bool {
     let Front::Modbus(session) = front else { return bytes.contains(&b'\r') };
     let bytes = bytes.get(..session.room()).unwrap_or(bytes);

@@ -101,7 +101,7 @@ impl Front<'_, '_> {
     }
 
     /// Returns whether a request of a client of Modbus runs or bytes of its response are left to send. Its client keeps its
-    /// slot meanwhile, also between two lines, while the gateway itself has nothing to do for it.
+    /// slot until then, even between two lines, when the gateway itself has no request of it.
     pub(super) fn is_busy(&self) -> bool {
         matches!(self, Self::Modbus(session) if session.is_running() || !session.transmit().is_empty())
     }

@@ -9,8 +9,8 @@
 //!
 //! Each PLC needs a task that runs [`serve`], the robot one that runs [`run_robot`], which also polls the gateway at its
 //! deadlines. After moving bytes, a task polls the gateway and wakes the tasks that its events concern. The bytes move over
-//! [`Transport`](bcap_core::io::asynch::Transport)s. The lock, the clock and the types of addresses are those of a [`Platform`].
-//! `bcap-std` and `bcap-embassy` each contain one, and the sockets.
+//! [`Transport`](bcap_core::io::asynch::Transport)s. A [`Platform`] provides the lock, the clock and the types of addresses.
+//! `bcap-std` and `bcap-embassy` each contain a platform and the sockets.
 
 mod client;
 mod clients;

@@ -1,4 +1,4 @@
-//! What a driver needs of its platform.
+//! The platform that a driver runs on: lock, clock, addresses, errors.
 
 use core::fmt::Debug;
 use core::net::Ipv4Addr;
@@ -13,7 +13,8 @@ pub trait Lock<T> {
     /// Wraps a value.
     fn new(value: T) -> Self;
 
-    /// Calls `work` with the value. Returns `None` when it is in use, which happens only when the log of a gateway uses the gateway.
+    /// Calls `work` with the value. Returns `None` when it is in use, which happens only when the log of a gateway uses the
+    /// gateway.
     fn with<R>(&self, work: impl FnOnce(&mut T) -> R) -> Option<R>;
 }
 
@@ -35,10 +36,10 @@ pub trait Platform: Sized {
     /// Returns the current time.
     fn now() -> Instant;
 
-    /// Makes memory for up to `capacity` clients.
+    /// Allocates memory for up to `capacity` clients.
     fn clients(capacity: usize) -> Self::Clients;
 
-    /// Returns the IPv4 address of a client, which decides on the rules that apply to it; `None` if it has none.
+    /// Returns the IPv4 address of a client, which determines the rules that apply to it; `None` if it has none.
     fn ipv4(client: Self::Address) -> Option<Ipv4Addr>;
 
     /// Returns whether two clients are on one host.

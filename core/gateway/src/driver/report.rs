@@ -32,8 +32,8 @@ pub enum Report<'a, A, C, E> {
     Answered {
         /// The client's address.
         client: A,
-        /// The line without its CR; the first 256 bytes of an over-long line. A request of Modbus becomes a line for each of its
-        /// variables.
+        /// The line without its CR; the first 256 bytes of an over-long line. A request of Modbus becomes a line for each of
+        /// its variables.
         line: &'a [u8],
         /// How the line was answered.
         event: Event,
@@ -54,8 +54,8 @@ pub enum Report<'a, A, C, E> {
 pub enum Denial {
     /// The rules do not allow its address to connect. Its connection is reset.
     Address,
-    /// All slots are in use, by clients that are not idle. Its first line is answered with E_MAX_CONNECT, its first request of Modbus
-    /// with the exception "server device busy", and its connection is closed.
+    /// All slots are in use, by clients that are not idle. Its first line is answered with E_MAX_CONNECT, its first request of
+    /// Modbus with the exception "server device busy", and its connection is closed.
     Full,
 }
 

@@ -41,7 +41,7 @@ type LinkError<L> = <<L as RobotLink>::Transport as Transport>::Error;
 ///
 /// # Cancel safety
 ///
-/// When the future is dropped, the connection is closed and the gateway is told so. The next run opens another one.
+/// When the future is dropped, the connection is closed and the gateway is notified. The next run opens another connection.
 pub async fn run_robot<L: RobotLink, P: Platform<Cause = L::Cause>>(
     link: &mut L,
     frame: &mut [u8],
@@ -98,7 +98,7 @@ impl<L: RobotLink, P: Platform> Drop for Robot<'_, '_, L, P> {
     }
 }
 
-/// Moves bytes when some can be moved; otherwise waits until it is time for something.
+/// Moves bytes if possible; otherwise waits until then, or until the next deadline.
 async fn transfer<L: RobotLink, P: Platform>(
     link: &mut L,
     frame: &mut [u8],

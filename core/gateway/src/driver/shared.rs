@@ -52,8 +52,8 @@ impl<'m, P: Platform> SharedGateway<'m, P> {
         self.with(|shared| shared.connected().count()).unwrap_or_default()
     }
 
-    /// Returns whether the rules allow a client to connect; logs it if they do not. For listeners of your own, which reset such
-    /// a connection at once. [`serve`](super::serve) checks it again.
+    /// Returns whether the rules allow a client to connect; logs it if they do not. For custom listeners, which reset such a
+    /// connection immediately. [`serve`](super::serve) checks it again.
     pub fn admits(&self, client: P::Address) -> bool {
         let admitted = self.view(|gateway| gateway.config().rules.admits(P::ipv4(client))).unwrap_or_default();
         if !admitted {
@@ -62,12 +62,12 @@ impl<'m, P: Platform> SharedGateway<'m, P> {
         admitted
     }
 
-    /// Logs that a client is not served. For listeners of your own.
+    /// Logs that a client is not served. For custom listeners.
     pub fn deny(&self, client: P::Address, reason: Denial) {
         self.with(|shared| (shared.log)(&Report::Denied { client, reason }));
     }
 
-    /// Ends the sessions of all clients as soon as their running requests are answered. Further clients are served no more.
+    /// Ends the sessions of all clients as soon as their running requests are answered. New clients are not served.
     pub fn stop(&self) {
         self.with(|shared| {
             shared.is_stopping = true;
@@ -103,8 +103,8 @@ impl<'m, P: Platform> SharedGateway<'m, P> {
         self.view(|gateway| gateway.poll_timeout()).flatten().unwrap_or(Instant::FAR_FUTURE)
     }
 
-    /// Gives a client a slot, if necessary the slot of an idle client; `None` if there is no slot for it, or the rules do not allow it
-    /// to connect.
+    /// Assigns a slot to a client, if necessary the slot of an idle client; `None` if there is no slot for it, or the rules do
+    /// not allow it to connect.
     pub(super) fn open(&self, client: P::Address, limits: &Limits) -> Option<PeerId> {
         self.with(|shared| shared.open(client, limits))?
     }
@@ -118,7 +118,7 @@ impl<'m, P: Platform> SharedGateway<'m, P> {
     pub(super) async fn wait_for_client(&self, peer: PeerId) {
         poll_fn(|cx| {
             let poll = |shared: &mut Shared<'m, P>| {
-                // an evicted client is woken at once
+                // an evicted client is woken immediately
                 shared.client(peer).map_or(Poll::Ready(()), |client| client.notify.poll(cx))
             };
             self.with(poll).unwrap_or(Poll::Pending)

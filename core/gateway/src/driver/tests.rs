@@ -157,7 +157,7 @@ fn a_gateway_that_stops_opens_no_session() {
     assert_eq!(std::format!("{shared:?}"), String::from("SharedGateway { .. }"));
 }
 
-/// The listeners ask before; one that forgets it serves no such client either.
+/// The listeners check this before; a listener without the check does not serve such a client either.
 #[test]
 fn a_client_of_no_network_of_the_rules_gets_no_slot() {
     let networks = [Network::parse("10.0.0.0/8").unwrap()];
@@ -170,7 +170,7 @@ fn a_client_of_no_network_of_the_rules_gets_no_slot() {
     assert_eq!(shared.sessions(), 0);
 }
 
-/// The connection of a client that has sent some lines at once, and counts the answers.
+/// The connection of a client that has sent several lines together, and counts the answers.
 struct Lines<'a> {
     lines: &'a [u8],
     answers: &'a Cell<usize>,

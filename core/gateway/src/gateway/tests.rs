@@ -70,7 +70,7 @@ impl Robot {
         self.script.push_back((function, what));
     }
 
-    /// Forgets the connection and its handles.
+    /// Drops the connection and its handles.
     fn reset(&mut self) {
         self.received.clear();
         self.handles.clear();
@@ -796,7 +796,7 @@ fn a_put_is_refused_while_a_stream_runs_or_may_run() {
     bench.robot.script(FunctionId::ROBOT_EXECUTE, Do::Reply(HResult::E_FAIL, None));
     assert_eq!(bench.ask(plc, "PUT:RC8:1:I:3,5\r"), line(HResult::E_SLVMODE_ON));
     bench.robot.calls();
-    // each PUT asks again
+    // each PUT repeats the query
     for number in [5, 6] {
         assert_eq!(bench.ask(plc, &format!("PUT:RC8:1:I:3,{number}\r")), "0\r");
         assert_eq!(bench.robot.calls()[0], MODE);
@@ -828,7 +828,7 @@ fn without_the_robot_object_nothing_is_written() {
     // the heartbeat opens it
     bench.sleep(2000);
     assert_eq!(bench.robot.calls(), ["ControllerGetRobot(I4(77), \"Arm\", \"\")"]);
-    // a handle that the robot no longer knows is replaced
+    // a handle that is no longer valid on the robot is replaced
     bench.robot.script(FunctionId::ROBOT_EXECUTE, Do::Reply(HResult::E_HANDLE, None));
     assert_eq!(bench.ask(plc, "PUT:RC8:1:I:3,5\r"), line(HResult::E_SLVMODE_ON));
     bench.robot.mode = 0;
@@ -845,7 +845,7 @@ fn the_robot_object_is_opened_again_while_a_plc_polls() {
     bench.robot.set("I1", &11_i32);
     let plc = bench.gateway.open().unwrap();
     bench.robot.calls();
-    // one attempt each 2 s, and none after it succeeded
+    // one attempt every 2 s, and none after it succeeded
     for (opened, reply) in [(1, line(HResult::E_SLVMODE_ON)), (1, "0\r".into()), (0, "0\r".into())] {
         for _ in 0..4 {
             bench.sleep(500);

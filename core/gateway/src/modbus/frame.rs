@@ -21,7 +21,7 @@
 use super::map::Table;
 use bcap_core::hresult::HResult;
 
-/// The longest frame in bytes.
+/// Maximum length of a frame in bytes.
 pub(super) const FRAME: usize = 260;
 
 /// The bytes before the function: transaction, protocol, length, unit.
@@ -101,7 +101,7 @@ impl Command {
     }
 }
 
-/// A valid request: one command, or two of them, one after the other.
+/// A valid request: one command, or two commands in sequence.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Work<'a> {
     pub(super) command: Command,
@@ -160,8 +160,7 @@ fn registers(data: &[u8], most: u16) -> Option<(Command, &[u8], u16)> {
     (usize::from(*count) == bytes.len()).then(|| (command(Table::Registers, true, [*a, *b], [*c, *d]), bytes, most))
 }
 
-/// Returns the objects of the device identification that a request asks for, each with its number; `None` for another
-/// function.
+/// Returns the objects of the device identification that a request reads, each with its number; `None` for another function.
 pub(super) fn identification(
     function: &[u8],
 ) -> Result<Option<impl Iterator<Item = (u8, &'static str)> + Clone + use<>>, Exception> {

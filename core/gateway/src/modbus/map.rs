@@ -109,7 +109,7 @@ pub struct Entry {
     pub(super) low_first: bool,
 }
 
-/// Writes the text of the entry, without a format that is the kind's own.
+/// Writes the text of the entry, without the format if it is the default of the kind.
 impl fmt::Display for Entry {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { first, last, kind, index, format, .. } = *self;

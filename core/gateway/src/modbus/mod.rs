@@ -6,13 +6,13 @@
 //!                                   └───────┘
 //! ```
 //!
-//! Holding registers and coils are mapped to variables by a list of [`Entry`]s. A request that covers several variables
-//! becomes a line for each of them, one after another. So rules, rates, logs and counters of a gateway apply to these clients
-//! as they are, and a variable is read-only unless a rule allows a PUT.
+//! Holding registers and coils are mapped to variables by a list of [`Entry`]s. A request that covers several variables becomes
+//! a sequence of lines, one for each of them. So rules, rates, logs and counters of a gateway apply to these clients as they
+//! are, and a variable is read-only unless a rule allows a PUT.
 //!
 //! * **Reads** may begin and end within a variable. Each variable is read at its own time.
 //! * **Writes** must cover variables completely. If a rule refuses one of the variables of a request, none is written. If the
-//!   robot or the rate refuses one, those before it have been written.
+//!   robot or the rate limit refuses one, the preceding variables have been written.
 //! * **Functions** 1 to 6, 15, 16, 22, 23 and 43 (device identification, which needs no line). Input registers are the holding
 //!   registers, discrete inputs are the coils. Every unit identifier is accepted. Function 22 is a GET and a PUT: a change
 //!   between the two is overwritten.
@@ -93,9 +93,9 @@ struct Running {
     masked: [u8; 2],
     /// The number of registers or coils of the command that are done.
     done: u16,
-    /// The response after the reply to the present line, whatever that reply is.
+    /// The response after the reply to the current line, whatever that reply is.
     refusal: Option<Exception>,
-    /// Whether the rules refuse the present line, so that the request ends with its reply.
+    /// Whether the rules refuse the current line, so that the request ends with its reply.
     is_forbidden: bool,
     /// Whether the rules permit all lines of the request, so that the robot refuses an access or a value.
     is_permitted: bool,
@@ -145,8 +145,8 @@ impl<'a> Session<'a> {
 
     /// Takes bytes from the client, as many as there is [`room`](Self::room) for.
     ///
-    /// `permits` tells whether the rules of the gateway permit a request
-    /// ([`Rules::permits`](crate::Rules::permits)); it decides whether a write of several variables begins.
+    /// `permits` returns whether the rules of the gateway permit a request ([`Rules::permits`](crate::Rules::permits)); a write
+    /// of several variables begins only if all are permitted.
     pub fn received(&mut self, bytes: &[u8], permits: impl Fn(&Request<'_>) -> bool) {
         for (to, from) in self.request.iter_mut().skip(self.received).zip(bytes) {
             *to = *from;
@@ -164,8 +164,8 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// Records that the client's connection has taken `count` bytes of [`transmit`](Self::transmit). After the last one, call
-    /// [`received`](Self::received), also with no bytes: the next request may have arrived already.
+    /// Records that the client's connection has taken `count` bytes of [`transmit`](Self::transmit). After the last byte, call
+    /// [`received`](Self::received), even with no bytes: the next request may have arrived already.
     pub const fn transmitted(&mut self, count: usize) {
         self.sent = self.sent.saturating_add(count);
     }
@@ -195,7 +195,7 @@ impl<'a> Session<'a> {
         self.begin(permits);
     }
 
-    /// Begins the next request, if it is complete and the response to the one before it was sent.
+    /// Begins the next request, if it is complete and the previous response was sent.
     fn begin(&mut self, permits: impl Fn(&Request<'_>) -> bool) {
         if self.is_broken || self.running.is_some() || !self.transmit().is_empty() {
             return;
@@ -379,8 +379,8 @@ impl<'a> Session<'a> {
         self.finish(length);
     }
 
-    /// Stores the value of a variable in the response to a read. Returns the number of registers or coils that are done;
-    /// `None` after the last one.
+    /// Stores the value of a variable in the response to a read. Returns the number of registers or coils that are done; `None`
+    /// after the last.
     fn advance(&mut self, command: Command, done: u16, value: Variant<'_>) -> Result<Option<u16>, Exception> {
         let place = place(self.map, command, done).ok_or(Exception::IllegalDataAddress)?;
         let count = share(place, command, done);

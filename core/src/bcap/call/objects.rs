@@ -1,7 +1,7 @@
 //! The usual calls of an object, as methods of its handle.
 //!
 //! They are the functions of the [parent module](super) with an empty option, and the commands that every program of a
-//! robot needs. Any connection makes them: blocking, tokio, embassy.
+//! robot needs. Any connection can send them: blocking, tokio, embassy.
 
 use super::{
     Any, Call, CommandHandle, ControllerHandle, ExtensionHandle, FileHandle, Nothing, RobotHandle, TaskHandle,
@@ -81,7 +81,7 @@ objects! {
         give_arm() -> Any = robot_execute("GiveArm", ());
         /// Switches the motor on or off, `Motor`, and waits until it is.
         motor(on: bool) -> Any = robot_execute("Motor", [i32::from(on), 0]);
-        /// Moves. Without `NEXT` in the option the reply comes at the end of the motion. Dropping the call stops nothing;
+        /// Moves. Without `NEXT` in the option the reply arrives at the end of the motion. Dropping the call stops nothing;
         /// [`move_and_wait`](crate::procedure::move_and_wait) halts the robot when it fails.
         move_to(interpolation: i32, pose: impl Encode, option: &str) -> Nothing = robot_move(interpolation, pose, option);
         /// Halts the robot.

@@ -304,7 +304,7 @@ fn a_partial_frame_on_a_silent_serial_line_is_dropped_at_the_next_attempt() {
     assert_eq!(deliver(&mut client, &good, at(501)), [Event::Replied(HResult::S_OK)]);
 }
 
-/// The forged early reply of a server that knows the next serial.
+/// The forged early reply of a server that predicts the next serial.
 fn forged(serial: u16) -> Vec<u8> {
     ok(serial, 666)
 }

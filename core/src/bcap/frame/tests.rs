@@ -85,7 +85,7 @@ fn a_wrong_argument_length_is_an_error_for_strict_decoders_only() {
     wire[15] = 11;
     assert_eq!(kind(Decoder::TCP.decode(&wire)), (K::Truncated { needed: 11, left: 10 }, 15));
     assert!(lenient.decode(&wire).is_ok());
-    // more bytes than the value uses, all of them present
+    // more bytes than the value uses, none of them missing
     let mut wire = frame(false, &[5, 6]);
     (wire[13], wire[15]) = (1, 24);
     assert_eq!(kind(Decoder::TCP.decode(&wire)), (K::ArgumentLength { declared: 24, used: 10 }, 15));

@@ -4,11 +4,11 @@ use crate::bcap::Object;
 
 /// The objects that a peer has open, in the order in which they were opened.
 ///
-/// Most handlers count their handles up. As long as they do, an object is found by a binary search.
+/// Most handlers assign ascending handles. As long as they do, an object is found by a binary search.
 #[derive(Debug)]
 pub(super) struct OpenObjects<const N: usize> {
     objects: heapless::Vec<(Object, i32), N>,
-    /// No handle is less than the one before it.
+    /// Whether the handles are sorted in ascending order.
     is_ascending: bool,
 }
 
@@ -63,7 +63,7 @@ mod tests {
     use super::*;
     use Object::{Controller, Robot, Service, Task, Variable};
 
-    /// Removes all objects, the last first.
+    /// Removes all objects, in reverse order.
     fn drain<const N: usize>(mut opened: OpenObjects<N>) -> heapless::Vec<(Object, i32), N> {
         core::iter::from_fn(|| opened.pop()).collect()
     }

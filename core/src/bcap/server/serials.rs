@@ -1,8 +1,8 @@
 //! Classifies a request on a lossy link by its serials: as new, as a copy, or as the start of a session.
 //!
-//! Every attempt of a call carries the serial of the first one, its *marker* (b-CAP specification, Table 6-1). A copy
-//! of a call has the marker and the function of the original. `docs/udp-sessions.md` lists every case; `cells.rs` tests
-//! each of them.
+//! Every attempt of a call carries the serial of the first attempt, its *marker* (b-CAP specification, Table 6-1). A copy of a
+//! call has the marker and the function of the original. `docs/udp-sessions.md` lists every case; `cells.rs` tests each of
+//! them.
 
 use core::time::Duration;
 
@@ -44,7 +44,7 @@ pub(super) enum Verdict {
     Executing,
     /// Send the last reply again.
     Repeat,
-    /// Drop it: the call has ended, and its client has sent another one since.
+    /// Drop it: the call has ended, and its client has sent another call since.
     Drop,
 }
 
@@ -85,7 +85,7 @@ impl Serials {
         Self { is_ordered, last: None, start_arguments: 0, service: None }
     }
 
-    /// Decides about a request while the call with the marker and function of `running` runs.
+    /// Classifies a request while the call with the marker and function of `running` runs.
     pub(super) fn judge(&self, attempt: &Attempt, running: Option<(u16, FunctionId)>, now: Instant) -> Verdict {
         let is_running = running.is_some_and(|(marker, function)| attempt.is_of(marker, function));
         if attempt.function == FunctionId::SERVICE_START {
@@ -109,7 +109,7 @@ impl Serials {
         }
     }
 
-    /// Decides about a Service_Start that is not an attempt of the running call.
+    /// Classifies a Service_Start that is not an attempt of the running call.
     fn judge_start(&self, attempt: &Attempt, now: Instant) -> Verdict {
         let Some(service) = self.service else { return Verdict::Begin };
         if attempt.marker != service.marker || attempt.arguments != self.start_arguments {

@@ -105,7 +105,7 @@ fn a_call_dropped_at_any_point_leaves_the_connection_good() {
         let Variant::I4(serial) = value else { panic!("{value:?}") };
         // a call begins when nothing early is left to be read
         assert_eq!(serial, if polls < 2 { 1 } else { 2 }, "after {polls} polls");
-        // the first request has reached the peer whole, or not at all
+        // the peer has received the whole first request, or nothing
         let requests = connection.transport.requests;
         assert!(requests == 2 || (requests == 1 && !first), "{requests} after {polls} polls");
     }
@@ -123,7 +123,7 @@ fn a_stream_may_be_dropped_at_any_point_and_run_again() {
         let mut hold = |_: &Cycle<'_>| slave::Next::Stop;
         let ended = poll_times(connection.run(engine.stream(&mut hold)), polls).is_some();
         if !ended {
-            // the engine is told that its call was dropped, and asks the controller for its state
+            // the engine is notified that its call was dropped, and queries the state of the controller
             let error =
                 poll_times(connection.run(engine.stream(&mut hold)), 5000).expect("it must end").unwrap_err().error;
             let StreamError::Fault { step, cause, .. } = error else { panic!("{error:?}") };
@@ -133,7 +133,7 @@ fn a_stream_may_be_dropped_at_any_point_and_run_again() {
         }
     }
     steps.dedup();
-    // before the first call, this peer's numbers are no position
+    // before the first call, this peer's numbers are not a position
     let dropped = [
         Step::Position,
         Step::GetMode,

@@ -158,7 +158,7 @@ struct Robot {
     now: Instant,
     reply: Option<Vec<u8>>,
     sent: u32,
-    /// How long the client waited in vain.
+    /// Time that the client waited without a reply.
     waited: Vec<Duration>,
 }
 

@@ -78,8 +78,8 @@ fn a_robot_that_brakes_after_the_reply_is_waited_for() {
     }
 }
 
-/// Halts a robot whose controller answers S_FALSE to the first Robot_Halt; `position` gets the milliseconds, and whether there was
-/// a second one.
+/// Halts a robot whose controller answers S_FALSE to the first Robot_Halt; `position` gets the milliseconds, and whether there
+/// was a second one.
 fn nothing_to_halt(position: impl Fn(u64, bool) -> f64) -> Run<Halt> {
     let mut procedure = halt(HANDLES, config());
     let mut now = Instant::ZERO;
@@ -119,7 +119,7 @@ fn a_motion_that_begins_just_after_a_halt_is_halted() {
     assert_eq!(done.result, Ok(outcome(HaltAnswer::Halted, None, true)));
     // the first poll that sees it
     assert_eq!(done.calls, [&POLL[..], &POLL, &[HALT], &POLL, &POLL, &POLL].concat());
-    // a controller that does not say that nothing moved: after the time limit
+    // a controller that does not report that nothing moved: after the time limit
     let again = Cell::new(0);
     let done = halted(|_, call, millis| {
         again.set(again.get() + i32::from(call == HALT));
@@ -257,7 +257,7 @@ fn all_tasks_were_stopped_only_if_none_runs() {
     let halt = done.result.unwrap();
     assert_eq!(halt, outcome(HaltAnswer::Halted, Some(StoppedTasks::AllButRunning), true));
     assert_eq!(halt.to_string(), "halted; KillAll was accepted, but a task still runs");
-    // a supervisory task goes on if the robot rests
+    // a supervisory task continues if the robot rests
     assert_eq!((count(&done.calls, KILL), count(&done.calls, "Task_Stop(")), (1, 0));
 }
 
@@ -351,7 +351,7 @@ fn in_slave_mode_sys_state_is_not_sent() {
         });
         assert_eq!(moves.result, Ok(outcome(HaltAnswer::Halted, None, false)));
     }
-    // without SysState the joints decide
+    // without SysState, rest is judged by the joints
     let done = halted(|_, call, _| (call == STATE).then_some(Answer::Refused(HResult::E_NOTIMPL)));
     assert_eq!(done.result, Ok(outcome(HaltAnswer::Halted, None, true)));
 }

@@ -74,7 +74,7 @@ fn a_motion_that_ends_at_its_destination_has_arrived() {
     assert!(!done.calls.iter().any(|call| call == HALT));
     // at rest for one look, and not merely near
     assert!((100..=150).contains(&(done.now.as_micros() / 1000)), "{:?}", done.now);
-    // passing through the tolerance is no arrival
+    // passing through the tolerance does not count as arrival
     let through = moved(MotionConfig { tolerance: 3.0, ..within(1000) }, ramp, |_| 0);
     assert!(through.now.as_micros() / 1000 >= 100, "{:?}", through.now);
 }
@@ -92,10 +92,10 @@ fn a_motion_that_ends_where_it_began_has_arrived_when_the_controller_reports_no_
     let done = moved_to(joints(10.0).with_loop(), within(1000), circle, moving);
     assert_eq!(done.result, Ok(Motion::Arrived));
     assert!(done.now.as_micros() / 1000 >= 300, "{:?}", done.now);
-    // a loop that nothing saw may have been halted at its start
+    // a loop that no poll saw may have been halted at its start
     let done = moved_to(joints(10.0).with_loop(), within(3000), |_| 10.0, |_| 0);
     assert_eq!((done.result, done.calls.last().unwrap().as_str()), (Ok(Motion::Unknown), HALT));
-    // at its destination from the start, it has arrived at once
+    // at its destination from the start, it arrives immediately
     let done = moved(within(1000), |_| 10.0, |_| 0);
     assert_eq!(done.result, Ok(Motion::Arrived));
     assert!(done.now.as_micros() / 1000 < 50);
@@ -257,7 +257,7 @@ fn a_refused_halt_of_a_failed_motion_is_not_taken_for_rest() {
     let done = failing(|millis| ramp(millis.min(80)), refusal.clone());
     assert_eq!((done.result, halts(&done)), (failed, 1));
     assert!(done.now.as_micros() / 1000 >= 80 + 5 * 20, "{:?}", done.now);
-    // it goes on
+    // it continues
     let done = failing(|millis| millis as f64 / 100.0, refusal);
     let error = done.result.unwrap_err();
     assert_eq!((error.function, error.hresult()), (FunctionId::ROBOT_HALT, Some(HResult::E_ERROR_PRESENT)));
@@ -284,7 +284,7 @@ fn each_failure_halts_the_robot_once_it_may_move() {
     for (number, call) in [POSITION, MOVE.call, STATE, POSITION].into_iter().enumerate() {
         for (failure, cause) in [
             (Answer::Refused(HResult::E_HANDLE), StepCause::Refused(HResult::E_HANDLE)),
-            // the controller has given the call up, and may execute it
+            // the controller has abandoned the call, and may still execute it
             (Answer::Refused(HResult::E_TIMEOUT), StepCause::Refused(HResult::E_TIMEOUT)),
             (Answer::Failed(Failure::Timeout), StepCause::Failed(Failure::Timeout)),
             (Answer::Failed(Failure::NotSent), StepCause::Failed(Failure::NotSent)),
@@ -295,7 +295,7 @@ fn each_failure_halts_the_robot_once_it_may_move() {
             let error = done.result.err().unwrap();
             assert_eq!((error.function, error.cause), (function_of(call), cause));
             let lost = matches!(cause, StepCause::Failed(Failure::Lost | Failure::Closed));
-            // a motion may be under way that nothing has halted
+            // a motion may be running that was not halted
             let may_move = number > 1 || (number == 1 && cause == StepCause::Failed(Failure::Lost));
             assert_eq!(error.undone, !(lost && may_move), "{call} {cause:?}");
             // before the motion, refused or never sent, it has not started
@@ -385,7 +385,7 @@ fn an_invalid_position_is_an_error_and_halts_the_robot() {
 
 /// A robot of one joint and a tool at [angle, 0, 300], pointing down, that moves to 10 degrees unless it is halted before.
 struct Mover {
-    /// The angle at which it stops, and the shift of what CurPos and CurTrn tell from then on.
+    /// The angle at which it stops, and the shift of CurPos and CurTrn from then on.
     stops_at: f64,
     shift: f64,
     rotation: [f64; 3],
@@ -457,7 +457,7 @@ fn every_target_is_compared_with_the_reading_that_fits_it() {
         let done = Mover { variable: variable.clone(), ..MOVER }.run(target);
         assert_eq!(done.result, Ok(Motion::Arrived), "{target:?} {:?}", done.calls);
         assert!(!done.calls.iter().any(|call| call == HALT));
-        // halted on the way, even when DestJnt follows the halt at once
+        // halted on the way, even when DestJnt follows the halt immediately
         for forgets in [false, true] {
             for stops_at in [0.2, 3.0, 9.0] {
                 let done = Mover { variable: variable.clone(), stops_at, forgets, ..MOVER }.run(target);
@@ -470,7 +470,7 @@ fn every_target_is_compared_with_the_reading_that_fits_it() {
     }
 }
 
-/// The loss that this rule is for: the motion is accepted, the robot is halted, and only then asked where it goes.
+/// The case that this rule covers: the motion is accepted, the robot is halted, and only then its destination is read.
 #[test]
 fn a_halt_before_the_first_poll_is_no_arrival() {
     for (target, variable) in targets() {
@@ -497,7 +497,7 @@ fn an_end_that_cannot_be_compared_counts_only_if_it_was_seen_during_the_motion()
     assert_eq!(Mover { stops_at: 5.0, ..MOVER }.run(Target::UNKNOWN).result, Ok(Motion::Halted));
     // the motion ends before two polls
     assert_eq!(Mover { stops_at: 1.5, ..MOVER }.run(Target::UNKNOWN).result, Ok(Motion::Unknown));
-    // a value that is no position
+    // a value that is not a position
     let done = Mover { variable: Answer::value(&1), stops_at: 5.0, ..MOVER }.run(Target::variable(VariableHandle(5)));
     assert_eq!(done.result, Ok(Motion::Halted));
     let refused = Answer::Refused(HResult::E_CAO_OBJECT_NOTFOUND);

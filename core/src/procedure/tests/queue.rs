@@ -14,9 +14,9 @@ struct Robot {
     /// The position, and when it was there.
     position: f64,
     at: u64,
-    /// When it has come to rest after a halt.
+    /// When it is at rest after a halt.
     braked: u64,
-    /// How long it brakes, in ms.
+    /// Braking time in ms.
     brake: u64,
     /// Whether DestJnt is the last destination after a halt, and not where the robot rests.
     keeps_destination: bool,
@@ -143,7 +143,7 @@ fn motions_follow_each_other_and_the_last_one_arrives() {
         let mut robot = Robot::new(0, false);
         assert_eq!(drive(&mut robot, &[10.0, 20.0, 5.0, 10.0], Duration::ZERO, None, known), Motion::Arrived);
         assert_eq!((robot.position, robot.reached.as_slice()), (10.0, [10.0, 20.0, 5.0, 10.0].as_slice()));
-        // each was sent while the one before was under way, so the robot never rested: 10 + 10 + 15 + 5 degrees
+        // each was sent while the previous motion was running, so the robot never rested: 10 + 10 + 15 + 5 degrees
         let last = robot.calls.iter().rposition(|call| call.contains("Robot_Move")).unwrap();
         assert!(robot.calls[..last].iter().all(|call| !call.contains("Halt")));
         assert!((400..450).contains(&robot.at), "{} ms", robot.at);
@@ -196,7 +196,7 @@ fn no_halt_between_any_two_calls_is_taken_for_arrival() {
             );
             assert!(robot.queue.is_empty(), "it moves on: {case}");
             let is_there = (robot.position - angles[2]).abs() <= 0.05;
-            // the last poll of one motion and the acceptance of the next one
+            // the last poll of one motion and the acceptance of the next motion
             let handed_over = robot.calls[halt..].iter().take(4).any(|call| call.contains("Robot_Move"));
             match ended {
                 Motion::Arrived => {
@@ -254,7 +254,7 @@ fn a_short_round_has_arrived_only_if_the_robot_was_seen_elsewhere() {
 
 #[test]
 fn a_place_on_the_way_is_not_the_end_of_a_sequence() {
-    // two polls find the robot where the last motion ends, and it moves on from there
+    // two polls find the robot where the last motion ends, and it continues from there
     let places = [1.0, 2.0, 1.0, 0.0, 0.0, 0.0, 1.5];
     let mut polls = 0;
     let mut answer = |call: &str| {

@@ -69,12 +69,12 @@ fn a_session_that_still_owns_the_arm_is_not_asked_for_it() {
     );
     let done = reclaimed(Effects { claim: Claim::Lost, ..MOTOR }, 0, NONE);
     assert_eq!(done.calls, [MODE, OFF]);
-    // a session without a stream has not started the one that runs
+    // a session without a stream has not started the running stream
     let done = reclaimed(Effects { claim: Claim::Lost, ..MOVED }, 0x102, NONE);
     assert_eq!(done.calls, [MODE]);
 }
 
-/// After a long silence the arm may still be the lost session's, which a refused TakeArm does not tell.
+/// After a long silence the lost session may still own the arm, which a refused TakeArm does not reveal.
 #[test]
 fn a_motion_that_may_be_the_silent_sessions_is_halted() {
     let to = |first: f64| Target::joints(Joints::new([first, 45.0, 90.0, 0.0, 45.0, 0.0]), 6);
@@ -132,7 +132,7 @@ fn a_refusal_keeps_nothing_moving() {
     assert_eq!(done.calls, [MODE, HALT]);
 }
 
-/// E_TIMEOUT: the controller has given TakeArm up, and may execute it all the same.
+/// E_TIMEOUT: the controller has abandoned TakeArm, and may still execute it.
 #[test]
 fn an_arm_that_may_be_taken_later_is_given_back() {
     let given_up = (TAKE, HResult::E_TIMEOUT);
@@ -143,7 +143,7 @@ fn an_arm_that_may_be_taken_later_is_given_back() {
         let done = reclaimed(effects, 0, given_up);
         assert_eq!((done.result.unwrap().owner, done.calls), (ArmOwner::Free, strings(calls)));
     }
-    // also if a call after it has no reply
+    // even if a later call gets no reply
     let done = run(reclaim(ROBOT, MOVED), |_, call, _| match call {
         MODE => Answer::value(&0),
         TAKE => Answer::Refused(HResult::E_TIMEOUT),

@@ -89,7 +89,7 @@ fn examined(mut peer: Peer) -> Examination {
 
 const ALONE: RecoveryConfig = RecoveryConfig { is_alone: true, speed: None, agreed: None };
 
-/// A recovery or a preparation, its result, its calls and what it has reported.
+/// A recovery or a preparation, its result, its calls and its reports.
 type Recovery = (Result<Recovered, NotRecovered>, Vec<String>, Vec<(RecoveryStep, Result<(), HResult>)>);
 
 fn recovered(config: Option<RecoveryConfig>, mut peer: Peer) -> Recovery {
@@ -121,16 +121,16 @@ fn an_examination_reads_the_state_and_the_errors_and_changes_nothing() {
     let done = run(examine(HANDLES), |_, call, _| controller.answer(call));
     assert_eq!(changes(&done.calls), [""; 0]);
     let state = done.result.unwrap();
-    // the last one of the list is the first cause
+    // the last error of the list is the first cause
     assert_eq!((state.errors(), state.error_count), (&[PATH, HResult::E_ERROR_PRESENT][..], 2));
     assert_eq!((state.state, state.torque_off, state.is_cobotta), (Some(SysState(READY | ERROR)), None, false));
-    // slvGetMode comes before each call but StoState, which Slave Mode allows
+    // slvGetMode precedes each call but StoState, which Slave Mode allows
     for (at, call) in done.calls.iter().enumerate() {
         let command = command_of(call);
         let asks = matches!(command, "slvGetMode" | "StoState");
         assert!(asks || done.calls[at - 1].contains("slvGetMode"), "{command}");
     }
-    // a controller without Slave Mode is asked once
+    // a controller without Slave Mode is queried once
     let absent = Peer { mode: Answer::Refused(HResult::E_INVALID_CMD_NAME), ..peer() };
     let mut controller = absent;
     let done = run(examine(HANDLES), |_, call, _| controller.answer(call));
@@ -216,7 +216,7 @@ fn each_model_has_its_steps() {
 fn a_recovery_makes_its_steps_in_order_and_reports_each() {
     let (result, calls, reports) = recovered(Some(ALONE), failed(&[PATH]));
     assert_eq!(result, Ok(Recovered { motor_on: true }));
-    // the first TakeArm asks who owns the arm
+    // the first TakeArm queries the owner of the arm
     assert_eq!(changes(&calls), ["TakeArm", "ClearError", "TakeArm", "Motor"]);
     assert!(reports.iter().all(|(_, result)| result.is_ok()));
     assert_eq!(reports.iter().map(|(step, _)| step.name()).collect::<Vec<_>>(), ["ClearError", "TakeArm", "Motor"]);
@@ -248,7 +248,7 @@ fn errors_stay_until_it_is_known_that_no_other_client_uses_the_robot() {
     let (error, calls) = stopped(unknown, failed(&[PATH]));
     assert_eq!((error.step, error.obstacle), (RecoveryStep::TakeArm, Some(Obstacle::OwnerUnknown)));
     assert_eq!((calls, error.error.undone), (vec!["TakeArm".into()], true));
-    // it says that another client owns the arm: nothing is cleared, even if the caller claims to be alone
+    // it reports that another client owns the arm: nothing is cleared, even if the caller claims to be alone
     let taken = ("TakeArm", Answer::Refused(HResult::E_ARM_NOT_TAKEN));
     for config in [unknown, Some(ALONE)] {
         let (error, calls) = stopped(config, Peer { other: vec![taken.clone()], ..failed(&[PATH]) });
@@ -373,7 +373,7 @@ fn an_early_cobotta_without_the_commands_is_recovered() {
             ["ManualResetPreparation", "ManualResetPreparation", "ManualReset", "ManualResetPreparation"]
         );
     }
-    // a controller may execute a call that it has given up
+    // a controller may execute a call that it has abandoned
     for (command, undo) in
         [("Motor", "Robot_Execute(9, \"Motor\", I4[0, 0])"), ("MotionPreparation", "Robot_Halt(9, \"\")")]
     {

@@ -8,7 +8,7 @@ use crate::slave::fault::{ControllerError, ERRORS_MAX, Fault, Released};
 use crate::variant::Variant;
 
 impl<const N: usize> Engine<N> {
-    /// Moves to a query, or to the next one that has a connection.
+    /// Moves to a query, or to the next query that has a connection.
     pub(super) fn diagnose(&mut self, step: Step) {
         let mut step = step;
         while self.channel_for(step).is_none() {

@@ -21,7 +21,7 @@ const STILL: u8 = 2;
 /// The largest motion that counts as rest, in mm or degrees per cycle.
 const STILL_WITHIN: f64 = 0.002;
 impl<const N: usize> Engine<N> {
-    /// Returns the action that must come before the next slvMove; `None` when the present step can be made.
+    /// Returns the action that must precede the next slvMove; `None` when slvMove can be sent.
     pub(super) fn pace(&mut self, now: Instant) -> Option<EngineAction> {
         if !self.pacer.loaded {
             if self.stop.is_none() {

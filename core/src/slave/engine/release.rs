@@ -14,7 +14,7 @@ impl<const N: usize> Engine<N> {
         self.busy_until = None;
     }
 
-    /// Returns whether the controller is busy with a call that was given up, so that the present step is repeated.
+    /// Returns whether the controller is busy with an abandoned call, so that the current step is repeated.
     fn repeats(&mut self, code: HResult, now: Instant) -> bool {
         code == HResult::E_BUSY_PROC && now < *self.busy_until.get_or_insert(now.saturating_add(BUSY_LIMIT))
     }
@@ -67,7 +67,7 @@ impl<const N: usize> Engine<N> {
         }
     }
 
-    /// Goes on after a step of the end that failed: the steps after it are more urgent than its reason.
+    /// Continues after a failed step of the end: the remaining steps are more urgent than reporting its cause.
     pub(super) fn keep_unreleased(&mut self, cause: Cause) {
         self.unreleased.get_or_insert((self.step, cause));
         self.release(Some(self.step));

@@ -20,7 +20,7 @@ impl<const N: usize> Engine<N> {
             }
         } else if code.is_err() {
             if code == HResult::E_TIMEOUT {
-                // the controller has given the call up, which may go on
+                // the controller has abandoned the call, which may still run
                 self.record_unsure();
             }
             return self.fail(Cause::Refused(code));

@@ -222,7 +222,7 @@ impl Rig {
         }
     }
 
-    /// Makes the engine's call through the bytes of a client.
+    /// Sends the engine's call through the bytes of a client.
     fn call(&mut self) {
         let request = self.engine.request().unwrap();
         if request.step() == Step::Move {

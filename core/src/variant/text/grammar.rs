@@ -40,7 +40,7 @@ pub(crate) fn complete<'a, T>(
     let ParseFault { kind, left } = match all_consuming(parser).parse_complete(text) {
         Ok((_, value)) => return Ok(value),
         Err(nom::Err::Error(fault) | nom::Err::Failure(fault)) => fault,
-        // only streaming parsers ask for more text
+        // only streaming parsers request more text
         Err(nom::Err::Incomplete(_)) => ParseFault { kind: TextErrorKind::Missing, left: 0 },
     };
     Err(TextError { kind, column: to_u32(text.len().wrapping_sub(left).wrapping_add(1)) })
@@ -73,7 +73,7 @@ pub(crate) const fn blanks(text: &[u8]) -> &[u8] {
     rest
 }
 
-/// The context of a string, which decides which characters it cannot contain.
+/// The context of a string, which determines the characters that it cannot contain.
 #[derive(Clone, Copy)]
 pub(super) struct StringContext {
     /// Inside the parentheses of a VARIANT.

@@ -162,7 +162,8 @@ fn decimal_bits(text: &[u8], format: FloatFormat) -> Parsed<'_, Option<u64>> {
     decimal(text).map(|(rest, number)| (rest, format.of_decimal(&number)))
 }
 
-/// Parses a [`decimal`] of at most 15 digits without exponent, like almost all numbers of robots, to its bits; `None` otherwise.
+/// Parses a [`decimal`] of at most 15 digits without exponent, like almost all numbers of robots, to its bits; `None`
+/// otherwise.
 #[cfg(not(target_os = "none"))]
 #[inline(always)]
 fn short_decimal(text: &[u8], format: FloatFormat) -> Option<(&[u8], u64)> {
@@ -248,7 +249,7 @@ fn exponent(text: &[u8]) -> Parsed<'_, i32> {
     Ok((rest, if negative { size.wrapping_neg() } else { size }))
 }
 
-/// Tells a date from a float: a slash comes before the end of the element.
+/// Distinguishes a date from a float: a slash precedes the end of the element.
 fn is_date(text: &[u8]) -> bool {
     text.iter().find(|b| matches!(b, b'/' | b',' | b')')) == Some(&b'/')
 }

@@ -1,7 +1,7 @@
 //! The grammar of values as nom parsers; each quotes its rule.
 //!
 //! A parser that reads a value appends the encoding to a [`Writer`], so the text is read once and needs no other memory.
-//! Every error is final: the first bytes decide which rule applies, so no parser tries a second one.
+//! Every error is final: the first bytes determine which rule applies, so no parser tries a second rule.
 
 use nom::Parser;
 use nom::sequence::preceded;

@@ -129,7 +129,7 @@ fn numbers_are_read_in_all_their_forms() {
     reads("4,-NAN", &f32::from_bits(0xffc0_0000), "4,-NaN");
     reads("5,NaN", &f64::from_bits(0x7ff8 << 48), "5,NaN");
     reads("5,-NaN", &f64::from_bits(0xfff8 << 48), "5,-NaN");
-    // one digit decides which way a number between two neighbours goes
+    // one digit determines how a number between two neighbours is rounded
     let half = "5,9007199254740993";
     reads(half, &9_007_199_254_740_992.0_f64, "5,9007199254740992");
     let above = format!("{half}.{}1", "0".repeat(300));

@@ -166,7 +166,7 @@ fn the_network_stack_gets_no_lease_that_it_cannot_bear() {
     }
 }
 
-/// Shows that the check is needed: smoltcp is to be fixed, and then the check of the router can go.
+/// Shows that the check is needed. Once smoltcp is fixed, the check of the router can be removed.
 #[test]
 fn smoltcp_panics_and_floods_without_the_check() {
     for router in [[0, 0, 0, 0], [255, 255, 255, 255], [224, 0, 0, 1]] {

@@ -131,7 +131,7 @@ fn nothing_is_learned_from_messages_for_others_and_of_no_machine() {
         assert!(neighbors.may_pass(&message, ROUTE, BOARD, 0));
         assert!(neighbors.known.iter().all(Option::is_none), "{message:?}");
     }
-    // the one that was silent longest makes room
+    // the neighbor that was silent longest makes room
     for last in 1..=9 {
         assert!(neighbors.may_pass(&answer(MACHINE, [10, 0, 2, last].into()), ROUTE, BOARD, 0));
     }
@@ -200,7 +200,8 @@ impl phy::TxToken for Sent<'_> {
 /// When the PLC begins its handshake, in milliseconds.
 const FIRST: u32 = 3510;
 
-/// Floods smoltcp with handshakes for 30 s, and returns when the one of a PLC in the middle is answered, in milliseconds after it.
+/// Floods smoltcp with handshakes for 30 s, and returns the time from the handshake of a PLC during it to its answer, in
+/// milliseconds.
 fn answered_after(neighbors: Option<Neighbors>) -> Option<u32> {
     let mut link = Link { neighbors, now: 0, arrived: VecDeque::new(), sent: Vec::new() };
     let mut interface = Interface::new(iface::Config::new(EthernetAddress(BOARD).into()), &mut link, Instant::ZERO);
@@ -245,7 +246,7 @@ fn answered_after(neighbors: Option<Neighbors>) -> Option<u32> {
 
 #[test]
 fn a_flood_of_invented_senders_does_not_delay_a_real_one() {
-    // after its second SYN: the first one makes the board ask for it
+    // after its second SYN: the first SYN triggers the ARP request
     assert_eq!(answered_after(Some(Neighbors::default())), Some(1000));
     // otherwise invented peers have all sockets
     assert_eq!(answered_after(None), None);

@@ -65,7 +65,7 @@ impl Download {
         Signed { len: self.len, version, signature }.write(flash, partitions.signature.start)
     }
 
-    /// Writes a block; before the first one of a sector, erases that.
+    /// Writes a block; erases each sector before its first block.
     pub(super) fn block<F: NorFlash>(
         &mut self,
         flash: &mut F,

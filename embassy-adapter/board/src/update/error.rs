@@ -32,12 +32,12 @@ pub enum UpdateError<E> {
     },
     /// Blocks are missing.
     Incomplete {
-        /// The number of the first one.
+        /// The number of the first missing block.
         expected: u32,
     },
-    /// The flash does not have the image: its CRC-32 is another one.
+    /// The flash does not contain the image: the CRC-32 differs.
     Crc,
-    /// The image is older than the one that runs.
+    /// The image is older than the running image.
     Older {
         /// The version that runs.
         running: &'static str,

@@ -7,8 +7,8 @@
 //!                                           └── any reset ─► the boot loader swaps back: rolled back
 //! ```
 //!
-//! With a key in the image ([`signature`](crate::signature)) only signed images are received, and none that is older. The boot loader
-//! checks the signature again before the swap ([`check_pending`]).
+//! With a key in the image ([`signature`](crate::signature)) only signed images are received, and no older images. The boot
+//! loader checks the signature again before the swap ([`check_pending`]).
 //!
 //! A power cut at any moment leaves the earlier image or the new one in the active partition, complete. The other partition is
 //! erased and written while the gateway runs, a sector at a time.

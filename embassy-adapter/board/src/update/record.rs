@@ -89,8 +89,8 @@ pub(super) fn digest<F: NorFlash>(flash: &mut F, start: u32, len: u32) -> Result
     Ok(hash.finalize().into())
 }
 
-/// Gives up the update that waits for its swap unless it is signed; for boot loaders, before embassy-boot. Returns whether the swap may
-/// be done, or continued.
+/// Cancels the update that waits for its swap unless it is signed; for boot loaders, before embassy-boot. Returns whether the
+/// swap may be done, or continued.
 ///
 /// A swap that has begun was checked before.
 ///

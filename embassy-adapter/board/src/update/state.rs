@@ -23,7 +23,7 @@ const HEADER: usize = 32;
 const MAGIC: &[u8; 8] = b"BCAPBOOT";
 /// embassy-boot's state of an update that waits for its swap.
 const SWAP: u8 = 0xf0;
-/// A state that embassy-boot takes for "start the image": the boot loader has refused an update.
+/// A state that embassy-boot treats as "start the image": the boot loader has refused an update.
 const REFUSED: u8 = 0x3c;
 
 /// Why the state cannot be read or changed.
@@ -70,7 +70,7 @@ pub struct StateFlash<F> {
     starts: [u32; 2],
     size: u32,
     bank: Option<Bank>,
-    /// The state reads as erased until the next one is written, and a power cut leaves the earlier one.
+    /// The state reads as erased until the next state is written; a power cut restores the earlier state.
     is_erased: bool,
 }
 
@@ -110,7 +110,7 @@ impl<F: NorFlash> StateFlash<F> {
         Ok(Self { flash, starts, size, bank, is_erased: false })
     }
 
-    /// Returns the number of the state, which each change increments, and which wraps; `None` before the first one.
+    /// Returns the number of the state, which each change increments, and which wraps; `None` before the first change.
     pub(super) fn sequence(&self) -> Option<u32> {
         self.bank.map(|bank| bank.sequence)
     }
@@ -126,7 +126,7 @@ impl<F: NorFlash> StateFlash<F> {
         Ok(word.iter().take(F::WRITE_SIZE).any(|byte| *byte == 0xff))
     }
 
-    /// Gives up the update that waits.
+    /// Cancels the pending update.
     pub(super) fn refuse(&mut self) -> Result<(), StateError<F::Error>> {
         self.commit(REFUSED)
     }
@@ -198,7 +198,7 @@ impl<F: NorFlash> NorFlash for StateFlash<F> {
                 self.commit(*state)
             }
             (0, ..) => Err(StateError::Unsupported),
-            // "the progress is invalid", which protects a slow erase; a bank becomes invalid at once
+            // "the progress is invalid", which protects a slow erase; a bank becomes invalid immediately
             (offset, ..) if offset == word => Ok(()),
             (_, _, Some(bank)) if !self.is_erased => {
                 self.flash.write(bank.start + length(HEADER) + offset, bytes).map_err(StateError::Flash)

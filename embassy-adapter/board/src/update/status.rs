@@ -4,8 +4,8 @@
 //!  version that was installed last LF  number of the state  version that was rolled back  reason
 //! ```
 //!
-//! A roll-back adds the second line. It is valid while the boot loader's state has that number ([`StateFlash`]). So the next update
-//! can be recorded before it is marked, and a power cut between the two leaves this line valid.
+//! A roll-back adds the second line. It is valid while the boot loader's state has that number ([`StateFlash`]). So the next
+//! update can be recorded before it is marked, and a power cut between the two leaves this line valid.
 //!
 //! [`StateFlash`]: super::StateFlash
 
@@ -64,8 +64,8 @@ impl Status {
         &self.identity
     }
 
-    /// Returns the version of the last update, and why it was rolled back; empty texts without either. After a power cut during the
-    /// installation it can be a version that was never installed.
+    /// Returns the version of the last update, and why it was rolled back; empty texts without either. After a power cut during
+    /// the installation it can be a version that was never installed.
     #[must_use]
     pub fn last_update(&self) -> (&str, &str) {
         match (self.phase, rolled_back(&self.history)) {

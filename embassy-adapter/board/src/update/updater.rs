@@ -23,7 +23,7 @@ pub type Updates = (Partitions, &'static Identity);
 
 /// Receives images, and confirms or rejects the image that runs.
 ///
-/// The flash is an argument of each method, because the settings are in the same one.
+/// The flash is an argument of each method, because the settings are in the same flash.
 #[derive(Debug)]
 pub struct Updater {
     partitions: Partitions,
@@ -86,13 +86,13 @@ impl Updater {
         Self { key, ..self }
     }
 
-    /// Tells what became of the last update.
+    /// Returns the phase of the last update.
     #[must_use]
     pub const fn phase(&self) -> Phase {
         self.phase
     }
 
-    /// Returns the version that runs, and what became of the last update.
+    /// Returns the running version, and the outcome of the last update.
     ///
     /// # Errors
     ///
@@ -105,8 +105,8 @@ impl Updater {
         })
     }
 
-    /// Begins to receive an image of `len` bytes with this CRC-32. Nothing is erased yet. A board with a key takes an older image only if
-    /// it `may_be_older`.
+    /// Begins to receive an image of `len` bytes with this CRC-32. Nothing is erased yet. A board with a key takes an older
+    /// image only if it `may_be_older`.
     ///
     /// # Errors
     ///
@@ -150,9 +150,10 @@ impl Updater {
         download.sign(self.identity.board(), &key, digest, signature)
     }
 
-    /// Writes a block of [`BLOCK`] bytes, the last one of an image with fewer; blocks have the numbers 0, 1, 2 and so on.
+    /// Writes a block of [`BLOCK`] bytes; the last block of an image can have fewer. Blocks have the numbers 0, 1, 2 and so on.
     ///
-    /// `crc` is the CRC-32 of the number (u32, little-endian) and the data. The last block can be repeated, because its answer can be lost.
+    /// `crc` is the CRC-32 of the number (u32, little-endian) and the data. The last block can be repeated, because its answer
+    /// can be lost.
     ///
     /// # Errors
     ///

@@ -1,5 +1,5 @@
-//! The registers of the chip. Its socket 0 has all of its memory, and exchanges Ethernet frames (MACRAW). Names and numbers are those
-//! of the data sheet.
+//! The registers of the chip. Its socket 0 has all of its memory, and exchanges Ethernet frames (MACRAW). Names and numbers are
+//! those of the data sheet.
 
 use embassy_time::{Duration, Timer};
 use embedded_hal_async::spi::{Operation, SpiDevice};
@@ -63,7 +63,7 @@ const RECV: u8 = 0x40;
 /// The interrupt of a received frame.
 const RECEIVED: u8 = 0x04;
 
-/// How often a register that changes at once is read before the chip counts as stuck.
+/// Number of reads of a register that should change immediately, before the chip counts as stuck.
 const POLLS: u32 = 32;
 /// The same for a frame that is being sent, once in a millisecond: a frame takes 1.2 ms at 10 Mbit/s.
 const SLOW_POLLS: u32 = 50;
@@ -142,7 +142,7 @@ impl<S: SpiDevice> Chip<S> {
     pub(super) async fn receive(&mut self, frame: &mut [u8]) -> Result<Received, Error<S::Error>> {
         let (mut size, mut from) = self.received().await?;
         if size == 0 {
-            // cleared before another look, so that a frame after this look sets it again
+            // cleared before the next check, so that a frame after that check sets it again
             self.write(SN_IR, &[RECEIVED]).await?;
             (size, from) = self.received().await?;
         }
@@ -195,8 +195,8 @@ impl<S: SpiDevice> Chip<S> {
         Ok(false)
     }
 
-    /// Returns the bytes in the memory, and where they begin. They are read until two reads are equal, because they may change in the
-    /// middle of one.
+    /// Returns the bytes in the memory, and where they begin. They are read until two reads are equal, because they may change
+    /// in the middle of one.
     async fn received(&mut self) -> Result<(u16, u16), Error<S::Error>> {
         let mut last = [0; 4];
         self.read(SN_RX_RSR, &mut last).await?;

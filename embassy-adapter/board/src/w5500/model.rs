@@ -56,7 +56,7 @@ pub(super) struct Model {
     tx: Vec<u8>,
     rx: Vec<u8>,
     pub(super) sent: Vec<Vec<u8>>,
-    /// How often the socket was opened, and the transfers over the bus.
+    /// Number of times the socket was opened, and of transfers over the bus.
     pub(super) opened: u32,
     pub(super) transfers: u32,
     pub(super) faults: Faults,

@@ -243,7 +243,7 @@ fn a_frame_that_does_not_leave_is_given_up() {
         model.0.borrow_mut().faults.sends_nothing = false;
         send(device, &frame(2, 60)).await;
         until(model, |model| model.sent == [frame(2, 60)]).await;
-        // the other direction goes on
+        // the other direction continues
         model.0.borrow_mut().receive(&frame(3, 60));
         assert_eq!(next(device).await, frame(3, 60));
     });

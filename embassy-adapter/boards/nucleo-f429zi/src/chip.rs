@@ -12,7 +12,8 @@ bind_interrupts!(pub(crate) struct Irqs {
     USART6 => usart::BufferedInterruptHandler<USART6>;
 });
 
-/// Holds PA12 low, without which chips before revision 3 read the second bank of their flash wrongly (erratum 2.2.11 of ES0206).
+/// Holds PA12 low, without which chips before revision 3 read the second bank of their flash wrongly (erratum 2.2.11 of
+/// ES0206).
 pub(crate) fn steady_flash(pin: Peri<'static, PA12>) {
     // a pin that is dropped is disconnected
     core::mem::forget(OutputOpenDrain::new_pull(pin, Level::Low, Speed::Low, Pull::Down));

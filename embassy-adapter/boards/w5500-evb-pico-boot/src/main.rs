@@ -22,7 +22,7 @@ use embassy_time::Duration;
 use self::partitions::{BOARD, PARTITIONS};
 
 const FLASH_SIZE: usize = 2 * 1024 * 1024;
-/// Where the processor sees the flash.
+/// The address at which the processor maps the flash.
 const FLASH_ADDRESS: u32 = 0x1000_0000;
 /// An image that does not start the watchdog again in this time is rolled back.
 const WATCHDOG_TIME: Duration = Duration::from_secs(8);
@@ -36,7 +36,7 @@ fn panic(_: &PanicInfo<'_>) -> ! {
 fn main() -> ! {
     let p = embassy_rp::init(Default::default());
     let mut flash = WatchdogFlash::<FLASH_SIZE>::start(p.FLASH, p.WATCHDOG, WATCHDOG_TIME);
-    // an update without a valid signature is given up; the flash is tried again
+    // an update without a valid signature is cancelled; a flash error is retried after the reset
     if KEY.is_some_and(|key| check_pending(&mut flash, &PARTITIONS, BOARD, &key).is_err()) {
         SCB::sys_reset()
     }

@@ -1,4 +1,4 @@
-//! The parts of the flash that updates use, as offsets. The boot loader has this file, too.
+//! The parts of the flash that updates use, as offsets. The boot loader also includes this file.
 
 use bcap_board::update::Partitions;
 

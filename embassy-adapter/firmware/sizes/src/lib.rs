@@ -8,7 +8,7 @@ use core::cell::UnsafeCell;
 use core::hint::black_box;
 use core::mem::MaybeUninit;
 
-/// Makes `main: fn(&mut Memory)` the program.
+/// Sets `main: fn(&mut Memory)` as the program.
 #[macro_export]
 macro_rules! entry {
     ($main:path) => {

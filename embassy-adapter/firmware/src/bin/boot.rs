@@ -1,4 +1,5 @@
-//! The boot loader of the image `gateway` with updates: swaps an update in, and back if it was not confirmed, then starts the image.
+//! The boot loader of the image `gateway` with updates: swaps an update in, and back if it was not confirmed, then starts the
+//! image.
 //!
 //! It arms the watchdog. So an image that hangs before it arms the watchdog is reset, and rolled back if it is on trial.
 #![no_std]

@@ -91,7 +91,7 @@ async fn serve_console() -> ! {
     bcap_firmware::console::run().await
 }
 
-/// Provokes the fault that a letter on the serial port asks for.
+/// Provokes the fault that a letter on the serial port selects.
 #[cfg(feature = "faults")]
 #[embassy_executor::task]
 async fn provoke() -> ! {

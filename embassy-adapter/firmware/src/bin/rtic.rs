@@ -4,7 +4,7 @@
 //!  init ─► Ethernet, clock, sockets ─► idle: polls, and sleeps until a frame arrives or the clock ticks
 //! ```
 //!
-//! A task with a deadline would preempt `idle`, which nothing waits for.
+//! A task with a deadline would preempt `idle`, on which no task waits.
 #![no_std]
 #![no_main]
 #![allow(unsafe_code, reason = "RTIC generates `main`")]

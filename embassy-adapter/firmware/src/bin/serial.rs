@@ -72,7 +72,7 @@ async fn keep_robot(board: &'static Board) -> ! {
     watched(Task::new(0), pin!(run_robot(&mut robot, FRAME.take(), board))).await
 }
 
-/// Serves the PLC, one session after another: a session ends when the PLC sends half a line.
+/// Serves the PLC in consecutive sessions: a session ends when the PLC sends half a line.
 #[embassy_executor::task]
 async fn serve_plc(board: &'static Board) -> ! {
     let mut line = transport(Line::third());

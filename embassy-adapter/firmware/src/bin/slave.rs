@@ -36,7 +36,7 @@ use static_cell::{ConstStaticCell, StaticCell};
 /// Sockets: two connections, DHCP.
 const SOCKETS: usize = 3;
 const CYCLES: u32 = 2000;
-/// How far joint 1 turns, in degrees.
+/// The rotation of joint 1, in degrees.
 const TURN: f64 = 10.0;
 
 type Link = TcpClient<'static, &'static mut [u8]>;

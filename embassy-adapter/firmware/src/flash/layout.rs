@@ -1,9 +1,8 @@
-//! The parts of the flash, as offsets in bytes. The linker script of the image and the tests on the host have this file, too.
+//! The parts of the flash, as offsets in bytes. The linker script of the image and the tests on the host also use this file.
 
 use core::ops::Range;
 
-/// The smallest part that can be erased, and the largest part that can be written at once, as on the W25Q16 of an
-/// RP2040 board.
+/// The smallest part that can be erased, and the largest part of one write, as on the W25Q16 of an RP2040 board.
 pub(crate) const SECTOR: usize = 4096;
 pub(crate) const PAGE: usize = 256;
 

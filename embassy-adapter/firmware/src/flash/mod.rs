@@ -4,13 +4,13 @@
 //!  SETTINGS, STATE, HISTORY, ACTIVE, OTHER, unused │ counters, power cut      16 MiB: sectors of 4 KiB, pages of 256 bytes
 //! ```
 //!
-//! The emulated board has no flash that it can write. Its external memory keeps its contents over a reset, can have code, and QEMU
-//! can map it to a file, which outlives QEMU (`run --flash`).
+//! The emulated board has no flash that it can write. Its external memory keeps its contents over a reset, can have code, and
+//! QEMU can map it to a file, which outlives QEMU (`run --flash`).
 //!
-//! Erasing a sector or writing a page is an operation. Writing only clears bits; a write that would set one is refused. The power can
-//! be cut in the middle of an operation: a word in the last sector has the number of operations until then. An interrupted write leaves
-//! the first half of the page, and a word with some of the bits. An interrupted erase sets arbitrary bits of the sector. Then
-//! the board is reset, and has no record of the cause, as after power-on.
+//! Erasing a sector or writing a page is an operation. Writing only clears bits; a write that would set one is refused. The
+//! power can be cut in the middle of an operation: a word in the last sector has the number of operations until then. An
+//! interrupted write leaves the first half of the page, and a word with some of the bits. An interrupted erase sets arbitrary
+//! bits of the sector. Then the board is reset, and has no record of the cause, as after power-on.
 #![expect(unsafe_code, reason = "the flash is reached through its address")]
 
 #[cfg_attr(not(feature = "update"), expect(dead_code, reason = "an image without updates has settings only"))]
@@ -122,7 +122,7 @@ fn operation(number: usize) -> Option<Noise> {
     is_cut.then_some(Noise(seed.wrapping_mul(0x9e37_79b1) | 1))
 }
 
-/// Ends an operation in which the power is cut: nothing in the processor's memory counts, and the board starts again.
+/// Ends an operation in which the power is cut: the contents of the RAM are void, and the board starts again.
 fn cut_power() -> ! {
     count(control::CUTS);
     memory::record().write(Cause::PowerOn);

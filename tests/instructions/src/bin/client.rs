@@ -1,4 +1,4 @@
-//! A blocking client of `bcap-std`, against a peer that answers each request at once.
+//! A blocking client of `bcap-std`, against a peer that answers each request immediately.
 
 #![allow(clippy::expect_used, clippy::panic, reason = "a program of the developer may panic")]
 

@@ -215,7 +215,7 @@ fn start_slv_move(bench: &mut Bench) {
 /// Writes the frame of a call, as the client does.
 #[inline(always)]
 fn encode<'b, C: Call>(call: &C, buffer: &'b mut [u8]) -> Option<&'b [u8]> {
-    // a client's buffer has a length that the compiler does not know
+    // a client's buffer has a length that is unknown to the compiler
     let mut frame = FrameWriter::new(black_box(buffer)).ok()?;
     call.arguments(&mut frame).ok()?;
     frame.finish(black_box(9), 0, call.function().0).ok()

@@ -20,7 +20,7 @@ pub(crate) struct Image {
     symbols: Vec<String>,
 }
 
-/// Where code comes from.
+/// The origin of code.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Origin {
     /// The crate that may not panic.
@@ -33,7 +33,7 @@ pub(crate) enum Origin {
     Image,
 }
 
-/// The source lines of an address, those of inlined functions first.
+/// The source lines of an address, inlined functions first.
 type Lines = BTreeMap<String, Vec<String>>;
 
 /// A call that ends in a panic.
@@ -155,7 +155,7 @@ impl Image {
         Ok((calls, lines))
     }
 
-    /// Asks for the source lines of addresses, those of inlined functions first.
+    /// Looks up the source lines of addresses, inlined functions first.
     fn lines<'a>(&self, addresses: impl Iterator<Item = &'a String>) -> Outcome<Lines> {
         let mut lines = Lines::new();
         for some in addresses.collect::<Vec<_>>().chunks(200) {

@@ -4,8 +4,8 @@
 //! cargo run --manifest-path tests/no-panic/Cargo.toml        # needs nm, objdump and addr2line (binutils)
 //! ```
 //!
-//! 1. `binary`, all of b-CAP, must not have any symbol of `core::panicking`, nor the place where a panic ends.
-//! 2. `text`, the text of values and RAC, must not either; findings are listed by the crate that they come from.
+//! 1. `binary`, all of b-CAP, must not have any symbol of `core::panicking`, nor the function where a panic ends.
+//! 2. `text`, the text of values and RAC, must not either; findings are listed by crate.
 //! 3. The first image with a planted panic path must have one, which shows that the check detects it.
 //! 4. Both are run, which shows that the searched images work.
 
@@ -19,7 +19,7 @@ use disassembly::Image;
 
 type Outcome<T> = Result<T, String>;
 
-/// The least code that an image with all of the core in it has; less means that it was optimised away.
+/// Minimum size of the code of an image with all of the core in it; less means that it was optimised away.
 const LEAST_CODE: u64 = 12 * 1024;
 
 fn main() -> ExitCode {
@@ -127,7 +127,7 @@ fn feed(program: &Path, input: &[u8]) -> Outcome<Vec<u8>> {
     Ok(output.stdout)
 }
 
-/// Fails when an image can panic, and lists where then, by the crate that it comes from.
+/// Fails if an image can panic, and lists the panic paths by crate.
 fn cannot_panic(image: &Image, repository: &Path) -> Outcome<()> {
     let found = image.panic_symbols();
     println!("{}: {} bytes of code, {} panic symbols", image.name(), image.code_size, found.len());

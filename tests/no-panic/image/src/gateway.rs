@@ -11,7 +11,7 @@ use bcap_core::rac::VariableKind;
 use bcap_core::time::Instant;
 use bcap_gateway::{Allow, Bounds, Config, Event, Gateway, Memory, Rate, Rules};
 
-/// Serves two PLCs that send the input, and returns how many requests the robot has carried out.
+/// Serves two PLCs that send the input, and returns how many requests the robot has executed.
 pub fn serve(input: &[u8]) -> u32 {
     let bound = input.first().copied().map_or(0.0, f64::from);
     let values = [Bounds { min: -bound, max: bound }];
@@ -76,7 +76,7 @@ fn count(gateway: &mut Gateway<'_>, event: Event) -> u32 {
     }
 }
 
-/// A robot whose values come from the input.
+/// A robot with values from the input.
 struct Robot<'a> {
     input: &'a [u8],
     at: usize,

@@ -21,7 +21,7 @@ use bcap_core::variant::Variant;
 
 use crate::carry;
 
-/// How many calls each loop makes.
+/// Number of calls of each loop.
 const CALLS: u32 = 50;
 
 /// The link was cut.

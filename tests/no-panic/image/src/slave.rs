@@ -6,8 +6,7 @@ use bcap_core::endpoint::Endpoint;
 use bcap_core::slave::{self, Engine, EngineAction};
 use bcap_core::time::Instant;
 
-/// Streams in Slave Mode in formats that come from the input, answered by the frames in it; returns how many poses were
-/// taken.
+/// Streams in Slave Mode in formats from the input, answered by the frames in it; returns the number of accepted poses.
 pub fn stream(input: &[u8]) -> u32 {
     let mut sum = 0_u32;
     for code in 0..0x204 {

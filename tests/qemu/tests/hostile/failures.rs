@@ -1,4 +1,5 @@
-//! Failures of everything next to the board: the robot is killed, the link is cut, its serial port gets random bytes, its clock wraps.
+//! Failures of everything next to the board: the robot is killed, the link is cut, its serial port gets random bytes, its clock
+//! wraps.
 
 use std::fmt;
 use std::io::{self, BufRead, BufReader, ErrorKind, Read, Write};
@@ -18,9 +19,9 @@ use crate::wire::{Phase, World};
 /// The pause between two failures, and how long one lasts, in milliseconds.
 const PAUSE: std::ops::Range<u64> = 2000..10_000;
 const LENGTH: std::ops::Range<u64> = 200..3000;
-/// A PLC that is not served for so long after a failure is shown, once.
+/// A PLC that is not served for this time after a failure is reported, once.
 const LATE: Duration = Duration::from_secs(8);
-/// Random bytes that are sent to the serial port at once.
+/// Number of random bytes that are sent to the serial port together.
 const GARBAGE: usize = 64;
 /// Beginnings of requests that change nothing in a board that is not restarted.
 const REQUESTS: [&[u8]; 6] = [b"hello", b"show", b"new\n", b"add put=I/0-99", b"save", b"\xff\n"];
@@ -100,12 +101,12 @@ pub(super) struct Failures {
     killed: u32,
     pub(super) cut: u32,
     garbage: u64,
-    /// The longest time until all PLCs were served after a failure.
+    /// Maximum time until all PLCs were served after a failure.
     pub(super) longest: Duration,
 }
 
 impl Failures {
-    /// Begins a failure, ends it, or looks whether all PLCs are served after it.
+    /// Begins a failure, ends it, or checks whether all PLCs are served after it.
     pub(super) fn go_on(&mut self, world: &mut World) {
         let now = Instant::now();
         match &self.state {
@@ -138,7 +139,7 @@ impl Failures {
         world.enter(if let State::None { .. } = self.state { Some(Phase::Attack) } else { None });
     }
 
-    /// Ends the failure, if there is one, until the attack goes on.
+    /// Ends the failure, if there is one, until the attack continues.
     pub(super) fn stop(&mut self, world: &mut World) {
         self.end(world);
         self.state = State::None { until: Instant::now() + Duration::from_millis(PAUSE.end) };

@@ -1,5 +1,6 @@
 //! Tests the gateway board in QEMU on a hostile network: invalid leases, half-open connections, slow clients of the page,
-//! random frames. Meanwhile the robot is killed, the link is cut, the serial port gets random bytes, and the clock wraps.
+//! random frames. At the same time the robot is killed, the link is cut, the serial port gets random bytes, and the clock
+//! wraps.
 //!
 //! ```text
 //!  4 PLCs, one of which connects for each request ─┐
@@ -8,14 +9,15 @@
 //! ```
 //!
 //! The board must not be reset, every answer must be right, and the PLC that connects anew must be served during the attack.
-//! The clock is set so that its 32 bits of microseconds wrap in the middle of the attack. `-icount` cannot do this: peers in real time
-//! cannot follow a clock that runs faster.
+//! The clock is set so that its 32 bits of microseconds wrap in the middle of the attack. `-icount` cannot do this: peers in
+//! real time cannot follow a clock that runs faster.
 //!
-//! An attack of more than ten minutes has rounds of five minutes. Before each round the PLCs are calm for a while, so that both phases meet
-//! the same load of this machine.
+//! An attack of more than ten minutes has rounds of five minutes. Before each round the PLCs are calm for a while, so that both
+//! phases meet the same load of this machine.
 //!
-//! `HOSTILE_SECONDS` and `HOSTILE_SEED` are the length of the attack, 10 s, and the seed, 1. `HOSTILE_BARS` makes the test fail when the
-//! PLCs with an open connection have a p99 above twice the calm one, without the times of failures, or when a PLC is not served 10 s after a failure.
+//! `HOSTILE_SECONDS` and `HOSTILE_SEED` are the length of the attack, 10 s, and the seed, 1. `HOSTILE_BARS` makes the test fail
+//! when the PLCs with an open connection have a p99 above twice the calm one, without the times of failures, or when a PLC is
+//! not served 10 s after a failure.
 
 mod failures;
 
@@ -91,7 +93,7 @@ fn a_hostile_network_resets_nothing_and_keeps_no_plc_out() {
 /// The rounds of an attack.
 struct Plan {
     rounds: u32,
-    /// How long the PLCs are calm before each round, and how long the round takes.
+    /// The duration of the calm phase before each round, and of the round.
     calm: Duration,
     round: Duration,
 }
@@ -114,7 +116,7 @@ fn say(line: &str) {
     let _ = writeln!(io::stderr(), "hostile network: {line}");
 }
 
-/// What was sent to the board and received from it during the attack.
+/// The traffic to and from the board during the attack.
 #[derive(Clone, Copy, Debug, Default)]
 struct Found {
     /// Requests of DHCP, and invalid leases.
@@ -142,7 +144,7 @@ struct Attack {
     failures: Option<Failures>,
     /// The uptime on the page that was read last, in seconds.
     uptime: u64,
-    /// The longest time until all PLCs were served after a round.
+    /// Maximum time until all PLCs were served after a round.
     served_again: Duration,
     found: Found,
 }
@@ -232,7 +234,7 @@ impl Attack {
         checks.into_iter().filter_map(|(is_met, what)| (!is_met).then_some(what)).collect()
     }
 
-    /// Returns the bars that are missed; a busy machine misses them, too.
+    /// Returns the bars that are missed; a busy machine also misses them.
     fn missed_bars(&self, world: &World) -> Vec<String> {
         let [calm, attacked] = [Phase::Calm, Phase::Attack].map(|phase| world.percentile(phase, 99));
         let late = self.longest();
@@ -337,7 +339,7 @@ impl Attack {
             }
         }
         if half_open {
-            // from unused addresses of the board's network and of another one, and from machines
+            // from unused addresses of the board's network and of another network, and from machines
             let host = self.rng.u8(20..250);
             let [unused, far] = [[10, 0, 2, host], [172, 16, 0, host]].map(Ipv4Addr::from);
             let from = [unused, far, Ipv4Addr::new(10, 0, 2, self.rng.u8(ATTACKERS))][self.rng.usize(..3)];
@@ -403,7 +405,7 @@ impl Attack {
     }
 }
 
-/// Returns the attacker that an ARP request asks for.
+/// Returns the attacker that an ARP request is for.
 fn asked_for(frame: &[u8]) -> Option<Ipv4Addr> {
     let message = frame.get(ETHERNET..).filter(|_| frame.get(12..14) == Some(&[8, 6]))?;
     let message =
@@ -445,7 +447,7 @@ fn invalid_leases() -> impl Iterator<Item = Answer> {
     let mask = |mask: [u8; 4]| Answer { mask: mask.into(), ..GOOD };
     let server = |server: [u8; 4]| Answer { server: server.into(), ..GOOD };
     let time = |seconds| Answer { times: [Some(seconds), None, None], ..GOOD };
-    // the last one is the robot's
+    // the last address is the robot's
     let addresses =
         [[0; 4], [10, 0, 2, 0], [10, 0, 2, 255], [224, 0, 0, 1], [255; 4], [127, 0, 0, 1], [10, 0, 2, 2]].map(address);
     let masks = [[0; 4], [255, 0, 255, 0], [0, 255, 255, 0], [255, 255, 255, 1], [0, 0, 0, 1]].map(mask);

@@ -30,7 +30,7 @@ pub(super) struct Chaos {
     sim: Option<Sim>,
     monitor: Monitor,
     rng: Rng,
-    /// One of each kind in random order, so that also a short test has all.
+    /// One of each kind in random order, so that even a short test has all of them.
     next: Vec<Failure>,
     killed: u32,
     stopped: u32,

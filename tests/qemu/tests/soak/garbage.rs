@@ -16,7 +16,7 @@ use super::Shared;
 /// The board's address, to which random frames are sent.
 pub(super) const MAC: &str = "mac=02:00:00:00:00:15";
 const MAC_BYTES: [u8; 6] = [2, 0, 0, 0, 0, 0x15];
-/// Refused PUTs that are sent at once.
+/// Refused PUTs that are sent together.
 const BATCH: usize = 32;
 /// The pause between them, which leaves the processors to other programs.
 const PAUSE: Duration = Duration::from_millis(10);

@@ -36,9 +36,9 @@ const PROGRESS: Duration = Duration::from_secs(60);
 #[derive(Default)]
 struct Shared {
     stop: AtomicBool,
-    /// How often the robot was started again.
+    /// Number of restarts of the robot.
     robots: AtomicU32,
-    /// How often the link was cut or connected.
+    /// Number of times the link was cut or connected.
     links: AtomicU32,
 }
 
@@ -48,7 +48,7 @@ impl Shared {
     }
 }
 
-/// Tells the threads to end, even when this thread panics.
+/// Signals the threads to end, even when this thread panics.
 struct Stop<'a>(&'a Shared);
 
 impl Drop for Stop<'_> {
@@ -106,7 +106,7 @@ fn a_board_around_which_everything_fails_answers_right_and_is_not_reset() {
     assert!(board.is_running(), "the board was reset: {}", board.log());
 }
 
-/// Shows something of a test that passes, too.
+/// Prints a line that is shown even if the test passes.
 fn show(text: &str) {
     let _ = io::stderr().write_all(format!("{text}\n").as_bytes());
 }

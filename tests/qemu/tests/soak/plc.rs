@@ -44,7 +44,7 @@ pub(super) struct Seen {
 }
 
 impl Seen {
-    /// Returns how many numbers came back.
+    /// Returns how many numbers were read back.
     pub(super) fn served(&self) -> u32 {
         self.served.load(Ordering::Relaxed)
     }
@@ -138,7 +138,7 @@ fn session(
         match answer {
             Answer::Value(found) if found == number => {
                 seen.served.fetch_add(1, Ordering::Relaxed);
-                // this PLC writes no variable concurrently, so earlier numbers of it do not come back
+                // this PLC writes no variable concurrently, so its earlier numbers do not reappear
                 pending.retain(|(of, _)| *of != index);
             }
             // a robot that was started again has lost its variables

@@ -5,13 +5,13 @@
 //!                                                                            └─► any reset: swaps back, A says why
 //! ```
 //!
-//! A and B are the same image with different versions. A cut happens in an erase of a sector or in a write of a page. By default the
-//! power is cut in a sample of these operations; `UPDATE_CUTS=500` makes the sample of the swap and the roll-back that large.
-//! `UPDATE_CUTS=all` cuts it in each one of a swap, a confirmation and a roll-back, and of the download and installation of a short image;
-//! of the download of the whole image in each seventeenth, about two in each sector. The images are signed. `UPDATE_SEED` is the seed of
-//! the samples and of the moments at which QEMU is killed, 1.
+//! A and B are the same image with different versions. A cut happens in an erase of a sector or in a write of a page. By
+//! default the power is cut in a sample of these operations; `UPDATE_CUTS=500` makes the sample of the swap and the roll-back
+//! that large. `UPDATE_CUTS=all` cuts it in each one of a swap, a confirmation and a roll-back, and of the download and
+//! installation of a short image; of the download of the whole image in each seventeenth, about two in each sector. The images
+//! are signed. `UPDATE_SEED` is the seed of the samples and of the moments at which QEMU is killed, 1.
 
-// the sizes and the words of the flash, which the image has, too
+// the sizes and the words of the flash, which the image also uses
 #[allow(dead_code, reason = "the images use the rest")]
 #[path = "../../../../embassy-adapter/firmware/src/flash/layout.rs"]
 mod layout;
@@ -59,7 +59,7 @@ fn bcap_updates_a_board_and_a_served_request_confirms_it() {
     // both images have settings
     let out = board_command(&["update", "--force", &device, new.to_str().unwrap(), "--key", &rig.key()]);
     assert!(out.contains(" 0.2.0: ") && out.ends_with(" bytes received and checked\n"), "{out}");
-    // nothing confirms it but a request; the gateway looks for one each second
+    // only a request confirms it; the gateway checks for one each second
     sleep(Duration::from_secs(2));
     assert!(board_command(&["status", &device]).ends_with(" 0.2.0 on trial\n"));
     board.serve();
@@ -111,7 +111,7 @@ fn bcap_updates_a_board_over_the_network() {
         done.ok && done.out.contains(" 0.2.0: ") && done.out.ends_with(" bytes received and checked\n"),
         "{done:?}"
     );
-    // the status is asked over both ways; the console of `board` belongs to the serial line
+    // the status is queried over both links; the console of `board` belongs to the serial line
     let until = |port: &str, expected: &str| {
         wait("the status does not change", || command(&["status", port]).out.ends_with(expected).then_some(()));
     };
@@ -238,7 +238,7 @@ fn sectors() -> u32 {
     (layout::ACTIVE.end - layout::ACTIVE.start) / layout::SECTOR as u32
 }
 
-/// Returns the least operations of a swap: of each sector twice an erase, 16 pages and a word of progress.
+/// Returns the minimum number of operations of a swap: of each sector twice an erase, 16 pages and a word of progress.
 fn swap_operations() -> u32 {
     sectors() * 2 * (1 + 16 + 1)
 }
@@ -433,7 +433,7 @@ fn check_cut(rig: &Rig, operation: u32) {
     assert!(rig.word(control::WRITTEN_AGAIN) <= 1, "cut in operation {operation}");
 }
 
-/// Tells how long operations take on the flash of a W5500-EVB-Pico.
+/// Describes how long operations take on the flash of a W5500-EVB-Pico.
 fn times(erased: u32, written: u32) -> String {
     let seconds = [0, 1].map(|i| (f64::from(erased) * ERASE[i] + f64::from(written) * WRITE[i]) / 1000.0);
     format!("{erased} erases and {written} pages: {:.1} s, at most {:.0} s", seconds[0], seconds[1])

@@ -80,7 +80,7 @@ impl Rig {
                 socket,
             ]);
             command.env("BCAP_BOARD_KEY", public_of(&SECRET).to_string());
-            // without DHCP, so that it is up at once
+            // without DHCP, so that it is up immediately
             command.args(["--set", "dhcp=no", "--set", "provider=CaoProv.DENSO.VRC", last, "gateway"]);
             let output = command.stderr(Stdio::inherit()).output().unwrap();
             assert!(output.status.success(), "the image was not built");
@@ -175,7 +175,7 @@ impl Rig {
         let log = File::create(self.folder.join("log")).unwrap();
         let mut command = Command::new(&self.command[0]);
         command.args(&self.command[1..]).current_dir(&self.firmware).stdin(Stdio::piped()).stdout(log);
-        // a process group, so that one signal ends QEMU, too
+        // a process group, so that one signal also ends QEMU
         let mut child = command.process_group(0).spawn().unwrap();
         let keys = child.stdin.take().unwrap();
         Board { rig: self, child, keys, console: None, received: Vec::new(), skips: 0, cuts: 0 }
@@ -195,7 +195,7 @@ pub(crate) struct Board<'a> {
     keys: ChildStdin,
     console: Option<UnixStream>,
     received: Vec<u8>,
-    /// The number of the last request that the board does not know.
+    /// The number of the last unknown request to the board.
     skips: u32,
     /// The cuts of the power until the last status.
     cuts: u32,
@@ -216,7 +216,7 @@ impl Board<'_> {
         self.keys.write_all(&[letter]).unwrap();
     }
 
-    /// Waits until the board answers, and returns its version and what became of the last update.
+    /// Waits until the board answers, and returns its version and the outcome of the last update.
     pub(crate) fn status(&mut self) -> String {
         let since = Instant::now();
         loop {
@@ -290,7 +290,7 @@ impl Board<'_> {
         self.send(&format!("{request}\n"));
         loop {
             match self.line() {
-                // the board tells it when it gets one
+                // the board reports its address when it gets one
                 Some(line) if line.starts_with("address ") => {}
                 Some(answer) if answer.starts_with("ok") => return Ok(()),
                 // a cut that follows an answer leaves the end of the next request to the board that starts again
@@ -310,7 +310,8 @@ impl Board<'_> {
         self.console.as_mut().unwrap().write_all(request.as_bytes()).unwrap();
     }
 
-    /// Skips the answers to repeated requests, which may arrive late or be damaged: requests while the board is down can fill its buffer.
+    /// Skips the answers to repeated requests, which may arrive late or be damaged: requests while the board is down can fill
+    /// its buffer.
     ///
     /// The answer to a request that was never sent before follows all of them.
     fn skip_answers(&mut self) {

@@ -17,7 +17,7 @@ use bcap_tests::tools;
 use crate::script::Outcome;
 use crate::target::{Target, limits};
 
-/// Reading and writing it fails at once, and other clients are served meanwhile.
+/// Reading and writing it fails immediately, and other clients are served in the meantime.
 pub(super) fn a_fifo_among_the_files(_: &mut Target) {
     let folder = std::env::temp_dir().join(format!("bcap-fifo-{}", std::process::id()));
     fs::create_dir_all(&folder).unwrap();
@@ -29,7 +29,7 @@ pub(super) fn a_fifo_among_the_files(_: &mut Target) {
     let served = Served::of(Controller::new(config), limits());
     let outcomes: BTreeMap<_, _> =
         [("reading", false), ("writing", true)].map(|(n, w)| (n, touches(&served, w))).into();
-    // a server that waits in the FIFO must end too: it is given an other end, which is closed at once
+    // a server that waits in the FIFO must end too: the other end is opened, and closed immediately
     let stopped = AtomicBool::new(false);
     thread::scope(|scope| {
         scope.spawn(|| {

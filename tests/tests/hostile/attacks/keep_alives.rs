@@ -29,7 +29,7 @@ pub(super) fn a_flood_of_keep_alives_costs_little(_: &mut Target) {
             let mut buffer = [0; 600];
             let (count, client) = socket.recv_from(&mut buffer).unwrap();
             let keep_alive = reply_frame(serial_of(&buffer[..count]), HResult::S_EXECUTING, vec![]);
-            // until the client's socket has gone, which the loopback tells
+            // until the client's socket is closed, which the loopback reports
             while socket.send_to(&keep_alive, client).is_ok() {}
         });
         address

@@ -14,7 +14,7 @@ use bcap_tests::tools;
 use crate::target::Target;
 use crate::wire::bytes;
 
-/// Clients of the virtual controller, one after the other, each with as many objects as it may have.
+/// Clients of the virtual controller, in sequence, each with the maximum number of objects.
 pub(super) fn objects_of_others_do_not_slow_opening(_: &mut Target) {
     const CLIENTS: u32 = 24;
     const OBJECTS: u16 = 500;

@@ -17,7 +17,7 @@ fn connect_from(source: IpAddr, server: SocketAddr) -> std::io::Result<TcpStream
     Ok(socket.into())
 }
 
-/// Half of the connections say nothing at all, and the others nothing after Service_Start.
+/// Half of the connections send no bytes at all, and the others none after Service_Start.
 pub(super) fn idle_connections_of_one_address_leave_slots_to_others(target: &mut Target) {
     let attacker = IpAddr::from([127, 0, 0, 2]);
     let mut all = Vec::new();

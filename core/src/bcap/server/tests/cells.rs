@@ -52,7 +52,7 @@ impl Peer {
         self
     }
 
-    /// Makes the newest call, which runs or is answered.
+    /// Sends the newest call, which runs or is answered.
     fn newest(mut self, runs: bool) -> Self {
         self.bench.handler.wait_until = runs.then_some(Instant::FAR_FUTURE);
         assert_eq!(self.bench.call(halt(), NEWEST, at(0)).len(), usize::from(!runs));
@@ -97,11 +97,11 @@ impl Peer {
         }
     }
 
-    /// Makes the session forget the last reply: its reply to an invalid datagram replaces it.
+    /// Makes the session drop the stored last reply: its reply to an invalid datagram replaces it.
     fn lose_the_reply(mut self) -> Self {
         let mut bad = frame(&call::service_stop(), 9, 9, self.bench.decoder.crc);
         if self.bench.decoder.crc {
-            // a serial line does not reply to invalid bytes; releasing memory forgets the reply, too
+            // a serial line does not reply to invalid bytes; releasing memory also drops the reply
             self.bench.session.state.serials.forget_reply();
             return self;
         }
@@ -210,7 +210,7 @@ fn call_much_older(peer: Peer) -> Done {
     peer.send(&call::controller_connect("", "", "", ""), MUCH_OLDER, MUCH_OLDER)
 }
 
-/// Makes a test of each cell: over datagrams, and over a serial line if its outcome is given.
+/// Creates a test of each cell: over datagrams, and over a serial line if its outcome is given.
 macro_rules! cells {
     ($($state:ident { $($request:ident => $datagram:ident $(, serial $serial:ident)?;)+ })+) => {$(
         mod $state {
@@ -382,7 +382,7 @@ fn the_reply_to_a_refused_service_start_is_not_sent_for_one_with_other_options()
     assert_eq!(bench.attempt(&call::service_start("WDT=100"), 8, 7, at(0)), [(8, HResult::S_OK)]);
 }
 
-/// A handler that delays Service_Start; the other handlers here complete it at once.
+/// A handler that delays Service_Start; the other handlers here complete it immediately.
 #[derive(Default)]
 struct SlowToStart(usize);
 

@@ -194,7 +194,7 @@ fn a_stop_within_a_low_acceleration_limit_takes_longer() {
     let part = |limit| crate::slave::limits::slow_down(&AxisLimits::uniform(100.0, limit), 0.008, &velocity);
     let acceleration = part(10.0) * velocity[0] / (0.008 * 0.008);
     assert!((acceleration - 9.0).abs() < 1e-9, "{acceleration}");
-    // with a limit of 0 it ends, too
+    // even with a limit of 0 the stop ends
     assert_eq!(part(0.0), 1e-3);
 }
 
@@ -203,7 +203,7 @@ fn a_stop_before_the_first_pose_moves_nothing() {
     let mut rig = Rig::new(config(Mode::Mode2), &[0.0; 8]);
     assert_eq!(rig.run(|_| None), EngineAction::Finished);
     assert_eq!((rig.moves, rig.names()), (0, [&START[..], &["Motor", "GiveArm"]].concat()));
-    // also before Slave Mode is entered
+    // even before Slave Mode is entered
     let mut rig = Rig::new(config(Mode::Mode2), &[0.0; 8]);
     let _ = rig.engine.poll(rig.now);
     rig.engine.stop();

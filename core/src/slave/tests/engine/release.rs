@@ -1,4 +1,4 @@
-//! The end of a stream, also after a fault.
+//! The end of a stream, including after a fault.
 
 use super::*;
 
@@ -55,7 +55,7 @@ fn a_refused_step_of_the_end_prevents_none_after_it() {
     }
 }
 
-/// E_BUSY_PROC: the controller still executes a call that was given up.
+/// E_BUSY_PROC: the controller still executes an abandoned call.
 #[test]
 fn a_step_of_the_end_is_repeated_while_the_controller_is_busy() {
     let busy = |count: usize| core::iter::repeat_n(("Robot_Halt", refused(HResult::E_BUSY_PROC)), count);
@@ -109,7 +109,7 @@ fn an_arm_whose_taking_has_no_reply_is_given_back() {
     assert_eq!((rig.run(|_| None), rig.names().last()), (EngineAction::Finished, Some(&"GiveArm")));
 }
 
-/// E_TIMEOUT: the controller has given the call up, and executes it all the same.
+/// E_TIMEOUT: the controller has abandoned the call, and still executes it.
 #[test]
 fn the_effect_of_a_call_that_the_controller_gave_up_is_ended() {
     for (given_up, end) in

@@ -147,7 +147,7 @@ fn a_stream_of_another_client_is_left_alone() {
         (rig.run(|_| None), rig.names(), rig.controller.mode),
         (EngineAction::Finished, ["slvGetMode"].to_vec(), 0x202)
     );
-    // a controller that does not say it may have a stream; one without Slave Mode has none
+    // a controller that does not report its mode may have a stream; one without Slave Mode has none
     let rig = refused_start(config(Mode::Mode0), "slvGetMode", HResult::E_FAIL);
     let fault = rig.fault();
     assert_eq!(fault.cause, Cause::Occupied(StreamState::Unknown(HResult::E_FAIL)));
@@ -163,7 +163,7 @@ fn a_recovery_leaves_the_stream_of_another_client_alone() {
     let mut occupied = Rig::new(config(Mode::Mode0), &[0.0; 8]);
     occupied.controller.mode = 0x202;
     assert_eq!(occupied.run(|_| panic!("no pose is wanted")), EngineAction::Faulted);
-    // the other client streams after it has taken the arm
+    // the other client takes the arm, then streams
     let mut unarmed = refused_start(config(Mode::Mode0), "TakeArm", HResult::E_ARM_NOT_TAKEN);
     unarmed.controller.mode = 0x202;
     for mut rig in [occupied, unarmed] {

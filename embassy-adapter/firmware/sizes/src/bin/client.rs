@@ -34,7 +34,7 @@ fn run(memory: &mut Memory) {
     converse(client, memory, &call::service_stop());
 }
 
-/// Makes a call and polls the client until its end.
+/// Starts a call and polls the client until the call ends.
 fn converse<C: Call>(client: &mut Board, memory: &mut Memory, call: &C) {
     let now = black_box(Instant::ZERO);
     black_box(client.start(call, client.timing(), now).is_ok());

@@ -1,7 +1,7 @@
 //! Everything of b-CAP: reads frames from standard input, decodes, reads, checks and writes them again.
 //!
-//! The compiler does not know the input, so it cannot compute any of this at build time. The decoded frames are encoded
-//! again to standard output.
+//! The input is unknown to the compiler, so it cannot compute any of this at build time. The decoded frames are encoded again
+//! to standard output.
 #![no_std]
 #![no_main]
 
@@ -124,7 +124,7 @@ fn replies(frame: &Frame<'_>) -> u32 {
     fits.iter().fold(0, |sum, fit| sum.wrapping_add(u32::from(*fit)))
 }
 
-/// Writes typed calls with arguments that come from the input.
+/// Writes typed calls with arguments from the input.
 fn calls(input: &[u8]) -> Option<u32> {
     let mut text = [0; 32];
     let name = Bstr::from_utf16le(input.get(..16)?)?.to_str(&mut text).unwrap_or("Arm");
